@@ -137,9 +137,7 @@ def load(
             f"{folder / 'config.yaml'}: kind {kind!r}; known: {', '.join(SYSTEMS)}. "
             "A newer kind needs a newer gesturekit"
         )
-    model = _part(SYSTEMS[kind].model).load(folder, weights=weights, device=device, dtype=dtype)
-    model.folder = folder.resolve()
-    return model
+    return _part(SYSTEMS[kind].model).load(folder, weights=weights, device=device, dtype=dtype)
 
 
 @gesturekit_errors()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -20,7 +22,7 @@ from gesturekit.systems import bundled_speech
 from gesturekit.training.seeds import seeded
 
 
-def diffusion(gesture, **rates: float) -> DiffusionModel:
+def diffusion(gesture, recorded_fps: float = 30.0) -> DiffusionModel:
     """Return a small model with speech input and random weights."""
     extractor = af.LogMel(n_mels=4)
     ears = SpeechConditioner(extractor, 30.0, "mean", np.zeros(4), np.full(4, 10.0))
@@ -36,7 +38,7 @@ def diffusion(gesture, **rates: float) -> DiffusionModel:
         noise_config=NoiseConfig(predict="velocity", steps=4),
         network=seeded("network", lambda: Denoiser(width, conditions.width, config)),
         speakers={},
-        **rates,
+        recorded_fps=recorded_fps,
     )
 
 
@@ -88,22 +90,18 @@ def test_the_duration_is_the_same_at_any_frame_rate(model, wave, fps):
 
 def test_the_default_frame_rate_is_that_of_the_recordings(model, wave, gesture, tmp_path):
     own = model.generate(wave)
-    model.recorded_fps = 60.0
-    model.save(tmp_path)
+    replace(model, recorded_fps=60.0).save(tmp_path)
     again = gk.load(tmp_path)
     assert (again.fps, again.recorded_fps) == (30.0, 60.0)
     assert "30 fps, resampled to 60 fps" in (tmp_path / "README.md").read_text()
     assert again.generate(wave).fps == 60.0
     assert same(again.generate(wave, fps=30.0), own)
-    config = tmp_path / "config.yaml"
-    config.write_text(config.read_text().replace("recorded_fps: 60.0\n", ""))
-    assert same(gk.load(tmp_path).generate(wave), own), "a model of before rates were kept"
 
 
 def test_levels_and_keyframes_stay_at_the_models_rate(wave):
     model = gk.load("demo")
     own = model.generate(wave, levels=2)
-    model.recorded_fps = 60.0
+    model = replace(model, recorded_fps=60.0)
     assert same(model.generate(wave, levels=2), own) and own.fps < 30
     assert model.generate(wave, keyframes=own, keyframe_level=2).fps == 30
     assert model.generate(wave, keyframes=own, keyframe_level=2, fps=24).fps == 24

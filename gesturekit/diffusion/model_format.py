@@ -16,8 +16,7 @@ from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import build, to_dict
-from gesturekit.training.model_folder import ModelParts, model_readme
-from gesturekit.training.trained_model import common_arguments, rig_values
+from gesturekit.training.model_folder import ModelParts, common_arguments, model_readme, rig_values
 
 
 def model_parts(

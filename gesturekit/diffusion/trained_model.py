@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import torch
@@ -12,15 +13,14 @@ from gesturekit.diffusion.config import NoiseConfig
 from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.noise_schedule import NoiseSchedule
-from gesturekit.model import Inputs
-from gesturekit.training.trained_model import BaseModel
+from gesturekit.model import BaseModel, Inputs
 
 MAX_FRAMES = 9000
 """Frames that are generated without tiling: five minutes at 30 fps. At gesture size, each thousand
 frames take about 35 MB, one hour 4 GB; the time per frame does not depend on the length."""
 
 
-@dataclass(eq=False, repr=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class TrainedModel(BaseModel):
     """Contents of a model folder; `DiffusionModel` adds generation.
 
@@ -45,9 +45,12 @@ class TrainedModel(BaseModel):
     clip_denoised: bool = True
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        self.schedule = NoiseSchedule.of(self.noise_config)
         self.network.eval()
+
+    @cached_property
+    def schedule(self) -> NoiseSchedule:
+        """Variances of the steps of diffusion."""
+        return NoiseSchedule.of(self.noise_config)
 
     @property
     def inputs(self) -> Inputs:

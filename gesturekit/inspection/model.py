@@ -12,9 +12,9 @@ from safetensors import SafetensorError, safe_open
 
 from gesturekit.errors import ConfigError, GestureKitError, ModelError
 from gesturekit.inspection.summary import Summary, size
+from gesturekit.model import rate_text, reduction_text
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import read_yaml
-from gesturekit.training.model_folder import rates, reduction
 from gesturekit.wording import counted, listed
 
 _NOTE = re.compile(r"- \*\*(.+?)\*\*: (.*)")
@@ -91,13 +91,13 @@ def _rows(facts: dict[str, Any], skeleton: Skeleton) -> list[tuple[str, str]]:
         (
             "moves",
             f"{len(facts['joints'])} of {counted(skeleton.n_joints, 'joint')} at "
-            + rates(facts["fps"], facts["recorded_fps"])
+            + rate_text(facts["fps"], facts["recorded_fps"])
             + (f"; not {listed(still, 4)}" if still else ""),
         ),
         ("speech features", _speech_features(facts["features"].get("spec"))),
     ]
     if facts["components"]:
-        rows.append(("reduced features", reduction(facts["components"])))
+        rows.append(("reduced features", reduction_text(facts["components"])))
     rows += [
         ("network", _settings(facts["network"])),
         ("parameters", f"{facts['parameters']:,}"),

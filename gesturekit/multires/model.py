@@ -39,10 +39,16 @@ from gesturekit.training.data.features import (
     conditioner_values,
     load_conditioner,
 )
-from gesturekit.training.model_folder import ModelParts, load_model, model_readme, save_model
+from gesturekit.training.model_folder import (
+    ModelParts,
+    common_arguments,
+    load_model,
+    model_readme,
+    rig_values,
+    save_model,
+)
 from gesturekit.training.run.device import prepare_device
 from gesturekit.training.seeds import checked_seed
-from gesturekit.training.trained_model import common_arguments, rig_values
 
 
 class MultiresModel(TrainedModel):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,10 +19,11 @@ import audio_features as af
 from audio_features.atomic import atomic_write, remove_unfinished, write_tensors
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.motion.parts import unidentified
+from gesturekit.motion.resampling import checked_fps
+from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.renamed_keys import with_new_keys
 from gesturekit.training.run.device import memory_ran_out
-from gesturekit.wording import counted
 
 FORMAT = 1
 
@@ -161,16 +162,6 @@ def _read_config(folder: Path, kind: str) -> dict[str, Any]:
     return config
 
 
-def rates(fps: float, recorded_fps: float) -> str:
-    """Return a description of the frame rate of a model's motion."""
-    return f"{fps:g} fps" + ("" if recorded_fps == fps else f", resampled to {recorded_fps:g} fps")
-
-
-def reduction(shape: Sequence[int]) -> str:
-    """Return a description of the projection (W, N) of W speech features to N components."""
-    return f"{shape[0]} features reduced to {counted(shape[-1], 'component')}"
-
-
 def model_readme(rows: Mapping[str, str], call: str) -> str:
     """Return the text of a model's README.md.
 
@@ -184,3 +175,29 @@ def model_readme(rows: Mapping[str, str], call: str) -> str:
         'model = gk.load("THIS FOLDER")\n'
         f'model.generate({call}, seed=0).save("motion.bvh")\n```\n'
     )
+
+
+def common_arguments(parts: ModelParts) -> dict[str, Any]:
+    """Return the fields of `BaseModel` from a model folder, without those of each system."""
+    smooth = parts.config["smooth"]
+    return {
+        "fps": float(parts.config["fps"]),
+        "speakers": read_speakers(parts.rig),
+        "smooth": None if smooth is None else float(smooth),
+        "recorded_fps": checked_fps(parts.config["recorded_fps"]),
+        "folder": parts.folder.resolve(),
+    }
+
+
+def rig_values(representation: Any, speakers: Mapping[str, Skeleton]) -> dict[str, Any]:
+    """Return the content of skeleton.json, which run folders store too."""
+    return {
+        "skeleton": representation.skeleton.to_json(),
+        "motion": representation.to_json(),
+        "speakers": {name: body.to_json() for name, body in speakers.items()},
+    }
+
+
+def read_speakers(rig: Mapping[str, Any]) -> dict[str, Skeleton]:
+    """Return the reference skeletons in `rig_values`."""
+    return {name: Skeleton.from_json(body) for name, body in rig["speakers"].items()}

@@ -71,6 +71,7 @@ def untrained(gesture) -> Callable[..., DiffusionModel]:
         torch.nn.init.normal_(network.leave.weight, std=0.5, generator=rng_for("leave", seed))
         return DiffusionModel(
             fps=30.0,
+            recorded_fps=30.0,
             representation=representation,
             conditions=conditions,
             normaliser=Normaliser.fit([representation.encode(m) for m in motions]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -98,8 +99,7 @@ def models(untrained, tmp_path):
 
 def tiled(model: gk.Model) -> gk.Model:
     """Return the model, which generates short tiles."""
-    model.window = 60
-    return model
+    return replace(model, window=60)
 
 
 FEW = {"seconds": 3.0, "steps": 4, "foot_lock": False}

@@ -18,7 +18,6 @@ from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.conditions import smooth_path
 from gesturekit.diffusion.config import NoiseConfig
 from gesturekit.diffusion.events import asked_events
-from gesturekit.diffusion.motion_vector import Normaliser
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.errors import ConfigError, FormatError, ModelError
 from gesturekit.inspection import inspect
@@ -252,8 +251,7 @@ def test_a_saved_model_is_the_model(untrained, ears, tmp_path):
 
 
 def test_smoothing_defaults_to_the_models_setting(untrained, tmp_path):
-    model = untrained()
-    model.smooth = 0.3
+    model = replace(untrained(), smooth=0.3)
     model.save(tmp_path / "model")
     asked = QUICK | {"foot_lock": False}
     plain = model.generate(**asked, smooth=0)
@@ -309,7 +307,7 @@ def test_half_precision_moves_alike_and_keeps_the_weights(model, tmp_path):
 
 def test_a_speaker_has_a_body_and_steps_of_their_own(untrained, skeleton, tmp_path):
     model = untrained()
-    model.speakers = {"ann": replace(skeleton, offsets=1.2 * skeleton.offsets)}
+    model = replace(model, speakers={"ann": replace(skeleton, offsets=1.2 * skeleton.offsets)})
     model.save(tmp_path / "model")
     asked = QUICK | {"foot_lock": False}
     usual = model.generate(**asked)
@@ -325,7 +323,7 @@ def test_settings_that_the_architecture_does_not_use_are_not_shown(untrained, tm
     for kind, used in (("conformer", True), ("diffwave", False)):
         model = untrained()
         config = replace(model.network.config, architecture=kind, dilations=(1, 2))
-        model.network = Denoiser(model.network.n_motion, 0, config).eval()
+        model = replace(model, network=Denoiser(model.network.n_motion, 0, config))
         model.save(tmp_path / kind)
         summary = inspect(tmp_path / kind)
         network = dict(summary.rows)["network"]
@@ -346,25 +344,23 @@ def test_models_that_do_not_go_together_are_refused(model, untrained):
         with pytest.raises(ModelError, match=told):
             model.generate(**QUICK, experts=[(other, 0.5)], **asked)
 
-    scaled, slow, turned, jointed, dance = (untrained(seed=9) for _ in range(5))
-    scaled.normaliser = Normaliser(model.normaliser.mean, model.normaliser.scale * 1.5)
+    other = untrained(seed=9)
+    own = model.normaliser
+    scaled = replace(other, normaliser=replace(own, scale=own.scale * 1.5))
     refused(r"expert 1: .*another scale \(by up to a factor of 1\.5\).*moves_like", scaled)
-    slow.fps = 20.0
-    refused("expert 1: moves at 20 fps, this model at 30", slow)
-    turned.representation = turned.representation.__class__(
-        **vars(turned.representation) | {"references": turned.representation.references[::-1]}
+    refused("expert 1: moves at 20 fps, this model at 30", replace(other, fps=20.0))
+    turned = other.representation.__class__(
+        **vars(other.representation) | {"references": other.representation.references[::-1]}
     )
-    refused("other mean rotations", turned)
-    jointed.representation = _other_rig(jointed)
+    refused("other mean rotations", replace(other, representation=turned))
+    jointed = replace(other, representation=_other_rig(other))
     refused("experts of a product need the same joints", jointed)
     refused("only one of the two follows a path", untrained(path=True))
-    dance.schedule = type(dance.schedule).of(
-        type(dance.noise_config)(steps=150, first_beta=0.01, last_beta=0.7)
-    )
-    refused("noise schedules differ", dance)
+    dance = replace(other.noise_config, steps=150, first_beta=0.01, last_beta=0.7)
+    refused("noise schedules differ", replace(other, noise_config=dance))
     refused("a multires model; only diffusion", gk.load("demo"))
-    moved = untrained(seed=9)  # another mean is no hindrance
-    moved.normaliser = Normaliser(model.normaliser.mean + 0.1, model.normaliser.scale)
+    # Another mean is no hindrance.
+    moved = replace(other, normaliser=replace(own, mean=own.mean + 0.1))
     alone = moved.generate(**QUICK, foot_lock=False)
     leads = model.generate(**QUICK, foot_lock=False, experts=[(moved, 1.0)])
     assert leads.n_frames == alone.n_frames and not same(leads, alone)

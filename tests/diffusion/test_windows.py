@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -55,7 +57,7 @@ def test_a_long_motion_has_no_seams_and_its_windows_stay_short(untrained, monkey
         return for_condition(network, condition, steps)
 
     monkeypatch.setattr(type(model.network), "for_condition", watched)
-    model.window = 240
+    model = replace(model, window=240)
     long = model.generate(**asked)
     assert max(seen) <= 240 < len(long.rotations) == 750
     # The root's steps add up, so that the least difference would show at the end.

@@ -55,8 +55,7 @@ def swaying(motion):
 @pytest.fixture(scope="module")
 def model(folder):
     model = gk.load(folder)
-    model.recorded_fps = model.fps  # what is held is looked at frame by frame
-    return model
+    return replace(model, recorded_fps=model.fps)  # what is held is looked at frame by frame
 
 
 def circle(seconds: float, fps: float = 30.0, radius: float = 1.0, speed: float = 0.5) -> RootPath:

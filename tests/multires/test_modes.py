@@ -224,8 +224,8 @@ def test_noise_enters_at_as_many_levels_as_wanted_scaled_by_their_sigma(make_con
     assert model.noise.noise_levels == 2
 
     def made(levels, noise_levels, seed=1):
-        model.noise = replace(model.noise, noise_levels=noise_levels)
-        return model.generate(seconds=6.0, seed=seed, levels=levels, foot_lock=False).rotations
+        noisy = replace(model, noise=replace(model.noise, noise_levels=noise_levels))
+        return noisy.generate(seconds=6.0, seed=seed, levels=levels, foot_lock=False).rotations
 
     np.testing.assert_array_equal(made(1, 1), made(1, 2))
     assert np.abs(made(2, 2) - made(2, 1)).max() > 1e-4

@@ -142,8 +142,7 @@ def folder(config):
 @pytest.fixture(scope="module")
 def model(folder):
     model = gk.load(folder)
-    model.recorded_fps = model.fps
-    return model
+    return replace(model, recorded_fps=model.fps)
 
 
 @pytest.fixture(scope="module")
@@ -463,9 +462,8 @@ def test_fingers_and_the_face_move_with_every_control(model, speech):
 
 def test_fingers_keep_time_with_their_arm(model, speech):
     """A finger that copies its elbow in the recordings copies it in the generated motion."""
-    changed = copy.copy(model)
-    changed.network = copy.deepcopy(model.network)
-    for weight in changed.network.parameters():
+    network = copy.deepcopy(model.network)
+    for weight in network.parameters():
         torch.nn.init.zeros_(weight)  # finer levels add nothing
     elbows = [model.representation.joint_columns(f"{side}_elbow") for side in ("left", "right")]
     copied = []
@@ -473,7 +471,8 @@ def test_fingers_keep_time_with_their_arm(model, speech):
         plain = model.normaliser.inverse(own.motion[None])[0]
         passive = torch.cat([*(plain[columns] for columns in elbows), own.passive[12:]])
         copied.append(replace(own, passive=passive))
-    changed.library = replace(model.library, recordings=tuple(copied))
+    library = replace(model.library, recordings=tuple(copied))
+    changed = replace(model, network=network, library=library)
     made = changed.generate(speech, seed=1)
     for finger, elbow in zip(FINGERS, ("left_elbow", "right_elbow"), strict=True):
         one, other = (made.rotations[:, made.skeleton.index(name)] for name in (finger, elbow))
@@ -527,24 +526,21 @@ def test_coarse_levels_are_the_recalled_motion(model, speech):
     assert (apart < 0.01).float().mean() > 0.5
 
 
-def test_finer_levels_leave_a_resting_arm_alone(model, speech, monkeypatch):
-    def arms(seed: int) -> np.ndarray:
-        motion = model.generate(speech, seed=seed, foot_lock=False)
+def test_finer_levels_leave_a_resting_arm_alone(model, speech):
+    def arms(model) -> np.ndarray:
+        motion = model.generate(speech, seed=0, foot_lock=False)
         return motion.rotations[:, [motion.skeleton.index(f"{s}_elbow") for s in ("left", "right")]]
 
-    def changed_by_the_network() -> float:
-        before = arms(0)
+    def changed_by_the_network(model) -> float:
         network = copy.deepcopy(model.network)
         for value in network.parameters():
             value.data += 0.3 * torch.randn(value.shape, generator=torch.Generator().manual_seed(1))
-        with monkeypatch.context() as patch:
-            patch.setattr(model, "network", network)
-            return float(np.abs(arms(0) - before).max())
+        return float(np.abs(arms(replace(model, network=network)) - arms(model)).max())
 
-    assert changed_by_the_network() > 0.01
+    assert changed_by_the_network(model) > 0.01
     rested = [replace(own, profiles=own.profiles - 10) for own in model.library.recordings]
-    monkeypatch.setattr(model, "library", replace(model.library, recordings=tuple(rested)))
-    assert changed_by_the_network() < 1e-6
+    resting = replace(model, library=replace(model.library, recordings=tuple(rested)))
+    assert changed_by_the_network(resting) < 1e-6
 
 
 def test_the_command_line_has_the_controls(folder, speech, tmp_path, render, capsys):
@@ -655,8 +651,7 @@ def test_joins_differ_between_seeds(model, speech):
 
 def test_stretch_is_saved_with_the_model(model, speech, tmp_path):
     own = model.generate(speech, seed=1)
-    other = copy.copy(model)
-    other.library = replace(model.library, stretch=0.25)
+    other = replace(model, library=replace(model.library, stretch=0.25))
     made = other.generate(speech, seed=1)
     assert np.abs(made.rotations - own.rotations).max() > 1e-3
     other.save(tmp_path / "model")
@@ -674,13 +669,11 @@ def test_defects_of_the_recordings_travel_with_the_model(model, speech, tmp_path
         part.defective.shape == (3, part.motion.shape[-1]) for part in model.library.recordings
     )
     assert not any(part.defective.any() for part in model.library.recordings)
-    other = copy.copy(model)
     flags = [part.defective.clone() for part in model.library.recordings]
     flags[0][:, 20:] = flags[1][:, 30:] = True
     recordings = zip(model.library.recordings, flags, strict=True)
-    other.library = replace(
-        model.library, recordings=tuple(replace(part, defective=f) for part, f in recordings)
-    )
+    damaged = tuple(replace(part, defective=f) for part, f in recordings)
+    other = replace(model, library=replace(model.library, recordings=damaged))
     made = other.generate(speech, seed=1)
     assert np.abs(made.rotations - own.rotations).max() > 1e-2
     other.save(tmp_path / "model")
@@ -710,7 +703,7 @@ def test_retrieval_gives_recorded_frames(recordings, speech, tmp_path):
     training = {"first_stage": 1, "further_stages": 1}
     config = settings(recordings, tmp_path / "run", recall=changes, training=training)
     model = gk.load(train(config))
-    model.recorded_fps = model.fps
+    model = replace(model, recorded_fps=model.fps)
     made = model.generate(speech, foot_lock=False, smooth=0)
     known = [recording(16.0, 0).resample(25.0), recording(12.0, 1).resample(25.0)]
     joints = [made.skeleton.index(name) for name in ("left_shoulder", "right_elbow")]

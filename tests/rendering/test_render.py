@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 from dataclasses import asdict, replace
 
@@ -95,8 +94,7 @@ def test_smoothing_leaves_the_legs(model, sounds, tmp_path):
 
 def test_smoothing_defaults_to_the_models_setting(model, sounds, tmp_path):
     plain = model.generate(sounds[0])
-    trained = copy.copy(model)
-    trained.smooth = 0.3
+    trained = replace(model, smooth=0.3)
     trained.save(tmp_path / "model")
     again = gk.load(tmp_path / "model")
     for seconds, wanted in ((None, smooth_motion(plain, 0.3)), (0, plain)):
@@ -137,9 +135,8 @@ def test_a_file_that_cannot_be_written_is_reported_and_the_others_are_kept(model
 
 
 def test_a_model_that_gives_nan_fails_each_file_by_name(model, sounds, tmp_path):
-    damaged = copy.copy(model)
-    damaged.normaliser = copy.copy(model.normaliser)
-    object.__setattr__(damaged.normaliser, "mean", model.normaliser.mean * float("nan"))
+    mean = model.normaliser.mean * float("nan")
+    damaged = replace(model, normaliser=replace(model.normaliser, mean=mean))
     for sound, outcome in zip(sounds, render(damaged, sounds, tmp_path), strict=True):
         assert outcome.error.startswith(f"{sound}: ") and "NaN" in outcome.error
 
@@ -282,8 +279,7 @@ def test_a_rerun_refuses_by_name_what_was_made_with_something_else(
     out = tmp_path / "out"
     list(render(model, sounds[:2], out))
     made = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
-    damaged = copy.copy(model)
-    damaged.smooth = 0.3
+    damaged = replace(model, smooth=0.3)
     for name, asked in {
         "seed": lambda: render(model, sounds, out, seed=1),
         "foot_lock": lambda: render(model, sounds, out, foot_lock=False),
@@ -298,9 +294,9 @@ def test_a_rerun_refuses_by_name_what_was_made_with_something_else(
     with pytest.raises(ConfigError, match=r"a\.bvh exists.*another input \(1 refused, 1 kept, 1"):
         next(render(model, sounds, out))
     # Each way through.
-    skip, replace = Output(existing="skip"), Output(existing="replace")
+    skip, again = Output(existing="skip"), Output(existing="replace")
     assert counted(render(model, sounds[:2], out, output=skip, seed=1)) == [(0, 1)] * 2
-    assert counted(render(model, sounds[:2], out, output=replace, seed=1)) == [(1, 0)] * 2
+    assert counted(render(model, sounds[:2], out, output=again, seed=1)) == [(1, 0)] * 2
     assert counted(render(model, sounds[:2], out, seed=1)) == [(0, 1)] * 2
 
 
@@ -370,8 +366,7 @@ def test_items_of_a_manifest_are_cut_and_named_as_it_says(model, tmp_path, write
 
 def test_a_model_without_speech_input_moves_as_long_as_the_items(tmp_path, write_pair, model):
     audio, motion = write_pair(tmp_path / "in", "a", 3.0)
-    deaf = copy.copy(model)
-    deaf.conditions = replace(model.conditions, conditioner=None)
+    deaf = replace(model, conditions=replace(model.conditions, conditioner=None))
     deaf.save = model.save
     deaf.generate = lambda speech=None, *, seconds=None, seed=0: (
         model.generate(seconds=seconds) if speech is None else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -149,8 +148,7 @@ def test_samples_are_what_the_network_generates_unless_asked_otherwise(model, co
     assert raw.duration == pytest.approx(4.0, abs=0.05)
     slide = [np.abs(np.diff(foot_positions(motion), axis=0)).mean() for motion in (raw, locked)]
     assert slide[1] < 0.1 * slide[0]
-    smoothed = copy.copy(model)
-    smoothed.smooth = 0.3
+    smoothed = replace(model, smooth=0.3)
     hand = model.skeleton.index("LeftHand")
     shake = [
         np.abs(np.diff(motion.positions()[:, hand], 3, axis=0)).mean()
@@ -161,17 +159,13 @@ def test_samples_are_what_the_network_generates_unless_asked_otherwise(model, co
 
 def test_the_speaker_is_the_items_where_the_model_has_several(model, corpus, tmp_path):
     item = named(corpus, "one")
-    known = model.speakers
     tall = replace(model.skeleton, offsets=1.2 * model.skeleton.offsets)
-    model.speakers = {"anna": model.skeleton, "ben": tall}
-    try:
-        one = SamplingOptions(samples=1)
-        anna, ben = (
-            Motion.load(next(sample_multires(model, [spoken], tmp_path / spoken.speaker, one)))
-            for spoken in (replace(item, speaker=name) for name in ("anna", "ben"))
-        )
-    finally:
-        model.speakers = known
+    both = replace(model, speakers={"anna": model.skeleton, "ben": tall})
+    one = SamplingOptions(samples=1)
+    anna, ben = (
+        Motion.load(next(sample_multires(both, [spoken], tmp_path / spoken.speaker, one)))
+        for spoken in (replace(item, speaker=name) for name in ("anna", "ben"))
+    )
     assert ben.skeleton.offsets == pytest.approx(1.2 * anna.skeleton.offsets, abs=1e-6)
 
 
@@ -219,8 +213,8 @@ def test_a_motion_without_its_sound_is_named(corpus, tmp_path):
 def test_a_training_sequence_is_sampled_at_twice_its_length_and_the_models_own_rate(
     model, corpus, tmp_path
 ):
-    item, faster = named(corpus, "one"), copy.copy(model)
-    faster.recorded_fps = 50.0  # the rate at which `generate` returns motion by default
+    item = named(corpus, "one")
+    faster = replace(model, recorded_fps=50.0)  # at which `generate` returns motion by default
     for name, given in {"speech": item, "silence": replace(item, audio=None)}.items():
         path = next(sample_multires(faster, [given], tmp_path / name, SamplingOptions(samples=1)))
         motion = Motion.load(path)

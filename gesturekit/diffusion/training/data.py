@@ -20,7 +20,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.data.data_folder import load_data, save_data
 from gesturekit.training.data.sources import Source, from_values, to_values
 from gesturekit.training.data.start_model import read_start, start_tensors
-from gesturekit.training.trained_model import read_speakers, rig_values
+from gesturekit.training.model_folder import read_speakers, rig_values
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class TrainingData:
         normaliser: mean and scale of motion vectors.
         speakers: a reference skeleton for each named speaker.
         sources: the recordings with speech, or all for a model without speech input.
-        recorded_fps: the most common frame rate of the recordings; None in older runs.
+        recorded_fps: the most common frame rate of the recordings.
         start: weights of the network to start from, by name; empty for random ones.
     """
 
@@ -67,8 +67,8 @@ class TrainingData:
     conditions: Conditions
     normaliser: Normaliser
     speakers: dict[str, Skeleton]
+    recorded_fps: float
     sources: tuple[Source, ...] = ()
-    recorded_fps: float | None = None
     start: Mapping[str, Tensor] = field(default_factory=dict)
 
     def decode(self, values: np.ndarray, condition: np.ndarray, fps: float) -> Motion:
@@ -147,8 +147,8 @@ class TrainingData:
                 ),
                 normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
                 speakers=read_speakers(about),
-                sources=from_values(about.get("sources", ())),
-                recorded_fps=about.get("recorded_fps"),
+                sources=from_values(about["sources"]),
+                recorded_fps=about["recorded_fps"],
                 start=read_start(tensors),
             )
 

@@ -14,13 +14,12 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from gesturekit.model import Inputs
+from gesturekit.model import BaseModel, Inputs
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.sampling.conditions import Conditions
-from gesturekit.training.trained_model import BaseModel
 
 
 class ZStarPatches:
@@ -164,7 +163,7 @@ class TrainedNoise:
         return RandomNoise(self.sigma.mean(dim=0), self.noise_levels, patches)
 
 
-@dataclass(eq=False, repr=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class TrainedModel(BaseModel):
     """A trained model, as its folder stores it; `MultiresModel` adds generation.
 

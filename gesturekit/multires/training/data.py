@@ -31,8 +31,8 @@ from gesturekit.training.data.features import (
 )
 from gesturekit.training.data.sources import Source, from_values, to_values
 from gesturekit.training.data.start_model import read_start, start_tensors
+from gesturekit.training.model_folder import read_speakers, rig_values
 from gesturekit.training.seeds import rng_for
-from gesturekit.training.trained_model import read_speakers, rig_values
 
 
 @dataclass(frozen=True)
