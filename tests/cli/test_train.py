@@ -12,7 +12,7 @@ import pytest
 from gesturekit.multires.training.stage import Stage
 from gesturekit.systems import resolved_settings
 from gesturekit.training.config import read_yaml
-from gesturekit.training.held_out import HeldOut
+from gesturekit.training.run.held_out import HeldOut
 
 
 @pytest.fixture

@@ -13,8 +13,7 @@ from gesturekit.corpus.styles import style_track
 from gesturekit.diffusion.conditions import Conditions, smooth_path
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.motion_vector import DeltaRepresentation
-from gesturekit.diffusion.standardiser import Standardiser
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
 from gesturekit.diffusion.training.augmentation import mirror_condition, phases
 from gesturekit.diffusion.training.corpus import Corpus, read_corpus
 from gesturekit.diffusion.training.data import Recording, TrainingData
@@ -50,7 +49,7 @@ class _Take:
 
 
 def load_training_data(config: DiffusionConfig, device: str = "cpu") -> TrainingData:
-    """Read the corpus of a run, extract features on a device, and standardise.
+    """Read the corpus of a run, extract features on a device, and normalise.
 
     Raises:
         CorpusError: no training item with what the run needs, rigs that differ, or a file that
@@ -87,17 +86,17 @@ def load_training_data(config: DiffusionConfig, device: str = "cpu") -> Training
             if take.style not in handed
         ]
     if like is None:
-        standardiser = Standardiser.fit(
+        normaliser = Normaliser.fit(
             [r.motion for r in recordings], _floors(representation, config.fps)
         )
     else:
-        standardiser = like.standardiser
+        normaliser = like.normaliser
     return TrainingData(
         recordings=tuple(recordings),
         seconds=corpus.seconds,
         representation=representation,
         conditions=conditions,
-        standardiser=standardiser,
+        normaliser=normaliser,
         speakers=corpus.speakers,
         sources=corpus.sources,
         recorded_fps=corpus.recorded_fps,

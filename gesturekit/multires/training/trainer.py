@@ -25,8 +25,8 @@ from gesturekit.multires.training.monitor import Monitor, distance_from_recordin
 from gesturekit.multires.training.recall_library import build_library
 from gesturekit.multires.training.stage import Stage
 from gesturekit.training.data.sources import described, save_sources, unused_labels
-from gesturekit.training.held_out import HeldOut
 from gesturekit.training.run.folder import Run
+from gesturekit.training.run.held_out import HeldOut
 from gesturekit.training.run.loop import Loop, Stretch, last_losses, read_once
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.run.session import plan as session_plan

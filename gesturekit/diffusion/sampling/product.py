@@ -3,7 +3,7 @@
 A model with several styles is one expert per style; classifier-free guidance adds one more expert,
 with the style dropped.
 
-Noise is predicted in standardised motion. Models with different means can be combined: the noisy
+Noise is predicted in normalised motion. Models with different means can be combined: the noisy
 motion is shifted to the mean of each, and its noise stays the same. Models with different scales
 cannot: the same noise would have a different size for each of them. Two models can be combined if
 one was trained from the other (`start_from`), with the other's motion vectors (`moves_like`), or on
@@ -21,10 +21,14 @@ import torch
 from torch import Tensor
 
 from gesturekit.corpus.checks import first_difference
-from gesturekit.diffusion.composition.experts import Expert, ProductOfExperts
-from gesturekit.diffusion.composition.styles import style_weights
-from gesturekit.diffusion.composition.weights import ExpertWeight, weight_track, weights_over_time
 from gesturekit.diffusion.controls import DiffusionControls
+from gesturekit.diffusion.sampling.expert_weights import (
+    ExpertWeight,
+    style_weights,
+    weight_track,
+    weights_over_time,
+)
+from gesturekit.diffusion.sampling.experts import Expert, ProductOfExperts
 from gesturekit.diffusion.sampling.request import Request
 from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError
@@ -240,17 +244,17 @@ def _check_compatible(first: TrainedModel, other: TrainedModel, who: str) -> Non
         theirs.side, own.side, atol=1e-6
     ):
         raise ModelError(f"{who}: its rotations are relative to other mean rotations; {advice}")
-    ratio = other.standardiser.scale / first.standardiser.scale
+    ratio = other.normaliser.scale / first.normaliser.scale
     worst = float(ratio[(ratio.log().abs()).argmax()])
     if not abs(worst - 1) <= _SCALE_TOLERANCE:
         raise ModelError(
-            f"{who}: its motion is standardised with another scale (by up to a factor of "
+            f"{who}: its motion is normalised with another scale (by up to a factor of "
             f"{worst:.3g}); {advice}"
         )
 
 
 def _shift(first: TrainedModel, model: TrainedModel) -> Tensor | None:
     """Return the `Expert.shift` (X,) of a model; None if both have the same mean."""
-    if torch.equal(first.standardiser.mean, model.standardiser.mean):
+    if torch.equal(first.normaliser.mean, model.normaliser.mean):
         return None
-    return (first.standardiser.mean - model.standardiser.mean) / first.standardiser.scale
+    return (first.normaliser.mean - model.normaliser.mean) / first.normaliser.scale

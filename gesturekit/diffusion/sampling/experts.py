@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from gesturekit.diffusion.network.denoiser import Denoiser
-from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.noise_schedule import NoiseSchedule
 from gesturekit.diffusion.sampling.solvers import Predict
 from gesturekit.errors import ModelError
 
@@ -47,7 +47,7 @@ class Expert:
         network: in eval mode.
         schedule: of its training.
         condition: (1, T, C), or (B, T, C) for a batch of motions with different conditions.
-        shift: (X,) offset from the product's standardised motion to that of this network, for a
+        shift: (X,) offset from the product's normalised motion to that of this network, for a
             network trained with another mean; None for no offset.
     """
 
