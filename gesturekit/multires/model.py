@@ -29,10 +29,14 @@ from gesturekit.multires.recall.library_format import (
     load_library,
 )
 from gesturekit.multires.sampling.conditions import Conditions, level_track
-from gesturekit.multires.sampling.pyramid import Pyramid
 from gesturekit.multires.sampling.request import Request, check_controls
 from gesturekit.multires.sampling.sampler import Sampler
-from gesturekit.multires.sampling.trained_model import TrainedModel, TrainedNoise, TrainedSequence
+from gesturekit.multires.sampling.trained_model import (
+    Pyramid,
+    TrainedModel,
+    TrainedNoise,
+    TrainedSequence,
+)
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.data.features import (
     conditioner_tensors,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Iterator, Mapping, Sequence
 
-from gesturekit.evaluation.report.plots import colour
-from gesturekit.evaluation.report.tables import number
+from gesturekit.evaluation.report.tables import dotted, number
 from gesturekit.evaluation.results import Answer, Evaluation, MetricResult, ModelResult
 from gesturekit.evaluation.statistics.intervals import FEW
 from gesturekit.evaluation.statistics.paired import Contest
@@ -51,8 +50,7 @@ def headline(evaluation: Evaluation, rows: Mapping[str, Contest]) -> str:
         return ""
     head = "".join(f"<th>{html.escape(answer.question)}</th>" for answer in models[0].answers)
     body = "".join(
-        f'<tr><th><span class="dot" style="background:{colour(evaluation.models.index(model))}">'
-        f"</span>{html.escape(model.heading)}</th>"
+        f"<tr><th>{dotted(evaluation.models.index(model), model.heading)}</th>"
         + "".join(_cell(model, answer, rows) for answer in model.answers)
         + "</tr>"
         for model in models

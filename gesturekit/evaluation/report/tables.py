@@ -16,7 +16,7 @@ from gesturekit.evaluation.definitions import (
 from gesturekit.evaluation.report.plots import colour
 from gesturekit.evaluation.results import Evaluation, Interval, ModelResult
 from gesturekit.evaluation.statistics.paired import Contest
-from gesturekit.viewer.pages import section
+from gesturekit.viewer.pages import section, table
 from gesturekit.wording import counted
 
 ARROWS = {
@@ -26,6 +26,11 @@ ARROWS = {
 }
 _OPEN = (HEADLINE, SPEECH, PATCHES, FRECHET)  # groups of the papers' tables; the rest is folded
 _MOST_CLIPS = 300
+
+
+def dotted(index: int, name: str) -> str:
+    """Return the name of a model, or of its clip, behind a dot of the model's colour."""
+    return f'<span class="dot" style="background:{colour(index)}"></span>{html.escape(name)}'
 
 
 def number(value: float) -> str:
@@ -53,10 +58,9 @@ def metrics(evaluation: Evaluation, contests: Mapping[str, Contest]) -> str:
     """
     models = evaluation.models
     head = "".join(
-        f'<th class="number"><span class="dot" style="background:{colour(i)}"></span>'
-        f"{html.escape(model.heading)}</th>"
-        for i, model in enumerate(models)
+        f'<th class="number">{dotted(i, model.heading)}</th>' for i, model in enumerate(models)
     )
+    head += '<th class="number">Recordings</th>'
     groups = []
     for group in GROUPS:
         rows = []
@@ -69,9 +73,8 @@ def metrics(evaluation: Evaluation, contests: Mapping[str, Contest]) -> str:
         if rows:
             groups.append(
                 f"<details{' open' if group in _OPEN else ''}><summary>{group}</summary>"
-                f'<div class="scroll"><table><thead><tr><th>Measure</th><th></th>{head}'
-                f'<th class="number">Recordings</th></tr></thead><tbody>{"".join(rows)}</tbody>'
-                "</table></div></details>"
+                + table(f"<th>Measure</th><th></th>{head}", "".join(rows))
+                + "</details>"
             )
     lead = (
         "Mean over recordings; below it the 95 % interval over recordings (over windows or 10 s "
@@ -170,9 +173,7 @@ def recordings(evaluation: Evaluation) -> str:
                 for d in definitions
             )
             rows.append(
-                f"<tr><th>{html.escape(stem)}</th>"
-                f'<td><span class="dot" style="background:{colour(index)}"></span>'
-                f"{html.escape(model.label)}</td>{cells}</tr>"
+                f"<tr><th>{html.escape(stem)}</th><td>{dotted(index, model.label)}</td>{cells}</tr>"
             )
     return section(
         "Recording by recording",
@@ -180,8 +181,7 @@ def recordings(evaluation: Evaluation) -> str:
         "2024), with the 95 % interval over samples.",
         f"<details{' open' if len(rows) <= 24 else ''}><summary>"
         f"{counted(len(rows), 'row')}</summary>"
-        f'<div class="scroll"><table><thead><tr><th>Recording</th><th>Model</th>{head}</tr></thead>'
-        f"<tbody>{''.join(rows)}</tbody></table></div></details>",
+        f"{table(f'<th>Recording</th><th>Model</th>{head}', ''.join(rows))}</details>",
     )
 
 
@@ -210,8 +210,7 @@ def per_clip(evaluation: Evaluation) -> str:
             )
             notes = f"<small>{html.escape('; '.join(clip.notes))}</small>" if clip.notes else ""
             rows.append(
-                f'<tr><th><span class="dot" style="background:{colour(index)}"></span>'
-                f"{html.escape(clip.pair.name)}{notes}</th>"
+                f"<tr><th>{dotted(index, clip.pair.name)}{notes}</th>"
                 f'<td class="number">{clip.seconds:.1f} s</td>{cells}</tr>'
             )
     lead = "Each clip's own figures; 'rec.' is what its recording has. The JSON holds all of them."
@@ -220,8 +219,7 @@ def per_clip(evaluation: Evaluation) -> str:
         lead,
         f"<details{' open' if len(rows) <= 12 else ''}><summary>"
         f"{counted(len(rows), 'clip')}</summary>"
-        f'<div class="scroll"><table><thead><tr><th>Clip</th><th></th>{head}</tr></thead>'
-        f"<tbody>{''.join(rows)}</tbody></table></div></details>",
+        f"{table(f'<th>Clip</th><th></th>{head}', ''.join(rows))}</details>",
     )
 
 
@@ -235,9 +233,5 @@ def excluded(evaluation: Evaluation) -> str:
     )
     if not rows:
         return section("Left out", "Nothing: every metric was computed for every clip.", "")
-    return section(
-        "Left out, and why",
-        "",
-        '<div class="scroll"><table><thead><tr><th>Clip</th><th>Model</th><th>What</th>'
-        f"<th>Reason</th></tr></thead><tbody>{rows}</tbody></table></div>",
-    )
+    head = "<th>Clip</th><th>Model</th><th>What</th><th>Reason</th>"
+    return section("Left out, and why", "", table(head, rows))

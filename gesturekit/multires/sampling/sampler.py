@@ -24,9 +24,8 @@ from gesturekit.multires.constraints.path import PathConstraint
 from gesturekit.multires.network.resampling import resample_smoothly
 from gesturekit.multires.recall.library import RecalledMotion
 from gesturekit.multires.sampling.conditions import requested_styles
-from gesturekit.multires.sampling.pyramid import Pyramid
 from gesturekit.multires.sampling.request import Request
-from gesturekit.multires.sampling.trained_model import TrainedModel
+from gesturekit.multires.sampling.trained_model import Pyramid, TrainedModel
 from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.training.seeds import rng_for
 

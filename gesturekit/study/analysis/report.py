@@ -22,7 +22,7 @@ from gesturekit.study.analysis.result import (
     reservations,
 )
 from gesturekit.study.analysis.significance import Estimate
-from gesturekit.viewer.pages import plots_section, section, write_page
+from gesturekit.viewer.pages import plots_section, section, table, write_page
 
 _HERE = Path(__file__).parent / "page"
 _METHOD = """<ul>
@@ -127,10 +127,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
         f"<tr><th>{html.escape(name)}</th>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
         for name, *cells in rows
     )
-    return (
-        f'<div class="scroll"><table><thead><tr>{heads}</tr></thead>'
-        f"<tbody>{body}</tbody></table></div>"
-    )
+    return table(heads, body)
 
 
 def _estimate(found: Estimate, digits: int, factor: float = 1.0) -> str:
