@@ -27,8 +27,8 @@ from gesturekit.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from gesturekit.formats.batch import Converted
-    from gesturekit.formats.changes import Changes
+    from gesturekit.conversion.changes import Changes
+    from gesturekit.conversion.convert import Converted
 
 EXAMPLES = """\
 gesturekit convert take.bvh take.npz --rig smplx --fps 30
@@ -106,8 +106,8 @@ def command(
     reason, the others are still converted, and the exit code is 1. To continue an interrupted run,
     repeat the command: finished files in the folder OUT are kept.
     """
-    from gesturekit.formats.batch import Conversion
-    from gesturekit.formats.conversion import FormatOptions
+    from gesturekit.conversion.convert import Conversion
+    from gesturekit.conversion.options import FormatOptions
     from gesturekit.motion.parts import parse_parts
 
     elsewhere = run_elsewhere(ctx, out, options)
@@ -138,7 +138,7 @@ def _changes(options: dict[str, Any]) -> Changes:
     Raises:
         click.UsageError: --rig-part without --rig.
     """
-    from gesturekit.formats.changes import Changes, parse_trim
+    from gesturekit.conversion.changes import Changes, parse_trim
     from gesturekit.formats.rig import Rig
     from gesturekit.motion.parts import parse_parts
 

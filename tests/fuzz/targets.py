@@ -21,9 +21,9 @@ import audio_features as af
 import gesturekit as gk
 from audio_features import words as word_lists
 from audio_features.weight_files import read_file, read_json
+from gesturekit.conversion.convert import MotionTask
 from gesturekit.corpus import Manifest
 from gesturekit.diffusion.config import DiffusionConfig
-from gesturekit.formats.batch import MotionTask
 from gesturekit.formats.smpl.easymocap import read_easymocap
 from gesturekit.formats.tables.events import load_events
 from gesturekit.formats.tables.root_path import load_root_path

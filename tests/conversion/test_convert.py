@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gesturekit.conversion.changes import Changes, parse_trim
+from gesturekit.conversion.convert import Converted, convert
+from gesturekit.conversion.options import FormatOptions
 from gesturekit.errors import ConfigError, FormatError, MotionError
-from gesturekit.formats.batch import Converted, convert
-from gesturekit.formats.changes import Changes, parse_trim
-from gesturekit.formats.conversion import FormatOptions
 from gesturekit.formats.rig import Rig
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.formats.sources import motions_in, unreadable_media

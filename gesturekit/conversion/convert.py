@@ -11,20 +11,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gesturekit.errors import ConfigError
-from gesturekit.formats.changes import Changes
-from gesturekit.formats.conversion import (
+from gesturekit.conversion.changes import Changes
+from gesturekit.conversion.inputs import is_file_name, plan, without_existing
+from gesturekit.conversion.options import (
     FormatOptions,
-    applicable_write_options,
     describe,
-    load,
-    refuse_unused_options,
     warn_of_losses,
     with_body_model,
     without_mesh,
 )
+from gesturekit.errors import ConfigError
+from gesturekit.formats.conversion import applicable_write_options, load, refuse_unused_options
 from gesturekit.formats.plausibility import plausibility_warnings
-from gesturekit.formats.sources import is_file_name, plan, without_existing
 from gesturekit.jobs.batch import Batch, Execution
 from gesturekit.jobs.plan import PlanItem
 from gesturekit.jobs.record import described
@@ -175,7 +173,7 @@ class Conversion:
 
     Args:
         sources: motion files, and folders to search for motions.
-        out: a file for a single motion, otherwise a folder; see `gesturekit.formats.sources.plan`.
+        out: a file for a single motion, otherwise a folder; see `conversion.inputs.plan`.
         formats: formats to write into a folder: bvh, npz, html, mp4, png, svg, pdf, obj.
         changes: changes to make to each motion.
         options: options of readers and writers.
@@ -187,7 +185,7 @@ class Conversion:
         count: number of motions.
 
     Raises:
-        ConfigError: the conversion cannot start; see `gesturekit.formats.sources.plan`.
+        ConfigError: the conversion cannot start; see `conversion.inputs.plan`.
 
     Warns:
         UserWarning: meshes that cannot be written without a body model, beside other formats.
@@ -262,7 +260,8 @@ class Conversion:
         jobs = plan(self._sources, self._out, self.formats)
         found = [job.source for job in jobs if job.error is None]
         targets = [target for job in jobs for target in job.targets]
-        refuse_unused_options(self.options, found, targets)
+        options = self.options
+        refuse_unused_options(options.read, options.write, options.body_model, found, targets)
         return [
             MotionTask(str(job.source), job.name, job.source, _length(job.source), job.error)
             for job in jobs
