@@ -27,7 +27,7 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.recall.parts import motion_parts
 from gesturekit.multires.training.trainer import train as train_multires
 from gesturekit.rendering.batch import iter_render as render
-from gesturekit.rendering.render import Output
+from gesturekit.rendering.renderer import Output
 from gesturekit.training.config import build
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
 from gesturekit.viewer.figure import Figure

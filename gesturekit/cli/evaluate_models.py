@@ -70,7 +70,7 @@ def _sample(
 ) -> None:
     """Sample a model by the protocol into a folder."""
     from gesturekit.progress import Progress
-    from gesturekit.rendering import sampling
+    from gesturekit.rendering import samples
     from gesturekit.systems import load
 
     skip = options["existing"] == "skip"
@@ -81,13 +81,13 @@ def _sample(
             "the sampling with --existing skip"
         )
     model = load(name, weights=options["weights"])
-    settings = sampling.SamplingOptions(
+    settings = samples.SamplingOptions(
         samples=options["samples"],
         seed=options["seed"],
         skip=skip,
         postprocess=options["postprocess"],
     )
-    sample = sampling.sample_lda if options["protocol"] == "lda" else sampling.sample_multires
+    sample = samples.sample_lda if options["protocol"] == "lda" else samples.sample_multires
     files = sample(model, _items(recordings, options), folder, settings)
     with resumable(lambda: "The same command with --existing skip continues."):
         for _ in Progress(files, desc=f"sampling {label}", unit="clip"):
@@ -100,7 +100,7 @@ def _items(recordings: Path | Items, options: Mapping[str, Any]) -> Sequence[Ite
     Raises:
         UsageError: speech is needed, and there is none.
     """
-    from gesturekit.rendering.sampling import sequences_of, sounds_of
+    from gesturekit.rendering.samples import sequences_of, sounds_of
 
     audio = options["audio"]
     if options["corpus"] is not None:
@@ -139,7 +139,7 @@ def rendered_baselines(
     from gesturekit.evaluation.contest.baselines import BASELINES
     from gesturekit.progress import Progress
     from gesturekit.rendering import baselines
-    from gesturekit.rendering.record import model_of_results
+    from gesturekit.rendering.batch import model_of_results
     from gesturekit.systems import load
 
     names = comma_separated(options["baseline"])

@@ -39,6 +39,6 @@ def trained_on(model: ModelResult, name: str) -> str:
 
 def _made_by(rendered: Path) -> Path | None:
     """Return the model folder that the journal of rendered motion names, or None."""
-    from gesturekit.rendering.record import model_of_results
+    from gesturekit.rendering.batch import model_of_results
 
     return model_of_results(rendered)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from gesturekit.errors import ConfigError
@@ -19,31 +18,15 @@ from gesturekit.formats.sources import (
     unreadable_media,
     visible_folders,
 )
-from gesturekit.jobs.targets import EXISTING, refuse_existing, refuse_leaving
+from gesturekit.jobs.run import refuse_leaving
+from gesturekit.jobs.task import Task
 from gesturekit.wording import listed
 
 _SHOWN = 3
 
 
-@dataclass(frozen=True)
-class Job:
-    """One motion to read and the files to write it to.
-
-    Attributes:
-        source: a file, or the folder of a sequence with one file per frame.
-        targets: files to write.
-        error: reason why the source cannot be read.
-        name: path of the targets below the output folder, without suffix.
-    """
-
-    source: Path
-    targets: tuple[Path, ...] = ()
-    error: str | None = None
-    name: str = ""
-
-
-def plan(sources: Sequence[Path], out: Path, formats: Sequence[str] = ()) -> list[Job]:
-    """Return the jobs of a conversion.
+def find_tasks(sources: Sequence[Path], out: Path, formats: Sequence[str] = ()) -> list[Task]:
+    """Return the tasks of a conversion: each a file, or the folder of a sequence of frames.
 
     `out` is a file if there is a single motion and `out` has the suffix of a format. Otherwise it
     is a folder for files of all `formats`; motions found in a folder keep their relative paths. If
@@ -67,14 +50,21 @@ def plan(sources: Sequence[Path], out: Path, formats: Sequence[str] = ()) -> lis
                 f"{out} is written as {out.suffix.lower()[1:]}, not {', '.join(formats)}; "
                 "give a folder to write several formats"
             )
-        jobs = found = [Job(sources[0], (out,), name=out.stem)]
+        tasks = found = [Task(out.stem, sources[0])]
+        targets = [(out, tasks[0])]
     else:
         found = _into_folder(sources, out, formats)
-        jobs = _without_copies(found)
-        refuse_leaving([target for job in jobs for target in job.targets], out)
-    _refuse_clashes(jobs, {os.path.realpath(job.source) for job in found})
-    _refuse_locked(jobs, out)
-    return jobs
+        tasks = _without_copies(found)
+        targets = [
+            (out / f"{task.id}.{kind}", task)
+            for task in tasks
+            if task.error is None
+            for kind in formats
+        ]
+        refuse_leaving([target for target, _ in targets], out)
+    _refuse_clashes(targets, {os.path.realpath(task.path) for task in found})
+    _refuse_locked([target for target, _ in targets], out)
+    return tasks
 
 
 def is_file_name(out: Path, sources: Sequence[Path], formats: Sequence[str]) -> bool:
@@ -104,30 +94,29 @@ def is_file_name(out: Path, sources: Sequence[Path], formats: Sequence[str]) -> 
     return False
 
 
-def _into_folder(sources: Sequence[Path], out: Path, formats: Sequence[str]) -> list[Job]:
+def _into_folder(sources: Sequence[Path], out: Path, formats: Sequence[str]) -> list[Task]:
     if not formats:
         raise ConfigError(
             f"{out} is a folder: say what to write into it, such as --format npz "
             f"(of {', '.join(WRITABLE)})"
         )
-    jobs: dict[tuple[str, str], Job] = {}
+    tasks: dict[tuple[str, str], Task] = {}
     for source in sources:
         for path, key in _keyed(source, out):
             if isinstance(path, OSError):
                 where = Path(path.filename or source)
-                jobs[str(where), ""] = Job(where, error=f"{where}: {path.strerror}")
+                tasks[str(where), ""] = Task("", where, error=f"{where}: {path.strerror}")
                 continue
-            targets = tuple(out / f"{key}.{kind}" for kind in formats)
             # A file that is named twice is converted once; a link to it beside it is not it.
-            jobs.setdefault((os.path.realpath(path), key), Job(path, targets, name=key))
-    _warn_of_unread(sources, jobs.values())
-    if not jobs:
+            tasks.setdefault((os.path.realpath(path), key), Task(key, path))
+    _warn_of_unread(sources, tasks.values())
+    if not tasks:
         raise ConfigError(f"{sources[0]}: {NO_MOTION}")
-    return list(jobs.values())
+    return list(tasks.values())
 
 
-def _warn_of_unread(sources: Sequence[Path], jobs: Iterable[Job]) -> None:
-    read = {job.source.with_suffix("") for job in jobs}
+def _warn_of_unread(sources: Sequence[Path], tasks: Iterable[Task]) -> None:
+    read = {task.path.with_suffix("") for task in tasks}
     unread: dict[str, list[str]] = {}
     for folder in filter(Path.is_dir, sources):
         for _, _, files in visible_folders(folder, lambda error: None):  # named already
@@ -159,51 +148,36 @@ def _keyed(source: Path, out: Path) -> Iterator[tuple[Path | OSError, str]]:
             yield path, path.relative_to(source).with_suffix("").as_posix()
 
 
-def _without_copies(jobs: list[Job]) -> list[Job]:
-    by_target: dict[tuple[Path, ...], list[Path]] = {}
-    for job in jobs:
-        by_target.setdefault(job.targets, []).append(job.source)
-    # Only those with the same target: each duplicate can still be converted by its name.
-    rivals = [path for sources in by_target.values() if len(sources) > 1 for path in sources]
+def _without_copies(tasks: list[Task]) -> list[Task]:
+    by_id: dict[str, list[Path]] = {}
+    for task in tasks:
+        by_id.setdefault(task.id, []).append(task.path)
+    # Only those with the same targets: each duplicate can still be converted by its name.
+    rivals = [path for paths in by_id.values() if len(paths) > 1 for path in paths]
     copies, lines = one_of_two_formats(rivals)
     for line in lines:
         warnings.warn(line, stacklevel=2)
-    return [job for job in jobs if len(by_target[job.targets]) == 1 or job.source not in copies]
+    return [task for task in tasks if len(by_id[task.id]) == 1 or task.path not in copies]
 
 
-def _refuse_clashes(jobs: Sequence[Job], sources: set[str]) -> None:
-    taken: dict[str, Path] = {}
-    for job in jobs:
-        for target in job.targets:
-            where = os.path.realpath(target)
-            if where in sources:
-                raise ConfigError(f"{target} is one of the inputs; give another name or folder")
-            if where in taken:
-                raise ConfigError(
-                    f"{taken[where]} and {job.source} would both be written as {target}; "
-                    "convert them into different folders"
-                )
-            taken[where] = job.source
+def _refuse_clashes(targets: Sequence[tuple[Path, Task]], sources: set[str]) -> None:
+    taken: dict[str, Task] = {}
+    for target, task in targets:
+        where = os.path.realpath(target)
+        if where in sources:
+            raise ConfigError(f"{target} is one of the inputs; give another name or folder")
+        if where in taken:
+            raise ConfigError(
+                f"{taken[where].source} and {task.source} would both be written as {target}; "
+                "convert them into different folders"
+            )
+        taken[where] = task
 
 
-def _refuse_locked(jobs: Sequence[Job], out: Path) -> None:
+def _refuse_locked(targets: Sequence[Path], out: Path) -> None:
     """Raise ConfigError if the nearest existing folder is not writable, before hours of reading."""
-    if not any(job.targets for job in jobs):
+    if not targets:
         return
     folder = next(path for path in (out, *out.absolute().parents) if path.is_dir())
     if not os.access(folder, os.W_OK | os.X_OK):
         raise ConfigError(f"{out}: {folder} cannot be written to; give another place")
-
-
-def without_existing(targets: Sequence[Path], existing: str) -> tuple[Path, ...]:
-    """Return the targets to write.
-
-    Raises:
-        ConfigError: one exists, and `existing` is "refuse"; or an unknown `existing`.
-    """
-    if existing not in EXISTING:
-        raise ConfigError(f"existing is {existing!r}; expected {', '.join(EXISTING)}")
-    there = [target for target in targets if os.path.lexists(target)]
-    if there and existing == "refuse":
-        refuse_existing(there)
-    return tuple(target for target in targets if target not in there or existing == "replace")

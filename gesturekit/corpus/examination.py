@@ -9,7 +9,7 @@ from typing import Any
 from gesturekit.corpus.problem import Problem
 from gesturekit.corpus.recording import Recording, examine
 from gesturekit.formats.conversion import applicable_read_options
-from gesturekit.jobs.pool import Failure, Pool
+from gesturekit.jobs.workers import Failure, Pool
 
 Examined = tuple[Recording | None, list[Problem]]
 """A recording with its properties, None after an error; and its problems."""

@@ -24,7 +24,7 @@ from gesturekit.multires.sampling.request import Request, check_controls
 from gesturekit.multires.sampling.sampler import Sampler
 from gesturekit.multires.sampling.styles import level_track
 from gesturekit.multires.trained_model import TrainedModel
-from gesturekit.training.model_folder import load_model, save_model
+from gesturekit.training.model_folder import load_model, model_digest, save_model
 from gesturekit.training.run.device import prepare_device
 from gesturekit.training.seeds import checked_seed
 
@@ -97,8 +97,8 @@ class MultiresModel(TrainedModel):
 
     def check_controls(
         self, *, samples: int = 1, seed: int = 0, **controls: Unpack[MultiresControlArguments]
-    ) -> None:
-        """Check the controls of `generate` that do not depend on the speech.
+    ) -> MultiresControls:
+        """Return the controls of `generate`, after the checks that do not depend on the speech.
 
         Raises:
             ModelError: a control, style, level or speaker that this model does not have.
@@ -106,7 +106,9 @@ class MultiresModel(TrainedModel):
         """
         requested_backend()
         checked_seed(seed)
-        self._check(MultiresControls.build(controls, self.kind), samples)
+        asked = MultiresControls.build(controls, self.kind)
+        self._check(asked, samples)
+        return asked
 
     def _rate(self, controls: MultiresControls) -> float | None:
         """Return the frames per second of the result; None for the rate of a coarse level."""
@@ -171,6 +173,10 @@ class MultiresModel(TrainedModel):
         noise = self.noise.z_star[name].reshape(1, -1, lengths[0])
         values = Pyramid(self.network, self.normaliser, lengths, condition).from_noise(noise)
         return self.representation.decode(values, self.fps)
+
+    def fingerprint(self) -> str:
+        """Return the SHA-256 of what `save` writes, its README apart."""
+        return model_digest(*model_parts(self))
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
         """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""

@@ -1,4 +1,4 @@
-"""Render many sounds in one call."""
+"""Render many sounds in one call: the one assembly, for the API and the command line."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gesturekit.errors import gesturekit_errors
-from gesturekit.jobs.batch import Batch, Execution
-from gesturekit.jobs.work import Outcome
-from gesturekit.rendering.render import Output, Renderer
-from gesturekit.rendering.tasks import Source, Task, sound_inputs
+from gesturekit.jobs.journal import last_run
+from gesturekit.jobs.result import Result
+from gesturekit.jobs.run import Batch, Execution
+from gesturekit.jobs.state import STATE
+from gesturekit.jobs.task import Task
+from gesturekit.rendering.inputs import SoundSource, sound_batch
+from gesturekit.rendering.renderer import Output, Renderer
 
 if TYPE_CHECKING:
     from gesturekit.model import Model
@@ -21,39 +24,39 @@ if TYPE_CHECKING:
 @gesturekit_errors()
 def render(
     model: Model | str | Path,
-    sources: Source | Sequence[Source] = (),
+    sources: SoundSource | Sequence[SoundSource] = (),
     out: str | Path = "rendered",
     *,
     seconds: float | None = None,
     channel: int | None = None,
     progress: Callable[[list[Task]], Iterable[Task]] = iter,
     **options: Any,
-) -> list[Outcome]:
-    """Render sounds to motion files, and return one outcome for each input.
+) -> list[Result]:
+    """Render sounds to motion files, and return one result for each input.
 
     Example::
 
         import gesturekit as gk
 
-        outcomes = gk.render("demo", "speech/", "rendered", formats="bvh,html", seed=3)
-        files = [file for outcome in outcomes for file in outcome.files]
-        failed = [outcome.error for outcome in outcomes if outcome.error]
+        results = gk.render("demo", "speech/", "rendered", formats="bvh,html", seed=3)
+        files = [file for result in results for file in result.files]
+        failed = [result.error for result in results if result.error]
 
-    A broken sound never stops the others: its outcome has an `error`. Files that an earlier call
+    A broken sound never stops the others: its result has an `error`. Files that an earlier call
     made with the same model, settings and input are kept. `iter_render` does the same as an
     iterator.
 
     Args:
         model: a loaded model, the name of a bundled one, or a model folder.
-        sources: a sound file, a folder of them, a glob, a list (`gesturekit.rendering.lists`), an
+        sources: a sound file, a folder of them, a glob, a list (`gesturekit.rendering.inputs`), an
             item of a manifest, or a sequence of these; without any, one motion of length `seconds`
             is generated.
         out: folder for the results.
         seconds: length of the motion without sources.
         channel: channel of each file to use, counted from 1; None for the mean of all.
         progress: wraps the list of tasks, as tqdm does.
-        options: fields of `gesturekit.rendering.render.Output` (formats, existing, rig, unit, up)
-            and of `gesturekit.jobs.batch.Execution` (workers, shard, deadline ...), and
+        options: fields of `gesturekit.rendering.renderer.Output` (formats, existing, rig, unit, up)
+            and of `gesturekit.jobs.run.Execution` (workers, shard, deadline ...), and
             arguments of the model's `generate` (seed, samples, style, foot_lock, smooth ...).
             `formats` are of bvh, npz, html, mp4 and png: `("bvh", "html")` or `"bvh,html"`.
 
@@ -79,17 +82,41 @@ def render(
 
 def iter_render(
     model: Model,
-    sources: Source | Sequence[Source],
+    sources: SoundSource | Sequence[SoundSource],
+    out: str | Path,
+    *,
+    progress: Callable[[list[Task]], Iterable[Task]] = iter,
+    **settings: Any,
+) -> Iterator[Result]:
+    """Render sounds as `render` does, and yield the result of each input as soon as it is done.
+
+    Args:
+        model, sources, out: see `render_batch`.
+        progress: wraps the list of tasks, as tqdm does.
+        settings: the other arguments of `render_batch`.
+
+    Raises the errors of `render`.
+    """
+    batch = render_batch(model, sources, out, **settings)
+    steps = iter(progress(batch.tasks))
+    next(steps, None)
+    for result in batch.run():
+        yield result
+        next(steps, None)
+
+
+def render_batch(
+    model: Model,
+    sources: SoundSource | Sequence[SoundSource],
     out: str | Path,
     *,
     output: Output | None = None,
     execution: Execution | None = None,
     seconds: float | None = None,
     channel: int | None = None,
-    progress: Callable[[list[Task]], Iterable[Task]] = iter,
     **controls: Any,
-) -> Iterator[Outcome]:
-    """Generate motion for each input and write it as NAME.bvh (NAME_s1.bvh ... for samples).
+) -> Batch:
+    """Return the work of rendering: a motion for each input, as NAME.bvh (NAME_s1.bvh ... if many).
 
     NAME is the stem of a sound file, the path within its folder for one found in a folder, and
     the id of a manifest's item. Faults of a sound (`Wave.faults`) are logged as warnings, and it is
@@ -109,22 +136,22 @@ def iter_render(
         execution: how the work is done.
         seconds: length of the motion without sources.
         channel: channel of each file to use, counted from 1; None for the mean of all.
-        progress: wraps the list of tasks, as tqdm does.
         controls: arguments of the model's `generate`: seed, samples, style, foot_lock, smooth ...
-
-    Yields:
-        an outcome for each input as soon as it is done.
 
     Raises the errors of `render`.
     """
     renderer = Renderer(model, Path(out), output or Output(), seconds, channel, controls)
-    inputs = sound_inputs("render", sources, renderer.out, seconds, channel)
-    batch = Batch(renderer, inputs, execution or Execution())
-    steps = iter(progress(batch.tasks))
-    next(steps, None)
-    for outcome in batch.run():
-        yield outcome
-        next(steps, None)
+    return sound_batch("render", renderer, sources, execution or Execution(), seconds, channel)
+
+
+def model_of_results(out: Path) -> Path | None:
+    """Return the folder of the model that made the latest results in a folder, if it is known.
+
+    Raises:
+        FormatError: a journal cannot be opened, or was written by a newer version.
+    """
+    folder = (last_run(out / STATE, "model_folder") or {}).get("model_folder")
+    return Path(folder) if isinstance(folder, str) else None
 
 
 def _fields(kind: type, options: dict[str, Any]) -> dict[str, Any]:

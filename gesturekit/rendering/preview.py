@@ -6,35 +6,16 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import soundfile
 
 import audio_features as af
-from gesturekit.jobs.batch import Batch
-from gesturekit.jobs.work import Outcome, Work
-from gesturekit.rendering.tasks import Task
+from gesturekit.jobs.result import Result
+from gesturekit.jobs.run import Batch
+from gesturekit.jobs.task import Task
 from gesturekit.systems import bundled_speech
 
 _SHORT, _LONG = 0.5, 5.0  # seconds of sound
-
-
-@dataclass(frozen=True)
-class Preview:
-    """Plan for one task.
-
-    Attributes:
-        task: the task.
-        action: "make"; "keep" for a result that is up to date; "fail" if it cannot be done, or was
-            put aside.
-        targets: files to write, or those that are kept.
-        reason: reason of "fail".
-    """
-
-    task: Task
-    action: Literal["make", "keep", "fail"]
-    targets: tuple[Path, ...]
-    reason: str | None = None
 
 
 @dataclass(frozen=True)
@@ -54,30 +35,26 @@ class Cost:
         return tuple(items * a + sound * b for a, b in zip(self.item, self.sound, strict=True))
 
 
-def preview(batch: Batch) -> Iterator[Preview]:
-    """Yield what would be done about each task; nothing is written.
+def preview(batch: Batch) -> Iterator[Result]:
+    """Yield what would come of each task; nothing is written.
 
-    Only the first half second of a sound is read, so that damage further on is not found.
+    The status is "left" for a task to be done, "kept" if its files are up to date, and "failed" if
+    it cannot be done, or was put aside. Only the first half second of a sound is read, so that
+    damage further on is not found.
     """
     for task in batch.tasks:
-        work = batch.work_on(task)
-        if isinstance(work, Outcome):
-            action = "keep" if work.error is None else "fail"
-            yield Preview(task, action, work.kept, work.error)
-        elif reason := _unreadable(task):
-            yield Preview(task, "fail", (), reason)
-        else:
-            targets = batch.processor.targets(task)
-            left = tuple(file for file in targets if file not in work.kept)
-            yield Preview(task, "make", left)
+        result = batch.known(task)
+        if result.status == "left" and (reason := _unreadable(task)):
+            result = Result(task, "failed", error=reason)
+        yield result
 
 
 def _unreadable(task: Task) -> str | None:
     """Return why the beginning of a task's sound cannot be read; None if it can, or has none."""
-    if task.audio is None or task.duration is not None:
+    if task.path is None or task.duration is not None:
         return None
     try:
-        af.Wave.load(task.audio, duration=_SHORT)
+        af.Wave.load(task.path, duration=_SHORT)
     except (af.AudioError, OSError) as error:
         return str(error)
     return None
@@ -95,10 +72,10 @@ def measured_cost(batch: Batch) -> Cost:
             wav = Path(folder) / f"{seconds:g}.wav"
             part = speech.slice(1.0, seconds)  # it begins with silence
             soundfile.write(wav, part.samples, part.sample_rate)
-            entry = processor(Work(Task(str(wav), wav.stem, wav))).entry
-            size = sum(about["size"] for about in entry.files.values())
-            found.append((entry.seconds, size))
-    if entry.status != "done":
+            result = processor(Result(Task(wav.stem, wav)))
+            size = sum(about["size"] for about in result.digests.values())
+            found.append((result.seconds, size))
+    if result.status != "done":
         return Cost((0.0, 0.0), (0.0, 0.0))
     _, short, long = found
     sound = tuple(max(0.0, (b - a) / (_LONG - _SHORT)) for a, b in zip(short, long, strict=True))

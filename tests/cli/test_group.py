@@ -10,7 +10,7 @@ import pytest
 
 import gesturekit as gk
 from gesturekit.cli import VERBS, cli
-from gesturekit.jobs.targets import EXISTING
+from gesturekit.jobs.run import EXISTING
 from gesturekit.systems import bundled_speech
 
 

@@ -16,7 +16,9 @@ from safetensors.numpy import save
 import audio_features as af
 from gesturekit.formats import write_bvh, write_npz
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
-from gesturekit.jobs.journal import Entry, Journal
+from gesturekit.jobs.journal import Journal
+from gesturekit.jobs.result import Result
+from gesturekit.jobs.task import Task
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.training.config import dump_yaml
 
@@ -188,7 +190,19 @@ def journal(folder: Path) -> list[bytes]:
         made.start(name)
         files = {f"{name}.bvh": {"sha256": "0" * 64, "size": 3, "mtime_ns": 5}}
         error = None if status == "done" else f"{name}.wav: broken 3"
-        made.finish(Entry(status, name, "k", "r", 1, 0.5, 2.5, files, {"input": "x"}, error=error))
+        made.finish(
+            Result(
+                Task(name),
+                status,
+                error=error,
+                sound=2.5,
+                key="k",
+                run="r",
+                seconds=0.5,
+                digests=files,
+                input={"input": "x"},
+            )
+        )
     made.start("e")
     made.close()
     (path,) = (folder / "state" / "journal").iterdir()

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from gesturekit.evaluation.measuring.work import PARTS, ClipTask, SetTask, Task, Work
-from gesturekit.jobs.pool import Failure, Pool
+from gesturekit.jobs.workers import Failure, Pool
 
 IN_PROCESS_SECONDS = 4.0
 """Measuring that takes longer gets worker processes; starting them takes about as long."""

@@ -23,7 +23,7 @@ from gesturekit.evaluation.pairs import WINDOW_SECONDS, files_by_key, motion_fil
 from gesturekit.formats.conversion import load
 from gesturekit.formats.sources import SPEECH_SUFFIXES
 from gesturekit.model import Model
-from gesturekit.rendering.render import item_controls
+from gesturekit.rendering.renderer import item_controls
 from gesturekit.training.seeds import rng_for
 from gesturekit.wording import listed
 
