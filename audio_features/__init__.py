@@ -1,7 +1,8 @@
 """Sound in, feature tracks out.
 
+>>> import numpy as np
 >>> import audio_features as af
->>> wave = af.Wave.load("speech.wav")
+>>> wave = af.Wave(np.zeros(160_000), 16_000)  # ten seconds of silence; or af.Wave.load("a.wav")
 >>> track = af.Stack([af.LogMel(), af.Prosody()]).extract(wave)
 >>> track.to_rate(25.0, n_frames=wave.n_frames(25.0)).values.shape
 (250, 28)
@@ -12,28 +13,20 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
+from audio_features.kinds import KINDS
+
 # Public name -> module. Imported on first use, so that `import audio_features` is fast.
-_EXPORTS = {
+_EXPORTS = {entry.name: entry.module for entry in KINDS.values()} | {
     "AudioError": "errors",
     "AudioFeaturesError": "errors",
-    "Effort": "acoustic.effort",
     "Extractor": "extractor",
     "FeatureCache": "cache",
     "FeatureError": "errors",
     "FeatureTrack": "track",
-    "HuggingFace": "huggingface.extractor",
-    "Liveliness": "acoustic.extractors",
-    "LogMel": "acoustic.extractors",
-    "MFCC": "acoustic.extractors",
-    "Music": "acoustic.music",
-    "Onset": "acoustic.extractors",
-    "Prosody": "acoustic.extractors",
     "Stack": "extractor",
-    "WavLM": "wavlm",
     "Wave": "wave",
     "Word": "words",
     "WordEmbeddings": "huggingface.word_embeddings",
-    "Words": "word_features",
     "WeightsError": "errors",
     "cache_from_environment": "cache",
     "exact_rate": "wave",

@@ -5,10 +5,15 @@ from __future__ import annotations
 import glob
 import hashlib
 import os
+import re
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 _LONGEST_NAME = 255  # bytes, in the usual file systems
 
@@ -45,6 +50,12 @@ def atomic_write(path: str | os.PathLike[str], *, suffix: str | None = None) -> 
         temporary.unlink(missing_ok=True)
 
 
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a file of text; see `atomic_write`."""
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def _prefix(path: Path, suffix: str) -> str:
     """Return the first part of a temporary name, shortened if the file system takes no longer."""
     stem, room = path.stem, _LONGEST_NAME - len(os.fsencode(suffix)) - len(".-????????")
@@ -64,3 +75,23 @@ def remove_unfinished(path: Path) -> None:
     prefix = glob.escape(_prefix(path, path.suffix))
     for left in path.parent.glob(f"{prefix}????????{glob.escape(path.suffix)}"):
         left.unlink(missing_ok=True)
+
+
+def write_tensors(path: Path, tensors: Mapping[str, Tensor]) -> None:
+    """Write a safetensors file.
+
+    Raises:
+        OSError: it cannot be written, such as on a full disk.
+    """
+    from safetensors import SafetensorError
+    from safetensors.torch import save_file
+
+    with atomic_write(path) as temporary:
+        try:
+            save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, temporary)
+        except SafetensorError as error:
+            # It names the operating system's error only in its text.
+            number = re.search(r"os error (\d+)", str(error))
+            if number is None:
+                raise
+            raise OSError(int(number[1]), os.strerror(int(number[1])), str(path)) from error

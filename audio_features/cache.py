@@ -1,31 +1,214 @@
-"""FeatureCache: features that are slow to extract, stored on disk."""
+"""Cache on disk: entries of several kinds, and features that are slow to extract."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import logging
 import os
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from audio_features.disk_cache import (
-    MAX_BYTES,
-    DiskCache,
-    default_folder,
-    digest_of_sources,
-    installed_versions,
-    size_limit,
-)
-from audio_features.errors import FeatureError
+from audio_features.atomic import atomic_write
+from audio_features.errors import AudioFeaturesError, FeatureError
 from audio_features.track import FeatureTrack
 
 if TYPE_CHECKING:
     from audio_features.extractor import Extractor
     from audio_features.wave import Wave
+
+KINDS = ("features-1", "measurements-1")
+"""Subfolders of entries, each with the number of its format; nothing else is ever removed."""
+MAX_BYTES = 20 * 10**9
+"""Default size limit: 36 hours of WavLM Base."""
+
+_PART = ".part"  # suffix of an entry that is being written
+_STALE_SECONDS = 3600  # a temporary file older than this was left by a process that was killed
+
+log = logging.getLogger(__name__)
+
+
+def default_folder() -> Path:
+    """Return $GESTUREKIT_CACHE, or the platform's cache folder of the user.
+
+    The latter is $XDG_CACHE_HOME/gesturekit (~/.cache/gesturekit), ~/Library/Caches/gesturekit on
+    macOS, %LOCALAPPDATA%/gesturekit on Windows.
+    """
+    named = os.environ.get("GESTUREKIT_CACHE")
+    if named:
+        return Path(named)
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or "~/AppData/Local"
+    elif sys.platform == "darwin":
+        base = "~/Library/Caches"
+    else:
+        base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    return Path(base).expanduser() / "gesturekit"
+
+
+@dataclass(frozen=True)
+class Contents:
+    """Summary of a cache: number of entries, bytes, and last use of the oldest and newest."""
+
+    entries: int
+    size: int
+    oldest: float | None
+    newest: float | None
+
+
+class DiskCache:
+    """Entries on disk, each a file named by a digest; see `FeatureCache`.
+
+    Several processes may share a folder. An entry gets its final name only when it is complete. If
+    the folder cannot be written to, nothing is stored, with one warning. Beyond the size limit the
+    least recently used entries of all kinds are removed.
+
+    Args:
+        folder: folder of the cache; None means `default_folder()`.
+        max_bytes: size limit of all kinds together.
+    """
+
+    def __init__(
+        self, folder: str | os.PathLike[str] | None = None, *, max_bytes: int = MAX_BYTES
+    ) -> None:
+        if max_bytes < 0:
+            raise FeatureError(f"max_bytes={max_bytes}: 0 or more")
+        self.folder = default_folder() if folder is None else Path(folder)
+        self.max_bytes = max_bytes
+        # Bytes written since the folder was last measured; the first write measures.
+        self._unmeasured = max_bytes
+        self._warned = False
+
+    def path(self, kind: str, key: str, suffix: str) -> Path:
+        """Return the file of an entry: `kind` of `KINDS`, `key` a hexadecimal digest."""
+        return self.folder / kind / key[:2] / f"{key}{suffix}"
+
+    def mark_used(self, path: Path) -> None:
+        """Set the time of last use of an entry."""
+        with contextlib.suppress(OSError):  # another user's entry, or a read-only disk
+            os.utime(path)
+
+    def write(self, path: Path, data: bytes) -> None:
+        """Store an entry, unless it is larger than the limit."""
+        if len(data) > self.max_bytes:
+            return
+        try:
+            with atomic_write(path, suffix=_PART) as temporary:
+                temporary.write_bytes(data)
+            self._unmeasured += len(data)
+            # Measuring the folder after every write would be slow. Other processes write too, so
+            # it is measured from time to time.
+            if self._unmeasured > self.max_bytes // 16:
+                self._make_room()
+        except OSError as error:
+            if not self._warned:
+                log.warning("%s: results are not cached (%s)", self.folder, error.strerror)
+            self._warned = True
+
+    def contents(self) -> Contents:
+        """Summarise the entries of the cache."""
+        found = list(self._entries())
+        used = [entry.st_mtime for _, entry in found]
+        return Contents(
+            len(found),
+            sum(entry.st_size for _, entry in found),
+            min(used, default=None),
+            max(used, default=None),
+        )
+
+    def clear(self) -> Contents:
+        """Remove all entries, and nothing else in the folder; return a summary of them."""
+        contents = self.contents()
+        for path, _ in self._entries():
+            path.unlink(missing_ok=True)
+        self._remove_leftovers(0.0)
+        for folder in (*self._subfolders(), *(self.folder / kind for kind in KINDS)):
+            with contextlib.suppress(OSError):  # the folder holds other files
+                folder.rmdir()
+        return contents
+
+    def _make_room(self) -> None:
+        """Remove least recently used entries above the limit, and files of killed runs."""
+        entries = sorted(self._entries(), key=lambda found: found[1].st_mtime)
+        size = sum(entry.st_size for _, entry in entries)
+        for path, entry in entries:
+            if size <= self.max_bytes:
+                break
+            path.unlink(missing_ok=True)
+            size -= entry.st_size
+        self._remove_leftovers(_STALE_SECONDS)
+        self._unmeasured = 0
+
+    def _subfolders(self) -> list[Path]:
+        found = []
+        for kind in KINDS:
+            with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+                found += [path for path in (self.folder / kind).iterdir() if path.is_dir()]
+        return found
+
+    def _entries(self) -> Iterator[tuple[Path, os.stat_result]]:
+        for path in self._files():
+            if path.suffix != _PART:
+                with contextlib.suppress(FileNotFoundError):  # removed by another process
+                    yield path, path.stat()
+
+    def _files(self) -> Iterator[Path]:
+        for folder in self._subfolders():
+            with contextlib.suppress(FileNotFoundError):
+                yield from list(folder.iterdir())
+
+    def _remove_leftovers(self, age: float) -> None:
+        for path in self._files():
+            with contextlib.suppress(FileNotFoundError):
+                if path.suffix == _PART and time.time() - path.stat().st_mtime >= age:
+                    path.unlink()
+
+
+def size_limit() -> int:
+    """Return the limit in $GESTUREKIT_CACHE_GB (20) in bytes.
+
+    Raises AudioFeaturesError if the variable is not a number of at least 0; 0 stores nothing.
+    """
+    size = os.environ.get("GESTUREKIT_CACHE_GB")
+    try:
+        limit = MAX_BYTES if size is None else int(float(size) * 1e9)
+        if limit < 0:
+            raise ValueError
+    except (ValueError, OverflowError) as error:
+        raise AudioFeaturesError(
+            f"GESTUREKIT_CACHE_GB={size!r}: give the gigabytes that the cache may hold, 0 for none"
+        ) from error
+    return limit
+
+
+@lru_cache
+def digest_of_sources(root: Path) -> str:
+    """Return a digest of all Python source code and tables below a folder: a part of keys."""
+    digest = hashlib.sha256()
+    for path in sorted((*root.rglob("*.py"), *root.rglob("*.toml"))):
+        digest.update(path.relative_to(root).as_posix().encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+@lru_cache
+def installed_versions(packages: tuple[str, ...]) -> dict[str, str]:
+    """Return {package: version} of those that are installed."""
+    found = {}
+    for package in packages:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[package] = metadata.version(package)
+    return found
+
 
 # Packages of which another version may change the last bits of a feature.
 _NUMERICAL = ("numpy", "scipy", "librosa", "soxr", "torch", "torchaudio")
@@ -57,6 +240,17 @@ class FeatureCache(DiskCache):
         folder: folder of the cache; None means `default_folder()`.
         max_bytes: size limit; beyond it the least recently used entries are removed.
         precision: "fp16" halves the size, with a relative error of at most 0.05 %.
+
+    Examples:
+        Light features are extracted each time; nothing is stored:
+
+        >>> seconds = np.arange(16000) / 16000
+        >>> tone = af.Wave.from_array(np.sin(2 * np.pi * 220 * seconds), 16000)
+        >>> cache = af.FeatureCache(folder)
+        >>> cache.extract(af.LogMel(), tone).values.shape
+        (100, 24)
+        >>> cache.contents().entries
+        0
     """
 
     def __init__(
@@ -144,6 +338,10 @@ def cache_from_environment(precision: Literal["fp32", "fp16"] = "fp32") -> Featu
     Every call returns the same object, so that the folder is not measured again for every sound.
 
     Raises AudioFeaturesError if the variable is not a number of at least 0; 0 stores nothing.
+
+    Examples:
+        >>> af.cache_from_environment() is af.cache_from_environment()
+        True
     """
     return _shared(default_folder(), size_limit(), precision)
 

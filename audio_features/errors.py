@@ -19,16 +19,44 @@ class ShortMessage(Exception):
 
 
 class AudioFeaturesError(ShortMessage):
-    """Root of every error that audio_features raises on purpose."""
+    """Root of every error that audio_features raises on purpose.
+
+    Examples:
+        >>> try:
+        ...     af.Wave.load("missing.wav")
+        ... except af.AudioFeaturesError as error:
+        ...     print(error)
+        missing.wav: no such file: give the path of a sound file
+    """
 
 
 class AudioError(AudioFeaturesError, ValueError):
-    """A sound file, or an array of samples, that cannot be used."""
+    """A sound file, or an array of samples, that cannot be used.
+
+    Examples:
+        >>> af.Wave(np.zeros(16), 16000)
+        Traceback (most recent call last):
+        audio_features.errors.AudioError: samples: 16 samples at 16000 Hz are 1.0 ms:
+        give at least 25 ms
+    """
 
 
 class WeightsError(AudioFeaturesError, ValueError):
-    """A folder of network weights that is missing, incomplete, or not the requested one."""
+    """A folder of network weights that is missing, incomplete, or not the requested one.
+
+    Examples:
+        >>> af.extractor_from_spec({"kind": "hf", "model": "hubert"})
+        Traceback (most recent call last):
+        audio_features.errors.WeightsError: weights of hubert are needed: name their place
+        (path: FOLDER in the config to train, else --weights hf=FOLDER)
+    """
 
 
 class FeatureError(AudioFeaturesError, ValueError):
-    """A feature track, a feature file, or an extractor setting that cannot be used."""
+    """A feature track, a feature file, or an extractor setting that cannot be used.
+
+    Examples:
+        >>> af.LogMel(n_mels=0)
+        Traceback (most recent call last):
+        audio_features.errors.FeatureError: n_mels=0: a whole number from 1 to 80
+    """

@@ -8,41 +8,26 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from audio_features.acoustic.effort import Effort
-from audio_features.acoustic.extractors import (
-    MFCC,
-    AcousticExtractor,
-    Liveliness,
-    LogMel,
-    Onset,
-    Prosody,
-)
-from audio_features.acoustic.music import Music
-from audio_features.acoustic.spectrum import ShortTimeSpectrum
+from audio_features.acoustic.analysis import ShortTimeSpectrum
+from audio_features.acoustic.extractors import AcousticExtractor
 from audio_features.errors import FeatureError, WeightsError
+from audio_features.kinds import KINDS
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 from audio_features.weight_files import WeightPlaces
-from audio_features.word_features import Words
 
-LIGHT = {
-    "logmel": LogMel,
-    "mfcc": MFCC,
-    "prosody": Prosody,
-    "onset": Onset,
-    "liveliness": Liveliness,
-    "effort": Effort,
-    "music": Music,
-    "words": Words,
-}
-"""Extractors that need no weights, by kind."""
-_ENCODERS = {"wavlm": None, "hf": "path", "words": "encoder"}
+_ENCODERS = {kind: entry.argument for kind, entry in KINDS.items() if entry.weights}
 """Kinds of extractors with weights, and the setting of a spec that names their folder."""
 
 
 @runtime_checkable
 class Extractor(Protocol):
-    """Sound in, feature track out."""
+    """Sound in, feature track out.
+
+    Examples:
+        >>> isinstance(af.LogMel(), af.Extractor)
+        True
+    """
 
     @property
     def spec(self) -> dict[str, Any]:
@@ -68,6 +53,13 @@ class Stack:
     """Concatenation of several extractors, on the time base of the one with the most frames.
 
     Acoustic extractors share one spectrum.
+
+    Examples:
+        >>> stack = af.Stack([af.LogMel(n_mels=24), af.Prosody()])
+        >>> stack.dim
+        28
+        >>> stack.names[-4:]
+        ('f0', 'voicing', 'energy', 'onset')
     """
 
     def __init__(self, parts: Sequence[Extractor]) -> None:
@@ -137,24 +129,38 @@ def extractor_from_spec(
 
     Raises FeatureError for an unknown kind or a setting that the kind does not have, and
     WeightsError if weights are missing or have another fingerprint than the spec.
+
+    Examples:
+        >>> extractor = af.extractor_from_spec({"kind": "mfcc", "n": 13})
+        >>> extractor.dim
+        13
+        >>> af.extractor_from_spec({"kind": "mffc"})
+        Traceback (most recent call last):
+        audio_features.errors.FeatureError: feature spec {'kind': 'mffc'}: kind 'mffc' is none
+        of logmel, mfcc, prosody, onset, prosodic_range, effort, music, words, wavlm, hf, stack
     """
     settings = dict(spec) if isinstance(spec, dict) else {}
     kind = settings.pop("kind", None)
     if needs_weights(spec):
-        return _encoder(kind, settings, _place_of(kind, weights), device)
+        place = _place_of(kind, weights)
+        if kind == "words":
+            from audio_features.huggingface.word_embeddings import WordEmbeddings
+
+            return WordEmbeddings.from_spec(settings, place, device)
+        return KINDS[kind].load().from_spec(settings, place, device)
     if kind == "stack":
         parts = settings.pop("parts", None)
         if settings or not isinstance(parts, list):
             raise FeatureError(f"feature spec {spec!r}: a stack has 'parts', a list of specs")
         _check_one_place(parts, weights)
         return Stack([extractor_from_spec(part, weights=weights, device=device) for part in parts])
-    if kind not in LIGHT:
-        known = ", ".join([*LIGHT, "wavlm", "hf", "stack"])
+    if kind not in KINDS:
+        known = ", ".join([*KINDS, "stack"])
         raise FeatureError(f"feature spec {spec!r}: kind {kind!r} is none of {known}")
     if settings.get("backend") == "torchaudio":
         settings["device"] = device
     try:
-        return LIGHT[kind](**settings)
+        return KINDS[kind].load()(**settings)
     except TypeError as error:
         raise FeatureError(f"feature spec {spec!r}: {error}") from error
 
@@ -174,22 +180,6 @@ def folder_in_spec(spec: Mapping[str, Any]) -> str | None:
     """Return the folder of the encoder that a spec names itself."""
     name = _ENCODERS.get(spec.get("kind"))
     return None if name is None else spec.get(name)
-
-
-def _encoder(
-    kind: str, settings: dict[str, Any], place: str | os.PathLike[str] | None, device: str
-) -> Extractor:
-    if kind == "wavlm":
-        from audio_features.wavlm import WavLM
-
-        return WavLM.from_spec(settings, place, device)
-    if kind == "hf":
-        from audio_features.huggingface.extractor import HuggingFace
-
-        return HuggingFace.from_spec(settings, place, device)
-    from audio_features.huggingface.word_embeddings import WordEmbeddings
-
-    return WordEmbeddings.from_spec(settings, place, device)
 
 
 def _place_of(kind: str, weights: WeightPlaces | None) -> str | os.PathLike[str] | None:
@@ -212,9 +202,10 @@ def _check_one_place(parts: list[Any], weights: WeightPlaces | None) -> None:
     """Raise WeightsError if one path is given for several encoders."""
     if weights is None or isinstance(weights, Mapping):
         return
-    kinds = {part["kind"] for part in parts if needs_weights(part) and not folder_in_spec(part)}
+    encoders = [part["kind"] for part in parts if needs_weights(part) and not folder_in_spec(part)]
+    kinds = list(dict.fromkeys(encoders))
     if len(kinds) > 1:
-        named = " ".join(f"--weights {kind}=PATH" for kind in _ENCODERS if kind in kinds)
+        named = " ".join(f"--weights {kind}=PATH" for kind in kinds)
         raise WeightsError(
             f"{os.fspath(weights)}: the features need {len(kinds)} encoders, but this is one path: "
             f"give the weights of each ({named})"

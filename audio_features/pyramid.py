@@ -20,6 +20,12 @@ def level_lengths(n_frames: int, levels: int, factor: float = 4 / 3) -> list[int
     T_i = max(1, round(T / factor^(L - i))) for i = 1 … L. Rounding is to nearest, ties to even.
 
     Raises FeatureError if n_frames or levels is below 1, or factor is not above 1.
+
+    Examples:
+        >>> af.level_lengths(100, levels=3, factor=2)
+        [25, 50, 100]
+        >>> af.level_lengths(250, levels=10)
+        [19, 25, 33, 44, 59, 79, 105, 141, 188, 250]
     """
     if n_frames < 1 or levels < 1:
         raise FeatureError(f"n_frames={n_frames}, levels={levels}: both must be at least 1")
@@ -46,6 +52,13 @@ def interpolation_weights(
 
     Returns:
         lo (M,) int64, hi (M,) int64, w (M,) float64 in [0, 1).
+
+    Examples:
+        Frames 1 and 2 of 4 lie a quarter and three quarters of the way from frame 0 to 1 of 2:
+
+        >>> lo, hi, w = af.interpolation_weights(2, 4)
+        >>> lo.tolist(), hi.tolist(), w.tolist()
+        ([0, 0, 0, 1], [1, 1, 1, 1], [0.0, 0.25, 0.75, 0.25])
     """
     if n_in < 1 or n_out < 1:
         raise FeatureError(f"cannot interpolate from {n_in} to {n_out} frames: at least 1 each")
@@ -63,6 +76,12 @@ def resample_frames(
     """Resample (T, …) to (n, …) by `interpolation_weights`; the dtype is kept.
 
     With start and stop, only that range of the n frames is computed.
+
+    Examples:
+        >>> af.resample_frames(np.array([[0.0], [1.0], [2.0], [3.0]]), 2).ravel()
+        array([0.5, 2.5])
+        >>> af.resample_frames(np.array([[0.5], [2.5]]), 4).ravel()
+        array([0.5, 1. , 2. , 2.5])
     """
     values = np.asarray(values)
     if values.dtype.kind != "f":
@@ -81,6 +100,13 @@ def residual_pyramid(values: np.ndarray, lengths: Sequence[int]) -> list[np.ndar
     length to the next (multi-resolution paper, section 5; its sign).
 
     Returns a list of (lengths[i], D) arrays, coarse to fine; the last length must be T.
+
+    Examples:
+        The coarse level holds 0.5 and 2.5, upsampled 0.5, 1, 2 and 2.5:
+
+        >>> coarse, fine = af.residual_pyramid(np.array([[0.0], [1.0], [2.0], [3.0]]), [2, 4])
+        >>> coarse.ravel(), fine.ravel()
+        (array([0.5, 2.5]), array([ 0.5,  0. ,  0. , -0.5]))
     """
     values = np.asarray(values)
     if not len(lengths) or lengths[-1] != len(values):
@@ -102,6 +128,11 @@ def residual_level(
     """Compute frames `start` to `stop` of `residual_pyramid(values, lengths)[level]` alone.
 
     Reads only the neighbouring frames of `values` (T, D). Returns (stop - start, D).
+
+    Examples:
+        >>> values = np.array([[0.0], [1.0], [2.0], [3.0]])
+        >>> af.residual_level(values, [2, 4], level=1, start=2, stop=4).ravel()
+        array([ 0. , -0.5])
     """
     fine = resample_frames(values, lengths[level], start, stop)
     if level == 0:
@@ -117,6 +148,11 @@ def from_residual_pyramid(levels: Sequence[np.ndarray]) -> np.ndarray:
 
     Computes in float64, so that rounding errors do not accumulate over levels, and returns the
     dtype of the finest level.
+
+    Examples:
+        >>> levels = [np.array([[0.5], [2.5]]), np.array([[0.5], [0.0], [0.0], [-0.5]])]
+        >>> af.from_residual_pyramid(levels).ravel()
+        array([0., 1., 2., 3.])
     """
     if not levels:
         raise FeatureError("an empty pyramid: give at least one level")

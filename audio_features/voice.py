@@ -39,6 +39,16 @@ def voice_activity(wave: Wave) -> np.ndarray:
     a second counts as voice.
 
     Returns (K, 2) float64: start and end of each stretch, in seconds.
+
+    Examples:
+        A voice of 150 Hz from 5 to 7 s, and the half second on both sides:
+
+        >>> seconds = np.arange(12 * 8000) / 8000
+        >>> phase = 2 * np.pi * 150 * seconds
+        >>> voice = sum(np.sin(k * phase) for k in range(1, 10)) * ((seconds > 5) & (seconds < 7))
+        >>> noise = np.random.default_rng(0).normal(0, 0.01, len(voice))
+        >>> af.voice_activity(af.Wave.from_array(0.1 * voice + noise, 8000)).round(1)
+        array([[4.5, 7.5]])
     """
     if wave.duration < _SHORTEST:
         return np.array([[0.0, wave.duration]])
@@ -62,6 +72,17 @@ def speech_only(wave: Wave) -> Wave:
 
     The sound fades in and out within a quarter of a second. A sound with voice from end to end is
     returned as it is.
+
+    Examples:
+        Noise remains within the voice from 5 to 7 s, and becomes silence where there is none:
+
+        >>> seconds = np.arange(12 * 8000) / 8000
+        >>> phase = 2 * np.pi * 150 * seconds
+        >>> voice = sum(np.sin(k * phase) for k in range(1, 10)) * ((seconds > 5) & (seconds < 7))
+        >>> noise = np.random.default_rng(0).normal(0, 0.01, len(voice))
+        >>> wave = af.speech_only(af.Wave.from_array(0.1 * voice + noise, 8000))
+        >>> wave.rms([2.0, 6.0]).round(2)
+        array([0.  , 0.21])
     """
     n = len(wave.samples)
     stretches = np.rint(voice_activity(wave) * wave.sample_rate).astype(int).tolist()

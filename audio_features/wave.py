@@ -13,8 +13,13 @@ import numpy as np
 import soxr
 from numpy.typing import ArrayLike
 
-from audio_features.containers.samples import CANCELLING, interpolated, numbers, one_channel
-from audio_features.containers.sound_file import read_sound
+from audio_features.containers.sound_file import (
+    CANCELLING,
+    interpolated,
+    numbers,
+    one_channel,
+    read_sound,
+)
 from audio_features.errors import AudioError
 
 MIN_SECONDS = Fraction(25, 1000)
@@ -41,6 +46,10 @@ def exact_rate(fps: float | Fraction) -> Fraction:
     29.97 is 2997/100, and the float 30000/1001 is NTSC's own 30000/1001.
 
     Raises AudioError if `fps` is not a positive, finite number.
+
+    Examples:
+        >>> af.exact_rate(25.0), af.exact_rate(29.97), af.exact_rate(30000 / 1001)
+        (Fraction(25, 1), Fraction(2997, 100), Fraction(30000, 1001))
     """
     if not isinstance(fps, Fraction) and not math.isfinite(fps):
         raise AudioError(f"fps is {fps!r}: give a positive number of frames per second")
@@ -63,6 +72,17 @@ class Wave:
         repairs: changes that `load` or `from_array` made to a faulty sound, in phrases.
 
     Raises AudioError if the samples are not one finite channel of at least 25 ms.
+
+    Examples:
+        Three seconds at 16 kHz, and their frames at 29.97 frames per second:
+
+        >>> wave = af.Wave(np.zeros(48000), 16000)
+        >>> wave
+        Wave(3.00 s at 16000 Hz)
+        >>> wave.n_frames(29.97)
+        90
+        >>> len(wave.resample(8000).samples)
+        24000
     """
 
     samples: np.ndarray

@@ -25,6 +25,7 @@ WeightPlaces = str | os.PathLike[str] | Mapping[str, str | os.PathLike[str]]
 """Folder or file of the weights of an encoder; or that of each encoder by its kind."""
 
 _MAX_CONFIG_BYTES = 1 << 20
+_MOST_LISTED = 8
 _INDEX = "model.safetensors.index.json"
 
 
@@ -177,6 +178,23 @@ def read_file(path: Path) -> Any:
         raise _unreadable(path, error) from error
     except (MemoryError, RecursionError, struct.error) as error:
         raise _unreadable(path, error) from error
+
+
+def refuse_tensors(place: Path, problems: Mapping[str, list[str]], remedy: str) -> None:
+    """Raise WeightsError if tensors do not fit the network.
+
+    Args:
+        place: file or folder, for the message.
+        problems: {what is wrong, such as "missing": names of the tensors}.
+        remedy: what must be given instead.
+    """
+    for problem, names in problems.items():
+        if names:
+            more = f"; and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
+            raise WeightsError(
+                f"{place}: {len(names)} tensors are {problem} "
+                f"({'; '.join(sorted(names)[:_MOST_LISTED])}{more}): {remedy}"
+            )
 
 
 def _unreadable(path: Path, error: BaseException) -> WeightsError:

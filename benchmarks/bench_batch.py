@@ -2,7 +2,7 @@
 
 Recordings of 0.3 to 60 s (most are short), 8 to 48 kHz, mono and stereo, cut from the bundled one.
 They are rendered by one process and by two, again, alone, in another order, by Slurm's local
-engine, and in 100 shards over 8 processes. Any difference in bytes ends the benchmark. "other" is
+launcher, and in 100 shards over 8 processes. Any difference in bytes ends the benchmark. "other" is
 the duration of the sound, so that the ratio is the hours of sound in an hour; notes have the
 processor time as well.
 """
@@ -141,7 +141,7 @@ def main() -> None:
 
 
 def same_bytes(folder: Path, sounds: Path, whole: dict[str, str]) -> None:
-    """Compare an item alone, another order, Slurm's local engine, and shards by hand."""
+    """Compare an item alone, another order, Slurm's local launcher, and shards by hand."""
     rng = random.Random(0)
     for name in rng.sample(sorted(whole), 3):
         shutil.rmtree(folder / "alone", ignore_errors=True)
@@ -154,10 +154,10 @@ def same_bytes(folder: Path, sounds: Path, whole: dict[str, str]) -> None:
     (sounds / "order.txt").unlink()
     assert results(folder / "shuffled") == whole
     print("same bytes: 3 items alone, and all in another order")
-    slurm = ("--engine", "slurm", "--jobs", 2, "--engine-option", "cluster=local")
+    slurm = ("--launcher", "slurm", "--jobs", 2, "--launcher-option", "cluster=local")
     render(sounds, *slurm, "--out", folder / "slurm", code=1)
     assert results(folder / "slurm") == whole
-    print("same bytes: Slurm's local engine, 2 jobs")
+    print("same bytes: Slurm's local launcher, 2 jobs")
 
     numbers = rng.sample(range(1, SHARDS + 1), SHARDS)
     begin = time.monotonic()

@@ -27,11 +27,11 @@ from harness import arguments, compare, gpu_peak, report, timed
 from torch import Tensor, nn
 from torch.nn.attention.flex_attention import create_block_mask, flex_attention
 
-from gesturekit.diffusion.composition.experts import clip_denoised
 from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
 from gesturekit.diffusion.network.attention import Attention, PositionBias, attend, bands
 from gesturekit.diffusion.network.denoiser import Conformer, Denoiser, DilatedConv
-from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.sampling.experts import clip_denoised
 from gesturekit.diffusion.sampling.solvers import sample
 from gesturekit.training.run.device import prepare_device
 from gesturekit.training.seeds import rng_for

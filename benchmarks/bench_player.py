@@ -21,7 +21,7 @@ import audio_features as af
 import gesturekit as gk
 from gesturekit.viewer import write_html
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "browser"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "builders"))
 from chromium import Browser  # noqa: E402
 
 WANTED = {"mannequin": 30.0, "human": 15.0}

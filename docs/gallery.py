@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import gesturekit as gk
-from audio_features import Wave
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.systems import bundled_speech
-from gesturekit.viewer import contact_sheet, speech_and_motion
+from gesturekit.viewer import write_picture
 
 CLIPS: dict[str, dict[str, Any]] = {
     "The bundled speech, seed 0": {"speech": bundled_speech(), "seed": 0},
@@ -40,11 +39,7 @@ def write_clips(folder: Path) -> None:
     for number, (title, controls) in enumerate(CLIPS.items()):
         motion, speech = model.generate(**controls), controls.get("speech")
         motion.save(folder / f"{number}.html", audio=speech, title=title)
-        picture = folder / f"{number}.png"
-        if speech is None:
-            contact_sheet(motion, picture, title="")
-        else:
-            speech_and_motion(motion, Wave.load(speech), picture, title="")
+        write_picture(motion, folder / f"{number}.png", speech, title="")
 
 
 def markdown(folder: str) -> str:

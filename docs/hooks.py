@@ -77,6 +77,20 @@ def controls_page() -> str:
     return "\n".join(lines)
 
 
+def metrics_page() -> str:
+    """Return the definitions of all metrics as Markdown."""
+    from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, Variants
+
+    lines = ["# All metrics", "", "Frames are counted at 25 fps here.", ""]
+    for group in GROUPS:
+        lines += [f"## {group}", ""]
+        for found in (d.at(25.0, Variants()) for d in DEFINITIONS.values() if d.group == group):
+            unit = f", {found.unit}" if found.unit else ""
+            lines += [f"### {found.name}{unit}", "", f"`{found.key}`: {found.variant}.", ""]
+            lines += [found.text, "", f"Source: {found.source}.", ""]
+    return "\n".join(lines)
+
+
 def commands_page() -> str:
     """Return the help of every command as Markdown."""
     import click
@@ -125,6 +139,7 @@ def on_files(files: Any, config: Any) -> Any:
 
     made: dict[str, str | bytes] = {f"api/{name}.md": python_page(name) for name in PACKAGES}
     made |= {"cli.md": commands_page(), "api/controls.md": controls_page()}
+    made["api/metrics.md"] = metrics_page()
     for place, file in repository_pages().items():
         made[place] = file.read_text(encoding="utf-8")
         for picture in file.parent.glob("*.png"):
@@ -153,6 +168,7 @@ def on_config(config: Any) -> Any:
             "Reference": [
                 {"Commands": "cli.md"},
                 {"Controls": "api/controls.md"},
+                {"All metrics": "api/metrics.md"},
                 *({name: f"api/{name}.md"} for name in PACKAGES),
             ]
         },

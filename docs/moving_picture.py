@@ -15,14 +15,14 @@ from PIL import Image
 
 import audio_features as af
 import gesturekit as gk
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.evaluation import arm_speed
 from gesturekit.evaluation.metrics.sync import speech_envelope
 from gesturekit.motion import Motion
 from gesturekit.systems import bundled_speech
 from gesturekit.viewer.drawn_body import DrawnBody
-from gesturekit.viewer.video import caption
 from gesturekit.viewer.video.scene import Buffers, Scene
+from gesturekit.viewer.video.writer import write_caption
 
 WIDTH, HEIGHT, STRIP = 720, 400, 80
 """Pixels of the picture's width, of the part with the body, and of the curves below it."""
@@ -69,7 +69,7 @@ def frames() -> list[Image.Image]:
         bodies = np.empty((len(scenes), HEIGHT, panel, 3), np.uint8)
         for seed, scene, image in zip(SEEDS, scenes, bodies):
             scene.draw(k / FPS, image, buffers)
-            caption.write(image, f"seed {seed}", (20, 14), 15)
+            write_caption(image, f"seed {seed}", (20, 14), 15)
         below = strip.copy()
         at = round(k / FPS / SECONDS * WIDTH)
         below[:, at : at + 2] = INK

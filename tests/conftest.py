@@ -9,13 +9,15 @@ import socket
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 import soundfile
+from bodies import body_of_tubes
 from chromium import Browser
 from hypothesis import settings
+from rigs import PERSON, QUADRUPED, rig_of
 from scipy.spatial.transform import Rotation
 from sounds import voiced
 
@@ -122,38 +124,32 @@ def wavlm_devices(monkeypatch) -> set[str]:
     return used
 
 
-JOINTS = {
-    "Hips": (None, (0.0, 0.0, 0.0)),
-    "Spine": ("Hips", (0.0, 0.1, 0.0)),
-    "Chest": ("Spine", (0.0, 0.2, 0.0)),
-    "Neck": ("Chest", (0.0, 0.2, 0.0)),
-    "Head": ("Neck", (0.0, 0.1, 0.0)),
-    "LeftShoulder": ("Chest", (0.05, 0.15, 0.0)),
-    "LeftArm": ("LeftShoulder", (0.12, 0.0, 0.0)),
-    "LeftForeArm": ("LeftArm", (0.28, 0.0, 0.0)),
-    "LeftHand": ("LeftForeArm", (0.25, 0.0, 0.0)),
-    "RightShoulder": ("Chest", (-0.05, 0.15, 0.0)),
-    "RightArm": ("RightShoulder", (-0.12, 0.0, 0.0)),
-    "RightForeArm": ("RightArm", (-0.28, 0.0, 0.0)),
-    "RightHand": ("RightForeArm", (-0.25, 0.0, 0.0)),
-    "LeftUpLeg": ("Hips", (0.1, -0.05, 0.0)),
-    "LeftLeg": ("LeftUpLeg", (0.0, -0.42, 0.0)),
-    "LeftFoot": ("LeftLeg", (0.0, -0.42, 0.0)),
-    "RightUpLeg": ("Hips", (-0.1, -0.05, 0.0)),
-    "RightLeg": ("RightUpLeg", (0.0, -0.42, 0.0)),
-    "RightFoot": ("RightLeg", (0.0, -0.42, 0.0)),
-}
+class Done(NamedTuple):
+    """Exit status and output of a command."""
+
+    status: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def gesturekit(capsys) -> Callable[..., Done]:
+    """gesturekit("render", path, ...): run a command here and say how it ended."""
+    from gesturekit.cli import main
+
+    def run(*arguments: object) -> Done:
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as left:
+            main([str(argument) for argument in arguments])
+        return Done(left.value.code, *capsys.readouterr())
+
+    return run
 
 
 @pytest.fixture(scope="session")
 def skeleton() -> Skeleton:
-    names = tuple(JOINTS)
-    return Skeleton(
-        names=names,
-        parents=tuple(
-            -1 if parent is None else names.index(parent) for parent, _ in JOINTS.values()
-        ),
-        offsets=np.array([offset for _, offset in JOINTS.values()]),
+    return rig_of(
+        PERSON,
         end_sites={
             "Head": (np.array([0.0, 0.15, 0.0]),),
             "LeftHand": (np.array([0.1, 0.0, 0.0]),),
@@ -161,39 +157,13 @@ def skeleton() -> Skeleton:
             "LeftFoot": (np.array([0.0, -0.05, 0.15]),),
             "RightFoot": (np.array([0.0, -0.05, 0.15]),),
         },
-        rotation_orders=("ZXY",) * len(names),
+        rotation_orders=("ZXY",) * len(PERSON),
     )
-
-
-# Faces +Z: its spine is level, its head in front, its tail behind.
-QUADRUPED = {
-    "Pelvis": (None, (0.0, 0.0, 0.0)),
-    "Spine": ("Pelvis", (0.0, 0.02, 0.3)),
-    "Chest": ("Spine", (0.0, -0.02, 0.3)),
-    "Neck": ("Chest", (0.0, 0.2, 0.15)),
-    "Head": ("Neck", (0.0, 0.2, 0.15)),
-    "Tail1": ("Pelvis", (0.0, 0.05, -0.2)),
-    "Tail2": ("Tail1", (0.0, -0.2, -0.1)),
-    **{
-        f"{side}{joint}": (parent.format(side), offset)
-        for side, x in (("Left", 0.15), ("Right", -0.15))
-        for joint, parent, offset in (
-            ("UpperArm", "Chest", (x, -0.1, 0.0)),
-            ("ForeArm", "{}UpperArm", (0.0, -0.35, 0.0)),
-            ("Hand", "{}ForeArm", (0.0, -0.3, 0.02)),
-            ("UpLeg", "Pelvis", (x, -0.08, 0.0)),
-            ("Leg", "{}UpLeg", (0.0, -0.37, 0.0)),
-            ("Foot", "{}Leg", (0.0, -0.3, 0.02)),
-        )
-    },
-}
 
 
 @pytest.fixture(scope="session")
 def quadruped() -> Skeleton:
-    names = tuple(QUADRUPED)
-    parents = (-1 if parent is None else names.index(parent) for parent, _ in QUADRUPED.values())
-    return Skeleton(names, tuple(parents), np.array([offset for _, offset in QUADRUPED.values()]))
+    return rig_of(QUADRUPED)
 
 
 @pytest.fixture(scope="session")
@@ -274,140 +244,26 @@ def corpus(tmp_path_factory, write_pair, write_speech) -> Path:
 
 @pytest.fixture(scope="session")
 def write_wavlm() -> Callable[..., Any]:
-    """write_wavlm(folder, seed=0, norm="group"): a tiny WavLM of random weights, as Hugging Face
-    saves them; norm "layer" is the front end of the Large models. Returns the model."""
-    import torch
-    import transformers
+    """write_wavlm(folder, seed=0, norm="group"): a tiny WavLM of random weights."""
+    from encoders import write_wavlm
 
-    def write(folder: Path, seed: int = 0, norm: str = "group") -> Any:
-        torch.manual_seed(seed)
-        config = transformers.WavLMConfig(
-            hidden_size=32,
-            num_hidden_layers=3,
-            num_attention_heads=4,
-            intermediate_size=64,
-            conv_dim=[16] * 7,
-            num_conv_pos_embeddings=16,
-            num_conv_pos_embedding_groups=4,
-            feat_extract_norm=norm,
-            do_stable_layer_norm=norm == "layer",
-        )
-        model = transformers.WavLMModel(config).eval()
-        model.save_pretrained(folder)
-        return model
-
-    return write
-
-
-_TRANSFORMER = {
-    "hidden_size": 32,
-    "num_hidden_layers": 3,
-    "num_attention_heads": 4,
-    "intermediate_size": 64,
-}
-_CONVOLUTIONS = {
-    **_TRANSFORMER,
-    "conv_dim": [16] * 7,
-    "num_conv_pos_embeddings": 16,
-    "num_conv_pos_embedding_groups": 4,
-}
-_DATA2VEC = {"num_conv_pos_embeddings": 2, "conv_pos_kernel_size": 5}
-_WHISPER = {
-    "d_model": 32,
-    "encoder_layers": 3,
-    "encoder_attention_heads": 4,
-    "encoder_ffn_dim": 64,
-    "decoder_layers": 1,
-    "decoder_attention_heads": 4,
-    "decoder_ffn_dim": 32,
-    "vocab_size": 60,
-    "max_source_positions": 150,
-    "num_mel_bins": 80,
-    **{f"{name}_token_id": 1 for name in ("pad", "bos", "eos", "decoder_start")},
-}
-# Classes of transformers and settings, by name; "-layer" is the front end of Large models.
-ENCODERS = {
-    "hubert": ("Hubert", "Model", _CONVOLUTIONS),
-    "wav2vec2": ("Wav2Vec2", "ForCTC", {**_CONVOLUTIONS, "vocab_size": 8}),
-    "data2vec-audio": ("Data2VecAudio", "Model", {**_CONVOLUTIONS, **_DATA2VEC}),
-    "wavlm": (
-        "WavLM",
-        "Model",
-        {**_CONVOLUTIONS, "feat_extract_norm": "layer", "do_stable_layer_norm": True},
-    ),
-    "wav2vec2-bert": ("Wav2Vec2Bert", "Model", _TRANSFORMER),
-    "whisper": ("Whisper", "Model", _WHISPER),
-}
-
-
-def save_encoder(folder: Path, stem: str, head: str, settings: dict[str, Any]) -> Any:
-    """Save a tiny encoder of random weights in which every tensor counts, and return it."""
-    import torch
-    import transformers
-
-    config = getattr(transformers, f"{stem}Config")(**settings)
-    model = getattr(transformers, f"{stem}{head}")(config).eval()
-    with torch.no_grad():
-        for parameter in model.parameters():
-            parameter.add_(0.1 * torch.randn_like(parameter))
-    model.save_pretrained(folder)
-    return model
+    return write_wavlm
 
 
 @pytest.fixture(scope="session")
 def write_encoder() -> Callable[..., Any]:
-    """write_encoder(folder, name, seed=0): a tiny speech encoder of random weights in which every
-    tensor counts, as Hugging Face saves it. Returns transformers' model."""
-    import torch
+    """write_encoder(folder, name, seed=0): a tiny speech encoder of random weights."""
+    from encoders import write_encoder
 
-    def write(folder: Path, name: str, seed: int = 0) -> Any:
-        stem, head, settings = ENCODERS[name]
-        torch.manual_seed(seed)
-        return save_encoder(folder, stem, head, settings)
-
-    return write
-
-
-_VOCABULARY = ["[PAD]", "[UNK]", "[CLS]", "[SEP]", "[MASK]", "so", "hand", "##s", "wave"]
-_SIZES = {
-    "vocab_size": len(_VOCABULARY),
-    "hidden_size": 16,
-    "num_hidden_layers": 2,
-    "num_attention_heads": 2,
-    "intermediate_size": 24,
-    "max_position_embeddings": 40,
-    "pad_token_id": 0,
-}
-_STEMS = {
-    "bert": "Bert",
-    "roberta": "Roberta",
-    "xlm-roberta": "XLMRoberta",
-    "distilbert": "DistilBert",
-    "mpnet": "MPNet",
-    "electra": "Electra",
-}
+    return write_encoder
 
 
 @pytest.fixture(scope="session")
 def write_text_encoder() -> Callable[..., Any]:
-    """write_text_encoder(folder, name="bert", seed=0, head="Model"): a tiny text encoder of random
-    weights with its tokeniser, as Hugging Face saves it. Returns transformers' model."""
-    import torch
-    import transformers
+    """write_text_encoder(folder, name="bert", seed=0, head="Model"), with its tokeniser."""
+    from encoders import write_text_encoder
 
-    def write(folder: Path, name: str = "bert", seed: int = 0, head: str = "Model") -> Any:
-        torch.manual_seed(seed)
-        sizes = dict(_SIZES)
-        if name == "distilbert":
-            sizes = {"vocab_size": 9, "dim": 16, "n_layers": 2, "n_heads": 2, "hidden_dim": 24}
-        if name == "electra":
-            sizes["embedding_size"] = 8
-        model = save_encoder(folder, _STEMS[name], head, sizes)
-        (folder / "vocab.txt").write_text("\n".join(_VOCABULARY), encoding="utf-8")
-        transformers.BertTokenizerFast(str(folder / "vocab.txt")).save_pretrained(folder)
-        return model
-
-    return write
+    return write_text_encoder
 
 
 @pytest.fixture
@@ -421,100 +277,12 @@ def no_network(monkeypatch) -> None:
     monkeypatch.setattr(socket, "getaddrinfo", refuse)
 
 
-RING = 8  # vertices around a bone
-
-
-def _capsule_body(rig: Skeleton, pelvis: np.ndarray) -> dict[str, Any]:
-    """The arrays of an SMPL-like model: a tube around each bone, and a box for each foot."""
-    joints = np.zeros((rig.n_joints, 3))
-    joints[0] = pelvis
-    for j, parent in enumerate(rig.parents[1:], start=1):
-        joints[j] = joints[parent] + rig.offsets[j]
-    vertices, weights, faces, centred = [], [], [], {0: []}
-
-    def add(place: np.ndarray, **shares: float) -> int:
-        vertices.append(place)
-        row = np.zeros(rig.n_joints)
-        for joint, share in shares.items():
-            row[int(joint[1:])] += share
-        weights.append(row)
-        return len(vertices) - 1
-
-    def ring(centre: np.ndarray, axis: np.ndarray, radius: float, **shares: float) -> list[int]:
-        side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
-        side /= np.linalg.norm(side)
-        other = np.cross(axis, side)
-        turn = 2 * np.pi * np.arange(RING) / RING
-        spokes = np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * other
-        return [add(centre + radius * spoke, **shares) for spoke in spokes]
-
-    for j, parent in enumerate(rig.parents[1:], start=1):
-        bone = joints[j] - joints[parent]
-        length = np.linalg.norm(bone)
-        axis = bone / length
-        radius = 0.008 if length < 0.05 else 0.32 * length if length < 0.2 else 0.065
-        rings = []
-        for at, thick, own in ((0.0, 0.8, 0.0), (0.3, 1.0, 0.0), (0.7, 0.9, 0.1), (1.0, 0.7, 0.5)):
-            shares = {f"j{parent}": 1 - own, f"j{j}": own}
-            rings.append(ring(joints[parent] + at * bone, axis, thick * radius, **shares))
-        centred.setdefault(j, rings[-1])
-        centred[0] = centred[0] or rings[0]
-        for low, high in zip(rings, rings[1:]):
-            for k in range(RING):
-                a, b, c, d = low[k], low[(k + 1) % RING], high[k], high[(k + 1) % RING]
-                faces += [(a, b, c), (b, d, c)]
-        for end, flip in ((rings[0], True), (rings[-1], False)):
-            for k in range(1, RING - 1):
-                corner = (end[0], end[k], end[k + 1])
-                faces.append(corner[::-1] if flip else corner)
-    feet = []
-    for side, out in (("left", 1), ("right", -1)):
-        ankle, foot = rig.index(f"{side}_ankle"), rig.index(f"{side}_foot")
-        floor = joints[foot, 1] - 0.02
-        corners = []
-        for height in (0.0, 0.05):
-            for x, z, joint in ((-0.03, 0.09, foot), (0.05, 0.06, foot), (0.0, -0.06, ankle)):
-                base = joints[foot] if joint == foot else joints[ankle]
-                place = np.array([base[0] + out * x, floor + height, base[2] + z])
-                corners.append(add(place, **{f"j{joint}": 1.0}))
-        feet += corners[:3]  # big toe, small toe, heel
-        a, b, c, d, e, f = corners
-        box = [
-            (a, b, c),
-            (d, f, e),
-            (a, d, e),
-            (a, e, b),
-            (b, e, f),
-            (b, f, c),
-            (c, f, d),
-            (c, d, a),
-        ]
-        faces += [face if out < 0 else face[::-1] for face in box]
-    skin = np.array(vertices)
-    regressor = np.zeros((rig.n_joints, len(skin)))
-    for j, around in centred.items():
-        regressor[j, around] = 1 / len(around)
-    rng = np.random.default_rng(0)
-    shapes = rng.normal(0, 0.002, (len(skin), 3, 20))
-    shapes[..., 0] = 0.05 * (skin - pelvis)  # the first coefficient makes the body larger
-    return {
-        "v_template": skin,
-        "f": np.array(faces, dtype=np.uint32),
-        "weights": np.array(weights),
-        "shapedirs": shapes,
-        "posedirs": rng.normal(0, 0.0003, (len(skin), 3, 9 * (rig.n_joints - 1))),
-        "J_regressor": regressor,
-        "kintree_table": np.array([[2**32 - 1, *rig.parents[1:]], range(rig.n_joints)]),
-        "feet": np.array(feet),
-    }
-
-
 @pytest.fixture(scope="session")
 def capsule_body() -> Callable[[int], dict[str, Any]]:
     """capsule_body(24): arrays of a body model made of tubes, as SMPL's own files hold them."""
     from gesturekit.formats.smpl.skeleton import model_pelvis, smpl_skeleton
 
-    return lambda n_joints: _capsule_body(smpl_skeleton(n_joints), model_pelvis(n_joints))
+    return lambda n_joints: body_of_tubes(smpl_skeleton(n_joints), model_pelvis(n_joints))
 
 
 @pytest.fixture

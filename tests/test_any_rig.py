@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from rigs import Bones, rig_of
 from scipy.spatial.transform import Rotation
 
 import gesturekit as gk
@@ -27,8 +28,6 @@ from gesturekit.multires.training.trainer import train as train_multires
 from gesturekit.rendering.batch import iter_render as render
 from gesturekit.rendering.renderer import Output
 from gesturekit.training.config import build
-
-Bones = dict[str, tuple[str | None, tuple[float, float, float]]]
 
 TINY = {
     "multires": {
@@ -131,15 +130,13 @@ RIGS: dict[str, Callable[[Skeleton], Bones]] = {
 
 def moving(bones: Bones, seconds: float = 2.0, fps: float = 30.0, seed: int = 0) -> Motion:
     """Return a motion in which every joint and the root oscillate."""
-    names = tuple(bones)
-    parents = tuple(-1 if parent is None else names.index(parent) for parent, _ in bones.values())
-    rig = Skeleton(names, parents, np.array([offset for _, offset in bones.values()]))
+    rig = rig_of(bones)
     n_frames = round(seconds * fps)
     time = np.arange(n_frames)[:, None, None] / fps
-    phase = np.random.default_rng(seed).uniform(0, 2 * np.pi, (len(names), 3))
+    phase = np.random.default_rng(seed).uniform(0, 2 * np.pi, (rig.n_joints, 3))
     turns = Rotation.from_euler("xyz", (0.2 * np.sin(4 * time + phase)).reshape(-1, 3))
     place = [0.1, 0.02, 0.1] * np.sin(3 * time[:, 0] + phase[0]) + [0.0, 0.9, 0.0]
-    return Motion(rig, turns.as_quat().reshape(n_frames, len(names), 4), place, fps)
+    return Motion(rig, turns.as_quat().reshape(n_frames, rig.n_joints, 4), place, fps)
 
 
 def prepared(folder: Path, motions: dict[str, Motion], suffix: str = "bvh") -> Path:

@@ -56,8 +56,6 @@ MAY_IMPORT["systems"] = {"model", "training"}
 MAY_IMPORT["diagnosis"] = {"systems"}
 EVERYONE_MAY_IMPORT = {
     "errors",
-    "atomic",
-    "archive",
     "compiled",
     "field_docs",
     "lazy",
@@ -69,6 +67,7 @@ MAY_IMPORT |= {module: set() for module in EVERYONE_MAY_IMPORT}
 # Files in which a string may name a module that is imported on demand.
 LAZY_IMPORTS = {
     "gesturekit/cli/__init__.py",
+    "gesturekit/evaluation/definitions.py",
     "gesturekit/motion/motion.py",
     "gesturekit/systems.py",
 }

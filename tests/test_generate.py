@@ -12,9 +12,8 @@ from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
 from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.motion_vector import DeltaRepresentation
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
 from gesturekit.diffusion.network.denoiser import Denoiser
-from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.errors import ModelError, MotionError
 from gesturekit.motion.rotations import rotation_angles
 from gesturekit.systems import bundled_speech
@@ -33,7 +32,7 @@ def diffusion(gesture, **rates: float) -> DiffusionModel:
         fps=30.0,
         representation=body,
         conditions=conditions,
-        standardiser=Standardiser.fit([body.encode(gesture(2.0))]),
+        normaliser=Normaliser.fit([body.encode(gesture(2.0))]),
         noise_config=NoiseConfig(predict="velocity", steps=4),
         network=seeded("network", lambda: Denoiser(width, conditions.width, config)),
         speakers={},

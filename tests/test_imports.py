@@ -14,11 +14,8 @@ from pathlib import Path
 import pytest
 
 from gesturekit.cli import VERBS
-from gesturekit.diffusion.config import DiffusionConfig
-from gesturekit.multires.config import MultiresConfig
 
 ROOT = Path(__file__).resolve().parents[1]
-CONFIG_CLASSES = {"multires": MultiresConfig, "diffusion": DiffusionConfig}
 HEAVY = ("torch", "librosa", "transformers", "scipy.signal", "matplotlib")
 
 

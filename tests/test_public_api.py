@@ -76,12 +76,12 @@ def test_evaluate_takes_texts_and_a_manifest(write_pair, gesture, tmp_path):
     gesture(5.0, 25.0, seed=5).save(tmp_path / "made" / "a.npz")
     folders = [str(tmp_path / name) for name in ("made", "recordings")]
     found = gk.evaluate(*folders, audio=folders[1])
-    assert "sync" in found.models[0].figures
+    assert "sync" in found.models[0].metrics
     assert str(found.reference) == folders[1]
     manifest = tmp_path / "corpus.jsonl"
     gk.prepare(folders[1], manifest, holdout=0.0)
     (model,) = gk.evaluate({"ours": folders[0]}, str(manifest), split="train").models
-    assert (model.label, "sync" in model.figures) == ("ours", True)
+    assert (model.label, "sync" in model.metrics) == ("ours", True)
     with pytest.raises(gk.GestureKitError, match="no item is in split test"):
         gk.evaluate(folders[0], manifest)
     with pytest.raises(gk.GestureKitError, match="split='train' chooses items of a manifest"):

@@ -12,61 +12,24 @@ from scipy.spatial.transform import Rotation
 
 import gesturekit as gk
 from gesturekit.corpus import prepare
-from gesturekit.diffusion.config import DiffusionConfig
-from gesturekit.diffusion.training.trainer import train as train_diffusion
 from gesturekit.errors import EvaluationError, MotionError
 from gesturekit.evaluation import evaluate
 from gesturekit.evaluation.measuring.rigs import RETARGETED, matched
-from gesturekit.evaluation.metrics.feet import foot_skate
 from gesturekit.evaluation.metrics.frechet.clip_features import geometric_features
 from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
+from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.inspection import inspect
 from gesturekit.motion import Motion
-from gesturekit.motion.selection.joint_selection import keep_joints
-from gesturekit.multires.config import MultiresConfig
+from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.multires.recall.parts import motion_parts
-from gesturekit.multires.training.trainer import train as train_multires
-from gesturekit.rendering.batch import iter_render as render
-from gesturekit.rendering.renderer import Output
-from gesturekit.training.config import build
+from gesturekit.training.recipes import read_table
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human.body import Human
 
-SETTINGS = {
-    "threads": 1,
-    "device": "cpu",
-    "eval_every": 0,
-    "features": {"extractors": [{"kind": "prosody"}, {"kind": "effort", "seconds": 2.0}]},
-}
-MULTIRES = {
-    "system": "multires",
-    "network": {"levels": 4, "channels": [2, 2], "embedding": 8},
-    "recall": {"level": 2, "piece": 1.0, "overlap": 0.3},
-    "losses": {"arm_speed": 1.0, "detail": 1.0},
-    "training": {
-        "first_stage": 2,
-        "further_stages": 2,
-        "discriminator_steps": 1,
-        "batch": 2,
-        "window": 2.0,
-        "window_cache": 2,
-    },
-}
-DIFFUSION = {
-    "system": "diffusion",
-    "network": {
-        "blocks": 1,
-        "layers": 1,
-        "channels": 8,
-        "heads": 2,
-        "feedforward": 8,
-        "embedding": 8,
-        "dilations": [0],
-    },
-    "noise": {"steps": 4, "predict": "clean"},
-    "training": {"updates": 2, "batch": 2, "window": 1.0, "foot_sliding": 0.5},
-}
+DEBUG = read_table()["debug"]
+FEATURES = "features.extractors=[{kind: prosody}, {kind: effort, seconds: 2}]"
+RECALL = ("recall.level=2", "recall.piece=1", "recall.overlap=0.3", "losses.detail=1")
 
 
 def upper(motion: Motion) -> Motion:
@@ -92,34 +55,33 @@ def corpus(recordings) -> Path:
     return recordings.parent / "corpus.jsonl"
 
 
-def test_multires_trains_recalls_and_renders_it(corpus, recordings, tmp_path, caplog):
-    config = build(
-        MultiresConfig,
-        {"corpus": str(corpus), "out": str(tmp_path / "run"), **SETTINGS, **MULTIRES},
-    )
+def test_multires_trains_recalls_and_renders_it(corpus, recordings, gesturekit, tmp_path, caplog):
+    train = ("multires_speech/light", *DEBUG["multires"], FEATURES, *RECALL)
     with caplog.at_level(logging.INFO):
-        model = gk.load(train_multires(config))
+        done = gesturekit("train", *train, f"corpus={corpus}", f"out={tmp_path / 'run'}")
+    assert done.status == 0, done.err
     assert caplog.text.count("The rig has no legs: no contact labels or loss") == 1
     assert "cannot be identified" not in caplog.text
     assert '"arm_speed"' in (tmp_path / "run" / "metrics.jsonl").read_text()
+    model = gk.load(tmp_path / "run")
     left, right, rest = motion_parts(model.representation, separate=True)
     assert "LeftHand" in left.joints and "RightHand" in right.joints
     assert rest.moving == ("Head",) and len(rest.calmed) > 0
-    (done,) = render(
-        model, [recordings / "a.wav"], tmp_path / "out", output=Output(("bvh", "html", "png"))
+    made = gesturekit(
+        *("render", recordings / "a.wav", "--model", tmp_path / "run", "--out", tmp_path / "out"),
+        *("--format", "bvh,html,png"),
     )
-    assert done.error is None
+    assert made.status == 0, made.err
     assert Motion.load(tmp_path / "out" / "a.bvh").skeleton.n_joints == 13
 
 
-def test_diffusion_trains_and_renders_it(corpus, recordings, tmp_path, caplog):
-    config = build(
-        DiffusionConfig,
-        {"corpus": str(corpus), "out": str(tmp_path / "run"), **SETTINGS, **DIFFUSION},
-    )
+def test_diffusion_trains_and_renders_it(corpus, recordings, gesturekit, tmp_path, caplog):
+    train = ("diffusion_speech/small", *DEBUG["diffusion"], FEATURES, "noise.steps=4")
     with caplog.at_level(logging.INFO):
-        made = gk.load(train_diffusion(config)).generate(recordings / "a.wav")
+        done = gesturekit("train", *train, f"corpus={corpus}", f"out={tmp_path / 'run'}")
+    assert done.status == 0, done.err
     assert "cannot be identified" not in caplog.text
+    made = gk.load(tmp_path / "run").generate(recordings / "a.wav")
     assert made.n_frames == 180 and np.isfinite(made.positions()).all()
 
 
@@ -128,7 +90,7 @@ def test_its_arms_are_measured_and_its_feet_said_to_be_missing(recordings, gestu
         upper(gesture(6.0, seed=10 + seed)).save(tmp_path / f"{stem}.npz")
     (model,) = evaluate({"m": tmp_path}, recordings, audio=recordings).models
     measured = {"sync", "arm_speed", "wrist_speed", "hand_q50", "reach", "novelty"}
-    assert measured <= set(model.figures)
+    assert measured <= set(model.metrics)
     missing = {item.what: item.reason for item in model.excluded}
     assert missing["Foot skate"] == missing["Floor penetration"] == "the rig has no legs"
 

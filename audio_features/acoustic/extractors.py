@@ -1,4 +1,4 @@
-"""Acoustic feature extractors: log-mel bands, MFCC, prosody, onsets and liveliness."""
+"""Acoustic features: log-mel bands, MFCC, prosody, onsets, prosodic range and vocal effort."""
 
 from __future__ import annotations
 
@@ -7,15 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from audio_features.acoustic.frames import FRAME_RATE
-from audio_features.acoustic.pitch import check_tracker
-from audio_features.acoustic.spectrum import BANDS, MAX_MELS, ShortTimeSpectrum
+from audio_features.acoustic.analysis import (
+    BANDS,
+    F0_RANGE,
+    FRAME_RATE,
+    MAX_MELS,
+    N_FFT,
+    ShortTimeSpectrum,
+    check_tracker,
+)
 from audio_features.errors import FeatureError
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 
 BACKENDS = ("numpy", "torchaudio")
-_OCTAVE_GUARD = 7.0  # semitones; see `Liveliness`
+_OCTAVE_GUARD = 7.0  # semitones; see `ProsodicRange`
 
 
 class AcousticExtractor(ABC):
@@ -75,12 +81,23 @@ class LogMel(AcousticExtractor):
         n_mels: number of bands.
         backend: "numpy", or "torchaudio" if it is installed.
         device: torch device for torchaudio. Not part of the spec.
+
+    Examples:
+        The power of a tone of 220 Hz is in the lowest of 8 bands:
+
+        >>> seconds = np.arange(16000) / 16000
+        >>> tone = af.Wave.from_array(np.sin(2 * np.pi * 220 * seconds), 16000)
+        >>> bands = af.LogMel(n_mels=8).extract(tone).values
+        >>> bands.shape
+        (100, 8)
+        >>> int(bands[50].argmax())
+        0
     """
 
     def __init__(self, n_mels: int = 24, backend: str = "numpy", device: str = "cpu") -> None:
         self.n_mels = whole_number("n_mels", n_mels, MAX_MELS)
         self.device = _device(backend, device)
-        self.spec = {"kind": "logmel", "n_mels": self.n_mels, **_backend_spec(backend)}
+        self.spec = {"kind": "logmel", "n_mels": self.n_mels, "backend": backend}
         self.names = tuple(f"mel_{i}" for i in range(self.n_mels))
         self.centred = (True,) * self.n_mels
 
@@ -99,12 +116,20 @@ class MFCC(AcousticExtractor):
         n: number of coefficients.
         backend: see `LogMel`.
         device: see `LogMel`.
+
+    Examples:
+        A second of sound has 100 frames:
+
+        >>> seconds = np.arange(16000) / 16000
+        >>> tone = af.Wave.from_array(np.sin(2 * np.pi * 220 * seconds), 16000)
+        >>> af.MFCC(n=13).extract(tone).values.shape
+        (100, 13)
     """
 
     def __init__(self, n: int = 20, backend: str = "numpy", device: str = "cpu") -> None:
         self.n = whole_number("n", n, BANDS)
         self.device = _device(backend, device)
-        self.spec = {"kind": "mfcc", "n": self.n, **_backend_spec(backend)}
+        self.spec = {"kind": "mfcc", "n": self.n, "backend": backend}
         self.names = tuple(f"mfcc_{i}" for i in range(self.n))
         self.centred = (True,) * self.n
 
@@ -128,6 +153,18 @@ class Prosody(AcousticExtractor):
             packages.
 
     Raises FeatureError if the tracker is unknown or its package is not installed.
+
+    Examples:
+        A tone rises by an octave, 12 semitones, and keeps its energy:
+
+        >>> seconds = np.arange(16000) / 16000
+        >>> hertz = np.where(seconds < 0.5, 220, 440)
+        >>> wave = af.Wave.from_array(np.sin(2 * np.pi * hertz * seconds), 16000)
+        >>> track = af.Prosody().extract(wave).at([0.25, 0.75])
+        >>> track.names
+        ('f0', 'voicing', 'energy', 'onset')
+        >>> np.abs(np.diff(track.values[:, [0, 2]], axis=0).round())
+        array([[12.,  0.]], dtype=float32)
     """
 
     names = ("f0", "voicing", "energy", "onset")
@@ -136,8 +173,7 @@ class Prosody(AcousticExtractor):
     def __init__(self, f0: str = "yin") -> None:
         check_tracker(f0)
         self.f0 = f0
-        # The default is omitted, so that specs of older models stay valid.
-        self.spec = {"kind": "prosody"} if f0 == "yin" else {"kind": "prosody", "f0": f0}
+        self.spec = {"kind": "prosody", "f0": f0}
         self.worth_caching = f0 == "pyin"
 
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
@@ -152,6 +188,16 @@ class Onset(AcousticExtractor):
     - `onset_strength`: spectral flux, the mean rise of 40 log-mel bands over 20 ms in dB.
     - `onset_peak`: 1 at its peaks, as librosa picks them, else 0. Use `to_rate(method="mean")`
       to align it with motion frames: no peak is lost.
+
+    Examples:
+        A tone begins after half a second and fades:
+
+        >>> seconds = np.arange(16000) / 16000
+        >>> fading = np.where(seconds < 0.5, 0, np.exp(4 - 8 * seconds))
+        >>> wave = af.Wave.from_array(fading * np.sin(2 * np.pi * 220 * seconds), 16000)
+        >>> track = af.Onset().extract(wave)
+        >>> track.times[track.values[:, 1] > 0].round(1)
+        array([0.5])
     """
 
     names = ("onset_strength", "onset_peak")
@@ -184,7 +230,7 @@ def _peaks(strength: np.ndarray) -> list[int]:
     return picked
 
 
-class Liveliness(AcousticExtractor):
+class ProsodicRange(AcousticExtractor):
     """Local variation of pitch and energy: two columns.
 
     - `f0_range`: mean distance of the pitch from its local mean over voiced frames, semitones.
@@ -194,6 +240,17 @@ class Liveliness(AcousticExtractor):
 
     Both are averaged with a Gaussian whose standard deviation is `seconds`. A monotonous clip
     has low values throughout, so the clip's mean must not be subtracted.
+
+    Examples:
+        A steady tone varies by nothing, one that jumps by an octave does:
+
+        >>> seconds = np.arange(16000) / 16000
+        >>> for second in (220, 440):
+        ...     hertz = np.where(seconds < 0.5, 220, second)
+        ...     wave = af.Wave.from_array(np.sin(2 * np.pi * hertz * seconds), 16000)
+        ...     print(af.ProsodicRange().extract(wave).values[50, 0] > 0.1)
+        False
+        True
     """
 
     names = ("f0_range", "energy_range")
@@ -203,7 +260,7 @@ class Liveliness(AcousticExtractor):
         if not isinstance(seconds, (int, float)) or not 0.05 <= seconds <= 60:
             raise FeatureError(f"seconds={seconds!r}: a number from 0.05 to 60")
         self.seconds = float(seconds)
-        self.spec = {"kind": "liveliness", "seconds": self.seconds}
+        self.spec = {"kind": "prosodic_range", "seconds": self.seconds}
 
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
         from scipy.ndimage import gaussian_filter1d
@@ -232,13 +289,88 @@ def _device(name: str, device: str) -> str | None:
     return device
 
 
-def _backend_spec(backend: str) -> dict[str, str]:
-    """Return the backend's entry in the spec; omit the default, so that older specs stay valid."""
-    return {} if backend == "numpy" else {"backend": backend}
-
-
 def whole_number(name: str, value: int, highest: int) -> int:
     """Return `value`; raise FeatureError unless it is a whole number from 1 to `highest`."""
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= highest:
         raise FeatureError(f"{name}={value!r}: a whole number from 1 to {highest}")
     return value
+
+
+_LOW_BAND, _HIGH_BAND = (80.0, 1000.0), (1000.0, 5000.0)
+"""Bands of the spectral tilt, Hz: forceful voices have more of the upper one."""
+_AUDIBLE_DB = -30.0
+"""Frames below this, relative to active speech, have no spectral tilt."""
+_FEW = 0.5
+"""Seconds of the clip's own value that count into every window, for windows with little speech."""
+_HOP = 0.5
+"""Seconds between windows; values between them are interpolated."""
+_QUIET_TILT = -30.0
+"""Spectral tilt of a clip without speech, dB."""
+
+
+class Effort(AcousticExtractor):
+    """Vocal effort in a window around each frame: three columns.
+
+    - `effort_f0_median`, `effort_f0_high`: median and 90 % quantile of the pitch over voiced
+      frames, semitones above 60 Hz; 0 in a clip without voice.
+    - `effort_tilt`: 90 % quantile of the spectral tilt, the power in 1 to 5 kHz over that in 80 Hz
+      to 1 kHz, over audible frames, in dB.
+
+    Raised voices are higher and have more power in the upper band (Traunmüller and Eriksson 2000).
+    Neither depends on the level of the recording. A calm clip has low values throughout, so the
+    clip's mean must not be subtracted.
+
+    Args:
+        seconds: length of the window.
+
+    Examples:
+        A tone of 120 Hz is an octave, 12 semitones, above 60 Hz:
+
+        >>> seconds = np.arange(16000) / 16000
+        >>> tone = af.Wave.from_array(np.sin(2 * np.pi * 120 * seconds), 16000)
+        >>> af.Effort().extract(tone).values[50, 0].round()
+        np.float32(12.0)
+    """
+
+    names = ("effort_f0_median", "effort_f0_high", "effort_tilt")
+    centred = (False, False, False)
+
+    def __init__(self, seconds: float = 8.0) -> None:
+        if not isinstance(seconds, (int, float)) or not 0.5 <= seconds <= 120:
+            raise FeatureError(f"seconds={seconds!r}: a number from 0.5 to 120")
+        self.seconds = float(seconds)
+        self.spec = {"kind": "effort", "seconds": self.seconds}
+
+    def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
+        melody = spectrum.melody()
+        pitch = np.zeros(spectrum.n_frames)
+        pitch[melody.voiced] = 12.0 * np.log2(melody.f0[melody.voiced] / F0_RANGE[0])
+        hertz = np.fft.rfftfreq(N_FFT, 0.5 / 8000.0)
+        bands = [(hertz >= low) & (hertz < high) for low, high in (_LOW_BAND, _HIGH_BAND)]
+        power = spectrum.power @ np.stack(bands, axis=1).astype(np.float32) + 1e-6
+        tilt = 10.0 * np.log10(power[:, 1] / power[:, 0])
+        audible = melody.energy >= _AUDIBLE_DB
+        columns = [
+            self._quantile(pitch, melody.voiced, 0.5, 0.0),
+            self._quantile(pitch, melody.voiced, 0.9, 0.0),
+            self._quantile(tilt, audible, 0.9, _QUIET_TILT),
+        ]
+        return np.stack(columns, axis=1)
+
+    def _quantile(
+        self, values: np.ndarray, valid: np.ndarray, share: float, empty: float
+    ) -> np.ndarray:
+        """Return the quantile (T,) of the valid values in the window around each frame."""
+        if not valid.any():
+            return np.full(len(values), empty)
+        own = np.quantile(values[valid], share)
+        hop, half = round(_HOP * FRAME_RATE), round(self.seconds * FRAME_RATE / 2)
+        centres = np.arange(0, len(values) + hop, hop)
+        quantiles = []
+        for centre in centres:
+            window = slice(max(0, centre - half), centre + half)
+            inside = values[window][valid[window]]
+            few = _FEW * FRAME_RATE
+            found = np.quantile(inside, share) if len(inside) else own
+            quantiles.append((len(inside) * found + few * own) / (len(inside) + few))
+        return np.interp(np.arange(len(values)), centres, quantiles)

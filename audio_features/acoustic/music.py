@@ -6,9 +6,13 @@ from functools import lru_cache
 
 import numpy as np
 
+from audio_features.acoustic.analysis import (
+    FRAME_RATE,
+    SAMPLE_RATE,
+    ShortTimeSpectrum,
+    centred_frames,
+)
 from audio_features.acoustic.extractors import AcousticExtractor, whole_number
-from audio_features.acoustic.frames import FRAME_RATE, SAMPLE_RATE, centred_frames
-from audio_features.acoustic.spectrum import ShortTimeSpectrum
 from audio_features.errors import FeatureError
 
 BEATS_PER_MINUTE = (50.0, 200.0)
@@ -45,6 +49,15 @@ class Music(AcousticExtractor):
             feature cache stores the result.
 
     Raises FeatureError for other settings, or if madmom is requested and cannot be imported.
+
+    Examples:
+        The note A, 440 Hz, is the first of 12 pitch classes:
+
+        >>> seconds = np.arange(16000) / 16000
+        >>> tone = af.Wave.from_array(np.sin(2 * np.pi * 440 * seconds), 16000)
+        >>> track = af.Music().extract(tone)
+        >>> track.values.shape, track.names[int(track.values[50, :12].argmax())]
+        ((100, 14), 'chroma_0')
     """
 
     def __init__(self, n_chroma: int = 12, beats: str = "librosa") -> None:

@@ -11,8 +11,14 @@ from types import ModuleType
 
 import numpy as np
 
-from audio_features.acoustic.frames import HOP, SAMPLE_RATE
-from audio_features.acoustic.spectrum import N_FFT, WINDOW, ShortTimeSpectrum, hann_window
+from audio_features.acoustic.analysis import (
+    HOP,
+    N_FFT,
+    SAMPLE_RATE,
+    WINDOW,
+    ShortTimeSpectrum,
+    hann_window,
+)
 from audio_features.errors import FeatureError
 from audio_features.wave import Wave
 

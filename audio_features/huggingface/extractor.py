@@ -3,26 +3,33 @@
 from __future__ import annotations
 
 import os
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from audio_features.errors import AudioError, FeatureError
-from audio_features.inference import checked_device, chunk_slices, normalized
+from audio_features.speech_encoders import (
+    SAMPLE_RATE,
+    HiddenStateExtractor,
+    LayerChoice,
+    Options,
+    check_names,
+    checked_device,
+    chunk_slices,
+    normalized,
+)
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
-from audio_features.wavlm.options import SAMPLE_RATE, Options
 from audio_features.weight_files import check_fingerprint, weights_needed
 
 if TYPE_CHECKING:
-    from audio_features.wavlm.layer_selection import Layer
+    from audio_features.speech_encoders import Layer
 
 _SECONDS = {"full_context": 30.0, "chunk": 30.0, "context": 5.0}
 _KNOWN = ("layer", "normalize", *_SECONDS, "fingerprint", "model")
 
 
-class HuggingFace:
+class HuggingFace(HiddenStateExtractor):
     """Hidden states of a speech encoder in a local folder, computed by transformers in float32.
 
     HuBERT, wav2vec 2.0, data2vec-audio, WavLM, w2v-BERT 2.0 and the encoder of Whisper are
@@ -57,6 +64,14 @@ class HuggingFace:
         normalize: number added to the waveform's variance; None if it is not normalised.
 
     Raises WeightsError if the folder cannot be used, FeatureError for an invalid setting.
+
+    Examples:
+        The folder of an encoder must be there; its spec names it, or only what it must hold:
+
+        >>> af.HuggingFace("hubert-base/")
+        Traceback (most recent call last):
+        audio_features.errors.WeightsError: hubert-base: no such folder: give a local
+        Hugging Face folder with config.json and model.safetensors
     """
 
     def __init__(
@@ -68,15 +83,14 @@ class HuggingFace:
         device: str = "cpu",
         **options: bool | float | None,
     ) -> None:
-        from audio_features.huggingface.front_ends import front_end
-        from audio_features.huggingface.layers import Layers
+        from audio_features.huggingface.network import Layers, front_end
         from audio_features.huggingface.weights import read_encoder
-        from audio_features.wavlm.layer_selection import LayerChoice
 
-        _check_names(options)
+        check_names("HuggingFace", options, _KNOWN, ["path"])
         self._options = Options(**{**_SECONDS, **options})
         self._device = checked_device(device)
         self.weights, network = read_encoder(weights)
+        self.stem = self.weights.model_type.replace("-", "_")
         check_fingerprint(weights, self.fingerprint, fingerprint)
         if self.weights.family.inputs != "waveform" and self._options.normalize is not None:
             raise FeatureError(
@@ -109,7 +123,7 @@ class HuggingFace:
         """
         settings = dict(settings)
         folder = settings.pop("path", None) or weights
-        _check_names(settings)
+        check_names("HuggingFace", settings, _KNOWN, ["path"])
         model = settings.pop("model", None)
         if folder is None:
             raise weights_needed(
@@ -120,41 +134,12 @@ class HuggingFace:
         return cls(folder, **settings, device=device)
 
     @property
-    def fingerprint(self) -> str:
-        """Fingerprint of the weights, see `EncoderWeights`."""
-        return self.weights.fingerprint
-
-    @property
-    def layer(self) -> Any:
-        """Layer or layers, as in the spec."""
-        return self._choice.spec
-
-    @property
-    def centred(self) -> tuple[bool, ...]:
-        """D flags, all true: a clip's mean depends on voice and recording conditions."""
-        return (True,) * self.dim
-
-    @property
     def spec(self) -> dict[str, Any]:
         """Kind, every setting that affects the values, and the weights' fingerprint."""
         spec = {"kind": "hf", "model": self.weights.model_type, "layer": self.layer}
         if self.weights.family.inputs == "waveform":
             spec["normalize"] = False if self.normalize is None else self.normalize
         return {**spec, **self._options.seconds, "fingerprint": self.fingerprint}
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Names of the columns: hubert_0 …; hubert_LAYER_0 … if there are several layers."""
-        stem = self.weights.model_type.replace("-", "_")
-        width = range(self.weights.width)
-        if not self._choice.is_list:
-            return tuple(f"{stem}_{i}" for i in width)
-        return tuple(f"{stem}_{layer}_{i}" for layer in self._choice.indices for i in width)
-
-    @property
-    def dim(self) -> int:
-        """Number of columns D: the encoder's width for each layer."""
-        return len(self.names)
 
     def extract(self, wave: Wave) -> FeatureTrack:
         """Extract the hidden states of a sound at any sample rate: values (T, D).
@@ -187,8 +172,7 @@ class HuggingFace:
         return values
 
     def _chunks(self, n_frames: int) -> list[tuple[slice, slice]]:
-        rate = SAMPLE_RATE / self._front.hop
-        full, chunk, context = (round(s * rate) for s in self._options.seconds.values())
+        full, chunk, context = self._options.frames(self._front.hop)
         longest = self._front.longest
         if longest is not None:
             if chunk > longest:
@@ -196,13 +180,3 @@ class HuggingFace:
             full, chunk = min(full, longest), min(chunk, longest)
         longest = n_frames if n_frames <= full else max(chunk, 2 * context + 1)
         return list(chunk_slices(n_frames, longest, context))
-
-    def __repr__(self) -> str:
-        return f"HuggingFace({self.weights.path!r}, {self.spec})"
-
-
-def _check_names(settings: dict[str, Any]) -> None:
-    unknown = sorted(settings.keys() - set(_KNOWN))
-    if unknown:
-        known = ", ".join(("path", *_KNOWN))
-        raise FeatureError(f"HuggingFace: unknown setting {unknown[0]!r}; there are {known}")

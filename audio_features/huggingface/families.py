@@ -14,6 +14,14 @@ _CONVOLUTIONAL = (
     "do_stable_layer_norm",
     "layer_norm_eps",
 )
+_TEXT = (
+    "hidden_act",
+    "activation",
+    "num_attention_heads",
+    "layer_norm_eps",
+    "pad_token_id",
+    "position_embedding_type",
+)
 
 
 @dataclass(frozen=True)
@@ -41,49 +49,47 @@ class Family:
     pools: bool = False
 
 
+def _family(
+    title: str,
+    stem: str,
+    module: str,
+    inputs: Literal["waveform", "filter bank", "tokens"],
+    settings: tuple[str, ...],
+    *,
+    package: str | None = None,
+    pools: bool = False,
+) -> Family:
+    """Return a family whose names in transformers follow the usual pattern."""
+    return Family(
+        title,
+        f"{stem}Model",
+        f"{stem}Config",
+        f"transformers.models.{package or module}.modeling_{module}",
+        (f"{module.replace('xlm_', '')}.",),
+        inputs,
+        settings,
+        pools,
+    )
+
+
 FAMILIES = {
-    "hubert": Family(
-        "HuBERT",
-        "HubertModel",
-        "HubertConfig",
-        "transformers.models.hubert.modeling_hubert",
-        ("hubert.",),
-        "waveform",
-        _CONVOLUTIONAL,
-    ),
-    "wav2vec2": Family(
-        "wav2vec 2.0",
-        "Wav2Vec2Model",
-        "Wav2Vec2Config",
-        "transformers.models.wav2vec2.modeling_wav2vec2",
-        ("wav2vec2.",),
-        "waveform",
-        _CONVOLUTIONAL,
-    ),
-    "data2vec-audio": Family(
+    "hubert": _family("HuBERT", "Hubert", "hubert", "waveform", _CONVOLUTIONAL),
+    "wav2vec2": _family("wav2vec 2.0", "Wav2Vec2", "wav2vec2", "waveform", _CONVOLUTIONAL),
+    "data2vec-audio": _family(
         "data2vec-audio",
-        "Data2VecAudioModel",
-        "Data2VecAudioConfig",
-        "transformers.models.data2vec.modeling_data2vec_audio",
-        ("data2vec_audio.",),
+        "Data2VecAudio",
+        "data2vec_audio",
         "waveform",
         (*_CONVOLUTIONAL, "num_conv_pos_embeddings", "conv_pos_kernel_size"),
+        package="data2vec",
     ),
-    "wavlm": Family(
-        "WavLM",
-        "WavLMModel",
-        "WavLMConfig",
-        "transformers.models.wavlm.modeling_wavlm",
-        ("wavlm.",),
-        "waveform",
-        (*_CONVOLUTIONAL, "max_bucket_distance"),
+    "wavlm": _family(
+        "WavLM", "WavLM", "wavlm", "waveform", (*_CONVOLUTIONAL, "max_bucket_distance")
     ),
-    "wav2vec2-bert": Family(
+    "wav2vec2-bert": _family(
         "w2v-BERT 2.0",
-        "Wav2Vec2BertModel",
-        "Wav2Vec2BertConfig",
-        "transformers.models.wav2vec2_bert.modeling_wav2vec2_bert",
-        ("wav2vec2_bert.",),
+        "Wav2Vec2Bert",
+        "wav2vec2_bert",
         "filter bank",
         (
             "hidden_act",
@@ -109,34 +115,13 @@ FAMILIES = {
 }
 """Supported speech encoders by model_type."""
 
-
-def _text(title: str, stem: str, module: str, *, pools: bool = True) -> Family:
-    return Family(
-        title,
-        f"{stem}Model",
-        f"{stem}Config",
-        f"transformers.models.{module}.modeling_{module}",
-        (f"{module.replace('xlm_', '')}.",),
-        "tokens",
-        (
-            "hidden_act",
-            "activation",
-            "num_attention_heads",
-            "layer_norm_eps",
-            "pad_token_id",
-            "position_embedding_type",
-        ),
-        pools,
-    )
-
-
 TEXT_FAMILIES = {
-    "bert": _text("BERT", "Bert", "bert"),
-    "roberta": _text("RoBERTa", "Roberta", "roberta"),
-    "xlm-roberta": _text("XLM-RoBERTa", "XLMRoberta", "xlm_roberta"),
-    "distilbert": _text("DistilBERT", "DistilBert", "distilbert", pools=False),
-    "mpnet": _text("MPNet", "MPNet", "mpnet"),
-    "electra": _text("ELECTRA", "Electra", "electra", pools=False),
+    "bert": _family("BERT", "Bert", "bert", "tokens", _TEXT, pools=True),
+    "roberta": _family("RoBERTa", "Roberta", "roberta", "tokens", _TEXT, pools=True),
+    "xlm-roberta": _family("XLM-RoBERTa", "XLMRoberta", "xlm_roberta", "tokens", _TEXT, pools=True),
+    "distilbert": _family("DistilBERT", "DistilBert", "distilbert", "tokens", _TEXT),
+    "mpnet": _family("MPNet", "MPNet", "mpnet", "tokens", _TEXT, pools=True),
+    "electra": _family("ELECTRA", "Electra", "electra", "tokens", _TEXT),
 }
 """Supported text encoders by model_type."""
 

@@ -19,14 +19,19 @@ from typing import TYPE_CHECKING, Any
 
 from audio_features.errors import WeightsError
 from audio_features.huggingface.families import FAMILIES, Family, front_norm
-from audio_features.weight_files import expected_normalization, read_folder, read_json
+from audio_features.weight_files import (
+    expected_normalization,
+    read_folder,
+    read_json,
+    refuse_tensors,
+)
 
 if TYPE_CHECKING:
     import torch
 
 _LARGEST = 1 << 16  # far above every published size; limits the memory a damaged file can request
 _MOST_LAYERS = 256
-_MOST_LISTED = 6
+_MOST_LISTED = 6  # files with code
 # Parts of the networks that are left out: they belong to training, or follow the encoder.
 _OFF = {
     "mask_time_prob": 0.0,
@@ -314,14 +319,7 @@ def _fitting(
         if name not in used and name.split(".")[0] in parts and not name.startswith(_LEFT_OUT)
     ]
     problems = {"missing": missing, "of another shape": shapes, "unknown": unknown}
-    for problem, names in problems.items():
-        if names:
-            more = f"; and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
-            raise WeightsError(
-                f"{folder}: {len(names)} tensors are {problem} "
-                f"({'; '.join(sorted(names)[:_MOST_LISTED])}{more}): config.json and weights must "
-                "come from the same model"
-            )
+    refuse_tensors(folder, problems, "config.json and weights must come from the same model")
     return tensors
 
 

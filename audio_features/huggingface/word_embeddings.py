@@ -12,16 +12,15 @@ import numpy as np
 
 from audio_features.errors import FeatureError, WeightsError
 from audio_features.huggingface.families import TEXT_FAMILIES
-from audio_features.inference import checked_device
+from audio_features.speech_encoders import check_names, checked_device
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 from audio_features.weight_files import check_fingerprint, weights_needed
-from audio_features.word_features import frames_of, words_of
+from audio_features.words import frames_of, words_of
 
 RATE = 50
 """Frames per second; frame k is at k/50 s."""
 
-_KNOWN = ("layer", "fingerprint", "model")
 _MAX_TOKENS = 32  # a longer word is cut
 _MAX_TOKENISER_BYTES = 128 << 20
 # Its tokens show differences that the vocabulary does not: case, accents, how words are split.
@@ -47,6 +46,14 @@ class WordEmbeddings:
         fingerprint: sha256 over model_type, settings and tensors, and the tokeniser's vocabulary.
 
     Raises WeightsError if the folder cannot be used, FeatureError for an invalid setting.
+
+    Examples:
+        The folder of an encoder must be there:
+
+        >>> af.WordEmbeddings("bert-base/")
+        Traceback (most recent call last):
+        audio_features.errors.WeightsError: bert-base: no such folder: give a local
+        Hugging Face folder with config.json and model.safetensors
     """
 
     def __init__(
@@ -102,10 +109,7 @@ class WordEmbeddings:
         """
         settings = dict(settings)
         folder = settings.pop("encoder", None) or weights
-        unknown = sorted(settings.keys() - set(_KNOWN))
-        if unknown:
-            known = ", ".join(("encoder", *_KNOWN))
-            raise FeatureError(f"words: unknown setting {unknown[0]!r}; there are {known}")
+        check_names("words", settings, ("layer", "fingerprint", "model"), ["encoder"])
         model = settings.pop("model", None)
         if folder is None:
             raise weights_needed(

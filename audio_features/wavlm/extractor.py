@@ -2,27 +2,47 @@
 
 from __future__ import annotations
 
+import math
 import os
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from audio_features.errors import FeatureError
-from audio_features.inference import checked_device, chunk_slices, normalized
+from audio_features.speech_encoders import (
+    SAMPLE_RATE,
+    HiddenStateExtractor,
+    LayerChoice,
+    Options,
+    check_names,
+    checked_device,
+    chunk_slices,
+    normalized,
+)
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 from audio_features.wavlm.architecture import HOP, WINDOW
-from audio_features.wavlm.options import SAMPLE_RATE, Options, check_names
+from audio_features.wavlm.weights import MICROSOFT_EPS
 from audio_features.weight_files import check_fingerprint, weights_needed
 
 if TYPE_CHECKING:
-    from audio_features.wavlm.layer_selection import Layer
+    import torch
+
+    from audio_features.huggingface.network import Convolutions, Layers
+    from audio_features.speech_encoders import Layer
+    from audio_features.wavlm.architecture import Architecture
 
 _GPU_BATCH = 8
+# Parameters of WavLM that a spec may hold.
+_KNOWN = (
+    *("layer", "dtype", "implementation", "preset", "fingerprint"),
+    *(option.name for option in fields(Options)),
+)
 
 
-class WavLM:
+class WavLM(HiddenStateExtractor):
     """Hidden states of WavLM (Chen et al. 2022), 50 frames per second.
 
     Frame t covers samples [320t, 320t + 400) at 16 kHz and is centred at 0.0125 + 0.02t seconds;
@@ -48,7 +68,7 @@ class WavLM:
             supports it, with a small error.
         implementation: "fast", or "transformers" for transformers' own network (fp32 only), which
             the fast one is tested against.
-        preset: "dsg" or "dsg+", see `audio_features.wavlm.presets`; fixes layer and options.
+        preset: "dsg" or "dsg+", see `PRESETS`; fixes layer and options.
         fingerprint: fingerprint of the weights, as in a spec; other weights are refused.
         device: "cpu" or "cuda"; not part of the spec.
         options: any of
@@ -68,7 +88,17 @@ class WavLM:
         normalize: number added to the waveform's variance; None if it is not normalised.
 
     Raises WeightsError if the weights cannot be used, FeatureError for an invalid setting.
+
+    Examples:
+        A spec does not hold the place of the weights:
+
+        >>> af.extractor_from_spec({"kind": "wavlm", "layer": 6})
+        Traceback (most recent call last):
+        audio_features.errors.WeightsError: weights of WavLM are needed: name their place
+        (features.weights=PATH to train, else --weights wavlm=PATH)
     """
+
+    stem = "wavlm"
 
     def __init__(
         self,
@@ -86,9 +116,6 @@ class WavLM:
 
         from audio_features.wavlm.encoder import Encoder
         from audio_features.wavlm.front_end import FrontEnd
-        from audio_features.wavlm.layer_selection import LayerChoice
-        from audio_features.wavlm.presets import PRESETS
-        from audio_features.wavlm.reference import reference
         from audio_features.wavlm.weights import read_weights
 
         kinds = {"fp32": torch.float32, "bf16": torch.bfloat16}
@@ -98,7 +125,7 @@ class WavLM:
             raise FeatureError(f"implementation={implementation!r}: 'fast' or 'transformers'")
         if implementation == "transformers" and dtype != "fp32":
             raise FeatureError(f"dtype={dtype!r}: the implementation of transformers uses fp32")
-        check_names(options)
+        check_names("WavLM", options, _KNOWN)
         self._options = Options(**options)
         self._device = checked_device(device)
         self.weights, tensors = read_weights(weights)
@@ -118,7 +145,7 @@ class WavLM:
         tensors = {name: tensor.to(self._device) for name, tensor in tensors.items()}
         top = max(self._choice.indices)
         if implementation == "transformers":
-            self._front, self._encoder = reference(shape, tensors, top)
+            self._front, self._encoder = _reference(shape, tensors, top)
         else:
             self._front = FrontEnd(shape, tensors, kinds[dtype])
             self._encoder = Encoder(shape, tensors, top, kinds[dtype])
@@ -136,26 +163,11 @@ class WavLM:
         WeightsError if weights are missing or have another fingerprint.
         """
         settings = {key: value for key, value in settings.items() if key != "kind"}
-        check_names(settings)
+        check_names("WavLM", settings, _KNOWN)
         if weights is None:
             how = "features.weights=PATH to train, else --weights wavlm=PATH"
             raise weights_needed("WavLM", settings.get("fingerprint"), how)
         return cls(weights, **settings, device=device)
-
-    @property
-    def fingerprint(self) -> str:
-        """Fingerprint of the weights, see `Weights`."""
-        return self.weights.fingerprint
-
-    @property
-    def layer(self) -> Any:
-        """Layer or layers, as in the spec."""
-        return self._choice.spec
-
-    @property
-    def centred(self) -> tuple[bool, ...]:
-        """D flags, all true: a clip's mean depends on voice and recording conditions."""
-        return (True,) * self.dim
 
     @property
     def spec(self) -> dict[str, Any]:
@@ -174,26 +186,11 @@ class WavLM:
             }
         return {**made_by, "dtype": self.dtype, "fingerprint": self.fingerprint}
 
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Names of the columns: wavlm_0 …; wavlm_LAYER_0 … if there are several layers."""
-        width = range(self.weights.architecture.width)
-        if not self._choice.is_list:
-            return tuple(f"wavlm_{i}" for i in width)
-        return tuple(f"wavlm_{layer}_{i}" for layer in self._choice.indices for i in width)
-
-    @property
-    def dim(self) -> int:
-        """Number of columns D: 768 per layer for Base and Base+, 1024 for Large."""
-        return len(self.names)
-
     def extract(self, wave: Wave) -> FeatureTrack:
         """Extract the hidden states of a sound at any sample rate: values (T, D).
 
         With a preset, the frame rate is that of its motion (20 or 30 per second).
         """
-        from audio_features.wavlm.presets import PRESETS
-
         samples = wave.resample(SAMPLE_RATE).samples
         if self.preset is not None:
             values, times = PRESETS[self.preset].extract(
@@ -214,7 +211,7 @@ class WavLM:
 
         n_frames = (len(samples) - WINDOW) // HOP + 1
         values = np.empty((n_frames, self.dim), dtype=np.float32)
-        full, chunk, context = self._options.frames
+        full, chunk, context = self._options.frames(HOP)
         chunks = list(chunk_slices(n_frames, n_frames if n_frames <= full else chunk, context))
         size = 1 if self._device.type == "cpu" else _GPU_BATCH
         before, after = self._encoder.reach
@@ -231,5 +228,127 @@ class WavLM:
                     values[keep] = part.cpu().numpy()
         return values
 
-    def __repr__(self) -> str:
-        return f"WavLM({self.weights.path!r}, {self.spec})"
+
+HiddenStates = Callable[[np.ndarray], np.ndarray]
+"""Function from samples (N,) at 16 kHz to hidden states (T, D)."""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Feature extraction of one published system.
+
+    Attributes:
+        eps: function from the number that the weights expect to be added to the waveform's
+            variance to the number that the system adds; None means no normalisation.
+        extract: function from `HiddenStates` and the normalised samples (N,) to values (T, D)
+            and times (T,) in seconds.
+    """
+
+    eps: Callable[[float | None], float | None]
+    extract: Callable[[HiddenStates, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+def _dsg(hidden_states: HiddenStates, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    fps, clip, seed = 20, 88, 8
+    hop = SAMPLE_RATE // fps
+    n_frames = max(1, len(samples) // hop)
+    stride = clip - seed
+    pieces = -(-n_frames // stride)
+    padded = np.zeros((pieces * stride + seed) * hop, dtype=np.float32)
+    used = samples[: pieces * stride * hop]
+    padded[seed * hop : seed * hop + len(used)] = used
+    values = [
+        _stretched(hidden_states(padded[at * hop : (at + clip) * hop]), clip)[seed:]
+        for at in range(0, pieces * stride, stride)
+    ]
+    return np.concatenate(values)[:n_frames], np.arange(n_frames) / fps
+
+
+def _dsg_plus(hidden_states: HiddenStates, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    fps, piece = 30, 5 * SAMPLE_RATE
+    n_frames = max(1, math.floor(len(samples) * fps / SAMPLE_RATE + 0.5))
+    pieces = len(samples) // piece + 1
+    padded = np.zeros(pieces * piece, dtype=np.float32)
+    padded[: len(samples)] = samples
+    frames = [hidden_states(part) for part in padded.reshape(pieces, piece)]
+    return _stretched(np.concatenate(frames), n_frames), np.arange(n_frames) / fps
+
+
+def _stretched(values: np.ndarray, n_frames: int) -> np.ndarray:
+    import torch
+
+    stretched = torch.nn.functional.interpolate(
+        torch.from_numpy(values.T)[None], size=n_frames, mode="linear", align_corners=True
+    )
+    return stretched[0].T.numpy()
+
+
+PRESETS = {
+    "dsg": Preset(lambda expected: None, _dsg),
+    "dsg+": Preset(lambda expected: None if expected is None else MICROSOFT_EPS, _dsg_plus),
+}
+"""Features as computed by DiffuseStyleGesture (Yang et al. 2023), quirks included.
+
+Its released checkpoints need exactly these features. For anything else use `WavLM` without a
+preset and `FeatureTrack.to_rate`, which aligns frames by time.
+
+Both presets stretch the WavLM frames of a segment to its motion frames by the ratio of lengths
+(`interpolate` with align_corners=True) instead of by time, and use Large's last layer.
+
+"dsg" (ZEGGS, 20 motion frames per second)
+    The sound is cut every 80 motion frames. Each clip is processed with the 8 motion frames
+    before it (zeros before the first), 4.4 s in all, and its 219 WavLM frames are stretched to
+    88. The waveform is not normalised, although Large was trained on normalised sound
+    (YoungSeng/DiffuseStyleGesture issue 23). One difference: they drop the remainder after the
+    last whole clip; here it is padded with zeros to a whole clip.
+
+"dsg+" (BEAT and TWH, 30 motion frames per second)
+    The whole sound is normalised as the checkpoint says, padded with zeros to (N // 5 s + 1)
+    times 5 s, and processed in pieces of 5 s without context. All frames, including those of the
+    padding, are stretched to the motion frames of the sound without padding, so the features run
+    ahead by up to 5 s at the end. Their number of motion frames is the minimum over MFCC, mel
+    and prosody; here it is the sound's own, which differs by a few frames.
+"""
+
+
+def _reference(
+    shape: Architecture, tensors: dict[str, torch.Tensor], top: int
+) -> tuple[Convolutions, Layers]:
+    """Return transformers' own network, the reference for the fast implementation.
+
+    These are the convolutions and the layers up to `top` of its WavLMModel.
+
+    Args:
+        shape: architecture of the network.
+        tensors: its tensors by transformers' names; the network is on their device.
+        top: highest hidden state that is needed.
+    """
+    import torch
+    from transformers import WavLMConfig, WavLMModel
+
+    from audio_features.huggingface.network import Convolutions, Layers
+
+    config = WavLMConfig(
+        hidden_size=shape.width,
+        num_hidden_layers=shape.layers,
+        num_attention_heads=shape.heads,
+        intermediate_size=shape.inner,
+        feat_extract_norm=shape.front_norm,
+        do_stable_layer_norm=shape.pre_norm,
+        conv_dim=shape.channels,
+        conv_kernel=shape.kernels,
+        conv_stride=shape.strides,
+        conv_bias=shape.conv_bias,
+        num_conv_pos_embeddings=shape.position_kernel,
+        num_conv_pos_embedding_groups=shape.position_groups,
+        num_buckets=shape.buckets,
+        max_bucket_distance=shape.max_distance,
+        layer_norm_eps=shape.eps,
+        mask_time_prob=0.0,
+        mask_feature_prob=0.0,
+    )
+    with torch.random.fork_rng(devices=[]), torch.device("meta"):
+        network = WavLMModel(config)
+    network.load_state_dict(tensors, assign=True)
+    network.eval().requires_grad_(False)
+    return Convolutions(config, network), Layers(network, top)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gesturekit.cli.engines import engine_options
+from gesturekit.cli.launchers import launcher_options
 from gesturekit.cli.options import resumable, workers_option
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 GROUPS = {
     "Many files": ("workers", "shard", "replan", "deadline", "retry_failed", "dry_run"),
-    "Clusters": ("engine", "jobs", "engine_options", "address"),
+    "Clusters": ("launcher", "jobs", "launcher_options", "address"),
 }
 """Groups of the options of `batch_options` in the help."""
 
@@ -28,7 +28,7 @@ _OPTIONS = (
         help="Process part K of N, such as 1/8. Parts have about the same total duration, and may "
         "be processed in any order, or in parallel on several machines, into one output folder.",
     ),
-    engine_options,
+    launcher_options,
     click.option(
         "--replan",
         is_flag=True,
@@ -49,7 +49,7 @@ _OPTIONS = (
 
 
 def batch_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of `pop_execution` and of engines."""
+    """Add the options of `pop_execution` and of launchers."""
     for option in reversed(_OPTIONS):
         command = option(command)
     return command

@@ -9,7 +9,7 @@ import click
 
 from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
 from gesturekit.cli.batch import batch_options, pop_execution, show_and_count
-from gesturekit.cli.engines import run_elsewhere
+from gesturekit.cli.launchers import run_elsewhere
 from gesturekit.cli.options import (
     RATE,
     RECORDING_OPTIONS,

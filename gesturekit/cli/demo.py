@@ -26,7 +26,7 @@ def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
     The speech is copied to the same folder.
     """
     click.echo("Loading the demo model ...", err=True)
-    from gesturekit.atomic import atomic_write
+    from audio_features.atomic import atomic_write
     from gesturekit.rendering.batch import iter_render
     from gesturekit.rendering.renderer import Output
     from gesturekit.systems import bundled_speech, load

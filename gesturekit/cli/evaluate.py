@@ -2,33 +2,50 @@
 
 from __future__ import annotations
 
+import os
 import shlex
+import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
-from gesturekit.cli.evaluate_models import folders_of, place_of, rendered_baselines
-from gesturekit.cli.evaluate_sanity import sanity
+from gesturekit.cli.evaluate_inputs import (
+    answers_of,
+    folders_of,
+    place_of,
+    recordings_of,
+    rendered_baselines,
+    trained_on,
+)
 from gesturekit.cli.options import (
-    RECORDING_OPTIONS,
     SEED,
     body_option,
     comma_separated,
     existing_option,
     is_left,
-    read_from,
     recording_options,
     weights_option,
 )
-from gesturekit.cli.trained_on import trained_on
-from gesturekit.wording import counted, listed
 
 if TYPE_CHECKING:
     from gesturekit.evaluation import Evaluation, Items
-    from gesturekit.evaluation.agreement.answers import Answer
+
+_USED_BY_SANITY = (
+    "sanity",
+    "audio",
+    "out",
+    "json_out",
+    "variant",
+    "threshold",
+    "bas",
+    "seed",
+    "workers",
+)
+"""Options of `gesturekit evaluate` that --sanity takes."""
 
 
 @click.command(
@@ -206,19 +223,19 @@ def command(
     measured. With --corpus, clips of other splits and of items without motion do not count as left
     out: a note lists them.
     """
-    from gesturekit.evaluation.agreement.correlation import agreement, shared_models
-    from gesturekit.evaluation.report.figure_table import WRITERS
+    from gesturekit.evaluation.report.metric_table import WRITERS, summary_line
+    from gesturekit.evaluation.statistics.agreement import agreement, shared_models
 
     if options["sanity"]:
-        ctx.exit(sanity((generated, reference, *surplus, *compare), out, json_out, options))
+        ctx.exit(_sanity((generated, reference, *surplus, *compare), out, json_out, options))
     _refuse_surplus(reference, surplus, options["corpus"])
-    recordings = _recordings(reference, options)
+    recordings = recordings_of(reference, options)
     names = (generated, *compare)
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
         raise click.UsageError(f"--out {out}: the report is HTML: name it .html (--json for data)")
     tables = {form: _to_write(options[form], options["existing"]) for form in WRITERS}
     out, json_out = (_to_write(path, options["existing"]) for path in (out, json_out))
-    answers = _answers(options["study"])
+    answers = answers_of(options["study"])
     folders = folders_of(names, recordings, options)
     temporary = Path(ctx.with_resource(tempfile.TemporaryDirectory(prefix="gesturekit-")))
     folders |= rendered_baselines(Path(place_of(generated)), folders, temporary, options)
@@ -233,22 +250,27 @@ def command(
             model.notes.append(warning)
             model.marks.append("trained on these")
     # First: the reader of a pipe, such as head, may leave before everything is printed.
-    written = _write(found, tables, json_out, out, options["body"])
-    _print(found)
-    for path in written:
-        click.echo(f"written  {path}")
-    click.echo(_summary(found, out or json_out))
+    line = shlex.join(["gesturekit", *sys.argv[1:]])
+    written = _write(found, tables, json_out, out, command=line, body=options["body"])
+    _print(found, written)
+    click.echo(summary_line(found, out or json_out))
     ctx.exit(0 if found.is_complete else 1)
 
 
-def _print(found: Evaluation) -> None:
-    """Print verdicts and table, and notes to standard error."""
-    from gesturekit.evaluation.report.figure_table import agreement_lines, terminal_lines
+def _print(found: Evaluation, written: Sequence[Path]) -> None:
+    """Print verdicts, table and the written files, and notes to standard error."""
+    from gesturekit.evaluation.report.metric_table import (
+        agreement_lines,
+        note_lines,
+        terminal_lines,
+    )
 
     for line in (*found.verdicts(), *terminal_lines(found), *agreement_lines(found)):
         click.echo(line)
-    for line in _notes(found):
+    for line in note_lines(found):
         click.echo(line, err=True)
+    for path in written:
+        click.echo(f"written  {path}")
 
 
 def _write(
@@ -256,13 +278,11 @@ def _write(
     tables: Mapping[str, Path | None],
     json_out: Path | None,
     out: Path | None,
-    body: str | None,
+    **page: str | None,
 ) -> list[Path]:
-    """Write the requested files and return them."""
-    import sys
-
+    """Write the requested files and return them; `page` are keywords of `write_report`."""
     from gesturekit.evaluation import write_report
-    from gesturekit.evaluation.report.figure_table import write_table
+    from gesturekit.evaluation.report.metric_table import write_table
 
     for form, path in tables.items():
         if path is not None:
@@ -270,8 +290,7 @@ def _write(
     if json_out is not None:
         found.write_json(json_out)
     if out is not None:
-        command = shlex.join(["gesturekit", *sys.argv[1:]])
-        write_report(found, out, command=command, body=body)
+        write_report(found, out, **page)
     return [path for path in (*tables.values(), json_out, out) if path is not None]
 
 
@@ -290,28 +309,11 @@ def _refuse_surplus(reference: Path | None, surplus: Sequence[str], corpus: Path
         )
 
 
-def _answers(study: Path | None) -> Sequence[Answer]:
-    """Read the results of a study; print what is left out to standard error."""
-    if study is None:
-        return ()
-    from gesturekit.evaluation import read_answers
-
-    found = read_answers([study])
-    for user, reason in found.excluded.items():
-        click.echo(f"Left out: {study}: rater {user}: {reason}", err=True)
-    for note in found.notes:
-        click.echo(f"Note: {study}: {note}", err=True)
-    return found.kept
-
-
 def _evaluated(
     folders: dict[str, Path], recordings: Path | Items, options: Mapping[str, Any]
 ) -> Evaluation:
     """Run the evaluation with the options of the command line."""
-    import os
-
-    from gesturekit.evaluation import FeatureModel, Variants, evaluate
-    from gesturekit.progress import Progress
+    from gesturekit.evaluation import FeatureModel, evaluate
 
     features = options["features"]
     try:
@@ -321,16 +323,11 @@ def _evaluated(
             audio=options["audio"],
             semantic=options["semantic"],
             protocol=options["protocol"] or "",
-            variants=Variants(options["variant"], options["threshold"], options["bas"]),
             baselines=[
                 name for name in comma_separated(options["baseline"]) if name not in folders
             ],
             features=None if features is None else FeatureModel.load(features),
-            seed=options["seed"],
-            workers=options["workers"] or os.cpu_count() or 1,
-            progress=lambda tasks, total, label: Progress(
-                tasks, total=total, desc=label, unit="recording"
-            ),
+            **_measuring(options, "recording"),
         )
     except KeyboardInterrupt:
         click.echo(
@@ -341,53 +338,73 @@ def _evaluated(
         raise
 
 
-def _recordings(reference: Path | None, options: Mapping[str, Any]) -> Path | Items:
-    """Return the recordings to compare with: a folder or file, or the items of a manifest."""
-    from gesturekit.evaluation import Items
+def _measuring(options: Mapping[str, Any], unit: str) -> dict[str, Any]:
+    """Return the options of `evaluate` that say how to measure; `unit` is that of the progress."""
+    from gesturekit.evaluation import Variants
+    from gesturekit.progress import Progress
 
-    reading = read_from({name: options[name] for name in RECORDING_OPTIONS})
-    corpus, split = options["corpus"], options["split"]
-    if corpus is None:
-        if split is not None:
-            raise click.UsageError("--split requires --corpus")
-        if reference is None:
-            raise click.UsageError("name the recordings: a folder (REFERENCE), or --corpus")
-        return Items.of_folder(reference, reading) if reading else reference
-    if options["audio"] is not None or reading:
-        raise click.UsageError(
-            "--corpus already gives the sound and how motion is read: leave out --audio and "
-            "--in-..."
-        )
-    usual = "train" if options["protocol"] == "multires" else "test"
-    return Items.of_manifest(corpus, split or usual)
+    return {
+        "variants": Variants(options["variant"], options["threshold"], options["bas"]),
+        "seed": options["seed"],
+        "workers": options["workers"] or os.cpu_count() or 1,
+        "progress": lambda portions, total, label: Progress(
+            portions, total=total, desc=label, unit=unit
+        ),
+    }
 
 
-def _notes(found: Evaluation) -> Iterator[str]:
-    """Yield notes on the metrics; metrics left out for the same reason share a line."""
-    from gesturekit.evaluation.report.headline import interval_warnings
+def _sanity(
+    names: Sequence[object], out: Path | None, json_out: Path | None, options: Mapping[str, Any]
+) -> int:
+    """Evaluate known-bad motion made from recordings, print the table and return the exit code.
 
-    yield from (f"Warning: {warning}." for warning in interval_warnings(found))
-    for model in found.models:
-        yield from (f"Note: {model.label}: {note}" for note in model.notes)
-        metrics: dict[str, tuple[list[str], list[str]]] = {}
-        for item in model.excluded:
-            if item.what == "clip":
-                yield f"Left out: {model.label}: {item.name}: clip: {item.reason}"
-                continue
-            names, left_out = metrics.setdefault(item.reason, ([], []))
-            names.append(item.name)
-            left_out.append(item.what)
-        for reason, (names, left_out) in metrics.items():
-            what, of = ", ".join(dict.fromkeys(left_out)), listed(list(dict.fromkeys(names)), 3)
-            yield f"Left out: {model.label}: {of}: {what}: {reason}"
+    Args:
+        names: the positional arguments; the first one is the recordings.
+        out: HTML report to write, or None.
+        json_out: JSON to write, or None.
+        options: the other options of `gesturekit evaluate`.
+
+    Raises:
+        UsageError: more is named than the recordings, or an option that has no use here.
+    """
+    recordings, *surplus = filter(None, names)
+    if surplus:
+        raise click.UsageError("--sanity takes only a folder of recordings, and --audio")
+    _refuse_unused(click.get_current_context())
+    from gesturekit.evaluation.report.bad_motion import run_sanity
+    from gesturekit.evaluation.report.headline import headline_lines
+    from gesturekit.evaluation.report.sanity_table import conclusion, table_lines
+
+    found = run_sanity(
+        Path(str(recordings)),
+        options["audio"],
+        **_measuring(options, "task"),
+    )
+    # First: the reader of a pipe may leave before everything is printed.
+    title = f"Known-bad motion made from {recordings}"
+    written = _write(found.evaluation, {}, json_out, out, title=title)
+    for line in (*headline_lines(found.evaluation), "", *table_lines(found), conclusion(found)):
+        click.echo(line)
+    for name, reason in found.left_out.items():
+        click.echo(f"Left out: {name}: {reason}", err=True)
+    for path in written:
+        click.echo(f"written  {path}")
+    return 1 if found.left_out else 0
 
 
-def _summary(found: Evaluation, report: Path | None) -> str:
-    """Return the last line: how many clips were measured, and where all results are."""
-    clips = sum(len(model.clips) for model in found.models)
-    left_out = sum(item.what == "clip" for model in found.models for item in model.excluded)
-    where = f"; all of it in {report}" if report else "; --out report.html shows each"
-    return f"{counted(clips, 'clip')} measured, {left_out} left out{where}"
+def _refuse_unused(context: click.Context) -> None:
+    """Refuse options of `gesturekit evaluate` that would be ignored.
+
+    Raises:
+        UsageError: there is one.
+    """
+    for option in context.command.params:
+        given = context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE
+        if given and isinstance(option, click.Option) and option.name not in _USED_BY_SANITY:
+            raise click.UsageError(
+                f"--sanity does not use {option.opts[-1]}; leave it out (--out and --json write "
+                "all results)"
+            )
 
 
 def _to_write(path: Path | None, existing: str) -> Path | None:

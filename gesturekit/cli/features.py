@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from audio_features.kinds import KINDS
 from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
 from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show_and_count
-from gesturekit.cli.engines import run_elsewhere
+from gesturekit.cli.launchers import run_elsewhere
 from gesturekit.cli.options import GroupedCommand, channel_option, existing_option, weights_option
 from gesturekit.wording import counted
 
@@ -30,19 +31,6 @@ GROUPS = {
     ),
 }
 
-# Extractors, and the setting that may follow each after a colon, as in mfcc:16.
-KINDS = {
-    "logmel": "n_mels",
-    "mfcc": "n",
-    "prosody": "f0",
-    "onset": None,
-    "liveliness": "seconds",
-    "effort": "seconds",
-    "music": "n_chroma",
-    "words": "encoder",
-    "wavlm": None,
-    "hf": "path",
-}
 _NETWORKS = {
     **dict.fromkeys(("weights", "layer", "full_context"), ("wavlm", "hf")),
     **dict.fromkeys(("preset", "dtype", "implementation"), ("wavlm",)),
@@ -185,9 +173,9 @@ def _extractor(kinds: str, options: dict[str, Any]) -> Extractor:
     specs = []
     for item in filter(None, map(str.strip, kinds.split(","))):
         kind, _, value = item.partition(":")
-        if kind not in KINDS or (value and KINDS[kind] is None):
+        if kind not in KINDS or (value and KINDS[kind].argument is None):
             raise click.UsageError(f"--extractor {item!r}: one or more of {', '.join(KINDS)}")
-        specs.append({"kind": kind} | ({KINDS[kind]: _number(value)} if value else {}))
+        specs.append({"kind": kind} | ({KINDS[kind].argument: _number(value)} if value else {}))
         specs[-1] |= {name: given[name] for name in given if kind in _NETWORKS.get(name, ())}
     kinds = {spec["kind"] for spec in specs}
     for name in [*(["weights"] if weights is not None else []), *given]:

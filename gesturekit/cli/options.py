@@ -313,7 +313,7 @@ class GroupedCommand(click.Command):
         self.groups = groups
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments, and keep them for engines, which repeat the command elsewhere."""
+        """Parse the arguments, and keep them for launchers, which repeat the command elsewhere."""
         ctx.meta[ARGUMENTS] = tuple(args)
         return super().parse_args(ctx, args)
 

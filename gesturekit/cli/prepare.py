@@ -17,6 +17,7 @@ from gesturekit.cli.options import (
     recording_options,
     workers_option,
 )
+from gesturekit.corpus.layouts import LAYOUTS
 
 
 @click.command(
@@ -29,8 +30,8 @@ from gesturekit.cli.options import (
 @click.option(
     "--layout",
     metavar="NAME",
-    help="FOLDER is a public corpus in its published form: beat2, zeggs, genea2023, motorica, "
-    "100style, trinity or seamless. Its splits, speakers, styles and side files are used.",
+    help=f"FOLDER is a public corpus in its published form, one of {', '.join(LAYOUTS)}. Its "
+    "splits, speakers, styles and side files are used.",
 )
 @click.option(
     "--unpaired",

@@ -12,7 +12,7 @@ import click
 
 from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
 from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show
-from gesturekit.cli.engines import run_elsewhere
+from gesturekit.cli.launchers import run_elsewhere
 from gesturekit.cli.options import (
     RATE,
     SEED,

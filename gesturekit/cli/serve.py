@@ -76,7 +76,7 @@ def command(
         raise ConfigError(
             f"{error.name} is not installed; run: pip install 'gesturekit[serve]'"
         ) from None
-    from gesturekit.serving.limits import Limits
+    from gesturekit.serving.requests import Limits
     from gesturekit.systems import load
 
     renamed = {"max_mb": "megabytes", "max_seconds": "seconds"}

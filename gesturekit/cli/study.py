@@ -96,7 +96,7 @@ def power(
 ) -> None:
     """Print how many raters and comparisons are needed to detect a difference by `study
     analyse`."""
-    from gesturekit.study.analysis.power import Expected, raters_needed
+    from gesturekit.study.analysis.significance import Expected, raters_needed
 
     expected = Expected(win_rate, ties, clear, agreement)
     pairs = systems * (systems - 1) // 2
@@ -183,7 +183,7 @@ def analyse(
 
 
 def _print(found: StudyResult) -> None:
-    from gesturekit.study.analysis.conclusions import conclusions, reservations
+    from gesturekit.study.analysis.result import conclusions, reservations
     from gesturekit.wording import printable
 
     for line in conclusions(found):

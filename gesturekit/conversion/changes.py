@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 from gesturekit.errors import ConfigError, MotionError
 from gesturekit.formats.rig import Rig
+from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import body_joints
-from gesturekit.motion.selection.joint_selection import keep_joints
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.wording import counted
 

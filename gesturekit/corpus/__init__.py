@@ -7,7 +7,7 @@ __all__, __getattr__, __dir__ = attach(
     {
         "Item": "item",
         "Manifest": "manifest",
-        "Problem": "problem",
+        "Problem": "checks",
         "Report": "report",
         "prepare": "preparation",
     },

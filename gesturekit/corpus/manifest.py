@@ -15,7 +15,7 @@ from dataclasses import fields
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.corpus.item import SPLITS, Item
 from gesturekit.errors import CorpusError
 
@@ -186,7 +186,7 @@ def _check_header(record: dict[str, Any], where: str) -> None:
 
 
 _FIELDS = tuple(f.name for f in fields(Item))
-# Left out of lines that do not need them: manifests from before there was a choice stay valid.
+# Left out of the lines of recordings that do not need them.
 _OPTIONAL = ("channel", "reading", "audible")
 _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
     "id": ((str,), "a string"),

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from gesturekit.corpus.problem import Problem
+from gesturekit.corpus.checks import Problem
 from gesturekit.errors import CorpusError
 from gesturekit.formats.sources import (
     MOTION_SUFFIXES,

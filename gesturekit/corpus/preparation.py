@@ -13,14 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from gesturekit.corpus import checks, splits
-from gesturekit.corpus.examination import Examination, examine_each
+from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.item import READING
+from gesturekit.corpus.layouts import read_layout
 from gesturekit.corpus.layouts.listing import Listing
-from gesturekit.corpus.layouts.table import read_layout
 from gesturekit.corpus.manifest import Manifest, absolute
 from gesturekit.corpus.pairing import Found, pair, recording_ids, scan, unread
-from gesturekit.corpus.problem import Problem
-from gesturekit.corpus.recording import Recording
+from gesturekit.corpus.recording import Examination, Recording, examine_each
 from gesturekit.corpus.report import Report
 from gesturekit.errors import CorpusError, MotionError, gesturekit_errors
 from gesturekit.field_docs import build_options
@@ -48,8 +47,8 @@ class PrepareOptions:
     """
 
     layout: str | None = None
-    """Public corpus in whose published form the folder is: beat2, zeggs, genea2023, motorica,
-    100style, trinity or seamless. Its splits, speakers, styles and side files are used."""
+    """Public corpus in whose published form the folder is, one of `layouts.LAYOUTS`. Its splits,
+    speakers, styles and side files are used."""
     unpaired: Folders = ()
     """Folders of speech to use alone. Files that are part of a pair stay in it."""
     unpaired_motion: Folders = ()

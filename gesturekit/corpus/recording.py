@@ -1,9 +1,9 @@
-"""Examination of a recording: its usable interval and its problems."""
+"""Recordings, and their examination: usable interval and problems, in one process or several."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,16 +14,17 @@ import numpy as np
 from audio_features import AudioFeaturesError, Wave, load_words
 from audio_features.words import words_beside
 from gesturekit.corpus import checks
+from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.item import CONDITIONS
-from gesturekit.corpus.problem import Problem
 from gesturekit.errors import FormatError, GestureKitError, MotionError
-from gesturekit.formats.conversion import load_with_warnings
+from gesturekit.formats.conversion import applicable_read_options, load_with_warnings
 from gesturekit.formats.plausibility import plausibility_warnings
 from gesturekit.formats.tables.events import load_events
 from gesturekit.formats.tables.root_path import load_root_path
 from gesturekit.formats.tables.semantics import load_semantics
+from gesturekit.jobs.workers import Failure, Pool
 from gesturekit.motion import Motion, Skeleton, defects
-from gesturekit.motion.body_size import body_height
+from gesturekit.motion.parts.body_size import body_height
 from gesturekit.wording import counted
 
 MIN_DURATION = 0.5
@@ -278,3 +279,54 @@ def _times(frames: Sequence[int], at: Callable[[int], str]) -> str:
     more = len(frames) - _TIMES_SHOWN
     shown = ", ".join(at(frame) for frame in frames[:_TIMES_SHOWN])
     return f"{shown} and {more} more" if more > 0 else shown
+
+
+Examined = tuple[Recording | None, list[Problem]]
+"""A recording with its properties, None after an error; and its problems."""
+
+
+@dataclass(frozen=True)
+class Examination:
+    """Examination of one recording with the options of a corpus; see `PrepareOptions`."""
+
+    tolerance: float
+    channel: int | None
+    parts: Mapping[str, str] | None
+    read: Mapping[str, Any]
+
+    def __call__(self, recording: Recording) -> Examined:
+        """Load a recording and check it."""
+        recording = replace(recording, channel=self.channel)
+        if recording.motion is not None:
+            reading = applicable_read_options(recording.motion, self.read)
+            if self.parts and "height" in reading:  # the height depends on the parts
+                reading["parts"] = dict(self.parts)
+            recording = replace(recording, reading=reading)
+        return examine(recording, self.tolerance, self.parts)
+
+
+def examine_each(
+    recordings: list[Recording],
+    examination: Examination,
+    workers: int,
+    progress: Callable[[list[Any]], Iterable[Any]],
+) -> list[Examined]:
+    """Examine recordings, and return the results in their order.
+
+    Args:
+        recordings: the recordings.
+        examination: what is done with each.
+        workers: number of processes; 1 works in this one.
+        progress: wraps the list of recordings, as tqdm does.
+    """
+    if workers == 1:
+        return [examination(recording) for recording in progress(recordings)]
+    steps = iter(progress(recordings))
+    next(steps, None)
+    results: dict[int, Examined] = {}
+    for recording, result in Pool(examination, workers).map(recordings, lambda _: None):
+        if isinstance(result, Failure):
+            result = None, [Problem("error", recording.file, str(result))]
+        results[id(recording)] = result
+        next(steps, None)
+    return [results[id(recording)] for recording in recordings]

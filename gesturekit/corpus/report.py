@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gesturekit.corpus.checks import Problem, printed
 from gesturekit.corpus.item import SPLITS, Item
 from gesturekit.corpus.manifest import Manifest
-from gesturekit.corpus.problem import Problem, printed
 from gesturekit.formats.sources import SPEECH_SUFFIXES, unreadable_media
 from gesturekit.wording import counted, listed
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import ThreadpoolController
 
 import audio_features as af
-from audio_features.word_features import takes_words
+from audio_features.words import takes_words
 from gesturekit.errors import ModelError
 from gesturekit.motion.motion import Motion
 
@@ -153,8 +153,8 @@ class SpeechConditioner:
 
     @property
     def prosody(self) -> tuple[int, ...]:
-        """Columns of `af.Prosody` and `af.Liveliness`; empty without these extractors."""
-        own = {*af.Prosody().names, *af.Liveliness().names}
+        """Columns of `af.Prosody` and `af.ProsodicRange`; empty without these extractors."""
+        own = {*af.Prosody().names, *af.ProsodicRange().names}
         return tuple(i for i, name in enumerate(self._names) if name in own)
 
     @property

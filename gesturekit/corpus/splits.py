@@ -15,9 +15,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import absolute
-from gesturekit.corpus.problem import Problem
 from gesturekit.corpus.recording import MIN_DURATION, Recording
 from gesturekit.errors import CorpusError
 from gesturekit.wording import counted, listed

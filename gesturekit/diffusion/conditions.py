@@ -16,7 +16,7 @@ from torch import Tensor
 
 from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.diffusion.event_frames import event_flags
+from gesturekit.diffusion.events import event_flags
 from gesturekit.errors import ModelError
 from gesturekit.formats.tables.events import Event
 from gesturekit.motion.root_path import RootPath
@@ -99,7 +99,7 @@ class Conditions:
         condition = np.zeros((n_frames, self.width), np.float32)
         given = {
             "speech": speech,
-            "path": None if path is None else self._standardised(path),
+            "path": None if path is None else self._normalised(path),
             "events": None if events is None else event_flags(events, self.events, n_frames, fps),
             "styles": style,
         }
@@ -122,7 +122,7 @@ class Conditions:
             dropped[..., self.columns[name]] = 0
         return dropped
 
-    def _standardised(self, path: RootPath) -> np.ndarray:
+    def _normalised(self, path: RootPath) -> np.ndarray:
         return (path.deltas() - self.path_mean) / self.path_scale
 
     def to_values(self) -> dict[str, Any]:

@@ -228,7 +228,7 @@ class DiffusionConfig(RunConfig):
     unpaired: UnpairedConfig | None = None
     """Unpaired motion; null for none."""
     moves_like: Path | None = None
-    """Model folder whose rig, joints and standardisation are used, but not its weights. The two
+    """Model folder whose rig, joints and normalisation are used, but not its weights. The two
     models can then be combined in a product of experts, even if their conditions differ."""
     clip_denoised: bool = True
     """Clip the predicted clean motion to 10 standard deviations (Ho et al. 2020), and skip the

@@ -14,12 +14,11 @@ from torch import Tensor
 
 from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import Speech, as_speech, to_output_rate
-from gesturekit.diffusion.composition.experts import clip_denoised
-from gesturekit.diffusion.composition.product import ModelProduct, Term, product_of
 from gesturekit.diffusion.controls import DiffusionControlArguments, DiffusionControls
 from gesturekit.diffusion.model_format import model_arguments, model_parts, readme
-from gesturekit.diffusion.sampling.request import Request, check_events
-from gesturekit.diffusion.sampling.sdedit import SDEditStart
+from gesturekit.diffusion.sampling.experts import clip_denoised
+from gesturekit.diffusion.sampling.product import ModelProduct, Term, product_of
+from gesturekit.diffusion.sampling.request import Request, SDEditStart, check_events
 from gesturekit.diffusion.sampling.solvers import SOLVERS, Predict, chosen_steps, sample
 from gesturekit.diffusion.sampling.tiling import tiled
 from gesturekit.diffusion.trained_model import TrainedModel
@@ -137,7 +136,7 @@ class DiffusionModel(TrainedModel):
         samples: int,
         seed: int,
     ) -> Generator[Tensor]:
-        """Yield standardised motion vectors (B, T, X), batch by batch."""
+        """Yield normalised motion vectors (B, T, X), batch by batch."""
         solver, steps, begin = controls.solver, controls.steps, None
         if solver is None:
             solver = "ancestral" if steps is None else "dpm"
@@ -166,11 +165,11 @@ class DiffusionModel(TrainedModel):
         controls: DiffusionControls,
         start: SDEditStart | None,
     ) -> Iterator[Motion]:
-        """Yield a motion for each standardised motion vector in batches of (B, T, X)."""
+        """Yield a motion for each normalised motion vector in batches of (B, T, X)."""
         body = None if controls.speaker is None else self.speakers[controls.speaker]
         place = (0.0, 0.0, 0.0) if start is None else start.place
         for own in (vector for vectors in batches for vector in vectors.cpu()):
-            values = self.standardiser.inverse(own).double().numpy()
+            values = self.normaliser.inverse(own).double().numpy()
             if not np.isfinite(values).all():
                 raise ModelError(
                     "the model gave NaN; its weights are damaged or its training diverged"

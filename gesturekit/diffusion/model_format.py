@@ -11,9 +11,8 @@ from torch import Tensor
 from audio_features.weight_files import WeightPlaces
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
-from gesturekit.diffusion.motion_vector import DeltaRepresentation
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
 from gesturekit.diffusion.network.denoiser import Denoiser
-from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import build, to_dict
@@ -36,7 +35,7 @@ def model_parts(
         "network": to_dict(model.network.config),
     }
     tensors = {f"network.{name}": value for name, value in model.network.state_dict().items()}
-    tensors |= {"motion.mean": model.standardiser.mean, "motion.scale": model.standardiser.scale}
+    tensors |= {"motion.mean": model.normaliser.mean, "motion.scale": model.normaliser.scale}
     tensors |= model.conditions.to_tensors()
     return config, rig_values(model.representation, model.speakers), tensors
 
@@ -87,8 +86,8 @@ def model_arguments(parts: ModelParts, weights: WeightPlaces | None, device: str
     conditions = Conditions.from_values(config, tensors, fps, weights, device)
     network_config = build(NetworkConfig, config["network"], where=where)
     n_motion = representation.n_features
-    standardiser = Standardiser(tensors["motion.mean"], tensors["motion.scale"])
-    for name, values in vars(standardiser).items():
+    normaliser = Normaliser(tensors["motion.mean"], tensors["motion.scale"])
+    for name, values in vars(normaliser).items():
         if values.shape != (n_motion,) or not torch.isfinite(values).all():
             raise ValueError(f"motion.{name} is not {n_motion} finite numbers")
     if representation.makes_root == conditions.path:
@@ -99,7 +98,7 @@ def model_arguments(parts: ModelParts, weights: WeightPlaces | None, device: str
         **common_arguments(parts),
         "representation": representation,
         "conditions": conditions,
-        "standardiser": standardiser,
+        "normaliser": normaliser,
         "noise_config": build(NoiseConfig, config["noise"], where=where),
         "network": network,
         "droppable": tuple(map(str, config["droppable"])),

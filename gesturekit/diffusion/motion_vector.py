@@ -22,9 +22,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.heading import side_axis
+from gesturekit.motion.model_joints import ModelJoints
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import (
@@ -34,7 +37,6 @@ from gesturekit.motion.rotations import (
     quaternion_from_rotation_vector,
     rotation_vector_from_quaternion,
 )
-from gesturekit.motion.selection.model_joints import ModelJoints
 from gesturekit.motion.skeleton import Skeleton
 
 _FRAMES_AT_ONCE = 1024  # bounds the size of temporary arrays while decoding
@@ -259,3 +261,43 @@ def _nearest_map(vector: np.ndarray, near: np.ndarray) -> np.ndarray:
 def _about_y(angles: np.ndarray) -> np.ndarray:
     """Return rotations (T, 4) about the world's Y axis by angles (T,)."""
     return quaternion_from_rotation_vector(angles[:, None] * np.array([0.0, 1.0, 0.0]))
+
+
+@dataclass(frozen=True, eq=False)
+class Normaliser:
+    """Mean and scale of each number of a motion vector (appendix A.1).
+
+    Attributes:
+        mean: (X,) float32.
+        scale: (X,) float32, above 0.
+    """
+
+    mean: Tensor
+    scale: Tensor
+
+    @classmethod
+    def fit(cls, vectors: Sequence[np.ndarray], floor: np.ndarray | float = 1e-3) -> Normaliser:
+        """Compute mean and standard deviation over all frames of the training motions.
+
+        Args:
+            vectors: (T, X) each.
+            floor: least scale, a number or (X,). Without it, noise in a joint that hardly moves
+                would count as much as a gesture.
+        """
+        n_frames = sum(map(len, vectors))
+        mean = sum(values.sum(axis=0, dtype=np.float64) for values in vectors) / n_frames
+        square = sum(((values - mean) ** 2).sum(axis=0) for values in vectors) / n_frames
+        scale = np.maximum(np.sqrt(square), floor)
+        return cls(torch.from_numpy(mean).float(), torch.from_numpy(scale).float())
+
+    def to(self, device: torch.device) -> Normaliser:
+        """Return a copy on another device."""
+        return Normaliser(self.mean.to(device), self.scale.to(device))
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Normalise values (..., X)."""
+        return (values - self.mean) / self.scale
+
+    def inverse(self, values: Tensor) -> Tensor:
+        """Convert normalised values (..., X) back to their own units."""
+        return values * self.scale + self.mean

@@ -9,10 +9,9 @@ import torch
 
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import NoiseConfig
-from gesturekit.diffusion.motion_vector import DeltaRepresentation
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
 from gesturekit.diffusion.network.denoiser import Denoiser
-from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
-from gesturekit.diffusion.standardiser import Standardiser
+from gesturekit.diffusion.noise_schedule import NoiseSchedule
 from gesturekit.model import Inputs
 from gesturekit.training.trained_model import BaseModel
 
@@ -26,7 +25,7 @@ class TrainedModel(BaseModel):
     """Contents of a model folder; `DiffusionModel` adds generation.
 
     Attributes:
-        standardiser: mean and scale of motion vectors.
+        normaliser: mean and scale of motion vectors.
         noise_config: settings of the noise schedule.
         network: the denoiser.
         droppable: conditions dropped in training, which guidance needs: "styles" or "all".
@@ -38,7 +37,7 @@ class TrainedModel(BaseModel):
 
     representation: DeltaRepresentation
     conditions: Conditions
-    standardiser: Standardiser
+    normaliser: Normaliser
     noise_config: NoiseConfig
     network: Denoiser
     droppable: tuple[str, ...] = ()

@@ -11,43 +11,47 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gesturekit.errors import EvaluationError, GestureKitError, gesturekit_errors
-from gesturekit.evaluation.beats import load_sound
-from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics
-from gesturekit.evaluation.clips import LENGTH_TOLERANCE, forget_recordings
-from gesturekit.evaluation.contest.baselines import baseline_pairs
-from gesturekit.evaluation.contest.figures import figures_of
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
     FRECHET,
     GROUPS,
-    LIFE,
     MOVEMENT,
     PATCHES,
+    POOLED,
     SPEECH,
     Variants,
 )
-from gesturekit.evaluation.frame_rate import RULE
-from gesturekit.evaluation.headline.questions import answers
-from gesturekit.evaluation.intervals import Interval, interval_over_samples
-from gesturekit.evaluation.life.verdict import verdict
 from gesturekit.evaluation.measuring.alike import (
     joints_to_leave_out,
     keep_common_recordings,
     mark_unlike,
 )
-from gesturekit.evaluation.measuring.run import Measured, Progress, measure_all
-from gesturekit.evaluation.measuring.work import MISMATCHED, Work
+from gesturekit.evaluation.measuring.baselines import baseline_pairs
+from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
+from gesturekit.evaluation.measuring.clips import LENGTH_TOLERANCE, forget_files
+from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
+from gesturekit.evaluation.measuring.measurer import (
+    MISMATCHED,
+    Measured,
+    Measurer,
+    Progress,
+    measure_all,
+)
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
+from gesturekit.evaluation.metrics.frame_rate import RULE
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
     Excluded,
+    ItemInterval,
     Items,
     Pairs,
-    Stretch,
     find_pairs,
     recordings,
 )
-from gesturekit.evaluation.results import ClipResult, Evaluation, ModelResult
+from gesturekit.evaluation.results import ClipResult, Evaluation, Interval, ModelResult
+from gesturekit.evaluation.statistics.intervals import interval_over_samples
+from gesturekit.evaluation.statistics.model_metrics import metric_results
+from gesturekit.evaluation.statistics.questions import answers, verdict
 from gesturekit.field_docs import build_options
 from gesturekit.motion import Motion
 from gesturekit.wording import listed
@@ -94,9 +98,9 @@ class EvaluationOptions:
     seed: int = 0
     """Seed of the bootstrap intervals and of subsamples."""
     workers: int = 1
-    """Number of processes; the figures are the same for any number."""
-    progress: Progress = lambda tasks, total, label: tasks
-    """Wraps the tasks as they are done, such as in a progress bar, given number and label."""
+    """Number of processes; the results are the same for any number."""
+    progress: Progress = lambda portions, total, label: portions
+    """Wraps the portions as they are done, such as in a progress bar, given number and label."""
 
     def __post_init__(self) -> None:
         if self.protocol not in PROTOCOLS:
@@ -141,7 +145,7 @@ def evaluate(
         UnknownOptionError: a keyword that is not an option.
     """
     chosen = build_options(EvaluationOptions, options, "evaluate")
-    _forget_files()
+    forget_files()
     if not isinstance(generated, Mapping):
         generated = {"generated": generated}
     folders = {label: Path(folder) for label, folder in generated.items()}
@@ -154,12 +158,11 @@ def evaluate(
     found |= baseline_pairs(chosen.baselines, found, reference, fps)
     compared = _compared(reference, chosen.protocol)
     statistics = ReferenceStatistics.of(compared, fps)
-    work = _work(found, statistics, compared, reference, fps, chosen)
-    measured = measure_all(work, chosen.workers, chosen.progress)
-    own = work.floors()
-    run = _Comparison(work.measure, chosen.protocol, chosen.seed, own)
+    measurer = _measurer(found, statistics, compared, reference, fps, chosen)
+    measured = measure_all(measurer, chosen.workers, chosen.progress)
+    floors = measurer.floors()
     models = [
-        run.model(label, folders.get(label, Path(label)), pairs, measured)
+        _model(label, folders.get(label, Path(label)), pairs, measured, floors, chosen)
         for label, pairs in found.items()
     ]
     first = measured.sets[models[0].label]["pooled"]
@@ -175,12 +178,6 @@ def evaluate(
         recorded_speeds=SpeedHistogram.from_json(first.get("recorded_speeds")),
         recorded_wrists=np.array(first.get("recorded_wrists", ())),
     )
-
-
-def _forget_files() -> None:
-    """Forget what an earlier evaluation read: files may have changed since."""
-    forget_recordings()
-    load_sound.cache_clear()
 
 
 def _pairs(
@@ -208,16 +205,16 @@ def _settings(options: EvaluationOptions, split: str | None) -> dict:
     }
 
 
-def _work(
+def _measurer(
     found: Mapping[str, Pairs],
     statistics: ReferenceStatistics,
-    compared: Mapping[str, Path | Stretch],
+    compared: Mapping[str, Path | ItemInterval],
     reference: Path | Items,
     fps: float,
     options: EvaluationOptions,
-) -> Work:
+) -> Measurer:
     """Return all that is to be measured."""
-    return Work(
+    return Measurer(
         measure=ClipMetrics(statistics, PROTOCOLS[options.protocol], options.variants),
         pairs={label: pairs.pairs for label, pairs in found.items()},
         recordings={key: compared[key] for key in statistics.recordings},
@@ -231,14 +228,14 @@ def _work(
     )
 
 
-def _compared(reference: Path | Items, protocol: str) -> dict[str, Path | Stretch]:
+def _compared(reference: Path | Items, protocol: str) -> dict[str, Path | ItemInterval]:
     """Return the recordings that sets of clips are compared with.
 
     In Table 4 of Alexanderson et al. 2023 this is the full dataset: all splits of a manifest.
     """
     every = recordings(reference)
     if protocol == "lda" and isinstance(reference, Items):
-        every |= {item.id: Stretch(item) for item in reference.others}
+        every |= {item.id: ItemInterval(item) for item in reference.others}
     return every
 
 
@@ -269,100 +266,93 @@ def _frame_rate(pairs: Pairs) -> float:
     raise EvaluationError(f"no generated clip can be read: {reasons[0]}")
 
 
-@dataclass
-class _Comparison:
-    """Assembles the results of models that are measured against the same recordings."""
+def _model(
+    label: str,
+    path: Path,
+    found: Pairs,
+    measured: Measured,
+    floors: Mapping[str, tuple[Interval, str]],
+    options: EvaluationOptions,
+) -> ModelResult:
+    """Return the results of a model, from the measurements of its clips and of their set.
 
-    measure: ClipMetrics
-    protocol: str
-    seed: int
-    floors: Mapping[str, tuple[Interval, str]]
+    Raises:
+        EvaluationError: no clip could be measured.
+    """
+    clips, sets = measured.clips[label], measured.sets[label]
+    result = ModelResult(label, path, excluded=list(found.excluded), notes=list(found.notes))
+    problems: dict[tuple[str, str], list[str]] = {}
+    for pair, values in zip(found.pairs, clips, strict=True):
+        if "reason" in values:
+            result.excluded.append(Excluded(pair.name, values["reason"]))
+            continue
+        for key, reason in values["problems"]:
+            problems.setdefault((key, reason), []).append(pair.name)
+        own = {name: value for name, value in values.items() if name != "problems"}
+        result.clips.append(ClipResult(pair, **own))
+    if not result.clips:
+        reasons = "; ".join(item.reason for item in result.excluded[:3])
+        raise EvaluationError(f"{path}: no clip could be measured: {reasons}")
+    _summarise(result, sets, floors, options)
+    for part in sets.values():
+        for key, reason in part["problems"]:
+            problems.setdefault((key, reason), []).append("the whole set")
+    for (key, reason), names in problems.items():
+        title = DEFINITIONS[key].name if key in DEFINITIONS else key
+        result.excluded.append(Excluded(listed(names, 3), reason, title))
+    return result
 
-    def model(
-        self,
-        label: str,
-        path: Path,
-        found: Pairs,
-        measured: Measured,
-    ) -> ModelResult:
-        """Return the results of a model, from the measurements of its clips and of their set.
 
-        Raises:
-            EvaluationError: no clip could be measured.
-        """
-        clips, sets = measured.clips[label], measured.sets[label]
-        result = ModelResult(label, path, excluded=list(found.excluded), notes=list(found.notes))
-        problems: dict[tuple[str, str], list[str]] = {}
-        for pair, values in zip(found.pairs, clips, strict=True):
-            if "reason" in values:
-                result.excluded.append(Excluded(pair.name, values["reason"]))
-                continue
-            for key, reason in values["problems"]:
-                problems.setdefault((key, reason), []).append(pair.name)
-            result.clips.append(
-                ClipResult(
-                    pair,
-                    values["seconds"],
-                    values["figures"],
-                    values["recording"],
-                    values["mismatched"],
-                    tuple(values["notes"]),
-                )
+def _summarise(
+    result: ModelResult,
+    sets: Mapping[str, Mapping[str, Any]],
+    floors: Mapping[str, tuple[Interval, str]],
+    options: EvaluationOptions,
+) -> None:
+    groups = PROTOCOLS[options.protocol]
+    result.metrics = metric_results(result.clips, sets, floors, options.seed)
+    if POOLED in groups:
+        result.verdict = verdict(result.metrics)
+        result.answers = answers(result.clips, result.metrics)
+    if PATCHES in groups:
+        result.by_recording = _by_recording(result.clips, options.seed)
+    result.speeds = SpeedHistogram.from_json(sets["pooled"].get("speeds"))
+    result.wrists = np.array(sets["pooled"].get("wrists", ()))
+    result.notes += _protocol_notes(result, options.protocol)
+
+
+def _by_recording(clips: Sequence[ClipResult], seed: int) -> dict[str, dict[str, Interval]]:
+    """Average the patch metrics over the samples of each recording (eq. 18)."""
+    by_recording = {}
+    for stem in sorted({clip.pair.stem for clip in clips}):
+        metrics: dict[str, Interval] = {}
+        for key, definition in DEFINITIONS.items():
+            values = [
+                clip.metrics[key]
+                for clip in clips
+                if clip.pair.stem == stem and key in clip.metrics
+            ]
+            if definition.group == PATCHES and values:
+                metrics[key] = interval_over_samples(values, seed)
+        by_recording[stem] = metrics
+    return by_recording
+
+
+def _protocol_notes(result: ModelResult, protocol: str) -> list[str]:
+    """Return notes on clips that differ from the protocol in number or length."""
+    counts = Counter((clip.pair.stem, clip.pair.window) for clip in result.clips)
+    wanted = {"multires": MULTIRES_SAMPLES, "lda": LDA_SAMPLES}.get(protocol)
+    other = [f"{stem}: {n}" for (stem, _), n in counts.items() if n != wanted]
+    notes = []
+    if wanted and other:
+        what = "window" if protocol == "lda" else "recording"
+        notes.append(f"the protocol takes {wanted} samples of each {what}; {listed(other, 3)}")
+    if protocol == "lda":
+        odd = [c for c in result.clips if abs(c.seconds - WINDOW_SECONDS) > LENGTH_TOLERANCE]
+        if odd:
+            notes.append(
+                f"the protocol takes clips of {WINDOW_SECONDS:g} s; {len(odd)} of "
+                f"{len(result.clips)} are of another length and are cut into such clips for "
+                "Fréchet distances"
             )
-        if not result.clips:
-            reasons = "; ".join(item.reason for item in result.excluded[:3])
-            raise EvaluationError(f"{path}: no clip could be measured: {reasons}")
-        self._summarise(result, sets)
-        for part in sets.values():
-            for key, reason in part["problems"]:
-                problems.setdefault((key, reason), []).append("the whole set")
-        for (key, reason), names in problems.items():
-            title = DEFINITIONS[key].name if key in DEFINITIONS else key
-            result.excluded.append(Excluded(listed(names, 3), reason, title))
-        return result
-
-    def _summarise(self, result: ModelResult, sets: Mapping[str, Mapping[str, Any]]) -> None:
-        result.figures = figures_of(result.clips, sets, self.floors, self.seed)
-        if LIFE in self.measure.groups:
-            result.verdict = verdict(result.figures)
-            result.answers = answers(result.clips, result.figures)
-        if PATCHES in self.measure.groups:
-            result.by_recording = self._by_recording(result.clips)
-        result.speeds = SpeedHistogram.from_json(sets["pooled"].get("speeds"))
-        result.wrists = np.array(sets["pooled"].get("wrists", ()))
-        result.notes += self._protocol_notes(result)
-
-    def _by_recording(self, clips: Sequence[ClipResult]) -> dict[str, dict[str, Interval]]:
-        """Average the patch metrics over the samples of each recording (eq. 18)."""
-        by_recording = {}
-        for stem in sorted({clip.pair.stem for clip in clips}):
-            figures: dict[str, Interval] = {}
-            for key, definition in DEFINITIONS.items():
-                values = [
-                    clip.figures[key]
-                    for clip in clips
-                    if clip.pair.stem == stem and key in clip.figures
-                ]
-                if definition.group == PATCHES and values:
-                    figures[key] = interval_over_samples(values, self.seed)
-            by_recording[stem] = figures
-        return by_recording
-
-    def _protocol_notes(self, result: ModelResult) -> list[str]:
-        """Return notes on clips that differ from the protocol in number or length."""
-        counts = Counter((clip.pair.stem, clip.pair.window) for clip in result.clips)
-        wanted = {"multires": MULTIRES_SAMPLES, "lda": LDA_SAMPLES}.get(self.protocol)
-        other = [f"{stem}: {n}" for (stem, _), n in counts.items() if n != wanted]
-        notes = []
-        if wanted and other:
-            what = "window" if self.protocol == "lda" else "recording"
-            notes.append(f"the protocol takes {wanted} samples of each {what}; {listed(other, 3)}")
-        if self.protocol == "lda":
-            odd = [c for c in result.clips if abs(c.seconds - WINDOW_SECONDS) > LENGTH_TOLERANCE]
-            if odd:
-                notes.append(
-                    f"the protocol takes clips of {WINDOW_SECONDS:g} s; {len(odd)} of "
-                    f"{len(result.clips)} are of another length and are cut into such clips for "
-                    "Fréchet distances"
-                )
-        return notes
+    return notes

@@ -5,15 +5,17 @@ The table is `definitions.toml`. Report and JSON contain it, so that each value 
 
 from __future__ import annotations
 
+import importlib
 import re
 import tomllib
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from gesturekit.evaluation.metrics.patches import THRESHOLD
 
-HEADLINE, SPEECH, MOVEMENT, LIFE, SIMILARITY, PATCHES, FRECHET = GROUPS = (
+HEADLINE, SPEECH, MOVEMENT, POOLED, SIMILARITY, PATCHES, FRECHET = GROUPS = (
     "Headline",
     "Speech",
     "Movement",
@@ -40,11 +42,6 @@ class Variants:
     threshold: float | None = None
     bas: Literal["seconds", "bailando"] = "seconds"
 
-    @property
-    def has_coverage(self) -> bool:
-        """True if coverage is defined: the variant "paper" needs a threshold."""
-        return self.patches != "paper" or self.threshold is not None
-
 
 @dataclass(frozen=True)
 class Definition:
@@ -60,6 +57,17 @@ class Definition:
     source: str
     fps_bound: bool = False
     cheap: bool = False
+    function: str = ""
+    of: Literal["", "motion", "comparison", "sound", "distance", "diversity"] = ""
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    factor: float = 1.0
+    with_group: str = ""
+    mismatched: bool = False
+    aspect: str = ""
+    ratio_floor: float | None = None
+    enough: Literal["", "at least", "at most"] = ""
+    tested: bool = True
+    shown: tuple[str, ...] = ()
 
     def at(self, fps: float, variants: Variants) -> Definition:
         """Return the definition with the settings filled in.
@@ -81,15 +89,48 @@ class Definition:
             fps_bound=changed.get("fps_bound", self.fps_bound),
         )
 
+    @property
+    def title(self) -> str:
+        """Name and unit."""
+        return f"{self.name}, {self.unit}" if self.unit else self.name
+
+    @property
+    def taken_with(self) -> str:
+        """The group with which the metric is taken."""
+        return self.with_group or self.group
+
+    def load_function(self) -> Callable[..., Any]:
+        """Return the function in `gesturekit.evaluation.metrics`."""
+        module, _, name = self.function.rpartition(".")
+        found = importlib.import_module(f"gesturekit.evaluation.metrics.{module}")
+        return getattr(found, name)
+
     def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        return asdict(self)
+        """Return what a reader of a report needs, as plain values."""
+        return {name: getattr(self, name) for name in _REPORTED}
 
 
+_REPORTED = (
+    *("key", "name", "group", "unit", "better", "variant", "text", "source"),
+    *("fps_bound", "cheap"),
+)
 _TABLE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 _CHANGES = {
-    key: {name: fields.pop(name) for name in [*fields] if isinstance(fields[name], dict)}
+    key: {
+        name: fields.pop(name) for name in [*fields] if name not in Definition.__dataclass_fields__
+    }
     for key, fields in _TABLE.items()
 }
 """{key of a metric: {variant: fields that differ in it}}"""
 DEFINITIONS = {key: Definition(key, **fields) for key, fields in _TABLE.items()}
+"""Metrics by key, in the order of reports."""
+
+
+def definitions_of(*of: str) -> list[Definition]:
+    """Return the metrics whose function is computed of that, in the order of reports."""
+    return [definition for definition in DEFINITIONS.values() if definition.of in of]
+
+
+def shown_in(place: str) -> tuple[str, ...]:
+    """Return the keys of the metrics that are shown in a place: clips, ratios or ranking."""
+    return tuple(key for key, definition in DEFINITIONS.items() if place in definition.shown)

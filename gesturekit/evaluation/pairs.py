@@ -54,7 +54,7 @@ class ManifestItem(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class ItemInterval:
     """An interval of a recording, given by a manifest item instead of a file."""
 
     item: ManifestItem
@@ -118,10 +118,10 @@ class Items:
         return tuple(item for item in self.others if item.split == "train")
 
     @cached_property
-    def stretches(self) -> dict[str, Stretch]:
+    def intervals(self) -> dict[str, ItemInterval]:
         """The items with motion, by id."""
         moving = (item for item in self.items if item.motion is not None)
-        return {item.id: Stretch(item) for item in sorted(moving, key=lambda item: item.id)}
+        return {item.id: ItemInterval(item) for item in sorted(moving, key=lambda item: item.id)}
 
     def __str__(self) -> str:
         return f"split {self.split} of {self.path}" if self.split else str(self.path)
@@ -165,9 +165,9 @@ class Pair:
     name: str
     stem: str
     window: int | None
-    generated: Path | Stretch
-    reference: Path | Stretch
-    audio: Path | Stretch | None = None
+    generated: Path | ItemInterval
+    reference: Path | ItemInterval
+    audio: Path | ItemInterval | None = None
     semantic: Path | None = None
 
 
@@ -255,7 +255,7 @@ def _no_pair(
     generated: Path,
     made: Mapping[str, Path],
     reference: Path | Items,
-    recorded: Mapping[str, Path | Stretch],
+    recorded: Mapping[str, Path | ItemInterval],
     found: Pairs,
 ) -> CorpusError:
     """Return the error for clips of which none has a recording."""
@@ -273,7 +273,7 @@ def _no_pair(
 
 def _matched(
     made: Mapping[str, Path],
-    recorded: Mapping[str, Path | Stretch],
+    recorded: Mapping[str, Path | ItemInterval],
     reference: Path | Items,
     found: Pairs,
 ) -> Iterator[tuple[str, str, int | None]]:
@@ -302,7 +302,7 @@ def _matched(
         )
 
 
-def recordings(reference: Path | Items) -> dict[str, Path | Stretch]:
+def recordings(reference: Path | Items) -> dict[str, Path | ItemInterval]:
     """Return {key: motion} of all recordings of a folder, a file or a manifest.
 
     Raises:
@@ -310,9 +310,9 @@ def recordings(reference: Path | Items) -> dict[str, Path | Stretch]:
     """
     if isinstance(reference, Path):
         return motion_files(reference)
-    if not reference.stretches:
+    if not reference.intervals:
         raise CorpusError(f"{reference}: no item has motion to compare with")
-    return dict(reference.stretches)
+    return dict(reference.intervals)
 
 
 def motion_files(path: Path) -> dict[str, Path]:

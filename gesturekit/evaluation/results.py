@@ -5,20 +5,49 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import write_text
 from gesturekit.evaluation.definitions import DEFINITIONS, Definition, Variants
-from gesturekit.evaluation.intervals import Interval
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.pairs import Excluded, Pair
+from gesturekit.wording import counted
 
 FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean and its confidence interval.
+
+    Attributes:
+        value: the mean over units.
+        low, high: 95 % interval; None for a single unit.
+        n: number of clips (windows, for Fréchet distances).
+        units: number of resampled units.
+        over: kind of unit: "recordings" (the mean of a recording's samples), or "samples" of one
+            recording.
+    """
+
+    value: float
+    low: float | None
+    high: float | None
+    n: int
+    units: int
+    over: str
+
+    @property
+    def count(self) -> str:
+        """Numbers of recordings and clips, in words, such as "10 recordings, 50 clips"."""
+        clips = counted(self.n, "clip")
+        if self.over != "recordings":
+            return clips if self.over == "samples" else f"n = {self.n}"
+        return f"{counted(self.units, 'recording')}, {clips}"
 
 
 @dataclass
@@ -28,7 +57,7 @@ class ClipResult:
     Attributes:
         pair: names and files.
         seconds: length of the clip.
-        figures: {key of `definitions`: value}, and KEY_chance and KEY_z of speech metrics.
+        metrics: {key of `definitions`: value}, and KEY_chance and KEY_z of speech metrics.
         recording: the same for the recording.
         mismatched: the clip's values with other recordings' sounds (CCA: with another recording).
         notes: for the reader of the report.
@@ -36,10 +65,10 @@ class ClipResult:
 
     pair: Pair
     seconds: float
-    figures: dict[str, float]
+    metrics: dict[str, float]
     recording: dict[str, float]
     mismatched: dict[str, float]
-    notes: tuple[str, ...] = ()
+    notes: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -103,7 +132,7 @@ class Answer:
 
     Attributes:
         question: such as "In time with the speech?".
-        key: key of `definitions` of its figure.
+        key: key of `definitions` of its metric.
         state: "yes", "partly", "no", "not informative here" or "not measured".
         sentence: the answer in words.
     """
@@ -121,9 +150,9 @@ class ModelResult:
     Attributes:
         label: name of the model.
         path: its folder.
-        verdict: the result in words, one line; "" without measures of life and sync.
+        verdict: the result in words, one line; "" without pooled metrics and sync.
         answers: answers to the three questions that head the report.
-        figures: {key of `definitions`: result}.
+        metrics: {key of `definitions`: result}.
         by_recording: {recording: {key: interval over its samples}} of the patch metrics.
         clips: results of each clip.
         excluded: clips and metrics left out, and why.
@@ -137,7 +166,7 @@ class ModelResult:
     path: Path
     verdict: str = ""
     answers: list[Answer] = field(default_factory=list)
-    figures: dict[str, MetricResult] = field(default_factory=dict)
+    metrics: dict[str, MetricResult] = field(default_factory=dict)
     by_recording: dict[str, dict[str, Interval]] = field(default_factory=dict)
     clips: list[ClipResult] = field(default_factory=list)
     excluded: list[Excluded] = field(default_factory=list)
@@ -201,7 +230,7 @@ class Evaluation:
 
     def definitions(self) -> list[Definition]:
         """Return the definitions of all metrics that at least one model has."""
-        keys = {key for model in self.models for key in model.figures}
+        keys = {key for model in self.models for key in model.metrics}
         variants = Variants(**self.settings["variants"])
         return [DEFINITIONS[key].at(self.fps, variants) for key in DEFINITIONS if key in keys]
 
@@ -222,8 +251,7 @@ class Evaluation:
     def write_json(self, path: str | os.PathLike[str]) -> None:
         """Write `to_json` to a file."""
         text = json.dumps(self.to_json(), indent=1, ensure_ascii=False, allow_nan=False)
-        with atomic_write(path) as temporary:
-            temporary.write_text(text + "\n", encoding="utf-8")
+        write_text(path, text + "\n")
 
 
 def _model(model: ModelResult) -> dict[str, Any]:
@@ -234,20 +262,20 @@ def _model(model: ModelResult) -> dict[str, Any]:
         "answers": [asdict(answer) for answer in model.answers],
         "figures": {
             key: {
-                **asdict(figure.interval),
-                "recording": figure.recording,
-                "chance": figure.chance,
-                "recording_low": figure.recording_interval and figure.recording_interval.low,
-                "recording_high": figure.recording_interval and figure.recording_interval.high,
-                "informative": figure.informative,
-                "mismatched": figure.mismatched,
-                "note": figure.note,
+                **asdict(result.interval),
+                "recording": result.recording,
+                "chance": result.chance,
+                "recording_low": result.recording_interval and result.recording_interval.low,
+                "recording_high": result.recording_interval and result.recording_interval.high,
+                "informative": result.informative,
+                "mismatched": result.mismatched,
+                "note": result.note,
             }
-            for key, figure in model.figures.items()
+            for key, result in model.metrics.items()
         },
         "by_recording": {
-            stem: {key: asdict(interval) for key, interval in figures.items()}
-            for stem, figures in model.by_recording.items()
+            stem: {key: asdict(interval) for key, interval in metrics.items()}
+            for stem, metrics in model.by_recording.items()
         },
         "clips": [
             {
@@ -255,7 +283,7 @@ def _model(model: ModelResult) -> dict[str, Any]:
                 "recording": clip.pair.stem,
                 "window": clip.pair.window,
                 "seconds": round(clip.seconds, 4),
-                "figures": clip.figures,
+                "figures": clip.metrics,
                 "recording_figures": clip.recording,
                 "mismatched": clip.mismatched,
                 "notes": list(clip.notes),

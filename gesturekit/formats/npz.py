@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from gesturekit.archive import Archive, open_archive
-from gesturekit.atomic import atomic_write
+from audio_features.archive import Archive, open_archive
+from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.axes import UP_TO_Y
 from gesturekit.formats.smpl.amass import from_amass, read_shape, to_amass, with_expressions
@@ -60,7 +60,7 @@ def read_npz(
     path = Path(path)
     if up not in ("auto", *UP_TO_Y):
         raise FormatError(f"up axis {up!r}; expected auto, {', '.join(UP_TO_Y)}")
-    with open_archive(path) as archive:
+    with open_archive(path, FormatError) as archive:
         try:
             if "v_template" in archive and "poses" not in archive:
                 raise FormatError(

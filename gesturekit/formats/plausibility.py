@@ -10,9 +10,9 @@ import numpy as np
 from gesturekit.errors import MotionError
 from gesturekit.formats.axes import standing_axis
 from gesturekit.formats.frame_rate import COMMON_RATES
-from gesturekit.motion.body_size import body_height
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs
+from gesturekit.motion.parts.body_size import body_height
 
 SLOWEST, FASTEST = 1.0, 1000.0
 """Range of plausible frame rates, frames per second."""

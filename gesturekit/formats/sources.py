@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from gesturekit.archive import open_archive
+from audio_features.archive import open_archive
 from gesturekit.errors import ConfigError, FormatError
 from gesturekit.formats.smpl.easymocap import SUBFOLDERS
 from gesturekit.wording import listed
@@ -127,7 +127,7 @@ def is_body_model(path: Path) -> bool:
 
 def _has_keys(path: Path, *keys: str) -> bool:
     try:
-        with open_archive(path) as archive:
+        with open_archive(path, FormatError) as archive:
             return all(key in archive for key in keys)
     except FormatError:
         return False  # the reader reports the error

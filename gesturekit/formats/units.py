@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.body_size import first_fork, stature
 from gesturekit.motion.kinematics import forward_kinematics
+from gesturekit.motion.parts.body_size import first_fork, stature
 from gesturekit.motion.skeleton import Skeleton
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "cmu": 0.0254 / 0.45}

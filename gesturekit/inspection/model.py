@@ -18,8 +18,7 @@ from gesturekit.training.model_folder import rates, reduction
 from gesturekit.wording import counted, listed
 
 _NOTE = re.compile(r"- \*\*(.+?)\*\*: (.*)")
-# The README of an older model has "Hears" instead of "Speech features".
-_SHOWN_ABOVE = {"Kind", "Motion", "Hears", "Speech features", "Reduced features", "Styles"}
+_SHOWN_ABOVE = {"Kind", "Motion", "Speech features", "Reduced features", "Styles"}
 _OF_CONFORMERS = {
     "layers",
     "heads",
@@ -44,7 +43,7 @@ def inspect_model(folder: Path) -> Summary:
         skeleton = Skeleton.from_json(rig["skeleton"])
         shapes = _tensors(folder / "model.safetensors")
         fps, joints, features = float(config["fps"]), list(config["joints"]), config["features"]
-        recorded_fps = float(config.get("recorded_fps") or fps)
+        recorded_fps = float(config["recorded_fps"])
     except FileNotFoundError as error:
         # safetensors does not say which file it missed.
         missing = Path(error.filename or "model.safetensors").name

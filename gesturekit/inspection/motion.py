@@ -15,7 +15,6 @@ from gesturekit.formats.conversion import describe_axes, load_with_warnings
 from gesturekit.formats.plausibility import plausibility_warnings
 from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.inspection.tree import tree
-from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.contacts import CONTACT_SPEED, contact_labels, foot_points
 from gesturekit.motion.defects import (
     find_jumps,
@@ -27,6 +26,7 @@ from gesturekit.motion.defects import (
 )
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES, is_upper_body, known_part_labels
+from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import rotation_angles
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.viewer.figure import Figure

@@ -19,7 +19,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.errors import ConfigError
 from gesturekit.jobs.state import MAX_LINE, parse_line, shard_name
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.errors import ConfigError, FormatError
 from gesturekit.jobs.state import FORMAT, MAX_LINE, parse_line
 from gesturekit.jobs.task import Task

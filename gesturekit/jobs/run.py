@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from gesturekit.atomic import remove_unfinished
+from audio_features.atomic import remove_unfinished
 from gesturekit.errors import ConfigError, GestureKitError, OutputError
 from gesturekit.jobs.journal import ATTEMPTS, History, Journal, journal_files
 from gesturekit.jobs.lease import Lease, live_leases, locked

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import rotation_angles, slerp
 
 MAX_SPEED = 10.0

@@ -25,8 +25,8 @@ from dataclasses import replace
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.body_size import body_scale, first_fork
 from gesturekit.motion.parts import left_right_pairs
+from gesturekit.motion.parts.body_size import body_scale, first_fork
 from gesturekit.motion.rotations import (
     invert_quaternions,
     multiply_quaternions,

@@ -16,8 +16,8 @@ import numpy as np
 
 from gesturekit.errors import FormatError, MotionError, gesturekit_errors
 from gesturekit.motion import kinematics
-from gesturekit.motion.body_size import body_height
 from gesturekit.motion.mirroring import mirror
+from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.resampling import Resampler, checked_fps
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import FARTHEST, Skeleton
@@ -226,7 +226,7 @@ class Motion:
         """Return the motion scaled to a body height; the factor is stored as `info["scale"]`.
 
         Args:
-            metres: sole to crown, standing upright; see `gesturekit.motion.body_size.body_height`.
+            metres: sole to crown, standing upright; see `motion.parts.body_size`.
 
         Raises:
             MotionError: an invalid height, or a rig without bones.

@@ -28,15 +28,17 @@ def requested_backend(configured: BackendName = "auto") -> BackendName:
     return name
 
 
-def choose_backend(requested: BackendName, *networks: nn.Module) -> TorchBackend:
-    """Return the backend for these networks.
+def choose_backend(configured: BackendName, *networks: nn.Module) -> TorchBackend:
+    """Return the `requested_backend` for these networks.
 
     `auto` takes the numba engine (`multires/cpu`) if it can be imported and was written for exactly
     these modules, and plain torch otherwise. The backend's `reason` says why.
 
     Raises:
+        ConfigError: GESTUREKIT_BACKEND names no backend.
         ModelError: numba is requested, but the engine is missing or does not support a module.
     """
+    requested = requested_backend(configured)
     if requested == "torch":
         return TorchBackend("as requested")
     try:

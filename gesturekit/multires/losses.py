@@ -17,7 +17,7 @@ from gesturekit.multires.config import LossConfig
 
 
 @dataclass(frozen=True)
-class Batch:
+class LossInputs:
     """Tensors of one level that `losses` compares; a loss whose tensors are None is left out.
 
     Attributes:
@@ -48,37 +48,37 @@ class Batch:
     recorded: Tensor | None = None
 
 
-def losses(batch: Batch, weights: LossConfig) -> dict[str, Tensor]:
+def losses(inputs: LossInputs, weights: LossConfig) -> dict[str, Tensor]:
     """Return the weighted losses of one level by name; the generators minimise their sum (eq. 11).
 
     Args:
-        batch: generated tensors, and the tensors with which they are compared.
+        inputs: generated tensors, and the tensors with which they are compared.
         weights: one for each loss.
     """
     values: dict[str, Tensor] = {}
-    if batch.scores is not None:
-        values["adversarial"] = adversarial(batch.scores)
-    if batch.foot_velocity is not None:
+    if inputs.scores is not None:
+        values["adversarial"] = adversarial(inputs.scores)
+    if inputs.foot_velocity is not None:
         values["contact"] = contact(
-            batch.foot_velocity,
-            batch.contact_labels,
+            inputs.foot_velocity,
+            inputs.contact_labels,
             weights.contact_slope,
             squared=weights.contact_speed == "squared",
         )
-    if batch.bend is not None:
-        values["smoothness"] = smoothness(batch.bend)
-    if batch.coarser is not None:
-        values["coarse"] = coarse(batch.downsampled, batch.coarser)
-    if batch.detail is not None:
-        values["detail"] = batch.detail
-    if batch.arms is not None:
-        speed, acceleration = movement(batch.arms, batch.arm_target)
+    if inputs.bend is not None:
+        values["smoothness"] = smoothness(inputs.bend)
+    if inputs.coarser is not None:
+        values["coarse"] = coarse(inputs.downsampled, inputs.coarser)
+    if inputs.detail is not None:
+        values["detail"] = inputs.detail
+    if inputs.arms is not None:
+        speed, acceleration = movement(inputs.arms, inputs.arm_target)
         if weights.arm_speed:
             values["arm_speed"] = speed
         if weights.arm_acceleration:
             values["arm_acceleration"] = acceleration
-    if batch.generated is not None:
-        values["reconstruction"] = reconstruction(batch.generated, batch.recorded)
+    if inputs.generated is not None:
+        values["reconstruction"] = reconstruction(inputs.generated, inputs.recorded)
     return {name: getattr(weights, name) * value for name, value in values.items()}
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict
 from pathlib import Path
-from typing import Literal, Unpack
+from typing import Any, Literal, Unpack
 
 from torch import Tensor
 
@@ -15,18 +15,40 @@ from gesturekit.corpus.speech import Speech, as_speech, speech_features, to_outp
 from gesturekit.errors import ModelError, gesturekit_errors
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.resampling import checked_fps
+from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.backend import requested_backend
+from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.controls import MultiresControlArguments, MultiresControls
-from gesturekit.multires.model_format import model_arguments, model_parts, readme
+from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.recall.library_format import (
+    library_row,
+    library_tensors,
+    library_values,
+    load_library,
+)
+from gesturekit.multires.sampling.conditions import Conditions, level_track
 from gesturekit.multires.sampling.pyramid import Pyramid
 from gesturekit.multires.sampling.request import Request, check_controls
 from gesturekit.multires.sampling.sampler import Sampler
-from gesturekit.multires.sampling.styles import level_track
-from gesturekit.multires.trained_model import TrainedModel
-from gesturekit.training.model_folder import load_model, model_digest, save_model
+from gesturekit.multires.sampling.trained_model import TrainedModel, TrainedNoise, TrainedSequence
+from gesturekit.training.config import build, to_dict
+from gesturekit.training.data.features import (
+    conditioner_tensors,
+    conditioner_values,
+    load_conditioner,
+)
+from gesturekit.training.model_folder import (
+    ModelParts,
+    load_model,
+    model_digest,
+    model_readme,
+    save_model,
+)
 from gesturekit.training.run.device import prepare_device
 from gesturekit.training.seeds import checked_seed
+from gesturekit.training.trained_model import common_arguments, rig_values
 
 
 class MultiresModel(TrainedModel):
@@ -64,30 +86,9 @@ class MultiresModel(TrainedModel):
         asked = MultiresControls.build(controls, self.kind)
         seed = checked_seed(seed)
         rate = self._rate(asked)
-        self._check(asked, samples)
-        if asked.smooth is None:
-            asked = replace(asked, smooth=self.smooth)
-        request = Request.build(
-            asked,
-            as_speech(speech, sample_rate),
-            seconds,
-            fps=self.fps,
-            representation=self.representation,
-            conditions=self.conditions,
-            network_config=self.network_config,
-            speakers=self.speakers,
-        )
-        library = None if asked.recall is False else self.library
-        sampler = Sampler(
-            replace(request, library=library),
-            fps=self.fps,
-            representation=self.representation,
-            normaliser=self.normaliser,
-            network=self.network,
-            conditions=self.conditions,
-            noise=self.noise.source(self.styles),
-            fastest=self.fastest,
-        )
+        check_controls(self, asked, samples)
+        request = Request.build(self, asked, as_speech(speech, sample_rate), seconds)
+        sampler = Sampler(self, request)
         # One at a time: batching changes the order of sums, and the last digits of a sample would
         # depend on the number of samples.
         motions = [sampler.motion(seed, number) for number in range(samples)]
@@ -107,7 +108,7 @@ class MultiresModel(TrainedModel):
         requested_backend()
         checked_seed(seed)
         asked = MultiresControls.build(controls, self.kind)
-        self._check(asked, samples)
+        check_controls(self, asked, samples)
         return asked
 
     def _rate(self, controls: MultiresControls) -> float | None:
@@ -122,18 +123,6 @@ class MultiresModel(TrainedModel):
                 f"fps={rate:g}: with levels={controls.levels} a motion has that level's rate"
             )
         return rate
-
-    def _check(self, controls: MultiresControls, samples: int) -> None:
-        check_controls(
-            controls,
-            samples,
-            fps=self.fps,
-            styles=self.styles,
-            levels=self.network_config.levels,
-            speakers=self.speakers,
-            recalls=self.library is not None,
-            takes_speech=self.conditions.conditioner is not None,
-        )
 
     def reconstruct(
         self, name: str, speech: Speech | None = None, sample_rate: int | None = None
@@ -171,16 +160,62 @@ class MultiresModel(TrainedModel):
             styles = [resample(track, n)[None] for n in lengths]
         condition = self.conditions.of_motion(features, lengths, styles)
         noise = self.noise.z_star[name].reshape(1, -1, lengths[0])
-        values = Pyramid(self.network, self.normaliser, lengths, condition).from_noise(noise)
+        values = Pyramid(self, lengths, condition).from_noise(noise)
         return self.representation.decode(values, self.fps)
 
     def fingerprint(self) -> str:
         """Return the SHA-256 of what `save` writes, its README apart."""
-        return model_digest(*model_parts(self))
+        return model_digest(*self._parts())
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
         """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""
-        save_model(folder, *model_parts(self), readme(self, notes or {}))
+        save_model(folder, *self._parts(), self._readme(notes or {}))
+
+    def _parts(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Tensor]]:
+        """Return config.yaml, skeleton.json and model.safetensors of the folder."""
+        conditions, noise = self.conditions, self.noise
+        conditioner = conditions.conditioner
+        config = {
+            **self.first_values(),
+            "features": None
+            if conditioner is None
+            else {**conditioner_values(conditioner), "residual": conditions.residual},
+            "styles": list(self.styles),
+            "z_star_shuffle": noise.z_star_shuffle,
+            "noise_levels": noise.noise_levels,
+            "network": to_dict(self.network_config),
+            "sequences": {name: asdict(sequence) for name, sequence in noise.sequences.items()},
+            "recall": None if self.library is None else library_values(self.library),
+            "fastest": self.fastest,
+            "smooth": self.smooth,
+        }
+        tensors = {f"network.{k}": v.contiguous() for k, v in self.network.state_dict().items()}
+        tensors |= {f"z_star.{name}": value for name, value in noise.z_star.items()}
+        tensors |= {
+            "sigma": noise.sigma,
+            "motion.mean": self.normaliser.mean,
+            "motion.scale": self.normaliser.scale,
+            **conditioner_tensors(conditioner),
+            **({} if self.library is None else library_tensors(self.library)),
+        }
+        return config, rig_values(self.representation, self.speakers), tensors
+
+    def _readme(self, notes: Mapping[str, str]) -> str:
+        """Return the text of README.md, with `notes` as further lines."""
+        lines = {
+            "Kind": f"multires, {self.network_config.levels} levels",
+            "Motion": self.motion_row(),
+        }
+        call = "seconds=10"
+        if speech := self.speech_rows():
+            lines |= speech
+            call = '"speech.wav"'
+        if self.library is not None:
+            lines["Recalled motion"] = library_row(self.library)
+        if self.styles:
+            lines["Styles"] = ", ".join(self.styles)
+            call += f', style="{self.styles[0]}"'
+        return model_readme(lines | notes, call)
 
     @classmethod
     def load(
@@ -208,6 +243,54 @@ class MultiresModel(TrainedModel):
         if dtype != "fp32":
             raise ModelError(f"dtype={dtype!r}: {folder} is a multires model, which is fp32 only")
         device = str(prepare_device(device))
-        return load_model(
-            folder, cls.kind, lambda parts: cls(**model_arguments(parts, weights, device))
+        return load_model(folder, cls.kind, lambda parts: cls._from_parts(parts, weights, device))
+
+    @classmethod
+    def _from_parts(
+        cls, parts: ModelParts, weights: WeightPlaces | None, device: str
+    ) -> MultiresModel:
+        """Return the model of a folder; see `load`."""
+        config, tensors = parts.config, parts.tensors
+        where = str(parts.folder / "config.yaml")
+        network_config = build(NetworkConfig, config["network"], where=where)
+        common = common_arguments(parts)
+        skeleton = Skeleton.from_json(parts.rig["skeleton"])
+        representation = MultiresRepresentation.from_json(skeleton, parts.rig["motion"])
+        features, conditioner = config["features"], None
+        if features is not None:
+            fps = common["fps"]
+            conditioner = load_conditioner(features, tensors, fps, weights, device)
+        conditions = Conditions(
+            conditioner,
+            tuple(map(str, config["styles"])),
+            bool(features and features["residual"]),
+            config["recall"] is not None,
+        )
+        network = MultiresGenerator(representation, conditions.width, network_config)
+        network.load_state_dict(parts.tensors_under("network."))
+        noise = TrainedNoise(
+            sigma=tensors["sigma"],
+            z_star=parts.tensors_under("z_star."),
+            sequences={
+                name: build(TrainedSequence, values, where=where)
+                for name, values in config["sequences"].items()
+            },
+            z_star_shuffle=int(config["z_star_shuffle"]),
+            noise_levels=int(config["noise_levels"]),
+        )
+        return cls(
+            **common,
+            representation=representation,
+            normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
+            conditions=conditions,
+            network_config=network_config,
+            network=network.eval(),
+            noise=noise,
+            library=load_library(
+                parts,
+                representation,
+                network_config.levels,
+                0 if conditioner is None else conditioner.dim,
+            ),
+            fastest=float(config["fastest"]),
         )

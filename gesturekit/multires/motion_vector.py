@@ -15,8 +15,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from gesturekit.motion.contacts import CONTACT_SPEED, contact_labels, foot_points
+from gesturekit.motion.model_joints import ModelJoints
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import (
     multiply_quaternions,
@@ -25,13 +28,14 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     sixd_from_quaternion,
 )
-from gesturekit.motion.selection.model_joints import ModelJoints, reference_skeleton
 from gesturekit.motion.skeleton import Skeleton
-
-__all__ = ["CONTACT_SPEED", "MultiresRepresentation", "VectorLayout", "reference_skeleton"]
 
 _FRAMES_AT_ONCE = 1024
 """Frames decoded in one call, which bounds the memory of intermediate rotations."""
+
+_SCALE_FLOORS = {"joint": 0.02, "contact": 0.25, "displacement": 0.025, "height": 5e-3}
+"""Smallest scale of each kind of channel (6D entries, label, m/s, m; on the reference body). Fixed,
+so that the noise of channels without movement is not amplified."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,7 @@ class VectorLayout:
     Attributes:
         rotations: 6 K columns, for each joint the first two columns of its rotation matrix.
         root_rotation: the first six of these, the root's orientation in world coordinates.
-        contacts: C columns of contact labels, about 0 or 1.
+        contacts: C columns of contact labels, about 0 or 1; over 0.5 means contact.
         root: three columns, displacement along x, height, displacement along z.
         root_xz: the first and last of these, metres since the previous frame.
         root_height: the middle one, metres.
@@ -87,8 +91,8 @@ class MultiresRepresentation(ModelJoints):
 
     @classmethod
     def from_json(cls, skeleton: Skeleton, values: dict[str, Any]) -> MultiresRepresentation:
-        """Return the inverse of `to_json`; older models do not store a contact speed."""
-        speed = float(values.get("contact_speed", CONTACT_SPEED))
+        """Return the inverse of `to_json`."""
+        speed = float(values["contact_speed"])
         return cls(**cls.fields_from_json(skeleton, values), contact_speed=speed)
 
     def to_json(self) -> dict[str, Any]:
@@ -155,10 +159,6 @@ class MultiresRepresentation(ModelJoints):
         sixd = sixd_from_quaternion(rotations).reshape(motion.n_frames, -1)
         return np.concatenate([sixd, contacts, root], axis=-1)
 
-    def contacts(self, values: np.ndarray) -> np.ndarray:
-        """Return the (T, C) contact labels of (T, D) vectors: over 0.5 means contact."""
-        return values[:, self.layout.contacts]
-
     def decode(self, values: np.ndarray, fps: float, *, skeleton: Skeleton | None = None) -> Motion:
         """Return the motion of motion vectors; it starts above the origin.
 
@@ -179,3 +179,60 @@ class MultiresRepresentation(ModelJoints):
         position = np.stack([np.cumsum(dx) - dx[0], height, np.cumsum(dz) - dz[0]], axis=-1)
         size = self.scale * self.size_of(skeleton)
         return self.assemble(rotations, position * size, fps, skeleton)
+
+
+@dataclass(frozen=True)
+class Normaliser:
+    """Normalisation of motion vectors to zero mean and comparable spread, whatever the rig's units.
+
+    The six numbers of a joint share one scale, so that distances between its rotations are kept up
+    to that factor.
+
+    Attributes:
+        mean: (D,).
+        scale: (D,).
+    """
+
+    mean: Tensor
+    scale: Tensor
+
+    @classmethod
+    def fit(
+        cls, motions: Sequence[np.ndarray], representation: MultiresRepresentation, fps: float
+    ) -> Normaliser:
+        """Compute mean and scale of encoded training motions, each (T, D)."""
+        values = np.concatenate(motions)
+        scale = values.std(axis=0)
+        start = 0
+        n_joints = len(representation.joints)
+        for block, size in enumerate(representation.block_sizes[:-1]):
+            part = slice(start, start + size)
+            spread = np.sqrt((scale[part] ** 2).mean())
+            floor = _SCALE_FLOORS["joint" if block < n_joints else "contact"]
+            scale[part] = max(spread, floor)
+            start += size
+        root = representation.layout.root
+        dx, height, dz = scale[root]
+        across = max(np.hypot(dx, dz) / np.sqrt(2), _SCALE_FLOORS["displacement"] / fps)
+        scale[root] = across, max(height, _SCALE_FLOORS["height"]), across
+        return cls(torch.from_numpy(values.mean(axis=0)).float(), torch.from_numpy(scale).float())
+
+    def to(self, device: torch.device) -> Normaliser:
+        """Return a copy on another device."""
+        return Normaliser(self.mean.to(device), self.scale.to(device))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Normalise motion vectors (B, D, T)."""
+        return (x - self.mean[:, None]) / self.scale[:, None]
+
+    def inverse(self, x: Tensor) -> Tensor:
+        """Return normalised motion vectors (B, D, T) to their own units."""
+        return x * self.scale[:, None] + self.mean[:, None]
+
+    def to_values(self, vectors: Tensor) -> np.ndarray:
+        """Return (T, D) float64 in their own units, from (1, D, T) normalised."""
+        return self.inverse(vectors)[0].T.double().numpy().copy()
+
+    def from_values(self, values: np.ndarray) -> Tensor:
+        """Return (1, D, T) normalised, from (T, D) in their own units."""
+        return self.forward(torch.from_numpy(values.T).float()[None])

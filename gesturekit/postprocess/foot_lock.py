@@ -2,7 +2,7 @@
 
 1. Find the contact spans of heel and ball of each foot, from the contact labels predicted by the
    model, or from speed and height (`contact_spans`).
-2. Subtract slow sliding that is common to the standing feet from the hip path (`root_drift`).
+2. Subtract slow sliding that is common to the standing feet from the hip path (`horizontal_drift`).
 3. Pin each point at its mean position on the floor in each span, and blend the correction in and
    out (`pinning`). A foot is never pulled down in flight: it rolls onto and off the floor as
    before. While the heel lifts, only the ball is pinned; a flat foot is pinned at both and rotated
@@ -19,13 +19,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.ik.two_bone import reachable, two_bone_ik
+from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length
+from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.retarget.feet import HIP_DROP_SECONDS, smooth_upper_envelope
 from gesturekit.motion.rotations import (
     IDENTITY,
@@ -35,16 +37,15 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     shortest_arc,
 )
-from gesturekit.motion.selection.joint_selection import keep_joints
 from gesturekit.postprocess.contact_spans import (
     contact_frames,
     contact_spans,
     include_landing,
+    smooth_path,
     split_at_movement,
 )
 from gesturekit.postprocess.foot import Foot, find_feet
 from gesturekit.postprocess.pinning import FASTEST, pin, soft_clamp
-from gesturekit.postprocess.root_drift import height_error, horizontal_drift
 
 _MAX_CORRECTION = 0.1
 """Largest correction of a foot, as a share of the leg length."""
@@ -320,3 +321,59 @@ def _yaw(turn: np.ndarray) -> np.ndarray:
 
 def _unit(v: np.ndarray) -> np.ndarray:
     return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9)
+
+
+_STEADY = 0.2
+"""Seconds (standard deviation) over which foot speeds are smoothed before they are compared."""
+_SWAY = 1.0
+"""Seconds (standard deviation); faster movement is sway, which the legs absorb, and not drift."""
+
+
+def horizontal_drift(
+    left: np.ndarray, right: np.ndarray, stands: np.ndarray, fps: float
+) -> np.ndarray:
+    """(T, 3) horizontal distance that the standing feet have slid so far, without sway, metres.
+
+    If both feet stand, the drift is the common part of their velocities; if one stands, it is that
+    foot's velocity. Zero in frame 0.
+
+    Args:
+        left: (T, 3) positions of the left foot, metres.
+        right: (T, 3) positions of the right foot, metres.
+        stands: (T, 2) bool, true if the left or right foot stands.
+        fps: frames per second.
+    """
+    both = np.stack([left, right], axis=1)
+    standing = np.zeros(stands.shape)
+    standing[1:] = stands[1:] & stands[:-1]
+    steps = np.diff(both, axis=0, prepend=both[:1]) * [1, 0, 1] * standing[..., None]
+    weight = gaussian_filter1d(standing, _STEADY * fps, axis=0, mode="constant")[..., None]
+    steady = gaussian_filter1d(steps, _STEADY * fps, axis=0, mode="constant")
+    steady /= np.maximum(weight, 1e-6)
+    return smooth_path(np.cumsum(_common(steady, standing), axis=0), _SWAY * fps)
+
+
+def height_error(heights: np.ndarray, stands: np.ndarray, fps: float) -> np.ndarray:
+    """(T,) smoothed height above the floor that is common to the standing feet, metres.
+
+    `heights` (T, 2) are above the feet's standing heights, metres; `stands` as in
+    `horizontal_drift`.
+    """
+    standing = stands.astype(float)
+    common = _common(heights[..., None] * standing[..., None], standing)
+    weight = smooth_path(standing.max(axis=1), _SWAY * fps)
+    return smooth_path(common[:, 0], _SWAY * fps) / np.maximum(weight, 0.5)
+
+
+def _common(both: np.ndarray, standing: np.ndarray) -> np.ndarray:
+    """(T, D) common part of two vectors (T, 2, D), one a foot.
+
+    If both feet stand, it points along the mean and is as long as the shorter of the projections
+    onto it. If one stands, it is that foot's vector.
+    """
+    alone = (both * standing[..., None]).sum(axis=1)
+    mean = both.mean(axis=1)
+    direction = mean / np.maximum(np.linalg.norm(mean, axis=-1, keepdims=True), 1e-12)
+    least = (both * direction[:, None]).sum(axis=-1).min(axis=1)
+    together = direction * np.maximum(least, 0)[:, None]
+    return np.where(standing.all(axis=1)[:, None], together, alone)

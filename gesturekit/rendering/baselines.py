@@ -1,6 +1,6 @@
 """Baselines that need a model: rendered to a folder, which `gesturekit evaluate` compares with.
 
-`gesturekit.evaluation.contest.baselines` makes those that need recordings alone.
+`gesturekit.evaluation.measuring.baselines` makes those that need recordings alone.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ class FeatureExtraction(Processor):
 
     def input_of(self, task: Task, digest: str | None = None) -> dict[str, Any]:
         """Return the digests of the sound and of its words, and which part of it is used."""
-        from audio_features.word_features import takes_words
+        from audio_features.words import takes_words
 
         found = super().input_of(task, digest)
         if self.channel is not None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from audio_features import Wave
-from gesturekit.corpus.layouts.table import read_layout
+from gesturekit.corpus.layouts import read_layout
 from gesturekit.errors import CorpusError, GestureKitError
 from gesturekit.jobs.result import Result
 from gesturekit.jobs.task import Task

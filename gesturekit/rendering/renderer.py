@@ -20,7 +20,7 @@ from gesturekit.jobs.task import Task
 from gesturekit.model import Model
 from gesturekit.motion.motion import Motion
 from gesturekit.rendering.inputs import item_of, load_wave, words_of
-from gesturekit.viewer.video.encoder import require_encoder
+from gesturekit.viewer.video.writer import require_encoder
 
 log = logging.getLogger(__name__)
 FORMATS = ("bvh", "npz", "html", "mp4", "png")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.errors import GestureKitError
 from gesturekit.jobs.journal import History
 from gesturekit.jobs.result import Result
@@ -19,7 +19,7 @@ from gesturekit.jobs.state import STATE
 from gesturekit.jobs.status import Status
 from gesturekit.motion.motion import Motion
 from gesturekit.progress import time_in_words
-from gesturekit.viewer.pictures import contact_sheet
+from gesturekit.viewer.pictures import write_picture
 from gesturekit.wording import printable
 
 PAGE = "summary.html"
@@ -151,7 +151,7 @@ def _pictures(out: Path, done: list[Result]) -> Iterator[str]:
                 motion = Motion.load(file)
                 if motion.duration > _SHOWN_SECONDS:
                     motion = motion.trim(0.0, _SHOWN_SECONDS)
-                contact_sheet(motion, picture, frames=8, title="")
+                write_picture(motion, picture, frames=8, title="")
             except (GestureKitError, OSError):
                 continue  # moved away, or edited since
             data = base64.b64encode(picture.read_bytes()).decode()

@@ -1,4 +1,4 @@
-"""The HTTP application; see docs/serve.md."""
+"""The HTTP application and its figures for Prometheus; see docs/serve.md."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import logging
 import re
 import tempfile
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from importlib import metadata
@@ -17,18 +17,49 @@ from typing import Annotated, Any
 from fastapi import FastAPI, HTTPException, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import HTMLResponse, JSONResponse
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from starlette.exceptions import HTTPException as AnyHTTPException
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from audio_features.errors import AudioFeaturesError
 from gesturekit.errors import GestureKitError
 from gesturekit.model import Model
-from gesturekit.serving.limits import Limits, Rate
-from gesturekit.serving.metrics import Metrics
 from gesturekit.serving.pages import DROP_PAGE, PAGE_HEADERS, api_page
-from gesturekit.serving.requests import MotionRequest, check_origin, check_token, receive
+from gesturekit.serving.requests import (
+    Limits,
+    MotionRequest,
+    Rate,
+    check_origin,
+    check_token,
+    receive,
+)
 from gesturekit.serving.worker import BusyError, Worker
 from gesturekit.wording import printable
+
+
+class Metrics:
+    """Counters of one service.
+
+    Args:
+        admitted: function that returns the number of requests that are queued or being processed.
+    """
+
+    def __init__(self, admitted: Callable[[], int]) -> None:
+        self._registry = CollectorRegistry()
+        args = {"registry": self._registry, "namespace": "gesturekit"}
+        self.requests = Counter("requests", "Requests, by HTTP status.", ["status"], **args)
+        self.sound = Counter("sound_seconds", "Seconds of sound in answers.", **args)
+        self.seconds = Histogram(
+            *("request_seconds", "Seconds of a request for motion, waiting included."),
+            buckets=(0.1, 0.3, 1, 3, 10, 30, 100, 300),
+            **args,
+        )
+        Gauge("queue", "Requests that wait or are in work.", **args).set_function(admitted)
+
+    def page(self) -> bytes:
+        """Return the figures as Prometheus reads them."""
+        return generate_latest(self._registry)
+
 
 log = logging.getLogger(__name__)
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]", "::1")

@@ -6,7 +6,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from gesturekit.serving.limits import Limits
+from gesturekit.serving.requests import Limits
 
 DROP_PAGE = (Path(__file__).parent / "page" / "drop.html").read_text(encoding="utf-8")
 """Page on which one drops a sound and sees the motion."""

@@ -15,8 +15,7 @@ from threadpoolctl import threadpool_limits
 import audio_features as af
 from gesturekit.errors import GestureKitError
 from gesturekit.model import Model
-from gesturekit.serving.limits import Limits
-from gesturekit.serving.requests import MotionRequest
+from gesturekit.serving.requests import Limits, MotionRequest
 from gesturekit.systems import bundled_speech
 
 

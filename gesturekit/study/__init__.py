@@ -12,6 +12,6 @@ __all__, __getattr__, __dir__ = attach(
         "build_study": "build",
         "analyse_study": "analysis.result",
         "write_study_report": "analysis.report",
-        "raters_needed": "analysis.power",
+        "raters_needed": "analysis.significance",
     },
 )

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from audio_features import Wave
-from gesturekit.atomic import atomic_write
-from gesturekit.errors import ConfigError, GestureKitError
-from gesturekit.evaluation.agreement.answers import MISMATCHED
+from audio_features.atomic import atomic_write, write_text
+from gesturekit.errors import ConfigError
+from gesturekit.evaluation.statistics.answers import MISMATCHED
 from gesturekit.formats.conversion import load
 from gesturekit.motion import Motion
 from gesturekit.progress import Progress
@@ -24,6 +24,7 @@ from gesturekit.study.clips import Material, Segment, find_clips
 from gesturekit.study.config import StudyConfig, introduction
 from gesturekit.study.lists import Comparison, make_lists, mismatches
 from gesturekit.viewer import player_data, player_shell
+from gesturekit.viewer.pages import bundled_script, script_json, write_page
 from gesturekit.wording import counted
 
 CODES = (
@@ -116,7 +117,7 @@ def build_study(
         GestureKitError: a clip that cannot be read, or scripts that were not bundled.
     """
     out = Path(out)
-    script = _bundle()
+    script = bundled_script(_BUNDLE, "the script of the study pages")
     material = find_clips(config)
     others = {}
     if config.design == "mismatch":
@@ -135,11 +136,15 @@ def build_study(
     clips = _Clips(config, material, others)
     page_lists = [[clips.trial(comparison) for comparison in one] for one in lists]
     clips.write(out)
-    setup = _setup(config, material, page_lists, out)
+    values = {
+        "title": html.escape(config.title),
+        "policy": html.escape(_policy(config.post_url)),
+        "setup": script_json(_setup(config, material, page_lists, out)),
+        "shell": script_json("" if material.videos else player_shell()),
+        "script": script,
+    }
     page = out / "index.html"
-    text = _page(config, setup, script, "" if material.videos else player_shell())
-    with atomic_write(page) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_page(page, _HERE / "page", values)
     return BuiltStudy(
         page, len(material.segments), len(clips.sources), len(lists[0]), page.stat().st_size
     )
@@ -221,8 +226,7 @@ def _loaded(source: Path, sound: Path | None) -> tuple[Motion, float]:
 
 def _write_script(path: Path, value: object) -> None:
     """Write a value as a script: the only kind of file that a page opened from a disk may read."""
-    with atomic_write(path) as temporary:
-        temporary.write_text(f'gesturekitClip("{path.stem}",{_json(value)});\n', encoding="utf-8")
+    write_text(path, f'gesturekitClip("{path.stem}",{script_json(value)});\n')
 
 
 def _setup(
@@ -254,19 +258,6 @@ def _setup(
     }
 
 
-def _page(config: StudyConfig, setup: dict[str, Any], script: str, shell: str) -> str:
-    template = (_HERE / "page" / "template.html").read_text(encoding="utf-8")
-    values = {
-        "title": html.escape(config.title),
-        "policy": html.escape(_policy(config.post_url)),
-        "style": (_HERE / "page" / "style.css").read_text(encoding="utf-8"),
-        "setup": _json(setup),
-        "shell": _json(shell),
-        "script": script,
-    }
-    return re.sub(r"\{\{(\w+)\}\}", lambda place: values[place[1]], template)
-
-
 def _policy(post_url: str | None) -> str:
     """Return what the page may load: its own clips, and nothing from elsewhere."""
     # Browsers differ in whether 'self' includes other files of a disk.
@@ -279,18 +270,3 @@ def _policy(post_url: str | None) -> str:
         "connect-src": post_url or "'none'",
     }
     return "; ".join(f"{name} {value}" for name, value in rules.items())
-
-
-def _bundle() -> str:
-    if not _BUNDLE.is_file():
-        raise GestureKitError(
-            f"the script of the study pages is missing: {_BUNDLE} is made when gesturekit is set "
-            "up. In a checkout run `make setup`; an installed package holds it already."
-        )
-    # The HTML parser ends a script at these letters wherever they stand.
-    return re.sub(r"</(?=script)", r"<\\/", _BUNDLE.read_text(encoding="utf-8"), flags=re.I)
-
-
-def _json(value: object) -> str:
-    # "<" only occurs inside strings of JSON; escaped, no string can end the script element.
-    return json.dumps(value, separators=(",", ":")).replace("<", "\\u003c")

@@ -15,7 +15,7 @@ from itertools import permutations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from gesturekit.evaluation.agreement.answers import MISMATCHED
+from gesturekit.evaluation.statistics.answers import MISMATCHED
 from gesturekit.study.clips import Segment
 from gesturekit.study.config import StudyConfig
 

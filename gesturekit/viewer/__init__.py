@@ -5,11 +5,9 @@ from gesturekit.lazy import attach
 __all__, __getattr__, __dir__ = attach(
     __name__,
     {
-        "contact_sheet": "pictures",
-        "display": "notebook",
+        "display": "html",
         "player_data": "html",
         "player_shell": "html",
-        "speech_and_motion": "pictures",
         "write_html": "html",
         "write_picture": "pictures",
         "write_video": "video.writer",

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 from gesturekit.errors import FormatError, GestureKitError
 from gesturekit.formats.smpl.skeleton import fit_body
 from gesturekit.motion.body_model.model import BodyModel
-from gesturekit.viewer.avatar.vrm import load_avatar
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human.body import Human
 from gesturekit.viewer.skin import Skin
+from gesturekit.viewer.vrm import load_avatar
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion

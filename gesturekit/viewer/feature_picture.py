@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from audio_features import FeatureTrack, LogMel, Wave
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.wording import printable
 
 _INK, _SOFT, _LINE = "#26303b", "#6b7785", "#c8643a"

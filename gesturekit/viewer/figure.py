@@ -9,8 +9,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.body_size import body_height
 from gesturekit.motion.parts import BodyParts, find_parts
+from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.parts.end_sites import real_end_sites
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 from gesturekit.viewer import anatomy

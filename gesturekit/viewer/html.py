@@ -1,4 +1,6 @@
-"""The HTML player: one file that shows a motion with its sound, without a network or a server.
+"""The HTML player: one file, or the output of a notebook, that shows a motion with its sound.
+
+It needs no network and no server.
 
 The page holds three.js and the player (bundled by `make setup`), the motion and the sound. The
 motion is stored as the points of its `Figure`, so any skeleton plays. Points are whole steps of
@@ -9,25 +11,32 @@ from frame to frame and deflated; ten minutes at 60 fps with 75 joints come to a
 from __future__ import annotations
 
 import html
-import json
 import os
-import re
 from collections.abc import Mapping
-from functools import cache
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from audio_features import Wave
-from gesturekit.atomic import atomic_write
-from gesturekit.errors import GestureKitError, MotionError
+from audio_features.atomic import write_text
+from gesturekit.errors import MotionError
 from gesturekit.motion.body_model.model import BodyModel
-from gesturekit.viewer import tracks
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human.body import COLOURS
-from gesturekit.viewer.page_skin import add_skins, base64_text, packed
+from gesturekit.viewer.page_data import (
+    BANDS,
+    add_skins,
+    base64_text,
+    contact_track,
+    motion_beats,
+    onsets,
+    packed,
+    spectrogram,
+)
+from gesturekit.viewer.pages import bundled_script, filled, insert, script_json
 from gesturekit.viewer.sound import OUTLINE_RATE, Sound, as_sound, outline
 from gesturekit.wording import printable
 
@@ -65,10 +74,8 @@ def write_html(
     Raises GestureKitError where the player has not been bundled, AudioError where `audio` is no
     sound, FormatError where `body_model` is none.
     """
-    path = Path(path)
-    text = page_text(motion, audio, title if title is not None else path.stem, body_model, body)
-    with atomic_write(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    title = Path(path).stem if title is None else title
+    write_text(path, page_text(motion, audio, title, body_model, body))
 
 
 def page_text(
@@ -83,7 +90,7 @@ def page_text(
         "title": html.escape(printable(title)),
         "motion": player_data(motion, audio, body_model, body=body),
     }
-    return _fill(player_shell(), places)
+    return insert(player_shell(), places)
 
 
 def player_shell() -> str:
@@ -93,9 +100,7 @@ def player_shell() -> str:
 
     Raises GestureKitError where the player has not been bundled.
     """
-    template = (_HERE / "player" / "template.html").read_text(encoding="utf-8")
-    style = (_HERE / "player" / "style.css").read_text(encoding="utf-8")
-    return _fill(template, {"player": _player(), "style": style})
+    return filled(_HERE / "player", {"player": bundled_script(_BUNDLE, "the HTML player")})
 
 
 def player_data(
@@ -122,28 +127,7 @@ def player_data(
             figure["ink"] = colours[figure["label"]]
             if body == "human" and "skin" in figure:
                 figure["skin"]["palette"][list(COLOURS).index("top")] = figure["ink"]
-    return _json(page)
-
-
-@cache
-def _player() -> str:
-    if not _BUNDLE.is_file():
-        raise GestureKitError(
-            f"the HTML player is missing: {_BUNDLE} is made when gesturekit is set up. "
-            "In a checkout run `make setup`; an installed package holds it already."
-        )
-    # The HTML parser ends a script at these letters wherever they stand.
-    return re.sub(r"</(?=script)", r"<\\/", _BUNDLE.read_text(encoding="utf-8"), flags=re.I)
-
-
-def _fill(text: str, values: Mapping[str, str]) -> str:
-    """Replace placeholders in one pass, so that inserted values are not searched."""
-    return re.sub(r"\{\{(\w+)\}\}", lambda place: values.get(place[1], place[0]), text)
-
-
-def _json(page: dict[str, Any]) -> str:
-    # "<" only occurs inside strings of JSON; escaped, no string can end the script element.
-    return json.dumps(page, separators=(",", ":")).replace("<", "\\u003c")
+    return script_json(page)
 
 
 def _page(shown: Mapping[str, DrawnBody], audio: Any) -> dict[str, Any]:
@@ -156,13 +140,13 @@ def _page(shown: Mapping[str, DrawnBody], audio: Any) -> dict[str, Any]:
     if audio is not None:
         wave = audio if isinstance(audio, Wave) else Wave.load(audio)
         sound = Sound.of(audio)
-        spectrum, rate = tracks.spectrogram(wave)
+        spectrum, rate = spectrogram(wave)
         page["speech"] = {
             "duration": wave.duration,
             "rate": OUTLINE_RATE,
             "peaks": _levels(outline(wave)),
-            "onsets": _times(tracks.onsets(wave)),
-            "spectrum": {"bands": tracks.BANDS, "rate": rate, "values": _levels(spectrum)},
+            "onsets": _times(onsets(wave)),
+            "spectrum": {"bands": BANDS, "rate": rate, "values": _levels(spectrum)},
         }
         page["audio"] = {"type": sound.type, "data": base64_text(sound.data)}
     return page
@@ -174,7 +158,7 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
     relative = points - root
     step = max(STEP * figure.height, float(np.abs(relative).max()) / 32_767)
     peak = figure.top_speed
-    contacts = tracks.contacts(motion)
+    contacts = contact_track(motion)
     return {
         "label": label,
         "fps": figure.fps,
@@ -200,7 +184,7 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
         "head": vars(figure.head) if figure.head else None,
         "hands": figure.hands,
         "contacts": None if contacts is None else base64_text(contacts.tobytes()),
-        "beats": _times(tracks.motion_beats(figure.hand_speed, figure.fps)),
+        "beats": _times(motion_beats(figure.hand_speed, figure.fps)),
         "speed": {
             "of": figure.speed_of,
             "peak": peak,
@@ -221,3 +205,40 @@ def _times(seconds: np.ndarray) -> list[float]:
 def _levels(values: np.ndarray) -> str:
     """Encode values (N,) from 0 to 1 as bytes in base64."""
     return base64_text(np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8).tobytes())
+
+
+@dataclass(frozen=True)
+class Display:
+    """A page that notebooks show as the output of a cell.
+
+    Attributes:
+        page: the HTML of the player.
+        height: of the output, pixels.
+    """
+
+    page: str
+    height: int
+
+    def __repr__(self) -> str:
+        return f"Display({len(self.page) / 1e6:.1f} MB of HTML, which notebooks show)"
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe srcdoc="{html.escape(self.page)}" allow="fullscreen; autoplay" '
+            f'style="width: 100%; height: {self.height}px; border: 0"></iframe>'
+        )
+
+
+def display(
+    motion: Motion | Mapping[str, Motion],
+    audio: str | os.PathLike[str] | Wave | None = None,
+    title: str = "",
+    body_model: BodyModel | str | os.PathLike[str] | None = None,
+    height: int = 640,
+    body: str | None = None,
+) -> Display:
+    """Return the player of one motion, or of {label: motion}, for a notebook.
+
+    Arguments and errors are those of `write_html`; `height` is in pixels.
+    """
+    return Display(page_text(motion, audio, title, body_model, body), int(height))

@@ -15,13 +15,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.patches import Ellipse, Polygon
 
 from audio_features import LogMel, Wave
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.errors import MotionError
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.sound import as_sound
-from gesturekit.viewer.video.still import Stills
+from gesturekit.viewer.video.scene import Stills
 from gesturekit.wording import printable
 
 if TYPE_CHECKING:
@@ -53,15 +53,22 @@ def write_picture(
     path: str | os.PathLike[str],
     audio: str | os.PathLike[str] | Wave | None = None,
     body: str | None = None,
+    *,
+    frames: int = 10,
+    title: str | None = None,
 ) -> None:
-    """Write a picture: `speech_and_motion` with sound, `contact_sheet` without.
+    """Draw the figure from the front at evenly spaced times, and its hand speed.
+
+    With sound, log-mel and energy of the speech too, on the same time axis.
 
     Args:
         motion: what to draw; or {label: motion} for several, one below the other.
         path: the .png, .svg or .pdf file to write.
-        audio: the speech that belongs to it, a file or a `Wave`.
+        audio: the speech that belongs to it, a file or a `Wave`; it starts with the motion.
         body: "mannequin" (by default), "human", "skeleton" or the path of a VRM avatar; see
             `gesturekit.viewer.drawn_body`.
+        frames: how many times the figure is drawn.
+        title: the heading; the file's stem by default.
 
     Raises:
         AudioError: `audio` is not sound.
@@ -75,71 +82,14 @@ def write_picture(
     motions = dict(motion) if isinstance(motion, Mapping) else {"": motion}
     if not motions:
         raise MotionError("no motion to draw: the mapping of motions is empty")
-    _write(
-        {label: DrawnBody.of(each, body) for label, each in motions.items()}, wave, path, 10, None
-    )
-
-
-def contact_sheet(
-    motion: Motion,
-    path: str | os.PathLike[str],
-    *,
-    frames: int = 10,
-    title: str | None = None,
-) -> None:
-    """Draw the figure from the front at evenly spaced times, above its hand speed.
-
-    Args:
-        motion: what to draw.
-        path: the .png, .svg or .pdf file to write.
-        frames: how many times the figure is drawn.
-        title: the heading; the file's stem by default.
-    """
-    _write({"": DrawnBody.of(motion)}, None, path, frames, title)
-
-
-def speech_and_motion(
-    motion: Motion,
-    wave: Wave,
-    path: str | os.PathLike[str],
-    *,
-    frames: int = 10,
-    title: str | None = None,
-) -> None:
-    """Draw speech (log-mel), hand speed over speech energy, and the figure, on one time axis.
-
-    The speech starts with the motion; other arguments as in `contact_sheet`.
-    """
-    _write({"": DrawnBody.of(motion)}, wave, path, frames, title)
-
-
-def _write(
-    shown: Mapping[str, DrawnBody],
-    wave: Wave | None,
-    path: str | os.PathLike[str],
-    frames: int,
-    title: str | None,
-) -> None:
+    shown = {label: DrawnBody.of(each, body) for label, each in motions.items()}
     figures = {label: drawn.figure for label, drawn in shown.items()}
     seconds = max(drawn.motion.duration for drawn in shown.values())
     seconds = max(seconds, wave.duration if wave else 0.0)
     bodies = [_ROW_INCHES] * len(figures)
     heights = [1.1, 1.2, *bodies] if wave else [*bodies, 1.0]
-    canvas = matplotlib.figure.Figure(
-        figsize=(max(6.0, _INCHES_PER_FIGURE * frames), sum(heights) + 0.9),
-        dpi=_DPI,
-        layout="constrained",
-        facecolor="white",
-    )
-    FigureCanvasAgg(canvas)
-    canvas.suptitle(
-        printable(title if title is not None else Path(path).stem),
-        x=0.012,
-        ha="left",
-        fontsize=13,
-        color=_EDGE,
-        parse_math=False,
-    )
+    size = (max(6.0, _INCHES_PER_FIGURE * frames), sum(heights) + 0.9)
+    canvas = _canvas(size, Path(path).stem if title is None else title)
     rows = list(canvas.subplots(len(heights), 1, gridspec_kw={"height_ratios": heights}))
     rows[-1].set_xlabel("seconds", fontsize=9, color=_SOFT)
     if wave:
@@ -151,6 +101,17 @@ def _write(
     kind = Path(path).suffix[1:].lower()
     with atomic_write(path) as temporary, matplotlib.rc_context(_REPRODUCIBLE):
         canvas.savefig(temporary, format=kind, metadata=_METADATA[kind])
+
+
+def _canvas(size: tuple[float, float], title: str) -> matplotlib.figure.Figure:
+    """Return an empty figure of this size in inches, with a heading."""
+    canvas = matplotlib.figure.Figure(
+        figsize=size, dpi=_DPI, layout="constrained", facecolor="white"
+    )
+    FigureCanvasAgg(canvas)
+    style = {"ha": "left", "fontsize": 13, "color": _EDGE, "parse_math": False}
+    canvas.suptitle(printable(title), x=0.012, **style)
+    return canvas
 
 
 def _style(axes: Axes, seconds: float) -> None:

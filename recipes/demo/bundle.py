@@ -20,7 +20,7 @@ from measure import table
 from prepare import prepare
 from safetensors.torch import load_file, save_file
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 
 HERE = Path(__file__).resolve().parent
 BUNDLED = HERE.parents[1] / "gesturekit" / "models" / "demo"

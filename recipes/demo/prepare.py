@@ -28,7 +28,7 @@ from texts import DEMO, ENGLISH, OTHER_LANGUAGES
 from voice import Voice, speak
 
 import audio_features as af
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 
 # espeak variants that sound like people. Those with `breath` or `klatt` draw noise.
 PAIRED_VOICES = (

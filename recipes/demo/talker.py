@@ -42,7 +42,7 @@ LEAD = 0.05
 _HOP = 0.01  # seconds between frames of prosody
 _SHORT_PAUSE = 0.28  # seconds; a shorter silence is part of a word or of a phrase
 _REST_PAUSE = 1.2  # seconds; in a longer one the hands go back to rest
-_LIVELINESS = (0.5, 1.7)  # pitch range (`af.Liveliness`, semitones) of a calm, a lively talker
+_LIVELINESS = (0.5, 1.7)  # pitch range (`af.ProsodicRange`, semitones) of a calm, a lively talker
 _HIPS = STANDING_HEIGHT - 0.012  # m; soft knees leave room for the weight to shift
 _TRUNK = np.array([0.185, 0.165])  # m; half axes of the ellipse that wrists stay out of
 _HANDS_APART = 0.26  # m between the wrists: hands that point inwards just do not touch
@@ -210,7 +210,7 @@ def phrases(wave: af.Wave) -> list[Phrase]:
         for k, p in zip(peaks, prominence, strict=True)
     ]
     low, high = _LIVELINESS
-    liveliness = np.clip((af.Liveliness().extract(wave).values[:, 0] - low) / (high - low), 0, 1)
+    liveliness = np.clip((af.ProsodicRange().extract(wave).values[:, 0] - low) / (high - low), 0, 1)
     return _group(speaking, liveliness, _accented(syllables))
 
 

@@ -21,8 +21,8 @@ from track import RATE, TEMPOS, play
 import gesturekit as gk
 from audio_features import Wave
 from gesturekit.evaluation import arm_speed_ratio, beat_alignment
-from gesturekit.evaluation.metrics.feet import foot_skate
-from gesturekit.viewer.pictures import speech_and_motion
+from gesturekit.evaluation.metrics.physical import foot_skate
+from gesturekit.viewer.pictures import write_picture
 
 SECONDS = 22.1
 """Length of a track, enough for 200 shifts in `beat_alignment`."""
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             options.out.mkdir(parents=True, exist_ok=True)
             stem = options.out / f"track_{number:02d}"
             motion.save(stem.with_suffix(".bvh"))
-            speech_and_motion(motion, wave, stem.with_suffix(".png"))
+            write_picture(motion, stem.with_suffix(".png"), wave)
     print(f"{sum(z > 2 for z in zs)} of {len(zs)} tracks above chance + 2 sd")
 
 

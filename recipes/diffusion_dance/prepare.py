@@ -19,7 +19,7 @@ import soundfile
 from dancer import dance
 from track import RATE, TEMPOS, Track, play
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from fighter import draw_events, fight
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

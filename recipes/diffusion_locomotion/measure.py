@@ -26,7 +26,7 @@ from walker import MARGIN, Gait, walk
 
 import gesturekit as gk
 from gesturekit.diffusion.conditions import smooth_path
-from gesturekit.evaluation.metrics.feet import foot_skate
+from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.motion.root_path import RootPath
 
 SECONDS = 12.0

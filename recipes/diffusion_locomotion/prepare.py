@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from walker import MARGIN, Gait, walk
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.motion.root_path import RootPath
 
 FPS = 60.0

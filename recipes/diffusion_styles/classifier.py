@@ -33,7 +33,7 @@ def windows(motion: gk.Motion) -> np.ndarray:
 
 
 class Classifier:
-    """Ridge regression from standardised windows onto one-hot styles."""
+    """Ridge regression from normalised windows onto one-hot styles."""
 
     def __init__(self, features: np.ndarray, styles: np.ndarray, count: int) -> None:
         self.mean, self.scale = features.mean(0), np.maximum(features.std(0), LEAST)

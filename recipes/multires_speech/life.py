@@ -30,7 +30,7 @@ from gesturekit.evaluation import (
     sync,
     two_sample_accuracy,
 )
-from gesturekit.evaluation.metrics.life import hand_paths
+from gesturekit.evaluation.metrics.hands import hand_paths
 from gesturekit.motion.parts import find_parts
 
 FPS = 25.0

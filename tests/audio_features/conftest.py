@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import sys
+import types
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 
 from audio_features import Wave
+from audio_features.acoustic import torchaudio_backend
 
 
 @pytest.fixture
@@ -57,6 +60,32 @@ def torchaudio_state() -> Callable[[Path], dict]:
 def old_norm() -> Callable[[dict], dict]:
     """old_norm(tensors): under old torch's names of weight normalisation."""
     return lambda tensors: _renamed(tensors, _OLD_NORM)
+
+
+@pytest.fixture
+def torchaudio(monkeypatch):
+    """torchaudio, with a stub in place of the extension where that is built for another torch.
+
+    The functions compared here are plain torch; on a CPU-only torch the registry's torchaudio
+    fails in nothing but loading its CUDA extension.
+    """
+    from importlib.util import find_spec
+
+    if find_spec("torchaudio") is None:
+        pytest.skip("torchaudio is not installed")
+    torchaudio_backend.import_torchaudio.cache_clear()
+    if torchaudio_backend.import_torchaudio()[0] is None:
+        stub = types.ModuleType("torchaudio._extension")
+        stub._IS_TORCHAUDIO_EXT_AVAILABLE = stub._IS_ALIGN_AVAILABLE = False
+        stub.fail_if_no_align = lambda function: function
+        for name in [name for name in sys.modules if name.partition(".")[0] == "torchaudio"]:
+            monkeypatch.delitem(sys.modules, name)
+        monkeypatch.setitem(sys.modules, "torchaudio._extension", stub)
+        torchaudio_backend.import_torchaudio.cache_clear()
+    yield torchaudio_backend.import_torchaudio()[0]
+    for name in [name for name in sys.modules if name.partition(".")[0] == "torchaudio"]:
+        monkeypatch.delitem(sys.modules, name)
+    torchaudio_backend.import_torchaudio.cache_clear()
 
 
 def synthetic_speech(seconds: float, rate: int = 16_000) -> Wave:

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 import soundfile
 
-from audio_features import MFCC, FeatureError, Liveliness, LogMel, Onset, Prosody, Stack, Wave
-from audio_features.acoustic import spectrum as spectrum_module
-from audio_features.acoustic.pitch import track_pitch
-from audio_features.acoustic.spectrum import FLOOR_DB
+from audio_features import MFCC, FeatureError, LogMel, Onset, ProsodicRange, Prosody, Stack, Wave
+from audio_features.acoustic import analysis
+from audio_features.acoustic.analysis import FLOOR_DB, track_pitch
 
 EVERYTHING = Stack([LogMel(), MFCC(), Prosody()])
 
@@ -28,13 +27,13 @@ def test_shapes_times_and_names(speech):
 def test_a_stack_gives_what_its_parts_give_from_one_spectrum(speech, monkeypatch):
     alone = [part.extract(speech).values for part in EVERYTHING.parts]
     made = []
-    build = spectrum_module.ShortTimeSpectrum.power.func
+    build = analysis.ShortTimeSpectrum.power.func
 
     def counted(self):
         made.append(self)
         return build(self)
 
-    monkeypatch.setattr(spectrum_module.ShortTimeSpectrum.power, "func", counted)
+    monkeypatch.setattr(analysis.ShortTimeSpectrum.power, "func", counted)
     np.testing.assert_array_equal(EVERYTHING.extract(speech).values, np.concatenate(alone, 1))
     assert len(made) == 1
 
@@ -45,7 +44,7 @@ class HalfBand(LogMel):
     device = property(lambda self: "other", lambda self, value: None)
 
     def spectrum_of(self, wave):
-        return spectrum_module.ShortTimeSpectrum(wave.resample(8_000))
+        return analysis.ShortTimeSpectrum(wave.resample(8_000))
 
 
 def test_parts_of_two_devices_in_a_stack_are_as_they_are_alone(speech):
@@ -138,7 +137,7 @@ def test_band_powers_add_up_to_the_level():
 
 def test_long_sound_does_not_depend_on_blocks(speech, monkeypatch):
     whole = EVERYTHING.extract(speech).values
-    monkeypatch.setattr("audio_features.acoustic.frames._BLOCK_FRAMES", 77)
+    monkeypatch.setattr("audio_features.acoustic.analysis._BLOCK_FRAMES", 77)
     np.testing.assert_allclose(EVERYTHING.extract(speech).values, whole, atol=2e-3)
 
 
@@ -156,7 +155,7 @@ def test_prosody_of_real_speech(shared_data):
     assert 1 < columns(track, "f0")[voiced].std() < 8
 
 
-def test_liveliness_is_the_range_of_pitch_and_energy():
+def test_prosodic_range_is_the_range_of_pitch_and_energy():
     rate = 16000
     time = np.arange(5 * rate) / rate
 
@@ -167,7 +166,7 @@ def test_liveliness_is_the_range_of_pitch_and_energy():
         gain = 10 ** (swell_db / 20 * np.sin(2 * np.pi * 1.1 * time))
         return Wave((0.05 * tone * gain).astype(np.float32), rate, None)
 
-    extractor = Liveliness()
+    extractor = ProsodicRange()
     flat, high, loud = (
         extractor.extract(say(*how)).values[100:-100].mean(axis=0)
         for how in ((0.2, 0.5), (5.0, 0.5), (0.2, 6.0))
@@ -177,17 +176,17 @@ def test_liveliness_is_the_range_of_pitch_and_energy():
     silence = extractor.extract(Wave(np.zeros(rate, np.float32), rate, None)).values
     assert np.abs(silence).max() == 0.0
     with pytest.raises(FeatureError, match="seconds=0"):
-        Liveliness(seconds=0)
+        ProsodicRange(seconds=0)
 
 
 @pytest.mark.parametrize("other", [300.0, 60.5])
-def test_pitch_beyond_seven_semitones_counts_as_seven_for_liveliness(other):
+def test_pitch_beyond_seven_semitones_counts_as_seven_for_prosodic_range(other):
     """Trackers make errors of an octave and more: here in .4 of the time, evenly spread."""
     time = np.arange(10 * 16_000) / 16_000
     pitch = np.where(time % 1.0 < 0.6, 121.0, other)
     phase = 2 * np.pi * np.cumsum(pitch) / 16_000
     tone = sum(np.sin(k * phase) / k for k in range(1, 20))
-    values = Liveliness().extract(Wave((0.05 * tone).astype(np.float32), 16_000)).values
+    values = ProsodicRange().extract(Wave((0.05 * tone).astype(np.float32), 16_000)).values
     # The mean is .4 · 7 = 2.8, and the mean distance from it .6 · 2.8 + .4 · 4.2 = 3.36.
     assert values[300:700, 0].mean() == pytest.approx(3.36, rel=0.05)
 
@@ -236,10 +235,10 @@ def test_values_are_those_of_librosa_which_is_not_imported(speech):
 
     for n_mels in (1, 24, 80):
         theirs = librosa.filters.mel(sr=16_000, n_fft=512, n_mels=n_mels, fmin=50.0, norm=None)
-        np.testing.assert_array_equal(spectrum_module.mel_filters(n_mels), theirs)
+        np.testing.assert_array_equal(analysis.mel_filters(n_mels), theirs)
     noise = 0.1 * np.random.default_rng(0).standard_normal(16_000).astype(np.float32)
     for wave in (speech, Wave(noise, 16_000)):
-        prepared = spectrum_module.ShortTimeSpectrum(wave)
+        prepared = analysis.ShortTimeSpectrum(wave)
         f0, _ = track_pitch(prepared.wave.samples, prepared.n_frames)
         theirs = librosa.yin(
             np.pad(prepared.wave.samples, (512, 1024)),

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import audio_features as af
-from audio_features.disk_cache import KINDS, DiskCache
+from audio_features.cache import KINDS, DiskCache
 
 
 class Slow:

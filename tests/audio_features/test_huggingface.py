@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sounds import distance, swelling
 
 import audio_features as af
 
@@ -52,13 +53,6 @@ def preprocessor(name: str) -> Any:
     return transformers.Wav2Vec2FeatureExtractor(do_normalize=True)
 
 
-def sound(seconds: float, seed: int = 0) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    times = np.arange(round(seconds * 16_000)) / 16_000
-    noise = rng.standard_normal(len(times)) + 3 * np.sin(2 * np.pi * 150 * times)
-    return (0.1 * noise * (1.05 + np.sin(2 * np.pi * 1.5 * times)) + 0.01).astype(np.float32)
-
-
 def of_transformers(name: str, model: Any, samples: np.ndarray) -> tuple[np.ndarray, list]:
     """Return the output (T, D) and all hidden states of transformers' own pipeline."""
     inputs = preprocessor(name)(samples, sampling_rate=16_000, return_tensors="pt")
@@ -69,14 +63,9 @@ def of_transformers(name: str, model: Any, samples: np.ndarray) -> tuple[np.ndar
     return out.last_hidden_state[0].numpy(), [state[0].numpy() for state in out.hidden_states]
 
 
-def distance(values: np.ndarray, truth: np.ndarray) -> float:
-    assert values.shape == truth.shape
-    return float(np.linalg.norm(values - truth) / np.linalg.norm(truth))
-
-
 def test_values_are_those_of_transformers(encoder):
     name, folder, model = encoder
-    samples = sound(1.73)
+    samples = swelling(1.73)
     last, states = of_transformers(name, model, samples)
     wave = af.Wave(samples, 16_000)
     track = af.HuggingFace(folder, layer="last").extract(wave)
@@ -119,7 +108,7 @@ def test_long_sounds_are_processed_in_chunks_with_context(encoder, copy):
     """Inputs of the layers are exact; their outputs differ a little, less with more context."""
     if encoder[0] == "whisper":  # its positions count from the start of a chunk
         without_positions(copy)
-    wave = af.Wave(sound(2.9), 16_000)
+    wave = af.Wave(swelling(2.9), 16_000)
     last = {"wav2vec2-bert": 0.1, "whisper": 0.25}.get(encoder[0], 0.03)
     for layer, bound in ((0, 1e-5), ("last", last)):
         whole = af.HuggingFace(copy, layer).extract(wave)
@@ -143,10 +132,10 @@ def without_positions(folder: Path) -> None:
 
 def test_sounds_longer_than_whisper_takes(encoder):
     name, folder, _ = encoder
-    samples = sound(7.01)
+    samples = swelling(7.01)
     track = af.HuggingFace(folder).extract(af.Wave(samples, 16_000))
     assert abs(track.times[-1] - 7.01) < 0.05 and np.isfinite(track.values).all()
-    short = af.Wave(sound(0.03), 16_000)
+    short = af.Wave(swelling(0.03), 16_000)
     if name == "wav2vec2-bert":
         with pytest.raises(af.AudioError, match="shorter than one frame"):
             af.HuggingFace(folder).extract(short)
@@ -155,13 +144,13 @@ def test_sounds_longer_than_whisper_takes(encoder):
 
 
 def test_a_window_past_the_end_of_the_sound_holds_silence(tmp_path, write_encoder):
-    from audio_features.huggingface.front_ends import front_end
+    from audio_features.huggingface.network import front_end
     from audio_features.huggingface.weights import read_encoder
 
     write_encoder(tmp_path, "whisper")
     front = front_end(*read_encoder(tmp_path))
     for level in (1.0, 1e-5):  # loud: 8 decades below the maximum; quiet: the lowest value
-        samples = torch.from_numpy(level * sound(3.5))
+        samples = torch.from_numpy(level * swelling(3.5))
         longer = torch.cat([samples, torch.zeros(16_000 * 6)])
         ours = front.sound(samples).window(100, 175)
         torch.testing.assert_close(ours, front.sound(longer).window(100, 175), atol=1e-5, rtol=0)
@@ -169,7 +158,7 @@ def test_a_window_past_the_end_of_the_sound_holds_silence(tmp_path, write_encode
 
 def test_a_spec_needs_the_weights_it_was_made_with(encoder, tmp_path, write_encoder):
     name, folder, _ = encoder
-    wave = af.Wave(sound(0.5), 16_000)
+    wave = af.Wave(swelling(0.5), 16_000)
     first = af.extractor_from_spec({"kind": "hf", "path": str(folder), "layer": 2})
     spec = json.loads(json.dumps(first.spec))
     assert "path" not in spec and str(folder) not in str(spec)
@@ -264,7 +253,7 @@ def test_a_pickle_is_not_loaded(copy):
 
 
 def test_the_waveform_is_normalised_as_the_folder_says(tmp_path, write_encoder):
-    wave = af.Wave(sound(0.5) * 0.1, 16_000)
+    wave = af.Wave(swelling(0.5) * 0.1, 16_000)
     for norm in ("hubert", "wavlm"):  # feat_extract_norm group and layer
         folder = tmp_path / norm
         write_encoder(folder, norm)

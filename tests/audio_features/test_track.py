@@ -11,7 +11,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from audio_features import FeatureError, FeatureTrack, Wave
-from audio_features.acoustic.spectrum import ShortTimeSpectrum
+from audio_features.acoustic.analysis import ShortTimeSpectrum
 
 
 @pytest.fixture
@@ -19,15 +19,6 @@ def ramp() -> FeatureTrack:
     """On WavLM's time base, each value is its own time: interpolation must give k/fps."""
     times = 0.0125 + 0.02 * np.arange(500)
     return FeatureTrack(np.stack([times, -times], 1), times, {"kind": "test"}, ("a", "b"))
-
-
-def test_gaussian_calms_what_flickers_from_frame_to_frame():
-    flicker = np.resize([0.0, 1.0], 200)
-    slow = np.sin(np.arange(200) / 20)
-    track = FeatureTrack(np.stack([flicker, slow], 1).astype(np.float32), np.arange(200) / 25, {})
-    calm = track.to_rate(25, method="gaussian").values[3:-3]
-    assert np.ptp(calm[:, 0]) < 0.02 and abs(calm[:, 0].mean() - 0.5) < 0.01
-    assert np.abs(calm[:, 1] - slow[3:-3]).max() < 0.01
 
 
 def test_gaussian_has_a_standard_deviation_of_one_motion_frame():
@@ -72,13 +63,6 @@ def test_mean_averages_what_lies_within_each_motion_frame(ramp):
         ramp.to_rate(200.0, n_frames=1500).values[10:1500, 0],
         atol=0.004,
     )
-
-
-def test_mean_removes_what_point_interpolation_aliases():
-    times = np.arange(1000) / 100
-    track = FeatureTrack(np.cos(np.pi * np.arange(1000))[:, None], times)
-    assert np.abs(track.to_rate(25, 250).values).max() == 1
-    assert np.abs(track.to_rate(25, 249, method="mean").values[1:]).max() < 1e-6
 
 
 @pytest.mark.parametrize(("n_in", "n_out"), [(499, 250), (50, 88), (1, 5), (7, 1)])

@@ -8,6 +8,7 @@ import warnings
 
 import numpy as np
 import pytest
+from sounds import distance, swelling
 
 import audio_features as af
 
@@ -54,14 +55,6 @@ def make_lively(model, seed: int = 0) -> None:
                 parameter.mul_(3.0)
 
 
-def sound(seconds: float, level: float = 0.1, seed: int = 0) -> np.ndarray:
-    """Noise whose loudness and colour change."""
-    rng = np.random.default_rng(seed)
-    times = np.arange(round(seconds * 16_000)) / 16_000
-    noise = rng.standard_normal(len(times)) + 3 * np.sin(2 * np.pi * 150 * times)
-    return (level * noise * (1.05 + np.sin(2 * np.pi * 1.5 * times)) + 0.01).astype(np.float32)
-
-
 def of_transformers(model, samples: np.ndarray, normalize: bool):
     """(last hidden state, all hidden states), each (T, width)."""
     if normalize:
@@ -72,15 +65,10 @@ def of_transformers(model, samples: np.ndarray, normalize: bool):
     return out.last_hidden_state[0].numpy(), [state[0].numpy() for state in out.hidden_states]
 
 
-def distance(values: np.ndarray, truth: np.ndarray) -> float:
-    assert values.shape == truth.shape
-    return float(np.linalg.norm(values - truth) / np.linalg.norm(truth))
-
-
 @pytest.mark.parametrize("seconds", SECONDS)
 def test_values_are_those_of_transformers(network, seconds):
     folder, model, large = network
-    samples = sound(seconds)
+    samples = swelling(seconds)
     last, states = of_transformers(model, samples, normalize=large)
     wave = af.Wave(samples, 16_000)
     track = af.WavLM(folder).extract(wave)
@@ -95,7 +83,7 @@ def test_values_are_those_of_transformers(network, seconds):
 
 
 def test_both_implementations_agree(network, microsoft, tmp_path):
-    wave = af.Wave(sound(3.0), 16_000)
+    wave = af.Wave(swelling(3.0), 16_000)
     for settings in ({}, {"layer": [0, 2], "final_norm": False}, {"layer": "mean"}):
         ours = af.WavLM(network[0], **settings)
         theirs = af.WavLM(network[0], **settings, implementation="transformers")
@@ -120,7 +108,7 @@ def test_both_implementations_agree(network, microsoft, tmp_path):
 @pytest.mark.parametrize("n", [400, 719, 720, 721, 1040, 16_000 + 79])
 def test_the_shortest_sounds_and_the_edges_between_frame_counts(network, n):
     folder, model, large = network
-    samples = sound(1.1)[:n]
+    samples = swelling(1.1)[:n]
     ours = af.WavLM(folder).extract(af.Wave(samples, 16_000)).values
     assert distance(ours, of_transformers(model, samples, normalize=large)[0]) < 1e-5
 
@@ -128,7 +116,7 @@ def test_the_shortest_sounds_and_the_edges_between_frame_counts(network, n):
 def test_sound_of_another_rate_and_silence(network):
     extractor = af.WavLM(network[0])
     for rate in (8_000, 11_025, 44_100, 48_000):
-        short = af.Wave(sound(0.1)[: -(-rate // 40)], rate)  # 25 ms
+        short = af.Wave(swelling(0.1)[: -(-rate // 40)], rate)  # 25 ms
         assert extractor.extract(short).values.shape == (1, extractor.dim)
     with pytest.raises(af.AudioError, match="at least 25 ms"):
         extractor.extract(af.Wave(np.zeros(399, np.float32), 16_000))
@@ -146,7 +134,7 @@ def test_the_front_end_gives_the_same_in_blocks_of_any_size(network, block):
     folder, model, _ = network
     weights, tensors = read_weights(folder)
     front = FrontEnd(weights.architecture, tensors, torch.float32)
-    samples = torch.from_numpy(sound(1.5))
+    samples = torch.from_numpy(swelling(1.5))
     with torch.no_grad():
         n_frames = (len(samples) - 400) // 320 + 1
         ours = front.frames(samples, 0, n_frames, front.for_sound(samples), block)
@@ -158,7 +146,7 @@ def test_the_front_end_gives_the_same_in_blocks_of_any_size(network, block):
 def test_inputs_of_the_transformer_are_exact_in_chunks(network):
     """Convolutions, normalisation over the whole sound, positions: no seam, no drift."""
     folder, model, large = network
-    samples = sound(7.3)
+    samples = swelling(7.3)
     state = of_transformers(model, samples, normalize=large)[1][0]
     for chunk, context in ((1.0, 0.2), (0.5, 0.0), (3.33, 0.5), (20.0, 2.0)):
         extractor = af.WavLM(folder, layer=0, full_context=1.0, chunk=chunk, context=context)
@@ -166,7 +154,7 @@ def test_inputs_of_the_transformer_are_exact_in_chunks(network):
 
 
 def test_chunks_follow_each_other_and_see_their_context():
-    from audio_features.inference import chunk_slices
+    from audio_features.speech_encoders import chunk_slices
 
     rng = np.random.default_rng(0)
     for _ in range(500):
@@ -184,7 +172,7 @@ def test_chunks_follow_each_other_and_see_their_context():
 
 def test_chunked_values_come_near_the_whole_as_chunks_grow(network):
     folder, _, _ = network
-    wave = af.Wave(sound(12.0), 16_000)
+    wave = af.Wave(swelling(12.0), 16_000)
     whole = af.WavLM(folder).extract(wave).values
     errors = [
         distance(
@@ -213,7 +201,7 @@ def test_chunks_in_a_batch_equal_single_chunks(network):
 
 def test_layers_side_by_side_and_averaged(network):
     folder, model, large = network
-    samples = sound(1.0)
+    samples = swelling(1.0)
     last, states = of_transformers(model, samples, normalize=large)
     wave = af.Wave(samples, 16_000)
     top = len(states) - 1
@@ -261,7 +249,7 @@ def test_settings_that_make_no_sense_are_refused(tmp_path, write_wavlm, settings
 
 
 def test_bf16_is_close_and_changes_the_spec(network):
-    wave = af.Wave(sound(2.0), 16_000)
+    wave = af.Wave(swelling(2.0), 16_000)
     exact, quick = (af.WavLM(network[0], dtype=dtype) for dtype in ("fp32", "bf16"))
     assert 1e-5 < distance(quick.extract(wave).values, exact.extract(wave).values) < 0.05
     assert quick.spec != exact.spec
@@ -288,10 +276,10 @@ def test_a_spec_makes_the_same_features_again(network, speech, settings):
 
 def test_a_spec_requires_the_weights_of_its_fingerprint(network, tmp_path, speech, write_wavlm):
     extractor = af.WavLM(network[0], layer=2)
-    # As written before there were other settings.
+    # Other settings have their defaults.
     spec = {"kind": "wavlm", "layer": 2, "fingerprint": extractor.fingerprint}
-    old = af.extractor_from_spec(spec, weights=network[0])
-    np.testing.assert_array_equal(old.extract(speech).values, extractor.extract(speech).values)
+    short = af.extractor_from_spec(spec, weights=network[0])
+    np.testing.assert_array_equal(short.extract(speech).values, extractor.extract(speech).values)
     with pytest.raises(af.WeightsError, match="--weights"):
         af.extractor_from_spec(spec)
     with pytest.raises(af.FeatureError, match="'layers'"):

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import shutil
-import subprocess
-import sys
-import types
 from pathlib import Path
 
 import numpy as np
@@ -129,49 +125,6 @@ def test_the_reach_of_positions_is_the_checkpoints_own(
     torch.save(checkpoint, tmp_path / "silent.pt")
     with pytest.raises(af.WeightsError, match="lacks max_distance"):
         af.WavLM(tmp_path / "silent.pt")
-
-
-def test_a_broken_torchaudio_is_not_noticed(wavlm_folder, tmp_path, speech):
-    """As the registry's torchaudio is beside a CPU build of torch: it cannot be imported."""
-    broken = tmp_path / "site" / "torchaudio"
-    broken.mkdir(parents=True)
-    message = "libtorch_cuda.so: cannot open shared object file"
-    (broken / "__init__.py").write_text(f"raise OSError({message!r})\n")
-    np.save(tmp_path / "samples.npy", speech.samples)
-    code = f"""
-import sys
-sys.path.insert(0, {str(tmp_path / "site")!r})
-try:
-    import torchaudio
-except OSError:
-    pass
-else:
-    raise SystemExit("torchaudio is not broken")
-import numpy as np
-import audio_features as af
-wave = af.Wave(np.load({str(tmp_path / "samples.npy")!r}), 16_000)
-np.save({str(tmp_path / "values.npy")!r}, af.WavLM({str(wavlm_folder)!r}).extract(wave).values)
-assert "transformers" not in sys.modules
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    values = np.load(tmp_path / "values.npy")
-    np.testing.assert_allclose(values, af.WavLM(wavlm_folder).extract(speech).values, atol=1e-4)
-
-
-@pytest.fixture
-def torchaudio(monkeypatch):
-    """torchaudio where it is installed; without its extension where that does not load."""
-    if importlib.util.find_spec("torchaudio") is None:
-        pytest.skip("torchaudio is not installed")
-    try:
-        return importlib.import_module("torchaudio")
-    except OSError:
-        stub = types.ModuleType("torchaudio._extension")
-        stub._IS_TORCHAUDIO_EXT_AVAILABLE = stub._IS_ALIGN_AVAILABLE = False
-        stub.fail_if_no_align = lambda function: function
-        monkeypatch.setitem(sys.modules, "torchaudio._extension", stub)
-        return importlib.import_module("torchaudio")
 
 
 @pytest.mark.parametrize("mode", ["group_norm", "layer_norm"])

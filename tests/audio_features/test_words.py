@@ -11,46 +11,21 @@ import audio_features as af
 
 EXPECTED = [(0.2, 0.5, "so"), (0.5, 1.0, "well"), (2.0, 2.25, "yes")]
 
+# As Praat writes it, and in its short form; how lines are broken is of no account.
 LONG = """File type = "ooTextFile"
 Object class = "TextGrid"
-
-xmin = 0
-xmax = 3
-tiers? <exists>
-size = 2
+xmin = 0 xmax = 3 tiers? <exists> size = 2
 item []:
-    item [1]:
-        class = "IntervalTier"
-        name = "phones"
-        xmin = 0
-        xmax = 3
-        intervals: size = 1
-        intervals [1]:
-            xmin = 0
-            xmax = 3
-            text = "a ""b"" 3"
-    item [2]:
-        class = "IntervalTier"
-        name = "words"
-        xmin = 0
-        xmax = 3
-        intervals: size = 4
-        intervals [1]:
-            xmin = 0.2
-            xmax = 0.5
-            text = "so"
+    item [1]: class = "IntervalTier" name = "phones" xmin = 0 xmax = 3 intervals: size = 1
+        intervals [1]: xmin = 0 xmax = 3 text = "a ""b"" 3"
+    item [2]: class = "IntervalTier" name = "words" xmin = 0 xmax = 3 intervals: size = 4
+        intervals [1]: xmin = 0.2 xmax = 0.5 text = "so"
         intervals [2]:
             xmin = 0.5
             xmax = 1
             text = "well"
-        intervals [3]:
-            xmin = 1
-            xmax = 2
-            text = ""
-        intervals [4]:
-            xmin = 2.0
-            xmax = 2.25
-            text = "yes"
+        intervals [3]: xmin = 1 xmax = 2 text = ""
+        intervals [4]: xmin = 2.0 xmax = 2.25 text = "yes"
 """
 SHORT = """File type = "ooTextFile"
 Object class = "TextGrid"
@@ -59,27 +34,8 @@ Object class = "TextGrid"
 3
 <exists>
 2
-"TextTier"
-"beats"
-0
-3
-1
-0.7
-"x"
-"IntervalTier"
-"transcript"
-0
-3
-3
-0.2
-0.5
-"so"
-0.5
-1
-"well"
-2
-2.25
-"yes"
+"TextTier" "beats" 0 3 1 0.7 "x"
+"IntervalTier" "transcript" 0 3 3 0.2 0.5 "so" 0.5 1 "well" 2 2.25 "yes"
 """
 LIST = [{"word": text, "start": start, "end": end} for start, end, text in EXPECTED]
 FILES = {
@@ -116,7 +72,7 @@ def test_utf_16_as_praat_writes_it(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "complaint"),
     [
-        ("a.TextGrid", LONG[:-100], "ends in the middle"),
+        ("a.TextGrid", LONG[:-60], "ends in the middle"),
         ("a.TextGrid", "no", "not a TextGrid"),
         ("a.TextGrid", LONG.replace("xmax = 2.25", "xmax = 1.5"), "interval 4: ends at 1.5"),
         ("a.ctm", "x 1 0.2 so\n", "line 1: expected file"),

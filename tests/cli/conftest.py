@@ -1,54 +1,25 @@
-"""The command line run within the test, and a model trained by it."""
+"""Recipes of which training takes a second, and a model trained by one."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
 from gesturekit.cli import main
+from gesturekit.training.recipes import read_table
 
-LIGHT = Path(__file__).resolve().parents[2] / "recipes" / "multires_speech" / "light.yaml"
-TINY = (
-    "fps=25",
-    "threads=1",
-    "network.levels=6",
-    "network.channels=[2,2,2]",
-    "network.embedding=4",
-    "training.first_stage=2",
-    "training.further_stages=2",
-    "training.discriminator_steps=1",
-    "training.reconstruction_steps=1",
-    "training.batch=2",
-    "training.window=2",
-    "training.window_cache=2",
-)
-
-SMALL = LIGHT.parents[1] / "diffusion_speech" / "small.yaml"
+RECIPES = Path(__file__).resolve().parents[2] / "recipes"
+LIGHT = RECIPES / "multires_speech" / "light.yaml"
+SMALL = RECIPES / "diffusion_speech" / "small.yaml"
+DEBUG = read_table()["debug"]
+TINY = (*DEBUG["multires"], "fps=25", "network.levels=6", "training.discriminator_steps=1")
 TINY_DIFFUSION = (
-    "threads=1",
-    "network.blocks=1",
-    "network.layers=1",
-    "network.channels=8",
-    "network.heads=2",
-    "network.feedforward=8",
-    "network.embedding=8",
+    *DEBUG["diffusion"],
     "noise.steps=8",
     "training.updates=6",
-    "training.batch=2",
-    "training.window=2",
     "features.extractors=[{kind: logmel}]",
 )
-
-
-class Done(NamedTuple):
-    """Exit status and output of a command."""
-
-    status: int
-    out: str
-    err: str
 
 
 @pytest.fixture(scope="session")
@@ -67,19 +38,6 @@ def light() -> Path:
 def recipe(request) -> tuple[object, ...]:
     """A recipe of each system that asks for no weights, and overrides that make it tiny."""
     return (LIGHT, *TINY) if request.param == "multires" else (SMALL, *TINY_DIFFUSION)
-
-
-@pytest.fixture
-def gesturekit(capsys) -> Callable[..., Done]:
-    """gesturekit("render", path, ...): run a command here and say how it ended."""
-
-    def run(*arguments: object) -> Done:
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as left:
-            main([str(argument) for argument in arguments])
-        return Done(left.value.code, *capsys.readouterr())
-
-    return run
 
 
 @pytest.fixture(scope="session")

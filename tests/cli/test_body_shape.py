@@ -3,37 +3,41 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 import gesturekit as gk
 from gesturekit.motion.body_model.model import FOOT_VERTICES
 from gesturekit.motion.contacts import foot_points
+from gesturekit.training.recipes import read_table
 
-CONFIGS = {
-    "multires": {
-        "threads": 1,
-        "features": None,
-        "recall": None,
-        "network": {"levels": 3, "channels": [2, 2, 2]},
-        "training": {
-            **{"first_stage": 1, "further_stages": 1, "discriminator_steps": 1, "batch": 1},
-            **{"window": 1.0, "window_cache": 2},
-        },
-    },
-    "diffusion": {
-        "threads": 1,
-        "features": None,
-        "network": {
-            **{"blocks": 1, "layers": 1, "channels": 8, "heads": 2, "feedforward": 8},
-            **{"embedding": 8, "dilations": [0]},
-        },
-        "training": {"updates": 1, "batch": 1, "window": 1.0},
-    },
+DEBUG = read_table()["debug"]
+WITHOUT_SPEECH = {
+    "multires": ("ganimator", *DEBUG["multires"], "network.levels=3"),
+    "diffusion": ("diffusion_speech/small", *DEBUG["diffusion"], "features=null"),
 }
+
+
+@pytest.fixture(params=WITHOUT_SPEECH)
+def train(request, gesturekit, tmp_path, monkeypatch) -> Callable[..., tuple[Path, str]]:
+    """train(name, recordings, *options of prepare, start_from=None): model, and what was said."""
+    monkeypatch.setenv("GESTUREKIT_BACKEND", "torch")  # nothing to compile
+
+    def run(name: str, recordings: Path, *options: object, start_from: Path | None = None):
+        corpus, out = tmp_path / f"{name}.jsonl", tmp_path / name
+        prepare = ("prepare", "--unpaired-motion", recordings, "--out", corpus, "--holdout", 0)
+        done = gesturekit(*prepare, *options)
+        assert done.status == 0, done.err
+        settings = [f"corpus={corpus}", f"out={out}", "training.window=1"]
+        settings += [] if start_from is None else [f"start_from={start_from}"]
+        done = gesturekit("train", *WITHOUT_SPEECH[request.param], *settings)
+        assert done.status == 0, done.err
+        return out / "model", done.err
+
+    return run
 
 
 @pytest.fixture(scope="module")
@@ -105,30 +109,18 @@ def check_body(file: dict, folder: Path, name: str, betas: np.ndarray) -> None:
     np.testing.assert_allclose(file["trans"] + joints[0], file["translation"], atol=1e-6)
 
 
-@pytest.mark.parametrize("system", CONFIGS)
-def test_each_speaker_keeps_the_recorded_body(
-    system, gesturekit, recordings, body_models, tmp_path, monkeypatch
-):
-    monkeypatch.setenv("GESTUREKIT_BACKEND", "torch")  # nothing to compile
-    corpus, run = tmp_path / "corpus.jsonl", tmp_path / "run"
-    done = gesturekit(
-        *("prepare", "--unpaired-motion", recordings, "--out", corpus, "--holdout", 0),
-        *("--style-pattern", "(?P<speaker>ann|abe)/", "--body-model", body_models),
-    )
-    assert done.status == 0, done.err
-    settings = {"system": system, "corpus": str(corpus), "out": str(run), **CONFIGS[system]}
-    (tmp_path / "config.yaml").write_text(yaml.safe_dump(settings))
-    done = gesturekit("train", tmp_path / "config.yaml")
-    assert done.status == 0, done.err
-    assert done.err.count("body shapes") == 1
-    assert "2 recordings of speaker ann have 2 body shapes; the mean of their betas" in done.err
-    assert len(foot_points(gk.load(run / "model").skeleton)) == 6
+def test_each_speaker_keeps_the_recorded_body(train, gesturekit, recordings, body_models, tmp_path):
+    options = ("--style-pattern", "(?P<speaker>ann|abe)/", "--body-model", body_models)
+    trained, said = train("run", recordings, *options)
+    assert said.count("body shapes") == 1
+    assert "2 recordings of speaker ann have 2 body shapes; the mean of their betas" in said
+    assert len(foot_points(gk.load(trained).skeleton)) == 6
 
     rendered = {}
     for speaker in ("ann", "abe", None):
         out = tmp_path / f"of_{speaker}"
         chosen = [] if speaker is None else ["--speaker", speaker]
-        model = ("--model", run / "model", "--seconds", 1, "--format", "npz")
+        model = ("--model", trained, "--seconds", 1, "--format", "npz")
         done = gesturekit("render", "--out", out, *model, *chosen)
         assert done.status == 0, done.err
         (file,) = out.glob("*.npz")
@@ -146,42 +138,26 @@ def test_each_speaker_keeps_the_recorded_body(
     np.testing.assert_array_equal(rendered[None]["offsets"], own["offsets"])
 
 
-@pytest.mark.parametrize("system", CONFIGS)
-def test_a_model_trained_further_on_another_speaker_gets_their_body(
-    system, gesturekit, recordings, tmp_path
-):
+def test_a_model_trained_further_on_another_speaker_gets_their_body(train, recordings):
     bodies, start = {}, None
     for speaker in ("ann", "abe"):
-        corpus, run = tmp_path / f"{speaker}.jsonl", tmp_path / speaker
-        prepare = ("prepare", "--unpaired-motion", recordings / speaker, "--holdout", 0)
-        assert gesturekit(*prepare, "--out", corpus).status == 0
-        settings = {"system": system, "corpus": str(corpus), "out": str(run), **CONFIGS[system]}
-        settings |= {} if start is None else {"start_from": str(start)}
-        (tmp_path / "config.yaml").write_text(yaml.safe_dump(settings))
-        done = gesturekit("train", tmp_path / "config.yaml")
-        assert done.status == 0, done.err
-        assert ("an unnamed speaker (gesturekit prepare --speaker" in done.err) == (start is None)
-        start = run / "model"
-        bodies[speaker] = gk.load(start).generate(seconds=0.5).skeleton.body_shape
+        trained, said = train(speaker, recordings / speaker, start_from=start)
+        assert ("an unnamed speaker (gesturekit prepare --speaker" in said) == (start is None)
+        start = trained
+        bodies[speaker] = gk.load(trained).generate(seconds=0.5).skeleton.body_shape
     assert bodies["ann"].betas == (1.5, -0.5, 0.5) and bodies["ann"].gender == "female"
     assert bodies["abe"].betas == (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
     assert bodies["abe"].gender == "neutral"
 
 
-@pytest.mark.parametrize("system", CONFIGS)
-def test_real_recordings_without_a_body_model(system, gesturekit, shared_data, tmp_path):
+def test_real_recordings_without_a_body_model(train, shared_data, tmp_path):
     recorded = sorted((shared_data / "takes" / "show").glob("oliver*.npz"))[:2]
     (tmp_path / "takes").mkdir()
     for file in recorded:
         shutil.copy(file, tmp_path / "takes")
-    corpus, run = tmp_path / "corpus.jsonl", tmp_path / "run"
-    prepare = ("prepare", "--unpaired-motion", tmp_path / "takes", "--out", corpus, "--holdout", 0)
-    assert gesturekit(*prepare).status == 0
-    settings = {"system": system, "corpus": str(corpus), "out": str(run), **CONFIGS[system]}
-    (tmp_path / "config.yaml").write_text(yaml.safe_dump(settings))
-    assert gesturekit("train", tmp_path / "config.yaml").status == 0
+    trained, _ = train("run", tmp_path / "takes")
     with pytest.warns(UserWarning, match="add-on"):
-        gk.load(run / "model").generate(seconds=0.5, fps=25).save(tmp_path / "x.npz")
+        gk.load(trained).generate(seconds=0.5, fps=25).save(tmp_path / "x.npz")
     with np.load(recorded[0]) as own, np.load(tmp_path / "x.npz") as ours:
         np.testing.assert_array_equal(ours["betas"], [*own["betas"], *[0] * 284])
         assert str(ours["gender"]) == str(own["gender"]) == "neutral"

@@ -1,18 +1,26 @@
-"""A model with features of a Hugging Face encoder, from the configuration to motion."""
+"""Models with features of WavLM and other encoders, from the configuration to motion."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from safetensors.torch import load_file
 
 import gesturekit as gk
 from audio_features import FeatureTrack
 from gesturekit import Motion
 from gesturekit.corpus import Manifest
+from gesturekit.inspection import inspect
+from gesturekit.multires.recall.wanted import WantedMovement
+from gesturekit.training.recipes import read_table
+
+RECIPES = Path(__file__).resolve().parents[2] / "recipes"
+CONFIG = RECIPES / "multires_speech" / "config.yaml"
 
 pytestmark = pytest.mark.usefixtures("no_network")
 
@@ -23,49 +31,66 @@ def hubert(write_encoder, tmp_path):
     return tmp_path / "hubert"
 
 
-def extractors(folder) -> str:
-    return f"features.extractors=[{{kind: hf, path: {folder}, layer: 2}}, {{kind: prosody}}]"
-
-
-def test_from_an_encoder_to_motion(
-    gesturekit, corpus, light, hubert, write_speech, write_encoder, tmp_path, tiny
+@pytest.mark.parametrize("kind", ["wavlm", "hf"])
+def test_from_weights_to_motion(
+    kind, gesturekit, corpus, light, write_speech, write_wavlm, write_encoder, tmp_path, tiny
 ):
-    run = tmp_path / "run"
-    done = gesturekit("train", light, f"corpus={corpus}", f"out={run}", extractors(hubert), *tiny)
-    assert done.status == 0, done.err
+    """Weights of WavLM by the paper's configuration, and a folder of Hugging Face."""
+    weights, other, run = (tmp_path / name for name in ("weights", "other", "run"))
+    for number, folder in enumerate((weights, other)):
+        if kind == "wavlm":
+            write_wavlm(folder, seed=number)
+        else:
+            write_encoder(folder, "hubert", seed=number)
+    config, setting = CONFIG, f"features.weights={weights}"
+    if kind == "hf":
+        parts = f"[{{kind: hf, path: {weights}, layer: 2}}, {{kind: prosody}}]"
+        config, setting = light, f"features.extractors={parts}"
+    done = gesturekit("train", config, f"corpus={corpus}", f"out={run}", setting, *tiny)
+    assert done.status == 0 and f"Model: {run / 'model'}" in done.out, done.err
     spec = yaml.safe_load((run / "model" / "config.yaml").read_text())["features"]["spec"]
-    assert spec["parts"][0]["kind"] == "hf" and "path" not in spec["parts"][0]
+    assert f"'kind': '{kind}'" in str(spec) and "path" not in str(spec)
     (fingerprint,) = re.findall(r"[0-9a-f]{64}", str(spec))
-    assert "hf (model hubert, layer 2" in gesturekit("inspect", run / "model").out
+    if kind == "hf":
+        assert "hf (model hubert, layer 2" in gesturekit("inspect", run / "model").out
     assert gesturekit("train", "--resume", run).status == 0
 
     speech = write_speech(tmp_path / "speech.wav", 1.3)
     render = ("render", speech, "--model", run / "model", "--out", tmp_path / "out")
     without = gesturekit(*render)
     assert without.status == 2 and "--weights" in without.err and fingerprint in without.err
-    write_encoder(tmp_path / "other", "hubert", seed=1)
-    refused = gesturekit(*render, "--weights", tmp_path / "other")
+    refused = gesturekit(*render, "--weights", other)
     assert refused.status == 2 and len(refused.err.splitlines()) == 1
     found = set(re.findall(r"[0-9a-f]{64}", refused.err))
     assert fingerprint in found and len(found) == 2
+    nowhere = gesturekit(*render, "--weights", tmp_path / "nowhere")
+    assert nowhere.status == 2 and "nowhere: no such folder" in nowhere.err
     assert not (tmp_path / "out").exists()
-    moved = hubert.rename(tmp_path / "moved")
+    # What counts is what the weights are, not where they lie.
+    moved = weights.rename(tmp_path / "moved")
     assert gesturekit(*render, "--weights", moved).status == 0
     assert Motion.load(tmp_path / "out" / "speech.bvh").n_frames == 39
 
 
-def test_training_names_the_folder_that_is_wrong(gesturekit, corpus, light, tmp_path, tiny):
+@pytest.mark.parametrize(
+    ("extractors", "complaint"),
+    [
+        ("[{kind: hf, path: none}]", "none: no such folder"),
+        ("[{kind: hf}]", "path: FOLDER"),
+        ("[{kind: wavlm}]", "Error: weights of WavLM are needed"),
+        ("[{kind: wavlm}, {kind: hf, path: a}]", "Error: weights of WavLM are needed"),
+        ("[{kind: hf, path: a}, {kind: hf, path: b}]", "2 of kind hf"),
+        ("[{kind: words, encoder: a}]", "a: no such folder"),
+    ],
+)
+def test_training_names_the_weights_that_are_missing(
+    gesturekit, corpus, light, tmp_path, tiny, extractors, complaint
+):
+    """In one line, before features are extracted."""
     train = ("train", light, f"corpus={corpus}", f"out={tmp_path / 'run'}", *tiny)
-    for where, complaint in (
-        (extractors(tmp_path / "none"), "none: no such folder"),
-        ("features.extractors=[{kind: hf}]", "path: FOLDER"),
-        ("features.extractors=[{kind: wavlm}, {kind: hf, path: a}]", "weights of WavLM are needed"),
-        ("features.extractors=[{kind: hf, path: a}, {kind: hf, path: b}]", "2 of kind hf"),
-        ("features.extractors=[{kind: words, encoder: a}]", "a: no such folder"),
-    ):
-        done = gesturekit(*train, where)
-        assert done.status == 2 and complaint in done.err, done.err
-        assert len(done.err.splitlines()) == 1
+    done = gesturekit(*train, f"features.extractors={extractors}")
+    assert done.status == 2 and complaint in done.err, done.err
+    assert len(done.err.splitlines()) == 1
 
 
 def test_a_model_takes_a_speech_and_a_text_encoder(
@@ -131,3 +156,55 @@ def test_features_and_doctor_take_the_folder(gesturekit, hubert, write_speech, t
     (hubert / "model.safetensors").write_bytes(b"damaged")
     broken = gesturekit("doctor", "--weights", hubert)
     assert broken.status == 1 and "cannot be read as weights" in broken.out
+
+
+DIFFUSION = (
+    *read_table()["debug"]["diffusion"],
+    "features.extractors=[{kind: wavlm, layer: last}, {kind: effort}]",
+    "features.components=5",
+)
+
+
+@pytest.mark.parametrize(
+    "recipe, count, dim", [("multires_speech/wavlm", 24, 31), ("diffusion_speech/small", 5, 8)]
+)
+def test_a_model_of_components(
+    gesturekit, corpus, write_speech, write_wavlm, tmp_path, tiny, caplog, recipe, count, dim
+):
+    weights, run = tmp_path / "wavlm", tmp_path / "run"
+    write_wavlm(weights)
+    recalls = recipe.startswith("multires")
+    settings = tiny if recalls else DIFFUSION
+    given = (f"corpus={corpus}", f"out={run}", f"features.weights={weights}", *settings)
+    with caplog.at_level("INFO"):
+        done = gesturekit("train", RECIPES / f"{recipe}.yaml", *given)
+    assert done.status == 0, done.err
+    assert f"32 of {dim - count + 32} speech features reduced to {count}" in caplog.text
+    # Recall weighs the components against the other features.
+    assert ("Hand movement predicted from held-out speech" in caplog.text) == recalls
+    tensors = load_file(run / "model" / "model.safetensors")
+    assert tensors["features.components"].shape == (32, count)
+    reduction = f"32 features reduced to {count} components"
+    assert f"- **Reduced features**: {reduction}\n" in (run / "model" / "README.md").read_text()
+    assert dict(inspect(run / "model").rows)["reduced features"] == reduction
+    assert gk.load(run / "model", weights=weights).conditions.conditioner.dim == dim
+    speech = write_speech(tmp_path / "speech.wav", 1.3)
+    render = ("render", speech, "--model", run / "model", "--out", tmp_path / "out")
+    more = () if recalls else ("--steps", 4)
+    assert gesturekit(*render, "--weights", weights, *more).status == 0
+    assert Motion.load(tmp_path / "out" / "speech.bvh").n_frames == 39
+
+
+def test_recall_without_a_prediction(
+    gesturekit, corpus, light, write_speech, tmp_path, tiny, caplog, monkeypatch
+):
+    run = tmp_path / "run"
+    monkeypatch.setattr(WantedMovement, "predicts", False)
+    with caplog.at_level("INFO"):
+        done = gesturekit("train", light, f"corpus={corpus}", f"out={run}", *tiny)
+    assert done.status == 0, done.err
+    assert "Speech does not predict hand movement" in caplog.text
+    library = gk.load(run / "model").library
+    assert library.wanted is None and library.recordings
+    speech = write_speech(tmp_path / "speech.wav", 1.3)
+    assert gesturekit("render", speech, "--model", run / "model", "--out", tmp_path).status == 0

@@ -363,10 +363,10 @@ def test_columns_stay_under_their_headers_beside_wide_characters(gesturekit, fol
 
 
 def test_an_interrupted_evaluation_goes_on_where_it_was(gesturekit, folders, tmp_path, monkeypatch):
-    from gesturekit.evaluation.measuring.work import Work
+    from gesturekit.evaluation.measuring.measurer import Measurer
 
     monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "cache"))
-    measure, done_clips = Work.clip, []
+    measure, done_clips = Measurer.clip, []
 
     def counted(self, label, index):
         if len(done_clips) == 2:
@@ -374,7 +374,7 @@ def test_an_interrupted_evaluation_goes_on_where_it_was(gesturekit, folders, tmp
         done_clips.append(index)
         return measure(self, label, index)
 
-    monkeypatch.setattr(Work, "clip", counted)
+    monkeypatch.setattr(Measurer, "clip", counted)
     done = gesturekit("evaluate", folders / "ours", folders / "recordings")
     assert done.status == 130 and "Finished measurements are cached" in done.err
     done_clips[:] = [None]  # room for one more clip
@@ -398,11 +398,11 @@ def test_tables_have_a_line_for_each_metric_and_stable_columns(gesturekit, folde
     assert list(rows[0])[:7] == ["model", "key", "name", "group", "unit", "better", "value"]
     for model in found["models"]:
         values = {row["key"]: float(row["value"]) for row in rows if row["model"] == model["label"]}
-        assert values == {key: figure["value"] for key, figure in model["figures"].items()}
+        assert values == {key: result["value"] for key, result in model["figures"].items()}
     (row,) = (row for row in rows if (row["model"], row["key"]) == ("a_1", "arm_speed"))
-    figure = found["models"][0]["figures"]["arm_speed"]
+    result = found["models"][0]["figures"]["arm_speed"]
     assert [float(row[k]) for k in ("low", "high", "recording")] == [
-        figure["low"], figure["high"], figure["recording"]
+        result["low"], result["high"], result["recording"]
     ]  # fmt: skip
     latex = (tmp_path / "t.tex").read_text()
     assert r"a\_1 & 50\% <b> & Recording" in latex and r"\end{tabular}" in latex

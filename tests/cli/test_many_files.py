@@ -1,4 +1,4 @@
-"""features and convert on many files: the plan, journal, shards and engines of render."""
+"""features and convert on many files: the plan, journal, shards and launchers of render."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
+from outputs import results
 
 from audio_features import FeatureTrack
 from gesturekit import Motion
@@ -43,13 +44,6 @@ def run(gesturekit, folder, tmp_path, verb):
     return lambda out, *options: gesturekit(*COMMANDS[verb](folder, tmp_path / out), *options)
 
 
-def results(out: Path) -> dict[str, bytes]:
-    """Bytes of each file but those of state; nothing temporary may be left."""
-    files = [path for path in out.rglob("*") if path.is_file() and STATE not in path.parts]
-    assert not [path for path in files if path.name.startswith(".")]
-    return {path.relative_to(out).as_posix(): path.read_bytes() for path in files}
-
-
 def test_shards_in_any_order_give_the_same_files(run, gesturekit, tmp_path, verb):
     whole = run("whole")
     assert (whole.status, whole.err) == (0, "") and len(whole.out.splitlines()) >= 5
@@ -68,12 +62,12 @@ def test_shards_in_any_order_give_the_same_files(run, gesturekit, tmp_path, verb
 
 
 @pytest.mark.stress
-def test_workers_and_engines_give_the_same_files(run, tmp_path):
+def test_workers_and_launchers_give_the_same_files(run, tmp_path):
     run("whole")
     assert run("workers", "--workers", 2).status == 0
     assert results(tmp_path / "workers") == results(tmp_path / "whole")
     pytest.importorskip("submitit")
-    done = run("slurm", "--engine", "slurm", "--jobs", 2, "--engine-option", "cluster=debug")
+    done = run("slurm", "--launcher", "slurm", "--jobs", 2, "--launcher-option", "cluster=debug")
     assert done.status == 0, done.err
     assert results(tmp_path / "slurm") == results(tmp_path / "whole")
 

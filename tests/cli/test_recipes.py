@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-import yaml
 
 import gesturekit.training.recipes as by_name
 from gesturekit.errors import ConfigError
@@ -118,9 +117,3 @@ def test_an_installation_without_recipes_says_so(monkeypatch, tmp_path):
     monkeypatch.setattr(by_name, "_PLACES", (tmp_path / "none",))
     with pytest.raises(ConfigError, match="install gesturekit again"):
         by_name.recipes()
-
-
-def test_every_configuration_is_valid_yaml_with_a_known_parent():
-    for path in ROOT.glob("recipes/*/*.yaml"):
-        base = yaml.safe_load(path.read_text(encoding="utf-8")).get("base")
-        assert base is None or "/" not in base or recipe_config(base), path

@@ -12,20 +12,14 @@ import pytest
 
 from audio_features import load_words
 from gesturekit.corpus import Manifest, Report, prepare
+from gesturekit.corpus.layouts import LAYOUTS
 from gesturekit.errors import CorpusError
 
 WORDS = """File type = "ooTextFile"
 Object class = "TextGrid"
 
-0
-2
-<exists>
-1
-"IntervalTier"
-"words"
-0
-2
-1
+0 2 <exists> 1
+"IntervalTier" "words" 0 2 1
 0.5
 0.8
 "hello"
@@ -303,7 +297,7 @@ def test_100style(tmp_path, write_bvh):
     gaits = ("BR", "BW", "FR", "FW", "ID", "SR", "SW", "TR1", "TR2", "TR3")
     header = ",".join(["STYLE_NAME", *(f"{g}_{end}" for g in gaits for end in ("START", "STOP"))])
     cells = {"BR": "6,60", "FW": "", "ID": "12,90"}
-    row = ",".join(cells.get(gait, "") or "," for gait in gaits).replace("12,90", "12,90")
+    row = ",".join(cells.get(gait, "") or "," for gait in gaits)
     write(tmp_path / "Frame_Cuts.csv", f"{header}\nAngry,{row}\nOld,{row}\n")
     for style, gait in (("Angry", "BR"), ("Angry", "FW"), ("Angry", "ID"), ("Old", "BR")):
         write_bvh(tmp_path / style / f"{style}_{gait}.bvh", 2.0, 60.0)
@@ -382,11 +376,13 @@ def test_seamless(tmp_path, write_speech):
 
 
 def test_layouts_that_cannot_be_used(tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "corpora.md").read_text(encoding="utf-8")
     with pytest.raises(CorpusError, match="did you mean beat2"):
         prepare(tmp_path, layout="beat")
     with pytest.raises(CorpusError, match="2 folders"):
         prepare([tmp_path, tmp_path], layout="zeggs")
-    for layout in ("beat2", "zeggs", "genea2023", "motorica", "100style", "trinity", "seamless"):
+    for layout in LAYOUTS:
+        assert f"\n| `{layout}` |" in page
         with pytest.raises(CorpusError, match="nowhere: no such folder"):
             prepare(tmp_path / "nowhere", layout=layout)
 

@@ -92,11 +92,12 @@ def test_takes_of_equal_names_in_two_folders_stay_apart_and_get_ids_of_their_own
     assert sorted(recording_ids([a for a, _ in result.pairs])) == ["one/a", "two/a"]
 
 
-def test_a_feature_file_beside_its_speech_is_not_taken_for_motion(tmp_path):
+def test_features_and_body_models_are_not_taken_for_motion(tmp_path, capsule_body):
     touch(tmp_path, "a.wav", "a.bvh")
+    np.savez(tmp_path / "SMPL.npz", **capsule_body(24))
     np.savez(tmp_path / "a.npz", values=np.zeros((2, 1)), times=np.zeros(2), spec="{}")
-    _, names = paired(tmp_path)
-    assert names == [("a.wav", "a.bvh")]
+    result, names = paired(tmp_path)
+    assert names == [("a.wav", "a.bvh")] and not result.motion and not result.problems
 
 
 def test_a_link_that_leads_back_up_is_followed_once(tmp_path):
@@ -122,8 +123,3 @@ def test_a_folder_that_is_not_there_is_an_error(tmp_path):
         scan(tmp_path / "none")
     with pytest.raises(CorpusError, match="is a file"):
         scan(touch(tmp_path, "a.wav") / "a.wav")
-
-
-def test_a_body_model_beside_the_motion_is_not_taken_for_one(tmp_path, capsule_body):
-    np.savez(tmp_path / "SMPL.npz", **capsule_body(24))
-    assert scan(tmp_path) == ([], [])

@@ -12,7 +12,7 @@ import soundfile
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.inspection.corpus import inspect_recordings
-from gesturekit.motion.body_size import body_height
+from gesturekit.motion.parts.body_size import body_height
 
 
 def errors(report):
@@ -21,6 +21,31 @@ def errors(report):
 
 def texts(report, severity):
     return [problem.text for problem in report.problems if problem.severity == severity]
+
+
+@pytest.fixture
+def write_pairs(tmp_path, write_speech):
+    """write_pairs(NAME=motion, ...): each with 4 s of speech beside it."""
+
+    def write(**motions) -> None:
+        for name, motion in motions.items():
+            motion.save(tmp_path / f"{name}.bvh")
+            write_speech(tmp_path / f"{name}.wav", 4.0)
+
+    return write
+
+
+def nameless(motion):
+    """Return the motion with joints named by number, and without end sites; and its parts."""
+    rig = motion.skeleton
+    names = tuple(f"Joint{j}" for j in range(rig.n_joints))
+    joints = {"shoulder": "Arm", "elbow": "ForeArm", "hip": "UpLeg", "knee": "Leg", "ankle": "Foot"}
+    parts = {
+        f"{side}_{part}": names[rig.index(side.title() + joint)]
+        for side in ("left", "right")
+        for part, joint in joints.items()
+    }
+    return replace(motion, skeleton=replace(rig, names=names, end_sites={})), parts
 
 
 def test_pairs_become_items_of_a_manifest_that_loads(tmp_path, write_pair):
@@ -125,24 +150,18 @@ def test_a_leading_t_pose_is_trimmed_from_sound_and_motion(tmp_path, write_pair,
 
 
 def test_a_t_pose_held_by_an_actor_is_found_though_it_is_not_the_rest_pose(
-    tmp_path, write_speech, gesture
+    tmp_path, write_pairs, gesture
 ):
     motion = gesture(4.0, t_pose=20)
     rng = np.random.default_rng(0)
     rotations = motion.rotations.copy()
     # A few degrees of sway in every joint, and the whole body turned by a right angle.
-    rotations[:20, 1:, :3] += rng.normal(0.0, 0.01, (skeleton_joints(motion) - 1, 3))
+    rotations[:20, 1:, :3] += rng.normal(0.0, 0.01, (motion.skeleton.n_joints - 1, 3))
     rotations[:20, 0] = [0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)]
     rotations /= np.linalg.norm(rotations, axis=-1, keepdims=True)
-    held = type(motion)(motion.skeleton, rotations, motion.translation, motion.fps)
-    held.save(tmp_path / "a.bvh")
-    write_speech(tmp_path / "a.wav", 4.0)
+    write_pairs(a=replace(motion, rotations=rotations))
     (item,) = prepare(tmp_path, holdout=0.0).manifest
     assert item.motion_start == pytest.approx(20 / 30, abs=1e-6)
-
-
-def skeleton_joints(motion):
-    return motion.skeleton.n_joints
 
 
 def test_a_motion_that_is_t_pose_throughout_is_warned_about_and_not_trimmed(tmp_path, write_pair):
@@ -153,25 +172,12 @@ def test_a_motion_that_is_t_pose_throughout_is_warned_about_and_not_trimmed(tmp_
     assert "T-pose or rest pose throughout" in texts(report, "warning")[0]
 
 
-def edited(motion, *, rotations=None, translation=None):
-    return type(motion)(
-        motion.skeleton,
-        motion.rotations if rotations is None else rotations,
-        motion.translation if translation is None else translation,
-        motion.fps,
-    )
-
-
-def test_frozen_motion_is_warned_about(tmp_path, write_speech, gesture):
+def test_frozen_motion_is_warned_about(tmp_path, write_pairs, gesture):
     motion = gesture(4.0)
     rotations = motion.rotations.copy()
     rotations[30:75] = rotations[30]
-    edited(motion, rotations=rotations).save(tmp_path / "part.bvh")
-    edited(motion, rotations=np.broadcast_to(rotations[:1], rotations.shape).copy()).save(
-        tmp_path / "whole.bvh"
-    )
-    for name in ("part", "whole"):
-        write_speech(tmp_path / f"{name}.wav", 4.0)
+    still = np.broadcast_to(rotations[:1], rotations.shape).copy()
+    write_pairs(part=replace(motion, rotations=rotations), whole=replace(motion, rotations=still))
     report = prepare(tmp_path, holdout=0.0)
     assert [item.id for item in report.manifest] == ["part", "whole"] and report.is_complete
     part, whole = texts(report, "warning")
@@ -180,16 +186,13 @@ def test_frozen_motion_is_warned_about(tmp_path, write_speech, gesture):
 
 
 def test_jumps_are_warned_about_with_what_to_check_where_they_are_many(
-    tmp_path, write_speech, gesture
+    tmp_path, write_pairs, gesture
 ):
     motion = gesture(4.0)
     once, often = motion.translation.copy(), motion.translation.copy()
     once[60:] += [1.0, 0.0, 0.0]
     often[::2] += [1.0, 0.0, 0.0]
-    edited(motion, translation=once).save(tmp_path / "once.bvh")
-    edited(motion, translation=often).save(tmp_path / "often.bvh")
-    for name in ("once", "often"):
-        write_speech(tmp_path / f"{name}.wav", 4.0)
+    write_pairs(once=replace(motion, translation=once), often=replace(motion, translation=often))
     report = prepare(tmp_path, holdout=0.0)
     assert [item.id for item in report.manifest] == ["often", "once"] and report.is_complete
     often, once = (text for text in texts(report, "warning") if "frames jump" in text)
@@ -198,15 +201,12 @@ def test_jumps_are_warned_about_with_what_to_check_where_they_are_many(
     assert "1 of 120 frames jump (over 10 m/s) at 2.00 s" in once and "--in-unit" not in once
 
 
-def test_pops_and_jitter_are_warned_about(tmp_path, write_speech, gesture):
+def test_pops_and_jitter_are_warned_about(tmp_path, write_pairs, gesture):
     motion = gesture(4.0)
     popping, shaking = motion.rotations.copy(), motion.translation.copy()
     popping[[30, 90], motion.skeleton.index("Head")] = [0.0, 0.5, 0.0, 0.75**0.5]
     shaking[::2] += [0.004, 0.0, 0.0]
-    edited(motion, rotations=popping).save(tmp_path / "pop.bvh")
-    edited(motion, translation=shaking).save(tmp_path / "shake.bvh")
-    for name in ("pop", "shake"):
-        write_speech(tmp_path / f"{name}.wav", 4.0)
+    write_pairs(pop=replace(motion, rotations=popping), shake=replace(motion, translation=shaking))
     report = prepare(tmp_path, holdout=0.0)
     assert len(report.manifest) == 2 and not errors(report)
     pop, shake = sorted(texts(report, "warning"))
@@ -214,31 +214,15 @@ def test_pops_and_jitter_are_warned_about(tmp_path, write_speech, gesture):
     assert re.search(r"shake.bvh: jitters in 9\d% of its frames", shake)
 
 
-def test_unidentified_parts_are_reported_and_can_be_specified(tmp_path, write_speech, gesture):
-    motion = gesture(2.0)
-    rig = motion.skeleton
-    names = tuple(f"Joint{j}" for j in range(rig.n_joints))
-    # Without toes nothing tells left from right.
-    nameless = replace(rig, names=names, end_sites={})
-    replace(motion, skeleton=nameless).save(tmp_path / "a.bvh")
-    write_speech(tmp_path / "a.wav", 2.0)
+def test_unidentified_parts_are_reported_and_can_be_specified(tmp_path, write_pairs, gesture):
+    motion, by_hand = nameless(gesture(4.0))  # without toes nothing tells left from right
+    write_pairs(a=motion)
     report = prepare(tmp_path, holdout=0.0)
     (note,) = texts(report, "note")
     assert len(report.manifest) == 1
     assert re.search(
         r"a.bvh: cannot identify the arms.*which way is forward.*parts: \{left_elbow:", note
     )
-    by_hand = {
-        f"{side}_{part}": names[rig.index(side.title() + joint)]
-        for side in ("left", "right")
-        for part, joint in (
-            ("shoulder", "Arm"),
-            ("elbow", "ForeArm"),
-            ("hip", "UpLeg"),
-            ("knee", "Leg"),
-            ("ankle", "Foot"),
-        )
-    }
     assert not prepare(tmp_path, holdout=0.0, parts=by_hand).problems
     wrong = prepare(tmp_path, holdout=0.0, parts={"left_elbow": "Joint99"})
     assert "Joint99" in texts(wrong, "error")[0]
@@ -291,14 +275,8 @@ def test_the_odd_skeleton_is_left_out_and_its_first_difference_named(tmp_path, w
     assert "'Thorax' here and 'Chest' in the others" in problem.message
 
 
-def test_performers_of_different_size_share_a_corpus(tmp_path, write_pair, write_speech, gesture):
-    write_pair(tmp_path, "a")
-    motion = gesture(4.0)
-    tall = type(motion)(
-        motion.skeleton.scaled(1.1), motion.rotations, 1.1 * motion.translation, motion.fps
-    )
-    tall.save(tmp_path / "b.bvh")
-    write_speech(tmp_path / "b.wav", 4.0)
+def test_performers_of_different_size_share_a_corpus(tmp_path, write_pairs, gesture):
+    write_pairs(a=gesture(4.0), b=gesture(4.0).scaled(1.1))
     assert len(prepare(tmp_path).manifest) == 2
 
 
@@ -314,8 +292,11 @@ def test_different_frame_rates_are_noted(tmp_path, write_pair):
 
 def test_the_last_fifth_of_a_single_recording_is_held_out(tmp_path, write_pair):
     write_pair(tmp_path, "a", 10.0)
-    train, test = prepare(tmp_path).manifest
+    report = prepare(tmp_path)
+    train, test = report.manifest
     assert (train.split, test.split) == ("train", "test")
+    paired = dict(report.rows())["paired"]
+    assert paired == "1 recording in 2 parts, 10.0 s: train 1 (8.0 s), test 1 (2.0 s)"
     assert (train.audio_start, train.duration) == (0.0, 8.0)
     assert (test.audio_start, test.motion_start, test.duration) == (8.0, 8.0, 2.0)
     assert prepare(tmp_path, holdout=0.0).manifest.items[0].split == "train"
@@ -473,14 +454,6 @@ def test_a_table_that_cannot_be_read_leaves_its_recording_out(tmp_path, write_pa
     ]
 
 
-def test_a_single_pair_that_is_split_is_counted_as_one_recording_in_two_parts(tmp_path, write_pair):
-    write_pair(tmp_path, "a", 6.0)
-    report = prepare(tmp_path)
-    assert len(report.manifest) == 2
-    (paired,) = (text for label, text in report.rows() if label == "paired")
-    assert paired == "1 recording in 2 parts, 6.0 s: train 1 (4.8 s), test 1 (1.2 s)"
-
-
 def test_reading_options_for_unit_and_height_are_stored_with_the_items(
     tmp_path, write_speech, gesture, save_as_others
 ):
@@ -503,23 +476,14 @@ def test_reading_options_for_unit_and_height_are_stored_with_the_items(
 
 
 def test_a_height_that_depends_on_parts_named_by_hand_is_the_same_in_training(
-    tmp_path, write_speech, gesture
+    tmp_path, write_pairs, gesture
 ):
-    motion = gesture(4.0)
-    names = tuple(f"Joint{i}" for i in range(motion.skeleton.n_joints))
-    joints = {"hip": "UpLeg", "knee": "Leg", "ankle": "Foot", "shoulder": "Arm", "elbow": "ForeArm"}
-    parts = {
-        f"{side}_{part}": names[motion.skeleton.index(f"{side.title()}{joint}")]
-        for side in ("left", "right")
-        for part, joint in joints.items()
-    }
-    nameless = replace(motion, skeleton=replace(motion.skeleton, names=names, end_sites={}))
-    nameless.save(tmp_path / "a.bvh")
-    write_speech(tmp_path / "a.wav", 4.0)
+    motion, parts = nameless(gesture(4.0))
+    write_pairs(a=motion)
     prepare(tmp_path, tmp_path / "m.jsonl", holdout=0.0, parts=parts, read={"height": 1.75})
     (item,) = Manifest.load(tmp_path / "m.jsonl")
-    named = nameless.with_parts(parts).skeleton
-    assert body_height(named) != pytest.approx(body_height(nameless.skeleton))
+    named = motion.with_parts(parts).skeleton
+    assert body_height(named) != pytest.approx(body_height(motion.skeleton))
     assert body_height(item.load_motion().skeleton.with_parts(parts)) == pytest.approx(1.75)
 
 
@@ -575,7 +539,7 @@ def test_of_a_bvh_and_an_npz_of_one_name_one_is_used(tmp_path, write_pair, gestu
 
 
 def test_a_file_that_is_left_out_gets_no_warnings_of_its_motion(
-    tmp_path, write_pair, write_speech, gesture
+    tmp_path, write_pair, write_pairs, write_speech, gesture
 ):
     write_pair(tmp_path, "long", 4.0, t_pose=20)
     write_speech(tmp_path / "long.wav", 9.0)
@@ -583,8 +547,7 @@ def test_a_file_that_is_left_out_gets_no_warnings_of_its_motion(
     write_pair(tmp_path, "also")
     odd = gesture(4.0, t_pose=20)
     names = ("Pelvis", *odd.skeleton.names[1:])
-    replace(odd, skeleton=replace(odd.skeleton, names=names)).save(tmp_path / "odd.bvh")
-    write_speech(tmp_path / "odd.wav", 4.0)
+    write_pairs(odd=replace(odd, skeleton=replace(odd.skeleton, names=names)))
     report = prepare(tmp_path, holdout=0.0)
     assert len(errors(report)) == 2 and not texts(report, "warning")
 

@@ -81,7 +81,7 @@ def test_the_timbre_of_an_unseen_speaker_is_removed(conditioner):
 
 
 def test_a_monotonous_clip_is_not_made_lively_by_its_own_mean():
-    extractor = af.Stack([af.Prosody(), af.Liveliness()])
+    extractor = af.Stack([af.Prosody(), af.ProsodicRange()])
     waves = [voice(4.0, seed=s, swing=swing) for s, swing in enumerate((0.1, 1.5))]
     conditioner = fitted(waves, extractor)
     column = extractor.names.index("f0_range")
@@ -216,7 +216,7 @@ def test_only_wide_extractors_are_reduced_and_effort_never():
         np.testing.assert_array_equal(after[:, : len(kept)], before[:, kept])
         assert reduced.effort == plain.effort == (0, 1, 2)
         assert reduced.acoustic == tuple(range(len(kept)))
-    ranged = fitted(heard, af.Stack([af.LogMel(n_mels=4), af.Liveliness(), af.Prosody()]))
+    ranged = fitted(heard, af.Stack([af.LogMel(n_mels=4), af.ProsodicRange(), af.Prosody()]))
     assert ranged.prosody == (4, 5, 6, 7, 8, 9) and ranged.effort == ()
     # Effort that follows what is reduced.
     behind = fitted(heard, af.Stack(parts[::-1]))

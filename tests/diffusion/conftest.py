@@ -10,9 +10,8 @@ import torch
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import DiffusionConfig, NetworkConfig, NoiseConfig
 from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.motion_vector import DeltaRepresentation
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
 from gesturekit.diffusion.network.denoiser import Denoiser
-from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.training.config import build
 from gesturekit.training.seeds import rng_for, seeded
 
@@ -74,7 +73,7 @@ def untrained(gesture) -> Callable[..., DiffusionModel]:
             fps=30.0,
             representation=representation,
             conditions=conditions,
-            standardiser=Standardiser.fit([representation.encode(m) for m in motions]),
+            normaliser=Normaliser.fit([representation.encode(m) for m in motions]),
             noise_config=NoiseConfig(predict="velocity"),
             network=network,
             speakers={},

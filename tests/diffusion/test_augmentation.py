@@ -18,7 +18,7 @@ from gesturekit.diffusion.training.augmentation import (
     stretch_factor,
 )
 from gesturekit.errors import ConfigError
-from gesturekit.evaluation.metrics.feet import foot_skate
+from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
 from gesturekit.training.seeds import rng_for
@@ -66,7 +66,7 @@ def test_a_stretched_walk_goes_the_same_way_in_another_time(walk, factor):
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
-def test_standardised_columns_stretch_as_raw_ones_do(walk, factor):
+def test_normalised_columns_stretch_as_raw_ones_do(walk, factor):
     representation = DeltaRepresentation.fit([walk])
     steps = representation.encode(walk)[:, representation.root_columns]
     mean, scale = np.array([0.1, 0.05, -0.2]), np.array([0.01, 0.02, 0.5])

@@ -48,7 +48,7 @@ def test_each_part_stands_in_its_columns(conditions):
     assert rows.dtype == np.float32 and rows.shape == (10, conditions.width) == (10, 12)
     columns = conditions.columns
     assert (rows[:, columns["speech"]] == 7).all()
-    assert np.allclose(rows[:, columns["path"]], [0.0, 1.0, 0.0], atol=1e-5)  # standardised
+    assert np.allclose(rows[:, columns["path"]], [0.0, 1.0, 0.0], atol=1e-5)  # normalised
     assert rows[:, columns["events"]].T.tolist() == [
         [0, 0, 0, 0, 0, 0, 1, 1, 1, 0],
         [0, 0, 0, 1, 0, 0, 0, 0, 0, 0],

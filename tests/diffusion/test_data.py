@@ -56,7 +56,7 @@ def test_rows_are_windows_of_recordings_with_their_conditions(make_config):
     assert [r.n_frames for r in data.recordings] == [180, 75]
     batch = Batches(data, config).draw(3, slice(0, 4))
     assert batch.clean.shape == batch.noise.shape == (4, 60, data.representation.n_features)
-    motion = data.standardiser.inverse(batch.clean).numpy()
+    motion = data.normaliser.inverse(batch.clean).numpy()
     for row in range(4):
         found = [
             (recording, start)
@@ -80,10 +80,10 @@ def test_a_row_depends_on_neither_its_neighbours_nor_what_was_drawn_before(make_
     assert len({float(noise[0, 0]) for noise in [*whole.noise, *parts[0].noise]}) == 8
 
 
-def test_motion_is_standardised_and_comes_back(make_config):
+def test_motion_is_normalised_and_comes_back(make_config):
     config = make_config(augmentation=PLAIN)
     data = load_training_data(config)
-    every = data.standardiser.forward(
+    every = data.normaliser.forward(
         torch.cat([torch.from_numpy(r.motion) for r in data.recordings])
     )
     assert every.mean(0).abs().max() < 1e-3 and every.std(0).max() < 1.01
@@ -102,7 +102,7 @@ def test_motion_is_standardised_and_comes_back(make_config):
 def test_a_root_that_stands_is_scaled_by_the_same_speed_at_any_rate(make_config, fps):
     made = load_training_data(make_config(fps=fps, augmentation=PLAIN))
     given = load_training_data(make_config(fps=fps, augmentation=PLAIN, path=True, features=None))
-    own = made.standardiser.scale[made.representation.root_columns][1:].numpy()
+    own = made.normaliser.scale[made.representation.root_columns][1:].numpy()
     for forward, lateral in (own, given.conditions.path_scale[1:]):
         assert (forward * fps, lateral * fps) == pytest.approx((0.015, 0.015))
 
@@ -170,7 +170,7 @@ def test_a_path_is_a_condition_and_is_followed(make_config, tmp_path, write_pair
         steps = np.diff(path.positions, axis=0) * [side, 1]
         turned = np.linalg.norm(np.diff(root[:, [0, 2]], axis=0), axis=-1)
         assert np.allclose(turned, np.linalg.norm(steps, axis=-1), atol=1e-6)
-    # Turn and lateral change sign, each about what zero was standardised to.
+    # Turn and lateral change sign, each about what zero was normalised to.
     zero = -data.conditions.path_mean / data.conditions.path_scale
     one, other = (recording.condition - zero for recording in data.recordings)
     assert np.abs(one).max() > 0.5 and np.allclose(one * [-1, 1, -1], other, atol=1e-4)
@@ -263,12 +263,12 @@ def test_a_resumed_run_reads_the_same_data(make_config, styled, tmp_path):
         TrainingData.load(tmp_path / "data", config)
 
 
-def test_a_run_goes_on_from_a_model_with_its_rig_and_standardisation(make_config, idle, tmp_path):
+def test_a_run_goes_on_from_a_model_with_its_rig_and_normalisation(make_config, idle, tmp_path):
     model = train(make_config(unpaired={"corpus": idle}, out=str(tmp_path / "before")))
     config = make_config(start_from=str(model), training={"updates": 1, "learning_rate": 1e-9})
     data = load_training_data(config)
     start = DiffusionModel.load(model)
-    assert torch.equal(data.standardiser.mean, start.standardiser.mean)
+    assert torch.equal(data.normaliser.mean, start.normaliser.mean)
     assert np.array_equal(data.conditions.conditioner.centre, start.conditions.conditioner.centre)
     after = DiffusionModel.load(train(config)).network.state_dict()
     for name, value in start.network.state_dict().items():

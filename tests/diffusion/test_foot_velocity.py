@@ -7,13 +7,10 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from gesturekit.diffusion.losses import foot_sliding
-from gesturekit.diffusion.motion_vector import DeltaRepresentation
-from gesturekit.diffusion.standardiser import Standardiser
-from gesturekit.diffusion.training.foot_velocity import FootVelocity
+from gesturekit.diffusion.losses import FootVelocity, foot_sliding
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
 from gesturekit.motion.contacts import foot_positions
-from gesturekit.motion.selection.point_kinematics import foot_kinematics
-from gesturekit.motion.torch_kinematics import rotation_vector_to_matrix
+from gesturekit.motion.torch_kinematics import foot_kinematics, rotation_vector_to_matrix
 
 
 @pytest.fixture(scope="module")
@@ -29,19 +26,19 @@ def walker(gesture):
 
 
 def velocity_of(representation, fps):
-    """Return the module and a standardiser whose mean and scale are not those of a unit."""
+    """Return the module and a normaliser whose mean and scale are not those of a unit."""
     columns = torch.arange(representation.n_features)
-    standardiser = Standardiser(0.01 * (columns % 3), 0.5 + 0.1 * (columns % 5))
-    return standardiser, FootVelocity(
-        representation, standardiser, foot_kinematics(representation), fps
+    normaliser = Normaliser(0.01 * (columns % 3), 0.5 + 0.1 * (columns % 5))
+    return normaliser, FootVelocity(
+        representation, normaliser, foot_kinematics(representation), fps
     )
 
 
 def test_foot_velocity_matches_that_of_motion(walker):
     representation = DeltaRepresentation.fit([walker])
-    standardiser, velocity = velocity_of(representation, walker.fps)
+    normaliser, velocity = velocity_of(representation, walker.fps)
     values = torch.from_numpy(representation.encode(walker)).float()
-    made = velocity(standardiser.forward(values)[None])[0].numpy() * representation.scale
+    made = velocity(normaliser.forward(values)[None])[0].numpy() * representation.scale
     real = np.diff(foot_positions(walker), axis=0) * walker.fps
     np.testing.assert_allclose(
         np.linalg.norm(made, axis=-1), np.linalg.norm(real, axis=-1), atol=2e-4
@@ -52,11 +49,11 @@ def test_foot_velocity_matches_that_of_motion(walker):
 
 def test_a_still_body_that_is_moved_slides_as_fast_as_it_is_moved(walker):
     representation = DeltaRepresentation.fit([walker])
-    standardiser, velocity = velocity_of(representation, 25.0)
+    normaliser, velocity = velocity_of(representation, 25.0)
     values = torch.zeros(1, 3, representation.n_features)
     turn, forward, lateral = range(*representation.root_columns.indices(values.shape[-1]))
     values[..., forward], values[..., lateral] = 0.02, -0.01
-    made = velocity(standardiser.forward(values))
+    made = velocity(normaliser.forward(values))
     # 2 cm and 1 cm a frame at 25 frames a second, to the left, up and forward.
     assert made.reshape(-1, 3).numpy() == pytest.approx(
         np.tile([-0.25, 0.0, 0.5], (made.shape[1] * made.shape[2], 1)), abs=1e-4

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from gesturekit.diffusion.composition.experts import (
+from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
+from gesturekit.diffusion.network.denoiser import Denoiser
+from gesturekit.diffusion.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.sampling.experts import (
     MAX_DEVIATION,
     Expert,
     ProductOfExperts,
     clip_denoised,
 )
-from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
-from gesturekit.diffusion.network.denoiser import Denoiser
-from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
 from gesturekit.diffusion.sampling.solvers import sample
 from gesturekit.errors import ModelError
 from gesturekit.training.seeds import rng_for, seeded

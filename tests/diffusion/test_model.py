@@ -17,9 +17,9 @@ import gesturekit as gk
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.conditions import smooth_path
 from gesturekit.diffusion.config import NoiseConfig
+from gesturekit.diffusion.events import asked_events
+from gesturekit.diffusion.motion_vector import Normaliser
 from gesturekit.diffusion.network.denoiser import Denoiser
-from gesturekit.diffusion.sampling.event_times import asked_events
-from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.errors import ConfigError, FormatError, ModelError
 from gesturekit.inspection import inspect
 from gesturekit.motion.root_path import RootPath
@@ -347,7 +347,7 @@ def test_models_that_do_not_go_together_are_refused(model, untrained):
             model.generate(**QUICK, experts=[(other, 0.5)], **asked)
 
     scaled, slow, turned, jointed, dance = (untrained(seed=9) for _ in range(5))
-    scaled.standardiser = Standardiser(model.standardiser.mean, model.standardiser.scale * 1.5)
+    scaled.normaliser = Normaliser(model.normaliser.mean, model.normaliser.scale * 1.5)
     refused(r"expert 1: .*another scale \(by up to a factor of 1\.5\).*moves_like", scaled)
     slow.fps = 20.0
     refused("expert 1: moves at 20 fps, this model at 30", slow)
@@ -364,7 +364,7 @@ def test_models_that_do_not_go_together_are_refused(model, untrained):
     refused("noise schedules differ", dance)
     refused("a multires model; only diffusion", gk.load("demo"))
     moved = untrained(seed=9)  # another mean is no hindrance
-    moved.standardiser = Standardiser(model.standardiser.mean + 0.1, model.standardiser.scale)
+    moved.normaliser = Normaliser(model.normaliser.mean + 0.1, model.normaliser.scale)
     alone = moved.generate(**QUICK, foot_lock=False)
     leads = model.generate(**QUICK, foot_lock=False, experts=[(moved, 1.0)])
     assert leads.n_frames == alone.n_frames and not same(leads, alone)

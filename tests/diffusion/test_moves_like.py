@@ -31,7 +31,7 @@ def test_experts_with_speech_and_events_can_be_combined(make_config, fights, tmp
     with pytest.raises(ModelError, match="train one with moves_like"):
         leader.generate(seconds=1.0, events="kick@0.5", experts=[(apart, 0.5)])
     assert like.conditions.events == ("kick",) and like.conditions.conditioner is None
-    assert torch.equal(like.standardiser.scale, leader.standardiser.scale)
+    assert torch.equal(like.normaliser.scale, leader.normaliser.scale)
     motion = leader.generate(seconds=1.0, events="kick@0.5", experts=[(like, 0.5)], steps=3)
     alone = leader.generate(seconds=1.0, steps=3)
     assert motion.n_frames == 30 and np.abs(motion.rotations - alone.rotations).max() > 1e-3

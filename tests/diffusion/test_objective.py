@@ -9,7 +9,7 @@ import torch
 
 from gesturekit.diffusion.config import NoiseConfig
 from gesturekit.diffusion.losses import change_error, denoising_error, foot_sliding
-from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.noise_schedule import NoiseSchedule
 from gesturekit.diffusion.sampling.solvers import sample
 from gesturekit.diffusion.training.trainer import _Trainer
 from gesturekit.training.run.session import session

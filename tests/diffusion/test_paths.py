@@ -8,7 +8,7 @@ import pytest
 from gesturekit.corpus import prepare
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.training.loading import load_training_data
-from gesturekit.evaluation.metrics.feet import foot_skate
+from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.formats.tables.root_path import load_root_path
 from gesturekit.motion import Motion
 from gesturekit.motion.root_path import RootPath

@@ -10,28 +10,21 @@ import pytest
 import torch
 
 from gesturekit import Motion
-from gesturekit.cli import main
 from gesturekit.corpus import Manifest
 from gesturekit.corpus.item import Item
 from gesturekit.diffusion.config import NoiseConfig
 
 
 @pytest.fixture
-def render(tmp_path, capsys):
+def render(tmp_path, gesturekit):
     """render(model, options...): exit code, the motion if there is one, and what was told."""
 
     def run(model: Path | str, *options: object) -> tuple[int, Motion | None, str]:
-        out = tmp_path / "out"
-        (out / "motion.npz").unlink(missing_ok=True)
-        asked = ["render", "--model", model, "--out", out, "--format", "npz", *options]
-        with pytest.raises(SystemExit) as left:
-            main([str(word) for word in asked])
-        made = out / "motion.npz"
-        return (
-            left.value.code,
-            Motion.load(made) if made.exists() else None,
-            capsys.readouterr().err,
-        )
+        made = tmp_path / "out" / "motion.npz"
+        made.unlink(missing_ok=True)
+        asked = ("--model", model, "--out", made.parent, "--format", "npz", *options)
+        done = gesturekit("render", *asked)
+        return done.status, Motion.load(made) if made.exists() else None, done.err
 
     return run
 

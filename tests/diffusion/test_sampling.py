@@ -7,9 +7,9 @@ import math
 import pytest
 import torch
 
-from gesturekit.diffusion.composition.experts import clip_denoised
 from gesturekit.diffusion.config import NoiseConfig
-from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.sampling.experts import clip_denoised
 from gesturekit.diffusion.sampling.solvers import chosen_steps, sample
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.training.seeds import rng_for

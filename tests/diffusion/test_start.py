@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from gesturekit import Motion, Skeleton
-from gesturekit.diffusion.motion_vector import DeltaRepresentation
-from gesturekit.diffusion.sampling.sdedit import SDEditStart
-from gesturekit.diffusion.standardiser import Standardiser
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
+from gesturekit.diffusion.sampling.request import SDEditStart
 from gesturekit.errors import FormatError, ModelError
 
 ASKED = {"foot_lock": False, "steps": 6}
@@ -87,10 +86,10 @@ def test_a_giants_motion_starts_on_the_floor_of_a_model_of_another_giant(model, 
     named = Skeleton(names=other_names, parents=tall.parents, offsets=tall.offsets)
     low = replace(giant, skeleton=named, translation=giant.translation - [0.0, 2.0, 0.0])
     representation = DeltaRepresentation.fit([giant])
-    standardiser = Standardiser.fit([representation.encode(giant)])
-    trained = replace(model, representation=representation, standardiser=standardiser)
+    normaliser = Normaliser.fit([representation.encode(giant)])
+    trained = replace(model, representation=representation, normaliser=normaliser)
     starts = [SDEditStart.build(trained, motion, 0.3).clean(60) for motion in (giant, low)]
-    heights = [standardiser.inverse(start)[:, representation.height_column] for start in starts]
+    heights = [normaliser.inverse(start)[:, representation.height_column] for start in starts]
     metres = (heights[1] - heights[0]) * representation.scale
     assert abs(float(metres.mean())) < 0.2, "the floor of a model is that of its mean height"
 

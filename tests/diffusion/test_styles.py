@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gesturekit.diffusion.composition.styles import style_weights
+from gesturekit.diffusion.sampling.expert_weights import style_weights
 from gesturekit.errors import ModelError
 
 NAMES = ("old", "angry", "calm:1")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gesturekit.diffusion.composition.weights import weight_track, weights_over_time
+from gesturekit.diffusion.sampling.expert_weights import weight_track, weights_over_time
 from gesturekit.errors import ModelError
 
 

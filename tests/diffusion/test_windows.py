@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from gesturekit.diffusion.composition.experts import Expert, ProductOfExperts
+from gesturekit.diffusion.sampling.experts import Expert, ProductOfExperts
 from gesturekit.diffusion.sampling.tiling import OVERLAP, tiled, tiles_of
 from gesturekit.errors import ModelError
 from gesturekit.training.seeds import rng_for

@@ -8,18 +8,17 @@ import pytest
 from scipy.stats import kendalltau, spearmanr
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.agreement.answers import Answer
-from gesturekit.evaluation.agreement.correlation import agreement
-from gesturekit.evaluation.intervals import Interval
-from gesturekit.evaluation.results import MetricResult, ModelResult
+from gesturekit.evaluation.results import Interval, MetricResult, ModelResult
+from gesturekit.evaluation.statistics.agreement import agreement
+from gesturekit.evaluation.statistics.answers import Answer
 
 
 def model(label: str, **values: float) -> ModelResult:
-    figures = {
+    metrics = {
         key: MetricResult(key, Interval(value, None, None, 1, 1, "samples"), recording=1.0)
         for key, value in values.items()
     }
-    return ModelResult(label, Path(label), figures=figures)
+    return ModelResult(label, Path(label), metrics=metrics)
 
 
 def judged(*wins: tuple[str, str], users: int = 4) -> list[Answer]:

@@ -12,8 +12,8 @@ from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import evaluate
 from gesturekit.evaluation.report.page import write_report
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.retarget import retarget
-from gesturekit.motion.selection.joint_selection import keep_joints
 
 
 @pytest.fixture
@@ -34,8 +34,8 @@ def loaded(recordings: Path) -> dict[str, Motion]:
     return {path.stem: Motion.load(path) for path in sorted(recordings.glob("*.bvh"))}
 
 
-def figure(found, index: int, key: str) -> float:
-    return found.models[index].figures[key].interval.value
+def result(found, index: int, key: str) -> float:
+    return found.models[index].metrics[key].interval.value
 
 
 def test_another_rig_is_retargeted_before_anything_is_measured(recordings, tmp_path):
@@ -53,7 +53,7 @@ def test_another_rig_is_retargeted_before_anything_is_measured(recordings, tmp_p
     assert "3 of 3 clips are on another rig" in larger_one.notes[0]
     # Retargeting there and back leaves the same movement, not one 1.3 times as fast.
     for key in ("wrist_speed", "reach"):
-        assert figure(found, 1, key) == pytest.approx(figure(found, 0, key), rel=0.05), key
+        assert result(found, 1, key) == pytest.approx(result(found, 0, key), rel=0.05), key
 
 
 def test_all_models_are_measured_with_the_joints_that_all_have(recordings, gesture, tmp_path):
@@ -65,10 +65,10 @@ def test_all_models_are_measured_with_the_joints_that_all_have(recordings, gestu
     found = evaluate({"whole": whole, "fewer": fewer}, recordings)
     # The same motion: with and without the joints that one of them lacks.
     for key in ("acceleration", "hellinger", "coverage", "one_nn", "l1_diversity"):
-        assert figure(found, 0, key) == pytest.approx(figure(found, 1, key), rel=0.01), key
+        assert result(found, 0, key) == pytest.approx(result(found, 1, key), rel=0.01), key
     assert "fewer lacks Neck " in "; ".join(found.models[1].notes)
     alone = evaluate({"whole": whole}, recordings)
-    assert figure(alone, 0, "l1_diversity") != pytest.approx(figure(found, 0, "l1_diversity"))
+    assert result(alone, 0, "l1_diversity") != pytest.approx(result(found, 0, "l1_diversity"))
 
 
 def test_clips_that_another_model_lacks_are_set_apart(recordings, gesture, tmp_path):
@@ -103,9 +103,9 @@ def test_a_recording_without_sound_has_no_speech_metrics_and_counts_elsewhere(
     made = saved(tmp_path / "made", {f"clip{i}": gesture(4.0, 25.0, seed=9) for i in range(3)})
     (recordings / "clip1.wav").unlink()
     (model,) = evaluate(made, recordings, audio=recordings).models
-    assert model.figures["sync"].interval.n == 2
-    assert model.figures["sync"].note == "2 of 3 clips"
-    assert model.figures["arm_speed"].interval.n == 3
+    assert model.metrics["sync"].interval.n == 2
+    assert model.metrics["sync"].note == "2 of 3 clips"
+    assert model.metrics["arm_speed"].interval.n == 3
     assert [item.what for item in model.excluded if item.name == "clip1"] == ["speech"]
 
 
@@ -119,6 +119,6 @@ def test_a_rig_of_the_same_names_and_another_body_is_retargeted(recordings, tmp_
     }
     (model,) = evaluate(saved(tmp_path / "made", made), recordings).models
     assert model.marks == ["retargeted"]
-    speed = model.figures["wrist_speed"]
+    speed = model.metrics["wrist_speed"]
     assert speed.interval.value == pytest.approx(speed.recording, rel=0.05)
-    assert np.isfinite(model.figures["foot_skate"].interval.value)
+    assert np.isfinite(model.metrics["foot_skate"].interval.value)

@@ -9,7 +9,7 @@ import pytest
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import read_answers
-from gesturekit.evaluation.agreement.answers import GENEA_COLUMNS
+from gesturekit.evaluation.statistics.answers import GENEA_COLUMNS
 
 # Lines as in battles_elo.csv and battles_mismatch.csv of GENEA's public analysis.
 GENEA = (

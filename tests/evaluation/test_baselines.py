@@ -10,7 +10,7 @@ import pytest
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import evaluate, hand_movement
-from gesturekit.evaluation.clips import load_clip
+from gesturekit.evaluation.measuring.clips import load_clip
 from gesturekit.motion import Motion
 from gesturekit.motion.rotations import mean_quaternion
 
@@ -38,7 +38,7 @@ def test_baselines_are_models_with_one_clip_a_recording(folders):
     assert found.settings["baselines"] == list(BOTH)
     for model in found.models[1:]:
         assert [clip.pair.name for clip in model.clips] == ["clip1", "clip2"]
-        assert model.figures["reach"].recording == found.models[0].figures["reach"].recording
+        assert model.metrics["reach"].recording == found.models[0].metrics["reach"].recording
         assert model.verdict
 
 
@@ -53,7 +53,7 @@ def test_the_mean_pose_is_held_in_every_frame(folders):
         assert clip.generated.rotations[:, joint] == pytest.approx(
             np.tile(expected, (clip.generated.n_frames, 1)), abs=1e-6
         )
-    assert found.models[1].figures["near_still"].interval.value == 100.0
+    assert found.models[1].metrics["near_still"].interval.value == 100.0
     assert found.models[1].verdict == "The hands hardly move."
 
 

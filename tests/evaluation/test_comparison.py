@@ -18,7 +18,7 @@ from gesturekit.evaluation import Variants, evaluate
 from gesturekit.evaluation.metrics.rhythm import beat_alignment, music_beats
 from gesturekit.evaluation.report.headline import interval_warnings
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.selection.joint_selection import keep_joints
+from gesturekit.motion.joint_selection import keep_joints
 
 
 @pytest.fixture(scope="module")
@@ -50,10 +50,10 @@ def test_recordings_against_themselves_are_perfect(folders):
         *("hellinger", "cca", "cca_global", "coverage", "global_diversity", "local_diversity"),
         *("raw_fgd", "fid_k", "fid_g", "inter_diversity"),
     )
-    for key, figure in model.figures.items():
-        if figure.recording is not None and key not in ("div_k", "div_g", *of_other_recordings):
-            assert figure.interval.value == pytest.approx(figure.recording), key
-    values = {key: figure.interval.value for key, figure in model.figures.items()}
+    for key, result in model.metrics.items():
+        if result.recording is not None and key not in ("div_k", "div_g", *of_other_recordings):
+            assert result.interval.value == pytest.approx(result.recording), key
+    values = {key: result.interval.value for key, result in model.metrics.items()}
     assert values["coverage"] == 100.0
     assert values["hellinger"] == values["joint_limits"] == values["one_nn"] == 0.0
     assert values["within_reach"] == 100.0 and values["likeness"] == 1.0
@@ -70,16 +70,16 @@ def test_the_recordings_own_value_is_that_of_the_next_recording_in_place_of_a_cl
         following.save(_made(tmp_path / f"clip{i}.npz"))
     (model,) = evaluate(tmp_path, folders / "recordings").models
     for key in ("coverage", "global_diversity", "local_diversity", "cca"):
-        figure = model.figures[key]
-        assert figure.interval.value == pytest.approx(figure.recording, rel=1e-4), key
+        result = model.metrics[key]
+        assert result.interval.value == pytest.approx(result.recording, rel=1e-4), key
 
 
 def test_samples_of_one_recording_count_as_one_draw(folders):
     found = evaluate(folders / "samples", folders / "recordings", audio=folders / "sound")
     (model,) = found.models
-    interval = model.figures["arm_speed"].interval
+    interval = model.metrics["arm_speed"].interval
     assert (interval.n, interval.units, interval.over) == (8, 4, "recordings")
-    clips = {clip.pair.name: clip.figures["arm_speed"] for clip in model.clips}
+    clips = {clip.pair.name: clip.metrics["arm_speed"] for clip in model.clips}
     means = [np.mean([clips[f"clip{i}_s{k}"] for k in (1, 2)]) for i in range(4)]
     assert interval.value == pytest.approx(np.mean(means))
     spread = stats.t.ppf(0.975, 3) * np.std(means, ddof=1) / np.sqrt(4)
@@ -87,8 +87,8 @@ def test_samples_of_one_recording_count_as_one_draw(folders):
     assert interval.value - interval.low == pytest.approx(spread, rel=0.1)
     one = model.by_recording["clip2"]["coverage"]
     assert (one.n, one.over) == (2, "samples")
-    assert "inter_diversity" in model.figures
-    sync = model.figures["sync"]
+    assert "inter_diversity" in model.metrics
+    sync = model.metrics["sync"]
     assert None not in (sync.recording, sync.chance, sync.mismatched)
 
 
@@ -99,7 +99,7 @@ def test_one_recording_has_no_intervals_however_many_samples(folders, tmp_path):
     found = evaluate(tmp_path / "made", folders / "recordings" / "clip0.bvh")
     (model,) = found.models
     intervals = [
-        figure.interval for figure in model.figures.values() if figure.interval.over == "recordings"
+        result.interval for result in model.metrics.values() if result.interval.over == "recordings"
     ]
     assert len(intervals) > 20 and all(i.low is None and i.units == 1 for i in intervals)
     (warning,) = interval_warnings(found)
@@ -138,13 +138,13 @@ def test_windows_are_compared_with_their_part_of_the_recording(tmp_path, gesture
         tmp_path / "made", tmp_path / "recordings", audio=tmp_path / "sound", protocol="lda"
     )
     (model,) = found.models
-    assert model.figures["arm_speed"].interval.value == pytest.approx(
-        model.figures["arm_speed"].recording
+    assert model.metrics["arm_speed"].interval.value == pytest.approx(
+        model.metrics["arm_speed"].recording
     )
-    assert "coverage" not in model.figures and "fid_k" in model.figures
+    assert "coverage" not in model.metrics and "fid_k" in model.metrics
     assert model.notes == []  # three samples of each 10 s window, as the protocol says
     # The windows' own distance to the whole set is the top line.
-    assert model.figures["fid_k"].recording is not None
+    assert model.metrics["fid_k"].recording is not None
 
 
 def test_windows_of_a_manifest_are_compared_with_all_of_its_splits(tmp_path, gesture, write_speech):
@@ -164,10 +164,10 @@ def test_windows_of_a_manifest_are_compared_with_all_of_its_splits(tmp_path, ges
     (one,), (other,) = of_corpus.models, of_folder.models
     assert one.excluded == other.excluded == [] and one.notes == []
     for key in ("fid_k", "fid_g", "raw_fgd", "bas", "joint_limits"):
-        ours, theirs = one.figures[key], other.figures[key]
+        ours, theirs = one.metrics[key], other.metrics[key]
         assert ours.interval.value == pytest.approx(theirs.interval.value), key
         assert ours.recording == pytest.approx(theirs.recording), key
-    assert one.figures["fid_k"].recording > 0  # the windows' own distance to the full dataset
+    assert one.metrics["fid_k"].recording > 0  # the windows' own distance to the full dataset
 
 
 def test_beat_alignment_is_that_of_the_chosen_variant(folders):
@@ -183,10 +183,10 @@ def test_beat_alignment_is_that_of_the_chosen_variant(folders):
         (clip, *_) = result.models[0].clips
         pulse = music_beats(Wave.load(folders / "sound" / f"{clip.pair.stem}.wav"))
         expected = beat_alignment(Motion.load(clip.pair.generated), pulse, variant=name)
-        assert clip.figures["bas"] == pytest.approx(expected.score)
+        assert clip.metrics["bas"] == pytest.approx(expected.score)
         (bas,) = (d for d in result.definitions() if d.key == "bas")
         assert bas.fps_bound == (name == "bailando") == ("first frame" in bas.variant)
-        found[name] = clip.figures["bas"]
+        found[name] = clip.metrics["bas"]
     assert found["seconds"] != pytest.approx(found["bailando"], rel=1e-3)
 
 
@@ -196,7 +196,7 @@ def test_the_multires_protocol_notes_missing_samples(folders):
     assert "takes 200 samples of each recording; clip0: 2" in model.notes[0]
     assert "shorter than 2 times its recording" in model.clips[0].notes[0]
     assert set(model.by_recording) == {f"clip{i}" for i in range(4)}
-    assert "sync" not in model.figures and "fid_k" not in model.figures
+    assert "sync" not in model.metrics and "fid_k" not in model.metrics
     with pytest.raises(EvaluationError, match="expected one of multires, lda"):
         evaluate(folders / "samples", folders / "recordings", protocol="genea")
 
@@ -209,7 +209,7 @@ def test_the_papers_patch_variant_has_no_coverage_without_a_threshold(folders):
             variants=Variants("paper", threshold),
             protocol="multires",
         )
-        assert ("coverage" in found.models[0].figures) is has
+        assert ("coverage" in found.models[0].metrics) is has
         assert found.settings["variants"] == {
             "patches": "paper", "threshold": threshold, "bas": "seconds"
         }  # fmt: skip
@@ -227,8 +227,8 @@ def test_rigs_are_matched_by_name_whatever_their_name_space_and_order(folders, t
         renamed = replace(rig, names=tuple(names.values()), end_sites=ends)
         replace(motion, skeleton=renamed).save(_made(tmp_path / "made" / f"{path.stem}.npz"))
     found = evaluate(tmp_path / "made", folders / "recordings")
-    assert found.models[0].figures["hellinger"].interval.value == pytest.approx(0.0, abs=1e-6)
-    assert found.models[0].figures["joint_limits"].interval.value == 0.0
+    assert found.models[0].metrics["hellinger"].interval.value == pytest.approx(0.0, abs=1e-6)
+    assert found.models[0].metrics["joint_limits"].interval.value == 0.0
 
 
 def test_bad_clips_are_left_out_with_their_reasons_and_the_rest_is_measured(folders, tmp_path):
@@ -302,8 +302,8 @@ def test_capture_noise_of_a_faster_recording_is_not_folded_down(gesture, tmp_pat
     noisy = replace(fast, translation=fast.translation + shake)
     noisy.save(_made(tmp_path / "recordings" / "clip.npz"))
     (model,) = evaluate(tmp_path / "made", tmp_path / "recordings").models
-    figure = model.figures["wrist_speed"]
-    assert figure.recording == pytest.approx(figure.interval.value, rel=0.2)
+    result = model.metrics["wrist_speed"]
+    assert result.recording == pytest.approx(result.interval.value, rel=0.2)
 
 
 def test_a_model_of_fewer_joints_has_fréchet_distances_on_those_it_shares(gesture, tmp_path):
@@ -315,8 +315,8 @@ def test_a_model_of_fewer_joints_has_fréchet_distances_on_those_it_shares(gestu
         keep_joints(motion, kept).save(_made(tmp_path / "made" / f"clip{i}.npz"))
     (model,) = evaluate(tmp_path / "made", tmp_path / "recordings").models
     for key in ("raw_fgd", "fid_k"):
-        assert model.figures[key].interval.value == pytest.approx(0.0, abs=1e-6), key
-    assert model.figures["div_k"].interval.value == pytest.approx(model.figures["div_k"].recording)
+        assert model.metrics[key].interval.value == pytest.approx(0.0, abs=1e-6), key
+    assert model.metrics["div_k"].interval.value == pytest.approx(model.metrics["div_k"].recording)
     assert "are not in the generated rig" in model.clips[0].notes[0]
 
 
@@ -326,4 +326,4 @@ def test_fgd_of_a_few_windows_is_not_informative(gesture, tmp_path, seconds, eno
     gesture(seconds, 30.0).save(_made(tmp_path / "recordings" / "clip.npz"))
     gesture(seconds, 30.0, seed=1).save(_made(tmp_path / "made" / "clip.npz"))
     (model,) = evaluate(tmp_path / "made", tmp_path / "recordings").models
-    assert model.figures["raw_fgd"].informative == enough
+    assert model.metrics["raw_fgd"].informative == enough

@@ -12,9 +12,10 @@ import soundfile
 from audio_features import Wave
 from gesturekit.evaluation import acceleration, arm_speed, foot_skate, jerk, joint_speed, sync
 from gesturekit.evaluation import wrist_speed as wrist_speeds
-from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics
-from gesturekit.evaluation.clips import Clip
 from gesturekit.evaluation.definitions import GROUPS, Variants
+from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
+from gesturekit.evaluation.measuring.clips import Clip, read_semantic
+from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
 from gesturekit.evaluation.metrics.rhythm import (
     beat_alignment,
     beat_consistency,
@@ -22,7 +23,6 @@ from gesturekit.evaluation.metrics.rhythm import (
     speech_onsets,
 )
 from gesturekit.evaluation.pairs import Pair
-from gesturekit.evaluation.semantic_track import read_semantic
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
 from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
@@ -191,7 +191,7 @@ def test_frame_rate_moves_speeds_and_beats_by_less_than_a_twentieth(pair_of_file
     wave = Wave.load(sound)
     onsets, pulse = speech_onsets(wave), music_beats(wave)
 
-    def figures(motion: Motion) -> dict[str, float]:
+    def metrics(motion: Motion) -> dict[str, float]:
         return {
             "arm speed": arm_speed(motion).mean(),
             "wrist speed": wrist_speeds(motion).mean(),
@@ -206,7 +206,7 @@ def test_frame_rate_moves_speeds_and_beats_by_less_than_a_twentieth(pair_of_file
         }
 
     assert recording.fps == pytest.approx(30, abs=0.01)
-    at_30, other = figures(recording), figures(recording.resample(float(fps)))
+    at_30, other = metrics(recording), metrics(recording.resample(float(fps)))
     for name, value in other.items():
         assert value == pytest.approx(at_30[name], rel=0.05), name
     # The unfiltered forms are bound to their frame rate: they are marked so for a reason.

@@ -14,7 +14,7 @@ from gesturekit.evaluation import (
     standing_heights,
 )
 from gesturekit.motion import Motion
-from gesturekit.motion.body_size import body_scale
+from gesturekit.motion.parts.body_size import body_scale
 
 
 @pytest.fixture

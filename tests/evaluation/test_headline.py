@@ -7,27 +7,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gesturekit.evaluation.headline.likeness import credits, likeness
-from gesturekit.evaluation.headline.questions import answers
-from gesturekit.evaluation.intervals import Interval
 from gesturekit.evaluation.pairs import Pair
-from gesturekit.evaluation.results import ClipResult, MetricResult
+from gesturekit.evaluation.results import ClipResult, Interval, MetricResult
+from gesturekit.evaluation.statistics.likeness import credits, likeness
+from gesturekit.evaluation.statistics.questions import answers
 
 OWN = {"hand_q50": 0.2, "reach": 0.3, "rest": 20.0, "jerk": 10.0, "foot_skate": 0.02}
 
 
 def clips(**factors: float) -> list[ClipResult]:
-    figures = {key: value * factors.get(key, 1.0) for key, value in OWN.items()}
+    metrics = {key: value * factors.get(key, 1.0) for key, value in OWN.items()}
     pairs = [Pair(f"r{r}", f"r{r}", None, Path("a"), Path("b")) for r in range(3)]
-    return [ClipResult(pair, 10.0, figures, OWN, {}) for pair in pairs]
+    return [ClipResult(pair, 10.0, metrics, OWN, {}) for pair in pairs]
 
 
 def result(key: str, value: float, recording: float | None, **more) -> MetricResult:
     return MetricResult(key, Interval(value, None, None, 3, 3, "recordings"), recording, **more)
 
 
-def states(made: list[ClipResult], **figures: MetricResult) -> dict[str, tuple[str, str]]:
-    return {answer.key: (answer.state, answer.sentence) for answer in answers(made, figures)}
+def states(made: list[ClipResult], **metrics: MetricResult) -> dict[str, tuple[str, str]]:
+    return {answer.key: (answer.state, answer.sentence) for answer in answers(made, metrics)}
 
 
 def test_likeness_is_one_within_a_quarter_and_falls_to_nothing_at_two_and_a_half():
@@ -78,12 +77,12 @@ def test_copies_are_named():
         (0.7, "no", "less lively"),
         (1.0, "yes", "New: as far"),
     ):
-        figure = result("novelty", value, 1.0, note="recording: against the training split")
-        found = states(clips(), novelty=figure)["novelty"]
+        copied = result("novelty", value, 1.0, note="recording: against the training split")
+        found = states(clips(), novelty=copied)["novelty"]
         assert found[0] == state and words in found[1] and "training motion" in found[1]
     low = result("copying_low", 0.1, 0.3)
-    figure = result("novelty", 442.0, 1.0, informative=False)
-    state, words = states(clips(), novelty=figure)["novelty"]
+    copied = result("novelty", 442.0, 1.0, informative=False)
+    state, words = states(clips(), novelty=copied)["novelty"]
     assert state == "not informative here" and "the same as the recordings" in words
     found = states(clips(), novelty=result("novelty", 1.0, 1.0), copying_low=low)
     assert found["novelty"][0] == "partly" and "occasionally" in found["novelty"][1]

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from gesturekit.evaluation import evaluate
-from gesturekit.evaluation.measuring import run
-from gesturekit.evaluation.measuring.work import Work
+from gesturekit.evaluation.measuring import measurer
+from gesturekit.evaluation.measuring.measurer import Measurer
 from gesturekit.motion import Motion
 
 
@@ -32,7 +32,7 @@ def folders(tmp_path, gesture, write_pair) -> Path:
 def measured(monkeypatch) -> list[tuple[str, ...]]:
     """(label, name of the clip) or (label, part of the set) of everything that is measured."""
     done: list[tuple[str, ...]] = []
-    clip, set_ = Work.clip, Work.set
+    clip, set_ = Measurer.clip, Measurer.set
 
     def count_clip(self, label, index):
         done.append((label, self.pairs[label][index].name))
@@ -42,8 +42,8 @@ def measured(monkeypatch) -> list[tuple[str, ...]]:
         done.append((task.label, task.part))
         return set_(self, task)
 
-    monkeypatch.setattr(Work, "clip", count_clip)
-    monkeypatch.setattr(Work, "set", count_set)
+    monkeypatch.setattr(Measurer, "clip", count_clip)
+    monkeypatch.setattr(Measurer, "set", count_set)
     return done
 
 
@@ -100,7 +100,7 @@ def test_worker_processes_give_the_same_figures(folders, tmp_path, monkeypatch):
     options = {"audio": folders / "recordings", "baselines": ("mean_pose",)}
     one = evaluate(models, folders / "recordings", **options).to_json()
     monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "another"))
-    monkeypatch.setattr(run, "IN_PROCESS_SECONDS", 0.0)
+    monkeypatch.setattr(measurer, "IN_PROCESS_SECONDS", 0.0)
     seen = []
 
     def progress(tasks, total, label):

@@ -70,7 +70,7 @@ def test_it_says_all_that_is_needed_to_read_a_figure(page, evaluation):
     for definition in evaluation.definitions():
         assert definition.name in text and definition.variant in text
         assert definition.text in text and definition.source in text
-    interval = evaluation.models[0].figures["arm_speed"].interval
+    interval = evaluation.models[0].metrics["arm_speed"].interval
     shown = f"{number(interval.low)} … {number(interval.high)}; 3 recordings, 6 clips"
     assert shown in re.sub(r"\s+", " ", text)
     assert "30 frames (1.20 s)" in text
@@ -84,17 +84,17 @@ def test_it_says_all_that_is_needed_to_read_a_figure(page, evaluation):
 def test_each_model_is_shown_with_its_own_chance_level(page, evaluation):
     text = html.unescape(re.sub(r"<[^>]+>", " ", markup(page)))
     for model in evaluation.models:
-        assert f"chance {number(model.figures['bc'].chance)}" in text
-    shown = [number(model.figures["bc"].chance) for model in evaluation.models]
+        assert f"chance {number(model.metrics['bc'].chance)}" in text
+    shown = [number(model.metrics["bc"].chance) for model in evaluation.models]
     assert text.count("chance ") >= len(shown) * 3  # sync, BAS and BC of each model
 
 
 def test_a_body_that_hardly_moves_does_not_stretch_the_plot_of_ratios(evaluation, monkeypatch):
     still = copy.deepcopy(evaluation)
-    for key, found in still.models[1].figures.items():
+    for key, found in still.models[1].metrics.items():
         tiny = 1e-13 * found.interval.value
         interval = replace(found.interval, value=tiny, low=tiny, high=tiny)
-        still.models[1].figures[key] = replace(found, interval=interval)
+        still.models[1].metrics[key] = replace(found, interval=interval)
     drawn = []
     monkeypatch.setattr(plots, "svg_text", lambda figure, *colours: drawn.append(figure) or "")
     plots.all_plots(still)

@@ -10,10 +10,13 @@ import soundfile
 
 from audio_features import Wave
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.contest.paired import contests
-from gesturekit.evaluation.sanity.bad_motion import BAD_MOTION, Source
-from gesturekit.evaluation.sanity.run import RECORDING, run_sanity
-from gesturekit.evaluation.sanity.table import conclusion, marks, noticed_by, ranking
+from gesturekit.evaluation.report.bad_motion import (
+    BAD_MOTION,
+    BadMotionInputs,
+    run_sanity,
+)
+from gesturekit.evaluation.report.sanity_table import conclusion, marks, noticed_by
+from gesturekit.evaluation.statistics.paired import contests
 from gesturekit.motion import Motion, Skeleton
 
 ALL = set(BAD_MOTION)
@@ -30,11 +33,9 @@ def spoken(shared_data, tmp_path_factory):
     return run_sanity(folder)
 
 
-def test_all_bad_motion_is_detected_and_ranks_behind_the_recording(spoken):
+def test_all_bad_motion_is_detected(spoken):
     found = noticed_by(spoken)
     assert set(found) == ALL and all(found.values()), found
-    assert ranking(spoken.evaluation)[0][0] == RECORDING
-    assert ranking(spoken.evaluation)[1][1] > 0.05
     assert "notice all 10 bad motions" in conclusion(spoken)
     assert found["another utterance"] == ["in_time"]
     assert found["foot slide"] == ["likeness"] and "novelty" in found["training recording"]
@@ -51,7 +52,7 @@ def test_no_bad_motion_is_bold_against_the_recording(spoken):
 def test_every_interval_is_stated(spoken):
     for model in spoken.evaluation.models:
         for key in ("in_time", "likeness", "novelty", "reach", "sync", "foot_skate"):
-            interval = model.figures[key].interval
+            interval = model.metrics[key].interval
             assert interval.low <= interval.value <= interval.high, (model.label, key)
 
 
@@ -76,12 +77,13 @@ def test_with_mismatched_speech_only_another_utterance_passes(shared_data, tmp_p
     assert {key for key, by in found.items() if not by} == {"another utterance"}
     assert "novelty" in found["training recording"]
     assert "not informative here" in conclusion(done)
-    assert ranking(done.evaluation)[0][0] in (RECORDING, "another utterance")
 
 
 def test_bad_motions_match_their_names(gesture):
     recording, other, training = (gesture(4.0, 25.0, seed=i) for i in range(3))
-    made = {n: make(Source(recording, other, training, 0)) for n, make in BAD_MOTION.items()}
+    made = {
+        n: make(BadMotionInputs(recording, other, training, 0)) for n, make in BAD_MOTION.items()
+    }
     assert all(m.n_frames == 100 and m.fps == 25.0 for m in made.values())
     assert np.ptp(made["frozen"].rotations, axis=0).max() == 0.0
     assert np.ptp(made["mean pose"].rotations, axis=0).max() == 0.0

@@ -82,7 +82,7 @@ SIGNS = {
 }
 
 
-def figures(generated: list[Motion], reference: list[Motion], model: FeatureModel) -> dict:
+def metrics(generated: list[Motion], reference: list[Motion], model: FeatureModel) -> dict:
     """Each metric of a set; patch metrics clip by clip, mean."""
     result = {}
     ours: list[np.ndarray] = []
@@ -129,10 +129,10 @@ def measured(request) -> dict[str, dict[str, float]]:
     fixture = "gesture" if request.param == "synthetic" else "shared_data"
     reference = globals()[request.param](request.getfixturevalue(fixture))
     model = FeatureModel.fit(reference, n_frames=30, steps=30)
-    rows = {"itself": figures(reference, reference, model)}
+    rows = {"itself": metrics(reference, reference, model)}
     for disturb in DISTURBANCES:
         generated = [disturb(motion, number) for number, motion in enumerate(reference)]
-        rows[disturb.__name__] = figures(generated, reference, model)
+        rows[disturb.__name__] = metrics(generated, reference, model)
     return rows
 
 

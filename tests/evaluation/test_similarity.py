@@ -5,7 +5,7 @@ import pytest
 
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.evaluation import SpeedHistogram, cca, hellinger, l1_diversity, srgr
-from gesturekit.evaluation.semantic_track import read_semantic
+from gesturekit.evaluation.measuring.clips import read_semantic
 
 
 def test_hellinger_by_hand():

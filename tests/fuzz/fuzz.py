@@ -180,14 +180,8 @@ def run_atheris(harness: Harness, options: argparse.Namespace, out: Any) -> None
         return mutate(data, harness.target.mutators, seed)[:most]
 
     longest = max(LONGEST_INPUT, *(len(seed) for seed in harness.seeds))
-    arguments = [
-        "fuzz",
-        f"-max_len={longest}",
-        f"-timeout={HANG}",
-        "-rss_limit_mb=0",
-        "-len_control=0",
-    ]
-    arguments += [f"-seed={options.first + 1}", "-verbosity=0", str(corpus)]
+    arguments = ["fuzz", f"-max_len={longest}", f"-timeout={HANG}", "-rss_limit_mb=0"]
+    arguments += ["-len_control=0", f"-seed={options.first + 1}", "-verbosity=0", str(corpus)]
     atheris.Setup(arguments, one, custom_mutator=change)
     atheris.Fuzz()
 

@@ -40,7 +40,7 @@ from gesturekit.rendering.inputs import item_of, read_list
 from gesturekit.systems import model_folder
 from gesturekit.training.config import load_config
 from gesturekit.training.run.checkpoint import Checkpoints
-from gesturekit.viewer.avatar.vrm import read_avatar
+from gesturekit.viewer.vrm import read_avatar
 
 Seeds = Callable[[Path], list[bytes]]
 
@@ -195,7 +195,7 @@ def service() -> Any:
     from starlette.testclient import TestClient
 
     from gesturekit.serving.app import create_app
-    from gesturekit.serving.limits import Limits
+    from gesturekit.serving.requests import Limits
 
     app = create_app(gk.load("demo"), Limits(per_minute=1e9, seconds=5, megabytes=1))
     return TestClient(app, base_url="http://localhost").__enter__()
@@ -331,11 +331,8 @@ TARGETS = {
             lambda _, file: load_events(file),
         ),
         Target(
-            *(
-                "semantics",
-                "a.txt",
-                text("beat_align\t0.5\t1.0\t0.5\t0.8\thand", "a\t1\t2\t1\t1\tx"),
-            ),
+            *("semantics", "a.txt"),
+            text("beat_align\t0.5\t1.0\t0.5\t0.8\thand", "a\t1\t2\t1\t1\tx"),
             lambda _, file: load_semantics(file),
         ),
         Target("http", "request", bodies, http, (*mutators.ANY, mutators.tokens)),

@@ -16,7 +16,7 @@ from gesturekit.errors import GestureKitError
 from gesturekit.inspection import Summary, inspect
 from gesturekit.inspection.tree import tree
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.selection.joint_selection import keep_joints
+from gesturekit.motion.joint_selection import keep_joints
 
 
 def row(summary: Summary, label: str) -> str:

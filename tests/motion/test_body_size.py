@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.body_size import REFERENCE_SIZE, body_height, body_scale, body_size
+from gesturekit.motion.parts.body_size import REFERENCE_SIZE, body_height, body_scale, body_size
 from gesturekit.motion.skeleton import Skeleton
 
 
@@ -54,6 +54,8 @@ def test_a_motion_is_scaled_to_a_height_with_all_that_moves(gesture):
     doll = motion.with_height(0.34)
     assert body_height(doll.skeleton) == pytest.approx(0.34)
     np.testing.assert_allclose(doll.positions(), motion.positions() * doll.info["scale"])
+    for name, ends in motion.end_positions().items():
+        np.testing.assert_allclose(doll.end_positions()[name], ends * doll.info["scale"])
     for wrong in (0.0, -1.0, float("nan")):
         with pytest.raises(MotionError, match="height is"):
             motion.with_height(wrong)

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hinges import bent_backwards
 
 from gesturekit.motion import Motion
-from gesturekit.motion.ik.joint_limits import bent_backwards
 from gesturekit.motion.ik.two_bone import reachable, two_bone_ik
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.rotations import (

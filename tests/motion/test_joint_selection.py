@@ -7,11 +7,11 @@ import pytest
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.joint_selection import keep_joints
+from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.parts import body_joints
-from gesturekit.motion.selection.joint_selection import keep_joints
-from gesturekit.motion.selection.model_joints import first_moving_joint
+from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.training.kinematics import VectorKinematics
 
 
 def check(motion: Motion, names: list[str]) -> Motion:

@@ -20,8 +20,8 @@ from gesturekit.motion.parts import (
     part_labels,
     upper_body,
 )
-from gesturekit.motion.parts.fingers import finger_chains
 from gesturekit.motion.parts.joint_names import bare_name
+from gesturekit.motion.retarget.body_frames import finger_chains
 
 MIXAMO = """
 Hips

@@ -8,9 +8,9 @@ import pytest
 import gesturekit as gk
 from gesturekit.diffusion.motion_vector import DeltaRepresentation
 from gesturekit.errors import MotionError
-from gesturekit.evaluation.metrics.feet import foot_skate
+from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.motion.contacts import foot_positions
-from gesturekit.motion.retarget.path_following import follow_path
+from gesturekit.motion.root_path import follow_path
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hinges import bent_backwards
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.contacts import contact_labels, foot_positions
-from gesturekit.motion.ik.joint_limits import bent_backwards
+from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.parts import SIDES, find_parts
 from gesturekit.motion.retarget import retarget
@@ -25,7 +26,6 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     rotation_angles,
 )
-from gesturekit.motion.selection.joint_selection import keep_joints
 
 ZEGGS = "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh"
 BANDAI = "motion/bandai/dataset-1_bye_happy_001.bvh"

@@ -7,16 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hinges import bent_backwards
+from rigs import rig_of
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.axes import file_axes, rotation_to_y_up, turn_axes
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.formats.units import guess_unit
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.body_size import body_height, body_size
 from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.motion.heading import heading, side_axis
-from gesturekit.motion.ik.joint_limits import bent_backwards
+from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.parts import (
     SIDES,
     body_joints,
@@ -27,6 +28,7 @@ from gesturekit.motion.parts import (
     unidentified,
     upper_body,
 )
+from gesturekit.motion.parts.body_size import body_height, body_size
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.retarget.standing_pose import standing_pose
 from gesturekit.motion.rotations import (
@@ -34,7 +36,6 @@ from gesturekit.motion.rotations import (
     multiply_quaternions,
     quaternion_from_rotation_vector,
 )
-from gesturekit.motion.selection.joint_selection import keep_joints
 from gesturekit.postprocess import lock_feet
 
 LEGS = ("UpLeg", "Leg", "Foot", "Toe", "hip", "knee", "ankle", "left_foot", "right_foot")
@@ -121,9 +122,7 @@ def test_legs_below_a_root_at_the_chest_are_not_called_absent():
         bones[f"{side}ForeArm"] = (f"{side}Arm", (0.28 * x, 0, 0))
         bones[f"{side}Thigh"] = ("Waist", (0.1 * x, 0, 0))
         bones[f"{side}Foot"] = (f"{side}Thigh", (0, -0.9, 0))
-    names = tuple(bones)
-    parents = tuple(-1 if parent is None else names.index(parent) for parent, _ in bones.values())
-    rig = Skeleton(names, parents, np.array([offset for _, offset in bones.values()], float))
+    rig = rig_of(bones)
     with pytest.raises(MotionError, match="which may begin at Waist"):
         find_parts(rig)
     assert find_parts(bust(rig, ("Thigh", "Foot"))).head == "Head"
@@ -252,9 +251,7 @@ def test_a_rig_of_ten_joints_as_in_corpora_of_talks():
         bones[f"{side}_shoulder"] = ("neck", (0.18 * x, -0.02, 0))
         bones[f"{side}_elbow"] = (f"{side}_shoulder", (0.04 * x, -0.28, 0))
         bones[f"{side}_wrist"] = (f"{side}_elbow", (0, -0.05, 0.24))
-    names = tuple(bones)
-    parents = tuple(-1 if parent is None else names.index(parent) for parent, _ in bones.values())
-    rig = Skeleton(names, parents, np.array([offset for _, offset in bones.values()], float))
+    rig = rig_of(bones)
     parts = find_parts(rig)
     assert (parts.pelvis, parts.spine, parts.head, parts.legs) == ("spine", ("neck",), "head", {})
     assert parts.arms["right"].wrist == "r_wrist"

@@ -6,7 +6,14 @@ import json
 
 import pytest
 
+from gesturekit.cli import main
 from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.network.skeleton_conv import convolve_dense
+from gesturekit.multires.training.batches import Batches
+from gesturekit.multires.training.data import TrainingData
+from gesturekit.multires.training.loading import load_training_data
+from gesturekit.multires.training.window_cache import WindowCache
 from gesturekit.training.config import build
 
 SMALL = {
@@ -61,3 +68,40 @@ def motions(gesture, tmp_path):
         return path
 
     return make
+
+
+@pytest.fixture
+def cache_of():
+    """cache_of(config, data=None): the window cache of a run with untrained networks."""
+
+    def make(config: MultiresConfig, data: TrainingData | None = None) -> WindowCache:
+        data = load_training_data(config) if data is None else data
+        width = data.conditions(config).width
+        network = MultiresGenerator(data.representation, width, config.network)
+        return WindowCache(data, config, network)
+
+    return make
+
+
+@pytest.fixture
+def batches_of(cache_of):
+    """batches_of(config, data=None, first=0): the batches of a stage with untrained networks."""
+
+    def make(config: MultiresConfig, data: TrainingData | None = None, first: int = 0) -> Batches:
+        cache = cache_of(config, data)
+        return Batches(cache.data, config, cache.network, first, convolve_dense)
+
+    return make
+
+
+@pytest.fixture
+def render(tmp_path, capsys):
+    """render(model, *options): exit code of the command, which writes into out/; and its errors."""
+
+    def run(model, *options) -> tuple[int, str]:
+        where = ["--model", str(model), "--out", str(tmp_path / "out"), "--existing", "replace"]
+        with pytest.raises(SystemExit) as left:
+            main(["render", *where, *map(str, options)])
+        return left.value.code, capsys.readouterr().err
+
+    return run

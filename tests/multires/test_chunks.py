@@ -20,7 +20,7 @@ from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.sampling.conditions import LevelConditions, condition_levels
-from gesturekit.multires.sampling.tiling import sample
+from gesturekit.multires.sampling.pyramid import sample
 from gesturekit.systems import bundled_speech
 
 LEVELS, FEATURES = 4, 3
@@ -103,7 +103,7 @@ import json
 import torch
 from audio_features import level_lengths
 from gesturekit.systems import load
-from gesturekit.multires.sampling.tiling import sample
+from gesturekit.multires.sampling.pyramid import sample
 
 torch.set_num_threads(1)
 network = load("demo").network

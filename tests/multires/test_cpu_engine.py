@@ -19,7 +19,7 @@ from gesturekit.multires.network.torch_backend import TorchBackend
 
 engine = pytest.importorskip("gesturekit.multires.cpu.engine", reason="the CPU engine is absent")
 sparse_conv = pytest.importorskip("gesturekit.multires.cpu.sparse_conv")
-threads = pytest.importorskip("gesturekit.multires.cpu.threads")
+threads = pytest.importorskip("gesturekit.multires.cpu.sparse_conv")
 
 NUMBA, TORCH = engine.NumbaBackend("test"), TorchBackend("test")
 
@@ -137,13 +137,15 @@ def test_discriminator_gradients_are_those_of_autograd(
     representation, penalty_on, n_frames, style, batch
 ):
     torch.manual_seed(0)
-    critic = LevelDiscriminator(representation, NetworkConfig(channels=(3, 4)), 3 if style else 0)
+    discriminator = LevelDiscriminator(
+        representation, NetworkConfig(channels=(3, 4)), 3 if style else 0
+    )
     style = None if style is None else torch.tensor(style).repeat(batch // 2, 1)
     losses = LossConfig(discriminator_scale=0.5, gradient_penalty=2.0, penalty_on=penalty_on)
     real, fake = torch.randn(2, batch, representation.n_features, n_frames)
     mix = torch.rand(batch, 1, 1)
-    exact = copy.deepcopy(critic).double()
-    gap = NUMBA.discriminator_gradients([critic], [real], [fake], [mix], losses, [style])
+    exact = copy.deepcopy(discriminator).double()
+    gap = NUMBA.discriminator_gradients([discriminator], [real], [fake], [mix], losses, [style])
     expected = TORCH.discriminator_gradients(
         [exact],
         [real.double()],
@@ -153,6 +155,6 @@ def test_discriminator_gradients_are_those_of_autograd(
         [None if style is None else style.double()],
     )
     assert float(gap) == pytest.approx(float(expected), abs=1e-5)
-    for ours, theirs in zip(critic.parameters(), exact.parameters(), strict=True):
+    for ours, theirs in zip(discriminator.parameters(), exact.parameters(), strict=True):
         assert close(ours.grad.double(), theirs.grad, 2e-3)
     assert sum(float(p.grad.norm()) for p in exact.parameters()) > 0

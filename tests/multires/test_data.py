@@ -14,12 +14,8 @@ from gesturekit.corpus import prepare
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.motion import Skeleton
 from gesturekit.motion.parts import upper_body
-from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.network.skeleton_conv import convolve_dense
-from gesturekit.multires.training.batches import Batches
+from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.training.data import (
-    Normaliser,
     PairedSequence,
     TrainingData,
     level_sigmas,
@@ -147,15 +143,14 @@ def test_a_window_longer_than_its_clip_continues_with_another(make_config):
         assert all(count % part == 0 for part, count in zip(parts[:-1], counts[:-1], strict=True))
 
 
-def test_real_motions_beside_a_whole_clip_have_its_style_and_are_no_longer(make_config):
+def test_real_motions_beside_a_whole_clip_have_its_style_and_are_no_longer(make_config, batches_of):
     config = make_config(training={"window": None})
     data = load_training_data(config)
     paired = tuple(
         replace(sequence, style=i, motion=torch.full_like(sequence.motion, i))
         for i, sequence in enumerate(data.paired)
     )
-    network = MultiresGenerator(data.representation, data.n_speech, config.network)
-    batches = Batches(replace(data, paired=paired), config, network, 2, convolve_dense)
+    batches = batches_of(config, replace(data, paired=paired), first=2)
     rng = torch.Generator().manual_seed(0)
     for clip, style, n_frames in ((125, 0, 125), (125, 1, 63), (40, 1, 40)):
         coarse, fine = batches.reals(clip, rng, [style])
@@ -165,12 +160,11 @@ def test_real_motions_beside_a_whole_clip_have_its_style_and_are_no_longer(make_
 
 
 @pytest.mark.parametrize(("window", "share"), [(None, 1 / 2), (3.0, 63 / (150 + 63))])
-def test_whole_recordings_are_drawn_equally_often_and_windows_by_frames(make_config, window, share):
-    config = make_config(training={"window": window})
-    data = load_training_data(config)
-    assert [sequence.n_frames for sequence in data.paired] == [150, 63]
-    network = MultiresGenerator(data.representation, data.n_speech, config.network)
-    batches = Batches(data, config, network, 0, convolve_dense)
+def test_whole_recordings_are_drawn_equally_often_and_windows_by_frames(
+    make_config, batches_of, window, share
+):
+    batches = batches_of(make_config(training={"window": window}))
+    assert [sequence.n_frames for sequence in batches.paired] == [150, 63]
     rng = torch.Generator().manual_seed(0)
     drawn = [batches.length("paired", rng) for _ in range(600)]
     assert drawn.count(63) / 600 == pytest.approx(share, abs=0.06)
@@ -187,18 +181,16 @@ def test_a_style_of_whole_recordings_is_drawn_as_often_as_it_was_recorded(make_c
 
 @pytest.mark.parametrize("cached", [None, 8])
 def test_without_speech_random_motions_are_as_long_as_a_recording_of_their_style(
-    make_config, motions, cached
+    make_config, batches_of, motions, cached
 ):
     corpus = str(motions(old=[2.0], angry=[6.0]))
     training = {"window": None, "window_cache": cached}
     config = make_config(corpus=corpus, features=None, styles={"mixing": 0.0}, training=training)
-    data = load_training_data(config)
-    network = MultiresGenerator(data.representation, len(data.styles), config.network)
-    batches = Batches(data, config, network, 0, convolve_dense)
+    batches = batches_of(config)
     batches.renew(0)
     for n_frames, style in ((150, 0), (50, 1)):
         windows, _ = batches.windows("random", n_frames, torch.Generator().manual_seed(0), 6)
-        assert data.styles == ("angry", "old") and (windows.styles == style).all()
+        assert (windows.styles == style).all()  # of angry, old
 
 
 def test_rigs_that_differ_are_refused_by_name(two_performers, gesture, tmp_path, make_config):

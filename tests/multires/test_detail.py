@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from gesturekit.multires.training.data import PairedSequence
-from gesturekit.multires.training.detail import DetailTarget
+from gesturekit.multires.training.targets import DetailTarget
 
 LEVELS, LEVEL = 4, 3
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from dataclasses import replace
 
@@ -12,7 +11,7 @@ import torch
 
 import gesturekit as gk
 from audio_features import level_lengths
-from gesturekit.cli import main
+from gesturekit.corpus import prepare
 from gesturekit.errors import ModelError
 from gesturekit.motion.heading import heading
 from gesturekit.motion.root_path import RootPath
@@ -33,11 +32,7 @@ def folder(gesture, tmp_path_factory):
     """A model of one clip that gestures and sways about, four levels."""
     where = tmp_path_factory.mktemp("held")
     swaying(gesture(5.0, seed=1)).save(where / "clip.bvh")
-    item = {"id": "clip", "motion": "clip.bvh", "duration": 5.0, "split": "train"}
-    item |= {"audio": None, "audio_start": 0.0, "motion_start": 0.0, "speaker": None}
-    item |= {"style": None, "text": None, "mirror": False, "conditions": {}}
-    lines = [json.dumps(line) + "\n" for line in ({"schema": 1}, item)]
-    (where / "clip.jsonl").write_text("".join(lines))
+    prepare([], where / "clip.jsonl", unpaired_motion=[where], holdout=0.0)
     values = {"system": "multires", "threads": 1, "features": None, "out": str(where / "run")}
     values |= {"corpus": str(where / "clip.jsonl")}
     values["network"] = {"levels": 4, "channels": [3, 3]}
@@ -262,30 +257,23 @@ def test_invalid_constraints_are_refused(model, gesture, asked, message):
         model.generate(**asked)
 
 
-def test_paths_and_parts_from_the_command_line(folder, gesture, tmp_path, capsys):
-    def render(*options: str) -> int:
-        with pytest.raises(SystemExit) as left:
-            place = ["--out", str(tmp_path / "out"), "--existing", "replace"]
-            main(["render", "--model", str(folder), *place, *options])
-        return left.value.code
-
-    def made() -> gk.Motion:
+def test_paths_and_parts_from_the_command_line(folder, gesture, tmp_path, render):
+    def made(*options) -> gk.Motion:
+        assert render(folder, *options)[0] == 0
         return gk.Motion.load(tmp_path / "out" / "motion.bvh")
 
-    (tmp_path / "path.csv").write_text("time,x,z\n0,0,0\n2,0,0.4\n4,0.4,0.4\n")
-    assert render("--path", str(tmp_path / "path.csv")) == 0
-    assert made().n_frames == 121
-    np.testing.assert_allclose(made().positions()[-1, 0, [0, 2]], [0.4, 0.4], atol=0.1)
-    for name, seed in (("a", 1), ("b@home", 2)):
-        gesture(2.0, seed=seed).save(tmp_path / f"{name}.bvh")
-    clips = [str(tmp_path / name) for name in ("a.bvh", "b@home.bvh")]
-    assert render("--keep", clips[1], "--seconds", "3") == 0
-    assert made().n_frames == 90
-    assert render("--keep", f"{clips[0]},{clips[1]}@3") == 0
-    assert made().n_frames == 150
-    capsys.readouterr()
-    assert render("--keep", ",".join(clips)) == 2
-    assert "both begin at 0 s" in capsys.readouterr().err
-    assert render("--keep", clips[0], "--path", str(tmp_path / "path.csv")) == 2
-    assert render("--path", str(tmp_path / "none.csv")) == 2
-    assert "no such file" in capsys.readouterr().err
+    path = tmp_path / "path.csv"
+    path.write_text("time,x,z\n0,0,0\n2,0,0.4\n4,0.4,0.4\n")
+    walk = made("--path", path)
+    assert walk.n_frames == 121
+    np.testing.assert_allclose(walk.positions()[-1, 0, [0, 2]], [0.4, 0.4], atol=0.1)
+    clips = [tmp_path / name for name in ("a.bvh", "b@home.bvh")]
+    for seed, clip in enumerate(clips, 1):
+        gesture(2.0, seed=seed).save(clip)
+    assert made("--keep", clips[1], "--seconds", "3").n_frames == 90
+    assert made("--keep", f"{clips[0]},{clips[1]}@3").n_frames == 150
+    code, said = render(folder, "--keep", ",".join(map(str, clips)))
+    assert code == 2 and "both begin at 0 s" in said
+    assert render(folder, "--keep", clips[0], "--path", path)[0] == 2
+    code, said = render(folder, "--path", tmp_path / "none.csv")
+    assert code == 2 and "no such file" in said

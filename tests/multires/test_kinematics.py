@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from gesturekit.evaluation import arm_speed
 from gesturekit.motion.contacts import foot_positions
 from gesturekit.multires import losses
+from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.training.kinematics import VectorKinematics
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from gesturekit.multires.training.arm_speed import ArmTarget, log_movement
+from gesturekit.multires.training.targets import ArmTarget, log_movement
 
 FRAME = 0.04
 FLOORS = (1.0, 10.0)

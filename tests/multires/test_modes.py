@@ -10,7 +10,6 @@ import pytest
 import torch
 
 import gesturekit as gk
-from gesturekit.cli import main
 from gesturekit.corpus import Manifest
 from gesturekit.errors import CorpusError, ModelError
 from gesturekit.inspection import inspect
@@ -22,7 +21,7 @@ from gesturekit.motion.rotations import (
 from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.network.discriminator import LevelDiscriminator
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.sampling.styles import (
+from gesturekit.multires.sampling.conditions import (
     agreed_style,
     level_track,
     mixed_styles,
@@ -85,16 +84,16 @@ def test_discriminators_tell_a_style_from_others(make_config, motions, tmp_path)
     training = {"first_stage": 40, "generator_steps": 0}
     folder = train(make_config(corpus=str(corpus), training=training, **mode))
     model = gk.load(folder)
-    critic = LevelDiscriminator(model.representation, model.network_config, 2)
+    discriminator = LevelDiscriminator(model.representation, model.network_config, 2)
     _, state = Checkpoints(folder.parent / "checkpoints").latest()
     own = {k[2:]: v for k, v in state["discriminators"].items() if k.startswith("0.")}
-    critic.load_state_dict(own)
+    discriminator.load_state_dict(own)
     for i, style in enumerate(model.styles):
         motion = gk.Motion.load(tmp_path / f"{style}_0.bvh").resample(model.fps)
         vectors = torch.from_numpy(model.representation.encode(motion).T[None]).float()
         coarsest = resample(model.normaliser.forward(vectors), 75)
         told, otherwise = torch.eye(2)[[i]], torch.eye(2)[[1 - i]]
-        assert critic(coarsest, told).mean() > critic(coarsest, otherwise).mean()
+        assert discriminator(coarsest, told).mean() > discriminator(coarsest, otherwise).mean()
 
 
 def test_label_mode_wants_a_style_for_every_item(make_config, motions):
@@ -219,19 +218,25 @@ def test_a_like_motion_shorter_than_the_sound_causes_a_warning(make_config, moti
         assert ("2 s of motion for 4 s: the last pose is held to the end" in caplog.text) == warns
 
 
-def test_noise_enters_at_as_many_levels_as_wanted(make_config, motions):
+def test_noise_enters_at_as_many_levels_as_wanted_scaled_by_their_sigma(make_config, motions):
     config = make_config(corpus=str(motions(none=[4.0])), noise_levels=2, **SINGLE)
     model = gk.load(train(config))
     assert model.noise.noise_levels == 2
 
-    def made(levels, noise_levels):
+    def made(levels, noise_levels, seed=1):
         model.noise = replace(model.noise, noise_levels=noise_levels)
-        return model.generate(seconds=6.0, seed=1, levels=levels, foot_lock=False).rotations
+        return model.generate(seconds=6.0, seed=seed, levels=levels, foot_lock=False).rotations
 
     np.testing.assert_array_equal(made(1, 1), made(1, 2))
     assert np.abs(made(2, 2) - made(2, 1)).max() > 1e-4
     np.testing.assert_array_equal(made(2, 2), made(2, 4))
     assert np.abs(made(4, 4) - made(4, 2)).max() > 1e-4
+    model.noise.sigma[:, 1:] = 0
+    quiet = made(4, 1)
+    np.testing.assert_array_equal(made(4, 4), quiet)
+    model.noise.sigma[:, 0] *= 100
+    loud = made(4, 1)
+    assert np.abs(loud - quiet).max() > 0.05 and np.abs(loud - made(4, 1, seed=2)).max() > 0.05
 
 
 def test_keyframes_decide_the_pose_and_the_length(make_config, motions, gesture):
@@ -280,7 +285,7 @@ def test_a_training_sequence_is_reconstructed(make_config, motions, gesture):
     "mode", [SINGLE, {**LABELS, "z_star_shuffle": 3}], ids=["single", "labels"]
 )
 def test_each_mode_resumes_bitwise(mode, make_config, motions):
-    """From the middle of a pair and of a bank, and from a checkpoint that was not the last."""
+    """From within a pair and a window cache, and from a checkpoint that was not the last."""
     changes = {**mode, "training": {"window": None, "further_stages": 8}}
     config = make_config(corpus=str(motions(old=[3.0], angry=[4.0])), **changes)
     folder = train(config)
@@ -324,48 +329,29 @@ def test_each_switch_of_ganimator_changes_the_training(make_config, motions, tmp
     assert len(made) == len(switches)
 
 
-def test_styles_and_keyframes_from_the_command_line(make_config, motions, tmp_path, capsys):
+def test_styles_and_keyframes_from_the_command_line(make_config, motions, tmp_path, render):
     folder = train(make_config(corpus=str(motions(old=[3.0], angry=[3.0])), **LABELS))
+    path = tmp_path / "out" / "motion.bvh"
 
-    def render(*options: str) -> int:
-        with pytest.raises(SystemExit) as left:
-            place = ["--out", str(tmp_path / "out"), "--existing", "replace"]
-            main(["render", "--model", str(folder), *place, *options])
-        return left.value.code
+    def frames(*options) -> int:
+        assert render(folder, *options)[0] == 0
+        return gk.Motion.load(path).n_frames
 
-    assert render("--seconds", "4", "--style", "old@0-2,angry@2-4", "--level-style", "4=old") == 0
-    assert gk.Motion.load(tmp_path / "out" / "motion.bvh").n_frames == 120
-    assert render("--seconds", "4", "--style", "old", "--levels", "1") == 0
-    coarse = tmp_path / "out" / "motion.bvh"
-    assert gk.Motion.load(coarse).n_frames == 42
-    edit = coarse.rename(tmp_path / "edit.bvh")
-    assert render("--keyframes", str(edit), "--style", "angry") == 0
-    assert gk.Motion.load(tmp_path / "out" / "motion.bvh").n_frames == 100
-    assert render("--like", str(tmp_path / "old_0.bvh"), "--style", "old") == 0
-    capsys.readouterr()
-    assert render("--seconds", "4", "--style", "sad") == 2
-    assert "unknown; the model has angry, old" in capsys.readouterr().err
-    assert render("--keyframes", str(edit), "--like", str(edit)) == 2
+    over_time = ("--style", "old@0-2,angry@2-4", "--level-style", "4=old")
+    assert frames("--seconds", 4, *over_time) == 120
+    assert frames("--seconds", 4, "--style", "old", "--levels", 1) == 42
+    edit = path.rename(tmp_path / "edit.bvh")
+    assert frames("--keyframes", edit, "--style", "angry") == 100
+    assert frames("--like", tmp_path / "old_0.bvh", "--style", "old") == 90
+    code, said = render(folder, "--seconds", 4, "--style", "sad")
+    assert code == 2 and "unknown; the model has angry, old" in said
+    assert render(folder, "--keyframes", edit, "--like", edit)[0] == 2
 
 
 def test_a_style_is_agreed_on_up_to_a_level():
     styles = torch.tensor([[1, 1, 0], [1, 1, 1]])
     assert agreed_style(styles, 2, 1).tolist() == [[0, 1], [0, 1]]
     assert agreed_style(styles, 2, 2).tolist() == [[0, 0], [0, 1]]
-
-
-def test_finer_noise_has_its_levels_sigma(make_config, motions):
-    corpus = motions(none=[4.0])
-    changes = {"training": {"first_stage": 1, "further_stages": 1, "window": None}}
-    config = make_config(corpus=str(corpus), features=None, noise_levels=4, **changes)
-    model = gk.load(train(config))
-    loud = model.generate(seconds=3.0)
-    model.noise.sigma[:, 1:] = 0
-    quiet = model.generate(seconds=3.0)
-    model.noise = replace(model.noise, noise_levels=1)
-    first_alone = model.generate(seconds=3.0)
-    assert np.array_equal(quiet.rotations, first_alone.rotations)
-    assert not np.array_equal(quiet.rotations, loud.rotations)
 
 
 def test_recordings_are_turned_to_face_forward_by_default(make_config, motions, tmp_path):

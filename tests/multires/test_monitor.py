@@ -29,9 +29,9 @@ def test_evaluations_are_logged_and_the_weights_are_those_without_them(make_conf
     found = [line for line in lines(tmp_path / "watched") if line.get("kind") == "evaluation"]
     # Every third step, and the last of both pairs of levels (of 6 and 4 iterations).
     assert [line["step"] for line in found] == [3, 6, 9, 10]
-    for figures in found:
-        assert {"arm_speed_ratio", "jerk_ratio", "foot_skate", "hellinger"} <= figures.keys()
-        assert not {"jerk_genea", "jerk_genea_ratio", "coverage"} & figures.keys()
+    for metrics in found:
+        assert {"arm_speed_ratio", "jerk_ratio", "foot_skate", "hellinger"} <= metrics.keys()
+        assert not {"jerk_genea", "jerk_genea_ratio", "coverage"} & metrics.keys()
     assert found[0]["arm_speed_ratio"] != found[1]["arm_speed_ratio"]
 
     losses = [line for line in lines(tmp_path / "watched") if "kind" not in line]
@@ -84,9 +84,9 @@ def test_identical_samples_are_reported(make_config, caplog):
     ).eval()
     for weight in network.parameters():
         torch.nn.init.zeros_(weight)
-    figures = monitor.figures(network, 4)
-    assert figures["patch_diversity_ratio"] < 0.01
-    assert monitor.warn_of_collapse(figures, 5) and "Step 5: mode collapse" in caplog.text
+    metrics = monitor.metrics(network, 4)
+    assert metrics["patch_diversity_ratio"] < 0.01
+    assert monitor.warn_of_collapse(metrics, 5) and "Step 5: mode collapse" in caplog.text
     recorded = monitor._recorded(0)
     assert monitor._patch_spread([recorded]) > 0.5
     assert not monitor.warn_of_collapse({"patch_diversity_ratio": 0.9}, 5)

@@ -14,8 +14,7 @@ from gesturekit.motion.parts import upper_body
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.discriminator import LevelDiscriminator
-from gesturekit.multires.network.film import Film, modulated_blocks
-from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.network.generator import Film, MultiresGenerator, modulated_blocks
 from gesturekit.multires.network.resampling import (
     reflect,
     resample,
@@ -204,15 +203,15 @@ def test_the_embedding_is_rectified_or_linear(representation, rectified):
 @pytest.mark.parametrize("n_frames", [1, 2, 21])
 def test_a_score_is_the_mean_of_a_reflect_padded_convolution(representation, n_frames):
     torch.manual_seed(0)
-    critic = LevelDiscriminator(representation, NetworkConfig(channels=(3, 4)), 2)
+    discriminator = LevelDiscriminator(representation, NetworkConfig(channels=(3, 4)), 2)
     motions = torch.randn(2, representation.n_features, n_frames)
     style = torch.tensor([[0.0, 1.0], [0.0, 0.0]])
     features = motions
-    for conv in critic.layers:
+    for conv in discriminator.layers:
         features = torch.nn.functional.leaky_relu(conv(features), SLOPE)
     features = reflect(features, 2)
-    plain = critic.score(features).mean(dim=(1, 2))
-    assert torch.allclose(critic(motions), plain, atol=1e-6)
-    styled = critic.styled(features)[0, 1].mean()
+    plain = discriminator.score(features).mean(dim=(1, 2))
+    assert torch.allclose(discriminator(motions), plain, atol=1e-6)
+    styled = discriminator.styled(features)[0, 1].mean()
     expected = plain + torch.stack([styled, torch.tensor(0.0)])
-    assert torch.allclose(critic(motions, style), expected, atol=1e-6)
+    assert torch.allclose(discriminator(motions, style), expected, atol=1e-6)

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import gesturekit as gk
-from gesturekit.multires.sampling.noise import ZStarPatches
+from gesturekit.multires.sampling.trained_model import ZStarPatches
 from gesturekit.multires.training.trainer import train
 
 

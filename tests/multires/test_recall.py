@@ -21,15 +21,13 @@ from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import quaternion_from_rotation_vector
 from gesturekit.multires.config import MultiresConfig, RecallConfig
-from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.recall.building import build_library
 from gesturekit.multires.recall.library import averaged
 from gesturekit.multires.recall.parts import hand_directions, joint_places, movements
-from gesturekit.multires.recall.search import ChoiceWeights
+from gesturekit.multires.recall.pieces import ChoiceWeights
 from gesturekit.multires.training.loading import load_training_data
+from gesturekit.multires.training.recall_library import build_library
 from gesturekit.multires.training.trainer import train
-from gesturekit.multires.training.window_cache import WindowCache
 from gesturekit.training.config import build, load_config
 from gesturekit.training.run.checkpoint import Checkpoints
 
@@ -208,6 +206,9 @@ def test_arms_and_the_rest_are_recalled_apart(model, speech):
     assert rest.calmed.max() < columns(model.representation.joints[-1]).stop
     names = [name for part in model.library.parts for name in part.joints]
     assert sorted(names) == sorted(model.skeleton.names)
+    # The pieces of an arm are those of its fingers; the face goes with the rest.
+    passive = model.library.passive.columns(model.library.parts)
+    assert [[*part] for part in passive] == [[*range(6)], [*range(6, 12)], [*range(12, 112)]]
 
 
 def test_the_rest_is_recalled_in_longer_pieces_than_the_arms(model):
@@ -215,17 +216,29 @@ def test_the_rest_is_recalled_in_longer_pieces_than_the_arms(model):
     assert rest.piece == pytest.approx(2 * left.piece, abs=1) and rest.overlap >= left.overlap
 
 
+def seeded(seed: int = 0):
+    """Return the random generators of all parts, which have one seed."""
+    return lambda _: torch.Generator().manual_seed(seed)
+
+
+def features_of(model, wave: af.Wave) -> np.ndarray:
+    return model.conditions.conditioner(wave).T
+
+
+def places(made) -> list[list[tuple[int, int]]]:
+    """Return (recording, start) of each part's pieces."""
+    return [[*zip(p.recordings.tolist(), p.starts.tolist(), strict=True)] for p in made.pieces]
+
+
 def chosen(model, wave: af.Wave, seed: int = 0, **options):
-    """Return the (recording, start) of each part's pieces for a sound."""
-    features = model.conditions.conditioner(wave).T
+    """Return the places of the pieces for a sound; parts have different seeds."""
     generators = {}
 
     def rng_of(part: str) -> torch.Generator:
         number = seed + len(generators)
         return generators.setdefault(part, torch.Generator().manual_seed(number))
 
-    made = model.library.recall(features, rng_of, **options)
-    return [[*zip(p.recordings.tolist(), p.starts.tolist(), strict=True)] for p in made.pieces]
+    return places(model.library.recall(features_of(model, wave), rng_of, **options))
 
 
 def test_speech_seed_and_speaker_choose_the_pieces(model, speech):
@@ -243,18 +256,11 @@ def test_a_speaker_with_short_recordings_only_shares_the_rest_of_the_body(model,
     """Bo has pieces as long as those of the arms: the rest is chosen among Ann's."""
     ann, bo = model.library.recordings
     kept = round(1.5 * model.library.level_fps)
-    rows = ("motion", "passive", "profiles", "directions")
+    rows = ("motion", "passive", "profiles", "directions", "defective")
     short = replace(bo, **{name: getattr(bo, name)[:, :kept] for name in rows})
     shared = replace(model.library, recordings=(ann, short))
-    features = model.conditions.conditioner(speech).T
-
-    def pieces(seed: int) -> list[list[tuple[int, int]]]:
-        made = shared.recall(
-            features, lambda _: torch.Generator().manual_seed(seed), speaker="Bo"
-        ).pieces
-        return [[*zip(p.recordings.tolist(), p.starts.tolist(), strict=True)] for p in made]
-
-    made = [pieces(seed) for seed in range(4)]
+    features = features_of(model, speech)
+    made = [places(shared.recall(features, seeded(n), speaker="Bo")) for n in range(4)]
     arms = [place for left, right, _ in made for place in left + right]
     assert {recording for recording, _ in arms} == {1}
     assert len({tuple(rest) for _, _, rest in made}) > 1, "seeds differ"
@@ -266,21 +272,14 @@ def test_styles_are_recalled_from_their_recordings(model, speech):
     n_level = af.level_lengths(125, 4)[LEVEL - 1]
     styles = np.zeros(n_level, int)
     styles[n_level // 2 :] = 1
-    features = model.conditions.conditioner(speech).T[:, :125]
-    made = styled.recall(features, lambda _: torch.Generator().manual_seed(0), styles=styles)
+    features = features_of(model, speech)[:, :125]
+    made = styled.recall(features, seeded(), styles=styles)
     for pieces in made.pieces:
         assert (np.diff(pieces.recordings) >= 0).all()
         assert set(pieces.recordings) == {0, 1}
 
     def chosen_for(styles: np.ndarray | None, **options) -> list[tuple[int, int]]:
-        choice = styled.recall(
-            features, lambda _: torch.Generator().manual_seed(0), styles=styles, **options
-        )
-        return [
-            piece
-            for pieces in choice.pieces
-            for piece in zip(pieces.recordings.tolist(), pieces.starts.tolist(), strict=True)
-        ]
+        return sum(places(styled.recall(features, seeded(), styles=styles, **options)), [])
 
     unknown = chosen_for(np.full(n_level, 7))
     assert {recording for recording, _ in unknown} == {0, 1}
@@ -328,13 +327,13 @@ def test_directions_are_upwards_and_away_from_the_body(data, config, rising):
 
 def test_the_second_arm_is_chosen_to_match_the_first(data, config, model, speech):
     library = build_library(data, config)
-    features = model.conditions.conditioner(speech).T
+    features = features_of(model, speech)
     differences = []
     for together in (0.0, 5.0):
         changed = replace(library, weights=ChoiceWeights(together=together))
         apart = []
         for seed in range(6):
-            made = changed.recall(features, lambda _, s=seed: torch.Generator().manual_seed(s))
+            made = changed.recall(features, seeded(seed))
             left, right, _ = (
                 pieces.blend([own.directions for own in library.recordings], made.lengths, 100)
                 for pieces in made.pieces
@@ -374,20 +373,6 @@ def test_saved_and_loaded_it_gives_the_same_motion(model, folder, speech, tmp_pa
     assert np.abs(model.generate(speech, seed=3).rotations - first.rotations).max() > 1e-3
 
 
-def test_a_model_of_an_earlier_version_chooses_each_arm_alone(model, speech, tmp_path):
-    """Its folder has no directions of hands."""
-    model.save(tmp_path / "old")
-    weights = load_file(tmp_path / "old" / "model.safetensors")
-    older = {name: value for name, value in weights.items() if "directions" not in name}
-    assert len(older) == len(weights) - 2
-    save_file(older, tmp_path / "old" / "model.safetensors")
-    changed = copy.copy(model)
-    changed.library = replace(model.library, weights=ChoiceWeights(together=0.0))
-    old = gk.load(tmp_path / "old").generate(speech, seed=2)
-    np.testing.assert_array_equal(old.rotations, changed.generate(speech, seed=2).rotations)
-    assert (old.rotations != model.generate(speech, seed=2).rotations).any()
-
-
 def test_recall_can_be_turned_off(model, plain, speech):
     own, off = model.generate(speech), model.generate(speech, recall=False)
     assert off.n_frames == own.n_frames and np.abs(off.rotations - own.rotations).max() > 1e-2
@@ -420,18 +405,17 @@ def test_more_liveliness_gives_more_movement(model, speech):
 
     class Spy:
         piece = model.library.searches[0].piece
-        hop = model.library.searches[0].hop
 
-        def choose(self, rng, wanted, *rest):
+        def choose_from_any_frame(self, rng, wanted, *rest):
             searched.append(wanted)
-            return model.library.searches[0].choose(rng, wanted[:, :2], *rest)
+            return model.library.searches[0].choose_from_any_frame(rng, wanted[:, :2], *rest)
 
     library = replace(model.library)
     library.__dict__["searches"] = (Spy(), Spy(), Spy())
-    features = model.conditions.conditioner(speech).T
+    features = features_of(model, speech)
     speeds = []
     for amount in (0.5, 1.0, 1.5):
-        library.recall(features, lambda _: torch.Generator().manual_seed(0), liveliness=amount)
+        library.recall(features, seeded(), liveliness=amount)
         motions = model.generate(speech, liveliness=amount, samples=5, foot_lock=False)
         speeds.append(np.mean([hand_speed(motion) for motion in motions]))
     calm, usual, lively = searched[::3]  # of the first arm
@@ -475,13 +459,6 @@ def test_fingers_and_the_face_move_with_every_control(model, speech):
             angle = 2 * np.arctan2(quaternions[:, 2], quaternions[:, 3])
             assert np.ptp(angle) > 0.3, (finger, *controls)
         assert np.ptp(made.expressions[50:, 3]) > 0.5, [*controls]
-
-
-def test_fingers_move_with_their_arm(model, speech):
-    """The pieces of an arm are those of its fingers."""
-    left, right, rest = model.library.passive.columns(model.library.parts)
-    assert left.tolist() == [*range(6)] and right.tolist() == [*range(6, 12)]
-    assert rest.tolist() == [*range(12, 112)]
 
 
 def test_fingers_keep_time_with_their_arm(model, speech):
@@ -570,27 +547,24 @@ def test_finer_levels_leave_a_resting_arm_alone(model, speech, monkeypatch):
     assert changed_by_the_network() < 1e-6
 
 
-def test_the_command_line_has_the_controls(folder, speech, tmp_path, capsys):
-    soundfile.write(tmp_path / "new.wav", speech.samples, RATE)
+def test_the_command_line_has_the_controls(folder, speech, tmp_path, render, capsys):
+    wav = tmp_path / "new.wav"
+    soundfile.write(wav, speech.samples, RATE)
 
-    def rendered(*options: str) -> bytes:
-        with pytest.raises(SystemExit) as left:
-            place = ["--out", str(tmp_path / "out"), "--existing", "replace", "--fps", "25"]
-            main(["render", str(tmp_path / "new.wav"), "--model", str(folder), *place, *options])
-        assert left.value.code == 0, capsys.readouterr().err
+    def rendered(*options) -> bytes:
+        code, said = render(folder, wav, "--fps", 25, *options)
+        assert code == 0, said
         return (tmp_path / "out" / "new.bvh").read_bytes()
 
     own = rendered()
-    assert rendered("--recall", "--liveliness", "1") == own
-    assert len({own, rendered("--no-recall"), rendered("--liveliness", "0.5")}) == 3
+    assert rendered("--recall", "--liveliness", 1) == own
+    assert len({own, rendered("--no-recall"), rendered("--liveliness", 0.5)}) == 3
+    made = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")}
     for value in ("0", "-1", "nan"):
-        with pytest.raises(SystemExit) as left:
-            place = ["--model", str(folder), "--out", str(tmp_path / "bad")]
-            main(["render", str(tmp_path / "new.wav"), *place, "--liveliness", value])
-        assert left.value.code == 2
-        said = capsys.readouterr().err
-        assert "liveliness=" in said and "a number above 0" in said and "Traceback" not in said
-    assert not (tmp_path / "bad").exists()
+        code, said = render(folder, wav, "--liveliness", value)
+        assert code == 2 and "Traceback" not in said
+        assert "liveliness=" in said and "a number above 0" in said
+    assert made == {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")}
     with pytest.raises(SystemExit):
         main(["render", "--help"])
     text = capsys.readouterr().out
@@ -602,8 +576,8 @@ def test_the_command_line_has_the_controls(folder, speech, tmp_path, capsys):
 
 def recalled(model, speech, stretch: float, seed: int = 0):
     library = replace(model.library, stretch=stretch)
-    features = model.conditions.conditioner(speech).T
-    return library, library.recall(features, lambda _: torch.Generator().manual_seed(seed))
+    features = features_of(model, speech)
+    return library, library.recall(features, seeded(seed))
 
 
 def test_stretching_aligns_arms_with_the_predicted_movement(model, speech):
@@ -634,10 +608,10 @@ def test_the_rest_of_the_body_is_not_from_the_moment_of_both_arms(model, speech)
     same = {}
     for copied in (0.0, 12.0):
         changed = replace(still, weights=replace(still.weights, copied=copied))
-        features = model.conditions.conditioner(speech).T
+        features = features_of(model, speech)
         found = []
         for seed in range(6):
-            made = changed.recall(features, lambda _, s=seed: torch.Generator().manual_seed(s))
+            made = changed.recall(features, seeded(seed))
             left, right, rest = (p.recorded_frames(changed.lengths) for p in made.pieces)
             found.append(((abs(left - rest) < 2) & (abs(right - rest) < 2)).mean())
         same[copied] = np.mean(found)
@@ -663,7 +637,7 @@ def test_stretched_the_second_hand_keeps_with_the_first(model, speech):
 
 def test_without_speech_nothing_is_stretched(model):
     library = replace(model.library, stretch=0.25, wanted=None)
-    made = library.recall(np.zeros((0, 90)), lambda _: torch.Generator().manual_seed(0))
+    made = library.recall(np.zeros((0, 90)), seeded())
     assert [pieces.offsets for pieces in made.pieces] == [None] * 3
 
 
@@ -712,37 +686,20 @@ def test_defects_of_the_recordings_travel_with_the_model(model, speech, tmp_path
     other.save(tmp_path / "model")
     again = gk.load(tmp_path / "model").generate(speech, seed=1)
     np.testing.assert_array_equal(again.rotations, made.rotations)
-    # A model of an earlier version recalls everything.
     path = tmp_path / "model" / "model.safetensors"
-    tensors = {k: v for k, v in load_file(path).items() if not k.endswith("defective")}
-    save_file(tensors, path)
-    older = gk.load(tmp_path / "model").generate(speech, seed=1)
-    np.testing.assert_array_equal(older.rotations, own.rotations)
-    save_file({**tensors, "recall.0.defective": flags[0][:1]}, path)
+    save_file({**load_file(path), "recall.0.defective": flags[0][:1]}, path)
     with pytest.raises(ModelError, match=r"recall.0.defective"):
         gk.load(tmp_path / "model")
 
 
-def changed_folder(model, folder, change) -> None:
-    """Save the model with changed values of recall, as `change` of them leaves them."""
-    model.save(folder)
-    path = folder / "config.yaml"
-    values = yaml.safe_load(path.read_text())
-    change(values["recall"])
-    path.write_text(yaml.safe_dump(values))
-
-
-@pytest.mark.parametrize("value", [-0.1, 0.01, 0.9, float("nan"), "much"])
+@pytest.mark.parametrize("value", [-0.1, 0.01, 0.9, float("nan"), "much", None])
 def test_a_bad_value_in_a_model_folder_is_one_error(model, tmp_path, value):
-    changed_folder(model, tmp_path / "model", lambda values: values.update(stretch=value))
+    model.save(tmp_path)
+    values = yaml.safe_load((tmp_path / "config.yaml").read_text())
+    values["recall"].pop("stretch") if value is None else values["recall"].update(stretch=value)
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(values))
     with pytest.raises(ModelError, match="stretch"):
-        gk.load(tmp_path / "model")
-
-
-def test_a_model_of_an_earlier_version_plays_pieces_as_recorded(model, speech, tmp_path):
-    changed_folder(model, tmp_path / "model", lambda values: values.pop("stretch"))
-    older = gk.load(tmp_path / "model").generate(speech, seed=1)
-    np.testing.assert_array_equal(older.rotations, model.generate(speech, seed=1).rotations)
+        gk.load(tmp_path)
 
 
 # Retrieval, models without speech, models without recall.
@@ -819,25 +776,20 @@ def test_bad_settings_name_their_key(recall, message, tmp_path):
         settings(tmp_path / "none.jsonl", tmp_path, recall=recall)
 
 
-def test_an_older_number_is_the_length_of_z_star_patches(tmp_path):
+def test_patches_of_z_star_and_recall_are_set_apart(tmp_path):
     path = tmp_path / "config.yaml"
-    path.write_text("system: multires\ncorpus: none.jsonl\nrecall: 3\n")
-    older = load_config(path, MultiresConfig)
-    assert older.z_star_shuffle == 3 and older.recall is None
-    path.write_text(path.read_text().replace("recall: 3", "recall: {level: 2}"))
-    newer = load_config(path, MultiresConfig, ["z_star_shuffle=3", "recall.piece=1.5"])
-    assert newer.z_star_shuffle == 3 and newer.recall == RecallConfig(level=2, piece=1.5)
+    path.write_text("system: multires\ncorpus: none.jsonl\nrecall: {level: 2}\n")
+    config = load_config(path, MultiresConfig, ["z_star_shuffle=3", "recall.piece=1.5"])
+    assert config.z_star_shuffle == 3 and config.recall == RecallConfig(level=2, piece=1.5)
 
 
 # Training.
 
 
-def test_windows_start_from_recalled_and_from_recorded_motion(data, config):
+def test_windows_start_from_recalled_and_from_recorded_motion(data, config, cache_of):
     library = build_library(data, config)
-    network = MultiresGenerator(
-        data.representation, data.conditions(config).width, config.network
-    ).eval()
-    cache = WindowCache(data, config, network, library=library)
+    cache = cache_of(config, data)
+    cache.library = library
 
     def windows(first: int, kind: str):
         rng = torch.Generator().manual_seed(1)

@@ -10,16 +10,14 @@ import pytest
 import torch
 from scipy.stats import norm
 
-from gesturekit.multires.recall.building import _weighted
 from gesturekit.multires.recall.library import (
     RecalledMotion,
     RecalledRecording,
     RecallLibrary,
     averaged,
 )
-from gesturekit.multires.recall.parts import MotionPart
-from gesturekit.multires.recall.pieces import Pieces
-from gesturekit.multires.recall.search import ChoiceWeights, PieceSearch
+from gesturekit.multires.recall.parts import MotionPart, PassiveChannels
+from gesturekit.multires.recall.pieces import ChoiceWeights, Pieces, PieceSearch
 from gesturekit.multires.recall.wanted import (
     Regression,
     WantedMovement,
@@ -27,6 +25,7 @@ from gesturekit.multires.recall.wanted import (
     slow_part,
     usual_voice,
 )
+from gesturekit.multires.training.recall_library import _weighted
 
 FPS = 25.0
 ONLY_MOVEMENT = ChoiceWeights(continuity=0.0, used=0.0, chance=0.0)
@@ -41,11 +40,37 @@ def noise(*shape: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal(shape)
 
 
+def library_of(motion, profiles, parts, fps, spread, mean) -> RecallLibrary:
+    """A library of one recording, without prediction from speech."""
+    empty = motion[:0]
+    defects = torch.zeros(len(parts), motion.shape[-1], dtype=torch.bool)
+    recording = RecalledRecording(motion, empty, profiles, empty, None, 0, defects)
+    return RecallLibrary(
+        level=2,
+        levels=4,
+        fps=fps,
+        piece=1.0,
+        overlap=0.2,
+        parts=parts,
+        recordings=(recording,),
+        spread=np.array(spread),
+        mean=mean,
+        wanted=None,
+        passive=PassiveChannels(),
+        stretch=0.0,
+    )
+
+
 def search(lengths, weights=ONLY_MOVEMENT, *, piece=10, overlap=2, seed=0) -> PieceSearch:
     """A search in recordings of noise with profiles of noise."""
     vectors = [noise(n, 4, seed=seed + k) for k, n in enumerate(lengths)]
     profiles = [noise(n, 2, seed=seed + 100 + k) for k, n in enumerate(lengths)]
-    return PieceSearch(vectors, profiles, piece, overlap, weights)
+    return without_defects(vectors, profiles, piece, overlap, weights)
+
+
+def without_defects(vectors, profiles, *settings) -> PieceSearch:
+    """A search in recordings without defects."""
+    return PieceSearch(vectors, profiles, *settings, [np.zeros(len(v), bool) for v in vectors])
 
 
 def profile_of(recording: int, seed: int = 0, length: int = 60) -> np.ndarray:
@@ -70,11 +95,7 @@ def test_finer_levels_add_nothing_to_a_part_that_rests(speed, share):
     profiles[0] = profiles[4] = (
         np.log(speed + 0.05) + 1.0
     ) / 2.0  # of the log speed: sd 2, mean -1
-    empty = torch.zeros(0, 12)
-    recording = RecalledRecording(torch.zeros(6, 12), empty, profiles, empty)
-    library = RecallLibrary(
-        2, 4, 25.0, 1.0, 0.2, parts, (recording,), np.array([2.0, 1.0]), -1.0, None
-    )
+    library = library_of(torch.zeros(6, 12), profiles, parts, 25.0, [2.0, 1.0], -1.0)
     pieces = Pieces(np.array([0]), np.array([0]), hop=12, overlap=0, n_frames=12)
     detail = library.detail(RecalledMotion(parts, (pieces,) * 4, (12,)), 20)
     assert detail.shape == (6, 20)
@@ -91,9 +112,7 @@ def test_detail_returns_within_a_tenth_of_a_second_at_any_frame_rate(fps, frames
     n_frames, ends = 60, 30
     profiles = torch.full((2, n_frames), float(np.log(0.05 + 0.05)))
     profiles[0, ends:] = float(np.log(2.0 + 0.05))
-    empty = torch.zeros(0, n_frames)
-    recording = RecalledRecording(torch.zeros(1, n_frames), empty, profiles, empty)
-    library = RecallLibrary(2, 4, fps, 1.0, 0.2, (left,), (recording,), np.array([1.0]), 0.0, None)
+    library = library_of(torch.zeros(1, n_frames), profiles, (left,), fps, [1.0], 0.0)
     pieces = Pieces(np.array([0]), np.array([0]), hop=n_frames, overlap=0, n_frames=n_frames)
     detail = library.detail(RecalledMotion((left,), (pieces,), (n_frames,)), n_frames)[0]
     # The edge lies half a frame before the first fast frame.
@@ -128,7 +147,6 @@ def test_pieces_are_the_recordings_frames_and_fade_linearly_at_the_border():
     fade = [0.75 * 50 + 0.25 * 104, 0.25 * 60 + 0.75 * 105]
     expected = [20, 30, 40, *fade, 106, 107, 108]
     assert made.tolist() == pytest.approx(expected)
-    assert JOINED.borders().tolist() == [4.0]
 
 
 def test_no_cross_fade_is_cut_short_by_the_next():
@@ -183,7 +201,7 @@ def test_movement_counts_more_than_its_slow_part():
 
 def test_the_nearer_of_two_movements_is_chosen():
     curves = [np.full((10, 2), level) for level in (0.55, 1.0)]
-    found = PieceSearch([np.zeros((10, 1))] * 2, curves, 10, 2, ONLY_MOVEMENT)
+    found = without_defects([np.zeros((10, 1))] * 2, curves, 10, 2, ONLY_MOVEMENT)
     for wanted, recording in ((0.3, 0), (0.6, 0), (0.9, 1), (3.0, 1)):
         assert placed(found.choose(rng(), np.full((10, 2), wanted))) == [(recording, 0)]
 
@@ -191,12 +209,12 @@ def test_the_nearer_of_two_movements_is_chosen():
 def test_the_piece_with_the_same_movement_of_the_other_hand_is_chosen():
     """Columns: movement and its slow part, then the other hand upwards and outwards."""
     curves = [np.tile([0.0, 0.0, up, out], (10, 1)) for up in (-1, 1) for out in (-1, 1)]
-    found = PieceSearch([np.zeros((10, 1))] * 4, curves, 10, 2, ONLY_MOVEMENT)
+    found = without_defects([np.zeros((10, 1))] * 4, curves, 10, 2, ONLY_MOVEMENT)
     for recording, curve in enumerate(curves):
         assert placed(found.choose(rng(), curve)) == [(recording, 0)]
     # Movement counts more: twice the other hand's difference does not outweigh it.
     curves = [np.tile([level, level, -level, -level], (10, 1)) for level in (-1.0, 1.0)]
-    found = PieceSearch([np.zeros((10, 1))] * 2, curves, 10, 2, ONLY_MOVEMENT)
+    found = without_defects([np.zeros((10, 1))] * 2, curves, 10, 2, ONLY_MOVEMENT)
     assert placed(found.choose(rng(), np.tile([1.0, 1.0, 1.0, 1.0], (10, 1)))) == [(1, 0)]
 
 
@@ -238,7 +256,7 @@ def test_recordings_that_were_used_are_avoided():
 
     def starts(used: float) -> np.ndarray:
         weights = ChoiceWeights(used=used, chance=0.0)
-        return PieceSearch(*still, 10, 2, weights).choose(rng(), wanted).starts
+        return without_defects(*still, 10, 2, weights).choose(rng(), wanted).starts
 
     assert len(set(starts(0.0))) < 4
     # 4 pieces of 10 frames in the 40 that there are: each part once.

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hinges import bent_backwards
 
 from gesturekit import Motion, Skeleton
 from gesturekit.errors import MotionError
 from gesturekit.evaluation import standing_heights
 from gesturekit.motion.contacts import contact_labels, foot_positions
-from gesturekit.motion.ik.joint_limits import bent_backwards
 from gesturekit.motion.rotations import (
     multiply_quaternions,
     quaternion_from_euler,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gesturekit.postprocess.root_drift import height_error, horizontal_drift
+from gesturekit.postprocess.foot_lock import height_error, horizontal_drift
 
 FPS = 50.0
 N = 501

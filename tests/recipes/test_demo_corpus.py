@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hinges import bent_backwards
 from scipy.spatial.transform import Rotation
 
 import audio_features as af
@@ -14,7 +15,6 @@ import gesturekit as gk
 import gesturekit.systems
 from gesturekit import Motion
 from gesturekit.evaluation import arm_speed, speech_envelope, sync
-from gesturekit.motion.ik.joint_limits import bent_backwards
 from gesturekit.motion.rotations import rotation_angles
 
 pytest.importorskip(

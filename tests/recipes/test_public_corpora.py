@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gesturekit.cli import main
 from gesturekit.training.config import read_chain
 from gesturekit.training.recipes import find_config, read_table, recipes
 
@@ -110,14 +109,8 @@ CORPORA = {
 }
 
 
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as left:
-        main([str(argument) for argument in arguments])
-    return left.value.code
-
-
 @pytest.mark.parametrize("recipe", CORPORA)
-def test_from_the_published_folder_to_a_model(recipe, gesture, write_speech, tmp_path):
+def test_from_the_published_folder_to_a_model(recipe, gesturekit, gesture, write_speech, tmp_path):
     layout, make = CORPORA[recipe]
 
     def pair(motions: Path, sounds: Path, name: str, fps: float = 30.0) -> None:
@@ -129,8 +122,10 @@ def test_from_the_published_folder_to_a_model(recipe, gesture, write_speech, tmp
     root.mkdir()
     make(root, pair)
     # 1 where something is left out, such as the other gaits of 100STYLE.
-    assert run("prepare", root, "--layout", layout, "--holdout", 0, "--out", corpus) in (0, 1)
+    prepare = ("prepare", root, "--layout", layout, "--holdout", 0, "--out", corpus)
+    assert gesturekit(*prepare).status in (0, 1)
     system = read_chain(find_config(recipe))["system"]
     flags = [*read_table()["debug"][system], *recipes()[recipe].debug.get("config", ())]
-    assert run("train", recipe, f"corpus={corpus}", f"out={tmp_path / 'run'}", *flags) == 0
+    train = ("train", recipe, f"corpus={corpus}", f"out={tmp_path / 'run'}", *flags)
+    assert gesturekit(*train).status == 0
     assert (tmp_path / "run" / "model" / "model.safetensors").is_file()

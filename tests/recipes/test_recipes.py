@@ -6,13 +6,14 @@ import runpy
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import gesturekit as gk
-from gesturekit.cli import main
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.multires.config import MultiresConfig
@@ -36,31 +37,15 @@ def wavlm(tmp_path_factory, write_wavlm) -> Path:
     return folder
 
 
-def with_styles(corpus: Path, path: Path) -> Path:
-    """The same corpus, its recordings in two styles by turns."""
-    items = [
-        replace(item, style=("calm", "lively")[number % 2])
-        for number, item in enumerate(Manifest.load(corpus))
-    ]
+def labelled(corpus: Path, path: Path, labels: Callable[[int], dict[str, Any]]) -> Path:
+    """The same corpus with labels(n) at its n-th recording."""
+    items = [replace(item, **labels(number)) for number, item in enumerate(Manifest.load(corpus))]
     Manifest(items).save(path)
     return path
 
 
-def with_events(corpus: Path, path: Path) -> Path:
-    """The same corpus, with something that happens in each recording."""
-    events = path.with_suffix(".csv")
-    events.write_text("time,name\n0.5,kick\n1.0,kick\n", encoding="utf-8")
-    items = [replace(item, conditions={"events": events}) for item in Manifest.load(corpus)]
-    Manifest(items).save(path)
-    return path
-
-
-def with_words(corpus: Path, path: Path) -> Path:
-    """The same corpus, with a word in each recording."""
-    words = path.with_suffix(".tsv")
-    words.write_text("0.1\t0.4\thello\n0.5\t0.9\tthere\n", encoding="utf-8")
-    items = [replace(item, conditions={"words": words}) for item in Manifest.load(corpus)]
-    Manifest(items).save(path)
+def text(path: Path, content: str) -> Path:
+    path.write_text(content, encoding="utf-8")
     return path
 
 
@@ -85,30 +70,31 @@ def test_the_table_names_every_recipe_and_its_configurations():
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=name_of)
-def test_the_recipe_trains_and_its_model_moves(path, corpus, wavlm, idle, tmp_path):
+def test_the_recipe_trains_and_its_model_moves(path, gesturekit, corpus, wavlm, idle, tmp_path):
     system = read_chain(path)["system"]
     if "styles" in read_chain(path):
-        corpus = with_styles(corpus, tmp_path / "styles.jsonl")
+        by_turns = ("calm", "lively")
+        corpus = labelled(corpus, tmp_path / "a.jsonl", lambda n: {"style": by_turns[n % 2]})
     if read_chain(path).get("events"):
-        corpus = with_events(corpus, tmp_path / "events.jsonl")
+        events = {"events": text(tmp_path / "a.csv", "time,name\n0.5,kick\n1.0,kick\n")}
+        corpus = labelled(corpus, tmp_path / "b.jsonl", lambda _: {"conditions": events})
     config = load_config(path, CONFIG_CLASSES[system], [f"corpus={corpus}"])
     kinds = {part["kind"] for part in config.features.extractors} if config.features else set()
     if "words" in kinds:
-        corpus = with_words(corpus, tmp_path / "words.jsonl")
+        words = {"words": text(tmp_path / "a.tsv", "0.1\t0.4\thello\n0.5\t0.9\tthere\n")}
+        corpus = labelled(corpus, tmp_path / "c.jsonl", lambda _: {"conditions": words})
     flags = [
         flag.replace("WAVLM", str(wavlm)).replace("IDLE", str(idle))
         for flag in [*TABLE["debug"][system], *recipes()[path.parent.name].debug.get(path.stem, ())]
     ]
     run = tmp_path / "run"
-    with pytest.raises(SystemExit) as left:
-        main(["train", name_of(path), f"corpus={corpus}", f"out={run}", *flags])
-    assert left.value.code == 0
+    assert gesturekit("train", name_of(path), f"corpus={corpus}", f"out={run}", *flags).status == 0
     for name in TABLE["makes"]:
         assert (run / name).is_file(), name
     model = gk.load(run / "model", weights=wavlm if "wavlm" in kinds else None)
     told = {"path": tmp_path / "path.csv"} if getattr(config, "path", False) else {"seconds": 2.0}
     rows = "".join(f"{k / 30:.5f},0,{k / 30:.5f}\n" for k in range(60))
-    (tmp_path / "path.csv").write_text(f"time,x,z\n{rows}", encoding="utf-8")
+    text(tmp_path / "path.csv", f"time,x,z\n{rows}")
     if system == "diffusion":
         # All the steps of a schedule would take what two updates trained out of this world.
         told["steps"] = 4
@@ -163,25 +149,21 @@ def test_every_script_starts_and_says_what_it_wants(script, monkeypatch, capsys)
     assert "usage:" in capsys.readouterr().out
 
 
-def test_fine_tuning_goes_on_from_what_pretraining_made(corpus, idle, tmp_path):
+def test_fine_tuning_goes_on_from_what_pretraining_made(gesturekit, corpus, idle, tmp_path):
     recipe = ROOT / "recipes" / "diffusion_speech"
     before, after = tmp_path / "before", tmp_path / "after"
     for name, more in (
         ("pretrain", [f"unpaired.corpus={idle}", f"out={before}"]),
         ("finetune", [f"start_from={before / 'model'}", f"out={after}"]),
     ):
-        with pytest.raises(SystemExit) as left:
-            main(
-                ["train", str(recipe / f"{name}.yaml"), f"corpus={corpus}"]
-                + [*TABLE["debug"]["diffusion"], *more]
-            )
-        assert left.value.code == 0, name
+        flags = (f"corpus={corpus}", *TABLE["debug"]["diffusion"], *more)
+        assert gesturekit("train", recipe / f"{name}.yaml", *flags).status == 0, name
     page = (after / "model" / "README.md").read_text(encoding="utf-8")
     assert f"**Began with**: {before / 'model'}" in page
 
 
 def test_the_commands_of_the_experts_recipe_run(
-    write_pair, write_speech, tmp_path, monkeypatch, capsys
+    gesturekit, write_pair, write_speech, tmp_path, monkeypatch, capsys
 ):
     """Its README, line by line: tiny recordings, two steps of training, four of sampling."""
     paired = tmp_path / "demo-corpus" / "paired"
@@ -192,21 +174,20 @@ def test_the_commands_of_the_experts_recipe_run(
     page = (ROOT / "recipes" / "experts" / "README.md").read_text(encoding="utf-8")
     lines = [line.strip() for line in page.splitlines() if line.startswith("    ")]
     assert lines[0].startswith("python recipes/demo/prepare.py"), "made above instead"
-    more = {"train": TABLE["debug"]["diffusion"], "render": ["--steps", "4"]}
+    more, shown = {"train": TABLE["debug"]["diffusion"], "render": ["--steps", "4"]}, ""
     for line in lines[1:]:
         words = shlex.split(line)
         if words[0] == "gesturekit":
-            with pytest.raises(SystemExit) as left:
-                main([*words[1:], *more.get(words[1], ())])
-            assert left.value.code == 0, f"{line}\n{capsys.readouterr().err}"
+            done = gesturekit(*words[1:], *more.get(words[1], ()))
+            assert done.status == 0, f"{line}\n{done.err}"
         elif words[0] == "python":
             arguments = [*words[1:], "--samples", "1", "--steps", "2"]
             monkeypatch.setattr(sys, "argv", arguments)
             runpy.run_path(str(ROOT / words[1]), run_name="__main__")
+            shown += capsys.readouterr().out
         else:
             subprocess.run(line, shell=True, check=True)
     for folder in ("guided", "between", "transition", "both", "change"):
         assert (tmp_path / folder / "demo.bvh").is_file(), folder
     assert (tmp_path / "product" / "product.png").read_bytes().startswith(b"\x89PNG")
-    shown = capsys.readouterr().out
     assert shown.count("gamma ") == 5 and "transition, after: median" in shown

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import audio_features as af
-from gesturekit.evaluation.metrics.feet import foot_skate
+from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.evaluation.metrics.rhythm import beat_alignment, music_beats
 from gesturekit.formats.tables.events import load_events
 from gesturekit.formats.tables.root_path import load_root_path
@@ -134,13 +134,16 @@ def test_tempos_differ_from_track_to_track(dances):
     assert np.ptp(60 / np.array(gaps)) > 10
 
 
-def test_the_same_seed_gives_the_same_bytes_however_many_clips(walks, tmp_path):
-    again = prepare("diffusion_locomotion", tmp_path, 1, 10.0)
-    assert sorted(file.name for file in again.iterdir()) == ["walk_00.bvh", "walk_00.path.csv"]
-    assert all(file.read_bytes() == (walks / file.name).read_bytes() for file in again.iterdir())
-
-
-def test_a_dance_is_the_same_again(dances, tmp_path):
-    again = prepare("diffusion_dance", tmp_path, 1, 15.0)
-    assert sorted(file.name for file in again.iterdir()) == ["dance_00.bvh", "dance_00.wav"]
-    assert all(file.read_bytes() == (dances / file.name).read_bytes() for file in again.iterdir())
+@pytest.mark.parametrize(
+    ("recipe", "corpus", "seconds", "names"),
+    [
+        ("diffusion_locomotion", "walks", 10.0, ["walk_00.bvh", "walk_00.path.csv"]),
+        ("diffusion_dance", "dances", 15.0, ["dance_00.bvh", "dance_00.wav"]),
+    ],
+)
+def test_the_same_seed_gives_the_same_bytes_however_many_clips(
+    request, tmp_path, recipe, corpus, seconds, names
+):
+    many, again = request.getfixturevalue(corpus), prepare(recipe, tmp_path, 1, seconds)
+    assert sorted(file.name for file in again.iterdir()) == names
+    assert all(file.read_bytes() == (many / file.name).read_bytes() for file in again.iterdir())

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from gesturekit.errors import ConfigError
-from gesturekit.evaluation.agreement.answers import GENEA_COLUMNS, OWN_COLUMNS
+from gesturekit.evaluation.statistics.answers import GENEA_COLUMNS
 from gesturekit.study import build_study
 from gesturekit.study.build import CODES, REASONS
 from gesturekit.study.clips import Segment, find_clips
@@ -69,10 +69,14 @@ def test_styles_come_in_the_order_of_the_configuration():
 
 
 def test_every_column_and_code_of_the_answers_is_documented():
-    page = (Path(__file__).parents[2] / "docs" / "study.md").read_text(encoding="utf-8")
+    root = Path(__file__).parents[2]
+    page = (root / "docs" / "study.md").read_text(encoding="utf-8")
+    script = (root / "gesturekit" / "study" / "page" / "results.js").read_text(encoding="utf-8")
+    columns = re.findall(r'"(\w+)"', script.partition("COLUMNS = [")[2].partition("]")[0])
+    assert tuple(columns[: len(GENEA_COLUMNS)]) == GENEA_COLUMNS and len(columns) == 21
     codes = [*CODES, *(code for reasons in REASONS.values() for code in reasons)]
     rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
-    assert not [name for name in (*GENEA_COLUMNS, *OWN_COLUMNS) if f"`{name}`" not in "".join(rows)]
+    assert not [name for name in columns if f"`{name}`" not in "".join(rows)]
     assert not [code for code in codes if f"`{code}`" not in page]
 
 
@@ -118,12 +122,15 @@ def test_a_wrong_configuration_is_named(tmp_path, text, message):
     assert message in str(refused.value)
 
 
+TITLE = "</script><script>alert(1)</script>{{setup}}"
+
+
 def video_study(folder: Path, clips: dict[str, list[str]], **options) -> StudyConfig:
     for system, names in clips.items():
         for name in names:
             (folder / system / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / system / name).write_bytes(f"{system} {name}".encode())
-    return StudyConfig("T <b>", {name: str(folder / name) for name in clips}, **options)
+    return StudyConfig(TITLE, {name: str(folder / name) for name in clips}, **options)
 
 
 def test_clips_are_matched_by_path_then_by_name_and_others_are_named(tmp_path):
@@ -185,7 +192,8 @@ def test_clip_names_do_not_reveal_the_system(tmp_path):
             content = (tmp_path / "out" / "clips" / side["video"]).read_bytes()
             assert content == f"{system} {trial['clip']}.mp4".encode()
     text = built.page.read_text(encoding="utf-8")
-    assert "T &lt;b&gt;" in text and built.page_bytes < 2_000_000
+    assert "<script>alert" not in text and built.page_bytes < 2_000_000
+    assert setup_of(built.page)["title"] == TITLE
     assert "connect-src &#x27;none&#x27;" in text or "connect-src 'none'" in text
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from gesturekit.cli import main
-from gesturekit.evaluation.agreement.answers import GENEA_COLUMNS, Answer
+from gesturekit.evaluation.statistics.answers import GENEA_COLUMNS, Answer
 
 
 @pytest.fixture

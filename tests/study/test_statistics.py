@@ -10,20 +10,24 @@ import statsmodels.api as sm
 from scipy import stats
 from statsmodels.stats.proportion import proportion_confint
 
-from gesturekit.evaluation.agreement.answers import Answer, Answers
+from gesturekit.evaluation.statistics.answers import Answer, Answers
 from gesturekit.study import analyse_study
-from gesturekit.study.analysis import bradley_terry
 from gesturekit.study.analysis.alignment import analyse_alignment
-from gesturekit.study.analysis.power import Expected, power_of, raters_needed
 from gesturekit.study.analysis.preference import (
     analyse_preference,
+    elo,
     elo_estimates,
+    fit_strengths,
     merit_estimates,
+    weighted_wins,
 )
 from gesturekit.study.analysis.significance import (
+    Expected,
     anova,
     holm,
+    power_of,
     rater_test,
+    raters_needed,
     two_proportions,
     wilson,
 )
@@ -50,14 +54,14 @@ def test_merit_scores_and_win_rates_by_hand():
 
 
 def test_clear_wins_weigh_four_slight_ones_two_and_ties_one_to_each():
-    wins = bradley_terry.weighted_wins(Votes.of(BY_HAND)).sum(axis=0)
+    wins = weighted_wins(Votes.of(BY_HAND)).sum(axis=0)
     # a over b: 4 + 2 + 1, b over a: 1 + 2; a over c: 4; b over c: 2.
     assert wins.tolist() == [[0, 7, 4], [3, 0, 2], [0, 0, 0]]
 
 
 def test_bradley_terry_equals_a_logistic_regression_of_statsmodels(simulate):
-    wins = bradley_terry.weighted_wins(simulate([0.5, 0.1, -0.2, -0.4])).sum(axis=0)
-    strengths = bradley_terry.fit(wins)
+    wins = weighted_wins(simulate([0.5, 0.1, -0.2, -0.4])).sum(axis=0)
+    strengths = fit_strengths(wins)
     pairs = list(itertools.permutations(range(4), 2))
     design = np.zeros((len(pairs), 3))  # the last system is the reference
     for row, (i, j) in enumerate(pairs):
@@ -69,9 +73,9 @@ def test_bradley_terry_equals_a_logistic_regression_of_statsmodels(simulate):
         np.ones(len(pairs)), design, family=sm.families.Binomial(), freq_weights=weights
     ).fit(tol=1e-12)
     assert strengths[:3] - strengths[3] == pytest.approx(fit.params, abs=1e-5)
-    assert bradley_terry.elo(strengths).mean() == pytest.approx(1000)
-    ten_to_one = bradley_terry.fit(np.array([[0.0, 10.0], [1.0, 0.0]]))
-    assert np.diff(bradley_terry.elo(ten_to_one))[0] == pytest.approx(-400, abs=0.01)
+    assert elo(strengths).mean() == pytest.approx(1000)
+    ten_to_one = fit_strengths(np.array([[0.0, 10.0], [1.0, 0.0]]))
+    assert np.diff(elo(ten_to_one))[0] == pytest.approx(-400, abs=0.01)
 
 
 def test_anova_and_tukey_equal_those_of_scipy(simulate, answers_of):
@@ -169,14 +173,14 @@ def coverage(simulate, simulations: int, rounds: int) -> dict[str, float]:
     strengths = [0.4, 0.0, -0.3]
     large = simulate(strengths, raters=100_000, seed=99)
     merit = [e.value for e in merit_estimates(large, 1, 0)]
-    elo = bradley_terry.elo(bradley_terry.fit(bradley_terry.weighted_wins(large).sum(axis=0)))
+    rating = elo(fit_strengths(weighted_wins(large).sum(axis=0)))
     held = {"merit": [], "elo": []}
     for seed in range(simulations):
         votes = simulate(strengths, seed=seed)
-        wins = bradley_terry.weighted_wins(votes)
+        wins = weighted_wins(votes)
         for name, truth, found in (
             ("merit", merit, merit_estimates(votes, rounds, seed)),
-            ("elo", elo, elo_estimates(wins, rounds, seed)),
+            ("elo", rating, elo_estimates(wins, rounds, seed)),
         ):
             held[name] += [e.low <= value <= e.high for value, e in zip(truth, found)]
     return {name: float(np.mean(inside)) for name, inside in held.items()}

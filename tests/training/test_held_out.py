@@ -14,7 +14,7 @@ import gesturekit as gk
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.motion import Skeleton
-from gesturekit.training.held_out import sentence
+from gesturekit.training.run.held_out import sentence
 
 COMMON = {"threads": 1, "styles": {}, "features": {"extractors": [{"kind": "mfcc"}]}}
 SETTINGS = {

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 import pytest
 import torch
 
-from gesturekit.atomic import atomic_write, remove_unfinished
+from audio_features.atomic import atomic_write, remove_unfinished
 from gesturekit.training.data.data_folder import save_data
 from gesturekit.training.model_folder import save_model
 from gesturekit.training.run.checkpoint import Checkpoints

@@ -9,21 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 from avatars import BONES, HAIR, avatar, avatar_json, packed
+from pages import bundled, opened
 
-import gesturekit.viewer.html as page_module
 from gesturekit.cli import main
 from gesturekit.errors import FormatError
-from gesturekit.motion.body_size import body_height
+from gesturekit.motion.parts.body_size import body_height
 from gesturekit.viewer import write_picture, write_video
-from gesturekit.viewer.avatar.simplify import simplified
-from gesturekit.viewer.avatar.vrm import read_avatar
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.skin import Skin
 from gesturekit.viewer.video.mesh import SkinnedBody
+from gesturekit.viewer.vrm import read_avatar, simplified
 
-bundled = pytest.mark.skipif(
-    not page_module._BUNDLE.is_file(), reason="the player is not bundled: run `make setup`"
-)
 LEFT_ARM = {"Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "HandIndex1": "IndexProximal"}
 
 
@@ -88,9 +84,7 @@ def test_pages_pictures_and_videos_show_the_avatar(tmp_path, vrm, gesture, open_
     assert exit_.value.code == 0, capsys.readouterr()
     write_picture(motion, tmp_path / "a.png", body=str(vrm))
     write_video(motion, tmp_path / "a.mp4", body=str(vrm))
-    browser = open_browser()
-    browser.open(f"{(tmp_path / 'a.html').as_uri()}#t=0.1", width=640, height=480)
-    browser.wait("document.documentElement.dataset.state == 'ready'")
+    browser = opened(open_browser, tmp_path / "a.html", "t=0.1")
     browser.screenshot(tmp_path / "page.png")
     import matplotlib.image
 

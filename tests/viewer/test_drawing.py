@@ -8,21 +8,12 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 import pytest
+from pages import bundled, opened
 
-import gesturekit.viewer.html as page_module
 from gesturekit.viewer import write_html
 
-pytestmark = pytest.mark.skipif(
-    not page_module._BUNDLE.is_file(), reason="the player is not bundled: run `make setup`"
-)
+pytestmark = bundled
 RATIO = "document.getElementById('view').width / document.getElementById('view').clientWidth"
-
-
-def opened(open_browser, path: Path, **options):
-    browser = open_browser()
-    browser.open(f"{path.as_uri()}#t=0.5", width=640, height=480, **options)
-    browser.wait("document.documentElement.dataset.state == 'ready'")
-    return browser
 
 
 def sides(browser, folder: Path) -> tuple[float, float]:

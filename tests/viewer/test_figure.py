@@ -21,6 +21,11 @@ RECORDINGS = {
 }
 
 
+def at_rest(skeleton: Skeleton, n_frames: int, height: float = 0.0) -> Motion:
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (n_frames, skeleton.n_joints, 1))
+    return Motion(skeleton, rotations, np.tile([0.0, height, 0.0], (n_frames, 1)), 30.0)
+
+
 @pytest.fixture(scope="module", params=RECORDINGS)
 def recording(request: pytest.FixtureRequest, shared_data: Path) -> tuple[Motion, Figure]:
     motion = Motion.load(shared_data / request.param)
@@ -100,12 +105,11 @@ def test_hands_without_wrists_are_the_ends_of_the_forearms(shared_data: Path) ->
 
 @pytest.mark.parametrize("front", [0.0, 1.2, -2.5])
 def test_a_quadruped_faces_where_its_head_is(quadruped: Skeleton, front: float) -> None:
-    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (5, quadruped.n_joints, 1))
+    motion = at_rest(quadruped, 5, 0.75)
     # Its shoulders are lower than its hips, as an elephant's are.
-    rotations[:, 0] = (
-        Rotation.from_rotvec([0, front, 0]) * Rotation.from_rotvec([0.2, 0, 0])
-    ).as_quat()
-    figure = Figure.of(Motion(quadruped, rotations, np.tile([0.0, 0.75, 0.0], (5, 1)), 30.0))
+    turn = Rotation.from_rotvec([0, front, 0]) * Rotation.from_rotvec([0.2, 0, 0])
+    motion.rotations[:, 0] = turn.as_quat()
+    figure = Figure.of(motion)
     assert figure.front == pytest.approx(front)
     head = figure.points[0, figure.head.face] - figure.points[0, figure.head.base]
     assert head @ [np.sin(front), 0, np.cos(front)] > 0.9 * figure.head.size
@@ -113,8 +117,7 @@ def test_a_quadruped_faces_where_its_head_is(quadruped: Skeleton, front: float) 
 
 @pytest.mark.parametrize("factor", [0.1, 2.0, 10.0])
 def test_a_figure_is_drawn_alike_at_any_size(skeleton: Skeleton, factor: float) -> None:
-    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (5, skeleton.n_joints, 1))
-    motion = Motion(skeleton, rotations, np.tile([0.0, 0.9, 0.0], (5, 1)), 30.0)
+    motion = at_rest(skeleton, 5, 0.9)
     one, other = Figure.of(motion), Figure.of(motion.scaled(factor))
     assert np.allclose(other.points, factor * one.points)
     assert [limb.ends for limb in other.limbs] == [limb.ends for limb in one.limbs]
@@ -125,9 +128,7 @@ def test_a_figure_is_drawn_alike_at_any_size(skeleton: Skeleton, factor: float) 
 def test_ends_that_no_limb_can_have_are_not_drawn(skeleton: Skeleton) -> None:
     """Mixamo's rigs from Blender: as long as the last bone, and up."""
     ends = {"LeftHand": (np.array([0.0, 0.25, 0.0]),), "LeftFoot": (np.array([0.0, 0.42, 0.0]),)}
-    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (1, skeleton.n_joints, 1))
-    rig = replace(skeleton, end_sites=ends)
-    figure = Figure.of(Motion(rig, rotations, np.zeros((1, 3)), 30.0))
+    figure = Figure.of(at_rest(replace(skeleton, end_sites=ends), 1))
     high = {end for limb in figure.limbs for end in limb.ends if end >= skeleton.n_joints}
     # What is added is a hand along its forearm.
     assert all(
@@ -140,6 +141,6 @@ def test_one_frame_is_enough() -> None:
     skeleton = Skeleton(
         ("root", "a"), (-1, 0), np.array([[0, 0, 0], [0, 1.0, 0]]), {}, ("XYZ",) * 2
     )
-    figure = Figure.of(Motion(skeleton, np.tile([0.0, 0, 0, 1], (1, 2, 1)), np.zeros((1, 3)), 30))
+    figure = Figure.of(at_rest(skeleton, 1))
     assert figure.points.shape == (1, 2, 3)
     assert len(figure.limbs) == 1

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from audio_features import AudioError, Wave
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.viewer import contact_sheet, write_picture
+from gesturekit.viewer import write_picture
 from gesturekit.viewer.anatomy import MIDDLE
 from gesturekit.viewer.pictures import COLOURS
 
@@ -33,20 +33,24 @@ def a_swing(amplitude: float) -> Motion:
     return Motion(skeleton, rotations, np.zeros((90, 3)), 30.0)
 
 
+def body_of(path: Path) -> np.ndarray:
+    """Return (H, W) bool: where a picture shows the middle of a body."""
+    image = matplotlib.image.imread(path)[:, :, :3]
+    return np.abs(image - matplotlib.colors.to_rgb(COLOURS[MIDDLE])).max(axis=2) < 0.02
+
+
 def widths(path: Path, n: int) -> list[int]:
     """How many pixels wide each of `n` figures in a row is."""
-    image = matplotlib.image.imread(path)[:, :, :3]
-    body = np.abs(image - matplotlib.colors.to_rgb(COLOURS[MIDDLE])).max(axis=2) < 0.02
     found = []
-    for part in np.array_split(body, n, axis=1):
+    for part in np.array_split(body_of(path), n, axis=1):
         across = np.flatnonzero(part.any(axis=0))
         found.append(int(across[-1] - across[0]))
     return found
 
 
 def test_each_figure_shows_its_own_moment(tmp_path: Path) -> None:
-    contact_sheet(a_swing(0.0), tmp_path / "still.png", frames=4)
-    contact_sheet(a_swing(1.2), tmp_path / "moving.png", frames=4)
+    write_picture(a_swing(0.0), tmp_path / "still.png", frames=4)
+    write_picture(a_swing(1.2), tmp_path / "moving.png", frames=4)
     assert np.ptp(widths(tmp_path / "still.png", 4)) <= 2
     assert np.ptp(widths(tmp_path / "moving.png", 4)) > 20
 
@@ -54,8 +58,7 @@ def test_each_figure_shows_its_own_moment(tmp_path: Path) -> None:
 def test_a_motion_too_short_for_the_first_time_is_drawn_in_its_middle(tmp_path: Path) -> None:
     short = {"long": a_swing(0.0), "short": a_swing(0.0).slice(0, 3)}
     write_picture(short, tmp_path / "a.png")
-    image = matplotlib.image.imread(tmp_path / "a.png")[:, :, :3]
-    body = np.abs(image - matplotlib.colors.to_rgb(COLOURS[MIDDLE])).max(axis=2) < 0.02
+    body = body_of(tmp_path / "a.png")
     assert body[len(body) // 2 : 3 * len(body) // 4].any()
 
 
@@ -75,7 +78,7 @@ def test_a_rig_of_one_joint_is_as_tall_as_its_end(tmp_path: Path) -> None:
     still = np.tile([0.0, 0.0, 0.0, 1.0], (90, 1, 1))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        contact_sheet(Motion(lone, still, np.zeros((90, 3)), 30.0), tmp_path / "a.png", frames=4)
+        write_picture(Motion(lone, still, np.zeros((90, 3)), 30.0), tmp_path / "a.png", frames=4)
     assert np.ptp(widths(tmp_path / "a.png", 4)) <= 2
 
 
@@ -91,7 +94,7 @@ def test_the_picture_with_sound_has_the_speech_on_it(tmp_path: Path) -> None:
 
 def test_silence_and_titles_of_any_kind_are_drawn(tmp_path: Path) -> None:
     silence = Wave(np.zeros(16_000, dtype=np.float32), 16_000)
-    contact_sheet(a_swing(0.2), tmp_path / "t.png", title=r"$\frac{unclosed $ \q")
+    write_picture(a_swing(0.2), tmp_path / "t.png", title=r"$\frac{unclosed $ \q")
     write_picture(a_swing(0.2), tmp_path / "s.png", audio=silence)
     assert (tmp_path / "s.png").stat().st_size > 1_000
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from audio_features import Wave
-from gesturekit.viewer import display, tracks
+from gesturekit.viewer import display, page_data
 
 RATE = 16_000
 
@@ -21,13 +21,13 @@ def bursts(*times: float, seconds: float = 4.0) -> Wave:
 
 
 def test_onsets_are_where_the_sound_begins():
-    np.testing.assert_allclose(tracks.onsets(bursts(1.0, 2.5)), [1.0, 2.5], atol=0.03)
+    np.testing.assert_allclose(page_data.onsets(bursts(1.0, 2.5)), [1.0, 2.5], atol=0.03)
 
 
 @pytest.mark.parametrize("seconds", [4.0, 200.0])
 def test_the_spectrogram_is_small_and_in_time(seconds):
-    values, rate = tracks.spectrogram(bursts(0.75 * seconds, seconds=seconds))
-    assert len(values) <= 3_000 and values.shape[1] == tracks.BANDS
+    values, rate = page_data.spectrogram(bursts(0.75 * seconds, seconds=seconds))
+    assert len(values) <= 3_000 and values.shape[1] == page_data.BANDS
     assert len(values) / rate == pytest.approx(seconds, abs=2 / rate)
     assert np.argmax(values.sum(axis=1)) / rate == pytest.approx(0.75 * seconds, abs=0.15)
 
@@ -35,9 +35,9 @@ def test_the_spectrogram_is_small_and_in_time(seconds):
 def test_motion_beats_are_the_minima_of_speed():
     time = np.arange(300) / 100
     np.testing.assert_allclose(
-        tracks.motion_beats(1 + np.cos(2 * np.pi * time), 100.0), [0.5, 1.5, 2.5], atol=0.011
+        page_data.motion_beats(1 + np.cos(2 * np.pi * time), 100.0), [0.5, 1.5, 2.5], atol=0.011
     )
-    assert len(tracks.motion_beats(np.zeros(50), 30.0)) == 0
+    assert len(page_data.motion_beats(np.zeros(50), 30.0)) == 0
 
 
 def test_contacts_tell_the_feet_apart(gesture, skeleton):
@@ -52,7 +52,7 @@ def test_contacts_tell_the_feet_apart(gesture, skeleton):
     swing = np.sin(2 * np.pi * 3 * motion.times)  # the left thigh, about x
     rotations[:, skeleton.index("LeftUpLeg"), 0] = swing
     rotations[:, skeleton.index("LeftUpLeg"), 3] = np.sqrt(1 - swing**2)
-    found = tracks.contacts(replace(motion, rotations=rotations))
+    found = page_data.contact_track(replace(motion, rotations=rotations))
     assert (found & 2 == 2).all()
     assert (found & 1).mean() < 0.3
 

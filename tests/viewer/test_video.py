@@ -20,8 +20,8 @@ from gesturekit.viewer import write_video
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.video import raster
-from gesturekit.viewer.video.camera import Camera
 from gesturekit.viewer.video.mesh import Mannequin, SkinnedBody
+from gesturekit.viewer.video.scene import Camera
 
 RATE, JUMP = 16_000, 0.5
 

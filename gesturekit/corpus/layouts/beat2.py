@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from gesturekit.corpus.layouts.listing import Listing, root_with, rows
-from gesturekit.corpus.problem import Problem
+from gesturekit.corpus.checks import Problem
+from gesturekit.corpus.layouts.listing import Listing, existing, root_with, rows
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import CorpusError
 
@@ -61,7 +61,7 @@ def read_beat2(folder: Path) -> Listing:
                     speaker=match["speaker"],
                     style=_emotion(int(match["start"])),
                     split=_SPLITS[split],
-                    conditions={key: file for key, file in sides.items() if file.is_file()},
+                    conditions=existing(sides),
                 )
             )
     for what, names in absent.items():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gesturekit.corpus.layouts.listing import Listing, root_with, rows
+from gesturekit.corpus.layouts.listing import Listing, existing, root_with, rows
 from gesturekit.corpus.recording import Recording
 
 _SPLITS = {"trn": "train", "val": "valid", "tst": "test"}
@@ -65,7 +65,7 @@ def _read_split(folder: Path, split: str, listing: Listing) -> None:
                 motion=motion if motion.is_file() else None,
                 speaker=row.get("speaker"),
                 split=split,
-                conditions={key: file for key, file in sides.items() if file.is_file()},
+                conditions=existing(sides),
             )
         )
     listing.missing("wav file", no_sound, agent / "wav", "error")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from gesturekit.corpus.problem import Problem
+from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import CorpusError, FormatError
 from gesturekit.formats.tables.table import read_table
@@ -72,6 +72,11 @@ def root_with(folder: Path, names: Iterable[str], layout: str) -> Path:
     )
 
 
+def existing(files: Mapping[str, Path]) -> dict[str, Path]:
+    """Return the side files that are there, by name."""
+    return {name: file for name, file in files.items() if file.is_file()}
+
+
 def rows(
     path: Path, columns: Iterable[str], others: bool = False
 ) -> list[tuple[str, Mapping[str, str]]]:
@@ -96,7 +101,3 @@ def rows(
     except (FormatError, OSError, UnicodeDecodeError, csv.Error) as error:
         where = "" if str(path) in str(error) else f"{path}: "
         raise CorpusError(f"{where}{error}; download it again") from error
-
-
-Layout = Callable[[Path], Listing]
-"""Reads a folder in the form in which a corpus is published."""

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gesturekit.archive import open_archive
-from gesturekit.corpus.layouts.listing import Listing, root_with
-from gesturekit.corpus.problem import Problem
+from audio_features.archive import open_archive
+from gesturekit.corpus.checks import Problem
+from gesturekit.corpus.layouts.listing import Listing, existing, root_with
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import FormatError
 from gesturekit.formats.smpl.seamless import FPS
@@ -70,7 +70,7 @@ def _read_split(root: Path, kind: str, name: str, split: str, listing: Listing) 
                 speaker=person,
                 style=kind,
                 split=split,
-                conditions={key: file for key, file in sides.items() if file.is_file()},
+                conditions=existing(sides),
             )
             listing.recordings += _valid_runs(recording, listing)
     sounds = [file for file in (root / kind / name).rglob("*.wav") if _NAME.fullmatch(file.stem)]
@@ -82,7 +82,7 @@ def _read_split(root: Path, kind: str, name: str, split: str, listing: Listing) 
 def _valid_runs(recording: Recording, listing: Listing) -> list[Recording]:
     """Return a recording for each run of valid frames."""
     try:
-        with open_archive(recording.motion) as archive:
+        with open_archive(recording.motion, FormatError) as archive:
             if "smplh:is_valid" not in archive:
                 return [recording]
             valid = archive["smplh:is_valid"].reshape(-1) != 0

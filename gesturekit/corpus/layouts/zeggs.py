@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.layouts.listing import Listing, root_with, rows
-from gesturekit.corpus.problem import Problem
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import CorpusError
 

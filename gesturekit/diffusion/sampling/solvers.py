@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from gesturekit.diffusion.controls import Solver
-from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.noise_schedule import NoiseSchedule
 from gesturekit.errors import ModelError
 
 Predict = Callable[[Tensor, int], Tensor]

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.diffusion.composition.experts import ProductOfExperts
+from gesturekit.diffusion.sampling.experts import ProductOfExperts
 from gesturekit.diffusion.sampling.solvers import Predict
 from gesturekit.errors import ModelError
 

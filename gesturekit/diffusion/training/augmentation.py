@@ -5,7 +5,7 @@ distinguish the sides; time stretching of a share of the training windows; and a
 recording at n times the model's frame rate.
 
 Motion is augmented in its own units, so that a stretched walk covers the same distance in more
-frames. Standardised conditions are augmented with an offset for their mean.
+frames. Normalised conditions are augmented with an offset for their mean.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def mirror_condition(
     Args:
         condition: (T, C); other columns are kept.
         path: columns of turn, forward and lateral displacement.
-        path_offset: (3,) mean over scale of these columns, if they are standardised.
+        path_offset: (3,) mean over scale of these columns, if they are normalised.
         events: columns of the events.
         event_names: their names; see `other_side`.
 
@@ -147,7 +147,7 @@ def stretch(
             not interpolated: the nearer one is taken.
         steps: columns of displacement per frame (turn, forward, lateral). Their sum over a part of
             the recording is preserved.
-        steps_offset: mean over scale of these columns, if they are standardised.
+        steps_offset: mean over scale of these columns, if they are normalised.
         flags: binary columns, taken from the nearest frame. Flags of single frames are never lost.
 
     Returns:

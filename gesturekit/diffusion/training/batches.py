@@ -25,7 +25,7 @@ class Batch:
     """The training batch of one update.
 
     Attributes:
-        clean: (B, T, X) standardised motion.
+        clean: (B, T, X) normalised motion.
         noise: (B, T, X) standard normal.
         condition: (B, T, C), zero after condition dropout.
         step: (B,) steps of the diffusion, long.
@@ -91,7 +91,7 @@ class Batches:
             condition = self.data.conditions.without(condition, "styles")
         step = torch.randint(self.config.noise.steps, (), generator=rng)
         noise = torch.randn(motion.shape, generator=rng)
-        return self.data.standardiser.forward(motion), noise, condition, step
+        return self.data.normaliser.forward(motion), noise, condition, step
 
     def _window(
         self, recording: Recording, length: int, rng: torch.Generator

@@ -13,8 +13,7 @@ from torch import Tensor
 
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import DiffusionConfig
-from gesturekit.diffusion.motion_vector import DeltaRepresentation
-from gesturekit.diffusion.standardiser import Standardiser
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
@@ -30,7 +29,7 @@ class Recording:
 
     Attributes:
         name: of the item and variant.
-        motion: (T, X) float32 motion vectors, not standardised.
+        motion: (T, X) float32 motion vectors, not normalised.
         condition: (T, C) float32.
         is_paired: False for unpaired motion.
     """
@@ -55,7 +54,7 @@ class TrainingData:
         seconds: total length of paired and unpaired recordings, without variants.
         representation: the motion vector of the rig.
         conditions: the layout of conditions.
-        standardiser: mean and scale of motion vectors.
+        normaliser: mean and scale of motion vectors.
         speakers: a reference skeleton for each named speaker.
         sources: the recordings with speech, or all for a model without speech input.
         recorded_fps: the most common frame rate of the recordings; None in older runs.
@@ -66,14 +65,14 @@ class TrainingData:
     seconds: tuple[float, float]
     representation: DeltaRepresentation
     conditions: Conditions
-    standardiser: Standardiser
+    normaliser: Normaliser
     speakers: dict[str, Skeleton]
     sources: tuple[Source, ...] = ()
     recorded_fps: float | None = None
     start: Mapping[str, Tensor] = field(default_factory=dict)
 
     def decode(self, values: np.ndarray, condition: np.ndarray, fps: float) -> Motion:
-        """Decode a motion from unstandardised motion vectors (T, X) and its condition (T, C)."""
+        """Decode a motion from unnormalised motion vectors (T, X) and its condition (T, C)."""
         path = None
         if not self.representation.makes_root:
             scaled = condition[:, self.conditions.columns["path"]].astype(np.float64)
@@ -82,12 +81,12 @@ class TrainingData:
         return self.representation.decode(values, fps, path=path)
 
     def changes(self) -> Tensor:
-        """Return the root mean square (X,) of frame-to-frame changes of standardised motion.
+        """Return the root mean square (X,) of frame-to-frame changes of normalised motion.
 
         Values are at least a tenth of the median.
         """
         steps = [
-            self.standardiser.forward(torch.from_numpy(recording.motion)).diff(dim=0)
+            self.normaliser.forward(torch.from_numpy(recording.motion)).diff(dim=0)
             for recording in self.recordings
         ]
         spread = torch.cat(steps).square().mean(dim=0).sqrt()
@@ -96,8 +95,8 @@ class TrainingData:
     def save(self, folder: Path) -> None:
         """Write the data to a folder, for resuming the run."""
         tensors = {
-            "motion.mean": self.standardiser.mean,
-            "motion.scale": self.standardiser.scale,
+            "motion.mean": self.normaliser.mean,
+            "motion.scale": self.normaliser.scale,
             **self.conditions.to_tensors(),
             **start_tensors(self.start),
         }
@@ -146,7 +145,7 @@ class TrainingData:
                 conditions=Conditions.from_values(
                     about["conditions"], tensors, config.fps, weights, device
                 ),
-                standardiser=Standardiser(tensors["motion.mean"], tensors["motion.scale"]),
+                normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
                 speakers=read_speakers(about),
                 sources=from_values(about.get("sources", ())),
                 recorded_fps=about.get("recorded_fps"),

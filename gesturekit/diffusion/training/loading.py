@@ -13,8 +13,7 @@ from gesturekit.corpus.styles import style_track
 from gesturekit.diffusion.conditions import Conditions, smooth_path
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.motion_vector import DeltaRepresentation
-from gesturekit.diffusion.standardiser import Standardiser
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
 from gesturekit.diffusion.training.augmentation import mirror_condition, phases
 from gesturekit.diffusion.training.corpus import Corpus, read_corpus
 from gesturekit.diffusion.training.data import Recording, TrainingData
@@ -22,8 +21,7 @@ from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.formats.tables.events import Event
 from gesturekit.motion.mirroring import can_be_mirrored
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.retarget.path_following import follow_path
-from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.root_path import RootPath, follow_path
 from gesturekit.training.config import to_dict
 from gesturekit.training.data.features import extract_features, feature_values
 from gesturekit.training.data.start_model import (
@@ -51,7 +49,7 @@ class _Take:
 
 
 def load_training_data(config: DiffusionConfig, device: str = "cpu") -> TrainingData:
-    """Read the corpus of a run, extract features on a device, and standardise.
+    """Read the corpus of a run, extract features on a device, and normalise.
 
     Raises:
         CorpusError: no training item with what the run needs, rigs that differ, or a file that
@@ -88,17 +86,17 @@ def load_training_data(config: DiffusionConfig, device: str = "cpu") -> Training
             if take.style not in handed
         ]
     if like is None:
-        standardiser = Standardiser.fit(
+        normaliser = Normaliser.fit(
             [r.motion for r in recordings], _floors(representation, config.fps)
         )
     else:
-        standardiser = like.standardiser
+        normaliser = like.normaliser
     return TrainingData(
         recordings=tuple(recordings),
         seconds=corpus.seconds,
         representation=representation,
         conditions=conditions,
-        standardiser=standardiser,
+        normaliser=normaliser,
         speakers=corpus.speakers,
         sources=corpus.sources,
         recorded_fps=corpus.recorded_fps,

@@ -6,14 +6,14 @@ from collections.abc import Iterator
 
 import torch
 
-from gesturekit.diffusion.composition.experts import Expert
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.network.denoiser import Denoiser
-from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.sampling.experts import Expert
 from gesturekit.diffusion.sampling.solvers import sample
 from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.errors import MotionError
-from gesturekit.evaluation.quick_metrics import quick_metrics
+from gesturekit.evaluation.measuring.clip_metrics import quick_metrics
 from gesturekit.motion.motion import Motion
 from gesturekit.training.seeds import rng_for
 
@@ -64,5 +64,5 @@ class Monitor:
             made = sample(
                 expert.predict, lambda k, n=noise: n, self.schedule, solver="dpm", steps=count
             )
-            values = self.data.standardiser.inverse(made[0].cpu()).double().numpy()
+            values = self.data.normaliser.inverse(made[0].cpu()).double().numpy()
             yield self.data.decode(values, condition, self.config.fps)

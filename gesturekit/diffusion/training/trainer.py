@@ -13,21 +13,20 @@ import torch
 from torch import Tensor, nn
 
 from gesturekit.diffusion.config import DiffusionConfig, TrainingConfig
-from gesturekit.diffusion.losses import change_error, denoising_error, foot_sliding
+from gesturekit.diffusion.losses import FootVelocity, change_error, denoising_error, foot_sliding
 from gesturekit.diffusion.model import DiffusionModel
 from gesturekit.diffusion.network.denoiser import Denoiser
-from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.noise_schedule import NoiseSchedule
 from gesturekit.diffusion.training.batches import Batch, Batches
 from gesturekit.diffusion.training.data import TrainingData
-from gesturekit.diffusion.training.foot_velocity import FootVelocity
 from gesturekit.diffusion.training.loading import load_training_data
 from gesturekit.diffusion.training.monitor import STEPS, Monitor
 from gesturekit.motion.mirroring import can_be_mirrored
 from gesturekit.motion.parts import unidentified
-from gesturekit.motion.selection.point_kinematics import foot_kinematics
+from gesturekit.motion.torch_kinematics import foot_kinematics
 from gesturekit.training.data.sources import described, save_sources, unused_labels
-from gesturekit.training.held_out import HeldOut
 from gesturekit.training.run.folder import Run
+from gesturekit.training.run.held_out import HeldOut
 from gesturekit.training.run.loop import Loop, Stretch, last_losses, read_once
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.run.session import plan as session_plan
@@ -122,8 +121,8 @@ class _Trainer:
         feet = foot_kinematics(representation)
         if feet is None:
             return None
-        standardiser, fps = self.data.standardiser, self.config.fps
-        return FootVelocity(representation, standardiser, feet, fps).to(self.device)
+        normaliser, fps = self.data.normaliser, self.config.fps
+        return FootVelocity(representation, normaliser, feet, fps).to(self.device)
 
     def _log_missing_parts(self) -> None:
         """Log in one line the features that training lacks if body parts cannot be identified."""
@@ -295,7 +294,7 @@ class _Trainer:
             fps=self.config.fps,
             representation=self.data.representation,
             conditions=self.data.conditions,
-            standardiser=self.data.standardiser,
+            normaliser=self.data.normaliser,
             noise_config=self.config.noise,
             network=network,
             speakers=self.data.speakers,

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gesturekit.errors import EvaluationError, GestureKitError
-from gesturekit.evaluation.clips import load_clip
+from gesturekit.evaluation.measuring.clips import load_clip
 from gesturekit.evaluation.measuring.rigs import RETARGETED, bare_name
 from gesturekit.evaluation.pairs import Excluded, Pairs
 from gesturekit.evaluation.results import ModelResult

@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import audio_features
-from audio_features.disk_cache import (
+from audio_features.cache import (
     DiskCache,
     default_folder,
     digest_of_sources,
     installed_versions,
     size_limit,
 )
-from gesturekit.evaluation.pairs import Stretch
+from gesturekit.evaluation.pairs import ItemInterval
 
 _KIND = "measurements-1"
 _NUMERICAL = ("numpy", "scipy", "librosa", "soxr", "torch", "scikit-learn", "soundfile")
@@ -69,7 +69,7 @@ class Store:
             self._disk.write(path, json.dumps(entry).encode())
 
 
-def content_of(source: Path | Stretch) -> str | None:
+def content_of(source: Path | ItemInterval) -> str | None:
     """Return a digest of the files of a clip or recording, and of how they are read.
 
     None for motion that is made in memory, and for files that cannot be read.

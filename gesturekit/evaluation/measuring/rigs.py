@@ -8,12 +8,12 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
-from gesturekit.motion.body_size import body_scale
+from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.kinematics import forward_kinematics
 from gesturekit.motion.parts import body_joints, find_legs, is_upper_body, leg_joints
+from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.rotations import IDENTITY
-from gesturekit.motion.selection.joint_selection import keep_joints
 from gesturekit.motion.skeleton import Skeleton
 
 MATCHED = 0.5

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from gesturekit.errors import MotionError
+from gesturekit.evaluation.metrics.physical import relative_speed
+from gesturekit.motion import Motion
 
 BIN = 0.01
 """m/s on the reference body, 1 cm/s: the width of GENEA's histogram bins."""
@@ -90,3 +92,13 @@ def hellinger(one: SpeedHistogram, other: SpeedHistogram) -> float:
     roots = [np.sqrt(h.counts / h.counts.sum()) for h in (one, other)]
     # 1 - Σ sqrt(h1 h2) = Σ (sqrt h1 - sqrt h2)² / 2, which is exactly 0 for equal ones.
     return float(np.linalg.norm(roots[0] - roots[1]) / np.sqrt(2.0))
+
+
+def speed_distance(motion: Motion, recording: Motion, joints: Sequence[str]) -> float:
+    """Return `hellinger` of the joint speeds of a motion and its recording.
+
+    Raises:
+        MotionError: see `hellinger`.
+    """
+    both = (SpeedHistogram.of([relative_speed(m, joints)]) for m in (motion, recording))
+    return hellinger(*both)

@@ -40,6 +40,8 @@ THRESHOLD = 2.0
 """Coverage threshold of the variant "ganimator"."""
 CONTACT_SPEED = 0.54
 """Contact threshold, m/s on the reference body: GANimator's 0.018 m per frame at 30 fps."""
+PATCH_PAIRS = 250_000_000
+"""Largest number of frames of a clip times frames of its recording that is compared: 2 GB."""
 _MOST_PAIRS = 10**9
 """Largest number of pairs of frames to compare: 8 GB."""
 
@@ -178,6 +180,49 @@ def patch_scores(
     return PatchScores(float(covered), float(overall), float(local))
 
 
+def patch_values(
+    motion: Motion,
+    recording: Motion,
+    joints: Sequence[str],
+    *,
+    patches: str = "ganimator",
+    threshold: float | None = None,
+) -> dict[str, float]:
+    """Return coverage (%), global and local diversity of a motion against its recording, by name.
+
+    Args:
+        motion: L frames.
+        recording: N frames.
+        joints: names of the joints that both have.
+        patches: the variant.
+        threshold: of coverage; "paper" has no default, and no coverage (NaN) without one.
+
+    Raises:
+        EvaluationError: see `patch_scores`, or too many frames to compare patch by patch.
+    """
+    _check_size(motion, recording)
+    scores = patch_scores(
+        patch_features(motion, patches, joints=joints),
+        patch_features(recording, patches, joints=joints),
+        None if patches == "paper" and threshold is None else 30,
+        threshold=threshold,
+        variant=patches,
+    )
+    return {
+        "coverage": 100.0 * scores.coverage,
+        "global_diversity": scores.global_diversity,
+        "local_diversity": scores.local_diversity,
+    }
+
+
+def intra_diversity_of(
+    motion: Motion, joints: Sequence[str], *, patches: str = "ganimator"
+) -> float:
+    """Return `intra_diversity` of a motion; arguments and errors as in `patch_values`."""
+    _check_size(motion, motion)
+    return intra_diversity(patch_features(motion, patches, joints=joints))
+
+
 def inter_diversity(
     samples: Sequence[np.ndarray], window: int = 15, *, variant: str = "nearest"
 ) -> float:
@@ -226,12 +271,12 @@ def intra_diversity(samples: np.ndarray | Sequence[np.ndarray], window: int = 15
     """
     if isinstance(samples, np.ndarray) and samples.ndim == 2:
         samples = [samples]
-    figures = []
+    values = []
     for frames in _samples(samples, least=1):
         _check_window(window, frames, frames, "ganimator", "sample")
         apart = np.sqrt(window_sums(frame_distances(frames, frames, squared=True), window))
-        figures.append(apart[:-1, :-1].mean() / window)
-    return float(np.mean(figures))
+        values.append(apart[:-1, :-1].mean() / window)
+    return float(np.mean(values))
 
 
 def patch_features(
@@ -268,6 +313,14 @@ def patch_features(
     contacts[..., 0] = labels
     blocks = np.concatenate([sixd_from_quaternion(rotations), contacts], axis=1)
     return blocks.reshape(motion.n_frames, -1)
+
+
+def _check_size(one: Motion, other: Motion) -> None:
+    if one.n_frames * other.n_frames > PATCH_PAIRS:
+        raise EvaluationError(
+            f"{one.n_frames} × {other.n_frames} frames are too many to compare patch by patch; "
+            "cut the clips"
+        )
 
 
 def _nearest(sums: np.ndarray, window: int, variant: str) -> np.ndarray:

@@ -1,16 +1,52 @@
-"""Speed, acceleration and jerk of a motion, in physical units."""
+"""Physical plausibility: speed, acceleration and jerk, feet, and joint limits.
+
+Derivatives are frame differences, as in the GENEA challenges, or independent of the frame rate. On
+captured motion differences measure noise and grow with the frame rate: 30 and 60 fps of one
+recording differ several times over. To compare frame rates, paths are low-passed first (4th-order
+Butterworth, forwards and backwards); the derivative is that of the quintic spline through them,
+which does not depend on the positions of the frames.
+
+A foot point touches the ground when it is near its standing height. That height is estimated from
+the frames in which the point is at rest, so that neither the floor of a file nor the position of
+the ankle joint in the foot has to be known; a generated motion uses the heights of its recording.
+
+Rigs differ in their joint axes, so anatomical tables of Euler angles do not apply. Instead, joint
+limits are learned from recordings: ranges of each component of the rotation vector relative to a
+joint's mean rotation.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.evaluation.metrics.derivatives import derivative
 from gesturekit.motion import Motion
-from gesturekit.motion.body_size import body_scale
-from gesturekit.motion.parts import SIDES, arm_joints, body_joints, find_parts
+from gesturekit.motion.contacts import contact_labels, foot_positions
+from gesturekit.motion.parts import SIDES, arm_joints, body_joints, find_parts, is_upper_body
+from gesturekit.motion.parts.body_size import body_scale
+from gesturekit.motion.rotations import (
+    invert_quaternions,
+    mean_quaternion,
+    multiply_quaternions,
+    rotation_vector_from_quaternion,
+)
+from gesturekit.wording import counted
+
+CUTOFF = 6.0
+"""Hz; the -6 dB frequency of the low-pass, above the frequencies of gestures."""
+HARDLY_MOVING = 0.05
+"""Below this fraction of the recording's arm speed, sync is not informative."""
+NEAR = 0.025
+"""H of Zhang et al. 2018: height above standing from which a foot point is in the air, metres on
+the reference body."""
+MARGIN = np.deg2rad(5.0)
+"""Radians by which a joint may exceed its recorded range."""
+
+_ORDER = 4
+_DEGREE = 5
 
 
 def arm_speed(motion: Motion) -> np.ndarray:
@@ -85,7 +121,7 @@ def acceleration(
 
     Without a cutoff: |Δ²p|·fps² in world space, averaged over frames and joints, the average
     acceleration of the GENEA challenges (genea_numerical_evaluations) in metres. It depends on the
-    frame rate. With a cutoff (Hz): that of the low-passed motion (`derivatives`), which can be
+    frame rate. With a cutoff (Hz): that of the low-passed motion (`derivative`), which can be
     compared across frame rates.
 
     Raises:
@@ -102,7 +138,7 @@ def jerk(
     Without a cutoff: |Δ³p|·fps³ in world space, averaged over frames and joints, the average jerk
     of the GENEA challenges (genea_numerical_evaluations) in metres. It also measures the noise of
     captured motion and grows with the frame rate: compare at one frame rate, or give a cutoff (Hz)
-    to take the jerk of the low-passed motion (`derivatives`).
+    to take the jerk of the low-passed motion (`derivative`).
 
     Raises:
         MotionError: fewer than 4 frames (6 with a cutoff), or joints that cannot be identified.
@@ -119,10 +155,6 @@ def max_speed(motion: Motion) -> float:
         MotionError: fewer than 2 frames, or body parts that cannot be identified.
     """
     return float(joint_speed(motion).max())
-
-
-HARDLY_MOVING = 0.05
-"""Below this fraction of the recording's arm speed, sync is not informative."""
 
 
 def arm_speed_ratio(motion: Motion, recording: Motion) -> float:
@@ -174,3 +206,179 @@ def _mean_derivative(
 def _require_frames(motion: Motion, n: int) -> None:
     if motion.n_frames < n:
         raise MotionError(f"the motion has {motion.n_frames} frames; at least {n} are needed")
+
+
+def standing_heights(motion: Motion) -> np.ndarray:
+    """Return the standing height of each foot point: the median over frames in contact.
+
+    For a point without contact, the 10 % quantile of its heights.
+
+    Returns:
+        (F,) metres, in the order of `gesturekit.motion.contacts.foot_points`.
+
+    Raises:
+        MotionError: no legs, or none that can be identified.
+    """
+    heights = _feet(motion)[..., 1]
+    resting = contact_labels(motion) > 0
+    return np.array(
+        [
+            np.median(point[rests]) if rests.any() else np.quantile(point, 0.1)
+            for point, rests in zip(heights.T, resting.T, strict=True)
+        ]
+    )
+
+
+def foot_skate(motion: Motion, heights: np.ndarray | None = None) -> float:
+    """Return the mean horizontal speed of the foot points near the ground, m/s.
+
+    v·(2 - 2^(h/H)), h the height above standing clipped to 0 ... H = 2.5 cm on the reference
+    body, averaged over frames and foot points: the foot skate of Zhang et al. 2018 (MANN), as a
+    speed instead of a length per frame, so that it does not depend on the frame rate.
+
+    Args:
+        motion: at least 2 frames.
+        heights: (F,) standing heights, metres; None takes the motion's own.
+
+    Raises:
+        MotionError: fewer than 2 frames, or no legs, or none that can be identified.
+    """
+    if motion.n_frames < 2:
+        raise MotionError(f"the motion has {motion.n_frames} frame; at least 2 are needed")
+    feet = _feet(motion)
+    steps = np.diff(feet[..., [0, 2]], axis=0) * motion.fps
+    above = 0.5 * (feet[1:, :, 1] + feet[:-1, :, 1]) - _standing(motion, heights)
+    above = above / (NEAR * body_scale(motion.skeleton))
+    weight = 2.0 - 2.0 ** np.clip(above, 0.0, 1.0)
+    return float((np.linalg.norm(steps, axis=-1) * weight).mean())
+
+
+def floor_penetration(motion: Motion, heights: np.ndarray | None = None) -> float:
+    """Return the mean depth of the foot points below their standing heights, metres.
+
+    Args:
+        motion: any number of frames.
+        heights: (F,) standing heights, metres; None takes the motion's own, which cannot
+            detect that the whole body is too low.
+
+    Raises:
+        MotionError: no legs, or none that can be identified.
+    """
+    depth = _standing(motion, heights) - _feet(motion)[..., 1]
+    return float(np.maximum(depth, 0.0).mean())
+
+
+def _feet(motion: Motion) -> np.ndarray:
+    """Return the (T, F, 3) foot points; raise MotionError if there are none."""
+    feet = foot_positions(motion)
+    if not feet.shape[1]:
+        legs = "legs" if is_upper_body(motion.skeleton) else "two legs that can be identified"
+        raise MotionError(f"the rig has no {legs}")
+    return feet
+
+
+def _standing(motion: Motion, heights: np.ndarray | None) -> np.ndarray:
+    return standing_heights(motion) if heights is None else heights
+
+
+@dataclass(frozen=True, eq=False)
+class JointLimits:
+    """The rotation range of each joint.
+
+    Attributes:
+        joints: names of J joints.
+        mean: (J, 4) mean local rotations, quaternions.
+        low: (J, 3) lower limits of the rotation vector from the mean, radians, with margin.
+        high: (J, 3) upper limits.
+    """
+
+    joints: tuple[str, ...]
+    mean: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    @classmethod
+    def fit(cls, motions: Iterable[Motion], joints: Sequence[str]) -> JointLimits:
+        """Learn the limits from recordings of one rig.
+
+        Args:
+            motions: recordings; iterated once.
+            joints: names of the joints; leave out the root, which has no limits.
+
+        Raises:
+            MotionError: no motions, or a joint that one of them lacks.
+        """
+        rotations = [_rotations(motion, joints) for motion in motions]
+        if not rotations:
+            raise MotionError("no recording to learn joint limits from")
+        stacked = np.concatenate(rotations)
+        mean = np.stack([mean_quaternion(stacked[:, j]) for j in range(stacked.shape[1])])
+        away = _away(stacked, mean)
+        return cls(tuple(joints), mean, away.min(axis=0) - MARGIN, away.max(axis=0) + MARGIN)
+
+
+def joint_limit_share(motion: Motion, limits: JointLimits) -> float:
+    """Return the fraction of joints and frames beyond the limits on any axis, 0 to 1.
+
+    Raises:
+        MotionError: the motion lacks a joint of the limits.
+    """
+    away = _away(_rotations(motion, limits.joints), limits.mean)
+    return float(((away < limits.low) | (away > limits.high)).any(axis=-1).mean())
+
+
+def _rotations(motion: Motion, joints: Sequence[str]) -> np.ndarray:
+    return motion.rotations[:, [motion.skeleton.index(name) for name in joints]]
+
+
+def _away(rotations: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    return rotation_vector_from_quaternion(
+        multiply_quaternions(invert_quaternions(mean), rotations)
+    )
+
+
+def derivative(paths: np.ndarray, fps: float, order: int, cutoff: float | None) -> np.ndarray:
+    """Return the time derivative of paths.
+
+    Args:
+        paths: (T, ...) positions, metres.
+        fps: frames per second.
+        order: 1 for velocity, 2 for acceleration, 3 for jerk.
+        cutoff: Hz of the low-pass; None for differences of neighbouring frames, unfiltered.
+
+    Returns:
+        (T - order, ...) differences, or (T, ...) of the smoothed paths; m/s^order.
+
+    Raises:
+        MotionError: too few frames, or a cutoff at or above half the frame rate.
+    """
+    least = _DEGREE + 1 if cutoff is not None else order + 1
+    if len(paths) < least:
+        raise MotionError(
+            f"the motion has {counted(len(paths), 'frame')}; at least {least} are needed"
+        )
+    if cutoff is None:
+        return np.diff(paths, n=order, axis=0) * fps**order
+    from scipy.interpolate import make_interp_spline
+
+    times = np.arange(len(paths)) / fps
+    return make_interp_spline(times, low_passed(paths, fps, cutoff), k=_DEGREE)(times, order)
+
+
+def low_passed(paths: np.ndarray, fps: float, cutoff: float = CUTOFF) -> np.ndarray:
+    """Low-pass paths (T, ...) at `cutoff` Hz without delay.
+
+    Raises:
+        MotionError: the cutoff is at or above half the frame rate.
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    if not 0 < cutoff < fps / 2:
+        raise MotionError(
+            f"cutoff {cutoff:g} Hz cannot be filtered at {fps:g} fps; it must lie between 0 and "
+            f"{fps / 2:g} Hz"
+        )
+    sos = butter(_ORDER, cutoff, fs=fps, output="sos")
+    # Half a second of reflection at either end, at any frame rate.
+    pad = min(len(paths) - 1, round(0.5 * fps))
+    return sosfiltfilt(sos, paths, axis=0, padlen=pad)

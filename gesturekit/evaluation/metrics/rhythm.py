@@ -14,12 +14,11 @@ import numpy as np
 
 from audio_features import Wave
 from gesturekit.errors import MotionError
-from gesturekit.evaluation.metrics.derivatives import CUTOFF, derivative
-from gesturekit.evaluation.metrics.physical import joint_paths, joint_speed
+from gesturekit.evaluation.metrics.hands import upper_joints
+from gesturekit.evaluation.metrics.physical import CUTOFF, derivative, joint_paths, joint_speed
 from gesturekit.evaluation.metrics.sync import MIN_SHIFT
 from gesturekit.motion import Motion
-from gesturekit.motion.body_size import body_scale
-from gesturekit.motion.parts import body_joints, upper_body
+from gesturekit.motion.parts.body_size import body_scale
 
 SMOOTHING = 5 / 60
 """Seconds; σ of the Gaussian over the speed curve in beat alignment: 5 frames at 60 fps."""
@@ -60,6 +59,11 @@ class BeatResult:
     sound_beats: int
     note: str = ""
 
+    @property
+    def value(self) -> float:
+        """The score."""
+        return self.score
+
 
 def beat_alignment(
     motion: Motion,
@@ -76,7 +80,7 @@ def beat_alignment(
     Args:
         motion: the motion; beats after its end do not count.
         beats: (B,) seconds of the sound's beats, such as `music_beats` gives.
-        variant: "seconds" takes the speed of the motion low-passed at 6 Hz (`derivatives`) and
+        variant: "seconds" takes the speed of the motion low-passed at 6 Hz (`derivative`) and
             places beats between frames by a parabola through three of them. "bailando" takes
             frame differences and places a beat at the first frame of the step, as its code does:
             up to half a frame early, and dependent on the frame rate.
@@ -87,7 +91,7 @@ def beat_alignment(
             be identified.
     """
     found = motion_beats(motion, variant=variant, joints=joints)
-    return beat_result([found], beats, motion.duration, KERNEL)
+    return alignment(found, beats, motion.duration)
 
 
 def beat_consistency(
@@ -114,7 +118,25 @@ def beat_consistency(
         MotionError: fewer than 3 frames, or joints that cannot be identified.
     """
     found = joint_beats(motion, mean_speed=mean_speed, joints=joints)
-    return beat_result(found, onsets, motion.duration, CONSISTENCY_KERNEL)
+    return consistency(found, onsets, motion.duration)
+
+
+def alignment(beats: np.ndarray, pulse: np.ndarray, duration: float) -> BeatResult:
+    """Return the beat alignment of beats that are known, see `beat_alignment`.
+
+    Args:
+        beats: (M,) beats of the motion, seconds.
+        pulse: (B,) beats of the sound, seconds.
+        duration: of the motion, seconds.
+    """
+    return beat_result([beats], pulse, duration, KERNEL)
+
+
+def consistency(
+    beats_by_joint: Sequence[np.ndarray], onsets: np.ndarray, duration: float
+) -> BeatResult:
+    """Return the beat consistency of beats (M,) of each joint, see `beat_consistency`."""
+    return beat_result(beats_by_joint, onsets, duration, CONSISTENCY_KERNEL)
 
 
 def joint_beats(
@@ -124,7 +146,7 @@ def joint_beats(
     joints: Sequence[str] | None = None,
 ) -> list[np.ndarray]:
     """Return the beats (M,) of each joint, seconds; see `beat_consistency`."""
-    names = upper_body_joints(motion) if joints is None else joints
+    names = upper_joints(motion.skeleton) if joints is None else joints
     speed = central_speed(motion, names)
     usual = speed.mean(axis=0) if mean_speed is None else np.asarray(mean_speed)
     order = max(1, round(CONSISTENCY_ORDER * motion.fps))
@@ -189,12 +211,6 @@ def central_speed(motion: Motion, joints: Sequence[str]) -> np.ndarray:
     if motion.n_frames < 3:
         raise MotionError(f"the motion has {motion.n_frames} frames; at least 3 are needed")
     return np.linalg.norm(np.gradient(joint_paths(motion, joints), 1 / motion.fps, axis=0), axis=-1)
-
-
-def upper_body_joints(motion: Motion) -> tuple[str, ...]:
-    """Return the names of the joints from the spine upwards, without fingers and end joints."""
-    above = set(upper_body(motion.skeleton))
-    return tuple(name for name in body_joints(motion.skeleton) if name in above)
 
 
 def _minima(curve: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:

@@ -7,9 +7,11 @@ from typing import Literal
 
 import numpy as np
 
+from audio_features import FeatureTrack
 from gesturekit.errors import MotionError
 from gesturekit.evaluation.metrics.physical import joint_paths
 from gesturekit.motion import Motion
+from gesturekit.motion.parts.body_size import body_scale
 
 _STILL = 1e-6  # fraction of a pose's extent; a column that varies less is constant
 SRGR_THRESHOLD = 0.1
@@ -78,6 +80,36 @@ def cca(generated: np.ndarray, reference: np.ndarray) -> float:
         warnings.simplefilter("ignore", ConvergenceWarning)
         first, second = CCA(n_components=1, max_iter=1500).fit_transform(*sides)
     return float(np.corrcoef(first[:, 0], second[:, 0])[0, 1])
+
+
+def pose_pair(
+    motion: Motion, recording: Motion, joints: Sequence[str]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the poses (T, 3 (J - 1)) of both motions over their common frames, metres."""
+    n = min(motion.n_frames, recording.n_frames)
+    return tuple(root_relative(m, joints)[:n].reshape(n, -1) for m in (motion, recording))
+
+
+def pose_cca(motion: Motion, recording: Motion, joints: Sequence[str]) -> float:
+    """Return `cca` of the poses of a motion and its recording."""
+    return cca(*pose_pair(motion, recording, joints))
+
+
+def semantic_recall(
+    motion: Motion, recording: Motion, joints: Sequence[str], semantic: FeatureTrack
+) -> float:
+    """Return `srgr` of a motion; its threshold grows with the recording's body.
+
+    Args:
+        motion: T frames.
+        recording: the recording, at the same frame rate.
+        joints: names of the joints that both have.
+        semantic: (S, 1) semantic relevance over time, 0 to 1.
+    """
+    ours, theirs = (side.reshape(len(side), -1, 3) for side in pose_pair(motion, recording, joints))
+    relevance = semantic.to_rate(motion.fps, len(ours)).values[:, 0]
+    near = SRGR_THRESHOLD * body_scale(recording.skeleton)
+    return srgr(ours, theirs, relevance, threshold=near)
 
 
 def srgr(

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from audio_features import Wave
-from gesturekit.errors import MotionError
-from gesturekit.evaluation.metrics.physical import arm_speed
+from gesturekit.errors import EvaluationError, GestureKitError, MotionError
+from gesturekit.evaluation.metrics.physical import HARDLY_MOVING, arm_speed
 from gesturekit.motion import Motion
 
 WINDOW = 0.05  # seconds of sound in the RMS of one envelope value
@@ -46,6 +46,11 @@ class SyncResult:
     chance_sd: float
     z: float
     note: str = ""
+
+    @property
+    def value(self) -> float:
+        """The correlation."""
+        return self.r
 
     def __str__(self) -> str:
         text = (
@@ -93,14 +98,39 @@ def sync(motion: Motion, wave: Wave, *, max_lag: float = 0.3) -> SyncResult:
 
     r = _r_by_lag_and_shift(speed, envelope, lags)
     best = int(r[:, 0].argmax())
-    figure, lag = float(r[best, 0]), float(lags[best] / fps)
+    value, lag = float(r[best, 0]), float(lags[best] / fps)
     shift = np.arange(n)
     chance = r.max(axis=0)[np.minimum(shift, n - shift) > MIN_SHIFT * fps]
     if len(chance) == 0:
         note = f"too short ({n / fps:.1f} s) to shift by more than {MIN_SHIFT:g} s: chance unknown"
-        return SyncResult(figure, lag, 0.0, 0.0, 0.0, note)
+        return SyncResult(value, lag, 0.0, 0.0, 0.0, note)
     mean, sd = float(chance.mean()), float(chance.std())
-    return SyncResult(figure, lag, mean, sd, (figure - mean) / sd if sd > 0 else 0.0)
+    return SyncResult(value, lag, mean, sd, (value - mean) / sd if sd > 0 else 0.0)
+
+
+def sync_of_moving_arms(motion: Motion, recording: Motion, wave: Wave) -> SyncResult:
+    """Return `sync`, which is not informative where the arms hardly move.
+
+    Raises:
+        EvaluationError: the arms move at less than `HARDLY_MOVING` of the recording's speed.
+        MotionError: see `sync`.
+    """
+    result = sync(motion, wave)
+    if not result.note and hardly_moves(motion, recording):
+        raise EvaluationError(
+            f"not informative: the arms move at less than {100 * HARDLY_MOVING:.0f} % of the "
+            "recording's speed"
+        )
+    return result
+
+
+def hardly_moves(motion: Motion, recording: Motion) -> bool:
+    """Return True if the arms move far less than the recording's; False without arms."""
+    try:
+        ours, own = (arm_speed(m).mean() for m in (motion, recording))
+    except GestureKitError:
+        return False
+    return bool(ours < HARDLY_MOVING * own)
 
 
 def speech_envelope(wave: Wave, fps: float, n_frames: int) -> np.ndarray:

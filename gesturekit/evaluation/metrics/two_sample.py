@@ -1,6 +1,6 @@
 """Generated against recorded windows of motion: two-sample accuracy, within reach, copying.
 
-A window is 1 s of body-centred motion (`life.body_centred`): positions of the upper-body joints,
+A window is 1 s of body-centred motion (`hands.body_centred`): positions of the upper-body joints,
 and their velocities times 0.2 s. The distance of two windows is the root of the mean over frames
 and joints of the squared difference of both, metres. Windows begin every 0.5 s.
 """
@@ -14,7 +14,7 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.evaluation.metrics.diagonals import frame_distances, lower_to_nearest
-from gesturekit.evaluation.metrics.life import (
+from gesturekit.evaluation.metrics.hands import (
     FPS,
     Motions,
     as_list,

@@ -1,1 +1,1 @@
-"""The evaluation report: comparison, tables, plots, page."""
+"""The report: tables, plots, page, and what the metrics notice of known-bad motion."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 import html
 from collections.abc import Iterator, Mapping, Sequence
 
-from gesturekit.evaluation.contest.paired import Contest
-from gesturekit.evaluation.intervals import FEW
 from gesturekit.evaluation.report.plots import colour
-from gesturekit.evaluation.report.tables import number, section
+from gesturekit.evaluation.report.tables import number
 from gesturekit.evaluation.results import Answer, Evaluation, MetricResult, ModelResult
+from gesturekit.evaluation.statistics.intervals import FEW
+from gesturekit.evaluation.statistics.paired import Contest
+from gesturekit.viewer.pages import section
 
 _LEAD = (
     "Each with one figure and its 95 % interval over recordings; the last row has what the "
@@ -28,7 +29,7 @@ _OWN = {
         "Other recordings, by definition; below 0.8 is nearer, below 0.5 copied.",
     ),
 }
-"""Meaning of the recordings' own value of each figure: short, and as a sentence."""
+"""Meaning of the recordings' own value of each metric: short, and as a sentence."""
 
 
 def headline_lines(evaluation: Evaluation) -> list[str]:
@@ -37,14 +38,14 @@ def headline_lines(evaluation: Evaluation) -> list[str]:
     for model in evaluation.models:
         named = f"{model.label}: " if len(evaluation.models) > 1 else ""
         for answer in model.answers:
-            figure = _shown(model, answer)
-            value = "" if figure is None else f" ({_figure_text(figure)})"
+            result = _shown(model, answer)
+            value = "" if result is None else f" ({_result_text(result)})"
             lines.append(f"{named}{answer.question} {answer.sentence}{value}")
     return lines
 
 
 def headline(evaluation: Evaluation, rows: Mapping[str, Contest]) -> str:
-    """Return the section of the three questions as HTML; "" without measures of life."""
+    """Return the section of the three questions as HTML; "" without pooled metrics."""
     models = [model for model in evaluation.models if model.answers]
     if not models:
         return ""
@@ -87,14 +88,14 @@ def interval_warnings(evaluation: Evaluation) -> Iterator[str]:
 
 
 def _cell(model: ModelResult, answer: Answer, rows: Mapping[str, Contest]) -> str:
-    figure = _shown(model, answer)
+    result = _shown(model, answer)
     sentence = f"<p>{html.escape(answer.sentence)}</p>"
-    if figure is None:
+    if result is None:
         return f"<td>{sentence}</td>"
     row = rows.get(answer.key)
     best = " class=best" if row is not None and row.best == model.label else ""
-    value = f'<span class="figure"><span{best}>{number(figure.interval.value)}</span></span>'
-    return f"<td>{value}<small>{_spread(figure)}</small>{sentence}</td>"
+    value = f'<span class="figure"><span{best}>{number(result.interval.value)}</span></span>'
+    return f"<td>{value}<small>{_spread(result)}</small>{sentence}</td>"
 
 
 def _own_cells(models: Sequence[ModelResult]) -> str:
@@ -102,7 +103,7 @@ def _own_cells(models: Sequence[ModelResult]) -> str:
     cells = ""
     for answer in models[0].answers:
         shown = (_shown(model, answer) for model in models)
-        known = (figure.recording for figure in shown if figure is not None)
+        known = (result.recording for result in shown if result is not None)
         own = next((value for value in known if value is not None), None)
         cells += (
             "<td></td>"
@@ -113,19 +114,19 @@ def _own_cells(models: Sequence[ModelResult]) -> str:
 
 
 def _shown(model: ModelResult, answer: Answer) -> MetricResult | None:
-    """Return the figure of an answer, unless it is not informative."""
-    figure = model.figures.get(answer.key)
-    return figure if figure is not None and figure.informative else None
+    """Return the result of an answer, unless it is not informative."""
+    result = model.metrics.get(answer.key)
+    return result if result is not None and result.informative else None
 
 
-def _figure_text(figure: MetricResult) -> str:
-    short = _OWN[figure.key][0]
-    own = "" if figure.recording is None else f"; {short}: {number(figure.recording)}"
-    return f"{number(figure.interval.value)}, {_spread(figure)}{own}"
+def _result_text(result: MetricResult) -> str:
+    short = _OWN[result.key][0]
+    own = "" if result.recording is None else f"; {short}: {number(result.recording)}"
+    return f"{number(result.interval.value)}, {_spread(result)}{own}"
 
 
-def _spread(figure: MetricResult) -> str:
-    low, high = figure.interval.low, figure.interval.high
+def _spread(result: MetricResult) -> str:
+    low, high = result.interval.low, result.interval.high
     if low is None or high is None:
         return "no interval"
     return f"95 % interval {number(low)} to {number(high)}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import json
 import os
@@ -11,16 +10,15 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from gesturekit.atomic import atomic_write
-from gesturekit.evaluation.contest.paired import contests
 from gesturekit.evaluation.report import tables
-from gesturekit.evaluation.report.figure_table import agreement_lines
 from gesturekit.evaluation.report.headline import headline, interval_warnings
+from gesturekit.evaluation.report.metric_table import agreement_lines
 from gesturekit.evaluation.report.plots import all_plots
 from gesturekit.evaluation.report.showcase import Shown, best_and_worst
-from gesturekit.evaluation.report.tables import section
 from gesturekit.evaluation.results import Evaluation
+from gesturekit.evaluation.statistics.paired import contests
 from gesturekit.viewer import player_shell
+from gesturekit.viewer.pages import plots_section, script_json, section, write_page
 from gesturekit.wording import counted
 
 _HERE = Path(__file__).parent / "page"
@@ -55,9 +53,9 @@ def write_report(
     rows = contests(evaluation.models)
     sections = [
         without_folders(headline(evaluation, rows)),
-        without_folders(tables.figures(evaluation, rows)),
+        without_folders(tables.metrics(evaluation, rows)),
         without_folders(tables.recordings(evaluation)),
-        _plots_section(evaluation),
+        plots_section(all_plots(evaluation)),
         _agreement_section(evaluation),
         _clips_section(shown, evaluation),
         without_folders(tables.per_clip(evaluation)),
@@ -66,7 +64,6 @@ def write_report(
     ]
     page = {
         "title": html.escape(without_folders(heading)),
-        "style": (_HERE / "style.css").read_text(encoding="utf-8"),
         "facts": "".join(f"<span>{html.escape(fact)}</span>" for fact in _facts(evaluation)),
         "verdicts": "".join(
             f'<p class="verdict">{html.escape(without_folders(line))}</p>'
@@ -82,10 +79,7 @@ def write_report(
         ),
         "scripts": _scripts(shown),
     }
-    template = (_HERE / "template.html").read_text(encoding="utf-8")
-    text = re.sub(r"\{\{(\w+)\}\}", lambda place: page[place[1]], template)
-    with atomic_write(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_page(path, _HERE, page)
 
 
 def without_folders(text: str) -> str:
@@ -129,16 +123,6 @@ def _warnings(evaluation: Evaluation) -> Iterable[str]:
             said.setdefault(note, []).append(model.label)
     for note, labels in said.items():
         yield f"{', '.join(labels)}: {note}." if len(evaluation.models) > 1 else f"{note}."
-
-
-def _plots_section(evaluation: Evaluation) -> str:
-    figures = "".join(
-        f"<figure><figcaption>{html.escape(title)}</figcaption>"
-        f'<img alt="{html.escape(title)}" src="data:image/svg+xml;base64,'
-        f'{base64.b64encode(svg.encode()).decode()}"></figure>'
-        for title, svg in all_plots(evaluation).items()
-    )
-    return section("Plots", "", figures) if figures else ""
 
 
 def _agreement_section(evaluation: Evaluation) -> str:
@@ -191,12 +175,7 @@ def _scripts(shown: list[Shown]) -> str:
     clips = [{"title": html.escape(c.title), "motion": c.motion} for c in shown]
     script = (_HERE / "clips.js").read_text(encoding="utf-8")
     return (
-        f'<script type="application/json" id="shell">{_json(player_shell())}</script>'
-        f'<script type="application/json" id="clips">{_json(clips)}</script>'
+        f'<script type="application/json" id="shell">{script_json(player_shell())}</script>'
+        f'<script type="application/json" id="clips">{script_json(clips)}</script>'
         f"<script>{script}</script>"
     )
-
-
-def _json(value: object) -> str:
-    # "<" only occurs inside strings of JSON; escaped, no string can end the script element.
-    return json.dumps(value, separators=(",", ":")).replace("<", "\\u003c")

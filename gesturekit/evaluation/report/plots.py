@@ -9,7 +9,12 @@ import matplotlib.figure
 import numpy as np
 from matplotlib.axes import Axes
 
-from gesturekit.evaluation.definitions import DEFINITIONS
+from gesturekit.evaluation.definitions import (
+    DEFINITIONS,
+    PATCHES,
+    definitions_of,
+    shown_in,
+)
 from gesturekit.evaluation.report.svg import new_figure, svg_text
 from gesturekit.evaluation.results import Evaluation, ModelResult
 
@@ -18,8 +23,6 @@ RECORDING = "#26303b"
 CHANCE = "#aab4be"
 _SOFT, _LINE = "#6b7785", "#d5dae0"
 
-_SPEECH = ("sync", "bas", "bc")
-_RATIOS = ("arm_speed", "wrist_speed", "acceleration", "jerk", "l1_diversity")
 _LEAST_RATIO = 0.01
 _MOST_RECORDINGS = 24
 
@@ -42,7 +45,8 @@ def all_plots(evaluation: Evaluation) -> dict[str, str]:
 
 
 def _speech(evaluation: Evaluation) -> str | None:
-    keys = [key for key in _SPEECH if any(key in m.figures for m in evaluation.models)]
+    keys = [d.key for d in definitions_of("sound")]
+    keys = [key for key in keys if any(key in m.metrics for m in evaluation.models)]
     if not keys:
         return None
     labels = [model.label for model in evaluation.models]
@@ -50,7 +54,7 @@ def _speech(evaluation: Evaluation) -> str | None:
     for axes, key in zip(np.atleast_1d(figure.subplots(1, len(keys))), keys, strict=True):
         recordings = []
         for i, model in enumerate(evaluation.models):
-            found = model.figures.get(key)
+            found = model.metrics.get(key)
             if found is None:
                 continue
             _error_bar(axes, i, found.interval, colour(i), vertical=True)
@@ -78,7 +82,9 @@ def _speech(evaluation: Evaluation) -> str | None:
 
 def _ratios(evaluation: Evaluation) -> str | None:
     keys = [
-        key for key in _RATIOS if any(_ratio(model, key) is not None for model in evaluation.models)
+        key
+        for key in shown_in("ratios")
+        if any(_ratio(model, key) is not None for model in evaluation.models)
     ]
     if not keys:
         return None
@@ -103,7 +109,7 @@ def _ratios(evaluation: Evaluation) -> str | None:
     ticks = sorted(ticks | {0.5, 1, 2})
     axes.set_xticks(ticks, [f"{t:g}×" for t in ticks])
     axes.minorticks_off()
-    axes.set_yticks(range(len(keys)), [_named(key) for key in keys])
+    axes.set_yticks(range(len(keys)), [DEFINITIONS[key].title for key in keys])
     axes.set_ylim(len(keys) - 0.5, -0.5)
     axes.set_xlabel(
         "generated / recorded (log scale, 0.01× and more); the dashed line is the recording"
@@ -114,7 +120,7 @@ def _ratios(evaluation: Evaluation) -> str | None:
 
 
 def _ratio(model: ModelResult, key: str) -> tuple[float, float, float] | None:
-    found = model.figures.get(key)
+    found = model.metrics.get(key)
     if found is None or not found.recording:
         return None
     value, low, high = found.interval.value, found.interval.low, found.interval.high
@@ -177,10 +183,10 @@ def _histograms(evaluation: Evaluation) -> str | None:
 
 
 def _patches(evaluation: Evaluation) -> str | None:
-    keys = ("coverage", "global_diversity", "local_diversity")
+    keys = [d.key for d in definitions_of("comparison") if d.group == PATCHES]
     models = [model for model in evaluation.models if model.by_recording]
     stems = sorted({stem for model in models for stem in model.by_recording})
-    keys = tuple(k for k in keys if any(k in model.figures for model in models))
+    keys = tuple(k for k in keys if any(k in model.metrics for model in models))
     if len(stems) < 2 or not keys:
         return None
     stems = stems[:_MOST_RECORDINGS]
@@ -233,11 +239,6 @@ def _legend(figure: matplotlib.figure.Figure, models: Sequence[ModelResult]) -> 
 
 def _title(axes: Axes, text: str) -> None:
     axes.set_title(text, loc="left", fontsize=10.5, color=RECORDING, parse_math=False)
-
-
-def _named(key: str) -> str:
-    definition = DEFINITIONS[key]
-    return f"{definition.name}, {definition.unit}" if definition.unit else definition.name
 
 
 def _short(name: str, most: int = 26) -> str:

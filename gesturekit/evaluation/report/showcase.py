@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from audio_features import AudioFeaturesError
 from gesturekit.errors import GestureKitError
-from gesturekit.evaluation.clips import load_clip, load_wave
-from gesturekit.evaluation.definitions import DEFINITIONS
+from gesturekit.evaluation.definitions import DEFINITIONS, shown_in
+from gesturekit.evaluation.measuring.clips import load_clip, load_wave
 from gesturekit.evaluation.pairs import WINDOW_SECONDS
 from gesturekit.evaluation.report.plots import RECORDING, colour
 from gesturekit.evaluation.results import ClipResult, Evaluation, ModelResult
@@ -18,7 +18,6 @@ EACH = 2
 """Largest number of best and of worst clips."""
 SECONDS = 20.0
 """Seconds of a clip that are shown, to keep the page small."""
-_RANKED_BY = ("sync", "hellinger", "coverage")  # the first that every clip has
 
 
 @dataclass(frozen=True)
@@ -46,12 +45,12 @@ def best_and_worst(evaluation: Evaluation, body: str | None = None) -> list[Show
     Files that no longer exist are skipped. `body` is as in `gesturekit.viewer.drawn_body`.
     """
     model = evaluation.models[0]
-    key = next((k for k in _RANKED_BY if all(k in c.figures for c in model.clips)), None)
+    key = next((k for k in shown_in("ranking") if all(k in c.metrics for c in model.clips)), None)
     if key is None:
         return []
     definition = DEFINITIONS[key]
     ranked = sorted(
-        model.clips, key=lambda clip: clip.figures[key], reverse=definition.better == "higher"
+        model.clips, key=lambda clip: clip.metrics[key], reverse=definition.better == "higher"
     )
     each = min(EACH, max(1, len(ranked) // 2))
     chosen = [("Best" if i == 0 else f"Best, {i + 1}", c) for i, c in enumerate(ranked[:each])]
@@ -64,7 +63,7 @@ def best_and_worst(evaluation: Evaluation, body: str | None = None) -> list[Show
             data = _data(evaluation, clip, body)
         except (GestureKitError, AudioFeaturesError, OSError):
             continue
-        detail = f"{clip.pair.name}: {definition.name.lower()} {clip.figures[key]:.2f}"
+        detail = f"{clip.pair.name}: {definition.name.lower()} {clip.metrics[key]:.2f}"
         shown.append(Shown(label, detail, f"{label}: {clip.pair.name}", definition.name, data))
     return shown
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 from collections.abc import Mapping
 
-from gesturekit.evaluation.contest.paired import Contest
 from gesturekit.evaluation.definitions import (
     FRECHET,
     GROUPS,
@@ -14,28 +13,19 @@ from gesturekit.evaluation.definitions import (
     SPEECH,
     Definition,
 )
-from gesturekit.evaluation.intervals import Interval
 from gesturekit.evaluation.report.plots import colour
-from gesturekit.evaluation.results import Evaluation, ModelResult
+from gesturekit.evaluation.results import Evaluation, Interval, ModelResult
+from gesturekit.evaluation.statistics.paired import Contest
+from gesturekit.viewer.pages import section
 from gesturekit.wording import counted
 
-_ARROWS = {
+ARROWS = {
     "higher": ("↑", "higher is nearer to the recordings' own value"),
     "lower": ("↓", "lower is nearer to the recordings' own value"),
     "reference": ("", "the recordings' own value is the goal"),
 }
 _OPEN = (HEADLINE, SPEECH, PATCHES, FRECHET)  # groups of the papers' tables; the rest is folded
 _MOST_CLIPS = 300
-_PER_CLIP = (
-    "sync", "sync_z", "bc", "arm_speed", "jerk", "foot_skate", "hellinger", "coverage",
-    "local_diversity",
-)  # fmt: skip
-
-
-def section(title: str, lead: str, body: str) -> str:
-    """Return a section of the page; `lead` and `body` are HTML."""
-    lead = f'<p class="lead">{lead}</p>' if lead else ""
-    return f"<section><h2>{title}</h2>{lead}{body}</section>"
 
 
 def number(value: float) -> str:
@@ -54,7 +44,7 @@ def number(value: float) -> str:
     return f"{value:.2g}"
 
 
-def figures(evaluation: Evaluation, contests: Mapping[str, Contest]) -> str:
+def metrics(evaluation: Evaluation, contests: Mapping[str, Contest]) -> str:
     """Return the tables of all metrics of all models, group by group, with the recordings' own.
 
     Args:
@@ -73,7 +63,7 @@ def figures(evaluation: Evaluation, contests: Mapping[str, Contest]) -> str:
         for definition in (d for d in evaluation.definitions() if d.group == group):
             key = definition.key
             row = contests.get(key)
-            cells = [_figure_cell(model, key, row) for model in models]
+            cells = [_metric_cell(model, key, row) for model in models]
             cells.append(_recording_cell(models, key))
             rows.append(f"<tr>{_measure_cells(definition, row)}{''.join(cells)}</tr>")
         if rows:
@@ -107,32 +97,31 @@ def has_samples(evaluation: Evaluation) -> bool:
 
 
 def _measure_cells(definition: Definition, row: Contest | None) -> str:
-    arrow, meaning = _ARROWS[definition.better if row is None else row.direction]
-    unit = f", {definition.unit}" if definition.unit else ""
+    arrow, meaning = ARROWS[definition.better if row is None else row.direction]
     bound = ' class="bound"' if definition.fps_bound else ""
     return (
-        f"<th>{html.escape(definition.name + unit)}"
+        f"<th>{html.escape(definition.title)}"
         f"<small{bound}>{html.escape(definition.variant)}</small></th>"
         f'<td title="{meaning}">{arrow}</td>'
     )
 
 
-def _figure_cell(model: ModelResult, key: str, row: Contest | None) -> str:
-    figure = model.figures.get(key)
-    if figure is None:
+def _metric_cell(model: ModelResult, key: str, row: Contest | None) -> str:
+    result = model.metrics.get(key)
+    if result is None:
         return '<td class="number">–<small>not measured</small></td>'
     best = " class=best" if row is not None and row.best == model.label else ""
-    below = [_bounds(figure.interval)]
-    if not figure.informative:
+    below = [_bounds(result.interval)]
+    if not result.informative:
         below.insert(0, "not informative here")
-    if figure.chance is not None:
-        below.append(f"chance {number(figure.chance)}")
-    if figure.mismatched is not None:
-        below.append(f"other recordings {number(figure.mismatched)}")
-    if figure.note:
-        below.append(figure.note)
+    if result.chance is not None:
+        below.append(f"chance {number(result.chance)}")
+    if result.mismatched is not None:
+        below.append(f"other recordings {number(result.mismatched)}")
+    if result.note:
+        below.append(result.note)
     small = "".join(f"<small>{html.escape(line)}</small>" for line in below)
-    return f'<td class="number"><span{best}>{number(figure.interval.value)}</span>{small}</td>'
+    return f'<td class="number"><span{best}>{number(result.interval.value)}</span>{small}</td>'
 
 
 def _bounds(interval: Interval) -> str:
@@ -144,13 +133,13 @@ def _bounds(interval: Interval) -> str:
 def _recording_cell(models: list[ModelResult], key: str) -> str:
     """Return the cell of the recordings' value, from the first model that has one."""
     for model in models:
-        figure = model.figures.get(key)
-        if figure is not None and figure.recording is not None:
-            own = figure.recording_interval
+        result = model.metrics.get(key)
+        if result is not None and result.recording is not None:
+            own = result.recording_interval
             small = ""
             if own is not None and own.low is not None and own.high is not None:
                 small = f"<small>{number(own.low)} … {number(own.high)}</small>"
-            return f'<td class="number">{number(figure.recording)}{small}</td>'
+            return f'<td class="number">{number(result.recording)}{small}</td>'
     return "<td></td>"
 
 
@@ -198,7 +187,7 @@ def recordings(evaluation: Evaluation) -> str:
 
 def per_clip(evaluation: Evaluation) -> str:
     """Return the table of all clips."""
-    definitions = [d for d in evaluation.definitions() if d.key in _PER_CLIP]
+    definitions = [d for d in evaluation.definitions() if "clips" in d.shown]
     head = "".join(
         f'<th class="number">{html.escape(d.name)}'
         f"{f'<small>{html.escape(d.unit)}</small>' if d.unit else ''}</th>"
@@ -208,14 +197,14 @@ def per_clip(evaluation: Evaluation) -> str:
     for index, model in enumerate(evaluation.models):
         for clip in model.clips[:_MOST_CLIPS]:
             cells = "".join(
-                f'<td class="number">{number(clip.figures[d.key])}'
+                f'<td class="number">{number(clip.metrics[d.key])}'
                 + (
                     f"<small>{number(clip.recording[d.key])} rec.</small>"
                     if d.key in clip.recording
                     else ""
                 )
                 + "</td>"
-                if d.key in clip.figures
+                if d.key in clip.metrics
                 else "<td></td>"
                 for d in definitions
             )

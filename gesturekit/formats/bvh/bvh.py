@@ -17,14 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.axes import file_axes, with_y_up
 from gesturekit.formats.bvh import mark as bvh_mark
 from gesturekit.formats.bvh.grammar import ParsedBvh, ParsedJoint, parse_bvh
 from gesturekit.formats.units import METRES, guess_unit
-from gesturekit.motion.body_size import first_fork
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts.body_size import first_fork
 from gesturekit.motion.rotations import euler_from_quaternion, quaternion_from_euler
 from gesturekit.motion.skeleton import ROTATION_ORDERS, Skeleton
 from gesturekit.wording import listed

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from gesturekit.archive import Archive
+from audio_features.archive import Archive
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.axes import UP_TO_Y
 from gesturekit.formats.smpl.skeleton import N_JOINTS, model_pelvis, smpl_skeleton

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gesturekit.archive import Archive
+from audio_features.archive import Archive
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.smpl.amass import to_y_up
 from gesturekit.formats.smpl.skeleton import model_pelvis, smpl_skeleton

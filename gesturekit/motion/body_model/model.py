@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gesturekit.archive import Archive, open_archive
+from audio_features.archive import Archive, open_archive
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
@@ -128,7 +128,7 @@ class BodyModel:
             raise FormatError(
                 f"{path}: a pickle can run code and is never loaded; use the model's .npz file"
             )
-        with open_archive(path) as archive:
+        with open_archive(path, FormatError) as archive:
             return _read(archive, feet)
 
     def vertices_at_rest(

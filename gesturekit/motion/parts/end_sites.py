@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gesturekit.motion.body_size import body_size
+from gesturekit.motion.parts.body_size import body_size
 from gesturekit.motion.parts.joint_names import bare_name
 from gesturekit.motion.skeleton import Skeleton
 

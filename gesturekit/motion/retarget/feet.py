@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.contacts import CONTACT_SPEED
 from gesturekit.motion.ik.two_bone import two_bone_ik
 from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES
+from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.retarget.body_frames import BodyFrames
 from gesturekit.motion.retarget.standing_pose import FORWARD
 from gesturekit.motion.rotations import (

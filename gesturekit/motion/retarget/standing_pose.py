@@ -12,10 +12,10 @@ from collections.abc import Callable
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.kinematics import forward_kinematics
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES, BodyParts, find_parts
+from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import (
     IDENTITY,
     invert_quaternions,

@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
+from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.retarget.body_frames import BodyFrames, body_frames
 from gesturekit.motion.retarget.feet import HIP_DROP_SECONDS, FootMotion, FootTargets
 from gesturekit.motion.retarget.hands import place_hands

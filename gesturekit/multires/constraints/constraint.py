@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from gesturekit.motion.rotations import (
@@ -19,7 +18,6 @@ from gesturekit.motion.rotations import (
     sixd_from_quaternion,
 )
 from gesturekit.multires.motion_vector import VectorLayout
-from gesturekit.multires.training.data import Normaliser
 
 Constraint = Callable[[int, Tensor], Tensor]
 """constraint(level, output): the normalised output of a level, (1, D, T_i), with the constraint
@@ -73,13 +71,3 @@ def turned_plane(plane: np.ndarray, angle: np.ndarray | float) -> np.ndarray:
     x, z = plane.T
     sine, cosine = np.sin(angle), np.cos(angle)
     return np.stack([x * cosine + z * sine, z * cosine - x * sine], axis=-1)
-
-
-def plain_values(normaliser: Normaliser, vectors: Tensor) -> np.ndarray:
-    """Return (T, D) float64 in their own units, from (1, D, T) normalised."""
-    return normaliser.inverse(vectors)[0].T.double().numpy().copy()
-
-
-def normalised(normaliser: Normaliser, values: np.ndarray) -> Tensor:
-    """Return (1, D, T) normalised, from (T, D) in their own units."""
-    return normaliser.forward(torch.from_numpy(values.T).float()[None])

@@ -17,15 +17,12 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import slerp
 from gesturekit.multires.constraints.constraint import (
     clamped_steps,
-    normalised,
-    plain_values,
     turned,
     turned_plane,
 )
 from gesturekit.multires.constraints.keyframes import ground_positions, moved
-from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.training.data import Normaliser
 from gesturekit.training.data.own_rig import on_rig
 
 _BLEND = 0.4
@@ -212,7 +209,7 @@ class InbetweenConstraint:
 
     def __call__(self, level: int, output: Tensor) -> Tensor:
         """Return the output of a level, (1, D, T_i), with the clips in it and blended to them."""
-        values = plain_values(self.normaliser, output)
+        values = self.normaliser.to_values(output)
         n_frames = len(values)
         given = resample(self.values, n_frames).T.numpy()
         spans = self._spans(n_frames)
@@ -223,7 +220,7 @@ class InbetweenConstraint:
                 self._fill(result, given, values, gap, spans, number)
         for span in spans:
             result[slice(*span)] = given[slice(*span)]
-        vectors = normalised(self.normaliser, result)
+        vectors = self.normaliser.from_values(result)
         is_finest = level + 1 == len(self.lengths)
         return vectors if is_finest else clamped_steps(vectors, self.layout)
 

@@ -20,12 +20,9 @@ from torch import Tensor
 import audio_features as af
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified, upper_body
-from gesturekit.motion.rotations import rotate_vectors, slerp
-from gesturekit.multires.constraints.constraint import normalised
-from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.motion.rotations import rotate_vectors
+from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.training.data import Normaliser
-from gesturekit.postprocess import lock_feet
 from gesturekit.training.data.own_rig import on_rig
 
 _EASE_SECONDS = 0.1
@@ -63,7 +60,7 @@ class KeyframeConstraint:
         representation: MultiresRepresentation,
         normaliser: Normaliser,
     ) -> None:
-        self.given = normalised(normaliser, given)
+        self.given = normaliser.from_values(given)
         self.weight = _widened(edited.any(axis=1)).to(self.given.dtype)
         self.channels = torch.ones(given.shape[1], 1)
         self.channels[representation.layout.contacts] = 0
@@ -249,42 +246,6 @@ def keep_unedited(
     if not same.all(axis=1).any():
         return edited, np.ones(edited.shape, bool)
     return np.where(same, generated, edited), ~same
-
-
-def lock_free_feet(
-    motion: Motion, contacts: np.ndarray, given: np.ndarray | None, *, keep_path: bool
-) -> Motion:
-    """Lock feet, except where the motion is given, with smooth transitions.
-
-    Args:
-        motion: T frames.
-        contacts: (T, C) labels.
-        given: (T,) 1 where the motion stays as it is, 0 where feet are locked; None locks them
-            everywhere.
-        keep_path: see `lock_feet`.
-    """
-    locked = lock_feet(motion, contacts, keep_path=keep_path)
-    if given is None or not given.any():
-        return locked
-    given = given[:, None]
-
-    def mixed(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        between = before + (1 - given) * (after - before)
-        return np.where(given == 0, after, np.where(given == 1, before, between))
-
-    turns = slerp(
-        motion.rotations, locked.rotations, np.broadcast_to(1 - given, motion.rotations.shape[:2])
-    )
-    turns = np.where(given[..., None] == 1, motion.rotations, turns)
-    return replace(
-        locked,
-        rotations=np.where(given[..., None] == 0, locked.rotations, turns),
-        translation=mixed(motion.translation, locked.translation),
-        joint_translations={
-            name: mixed(motion.joint_translations[name], places)
-            for name, places in locked.joint_translations.items()
-        },
-    )
 
 
 def root_through_keyframes(

@@ -14,14 +14,11 @@ from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import quaternion_from_sixd
 from gesturekit.multires.constraints.constraint import (
     clamped_steps,
-    normalised,
-    plain_values,
     turned,
     turned_plane,
 )
-from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.training.data import Normaliser
 
 _SWAY = 0.03
 """Largest sway of the hips to either side of a path, metres of the reference body."""
@@ -66,10 +63,10 @@ class PathConstraint:
 
     def __call__(self, level: int, output: Tensor) -> Tensor:
         """Return the output of a level, (1, D, T_i), with steps that follow the path."""
-        values = plain_values(self.normaliser, output)
+        values = self.normaliser.to_values(output)
         turn, steps = self._turn_and_steps(values)
         values[:, self.layout.root_xz] = turned_plane(steps, -turn)
-        vectors = normalised(self.normaliser, values)
+        vectors = self.normaliser.from_values(values)
         is_finest = level + 1 == len(self.lengths)
         return vectors if is_finest else clamped_steps(vectors, self.layout)
 

@@ -17,12 +17,12 @@ from gesturekit.multires.cpu.sparse_conv import (
     Packing,
     cropped_gradient,
     padded_weight,
+    run_tasks,
     sparse_conv,
+    threads_for_kernels,
 )
-from gesturekit.multires.cpu.threads import run_tasks, threads_for_kernels
 from gesturekit.multires.network.discriminator import LevelDiscriminator
-from gesturekit.multires.network.film import Film
-from gesturekit.multires.network.generator import LevelGenerator, MultiresGenerator
+from gesturekit.multires.network.generator import Film, LevelGenerator, MultiresGenerator
 from gesturekit.multires.network.skeleton_conv import SkeletonConv1d, convolve_dense
 from gesturekit.multires.network.torch_backend import TorchBackend
 

@@ -13,9 +13,8 @@ from gesturekit.multires.network.resampling import reflect
 from gesturekit.multires.network.skeleton_conv import (
     SLOPE,
     Convolve,
-    SkeletonConv1d,
-    block_neighbours,
     convolve_dense,
+    skeleton_layers,
 )
 
 
@@ -30,15 +29,11 @@ class LevelDiscriminator(nn.Module):
         self, representation: MultiresRepresentation, config: NetworkConfig, n_styles: int = 0
     ) -> None:
         super().__init__()
-        near = block_neighbours(representation, config.neighbour_distance, config.contact_reach)
-        sizes = [representation.block_sizes, *((w,) * len(near) for w in config.channels)]
-        self.layers = nn.ModuleList(
-            SkeletonConv1d(near, sizes[i], sizes[i + 1], config.kernel)
-            for i in range(len(sizes) - 1)
-        )
-        self.score = nn.Conv1d(sum(sizes[-1]), 1, config.kernel)
+        self.layers = skeleton_layers(representation, config, output=False)
+        width = self.layers[-1].shape[0]
+        self.score = nn.Conv1d(width, 1, config.kernel)
         if n_styles:
-            self.styled = nn.Conv1d(sum(sizes[-1]), n_styles, config.kernel, bias=False)
+            self.styled = nn.Conv1d(width, n_styles, config.kernel, bias=False)
 
     def score_weights(self, n_frames: int, style: Tensor | None = None) -> Tensor:
         """Return the weight of each feature in the mean score, (1 or B, C, T).

@@ -1,24 +1,73 @@
-"""Generators of the pyramid (section 3 of Moreno-Villamarin et al. 2024, eqs. 6, 7 and 10)."""
+"""Generators of the pyramid, with FiLM (Moreno-Villamarin et al. 2024, section 3, eqs. 6 to 10)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.film import Film, modulated_blocks
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.network.skeleton_conv import (
     SLOPE,
     Convolve,
-    SkeletonConv1d,
-    block_neighbours,
     convolve_dense,
+    skeleton_layers,
 )
+
+
+class Film(nn.Module):
+    """Modulation of chosen channels, gamma * x + delta (eqs. 8 to 10).
+
+    gamma = 1 + f(y) and delta = h(y), both per frame. f and h are initialised to zero, so that an
+    untrained modulation is the identity. Other channels are not changed.
+
+    Args:
+        embedding: channels of y.
+        channels: (C,) bool, True for modulated channels.
+    """
+
+    index: Tensor
+
+    def __init__(self, embedding: int, channels: np.ndarray) -> None:
+        super().__init__()
+        index = torch.zeros(len(channels), dtype=torch.long)
+        index[torch.from_numpy(channels)] = torch.arange(1, int(channels.sum()) + 1)
+        # Channel 0 of the padded gain and shift is zero; every channel not modulated points at it.
+        self.register_buffer("index", index, persistent=False)
+        self.gain = nn.Conv1d(embedding, int(channels.sum()), 1)
+        self.shift = nn.Conv1d(embedding, int(channels.sum()), 1)
+        for layer in (self.gain, self.shift):
+            nn.init.zeros_(layer.weight)
+            nn.init.zeros_(layer.bias)
+
+    def forward(self, x: Tensor, y: Tensor) -> Tensor:
+        """Return x (B, C, T) modulated by y (B, embedding, T)."""
+        gamma = F.pad(self.gain(y), (0, 0, 1, 0)).index_select(1, self.index)
+        delta = F.pad(self.shift(y), (0, 0, 1, 0)).index_select(1, self.index)
+        return x + x * gamma + delta
+
+
+def modulated_blocks(representation: MultiresRepresentation, config: NetworkConfig) -> np.ndarray:
+    """Return (blocks,) bool, True for blocks that the condition modulates.
+
+    Contacts and the root's displacement are modulated only with `modulate: all`. If the upper body
+    of a rig cannot be identified, `upper` modulates every block too.
+    """
+    skeleton, n_blocks = representation.skeleton, len(representation.block_sizes)
+    if config.modulate == "all" or (config.modulate == "upper" and unidentified(skeleton)):
+        return np.ones(n_blocks, dtype=bool)
+    if config.modulate == "upper":
+        names = set(upper_body(skeleton))
+    else:
+        names = {skeleton.names[skeleton.index(name)] for name in config.modulate}
+    joints = [name in names for name in representation.joints]
+    return np.array(joints + [False] * (n_blocks - len(joints)))
 
 
 class LevelGenerator(nn.Module):
@@ -31,25 +80,16 @@ class LevelGenerator(nn.Module):
         self, representation: MultiresRepresentation, n_condition: int, config: NetworkConfig
     ) -> None:
         super().__init__()
-        near = block_neighbours(representation, config.neighbour_distance, config.contact_reach)
-        sizes = [
-            representation.block_sizes,
-            *((width,) * len(near) for width in config.channels),
-            representation.block_sizes,
-        ]
-        self.layers = nn.ModuleList(
-            SkeletonConv1d(near, sizes[i], sizes[i + 1], config.kernel)
-            for i in range(len(sizes) - 1)
-        )
+        self.layers = skeleton_layers(representation, config, output=True)
         if not n_condition:
             self.films = nn.ModuleList()
             return
         blocks = modulated_blocks(representation, config)
         self.embed = nn.Conv1d(n_condition, config.embedding, 1)
         self.rectify_embedding = config.rectify_embedding
-        modulated = sizes[:1] if config.film == "input" else sizes[:-1]
+        modulated = self.layers[:1] if config.film == "input" else self.layers
         self.films = nn.ModuleList(
-            Film(config.embedding, np.repeat(blocks, size)) for size in modulated
+            Film(config.embedding, np.repeat(blocks, layer.sizes[0])) for layer in modulated
         )
 
     def forward(

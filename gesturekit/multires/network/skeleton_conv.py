@@ -6,6 +6,7 @@ into blocks: one for each modelled joint and each foot contact, and one for the 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 
@@ -16,6 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import shortest_path
 from torch import Tensor, nn
 
+from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.resampling import reflect
 
@@ -98,6 +100,24 @@ class SkeletonConv1d(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Return (B, channels out, T) of x (B, channels in, T)."""
         return F.conv1d(reflect(x, self.padding), self.dense_weight(), self.bias)
+
+
+def skeleton_layers(
+    representation: MultiresRepresentation, config: NetworkConfig, *, output: bool
+) -> nn.ModuleList:
+    """Return the skeleton convolutions of one level, from motion vectors to hidden features.
+
+    Args:
+        representation: of the motion vectors.
+        config: widths, kernel and neighbours.
+        output: add a last layer, back to motion vectors.
+    """
+    near = block_neighbours(representation, config.neighbour_distance, config.contact_reach)
+    motion = representation.block_sizes
+    sizes = [motion, *((width,) * len(near) for width in config.channels), *[motion] * output]
+    return nn.ModuleList(
+        SkeletonConv1d(near, *widths, config.kernel) for widths in itertools.pairwise(sizes)
+    )
 
 
 def convolve_dense(

@@ -4,7 +4,7 @@ speech."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,17 +14,21 @@ from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.multires.recall.parts import SPEED_FLOOR, MotionPart
-from gesturekit.multires.recall.passive import PassiveChannels
-from gesturekit.multires.recall.pieces import Pieces
-from gesturekit.multires.recall.search import ChoiceWeights, PieceSearch
-from gesturekit.multires.recall.timing import time_offsets
+from gesturekit.multires.recall.parts import SPEED_FLOOR, MotionPart, PassiveChannels
+from gesturekit.multires.recall.pieces import ChoiceWeights, Pieces, PieceSearch
 from gesturekit.multires.recall.wanted import WantedMovement
 
 _REST = 0.1
 """Speed below which a part of the body rests, m/s on the reference body."""
 _REST_SECONDS = 0.08
 """Standard deviation of the Gaussian that smooths the change between rest and movement."""
+_FURTHEST_SECONDS = 0.4
+"""Pieces are shown at most this much earlier or later than they were chosen for."""
+_CHANGE_OF_TEMPO = 0.1
+"""Cost of a change to the next tempo, in squared standard deviations of movement."""
+_TEMPOS = (-1, 0, 1)
+"""Slower, as recorded, and faster: change of the offset from frame to frame, in grid steps."""
+_FRAMES_AT_ONCE = 1024
 
 
 @dataclass(frozen=True)
@@ -39,16 +43,16 @@ class RecalledRecording:
             well it predicts the second hand; (0, T_l) if the second arm is chosen independently.
         speaker: its speaker; None if the corpus names none.
         style: number of its style; 0 without styles.
-        defective: (P, T_l) bool, the frames in which each part jumps or pops; None in older models.
+        defective: (P, T_l) bool, the frames in which each part jumps or pops.
     """
 
     motion: Tensor
     passive: Tensor
     profiles: Tensor
     directions: Tensor
-    speaker: str | None = None
-    style: int = 0
-    defective: Tensor | None = None
+    speaker: str | None
+    style: int
+    defective: Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,9 +115,9 @@ class RecallLibrary:
         mean: mean movement, log m/s.
         wanted: prediction of movement from speech; None for a model without speech input.
         passive: joints and face channels that are recalled but not modelled.
-        weights: of the choice.
         stretch: largest fraction by which pieces of an arm are played faster or slower, so that
             they move at the predicted times; 0 plays them as recorded.
+        weights: of the choice.
     """
 
     level: int
@@ -126,9 +130,9 @@ class RecallLibrary:
     spread: np.ndarray
     mean: float
     wanted: WantedMovement | None
-    passive: PassiveChannels = PassiveChannels()
+    passive: PassiveChannels
+    stretch: float
     weights: ChoiceWeights = ChoiceWeights()
-    stretch: float = 0.0
 
     @cached_property
     def lengths(self) -> tuple[int, ...]:
@@ -151,15 +155,10 @@ class RecallLibrary:
                 max(1, round(part.length * self.overlap * self.level_fps)),
                 # Longer pieces meet less often, so that each border counts for more.
                 replace(self.weights, continuity=part.length * self.weights.continuity),
-                None if self._are_older else [r.defective[i].numpy() for r in self.recordings],
+                [recording.defective[i].numpy() for recording in self.recordings],
             )
             for i, part in enumerate(self.parts)
         )
-
-    @property
-    def _are_older(self) -> bool:
-        """Return whether the model was trained before defects were stored."""
-        return self.recordings[0].defective is None
 
     def _profile(self, recording: RecalledRecording, i: int) -> Tensor:
         """Return the profile by which a part's pieces are chosen: its movement, and its slow part.
@@ -205,7 +204,7 @@ class RecallLibrary:
             others = None
             if pieces and not part.is_arm:
                 others = np.stack([arm.recorded_frames(self.lengths) for arm in pieces], axis=1)
-            chosen = _from_any_frame(search, rng_of(part.name), wanted, allowed, others)
+            chosen = search.choose_from_any_frame(rng_of(part.name), wanted, allowed, others)
             if self.stretch and part.is_arm and self.wanted is not None:
                 chosen = self._stretched(chosen, i, wanted.T)
             pieces.append(chosen)
@@ -264,18 +263,6 @@ class RecallLibrary:
         return None if allowed.all() else allowed
 
 
-def _from_any_frame(search: PieceSearch, rng: torch.Generator, *rows: np.ndarray | None) -> Pieces:
-    """Choose pieces for `rows` (T, ...) by `PieceSearch.choose`, beginning inside the first piece.
-
-    The offset into the first piece is random, so that the joins, and with them the chosen pieces,
-    differ between seeds.
-    """
-    first = int(torch.randint(search.hop, (), generator=rng))
-    earlier = ((first, 0), (0, 0))
-    wider = [None if row is None else np.pad(row, earlier, mode="edge") for row in rows]
-    return search.choose(rng, *wider).beginning_at(first)
-
-
 def averaged(curves: np.ndarray, n_frames: int) -> np.ndarray:
     """Return curves (C, T) averaged over each of `n_frames` equal parts of their duration."""
     total = np.concatenate([np.zeros((len(curves), 1)), np.cumsum(curves, axis=1)], axis=1)
@@ -283,3 +270,64 @@ def averaged(curves: np.ndarray, n_frames: int) -> np.ndarray:
     at = np.arange(curves.shape[1] + 1)
     rows = np.array([np.interp(edges, at, row) for row in total]).reshape(len(curves), len(edges))
     return np.diff(rows) / np.diff(edges)
+
+
+def time_offsets(own: np.ndarray, asked: np.ndarray, fps: float, stretch: float) -> np.ndarray:
+    """Return the offsets with which recalled movement is closest to the movement predicted from
+    speech.
+
+    Dynamic time warping with three tempos: as recorded, and `stretch` faster and slower. The
+    offsets are those with the lowest sum of squared differences and costs of changes of tempo.
+    Recorded speeds are compared as they are, whatever the tempo: the aim is to move at other times,
+    not faster.
+
+    Args:
+        own: (C, T) profile of the pieces: their movement, in standard deviations, and any other
+            curves to be aligned.
+        asked: (C, T) profile predicted from speech.
+        fps: frames per second of both.
+        stretch: fraction by which pieces may be played faster or slower, above 0.
+
+    Returns:
+        (T,) frames: frame t shows the pieces at t plus this offset.
+    """
+    n_frames, furthest = own.shape[1], int(_FURTHEST_SECONDS * fps / stretch)
+    offsets = stretch * np.arange(-furthest, furthest + 1)
+    steps = np.subtract.outer(_TEMPOS, _TEMPOS)
+    changes = _CHANGE_OF_TEMPO * np.square(steps)[:, :, None]
+    cost = np.zeros((len(_TEMPOS), len(offsets)))  # of the best path to each tempo and offset
+    before = np.zeros((n_frames, *cost.shape), np.int8)  # the tempo that it had until then
+    for t, difference in enumerate(_differences(own, asked, offsets)):
+        if t:
+            # The first axis is the tempo until this frame, the second the one that leads to it.
+            totals = cost[:, None] + changes
+            before[t] = _moved(totals.argmin(axis=0), 0)
+            cost = _moved(totals.min(axis=0), np.inf)
+        cost = cost + difference
+    tempo, offset = np.unravel_index(cost.argmin(), cost.shape)
+    path = np.empty(n_frames, int)
+    for t in reversed(range(n_frames)):
+        path[t] = offset
+        tempo, offset = before[t, tempo, offset], offset - _TEMPOS[tempo]
+    return offsets[path]
+
+
+def _differences(own: np.ndarray, asked: np.ndarray, offsets: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield, for each frame, the squared differences (O,) at all offsets."""
+    frames = np.arange(own.shape[1])
+    for start in range(0, len(frames), _FRAMES_AT_ONCE):
+        part = slice(start, start + _FRAMES_AT_ONCE)
+        times = frames[part, None] + offsets
+        rows = zip(own, asked, strict=True)
+        yield from sum(
+            np.square(np.interp(times, frames, curve) - goal[part, None]) for curve, goal in rows
+        )
+
+
+def _moved(rows: np.ndarray, outside: float) -> np.ndarray:
+    """Return each tempo's row (3, O) one frame later, at the offsets that it has led to."""
+    moved = np.full_like(rows, outside)
+    for row, result, step in zip(rows, moved, _TEMPOS, strict=True):
+        n = len(row) - abs(step)
+        result[max(0, step) :][:n] = row[max(0, -step) :][:n]
+    return moved

@@ -12,15 +12,14 @@ from torch import Tensor
 from gesturekit.multires.config import check_stretch
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary
-from gesturekit.multires.recall.parts import motion_parts
-from gesturekit.multires.recall.passive import PassiveChannels
+from gesturekit.multires.recall.parts import PassiveChannels, motion_parts
 from gesturekit.multires.recall.wanted import Regression, WantedMovement
 from gesturekit.training.model_folder import ModelParts
 from gesturekit.wording import counted
 
 _VALUES = ("level", "piece", "overlap", "mean", "stretch")
 _LARGEST = 1e4  # of `_VALUES`: levels, seconds and log m/s
-_CURVES = ("motion", "passive", "profiles", "directions")
+_CURVES = ("motion", "passive", "profiles", "directions", "defective")
 _REGRESSION = ("mean", "weights", "offset", "predicted", "recorded", "r")
 _DISTRIBUTION = ("predicted", "recorded", "voices")
 
@@ -56,8 +55,6 @@ def library_tensors(library: RecallLibrary) -> dict[str, Tensor]:
     for i, recording in enumerate(library.recordings):
         for name in _CURVES:
             tensors[f"recall.{i}.{name}"] = getattr(recording, name).contiguous()
-        if recording.defective is not None:
-            tensors[f"recall.{i}.defective"] = recording.defective
     wanted = library.wanted
     if wanted is None:
         return tensors
@@ -72,11 +69,7 @@ def library_tensors(library: RecallLibrary) -> dict[str, Tensor]:
 
 
 def load_library(
-    config: Mapping[str, Any],
-    parts: ModelParts,
-    representation: MultiresRepresentation,
-    levels: int,
-    speech_size: int,
+    parts: ModelParts, representation: MultiresRepresentation, levels: int, speech_size: int
 ) -> RecallLibrary | None:
     """Read what `library_values` and `library_tensors` wrote; None for a model without recall.
 
@@ -85,16 +78,15 @@ def load_library(
     Raises:
         ValueError: values out of range, or tensors whose shapes do not fit the model.
     """
-    values = config.get("recall")
-    # Models of earlier versions have a number here: the length of z* patches.
-    if not isinstance(values, dict):
+    values = parts.config["recall"]
+    if values is None:
         return None
-    # Models of earlier versions play pieces as recorded.
-    values = {"stretch": 0.0, **values}
-    tensors, fps = parts.tensors, float(config["fps"])
+    tensors, fps = parts.tensors, float(parts.config["fps"])
     recordings = tuple(
         RecalledRecording(
-            *_curves(tensors, i), speaker, int(style), tensors.get(f"recall.{i}.defective")
+            **{name: tensors[f"recall.{i}.{name}"] for name in _CURVES},
+            speaker=speaker,
+            style=int(style),
         )
         for i, (speaker, style) in enumerate(values["recordings"])
     )
@@ -146,18 +138,17 @@ def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> 
     """Raise ValueError for tensors with which `RecallLibrary.recall` would fail."""
     passive = library.passive
     n_passive = 6 * len(passive.joints) + passive.expressions
-    sizes = {"motion": n_features, "passive": n_passive, "profiles": 2 * len(library.parts)}
+    n_parts = len(library.parts)
+    sizes = {"motion": n_features, "passive": n_passive, "profiles": 2 * n_parts}
+    sizes["defective"] = n_parts
     sizes["directions"] = min(2, len(library.recordings[0].directions))
     for i, recording in enumerate(library.recordings):
         for name, size in sizes.items():
             found, wanted = tuple(getattr(recording, name).shape), (size, library.lengths[i])
             if found != wanted or not library.lengths[i]:
                 raise ValueError(f"recall.{i}.{name} has the shape {found}, not {wanted}")
-        found, wanted = recording.defective, (len(library.parts), library.lengths[i])
-        if found is not None and (found.dtype != torch.bool or tuple(found.shape) != wanted):
-            raise ValueError(f"recall.{i}.defective is {found.dtype} of {tuple(found.shape)}")
-    if len({recording.defective is None for recording in library.recordings}) > 1:
-        raise ValueError("recall: some recordings lack defective")
+        if recording.defective.dtype != torch.bool:
+            raise ValueError(f"recall.{i}.defective is {recording.defective.dtype}, not bool")
     if library.spread.shape != (2,):
         raise ValueError(f"recall.spread has the shape {library.spread.shape}, not (2,)")
     if library.wanted is not None:
@@ -165,13 +156,6 @@ def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> 
             library.wanted(np.zeros((speech_size, 2), np.float32))
         except (IndexError, ValueError) as error:
             raise ValueError(f"recall: no {speech_size} speech features fit ({error})") from None
-
-
-def _curves(tensors: Mapping[str, Tensor], i: int) -> list[Tensor]:
-    """Return the curves of a recording. Models of earlier versions have no directions."""
-    names = [f"recall.{i}.{name}" for name in _CURVES]
-    curves = [tensors[name] for name in names[:-1]]
-    return [*curves, tensors.get(names[-1], curves[0][:0])]
 
 
 def _regression(tensors: Mapping[str, Tensor], part: str) -> Regression:

@@ -1,4 +1,4 @@
-"""Sequence of pieces of recordings that makes up a motion."""
+"""Pieces of recordings that make up a motion, and their choice by a beam search."""
 
 from __future__ import annotations
 
@@ -8,6 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from torch import Tensor
+
+BEAM = 48
+"""Width of the beam: number of sequences of pieces that are kept."""
+_STEPS_AT_ONCE = 64
+"""Pieces whose distances to all recorded frames are in memory at once."""
+_SHRINKAGE = 0.8
+"""Weight of the square of the recorded movement in the squared difference from the wanted movement.
+The plain squared difference (weight 1) prefers pieces that vary little, because the wanted movement
+is only a prediction."""
+_FORGETTING = 0.95
+"""Decay of the use counts after each piece, so that long motions may reuse pieces after some
+time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +50,6 @@ class Pieces:
     def beginning_at(self, first: int) -> Pieces:
         """Return the same motion without its first `first` frames, which may be up to a piece."""
         return replace(self, first=first, n_frames=self.n_frames - first)
-
-    def borders(self) -> np.ndarray:
-        """Return the fractional frame (N - 1,) at the middle of each cross-fade, before
-        stretching."""
-        return np.arange(1, len(self.starts)) * self.hop + self.overlap / 2 - self.first
 
     def blend(
         self,
@@ -122,3 +129,220 @@ def _interpolated(curve: Tensor, at: np.ndarray) -> Tensor:
     )
     around = [np.clip(low + i, 0, last) for i in (-1, 0, 1, 2)]
     return sum(w * curve[:, i] for w, i in zip(weights, around, strict=True)) / 2
+
+
+@dataclass(frozen=True)
+class ChoiceWeights:
+    """Weights of the cost terms in the choice of pieces.
+
+    Attributes:
+        movement: squared difference of wanted and recorded movement, in standard deviations.
+        slow: the same for its slow part.
+        together: in the choice of the second arm, squared difference between the first hand's
+            directions in the recording of a piece and in the motion so far.
+        continuity: mean squared difference of the normalised vectors over the cross-fade.
+        used: number of recent uses of the same recorded frames.
+        copied: fraction of a piece in which all other parts show the same moment of the same
+            recording.
+        defective: 1 for a piece with motion-capture errors. If all pieces have errors, they are
+            used nevertheless.
+        chance: scale of the Gumbel noise that makes seeds differ.
+    """
+
+    movement: float = 6.0
+    slow: float = 1.0
+    together: float = 0.6
+    continuity: float = 3.0
+    used: float = 0.25
+    copied: float = 12.0
+    defective: float = 30.0
+    chance: float = 0.5
+
+
+class PieceSearch:
+    """Search for the pieces of recordings that fit a movement profile.
+
+    Args:
+        vectors: (T_k, C) normalised motion of each recording at the recalled level.
+        profiles: (T_k, 2) movement of each recording and its slow part, in standard deviations; or
+            (T_k, 4), followed by the movement of the other hand.
+        piece: frames of a piece; no more than the longest recording has.
+        overlap: frames of the cross-fade; at most half a piece, so that each ends before the next.
+        weights: of the choice.
+        defective: (T_k,) bool, the frames of each recording in which the part jumps or pops.
+    """
+
+    def __init__(
+        self,
+        vectors: Sequence[np.ndarray],
+        profiles: Sequence[np.ndarray],
+        piece: int,
+        overlap: int,
+        weights: ChoiceWeights,
+        defective: Sequence[np.ndarray],
+    ) -> None:
+        self.piece = max(1, min(piece, max(map(len, vectors))))
+        self.overlap = max(0, min(overlap, self.piece // 2))
+        self.hop = self.piece - self.overlap
+        self.weights = weights
+        usable = [max(0, len(vector) - self.piece + 1) for vector in vectors]
+        self.recording = np.repeat(np.arange(len(vectors)), usable)
+        self.start = np.concatenate([np.arange(count) for count in usable])
+        first = np.cumsum([0, *map(len, vectors)])
+        self.frame = first[self.recording] + self.start
+        self.vectors = np.concatenate(vectors).astype(np.float32)
+        counts = [weights.movement, weights.slow, weights.together, weights.together]
+        self.scale = np.sqrt(np.array(counts[: profiles[0].shape[1]]) / self.piece)
+        self.profiles = np.concatenate(
+            [
+                self._windows(profile)
+                for profile, count in zip(profiles, usable, strict=True)
+                if count
+            ]
+        )
+        self.squares = np.square(self.profiles)
+        counts = np.cumsum([0, *np.concatenate(defective)])
+        has_some = counts[self.frame + self.piece] > counts[self.frame]
+        self.defects = weights.defective * has_some.astype(np.float32)
+        # Frames of the recordings in bins of a piece's length, in which uses are counted.
+        self.bins = np.stack([self.frame, self.frame + self.piece - 1]) // self.piece
+        self.n_bins = int(self.bins.max()) + 1
+
+    def _windows(self, profile: np.ndarray) -> np.ndarray:
+        """Return the weighted profile (N, C * piece) of every window of (T, C)."""
+        scaled = (profile * self.scale).astype(np.float32)
+        windows = np.lib.stride_tricks.sliding_window_view(scaled, self.piece, axis=0)
+        return windows.reshape(len(windows), -1)
+
+    def choose_from_any_frame(self, rng: torch.Generator, *rows: np.ndarray | None) -> Pieces:
+        """Return the pieces for the `rows` (T, ...) of `choose`, beginning inside the first piece.
+
+        The offset into the first piece is random, so that the joins, and with them the chosen
+        pieces, differ between seeds.
+        """
+        first = int(torch.randint(self.hop, (), generator=rng))
+        earlier = ((first, 0), (0, 0))
+        wider = [None if row is None else np.pad(row, earlier, mode="edge") for row in rows]
+        return self.choose(rng, *wider).beginning_at(first)
+
+    def choose(
+        self,
+        rng: torch.Generator,
+        wanted: np.ndarray,
+        allowed: np.ndarray | None = None,
+        others: np.ndarray | None = None,
+    ) -> Pieces:
+        """Return the pieces for a wanted profile.
+
+        Args:
+            rng: random numbers.
+            wanted: (T, 2) or (T, 4) like `profiles`; NaN matches anything.
+            allowed: (T, K) bool, the recordings that may be used in each frame; None for all.
+            others: (T, P) `Pieces.recorded_frames` of the other parts, so that the parts do not
+                together copy a recording; None if there are none.
+        """
+        n_frames = len(wanted)
+        count = max(1, -(-(n_frames - self.overlap) // self.hop))
+        missing = max(0, count * self.hop + self.overlap - n_frames)
+        asked = self._windows(np.pad(wanted, ((0, missing), (0, 0)), mode="edge"))
+        asked = asked[:: self.hop][:count]
+        known = ~np.isnan(asked)
+        asked = np.where(known, asked, 0.0)
+        middle = np.minimum(np.arange(count) * self.hop + self.piece // 2, n_frames - 1)
+        states = np.empty((count, min(BEAM, len(self.start))), int)
+        before = np.empty_like(states)
+        cost = np.zeros(states.shape[1], np.float32)
+        used = np.zeros((states.shape[1], self.n_bins), np.float32)
+        for first in range(0, count, _STEPS_AT_ONCE):
+            part = slice(first, first + _STEPS_AT_ONCE)
+            distances = (
+                np.square(asked[part]).sum(axis=1)[:, None]
+                - 2 * asked[part] @ self.profiles.T
+                + _SHRINKAGE * (known[part] @ self.squares.T)
+                + self.defects
+            )
+            for n, distance in enumerate(distances, first):
+                if others is not None:
+                    distance = distance + self.weights.copied * self._copied(others[n * self.hop :])
+                if allowed is not None:
+                    distance = np.where(allowed[middle[n]][self.recording], distance, np.inf)
+                states[n], before[n], cost, used = self._step(
+                    distance - self._chance(rng), states[n - 1] if n else None, cost, used
+                )
+        best = int(cost.argmin())
+        chosen = np.empty(count, int)
+        for n in reversed(range(count)):
+            chosen[n] = states[n, best]
+            best = before[n, best]
+        return Pieces(self.recording[chosen], self.start[chosen], self.hop, self.overlap, n_frames)
+
+    def _copied(self, others: np.ndarray) -> np.ndarray:
+        """Return the share (S,) of a piece in which all other parts show the same moment as it.
+
+        It is given for each start. Moments are the same if they are at most an eighth of a piece
+        apart. `others` (T, P) begin with the piece; after their end, nothing is copied.
+        """
+        others = others[: self.piece]
+        # The start with which each frame of the piece would show what each other part does.
+        starts = others - np.arange(len(others))[:, None]
+        margin = self.piece / 8
+        first = np.ceil(starts.max(axis=1) - margin).astype(int)
+        after = np.floor(starts.min(axis=1) + margin).astype(int) + 1
+        same = first < after
+        counts = np.zeros(len(self.vectors) + 1)
+        for edges, step in ((first, 1), (after, -1)):
+            np.add.at(counts, np.clip(edges[same], 0, len(self.vectors)), step)
+        return np.cumsum(counts)[self.frame] / self.piece
+
+    def _step(
+        self, distance: np.ndarray, last: np.ndarray | None, cost: np.ndarray, used: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Extend every sequence by a piece.
+
+        Args:
+            distance: (S,) cost of each start, beside the pieces before.
+            last: (B,) starts of the last pieces; None at the first.
+            cost: (B,) of each sequence so far.
+            used: (B, bins) uses of each part of the recordings.
+
+        Returns:
+            New `last`, the sequence that each extends, and new `cost` and `used`.
+        """
+        size = len(cost)
+        starts = np.argpartition(distance, size - 1)[:size]
+        if last is not None:
+            # Among hours of recordings, what continues a piece would seldom be one of the nearest.
+            starts = np.union1d(starts, self._continuations(last))
+        total = np.repeat(cost[:, None], len(starts), axis=1)
+        if last is not None:
+            total += self.weights.continuity * self._differences(last, starts)
+            total += self.weights.used * used[:, self.bins[:, starts]].mean(axis=1)
+        origin = total.argmin(axis=0)
+        cost = total[origin, np.arange(len(starts))] + distance[starts]
+        kept = np.argpartition(cost, size - 1)[:size]
+        starts, origin, cost = starts[kept], origin[kept], cost[kept]
+        used = _FORGETTING * used[origin]
+        for bins in self.bins[:, starts]:
+            used[np.arange(size), bins] += 0.5
+        return starts, origin, cost, used
+
+    def _continuations(self, last: np.ndarray) -> np.ndarray:
+        """Return the starts at which the recordings continue after these pieces (B,)."""
+        after = last + self.hop
+        after, before = after[after < len(self.start)], last[after < len(self.start)]
+        return after[self.recording[after] == self.recording[before]]
+
+    def _differences(self, last: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return (B, B') the mean squared difference between ends and beginnings of pieces."""
+        if not self.overlap:
+            return np.zeros((len(last), len(starts)), np.float32)
+        span = np.arange(self.overlap)
+        ends = self.vectors[self.frame[last][:, None] + self.hop + span].reshape(len(last), -1)
+        heads = self.vectors[self.frame[starts][:, None] + span].reshape(len(starts), -1)
+        squares = np.square(ends).sum(axis=1)[:, None] + np.square(heads).sum(axis=1)
+        return np.maximum(squares - 2 * ends @ heads.T, 0.0) / ends.shape[1]
+
+    def _chance(self, rng: torch.Generator) -> np.ndarray:
+        """Return Gumbel noise (S,)."""
+        uniform = torch.rand(len(self.start), generator=rng, dtype=torch.float64).numpy()
+        return self.weights.chance * -np.log(-np.log(np.clip(uniform, 1e-12, 1 - 1e-12)))

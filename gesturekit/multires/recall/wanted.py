@@ -58,7 +58,7 @@ class Regression:
         predicted: (Q,) quantiles of the out-of-fold predictions.
         recorded: (Q,) the same quantiles of the recordings.
         r: correlation of out-of-fold predictions and recordings.
-        left_out: (T,) the out-of-fold predictions of all recordings, one after another; empty in a
+        left_out: (T,) the out-of-fold predictions of all recordings, one after another; None in a
             loaded model.
     """
 
@@ -68,7 +68,7 @@ class Regression:
     predicted: np.ndarray
     recorded: np.ndarray
     r: float
-    left_out: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
+    left_out: np.ndarray | None = field(default=None, repr=False)
 
     @classmethod
     def fit(

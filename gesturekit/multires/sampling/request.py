@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from numbers import Real
@@ -20,14 +19,12 @@ from gesturekit.formats.tables.root_path import as_root_path
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.constraints.inbetweening import InbetweenClips
 from gesturekit.multires.constraints.keyframes import fit_keyframes, full_frames
 from gesturekit.multires.controls import MultiresControls
-from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.recall.library import RecallLibrary
-from gesturekit.multires.sampling.conditions import Conditions, level_range
-from gesturekit.multires.sampling.styles import requested_styles
+from gesturekit.multires.sampling.conditions import level_range, requested_styles
+from gesturekit.multires.sampling.trained_model import TrainedModel
 from gesturekit.training.seeds import rng_for
 
 log = logging.getLogger(__name__)
@@ -63,29 +60,25 @@ class Request:
     start: Motion | None
     path: RootPath | None
     clips: InbetweenClips | None
-    level_speech: tuple[tuple[range, np.ndarray], ...] = ()
-    library: RecallLibrary | None = None
+    level_speech: tuple[tuple[range, np.ndarray], ...]
+    library: RecallLibrary | None
 
     @classmethod
     def build(
         cls,
+        model: TrainedModel,
         controls: MultiresControls,
         speech: str | Path | af.Wave | None,
         seconds: float | None,
-        *,
-        fps: float,
-        representation: MultiresRepresentation,
-        conditions: Conditions,
-        network_config: NetworkConfig,
-        speakers: Mapping[str, Skeleton],
     ) -> Request:
-        """Build a request from the arguments of `generate` and what the model consists of.
+        """Build a request of a model from the arguments of `generate`.
 
         Raises:
             ModelError: controls that cannot be combined, or no length.
             AudioError, FormatError: a file cannot be read.
         """
-        n_levels = network_config.levels
+        fps, n_levels = model.fps, model.network_config.levels
+        conditioner = model.conditions.conditioner
         fewer_levels = controls.levels not in (None, n_levels)
         _check_combination(controls, fewer_levels)
         start = controls.keyframes if controls.like is None else controls.like
@@ -93,19 +86,19 @@ class Request:
             start = Motion.load(start)
         clips = path = None
         if controls.keep is not None:
-            clips = InbetweenClips(controls.keep, representation, fps)
+            clips = InbetweenClips(controls.keep, model.representation, fps)
         if controls.path is not None:
-            path = as_root_path(controls.path, representation.scale)
+            path = as_root_path(controls.path, model.representation.scale)
         fitted = partial(
-            fit_keyframes, representation, start, fps, n_levels, controls.keyframe_level - 1
+            fit_keyframes, model.representation, start, fps, n_levels, controls.keyframe_level - 1
         )
         length_given = speech is not None or seconds is not None
         if not length_given:
             start = start if controls.keyframes is None else fitted(None)
             seconds = _own_seconds(fps, start, clips, path)
-        if conditions.conditioner is not None and not isinstance(speech, (af.Wave, NoneType)):
+        if conditioner is not None and not isinstance(speech, (af.Wave, NoneType)):
             speech = af.Wave.load(speech)
-        features = speech_features(conditions.conditioner, speech, seconds, fps, controls.vad)
+        features = speech_features(conditioner, speech, seconds, fps, controls.vad)
         n_frames = len(features)
         if controls.keyframes is not None and length_given:
             start = fitted(n_frames)
@@ -114,18 +107,19 @@ class Request:
         if clips is not None:
             clips.check_end(n_frames)
         # A coarse level is edited frame by frame, so it gets no frames around it.
-        margin = network_config.margin if start is None and not fewer_levels else 0
+        margin = model.network_config.margin if start is None and not fewer_levels else 0
         return cls(
             controls=controls,
             wave=speech,
             features=_with_margins(features, margin),
             margin=margin,
             lengths=af.level_lengths(n_frames + 2 * margin, n_levels),
-            skeleton=None if controls.speaker is None else speakers[controls.speaker],
+            skeleton=None if controls.speaker is None else model.speakers[controls.speaker],
             start=start,
             path=None if path is None else path.resample(fps, n_frames),
             clips=clips,
-            level_speech=_level_speech(controls, conditions, n_levels, n_frames, margin, fps),
+            level_speech=_level_speech(model, controls, n_frames, margin),
+            library=None if controls.recall is False else model.library,
         )
 
     @property
@@ -140,25 +134,19 @@ def _with_margins(features: np.ndarray, margin: int) -> np.ndarray:
 
 
 def _level_speech(
-    controls: MultiresControls,
-    conditions: Conditions,
-    n_levels: int,
-    n_frames: int,
-    margin: int,
-    fps: float,
+    model: TrainedModel, controls: MultiresControls, n_frames: int, margin: int
 ) -> tuple[tuple[range, np.ndarray], ...]:
     """Return `Request.level_speech`: the end of each speech is cut off, or silence follows it."""
-    found = []
-    for levels, speech in level_speech_ranges(controls, n_levels):
-        features = speech_features(conditions.conditioner, speech, None, fps, controls.vad)
-        features = features[:n_frames]
+    found, conditioner = [], model.conditions.conditioner
+    for levels, speech in _level_speech_ranges(controls, model.network_config.levels):
+        features = speech_features(conditioner, speech, None, model.fps, controls.vad)[:n_frames]
         if missing := n_frames - len(features):
-            features = np.concatenate([features, conditions.conditioner.silence(missing)])
+            features = np.concatenate([features, conditioner.silence(missing)])
         found.append((levels, _with_margins(features, margin)))
     return tuple(found)
 
 
-def level_speech_ranges(
+def _level_speech_ranges(
     controls: MultiresControls, n_levels: int
 ) -> list[tuple[range, str | Path | af.Wave]]:
     """Return the levels of each `level_speech`.
@@ -181,46 +169,27 @@ def _warn_of_held_pose(like: Motion, seconds: float) -> None:
         )
 
 
-def check_controls(
-    controls: MultiresControls,
-    samples: int,
-    *,
-    fps: float,
-    styles: tuple[str, ...],
-    levels: int,
-    speakers: Mapping[str, Skeleton],
-    recalls: bool,
-    takes_speech: bool,
-) -> None:
-    """Check the controls that do not depend on the speech.
-
-    Args:
-        controls: of `generate`.
-        samples: number of motions.
-        fps: frames per second of the finest level.
-        styles: names of the model's styles.
-        levels: number of the model's levels.
-        speakers: skeletons of the model's speakers.
-        recalls: whether the model was trained with recall.
-        takes_speech: whether the model has speech input.
+def check_controls(model: TrainedModel, controls: MultiresControls, samples: int) -> None:
+    """Check the controls that do not depend on the speech, and the number of motions.
 
     Raises:
         ModelError: a style, level or speaker that the model does not have, level_speech without
             speech input, recall by a model without it, or a liveliness without recall or not above
             0.
     """
-    if styles:
+    levels = model.network_config.levels
+    if model.styles:
         lengths, rng = [1] * levels, rng_for(0, "check")
-        requested_styles(styles, controls, lengths, fps=fps, rng=rng)
+        requested_styles(model.styles, controls, lengths, fps=model.fps, rng=rng)
     else:
         for name in ("style", "level_style"):
             if (value := getattr(controls, name)) is not None:
                 raise ModelError(f"{name}={value!r}: this multires model has no {name}")
-    if level_speech_ranges(controls, levels) and not takes_speech:
+    if _level_speech_ranges(controls, levels) and model.conditions.conditioner is None:
         raise ModelError("level_speech: this model takes no speech")
     speaker = controls.speaker
-    if speaker is not None and speaker not in speakers:
-        known = ", ".join(sorted(speakers)) or "its corpus named none"
+    if speaker is not None and speaker not in model.speakers:
+        known = ", ".join(sorted(model.speakers)) or "its corpus named none"
         raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
     if samples < 1:
         raise ModelError(f"samples={samples}: ask for at least 1")
@@ -228,7 +197,7 @@ def check_controls(
         level = getattr(controls, name)
         if level is not None and not 1 <= level <= levels:
             raise ModelError(f"{name}={level}: the model has levels 1 (coarse) to {levels}")
-    _check_recall(controls, recalls)
+    _check_recall(controls, model.library is not None)
 
 
 def _check_recall(controls: MultiresControls, recalls: bool) -> None:

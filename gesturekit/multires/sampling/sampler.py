@@ -3,34 +3,31 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 from torch import Tensor
 
 from gesturekit.motion.motion import Motion
-from gesturekit.multires.constraints.constraint import fastest_second, plain_values
+from gesturekit.motion.rotations import slerp
+from gesturekit.multires.constraints.constraint import fastest_second
 from gesturekit.multires.constraints.inbetweening import InbetweenConstraint
 from gesturekit.multires.constraints.keyframes import (
     KeyframeConstraint,
     keep_unedited,
     level_motion,
-    lock_free_feet,
     motion_level,
     moved,
     root_through_keyframes,
 )
 from gesturekit.multires.constraints.path import PathConstraint
-from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample_smoothly
 from gesturekit.multires.recall.library import RecalledMotion
-from gesturekit.multires.sampling.conditions import Conditions
-from gesturekit.multires.sampling.noise import NoiseSource
+from gesturekit.multires.sampling.conditions import requested_styles
 from gesturekit.multires.sampling.pyramid import Pyramid
 from gesturekit.multires.sampling.request import Request
-from gesturekit.multires.sampling.styles import requested_styles
-from gesturekit.multires.training.data import Normaliser
-from gesturekit.postprocess import smooth_motion
+from gesturekit.multires.sampling.trained_model import TrainedModel
+from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.training.seeds import rng_for
 
 _TOO_FAST = 1.25
@@ -45,31 +42,13 @@ class Sampler:
     """Generate the motions of a request.
 
     Args:
+        model: the trained model.
         request: the request.
-        fps: frames per second of the finest level.
-        representation: of motion vectors.
-        normaliser: of motion vectors.
-        network: the generators.
-        conditions: inputs of the model beside noise.
-        noise: source of noise.
-        fastest: m/s in the fastest second of the training; None if unknown.
     """
 
-    def __init__(
-        self,
-        request: Request,
-        *,
-        fps: float,
-        representation: MultiresRepresentation,
-        normaliser: Normaliser,
-        network: MultiresGenerator,
-        conditions: Conditions,
-        noise: NoiseSource,
-        fastest: float | None,
-    ) -> None:
-        self.request, self.fps, self.representation = request, fps, representation
-        self.normaliser, self.network = normaliser, network
-        self.conditions, self.noise, self.fastest = conditions, noise, fastest
+    def __init__(self, model: TrainedModel, request: Request) -> None:
+        self.model, self.request = model, request
+        self.noise = model.noise.random(model.styles)
         self.constraint = self._constraint()
 
     def motion(self, seed: int, number: int) -> Motion:
@@ -78,10 +57,9 @@ class Sampler:
         styles = self._styles(seed, number)
         choice = self._recalled(seed, number, styles)
         pyramid = Pyramid(
-            self.network,
-            self.normaliser,
+            self.model,
             request.lengths,
-            self.conditions.of_motion(
+            self.model.conditions.of_motion(
                 request.features, request.lengths, styles, request.level_speech
             ),
             self.noise,
@@ -96,7 +74,7 @@ class Sampler:
         levels = request.controls.levels
         if request.path is None and levels is not None and levels < len(request.lengths):
             values = self._cropped(pyramid.random(levels=levels))
-            return level_motion(self.representation, values, self.fps, request.n_frames)
+            return level_motion(self.model.representation, values, self.model.fps, request.n_frames)
         if request.path is not None:
             motion = self._along_path(pyramid)
         else:
@@ -109,41 +87,46 @@ class Sampler:
 
     def _constraint(self) -> PathConstraint | InbetweenConstraint | None:
         """Return the constraint on motions from noise; warn if it needs too high a speed."""
-        request, representation = self.request, self.representation
+        request, model = self.request, self.model
         if request.path is not None:
-            own = request.path.scaled(1 / representation.size_of(request.skeleton))
+            own = request.path.scaled(1 / model.representation.size_of(request.skeleton))
             steps = np.diff(own.positions, axis=0)
-            self._warn_of_speed("the path", fastest_second(steps, self.fps))
-            path = own.scaled(1 / representation.scale)
+            self._warn_of_speed("the path", fastest_second(steps, model.fps))
+            path = own.scaled(1 / model.representation.scale)
             return PathConstraint(
-                path, representation, self.normaliser, request.lengths, request.margin
+                path, model.representation, model.normaliser, request.lengths, request.margin
             )
         if request.clips is not None:
             self._warn_of_speed("between the clips the body", request.clips.fastest_gap())
             return InbetweenConstraint(
-                request.clips, self.normaliser, request.lengths, request.margin
+                request.clips, model.normaliser, request.lengths, request.margin
             )
         return None
 
     def _warn_of_speed(self, what: str, speed: float) -> None:
-        stroll = _STROLL * self.representation.scale
-        if self.fastest is not None and speed > max(_TOO_FAST * self.fastest, stroll):
+        fastest, stroll = self.model.fastest, _STROLL * self.model.representation.scale
+        if speed > max(_TOO_FAST * fastest, stroll):
             log.warning(
                 "%s goes %.2f m/s; nothing in the training was faster than %.2f m/s, and feet will "
                 "slide",
                 what,
                 speed,
-                self.fastest,
+                fastest,
             )
 
     def _styles(self, seed: int, number: int) -> list[Tensor]:
         """Return (1, K, T_i) for each level; empty for a model without styles."""
-        request, names = self.request, self.conditions.styles
+        request, names = self.request, self.model.styles
         if not names:
             return []
         rng = rng_for(seed, "sample", number, "style")
         return requested_styles(
-            names, request.controls, request.lengths, fps=self.fps, rng=rng, margin=request.margin
+            names,
+            request.controls,
+            request.lengths,
+            fps=self.model.fps,
+            rng=rng,
+            margin=request.margin,
         )
 
     def _recalled(self, seed: int, number: int, styles: list[Tensor]) -> RecalledMotion | None:
@@ -171,14 +154,14 @@ class Sampler:
         `recalled` (1, D, T_i) is the recalled level, normalised.
         """
         # Linear interpolation would leave a corner at every frame of the recalled level.
-        coarse = plain_values(self.normaliser, resample_smoothly(recalled, len(values)))
+        coarse = self.model.normaliser.to_values(resample_smoothly(recalled, len(values)))
         return coarse + self.request.library.detail(choice, len(values)).T * (values - coarse)
 
     def _with_passive(self, motion: Motion, choice: RecalledMotion | None) -> Motion:
         """Return the motion with the fingers and the face of the recalled pieces, if any."""
-        if choice is None:
-            return motion
         library = self.request.library
+        if choice is None or library.passive.is_empty:
+            return motion
         curves = [recording.passive for recording in library.recordings]
         columns = library.passive.columns(library.parts)
         margin, n_frames = self.request.margin, self.request.lengths[-1]
@@ -193,7 +176,9 @@ class Sampler:
         """Generate a motion whose root follows the path."""
         output = pyramid.random(constraint=self.constraint)
         values = self._cropped(self.constraint.placed(output))
-        motion = moved(self.representation, self._decoded(values), self.request.path.positions[0])
+        motion = moved(
+            self.model.representation, self._decoded(values), self.request.path.positions[0]
+        )
         return self._finished(motion, values, keep_path=True)
 
     def _between_clips(self, pyramid: Pyramid, choice: RecalledMotion | None) -> Motion:
@@ -212,7 +197,8 @@ class Sampler:
         if controls.like is not None:
             values = pyramid.above(level, coarse)
             return self._finished(self._decoded(values), values)
-        constraint = KeyframeConstraint(coarse, edited, self.representation, self.normaliser)
+        representation = self.model.representation
+        constraint = KeyframeConstraint(coarse, edited, representation, self.model.normaliser)
         values = pyramid.above(level, coarse, constraint)
         given = constraint.edited_feet(n_frames)
         free = self._smoothed(self._decoded(values))
@@ -222,20 +208,21 @@ class Sampler:
             return locked
         # Foot locking moves the root, so its drift is known only now. Feet are locked again on the
         # path through the keyframes: merely moved along, they slide a fifth faster there.
-        wanted = level_motion(self.representation, coarse, self.fps, n_frames)
-        motion = root_through_keyframes(self.representation, free, locked, wanted, frames)
+        wanted = level_motion(representation, coarse, self.model.fps, n_frames)
+        motion = root_through_keyframes(representation, free, locked, wanted, frames)
         return self._locked(motion, values, given=given, keep_path=True)
 
     def _start(self, pyramid: Pyramid, level: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the vectors (T_i, D) that replace a level, and (T_i, D) bool where edited."""
-        representation, start, lengths = self.representation, self.request.start, pyramid.lengths
-        values = motion_level(representation, start, self.fps, lengths, level)
+        representation, fps = self.model.representation, self.model.fps
+        start, lengths = self.request.start, pyramid.lengths
+        values = motion_level(representation, start, fps, lengths, level)
         if start.n_frames != lengths[level]:
             return values, np.ones(values.shape, bool)
         # It may be an edit of what this seed generates.
         generated = pyramid.random(levels=level + 1)
-        unedited = level_motion(representation, generated, self.fps, lengths[-1])
-        read = motion_level(representation, unedited, self.fps, lengths, level)
+        unedited = level_motion(representation, generated, fps, lengths[-1])
+        read = motion_level(representation, unedited, fps, lengths, level)
         return keep_unedited(values, generated, read, representation)
 
     def _cropped(self, values: np.ndarray) -> np.ndarray:
@@ -244,7 +231,9 @@ class Sampler:
 
     def _decoded(self, values: np.ndarray) -> Motion:
         """Return the motion of vectors (T, D)."""
-        return self.representation.decode(values, self.fps, skeleton=self.request.skeleton)
+        return self.model.representation.decode(
+            values, self.model.fps, skeleton=self.request.skeleton
+        )
 
     def _finished(
         self,
@@ -259,6 +248,7 @@ class Sampler:
 
     def _smoothed(self, motion: Motion) -> Motion:
         smooth = self.request.controls.smooth
+        smooth = self.model.smooth if smooth is None else smooth
         return smooth_motion(motion, smooth) if smooth else motion
 
     def _locked(
@@ -269,11 +259,40 @@ class Sampler:
         given: np.ndarray | None = None,
         keep_path: bool = False,
     ) -> Motion:
-        """Return the motion with locked feet, unless foot locking is off; see `lock_free_feet`.
+        """Return the motion with locked feet, unless foot locking is off.
 
-        `values` (T, D) hold the contact labels; `given` (T,) is 1 where the motion stays as it is.
+        Args:
+            motion: T frames.
+            values: (T, D) vectors with the contact labels.
+            given: (T,) 1 where the motion stays as it is, 0 where feet are locked, with smooth
+                transitions; None locks them everywhere.
+            keep_path: see `lock_feet`.
         """
         if not self.request.controls.foot_lock:
             return motion
-        labels = self.representation.contacts(values)
-        return lock_free_feet(motion, labels, given, keep_path=keep_path)
+        labels = values[:, self.model.representation.layout.contacts]
+        locked = lock_feet(motion, labels, keep_path=keep_path)
+        return locked if given is None or not given.any() else _mixed(locked, motion, given)
+
+
+def _mixed(locked: Motion, motion: Motion, given: np.ndarray) -> Motion:
+    """Return `locked` mixed with `motion` by the weights `given` (T,) of the latter."""
+    given = given[:, None]
+
+    def mixed(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        between = before + (1 - given) * (after - before)
+        return np.where(given == 0, after, np.where(given == 1, before, between))
+
+    turns = slerp(
+        motion.rotations, locked.rotations, np.broadcast_to(1 - given, motion.rotations.shape[:2])
+    )
+    turns = np.where(given[..., None] == 1, motion.rotations, turns)
+    return replace(
+        locked,
+        rotations=np.where(given[..., None] == 0, locked.rotations, turns),
+        translation=mixed(motion.translation, locked.translation),
+        joint_translations={
+            name: mixed(motion.joint_translations[name], places)
+            for name, places in locked.joint_translations.items()
+        },
+    )

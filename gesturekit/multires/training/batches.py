@@ -42,7 +42,7 @@ class Batches:
         self.training = config.training
         self.seed = config.seed
         self.first = first
-        self.bank = WindowCache(data, config, network, convolve, library)
+        self.cache = WindowCache(data, config, network, convolve, library)
         self.size = config.training.windows_per_step
         self.paired = data.paired
         self.own_lengths = data.own_lengths
@@ -64,6 +64,7 @@ class Batches:
         if training.window_cache is None or (iteration % training.renew_every and self._cached):
             return
         self._cached = {}
+        # The word is part of the seed.
         rng = rng_for(self.seed, "bank", self.first, iteration // training.renew_every)
         shares = {
             n_frames: max(1, training.window_cache * len(members) // len(self.paired))
@@ -120,10 +121,10 @@ class Batches:
             own = [s for s in sequences if styles is None or s.style in styles]
             sequences = [own[int(torch.randint(len(own), (), generator=rng))]]
             n_frames = min(n_frames, sequences[0].n_frames)
-        return self.bank.reals(sequences, n_frames, self.first, self.size, rng, styles)
+        return self.cache.reals(sequences, n_frames, self.first, self.size, rng, styles)
 
     def _draw(self, kind: str, n_frames: int, count: int, rng: torch.Generator) -> Windows:
-        draw = self.bank.paired if kind == "paired" else self.bank.random
+        draw = self.cache.paired if kind == "paired" else self.cache.random
         return draw(self._sequences(kind, n_frames), n_frames, self.first, count, rng)
 
     def _sequences(self, kind: str, n_frames: int) -> Sequence[PairedSequence]:

@@ -8,11 +8,10 @@ motion is a sequence.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,9 +19,9 @@ import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.resampling import reflect, resample
-from gesturekit.multires.recall.passive import PassiveChannels
+from gesturekit.multires.recall.parts import PassiveChannels
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.training.data.data_folder import load_data, save_data
 from gesturekit.training.data.features import (
@@ -34,59 +33,6 @@ from gesturekit.training.data.sources import Source, from_values, to_values
 from gesturekit.training.data.start_model import read_start, start_tensors
 from gesturekit.training.seeds import rng_for
 from gesturekit.training.trained_model import read_speakers, rig_values
-
-_SCALE_FLOORS = {"joint": 0.02, "contact": 0.25, "displacement": 0.025, "height": 5e-3}
-"""Smallest scale of each kind of channel (6D entries, label, m/s, m; on the reference body). Fixed,
-so that the noise of channels without movement is not amplified."""
-
-
-@dataclass(frozen=True)
-class Normaliser:
-    """Normalisation of motion vectors to zero mean and comparable spread, whatever the rig's units.
-
-    The six numbers of a joint share one scale, so that distances between its rotations are kept up
-    to that factor.
-
-    Attributes:
-        mean: (D,).
-        scale: (D,).
-    """
-
-    mean: Tensor
-    scale: Tensor
-
-    @classmethod
-    def fit(
-        cls, motions: Sequence[np.ndarray], representation: MultiresRepresentation, fps: float
-    ) -> Normaliser:
-        """Compute mean and scale of encoded training motions, each (T, D)."""
-        values = np.concatenate(motions)
-        scale = values.std(axis=0)
-        start = 0
-        n_joints = len(representation.joints)
-        for block, size in enumerate(representation.block_sizes[:-1]):
-            part = slice(start, start + size)
-            spread = np.sqrt((scale[part] ** 2).mean())
-            floor = _SCALE_FLOORS["joint" if block < n_joints else "contact"]
-            scale[part] = max(spread, floor)
-            start += size
-        root = representation.layout.root
-        dx, height, dz = scale[root]
-        across = max(np.hypot(dx, dz) / np.sqrt(2), _SCALE_FLOORS["displacement"] / fps)
-        scale[root] = across, max(height, _SCALE_FLOORS["height"]), across
-        return cls(torch.from_numpy(values.mean(axis=0)).float(), torch.from_numpy(scale).float())
-
-    def to(self, device: torch.device) -> Normaliser:
-        """Return a copy on another device."""
-        return Normaliser(self.mean.to(device), self.scale.to(device))
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Normalise motion vectors (B, D, T)."""
-        return (x - self.mean[:, None]) / self.scale[:, None]
-
-    def inverse(self, x: Tensor) -> Tensor:
-        """Return normalised motion vectors (B, D, T) to their own units."""
-        return x * self.scale[:, None] + self.mean[:, None]
 
 
 @dataclass(frozen=True)
@@ -179,7 +125,7 @@ class TrainingData:
         speakers: reference skeleton of each named speaker.
         window: frames of a training window; None for whole sequences.
         sources: recordings from which `paired` was read.
-        recorded_fps: most common frame rate of the recordings; None in older runs.
+        recorded_fps: most common frame rate of the recordings.
         passive: joints and face channels that are recalled but not modelled; none without recall.
         start: weights of the generators to start from, by name; empty for random ones.
     """
@@ -194,10 +140,10 @@ class TrainingData:
     normaliser: Normaliser
     speakers: dict[str, Skeleton]
     unpaired_is_paired: bool
-    sources: tuple[Source, ...] = ()
-    recorded_fps: float | None = None
-    passive: PassiveChannels = PassiveChannels()
-    start: Mapping[str, Tensor] = field(default_factory=dict)
+    sources: tuple[Source, ...]
+    recorded_fps: float
+    passive: PassiveChannels
+    start: Mapping[str, Tensor]
 
     def save(self, folder: Path) -> None:
         """Write the data into a folder, from which a resumed run loads it."""
@@ -238,9 +184,7 @@ class TrainingData:
         """
 
         def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
-            # Runs of older versions have no speakers of recordings.
-            speakers = about.get("speaker_of", [None] * len(about["names"]))
-            passive = about.get("passive", [[], 0])
+            joints, expressions = about["passive"]
             paired = tuple(
                 PairedSequence(
                     name,
@@ -249,7 +193,7 @@ class TrainingData:
                     speaker,
                 )
                 for i, (name, style, speaker) in enumerate(
-                    zip(about["names"], about["style_of"], speakers, strict=True)
+                    zip(about["names"], about["style_of"], about["speaker_of"], strict=True)
                 )
             )
             unpaired = tuple(tensors[f"unpaired.{i}"] for i in range(about["unpaired"]))
@@ -269,9 +213,9 @@ class TrainingData:
                 normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
                 speakers=read_speakers(about),
                 unpaired_is_paired=config.features is not None and not unpaired,
-                sources=from_values(about.get("sources", ())),
-                recorded_fps=about.get("recorded_fps"),
-                passive=PassiveChannels(tuple(passive[0]), passive[1]),
+                sources=from_values(about["sources"]),
+                recorded_fps=about["recorded_fps"],
+                passive=PassiveChannels(tuple(joints), expressions),
                 start=read_start(tensors),
             )
 

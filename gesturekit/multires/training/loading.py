@@ -19,9 +19,9 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.model import MultiresModel
-from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.recall.passive import PassiveChannels
-from gesturekit.multires.training.data import Normaliser, PairedSequence, TrainingData
+from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
+from gesturekit.multires.recall.parts import PassiveChannels
+from gesturekit.multires.training.data import PairedSequence, TrainingData
 from gesturekit.multires.training.start import (
     load_start,
     numbers_of_styles,

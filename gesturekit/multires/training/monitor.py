@@ -12,22 +12,20 @@ import torch
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.evaluation.quick_metrics import quick_metrics
+from gesturekit.evaluation.measuring.clip_metrics import quick_metrics
 from gesturekit.motion.motion import Motion
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.constraints.constraint import plain_values
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.network.skeleton_conv import Convolve, convolve_dense
-from gesturekit.multires.sampling.conditions import condition_levels
-from gesturekit.multires.sampling.styles import style_levels
+from gesturekit.multires.sampling.conditions import condition_levels, style_levels
 from gesturekit.multires.training.data import TrainingData
-from gesturekit.multires.training.window_cache import noise_source
+from gesturekit.multires.training.window_cache import random_noise
 from gesturekit.training.seeds import rng_for
 
-MAX_CLIPS = 4
+MAX_EXCERPTS = 4
 MAX_SECONDS = 20.0
-"""Number of training recordings for which motion is generated, and the length of each."""
+"""Number of training recordings whose beginnings are compared, and the length of each."""
 COLLAPSED = 0.4
 """Patch diversity, relative to the recordings', below which samples have collapsed."""
 _PATCH_SECONDS = 1.0
@@ -47,34 +45,34 @@ class Monitor:
         self.data = data
         self.convolve = convolve
         self.config = config
-        self.clips = [
+        self.excerpts = [
             (sequence, min(sequence.n_frames, round(MAX_SECONDS * config.fps)))
-            for sequence in data.paired[:MAX_CLIPS]
+            for sequence in data.paired[:MAX_EXCERPTS]
         ]
-        self.recordings = [self._motion(self._recorded(i)) for i in range(len(self.clips))]
+        self.recordings = [self._motion(self._recorded(i)) for i in range(len(self.excerpts))]
         self.samples: list[Motion] = []
-        self.noise = noise_source(data, config, config.noise_levels)
+        self.noise = random_noise(data, config, config.noise_levels)
 
-    def figures(self, network: MultiresGenerator, levels: int) -> dict[str, float]:
+    def metrics(self, network: MultiresGenerator, levels: int) -> dict[str, float]:
         """Return cheap metrics (`quick_metrics`) of motion from the first `levels` levels.
 
         The finest of these levels is interpolated to the full rate. Noise is the same every time.
         `patch_diversity_ratio` is added: the spread of the samples' one-second patches, relative to
         that of the recordings at the same level.
         """
-        numbers = range(len(self.clips))
+        numbers = range(len(self.excerpts))
         generated = [self._generated(network, levels, number) for number in numbers]
         self.samples = [self._motion(vectors) for vectors in generated]
-        figures = quick_metrics(self.samples, self.recordings)
+        metrics = quick_metrics(self.samples, self.recordings)
         real = [self._at_level(self._recorded(number), levels) for number in numbers]
         spread = self._patch_spread(real)
         if spread > 0:
-            figures["patch_diversity_ratio"] = self._patch_spread(generated) / spread
-        return figures
+            metrics["patch_diversity_ratio"] = self._patch_spread(generated) / spread
+        return metrics
 
-    def warn_of_collapse(self, figures: Mapping[str, float], step: int) -> bool:
+    def warn_of_collapse(self, metrics: Mapping[str, float], step: int) -> bool:
         """Warn if the samples are (nearly) one pose or one movement; return True if so."""
-        ratio = figures.get("patch_diversity_ratio", 1.0)
+        ratio = metrics.get("patch_diversity_ratio", 1.0)
         if ratio >= COLLAPSED:
             return False
         log.warning(
@@ -88,16 +86,16 @@ class Monitor:
         return True
 
     def write_sample(self, folder: Path, step: int) -> None:
-        """Write the first sample of the last `figures`, as step_00000300.bvh and .html."""
+        """Write the first sample of the last `metrics`, as step_00000300.bvh and .html."""
         folder.mkdir(parents=True, exist_ok=True)
         for suffix in ("bvh", "html"):
             self.samples[0].save(folder / f"step_{step:08d}.{suffix}")
 
     @torch.no_grad()
     def _generated(self, network: MultiresGenerator, levels: int, number: int) -> Tensor:
-        """Return the motion generated for a clip, (D, T) normalised."""
+        """Return the motion generated for an excerpt, (D, T) normalised."""
         device = next(network.parameters()).device
-        sequence, n_frames = self.clips[number]
+        sequence, n_frames = self.excerpts[number]
         lengths = af.level_lengths(n_frames, self.config.network.levels)
         speech = sequence.speech[None, :, :n_frames]
         styles = []
@@ -118,8 +116,8 @@ class Monitor:
         return resample(output, n_frames)[0].cpu()
 
     def _recorded(self, number: int) -> Tensor:
-        """Return the recording of a clip, (D, T) normalised."""
-        sequence, n_frames = self.clips[number]
+        """Return the recording of an excerpt, (D, T) normalised."""
+        sequence, n_frames = self.excerpts[number]
         return sequence.motion[:, :n_frames]
 
     def _at_level(self, motion: Tensor, levels: int) -> Tensor:
@@ -146,17 +144,17 @@ class Monitor:
 
     def _motion(self, vectors: Tensor) -> Motion:
         """Return the motion of normalised vectors (D, T)."""
-        values = plain_values(self.data.normaliser, vectors[None])
+        values = self.data.normaliser.to_values(vectors[None])
         return self.data.representation.decode(values, self.config.fps)
 
 
-def distance_from_recordings(figures: Mapping[str, float]) -> float:
+def distance_from_recordings(metrics: Mapping[str, float]) -> float:
     """Return the distance of samples from the recordings; the best checkpoint has the smallest.
 
     It is the mean of |log| over all ratios to the recordings' own metrics (speeds, jerk, diversity
     ...), and infinite without ratios or if one is 0.
     """
-    ratios = [value for name, value in figures.items() if name.endswith("_ratio")]
+    ratios = [value for name, value in metrics.items() if name.endswith("_ratio")]
     if not ratios or min(ratios) <= 0:
         return math.inf
     return float(np.mean(np.abs(np.log(ratios))))

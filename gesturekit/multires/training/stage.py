@@ -10,23 +10,24 @@ import torch
 from torch import Tensor, nn
 
 import audio_features as af
-from gesturekit.multires.backend import choose_backend, requested_backend
+from gesturekit.multires.backend import choose_backend
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.losses import Batch, losses, reconstruction
+from gesturekit.multires.kinematics import VectorKinematics
+from gesturekit.multires.losses import LossInputs, losses, reconstruction
 from gesturekit.multires.network.discriminator import LevelDiscriminator
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.recall.library import RecallLibrary
-from gesturekit.multires.sampling.styles import agreed_style
-from gesturekit.multires.training.arm_speed import (
-    ArmTarget,
-    arm_targets,
-    log_movement,
-)
+from gesturekit.multires.sampling.conditions import agreed_style
 from gesturekit.multires.training.batches import Batches
 from gesturekit.multires.training.data import TrainingData
-from gesturekit.multires.training.detail import DetailTarget, detail_targets
-from gesturekit.multires.training.kinematics import VectorKinematics
+from gesturekit.multires.training.targets import (
+    ArmTarget,
+    DetailTarget,
+    arm_targets,
+    detail_targets,
+    log_movement,
+)
 from gesturekit.multires.training.window_cache import Windows, random_part
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.seeds import rng_for, seeded
@@ -73,8 +74,7 @@ class Stage:
             )
             for i in self.indices
         ).to(self.device)
-        requested = requested_backend(config.backend)
-        self.backend = choose_backend(requested, self.generators, self.discriminators)
+        self.backend = choose_backend(config.backend, self.generators, self.discriminators)
         self.batches = Batches(data, config, network, first, self.backend.convolve, library)
         rate, betas = config.training.learning_rate, config.training.betas
         self.optimisers = {
@@ -203,7 +203,7 @@ class Stage:
             kept.append(level[..., start : start + length].contiguous())
         return kept
 
-    def _descend(self, batch_of: Callable[[int], Batch]) -> dict[str, float]:
+    def _descend(self, inputs_of: Callable[[int], LossInputs]) -> dict[str, float]:
         """Make one generator step on the losses of each level; return {name: sum over levels}.
 
         No gradient runs from a level into the one below, so levels are computed in parallel.
@@ -211,7 +211,7 @@ class Stage:
         self.optimisers["generator"].zero_grad(set_to_none=True)
 
         def level(i: int) -> dict[str, Tensor]:
-            parts = losses(batch_of(i), self.config.losses)
+            parts = losses(inputs_of(i), self.config.losses)
             if parts:
                 # The discriminator needs no gradients here.
                 own = list(self.generators[i].parameters())
@@ -298,7 +298,7 @@ class Stage:
                     own = self._arm_movement(values, stride)
                     aims[i] = share * own + (1 - share) * aims[i]
 
-        def of_level(i: int) -> Batch:
+        def of_level(i: int) -> LossInputs:
             motion, level = within[i], self.first + i
             stride = n_frames / motion.shape[-1]
             values = self.normaliser.inverse(motion)
@@ -326,7 +326,7 @@ class Stage:
             if aims and moves:
                 parts["arm_target"] = aims[i]
                 parts["arms"] = self._arm_movement(values, stride)
-            return Batch(**parts)
+            return LossInputs(**parts)
 
         return self._descend(of_level)
 
@@ -368,7 +368,7 @@ class Stage:
                 ]
         else:
             made = self._generate(windows)
-        self._descend(lambda i: Batch(generated=made[i], recorded=windows.targets[i]))
+        self._descend(lambda i: LossInputs(generated=made[i], recorded=windows.targets[i]))
         pairs = zip(made, windows.targets, strict=True)
         errors = [reconstruction(level.detach(), recorded) for level, recorded in pairs]
         return float(torch.stack(errors).mean())

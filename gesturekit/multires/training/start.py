@@ -11,7 +11,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.multires.config import MultiresConfig, NetworkConfig
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.film import modulated_blocks
+from gesturekit.multires.network.generator import modulated_blocks
 from gesturekit.training.config import to_dict
 from gesturekit.training.data.features import conditioner_values, feature_values
 from gesturekit.training.data.start_model import (

@@ -15,18 +15,18 @@ from gesturekit.errors import ConfigError
 from gesturekit.motion.parts import find_legs, is_upper_body, unidentified
 from gesturekit.multires.backend import choose_backend, requested_backend
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.constraints.constraint import fastest_second, plain_values
+from gesturekit.multires.constraints.constraint import fastest_second
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.recall.building import build_library
-from gesturekit.multires.trained_model import TrainedNoise, TrainedSequence
+from gesturekit.multires.sampling.trained_model import TrainedNoise, TrainedSequence
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
+from gesturekit.multires.training.recall_library import build_library
 from gesturekit.multires.training.stage import Stage
 from gesturekit.training.data.sources import described, save_sources, unused_labels
-from gesturekit.training.held_out import HeldOut
 from gesturekit.training.run.folder import Run
+from gesturekit.training.run.held_out import HeldOut
 from gesturekit.training.run.loop import Loop, Stretch, last_losses, read_once
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.run.session import plan as session_plan
@@ -120,7 +120,7 @@ class Trainer:
         self.network.to(device)
         self.library = build_library(self.data, config)
         watched = config.eval_every and processes.is_first
-        convolve = choose_backend(requested_backend(config.backend), self.network).convolve
+        convolve = choose_backend(config.backend, self.network).convolve
         self.monitor = Monitor(self.data, config, convolve) if watched else None
 
     def _adapted(self, config: MultiresConfig) -> MultiresConfig:
@@ -248,32 +248,32 @@ class Trainer:
         monitor = self.monitor
         if monitor is None:
             return
-        figures = monitor.figures(self.network, levels)
-        monitor.warn_of_collapse(figures, step)
+        metrics = monitor.metrics(self.network, levels)
+        monitor.warn_of_collapse(metrics, step)
         monitor.write_sample(self.folder.folder / "samples", step)
         if levels == self.config.network.levels:
             # Models of earlier stages lack the finest levels.
             before = self.folder.evaluations(level=first + 1)
-            distance = distance_from_recordings(figures)
+            distance = distance_from_recordings(metrics)
             if all(distance < distance_from_recordings(other) for other in before):
                 self._save(
                     "best",
                     copy.deepcopy(self.network),
                     {"Training steps": f"{step}, the best by the cheap evaluations"},
                 )
-        self.folder.log(step, figures, level=first + 1, kind="evaluation")
+        self.folder.log(step, metrics, level=first + 1, kind="evaluation")
 
     def _finish(self, steps: int) -> Path:
         """Measure and write the model."""
         if self.processes.is_first:
-            figures = self.measure(steps, self.config.network.levels)
+            measured = self.measure(steps, self.config.network.levels)
             self._save(
                 "model",
                 self.network,
                 {
                     "Training steps": str(steps),
                     "Last losses": last_losses(self.folder),
-                    **({"Measured": figures} if figures else {}),
+                    **({"Measured": measured} if measured else {}),
                 },
             )
         self.processes.wait()
@@ -325,7 +325,7 @@ class Trainer:
             fastest=self.data.representation.scale
             * max(
                 fastest_second(
-                    plain_values(self.data.normaliser, sequence.motion[None])[:, root_xz],
+                    self.data.normaliser.to_values(sequence.motion[None])[:, root_xz],
                     self.config.fps,
                 )
                 for sequence in self.data.paired

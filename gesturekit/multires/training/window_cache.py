@@ -20,9 +20,8 @@ from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.network.skeleton_conv import Convolve, convolve_dense
 from gesturekit.multires.recall.library import RecalledMotion, RecallLibrary
-from gesturekit.multires.sampling.conditions import condition_levels
-from gesturekit.multires.sampling.noise import NoiseSource, ZStarPatches
-from gesturekit.multires.sampling.styles import mixed_styles, style_levels
+from gesturekit.multires.sampling.conditions import condition_levels, mixed_styles, style_levels
+from gesturekit.multires.sampling.trained_model import RandomNoise, ZStarPatches
 from gesturekit.multires.training.data import PairedSequence, TrainingData
 
 
@@ -88,7 +87,7 @@ class WindowCache:
         self.network = network
         self.convolve = convolve
         self.device = next(network.parameters()).device
-        self.noise = noise_source(data, config, config.network.levels)
+        self.noise = random_noise(data, config, config.network.levels)
         self.columns = data.conditions(config).columns
 
     def random(
@@ -294,7 +293,7 @@ class WindowCache:
         )
 
 
-def noise_source(data: TrainingData, config: MultiresConfig, levels: int) -> NoiseSource:
+def random_noise(data: TrainingData, config: MultiresConfig, levels: int) -> RandomNoise:
     """Return the noise of random motions, with noise at this many of the coarsest levels."""
     patches = None
     if config.z_star_shuffle:
@@ -302,7 +301,7 @@ def noise_source(data: TrainingData, config: MultiresConfig, levels: int) -> Noi
         styles = [sequence.style for sequence in data.paired]
         patches = ZStarPatches(z_stars, styles, config.z_star_shuffle)
     sigma = torch.stack([sequence.sigma for sequence in data.paired])
-    return NoiseSource(sigma.mean(dim=0), levels, patches)
+    return RandomNoise(sigma.mean(dim=0), levels, patches)
 
 
 def random_windows(

@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from gesturekit.evaluation.agreement.answers import MISMATCHED, Answer
+from gesturekit.evaluation.statistics.answers import MISMATCHED, Answer
 from gesturekit.study.analysis.significance import (
     Estimate,
     holm,

@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import json
 import math
 import os
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from gesturekit.atomic import atomic_write
-from gesturekit.study.analysis.conclusions import (
+from audio_features.atomic import write_text
+from gesturekit.study.analysis.plots import all_plots
+from gesturekit.study.analysis.preference import Preference
+from gesturekit.study.analysis.result import (
+    StudyResult,
     conclusions,
     is_significant,
     p_text,
     reservations,
 )
-from gesturekit.study.analysis.plots import all_plots
-from gesturekit.study.analysis.preference import Preference
-from gesturekit.study.analysis.result import StudyResult
 from gesturekit.study.analysis.significance import Estimate
+from gesturekit.viewer.pages import plots_section, section, write_page
 
 _HERE = Path(__file__).parent / "page"
 _METHOD = """<ul>
@@ -53,24 +52,20 @@ def write_study_report(
         title: its heading.
     """
     sections = [
-        _section("What may be concluded", "", _list(conclusions(found)) + _notes(found)),
+        section("What may be concluded", "", _list(conclusions(found)) + _notes(found)),
         *(_preference_sections(found.preference, "") if found.preference else ()),
         *(s for name, one in found.by_style.items() for s in _preference_sections(one, name)),
         *([_alignment_section(found)] if found.alignment else ()),
-        _plots(found),
+        plots_section(all_plots(found)),
         _reasons(found),
         _excluded(found),
-        _section("Method", "", _METHOD.format(rounds=f"{found.rounds:,}", seed=found.seed)),
+        section("Method", "", _METHOD.format(rounds=f"{found.rounds:,}", seed=found.seed)),
     ]
     values = {
         "title": html.escape(title),
-        "style": (_HERE / "style.css").read_text(encoding="utf-8"),
         "sections": "\n".join(filter(None, sections)),
     }
-    template = (_HERE / "template.html").read_text(encoding="utf-8")
-    text = re.sub(r"\{\{(\w+)\}\}", lambda place: values[place[1]], template)
-    with atomic_write(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_page(path, _HERE, values)
 
 
 def write_json(found: StudyResult, path: str | os.PathLike[str]) -> None:
@@ -91,9 +86,8 @@ def write_json(found: StudyResult, path: str | os.PathLike[str]) -> None:
         "rounds": found.rounds,
         "seed": found.seed,
     }
-    with atomic_write(path) as temporary:
-        text = json.dumps(_plain(values), indent=1, ensure_ascii=False, allow_nan=False)
-        temporary.write_text(text + "\n", encoding="utf-8")
+    text = json.dumps(_plain(values), indent=1, ensure_ascii=False, allow_nan=False)
+    write_text(path, text + "\n")
 
 
 def _figures(preference: Preference | None) -> dict[str, Any] | None:
@@ -116,11 +110,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _section(title: str, lead: str, body: str) -> str:
-    lead = f'<p class="lead">{lead}</p>' if lead else ""
-    return f"<section><h2>{html.escape(title)}</h2>{lead}{body}</section>"
 
 
 def _list(lines: Iterable[str]) -> str:
@@ -188,8 +177,8 @@ def _preference_sections(preference: Preference, style: str) -> list[str]:
         ),
     )
     return [
-        _section(f"{about}systems" if style else "Systems", lead, systems),
-        _section(
+        section(f"{about}systems" if style else "Systems", lead, systems),
+        section(
             f"{about}pairs" if style else "Pairs",
             "Answers for the first and for the second system; the win rate is the first one's.",
             pairs + "<h3>Win, tie, loss</h3>" + _matrix(preference),
@@ -245,28 +234,18 @@ def _alignment_section(found: StudyResult) -> str:
     )
     lead = "Matched against mismatched motion of the same system; chance is 50 %."
     body = systems + (pairs if found.alignment.differences else "")
-    return _section("Alignment with speech", lead, body)
-
-
-def _plots(found: StudyResult) -> str:
-    figures = "".join(
-        f"<figure><figcaption>{html.escape(title)}</figcaption>"
-        f'<img alt="{html.escape(title)}" src="data:image/svg+xml;base64,'
-        f'{base64.b64encode(svg.encode()).decode()}"></figure>'
-        for title, svg in all_plots(found).items()
-    )
-    return _section("Plots", "", figures)
+    return section("Alignment with speech", lead, body)
 
 
 def _reasons(found: StudyResult) -> str:
     if not found.reasons:
         return ""
     rows = ((name, str(n)) for name, n in found.reasons.items())
-    return _section("Reasons given", "", _table(("Reason", "Answers"), rows))
+    return section("Reasons given", "", _table(("Reason", "Answers"), rows))
 
 
 def _excluded(found: StudyResult) -> str:
     if not found.answers.excluded:
         return ""
     rows = ((user, html.escape(why)) for user, why in found.answers.excluded.items())
-    return _section("Excluded raters", "", _table(("Rater", "Reason"), rows))
+    return section("Excluded raters", "", _table(("Rater", "Reason"), rows))

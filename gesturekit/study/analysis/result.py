@@ -1,16 +1,19 @@
-"""Analysis of a whole study: who was left out, preferences, alignment, and the sides."""
+"""Analysis of a whole study (preferences, alignment, sides), and the conclusions from it."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from gesturekit.errors import ConfigError
-from gesturekit.evaluation.agreement.answers import Answers
-from gesturekit.study.analysis.alignment import Alignment, analyse_alignment
-from gesturekit.study.analysis.preference import Preference, analyse_preference
-from gesturekit.study.analysis.significance import Estimate, statsmodels_module, wilson
+from gesturekit.evaluation.statistics.answers import Answers
+from gesturekit.study.analysis.alignment import Alignment, AlignmentScore, analyse_alignment
+from gesturekit.study.analysis.preference import PairScore, Preference, analyse_preference
+from gesturekit.study.analysis.significance import ALPHA, Estimate, statsmodels_module, wilson
 from gesturekit.study.analysis.votes import ROUNDS
+from gesturekit.wording import counted, listed
 
 
 @dataclass(frozen=True)
@@ -76,3 +79,136 @@ def analyse_study(answers: Answers, *, rounds: int = ROUNDS, seed: int = 0) -> S
         rounds=rounds,
         seed=seed,
     )
+
+
+FEW_RATERS = 15
+FEW_CLIPS = 10
+
+
+def conclusions(found: StudyResult) -> list[str]:
+    """Return sentences on what may be concluded from a study."""
+    answers = len(found.answers.kept)
+    lines = [
+        f"{counted(answers, 'answer')} of {counted(found.raters, 'rater')} on "
+        f"{counted(found.clips, 'speech segment')}; "
+        f"{counted(len(found.answers.excluded), 'rater')} excluded by attention checks."
+    ]
+    if found.preference is not None:
+        lines += _on_preference(found.preference, "")
+    for style, preference in found.by_style.items():
+        lines += _on_preference(preference, f"{style}: ")
+    if found.alignment is not None:
+        lines += _on_alignment(found.alignment)
+    return lines
+
+
+def reservations(found: StudyResult) -> list[str]:
+    """Return sentences on what limits the conclusions, and on all that was left out."""
+    lines = [f"{note}." for note in found.answers.notes]
+    if not found.answers.has_checks:
+        lines.append("The files do not say who failed attention checks: nobody was excluded.")
+    if found.raters < 2:
+        lines.append("A single rater: no intervals and no tests, so that nothing can be concluded.")
+    elif found.raters < FEW_RATERS:
+        lines.append(
+            f"{found.raters} raters are few: intervals are rough, and most likely too narrow."
+        )
+    if found.clips < FEW_CLIPS:
+        lines.append(
+            f"{counted(found.clips, 'speech segment')}: findings may hold for these clips only."
+        )
+    if found.preference is not None:
+        lines += _limits_of(found.preference)
+    if not (math.isnan(found.left.value) or found.left.low <= 0.5 <= found.left.high):
+        lines.append(
+            f"{_percent(found.left)} of preferences are for the left side: raters favour it, or "
+            "systems were not shown on both sides equally often."
+        )
+    return lines
+
+
+def _limits_of(preference: Preference) -> Iterator[str]:
+    if preference.not_compared:
+        pairs = [f"{a} and {b}" for a, b in preference.not_compared]
+        yield f"Never compared: {listed(pairs, 12)}."
+    if preference.separate:
+        groups = "; ".join(listed(group, 12) for group in preference.separate)
+        yield f"No comparison connects these groups, so that there is no common rating: {groups}."
+    elif not preference.bounded:
+        yield (
+            "Some systems won, or lost, every comparison with the others: their ratings have no "
+            "finite value; read their order, not the numbers."
+        )
+
+
+def _on_preference(preference: Preference, prefix: str) -> Iterator[str]:
+    names = [system.name for system in preference.systems]
+    measure = "merit score" if preference.separate else "Elo rating"
+    yield f"{prefix}Order by {measure}, best first: {listed(names, 20)}."
+    unclear = []
+    for pair in sorted(preference.pairs, key=lambda p: (names.index(p.a), names.index(p.b))):
+        if is_significant(pair.p_holm):
+            yield prefix + _found(pair)
+        else:
+            unclear.append(
+                f"{pair.a} and {pair.b} ({_percent(pair.win_rate)}, {p_text(pair.p_holm)})"
+            )
+    if unclear:
+        yield (
+            f"{prefix}No difference was found between {listed(unclear, 12)}. This does not show "
+            "that they are equally good."
+        )
+
+
+def _found(pair: PairScore) -> str:
+    mean = sum(n * s for n, s in zip(pair.counts, (2, 1, 0, -1, -2))) / pair.n
+    # The mean score and the number of wins can disagree, if one side won more clearly.
+    better, worse = (pair.a, pair.b) if mean > 0 else (pair.b, pair.a)
+    rate = pair.win_rate
+    if better != pair.a:
+        rate = Estimate(1 - rate.value, 1 - rate.high, 1 - rate.low)
+    return f"{better} is preferred to {worse}: win rate {_percent(rate)}, {p_text(pair.p_holm)}."
+
+
+def _on_alignment(alignment: Alignment) -> Iterator[str]:
+    for score in alignment.systems:
+        yield _alignment_sentence(score)
+    different = [
+        f"{a} and {b} ({p_text(p)})" for a, b, _, p in alignment.differences if is_significant(p)
+    ]
+    if different:
+        yield f"Systems differ in how often their matched motion is preferred: {listed(different)}."
+    elif alignment.differences:
+        yield "No difference between systems in alignment was found (Barnard's test)."
+
+
+def _alignment_sentence(score: AlignmentScore) -> str:
+    rate = f"{_percent(score.score)}, {p_text(score.p_holm)}"
+    if not is_significant(score.p_holm):
+        return (
+            f"{score.name}: raters did not tell its motion from that of other speech "
+            f"(alignment {rate}; chance 50 %)."
+        )
+    above = "fits its speech better" if score.score.value > 0.5 else "fits its speech worse"
+    return f"{score.name}: its motion {above} than its motion of other speech (alignment {rate})."
+
+
+def is_significant(p: float) -> bool:
+    """Return whether an adjusted p-value is below the level of 0.05; False for NaN."""
+    return p < ALPHA
+
+
+def p_text(p: float) -> str:
+    """Return a p-value as it is written in papers."""
+    if math.isnan(p):
+        return "no test"
+    return "p < .001" if p < 0.001 else f"p = {p:.3f}".replace("0.", ".", 1)
+
+
+def _percent(rate: Estimate) -> str:
+    if math.isnan(rate.value):
+        return "only ties"
+    text = f"{100 * rate.value:.0f} %"
+    if math.isnan(rate.low):
+        return text
+    return f"{text} [{100 * rate.low:.0f}, {100 * rate.high:.0f}]"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.agreement.answers import Answer
+from gesturekit.evaluation.statistics.answers import Answer
 
 LEVEL = 0.95
 ROUNDS = 10_000

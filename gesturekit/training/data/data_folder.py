@@ -16,7 +16,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.atomic import atomic_write, remove_unfinished, write_tensors
+from audio_features.atomic import atomic_write, remove_unfinished, write_tensors
 from gesturekit.errors import ConfigError
 
 Data = TypeVar("Data")

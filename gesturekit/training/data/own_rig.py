@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from gesturekit.errors import ModelError, MotionError
+from gesturekit.motion.model_joints import ModelJoints
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.retarget.standing_pose import standing_pose
-from gesturekit.motion.selection.model_joints import ModelJoints
 
 
 def on_rig(model: ModelJoints, motion: Motion) -> Motion:

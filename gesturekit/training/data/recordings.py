@@ -12,9 +12,9 @@ from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.formats.smpl.skeleton import mean_body, on_body
+from gesturekit.motion.model_joints import reference_skeleton
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
-from gesturekit.motion.selection.model_joints import reference_skeleton
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.wording import counted, listed
 

@@ -12,7 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.corpus.item import Item
 from gesturekit.motion.motion import Motion
 from gesturekit.wording import counted, roughly

@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from gesturekit.atomic import atomic_write, remove_unfinished
+from audio_features.atomic import atomic_write, remove_unfinished
 from gesturekit.errors import ModelError
 
 log = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.errors import ConfigError
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.renamed_keys import with_new_keys

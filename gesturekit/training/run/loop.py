@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from gesturekit.errors import ModelError
-from gesturekit.training.held_out import HeldOut
 from gesturekit.training.run.folder import Run
+from gesturekit.training.run.held_out import HeldOut
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.run.steps import Steps
 from gesturekit.training.run_config import RunConfig

@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.viewer.human import makehuman
 from gesturekit.viewer.human.dressing import Mesh, clothed, dressed, split
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gesturekit.archive import Archive, open_archive
+from audio_features.archive import Archive, open_archive
 from gesturekit.errors import FormatError
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.body_size import body_height
+from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.rotations import (
     IDENTITY,
@@ -158,7 +158,7 @@ def _loaded() -> Human:
             f"{FILE} is missing; it is made when gesturekit is set up and PyPI can be reached "
             "(in a checkout: make setup)"
         )
-    with open_archive(FILE) as archive:
+    with open_archive(FILE, FormatError) as archive:
         names = tuple(archive.texts("names", _MAX_JOINTS))
         parents = tuple(int(parent) for parent in archive["parents"])
         joints, tails = archive.numbers("joints"), archive.numbers("tails")

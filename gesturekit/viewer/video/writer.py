@@ -1,30 +1,143 @@
-"""Writer of mp4 files that show motion with sound."""
+"""Writer of mp4 files that show motion with sound: captions, encoder, and the panels of figures."""
 
 from __future__ import annotations
 
 import os
+import tempfile
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import soundfile
+from matplotlib import font_manager
+from matplotlib.ft2font import FT2Font
 
 from audio_features import Wave
-from gesturekit.atomic import atomic_write
-from gesturekit.errors import FormatError, MotionError
+from audio_features.atomic import atomic_write
+from gesturekit.errors import FormatError, MotionError, OutputError
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.sound import as_sound
-from gesturekit.viewer.video import caption
-from gesturekit.viewer.video.encoder import encode, require_encoder
 from gesturekit.viewer.video.scene import Buffers, Scene
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
+
+INK = np.array([38, 48, 59], np.float32)
+_LONGEST = 80
+_DPI = 72
+
+
+def write_caption(image: np.ndarray, text: str, at: tuple[float, float], size: float) -> None:
+    """Write text on an image (H, W, 3) uint8; what does not fit is cut off.
+
+    Args:
+        image: changed in place.
+        text: a line.
+        at: (row, column) of the middle of its left edge, pixels; a negative column counts from
+            the right edge to the text's right edge.
+        size: of the letters, pixels.
+    """
+    mask = text_mask(text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…", size)
+    height, width = image.shape[:2]
+    row, column = at
+    top = max(0, round(row - mask.shape[0] / 2))
+    left = max(0, round(column if column >= 0 else width + column - mask.shape[1]))
+    mask = mask[: height - top, : width - left]
+    part = image[top : top + mask.shape[0], left : left + mask.shape[1]]
+    part[...] = part + mask[..., None] * (INK - part)
+
+
+@lru_cache(64)
+def text_mask(text: str, size: float) -> np.ndarray:
+    """Return how much of each pixel a line of text covers, (H, W) float32 from 0 to 1.
+
+    Letters that the font lacks are question marks.
+    """
+    font = FT2Font(font_manager.findfont("DejaVu Sans"))
+    font.set_size(size, _DPI)
+    font.set_text("".join(letter if font.get_char_index(ord(letter)) else "?" for letter in text))
+    font.draw_glyphs_to_bitmap(antialiased=True)
+    return np.asarray(font.get_image(), np.float32) / 255
+
+
+_QUALITY = "20"
+"""Constant rate factor of x264: visually good."""
+_SOUND_RATE = 48_000
+
+
+def require_encoder() -> None:
+    """Check that videos can be written.
+
+    Raises:
+        FormatError: imageio-ffmpeg is not installed, or has no ffmpeg for this machine.
+    """
+    try:
+        import imageio_ffmpeg
+
+        imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError) as error:
+        raise FormatError(
+            "mp4 is encoded by imageio-ffmpeg: install it with `pip install 'gesturekit[video]'` "
+            f"({error})"
+        ) from None
+
+
+def encode(
+    frames: Iterable[np.ndarray], path: Path, size: tuple[int, int], fps: float, wave: Wave | None
+) -> None:
+    """Write a video.
+
+    Args:
+        frames: images (H, W, 3) uint8.
+        path: the .mp4 file, overwritten.
+        size: (W, H), even numbers.
+        fps: frames per second.
+        wave: sound that starts with the first frame.
+
+    Raises:
+        OutputError: ffmpeg failed, such as on a full disk.
+    """
+    import imageio_ffmpeg
+
+    with tempfile.TemporaryDirectory(prefix="gesturekit-") as folder:
+        sound = {}
+        if wave is not None:
+            # Never the user's file: what ffmpeg reads is ours.
+            source = Path(folder) / "sound.wav"
+            soundfile.write(source, wave.samples, wave.sample_rate, "FLOAT")
+            sound = {"audio_path": str(source), "audio_codec": "aac"}
+        writer = imageio_ffmpeg.write_frames(
+            str(path.absolute()),
+            size,
+            fps=float(Fraction(fps).limit_denominator(1001)),
+            codec="libx264",
+            quality=None,
+            macro_block_size=2,
+            ffmpeg_log_level="error",
+            output_params=["-preset", "veryfast", "-crf", _QUALITY, "-ar", str(_SOUND_RATE)]
+            + ["-movflags", "+faststart", "-map_metadata", "-1", "-fflags", "+bitexact"]
+            + ["-flags:v", "+bitexact", "-flags:a", "+bitexact"],
+            **sound,
+        )
+        try:
+            writer.send(None)
+            for frame in frames:
+                writer.send(frame)
+        except OSError as error:
+            raise OutputError(f"{path}: ffmpeg failed: {str(error).splitlines()[0]}") from None
+        finally:
+            writer.close()
+    if not path.stat().st_size:
+        raise OutputError(f"{path}: ffmpeg wrote nothing; is the disk full?")
+
 
 SIZES = {"720p": (1280, 720), "1080p": (1920, 1080)}
 """Width and height of a picture by its name."""
@@ -140,14 +253,14 @@ class _Picture:
         for panel in self._panels:
             image = np.empty_like(picture[panel.area])
             panel.scene.draw(time, image, buffers[image.shape[:2]])
-            caption.write(image, panel.label, (1.3 * letters, letters), letters)
+            write_caption(image, panel.label, (1.3 * letters, letters), letters)
             if panel.area[1].start:
                 image[:, 0] = 205
             if panel.area[0].start:
                 image[0] = 205
             picture[panel.area] = image
         clock = f"{int(time // 60)}:{time % 60:04.1f}"
-        caption.write(picture, clock, (self.size[1] - 1.3 * letters, -letters), letters)
+        write_caption(picture, clock, (self.size[1] - 1.3 * letters, -letters), letters)
         return picture
 
 

@@ -18,8 +18,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.frame_rate import at_rate
-from gesturekit.evaluation.metrics.frechet.poses import described, require_joints
+from gesturekit.evaluation.metrics.frame_rate import at_rate
+from gesturekit.evaluation.metrics.frechet.poses import motion_name, require_joints
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import foot_points, foot_positions
 from gesturekit.motion.parts import SIDES, body_joints, find_parts
@@ -132,16 +132,16 @@ def geometric_features(motion: Motion) -> np.ndarray:
             shares.append(((degrees > limit) & (degrees < unit)).mean())
             continue
         if relation == "fast":
-            figure = np.linalg.norm(now[a] - before[a], axis=-1) * FPS
+            value = np.linalg.norm(now[a] - before[a], axis=-1) * FPS
         elif relation == "move":
-            figure = _along(velocity(c, a), now[b] - now[a])
+            value = _along(velocity(c, a), now[b] - now[a])
         elif relation == "nmove":
-            figure = _along(velocity(d, a), np.cross(now[c] - now[a], now[b] - now[a]))
+            value = _along(velocity(d, a), np.cross(now[c] - now[a], now[b] - now[a]))
         elif relation == "plane":
-            figure = _along(now[d] - now[a], np.cross(now[c] - now[a], now[b] - now[a]))
+            value = _along(now[d] - now[a], np.cross(now[c] - now[a], now[b] - now[a]))
         else:  # nplane
-            figure = _along(now[d] - now[c], now[b] - now[a])
-        shares.append((figure > limit * lengths[unit]).mean())
+            value = _along(now[d] - now[c], now[b] - now[a])
+        shares.append((value > limit * lengths[unit]).mean())
     return np.array(shares)
 
 
@@ -232,7 +232,7 @@ def _places(motion: Motion) -> dict[str, np.ndarray]:
     skeleton, positions = motion.skeleton, motion.positions()
     parts = find_parts(skeleton)
     if not parts.legs:
-        raise EvaluationError(f"{described(motion)} has no legs, which geometric features need")
+        raise EvaluationError(f"{motion_name(motion)} has no legs, which geometric features need")
     names = {"root": parts.pelvis, "belly": parts.spine[0], "chest": parts.spine[-1]}
     names["neck"] = parts.neck or parts.head or parts.spine[-1]
     for side in SIDES:
@@ -269,7 +269,9 @@ def _wrist(motion: Motion, positions: np.ndarray, side: str) -> np.ndarray:
         return positions[:, motion.skeleton.index(arm.wrist)]
     if arm.elbow in motion.skeleton.end_sites:
         return motion.end_positions()[arm.elbow][:, 0]
-    raise EvaluationError(f"{described(motion)} has no {side} wrist, which geometric features need")
+    raise EvaluationError(
+        f"{motion_name(motion)} has no {side} wrist, which geometric features need"
+    )
 
 
 def _median_distance(places: dict[str, np.ndarray], a: str, b: str) -> float:

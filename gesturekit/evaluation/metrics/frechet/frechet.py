@@ -374,14 +374,14 @@ def _standard_error(sets: list[list[np.ndarray]], resamples: int, seed: int) -> 
         axes = _principal_axes(sets, _RESAMPLED_DIMENSIONS)
         sets = [[x @ axes for x in one] for one in sets]
     rng = np.random.default_rng(seed)
-    figures = []
+    values = []
     for _ in range(resamples):
         drawn = [
             np.concatenate([one[i] for i in rng.integers(0, len(one), len(one))]) for one in sets
         ]
         if min(map(len, drawn)) >= 2:
-            figures.append(_distance(*drawn))
-    return float(np.std(figures, ddof=1)) if len(figures) > 1 else np.nan
+            values.append(_distance(*drawn))
+    return float(np.std(values, ddof=1)) if len(values) > 1 else np.nan
 
 
 def _features(values: np.ndarray, what: str) -> np.ndarray:

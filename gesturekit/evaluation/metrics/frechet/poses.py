@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.frame_rate import at_rate
+from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.motion import Motion
-from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.parts import body_joints, find_parts, heading_joints, upper_body
+from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotate_vectors
 
 _SMALLEST_SCALE = 1e-3
@@ -140,7 +140,7 @@ class PoseWindows:
             if (lengths < shortest).any():
                 bad = self.bones[int(np.argwhere(lengths < shortest)[0][1])]
                 raise EvaluationError(
-                    f"{described(motion)}: {bad[0]!r} and {bad[1]!r} are at the same position; "
+                    f"{motion_name(motion)}: {bad[0]!r} and {bad[1]!r} are at the same position; "
                     "the direction between them is undefined"
                 )
             bones = bones / lengths
@@ -185,13 +185,13 @@ def require_joints(motion: Motion, joints: Sequence[str]) -> None:
     missing = sorted(set(joints) - set(motion.skeleton.names))
     if missing:
         raise EvaluationError(
-            f"{described(motion)} has no joint {', '.join(missing[:5])}"
+            f"{motion_name(motion)} has no joint {', '.join(missing[:5])}"
             f"{', ...' if len(missing) > 5 else ''}, which the other motions have; "
             "give motions of one rig, or retarget them to it"
         )
 
 
-def described(motion: Motion) -> str:
+def motion_name(motion: Motion) -> str:
     """Return the name of a motion for errors: its file, or its description."""
     return str(motion.info.get("source") or motion)
 

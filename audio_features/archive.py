@@ -1,0 +1,171 @@
+"""Safe reader of npz files that may be broken or hostile: no pickles, limited memory."""
+
+from __future__ import annotations
+
+import math
+import os
+import struct
+import sys
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+ALLOWANCE = 32 << 20
+"""Bytes that the arrays read from a file may always take."""
+MAX_RATIO = 20
+"""Beyond the allowance, how many times larger than the file they may be. Real recordings deflate
+to a half or a third; zeros, to a thousandth."""
+_MAX_DIRECTORY = 1 << 20  # bytes of the list of members: ten thousand of them
+_END = struct.Struct("<12xI6x")  # end record of a zip: the size of the list of members
+
+
+class Archive:
+    """Arrays of an npz file, read on access; see `open_archive`.
+
+    The header of an array is checked before memory is allocated. Pickled objects are never loaded;
+    accessing one raises an error.
+    """
+
+    def __init__(self, path: Path, members: zipfile.ZipFile, error: type[Exception]) -> None:
+        self.path = path
+        self._error = error
+        self._members = members
+        self._left = max(ALLOWANCE, MAX_RATIO * path.stat().st_size)
+
+    def __contains__(self, key: str) -> bool:
+        return f"{key}.npy" in self._members.NameToInfo
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield the names of all arrays."""
+        return (name[:-4] for name in self._members.NameToInfo if name.endswith(".npy"))
+
+    def __getitem__(self, key: str) -> np.ndarray:
+        """Return the array called `key`.
+
+        Raises:
+            Exception: there is none, it is pickled, damaged, or larger than the file allows.
+        """
+        if key not in self:
+            raise self._error(f"{self.path}: no key {key!r} in the archive")
+        info = self._members.NameToInfo[f"{key}.npy"]
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise self._error(f"{self.path}: key {key!r} is packed in a way that numpy never does")
+        try:
+            with self._members.open(info) as member:
+                shape, dtype = _header(member)
+                start = member.tell()
+            if dtype.hasobject:
+                raise self._error(
+                    f"{self.path}: key {key!r} is a pickled Python object, which could run code "
+                    "and is never loaded; save it as a plain array"
+                )
+            n_bytes = dtype.itemsize * math.prod(shape)
+            if n_bytes != info.file_size - start or (not dtype.itemsize and math.prod(shape) > 1):
+                raise self._error(
+                    f"{self.path}: key {key!r} declares shape {shape} of {dtype}, {n_bytes} bytes, "
+                    f"and holds {info.file_size - start}"
+                )
+            if n_bytes > self._left:
+                raise self._error(
+                    f"{self.path}: key {key!r} unpacks to {n_bytes / 2**20:.0f} MiB, far more "
+                    "than its file suggests; save it with numpy.savez"
+                )
+            self._left -= n_bytes
+            with self._members.open(info) as member:
+                return np.lib.format.read_array(member, allow_pickle=False)
+        except self._error:
+            raise
+        except Exception as error:  # zipfile, zlib and numpy's parser of headers raise anything
+            raise self._error(f"{self.path}: key {key!r} cannot be read: {error}") from None
+
+    def numbers(self, key: str, dtype: type = np.float64) -> np.ndarray:
+        """Return the array called `key` as floating-point numbers.
+
+        Raises:
+            Exception: it cannot be read, or does not hold real numbers.
+        """
+        values = self[key]
+        if values.dtype.kind not in "fiu":
+            text = self.texts(key) if values.size == 1 else []
+            held = repr(text[0][:60]) if text else str(values.dtype)
+            raise self._error(f"{self.path}: key {key!r} holds {held}, not numbers")
+        return values.astype(dtype, copy=False)
+
+    def texts(self, key: str, at_most: int = 1) -> list[str]:
+        """Return the texts in the array called `key`; none if it holds anything else.
+
+        Raises:
+            Exception: it cannot be read, has more than `at_most` texts, or invalid characters.
+        """
+        values = self[key]
+        if values.size > at_most:
+            raise self._error(f"{self.path}: key {key!r} holds {values.size} texts, too many")
+        if values.dtype.kind == "S":
+            return [text.decode("ascii", "replace") for text in values.ravel().tolist()]
+        if values.dtype.kind != "U" or not values.dtype.itemsize:
+            return []
+        values = np.ascontiguousarray(values).ravel()
+        # Python itself checks them only in parts, and fails with an internal error.
+        if values.view(values.dtype.str[0] + "u4").max(initial=0) > sys.maxunicode:
+            raise self._error(f"{self.path}: key {key!r} holds characters that do not exist")
+        return values.tolist()
+
+
+@contextmanager
+def open_archive(path: str | os.PathLike[str], error: type[Exception]) -> Iterator[Archive]:
+    """Open an npz file for reading.
+
+    Args:
+        path: the file.
+        error: class of all errors, for example `FeatureError`.
+
+    Raises:
+        Exception: of that class; the file is missing, is no npz, or its list of members is not a
+            list of arrays.
+    """
+    path = Path(path)
+    try:
+        if path.exists() and not path.is_file():  # reading a pipe may never end
+            raise error(f"{path}: not a regular file")
+        _check_directory(path, error)
+        members = zipfile.ZipFile(path)
+    except FileNotFoundError:
+        raise error(f"{path}: no such file") from None
+    except error:
+        raise
+    except Exception as reason:  # as above
+        raise error(f"{path}: not a readable npz file: {reason}") from None
+    with members:
+        yield Archive(path, members, error)
+
+
+def _header(member: zipfile.ZipExtFile) -> tuple[tuple[int, ...], np.dtype]:
+    version = np.lib.format.read_magic(member)
+    if version == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(member)
+    elif version == (2, 0):
+        shape, _, dtype = np.lib.format.read_array_header_2_0(member)
+    else:
+        raise ValueError(f"version {version} of the npy format, which no plain array needs")
+    return shape, dtype
+
+
+def _check_directory(path: Path, error: type[Exception]) -> None:
+    """Refuse a list of members that zipfile would need gigabytes to read."""
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(0, size - (1 << 16) - 64))
+        tail = file.read()
+    at = tail.rfind(b"PK\5\6")
+    if at < 0 or len(tail) - at < _END.size:
+        raise error(f"{path}: not a readable npz file: it is not a zip archive, or is truncated")
+    (directory,) = _END.unpack_from(tail, at)
+    if tail[max(0, at - 20) : at].startswith(b"PK\6\7"):
+        raise error(f"{path}: an archive of more than 4 GiB; cut the recording into pieces")
+    if directory > _MAX_DIRECTORY:
+        raise error(
+            f"{path}: its list of members takes {directory} bytes; a recording has a few arrays"
+        )

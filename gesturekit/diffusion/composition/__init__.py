@@ -1,1 +1,0 @@
-"""Products of experts: several models or conditions in one motion."""

@@ -1,1 +1,0 @@
-"""Agreement of metrics with the answers of a user study."""

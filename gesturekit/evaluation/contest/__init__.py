@@ -1,1 +1,0 @@
-"""Recordings as contestants, and differences of models that are larger than chance."""

@@ -1,1 +1,0 @@
-"""Three questions that head a report: in time with the speech, like the speaker, new."""

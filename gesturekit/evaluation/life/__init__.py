@@ -1,1 +1,0 @@
-"""Measures of life of sets of clips, and the verdict in words."""

@@ -1,0 +1,253 @@
+"""Clips in memory: a motion and its recording at one frame rate, with their sound and semantics."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from audio_features import FeatureTrack, Wave
+from gesturekit.errors import FormatError, MotionError
+from gesturekit.evaluation.measuring.rigs import bare_name, matched
+from gesturekit.evaluation.metrics.frame_rate import at_rate
+from gesturekit.evaluation.metrics.physical import joint_speed
+from gesturekit.evaluation.metrics.rhythm import music_beats, speech_onsets
+from gesturekit.evaluation.pairs import WINDOW_SECONDS, ItemInterval, Pair
+from gesturekit.formats.tables.semantics import load_semantics
+from gesturekit.motion import Motion
+from gesturekit.motion.defects import MAX_SPEED, format_speed, speed_limit
+from gesturekit.motion.parts.body_size import body_scale
+
+LENGTH_TOLERANCE = 0.1
+"""Largest difference in length between a clip and its recording without a note, seconds."""
+STILL = 1e-4
+"""m/s on the reference body; a frame stands still if no joint is faster."""
+
+_CACHED = 8  # files of each kind kept in memory; samples of one recording are consecutive
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """A pair in memory.
+
+    Attributes:
+        pair: names and files.
+        generated: the motion, with the recording's joint names.
+        recording: the recorded motion at the generated one's frame rate.
+        joints: names of the common body joints, in the recording's order.
+        semantic: the recording's semantic track, or None.
+        notes: remarks on the pair, such as resampling.
+    """
+
+    pair: Pair
+    generated: Motion
+    recording: Motion
+    joints: tuple[str, ...]
+    semantic: FeatureTrack | None
+    notes: tuple[str, ...]
+
+    @property
+    def n_frames(self) -> int:
+        """Number of common frames."""
+        return min(self.generated.n_frames, self.recording.n_frames)
+
+    @functools.cached_property
+    def same_body(self) -> bool:
+        """True if the bone lengths of both bodies agree to 1 %."""
+        bones = [
+            np.linalg.norm(
+                [m.skeleton.offsets[m.skeleton.index(name)] for name in self.joints[1:]], axis=-1
+            )
+            for m in (self.generated, self.recording)
+        ]
+        rounding = 1e-3 * body_scale(self.recording.skeleton)
+        return bool(np.allclose(*bones, rtol=0.01, atol=rounding))
+
+
+def load_clip(pair: Pair, fps: float | None = None, without: frozenset[str] = frozenset()) -> Clip:
+    """Read a pair, and bring the generated motion to the recording's rig (`measuring.rigs`).
+
+    Args:
+        pair: from `find_pairs`.
+        fps: frame rate of both motions; None keeps that of the generated motion.
+        without: bare names of joints that other models lack, which are left out.
+
+    Raises:
+        FormatError, MotionError: a file that cannot be read (numbers that are not finite, one
+            frame), or rigs that do not match.
+        FeatureError: the semantic track cannot be read.
+    """
+    generated = _read(pair.generated)
+    rate = fps or generated.fps
+    recording = _resampled(pair.reference, rate)
+    notes = []
+    if generated.n_frames < 2:
+        raise FormatError(f"{pair.generated}: one frame; a motion to be measured has at least 2")
+    resampled = at_rate(generated, rate)
+    if resampled is not generated:
+        notes.append(f"resampled from {generated.fps:g} to {rate:g} fps")
+        generated = resampled
+    semantic = None if pair.semantic is None else _semantic(pair.semantic)
+    if pair.window is not None:
+        start = pair.window * WINDOW_SECONDS
+        recording = _window(recording, start, pair)
+        semantic = None if semantic is None else _later(semantic, start)
+    try:
+        joints, generated, remarks = matched(generated, recording)
+    except MotionError as error:
+        raise MotionError(f"{pair.generated}: {pair.reference.name}: {error}") from None
+    joints = tuple(name for name in joints if bare_name(name) not in without)
+    if len(joints) < 2:
+        raise MotionError(f"{pair.generated}: fewer than 2 joints are common to all models")
+    return Clip(pair, generated, recording, joints, semantic, (*notes, *remarks))
+
+
+def clip_notes(clip: Clip, wanted: float = 1.0) -> list[str]:
+    """Return notes on a clip: another length than expected, frames that stand still, jumps.
+
+    Args:
+        clip: a generated clip and its recording.
+        wanted: expected length of the clip relative to its recording.
+    """
+    notes = []
+    fps = clip.generated.fps
+    gap = clip.generated.duration - wanted * clip.recording.duration
+    if abs(gap) > max(LENGTH_TOLERANCE, 1.5 / fps):
+        what = "its recording" if wanted == 1.0 else f"{wanted:g} times its recording"
+        notes.append(f"{abs(gap):.2f} s {'longer' if gap > 0 else 'shorter'} than {what}")
+    scale = body_scale(clip.generated.skeleton)
+    fastest = joint_speed(clip.generated, clip.joints).max(axis=1)
+    still = float((fastest < STILL * scale).mean())
+    if still > 0.05:
+        notes.append(f"stands still in {100 * still:.0f} % of its frames")
+    if fastest.max() > (limit := MAX_SPEED * scale):
+        at, speed = fastest.argmax() / fps, format_speed(fastest.max())
+        notes.append(f"jumps at {at:.2f} s ({speed}, {speed_limit(limit)})")
+    return notes
+
+
+def load_recording(path: Path | ItemInterval, fps: float) -> Motion:
+    """Read a recording and resample it to `fps`.
+
+    Raises:
+        FormatError, MotionError: the file cannot be read.
+    """
+    return _resampled(path, fps)
+
+
+def load_wave(source: Path | ItemInterval) -> Wave:
+    """Read a recording's sound.
+
+    Raises:
+        AudioError: it cannot be read.
+    """
+    return source.item.load_wave() if isinstance(source, ItemInterval) else Wave.load(source)
+
+
+def _window(recording: Motion, start: float, pair: Pair) -> Motion:
+    first = round(start * recording.fps)
+    stop = min(recording.n_frames, first + round(WINDOW_SECONDS * recording.fps))
+    if stop - first < 2:
+        raise MotionError(
+            f"{pair.generated}: {pair.reference.name} ends before its window {pair.window} "
+            f"({start:g} s) begins"
+        )
+    return recording.slice(first, stop)
+
+
+def _later(track: FeatureTrack, start: float) -> FeatureTrack:
+    keep = track.times >= start
+    if not keep.any():
+        keep[-1] = True
+    return FeatureTrack(track.values[keep], track.times[keep] - start, track.spec, track.names)
+
+
+@functools.lru_cache(maxsize=_CACHED)
+def _resampled(path: Path | ItemInterval, fps: float) -> Motion:
+    motion = _read(path)
+    if motion.n_frames < 2:
+        raise FormatError(f"{path.name}: one frame; a motion to be measured has at least 2")
+    return at_rate(motion, fps)
+
+
+def _read(path: Path | ItemInterval) -> Motion:
+    if isinstance(path, ItemInterval):
+        return path.item.load_motion()
+    try:
+        return Motion.load(path)
+    except (FormatError, MotionError) as error:
+        # The error of an invalid motion does not name its file.
+        text = str(error)
+        raise type(error)(text if path.name in text else f"{path}: {text}") from error
+
+
+_STEP = 0.01  # seconds between values of a track read from intervals
+
+
+def read_semantic(path: Path) -> FeatureTrack:
+    """Read a semantic track: (T, 1) scores from 0 to 1 at times in seconds.
+
+    A feature file (npz) of one column, or BEAT's table (txt): tab-separated lines of gesture
+    name, start, end, duration (seconds), score, keywords; 0 where there is no gesture.
+
+    Raises:
+        FormatError: the table is invalid.
+        FeatureError: the feature file is invalid.
+    """
+    if path.suffix.lower() == ".npz":
+        track = FeatureTrack.load(path)
+        if track.values.shape[1] != 1:
+            raise FormatError(
+                f"{path}: {track.values.shape[1]} columns; a semantic track has one, the score"
+            )
+        return track
+    intervals = load_semantics(path)
+    if not intervals:
+        raise FormatError(f"{path}: no line with a gesture in it")
+    times = np.arange(round(max(end for _, end, _ in intervals) / _STEP) + 2) * _STEP
+    values = np.zeros((len(times), 1), dtype=np.float32)
+    for start, end, score in intervals:
+        values[(times >= start) & (times <= end)] = score
+    return FeatureTrack(values, times, {"kind": "semantic"}, ("score",))
+
+
+_semantic = functools.lru_cache(maxsize=_CACHED)(read_semantic)
+
+
+@dataclass(frozen=True)
+class Sound:
+    """A recording's sound and its beats.
+
+    Attributes:
+        wave: the sound.
+        onsets: (B,) speech onsets, seconds.
+        pulse: (B,) beats of the beat tracker, seconds.
+    """
+
+    wave: Wave
+    onsets: np.ndarray
+    pulse: np.ndarray
+
+    @classmethod
+    def load(cls, path: Path | ItemInterval, window: int | None) -> Sound:
+        """Read a sound, or one 10 s window of it.
+
+        Raises:
+            AudioError: it cannot be read.
+        """
+        wave = load_wave(path)
+        if window is not None:
+            wave = wave.slice(window * WINDOW_SECONDS, WINDOW_SECONDS)
+        return cls(wave, speech_onsets(wave), music_beats(wave))
+
+
+load_sound = functools.lru_cache(maxsize=16)(Sound.load)
+
+
+def forget_files() -> None:
+    """Forget files in memory, which may have changed on disk since the last evaluation."""
+    _resampled.cache_clear()
+    _semantic.cache_clear()
+    load_sound.cache_clear()

@@ -1,0 +1,183 @@
+"""The recordings' own value of metrics that compare with recordings.
+
+Each recording is compared with the next one, as if it had been generated for it; a single recording
+with its other half. Fréchet distances compare one half of the recordings with the other. A model
+that moves like the speaker comes to about these values: it cannot know what was recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gesturekit.errors import GestureKitError
+from gesturekit.evaluation.definitions import (
+    FRECHET,
+    PATCHES,
+    SIMILARITY,
+    Definition,
+    definitions_of,
+)
+from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
+from gesturekit.evaluation.measuring.clips import Clip
+from gesturekit.evaluation.measuring.inputs import SetInputs, compute
+from gesturekit.evaluation.metrics import similarity
+from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
+from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
+from gesturekit.evaluation.metrics.physical import relative_speed
+from gesturekit.evaluation.pairs import Pair
+from gesturekit.evaluation.results import Interval
+from gesturekit.evaluation.statistics.intervals import interval_of, whole_set
+from gesturekit.evaluation.statistics.likeness import RATIOS, likeness
+from gesturekit.motion import Motion
+from gesturekit.motion.parts import body_joints
+
+if TYPE_CHECKING:
+    from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel
+
+MOST, LONGEST = 30, 60.0
+"""Recordings that are compared with each other, at most, and seconds of each."""
+INTER = 20
+"""Recordings that inter-diversity is taken of, at most."""
+OTHERS, HALVES = "recording: against another recording", "recording: one half against the other"
+
+_NAMELESS = Path("recording")
+
+
+def floors(
+    recordings: Mapping[str, Motion],
+    measure: ClipMetrics,
+    features: FeatureModel | None,
+    seed: int,
+) -> dict[str, tuple[Interval, str]]:
+    """Return {key of `definitions`: (the recordings' own value, how it was taken)}.
+
+    Args:
+        recordings: all recordings by name, of one rig and frame rate.
+        measure: the metrics of clips, with their groups.
+        features: the feature extractor of FGD, or None.
+        seed: seed of intervals and subsamples.
+    """
+    if not recordings:  # all are too short to be compared
+        return {}
+    chosen = _chosen(recordings)
+    note = OTHERS if len(recordings) > 1 else HALVES
+    pairs = _pairs(chosen)
+    joints = body_joints(next(iter(chosen.values())).skeleton)
+    clips = [
+        Clip(Pair(a, b, None, _NAMELESS, _NAMELESS), chosen[a], chosen[b], joints, None, ())
+        for a, b in pairs
+    ]
+    found: dict[str, tuple[Interval, str]] = {}
+    values = [measure.against(clip) for clip in clips]
+    for key in set(chain.from_iterable(values)) - {"hellinger"}:
+        has = [(v[key], clip.pair.stem) for v, clip in zip(values, clips) if key in v]
+        groups = [stem for _, stem in has] if len(recordings) > 1 else ["halves"] * len(has)
+        found[key] = interval_of([v for v, _ in has], groups, seed), note
+    halves = _halves(list(chosen.values()))
+    for key, measured in _set_metrics(chosen, clips, halves, measure, features, seed).items():
+        try:
+            value = measured()
+        except GestureKitError:
+            continue  # the model's own result says why it cannot be taken
+        if value is not None:
+            found[key] = whole_set(value, len(chosen)), HALVES
+    found |= _likeness(clips, measure)
+    return found
+
+
+def _likeness(clips: Sequence[Clip], measure: ClipMetrics) -> dict[str, tuple[Interval, str]]:
+    """Return the likeness of one half of the recordings to the other."""
+    values = [measure.recording(clip)[0] for clip in clips]
+    keys = [key for key in RATIOS if all(key in v for v in values)]
+    one, other = (
+        {key: np.mean([v[key] for v in half]) for key in keys}
+        for half in (values[::2], values[1::2])
+    )
+    found = likeness(one, other)
+    return {} if found is None else {"likeness": (whole_set(float(found), len(clips)), HALVES)}
+
+
+def _chosen(recordings: Mapping[str, Motion]) -> dict[str, Motion]:
+    """Return at most `MOST` recordings, evenly chosen and cut; halves of a single one."""
+    names = list(recordings)
+    kept = names[:: -(-len(names) // MOST)]
+    cut = {name: _cut(recordings[name]) for name in kept}
+    if len(cut) > 1:
+        return cut
+    ((name, motion),) = cut.items()
+    first, second = _halves([motion])
+    return {name: first[0], f"{name}, second half": second[0]}
+
+
+def _cut(motion: Motion) -> Motion:
+    return motion.slice(0, min(motion.n_frames, round(LONGEST * motion.fps)))
+
+
+def _pairs(recordings: Mapping[str, Motion]) -> list[tuple[str, str]]:
+    """Return (recording, the next one) cyclically."""
+    names = list(recordings)
+    return list(zip(names[1:] + names[:1], names, strict=True))
+
+
+def _halves(motions: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:
+    """Return every other recording, and the rest; of a single one its halves."""
+    if len(motions) > 1:
+        return list(motions[::2]), list(motions[1::2])
+    (motion,) = motions
+    middle = max(1, motion.n_frames // 2)
+    return [motion.slice(0, middle)], [motion.slice(middle, motion.n_frames)]
+
+
+def _set_metrics(
+    recordings: Mapping[str, Motion],
+    clips: Sequence[Clip],
+    halves: tuple[list[Motion], list[Motion]],
+    measure: ClipMetrics,
+    features: FeatureModel | None,
+    seed: int,
+) -> dict[str, Callable[[], float | None]]:
+    """Return {key: function that computes it} of metrics of whole sets."""
+    joints = clips[0].joints
+    one, other = halves
+    metrics: dict[str, Callable[[], float | None]] = {
+        "hellinger": lambda: _hellinger(halves, joints)
+    }
+    if SIMILARITY in measure.groups:
+        metrics["cca_global"] = lambda: _cca(clips)
+    if PATCHES in measure.groups:
+        metrics["inter_diversity"] = lambda: inter_diversity(
+            [
+                patch_features(motion, measure.variants.patches, joints=joints)
+                for motion in list(recordings.values())[:INTER]
+            ]
+        )
+    if FRECHET in measure.groups:
+        inputs = SetInputs(one, other, features, joints, seed)
+        for definition in definitions_of("distance"):
+            metrics[definition.key] = lambda definition=definition: _distance(definition, inputs)
+    return metrics
+
+
+def _distance(definition: Definition, inputs: SetInputs) -> float | None:
+    """Return a distance of sets; None if it needs a feature extractor."""
+    found = compute(definition, inputs, resamples=0)
+    return None if found is None else found.value
+
+
+def _hellinger(halves: tuple[list[Motion], list[Motion]], joints: Sequence[str]) -> float:
+    return hellinger(
+        *(
+            SpeedHistogram.of([relative_speed(motion, joints).ravel() for motion in half])
+            for half in halves
+        )
+    )
+
+
+def _cca(clips: Sequence[Clip]) -> float:
+    both = [similarity.pose_pair(c.generated, c.recording, c.joints) for c in clips]
+    return similarity.cca(*(np.concatenate(side) for side in zip(*both, strict=True)))

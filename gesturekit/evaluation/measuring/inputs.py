@@ -1,0 +1,219 @@
+"""Inputs of metrics, by the names of the parameters of the functions in `metrics`."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import inspect
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gesturekit.errors import EvaluationError, GestureKitError
+from gesturekit.evaluation.definitions import Definition, Variants
+from gesturekit.evaluation.measuring.clips import Clip, Sound, load_recording
+from gesturekit.evaluation.metrics import rhythm
+from gesturekit.evaluation.metrics.hands import upper_joints
+from gesturekit.evaluation.metrics.physical import JointLimits, standing_heights
+from gesturekit.evaluation.pairs import Excluded, ItemInterval
+from gesturekit.motion import Motion
+from gesturekit.motion.parts import body_joints
+
+if TYPE_CHECKING:
+    from audio_features import FeatureTrack
+    from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel
+    from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
+
+
+@dataclass
+class ReferenceStatistics:
+    """Statistics of all recordings that clips are compared with.
+
+    Attributes:
+        recordings: {key: motion} at the frame rate of the evaluation.
+        limits: the range of each joint; None without joints that can have one.
+        mean_speed: {joint name: mean speed over the recordings, m/s}.
+        excluded: recordings that cannot be read, or have another rig than the first.
+    """
+
+    recordings: dict[str, Motion] = field(default_factory=dict)
+    limits: JointLimits | None = None
+    mean_speed: dict[str, float] = field(default_factory=dict)
+    excluded: list[Excluded] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, recordings: Mapping[str, Path | ItemInterval], fps: float) -> ReferenceStatistics:
+        """Compute the statistics of recordings; leave out rigs that differ from the first one."""
+        statistics = cls()
+        joints: tuple[str, ...] = ()
+        sums: dict[str, tuple[float, int]] = {}
+        for key, path in recordings.items():
+            try:
+                motion = load_recording(path, fps)
+                joints = joints or body_joints(motion.skeleton)
+                if not set(joints) <= set(motion.skeleton.names):
+                    raise EvaluationError("its rig differs from that of the first recording")
+                speed = rhythm.central_speed(motion, joints)
+            except GestureKitError as error:
+                statistics.excluded.append(Excluded(key, str(error), "the set of recordings"))
+                continue
+            statistics.recordings[key] = motion
+            for name, column in zip(joints, speed.T, strict=True):
+                total, count = sums.get(name, (0.0, 0))
+                sums[name] = total + float(column.sum()), count + len(column)
+        statistics.mean_speed = {name: total / count for name, (total, count) in sums.items()}
+        kept = list(statistics.recordings.values())
+        roots = _roots(kept)
+        turning = [name for name in joints if name not in roots]
+        if kept and turning:
+            statistics.limits = JointLimits.fit(kept, turning)
+        return statistics
+
+    def digest(self) -> str:
+        """Return a digest of the statistics, which are a part of every clip's measurement."""
+        found = hashlib.sha256(repr(sorted(self.mean_speed.items())).encode())
+        if self.limits is not None:
+            found.update(repr(self.limits.joints).encode())
+            for values in (self.limits.mean, self.limits.low, self.limits.high):
+                found.update(np.ascontiguousarray(values))
+        return found.hexdigest()
+
+
+def _roots(motions: Iterable[Motion]) -> set[str]:
+    """Return the root and all joints with a translation: they turn with the whole body."""
+    roots: set[str] = set()
+    for motion in motions:
+        roots |= {motion.skeleton.names[0], *motion.joint_translations}
+    return roots
+
+
+@dataclass(eq=False)
+class ClipInputs:
+    """Inputs of the metrics of one motion of a clip, computed when a metric names them.
+
+    Attributes:
+        motion: the motion that is measured: that of the clip, or its recording.
+        clip: the clip.
+        statistics: of all recordings.
+        variants: variants of the metrics.
+    """
+
+    motion: Motion
+    clip: Clip
+    statistics: ReferenceStatistics
+    variants: Variants
+
+    @property
+    def recording(self) -> Motion:
+        """The clip's recording."""
+        return self.clip.recording
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints that the motion is measured with."""
+        return self.clip.joints
+
+    @property
+    def semantic(self) -> FeatureTrack | None:
+        """Semantic relevance of the recording over time, or None."""
+        return self.clip.semantic
+
+    @property
+    def limits(self) -> JointLimits | None:
+        """The recordings' ranges of joint rotations; None without joints that can have one."""
+        return self.statistics.limits
+
+    @property
+    def patches(self) -> str:
+        """Variant of the patch metrics."""
+        return self.variants.patches
+
+    @property
+    def threshold(self) -> float | None:
+        """Threshold of coverage; None for that of the variant."""
+        return self.variants.threshold
+
+    @property
+    def duration(self) -> float:
+        """Length of the motion, seconds."""
+        return self.motion.duration
+
+    @functools.cached_property
+    def heights(self) -> np.ndarray:
+        """Standing heights (F,) of the foot points, metres: the recording's, of the same body."""
+        return standing_heights(self.clip.recording if self.clip.same_body else self.motion)
+
+    @functools.cached_property
+    def beats(self) -> np.ndarray:
+        """Beats (M,) of the motion, seconds."""
+        return rhythm.motion_beats(self.motion, variant=self.variants.bas, joints=self.clip.joints)
+
+    @functools.cached_property
+    def beats_by_joint(self) -> list[np.ndarray]:
+        """Beats (M,) of each joint of the upper body, seconds."""
+        upper = upper_joints(self.clip.recording.skeleton)
+        joints = [name for name in self.clip.joints if name in upper]
+        mean_speed, usual = self.statistics.mean_speed, None
+        if set(joints) <= set(mean_speed):
+            usual = np.array([mean_speed[name] for name in joints])
+        return rhythm.joint_beats(self.motion, mean_speed=usual, joints=joints)
+
+
+@dataclass(frozen=True, eq=False)
+class SetInputs:
+    """Inputs of the metrics of a set of motions.
+
+    Attributes:
+        generated: all motion of a model.
+        reference: all recordings.
+        model: the feature extractor of FGD, or None.
+        joints: names of the joints that all of them have; None for all body joints.
+        seed: of intervals.
+    """
+
+    generated: Sequence[Motion]
+    reference: Sequence[Motion]
+    model: FeatureModel | None
+    joints: tuple[str, ...] | None
+    seed: int
+
+    @property
+    def motions(self) -> Sequence[Motion]:
+        """The motion whose diversity is measured: `generated`."""
+        return self.generated
+
+    @property
+    def windows(self) -> PoseWindows | None:
+        """The windows of the feature extractor, or None."""
+        return self.model and self.model.windows
+
+
+def compute(
+    definition: Definition, *sources: ClipInputs | SetInputs | Sound, **constants: Any
+) -> Any | None:
+    """Return the result of a metric's function; None if an input that it needs is missing.
+
+    Args:
+        definition: of a metric with a function.
+        sources: objects whose attributes are the inputs.
+        constants: values of parameters, for functions that have them.
+
+    Raises:
+        GestureKitError, AudioFeaturesError: the metric cannot be computed.
+    """
+    function = definition.load_function()
+    parameters = inspect.signature(function).parameters
+    arguments = {name: value for name, value in constants.items() if name in parameters}
+    arguments |= definition.arguments
+    for name, parameter in parameters.items():
+        source = next((s for s in sources if name in vars(s) or hasattr(type(s), name)), None)
+        needed = parameter.default is parameter.empty
+        if name in arguments or (source is None and not needed):
+            continue
+        arguments[name] = getattr(source, name)
+        if arguments[name] is None and needed:
+            return None
+    return function(**arguments)

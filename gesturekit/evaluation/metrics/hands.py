@@ -1,0 +1,300 @@
+"""Hand movement: metrics that compare how much, how far and how variedly the hands move.
+
+All of them use body-centred motion: positions of upper-body joints relative to the pelvis, turned
+in each frame so that the shoulders face +Z, at 25 fps, in metres. The hands are the wrist joints.
+Thresholds in m/s are for a body of 1.7 m and grow with `body_scale`, like those of foot contacts;
+all other lengths are the body's own. A rig that ends at the elbows has its hands at the forearms'
+end sites.
+
+Several motions are pooled: frames of all clips have equal weight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gesturekit.errors import MotionError
+from gesturekit.evaluation.metrics.frame_rate import at_rate
+from gesturekit.motion import Motion
+from gesturekit.motion.heading import headings_of_sides
+from gesturekit.motion.kinematics import GROUND
+from gesturekit.motion.parts import SIDES, body_joints, find_parts, upper_body
+from gesturekit.motion.parts.body_size import body_scale
+from gesturekit.motion.skeleton import Skeleton
+from gesturekit.wording import counted
+
+FPS = 25.0
+"""Frame rate of all metrics of hand movement."""
+SIGMA = 1.0
+"""Standard deviation of the Gaussian that smooths velocities, frames."""
+REST = 0.1
+"""A hand rests below this speed, m/s on the reference body."""
+STILL = 0.02
+"""A hand is nearly still below this speed, m/s on the reference body."""
+RANGE_WINDOW, RANGE_HOP = 2.0, 1.0
+"""Windows of `HandMovement.range`, seconds."""
+CALM_WINDOW, CALM_HOP = 5.0, 2.5
+"""Windows of `calm_and_lively`, seconds."""
+
+_NO_MOVEMENT = 1e-6  # m/s; less is rounding
+
+Motions = Motion | Sequence[Motion]
+
+
+@dataclass(frozen=True)
+class HandMovement:
+    """Amount and variety of hand movement, over all frames and both hands.
+
+    Attributes:
+        q10, q50, q90, q99: quantiles of the hand speed, m/s.
+        rest: share of (frame, hand) slower than `REST`.
+        near_still: share of (frame, hand) slower than `STILL`.
+        reach: sum over both hands of det(covariance of the hand's position)^(1/6), metres.
+        range: standard deviation over mean of the hand speed's means over 2 s (hop 1 s): contrast
+            of calm and lively stretches. NaN with fewer than two such windows or no movement.
+    """
+
+    q10: float
+    q50: float
+    q90: float
+    q99: float
+    rest: float
+    near_still: float
+    reach: float
+    range: float
+
+
+@dataclass(frozen=True)
+class CalmAndLively:
+    """Result of `calm_and_lively`.
+
+    Attributes:
+        r: Pearson's r of recorded and generated mean hand speed over windows.
+        slope: slope of the least-squares line, generated over recorded.
+        n: number of windows.
+    """
+
+    r: float
+    slope: float
+    n: int
+
+
+def upper_joints(skeleton: Skeleton) -> tuple[str, ...]:
+    """Return the names of spine, neck, head and arm joints (no fingers, face or end joints).
+
+    Raises:
+        MotionError: body parts that cannot be identified.
+    """
+    known = set(body_joints(skeleton))
+    return tuple(name for name in upper_body(skeleton) if name in known)
+
+
+def body_centred(motion: Motion, joints: Sequence[str] | None = None) -> np.ndarray:
+    """Return joint positions relative to the pelvis, turned so that the shoulders face +Z.
+
+    The heading of a frame is perpendicular to the horizontal line through both shoulder joints;
+    where that line is upright (the body lies on one side), it is interpolated.
+
+    Args:
+        motion: any frame rate; it is resampled to 25 fps.
+        joints: names; None for `upper_joints`.
+
+    Returns:
+        (T, J, 3) metres.
+
+    Raises:
+        MotionError: a missing joint, or a rig whose pelvis and shoulders cannot be identified.
+    """
+    skeleton = motion.skeleton
+    names = upper_joints(skeleton) if joints is None else joints
+    positions = at_rate(motion, FPS).positions()
+    points = positions[:, [skeleton.index(name) for name in names]]
+    return _centred(points, positions, skeleton)
+
+
+def _centred(points: np.ndarray, positions: np.ndarray, skeleton: Skeleton) -> np.ndarray:
+    """Return world points (T, N, 3) in the body's axes, given the joints' positions (T, J, 3)."""
+    parts = find_parts(skeleton)
+    shoulders = [positions[:, skeleton.index(parts.arms[side].shoulder)] for side in SIDES]
+    angle = headings_of_sides(shoulders[0] - shoulders[1])[:, None]
+    pelvis = positions[:, skeleton.index(parts.pelvis), None]
+    centred = points - pelvis
+    x, z = (centred[..., axis] for axis in GROUND)
+    sin, cos = np.sin(angle), np.cos(angle)
+    return np.stack([cos * x - sin * z, centred[..., 1], sin * x + cos * z], axis=-1)
+
+
+def hand_paths(motion: Motion) -> np.ndarray:
+    """Return (T, 2, 3) body-centred positions of the left and the right wrist at 25 fps, metres.
+
+    Raises:
+        MotionError: a rig without wrists, or whose parts cannot be identified.
+    """
+    arms = find_parts(motion.skeleton).arms
+    wrists = [arms[side].wrist for side in SIDES]
+    if None not in wrists:
+        return body_centred(motion, wrists)
+    elbows = [arms[side].elbow for side in SIDES]
+    if not set(elbows) <= motion.skeleton.end_sites.keys():
+        raise MotionError("the rig has no wrist joints, and so no hands to measure")
+    resampled = at_rate(motion, FPS)
+    ends = resampled.end_positions()
+    hands = np.stack([ends[elbow][:, 0] for elbow in elbows], axis=1)
+    return _centred(hands, resampled.positions(), motion.skeleton)
+
+
+def hand_speed(motion: Motion) -> np.ndarray:
+    """Return (T, 2) speed of the left and the right hand at 25 fps, relative to the body, m/s.
+
+    The velocity (central differences) is smoothed by a Gaussian of one frame.
+
+    Raises:
+        MotionError: a rig without wrists, or a motion of fewer than 2 frames at 25 fps.
+    """
+    return np.linalg.norm(velocities(hand_paths(motion)), axis=-1)
+
+
+def velocities(paths: np.ndarray) -> np.ndarray:
+    """Return velocities of paths (T, ...) at 25 fps, smoothed by a Gaussian of one frame, m/s.
+
+    Raises:
+        MotionError: fewer than 2 frames.
+    """
+    from scipy.ndimage import gaussian_filter1d
+
+    if len(paths) < 2:
+        raise MotionError(
+            f"the motion has {counted(len(paths), 'frame')} at {FPS:g} fps; at least 2 are needed"
+        )
+    steps = np.gradient(paths, 1 / FPS, axis=0)
+    return gaussian_filter1d(steps, SIGMA, axis=0, mode="nearest")
+
+
+def hand_movement(motions: Motions) -> HandMovement:
+    """Measure how much, how far and how variedly the hands move.
+
+    Args:
+        motions: one motion, or several, pooled.
+
+    Raises:
+        MotionError: no motion, a rig without wrists, or fewer than 2 frames at 25 fps.
+    """
+    motions = as_list(motions)
+    paths = [hand_paths(motion) for motion in motions]
+    speeds = [np.linalg.norm(velocities(path), axis=-1) for path in paths]
+    pooled = np.concatenate(speeds)
+    relative = np.concatenate(
+        [speed / body_scale(motion.skeleton) for speed, motion in zip(speeds, motions)]
+    )
+    q10, q50, q90, q99 = map(float, np.quantile(pooled, (0.1, 0.5, 0.9, 0.99)))
+    means = np.concatenate([_window_means(speed, RANGE_WINDOW, RANGE_HOP) for speed in speeds])
+    moves = len(means) > 1 and means.mean() > _NO_MOVEMENT
+    contrast = means.std() / means.mean() if moves else np.nan
+    return HandMovement(
+        q10,
+        q50,
+        q90,
+        q99,
+        rest=float((relative < REST).mean()),
+        near_still=float((relative < STILL).mean()),
+        reach=_reach(np.concatenate(paths)),
+        range=float(contrast),
+    )
+
+
+def calm_and_lively(recorded: Motions, generated: Sequence[Motions]) -> CalmAndLively:
+    """Compare calm and lively stretches of recorded and generated motion.
+
+    Mean hand speed in windows of 5 s (hop 2.5 s), windows of all recordings pooled.
+
+    Args:
+        recorded: R recordings.
+        generated: for each recording, the motion generated for it or several samples, whose speeds
+            are averaged. Only frames that recording and sample both have are compared.
+
+    Raises:
+        MotionError: fewer than 3 windows, or recordings of constant speed.
+    """
+    recorded = as_list(recorded)
+    x, y = [], []
+    for recording, samples in zip(recorded, generated, strict=True):
+        speeds = [hand_speed(motion) for motion in (recording, *as_list(samples))]
+        n = min(map(len, speeds))
+        own, *others = (_window_means(speed[:n], CALM_WINDOW, CALM_HOP) for speed in speeds)
+        x.append(own)
+        y.append(np.mean(others, axis=0))
+    x, y = np.concatenate(x), np.concatenate(y)
+    if len(x) < 3:
+        raise MotionError(
+            f"calm and lively stretches need at least 3 windows of {CALM_WINDOW:g} s (hop "
+            f"{CALM_HOP:g} s); there are {len(x)}"
+        )
+    x, y = x - x.mean(), y - y.mean()
+    if x @ x < 1e-12:
+        raise MotionError("the recordings' hands never change their mean speed")
+    slope = float(x @ y / (x @ x))
+    r = float(x @ y / np.sqrt((x @ x) * (y @ y))) if y @ y > 1e-12 else 0.0
+    return CalmAndLively(r, slope, len(x))
+
+
+def as_list(motions: Motions) -> list[Motion]:
+    """Return one or several motions as a list.
+
+    Raises:
+        MotionError: there is none.
+    """
+    motions = [motions] if isinstance(motions, Motion) else list(motions)
+    if not motions:
+        raise MotionError("no motion to measure")
+    return motions
+
+
+def _window_means(speed: np.ndarray, seconds: float, hop: float) -> np.ndarray:
+    """Return (N,) means over windows of speed (T, 2); windows that are not full are left out."""
+    width = round(seconds * FPS)
+    starts = window_starts(len(speed), width, hop * FPS)
+    sums = np.concatenate([[0.0], np.cumsum(speed.mean(axis=1))])
+    return (sums[starts + width] - sums[starts]) / width
+
+
+def window_starts(n_frames: int, width: int, hop: float) -> np.ndarray:
+    """Return (N,) first frames of all full windows, `hop` frames apart, rounded down."""
+    count = int(np.floor((n_frames - width) / hop)) + 1
+    return np.floor(np.arange(max(0, count)) * hop).astype(int)
+
+
+def _reach(paths: np.ndarray) -> float:
+    """Return the reach of hands (T, 2, 3), metres; see `HandMovement`."""
+    centred = paths - paths.mean(axis=0)
+    covariance = np.einsum("thi,thj->hij", centred, centred) / len(paths)
+    return float((np.maximum(np.linalg.det(covariance), 0.0) ** (1 / 6)).sum())
+
+
+_HANDS = {
+    "q10": ("hand_q10", 1.0),
+    "q50": ("hand_q50", 1.0),
+    "q90": ("hand_q90", 1.0),
+    "q99": ("hand_q99", 1.0),
+    "rest": ("rest", 100.0),
+    "near_still": ("near_still", 100.0),
+    "reach": ("reach", 1.0),
+    "range": ("speed_range", 1.0),
+}  # field of `HandMovement`: key of `definitions`, factor to its unit
+
+HAND_KEYS = tuple(key for key, _ in _HANDS.values())
+"""Keys of `definitions` of the hand movement."""
+
+
+def hand_values(motion: Motions) -> dict[str, float]:
+    """Return {key of `definitions`: value} of the hand movement of motions, pooled.
+
+    A value that is not defined is NaN.
+
+    Raises:
+        MotionError: as `hand_movement`.
+    """
+    found = hand_movement(motion)
+    return {key: factor * getattr(found, name) for name, (key, factor) in _HANDS.items()}

@@ -1,0 +1,1 @@
+"""Statistics over recordings: intervals, paired tests, likeness, and agreement with people."""

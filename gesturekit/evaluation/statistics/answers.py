@@ -1,0 +1,256 @@
+"""Answers of a user study: CSV files in the schema of GENEA's public analysis.
+
+One line an answer, with the columns `user, input_code, model_a, model_b, winner, is_strong,
+juiceOptions, juiceOtherReason` (github.com/genea-workshop/leaderboard-statistical-analysis).
+`model_a` was shown on the left. A system whose name ends in `_Mismatched` is that system's motion
+of other speech. Our pages add further columns: `checks` and `checks_failed` count the attention
+checks of the rater, `style` names the style that was asked for. In tables made by hand,
+`winner` may also be the name of one of the two models, and a tie may be called equal, both or
+draw.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from gesturekit.errors import EvaluationError
+from gesturekit.wording import counted, did_you_mean, listed, printable
+
+GENEA_COLUMNS = (
+    "user",
+    "input_code",
+    "model_a",
+    "model_b",
+    "winner",
+    "is_strong",
+    "juiceOptions",
+    "juiceOtherReason",
+)
+MISMATCHED = "_Mismatched"
+"""Ending of the name of a system that shows motion of other speech."""
+
+_REQUIRED = GENEA_COLUMNS[:6]
+_STRONG = ("true", "1", "yes", "strong", "1.0")
+_NOT_STRONG = ("false", "0", "no", "0.0")
+_EMPTY = ("", "none", "nan", "null")
+_TIES = ("tie", "tie (bothbad)", "equal", "both", "draw")
+_MOST_BYTES = 200_000_000
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One answer of one rater.
+
+    Attributes:
+        user: the rater.
+        clip: the speech segment (`input_code`).
+        left, right: the systems shown on either side.
+        score: 2 left clearly better, 1 slightly better, 0 equal, -1 and -2 right.
+        reasons: GENEA's codes of reasons (`juiceOptions`).
+        style: the style that was asked for; "" in other designs.
+    """
+
+    user: str
+    clip: str
+    left: str
+    right: str
+    score: int
+    reasons: tuple[str, ...] = ()
+    style: str = ""
+
+    @property
+    def matched(self) -> str | None:
+        """The system compared with its own motion of other speech, or None."""
+        if self.right == self.left + MISMATCHED:
+            return self.left
+        return self.right if self.left == self.right + MISMATCHED else None
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Answers that count, and notes on all that were left out.
+
+    Attributes:
+        kept: answers of raters who passed.
+        excluded: {rater: reason}.
+        notes: sentences on lines that were left out or changed.
+        has_checks: True if the files say how many attention checks were failed.
+    """
+
+    kept: tuple[Answer, ...]
+    excluded: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    has_checks: bool = False
+
+
+def read_answers(
+    paths: Sequence[str | os.PathLike[str]], *, failed_checks: int | None = 1
+) -> Answers:
+    """Read answers from CSV files, or from all CSV files in folders.
+
+    Args:
+        paths: files and folders.
+        failed_checks: exclude raters who failed at least this many attention checks; None
+            excludes nobody. GENEA excludes at 1, the diffusion paper at 2.
+
+    Raises:
+        EvaluationError: a file that is no such CSV, with line and value; no answer left.
+    """
+    found: list[Answer] = []
+    failed: dict[str, tuple[int, int]] = {}
+    seen: dict[tuple[str, ...], Path] = {}
+    sessions: dict[tuple[str, str], set[str]] = {}
+    repeated = same = unsaid = 0
+    has_checks = False
+    for path in _files(paths):
+        for number, row in _rows(path):
+            key = tuple(f"{name}={value}" for name, value in sorted(row.items()) if name)
+            if seen.setdefault(key, path) != path:
+                repeated += 1
+                continue
+            where = f"{path}, line {number}"
+            answer = _answer(row, where)
+            if row.get("checks_failed", ""):
+                has_checks = True
+                wrong, all_checks = (
+                    _count(row, name, where) for name in ("checks_failed", "checks")
+                )
+                failed[answer.user] = max(failed.get(answer.user, (0, 0)), (wrong, all_checks))
+            session = sessions.setdefault((answer.user, row.get("study", "")), set())
+            session.add(row.get("finished", ""))
+            unsaid += answer.score != 0 and row["is_strong"].lower() in _EMPTY
+            if answer.left == answer.right:
+                same += 1
+            else:
+                found.append(answer)
+    excluded = {
+        user: f"failed {wrong} of {counted(all_checks, 'attention check')}"
+        for user, (wrong, all_checks) in failed.items()
+        if failed_checks is not None and wrong >= failed_checks
+    }
+    kept = tuple(answer for answer in found if answer.user not in excluded)
+    if not kept:
+        why = f": {counted(len(excluded), 'rater')} failed attention checks" if excluded else ""
+        raise EvaluationError(f"{listed([str(p) for p in paths])}: no answer to analyse{why}")
+    notes = _notes(repeated, same, unsaid, sessions)
+    return Answers(kept, excluded, tuple(notes), has_checks)
+
+
+def _notes(
+    repeated: int, same: int, unsaid: int, sessions: dict[tuple[str, str], set[str]]
+) -> Iterator[str]:
+    """Yield sentences on lines that were left out or changed, and on raters of several sessions."""
+    if repeated:
+        yield f"{counted(repeated, 'line')} found in two files were counted once"
+    if same:
+        yield f"{counted(same, 'line')} left out: the same system on both sides"
+    if unsaid:
+        yield f"{counted(unsaid, 'preference')} without is_strong count as slight"
+    twice = {user: None for (user, _), ends in sessions.items() if len(ends) > 1}
+    if twice:
+        yield (
+            f"{counted(len(twice), 'rater')} took part more than once: "
+            f"{listed([printable(user) for user in twice])}; if these are two people, rename one"
+        )
+
+
+def _files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[Path]:
+    if not paths:
+        raise EvaluationError("no answers to read: name CSV files, or a folder of them")
+    done: set[str] = set()
+    for path in map(Path, paths):
+        inside = sorted(path.glob("*.csv")) if path.is_dir() else [path]
+        if not inside:
+            raise EvaluationError(f"{path}: no .csv file in this folder")
+        for file in inside:
+            if os.path.realpath(file) not in done:
+                done.add(os.path.realpath(file))
+                yield file
+
+
+def _rows(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
+    """Yield (line number, {column: text}) of the lines of a file."""
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise EvaluationError(f"{path}: larger than 200 MB, which is not a table of answers")
+        with path.open(encoding="utf-8-sig", newline="") as lines:
+            first = lines.readline()
+            lines.seek(0)
+            # Spreadsheets of some countries separate by semicolons, others save tabs.
+            separator = max(",;\t", key=first.count)
+            reader = csv.reader(lines, strict=True, delimiter=separator)
+            header = [name.strip() for name in next(reader, [])]
+            _check_header(path, header)
+            for cells in reader:
+                if not any(cell.strip() for cell in cells):
+                    continue
+                if len(cells) != len(header):
+                    raise EvaluationError(
+                        f"{path}, line {reader.line_num}: {counted(len(cells), 'cell')}, but the "
+                        f"header has {len(header)}"
+                    )
+                yield reader.line_num, {n: c.strip() for n, c in zip(header, cells, strict=True)}
+    except FileNotFoundError:
+        raise EvaluationError(f"{path}: no such file") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise EvaluationError(f"{path}: not a CSV file in UTF-8 ({error})") from None
+
+
+def _check_header(path: Path, header: list[str]) -> None:
+    missing = [name for name in _REQUIRED if name not in header]
+    if missing:
+        others = [name for name in header if name not in _REQUIRED]
+        near = did_you_mean(missing[0], others, " (there is {!r})")
+        has = listed([printable(name) for name in header], 10) or "nothing"
+        raise EvaluationError(
+            f"{path}: no column {', '.join(missing)}{near}. A CSV of answers has the columns "
+            f"{', '.join(_REQUIRED)}; this one has {has}"
+        )
+
+
+def _answer(row: dict[str, str], where: str) -> Answer:
+    for name in ("user", "input_code", "model_a", "model_b"):
+        if not row[name]:
+            raise EvaluationError(f"{where}: {name} is empty")
+    sides = {row["model_a"]: 1, row["model_b"]: -1}
+    sides |= {"model_a": 1, "model_b": -1, **dict.fromkeys(_TIES, 0)}
+    winner, strong = row["winner"], row["is_strong"].lower()
+    side = sides.get(winner, sides.get(winner.lower()))
+    if side is None:
+        raise EvaluationError(
+            f"{where}: winner is {printable(winner)!r}; expected model_a, model_b or tie"
+        )
+    if strong not in (*_STRONG, *_NOT_STRONG, *_EMPTY):
+        raise EvaluationError(
+            f"{where}: is_strong is {printable(row['is_strong'])!r}; expected True or False"
+        )
+    return Answer(
+        user=row["user"],
+        clip=row["input_code"],
+        left=row["model_a"],
+        right=row["model_b"],
+        score=side * (2 if strong in _STRONG else 1),
+        reasons=_reasons(row.get("juiceOptions", "")),
+        style=row.get("style", ""),
+    )
+
+
+def _reasons(text: str) -> tuple[str, ...]:
+    """Return the reasons of a JSON list; GENEA writes {} for none."""
+    try:
+        found = json.loads(text) if text else []
+    except (ValueError, RecursionError):
+        return ()
+    return tuple(str(name) for name in found) if isinstance(found, list) else ()
+
+
+def _count(row: dict[str, str], name: str, where: str) -> int:
+    text = row.get(name, "")
+    if not text.isdecimal() or len(text) > 6:
+        raise EvaluationError(f"{where}: {name} is {printable(text)!r}; expected a whole number")
+    return int(text)

@@ -1,0 +1,149 @@
+"""Results of one model by metric, from the measurements of its clips and of their set."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from gesturekit.evaluation.definitions import DEFINITIONS
+from gesturekit.evaluation.results import ClipResult, Interval, MetricResult
+from gesturekit.evaluation.statistics.intervals import interval_of
+from gesturekit.evaluation.statistics.questions import likeness_result, own_one_nn
+from gesturekit.evaluation.statistics.thresholds import ABOVE_CHANCE, SAME, SATURATED
+
+SYNC_SECONDS = 0.4
+"""Seconds of arm speed that count as one independent value: the standard deviation of sync over
+shifts of a short clip is too small."""
+
+_OF_SPEECH = {"sync": ("sync", "sync_z", "in_time"), "bas": ("bas", "bas_z"), "bc": ("bc", "bc_z")}
+
+
+def metric_results(
+    clips: Sequence[ClipResult],
+    sets: Mapping[str, Mapping[str, Any]],
+    floors: Mapping[str, tuple[Interval, str]],
+    seed: int,
+) -> dict[str, MetricResult]:
+    """Return {key of `definitions`: result}.
+
+    Args:
+        clips: the clips of a model; measures that compare windows of all clips are added to them.
+        sets: {part: metrics of the set}, see `measuring.measurer`.
+        floors: the recordings' own values, see `floors`.
+        seed: seed of the bootstrap.
+    """
+    for clip, values in zip(clips, sets["pooled"].get("by_clip", ())):
+        clip.metrics |= values
+    found = {}
+    for key in DEFINITIONS:
+        has = [clip for clip in clips if key in clip.metrics]
+        if has:
+            found[key] = _mean_result(key, has, len(clips), seed)
+    for part in ("pooled", "frechet"):
+        for key, values in sets[part]["metrics"].items():
+            pooled = MetricResult.from_json(values)
+            found[key] = _with_interval(pooled, found.get(key))
+    for key, (own, note) in floors.items():
+        if key in found:
+            notes = "; ".join(filter(None, (found[key].note, note)))
+            found[key] = replace(
+                found[key], recording=own.value, recording_interval=own, note=notes
+            )
+    if "novelty" in found and "copying" in found:
+        copying = found["copying"]
+        new = copying.recording is None or copying.recording > SAME
+        found["novelty"] = replace(
+            found["novelty"], recording=1.0, note=copying.note, informative=new
+        )
+    for metric, keys in _OF_SPEECH.items():
+        if metric in found and not informative(clips, metric):
+            found |= {k: replace(found[k], informative=False) for k in keys if k in found}
+    cca = found.get("cca")
+    if cca is not None and cca.recording is not None and cca.recording > SATURATED:
+        found["cca"] = replace(cca, informative=False)
+    found = {key: _within_range(result) for key, result in found.items()}
+    own = floors["likeness"][0].value if "likeness" in floors else None
+    like = likeness_result(clips, own_one_nn(found), own, seed)
+    return found if like is None else {**found, "likeness": like}
+
+
+def informative(clips: Sequence[ClipResult], metric: str) -> bool:
+    """Return whether the recordings' own sync (BAS, BC) is above its chance level.
+
+    Its values over circular shifts of the sound give the level and its standard deviation; both
+    are pooled over recordings.
+    """
+    own = {(clip.pair.stem, clip.pair.window): clip for clip in clips}
+    above, variance = [], []
+    for clip in own.values():
+        value, level, z = (clip.recording.get(metric + end) for end in ("", "_chance", "_z"))
+        if value is None or level is None or z is None:
+            continue
+        deviation = (value - level) / z if z else 0.0
+        if metric == "sync":
+            deviation = max(deviation, np.sqrt(SYNC_SECONDS / clip.seconds))
+        if deviation > 0.0:
+            above.append(value - level)
+            variance.append(deviation**2)
+    return bool(above and sum(above) >= ABOVE_CHANCE * np.sqrt(sum(variance)))
+
+
+def _mean_result(key: str, has: Sequence[ClipResult], total: int, seed: int) -> MetricResult:
+    """Return the mean of a clip metric over recordings."""
+    stems = [clip.pair.stem for clip in has]
+    own = [(clip.recording[key], stem) for clip, stem in zip(has, stems) if key in clip.recording]
+    interval = interval_of(*zip(*own), seed) if own else None
+    return MetricResult(
+        key,
+        interval_of([clip.metrics[key] for clip in has], stems, seed),
+        recording=None if interval is None else interval.value,
+        recording_interval=interval,
+        chance=_mean(clip.metrics.get(f"{key}_chance") for clip in has),
+        mismatched=_mean(clip.mismatched.get(key) for clip in has),
+        note="" if len(has) == total else f"{len(has)} of {total} clips",
+    )
+
+
+def _with_interval(pooled: MetricResult, clips: MetricResult | None) -> MetricResult:
+    """Return a pooled result with the width of the interval over its clips, if it has none."""
+    if clips is None or pooled.interval.low is not None:
+        return pooled
+    return replace(
+        pooled,
+        interval=_moved(clips.interval, pooled.interval.value),
+        recording_interval=None
+        if pooled.recording is None or clips.recording_interval is None
+        else _moved(clips.recording_interval, pooled.recording),
+    )
+
+
+def _within_range(result: MetricResult) -> MetricResult:
+    """Return a result whose intervals leave out what its unit cannot be, such as speeds below 0."""
+    unit = DEFINITIONS[result.key].unit
+    if unit in ("", "sd"):
+        return result
+    most = 100.0 if unit == "%" else np.inf
+    cut = {
+        name: replace(value, low=max(0.0, value.low), high=min(most, value.high))
+        for name in ("interval", "recording_interval")
+        if (value := getattr(result, name)) is not None
+        and value.low is not None
+        and value.high is not None
+    }
+    return replace(result, **cut)
+
+
+def _moved(interval: Interval, value: float) -> Interval:
+    """Return an interval of the same width about another value."""
+    if interval.low is None or interval.high is None:
+        return replace(interval, value=value)
+    shift = value - interval.value
+    return replace(interval, value=value, low=interval.low + shift, high=interval.high + shift)
+
+
+def _mean(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None

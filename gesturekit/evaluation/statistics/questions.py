@@ -1,0 +1,292 @@
+"""Three questions that head a report, answered in one sentence each, and the verdict in words.
+
+The verdict is one line, such as "Half of the speaker's reach, hardly ever at rest, in time with the
+speech." All thresholds are in `thresholds`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from gesturekit.evaluation.results import Answer, ClipResult, Interval, MetricResult
+from gesturekit.evaluation.statistics import thresholds
+from gesturekit.evaluation.statistics.intervals import draws, half_width, means_by
+from gesturekit.evaluation.statistics.likeness import (
+    ASPECTS,
+    MEASURES,
+    credits,
+    likeness,
+)
+from gesturekit.wording import listed
+
+IN_TIME, LIKE, NEW = (
+    "In time with the speech?",
+    "Moves like this speaker?",
+    "Is it new?",
+)
+Results = Mapping[str, MetricResult]
+
+
+def answers(clips: Sequence[ClipResult], metrics: Results) -> list[Answer]:
+    """Return the answers to the three questions.
+
+    Args:
+        clips: the clips of a model.
+        metrics: its results by key of `definitions`.
+    """
+    return [_timing(metrics), _likeness(clips, metrics), _novelty(metrics)]
+
+
+def likeness_result(
+    clips: Sequence[ClipResult], own_one_nn: float, own: float | None, seed: int
+) -> MetricResult | None:
+    """Return the likeness of a model's clips with its interval over recordings.
+
+    Args:
+        clips: the clips.
+        own_one_nn: 1-NN accuracy of the recordings among each other.
+        own: likeness of other recordings.
+        seed: of the bootstrap.
+    """
+    measure = likeness_of(clips, own_one_nn)
+    units = len({clip.pair.stem for clip in clips})
+    value = float(measure(np.full((1, units), 1 / units))[0])
+    if np.isnan(value):
+        return None
+    low = high = None
+    if units > 1:
+        spread = float(half_width(measure(draws(units, seed)), units))
+        low, high = max(0.0, value - spread), min(1.0, value + spread)
+    note = "" if own is None else "recording: one half against the other"
+    interval = Interval(value, low, high, len(clips), units, "recordings")
+    return MetricResult("likeness", interval, recording=own, note=note)
+
+
+def own_one_nn(metrics: Results) -> float:
+    """Return the 1-NN accuracy of the recordings among each other, or its usual value."""
+    result = metrics.get("one_nn")
+    known = result is not None and result.recording is not None
+    return result.recording if known else thresholds.USUAL_ONE_NN
+
+
+def likeness_of(
+    clips: Sequence[ClipResult], own_one_nn: float
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a function of weights (B, R) of recordings, sorted by name, to likenesses (B,)."""
+    ours, own = _measures(clips)
+
+    def measured(weights: np.ndarray) -> np.ndarray:
+        sides = ({key: weights @ v for key, v in side.items()} for side in (ours, own))
+        found = likeness(*sides, own_one_nn)
+        return np.full(len(weights), np.nan) if found is None else found
+
+    return measured
+
+
+def _measures(
+    clips: Sequence[ClipResult],
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Return {measure: (R,) means by recording} of the model and of the recordings."""
+    stems = [clip.pair.stem for clip in clips]
+    ours, own = {}, {}
+    for key in MEASURES:
+        if all(key in clip.metrics for clip in clips):
+            ours[key] = means_by(stems, np.array([clip.metrics[key] for clip in clips]))
+        if all(key in clip.recording for clip in clips):
+            own[key] = means_by(stems, np.array([clip.recording[key] for clip in clips]))
+    return ours, own
+
+
+def _timing(metrics: Results) -> Answer:
+    result = metrics.get("in_time")
+    if result is None or result.recording is None:
+        return Answer(
+            IN_TIME, "in_time", "not measured", "Not measured: no speech with arms to move."
+        )
+    if not result.informative:
+        text = (
+            "Not informative here: the recordings' own sync is less than 3 standard errors above "
+            "chance. Their arms do not follow this speech, or there is too little of it."
+        )
+        return Answer(IN_TIME, "in_time", "not informative here", text)
+    share = result.interval.value / result.recording
+    low = result.interval.low
+    beyond = low is not None and low <= 0.0 and share < thresholds.IN_TIME
+    if share < thresholds.LOOSELY_IN_TIME or beyond:
+        return Answer(IN_TIME, "in_time", "no", "Not in time with the speech.")
+    if share < thresholds.IN_TIME:
+        return Answer(IN_TIME, "in_time", "partly", "Loosely in time with the speech.")
+    if share > thresholds.TOO_STRICT:
+        text = "In time with the speech, more strictly than the speaker."
+        return Answer(IN_TIME, "in_time", "partly", text)
+    return Answer(IN_TIME, "in_time", "yes", "As much in time with the speech as the speaker.")
+
+
+def _likeness(clips: Sequence[ClipResult], metrics: Results) -> Answer:
+    result = metrics.get("likeness")
+    if result is None:
+        return Answer(LIKE, "likeness", "not measured", "Not measured: no body parts to compare.")
+    means = ({k: v.mean() for k, v in side.items()} for side in _measures(clips))
+    found = credits(*means, own_one_nn(metrics))
+    missed = [a for a in ASPECTS if a in found and found[a] < thresholds.NAMED_ASPECT]
+    missed.sort(key=found.get)
+    differs = f"; what differs: {listed(missed, 4)}" if missed else ""
+    value = result.interval.value
+    top = 1.0 if result.recording is None else min(1.0, result.recording)
+    if value >= min(thresholds.LIKE, top) and not missed:
+        return Answer(LIKE, "likeness", "yes", "Moves like this speaker.")
+    if value >= thresholds.PARTLY_LIKE * top:
+        much = "mostly" if value >= min(thresholds.LIKE, top) else "somewhat"
+        return Answer(LIKE, "likeness", "partly", f"Moves {much} like this speaker{differs}.")
+    return Answer(LIKE, "likeness", "no", f"Does not move like this speaker{differs}.")
+
+
+def _novelty(metrics: Results) -> Answer:
+    result, low = metrics.get("novelty"), metrics.get("copying_low")
+    if result is None:
+        text = "Not measured: the clips are too short, or the rig's arms and legs are not known."
+        return Answer(NEW, "novelty", "not measured", text)
+    among = "training motion" if "training split" in result.note else "the recordings"
+    if not result.informative:
+        text = (
+            f"Not informative here: the recordings themselves are the same as {among}, or do not "
+            "move. Look for one recording in two splits."
+        )
+        return Answer(NEW, "novelty", "not informative here", text)
+    now_and_then = low is not None and low.recording and (
+        low.interval.value < thresholds.OCCASIONALLY_COPIED * low.recording
+    )  # fmt: skip
+    if result.interval.value < thresholds.COPIED:
+        return Answer(NEW, "novelty", "no", f"Mostly copied from {among}{_seeds(metrics)}.")
+    if result.interval.value < thresholds.NEAR:
+        text = f"Nearer to {among} than other recordings are: partly copied, or less lively"
+        return Answer(NEW, "novelty", "no", f"{text}{_seeds(metrics)}.")
+    if now_and_then:
+        text = f"New, but occasionally copied from {among}{_seeds(metrics)}."
+        return Answer(NEW, "novelty", "partly", text)
+    return Answer(
+        NEW, "novelty", "yes", f"New: as far from {among} as other recordings{_seeds(metrics)}."
+    )
+
+
+def _seeds(metrics: Results) -> str:
+    """Return how much the samples of one recording differ, in words; "" with one sample."""
+    result = metrics.get("inter_diversity")
+    if result is None or not result.recording:
+        return ""
+    share = result.interval.value / result.recording
+    return f"; two samples of one speech differ {100 * share:.0f} % as much as two recordings do"
+
+
+_RATIO_WORDS = {
+    0.1: "a tenth of",
+    0.25: "a quarter of",
+    1 / 3: "a third of",
+    0.5: "half of",
+    2 / 3: "two thirds of",
+    0.75: "three quarters of",
+    1.5: "one and a half times",
+    2.0: "twice",
+    3.0: "three times",
+    4.0: "four times",
+}
+
+
+def verdict(metrics: Mapping[str, MetricResult]) -> str:
+    """Return a sentence about reach, speed, rests, timing and copying; "" if nothing is known.
+
+    Args:
+        metrics: results of a model by key of `definitions`, each with the recording's value.
+    """
+    still = metrics.get("near_still")
+    if still is not None and still.interval.value >= thresholds.MOTIONLESS:
+        return "The hands hardly move."
+    phrases = [
+        *_movement_words(metrics),
+        *_rest_words(metrics),
+        *_timing_words(metrics),
+        *_copying_words(metrics),
+    ]
+    text = ", ".join(phrases)
+    return f"{text[0].upper()}{text[1:]}." if text else ""
+
+
+def in_words(ratio: float) -> str:
+    """Return a ratio other than 1 in words, such as "half of"; the nearest one with a name."""
+    if ratio < 0.07:
+        return "next to nothing of"
+    if ratio > 5.0:
+        return "many times"
+    return _RATIO_WORDS[min(_RATIO_WORDS, key=lambda named: abs(np.log(named / ratio)))]
+
+
+def _movement_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
+    reach, fast = _ratio(metrics, "reach"), _ratio(metrics, "hand_q90")
+    if reach is not None:
+        share = "" if _within(reach, thresholds.ALIKE) else f"{in_words(reach)} "
+        yield f"{share}the speaker's reach"
+    if fast is not None and not _within(fast, thresholds.ALIKE):
+        yield f"fast gestures at {in_words(fast)} the speaker's speed"
+
+
+def _rest_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
+    rest, still = metrics.get("rest"), metrics.get("near_still")
+    if still is not None and still.interval.value > (still.recording or 0.0) + thresholds.FROZEN:
+        yield f"hands frozen in {still.interval.value:.0f} % of the time"
+    elif rest is not None and (rest.recording or 0.0) >= thresholds.FEW_RESTS:
+        ratio = rest.interval.value / rest.recording
+        if ratio < thresholds.HARDLY_EVER:
+            yield "hardly ever at rest"
+        elif ratio < thresholds.RESTS_ALIKE[0]:
+            yield "seldom at rest"
+        elif ratio > thresholds.RESTS_ALIKE[1]:
+            yield "at rest more often than the speaker"
+        else:
+            yield "at rest as often as the speaker"
+
+
+def _timing_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
+    calm, sync = metrics.get("calm_lively_r"), metrics.get("sync")
+    if calm is not None and calm.informative and calm.interval.value < thresholds.FOLLOWS:
+        yield "calm and lively at other times than the speaker"
+    if sync is None or sync.recording is None:
+        return
+    levels = [level for level in (sync.mismatched, sync.chance) if level is not None]
+    chance = max(levels, default=0.0)
+    ours, own = sync.interval.value - chance, sync.recording - chance
+    if own < thresholds.LEAST_SYNC:
+        yield "speech that hardly moves the speaker's arms either"
+    elif not sync.informative:
+        return
+    elif ours >= thresholds.IN_TIME * own:
+        yield "in time with the speech"
+    elif ours >= thresholds.LOOSELY_IN_TIME * own:
+        yield "loosely in time with the speech"
+    else:
+        yield "not in time with the speech"
+
+
+def _copying_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
+    median, low = _ratio(metrics, "copying"), _ratio(metrics, "copying_low")
+    if median is not None and median < thresholds.COPIED:
+        yield "mostly copied from recordings"
+    elif (_ratio(metrics, "reach") or 1.0) < thresholds.ALIKE[0]:
+        return  # small motion is near to any
+    elif median is not None and median < thresholds.NEAR:
+        yield "partly copied from recordings"
+    elif low is not None and low < thresholds.OCCASIONALLY_COPIED:
+        yield "occasionally copied from recordings"
+
+
+def _ratio(metrics: Mapping[str, MetricResult], key: str) -> float | None:
+    """Return a value over the recording's; None without either."""
+    result = metrics.get(key)
+    if result is None or not result.recording:
+        return None
+    return result.interval.value / result.recording
+
+
+def _within(ratio: float, limits: tuple[float, float]) -> bool:
+    return limits[0] <= ratio <= limits[1]

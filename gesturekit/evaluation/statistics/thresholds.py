@@ -1,0 +1,51 @@
+"""Thresholds of likeness, of the answers to the three questions and of the verdict, in one table.
+
+Ratios and shares are to the recordings' own value, unless another one is named.
+"""
+
+from __future__ import annotations
+
+ABOVE_CHANCE = 3.0
+"""Standard errors that the recordings' own value is above its chance level, at least, for a metric
+of speech to be informative."""
+LEAST_SYNC = 0.1
+"""Recordings with less sync above chance than this do not move with their speech."""
+IN_TIME, LOOSELY_IN_TIME, TOO_STRICT = 0.7, 0.3, 1.3
+"""Shares of sync above chance: in time with the speech, loosely in time, more than the speaker."""
+
+FULL_CREDIT, NO_CREDIT = 1.25, 2.5
+"""Ratio of two values up to which an aspect of likeness has the credit 1, and from which 0."""
+USUAL_ONE_NN = 0.6
+"""1-NN accuracy with full credit: that between recordings of one speaker."""
+FORWARD = 30.0
+"""Percentage of windows that are nearest to motion played forwards, above which the credit is 1."""
+LIKE, PARTLY_LIKE = 0.85, 0.6
+"""Likeness for yes; and for partly, relative to that of the speaker's other recordings."""
+NAMED_ASPECT = 0.6
+"""Credit of an aspect below which it is named."""
+SATURATED = 0.99
+"""CCA of one recording with another above which the metric cannot tell motions apart: clips with
+few frames and many joints."""
+
+COPIED, NEAR, OCCASIONALLY_COPIED = 0.5, 0.8, 0.6
+"""Ratios to the distance of held-out recordings below which a model mostly copies, is nearer than
+they are (medians), or copies occasionally (5 % quantile)."""
+SAME = 0.002
+"""Distance of recordings to training motion, metres, up to which they are training motion too: a
+ratio to it says nothing."""
+
+ALIKE = (0.8, 1.25)
+"""Ratios of reach and fast gestures that count as equal."""
+RESTS_ALIKE = (0.7, 1.4)
+"""Ratios of the share of rests that count as equal."""
+HARDLY_EVER = 0.35
+"""Below this ratio of the share of rests, hands hardly ever rest."""
+FEW_RESTS = 2.0
+"""Percentage of rests in the recordings below which rests are not reported."""
+FROZEN = 5.0
+"""Hands count as frozen if they are nearly still in this many more percent of frames than the
+recording's."""
+MOTIONLESS = 90.0
+"""Percentage of frames with nearly still hands above which the verdict reports nothing else."""
+FOLLOWS = 0.4
+"""Correlation of calm and lively stretches above which they count as those of the speaker."""

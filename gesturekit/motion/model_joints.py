@@ -1,0 +1,299 @@
+"""Modelled joints of a rig, and the constant pose of all others.
+
+Both motion representations share this: they encode the modelled joints, the first of which is the
+model's root, and assemble a motion of the whole rig from them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
+
+import numpy as np
+
+from gesturekit.errors import MotionError
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import body_joints, find_legs, find_parts, leg_length
+from gesturekit.motion.parts.body_size import body_scale
+from gesturekit.motion.rotations import (
+    IDENTITY,
+    invert_quaternions,
+    mean_quaternion,
+    multiply_quaternions,
+    rotate_vectors,
+)
+from gesturekit.motion.skeleton import Skeleton
+
+
+@dataclass(frozen=True, eq=False)
+class ModelJoints:
+    """Modelled joints of one rig.
+
+    Attributes:
+        skeleton: the whole rig, with all J joints of the user's file.
+        joints: names of the K modelled joints, in the skeleton's order; the first is the model's
+            root, see `first_moving_joint`; all others are below it.
+        fixed_rotations: (J, 4) mean local quaternions of joints outside `joints`.
+        fixed_translations: joint name to (3,), mean local positions that replace offsets, metres.
+        scale: metres of the rig per metre of the reference body (`body_scale`). Lengths in motion
+            vectors are those of the reference body, so that training does not depend on size or
+            unit of the rig; 1 in old models that did not store it.
+    """
+
+    skeleton: Skeleton
+    joints: tuple[str, ...]
+    fixed_rotations: np.ndarray
+    fixed_translations: dict[str, np.ndarray]
+    scale: float = field(default=1.0, kw_only=True)
+
+    @classmethod
+    def fit_fields(
+        cls, motions: Sequence[Motion], joints: str | Sequence[str] = "body"
+    ) -> dict[str, Any]:
+        """Determine the root, the modelled joints and the means of all others.
+
+        Args:
+            motions: training motions of one rig (same names and parents).
+            joints: "body" (no fingers, no end joints), "all", or names.
+
+        Returns:
+            The attributes by name.
+
+        Raises:
+            MotionError: no motions, or a name that the rig does not have.
+        """
+        if not motions:
+            raise MotionError("no motion to learn a representation from")
+        skeleton = reference_skeleton(motions)
+        if joints == "all":
+            wanted = set(skeleton.names)
+        elif joints == "body":
+            wanted = set(body_joints(skeleton))
+        elif isinstance(joints, str):
+            raise MotionError(f"joints: {joints!r}; expected body, all, or a list of joint names")
+        else:
+            wanted = {skeleton.names[skeleton.index(name)] for name in joints}
+        root = first_moving_joint(motions)
+        wanted &= {skeleton.names[j] for j in skeleton.descendants(root)}
+        wanted.add(skeleton.names[root])
+        order = [
+            root,
+            *(j for j, name in enumerate(skeleton.names) if name in wanted and j != root),
+        ]
+        rotations = np.concatenate([motion.rotations for motion in motions])
+        moved = {name for motion in motions for name in motion.joint_translations}
+        return {
+            "skeleton": skeleton,
+            "joints": tuple(skeleton.names[j] for j in order),
+            "fixed_rotations": np.stack(
+                [mean_quaternion(rotations[:, j]) for j in range(skeleton.n_joints)]
+            ),
+            "fixed_translations": {
+                name: np.concatenate([_local_position(m, name) for m in motions]).mean(axis=0)
+                for name in sorted(moved - {skeleton.names[root]})
+            },
+            "scale": body_scale(skeleton),
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all attributes but the skeleton as JSON values."""
+        return {
+            "joints": list(self.joints),
+            "fixed_rotations": self.fixed_rotations.tolist(),
+            "fixed_translations": {k: v.tolist() for k, v in self.fixed_translations.items()},
+            "scale": self.scale,
+        }
+
+    def on_bones_of(self, motions: Sequence[Motion]) -> Self:
+        """Return the same modelled joints and units on the bones of other motions of this rig.
+
+        Joints that are not modelled get their mean rotation in these motions.
+
+        Args:
+            motions: with the rig's joint names and parents.
+        """
+        fields = self.fit_fields(motions, self.joints)
+        relative = self.scale / body_scale(self.skeleton)  # not 1 in old models
+        fields |= {"joints": self.joints, "scale": relative * fields["scale"]}
+        return replace(self, **fields)
+
+    @staticmethod
+    def fields_from_json(skeleton: Skeleton, values: dict[str, Any]) -> dict[str, Any]:
+        """Return the attributes by name, from the values of `to_json`.
+
+        Raises:
+            MotionError: values of a wrong shape, or of joints that the skeleton does not have.
+        """
+        scale = float(values.get("scale", 1.0))
+        if not 0 < scale < np.inf:
+            raise MotionError(f"scale: {scale} must be above 0")
+        joints = tuple(skeleton.names[skeleton.index(name)] for name in values["joints"])
+        if not joints or len(set(joints)) < len(joints):
+            raise MotionError("joints: none, or one of them twice")
+        return {
+            "skeleton": skeleton,
+            "joints": joints,
+            "fixed_rotations": _numbers(
+                values["fixed_rotations"], "fixed_rotations", (skeleton.n_joints, 4)
+            ),
+            "fixed_translations": {
+                skeleton.names[skeleton.index(name)]: _numbers(value, "fixed_translations", (3,))
+                for name, value in values["fixed_translations"].items()
+            },
+            "scale": scale,
+        }
+
+    @property
+    def root(self) -> int:
+        """Index of the model's root in the skeleton."""
+        return self.skeleton.index(self.joints[0])
+
+    @property
+    def indices(self) -> list[int]:
+        """Indices of the K modelled joints in the skeleton."""
+        return [self.skeleton.index(name) for name in self.joints]
+
+    def check_rig(self, motion: Motion) -> None:
+        """Check that a motion has this rig; offsets may differ between performers.
+
+        Raises:
+            MotionError: joint names or parents differ from the rig's.
+        """
+        if (motion.skeleton.names, motion.skeleton.parents) != (
+            self.skeleton.names,
+            self.skeleton.parents,
+        ):
+            raise MotionError(
+                "the motion's joints are not those of the model: "
+                f"{motion.skeleton.n_joints} joints from {motion.skeleton.names[0]!r}, the model "
+                f"has {self.skeleton.n_joints} from {self.skeleton.names[0]!r}"
+            )
+
+    def size_of(self, skeleton: Skeleton | None) -> float:
+        """Return the leg length of a performer over that of the rig; 1 for None.
+
+        A rig without legs is measured by the total length of its bones.
+        """
+        if skeleton is None:
+            return 1.0
+        try:
+            return leg_length(skeleton) / leg_length(self.skeleton)
+        except MotionError:
+            bones, own = (
+                float(np.linalg.norm(rig.offsets[1:], axis=-1).sum())
+                for rig in (skeleton, self.skeleton)
+            )
+            return bones / own if own else 1.0
+
+    def assemble(
+        self,
+        rotations: np.ndarray,
+        position: np.ndarray,
+        fps: float,
+        skeleton: Skeleton | None = None,
+    ) -> Motion:
+        """Return a motion of the whole rig.
+
+        Args:
+            rotations: (T, J, 4) local quaternions; world quaternions for the model's root, and
+                those of `fixed_pose` for joints outside `joints`.
+            position: (T, 3) world position of the model's root, metres.
+            fps: frames per second.
+            skeleton: a performer's skeleton, to use its offsets instead of the rig's.
+        """
+        skeleton = skeleton or self.skeleton
+        n_frames = len(position)
+        moving = {
+            name: np.tile(value, (n_frames, 1)) for name, value in self.fixed_translations.items()
+        }
+        translation = position
+        ancestors = self.skeleton.ancestors(self.root)[::-1]
+        if ancestors:
+            # Joints above the model's root do not move: express the root relative to them.
+            turn, origin = IDENTITY, np.zeros(3)
+            for j in ancestors:
+                step = self.fixed_translations.get(skeleton.names[j], skeleton.offsets[j])
+                origin = origin + rotate_vectors(turn, step if j else np.zeros(3))
+                turn = multiply_quaternions(turn, self.fixed_rotations[j])
+            back = invert_quaternions(turn)
+            rotations = rotations.copy()
+            rotations[:, self.root] = multiply_quaternions(back, rotations[:, self.root])
+            moving[skeleton.names[self.root]] = rotate_vectors(back, position - origin)
+            translation = np.zeros((n_frames, 3))
+        return Motion(
+            skeleton=skeleton,
+            rotations=rotations,
+            translation=translation,
+            fps=fps,
+            joint_translations=moving,
+        )
+
+    def fixed_pose(self, n_frames: int) -> np.ndarray:
+        """(T, J, 4) fixed rotations of all joints, repeated for each frame."""
+        return np.tile(self.fixed_rotations, (n_frames, 1, 1))
+
+
+def reference_skeleton(motions: Sequence[Motion]) -> Skeleton:
+    """Return the skeleton whose offsets are nearest to the median over all motions.
+
+    Files of one performer may differ in the rest offset of a moving joint. A median of offsets
+    would give bones a length that no file has, so an existing skeleton is chosen.
+    """
+    offsets = np.stack([motion.skeleton.offsets for motion in motions])
+    distance = np.abs(offsets - np.median(offsets, axis=0)).sum(axis=(1, 2))
+    return motions[int(distance.argmin())].skeleton
+
+
+def first_moving_joint(motions: Sequence[Motion]) -> int:
+    """Return the lowest joint above all that move, from the root: position or rotation changes.
+
+    All of them are at or below it, and so are the legs (somebody may move above the waist only). If
+    the body is identified, joints on other branches (a camera, a prop) do not count.
+    """
+    skeleton = motions[0].skeleton
+    legs = find_legs(skeleton)
+    hips = [] if legs is None else [skeleton.index(leg.hip) for leg in legs.values()]
+    try:
+        pelvis = skeleton.index(find_parts(skeleton).pelvis)
+    except MotionError:
+        pelvis = 0
+    body = sorted({pelvis, *skeleton.ancestors(pelvis), *skeleton.descendants(pelvis)})
+    first = next((j for j in body if _moves(motions, j)), 0)
+    below = {first, *skeleton.descendants(first)}
+    others = [j for j in body if j not in below and _moves(motions, j)]
+    return _lowest_above(skeleton, [first, *others, *hips])
+
+
+def _lowest_above(skeleton: Skeleton, joints: Sequence[int]) -> int:
+    """Return the lowest joint that all `joints` are at or below."""
+    joint = joints[0]
+    while not set(joints) <= {joint, *skeleton.descendants(joint)}:
+        joint = skeleton.parents[joint]
+    return joint
+
+
+def _moves(motions: Sequence[Motion], joint: int) -> bool:
+    """Return whether the position or rotation of a joint changes in any motion."""
+    skeleton = motions[0].skeleton
+    still, name = 1e-6 * body_scale(skeleton), skeleton.names[joint]
+    for motion in motions:
+        places = motion.joint_translations.get(name) if joint else motion.translation
+        turns = motion.rotations[:, joint]
+        turning = np.abs(np.abs(turns @ turns[0]) - 1).max() > 1e-7
+        if turning or (places is not None and np.ptp(places, axis=0).max() > still):
+            return True
+    return False
+
+
+def _local_position(motion: Motion, name: str) -> np.ndarray:
+    """(T, 3) position of a joint in its parent's frame, metres; constant if it does not move."""
+    still = motion.skeleton.offsets[motion.skeleton.index(name)]
+    return motion.joint_translations.get(name, np.tile(still, (motion.n_frames, 1)))
+
+
+def _numbers(values: Any, name: str, shape: tuple[int, ...]) -> np.ndarray:
+    numbers = np.array(values, dtype=np.float64)
+    if numbers.shape != shape or not np.isfinite(numbers).all():
+        raise MotionError(f"{name}: {numbers.shape} values; expected {shape} finite numbers")
+    return numbers

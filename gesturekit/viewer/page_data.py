@@ -1,0 +1,139 @@
+"""Data of a page of the player, beside the figures: skins, and the tracks under the time line.
+
+The tracks are spectrogram and onsets of speech, contacts and beats of motion. The numbers are
+unpacked by player/data.js.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.signal import find_peaks
+
+from audio_features import LogMel, Onset, Wave
+from gesturekit.motion.contacts import contact_labels, foot_points
+from gesturekit.viewer.drawn_body import DrawnBody
+from gesturekit.viewer.human.body import TOPS, palette_of
+from gesturekit.viewer.skin import Skin, steady_turns
+
+if TYPE_CHECKING:
+    from gesturekit.motion import Motion
+
+_LEVELS = 2
+"""Skins of the human body on a page: the finest one, and one for playing on slow machines."""
+_FULL = 32_767
+
+
+def add_skins(page: dict[str, Any], shown: Sequence[DrawnBody]) -> None:
+    """Add the skins of all figures to a page that has its figures already.
+
+    The human body is there once, whatever the number of figures; the skins of a body model share
+    everything but the vertices.
+    """
+    skins = next((drawn.skins for drawn in shown if drawn.skins), None)
+    if skins is None:
+        return
+    skin = skins[0]
+    if skin.regions is None:
+        page["skin"] = {
+            "faces": base64_text(skin.faces.astype("<u4").tobytes()),
+            "joints": base64_text(skin.joints.tobytes()),
+            "weights": base64_text(skin.weights.tobytes()),
+        }
+    else:
+        page["skin"] = {"levels": [_level(each) for each in skins[:_LEVELS]]}
+    for k, (figure, drawn) in enumerate(zip(page["figures"], shown)):
+        if not drawn.skins:
+            continue
+        skin = drawn.skins[0]
+        figure["skin"] = {
+            "joints": base64_text((drawn.scale * skin.rest).astype("<f4").tobytes()),
+            "turns": base64_text(packed(np.rint(steady_turns(drawn.motion) * _FULL))),
+        }
+        if skin.regions is None:
+            figure["skin"]["vertices"] = base64_text(skin.vertices.astype("<f4").tobytes())
+        else:
+            colours = skin.palette
+            if colours is None:
+                colours = palette_of(TOPS[k % len(TOPS)]).values()
+            palette = ["#{:02x}{:02x}{:02x}".format(*colour) for colour in colours]
+            figure["skin"] |= {"scale": drawn.scale, "palette": palette}
+
+
+def _level(skin: Skin) -> dict[str, Any]:
+    """Return a mesh at rest as steps from its middle."""
+    low, high = skin.vertices.min(axis=0), skin.vertices.max(axis=0)
+    middle, step = (low + high) / 2, float((high - low).max()) / 2 / _FULL
+    return {
+        "n_vertices": len(skin.vertices),
+        "n_faces": len(skin.faces),
+        "middle": middle.tolist(),
+        "step": step,
+        "vertices": base64_text(packed(np.rint((skin.vertices - middle) / step))),
+        "faces": base64_text(packed(skin.faces)),
+        "joints": base64_text(zlib.compress(skin.joints.tobytes(), 9)),
+        "weights": base64_text(zlib.compress(skin.weights.tobytes(), 9)),
+        "regions": base64_text(zlib.compress(skin.regions.tobytes(), 9)),
+    }
+
+
+def packed(steps: np.ndarray) -> bytes:
+    """Deflate whole numbers (T, ...) of 16 bits: see `unpack` in player/data.js."""
+    channels = steps.astype(np.int64).reshape(len(steps), -1).T
+    difference = np.diff(channels, axis=1, prepend=0) & 0xFFFF
+    planes = np.stack([difference & 0xFF, difference >> 8]).astype(np.uint8)
+    return zlib.compress(planes.tobytes(), 6)
+
+
+def base64_text(data: bytes) -> str:
+    """Return bytes as text in base64."""
+    return base64.b64encode(data).decode("ascii")
+
+
+BANDS = 32
+"""Mel bands of the spectrogram."""
+_MOST_COLUMNS = 3_000
+_FEWEST = 2
+"""Least number of the extractor's frames, of 10 ms, in a column of the spectrogram."""
+_BEAT_PROMINENCE = 0.1
+"""Least depth of a motion beat, as a share of the curve's 98th percentile."""
+
+
+def spectrogram(wave: Wave) -> tuple[np.ndarray, float]:
+    """Return a log-mel spectrogram (M, BANDS) from 0 to 1, and its columns a second."""
+    values = LogMel(n_mels=BANDS).extract(wave).values
+    width = max(_FEWEST, -(-len(values) // _MOST_COLUMNS))
+    means = np.add.reduceat(values, np.arange(0, len(values), width)) / width
+    low, high = np.quantile(values, [0.1, 0.995])
+    shares = np.clip((means - low) / max(float(high - low), 1e-3), 0, 1)
+    return shares, len(values) / max(wave.duration, 1e-3) / width
+
+
+def onsets(wave: Wave) -> np.ndarray:
+    """Return the times of speech onsets, seconds."""
+    track = Onset().extract(wave)
+    return track.times[track.values[:, track.names.index("onset_peak")] > 0]
+
+
+def motion_beats(speed: np.ndarray, fps: float) -> np.ndarray:
+    """Return the times of motion beats, seconds: minima of a speed curve (T,)."""
+    depth = _BEAT_PROMINENCE * float(np.quantile(speed, 0.98))
+    found, _ = find_peaks(-speed, prominence=max(depth, 1e-6))
+    return found / fps
+
+
+def contact_track(motion: Motion) -> np.ndarray | None:
+    """Return foot contacts (T,) uint8: 1 for the left foot, 2 for the right, 3 for both.
+
+    None for a body without two identified legs. A foot is in contact if any of its points is.
+    """
+    n_points = len(foot_points(motion.skeleton))
+    if not n_points:
+        return None
+    labels = contact_labels(motion) > 0.5
+    left, right = labels[:, : n_points // 2], labels[:, n_points // 2 :]
+    return (left.any(axis=1) + 2 * right.any(axis=1)).astype(np.uint8)

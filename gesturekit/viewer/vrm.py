@@ -1,0 +1,328 @@
+"""VRM avatars (0.x and 1.0): their mesh on a rig of our bone names.
+
+Hair, skirts and other bones without a counterpart move with the nearest bone above that has one;
+expressions are left out.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gesturekit.errors import GestureKitError
+from gesturekit.motion import Skeleton
+from gesturekit.motion.parts.body_size import body_height
+from gesturekit.viewer.glb import Colours, Glb, is_seen, palette_of
+from gesturekit.viewer.human.body import Human
+from gesturekit.viewer.skin import INFLUENCES, Skin, whole_weights
+
+_MAX_FACES = 600_000
+_MAX_PARTS = 4096
+"""Largest number of pieces of mesh."""
+_FINEST, _COARSE = 65_535, 5_000
+"""Most vertices of the mesh in pages and videos, and of the one for slow machines."""
+_TRIANGLES = 4
+_HEIGHTS = (0.05, 100.0)
+"""Plausible body heights, metres."""
+
+_TRUNK = {"hips": "Hips", "spine": "Spine", "chest": "Spine1", "upperChest": "Spine2",
+          "neck": "Neck", "head": "Head"}  # fmt: skip
+_LIMBS = {"Shoulder": "Shoulder", "UpperArm": "Arm", "LowerArm": "ForeArm", "Hand": "Hand",
+          "UpperLeg": "UpLeg", "LowerLeg": "Leg", "Foot": "Foot", "Toes": "ToeBase"}  # fmt: skip
+_FINGERS = {"Thumb": "Thumb", "Index": "Index", "Middle": "Middle", "Ring": "Ring",
+            "Little": "Pinky"}  # fmt: skip
+_SEGMENTS = ("Proximal", "Intermediate", "Distal")
+_THUMB_1 = ("Metacarpal", "Proximal", "Distal")
+"""Segments of the thumb in VRM 1.0; 0.x names them as it does those of the other fingers."""
+_NEEDED = ("hips", "spine", "head", *(
+    f"{side}{bone}"
+    for side in ("left", "right")
+    for bone in ("UpperArm", "LowerArm", "Hand", "UpperLeg", "LowerLeg", "Foot")
+))  # fmt: skip
+
+
+def _our_names(thumb: tuple[str, ...]) -> dict[str, str]:
+    """Return {VRM bone: our bone}."""
+    names = dict(_TRUNK)
+    for side in ("left", "right"):
+        names |= {f"{side}{bone}": f"{side.title()}{ours}" for bone, ours in _LIMBS.items()}
+        for finger, ours in _FINGERS.items():
+            segments = thumb if finger == "Thumb" else _SEGMENTS
+            for k, segment in enumerate(segments, start=1):
+                names[f"{side}{finger}{segment}"] = f"{side.title()}Hand{ours}{k}"
+    return names
+
+
+def load_avatar(path: str | os.PathLike[str]) -> Human:
+    """Read an avatar; the last ones are cached.
+
+    Warns:
+        UserWarning: a texture that cannot be read.
+
+    Raises:
+        FormatError: no VRM file, damaged, or without a bone that every VRM avatar has.
+    """
+    path = Path(path)
+    try:
+        status = path.stat()
+        version = status.st_mtime_ns, status.st_size
+    except OSError:
+        version = 0, 0  # `Glb` says what is wrong
+    return _loaded(path.resolve(), version)
+
+
+@lru_cache(maxsize=2)
+def _loaded(path: Path, version: tuple[int, int]) -> Human:
+    return read_avatar(path)
+
+
+def read_avatar(path: str | os.PathLike[str]) -> Human:
+    """Read an avatar as `load_avatar` does, without a cache."""
+    glb = Glb(path)
+    bones, is_backwards = _bones(glb)
+    order, parents, world = glb.transforms()
+    if is_backwards:
+        world = np.diag([-1.0, 1.0, -1.0, 1.0]) @ world
+    names = [bones[node] for node in order if node in bones]
+    at = {name: joint for joint, name in enumerate(names)}
+    owners = np.full(len(order), -1)
+    above = []
+    for node in order:
+        owner = owners[parents[node]] if parents[node] >= 0 else -1
+        if node in bones:
+            above.append(int(owner))
+            owner = at[bones[node]]
+        owners[node] = owner
+    if names[0] != "Hips" or above.count(-1) != 1:
+        raise glb.error("a bone of its humanoid is not below the hips")
+    owners[owners < 0] = 0  # what hangs on no bone moves with the hips
+    nodes = {bone: node for node, bone in bones.items()}
+    joints = np.array([world[nodes[name]][:3, 3] for name in names])
+    mesh = replace(_mesh(glb, world, owners), rest=joints)
+    try:
+        skeleton = _skeleton(names, above, joints, mesh)
+        height = body_height(skeleton)
+    except GestureKitError as error:
+        raise glb.error(f"its bones form no body: {error}") from None
+    if not _HEIGHTS[0] <= height <= _HEIGHTS[1]:
+        raise glb.error(f"its body is {height:g} metres tall")
+    finest = simplified(welded(mesh, height), _FINEST, height)
+    return Human(skeleton, (finest, simplified(finest, _COARSE, height)))
+
+
+def _bones(glb: Glb) -> tuple[dict[int, str], bool]:
+    """Return {node: our bone}, and whether the avatar looks along -Z, as in VRM 0.x."""
+    extensions = glb.object(glb.json, "extensions")
+    is_new = "VRMC_vrm" in extensions
+    if not is_new and "VRM" not in extensions:
+        raise glb.error(
+            "not a VRM avatar: it does not say which node is which bone. Export it as VRM (VRoid "
+            "Studio, UniVRM, the VRM add-on for Blender)"
+        )
+    humanoid = glb.object(glb.object(extensions, "VRMC_vrm" if is_new else "VRM"), "humanoid")
+    listed: list[tuple[Any, dict[str, Any]]]
+    if is_new:
+        entries = glb.object(humanoid, "humanBones")
+        listed = [(name, glb.object(entries, name)) for name in entries]
+    else:
+        listed = [(each.get("bone"), each) for each in glb.items("humanBones", humanoid)]
+    ours = _our_names(_THUMB_1 if is_new else _SEGMENTS)
+    n_nodes = len(glb.items("nodes"))
+    found: dict[str, int] = {}
+    for name, entry in listed:
+        if isinstance(name, str) and name in ours:
+            found[name] = glb.whole(entry.get("node"), n_nodes, f"node of bone {name}")
+    missing = [name for name in _NEEDED if name not in found]
+    if missing:
+        raise glb.error(f"its humanoid has no bone {missing[0]!r}")
+    if len(set(found.values())) < len(found):
+        raise glb.error("two bones of its humanoid are one node")
+    return {node: ours[name] for name, node in found.items()}, not is_new
+
+
+def _mesh(glb: Glb, world: np.ndarray, owners: np.ndarray) -> Skin:
+    """Return all meshes at rest in the world, on the joints of the rig; `rest` is still empty."""
+    colours, parts, n_faces = Colours(glb), [], 0
+    for node, entry in enumerate(glb.items("nodes")):
+        if "mesh" not in entry:
+            continue
+        for primitive in glb.items("primitives", glb.item("meshes", entry["mesh"])):
+            if primitive.get("mode", _TRIANGLES) != _TRIANGLES:
+                continue  # points and lines; exporters write no strips
+            part = _Part(glb, primitive, colours)
+            n_faces += len(part.faces)
+            if n_faces > _MAX_FACES or len(parts) >= _MAX_PARTS:
+                raise glb.error(f"over {_MAX_FACES} triangles or {_MAX_PARTS} pieces of mesh")
+            if len(part.faces):
+                skin = entry.get("skin")
+                parts.append((part, *part.placed(node, skin, world, owners)))
+    if not parts:
+        raise glb.error("it has no mesh of triangles")
+    firsts = np.cumsum([0, *(len(vertices) for _, vertices, _, _ in parts)])
+    palette, regions = palette_of(np.concatenate([part.colours for part, *_ in parts]))
+    return Skin(
+        vertices=np.concatenate([vertices for _, vertices, _, _ in parts]),
+        faces=np.concatenate(
+            [part.faces + first for (part, *_), first in zip(parts, firsts)]
+        ).astype(np.uint32),
+        joints=np.concatenate([joints for *_, joints, _ in parts]),
+        weights=np.concatenate([weights for *_, weights in parts]),
+        rest=np.zeros((0, 3)),
+        regions=regions,
+        palette=palette,
+    )
+
+
+class _Part:
+    """A piece of mesh, with the vertices that its faces use.
+
+    Attributes:
+        faces: (F, 3) indices.
+        colours: (V, 3) RGB, 0 to 1.
+    """
+
+    def __init__(self, glb: Glb, primitive: dict[str, Any], colours: Colours) -> None:
+        self._glb, self._attributes = glb, glb.object(primitive, "attributes")
+        places = glb.array(self._attributes.get("POSITION"), "POSITION", 3)
+        if places.dtype.kind != "f":
+            raise glb.error("POSITION holds no floats")
+        if "indices" in primitive:
+            corners = glb.array(primitive["indices"], "indices", 1)[:, 0]
+        else:
+            corners = np.arange(len(places))
+        if corners.dtype.kind not in "iu" or len(corners) > 3 * _MAX_FACES:
+            raise glb.error("indices are not whole numbers, or too many")
+        corners = corners[: len(corners) // 3 * 3].astype(np.int64)
+        if len(corners) and not 0 <= corners.min() <= corners.max() < len(places):
+            raise glb.error(f"indices are beyond the {len(places)} vertices of their mesh")
+        used, faces = np.unique(corners, return_inverse=True)
+        faces = faces.reshape(-1, 3)
+        uv = self._rows("TEXCOORD_0", used, 2)
+        rgba = colours.at(primitive.get("material"), uv, len(used))
+        faces = faces[is_seen(rgba[:, 3][faces])]
+        kept, faces = np.unique(faces, return_inverse=True)
+        self.faces, self._used, self.colours = faces.reshape(-1, 3), used[kept], rgba[kept, :3]
+        self._places = places[self._used].astype(float)
+
+    def _rows(self, name: str, rows: np.ndarray, width: int) -> np.ndarray | None:
+        """Return rows of an attribute, or None if the mesh lacks it."""
+        if name not in self._attributes:
+            return None
+        found = self._glb.array(self._attributes[name], name, width)
+        if len(rows) and rows.max() >= len(found):
+            raise self._glb.error(f"{name} has {len(found)} elements, fewer than vertices")
+        return found[rows]
+
+    def placed(
+        self, node: int, skin: object, world: np.ndarray, owners: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return vertices (V, 3) in the world, joints and weights (V, 4) as in `Skin`."""
+        glb = self._glb
+        names = ("JOINTS_0", "WEIGHTS_0")
+        joints, weights = (self._rows(name, self._used, INFLUENCES) for name in names)
+        if skin is None or joints is None or weights is None:
+            moved = self._places @ world[node][:3, :3].T + world[node][:3, 3]
+            alone = np.zeros((len(moved), INFLUENCES))
+            alone[:, 0] = 1.0
+            return moved, *whole_weights(np.full(alone.shape, owners[node]), alone)
+        found = glb.item("skins", skin)
+        nodes = np.array(glb.wholes(found, "joints", len(world)), int)
+        if joints.dtype.kind not in "iu" or joints.min() < 0 or joints.max() >= len(nodes):
+            raise glb.error(f"JOINTS_0 is beyond the {len(nodes)} joints of its skin")
+        if weights.dtype.kind != "f" or weights.min() < 0:
+            raise glb.error("WEIGHTS_0 holds negative or whole numbers")
+        moves = world[nodes]
+        if "inverseBindMatrices" in found:
+            inverse = glb.array(found["inverseBindMatrices"], "inverseBindMatrices", 16)
+            if len(inverse) < len(nodes):
+                raise glb.error(f"{len(inverse)} inverseBindMatrices for {len(nodes)} joints")
+            moves = moves @ inverse[: len(nodes)].astype(float).reshape(-1, 4, 4).swapaxes(1, 2)
+        total = weights.sum(axis=1, keepdims=True)
+        weights = np.where(total > 1e-6, weights / np.maximum(total, 1e-6), [[1.0, 0, 0, 0]])
+        moved = np.zeros(self._places.shape)
+        for k in range(INFLUENCES):
+            each = moves[joints[:, k]]
+            place = np.einsum("vij,vj->vi", each[:, :3, :3], self._places) + each[:, :3, 3]
+            moved += weights[:, k, None] * place
+        if not (np.abs(moved) < 1e4).all():
+            raise glb.error("its mesh at rest is not finite, or kilometres wide")
+        return moved, *whole_weights(owners[nodes][joints], weights)
+
+
+def _skeleton(names: list[str], parents: list[int], joints: np.ndarray, mesh: Skin) -> Skeleton:
+    """Return the rig, with end sites at soles, finger tips and the crown.
+
+    Raises:
+        MotionError: offsets that no skeleton has.
+    """
+    offsets = joints - joints[np.maximum(parents, 0)]
+    offsets[0] = joints[0]
+    ends: dict[str, tuple[np.ndarray, ...]] = {}
+    owners = mesh.joints[:, 0]
+    for joint, name in enumerate(names):
+        if joint in parents:
+            continue
+        end = 0.8 * offsets[joint]
+        skin = mesh.vertices[owners == joint]
+        if name.endswith(("Foot", "ToeBase")) and len(skin):
+            end = np.array([0.0, skin[:, 1].min(), skin[:, 2].max()]) - joints[joint] * [0, 1, 1]
+        elif name == "Head" and len(skin):
+            end = np.array([0.0, skin[:, 1].max() - joints[joint, 1], 0.0])
+        ends[name] = (end,)
+    return Skeleton(tuple(names), tuple(parents), offsets, end_sites=ends)
+
+
+_FIRST, _GROWTH = 1 / 800, 1.25
+"""Size of the first grid's cells by the body's height, and by which each next one is larger."""
+_ROUNDS = 30
+_SAME = 1e-5
+"""Distance of vertices at one place, by the body's height."""
+
+
+def welded(skin: Skin, height: float) -> Skin:
+    """Return the mesh with vertices of one place and colour made one, so that no seam is seen."""
+    return _clustered(skin, _SAME * height, skin.regions[:, None])
+
+
+def simplified(skin: Skin, most: int, height: float) -> Skin:
+    """Return a mesh of at most `most` vertices, of a body of this height in metres.
+
+    Vertices of one cell of a grid that move with the same joint become one, so that fingers stay
+    apart. The last of the grids has one cell a joint at most.
+    """
+    if len(skin.vertices) <= most:
+        return skin
+    cell, found = _FIRST * height, skin
+    for _ in range(_ROUNDS):
+        found = _clustered(skin, cell, skin.joints[:, :1])
+        if len(found.vertices) <= most:
+            break
+        cell *= _GROWTH
+    return found
+
+
+def _clustered(skin: Skin, cell: float, apart: np.ndarray) -> Skin:
+    """Return the mesh with one vertex for those of a cell with the same numbers `apart` (V, N)."""
+    keys = np.floor(skin.vertices / cell).astype(np.int64)
+    keys = np.concatenate([keys, apart], axis=1)
+    _, first, groups = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    groups = groups.reshape(-1)
+    counts = np.bincount(groups)
+    vertices = np.stack(
+        [np.bincount(groups, skin.vertices[:, axis]) / counts for axis in range(3)], axis=1
+    )
+    faces = groups[skin.faces]
+    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    return replace(
+        skin,
+        vertices=vertices,
+        faces=faces[whole].astype(np.uint32),
+        joints=skin.joints[first],
+        weights=skin.weights[first],
+        regions=skin.regions[first],
+    )

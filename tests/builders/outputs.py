@@ -1,0 +1,23 @@
+"""Files that a run over many inputs left."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from gesturekit.jobs.state import STATE
+
+
+def results(out: Path) -> dict[str, bytes]:
+    """Return the bytes of each file but those of state; nothing temporary may be left."""
+    files = [path for path in out.rglob("*") if path.is_file() and STATE not in path.parts]
+    assert not [path for path in files if path.name.startswith(".")]
+    return {path.relative_to(out).as_posix(): path.read_bytes() for path in files}
+
+
+def finished(out: Path) -> list[dict[str, Any]]:
+    """Return the lines of the journals that say an item is done; a line may be cut short."""
+    journals = [path.read_text() for path in (out / STATE / "journal").iterdir()]
+    lines = [line for text in journals for line in text.splitlines() if line.endswith("}")]
+    return [one for line in lines if (one := json.loads(line)).get("status") == "done"]

@@ -1,0 +1,446 @@
+"""Hand movement and the metrics of all clips pooled, on motion whose hands follow known paths."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
+
+from gesturekit.corpus import Item, Manifest
+from gesturekit.errors import MotionError
+from gesturekit.evaluation import (
+    body_centred,
+    calm_and_lively,
+    copying,
+    evaluate,
+    hand_movement,
+    hand_speed,
+    motion_windows,
+    two_sample_accuracy,
+    within_reach,
+)
+from gesturekit.evaluation.metrics.diagonals import lower_to_nearest
+from gesturekit.evaluation.metrics.two_sample import MotionWindows
+from gesturekit.evaluation.results import MetricResult, ModelResult
+from gesturekit.evaluation.statistics.intervals import whole_set
+from gesturekit.evaluation.statistics.questions import verdict
+from gesturekit.motion import Motion, Skeleton
+
+FPS = 25.0
+
+
+@pytest.fixture
+def reaching(skeleton: Skeleton):
+    """reaching(left, right): hands (T, 3) metres from their elbows, on a body that stands."""
+
+    def make(left: np.ndarray, right: np.ndarray | None = None, fps: float = FPS) -> Motion:
+        rotations = np.zeros((len(left), skeleton.n_joints, 4))
+        rotations[..., 3] = 1.0
+        moving = {"LeftHand": left, "RightHand": np.zeros_like(left) if right is None else right}
+        still = np.tile([0.0, 0.9, 0.0], (len(left), 1))
+        return Motion(skeleton, rotations, still, fps, joint_translations=moving)
+
+    return make
+
+
+def along_x(speed: np.ndarray) -> np.ndarray:
+    """(T, 3) path with the given speed (T,) in m/s, to and fro along x."""
+    x = np.cumsum(speed * np.where(np.arange(len(speed)) // 250 % 2, -1.0, 1.0)) / FPS
+    return np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=1)
+
+
+def wandering(n: int, seed: int) -> np.ndarray:
+    """(T, 3) smooth random path."""
+    from scipy.ndimage import gaussian_filter1d
+
+    noise = np.random.default_rng(seed).standard_normal((n, 3))
+    return 0.6 * gaussian_filter1d(noise, 6.0, axis=0)
+
+
+@pytest.fixture
+def talker(reaching):
+    """talker(seed, seconds): both hands on their own random paths."""
+    return lambda seed, seconds=20.0: reaching(
+        wandering(round(seconds * FPS), 2 * seed), wandering(round(seconds * FPS), 2 * seed + 1)
+    )
+
+
+def elsewhere(motion: Motion, seed: int = 0) -> Motion:
+    """The same movement of a body that walks about and turns."""
+    n = motion.n_frames
+    yaw = Rotation.from_rotvec(np.outer(np.linspace(0.3, 7.0, n), [0.0, 1.0, 0.0]))
+    rotations = motion.rotations.copy()
+    rotations[:, 0] = (yaw * Rotation.from_quat(rotations[:, 0])).as_quat()
+    return replace(motion, rotations=rotations, translation=wandering(n, seed) + 3.0)
+
+
+def test_a_hand_on_a_circle_has_its_speed(turning):
+    # 2 rad/s at 0.25 m: 0.5 m/s, less what central differences and the Gaussian take (0.4 %).
+    speed = hand_speed(turning({"LeftForeArm": np.full(100, 2.0)}))
+    step = 2.0 / FPS
+    expected = 0.25 * np.sin(step) * FPS * np.exp(-(step**2) / 2)
+    assert speed[5:-5, 0] == pytest.approx(np.full(90, expected), rel=1e-3)
+    assert expected == pytest.approx(0.5, rel=0.01)
+    assert speed[:, 1] == pytest.approx(np.zeros(100), abs=1e-9)
+
+
+def test_hand_speed_at_the_ends_is_not_damped(reaching):
+    speed = hand_speed(reaching(np.outer(np.arange(50) / FPS, [0.3, 0.4, 0.0])))
+    assert speed[:, 0] == pytest.approx(np.full(50, 0.5))
+
+
+def test_walking_and_turning_is_no_hand_movement(talker):
+    motion = talker(0)
+    assert body_centred(elsewhere(motion)) == pytest.approx(body_centred(motion), abs=1e-9)
+    assert hand_movement(elsewhere(motion)).reach == pytest.approx(hand_movement(motion).reach)
+
+
+def test_body_centred_motion_faces_forward(talker):
+    shoulders = body_centred(elsewhere(talker(0)), ["LeftArm", "RightArm", "Hips"])
+    assert (shoulders[:, 0] - shoulders[:, 1])[:, 2] == pytest.approx(0.0, abs=1e-9)
+    assert np.all(shoulders[:, 0, 0] > 0.1)  # the left one is on the left
+    assert shoulders[:, 2] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_body_that_bends_sideways_keeps_its_heading(talker):
+    # Bent by more than 90 degrees, the shoulders are upright on the way: no heading there.
+    motion = talker(0)
+    rotations = motion.rotations.copy()
+    bend = np.outer(np.linspace(0.0, np.pi / 2, motion.n_frames), [0.0, 0.0, 1.0])
+    rotations[:, motion.skeleton.index("Spine")] = Rotation.from_rotvec(bend).as_quat()
+    hips = body_centred(replace(motion, rotations=rotations), ["LeftUpLeg"])
+    assert hips[:, 0] == pytest.approx(np.tile([0.1, -0.05, 0.0], (motion.n_frames, 1)), abs=1e-9)
+
+
+def test_quantiles_and_rests(reaching):
+    # The left hand moves at 0.5 m/s for 60 of 100 s, then drifts at 0.05; the right one is still.
+    speed = np.where(np.arange(2500) < 1500, 0.5, 0.05)
+    found = hand_movement(reaching(along_x(speed)))
+    assert found.q10 == pytest.approx(0.0, abs=1e-6)
+    assert found.q90 == found.q99 == pytest.approx(0.5, abs=1e-6)
+    assert found.rest == pytest.approx(0.7, abs=0.01)
+    assert found.near_still == pytest.approx(0.5, abs=0.01)
+
+
+def test_reach_is_the_size_of_the_covariance(reaching):
+    rng = np.random.default_rng(0)
+    left = rng.multivariate_normal(np.ones(3), np.diag([0.01, 0.04, 0.09]), 20_000)
+    turned = left @ Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix().T
+    # (0.1 · 0.2 · 0.3)^(1/3) for either hand.
+    both = hand_movement(reaching(left, turned)).reach
+    assert both == pytest.approx(2 * 0.006 ** (1 / 3), rel=0.02)
+    assert hand_movement(reaching(left)).reach == pytest.approx(both / 2, rel=0.02)
+
+
+def test_range_is_the_contrast_of_calm_and_lively(reaching):
+    # Half of the time 0.2 m/s, half of it 0.6: mean 0.4, standard deviation 0.2.
+    path = along_x(np.where(np.arange(20_000) // 5000 % 2, 0.2, 0.6))
+    assert hand_movement(reaching(path, path)).range == pytest.approx(0.5, abs=0.02)
+    level = along_x(np.full(2000, 0.4))
+    assert hand_movement(reaching(level, level)).range < 0.05
+    assert np.isnan(hand_movement(reaching(level[:60])).range)
+    assert np.isnan(hand_movement(reaching(np.zeros((2000, 3)))).range)
+
+
+def test_clips_are_pooled_by_frame_and_never_joined(reaching):
+    fast, slow = (reaching(along_x(np.full(n, v))) for n, v in ((600, 0.5), (200, 0.05)))
+    assert hand_movement([fast, slow]).rest == pytest.approx(5 / 8, abs=0.01)
+    jump = reaching(np.full((50, 3), 5.0)), reaching(np.zeros((50, 3)))
+    assert hand_movement(jump).q99 == pytest.approx(0.0, abs=1e-9)
+
+
+def test_thresholds_grow_with_the_body(reaching):
+    motion = reaching(0.2 * wandering(500, 0), 0.1 * wandering(500, 1))
+    small, giant = hand_movement(motion), hand_movement(motion.scaled(10.0))
+    assert 0.05 < small.rest < 0.95
+    assert (giant.rest, giant.near_still, giant.range) == pytest.approx(
+        (small.rest, small.near_still, small.range)
+    )
+    assert (giant.q50, giant.reach) == pytest.approx((10 * small.q50, 10 * small.reach))
+
+
+def test_the_frame_rate_does_not_matter(talker):
+    motion = talker(1)
+    at_25, at_60 = hand_movement(motion), hand_movement(motion.resample(60.0))
+    assert at_60.q50 == pytest.approx(at_25.q50, rel=0.03)
+    assert at_60.reach == pytest.approx(at_25.reach, rel=0.03)
+
+
+def test_calm_and_lively_has_the_slope_and_the_sign(reaching):
+    speed = 0.4 + 0.3 * np.sin(np.arange(2500) / 200)
+    recorded = reaching(along_x(speed), along_x(speed))
+    half = reaching(along_x(speed / 2), along_x(speed / 2))
+    found = calm_and_lively(recorded, [half])
+    assert (found.r, found.slope) == pytest.approx((1.0, 0.5), abs=0.01)
+    assert found.n == 39  # (100 - 5) / 2.5 + 1
+    opposite = reaching(along_x(0.8 - speed), along_x(0.8 - speed))
+    assert calm_and_lively(recorded, [opposite]).r == pytest.approx(-1.0, abs=0.01)
+    # Two samples are averaged: half as fast and one and a half times as fast.
+    lively = reaching(along_x(1.5 * speed), along_x(1.5 * speed))
+    assert calm_and_lively(recorded, [[half, lively]]).slope == pytest.approx(1.0, abs=0.01)
+    still = reaching(np.zeros((2500, 3)))
+    assert calm_and_lively(recorded, [still]).r == 0.0
+    with pytest.raises(MotionError, match="at least 3 windows"):
+        calm_and_lively(recorded.slice(0, 200), [half])
+
+
+def test_rigs_without_arms_or_wrists_are_errors(turning, skeleton):
+    legs = Skeleton(
+        ("Hips", "LeftLeg", "LeftFoot", "RightLeg", "RightFoot"),
+        (-1, 0, 1, 0, 3),
+        np.array([[0, 0, 0], [0.1, 0, 0], [0, -0.8, 0], [-0.1, 0, 0], [0, -0.8, 0]], float),
+    )
+    walking = Motion(legs, np.tile([0.0, 0, 0, 1], (50, 5, 1)), np.zeros((50, 3)), FPS)
+    with pytest.raises(MotionError, match="arm"):
+        hand_movement(walking)
+    with pytest.raises(MotionError, match="2 are needed"):
+        hand_speed(turning({"LeftArm": np.ones(1)}))
+    with pytest.raises(MotionError, match="no motion"):
+        hand_movement([])
+
+
+def test_windows_lie_half_a_second_apart(talker):
+    windows = motion_windows([talker(0, 3.0), talker(1, 0.8), talker(2, 1.0)])
+    assert windows.starts == pytest.approx([0.0, 0.48, 1.0, 1.48, 2.0, 0.0])
+    assert windows.clips.tolist() == [0, 0, 0, 0, 0, 2]
+    with pytest.raises(MotionError, match="no clip is as long"):
+        motion_windows(talker(1, 0.8))
+
+
+def test_the_distance_of_windows_is_in_metres(reaching):
+    # One of 2 compared joints is 0.3 m away in every frame: root mean square 0.3 / √2.
+    near, far = (reaching(np.full((25, 3), (x, 0.0, 0.0))) for x in (0.0, 0.3))
+    a, b = (motion_windows(m, ["LeftHand", "RightHand"]).values for m in (near, far))
+    assert np.linalg.norm(a - b) == pytest.approx(0.3 / np.sqrt(2))
+    # A constant 1 m/s of both adds 0.2 m of velocity.
+    path = np.outer(np.arange(25) / FPS, [1.0, 0.0, 0.0])
+    moving = motion_windows(reaching(path, path), ["LeftHand", "RightHand"]).values
+    expected = np.sqrt(0.2**2 + np.mean(path[:, 0] ** 2))
+    assert np.linalg.norm(moving - a) == pytest.approx(expected)
+
+
+def test_two_sample_accuracy_is_that_of_scikit_learn(talker):
+    from sklearn.model_selection import LeaveOneOut, cross_val_score
+    from sklearn.neighbors import KNeighborsClassifier
+
+    one, other = motion_windows(talker(0, 8.0)), motion_windows(talker(1, 8.0))
+    values = np.concatenate([one.values, other.values])
+    labels = np.repeat([0, 1], [len(one), len(other)])
+    expected = cross_val_score(KNeighborsClassifier(1), values, labels, cv=LeaveOneOut()).mean()
+    assert two_sample_accuracy(one, other) == pytest.approx(expected)
+
+
+def test_two_sample_accuracy_of_one_distribution_of_copies_and_of_other_movement(talker):
+    recorded = motion_windows(talker(0, 120.0))
+    same, copied = motion_windows(talker(1, 120.0)), motion_windows(talker(0, 120.0))
+    assert two_sample_accuracy(same, recorded) == pytest.approx(0.5, abs=0.12)
+    assert two_sample_accuracy(copied, recorded) < 0.05
+    other = motion_windows(talker(1, 120.0).scaled(3.0))
+    assert two_sample_accuracy(other, recorded) > 0.95
+
+
+def test_two_sample_accuracy_takes_equal_numbers(talker):
+    # Of 20 s and 200 s, all would be classified as the larger set.
+    short, long = motion_windows(talker(0, 20.0)), motion_windows(talker(1, 200.0))
+    found = two_sample_accuracy(short, long, seed=3)
+    assert 0.35 < found < 0.8
+    assert found == two_sample_accuracy(short, long, seed=3)
+    with pytest.raises(MotionError, match="2 windows"):
+        two_sample_accuracy(motion_windows(talker(0, 1.0)), long)
+    with pytest.raises(MotionError, match=r"of 1 and \d+ joints"):
+        two_sample_accuracy(motion_windows(talker(0), ["Head"]), long)
+
+
+def test_within_reach_counts_windows_that_have_a_near_one():
+    def windows(x: list[float], starts: list[float]) -> MotionWindows:
+        first = np.round(25 * np.array(starts)).astype(int)
+        frames = np.zeros((first.max() + 25, 1))
+        for value, start in zip(x, first):
+            frames[start : start + 25] = value / 5  # 25 frames: the root of their sum is x
+        return MotionWindows((frames,), np.zeros(len(x), int), first)
+
+    # Nearest more than 3 s away: 0 -> 1.0, 0.1 -> 0.9, 1 -> 0.9, 3 -> 2.0; median 0.95.
+    recorded = windows([0.0, 0.1, 1.0, 3.0], [0.0, 1.0, 4.04, 8.04])
+    assert within_reach(windows([0.9], [0.0]), recorded) == 3 / 4
+    assert within_reach(windows([2.1], [0.0]), recorded) == 1 / 4
+    assert within_reach(windows([9.0], [0.0]), recorded) == 0.0
+    with pytest.raises(MotionError, match="too short"):
+        within_reach(recorded, windows([0.0, 1.0], [0.0, 3.0]))
+
+
+def test_windows_of_two_clips_are_neighbours_whenever_they_begin():
+    def windows(values: list[float]) -> MotionWindows:
+        clips = tuple(np.full((25, 1), value / 5) for value in values)
+        return MotionWindows(clips, np.arange(len(values)), np.zeros(len(values), int))
+
+    # Nearest of another clip: 0 -> 1.0, 1 -> 1.0, 3 -> 2.0; median 1.0.
+    assert within_reach(windows([0.9]), windows([0.0, 1.0, 3.0])) == 2 / 3
+    assert within_reach(windows([2.1]), windows([0.0, 1.0, 3.0])) == 1 / 3
+
+
+def test_the_recordings_value_is_that_of_the_recordings_each_model_has_clips_of(talker, tmp_path):
+    for k, name in enumerate("abc"):
+        talker(k, 9.0).save(tmp_path / "recordings" / f"{name}.npz")
+        talker(5 + k, 9.0).save(tmp_path / "whole" / f"{name}.npz")
+        talker(8 + k, 9.0).save(tmp_path / "less" / f"{name}.npz")
+    (tmp_path / "less" / "c.npz").write_bytes(b"damaged")
+    folders = {name: tmp_path / name for name in ("whole", "less")}
+    whole, less = evaluate(folders, tmp_path / "recordings").models
+    (alone,) = evaluate({"less": tmp_path / "less"}, tmp_path / "recordings").models
+    for key in ("one_nn", "within_reach", "copying", "copying_low"):
+        own = less.metrics[key].recording
+        assert own == pytest.approx(alone.metrics[key].recording), key
+    assert whole.metrics["copying"].recording != pytest.approx(less.metrics["copying"].recording)
+
+
+def test_copies_are_found_mirrored_stretched_and_at_any_frame(talker):
+    training, held_out = talker(0, 60.0), talker(1, 20.0)
+    new = copying(talker(2, 20.0), held_out, training)
+    assert 0.8 < new.median_ratio < 1.25
+    assert 0.7 < new.low_ratio < 1.4
+    cut = training.slice(107, 407)
+    for copy, far in (
+        (cut, 1e-6),
+        (cut.mirror(), 1e-6),
+        (replace(cut, fps=FPS * 1.1), 0.08),
+        (replace(cut.mirror(), fps=FPS / 1.1), 0.08),
+    ):
+        found = copying(copy, held_out, training)
+        assert found.median_ratio < far
+        assert found.held_out_median == new.held_out_median
+    # One copied second in twenty shows in the 5 % quantile alone.
+    mixed = copying([talker(2, 18.0), training.slice(107, 207)], held_out, training)
+    assert mixed.median_ratio > 0.8
+    assert mixed.low_ratio < 0.1
+
+
+def test_nearest_rows_are_those_of_an_exhaustive_search():
+    # Bounds of one half of the columns leave out most distances, but never the least.
+    rng = np.random.default_rng(0)
+    a, b = (np.cumsum(rng.standard_normal((n, 6, 4)), axis=1).reshape(n, -1) for n in (40, 300))
+    b[7] = a[3]
+    expected = cdist(a, b).min(axis=1)
+    nearest = np.full(40, np.inf)
+    for part in (b[:200], b[200:]):
+        lower_to_nearest(nearest, cdist(a[:, ::2], part[:, ::2]), a, part)
+    assert nearest == pytest.approx(expected, rel=1e-12)
+    assert nearest[3] == 0.0
+
+
+def test_copying_needs_training_motion_of_a_window(talker):
+    with pytest.raises(MotionError, match="no training clip"):
+        copying(talker(0), talker(1), talker(2, 0.9))
+
+
+def judged(made: Motion, recorded: Motion, tmp_path, **options) -> ModelResult:
+    """Evaluate a motion against one recording."""
+    for folder, motion in (("made", made), ("recorded", recorded)):
+        (tmp_path / folder).mkdir()
+        motion.save(tmp_path / folder / "talk.npz")
+    return evaluate(tmp_path / "made", tmp_path / "recorded", **options).models[0]
+
+
+@pytest.fixture
+def gesturing(reaching):
+    """gesturing(size, rests): 24 s; random paths of a size, interrupted by rests if `rests`."""
+
+    def make(size: float = 1.0, rests: bool = True) -> Motion:
+        moving = ((np.arange(600) % 200) < 120) | (not rests)
+        clock = np.cumsum(moving)  # time stands still while the hands rest
+        return reaching(*(size * wandering(700, seed)[clock] for seed in (1, 2)))
+
+    return make
+
+
+def test_the_report_has_the_recordings_value_beside_the_models(gesturing, tmp_path):
+    found = judged(gesturing(0.42, rests=False), gesturing(), tmp_path).metrics
+    own = hand_movement(gesturing())
+    assert found["reach"].recording == pytest.approx(own.reach, rel=1e-3)
+    assert found["rest"].recording == pytest.approx(100 * own.rest, rel=0.01)
+    assert found["hand_q90"].recording == pytest.approx(own.q90, rel=1e-3)
+    made = hand_movement(gesturing(0.42, rests=False))
+    assert found["reach"].interval.value == pytest.approx(made.reach, rel=1e-3)
+    assert found["rest"].interval.value == pytest.approx(100 * made.rest, rel=0.01)
+    assert found["one_nn"].note == found["copying"].note == "recording: one half against the other"
+    assert found["calm_lively_r"].note == "8 windows"
+
+
+@pytest.mark.parametrize(("seconds", "enough"), [(40.0, False), (43.0, True)])
+def test_a_few_windows_say_nothing_about_calm_and_lively(talker, tmp_path, seconds, enough):
+    """16 windows of 5 s, 2.5 s apart, take 42.5 s."""
+    found = judged(talker(1, seconds), talker(0, seconds), tmp_path)
+    assert found.metrics["calm_lively_r"].informative == enough
+    assert found.metrics["calm_lively_slope"].informative == enough
+    assert ("calm and lively" in found.verdict.lower()) == enough
+
+
+def test_the_verdict_names_half_of_the_reach_and_missing_rests(gesturing, tmp_path):
+    text = judged(gesturing(0.42, rests=False), gesturing(), tmp_path).verdict
+    assert text.startswith("Half of the speaker's reach, fast gestures at half of the speaker's")
+    assert "hardly ever at rest" in text
+
+
+def test_the_verdict_of_frozen_and_of_copied_motion(gesturing, reaching, tmp_path):
+    for folder in ("still", "frozen"):
+        (tmp_path / folder).mkdir()
+    still = judged(reaching(np.zeros((600, 3))), gesturing(), tmp_path / "still").verdict
+    assert still == "The hands hardly move."
+    half = np.where(np.arange(600) < 300, 1.0, 0.0)[:, None] * wandering(600, 1)
+    frozen = judged(reaching(half, half), gesturing(rests=False), tmp_path / "frozen").verdict
+    assert "hands frozen in 50 % of the time" in frozen
+    copied = judged(gesturing(), gesturing(), tmp_path).verdict
+    assert copied == (
+        "The speaker's reach, at rest as often as the speaker, mostly copied from recordings."
+    )
+
+
+def result(key: str, value: float, recording: float, **levels: float) -> dict[str, MetricResult]:
+    return {key: MetricResult(key, whole_set(value, 1), recording, **levels)}
+
+
+@pytest.mark.parametrize(
+    ("metrics", "said"),
+    [
+        (result("sync", 0.6, 0.7, chance=0.1), "In time with the speech."),
+        (result("sync", 0.4, 0.7, chance=0.1), "Loosely in time with the speech."),
+        (result("sync", 0.2, 0.7, mismatched=0.1), "Not in time with the speech."),
+        (result("sync", 0.6, 0.7, chance=0.1, informative=False), ""),
+        (result("sync", 0.2, 0.15, chance=0.1), "Speech that hardly moves the speaker's arms"),
+        (result("reach", 0.45, 0.2), "Twice the speaker's reach."),
+        (result("reach", 0.15, 0.2), "Three quarters of the speaker's reach."),
+        (result("rest", 20.0, 32.0), "Seldom at rest."),
+        (result("rest", 60.0, 32.0), "At rest more often than the speaker."),
+        (result("rest", 0.0, 1.0), ""),
+        (result("copying_low", 0.05, 0.1), "Occasionally copied from recordings."),
+        (result("calm_lively_r", 0.1, 1.0), "Calm and lively at other times than the speaker."),
+        (result("calm_lively_r", 0.1, 1.0, informative=False), ""),
+        (result("hand_q90", 1.0, 1.0), ""),
+    ],
+)
+def test_the_verdict_goes_by_named_thresholds(metrics, said):
+    assert verdict(metrics).startswith(said) and bool(verdict(metrics)) == bool(said)
+
+
+def test_copies_are_measured_against_the_training_split(talker, tmp_path):
+    items = []
+    for name, seed in (("day", 0), ("night", 1), ("held", 2)):
+        talker(seed).save(tmp_path / f"{name}.npz")
+        split = "test" if name == "held" else "train"
+        motion = tmp_path / f"{name}.npz"
+        items.append(Item(id=name, audio=None, motion=motion, duration=20.0, split=split))
+    Manifest(items).save(tmp_path / "corpus.jsonl")
+    made = tmp_path / "made"
+    made.mkdir()
+    talker(1).mirror().save(made / "held.npz")
+    (model,) = evaluate(made, tmp_path / "corpus.jsonl").models
+    found = model.metrics
+    expected = copying(talker(1).mirror(), talker(2), [talker(0), talker(1)])
+    assert found["copying"].interval.value == pytest.approx(expected.median, abs=1e-4)
+    assert found["copying"].recording == pytest.approx(expected.held_out_median, rel=1e-3)
+    assert found["copying"].note == "recording: against the training split"
+    own = [motion_windows(motion) for motion in (talker(2), [talker(0), talker(1)])]
+    assert found["one_nn"].recording == pytest.approx(two_sample_accuracy(*own), abs=0.05)
+    assert "mostly copied" in model.verdict

@@ -1,0 +1,57 @@
+"""Examples in docstrings run, and show what they say.
+
+They know `af` (audio_features), `gk` (gesturekit), `np`, and `folder`, an empty folder.
+"""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import pkgutil
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+import audio_features as af
+import gesturekit as gk
+from gesturekit.evaluation import metrics
+
+# Packages whose public names are described by examples, and those of which every name has one.
+PACKAGES = ("audio_features", "gesturekit", "gesturekit.evaluation")
+COMPLETE = ("audio_features",)
+
+
+def public(package: str) -> dict[str, object]:
+    """Return what a package exports by name."""
+    module = importlib.import_module(package)
+    return {name: getattr(module, name) for name in module.__all__}
+
+
+def examples() -> Iterator[doctest.DocTest]:
+    """Yield the docstrings with examples of the modules that define public names and metrics."""
+    modules = {getattr(value, "__module__", None) for p in PACKAGES for value in public(p).values()}
+    below = pkgutil.walk_packages(metrics.__path__, f"{metrics.__name__}.")
+    modules |= {*(found.name for found in below), *COMPLETE}
+    for name in sorted(modules - {None, "builtins", "typing"}):
+        found = doctest.DocTestFinder().find(importlib.import_module(name))
+        yield from (test for test in found if test.examples)
+
+
+@pytest.mark.parametrize("example", list(examples()), ids=lambda example: example.name)
+def test_the_example_shows_what_it_says(example, tmp_path):
+    example.globs |= {"af": af, "gk": gk, "np": np, "folder": tmp_path}
+    lines: list[str] = []
+    runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE)
+    assert not runner.run(example, out=lines.append).failed, "".join(lines)
+
+
+@pytest.mark.parametrize("package", COMPLETE)
+def test_every_public_name_has_an_example(package):
+    found = doctest.DocTestFinder(recurse=False)
+    without = [
+        name
+        for name, value in public(package).items()
+        if not any(test.examples for test in found.find(value, name))
+    ]
+    assert not without, f"without an example: {', '.join(without)}"
