@@ -134,7 +134,7 @@ def show_and_count(
 def print_preview(batch: Batch) -> None:
     """Print what would be done about each sound of a batch, and the sums."""
     from gesturekit.progress import time_in_words
-    from gesturekit.rendering.preview import measured_cost, preview
+    from gesturekit.rendering.batch import measured_cost, preview
 
     words = {"left": "make", "kept": "keep", "failed": "fail"}
     counts, sound = dict.fromkeys(words.values(), 0), 0.0

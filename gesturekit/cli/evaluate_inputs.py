@@ -155,7 +155,7 @@ def _items(recordings: Path | Items, options: Mapping[str, Any]) -> Sequence[Ite
 
 
 RENDERED_BASELINES = ("retrieval", "speech_blind")
-"""Baselines that a model renders; see `gesturekit.rendering.baselines`."""
+"""Baselines that a model renders; see `gesturekit.rendering.samples`."""
 
 
 def rendered_baselines(
@@ -175,7 +175,7 @@ def rendered_baselines(
     """
     from gesturekit.evaluation.measuring.baselines import BASELINES
     from gesturekit.progress import Progress
-    from gesturekit.rendering import baselines
+    from gesturekit.rendering import samples
     from gesturekit.rendering.batch import model_of_results
     from gesturekit.systems import load
 
@@ -196,8 +196,8 @@ def rendered_baselines(
     for name in wanted:
         if name == "retrieval":
             click.echo("Making the baseline retrieval from the training recordings ...", err=True)
-            model = baselines.train_retrieval(corpus, folder / "run", seed=options["seed"])
-            sounds = baselines.sounds_of(corpus, split)
+            model = samples.train_retrieval(corpus, folder / "run", seed=options["seed"])
+            sounds = samples.split_sounds(corpus, split)
         else:
             model = model_of_results(generated) if generated.is_dir() else None
             if model is None:
@@ -205,9 +205,9 @@ def rendered_baselines(
                     f"--baseline {name} renders the model of {generated} again, which is only "
                     "known for folders written by gesturekit render"
                 )
-            sounds = baselines.other_sounds(corpus, split)
+            sounds = samples.other_sounds(corpus, split)
         found[name] = folder / name
-        files = baselines.render_baseline(
+        files = samples.render_baseline(
             load(model, weights=options["weights"]), sounds, found[name], seed=options["seed"]
         )
         for _ in Progress(files, total=len(sounds), desc=name, unit="clip"):
