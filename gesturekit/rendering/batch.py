@@ -1,4 +1,4 @@
-"""Render many sounds in one call: the one assembly, for the API and the command line, and preview."""
+"""Render many sounds in one call, for the API and the command line; preview what would be done."""
 
 from __future__ import annotations
 
