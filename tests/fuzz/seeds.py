@@ -214,7 +214,7 @@ def plan(folder: Path) -> list[bytes]:
     item = json.loads(manifest(folder)[0].splitlines()[1])
     rows = [
         {"shard": 1, "id": "a", "path": "/x/a.wav", "duration": 2.5, "more": {}},
-        {"shard": 1, "id": "b", "path": None, "more": {"options": {"seconds": 3, "seed": 1}}},
+        {"shard": 1, "id": "b", "path": None, "more": {"seconds": 3, "seed": 1}},
         {"shard": 2, "id": "c", "path": "/x/c.wav", "duration": 1.0, "more": {"item": item}},
     ]
     return [b"".join(json.dumps(row).encode() + b"\n" for row in rows)]
