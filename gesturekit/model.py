@@ -266,12 +266,16 @@ class Model(Protocol):
         """
         ...
 
-    def check_controls(self, *, samples: int = 1, seed: int = 0, **controls: Any) -> None:
-        """Check the arguments of `generate` that do not depend on the speech.
+    def check_controls(self, *, samples: int = 1, seed: int = 0, **controls: Any) -> Controls:
+        """Return the controls of `generate`, after the checks that do not depend on the speech.
 
         Raises:
             ModelError: a control, style or speaker that this model does not have.
         """
+        ...
+
+    def fingerprint(self) -> str:
+        """Return the SHA-256 of what `save` writes, its README apart."""
         ...
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:

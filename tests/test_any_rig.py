@@ -26,7 +26,7 @@ from gesturekit.motion.root_path import RootPath
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.training.trainer import train as train_multires
 from gesturekit.rendering.batch import iter_render as render
-from gesturekit.rendering.render import Output
+from gesturekit.rendering.renderer import Output
 from gesturekit.training.config import build
 
 TINY = {

@@ -19,7 +19,8 @@ ROOT = Path(__file__).resolve().parents[1]
 # Packages that each package of gesturekit may import beside itself, audio_features and the modules
 # that every package may import. Imports inside functions count too.
 MAY_IMPORT: dict[str, set[str]] = {"motion": set(), "jobs": set()}
-MAY_IMPORT["formats"] = {"jobs", "motion"}
+MAY_IMPORT["formats"] = {"motion"}
+MAY_IMPORT["conversion"] = {"formats", "jobs", "motion"}
 MAY_IMPORT["postprocess"] = {"motion"}
 for _package in ("corpus", "evaluation", "viewer"):
     MAY_IMPORT[_package] = {"formats", "motion"}
@@ -39,7 +40,15 @@ MAY_IMPORT["rendering"] = {
 }
 MAY_IMPORT["study"] = {"corpus", "evaluation", "formats", "motion", "training", "viewer"}
 MAY_IMPORT["serving"] = {"model", "systems"}
-MAY_IMPORT["cli"] = {"study", "diagnosis", "inspection", "rendering", "serving", "systems"}
+MAY_IMPORT["cli"] = {
+    "conversion",
+    "study",
+    "diagnosis",
+    "inspection",
+    "rendering",
+    "serving",
+    "systems",
+}
 MAY_IMPORT["cli"] |= MAY_IMPORT["rendering"]
 # Modules outside of any package. `systems` imports models and trainers by name, lazily.
 MAY_IMPORT["model"] = {"corpus", "motion"}

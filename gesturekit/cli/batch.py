@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -11,9 +11,9 @@ from gesturekit.cli.launchers import launcher_options
 from gesturekit.cli.options import resumable, workers_option
 
 if TYPE_CHECKING:
-    from gesturekit.jobs.batch import Batch, Execution
+    from gesturekit.jobs.result import Result
+    from gesturekit.jobs.run import Batch, Execution
 
-Result = TypeVar("Result")
 GROUPS = {
     "Many files": ("workers", "shard", "replan", "deadline", "retry_failed", "dry_run"),
     "Clusters": ("launcher", "jobs", "launcher_options", "address"),
@@ -57,8 +57,8 @@ def batch_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def pop_execution(options: dict[str, Any]) -> Execution:
     """Pop the options of the execution from all options."""
-    from gesturekit.jobs.batch import Execution
     from gesturekit.jobs.plan import parse_shard
+    from gesturekit.jobs.run import Execution
 
     shard = options.pop("shard")
     names = ("workers", "replan", "deadline", "retry_failed")
@@ -69,7 +69,7 @@ def pop_execution(options: dict[str, Any]) -> Execution:
 
 
 def show(
-    outcomes: Iterable[Result],
+    results: Iterable[Result],
     total: int,
     description: str,
     add: Callable[[Result], str | None],
@@ -78,10 +78,10 @@ def show(
     """Do work with a progress bar.
 
     Args:
-        outcomes: results, computed when they are consumed.
+        results: results, computed when they are consumed.
         total: their number.
         description: name of the bar.
-        add: called with each outcome, to print it; it may return a text for the bar.
+        add: called with each result, to print it; it may return a text for the bar.
         stopped: returns the message of Ctrl-C.
 
     Returns:
@@ -98,9 +98,9 @@ def show(
             logging_redirect_tqdm(tqdm_class=Progress),
             Progress(total=total, desc=description, unit="file") as bar,
         ):
-            for outcome in outcomes:
+            for result in results:
                 with Progress.external_write_mode():
-                    text = add(outcome)
+                    text = add(result)
                 if text is not None:
                     bar.set_postfix_str(text, refresh=False)
                 bar.update()
@@ -111,21 +111,21 @@ def show(
 
 
 def show_and_count(
-    outcomes: Iterable[Result], total: int, description: str, add: Callable[[Result], None]
+    results: Iterable[Result], total: int, description: str, add: Callable[[Result], None]
 ) -> int:
     """Do work as `show` does, print how many inputs failed, and return the exit code."""
     done = failed = 0
 
-    def counted(outcome: Result) -> None:
+    def counted(result: Result) -> None:
         nonlocal done, failed
         done += 1
-        failed += outcome.error is not None
-        add(outcome)
+        failed += result.error is not None
+        add(result)
 
     def stopped() -> str:
         return f"{done} done; the same command continues."
 
-    is_whole = show(outcomes, total, description, counted, stopped)
+    is_whole = show(results, total, description, counted, stopped)
     if failed and done > 1:
         click.echo(f"{failed} of {done} failed.", err=True)
     return 1 if failed or not is_whole else 0
@@ -134,17 +134,17 @@ def show_and_count(
 def print_preview(batch: Batch) -> None:
     """Print what would be done about each sound of a batch, and the sums."""
     from gesturekit.progress import time_in_words
-    from gesturekit.rendering.preview import measured_cost, preview
+    from gesturekit.rendering.batch import measured_cost, preview
 
-    counts, sound = {"make": 0, "keep": 0, "fail": 0}, 0.0
-    for found in preview(batch):
-        length = found.task.duration
-        where = ", ".join(map(str, found.targets)) or found.reason or ""
+    words = {"left": "make", "kept": "keep", "failed": "fail"}
+    counts, sound = dict.fromkeys(words.values(), 0), 0.0
+    for result in preview(batch):
+        action, length = words[result.status], result.task.duration
+        where = result.error or ", ".join(map(str, batch.processor.targets(result.task)))
         shown = "      ? s" if length is None else f"{length:7.1f} s"
-        source = click.format_filename(found.task.source)
-        click.echo(f"{found.action}  {shown}  {source} -> {where}")
-        counts[found.action] += 1
-        sound += (length or 0.0) if found.action == "make" else 0.0
+        click.echo(f"{action}  {shown}  {click.format_filename(result.source)} -> {where}")
+        counts[action] += 1
+        sound += (length or 0.0) if action == "make" else 0.0
     seconds, size = measured_cost(batch).of(counts["make"], sound)
     took = time_in_words(seconds / batch.execution.workers)
     parts = ", ".join(f"{count} to {action}" for action, count in counts.items())

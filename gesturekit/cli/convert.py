@@ -27,8 +27,8 @@ from gesturekit.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from gesturekit.formats.batch import Converted
-    from gesturekit.formats.changes import Changes
+    from gesturekit.conversion.changes import Changes
+    from gesturekit.jobs.result import Result
 
 EXAMPLES = """\
 gesturekit convert take.bvh take.npz --rig smplx --fps 30
@@ -106,8 +106,8 @@ def command(
     reason, the others are still converted, and the exit code is 1. To continue an interrupted run,
     repeat the command: finished files in the folder OUT are kept.
     """
-    from gesturekit.formats.batch import Conversion
-    from gesturekit.formats.conversion import FormatOptions
+    from gesturekit.conversion.convert import Conversion
+    from gesturekit.conversion.options import FormatOptions
     from gesturekit.motion.parts import parse_parts
 
     elsewhere = run_elsewhere(ctx, out, options)
@@ -126,7 +126,7 @@ def command(
         dry_run=dry_run,
         execution=execution,
     )
-    code = show_and_count(conversion.run(), conversion.count, "Converting", _print)
+    code = show_and_count(conversion.run(), len(conversion.tasks), "Converting", _print)
     if dry_run:
         click.echo("Dry run: nothing was written.", err=True)
     ctx.exit(code)
@@ -138,7 +138,7 @@ def _changes(options: dict[str, Any]) -> Changes:
     Raises:
         click.UsageError: --rig-part without --rig.
     """
-    from gesturekit.formats.changes import Changes, parse_trim
+    from gesturekit.conversion.changes import Changes, parse_trim
     from gesturekit.formats.rig import Rig
     from gesturekit.motion.parts import parse_parts
 
@@ -157,23 +157,23 @@ def _changes(options: dict[str, Any]) -> Changes:
     )
 
 
-def _print(outcome: Converted) -> None:
-    """Print one outcome, with its warnings and its failure."""
-    if outcome.error is None or outcome.files:
-        click.echo(_line(outcome))
-    for warning in outcome.warnings:
+def _print(result: Result) -> None:
+    """Print one result, with its warnings and its failure."""
+    if result.error is None or result.files:
+        click.echo(_line(result))
+    for warning in result.facts.get("warnings", ()):
         click.echo(f"Warning: {warning}", err=True)
-    if outcome.error is not None:
-        click.echo(f"Failed: {outcome.error}", err=True)
+    if result.error is not None:
+        click.echo(f"Failed: {result.error}", err=True)
 
 
-def _line(outcome: Converted) -> str:
+def _line(result: Result) -> str:
     """Return the detected input, the written files and the changes, on one or two lines."""
-    source = click.format_filename(outcome.source)
-    if not outcome.files:
+    source = click.format_filename(result.source)
+    if not result.files:
         return f"{source}: skipped, its outputs exist"
-    first, *others = outcome.files
+    first, *others = result.files
     written = ", ".join([click.format_filename(first), *(path.suffix for path in others)])
-    found = f"{source} ({outcome.found})"
-    made = f"-> {written}" + (f" ({', '.join(outcome.done)})" if outcome.done else "")
+    found, done = f"{source} ({result.facts['found']})", result.facts["done"]
+    made = f"-> {written}" + (f" ({', '.join(done)})" if done else "")
     return f"{found} {made}" if len(found) + len(made) < WIDTH else f"{found}\n    {made}"

@@ -28,7 +28,7 @@ def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
     click.echo("Loading the demo model ...", err=True)
     from audio_features.atomic import atomic_write
     from gesturekit.rendering.batch import iter_render
-    from gesturekit.rendering.render import Output
+    from gesturekit.rendering.renderer import Output
     from gesturekit.systems import bundled_speech, load
 
     speech = bundled_speech()
@@ -42,9 +42,9 @@ def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
     model = load("demo")
     click.echo(f"Rendering its speech into {out} ...", err=True)
     with resumable(lambda: "The same command continues."):
-        (outcome,) = iter_render(model, [speech], out, output=output, seed=seed)
-    if outcome.error is not None:
-        click.echo(f"Failed: {outcome.error}", err=True)
+        (result,) = iter_render(model, [speech], out, output=output, seed=seed)
+    if result.error is not None:
+        click.echo(f"Failed: {result.error}", err=True)
         ctx.exit(1)
     uses = {
         ".wav": "the speech; Blender: Add > Sound in the Video Sequencer",
@@ -54,5 +54,5 @@ def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
         ".html": "any browser: double-click; it plays with the sound",
         ".png": "any image viewer: poses, hand speed and speech over time",
     }
-    for path in (wav, *outcome.kept, *outcome.files):
+    for path in (wav, *result.kept, *result.files):
         click.echo(f"{path}\n      {uses[path.suffix]}")

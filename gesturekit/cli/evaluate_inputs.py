@@ -107,7 +107,7 @@ def _sample(
 ) -> None:
     """Sample a model by the protocol into a folder."""
     from gesturekit.progress import Progress
-    from gesturekit.rendering import sampling
+    from gesturekit.rendering import samples
     from gesturekit.systems import load
 
     skip = options["existing"] == "skip"
@@ -118,13 +118,13 @@ def _sample(
             "the sampling with --existing skip"
         )
     model = load(name, weights=options["weights"])
-    settings = sampling.SamplingOptions(
+    settings = samples.SamplingOptions(
         samples=options["samples"],
         seed=options["seed"],
         skip=skip,
         postprocess=options["postprocess"],
     )
-    sample = sampling.sample_lda if options["protocol"] == "lda" else sampling.sample_multires
+    sample = samples.sample_lda if options["protocol"] == "lda" else samples.sample_multires
     files = sample(model, _items(recordings, options), folder, settings)
     with resumable(lambda: "The same command with --existing skip continues."):
         for _ in Progress(files, desc=f"sampling {label}", unit="clip"):
@@ -137,7 +137,7 @@ def _items(recordings: Path | Items, options: Mapping[str, Any]) -> Sequence[Ite
     Raises:
         UsageError: speech is needed, and there is none.
     """
-    from gesturekit.rendering.sampling import sequences_of, sounds_of
+    from gesturekit.rendering.samples import sequences_of, sounds_of
 
     audio = options["audio"]
     if options["corpus"] is not None:
@@ -155,7 +155,7 @@ def _items(recordings: Path | Items, options: Mapping[str, Any]) -> Sequence[Ite
 
 
 RENDERED_BASELINES = ("retrieval", "speech_blind")
-"""Baselines that a model renders; see `gesturekit.rendering.baselines`."""
+"""Baselines that a model renders; see `gesturekit.rendering.samples`."""
 
 
 def rendered_baselines(
@@ -175,8 +175,8 @@ def rendered_baselines(
     """
     from gesturekit.evaluation.measuring.baselines import BASELINES
     from gesturekit.progress import Progress
-    from gesturekit.rendering import baselines
-    from gesturekit.rendering.record import model_of_results
+    from gesturekit.rendering import samples
+    from gesturekit.rendering.batch import model_of_results
     from gesturekit.systems import load
 
     names = comma_separated(options["baseline"])
@@ -196,8 +196,8 @@ def rendered_baselines(
     for name in wanted:
         if name == "retrieval":
             click.echo("Making the baseline retrieval from the training recordings ...", err=True)
-            model = baselines.train_retrieval(corpus, folder / "run", seed=options["seed"])
-            sounds = baselines.sounds_of(corpus, split)
+            model = samples.train_retrieval(corpus, folder / "run", seed=options["seed"])
+            sounds = samples.split_sounds(corpus, split)
         else:
             model = model_of_results(generated) if generated.is_dir() else None
             if model is None:
@@ -205,9 +205,9 @@ def rendered_baselines(
                     f"--baseline {name} renders the model of {generated} again, which is only "
                     "known for folders written by gesturekit render"
                 )
-            sounds = baselines.other_sounds(corpus, split)
+            sounds = samples.other_sounds(corpus, split)
         found[name] = folder / name
-        files = baselines.render_baseline(
+        files = samples.render_baseline(
             load(model, weights=options["weights"]), sounds, found[name], seed=options["seed"]
         )
         for _ in Progress(files, total=len(sounds), desc=name, unit="clip"):
@@ -218,7 +218,7 @@ def rendered_baselines(
 def trained_on(model: ModelResult, name: str) -> str:
     """Return a warning if `name`, a model, was trained on recordings of its evaluation, or ""."""
     from gesturekit.evaluation.pairs import ItemInterval
-    from gesturekit.rendering.record import model_of_results
+    from gesturekit.rendering.batch import model_of_results
     from gesturekit.systems import model_folder
     from gesturekit.training.data.sources import is_trained_on, load_sources
 

@@ -16,7 +16,7 @@ from gesturekit.wording import counted
 
 if TYPE_CHECKING:
     from audio_features import Extractor
-    from gesturekit.jobs.work import Outcome
+    from gesturekit.jobs.result import Result
 
 EXAMPLES = """\
 gesturekit features speech/*.wav --extractor mfcc:20,prosody --out features
@@ -125,9 +125,8 @@ def command(
     """
     import logging
 
-    from gesturekit.jobs.batch import Batch
     from gesturekit.rendering.features import FeatureExtraction
-    from gesturekit.rendering.tasks import sound_inputs
+    from gesturekit.rendering.inputs import sound_batch
 
     logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
     if options["align"] is not None and options["fps"] is None:
@@ -142,23 +141,23 @@ def command(
     extraction = FeatureExtraction(
         _extractor(extractor, options), out, cache=None if cache == "off" else cache, **settings
     )
-    batch = Batch(extraction, sound_inputs("features", wavs, out, channel=channel), execution)
+    batch = sound_batch("features", extraction, wavs, execution, channel=channel)
     if is_dry:
         print_preview(batch)
         return
     ctx.exit(show_and_count(batch.run(), len(batch.tasks), "Features", _print))
 
 
-def _print(outcome: Outcome) -> None:
+def _print(result: Result) -> None:
     """Print the files of one sound, or why there are none."""
-    if outcome.error is not None:
-        click.echo(f"Error: {outcome.error}", err=True)
-    elif outcome.files:
-        n_frames, width = outcome.facts["shape"]
-        name = click.format_filename(outcome.files[0])
+    if result.error is not None:
+        click.echo(f"Error: {result.error}", err=True)
+    elif result.files:
+        n_frames, width = result.facts["shape"]
+        name = click.format_filename(result.files[0])
         click.echo(f"{name}: {counted(n_frames, 'frame')} × {width}")
     else:
-        source = click.format_filename(outcome.source)
+        source = click.format_filename(result.source)
         click.echo(f"{source}: skipped, its outputs exist")
 
 

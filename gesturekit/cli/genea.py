@@ -67,7 +67,7 @@ def command(
     if action == "export":
         if model is None:
             raise click.UsageError("export: give --model")
-        outcomes = export(
+        results = export(
             load(model, weights=options.pop("weights")),
             folder,
             out,
@@ -76,9 +76,9 @@ def command(
             progress=lambda tasks: Progress(tasks, unit="file", desc="Rendering"),
             **options,
         )
-        for outcome in outcomes:
-            if outcome.error is not None:
-                click.echo(f"Failed: {outcome.error}", err=True)
+        for result in results:
+            if result.error is not None:
+                click.echo(f"Failed: {result.error}", err=True)
     faults = check(out, sounds, RIGS[layout], samples)
     for fault in faults:
         click.echo(f"Failed: {fault}", err=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -29,12 +30,12 @@ from gesturekit.cli.options import (
     size_option,
     weights_option,
 )
-from gesturekit.cli.render_output import Summary
 
 if TYPE_CHECKING:
-    from gesturekit.jobs.batch import Batch
+    from gesturekit.jobs.result import Result
+    from gesturekit.jobs.run import Batch
     from gesturekit.model import Model
-    from gesturekit.rendering.render import Output, Renderer
+    from gesturekit.rendering.renderer import Output
 
 EXAMPLES = """\
 gesturekit render speech.wav --model demo --out rendered --format bvh,html
@@ -219,13 +220,12 @@ def command(
     """
     import logging
 
-    summary = Summary(out, options["samples"])
+    summary = _Summary(out, options["samples"])
     logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
     _check(sources, corpus, split, seconds, options)
 
     from gesturekit.corpus import Manifest
-    from gesturekit.jobs.batch import Batch
-    from gesturekit.rendering.tasks import sound_inputs
+    from gesturekit.rendering.batch import render_batch
     from gesturekit.systems import load
 
     items = () if corpus is None else Manifest.load(corpus).in_split(split or "test", str(corpus))
@@ -237,22 +237,22 @@ def command(
     loaded = open_model(model)
     execution, is_dry = pop_execution(options), options.pop("dry_run")
     is_rate_chosen = options["levels"] is not None or options["fps"] is not None
-    renderer = _renderer(loaded, out, seconds, options, open_model)
-    inputs = sound_inputs("render", [*sources, *items], out, seconds, renderer.channel)
-    batch = Batch(renderer, inputs, execution)
-    if not all(map(renderer.has_speaker, batch.tasks)):
+    batch = render_batch(
+        loaded,
+        [*sources, *items],
+        out,
+        output=_output(options),
+        execution=execution,
+        seconds=seconds,
+        channel=options.pop("channel"),
+        **_controls(options, open_model),
+    )
+    if not all(map(batch.processor.has_speaker, batch.tasks)):
         _warn_of_speakers(loaded)
     if is_dry:
         print_preview(batch)
         return
-    rate = None if is_rate_chosen else loaded.fps
-    add, stopped = partial(summary.add, rate=rate), lambda: f"{summary}; the same command continues"
-    if not show(batch.run(), len(batch.tasks), "Rendering", add, stopped):
-        summary.counts["failed"] += 1
-    if len(batch.tasks) >= _MANY and summary.counts["rendered"]:
-        _write_page(batch)
-    click.echo(summary, err=True)
-    ctx.exit(1 if summary.counts["failed"] else 0)
+    ctx.exit(_run(batch, summary, None if is_rate_chosen else loaded.fps))
 
 
 def _check(
@@ -293,6 +293,68 @@ def _check(
         )
 
 
+def _run(batch: Batch, summary: _Summary, rate: float | None) -> int:
+    """Do the work, print what comes of it, and return the exit code."""
+    add, stopped = partial(summary.add, rate=rate), lambda: f"{summary}; the same command continues"
+    if not show(batch.run(), len(batch.tasks), "Rendering", add, stopped):
+        summary.counts["failed"] += 1
+    if len(batch.tasks) >= _MANY and summary.counts["rendered"]:
+        _write_page(batch)
+    click.echo(summary, err=True)
+    return 1 if summary.counts["failed"] else 0
+
+
+class _Summary:
+    """Count and print the results of a run with `samples` motions for each input."""
+
+    def __init__(self, out: Path, samples: int) -> None:
+        self.counts = {"rendered": 0, "kept": 0, "failed": 0}
+        self._out, self._samples, self._begin = out, samples, time.monotonic()
+        self._has_named_rate = False
+        self._sound = 0.0
+
+    def _speed(self) -> str:
+        """Return the rendered sound and how many times faster than real time that was."""
+        factor = self._sound / max(time.monotonic() - self._begin, 1e-3)
+        return f"{self._sound / 3600:.2f} h of sound, {factor:.1f}x real time"
+
+    def add(self, result: Result, rate: float | None) -> str:
+        """Print the files or the failure of a result, and once that its frame rate differs.
+
+        Args:
+            result: one input's.
+            rate: frames per second of the model; None if they do not matter.
+
+        Returns:
+            the speed so far, for a progress bar.
+        """
+        for file in result.files:
+            click.echo(click.format_filename(file))
+        fps = result.facts.get("fps")
+        differs = None not in (rate, fps) and abs(fps - rate) > 0.01 * rate
+        if differs and not self._has_named_rate:
+            click.echo(
+                f"Written at {fps:g} fps; the model's own rate is {rate:g} fps "
+                "(change it with --fps).",
+                err=True,
+            )
+            self._has_named_rate = True
+        if result.error is not None:
+            click.echo(f"Failed: {result.error}", err=True)
+        self._sound += result.sound
+        done = "rendered" if result.files else "kept"
+        self.counts["failed" if result.error is not None else done] += 1
+        return self._speed()
+
+    def __str__(self) -> str:
+        from gesturekit.progress import time_in_words
+
+        parts = [f"{n} {what}" for what, n in self.counts.items() if n or what == "rendered"]
+        if self._samples > 1:
+            parts[0] += f" ({self._samples * self.counts['rendered']} motions)"
+        return f"{', '.join(parts)} in {time_in_words(time.monotonic() - self._begin)}: {self._out}"
+
+
 def _warn_of_speakers(model: Model) -> None:
     """Print whose gestures a model of several speakers makes if none of them is chosen."""
     from gesturekit.wording import listed
@@ -319,25 +381,11 @@ def _write_page(batch: Batch) -> None:
     click.echo(f"Summary page: {page}", err=True)
 
 
-def _renderer(
-    model: Model,
-    out: Path,
-    seconds: float | None,
-    options: dict[str, Any],
-    open_model: Callable[[str], Model],
-) -> Renderer:
-    """Return the renderer of the remaining options, all of which it takes."""
-    from gesturekit.rendering.render import Renderer
-
-    output, channel = _output(options), options.pop("channel")
-    return Renderer(model, out, output, seconds, channel, _controls(options, open_model))
-
-
 def _output(options: dict[str, Any]) -> Output:
     """Pop the options of the output from all options."""
     from gesturekit.formats.rig import Rig
     from gesturekit.motion.parts import parse_parts
-    from gesturekit.rendering.render import Output
+    from gesturekit.rendering.renderer import Output
 
     rig, parts = options.pop("rig"), parse_parts(options.pop("rig_parts"))
     return Output(

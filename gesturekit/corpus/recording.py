@@ -22,7 +22,7 @@ from gesturekit.formats.plausibility import plausibility_warnings
 from gesturekit.formats.tables.events import load_events
 from gesturekit.formats.tables.root_path import load_root_path
 from gesturekit.formats.tables.semantics import load_semantics
-from gesturekit.jobs.pool import Failure, Pool
+from gesturekit.jobs.workers import Failure, Pool
 from gesturekit.motion import Motion, Skeleton, defects
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.wording import counted

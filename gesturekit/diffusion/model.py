@@ -27,7 +27,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.progress import Progress
-from gesturekit.training.model_folder import ModelParts, load_model, save_model
+from gesturekit.training.model_folder import ModelParts, load_model, model_digest, save_model
 from gesturekit.training.run.device import prepare_device, warn_of_slow_bfloat16
 from gesturekit.training.seeds import checked_seed, rng_for
 
@@ -97,8 +97,8 @@ class DiffusionModel(TrainedModel):
 
     def check_controls(
         self, *, samples: int = 1, seed: int = 0, **controls: Unpack[DiffusionControlArguments]
-    ) -> None:
-        """Check the controls of `generate` that do not depend on the speech.
+    ) -> DiffusionControls:
+        """Return the controls of `generate`, after the checks that do not depend on the speech.
 
         Raises:
             ModelError: a control, style, event or speaker that this model does not have, or
@@ -106,7 +106,9 @@ class DiffusionModel(TrainedModel):
             FormatError: a table of events that cannot be read.
         """
         checked_seed(seed)
-        self._check(DiffusionControls.build(controls, self.kind), samples)
+        asked = DiffusionControls.build(controls, self.kind)
+        self._check(asked, samples)
+        return asked
 
     def _check(self, controls: DiffusionControls, samples: int) -> None:
         speaker, solver = controls.speaker, controls.solver
@@ -181,6 +183,10 @@ class DiffusionModel(TrainedModel):
                     f"the generated motion is out of range ({error}); the model was trained too "
                     "little, or the expert weights are too extreme"
                 ) from None
+
+    def fingerprint(self) -> str:
+        """Return the SHA-256 of what `save` writes, its README apart."""
+        return model_digest(*model_parts(self))
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
         """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""

@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from gesturekit.errors import ConfigError, FormatError
 from gesturekit.formats.sources import OTHER_MOTION_SUFFIXES, unreadable_media
 from gesturekit.motion.motion import Motion
-from gesturekit.wording import counted
 
 # Options of each format's reader and writer.
 _SEQUENCE = {"up", "fps", "person", "body_model"}
@@ -37,34 +36,12 @@ _WRITES = {
 }
 
 
-@dataclass(frozen=True)
-class FormatOptions:
-    """Options of readers and writers; each gets those that it has.
-
-    Attributes:
-        read: options of readers, such as `up`; also `fps` and `height`, see `load`.
-        write: options of writers, such as `up`.
-        body_model: npz file of an SMPL or SMPL-X model, or a folder of such files, for readers and
-            writers that use one.
-        parts: joints of the sources specified by hand, see `load`.
-    """
-
-    read: Mapping[str, Any] = field(default_factory=dict)
-    write: Mapping[str, Any] = field(default_factory=dict)
-    body_model: str | os.PathLike[str] | None = None
-    parts: Mapping[str, str] = field(default_factory=dict)
-
-
-def with_body_model(options: FormatOptions) -> FormatOptions:
-    """Return options whose body model is among those of readers and writers."""
-    if options.body_model is None:
-        return options
-    model = {"body_model": options.body_model}
-    return replace(options, read={**options.read, **model}, write={**options.write, **model})
-
-
 def refuse_unused_options(
-    options: FormatOptions, sources: Iterable[Path], targets: Iterable[Path]
+    read: Mapping[str, Any],
+    write: Mapping[str, Any],
+    body_model: str | os.PathLike[str] | None,
+    sources: Iterable[Path],
+    targets: Iterable[Path],
 ) -> None:
     """Refuse options that no reader of the sources and no writer of the targets has.
 
@@ -72,10 +49,10 @@ def refuse_unused_options(
         ConfigError: an option would have no effect.
     """
     found, written = ({_format(path) for path in paths} for paths in (sources, targets))
-    refuse_unused_read_options(options.read, found)
-    _refuse_unused(options.write, "written", (_WRITES, written))
-    if options.body_model is not None:
-        model = {"body_model": options.body_model}
+    refuse_unused_read_options(read, found)
+    _refuse_unused(write, "written", (_WRITES, written))
+    if body_model is not None:
+        model = {"body_model": body_model}
         _refuse_unused(model, "converted", (_READS, found), (_WRITES, written))
 
 
@@ -131,17 +108,6 @@ def refuse_unused_read_options(options: Mapping[str, Any], formats: set[str]) ->
     _refuse_unused(chosen, "read", (_READS, formats))
 
 
-def describe(motion: Motion) -> str:
-    """Return a summary of a motion: unit, axes, rate, frames, joints; "?" marks guesses."""
-    words = describe_axes(motion.info, "?")
-    if "scale" in motion.info:
-        words.append(f"scaled by {motion.info['scale']:.4g}")
-    words.append(f"{motion.fps:.6g} fps")
-    words.append(counted(motion.n_frames, "frame"))
-    words.append(counted(motion.skeleton.n_joints, "joint"))
-    return ", ".join(words)
-
-
 def describe_axes(info: Mapping[str, Any], guessed: str) -> list[str]:
     """Return unit and axes of a motion's file; `guessed` is appended to guesses."""
     words = []
@@ -163,18 +129,6 @@ def writer_options(formats: Sequence[str], options: Mapping[str, Any]) -> dict[s
         name: {key: options[key] for key in options if key in _WRITES.get(f".{name}", ())}
         for name in formats
     }
-
-
-def without_mesh(formats: Sequence[str], out: Path) -> Sequence[str]:
-    """Return the formats that can be written without a body model."""
-    if "obj" not in (formats or [out.suffix.lower()[1:]]):
-        return formats
-    needs = "an obj needs the mesh of a body model: give --body-model SMPLX_NEUTRAL.npz"
-    others = [name for name in formats if name != "obj"]
-    if not others:
-        raise ConfigError(needs)
-    warnings.warn(f"no obj is written; {needs}", stacklevel=3)
-    return others
 
 
 def _refuse_unused(
@@ -207,13 +161,3 @@ def applicable_write_options(target: Path, options: Mapping[str, Any]) -> dict[s
     """Return the `options` of writers that have an effect on this target."""
     known = _WRITES.get(_format(target), ())
     return {name: value for name, value in options.items() if name in known}
-
-
-def warn_of_losses(motion: Motion, target: Path) -> None:
-    """Warn of data of a motion that the format of a target cannot hold."""
-    if target.suffix.lower() == ".bvh":
-        lost = ["face expressions"] if motion.expressions is not None else []
-        if motion.skeleton.body_shape.betas:
-            lost.append("body shape (betas)")
-        if lost:
-            warnings.warn(f"{target}: BVH holds no {' and no '.join(lost)}; npz does", stacklevel=2)

@@ -4,7 +4,7 @@ Kinds of lines, by their first field:
 
 - `{"run": NAME, ...}`: a process begins, with the settings that its results have in common;
 - `{"started": ID, "run": ..., "time": ...}`: an item is in progress;
-- `{"status": ..., "id": ..., ...}`: the result of an attempt, see `Entry`.
+- `{"status": ..., "id": ..., ...}`: the result of an attempt, see `Result`.
 
 An item that was started and has no result was in progress when a process was killed. Damaged lines,
 which a killed process or a full disk may leave, are ignored.
@@ -15,53 +15,20 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Container, Iterator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from gesturekit.errors import FormatError
+from gesturekit.jobs.result import Result, file_facts, path_digest
 from gesturekit.jobs.state import FORMAT, parse_line, read_lines, shard_name
+from gesturekit.jobs.task import Task
 
 ATTEMPTS = 3
 """Failures with the same input and settings after which an item is skipped."""
 FIRST_FIELDS = ("status", "id", "time", "seconds", "sound", "key")
 """Fields with which the line of a result begins, in this order."""
 _STARTED, _STATUS = b'{"started"', b'{"status"'
-
-
-@dataclass(frozen=True)
-class Entry:
-    """Result of one attempt at an item.
-
-    Attributes:
-        status: "done"; "failed"; "lost" if its process was ended, which may leave files that are
-            not listed; "dropped" if the user or a full disk stopped it.
-        id: the item's.
-        key: SHA-256 of settings and input.
-        run: name of the run, whose settings its first line has.
-        attempt: number of attempts with this key, this one included.
-        seconds: time that it took.
-        sound: seconds of sound, or of motion without sound.
-        files: {name below the output folder: {"sha256", "size", "mtime_ns"}} of written files.
-        input: what the result depends on beside the settings of the run.
-        source: size and time of change of the input file.
-        error: reason of the failure, or None.
-        time: time of the line, seconds since 1970.
-    """
-
-    status: str
-    id: str
-    key: str = ""
-    run: str = ""
-    attempt: int = 1
-    seconds: float = 0.0
-    sound: float = 0.0
-    files: dict[str, dict[str, Any]] = field(default_factory=dict)
-    input: dict[str, Any] = field(default_factory=dict)
-    source: dict[str, Any] = field(default_factory=dict)
-    error: str | None = None
-    time: float = 0.0
 
 
 class Journal:
@@ -107,9 +74,10 @@ class Journal:
         self._append({"started": name, "run": self.run, "time": time.time()})
         os.fsync(self._file)
 
-    def finish(self, entry: Entry) -> None:
+    def finish(self, result: Result) -> None:
         """Record the result of an attempt."""
-        values = asdict(entry) | {"run": self.run, "time": time.time()}
+        values = {name: getattr(result, _FIELDS.get(name, name)) for name in _TYPES}
+        values |= {"run": self.run, "time": time.time(), "sound": round(result.sound, 4)}
         # `jobs` finds what it needs at the beginning of a line, without parsing the whole.
         first = {name: values[name] for name in FIRST_FIELDS}
         self._append(first | {name: value for name, value in values.items() if value})
@@ -140,6 +108,7 @@ class History:
     """
 
     def __init__(self, state: Path, wanted: Container[str] | None = None) -> None:
+        self._out = state.parent
         self.runs: dict[str, dict[str, Any]] = {}
         self._results: dict[str, list[bytes]] = {}
         self._started: dict[str, list[tuple[float, str]]] = {}
@@ -158,11 +127,11 @@ class History:
         """Return the ids of all items with a result, in the order of their first."""
         return list(self._results)
 
-    def entries(self, name: str) -> list[Entry]:
+    def results(self, name: str) -> list[Result]:
         """Return the results of all attempts at an item, the latest last."""
         lines = self._results.get(name, ())
-        found = [entry for line in lines if (entry := _entry(parse_line(line) or {}))]
-        return sorted(found, key=lambda entry: entry.time)
+        found = [result for line in lines if (result := _result(parse_line(line) or {}))]
+        return sorted(found, key=lambda result: result.time)
 
     def killed(self, name: str) -> list[str]:
         """Return the runs that were killed while they processed this item, since its last
@@ -170,24 +139,79 @@ class History:
         starts = self._started.get(name)
         if not starts:
             return []
-        last = max((entry.time for entry in self.entries(name)), default=0.0)
+        last = max((result.time for result in self.results(name)), default=0.0)
         return [run for at, run in starts if at >= last]
 
     def unfinished(self, name: str) -> list[str]:
         """Return the runs that may have left files of an item which no journal lists."""
         runs = self.killed(name)
-        for entry in self.entries(name):
-            if entry.status in ("lost", "dropped"):
-                runs.append(entry.run)
+        for result in self.results(name):
+            if result.status in ("lost", "dropped"):
+                runs.append(result.run)
         return runs
 
-    def failures(self, name: str, key: str) -> list[Entry]:
+    def failures(self, name: str, key: str) -> list[Result]:
         """Return the failures of an item with a key since it was last done."""
-        found: list[Entry] = []
-        for entry in self.entries(name):
-            if entry.key == key and entry.status != "dropped":
-                found = [] if entry.status == "done" else [*found, entry]
+        found: list[Result] = []
+        for result in self.results(name):
+            if result.key == key and result.status != "dropped":
+                found = [] if result.status == "done" else [*found, result]
         return found
+
+    def compare(
+        self, name: str, file: Path, made_with: Mapping[str, Any]
+    ) -> Literal["same", "begun", "other"]:
+        """Compare an existing file of an item with the one that would be made now.
+
+        Returns:
+            "same" for a complete file with the same `made_with`; "begun" for one that an
+            interrupted run was writing with the same settings; "other" for anything else.
+        """
+        result = self._latest(name, file)
+        if result is not None and self._made_with(result.run, result.input, file) == made_with:
+            if self._is_unchanged(file, result.digests[self._key(file)]):
+                return "same"
+            return "other"
+        for run in self.unfinished(name):
+            was = self._made_with(run, {}, file)
+            if was.items() <= made_with.items():
+                return "begun"
+        return "other"
+
+    def differences(self, name: str, file: Path, made_with: Mapping[str, Any]) -> list[str]:
+        """Return the settings that differed when a file was made; empty without a record of it."""
+        result = self._latest(name, file)
+        if result is None:
+            return []
+        was = self._made_with(result.run, result.input, file)
+        return [name for name in {**was, **made_with} if was.get(name) != made_with.get(name)]
+
+    def input_digest(self, name: str, audio: Path) -> str | None:
+        """Return the SHA-256 of an input as a journal has it, if its size and time are the same."""
+        about = file_facts(audio)
+        for result in reversed(self.results(name)):
+            if about is not None and result.stamp == about:
+                return result.input.get("input")
+        return None
+
+    def _latest(self, name: str, file: Path) -> Result | None:
+        key = self._key(file)
+        results = reversed(self.results(name))
+        return next((result for result in results if key in result.digests), None)
+
+    def _made_with(self, run: str, item: Mapping[str, Any], file: Path) -> dict[str, Any]:
+        about = self.runs.get(run, {"settings": {"run": run}})
+        written = about.get("written", {}).get(file.suffix[1:], {})
+        return {**about["settings"], **item, **written}
+
+    def _is_unchanged(self, file: Path, about: Mapping[str, Any]) -> bool:
+        facts = file_facts(file)
+        if facts is not None and all(facts[name] == about.get(name) for name in facts):
+            return True
+        return about.get("sha256") == path_digest(file)
+
+    def _key(self, file: Path) -> str:
+        return file.relative_to(self._out).as_posix()
 
 
 def journal_files(state: Path) -> list[Path]:
@@ -260,13 +284,19 @@ _TYPES = {
     **dict.fromkeys(("files", "input", "source"), dict),
     "error": (str, type(None)),
 }
+"""Fields of a result in the journal, with their types."""
+_FIELDS = {"files": "digests", "source": "stamp"}
+"""Names in `Result` of those fields that have another there."""
 
 
-def _entry(values: dict[str, Any]) -> Entry | None:
-    """Return the entry of a line's values; None if one has a wrong type."""
+def _result(values: dict[str, Any]) -> Result | None:
+    """Return the result in a line's values; None if one has a wrong type."""
     known = {name: value for name, value in values.items() if name in _TYPES}
     if any(not isinstance(value, _TYPES[name]) for name, value in known.items()):
         return None
     if any(not isinstance(about, dict) for about in known.get("files", {}).values()):
         return None
-    return Entry(**known) if "status" in known and "id" in known else None
+    if "status" not in known or "id" not in known:
+        return None
+    task = Task(known.pop("id"))
+    return Result(task, **{_FIELDS.get(name, name): value for name, value in known.items()})

@@ -9,37 +9,20 @@ from __future__ import annotations
 import hashlib
 import heapq
 import json
+import os
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from audio_features.atomic import atomic_write
 from gesturekit.errors import ConfigError, FormatError
 from gesturekit.jobs.state import FORMAT, MAX_LINE, parse_line
+from gesturekit.jobs.task import Task
 
 PLAN = "plan.jsonl"
 """Name of the plan in the folder of state."""
-
-
-@dataclass(frozen=True, slots=True)
-class PlanItem:
-    """One item of the work.
-
-    Attributes:
-        id: name of its results, unique in the plan.
-        path: its input file, or None.
-        duration: seconds of sound; None if the file cannot be read.
-        more: what else it needs, as JSON values.
-        shard: number of its shard, counted from 1; 0 before there is a plan.
-    """
-
-    id: str
-    path: str | None = None
-    duration: float | None = None
-    more: dict[str, Any] = field(default_factory=dict)
-    shard: int = 0
 
 
 @dataclass(frozen=True)
@@ -106,8 +89,8 @@ class Plan:
             raise FormatError(f"{path}: its lines were changed; delete it for a new plan")
         return plan
 
-    def items(self, shard: int | None = None) -> Iterator[PlanItem]:
-        """Yield the items of a shard (counted from 1), or all, in the order of the plan.
+    def tasks(self, shard: int | None = None) -> Iterator[Task]:
+        """Yield the tasks of a shard (counted from 1), or all, in the order of the plan.
 
         Raises:
             FormatError: the file cannot be read.
@@ -119,15 +102,17 @@ class Plan:
                 file.readline(MAX_LINE)
                 for line in file:
                     if line.startswith(begin):
-                        yield self._item(parse_line(line) or {})
+                        yield self._task(parse_line(line) or {})
         except OSError as error:
             raise FormatError(f"{self.path}: {error.strerror}") from None
 
-    def _item(self, values: dict[str, Any]) -> PlanItem:
+    def _task(self, values: dict[str, Any]) -> Task:
         is_valid = values.keys() <= _TYPES.keys() and "id" in values
         if not is_valid or any(not isinstance(v, _TYPES[name]) for name, v in values.items()):
             raise FormatError(f"{self.path}: an item with wrong fields; delete it for a new plan")
-        return PlanItem(**values)
+        fields = {name: value for name, value in values.items() if name != "shard"}
+        path = fields.get("path")
+        return Task(**{**fields, "path": None if path is None else Path(path)})
 
 
 _TYPES = {
@@ -136,29 +121,30 @@ _TYPES = {
     "path": (str, type(None)),
     "duration": (int, float, type(None)),
     "more": dict,
+    "source": str,
 }
 
 
-def write_plan(path: Path, items: Sequence[PlanItem], shards: int, request: str) -> Plan:
+def write_plan(path: Path, tasks: Sequence[Task], shards: int, request: str) -> Plan:
     """Write a plan whose shards hold about the same seconds of sound, and return it.
 
-    The longest items are assigned first, each to the shard with the least so far. Equal items and
+    The longest items are assigned first, each to the shard with the least so far. Equal tasks and
     number of shards give equal lines.
 
     Raises:
         OSError: the file cannot be written.
     """
-    numbers = balanced([item.duration or 0.0 for item in items], shards)
+    numbers = balanced([task.duration or 0.0 for task in tasks], shards)
     totals = [[0, 0.0] for _ in range(shards)]
     digest = hashlib.sha256()
     with atomic_write(path) as temporary:
         body = temporary.with_suffix(".body")
         try:
             with body.open("wb") as file:
-                for item, number in zip(items, numbers, strict=True):
+                for task, number in zip(tasks, numbers, strict=True):
                     totals[number - 1][0] += 1
-                    totals[number - 1][1] += item.duration or 0.0
-                    line = _line(item, number)
+                    totals[number - 1][1] += task.duration or 0.0
+                    line = _line(task, number)
                     digest.update(line)
                     file.write(line)
             header = {"format": FORMAT, "request": request, "sha256": digest.hexdigest()}
@@ -207,9 +193,13 @@ def parse_shard(text: str) -> tuple[int, int]:
     return shard, shards
 
 
-def _line(item: PlanItem, shard: int) -> bytes:
-    values: dict[str, Any] = {"shard": shard, "id": item.id}
-    values |= {"path": item.path, "duration": item.duration}
-    if item.more:
-        values["more"] = item.more
+def _line(task: Task, shard: int) -> bytes:
+    # Another process may read it in another working folder.
+    path = None if task.path is None else os.path.abspath(task.path)  # noqa: PTH100
+    values: dict[str, Any] = {"shard": shard, "id": task.id}
+    values |= {"path": path, "duration": task.duration}
+    if task.more:
+        values["more"] = task.more
+    if task.source != (path or task.id):
+        values["source"] = task.source
     return json.dumps(values).encode() + b"\n"

@@ -47,6 +47,7 @@ from gesturekit.training.model_folder import (
     ModelParts,
     common_arguments,
     load_model,
+    model_digest,
     model_readme,
     rig_values,
     save_model,
@@ -102,8 +103,8 @@ class MultiresModel(TrainedModel):
 
     def check_controls(
         self, *, samples: int = 1, seed: int = 0, **controls: Unpack[MultiresControlArguments]
-    ) -> None:
-        """Check the controls of `generate` that do not depend on the speech.
+    ) -> MultiresControls:
+        """Return the controls of `generate`, after the checks that do not depend on the speech.
 
         Raises:
             ModelError: a control, style, level or speaker that this model does not have.
@@ -111,7 +112,9 @@ class MultiresModel(TrainedModel):
         """
         requested_backend()
         checked_seed(seed)
-        check_controls(self, MultiresControls.build(controls, self.kind), samples)
+        asked = MultiresControls.build(controls, self.kind)
+        check_controls(self, asked, samples)
+        return asked
 
     def _rate(self, controls: MultiresControls) -> float | None:
         """Return the frames per second of the result; None for the rate of a coarse level."""
@@ -164,6 +167,10 @@ class MultiresModel(TrainedModel):
         noise = self.noise.z_star[name].reshape(1, -1, lengths[0])
         values = Pyramid(self, lengths, condition).from_noise(noise)
         return self.representation.decode(values, self.fps)
+
+    def fingerprint(self) -> str:
+        """Return the SHA-256 of what `save` writes, its README apart."""
+        return model_digest(*self._parts())
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
         """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from gesturekit.errors import SpeechError
-from gesturekit.jobs.record import described, path_digest
-from gesturekit.jobs.work import Made, Processor, Work
-from gesturekit.rendering.tasks import Task
+from gesturekit.jobs.result import Processor, Result, json_of, path_digest
+from gesturekit.jobs.task import Task
+from gesturekit.rendering.inputs import load_wave, words_of
 
 if TYPE_CHECKING:
     from audio_features import Extractor, FeatureTrack, Wave
@@ -48,18 +48,12 @@ class FeatureExtraction(Processor):
     def __post_init__(self) -> None:
         settings = {"extractor": self.extractor.spec, "fps": self.fps}
         settings |= {"align": self.align or "linear", "precision": self.cache or "fp32"}
-        self.settings = described(settings)
+        self.settings = json_of(settings)
         self.written = {"npz": {}, "png": {}} if self.picture else {"npz": {}}
 
     def into(self, out: Path) -> FeatureExtraction:
         """Return the same extraction into another folder, without a cache."""
         return replace(self, out=out, cache=None)
-
-    def targets(self, task: Task) -> tuple[Path, ...]:
-        """Return all output files of a task."""
-        if task.error is not None:
-            return ()
-        return tuple(self.out / f"{task.name}.{kind}" for kind in self.written)
 
     def input_of(self, task: Task, digest: str | None = None) -> dict[str, Any]:
         """Return the digests of the sound and of its words, and which part of it is used."""
@@ -68,34 +62,31 @@ class FeatureExtraction(Processor):
         found = super().input_of(task, digest)
         if self.channel is not None:
             found["channel"] = self.channel
-        used = {name: task.options.get(name) for name in ("start", "seconds", "channel")}
+        used = {name: task.more.get(name) for name in ("start", "seconds", "channel")}
         found |= {name: value for name, value in used.items() if value is not None}
-        if task.audio is not None and takes_words(self.extractor):
-            found["words"] = task.words and path_digest(task.words)
+        if task.path is not None and takes_words(self.extractor):
+            words = words_of(task)
+            found["words"] = words and path_digest(words)
         return found
 
-    def make(self, work: Work, made: Made) -> None:
+    def make(self, result: Result) -> None:
         """Extract the features of a sound and write them."""
-        task = work.task
-        wave = task.load_wave(self.channel)
+        task = result.task
+        wave = load_wave(task, self.channel)
         if wave is None:
             raise SpeechError(f"{task.source}: no sound, so there are no features of it")
         for fault in (*wave.repairs, *wave.faults()):
             log.warning("%s: %s", task.source, fault)
-        made.sound = wave.duration
+        result.sound = wave.duration
         track = self._extracted(wave)
-        made.facts["shape"] = track.values.shape
-        for target in self.targets(task):
-            if target in work.kept:
-                continue
-            made.at = str(target)
-            if target.suffix == ".npz":
-                track.save(target)
+        result.facts["shape"] = track.values.shape
+        for file in self.missing(result, task.id):
+            if file.suffix == ".npz":
+                track.save(file)
             else:
                 from gesturekit.viewer.feature_picture import draw_features
 
-                draw_features(track, target, wave)
-            made.files.append(target)
+                draw_features(track, file, wave)
 
     def _extracted(self, wave: Wave) -> FeatureTrack:
         from audio_features import cache_from_environment

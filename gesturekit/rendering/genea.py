@@ -16,11 +16,11 @@ import numpy as np
 from audio_features import Wave
 from gesturekit.corpus.layouts import read_layout
 from gesturekit.errors import CorpusError, GestureKitError
-from gesturekit.jobs.work import Outcome
+from gesturekit.jobs.result import Result
+from gesturekit.jobs.task import Task
 from gesturekit.model import Model
 from gesturekit.motion.motion import Motion
 from gesturekit.rendering.batch import render
-from gesturekit.rendering.tasks import Task
 from gesturekit.wording import did_you_mean
 
 RIGS = {"beat2": "smplx", "seamless": "smplh"}
@@ -57,7 +57,7 @@ def export(
     samples: int = SAMPLES,
     progress: Callable[[list[Task]], Iterable[Task]] = iter,
     **options: Any,
-) -> list[Outcome]:
+) -> list[Result]:
     """Render a submission: NAME_s1.npz to NAME_s5.npz (NAME.npz for one sample) for each sound.
 
     A repeated call makes what is missing.

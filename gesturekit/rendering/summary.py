@@ -13,7 +13,8 @@ import numpy as np
 
 from audio_features.atomic import atomic_write
 from gesturekit.errors import GestureKitError
-from gesturekit.jobs.journal import Entry, History
+from gesturekit.jobs.journal import History
+from gesturekit.jobs.result import Result
 from gesturekit.jobs.state import STATE
 from gesturekit.jobs.status import Status
 from gesturekit.motion.motion import Motion
@@ -51,15 +52,15 @@ def write_summary(out: Path, status: Status, path: Path) -> None:
     failed = {item.id for item in status.failed}
     history = History(out / STATE)
     done = [
-        entry for name in history.names() if name not in failed for entry in _last(history, name)
+        result for name in history.names() if name not in failed for result in _last(history, name)
     ]
     body = "\n".join(
         [
             *_counts(out, status),
-            *_histogram("Seconds of sound", [entry.sound for entry in done]),
+            *_histogram("Seconds of sound", [result.sound for result in done]),
             *_histogram(
                 "Speed, times real time",
-                [entry.sound / entry.seconds for entry in done if entry.seconds > 0],
+                [result.sound / result.seconds for result in done if result.seconds > 0],
             ),
             *_failures(status),
             *_pictures(out, done),
@@ -74,9 +75,9 @@ def write_summary(out: Path, status: Status, path: Path) -> None:
         temporary.write_text(page, encoding="utf-8")
 
 
-def _last(history: History, name: str) -> list[Entry]:
-    """Return the latest successful entry of an item, or nothing."""
-    return [entry for entry in history.entries(name) if entry.status == "done"][-1:]
+def _last(history: History, name: str) -> list[Result]:
+    """Return the latest successful result of an item, or nothing."""
+    return [result for result in history.results(name) if result.status == "done"][-1:]
 
 
 def _counts(out: Path, status: Status) -> Iterator[str]:
@@ -133,15 +134,15 @@ def _failures(status: Status) -> Iterator[str]:
         yield f"<p>and {len(status.failed) - _SHOWN_FAILURES} more: gesturekit jobs --failed</p>"
 
 
-def _pictures(out: Path, done: list[Entry]) -> Iterator[str]:
+def _pictures(out: Path, done: list[Result]) -> Iterator[str]:
     """Yield pictures of results evenly spread over the items."""
     inside = out.resolve()
     spread = np.unique(np.linspace(0, len(done) - 1, min(PICTURES, len(done))).astype(int))
     yield "<h2>Results</h2>"
     with tempfile.TemporaryDirectory(prefix="gesturekit-") as folder:
         picture = Path(folder) / "picture.png"
-        for entry in (done[index] for index in spread):
-            names = [name for name in entry.files if name.endswith((".npz", ".bvh"))]
+        for result in (done[index] for index in spread):
+            names = [name for name in result.digests if name.endswith((".npz", ".bvh"))]
             file = out / names[0] if names else out
             # A journal is a file like any other: it may name anything.
             if not names or not file.resolve().is_relative_to(inside):
@@ -154,8 +155,8 @@ def _pictures(out: Path, done: list[Entry]) -> Iterator[str]:
             except (GestureKitError, OSError):
                 continue  # moved away, or edited since
             data = base64.b64encode(picture.read_bytes()).decode()
-            name = html.escape(printable(entry.id))
+            name = html.escape(printable(result.id))
             yield (
                 f'<figure><img alt="{name}" src="data:image/png;base64,{data}">'
-                f"<figcaption>{name}, {entry.sound:.1f} s</figcaption></figure>"
+                f"<figcaption>{name}, {result.sound:.1f} s</figcaption></figure>"
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import math
@@ -80,6 +81,19 @@ def save_model(
     # Last: a folder with a config.yaml is a whole model.
     with atomic_write(folder / "config.yaml") as temporary:
         temporary.write_text(dump_yaml({"format": FORMAT, **config}), encoding="utf-8")
+
+
+def model_digest(
+    config: Mapping[str, Any], rig: Mapping[str, Any], tensors: Mapping[str, Tensor]
+) -> str:
+    """Return the SHA-256 of what `save_model` writes, its README apart, without writing it."""
+    digest = hashlib.sha256(json.dumps(rig).encode())
+    digest.update(dump_yaml({"format": FORMAT, **config}).encode())
+    for name, tensor in sorted(tensors.items()):
+        values = tensor.detach().cpu().contiguous()
+        digest.update(f"{name} {values.dtype} {tuple(values.shape)}".encode())
+        digest.update(values.reshape(-1).view(torch.uint8).numpy())
+    return digest.hexdigest()
 
 
 def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], Model]) -> Model:

@@ -12,7 +12,7 @@ import pytest
 import audio_features as af
 import gesturekit as gk
 from gesturekit.cli import VERBS, cli
-from gesturekit.jobs.targets import EXISTING
+from gesturekit.jobs.run import EXISTING
 from gesturekit.systems import bundled_speech
 
 

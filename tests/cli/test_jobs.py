@@ -13,9 +13,11 @@ import pytest
 import soundfile
 
 from gesturekit import Motion
-from gesturekit.jobs.journal import Entry, Journal
-from gesturekit.jobs.plan import PlanItem, write_plan
+from gesturekit.jobs.journal import Journal
+from gesturekit.jobs.plan import write_plan
+from gesturekit.jobs.result import Result
 from gesturekit.jobs.state import STATE
+from gesturekit.jobs.task import Task
 from gesturekit.rendering import summary
 
 
@@ -92,9 +94,9 @@ def test_names_from_a_journal_cannot_write_to_the_terminal(gesturekit, tmp_path)
     state = tmp_path / STATE
     (state / "journal").mkdir(parents=True)
     odd = "a\x1b[2J\udcff"
-    write_plan(state / "plan.jsonl", [PlanItem(odd), PlanItem("b\x1b")], 1, "r")
+    write_plan(state / "plan.jsonl", [Task(odd), Task("b\x1b")], 1, "r")
     journal = Journal(state, 1, 1, run="a", settings={}, about={})
-    journal.finish(Entry("failed", odd, error=f"{odd}: broken\x1b[31m"))
+    journal.finish(Result(Task(odd), "failed", error=f"{odd}: broken\x1b[31m"))
     journal.start("b\x1b")
     journal.close()
     for arguments in (["--failed", "--left"], ["--page", tmp_path / "page.html"]):
@@ -169,10 +171,10 @@ def test_names_with_html_are_text_on_the_page(gesturekit, model, write_speech, t
 def test_the_page_of_a_folder_is_html_whatever_its_journal_says(gesturekit, tmp_path):
     state = tmp_path / STATE
     (state / "journal").mkdir(parents=True)
-    write_plan(state / "plan.jsonl", [PlanItem(name) for name in "abcd"], 1, "r")
+    write_plan(state / "plan.jsonl", [Task(name) for name in "abcd"], 1, "r")
     journal = Journal(state, 1, 1, run="a", settings={}, about={})
     for name, sound in zip("abcd", (0.0, 1.0, 2.0, math.inf)):
-        journal.finish(Entry("done", name, sound=sound, seconds=1.0))
+        journal.finish(Result(Task(name), "done", sound=sound, seconds=1.0))
     journal.close()
     for name in ("3", "page.bvh"):
         done = gesturekit("jobs", tmp_path, "--page", tmp_path / name)

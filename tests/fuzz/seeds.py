@@ -16,7 +16,9 @@ from safetensors.numpy import save
 import audio_features as af
 from gesturekit.formats import write_bvh, write_npz
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
-from gesturekit.jobs.journal import Entry, Journal
+from gesturekit.jobs.journal import Journal
+from gesturekit.jobs.result import Result
+from gesturekit.jobs.task import Task
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.training.config import dump_yaml
 
@@ -188,7 +190,19 @@ def journal(folder: Path) -> list[bytes]:
         made.start(name)
         files = {f"{name}.bvh": {"sha256": "0" * 64, "size": 3, "mtime_ns": 5}}
         error = None if status == "done" else f"{name}.wav: broken 3"
-        made.finish(Entry(status, name, "k", "r", 1, 0.5, 2.5, files, {"input": "x"}, error=error))
+        made.finish(
+            Result(
+                Task(name),
+                status,
+                error=error,
+                sound=2.5,
+                key="k",
+                run="r",
+                seconds=0.5,
+                digests=files,
+                input={"input": "x"},
+            )
+        )
     made.start("e")
     made.close()
     (path,) = (folder / "state" / "journal").iterdir()
@@ -200,7 +214,7 @@ def plan(folder: Path) -> list[bytes]:
     item = json.loads(manifest(folder)[0].splitlines()[1])
     rows = [
         {"shard": 1, "id": "a", "path": "/x/a.wav", "duration": 2.5, "more": {}},
-        {"shard": 1, "id": "b", "path": None, "more": {"options": {"seconds": 3, "seed": 1}}},
+        {"shard": 1, "id": "b", "path": None, "more": {"seconds": 3, "seed": 1}},
         {"shard": 2, "id": "c", "path": "/x/c.wav", "duration": 1.0, "more": {"item": item}},
     ]
     return [b"".join(json.dumps(row).encode() + b"\n" for row in rows)]

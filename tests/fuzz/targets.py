@@ -23,7 +23,6 @@ from audio_features import words as word_lists
 from audio_features.weight_files import read_file, read_json
 from gesturekit.corpus import Manifest
 from gesturekit.diffusion.config import DiffusionConfig
-from gesturekit.formats.batch import MotionTask
 from gesturekit.formats.smpl.easymocap import read_easymocap
 from gesturekit.formats.tables.events import load_events
 from gesturekit.formats.tables.root_path import load_root_path
@@ -37,8 +36,7 @@ from gesturekit.jobs.status import status_of
 from gesturekit.motion import Motion
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.rendering.lists import read_list
-from gesturekit.rendering.tasks import Task
+from gesturekit.rendering.inputs import item_of, read_list
 from gesturekit.systems import model_folder
 from gesturekit.training.config import load_config
 from gesturekit.training.run.checkpoint import Checkpoints
@@ -89,7 +87,7 @@ def checkpoint(folder: Path, file: Path) -> None:
 def jobs(folder: Path, file: Path) -> None:
     history = History(folder / STATE)
     for name in history.names():
-        history.entries(name), history.unfinished(name), history.failures(name, "k")
+        history.results(name), history.unfinished(name), history.failures(name, "k")
     last_run(folder / STATE)
     status_of(folder).reasons()
 
@@ -100,14 +98,8 @@ def lease(folder: Path, file: Path) -> None:
 
 
 def plan(folder: Path, file: Path) -> None:
-    for item in Plan.open(file).items():
-        Task.from_plan(item)
-    status_of(folder)
-
-
-def plan_of_motions(folder: Path, file: Path) -> None:
-    for item in Plan.open(file).items():
-        MotionTask.from_plan(item)
+    for task in Plan.open(file).tasks():
+        item_of(task)
     status_of(folder)
 
 
@@ -309,7 +301,7 @@ TARGETS = {
             says="FOLDER|^plan: item '",
         ),
         Target(
-            *("plan_of_motions", f"{STATE}/{PLAN}", seeds.plan_of_motions, plan_of_motions),
+            *("plan_of_motions", f"{STATE}/{PLAN}", seeds.plan_of_motions, plan),
             *(mutators.JSON, write_plan),
             wrap=with_header,
             says="FOLDER|^plan: item '",

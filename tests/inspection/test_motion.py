@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gesturekit.conversion.convert import convert
 from gesturekit.corpus import prepare
 from gesturekit.errors import GestureKitError
-from gesturekit.formats.batch import convert
 from gesturekit.inspection import Summary, inspect
 from gesturekit.inspection.tree import tree
 from gesturekit.motion import Motion, Skeleton

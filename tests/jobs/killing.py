@@ -15,10 +15,11 @@ import signal
 import sys
 import time
 
+import gesturekit.conversion.convert
+
 # Everything is imported before the forks, which then start at once.
 import gesturekit.corpus
 import gesturekit.diffusion.training.trainer
-import gesturekit.formats.batch
 import gesturekit.multires.training.trainer
 import gesturekit.rendering.batch
 import gesturekit.rendering.features

@@ -9,7 +9,9 @@ import os
 import pytest
 
 from gesturekit.errors import FormatError
-from gesturekit.jobs.journal import Entry, History, Journal, last_run
+from gesturekit.jobs.journal import History, Journal, last_run
+from gesturekit.jobs.result import Result
+from gesturekit.jobs.task import Task
 
 
 @pytest.fixture
@@ -21,7 +23,7 @@ def open_journal(tmp_path):
 
 
 def done(name, key="k", **fields):
-    return Entry("done", name, key, files={f"{name}.bvh": {"sha256": "x"}}, **fields)
+    return Result(Task(name), "done", key=key, digests={f"{name}.bvh": {"sha256": "x"}}, **fields)
 
 
 def test_the_next_run_reads_what_was_done(open_journal, tmp_path):
@@ -33,8 +35,8 @@ def test_the_next_run_reads_what_was_done(open_journal, tmp_path):
         journal.close()
     history = History(tmp_path)
     assert set(history.runs) == {"a", "b"} and last_run(tmp_path)["run"] == "b"
-    (entry,) = history.entries("two b")
-    assert (entry.status, entry.sound, entry.run) == ("done", 2.5, "b")
+    (result,) = history.results("two b")
+    assert (result.status, result.sound, result.run) == ("done", 2.5, "b")
     assert history.killed("two b") == history.unfinished("two b") == []
     assert History(tmp_path, {"one a"}).names() == ["one a"]
 
@@ -48,16 +50,16 @@ def test_items_in_progress_when_a_run_was_killed(open_journal, tmp_path):
     journal.finish(done("x"))
     journal.start("z")
     assert History(tmp_path).killed("z") == ["a", "a"]
-    journal.finish(Entry("dropped", "z"))
+    journal.finish(Result(Task("z"), "dropped"))
     assert History(tmp_path).killed("z") == [] and History(tmp_path).unfinished("z") == ["a"]
 
 
 def test_failures_count_for_the_same_key_since_the_last_success(open_journal, tmp_path):
     journal = open_journal()
     for key, status in (("k", "failed"), ("k", "done"), ("k", "failed"), ("other", "failed")):
-        journal.finish(Entry(status, "x", key, error="why"))
-    journal.finish(Entry("lost", "x", "k", error="died"))
-    journal.finish(Entry("dropped", "x", "k"))
+        journal.finish(Result(Task("x"), status, key=key, error="why"))
+    journal.finish(Result(Task("x"), "lost", key="k", error="died"))
+    journal.finish(Result(Task("x"), "dropped", key="k"))
     assert [entry.error for entry in History(tmp_path).failures("x", "k")] == ["why", "died"]
 
 
@@ -73,7 +75,7 @@ def test_a_line_cut_short_loses_only_itself(open_journal, tmp_path, cut):
     journal.finish(done("c"))
     journal.close()
     history = History(tmp_path)
-    assert [bool(history.entries(name)) for name in "abc"] == [True, False, True]
+    assert [bool(history.results(name)) for name in "abc"] == [True, False, True]
 
 
 def test_lines_of_anything_are_ignored(open_journal, tmp_path):
@@ -96,7 +98,7 @@ def test_lines_of_anything_are_ignored(open_journal, tmp_path):
     path.write_bytes(path.read_bytes() + b"\n".join(strange) + b"\n")
     journal.finish(done("b"))
     history = History(tmp_path)
-    assert [len(history.entries(name)) for name in "ab"] == [1, 1] and not history.killed("a")
+    assert [len(history.results(name)) for name in "ab"] == [1, 1] and not history.killed("a")
 
 
 def test_a_newer_journal_is_refused(tmp_path):
@@ -123,4 +125,4 @@ def test_after_a_full_disk_the_next_line_is_whole(open_journal, tmp_path, monkey
             journal.finish(done("a"))
     journal.finish(done("b"))
     history = History(tmp_path)
-    assert not history.entries("a") and history.entries("b")
+    assert not history.results("a") and history.results("b")

@@ -5,22 +5,25 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from gesturekit.errors import ConfigError, FormatError
-from gesturekit.jobs.journal import Entry, Journal
-from gesturekit.jobs.plan import PLAN, Plan, PlanItem, balanced, parse_shard, write_plan
+from gesturekit.jobs.journal import Journal
+from gesturekit.jobs.plan import PLAN, Plan, balanced, parse_shard, write_plan
+from gesturekit.jobs.result import Result
 from gesturekit.jobs.state import STATE, shard_name
+from gesturekit.jobs.task import Task
 
-ITEMS = [PlanItem(f"day/{i}", f"in/{i}.wav", float(1 + i % 7), {"seed": i}) for i in range(50)]
+ITEMS = [Task(f"day/{i}", Path(f"/in/{i}.wav"), float(1 + i % 7), {"seed": i}) for i in range(50)]
 
 
 def test_every_item_is_in_one_shard_and_shards_are_balanced(tmp_path):
     written = write_plan(tmp_path / "plan.jsonl", ITEMS, 4, "r")
     plan = Plan.open(tmp_path / "plan.jsonl")
     assert plan == written and plan.n_items == 50
-    parts = [list(plan.items(shard)) for shard in (1, 2, 3, 4)]
+    parts = [list(plan.tasks(shard)) for shard in (1, 2, 3, 4)]
     assert [len(part) for part in parts] == [count for count, _ in plan.shards]
     together = sorted((item for part in parts for item in part), key=lambda item: int(item.id[4:]))
     assert [(i.id, i.path, i.duration, i.more) for i in together] == [
@@ -28,7 +31,7 @@ def test_every_item_is_in_one_shard_and_shards_are_balanced(tmp_path):
     ]
     sums = [sum(item.duration for item in part) for part in parts]
     assert max(sums) - min(sums) <= 2 and sums == [seconds for _, seconds in plan.shards]
-    assert list(plan.items()) == sorted(together, key=lambda item: int(item.id[4:]))
+    assert list(plan.tasks()) == sorted(together, key=lambda item: int(item.id[4:]))
 
 
 def test_one_long_item_has_a_shard_of_its_own():
@@ -40,9 +43,9 @@ def test_unknown_durations_are_spread():
 
 
 def test_odd_names_survive(tmp_path):
-    odd = [PlanItem('a "quoted" \\ name\n', "b\udcff.wav"), PlanItem("漢字 🎤")]
+    odd = [Task('a "quoted" \\ name\n', Path("/b\udcff.wav")), Task("漢字 🎤")]
     write_plan(tmp_path / "plan.jsonl", odd, 1, "r")
-    assert [(i.id, i.path) for i in Plan.open(tmp_path / "plan.jsonl").items(1)] == [
+    assert [(i.id, i.path) for i in Plan.open(tmp_path / "plan.jsonl").tasks(1)] == [
         (i.id, i.path) for i in odd
     ]
 
@@ -80,7 +83,7 @@ from gesturekit.jobs.plan import Plan
 from gesturekit.jobs.status import status_of
 folder = Path(sys.argv[2])
 if sys.argv[1] == "plan":
-    count = len(list(Plan.open(folder / ".gesturekit" / "plan.jsonl").items()))
+    count = len(list(Plan.open(folder / ".gesturekit" / "plan.jsonl").tasks()))
 else:
     count = status_of(folder).done
 took = time.process_time() - begin
@@ -94,14 +97,14 @@ def test_a_million_items(tmp_path):
     state = tmp_path / STATE
     state.mkdir()
     names = [f"folder {i % 97}/{i:07d}" for i in range(10**6)]
-    items = [PlanItem(name, f"/in/{name}.wav", 5.0) for name in names]
+    items = [Task(name, Path(f"/in/{name}.wav"), 5.0) for name in names]
     plan = write_plan(state / PLAN, items, 10, "r")
     for shard in range(1, 11):
-        first, *others = plan.items(shard)
+        first, *others = plan.tasks(shard)
         journal = Journal(state, shard, 10, run="r", settings={}, about={})
         journal.start(first.id)
         files = {f"{first.id}.bvh": {"sha256": "0" * 64, "size": 100_000}}
-        journal.finish(Entry("done", first.id, "0" * 64, sound=5.0, files=files))
+        journal.finish(Result(first, "done", key="0" * 64, sound=5.0, digests=files))
         journal.close()
         path = state / "journal" / f"{shard_name(shard, 10)}.jsonl"
         lines = path.read_text().partition("\n")[2]  # of the first item, as of all others

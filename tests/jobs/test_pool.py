@@ -11,7 +11,7 @@ from functools import partial
 import pytest
 
 from gesturekit.errors import ConfigError
-from gesturekit.jobs.pool import Failure, Pool
+from gesturekit.jobs.workers import Failure, Pool
 
 
 def test_dead_and_late_workers_fail_only_their_own_task():

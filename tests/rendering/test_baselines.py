@@ -7,7 +7,7 @@ import pytest
 
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import ConfigError
-from gesturekit.rendering.baselines import other_sounds, sounds_of
+from gesturekit.rendering.samples import other_sounds, split_sounds
 
 
 def test_each_item_gets_the_sound_of_the_next_as_long_as_its_own(write_pair, tmp_path):
@@ -15,7 +15,7 @@ def test_each_item_gets_the_sound_of_the_next_as_long_as_its_own(write_pair, tmp
         write_pair(tmp_path / "r", f"take{number}", seconds, seed=number)
     manifest = tmp_path / "corpus.jsonl"
     prepare([tmp_path / "r"], manifest, holdout=0.0)
-    own, other = sounds_of(manifest, "train"), other_sounds(manifest, "train")
+    own, other = split_sounds(manifest, "train"), other_sounds(manifest, "train")
     assert [*own] == [*other] == ["take0", "take1", "take2"]
     for name, following in (("take0", "take1"), ("take1", "take2"), ("take2", "take0")):
         assert len(other[name].samples) == len(own[name].samples)

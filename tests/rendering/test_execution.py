@@ -17,16 +17,16 @@ from pathlib import Path
 import pytest
 
 from gesturekit.errors import ConfigError, OutputError
-from gesturekit.jobs import batch as execution
-from gesturekit.jobs.batch import Execution
+from gesturekit.jobs import run as execution
 from gesturekit.jobs.journal import History, Journal
 from gesturekit.jobs.plan import PLAN, Plan
-from gesturekit.jobs.pool import Failure
+from gesturekit.jobs.run import Execution
 from gesturekit.jobs.state import STATE
 from gesturekit.jobs.status import status_of
+from gesturekit.jobs.workers import Failure
 from gesturekit.motion.motion import Motion
 from gesturekit.rendering.batch import iter_render
-from gesturekit.rendering.render import Output, Renderer
+from gesturekit.rendering.renderer import Output, Renderer
 
 
 @pytest.fixture

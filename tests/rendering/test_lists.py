@@ -8,7 +8,9 @@ import os
 import pytest
 
 from gesturekit.errors import ConfigError
-from gesturekit.rendering.tasks import Task, find_tasks
+from gesturekit.jobs.plan import write_plan
+from gesturekit.jobs.task import Task
+from gesturekit.rendering.inputs import find_tasks, measured
 
 
 @pytest.fixture
@@ -21,7 +23,7 @@ def folder(tmp_path, write_speech, monkeypatch):
 
 def found(source, tmp_path):
     tasks = find_tasks(source, tmp_path / "out")
-    return {task.name: os.path.relpath(task.audio, tmp_path) for task in tasks}
+    return {task.id: os.path.relpath(task.path, tmp_path) for task in tasks}
 
 
 @pytest.mark.parametrize(
@@ -67,13 +69,14 @@ def test_jsonl_has_options_for_each_input(folder, tmp_path):
         {"id": "idle", "seconds": 2},
     ]
     (tmp_path / "night.jsonl").write_text("\n".join(map(json.dumps, lines)))
-    tasks = [task.measured() for task in find_tasks("night.jsonl", tmp_path / "out")]
-    assert [task.name for task in tasks] == ["in/a", "again/a", "idle"]
-    assert [dict(task.options) for task in tasks] == [
+    tasks = [measured(task) for task in find_tasks("night.jsonl", tmp_path / "out")]
+    assert [task.id for task in tasks] == ["in/a", "again/a", "idle"]
+    assert [dict(task.more) for task in tasks] == [
         {"seed": 3, "style": "old"}, {"start": 0.1, "seconds": 0.2}, {"seconds": 2},
     ]  # fmt: skip
     assert [task.duration for task in tasks] == [0.5, 0.2, 2]
-    assert [Task.from_plan(task.to_plan()).options for task in tasks] == [t.options for t in tasks]
+    plan = write_plan(tmp_path / "plan.jsonl", tasks, 1, "r")
+    assert [task.more for task in plan.tasks()] == [task.more for task in tasks]
 
 
 @pytest.mark.parametrize(
@@ -113,6 +116,6 @@ def test_a_damaged_header_and_a_pipe_have_no_duration(tmp_path, folder):
     data = bytearray((folder / "a.wav").read_bytes())
     data[24:28] = (1).to_bytes(4, "little")  # a sample rate of 1 Hz
     (folder / "a.wav").write_bytes(data)
-    assert Task("a", "a", folder / "a.wav").measured().duration is None
+    assert measured(Task("a", folder / "a.wav")).duration is None
     os.mkfifo(folder / "pipe.wav")
-    assert Task("p", "p", folder / "pipe.wav").measured().duration is None
+    assert measured(Task("p", folder / "pipe.wav")).duration is None

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,8 +13,8 @@ from gesturekit import Motion, Skeleton
 from gesturekit.corpus import Item
 from gesturekit.errors import ConfigError, FormatError, ModelError, MotionError
 from gesturekit.formats.rig import Rig
-from gesturekit.jobs.plan import PlanItem
-from gesturekit.jobs.record import described
+from gesturekit.jobs.plan import write_plan
+from gesturekit.jobs.result import json_of
 from gesturekit.jobs.state import STATE
 from gesturekit.motion.contacts import foot_positions
 from gesturekit.motion.kinematics import global_rotations
@@ -23,8 +22,8 @@ from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.postprocess import smooth_motion
 from gesturekit.rendering.batch import iter_render as render
-from gesturekit.rendering.render import FORMATS, Output
-from gesturekit.rendering.tasks import Task
+from gesturekit.rendering.inputs import find_tasks, item_of
+from gesturekit.rendering.renderer import FORMATS, Output
 
 JOURNAL = f"{STATE}/journal/00001-of-00001.jsonl"
 
@@ -326,13 +325,13 @@ def test_a_killed_run_goes_on_whatever_it_left_of_its_record(model, sounds, tmp_
 def test_settings_are_compared_by_content(tmp_path):
     for name in ("one", "same", "other"):
         (tmp_path / name).write_text("other" if name == "other" else "one")
-    one, same, other = (described(tmp_path / name) for name in ("one", "same", "other"))
+    one, same, other = (json_of(tmp_path / name) for name in ("one", "same", "other"))
     assert one == same != other
     path = RootPath(np.zeros((3, 2)), np.zeros(3), 25.0)
-    assert described(path) == described(RootPath(np.zeros((3, 2)), np.zeros(3), 25.0))
-    assert described(path) != described(RootPath(np.ones((3, 2)), np.zeros(3), 25.0))
-    assert described({0.5: "old", "x": (1, None)}) == {"0.5": "old", "x": [1, None]}
-    assert described(str(tmp_path / "one")) != described(str(tmp_path / "other"))
+    assert json_of(path) == json_of(RootPath(np.zeros((3, 2)), np.zeros(3), 25.0))
+    assert json_of(path) != json_of(RootPath(np.ones((3, 2)), np.zeros(3), 25.0))
+    assert json_of({0.5: "old", "x": (1, None)}) == {"0.5": "old", "x": [1, None]}
+    assert json_of(str(tmp_path / "one")) != json_of(str(tmp_path / "other"))
 
 
 def test_items_of_a_manifest_are_cut_and_named_as_it_says(model, tmp_path, write_pair):
@@ -360,8 +359,8 @@ def test_items_of_a_manifest_are_cut_and_named_as_it_says(model, tmp_path, write
         later = [replace(items[0], **changed)]
         with pytest.raises(ConfigError, match=says):
             next(render(model, later, out, samples=2))
-        planned = json.loads(json.dumps(asdict(Task("a", "a", audio, later[0]).to_plan())))
-        assert Task.from_plan(PlanItem(**planned)).item == later[0]
+        plan = write_plan(tmp_path / "plan.jsonl", find_tasks(later, out), 1, "r")
+        assert [item_of(task) for task in plan.tasks()] == later
 
 
 def test_a_model_without_speech_input_moves_as_long_as_the_items(tmp_path, write_pair, model):

@@ -17,7 +17,7 @@ from gesturekit.corpus import Manifest
 from gesturekit.corpus.item import Item
 from gesturekit.errors import ConfigError
 from gesturekit.motion.contacts import foot_positions
-from gesturekit.rendering.sampling import (
+from gesturekit.rendering.samples import (
     SamplingOptions,
     sample_lda,
     sample_multires,

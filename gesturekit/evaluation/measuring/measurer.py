@@ -38,7 +38,7 @@ from gesturekit.evaluation.measuring.set_metrics import (
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.pairs import ItemInterval, Items, Pair
 from gesturekit.evaluation.results import Interval, MetricResult
-from gesturekit.jobs.pool import Failure, Pool
+from gesturekit.jobs.workers import Failure, Pool
 
 if TYPE_CHECKING:
     from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel

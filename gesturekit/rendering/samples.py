@@ -1,8 +1,11 @@
-"""Samples for the papers' evaluation protocols, written to a folder.
+"""Samples for the papers' evaluation protocols and of baseline models, written to a folder.
 
 `gesturekit.evaluation` only reads such folders, not models. Motion has the model's own frame rate,
 each recording's own style and speaker, and noise drawn for each clip from the seed and its name.
 Clips are named after their recordings: `STEM_s1` ..., `STEM_w000_s1` ... for windows.
+
+Baselines that need a model are rendered here; `gesturekit.evaluation` makes those that need
+recordings alone.
 """
 
 from __future__ import annotations
@@ -17,18 +20,21 @@ import numpy as np
 
 import audio_features as af
 from gesturekit.corpus.item import Item
+from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import ConfigError
 from gesturekit.evaluation.comparison import LDA_SAMPLES, MULTIRES_LENGTH, MULTIRES_SAMPLES
 from gesturekit.evaluation.pairs import WINDOW_SECONDS, files_by_key, motion_files
 from gesturekit.formats.conversion import load
 from gesturekit.formats.sources import SPEECH_SUFFIXES
 from gesturekit.model import Model
-from gesturekit.rendering.render import item_controls
+from gesturekit.rendering.renderer import item_controls
 from gesturekit.training.seeds import rng_for
 from gesturekit.wording import listed
 
 RAW = {"foot_lock": False, "smooth": 0.0}
 """Controls that leave motion as the network generates it, as both papers measure it."""
+RETRIEVAL = "multires_speech/retrieval"
+"""Recipe of the model that only chooses recorded pieces by the speech."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,6 +153,63 @@ def sounds_of(folder: Path) -> list[Item]:
         Item(id=stem, audio=path, motion=None, duration=af.Wave.load(path).duration)
         for stem, path in sounds.items()
     ]
+
+
+def train_retrieval(corpus: Path, folder: Path, *, seed: int = 0) -> Path:
+    """Return the folder of a model that moves in recorded pieces, chosen by the speech.
+
+    The pieces are those of the training split; no network is used.
+
+    Args:
+        corpus: manifest.
+        folder: a new folder for the run.
+        seed: of the run.
+
+    Raises:
+        ConfigError: see `gesturekit.train`, such as a corpus without training recordings.
+    """
+    from gesturekit.systems import train
+
+    return train(RETRIEVAL, corpus=str(corpus), out=str(folder), seed=seed)
+
+
+def split_sounds(corpus: Path, split: str) -> dict[str, af.Wave]:
+    """Return {id: sound} of the paired items of a split."""
+    return {item.id: item.load_wave() for item in Manifest.load(corpus).paired(split)}
+
+
+def other_sounds(corpus: Path, split: str) -> dict[str, af.Wave]:
+    """Return {id: sound of another item, as long as the item's own}.
+
+    It is the next item of the split, or an item of the training split if there is no other.
+    A shorter sound is repeated.
+
+    Raises:
+        ConfigError: there is no other item.
+    """
+    own = split_sounds(corpus, split)
+    others = own if len(own) > 1 else split_sounds(corpus, "train")
+    names = list(others)
+    if not set(names) - set(own) and len(names) < 2:
+        raise ConfigError(f"{corpus}: speech_blind needs the sound of another recording")
+    result = {}
+    for name, wave in own.items():
+        after = (names.index(name) + 1) % len(names) if name in others else 0
+        other = others[names[after]].resample(wave.sample_rate)
+        samples = np.resize(other.samples, len(wave.samples))
+        result[name] = af.Wave(samples, wave.sample_rate, other.source)
+    return result
+
+
+def render_baseline(
+    model: Model, sounds: Mapping[str, af.Wave], out: Path, *, seed: int = 0
+) -> Iterator[Path]:
+    """Write ID.npz for each sound to `out`, and yield its path."""
+    for name, wave in sounds.items():
+        path = out / f"{name}.npz"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        model.generate(wave, seed=seed).save(path)
+        yield path
 
 
 def _check_styles(model: Model, items: Sequence[Item]) -> None:

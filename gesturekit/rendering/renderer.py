@@ -6,7 +6,7 @@ import dataclasses
 import logging
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +15,11 @@ from gesturekit.corpus.item import Item
 from gesturekit.errors import ConfigError
 from gesturekit.formats.conversion import writer_options
 from gesturekit.formats.rig import Rig
-from gesturekit.jobs.record import described, path_digest
-from gesturekit.jobs.work import Made, Processor, Work
+from gesturekit.jobs.result import Processor, Result, json_of, path_digest
+from gesturekit.jobs.task import Task
 from gesturekit.model import Model
 from gesturekit.motion.motion import Motion
-from gesturekit.rendering.record import model_fingerprint, without_models
-from gesturekit.rendering.tasks import Task
-from gesturekit.systems import controls_type
+from gesturekit.rendering.inputs import item_of, load_wave, words_of
 from gesturekit.viewer.video.writer import require_encoder
 
 log = logging.getLogger(__name__)
@@ -103,7 +101,7 @@ class Renderer(Processor):
             require_encoder()
         self.existing = output.existing
         self.samples = self.controls.get("samples", 1)
-        self.controls = _without_defaults(self.controls, self.model.kind)
+        self.controls = _without_defaults(self.model, self.controls)
         rig = output.rig
         self.body = rig if rig is None or isinstance(rig, Rig) else Rig.load(rig)
         written = {"unit": output.unit, "up": output.up, "body": output.body}
@@ -112,16 +110,11 @@ class Renderer(Processor):
             output.formats, {name: value for name, value in written.items() if value is not None}
         )
         settings = {k: v for k, v in self.controls.items() if k != "samples"}
-        self.settings = {"model": model_fingerprint(self.model), "seed": 0} | described(
-            {name: without_models(value) for name, value in settings.items()}
+        self.settings = {"model": self.model.fingerprint(), "seed": 0} | json_of(
+            {name: _without_models(value) for name, value in settings.items()}
         )
         if self.body is not None:
-            self.settings["rig"] = described(self.body)
-        self.model.check_controls(**self.controls)
-
-    def into(self, out: Path) -> Renderer:
-        """Return the same renderer into another folder."""
-        return replace(self, out=out)
+            self.settings["rig"] = json_of(self.body)
 
     @property
     def about(self) -> dict[str, Any]:
@@ -131,16 +124,8 @@ class Renderer(Processor):
     def names(self, task: Task) -> list[str]:
         """Return the name of each sample."""
         if self.samples == 1:
-            return [task.name]
-        return [f"{task.name}_s{number}" for number in range(1, self.samples + 1)]
-
-    def targets(self, task: Task) -> tuple[Path, ...]:
-        """Return all output files of a task."""
-        if task.error is not None:
-            return ()
-        return tuple(
-            self.out / f"{name}.{kind}" for name in self.names(task) for kind in self.output.formats
-        )
+            return [task.id]
+        return [f"{task.id}_s{number}" for number in range(1, self.samples + 1)]
 
     def input_of(self, task: Task, digest: str | None = None) -> dict[str, Any]:
         """Return what the motions of a task depend on beside `settings`.
@@ -156,15 +141,16 @@ class Renderer(Processor):
         for name, value in {"seconds": self.seconds, "channel": self.channel}.items():
             if value is not None:
                 found[name] = value
-        if task.audio is not None and any(model.inputs.words for model in self._models):
-            found["words"] = task.words and path_digest(task.words)
-        if task.item is not None:
-            item = task.item
+        if task.path is not None and any(model.inputs.words for model in self._models):
+            words = words_of(task)
+            found["words"] = words and path_digest(words)
+        if (item := item_of(task)) is not None:
             found |= {"start": item.audio_start, "duration": item.duration}
             found |= {"channel": item.channel} if item.channel is not None else {}
-            found |= {"audible": described(item.audible)} if item.audible else {}
-            found |= described(self._item_controls(item))
-        return found | described(task.options)
+            found |= {"audible": json_of(item.audible)} if item.audible else {}
+            found |= json_of(self._item_controls(item))
+        own = {name: value for name, value in task.more.items() if name != "item"}
+        return found | json_of(own)
 
     def _item_controls(self, item: Item) -> dict[str, Any]:
         """Return the controls of a manifest's item that were not given for all inputs."""
@@ -174,43 +160,40 @@ class Renderer(Processor):
     def has_speaker(self, task: Task) -> bool:
         """Return whether a speaker is chosen for a task, or the model has none to choose from."""
         known = self.model.speakers
-        given = [self.controls.get("speaker"), task.options.get("speaker")]
-        given += [] if task.item is None else [task.item.speaker]
+        given = [self.controls.get("speaker"), task.more.get("speaker")]
+        item = item_of(task)
+        given += [] if item is None else [item.speaker]
         return len(known) < 2 or any(name in known for name in given)
 
-    def make(self, work: Work, made: Made) -> None:
+    def make(self, result: Result) -> None:
         """Generate the motions of a task and write them."""
-        task = work.task
+        task = result.task
         wave, motions = self._generate(task)
         # The player embeds the original file, unless only a part of it was used.
-        whole = task.item is None and self.channel is None and not task.options
-        sound = task.audio if whole else wave
-        made.sound = motions[0].duration if wave is None else wave.duration
+        sound = task.path if self.channel is None and not task.more else wave
+        result.sound = motions[0].duration if wave is None else wave.duration
         for motion, name in zip(motions, self.names(task), strict=True):
             motion = motion if self.body is None else self.body.put(motion)
-            made.facts["fps"] = motion.fps
-            for kind in self.output.formats:
-                file = self.out / f"{name}.{kind}"
-                if file not in work.kept:
-                    made.at = str(file)
-                    self._write(motion, file, sound)
-                    made.files.append(file)
+            result.facts["fps"] = motion.fps
+            for file in self.missing(result, name):
+                self._write(motion, file, sound)
 
     def _generate(self, task: Task) -> tuple[af.Wave | None, list[Motion]]:
         """Return the sound of a task, and its motions."""
-        wave, item = task.load_wave(self.channel), task.item
+        wave, item = load_wave(task, self.channel), item_of(task)
         if wave is not None and not wave.is_silent:  # the model warns of silence
             for fault in wave.faults():
                 log.warning("%s: %s", task.source, fault)
         controls, seconds = self.controls, self.seconds
+        is_whole_sound = wave is not None and self._takes_speech()
         if item is not None:
             controls = self._item_controls(item) | controls
-            seconds = item.duration if wave is None or not self._takes_speech() else None
-        if task.options:
-            own = {name: task.options.get(name) for name in ("seed", "style", "speaker")}
+            seconds = None if is_whole_sound else item.duration
+        elif task.more:
+            own = {name: task.more.get(name) for name in ("seed", "style", "speaker")}
             controls = controls | {name: value for name, value in own.items() if value is not None}
-            if wave is None or not self._takes_speech():
-                seconds = task.options.get("seconds", wave and wave.duration)
+            if not is_whole_sound:
+                seconds = task.more.get("seconds", wave and wave.duration)
         speech = wave if seconds is None else None
         motions = self.model.generate(speech, seconds=seconds, **controls)
         return wave, motions if isinstance(motions, list) else [motions]
@@ -254,22 +237,27 @@ def item_controls(model: Model, item: Item) -> dict[str, Any]:
     return found
 
 
-def _without_defaults(arguments: Mapping[str, Any], kind: str) -> dict[str, Any]:
-    """Return the arguments of `generate` that differ from their defaults.
+def _without_defaults(model: Model, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Check arguments of `generate`, and return those that differ from their defaults.
 
     Raises:
-        UnknownControlError: a control that models of this kind do not have.
+        ModelError: a control, style or level that the model does not have.
     """
-    defaults: dict[str, Any] = {"samples": 1, "seed": 0}
-    names = defaults.keys() & arguments.keys()
-    values = {name: arguments[name] for name in names}
-    schema = controls_type(kind)
-    controls = schema.build({k: v for k, v in arguments.items() if k not in defaults}, kind)
-    for control in dataclasses.fields(schema):
-        name = control.name
-        defaults[name], values[name] = control.default, getattr(controls, name)
-    return {
-        name: value
-        for name, value in values.items()
-        if value is not defaults[name] and value != defaults[name]
+    controls = model.check_controls(**arguments)
+    found = {
+        field.name: value
+        for field in dataclasses.fields(controls)
+        if (value := getattr(controls, field.name)) is not field.default and value != field.default
     }
+    usual = {"samples": 1, "seed": 0}
+    given = {name: arguments.get(name, value) for name, value in usual.items()}
+    return {name: value for name, value in given.items() if value != usual[name]} | found
+
+
+def _without_models(value: Any) -> Any:
+    """Return a setting with a fingerprint in place of each model in it."""
+    if isinstance(value, Model):
+        return f"model sha256:{value.fingerprint()}"
+    if isinstance(value, list | tuple):
+        return [_without_models(item) for item in value]
+    return value

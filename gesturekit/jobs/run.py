@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from audio_features.atomic import remove_unfinished
 from gesturekit.errors import ConfigError, GestureKitError, OutputError
-from gesturekit.jobs.journal import ATTEMPTS, Entry, History, Journal, journal_files
+from gesturekit.jobs.journal import ATTEMPTS, History, Journal, journal_files
 from gesturekit.jobs.lease import Lease, live_leases, locked
-from gesturekit.jobs.plan import PLAN, Plan, PlanItem, balanced, write_plan
-from gesturekit.jobs.pool import Failure, Pool
-from gesturekit.jobs.record import Record
+from gesturekit.jobs.plan import PLAN, Plan, balanced, write_plan
+from gesturekit.jobs.result import Processor, Result, digest_of
 from gesturekit.jobs.state import state_folder
-from gesturekit.jobs.targets import EXISTING, refuse_existing, refuse_leaving
-from gesturekit.jobs.work import Done, Inputs, Outcome, Processor, Task, Work, digest_of
+from gesturekit.jobs.task import Task
+from gesturekit.jobs.workers import Failure, Pool
 
+EXISTING = ("refuse", "skip", "replace")
+"""Treatments of existing files that were made with other settings or another input."""
+_SHOWN = 3
 _SUSPICIOUS = 2  # times that a run was killed while it processed an item
 
 
@@ -57,7 +59,8 @@ class Batch:
 
     Args:
         processor: the work on one task, with all settings.
-        inputs: the inputs.
+        find: looks for the inputs, and returns the tasks in their order.
+        request: the request, as JSON values; shards with equal requests share a plan.
         execution: how the work is done.
 
     Attributes:
@@ -70,24 +73,29 @@ class Batch:
         FormatError: plan or journals cannot be read.
     """
 
-    def __init__(self, processor: Processor, inputs: Inputs, execution: Execution) -> None:
+    def __init__(
+        self,
+        processor: Processor,
+        find: Callable[[], list[Task]],
+        request: Any,
+        execution: Execution,
+    ) -> None:
         if processor.existing not in EXISTING:
             raise ConfigError(f"existing is {processor.existing!r}; expected {', '.join(EXISTING)}")
         self.processor, self.execution, self.out = processor, execution, processor.out
         self.state = state_folder(self.out)
-        self._inputs = inputs
-        self._request = digest_of([inputs.request, execution.shard[1]])
+        self._request = digest_of([request, execution.shard[1]])
         plan = self._shared_plan()
         self._found: list[Task] | None = None
         if plan is None:
-            self._found = inputs.find()
+            self._found = find()
             self.tasks = self._of_shard(self._found)
         else:
-            self.tasks = self._planned(plan)
+            self.tasks = list(plan.tasks(execution.shard[0]))
         self._settle()
 
-    def run(self) -> Iterator[Outcome]:
-        """Do the work, and yield the outcome of each task as soon as it is done.
+    def run(self) -> Iterator[Result]:
+        """Do the work, and yield the result of each task as soon as it is done.
 
         Raises:
             OutputError: the output folder cannot be written to any more.
@@ -110,7 +118,7 @@ class Batch:
                     self.state, shard, shards, run=run, settings=settings, about=about
                 )
             try:
-                yield from self._outcomes(_Shard(self, journal, lease))
+                yield from self._results(_Shard(self, journal, lease))
             finally:
                 with suppress(OSError):
                     journal.close()
@@ -119,17 +127,14 @@ class Batch:
 
     def _attempts(self, task: Task) -> tuple[int, str | None]:
         """Return how often a task failed with its present input, and the last reason."""
-        if not any(entry.status != "done" for entry in self.history.entries(task.name)):
+        if not any(result.status != "done" for result in self.history.results(task.id)):
             return 0, None
         try:
             key = self.processor.key(self._input_of(task))
         except (GestureKitError, OSError):
             return 0, None
-        failures = self.history.failures(task.name, key)
+        failures = self.history.failures(task.id, key)
         return len(failures), failures[-1].error if failures else None
-
-    def _planned(self, plan: Plan) -> list[Task]:
-        return [self._inputs.from_plan(item) for item in plan.items(self.execution.shard[0])]
 
     def _shared_plan(self) -> Plan | None:
         """Return the plan that a run of another shard made of the same request."""
@@ -152,16 +157,15 @@ class Batch:
             ConfigError: `existing` is "refuse", and a file was made with other settings; or a
                 target lies outside the output folder.
         """
-        targets = {task.name: self.processor.targets(task) for task in self.tasks}
+        targets = {task.id: self.processor.targets(task) for task in self.tasks}
         refuse_leaving([file for files in targets.values() for file in files], self.out)
         self._seen = _journal_sizes(self.state)
         self.history = History(self.state, targets)
-        self._record = Record(self.out, self.history)
         self.kept: set[Path] = set()
         refused: list[Path] = []
         another: set[str] = set()
         for task in self.tasks:
-            refused += self._settle_task(task, targets[task.name], another)
+            refused += self._settle_task(task, targets[task.id], another)
         if refused:
             count = sum(map(len, targets.values()))
             named = (
@@ -188,16 +192,16 @@ class Batch:
         refused = []
         for file in there:
             made_with = base | self.processor.written[file.suffix[1:]]
-            state = self._record.state(task.name, file, made_with)
+            state = self.history.compare(task.id, file, made_with)
             if state == "same":
                 self.kept.add(file)
             elif state == "other" and existing == "refuse":
                 refused.append(file)
-                another.update(self._record.differences(task.name, file, made_with))
+                another.update(self.history.differences(task.id, file, made_with))
         return refused
 
     def _input_of(self, task: Task) -> dict[str, Any]:
-        digest = self._record.input_digest(task.name, task.path) if task.path else None
+        digest = self.history.input_digest(task.id, task.path) if task.path else None
         return self.processor.input_of(task, digest)
 
     def _begin(self) -> Lease:
@@ -207,18 +211,15 @@ class Batch:
         planned = None
         if plan is not None:
             # Made by the run of another shard, perhaps since this one looked for the inputs.
-            planned = self._planned(plan)
+            planned = list(plan.tasks(number))
         elif self._found is None:
             raise ConfigError(f"{self.state / PLAN} was replaced meanwhile; start this shard again")
         else:
-            items: dict[str, PlanItem] = {}
-            for task in self._found:
-                if task.error is None:
-                    items[task.name] = task.to_plan()
+            tasks = [task for task in self._found if task.error is None]
             leases = live_leases(self.state)
             new = self.state / (f"{PLAN}.new" if leases else PLAN)
             with _journaling(self.out):
-                plan = write_plan(new, list(items.values()), count, self._request)
+                plan = write_plan(new, tasks, count, self._request)
             if leases:
                 new.unlink()  # only its hash is wanted, to compare it with that of the live run
         run = {"plan": plan.sha256, "shards": count, "settings": self.processor.run}
@@ -233,114 +234,114 @@ class Batch:
                 raise
         return lease
 
-    def _outcomes(self, shard: _Shard) -> Iterator[Outcome]:
+    def _results(self, shard: _Shard) -> Iterator[Result]:
         workers, deadline = self.execution.workers, self.execution.deadline
         is_inside = workers == 1 and deadline is None
-        waiting: list[Work] = []
-        alone: list[Work] = []
+        waiting: list[Result] = []
+        alone: list[Result] = []
         for task in self.tasks:
-            work = self.work_on(task)
-            if isinstance(work, Outcome):
-                yield work
-            elif len(self.history.killed(task.name)) >= _SUSPICIOUS:
-                alone.append(work)  # its process may die, and the others come first
+            result = self.known(task)
+            if result.status != "left":
+                yield result
+            elif len(self.history.killed(task.id)) >= _SUSPICIOUS:
+                alone.append(result)  # its process may die, and the others come first
             elif is_inside:
-                shard.begin(work)
-                yield shard.finish(work, shard.call_inside(work))
+                yield shard.work(result)
             else:
-                waiting.append(work)
-        for works, count in ((waiting, workers), (alone, 1)):
-            if works:
-                yield from shard.map(Pool(self.processor, count, deadline), works)
+                waiting.append(result)
+        for results, count in ((waiting, workers), (alone, 1)):
+            if results:
+                yield from shard.map(Pool(self.processor, count, deadline), results)
 
-    def work_on(self, task: Task) -> Outcome | Work:
-        """Return what is to be done about a task, or its outcome if that is nothing."""
+    def known(self, task: Task) -> Result:
+        """Return the result of a task before any work; its status is "left" if there is some."""
         targets = self.processor.targets(task)
         kept = tuple(file for file in targets if file in self.kept)
-        if task.error is not None or len(kept) == len(targets):
-            return Outcome(task.source, kept=kept, error=task.error)
+        if task.error is not None:
+            return Result(task, "failed", kept=kept, error=task.error)
+        if len(kept) == len(targets):
+            return Result(task, "kept", kept=kept)
         count, reason = self._attempts(task)
         if count >= ATTEMPTS and not self.execution.retry_failed:
             error = f"{reason} (put aside after {count} failures; --retry-failed tries again)"
-            return Outcome(task.source, kept=kept, error=error)
-        return Work(task, kept, count + 1)
+            return Result(task, "failed", kept=kept, error=error)
+        return Result(task, kept=kept, attempt=count + 1)
 
 
 class _Shard:
     """The shard being processed: its journal, its lease, and the tasks in progress."""
 
     def __init__(self, batch: Batch, journal: Journal, lease: Lease) -> None:
-        self._batch, self._journal, self._lease = batch, journal, lease
-        self._out, self._in_progress = batch.out, dict[str, Work]()
+        self._processor, self._history, self._out = batch.processor, batch.history, batch.out
+        self._journal, self._lease = journal, lease
+        self._in_progress: dict[str, Result] = {}
 
-    def begin(self, work: Work) -> None:
-        """Record that a task is in progress, and remove what a killed run left of it."""
-        self._lease.check()
-        name = work.task.name
-        if self._batch.history.unfinished(name):
-            self._remove_temporary(work)
-        with _journaling(self._out):
-            self._journal.start(name)
-        self._in_progress[name] = work
-
-    def call_inside(self, work: Work) -> Done:
+    def work(self, result: Result) -> Result:
         """Work in this process."""
+        self.begin(result)
         try:
-            return self._batch.processor(work)
+            filled = self._processor(result)
         except BaseException:
             self._drop()
             raise
+        return self._finish(filled)
 
-    def map(self, pool: Pool, works: Sequence[Work]) -> Iterator[Outcome]:
-        """Work in the processes of a pool, and yield outcomes as they come."""
+    def map(self, pool: Pool, results: Sequence[Result]) -> Iterator[Result]:
+        """Work in the processes of a pool, and yield results as they come."""
         try:
-            for work, result in pool.map(works, self.begin):
-                yield self.finish(work, result)
+            for result, filled in pool.map(results, self.begin):
+                lost = isinstance(filled, Failure)
+                yield self._finish(self._lost(result, filled) if lost else filled)
         except BaseException:
             pool.close()  # before what it was writing is removed
             self._drop()
             raise
 
-    def finish(self, work: Work, result: Done | Failure) -> Outcome:
-        """Record the result of a task.
+    def begin(self, result: Result) -> None:
+        """Record that a task is in progress, and remove what a killed run left of it."""
+        self._lease.check()
+        if self._history.unfinished(result.id):
+            self._remove_temporary(result.task)
+        with _journaling(self._out):
+            self._journal.start(result.id)
+        self._in_progress[result.id] = result
+
+    def _finish(self, result: Result) -> Result:
+        """Record a result.
 
         Raises:
             OutputError: the output folder is full.
         """
         self._lease.check()
-        done = self._lost(work, result) if isinstance(result, Failure) else result
         with _journaling(self._out):
-            self._journal.finish(done.entry)
-        del self._in_progress[work.task.name]
-        if done.is_full:
+            self._journal.finish(result)
+        del self._in_progress[result.id]
+        if result.is_full:
             raise OutputError(
-                f"{done.outcome.error}; stopped: finished results are kept, and the same "
-                "command continues"
+                f"{result.error}; stopped: finished results are kept, and the same command "
+                "continues"
             )
-        return done.outcome
+        return result
 
-    def _lost(self, work: Work, failure: Failure) -> Done:
+    def _lost(self, result: Result, failure: Failure) -> Result:
         """Return the result of a task whose process was ended."""
-        self._remove_temporary(work)
-        task, processor = work.task, self._batch.processor
-        error = f"{task.source}: {failure}"
-        found: dict[str, Any] = {}
+        self._remove_temporary(result.task)
+        result.status, result.error = "lost", f"{result.source}: {failure}"
         with suppress(GestureKitError, OSError):
-            found = processor.input_of(task)
-        key = processor.key(found)
-        entry = Entry("lost", task.name, key, processor.run, work.attempt, input=found, error=error)
-        return Done(Outcome(task.source, kept=work.kept, error=error), entry)
+            result.input = self._processor.input_of(result.task)
+        result.key = self._processor.key(result.input)
+        return result
 
     def _drop(self) -> None:
         """Record that the user stopped the tasks in progress, and remove their partial results."""
-        for work in self._in_progress.values():
-            self._remove_temporary(work)
+        for result in self._in_progress.values():
+            self._remove_temporary(result.task)
             with suppress(OSError):
-                self._journal.finish(Entry("dropped", work.task.name))
+                self._journal.finish(Result(result.task, "dropped"))
         self._in_progress.clear()
 
-    def _remove_temporary(self, work: Work) -> None:
-        for file in self._batch.processor.targets(work.task):
+    def _remove_temporary(self, task: Task) -> None:
+        for file in self._processor.targets(task):
             remove_unfinished(file)
 
 
@@ -368,3 +369,33 @@ def _make_folder(out: Path) -> None:
         raise ConfigError(f"{out}: cannot be created ({error.strerror})") from None
     if not writable:
         raise ConfigError(f"{out}: cannot be written to; give another folder")
+
+
+def refuse_leaving(targets: Iterable[Path], out: Path) -> None:
+    """Refuse targets that leave a folder through a link inside it.
+
+    Raises:
+        ConfigError: a target whose folder is a link to outside `out`.
+    """
+    inside = Path(os.path.realpath(out))
+    for target in targets:
+        if not Path(os.path.realpath(target.parent)).is_relative_to(inside):
+            raise ConfigError(f"{target} lies outside {out}: {target.parent} is a link")
+
+
+def refuse_existing(there: Sequence[Path], reason: str = "") -> NoReturn:
+    """Refuse to overwrite existing files.
+
+    Args:
+        there: the files, at least one.
+        reason: additional text, such as ", made with another seed".
+
+    Raises:
+        ConfigError: always; it names the options that allow it.
+    """
+    more = f" and {len(there) - _SHOWN} more" if len(there) > _SHOWN else ""
+    verb, object_ = ("exists", "it") if len(there) == 1 else ("exist", "them")
+    raise ConfigError(
+        f"{', '.join(map(str, there[:_SHOWN]))}{more} {verb} already{reason}; --existing replace "
+        f"overwrites {object_}, --existing skip leaves {object_}"
+    )

@@ -10,19 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gesturekit.conversion.changes import Changes, parse_trim
+from gesturekit.conversion.convert import convert
+from gesturekit.conversion.options import FormatOptions
 from gesturekit.errors import ConfigError, FormatError, MotionError
-from gesturekit.formats.batch import Converted, convert
-from gesturekit.formats.changes import Changes, parse_trim
-from gesturekit.formats.conversion import FormatOptions
 from gesturekit.formats.rig import Rig
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.formats.sources import motions_in, unreadable_media
+from gesturekit.jobs.result import Result
 from gesturekit.jobs.state import STATE
 from gesturekit.motion import Motion
 from gesturekit.motion.body_shape import BodyShape
 
 
-def outcomes(*arguments, **options) -> list[Converted]:
+def outcomes(*arguments, **options) -> list[Result]:
     own = {name: options.pop(name) for name in ("read", "write", "body_model") if name in options}
     return list(convert(*arguments, options=FormatOptions(**own), **options))
 
@@ -61,9 +62,11 @@ def smpl_motion(fps: float = 30.0, n_joints: int = 55, **more) -> Motion:
 
 def test_one_file_to_another_format_and_back(take, tmp_path):
     (done,) = outcomes(take, tmp_path / "a.npz")
-    assert (done.error, done.warnings, done.done) == (None, (), ())
+    assert (done.error, done.facts["warnings"], done.facts["done"]) == (None, (), ())
     assert done.files == (tmp_path / "a.npz",)
-    assert "cm, Y up" in done.found and "30 fps, 60 frames, 19 joints" in done.found
+    assert (
+        "cm, Y up" in done.facts["found"] and "30 fps, 60 frames, 19 joints" in done.facts["found"]
+    )
     (back,) = outcomes(tmp_path / "a.npz", tmp_path / "b.bvh")
     assert back.error is None
     first, last = Motion.load(take), Motion.load(tmp_path / "b.bvh")
@@ -81,7 +84,7 @@ def test_a_folder_keeps_its_structure_and_a_broken_file_is_skipped(gesture, fram
     np.savez(folder / "sound.npz", values=np.zeros((3, 2)), times=np.arange(3.0), spec="{}")
     write_frames(folder / "capture" / "smpl", frames)
     write_frames(folder / "capture" / "keypoints3d", [[{"id": 3, "keypoints3d": []}]])
-    done = {str(o.source.relative_to(folder)): o for o in outcomes(folder, out, formats=["bvh"])}
+    done = {os.path.relpath(o.source, folder): o for o in outcomes(folder, out, formats=["bvh"])}
     assert set(done) == {"a.bvh", "broken.bvh", "capture", "deep/c.npz", "deep/er/b.b.bvh"}
     assert [name for name, outcome in done.items() if outcome.error] == ["broken.bvh"]
     assert "broken.bvh:1" in done["broken.bvh"].error
@@ -126,7 +129,7 @@ def test_existing_files_are_not_overwritten_by_default(take, tmp_path):
 
 def test_a_dry_run_reads_and_writes_nothing(take, tmp_path):
     (done,) = outcomes(take, tmp_path / "out", formats=["npz"], dry_run=True)
-    assert done.files == (tmp_path / "out" / "take.npz",) and "60 frames" in done.found
+    assert done.files == (tmp_path / "out" / "take.npz",) and "60 frames" in done.facts["found"]
     assert not (tmp_path / "out").exists()
     (done,) = outcomes(take, tmp_path / "a.npz", dry_run=True, changes=Changes(joints=("Tail",)))
     assert "no joint 'Tail'" in done.error and str(take) in done.error
@@ -228,7 +231,7 @@ def test_changes_are_made_in_order(take, tmp_path):
     changes = Changes(trim=(0.5, 1.25), mirror=True, joints="body", fps=60.0)
     (done,) = outcomes(take, tmp_path / "a.npz", changes=changes)
     assert done.error is None
-    assert "; ".join(done.done) == ("cut to 0.77 s; mirrored; 30 to 60 fps"), (
+    assert "; ".join(done.facts["done"]) == ("cut to 0.77 s; mirrored; 30 to 60 fps"), (
         "1.25 s lies on frame 37.5, which rounds up"
     )
     motion, source = Motion.load(tmp_path / "a.npz"), Motion.load(take)
@@ -241,7 +244,7 @@ def test_changes_are_made_in_order(take, tmp_path):
 def test_a_trim_beyond_the_end_keeps_what_there_is(take, tmp_path):
     """Some clips of a folder are shorter than the range."""
     (done,) = outcomes(take, tmp_path / "a.npz", changes=Changes(trim=(0.5, 60.0)))
-    assert done.error is None and done.done == ("cut to 1.50 s",)
+    assert done.error is None and done.facts["done"] == ("cut to 1.50 s",)
     motion, source = Motion.load(tmp_path / "a.npz"), Motion.load(take)
     np.testing.assert_allclose(motion.positions(), source.positions()[15:], atol=1e-9)
 
@@ -279,7 +282,8 @@ def test_bones_below_a_removed_joint_are_reported(take, tmp_path):
     names = ("Hips", "Chest", "LeftForeArm", "LeftHand", "RightArm", "RightForeArm")
     (done,) = outcomes(take, tmp_path / "a.bvh", changes=Changes(joints=names))
     assert (
-        "Chest, LeftForeArm, RightArm: a parent joint that rotates was removed" in done.warnings[0]
+        "Chest, LeftForeArm, RightArm: a parent joint that rotates was removed"
+        in done.facts["warnings"][0]
     )
     cut, whole = Motion.load(tmp_path / "a.bvh"), Motion.load(take)
     hand = [m.positions()[:, m.skeleton.index("LeftHand")] for m in (cut, whole)]
@@ -289,7 +293,7 @@ def test_bones_below_a_removed_joint_are_reported(take, tmp_path):
 def test_a_rig_from_a_file(take, shared_data, tmp_path):
     avatar = shared_data / "motion/bandai/dataset-1_bye_old_001.bvh"
     (done,) = outcomes(take, tmp_path / "a.bvh", changes=Changes(rig=Rig.load(str(avatar))))
-    assert (done.error, done.done) == (None, (f"on {avatar.name}, 22 joints",))
+    assert (done.error, done.facts["done"]) == (None, (f"on {avatar.name}, 22 joints",))
     assert Motion.load(tmp_path / "a.bvh").skeleton.names == Motion.load(avatar).skeleton.names
     with pytest.raises(FormatError, match="one of smpl, smplh, smplx"):
         Rig.load("smplz")
@@ -302,11 +306,13 @@ def test_data_that_a_format_cannot_store_causes_a_warning(tmp_path):
     with pytest.warns(UserWarning, match="25 fps"):
         motion.save(tmp_path / "a.npz")
     (bvh,) = outcomes(tmp_path / "a.npz", tmp_path / "a.bvh")
-    assert [w for w in bvh.warnings if "no face expressions and no body shape (betas)" in w]
+    assert [
+        w for w in bvh.facts["warnings"] if "no face expressions and no body shape (betas)" in w
+    ]
     (npz,) = outcomes(tmp_path / "a.npz", tmp_path / "b.npz")
-    assert [w for w in npz.warnings if "--fps 30" in w] and len(npz.warnings) == 1
+    assert [w for w in npz.facts["warnings"] if "--fps 30" in w] and len(npz.facts["warnings"]) == 1
     (npz,) = outcomes(tmp_path / "a.npz", tmp_path / "c.npz", changes=Changes(fps=30))
-    assert npz.warnings == ()
+    assert npz.facts["warnings"] == ()
 
 
 def test_a_mesh_needs_its_model(capsule_body, tmp_path):
@@ -367,6 +373,6 @@ def test_spaces_in_joint_names_are_warned_about_once(gesture, tmp_path):
     for name in "ab":
         replace(motion, skeleton=rig).save(tmp_path / f"{name}.npz")
     done = outcomes(tmp_path, tmp_path / "out", formats=["bvh"])
-    (warning,) = [line for outcome in done for line in outcome.warnings]
+    (warning,) = [line for result in done for line in result.facts["warnings"]]
     assert "Bip01 Hips, Bip01 Spine, Bip01 Chest and 16 more" in warning and "bvhio" in warning
     assert Motion.load(tmp_path / "out" / "a.bvh").skeleton.names == names

@@ -1,0 +1,406 @@
+"""Inputs of a batch of sounds: files, folders, globs, lists and items of a manifest, as tasks.
+
+A list is a file with one input a line:
+
+| file | a line |
+|---|---|
+| `NAME.txt`, `NAME.lst`, `NAME.list` | path of a sound |
+| `NAME.scp` (Kaldi's wav.scp) | id and path of a sound; commands (`sox ... \\|`) are never run |
+| `NAME.jsonl` | object with `audio`, and optionally the fields of `FIELDS` |
+
+Paths are relative to the list's folder or, if there is no such file, to the working folder. Results
+are named by the id; without one, by the path as it is written in the list, or by the stem of a path
+that is absolute or has `..`.
+
+A task has in `more` the settings of its input alone: `seed`, `style` and `speaker`; `start` and
+`seconds`, the interval of the sound, or the length without sound; `channel`. For an item of a
+manifest it has the `item`.
+"""
+
+from __future__ import annotations
+
+import glob
+import json
+import logging
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import soundfile
+
+import audio_features as af
+from audio_features.containers.sound_file import soundfile_name
+from audio_features.wave import SAMPLE_RATES
+from audio_features.words import words_beside
+from gesturekit.corpus.item import Item, check_id
+from gesturekit.errors import ConfigError, CorpusError
+from gesturekit.formats.sources import (
+    OTHER_SPEECH_SUFFIXES,
+    SPEECH_SUFFIXES,
+    VIDEO_SUFFIXES,
+    unreadable_media,
+    visible_folders,
+)
+from gesturekit.jobs.result import Processor
+from gesturekit.jobs.run import Batch, Execution
+from gesturekit.jobs.state import STATE
+from gesturekit.jobs.task import Task
+
+LIST_SUFFIXES = (".txt", ".lst", ".list", ".scp", ".jsonl")
+FIELDS: dict[str, tuple[type, ...]] = {
+    **dict.fromkeys(("audio", "id", "style", "speaker"), (str,)),
+    **dict.fromkeys(("seed", "channel"), (int,)),
+    **dict.fromkeys(("start", "seconds"), (int, float)),
+}
+"""Fields of a line of NAME.jsonl with their types; `seconds` and `start` are the interval of the
+sound, and `seconds` alone is the length of a motion without sound."""
+_MAX_LINE = 1 << 16
+_MAX_SECONDS = 4 * 3600  # the longest sound that is read
+_SHOWN = 3
+_UNCOMPRESSED = ("WAV", "WAVEX", "AIFF", "AU")
+
+SoundSource = str | os.PathLike[str] | Item
+"""A sound file, a folder of them, a glob, a list, or an item of a manifest."""
+
+log = logging.getLogger(__name__)
+
+
+def sound_batch(
+    verb: str,
+    processor: Processor,
+    sources: SoundSource | Sequence[SoundSource],
+    execution: Execution,
+    seconds: float | None = None,
+    channel: int | None = None,
+) -> Batch:
+    """Return the batch of a verb that works on sounds.
+
+    Args:
+        verb: name of the verb.
+        processor: its work on one task.
+        sources: see `find_tasks`; without any, the input is one motion without sound.
+        execution: how the work is done.
+        seconds: length of that motion.
+        channel: channel of each file to use, counted from 1; None for the mean of all.
+
+    Raises:
+        ConfigError, FormatError: see `find_tasks` and `Batch`.
+    """
+    if isinstance(sources, str | os.PathLike) or not isinstance(sources, Sequence):
+        sources = [sources]
+    named = [
+        os.path.abspath(source) if isinstance(source, str | os.PathLike) else repr(source)  # noqa: PTH100
+        for source in sources
+    ]
+
+    def find() -> list[Task]:
+        if not sources:
+            return [Task("motion", duration=seconds)]
+        return [measured(task) for task in find_tasks(sources, processor.out)]
+
+    return Batch(processor, find, [verb, named, seconds, channel], execution)
+
+
+def item_of(task: Task) -> Item | None:
+    """Return the manifest's item of a task, which gives the interval of the sound, or None.
+
+    Raises:
+        CorpusError: the item in the plan has invalid values.
+    """
+    values = task.more.get("item")
+    if values is None:
+        return None
+    try:
+        paths = {name: values[name] and Path(values[name]) for name in ("audio", "motion")}
+        conditions = {name: Path(path) for name, path in values["conditions"].items()}
+        audible = tuple(map(tuple, values["audible"]))
+        return Item(**{**values, **paths, "conditions": conditions, "audible": audible})
+    except (LookupError, TypeError, AttributeError, ValueError) as error:
+        raise CorpusError(
+            f"plan: item {task.id!r} is damaged ({error}); delete the plan for a new one"
+        ) from None
+
+
+def load_wave(task: Task, channel: int | None) -> af.Wave | None:
+    """Read the sound of a task, cut to its interval; None without a sound.
+
+    Raises:
+        AudioError: the file cannot be read.
+    """
+    if task.path is None:
+        return None
+    if (item := item_of(task)) is not None:
+        return item.load_wave()
+    start, seconds = task.more.get("start", 0.0), task.more.get("seconds")
+    channel = task.more.get("channel", channel)
+    return af.Wave.load(task.path, start=start, duration=seconds, channel=channel)
+
+
+def words_of(task: Task) -> Path | None:
+    """Return the word list of a task's item, or beside its sound."""
+    item = item_of(task)
+    given = None if item is None else item.conditions.get("words")
+    if given is not None:
+        return Path(given)
+    return None if task.path is None else words_beside(task.path)
+
+
+def find_tasks(sources: SoundSource | Sequence[SoundSource], out: Path) -> list[Task]:
+    """List what to render.
+
+    A folder stands for all sounds below it, which keep their relative path. Sounds of formats that
+    cannot be decoded are tasks that fail, unless a readable sound of the same name lies beside
+    them; videos are warned about. Hidden files and `out` itself are skipped.
+
+    Args:
+        sources: sound files, folders, globs such as "speech/**/*.wav", lists (see
+            above), and items of a manifest, which are named by their ids;
+            one of them, or several.
+        out: folder for the results.
+
+    Raises:
+        ConfigError: a folder or glob without sound, an invalid list, or two sources that would
+            write the same file.
+    """
+    if isinstance(sources, str | os.PathLike | Item):
+        sources = [sources]
+    tasks: dict[tuple[str, str], Task] = {}
+    for source in sources:
+        for task in _tasks_of(source, out):
+            # A file that is named twice is rendered once.
+            is_file = task.path is not None and "item" not in task.more and task.error is None
+            same = os.path.realpath(task.path) if is_file else task.source
+            tasks.setdefault((same, task.id), task)
+    _refuse_clashes(list(tasks.values()), out)
+    return list(tasks.values())
+
+
+def measured(task: Task) -> Task:
+    """Return the task with its duration, from the header of its sound."""
+    if "item" in task.more:
+        return replace(task, duration=task.more["item"]["duration"])
+    seconds = task.more.get("seconds")
+    if task.path is None:
+        return replace(task, duration=seconds)
+    length = _length(task.path)
+    if length is None:
+        return task
+    length = max(0.0, length - task.more.get("start", 0.0))
+    return replace(task, duration=length if seconds is None else min(length, seconds))
+
+
+def _length(audio: Path) -> float | None:
+    """Return the seconds of sound by the header of a file; None for a file that cannot be read."""
+    try:
+        if not audio.is_file():  # reading a pipe may never end
+            return None
+        about, size = soundfile.info(soundfile_name(audio)), audio.stat().st_size
+    except (RuntimeError, OSError, ValueError):  # its turn gives the reason
+        return None
+    low, high = SAMPLE_RATES
+    is_possible = about.format not in _UNCOMPRESSED or about.frames <= 8 * size
+    if not low <= about.samplerate <= high or not is_possible or about.duration > _MAX_SECONDS:
+        return None  # a damaged header
+    return about.duration
+
+
+def _tasks_of(source: SoundSource, out: Path) -> Iterator[Task]:
+    if isinstance(source, Item):
+        values = json.loads(json.dumps(asdict(source), default=str))  # paths as text
+        yield Task(source.id, source.audio, more={"item": values}, source=source.id)
+    elif Path(source).is_dir():
+        yield from _below(Path(source), out)
+    elif _is_glob(source):
+        for path, name in _matches_of_glob(str(source), SPEECH_SUFFIXES):
+            yield Task(name, path)
+    elif _is_list(source):
+        yield from read_list(Path(source))
+    else:
+        yield Task(Path(source).stem, Path(source), source=str(source))
+
+
+def _below(folder: Path, out: Path) -> Iterator[Task]:
+    trouble: list[OSError] = []
+    videos: list[Path] = []
+    is_empty = True
+    results = os.path.realpath(out)
+    for here, folders, files in visible_folders(folder, trouble.append):
+        if os.path.realpath(here) == results != os.path.realpath(folder):
+            folders.clear()
+            continue
+        readable = {path.stem for path in files if path.suffix.lower() in SPEECH_SUFFIXES}
+        for path in files:
+            suffix = path.suffix.lower()
+            if suffix in VIDEO_SUFFIXES:
+                videos.append(path)
+            elif suffix in SPEECH_SUFFIXES or (
+                suffix in OTHER_SPEECH_SUFFIXES and path.stem not in readable
+            ):
+                is_empty = False
+                name = path.relative_to(folder).with_suffix("").as_posix()
+                yield Task(name, path)
+    for error in trouble:
+        where = str(error.filename or folder)
+        yield Task("", source=where, error=f"{where}: {error.strerror}")
+    for line in _listed(videos):
+        log.warning("%s", line)
+    if is_empty and not trouble:
+        raise ConfigError(f"{folder}: the folder holds no audio files that can be read")
+
+
+def _listed(paths: Sequence[Path]) -> Iterator[str]:
+    """Yield a line for each reason why files cannot be read, which names the first of them."""
+    reasons: dict[str, list[Path]] = {}
+    for path in paths:
+        reasons.setdefault(unreadable_media(path) or "", []).append(path)
+    for reason, those in reasons.items():
+        more = f" and {len(those) - _SHOWN} more" if len(those) > _SHOWN else ""
+        yield f"{', '.join(map(str, those[:_SHOWN]))}{more}: left out: {reason}"
+
+
+def _refuse_clashes(tasks: Sequence[Task], out: Path) -> None:
+    seen: dict[str, Task] = {}
+    clashes = []
+    for task in tasks:
+        if task.id.split("/")[0] == STATE:
+            raise ConfigError(f"{task.source}: {STATE} in {out} holds the journal; rename the item")
+        if task.error is None and seen.setdefault(task.id, task) is not task:
+            clashes.append(task)
+    if clashes:
+        more = f" (and {len(clashes) - 1} more)" if len(clashes) > 1 else ""
+        raise ConfigError(
+            f"{seen[clashes[0].id].source} and {clashes[0].source} would both be written as "
+            f"{out / clashes[0].id}{more}; write them into different folders (a glob such as "
+            "'*.wav' selects one kind), or give each an id in a .jsonl list"
+        )
+
+
+def _is_list(source: str | os.PathLike[str]) -> bool:
+    """Return whether a source is a list, by its suffix."""
+    return Path(source).suffix.lower() in LIST_SUFFIXES
+
+
+def _is_glob(source: str | os.PathLike[str]) -> bool:
+    """Return whether a source is a pattern, and not a file whose name has `*`, `?` or `[`."""
+    return glob.has_magic(os.fspath(source)) and not os.path.lexists(source)
+
+
+def _matches_of_glob(pattern: str, suffixes: Sequence[str]) -> Iterator[tuple[Path, str]]:
+    """Yield each sound that a pattern matches, with its path below the pattern's fixed folder.
+
+    Raises:
+        ConfigError: it matches no sound.
+    """
+    fixed = []
+    for part in Path(pattern).parts[:-1]:
+        if glob.has_magic(part):
+            break
+        fixed.append(part)
+    base = Path(*fixed)
+    found = (Path(path) for path in sorted(glob.glob(pattern, recursive=True)))  # noqa: PTH207
+    sounds = [path for path in found if path.suffix.lower() in suffixes and path.is_file()]
+    if not sounds:
+        raise ConfigError(f"{pattern}: no audio file matches this pattern")
+    for path in sounds:
+        yield path, path.relative_to(base).with_suffix("").as_posix()
+
+
+def read_list(path: Path) -> Iterator[Task]:
+    """Yield the tasks of a list.
+
+    Raises:
+        ConfigError: it cannot be read, is empty, or has an invalid line, which is named.
+    """
+    parse = {".scp": _scp_line, ".jsonl": _json_line}.get(path.suffix.lower(), _plain_line)
+    is_empty = True
+    for number, line in _lines(path):
+        where = f"{path}:{number}"
+        if parse is _plain_line and _is_comment(line, path.parent):
+            continue
+        audio, name, options = parse(line, where)
+        try:
+            name = name if name is not None else _name_of(audio)
+            check_id(name)
+        except CorpusError as error:
+            raise ConfigError(f"{where}: {error}") from None
+        yield Task(name, None if audio is None else _placed(audio, path.parent), more=options)
+        is_empty = False
+    if is_empty:
+        raise ConfigError(f"{path}: the list is empty")
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    try:
+        if not path.is_file():
+            raise ConfigError(f"{path}: no such list")
+        with path.open("rb") as file:
+            number = 0
+            while line := file.readline(_MAX_LINE + 1):
+                number += 1
+                if len(line) > _MAX_LINE or b"\0" in line:
+                    raise ConfigError(f"{path}:{number}: this is not a list of files")
+                text = line.decode("utf-8-sig" if number == 1 else "utf-8", "surrogateescape")
+                if text.strip():
+                    yield number, text.strip()
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from None
+
+
+def _is_comment(line: str, folder: Path) -> bool:
+    """Return whether a line begins with # and names no file."""
+    return line.startswith("#") and not os.path.exists(_placed(line, folder))  # noqa: PTH110
+
+
+def _plain_line(line: str, where: str) -> tuple[str, None, dict[str, Any]]:
+    return line, None, {}
+
+
+def _scp_line(line: str, where: str) -> tuple[str, str, dict[str, Any]]:
+    name, _, audio = line.partition(" ") if " " in line else line.partition("\t")
+    audio = audio.strip()
+    if audio.endswith("|") or audio.startswith("|"):
+        raise ConfigError(
+            f"{where}: {audio!r} is a command, and commands in a list are never run; write its "
+            "output to a wav and name that"
+        )
+    if not audio:
+        raise ConfigError(f"{where}: {line!r}; expected an id and a path")
+    return audio, name, {}
+
+
+def _json_line(line: str, where: str) -> tuple[str | None, str | None, dict[str, Any]]:
+    try:
+        values = json.loads(line)
+    except (ValueError, RecursionError):
+        raise ConfigError(f"{where}: not a JSON object: {line[:80]}") from None
+    if not isinstance(values, dict):
+        raise ConfigError(f"{where}: not a JSON object: {line[:80]}")
+    if "schema" in values:
+        raise ConfigError(f"{where}: a manifest of `prepare`; give it with --corpus")
+    for name, value in values.items():
+        if name not in FIELDS:
+            raise ConfigError(f"{where}: unknown field {name!r}; known: {', '.join(FIELDS)}")
+        is_valid = isinstance(value, FIELDS[name]) and not isinstance(value, bool)
+        if is_valid and float in FIELDS[name]:
+            is_valid = 0 <= value <= _MAX_SECONDS
+        is_positive = name in ("seconds", "channel")
+        if not is_valid or (is_positive and value <= 0) or (name == "seed" and value < 0):
+            raise ConfigError(f"{where}: {name} is {json.dumps(value)[:80]}")
+    audio, name = values.pop("audio", None), values.pop("id", None)
+    if audio is None and not (name and "seconds" in values):
+        raise ConfigError(f"{where}: give audio, or id and seconds for a motion without sound")
+    return audio, name, values
+
+
+def _name_of(audio: str) -> str:
+    path = PurePosixPath(Path(audio).as_posix())
+    is_below = not path.is_absolute() and ".." not in path.parts
+    return path.with_suffix("").as_posix() if is_below and path.name else path.stem
+
+
+def _placed(audio: str, folder: Path) -> Path:
+    beside = folder / audio
+    is_elsewhere = not os.path.exists(beside) and os.path.exists(audio)  # noqa: PTH110 (any text)
+    return Path(audio) if is_elsewhere else beside
