@@ -12,13 +12,13 @@ import matplotlib.image
 import numpy as np
 import pytest
 from pages import bundled, data_of, opened, unpacked
+from rigs import rig_of
 from scipy.spatial.transform import Rotation
 
 import gesturekit as gk
-from gesturekit.cli import main
 from gesturekit.errors import FormatError
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
-from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_height
 from gesturekit.motion.ik.two_bone import two_bone_ik
 from gesturekit.motion.parts import find_parts
@@ -232,7 +232,7 @@ def test_the_picture_of_a_giant_in_a_t_pose_shows_both_its_outer_hands(tmp_path,
 
 
 def test_without_the_baked_body_the_mannequin_is_drawn_with_a_warning(
-    tmp_path, gesture, monkeypatch, capsys
+    tmp_path, gesture, monkeypatch, gesturekit
 ):
     monkeypatch.setattr(body, "FILE", tmp_path / "human.npz")
     body._loaded.cache_clear()
@@ -241,17 +241,15 @@ def test_without_the_baked_body_the_mannequin_is_drawn_with_a_warning(
     body._loaded.cache_clear()
     assert not drawn.skins and drawn.motion.skeleton == gesture(0.2).skeleton
     gesture(0.2).save(tmp_path / "a.bvh")
-    command = ["view", str(tmp_path / "a.bvh"), "--body", "human", "-o"]
-    with pytest.raises(SystemExit) as exit_:
-        main([*command, str(tmp_path / "a.png")])
+    done = gesturekit("view", tmp_path / "a.bvh", "--body", "human", "-o", tmp_path / "a.png")
     body._loaded.cache_clear()
-    assert exit_.value.code == 0 and (tmp_path / "a.png").is_file()
-    assert "Warning: the mannequin is drawn" in capsys.readouterr().err
+    assert done.status == 0 and (tmp_path / "a.png").is_file()
+    assert "Warning: the mannequin is drawn" in done.err
 
 
 @baked
 def test_a_rig_of_no_known_anatomy_is_drawn_as_a_mannequin():
-    rig = Skeleton(("a", "b", "c"), (-1, 0, 1), np.array([[0, 0, 0], [0, 1, 0], [0, 1, 0]], float))
+    rig = rig_of({"a": (None, (0, 0, 0)), "b": ("a", (0, 1, 0)), "c": ("b", (0, 1, 0))})
     motion = Motion(rig, np.tile([0.0, 0, 0, 1], (3, 3, 1)), np.zeros((3, 3)), 30.0)
     with pytest.warns(UserWarning, match="mannequin is drawn"):
         assert not DrawnBody.of(motion, "human").skins
