@@ -11,7 +11,7 @@ from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import div_k, fid_k, geometric_features, kinetic_features
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts import body_joints
-from gesturekit.motion.rotations import quaternion_from_euler
+from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_euler, rotate_vectors
 
 
 def kinetic_by_definition(places: np.ndarray, dt: float) -> np.ndarray:
@@ -65,14 +65,7 @@ def test_features_of_simple_poses(skeleton):
         return geometric_features(standing(skeleton, degrees))
 
     t_pose = features()
-    assert t_pose[[HIGH_RIGHT, HIGH_LEFT, BENT_RIGHT, BENT_LEFT, KNEE_RIGHT, LIES]].tolist() == [
-        0,
-        0,
-        0,
-        0,
-        0,
-        0,
-    ]
+    assert not t_pose[[HIGH_RIGHT, HIGH_LEFT, BENT_RIGHT, BENT_LEFT, KNEE_RIGHT, LIES]].any()
     assert t_pose[APART] == 1.0  # 2.5 shoulder widths of 0.34 m, hands 1.4 m apart
     raised = features(RightArm=(0, 0, -60), LeftArm=(0, 0, 0))  # right arms turn up about -z
     assert (raised[HIGH_RIGHT], raised[HIGH_LEFT]) == (1.0, 0.0)
@@ -98,8 +91,6 @@ def test_neither_frame_rate_nor_place_matters_much(gesture):
     motion = gesture(10.0, fps=30.0)
     kinetic, geometric = kinetic_features(motion), geometric_features(motion)
     turn = quaternion_from_euler(np.array([0.0, 120.0, 0.0]), "XYZ")
-    from gesturekit.motion.rotations import multiply_quaternions, rotate_vectors
-
     rotations = motion.rotations.copy()
     rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
     elsewhere = replace(

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import sqrtm
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation import fid_k, frechet_distance, frechet_result, raw_fgd
+from gesturekit.evaluation import PoseWindows, fid_k, frechet_distance, frechet_result, raw_fgd
 
 
 def test_small_cases_by_hand():
@@ -119,8 +119,6 @@ def test_sets_of_motions_that_cannot_be_compared(gesture):
 
 
 def test_wide_windows_are_bounded_from_below_and_close(gesture):
-    from gesturekit.evaluation import PoseWindows
-
     reference = [gesture(40.0, 30.0, seed=i) for i in range(12)]
     generated = [gesture(40.0, 30.0, seed=20 + i) for i in range(12)]
     windows = PoseWindows.fit(reference)

@@ -136,15 +136,6 @@ def measured(request) -> dict[str, dict[str, float]]:
     return rows
 
 
-def test_a_set_has_distance_zero_to_itself(measured):
-    itself = measured["itself"]
-    assert itself["coverage"] == itself["coverage, paper"] == 1.0
-    for name in ("global diversity", "local diversity"):
-        assert itself[name] == itself[f"{name}, paper"] == 0.0
-    for name in ("FGD", "FGD, raw", "FID_k", "FID_g"):
-        assert 0.0 <= itself[name] < 1e-9
-
-
 def test_clips_that_hold_one_pose_do_not_differ(gesture):
     one = [frozen(gesture(9.0), 0)] * 2
     moving = [gesture(9.0, seed=1), gesture(9.0, seed=2)]
