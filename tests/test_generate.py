@@ -96,9 +96,6 @@ def test_the_default_frame_rate_is_that_of_the_recordings(model, wave, gesture, 
     assert "30 fps, resampled to 60 fps" in (tmp_path / "README.md").read_text()
     assert again.generate(wave).fps == 60.0
     assert same(again.generate(wave, fps=30.0), own)
-    config = tmp_path / "config.yaml"
-    config.write_text(config.read_text().replace("recorded_fps: 60.0\n", ""))
-    assert same(gk.load(tmp_path).generate(wave), own), "a model of before rates were kept"
 
 
 def test_levels_and_keyframes_stay_at_the_models_rate(wave):
