@@ -109,7 +109,11 @@ def test_a_damaged_model_names_what_is_wrong(tmp_path):
     copy = tmp_path / "model"
     shutil.copytree(model_folder("demo"), copy)
     cut = r"skeleton\.json is damaged"
-    for text, says in (("{", cut), ('{"skeleton": 3, "speakers": {}}', "mapping"), ("{}", "damaged")):
+    for text, says in (
+        ("{", cut),
+        ('{"skeleton": 3, "speakers": {}}', "mapping"),
+        ("{}", "damaged"),
+    ):
         (copy / "skeleton.json").write_text(text)
         for read in (inspect, load):
             with pytest.raises(ModelError, match=says):
