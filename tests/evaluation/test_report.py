@@ -162,5 +162,7 @@ def test_it_opens_in_a_browser_without_a_word_in_the_console(page, open_browser)
     browser = open_browser()
     browser.open(page.as_uri(), width=800, height=600)
     browser.wait("document.querySelector('[data-player=ready]')")
-    assert browser.run("document.querySelector('[aria-pressed=true]').textContent").startswith("Best")
+    assert browser.run("document.querySelector('[aria-pressed=true]').textContent").startswith(
+        "Best"
+    )
     assert browser.lines == []
