@@ -330,26 +330,6 @@ def swaying(gesture, seed: int) -> Motion:
     return replace(motion, translation=motion.translation + way)
 
 
-def recordings(folder: Path) -> list[Path]:
-    """Return the real recordings, one from each folder."""
-    kinds = [sorted(folder.glob(p)) for p in ("motion/*", "paired/*", "smpl/*.npz")]
-    return [
-        next(iter(sorted(path.rglob("*.bvh"))), path) if path.is_dir() else path
-        for paths in kinds
-        for path in paths
-    ]
-
-
-@pytest.mark.stress
-@pytest.mark.parametrize("factor", [0.1, 10.0])
-@pytest.mark.parametrize("system", SYSTEMS)
-def test_real_recordings_train_alike_at_every_size(system, factor, shared_data, tmp_path):
-    for number, path in enumerate(recordings(shared_data)):
-        motion = Motion.load(path)
-        motion = motion.slice(0, min(motion.n_frames, round(3 * motion.fps)))
-        check_scale(factor, {"a": motion}, system, tmp_path / str(number))
-
-
 @pytest.mark.stress
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_every_real_recording_is_prepared_trained_on_and_rendered(system, shared_data, tmp_path):

@@ -164,16 +164,6 @@ def test_original_zeggs_is_aligned_trimmed_and_masked(tmp_path, write_bvh, write
     assert Manifest.load(manifest).items[0].audible == ((2.25, 2.5),)
 
 
-def test_zeggs_on_real_files(shared_data):
-    report = prepare(shared_data / "paired" / "zeggs_067_Speech_2", layout="zeggs")
-    assert {(i.split, i.speaker, i.style) for i in report.manifest} == {
-        ("train", "zeggs", "Speech"),
-        ("test", "zeggs", "Speech"),
-    }
-    assert "30 fps; published at 60 fps" in messages(report, "note")
-    assert report.is_complete
-
-
 def test_genea2023(publish):
     root = publish("genea2023")
     report = prepare(root, layout="genea2023")

@@ -130,13 +130,6 @@ def test_warnings_of_a_reader_are_listed_as_problems(tmp_path):
     assert any("several people" in problem for problem in inspect(tmp_path).problems)
 
 
-def test_every_recording_is_described(shared_data):
-    for path in sorted((shared_data / "motion").rglob("*.bvh"))[::6]:
-        summary = inspect(path)
-        assert summary.facts["frames"] == Motion.load(path).n_frames
-        assert np.isfinite(summary.facts["height"]) and 1.2 < summary.facts["height"] < 2.1
-
-
 def with_frame_time(motion: Motion, path: Path, text: str) -> Path:
     motion.save(path)
     path.write_text(re.sub("Frame Time: .*", f"Frame Time: {text}", path.read_text()))

@@ -10,7 +10,6 @@ import pytest
 import torch
 
 import gesturekit as gk
-from gesturekit.corpus import Manifest
 from gesturekit.errors import CorpusError, ModelError
 from gesturekit.inspection import inspect
 from gesturekit.motion.rotations import (
@@ -100,21 +99,6 @@ def test_label_mode_wants_a_style_for_every_item(make_config, motions):
     corpus = motions(old=[3.0], none=[3.0])
     with pytest.raises(CorpusError, match="none_0 has no style"):
         train(make_config(corpus=str(corpus), **LABELS))
-
-
-def test_speech_and_style_together(make_config, corpus, tmp_path):
-    manifest = Manifest.load(corpus)
-    styled = tmp_path / "styled.jsonl"
-    names = iter(["calm", "lively"] * len(manifest))
-    Manifest(
-        replace(item, style=next(names)) if item.is_paired else item for item in manifest
-    ).save(styled)
-    model = gk.load(train(make_config(corpus=str(styled), styles={})))
-    wave = manifest.paired("train")[0].load_wave()
-    calm = model.generate(wave, style=model.styles[0])
-    assert calm.n_frames == wave.n_frames(30.0)
-    lively = model.generate(wave, style=model.styles[1])
-    assert np.abs(calm.rotations - lively.rotations).max() > 1e-4
 
 
 def test_spans_hold_and_blend_over_a_second():

@@ -20,7 +20,7 @@ from gesturekit.errors import ConfigError, ModelError
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import quaternion_from_rotation_vector
-from gesturekit.multires.config import MultiresConfig, RecallConfig
+from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.recall.library import averaged
 from gesturekit.multires.recall.parts import hand_directions, joint_places, movements
@@ -28,7 +28,6 @@ from gesturekit.multires.recall.pieces import ChoiceWeights
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.recall_library import build_library
 from gesturekit.multires.training.trainer import train
-from gesturekit.training.config import load_config
 from gesturekit.training.run.checkpoint import Checkpoints
 
 RATE = 16_000
@@ -735,13 +734,6 @@ def test_vocal_effort_for_recall_is_not_an_input_of_the_network(model):
 def test_bad_settings_name_their_key(recall, message, tmp_path):
     with pytest.raises(ConfigError, match=message):
         settings(tmp_path / "none.jsonl", tmp_path, recall=recall)
-
-
-def test_patches_of_z_star_and_recall_are_set_apart(tmp_path):
-    path = tmp_path / "config.yaml"
-    path.write_text("system: multires\ncorpus: none.jsonl\nrecall: {level: 2}\n")
-    config = load_config(path, MultiresConfig, ["z_star_shuffle=3", "recall.piece=1.5"])
-    assert config.z_star_shuffle == 3 and config.recall == RecallConfig(level=2, piece=1.5)
 
 
 # Training.

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 import gesturekit.viewer.html as page_module
 from audio_features import Wave
 from gesturekit.errors import GestureKitError, MotionError
-from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion import Motion
 from gesturekit.viewer import write_html
 
 pytestmark = bundled
@@ -181,12 +181,8 @@ def test_no_motion_at_all_is_refused(tmp_path):
 def test_ten_minutes_at_sixty_frames_stay_mailable(tmp_path):
     """A tenth of it, 75 joints, written at no more than 4 MB."""
     n_frames, n_joints, fps = 3_600, 75, 60.0
-    skeleton = Skeleton(
-        names=tuple(f"j{k}" for k in range(n_joints)),
-        parents=(-1, *((k - 1) // 2 for k in range(1, n_joints))),
-        offsets=np.full((n_joints, 3), 0.08),
-        rotation_orders=("ZXY",) * n_joints,
-    )
+    bones = {f"j{k}": (f"j{(k - 1) // 2}" if k else None, (0.08,) * 3) for k in range(n_joints)}
+    skeleton = rig_of(bones)
     time = np.arange(n_frames)[:, None, None] / fps
     rng = np.random.default_rng(0)
     rates, phases = rng.uniform(0.2, 1.5, (2, 1, n_joints, 3))
