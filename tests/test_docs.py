@@ -299,8 +299,3 @@ def test_the_gallery_is_in_the_navigation_and_plays_its_clips(tmp_path, monkeypa
     for target in re.findall(r"\]\(([^)]+)\)", page):
         assert (tmp_path.parent / target).stat().st_size > 10_000, target
     assert f"<title>{title}" in (tmp_path / "0.html").read_text(encoding="utf-8")
-
-
-def test_the_readme_is_short():
-    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
-    assert len(lines) <= 90, "a screen and a half; the rest belongs to docs/"

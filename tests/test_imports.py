@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
-import re
 import subprocess
 import sys
 import typing
@@ -74,12 +73,3 @@ def test_models_of_every_system_implement_the_model_protocol(system):
                 continue
             assert own[name].kind == parameter.kind, name
             assert parameter.default in (own[name].default, parameter.empty), name
-
-
-def test_the_program_and_the_module_are_the_same():
-    done = subprocess.run(
-        [sys.executable, "-m", "gesturekit", "--help"], capture_output=True, text=True, check=False
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    for verb in VERBS:
-        assert re.search(rf"^  {verb} ", done.stdout, re.MULTILINE), verb

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import soundfile
+from click import UsageError
 from click.testing import CliRunner
+from matplotlib.image import imread
 
-from audio_features import FeatureTrack
+from audio_features import FeatureTrack, WeightsError
 from gesturekit.cli.features import command
 from gesturekit.errors import ConfigError
 
@@ -43,10 +45,6 @@ def test_one_bad_file_is_listed_and_the_others_are_done(folder):
 
 
 def test_commands_that_cannot_start_give_a_reason(folder):
-    from click import UsageError
-
-    from audio_features import WeightsError
-
     (folder / "sub").mkdir()
     same = run("a.wav", "sub/a.wav", "--out", "out")
     assert isinstance(same.exception, ConfigError) and "would both be" in str(same.exception)
@@ -94,8 +92,6 @@ def test_alignments_and_faults(folder, speech):
 
 
 def test_a_picture_shows_every_feature(folder):
-    from matplotlib.image import imread
-
     result = run("a.wav", "silent.wav", "--extractor", "logmel,prosody", "--picture", "--out", "o")
     assert result.return_value == 0, result.output
     picture = imread(folder / "o" / "a.png")[..., :3]
@@ -104,31 +100,3 @@ def test_a_picture_shows_every_feature(folder):
     drawn = np.convolve(coloured.any(axis=1), np.ones(3), mode="same") > 0
     assert np.count_nonzero(np.diff(drawn.astype(int)) == 1) >= 6
     assert (folder / "o" / "silent.png").exists()
-
-
-def test_rows_of_mfcc_show_though_the_first_are_largest(folder):
-    from matplotlib.image import imread
-
-    assert run("a.wav", "--extractor", "mfcc", "--picture", "--out", "o").return_value == 0
-    picture = imread(folder / "o" / "a.png")[..., :3]
-    # Within the lower panel; a row between two coefficients may be flat.
-    panel = picture[int(0.60 * len(picture)) : int(0.80 * len(picture)), 80:-80]
-    assert np.median(panel.std(axis=1).max(axis=-1)) > 0.1
-
-
-def test_features_that_exist_are_refused_skipped_or_replaced(folder, speech):
-    for name in ("a", "b"):
-        soundfile.write(folder / f"{name}.wav", speech.samples, 16_000)
-    assert run("a.wav", "--out", "out").return_value == 0
-    made = (folder / "out" / "a.npz").stat().st_mtime_ns
-    with pytest.raises(ConfigError, match=r"a\.npz.*--existing replace"):
-        raise run("a.wav", "b.wav", "--out", "out", "--fps", "25").exception
-    assert not (folder / "out" / "b.npz").exists()
-    for option in (["--existing", "skip"], ["--skip-existing"]):
-        result = run("a.wav", "b.wav", "--out", "out", *option)
-        assert result.return_value == 0 and "a.wav: skipped, its outputs exist" in result.output
-    assert (folder / "out" / "b.npz").is_file()
-    assert (folder / "out" / "a.npz").stat().st_mtime_ns == made
-    others = ("--fps", "25", "--existing", "replace")
-    assert run("a.wav", "--out", "out", *others).return_value == 0
-    assert (folder / "out" / "a.npz").stat().st_mtime_ns > made

@@ -55,8 +55,7 @@ def test_wavlm_in_blocks_of_scores(gpu, wavlm_folder, speech, monkeypatch):
 )
 def test_encoders_of_hugging_face(gpu, tmp_path, write_encoder, speech, name):
     write_encoder(tmp_path / "encoder", name)
-    make = {"full_context": 0.0, "chunk": 2.0, "context": 0.5}
-    assert apart(lambda d: af.HuggingFace(tmp_path / "encoder", device=d, **make), speech) < 1e-5
+    assert apart(lambda d: af.HuggingFace(tmp_path / "encoder", device=d, **CHUNKS), speech) < 1e-5
 
 
 def test_word_embeddings(gpu, tmp_path, write_speech, write_text_encoder):

@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -50,16 +48,3 @@ def test_wrong_specs_are_refused(spec, word):
 def test_a_stack_refuses_the_same_columns_twice():
     with pytest.raises(af.FeatureError, match="mel_0"):
         af.Stack([af.LogMel(24), af.LogMel(40)])
-
-
-def test_importing_the_package_is_light():
-    heavy = "torch", "librosa", "transformers", "scipy.signal", "matplotlib", "gesturekit"
-    code = f"import sys, audio_features; print([m for m in {heavy!r} if m in sys.modules])"
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert result.stdout.strip() == "[]", result.stderr
-
-
-def test_an_unknown_name_is_no_attribute():
-    assert set(af.__all__) <= set(dir(af))
-    with pytest.raises(AttributeError, match="Chroma"):
-        af.Chroma  # noqa: B018

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import socket
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +16,10 @@ import audio_features as af
 torch = pytest.importorskip("torch")
 transformers = pytest.importorskip("transformers")
 
+pytestmark = pytest.mark.usefixtures("no_network")
+
 ENCODERS = ("hubert", "wav2vec2", "data2vec-audio", "wavlm", "wav2vec2-bert", "whisper")
 FIRST = {"wav2vec2-bert": 0.0175, "whisper": 0.0}  # centre of frame 0 in seconds; else 0.0125
-
-
-@pytest.fixture(autouse=True)
-def _no_sockets(monkeypatch) -> None:
-    def refuse(*args: object, **kwargs: object) -> None:
-        raise AssertionError("a socket was opened")
-
-    monkeypatch.setattr(socket, "socket", refuse)
-    monkeypatch.setattr(socket, "getaddrinfo", refuse)
 
 
 @pytest.fixture(scope="module", params=ENCODERS)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from gesturekit.motion import Skeleton
+from gesturekit.motion import Motion, Skeleton
 
 Bones = dict[str, tuple[str | None, tuple[float, float, float]]]
 """Joint: its parent, and its offset in metres."""
@@ -61,3 +62,18 @@ def rig_of(bones: Bones, **more: Any) -> Skeleton:
     names = tuple(bones)
     parents = tuple(-1 if parent is None else names.index(parent) for parent, _ in bones.values())
     return Skeleton(names, parents, np.array([offset for _, offset in bones.values()]), **more)
+
+
+_LIMBS = {"shoulder": "Arm", "elbow": "ForeArm", "hip": "UpLeg", "knee": "Leg", "ankle": "Foot"}
+
+
+def nameless(motion: Motion) -> tuple[Motion, dict[str, str]]:
+    """Return a motion of a person with joints named by number, without end sites; and its parts."""
+    rig = motion.skeleton
+    names = tuple(f"Joint{j}" for j in range(rig.n_joints))
+    parts = {
+        f"{side}_{part}": names[rig.index(side.title() + joint)]
+        for side in ("left", "right")
+        for part, joint in _LIMBS.items()
+    }
+    return replace(motion, skeleton=replace(rig, names=names, end_sites={})), parts

@@ -12,6 +12,7 @@ import sys
 import warnings
 from pathlib import Path
 
+import imageio_ffmpeg
 import numpy as np
 import pytest
 
@@ -42,13 +43,8 @@ def test_one_file_is_one_line_of_what_was_found_and_done(gesturekit, takes, monk
     monkeypatch.chdir(takes)
     done = gesturekit("convert", "a.bvh", "out.npz", "--fps", 25, "--mirror")
     assert (done.status, done.err) == (0, "")
-    assert done.out.splitlines() == [
-        "a.bvh (cm, Y up, Z forward, 30 fps, 30 frames, 19 joints)",
-        "    -> out.npz (mirrored, 30 to 25 fps)",
-    ] or done.out == (
-        "a.bvh (cm, Y up, Z forward, 30 fps, 30 frames, 19 joints) "
-        "-> out.npz (mirrored, 30 to 25 fps)\n"
-    )
+    found = "a.bvh (cm, Y up, Z forward, 30 fps, 30 frames, 19 joints)"
+    assert " ".join(done.out.split()) == f"{found} -> out.npz (mirrored, 30 to 25 fps)"
     assert Motion.load("out.npz").fps == 25
 
 
@@ -161,11 +157,8 @@ def test_a_page_that_exists_is_replaced_unless_asked(gesturekit, takes, tmp_path
     refused = gesturekit("view", takes / "a.bvh", "--out", page, "--existing", "refuse")
     assert refused.status == 2 and "--existing replace" in refused.err
     skipped = gesturekit("view", takes / "a.bvh", "--out", page, "--existing", "skip")
-    assert (
-        skipped.status == 0
-        and "skipped, exists already" in skipped.err
-        and page.read_text() == "mine"
-    )
+    assert skipped.status == 0 and "skipped, exists already" in skipped.err
+    assert page.read_text() == "mine"
     assert gesturekit("view", takes / "a.bvh", "--out", page).status == 0
     assert page.read_text() != "mine"
 
@@ -273,3 +266,35 @@ def test_a_folder_is_viewed_by_its_motions(gesturekit, gesture, takes, tmp_path)
     (tmp_path / "empty").mkdir()
     done = gesturekit("view", tmp_path / "empty")
     assert done.status == 2 and "no motion in it; looked for .bvh" in done.err
+
+
+def facts(path) -> dict:
+    return next(imageio_ffmpeg.read_frames(path))
+
+
+@pytest.fixture
+def clip(tmp_path, gesture):
+    path = tmp_path / "a \u00fc.bvh"
+    gesture(0.2).save(path)
+    return path
+
+
+def test_view_writes_videos_and_pictures(tmp_path, clip, gesturekit):
+    assert gesturekit("view", clip, "-o", tmp_path / "v.mp4", "--fps", 25).status == 0
+    assert facts(tmp_path / "v.mp4")["fps"] == 25.0
+    assert gesturekit("view", clip, clip, "-o", tmp_path / "v.svg").status == 0
+    assert "<svg" in (tmp_path / "v.svg").read_text(encoding="utf-8")
+
+
+def test_options_of_videos_are_refused_for_pages(tmp_path, clip, gesturekit):
+    refused = gesturekit("view", clip, "-o", tmp_path / "v.html", "--size", "720p")
+    assert refused.status == 2 and "--size is an option of mp4" in refused.err
+    refused = gesturekit("view", clip, "-o", tmp_path / "v.avi")
+    assert refused.status == 2 and ".mp4" in refused.err
+
+
+def test_convert_writes_videos_and_pictures_too(tmp_path, clip, gesturekit):
+    done = gesturekit("convert", clip, tmp_path / "o", "--format", "mp4,pdf", "--size", "1080p")
+    assert done.status == 0
+    assert facts(tmp_path / "o" / "a \u00fc.mp4")["size"] == (1920, 1080)
+    assert (tmp_path / "o" / "a \u00fc.pdf").read_bytes().startswith(b"%PDF")

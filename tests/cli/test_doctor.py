@@ -8,7 +8,6 @@ import sys
 
 import pytest
 
-from audio_features import FeatureTrack
 from gesturekit.diagnosis import Finding, is_usable
 
 
@@ -76,14 +75,3 @@ def test_the_cache_is_shown_and_cleared(gesturekit, wav, tmp_path, monkeypatch):
     assert gesturekit("cache", "clear").out.startswith("2 entries removed")
     assert "entries  0" in gesturekit("cache", "info").out
     assert gesturekit("cache", "forget").status == 2
-
-
-@pytest.mark.parametrize("layer", ["1", "1,2", "mean", "1:1,3:2"])
-def test_layers_are_named_on_the_command_line(gesturekit, wav, tmp_path, layer):
-    options = ("--extractor", "wavlm", "--weights", tmp_path / "weights", "--layer", layer)
-    done = gesturekit("features", wav, *options, "--out", tmp_path)
-    assert done.status == 0, done.err
-    track = FeatureTrack.load(tmp_path / "a.npz")
-    assert track.values.shape == (49, 64 if layer == "1,2" else 32)
-    wrong = gesturekit("features", wav, *options[:-1], "1:x", "--out", tmp_path)
-    assert wrong.status == 2 and "--layer" in wrong.err

@@ -151,6 +151,8 @@ def test_features_and_doctor_take_the_folder(gesturekit, hubert, write_speech, t
     np.testing.assert_array_equal(FeatureTrack.load(out / "a.npz").values, track.values)
     wrong = gesturekit("features", wav, "--extractor", "hf", "--dtype", "bf16", *options)
     assert wrong.status == 2 and "--dtype requires --extractor wavlm" in wrong.err
+    wrong = gesturekit("features", wav, "--extractor", "hf", "--layer", "1:x", "--out", out)
+    assert wrong.status == 2 and "--layer" in wrong.err
     found = gesturekit("doctor", "--weights", hubert)
     assert found.status == 0 and "HuBERT, Hugging Face folder" in found.out
     (hubert / "model.safetensors").write_bytes(b"damaged")

@@ -103,16 +103,6 @@ def test_a_run_folder_that_cannot_be_made(train, tmp_path):
     assert "Errno" not in error_line(done)
 
 
-def test_a_very_short_recording_beside_longer_ones(gesturekit, light, tiny, write_pair, tmp_path):
-    for stem, seconds in {"long": 4.0, "short": 0.5}.items():
-        write_pair(tmp_path / "pairs", stem, seconds)
-    manifest = tmp_path / "corpus.jsonl"
-    prepared = gesturekit("prepare", tmp_path / "pairs", "--out", manifest, "--holdout", "0")
-    assert prepared.status == 0
-    settings = (f"corpus={manifest}", f"out={tmp_path / 'run'}", *tiny, "network.levels=10")
-    assert gesturekit("train", light, *settings).status == 0
-
-
 def test_a_finished_run_is_kept(train, tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "notes.txt").write_text("mine")

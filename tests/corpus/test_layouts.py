@@ -8,22 +8,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import published
 import pytest
+from published import DANCES, INFO, WORDS, info_row, write
 
 from audio_features import load_words
 from gesturekit.corpus import Manifest, Report, prepare
 from gesturekit.corpus.layouts import LAYOUTS
 from gesturekit.errors import CorpusError
-
-WORDS = """File type = "ooTextFile"
-Object class = "TextGrid"
-
-0 2 <exists> 1
-"IntervalTier" "words" 0 2 1
-0.5
-0.8
-"hello"
-"""
 
 
 def messages(report: Report, severity: str) -> str:
@@ -38,11 +30,6 @@ def summary(report: Report) -> set[tuple]:
     }
 
 
-def write(path: Path, text: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text)
-
-
 @pytest.fixture
 def write_bvh(gesture) -> Callable[..., Path]:
     def make(path: Path, seconds: float = 1.0, fps: float = 30.0, seed: int = 0) -> Path:
@@ -53,43 +40,30 @@ def write_bvh(gesture) -> Callable[..., Path]:
     return make
 
 
-def write_smplx(path: Path, seconds: float, seed: int) -> None:
-    rng, n = np.random.default_rng(seed), round(30 * seconds)
-    phase = rng.uniform(0, 6, 165) + np.arange(n)[:, None] / 10
-    poses = 0.1 * np.sin(phase)
-    poses[:, 3 * 16 + 2] -= 1.2  # the arms hang
-    poses[:, 3 * 17 + 2] += 1.2
-    path.parent.mkdir(parents=True, exist_ok=True)
-    np.savez(
-        path,
-        poses=poses,
-        trans=np.tile([0.0, 1.2, 0.0], (n, 1)),
-        expressions=np.zeros((n, 100)),
-        betas=np.zeros(300),
-        gender="neutral",
-        model="smplx2020",
-        mocap_frame_rate=30,
-    )
+@pytest.fixture
+def publish(write_bvh, write_speech, tmp_path) -> Callable[..., Path]:
+    """publish("beat2"): a tiny folder in the shape of a public corpus."""
+
+    def make(corpus: str, root: Path = tmp_path) -> Path:
+        getattr(published, corpus)(root, write_bvh, write_speech)
+        return root
+
+    return make
 
 
 @pytest.fixture
-def beat2(tmp_path, write_speech) -> Path:
-    root = tmp_path / "BEAT2" / "beat_english_v2.0.0"
-    ids = {
-        "2_scott_0_1_1": "train",
-        "2_scott_0_65_65": "val",
-        "1_wayne_0_86_87": "test",
-        "1_wayne_0_103_103": "train",
-        "30_katya_1_9_9": "additional",
-    }
-    for seed, name in enumerate(ids):
-        write_smplx(root / "smplxflame_30" / f"{name}.npz", 1.5, seed)
-        write_speech(root / "wave16k" / f"{name}.wav", 2.0)
-        write(root / "textgrid" / f"{name}.TextGrid", WORDS)
-        write(root / "sem" / f"{name}.txt", "beat_align\t0.2\t0.9\t0.7\t0.4\thello\n")
-    rows = "".join(f"{name},{split}\n" for name, split in ids.items())
-    write(root / "train_test_split.csv", f"id,type\n{rows}")
-    return root
+def beat2(tmp_path, publish) -> Path:
+    return publish("beat2", tmp_path / "BEAT2" / "beat_english_v2.0.0")
+
+
+@pytest.fixture
+def zeggs(tmp_path, publish) -> Path:
+    """Clean recordings of three takes, one of them mirrored and at another speed too."""
+    clean = publish("zeggs", tmp_path / "ZeroEGGS") / "clean"
+    for copy in ("001_Neutral_0_mirror_x_1_0", "001_Neutral_0_x_0_9"):
+        for suffix in ("bvh", "wav"):
+            shutil.copy(clean / f"001_Neutral_0_x_1_0.{suffix}", clean / f"{copy}.{suffix}")
+    return clean.parent
 
 
 def test_beat2(beat2, tmp_path):
@@ -141,37 +115,6 @@ def test_missing_and_broken_beat2_files_are_listed(beat2):
         prepare(beat2, layout="beat2")
 
 
-INFO = (
-    "audio_filename,audio_start_time,anim_start_time,style,acting_start_time,acting_end_time,"
-    "anim_bvh,validation\n"
-)
-
-
-def info_row(take: str, style: str, validation: str, acting: str = "09:00:03:30") -> str:
-    times = f"09:00:01:15  ,09:00:02:30,{style},{acting},09:00:05:00"
-    return (
-        f"{take}.wav,{times},{take}.bvh,{validation}\n{take}.wav,{times},{take}_mirror.bvh,TRUE\n"
-    )
-
-
-@pytest.fixture
-def zeggs(tmp_path, write_bvh, write_speech) -> Path:
-    """Clean recordings of three takes."""
-    root, clean = tmp_path / "ZeroEGGS", tmp_path / "ZeroEGGS" / "clean"
-    for seed, stem in enumerate(
-        ("001_Neutral_0_x_1_0", "005_Neutral_4_x_1_0", "067_Speech_2_x_1_0")
-    ):
-        write_bvh(clean / f"{stem}.bvh", 1.0, 60.0, seed)
-        write_speech(clean / f"{stem}.wav", 1.0)
-    for copy in ("001_Neutral_0_mirror_x_1_0", "001_Neutral_0_x_0_9"):
-        for suffix in ("bvh", "wav"):
-            shutil.copy(clean / f"001_Neutral_0_x_1_0.{suffix}", clean / f"{copy}.{suffix}")
-    takes = {"001_Neutral_0": "FALSE", "005_Neutral_4": "TRUE", "067_Speech_2": "TRUE"}
-    rows = "".join(info_row(take, take.split("_")[1], v) for take, v in takes.items())
-    write(root / "info.csv", INFO + rows)
-    return root
-
-
 def test_zeggs(zeggs):
     report = prepare(zeggs, layout="zeggs")
     assert summary(report) == {
@@ -221,32 +164,8 @@ def test_original_zeggs_is_aligned_trimmed_and_masked(tmp_path, write_bvh, write
     assert Manifest.load(manifest).items[0].audible == ((2.25, 2.5),)
 
 
-def test_zeggs_on_real_files(shared_data):
-    report = prepare(shared_data / "paired" / "zeggs_067_Speech_2", layout="zeggs")
-    assert {(i.split, i.speaker, i.style) for i in report.manifest} == {
-        ("train", "zeggs", "Speech"),
-        ("test", "zeggs", "Speech"),
-    }
-    assert "30 fps; published at 60 fps" in messages(report, "note")
-    assert report.is_complete
-
-
-def test_genea2023(tmp_path, write_bvh, write_speech):
-    root = tmp_path / "genea"
-    fingers = {"000": "finger_incl", "001": "finger_not_incl"}
-    for split, names in {"trn": ("000", "001"), "val": ("000",), "tst": ("000",)}.items():
-        table = "prefix,main-agent_id,main-agent_has_finger,interloctr_id,interloctr_has_finger\n"
-        for name in names:
-            for who in ("main-agent", "interloctr"):
-                stem = f"{split}_2023_v0_{name}_{who}"
-                write_speech(root / split / who / "wav" / f"{stem}.wav", 1.0)
-                write(
-                    root / split / who / "tsv" / f"{stem}.tsv", "0.1\t0.3\thi\n0.4\t0.6\t#laugh\n"
-                )
-                if (split, who) != ("tst", "main-agent"):
-                    write_bvh(root / split / who / "bvh" / f"{stem}.bvh")
-            table += f"{split}_2023_v0_{name},{int(name) + 1},{fingers[name]},9,finger_incl\n"
-        write(root / split / "metadata.csv", table)
+def test_genea2023(publish):
+    root = publish("genea2023")
     report = prepare(root, layout="genea2023")
     assert summary(report) == {
         ("trn/trn_2023_v0_000_main-agent", "train", "1", None, True, True),
@@ -271,15 +190,9 @@ def test_genea2023(tmp_path, write_bvh, write_speech):
     assert f"{words}, line 1" in messages(report, "warning")
 
 
-def test_motorica(tmp_path, write_bvh, write_speech):
-    names = [
-        f"kthstreet_{genre}_sFM_cAll_{dancer}_mLO_ch01_song_00{n}"
-        for n, (genre, dancer) in enumerate((("gLO", "d02"), ("gPO", "d01"), ("gPO", "d02")))
-    ]
-    for seed, name in enumerate(names):
-        write_bvh(tmp_path / "bvh" / f"{name}.bvh", 1.0, 120.0, seed)
-    for name in names[:2]:
-        write_speech(tmp_path / "wav" / f"{name}.wav", 1.0)
+def test_motorica(tmp_path, publish, write_bvh):
+    names = DANCES
+    publish("motorica")
     write_bvh(tmp_path / "bvh" / "mine.bvh")
     report = prepare(tmp_path, layout="motorica", hold_out_pattern="song_001")
     assert summary(report) == {
@@ -293,14 +206,8 @@ def test_motorica(tmp_path, write_bvh, write_speech):
         prepare(tmp_path / "wav", layout="motorica")
 
 
-def test_100style(tmp_path, write_bvh):
-    gaits = ("BR", "BW", "FR", "FW", "ID", "SR", "SW", "TR1", "TR2", "TR3")
-    header = ",".join(["STYLE_NAME", *(f"{g}_{end}" for g in gaits for end in ("START", "STOP"))])
-    cells = {"BR": "6,60", "FW": "", "ID": "12,90"}
-    row = ",".join(cells.get(gait, "") or "," for gait in gaits)
-    write(tmp_path / "Frame_Cuts.csv", f"{header}\nAngry,{row}\nOld,{row}\n")
-    for style, gait in (("Angry", "BR"), ("Angry", "FW"), ("Angry", "ID"), ("Old", "BR")):
-        write_bvh(tmp_path / style / f"{style}_{gait}.bvh", 2.0, 60.0)
+def test_100style(tmp_path, publish):
+    publish("style100")
     report = prepare(tmp_path, layout="100style", holdout=0.0)
     assert summary(report) == {
         ("Angry/Angry_BR", "train", None, "Angry", False, True),
@@ -317,11 +224,8 @@ def test_100style(tmp_path, write_bvh):
         prepare(tmp_path, layout="100style")
 
 
-def test_trinity(tmp_path, write_bvh, write_speech):
-    source = tmp_path / "source"
-    for n in ("001", "008", "009"):
-        write_bvh(source / "bvh" / f"Recording_{n}.bvh", 1.0, 60.0)
-        write_speech(source / "audio" / f"Recording_{n}.wav", 1.0)
+def test_trinity(tmp_path, publish, write_bvh):
+    source = publish("trinity") / "source"
     (source / "audio" / "Recording_009.wav").unlink()
     report = prepare(tmp_path, layout="trinity")
     assert summary(report) == {

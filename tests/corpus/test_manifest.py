@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rigs import nameless
 
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import CorpusError, MotionError
-from gesturekit.motion import Motion, Skeleton
 
 RECORD = {
     "id": "a",
@@ -193,14 +193,11 @@ def test_an_item_longer_than_its_motion_is_an_error_with_both_lengths(tmp_path, 
 
 def test_an_item_is_mirrored_by_the_sides_named_by_hand(tmp_path, gesture):
     """No joint name tells a side; arms of unequal build leave the shape without one."""
-    motion = gesture(1.0)
-    rig = motion.skeleton
-    offsets = rig.offsets.copy()
+    rig = gesture(1.0).skeleton
+    motion, _ = nameless(gesture(1.0))
+    names, offsets = motion.skeleton.names, rig.offsets.copy()
     offsets[rig.index("LeftForeArm")] *= 1.4
-    names = tuple(f"Joint{j}" for j in range(rig.n_joints))
-    Motion(Skeleton(names, rig.parents, offsets), motion.rotations, motion.translation, 30).save(
-        tmp_path / "a.bvh"
-    )
+    replace(motion, skeleton=replace(motion.skeleton, offsets=offsets)).save(tmp_path / "a.bvh")
     item = Item(id="a", audio=None, motion=tmp_path / "a.bvh", duration=1.0, mirror=True)
     left, right = rig.index("LeftHand"), rig.index("RightHand")
     parts = {"left_wrist": names[left], "right_wrist": names[right]}

@@ -120,10 +120,8 @@ def test_steps_are_reported_and_small_sets_warned_about(clips, caplog):
 def test_a_saved_model_gives_the_same_figures(clips, variant, tmp_path):
     model = FeatureModel.fit(clips, variant, n_frames=34, steps=3)
     model.save(tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "feature_model.json",
-        "feature_model.safetensors",
-    ]
+    names = ["feature_model.json", "feature_model.safetensors"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
     again = FeatureModel.load(tmp_path)
     assert again.fingerprint == model.fingerprint and again.training == model.training
     assert np.array_equal(again.encode(clips)[0], model.encode(clips)[0])
@@ -133,10 +131,8 @@ def test_a_damaged_model_is_refused(model, tmp_path):
     with pytest.raises(EvaluationError, match=r"made by gesturekit fit-features"):
         FeatureModel.load(tmp_path)
     model.save(tmp_path)
-    tensors_file, json_file = (
-        tmp_path / "feature_model.safetensors",
-        tmp_path / "feature_model.json",
-    )
+    tensors_file = tmp_path / "feature_model.safetensors"
+    json_file = tmp_path / "feature_model.json"
     tensors, text = load_file(tensors_file), json_file.read_text(encoding="utf-8")
 
     changed = dict(tensors)

@@ -56,6 +56,8 @@ def test_a_model_at_chance_is_not_in_time_and_an_uninformative_recording_says_no
     assert found["in_time"][0] == "not informative here"
     assert "Not informative here" in found["in_time"][1]
     assert states(clips())["in_time"][0] == "not measured"
+    state, words = states(clips())["novelty"]
+    assert state == "not measured" and "too short, or the rig's arms and legs" in words
 
 
 def test_the_aspects_that_differ_are_named():
@@ -64,11 +66,6 @@ def test_the_aspects_that_differ_are_named():
     state, sentence = states(clips(reach=0.3), likeness=like)["likeness"]
     assert (state, sentence) == ("partly", "Moves mostly like this speaker; what differs: reach.")
     assert states(clips(jerk=9.0), likeness=result("likeness", 0.3, 0.9))["likeness"][0] == "no"
-
-
-def test_values_that_are_not_measured_have_a_reason():
-    state, words = states(clips())["novelty"]
-    assert state == "not measured" and "too short, or the rig's arms and legs" in words
 
 
 def test_copies_are_named():

@@ -23,7 +23,6 @@ def folders(tmp_path, gesture, write_pair) -> Path:
     for i in range(3):
         write_pair(tmp_path / "recordings", f"clip{i}", 3.0, fps=25.0, seed=i)
         for k, model in enumerate(("ours", "other"), start=1):
-            (tmp_path / model).mkdir(exist_ok=True)
             gesture(3.0, 25.0, seed=10 * k + i).save(tmp_path / model / f"clip{i}.npz")
     return tmp_path
 
@@ -70,16 +69,14 @@ def test_content_counts_and_names_do_not(folders, measured):
     shutil.copytree(folders / "ours", folders / "a copy")
     evaluate({"copy": folders / "a copy"}, folders / "recordings")
     assert not measured
-    Motion.load(folders / "a copy" / "clip1.npz").slice(0, 70).save(
-        folders / "a copy" / "clip1.npz"
-    )
+    changed = folders / "a copy" / "clip1.npz"
+    Motion.load(changed).slice(0, 70).save(changed)
     evaluate({"copy": folders / "a copy"}, folders / "recordings")
     assert sorted(measured) == [("copy", "clip1"), ("copy", "frechet"), ("copy", "pooled")]
     measured.clear()
     # Another recording changes the joint limits that every clip is measured against.
-    Motion.load(folders / "recordings" / "clip1.bvh").slice(0, 40).save(
-        folders / "recordings" / "clip1.bvh"
-    )
+    changed = folders / "recordings" / "clip1.bvh"
+    Motion.load(changed).slice(0, 40).save(changed)
     evaluate(folders / "ours", folders / "recordings")
     assert len(measured) == 3 + 2
 

@@ -33,8 +33,12 @@ def clip(stem: str, sample: int, metrics: dict, recording: dict) -> ClipResult:
 
 
 def model(label: str, clips: list[ClipResult]) -> ModelResult:
-    metrics = metric_results(clips, {"pooled": {"metrics": {}}, "frechet": {"metrics": {}}}, {}, 0)
-    return ModelResult(label, Path(label), clips=clips, metrics=metrics)
+    return ModelResult(label, Path(label), clips=clips, metrics=metrics_of(clips))
+
+
+def metrics_of(clips: list[ClipResult], pooled: dict | None = None) -> dict[str, MetricResult]:
+    sets = {"pooled": {"metrics": pooled or {}}, "frechet": {"metrics": {}}}
+    return metric_results(clips, sets, {}, 0)
 
 
 def two_models(
@@ -134,18 +138,14 @@ def test_sync_is_informative_only_where_the_recordings_are_above_chance(own, exp
     given = {"sync": own, "sync_chance": 0.05, "sync_z": (own - 0.05) / 0.2}
     clips = [clip(f"r{r}", 0, {"sync": 0.9}, given) for r in range(4)]
     assert informative(clips, "sync") is expected
-    found = metric_results(clips, {"pooled": {"metrics": {}}, "frechet": {"metrics": {}}}, {}, 0)
-    assert found["sync"].informative is expected
+    assert metrics_of(clips)["sync"].informative is expected
 
 
 @pytest.mark.parametrize(("own", "expected"), [(0.1, True), (0.0002, False)])
 def test_a_held_out_recording_that_was_trained_on_says_nothing_about_copying(own, expected):
-    clips = [clip("r0", 0, {}, {})]
-    metrics = {
+    pooled = {
         key: asdict(MetricResult(key, whole_set(value, 1), recording))
         for key, value, recording in (("copying", 0.08, own), ("novelty", 0.08 / own, None))
     }
-    found = metric_results(
-        clips, {"pooled": {"metrics": metrics}, "frechet": {"metrics": {}}}, {}, 0
-    )
+    found = metrics_of([clip("r0", 0, {}, {})], pooled)
     assert found["novelty"].informative is expected

@@ -1,10 +1,26 @@
+"""Speeds, jerk, feet and joint limits, against numbers worked out by hand."""
+
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from gesturekit.motion.parts.body_size import body_scale
 
 from gesturekit.errors import MotionError
-from gesturekit.evaluation import arm_speed, arm_speed_ratio, jerk, jerk_ratio, max_speed
+from gesturekit.evaluation import (
+    JointLimits,
+    arm_speed,
+    arm_speed_ratio,
+    floor_penetration,
+    foot_skate,
+    jerk,
+    jerk_ratio,
+    joint_limit_share,
+    max_speed,
+    standing_heights,
+)
 from gesturekit.motion import Motion
 
 
@@ -30,21 +46,16 @@ def test_arm_speed_does_not_depend_on_the_sign_of_a_quaternion(turning):
     assert arm_speed(other) == pytest.approx(arm_speed(motion), abs=1e-9)
 
 
-def moved(motion: Motion, height: np.ndarray) -> Motion:
-    translation = np.stack([np.zeros_like(height), height, np.zeros_like(height)], axis=1)
-    return Motion(motion.skeleton, motion.rotations, translation, motion.fps)
-
-
 def test_jerk_of_a_cubic_path_is_its_third_derivative(turning):
     time = np.arange(20) / 25.0
-    rising = moved(turning({"LeftArm": np.zeros(20)}), 0.5 * time**3)
+    rising = moved(turning({"LeftArm": np.zeros(20)}), np.outer(0.5 * time**3, [0.0, 1.0, 0.0]))
     assert jerk(rising) == pytest.approx(3.0, rel=1e-6)
 
 
 def test_max_speed_finds_a_jump(turning):
-    height = np.zeros(20)
-    height[10:] = 1.0
-    assert max_speed(moved(turning({"LeftArm": np.zeros(20)}), height)) == pytest.approx(25.0)
+    jump = np.zeros((20, 3))
+    jump[10:, 1] = 1.0
+    assert max_speed(moved(turning({"LeftArm": np.zeros(20)}), jump)) == pytest.approx(25.0)
 
 
 def test_ratios_compare_with_a_recording(turning):
@@ -66,3 +77,69 @@ def test_nothing_to_compare_with_and_too_few_frames_are_errors(turning):
 def test_the_first_and_the_last_frame_have_the_step_beside_them(turning):
     motion = turning({"LeftArm": np.array([1.0, 2.0, 4.0, 0.0])})
     assert arm_speed(motion) == pytest.approx([1.0, 1.5, 3.0, 4.0])
+
+
+@pytest.fixture
+def standing(turning) -> Motion:
+    """Two seconds of standing still at 50 fps."""
+    return turning({"LeftArm": np.zeros(100)}, 50.0)
+
+
+def moved(motion: Motion, by: np.ndarray) -> Motion:
+    return replace(motion, translation=motion.translation + by)
+
+
+def test_feet_that_slide_on_the_ground_slide_at_their_speed(standing):
+    assert foot_skate(standing) == 0.0
+    sliding = moved(standing, np.outer(standing.times, [0.6, 0.0, 0.8]))
+    assert foot_skate(sliding, standing_heights(standing)) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("height", "weight"), [(0.0, 1.0), (0.0125, 2 - 2**0.5), (0.025, 0.0)])
+def test_sliding_counts_less_the_higher_the_feet_are(standing, height, weight):
+    # 2 - 2^(h/H) with H = 2.5 cm on a body of 1.7 m: 1 on the ground, 0.586 at half of H, 0 from H.
+    height *= body_scale(standing.skeleton)
+    sliding = moved(standing, np.outer(standing.times, [1.0, 0.0, 0.0]) + [0.0, height, 0.0])
+    assert foot_skate(sliding, standing_heights(standing)) == pytest.approx(weight)
+
+
+def test_frame_rate_does_not_change_foot_skate(standing):
+    glide = moved(standing, np.outer(np.sin(standing.times), [1.0, 0.0, 0.0]))
+    heights = standing_heights(standing)
+    assert foot_skate(glide.resample(25.0), heights) == pytest.approx(
+        foot_skate(glide, heights), rel=0.01
+    )
+
+
+def test_penetration_is_the_depth_below_the_standing_height(standing):
+    heights = standing_heights(standing)
+    assert floor_penetration(moved(standing, np.array([0, -0.03, 0])), heights) == pytest.approx(
+        0.03
+    )
+    assert floor_penetration(moved(standing, np.array([0, 0.2, 0])), heights) == 0.0
+
+
+def test_one_frame_has_no_speed(standing):
+    with pytest.raises(MotionError, match="has 1 frame"):
+        foot_skate(standing.slice(0, 1))
+
+
+def test_joints_beyond_recorded_limits_are_counted_per_frame(turning):
+    def elbow(speed: float) -> Motion:
+        return turning({"LeftForeArm": np.full(101, speed)}, 50.0)
+
+    limits = JointLimits.fit([elbow(0.5)], ("LeftForeArm", "RightForeArm"))
+    assert joint_limit_share(elbow(0.5), limits) == 0.0
+    # Recorded: 0 to 1 rad. Twice as fast it is beyond 1 rad plus 5° (0.0873 rad) after 54.4 of
+    # 101 frames; of the two joints only one is: 46 / 101 / 2.
+    assert joint_limit_share(elbow(1.0), limits) == pytest.approx(46 / 202)
+    with pytest.raises(MotionError, match="no recording"):
+        JointLimits.fit([], ("LeftForeArm",))
+
+
+def test_the_standing_height_is_the_median_while_standing(standing):
+    low = standing_heights(standing)
+    # A fifth of the time it stands a step higher.
+    step = np.zeros((standing.n_frames, 3))
+    step[80:, 1] = 0.2
+    np.testing.assert_allclose(standing_heights(moved(standing, step)), low, atol=1e-9)

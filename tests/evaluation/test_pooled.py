@@ -338,7 +338,6 @@ def test_copying_needs_training_motion_of_a_window(talker):
 def judged(made: Motion, recorded: Motion, tmp_path, **options) -> ModelResult:
     """Evaluate a motion against one recording."""
     for folder, motion in (("made", made), ("recorded", recorded)):
-        (tmp_path / folder).mkdir()
         motion.save(tmp_path / folder / "talk.npz")
     return evaluate(tmp_path / "made", tmp_path / "recorded", **options).models[0]
 
@@ -384,8 +383,6 @@ def test_the_verdict_names_half_of_the_reach_and_missing_rests(gesturing, tmp_pa
 
 
 def test_the_verdict_of_frozen_and_of_copied_motion(gesturing, reaching, tmp_path):
-    for folder in ("still", "frozen"):
-        (tmp_path / folder).mkdir()
     still = judged(reaching(np.zeros((600, 3))), gesturing(), tmp_path / "still").verdict
     assert still == "The hands hardly move."
     half = np.where(np.arange(600) < 300, 1.0, 0.0)[:, None] * wandering(600, 1)
@@ -432,10 +429,8 @@ def test_copies_are_measured_against_the_training_split(talker, tmp_path):
         motion = tmp_path / f"{name}.npz"
         items.append(Item(id=name, audio=None, motion=motion, duration=20.0, split=split))
     Manifest(items).save(tmp_path / "corpus.jsonl")
-    made = tmp_path / "made"
-    made.mkdir()
-    talker(1).mirror().save(made / "held.npz")
-    (model,) = evaluate(made, tmp_path / "corpus.jsonl").models
+    talker(1).mirror().save(tmp_path / "made" / "held.npz")
+    (model,) = evaluate(tmp_path / "made", tmp_path / "corpus.jsonl").models
     found = model.metrics
     expected = copying(talker(1).mirror(), talker(2), [talker(0), talker(1)])
     assert found["copying"].interval.value == pytest.approx(expected.median, abs=1e-4)

@@ -1,3 +1,5 @@
+"""In time with the sound: sync, beat alignment and beat consistency."""
+
 from __future__ import annotations
 
 import math
@@ -8,7 +10,16 @@ from scipy.ndimage import gaussian_filter1d
 
 from audio_features import Wave
 from gesturekit.errors import MotionError
-from gesturekit.evaluation import arm_speed, speech_envelope, sync
+from gesturekit.evaluation import (
+    arm_speed,
+    beat_alignment,
+    beat_consistency,
+    motion_beats,
+    music_beats,
+    speech_envelope,
+    speech_onsets,
+    sync,
+)
 from gesturekit.motion import Motion
 
 ELBOW, SHOULDER = "LeftForeArm", "RightArm"
@@ -105,12 +116,97 @@ def test_the_envelope_is_the_rms_around_each_frame():
     assert envelope[55] == pytest.approx(np.log(1e-4))
 
 
-def test_the_real_recording_has_the_figures_measured_before_the_project(shared_data):
-    folder = shared_data / "paired" / "zeggs_067_Speech_2"
-    motion = Motion.load(folder / "067_Speech_2_x_1_0.bvh").resample(25.0)
-    wave = Wave.load(folder / "067_Speech_2_x_1_0.wav")
-    whole = sync(motion, wave)
-    assert 0.41 <= whole.r <= 0.58 and whole.z > 3.0
-    start = motion.n_frames - round(13.8 * 25)
-    last = sync(motion.slice(start, motion.n_frames), wave.slice(start / 25.0))
-    assert 0.54 <= last.r <= 0.79
+@pytest.fixture
+def pulsing(turning):
+    """pulsing(fps, depth=0.5, first=0.5): a body that glides at 1 + depth·cos m/s, slowest at
+    `first` seconds and every second after it, for ten seconds."""
+
+    def make(fps: float = 60.0, depth: float = 0.5, first: float = 0.5) -> Motion:
+        still = turning({"LeftArm": np.zeros(round(10 * fps))}, fps)
+        t = still.times - first + 0.5
+        x = t + depth * np.sin(2 * np.pi * t) / (2 * np.pi)
+        return Motion(still.skeleton, still.rotations, np.outer(x, [1.0, 0.0, 0.0]), fps)
+
+    return make
+
+
+def test_beat_alignment_by_hand(pulsing):
+    # Slowest at 0.5, 1.5, 2.5 ... s. With σ = 0.05 s the beats of the sound at 0.5, 1.55 and
+    # 2.4 s are 0, σ and 2σ away: (1 + e^-0.5 + e^-2) / 3 = (1 + 0.60653 + 0.13534) / 3.
+    found = beat_alignment(pulsing(), np.array([0.5, 1.55, 2.4]))
+    assert found.score == pytest.approx(0.58062, abs=2e-4)
+    assert (found.motion_beats, found.sound_beats) == (10, 3)
+
+
+def test_the_published_variant_places_beats_at_the_first_frame_of_the_slowest_step(pulsing):
+    # Slowest at 30.5 frames of 1/60 s: the step from frame 30 to 31, for the published code 30.
+    motion = pulsing(first=30.5 / 60)
+    assert motion_beats(motion, variant="bailando")[:2] == pytest.approx([30 / 60, 90 / 60])
+    assert motion_beats(motion)[:2] == pytest.approx([30.5 / 60, 90.5 / 60], abs=1e-4)
+    with pytest.raises(MotionError, match="'frames'; expected seconds or bailando"):
+        motion_beats(motion, variant="frames")
+
+
+def test_beat_consistency_by_hand(pulsing):
+    # Every joint is slowest at 0.5, 1.5 ... s, at 0.5 m/s of its mean 1: above a tenth of it.
+    # σ = 0.3 s: onsets at 0.5 and 1.8 s are 0 and σ away: (1 + e^-0.5) / 2 = 0.80327.
+    found = beat_consistency(pulsing(), np.array([0.5, 1.8]))
+    assert found.score == pytest.approx(0.80327, abs=2e-3)
+    # Standing still at its slowest it is at rest there, which is not a beat.
+    assert beat_consistency(pulsing(depth=1.0), np.array([0.5])).note == "the motion has no beats"
+    # Against a mean speed of 6 m/s, 0.5 m/s is rest too.
+    many = np.full(12, 6.0)
+    names = pulsing().skeleton.names[:12]
+    found = beat_consistency(pulsing(), np.array([0.5]), mean_speed=many, joints=names)
+    assert found.score == 0.0
+
+
+@pytest.mark.parametrize("measure", [beat_alignment, beat_consistency])
+def test_chance_is_the_mean_over_shifts_and_z_detects_a_match(pulsing, measure):
+    motion = pulsing()
+    together = measure(motion, np.array([0.5, 2.5, 3.5, 6.5, 8.5]))
+    assert together.score > 0.95 and together.z > 1.0
+    # The body pulses once a second, so that over shifts every place between is met equally often.
+    assert 0 < together.chance_mean < 0.9 * together.score
+    unrelated = np.sort(np.random.default_rng(0).uniform(0, 10, (60, 12)), axis=1)
+    found = [measure(motion, beats) for beats in unrelated]
+    assert abs(np.mean([one.score - one.chance_mean for one in found])) < 0.03
+    assert abs(np.mean([one.z for one in found])) < 0.5
+
+
+@pytest.mark.parametrize("measure", [beat_alignment, beat_consistency])
+def test_a_frozen_body_and_silence_score_zero_and_say_why(turning, pulsing, measure):
+    frozen = turning({"LeftArm": np.zeros(300)}, 30.0)
+    found = measure(frozen, np.arange(1.0, 9.0))
+    assert (found.score, found.z) == (0.0, 0.0) and "motion has no beats" in found.note
+    found = measure(pulsing(), np.zeros(0))
+    assert (found.score, found.z) == (0.0, 0.0) and "sound has no beats" in found.note
+    short = pulsing().slice(0, 90)
+    assert "chance unknown" in measure(short, np.array([0.5])).note
+
+
+def test_frame_rate_does_not_change_beats(pulsing):
+    beats = np.array([0.45, 1.6, 2.5, 4.3, 6.6, 7.7])
+    for measure in (beat_alignment, beat_consistency):
+        scores = [measure(pulsing(fps), beats).score for fps in (25, 30, 60)]
+        assert scores == pytest.approx([scores[1]] * 3, rel=0.02)
+
+
+def clicks(times: np.ndarray, seconds: float, rate: int = 16000) -> Wave:
+    samples = np.zeros(round(seconds * rate), dtype=np.float32)
+    burst = np.random.default_rng(0).normal(0, 0.3, 800).astype(np.float32)
+    for time in times:
+        at = round(time * rate)
+        samples[at : at + len(burst)] = burst[: len(samples) - at]
+    return Wave(samples, rate)
+
+
+def test_onsets_and_pulse_are_where_the_sound_has_them():
+    times = np.arange(0.5, 9.5, 0.5)
+    onsets = speech_onsets(clicks(times, 10.0))
+    away = np.abs(onsets[:, None] - times)
+    assert away.min(axis=0).max() < 0.04 and away.min(axis=1).max() < 0.08
+    pulse = music_beats(clicks(times, 10.0))
+    assert np.median(np.diff(pulse)) == pytest.approx(0.5, abs=0.03)
+    silence = Wave(np.zeros(16000, dtype=np.float32), 16000)
+    assert len(speech_onsets(silence)) == len(music_beats(silence)) == 0

@@ -93,10 +93,10 @@ def test_level_speech_from_the_command_line(two_voices, tmp_path, render):
     calm, lively = two_voices
     made = []
     for options in ([calm], ["--seconds", 4, "--level-speech", f"1-4={calm},5-8={calm}"]):
-        assert render("demo", "--no-recall", *options)[0] == 0
+        assert render("demo", "--no-recall", *options).status == 0
         (file,) = (tmp_path / "out").glob("*.bvh")
         made.append(gk.Motion.load(file).rotations)
         file.unlink()
     np.testing.assert_array_equal(*made)
-    code, said = render("demo", "--seconds", 4, "--level-speech", "7-8")
-    assert code == 2 and "names no file: 7-10=b.wav" in said
+    done = render("demo", "--seconds", 4, "--level-speech", "7-8")
+    assert done.status == 2 and "names no file: 7-10=b.wav" in done.err

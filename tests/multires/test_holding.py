@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from small_runs import small_config
 
 import gesturekit as gk
 from audio_features import level_lengths
@@ -21,10 +22,8 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     rotation_angles,
 )
-from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.constraints.inbetweening import InbetweenClips, InbetweenConstraint
 from gesturekit.multires.training.trainer import train
-from gesturekit.training.config import build
 
 
 @pytest.fixture(scope="module")
@@ -33,17 +32,11 @@ def folder(gesture, tmp_path_factory):
     where = tmp_path_factory.mktemp("held")
     swaying(gesture(5.0, seed=1)).save(where / "clip.bvh")
     prepare([], where / "clip.jsonl", unpaired_motion=[where], holdout=0.0)
-    values = {"system": "multires", "threads": 1, "features": None, "out": str(where / "run")}
-    values |= {"corpus": str(where / "clip.jsonl")}
-    values["network"] = {"levels": 4, "channels": [3, 3]}
-    values["training"] = {
-        "window": None,
-        "first_stage": 40,
-        "further_stages": 20,
-        "window_cache": 4,
-    }
-    values["training"] |= {"discriminator_steps": 1, "learning_rate": 2e-3}
-    return train(build(MultiresConfig, values))
+    training = {"window": None, "first_stage": 40, "further_stages": 20, "learning_rate": 2e-3}
+    training |= {"batch": 4, "renew_every": 50}
+    network = {"channels": [3, 3], "embedding": 64}
+    changes = {"features": None, "network": network, "training": training}
+    return train(small_config(where / "clip.jsonl", where / "run", changes))
 
 
 def swaying(motion):
@@ -258,7 +251,7 @@ def test_invalid_constraints_are_refused(model, gesture, asked, message):
 
 def test_paths_and_parts_from_the_command_line(folder, gesture, tmp_path, render):
     def made(*options) -> gk.Motion:
-        assert render(folder, *options)[0] == 0
+        assert render(folder, *options).status == 0
         return gk.Motion.load(tmp_path / "out" / "motion.bvh")
 
     path = tmp_path / "path.csv"
@@ -271,8 +264,8 @@ def test_paths_and_parts_from_the_command_line(folder, gesture, tmp_path, render
         gesture(2.0, seed=seed).save(clip)
     assert made("--keep", clips[1], "--seconds", "3").n_frames == 90
     assert made("--keep", f"{clips[0]},{clips[1]}@3").n_frames == 150
-    code, said = render(folder, "--keep", ",".join(map(str, clips)))
-    assert code == 2 and "both begin at 0 s" in said
-    assert render(folder, "--keep", clips[0], "--path", path)[0] == 2
-    code, said = render(folder, "--path", tmp_path / "none.csv")
-    assert code == 2 and "no such file" in said
+    done = render(folder, "--keep", ",".join(map(str, clips)))
+    assert done.status == 2 and "both begin at 0 s" in done.err
+    assert render(folder, "--keep", clips[0], "--path", path).status == 2
+    done = render(folder, "--path", tmp_path / "none.csv")
+    assert done.status == 2 and "no such file" in done.err

@@ -65,19 +65,24 @@ def shaken(walker):
     return replace(walker, rotations=rotations)
 
 
-def test_trembling_does_not_count_as_arm_speed(representation, walker, values, shaken):
+@pytest.fixture(scope="module")
+def shaken_values(representation, shaken):
+    return torch.from_numpy(representation.encode(shaken).T).float()[None]
+
+
+def test_trembling_does_not_count_as_arm_speed(
+    representation, walker, values, shaken, shaken_values
+):
     kinematics = VectorKinematics(representation, walker.fps)
-    shaken_values = torch.from_numpy(representation.encode(shaken).T).float()[None]
     assert arm_speed(shaken).mean() > 1.8 * arm_speed(walker).mean()
     calm, shaky = (kinematics.arm_speed(v, stride=1.0).mean() for v in (values, shaken_values))
     assert shaky < 1.1 * calm
 
 
 def test_trembling_is_arm_acceleration_and_a_swing_has_one_at_any_rate(
-    representation, walker, values, shaken
+    representation, walker, values, shaken_values
 ):
     kinematics = VectorKinematics(representation, walker.fps)
-    shaken_values = torch.from_numpy(representation.encode(shaken).T).float()[None]
     swing = kinematics.arm_acceleration(values, stride=1.0)
     assert swing.shape == (1, walker.n_frames)
     # +-4 degrees at 12.5 Hz: 16 degrees a frame squared.
@@ -89,8 +94,7 @@ def test_trembling_is_arm_acceleration_and_a_swing_has_one_at_any_rate(
 
 
 def test_a_sliding_foot_costs_its_squared_speed_only_where_it_should_stand(representation, values):
-    kinematics = VectorKinematics(representation, 25.0)
-    still = values[:, :, :1].expand(-1, -1, 50).clone()
+    kinematics, still = VectorKinematics(representation, 25.0), values[:, :, :1].repeat(1, 1, 50)
     still[:, representation.layout.root] = torch.tensor([0.02, 0.9, 0.0])[:, None]
     still[:, representation.layout.contacts] = 1.0
 
@@ -107,8 +111,7 @@ def test_a_sliding_foot_costs_its_squared_speed_only_where_it_should_stand(repre
 
 
 def test_ganimators_foot_speed_counts_from_frame_to_frame(representation, values):
-    kinematics = VectorKinematics(representation, 25.0)
-    still = values[:, :, :1].expand(-1, -1, 50).clone()
+    kinematics, still = VectorKinematics(representation, 25.0), values[:, :, :1].repeat(1, 1, 50)
     still[:, representation.layout.root_xz] = 0.0
     still[:, representation.layout.root_height] += 0.03 * torch.arange(50)
     for stride in (1.0, 4.0):

@@ -10,7 +10,6 @@ import pytest
 import torch
 
 import gesturekit as gk
-from gesturekit.corpus import Manifest
 from gesturekit.errors import CorpusError, ModelError
 from gesturekit.inspection import inspect
 from gesturekit.motion.rotations import (
@@ -102,24 +101,6 @@ def test_label_mode_wants_a_style_for_every_item(make_config, motions):
         train(make_config(corpus=str(corpus), **LABELS))
 
 
-def test_speech_and_style_together(make_config, corpus, tmp_path):
-    from dataclasses import replace
-
-    manifest = Manifest.load(corpus)
-    styled = tmp_path / "styled.jsonl"
-    names = iter(["calm", "lively"] * len(manifest))
-    Manifest(
-        replace(item, style=next(names)) if item.is_paired else item for item in manifest
-    ).save(styled)
-    model = gk.load(train(make_config(corpus=str(styled), styles={})))
-    wave = manifest.paired("train")[0].load_wave()
-    calm = model.generate(wave, style=model.styles[0])
-    assert calm.n_frames == wave.n_frames(30.0)
-    if len(model.styles) > 1:
-        lively = model.generate(wave, style=model.styles[1])
-        assert np.abs(calm.rotations - lively.rotations).max() > 1e-4
-
-
 def test_spans_hold_and_blend_over_a_second():
     track = level_track(("angry", "old"), "old@0-4,angry@4-8", 250, 25.0)
     torch.testing.assert_close(track.sum(dim=0), torch.ones(250))
@@ -132,8 +113,6 @@ def test_spans_hold_and_blend_over_a_second():
 @pytest.mark.parametrize(
     ("style", "level_style", "message"),
     [
-        ("old@3", None, "old@0-10"),
-        ("old@4-3", None, "before it begins"),
         ("older", None, "the model has angry, old"),
         ("old", "1-9=old", "levels 1 .coarse. to 4"),
         ("old", "old", "1-4=describe"),
@@ -334,7 +313,7 @@ def test_styles_and_keyframes_from_the_command_line(make_config, motions, tmp_pa
     path = tmp_path / "out" / "motion.bvh"
 
     def frames(*options) -> int:
-        assert render(folder, *options)[0] == 0
+        assert render(folder, *options).status == 0
         return gk.Motion.load(path).n_frames
 
     over_time = ("--style", "old@0-2,angry@2-4", "--level-style", "4=old")
@@ -343,9 +322,9 @@ def test_styles_and_keyframes_from_the_command_line(make_config, motions, tmp_pa
     edit = path.rename(tmp_path / "edit.bvh")
     assert frames("--keyframes", edit, "--style", "angry") == 100
     assert frames("--like", tmp_path / "old_0.bvh", "--style", "old") == 90
-    code, said = render(folder, "--seconds", 4, "--style", "sad")
-    assert code == 2 and "unknown; the model has angry, old" in said
-    assert render(folder, "--keyframes", edit, "--like", edit)[0] == 2
+    done = render(folder, "--seconds", 4, "--style", "sad")
+    assert done.status == 2 and "unknown; the model has angry, old" in done.err
+    assert render(folder, "--keyframes", edit, "--like", edit).status == 2
 
 
 def test_a_style_is_agreed_on_up_to_a_level():

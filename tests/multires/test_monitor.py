@@ -34,11 +34,11 @@ def test_evaluations_are_logged_and_the_weights_are_those_without_them(make_conf
         assert not {"jerk_genea", "jerk_genea_ratio", "coverage"} & metrics.keys()
     assert found[0]["arm_speed_ratio"] != found[1]["arm_speed_ratio"]
 
-    losses = [line for line in lines(tmp_path / "watched") if "kind" not in line]
-    without = [line for line in lines(tmp_path / "plain") if "kind" not in line]
-    assert [{k: v for k, v in x.items() if "seconds" not in k} for x in losses] == [
-        {k: v for k, v in x.items() if "seconds" not in k} for x in without
-    ]
+    losses, without = (
+        [{k: v for k, v in x.items() if "seconds" not in k} for x in lines(run) if "kind" not in x]
+        for run in (tmp_path / "watched", tmp_path / "plain")
+    )
+    assert losses == without
     # The model's README tells losses, not evaluations.
     assert "discriminator" in (watched / "README.md").read_text()
 

@@ -14,6 +14,14 @@ from gesturekit.motion.model_joints import reference_skeleton
 from gesturekit.multires.motion_vector import MultiresRepresentation
 
 
+@pytest.fixture
+def walk(gesture):
+    """A second in which the body moves 0.5 m to its left."""
+    motion = gesture(1.0)
+    motion.translation[:, 0] += 0.5 * motion.times
+    return motion
+
+
 def body_error(representation, motion) -> float:
     """Largest distance (m) of a modelled joint after a round trip, the start moved back."""
     made = representation.decode(representation.encode(motion), motion.fps)
@@ -106,40 +114,32 @@ def test_the_contact_threshold_is_stored_with_the_model(gesture):
     assert usual.contact_speed == 0.2
 
 
-def test_the_first_frame_has_the_displacement_of_the_second(gesture):
-    motion = gesture(1.0)
-    motion.translation[:, 0] += 0.5 * motion.times
-    representation = MultiresRepresentation.fit([motion])
-    dx = representation.encode(motion)[:, representation.layout.root][:, 0]
+def test_the_first_frame_has_the_displacement_of_the_second(walk):
+    representation = MultiresRepresentation.fit([walk])
+    dx = representation.encode(walk)[:, representation.layout.root][:, 0]
     np.testing.assert_allclose(dx, 0.5 / 30 / representation.scale, rtol=1e-9)
 
 
-def test_a_performer_of_twice_the_size_steps_twice_as_far(gesture):
-    motion = gesture(1.0)
-    motion.translation[:, 0] += 0.5 * motion.times
-    representation = MultiresRepresentation.fit([motion])
-    values = representation.encode(motion)
+def test_a_performer_of_twice_the_size_steps_twice_as_far(walk):
+    representation = MultiresRepresentation.fit([walk])
+    values = representation.encode(walk)
     own, large = (
-        representation.decode(values, motion.fps, skeleton=skeleton).translation
-        for skeleton in (None, motion.skeleton.scaled(2.0))
+        representation.decode(values, walk.fps, skeleton=skeleton).translation
+        for skeleton in (None, walk.skeleton.scaled(2.0))
     )
     np.testing.assert_allclose(large, 2 * own, atol=1e-9)
 
 
-def test_named_columns_cover_the_motion_vector_once(gesture):
-    motion = gesture(1.0)
-    motion.translation[:, 2] += 0.5 * motion.times
-    representation = MultiresRepresentation.fit([motion])
-    layout, values = representation.layout, representation.encode(motion)
+def test_named_columns_cover_the_motion_vector_once(walk):
+    representation = MultiresRepresentation.fit([walk])
+    layout, values = representation.layout, representation.encode(walk)
     assert representation.n_features == values.shape[1]
     columns = np.arange(values.shape[1])
     named = [layout.rotations, layout.contacts, layout.root_xz, layout.root_height]
     parts = np.concatenate([np.atleast_1d(columns[part]) for part in named])
     assert sorted(parts) == columns.tolist()
     assert columns[layout.root].tolist() == [parts[-3], parts[-1], parts[-2]]
-    step = np.array([0, 0.5 / 30]) / representation.scale
-    np.testing.assert_allclose(
-        values[:, layout.root_xz], np.tile(step, (len(values), 1)), atol=1e-9
-    )
-    height = motion.positions()[:, representation.root, 1] / representation.scale
+    step = np.tile([0.5 / 30 / representation.scale, 0], (len(values), 1))
+    np.testing.assert_allclose(values[:, layout.root_xz], step, atol=1e-9)
+    height = walk.positions()[:, representation.root, 1] / representation.scale
     np.testing.assert_allclose(values[:, layout.root_height], height)

@@ -39,11 +39,8 @@ def test_resampling_is_torchs_own_linear_interpolation(exact):
         want = torch.nn.functional.interpolate(x, size=n, mode="linear", align_corners=False)
         made, by = resample(x, n), torch.randn(want.shape, dtype=exact, generator=rng)
         # torch works its single-precision weights out in single precision, we do in double.
-        close = (
-            {"rtol": 1e-12, "atol": 1e-12}
-            if exact is torch.float64
-            else {"rtol": 1e-4, "atol": 1e-4}
-        )
+        error = 1e-12 if exact is torch.float64 else 1e-4
+        close = {"rtol": error, "atol": error}
         torch.testing.assert_close(made, want, **close)
         gradients = [torch.autograd.grad(each, x, by)[0] for each in (made, want)]
         torch.testing.assert_close(*gradients, **close)

@@ -4,19 +4,27 @@ from __future__ import annotations
 
 import time
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
+from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.recall.library import (
     RecalledMotion,
     RecalledRecording,
     RecallLibrary,
     averaged,
 )
-from gesturekit.multires.recall.parts import MotionPart, PassiveChannels
+from gesturekit.multires.recall.parts import (
+    MotionPart,
+    PassiveChannels,
+    defects_of_parts,
+    motion_parts,
+)
 from gesturekit.multires.recall.pieces import ChoiceWeights, Pieces, PieceSearch
 from gesturekit.multires.recall.wanted import (
     Regression,
@@ -25,7 +33,7 @@ from gesturekit.multires.recall.wanted import (
     slow_part,
     usual_voice,
 )
-from gesturekit.multires.training.recall_library import _weighted
+from gesturekit.multires.training.recall_library import _any_near, _weighted
 
 FPS = 25.0
 ONLY_MOVEMENT = ChoiceWeights(continuity=0.0, used=0.0, chance=0.0)
@@ -319,14 +327,6 @@ def test_an_hour_of_speech_takes_seconds_and_little_memory():
     assert seconds < 10 and peak < 100e6
 
 
-def test_a_seed_gives_the_same_pieces_and_another_seed_others():
-    found, wanted = search([300, 300], ChoiceWeights()), noise(100, 2, seed=3)
-    first = placed(found.choose(rng(1), wanted))
-    assert placed(found.choose(rng(1), wanted)) == first
-    assert placed(found.choose(rng(2), wanted)) != first
-    assert placed(found.choose(rng(1), noise(100, 2, seed=4))) != first
-
-
 # What speech asks for.
 
 EFFORT = (4, 5)
@@ -481,3 +481,68 @@ def test_still_recordings_and_constant_speech_are_finite():
         asked = wanted(np.zeros((6, n_frames)))
         np.testing.assert_allclose(asked, -2.0)
     assert np.isfinite(wanted(noise(6, 30))).all()
+
+
+# Defects of the recordings: joints that jump or pop.
+
+
+@pytest.fixture
+def curves():
+    """A recording of 40 frames: still vectors, and a profile of noise."""
+    return [np.zeros((40, 3))], [np.random.default_rng(0).standard_normal((40, 2))]
+
+
+def chosen(curves, defective) -> int:
+    """Return the start of the piece for what frames 20 to 29 of the recording show."""
+    search = PieceSearch(*curves, 10, 0, ONLY_MOVEMENT, defective)
+    (start,) = search.choose(rng(), curves[1][0][20:30]).starts
+    return int(start)
+
+
+@pytest.mark.parametrize("frame", [20, 25, 29])
+def test_a_piece_with_a_defect_is_not_chosen(curves, frame):
+    flags = np.zeros(40, bool)
+    assert chosen(curves, [flags]) == 20
+    flags[frame] = True
+    start = chosen(curves, [flags])
+    assert not start <= frame < start + 10
+
+
+@pytest.mark.parametrize("frame", [19, 30])
+def test_a_defect_beside_a_piece_does_not_matter(curves, frame):
+    flags = np.zeros(40, bool)
+    flags[frame] = True
+    assert chosen(curves, [flags]) == 20
+
+
+def test_a_recording_full_of_defects_is_still_recalled(curves):
+    flags = np.zeros(40, bool)
+    flags[::5] = True
+    assert chosen(curves, [flags]) == 20
+
+
+def test_defects_are_assigned_to_the_part_with_the_defective_joint(gesture):
+    motion = gesture(4.0, fps=30.0)
+    rotations = motion.rotations.copy()
+    elbow = motion.skeleton.index("LeftForeArm")
+    off = Rotation.from_euler("x", 80, degrees=True) * Rotation.from_quat(rotations[50, elbow])
+    rotations[50, elbow] = off.as_quat()
+    spoilt = replace(motion, rotations=rotations)
+    representation = MultiresRepresentation.fit([motion])
+    parts = motion_parts(representation, separate=True)
+    for made, frames in ((motion, []), (spoilt, [50])):
+        values = torch.from_numpy(representation.encode(made).T)
+        flags = defects_of_parts(parts, representation, 30.0, values)
+        assert flags.shape == (3, 120)
+        found = [np.flatnonzero(own).tolist() for own in flags]
+        # The hand moves there and back at some 10 m/s, which may count as jumps around the pop.
+        assert [[f for f in own if not 50 <= f <= 51] for own in found] == [[], [], []]
+        assert (found[0][:1], found[1], found[2]) == (frames, [], [])
+
+
+def test_flags_at_a_coarser_level_are_those_of_both_frames_around():
+    flags = np.zeros((3, 12), bool)
+    flags[0, 4] = flags[1, 5] = flags[2, 0] = flags[2, 11] = True
+    # Frames 4 and 5 of 12 lie at (4.5 / 12) 4 - 0.5 = 1 and at 1.33 of 4, the ends outside.
+    expected = [[0, 1, 0, 0], [0, 1, 1, 0], [1, 0, 0, 1]]
+    assert _any_near(flags, 4).astype(int).tolist() == expected

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from small_runs import small_config
 
 import gesturekit as gk
 from gesturekit.corpus import prepare
@@ -18,33 +19,22 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.training import trainer
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.trainer import train
-from gesturekit.training.config import build
 
 FEATURES = {"extractors": [{"kind": "prosody"}, {"kind": "effort"}]}
 STILL = {"learning_rate": 1e-9}
 
 
+TINY = {
+    "features": FEATURES,
+    "network": {"channels": [2], "embedding": 4},
+    "recall": {"level": 2, "piece": 1.0, "overlap": 0.3},
+    "training": {"first_stage": 2, "further_stages": 2, "window": 2.0, "window_cache": 2},
+}
+
+
 def tiny(corpus: Path | str, out: Path, **changes) -> MultiresConfig:
     """Settings of a run of two iterations a stage."""
-    values = {
-        "system": "multires",
-        "corpus": str(corpus),
-        "out": str(out),
-        "threads": 1,
-        "features": FEATURES,
-        "network": {"levels": 4, "channels": [2], "embedding": 4},
-        "recall": {"level": 2, "piece": 1.0, "overlap": 0.3},
-        "training": {
-            "first_stage": 2,
-            "further_stages": 2,
-            "batch": 2,
-            "window": 2.0,
-            "window_cache": 2,
-        },
-    }
-    for key, value in changes.items():
-        values[key] = {**(values.get(key) or {}), **value} if isinstance(value, dict) else value
-    return build(MultiresConfig, values)
+    return small_config(corpus, out, TINY, changes)
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +162,7 @@ def test_recordings_in_some_of_the_styles(motions, tmp_path):
     mode = {
         "features": None,
         "styles": {},
-        "network": {"levels": 4, "channels": [2], "embedding": 4, "modulate": "all"},
+        "network": {"modulate": "all"},
         "z_star_shuffle": 3,
         "losses": {"detail": 1},
     }

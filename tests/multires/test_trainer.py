@@ -389,19 +389,6 @@ def test_variants_train_on_the_losses_that_they_name(make_config, changes, losse
     assert all(not torch.equal(trained[name], again[name]) for name in moved)
 
 
-def test_a_folder_with_a_run_is_not_overwritten(make_config):
-    config = make_config()
-    with pytest.raises(ConfigError, match="no run to resume"):
-        train(config, resume=True)
-    train(config)
-    before = (config.out / "metrics.jsonl").read_bytes()
-    with pytest.raises(ConfigError, match="--resume"):
-        train(config)
-    with pytest.raises(ConfigError, match="seed: 0"):
-        train(make_config(seed=5), resume=True)
-    assert (config.out / "metrics.jsonl").read_bytes() == before
-
-
 def test_betas_reach_the_optimisers_and_wrong_ones_are_refused(make_config, tmp_path):
     usual, other = make_config(), make_config(training={"betas": [0.5, 0.95]}, out=str(tmp_path))
     train(usual)

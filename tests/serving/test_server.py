@@ -16,7 +16,6 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from sounds import wav
 
-from gesturekit.cli import main
 from gesturekit.systems import bundled_speech
 
 
@@ -157,8 +156,8 @@ def test_a_public_address_answers_nobody_without_its_token(tmp_path):
         process.stderr.close()
 
 
-def test_a_port_in_use_is_one_line_and_exit_2(capsys):
-    with socket.create_server(("127.0.0.1", 0)) as used, pytest.raises(SystemExit) as ended:
-        main(["serve", "--model", "demo", "--port", str(used.getsockname()[1])])
-    assert ended.value.code == 2
-    assert ": Address already in use; another --port may be free" in capsys.readouterr().err
+def test_a_port_in_use_is_one_line_and_exit_2(gesturekit):
+    with socket.create_server(("127.0.0.1", 0)) as used:
+        done = gesturekit("serve", "--model", "demo", "--port", used.getsockname()[1])
+    assert done.status == 2
+    assert ": Address already in use; another --port may be free" in done.err

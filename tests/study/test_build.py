@@ -50,12 +50,6 @@ def test_shorter_lists_use_all_segments_equally_often():
     assert make_lists(config_of(3, lists=30, pairs=7), segments(20)) == lists
 
 
-def test_every_style_has_its_share():
-    config = config_of(2, design="style", styles={"old": "an old person", "sad": "sad"}, pairs=10)
-    found = make_lists(config, [*segments(8, "old"), *segments(8, "sad")])
-    assert Counter(c.segment.style for c in found[0]) == {"old": 5, "sad": 5}
-
-
 def test_styles_come_in_the_order_of_the_configuration():
     styles = {"sad": "sad", "happy": "happy", "old": "an old person"}
     found = make_lists(

@@ -10,20 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from gesturekit.cli import main
 from gesturekit.evaluation.statistics.answers import GENEA_COLUMNS, Answer
 
 
 @pytest.fixture
-def run(capsys):
-    """run(*arguments): exit code, output and errors of a command."""
-
-    def command(*arguments: object) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as ended:
-            main(["study", *map(str, arguments)])
-        return (ended.value.code, *capsys.readouterr())
-
-    return command
+def run(gesturekit):
+    """run(*arguments): exit code, output and errors of gesturekit study."""
+    return lambda *arguments: gesturekit("study", *arguments)
 
 
 def write(path: Path, answers: list[Answer], failed: dict[str, int]) -> Path:

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 import gesturekit.study.build as build_module
-from gesturekit.cli import main
 from gesturekit.evaluation import read_answers
 from gesturekit.evaluation.statistics.answers import GENEA_COLUMNS
 from gesturekit.study import build_study
@@ -100,7 +99,9 @@ def downloaded(folder: Path, name: str) -> Path:
     raise AssertionError(f"{name} was not downloaded: {list(folder.iterdir())}")
 
 
-def test_twelve_pairs_are_rated_from_a_disk_and_analysed(videos, tmp_path, open_browser, capsys):
+def test_twelve_pairs_are_rated_from_a_disk_and_analysed(
+    videos, tmp_path, open_browser, gesturekit
+):
     browser, files = open_browser(), []
     for user, pairs, choose in (("p1", 12, attentive), ("Zoë_語", 3, lambda *_: "TheyAreEqual")):
         config = StudyConfig("Study", videos, consent="I *agree*.", pairs=pairs)
@@ -125,12 +126,9 @@ def test_twelve_pairs_are_rated_from_a_disk_and_analysed(videos, tmp_path, open_
         assert (row["study_id"], row["session_id"], row["list"]) == ("st", "se", "3")
         assert row["plays_left"] == row["plays_right"] == "1"
 
-    with pytest.raises(SystemExit) as ended:
-        main(["study", "analyse", *map(str, files), "--out", str(tmp_path / "report.html")])
-    assert ended.value.code == 0
-    assert (
-        "12 answers of 1 rater on 12 speech segments; 1 rater excluded" in capsys.readouterr().out
-    )
+    done = gesturekit("study", "analyse", *files, "--out", tmp_path / "report.html")
+    assert done.status == 0
+    assert "12 answers of 1 rater on 12 speech segments; 1 rater excluded" in done.out
     browser.open((tmp_path / "report.html").as_uri())
     browser.wait("document.querySelectorAll('section').length > 4")
     assert browser.lines == []

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import matplotlib.image
 import numpy as np
 import pytest
 from avatars import BONES, HAIR, avatar, avatar_json, packed
 from pages import bundled, opened
 
-from gesturekit.cli import main
 from gesturekit.errors import FormatError
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.viewer import write_picture, write_video
@@ -76,41 +76,30 @@ def test_a_motion_is_retargeted_to_the_avatar(vrm, gesture):
 
 
 @bundled
-def test_pages_pictures_and_videos_show_the_avatar(tmp_path, vrm, gesture, open_browser, capsys):
+def test_pages_pictures_and_videos_show_the_avatar(
+    tmp_path, vrm, gesture, open_browser, gesturekit
+):
     motion = gesture(0.3)
     motion.save(tmp_path / "a.bvh")
-    with pytest.raises(SystemExit) as exit_:
-        main(["view", str(tmp_path / "a.bvh"), "--body", str(vrm), "-o", str(tmp_path / "a.html")])
-    assert exit_.value.code == 0, capsys.readouterr()
+    done = gesturekit("view", tmp_path / "a.bvh", "--body", vrm, "-o", tmp_path / "a.html")
+    assert done.status == 0, done.err
     write_picture(motion, tmp_path / "a.png", body=str(vrm))
     write_video(motion, tmp_path / "a.mp4", body=str(vrm))
     browser = opened(open_browser, tmp_path / "a.html", "t=0.1")
     browser.screenshot(tmp_path / "page.png")
-    import matplotlib.image
-
     for name in ("page.png", "a.png"):
         red, green, _ = np.moveaxis(matplotlib.image.imread(tmp_path / name)[..., :3], -1, 0)
         assert ((red > 0.35) & (red > 2.5 * green)).sum() > 200, name
     assert browser.lines == []
 
 
-def test_faces_of_transparent_texture_are_left_out(tmp_path):
+def with_changes(path: Path, *changes: Callable[[dict], None]) -> Path:
+    """Write an avatar whose JSON was changed."""
     found, data = avatar_json(1)
-    found["materials"][0]["alphaMode"] = "MASK"
-    (tmp_path / "me.vrm").write_bytes(packed(found, data))
-    skin = read_avatar(tmp_path / "me.vrm").skins[0]
-    assert (np.linalg.norm(skin.vertices - HAIR, axis=1) > 0.06).all()
-    np.testing.assert_array_equal(np.unique(skin.palette[skin.regions], axis=0), [[200, 30, 30]])
-
-
-def test_a_texture_that_cannot_be_read_leaves_the_base_colour(tmp_path):
-    found, data = avatar_json(1)
-    found["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [0, 0, 1, 1]
-    found["images"][0]["bufferView"] = 0
-    (tmp_path / "me.vrm").write_bytes(packed(found, data))
-    with pytest.warns(UserWarning, match="texture cannot be read"):
-        skin = read_avatar(tmp_path / "me.vrm").skins[0]
-    np.testing.assert_array_equal(skin.palette, [[0, 0, 255]])
+    for change in changes:
+        change(found)
+    path.write_bytes(packed(found, data))
+    return path
 
 
 def changed(*path: Any, value: Any = None, drop: bool = False) -> Callable[[dict], None]:
@@ -126,6 +115,21 @@ def changed(*path: Any, value: Any = None, drop: bool = False) -> Callable[[dict
             place[path[-1]] = value
 
     return change
+
+
+def test_faces_of_transparent_texture_are_left_out(tmp_path):
+    masked = changed("materials", 0, "alphaMode", value="MASK")
+    skin = read_avatar(with_changes(tmp_path / "me.vrm", masked)).skins[0]
+    assert (np.linalg.norm(skin.vertices - HAIR, axis=1) > 0.06).all()
+    np.testing.assert_array_equal(np.unique(skin.palette[skin.regions], axis=0), [[200, 30, 30]])
+
+
+def test_a_texture_that_cannot_be_read_leaves_the_base_colour(tmp_path):
+    colour = ("materials", 0, "pbrMetallicRoughness", "baseColorFactor")
+    changes = changed(*colour, value=[0, 0, 1, 1]), changed("images", 0, "bufferView", value=0)
+    with pytest.warns(UserWarning, match="texture cannot be read"):
+        skin = read_avatar(with_changes(tmp_path / "me.vrm", *changes)).skins[0]
+    np.testing.assert_array_equal(skin.palette, [[0, 0, 255]])
 
 
 BAD = {
@@ -160,11 +164,8 @@ BAD = {
 @pytest.mark.parametrize("case", BAD)
 def test_bad_avatars_are_refused_by_name(tmp_path, case):
     change, message = BAD[case]
-    found, data = avatar_json(1)
-    change(found)
-    (tmp_path / "me.vrm").write_bytes(packed(found, data))
     with pytest.raises(FormatError, match=message) as error:
-        read_avatar(tmp_path / "me.vrm")
+        read_avatar(with_changes(tmp_path / "me.vrm", change))
     assert str(error.value).startswith(f"{tmp_path / 'me.vrm'}: ")
 
 
@@ -184,12 +185,10 @@ def test_values_that_are_not_numbers_are_refused(tmp_path):
         read_avatar(tmp_path / "me.vrm")
 
 
-def test_a_missing_avatar_is_named_on_the_command_line(tmp_path, gesture, capsys):
+def test_a_missing_avatar_is_named_on_the_command_line(tmp_path, gesture, gesturekit):
     gesture(0.2).save(tmp_path / "a.bvh")
-    with pytest.raises(SystemExit) as exit_:
-        main(["view", str(tmp_path / "a.bvh"), "--body", "who.vrm", "-o", str(tmp_path / "a.png")])
-    assert exit_.value.code == 2
-    assert "who.vrm: no such file" in capsys.readouterr().err
+    done = gesturekit("view", tmp_path / "a.bvh", "--body", "who.vrm", "-o", tmp_path / "a.png")
+    assert done.status == 2 and "who.vrm: no such file" in done.err
 
 
 def test_dense_meshes_become_smaller_and_keep_their_shape():

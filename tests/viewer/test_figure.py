@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rigs import rig_of
 from scipy.spatial.transform import Rotation
 
 from gesturekit.motion import Motion, Skeleton
@@ -36,9 +37,7 @@ def recording(request: pytest.FixtureRequest, shared_data: Path) -> tuple[Motion
     return motion, figure
 
 
-def test_a_person_has_a_head_two_sides_and_stands_on_the_floor(
-    recording: tuple[Motion, Figure],
-) -> None:
+def test_a_person_has_a_head_two_sides_and_stands_on_the_floor(recording):
     _, figure = recording
     assert figure.head is not None
     assert {limb.side for limb in figure.limbs} == {LEFT, MIDDLE, RIGHT}
@@ -46,9 +45,7 @@ def test_a_person_has_a_head_two_sides_and_stands_on_the_floor(
     assert np.median(np.abs(lowest - figure.floor)) < 0.06
 
 
-def test_a_person_looks_to_the_front_with_its_left_on_the_left(
-    recording: tuple[Motion, Figure],
-) -> None:
+def test_a_person_looks_to_the_front_with_its_left_on_the_left(recording):
     _, figure = recording
     front = np.array([np.sin(figure.front), 0, np.cos(figure.front)])
     left = np.cross([0, 1, 0], front)
@@ -63,13 +60,8 @@ def test_a_person_looks_to_the_front_with_its_left_on_the_left(
     assert sides[LEFT] > sides[RIGHT]
 
 
-def test_still_hands_have_no_speed_and_moving_hands_have_theirs() -> None:
-    skeleton = Skeleton(
-        names=("root", "a"),
-        parents=(-1, 0),
-        offsets=np.array([[0, 0, 0], [1, 0, 0]], dtype=float),
-        rotation_orders=("ZXY", "ZXY"),
-    )
+def test_still_hands_have_no_speed_and_moving_hands_have_theirs():
+    skeleton = rig_of({"root": (None, (0.0, 0.0, 0.0)), "a": ("root", (1.0, 0.0, 0.0))})
     fps, n_frames = 60.0, 240
     walk = np.stack([np.arange(n_frames) / 10, np.zeros(n_frames), np.zeros(n_frames)], axis=1)
     still = np.tile([0.0, 0, 0, 1], (n_frames, 2, 1))
@@ -81,7 +73,7 @@ def test_still_hands_have_no_speed_and_moving_hands_have_theirs() -> None:
     np.testing.assert_allclose(speed, 0.5, rtol=1e-3)
 
 
-def test_hand_speed_is_relative_to_the_hips_under_a_still_root(shared_data: Path) -> None:
+def test_hand_speed_is_relative_to_the_hips_under_a_still_root(shared_data):
     motion = Motion.load(shared_data / "motion/bandai/dataset-1_bye_old_001.bvh")
     assert list(motion.joint_translations) == ["Hips"]
     still = Figure.of(motion).hand_speed
@@ -91,7 +83,7 @@ def test_hand_speed_is_relative_to_the_hips_under_a_still_root(shared_data: Path
     np.testing.assert_allclose(Figure.of(walking).hand_speed, still, atol=1e-9)
 
 
-def test_hands_without_wrists_are_the_ends_of_the_forearms(shared_data: Path) -> None:
+def test_hands_without_wrists_are_the_ends_of_the_forearms(shared_data):
     motion = Motion.load(shared_data / "motion/reactidle/003_genuine.bvh").slice(0, 200)
     figure = Figure.of(motion)
     ends = motion.end_positions()
@@ -104,7 +96,7 @@ def test_hands_without_wrists_are_the_ends_of_the_forearms(shared_data: Path) ->
 
 
 @pytest.mark.parametrize("front", [0.0, 1.2, -2.5])
-def test_a_quadruped_faces_where_its_head_is(quadruped: Skeleton, front: float) -> None:
+def test_a_quadruped_faces_where_its_head_is(quadruped, front):
     motion = at_rest(quadruped, 5, 0.75)
     # Its shoulders are lower than its hips, as an elephant's are.
     turn = Rotation.from_rotvec([0, front, 0]) * Rotation.from_rotvec([0.2, 0, 0])
@@ -116,7 +108,7 @@ def test_a_quadruped_faces_where_its_head_is(quadruped: Skeleton, front: float) 
 
 
 @pytest.mark.parametrize("factor", [0.1, 2.0, 10.0])
-def test_a_figure_is_drawn_alike_at_any_size(skeleton: Skeleton, factor: float) -> None:
+def test_a_figure_is_drawn_alike_at_any_size(skeleton, factor):
     motion = at_rest(skeleton, 5, 0.9)
     one, other = Figure.of(motion), Figure.of(motion.scaled(factor))
     assert np.allclose(other.points, factor * one.points)
@@ -125,7 +117,7 @@ def test_a_figure_is_drawn_alike_at_any_size(skeleton: Skeleton, factor: float) 
     assert np.allclose(radii[1], factor * np.array(radii[0]))
 
 
-def test_ends_that_no_limb_can_have_are_not_drawn(skeleton: Skeleton) -> None:
+def test_ends_that_no_limb_can_have_are_not_drawn(skeleton):
     """Mixamo's rigs from Blender: as long as the last bone, and up."""
     ends = {"LeftHand": (np.array([0.0, 0.25, 0.0]),), "LeftFoot": (np.array([0.0, 0.42, 0.0]),)}
     figure = Figure.of(at_rest(replace(skeleton, end_sites=ends), 1))
@@ -137,10 +129,8 @@ def test_ends_that_no_limb_can_have_are_not_drawn(skeleton: Skeleton) -> None:
     )
 
 
-def test_one_frame_is_enough() -> None:
-    skeleton = Skeleton(
-        ("root", "a"), (-1, 0), np.array([[0, 0, 0], [0, 1.0, 0]]), {}, ("XYZ",) * 2
-    )
+def test_one_frame_is_enough():
+    skeleton = rig_of({"root": (None, (0.0, 0.0, 0.0)), "a": ("root", (0.0, 1.0, 0.0))})
     figure = Figure.of(at_rest(skeleton, 1))
     assert figure.points.shape == (1, 2, 3)
     assert len(figure.limbs) == 1

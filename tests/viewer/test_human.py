@@ -12,13 +12,13 @@ import matplotlib.image
 import numpy as np
 import pytest
 from pages import bundled, data_of, opened, unpacked
+from rigs import rig_of
 from scipy.spatial.transform import Rotation
 
 import gesturekit as gk
-from gesturekit.cli import main
 from gesturekit.errors import FormatError
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
-from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion import Motion
 from gesturekit.motion.ik.two_bone import two_bone_ik
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.parts.body_size import body_height
@@ -118,26 +118,23 @@ def check(motion: Motion, n_frames: int = 12) -> None:
 
 
 @baked
-@pytest.mark.parametrize("rig", [*RIGS, "demo"])
-def test_any_rig_is_retargeted_to_the_body(rig, request):
+@pytest.mark.parametrize("rig", [*RIGS, "demo", "gesture", "smplx"])
+def test_any_rig_is_retargeted_to_the_body(rig, gesture, request):
     if rig == "demo":
         motion = gk.load("demo").generate(seconds=4.0, seed=0)
+    elif rig in ("gesture", "smplx"):
+        motion = gesture(1.0)
     else:
         motion = Motion.load(request.getfixturevalue("shared_data") / RIGS[rig])
-    check(motion.slice(0, min(300, motion.n_frames)))
-
-
-@baked
-def test_rigs_of_the_repository_are_retargeted_to_the_body(gesture):
-    check(gesture(1.0), 4)
-    swing = gesture(1.0)
-    rotations = np.tile([0.0, 0, 0, 1], (30, 55, 1))
-    names = smpl_skeleton(55).names
-    for name, theirs in (("shoulder", "Arm"), ("elbow", "ForeArm")):
-        for side in ("left", "right"):
-            source = swing.skeleton.index(side.title() + theirs)
-            rotations[:, names.index(f"{side}_{name}")] = swing.rotations[:, source]
-    check(Motion(smpl_skeleton(55), rotations, np.tile([0.0, 0.9, 0], (30, 1)), 30.0), 4)
+    if rig == "smplx":  # with the same arms
+        rotations = np.tile([0.0, 0, 0, 1], (30, 55, 1))
+        names = smpl_skeleton(55).names
+        for name, theirs in (("shoulder", "Arm"), ("elbow", "ForeArm")):
+            for side in ("left", "right"):
+                source = motion.skeleton.index(side.title() + theirs)
+                rotations[:, names.index(f"{side}_{name}")] = motion.rotations[:, source]
+        motion = Motion(smpl_skeleton(55), rotations, np.tile([0.0, 0.9, 0], (30, 1)), 30.0)
+    check(motion.slice(0, min(300, motion.n_frames)), 12 if rig in (*RIGS, "demo") else 4)
 
 
 @baked
@@ -232,7 +229,7 @@ def test_the_picture_of_a_giant_in_a_t_pose_shows_both_its_outer_hands(tmp_path,
 
 
 def test_without_the_baked_body_the_mannequin_is_drawn_with_a_warning(
-    tmp_path, gesture, monkeypatch, capsys
+    tmp_path, gesture, monkeypatch, gesturekit
 ):
     monkeypatch.setattr(body, "FILE", tmp_path / "human.npz")
     body._loaded.cache_clear()
@@ -241,17 +238,15 @@ def test_without_the_baked_body_the_mannequin_is_drawn_with_a_warning(
     body._loaded.cache_clear()
     assert not drawn.skins and drawn.motion.skeleton == gesture(0.2).skeleton
     gesture(0.2).save(tmp_path / "a.bvh")
-    command = ["view", str(tmp_path / "a.bvh"), "--body", "human", "-o"]
-    with pytest.raises(SystemExit) as exit_:
-        main([*command, str(tmp_path / "a.png")])
+    done = gesturekit("view", tmp_path / "a.bvh", "--body", "human", "-o", tmp_path / "a.png")
     body._loaded.cache_clear()
-    assert exit_.value.code == 0 and (tmp_path / "a.png").is_file()
-    assert "Warning: the mannequin is drawn" in capsys.readouterr().err
+    assert done.status == 0 and (tmp_path / "a.png").is_file()
+    assert "Warning: the mannequin is drawn" in done.err
 
 
 @baked
 def test_a_rig_of_no_known_anatomy_is_drawn_as_a_mannequin():
-    rig = Skeleton(("a", "b", "c"), (-1, 0, 1), np.array([[0, 0, 0], [0, 1, 0], [0, 1, 0]], float))
+    rig = rig_of({"a": (None, (0, 0, 0)), "b": ("a", (0, 1, 0)), "c": ("b", (0, 1, 0))})
     motion = Motion(rig, np.tile([0.0, 0, 0, 1], (3, 3, 1)), np.zeros((3, 3)), 30.0)
     with pytest.warns(UserWarning, match="mannequin is drawn"):
         assert not DrawnBody.of(motion, "human").skins

@@ -16,7 +16,7 @@ from gesturekit.errors import FormatError
 from gesturekit.formats.smpl.skeleton import fit_body, smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.motion.body_model.model import BodyModel
-from gesturekit.viewer import write_video
+from gesturekit.viewer import write_html, write_picture, write_video
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.video import raster
@@ -126,13 +126,15 @@ def test_without_the_extra_the_error_names_it(tmp_path, gesture, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_invalid_sounds_and_sizes_are_refused_and_leave_no_file(tmp_path, gesture):
-    (tmp_path / "x.wav").write_text("no sound")
-    with pytest.raises(AudioError):
-        write_video(gesture(0.2), tmp_path / "x.mp4", audio=tmp_path / "x.wav")
+@pytest.mark.parametrize("write", [write_video, write_picture, write_html])
+def test_an_invalid_sound_is_refused_and_leaves_no_file(tmp_path, gesture, write):
+    (tmp_path / "speech.wav").write_text("no sound")
+    target = tmp_path / {write_video: "x.mp4", write_picture: "x.png"}.get(write, "x.html")
+    with pytest.raises(AudioError, match=r"speech\.wav"):
+        write(gesture(0.2), target, audio=tmp_path / "speech.wav")
     with pytest.raises(FormatError, match="720p or 1080p"):
         gesture(0.2).save(tmp_path / "x.mp4", size="huge")
-    assert not (tmp_path / "x.mp4").exists()
+    assert not list(tmp_path.glob("x.*"))
 
 
 def placed(body, time: float) -> np.ndarray:

@@ -1,0 +1,144 @@
+"""Targets of the losses: detail by joint and style, and the arm speed that speech asks for."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from gesturekit.multires.training.data import PairedSequence
+from gesturekit.multires.training.targets import ArmTarget, DetailTarget, log_movement
+
+LEVELS, LEVEL = 4, 3
+
+
+def recording(style, seed):
+    """Trembling that comes and goes, ten times as much of it in style 1."""
+    torch.manual_seed(seed)
+    strength = (0.01, 0.1)[style] * torch.exp(torch.sin(torch.arange(200) / 20))
+    motion = torch.randn(9, 200) * strength
+    return PairedSequence.make(f"{style}-{seed}", motion, torch.zeros(0, 200), LEVELS, 0)
+
+
+def windows(style):
+    """16 windows of 50 frames of a recording that the target has not seen."""
+    return recording(style, 9).motion.unfold(-1, 50, 10).transpose(0, 1)
+
+
+def places(motion):
+    """Three joints, whose places are the motion itself."""
+    return motion.unflatten(1, (3, 3))
+
+
+@pytest.fixture
+def detail():
+    sequences = [recording(style, seed) for style in (0, 1) for seed in (1, 2)]
+    sequences = [
+        PairedSequence(s.name, s.motion, s.speech, s.sigma, s.z_star, s.passive, int(s.name[0]))
+        for s in sequences
+    ]
+    target = DetailTarget(sequences, LEVEL, LEVELS, places, 50, 2)
+    return lambda motion, styles: target(places(motion), styles)
+
+
+def test_as_much_as_the_recordings_of_the_style_is_best(detail):
+    for style in (0, 1):
+        own = windows(style)
+        told = torch.full((len(own),), style)
+        least = float(detail(own, told))
+        assert least < float(detail(0.5 * own, told)) - 0.1
+        assert least < float(detail(2 * own, told)) - 0.1
+        assert least < float(detail(own, 1 - told)) - 0.1
+
+
+def test_neither_posture_nor_slow_movement_counts(detail):
+    own = windows(1)
+    told = torch.ones(len(own), dtype=torch.long)
+    leaning = own + 3 + torch.linspace(0, 1, 50)
+    torch.testing.assert_close(detail(leaning, told), detail(own, told), atol=0.02, rtol=0)
+
+
+def test_generated_windows_should_differ_as_much_as_recorded_ones(detail):
+    own = windows(1)
+    told = torch.ones(len(own), dtype=torch.long)
+    strength = own.square().mean(dim=(1, 2)).log()
+    alike = own * torch.exp((strength.mean() - strength) / 2)[:, None, None]
+    assert float(detail(own, told)) < float(detail(alike, told)) - 0.02
+
+
+def test_a_style_with_a_single_motion_has_no_detail_loss(detail):
+    own = windows(1)[:1].requires_grad_()
+    loss = detail(own, torch.ones(1, dtype=torch.long))
+    assert float(loss.detach()) == 0
+    loss.backward()
+    assert not own.grad.any()
+
+
+def test_joints_that_never_move_have_no_detail():
+    """The places of a rig of one joint are zeros: no detail, and no logarithm of it."""
+    of_none = DetailTarget([recording(0, 1)], LEVEL, LEVELS, lambda x: 0 * places(x), 50, 1)
+    made = windows(0).requires_grad_()
+    loss = of_none(0 * places(made), torch.zeros(len(made), dtype=torch.long))
+    loss.backward()
+    assert abs(float(loss.detach())) < 1e-3 and made.grad.isfinite().all()
+
+
+FRAME = 0.04
+FLOORS = (1.0, 10.0)
+
+
+def talk(n_frames: int, loudness: float, seed: int):
+    """(S, T) speech in phrases, of zero mean, and the arm movement that goes with it."""
+    rng = torch.Generator().manual_seed(seed)
+    phrases = torch.rand(n_frames // 20 + 1, generator=rng).repeat_interleave(20)[:n_frames] - 0.5
+    noise = 0.1 * torch.randn(3, n_frames, generator=rng)
+    speech = noise + loudness * torch.stack([phrases, -phrases, torch.zeros(n_frames)])
+    speed = loudness * (1.0 + 1.6 * phrases)
+    return speech, log_movement(speed[None], 9.0 * speed[None], FRAME, FLOORS)[0]
+
+
+@pytest.fixture(scope="module")
+def target():
+    pairs = [talk(700, loudness, seed) for seed, loudness in enumerate([1.0, 3.0, 1.5, 4.0])]
+    return ArmTarget(FRAME).fit(*zip(*pairs, strict=True))
+
+
+def predicted(target, loudness):
+    """(2, T) speeds and accelerations, asked for and real."""
+    speech, movement = talk(700, loudness, seed=9)
+    floors = torch.tensor(FLOORS)[:, None]
+    return target(speech[None])[0].exp() - floors, movement.exp() - floors
+
+
+def test_arm_speed_of_unpaired_speech_is_predicted(target):
+    for ours, real in zip(*predicted(target, 2.0), strict=True):
+        assert torch.corrcoef(torch.stack([ours, real]))[0, 1] > 0.8
+
+
+def test_calm_and_lively_speech_with_equal_means_predict_different_speeds(target):
+    calm, lively = (predicted(target, loudness) for loudness in (1.2, 3.5))
+    for both in (calm, lively):
+        for ours, real in zip(*both, strict=True):
+            assert 0.7 < ours.mean() / real.mean() < 1.4
+    assert (lively[0].mean(dim=1) > 2 * calm[0].mean(dim=1)).all()
+
+
+def test_predicted_movement_stays_within_the_recorded_range(target):
+    ours, _ = predicted(target, 40.0)
+    fastest = predicted(target, 4.0)[1].amax(dim=1)
+    assert (ours.amax(dim=1) < 1.1 * fastest).all()
+
+
+def test_a_clip_shorter_than_what_is_read_around_a_frame(target):
+    speech, _ = talk(6, 1.0, seed=0)
+    assert torch.isfinite(target(speech[None])).all()
+
+
+@pytest.mark.parametrize("width", [3, 100])
+def test_uninformative_features_are_not_overfitted(width):
+    rng = torch.Generator().manual_seed(0)
+    movements = [talk(300, 2.0, seed)[1] for seed in range(4)]
+    target = ArmTarget(FRAME).fit(
+        [torch.randn(width, 300, generator=rng) for _ in movements], movements
+    )
+    asked = target(torch.randn(1, width, 300, generator=rng))[0]
+    assert (asked.std(dim=1) < 0.25 * movements[0].std(dim=1)).all()
