@@ -123,6 +123,26 @@ def test_imports_within_gesturekit_point_downwards():
     assert not wrong, "\n".join(wrong)
 
 
+def module_paths() -> dict[str, Path]:
+    """Return the file of every module of both packages, by its dotted name."""
+    paths = {}
+    for path in [*sources("audio_features"), *sources("gesturekit")]:
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        paths[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return paths
+
+
+def module_imports(paths: dict[str, Path]) -> dict[str, set[str]]:
+    """Return the modules that each module imports, in functions and under TYPE_CHECKING too."""
+    edges: dict[str, set[str]] = {module: set() for module in paths}
+    for module, path in paths.items():
+        for _, name in imported(path):
+            # The name may be a module, or a name defined in its parent module.
+            target = name if name in paths else name.rpartition(".")[0]
+            edges[module] |= {target} & (paths.keys() - {module})
+    return edges
+
+
 def import_cycles(edges: dict[str, set[str]]) -> list[set[str]]:
     """Return groups of modules that import one another, given the imports of each module."""
     modules = sorted(edges)
@@ -132,20 +152,35 @@ def import_cycles(edges: dict[str, set[str]]) -> list[set[str]]:
     return [found for found in groups if len(found) > 1]
 
 
-def test_no_module_imports_itself_through_others():
-    """Forbid import cycles, including imports in functions and under TYPE_CHECKING."""
-    paths = {}
-    for path in [*sources("audio_features"), *sources("gesturekit")]:
-        parts = path.relative_to(ROOT).with_suffix("").parts
-        paths[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
-    edges: dict[str, set[str]] = {module: set() for module in paths}
-    for module, path in paths.items():
-        for _, name in imported(path):
-            # The name may be a module, or a name defined in its parent module.
-            target = name if name in paths else name.rpartition(".")[0]
-            edges[module] |= {target} & (paths.keys() - {module})
-    found = import_cycles(edges)
-    assert not found, "\n".join(f"cycle: {', '.join(sorted(cycle))}" for cycle in found)
+def sibling_imports(edges: dict[str, set[str]], package: str) -> dict[str, set[str]]:
+    """Return which children of a package, files and folders, import which of their siblings."""
+    inner: dict[str, set[str]] = {}
+    for module, targets in edges.items():
+        if not module.startswith(f"{package}."):
+            continue
+        child = module[len(package) + 1 :].split(".")[0]
+        inner.setdefault(child, set())
+        for target in targets:
+            if target.startswith(f"{package}."):
+                inner[child] |= {target[len(package) + 1 :].split(".")[0]} - {child}
+    return inner
+
+
+def test_no_import_leads_back_to_where_it_started():
+    """Forbid import cycles between modules, and between the files and folders of each package."""
+    paths = module_paths()
+    edges = module_imports(paths)
+    wrong = [f"modules: {', '.join(sorted(cycle))}" for cycle in import_cycles(edges)]
+    for package in (name for name, path in paths.items() if path.stem == "__init__"):
+        if siblings := sibling_imports(edges, package):
+            wrong += [f"{package}: {', '.join(sorted(c))}" for c in import_cycles(siblings)]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_cycles_between_folders_are_found():
+    edges = {"p.a.x": {"p.b.y"}, "p.b.y": set(), "p.b.z": {"p.a.w"}, "p.a.w": set()}
+    assert import_cycles(edges) == []
+    assert import_cycles(sibling_imports(edges, "p")) == [{"a", "b"}]
 
 
 def test_import_cycles_are_found():
@@ -191,6 +226,17 @@ def test_nothing_names_a_path_of_one_machine():
 
 
 MAX_MODULES, MAX_LINES, MAX_FUNCTION_LINES, MAX_PARAMETERS = 16, 300, 60, 8
+MIN_MODULES, MIN_LINES = 4, 40
+# Folders that are a unit with fewer modules, or that hold assets.
+SMALL_FOLDERS = {
+    "gesturekit/motion/ik",
+    "gesturekit/motion/body_model",
+    "gesturekit/diffusion/network",
+    "gesturekit/viewer/human",
+    "gesturekit/viewer/player",
+}
+# Files that stand alone although they are short and a single module imports them.
+SMALL_FILES = {"gesturekit.diffusion.losses"}
 NO_CODE = {
     tokenize.COMMENT,
     tokenize.NL,
@@ -242,4 +288,24 @@ def test_folders_files_functions_and_signatures_are_small():
                 args = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
                 if (n := len([a for a in args if a.arg not in ("self", "cls")])) > MAX_PARAMETERS:
                     wrong.append(f"{where}: {node.name} has {n} parameters")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_folders_and_files_are_not_split_for_nothing():
+    """A folder holds at least four modules; a short file with one importer belongs to that one."""
+    paths = module_paths()
+    modules = Counter(path.parent for path in paths.values() if path.stem != "__init__")
+    small = {folder.relative_to(ROOT).as_posix(): n for folder, n in modules.items()}
+    wrong = [
+        f"{folder}: {n} modules"
+        for folder, n in small.items()
+        if n < MIN_MODULES and folder not in SMALL_FOLDERS
+    ]
+    importers = Counter(target for targets in module_imports(paths).values() for target in targets)
+    wrong += [
+        f"{module}: {n} lines of code and one importer"
+        for module, path in paths.items()
+        if path.stem != "__init__" and importers[module] == 1 and module not in SMALL_FILES
+        if (n := lines_of_code(path.read_text(encoding="utf-8"))) < MIN_LINES
+    ]
     assert not wrong, "\n".join(wrong)
