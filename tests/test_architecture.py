@@ -236,7 +236,11 @@ SMALL_FOLDERS = {
     "gesturekit/viewer/player",
 }
 # Files that stand alone although they are short and a single module imports them.
-SMALL_FILES = {"gesturekit.diffusion.losses"}
+SMALL_FILES = {
+    "gesturekit.diffusion.losses",
+    "gesturekit.diffusion.training.monitor",  # named as in multires
+    "gesturekit.formats.obj",  # a file for each format
+}
 NO_CODE = {
     tokenize.COMMENT,
     tokenize.NL,
