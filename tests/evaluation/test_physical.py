@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gesturekit.motion.parts.body_size import body_scale
 
 from gesturekit.errors import MotionError
 from gesturekit.evaluation import (
@@ -22,6 +21,7 @@ from gesturekit.evaluation import (
     standing_heights,
 )
 from gesturekit.motion import Motion
+from gesturekit.motion.parts.body_size import body_scale
 
 
 def test_arm_speed_sums_shoulders_and_elbows_and_nothing_else(turning):
