@@ -2,34 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal, Unpack
+from typing import Any, Literal, Unpack
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import Speech, as_speech, to_output_rate
+from gesturekit.diffusion.conditions import Conditions
+from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
 from gesturekit.diffusion.controls import DiffusionControlArguments, DiffusionControls
-from gesturekit.diffusion.model_format import model_arguments, model_parts, readme
-from gesturekit.diffusion.sampling.experts import clip_denoised
-from gesturekit.diffusion.sampling.product import ModelProduct, Term, product_of
-from gesturekit.diffusion.sampling.request import Request, SDEditStart, check_events
-from gesturekit.diffusion.sampling.solvers import SOLVERS, Predict, chosen_steps, sample
-from gesturekit.diffusion.sampling.tiling import tiled
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
+from gesturekit.diffusion.network.denoiser import Denoiser
+from gesturekit.diffusion.sampling.request import Request
+from gesturekit.diffusion.sampling.sampler import Sampler, check_controls
 from gesturekit.diffusion.trained_model import TrainedModel
-from gesturekit.errors import ModelError, MotionError, gesturekit_errors
+from gesturekit.errors import ModelError, gesturekit_errors
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.resampling import checked_fps
-from gesturekit.postprocess import lock_feet, smooth_motion
-from gesturekit.progress import Progress
-from gesturekit.training.model_folder import ModelParts, load_model, model_digest, save_model
+from gesturekit.motion.skeleton import Skeleton
+from gesturekit.training.config import build, to_dict
+from gesturekit.training.model_folder import (
+    ModelParts,
+    common_arguments,
+    load_model,
+    model_digest,
+    model_readme,
+    rig_values,
+    save_model,
+)
 from gesturekit.training.run.device import prepare_device, warn_of_slow_bfloat16
-from gesturekit.training.seeds import checked_seed, rng_for
+from gesturekit.training.seeds import checked_seed
 
 _DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16}
 
@@ -69,30 +74,12 @@ class DiffusionModel(TrainedModel):
         asked = DiffusionControls.build(controls, self.kind)
         seed, speech = checked_seed(seed), as_speech(speech, sample_rate)
         rate = self.recorded_fps if asked.fps is None else checked_fps(asked.fps)
-        self._check(asked, samples)
-        product = ModelProduct.build(self, asked)
-        start = None if asked.like is None else SDEditStart.build(self, asked.like, asked.change)
-        if start is not None and self.conditions.path and asked.path is None:
-            asked = replace(asked, path=start.path)
-        if start is not None and speech is None and seconds is None and asked.path is None:
-            seconds = start.motion.duration
-        request = Request.build(
-            [model.conditions for model in product.models],
-            self.fps,
-            self.representation.scale,
-            speech,
-            seconds,
-            asked,
-        )
-        smooth = self.smooth if asked.smooth is None else asked.smooth
-        motions = []
-        sampled = self._sampled(product.terms(request), request, asked, start, samples, seed)
-        with closing(sampled) as batches:
-            for motion in self._decoded(batches, request, asked, start):
-                motion = smooth_motion(motion, smooth) if smooth else motion
-                if asked.foot_lock:
-                    motion = lock_feet(motion, keep_path=request.path is not None)
-                motions.append(to_output_rate(motion, rate, request.wave, seconds))
+        product = check_controls(self, asked, samples)
+        request = Request.build(product.models, asked, speech, seconds)
+        motions = [
+            to_output_rate(motion, rate, request.wave, request.seconds)
+            for motion in Sampler(self, product, request).motions(seed, samples)
+        ]
         return motions[0] if samples == 1 else motions
 
     def check_controls(
@@ -107,90 +94,16 @@ class DiffusionModel(TrainedModel):
         """
         checked_seed(seed)
         asked = DiffusionControls.build(controls, self.kind)
-        self._check(asked, samples)
+        check_controls(self, asked, samples)
         return asked
-
-    def _check(self, controls: DiffusionControls, samples: int) -> None:
-        speaker, solver = controls.speaker, controls.solver
-        if speaker is not None and speaker not in self.speakers:
-            known = ", ".join(sorted(self.speakers)) or "its corpus named none"
-            raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
-        for name, value in {"samples": samples, "batch": controls.batch}.items():
-            if value < 1:
-                raise ModelError(f"{name}={value}: ask for at least 1")
-        ModelProduct.build(self, controls).check_styles()
-        if controls.events is not None:
-            models = [self, *(expert[0] for expert in controls.experts)]
-            check_events(controls.events, [model.conditions for model in models])
-        if solver is not None and solver not in SOLVERS:
-            raise ModelError(f"solver: {solver!r} is unknown; choose one of {', '.join(SOLVERS)}")
-        if controls.like is None:
-            chosen_steps(self.schedule, controls.steps)
-
-    def _sampled(
-        self,
-        terms: Sequence[Term],
-        request: Request,
-        controls: DiffusionControls,
-        start: SDEditStart | None,
-        samples: int,
-        seed: int,
-    ) -> Generator[Tensor]:
-        """Yield normalised motion vectors (B, T, X), batch by batch."""
-        solver, steps, begin = controls.solver, controls.steps, None
-        if solver is None:
-            solver = "ancestral" if steps is None else "dpm"
-        if start is not None:
-            begin = (start.clean(request.n_frames), start.step)
-            steps = None if steps is None else min(steps, start.step + 1)
-        visited = len(chosen_steps(self.schedule, steps, None if start is None else start.step))
-        clip = self.clip_denoised if controls.clip_denoised is None else controls.clip_denoised
-        # One at a time by default: batching changes the order of sums, and the last digits of a
-        # sample would depend on the number of samples.
-        size = controls.batch
-        batches = [range(k, min(k + size, samples)) for k in range(0, samples, size)]
-        with Progress(total=len(batches) * visited, desc="Denoising", unit="step") as progress:
-            for numbers in batches:
-                predict = tiled(product_of(terms, seed, numbers), self.window)
-                predict = clip_denoised(predict, self.schedule) if clip else predict
-                predict = _counted(predict, progress)
-                shape = (request.n_frames, self.network.n_motion)
-                noise = _noise(seed, numbers, shape, self.device)
-                yield sample(predict, noise, self.schedule, solver=solver, steps=steps, start=begin)
-
-    def _decoded(
-        self,
-        batches: Iterable[Tensor],
-        request: Request,
-        controls: DiffusionControls,
-        start: SDEditStart | None,
-    ) -> Iterator[Motion]:
-        """Yield a motion for each normalised motion vector in batches of (B, T, X)."""
-        body = None if controls.speaker is None else self.speakers[controls.speaker]
-        place = (0.0, 0.0, 0.0) if start is None else start.place
-        for own in (vector for vectors in batches for vector in vectors.cpu()):
-            values = self.normaliser.inverse(own).double().numpy()
-            if not np.isfinite(values).all():
-                raise ModelError(
-                    "the model gave NaN; its weights are damaged or its training diverged"
-                )
-            try:
-                yield self.representation.decode(
-                    values, self.fps, skeleton=body, path=request.path, start=place
-                )
-            except MotionError as error:
-                raise ModelError(
-                    f"the generated motion is out of range ({error}); the model was trained too "
-                    "little, or the expert weights are too extreme"
-                ) from None
 
     def fingerprint(self) -> str:
         """Return the SHA-256 of what `save` writes, its README apart."""
-        return model_digest(*model_parts(self))
+        return model_digest(*_parts(self))
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
         """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""
-        save_model(folder, *model_parts(self), readme(self, notes or {}))
+        save_model(folder, *_parts(self), _readme(self, notes or {}))
 
     @classmethod
     def load(
@@ -224,30 +137,95 @@ class DiffusionModel(TrainedModel):
             warn_of_slow_bfloat16(place)
 
         def assemble(parts: ModelParts) -> DiffusionModel:
-            model = cls(**model_arguments(parts, weights, str(place)))
+            model = cls(**_arguments(parts, weights, str(place)))
             model.network.to(place, _DTYPES[dtype])
             return model
 
         return load_model(folder, cls.kind, assemble)
 
 
-def _counted(predict: Predict, progress: Progress) -> Predict:
-    """Return `predict` with an update of the progress bar before each call."""
+def _parts(
+    model: TrainedModel,
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, Tensor]]:
+    """Return the contents of config.yaml, skeleton.json and model.safetensors."""
+    config = {
+        **model.first_values(),
+        **model.conditions.to_values(),
+        "droppable": list(model.droppable),
+        "window": model.window,
+        "clip_denoised": model.clip_denoised,
+        "smooth": model.smooth,
+        "noise": to_dict(model.noise_config),
+        "network": to_dict(model.network.config),
+    }
+    tensors = {f"network.{name}": value for name, value in model.network.state_dict().items()}
+    tensors |= {"motion.mean": model.normaliser.mean, "motion.scale": model.normaliser.scale}
+    tensors |= model.conditions.to_tensors()
+    return config, rig_values(model.representation, model.speakers), tensors
 
-    def counted(noisy: Tensor, step: int) -> Tensor:
-        progress.update()
-        return predict(noisy, step)
 
-    return counted
+def _readme(model: TrainedModel, notes: Mapping[str, str]) -> str:
+    """Return the text of the model folder's README.md, with `notes` as further lines."""
+    network, conditions = model.network.config, model.conditions
+    layers = f" of {network.layers} layers" if network.architecture == "conformer" else ""
+    rows = {
+        "Kind": f"diffusion, {network.architecture}, {network.blocks} blocks{layers}, "
+        f"{model.noise_config.steps} steps",
+        "Motion": model.motion_row(),
+    }
+    call = []
+    if speech := model.speech_rows():
+        rows |= speech
+        call.append('"speech.wav"')
+    if conditions.path:
+        rows["Path"] = "the root follows a given path"
+        call.append('path="path.csv"')
+    if not call:
+        call.append("seconds=10")
+    if conditions.events:
+        rows["Events"] = ", ".join(conditions.events)
+        call.append(f'events="{conditions.events[0]}@1.0"')
+    if conditions.styles:
+        rows["Styles"] = ", ".join(conditions.styles)
+        call.append(f'style="{conditions.styles[0]}"')
+    if model.droppable:
+        names = {"styles": "style", "all": "all conditions"}
+        parts = " and ".join(names[name] for name in model.droppable)
+        rows["Guidance"] = f"trained with dropout of {parts}"
+        call.append("guidance=1.5")
+    return model_readme(rows | notes, ", ".join(call))
 
 
-def _noise(
-    seed: int, numbers: Sequence[int], shape: tuple[int, int], device: torch.device
-) -> Callable[[int], Tensor]:
-    """Return the noise (B, T, X) of each step, keyed by seed, sample and step, from the CPU."""
+def _arguments(parts: ModelParts, weights: WeightPlaces | None, device: str) -> dict[str, Any]:
+    """Return the fields of `TrainedModel` from a model folder; see `DiffusionModel.load`.
 
-    def noise_at(step: int) -> Tensor:
-        rngs = (rng_for(seed, "sample", number, "noise", step) for number in numbers)
-        return torch.stack([torch.randn(shape, generator=rng) for rng in rngs]).to(device)
-
-    return noise_at
+    Raises KeyError, TypeError, ValueError or RuntimeError for a damaged folder.
+    """
+    config, rig, tensors = parts.config, parts.rig, parts.tensors
+    where = str(parts.folder / "config.yaml")
+    fps = float(config["fps"])
+    representation = DeltaRepresentation.from_json(
+        Skeleton.from_json(rig["skeleton"]), rig["motion"]
+    )
+    conditions = Conditions.from_values(config, tensors, fps, weights, device)
+    network_config = build(NetworkConfig, config["network"], where=where)
+    n_motion = representation.n_features
+    normaliser = Normaliser(tensors["motion.mean"], tensors["motion.scale"])
+    for name, values in vars(normaliser).items():
+        if values.shape != (n_motion,) or not torch.isfinite(values).all():
+            raise ValueError(f"motion.{name} is not {n_motion} finite numbers")
+    if representation.makes_root == conditions.path:
+        raise ValueError("config.yaml and skeleton.json differ in whether there is a path")
+    network = Denoiser(n_motion, conditions.width, network_config)
+    network.load_state_dict(parts.tensors_under("network."))
+    return {
+        **common_arguments(parts),
+        "representation": representation,
+        "conditions": conditions,
+        "normaliser": normaliser,
+        "noise_config": build(NoiseConfig, config["noise"], where=where),
+        "network": network,
+        "droppable": tuple(map(str, config["droppable"])),
+        "window": int(config["window"]),
+        "clip_denoised": bool(config["clip_denoised"]),
+    }

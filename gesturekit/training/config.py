@@ -21,7 +21,6 @@ import yaml
 
 from gesturekit.errors import ConfigError
 from gesturekit.training.recipes import recipe_config
-from gesturekit.training.renamed_keys import with_new_keys
 
 Schema = TypeVar("Schema")
 
@@ -139,7 +138,6 @@ def load_config(
     given: dict[str, Any] = {}
     for key, value in [*changes, *(settings or {}).items()]:
         given = _merge(given, _nested(key, value))
-    given = with_new_keys(given, "command line")
     merged = _merge(merged, _resolve_paths(given, schema, Path.cwd()))
     try:
         return build(schema, merged, where=str(path))
@@ -155,8 +153,6 @@ def _with_parents(path: Path, schema: type | None, depth: int = 8) -> dict[str, 
     values = {}
     for key, value in read_yaml(path).items():
         values = _merge(values, _nested(key, value))
-    if schema is not None:
-        values = with_new_keys(values, str(path))
     base = values.pop("base", None)
     values = _resolve_paths(values, schema, path.resolve().parent)
     if base is None:

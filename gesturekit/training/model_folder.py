@@ -23,7 +23,6 @@ from gesturekit.motion.parts import unidentified
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import dump_yaml, read_yaml
-from gesturekit.training.renamed_keys import with_new_keys
 from gesturekit.training.run.device import memory_ran_out
 
 FORMAT = 1
@@ -162,7 +161,7 @@ def _read_config(folder: Path, kind: str) -> dict[str, Any]:
     """
     path = folder / "config.yaml"
     try:
-        config = with_new_keys(read_yaml(path), str(path))
+        config = read_yaml(path)
     except ConfigError as error:
         raise ModelError(f"not a model folder: {error}") from None
     found = config.get("format")

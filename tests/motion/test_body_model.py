@@ -19,7 +19,7 @@ from gesturekit.motion.rotations import (
     rotation_vector_from_quaternion,
 )
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.training.data.recordings import load_motions
+from gesturekit.training.recordings import load_motions
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,7 @@ from typing import Literal
 import pytest
 
 from gesturekit.errors import ConfigError
-from gesturekit.multires.config import MultiresConfig
-from gesturekit.training.config import build, dump_yaml, load_config, to_dict
+from gesturekit.training.config import build, load_config, to_dict
 
 
 @dataclass(frozen=True)
@@ -106,57 +105,6 @@ def test_a_setting_in_the_wrong_section_is_refused_with_the_right_one():
             build(DiffusionConfig, values)
     with pytest.raises(ConfigError, match=r"unknown key netwrk; did you mean network\?"):
         build(DiffusionConfig, {"netwrk": {"blocks": 3}})
-
-
-OLD_KEYS = {
-    "recall": ("z_star_shuffle", 7),
-    "losses.critic_scale": ("losses.discriminator_scale", 0.5),
-    "styles.told": ("styles.condition_discriminator", False),
-    "schedule.first_pair": ("training.first_stage", 3),
-    "schedule.further_pairs": ("training.further_stages", 4),
-    "schedule.bank": ("training.window_cache", 5),
-    "schedule.renew": ("training.renew_every", 6),
-    "schedule.batch": ("training.batch", 2),
-}
-
-
-def nested(key: str, value: object) -> dict:
-    for part in reversed(key.split(".")):
-        value = {part: value}
-    return value
-
-
-@pytest.mark.parametrize("old", OLD_KEYS)
-def test_old_keys_work_in_files_parents_and_overrides(old, tmp_path, caplog):
-    new, value = OLD_KEYS[old]
-    parent, child = tmp_path / "parent.yaml", tmp_path / "child.yaml"
-    parent.write_text(dump_yaml({"system": "multires", "corpus": "a", **nested(old, value)}))
-    child.write_text("base: parent.yaml\nseed: 3\n")
-    plain = tmp_path / "plain.yaml"
-    plain.write_text("system: multires\ncorpus: a\n")
-    with caplog.at_level("INFO"):
-        by_parent = load_config(child, MultiresConfig)
-    name, new_name = ("schedule", "training") if old == "schedule.batch" else (old, new)
-    assert f"{name} is now {new_name}" in caplog.text
-    for config in (
-        by_parent,
-        load_config(plain, MultiresConfig, [f"{old}={value}"]),
-        load_config(plain, MultiresConfig, settings={old: value}),
-        load_config(child, MultiresConfig, [f"{new}={value}"]),  # the child's own goes first
-    ):
-        found = config
-        for part in new.split("."):
-            found = getattr(found, part)
-        assert found == value
-
-
-@pytest.mark.parametrize("old", OLD_KEYS)
-def test_both_names_of_a_setting_are_an_error(old, tmp_path):
-    new, value = OLD_KEYS[old]
-    path = tmp_path / "both.yaml"
-    path.write_text("system: multires\ncorpus: a\n")
-    with pytest.raises(ConfigError, match="old name of"):
-        load_config(path, MultiresConfig, [f"{old}={value}", f"{new}={value}"])
 
 
 def test_a_file_may_have_the_dotted_keys_of_the_command_line(tmp_path):

@@ -33,79 +33,90 @@ class Request:
     """Everything that one motion is generated from, except its style.
 
     Attributes:
+        controls: the controls of `generate`, checked.
         n_frames: T.
         fps: frames per second.
+        seconds: length without speech, or None.
+        start: a motion from which sampling starts; None for pure noise.
         wave: the sound; None for silence.
         path: the smoothed path of the root, T frames at `fps`; None for a model without one.
         scale: metres of the path per metre of the reference body, see `ModelJoints.scale`.
         events: in order of time; None for no events.
         conditioner: of the first model with speech input; None without such a model.
         features: (T, S) speech features of that conditioner.
-        vad: see `Controls.vad`.
     """
 
+    controls: DiffusionControls
     n_frames: int
     fps: float
+    seconds: float | None
+    start: SDEditStart | None
     wave: af.Wave | None
     path: RootPath | None
     scale: float
     events: tuple[Event, ...] | None
     conditioner: SpeechConditioner | None
     features: np.ndarray
-    vad: bool | None = None
 
     @classmethod
     def build(
         cls,
-        models: Sequence[Conditions],
-        fps: float,
-        scale: float,
+        models: Sequence[TrainedModel],
+        controls: DiffusionControls,
         speech: str | Path | af.Wave | None,
         seconds: float | None,
-        controls: DiffusionControls,
     ) -> Request:
         """Read the inputs, settle the length and extract speech features.
 
         Args:
-            models: conditions of each model of the product, the first model's first.
-            fps: frames per second of all models.
-            scale: of their rig.
+            models: of the product; the first is the one that generates.
+            controls: checked (see `check_controls`).
             speech: see `DiffusionModel.generate`.
             seconds: length without speech.
-            controls: with `path` and checked `events` (see `check_events`).
 
         Raises:
             ModelError: an input that none of the models has, a missing path, or no length.
             AudioError, FormatError: a file that cannot be read.
         """
+        model, start = models[0], None
+        fps, follows = model.fps, model.conditions.path
         path, events = controls.path, controls.events
-        follows = models[0].path
-        if path is not None and not follows:
-            raise ModelError(
-                f"path={path!r}: this model generates the root motion itself and cannot follow a "
-                "path"
-            )
-        if path is None and follows:
-            raise ModelError(
-                "path: this model follows a path and needs one: a .csv with columns "
-                "time,x,z[,heading], or a motion file"
-            )
-        followed = None if path is None else as_root_path(path, scale)
+        if controls.like is not None:
+            start = SDEditStart.build(model, controls.like, controls.change)
+            if follows and path is None:
+                path = start.path
+            if speech is None and seconds is None and path is None:
+                seconds = start.motion.duration
+        followed = _followed(model, path)
+        length = seconds
         if speech is None and seconds is None and followed is not None:
-            seconds = followed.frames_within(fps) / fps
-        conditioner = next((m.conditioner for m in models if m.conditioner is not None), None)
+            length = followed.frames_within(fps) / fps
+        conditioners = (one.conditions.conditioner for one in models)
+        conditioner = next((one for one in conditioners if one is not None), None)
         sound, wave = speech, None
         if speech is not None and (conditioner is not None or wants_beats(events)):
             sound = wave = speech if isinstance(speech, af.Wave) else af.Wave.load(speech)
-        if conditioner is None and wave is not None and seconds is None:
+        if conditioner is None and wave is not None and length is None:
             # No model has speech input, but the beats of the sound are the times of events.
-            sound, seconds = None, wave.n_frames(fps) / fps
-        features = speech_features(conditioner, sound, seconds, fps, controls.vad)
+            sound, length = None, wave.n_frames(fps) / fps
+        features = speech_features(conditioner, sound, length, fps, controls.vad)
         n_frames = len(features)
         found = None if events is None else asked_events(events, wave)
         if followed is not None:
             followed = smooth_path(followed, fps, n_frames)
-        return cls(n_frames, fps, wave, followed, scale, found, conditioner, features, controls.vad)
+        return cls(
+            controls=controls,
+            n_frames=n_frames,
+            fps=fps,
+            seconds=seconds,
+            start=start,
+            wave=wave,
+            path=followed,
+            scale=model.representation.scale,
+            events=found,
+            conditioner=conditioner,
+            features=features,
+        )
 
     def condition(self, conditions: Conditions) -> np.ndarray:
         """Return a model's condition (T, C) float32, with its style left at zero."""
@@ -117,12 +128,31 @@ class Request:
             if wave is None:
                 speech = conditioner.silence(n_frames)
             else:
-                speech = conditioner(wave, n_frames, self.vad)
+                speech = conditioner(wave, n_frames, self.controls.vad)
         events = None
         if self.events is not None:
             events = [event for event in self.events if event.name in conditions.events]
         path = self.path.scaled(1 / self.scale) if conditions.path else None
         return conditions.encode(self.n_frames, self.fps, speech=speech, path=path, events=events)
+
+
+def _followed(model: TrainedModel, path: str | Path | RootPath | Motion | None) -> RootPath | None:
+    """Return the path that the root follows, or None for a model that moves the root itself.
+
+    Raises:
+        ModelError: the model follows no path, or there is none.
+        FormatError: a file that cannot be read.
+    """
+    if path is not None and not model.conditions.path:
+        raise ModelError(
+            f"path={path!r}: this model generates the root motion itself and cannot follow a path"
+        )
+    if path is None and model.conditions.path:
+        raise ModelError(
+            "path: this model follows a path and needs one: a .csv with columns "
+            "time,x,z[,heading], or a motion file"
+        )
+    return None if path is None else as_root_path(path, model.representation.scale)
 
 
 def check_events(events: str | Path, models: Sequence[Conditions]) -> None:

@@ -16,76 +16,56 @@ from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.retarget.standing_pose import standing_pose
-from gesturekit.motion.skeleton import Skeleton
-from gesturekit.training.data.recordings import (
-    item_styles,
-    load_motions,
-    recorded_rate,
-    speaker_skeletons,
-    training_items,
-)
-from gesturekit.training.data.sources import Source
+from gesturekit.training.recordings import Recordings, load_recordings, training_items
 
 
 @dataclass(frozen=True)
 class Corpus:
-    """The recordings of a corpus, read from disk.
+    """Recordings of a corpus with what the diffusion system adds to them.
 
     Attributes:
-        items: with motion; a recording at n times the model's frame rate gives n items.
+        recordings: at the frame rates of their files.
+        items: a recording at n times the model's frame rate gives n items.
         motions: of each item, at the model's frame rate.
         events: of each item.
         unpaired: name and motion of recordings without speech, on the rig of the corpus.
-        styles: names of the styles.
-        seconds: total length of paired and unpaired recordings.
-        speakers: a reference skeleton for each named speaker.
-        sources: the recordings with speech, or all for a model without speech input.
-        recorded_fps: the most common frame rate of the recordings.
     """
 
+    recordings: Recordings
     items: list[Item]
     motions: list[Motion]
     events: list[tuple[Event, ...]]
     unpaired: list[tuple[str, Motion]]
-    styles: tuple[str, ...]
-    seconds: tuple[float, float]
-    speakers: dict[str, Skeleton]
-    sources: tuple[Source, ...]
-    recorded_fps: float
+
+    @property
+    def seconds(self) -> tuple[float, float]:
+        """Total length of paired and of unpaired recordings."""
+        paired = sum(motion.duration for motion in self.recordings.motions)
+        return paired, sum(motion.duration for _, motion in self.unpaired)
 
 
-def read_corpus(config: DiffusionConfig, *, paired: bool) -> Corpus:
-    """Read the training items of a run; `paired` selects items with both speech and motion.
+def read_corpus(config: DiffusionConfig, *, speech: bool) -> Corpus:
+    """Read the training items of a run; with `speech`, those that have speech too.
 
     Raises:
         CorpusError, ConfigError: see `load_training_data`.
     """
-    manifest = Manifest.load(config.corpus)
-    items = training_items(manifest, config.corpus, with_audio=paired)
-    styles: tuple[str, ...] = ()
-    if config.styles is not None:
-        styles, _ = item_styles(items, config.corpus)
-        _check_handed(config, styles)
-    recorded = load_motions(items, config.corpus, config.fps, config.parts)
-    unpaired = _unpaired(config, manifest, recorded[0])
-    phased, motions = _phases(items, recorded, config.fps)
-    events = [item.load_events() if config.events else () for item in phased]
+    recordings = load_recordings(
+        config,
+        config.parts,
+        speech=speech,
+        styles=config.styles is not None,
+        check_styles=lambda styles: _check_handed(config, styles),
+    )
+    unpaired = _unpaired(config, recordings.manifest, recordings.motions[0])
+    items, motions = _phases(recordings.items, recordings.motions, config.fps)
+    events = [item.load_events() if config.events else () for item in items]
     if config.events and not any(events):
         raise CorpusError(
             f"{config.corpus}: no training item has events; put STEM.events.csv beside the "
             "recordings and run gesturekit prepare again, or train without (events=false)"
         )
-    return Corpus(
-        phased,
-        motions,
-        events,
-        unpaired,
-        styles,
-        (sum(m.duration for m in recorded), sum(m.duration for _, m in unpaired)),
-        speaker_skeletons(items, recorded),
-        tuple(map(Source.of, items, recorded)),
-        recorded_rate(recorded),
-    )
+    return Corpus(recordings, items, motions, events, unpaired)
 
 
 def _check_handed(config: DiffusionConfig, styles: Sequence[str]) -> None:

@@ -68,7 +68,7 @@ class TrainingData:
     normaliser: Normaliser
     speakers: dict[str, Skeleton]
     recorded_fps: float
-    sources: tuple[Source, ...] = ()
+    sources: tuple[Source, ...]
     start: Mapping[str, Tensor] = field(default_factory=dict)
 
     def decode(self, values: np.ndarray, condition: np.ndarray, fps: float) -> Motion:

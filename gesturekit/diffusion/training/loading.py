@@ -62,7 +62,7 @@ def load_training_data(config: DiffusionConfig, device: str = "cpu") -> Training
     extractor = None if config.features is None else config.features.extractor(device)
     start = _start(config)
     like = _like(config) if start is None else start
-    corpus = read_corpus(config, paired=extractor is not None)
+    corpus = read_corpus(config, speech=extractor is not None)
     conditions, speeches = _conditions(config, corpus, extractor, start)
     if like is None:
         motions = corpus.motions
@@ -97,9 +97,9 @@ def load_training_data(config: DiffusionConfig, device: str = "cpu") -> Training
         representation=representation,
         conditions=conditions,
         normaliser=normaliser,
-        speakers=corpus.speakers,
-        sources=corpus.sources,
-        recorded_fps=corpus.recorded_fps,
+        speakers=corpus.recordings.speakers,
+        sources=corpus.recordings.sources,
+        recorded_fps=corpus.recordings.recorded_fps,
         start={} if start is None else start.network.state_dict(),
     )
 
@@ -111,7 +111,7 @@ def _conditions(
     names = tuple(sorted({event.name for events in corpus.events for event in events}))
     fitted = None
     if start is not None:
-        wanted = Conditions(None, config.path, names, corpus.styles).to_values()
+        wanted = Conditions(None, config.path, names, corpus.recordings.styles).to_values()
         if extractor is not None:
             wanted["features"] = feature_values(extractor, config.features)
         check_conditions(config.start_from, start.conditions.to_values(), wanted)
@@ -124,7 +124,7 @@ def _conditions(
         )
     if start is not None:
         return start.conditions, speeches
-    return Conditions(conditioner, config.path, names, corpus.styles), speeches
+    return Conditions(conditioner, config.path, names, corpus.recordings.styles), speeches
 
 
 def _takes(
@@ -141,7 +141,7 @@ def _takes(
             *_on_path(config, representation, motion, item),
             speech,
             events,
-            style=item.style if corpus.styles else None,
+            style=item.style if corpus.recordings.styles else None,
         )
         for item, motion, speech, events in inputs
     ]

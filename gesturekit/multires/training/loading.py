@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.corpus.manifest import Item, Manifest
+from gesturekit.corpus.item import Item
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.motion.heading import heading
@@ -23,19 +23,12 @@ from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.recall.parts import PassiveChannels
 from gesturekit.multires.training.data import PairedSequence, TrainingData
 from gesturekit.multires.training.start import (
+    check_styles,
     load_start,
-    numbers_of_styles,
     representation_on_bones_of,
 )
 from gesturekit.training.data.features import extract_features
-from gesturekit.training.data.recordings import (
-    item_styles,
-    load_motions,
-    recorded_rate,
-    speaker_skeletons,
-    training_items,
-)
-from gesturekit.training.data.sources import Source
+from gesturekit.training.recordings import Recordings, load_recordings
 
 log = logging.getLogger(__name__)
 
@@ -53,20 +46,17 @@ def load_training_data(config: MultiresConfig, device: str = "cpu") -> TrainingD
     # Wrong extractor settings are reported before any file is read.
     extractor = None if config.features is None else config.features.extractor(device)
     start = load_start(config, extractor)
-    manifest = Manifest.load(config.corpus)
-    items = training_items(manifest, config.corpus, with_audio=config.features is not None)
-    styles, style_of = _styles(config, items, start)
-    parts = config.parts if start is None else {**start.skeleton.parts, **config.parts}
-    recorded = load_motions(items, config.corpus, config.fps, parts)
-    motions = [motion.resample(config.fps) for motion in recorded]
+    recordings = _recordings(config, start)
+    items = recordings.items
+    motions = [motion.resample(config.fps) for motion in recordings.motions]
     representation = _representation(config, motions, start)
     vectors = _encode(config, items, motions, representation)
     normaliser = _normaliser(config, vectors, representation, start)
-    others = () if extractor is None else manifest.unpaired("train")
+    others = () if extractor is None else recordings.manifest.unpaired("train")
     lengths = list(map(len, vectors))
     fitted = None if start is None else start.conditions.conditioner
     conditioner, speeches, unpaired = _speech(config, items, lengths, others, extractor, fitted)
-    paired = _paired(config, items, vectors, speeches, style_of, normaliser)
+    paired = _paired(config, items, vectors, speeches, recordings.style_of, normaliser)
     passive = PassiveChannels()
     if config.recall is not None:
         passive = PassiveChannels.find(motions, representation.joints)
@@ -85,28 +75,30 @@ def load_training_data(config: MultiresConfig, device: str = "cpu") -> TrainingD
         window=frames,
         representation=representation,
         conditioner=conditioner,
-        styles=styles,
+        styles=recordings.styles,
         normaliser=normaliser,
-        speakers=speaker_skeletons(items, motions),
+        speakers=recordings.speakers,
         unpaired_is_paired=conditioner is not None and not unpaired,
-        sources=tuple(map(Source.of, items, recorded)),
-        recorded_fps=recorded_rate(motions),
+        sources=recordings.sources,
+        recorded_fps=recordings.recorded_fps,
         passive=passive,
         start={} if start is None else start.network.state_dict(),
     )
 
 
-def _styles(
-    config: MultiresConfig, items: Sequence[Item], start: MultiresModel | None
-) -> tuple[tuple[str, ...], list[int]]:
-    """Return the styles of the model, and the number of each item's style among them."""
-    styles: tuple[str, ...] = ()
-    style_of = [0] * len(items)
-    if config.styles is not None:
-        styles, style_of = item_styles(items, config.corpus)
+def _recordings(config: MultiresConfig, start: MultiresModel | None) -> Recordings:
+    """Read the recordings; a model to start from gives its parts of the rig and its styles."""
+    found = load_recordings(
+        config,
+        config.parts if start is None else {**start.skeleton.parts, **config.parts},
+        speech=config.features is not None,
+        styles=config.styles is not None,
+        check_styles=lambda styles: check_styles(start, config, styles),
+    )
     if start is None:
-        return styles, style_of
-    return start.styles, numbers_of_styles(start, config, styles, style_of)
+        return found
+    numbers = [start.styles.index(found.styles[i]) if found.styles else 0 for i in found.style_of]
+    return replace(found, styles=start.styles, style_of=numbers)
 
 
 def _normaliser(

@@ -80,22 +80,17 @@ def _network(config: NetworkConfig) -> dict[str, Any]:
     return {f"network.{name}": value for name, value in to_dict(config).items()}
 
 
-def numbers_of_styles(
-    start: MultiresModel, config: MultiresConfig, styles: Sequence[str], style_of: Sequence[int]
-) -> list[int]:
-    """Return the number of each recording's style among those of the model; 0 without styles.
-
-    Args:
-        start: the model.
-        config: settings of the run.
-        styles: names of the recordings' styles; empty without styles.
-        style_of: number of each recording's style among `styles`.
+def check_styles(
+    start: MultiresModel | None, config: MultiresConfig, styles: Sequence[str]
+) -> None:
+    """Check that a model to start from, if any, has the recordings' styles; both may have none.
 
     Raises:
         ConfigError: a style that the model does not know, or only one of them has styles.
     """
-    check_conditions(config.start_from, {"styles": list(start.styles)}, {"styles": list(styles)})
-    return [start.styles.index(styles[i]) if styles else 0 for i in style_of]
+    if start is not None:
+        known, wanted = {"styles": list(start.styles)}, {"styles": list(styles)}
+        check_conditions(config.start_from, known, wanted)
 
 
 def representation_on_bones_of(

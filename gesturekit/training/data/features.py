@@ -186,20 +186,19 @@ def load_conditioner(
 ) -> SpeechConditioner:
     """Build a conditioner from its `conditioner_values` and `conditioner_tensors`.
 
-    The extractor's spec holds the fingerprint of its weights. Older models lack `normalise`
-    and `components`.
+    The extractor's spec holds the fingerprint of its weights.
 
     Raises:
         WeightsError: the weights are missing, or differ from those of training.
     """
-    reduced = values.get("components") is not None
+    reduced = values["components"] is not None
     return SpeechConditioner(
         af.extractor_from_spec(values["spec"], weights=weights, device=device),
         fps,
         values["align"],
         tensors["features.centre"].numpy(),
         tensors["features.scale"].numpy(),
-        values.get("normalise", "clip"),
+        values["normalise"],
         tensors["features.components"].numpy() if reduced else None,
         values["vad"],
     )

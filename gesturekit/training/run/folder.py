@@ -13,7 +13,6 @@ from typing import Any
 from audio_features.atomic import atomic_write
 from gesturekit.errors import ConfigError
 from gesturekit.training.config import dump_yaml, read_yaml
-from gesturekit.training.renamed_keys import with_new_keys
 from gesturekit.training.run.checkpoint import Checkpoints
 from gesturekit.training.run.report import RunReport
 
@@ -51,15 +50,8 @@ class Run:
         if resume:
             if not config_file.is_file():
                 raise ConfigError(f"{folder}: no run to resume here; start it without --resume")
-            before = _dotted(with_new_keys(read_yaml(config_file), str(config_file), quiet=True))
-            config = _dotted(config)
-            # Settings that the file lacks came with a later version; their defaults change nothing.
-            newer = {
-                key
-                for key in config
-                if key not in before and not key.startswith(tuple(f"{old}." for old in before))
-            }
-            for key in sorted((set(before) | set(config)) - newer):
+            before, config = _dotted(read_yaml(config_file)), _dotted(config)
+            for key in sorted(set(before) | set(config)):
                 if key not in _REPORTING and before.get(key) != config.get(key):
                     raise ConfigError(
                         f"{config_file}: the run was started with {key}: {before.get(key)!r}, now "

@@ -1,10 +1,14 @@
-"""Recorded motion of a run: items of its corpus, all of one rig."""
+"""Recordings of a run: items of its corpus with motion of one rig, styles and speakers.
+
+Both systems load their corpus by `load_recordings`; each adds its own to what that returns.
+"""
 
 from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from gesturekit.corpus.checks import first_difference
@@ -16,12 +20,84 @@ from gesturekit.motion.model_joints import reference_skeleton
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.skeleton import Skeleton
+from gesturekit.training.data.sources import Source
+from gesturekit.training.run_config import RunConfig
 from gesturekit.wording import counted, listed
 
 log = logging.getLogger(__name__)
 
 _FAR_ABOVE = 1.5
 """Frame rate of the training, as a multiple of the recordings' highest, above which to warn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recordings:
+    """Training recordings of a corpus, all of one rig.
+
+    Attributes:
+        manifest: of the corpus.
+        items: with motion, and with audio if speech is an input.
+        motions: of each item, at its file's frame rate.
+        styles: names of the styles, in alphabetical order; empty for a model without styles.
+        style_of: index of each item's style; 0 without styles.
+    """
+
+    manifest: Manifest
+    items: tuple[Item, ...]
+    motions: list[Motion]
+    styles: tuple[str, ...]
+    style_of: list[int]
+
+    @property
+    def recorded_fps(self) -> float:
+        """Most common frame rate of the files."""
+        rates = Counter(motion.info["recorded_fps"] for motion in self.motions)
+        return rates.most_common(1)[0][0]
+
+    @property
+    def speakers(self) -> dict[str, Skeleton]:
+        """Reference skeleton of each speaker that the corpus names."""
+        own: dict[str, list[Motion]] = {}
+        for item, motion in zip(self.items, self.motions, strict=True):
+            if item.speaker is not None:
+                own.setdefault(item.speaker, []).append(motion)
+        return {name: reference_skeleton(theirs) for name, theirs in own.items()}
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """Record of the recordings for the model folder."""
+        return tuple(map(Source.of, self.items, self.motions))
+
+
+def load_recordings(
+    config: RunConfig,
+    parts: Mapping[str, str],
+    *,
+    speech: bool,
+    styles: bool,
+    check_styles: Callable[[Sequence[str]], object] = lambda styles: None,
+) -> Recordings:
+    """Read the items of split train, their styles and their motion.
+
+    Args:
+        config: of the run.
+        parts: joints of body parts, see `Skeleton.parts`.
+        speech: whether speech is an input.
+        styles: whether styles are a condition.
+        check_styles: called with the names of the styles before motion is read.
+
+    Raises:
+        CorpusError: no training item with what the run needs, an item without style, rigs that
+            differ, or a file that is not as long as its item.
+        ConfigError: `parts` names a joint that is not there.
+        FormatError: a file cannot be read.
+    """
+    manifest = Manifest.load(config.corpus)
+    items = training_items(manifest, config.corpus, with_audio=speech)
+    names, style_of = item_styles(items, config.corpus) if styles else ((), [0] * len(items))
+    check_styles(names)
+    motions = load_motions(items, config.corpus, config.fps, parts)
+    return Recordings(manifest, items, motions, names, style_of)
 
 
 def training_items(manifest: Manifest, corpus: Path, *, with_audio: bool) -> tuple[Item, ...]:
@@ -143,17 +219,3 @@ def _with_one_body_each(
         for k in numbers:
             found[k] = on_body(motions[k], body)
     return found
-
-
-def recorded_rate(motions: Sequence[Motion]) -> float:
-    """Return the most common file frame rate of motions that `load_motions` returned."""
-    return Counter(motion.info["recorded_fps"] for motion in motions).most_common(1)[0][0]
-
-
-def speaker_skeletons(items: Sequence[Item], motions: Sequence[Motion]) -> dict[str, Skeleton]:
-    """Return a reference skeleton for each speaker that the corpus names."""
-    own: dict[str, list[Motion]] = {}
-    for item, motion in zip(items, motions, strict=True):
-        if item.speaker is not None:
-            own.setdefault(item.speaker, []).append(motion)
-    return {name: reference_skeleton(theirs) for name, theirs in own.items()}
