@@ -1,4 +1,4 @@
-"""Plausibility of a motion that was read without error: its frame rate, size and axes."""
+"""Plausibility of a motion that was read without error: its frame rate, unit, size and axes."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ import numpy as np
 from gesturekit.errors import MotionError
 from gesturekit.formats.axes import standing_axis
 from gesturekit.formats.frame_rate import COMMON_RATES
+from gesturekit.motion.kinematics import forward_kinematics
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs
-from gesturekit.motion.parts.body_size import body_height
+from gesturekit.motion.parts.body_size import body_height, first_fork, stature
+from gesturekit.motion.skeleton import Skeleton
 
 SLOWEST, FASTEST = 1.0, 1000.0
 """Range of plausible frame rates, frames per second."""
@@ -90,3 +92,36 @@ def _rate(motion: Motion) -> str:
     rate = f"{likely:.4g}" if SLOWEST <= likely <= FASTEST else "RATE"
     here = f"{motion.fps:.2g}" if motion.fps < SLOWEST else f"{motion.fps:.0f}"
     return f"{here} fps: {question}? --in-fps {rate} sets the rate"
+
+
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "cmu": 0.0254 / 0.45}
+"""Metres in a unit of length; "cmu" is that of the CMU motion capture database, 5.64 cm."""
+
+# Metres from ankle to head joint along the bones, 1.3 to 1.5 on adults. The ratio is small enough
+# that "cm" and "inch" (2.54), or "inch" and "cmu" (2.22), do not overlap.
+_SHORTEST, _TALLEST = 0.9, 2.1
+
+
+def guess_unit(skeleton: Skeleton, rotations: np.ndarray) -> tuple[str, bool]:
+    """Return the unit that gives the body the size of a person, and whether that is certain.
+
+    Args:
+        skeleton: rig in the file's unit, J joints.
+        rotations: (J, 4) local quaternions of one pose; used only if the body parts cannot be
+            identified.
+    """
+    try:
+        height = stature(skeleton)
+    except MotionError:
+        # Joints above the first fork may lie anywhere between the origin and the body.
+        positions = forward_kinematics(rotations, np.zeros(3), skeleton)
+        fork = first_fork(skeleton)
+        reach = np.ptp(positions[[fork, *skeleton.descendants(fork)]], axis=0).max()
+        return "m" if reach < 8 else "cm" if reach < 500 else "mm", False
+    for unit in ("m", "cm", "mm", "inch", "cmu"):
+        if _SHORTEST <= height * METRES[unit] <= _TALLEST:
+            return unit, True
+    middle = np.log((_SHORTEST * _TALLEST) ** 0.5)
+    usual = ("m", "cm", "mm")
+    off = [abs(np.log(max(height, 1e-12) * METRES[unit]) - middle) for unit in usual]
+    return usual[int(np.argmin(off))], False

@@ -76,7 +76,7 @@ def inspect(
 
         return inspect_audio(Path(path))
     if kind == "features":
-        from gesturekit.inspection.features import inspect_features
+        from gesturekit.inspection.others import inspect_features
 
         return inspect_features(Path(path))
     from gesturekit.inspection.corpus import inspect_manifest

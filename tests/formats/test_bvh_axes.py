@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from gesturekit.errors import FormatError
 from gesturekit.formats import read_bvh
 from gesturekit.formats.axes import AXES, rotation_to_y_up, turn_axes
-from gesturekit.formats.units import METRES
+from gesturekit.formats.plausibility import METRES
 from gesturekit.motion import Motion
 from gesturekit.motion.heading import heading
 from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions

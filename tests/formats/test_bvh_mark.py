@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from gesturekit.formats import read_bvh, write_bvh
-from gesturekit.formats.units import METRES
+from gesturekit.formats.plausibility import METRES
 from gesturekit.motion import Motion
 
 THREE = Path(__file__).resolve().parents[2] / "gesturekit/viewer/player/node_modules/three"

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gesturekit.formats import read_bvh, write_bvh
-from gesturekit.formats.units import METRES
+from gesturekit.formats.plausibility import METRES
 from gesturekit.motion import Motion
 from gesturekit.motion.rotations import rotation_angles
 

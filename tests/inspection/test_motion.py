@@ -149,7 +149,7 @@ def test_an_implausible_frame_rate_is_questioned(gesture, tmp_path, frame_time, 
     assert inspect(path).problems[0] == says
     assert not any("fps" in problem for problem in inspect(path, read={"fps": 30.0}).problems)
     (outcome,) = convert(path, tmp_path / "b.npz", dry_run=True)
-    assert outcome.warnings == (f"{path}: {says}",)
+    assert outcome.facts["warnings"] == (f"{path}: {says}",)
     report = prepare([], unpaired_motion=[tmp_path])
     assert says in [problem.message for problem in report.problems]
 

@@ -12,8 +12,8 @@ from rigs import rig_of
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.axes import file_axes, rotation_to_y_up, turn_axes
+from gesturekit.formats.plausibility import guess_unit
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
-from gesturekit.formats.units import guess_unit
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.motion.heading import heading, side_axis

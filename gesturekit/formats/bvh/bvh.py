@@ -22,7 +22,7 @@ from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.axes import file_axes, with_y_up
 from gesturekit.formats.bvh import mark as bvh_mark
 from gesturekit.formats.bvh.grammar import ParsedBvh, ParsedJoint, parse_bvh
-from gesturekit.formats.units import METRES, guess_unit
+from gesturekit.formats.plausibility import METRES, guess_unit
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts.body_size import first_fork
 from gesturekit.motion.rotations import euler_from_quaternion, quaternion_from_euler
