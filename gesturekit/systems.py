@@ -41,14 +41,14 @@ SYSTEMS = {
         controls="gesturekit.multires.controls:MultiresControls",
         config="gesturekit.multires.config:MultiresConfig",
         train="gesturekit.multires.training.trainer:train",
-        plan="gesturekit.multires.training.trainer:plan",
+        plan="gesturekit.multires.training.trainer:plan_training",
     ),
     "diffusion": System(
         model="gesturekit.diffusion.model:DiffusionModel",
         controls="gesturekit.diffusion.controls:DiffusionControls",
         config="gesturekit.diffusion.config:DiffusionConfig",
         train="gesturekit.diffusion.training.trainer:train",
-        plan="gesturekit.diffusion.training.trainer:plan",
+        plan="gesturekit.diffusion.training.trainer:plan_training",
     ),
 }
 
@@ -177,7 +177,7 @@ def train(
     return _part(system.train)(loaded, resume=resume)
 
 
-def plan(config: str | Path, overrides: Sequence[str] = ()) -> None:
+def plan_training(config: str | Path, overrides: Sequence[str] = ()) -> None:
     """Log the data, output folder and estimated duration of a training, without training.
 
     Raises:

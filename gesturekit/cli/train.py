@@ -49,7 +49,7 @@ def command(
     import logging
     import shlex
 
-    from gesturekit.systems import plan, resolved_settings, train
+    from gesturekit.systems import plan_training, resolved_settings, train
 
     if resume and only_plan:
         raise click.UsageError("--plan is for a new run; leave out --resume")
@@ -59,7 +59,7 @@ def command(
         return
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     if only_plan:
-        plan(config, overrides)
+        plan_training(config, overrides)
         return
     model = train(config, overrides, resume=resume)
     run = model.parent

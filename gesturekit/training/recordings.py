@@ -20,7 +20,7 @@ from gesturekit.motion.model_joints import reference_skeleton
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.training.data.sources import Source
+from gesturekit.training.data.sources import TrainedSegment
 from gesturekit.training.run_config import RunConfig
 from gesturekit.wording import counted, listed
 
@@ -64,9 +64,9 @@ class Recordings:
         return {name: reference_skeleton(theirs) for name, theirs in own.items()}
 
     @property
-    def sources(self) -> tuple[Source, ...]:
+    def sources(self) -> tuple[TrainedSegment, ...]:
         """Record of the recordings for the model folder."""
-        return tuple(map(Source.of, self.items, self.motions))
+        return tuple(map(TrainedSegment.of, self.items, self.motions))
 
 
 def load_recordings(

@@ -11,7 +11,7 @@ from gesturekit.diffusion.config import NoiseConfig
 from gesturekit.diffusion.losses import change_error, denoising_error, foot_sliding
 from gesturekit.diffusion.noise_schedule import NoiseSchedule
 from gesturekit.diffusion.sampling.solvers import sample
-from gesturekit.diffusion.training.trainer import _Trainer
+from gesturekit.diffusion.training.trainer import Trainer
 from gesturekit.training.run.session import session
 
 
@@ -126,7 +126,7 @@ def test_a_given_start_is_noised_to_its_step():
 def test_gradients_are_clipped_to_their_norm(make_config, tmp_path):
     config = make_config(training={"clip": 1e-3}, out=str(tmp_path / "clipped"))
     with session(config, resume=False) as (run, device, processes):
-        trainer = _Trainer(config, run, device, processes, resume=False)
+        trainer = Trainer(config, run, device, processes, resume=False)
     trainer._update(0)
     norms = [p.grad.norm() for p in trainer.network.parameters() if p.grad is not None]
     assert float(torch.stack(norms).norm()) == pytest.approx(1e-3, rel=1e-3)
@@ -139,7 +139,7 @@ def trainer_of(make_config, tmp_path):
     def make(**changes):
         config = make_config(**changes, out=str(tmp_path / str(changes)))
         with session(config, resume=False) as (run, device, processes):
-            trainer = _Trainer(config, run, device, processes, resume=False)
+            trainer = Trainer(config, run, device, processes, resume=False)
         trainer.network.forward = lambda noisy, condition, step: torch.zeros_like(noisy)
         return trainer
 

@@ -124,13 +124,13 @@ def test_the_learning_rate_warms_up_and_decays_every_ten_updates():
 def test_the_model_is_the_average_of_the_weights(make_config, monkeypatch):
     config = make_config(training={"ema": 0.6})
     seen = []
-    average = trainer._Trainer._average
+    average = trainer.Trainer._average
 
     def spied(self, update):
         average(self, update)
         seen.append((update, self.network.leave.bias.detach().clone()))
 
-    monkeypatch.setattr(trainer._Trainer, "_average", spied)
+    monkeypatch.setattr(trainer.Trainer, "_average", spied)
     made = weights(train(config))["network.leave.bias"]
     expected = torch.zeros_like(made)  # as it began
     for update, own in seen:
@@ -140,13 +140,13 @@ def test_the_model_is_the_average_of_the_weights(make_config, monkeypatch):
 
 
 def test_nan_stops_the_run_and_the_last_good_checkpoint_stays(make_config, monkeypatch):
-    loss = trainer._Trainer._loss
+    loss = trainer.Trainer._loss
 
     def broken(self, batch):
         self.calls = getattr(self, "calls", 0) + 1
         return loss(self, batch) * (float("nan") if self.calls > 4 else 1.0)
 
-    monkeypatch.setattr(trainer._Trainer, "_loss", broken)
+    monkeypatch.setattr(trainer.Trainer, "_loss", broken)
     config = make_config()
     with pytest.raises(ModelError, match=r"step 5: .* NaN .*checkpoint is of step 3"):
         train(config)

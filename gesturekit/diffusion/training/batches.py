@@ -13,7 +13,7 @@ from torch import Tensor
 
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.training.augmentation import source_frames, stretch, stretch_factor
-from gesturekit.diffusion.training.data import Recording, TrainingData
+from gesturekit.diffusion.training.data import TrainingData, TrainingSequence
 from gesturekit.training.seeds import rng_for
 
 _STEP = 0.8
@@ -21,7 +21,7 @@ _STEP = 0.8
 
 
 @dataclass(frozen=True)
-class Batch:
+class TrainingBatch:
     """The training batch of one update.
 
     Attributes:
@@ -36,9 +36,9 @@ class Batch:
     condition: Tensor
     step: Tensor
 
-    def to(self, device: torch.device) -> Batch:
+    def to(self, device: torch.device) -> TrainingBatch:
         """Return a copy on another device."""
-        return Batch(*(part.to(device) for part in vars(self).values()))
+        return TrainingBatch(*(part.to(device) for part in vars(self).values()))
 
 
 class Batches:
@@ -53,7 +53,7 @@ class Batches:
             for kind in (True, False)
         }
         # Recordings by length of their windows: all windows of a batch have the same length.
-        self._groups: dict[int, list[Recording]] = {}
+        self._groups: dict[int, list[TrainingSequence]] = {}
         weights: dict[int, list[float]] = {}
         for recording in data.recordings:
             length = _window_length(recording.n_frames, config.window_frames)
@@ -68,7 +68,7 @@ class Batches:
             length: torch.tensor(w, dtype=torch.float64) for length, w in weights.items()
         }
 
-    def draw(self, update: int, rows: slice) -> Batch:
+    def draw(self, update: int, rows: slice) -> TrainingBatch:
         """Draw some rows of the batch of an update."""
         rng = rng_for(self.config.seed, "update", update)
         length = self._lengths[int(torch.multinomial(self._of_length, 1, generator=rng))]
@@ -76,7 +76,7 @@ class Batches:
             self._row(length, rng_for(self.config.seed, "update", update, "row", row))
             for row in range(self.config.training.batch)[rows]
         ]
-        return Batch(*(torch.stack(parts) for parts in zip(*drawn, strict=True)))
+        return TrainingBatch(*(torch.stack(parts) for parts in zip(*drawn, strict=True)))
 
     def _row(self, length: int, rng: torch.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Draw clean motion (T, X), noise (T, X), condition (T, C) and step of one row."""
@@ -94,7 +94,7 @@ class Batches:
         return self.data.normaliser.forward(motion), noise, condition, step
 
     def _window(
-        self, recording: Recording, length: int, rng: torch.Generator
+        self, recording: TrainingSequence, length: int, rng: torch.Generator
     ) -> tuple[Tensor, Tensor]:
         """Draw motion (T, X) in its own units and condition (T, C), time-stretched at random."""
         settings = self.config.augmentation

@@ -18,13 +18,13 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.data.data_folder import load_data, save_data
-from gesturekit.training.data.sources import Source, from_values, to_values
+from gesturekit.training.data.sources import TrainedSegment, from_values, to_values
 from gesturekit.training.data.start_model import read_start, start_tensors
 from gesturekit.training.model_folder import read_speakers, rig_values
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class TrainingSequence:
     """One recording, or a variant of it.
 
     Attributes:
@@ -61,14 +61,14 @@ class TrainingData:
         start: weights of the network to start from, by name; empty for random ones.
     """
 
-    recordings: tuple[Recording, ...]
+    recordings: tuple[TrainingSequence, ...]
     seconds: tuple[float, float]
     representation: DeltaRepresentation
     conditions: Conditions
     normaliser: Normaliser
     speakers: dict[str, Skeleton]
     recorded_fps: float
-    sources: tuple[Source, ...]
+    sources: tuple[TrainedSegment, ...]
     start: Mapping[str, Tensor] = field(default_factory=dict)
 
     def decode(self, values: np.ndarray, condition: np.ndarray, fps: float) -> Motion:
@@ -128,7 +128,7 @@ class TrainingData:
             paired, unpaired = about["seconds"]
             return cls(
                 recordings=tuple(
-                    Recording(
+                    TrainingSequence(
                         name,
                         tensors[f"recording.{i}.motion"].numpy(),
                         tensors[f"recording.{i}.condition"].numpy(),

@@ -16,7 +16,7 @@ from gesturekit.diffusion.model import DiffusionModel
 from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
 from gesturekit.diffusion.training.augmentation import mirror_condition, phases
 from gesturekit.diffusion.training.corpus import Corpus, read_corpus
-from gesturekit.diffusion.training.data import Recording, TrainingData
+from gesturekit.diffusion.training.data import TrainingData, TrainingSequence
 from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.formats.tables.events import Event
 from gesturekit.motion.mirroring import can_be_mirrored
@@ -75,7 +75,7 @@ def load_training_data(config: DiffusionConfig, device: str = "cpu") -> Training
         conditions = _with_path_scale(conditions, takes, representation.scale, config.fps)
     encoded = [_condition(take, conditions, config.fps, representation.scale) for take in takes]
     recordings = [
-        Recording(take.name, vector[: len(own)].astype(np.float32), own, take.is_paired)
+        TrainingSequence(take.name, vector[: len(own)].astype(np.float32), own, take.is_paired)
         for take, vector, own in zip(takes, vectors, encoded, strict=True)
     ]
     if config.augmentation.mirror and can_be_mirrored(representation.skeleton):
@@ -234,8 +234,8 @@ def _mirrored(
     representation: DeltaRepresentation,
     conditions: Conditions,
     take: _Take,
-    recording: Recording,
-) -> Recording:
+    recording: TrainingSequence,
+) -> TrainingSequence:
     path = None if take.path is None else take.path.mirror()
     vector = _encode(config, representation, take.motion.mirror(), take, path)
     columns = conditions.columns

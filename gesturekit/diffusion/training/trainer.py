@@ -6,6 +6,7 @@ import contextlib
 import copy
 import logging
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,25 +18,34 @@ from gesturekit.diffusion.losses import FootVelocity, change_error, denoising_er
 from gesturekit.diffusion.model import DiffusionModel
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.noise_schedule import NoiseSchedule
-from gesturekit.diffusion.training.batches import Batch, Batches
+from gesturekit.diffusion.sampling.experts import Expert
+from gesturekit.diffusion.sampling.solvers import sample
+from gesturekit.diffusion.training.batches import Batches, TrainingBatch
 from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.diffusion.training.loading import load_training_data
-from gesturekit.diffusion.training.monitor import STEPS, Monitor
+from gesturekit.errors import MotionError
+from gesturekit.evaluation.measuring.clip_metrics import quick_metrics
 from gesturekit.motion.mirroring import can_be_mirrored
+from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified
 from gesturekit.motion.torch_kinematics import foot_kinematics
-from gesturekit.training.data.sources import described, save_sources, unused_labels
+from gesturekit.training.data.sources import describe_recordings, save_sources, unused_labels
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.held_out import HeldOut
-from gesturekit.training.run.loop import Loop, Stretch, last_losses, read_once
+from gesturekit.training.run.loop import Loop, StageCallbacks, last_losses, read_once
 from gesturekit.training.run.processes import Processes
-from gesturekit.training.run.session import plan as session_plan
-from gesturekit.training.run.session import session
+from gesturekit.training.run.session import log_plan, session
 from gesturekit.training.run_config import UNIDENTIFIED
 from gesturekit.training.seeds import rng_for, seeded
 from gesturekit.wording import counted, roughly
 
 log = logging.getLogger(__name__)
+
+MOST_CLIPS = 4
+MOST_SECONDS = 20.0
+"""Number of training recordings whose conditions are used, and length of each."""
+STEPS = 10
+"""Number of denoising steps."""
 
 
 def train(config: DiffusionConfig, *, resume: bool = False) -> Path:
@@ -54,12 +64,12 @@ def train(config: DiffusionConfig, *, resume: bool = False) -> Path:
         ModelError: the loss or the weights became NaN or infinite.
     """
     with session(config, resume=resume) as (run, device, processes):
-        return _Trainer(config, run, device, processes, resume=resume).run()
+        return Trainer(config, run, device, processes, resume=resume).run()
 
 
-def plan(config: DiffusionConfig) -> None:
+def plan_training(config: DiffusionConfig) -> None:
     """Log the plan of `train` and its estimated duration; see `training.run.session`."""
-    session_plan(config, _Trainer)
+    log_plan(config, Trainer)
 
 
 def learning_rate(training: TrainingConfig, update: int) -> float:
@@ -68,7 +78,9 @@ def learning_rate(training: TrainingConfig, update: int) -> float:
     return training.learning_rate * warm * training.decay ** (update // 10)
 
 
-class _Trainer:
+class Trainer:
+    """A training run: its data, its network and its updates."""
+
     def __init__(
         self,
         config: DiffusionConfig,
@@ -105,7 +117,7 @@ class _Trainer:
             self._log_missing_parts()
         updates = counted(config.training.updates, "update")
         self.unused = unused_labels(self.data.sources, self.data.conditions.styles)
-        self.loop.announce(["diffusion", self._mode(), updates], self._description(), self.unused)
+        self.loop.announce(["diffusion", self._mode(), updates], self._contents(), self.unused)
         self.network = self._network().to(device)
         # The weights of the final model.
         self.average = copy.deepcopy(self.network).eval() if config.training.ema else self.network
@@ -148,10 +160,10 @@ class _Trainer:
             network.load_state_dict(self.data.start)
         return network
 
-    def _description(self) -> list[str]:
+    def _contents(self) -> list[str]:
         """Return a description of the training data for the log."""
         data, conditions = self.data, self.data.conditions
-        parts = [described(data.sources, data.seconds[0], self.config.fps)]
+        parts = [describe_recordings(data.sources, data.seconds[0], self.config.fps)]
         if data.seconds[1]:
             parts.append(f"{roughly(data.seconds[1])} of unpaired motion")
         variants = len(data.recordings)
@@ -193,7 +205,7 @@ class _Trainer:
         if state is not None:
             self._load_state(state)
         training = self.config.training
-        stretch = Stretch(
+        stage = StageCallbacks(
             train=lambda step: {"loss": self._update(step - 1)},
             weights=self.network.parameters,
             state=self._state,
@@ -201,7 +213,7 @@ class _Trainer:
             measure=self._measure,
             also=lambda step: {"learning_rate": learning_rate(training, step - 1)},
         )
-        self.loop.train([(training.updates, 1.0)], done, lambda index: stretch)
+        self.loop.train([(training.updates, 1.0)], done, lambda index: stage)
         if self.processes.is_first:
             self._finish()
         self.processes.wait()
@@ -231,7 +243,7 @@ class _Trainer:
             self._average(update)
         return loss.detach()
 
-    def _loss(self, batch: Batch) -> Tensor:
+    def _loss(self, batch: TrainingBatch) -> Tensor:
         """Return the squared error of the prediction (eq. 4), weighted by each clip's step."""
         noisy = self.schedule.add_noise(batch.clean, batch.noise, batch.step)
         target = self.schedule.target(batch.clean, batch.noise, batch.step)
@@ -274,9 +286,9 @@ class _Trainer:
 
     def _evaluate(self, step: int) -> None:
         """Log cheap metrics."""
-        figures = {} if self.monitor is None else self.monitor.figures(self.average.eval())
-        if figures:
-            self.folder.log(step, figures, kind="evaluation")
+        metrics = {} if self.monitor is None else self.monitor.metrics(self.average.eval())
+        if metrics:
+            self.folder.log(step, metrics, kind="evaluation")
 
     def _measure(self, step: int) -> str:
         """Log and return the metrics on held-out recordings, generated in a few steps."""
@@ -306,20 +318,64 @@ class _Trainer:
 
     def _finish(self) -> None:
         training = self.config.training
-        figures = self._measure(training.updates)
+        measured = self._measure(training.updates)
         model = self._model(self.average.cpu())
         paired, unpaired = self.data.seconds
         model.save(
             self.folder.folder / "model",
             notes={
-                "Recordings": described(self.data.sources, paired, self.config.fps),
+                "Recordings": describe_recordings(self.data.sources, paired, self.config.fps),
                 "Unpaired motion": f"{unpaired:.0f} s" if unpaired else "none",
                 **({"Not used": "; ".join(self.unused)} if self.unused else {}),
                 "Began with": self.config.began_with,
                 "Training steps": str(training.updates),
                 "Last losses": last_losses(self.folder),
-                **({"Measured": figures} if figures else {}),
+                **({"Measured": measured} if measured else {}),
                 **{str(key): str(value) for key, value in self.config.notes.items()},
             },
         )
         save_sources(self.folder.folder / "model", self.data.sources)
+
+
+class Monitor:
+    """Metrics of motion generated from the training recordings' conditions.
+
+    It draws from its own random generator, so that training gives the same weights with and without
+    it.
+    """
+
+    def __init__(self, data: TrainingData, config: DiffusionConfig) -> None:
+        self.data = data
+        self.config = config
+        self.schedule = NoiseSchedule.of(config.noise)
+        most = round(MOST_SECONDS * config.fps)
+        paired = [recording for recording in data.recordings if recording.is_paired]
+        self.clips = [
+            (recording.motion[:most], recording.condition[:most])
+            for recording in paired[:MOST_CLIPS]
+        ]
+        self.recordings = [data.decode(*clip, config.fps) for clip in self.clips]
+
+    def metrics(self, network: Denoiser) -> dict[str, float]:
+        """Return cheap metrics (`quick_metrics`) of motion generated from the same noise each time.
+
+        Return nothing while the network does not generate valid motion.
+        """
+        try:
+            return quick_metrics(list(self._generated(network)), self.recordings)
+        except MotionError:
+            return {}
+
+    @torch.no_grad()
+    def _generated(self, network: Denoiser) -> Iterator[Motion]:
+        device = next(network.parameters()).device
+        count = min(STEPS, self.schedule.steps)
+        for number, (motion, condition) in enumerate(self.clips):
+            expert = Expert(network, self.schedule, torch.from_numpy(condition)[None].to(device))
+            rng = rng_for(self.config.seed, "monitor", number)
+            noise = torch.randn((1, *motion.shape), generator=rng).to(device)
+            made = sample(
+                expert.predict, lambda k, n=noise: n, self.schedule, solver="dpm", steps=count
+            )
+            values = self.data.normaliser.inverse(made[0].cpu()).double().numpy()
+            yield self.data.decode(values, condition, self.config.fps)

@@ -29,7 +29,7 @@ from gesturekit.training.data.features import (
     conditioner_values,
     load_conditioner,
 )
-from gesturekit.training.data.sources import Source, from_values, to_values
+from gesturekit.training.data.sources import TrainedSegment, from_values, to_values
 from gesturekit.training.data.start_model import read_start, start_tensors
 from gesturekit.training.model_folder import read_speakers, rig_values
 from gesturekit.training.seeds import rng_for
@@ -140,7 +140,7 @@ class TrainingData:
     normaliser: Normaliser
     speakers: dict[str, Skeleton]
     unpaired_is_paired: bool
-    sources: tuple[Source, ...]
+    sources: tuple[TrainedSegment, ...]
     recorded_fps: float
     passive: PassiveChannels
     start: Mapping[str, Tensor]

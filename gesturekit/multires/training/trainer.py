@@ -24,13 +24,12 @@ from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.training.recall_library import build_library
 from gesturekit.multires.training.stage import Stage
-from gesturekit.training.data.sources import described, save_sources, unused_labels
+from gesturekit.training.data.sources import describe_recordings, save_sources, unused_labels
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.held_out import HeldOut
-from gesturekit.training.run.loop import Loop, Stretch, last_losses, read_once
+from gesturekit.training.run.loop import Loop, StageCallbacks, last_losses, read_once
 from gesturekit.training.run.processes import Processes
-from gesturekit.training.run.session import plan as session_plan
-from gesturekit.training.run.session import session
+from gesturekit.training.run.session import log_plan, session
 from gesturekit.training.run_config import LEGLESS, UNIDENTIFIED
 from gesturekit.training.seeds import seeded
 from gesturekit.wording import counted, roughly
@@ -59,9 +58,9 @@ def train(config: MultiresConfig, *, resume: bool = False) -> Path:
         return Trainer(config, run, device, processes, resume=resume).run()
 
 
-def plan(config: MultiresConfig) -> None:
+def plan_training(config: MultiresConfig) -> None:
     """Log the plan of `train` and its estimated duration; see `training.run.session`."""
-    session_plan(config, Trainer)
+    log_plan(config, Trainer)
 
 
 class Trainer:
@@ -148,7 +147,7 @@ class Trainer:
     def _contents(self) -> list[str]:
         """Return descriptions of the training data."""
         data = self.data
-        parts = [described(data.sources, self.seconds, self.config.fps)]
+        parts = [describe_recordings(data.sources, self.seconds, self.config.fps)]
         if data.conditioner is not None:
             kind = "the same" if data.unpaired_is_paired else "unpaired"
             parts.append(f"{roughly(self.unpaired_seconds)} of {kind} speech")
@@ -205,7 +204,7 @@ class Trainer:
         stages, levels = self.stages(), self.config.network.levels
         reported = None
 
-        def begin(index: int) -> Stretch:
+        def begin(index: int) -> StageCallbacks:
             first, iterations = stages[index]
             stage = self.stage(first, iterations)
             nonlocal reported
@@ -216,7 +215,7 @@ class Trainer:
                 stage.load_state(state)
             before = sum(count for _, count in stages[:index])
             last = stage.indices[-1] + 1
-            return Stretch(
+            return StageCallbacks(
                 train=lambda step: stage.iterate(step - before - 1),
                 weights=stage.weights,
                 state=stage.state,
@@ -285,7 +284,7 @@ class Trainer:
         self._model(network).save(
             self.folder.folder / name,
             notes={
-                "Recordings": described(self.data.sources, self.seconds, self.config.fps),
+                "Recordings": describe_recordings(self.data.sources, self.seconds, self.config.fps),
                 "Unpaired speech": f"{roughly(self.unpaired_seconds)} in {counted(files, 'file')}"
                 if files and self.data.n_speech
                 else "none",

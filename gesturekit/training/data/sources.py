@@ -22,7 +22,7 @@ FILE = "trained_on.json"
 
 
 @dataclass(frozen=True)
-class Source:
+class TrainedSegment:
     """Segment of a recording that a model was trained on.
 
     Attributes:
@@ -45,12 +45,12 @@ class Source:
     speaker: str | None = None
 
     @classmethod
-    def of(cls, item: Item, motion: Motion) -> Source:
+    def of(cls, item: Item, motion: Motion) -> TrainedSegment:
         """Describe an item and the motion that was read for it, at the rate of its file."""
         return cls(
             id=item.id,
-            motion=fingerprint(item.motion),
-            audio=None if item.audio is None else fingerprint(item.audio),
+            motion=file_fingerprint(item.motion),
+            audio=None if item.audio is None else file_fingerprint(item.audio),
             start=item.motion_start,
             duration=item.duration,
             fps=motion.fps,
@@ -60,18 +60,18 @@ class Source:
 
 
 @lru_cache(maxsize=4096)
-def fingerprint(path: Path) -> str:
+def file_fingerprint(path: Path) -> str:
     """Return the first 16 hexadecimal digits of the SHA-256 of a file's content."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
 
-def n_recordings(sources: Iterable[Source]) -> int:
+def n_recordings(sources: Iterable[TrainedSegment]) -> int:
     """Return the number of motion files; one that is cut into parts counts once."""
     return len({source.motion for source in sources})
 
 
-def rates(sources: Iterable[Source], fps: float) -> str:
+def describe_rates(sources: Iterable[TrainedSegment], fps: float) -> str:
     """Return "at 30 fps, trained at 25 fps", or "at 25 fps" without resampling."""
     each_file = sorted({(s.fps, s.motion) for s in sources})  # sets have no order of their own
     own = Counter(f"{rate:.6g} fps" for rate, _ in each_file)
@@ -84,15 +84,17 @@ def rates(sources: Iterable[Source], fps: float) -> str:
     return f"({each}), trained at {trained}"
 
 
-def described(sources: Sequence[Source], seconds: float, fps: float) -> str:
+def describe_recordings(sources: Sequence[TrainedSegment], seconds: float, fps: float) -> str:
     """Return "2 recordings in 3 parts, 14 min at 30 fps, trained at 25 fps"."""
     count = n_recordings(sources)
     parts = f" in {len(sources)} parts" if len(sources) > count else ""
-    return f"{counted(count, 'recording')}{parts}, {roughly(seconds)} {rates(sources, fps)}"
+    return (
+        f"{counted(count, 'recording')}{parts}, {roughly(seconds)} {describe_rates(sources, fps)}"
+    )
 
 
 def unused_labels(
-    sources: Iterable[Source], styles: Sequence[str], *, recalls: bool = False
+    sources: Iterable[TrainedSegment], styles: Sequence[str], *, recalls: bool = False
 ) -> list[str]:
     """Return a sentence for the styles, and one for the speakers, that a model does not use.
 
@@ -115,7 +117,7 @@ def unused_labels(
 
 
 def is_trained_on(
-    sources: Iterable[Source],
+    sources: Iterable[TrainedSegment],
     motion: Path | None,
     audio: Path | None = None,
     *,
@@ -131,7 +133,7 @@ def is_trained_on(
         start: start of the segment, seconds.
         duration: its length, seconds; of the whole recording by default.
     """
-    files = {fingerprint(path) for path in (motion, audio) if path is not None}
+    files = {file_fingerprint(path) for path in (motion, audio) if path is not None}
     return any(
         files & {source.motion, source.audio}
         and min(start + duration, source.start + source.duration) - max(start, source.start) > 0.05
@@ -139,23 +141,23 @@ def is_trained_on(
     )
 
 
-def to_values(sources: Iterable[Source]) -> list[dict[str, Any]]:
+def to_values(sources: Iterable[TrainedSegment]) -> list[dict[str, Any]]:
     """Return plain values, ready for JSON."""
     return [asdict(source) for source in sources]
 
 
-def from_values(values: Iterable[dict[str, Any]]) -> tuple[Source, ...]:
+def from_values(values: Iterable[dict[str, Any]]) -> tuple[TrainedSegment, ...]:
     """Return sources from the output of `to_values`."""
-    return tuple(Source(**value) for value in values)
+    return tuple(TrainedSegment(**value) for value in values)
 
 
-def save_sources(folder: Path, sources: Iterable[Source]) -> None:
+def save_sources(folder: Path, sources: Iterable[TrainedSegment]) -> None:
     """Write `trained_on.json` into a model folder."""
     with atomic_write(folder / FILE) as temporary:
         temporary.write_text(json.dumps(to_values(sources), indent=1), encoding="utf-8")
 
 
-def load_sources(folder: Path) -> tuple[Source, ...]:
+def load_sources(folder: Path) -> tuple[TrainedSegment, ...]:
     """Read `trained_on.json` of a model folder; empty if it is missing or damaged."""
     try:
         return from_values(json.loads((folder / FILE).read_text(encoding="utf-8")))

@@ -58,8 +58,8 @@ def read_once(
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """Consecutive training steps on the same networks.
+class StageCallbacks:
+    """Callbacks of a training stage: consecutive steps on the same networks.
 
     Attributes:
         train: run the step of this number, counted from 1 over the whole training, and return its
@@ -87,7 +87,7 @@ class Loop:
     """Run training steps; log, evaluate and save as often as the configuration says.
 
     Every `log_every` steps the means of the losses are logged, and every `checkpoint_every` steps
-    a checkpoint is written; both also at the end of a stretch. Only the first process writes.
+    a checkpoint is written; both also at the end of a stage. Only the first process writes.
 
     Args:
         config: of the run.
@@ -131,14 +131,14 @@ class Loop:
         return done, state
 
     def train(
-        self, plan: Sequence[tuple[int, float]], done: int, make: Callable[[int], Stretch]
+        self, plan: Sequence[tuple[int, float]], done: int, make: Callable[[int], StageCallbacks]
     ) -> None:
         """Run the steps that are left.
 
         Args:
-            plan: (number of steps, relative cost of a step) of each stretch.
+            plan: (number of steps, relative cost of a step) of each stage.
             done: steps before this run was resumed.
-            make: return the stretch of this index; called when its training begins.
+            make: return the callbacks of the stage of this index; called when its training begins.
 
         Raises:
             ModelError: the loss or a weight became NaN or infinite.
@@ -150,12 +150,12 @@ class Loop:
                 if begin < end:
                     self._train(make(index), range(begin + 1, end + 1), progress, cost)
 
-    def _train(self, stretch: Stretch, steps: range, progress: Steps, cost: float) -> None:
+    def _train(self, stage: StageCallbacks, steps: range, progress: Steps, cost: float) -> None:
         config, is_first = self.config, self.processes.is_first
         losses: list[Mapping[str, Tensor | float]] = []
         clock = time.monotonic()
         for step in steps:
-            losses.append(stretch.train(step))
+            losses.append(stage.train(step))
             progress.step(cost)
             last = step == steps[-1]
             fires = bool(config.eval_every) and step % config.eval_every == 0
@@ -166,20 +166,20 @@ class Loop:
             if logs:
                 pace = (time.monotonic() - clock) / len(losses)
                 if is_first:
-                    values = {**means, **stretch.also(step), "seconds_per_iteration": pace}
-                    self.run.log(step, values, **stretch.labels)
+                    values = {**means, **stage.also(step), "seconds_per_iteration": pace}
+                    self.run.log(step, values, **stage.labels)
                     shown = ", ".join(f"{name} {value:.3g}" for name, value in means.items())
-                    progress.set_postfix_str(f"{stretch.name}{shown}")
+                    progress.set_postfix_str(f"{stage.name}{shown}")
                 losses, clock = [], time.monotonic()
             if evaluates and is_first:
-                stretch.evaluate(step)
+                stage.evaluate(step)
             if is_first and not last and (fires or self.held_out.is_due()):
-                stretch.measure(step)
+                stage.measure(step)
             if saves:
-                norms = [weight.detach().norm() for weight in stretch.weights()]
+                norms = [weight.detach().norm() for weight in stage.weights()]
                 self._check_finite(step, {"a weight": float(torch.stack(norms).sum())})
                 if is_first:
-                    self.run.checkpoints.save(step, stretch.state())
+                    self.run.checkpoints.save(step, stage.state())
 
     def _means(self, step: int, losses: Sequence[Mapping[str, Tensor | float]]) -> dict[str, float]:
         """Return the mean of each loss over processes and the steps up to this one."""

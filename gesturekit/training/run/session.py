@@ -99,7 +99,7 @@ def resume_command(folder: Path, processes: Processes) -> str:
     return shlex.join([*program, "train", "--resume", str(folder)])
 
 
-def plan(config: RunConfig, trainer: Callable[..., Any]) -> None:
+def log_plan(config: RunConfig, trainer: Callable[..., Any]) -> None:
     """Log the plan and estimated duration of a run, without its run folder.
 
     The data is read and a few steps are timed in a temporary folder.
