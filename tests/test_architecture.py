@@ -238,7 +238,6 @@ SMALL_FOLDERS = {
 # Files that stand alone although they are short and a single module imports them.
 SMALL_FILES = {
     "gesturekit.diffusion.losses",
-    "gesturekit.diffusion.training.monitor",  # named as in multires
     "gesturekit.formats.obj",  # a file for each format
 }
 NO_CODE = {
