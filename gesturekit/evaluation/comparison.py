@@ -161,7 +161,7 @@ def evaluate(
     measurer = _measurer(found, statistics, compared, reference, fps, chosen)
     measured = measure_all(measurer, chosen.workers, chosen.progress)
     own = measurer.floors()
-    run = _Comparison(measurer.measure, chosen.protocol, chosen.seed, own)
+    run = _Comparison(measurer.measure, chosen.protocol, own)
     models = [
         run.model(label, folders.get(label, Path(label)), pairs, measured)
         for label, pairs in found.items()
@@ -273,7 +273,6 @@ class _Comparison:
 
     measure: ClipMetrics
     protocol: str
-    seed: int
     floors: Mapping[str, tuple[Interval, str]]
 
     def model(
@@ -320,7 +319,7 @@ class _Comparison:
         return result
 
     def _summarise(self, result: ModelResult, sets: Mapping[str, Mapping[str, Any]]) -> None:
-        result.metrics = metric_results(result.clips, sets, self.floors, self.seed)
+        result.metrics = metric_results(result.clips, sets, self.floors)
         if POOLED in self.measure.groups:
             result.verdict = verdict(result.metrics)
             result.answers = answers(result.clips, result.metrics)
@@ -342,7 +341,7 @@ class _Comparison:
                     if clip.pair.stem == stem and key in clip.metrics
                 ]
                 if definition.group == PATCHES and values:
-                    metrics[key] = interval_over_samples(values, self.seed)
+                    metrics[key] = interval_over_samples(values, definition.within)
             by_recording[stem] = metrics
         return by_recording
 

@@ -170,6 +170,16 @@ class Pair:
     audio: Path | ItemInterval | None = None
     semantic: Path | None = None
 
+    @property
+    def take(self) -> str:
+        """The take of the recording."""
+        return self.stem
+
+    @property
+    def speaker(self) -> str | None:
+        """The speaker of the recording, if known."""
+        return self.reference.item.speaker if isinstance(self.reference, ItemInterval) else None
+
 
 @dataclass(frozen=True)
 class Excluded:

@@ -191,7 +191,7 @@ class Measurer:
         stored = self.store.read(key)
         if stored is None:
             motions = self.measure.statistics.recordings
-            found = floors(motions, self.measure, self.features, self.seed)
+            found = floors(motions, self.recordings, self.measure, self.features, self.seed)
             stored = {name: [asdict(value), note] for name, (value, note) in found.items()}
             self.store.write(key, stored)
         return {name: (Interval(**value), note) for name, (value, note) in stored.items()}
@@ -221,7 +221,7 @@ class Measurer:
         if None in every:
             return None
         names = list(dict.fromkeys((pair.stem, pair.window) for pair in pairs))
-        order = [names.index((pair.stem, pair.window)) for pair in pairs]
+        order = [(names.index((p.stem, p.window)), p.take, p.speaker) for p in pairs]
         model = self.features and self.features.fingerprint
         return digest_of([self._settings, portion.part, every, order, model, self.seed])
 
