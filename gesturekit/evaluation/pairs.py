@@ -172,7 +172,9 @@ class Pair:
 
     @property
     def take(self) -> str:
-        """The take of the recording."""
+        """The take of the recording: the motion file of an item, else the recording itself."""
+        if isinstance(self.reference, ItemInterval):
+            return str(self.reference.item.motion)
         return self.stem
 
     @property

@@ -104,6 +104,30 @@ def test_one_recording_has_no_intervals_however_many_samples(folders, tmp_path):
     assert "Hold out 5 or more takes" in warning
 
 
+@pytest.mark.parametrize("files", [1, 6])
+def test_pieces_of_one_file_are_one_take(tmp_path, gesture, files):
+    items = []
+    for k in range(6):
+        recording = tmp_path / f"take{k % files}.npz"
+        if k < files:
+            gesture(12.0, 25.0, seed=k).save(recording)
+        items.append(
+            Item(id=f"c{k}", audio=None, motion=recording, motion_start=2.0 * k, duration=2.0,
+                 split="test")
+        )  # fmt: skip
+        gesture(2.0, 25.0, seed=50 + k).save(_made(tmp_path / "made" / f"c{k}.npz"))
+    Manifest(items).save(tmp_path / "corpus.jsonl")
+    found = evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", split="test")
+    metrics = found.models[0].metrics
+    for interval in (metrics[key].interval for key in ("reach", "hellinger", "arm_speed")):
+        assert interval.count == f"{files} take{'s' * (files > 1)}, 6 clips"
+        assert (interval.low is None) is (files == 1)
+    if files == 6:
+        assert metrics["reach"].interval.low < metrics["reach"].interval.high
+        assert metrics["reach"].recording_interval.low is not None
+    assert len(list(interval_warnings(found))) == (files == 1)
+
+
 def test_the_same_seed_gives_the_same_json_whatever_other_files_exist(folders, tmp_path):
     def written(name: str, models) -> dict:
         found = evaluate(models, folders / "recordings", audio=folders / "sound", seed=3)
