@@ -135,6 +135,7 @@ class _File:
     motion: Path
     reading: Mapping[str, Any]
     audio: Path | None = None
+    speaker: str | None = None
     split: str = ""
     motion_start: float = 0.0
     duration: float = math.inf
