@@ -310,18 +310,18 @@ def _summarise(
     options: EvaluationOptions,
 ) -> None:
     groups = PROTOCOLS[options.protocol]
-    result.metrics = metric_results(result.clips, sets, floors, options.seed)
+    result.metrics = metric_results(result.clips, sets, floors)
     if POOLED in groups:
         result.verdict = verdict(result.metrics)
         result.answers = answers(result.clips, result.metrics)
     if PATCHES in groups:
-        result.by_recording = _by_recording(result.clips, options.seed)
+        result.by_recording = _by_recording(result.clips)
     result.speeds = SpeedHistogram.from_json(sets["pooled"].get("speeds"))
     result.wrists = np.array(sets["pooled"].get("wrists", ()))
     result.notes += _protocol_notes(result, options.protocol)
 
 
-def _by_recording(clips: Sequence[ClipResult], seed: int) -> dict[str, dict[str, Interval]]:
+def _by_recording(clips: Sequence[ClipResult]) -> dict[str, dict[str, Interval]]:
     """Average the patch metrics over the samples of each recording (eq. 18)."""
     by_recording = {}
     for stem in sorted({clip.pair.stem for clip in clips}):
@@ -333,7 +333,7 @@ def _by_recording(clips: Sequence[ClipResult], seed: int) -> dict[str, dict[str,
                 if clip.pair.stem == stem and key in clip.metrics
             ]
             if definition.group == PATCHES and values:
-                metrics[key] = interval_over_samples(values, seed)
+                metrics[key] = interval_over_samples(values, definition.within)
         by_recording[stem] = metrics
     return by_recording
 

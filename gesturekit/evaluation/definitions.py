@@ -6,6 +6,7 @@ The table is `definitions.toml`. Report and JSON contain it, so that each value 
 from __future__ import annotations
 
 import importlib
+import math
 import re
 import tomllib
 from collections.abc import Callable, Mapping
@@ -24,6 +25,9 @@ HEADLINE, SPEECH, MOVEMENT, POOLED, SIMILARITY, PATCHES, FRECHET = GROUPS = (
     "Patches",
     "Fréchet distances and diversity",
 )
+
+
+_ANY = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,7 @@ class Definition:
     variant: str
     text: str
     source: str
+    within: tuple[float, float] = _ANY
     fps_bound: bool = False
     cheap: bool = False
     function: str = ""
@@ -122,7 +127,10 @@ _CHANGES = {
     for key, fields in _TABLE.items()
 }
 """{key of a metric: {variant: fields that differ in it}}"""
-DEFINITIONS = {key: Definition(key, **fields) for key, fields in _TABLE.items()}
+DEFINITIONS = {
+    key: Definition(key, **{**fields, "within": tuple(fields.get("within", _ANY))})
+    for key, fields in _TABLE.items()
+}
 """Metrics by key, in the order of reports."""
 
 

@@ -135,6 +135,7 @@ class _File:
     motion: Path
     reading: Mapping[str, Any]
     audio: Path | None = None
+    speaker: str | None = None
     split: str = ""
     motion_start: float = 0.0
     duration: float = math.inf
@@ -169,6 +170,18 @@ class Pair:
     reference: Path | ItemInterval
     audio: Path | ItemInterval | None = None
     semantic: Path | None = None
+
+    @property
+    def take(self) -> str:
+        """The take of the recording: the motion file of an item, else the recording itself."""
+        if isinstance(self.reference, ItemInterval):
+            return str(self.reference.item.motion)
+        return self.stem
+
+    @property
+    def speaker(self) -> str | None:
+        """The speaker of the recording, if known."""
+        return self.reference.item.speaker if isinstance(self.reference, ItemInterval) else None
 
 
 @dataclass(frozen=True)

@@ -27,11 +27,11 @@ class Interval:
 
     Attributes:
         value: the mean over units.
-        low, high: 95 % interval; None for a single unit.
+        low, high: 95 % interval; None with too few takes.
         n: number of clips (windows, for Fréchet distances).
-        units: number of resampled units.
-        over: kind of unit: "recordings" (the mean of a recording's samples), or "samples" of one
-            recording.
+        units: number of units.
+        over: kind of unit: "takes" (the mean of a take's clips), or "samples" of one recording.
+        speakers: number of speakers of the takes.
     """
 
     value: float
@@ -40,14 +40,20 @@ class Interval:
     n: int
     units: int
     over: str
+    speakers: int = 1
 
     @property
     def count(self) -> str:
-        """Numbers of recordings and clips, in words, such as "10 recordings, 50 clips"."""
+        """Numbers of takes, speakers and clips, such as "10 takes of 2 speakers, 50 clips"."""
         clips = counted(self.n, "clip")
-        if self.over != "recordings":
+        if self.over != "takes":
             return clips if self.over == "samples" else f"n = {self.n}"
-        return f"{counted(self.units, 'recording')}, {clips}"
+        return f"{takes_of_speakers(self.units, self.speakers)}, {clips}"
+
+
+def takes_of_speakers(takes: int, speakers: int) -> str:
+    """Return numbers in words, such as "10 takes of 2 speakers"; a single speaker is not named."""
+    return counted(takes, "take") + (f" of {counted(speakers, 'speaker')}" if speakers > 1 else "")
 
 
 @dataclass

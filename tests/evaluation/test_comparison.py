@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from audio_features import Wave
 from gesturekit.corpus import Manifest
@@ -73,13 +72,11 @@ def test_samples_of_one_recording_count_as_one_draw(folders):
     found = evaluate(folders / "samples", folders / "recordings", audio=folders / "sound")
     (model,) = found.models
     interval = model.metrics["arm_speed"].interval
-    assert (interval.n, interval.units, interval.over) == (8, 4, "recordings")
+    assert (interval.n, interval.units, interval.over) == (8, 4, "takes")
     clips = {clip.pair.name: clip.metrics["arm_speed"] for clip in model.clips}
     means = [np.mean([clips[f"clip{i}_s{k}"] for k in (1, 2)]) for i in range(4)]
     assert interval.value == pytest.approx(np.mean(means))
-    spread = stats.t.ppf(0.975, 3) * np.std(means, ddof=1) / np.sqrt(4)
-    assert interval.high - interval.value == pytest.approx(spread, rel=0.1)
-    assert interval.value - interval.low == pytest.approx(spread, rel=0.1)
+    assert (interval.low, interval.high) == (None, None)  # of four takes
     one = model.by_recording["clip2"]["coverage"]
     assert (one.n, one.over) == (2, "samples")
     assert "inter_diversity" in model.metrics
@@ -94,13 +91,36 @@ def test_one_recording_has_no_intervals_however_many_samples(folders, tmp_path):
     found = evaluate(tmp_path / "made", folders / "recordings" / "clip0.bvh")
     (model,) = found.models
     intervals = [
-        result.interval for result in model.metrics.values() if result.interval.over == "recordings"
+        result.interval for result in model.metrics.values() if result.interval.over == "takes"
     ]
     assert len(intervals) > 20 and all(i.low is None and i.units == 1 for i in intervals)
     (warning,) = interval_warnings(found)
-    assert "a single recording: no intervals, and nothing is bold" in warning
-    # The means over samples of each recording (eq. 18) still have them.
-    assert model.by_recording["clip0"]["coverage"].low is not None
+    assert "from 1 take: no intervals, and nothing is bold" in warning
+    assert "Hold out 5 or more takes" in warning
+
+
+@pytest.mark.parametrize("files", [1, 6])
+def test_pieces_of_one_file_are_one_take(tmp_path, gesture, files):
+    items = []
+    for k in range(6):
+        recording = tmp_path / f"take{k % files}.npz"
+        if k < files:
+            gesture(12.0, 25.0, seed=k).save(recording)
+        items.append(
+            Item(id=f"c{k}", audio=None, motion=recording, motion_start=2.0 * k, duration=2.0,
+                 split="test")
+        )  # fmt: skip
+        gesture(2.0, 25.0, seed=50 + k).save(tmp_path / "made" / f"c{k}.npz")
+    Manifest(items).save(tmp_path / "corpus.jsonl")
+    found = evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", split="test")
+    metrics = found.models[0].metrics
+    for interval in (metrics[key].interval for key in ("reach", "hellinger", "arm_speed")):
+        assert interval.count == f"{files} take{'s' * (files > 1)}, 6 clips"
+        assert (interval.low is None) is (files == 1)
+    if files == 6:
+        assert metrics["reach"].interval.low < metrics["reach"].interval.high
+        assert metrics["reach"].recording_interval.low is not None
+    assert len(list(interval_warnings(found))) == (files == 1)
 
 
 def test_the_same_seed_gives_the_same_json_whatever_other_files_exist(folders, tmp_path):

@@ -22,7 +22,7 @@ def clips(**factors: float) -> list[ClipResult]:
 
 
 def result(key: str, value: float, recording: float | None, **more) -> MetricResult:
-    return MetricResult(key, Interval(value, None, None, 3, 3, "recordings"), recording, **more)
+    return MetricResult(key, Interval(value, None, None, 3, 3, "takes"), recording, **more)
 
 
 def states(made: list[ClipResult], **metrics: MetricResult) -> dict[str, tuple[str, str]]:

@@ -7,13 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import stats
 from statsmodels.stats.multitest import multipletests
 
 from gesturekit.evaluation.definitions import DEFINITIONS, MOVEMENT, POOLED
 from gesturekit.evaluation.pairs import Pair
 from gesturekit.evaluation.results import ClipResult, MetricResult, ModelResult
-from gesturekit.evaluation.statistics.intervals import holm, interval_of, whole_set
+from gesturekit.evaluation.statistics.intervals import holm, whole_set
 from gesturekit.evaluation.statistics.model_metrics import informative, metric_results
 from gesturekit.evaluation.statistics.paired import contests, distance
 
@@ -38,7 +37,7 @@ def model(label: str, clips: list[ClipResult]) -> ModelResult:
 
 def metrics_of(clips: list[ClipResult], pooled: dict | None = None) -> dict[str, MetricResult]:
     sets = {"pooled": {"metrics": pooled or {}}, "frechet": {"metrics": {}}}
-    return metric_results(clips, sets, {}, 0)
+    return metric_results(clips, sets, {})
 
 
 def two_models(
@@ -92,26 +91,14 @@ def test_rates_of_false_and_missed_bold_figures_in_200_reports(bias):
     assert reports_with_bold(200, reach=0.8, bias=0.95)[1] >= 0.8
 
 
-def test_with_one_recording_nothing_is_bold_however_many_samples():
-    rows = contests(two_models(0, reach=0.1, recordings=1, samples=50))
+def test_with_four_takes_nothing_is_bold_however_many_samples():
+    rows = contests(two_models(0, reach=0.1, recordings=4, samples=50))
     assert rows and all(row.best is None and row.p is None for row in rows.values())
 
 
-def test_holm_and_intervals_agree_with_statsmodels_and_scipy():
+def test_holm_agrees_with_statsmodels():
     p = [0.001, 0.04, 0.03, 0.5, 0.005]
     assert holm(p) == pytest.approx(multipletests(p, method="holm")[1])
-    values = np.random.default_rng(0).normal(3.0, 1.0, 12)
-    found = interval_of(values, [f"r{i}" for i in range(12)], 0)
-    exact = stats.t.interval(0.95, 11, values.mean(), stats.sem(values))
-    assert (found.low, found.high) == pytest.approx(exact, rel=0.03)
-
-
-def test_samples_of_a_recording_are_one_unit():
-    values, groups = [1.0] * 50 + [2.0] * 50, ["a"] * 50 + ["b"] * 50
-    found = interval_of(values, groups, 0)
-    assert (found.n, found.units, found.count) == (100, 2, "2 recordings, 100 clips")
-    assert found.low < 0.0  # two recordings say next to nothing
-    assert interval_of([1.0, 2.0], ["a", "a"], 0).low is None
 
 
 def test_the_recordings_own_value_is_the_goal():

@@ -67,13 +67,13 @@ def test_it_says_all_that_is_needed_to_read_a_figure(page, evaluation):
         assert definition.name in text and definition.variant in text
         assert definition.text in text and definition.source in text
     interval = evaluation.models[0].metrics["arm_speed"].interval
-    shown = f"{number(interval.low)} … {number(interval.high)}; 3 recordings, 6 clips"
+    shown = f"{number(interval.value)} no interval; 3 takes, 6 clips"
     assert shown in re.sub(r"\s+", " ", text)
     assert "30 frames (1.20 s)" in text
     assert "Bound to its frame rate" in text
     assert "stranger" in text and "no recording of its name" in text
     assert "model: left out: 1 clip;" in text
-    assert "rough" in text  # three recordings are few
+    assert "from 3 takes: no intervals, and nothing is bold" in text
     assert "gesturekit evaluate model recordings" in text
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.definitions import (
+    DEFINITIONS,
     FRECHET,
     PATCHES,
     SIMILARITY,
@@ -29,9 +30,9 @@ from gesturekit.evaluation.metrics import similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
 from gesturekit.evaluation.metrics.physical import relative_speed
-from gesturekit.evaluation.pairs import Pair
+from gesturekit.evaluation.pairs import ItemInterval, Pair
 from gesturekit.evaluation.results import Interval
-from gesturekit.evaluation.statistics.intervals import interval_of, whole_set
+from gesturekit.evaluation.statistics.intervals import Takes, interval_of, whole_set
 from gesturekit.evaluation.statistics.likeness import RATIOS, likeness
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
@@ -50,6 +51,7 @@ _NAMELESS = Path("recording")
 
 def floors(
     recordings: Mapping[str, Motion],
+    sources: Mapping[str, Path | ItemInterval],
     measure: ClipMetrics,
     features: FeatureModel | None,
     seed: int,
@@ -58,9 +60,10 @@ def floors(
 
     Args:
         recordings: all recordings by name, of one rig and frame rate.
+        sources: their files or items, by the same names, which tell their takes.
         measure: the metrics of clips, with their groups.
         features: the feature extractor of FGD, or None.
-        seed: seed of intervals and subsamples.
+        seed: seed of subsamples.
     """
     if not recordings:  # all are too short to be compared
         return {}
@@ -69,15 +72,22 @@ def floors(
     pairs = _pairs(chosen)
     joints = body_joints(next(iter(chosen.values())).skeleton)
     clips = [
-        Clip(Pair(a, b, None, _NAMELESS, _NAMELESS), chosen[a], chosen[b], joints, None, ())
+        Clip(
+            Pair(a, b, None, _NAMELESS, sources.get(b, _NAMELESS)),
+            chosen[a],
+            chosen[b],
+            joints,
+            None,
+            (),
+        )
         for a, b in pairs
     ]
     found: dict[str, tuple[Interval, str]] = {}
     values = [measure.against(clip) for clip in clips]
     for key in set(chain.from_iterable(values)) - {"hellinger"}:
-        has = [(v[key], clip.pair.stem) for v, clip in zip(values, clips) if key in v]
-        groups = [stem for _, stem in has] if len(recordings) > 1 else ["halves"] * len(has)
-        found[key] = interval_of([v for v, _ in has], groups, seed), note
+        has = [(v[key], clip.pair) for v, clip in zip(values, clips) if key in v]
+        takes = Takes.of([pair for _, pair in has])
+        found[key] = interval_of([v for v, _ in has], takes, DEFINITIONS[key].within), note
     halves = _halves(list(chosen.values()))
     for key, measured in _set_metrics(chosen, clips, halves, measure, features, seed).items():
         try:

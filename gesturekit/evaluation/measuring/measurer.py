@@ -186,12 +186,14 @@ class Measurer:
         """Return the recordings' own values (`contest.floors`), stored or computed here."""
         contents = [content_of(source) for source in self.recordings.values()]
         model = self.features and self.features.fingerprint
+        own = [Pair(n, n, None, source, source) for n, source in self.recordings.items()]
         parts = [self._settings, "floors", list(self.recordings), contents, model, self.seed]
+        parts.append(_nesting(own))
         key = None if None in contents else digest_of(parts)
         stored = self.store.read(key)
         if stored is None:
             motions = self.measure.statistics.recordings
-            found = floors(motions, self.measure, self.features, self.seed)
+            found = floors(motions, self.recordings, self.measure, self.features, self.seed)
             stored = {name: [asdict(value), note] for name, (value, note) in found.items()}
             self.store.write(key, stored)
         return {name: (Interval(**value), note) for name, (value, note) in stored.items()}
@@ -223,7 +225,9 @@ class Measurer:
         names = list(dict.fromkeys((pair.stem, pair.window) for pair in pairs))
         order = [names.index((pair.stem, pair.window)) for pair in pairs]
         model = self.features and self.features.fingerprint
-        return digest_of([self._settings, portion.part, every, order, model, self.seed])
+        return digest_of(
+            [self._settings, portion.part, every, order, _nesting(pairs), model, self.seed]
+        )
 
     @functools.cached_property
     def _settings(self) -> dict[str, Any]:
@@ -423,3 +427,10 @@ def _failed(measurer: Measurer, portion: Portion, reason: str) -> list[Any]:
         failed = {"metrics": {}, "problems": [("metrics of the set", reason)]}
         return [measurer.store.read(measurer.set_key(one)) or failed for one in portion]
     return [(label, i, {"reason": reason}) for label, at in portion.clips.items() for i in at]
+
+
+def _nesting(pairs: Sequence[Pair]) -> list[tuple[int, int]]:
+    """Return the numbers of each clip's take and speaker, in order of appearance."""
+    takes = list(dict.fromkeys((pair.speaker, pair.take) for pair in pairs))
+    speakers = list(dict.fromkeys(pair.speaker for pair in pairs))
+    return [(takes.index((p.speaker, p.take)), speakers.index(p.speaker)) for p in pairs]

@@ -9,6 +9,7 @@ import numpy as np
 
 from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.definitions import (
+    DEFINITIONS,
     FRECHET,
     PATCHES,
     POOLED,
@@ -24,8 +25,14 @@ from gesturekit.evaluation.metrics import physical, similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.frechet.frechet import FrechetResult
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
+from gesturekit.evaluation.pairs import Pair
 from gesturekit.evaluation.results import Interval, MetricResult
-from gesturekit.evaluation.statistics.intervals import interval_of, interval_of_statistic, whole_set
+from gesturekit.evaluation.statistics.intervals import (
+    Takes,
+    interval_of,
+    interval_of_statistic,
+    whole_set,
+)
 from gesturekit.motion import Motion
 
 if TYPE_CHECKING:
@@ -45,7 +52,7 @@ class SetMetrics:
 
     Args:
         measure: the metrics of single clips.
-        seed: seed of the intervals.
+        seed: seed of subsamples.
         pooled_metrics: those of all clips pooled.
     """
 
@@ -58,12 +65,12 @@ class SetMetrics:
         self.recorded: list[SpeedHistogram] = []
         self.wrists: list[np.ndarray] = []
         self.problems: list[tuple[str, str]] = []
-        self._stems: list[str] = []
+        self._pairs: list[Pair] = []
         self._poses: list[tuple[np.ndarray, np.ndarray]] = []
         self._pose_stride = 1
         self._joints: tuple[str, ...] = ()  # of the global CCA
         self._shared: tuple[str, ...] | None = None  # joints that all clips have
-        self._inter: dict[str, float] = {}
+        self._inter: dict[str, tuple[Pair, float]] = {}
         self._samples: list[np.ndarray] = []
 
     def add(self, clip: Clip, recorded: SpeedHistogram) -> None:
@@ -74,8 +81,8 @@ class SetMetrics:
             recorded: speeds of its recording.
         """
         groups = self.measure.groups
-        same = bool(self._stems) and self._stems[-1] == clip.pair.stem
-        self._stems.append(clip.pair.stem)
+        same = bool(self._pairs) and self._pairs[-1].stem == clip.pair.stem
+        self._pairs.append(clip.pair)
         self.histograms.append(SpeedHistogram.of([speeds_of(clip.generated, clip.joints)]))
         self.recorded.append(recorded)
         self.wrists.append(wrists_of(clip.generated))
@@ -100,7 +107,9 @@ class SetMetrics:
         if self._poses:
             self._try(metrics, "cca_global", self._cca)
         if self._inter:
-            interval = interval_of(list(self._inter.values()), list(self._inter), self.seed)
+            pairs, values = zip(*self._inter.values(), strict=True)
+            within = DEFINITIONS["inter_diversity"].within
+            interval = interval_of(values, Takes.of(pairs), within)
             metrics["inter_diversity"] = MetricResult("inter_diversity", interval)
         if POOLED in self.measure.groups:
             metrics |= self.pooled_metrics.pooled()
@@ -149,7 +158,9 @@ class SetMetrics:
         if ours is None:
             return None
         if definition.of == "distance":
-            return _frechet(definition.key, ours, None if compared is None else taken(compared))
+            top = None if compared is None else taken(compared)
+            apart = Takes.of(self._pairs).count == len(self._pairs)
+            return _frechet(definition.key, ours, top, apart)
         interval = whole_set(ours, len(self.motions))
         return MetricResult(definition.key, interval, taken(full if compared is None else compared))
 
@@ -169,7 +180,9 @@ class SetMetrics:
                 *(pooled([own[i] for i in drawn]) for own in (self.histograms, self.recorded))
             )
 
-        interval = interval_of_statistic(distance, self._stems, self.seed)
+        interval = interval_of_statistic(
+            distance, Takes.of(self._pairs), DEFINITIONS["hellinger"].within
+        )
         total = sum(int(h.counts.sum()) + h.beyond for h in self.histograms)
         beyond = 100.0 * sum(h.beyond for h in self.histograms) / max(total, 1)
         return MetricResult("hellinger", interval, note=f"{beyond:.1f} % beyond the last bin")
@@ -196,7 +209,7 @@ class SetMetrics:
             variant = self.measure.variants.patches
             self._samples.append(patch_features(clip.generated, variant, joints=clip.joints))
             if len(self._samples) > 1:
-                self._inter[clip.pair.stem] = inter_diversity(self._samples)
+                self._inter[clip.pair.stem] = clip.pair, inter_diversity(self._samples)
         except GestureKitError:
             return  # local diversity reports the reason
 
@@ -229,8 +242,9 @@ def pooled(histograms: Sequence[SpeedHistogram]) -> SpeedHistogram:
     return whole
 
 
-def _frechet(key: str, ours: FrechetResult, top: FrechetResult | None) -> MetricResult:
-    known = not np.isnan(ours.low)
+def _frechet(key: str, ours: FrechetResult, top: FrechetResult | None, apart: bool) -> MetricResult:
+    """Return a Fréchet distance, with its interval over motions if each has a take of its own."""
+    known = apart and not np.isnan(ours.low)
     interval = Interval(
         ours.value,
         ours.low if known else None,

@@ -7,12 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from gesturekit.evaluation.report.tables import dotted, number
 from gesturekit.evaluation.results import Answer, Evaluation, MetricResult, ModelResult
-from gesturekit.evaluation.statistics.intervals import FEW
+from gesturekit.evaluation.statistics.intervals import Takes
 from gesturekit.evaluation.statistics.paired import Contest
 from gesturekit.viewer.pages import section
 
 _LEAD = (
-    "Each with one figure and its 95 % interval over recordings; the last row has what the "
+    "Each with one figure and its 95 % interval over takes (recording sessions): it holds for "
+    "other takes of the same speakers, not for other speakers. The last row has what the "
     "speaker's recordings reach. Each clip is compared with the recording of the same speech, but "
     "recordings differ in speech and mood: a model can be more like the speaker than they are like "
     "each other. Bold: nearer to the recordings than every other model by more than chance."
@@ -65,24 +66,21 @@ def headline(evaluation: Evaluation, rows: Mapping[str, Contest]) -> str:
 
 
 def interval_warnings(evaluation: Evaluation) -> Iterator[str]:
-    """Yield warnings about intervals that are missing or rough."""
-    said: dict[int, list[str]] = {}
+    """Yield warnings about intervals that are missing, with the data that would give them."""
+    said: dict[str, list[str]] = {}
     for model in evaluation.models:
-        recordings = len({clip.pair.stem for clip in model.clips})
-        said.setdefault(recordings, []).append(model.label)
-    for recordings, labels in said.items():
-        who = "" if len(said) == 1 else f"{', '.join(labels)}: "
-        if recordings == 1:
-            yield (
-                f"{who}a single recording: no intervals, and nothing is bold. How a model does on "
-                "others cannot be told from one; more samples (seeds) of it do not change that. "
-                "Evaluate on several held-out recordings"
-            )
-        elif recordings < FEW:
-            yield (
-                f"{who}intervals come from {recordings} recordings: they are rough. Evaluate on "
-                f"{FEW} or more"
-            )
+        takes = Takes.of([clip.pair for clip in model.clips])
+        if takes.count >= takes.needed:
+            continue
+        text = (
+            f"the clips come from {takes.in_words}: no intervals, and nothing is bold. "
+            "Differences between takes (recording sessions) cannot be told from fewer than "
+            f"{takes.needed}; more clips or samples (seeds) of the same takes do not change that. "
+            f"Hold out {takes.needed} or more takes"
+        )
+        said.setdefault(text, []).append(model.label)
+    for text, labels in said.items():
+        yield text if len(said) == 1 else f"{', '.join(labels)}: {text}"
 
 
 def _cell(model: ModelResult, answer: Answer, rows: Mapping[str, Contest]) -> str:

@@ -136,13 +136,12 @@ def _without_interval(evaluation: Evaluation) -> list[str]:
         for row in rows
         if any(f is not None and f.interval.low is None and f.informative for f in row.metrics)
     ]
-    if not bare or len(bare) == len(rows) or _single_recording(evaluation):
+    if not bare or len(bare) == len(rows) or any(interval_warnings(evaluation)):
         return []
-    return [f"No interval, and never bold: {', '.join(bare)}: one value of the whole set of clips."]
-
-
-def _single_recording(evaluation: Evaluation) -> bool:
-    return all(len({clip.pair.stem for clip in model.clips}) < 2 for model in evaluation.models)
+    return [
+        f"No interval, and never bold: {', '.join(bare)}: one value of the whole set of clips, "
+        "from too few takes, or at the bound of its range."
+    ]
 
 
 def agreement_lines(evaluation: Evaluation) -> list[str]:
@@ -281,8 +280,8 @@ def _value_text(result: MetricResult | None) -> str:
 
 def _caption(evaluation: Evaluation) -> str:
     return (
-        f"Mean and 95 % interval over recordings at {evaluation.fps:g} fps. Bold: nearer to the "
-        "recordings' own value than every other model (paired over recordings, Holm over rows). "
+        f"Mean and 95 % interval over takes at {evaluation.fps:g} fps. Bold: nearer to the "
+        "recordings' own value than every other model (paired over takes, Holm over rows). "
         "Metrics of the whole set of clips have one value without an interval, never bold. "
         "No arrow: a model is beyond the recordings' own value, which is the goal."
     )

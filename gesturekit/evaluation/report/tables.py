@@ -77,7 +77,7 @@ def metrics(evaluation: Evaluation, contests: Mapping[str, Contest]) -> str:
                 + "</details>"
             )
     lead = (
-        "Mean over recordings; below it the 95 % interval over recordings (over windows or 10 s "
+        "Mean over takes; below it the 95 % interval over takes (over windows or 10 s "
         "clips for Fréchet distances), and the numbers of recordings and of clips. The recordings "
         "are measured as well: where a metric compares with recordings, another one, or one half "
         "against the other. Their own value is the goal: an arrow stands only where no model is "

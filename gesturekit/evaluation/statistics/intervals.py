@@ -1,107 +1,294 @@
-"""Confidence intervals over recordings, and the correction for many tests.
+"""Confidence intervals over takes, and the correction for many tests.
 
-A model is measured on a sample of recordings: they are the units, and the samples (seeds) of one
-recording are averaged within it. A percentile interval of few recordings is too narrow, so that the
-standard error is that of the bootstrap, times sqrt(R / (R - 1)), and the quantile is Student's with
-R - 1 degrees of freedom (Hesterberg 2015).
+A take (recording session) is the unit. Samples (seeds) are averaged within a clip, and clips within
+a take: pieces of one take share its mood, and say little about another take.
+
+Population: new takes of the speakers that were measured, in the shares that they have among the
+takes. Speakers are strata: the spread of takes is taken within speakers, and differences between
+speakers do not widen an interval. Two or three speakers cannot say how speakers differ, so that no
+interval claims to hold for others. The one exception is a corpus of at least `FEW` speakers with
+hardly more than a take each: there speakers are the units, and the population is new speakers.
+
+Student's t is used on a scale where the metric is unbounded (the logit between two bounds, which
+is Fisher's z between -1 and 1; the logarithm above one bound), so that no interval leaves the range
+of its metric. The standard error is brought there by the delta method, with the spread of takes
+equal for all speakers on that scale. Above one bound values are skewed, and their standard
+deviation is too small whenever no take is far out: the standard deviation of the logarithms is used
+if it is larger. Standard errors of other statistics than means are those of the jackknife over
+takes. Coverage in simulated corpora: benchmarks/interval_coverage.py.
 """
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gesturekit.evaluation.results import Interval
+from gesturekit.evaluation.pairs import Pair
+from gesturekit.evaluation.results import Interval, takes_of_speakers
 
 LEVEL = 0.95
-RESAMPLES = 2000
 FEW = 5
-"""Least number of recordings for an interval without a warning."""
+"""Least number of takes for an interval or a test."""
+LEAST_FREEDOM = 3
+"""Least number of takes beyond one of each speaker."""
+ANY = (-np.inf, np.inf)
+"""Bounds of a metric without any."""
 
 
-def means_by(groups: Sequence[str], values: np.ndarray) -> np.ndarray:
-    """Return (R, ...) means of values (n, ...) over the clips of each recording, sorted by name."""
-    belongs = np.asarray(groups)
-    return np.stack([values[belongs == name].mean(axis=0) for name in sorted(set(groups))])
+@dataclass(frozen=True)
+class Takes:
+    """Nesting of measured values: values in clips, clips in takes, takes in speakers.
+
+    Attributes:
+        weights: (R, n) weights by which n values become the means of R takes.
+        speakers: (R,) number of each take's speaker, from 0.
+    """
+
+    weights: np.ndarray
+    speakers: np.ndarray
+
+    @classmethod
+    def nested(
+        cls,
+        takes: Sequence[str],
+        speakers: Sequence[str | None] | None = None,
+        clips: Sequence[str] | None = None,
+    ) -> Takes:
+        """Return the nesting of n values; takes are sorted by speaker and name.
+
+        Args:
+            takes: (n,) take of each value.
+            speakers: (n,) speaker of each value; None for a single speaker.
+            clips: (n,) clip of each value, for several samples of a clip; None if all differ.
+        """
+        n = len(takes)
+        names = [""] * n if speakers is None else [name or "" for name in speakers]
+        pieces = range(n) if clips is None else clips
+        found, take = np.unique([list(at) for at in zip(names, takes)], axis=0, return_inverse=True)
+        take = take.ravel()
+        _, clip = np.unique([f"{t}\0{c}" for t, c in zip(take, pieces)], return_inverse=True)
+        weights = np.zeros((len(found), n))
+        weights[take, np.arange(n)] = 1.0 / np.bincount(clip)[clip]
+        weights /= weights.sum(axis=1, keepdims=True)
+        return cls(weights, np.unique(found[:, 0], return_inverse=True)[1])
+
+    @classmethod
+    def of(cls, pairs: Sequence[Pair]) -> Takes:
+        """Return the nesting of generated clips."""
+        return cls.nested(
+            [pair.take for pair in pairs],
+            [pair.speaker for pair in pairs],
+            [f"{pair.stem}\0{pair.window}" for pair in pairs],
+        )
+
+    @property
+    def count(self) -> int:
+        """Number of takes."""
+        return len(self.weights)
+
+    @property
+    def in_words(self) -> str:
+        """Numbers of takes and speakers, such as "4 takes of 2 speakers"."""
+        return takes_of_speakers(self.count, len(set(self.speakers)))
+
+    @property
+    def needed(self) -> int:
+        """Number of takes from which there are intervals, with as many speakers."""
+        speakers = len(set(self.speakers))
+        return speakers if speakers >= FEW else max(FEW, speakers + LEAST_FREEDOM)
+
+    def means(self, values: Sequence[float] | np.ndarray) -> np.ndarray:
+        """Return the means (R,) of values (n,) by take."""
+        return self.weights @ np.asarray(values, np.float64)
 
 
-@functools.cache
-def draws(units: int, seed: int, resamples: int = RESAMPLES) -> np.ndarray:
-    """Return (resamples, units) weights of bootstrap resamples; each row sums to 1."""
-    rng = np.random.default_rng(seed)
-    return rng.multinomial(units, np.full(units, 1 / units), resamples) / units
-
-
-def standard_error(replicates: np.ndarray, units: int) -> np.ndarray:
-    """Return the bootstrap's standard error of replicates (resamples, ...), for few units."""
-    return replicates.std(axis=0) * np.sqrt(units / (units - 1))
-
-
-def half_width(replicates: np.ndarray, units: int) -> np.ndarray:
-    """Return half the width of the 95 % interval of a statistic from its bootstrap replicates."""
-    from scipy.stats import t
-
-    return t.ppf(0.5 + LEVEL / 2, units - 1) * standard_error(replicates, units)
-
-
-def interval_of(values: Sequence[float], groups: Sequence[str], seed: int) -> Interval:
-    """Return mean and interval of a clip metric over recordings; no interval of a single one.
+def standard_error(
+    values: np.ndarray, speakers: np.ndarray, within: tuple[float, float] = ANY
+) -> tuple[float, int] | None:
+    """Return the standard error of the mean over takes, and its degrees of freedom.
 
     Args:
-        values: (n,) value of each clip.
-        groups: (n,) recording of each clip.
-        seed: the same seed gives the same interval.
+        values: (R,) one value a take.
+        speakers: (R,) number of each take's speaker, from 0.
+        within: the bounds of the metric.
+
+    Returns:
+        None with too few takes: fewer than `FEW`, or hardly more than one of each of a few
+        speakers.
     """
-    return _interval(
-        means_by(groups, np.asarray(values, np.float64)), len(values), "recordings", seed
+    takes = np.bincount(speakers)
+    free = len(values) - len(takes)
+    if len(values) >= FEW and free >= LEAST_FREEDOM:
+        means = np.bincount(speakers, values) / takes
+        inside = (within[0] < means.min()) and (means.max() < within[1])
+        slopes = _slope(means, within if inside else ANY)
+        spread = _spread_of_takes(values, speakers, slopes, free)
+        if inside and np.isinf(within[1]) and within[0] < values.min():
+            logs = _scale(values, within)
+            spread = max(spread, _spread_of_takes(logs, speakers, np.ones(len(takes)), free))
+        return float(spread * np.sqrt((takes / slopes**2).sum()) / len(values)), free
+    if len(takes) >= FEW:
+        away = np.bincount(speakers, values - values.mean()) / len(values)
+        return float(np.sqrt((away**2).sum() * len(takes) / (len(takes) - 1))), len(takes) - 1
+    return None
+
+
+def _spread_of_takes(
+    values: np.ndarray, speakers: np.ndarray, slopes: np.ndarray, free: int
+) -> float:
+    """Return the standard deviation of takes about their speaker's mean, times its slope."""
+    means = np.bincount(speakers, values) / np.bincount(speakers)
+    away = (values - means[speakers]) * slopes[speakers]
+    return float(np.sqrt((away**2).sum() / free))
+
+
+def bounds_of(
+    value: float, values: np.ndarray, speakers: np.ndarray, within: tuple[float, float] = ANY
+) -> tuple[float, float] | None:
+    """Return the 95 % interval of a value from one value a take; None with too few takes.
+
+    None as well for a value at a bound of its metric, such as a share of 0 %: its spread there
+    says nothing.
+
+    Args:
+        value: the mean over takes, or a statistic of all takes.
+        values: (R,) the values of the takes, or the statistic's pseudo-values (`pseudo_values`).
+        speakers: (R,) number of each take's speaker, from 0.
+        within: the bounds of the metric.
+    """
+    from scipy.stats import t
+
+    error = standard_error(values, speakers, within)
+    if error is None or not within[0] < value < within[1]:
+        return None
+    half = t.ppf(0.5 + LEVEL / 2, error[1]) * error[0] * _slope(value, within)
+    at = _scale(value, within)
+    return _unscale(at - half, within), _unscale(at + half, within)
+
+
+def scaled_like(interval: Interval, value: float, within: tuple[float, float]) -> Interval:
+    """Return an interval that is as wide about another value, on the scale of the metric."""
+    known = interval.low is not None and interval.high is not None
+    if not known or not within[0] < value < within[1]:
+        return replace(interval, value=value, low=None, high=None)
+    low, high = (_scale(bound, within) for bound in (interval.low, interval.high))
+    shift = _scale(value, within) - _scale(interval.value, within)
+    return replace(
+        interval,
+        value=value,
+        low=_unscale(low + shift, within),
+        high=_unscale(high + shift, within),
     )
 
 
-def interval_over_samples(values: Sequence[float], seed: int) -> Interval:
+def _scale(value: np.ndarray | float, within: tuple[float, float]) -> np.ndarray:
+    """Return values on the scale where their metric is unbounded."""
+    low, high = within
+    if np.isinf(low):
+        return np.asarray(value)
+    return np.log(np.asarray(value) - low) - (0.0 if np.isinf(high) else np.log(high - value))
+
+
+def _slope(value: np.ndarray | float, within: tuple[float, float]) -> np.ndarray:
+    """Return the derivative of `_scale`."""
+    low, high = within
+    if np.isinf(low):
+        return np.ones_like(value)
+    return 1.0 / (np.asarray(value) - low) + (0.0 if np.isinf(high) else 1.0 / (high - value))
+
+
+def _unscale(at: float, within: tuple[float, float]) -> float:
+    """Return the value at a place on the scale."""
+    from scipy.special import expit
+
+    low, high = within
+    if np.isinf(low):
+        return at
+    return float(low + (np.exp(at) if np.isinf(high) else (high - low) * expit(at)))
+
+
+def pseudo_values(statistic: Callable[[np.ndarray], np.ndarray], units: int) -> np.ndarray:
+    """Return the jackknife's pseudo-values (R, ...) of a statistic of weighted takes.
+
+    Their mean and spread stand for those of the values of takes; a mean's are these values.
+
+    Args:
+        statistic: maps weights (B, R) of takes, each row with the sum 1, to values (B, ...).
+        units: number of takes R, at least 2.
+    """
+    weights = np.vstack([np.ones(units), 1.0 - np.eye(units)])
+    found = np.asarray(statistic(weights / weights.sum(axis=1, keepdims=True)))
+    return units * found[0] - (units - 1) * found[1:]
+
+
+def interval_of(
+    values: Sequence[float], takes: Takes, within: tuple[float, float] = ANY
+) -> Interval:
+    """Return mean and interval of a clip metric over takes.
+
+    Args:
+        values: (n,) the values that `takes` nests.
+        takes: the nesting.
+        within: the bounds of the metric.
+    """
+    units = takes.means(values)
+    return interval_about(float(units.mean()), units, takes, within)
+
+
+def interval_about(
+    value: float, units: np.ndarray, takes: Takes, within: tuple[float, float] = ANY
+) -> Interval:
+    """Return the interval of a value with one value (or pseudo-value) a take; see `bounds_of`."""
+    low, high = bounds_of(value, units, takes.speakers, within) or (None, None)
+    speakers = len(set(takes.speakers))
+    return Interval(value, low, high, takes.weights.shape[1], takes.count, "takes", speakers)
+
+
+def interval_over_samples(values: Sequence[float], within: tuple[float, float] = ANY) -> Interval:
     """Return mean and interval over the samples (seeds) of one recording."""
-    return _interval(np.asarray(values, np.float64), len(values), "samples", seed)
-
-
-def _interval(units: np.ndarray, n: int, over: str, seed: int) -> Interval:
-    value, count = float(units.mean()), len(units)
-    low = high = None
-    if count > 1:
-        spread = float(half_width(draws(count, seed) @ units, count))
-        low, high = value - spread, value + spread
-    return Interval(value, low, high, n, count, over)
+    samples = np.asarray(values, np.float64)
+    value, n = float(samples.mean()), len(samples)
+    low, high = bounds_of(value, samples, np.zeros(n, int), within) or (None, None)
+    return Interval(value, low, high, n, n, "samples")
 
 
 def interval_of_statistic(
-    statistic: Callable[[np.ndarray], float], groups: Sequence[str], seed: int, resamples: int = 500
+    statistic: Callable[[np.ndarray], float], takes: Takes, within: tuple[float, float] = ANY
 ) -> Interval:
-    """Return a distance of a set of clips, and its interval by resampling recordings.
+    """Return a distance of a set of clips, and its interval by the jackknife over takes.
 
-    It is at least 0. Distances of resampled sets are biased upwards, so that their quantiles could
-    exclude the value itself.
+    A bootstrap would have sets with repeated takes, whose distances are biased upwards.
 
     Args:
         statistic: maps (m,) indices of clips to the distance.
-        groups: (n,) recording of each clip.
-        seed: the same seed gives the same interval.
-        resamples: number of resampled sets.
+        takes: the nesting of the clips.
+        within: the bounds of the metric.
     """
-    names, belongs = sorted(set(groups)), np.asarray(groups)
-    members = [np.flatnonzero(belongs == name) for name in names]
-    value = float(statistic(np.arange(len(groups))))
-    low = high = None
-    if len(names) > 1:
-        drawn = np.random.default_rng(seed).integers(len(names), size=(resamples, len(names)))
-        found = [statistic(np.concatenate([members[i] for i in row])) for row in drawn]
-        spread = float(half_width(np.array(found), len(names)))
-        low, high = max(0.0, value - spread), value + spread
-    return Interval(value, low, high, len(groups), len(names), "recordings")
+
+    def weighted(weights: np.ndarray) -> np.ndarray:
+        chosen = (weights > 0.0).astype(float) @ (takes.weights > 0.0)
+        return np.array([statistic(np.flatnonzero(row)) for row in chosen])
+
+    value = float(statistic(np.arange(takes.weights.shape[1])))
+    enough = takes.count >= FEW
+    units = pseudo_values(weighted, takes.count) if enough else np.full(takes.count, value)
+    return interval_about(value, units, takes, within)
 
 
 def whole_set(value: float, n: int) -> Interval:
     """Return the value of a whole set of n clips, without an interval."""
     return Interval(value, None, None, n, 1, "the whole set")
+
+
+def p_value(difference: float, error: float, free: int) -> float:
+    """Return the two-sided p-value of a difference by Student's t with `free` degrees."""
+    from scipy.stats import t
+
+    if error < 1e-12 * max(abs(difference), 1e-12):
+        return 1.0 if abs(difference) < 1e-12 else 0.0
+    return float(2.0 * t.sf(abs(difference) / error, free))
 
 
 def holm(p: Sequence[float]) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.evaluation.results import ClipResult, Interval, MetricResult
-from gesturekit.evaluation.statistics.intervals import interval_of
+from gesturekit.evaluation.statistics.intervals import Takes, interval_of, scaled_like
 from gesturekit.evaluation.statistics.questions import likeness_result, own_one_nn
 from gesturekit.evaluation.statistics.thresholds import ABOVE_CHANCE, SAME, SATURATED
 
@@ -25,7 +25,6 @@ def metric_results(
     clips: Sequence[ClipResult],
     sets: Mapping[str, Mapping[str, Any]],
     floors: Mapping[str, tuple[Interval, str]],
-    seed: int,
 ) -> dict[str, MetricResult]:
     """Return {key of `definitions`: result}.
 
@@ -33,7 +32,6 @@ def metric_results(
         clips: the clips of a model; measures that compare windows of all clips are added to them.
         sets: {part: metrics of the set}, see `measuring.measurer`.
         floors: the recordings' own values, see `floors`.
-        seed: seed of the bootstrap.
     """
     for clip, values in zip(clips, sets["pooled"].get("by_clip", ())):
         clip.metrics |= values
@@ -41,7 +39,7 @@ def metric_results(
     for key in DEFINITIONS:
         has = [clip for clip in clips if key in clip.metrics]
         if has:
-            found[key] = _mean_result(key, has, len(clips), seed)
+            found[key] = _mean_result(key, has, len(clips))
     for part in ("pooled", "frechet"):
         for key, values in sets[part]["metrics"].items():
             pooled = MetricResult.from_json(values)
@@ -64,9 +62,8 @@ def metric_results(
     cca = found.get("cca")
     if cca is not None and cca.recording is not None and cca.recording > SATURATED:
         found["cca"] = replace(cca, informative=False)
-    found = {key: _within_range(result) for key, result in found.items()}
     own = floors["likeness"][0].value if "likeness" in floors else None
-    like = likeness_result(clips, own_one_nn(found), own, seed)
+    like = likeness_result(clips, own_one_nn(found), own)
     return found if like is None else {**found, "likeness": like}
 
 
@@ -91,14 +88,17 @@ def informative(clips: Sequence[ClipResult], metric: str) -> bool:
     return bool(above and sum(above) >= ABOVE_CHANCE * np.sqrt(sum(variance)))
 
 
-def _mean_result(key: str, has: Sequence[ClipResult], total: int, seed: int) -> MetricResult:
-    """Return the mean of a clip metric over recordings."""
-    stems = [clip.pair.stem for clip in has]
-    own = [(clip.recording[key], stem) for clip, stem in zip(has, stems) if key in clip.recording]
-    interval = interval_of(*zip(*own), seed) if own else None
+def _mean_result(key: str, has: Sequence[ClipResult], total: int) -> MetricResult:
+    """Return the mean of a clip metric over takes."""
+
+    def mean(values: Sequence[float], clips: Sequence[ClipResult]) -> Interval:
+        return interval_of(values, Takes.of([clip.pair for clip in clips]), DEFINITIONS[key].within)
+
+    own = [clip for clip in has if key in clip.recording]
+    interval = mean([clip.recording[key] for clip in own], own) if own else None
     return MetricResult(
         key,
-        interval_of([clip.metrics[key] for clip in has], stems, seed),
+        mean([clip.metrics[key] for clip in has], has),
         recording=None if interval is None else interval.value,
         recording_interval=interval,
         chance=_mean(clip.metrics.get(f"{key}_chance") for clip in has),
@@ -111,37 +111,14 @@ def _with_interval(pooled: MetricResult, clips: MetricResult | None) -> MetricRe
     """Return a pooled result with the width of the interval over its clips, if it has none."""
     if clips is None or pooled.interval.low is not None:
         return pooled
+    within = DEFINITIONS[pooled.key].within
     return replace(
         pooled,
-        interval=_moved(clips.interval, pooled.interval.value),
+        interval=scaled_like(clips.interval, pooled.interval.value, within),
         recording_interval=None
         if pooled.recording is None or clips.recording_interval is None
-        else _moved(clips.recording_interval, pooled.recording),
+        else scaled_like(clips.recording_interval, pooled.recording, within),
     )
-
-
-def _within_range(result: MetricResult) -> MetricResult:
-    """Return a result whose intervals leave out what its unit cannot be, such as speeds below 0."""
-    unit = DEFINITIONS[result.key].unit
-    if unit in ("", "sd"):
-        return result
-    most = 100.0 if unit == "%" else np.inf
-    cut = {
-        name: replace(value, low=max(0.0, value.low), high=min(most, value.high))
-        for name in ("interval", "recording_interval")
-        if (value := getattr(result, name)) is not None
-        and value.low is not None
-        and value.high is not None
-    }
-    return replace(result, **cut)
-
-
-def _moved(interval: Interval, value: float) -> Interval:
-    """Return an interval of the same width about another value."""
-    if interval.low is None or interval.high is None:
-        return replace(interval, value=value)
-    shift = value - interval.value
-    return replace(interval, value=value, low=interval.low + shift, high=interval.high + shift)
 
 
 def _mean(values: Iterable[float | None]) -> float | None:

@@ -1,34 +1,37 @@
-"""Differences of models, recording by recording: which values of a report may be bold.
+"""Differences of models, take by take: which values of a report may be bold.
 
 Models are ordered by the distance of their value to the recordings' own. The nearest one is bold
-only if its value differs from that of every other model by more than chance: the bootstrap over
-recordings draws the same ones for both models, each with all its samples; Student's t of the
-difference over its standard error gives a p-value, and the p-values of all rows are adjusted by
-Holm's procedure. It must be the nearer one in three of four resamples as well: two models may
-differ and be about as far from the recordings on either side. A value that has a chance level must
-be above it, and so must the recordings' own.
+only if its value differs from that of every other model by more than chance: Student's t of the
+difference of both models' means in each take gives a p-value (within speakers, on at least `FEW`
+takes; see `intervals`), and the p-values of all rows are adjusted by Holm's procedure. It must
+also be nearer with a one-sided p-value of at most .25: two models may differ and be about as far
+from the recordings on either side. A value that has a chance level must be above it, and so must
+the recordings' own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.evaluation.results import ClipResult, ModelResult
-from gesturekit.evaluation.statistics.intervals import LEVEL, draws, holm, means_by, standard_error
+from gesturekit.evaluation.statistics.intervals import (
+    FEW,
+    LEVEL,
+    Takes,
+    holm,
+    p_value,
+    pseudo_values,
+    standard_error,
+)
 from gesturekit.evaluation.statistics.likeness import MEASURES
 from gesturekit.evaluation.statistics.questions import likeness_of, own_one_nn
 
 NEARER = 0.75
-"""Smallest share of resamples in which the best model must be nearer to the recordings."""
-SEED = 0
-"""Seed of the bootstrap: reports of the same values have the same bold."""
-
-_Replicates = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Maps weights of recordings (B, R) to a model's values (B,) and their distances (B,)."""
+"""Smallest confidence with which the best model must be nearer to the recordings."""
 
 
 @dataclass(frozen=True)
@@ -113,50 +116,72 @@ def _tested(
 def _difference(key: str, one: ModelResult, other: ModelResult) -> float | None:
     """Return the two-sided p-value of the difference of two models' values, the nearer one first.
 
-    1 if it is not nearer in `NEARER` of the resamples.
+    1 if it is not surely enough the nearer one (`NEARER`).
     """
     both = [_by_recording(model) for model in (one, other)]
     names = sorted(
         name for name in both[0].keys() & both[1].keys()
         if all(_has(key, side[name]) for side in both)
     )  # fmt: skip
-    if len(names) < 2:
+    if not names:
         return None
-    weights = draws(len(names), SEED)
-    once = np.full((1, len(names)), 1 / len(names))
-    resampled, values = [], []
-    for model, side in zip((one, other), both, strict=True):
-        measure = _replicates(key, model, [clip for name in names for clip in side[name]])
-        resampled.append(measure(weights))
-        values.append(measure(once)[0][0])
-    if (resampled[0][1] < resampled[1][1]).mean() < NEARER:
-        return 1.0
-    spread = float(standard_error(resampled[0][0] - resampled[1][0], len(names)))
-    return p_value(values[0] - values[1], spread, len(names))
+    found = [
+        _take_values(key, model, [clip for name in names for clip in side[name]])
+        for model, side in zip((one, other), both, strict=True)
+    ]
+    (ours, our_distances, takes), (theirs, their_distances, _) = found
+    p = p_of_difference(ours, theirs, takes.speakers)
+    if p is None:
+        return None
+    farther = p_of_difference(their_distances, our_distances, takes.speakers, above=True)
+    return p if farther <= 1.0 - NEARER else 1.0
 
 
-def p_value(difference: float, error: float, units: int) -> float:
-    """Return the two-sided p-value of a difference by Student's t with units - 1 degrees."""
-    from scipy.stats import t
+def p_of_difference(
+    one: np.ndarray, other: np.ndarray, speakers: np.ndarray, *, above: bool = False
+) -> float | None:
+    """Return the p-value of the mean difference of two models, take by take.
 
-    if error < 1e-12 * max(abs(difference), 1e-12):
-        return 1.0 if abs(difference) < 1e-12 else 0.0
-    return float(2.0 * t.sf(abs(difference) / error, units - 1))
+    Args:
+        one: (R,) a value a take.
+        other: (R,) those of the other model for the same takes.
+        speakers: (R,) number of each take's speaker, from 0.
+        above: test only that `one` is above `other`; else the test is two-sided.
+
+    Returns:
+        None with too few takes; see `gesturekit.evaluation.statistics.intervals`.
+    """
+    difference = one - other
+    error = standard_error(difference, speakers)
+    if error is None:
+        return None
+    two_sided = p_value(float(difference.mean()), *error)
+    if not above:
+        return two_sided
+    return two_sided / 2.0 if difference.mean() > 0.0 else 1.0 - two_sided / 2.0
 
 
-def _replicates(key: str, model: ModelResult, clips: Sequence[ClipResult]) -> _Replicates:
+def _take_values(
+    key: str, model: ModelResult, clips: Sequence[ClipResult]
+) -> tuple[np.ndarray, np.ndarray, Takes]:
+    """Return a model's values (R,) by take, their distances to the recordings', and the takes.
+
+    Those of likeness, and all distances, are pseudo-values of the jackknife.
+    """
+    takes = Takes.of([clip.pair for clip in clips])
+    if takes.count < FEW:  # not tested
+        return np.zeros(takes.count), np.zeros(takes.count), takes
     if key == "likeness":
-        measure = likeness_of(clips, own_one_nn(model.metrics))
-        return lambda weights: ((found := measure(weights)), 1.0 - found)
-    stems = [clip.pair.stem for clip in clips]
-    ours = means_by(stems, np.array([clip.metrics[key] for clip in clips]))
+        ours = pseudo_values(likeness_of(clips, own_one_nn(model.metrics)), takes.count)
+        return ours, 1.0 - ours, takes
+    ours = takes.means([clip.metrics[key] for clip in clips])
     theirs = np.full(len(ours), model.metrics[key].recording)
     if all(key in clip.recording for clip in clips):
-        theirs = means_by(stems, np.array([clip.recording[key] for clip in clips]))
-    return lambda weights: (
-        (found := weights @ ours),
-        distance(key, found, weights @ theirs),
+        theirs = takes.means([clip.recording[key] for clip in clips])
+    distances = pseudo_values(
+        lambda weights: distance(key, weights @ ours, weights @ theirs), takes.count
     )
+    return ours, distances, takes
 
 
 def _has(key: str, clips: Sequence[ClipResult]) -> bool:
@@ -175,30 +200,22 @@ def _by_recording(model: ModelResult) -> dict[str, list[ClipResult]]:
 
 def _chance(key: str, model: ModelResult) -> float:
     """Return the p-value against the chance level, one-sided; 0 of metrics that have none."""
-    from scipy.stats import t
-
-    by_stem = [
-        [value for clip in clips for value in _above_chance(key, clip)]
-        for clips in _by_recording(model).values()
+    known = [
+        (clip, value) for clip in model.clips if (value := _above_chance(key, clip)) is not None
     ]
-    units = np.array([np.mean(values) for values in by_stem if values])
-    if not len(units):
+    if not known:
         return 0.0
-    if len(units) < 2:
-        return 1.0
-    error = units.std(ddof=1) / np.sqrt(len(units))
-    return float(t.sf(units.mean() / max(error, 1e-12), len(units) - 1))
+    takes = Takes.of([clip.pair for clip, _ in known])
+    above = takes.means([value for _, value in known])
+    p = p_of_difference(above, np.zeros(takes.count), takes.speakers, above=True)
+    return 1.0 if p is None else p
 
 
-def _above_chance(key: str, clip: ClipResult) -> Iterator[float]:
-    """Yield how far a clip's value is above its chance level, or other recordings' level."""
+def _above_chance(key: str, clip: ClipResult) -> float | None:
+    """Return how far a clip's value is above its chance level, or other recordings' level."""
     value = clip.metrics.get(key)
-    if value is None:
-        return
-    if key.endswith("_z") or key == "in_time":
-        yield value
-        return
+    if value is None or key.endswith("_z") or key == "in_time":
+        return value
     levels = [clip.metrics.get(f"{key}_chance"), clip.mismatched.get(key)]
     known = [level for level in levels if level is not None]
-    if known:
-        yield value - max(known)
+    return value - max(known) if known else None

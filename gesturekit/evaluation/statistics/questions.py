@@ -10,9 +10,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from gesturekit.evaluation.results import Answer, ClipResult, Interval, MetricResult
+from gesturekit.evaluation.definitions import DEFINITIONS
+from gesturekit.evaluation.results import Answer, ClipResult, MetricResult
 from gesturekit.evaluation.statistics import thresholds
-from gesturekit.evaluation.statistics.intervals import draws, half_width, means_by
+from gesturekit.evaluation.statistics.intervals import (
+    FEW,
+    Takes,
+    interval_about,
+    pseudo_values,
+)
 from gesturekit.evaluation.statistics.likeness import (
     ASPECTS,
     MEASURES,
@@ -40,27 +46,24 @@ def answers(clips: Sequence[ClipResult], metrics: Results) -> list[Answer]:
 
 
 def likeness_result(
-    clips: Sequence[ClipResult], own_one_nn: float, own: float | None, seed: int
+    clips: Sequence[ClipResult], own_one_nn: float, own: float | None
 ) -> MetricResult | None:
-    """Return the likeness of a model's clips with its interval over recordings.
+    """Return the likeness of a model's clips with its interval over takes.
 
     Args:
         clips: the clips.
         own_one_nn: 1-NN accuracy of the recordings among each other.
         own: likeness of other recordings.
-        seed: of the bootstrap.
     """
     measure = likeness_of(clips, own_one_nn)
-    units = len({clip.pair.stem for clip in clips})
-    value = float(measure(np.full((1, units), 1 / units))[0])
+    takes = Takes.of([clip.pair for clip in clips])
+    value = float(measure(np.full((1, takes.count), 1 / takes.count))[0])
     if np.isnan(value):
         return None
-    low = high = None
-    if units > 1:
-        spread = float(half_width(measure(draws(units, seed)), units))
-        low, high = max(0.0, value - spread), min(1.0, value + spread)
+    enough = takes.count >= FEW
+    units = pseudo_values(measure, takes.count) if enough else np.full(takes.count, value)
+    interval = interval_about(value, units, takes, DEFINITIONS["likeness"].within)
     note = "" if own is None else "recording: one half against the other"
-    interval = Interval(value, low, high, len(clips), units, "recordings")
     return MetricResult("likeness", interval, recording=own, note=note)
 
 
@@ -74,7 +77,7 @@ def own_one_nn(metrics: Results) -> float:
 def likeness_of(
     clips: Sequence[ClipResult], own_one_nn: float
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function of weights (B, R) of recordings, sorted by name, to likenesses (B,)."""
+    """Return a function of weights (B, R) of takes (see `Takes.of`) to likenesses (B,)."""
     ours, own = _measures(clips)
 
     def measured(weights: np.ndarray) -> np.ndarray:
@@ -88,14 +91,14 @@ def likeness_of(
 def _measures(
     clips: Sequence[ClipResult],
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return {measure: (R,) means by recording} of the model and of the recordings."""
-    stems = [clip.pair.stem for clip in clips]
+    """Return {measure: (R,) means by take} of the model and of the recordings."""
+    takes = Takes.of([clip.pair for clip in clips])
     ours, own = {}, {}
     for key in MEASURES:
         if all(key in clip.metrics for clip in clips):
-            ours[key] = means_by(stems, np.array([clip.metrics[key] for clip in clips]))
+            ours[key] = takes.means([clip.metrics[key] for clip in clips])
         if all(key in clip.recording for clip in clips):
-            own[key] = means_by(stems, np.array([clip.recording[key] for clip in clips]))
+            own[key] = takes.means([clip.recording[key] for clip in clips])
     return ours, own
 
 

@@ -39,7 +39,7 @@ number of windows, so that all models of a comparison are measured in the same w
 _COMPONENTS = 256  # exact too for sets of fewer windows
 _AXES_FROM = 4000  # samples that principal components are found from, at most
 _CLIPS = 10
-"""Least number of motions of either set for resampling motions instead of windows."""
+"""Least number of motions of either set for an interval."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,8 @@ def frechet_result(
     """Return the Fréchet distance of two sets of motions, with its bootstrap interval.
 
     Both sets are resampled `resamples` times by whole motions, as windows of one motion are
-    correlated, or by windows if a set has fewer than 10 motions; the interval is then too narrow.
-    It is computed from the standard error, as resampled distances are biased upwards.
+    correlated; there is no interval if a set has fewer than 10 motions. It is computed from the
+    standard error, as resampled distances are biased upwards.
 
     Args:
         generated: (n_i, D) features of each motion.
@@ -131,10 +131,9 @@ def frechet_result(
             f"{SAMPLES_PER_DIMENSION} a dimension: too high"
         )
     low = high = np.nan
-    if resamples:
-        if min(map(len, sets)) < _CLIPS:
-            sets = [list(one[:, None]) for one in stacked]
-            notes.append(f"fewer than {_CLIPS} motions: interval too narrow")
+    if resamples and min(map(len, sets)) < _CLIPS:
+        notes.append(f"fewer than {_CLIPS} motions: no interval")
+    elif resamples:
         error = _standard_error(sets, resamples, seed)
         low, high = max(0.0, value - 1.96 * error), value + 1.96 * error
     return FrechetResult(value, low, high, n, m, dimensions, "; ".join(notes))
