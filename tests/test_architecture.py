@@ -68,6 +68,7 @@ MAY_IMPORT |= {module: set() for module in EVERYONE_MAY_IMPORT}
 LAZY_IMPORTS = {
     "gesturekit/cli/__init__.py",
     "gesturekit/evaluation/definitions.py",
+    "gesturekit/formats/registry.py",
     "gesturekit/motion/motion.py",
     "gesturekit/systems.py",
 }

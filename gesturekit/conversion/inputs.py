@@ -8,10 +8,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from gesturekit.errors import ConfigError
+from gesturekit.formats.registry import WRITABLE
 from gesturekit.formats.sources import (
     NO_MOTION,
     OTHER_MOTION_SUFFIXES,
-    WRITABLE,
     is_sequence,
     motions_in,
     one_of_two_formats,

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from gesturekit.corpus.checks import Problem
 from gesturekit.errors import CorpusError
+from gesturekit.formats.registry import MOTION_SUFFIXES
 from gesturekit.formats.sources import (
-    MOTION_SUFFIXES,
     SPEECH_SUFFIXES,
     is_motion,
     one_of_two_formats,

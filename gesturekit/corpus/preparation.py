@@ -24,7 +24,8 @@ from gesturekit.corpus.report import Report
 from gesturekit.errors import CorpusError, MotionError, gesturekit_errors
 from gesturekit.field_docs import build_options
 from gesturekit.formats.conversion import refuse_unused_read_options
-from gesturekit.formats.sources import MOTION_SUFFIXES, OTHER_SPEECH_SUFFIXES, SPEECH_SUFFIXES
+from gesturekit.formats.registry import MOTION_SUFFIXES
+from gesturekit.formats.sources import OTHER_SPEECH_SUFFIXES, SPEECH_SUFFIXES
 from gesturekit.motion.parts import find_parts
 from gesturekit.wording import counted, listed
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import CorpusError
+from gesturekit.formats.registry import MOTION_SUFFIXES
 from gesturekit.formats.sources import SPEECH_SUFFIXES
 from gesturekit.wording import counted, did_you_mean, listed
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from audio_features import Wave
     from gesturekit.motion import Motion
 
-MOTION_SUFFIXES = (".npz", ".bvh")
+_MOTION = MOTION_SUFFIXES[::-1]
 """Motion formats, the preferred one first: npz stores every digit."""
 SEMANTIC_SUFFIXES = (".npz", ".txt")
 WINDOW_SECONDS = 10.0
@@ -294,7 +295,7 @@ def _matched(
     lookup = _Lookup(recorded)
     reasons = reference.aside if isinstance(reference, Items) else {}
     path = reference if isinstance(reference, Path) else reference.path
-    is_one_file = path.is_file() and path.suffix.lower() in MOTION_SUFFIXES
+    is_one_file = path.is_file() and path.suffix.lower() in _MOTION
     not_measured = _Lookup(reasons)
     aside: dict[str, list[str]] = defaultdict(list)
     for name in made:
@@ -334,7 +335,7 @@ def motion_files(path: Path) -> dict[str, Path]:
     Raises:
         CorpusError: no motion was found.
     """
-    return files_by_key(path, MOTION_SUFFIXES, "motion")
+    return files_by_key(path, _MOTION, "motion")
 
 
 def files_by_key(path: Path, suffixes: tuple[str, ...], what: str) -> dict[str, Path]:

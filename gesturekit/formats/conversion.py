@@ -4,36 +4,19 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from gesturekit.errors import ConfigError, FormatError
+from gesturekit.formats.registry import READ_OPTIONS, WRITE_OPTIONS, format_of
 from gesturekit.formats.sources import OTHER_MOTION_SUFFIXES, unreadable_media
 from gesturekit.motion.motion import Motion
 
-# Options of each format's reader and writer.
-_SEQUENCE = {"up", "fps", "person", "body_model"}
-_READS = {
-    ".bvh": {"unit", "up", "forward", "fps"},
-    ".npz": {"up", "body_model"},
-    ".json": _SEQUENCE,
-    "EasyMocap": _SEQUENCE,
-}
 _IN = {name: f"in-{name}" for name in ("unit", "up", "forward")}
 """Reader options that have another name on the command line."""
 _OF_ANY_FORMAT = ("fps", "height")
-_WRITES = {
-    ".bvh": {"unit"},
-    ".npz": {"up"},
-    ".obj": {"body_model", "frame"},
-    ".html": {"body", "body_model"},
-    ".mp4": {"body", "body_model", "size"},
-    ".png": {"body"},
-    ".svg": {"body"},
-    ".pdf": {"body"},
-}
 
 
 def refuse_unused_options(
@@ -48,12 +31,12 @@ def refuse_unused_options(
     Raises:
         ConfigError: an option would have no effect.
     """
-    found, written = ({_format(path) for path in paths} for paths in (sources, targets))
+    found, written = ({format_of(path) for path in paths} for paths in (sources, targets))
     refuse_unused_read_options(read, found)
-    _refuse_unused(write, "written", (_WRITES, written))
+    _refuse_unused(write, "written", (WRITE_OPTIONS, written))
     if body_model is not None:
         model = {"body_model": body_model}
-        _refuse_unused(model, "converted", (_READS, found), (_WRITES, written))
+        _refuse_unused(model, "converted", (READ_OPTIONS, found), (WRITE_OPTIONS, written))
 
 
 def load(
@@ -71,9 +54,9 @@ def load(
         FormatError: it cannot be read.
         MotionError: `parts` names a joint that does not exist.
     """
-    if _format(source) in OTHER_MOTION_SUFFIXES:
+    if format_of(source) in OTHER_MOTION_SUFFIXES:
         raise FormatError(f"{source}: {unreadable_media(source)}")
-    known = _READS.get(_format(source), ())
+    known = READ_OPTIONS.get(format_of(source), ())
     motion = Motion.load(source, **{name: options[name] for name in options if name in known})
     motion = motion.with_parts(parts or {})
     if "height" in options:
@@ -94,7 +77,7 @@ def load_with_warnings(
 
 def applicable_read_options(source: Path, options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the `options` of `load` that have an effect on this source."""
-    known = (*_OF_ANY_FORMAT, *_READS.get(_format(source), ()))
+    known = (*_OF_ANY_FORMAT, *READ_OPTIONS.get(format_of(source), ()))
     return {name: value for name, value in options.items() if name in known}
 
 
@@ -105,7 +88,7 @@ def refuse_unused_read_options(options: Mapping[str, Any], formats: set[str]) ->
         ConfigError: an option would have no effect.
     """
     chosen = {name: value for name, value in options.items() if name not in _OF_ANY_FORMAT}
-    _refuse_unused(chosen, "read", (_READS, formats))
+    _refuse_unused(chosen, "read", (READ_OPTIONS, formats))
 
 
 def describe_axes(info: Mapping[str, Any], guessed: str) -> list[str]:
@@ -124,15 +107,15 @@ def writer_options(formats: Sequence[str], options: Mapping[str, Any]) -> dict[s
     Raises:
         ConfigError: an option that none of the formats has.
     """
-    _refuse_unused(options, "written", (_WRITES, {f".{name}" for name in formats}))
+    _refuse_unused(options, "written", (WRITE_OPTIONS, {f".{name}" for name in formats}))
     return {
-        name: {key: options[key] for key in options if key in _WRITES.get(f".{name}", ())}
+        name: {key: options[key] for key in options if key in WRITE_OPTIONS.get(f".{name}", ())}
         for name in formats
     }
 
 
 def _refuse_unused(
-    options: Mapping[str, Any], verb: str, *uses: tuple[Mapping[str, set[str]], set[str]]
+    options: Mapping[str, Any], verb: str, *uses: tuple[Mapping[str, Collection[str]], set[str]]
 ) -> None:
     """Raise ConfigError for an option that none of the formats has.
 
@@ -153,11 +136,7 @@ def _refuse_unused(
             )
 
 
-def _format(path: Path) -> str:
-    return "EasyMocap" if path.is_dir() else path.suffix.lower()
-
-
 def applicable_write_options(target: Path, options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the `options` of writers that have an effect on this target."""
-    known = _WRITES.get(_format(target), ())
+    known = WRITE_OPTIONS.get(format_of(target), ())
     return {name: value for name, value in options.items() if name in known}

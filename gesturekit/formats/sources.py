@@ -8,11 +8,10 @@ from pathlib import Path
 
 from audio_features.archive import open_archive
 from gesturekit.errors import ConfigError, FormatError
+from gesturekit.formats.registry import MOTION_SUFFIXES
 from gesturekit.formats.smpl.easymocap import SUBFOLDERS
 from gesturekit.wording import listed
 
-MOTION_SUFFIXES = (".bvh", ".npz")
-"""Motion files searched for in folders, besides EasyMocap sequences."""
 SPEECH_SUFFIXES = (
     *(".wav", ".flac", ".mp3", ".ogg", ".oga", ".opus"),
     *(".aiff", ".aif", ".aifc", ".au"),
@@ -28,7 +27,6 @@ OTHER_MOTION_SUFFIXES = (
     *(".usd", ".usda", ".usdc", ".usdz", ".dae", ".blend"),
 )
 """Unsupported motion files; Blender and other programs convert most of them to BVH."""
-WRITABLE = ("bvh", "npz", "html", "mp4", "png", "svg", "pdf", "obj")
 NO_MOTION = f"no motion in it; looked for {', '.join(MOTION_SUFFIXES)} and EasyMocap folders"
 _SHOWN = 3
 _GLANCE = 1 << 16

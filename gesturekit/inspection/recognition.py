@@ -8,14 +8,9 @@ from typing import Any
 
 from gesturekit.corpus.pairing import scan
 from gesturekit.errors import ConfigError, FormatError
+from gesturekit.formats.registry import MOTION_SUFFIXES
 from gesturekit.formats.signatures import A_JSON_FILE
-from gesturekit.formats.sources import (
-    MOTION_SUFFIXES,
-    SPEECH_SUFFIXES,
-    is_body_model,
-    is_feature_file,
-    is_sequence,
-)
+from gesturekit.formats.sources import SPEECH_SUFFIXES, is_body_model, is_feature_file, is_sequence
 from gesturekit.inspection.others import what_it_is
 from gesturekit.inspection.summary import Summary
 from gesturekit.systems import bundled_models, model_folder

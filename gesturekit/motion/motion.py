@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 import os
 import stat
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from importlib import import_module
-from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -22,22 +21,9 @@ from gesturekit.motion.resampling import Resampler, checked_fps
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import FARTHEST, Skeleton
 
-# The only upward imports: readers and writers of files are in packages that import this one, and
-# are loaded by name when a file is read or written.
-_READERS = {
-    ".bvh": ("gesturekit.formats.bvh.bvh", "read_bvh"),
-    ".npz": ("gesturekit.formats.npz", "read_npz"),
-    ".json": ("gesturekit.formats.smpl.easymocap", "read_easymocap"),
-    "a folder": ("gesturekit.formats.smpl.easymocap", "read_easymocap"),
-}
-_WRITERS = {
-    ".bvh": ("gesturekit.formats.bvh.bvh", "write_bvh"),
-    ".npz": ("gesturekit.formats.npz", "write_npz"),
-    ".obj": ("gesturekit.formats.obj", "write_obj"),
-    ".html": ("gesturekit.viewer", "write_html"),
-    **dict.fromkeys((".png", ".svg", ".pdf"), ("gesturekit.viewer", "write_picture")),
-    ".mp4": ("gesturekit.viewer", "write_video"),
-}
+# The only upward imports: readers, writers and the viewer are in packages that import this one,
+# and are loaded by name when they are used.
+_FORMATS = "gesturekit.formats.registry"
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +276,7 @@ class Motion:
             MotionError: an invalid height.
         """
         _refuse_special(Path(path))
-        motion = _dispatch(_READERS, path, "read", options)(path, **options)
+        motion = import_module(_FORMATS).reader_of(path, options)(path, **options)
         return motion if height is None else motion.with_height(height)
 
     @gesturekit_errors()
@@ -305,7 +291,7 @@ class Motion:
             FormatError: an unknown format, one that cannot hold this motion, or an option that the
                 format does not have.
         """
-        _dispatch(_WRITERS, path, "write", options)(self, path, **options)
+        import_module(_FORMATS).writer_of(path, options)(self, path, **options)
 
     @gesturekit_errors()
     def show(self, audio: Any = None, **options: Any) -> Any:
@@ -329,39 +315,6 @@ def _refuse_special(path: Path) -> None:
         return  # the reader reports the error
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise FormatError(f"{path}: not a regular file")
-
-
-def _dispatch(
-    table: Mapping[str, tuple[str, str]],
-    path: str | os.PathLike[str],
-    verb: str,
-    options: Iterable[str],
-) -> Callable[..., Any]:
-    """Return the reader or writer for a path, after checking that it has these options."""
-    suffix = "a folder" if Path(path).is_dir() else Path(path).suffix.lower()
-    if suffix not in table:
-        raise FormatError(
-            f"{path}: cannot {verb} motion as {suffix or 'a file without suffix'}; "
-            f"expected {', '.join(table)}"
-        )
-
-    def function(suffix: str) -> Callable[..., Any]:
-        module, name = table[suffix]
-        return getattr(import_module(module), name)
-
-    def known(suffix: str) -> list[str]:
-        parameters = signature(function(suffix)).parameters.values()
-        return [each.name for each in parameters if each.default is not each.empty]
-
-    for option in options:
-        if option not in (own := known(suffix)):
-            others = ", ".join(other for other in table if option in known(other))
-            raise FormatError(
-                f"{path}: {suffix} has no option {option!r} to {verb} it with, "
-                f"{f'only {others}' if others else 'nor has any other format'}; "
-                f"{suffix} has {', '.join(own) or 'no options'}"
-            )
-    return function(suffix)
 
 
 def _positions(values: np.ndarray, n_frames: int, name: str) -> np.ndarray:

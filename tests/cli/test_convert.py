@@ -18,7 +18,7 @@ import pytest
 
 from gesturekit import Motion
 from gesturekit.cli.options import AXES, UNITS
-from gesturekit.formats import axes, units
+from gesturekit.formats import axes, plausibility
 from gesturekit.jobs.state import STATE
 
 TRIES = int(os.environ.get("GESTUREKIT_FUZZ", "120"))
@@ -36,7 +36,7 @@ def takes(gesture, tmp_path) -> Path:
 
 
 def test_choices_of_the_options_match_the_readers():
-    assert set(UNITS) == set(units.METRES) and set(AXES) == set(axes.AXES)
+    assert set(UNITS) == set(plausibility.METRES) and set(AXES) == set(axes.AXES)
 
 
 def test_one_file_is_one_line_of_what_was_found_and_done(gesturekit, takes, monkeypatch):

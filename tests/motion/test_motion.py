@@ -97,7 +97,7 @@ def test_unknown_suffix_is_refused_by_name(moving_person, tmp_path):
 
 
 def test_options_that_a_format_does_not_have_are_refused_by_name(moving_person, tmp_path):
-    with pytest.raises(FormatError, match=r"a\.bvh.*'audio'.*only \.html, \.png.*unit"):
+    with pytest.raises(FormatError, match=r"a\.bvh.*'audio'.*only \.html, \.mp4, \.png.*unit"):
         moving_person.save(tmp_path / "a.bvh", audio="speech.wav")
     with pytest.raises(FormatError, match=r"'unti'.*nor has any other format.*rig, up, fps"):
         moving_person.save(tmp_path / "a.npz", unti="cm")

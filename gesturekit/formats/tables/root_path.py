@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from gesturekit.errors import FormatError, ModelError, MotionError
+from gesturekit.formats.registry import READABLE
 from gesturekit.formats.tables.table import read_table
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.resampling import LOWEST_FPS
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import FARTHEST
 
-MOTION_SUFFIXES = (".bvh", ".npz", ".json")
 FINEST = 120.0
 """Largest frame rate to which a table of uneven times is resampled."""
 _COLUMNS = ("time", "x", "z", "heading")
@@ -61,12 +61,12 @@ def load_root_path(path: str | os.PathLike[str], scale: float = 1.0) -> RootPath
         FormatError: the file is missing, too large, or not such a table; with its line.
     """
     path = Path(path)
-    if path.is_dir() or path.suffix.lower() in MOTION_SUFFIXES:
+    if path.is_dir() or path.suffix.lower() in READABLE:
         return RootPath.of(Motion.load(path))
     if path.suffix.lower() != ".csv":
         raise FormatError(
             f"{path}: cannot read a path from {path.suffix or 'a file without suffix'}; expected "
-            f"{', '.join(MOTION_SUFFIXES)}, or .csv with the columns {','.join(_COLUMNS)}"
+            f"{', '.join(READABLE)}, or .csv with the columns {','.join(_COLUMNS)}"
         )
     table, has_heading = _table(path)
     times, x, z, *angles = table.T

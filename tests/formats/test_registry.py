@@ -1,0 +1,50 @@
+"""The registry of motion formats keeps what it promises, entry by entry."""
+
+from __future__ import annotations
+
+from inspect import signature
+
+import numpy as np
+import pytest
+
+from gesturekit.errors import FormatError
+from gesturekit.formats.registry import FOLDER, FORMATS, Format, load_function
+from gesturekit.motion import Motion
+from gesturekit.motion.rotations import rotation_angles
+
+BOTH = [entry for entry in FORMATS if entry.reader and entry.writer]
+WRITTEN_ALONE = [entry for entry in FORMATS if entry.writer and not entry.reader]
+
+
+def named(entries: list[Format]) -> list[pytest.param]:
+    return [pytest.param(entry, id=entry.suffix) for entry in entries]
+
+
+@pytest.mark.parametrize("entry", named(BOTH))
+def test_what_is_written_is_read_again(entry, gesture, tmp_path):
+    motion = gesture(1.0)
+    motion.save(tmp_path / f"a{entry.suffix}")
+    again = Motion.load(tmp_path / f"a{entry.suffix}")
+    assert (again.fps, again.skeleton.names) == (motion.fps, motion.skeleton.names)
+    assert rotation_angles(again.rotations, motion.rotations).max() < 1e-4
+    np.testing.assert_allclose(again.positions(), motion.positions(), atol=1e-4)
+
+
+@pytest.mark.parametrize("entry", named(WRITTEN_ALONE))
+def test_what_is_only_written_is_refused_by_name_when_read(entry, tmp_path):
+    (tmp_path / f"a{entry.suffix}").write_bytes(b"x")
+    with pytest.raises(FormatError, match=f"cannot read motion as {entry.suffix}; expected .bvh"):
+        Motion.load(tmp_path / f"a{entry.suffix}")
+
+
+@pytest.mark.parametrize("entry", named(list(FORMATS)))
+def test_options_that_commands_offer_are_those_of_reader_and_writer(entry):
+    for place, offered in ((entry.reader, entry.reads), (entry.writer, entry.writes)):
+        if place is not None:
+            assert offered <= signature(load_function(place)).parameters.keys()
+
+
+def test_no_suffix_has_two_entries():
+    suffixes = [entry.suffix for entry in FORMATS]
+    assert len(set(suffixes)) == len(suffixes)
+    assert all(suffix == FOLDER or suffix.startswith(".") for suffix in suffixes)
