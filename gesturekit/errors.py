@@ -26,6 +26,15 @@ class GestureKitError(ShortMessage):
 
     Errors of sounds, weights and features (`SpeechError`, `SpeechWeightsError`,
     `SpeechFeatureError`) are also subclasses of those of `audio_features` (`AudioError`, ...).
+
+    Examples:
+        One `except` catches whatever a user can mend:
+
+        >>> try:
+        ...     gk.load("no_such_model")
+        ... except gk.GestureKitError as error:
+        ...     print(type(error).__name__)
+        ModelError
     """
 
 

@@ -207,6 +207,11 @@ class Model(Protocol):
         recorded_fps: frames per second of the training recordings, and by default of the output.
         speakers: reference skeleton of each speaker of the corpus.
         folder: folder from which it was loaded; None if it was not loaded from a folder.
+
+    Examples:
+        >>> model = gk.load("demo")
+        >>> isinstance(model, gk.Model), model.kind, model.fps
+        (True, 'multires', 30.0)
     """
 
     kind: str

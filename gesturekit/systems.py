@@ -119,6 +119,11 @@ def load(
         ModelError: there is no such model, it cannot be read, or it does not support the dtype.
         ConfigError: there is no such device.
         WeightsError: weights are missing, or differ from those of training.
+
+    Examples:
+        >>> motion = gk.load("demo").generate(seconds=2)
+        >>> motion.n_frames, motion.fps
+        (60, 30.0)
     """
     folder = model_folder(model)
     if not _is_model(folder) and _is_model(folder / "model"):
@@ -165,6 +170,15 @@ def train(
 
     Raises:
         ConfigError: the configuration is wrong.
+
+    Examples:
+        Every setting is checked before anything is read:
+
+        >>> try:
+        ...     gk.train("multires_speech/light", {"training.batch": 0})
+        ... except gk.GestureKitError as error:
+        ...     print("training.batch" in str(error))
+        True
     """
     if isinstance(overrides, Mapping):
         overrides, settings = (), {**overrides, **settings}

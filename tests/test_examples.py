@@ -19,7 +19,7 @@ from gesturekit.evaluation import metrics
 
 # Packages whose public names are described by examples, and those of which every name has one.
 PACKAGES = ("audio_features", "gesturekit", "gesturekit.evaluation")
-COMPLETE = ("audio_features",)
+COMPLETE = ("audio_features", "gesturekit")
 
 
 def public(package: str) -> dict[str, object]:

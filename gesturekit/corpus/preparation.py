@@ -140,6 +140,16 @@ def prepare(
         CorpusError: a folder does not exist, or an option is out of range.
         ConfigError: an option of `read` that applies to none of the motion files.
         UnknownOptionError: a keyword that is not an option.
+
+    Examples:
+        Of a single recording of 3 s, the last fifth is held out:
+
+        >>> import soundfile
+        >>> soundfile.write(folder / "a.wav", np.sin(np.arange(48000) * 0.1), 16000)
+        >>> gk.load("demo").generate(seconds=3).save(folder / "a.bvh")
+        >>> report = gk.prepare(folder, folder / "corpus.jsonl")
+        >>> [(item.split, item.duration) for item in report.manifest]
+        [('train', 2.4), ('test', 0.6)]
     """
     chosen = build_options(PrepareOptions, options, "prepare")
     label = _labeller(chosen.style, chosen.style_pattern)

@@ -143,6 +143,16 @@ def evaluate(
         CorpusError: an empty folder, or names that do not match.
         EvaluationError: no clip could be measured, or an unknown protocol.
         UnknownOptionError: a keyword that is not an option.
+
+    Examples:
+        Recordings compared with themselves are exactly as fast:
+
+        >>> model = gk.load("demo")
+        >>> model.generate(seconds=3).save(folder / "recorded" / "a.bvh")
+        >>> found = gk.evaluate(folder / "recorded", folder / "recorded")
+        >>> result = found.models[0].metrics["arm_speed"]
+        >>> result.interval.value == result.recording
+        True
     """
     chosen = build_options(EvaluationOptions, options, "evaluate")
     forget_files()

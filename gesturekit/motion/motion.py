@@ -43,6 +43,15 @@ class Motion:
 
     Raises:
         MotionError: shapes that do not match, values that are not finite, or no frames.
+
+    Examples:
+        A joint at 1 m that is lifted by 0.5 m, for two frames:
+
+        >>> rig = gk.Skeleton(("hips",), (-1,), [[0, 1, 0]])
+        >>> still = np.tile([0.0, 0, 0, 1], (2, 1, 1))
+        >>> motion = gk.Motion(rig, still, [[0, 1, 0], [0, 1.5, 0]], 30)
+        >>> motion.positions()[:, 0, 1].tolist(), motion.n_frames
+        ([1.0, 1.5], 2)
     """
 
     skeleton: Skeleton

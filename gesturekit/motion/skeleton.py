@@ -39,6 +39,11 @@ class Skeleton:
     Raises:
         MotionError: several roots, a child before its parent, repeated names, wrong shapes, or
             values that are not finite.
+
+    Examples:
+        >>> rig = gk.Skeleton(("hips", "spine"), (-1, 0), [[0, 1, 0], [0, 0.5, 0]])
+        >>> rig.n_joints, rig.index("spine")
+        (2, 1)
     """
 
     names: tuple[str, ...]

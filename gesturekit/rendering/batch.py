@@ -75,6 +75,13 @@ def render(
             be written to, or in which another run works.
         OutputError: the disk became full; what is done is kept.
         FormatError, MotionError: a rig cannot be read, or its body parts cannot be found.
+
+    Examples:
+        Without sounds, one motion of a given length is made:
+
+        >>> results = gk.render("demo", [], folder / "out", seconds=2, formats="npz")
+        >>> [file.name for result in results for file in result.files]
+        ['motion.npz']
     """
     if isinstance(model, str | os.PathLike):
         from gesturekit.systems import load
