@@ -131,9 +131,8 @@ def evaluate(
     Args:
         generated: folder or file of motion, or {label: folder} of several models; clips are
             matched with recordings by name (`pairs`).
-        reference: folder or file of recordings, or a manifest (corpus.jsonl, or `Items` of it),
-            cut into its items; Fréchet distances compare with all items of the split, with
-            protocol lda of all splits.
+        reference: folder or file of recordings, or a manifest (corpus.jsonl, or `Items` of it);
+            Fréchet distances use all items of the split, with protocol lda of all splits.
         options: the fields of `EvaluationOptions`, such as `audio` and `protocol`.
 
     Returns:
@@ -141,17 +140,12 @@ def evaluate(
 
     Raises:
         CorpusError: an empty folder, or names that do not match.
-        EvaluationError: no clip could be measured, or an unknown protocol.
-        UnknownOptionError: a keyword that is not an option.
+        EvaluationError: no clip could be measured, or an option is wrong.
 
     Examples:
-        Recordings compared with themselves are exactly as fast:
-
-        >>> model = gk.load("demo")
-        >>> model.generate(seconds=3).save(folder / "recorded" / "a.bvh")
-        >>> found = gk.evaluate(folder / "recorded", folder / "recorded")
-        >>> result = found.models[0].metrics["arm_speed"]
-        >>> result.interval.value == result.recording
+        >>> gk.load("demo").generate(seconds=3).save(folder / "recorded" / "a.bvh")
+        >>> (model,) = gk.evaluate(folder / "recorded", folder / "recorded").models
+        >>> model.metrics["arm_speed"].interval.value == model.metrics["arm_speed"].recording
         True
     """
     chosen = build_options(EvaluationOptions, options, "evaluate")
@@ -170,15 +164,12 @@ def evaluate(
     statistics = ReferenceStatistics.of(compared, fps)
     measurer = _measurer(found, statistics, compared, reference, fps, chosen)
     measured = measure_all(measurer, chosen.workers, chosen.progress)
-    floors = measurer.floors()
-    models = [
-        _model(label, folders.get(label, Path(label)), pairs, measured, floors, chosen)
-        for label, pairs in found.items()
-    ]
+    places, floors = {label: folders.get(label, Path(label)) for label in found}, measurer.floors()
+    models = [_model(k, places[k], pairs, measured, floors, chosen) for k, pairs in found.items()]
     first = measured.sets[models[0].label]["pooled"]
     mark_unlike(models)
-    models[0].excluded += statistics.excluded
-    models[0].excluded += [Excluded(**item) for item in first.get("training_excluded", ())]
+    unread = [Excluded(**item) for item in first.get("training_excluded", ())]
+    models[0].excluded += [*statistics.excluded, *unread]
     return Evaluation(
         models=models,
         reference=reference.path if isinstance(reference, Items) else reference,

@@ -42,14 +42,6 @@ def render(
 ) -> list[Result]:
     """Render sounds to motion files, and return one result for each input.
 
-    Example::
-
-        import gesturekit as gk
-
-        results = gk.render("demo", "speech/", "rendered", formats="bvh,html", seed=3)
-        files = [file for result in results for file in result.files]
-        failed = [result.error for result in results if result.error]
-
     A broken sound never stops the others: its result has an `error`. Files that an earlier call
     made with the same model, settings and input are kept. `iter_render` does the same as an
     iterator.
