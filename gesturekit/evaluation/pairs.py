@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import CorpusError
 from gesturekit.formats.registry import MOTION_SUFFIXES
-from gesturekit.formats.sources import SPEECH_SUFFIXES
+from gesturekit.formats.sources import SPEECH_SUFFIXES, visible_folders
 from gesturekit.wording import counted, did_you_mean, listed
 
 if TYPE_CHECKING:
@@ -341,7 +341,8 @@ def motion_files(path: Path) -> dict[str, Path]:
 def files_by_key(path: Path, suffixes: tuple[str, ...], what: str) -> dict[str, Path]:
     """Return {relative path without extension: file}, sorted; earlier suffixes take precedence.
 
-    Hidden files and folders are skipped.
+    Hidden files and folders are skipped, links to folders followed once. A folder that cannot be
+    opened gives a warning.
 
     Raises:
         CorpusError: no such folder or file, one of another kind, or none inside.
@@ -354,12 +355,10 @@ def files_by_key(path: Path, suffixes: tuple[str, ...], what: str) -> dict[str, 
     if not path.is_dir():
         raise CorpusError(f"{path}: no such file or folder; give a folder of {what} files")
     by_suffix: dict[str, dict[str, Path]] = {suffix: {} for suffix in reversed(suffixes)}
-    for file in path.rglob("*"):
-        inside = file.relative_to(path)
-        hidden = any(part.startswith(".") for part in inside.parts)
-        suffix = file.suffix.lower()
-        if suffix in by_suffix and not hidden and file.is_file():
-            by_suffix[suffix][inside.with_suffix("").as_posix()] = file
+    for _, _, below in visible_folders(path):
+        for file in below:
+            if (suffix := file.suffix.lower()) in by_suffix:
+                by_suffix[suffix][file.relative_to(path).with_suffix("").as_posix()] = file
     found = {key: file for files in by_suffix.values() for key, file in files.items()}
     if not found:
         raise CorpusError(

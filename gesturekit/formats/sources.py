@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
@@ -67,8 +68,13 @@ def motions_of(source: Path) -> list[Path]:
     return [path for path in found if path not in copies]
 
 
+def warn_unreadable(error: OSError) -> None:
+    """Warn that a folder cannot be opened."""
+    warnings.warn(f"{error.filename}: cannot open folder: {error.strerror}", stacklevel=2)
+
+
 def visible_folders(
-    folder: Path, unreadable: Callable[[OSError], None]
+    folder: Path, unreadable: Callable[[OSError], None] = warn_unreadable
 ) -> Iterator[tuple[Path, list[str], list[Path]]]:
     """Yield (folder, names of its folders, its files) for a folder and all below it, in order.
 

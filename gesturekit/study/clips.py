@@ -91,17 +91,13 @@ def _in_folder(system: str, folder: Path) -> dict[str, Path]:
     """Return {relative path without suffix: clip}; videos if there are any, else motions."""
     if not folder.is_dir():
         raise ConfigError(f"systems: {system}: {folder} is not a folder")
-    files = [path for _, _, inside in visible_folders(folder, _ignore) for path in inside]
+    files = [path for _, _, inside in visible_folders(folder) for path in inside]
     found = [path for path in files if path.suffix.lower() in VIDEOS]
     if not found:
         found = [item.path for item in scan(folder)[0] if not item.is_speech]
     if not found:
         raise ConfigError(f"systems: {system}: {folder} has no mp4, webm, bvh or npz")
     return {path.relative_to(folder).with_suffix("").as_posix(): path for path in found}
-
-
-def _ignore(error: OSError) -> None:
-    warnings.warn(f"{error.filename}: cannot open folder: {error.strerror}", stacklevel=2)
 
 
 def _by_common_key(found: dict[str, dict[str, Path]]) -> dict[str, dict[str, Path]]:
