@@ -329,7 +329,7 @@ def is_seen(alpha: np.ndarray) -> np.ndarray:
     return alpha.mean(axis=1) >= _CUT
 
 
-def palette_of(colours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def reduce_colours(colours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return few colours, (R, 3) uint8, and the indices (V,) of those of vertices (V, 3)."""
     pixels = np.rint(np.clip(colours, 0, 1) * 255).astype(np.uint8)
     palette, regions = np.unique(pixels, axis=0, return_inverse=True)

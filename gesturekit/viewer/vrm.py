@@ -17,7 +17,7 @@ import numpy as np
 from gesturekit.errors import GestureKitError
 from gesturekit.motion import Skeleton
 from gesturekit.motion.parts.body_size import body_height
-from gesturekit.viewer.glb import Colours, Glb, is_seen, palette_of
+from gesturekit.viewer.glb import Colours, Glb, is_seen, reduce_colours
 from gesturekit.viewer.human.body import Human
 from gesturekit.viewer.skin import INFLUENCES, Skin, whole_weights
 
@@ -164,7 +164,7 @@ def _mesh(glb: Glb, world: np.ndarray, owners: np.ndarray) -> Skin:
     if not parts:
         raise glb.error("it has no mesh of triangles")
     firsts = np.cumsum([0, *(len(vertices) for _, vertices, _, _ in parts)])
-    palette, regions = palette_of(np.concatenate([part.colours for part, *_ in parts]))
+    palette, regions = reduce_colours(np.concatenate([part.colours for part, *_ in parts]))
     return Skin(
         vertices=np.concatenate([vertices for _, vertices, _, _ in parts]),
         faces=np.concatenate(

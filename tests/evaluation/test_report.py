@@ -118,6 +118,12 @@ def test_it_plays_the_best_and_the_worst_beside_their_recordings(page):
     clips = json.loads(re.search(r'id="clips">(.*?)</script>', text, re.S)[1])
     titles = [clip["title"].split(":")[0] for clip in clips]
     assert titles == ["Best", "Best, 2", "Worst", "Worst, 2"]
+    by_sync = [
+        float(re.search(rf"{re.escape(clip['title'].split(': ')[1])}: sync (-?[\d.]+)", text)[1])
+        for clip in clips
+    ]
+    best, second, worst, next_worst = by_sync  # a higher sync is better
+    assert best >= second >= next_worst >= worst and best > worst
     labels = [figure["label"] for figure in json.loads(clips[0]["motion"])["figures"]]
     assert labels == ["model", HOSTILE, "recording"]
     assert "audio" in json.loads(clips[0]["motion"])

@@ -21,6 +21,7 @@ from gesturekit.study.analysis.preference import (
     merit_estimates,
     weighted_wins,
 )
+from gesturekit.study.analysis.result import reservations
 from gesturekit.study.analysis.significance import (
     Expected,
     anova,
@@ -244,6 +245,13 @@ def test_a_system_that_always_wins_has_finite_figures_and_is_marked():
 def test_a_single_rater_gives_figures_without_intervals_or_tests():
     found = analyse_preference([Answer("r", "c", "a", "b", 1)] * 4, rounds=20, seed=0)
     assert np.isnan(found.systems[0].merit.low) and np.isnan(found.pairs[0].p_holm)
+
+
+@pytest.mark.parametrize(("raters", "few"), [(14, True), (15, False)])
+def test_fewer_than_fifteen_raters_are_called_few(raters, few):
+    answers = [Answer(f"r{r}", f"c{c}", "a", "b", 1) for r in range(raters) for c in range(2)]
+    text = " ".join(reservations(analyse_study(Answers(tuple(answers)), rounds=20)))
+    assert (f"{raters} raters are few" in text) == few
 
 
 def test_the_same_seed_gives_the_same_intervals(simulate):

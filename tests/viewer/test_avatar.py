@@ -16,6 +16,7 @@ from gesturekit.errors import FormatError
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.viewer import write_picture, write_video
 from gesturekit.viewer.drawn_body import DrawnBody
+from gesturekit.viewer.glb import reduce_colours
 from gesturekit.viewer.skin import Skin
 from gesturekit.viewer.video.mesh import SkinnedBody
 from gesturekit.viewer.vrm import read_avatar, simplified
@@ -54,6 +55,14 @@ def test_both_versions_of_vrm_look_along_z_with_their_bones_and_colours(vrm):
     np.testing.assert_array_equal(red, [200, 30, 30])
     np.testing.assert_array_equal(green, [30, 200, 30])
     assert (skin.weights.sum(axis=1) == 255).all()
+
+
+@pytest.mark.parametrize(("colours", "off"), [(100, 0), (3000, 20)])
+def test_a_textured_avatar_keeps_its_colours_in_a_small_palette(colours, off):
+    shades = np.random.default_rng(0).integers(0, 256, (colours, 3))
+    palette, regions = reduce_colours(shades / 255)
+    assert len(palette) <= 128 and palette.dtype == np.uint8
+    assert np.abs(palette[regions].astype(int) - shades).mean() <= off
 
 
 def test_a_motion_is_retargeted_to_the_avatar(vrm, gesture):
