@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Integral, Real
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
@@ -18,6 +20,8 @@ from typing import (
     runtime_checkable,
 )
 
+import numpy as np
+
 from gesturekit.errors import FormatError, ModelError
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
@@ -29,37 +33,114 @@ if TYPE_CHECKING:
     from gesturekit.motion.root_path import RootPath
 
 
+@dataclass(frozen=True)
+class ControlEntry:
+    """Type, range and command-line syntax of a control; its default and help stand beside it.
+
+    Attributes:
+        kind: str, int, float or bool; Path for a file, files by key, or a motion; None for what
+            only the system itself can check.
+        above: exclusive lower bound of a number.
+        least: inclusive lower bound of a number.
+        most: inclusive upper bound of a number.
+        choices: all values.
+        metavar: placeholder of the value in the help of `gesturekit render`.
+        note: further help on the syntax of the command line.
+        option: name of the option if it is not that of the control; it may then be repeated.
+    """
+
+    kind: type | None = str
+    above: float | None = None
+    least: float | None = None
+    most: float | None = None
+    choices: tuple[str, ...] = ()
+    metavar: str | None = None
+    note: str = ""
+    option: str | None = None
+
+    def check(self, name: str, value: Any) -> None:
+        """Check a value that was given.
+
+        Raises:
+            ModelError: a value of another type, or out of range.
+            FormatError: a file that does not exist.
+        """
+        if self.kind is Path:
+            for file in value.values() if isinstance(value, Mapping) else [value]:
+                if isinstance(file, str | Path) and not Path(file).exists():
+                    raise FormatError(f"{name}: {file}: no such file")
+        elif self.kind is not None and not self._allows(value):
+            raise ModelError(f"{name}={value!r}: expected {self._allowed()}")
+
+    def _allows(self, value: Any) -> bool:
+        if self.kind in (str, bool):
+            # No NumPy bool is a bool; everything else of another type is a mistake, such as "no".
+            is_right = isinstance(value, (str,) if self.kind is str else (bool, np.bool_))
+            return is_right and (not self.choices or value in self.choices)
+        number = Integral if self.kind is int else Real
+        return (
+            isinstance(value, number)
+            and not isinstance(value, bool)
+            and math.isfinite(value)
+            and (self.above is None or value > self.above)
+            and (self.least is None or value >= self.least)
+            and (self.most is None or value <= self.most)
+        )
+
+    def _allowed(self) -> str:
+        if self.choices:
+            return f"one of {', '.join(self.choices)}"
+        if self.kind in (str, bool):
+            return "text" if self.kind is str else "True or False"
+        bounds = {"above": self.above, "at least": self.least, "at most": self.most}
+        text = " and ".join(f"{w} {value:g}" for w, value in bounds.items() if value is not None)
+        return f"{'an integer' if self.kind is int else 'a number'} {text}".strip()
+
+
+def control(default: Any = None, **entry: Any) -> Any:
+    """Return a field of `Controls` with a default and the attributes of its `ControlEntry`."""
+    return field(default=default, metadata={ControlEntry: ControlEntry(**entry)})
+
+
 @dataclass(frozen=True, kw_only=True)
 class Controls:
     """Controls of `generate` that models of every system take; each system adds its own.
 
-    The docstrings of the fields are also the help texts of `gesturekit render`.
+    A field is the one entry of its control: from it follow the checks, the option and the help of
+    `gesturekit render` (its docstring), and the field of the HTTP service.
     """
 
-    _files = ("path", "like")  # controls that may be the path of a file
-
-    style: str | None = None
-    """A style of the model, or several over time: old@0-10,angry@10-20 (seconds)."""
-    path: str | Path | RootPath | Motion | None = None
-    """The path of the root: a table time,x,z[,heading] (s, m, degrees), or a motion whose path is
-    followed."""
-    like: str | Path | Motion | None = None
-    """A motion on any human rig, to be regenerated in the manner of the model's recordings."""
-    speaker: str | None = None
+    speaker: str | None = control(metavar="NAME")
     """One of the model's `speakers`: their skeleton is used, and a model with recall recalls their
     recordings only. Without it, gestures are those of all speakers, on a skeleton of median
     size."""
-    foot_lock: bool = True
+    style: str | None = control(
+        metavar="NAME",
+        note="Diffusion models also take mixtures by weights that add up to 1: "
+        "old:0.25,angry:0.75.",
+    )
+    """A style of the model, or several over time: old@0-10,angry@10-20 (seconds)."""
+    path: str | Path | RootPath | Motion | None = control(kind=Path, metavar="PATH.csv")
+    """The path of the root: a table time,x,z[,heading] (s, m, degrees), or a motion whose path is
+    followed."""
+    like: str | Path | Motion | None = control(kind=Path, metavar="OTHER.bvh")
+    """A motion on any human rig, to be regenerated in the manner of the model's recordings."""
+    foot_lock: bool = control(True, kind=bool, note="[default: lock]")
     """Lock planted feet in place; without it, feet stay as the model generated them."""
-    smooth: float | None = None
+    smooth: float | None = control(kind=float, least=0, most=2, metavar="SECONDS")
     """Smooth upper-body movements shorter than this many seconds, but keep the time and size of
     beat gestures. 0 turns smoothing off; the default is stored with the model."""
-    vad: bool | None = None
+    vad: bool | None = control(kind=bool)
     """Voice activity detection: stretches of at least 3 s of the sound without voice, such as a
     noise floor, hum or typing, give idle motion. By default as in training; off, everything in the
     sound moves the body, for example a whisper."""
-    fps: float | None = None
+    fps: float | None = control(kind=float, above=0, most=1000, metavar="RATE")
     """Frames per second of the result; by default those of the training recordings."""
+
+    @classmethod
+    def entries(cls) -> dict[str, ControlEntry]:
+        """Return the entry of each control, by name."""
+        return {f.name: f.metadata[ControlEntry] for f in dataclasses.fields(cls)}
 
     @classmethod
     def build(cls, keywords: Mapping[str, Any], kind: str) -> Controls:
@@ -71,20 +152,17 @@ class Controls:
 
         Raises:
             UnknownControlError: a control that this system does not have.
+            ModelError: a value of another type, or out of range.
             FormatError: a file that does not exist.
         """
-        names = [field.name for field in dataclasses.fields(cls)]
-        for name, value in keywords.items():
-            if name not in names and value is not None:
-                hint = did_you_mean(name, names, "; did you mean {}?", cutoff=0.75)
-                given = f"{name}={value!r}" if isinstance(value, str | int | float) else name
-                raise UnknownControlError(f"{given}: {kind} models have no control {name}{hint}")
+        entries = cls.entries()
         given = {name: value for name, value in keywords.items() if value is not None}
-        for name in cls._files:
-            value = given.get(name)
-            for file in value.values() if isinstance(value, Mapping) else [value]:
-                if isinstance(file, str | Path) and not Path(file).exists():
-                    raise FormatError(f"{name}: {file}: no such file")
+        for name, value in given.items():
+            if name not in entries:
+                hint = did_you_mean(name, entries, "; did you mean {}?", cutoff=0.75)
+                shown = f"{name}={value!r}" if isinstance(value, str | int | float) else name
+                raise UnknownControlError(f"{shown}: {kind} models have no control {name}{hint}")
+            entries[name].check(name, value)
         return cls(**given)
 
 
@@ -95,10 +173,10 @@ class UnknownControlError(ModelError, TypeError):
 class ControlArguments(TypedDict, total=False):
     """Keywords of `Controls`, for type checkers; each system extends it as `Controls`."""
 
+    speaker: str | None
     style: str | None
     path: str | Path | RootPath | Motion | None
     like: str | Path | Motion | None
-    speaker: str | None
     foot_lock: bool
     smooth: float | None
     vad: bool | None

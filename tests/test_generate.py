@@ -16,7 +16,7 @@ from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
 from gesturekit.diffusion.model import DiffusionModel
 from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
 from gesturekit.diffusion.network.denoiser import Denoiser
-from gesturekit.errors import ModelError, MotionError
+from gesturekit.errors import ModelError
 from gesturekit.motion.rotations import rotation_angles
 from gesturekit.systems import bundled_speech
 from gesturekit.training.seeds import seeded
@@ -56,6 +56,23 @@ def same(one: gk.Motion, other: gk.Motion) -> bool:
     return np.array_equal(one.positions(), other.positions()) and one.fps == other.fps
 
 
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"vad": "no"}, "vad='no': expected True or False"),
+        ({"style": 3}, "style=3: expected text"),
+        ({"smooth": 2.01}, "smooth=2.01: expected a number at least 0 and at most 2"),
+        ({"smooth": "1"}, "smooth='1': expected a number"),
+        ({"foot_lock": 1}, "foot_lock=1: expected True or False"),
+        ({"fps": float("nan")}, "fps=nan: expected a number above 0 and at most 1000"),
+        ({"path": "nowhere.csv"}, "path: nowhere.csv: no such file"),
+    ],
+)
+def test_a_value_that_no_model_takes_is_an_error_before_generating(model, given, expected):
+    with pytest.raises(gk.GestureKitError, match=expected):
+        model.check_controls(**given)
+
+
 def test_speech_can_be_an_array(model, wave):
     assert isinstance(model, gk.Model)
     of_wave, rate = model.generate(wave), wave.sample_rate
@@ -84,7 +101,7 @@ def test_the_duration_is_the_same_at_any_frame_rate(model, wave, fps):
     assert model.generate(seconds=1.51, fps=fps).n_frames == int(np.floor(1.51 * fps + 0.5))
     assert same(other, own.resample(fps, other.n_frames))
     assert rotation_angles(own.rotations[:1], other.rotations[:1]).max() < 1e-9, "begins at 0 s"
-    with pytest.raises(MotionError, match="fps is 0"):
+    with pytest.raises(ModelError, match="fps=0: expected a number above 0"):
         model.generate(wave, fps=0)
 
 

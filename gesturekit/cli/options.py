@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -271,30 +270,6 @@ def resumable(hint: Callable[[], str]) -> Iterator[None]:
     except KeyboardInterrupt:
         click.echo(f"Interrupted. {hint()}", err=True)
         raise click.exceptions.Exit(130) from None
-
-
-class ControlOption(click.Option):
-    """An option of the control of the same name, whose docstring is the help text.
-
-    Args:
-        note: further help on the syntax of the command line.
-    """
-
-    def __init__(self, *args: Any, note: str = "", **options: Any) -> None:
-        super().__init__(*args, **options)
-        self._note = note
-
-    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
-        """Return the option and its help text, which is read when it is shown."""
-        from gesturekit.systems import control_docs
-
-        docs = control_docs()
-
-        def plain(name: re.Match[str]) -> str:
-            return f"--{name[1].replace('_', '-')}" if name[1] in docs else name[1]
-
-        self.help = re.sub(r"`(\w+)`", plain, f"{docs[self.name]} {self._note}".strip())
-        return super().get_help_record(ctx)
 
 
 ARGUMENTS = "gesturekit: arguments"

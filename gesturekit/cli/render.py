@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -14,10 +15,8 @@ from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
 from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show
 from gesturekit.cli.launchers import run_elsewhere
 from gesturekit.cli.options import (
-    RATE,
     SEED,
     UNITS,
-    ControlOption,
     GroupedCommand,
     body_option,
     channel_option,
@@ -30,6 +29,8 @@ from gesturekit.cli.options import (
     size_option,
     weights_option,
 )
+from gesturekit.model import ControlEntry, Controls
+from gesturekit.systems import SYSTEMS, control_docs, controls_type
 
 if TYPE_CHECKING:
     from gesturekit.jobs.result import Result
@@ -46,7 +47,12 @@ gesturekit render --seconds 20 --samples 5 --model runs/clip/model --out rendere
 gesturekit render new.wav --model demo --out rendered --rig avatar.bvh --fps 30 --unit m
 """
 
+_PARSERS = {"keep": parse_placed_files, "level_speech": parse_level_files}
+"""Parsers of the controls that hold several files."""
 _MANY = 20  # a run of as many items writes a summary page
+
+CONTROLS = {kind: controls_type(kind).entries() for kind in SYSTEMS}
+_COMMON = Controls.entries()
 
 GROUPS = {
     "What to render": (
@@ -57,20 +63,64 @@ GROUPS = {
         "skip_existing",
     ),
     **BATCH_GROUPS,
-    "Controls of all models": ("speaker", "style", "path", "like", "foot_lock", "smooth", "vad"),
-    "Controls of multires models": (
-        *("level_style", "level_speech", "levels", "keyframes", "keyframe_level", "keep"),
-        *("recall", "liveliness"),
-    ),
-    "Controls of diffusion models": (
-        *("guidance", "unconditional", "events", "experts", "steps", "solver", "change"),
-        "clip_denoised",
-    ),
+    "Controls of all models": [name for name in _COMMON if name != "fps"],
+    **{
+        f"Controls of {kind} models": [name for name in controls if name not in _COMMON]
+        for kind, controls in CONTROLS.items()
+    },
     "Computing": ("device", "dtype"),
 }
 
 
-@click.command("render", cls=GroupedCommand, groups=GROUPS, epilog=EXAMPLES)
+class ControlOption(click.Option):
+    """The option of a control: its name, type and range are those of the control's entry."""
+
+    def __init__(self, name: str, entry: ControlEntry) -> None:
+        flag = entry.option or f"--{name.replace('_', '-')}"
+        if entry.kind is bool:
+            flag += f"/--no-{flag[2:]}"
+        super().__init__(
+            [flag, name],
+            type=_click_type(name, entry),
+            default=None,
+            multiple=entry.option is not None,
+            metavar=entry.metavar,
+        )
+        self._note = entry.note
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        """Return the option and its help: the docstring of the control, read when it is shown."""
+        docs = control_docs()
+
+        def plain(name: re.Match[str]) -> str:
+            return f"--{name[1].replace('_', '-')}" if name[1] in docs else name[1]
+
+        self.help = re.sub(r"`(\w+)`", plain, f"{docs[self.name]} {self._note}".strip())
+        return super().get_help_record(ctx)
+
+
+def _click_type(name: str, entry: ControlEntry) -> Any:
+    """Return the type of the option of a control."""
+    if name in _PARSERS:
+        return _PARSERS[name]
+    if entry.choices:
+        return click.Choice(entry.choices)
+    if entry.kind in (int, float):
+        kind = click.IntRange if entry.kind is int else click.FloatRange
+        low = entry.least if entry.above is None else entry.above
+        return kind(low, entry.most, min_open=entry.above is not None)
+    return {Path: click.Path(path_type=Path), bool: bool}.get(entry.kind, str)
+
+
+def control_options() -> list[click.Parameter]:
+    """Return the options of the controls of all systems."""
+    entries = {name: entry for controls in CONTROLS.values() for name, entry in controls.items()}
+    return [ControlOption(name, entry) for name, entry in entries.items()]
+
+
+@click.command(
+    "render", cls=GroupedCommand, groups=GROUPS, params=control_options(), epilog=EXAMPLES
+)
 @click.argument("sources", nargs=-1, type=click.Path(path_type=Path), metavar="[WAV]...")
 @click.option("--model", required=True, help="A bundled name (demo) or a model folder.")
 @click.option(
@@ -93,7 +143,6 @@ GROUPS = {
     default="bvh",
     help="Output formats: any of bvh,npz,html,mp4,png.  [default: bvh]",
 )
-@click.option("--fps", cls=ControlOption, type=RATE, metavar="RATE")
 @click.option("--unit", type=click.Choice(UNITS), help="Unit of BVH files.  [default: cm]")
 @click.option(
     "--up", type=click.Choice(["y", "z"]), help="Up axis of SMPL npz files; z for AMASS readers."
@@ -114,7 +163,6 @@ GROUPS = {
     help="Length of the motion if there is no WAV.",
 )
 @channel_option
-@click.option("--speaker", cls=ControlOption)
 @weights_option
 @click.option(
     "--rig",
@@ -143,57 +191,6 @@ GROUPS = {
     is_flag=True,
     help="Only print what would be done, how long it would take, and the size of the results.",
 )
-@click.option(
-    "--style",
-    cls=ControlOption,
-    metavar="NAME",
-    note="Diffusion models also take mixtures by weights that add up to 1: old:0.25,angry:0.75.",
-)
-@click.option("--guidance", cls=ControlOption, type=float, metavar="GAMMA")
-@click.option("--unconditional", cls=ControlOption, metavar="MODEL")
-@click.option("--events", cls=ControlOption, metavar="NAME@SECONDS,...")
-@click.option(
-    "--expert",
-    "experts",
-    multiple=True,
-    metavar="MODEL[:WEIGHT[:STYLE]]",
-    help="Combine with another diffusion model (product of experts); --model gets the remaining "
-    "weight. Without WEIGHT, all models have equal weights. Over time: MODEL:0.2@0-10,0.8@10-20 "
-    "(seconds). May be repeated.",
-)
-@click.option(
-    "--steps",
-    cls=ControlOption,
-    type=click.IntRange(min=1),
-    metavar="N",
-    note="10 to 20 are fast.",
-)
-@click.option("--solver", cls=ControlOption, type=click.Choice(["ancestral", "ddim", "dpm"]))
-@click.option("--level-style", cls=ControlOption, metavar="LEVELS=NAME,...")
-@click.option("--level-speech", cls=ControlOption, metavar="LEVELS=FILE,...")
-@click.option("--levels", cls=ControlOption, type=click.IntRange(min=1), metavar="N")
-@click.option("--keyframes", cls=ControlOption, type=click.Path(path_type=Path), metavar="EDIT.bvh")
-@click.option("--keyframe-level", cls=ControlOption, type=click.IntRange(min=1), metavar="N")
-@click.option("--like", cls=ControlOption, type=click.Path(path_type=Path), metavar="OTHER.bvh")
-@click.option(
-    "--change",
-    cls=ControlOption,
-    type=click.FloatRange(min=0, min_open=True, max=1),
-    metavar="SHARE",
-)
-@click.option("--clip-denoised/--no-clip-denoised", cls=ControlOption, default=None)
-@click.option("--path", cls=ControlOption, type=click.Path(path_type=Path), metavar="PATH.csv")
-@click.option(
-    "--keep",
-    cls=ControlOption,
-    metavar="FILE[@SECONDS],...",
-    note="clip.bvh is continued up to --seconds; a.bvh@0,b.bvh@6 is filled in between.",
-)
-@click.option("--recall/--no-recall", cls=ControlOption, default=None)
-@click.option("--liveliness", cls=ControlOption, type=float, metavar="AMOUNT")
-@click.option("--foot-lock/--no-foot-lock", cls=ControlOption, default=True, note="[default: lock]")
-@click.option("--smooth", cls=ControlOption, type=click.FloatRange(min=0, max=2), metavar="SECONDS")
-@click.option("--vad/--no-vad", cls=ControlOption, default=None)
 @existing_option("refuse", alias=True)
 @click.pass_context
 def command(
@@ -397,13 +394,9 @@ def _output(options: dict[str, Any]) -> Output:
 
 def _controls(options: dict[str, Any], open_model: Callable[[str], Model]) -> dict[str, Any]:
     """Return the arguments of `generate` from the options that were given."""
-    experts, unconditional, keep, level_speech = (
-        options.pop(name) for name in ("experts", "unconditional", "keep", "level_speech")
-    )
+    experts, unconditional = options.pop("experts"), options.pop("unconditional")
     return given(
         **options,
         experts=[parse_expert(text, open_model) for text in experts] or None,
         unconditional=None if unconditional is None else open_model(unconditional),
-        keep=None if keep is None else parse_placed_files(keep),
-        level_speech=None if level_speech is None else parse_level_files(level_speech),
     )

@@ -21,7 +21,6 @@ from gesturekit.diffusion.sampling.sampler import Sampler, check_controls
 from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError, gesturekit_errors
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.model_folder import (
@@ -73,7 +72,7 @@ class DiffusionModel(TrainedModel):
         """
         asked = DiffusionControls.build(controls, self.kind)
         seed, speech = checked_seed(seed), as_speech(speech, sample_rate)
-        rate = self.recorded_fps if asked.fps is None else checked_fps(asked.fps)
+        rate = self.recorded_fps if asked.fps is None else asked.fps
         product = check_controls(self, asked, samples)
         request = Request.build(product.models, asked, speech, seconds)
         motions = [

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gesturekit.model import ControlArguments, Controls
+from gesturekit.model import ControlArguments, Controls, control
 
 if TYPE_CHECKING:
     import audio_features as af
@@ -23,33 +23,37 @@ class MultiresControls(Controls):
     given.
     """
 
-    level_style: str | None = None
+    level_style: str | None = control(metavar="LEVELS=NAME,...")
     """Styles of single levels, counted from 1 (coarsest), which override style:
     1-4=describe,5-8=angry."""
-    level_speech: Mapping[str, str | Path | af.Wave] | None = None
+    level_speech: Mapping[str, str | Path | af.Wave] | None = control(
+        kind=Path, metavar="LEVELS=FILE,..."
+    )
     """Speech of single levels, counted from 1 (coarsest), in place of the main speech:
     7-10=b.wav, in Python {"7-10": "b.wav"}. It is cut to the length of the motion, or continues
     with silence. Recall follows the main speech."""
-    levels: int | None = None
+    levels: int | None = control(kind=int, least=1, metavar="N")
     """Stop after this many levels. The motion has the lower frame rate of that level and can be
     edited and passed back as keyframes. Only style, level_style, speech and level_speech can be
     combined with it."""
-    _files = (*Controls._files, "keyframes", "keep", "level_speech")
-
-    keyframes: str | Path | Motion | None = None
+    keyframes: str | Path | Motion | None = control(kind=Path, metavar="EDIT.bvh")
     """A motion that replaces the output of a coarse level; the finer levels add detail and keep its
     slow movement. If it is an edited copy of a motion generated with levels and the same seed,
     unedited frames are reproduced as generated. A motion on another rig is retargeted. The result
     has the model's own frame rate, unless fps is given."""
-    keyframe_level: int = 1
+    keyframe_level: int = control(1, kind=int, least=1, metavar="N")
     """The level that keyframes or like replaces, counted from 1 (coarsest)."""
-    keep: Mapping[float, str | Path | Motion] | None = None
+    keep: Mapping[float, str | Path | Motion] | None = control(
+        kind=Path,
+        metavar="FILE[@SECONDS],...",
+        note="clip.bvh is continued up to --seconds; a.bvh@0,b.bvh@6 is filled in between.",
+    )
     """Motions to keep, each with its start time in seconds. They appear unchanged and at their own
     position; the model generates the motion before, between and after them (in-betweening)."""
-    recall: bool | None = None
+    recall: bool | None = control(kind=bool)
     """Recall pieces of the training recordings, chosen by the speech (--no-recall: generate all
     levels from noise). By default a model uses recall if it was trained with it."""
-    liveliness: float = 1.0
+    liveliness: float = control(1.0, kind=float, above=0, metavar="AMOUNT")
     """Amount of hand movement relative to the prediction from speech, about 0.5 (calmer) to 1.5
     (livelier). For models with recall."""
 

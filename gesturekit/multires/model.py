@@ -14,7 +14,6 @@ from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import Speech, as_speech, speech_features, to_output_rate
 from gesturekit.errors import ModelError, gesturekit_errors
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.backend import requested_backend
 from gesturekit.multires.config import NetworkConfig
@@ -122,12 +121,12 @@ class MultiresModel(TrainedModel):
         if controls.fps is None:
             own = self.recorded_fps if controls.keyframes is None else self.fps
             return None if coarse else own
-        rate = checked_fps(controls.fps)
         if coarse:
             raise ModelError(
-                f"fps={rate:g}: with levels={controls.levels} a motion has that level's rate"
+                f"fps={controls.fps:g}: with levels={controls.levels} a motion has that level's "
+                "rate"
             )
-        return rate
+        return controls.fps
 
     def reconstruct(
         self, name: str, speech: Speech | None = None, sample_rate: int | None = None

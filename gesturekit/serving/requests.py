@@ -9,14 +9,16 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 from urllib.parse import urlsplit
 
 from fastapi import HTTPException, Query, Request
-from pydantic import BaseModel
+from pydantic import BaseModel, create_model
 from starlette.requests import ClientDisconnect
 
 from gesturekit.errors import ConfigError
+from gesturekit.field_docs import field_docs
+from gesturekit.model import ControlEntry, Controls
 
 _MOST_CLIENTS = 10_000
 
@@ -79,20 +81,34 @@ class Rate:
         return seconds
 
 
-class MotionRequest(BaseModel, extra="forbid"):
-    """Settings of a motion, from the query of a URL. None of them is the name of a file."""
+def _query(name: str, entry: ControlEntry, default: Any) -> tuple[Any, Any]:
+    """Return the type and default of the query parameter of a control."""
+    limits = {"gt": entry.above, "ge": entry.least, "le": entry.most}
+    if entry.kind is str:
+        limits = {"max_length": 200}
+    query = Query(description=field_docs(Controls)[name], **limits)
+    return Annotated[entry.kind if default is not None else entry.kind | None, query], default
+
+
+class _Settings(BaseModel, extra="forbid"):
+    """Settings of a motion beside the controls."""
 
     format: Annotated[
         Literal["bvh", "npz", "html"], Query(description="html is a player with the sound")
     ] = "bvh"
     seed: Annotated[int, Query(ge=0, lt=2**63)] = 0
-    style: Annotated[str | None, Query(max_length=200, description="one of the model's styles")] = (
-        None
-    )
-    speaker: Annotated[str | None, Query(max_length=200)] = None
-    foot_lock: bool = True
-    smooth: Annotated[float | None, Query(ge=0, le=2, description="seconds")] = None
-    vad: Annotated[bool | None, Query(description="voice activity detection")] = None
+
+
+# Settings of a motion, from the query of a URL: the controls of every system that are no file.
+MotionRequest = create_model(
+    "MotionRequest",
+    __base__=_Settings,
+    **{
+        name: _query(name, entry, getattr(Controls, name))
+        for name, entry in Controls.entries().items()
+        if entry.kind not in (Path, None)
+    },
+)
 
 
 async def receive(request: Request, file: Path, limits: Limits) -> None:

@@ -78,6 +78,8 @@ def test_a_wav_gives_the_motion_that_the_model_makes(client, model, tmp_path):
         ("?style=old", wav(), 422, "style"),
         ("?speaker=/etc/passwd", wav(), 422, "speaker"),
         ("?path=/etc/passwd", wav(), 422, "path"),
+        ("?fps=1e9", wav(), 422, "fps"),
+        ("?smooth=nan", wav(), 422, "smooth"),
         ("?keep=/etc/passwd", wav(), 422, "keep"),
         ("?smooth=nan", wav(), 422, "smooth"),
     ],
@@ -167,7 +169,7 @@ def test_the_pages_load_nothing_from_elsewhere(client):
     assert "POST /motion" in one.get("/docs").text
     schema = one.get("/openapi.json").json()
     names = {parameter["name"] for parameter in schema["paths"]["/motion"]["post"]["parameters"]}
-    assert names == {"format", "seed", "style", "speaker", "foot_lock", "smooth", "vad"}
+    assert names == {"format", "seed", "style", "speaker", "foot_lock", "smooth", "vad", "fps"}
 
 
 def test_limits_are_positive():

@@ -197,8 +197,6 @@ def _check_guidance(
 ) -> None:
     if guidance is None:
         return
-    if not math.isfinite(guidance):
-        raise ModelError(f"guidance={guidance}: give a finite number, such as 1.5")
     if unconditional is not None:
         if unconditional.styles and not {"styles", "all"} & set(unconditional.droppable):
             raise ModelError(

@@ -202,11 +202,9 @@ class SDEditStart:
                 fraction of a few-step solver's steps that remain.
 
         Raises:
-            ModelError: a change out of range, or a motion that cannot be put on the rig.
+            ModelError: the motion cannot be put on the rig.
             FormatError: a file that cannot be read.
         """
-        if not 0 < change <= 1:
-            raise ModelError(f"change={change:g}: give more than 0 (no change) and at most 1")
         given = like if isinstance(like, Motion) else Motion.load(like)
         motion, lift = on_rig(model.representation, given), 0.0
         if motion is not given:

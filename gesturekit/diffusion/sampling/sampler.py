@@ -13,7 +13,7 @@ from gesturekit.diffusion.controls import DiffusionControls
 from gesturekit.diffusion.sampling.experts import clip_denoised
 from gesturekit.diffusion.sampling.product import ModelProduct, product_of
 from gesturekit.diffusion.sampling.request import Request, check_events
-from gesturekit.diffusion.sampling.solvers import SOLVERS, Predict, chosen_steps, sample
+from gesturekit.diffusion.sampling.solvers import Predict, chosen_steps, sample
 from gesturekit.diffusion.sampling.tiling import tiled
 from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError, MotionError
@@ -31,20 +31,17 @@ def check_controls(model: TrainedModel, controls: DiffusionControls, samples: in
             cannot be combined.
         FormatError: a table of events that cannot be read.
     """
-    speaker, solver = controls.speaker, controls.solver
+    speaker = controls.speaker
     if speaker is not None and speaker not in model.speakers:
         known = ", ".join(sorted(model.speakers)) or "its corpus named none"
         raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
-    for name, value in {"samples": samples, "batch": controls.batch}.items():
-        if value < 1:
-            raise ModelError(f"{name}={value}: ask for at least 1")
+    if samples < 1:
+        raise ModelError(f"samples={samples}: ask for at least 1")
     product = ModelProduct.build(model, controls)
     product.check_styles()
     if controls.events is not None:
         models = [model, *(expert[0] for expert in controls.experts)]
         check_events(controls.events, [one.conditions for one in models])
-    if solver is not None and solver not in SOLVERS:
-        raise ModelError(f"solver: {solver!r} is unknown; choose one of {', '.join(SOLVERS)}")
     if controls.like is None:
         chosen_steps(model.schedule, controls.steps)
     return product

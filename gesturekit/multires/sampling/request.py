@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import logging
-import math
 from dataclasses import dataclass
 from functools import partial
-from numbers import Real
 from pathlib import Path
 from types import NoneType
 
@@ -174,8 +172,7 @@ def check_controls(model: TrainedModel, controls: MultiresControls, samples: int
 
     Raises:
         ModelError: a style, level or speaker that the model does not have, level_speech without
-            speech input, recall by a model without it, or a liveliness without recall or not above
-            0.
+            speech input, recall by a model without it, or a liveliness without recall.
     """
     levels = model.network_config.levels
     if model.styles:
@@ -201,12 +198,10 @@ def check_controls(model: TrainedModel, controls: MultiresControls, samples: int
 
 
 def _check_recall(controls: MultiresControls, recalls: bool) -> None:
-    """Raise ModelError for recall controls that have no effect, and for a bad liveliness."""
+    """Raise ModelError for recall controls that have no effect."""
     if controls.recall and not recalls:
         raise ModelError("recall=True: this model was not trained with recall; leave recall away")
     value = controls.liveliness
-    if not isinstance(value, Real) or not 0 < value < math.inf:
-        raise ModelError(f"liveliness={value!r}: a number above 0, 1 for what the speech asks for")
     if value == 1:
         return
     if not recalls:
