@@ -131,10 +131,10 @@ def sync_of_moving_arms(motion: Motion, recording: Motion, wave: Wave) -> SyncRe
     Examples:
         Arms that hardly move beside those of the recording:
 
-        >>> recording = gk.load("demo").generate(seconds=2)
+        >>> recording = gk.load("demo").generate(seconds=4)
         >>> little = 0.001 * recording.rotations + [0, 0, 0, 1]
         >>> motion = gk.Motion(recording.skeleton, little, recording.translation, 30)
-        >>> louder = af.Wave(np.linspace(0, 1, 32000) * np.sin(np.arange(32000)), 16000)
+        >>> louder = af.Wave(np.linspace(0, 1, 64000) * np.sin(np.arange(64000)), 16000)
         >>> sync_of_moving_arms(motion, recording, louder)
         Traceback (most recent call last):
         gesturekit.errors.EvaluationError: not informative: the arms move at less than 5 % of the

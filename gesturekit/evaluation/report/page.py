@@ -45,6 +45,13 @@ def write_report(
     Raises:
         GestureKitError: the player has not been bundled.
         FormatError: an unknown body, or an avatar that cannot be read.
+
+    Examples:
+        >>> gk.load("demo").generate(seconds=3).save(folder / "recorded" / "a.bvh")
+        >>> evaluation = gk.evaluate(folder / "recorded", folder / "recorded", protocol="multires")
+        >>> write_report(evaluation, folder / "report.html", title="A recording against itself")
+        >>> "<title>A recording against itself" in (folder / "report.html").read_text("utf-8")
+        True
     """
     evaluation = _with_short_names(evaluation)
     names = ", ".join(model.label for model in evaluation.models)
