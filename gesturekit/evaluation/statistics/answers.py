@@ -104,8 +104,8 @@ def read_answers(
     Examples:
         The left motion was clearly preferred:
 
-        >>> columns = "user,input_code,model_a,model_b,winner,is_strong\\n"
-        >>> _ = (folder / "answers.csv").write_text(columns + "u1,clip1,ours,theirs,model_a,True\\n")
+        >>> columns = "user,input_code,model_a,model_b,winner,is_strong"
+        >>> _ = (folder / "answers.csv").write_text(f"{columns}\\nu,clip,ours,theirs,model_a,True")
         >>> read_answers([folder / "answers.csv"]).kept[0].score
         2
     """

@@ -87,7 +87,8 @@ def kinetic_features(motion: Motion, *, joints: Sequence[str] | None = None) -> 
         A body that moves straight on at 2 m/s: (2 m/s)², nothing vertical, no acceleration:
 
         >>> rig = gk.Skeleton(("hips",), (-1,), [[0, 1, 0]])
-        >>> still, path = np.tile([0.0, 0, 0, 1], (30, 1, 1)), np.outer(np.arange(30) / 30, [2, 0, 0])
+        >>> still, path = np.tile([0.0, 0, 0, 1], (30, 1, 1)), np.zeros((30, 3))
+        >>> path[:, 0] = 2 * np.arange(30) / 30
         >>> kinetic_features(gk.Motion(rig, still, path, 30), joints=["hips"]).round(6).tolist()
         [4.0, 0.0, 0.0]
     """
