@@ -16,10 +16,10 @@ import pytest
 import audio_features as af
 import gesturekit as gk
 from gesturekit.evaluation import metrics
+from gesturekit.evaluation.definitions import DEFINITIONS
 
-# Packages whose public names are described by examples, and those of which every name has one.
-PACKAGES = ("audio_features", "gesturekit", "gesturekit.evaluation")
-COMPLETE = ("audio_features", "gesturekit")
+# Packages of which every public name has an example.
+COMPLETE = ("audio_features", "gesturekit", "gesturekit.evaluation")
 
 
 def public(package: str) -> dict[str, object]:
@@ -30,7 +30,7 @@ def public(package: str) -> dict[str, object]:
 
 def examples() -> Iterator[doctest.DocTest]:
     """Yield the docstrings with examples of the modules that define public names and metrics."""
-    modules = {getattr(value, "__module__", None) for p in PACKAGES for value in public(p).values()}
+    modules = {getattr(value, "__module__", None) for p in COMPLETE for value in public(p).values()}
     below = pkgutil.walk_packages(metrics.__path__, f"{metrics.__name__}.")
     modules |= {*(found.name for found in below), *COMPLETE}
     for name in sorted(modules - {None, "builtins", "typing"}):
@@ -46,12 +46,23 @@ def test_the_example_shows_what_it_says(example, tmp_path):
     assert not runner.run(example, out=lines.append).failed, "".join(lines)
 
 
-@pytest.mark.parametrize("package", COMPLETE)
-def test_every_public_name_has_an_example(package):
+def without_example(named: dict[str, object]) -> list[str]:
+    """Return the names of those whose docstring has no example."""
     found = doctest.DocTestFinder(recurse=False)
-    without = [
+    return [
         name
-        for name, value in public(package).items()
+        for name, value in named.items()
         if not any(test.examples for test in found.find(value, name))
     ]
+
+
+@pytest.mark.parametrize("package", COMPLETE)
+def test_every_public_name_has_an_example(package):
+    without = without_example(public(package))
     assert not without, f"without an example: {', '.join(without)}"
+
+
+def test_every_metric_of_the_registry_has_an_example():
+    functions = {d.function: d.load_function() for d in DEFINITIONS.values() if d.function}
+    without = without_example(functions)
+    assert functions and not without, f"metrics without an example: {', '.join(without)}"

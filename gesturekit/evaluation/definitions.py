@@ -40,6 +40,13 @@ class Variants:
         threshold: coverage threshold; None for the default of `patches`.
         bas: of beat alignment (`gesturekit.evaluation.metrics.rhythm.beat_alignment`): "seconds"
             or "bailando".
+
+    Examples:
+        What coverage is in the variant of the paper:
+
+        >>> variants = Variants(patches="paper", threshold=3)
+        >>> DEFINITIONS["coverage"].at(30, variants).variant
+        'paper: 30 frames (1.00 s), 3'
     """
 
     patches: str = "ganimator"

@@ -77,6 +77,15 @@ class Items:
         aside: reason not to measure clips of other items of the manifest, by id: "no motion", or
             "split train".
         others: items with motion of the manifest's other splits.
+
+    Examples:
+        The recordings of a folder, by path without extension:
+
+        >>> motion = gk.load("demo").generate(seconds=1)
+        >>> motion.save(folder / "talk" / "a.bvh")
+        >>> motion.save(folder / "talk" / "b.npz")
+        >>> [item.id for item in Items.of_folder(folder / "talk", {}).items]
+        ['a', 'b']
     """
 
     path: Path

@@ -212,6 +212,16 @@ class Evaluation:
         recorded_wrists: (N,) wrist speeds of the recordings, m/s; a sample of some thousands.
         agreement: agreement of the metrics with the answers of a user study, if there is one.
         versions: {library: version}.
+
+    Examples:
+        A recording against itself:
+
+        >>> gk.load("demo").generate(seconds=3).save(folder / "recorded" / "a.bvh")
+        >>> evaluation = gk.evaluate(folder / "recorded", folder / "recorded", protocol="multires")
+        >>> evaluation.is_complete, evaluation.fps
+        (True, 30.0)
+        >>> evaluation.models[0].metrics["coverage"].interval.value
+        100.0
     """
 
     models: list[ModelResult]

@@ -27,6 +27,13 @@ class SpeedHistogram:
         top: end of the last bin, m/s.
         counts: (top / width,) values in each bin.
         beyond: number of values above `top`, which are not in the distribution.
+
+    Examples:
+        Bins of 1 cm/s; 3 m/s is beyond the last one:
+
+        >>> histogram = SpeedHistogram.of([np.array([0.002, 0.005, 0.015, 3.0])])
+        >>> histogram.counts[:3].tolist(), histogram.beyond
+        ([2, 1, 0], 1)
     """
 
     width: float = BIN
@@ -81,6 +88,13 @@ def hellinger(one: SpeedHistogram, other: SpeedHistogram) -> float:
 
     Raises:
         MotionError: different bins, or an empty histogram.
+
+    Examples:
+        Equal histograms, and two that have no bin in common:
+
+        >>> slow, fast = (SpeedHistogram.of([np.array([speed])]) for speed in (0.105, 0.305))
+        >>> hellinger(slow, slow), round(hellinger(slow, fast), 6)
+        (0.0, 1.0)
     """
     if (one.width, one.top) != (other.width, other.top):
         raise MotionError(
@@ -99,6 +113,15 @@ def speed_distance(motion: Motion, recording: Motion, joints: Sequence[str]) -> 
 
     Raises:
         MotionError: see `hellinger`.
+
+    Examples:
+        A recording against itself, and a body that never moves against one at 0.3 m/s:
+
+        >>> rig = gk.Skeleton(("hips",), (-1,), [[0, 1, 0]])
+        >>> still, path = np.tile([0.0, 0, 0, 1], (9, 1, 1)), np.arange(9)[:, None] * [0.0101, 0, 0]
+        >>> stands, goes = (gk.Motion(rig, still, speed * path, 30) for speed in (0, 1))
+        >>> speed_distance(goes, goes, ["hips"]), round(speed_distance(stands, goes, ["hips"]), 6)
+        (0.0, 1.0)
     """
     both = (SpeedHistogram.of([relative_speed(m, joints)]) for m in (motion, recording))
     return hellinger(*both)

@@ -55,6 +55,15 @@ class HandMovement:
         reach: sum over both hands of det(covariance of the hand's position)^(1/6), metres.
         range: standard deviation over mean of the hand speed's means over 2 s (hop 1 s): contrast
             of calm and lively stretches. NaN with fewer than two such windows or no movement.
+
+    Examples:
+        Hands that never move:
+
+        >>> rig = gk.load("demo").skeleton
+        >>> still = np.tile([0.0, 0, 0, 1], (75, rig.n_joints, 1))
+        >>> found = hand_movement(gk.Motion(rig, still, np.zeros((75, 3)), 25))
+        >>> round(found.q99, 6), found.rest, found.near_still, round(found.reach, 6)
+        (0.0, 1.0, 1.0, 0.0)
     """
 
     q10: float
@@ -75,6 +84,14 @@ class CalmAndLively:
         r: Pearson's r of recorded and generated mean hand speed over windows.
         slope: slope of the least-squares line, generated over recorded.
         n: number of windows.
+
+    Examples:
+        A recording against itself:
+
+        >>> recording = gk.load("demo").generate(seconds=12)
+        >>> found = calm_and_lively(recording, [recording])
+        >>> round(found.r, 6), round(found.slope, 6), found.n
+        (1.0, 1.0, 3)
     """
 
     r: float
@@ -87,6 +104,10 @@ def upper_joints(skeleton: Skeleton) -> tuple[str, ...]:
 
     Raises:
         MotionError: body parts that cannot be identified.
+
+    Examples:
+        >>> upper_joints(gk.load("demo").skeleton)[:6]
+        ('Spine', 'Spine1', 'Spine2', 'Neck', 'Head', 'LeftShoulder')
     """
     known = set(body_joints(skeleton))
     return tuple(name for name in upper_body(skeleton) if name in known)
@@ -107,6 +128,15 @@ def body_centred(motion: Motion, joints: Sequence[str] | None = None) -> np.ndar
 
     Raises:
         MotionError: a missing joint, or a rig whose pelvis and shoulders cannot be identified.
+
+    Examples:
+        A place in the world does not count:
+
+        >>> rig = gk.load("demo").skeleton
+        >>> still = np.tile([0.0, 0, 0, 1], (2, rig.n_joints, 1))
+        >>> motion = gk.Motion(rig, still, [(0, 1, 0), (3, 1, 2)], 25)
+        >>> body_centred(motion, ["LeftHand"]).round(2).tolist()
+        [[[0.71, 0.46, 0.0]], [[0.71, 0.46, 0.0]]]
     """
     skeleton = motion.skeleton
     names = upper_joints(skeleton) if joints is None else joints
@@ -132,6 +162,14 @@ def hand_paths(motion: Motion) -> np.ndarray:
 
     Raises:
         MotionError: a rig without wrists, or whose parts cannot be identified.
+
+    Examples:
+        A body with its arms held out to the sides:
+
+        >>> rig = gk.load("demo").skeleton
+        >>> motion = gk.Motion(rig, np.tile([0.0, 0, 0, 1], (1, rig.n_joints, 1)), [(5, 1, 0)], 25)
+        >>> hand_paths(motion).round(2).tolist()
+        [[[0.71, 0.46, 0.0], [-0.71, 0.46, 0.0]]]
     """
     arms = find_parts(motion.skeleton).arms
     wrists = [arms[side].wrist for side in SIDES]
@@ -153,6 +191,13 @@ def hand_speed(motion: Motion) -> np.ndarray:
 
     Raises:
         MotionError: a rig without wrists, or a motion of fewer than 2 frames at 25 fps.
+
+    Examples:
+        The same movement of a body of twice the size:
+
+        >>> motion = gk.load("demo").generate(seconds=2)
+        >>> np.allclose(hand_speed(motion.scaled(2)), 2 * hand_speed(motion))
+        True
     """
     return np.linalg.norm(velocities(hand_paths(motion)), axis=-1)
 
@@ -181,6 +226,13 @@ def hand_movement(motions: Motions) -> HandMovement:
 
     Raises:
         MotionError: no motion, a rig without wrists, or fewer than 2 frames at 25 fps.
+
+    Examples:
+        The same movement of a body of twice the size reaches twice as far:
+
+        >>> motion = gk.load("demo").generate(seconds=4)
+        >>> round(hand_movement(motion.scaled(2)).reach / hand_movement(motion).reach, 6)
+        2.0
     """
     motions = as_list(motions)
     paths = [hand_paths(motion) for motion in motions]
@@ -217,6 +269,14 @@ def calm_and_lively(recorded: Motions, generated: Sequence[Motions]) -> CalmAndL
 
     Raises:
         MotionError: fewer than 3 windows, or recordings of constant speed.
+
+    Examples:
+        The same movement of a body of twice the size:
+
+        >>> recording = gk.load("demo").generate(seconds=12)
+        >>> found = calm_and_lively(recording, [recording.scaled(2)])
+        >>> round(found.r, 6), round(found.slope, 6)
+        (1.0, 2.0)
     """
     recorded = as_list(recorded)
     x, y = [], []
@@ -295,6 +355,15 @@ def hand_values(motion: Motions) -> dict[str, float]:
 
     Raises:
         MotionError: as `hand_movement`.
+
+    Examples:
+        Hands that never move:
+
+        >>> rig = gk.load("demo").skeleton
+        >>> still = np.tile([0.0, 0, 0, 1], (75, rig.n_joints, 1))
+        >>> found = hand_values(gk.Motion(rig, still, np.zeros((75, 3)), 25))
+        >>> round(found["hand_q50"], 6), found["rest"]
+        (0.0, 100.0)
     """
     found = hand_movement(motion)
     return {key: factor * getattr(found, name) for name, (key, factor) in _HANDS.items()}

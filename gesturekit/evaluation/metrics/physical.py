@@ -60,6 +60,15 @@ def arm_speed(motion: Motion) -> np.ndarray:
 
     Raises:
         MotionError: fewer than 2 frames, or no shoulders and elbows in the skeleton.
+
+    Examples:
+        The left elbow turns by one radian per second:
+
+        >>> rig = gk.load("demo").skeleton
+        >>> turns, half = np.tile([0.0, 0, 0, 1], (30, rig.n_joints, 1)), np.arange(30) / 60
+        >>> turns[:, rig.index("LeftForeArm"), 2:] = np.stack([np.sin(half), np.cos(half)], axis=1)
+        >>> arm_speed(gk.Motion(rig, turns, np.zeros((30, 3)), 30))[:3].round(6).tolist()
+        [1.0, 1.0, 1.0]
     """
     _require_frames(motion, 2)
     joints = [motion.skeleton.index(name) for name in arm_joints(motion.skeleton)]
@@ -84,6 +93,15 @@ def wrist_speed(motion: Motion) -> np.ndarray:
 
     Raises:
         MotionError: fewer than 2 frames, or wrists that cannot be identified.
+
+    Examples:
+        A body that is carried along at 1 m/s:
+
+        >>> rig = gk.load("demo").skeleton
+        >>> still = np.tile([0.0, 0, 0, 1], (30, rig.n_joints, 1))
+        >>> carried = gk.Motion(rig, still, [(0, 0, k / 30) for k in range(30)], 30)
+        >>> round(float(wrist_speed(carried).mean()), 6)
+        1.0
     """
     arms = find_parts(motion.skeleton).arms
     wrists = [arms[side].wrist for side in SIDES]
@@ -104,6 +122,15 @@ def joint_speed(motion: Motion, joints: Sequence[str] | None = None) -> np.ndarr
 
     Raises:
         MotionError: fewer than 2 frames, or joints that cannot be identified.
+
+    Examples:
+        A joint that moves by 0.1 m, then by 0.2 m, in frames of 1/30 s:
+
+        >>> rig = gk.Skeleton(("hips",), (-1,), [[0, 0, 0]])
+        >>> still = np.tile([0.0, 0, 0, 1], (3, 1, 1))
+        >>> motion = gk.Motion(rig, still, [(0, 0, 0), (0.1, 0, 0), (0.1, 0.2, 0)], 30)
+        >>> joint_speed(motion, ["hips"]).round(6).tolist()
+        [[3.0], [6.0]]
     """
     steps = derivative(joint_paths(motion, joints), motion.fps, 1, None)
     return np.linalg.norm(steps, axis=-1)
@@ -126,6 +153,15 @@ def acceleration(
 
     Raises:
         MotionError: fewer than 3 frames (6 with a cutoff), or joints that cannot be identified.
+
+    Examples:
+        Along t² metres the acceleration is 2 m/s²:
+
+        >>> rig = gk.load("demo").skeleton
+        >>> still = np.tile([0.0, 0, 0, 1], (30, rig.n_joints, 1))
+        >>> motion = gk.Motion(rig, still, [(0, 0, (k / 30) ** 2) for k in range(30)], 30)
+        >>> round(acceleration(motion), 6)
+        2.0
     """
     return _mean_derivative(motion, 2, cutoff, joints)
 
@@ -142,6 +178,15 @@ def jerk(
 
     Raises:
         MotionError: fewer than 4 frames (6 with a cutoff), or joints that cannot be identified.
+
+    Examples:
+        Along t³ metres the jerk is 6 m/s³:
+
+        >>> rig = gk.load("demo").skeleton
+        >>> still = np.tile([0.0, 0, 0, 1], (30, rig.n_joints, 1))
+        >>> motion = gk.Motion(rig, still, [(0, 0, (k / 30) ** 3) for k in range(30)], 30)
+        >>> round(jerk(motion), 6)
+        6.0
     """
     return _mean_derivative(motion, 3, cutoff, joints)
 
@@ -153,6 +198,14 @@ def max_speed(motion: Motion) -> float:
 
     Raises:
         MotionError: fewer than 2 frames, or body parts that cannot be identified.
+
+    Examples:
+        A jump of half a metre from one frame to the next at 30 fps:
+
+        >>> rig = gk.load("demo").skeleton
+        >>> still = np.tile([0.0, 0, 0, 1], (2, rig.n_joints, 1))
+        >>> round(max_speed(gk.Motion(rig, still, [(0, 0, 0), (0, 0, 0.5)], 30)), 6)
+        15.0
     """
     return float(joint_speed(motion).max())
 
@@ -162,6 +215,14 @@ def arm_speed_ratio(motion: Motion, recording: Motion) -> float:
 
     Raises:
         MotionError: the recording's arms do not move.
+
+    Examples:
+        A recording that is played twice as fast:
+
+        >>> from dataclasses import replace
+        >>> recording = gk.load("demo").generate(seconds=2)
+        >>> round(arm_speed_ratio(replace(recording, fps=2 * recording.fps), recording), 6)
+        2.0
     """
     return _ratio(float(arm_speed(motion).mean()), float(arm_speed(recording).mean()), "arm speed")
 
@@ -171,6 +232,13 @@ def jerk_ratio(motion: Motion, recording: Motion) -> float:
 
     Raises:
         MotionError: the frame rates differ, or the recording does not move.
+
+    Examples:
+        The same movement of a body of twice the size:
+
+        >>> recording = gk.load("demo").generate(seconds=2)
+        >>> round(jerk_ratio(recording.scaled(2), recording), 6)
+        2.0
     """
     if abs(motion.fps - recording.fps) > 1e-3 * recording.fps:
         raise MotionError(
@@ -218,6 +286,16 @@ def standing_heights(motion: Motion) -> np.ndarray:
 
     Raises:
         MotionError: no legs, or none that can be identified.
+
+    Examples:
+        Of two bodies, one stands half a metre above the other; both hop for 5 of 30 frames:
+
+        >>> rig = gk.load("demo").skeleton
+        >>> still, hop = np.tile([0.0, 0, 0, 1], (30, rig.n_joints, 1)), np.zeros((30, 3))
+        >>> hop[10:15, 1] = 0.2
+        >>> low, high = (gk.Motion(rig, still, hop + [0, floor, 0], 30) for floor in (0, 0.5))
+        >>> (standing_heights(high) - standing_heights(low)).round(6).tolist()
+        [0.5, 0.5, 0.5, 0.5]
     """
     heights = _feet(motion)[..., 1]
     resting = contact_labels(motion) > 0
@@ -242,6 +320,15 @@ def foot_skate(motion: Motion, heights: np.ndarray | None = None) -> float:
 
     Raises:
         MotionError: fewer than 2 frames, or no legs, or none that can be identified.
+
+    Examples:
+        A standing body that slides at 1 m/s:
+
+        >>> rig = gk.load("demo").skeleton
+        >>> still = np.tile([0.0, 0, 0, 1], (30, rig.n_joints, 1))
+        >>> slide = gk.Motion(rig, still, [(0, 0, k / 30) for k in range(30)], 30)
+        >>> round(foot_skate(slide), 6)
+        1.0
     """
     if motion.n_frames < 2:
         raise MotionError(f"the motion has {motion.n_frames} frame; at least 2 are needed")
@@ -263,6 +350,15 @@ def floor_penetration(motion: Motion, heights: np.ndarray | None = None) -> floa
 
     Raises:
         MotionError: no legs, or none that can be identified.
+
+    Examples:
+        A body that stands 3 cm lower than its recording:
+
+        >>> rig = gk.load("demo").skeleton
+        >>> still = np.tile([0.0, 0, 0, 1], (30, rig.n_joints, 1))
+        >>> high, low = (gk.Motion(rig, still, np.full((30, 3), y), 30) for y in (0, -0.03))
+        >>> round(floor_penetration(low, standing_heights(high)), 6)
+        0.03
     """
     depth = _standing(motion, heights) - _feet(motion)[..., 1]
     return float(np.maximum(depth, 0.0).mean())
@@ -290,6 +386,15 @@ class JointLimits:
         mean: (J, 4) mean local rotations, quaternions.
         low: (J, 3) lower limits of the rotation vector from the mean, radians, with margin.
         high: (J, 3) upper limits.
+
+    Examples:
+        A joint that never turned may turn by 5° either way about each axis:
+
+        >>> rig = gk.Skeleton(("head",), (-1,), [[0, 0, 0]])
+        >>> still = gk.Motion(rig, np.tile([0.0, 0, 0, 1], (30, 1, 1)), np.zeros((30, 3)), 30)
+        >>> limits = JointLimits.fit([still], ["head"])
+        >>> np.degrees(limits.high).round(6).tolist()
+        [[5.0, 5.0, 5.0]]
     """
 
     joints: tuple[str, ...]
@@ -322,6 +427,16 @@ def joint_limit_share(motion: Motion, limits: JointLimits) -> float:
 
     Raises:
         MotionError: the motion lacks a joint of the limits.
+
+    Examples:
+        A joint that never turned in the recording is turned by 20° in a quarter of the frames:
+
+        >>> rig = gk.Skeleton(("head",), (-1,), [[0, 0, 0]])
+        >>> turns = np.tile([0.0, 0, 0, 1], (40, 1, 1))
+        >>> limits = JointLimits.fit([gk.Motion(rig, turns, np.zeros((40, 3)), 30)], ["head"])
+        >>> turns[30:, 0, 2:] = np.sin(np.deg2rad(10)), np.cos(np.deg2rad(10))
+        >>> joint_limit_share(gk.Motion(rig, turns, np.zeros((40, 3)), 30), limits)
+        0.25
     """
     away = _away(_rotations(motion, limits.joints), limits.mean)
     return float(((away < limits.low) | (away > limits.high)).any(axis=-1).mean())

@@ -49,6 +49,13 @@ class BeatResult:
         motion_beats: number of motion beats (mean over joints for beat consistency).
         sound_beats: number of beats of the sound.
         note: "" or why a value is 0 without having been measured.
+
+    Examples:
+        Beats of a motion that all meet beats of the sound:
+
+        >>> result = alignment(np.array([1.0, 2.5, 3.0]), np.array([1.0, 2.5, 3.0]), 10)
+        >>> result.score, result.motion_beats, result.sound_beats, result.z > 3
+        (1.0, 3.0, 3, True)
     """
 
     score: float
@@ -89,6 +96,15 @@ def beat_alignment(
     Raises:
         MotionError: fewer than 6 frames, a frame rate of 12 fps or less, or joints that cannot
             be identified.
+
+    Examples:
+        A body that slows down at 0.5 s, 1.5 s, ..., and a sound with beats there:
+
+        >>> rig = gk.load("demo").skeleton
+        >>> still, times = np.tile([0.0, 0, 0, 1], (120, rig.n_joints, 1)), np.arange(120) / 30
+        >>> path = np.outer(times + 0.1 * np.sin(2 * np.pi * times), [1, 0, 0])
+        >>> round(beat_alignment(gk.Motion(rig, still, path, 30), np.arange(4) + 0.5).score, 2)
+        1.0
     """
     found = motion_beats(motion, variant=variant, joints=joints)
     return alignment(found, beats, motion.duration)
@@ -116,6 +132,15 @@ def beat_consistency(
 
     Raises:
         MotionError: fewer than 3 frames, or joints that cannot be identified.
+
+    Examples:
+        A body that slows down at 0.5 s, 1.5 s, ..., and a sound with onsets 0.3 s later, exp(-1/2):
+
+        >>> rig = gk.load("demo").skeleton
+        >>> still, times = np.tile([0.0, 0, 0, 1], (120, rig.n_joints, 1)), np.arange(120) / 30
+        >>> path = np.outer(times + 0.1 * np.sin(2 * np.pi * times), [1, 0, 0])
+        >>> round(beat_consistency(gk.Motion(rig, still, path, 30), np.arange(4) + 0.8).score, 2)
+        0.61
     """
     found = joint_beats(motion, mean_speed=mean_speed, joints=joints)
     return consistency(found, onsets, motion.duration)
@@ -128,6 +153,12 @@ def alignment(beats: np.ndarray, pulse: np.ndarray, duration: float) -> BeatResu
         beats: (M,) beats of the motion, seconds.
         pulse: (B,) beats of the sound, seconds.
         duration: of the motion, seconds.
+
+    Examples:
+        All beats of the motion are 50 ms late, exp(-1/2):
+
+        >>> round(alignment(np.array([1.05, 2.05]), np.array([1.0, 2.0]), 10).score, 3)
+        0.607
     """
     return beat_result([beats], pulse, duration, KERNEL)
 
@@ -135,7 +166,15 @@ def alignment(beats: np.ndarray, pulse: np.ndarray, duration: float) -> BeatResu
 def consistency(
     beats_by_joint: Sequence[np.ndarray], onsets: np.ndarray, duration: float
 ) -> BeatResult:
-    """Return the beat consistency of beats (M,) of each joint, see `beat_consistency`."""
+    """Return the beat consistency of beats (M,) of each joint, see `beat_consistency`.
+
+    Examples:
+        The beats of one of two joints are all met, those of the other are 0.3 s late, exp(-1/2):
+
+        >>> onsets = np.array([1.0, 3.0])
+        >>> round(consistency([onsets, onsets + 0.3], onsets, 10).score, 3)
+        0.803
+    """
     return beat_result(beats_by_joint, onsets, duration, CONSISTENCY_KERNEL)
 
 
@@ -168,6 +207,15 @@ def motion_beats(
 
     Returns:
         (M,) seconds; see `beat_alignment` for the variants.
+
+    Examples:
+        A body that slows down once a second:
+
+        >>> rig = gk.load("demo").skeleton
+        >>> still, times = np.tile([0.0, 0, 0, 1], (120, rig.n_joints, 1)), np.arange(120) / 30
+        >>> path = np.outer(times + 0.1 * np.sin(2 * np.pi * times), [1, 0, 0])
+        >>> motion_beats(gk.Motion(rig, still, path, 30)).round(2).tolist()
+        [0.5, 1.5, 2.5, 3.5]
     """
     from scipy.ndimage import gaussian_filter1d
 
@@ -186,7 +234,16 @@ def motion_beats(
 
 
 def speech_onsets(wave: Wave) -> np.ndarray:
-    """Return (B,) onsets of the sound, seconds: librosa at 16 kHz, hop 512, as in EMAGE."""
+    """Return (B,) onsets of the sound, seconds: librosa at 16 kHz, hop 512, as in EMAGE.
+
+    Examples:
+        Clicks after one and two seconds:
+
+        >>> samples = np.zeros(48000)
+        >>> samples[[16000, 32000]] = 1
+        >>> speech_onsets(af.Wave(samples, 16000)).round(1).tolist()
+        [1.0, 2.0]
+    """
     import librosa
 
     if wave.is_silent:
@@ -198,7 +255,16 @@ def speech_onsets(wave: Wave) -> np.ndarray:
 
 
 def music_beats(wave: Wave) -> np.ndarray:
-    """Return (B,) beats of librosa's beat tracker, seconds; it finds beats in speech too."""
+    """Return (B,) beats of librosa's beat tracker, seconds; it finds beats in speech too.
+
+    Examples:
+        Clicks at 120 a minute:
+
+        >>> clicks = np.zeros(8 * 22050)
+        >>> clicks[::11025] = 1
+        >>> np.diff(music_beats(af.Wave(clicks, 22050))).mean().round(1).tolist()
+        0.5
+    """
     import librosa
 
     if wave.is_silent:

@@ -38,6 +38,10 @@ class SyncResult:
         chance_sd: their standard deviation.
         z: (r - chance_mean) / chance_sd.
         note: "" or why a value is 0 without having been measured.
+
+    Examples:
+        >>> print(SyncResult(r=0.5, lag=0.1, chance_mean=0.1, chance_sd=0.1, z=4.0))
+        sync r = 0.50 at lag +0.10 s (chance 0.10 ± 0.10, z = +4.0)
     """
 
     r: float
@@ -80,6 +84,15 @@ def sync(motion: Motion, wave: Wave, *, max_lag: float = 0.3) -> SyncResult:
     Raises:
         MotionError: no shoulders and elbows found, or fewer than 3 common frames beyond the
             largest lag.
+
+    Examples:
+        A tone whose level is the arm speed of 0.2 s later:
+
+        >>> motion = gk.load("demo").generate(seconds=4)
+        >>> level = np.interp(np.arange(60000) / 500 + 6, np.arange(120), arm_speed(motion))
+        >>> result = sync(motion, af.Wave(np.exp(level - 9) * np.sin(np.arange(60000)), 15000))
+        >>> round(result.lag, 3), round(result.r, 1), result.z > 2
+        (0.2, 1.0, True)
     """
     fps = motion.fps
     n = min(motion.n_frames, wave.n_frames(fps))
@@ -114,6 +127,18 @@ def sync_of_moving_arms(motion: Motion, recording: Motion, wave: Wave) -> SyncRe
     Raises:
         EvaluationError: the arms move at less than `HARDLY_MOVING` of the recording's speed.
         MotionError: see `sync`.
+
+    Examples:
+        Arms that hardly move beside those of the recording:
+
+        >>> recording = gk.load("demo").generate(seconds=4)
+        >>> little = 0.001 * recording.rotations + [0, 0, 0, 1]
+        >>> motion = gk.Motion(recording.skeleton, little, recording.translation, 30)
+        >>> louder = af.Wave(np.linspace(0, 1, 64000) * np.sin(np.arange(64000)), 16000)
+        >>> sync_of_moving_arms(motion, recording, louder)
+        Traceback (most recent call last):
+        gesturekit.errors.EvaluationError: not informative: the arms move at less than 5 % of the
+        recording's speed
     """
     result = sync(motion, wave)
     if not result.note and hardly_moves(motion, recording):
@@ -141,6 +166,13 @@ def speech_envelope(wave: Wave, fps: float, n_frames: int) -> np.ndarray:
 
     Returns:
         (n_frames,) nepers of full scale, not smoothed.
+
+    Examples:
+        Silence, ln(1e-4), and a sound at full scale from 0.5 s on:
+
+        >>> samples = np.repeat([0.0, 1.0], 8000) * np.resize([1.0, -1.0], 16000)
+        >>> speech_envelope(af.Wave(samples, 16000), fps=4, n_frames=4).round(2).tolist()
+        [-9.21, -9.21, -0.35, 0.0]
     """
     return np.log(wave.rms(np.arange(n_frames) / fps, window=WINDOW) + FLOOR)
 

@@ -52,6 +52,13 @@ class MotionWindows:
         frames: (T, D') positions and velocities of each clip, scaled.
         clips: (N,) index of the clip of each window.
         first: (N,) first frame of each window within its clip.
+
+    Examples:
+        Windows of 1 s that begin every 0.5 s, rounded down to frames of 25 fps:
+
+        >>> windows = motion_windows(gk.load("demo").generate(seconds=2))
+        >>> len(windows), windows.starts.round(2).tolist()
+        (3, [0.0, 0.48, 1.0])
     """
 
     frames: tuple[np.ndarray, ...]
@@ -93,6 +100,12 @@ class Copying:
         low: their 5 % quantile.
         held_out_median: median over recorded windows that are not in the training set.
         held_out_low: their 5 % quantile.
+
+    Examples:
+        Half as far from the training motion as recordings that are not in it:
+
+        >>> Copying(median=0.1, low=0.04, held_out_median=0.2, held_out_low=0.05).median_ratio
+        0.5
     """
 
     median: float
@@ -122,6 +135,14 @@ def motion_windows(motions: Motions, joints: Sequence[str] | None = None) -> Mot
     Raises:
         MotionError: all clips are too short, a joint is missing, or body parts cannot be
             identified.
+
+    Examples:
+        Two clips of 2 s have three windows each:
+
+        >>> model = gk.load("demo")
+        >>> clips = [model.generate(seconds=2, seed=seed) for seed in (0, 1)]
+        >>> motion_windows(clips).clips.tolist()
+        [0, 0, 0, 1, 1, 1]
     """
     motions = as_list(motions)
     joints = upper_joints(motions[0].skeleton) if joints is None else joints
@@ -143,6 +164,14 @@ def two_sample_accuracy(one: MotionWindows, other: MotionWindows, *, seed: int =
 
     Raises:
         MotionError: a set of fewer than 2 windows, or windows of different joints.
+
+    Examples:
+        The nearest window of a copy is its original; bodies of 10 times the size are told apart:
+
+        >>> motion = gk.load("demo").generate(seconds=5)
+        >>> one, large = motion_windows(motion), motion_windows(motion.scaled(10))
+        >>> two_sample_accuracy(one, one), two_sample_accuracy(one, large)
+        (0.0, 1.0)
     """
     right, drawn = two_sample_votes(one, other, seed=seed)
     return float(right.sum() / drawn.sum())
@@ -222,6 +251,14 @@ def within_reach(generated: MotionWindows, recorded: MotionWindows, *, seed: int
     Raises:
         MotionError: no recorded window has a neighbour more than 3 s away, or windows of different
             joints.
+
+    Examples:
+        All of a copy is within reach, nothing of a body of 10 times the size:
+
+        >>> motion = gk.load("demo").generate(seconds=5)
+        >>> one, large = motion_windows(motion), motion_windows(motion.scaled(10))
+        >>> within_reach(one, one), within_reach(large, one)
+        (1.0, 0.0)
     """
     _require_same_joints(generated, recorded)
     rng = np.random.default_rng(seed)
@@ -273,6 +310,14 @@ def copying(
     Raises:
         MotionError: clips that are too short, a missing joint, or body parts that cannot be
             identified.
+
+    Examples:
+        Training motion that is given back, beside motion of a body of twice the size:
+
+        >>> training = gk.load("demo").generate(seconds=4)
+        >>> found = copying(training, training.scaled(2), training)
+        >>> round(found.median_ratio, 6), found.held_out_median > 0.1
+        (0.0, True)
     """
     training = as_list(training)
     joints = upper_joints(training[0].skeleton) if joints is None else joints

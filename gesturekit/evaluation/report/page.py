@@ -45,6 +45,13 @@ def write_report(
     Raises:
         GestureKitError: the player has not been bundled.
         FormatError: an unknown body, or an avatar that cannot be read.
+
+    Examples:
+        >>> gk.load("demo").generate(seconds=3).save(folder / "recorded" / "a.bvh")
+        >>> evaluation = gk.evaluate(folder / "recorded", folder / "recorded", protocol="multires")
+        >>> write_report(evaluation, folder / "report.html", title="A recording against itself")
+        >>> "<title>A recording against itself" in (folder / "report.html").read_text("utf-8")
+        True
     """
     evaluation = _with_short_names(evaluation)
     names = ", ".join(model.label for model in evaluation.models)
@@ -65,14 +72,8 @@ def write_report(
     page = {
         "title": html.escape(without_folders(heading)),
         "facts": "".join(f"<span>{html.escape(fact)}</span>" for fact in _facts(evaluation)),
-        "verdicts": "".join(
-            f'<p class="verdict">{html.escape(without_folders(line))}</p>'
-            for line in evaluation.verdicts()
-        ),
-        "warnings": "".join(
-            f'<p class="warning">{html.escape(without_folders(w))}</p>'
-            for w in _warnings(evaluation)
-        ),
+        "verdicts": _paragraphs("verdict", evaluation.verdicts()),
+        "warnings": _paragraphs("warning", _warnings(evaluation)),
         "sections": "\n".join(filter(None, sections)),
         "footer": html.escape(
             ", ".join(f"{name} {version}" for name, version in evaluation.versions.items())
@@ -80,6 +81,12 @@ def write_report(
         "scripts": _scripts(shown),
     }
     write_page(path, _HERE, page)
+
+
+def _paragraphs(kind: str, lines: Iterable[str]) -> str:
+    """Return each line as a paragraph of a class."""
+    shown = (html.escape(without_folders(line)) for line in lines)
+    return "".join(f'<p class="{kind}">{line}</p>' for line in shown)
 
 
 def without_folders(text: str) -> str:

@@ -100,6 +100,14 @@ def read_answers(
 
     Raises:
         EvaluationError: a file that is no such CSV, with line and value; no answer left.
+
+    Examples:
+        The left motion was clearly preferred:
+
+        >>> columns = "user,input_code,model_a,model_b,winner,is_strong"
+        >>> _ = (folder / "answers.csv").write_text(f"{columns}\\nu,clip,ours,theirs,model_a,True")
+        >>> read_answers([folder / "answers.csv"]).kept[0].score
+        2
     """
     found: list[Answer] = []
     failed: dict[str, tuple[int, int]] = {}

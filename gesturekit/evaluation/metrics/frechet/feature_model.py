@@ -104,6 +104,14 @@ class FeatureModel:
         network: the autoencoder.
         training: seed, steps, motions and seconds of the fit, and `unexplained`, the fraction of
             the reference's mean absolute deviation that the network cannot reconstruct.
+
+    Examples:
+        A model that was saved is the same model:
+
+        >>> model = FeatureModel.fit([gk.load("demo").generate(seconds=5)], steps=1)
+        >>> model.save(folder / "features")
+        >>> FeatureModel.load(folder / "features").fingerprint == model.fingerprint
+        True
     """
 
     def __init__(

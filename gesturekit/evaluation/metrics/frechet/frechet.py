@@ -54,6 +54,10 @@ class FrechetResult:
         n_reference: samples of the reference set.
         dimensions: dimension of the features.
         note: "" or why the value is uncertain.
+
+    Examples:
+        >>> print(FrechetResult(2.5, 2.0, 3.0, n_generated=400, n_reference=500, dimensions=32))
+        2.5 [2, 3] (400 against 500 samples of 32)
     """
 
     value: float
@@ -83,6 +87,13 @@ def frechet_distance(generated: np.ndarray, reference: np.ndarray) -> float:
 
     Raises:
         EvaluationError: shapes that differ, fewer than two samples, or NaN.
+
+    Examples:
+        The same spread, 3 apart:
+
+        >>> reference = np.array([[0.0], [1.0], [2.0]])
+        >>> round(frechet_distance(reference + 3, reference), 6)
+        9.0
     """
     generated, reference = _features(generated, "generated"), _features(reference, "reference")
     if generated.shape[1] != reference.shape[1]:
@@ -114,6 +125,14 @@ def frechet_result(
 
     Raises:
         EvaluationError: see `frechet_distance`.
+
+    Examples:
+        Features of two recordings, and the same 3 apart:
+
+        >>> reference = [np.array([[0.0], [1.0]]), np.array([[2.0], [3.0]])]
+        >>> result = frechet_result([features + 3 for features in reference], reference)
+        >>> round(result.value, 6), result.n_reference
+        (9.0, 4)
     """
     sets = [list(generated), list(reference)]
     if not all(sets):
@@ -158,6 +177,15 @@ def fgd(
 
     Raises:
         EvaluationError: missing joints, or no motion as long as a window.
+
+    Examples:
+        Recordings against themselves:
+
+        >>> from gesturekit.evaluation import FeatureModel
+        >>> recordings = [gk.load("demo").generate(seconds=5)]
+        >>> model = FeatureModel.fit(recordings, steps=1)
+        >>> round(fgd(recordings, recordings, model).value, 6)
+        0.0
     """
     return frechet_result(
         model.encode(generated), model.encode(reference), resamples=resamples, seed=seed
@@ -186,6 +214,13 @@ def raw_fgd(
 
     Raises:
         EvaluationError: see `fgd`.
+
+    Examples:
+        Recordings against themselves:
+
+        >>> recordings = [gk.load("demo").generate(seconds=5)]
+        >>> round(raw_fgd(recordings, recordings, joints=["LeftHand", "RightHand"]).value, 6)
+        0.0
     """
     windows = windows or PoseWindows.fit(reference, joints=joints)
     flat = [
@@ -218,6 +253,15 @@ def fid_k(
 
     Raises:
         EvaluationError: rigs that differ, fewer than two clips, motions shorter than a clip.
+
+    Examples:
+        Recordings against themselves, and a body of 10 times the size against them:
+
+        >>> recordings = [gk.load("demo").generate(seconds=4)]
+        >>> round(fid_k(recordings, recordings, seconds=1).value, 6)
+        0.0
+        >>> fid_k([recordings[0].scaled(10)], recordings, seconds=1).value > 100
+        True
     """
     return _fid("kinetic", generated, reference, seconds, joints, resamples, seed)
 
@@ -230,7 +274,15 @@ def fid_g(
     resamples: int = 100,
     seed: int = 0,
 ) -> FrechetResult:
-    """Return the Fréchet distance on geometric features of clips; see `fid_k`."""
+    """Return the Fréchet distance on geometric features of clips; see `fid_k`.
+
+    Examples:
+        Recordings against themselves; lengths are in units of the body, so its size does not count:
+
+        >>> recordings = [gk.load("demo").generate(seconds=4)]
+        >>> round(fid_g([recordings[0].scaled(2)], recordings, seconds=1).value, 6)
+        0.0
+    """
     return _fid("geometric", generated, reference, seconds, None, resamples, seed)
 
 
@@ -251,6 +303,13 @@ def div_k(
 
     Raises:
         EvaluationError: see `fid_k`.
+
+    Examples:
+        Two equal clips:
+
+        >>> motion = gk.load("demo").generate(seconds=2)
+        >>> div_k([motion, motion], seconds=2)
+        0.0
     """
     return _diversity("kinetic", motions, reference, seconds, joints)
 
@@ -261,7 +320,15 @@ def div_g(
     *,
     seconds: float = CLIP_SECONDS,
 ) -> float:
-    """Mean distance of two clips of `motions` in the geometric features; see `div_k`."""
+    """Mean distance of two clips of `motions` in the geometric features; see `div_k`.
+
+    Examples:
+        Two equal clips:
+
+        >>> motion = gk.load("demo").generate(seconds=2)
+        >>> div_g([motion, motion], seconds=2)
+        0.0
+    """
     return _diversity("geometric", motions, reference, seconds, None)
 
 

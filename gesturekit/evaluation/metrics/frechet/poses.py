@@ -54,6 +54,14 @@ class PoseWindows:
         stride: frames between the starts of two windows.
         mean: (3 B,) mean of the reference's frames.
         scale: (3 B,) divisor of the poses.
+
+    Examples:
+        Windows of 60 frames every 30, of a motion of 150:
+
+        >>> motion = gk.load("demo").generate(seconds=5)
+        >>> (clip,) = PoseWindows.fit([motion], joints=["LeftHand", "RightHand"]).cut([motion])
+        >>> clip.shape
+        (4, 60, 6)
     """
 
     variant: str
