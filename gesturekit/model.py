@@ -125,7 +125,7 @@ class Controls:
     followed."""
     like: str | Path | Motion | None = control(kind=Path, metavar="OTHER.bvh")
     """A motion on any human rig, to be regenerated in the manner of the model's recordings."""
-    foot_lock: bool = control(True, kind=bool, note="[default: lock]")
+    foot_lock: bool = control(True, kind=bool)
     """Lock planted feet in place; without it, feet stay as the model generated them."""
     smooth: float | None = control(kind=float, least=0, most=2, metavar="SECONDS")
     """Smooth upper-body movements shorter than this many seconds, but keep the time and size of

@@ -81,13 +81,15 @@ def controls_type(kind: str) -> type[Controls]:
 
 
 def control_docs() -> dict[str, str]:
-    """Return the docstring of each control of any system, with its default if that is a number."""
+    """Return the docstring of each control of any system, with its default."""
     docs: dict[str, str] = {}
     for kind in SYSTEMS:
         schema = controls_type(kind)
         docs |= field_docs(schema)
         for field in fields(schema):
-            if isinstance(field.default, int | float) and not isinstance(field.default, bool):
+            if isinstance(field.default, bool):
+                docs[field.name] += f"  [default: {'on' if field.default else 'off'}]"
+            elif isinstance(field.default, int | float):
                 docs[field.name] += f"  [default: {field.default:g}]"
     return docs
 

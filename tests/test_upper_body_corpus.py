@@ -22,12 +22,12 @@ from gesturekit.inspection import inspect
 from gesturekit.motion import Motion
 from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.multires.recall.parts import motion_parts
-from gesturekit.training.recipes import read_table
+from gesturekit.training.recipes import recipe_table
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human.body import Human
 
-DEBUG = read_table()["debug"]
+DEBUG = recipe_table()["debug"]
 FEATURES = "features.extractors=[{kind: prosody}, {kind: effort, seconds: 2}]"
 RECALL = ("recall.level=2", "recall.piece=1", "recall.overlap=0.3", "losses.detail=1")
 

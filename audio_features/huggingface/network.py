@@ -28,7 +28,7 @@ _SILENCE, _RANGE = -1.5, 2.0
 _BLOCK_FRAMES = 500  # at once, which bounds the memory of the first convolution
 
 
-class Sound(Protocol):
+class FramedSound(Protocol):
     """Frames of one sound."""
 
     n_frames: int
@@ -49,7 +49,7 @@ class FrontEnd(Protocol):
     longest: int | None
     """Most frames that the encoder takes at once; None without a limit."""
 
-    def sound(self, samples: torch.Tensor) -> Sound:
+    def sound(self, samples: torch.Tensor) -> FramedSound:
         """Prepare a sound: (N,) float32 at 16 kHz, normalised as the encoder expects.
 
         The samples are on the network's device.

@@ -59,11 +59,11 @@ def command(
     Exit codes: 0 complete; 1 files are missing or wrong, as listed; 2 nothing could be started.
     """
     from gesturekit.progress import Progress
-    from gesturekit.rendering.genea import RIGS, check, export, sounds_of
+    from gesturekit.rendering.genea import RIGS, check, export, published_sounds
     from gesturekit.systems import load
     from gesturekit.wording import counted
 
-    sounds = sounds_of(folder, layout)
+    sounds = published_sounds(folder, layout)
     if action == "export":
         if model is None:
             raise click.UsageError("export: give --model")

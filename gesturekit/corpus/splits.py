@@ -31,7 +31,7 @@ Interval = tuple[float, float]
 """Start and end in seconds; the end may be infinite."""
 
 
-def held_out(
+def choose_held_out(
     ids: Iterable[str], fraction: float, seed: int, *, at_least: int = 0
 ) -> dict[str, str]:
     """Choose the split of each recording, {id: split}.
@@ -246,13 +246,13 @@ def split_items(
                     part = replace(part, id=f"{recording.id}@{start:.2f}-{stop:.2f}")
                 items.append(_item(part, split))
     else:
-        chosen = held_out((r.id for r in paired if not r.split), holdout, seed, at_least=1)
+        chosen = choose_held_out((r.id for r in paired if not r.split), holdout, seed, at_least=1)
         items += [_item(recording, recording.split or chosen[recording.id]) for recording in paired]
     for group in (
         [recording for recording in alone if recording.audio],
         [recording for recording in alone if recording.motion],
     ):
-        chosen = held_out((r.id for r in group if not r.split), holdout, seed)
+        chosen = choose_held_out((r.id for r in group if not r.split), holdout, seed)
         items += [_item(recording, recording.split or chosen[recording.id]) for recording in group]
     return items, problems
 

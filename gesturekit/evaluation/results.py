@@ -133,7 +133,7 @@ class Agreement:
 
 
 @dataclass(frozen=True)
-class Answer:
+class Finding:
     """The answer to one of the three questions that head a report.
 
     Attributes:
@@ -171,7 +171,7 @@ class ModelResult:
     label: str
     path: Path
     verdict: str = ""
-    answers: list[Answer] = field(default_factory=list)
+    answers: list[Finding] = field(default_factory=list)
     metrics: dict[str, MetricResult] = field(default_factory=dict)
     by_recording: dict[str, dict[str, Interval]] = field(default_factory=dict)
     clips: list[ClipResult] = field(default_factory=list)

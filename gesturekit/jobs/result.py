@@ -114,17 +114,17 @@ class Processor(ABC):
         other.out = out
         return other
 
-    def names(self, task: Task) -> list[str]:
+    def stems(self, task: Task) -> list[str]:
         """Return the paths of a task's files below the output folder, without suffix."""
         return [task.id]
 
     def targets(self, task: Task) -> tuple[Path, ...]:
         """Return all output files of a task; none if the task has an error."""
-        names = [] if task.error is not None else self.names(task)
+        names = [] if task.error is not None else self.stems(task)
         return tuple(self.out / f"{name}.{kind}" for name in names for kind in self.written)
 
     def missing(self, result: Result, name: str) -> Iterator[Path]:
-        """Yield the files of one of `names` to write; each is noted in the result when written."""
+        """Yield the files of one of `stems` to write; each is noted in the result when written."""
         for kind in self.written:
             file = self.out / f"{name}.{kind}"
             if file not in result.kept:

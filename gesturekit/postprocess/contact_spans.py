@@ -33,7 +33,7 @@ def point_speed(positions: np.ndarray, fps: float) -> np.ndarray:
     return speed
 
 
-def smooth_path(path: np.ndarray, frames: float) -> np.ndarray:
+def gaussian_smoothed(path: np.ndarray, frames: float) -> np.ndarray:
     """(T, ...) Gaussian smoothing, padded by point reflection so that linear drift is kept.
 
     `frames` is the standard deviation.
@@ -63,7 +63,7 @@ def contact_frames(
     """
     speed = point_speed(positions, fps)
     if labels is None:
-        steady = smooth_path(positions, TREMBLE_SECONDS * fps)
+        steady = gaussian_smoothed(positions, TREMBLE_SECONDS * fps)
         speed = np.minimum(speed, point_speed(steady, fps))
     speed /= scale
     if labels is None:

@@ -40,8 +40,8 @@ from gesturekit.motion.rotations import (
 from gesturekit.postprocess.contact_spans import (
     contact_frames,
     contact_spans,
+    gaussian_smoothed,
     include_landing,
-    smooth_path,
     split_at_movement,
 )
 from gesturekit.postprocess.foot import Foot, find_feet
@@ -350,7 +350,7 @@ def horizontal_drift(
     weight = gaussian_filter1d(standing, _STEADY * fps, axis=0, mode="constant")[..., None]
     steady = gaussian_filter1d(steps, _STEADY * fps, axis=0, mode="constant")
     steady /= np.maximum(weight, 1e-6)
-    return smooth_path(np.cumsum(_common(steady, standing), axis=0), _SWAY * fps)
+    return gaussian_smoothed(np.cumsum(_common(steady, standing), axis=0), _SWAY * fps)
 
 
 def height_error(heights: np.ndarray, stands: np.ndarray, fps: float) -> np.ndarray:
@@ -361,8 +361,8 @@ def height_error(heights: np.ndarray, stands: np.ndarray, fps: float) -> np.ndar
     """
     standing = stands.astype(float)
     common = _common(heights[..., None] * standing[..., None], standing)
-    weight = smooth_path(standing.max(axis=1), _SWAY * fps)
-    return smooth_path(common[:, 0], _SWAY * fps) / np.maximum(weight, 0.5)
+    weight = gaussian_smoothed(standing.max(axis=1), _SWAY * fps)
+    return gaussian_smoothed(common[:, 0], _SWAY * fps) / np.maximum(weight, 0.5)
 
 
 def _common(both: np.ndarray, standing: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from gesturekit.errors import SpeechError
 from gesturekit.jobs.result import Processor, Result, json_of, path_digest
 from gesturekit.jobs.task import Task
-from gesturekit.rendering.inputs import load_wave, words_of
+from gesturekit.rendering.inputs import task_wave, task_words
 
 if TYPE_CHECKING:
     from audio_features import Extractor, FeatureTrack, Wave
@@ -65,14 +65,14 @@ class FeatureExtraction(Processor):
         used = {name: task.more.get(name) for name in ("start", "seconds", "channel")}
         found |= {name: value for name, value in used.items() if value is not None}
         if task.path is not None and takes_words(self.extractor):
-            words = words_of(task)
+            words = task_words(task)
             found["words"] = words and path_digest(words)
         return found
 
     def make(self, result: Result) -> None:
         """Extract the features of a sound and write them."""
         task = result.task
-        wave = load_wave(task, self.channel)
+        wave = task_wave(task, self.channel)
         if wave is None:
             raise SpeechError(f"{task.source}: no sound, so there are no features of it")
         for fault in (*wave.repairs, *wave.faults()):

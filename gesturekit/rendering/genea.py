@@ -30,7 +30,7 @@ FPS = 30.0
 SAMPLES = 5
 
 
-def sounds_of(folder: str | Path, layout: str = "beat2") -> dict[str, Path]:
+def published_sounds(folder: str | Path, layout: str = "beat2") -> dict[str, Path]:
     """Return {name: sound} of a corpus' published test split.
 
     Sounds are whole; the manifest of `prepare` trims them to the recorded motion.
@@ -72,12 +72,12 @@ def export(
         options: see `gesturekit.render`.
 
     Raises:
-        CorpusError: see `sounds_of`.
+        CorpusError: see `published_sounds`.
         GestureKitError: see `gesturekit.render`.
     """
     return render(
         model,
-        list(sounds_of(folder, layout).values()),
+        list(published_sounds(folder, layout).values()),
         out,
         formats="npz",
         rig=RIGS[layout],
@@ -96,7 +96,7 @@ def check(out: str | Path, sounds: Mapping[str, Path], rig: str, samples: int) -
 
     Args:
         out: folder of the submission.
-        sounds: see `sounds_of`.
+        sounds: see `published_sounds`.
         rig: smplx or smplh.
         samples: number of motions for each sound.
     """

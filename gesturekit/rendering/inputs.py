@@ -123,7 +123,7 @@ def item_of(task: Task) -> Item | None:
         ) from None
 
 
-def load_wave(task: Task, channel: int | None) -> af.Wave | None:
+def task_wave(task: Task, channel: int | None) -> af.Wave | None:
     """Read the sound of a task, cut to its interval; None without a sound.
 
     Raises:
@@ -138,7 +138,7 @@ def load_wave(task: Task, channel: int | None) -> af.Wave | None:
     return af.Wave.load(task.path, start=start, duration=seconds, channel=channel)
 
 
-def words_of(task: Task) -> Path | None:
+def task_words(task: Task) -> Path | None:
     """Return the word list of a task's item, or beside its sound."""
     item = item_of(task)
     given = None if item is None else item.conditions.get("words")

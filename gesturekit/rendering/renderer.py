@@ -19,11 +19,11 @@ from gesturekit.jobs.result import Processor, Result, json_of, path_digest
 from gesturekit.jobs.task import Task
 from gesturekit.model import Model
 from gesturekit.motion.motion import Motion
-from gesturekit.rendering.inputs import item_of, load_wave, words_of
+from gesturekit.rendering.inputs import item_of, task_wave, task_words
 from gesturekit.viewer.video.writer import require_encoder
 
 log = logging.getLogger(__name__)
-FORMATS = ("bvh", "npz", "html", "mp4", "png")
+RENDERED = ("bvh", "npz", "html", "mp4", "png")
 
 
 @dataclass(frozen=True)
@@ -92,10 +92,10 @@ class Renderer(Processor):
 
     def __post_init__(self) -> None:
         output = self.output
-        unknown = [name for name in output.formats if name not in FORMATS]
+        unknown = [name for name in output.formats if name not in RENDERED]
         if unknown or not output.formats:
             raise ConfigError(
-                f"format {', '.join(unknown) or '(none)'}: known: {', '.join(FORMATS)}"
+                f"format {', '.join(unknown) or '(none)'}: known: {', '.join(RENDERED)}"
             )
         if "mp4" in output.formats:
             require_encoder()
@@ -121,8 +121,8 @@ class Renderer(Processor):
         """Folder of the model, where it has one."""
         return {"model_folder": str(self.model.folder)} if self.model.folder else {}
 
-    def names(self, task: Task) -> list[str]:
-        """Return the name of each sample."""
+    def stems(self, task: Task) -> list[str]:
+        """Return the paths of the samples below the output folder, without suffix."""
         if self.samples == 1:
             return [task.id]
         return [f"{task.id}_s{number}" for number in range(1, self.samples + 1)]
@@ -142,7 +142,7 @@ class Renderer(Processor):
             if value is not None:
                 found[name] = value
         if task.path is not None and any(model.inputs.words for model in self._models):
-            words = words_of(task)
+            words = task_words(task)
             found["words"] = words and path_digest(words)
         if (item := item_of(task)) is not None:
             found |= {"start": item.audio_start, "duration": item.duration}
@@ -172,7 +172,7 @@ class Renderer(Processor):
         # The player embeds the original file, unless only a part of it was used.
         sound = task.path if self.channel is None and not task.more else wave
         result.sound = motions[0].duration if wave is None else wave.duration
-        for motion, name in zip(motions, self.names(task), strict=True):
+        for motion, name in zip(motions, self.stems(task), strict=True):
             motion = motion if self.body is None else self.body.put(motion)
             result.facts["fps"] = motion.fps
             for file in self.missing(result, name):
@@ -180,7 +180,7 @@ class Renderer(Processor):
 
     def _generate(self, task: Task) -> tuple[af.Wave | None, list[Motion]]:
         """Return the sound of a task, and its motions."""
-        wave, item = load_wave(task, self.channel), item_of(task)
+        wave, item = task_wave(task, self.channel), item_of(task)
         if wave is not None and not wave.is_silent:  # the model warns of silence
             for fault in wave.faults():
                 log.warning("%s: %s", task.source, fault)

@@ -87,7 +87,8 @@ def _query(name: str, entry: ControlEntry, default: Any) -> tuple[Any, Any]:
     if entry.kind is str:
         limits = {"max_length": 200}
     query = Query(description=field_docs(Controls)[name], **limits)
-    return Annotated[entry.kind if default is not None else entry.kind | None, query], default
+    kind = Literal[entry.choices] if entry.choices else entry.kind
+    return Annotated[kind if default is not None else kind | None, query], default
 
 
 class _Settings(BaseModel, extra="forbid"):

@@ -58,7 +58,7 @@ def recipes_folder() -> Path:
     raise ConfigError(f"{_PLACES[0]}: the recipes are missing; install gesturekit again")
 
 
-def read_table() -> dict[str, Any]:
+def recipe_table() -> dict[str, Any]:
     """Return `recipes/recipes.toml`: what a training makes, debug settings, recipes."""
     with (recipes_folder() / _TABLE).open("rb") as file:
         return tomllib.load(file)
@@ -66,7 +66,7 @@ def read_table() -> dict[str, Any]:
 
 def recipes() -> dict[str, Recipe]:
     """Return the recipes that come with gesturekit, by name, in the order of their table."""
-    rows = read_table()["recipe"]
+    rows = recipe_table()["recipe"]
     return {name: Recipe(name, row["about"], row.get("debug", {})) for name, row in rows.items()}
 
 

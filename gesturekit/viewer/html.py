@@ -31,10 +31,10 @@ from gesturekit.viewer.page_data import (
     add_skins,
     base64_text,
     contact_track,
-    motion_beats,
     onsets,
     packed,
     spectrogram,
+    speed_minima,
 )
 from gesturekit.viewer.pages import bundled_script, filled, insert, script_json
 from gesturekit.viewer.sound import OUTLINE_RATE, Sound, as_sound, outline
@@ -184,7 +184,7 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
         "head": vars(figure.head) if figure.head else None,
         "hands": figure.hands,
         "contacts": None if contacts is None else base64_text(contacts.tobytes()),
-        "beats": _times(motion_beats(figure.hand_speed, figure.fps)),
+        "beats": _times(speed_minima(figure.hand_speed, figure.fps)),
         "speed": {
             "of": figure.speed_of,
             "peak": peak,

@@ -119,7 +119,7 @@ def onsets(wave: Wave) -> np.ndarray:
     return track.times[track.values[:, track.names.index("onset_peak")] > 0]
 
 
-def motion_beats(speed: np.ndarray, fps: float) -> np.ndarray:
+def speed_minima(speed: np.ndarray, fps: float) -> np.ndarray:
     """Return the times of motion beats, seconds: minima of a speed curve (T,)."""
     depth = _BEAT_PROMINENCE * float(np.quantile(speed, 0.98))
     found, _ = find_peaks(-speed, prominence=max(depth, 1e-6))

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from gesturekit.cli import main
-from gesturekit.training.recipes import read_table
+from gesturekit.training.recipes import recipe_table
 
 RECIPES = Path(__file__).resolve().parents[2] / "recipes"
 LIGHT = RECIPES / "multires_speech" / "light.yaml"
 SMALL = RECIPES / "diffusion_speech" / "small.yaml"
-DEBUG = read_table()["debug"]
+DEBUG = recipe_table()["debug"]
 TINY = (*DEBUG["multires"], "fps=25", "network.levels=6", "training.discriminator_steps=1")
 TINY_DIFFUSION = (
     *DEBUG["diffusion"],

@@ -12,9 +12,9 @@ import pytest
 import gesturekit as gk
 from gesturekit.motion.body_model.model import FOOT_VERTICES
 from gesturekit.motion.contacts import foot_points
-from gesturekit.training.recipes import read_table
+from gesturekit.training.recipes import recipe_table
 
-DEBUG = read_table()["debug"]
+DEBUG = recipe_table()["debug"]
 WITHOUT_SPEECH = {
     "multires": ("ganimator", *DEBUG["multires"], "network.levels=3"),
     "diffusion": ("diffusion_speech/small", *DEBUG["diffusion"], "features=null"),

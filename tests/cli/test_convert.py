@@ -19,7 +19,9 @@ import pytest
 from gesturekit import Motion
 from gesturekit.cli.options import AXES, UNITS
 from gesturekit.formats import axes, plausibility
+from gesturekit.formats.registry import WRITABLE
 from gesturekit.jobs.state import STATE
+from gesturekit.rendering.renderer import RENDERED
 
 TRIES = int(os.environ.get("GESTUREKIT_FUZZ", "120"))
 
@@ -37,6 +39,12 @@ def takes(gesture, tmp_path) -> Path:
 
 def test_choices_of_the_options_match_the_readers():
     assert set(UNITS) == set(plausibility.METRES) and set(AXES) == set(axes.AXES)
+
+
+def test_the_help_names_all_formats(gesturekit):
+    for verb, formats in (("convert", WRITABLE), ("render", RENDERED)):
+        shown = re.search(r"any of\s+([\w,\s]+)\.", gesturekit(verb, "--help").out)[1]
+        assert re.sub(r"\s", "", shown).split(",") == list(formats)
 
 
 def test_one_file_is_one_line_of_what_was_found_and_done(gesturekit, takes, monkeypatch):

@@ -17,7 +17,7 @@ from gesturekit import Motion
 from gesturekit.corpus import Manifest
 from gesturekit.inspection import inspect
 from gesturekit.multires.recall.wanted import WantedMovement
-from gesturekit.training.recipes import read_table
+from gesturekit.training.recipes import recipe_table
 
 RECIPES = Path(__file__).resolve().parents[2] / "recipes"
 CONFIG = RECIPES / "multires_speech" / "config.yaml"
@@ -161,7 +161,7 @@ def test_features_and_doctor_take_the_folder(gesturekit, hubert, write_speech, t
 
 
 DIFFUSION = (
-    *read_table()["debug"]["diffusion"],
+    *recipe_table()["debug"]["diffusion"],
     "features.extractors=[{kind: wavlm, layer: last}, {kind: effort}]",
     "features.components=5",
 )

@@ -12,7 +12,7 @@ import pytest
 from gesturekit.multires.training.stage import Stage
 from gesturekit.systems import resolved_settings
 from gesturekit.training.config import read_yaml
-from gesturekit.training.run.held_out import HeldOut
+from gesturekit.training.run.held_out import HeldOutMetrics
 
 
 @pytest.fixture
@@ -212,7 +212,7 @@ def test_frequent_evaluation_does_not_change_the_weights(
 ):
     corpus = f"corpus={one_recording}"
     assert train(corpus).status == 0
-    monkeypatch.setattr(HeldOut, "is_due", lambda self: True)
+    monkeypatch.setattr(HeldOutMetrics, "is_due", lambda self: True)
     assert train(corpus, f"out={tmp_path / 'other'}").status == 0
     assert '"kind": "held_out"' in (tmp_path / "other" / "metrics.jsonl").read_text()
     one, other = (

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gesturekit.corpus.pairing import pair, recording_ids, scan
-from gesturekit.corpus.splits import cut, held_out, parse_intervals
+from gesturekit.corpus.splits import choose_held_out, cut, parse_intervals
 from gesturekit.errors import CorpusError
 
 
@@ -132,22 +132,25 @@ def test_a_folder_that_is_not_there_is_an_error(tmp_path):
 
 
 def test_a_fraction_is_held_out_for_test_and_valid_in_turn():
-    splits = held_out([f"r{i}" for i in range(40)], 0.1, seed=0)
+    splits = choose_held_out([f"r{i}" for i in range(40)], 0.1, seed=0)
     assert Counter(splits.values()) == {"train": 36, "test": 2, "valid": 2}
 
 
 def test_the_choice_depends_on_the_seed_and_not_on_the_order():
     ids = [f"r{i}" for i in range(40)]
-    assert held_out(ids, 0.2, 0) == held_out(ids[::-1], 0.2, 0)
-    assert held_out(ids, 0.2, 0) != held_out(ids, 0.2, 1)
+    assert choose_held_out(ids, 0.2, 0) == choose_held_out(ids[::-1], 0.2, 0)
+    assert choose_held_out(ids, 0.2, 0) != choose_held_out(ids, 0.2, 1)
 
 
 def test_at_least_one_is_held_out_where_asked_and_never_all():
-    assert Counter(held_out(["a", "b"], 0.1, 0, at_least=1).values()) == {"train": 1, "test": 1}
-    assert set(held_out(["a", "b"], 0.99, 0).values()) == {"train", "test"}
-    assert set(held_out(["a"], 0.5, 0, at_least=1).values()) == {"train"}
-    assert set(held_out(["a", "b"], 0.0, 0, at_least=1).values()) == {"train"}
-    assert held_out([], 0.5, 0) == {}
+    assert Counter(choose_held_out(["a", "b"], 0.1, 0, at_least=1).values()) == {
+        "train": 1,
+        "test": 1,
+    }
+    assert set(choose_held_out(["a", "b"], 0.99, 0).values()) == {"train", "test"}
+    assert set(choose_held_out(["a"], 0.5, 0, at_least=1).values()) == {"train"}
+    assert set(choose_held_out(["a", "b"], 0.0, 0, at_least=1).values()) == {"train"}
+    assert choose_held_out([], 0.5, 0) == {}
 
 
 def test_intervals_are_read_and_wrong_ones_refused():

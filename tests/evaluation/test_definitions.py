@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import pkgutil
+import re
 
 import pytest
 
 from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, definitions_of
-from gesturekit.evaluation.measuring.clips import Sound
+from gesturekit.evaluation.measuring.clips import RecordedSound
 from gesturekit.evaluation.measuring.inputs import ClipInputs, SetInputs
 
 SOURCES = {
     "motion": (ClipInputs,),
     "comparison": (ClipInputs,),
-    "sound": (ClipInputs, Sound),
+    "sound": (ClipInputs, RecordedSound),
     "distance": (SetInputs,),
     "diversity": (SetInputs,),
 }
@@ -34,6 +36,8 @@ def test_every_parameter_of_a_metric_is_an_input(definition):
 
 def test_entries_are_consistent():
     for definition in DEFINITIONS.values():
+        for name in re.findall(r"gesturekit\.[\w.]+", definition.source):
+            assert pkgutil.resolve_name(name), definition.key
         assert definition.group in GROUPS and definition.taken_with in GROUPS, definition.key
         assert bool(definition.function) == bool(definition.of), definition.key
         assert definition.better in ("higher", "lower", "reference"), definition.key

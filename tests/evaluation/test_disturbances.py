@@ -32,7 +32,7 @@ from gesturekit.evaluation import (
     sync,
 )
 from gesturekit.evaluation import wrist_speed as wrist_speeds
-from gesturekit.evaluation.definitions import GROUPS, Variants
+from gesturekit.evaluation.definitions import GROUPS, Variants, definitions_of
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import Clip, read_semantic
 from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
@@ -106,16 +106,28 @@ SIGNS = {
     "jerk": "?0+?-",
     "acceleration_genea": "+0+?-",
     "jerk_genea": "?0+?-",
+    "hand_q10": "00+?-",
+    "hand_q50": "00+?-",
+    "hand_q90": "00+?-",
+    "hand_q99": "00+?-",
+    "rest": "00-?+",
+    "near_still": "00-0+",
+    "reach": "00+0-",
+    "speed_range": "00-?x",
     "foot_skate": "+++?-",
     "floor_penetration": "0++0?",
     "joint_limits": "00+00",
     "l1_diversity": "00+0-",
+    "intra_diversity": "?0+?-",
     "hellinger": "+0+?+",
     "cca": "00--x",
     "coverage": "?0-0-",
     "global_diversity": "?0+?+",
     "local_diversity": "?0+?+",
 }
+
+# Metrics of one clip; those whose group is pooled are of all clips.
+TESTED = {d.key for d in definitions_of("motion", "comparison", "sound") if d.tested}
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +165,7 @@ def test_every_measure_moves_the_way_it_should(pair_of_files, measured):
     recording, _ = pair_of_files
     base = measured(recording)
     found = {name.__name__: measured(name(recording)) for name in DISTURBANCES}
-    wrong = []
+    wrong = [f"{key}: has no signs" for key in base if key in TESTED and key not in SIGNS]
     for key, signs in SIGNS.items():
         for disturbance, sign in zip(DISTURBANCES, signs, strict=True):
             value = found[disturbance.__name__].get(key)

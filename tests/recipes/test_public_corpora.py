@@ -6,7 +6,7 @@ import published
 import pytest
 
 from gesturekit.training.config import read_chain
-from gesturekit.training.recipes import find_config, read_table, recipes
+from gesturekit.training.recipes import find_config, recipe_table, recipes
 
 CORPORA = {
     "beat2": ("beat2", published.beat2),
@@ -31,7 +31,7 @@ def test_from_the_published_folder_to_a_model(recipe, gesturekit, gesture, write
     prepare = ("prepare", tmp_path / "published", "--layout", layout, "--holdout", 0)
     assert gesturekit(*prepare, "--out", corpus).status in (0, 1)
     system = read_chain(find_config(recipe))["system"]
-    flags = [*read_table()["debug"][system], *recipes()[recipe].debug.get("config", ())]
+    flags = [*recipe_table()["debug"][system], *recipes()[recipe].debug.get("config", ())]
     train = ("train", recipe, f"corpus={corpus}", f"out={tmp_path / 'run'}", *flags)
     assert gesturekit(*train).status == 0
     assert (tmp_path / "run" / "model" / "model.safetensors").is_file()

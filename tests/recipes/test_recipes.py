@@ -19,7 +19,7 @@ from gesturekit.corpus import Manifest, prepare
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.training.config import load_config, read_chain
-from gesturekit.training.recipes import read_table, recipes
+from gesturekit.training.recipes import recipe_table, recipes
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIGS = sorted((ROOT / "recipes").glob("*/*.yaml"))
@@ -27,7 +27,7 @@ SCRIPTS = sorted(
     path for path in (ROOT / "recipes").glob("*/*.py") if "__main__" in path.read_text("utf-8")
 )
 
-TABLE = read_table()
+TABLE = recipe_table()
 CONFIG_CLASSES = {"multires": MultiresConfig, "diffusion": DiffusionConfig}
 
 

@@ -11,7 +11,7 @@ import pytest
 from gesturekit.cli import main
 from gesturekit.errors import CorpusError
 from gesturekit.motion import Motion
-from gesturekit.rendering.genea import check, export, sounds_of
+from gesturekit.rendering.genea import check, export, published_sounds
 
 # Seconds of sound of each recording; the motion of each lasts 1 s.
 SECONDS = {"2_scott_0_1_1": 1.51, "1_wayne_0_86_87": 2.0, "1_wayne_0_1_1": 1.0}
@@ -56,11 +56,11 @@ def test_the_test_split_is_rendered_to_the_length_of_the_sound(beat2, submission
         "2_scott_0_1_1_s1": 45,
         "2_scott_0_1_1_s2": 45,
     }
-    assert check(submission, sounds_of(beat2), "smplx", 2) == []
+    assert check(submission, published_sounds(beat2), "smplx", 2) == []
 
 
 def test_every_fault_is_named(beat2, submission, tmp_path):
-    sounds = sounds_of(beat2)
+    sounds = published_sounds(beat2)
     assert list(sounds) == ["1_wayne_0_86_87", "2_scott_0_1_1"]
     good = Motion.load(submission / "2_scott_0_1_1_s1.npz")
     good.save(tmp_path / "2_scott_0_1_1_s1.npz")
@@ -102,12 +102,12 @@ def test_the_command_makes_what_is_missing_and_says_what_is_wrong(beat2, tmp_pat
 
 def test_the_sounds_alone_are_enough(beat2, tmp_path):
     shutil.copytree(beat2, tmp_path / "sounds", ignore=shutil.ignore_patterns("smplx*"))
-    assert sounds_of(tmp_path / "sounds").keys() == sounds_of(beat2).keys()
+    assert published_sounds(tmp_path / "sounds").keys() == published_sounds(beat2).keys()
 
 
 def test_other_corpora_are_refused(beat2, tmp_path):
     with pytest.raises(CorpusError, match="a submission is for beat2 or seamless"):
-        sounds_of(beat2, "zeggs")
+        published_sounds(beat2, "zeggs")
     (tmp_path / "train_test_split.csv").write_text("id,type\n")
     with pytest.raises(CorpusError, match="no sound in the test split"):
-        sounds_of(tmp_path)
+        published_sounds(tmp_path)

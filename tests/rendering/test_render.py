@@ -23,7 +23,7 @@ from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.postprocess import smooth_motion
 from gesturekit.rendering.batch import iter_render as render
 from gesturekit.rendering.inputs import find_tasks, item_of
-from gesturekit.rendering.renderer import FORMATS, Output
+from gesturekit.rendering.renderer import RENDERED, Output
 
 JOURNAL = f"{STATE}/journal/00001-of-00001.jsonl"
 
@@ -142,7 +142,7 @@ def test_a_model_that_gives_nan_fails_each_file_by_name(model, sounds, tmp_path)
 
 def test_sound_that_no_file_can_be_made_of_leaves_nothing(model, tmp_path):
     (outcome,) = render(
-        model, [tmp_path / "none.wav"], tmp_path / "out", output=Output(formats=FORMATS)
+        model, [tmp_path / "none.wav"], tmp_path / "out", output=Output(formats=RENDERED)
     )
     assert outcome.files == () and "none.wav: no such file" in outcome.error
     assert [path.name for path in (tmp_path / "out").iterdir()] == [STATE]
@@ -152,7 +152,7 @@ def test_sound_that_no_file_can_be_made_of_leaves_nothing(model, tmp_path):
     ("formats", "names"), [(("bvh", "obj"), "obj"), ((), "none"), ((".fbx",), "fbx")]
 )
 def test_unknown_formats(model, sounds, tmp_path, formats, names):
-    with pytest.raises(ConfigError, match=f"{names}.*known: bvh, npz, html, mp4, png"):
+    with pytest.raises(ConfigError, match=f"{names}.*known: {', '.join(RENDERED)}"):
         next(render(model, sounds, tmp_path / "out", output=Output(formats=formats)))
     assert not (tmp_path / "out").exists()
 

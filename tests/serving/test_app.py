@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import threading
 import time
+from pathlib import Path
 
 import pytest
 import uvicorn
@@ -170,6 +171,8 @@ def test_the_pages_load_nothing_from_elsewhere(client):
     schema = one.get("/openapi.json").json()
     names = {parameter["name"] for parameter in schema["paths"]["/motion"]["post"]["parameters"]}
     assert names == {"format", "seed", "style", "speaker", "foot_lock", "smooth", "vad", "fps"}
+    table = (Path(__file__).parents[2] / "docs" / "serve.md").read_text(encoding="utf-8")
+    assert all(f"`{name}" in table for name in names)
 
 
 def test_limits_are_positive():

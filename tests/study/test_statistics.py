@@ -11,6 +11,7 @@ from scipy import stats
 from statsmodels.stats.proportion import proportion_confint
 
 from gesturekit.evaluation.statistics.answers import Answer, Answers
+from gesturekit.evaluation.statistics.intervals import holm
 from gesturekit.study import analyse_study
 from gesturekit.study.analysis.alignment import analyse_alignment
 from gesturekit.study.analysis.preference import (
@@ -25,7 +26,6 @@ from gesturekit.study.analysis.result import reservations
 from gesturekit.study.analysis.significance import (
     Expected,
     anova,
-    holm,
     power_of,
     rater_test,
     raters_needed,

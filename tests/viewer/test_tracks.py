@@ -35,9 +35,9 @@ def test_the_spectrogram_is_small_and_in_time(seconds):
 def test_motion_beats_are_the_minima_of_speed():
     time = np.arange(300) / 100
     np.testing.assert_allclose(
-        page_data.motion_beats(1 + np.cos(2 * np.pi * time), 100.0), [0.5, 1.5, 2.5], atol=0.011
+        page_data.speed_minima(1 + np.cos(2 * np.pi * time), 100.0), [0.5, 1.5, 2.5], atol=0.011
     )
-    assert len(page_data.motion_beats(np.zeros(50), 30.0)) == 0
+    assert len(page_data.speed_minima(np.zeros(50), 30.0)) == 0
 
 
 def test_contacts_tell_the_feet_apart(gesture, skeleton):

@@ -31,7 +31,7 @@ from gesturekit.motion.parts import unidentified
 from gesturekit.motion.torch_kinematics import foot_kinematics
 from gesturekit.training.data.sources import describe_recordings, save_sources, unused_labels
 from gesturekit.training.run.folder import Run
-from gesturekit.training.run.held_out import HeldOut
+from gesturekit.training.run.held_out import HeldOutMetrics
 from gesturekit.training.run.loop import Loop, StageCallbacks, last_losses, read_once
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.run.session import log_plan, session
@@ -105,7 +105,7 @@ class Trainer:
         self.batches = Batches(self.data, config)
         self.changes = self.data.changes().to(device) if config.training.changes else None
         self.foot_velocity = self._foot_velocity()
-        self.held_out = HeldOut(
+        self.held_out = HeldOutMetrics(
             config,
             run,
             speech=self.data.conditions.conditioner is not None,

@@ -8,7 +8,7 @@ import numpy as np
 
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation.measuring.clips import load_clip
-from gesturekit.evaluation.measuring.rigs import RETARGETED, bare_name
+from gesturekit.evaluation.measuring.rigs import RETARGETED, without_namespace
 from gesturekit.evaluation.pairs import Excluded, Pairs
 from gesturekit.evaluation.results import ModelResult
 from gesturekit.motion.parts import body_joints
@@ -62,7 +62,7 @@ def joints_to_leave_out(found: Mapping[str, Pairs], fps: float) -> frozenset[str
             except GestureKitError:
                 continue  # reported when it is measured
             lost = [n for n in body_joints(clip.recording.skeleton) if n not in clip.joints]
-            without |= {bare_name(name) for name in lost}
+            without |= {without_namespace(name) for name in lost}
             if lost and len(found) > 1:
                 pairs.notes.append(
                     f"{label} lacks {listed(lost, 5)} of the recordings' rig: all models are "

@@ -21,7 +21,7 @@ from gesturekit.evaluation.definitions import (
     Variants,
     definitions_of,
 )
-from gesturekit.evaluation.measuring.clips import Clip, Sound, load_sound
+from gesturekit.evaluation.measuring.clips import Clip, RecordedSound, load_sound
 from gesturekit.evaluation.measuring.inputs import ClipInputs, ReferenceStatistics, compute
 from gesturekit.evaluation.metrics.sync import hardly_moves
 from gesturekit.evaluation.pairs import Pair
@@ -68,7 +68,7 @@ class ClipMetrics:
         self._own(out, self._inputs(clip, clip.recording))
         return out.values, out.problems
 
-    def mismatched_sound(self, clip: Clip, sounds: Sequence[Sound]) -> Values:
+    def mismatched_sound(self, clip: Clip, sounds: Sequence[RecordedSound]) -> Values:
         """Average the speech metrics of the generated motion over other recordings' sounds."""
         every: dict[str, list[float]] = {}
         inputs = self._inputs(clip, clip.generated)
@@ -119,7 +119,7 @@ class ClipMetrics:
         for definition in sorted(self._chosen("comparison"), key=lambda d: d.group == SPEECH):
             out(definition, inputs)
 
-    def _speech(self, out: _Collected, inputs: ClipInputs, sound: Sound) -> None:
+    def _speech(self, out: _Collected, inputs: ClipInputs, sound: RecordedSound) -> None:
         results = {d.key: out(d, inputs, sound) for d in self._chosen("sound")}
         synced = results.get("sync")
         if synced is not None and not (synced.note and synced.r):  # else its chance is unknown
@@ -142,7 +142,7 @@ class _Collected:
         self.values: Values = {}
         self.problems: Problems = []
 
-    def __call__(self, definition: Definition, *sources: ClipInputs | Sound) -> Any | None:
+    def __call__(self, definition: Definition, *sources: ClipInputs | RecordedSound) -> Any | None:
         """Compute a metric, or several of one function; turn an error into a problem."""
         try:
             result = compute(definition, *sources)

@@ -10,7 +10,7 @@ import numpy as np
 
 from audio_features import FeatureTrack, Wave
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.evaluation.measuring.rigs import bare_name, matched
+from gesturekit.evaluation.measuring.rigs import matched, without_namespace
 from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.evaluation.metrics.physical import joint_speed
 from gesturekit.evaluation.metrics.rhythm import music_beats, speech_onsets
@@ -98,7 +98,7 @@ def load_clip(pair: Pair, fps: float | None = None, without: frozenset[str] = fr
         joints, generated, remarks = matched(generated, recording)
     except MotionError as error:
         raise MotionError(f"{pair.generated}: {pair.reference.name}: {error}") from None
-    joints = tuple(name for name in joints if bare_name(name) not in without)
+    joints = tuple(name for name in joints if without_namespace(name) not in without)
     if len(joints) < 2:
         raise MotionError(f"{pair.generated}: fewer than 2 joints are common to all models")
     return Clip(pair, generated, recording, joints, semantic, (*notes, *remarks))
@@ -217,7 +217,7 @@ _semantic = functools.lru_cache(maxsize=_CACHED)(read_semantic)
 
 
 @dataclass(frozen=True)
-class Sound:
+class RecordedSound:
     """A recording's sound and its beats.
 
     Attributes:
@@ -231,7 +231,7 @@ class Sound:
     pulse: np.ndarray
 
     @classmethod
-    def load(cls, path: Path | ItemInterval, window: int | None) -> Sound:
+    def load(cls, path: Path | ItemInterval, window: int | None) -> RecordedSound:
         """Read a sound, or one 10 s window of it.
 
         Raises:
@@ -243,7 +243,7 @@ class Sound:
         return cls(wave, speech_onsets(wave), music_beats(wave))
 
 
-load_sound = functools.lru_cache(maxsize=16)(Sound.load)
+load_sound = functools.lru_cache(maxsize=16)(RecordedSound.load)
 
 
 def forget_files() -> None:

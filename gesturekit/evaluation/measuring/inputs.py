@@ -14,7 +14,7 @@ import numpy as np
 
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation.definitions import Definition, Variants
-from gesturekit.evaluation.measuring.clips import Clip, Sound, load_recording
+from gesturekit.evaluation.measuring.clips import Clip, RecordedSound, load_recording
 from gesturekit.evaluation.metrics import rhythm
 from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.physical import JointLimits, standing_heights
@@ -192,7 +192,7 @@ class SetInputs:
 
 
 def compute(
-    definition: Definition, *sources: ClipInputs | SetInputs | Sound, **constants: Any
+    definition: Definition, *sources: ClipInputs | SetInputs | RecordedSound, **constants: Any
 ) -> Any | None:
     """Return the result of a metric's function; None if an input that it needs is missing.
 

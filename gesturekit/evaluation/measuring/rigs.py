@@ -48,8 +48,10 @@ def matched(motion: Motion, recording: Motion) -> tuple[tuple[str, ...], Motion,
         raise MotionError("the recording has 1 body joint; a motion to be measured has at least 2")
     legs = leg_joints(rig, find_legs(rig) or {}) if is_upper_body(motion.skeleton) else set()
     names = tuple(name for name in names if name not in legs)
-    own = {bare_name(name): name for name in reversed(motion.skeleton.names)}
-    renamed = {own[bare_name(name)]: name for name in names if bare_name(name) in own}
+    own = {without_namespace(name): name for name in reversed(motion.skeleton.names)}
+    renamed = {
+        own[without_namespace(name)]: name for name in names if without_namespace(name) in own
+    }
     found = set(renamed.values())
     joints = tuple(name for name in names if name in found)
     by_name = len(joints) >= max(2, MATCHED * len(names))
@@ -77,7 +79,7 @@ def matched(motion: Motion, recording: Motion) -> tuple[tuple[str, ...], Motion,
     return joints, named, notes
 
 
-def bare_name(name: str) -> str:
+def without_namespace(name: str) -> str:
     """Return a joint name in lower case without name space: `leftarm` for `mixamorig:LeftArm`."""
     return name.rsplit(":", 1)[-1].lower()
 

@@ -6,7 +6,7 @@ import html
 from collections.abc import Iterator, Mapping, Sequence
 
 from gesturekit.evaluation.report.tables import dotted, number
-from gesturekit.evaluation.results import Answer, Evaluation, MetricResult, ModelResult
+from gesturekit.evaluation.results import Evaluation, Finding, MetricResult, ModelResult
 from gesturekit.evaluation.statistics.intervals import Takes
 from gesturekit.evaluation.statistics.paired import Contest
 from gesturekit.viewer.pages import section
@@ -83,7 +83,7 @@ def interval_warnings(evaluation: Evaluation) -> Iterator[str]:
         yield text if len(said) == 1 else f"{', '.join(labels)}: {text}"
 
 
-def _cell(model: ModelResult, answer: Answer, rows: Mapping[str, Contest]) -> str:
+def _cell(model: ModelResult, answer: Finding, rows: Mapping[str, Contest]) -> str:
     result = _shown(model, answer)
     sentence = f"<p>{html.escape(answer.sentence)}</p>"
     if result is None:
@@ -109,7 +109,7 @@ def _own_cells(models: Sequence[ModelResult]) -> str:
     return cells
 
 
-def _shown(model: ModelResult, answer: Answer) -> MetricResult | None:
+def _shown(model: ModelResult, answer: Finding) -> MetricResult | None:
     """Return the result of an answer, unless it is not informative."""
     result = model.metrics.get(answer.key)
     return result if result is not None and result.informative else None

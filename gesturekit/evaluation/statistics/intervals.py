@@ -292,10 +292,12 @@ def p_value(difference: float, error: float, free: int) -> float:
 
 
 def holm(p: Sequence[float]) -> np.ndarray:
-    """Return p-values (K,) adjusted for K tests by Holm's step-down procedure (1979)."""
-    p = np.asarray(p, np.float64)
-    order = np.argsort(p)
-    stepped = np.maximum.accumulate(p[order] * (len(p) - np.arange(len(p))))
-    adjusted = np.empty_like(p)
+    """Return p-values (K,) adjusted for K tests by Holm's step-down procedure (1979).
+
+    NaN stays NaN and is not counted.
+    """
+    adjusted = np.asarray(p, np.float64).copy()
+    order = np.argsort(adjusted)[: np.count_nonzero(~np.isnan(adjusted))]
+    stepped = np.maximum.accumulate(adjusted[order] * np.arange(len(order), 0, -1))
     adjusted[order] = np.minimum(stepped, 1.0)
     return adjusted

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.results import Answer, ClipResult, MetricResult
+from gesturekit.evaluation.results import ClipResult, Finding, MetricResult
 from gesturekit.evaluation.statistics import thresholds
 from gesturekit.evaluation.statistics.intervals import (
     FEW,
@@ -35,7 +35,7 @@ IN_TIME, LIKE, NEW = (
 Results = Mapping[str, MetricResult]
 
 
-def answers(clips: Sequence[ClipResult], metrics: Results) -> list[Answer]:
+def answers(clips: Sequence[ClipResult], metrics: Results) -> list[Finding]:
     """Return the answers to the three questions.
 
     Args:
@@ -102,10 +102,10 @@ def _measures(
     return ours, own
 
 
-def _timing(metrics: Results) -> Answer:
+def _timing(metrics: Results) -> Finding:
     result = metrics.get("in_time")
     if result is None or result.recording is None:
-        return Answer(
+        return Finding(
             IN_TIME, "in_time", "not measured", "Not measured: no speech with arms to move."
         )
     if not result.informative:
@@ -113,24 +113,24 @@ def _timing(metrics: Results) -> Answer:
             "Not informative here: the recordings' own sync is less than 3 standard errors above "
             "chance. Their arms do not follow this speech, or there is too little of it."
         )
-        return Answer(IN_TIME, "in_time", "not informative here", text)
+        return Finding(IN_TIME, "in_time", "not informative here", text)
     share = result.interval.value / result.recording
     low = result.interval.low
     beyond = low is not None and low <= 0.0 and share < thresholds.IN_TIME
     if share < thresholds.LOOSELY_IN_TIME or beyond:
-        return Answer(IN_TIME, "in_time", "no", "Not in time with the speech.")
+        return Finding(IN_TIME, "in_time", "no", "Not in time with the speech.")
     if share < thresholds.IN_TIME:
-        return Answer(IN_TIME, "in_time", "partly", "Loosely in time with the speech.")
+        return Finding(IN_TIME, "in_time", "partly", "Loosely in time with the speech.")
     if share > thresholds.TOO_STRICT:
         text = "In time with the speech, more strictly than the speaker."
-        return Answer(IN_TIME, "in_time", "partly", text)
-    return Answer(IN_TIME, "in_time", "yes", "As much in time with the speech as the speaker.")
+        return Finding(IN_TIME, "in_time", "partly", text)
+    return Finding(IN_TIME, "in_time", "yes", "As much in time with the speech as the speaker.")
 
 
-def _likeness(clips: Sequence[ClipResult], metrics: Results) -> Answer:
+def _likeness(clips: Sequence[ClipResult], metrics: Results) -> Finding:
     result = metrics.get("likeness")
     if result is None:
-        return Answer(LIKE, "likeness", "not measured", "Not measured: no body parts to compare.")
+        return Finding(LIKE, "likeness", "not measured", "Not measured: no body parts to compare.")
     means = ({k: v.mean() for k, v in side.items()} for side in _measures(clips))
     found = credits(*means, own_one_nn(metrics))
     missed = [a for a in ASPECTS if a in found and found[a] < thresholds.NAMED_ASPECT]
@@ -139,37 +139,37 @@ def _likeness(clips: Sequence[ClipResult], metrics: Results) -> Answer:
     value = result.interval.value
     top = 1.0 if result.recording is None else min(1.0, result.recording)
     if value >= min(thresholds.LIKE, top) and not missed:
-        return Answer(LIKE, "likeness", "yes", "Moves like this speaker.")
+        return Finding(LIKE, "likeness", "yes", "Moves like this speaker.")
     if value >= thresholds.PARTLY_LIKE * top:
         much = "mostly" if value >= min(thresholds.LIKE, top) else "somewhat"
-        return Answer(LIKE, "likeness", "partly", f"Moves {much} like this speaker{differs}.")
-    return Answer(LIKE, "likeness", "no", f"Does not move like this speaker{differs}.")
+        return Finding(LIKE, "likeness", "partly", f"Moves {much} like this speaker{differs}.")
+    return Finding(LIKE, "likeness", "no", f"Does not move like this speaker{differs}.")
 
 
-def _novelty(metrics: Results) -> Answer:
+def _novelty(metrics: Results) -> Finding:
     result, low = metrics.get("novelty"), metrics.get("copying_low")
     if result is None:
         text = "Not measured: the clips are too short, or the rig's arms and legs are not known."
-        return Answer(NEW, "novelty", "not measured", text)
+        return Finding(NEW, "novelty", "not measured", text)
     among = "training motion" if "training split" in result.note else "the recordings"
     if not result.informative:
         text = (
             f"Not informative here: the recordings themselves are the same as {among}, or do not "
             "move. Look for one recording in two splits."
         )
-        return Answer(NEW, "novelty", "not informative here", text)
+        return Finding(NEW, "novelty", "not informative here", text)
     now_and_then = low is not None and low.recording and (
         low.interval.value < thresholds.OCCASIONALLY_COPIED * low.recording
     )  # fmt: skip
     if result.interval.value < thresholds.COPIED:
-        return Answer(NEW, "novelty", "no", f"Mostly copied from {among}{_seeds(metrics)}.")
+        return Finding(NEW, "novelty", "no", f"Mostly copied from {among}{_seeds(metrics)}.")
     if result.interval.value < thresholds.NEAR:
         text = f"Nearer to {among} than other recordings are: partly copied, or less lively"
-        return Answer(NEW, "novelty", "no", f"{text}{_seeds(metrics)}.")
+        return Finding(NEW, "novelty", "no", f"{text}{_seeds(metrics)}.")
     if now_and_then:
         text = f"New, but occasionally copied from {among}{_seeds(metrics)}."
-        return Answer(NEW, "novelty", "partly", text)
-    return Answer(
+        return Finding(NEW, "novelty", "partly", text)
+    return Finding(
         NEW, "novelty", "yes", f"New: as far from {among} as other recordings{_seeds(metrics)}."
     )
 

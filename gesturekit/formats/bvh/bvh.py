@@ -259,7 +259,7 @@ def _hierarchy(motion: Motion, unit: str, places: int) -> str:
         place = offset(skeleton.offsets[joint])
         if _has_positions(motion, joint):
             channels = f"CHANNELS 6 Xposition Yposition Zposition {turns}"
-            place = offset(np.zeros(3)) if joint else f"OFFSET {bvh_mark.mark(unit)}"
+            place = offset(np.zeros(3)) if joint else f"OFFSET {bvh_mark.unit_mark(unit)}"
         lines += [
             f"{tabs}{'JOINT' if joint else 'ROOT'} {name}",
             f"{tabs}{{",

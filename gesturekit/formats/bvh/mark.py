@@ -17,7 +17,7 @@ UP, FORWARD = "y", "z"
 """Axes of a file that is marked."""
 
 
-def mark(unit: str) -> str:
+def unit_mark(unit: str) -> str:
     """Return the three zeros of the root's OFFSET in a file of that unit."""
     return _MARKS[unit]
 

@@ -26,7 +26,7 @@ from gesturekit.multires.training.recall_library import build_library
 from gesturekit.multires.training.stage import Stage
 from gesturekit.training.data.sources import describe_recordings, save_sources, unused_labels
 from gesturekit.training.run.folder import Run
-from gesturekit.training.run.held_out import HeldOut
+from gesturekit.training.run.held_out import HeldOutMetrics
 from gesturekit.training.run.loop import Loop, StageCallbacks, last_losses, read_once
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.run.session import log_plan, session
@@ -96,7 +96,7 @@ class Trainer:
             log.warning("The corpus has no unpaired speech: random steps take the paired speech.")
         self.seconds = sum(sequence.n_frames for sequence in self.data.paired) / config.fps
         self.unpaired_seconds = sum(clip.shape[-1] for clip in self.data.unpaired) / config.fps
-        self.held_out = HeldOut(
+        self.held_out = HeldOutMetrics(
             config, run, speech=self.data.conditioner is not None, styles=self.data.styles
         )
         self.loop = Loop(config, run, processes, self.held_out)

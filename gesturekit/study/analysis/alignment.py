@@ -13,9 +13,9 @@ from itertools import combinations
 import numpy as np
 
 from gesturekit.evaluation.statistics.answers import MISMATCHED, Answer
+from gesturekit.evaluation.statistics.intervals import holm
 from gesturekit.study.analysis.significance import (
     Estimate,
-    holm,
     rater_test,
     two_proportions,
     wilson,
@@ -70,7 +70,7 @@ def analyse_alignment(answers: Sequence[Answer], rounds: int, seed: int) -> Alig
     for name in sorted({answer.matched for answer in answers if answer.matched}):
         votes = Votes.of([answer for answer in answers if answer.matched == name])
         found.append(_score(name, votes, rounds, seed))
-    adjusted = holm([score.p for score in found])
+    adjusted = holm([score.p for score in found]).tolist()
     scores = [replace(score, p_holm=p) for score, p in zip(found, adjusted, strict=True)]
     scores.sort(key=lambda score: (-score.score.value, score.name))
     pairs = list(combinations(scores, 2))

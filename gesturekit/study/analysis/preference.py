@@ -14,7 +14,8 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from gesturekit.evaluation.statistics.answers import Answer
-from gesturekit.study.analysis.significance import Anova, Estimate, anova, holm, rater_test, wilson
+from gesturekit.evaluation.statistics.intervals import holm
+from gesturekit.study.analysis.significance import Anova, Estimate, anova, rater_test, wilson
 from gesturekit.study.analysis.votes import Votes, interval
 
 WEIGHTS = {"clear": 4.0, "slight": 2.0, "tie": 1.0}
@@ -271,7 +272,7 @@ def _pairs(votes: Votes, variance: Anova | None) -> list[PairScore]:
                     tukey.get((i, j), float("nan")),
                 )
             )
-    adjusted = holm([pair.p for pair in found])
+    adjusted = holm([pair.p for pair in found]).tolist()
     return [replace(pair, p_holm=p) for pair, p in zip(found, adjusted, strict=True)]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,16 +55,6 @@ def statsmodels_module(name: str) -> Any:
             f"the analysis of user studies needs statsmodels ({error}): "
             "pip install 'gesturekit[study]'"
         ) from None
-
-
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Return p-values adjusted by Holm's method; NaN stays NaN and is not counted."""
-    adjusted = np.full(len(p_values), np.nan)
-    known = ~np.isnan(p_values)
-    if known.any():
-        tests = statsmodels_module("stats.multitest")
-        adjusted[known] = tests.multipletests(np.asarray(p_values)[known], method="holm")[1]
-    return [float(p) for p in adjusted]
 
 
 def rater_test(scores: np.ndarray, n: np.ndarray) -> float:

@@ -45,7 +45,7 @@ class _Clip:
     wave: af.Wave | None
 
 
-class HeldOut:
+class HeldOutMetrics:
     """Measurement of a model on the corpus's valid and test items, or on train without these.
 
     Items are read at the first measurement. The training goes on with a warning if the corpus

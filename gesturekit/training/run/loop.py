@@ -15,7 +15,7 @@ from torch import Tensor
 
 from gesturekit.errors import ModelError
 from gesturekit.training.run.folder import Run
-from gesturekit.training.run.held_out import HeldOut
+from gesturekit.training.run.held_out import HeldOutMetrics
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.run.steps import Steps
 from gesturekit.training.run_config import RunConfig
@@ -97,7 +97,7 @@ class Loop:
     """
 
     def __init__(
-        self, config: RunConfig, run: Run, processes: Processes, held_out: HeldOut
+        self, config: RunConfig, run: Run, processes: Processes, held_out: HeldOutMetrics
     ) -> None:
         self.config = config
         self.run = run
