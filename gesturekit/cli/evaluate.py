@@ -34,6 +34,8 @@ from gesturekit.cli.options import (
 if TYPE_CHECKING:
     from gesturekit.evaluation import Evaluation, Items
 
+_FILE = click.Path(path_type=Path, dir_okay=False)
+
 _USED_BY_SANITY = (
     "sanity",
     "audio",
@@ -101,29 +103,16 @@ _USED_BY_SANITY = (
     "folder); shows how well each metric agrees with people's ranking of the models.",
 )
 @click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False), help="Write an HTML report."
+    "--take-pattern",
+    metavar="REGEX",
+    help="For takes (recording sessions) that were cut into files: take the session from the name "
+    "of each recording, by a group such as '(.*)_part[0-9]+'. Intervals and tests are over takes.",
 )
-@click.option(
-    "--json",
-    "json_out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Write all results as JSON.",
-)
-@click.option(
-    "--csv",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Write the table of all metrics as CSV.",
-)
-@click.option(
-    "--markdown",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Write the table in Markdown.",
-)
-@click.option(
-    "--latex",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Write the table in LaTeX (booktabs).",
-)
+@click.option("--out", type=_FILE, help="Write an HTML report.")
+@click.option("--json", "json_out", type=_FILE, help="Write all results as JSON.")
+@click.option("--csv", type=_FILE, help="Write the table of all metrics as CSV.")
+@click.option("--markdown", type=_FILE, help="Write the table in Markdown.")
+@click.option("--latex", type=_FILE, help="Write the table in LaTeX (booktabs).")
 @click.option(
     "--protocol",
     type=click.Choice(["multires", "lda"]),
@@ -322,6 +311,7 @@ def _evaluated(
             recordings,
             audio=options["audio"],
             semantic=options["semantic"],
+            take_pattern=options["take_pattern"],
             protocol=options["protocol"] or "",
             baselines=[
                 name for name in comma_separated(options["baseline"]) if name not in folders

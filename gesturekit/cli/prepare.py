@@ -52,8 +52,8 @@ from gesturekit.corpus.layouts import LAYOUTS
     type=click.FloatRange(0, 1, max_open=True),
     default=0.1,
     show_default=True,
-    help="Fraction of the recordings to hold out from training, alternately as test and valid: at "
-    "least one of several pairs, or the last 20 % of a single pair. 0 for none.",
+    help="Fraction of the takes to hold out from training, alternately as test and valid: at "
+    "least one of several, or the last 20 % of a single pair. 0 for none.",
 )
 @click.option(
     "--hold-out-seconds",
@@ -89,6 +89,18 @@ from gesturekit.corpus.layouts import LAYOUTS
     metavar="REGEX",
     help="Take style (and speaker) from the path of each recording within its folder, by named "
     "groups such as '(?P<style>calm|lively)_.*'.",
+)
+@click.option(
+    "--take-pattern",
+    metavar="REGEX",
+    help="For takes (recording sessions) that were cut into files: take the session from the path "
+    "of each recording, by a group such as '(.*)_part[0-9]+'. Takes are held out as a whole.",
+)
+@click.option(
+    "--take-table",
+    type=click.Path(path_type=Path),
+    metavar="FILE.csv",
+    help="Take the sessions from a table with the columns id,take instead.",
 )
 @click.option(
     "--tolerance",

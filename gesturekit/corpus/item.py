@@ -1,4 +1,4 @@
-"""An item of a manifest: a stretch of one recording, and how its files are read."""
+"""An item of a manifest: an interval of one recording, and how its files are read."""
 
 from __future__ import annotations
 
@@ -37,10 +37,12 @@ _LONGEST_NAME = 230  # bytes; file systems take 255, of which suffixes are a par
 
 @dataclass(frozen=True, kw_only=True)
 class Item:
-    """A stretch of one recording: speech with motion, speech alone, or motion alone.
+    """An interval of one recording: speech with motion, speech alone, or motion alone.
 
     Attributes:
         id: unique name in the manifest; looks like a relative path without extension.
+        take: recording session. Items of one take are not independent: splits, intervals and tests
+            go by takes. By default the motion file, or the sound file of unpaired speech.
         audio: the sound file, absolute; None for motion alone.
         motion: the motion file (BVH or npz), absolute; None for unpaired speech.
         audio_start: start of the item in the sound file, seconds.
@@ -68,6 +70,7 @@ class Item:
     """
 
     id: str
+    take: str = ""
     audio: Path | None
     motion: Path | None
     audio_start: float = 0.0
@@ -87,6 +90,8 @@ class Item:
         check_id(self.id)
         if self.audio is None and self.motion is None:
             raise CorpusError(f"item {self.id!r} has neither audio nor motion")
+        if not self.take:
+            object.__setattr__(self, "take", self.file_take)
         for name in ("audio_start", "motion_start", "duration"):
             seconds = getattr(self, name)
             if not math.isfinite(seconds) or seconds < 0 or (name == "duration" and seconds == 0):
@@ -107,6 +112,11 @@ class Item:
             raise CorpusError(
                 f"item {self.id!r}: split is {self.split!r}; it must be one of {', '.join(SPLITS)}"
             )
+
+    @property
+    def file_take(self) -> str:
+        """The take of an item that names none: its motion or sound file without extension."""
+        return (self.motion or self.audio).with_suffix("").as_posix()
 
     @property
     def is_paired(self) -> bool:

@@ -187,9 +187,10 @@ def _check_header(record: dict[str, Any], where: str) -> None:
 
 _FIELDS = tuple(f.name for f in fields(Item))
 # Left out of the lines of recordings that do not need them.
-_OPTIONAL = ("channel", "reading", "audible")
+_OPTIONAL = ("take", "channel", "reading", "audible")
 _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
     "id": ((str,), "a string"),
+    "take": ((str,), "a string"),
     "audio": ((str, type(None)), "a path or null"),
     "motion": ((str, type(None)), "a path or null"),
     "audio_start": ((int, float), "a number of seconds"),
@@ -264,6 +265,7 @@ def _record_from_item(item: Item, folder: Path) -> dict[str, Any]:
         return Path(os.path.relpath(absolute(path), folder)).as_posix()
 
     record = {name: getattr(item, name) for name in _FIELDS}
+    record["take"] = "" if item.take == item.file_take else item.take
     record = {name: v for name, v in record.items() if v or name not in _OPTIONAL}
     for name in ("audio", "motion"):
         record[name] = None if record[name] is None else relative(record[name])

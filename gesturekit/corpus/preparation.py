@@ -21,6 +21,7 @@ from gesturekit.corpus.manifest import Manifest, absolute
 from gesturekit.corpus.pairing import Found, pair, recording_ids, scan, unread
 from gesturekit.corpus.recording import Examination, Recording, examine_each
 from gesturekit.corpus.report import Report
+from gesturekit.corpus.takes import name_takes, neighbours
 from gesturekit.errors import CorpusError, MotionError, gesturekit_errors
 from gesturekit.field_docs import build_options
 from gesturekit.formats.conversion import refuse_unused_read_options
@@ -55,8 +56,8 @@ class PrepareOptions:
     unpaired_motion: Folders = ()
     """Folders of motion to use alone."""
     holdout: float = 0.1
-    """Fraction of recordings held out from training, 0 to below 1. At least one paired recording
-    is held out; with a single one, its last 20 %."""
+    """Fraction of takes held out from training, 0 to below 1. At least one paired take is held
+    out; with a single one, one of its recordings, or the last 20 % of its only one."""
     hold_out_seconds: str | Sequence[splits.Interval] = ()
     """Intervals of each paired recording to hold out as "test" instead: `"10-15,50-"` or
     `[(10, 15), (50, math.inf)]`."""
@@ -76,6 +77,12 @@ class PrepareOptions:
     style_pattern: str | None = None
     """Regular expression to search for in each id (the path within its folder, without
     extension); its groups named `style` and `speaker` give the labels."""
+    take_pattern: str | None = None
+    """Regular expression to search for in each id, for takes (recording sessions) that were cut
+    into files: the take is its group named `take`, else its first group, else the whole match. By
+    default each recording is a take of its own."""
+    take_table: str | os.PathLike[str] | None = None
+    """CSV table with the columns id and take, instead of a pattern or beside it."""
     tolerance: float = 1.0
     """Largest difference in length between the sound and the motion of a pair, seconds. The longer
     one is trimmed; a larger difference is an error."""
@@ -167,11 +174,16 @@ def prepare(
         one for one in problems + found if one.file not in left_out or one.severity == "error"
     ]
     problems += odd + _corpus_notes(recordings) + _other_rates(recordings, listing)
+    table = None if chosen.take_table is None else Path(chosen.take_table)
+    recordings, unnamed = name_takes(recordings, chosen.take_pattern, table)
+    problems += unnamed
     if hold_out := chosen.hold_out():
         recordings = hold_out.apply(recordings)
     items, cut = splits.split_items(
         recordings, chosen.holdout, splits.as_intervals(chosen.hold_out_seconds), chosen.seed
     )
+    if beside := neighbours(items):
+        cut = [*cut, Problem("note", None, beside)]
     report = Report(Manifest(items), tuple(recordings), tuple(problems + cut), tuple(left_over))
     if out is not None and items:
         report.manifest.save(out)

@@ -41,6 +41,7 @@ class Recording:
     the time of a frame. `examine` fills in these and the properties of the files.
 
     Attributes:
+        take: recording session; None if it is not known to be that of other recordings.
         split: published split, or None.
         limits: interval to use, in the seconds of `start`.
         audio_offset: time in the sound file at which the motion file begins.
@@ -58,6 +59,7 @@ class Recording:
     skeleton: Skeleton | None = None
     speaker: str | None = None
     style: str | None = None
+    take: str | None = None
     conditions: Mapping[str, Path] = field(default_factory=dict)
     reading: Mapping[str, Any] = field(default_factory=dict)
     split: str | None = None

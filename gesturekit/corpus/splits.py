@@ -1,8 +1,9 @@
 """Splits: the recordings, or parts of one, that are held out from training.
 
-With several paired recordings whole recordings are held out: a fraction of them, at least
-one, alternately for "test" and "valid". With a single one its last fifth becomes "test". Or
-the user gives intervals, which are cut out of every recording that is long enough.
+With several takes whole takes are held out: a fraction of them, at least one, alternately for
+"test" and "valid". With a single take whole recordings of it are, and with a single recording its
+last fifth becomes "test". Or the user gives intervals, which are cut out of every recording that is
+long enough.
 """
 
 from __future__ import annotations
@@ -32,16 +33,16 @@ Interval = tuple[float, float]
 
 
 def choose_held_out(
-    ids: Iterable[str], fraction: float, seed: int, *, at_least: int = 0
+    names: Iterable[str], fraction: float, seed: int, *, at_least: int = 0
 ) -> dict[str, str]:
-    """Choose the split of each recording, {id: split}.
+    """Choose the split of each take (or recording), {name: split}.
 
-    round(fraction · n) recordings are held out, at least `at_least` and never all of them, "test"
-    and "valid" in turn; the rest is "train". The recordings with the lowest SHA-256 of seed and id
-    are held out, so that the choice depends neither on the order of the files nor on the machine,
-    and hardly changes when recordings are added.
+    round(fraction · n) takes are held out, at least `at_least` and never all of them, "test" and
+    "valid" in turn; the rest is "train". The takes with the lowest SHA-256 of seed and name are
+    held out, so that the choice depends neither on the order of the files nor on the machine, and
+    hardly changes when takes are added.
     """
-    ids = list(ids)
+    ids = list(dict.fromkeys(names))
     count = 0
     if fraction > 0:
         count = min(max(at_least, math.floor(fraction * len(ids) + 0.5)), len(ids) - 1)
@@ -212,10 +213,11 @@ def split_items(
 ) -> tuple[list[Item], list[Problem]]:
     """Assign recordings to splits and turn them into items.
 
-    A recording's own split counts, except where `intervals` are given.
+    A recording's own split counts, except where `intervals` are given. Recordings of one take get
+    one split, unless there is only one take.
 
     Args:
-        recordings: examined recordings, paired and unpaired.
+        recordings: examined recordings with their takes, paired and unpaired.
         holdout: fraction to hold out.
         intervals: seconds to hold out of each paired recording instead.
         seed: seed of the choice.
@@ -246,15 +248,33 @@ def split_items(
                     part = replace(part, id=f"{recording.id}@{start:.2f}-{stop:.2f}")
                 items.append(_item(part, split))
     else:
-        chosen = choose_held_out((r.id for r in paired if not r.split), holdout, seed, at_least=1)
-        items += [_item(recording, recording.split or chosen[recording.id]) for recording in paired]
+        items += _whole(paired, holdout, seed, at_least=1)
+    of_take = {item.take: item.split for item in items}
     for group in (
         [recording for recording in alone if recording.audio],
         [recording for recording in alone if recording.motion],
     ):
-        chosen = choose_held_out((r.id for r in group if not r.split), holdout, seed)
-        items += [_item(recording, recording.split or chosen[recording.id]) for recording in group]
+        group = [replace(one, split=one.split or of_take.get(one.take)) for one in group]
+        items += _whole(group, holdout, seed)
     return items, problems
+
+
+def _whole(
+    recordings: Sequence[Recording], holdout: float, seed: int, at_least: int = 0
+) -> list[Item]:
+    """Return the items of whole recordings; takes without a published split are kept together."""
+    free = [one for one in recordings if not one.split]
+    are_takes = len({one.take for one in free}) > 1
+    names = [one.take if are_takes else one.id for one in recordings]
+    chosen = choose_held_out(
+        (name for one, name in zip(recordings, names, strict=True) if not one.split),
+        holdout,
+        seed,
+        at_least=at_least,
+    )
+    return [
+        _item(one, one.split or chosen[name]) for one, name in zip(recordings, names, strict=True)
+    ]
 
 
 def _parts(recording: Recording, intervals: Sequence[Interval]) -> list[tuple[str, Interval]]:
@@ -273,6 +293,7 @@ def _item(recording: Recording, split: str) -> Item:
     start = round(recording.start, 6)
     return Item(
         id=recording.id,
+        take=recording.take,
         audio=recording.audio and absolute(recording.audio),
         motion=recording.motion and absolute(recording.motion),
         audio_start=round(start + recording.audio_offset, 6) if recording.audio else 0.0,

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gesturekit.corpus.takes import neighbours, take_in
 from gesturekit.errors import EvaluationError, GestureKitError, gesturekit_errors
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
@@ -87,6 +88,11 @@ class EvaluationOptions:
     manifest have their own."""
     semantic: str | Path | None = None
     """Folder or file of semantic tracks, for SRGR."""
+    take_pattern: str | None = None
+    """Regular expression to search for in the name of each recording, for takes (recording
+    sessions) that were cut into files: the take is its group, see
+    `gesturekit.corpus.takes.take_in`. By default items of a manifest have their takes, and each
+    file of a folder is a take of its own."""
     protocol: str = ""
     """ "", or "multires" or "lda", the evaluations of the two papers."""
     variants: Variants = Variants()
@@ -168,6 +174,8 @@ def evaluate(
     models = [_model(k, places[k], pairs, measured, floors, chosen) for k, pairs in found.items()]
     first = measured.sets[models[0].label]["pooled"]
     mark_unlike(models)
+    if split and (beside := neighbours((*reference.items, *reference.others), split)):
+        models[0].notes.append(beside)
     unread = [Excluded(**item) for item in first.get("training_excluded", ())]
     models[0].excluded += [*statistics.excluded, *unread]
     return Evaluation(
@@ -192,6 +200,12 @@ def _pairs(
     }
     if len(found) > 1:
         keep_common_recordings(found)
+    if options.take_pattern is not None:
+        for pairs in found.values():
+            pairs.pairs = [
+                replace(pair, take=take_in(pair.stem, options.take_pattern) or pair.take)
+                for pair in pairs.pairs
+            ]
     return found
 
 

@@ -41,6 +41,7 @@ class ManifestItem(Protocol):
     """Interface of a manifest item, `gesturekit.corpus.Item`: an interval of a recording."""
 
     id: str
+    take: str
     audio: Path | None
     motion: Path | None
     split: str
@@ -146,6 +147,7 @@ class _File:
     reading: Mapping[str, Any]
     audio: Path | None = None
     speaker: str | None = None
+    take: str = ""
     split: str = ""
     motion_start: float = 0.0
     duration: float = math.inf
@@ -171,6 +173,7 @@ class Pair:
         reference: the recording's motion, a file or an interval.
         audio: the recording's sound, a file or an interval, or None.
         semantic: the recording's semantic track, or None.
+        take: recording session; by default that of a manifest's item, else the recording itself.
     """
 
     name: str
@@ -180,13 +183,12 @@ class Pair:
     reference: Path | ItemInterval
     audio: Path | ItemInterval | None = None
     semantic: Path | None = None
+    take: str = ""
 
-    @property
-    def take(self) -> str:
-        """The take of the recording: the motion file of an item, else the recording itself."""
-        if isinstance(self.reference, ItemInterval):
-            return str(self.reference.item.motion)
-        return self.stem
+    def __post_init__(self) -> None:
+        if not self.take:
+            item = self.reference.item if isinstance(self.reference, ItemInterval) else None
+            object.__setattr__(self, "take", (item and item.take) or self.stem)
 
     @property
     def speaker(self) -> str | None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from gesturekit.corpus.checks import first_difference
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import Manifest
+from gesturekit.corpus.takes import neighbours
 from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.formats.smpl.skeleton import mean_body, on_body
 from gesturekit.motion.model_joints import reference_skeleton
@@ -93,6 +94,8 @@ def load_recordings(
         FormatError: a file cannot be read.
     """
     manifest = Manifest.load(config.corpus)
+    if beside := neighbours(manifest):
+        log.warning("%s: %s.", config.corpus, beside)
     items = training_items(manifest, config.corpus, with_audio=speech)
     names, style_of = item_styles(items, config.corpus) if styles else ((), [0] * len(items))
     check_styles(names)

@@ -183,7 +183,7 @@ def test_a_model_of_components(
     assert done.status == 0, done.err
     assert f"32 of {dim - count + 32} speech features reduced to {count}" in caplog.text
     # Recall weighs the components against the other features.
-    assert ("Hand movement predicted from held-out speech" in caplog.text) == recalls
+    assert ("Hand movement predicted from the speech of left-out" in caplog.text) == recalls
     tensors = load_file(run / "model" / "model.safetensors")
     assert tensors["features.components"].shape == (32, count)
     reduction = f"32 features reduced to {count} components"

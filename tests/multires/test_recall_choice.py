@@ -29,7 +29,7 @@ from gesturekit.multires.recall.pieces import ChoiceWeights, Pieces, PieceSearch
 from gesturekit.multires.recall.wanted import (
     Regression,
     WantedMovement,
-    _folds,
+    folds_of,
     slow_part,
     usual_voice,
 )
@@ -406,8 +406,41 @@ def test_long_speech_gives_the_same_prediction_in_parts(wanted, monkeypatch):
 def test_frames_beside_a_left_out_quarter_are_left_out_too():
     """12 frames in quarters of 3, of which the second recording has a single one."""
     quarters = [((0, 2), (0, 3)), ((2, 5), (1, 6)), ((5, 8), (4, 8)), ((8, 12), (8, 12))]
-    expected = [(slice(*out), slice(*near)) for out, near in quarters]
-    assert _folds([8, 4], gap=1) == expected
+    for takes in (["a", "b"], ["a", "a"]):
+        found = folds_of([8, 4], takes, gap=1)
+        for (out, kept), (left_out, near) in zip(found, quarters, strict=True):
+            assert np.flatnonzero(out).tolist() == list(range(*left_out))
+            assert np.flatnonzero(~kept).tolist() == list(range(*near))
+
+
+def test_three_takes_are_left_out_as_a_whole():
+    """Recordings of 3, 2, 4 and 1 frames, of which the first and the last are of one take."""
+    found = folds_of([3, 2, 4, 1], ["x", "y", "z", "x"], gap=1)
+    assert [np.flatnonzero(out).tolist() for out, _ in found] == [
+        [0, 1, 2, 9],
+        [3, 4],
+        [5, 6, 7, 8],
+    ]
+    assert all((kept == ~out).all() for out, kept in found)
+    many = folds_of([1] * 40, [f"{k}" for k in range(40)], gap=1)
+    assert len(many) == 8 and sum(out for out, _ in many).tolist() == [1] * 40
+
+
+def test_what_holds_within_a_take_only_is_not_trusted_across_takes():
+    """Each take has a mood and a microphone of its own, which go together by chance."""
+    rng = np.random.default_rng(0)
+    speeches, movements, takes = [], [], []
+    for take in range(4):
+        mood, microphone = rng.standard_normal(2)
+        for _ in range(3):
+            speech = rng.standard_normal((6, 500))
+            speech[list(EFFORT)] += 10 * microphone
+            speeches.append(speech)
+            movements.append(mood + 0.1 * rng.standard_normal(500))
+            takes.append(f"take {take}")
+    within = WantedMovement.fit(speeches, movements, FPS, EFFORT)
+    across = WantedMovement.fit(speeches, movements, FPS, EFFORT, takes=takes)
+    assert within.slow.r > 0.5 and across.slow.r < 0
 
 
 def test_speech_without_effort_or_with_many_features_is_enough():

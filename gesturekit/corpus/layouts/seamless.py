@@ -68,6 +68,7 @@ def _read_split(root: Path, kind: str, name: str, split: str, listing: Listing) 
                 audio=audio,
                 motion=motion,
                 speaker=person,
+                take=motion.stem.split("_I")[0],
                 style=kind,
                 split=split,
                 conditions=existing(sides),

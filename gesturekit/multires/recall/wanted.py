@@ -5,9 +5,9 @@ effort, its fast part (when the hands move) from the speech features around each
 ridge regression. Predictions vary less than the recordings. So the fast part is scaled to the
 recorded spread, and the sum of both is mapped to the recorded distribution, quantile by quantile.
 
-Cross-validation determines how much the predictions are trusted. A few features replace many that
-predict hardly better, since few features generalise better to unseen voices, and predictions with a
-low correlation are scaled down.
+Cross-validation, by takes where there are three, determines how much the predictions are trusted. A
+few features replace many that predict hardly better, since few features generalise better to unseen
+voices, and predictions with a low correlation are scaled down.
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ _MOST_FEATURES = 64
 _RIDGES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Ridge penalties to choose from, relative to the mean variance of the inputs."""
 _FOLDS = 4
+_LEAST_TAKES, _MOST_FOLDS = 3, 8
+"""With as many takes, whole takes are left out in cross-validation, in groups if there are more."""
 _GAP_SECONDS = 1.0
 _CREDIBLE = 0.3
 """Out-of-fold correlation above which predictions are used without scaling down."""
@@ -72,17 +74,17 @@ class Regression:
 
     @classmethod
     def fit(
-        cls, inputs: Sequence[np.ndarray], curves: Sequence[np.ndarray], gap: int
+        cls, inputs: Sequence[np.ndarray], curves: Sequence[np.ndarray], folds: Folds
     ) -> Regression:
         """Fit to inputs (T_k, P) and curves (T_k,) of each recording.
 
-        The penalty is the one with the best predictions of left-out quarters. `gap` frames beside a
-        left-out quarter are left out as well.
+        The penalty is the one with the best predictions of left-out frames, see `folds_of`.
         """
         x, y = np.concatenate(inputs).astype(float), np.concatenate(curves).astype(float)
         mean, offset = x.mean(axis=0), y.mean()
-        left_out = [_predictions_of(x, y, *fold) for fold in _folds(list(map(len, curves)), gap)]
-        predictions = np.concatenate(left_out, axis=0) + offset
+        predictions = np.zeros((len(y), len(_RIDGES)))
+        for out, kept in folds:
+            predictions[out] = _predictions_of(x, y, out, kept) + offset
         scores = [correlation(row, y) for row in predictions.T]
         best = int(np.argmax(scores))
         weights = _ridge(x - mean, y - offset)[:, best]
@@ -125,26 +127,45 @@ def _ridge(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return vectors @ ((vectors.T @ (x.T @ y))[:, None] / (values[:, None] + penalties))
 
 
-def _predictions_of(x: np.ndarray, y: np.ndarray, out: slice, near: slice) -> np.ndarray:
-    """Return (M, R) predictions of the frames `out`, from all but those in `near`."""
-    kept = np.ones(len(y), bool)
-    kept[near] = False
+def _predictions_of(x: np.ndarray, y: np.ndarray, out: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Return (M, R) predictions of the frames `out`, from the frames `kept`, both (T,) bool."""
     if kept.sum() < 2:
-        kept[:] = True
+        kept = np.ones(len(y), bool)
     mean = x[kept].mean(axis=0)
     weights = _ridge(x[kept] - mean, y[kept] - y[kept].mean())
     return (x[out] - mean) @ weights + (y[kept].mean() - y.mean())
 
 
-def _folds(lengths: Sequence[int], gap: int) -> list[tuple[slice, slice]]:
-    """Return slices of all frames, about `_FOLDS`, and the same with `gap` frames at each side."""
-    size = sum(lengths) / _FOLDS
-    folds, first = [], 0
+Folds = Sequence[tuple[np.ndarray, np.ndarray]]
+"""(frames to predict, frames to fit to), both (T,) bool over all recordings, of each fold."""
+
+
+def folds_of(lengths: Sequence[int], takes: Sequence[str], gap: int) -> Folds:
+    """Return the folds of a cross-validation.
+
+    Three or more takes are left out as a whole. With fewer, about `_FOLDS` parts of recordings are,
+    and `gap` frames beside them.
+
+    Args:
+        lengths: frames of each recording.
+        takes: take of each recording.
+        gap: frames.
+    """
+    n_frames, first = sum(lengths), 0
+    names = list(dict.fromkeys(takes))
+    if len(names) >= _LEAST_TAKES:
+        of_frame = np.repeat([names.index(take) for take in takes], lengths)
+        fold_of = np.arange(len(names)) % _MOST_FOLDS
+        return [((out := fold_of[of_frame] == k), ~out) for k in np.unique(fold_of)]
+    folds = []
     for length in lengths:
-        edges = np.linspace(first, first + length, max(1, round(length / size)) + 1).astype(int)
+        count = max(1, round(length / (n_frames / _FOLDS)))
+        edges = np.linspace(first, first + length, count + 1).astype(int)
         for start, stop in zip(edges[:-1], edges[1:], strict=True):
-            near = slice(max(first, start - gap), min(first + length, stop + gap))
-            folds.append((slice(start, stop), near))
+            out, kept = np.zeros(n_frames, bool), np.ones(n_frames, bool)
+            out[start:stop] = True
+            kept[max(first, start - gap) : min(first + length, stop + gap)] = False
+            folds.append((out, kept))
         first += length
     return folds
 
@@ -189,6 +210,7 @@ class WantedMovement:
         fps: float,
         effort: Sequence[int],
         smaller: Sequence[Sequence[int]] = (),
+        takes: Sequence[str] = (),
     ) -> WantedMovement:
         """Fit to speech features (S, T_k) and movement (T_k,) of each recording.
 
@@ -199,30 +221,37 @@ class WantedMovement:
             effort: columns of vocal effort.
             smaller: smaller sets of columns, the largest first; one is used instead of all columns
                 if it predicts about as well.
+            takes: take of each recording; without, each is a part of one take.
         """
         slow = [slow_part(movement, fps) for movement in movements]
         fast = [movement - part for movement, part in zip(movements, slow, strict=True)]
-        gap = round(_GAP_SECONDS * fps)
+        lengths = [len(movement) for movement in movements]
+        takes = takes or [""] * len(lengths)
+        folds = folds_of(lengths, takes, round(_GAP_SECONDS * fps))
         effort = tuple(effort)
         fitted = [
             (
-                Regression.fit([fast_inputs(s, effort, basis, fps) for s in speeches], fast, gap),
+                Regression.fit([fast_inputs(s, effort, basis, fps) for s in speeches], fast, folds),
                 basis,
             )
             for basis in _bases(speeches, effort, smaller)
         ]
         enough = max(regression.r for regression, _ in fitted) - _HARDLY_BETTER
         of_fast, basis = [each for each in fitted if each[0].r >= enough][-1]
-        if len(fitted) > 1:
-            log.info(
-                "Hand movement predicted from held-out speech: r = %s; %d features are used.",
-                ", ".join(
-                    f"{regression.r:.2f} with {len(regression.mean) // _BINS} features"
-                    for regression, _ in fitted
-                ),
-                len(of_fast.mean) // _BINS,
-            )
-        of_slow = Regression.fit([slow_inputs(s, effort, basis, fps) for s in speeches], slow, gap)
+        of_slow = Regression.fit(
+            [slow_inputs(s, effort, basis, fps) for s in speeches], slow, folds
+        )
+        log.info(
+            "Hand movement predicted from the speech of left-out %s: r = %s; %d features are used. "
+            "Calm or lively: r = %.2f.",
+            "takes" if len(set(takes)) >= _LEAST_TAKES else "parts of recordings",
+            ", ".join(
+                f"{regression.r:.2f} with {len(regression.mean) // _BINS} features"
+                for regression, _ in fitted
+            ),
+            len(of_fast.mean) // _BINS,
+            of_slow.r,
+        )
         efforts = np.concatenate([speech[list(effort)] for speech in speeches], axis=1)
         voices = np.stack(
             [

@@ -50,6 +50,7 @@ class PairedSequence:
         passive: (X, T) of the corpus's `PassiveChannels`.
         style: index among the corpus's styles; 0 without styles.
         speaker: its speaker; None if the corpus names none.
+        take: its recording session, see `gesturekit.corpus.Item`.
     """
 
     TENSORS: ClassVar[tuple[str, ...]] = ("motion", "speech", "sigma", "z_star", "passive")
@@ -62,6 +63,7 @@ class PairedSequence:
     passive: Tensor
     style: int = 0
     speaker: str | None = None
+    take: str = ""
 
     @property
     def n_frames(self) -> int:
@@ -166,6 +168,7 @@ class TrainingData:
             "styles": list(self.styles),
             "style_of": [sequence.style for sequence in self.paired],
             "speaker_of": [sequence.speaker for sequence in self.paired],
+            "take_of": [sequence.take for sequence in self.paired],
             "sources": to_values(self.sources),
             "window": self.window,
             "recorded_fps": self.recorded_fps,
@@ -189,11 +192,13 @@ class TrainingData:
                 PairedSequence(
                     name,
                     *(tensors[f"paired.{i}.{part}"] for part in PairedSequence.TENSORS),
-                    style,
-                    speaker,
+                    *labels,
                 )
-                for i, (name, style, speaker) in enumerate(
-                    zip(about["names"], about["style_of"], about["speaker_of"], strict=True)
+                for i, (name, *labels) in enumerate(
+                    zip(
+                        *(about[key] for key in ("names", "style_of", "speaker_of", "take_of")),
+                        strict=True,
+                    )
                 )
             )
             unpaired = tuple(tensors[f"unpaired.{i}"] for i in range(about["unpaired"]))

@@ -138,7 +138,7 @@ def _paired(
             style=style,
             full_noise=config.z_star == "full",
         )
-        paired.append(replace(sequence, speaker=item.speaker))
+        paired.append(replace(sequence, speaker=item.speaker, take=item.take))
     return paired
 
 

@@ -97,7 +97,14 @@ def _wanted(
         return None
     speeches = [sequence.speech.numpy() for sequence in data.paired]
     smaller = (data.conditioner.acoustic, data.conditioner.prosody)
-    wanted = WantedMovement.fit(speeches, movement, fps, data.conditioner.effort, smaller)
+    wanted = WantedMovement.fit(
+        speeches,
+        movement,
+        fps,
+        data.conditioner.effort,
+        smaller,
+        takes=[sequence.take for sequence in data.paired],
+    )
     if wanted.predicts:
         return wanted
     log.info("Speech does not predict hand movement here: recalled pieces are chosen without it.")

@@ -1,0 +1,123 @@
+"""Takes: the recording sessions of items, and held-out parts whose neighbours are trained on."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from gesturekit.corpus.checks import Problem
+from gesturekit.corpus.item import Item
+from gesturekit.corpus.recording import Recording
+from gesturekit.errors import CorpusError, FormatError
+from gesturekit.formats.tables.table import read_table
+from gesturekit.wording import counted, did_you_mean, listed
+
+
+def name_takes(
+    recordings: Sequence[Recording], pattern: str | None, table: Path | None
+) -> tuple[list[Recording], list[Problem]]:
+    """Return the recordings with their takes, and notes of those that the pattern does not match.
+
+    A take is named by the table, else by the pattern, else by the layout of a public corpus; by
+    default each recording is a take of its own.
+
+    Args:
+        recordings: examined recordings.
+        pattern: regular expression to search for in ids. The take is its group `take`, else its
+            first group, else all that it matches.
+        table: CSV file with the columns id (or the last part of an id) and take.
+
+    Raises:
+        CorpusError: not a regular expression, a table that cannot be read or names a recording
+            that is not there, or a recording that is named by neither.
+    """
+    listed_takes = {} if table is None else _read(table, [one.id for one in recordings])
+    named, unmatched = [], []
+    for recording in recordings:
+        take = listed_takes.get(recording.id)
+        if take is None and pattern is not None:
+            take = take_in(recording.id, pattern)
+            if not take:
+                unmatched.append(recording)
+        named.append(replace(recording, take=take or recording.take or recording.id))
+    if recordings and len(unmatched) == len(recordings):
+        raise CorpusError(
+            f"take pattern {pattern} matches none of {counted(len(recordings), 'recording')}, such "
+            f"as {recordings[0].id}"
+        )
+    notes = [
+        Problem("note", one.file, f"name does not match take pattern {pattern}: a take of its own")
+        for one in unmatched
+    ]
+    return named, notes
+
+
+def take_in(name: str, pattern: str) -> str:
+    """Return the take that a pattern finds in the name of a recording; "" if it does not match.
+
+    Raises:
+        CorpusError: not a regular expression.
+
+    Examples:
+        >>> take_in("day1/talk_part03", "(.*)_part[0-9]+")
+        'day1/talk'
+    """
+    try:
+        match = re.search(pattern, name)
+    except re.error as error:
+        raise CorpusError(f"take pattern {pattern} is not a regular expression: {error}") from error
+    if match is None:
+        return ""
+    if "take" in match.re.groupindex:
+        return match["take"] or ""
+    return (match[1] if match.re.groups else match[0]) or ""
+
+
+def _read(table: Path, ids: Sequence[str]) -> dict[str, str]:
+    """Return {id: take} of a table.
+
+    Raises:
+        CorpusError: it cannot be read, or names a recording that is not there or not unique.
+    """
+    by_name: dict[str, list[str]] = {}
+    for name in ids:
+        for key in {name, name.rsplit("/", 1)[-1]}:
+            by_name.setdefault(key, []).append(name)
+    takes: dict[str, str] = {}
+    try:
+        for where, cells in read_table(table, ("id", "take")):
+            found = by_name.get(cells["id"], [])
+            if len(found) != 1:
+                hint = did_you_mean(cells["id"], by_name, "; did you mean {}?")
+                what = "several recordings" if found else "no usable recording"
+                raise CorpusError(f"{where}: id {cells['id']!r} is {what}{hint}")
+            if not cells["take"]:
+                raise CorpusError(f"{where}: no take of {cells['id']}")
+            takes[found[0]] = cells["take"]
+    except (FormatError, OSError, UnicodeDecodeError) as error:
+        raise CorpusError(f"{table}: cannot read the table of takes: {error}") from error
+    return takes
+
+
+def neighbours(items: Iterable[Item], split: str | None = None) -> str:
+    """Return a sentence on held-out items that are of a take in training; "" if there are none.
+
+    Args:
+        items: of a manifest.
+        split: the held-out split; None for valid and test.
+    """
+    moving = [item for item in items if item.motion is not None]
+    trained = {item.take for item in moving if item.split == "train"}
+    held_out = [i for i in moving if i.split == split or (split is None and i.split != "train")]
+    beside = [item for item in held_out if item.take in trained]
+    if split == "train" or not beside:
+        return ""
+    takes = sorted({item.take.rsplit("/", 1)[-1] for item in beside})
+    return (
+        f"held-out items with neighbours in training, of the same take ({listed(takes, 3)}): "
+        f"{len(beside)} of {len(held_out)}. They flatter a model, above all its hand speed, its "
+        "rests and when it is calm or lively; hold out whole takes to learn how it moves on "
+        "another day"
+    )
