@@ -212,6 +212,8 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
     assert done.status == 0, done.err
     assert "trained on" not in done.err and "from 1 take: no intervals" in done.err
     assert f"1 clip measured, 0 left out; all of it in {tmp_path / 'r.html'}" in done.out
+    beside = "held-out items with neighbours in training, of the same take (talk): 1 of 1."
+    assert beside in done.err and beside in (tmp_path / "r.html").read_text(encoding="utf-8")
     found = json.loads((tmp_path / "r.json").read_text())
     assert found["settings"]["split"] == "test"
     ((clip,),) = (model["clips"] for model in found["models"])
@@ -230,6 +232,24 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
     own = {k: v for k, v in clip["figures"].items() if k not in ("copying", "novelty")}
     by_hand = {k: v for k, v in other["figures"].items() if k not in ("copying", "novelty")}
     assert by_hand == pytest.approx(own, rel=1e-4, abs=1e-4)
+
+
+def test_files_cut_from_a_take_are_one_unit(gesturekit, gesture, tmp_path):
+    """Six pieces of two takes give no interval; six takes do."""
+    for k in range(6):
+        gesture(2.0, 25.0, seed=k).save(tmp_path / "recorded" / f"day{k % 2}_part{k}.npz")
+        gesture(2.0, 25.0, seed=9 + k).save(tmp_path / "made" / f"day{k % 2}_part{k}.npz")
+    found = {}
+    for name, more in {"files": (), "takes": ("--take-pattern", "(.*)_part")}.items():
+        done = gesturekit(
+            "evaluate", tmp_path / "made", tmp_path / "recorded", *more,
+            "--json", tmp_path / f"{name}.json",
+        )  # fmt: skip
+        assert done.status == 0, done.err
+        (model,) = json.loads((tmp_path / f"{name}.json").read_text())["models"]
+        found[name] = model["figures"]["wrist_speed"]
+    assert found["files"]["low"] < found["files"]["value"] < found["files"]["high"]
+    assert found["takes"]["low"] is None and found["takes"]["value"] is not None
 
 
 def test_retrieval_and_speech_blind_are_compared(gesturekit, held_out, tmp_path):
