@@ -174,16 +174,14 @@ def prepare(
         one for one in problems + found if one.file not in left_out or one.severity == "error"
     ]
     problems += odd + _corpus_notes(recordings) + _other_rates(recordings, listing)
-    table = None if chosen.take_table is None else Path(chosen.take_table)
-    recordings, unnamed = name_takes(recordings, chosen.take_pattern, table)
+    recordings, unnamed = name_takes(recordings, chosen.take_pattern, chosen.take_table)
     problems += unnamed
     if hold_out := chosen.hold_out():
         recordings = hold_out.apply(recordings)
     items, cut = splits.split_items(
         recordings, chosen.holdout, splits.as_intervals(chosen.hold_out_seconds), chosen.seed
     )
-    if beside := neighbours(items):
-        cut = [*cut, Problem("note", None, beside)]
+    cut += [Problem("note", None, beside)] if (beside := neighbours(items)) else []
     report = Report(Manifest(items), tuple(recordings), tuple(problems + cut), tuple(left_over))
     if out is not None and items:
         report.manifest.save(out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -16,7 +17,7 @@ from gesturekit.wording import counted, did_you_mean, listed
 
 
 def name_takes(
-    recordings: Sequence[Recording], pattern: str | None, table: Path | None
+    recordings: Sequence[Recording], pattern: str | None, table: str | os.PathLike[str] | None
 ) -> tuple[list[Recording], list[Problem]]:
     """Return the recordings with their takes, and notes of those that the pattern does not match.
 
@@ -33,7 +34,7 @@ def name_takes(
         CorpusError: not a regular expression, a table that cannot be read or names a recording
             that is not there, or a recording that is named by neither.
     """
-    listed_takes = {} if table is None else _read(table, [one.id for one in recordings])
+    listed_takes = {} if table is None else _read(Path(table), [one.id for one in recordings])
     named, unmatched = [], []
     for recording in recordings:
         take = listed_takes.get(recording.id)

@@ -229,37 +229,26 @@ class WantedMovement:
         takes = takes or [""] * len(lengths)
         folds = folds_of(lengths, takes, round(_GAP_SECONDS * fps))
         effort = tuple(effort)
+        bases = _bases(speeches, effort, smaller)
         fitted = [
-            (
-                Regression.fit([fast_inputs(s, effort, basis, fps) for s in speeches], fast, folds),
-                basis,
-            )
-            for basis in _bases(speeches, effort, smaller)
+            Regression.fit([fast_inputs(s, effort, basis, fps) for s in speeches], fast, folds)
+            for basis in bases
         ]
-        enough = max(regression.r for regression, _ in fitted) - _HARDLY_BETTER
-        of_fast, basis = [each for each in fitted if each[0].r >= enough][-1]
-        of_slow = Regression.fit(
-            [slow_inputs(s, effort, basis, fps) for s in speeches], slow, folds
-        )
+        enough = max(regression.r for regression in fitted) - _HARDLY_BETTER
+        used = [k for k, regression in enumerate(fitted) if regression.r >= enough][-1]
+        of_fast, basis = fitted[used], bases[used]
+        inputs = [slow_inputs(speech, effort, basis, fps) for speech in speeches]
+        of_slow = Regression.fit(inputs, slow, folds)
         log.info(
             "Hand movement predicted from the speech of left-out %s: r = %s; %d features are used. "
             "Calm or lively: r = %.2f.",
             "takes" if len(set(takes)) >= _LEAST_TAKES else "parts of recordings",
-            ", ".join(
-                f"{regression.r:.2f} with {len(regression.mean) // _BINS} features"
-                for regression, _ in fitted
-            ),
+            ", ".join(f"{one.r:.2f} with {len(one.mean) // _BINS} features" for one in fitted),
             len(of_fast.mean) // _BINS,
             of_slow.r,
         )
         efforts = np.concatenate([speech[list(effort)] for speech in speeches], axis=1)
-        voices = np.stack(
-            [
-                np.quantile(efforts, 0.02, axis=1),
-                efforts.mean(1),
-                np.quantile(efforts, 0.98, axis=1),
-            ]
-        )
+        lowest, highest = np.quantile(efforts, (0.02, 0.98), axis=1)
         left_out = of_fast.scaled(of_fast.left_out) + of_slow.trusted(of_slow.left_out)
         return cls(
             fps,
@@ -269,7 +258,7 @@ class WantedMovement:
             of_slow,
             np.quantile(left_out, _QUANTILES),
             np.quantile(np.concatenate(movements), _QUANTILES),
-            voices,
+            np.stack([lowest, efforts.mean(1), highest]),
         )
 
     @property
