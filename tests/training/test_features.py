@@ -36,25 +36,20 @@ def heard(corpus):
     return hear
 
 
-@pytest.mark.parametrize("normalise", ["clip", "corpus", "none"])
-def test_a_stored_projection_gives_the_features_of_training(heard, normalise, caplog):
+@pytest.mark.parametrize(
+    ("normalise", "components"), [("clip", 3), ("corpus", 3), ("none", 3), ("clip", None)]
+)
+def test_stored_settings_give_the_features_of_training(heard, normalise, components, caplog):
     caplog.set_level(logging.INFO)
-    config = FeatureConfig(EXTRACTORS, normalise=normalise, components=3)
+    config = FeatureConfig(EXTRACTORS, normalise=normalise, components=components)
     conditioner, speeches, wave = heard(config)
-    assert "12 of 15 speech features reduced to 3 components" in caplog.text
+    reduced = "12 of 15 speech features reduced to 3 components" in caplog.text
+    assert reduced == (components is not None)
     values, tensors = conditioner_values(conditioner), conditioner_tensors(conditioner)
     again = load_conditioner(values, tensors, 25.0, None)
-    assert again.dim == 6 and values["components"] == 3
-    np.testing.assert_array_equal(again(wave), conditioner(wave))
-    np.testing.assert_allclose(again(wave, len(speeches[0])), speeches[0], atol=1e-4)
-
-
-def test_features_without_reduction_are_stored_and_loaded(heard):
-    conditioner, speeches, wave = heard(FeatureConfig(EXTRACTORS))
-    values, tensors = conditioner_values(conditioner), conditioner_tensors(conditioner)
-    assert set(tensors) == {"features.centre", "features.scale"}
-    assert values["components"] is None
-    again = load_conditioner(values, tensors, 25.0, None)
+    assert values["components"] == components and again.dim == (6 if components else 15)
+    if components is None:
+        assert set(tensors) == {"features.centre", "features.scale"}
     np.testing.assert_array_equal(again(wave), conditioner(wave))
     np.testing.assert_allclose(again(wave, len(speeches[0])), speeches[0], atol=1e-4)
 

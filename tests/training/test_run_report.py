@@ -31,29 +31,20 @@ def test_it_shows_losses_by_level_metrics_by_step_and_samples(run: Run) -> None:
     (run.folder / "samples").mkdir()
     (run.folder / "samples" / "step_00000020.html").write_text("a page")
     run.log(10, {"contact": 0.5, "seconds_per_iteration": 0.1}, level=1)
-    run.log(20, {"contact": 0.25}, level=3)
+    run.log(20, {"contact": 0.25, "smoothness": 0.1}, level=3)
     run.log(20, {"held_out/sync": 0.3, "held_out/sync_chance": 0.05}, kind="held_out")
     run.close()
     page = page_of(run)
-    contact = chart_of(page, "contact")
+    contact, smoothness = chart_of(page, "contact"), chart_of(page, "smoothness")
     assert contact.count("<polyline") == 2
     assert "level 1" in contact and "level 3" in contact and "0.25 to 0.5" in contact
+    colours = [re.findall(r'<b style="color: ([^"]*)">level 3', x) for x in (contact, smoothness)]
+    assert colours[0] == colours[1] != [], "a level has one colour in all charts"
     sync = chart_of(page, "sync")
     assert sync.count("<polyline") == 2 and "chance" in sync
     assert 'href="samples/step_00000020.html"' in page
     assert "a &lt;b&gt; run" in page and "<b> run" not in page
     assert "http" not in page.replace("http-equiv", "")
-
-
-def test_a_level_has_one_colour_in_all_charts(run: Run) -> None:
-    run.log(10, {"contact": 0.5}, level=1)
-    run.log(20, {"contact": 0.25, "smoothness": 0.1}, level=3)
-    run.close()
-    colours = [
-        re.findall(r'<b style="color: ([^"]*)">level 3', chart_of(page_of(run), title))
-        for title in ("contact", "smoothness")
-    ]
-    assert colours[0] == colours[1] != []
 
 
 def test_it_reloads_itself_while_the_training_runs(run: Run) -> None:
