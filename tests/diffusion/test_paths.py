@@ -22,8 +22,12 @@ def training_data(folder, **changes):
     return load_training_data(build(DiffusionConfig, {**values, "path": True, **changes}))
 
 
-def walk(shared_data) -> Motion:
-    return Motion.load(shared_data / "motion/bandai/dataset-1_bow_angry_001.bvh")
+@pytest.fixture
+def recorded(shared_data, tmp_path) -> Motion:
+    """A walk, which lies in the folder as a.bvh."""
+    walk = Motion.load(shared_data / "motion/bandai/dataset-1_bow_angry_001.bvh")
+    walk.save(tmp_path / "a.bvh")
+    return walk
 
 
 def table(path: RootPath) -> str:
@@ -32,9 +36,7 @@ def table(path: RootPath) -> str:
     return "\n".join(["time,x,z,heading", *lines])
 
 
-def test_hips_that_sway_about_their_path_do_not_make_feet_slide(shared_data, tmp_path):
-    recorded = walk(shared_data)
-    recorded.save(tmp_path / "a.bvh")
+def test_hips_that_sway_about_their_path_do_not_make_feet_slide(recorded, tmp_path):
     data = training_data(tmp_path)
     assert [r.name for r in data.recordings] == ["a", "a (mirrored)"]
     for recording in data.recordings:
@@ -42,9 +44,7 @@ def test_hips_that_sway_about_their_path_do_not_make_feet_slide(shared_data, tmp
         assert foot_skate(motion) < 1.25 * foot_skate(recorded)
 
 
-def test_a_path_may_begin_at_an_origin_of_its_own(shared_data, tmp_path):
-    recorded = walk(shared_data)
-    recorded.save(tmp_path / "a.bvh")
+def test_a_path_may_begin_at_an_origin_of_its_own(recorded, tmp_path):
     path = RootPath.of(recorded)
     moved = RootPath(path.positions - path.positions[0], path.headings, path.fps)
     (tmp_path / "a.path.csv").write_text(table(moved))
