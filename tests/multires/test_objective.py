@@ -253,10 +253,8 @@ def test_a_share_of_random_windows_is_silent(cache):
     n_frames = max(cache.data.window_lengths())
     for share in (0.0, 0.3):
         training = replace(cache.config.training, silence=share)
-        cache.config = replace(cache.config, training=training)
-        cache.config = replace(
-            cache.config, features=replace(cache.config.features, residual=False)
-        )
+        features = replace(cache.config.features, residual=False)
+        cache.config = replace(cache.config, training=training, features=features)
         windows = cache.random(cache.data.paired, n_frames, 2, 200, rng_for("silent"))
         silent = (windows.conditions[-1] == cache.data.silence[:, :n_frames]).all(dim=(1, 2))
         assert float(silent.float().mean()) == pytest.approx(share, abs=0.1)
