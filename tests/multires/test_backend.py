@@ -67,19 +67,13 @@ def test_the_environment_goes_before_the_configuration(monkeypatch):
         requested_backend()
 
 
-def test_a_wrong_backend_in_the_environment_leaves_no_run_folder(make_config, monkeypatch):
+def test_a_wrong_backend_in_the_environment_stops_before_the_first_file(make_config, monkeypatch):
+    demo, config = gk.load("demo"), make_config()
     monkeypatch.setenv(VARIABLE, "jax")
-    config = make_config()
-    with pytest.raises(ConfigError, match=VARIABLE):
-        train(config)
+    for begin in (demo.check_controls, lambda: train(config)):
+        with pytest.raises(ConfigError, match=f"{VARIABLE}.*unset it"):
+            begin()
     assert not (config.out / "config.yaml").exists()
-
-
-def test_a_wrong_backend_in_the_environment_stops_before_the_first_file(monkeypatch):
-    demo = gk.load("demo")
-    monkeypatch.setenv(VARIABLE, "jax")
-    with pytest.raises(ConfigError, match=f"{VARIABLE}.*unset it"):
-        demo.check_controls()
     found = {finding.name: finding for finding in diagnose()}
     assert found["demo model"].state == "broken" and not found["demo model"].advice
 

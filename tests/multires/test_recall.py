@@ -472,7 +472,6 @@ def test_all_other_controls_go_with_recall_and_move_fingers_and_the_face(model, 
 
 
 def test_coarse_levels_are_the_recalled_motion(model, speech):
-    """The recalled level is output as it is, and coarser ones are its average."""
     finest_recalled = model.generate(speech, levels=LEVEL, seed=4)
     coarser = model.generate(speech, levels=1, seed=4)
     assert coarser.n_frames < finest_recalled.n_frames
@@ -535,7 +534,6 @@ def recalled(model, speech, stretch: float, seed: int = 0):
 
 
 def test_stretching_aligns_arms_with_the_predicted_movement(model, speech):
-    """The movement of both arms comes nearer to what is asked; other parts stay as recorded."""
     asked = model.library.wanted(model.conditions.conditioner(speech).T)[0]
     apart = {}
     for stretch in (0.0, 0.25):
@@ -668,7 +666,6 @@ def test_retrieval_gives_recorded_frames(recordings, speech, tmp_path):
 
 
 def test_recall_without_speech(recordings, tmp_path):
-    """Any piece fits; liveliness asks for lively ones."""
     model = gk.load(train(settings(recordings, tmp_path / "run", features=None, training=SHORT)))
     assert model.library.wanted is None
     calm, usual, lively = (

@@ -132,8 +132,6 @@ def test_the_second_arm_follows_as_closely_as_the_recorded_one_did(r, spread):
     assert r == 0 or np.corrcoef(first[0], hand)[0, 1] > 0.999
 
 
-# Joining of pieces.
-
 JOINED = Pieces(np.array([0, 1]), np.array([2, 4]), hop=3, overlap=2, n_frames=8)
 
 
@@ -174,9 +172,6 @@ def test_averages_keep_the_mean_of_each_part():
     np.testing.assert_allclose(averaged(curves, 3), [[1.5, 5.5, 9.5], [1, 1, 1]])
     np.testing.assert_allclose(averaged(curves, 5).mean(axis=1), [5.5, 1.0])
     np.testing.assert_allclose(averaged(curves, 12), curves)
-
-
-# The search.
 
 
 def test_the_piece_with_the_wanted_profile_is_found():
@@ -260,7 +255,6 @@ def test_recordings_that_were_used_are_avoided():
 
 
 def test_parts_are_not_joined_to_a_copy_of_the_recording():
-    """The moment that all others show is avoided, and nothing else."""
     weights = ChoiceWeights(movement=1.0, continuity=0.0, used=0.0, chance=0.0)
     found, wanted = search([60, 60], weights), profile_of(1)[20:30]
     shown = np.arange(80.0, 90.0)[:, None]
@@ -314,10 +308,7 @@ def test_an_hour_of_speech_takes_seconds_and_little_memory():
     assert seconds < 10 and peak < 100e6
 
 
-# What speech asks for.
-
-EFFORT = (4, 5)
-"""Columns of vocal effort in the synthetic speech."""
+EFFORT = (4, 5)  # columns of vocal effort in the synthetic speech
 
 
 def talk(seed: int, *, seconds: float = 40.0, lively: float | None = None, heard: bool = True):
@@ -413,7 +404,6 @@ def test_calm_voices_predict_less_movement_than_lively_ones(wanted):
 
 
 def test_uninformative_speech_predicts_the_mean(wanted):
-    """The slow part is drawn to its mean as far as left-out recordings were missed."""
     speech = talk(77)[0]
     unrelated = fitted(heard=False, count=20)
     assert unrelated.slow.r < 0.1 < 0.5 < wanted.slow.r
@@ -465,9 +455,6 @@ def test_still_recordings_and_constant_speech_are_finite():
         asked = wanted(np.zeros((6, n_frames)))
         np.testing.assert_allclose(asked, -2.0)
     assert np.isfinite(wanted(noise(6, 30))).all()
-
-
-# Defects of the recordings: joints that jump or pop.
 
 
 @pytest.mark.parametrize(
