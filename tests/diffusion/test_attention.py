@@ -34,14 +34,12 @@ def explicit(bias: PositionBias, config: NetworkConfig, n_frames: int) -> torch.
     """(H, T, T), the sum over kernels written out for every pair of frames, in float64."""
     t = torch.arange(n_frames, dtype=torch.float64)
     d = (t[:, None] - t)[None, None]
-    a, o, s = (
-        p.detach().double()[:, :, None, None] for p in (bias.amplitudes, bias.offsets, bias.widths)
-    )
+    shapes = (bias.amplitudes, bias.offsets, bias.widths)
+    a, o, s = (p.detach().double()[:, :, None, None] for p in shapes)
     kernels = a.abs() * torch.sigmoid(a.sign() * (d - o) / s)
     score = torch.log(kernels.sum(1) + bias.floors.detach().abs()[:, None, None] + 1e-8)
-    views = torch.logspace(
-        math.log10(config.nearest_view), math.log10(config.farthest_view), config.heads
-    )
+    ends = (math.log10(view) for view in (config.nearest_view, config.farthest_view))
+    views = torch.logspace(*ends, config.heads)
     slopes = 2 * 18.420680744 / views.double()
     return score - slopes[:, None, None] * d[0].abs()
 

@@ -76,10 +76,8 @@ def test_a_saved_condition_comes_back(conditions):
     back = Conditions.from_values(conditions.to_values(), conditions.to_tensors(), FPS)
     speech = np.random.default_rng(0).normal(size=(6, 4)).astype(np.float32)
     path = smooth_path(RootPath.looking_ahead(speech[:, :2].cumsum(0), 60.0), FPS)
-    told = {"path": path, "events": [Event(0.0, "kick")]}
-    assert np.array_equal(
-        back.encode(path.n_frames, FPS, **told), conditions.encode(path.n_frames, FPS, **told)
-    )
+    told = {"n_frames": path.n_frames, "fps": FPS, "path": path, "events": [Event(0.0, "kick")]}
+    assert np.array_equal(back.encode(**told), conditions.encode(**told))
     wave = af.Wave(0.1 * speech.repeat(800).astype(np.float32), 16000, None)
     assert np.array_equal(back.conditioner(wave), conditions.conditioner(wave))
     empty = Conditions.from_values(Conditions().to_values(), Conditions().to_tensors(), FPS)

@@ -18,6 +18,10 @@ from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.diffusion.training.loading import load_training_data
 from gesturekit.diffusion.training.trainer import train
 from gesturekit.errors import ConfigError, CorpusError
+from gesturekit.evaluation.metrics.physical import foot_skate
+from gesturekit.formats.tables.root_path import load_root_path
+from gesturekit.motion import Motion
+from gesturekit.motion.root_path import RootPath
 
 PLAIN = {"mirror": False, "stretch": 0.0}
 
@@ -282,3 +286,54 @@ def test_a_run_that_stopped_before_its_first_checkpoint_starts_there_again(
     (tmp_path / "gone.yaml").rename(model / "config.yaml")
     for name, value in DiffusionModel.load(model).network.state_dict().items():
         assert torch.allclose(value, after[name], atol=1e-6), name
+
+
+@pytest.fixture
+def on_path(loaded, tmp_path):
+    """on_path(...): the data of a run that follows the paths of the folder's motions."""
+
+    def load(**changes) -> TrainingData:
+        prepare([], tmp_path / "c.jsonl", unpaired_motion=[tmp_path], holdout=0.0)
+        changes = {"features": None, "path": True, **changes}
+        return loaded(corpus=str(tmp_path / "c.jsonl"), **changes)[0]
+
+    return load
+
+
+def table(path: RootPath) -> str:
+    rows = zip(np.arange(path.n_frames) / path.fps, *path.positions.T, path.headings, strict=True)
+    lines = (f"{t:.6f},{x:.6f},{z:.6f},{np.degrees(angle):.6f}" for t, x, z, angle in rows)
+    return "\n".join(["time,x,z,heading", *lines])
+
+
+@pytest.mark.parametrize("has_table", [False, True])
+def test_feet_do_not_slide_on_a_smooth_path_nor_on_one_with_its_own_origin(
+    shared_data, on_path, tmp_path, has_table
+):
+    walk = Motion.load(shared_data / "motion/bandai/dataset-1_bow_angry_001.bvh")
+    walk.save(tmp_path / "a.bvh")
+    if has_table:
+        path = RootPath.of(walk)
+        moved = RootPath(path.positions - path.positions[0], path.headings, path.fps)
+        (tmp_path / "a.path.csv").write_text(table(moved))
+    data = on_path()
+    assert [r.name for r in data.recordings] == ["a", "a (mirrored)"]
+    for recording in data.recordings:
+        motion = data.decode(recording.motion, recording.condition, 30.0)
+        assert foot_skate(motion) < 1.25 * foot_skate(walk)
+
+
+def test_every_phase_of_a_fast_recording_is_on_the_path_of_its_own_time(on_path, tmp_path, gesture):
+    gesture(4.0, 60.0).save(tmp_path / "a.bvh")
+    at = np.arange(240) / 60
+    swing = RootPath(np.outer(at**2, [0.2, 0.1]), 0.3 * at**2, 60.0)
+    (tmp_path / "a.path.csv").write_text(table(swing))
+    assert load_root_path(tmp_path / "a.path.csv").fps == 60
+    data = on_path(augmentation={"mirror": False})
+    assert [r.name for r in data.recordings] == ["a", "a (phase 2)"]
+    for phase, recording in enumerate(data.recordings):
+        told = data.decode(recording.motion, recording.condition, 30.0)
+        own = RootPath.of(told, side=data.representation.side)
+        frames = np.arange(20, 80)
+        speed = np.linalg.norm([0.2, 0.1]) * 2 * ((frames + 0.5) / 30 + phase / 60)
+        assert own.speeds[20:80] == pytest.approx(speed, abs=2e-4)

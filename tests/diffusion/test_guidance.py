@@ -110,9 +110,8 @@ def test_an_expert_with_another_mean_predicts_the_same_as_alone():
     moved = Expert(alone.network, SCHEDULE, alone.condition, shift)
     for step in (0, 20, 60):
         signal, _ = SCHEDULE.scales(step, noise())
-        torch.testing.assert_close(
-            moved.predict(noise(), step), alone.predict(noise() + signal * shift, step)
-        )
+        expected = alone.predict(noise() + signal * shift, step)
+        torch.testing.assert_close(moved.predict(noise(), step), expected)
 
 
 def test_noise_and_velocity_networks_mix_as_noise():

@@ -347,7 +347,6 @@ def test_what_a_model_cannot_do_is_one_clear_error(model, untrained):
     plain = untrained()
     for asked, told in [
         ({"style": "odl"}, "style 'odl': unknown; the model has old, angry"),
-        ({"style": "old:0.5,angry:0.6"}, r"weights add up to 1\.1"),
         ({"samples": 0}, "samples=0"),
         ({"batch": 0}, "batch=0"),
         ({"speaker": "ann"}, "its corpus named none"),

@@ -102,12 +102,6 @@ def test_the_contact_threshold_is_stored_with_the_model(gesture):
     assert usual.contact_speed == 0.2
 
 
-def test_the_first_frame_has_the_displacement_of_the_second(walk):
-    representation = MultiresRepresentation.fit([walk])
-    dx = representation.encode(walk)[:, representation.layout.root][:, 0]
-    np.testing.assert_allclose(dx, 0.5 / 30 / representation.scale, rtol=1e-9)
-
-
 def test_a_performer_of_twice_the_size_steps_twice_as_far(walk):
     representation = MultiresRepresentation.fit([walk])
     values = representation.encode(walk)
