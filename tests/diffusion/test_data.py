@@ -267,9 +267,7 @@ def test_a_run_goes_on_from_a_model_with_its_rig_and_normalisation(make_config, 
             load_training_data(make_config(start_from=str(model), **wrong))
 
 
-def test_a_run_that_stopped_before_its_first_checkpoint_starts_there_again(
-    make_config, tmp_path, monkeypatch
-):
+def test_a_run_stopped_before_a_checkpoint_starts_there_again(make_config, tmp_path, monkeypatch):
     model = train(make_config(out=str(tmp_path / "before"), training={"updates": 1}))
     training = {"updates": 1, "learning_rate": 1e-9}
     config = make_config(start_from=str(model), training=training, seed=1)

@@ -59,9 +59,7 @@ def test_bfloat16_trains_nearly_the_same(gpu, run):
     assert 0 < apart(half, run("cpu"))[-1] < 0.03
 
 
-def test_training_extracts_features_on_the_gpu(
-    gpu, make_config, write_wavlm, tmp_path, wavlm_devices
-):
+def test_features_are_extracted_on_the_gpu(gpu, make_config, write_wavlm, tmp_path, wavlm_devices):
     write_wavlm(tmp_path / "wavlm", seed=12)  # features of other tests' weights are in the cache
     encoder = {"extractors": [{"kind": "wavlm"}], "weights": str(tmp_path / "wavlm")}
     config = make_config(features=encoder, device="cuda")
@@ -90,28 +88,20 @@ def models(untrained, tmp_path):
     return make
 
 
-def tiled(model: gk.Model) -> gk.Model:
-    """Return the model, which generates short tiles."""
-    return replace(model, window=60)
-
-
-FEW = {"seconds": 3.0, "steps": 4, "foot_lock": False}
+QUICK = {"steps": 4, "foot_lock": False}
+FEW = {"seconds": 3.0, **QUICK}
+MIXED = {"style": "old:0.25,angry:0.75", "guidance": 1.5}
 REQUESTS = {
     "published": lambda of: of["styled"].generate(**{**FEW, "steps": None}, style="old"),
     "dpm": lambda of: of["other"].generate(**FEW),
     "ddim": lambda of: of["other"].generate(**FEW, solver="ddim"),
     "long": lambda of: of["other"].generate(**{**FEW, "seconds": 20.0}),
-    "tiles": lambda of: tiled(of["other"]).generate(**FEW),
+    "tiles": lambda of: replace(of["other"], window=60).generate(**FEW),
     "product": lambda of: of["styled"].generate(
-        **FEW,
-        style="old:0.25,angry:0.75",
-        guidance=1.5,
-        experts=[(of["other"], "0.2@0-1.5,0.4@1.5-3")],
+        **FEW, **MIXED, experts=[(of["other"], "0.2@0-1.5,0.4@1.5-3")]
     ),
     "edit": lambda of: of["other"].generate(**FEW, like=of["other"].generate(**FEW), change=0.3),
-    "path": lambda of: of["walker"].generate(
-        path=of["walker"].folder / "walk.csv", steps=4, foot_lock=False
-    ),
+    "path": lambda of: of["walker"].generate(path=of["walker"].folder / "walk.csv", **QUICK),
 }
 
 

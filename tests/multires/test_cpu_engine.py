@@ -59,9 +59,7 @@ def test_layer_and_gradients_agree_with_dense_convolution(representation, n_fram
     assert close(convolve(conv, x), conv(x), 1e-5)
 
 
-def test_results_do_not_depend_on_the_batch_nor_on_the_number_of_threads(
-    representation, monkeypatch
-):
+def test_results_do_not_depend_on_the_batch_nor_on_threads(representation, monkeypatch):
     torch.manual_seed(0)
     near = block_neighbours(representation, 2)
     conv = SkeletonConv1d(near, (3,) * len(near), (4,) * len(near), 5)
@@ -105,9 +103,8 @@ def test_parallel_tasks_share_the_threads_and_end_with_the_call():
 
     def both(one, two):
         begun = threading.Event()
-        return sparse_conv.run_tasks(
-            partial(task, one, wait_for=begun), partial(task, two, then=begun)
-        )
+        tasks = partial(task, one, wait_for=begun), partial(task, two, then=begun)
+        return sparse_conv.run_tasks(*tasks)
 
     before = torch.get_num_threads()
     try:
@@ -131,13 +128,10 @@ def test_parallel_tasks_share_the_threads_and_end_with_the_call():
 @pytest.mark.parametrize("penalty_on", ["window", "frame", "printed"])
 @pytest.mark.parametrize("n_frames", [4, 21])
 @pytest.mark.parametrize("style", [None, [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]], ids=["", "style"])
-def test_discriminator_gradients_are_those_of_autograd(
-    representation, penalty_on, n_frames, style, batch
-):
+def test_discriminator_gradients_are_autograds(representation, penalty_on, n_frames, style, batch):
     torch.manual_seed(0)
-    discriminator = LevelDiscriminator(
-        representation, NetworkConfig(channels=(3, 4)), 3 if style else 0
-    )
+    config = NetworkConfig(channels=(3, 4))
+    discriminator = LevelDiscriminator(representation, config, 3 if style else 0)
     style = None if style is None else torch.tensor(style).repeat(batch // 2, 1)
     losses = LossConfig(discriminator_scale=0.5, gradient_penalty=2.0, penalty_on=penalty_on)
     real, fake = torch.randn(2, batch, representation.n_features, n_frames)

@@ -60,9 +60,7 @@ def test_bfloat16_is_near_single_precision(gpu, run):
     assert 0 < half[-1] < 0.03
 
 
-def test_training_extracts_features_on_the_gpu(
-    gpu, make_config, write_wavlm, tmp_path, wavlm_devices
-):
+def test_features_are_extracted_on_the_gpu(gpu, make_config, write_wavlm, tmp_path, wavlm_devices):
     write_wavlm(tmp_path / "wavlm", seed=11)  # features of other tests' weights are in the cache
     encoder = {"extractors": [{"kind": "wavlm"}], "weights": str(tmp_path / "wavlm")}
     config = make_config(features=encoder, device="cuda")

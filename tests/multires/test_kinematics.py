@@ -93,9 +93,7 @@ def test_trembling_is_arm_acceleration_and_a_swing_has_one_at_any_rate(
     assert (kinematics.arm_acceleration(values[..., :2], stride=1.0) == 0).all()
 
 
-def test_a_sliding_foot_costs_its_squared_speed_only_where_it_should_stand(
-    representation, kinematics, values
-):
+def test_a_foot_that_should_stand_costs_its_squared_speed(representation, kinematics, values):
     still = values[:, :, :1].repeat(1, 1, 50)
     still[:, representation.layout.root] = torch.tensor([0.02, 0.9, 0.0])[:, None]
     still[:, representation.layout.contacts] = 1.0

@@ -140,9 +140,7 @@ def test_smoothness_counts_from_half_the_full_rate_on(stage_of):
     assert any(p.grad is not None and p.grad.any() for p in finer.parameters())
 
 
-def test_recorded_arms_are_read_raw_for_speed_and_without_capture_noise_for_jerks(
-    stage_of, monkeypatch
-):
+def test_recorded_arms_are_read_raw_for_speed_and_smoothed_for_jerks(stage_of, monkeypatch):
     read = {"arm_speed": [], "arm_acceleration": []}
     for name, seen in read.items():
         measure = getattr(VectorKinematics, name)

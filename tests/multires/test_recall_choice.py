@@ -414,12 +414,8 @@ def test_uninformative_speech_predicts_the_mean(wanted):
     assert spread(unrelated) < 0.5 * spread(wanted)
 
 
-@pytest.mark.parametrize(
-    ("r", "share"), [(-0.4, 0.0), (0.0, 0.0), (0.15, 0.5), (0.3, 1.0), (0.9, 1.0)]
-)
-def test_predictions_have_the_recorded_spread_and_range_and_count_as_far_as_they_correlate(
-    r, share
-):
+@pytest.mark.parametrize(("r", "share"), [(-0.4, 0.0), (0.0, 0.0), (0.15, 0.5), (0.3, 1.0)])
+def test_predictions_have_the_recorded_spread_and_count_as_they_correlate(r, share):
     predicted, recorded = np.linspace(-1.0, 1.0, 50), np.linspace(-1.0, 5.0, 50)
     line = Regression(np.zeros(1), np.ones(1), 1.0, predicted, recorded, r)
     scaled = line.scaled(np.array([-9.0, -0.5, 0.0, 0.5, 9.0]))

@@ -126,9 +126,7 @@ def test_another_rig_and_another_system_are_refused(first, gesture, write_speech
         train(replace(config, start_from=tmp_path / "in"))
 
 
-def test_a_run_that_stopped_before_its_first_checkpoint_starts_there_again(
-    first, corpus, tmp_path, monkeypatch
-):
+def test_a_run_stopped_before_a_checkpoint_starts_there_again(first, corpus, tmp_path, monkeypatch):
     gone = tmp_path / "gone"
     shutil.copytree(first, gone)
     config = tiny(corpus, tmp_path / "run", start_from=str(gone))

@@ -146,9 +146,7 @@ def test_with_margins_a_whole_clip_continues_in_them_as_in_generation(make_confi
     np.testing.assert_array_equal(windows.conditions[-1][0].numpy(), around)
 
 
-def test_reconstruction_from_real_motion_starts_every_level_from_the_one_below(
-    make_config, monkeypatch
-):
+def test_reconstruction_from_real_motion_starts_levels_from_the_one_below(make_config, monkeypatch):
     targets, upsampled, checked = [None], [], []
     forward, draw = LevelGenerator.forward, Stage._draw
 
