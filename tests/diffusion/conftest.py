@@ -40,17 +40,8 @@ def shaken() -> Callable[..., Denoiser]:
     return make
 
 
-TINY = NetworkConfig(
-    blocks=2,
-    layers=1,
-    channels=16,
-    heads=2,
-    feedforward=24,
-    embedding=16,
-    dilations=(0, 1),
-    nearest_view=3,
-    farthest_view=15,
-)
+NEAR = {"dilations": (0, 1), "nearest_view": 3, "farthest_view": 15}
+TINY = NetworkConfig(blocks=2, layers=1, channels=16, heads=2, feedforward=24, embedding=16, **NEAR)
 
 
 @pytest.fixture(scope="session")
@@ -69,17 +60,11 @@ def untrained(gesture) -> Callable[..., DiffusionModel]:
         width = representation.n_features
         network = seeded(("untrained", seed), lambda: Denoiser(width, conditions.width, TINY))
         torch.nn.init.normal_(network.leave.weight, std=0.5, generator=rng_for("leave", seed))
-        return DiffusionModel(
-            fps=30.0,
-            recorded_fps=30.0,
-            representation=representation,
-            conditions=conditions,
-            normaliser=Normaliser.fit([representation.encode(m) for m in motions]),
-            noise_config=NoiseConfig(predict="velocity"),
-            network=network,
-            speakers={},
-            droppable=droppable,
-        )
+        normaliser = Normaliser.fit([representation.encode(motion) for motion in motions])
+        learnt = {"representation": representation, "normaliser": normaliser, "network": network}
+        told = {"conditions": conditions, "droppable": droppable, "speakers": {}}
+        noise = NoiseConfig(predict="velocity")
+        return DiffusionModel(fps=30.0, recorded_fps=30.0, noise_config=noise, **learnt, **told)
 
     return make
 

@@ -137,6 +137,10 @@ def test_a_path_gives_the_length(render, folders, tmp_path):
     ("name", "options", "told"),
     [
         ("plain", ["--levels", "2"], "diffusion models have no control levels"),
+        ("styled", ["--steps", "100000"], "steps: 100000 must be between"),
+        ("styled", ["--style", "young"], "unknown; the model has old, angry"),
+        ("styled", ["--events", "kik@beats"], "did you mean kick?"),
+        ("plain", ["--events", "kick@1.0"], "this model has no events"),
         ("styled", ["--expert", "{plain}:much"], "'much' is not a weight"),
         ("styled", ["--expert", "{plain}:0.5@4"], "weights over time look like 0.2@0-10"),
         ("styled", ["--expert", "{plain}:0.5@4-2"], "'0.5@4-2': the span ends before it begins"),
@@ -148,25 +152,13 @@ def test_a_path_gives_the_length(render, folders, tmp_path):
         ("demo", ["--expert", "{plain}"], "multires models have no control experts"),
     ],
 )
-def test_what_a_model_cannot_do_is_one_line(render, folders, name, options, told):
-    options = [option.format(**folders) for option in options]
-    status, motion, err = render(folders.get(name, name), "--seconds", 1, *options)
-    assert status in (1, 2) and motion is None
-    assert told in err and "Traceback" not in err
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "says"),
-    [
-        ("styled", ["--events", "kik@beats"], "did you mean kick?"),
-        ("styled", ["--style", "young"], "unknown; the model has old, angry"),
-        ("styled", ["--steps", "100000"], "steps: 100000 must be between"),
-        ("plain", ["--events", "kick@1.0"], "this model has no events"),
-    ],
-)
-def test_a_wrong_control_is_reported_once_for_all_sounds(
-    render, folders, write_speech, tmp_path, name, options, says
+@pytest.mark.parametrize("count", [0, 2])
+def test_what_a_model_cannot_do_is_one_line_for_any_number_of_sounds(
+    render, folders, write_speech, tmp_path, name, options, told, count
 ):
-    sounds = [write_speech(tmp_path / "in" / f"{stem}.wav", 1.0) for stem in "ab"]
-    status, _, err = render(folders[name], *sounds, *options)
-    assert (status, err.count(says), "Failed" in err) == (2, 1, False)
+    sounds = [write_speech(tmp_path / "in" / f"{k}.wav", 1.0) for k in range(count)]
+    options = [option.format(**folders) for option in options]
+    options += [] if sounds else ["--seconds", 1]
+    status, motion, err = render(folders.get(name, name), *sounds, *options)
+    assert status == 2 and motion is None and err.count(told) == 1
+    assert "Failed" not in err and "Traceback" not in err

@@ -1,14 +1,17 @@
-"""Training: the recipe's numbers, exact resume, several processes, and a model that moves."""
+"""Training: the recipe's numbers, exact resume, several processes, models that move alike."""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 import yaml
 from runs import ended, launch, logged, same_weights, weights
 
 import gesturekit as gk
+from gesturekit.corpus import prepare
 from gesturekit.diffusion.config import TrainingConfig
+from gesturekit.diffusion.model import DiffusionModel
 from gesturekit.diffusion.training import trainer
 from gesturekit.diffusion.training.trainer import learning_rate, train
 from gesturekit.errors import ConfigError, ModelError
@@ -154,3 +157,39 @@ def test_variants_train(make_config, changes):
 def test_losses_on_motion_need_a_network_that_predicts_it(make_config, name, changes, told):
     with pytest.raises(ConfigError, match=rf"training.{name}: 0.3 .*; {told}"):
         make_config(training={name: 0.3}, **changes)
+
+
+@pytest.fixture
+def fights(tmp_path, gesture) -> str:
+    """Motion alone in which kicks happen; its mean and its spread are not those of the corpus."""
+    (tmp_path / "in").mkdir()
+    gesture(4.0, seed=9).save(tmp_path / "in" / "f.bvh")
+    (tmp_path / "in" / "f.events.csv").write_text("time,name\n1,kick\n2.5,kick\n")
+    prepare([], tmp_path / "f.jsonl", unpaired_motion=[tmp_path / "in"], holdout=0.0)
+    return str(tmp_path / "f.jsonl")
+
+
+def test_experts_with_speech_and_events_can_be_combined(make_config, fights, tmp_path):
+    heard = train(make_config())
+    told = {"corpus": fights, "features": None, "events": True}
+    apart = DiffusionModel.load(train(make_config(out=str(tmp_path / "apart"), **told)))
+    config = make_config(out=str(tmp_path / "like"), moves_like=str(heard), **told)
+    like, leader = DiffusionModel.load(train(config)), DiffusionModel.load(heard)
+    with pytest.raises(ModelError, match="train one with moves_like"):
+        leader.generate(seconds=1.0, events="kick@0.5", experts=[(apart, 0.5)])
+    assert like.conditions.events == ("kick",) and like.conditions.conditioner is None
+    assert torch.equal(like.normaliser.scale, leader.normaliser.scale)
+    motion = leader.generate(seconds=1.0, events="kick@0.5", experts=[(like, 0.5)], steps=3)
+    alone = leader.generate(seconds=1.0, steps=3)
+    assert motion.n_frames == 30 and np.abs(motion.rotations - alone.rotations).max() > 1e-3
+
+
+def test_an_incompatible_moves_like_is_refused(make_config):
+    model = str(train(make_config()))
+    for wrong, told in (
+        ({"fps": 25.0}, "moves_like: .* has fps 30.0, this run 25.0"),
+        ({"path": True}, "moves_like: this run follows a path and .* does not"),
+        ({"start_from": model}, "leave out one of them"),
+    ):
+        with pytest.raises(ConfigError, match=told):
+            train(make_config(out=model + "-next", moves_like=model, **wrong))

@@ -266,10 +266,8 @@ def test_no_checkpoint_is_written_after_nan(make_config, monkeypatch):
 
 def test_a_run_resumes_only_with_the_weights_it_began_with(make_config, write_wavlm, tmp_path):
     write_wavlm(tmp_path / "weights")
-    config = make_config(
-        features={"extractors": [{"kind": "wavlm"}], "weights": str(tmp_path / "weights")},
-        training={"first_stage": 1, "further_stages": 1},
-    )
+    features = {"extractors": [{"kind": "wavlm"}], "weights": str(tmp_path / "weights")}
+    config = make_config(features=features, training={"first_stage": 1, "further_stages": 1})
     train(config)
     assert train(config, resume=True).is_dir()
     write_wavlm(tmp_path / "weights", seed=1)
