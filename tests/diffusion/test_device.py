@@ -11,7 +11,6 @@ import torch
 from runs import apart, same_weights
 
 import gesturekit as gk
-from gesturekit.cli import main
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.diffusion.training.trainer import train
@@ -129,28 +128,32 @@ def spoken(make_config, write_speech, tmp_path) -> Path:
     return tmp_path
 
 
-def rendered(out: Path, *sounds: Path, **options) -> dict[str, bytes]:
-    """Return {name: bytes} of the motions that `gesturekit render` makes on a GPU."""
-    command = ["render", *sounds, "--model", out.parent / "spoken", "--device", "cuda"]
-    command += ["--out", out, "--format", "npz", "--steps", 3]
-    command += [word for name, value in options.items() for word in (f"--{name}", value)]
-    with pytest.raises(SystemExit) as left:
-        main([str(word) for word in command])
-    assert left.value.code == (0 if len(list(out.glob("*.npz"))) == len(sounds) else 1)
-    return {path.name: path.read_bytes() for path in out.glob("*.npz")}
+@pytest.fixture
+def rendered(spoken, gesturekit):
+    """rendered("out", *sounds, workers=2): motions made on a GPU, {name: bytes}; and errors."""
+
+    def run(out: str, *sounds: Path, **options) -> tuple[dict[str, bytes], str]:
+        command = (*sounds, "--model", spoken / "spoken", "--device", "cuda", "--steps", 3)
+        more = [word for name, value in options.items() for word in (f"--{name}", value)]
+        done = gesturekit("render", *command, "--out", spoken / out, "--format", "npz", *more)
+        made = {path.name: path.read_bytes() for path in (spoken / out).glob("*.npz")}
+        assert done.status == (0 if len(made) == len(sounds) else 1)
+        return made, done.err
+
+    return run
 
 
-def test_other_sounds_do_not_change_a_result(gpu, spoken):
+def test_other_sounds_do_not_change_a_result(gpu, spoken, rendered):
     sounds = sorted((spoken / "sounds").iterdir())
-    whole = rendered(spoken / "whole", *sounds)
-    assert len(whole) == 4 and rendered(spoken / "last", sounds[-1])["3.npz"] == whole["3.npz"]
+    whole, _ = rendered("whole", *sounds)
+    assert len(whole) == 4 and rendered("last", sounds[-1])[0]["3.npz"] == whole["3.npz"]
     if gpu == "cuda":  # processes of their own cannot be simulated
-        assert rendered(spoken / "workers", *sounds, workers=2) == whole
+        assert rendered("workers", *sounds, workers=2)[0] == whole
 
 
-def test_a_gpu_whose_memory_runs_out_fails_one_sound(gpu, spoken, monkeypatch, capsys):
+def test_a_gpu_whose_memory_runs_out_fails_one_sound(gpu, spoken, rendered, monkeypatch):
     sounds = sorted((spoken / "sounds").iterdir())
-    whole, own = rendered(spoken / "whole", *sounds), Denoiser.for_condition
+    (whole, _), own = rendered("whole", *sounds), Denoiser.for_condition
 
     def fail_on_long_ones(self, condition, steps):
         if condition.shape[1] >= 90:
@@ -159,8 +162,8 @@ def test_a_gpu_whose_memory_runs_out_fails_one_sound(gpu, spoken, monkeypatch, c
 
     monkeypatch.setattr(Denoiser, "for_condition", fail_on_long_ones)
     del whole["2.npz"]
-    assert rendered(spoken / "fails", *sounds) == whole
-    assert "2.wav: CUDA out of memory. Tried to allocate 2.00 GiB." in capsys.readouterr().err
+    made, said = rendered("fails", *sounds)
+    assert made == whole and "2.wav: CUDA out of memory. Tried to allocate 2.00 GiB." in said
 
 
 def test_models_on_two_devices_cannot_be_multiplied(gpu, models):

@@ -89,8 +89,8 @@ def test_auto_takes_numba_for_the_networks_as_they_are(engine, networks):
     ("change", "named"),
     [
         (
-            lambda g, d: g.levels[0].films[0].add_module("x", LAYER),
-            r"Film \(levels.0.films.0\) .*x",
+            lambda g, d: g.levels[0].films[0].add_module("extra", LAYER),
+            r"Film \(levels\.0\.films\.0\) .*extra",
         ),
         (
             lambda g, d: setattr(g.levels[1].layers[0], "__class__", OtherConv),

@@ -150,9 +150,7 @@ def test_real_motions_beside_a_whole_clip_have_its_style_and_are_no_longer(make_
 
 
 @pytest.mark.parametrize(("window", "share"), [(None, 1 / 2), (3.0, 63 / (150 + 63))])
-def test_whole_recordings_are_drawn_equally_often_and_windows_by_frames(
-    make_config, batches_of, window, share
-):
+def test_recordings_are_drawn_equally_but_windows_by_frames(make_config, batches_of, window, share):
     batches = batches_of(make_config(training={"window": window}))
     assert [sequence.n_frames for sequence in batches.paired] == [150, 63]
     rng = torch.Generator().manual_seed(0)
@@ -170,7 +168,7 @@ def test_a_style_of_whole_recordings_is_drawn_as_often_as_it_was_recorded(make_c
 
 
 @pytest.mark.parametrize("cached", [None, 8])
-def test_without_speech_random_motions_are_as_long_as_a_recording_of_their_style(
+def test_motions_without_speech_are_as_long_as_their_style(
     make_config, batches_of, motions, cached
 ):
     corpus = str(motions(old=[2.0], angry=[6.0]))

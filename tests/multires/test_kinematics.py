@@ -80,9 +80,7 @@ def test_trembling_does_not_count_as_arm_speed(kinematics, walker, values, shake
     assert shaky < 1.1 * calm
 
 
-def test_trembling_is_arm_acceleration_and_a_swing_has_one_at_any_rate(
-    kinematics, walker, values, shaken_values
-):
+def test_trembling_and_swinging_are_arm_acceleration(kinematics, walker, values, shaken_values):
     swing = kinematics.arm_acceleration(values, stride=1.0)
     assert swing.shape == (1, walker.n_frames)
     # +-4 degrees at 12.5 Hz: 16 degrees a frame squared.

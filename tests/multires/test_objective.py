@@ -53,22 +53,16 @@ def test_the_contact_loss_is_squared_speed_where_the_label_says_standing():
     assert float(loss) == pytest.approx(expected, rel=1e-5)
 
 
-def test_reconstruction_and_coarse_are_mean_absolute_errors():
+def test_errors_are_means_of_absolute_differences_of_speeds_accelerations_and_places():
     one, other = torch.tensor([[[1.0, -2.0, 0.0]]]), torch.tensor([[[0.0, 2.0, 1.0]]])
     for loss in (losses.reconstruction, losses.coarse):
         assert float(loss(one, other)) == 2.0
-
-
-def test_smoothness_is_the_distance_from_the_mean_of_three_frames():
-    # One joint at 0, 0 and 3 m along x: it is 1 m from the mean of the three.
-    bend = torch.tensor([0.0 - 2 * 0.0 + 3.0, 0.0, 0.0]).reshape(1, 1, 3, 1)
-    assert float(losses.smoothness(bend)) == pytest.approx(1.0)
-
-
-def test_movement_errors_are_means_of_speed_and_of_acceleration():
     made = torch.tensor([[[1.0, 1.0], [0.0, 8.0]], [[3.0, 1.0], [0.0, 0.0]]])
     # Speeds 1, 1, 3, 1 and accelerations 0, 8, 0, 0 of two motions of two frames.
     assert losses.movement(made, torch.zeros_like(made)).tolist() == [1.5, 2.0]
+    # One joint at 0, 0 and 3 m along x: it is 1 m from the mean of the three.
+    bend = torch.tensor([0.0 - 2 * 0.0 + 3.0, 0.0, 0.0]).reshape(1, 1, 3, 1)
+    assert float(losses.smoothness(bend)) == pytest.approx(1.0)
 
 
 def test_detail_is_the_energy_distance():

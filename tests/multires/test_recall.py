@@ -587,12 +587,6 @@ def test_stretched_the_second_hand_keeps_with_the_first(model, speech):
     assert apart(library._stretched(right, 1, wanted)) < 0.8 * apart(right)
 
 
-def test_without_speech_nothing_is_stretched(model):
-    library = replace(model.library, stretch=0.25, wanted=None)
-    made = library.recall(np.zeros((0, 90)), seeded())
-    assert [pieces.offsets for pieces in made.pieces] == [None] * 3
-
-
 def test_joins_differ_between_seeds(model, speech):
     """Else the pieces that fit would be much the same in all of them."""
     made = (recalled(model, speech, 0.0, seed)[1] for seed in (*range(100), 7))
@@ -668,6 +662,8 @@ def test_retrieval_gives_recorded_frames(recordings, speech, tmp_path):
 def test_recall_without_speech(recordings, tmp_path):
     model = gk.load(train(settings(recordings, tmp_path / "run", features=None, training=SHORT)))
     assert model.library.wanted is None
+    stretched = replace(model.library, stretch=0.25).recall(np.zeros((0, 90)), seeded())
+    assert [pieces.offsets for pieces in stretched.pieces] == [None] * 3
     calm, usual, lively = (
         np.mean([hand_speed(m) for m in model.generate(seconds=5.0, samples=4, liveliness=amount)])
         for amount in (0.4, 1.0, 2.5)
@@ -675,16 +671,13 @@ def test_recall_without_speech(recordings, tmp_path):
     assert calm < 0.9 * usual and lively > usual
 
 
-def test_without_recall_nothing_of_it_is_stored(plain, folder):
+def test_without_recall_nothing_of_it_is_stored(plain, model, folder):
     assert not [name for name in weights(plain.folder) if name.startswith("recall")]
     assert [name for name in weights(folder) if name.startswith("recall")]
     assert plain.library is None and plain.conditions.columns == [*range(7)]
-
-
-def test_vocal_effort_for_recall_is_not_an_input_of_the_network(model):
+    # Vocal effort for recall is not an input of the network.
     assert model.conditions.columns == [*range(4)]
-    assert model.conditions.conditioner.effort == (4, 5, 6)
-    assert model.library.wanted.effort == (4, 5, 6)
+    assert model.conditions.conditioner.effort == model.library.wanted.effort == (4, 5, 6)
 
 
 # Settings.
