@@ -13,10 +13,8 @@ import gesturekit as gk
 def two_voices(write_speech, tmp_path_factory):
     """Two sounds of 4 s."""
     folder = tmp_path_factory.mktemp("voices")
-    calm, lively = folder / "calm.wav", folder / "lively.wav"
-    write_speech(calm, 4.0, level=0.05)
-    write_speech(lively, 6.1)
-    wave = af.Wave.load(lively)
+    calm = write_speech(folder / "calm.wav", 4.0, level=0.05)
+    wave = af.Wave.load(write_speech(folder / "lively.wav", 6.1))
     return calm, af.Wave(wave.samples[-4 * wave.sample_rate :], wave.sample_rate, None)
 
 
@@ -36,15 +34,15 @@ def test_levels_follow_a_speech_of_their_own(two_voices):
     np.testing.assert_array_equal(every, of_lively)
     np.testing.assert_array_equal(rotations(lively, level_speech={"1-8": calm}), of_calm)
     coarse = {"levels": 4, "recall": False, "foot_lock": False}
-    both = [
-        model.generate(calm, level_speech=own, **coarse).rotations
-        for own in (None, {"5-8": lively}, {"1": lively})
-    ]
-    np.testing.assert_array_equal(both[0], both[1])
-    assert np.abs(both[0] - both[2]).max() > 1e-3
+    own, finer, coarser = (
+        model.generate(calm, level_speech=spoken, **coarse).rotations
+        for spoken in (None, {"5-8": lively}, {"1": lively})
+    )
+    np.testing.assert_array_equal(own, finer)
+    assert np.abs(own - coarser).max() > 1e-3
 
 
-def test_level_speech_is_cut_to_the_motion_or_followed_by_silence(two_voices, write_speech):
+def test_level_speech_is_cut_to_the_motion_or_followed_by_silence(two_voices):
     model, (_, lively) = gk.load("demo"), two_voices
     short = model.generate(seconds=2.0, level_speech={"1-8": lively}, **RAW)
     assert short.n_frames == 60

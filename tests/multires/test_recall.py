@@ -503,7 +503,7 @@ def test_finer_levels_leave_a_resting_arm_alone(model, speech):
     assert changed_by_the_network(resting) < 1e-6
 
 
-def test_the_command_line_has_the_controls(folder, speech, tmp_path, render, gesturekit):
+def test_the_command_line_has_the_controls(folder, speech, tmp_path, render):
     wav = tmp_path / "new.wav"
     soundfile.write(wav, speech.samples, RATE)
 
@@ -520,8 +520,6 @@ def test_the_command_line_has_the_controls(folder, speech, tmp_path, render, ges
     assert done.status == 2 and "Traceback" not in done.err
     assert "liveliness=" in done.err and "a number above 0" in done.err
     assert made == {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")}
-    shown = gesturekit("render", "--help").out
-    assert "--liveliness" in shown and "--recall / --no-recall" in shown
 
 
 # Times other than recorded.
@@ -640,9 +638,6 @@ def test_a_bad_value_in_a_model_folder_is_one_error(model, tmp_path, value):
         gk.load(tmp_path)
 
 
-# Retrieval, models without speech, models without recall.
-
-
 def test_retrieval_gives_recorded_frames(recordings, speech, tmp_path):
     changes = {"level": 4, "parts": "body", "overlap": 0.2}
     config = settings(recordings, tmp_path / "run", recall=changes, training=SHORT)
@@ -680,9 +675,6 @@ def test_without_recall_nothing_of_it_is_stored(plain, model, folder):
     assert model.conditions.conditioner.effort == model.library.wanted.effort == (4, 5, 6)
 
 
-# Settings.
-
-
 @pytest.mark.parametrize(
     ("recall", "message"),
     [
@@ -704,9 +696,6 @@ def test_without_recall_nothing_of_it_is_stored(plain, model, folder):
 def test_bad_settings_name_their_key(recall, message, tmp_path):
     with pytest.raises(ConfigError, match=message):
         settings(tmp_path / "none.jsonl", tmp_path, recall=recall)
-
-
-# Training.
 
 
 def test_windows_start_from_recalled_and_from_recorded_motion(data, config, library, cache_of):

@@ -21,10 +21,9 @@ from gesturekit.multires.training import trainer
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.trainer import train
 
-FEATURES = {"extractors": [{"kind": "prosody"}, {"kind": "effort"}]}
 STILL = {"learning_rate": 1e-9}
 TINY = {
-    "features": FEATURES,
+    "features": {"extractors": [{"kind": "prosody"}, {"kind": "effort"}]},
     "network": {"channels": [2], "embedding": 4},
     "recall": {"level": 2, "piece": 1.0, "overlap": 0.3},
     "training": {"first_stage": 2, "further_stages": 2, "window": 2.0, "window_cache": 2},

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import logging
 from dataclasses import replace
 
 import numpy as np
@@ -276,12 +274,9 @@ def test_a_run_resumes_only_with_the_weights_it_began_with(make_config, write_wa
 
 
 def test_without_unpaired_speech_the_run_says_what_it_does(make_config, tmp_path, caplog, corpus):
-    lines = corpus.read_text().splitlines()
-    alone = corpus.parent / "paired_only.jsonl"
-    kept = [line for line in lines if json.loads(line).get("motion") or "schema" in line]
-    alone.write_text("\n".join(kept) + "\n")
-    with caplog.at_level(logging.WARNING):
-        train(make_config(corpus=str(alone), training={"first_stage": 1, "further_stages": 1}))
+    prepare([corpus.parent / "paired"], tmp_path / "alone.jsonl", holdout=0.0)
+    short = {"first_stage": 1, "further_stages": 1}
+    train(make_config(corpus=str(tmp_path / "alone.jsonl"), training=short))
     assert "random steps take the paired speech" in caplog.text
 
 

@@ -54,17 +54,14 @@ def test_stored_settings_give_the_features_of_training(heard, normalise, compone
     np.testing.assert_allclose(again(wave, len(speeches[0])), speeches[0], atol=1e-4)
 
 
-def test_no_components_are_none():
-    with pytest.raises(ConfigError, match="components: 0 must be above 0"):
-        FeatureConfig(components=0)
-
-
 @pytest.mark.parametrize("count, stored", [(None, None), (5, 5), (12, None)])
 def test_settings_are_compared_with_those_of_a_model_before_training(heard, count, stored):
     config = FeatureConfig(EXTRACTORS, components=count)
     values = feature_values(config.extractor(), config)
     assert values == conditioner_values(heard(config)[0])
     assert values["components"] == stored
+    with pytest.raises(ConfigError, match="components: 0 must be above 0"):
+        FeatureConfig(components=0)
 
 
 def test_sound_without_voice_counts_as_silence_in_training_too(tmp_path, write_speech, caplog):
