@@ -17,13 +17,9 @@ FPS = 30.0
 
 
 @pytest.fixture(scope="module")
-def conditioner() -> SpeechConditioner:
+def conditions() -> Conditions:
     extractor = af.extractor_from_spec({"kind": "logmel", "n_mels": 4})
-    return SpeechConditioner(extractor, FPS, "mean", np.full(4, 0.5), np.full(4, 2.0))
-
-
-@pytest.fixture
-def conditions(conditioner) -> Conditions:
+    conditioner = SpeechConditioner(extractor, FPS, "mean", np.full(4, 0.5), np.full(4, 2.0))
     styles, events = ("calm", "lively", "old"), ("kick", "punch")
     scaling = np.array([0.0, 0.02, 0.0]), np.array([0.1, 0.01, 0.01])
     return Conditions(conditioner, True, events, styles, *scaling)

@@ -150,19 +150,13 @@ def test_a_path_is_followed_to_the_millimetre(untrained, tmp_path):
         untrained().generate(path=straight)
 
 
-@pytest.fixture(scope="module")
-def clicks(tmp_path_factory) -> Path:
-    """8 s of clicks, 120 a minute, on a low hum."""
-    rate = 16000
+def test_events_happen_when_they_are_asked_for(untrained, tmp_path):
+    # 8 s of clicks, 120 a minute, on a low hum.
+    rate, clicks = 16000, tmp_path / "clicks.wav"
     sound = 0.01 * np.sin(2 * np.pi * 110 * np.arange(8 * rate) / rate)
     for beat in range(16):
         sound[beat * rate // 2 :][:400] += np.random.default_rng(0).normal(0, 0.3, 400)
-    path = tmp_path_factory.mktemp("clicks") / "clicks.wav"
-    soundfile.write(path, sound, rate)
-    return path
-
-
-def test_events_happen_when_they_are_asked_for(untrained, clicks, tmp_path):
+    soundfile.write(clicks, sound, rate)
     fighter = untrained(events=("kick", "punch"))
     asked = QUICK | {"foot_lock": False}
     still = fighter.generate(**asked)

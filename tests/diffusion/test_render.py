@@ -75,7 +75,7 @@ def test_clipping_is_turned_off_by_its_option(render, untrained, tmp_path):
     assert status == 1 and motion is None and "out of range" in said
 
 
-def test_experts_weights_over_time(render, folders, untrained):
+def test_experts_weights_over_time(render, folders):
     def rendered(weight: str) -> Motion:
         options = ["--seconds", 6, "--steps", 2, "--no-foot-lock", "--style", "old"]
         expert = f"{folders['plain']}{weight}"

@@ -159,19 +159,14 @@ def test_losses_on_motion_need_a_network_that_predicts_it(make_config, name, cha
         make_config(training={name: 0.3}, **changes)
 
 
-@pytest.fixture
-def fights(tmp_path, gesture) -> str:
-    """Motion alone in which kicks happen; its mean and its spread are not those of the corpus."""
+def test_experts_with_speech_and_events_can_be_combined(make_config, gesture, tmp_path):
+    """Kicks happen in motion alone, whose mean and spread are not those of the corpus."""
     (tmp_path / "in").mkdir()
     gesture(4.0, seed=9).save(tmp_path / "in" / "f.bvh")
     (tmp_path / "in" / "f.events.csv").write_text("time,name\n1,kick\n2.5,kick\n")
     prepare([], tmp_path / "f.jsonl", unpaired_motion=[tmp_path / "in"], holdout=0.0)
-    return str(tmp_path / "f.jsonl")
-
-
-def test_experts_with_speech_and_events_can_be_combined(make_config, fights, tmp_path):
     heard = train(make_config())
-    told = {"corpus": fights, "features": None, "events": True}
+    told = {"corpus": str(tmp_path / "f.jsonl"), "features": None, "events": True}
     apart = DiffusionModel.load(train(make_config(out=str(tmp_path / "apart"), **told)))
     config = make_config(out=str(tmp_path / "like"), moves_like=str(heard), **told)
     like, leader = DiffusionModel.load(train(config)), DiffusionModel.load(heard)

@@ -72,23 +72,17 @@ def test_a_window_slices_its_sequences_noise():
     assert torch.equal(last[0], sequence.z_star[-n_coarsest:])
 
 
-@pytest.fixture(scope="module")
-def two_performers(tmp_path_factory, gesture, write_speech):
+def test_each_speaker_keeps_a_body(make_config, gesture, write_speech, tmp_path):
     """Ann, and Bob who is a fifth larger."""
-    folder = tmp_path_factory.mktemp("two")
     for name, factor in (("ann", 1.0), ("bob", 1.2)):
         motion = gesture(4.0, seed=len(name))
         rig, places = motion.skeleton.scaled(factor), motion.translation * factor
-        replace(motion, skeleton=rig, translation=places).save(folder / "in" / f"{name}_1.bvh")
-        write_speech(folder / "in" / f"{name}_1.wav", 4.0)
-    manifest = folder / "corpus.jsonl"
-    prepare([folder / "in"], manifest, holdout=0.0, style_pattern="(?P<speaker>ann|bob)_.*")
-    return manifest
-
-
-def test_each_speaker_keeps_a_body(two_performers, make_config):
+        write_speech(tmp_path / "in" / f"{name}_1.wav", 4.0)
+        replace(motion, skeleton=rig, translation=places).save(tmp_path / "in" / f"{name}_1.bvh")
+    corpus, pattern = tmp_path / "corpus.jsonl", "(?P<speaker>ann|bob)_.*"
+    prepare([tmp_path / "in"], corpus, holdout=0.0, style_pattern=pattern)
     short = {"first_stage": 1, "further_stages": 1}
-    model = gk.load(train(make_config(corpus=str(two_performers), training=short)))
+    model = gk.load(train(make_config(corpus=str(corpus), training=short)))
     tall = {}
     for speaker in ("ann", "bob"):
         motion = model.generate(seconds=2.0, speaker=speaker)

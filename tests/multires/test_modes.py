@@ -320,7 +320,7 @@ def test_a_style_is_agreed_on_up_to_a_level():
     assert agreed_style(styles, 2, 2).tolist() == [[0, 0], [0, 1]]
 
 
-def test_recordings_are_turned_to_face_forward_by_default(make_config, motions, tmp_path):
+def test_recordings_are_turned_to_face_forward_by_default(make_config, motions):
     corpus = motions(none=[4.0])
     path = corpus.parent / "none_0.bvh"
     about_y = np.array([0.0, np.sin(0.5), 0.0, np.cos(0.5)])  # by 1 radian

@@ -12,7 +12,7 @@ from gesturekit.multires import losses
 from gesturekit.multires.kinematics import CAPTURE_SECONDS, VectorKinematics
 from gesturekit.multires.training.stage import Stage
 from gesturekit.multires.training.trainer import Trainer, train
-from gesturekit.multires.training.window_cache import WindowCache, random_windows
+from gesturekit.multires.training.window_cache import random_windows
 from gesturekit.training.run.session import session
 from gesturekit.training.seeds import rng_for
 
@@ -211,15 +211,11 @@ def cache(make_config, cache_of):
     return cache_of(make_config(training={"silence": 0.0}))
 
 
-def noises_of(cache: WindowCache, first: int, count: int = 64):
-    n_frames = next(iter(cache.data.window_lengths()))
-    windows = cache.random(cache.data.paired, n_frames, first, count, rng_for("bank"))
-    return windows.noise
-
-
 def test_random_steps_have_noise_of_each_levels_own_sigma(cache):
+    n_frames = next(iter(cache.data.window_lengths()))
     for first in (0, 2):
-        for i, noise in enumerate(noises_of(cache, first)):
+        windows = cache.random(cache.data.paired, n_frames, first, 64, rng_for("bank"))
+        for i, noise in enumerate(windows.noise):
             sigma = float(cache.noise.sigma[first + i])
             # Shared by all channels, drawn anew for every window and frame.
             assert noise.shape[1] == 1

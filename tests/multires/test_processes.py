@@ -25,17 +25,11 @@ def steps(run) -> list[int]:
         return []
 
 
-@pytest.fixture
-def config_file(make_config, tmp_path):
-    """120 iterations over two pairs of levels, a checkpoint every 30."""
+def test_killed_and_with_a_damaged_checkpoint_it_resumes_bitwise(make_config, tmp_path):
     stages = {"first_stage": 60, "further_stages": 60, "renew_every": 20, "window": 2.0}
     config = make_config(training=stages, checkpoint_every=30, log_every=2)
-    path = tmp_path / "config.yaml"
-    path.write_text(yaml.safe_dump(to_dict(config)))
-    return path
-
-
-def test_killed_and_with_a_damaged_checkpoint_it_resumes_bitwise(config_file, tmp_path):
+    config_file = tmp_path / "config.yaml"
+    config_file.write_text(yaml.safe_dump(to_dict(config)))
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     runs = {out: launch(*TRAIN, config_file, f"out={out}") for out in (whole, killed)}
     deadline = time.monotonic() + 240

@@ -132,12 +132,10 @@ def test_the_second_arm_follows_as_closely_as_the_recorded_one_did(r, spread):
     assert r == 0 or np.corrcoef(first[0], hand)[0, 1] > 0.999
 
 
-JOINED = Pieces(np.array([0, 1]), np.array([2, 4]), hop=3, overlap=2, n_frames=8)
-
-
 def test_pieces_are_the_recordings_frames_and_fade_linearly_at_the_border():
     curves = [10.0 * torch.arange(12)[None], 100.0 + torch.arange(12)[None]]
-    made = JOINED.blend(curves, (12, 12), 8)[0]
+    joined = Pieces(np.array([0, 1]), np.array([2, 4]), hop=3, overlap=2, n_frames=8)
+    made = joined.blend(curves, (12, 12), 8)[0]
     fade = [0.75 * 50 + 0.25 * 104, 0.25 * 60 + 0.75 * 105]
     expected = [20, 30, 40, *fade, 106, 107, 108]
     assert made.tolist() == pytest.approx(expected)

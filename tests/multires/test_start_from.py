@@ -41,19 +41,6 @@ def first(corpus, tmp_path_factory) -> Path:
     return train(tiny(corpus, tmp_path_factory.mktemp("first") / "run"))
 
 
-@pytest.fixture(scope="module")
-def taller(tmp_path_factory, gesture, write_speech) -> Path:
-    """A manifest with one recording of somebody a tenth taller, who moves more."""
-    folder = tmp_path_factory.mktemp("taller")
-    write_speech(folder / "in" / "hers.wav", 4.0, level=0.4)
-    motion = gesture(4.0, seed=5)
-    rig = replace(motion.skeleton, offsets=1.1 * motion.skeleton.offsets)
-    motion = replace(motion, skeleton=rig, translation=1.1 * motion.translation)
-    motion.save(folder / "in" / "hers.bvh")
-    prepare([folder / "in"], folder / "c.jsonl", holdout=0.0)
-    return folder / "c.jsonl"
-
-
 def test_training_starts_at_the_output_of_the_other_model(first, corpus, tmp_path):
     speech = corpus.parent / "paired" / "b.wav"
     folder = train(tiny(corpus, tmp_path / "run", start_from=str(first.parent), training=STILL))
@@ -65,8 +52,17 @@ def test_training_starts_at_the_output_of_the_other_model(first, corpus, tmp_pat
     assert np.abs(anew - there).max() > 1e-2
 
 
-def test_recordings_of_a_taller_speaker_on_top_of_another_model(first, taller, tmp_path):
-    gone = tmp_path / "gone"
+def test_recordings_of_a_taller_speaker_on_top_of_another_model(
+    first, gesture, write_speech, tmp_path
+):
+    """She is a tenth taller and moves more."""
+    write_speech(tmp_path / "in" / "hers.wav", 4.0, level=0.4)
+    motion = gesture(4.0, seed=5)
+    rig = replace(motion.skeleton, offsets=1.1 * motion.skeleton.offsets)
+    motion = replace(motion, skeleton=rig, translation=1.1 * motion.translation)
+    motion.save(tmp_path / "in" / "hers.bvh")
+    taller, gone = tmp_path / "c.jsonl", tmp_path / "gone"
+    prepare([tmp_path / "in"], taller, holdout=0.0)
     shutil.copytree(first, gone)
     config = tiny(taller, tmp_path / "run", start_from=str(gone), training=STILL)
     folder = train(config)
