@@ -77,3 +77,11 @@ def nameless(motion: Motion) -> tuple[Motion, dict[str, str]]:
         for part, joint in _LIMBS.items()
     }
     return replace(motion, skeleton=replace(rig, names=names, end_sites={})), parts
+
+
+def prefixed(motion: Motion, prefix: str = "mixamorig:") -> Motion:
+    """Return a motion whose joints' names have a prefix, as those of other programs have."""
+    rig = motion.skeleton
+    names = tuple(prefix + name for name in rig.names)
+    end_sites = {prefix + name: sites for name, sites in rig.end_sites.items()}
+    return replace(motion, skeleton=replace(rig, names=names, end_sites=end_sites))

@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 import pytest
 import torch
+from small_runs import small_diffusion
 
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import DiffusionConfig, NetworkConfig, NoiseConfig
 from gesturekit.diffusion.model import DiffusionModel
 from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
 from gesturekit.diffusion.network.denoiser import Denoiser
-from gesturekit.training.config import build
 from gesturekit.training.seeds import rng_for, seeded
 
 SMALL = NetworkConfig(blocks=3, layers=2, channels=32, heads=4, feedforward=48, embedding=24)
@@ -40,17 +40,8 @@ def shaken() -> Callable[..., Denoiser]:
     return make
 
 
-TINY = NetworkConfig(
-    blocks=2,
-    layers=1,
-    channels=16,
-    heads=2,
-    feedforward=24,
-    embedding=16,
-    dilations=(0, 1),
-    nearest_view=3,
-    farthest_view=15,
-)
+NEAR = {"dilations": (0, 1), "nearest_view": 3, "farthest_view": 15}
+TINY = NetworkConfig(blocks=2, layers=1, channels=16, heads=2, feedforward=24, embedding=16, **NEAR)
 
 
 @pytest.fixture(scope="session")
@@ -69,47 +60,16 @@ def untrained(gesture) -> Callable[..., DiffusionModel]:
         width = representation.n_features
         network = seeded(("untrained", seed), lambda: Denoiser(width, conditions.width, TINY))
         torch.nn.init.normal_(network.leave.weight, std=0.5, generator=rng_for("leave", seed))
-        return DiffusionModel(
-            fps=30.0,
-            recorded_fps=30.0,
-            representation=representation,
-            conditions=conditions,
-            normaliser=Normaliser.fit([representation.encode(m) for m in motions]),
-            noise_config=NoiseConfig(predict="velocity"),
-            network=network,
-            speakers={},
-            droppable=droppable,
-        )
+        normaliser = Normaliser.fit([representation.encode(motion) for motion in motions])
+        learnt = {"representation": representation, "normaliser": normaliser, "network": network}
+        told = {"conditions": conditions, "droppable": droppable, "speakers": {}}
+        noise = NoiseConfig(predict="velocity")
+        return DiffusionModel(fps=30.0, recorded_fps=30.0, noise_config=noise, **learnt, **told)
 
     return make
-
-
-RUN = {
-    "system": "diffusion",
-    "threads": 1,
-    "network": {
-        "blocks": 2,
-        "layers": 1,
-        "channels": 16,
-        "heads": 2,
-        "feedforward": 16,
-        "embedding": 16,
-    },
-    "noise": {"steps": 20, "last_beta": 0.5},
-    "training": {"updates": 6, "batch": 4, "window": 2.0, "warm_up": 2, "learning_rate": 1e-3},
-    "checkpoint_every": 3,
-    "log_every": 2,
-}
 
 
 @pytest.fixture
 def make_config(corpus, tmp_path) -> Callable[..., DiffusionConfig]:
     """make_config(training={"batch": 1}, ...): a run of a second, with changes."""
-
-    def make(**changes) -> DiffusionConfig:
-        values = {**RUN, "corpus": str(corpus), "out": str(tmp_path / "run")}
-        for key, value in changes.items():
-            values[key] = {**values.get(key, {}), **value} if isinstance(value, dict) else value
-        return build(DiffusionConfig, values)
-
-    return make
+    return lambda **changes: small_diffusion(corpus, tmp_path / "run", changes)

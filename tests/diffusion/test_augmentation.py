@@ -33,9 +33,8 @@ def walk(gesture):
     speed = 1.0 + 0.5 * np.sin(1.7 * time)
     places = np.cumsum(np.stack([speed * np.sin(angle), speed * np.cos(angle)], axis=-1) / 30, 0)
     motion.translation[:, [0, 2]] = places
-    motion.rotations[:, 0] = multiply_quaternions(
-        quaternion_from_rotation_vector(np.outer(angle, [0.0, 1.0, 0.0])), motion.rotations[:, 0]
-    )
+    turn = quaternion_from_rotation_vector(np.outer(angle, [0.0, 1.0, 0.0]))
+    motion.rotations[:, 0] = multiply_quaternions(turn, motion.rotations[:, 0])
     return motion
 
 
@@ -59,9 +58,8 @@ def test_a_stretched_walk_goes_the_same_way_in_another_time(walk, factor):
         assert np.abs(there.positions[:, k] - way).max() < 0.01, "of ten metres"
     angle = np.interp(at, np.arange(plain.n_frames), here.headings)
     assert np.abs(there.headings - angle).max() < 1e-3
-    assert there.speeds.sum() / there.fps == pytest.approx(
-        here.speeds.sum() / here.fps, rel=1e-2
-    ), "the same distance"
+    far, wanted = (path.speeds.sum() / path.fps for path in (there, here))
+    assert far == pytest.approx(wanted, rel=1e-2), "the same distance"
     assert there.speeds.mean() == pytest.approx(here.speeds.mean() / factor, rel=1e-2)
 
 
@@ -71,10 +69,9 @@ def test_normalised_columns_stretch_as_raw_ones_do(walk, factor):
     steps = representation.encode(walk)[:, representation.root_columns]
     mean, scale = np.array([0.1, 0.05, -0.2]), np.array([0.01, 0.02, 0.5])
     n_frames = int((len(steps) - 1) * factor) + 1
-    raw = stretch(steps, 0.0, n_frames, factor, steps=slice(0, 3))
-    made = stretch(
-        (steps - mean) / scale, 0.0, n_frames, factor, steps=slice(0, 3), steps_offset=mean / scale
-    )
+    how = (0.0, n_frames, factor)
+    raw = stretch(steps, *how, steps=slice(0, 3))
+    made = stretch((steps - mean) / scale, *how, steps=slice(0, 3), steps_offset=mean / scale)
     assert made * scale + mean == pytest.approx(raw)
 
 
@@ -148,9 +145,8 @@ def test_mirrored_motion_has_the_mirrored_vector(shared_data, file):
     steps = representation.root_columns
     told = mirror_condition(values, path=steps)
     assert told[:, steps] == pytest.approx(mirrored[:, steps], abs=1e-9)
-    assert mirrored[:, representation.height_column] == pytest.approx(
-        values[:, representation.height_column]
-    )
+    height = representation.height_column
+    assert mirrored[:, height] == pytest.approx(values[:, height])
     twice = representation.encode(motion.mirror().mirror())
     assert np.abs(twice - values).max() < 1e-9
 
@@ -187,9 +183,6 @@ def test_every_frame_of_a_fast_recording_is_used(gesture):
     assert first.motion.fps == second.motion.fps == 30.0
     assert first.motion.rotations == pytest.approx(motion.rotations[::2])
     assert second.motion.rotations == pytest.approx(motion.rotations[1::2])
-    assert len(phases(gesture(3.0, 120.0), 30.0)) == 4
-    assert len(phases(gesture(3.0, 25.0), 30.0)) == 1
-    assert len(phases(gesture(3.0, 75.0), 30.0)) == 1
+    for fps, count in ((120.0, 4), (25.0, 1), (75.0, 1), (60.0 + 1e-9, 2)):
+        assert len(phases(replace(motion, fps=fps), 30.0)) == count
     assert len(phases(motion.slice(0, 1), 30.0)) == 1
-    nearly = replace(motion, fps=60.0 + 1e-9)
-    assert len(phases(nearly, 30.0)) == 2

@@ -17,34 +17,19 @@ FPS = 30.0
 
 
 @pytest.fixture(scope="module")
-def conditioner() -> SpeechConditioner:
+def conditions() -> Conditions:
     extractor = af.extractor_from_spec({"kind": "logmel", "n_mels": 4})
-    return SpeechConditioner(extractor, FPS, "mean", np.full(4, 0.5), np.full(4, 2.0))
-
-
-@pytest.fixture
-def conditions(conditioner) -> Conditions:
-    return Conditions(
-        conditioner,
-        True,
-        ("kick", "punch"),
-        ("calm", "lively", "old"),
-        np.array([0.0, 0.02, 0.0]),
-        np.array([0.1, 0.01, 0.01]),
-    )
+    conditioner = SpeechConditioner(extractor, FPS, "mean", np.full(4, 0.5), np.full(4, 2.0))
+    styles, events = ("calm", "lively", "old"), ("kick", "punch")
+    scaling = np.array([0.0, 0.02, 0.0]), np.array([0.1, 0.01, 0.01])
+    return Conditions(conditioner, True, events, styles, *scaling)
 
 
 def test_each_part_stands_in_its_columns(conditions):
     path = RootPath(np.stack([np.zeros(10), 0.03 * np.arange(10)], axis=-1), np.zeros(10), FPS)
     style = np.tile([0.0, 0.25, 0.75], (10, 1))
-    rows = conditions.encode(
-        10,
-        FPS,
-        speech=np.full((10, 4), 7.0),
-        path=path,
-        events=[Event(0.1, "punch"), Event(0.2, "kick", 0.1)],
-        style=style,
-    )
+    told = {"events": [Event(0.1, "punch"), Event(0.2, "kick", 0.1)], "style": style}
+    rows = conditions.encode(10, FPS, speech=np.full((10, 4), 7.0), path=path, **told)
     assert rows.dtype == np.float32 and rows.shape == (10, conditions.width) == (10, 12)
     columns = conditions.columns
     assert (rows[:, columns["speech"]] == 7).all()
@@ -72,10 +57,6 @@ def test_events_past_the_end_are_left_out_and_the_last_frame_is_reached(conditio
     assert flags[:, conditions.columns["events"]].T.tolist() == [[0, 0, 1], [0, 0, 0]]
 
 
-def test_a_model_without_conditions_has_no_columns():
-    assert Conditions().encode(4, FPS).shape == (4, 0)
-
-
 def test_invalid_conditions_are_one_clear_error(conditions):
     with pytest.raises(ModelError, match=r"event 'kik': did you mean kick\? the model has kick"):
         conditions.encode(3, FPS, events=[Event(0.0, "kik")])
@@ -91,14 +72,12 @@ def test_a_saved_condition_comes_back(conditions):
     back = Conditions.from_values(conditions.to_values(), conditions.to_tensors(), FPS)
     speech = np.random.default_rng(0).normal(size=(6, 4)).astype(np.float32)
     path = smooth_path(RootPath.looking_ahead(speech[:, :2].cumsum(0), 60.0), FPS)
-    told = {"path": path, "events": [Event(0.0, "kick")]}
-    assert np.array_equal(
-        back.encode(path.n_frames, FPS, **told), conditions.encode(path.n_frames, FPS, **told)
-    )
+    told = {"n_frames": path.n_frames, "fps": FPS, "path": path, "events": [Event(0.0, "kick")]}
+    assert np.array_equal(back.encode(**told), conditions.encode(**told))
     wave = af.Wave(0.1 * speech.repeat(800).astype(np.float32), 16000, None)
     assert np.array_equal(back.conditioner(wave), conditions.conditioner(wave))
-    empty = Conditions()
-    assert Conditions.from_values(empty.to_values(), empty.to_tensors(), FPS).width == 0
+    empty = Conditions.from_values(Conditions().to_values(), Conditions().to_tensors(), FPS)
+    assert empty.encode(4, FPS).shape == (4, 0)
 
 
 def test_a_path_is_smoothed_over_a_third_of_a_second():

@@ -1,4 +1,4 @@
-"""Controls of diffusion models: one list of names, documented once, and errors for all others."""
+"""Controls of models: one list of names a system, documented once, and errors for all others."""
 
 from __future__ import annotations
 
@@ -6,22 +6,32 @@ import dataclasses
 
 import pytest
 
+import gesturekit as gk
 from gesturekit.diffusion.controls import DiffusionControlArguments, DiffusionControls
 from gesturekit.field_docs import field_docs
 from gesturekit.model import UnknownControlError
+from gesturekit.multires.controls import MultiresControlArguments, MultiresControls
 
 
-def test_every_control_is_a_typed_keyword_and_documented():
-    names = {field.name for field in dataclasses.fields(DiffusionControls)}
-    assert names == DiffusionControlArguments.__optional_keys__
-    assert names == field_docs(DiffusionControls).keys()
+@pytest.mark.parametrize(
+    ("controls", "arguments"),
+    [(DiffusionControls, DiffusionControlArguments), (MultiresControls, MultiresControlArguments)],
+)
+def test_every_control_is_a_typed_keyword_and_documented(controls, arguments):
+    names = {field.name for field in dataclasses.fields(controls)}
+    assert names == arguments.__optional_keys__
+    assert names == field_docs(controls).keys()
 
 
-def test_unknown_controls_are_refused_with_the_nearest_name(untrained):
-    model = untrained()
+@pytest.mark.parametrize(
+    ("system", "near", "meant", "other"),
+    [("diffusion", "chang", "change", "levels"), ("multires", "keyfram", "keyframes", "guidance")],
+)
+def test_unknown_controls_are_refused_with_the_nearest_name(untrained, system, near, meant, other):
+    model = untrained() if system == "diffusion" else gk.load("demo")
     for call in (model.generate, model.check_controls):
-        with pytest.raises(UnknownControlError, match="no control chang; did you mean change"):
-            call(chang=0.3)
-        with pytest.raises(UnknownControlError, match="diffusion models have no control levels"):
-            call(levels=2)
-    model.check_controls(levels=None, steps=4)
+        with pytest.raises(UnknownControlError, match=f"no control {near}; did you mean {meant}"):
+            call(**{near: 0.3})
+        with pytest.raises(UnknownControlError, match=f"{system} models have no control {other}"):
+            call(**{other: 2})
+    model.check_controls(**{other: None, "style": None})

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from rigs import prefixed
 from scipy.spatial.transform import Rotation
 
 from gesturekit.corpus import Manifest, prepare
@@ -17,44 +18,64 @@ from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.diffusion.training.loading import load_training_data
 from gesturekit.diffusion.training.trainer import train
 from gesturekit.errors import ConfigError, CorpusError
-from gesturekit.motion import Skeleton
+from gesturekit.evaluation.metrics.physical import foot_skate
+from gesturekit.formats.tables.root_path import load_root_path
+from gesturekit.motion import Motion
+from gesturekit.motion.root_path import RootPath
 
 PLAIN = {"mirror": False, "stretch": 0.0}
 
 
 @pytest.fixture
+def loaded(make_config):
+    """loaded(path=True, ...): the data of a run with these changes, and batches of it."""
+
+    def load(**changes) -> tuple[TrainingData, Batches]:
+        config = make_config(**changes)
+        data = load_training_data(config)
+        return data, Batches(data, config)
+
+    return load
+
+
+@pytest.fixture
+def recorded(tmp_path, write_pair):
+    """recorded(4.0, events="time,name..."): a manifest of one recording with tables beside it."""
+
+    def write(seconds: float, fps: float = 30.0, **tables: str) -> str:
+        write_pair(tmp_path / "in", "a", seconds, fps=fps)
+        for kind, table in tables.items():
+            (tmp_path / "in" / f"a.{kind}.csv").write_text(table)
+        prepare([tmp_path / "in"], tmp_path / "c.jsonl", holdout=0.0)
+        return str(tmp_path / "c.jsonl")
+
+    return write
+
+
+@pytest.fixture
 def styled(corpus, tmp_path):
     """The corpus with a style for each recording."""
-    items = [
-        replace(item, style=style)
-        for item, style in zip(Manifest.load(corpus).paired(), ("calm", "left"), strict=True)
-    ]
-    Manifest(items).save(tmp_path / "styled.jsonl")
+    pairs = zip(Manifest.load(corpus).paired(), ("calm", "left"), strict=True)
+    Manifest([replace(item, style=style) for item, style in pairs]).save(tmp_path / "styled.jsonl")
     return str(tmp_path / "styled.jsonl")
 
 
 @pytest.fixture
-def idle(tmp_path, gesture, skeleton):
+def idle(tmp_path, gesture):
     """A manifest of motion on a rig with other names, at another frame rate, on another floor."""
     motion = gesture(3.0, 24.0, seed=5)
-    motion = replace(motion, translation=motion.translation - [0.0, 0.7, 0.0])
-    rig = Skeleton(
-        tuple(f"mixamorig:{name}" for name in skeleton.names),
-        skeleton.parents,
-        1.1 * skeleton.offsets,
-        end_sites={f"mixamorig:{name}": sites for name, sites in skeleton.end_sites.items()},
-    )
+    rig = replace(motion.skeleton, offsets=1.1 * motion.skeleton.offsets)
     (tmp_path / "idle").mkdir()
-    replace(motion, skeleton=rig).save(tmp_path / "idle" / "i.bvh")
+    motion = replace(motion, skeleton=rig, translation=motion.translation - [0.0, 0.7, 0.0])
+    prefixed(motion).save(tmp_path / "idle" / "i.bvh")
     prepare([], tmp_path / "idle.jsonl", unpaired_motion=[tmp_path / "idle"], holdout=0.0)
     return str(tmp_path / "idle.jsonl")
 
 
-def test_rows_are_windows_of_recordings_with_their_conditions(make_config):
-    config = make_config(augmentation=PLAIN)
-    data = load_training_data(config)
+def test_rows_are_windows_of_recordings_with_their_conditions(loaded):
+    data, batches = loaded(augmentation=PLAIN)
     assert [r.n_frames for r in data.recordings] == [180, 75]
-    batch = Batches(data, config).draw(3, slice(0, 4))
+    batch = batches.draw(3, slice(0, 4))
     assert batch.clean.shape == batch.noise.shape == (4, 60, data.representation.n_features)
     motion = data.normaliser.inverse(batch.clean).numpy()
     for row in range(4):
@@ -64,52 +85,42 @@ def test_rows_are_windows_of_recordings_with_their_conditions(make_config):
             for start in range(recording.n_frames - 59)
             if np.allclose(recording.motion[start : start + 60], motion[row], atol=1e-5)
         ]
-        assert len(found) == 1
-        recording, start = found[0]
+        ((recording, start),) = found
         assert np.array_equal(recording.condition[start : start + 60], batch.condition[row])
 
 
-def test_a_row_depends_on_neither_its_neighbours_nor_what_was_drawn_before(make_config):
-    config = make_config()
-    data = load_training_data(config)
-    whole = Batches(data, config).draw(5, slice(0, 4))
-    batches = Batches(data, config)
+def test_a_row_depends_on_neither_its_neighbours_nor_what_was_drawn_before(loaded):
+    whole, batches = (loaded()[1] for _ in range(2))
+    whole = whole.draw(5, slice(0, 4))
     parts = [batches.draw(update, rows) for update, rows in ((9, slice(0, 4)), (5, slice(2, 4)))]
     for name, value in vars(parts[1]).items():
         assert torch.equal(value, getattr(whole, name)[2:])
     assert len({float(noise[0, 0]) for noise in [*whole.noise, *parts[0].noise]}) == 8
 
 
-def test_motion_is_normalised_and_comes_back(make_config):
-    config = make_config(augmentation=PLAIN)
-    data = load_training_data(config)
-    every = data.normaliser.forward(
-        torch.cat([torch.from_numpy(r.motion) for r in data.recordings])
-    )
+def test_motion_is_normalised_and_comes_back(loaded, corpus):
+    data, _ = loaded(augmentation=PLAIN)
+    every = torch.cat([torch.from_numpy(r.motion) for r in data.recordings])
+    every = data.normaliser.forward(every)
     assert every.mean(0).abs().max() < 1e-3 and every.std(0).max() < 1.01
-    back = data.decode(data.recordings[0].motion, data.recordings[0].condition, config.fps)
-    item = Manifest.load(config.corpus).paired()[0]
-    recorded = item.load_motion().positions()
+    back = data.decode(data.recordings[0].motion, data.recordings[0].condition, 30.0)
+    recorded = Manifest.load(corpus).paired()[0].load_motion()
     # It begins above the origin and faces +Z, wherever it was recorded.
-    lengths = [
-        np.linalg.norm(places[:, 1:] - places[:, :1], axis=-1)
-        for places in (back.positions(), recorded)
-    ]
-    assert np.allclose(*lengths, atol=1e-4)
+    places = (motion.positions() for motion in (back, recorded))
+    assert np.allclose(*(np.linalg.norm(p[:, 1:] - p[:, :1], axis=-1) for p in places), atol=1e-4)
 
 
 @pytest.mark.parametrize("fps", [20.0, 60.0])
-def test_a_root_that_stands_is_scaled_by_the_same_speed_at_any_rate(make_config, fps):
-    made = load_training_data(make_config(fps=fps, augmentation=PLAIN))
-    given = load_training_data(make_config(fps=fps, augmentation=PLAIN, path=True, features=None))
+def test_a_root_that_stands_is_scaled_by_the_same_speed_at_any_rate(loaded, fps):
+    made, _ = loaded(fps=fps, augmentation=PLAIN)
+    given, _ = loaded(fps=fps, augmentation=PLAIN, path=True, features=None)
     own = made.normaliser.scale[made.representation.root_columns][1:].numpy()
     for forward, lateral in (own, given.conditions.path_scale[1:]):
         assert (forward * fps, lateral * fps) == pytest.approx((0.015, 0.015))
 
 
-def test_mirrored_recordings_turn_the_other_way_and_handed_styles_have_none(make_config, styled):
-    config = make_config(corpus=styled, styles={"handed": ["left"]})
-    data = load_training_data(config)
+def test_mirrored_recordings_turn_the_other_way_and_handed_styles_have_none(loaded, styled):
+    data, _ = loaded(corpus=styled, styles={"handed": ["left"]})
     assert [r.name for r in data.recordings] == ["a", "b", "a (mirrored)"]
     steps = data.representation.root_columns
     one, other = data.recordings[0].motion[:, steps], data.recordings[2].motion[:, steps]
@@ -117,15 +128,14 @@ def test_mirrored_recordings_turn_the_other_way_and_handed_styles_have_none(make
     assert np.allclose(one * [-1, 1, -1], other, atol=1e-6)
     assert np.array_equal(data.recordings[0].condition, data.recordings[2].condition)
     with pytest.raises(ConfigError, match="styles.handed: 'right' is not a style"):
-        load_training_data(make_config(corpus=styled, styles={"handed": ["right"]}))
+        loaded(corpus=styled, styles={"handed": ["right"]})
 
 
-def test_dropped_conditions_are_zero(make_config, styled):
+def test_dropped_conditions_are_zero(loaded, styled):
     told = []
     for share in ({}, {"dropout_style": 1.0}, {"dropout_condition": 1.0}, {"dropout_style": 0.5}):
-        config = make_config(corpus=styled, styles={}, training={**share, "batch": 64})
-        data = load_training_data(config)
-        told.append(Batches(data, config).draw(0, slice(0, 64)).condition)
+        data, batches = loaded(corpus=styled, styles={}, training={**share, "batch": 64})
+        told.append(batches.draw(0, slice(0, 64)).condition)
     styles, speech = data.conditions.columns["styles"], data.conditions.columns["speech"]
     assert (told[0][..., styles].sum(-1) == 1).all()
     assert not told[1][..., styles].any() and told[1][..., speech].any()
@@ -134,11 +144,9 @@ def test_dropped_conditions_are_zero(make_config, styled):
     assert 16 < kept.sum() < 48
 
 
-def test_unpaired_motion_on_another_rig_is_retargeted(make_config, idle):
-    config = make_config(
-        unpaired={"corpus": idle, "share": 0.25}, augmentation=PLAIN, training={"batch": 200}
-    )
-    data = load_training_data(config)
+def test_unpaired_motion_on_another_rig_is_retargeted(loaded, idle):
+    unpaired = {"corpus": idle, "share": 0.25}
+    data, batches = loaded(unpaired=unpaired, augmentation=PLAIN, training={"batch": 200})
     (alone,) = [r for r in data.recordings if not r.is_paired]
     assert alone.n_frames == 90 and not alone.condition.any()
     assert data.seconds == (pytest.approx(8.5), pytest.approx(3.0))
@@ -149,23 +157,19 @@ def test_unpaired_motion_on_another_rig_is_retargeted(make_config, idle):
     height = data.representation.height_column
     paired = data.recordings[0].motion[:, height]
     assert abs(alone.motion[:, height].mean() - paired.mean()) < 0.02
-    untold = ~Batches(data, config).draw(0, slice(0, 200)).condition.flatten(1).any(1)
+    untold = ~batches.draw(0, slice(0, 200)).condition.flatten(1).any(1)
     assert 30 < untold.sum() < 70
     with pytest.raises(CorpusError, match=r"no item .* is motion alone; name a manifest"):
-        load_training_data(make_config(unpaired={}))
+        loaded(unpaired={})
 
 
-def test_a_path_is_a_condition_and_is_followed(make_config, tmp_path, write_pair):
-    write_pair(tmp_path / "in", "a", 4.0)
-    (tmp_path / "in" / "a.path.csv").write_text("time,x,z,heading\n0,0,0,0\n2,1,2,90\n4,3,2,90\n")
-    prepare([tmp_path / "in"], tmp_path / "c.jsonl", holdout=0.0)
-    config = make_config(corpus=str(tmp_path / "c.jsonl"), path=True, features=None)
-    data = load_training_data(config)
+def test_a_path_is_a_condition_and_is_followed(loaded, recorded):
+    corpus = recorded(4.0, path="time,x,z,heading\n0,0,0,0\n2,1,2,90\n4,3,2,90\n")
+    data, _ = loaded(corpus=corpus, path=True, features=None)
     assert data.conditions.width == 3 and not data.representation.makes_root
-    item = Manifest.load(config.corpus).items[0]
-    path = smooth_path(item.load_path(30.0, 120), 30.0, 120)
+    path = smooth_path(Manifest.load(corpus).items[0].load_path(30.0, 120), 30.0, 120)
     for recording, side in zip(data.recordings, (1, -1), strict=True):
-        motion = data.decode(recording.motion, recording.condition, config.fps)
+        motion = data.decode(recording.motion, recording.condition, 30.0)
         root = motion.positions()[:, 0]
         steps = np.diff(path.positions, axis=0) * [side, 1]
         turned = np.linalg.norm(np.diff(root[:, [0, 2]], axis=0), axis=-1)
@@ -176,7 +180,7 @@ def test_a_path_is_a_condition_and_is_followed(make_config, tmp_path, write_pair
     assert np.abs(one).max() > 0.5 and np.allclose(one * [-1, 1, -1], other, atol=1e-4)
 
 
-def test_stretched_windows_of_a_straight_path_stay_straight(make_config, tmp_path, gesture):
+def test_stretched_windows_of_a_straight_path_stay_straight(loaded, tmp_path, gesture):
     """Only speed changes, by up to a tenth; so it does for a path that turns at a constant rate."""
     time = np.arange(180) / 30
     ways = {"straight": 0.0 * time, "turning": 0.5 * time}  # headings, radians
@@ -188,18 +192,11 @@ def test_stretched_windows_of_a_straight_path_stay_straight(make_config, tmp_pat
         walk.rotations[:, 0] = Rotation.from_euler("y", heading[:, None]).as_quat()
         walk.save(tmp_path / "in" / f"{name}.bvh")
     prepare([], tmp_path / "c.jsonl", unpaired_motion=[tmp_path / "in"], holdout=0.0)
-    config = make_config(
-        corpus=str(tmp_path / "c.jsonl"),
-        path=True,
-        features=None,
-        augmentation={"mirror": False, "stretch": 1.0},
-        training={"batch": 40},
-    )
-    data = load_training_data(config)
-    conditions = Batches(data, config).draw(0, slice(0, 40)).condition[:, 10:-10].numpy()
-    turn, forward, lateral = np.moveaxis(
-        conditions * data.conditions.path_scale + data.conditions.path_mean, -1, 0
-    )
+    told = {"path": True, "features": None, "augmentation": {"mirror": False, "stretch": 1.0}}
+    data, batches = loaded(corpus=str(tmp_path / "c.jsonl"), **told, training={"batch": 40})
+    conditions = batches.draw(0, slice(0, 40)).condition[:, 10:-10].numpy()
+    conditions = conditions * data.conditions.path_scale + data.conditions.path_mean
+    turn, forward, lateral = np.moveaxis(conditions, -1, 0)
     straight = np.abs(turn).max(axis=1) < 0.008
     assert 5 < straight.sum() < 35
     assert np.abs(turn[straight]).max() < 1e-4 and np.abs(lateral[straight]).max() < 1e-4
@@ -208,32 +205,21 @@ def test_stretched_windows_of_a_straight_path_stay_straight(make_config, tmp_pat
         assert 0.85 < rate.min() < 0.95 and 1.05 < rate.max() < 1.15
 
 
-def test_events_keep_their_frames_however_windows_are_stretched(make_config, tmp_path, write_pair):
-    write_pair(tmp_path / "in", "a", 4.0)
+def test_events_keep_their_frames_however_windows_are_stretched(loaded, recorded):
     table = "time,name\n" + "".join(f"{k / 30:.4f},kick\n" for k in range(0, 120, 10))
-    (tmp_path / "in" / "a.events.csv").write_text(table)
-    prepare([tmp_path / "in"], tmp_path / "c.jsonl", holdout=0.0)
-    config = make_config(
-        corpus=str(tmp_path / "c.jsonl"),
-        events=True,
-        augmentation={"stretch": 1.0},
-        training={"batch": 20},
-    )
-    data = load_training_data(config)
+    corpus, changes = recorded(4.0, events=table), {"augmentation": {"stretch": 1.0}}
+    data, batches = loaded(corpus=corpus, events=True, **changes, training={"batch": 20})
     assert data.conditions.events == ("kick",)
-    flags = Batches(data, config).draw(0, slice(0, 20)).condition[..., -1]
+    flags = batches.draw(0, slice(0, 20)).condition[..., -1]
     assert set(flags.unique().tolist()) == {0.0, 1.0}
     # A kick every ten frames, give or take a tenth, whatever the speed.
     assert (flags.sum(1) >= 5).all() and (flags.sum(1) <= 8).all()
     with pytest.raises(CorpusError, match="no training item has events"):
-        load_training_data(make_config(events=True))
+        loaded(events=True)
 
 
-def test_both_halves_of_a_recording_at_twice_the_frame_rate(make_config, tmp_path, write_pair):
-    write_pair(tmp_path / "in", "a", 3.0, fps=60.0)
-    prepare([tmp_path / "in"], tmp_path / "c.jsonl", holdout=0.0)
-    config = make_config(corpus=str(tmp_path / "c.jsonl"), augmentation=PLAIN)
-    one, other = load_training_data(config).recordings
+def test_both_halves_of_a_recording_at_twice_the_frame_rate(loaded, recorded):
+    one, other = loaded(corpus=recorded(3.0, fps=60.0), augmentation=PLAIN)[0].recordings
     assert (one.name, other.name) == ("a", "a (phase 2)")
     # Between two frames of the one lies a frame of the other, with the speech of its own time.
     between = (one.motion[:-1, :-3] + one.motion[1:, :-3]) / 2
@@ -243,9 +229,8 @@ def test_both_halves_of_a_recording_at_twice_the_frame_rate(make_config, tmp_pat
     assert np.corrcoef(one.condition[:n].ravel(), other.condition[:n].ravel())[0, 1] > 0.8
 
 
-def test_short_recordings_give_short_windows(make_config):
-    config = make_config(training={"window": 4.0, "batch": 2})
-    batches = Batches(load_training_data(config), config)
+def test_short_recordings_give_short_windows(loaded):
+    _, batches = loaded(training={"window": 4.0, "batch": 2})
     lengths = {batches.draw(update, slice(0, 2)).clean.shape[1] for update in range(40)}
     assert lengths == {120, 60}  # of 6 s, and of 2.5 s: 120 frames less a fifth, thrice
 
@@ -282,9 +267,7 @@ def test_a_run_goes_on_from_a_model_with_its_rig_and_normalisation(make_config, 
             load_training_data(make_config(start_from=str(model), **wrong))
 
 
-def test_a_run_that_stopped_before_its_first_checkpoint_starts_there_again(
-    make_config, tmp_path, monkeypatch
-):
+def test_a_run_stopped_before_a_checkpoint_starts_there_again(make_config, tmp_path, monkeypatch):
     model = train(make_config(out=str(tmp_path / "before"), training={"updates": 1}))
     training = {"updates": 1, "learning_rate": 1e-9}
     config = make_config(start_from=str(model), training=training, seed=1)
@@ -301,3 +284,54 @@ def test_a_run_that_stopped_before_its_first_checkpoint_starts_there_again(
     (tmp_path / "gone.yaml").rename(model / "config.yaml")
     for name, value in DiffusionModel.load(model).network.state_dict().items():
         assert torch.allclose(value, after[name], atol=1e-6), name
+
+
+@pytest.fixture
+def on_path(loaded, tmp_path):
+    """on_path(...): the data of a run that follows the paths of the folder's motions."""
+
+    def load(**changes) -> TrainingData:
+        prepare([], tmp_path / "c.jsonl", unpaired_motion=[tmp_path], holdout=0.0)
+        changes = {"features": None, "path": True, **changes}
+        return loaded(corpus=str(tmp_path / "c.jsonl"), **changes)[0]
+
+    return load
+
+
+def table(path: RootPath) -> str:
+    rows = zip(np.arange(path.n_frames) / path.fps, *path.positions.T, path.headings, strict=True)
+    lines = (f"{t:.6f},{x:.6f},{z:.6f},{np.degrees(angle):.6f}" for t, x, z, angle in rows)
+    return "\n".join(["time,x,z,heading", *lines])
+
+
+@pytest.mark.parametrize("has_table", [False, True])
+def test_feet_do_not_slide_on_a_smooth_path_nor_on_one_with_its_own_origin(
+    shared_data, on_path, tmp_path, has_table
+):
+    walk = Motion.load(shared_data / "motion/bandai/dataset-1_bow_angry_001.bvh")
+    walk.save(tmp_path / "a.bvh")
+    if has_table:
+        path = RootPath.of(walk)
+        moved = RootPath(path.positions - path.positions[0], path.headings, path.fps)
+        (tmp_path / "a.path.csv").write_text(table(moved))
+    data = on_path()
+    assert [r.name for r in data.recordings] == ["a", "a (mirrored)"]
+    for recording in data.recordings:
+        motion = data.decode(recording.motion, recording.condition, 30.0)
+        assert foot_skate(motion) < 1.25 * foot_skate(walk)
+
+
+def test_every_phase_of_a_fast_recording_is_on_the_path_of_its_own_time(on_path, tmp_path, gesture):
+    gesture(4.0, 60.0).save(tmp_path / "a.bvh")
+    at = np.arange(240) / 60
+    swing = RootPath(np.outer(at**2, [0.2, 0.1]), 0.3 * at**2, 60.0)
+    (tmp_path / "a.path.csv").write_text(table(swing))
+    assert load_root_path(tmp_path / "a.path.csv").fps == 60
+    data = on_path(augmentation={"mirror": False})
+    assert [r.name for r in data.recordings] == ["a", "a (phase 2)"]
+    for phase, recording in enumerate(data.recordings):
+        told = data.decode(recording.motion, recording.condition, 30.0)
+        own = RootPath.of(told, side=data.representation.side)
+        frames = np.arange(20, 80)
+        speed = np.linalg.norm([0.2, 0.1]) * 2 * ((frames + 0.5) / 30 + phase / 60)
+        assert own.speeds[20:80] == pytest.approx(speed, abs=2e-4)

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file
+from runs import apart, same_weights
 
 import gesturekit as gk
-from gesturekit.cli import main
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.diffusion.training.trainer import train
@@ -24,13 +23,6 @@ EVERYTHING = {
     "training": {"ema": 0.5, "dropout_condition": 0.3, "changes": 0.3, "min_snr": 5.0},
 }
 RUNS = {"published": {}, "everything": EVERYTHING}
-
-
-def apart(one: Path, other: Path) -> float:
-    """Return the relative difference of the weights of two models."""
-    first, second = (load_file(folder / "model.safetensors") for folder in (one, other))
-    both = [torch.cat([part.double().flatten() for part in m.values()]) for m in (first, second)]
-    return float((both[0] - both[1]).norm() / both[1].norm())
 
 
 @pytest.fixture
@@ -47,7 +39,7 @@ def run(make_config, tmp_path):
 
 @pytest.mark.parametrize("kind", RUNS)
 def test_a_gpu_trains_the_same_model_as_the_cpu(gpu, run, kind):
-    assert apart(run("cuda", **RUNS[kind]), run("cpu", **RUNS[kind])) < 1e-3
+    assert apart(run("cuda", **RUNS[kind]), run("cpu", **RUNS[kind]))[-1] < 1e-3
 
 
 def test_training_on_a_gpu_is_the_same_again_after_a_kill(gpu, run, tmp_path):
@@ -58,17 +50,15 @@ def test_training_on_a_gpu_is_the_same_again_after_a_kill(gpu, run, tmp_path):
     run("cuda", **again)
     checkpoints = Checkpoints(tmp_path / "again" / "checkpoints")
     checkpoints.path(checkpoints.steps()[-1]).unlink()
-    assert apart(run("cuda", **again, resume=True), whole) == 0
+    assert same_weights(run("cuda", **again, resume=True), whole)
 
 
 def test_bfloat16_trains_nearly_the_same(gpu, run):
     half = run("cuda", training={"precision": "bfloat16"})
-    assert 0 < apart(half, run("cpu")) < 0.03
+    assert 0 < apart(half, run("cpu"))[-1] < 0.03
 
 
-def test_training_extracts_features_on_the_gpu(
-    gpu, make_config, write_wavlm, tmp_path, wavlm_devices
-):
+def test_features_are_extracted_on_the_gpu(gpu, make_config, write_wavlm, tmp_path, wavlm_devices):
     write_wavlm(tmp_path / "wavlm", seed=12)  # features of other tests' weights are in the cache
     encoder = {"extractors": [{"kind": "wavlm"}], "weights": str(tmp_path / "wavlm")}
     config = make_config(features=encoder, device="cuda")
@@ -97,28 +87,20 @@ def models(untrained, tmp_path):
     return make
 
 
-def tiled(model: gk.Model) -> gk.Model:
-    """Return the model, which generates short tiles."""
-    return replace(model, window=60)
-
-
-FEW = {"seconds": 3.0, "steps": 4, "foot_lock": False}
+QUICK = {"steps": 4, "foot_lock": False}
+FEW = {"seconds": 3.0, **QUICK}
+MIXED = {"style": "old:0.25,angry:0.75", "guidance": 1.5}
 REQUESTS = {
     "published": lambda of: of["styled"].generate(**{**FEW, "steps": None}, style="old"),
     "dpm": lambda of: of["other"].generate(**FEW),
     "ddim": lambda of: of["other"].generate(**FEW, solver="ddim"),
     "long": lambda of: of["other"].generate(**{**FEW, "seconds": 20.0}),
-    "tiles": lambda of: tiled(of["other"]).generate(**FEW),
+    "tiles": lambda of: replace(of["other"], window=60).generate(**FEW),
     "product": lambda of: of["styled"].generate(
-        **FEW,
-        style="old:0.25,angry:0.75",
-        guidance=1.5,
-        experts=[(of["other"], "0.2@0-1.5,0.4@1.5-3")],
+        **FEW, **MIXED, experts=[(of["other"], "0.2@0-1.5,0.4@1.5-3")]
     ),
     "edit": lambda of: of["other"].generate(**FEW, like=of["other"].generate(**FEW), change=0.3),
-    "path": lambda of: of["walker"].generate(
-        path=of["walker"].folder / "walk.csv", steps=4, foot_lock=False
-    ),
+    "path": lambda of: of["walker"].generate(path=of["walker"].folder / "walk.csv", **QUICK),
 }
 
 
@@ -146,28 +128,32 @@ def spoken(make_config, write_speech, tmp_path) -> Path:
     return tmp_path
 
 
-def rendered(out: Path, *sounds: Path, **options) -> dict[str, bytes]:
-    """Return {name: bytes} of the motions that `gesturekit render` makes on a GPU."""
-    command = ["render", *sounds, "--model", out.parent / "spoken", "--device", "cuda"]
-    command += ["--out", out, "--format", "npz", "--steps", 3]
-    command += [word for name, value in options.items() for word in (f"--{name}", value)]
-    with pytest.raises(SystemExit) as left:
-        main([str(word) for word in command])
-    assert left.value.code == (0 if len(list(out.glob("*.npz"))) == len(sounds) else 1)
-    return {path.name: path.read_bytes() for path in out.glob("*.npz")}
+@pytest.fixture
+def rendered(spoken, gesturekit):
+    """rendered("out", *sounds, workers=2): motions made on a GPU, {name: bytes}; and errors."""
+
+    def run(out: str, *sounds: Path, **options) -> tuple[dict[str, bytes], str]:
+        command = (*sounds, "--model", spoken / "spoken", "--device", "cuda", "--steps", 3)
+        more = [word for name, value in options.items() for word in (f"--{name}", value)]
+        done = gesturekit("render", *command, "--out", spoken / out, "--format", "npz", *more)
+        made = {path.name: path.read_bytes() for path in (spoken / out).glob("*.npz")}
+        assert done.status == (0 if len(made) == len(sounds) else 1)
+        return made, done.err
+
+    return run
 
 
-def test_other_sounds_do_not_change_a_result(gpu, spoken):
+def test_other_sounds_do_not_change_a_result(gpu, spoken, rendered):
     sounds = sorted((spoken / "sounds").iterdir())
-    whole = rendered(spoken / "whole", *sounds)
-    assert len(whole) == 4 and rendered(spoken / "last", sounds[-1])["3.npz"] == whole["3.npz"]
+    whole, _ = rendered("whole", *sounds)
+    assert len(whole) == 4 and rendered("last", sounds[-1])[0]["3.npz"] == whole["3.npz"]
     if gpu == "cuda":  # processes of their own cannot be simulated
-        assert rendered(spoken / "workers", *sounds, workers=2) == whole
+        assert rendered("workers", *sounds, workers=2)[0] == whole
 
 
-def test_a_gpu_whose_memory_runs_out_fails_one_sound(gpu, spoken, monkeypatch, capsys):
+def test_a_gpu_whose_memory_runs_out_fails_one_sound(gpu, spoken, rendered, monkeypatch):
     sounds = sorted((spoken / "sounds").iterdir())
-    whole, own = rendered(spoken / "whole", *sounds), Denoiser.for_condition
+    (whole, _), own = rendered("whole", *sounds), Denoiser.for_condition
 
     def fail_on_long_ones(self, condition, steps):
         if condition.shape[1] >= 90:
@@ -176,8 +162,8 @@ def test_a_gpu_whose_memory_runs_out_fails_one_sound(gpu, spoken, monkeypatch, c
 
     monkeypatch.setattr(Denoiser, "for_condition", fail_on_long_ones)
     del whole["2.npz"]
-    assert rendered(spoken / "fails", *sounds) == whole
-    assert "2.wav: CUDA out of memory. Tried to allocate 2.00 GiB." in capsys.readouterr().err
+    made, said = rendered("fails", *sounds)
+    assert made == whole and "2.wav: CUDA out of memory. Tried to allocate 2.00 GiB." in said
 
 
 def test_models_on_two_devices_cannot_be_multiplied(gpu, models):

@@ -110,9 +110,8 @@ def test_an_expert_with_another_mean_predicts_the_same_as_alone():
     moved = Expert(alone.network, SCHEDULE, alone.condition, shift)
     for step in (0, 20, 60):
         signal, _ = SCHEDULE.scales(step, noise())
-        torch.testing.assert_close(
-            moved.predict(noise(), step), alone.predict(noise() + signal * shift, step)
-        )
+        expected = alone.predict(noise() + signal * shift, step)
+        torch.testing.assert_close(moved.predict(noise(), step), expected)
 
 
 def test_noise_and_velocity_networks_mix_as_noise():
@@ -140,25 +139,24 @@ def test_clipping_bounds_the_errors_of_an_imperfect_network():
 
 def test_experts_that_do_not_fit_are_refused():
     one, two = expert(1), expert(2)
-    with pytest.raises(ModelError, match=r"weights 0\.5, 0\.25 add up to 0\.75"):
-        ProductOfExperts([one, two], [0.5, 0.25])
-    with pytest.raises(ModelError, match="add up to nan"):
-        ProductOfExperts([one, two], [0.5, float("nan")])
-    with pytest.raises(ModelError, match=r"add up to 1\.5"):
-        ProductOfExperts([one, two], [0.5, np.linspace(0.5, 1.0, FRAMES)])
-    with pytest.raises(ModelError, match="shape"):
-        ProductOfExperts([one, two], [0.5, np.full(FRAMES - 1, 0.5)])
-    with pytest.raises(ModelError, match="2 experts and 1 weights"):
-        ProductOfExperts([one, two], [1.0])
+    for weights, told in (
+        ([0.5, 0.25], r"weights 0\.5, 0\.25 add up to 0\.75"),
+        ([0.5, float("nan")], "add up to nan"),
+        ([0.5, np.linspace(0.5, 1.0, FRAMES)], r"add up to 1\.5"),
+        ([0.5, np.full(FRAMES - 1, 0.5)], "shape"),
+        ([1.0], "2 experts and 1 weights"),
+    ):
+        with pytest.raises(ModelError, match=told):
+            ProductOfExperts([one, two], weights)
     dance = NoiseSchedule.of(NoiseConfig(steps=150, first_beta=0.01, last_beta=0.7))
-    with pytest.raises(ModelError, match="noise schedules differ.*100 steps.*150 steps"):
-        ProductOfExperts([one, expert(2, schedule=dance)], [0.5, 0.5])
-    wide = Expert(network(2, n_motion=MOTION + 1), SCHEDULE, one.condition)
-    with pytest.raises(ModelError, match="5 numbers a frame, another 6"):
-        ProductOfExperts([one, wide], [0.5, 0.5])
-    short = Expert(two.network, SCHEDULE, two.condition[:, :-1])
-    with pytest.raises(ModelError, match="40 frames, another of 39"):
-        ProductOfExperts([one, short], [0.5, 0.5])
+    wide = network(2, n_motion=MOTION + 1)
+    for other, told in (
+        (expert(2, schedule=dance), "noise schedules differ.*100 steps.*150 steps"),
+        (Expert(wide, SCHEDULE, one.condition), "5 numbers a frame, another 6"),
+        (Expert(two.network, SCHEDULE, two.condition[:, :-1]), "40 frames, another of 39"),
+    ):
+        with pytest.raises(ModelError, match=told):
+            ProductOfExperts([one, other], [0.5, 0.5])
     wrong = Expert(one.network, SCHEDULE, noise("wrong", width=CONDITION + 1))
     with pytest.raises(ModelError, match="4 numbers a frame.*3"):
         ProductOfExperts([wrong], [1]).predict(noise(), 0)

@@ -25,18 +25,14 @@ def clip(*values):
     return torch.tensor(values, dtype=torch.float64).reshape(1, -1, 1)
 
 
-def test_the_denoising_error_is_the_mean_square_over_frames_and_features():
+def test_errors_are_mean_squares_over_frames_and_features():
     predicted = torch.tensor([[[1.0, 2.0], [3.0, 4.0]], [[0.0, 0.0], [0.0, 2.0]]])
     target = torch.tensor([[[1.0, 0.0], [0.0, 4.0]], [[0.0, 0.0], [0.0, 0.0]]])
     # (0 + 4 + 9 + 0) / 4 and (0 + 0 + 0 + 4) / 4.
     assert denoising_error(predicted, target).tolist() == [3.25, 1.0]
-
-
-def test_the_change_error_is_that_of_steps_in_units_of_the_recordings_own():
-    predicted = torch.tensor([[[0.0, 0.0], [1.0, 0.0], [1.0, 6.0]]])
-    target = torch.tensor([[[0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]])
+    moving, still = torch.tensor([[[0.0, 0.0], [1.0, 0.0], [1.0, 6.0]]]), torch.zeros(1, 3, 2)
     # Changes (1, 0) and (0, 6) in units of (0.5, 3): (4 + 0 + 0 + 4) / 4.
-    assert change_error(predicted, target, torch.tensor([0.5, 3.0])).tolist() == [2.0]
+    assert change_error(moving, still, torch.tensor([0.5, 3.0])).tolist() == [2.0]
 
 
 def test_the_schedule_is_linear_in_beta_and_multiplies_what_is_left():
@@ -62,16 +58,17 @@ def test_networks_learn_noise_clean_motion_or_velocity(predict, wanted):
     assert schedule.target(clip(2.0), clip(-1.0), 1).item() == pytest.approx(wanted)
 
 
+def says(noisy, step):
+    """A network that says 0.3 at the second step and -0.2 at the first."""
+    return clip({1: 0.3, 0: -0.2}[step])
+
+
 def test_ancestral_steps_are_those_of_ho_et_al():
-    # From x = 1 with a network that says 0.3 at the second step and -0.2 at the first.
+    # From x = 1.
     second = (1.0 - 0.5 / math.sqrt(1 - 0.4) * 0.3) / math.sqrt(0.5)
     spread = math.sqrt(0.5 * (1 - 0.8) / (1 - 0.4))  # of the posterior, not of the forward step
     first = (second + spread * 0.7 - 0.2 / math.sqrt(1 - 0.8) * -0.2) / math.sqrt(0.8)
-    made = sample(
-        lambda noisy, step: clip({1: 0.3, 0: -0.2}[step]),
-        lambda k: clip([1.0, 0.7][k]),
-        of_two_steps(),
-    )
+    made = sample(says, lambda k: clip([1.0, 0.7][k]), of_two_steps())
     assert made.item() == pytest.approx(first, rel=1e-12)
 
 
@@ -79,12 +76,7 @@ def test_deterministic_steps_keep_the_noise_and_end_at_the_clean_motion():
     # DDIM (Song et al. 2021, eq. 12 without noise) puts back the noise that the network predicted.
     clean = (1.0 - math.sqrt(0.6) * 0.3) / math.sqrt(0.4)
     second = math.sqrt(0.8) * clean + math.sqrt(0.2) * 0.3
-    made = sample(
-        lambda noisy, step: clip({1: 0.3, 0: -0.2}[step]),
-        lambda k: clip(1.0),
-        of_two_steps(),
-        solver="ddim",
-    )
+    made = sample(says, lambda k: clip(1.0), of_two_steps(), solver="ddim")
     assert made.item() == pytest.approx((second + math.sqrt(0.2) * 0.2) / math.sqrt(0.8))
 
 
@@ -123,27 +115,26 @@ def test_a_given_start_is_noised_to_its_step():
     assert step == 1 and first == pytest.approx(2 * math.sqrt(0.4) - math.sqrt(0.6))
 
 
-def test_gradients_are_clipped_to_their_norm(make_config, tmp_path):
-    config = make_config(training={"clip": 1e-3}, out=str(tmp_path / "clipped"))
-    with session(config, resume=False) as (run, device, processes):
-        trainer = Trainer(config, run, device, processes, resume=False)
-    trainer._update(0)
-    norms = [p.grad.norm() for p in trainer.network.parameters() if p.grad is not None]
-    assert float(torch.stack(norms).norm()) == pytest.approx(1e-3, rel=1e-3)
-
-
 @pytest.fixture
 def trainer_of(make_config, tmp_path):
     """A trainer of the small configuration with changes, its network replaced by zeros."""
 
-    def make(**changes):
+    def make(says_zero: bool = True, **changes):
         config = make_config(**changes, out=str(tmp_path / str(changes)))
         with session(config, resume=False) as (run, device, processes):
             trainer = Trainer(config, run, device, processes, resume=False)
-        trainer.network.forward = lambda noisy, condition, step: torch.zeros_like(noisy)
+        if says_zero:
+            trainer.network.forward = lambda noisy, condition, step: torch.zeros_like(noisy)
         return trainer
 
     return make
+
+
+def test_gradients_are_clipped_to_their_norm(trainer_of):
+    trainer = trainer_of(says_zero=False, training={"clip": 1e-3})
+    trainer._update(0)
+    norms = [p.grad.norm() for p in trainer.network.parameters() if p.grad is not None]
+    assert float(torch.stack(norms).norm()) == pytest.approx(1e-3, rel=1e-3)
 
 
 def test_the_loss_of_a_batch_is_the_mean_over_clips(trainer_of):
@@ -155,27 +146,21 @@ def test_the_loss_of_a_batch_is_the_mean_over_clips(trainer_of):
     assert 0.7 < expected < 1.3  # standard normal
 
 
-def test_the_weight_of_the_change_error_counts(trainer_of):
-    changes = {"noise": {"predict": "clean"}}
-    plain = trainer_of(**changes)
-    weighed = trainer_of(**changes, training={"changes": 0.5})
-    batch = plain.batches.draw(0, slice(0, 2))
-    apart = float(weighed._loss(batch)) - float(plain._loss(batch))
-    error = change_error(torch.zeros_like(batch.clean), batch.clean, weighed.changes)
-    assert apart == pytest.approx(0.5 * float(error.mean()), rel=1e-4)
-
-
-def test_the_weight_of_foot_sliding_counts(trainer_of):
+@pytest.mark.parametrize("name", ["changes", "foot_sliding"])
+def test_the_weight_of_a_loss_on_motion_counts(trainer_of, name):
     clean = {"noise": {"predict": "clean"}}
-    plain, weighted = trainer_of(**clean), trainer_of(**clean, training={"foot_sliding": 0.5})
+    plain, weighted = trainer_of(**clean), trainer_of(**clean, training={name: 0.5})
     batch = plain.batches.draw(0, slice(0, 2))
     made = torch.randn(batch.clean.shape, generator=torch.Generator().manual_seed(0))
     for trainer in (plain, weighted):
         trainer.network.forward = lambda noisy, condition, step: made
     apart = float(weighted._loss(batch)) - float(plain._loss(batch))
-    slides = foot_sliding(weighted.foot_velocity(made), weighted.foot_velocity(batch.clean))
-    assert apart == pytest.approx(0.5 * float(slides.mean()), rel=1e-3)
-    assert slides.min() > 0.1
+    if name == "changes":
+        error = change_error(made, batch.clean, weighted.changes)
+    else:
+        error = foot_sliding(weighted.foot_velocity(made), weighted.foot_velocity(batch.clean))
+    assert apart == pytest.approx(0.5 * float(error.mean()), rel=1e-3)
+    assert error.min() > 0.1
 
 
 def test_steps_and_noise_are_drawn_anew_for_every_row_and_update(trainer_of):

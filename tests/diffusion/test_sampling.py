@@ -16,6 +16,7 @@ from gesturekit.training.seeds import rng_for
 
 GESTURE = NoiseSchedule.of(NoiseConfig())
 DANCE = NoiseSchedule.of(NoiseConfig(steps=150, first_beta=0.01, last_beta=0.7))
+SCHEDULES = pytest.mark.parametrize("schedule", [GESTURE, DANCE], ids=["gesture", "dance"])
 D = 6
 
 
@@ -64,13 +65,12 @@ class Gaussian:
             return vectors * values.clamp(min=0).sqrt() @ vectors.mT
 
         between = root(root(self.covariance) @ covariance @ root(self.covariance))
-        square = (mean - self.mean).square().sum() + torch.trace(
-            self.covariance + covariance - 2 * between
-        )
+        square = torch.trace(self.covariance + covariance - 2 * between)
+        square += (mean - self.mean).square().sum()
         return math.sqrt(max(float(square), 0) / float(torch.trace(self.covariance)))
 
 
-@pytest.mark.parametrize("schedule", [GESTURE, DANCE], ids=["gesture", "dance"])
+@SCHEDULES
 @pytest.mark.parametrize("solver", ["ancestral", "ddim", "dpm"])
 def test_all_steps_reach_the_mean_and_the_spread(schedule, solver):
     data = Gaussian(schedule)
@@ -80,7 +80,7 @@ def test_all_steps_reach_the_mean_and_the_spread(schedule, solver):
     assert data.error(solver, None) < (0.03 if solver == "dpm" else 0.1)
 
 
-@pytest.mark.parametrize("schedule", [GESTURE, DANCE], ids=["gesture", "dance"])
+@SCHEDULES
 def test_steps_of_pure_noise_need_no_network(schedule):
     data = Gaussian(schedule)
     whole, asked = data.reached("ancestral", None), len(data.asked)
@@ -92,7 +92,7 @@ def test_steps_of_pure_noise_need_no_network(schedule):
         torch.testing.assert_close(one, other, atol=2e-4, rtol=0)
 
 
-@pytest.mark.parametrize("schedule", [GESTURE, DANCE], ids=["gesture", "dance"])
+@SCHEDULES
 @pytest.mark.parametrize("steps", [10, 20])
 def test_few_steps_of_second_order_are_nearer_than_ddim(schedule, steps):
     data = Gaussian(schedule)
@@ -122,9 +122,8 @@ def test_noise_comes_from_the_caller_alone():
 @pytest.mark.parametrize("solver", ["ancestral", "ddim", "dpm"])
 def test_a_truncated_start_keeps_what_noise_has_not_hidden(solver):
     data = Gaussian(GESTURE)
-    chosen = data.mean + torch.linalg.cholesky(data.covariance) @ torch.full(
-        (D,), 1.5, dtype=torch.float64
-    )
+    away = torch.full((D,), 1.5, dtype=torch.float64)
+    chosen = data.mean + torch.linalg.cholesky(data.covariance) @ away
 
     def made(step: int) -> torch.Tensor:
         def noise_at(k: int) -> torch.Tensor:
@@ -156,7 +155,7 @@ def test_single_precision_survives_the_end_of_the_schedule():
         torch.testing.assert_close(ours.double(), exact, atol=2e-3, rtol=0)
 
 
-@pytest.mark.parametrize("schedule", [GESTURE, DANCE], ids=["gesture", "dance"])
+@SCHEDULES
 def test_few_steps_skip_pure_noise_and_repeat_none(schedule):
     for count in range(1, schedule.steps + 1):
         steps = chosen_steps(schedule, count)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rigs import prefixed
 
 from gesturekit import Motion, Skeleton
 from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
@@ -59,19 +60,9 @@ def test_all_steps_are_taken_from_there_on(model, given):
 
 
 def test_a_motion_on_another_rig_is_retargeted_and_stands_on_the_floor(model, given):
-    rig = given.skeleton
-    other = Motion(
-        Skeleton(
-            names=tuple(f"mixamorig:{name}" for name in rig.names),
-            parents=rig.parents,
-            offsets=rig.offsets,
-        ),
-        given.rotations,
-        given.translation - [0.0, 0.9, 0.0],  # its pelvis is where others have their floor
-        given.fps,
-    )
-    made = model.generate(like=other, change=0.01, **ASKED)
-    assert made.skeleton.names == rig.names
+    low = given.translation - [0.0, 0.9, 0.0]  # its pelvis is where others have their floor
+    made = model.generate(like=prefixed(replace(given, translation=low)), change=0.01, **ASKED)
+    assert made.skeleton.names == given.skeleton.names
     assert apart(made, given) < 0.2  # its feet are held where they stand, which moves the whole
     assert abs((made.positions() - given.positions())[..., 1].mean()) < 0.02
 
@@ -82,9 +73,7 @@ def test_a_giants_motion_starts_on_the_floor_of_a_model_of_another_giant(model, 
     hips = given.translation * [1.0, 3.0, 1.0]
     hips[:, 1] += 0.3 * np.sin(given.times)  # heights that vary, so that 2 m are not clipped
     giant = replace(given, skeleton=tall, translation=hips)
-    other_names = tuple(f"mixamorig:{name}" for name in tall.names)
-    named = Skeleton(names=other_names, parents=tall.parents, offsets=tall.offsets)
-    low = replace(giant, skeleton=named, translation=giant.translation - [0.0, 2.0, 0.0])
+    low = prefixed(replace(giant, translation=giant.translation - [0.0, 2.0, 0.0]))
     representation = DeltaRepresentation.fit([giant])
     normaliser = Normaliser.fit([representation.encode(giant)])
     trained = replace(model, representation=representation, normaliser=normaliser)

@@ -1,19 +1,17 @@
-"""Training: the recipe's numbers, exact resume, several processes, and a model that moves."""
+"""Training: the recipe's numbers, exact resume, several processes, models that move alike."""
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
-
+import numpy as np
 import pytest
 import torch
 import yaml
-from safetensors.torch import load_file
+from runs import ended, launch, logged, same_weights, weights
 
 import gesturekit as gk
+from gesturekit.corpus import prepare
 from gesturekit.diffusion.config import TrainingConfig
+from gesturekit.diffusion.model import DiffusionModel
 from gesturekit.diffusion.training import trainer
 from gesturekit.diffusion.training.trainer import learning_rate, train
 from gesturekit.errors import ConfigError, ModelError
@@ -21,21 +19,12 @@ from gesturekit.training.config import to_dict
 from gesturekit.training.run.checkpoint import Checkpoints
 
 
-def weights(folder):
-    return load_file(folder / "model.safetensors")
-
-
-def logged(config):
-    lines = [json.loads(line) for line in (config.out / "metrics.jsonl").read_text().splitlines()]
-    lines = [line for line in lines if line.get("kind") != "recorded"]
-    return [{k: v for k, v in line.items() if "seconds" not in k} for line in lines]
-
-
 def test_a_run_leaves_metrics_checkpoints_and_a_model_that_moves(make_config):
     config = make_config(eval_every=4, fps=15.0, clip_denoised=False)
     folder = train(config)
-    assert [line["step"] for line in logged(config)] == [2, 4, 4, 6, 6]
-    assert {"arm_speed_ratio", "jerk_ratio"} <= logged(config)[-1].keys()
+    assert [line["step"] for line in logged(config.out)] == [2, 4, 6]
+    assert [line["step"] for line in logged(config.out, "evaluation")] == [4, 6]
+    assert {"arm_speed_ratio", "jerk_ratio"} <= logged(config.out, "evaluation")[-1].keys()
     assert Checkpoints(config.out / "checkpoints").steps() == [3, 6]
     for name in ("config.yaml", "command.txt", "versions.json", "events"):
         assert (config.out / name).exists(), name
@@ -52,23 +41,16 @@ def test_training_learns_to_predict_noise(make_config):
         log_every=20,
     )
     train(config)
-    first, *_, last = [line["loss"] for line in logged(config)]
+    first, *_, last = [line["loss"] for line in logged(config.out)]
     assert last < 0.8 * first
 
 
-def test_the_same_seed_gives_the_same_weights_and_another_seed_others(make_config, tmp_path):
-    one, same, other = (
-        weights(train(make_config(out=str(tmp_path / name), seed=seed)))
-        for name, seed in (("one", 0), ("same", 0), ("other", 1))
+def test_the_seed_decides_the_weights_and_evaluation_does_not(make_config, tmp_path):
+    kinds = {"plain": {}, "watched": {"eval_every": 1}, "other": {"seed": 1}}
+    plain, watched, other = (
+        train(make_config(out=str(tmp_path / name), **changes)) for name, changes in kinds.items()
     )
-    assert all(torch.equal(one[name], value) for name, value in same.items())
-    assert any(not torch.equal(one[name], value) for name, value in other.items())
-
-
-def test_evaluation_does_not_change_the_weights(make_config, tmp_path):
-    plain = weights(train(make_config()))
-    watched = weights(train(make_config(eval_every=1, out=str(tmp_path / "watched"))))
-    assert all(torch.equal(plain[name], value) for name, value in watched.items())
+    assert same_weights(plain, watched) and not same_weights(plain, other)
 
 
 def test_a_resumed_run_is_the_same_to_the_last_bit(make_config, tmp_path):
@@ -82,9 +64,8 @@ def test_a_resumed_run_is_the_same_to_the_last_bit(make_config, tmp_path):
     for file in (cut.out / "model").iterdir():
         file.unlink()
     train(cut, resume=True)
-    one, other = weights(whole.out / "model"), weights(cut.out / "model")
-    assert all(torch.equal(one[name], value) for name, value in other.items())
-    assert [line["step"] for line in logged(cut)] == [2, 4, 6]
+    assert same_weights(whole.out / "model", cut.out / "model")
+    assert [line["step"] for line in logged(cut.out)] == [2, 4, 6]
     with pytest.raises(ConfigError, match="the run was started with seed: 0"):
         train(make_config(seed=5, **options), resume=True)
     with pytest.raises(ConfigError, match="--resume"):
@@ -97,16 +78,8 @@ def test_two_processes_train_the_model_of_one(make_config, tmp_path, device):
     config = make_config(**options)
     file = tmp_path / "config.yaml"
     file.write_text(yaml.safe_dump(to_dict(config)))
-    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc_per_node", "2"]
-    done = subprocess.run(
-        [sys.executable, *launch, "-m", "gesturekit", "train", str(file)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stderr.count("Training on") == 1
+    said = ended(launch("-m", "gesturekit", "train", file, processes=2))
+    assert said.count("Training on") == 1
     two = weights(config.out / "model")
     # Adam divides by the size of a gradient: what is next to nothing may go either way.
     apart = torch.cat([(one[name] - two[name]).abs().flatten() for name in one])
@@ -170,16 +143,48 @@ def test_nan_stops_the_run_and_the_last_good_checkpoint_stays(make_config, monke
 def test_variants_train(make_config, changes):
     config = make_config(**changes)
     assert (train(config) / "config.yaml").is_file()
-    assert all(0 < line["loss"] < 3 for line in logged(config))
+    assert all(0 < line["loss"] < 3 for line in logged(config.out))
 
 
-@pytest.mark.parametrize("name", ["changes", "foot_sliding"])
-def test_losses_on_motion_need_a_network_that_predicts_it(make_config, name):
-    with pytest.raises(ConfigError, match=rf"training.{name}: 0.3 .*; noise.predict is noise"):
-        make_config(training={name: 0.3})
+@pytest.mark.parametrize(
+    ("name", "changes", "told"),
+    [
+        ("changes", {}, "noise.predict is noise"),
+        ("foot_sliding", {}, "noise.predict is noise"),
+        ("foot_sliding", {"noise": {"predict": "clean"}, "path": True}, "with path: true"),
+    ],
+)
+def test_losses_on_motion_need_a_network_that_predicts_it(make_config, name, changes, told):
+    with pytest.raises(ConfigError, match=rf"training.{name}: 0.3 .*; {told}"):
+        make_config(training={name: 0.3}, **changes)
 
 
-def test_foot_sliding_is_that_of_a_root_that_the_model_moves(make_config):
-    training, noise = {"foot_sliding": 0.3}, {"predict": "clean"}
-    with pytest.raises(ConfigError, match=r"training.foot_sliding: 0.3 .*; with path: true"):
-        make_config(training=training, noise=noise, path=True)
+def test_experts_with_speech_and_events_can_be_combined(make_config, gesture, tmp_path):
+    """Kicks happen in motion alone, whose mean and spread are not those of the corpus."""
+    (tmp_path / "in").mkdir()
+    gesture(4.0, seed=9).save(tmp_path / "in" / "f.bvh")
+    (tmp_path / "in" / "f.events.csv").write_text("time,name\n1,kick\n2.5,kick\n")
+    prepare([], tmp_path / "f.jsonl", unpaired_motion=[tmp_path / "in"], holdout=0.0)
+    heard = train(make_config())
+    told = {"corpus": str(tmp_path / "f.jsonl"), "features": None, "events": True}
+    apart = DiffusionModel.load(train(make_config(out=str(tmp_path / "apart"), **told)))
+    config = make_config(out=str(tmp_path / "like"), moves_like=str(heard), **told)
+    like, leader = DiffusionModel.load(train(config)), DiffusionModel.load(heard)
+    with pytest.raises(ModelError, match="train one with moves_like"):
+        leader.generate(seconds=1.0, events="kick@0.5", experts=[(apart, 0.5)])
+    assert like.conditions.events == ("kick",) and like.conditions.conditioner is None
+    assert torch.equal(like.normaliser.scale, leader.normaliser.scale)
+    motion = leader.generate(seconds=1.0, events="kick@0.5", experts=[(like, 0.5)], steps=3)
+    alone = leader.generate(seconds=1.0, steps=3)
+    assert motion.n_frames == 30 and np.abs(motion.rotations - alone.rotations).max() > 1e-3
+
+
+def test_an_incompatible_moves_like_is_refused(make_config):
+    model = str(train(make_config()))
+    for wrong, told in (
+        ({"fps": 25.0}, "moves_like: .* has fps 30.0, this run 25.0"),
+        ({"path": True}, "moves_like: this run follows a path and .* does not"),
+        ({"start_from": model}, "leave out one of them"),
+    ):
+        with pytest.raises(ConfigError, match=told):
+            train(make_config(out=model + "-next", moves_like=model, **wrong))

@@ -1,11 +1,15 @@
-"""Weights of experts over time, as they are asked for."""
+"""Weights of experts and of styles over time, as they are asked for."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from gesturekit.diffusion.sampling.expert_weights import weight_track, weights_over_time
+from gesturekit.diffusion.sampling.expert_weights import (
+    style_weights,
+    weight_track,
+    weights_over_time,
+)
 from gesturekit.errors import ModelError
 
 
@@ -25,9 +29,8 @@ def test_experts_without_a_weight_share_the_remaining_weight():
     assert half.tolist() == [0.25]
     np.testing.assert_allclose(own, 0.75 - prior)
     np.testing.assert_allclose(prior[[0, -1]], [0.5, 0])
-    assert [w.tolist() for w in weights_over_time([None, 0.4, None], 9, 30.0)] == [
-        pytest.approx([0.3]), [0.4], pytest.approx([0.3]),
-    ]  # fmt: skip
+    for found, expected in zip(weights_over_time([None, 0.4, None], 9, 30.0), (0.3, 0.4, 0.3)):
+        assert found.tolist() == [pytest.approx(expected)]
 
 
 @pytest.mark.parametrize("text", ["@0-4", "0.5@4", "much@0-4", "0.5@0-4,0.5", "0.5@4-2", "x:1@0-4"])
@@ -36,3 +39,48 @@ def test_unreadable_weights_are_refused(text):
         weight_track(text, 60, 30.0)
     with pytest.raises(ModelError, match="one for each frame"):
         weights_over_time([None, np.ones(7)], 60, 30.0)
+
+
+NAMES = ("old", "angry", "calm:1")
+
+
+@pytest.mark.parametrize(
+    ("wanted", "weights"),
+    [
+        ("angry", (0, 1, 0)),
+        ("old:0.25,angry:0.75", (0.25, 0.75, 0)),
+        ("old:-0.25, angry:1.25", (-0.25, 1.25, 0)),
+        ("old,angry", (0.5, 0.5, 0)),
+        ("calm:1", (0, 0, 1)),
+        ("calm:1:0.5,old:.5", (0.5, 0, 0.5)),
+    ],
+)
+def test_one_mixture_at_all_times(wanted, weights):
+    found = style_weights(NAMES, wanted, 40, 30.0)
+    np.testing.assert_allclose(found, np.tile(weights, (40, 1)))
+
+
+def test_mixtures_in_spans_become_one_another():
+    found = style_weights(NAMES, "old:-0.5@0-4,angry:1.5@0-4,angry@4-8", 240, 30.0)
+    np.testing.assert_allclose(found[:100], np.tile([-0.5, 1.5, 0], (100, 1)), atol=1e-6)
+    np.testing.assert_allclose(found[140:], np.tile([0, 1, 0], (100, 1)), atol=1e-6)
+    assert (np.diff(found[104:136, 0]) > 0).all()
+    np.testing.assert_allclose(found.sum(axis=1), 1, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "told"),
+    [
+        ("odl", "style 'odl': unknown; the model has old, angry"),
+        ("old:0.25,angry:0.5", r"weights add up to 0\.75"),
+        ("old:0.5@0-4,angry@4-8", r"weights add up to 0\.5"),
+        ("old:0.5,angry", "some styles have a weight and some have none"),
+        ("old@0-4,angry", "some styles have a span"),
+        ("old,old", "named twice"),
+        ("old@4-0", "the span ends before it begins"),
+        ("old:x,angry:0.5", "unknown; the model has"),
+    ],
+)
+def test_invalid_styles_are_refused(wanted, told):
+    with pytest.raises(ModelError, match=told):
+        style_weights(NAMES, wanted, 40, 30.0)

@@ -1,43 +1,20 @@
-"""Controls of multires models: one list of names, documented once, and errors for all others."""
+"""Speech of their own for some levels of a multires model."""
 
 from __future__ import annotations
-
-import dataclasses
 
 import numpy as np
 import pytest
 
 import audio_features as af
 import gesturekit as gk
-from gesturekit.field_docs import field_docs
-from gesturekit.model import UnknownControlError
-from gesturekit.multires.controls import MultiresControlArguments, MultiresControls
-
-
-def test_every_control_is_a_typed_keyword_and_documented():
-    names = {field.name for field in dataclasses.fields(MultiresControls)}
-    assert names == MultiresControlArguments.__optional_keys__
-    assert names == field_docs(MultiresControls).keys()
-
-
-def test_unknown_controls_are_refused_with_the_nearest_name():
-    model = gk.load("demo")
-    for call in (model.generate, model.check_controls):
-        with pytest.raises(UnknownControlError, match="no control keyfram; did you mean keyframes"):
-            call(keyfram="clip.bvh")
-        with pytest.raises(UnknownControlError, match="multires models have no control guidance"):
-            call(guidance=2.0)
-    model.check_controls(events=None, guidance=None, levels=2)
 
 
 @pytest.fixture(scope="module")
 def two_voices(write_speech, tmp_path_factory):
     """Two sounds of 4 s."""
     folder = tmp_path_factory.mktemp("voices")
-    calm, lively = folder / "calm.wav", folder / "lively.wav"
-    write_speech(calm, 4.0, level=0.05)
-    write_speech(lively, 6.1)
-    wave = af.Wave.load(lively)
+    calm = write_speech(folder / "calm.wav", 4.0, level=0.05)
+    wave = af.Wave.load(write_speech(folder / "lively.wav", 6.1))
     return calm, af.Wave(wave.samples[-4 * wave.sample_rate :], wave.sample_rate, None)
 
 
@@ -57,15 +34,15 @@ def test_levels_follow_a_speech_of_their_own(two_voices):
     np.testing.assert_array_equal(every, of_lively)
     np.testing.assert_array_equal(rotations(lively, level_speech={"1-8": calm}), of_calm)
     coarse = {"levels": 4, "recall": False, "foot_lock": False}
-    both = [
-        model.generate(calm, level_speech=own, **coarse).rotations
-        for own in (None, {"5-8": lively}, {"1": lively})
-    ]
-    np.testing.assert_array_equal(both[0], both[1])
-    assert np.abs(both[0] - both[2]).max() > 1e-3
+    own, finer, coarser = (
+        model.generate(calm, level_speech=spoken, **coarse).rotations
+        for spoken in (None, {"5-8": lively}, {"1": lively})
+    )
+    np.testing.assert_array_equal(own, finer)
+    assert np.abs(own - coarser).max() > 1e-3
 
 
-def test_level_speech_is_cut_to_the_motion_or_followed_by_silence(two_voices, write_speech):
+def test_level_speech_is_cut_to_the_motion_or_followed_by_silence(two_voices):
     model, (_, lively) = gk.load("demo"), two_voices
     short = model.generate(seconds=2.0, level_speech={"1-8": lively}, **RAW)
     assert short.n_frames == 60

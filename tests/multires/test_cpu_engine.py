@@ -19,7 +19,6 @@ from gesturekit.multires.network.torch_backend import TorchBackend
 
 engine = pytest.importorskip("gesturekit.multires.cpu.engine", reason="the CPU engine is absent")
 sparse_conv = pytest.importorskip("gesturekit.multires.cpu.sparse_conv")
-threads = pytest.importorskip("gesturekit.multires.cpu.sparse_conv")
 
 NUMBA, TORCH = engine.NumbaBackend("test"), TorchBackend("test")
 
@@ -52,20 +51,15 @@ def test_layer_and_gradients_agree_with_dense_convolution(representation, n_fram
     made, dense = convolve(conv, x), conv(x)
     assert close(made, dense, 1e-5)
     inputs = (x, conv.weight, conv.bias)
-    for ours, theirs in zip(
-        torch.autograd.grad(made, inputs, wanted),
-        torch.autograd.grad(dense, inputs, wanted),
-        strict=True,
-    ):
+    gradients = (torch.autograd.grad(out, inputs, wanted) for out in (made, dense))
+    for ours, theirs in zip(*gradients, strict=True):
         assert close(ours, theirs, 1e-5)
     with torch.no_grad():
         conv.weight.mul_(2)
     assert close(convolve(conv, x), conv(x), 1e-5)
 
 
-def test_results_do_not_depend_on_the_batch_nor_on_the_number_of_threads(
-    representation, monkeypatch
-):
+def test_results_do_not_depend_on_the_batch_nor_on_threads(representation, monkeypatch):
     torch.manual_seed(0)
     near = block_neighbours(representation, 2)
     conv = SkeletonConv1d(near, (3,) * len(near), (4,) * len(near), 5)
@@ -89,7 +83,7 @@ def test_results_do_not_depend_on_the_batch_nor_on_the_number_of_threads(
             again = made(windows, gradient)
             for one, other in zip(again, (whole, by_input, by_weight), strict=True):
                 assert torch.equal(one, other)
-            with threads.threads_for_kernels():
+            with sparse_conv.threads_for_kernels():
                 assert torch.get_num_threads() == 1
                 assert torch.equal(made(windows, gradient)[0], whole)
             assert torch.get_num_threads() == count
@@ -105,25 +99,26 @@ def test_parallel_tasks_share_the_threads_and_end_with_the_call():
             then.set()
         if isinstance(result, Exception):
             raise result
-        return result, threads.kernel_threads()
+        return result, sparse_conv.kernel_threads()
 
     def both(one, two):
         begun = threading.Event()
-        return threads.run_tasks(partial(task, one, wait_for=begun), partial(task, two, then=begun))
+        tasks = partial(task, one, wait_for=begun), partial(task, two, then=begun)
+        return sparse_conv.run_tasks(*tasks)
 
     before = torch.get_num_threads()
     try:
         torch.set_num_threads(5)
-        with threads.threads_for_kernels():
+        with sparse_conv.threads_for_kernels():
             assert both("one", "two") == [("one", 2), ("two", 2)]
-            assert threads.run_tasks(partial(task, "alone")) == [("alone", 5)]
+            assert sparse_conv.run_tasks(partial(task, "alone")) == [("alone", 5)]
             for one, two in ((ValueError("wrong"), "two"), ("one", ValueError("wrong"))):
                 with pytest.raises(ValueError, match="wrong"):
                     both(one, two)
             assert both("one", "two") == [("one", 2), ("two", 2)]
         torch.set_num_threads(1)
-        with threads.threads_for_kernels():
-            here = threads.run_tasks(threading.get_ident, threading.get_ident)
+        with sparse_conv.threads_for_kernels():
+            here = sparse_conv.run_tasks(threading.get_ident, threading.get_ident)
             assert here == [threading.get_ident()] * 2
     finally:
         torch.set_num_threads(before)
@@ -133,27 +128,19 @@ def test_parallel_tasks_share_the_threads_and_end_with_the_call():
 @pytest.mark.parametrize("penalty_on", ["window", "frame", "printed"])
 @pytest.mark.parametrize("n_frames", [4, 21])
 @pytest.mark.parametrize("style", [None, [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]], ids=["", "style"])
-def test_discriminator_gradients_are_those_of_autograd(
-    representation, penalty_on, n_frames, style, batch
-):
+def test_discriminator_gradients_are_autograds(representation, penalty_on, n_frames, style, batch):
     torch.manual_seed(0)
-    discriminator = LevelDiscriminator(
-        representation, NetworkConfig(channels=(3, 4)), 3 if style else 0
-    )
+    config = NetworkConfig(channels=(3, 4))
+    discriminator = LevelDiscriminator(representation, config, 3 if style else 0)
     style = None if style is None else torch.tensor(style).repeat(batch // 2, 1)
     losses = LossConfig(discriminator_scale=0.5, gradient_penalty=2.0, penalty_on=penalty_on)
     real, fake = torch.randn(2, batch, representation.n_features, n_frames)
     mix = torch.rand(batch, 1, 1)
     exact = copy.deepcopy(discriminator).double()
     gap = NUMBA.discriminator_gradients([discriminator], [real], [fake], [mix], losses, [style])
-    expected = TORCH.discriminator_gradients(
-        [exact],
-        [real.double()],
-        [fake.double()],
-        [mix.double()],
-        losses,
-        [None if style is None else style.double()],
-    )
+    doubled = ([part.double()] for part in (real, fake, mix))
+    exact_style = None if style is None else style.double()
+    expected = TORCH.discriminator_gradients([exact], *doubled, losses, [exact_style])
     assert float(gap) == pytest.approx(float(expected), abs=1e-5)
     for ours, theirs in zip(discriminator.parameters(), exact.parameters(), strict=True):
         assert close(ours.grad.double(), theirs.grad, 2e-3)

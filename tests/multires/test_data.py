@@ -10,17 +10,14 @@ import pytest
 import torch
 from rigs import nameless
 
+import gesturekit as gk
 from audio_features import level_lengths
 from gesturekit.corpus import prepare
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.motion import Skeleton
 from gesturekit.motion.parts import upper_body
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
-from gesturekit.multires.training.data import (
-    PairedSequence,
-    TrainingData,
-    level_sigmas,
-)
+from gesturekit.multires.training.data import PairedSequence, TrainingData, level_sigmas
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.trainer import train
 
@@ -75,31 +72,17 @@ def test_a_window_slices_its_sequences_noise():
     assert torch.equal(last[0], sequence.z_star[-n_coarsest:])
 
 
-@pytest.fixture(scope="module")
-def two_performers(tmp_path_factory, gesture, write_speech):
+def test_each_speaker_keeps_a_body(make_config, gesture, write_speech, tmp_path):
     """Ann, and Bob who is a fifth larger."""
-    folder = tmp_path_factory.mktemp("two")
     for name, factor in (("ann", 1.0), ("bob", 1.2)):
         motion = gesture(4.0, seed=len(name))
-        body = replace(
-            motion,
-            skeleton=motion.skeleton.scaled(factor),
-            translation=motion.translation * factor,
-        )
-        body.save(folder / "in" / f"{name}_1.bvh")
-        write_speech(folder / "in" / f"{name}_1.wav", 4.0)
-    manifest = folder / "corpus.jsonl"
-    prepare([folder / "in"], manifest, holdout=0.0, style_pattern="(?P<speaker>ann|bob)_.*")
-    return manifest
-
-
-def test_each_speaker_keeps_a_body(two_performers, make_config):
-    import gesturekit as gk
-
-    config = make_config(
-        corpus=str(two_performers), training={"first_stage": 1, "further_stages": 1}
-    )
-    model = gk.load(train(config))
+        rig, places = motion.skeleton.scaled(factor), motion.translation * factor
+        write_speech(tmp_path / "in" / f"{name}_1.wav", 4.0)
+        replace(motion, skeleton=rig, translation=places).save(tmp_path / "in" / f"{name}_1.bvh")
+    corpus, pattern = tmp_path / "corpus.jsonl", "(?P<speaker>ann|bob)_.*"
+    prepare([tmp_path / "in"], corpus, holdout=0.0, style_pattern=pattern)
+    short = {"first_stage": 1, "further_stages": 1}
+    model = gk.load(train(make_config(corpus=str(corpus), training=short)))
     tall = {}
     for speaker in ("ann", "bob"):
         motion = model.generate(seconds=2.0, speaker=speaker)
@@ -161,9 +144,7 @@ def test_real_motions_beside_a_whole_clip_have_its_style_and_are_no_longer(make_
 
 
 @pytest.mark.parametrize(("window", "share"), [(None, 1 / 2), (3.0, 63 / (150 + 63))])
-def test_whole_recordings_are_drawn_equally_often_and_windows_by_frames(
-    make_config, batches_of, window, share
-):
+def test_recordings_are_drawn_equally_but_windows_by_frames(make_config, batches_of, window, share):
     batches = batches_of(make_config(training={"window": window}))
     assert [sequence.n_frames for sequence in batches.paired] == [150, 63]
     rng = torch.Generator().manual_seed(0)
@@ -181,7 +162,7 @@ def test_a_style_of_whole_recordings_is_drawn_as_often_as_it_was_recorded(make_c
 
 
 @pytest.mark.parametrize("cached", [None, 8])
-def test_without_speech_random_motions_are_as_long_as_a_recording_of_their_style(
+def test_motions_without_speech_are_as_long_as_their_style(
     make_config, batches_of, motions, cached
 ):
     corpus = str(motions(old=[2.0], angry=[6.0]))
@@ -194,22 +175,21 @@ def test_without_speech_random_motions_are_as_long_as_a_recording_of_their_style
         assert (windows.styles == style).all()  # of angry, old
 
 
-def test_rigs_that_differ_are_refused_by_name(two_performers, gesture, tmp_path, make_config):
+def test_rigs_that_differ_are_refused_by_name(make_config, gesture, write_pair, tmp_path):
+    write_pair(tmp_path / "in", "ann", 4.0)
     motion = gesture(4.0)
-    names = tuple("Pelvis" if n == "Hips" else n for n in motion.skeleton.names)
-    other = Skeleton(names, motion.skeleton.parents, motion.skeleton.offsets)
-    path = two_performers.parent / "in" / "bob_1.bvh"
-    kept = path.read_bytes()
-    replace(motion, skeleton=other).save(path)
-    try:
-        with pytest.raises(CorpusError, match="bob_1"):
-            load_training_data(make_config(corpus=str(two_performers)))
-        fewer = Skeleton(names[:-1], motion.skeleton.parents[:-1], motion.skeleton.offsets[:-1])
-        replace(motion, skeleton=fewer, rotations=motion.rotations[:, :-1]).save(path)
-        with pytest.raises(CorpusError, match="bob_1"):
-            load_training_data(make_config(corpus=str(two_performers)))
-    finally:
-        path.write_bytes(kept)
+    names, *rig = motion.skeleton.names, motion.skeleton.parents, motion.skeleton.offsets
+    renamed = tuple("Pelvis" if name == "Hips" else name for name in names)
+    fewer = Skeleton(names[:-1], *(part[:-1] for part in rig))
+    for other in (
+        replace(motion, skeleton=Skeleton(renamed, *rig)),
+        replace(motion, skeleton=fewer, rotations=motion.rotations[:, :-1]),
+    ):
+        write_pair(tmp_path / "in", "bob", 4.0)
+        prepare([tmp_path / "in"], tmp_path / "c.jsonl", holdout=0.0)
+        other.save(tmp_path / "in" / "bob.bvh")
+        with pytest.raises(CorpusError, match="bob"):
+            load_training_data(make_config(corpus=str(tmp_path / "c.jsonl")))
 
 
 @pytest.mark.parametrize("fps, warned", [(45.0, False), (60.0, True)])

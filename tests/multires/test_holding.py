@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import replace
 
 import numpy as np
@@ -83,10 +82,9 @@ def test_the_root_follows_a_path_and_faces_along_it(model):
 
 
 def test_a_path_faster_than_the_recordings_is_reported(model, caplog):
-    with caplog.at_level(logging.WARNING):
-        model.generate(path=RootPath(np.zeros((50, 2)), np.zeros(50), 25.0))
-        assert "m/s" not in caplog.text
-        model.generate(path=circle(2.0, speed=2.0))
+    model.generate(path=RootPath(np.zeros((50, 2)), np.zeros(50), 25.0))
+    assert "m/s" not in caplog.text
+    model.generate(path=circle(2.0, speed=2.0))
     assert "m/s; nothing in the training was faster than 0." in caplog.text
 
 
@@ -131,9 +129,8 @@ def turned_about(motion, angle: float):
     turn = quaternion_from_rotation_vector(np.array([0.0, angle, 0.0]))
     rotations = motion.rotations.copy()
     rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
-    return replace(
-        motion, rotations=rotations, translation=rotate_vectors(turn, motion.translation)
-    )
+    places = rotate_vectors(turn, motion.translation)
+    return replace(motion, rotations=rotations, translation=places)
 
 
 def test_clips_that_are_turned_together_give_the_same_motion_turned(model, gesture):
@@ -241,10 +238,9 @@ def test_a_body_that_was_moved_is_where_it_was_put(model, speed, tmp_path):
     ],
 )
 def test_invalid_constraints_are_refused(model, gesture, asked, message):
-    if "keep" in asked:
-        asked = asked | {"keep": {second: gesture(2.0) for second in asked["keep"]}}
-    if "keyframes" in asked:
-        asked = asked | {"keyframes": gesture(2.0)}
+    clips = {"keep": {second: gesture(2.0) for second in asked.get("keep", ())}}
+    clips |= {"keyframes": gesture(2.0)}
+    asked = asked | {key: value for key, value in clips.items() if key in asked}
     with pytest.raises(ModelError, match=message):
         model.generate(**asked)
 

@@ -35,8 +35,12 @@ def values(representation, walker):
     return torch.from_numpy(representation.encode(walker).T).float()[None]
 
 
-def test_feet_and_joints_have_the_positions_of_motion(representation, walker, values):
-    kinematics = VectorKinematics(representation, walker.fps)
+@pytest.fixture(scope="module")
+def kinematics(representation, walker):
+    return VectorKinematics(representation, walker.fps)
+
+
+def test_feet_and_joints_have_the_positions_of_motion(representation, kinematics, walker, values):
     joints = kinematics.places(values).permute(0, 3, 1, 2)
     feet = kinematics._positions(kinematics.feet, values)
     index = [walker.skeleton.index(name) for name in representation.joints]
@@ -46,8 +50,8 @@ def test_feet_and_joints_have_the_positions_of_motion(representation, walker, va
     np.testing.assert_allclose(feet[0] * scale, foot_positions(walker) - root, atol=1e-5)
 
 
-def test_arm_speed_is_that_of_the_evaluation(representation, walker, values):
-    ours = VectorKinematics(representation, walker.fps).arm_speed(values, stride=1.0)[0].numpy()
+def test_arm_speed_is_that_of_the_evaluation(kinematics, walker, values):
+    ours = kinematics.arm_speed(values, stride=1.0)[0].numpy()
     # A swing at 0.7 Hz loses a tenth under the Gaussian; nothing else may differ.
     ratio = ours[10:-10].mean() / arm_speed(walker)[10:-10].mean()
     assert 0.85 < ratio < 1.0
@@ -70,19 +74,13 @@ def shaken_values(representation, shaken):
     return torch.from_numpy(representation.encode(shaken).T).float()[None]
 
 
-def test_trembling_does_not_count_as_arm_speed(
-    representation, walker, values, shaken, shaken_values
-):
-    kinematics = VectorKinematics(representation, walker.fps)
+def test_trembling_does_not_count_as_arm_speed(kinematics, walker, values, shaken, shaken_values):
     assert arm_speed(shaken).mean() > 1.8 * arm_speed(walker).mean()
     calm, shaky = (kinematics.arm_speed(v, stride=1.0).mean() for v in (values, shaken_values))
     assert shaky < 1.1 * calm
 
 
-def test_trembling_is_arm_acceleration_and_a_swing_has_one_at_any_rate(
-    representation, walker, values, shaken_values
-):
-    kinematics = VectorKinematics(representation, walker.fps)
+def test_trembling_and_swinging_are_arm_acceleration(kinematics, walker, values, shaken_values):
     swing = kinematics.arm_acceleration(values, stride=1.0)
     assert swing.shape == (1, walker.n_frames)
     # +-4 degrees at 12.5 Hz: 16 degrees a frame squared.
@@ -93,8 +91,8 @@ def test_trembling_is_arm_acceleration_and_a_swing_has_one_at_any_rate(
     assert (kinematics.arm_acceleration(values[..., :2], stride=1.0) == 0).all()
 
 
-def test_a_sliding_foot_costs_its_squared_speed_only_where_it_should_stand(representation, values):
-    kinematics, still = VectorKinematics(representation, 25.0), values[:, :, :1].repeat(1, 1, 50)
+def test_a_foot_that_should_stand_costs_its_squared_speed(representation, kinematics, values):
+    still = values[:, :, :1].repeat(1, 1, 50)
     still[:, representation.layout.root] = torch.tensor([0.02, 0.9, 0.0])[:, None]
     still[:, representation.layout.contacts] = 1.0
 
@@ -110,8 +108,8 @@ def test_a_sliding_foot_costs_its_squared_speed_only_where_it_should_stand(repre
     assert contact(1.0) < 0.01 * standing
 
 
-def test_ganimators_foot_speed_counts_from_frame_to_frame(representation, values):
-    kinematics, still = VectorKinematics(representation, 25.0), values[:, :, :1].repeat(1, 1, 50)
+def test_ganimators_foot_speed_counts_from_frame_to_frame(representation, kinematics, values):
+    still = values[:, :, :1].repeat(1, 1, 50)
     still[:, representation.layout.root_xz] = 0.0
     still[:, representation.layout.root_height] += 0.03 * torch.arange(50)
     for stride in (1.0, 4.0):
@@ -121,9 +119,7 @@ def test_ganimators_foot_speed_counts_from_frame_to_frame(representation, values
     torch.testing.assert_close(per_second, 0.03 * 25 / 4 * torch.ones_like(per_second))
 
 
-def test_smoothness_counts_per_full_rate_frame(representation, values):
-    kinematics = VectorKinematics(representation, 25.0)
-
+def test_smoothness_counts_per_full_rate_frame(kinematics, values):
     def loss(values, stride):
         return float(losses.smoothness(kinematics.bend(values, kinematics.places(values), stride)))
 
@@ -134,8 +130,7 @@ def test_smoothness_counts_per_full_rate_frame(representation, values):
     assert loss(steady, 1.0) < 1e-5
 
 
-def test_speeds_count_per_second_at_every_level(representation, walker, values):
-    kinematics = VectorKinematics(representation, walker.fps)
+def test_speeds_count_per_second_at_every_level(representation, kinematics, values):
     standing = values.clone()
     standing[:, representation.layout.root] = 0.0  # what is left is the swing of legs and arms
     half = resample(standing, standing.shape[-1] // 2)

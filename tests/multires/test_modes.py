@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from rigs import prefixed
+from runs import logged
 
 import gesturekit as gk
 from gesturekit.errors import CorpusError, ModelError
@@ -34,12 +35,21 @@ SINGLE = {"features": None, "training": {"window": None}}
 LABELS = {**SINGLE, "styles": {}, "network": {"modulate": "all"}}
 
 
-def test_one_clip_without_any_condition(make_config, motions, tmp_path):
-    folder = train(make_config(corpus=str(motions(none=[4.0])), **SINGLE))
-    model = gk.load(folder)
+@pytest.fixture
+def single(make_config, motions):
+    """single(noise_levels=2, ...): a model of one clip of 4 s, trained with these changes."""
+
+    def make(**changes) -> gk.Model:
+        return gk.load(train(make_config(corpus=str(motions(none=[4.0])), **SINGLE, **changes)))
+
+    return make
+
+
+def test_one_clip_without_any_condition(single, tmp_path):
+    model = single()
     motion = model.generate(seconds=6.0, seed=1)
     assert motion.n_frames == 180, "at the rate of the recordings"
-    again = gk.load(folder).generate(seconds=6.0, seed=1)
+    again = gk.load(model.folder).generate(seconds=6.0, seed=1)
     np.testing.assert_array_equal(motion.rotations, again.rotations)
     other = model.generate(seconds=6.0, seed=2)
     assert np.abs(motion.rotations - other.rotations).max() > 1e-3
@@ -140,12 +150,9 @@ def test_nine_in_ten_random_motions_mix_two_styles_at_one_level():
 
 
 @pytest.mark.parametrize("noise_levels", [1, 4])
-def test_a_coarse_level_comes_back_as_keyframes(make_config, motions, tmp_path, noise_levels):
+def test_a_coarse_level_comes_back_as_keyframes(single, tmp_path, noise_levels):
     """Unedited it gives the motion that it was taken from."""
-    config = make_config(
-        corpus=str(motions(none=[4.0])), noise_levels=noise_levels, eval_every=10, **SINGLE
-    )
-    model = gk.load(train(config))
+    model = single(noise_levels=noise_levels, eval_every=10)
     coarse = model.generate(seconds=6.0, seed=1, levels=1)
     assert coarse.n_frames == 63 and coarse.duration == pytest.approx(6.0)
     coarse.save(tmp_path / "coarse.bvh")
@@ -155,10 +162,8 @@ def test_a_coarse_level_comes_back_as_keyframes(make_config, motions, tmp_path, 
     np.testing.assert_allclose(again.positions(), same.positions(), atol=1e-5)
 
 
-def test_keyframes_of_another_rate_or_length_cause_warnings(
-    make_config, motions, tmp_path, gesture, caplog
-):
-    model = gk.load(train(make_config(corpus=str(motions(none=[4.0])), **SINGLE)))
+def test_keyframes_of_another_rate_or_length_cause_warnings(single, caplog):
+    model = single()
     coarse = model.generate(seconds=6.0, seed=1, levels=1)
 
     def said(motion, **options) -> tuple[gk.Motion, str]:
@@ -182,14 +187,12 @@ def test_keyframes_of_another_rate_or_length_cause_warnings(
     assert said(replace(coarse, fps=1.005 * coarse.fps))[1] == ""
     assert "the rest is left out" in said(coarse, seconds=4.0)[1]
     assert "the last pose is held to the end" in said(coarse, seconds=8.0)[1]
-    names = tuple(f"avatar:{name}" for name in coarse.skeleton.names)
-    other = replace(coarse, skeleton=replace(coarse.skeleton, names=names, end_sites={}))
-    assert "the rig (19 joints) is not the model's (19 joints): retargeted" in said(other)[1]
+    _, words = said(prefixed(coarse, "avatar:"))
+    assert "the rig (19 joints) is not the model's (19 joints): retargeted" in words
 
 
-def test_a_like_motion_shorter_than_the_sound_causes_a_warning(make_config, motions, caplog):
-    config = make_config(corpus=str(motions(none=[4.0])), **SINGLE)
-    model = gk.load(train(config))
+def test_a_like_motion_shorter_than_the_sound_causes_a_warning(single, caplog):
+    model = single()
     clip = model.generate(seconds=2.0)
     for seconds, warns in ((None, False), (1.0, False), (2.4, False), (4.0, True)):
         caplog.clear()
@@ -197,9 +200,8 @@ def test_a_like_motion_shorter_than_the_sound_causes_a_warning(make_config, moti
         assert ("2 s of motion for 4 s: the last pose is held to the end" in caplog.text) == warns
 
 
-def test_noise_enters_at_as_many_levels_as_wanted_scaled_by_their_sigma(make_config, motions):
-    config = make_config(corpus=str(motions(none=[4.0])), noise_levels=2, **SINGLE)
-    model = gk.load(train(config))
+def test_noise_enters_at_as_many_levels_as_wanted_scaled_by_their_sigma(single):
+    model = single(noise_levels=2)
     assert model.noise.noise_levels == 2
 
     def made(levels, noise_levels, seed=1):
@@ -218,8 +220,8 @@ def test_noise_enters_at_as_many_levels_as_wanted_scaled_by_their_sigma(make_con
     assert np.abs(loud - quiet).max() > 0.05 and np.abs(loud - made(4, 1, seed=2)).max() > 0.05
 
 
-def test_keyframes_decide_the_pose_and_the_length(make_config, motions, gesture):
-    model = gk.load(train(make_config(corpus=str(motions(none=[4.0])), **SINGLE)))
+def test_keyframes_decide_the_pose_and_the_length(single, gesture):
+    model = single()
     content = gesture(5.0, seed=7)
     made = model.generate(keyframes=content, keyframe_level=4, foot_lock=False)
     assert made.n_frames == 125
@@ -231,21 +233,11 @@ def test_keyframes_decide_the_pose_and_the_length(make_config, motions, gesture)
 
 
 def test_a_training_sequence_is_reconstructed(make_config, motions, gesture):
-    config = make_config(
-        corpus=str(motions(none=[4.0])),
-        features=None,
-        network={"levels": 3, "channels": [6, 6]},
-        training={
-            "window": None,
-            "first_stage": 150,
-            "further_stages": 60,
-            "discriminator_steps": 0,
-            "generator_steps": 0,
-            "reconstruction_steps": 2,
-            "learning_rate": 5e-3,
-        },
-    )
-    model = gk.load(train(config))
+    steps = {"discriminator_steps": 0, "generator_steps": 0, "reconstruction_steps": 2}
+    training = {"window": None, "first_stage": 150, "further_stages": 60, "learning_rate": 5e-3}
+    changes = {"features": None, "network": {"levels": 3, "channels": [6, 6]}}
+    corpus = str(motions(none=[4.0]))
+    model = gk.load(train(make_config(corpus=corpus, **changes, training=training | steps)))
     made = model.reconstruct("none_0")
     clip = gesture(4.0, seed=0).resample(25.0)
     assert made.n_frames == clip.n_frames
@@ -269,19 +261,14 @@ def test_each_mode_resumes_bitwise(mode, make_config, motions):
     config = make_config(corpus=str(motions(old=[3.0], angry=[4.0])), **changes)
     folder = train(config)
     whole = (folder / "model.safetensors").read_bytes()
-    log = (config.out / "metrics.jsonl").read_text()
+    log = logged(config.out)
     last = Checkpoints(config.out / "checkpoints")
     assert last.steps() == [10, 14]
     last.path(14).unlink()
     (folder / "model.safetensors").unlink()
     train(config, resume=True)
     assert (folder / "model.safetensors").read_bytes() == whole
-
-    def losses(text):
-        lines = map(json.loads, text.splitlines())
-        return [{k: v for k, v in line.items() if "seconds" not in k} for line in lines]
-
-    assert losses((config.out / "metrics.jsonl").read_text()) == losses(log)
+    assert logged(config.out) == log
 
 
 def test_each_switch_of_ganimator_changes_the_training(make_config, motions, tmp_path):
@@ -333,7 +320,7 @@ def test_a_style_is_agreed_on_up_to_a_level():
     assert agreed_style(styles, 2, 2).tolist() == [[0, 0], [0, 1]]
 
 
-def test_recordings_are_turned_to_face_forward_by_default(make_config, motions, tmp_path):
+def test_recordings_are_turned_to_face_forward_by_default(make_config, motions):
     corpus = motions(none=[4.0])
     path = corpus.parent / "none_0.bvh"
     about_y = np.array([0.0, np.sin(0.5), 0.0, np.cos(0.5)])  # by 1 radian

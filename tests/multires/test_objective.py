@@ -12,7 +12,7 @@ from gesturekit.multires import losses
 from gesturekit.multires.kinematics import CAPTURE_SECONDS, VectorKinematics
 from gesturekit.multires.training.stage import Stage
 from gesturekit.multires.training.trainer import Trainer, train
-from gesturekit.multires.training.window_cache import WindowCache, random_windows
+from gesturekit.multires.training.window_cache import random_windows
 from gesturekit.training.run.session import session
 from gesturekit.training.seeds import rng_for
 
@@ -53,22 +53,16 @@ def test_the_contact_loss_is_squared_speed_where_the_label_says_standing():
     assert float(loss) == pytest.approx(expected, rel=1e-5)
 
 
-def test_reconstruction_and_coarse_are_mean_absolute_errors():
+def test_errors_are_means_of_absolute_differences_of_speeds_accelerations_and_places():
     one, other = torch.tensor([[[1.0, -2.0, 0.0]]]), torch.tensor([[[0.0, 2.0, 1.0]]])
     for loss in (losses.reconstruction, losses.coarse):
         assert float(loss(one, other)) == 2.0
-
-
-def test_smoothness_is_the_distance_from_the_mean_of_three_frames():
-    # One joint at 0, 0 and 3 m along x: it is 1 m from the mean of the three.
-    bend = torch.tensor([0.0 - 2 * 0.0 + 3.0, 0.0, 0.0]).reshape(1, 1, 3, 1)
-    assert float(losses.smoothness(bend)) == pytest.approx(1.0)
-
-
-def test_movement_errors_are_means_of_speed_and_of_acceleration():
     made = torch.tensor([[[1.0, 1.0], [0.0, 8.0]], [[3.0, 1.0], [0.0, 0.0]]])
     # Speeds 1, 1, 3, 1 and accelerations 0, 8, 0, 0 of two motions of two frames.
     assert losses.movement(made, torch.zeros_like(made)).tolist() == [1.5, 2.0]
+    # One joint at 0, 0 and 3 m along x: it is 1 m from the mean of the three.
+    bend = torch.tensor([0.0 - 2 * 0.0 + 3.0, 0.0, 0.0]).reshape(1, 1, 3, 1)
+    assert float(losses.smoothness(bend)) == pytest.approx(1.0)
 
 
 def test_detail_is_the_energy_distance():
@@ -140,9 +134,7 @@ def test_smoothness_counts_from_half_the_full_rate_on(stage_of):
     assert any(p.grad is not None and p.grad.any() for p in finer.parameters())
 
 
-def test_recorded_arms_are_read_raw_for_speed_and_without_capture_noise_for_jerks(
-    stage_of, monkeypatch
-):
+def test_recorded_arms_are_read_raw_for_speed_and_smoothed_for_jerks(stage_of, monkeypatch):
     read = {"arm_speed": [], "arm_acceleration": []}
     for name, seen in read.items():
         measure = getattr(VectorKinematics, name)
@@ -219,15 +211,11 @@ def cache(make_config, cache_of):
     return cache_of(make_config(training={"silence": 0.0}))
 
 
-def noises_of(cache: WindowCache, first: int, count: int = 64):
-    n_frames = next(iter(cache.data.window_lengths()))
-    windows = cache.random(cache.data.paired, n_frames, first, count, rng_for("bank"))
-    return windows.noise
-
-
 def test_random_steps_have_noise_of_each_levels_own_sigma(cache):
+    n_frames = next(iter(cache.data.window_lengths()))
     for first in (0, 2):
-        for i, noise in enumerate(noises_of(cache, first)):
+        windows = cache.random(cache.data.paired, n_frames, first, 64, rng_for("bank"))
+        for i, noise in enumerate(windows.noise):
             sigma = float(cache.noise.sigma[first + i])
             # Shared by all channels, drawn anew for every window and frame.
             assert noise.shape[1] == 1
@@ -253,10 +241,8 @@ def test_a_share_of_random_windows_is_silent(cache):
     n_frames = max(cache.data.window_lengths())
     for share in (0.0, 0.3):
         training = replace(cache.config.training, silence=share)
-        cache.config = replace(cache.config, training=training)
-        cache.config = replace(
-            cache.config, features=replace(cache.config.features, residual=False)
-        )
+        features = replace(cache.config.features, residual=False)
+        cache.config = replace(cache.config, training=training, features=features)
         windows = cache.random(cache.data.paired, n_frames, 2, 200, rng_for("silent"))
         silent = (windows.conditions[-1] == cache.data.silence[:, :n_frames]).all(dim=(1, 2))
         assert float(silent.float().mean()) == pytest.approx(share, abs=0.1)

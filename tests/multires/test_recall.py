@@ -10,7 +10,8 @@ import pytest
 import soundfile
 import torch
 import yaml
-from safetensors.torch import load_file, save_file
+from runs import same_weights, weights
+from safetensors.torch import save_file
 from small_runs import small_config
 
 import audio_features as af
@@ -40,6 +41,9 @@ SETTINGS = {
     "training": {"first_stage": 3, "further_stages": 3, "window": 2.0, "renew_every": 2},
     "checkpoint_every": 1,
 }
+
+
+SHORT = {"first_stage": 1, "further_stages": 1}
 
 
 def liveliness_over(seconds: float) -> np.ndarray:
@@ -85,11 +89,8 @@ def voice(seconds: float, *, lively: float | None = None, seed: int = 0) -> af.W
 def recordings(tmp_path_factory):
     """A manifest of two speakers, and of a held-out recording with the arms held up."""
     where, items = tmp_path_factory.mktemp("recall"), []
-    for name, seconds, speaker, seed in (
-        ("a", 16.0, "Ann", 0),
-        ("b", 12.0, "Bo", 1),
-        ("c", 16.0, "Ann", 5),
-    ):
+    takes = (("a", 16.0, "Ann", 0), ("b", 12.0, "Bo", 1), ("c", 16.0, "Ann", 5))
+    for name, seconds, speaker, seed in takes:
         files = {"audio": where / f"{name}.wav", "motion": where / f"{name}.npz"}
         split = "test" if name == "c" else "train"
         items.append(Item(id=name, duration=seconds, speaker=speaker, split=split, **files))
@@ -140,6 +141,12 @@ def data(config):
     return load_training_data(config)
 
 
+@pytest.fixture(scope="module")
+def library(data, config):
+    """What a training on the data would recall."""
+    return build_library(data, config)
+
+
 def hand_speed(motion: gk.Motion) -> float:
     positions = motion.positions()
     hand = positions[:, motion.skeleton.index("left_wrist")] - positions[:, 0]
@@ -149,13 +156,11 @@ def hand_speed(motion: gk.Motion) -> float:
 # The library.
 
 
-def test_only_training_recordings_are_recalled(data, config, model):
-    library = build_library(data, config)
+def test_only_training_recordings_are_recalled(data, library, model):
     assert [item.name for item in data.paired] == ["a", "b"]
     assert [own.speaker for own in library.recordings] == ["Ann", "Bo"]
-    for sequence, own, loaded in zip(
-        data.paired, library.recordings, model.library.recordings, strict=True
-    ):
+    stored = model.library.recordings
+    for sequence, own, loaded in zip(data.paired, library.recordings, stored, strict=True):
         n = af.level_lengths(sequence.n_frames, 4)[LEVEL - 1]
         torch.testing.assert_close(own.motion, resample(sequence.motion[None], n)[0])
         torch.testing.assert_close(own.motion, loaded.motion, atol=0, rtol=0)
@@ -169,7 +174,7 @@ def test_only_training_recordings_are_recalled(data, config, model):
         assert (hands < shoulders).all()
 
 
-def test_arms_and_the_rest_are_recalled_apart(model, speech):
+def test_arms_and_the_rest_are_recalled_apart(model):
     columns = np.concatenate([part.columns for part in model.library.parts])
     assert sorted(columns) == list(range(model.representation.n_features))
     left, right, rest = model.library.parts
@@ -187,9 +192,6 @@ def test_arms_and_the_rest_are_recalled_apart(model, speech):
     # The pieces of an arm are those of its fingers; the face goes with the rest.
     passive = model.library.passive.columns(model.library.parts)
     assert [[*part] for part in passive] == [[*range(6)], [*range(6, 12)], [*range(12, 112)]]
-
-
-def test_the_rest_is_recalled_in_longer_pieces_than_the_arms(model):
     left, _, rest = model.library.searches
     assert rest.piece == pytest.approx(2 * left.piece, abs=1) and rest.overlap >= left.overlap
 
@@ -266,27 +268,26 @@ def test_styles_are_recalled_from_their_recordings(model, speech):
     assert {recording for recording, _ in theirs} == {0}, "nobody else's style where Bo has none"
 
 
-def test_movement_is_that_of_the_hands_beside_the_body(data, config):
+def test_movement_is_that_of_the_hands_beside_the_body(data, config, library):
     representation, n = data.representation, 60
     standing = recording(2.0, 0)
     still = replace(standing, rotations=np.tile(standing.rotations[:1], (n, 1, 1)))
     walking = replace(still, translation=still.translation + np.linspace(0, 2, n)[:, None])
-    parts = build_library(data, config).parts
     for motion in (still, walking):
         values = torch.from_numpy(representation.encode(motion).T.copy()).float()
         places = joint_places(representation, config.fps, values)
-        for movement in movements(parts, representation.joints, config.fps, places):
+        for movement in movements(library.parts, representation.joints, config.fps, places):
             np.testing.assert_allclose(movement[5:-5], np.log(0.05), atol=0.05)
 
 
 @pytest.mark.parametrize("rising", [True, False])
-def test_directions_are_upwards_and_away_from_the_body(data, config, rising):
+def test_directions_are_upwards_and_away_from_the_body(data, library, rising):
     """The left arm turns sideways, between hanging and horizontal, wherever she faces."""
     representation, standing = data.representation, recording(1.0, 0)
     turns = np.zeros((standing.n_frames, 55, 3))
     angles = np.linspace(-1.5, 0.0, 30)
     turns[:, standing.skeleton.index("left_shoulder"), 2] = angles if rising else angles[::-1]
-    hand, part = standing.skeleton.index("left_wrist"), build_library(data, config).parts[0]
+    hand, part = standing.skeleton.index("left_wrist"), library.parts[0]
     found = []
     for heading in (0.0, 1.0):
         turns[:, 0] = [0.0, heading, 0.0]
@@ -303,8 +304,7 @@ def test_directions_are_upwards_and_away_from_the_body(data, config, rising):
         np.testing.assert_allclose(of_hand, expected if rising else -expected, atol=0.03)
 
 
-def test_the_second_arm_is_chosen_to_match_the_first(data, config, model, speech):
-    library = build_library(data, config)
+def test_the_second_arm_is_chosen_to_match_the_first(library, model, speech):
     features = features_of(model, speech)
     differences = []
     for together in (0.0, 5.0):
@@ -312,19 +312,16 @@ def test_the_second_arm_is_chosen_to_match_the_first(data, config, model, speech
         apart = []
         for seed in range(6):
             made = changed.recall(features, seeded(seed))
-            left, right, _ = (
-                pieces.blend([own.directions for own in library.recordings], made.lengths, 100)
-                for pieces in made.pieces
-            )
+            directions = [own.directions for own in library.recordings]
+            left, right = (p.blend(directions, made.lengths, 100) for p in made.pieces[:2])
             apart.append(float((left - right).square().mean()))
         differences.append(np.mean(apart))
     assert differences[1] < 0.7 * differences[0], differences
 
 
-def test_profiles_of_all_parts_have_one_distribution(data, config):
+def test_profiles_of_all_parts_have_one_distribution(library):
     """Movement that speech asks of the hands can then be asked of every part of the body."""
-    recordings = build_library(data, config).recordings
-    profiles = torch.cat([own.profiles for own in recordings], dim=1)
+    profiles = torch.cat([own.profiles for own in library.recordings], dim=1)
     assert profiles.shape[0] == 6
     np.testing.assert_allclose(profiles[::2].mean(dim=1), 0.0, atol=0.1)
     np.testing.assert_allclose(profiles[::2].std(dim=1), 1.0, atol=0.2)
@@ -333,13 +330,17 @@ def test_profiles_of_all_parts_have_one_distribution(data, config):
 # Generated motion.
 
 
+def bend(motion: gk.Motion, joint: str) -> np.ndarray:
+    """Return the angles (T,) of a joint about its Z axis."""
+    quaternions = motion.rotations[:, motion.skeleton.index(joint)]
+    return 2 * np.arctan2(quaternions[:, 2], quaternions[:, 3])
+
+
 def test_saved_and_loaded_it_gives_the_same_motion(model, folder, speech, tmp_path):
     first = model.generate(speech, seed=2)
     assert first.n_frames == 125
     model.save(tmp_path / "copy")
-    assert (tmp_path / "copy" / "model.safetensors").read_bytes() == (
-        folder / "model.safetensors"
-    ).read_bytes()
+    assert same_weights(tmp_path / "copy", folder)
     for again in (model, gk.load(tmp_path / "copy")):
         same = again.generate(speech, seed=2, fps=25.0)
         np.testing.assert_array_equal(same.rotations, first.rotations)
@@ -359,15 +360,16 @@ def test_recall_can_be_turned_off(model, plain, speech):
 
 
 def test_a_model_without_recall_refuses_what_needs_it(model, plain, speech):
-    with pytest.raises(ModelError, match="recall=True: .* not trained with recall"):
-        plain.generate(speech, recall=True)
-    for call in (lambda **c: plain.generate(speech, **c), plain.check_controls):
-        with pytest.raises(ModelError, match="liveliness=1.5: only models trained with recall"):
-            call(liveliness=1.5)
-    with pytest.raises(ModelError, match="liveliness=0.5: without recall it has no effect"):
-        model.generate(speech, recall=False, liveliness=0.5)
-    with pytest.raises(ModelError, match="liveliness=0.5: like sets the movement"):
-        model.generate(speech, like=recording(1.0, 0), liveliness=0.5)
+    for some, asked, told in (
+        (plain, {"recall": True}, "recall=True: .* not trained with recall"),
+        (plain, {"liveliness": 1.5}, "liveliness=1.5: only models trained with recall"),
+        (model, {"recall": False, "liveliness": 0.5}, "liveliness=0.5: without recall it has no"),
+        (model, {"like": recording(1.0, 0), "liveliness": 0.5}, "liveliness=0.5: like sets the"),
+    ):
+        with pytest.raises(ModelError, match=told):
+            some.generate(speech, **asked)
+    with pytest.raises(ModelError, match="liveliness=1.5: only models trained with recall"):
+        plain.check_controls(liveliness=1.5)
 
 
 @pytest.mark.parametrize("value", [0, -1.0, float("nan"), float("inf"), "high"])
@@ -377,8 +379,7 @@ def test_a_bad_liveliness_is_one_error(model, plain, speech, value):
             some.generate(speech, liveliness=value)
 
 
-def test_more_liveliness_gives_more_movement(model, speech):
-    """The movement asked for rises everywhere, and hands are faster on average."""
+def test_more_liveliness_asks_for_more_movement_everywhere_and_gives_it(model, speech):
     searched = []
 
     class Spy:
@@ -406,8 +407,7 @@ def test_fingers_and_the_face_are_recalled(model, plain, speech):
     assert model.library.passive.joints == FINGERS
     made = model.generate(speech, seed=1)
     for finger in FINGERS:
-        quaternions = made.rotations[:, made.skeleton.index(finger)]
-        angle = 2 * np.arctan2(quaternions[:, 2], quaternions[:, 3])
+        angle = bend(made, finger)
         assert -0.05 < angle.min() < 0.3 and 0.5 < angle.max() < 0.85
         assert np.abs(np.diff(angle)).max() < 0.2
     assert made.expressions.shape == (125, 100)
@@ -467,13 +467,11 @@ def test_all_other_controls_go_with_recall_and_move_fingers_and_the_face(model, 
     for made in (walking, kept, edit, keyed, like, model.generate(speech, speaker="Bo")):
         assert made.n_frames == 125
         for finger in FINGERS:
-            quaternions = made.rotations[75:, made.skeleton.index(finger)]
-            assert np.ptp(2 * np.arctan2(quaternions[:, 2], quaternions[:, 3])) > 0.3, finger
+            assert np.ptp(bend(made, finger)[75:]) > 0.3, finger
         assert np.ptp(made.expressions[75:, 3]) > 0.5
 
 
 def test_coarse_levels_are_the_recalled_motion(model, speech):
-    """The recalled level is output as it is, and coarser ones are its average."""
     finest_recalled = model.generate(speech, levels=LEVEL, seed=4)
     coarser = model.generate(speech, levels=1, seed=4)
     assert coarser.n_frames < finest_recalled.n_frames
@@ -505,7 +503,7 @@ def test_finer_levels_leave_a_resting_arm_alone(model, speech):
     assert changed_by_the_network(resting) < 1e-6
 
 
-def test_the_command_line_has_the_controls(folder, speech, tmp_path, render, gesturekit):
+def test_the_command_line_has_the_controls(folder, speech, tmp_path, render):
     wav = tmp_path / "new.wav"
     soundfile.write(wav, speech.samples, RATE)
 
@@ -522,8 +520,6 @@ def test_the_command_line_has_the_controls(folder, speech, tmp_path, render, ges
         done = render(folder, wav, "--liveliness", value)
         assert done.status == 2 and "Traceback" not in done.err and said in done.err
     assert made == {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")}
-    shown = gesturekit("render", "--help").out
-    assert "--liveliness" in shown and "--recall / --no-recall" in shown
 
 
 # Times other than recorded.
@@ -536,7 +532,6 @@ def recalled(model, speech, stretch: float, seed: int = 0):
 
 
 def test_stretching_aligns_arms_with_the_predicted_movement(model, speech):
-    """The movement of both arms comes nearer to what is asked; other parts stay as recorded."""
     asked = model.library.wanted(model.conditions.conditioner(speech).T)[0]
     apart = {}
     for stretch in (0.0, 0.25):
@@ -590,22 +585,13 @@ def test_stretched_the_second_hand_keeps_with_the_first(model, speech):
     assert apart(library._stretched(right, 1, wanted)) < 0.8 * apart(right)
 
 
-def test_without_speech_nothing_is_stretched(model):
-    library = replace(model.library, stretch=0.25, wanted=None)
-    made = library.recall(np.zeros((0, 90)), seeded())
-    assert [pieces.offsets for pieces in made.pieces] == [None] * 3
-
-
 def test_joins_differ_between_seeds(model, speech):
     """Else the pieces that fit would be much the same in all of them."""
-    seeds = range(100)
-    firsts = np.array(
-        [[p.first for p in recalled(model, speech, 0.0, seed)[1].pieces] for seed in seeds]
-    )
-    for first, search in zip(firsts.T, model.library.searches, strict=True):
+    made = (recalled(model, speech, 0.0, seed)[1] for seed in (*range(100), 7))
+    *firsts, again = ([pieces.first for pieces in motion.pieces] for motion in made)
+    for first, search in zip(np.transpose(firsts), model.library.searches, strict=True):
         assert first.min() == 0 and first.max() == search.hop - 1
-    again = [pieces.first for pieces in recalled(model, speech, 0.0, 7)[1].pieces]
-    assert again == firsts[7].tolist()
+    assert again == firsts[7]
 
 
 def test_stretch_is_saved_with_the_model(model, speech, tmp_path):
@@ -624,14 +610,12 @@ def test_stretch_is_saved_with_the_model(model, speech, tmp_path):
 
 def test_defects_of_the_recordings_travel_with_the_model(model, speech, tmp_path):
     own = model.generate(speech, seed=1)
-    assert all(
-        part.defective.shape == (3, part.motion.shape[-1]) for part in model.library.recordings
-    )
-    assert not any(part.defective.any() for part in model.library.recordings)
-    flags = [part.defective.clone() for part in model.library.recordings]
+    recordings = model.library.recordings
+    flags = [part.defective.clone() for part in recordings]
+    for part, own_flags in zip(recordings, flags, strict=True):
+        assert own_flags.shape == (3, part.motion.shape[-1]) and not own_flags.any()
     flags[0][:, 20:] = flags[1][:, 30:] = True
-    recordings = zip(model.library.recordings, flags, strict=True)
-    damaged = tuple(replace(part, defective=f) for part, f in recordings)
+    damaged = tuple(replace(p, defective=f) for p, f in zip(recordings, flags, strict=True))
     other = replace(model, library=replace(model.library, recordings=damaged))
     made = other.generate(speech, seed=1)
     assert np.abs(made.rotations - own.rotations).max() > 1e-2
@@ -639,7 +623,7 @@ def test_defects_of_the_recordings_travel_with_the_model(model, speech, tmp_path
     again = gk.load(tmp_path / "model").generate(speech, seed=1)
     np.testing.assert_array_equal(again.rotations, made.rotations)
     path = tmp_path / "model" / "model.safetensors"
-    save_file({**load_file(path), "recall.0.defective": flags[0][:1]}, path)
+    save_file({**weights(tmp_path / "model"), "recall.0.defective": flags[0][:1]}, path)
     with pytest.raises(ModelError, match=r"recall.0.defective"):
         gk.load(tmp_path / "model")
 
@@ -654,34 +638,27 @@ def test_a_bad_value_in_a_model_folder_is_one_error(model, tmp_path, value):
         gk.load(tmp_path)
 
 
-# Retrieval, models without speech, models without recall.
-
-
 def test_retrieval_gives_recorded_frames(recordings, speech, tmp_path):
     changes = {"level": 4, "parts": "body", "overlap": 0.2}
-    training = {"first_stage": 1, "further_stages": 1}
-    config = settings(recordings, tmp_path / "run", recall=changes, training=training)
+    config = settings(recordings, tmp_path / "run", recall=changes, training=SHORT)
     model = gk.load(train(config))
     model = replace(model, recorded_fps=model.fps)
     made = model.generate(speech, foot_lock=False, smooth=0)
     known = [recording(16.0, 0).resample(25.0), recording(12.0, 1).resample(25.0)]
     joints = [made.skeleton.index(name) for name in ("left_shoulder", "right_elbow")]
     every = np.concatenate([motion.rotations[:, joints] for motion in known])
-    nearest = [
-        np.abs((frame[None] * every).sum(axis=-1)).min(axis=1).max()
-        for frame in made.rotations[:, joints]
-    ]
+    frames = made.rotations[:, joints]
+    nearest = [np.abs((frame * every).sum(axis=-1)).min(axis=1).max() for frame in frames]
     # 4 of 20 frames are cross-fades, the rest are recorded; a margin moves the grid by < a frame.
     apart = 2 * np.arccos(np.minimum(nearest, 1.0))
     assert np.mean(apart < 1e-3) > 0.7
 
 
 def test_recall_without_speech(recordings, tmp_path):
-    """Any piece fits; liveliness asks for lively ones."""
-    training = {"first_stage": 1, "further_stages": 1}
-    config = settings(recordings, tmp_path / "run", features=None, training=training)
-    model = gk.load(train(config))
+    model = gk.load(train(settings(recordings, tmp_path / "run", features=None, training=SHORT)))
     assert model.library.wanted is None
+    stretched = replace(model.library, stretch=0.25).recall(np.zeros((0, 90)), seeded())
+    assert [pieces.offsets for pieces in stretched.pieces] == [None] * 3
     calm, usual, lively = (
         np.mean([hand_speed(m) for m in model.generate(seconds=5.0, samples=4, liveliness=amount)])
         for amount in (0.4, 1.0, 2.5)
@@ -689,20 +666,13 @@ def test_recall_without_speech(recordings, tmp_path):
     assert calm < 0.9 * usual and lively > usual
 
 
-def test_without_recall_nothing_of_it_is_stored(plain, folder):
-    tensors = load_file(plain.folder / "model.safetensors")
-    assert not [name for name in tensors if name.startswith("recall")]
-    assert [name for name in load_file(folder / "model.safetensors") if name.startswith("recall")]
+def test_without_recall_nothing_of_it_is_stored(plain, model, folder):
+    assert not [name for name in weights(plain.folder) if name.startswith("recall")]
+    assert [name for name in weights(folder) if name.startswith("recall")]
     assert plain.library is None and plain.conditions.columns == [*range(7)]
-
-
-def test_vocal_effort_for_recall_is_not_an_input_of_the_network(model):
+    # Vocal effort for recall is not an input of the network.
     assert model.conditions.columns == [*range(4)]
-    assert model.conditions.conditioner.effort == (4, 5, 6)
-    assert model.library.wanted.effort == (4, 5, 6)
-
-
-# Settings.
+    assert model.conditions.conditioner.effort == model.library.wanted.effort == (4, 5, 6)
 
 
 @pytest.mark.parametrize(
@@ -728,11 +698,7 @@ def test_bad_settings_name_their_key(recall, message, tmp_path):
         settings(tmp_path / "none.jsonl", tmp_path, recall=recall)
 
 
-# Training.
-
-
-def test_windows_start_from_recalled_and_from_recorded_motion(data, config, cache_of):
-    library = build_library(data, config)
+def test_windows_start_from_recalled_and_from_recorded_motion(data, config, library, cache_of):
     cache = cache_of(config, data)
     cache.library = library
 
@@ -778,7 +744,7 @@ def test_windows_start_from_recalled_and_from_recorded_motion(data, config, cach
 def test_training_depends_on_the_recalled_motion(recordings, folder, tmp_path, change):
     """Levels up to the recalled one are trained as without it, the finer ones are not."""
     changed = train(settings(recordings, tmp_path / "other", recall=change))
-    one, other = (load_file(path / "model.safetensors") for path in (folder, changed))
+    one, other = weights(folder), weights(changed)
     same = {name: torch.equal(one[name], other[name]) for name in one if "levels." in name}
 
     def level_of(name: str) -> int:
@@ -795,11 +761,8 @@ def test_a_run_with_recall_resumes_bitwise(recordings, folder, tmp_path):
     whole = (again / "model.safetensors").read_bytes()
     assert whole == (folder / "model.safetensors").read_bytes()
     checkpoints = Checkpoints(config.out / "checkpoints")
-    last = checkpoints.steps()[-1]
-    assert last == 6
-    for step in checkpoints.steps():
-        if step > 5:
-            checkpoints.path(step).unlink()
+    assert checkpoints.steps()[-1] == 6
+    checkpoints.path(6).unlink()
     (again / "model.safetensors").unlink()
     train(config, resume=True)
     assert (again / "model.safetensors").read_bytes() == whole

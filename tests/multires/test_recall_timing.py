@@ -25,9 +25,6 @@ def noise(*shape: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal(shape)
 
 
-# Offsets.
-
-
 @pytest.mark.parametrize("late", [-6, -3, 0, 2, 4])
 def test_a_gesture_is_moved_to_the_wanted_time_by_up_to_two_fifths_of_a_second(late):
     """The bump of frame 30 is asked for `late` frames later; at 10 fps, 4 frames are the most."""
@@ -76,9 +73,6 @@ def test_an_hour_takes_seconds_and_little_memory():
     seconds, peak = time.process_time() - began, tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert len(offsets) == n and seconds < 20 and peak < 50e6
-
-
-# Pieces that are played so.
 
 
 def times(n: int, of: int) -> np.ndarray:

@@ -9,23 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from rigs import prefixed
+from runs import same_weights
 from small_runs import small_config
 
 import gesturekit as gk
 from gesturekit.corpus import prepare
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.motion import Skeleton
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.training import trainer
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.trainer import train
 
-FEATURES = {"extractors": [{"kind": "prosody"}, {"kind": "effort"}]}
 STILL = {"learning_rate": 1e-9}
-
-
 TINY = {
-    "features": FEATURES,
+    "features": {"extractors": [{"kind": "prosody"}, {"kind": "effort"}]},
     "network": {"channels": [2], "embedding": 4},
     "recall": {"level": 2, "piece": 1.0, "overlap": 0.3},
     "training": {"first_stage": 2, "further_stages": 2, "window": 2.0, "window_cache": 2},
@@ -43,24 +41,6 @@ def first(corpus, tmp_path_factory) -> Path:
     return train(tiny(corpus, tmp_path_factory.mktemp("first") / "run"))
 
 
-@pytest.fixture(scope="module")
-def taller(tmp_path_factory, gesture, write_speech) -> Path:
-    """A manifest with one recording of somebody a tenth taller, who moves more."""
-    folder = tmp_path_factory.mktemp("taller")
-    write_speech(folder / "in" / "hers.wav", 4.0, level=0.4)
-    motion = gesture(4.0, seed=5)
-    rig = replace(motion.skeleton, offsets=1.1 * motion.skeleton.offsets)
-    replace(motion, skeleton=rig, translation=1.1 * motion.translation).save(
-        folder / "in" / "hers.bvh"
-    )
-    prepare([folder / "in"], folder / "c.jsonl", holdout=0.0)
-    return folder / "c.jsonl"
-
-
-def weights_of(folder: Path) -> dict[str, torch.Tensor]:
-    return gk.load(folder).network.state_dict()
-
-
 def test_training_starts_at_the_output_of_the_other_model(first, corpus, tmp_path):
     speech = corpus.parent / "paired" / "b.wav"
     folder = train(tiny(corpus, tmp_path / "run", start_from=str(first.parent), training=STILL))
@@ -72,8 +52,17 @@ def test_training_starts_at_the_output_of_the_other_model(first, corpus, tmp_pat
     assert np.abs(anew - there).max() > 1e-2
 
 
-def test_recordings_of_a_taller_speaker_on_top_of_another_model(first, taller, tmp_path):
-    gone = tmp_path / "gone"
+def test_recordings_of_a_taller_speaker_on_top_of_another_model(
+    first, gesture, write_speech, tmp_path
+):
+    """She is a tenth taller and moves more."""
+    write_speech(tmp_path / "in" / "hers.wav", 4.0, level=0.4)
+    motion = gesture(4.0, seed=5)
+    rig = replace(motion.skeleton, offsets=1.1 * motion.skeleton.offsets)
+    motion = replace(motion, skeleton=rig, translation=1.1 * motion.translation)
+    motion.save(tmp_path / "in" / "hers.bvh")
+    taller, gone = tmp_path / "c.jsonl", tmp_path / "gone"
+    prepare([tmp_path / "in"], taller, holdout=0.0)
     shutil.copytree(first, gone)
     config = tiny(taller, tmp_path / "run", start_from=str(gone), training=STILL)
     folder = train(config)
@@ -84,7 +73,7 @@ def test_recordings_of_a_taller_speaker_on_top_of_another_model(first, taller, t
     centres = (m.conditions.conditioner.centre for m in (model, start))
     assert np.array_equal(*centres)
     assert model.representation.joints == start.representation.joints
-    for name, value in weights_of(first).items():
+    for name, value in start.network.state_dict().items():
         assert torch.allclose(model.network.state_dict()[name], value, atol=1e-6), name
     # Her own: bones, recalled motion and noise.
     assert np.allclose(model.skeleton.offsets, 1.1 * start.skeleton.offsets, atol=1e-4)
@@ -92,11 +81,10 @@ def test_recordings_of_a_taller_speaker_on_top_of_another_model(first, taller, t
     assert not torch.allclose(model.noise.sigma.mean(dim=0), start.noise.sigma.mean(dim=0))
     assert model.noise.sigma.shape == (1, 4)
     # Both in metres of the reference body.
-    data, heights = load_training_data(replace(config, start_from=first)), []
-    for sequence in data.paired:
-        values = data.normaliser.inverse(sequence.motion[None])[0]
-        heights.append(float(values[data.representation.layout.root_height].mean()))
-    assert heights[0] == pytest.approx(float(start.normaliser.mean[-2]), abs=1e-3)
+    data = load_training_data(replace(config, start_from=first))
+    values = data.normaliser.inverse(data.paired[0].motion[None])[0]
+    height = float(values[data.representation.layout.root_height].mean())
+    assert height == pytest.approx(float(start.normaliser.mean[-2]), abs=1e-3)
     assert f"**Began with**: {gone}" in (folder / "README.md").read_text("utf-8")
     assert "**Began with**: random weights" in (first / "README.md").read_text("utf-8")
     assert model.generate(seconds=1.0).n_frames == 30
@@ -124,10 +112,7 @@ def test_other_settings_are_refused(first, corpus, tmp_path, wrong, told):
 
 def test_another_rig_and_another_system_are_refused(first, gesture, write_speech, tmp_path):
     write_speech(tmp_path / "in" / "x.wav", 3.0)
-    motion = gesture(3.0)
-    names = tuple(f"mixamorig:{name}" for name in motion.skeleton.names)
-    rig = Skeleton(names, motion.skeleton.parents, motion.skeleton.offsets)
-    replace(motion, skeleton=rig).save(tmp_path / "in" / "x.bvh")
+    prefixed(gesture(3.0)).save(tmp_path / "in" / "x.bvh")
     prepare([tmp_path / "in"], tmp_path / "c.jsonl", holdout=0.0)
     config = tiny(tmp_path / "c.jsonl", tmp_path / "run", start_from=str(first))
     with pytest.raises(ConfigError, match="another rig than .*'mixamorig:Hips' here and 'Hips'"):
@@ -136,9 +121,7 @@ def test_another_rig_and_another_system_are_refused(first, gesture, write_speech
         train(replace(config, start_from=tmp_path / "in"))
 
 
-def test_a_run_that_stopped_before_its_first_checkpoint_starts_there_again(
-    first, corpus, tmp_path, monkeypatch
-):
+def test_a_run_stopped_before_a_checkpoint_starts_there_again(first, corpus, tmp_path, monkeypatch):
     gone = tmp_path / "gone"
     shutil.copytree(first, gone)
     config = tiny(corpus, tmp_path / "run", start_from=str(gone))
@@ -152,20 +135,13 @@ def test_a_run_that_stopped_before_its_first_checkpoint_starts_there_again(
         with pytest.raises(RuntimeError, match="power failure"):
             train(config)
     shutil.rmtree(gone)
-    resumed = weights_of(train(config, resume=True))
-    for name, value in weights_of(whole).items():
-        assert torch.equal(resumed[name], value), name
+    assert same_weights(train(config, resume=True), whole)
 
 
 def test_recordings_in_some_of_the_styles(motions, tmp_path):
     """The other styles stay known, and noise of them is made of any recording."""
-    mode = {
-        "features": None,
-        "styles": {},
-        "network": {"modulate": "all"},
-        "z_star_shuffle": 3,
-        "losses": {"detail": 1},
-    }
+    mode = {"features": None, "styles": {}, "network": {"modulate": "all"}}
+    mode |= {"z_star_shuffle": 3, "losses": {"detail": 1}}
     start = train(tiny(motions(angry=[3.0], old=[3.0]), tmp_path / "start", **mode))
     mode["start_from"] = str(start)
     model = gk.load(train(tiny(motions(old=[4.0]), tmp_path / "run", **mode)))
@@ -173,10 +149,8 @@ def test_recordings_in_some_of_the_styles(motions, tmp_path):
     assert model.noise.sequences["old_0"].style == "old"
     for recall in (None, False):
         assert model.generate(seconds=2.0, style="angry", recall=recall).n_frames == 60
-    for wrong, told in (
-        ({}, r"has styles \['angry', 'old'\], this run \['sad'\]; a model's conditions"),
-        ({"styles": None}, r"has styles \['angry', 'old'\], this run \[\]; a model's conditions"),
-    ):
+    for wrong, own in (({}, "'sad'"), ({"styles": None}, "")):
+        told = rf"has styles \['angry', 'old'\], this run \[{own}\]; a model's conditions"
         config = tiny(motions(sad=[3.0]), tmp_path / "no", **{**mode, **wrong})
         with pytest.raises(ConfigError, match=told):
             train(config)

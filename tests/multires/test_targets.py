@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -31,43 +33,37 @@ def places(motion):
 
 @pytest.fixture
 def detail():
-    sequences = [recording(style, seed) for style in (0, 1) for seed in (1, 2)]
-    sequences = [
-        PairedSequence(s.name, s.motion, s.speech, s.sigma, s.z_star, s.passive, int(s.name[0]))
-        for s in sequences
-    ]
+    """detail(motion, style): the loss of motions that are told to have a style."""
+    kinds = [(style, seed) for style in (0, 1) for seed in (1, 2)]
+    sequences = [replace(recording(style, seed), style=style) for style, seed in kinds]
     target = DetailTarget(sequences, LEVEL, LEVELS, places, 50, 2)
-    return lambda motion, styles: target(places(motion), styles)
+    return lambda motion, style: target(places(motion), torch.full((len(motion),), style))
 
 
 def test_as_much_as_the_recordings_of_the_style_is_best(detail):
     for style in (0, 1):
         own = windows(style)
-        told = torch.full((len(own),), style)
-        least = float(detail(own, told))
-        assert least < float(detail(0.5 * own, told)) - 0.1
-        assert least < float(detail(2 * own, told)) - 0.1
-        assert least < float(detail(own, 1 - told)) - 0.1
+        least = float(detail(own, style))
+        for worse, told in ((0.5 * own, style), (2 * own, style), (own, 1 - style)):
+            assert least < float(detail(worse, told)) - 0.1
 
 
 def test_neither_posture_nor_slow_movement_counts(detail):
     own = windows(1)
-    told = torch.ones(len(own), dtype=torch.long)
     leaning = own + 3 + torch.linspace(0, 1, 50)
-    torch.testing.assert_close(detail(leaning, told), detail(own, told), atol=0.02, rtol=0)
+    torch.testing.assert_close(detail(leaning, 1), detail(own, 1), atol=0.02, rtol=0)
 
 
 def test_generated_windows_should_differ_as_much_as_recorded_ones(detail):
     own = windows(1)
-    told = torch.ones(len(own), dtype=torch.long)
     strength = own.square().mean(dim=(1, 2)).log()
     alike = own * torch.exp((strength.mean() - strength) / 2)[:, None, None]
-    assert float(detail(own, told)) < float(detail(alike, told)) - 0.02
+    assert float(detail(own, 1)) < float(detail(alike, 1)) - 0.02
 
 
 def test_a_style_with_a_single_motion_has_no_detail_loss(detail):
     own = windows(1)[:1].requires_grad_()
-    loss = detail(own, torch.ones(1, dtype=torch.long))
+    loss = detail(own, 1)
     assert float(loss.detach()) == 0
     loss.backward()
     assert not own.grad.any()
@@ -137,8 +133,7 @@ def test_a_clip_shorter_than_what_is_read_around_a_frame(target):
 def test_uninformative_features_are_not_overfitted(width):
     rng = torch.Generator().manual_seed(0)
     movements = [talk(300, 2.0, seed)[1] for seed in range(4)]
-    target = ArmTarget(FRAME).fit(
-        [torch.randn(width, 300, generator=rng) for _ in movements], movements
-    )
+    speeches = [torch.randn(width, 300, generator=rng) for _ in movements]
+    target = ArmTarget(FRAME).fit(speeches, movements)
     asked = target(torch.randn(1, width, 300, generator=rng))[0]
     assert (asked.std(dim=1) < 0.25 * movements[0].std(dim=1)).all()

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import logging
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file
+from runs import logged, same_weights, weights
 
 import gesturekit as gk
 from audio_features import WeightsError
@@ -25,32 +23,16 @@ from gesturekit.multires.training.trainer import train
 from gesturekit.training.config import dump_yaml, to_dict
 from gesturekit.training.run.checkpoint import Checkpoints
 
-
-def logged(config) -> list[dict]:
-    """Logged lines, without the figures that a training ends with."""
-    lines = [json.loads(line) for line in (config.out / "metrics.jsonl").read_text().splitlines()]
-    return [line for line in lines if "kind" not in line]
-
-
-def weights(config):
-    return load_file(config.out / "model" / "model.safetensors")
+RANDOM = {"discriminator", "adversarial", "contact", "smoothness", "arm_speed"}
+ALL = RANDOM | {"reconstruction"}
 
 
 def test_a_run_leaves_metrics_checkpoints_and_a_model(make_config):
     config = make_config(losses={"arm_acceleration": 3})
     folder = train(config)
-    lines = logged(config)
+    lines = logged(config.out)
     assert [line["step"] for line in lines] == [2, 4, 6, 8, 10]
-    told = {
-        "discriminator",
-        "adversarial",
-        "contact",
-        "smoothness",
-        "arm_speed",
-        "arm_acceleration",
-        "reconstruction",
-    }
-    assert told <= set(lines[-1])
+    assert ALL | {"arm_acceleration"} <= set(lines[-1])
     for name in ("config.yaml", "command.txt", "versions.json", "checkpoints", "events"):
         assert (config.out / name).exists(), name
     model = gk.load(folder)
@@ -79,9 +61,7 @@ def test_levels_side_by_side_train_as_one_after_the_other(make_config, monkeypat
     monkeypatch.setattr(engine.NumbaBackend, "run_tasks", TorchBackend.run_tasks)
     in_turn = make_config(**changes, out=str(beside.out) + "_in_turn")
     train(in_turn)
-    ours, theirs = weights(beside), weights(in_turn)
-    assert ours.keys() == theirs.keys()
-    assert all(torch.equal(ours[name], theirs[name]) for name in ours)
+    assert same_weights(beside.out / "model", in_turn.out / "model")
 
 
 def test_finer_levels_learn_to_leave_what_is_coarse(make_config):
@@ -89,27 +69,30 @@ def test_finer_levels_learn_to_leave_what_is_coarse(make_config):
     losses = {"adversarial": 0, "arm_speed": 0, "coarse": 20, "detail": 1}
     config = make_config(training=training, losses=losses, log_every=10)
     train(config)
-    lines = logged(config)
+    lines = logged(config.out)
     pair = [line for line in lines if line["level"] == 1]
     assert pair[-1]["coarse"] < 0.6 * pair[0]["coarse"]
     assert pair[-1]["detail"] < pair[0]["detail"]
 
 
-def test_random_steps_read_no_paired_speech_and_no_target(make_config, monkeypatch):
-    read = {"_discriminator_steps": [], "_random_step": [], "_reconstruction_step": []}
+@pytest.mark.parametrize("cache", [None, 3])
+def test_random_steps_take_unpaired_clips_whole_and_read_no_target(make_config, monkeypatch, cache):
+    clips = {2: 3.0, 40: 4.0, 90: 5.0, 200: 6.0}
+    read = {"_discriminator_steps": set(), "_random_step": set(), "_reconstruction_step": set()}
     step = []
 
     def marked(config, device):
         data = load_training_data(config)
         for sequence in data.paired:
             sequence.speech.fill_(1.0)
-        for speech in data.unpaired:
-            speech.fill_(2.0)
-        return data
+        unpaired = tuple(torch.full((data.n_speech, n), value) for n, value in clips.items())
+        return replace(data, unpaired=unpaired, silence=torch.zeros(data.n_speech, 200))
 
     def generate(self, windows):
-        (heard,) = {float(x) for part in windows.conditions for x in part.unique()}
-        read[step[-1]].append((heard, windows.targets is not None))
+        if self.first == 2:
+            finest = windows.conditions[-1]
+            heard = (finest.shape[-1], *finest.unique().tolist(), windows.targets is not None)
+            read[step[-1]].add(heard)
         return whole_generate(self, windows)
 
     def recorded(name, method):
@@ -124,40 +107,14 @@ def test_random_steps_read_no_paired_speech_and_no_target(make_config, monkeypat
     monkeypatch.setattr(Stage, "_generate", generate)
     for name in read:
         monkeypatch.setattr(Stage, name, recorded(name, getattr(Stage, name)))
-    train(make_config(features={"residual": False}, training={"silence": 0.0}))
-    assert set(read["_random_step"]) == {(2.0, False)}
-    assert set(read["_discriminator_steps"]) == {(2.0, False)}
-    assert set(read["_reconstruction_step"]) == {(1.0, True)}
-
-
-@pytest.mark.parametrize("cache", [None, 3])
-def test_random_steps_take_unpaired_clips_whole_and_unpadded(make_config, monkeypatch, cache):
-    clips = {2: 3.0, 40: 4.0, 90: 5.0, 200: 6.0}
-    spoken = {"random": set(), "paired": set()}
-
-    def marked(config, device):
-        data = load_training_data(config)
-        for sequence in data.paired:
-            sequence.speech.fill_(1.0)
-        unpaired = tuple(torch.full((data.n_speech, n), value) for n, value in clips.items())
-        return replace(data, unpaired=unpaired, silence=torch.zeros(data.n_speech, 200))
-
-    def generate(self, windows):
-        if self.first == 2:
-            finest = windows.conditions[-1]
-            values = tuple(finest.unique().tolist())
-            kind = "paired" if windows.targets else "random"
-            spoken[kind].add((finest.shape[-1], *values))
-        return whole_generate(self, windows)
-
-    load_training_data, whole_generate = trainer.load_training_data, Stage._generate
-    monkeypatch.setattr(trainer, "load_training_data", marked)
-    monkeypatch.setattr(Stage, "_generate", generate)
     training = {"window": None, "window_cache": cache, "silence": 0.0, "further_stages": 16}
     config = make_config(features={"residual": False}, training=training)
     train(config)
-    assert spoken == {"random": set(clips.items()), "paired": {(150, 1.0), (63, 1.0)}}
-    assert all(np.isfinite(value) for line in logged(config) for value in line.values())
+    whole = {(n, value, False) for n, value in clips.items()}
+    assert read["_random_step"] | read["_discriminator_steps"] == whole
+    assert read["_random_step"] and read["_discriminator_steps"]
+    assert read["_reconstruction_step"] == {(150, 1.0, True), (63, 1.0, True)}
+    assert all(np.isfinite(value) for line in logged(config.out) for value in line.values())
 
 
 def test_silence_is_as_long_as_the_longest_unpaired_clip(
@@ -167,11 +124,8 @@ def test_silence_is_as_long_as_the_longest_unpaired_clip(
     write_speech(tmp_path / "more" / "b.wav", 5.0)
     corpus = tmp_path / "corpus.jsonl"
     prepare([tmp_path / "paired"], corpus, unpaired=[tmp_path / "more"], holdout=0.0)
-    config = make_config(
-        corpus=str(corpus),
-        features={"residual": False},
-        training={"window": None, "silence": 0.999, "margins": True},
-    )
+    training = {"window": None, "silence": 0.999, "margins": True}
+    config = make_config(corpus=str(corpus), features={"residual": False}, training=training)
     cache = cache_of(config)
     windows = cache.random(cache.data.paired, 125, 2, 1, torch.Generator().manual_seed(0))
     expected = cache.data.conditioner.silence(125 + 2 * config.random_margin)
@@ -190,36 +144,27 @@ def test_with_margins_a_whole_clip_continues_in_them_as_in_generation(make_confi
     np.testing.assert_array_equal(windows.conditions[-1][0].numpy(), around)
 
 
-def test_reconstruction_from_real_motion_starts_every_level_from_the_one_below(
-    make_config, monkeypatch
-):
-    upsampled, wanted = [], []
-    forward, step, draw = (
-        LevelGenerator.forward,
-        Stage._reconstruction_step,
-        Stage._draw,
-    )
+def test_reconstruction_from_real_motion_starts_levels_from_the_one_below(make_config, monkeypatch):
+    targets, upsampled, checked = [None], [], []
+    forward, draw = LevelGenerator.forward, Stage._draw
 
     def record_input(self, up, noise, *others):
         upsampled.append(up)
+        if targets[-1] is not None and len(upsampled) == 2:
+            coarse, fine = targets[-1]
+            checked.append(torch.equal(up, resample(coarse, fine.shape[-1])))
         return forward(self, up, noise, *others)
 
-    def record_windows(self, kind, n_frames, rng, *batches):
-        windows = draw(self, kind, n_frames, rng, *batches)
-        wanted.append(windows)
-        return windows
-
-    def check(self, n_frames, rng):
+    def record_windows(self, *arguments):
+        windows = draw(self, *arguments)
+        targets.append(windows.targets)
         upsampled.clear()
-        report = step(self, n_frames, rng)
-        coarse, fine = wanted[-1].targets
-        assert torch.equal(upsampled[1], resample(coarse, fine.shape[-1]))
-        return report
+        return windows
 
     monkeypatch.setattr(LevelGenerator, "forward", record_input)
     monkeypatch.setattr(Stage, "_draw", record_windows)
-    monkeypatch.setattr(Stage, "_reconstruction_step", check)
     train(make_config(losses={"rec_input": "real"}))
+    assert len(checked) == 10 and all(checked), "each iteration"
 
 
 def test_a_window_cache_holds_a_whole_sequence_once(make_config, cache_of):
@@ -286,12 +231,8 @@ def test_a_model_keeps_the_speed_of_its_fastest_second_in_metres(make_config, ge
         giant = replace(walk.skeleton, offsets=2.0 * walk.skeleton.offsets)
         replace(walk, skeleton=giant).save(tmp_path / "walks" / f"{name}.bvh")
     prepare([], tmp_path / "w.jsonl", unpaired_motion=[tmp_path / "walks"], holdout=0.0)
-    config = make_config(
-        corpus=str(tmp_path / "w.jsonl"),
-        features=None,
-        training={"first_stage": 1},
-    )
-    model = gk.load(train(config))
+    short = {"features": None, "training": {"first_stage": 1}}
+    model = gk.load(train(make_config(corpus=str(tmp_path / "w.jsonl"), **short)))
     assert model.representation.scale == pytest.approx(2.0, rel=0.2)
     assert model.fastest == pytest.approx(1.8, rel=0.02)
 
@@ -300,11 +241,8 @@ def test_a_recording_of_one_frame_at_the_coarsest_level_trains(make_config, writ
     for stem, seconds in {"long": 1.0, "short": 0.5}.items():
         write_pair(tmp_path / "pairs", stem, seconds)
     prepare([tmp_path / "pairs"], tmp_path / "short.jsonl", holdout=0.0)
-    config = make_config(
-        corpus=str(tmp_path / "short.jsonl"),
-        network={"levels": 10},
-        training={"first_stage": 20, "further_stages": 1},
-    )
+    changes = {"network": {"levels": 10}, "training": {"first_stage": 20, "further_stages": 1}}
+    config = make_config(corpus=str(tmp_path / "short.jsonl"), **changes)
     assert (train(config) / "config.yaml").is_file()
 
 
@@ -326,10 +264,8 @@ def test_no_checkpoint_is_written_after_nan(make_config, monkeypatch):
 
 def test_a_run_resumes_only_with_the_weights_it_began_with(make_config, write_wavlm, tmp_path):
     write_wavlm(tmp_path / "weights")
-    config = make_config(
-        features={"extractors": [{"kind": "wavlm"}], "weights": str(tmp_path / "weights")},
-        training={"first_stage": 1, "further_stages": 1},
-    )
+    features = {"extractors": [{"kind": "wavlm"}], "weights": str(tmp_path / "weights")}
+    config = make_config(features=features, training={"first_stage": 1, "further_stages": 1})
     train(config)
     assert train(config, resume=True).is_dir()
     write_wavlm(tmp_path / "weights", seed=1)
@@ -338,36 +274,24 @@ def test_a_run_resumes_only_with_the_weights_it_began_with(make_config, write_wa
 
 
 def test_without_unpaired_speech_the_run_says_what_it_does(make_config, tmp_path, caplog, corpus):
-    lines = corpus.read_text().splitlines()
-    alone = corpus.parent / "paired_only.jsonl"
-    kept = [line for line in lines if json.loads(line).get("motion") or "schema" in line]
-    alone.write_text("\n".join(kept) + "\n")
-    with caplog.at_level(logging.WARNING):
-        train(make_config(corpus=str(alone), training={"first_stage": 1, "further_stages": 1}))
+    prepare([corpus.parent / "paired"], tmp_path / "alone.jsonl", holdout=0.0)
+    short = {"first_stage": 1, "further_stages": 1}
+    train(make_config(corpus=str(tmp_path / "alone.jsonl"), training=short))
     assert "random steps take the paired speech" in caplog.text
-
-
-RANDOM = {"discriminator", "adversarial", "contact", "smoothness", "arm_speed"}
 
 
 @pytest.mark.parametrize(
     ("changes", "losses"),
     [
-        ({"training": {"window": None}}, RANDOM | {"reconstruction"}),
-        ({"training": {"margins": True}}, RANDOM | {"reconstruction"}),
+        ({"training": {"window": None}}, ALL),
+        ({"training": {"margins": True}}, ALL),
         ({"training": {"discriminator_steps": 0, "generator_steps": 0}}, {"reconstruction"}),
         ({"training": {"reconstruction_steps": 0}}, RANDOM),
-        (
-            {"features": {"residual": False}, "network": {"film": "input"}},
-            RANDOM | {"reconstruction"},
-        ),
-        (
-            {"losses": {"arm_speed": 0, "rec_input": "real"}},
-            RANDOM - {"arm_speed"} | {"reconstruction"},
-        ),
-        ({"network": {"levels": 3}}, RANDOM | {"reconstruction"}),
-        ({"joints": "all"}, RANDOM | {"reconstruction"}),
-        ({"precision": "bfloat16"}, RANDOM | {"reconstruction"}),
+        ({"features": {"residual": False}, "network": {"film": "input"}}, ALL),
+        ({"losses": {"arm_speed": 0, "rec_input": "real"}}, ALL - {"arm_speed"}),
+        ({"network": {"levels": 3}}, ALL),
+        ({"joints": "all"}, ALL),
+        ({"precision": "bfloat16"}, ALL),
     ],
     # The order of a set depends on the process.
     ids=lambda value: "losses" if isinstance(value, set) else str(value),
@@ -376,25 +300,22 @@ def test_variants_train_on_the_losses_that_they_name(make_config, changes, losse
     config = make_config(**changes)
     train(config)
     # The finest level is at the full rate, where every loss applies.
-    named = set(logged(config)[-1]) - {"step", "level", "seconds_per_iteration"}
+    named = set(logged(config.out)[-1]) - {"step", "level"}
     assert named == losses
-    trained = weights(config)
+    trained = weights(config.out / "model")
     assert all(torch.isfinite(value).all() for value in trained.values())
     # One more iteration moves every level that the last pair trains.
     longer = make_config(**changes, out=str(config.out) + "_longer")
     train(replace(longer, training=replace(longer.training, further_stages=5)))
-    again, finest = weights(longer), f"levels.{config.network.levels - 1}.layers"
+    again, finest = weights(longer.out / "model"), f"levels.{config.network.levels - 1}.layers"
     moved = [name for name in trained if finest in name and name.endswith("weight")]
     assert moved
     assert all(not torch.equal(trained[name], again[name]) for name in moved)
 
 
 def test_betas_reach_the_optimisers_and_wrong_ones_are_refused(make_config, tmp_path):
-    usual, other = make_config(), make_config(training={"betas": [0.5, 0.95]}, out=str(tmp_path))
-    train(usual)
-    train(other)
-    one, two = weights(usual), weights(other)
-    assert any(not torch.equal(one[name], two[name]) for name in one)
+    other = make_config(training={"betas": [0.5, 0.95]}, out=str(tmp_path))
+    assert not same_weights(train(make_config()), train(other))
     for betas in ([0.9], [0.9, 1.0]):
         with pytest.raises(ConfigError, match="betas"):
             make_config(training={"betas": betas})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.multires.recall.wanted import WantedMovement, slow_part
@@ -60,20 +59,9 @@ def test_an_informative_encoder_is_used():
 
 def test_uninformative_speech_is_distinguished_from_informative_speech():
     # Chance predicts left-out parts a little, so one seed says nothing.
-    by_chance = [
-        WantedMovement.fit(*recordings(False, seed), FPS, EFFORT, ACOUSTIC) for seed in range(8)
-    ]
+    unrelated = (recordings(False, seed) for seed in range(8))
+    by_chance = [WantedMovement.fit(*pairs, FPS, EFFORT, ACOUSTIC) for pairs in unrelated]
     assert abs(np.mean([fit.fast.r for fit in by_chance])) < 0.15
     assert max(fit.fast.trust for fit in by_chance) < 1.0
     informed = WantedMovement.fit(*recordings(True), FPS, EFFORT, ACOUSTIC)
     assert informed.predicts and informed.fast.trust == 1.0
-
-
-def test_a_prediction_counts_as_far_as_it_was_right():
-    speeches, movements = recordings(predictable=True)
-    fast = WantedMovement.fit(speeches, movements, FPS, EFFORT, ACOUSTIC).fast
-    values = np.linspace(-1.0, 1.0, 5)
-    for r, share in ((0.9, 1.0), (0.3, 1.0), (0.15, 0.5), (-0.2, 0.0)):
-        doubted = type(fast)(**{**vars(fast), "r": r})
-        np.testing.assert_array_equal(doubted.scaled(values), share * fast.scaled(values))
-        assert doubted.trust == pytest.approx(share)

@@ -8,6 +8,7 @@ from typing import Literal
 
 import pytest
 
+from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.errors import ConfigError
 from gesturekit.training.config import build, load_config, to_dict
 
@@ -34,16 +35,11 @@ def write(folder: Path, name: str, text: str) -> Path:
     return path
 
 
-def test_exponents_without_a_dot_are_numbers(tmp_path):
-    config = load_config(write(tmp_path, "a.yaml", "corpus: c\ninner: {rate: 5e-4}"), Outer)
-    assert config.inner.rate == 5e-4
-
-
 def test_a_child_changes_single_values_of_its_parent(tmp_path):
     write(tmp_path, "base.yaml", "corpus: data/c.jsonl\ninner: {rate: 0.1, steps: [3, 4]}")
-    child = write(tmp_path, "sub/child.yaml", "base: ../base.yaml\ninner: {rate: 0.2}")
+    child = write(tmp_path, "sub/child.yaml", "base: ../base.yaml\ninner: {rate: 5e-4}")
     config = load_config(child, Outer)
-    assert config.inner == Inner(rate=0.2, steps=(3, 4))
+    assert config.inner == Inner(rate=5e-4, steps=(3, 4)), "a number, though it has no dot"
     assert config.corpus == tmp_path / "data/c.jsonl", "relative to the file that names it"
 
 
@@ -51,11 +47,8 @@ def test_overrides_win_and_their_paths_are_relative_to_the_current_folder(tmp_pa
     monkeypatch.chdir(tmp_path)
     path = write(tmp_path, "deep/a.yaml", "corpus: c.jsonl")
     config = load_config(path, Outer, ["inner.rate=1e-3", "window=null", "corpus=here.jsonl"])
-    assert (config.inner.rate, config.window, config.corpus) == (
-        1e-3,
-        None,
-        tmp_path / "here.jsonl",
-    )
+    assert (config.inner.rate, config.window) == (1e-3, None)
+    assert config.corpus == tmp_path / "here.jsonl"
 
 
 def test_settings_are_python_values_by_name(tmp_path, monkeypatch):
@@ -89,6 +82,11 @@ def test_a_written_configuration_reads_back_the_same(tmp_path):
         ("corpus: [unclosed", [], "not valid YAML"),
         ("corpus: !!python/object/apply:os.getcwd []", [], "not valid YAML"),
         ("base: a.yaml", [], "include itself"),
+        # An error in an override does not blame the file.
+        ("corpus: c", ["inner.rat=1"], "^unknown key inner.rat"),
+        ("corpus: c", ["inner.rate=fast"], "^inner.rate: 'fast'"),
+        ("corpus: c", ["iner.rate=1"], "^unknown key iner"),
+        ("corpus: c\ninner: {rate: fast}", ["corpus=d"], r"a\.yaml: inner\.rate: 'fast'"),
     ],
 )
 def test_mistakes_are_named(tmp_path, text, overrides, says):
@@ -98,8 +96,6 @@ def test_mistakes_are_named(tmp_path, text, overrides, says):
 
 
 def test_a_setting_in_the_wrong_section_is_refused_with_the_right_one():
-    from gesturekit.diffusion.config import DiffusionConfig
-
     for values in ({"schedule": {"updates": 3}}, {"updates": 3}, {"network": {"updates": 3}}):
         with pytest.raises(ConfigError, match=r"did you mean training\.updates\?"):
             build(DiffusionConfig, values)
@@ -112,18 +108,3 @@ def test_a_file_may_have_the_dotted_keys_of_the_command_line(tmp_path):
     text = "base: base.yaml\ninner.rate: 0.2\ninner: {mode: input}"
     config = load_config(write(tmp_path, "a.yaml", text), Outer)
     assert config.inner == Inner(rate=0.2, steps=(3,), mode="input")
-
-
-def test_an_error_in_an_override_does_not_blame_the_file(tmp_path):
-    path = write(tmp_path, "a.yaml", "corpus: c\ninner: {rate: 0.1}")
-    for override, says in (
-        ("inner.rat=1", "unknown key inner.rat"),
-        ("inner.rate=fast", "inner.rate: 'fast'"),
-        ("iner.rate=1", "unknown key iner"),
-    ):
-        with pytest.raises(ConfigError) as caught:
-            load_config(path, Outer, [override])
-        assert str(caught.value).startswith(says)
-    broken = write(tmp_path, "b.yaml", "corpus: c\ninner: {rate: fast}")
-    with pytest.raises(ConfigError, match=r"b\.yaml: inner\.rate: 'fast'"):
-        load_config(broken, Outer, ["corpus=d"])

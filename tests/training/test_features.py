@@ -36,32 +36,22 @@ def heard(corpus):
     return hear
 
 
-@pytest.mark.parametrize("normalise", ["clip", "corpus", "none"])
-def test_a_stored_projection_gives_the_features_of_training(heard, normalise, caplog):
+@pytest.mark.parametrize(
+    ("normalise", "components"), [("clip", 3), ("corpus", 3), ("none", 3), ("clip", None)]
+)
+def test_stored_settings_give_the_features_of_training(heard, normalise, components, caplog):
     caplog.set_level(logging.INFO)
-    config = FeatureConfig(EXTRACTORS, normalise=normalise, components=3)
+    config = FeatureConfig(EXTRACTORS, normalise=normalise, components=components)
     conditioner, speeches, wave = heard(config)
-    assert "12 of 15 speech features reduced to 3 components" in caplog.text
+    reduced = "12 of 15 speech features reduced to 3 components" in caplog.text
+    assert reduced == (components is not None)
     values, tensors = conditioner_values(conditioner), conditioner_tensors(conditioner)
     again = load_conditioner(values, tensors, 25.0, None)
-    assert again.dim == 6 and values["components"] == 3
+    assert values["components"] == components and again.dim == (6 if components else 15)
+    if components is None:
+        assert set(tensors) == {"features.centre", "features.scale"}
     np.testing.assert_array_equal(again(wave), conditioner(wave))
     np.testing.assert_allclose(again(wave, len(speeches[0])), speeches[0], atol=1e-4)
-
-
-def test_features_without_reduction_are_stored_and_loaded(heard):
-    conditioner, speeches, wave = heard(FeatureConfig(EXTRACTORS))
-    values, tensors = conditioner_values(conditioner), conditioner_tensors(conditioner)
-    assert set(tensors) == {"features.centre", "features.scale"}
-    assert values["components"] is None
-    again = load_conditioner(values, tensors, 25.0, None)
-    np.testing.assert_array_equal(again(wave), conditioner(wave))
-    np.testing.assert_allclose(again(wave, len(speeches[0])), speeches[0], atol=1e-4)
-
-
-def test_no_components_are_none():
-    with pytest.raises(ConfigError, match="components: 0 must be above 0"):
-        FeatureConfig(components=0)
 
 
 @pytest.mark.parametrize("count, stored", [(None, None), (5, 5), (12, None)])
@@ -70,6 +60,8 @@ def test_settings_are_compared_with_those_of_a_model_before_training(heard, coun
     values = feature_values(config.extractor(), config)
     assert values == conditioner_values(heard(config)[0])
     assert values["components"] == stored
+    with pytest.raises(ConfigError, match="components: 0 must be above 0"):
+        FeatureConfig(components=0)
 
 
 def test_sound_without_voice_counts_as_silence_in_training_too(tmp_path, write_speech, caplog):

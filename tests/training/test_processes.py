@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from datetime import timedelta
 
 import pytest
 import torch
+from runs import ended, launch
 
 from gesturekit.errors import ConfigError
 from gesturekit.training.run.processes import Processes
@@ -42,15 +40,8 @@ with Processes.from_environment("cpu") as processes:
 
 
 def test_two_processes_find_the_gradient_of_one(tmp_path):
-    script = tmp_path / "script.py"
-    script.write_text(SCRIPT)
-    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc_per_node", "2"]
-    subprocess.run(
-        [sys.executable, *launch, str(script), str(tmp_path)],
-        check=True,
-        timeout=120,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
-    )
+    (tmp_path / "script.py").write_text(SCRIPT)
+    ended(launch(tmp_path / "script.py", tmp_path, processes=2))
     two = [json.loads((tmp_path / f"{rank}.json").read_text()) for rank in range(2)]
     for told in two:
         assert told["gradient"] == pytest.approx(told["whole"], abs=1e-6)
@@ -64,13 +55,6 @@ def test_shares_make_up_the_whole():
     for n in (0, 1, 7, 8):
         shares = [Processes(rank, 3).share(n) for rank in range(3)]
         assert [i for share in shares for i in range(n)[share]] == list(range(n))
-
-
-def test_an_incomplete_environment_is_reported(monkeypatch):
-    monkeypatch.setenv("WORLD_SIZE", "two")
-    monkeypatch.setenv("RANK", "0")
-    with pytest.raises(ConfigError, match="torchrun"), Processes.from_environment():
-        pass
 
 
 @pytest.mark.parametrize(
@@ -107,25 +91,17 @@ def test_processes_share_gpus_if_there_are_too_few(
     assert ("2 processes share 1 GPU" in caplog.text) == (gpus == 1)
 
 
-TORCHRUN = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE")
-
-
-@pytest.mark.parametrize("name", ["WORLD_SIZE", "LOCAL_WORLD_SIZE"])
-def test_a_variable_of_torchrun_that_is_no_number_is_refused_with_its_value(monkeypatch, name):
-    for other in TORCHRUN:
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        ("WORLD_SIZE", "two", "LOCAL_WORLD_SIZE.*'two'.*torchrun"),
+        ("LOCAL_WORLD_SIZE", "two", "LOCAL_WORLD_SIZE.*'two'.*torchrun"),
+        ("RANK", None, "'RANK'"),  # all names are listed; the missing one stands in quotes
+    ],
+)
+def test_a_wrong_or_missing_variable_of_torchrun_is_refused_by_name(monkeypatch, name, value, told):
+    for other in ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE"):
         monkeypatch.setenv(other, "1")
-    monkeypatch.setenv(name, "two")
-    with (
-        pytest.raises(ConfigError, match="LOCAL_WORLD_SIZE.*'two'"),
-        Processes.from_environment("cpu"),
-    ):
-        pass
-
-
-def test_a_missing_variable_of_torchrun_is_named(monkeypatch):
-    for other in TORCHRUN:
-        monkeypatch.setenv(other, "1")
-    monkeypatch.delenv("RANK")
-    # All names are listed; the missing one stands in quotes.
-    with pytest.raises(ConfigError, match="'RANK'"), Processes.from_environment("cpu"):
+    monkeypatch.setenv(name, value) if value else monkeypatch.delenv(name)
+    with pytest.raises(ConfigError, match=told), Processes.from_environment("cpu"):
         pass
