@@ -306,10 +306,7 @@ def test_speech_and_motion_alone_are_left_over_unless_asked_for(
     assert set(report.left_over) == {tmp_path / "talk" / "b.flac", tmp_path / "dance" / "c.bvh"}
     assert not report.is_complete
     report = prepare(
-        tmp_path,
-        unpaired=[tmp_path / "talk"],
-        unpaired_motion=[tmp_path / "dance"],
-        speaker="ann",
+        tmp_path, unpaired=[tmp_path / "talk"], unpaired_motion=[tmp_path / "dance"], speaker="ann"
     )
     assert report.is_complete
     assert [item.id for item in report.manifest.unpaired()] == ["b"]

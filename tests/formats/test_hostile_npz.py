@@ -142,16 +142,8 @@ def test_headers_that_promise_too_much(tmp_path, key, content, says):
         ("parents", zeros((2_000_000,), "<i8"), "'parents' has shape"),
         ("parents", npy(np.full(24, 2**62)), "'parents' holds a joint index outside -1 to 23"),
         ("gk_version", npy(10**9), "'gk_version' is 1000000000"),
-        (
-            "moving_joints",
-            npy([3, 3, 3]),
-            "has 0 entries, but 'moving_joints' has 3",
-        ),
-        (
-            "joint_translations",
-            npy(0.5),
-            "has one number, but 'moving_joints' has 0",
-        ),
+        ("moving_joints", npy([3, 3, 3]), "has 0 entries, but 'moving_joints' has 3"),
+        ("joint_translations", npy(0.5), "has one number, but 'moving_joints' has 0"),
         ("end_site_joints", npy([-1]), "'end_site_joints' holds a joint index"),
         ("parents", npy(np.linspace(0, 1, 24)), "'parents' has shape (24,) of float64"),
         ("rotations", npy(np.full((5, 24, 4), np.nan)), "frame 0"),

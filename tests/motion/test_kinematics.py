@@ -5,11 +5,7 @@ import pytest
 import torch
 
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
-from gesturekit.motion.rotations import (
-    matrix_from_quaternion,
-    quaternion_from_sixd,
-    rotate_vectors,
-)
+from gesturekit.motion.rotations import matrix_from_quaternion, quaternion_from_sixd, rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.motion.torch_kinematics import ForwardKinematics, sixd_to_matrix
 

@@ -34,8 +34,7 @@ def beating(gesture) -> Motion:
     rotations[:, motion.skeleton.index("RightArm")] = quaternion_from_euler(angles, "XYZ")
     tremble = np.random.default_rng(0).normal(0, 0.006, (*rotations.shape[:2], 3))
     return replace(
-        motion,
-        rotations=multiply_quaternions(rotations, quaternion_from_rotation_vector(tremble)),
+        motion, rotations=multiply_quaternions(rotations, quaternion_from_rotation_vector(tremble))
     )
 
 
