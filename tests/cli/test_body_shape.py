@@ -29,12 +29,10 @@ def train(request, gesturekit, tmp_path, monkeypatch) -> Callable[..., tuple[Pat
     def run(name: str, recordings: Path, *options: object, start_from: Path | None = None):
         corpus, out = tmp_path / f"{name}.jsonl", tmp_path / name
         prepare = ("prepare", "--unpaired-motion", recordings, "--out", corpus, "--holdout", 0)
-        done = gesturekit(*prepare, *options)
-        assert done.status == 0, done.err
+        gesturekit(*prepare, *options).ok()
         settings = [f"corpus={corpus}", f"out={out}", "training.window=1"]
         settings += [] if start_from is None else [f"start_from={start_from}"]
-        done = gesturekit("train", *WITHOUT_SPEECH[request.param], *settings)
-        assert done.status == 0, done.err
+        done = gesturekit("train", *WITHOUT_SPEECH[request.param], *settings).ok()
         return out / "model", done.err
 
     return run
@@ -121,8 +119,7 @@ def test_each_speaker_keeps_the_recorded_body(train, gesturekit, recordings, bod
         out = tmp_path / f"of_{speaker}"
         chosen = [] if speaker is None else ["--speaker", speaker]
         model = ("--model", trained, "--seconds", 1, "--format", "npz")
-        done = gesturekit("render", "--out", out, *model, *chosen)
-        assert done.status == 0, done.err
+        gesturekit("render", "--out", out, *model, *chosen).ok()
         (file,) = out.glob("*.npz")
         with np.load(file) as arrays:
             rendered[speaker] = dict(arrays)
@@ -166,11 +163,10 @@ def test_real_recordings_without_a_body_model(train, shared_data, tmp_path):
 def test_convert_fits_npz_to_the_body_model_of_their_gender(
     gesturekit, recordings, body_models, tmp_path
 ):
-    done = gesturekit(
+    gesturekit(
         *("convert", recordings, tmp_path / "out", "--format", "npz"),
         *("--body-model", body_models),
-    )
-    assert done.status == 0, done.err
+    ).ok()
     for name, model in (("ann/b", "SMPLX_FEMALE"), ("abe/c", "SMPLX_NEUTRAL_2020")):
         with np.load(recordings / f"{name}.npz") as source:
             source = dict(source)
@@ -193,10 +189,9 @@ def test_changes_of_a_motion_keep_the_body(gesturekit, recordings, tmp_path):
     (tmp_path / "abe.npz").write_bytes((recordings / "abe/c.npz").read_bytes())
     for change in (["--mirror"], ["--joints", "body"], ["--trim", "0.2:1"], ["--fps", 60]):
         target = tmp_path / "made.npz"
-        done = gesturekit(
+        gesturekit(
             *("convert", recordings / "ann/b.npz", target, "--existing", "replace"), *change
-        )
-        assert done.status == 0, done.err
+        ).ok()
         shape = gk.Motion.load(target).skeleton.body_shape
         assert (shape.betas, shape.gender) == ((2.0, -0.5, 1.0), "female"), change
     onto = ("convert", recordings / "ann/b.npz", target, "--existing", "replace")

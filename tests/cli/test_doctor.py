@@ -13,16 +13,14 @@ from gesturekit.diagnosis import Finding, is_usable
 
 def test_a_machine_that_works_is_usable(gesturekit, write_wavlm, tmp_path):
     write_wavlm(tmp_path / "weights")
-    done = gesturekit("doctor", "--weights", tmp_path / "weights")
-    assert done.status == 0, done.out
+    done = gesturekit("doctor", "--weights", tmp_path / "weights").ok()
     for name in ("torch", "GPU", "threads", "torchaudio", "transformers", "ffmpeg", "disk"):
         assert f" {name} " in done.out
     assert "makes motion: 30 frames" in done.out and "3 layers of 32" in done.out
 
 
 def test_a_broken_requirement_gives_exit_code_1(gesturekit, tmp_path):
-    done = gesturekit("doctor", "--weights", tmp_path / "none")
-    assert done.status == 1
+    done = gesturekit("doctor", "--weights", tmp_path / "none").fails(1)
     assert f"BROKEN WavLM         {tmp_path / 'none'}" in done.out
     assert not is_usable([Finding("a", "ok", ""), Finding("b", "broken", "")])
     assert is_usable([Finding("a", "note", "")])

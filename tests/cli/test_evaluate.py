@@ -42,8 +42,7 @@ def test_it_prints_a_table_and_writes_report_and_json(gesturekit, folders, tmp_p
         "evaluate", folders / "ours", recordings, "--audio", recordings,
         "--out", tmp_path / "r.html", "--json", tmp_path / "r.json",
         "--compare", folders / "baseline",
-    )  # fmt: skip
-    assert done.status == 0, done.err
+    ).ok()  # fmt: skip
     lines = done.out.splitlines()
     assert lines[0].startswith("ours: ") and lines[1].startswith("baseline: ")
     assert "In time with the speech?" in lines[2] and "Is it new?" in lines[7]
@@ -65,8 +64,7 @@ def test_baselines_are_columns_of_the_table(gesturekit, folders):
     done = gesturekit(
         "evaluate", folders / "ours", folders / "recordings",
         "--baseline", "mean_pose, other_utterance",
-    )  # fmt: skip
-    assert done.status == 0, done.err
+    ).ok()  # fmt: skip
     lines = done.out.splitlines()
     assert lines[12].split() == ["ours", "mean_pose", "other_utterance", "recording", "chance"]
     assert "9 clips measured, 0 left out" in lines[-1]
@@ -112,8 +110,7 @@ def test_usage_errors_are_one_line_and_exit_code_2(
 ):
     monkeypatch.chdir(folders)
     (folders / "empty").mkdir(exist_ok=True)
-    done = gesturekit("evaluate", *arguments)
-    assert done.status == 2 and said in done.err
+    done = gesturekit("evaluate", *arguments).fails(2, said)
     assert "Traceback" not in done.err and not done.out
 
 
@@ -133,8 +130,7 @@ def test_a_protocol_samples_models(
     done = gesturekit(
         "evaluate", model, recordings, "--protocol", protocol, "--audio", recordings,
         "--samples", 2, "--samples-dir", tmp_path / "samples", "--json", tmp_path / "r.json",
-    )  # fmt: skip
-    assert done.status == 0, done.err
+    ).ok()  # fmt: skip
     written = sorted(path.stem for path in (tmp_path / "samples" / "model").iterdir())
     assert written == names
     (found,) = json.loads((tmp_path / "r.json").read_text())["models"]
@@ -142,11 +138,10 @@ def test_a_protocol_samples_models(
     seconds = {round(clip["seconds"], 2) for clip in found["clips"]}
     assert seconds == ({10.0} if protocol == "lda" else {6.0})
     assert "the protocol takes" in done.err
-    again = gesturekit(
+    gesturekit(
         "evaluate", model, recordings, "--protocol", protocol, "--audio", recordings,
         "--samples", 1, "--samples-dir", tmp_path / "samples",
-    )  # fmt: skip
-    assert again.status == 2 and "samples of an earlier run" in again.err
+    ).fails(2, "samples of an earlier run")  # fmt: skip
 
 
 def test_a_protocol_samples_the_items_of_a_manifest(gesturekit, model, write_pair, tmp_path):
@@ -164,8 +159,7 @@ def test_a_protocol_samples_the_items_of_a_manifest(gesturekit, model, write_pai
         samples = tmp_path / f"samples {clip}"
         done = gesturekit(
             "evaluate", model, *about, "--protocol", protocol, "--samples-dir", samples, *more
-        )
-        assert done.status == 0, done.err
+        ).ok()
         found = json.loads((tmp_path / "r.json").read_text())
         assert [c["name"] for m in found["models"] for c in m["clips"]] == [clip]
         assert found["settings"]["variants"]["bas"] == ("bailando" if more else "seconds")
@@ -178,11 +172,10 @@ def test_a_model_with_styles_is_not_sampled_for_recordings_of_unknown_style(
 ):
     styled = [replace(item, style="calm", split="train") for item in Manifest.load(corpus)]
     Manifest(styled).save(tmp_path / "corpus.jsonl")
-    done = gesturekit(
+    gesturekit(
         "train", "multires_labels", *tiny, "noise_levels=6",
         f"corpus={tmp_path / 'corpus.jsonl'}", f"out={tmp_path / 'run'}",
-    )  # fmt: skip
-    assert done.status == 0, done.err
+    ).ok()  # fmt: skip
     write_pair(tmp_path / "recordings", "clip", 3.0)
     about = ["--protocol", "multires", "--samples", 1, "--samples-dir", tmp_path / "samples"]
     done = gesturekit("evaluate", tmp_path / "run" / "model", tmp_path / "recordings", *about)
@@ -208,8 +201,7 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
     done = gesturekit(
         "evaluate", root / "rendered", "--corpus", root / "corpus.jsonl",
         "--json", tmp_path / "r.json", "--out", tmp_path / "r.html",
-    )  # fmt: skip
-    assert done.status == 0, done.err
+    ).ok()  # fmt: skip
     assert "trained on" not in done.err and "from 1 take: no intervals" in done.err
     assert f"1 clip measured, 0 left out; all of it in {tmp_path / 'r.html'}" in done.out
     found = json.loads((tmp_path / "r.json").read_text())
@@ -220,11 +212,10 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
     test.load_motion().save(tmp_path / "cut" / "talk.npz")
     wave = test.load_wave()
     soundfile.write(tmp_path / "cut" / "talk.wav", wave.samples, wave.sample_rate, "FLOAT")
-    by_hand = gesturekit(
+    gesturekit(
         "evaluate", root / "rendered" / f"{test.id}.bvh", tmp_path / "cut" / "talk.npz",
         "--audio", tmp_path / "cut", "--json", tmp_path / "hand.json",
-    )  # fmt: skip
-    assert by_hand.status == 0, by_hand.err
+    ).ok()  # fmt: skip
     ((other,),) = (m["clips"] for m in json.loads((tmp_path / "hand.json").read_text())["models"])
     # Those that compare with the training split, which a folder has not, differ.
     own = {k: v for k, v in clip["figures"].items() if k not in ("copying", "novelty")}
@@ -235,15 +226,11 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
 def test_retrieval_and_speech_blind_are_compared(gesturekit, held_out, tmp_path):
     root, items = held_out
     about = ["--corpus", root / "corpus.jsonl"]
-    made = gesturekit(
-        "render", *about, "--split", "test", "--model", "demo", "--out", tmp_path / "m"
-    )
-    assert made.status == 0, made.err
-    done = gesturekit(
+    gesturekit("render", *about, "--split", "test", "--model", "demo", "--out", tmp_path / "m").ok()
+    gesturekit(
         "evaluate", tmp_path / "m", *about, "--baseline", "speech_blind,mean_pose,retrieval",
         "--json", tmp_path / "r.json",
-    )  # fmt: skip
-    assert done.status == 0, done.err
+    ).ok()  # fmt: skip
     found = {m["label"]: m for m in json.loads((tmp_path / "r.json").read_text())["models"]}
     assert [*found] == ["m", "retrieval", "speech_blind", "mean_pose"]
     ((own,), (blind,), (pieces,)) = (
@@ -265,8 +252,7 @@ def test_speech_blind_needs_a_folder_written_by_render(gesturekit, held_out):
 def test_evaluating_on_training_recordings_is_warned_about(gesturekit, held_out, tmp_path):
     root, items = held_out
     train = ("evaluate", root / "rendered", "--corpus", root / "corpus.jsonl", "--split", "train")
-    done = gesturekit(*train)
-    assert done.status == 0
+    done = gesturekit(*train).ok()
     assert f"trained on 1 of 1 recording, or on a part of each ({items['train'].id})" in done.err
     # A folder of whole recordings, rendered by a model that says what it was trained on.
     model, rendered = tmp_path / "model", tmp_path / "rendered"
@@ -293,10 +279,8 @@ def test_an_item_without_a_clip_is_left_out(gesturekit, held_out, tmp_path):
     made = tmp_path / "made"
     made.mkdir()
     (made / "other.npz").write_bytes(b"")
-    done = gesturekit("evaluate", made, *corpus)
-    assert done.status == 2 and "of 1 clip (other) none has a recording" in done.err
-    both = gesturekit("evaluate", made, root / "recordings", *corpus)
-    assert both.status == 2 and "with its own --compare" in both.err
+    gesturekit("evaluate", made, *corpus).fails(2, "of 1 clip (other) none has a recording")
+    gesturekit("evaluate", made, root / "recordings", *corpus).fails(2, "with its own --compare")
     named = gesturekit("evaluate", root / "rendered" / "day", root / "recordings")
     assert named.status == 2 and "items of a manifest: --corpus" in named.err
 
@@ -309,19 +293,17 @@ def test_a_rig_without_limbs_gets_one_line_of_what_was_left_out(gesturekit, tmp_
         Motion(snake, rotations.reshape(150, 6, 4), np.zeros((150, 3)), 25.0).save(
             tmp_path / folder / "clip.npz"
         )
-    done = gesturekit("evaluate", tmp_path / "made", tmp_path / "recordings")
-    assert done.status == 0, done.err
+    done = gesturekit("evaluate", tmp_path / "made", tmp_path / "recordings").ok()
     assert "Jerk, m/s³" in done.out
     (line,) = (line for line in done.err.splitlines() if "Arm speed" in line)
     assert "Wrist speed" in line
 
 
 def test_recordings_are_read_by_the_units_that_are_named(gesturekit, folders, tmp_path):
-    done = gesturekit(
+    gesturekit(
         "evaluate", folders / "ours", folders / "recordings", "--in-fps", 50,
         "--json", tmp_path / "r.json",
-    )  # fmt: skip
-    assert done.status == 0, done.err
+    ).ok()  # fmt: skip
     clip = json.loads((tmp_path / "r.json").read_text())["models"][0]["clips"][0]
     assert any("longer than its recording" in note for note in clip["notes"])
 
@@ -354,19 +336,17 @@ def test_an_interrupted_evaluation_goes_on_where_it_was(gesturekit, folders, tmp
     done = gesturekit("evaluate", folders / "ours", folders / "recordings")
     assert done.status == 130 and "Finished measurements are cached" in done.err
     done_clips[:] = [None]  # room for one more clip
-    done = gesturekit("evaluate", folders / "ours", folders / "recordings")
-    assert done.status == 0, done.err
+    gesturekit("evaluate", folders / "ours", folders / "recordings").ok()
     assert done_clips == [None, 2]
 
 
 def test_tables_have_a_line_for_each_metric_and_stable_columns(gesturekit, folders, tmp_path):
-    done = gesturekit(
+    gesturekit(
         "evaluate", "a_1=" + str(folders / "ours"), folders / "recordings",
         "--compare", "50% <b>=" + str(folders / "baseline"), "--csv", tmp_path / "t.csv",
         "--markdown", tmp_path / "t.md", "--latex", tmp_path / "t.tex",
         "--json", tmp_path / "r.json",
-    )  # fmt: skip
-    assert done.status == 0, done.err
+    ).ok()  # fmt: skip
     found = json.loads((tmp_path / "r.json").read_text())
     assert [model["label"] for model in found["models"]] == ["a_1", "50% <b>"]
     with (tmp_path / "t.csv").open(newline="") as file:
@@ -400,8 +380,7 @@ def test_clips_that_are_not_meant_to_be_measured_are_noted_and_leave_exit_code_0
     alone = [item.id for item in Manifest.load(corpus).unpaired("test")]
     for name in ("clip0", "clip1", *alone):
         gesture(3.0, 25.0, seed=9).save(tmp_path / "made" / f"{name}.npz")
-    done = gesturekit("evaluate", tmp_path / "made", "--corpus", corpus)
-    assert done.status == 0, done.err
+    done = gesturekit("evaluate", tmp_path / "made", "--corpus", corpus).ok()
     assert f"1 clip whose items have no motion in {corpus}, not measured: {alone[0]}" in done.err
     assert f"1 clip of split train in {corpus}, not measured: clip" in done.err
     assert "1 clip measured, 0 left out" in done.out
@@ -421,8 +400,7 @@ def test_sync_of_arms_that_hardly_move_is_not_given(gesturekit, write_pair, tmp_
         tmp_path / "made" / "a.npz"
     )
     folders = (tmp_path / "made", tmp_path / "recordings", "--audio", tmp_path / "recordings")
-    done = gesturekit("evaluate", *folders)
-    assert done.status == 0, done.err
+    done = gesturekit("evaluate", *folders).ok()
     assert "less than 5 % of the recording's speed" in done.err
     assert not any(line.startswith("  Sync  ") for line in done.out.splitlines())
 

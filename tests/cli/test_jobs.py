@@ -32,8 +32,7 @@ def sounds(tmp_path, write_speech):
 
 def test_the_state_of_a_run_is_shown_at_any_time(gesturekit, model, sounds, tmp_path):
     out = tmp_path / "out"
-    done = gesturekit("jobs", tmp_path)
-    assert done.status == 2 and "no plan in it" in done.err
+    gesturekit("jobs", tmp_path).fails(2, "no plan in it")
     common = ("render", sounds, "--model", model, "--out", out)
     assert gesturekit(*common, "--shard", "2/3").status in (0, 1)
     shown = gesturekit("jobs", out)
@@ -177,8 +176,7 @@ def test_the_page_of_a_folder_is_html_whatever_its_journal_says(gesturekit, tmp_
         journal.finish(Result(Task(name), "done", sound=sound, seconds=1.0))
     journal.close()
     for name in ("3", "page.bvh"):
-        done = gesturekit("jobs", tmp_path, "--page", tmp_path / name)
-        assert done.status == 2 and "name it .html" in done.err
+        gesturekit("jobs", tmp_path, "--page", tmp_path / name).fails(2, "name it .html")
         assert not (tmp_path / name).exists()
     page = tmp_path / "page.html"
     done = gesturekit("jobs", tmp_path, "--page", page)

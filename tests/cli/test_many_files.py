@@ -63,8 +63,7 @@ def test_workers_and_launchers_give_the_same_files(run, tmp_path):
     assert run("workers", "--workers", 2).status == 0
     assert results(tmp_path / "workers") == results(tmp_path / "whole")
     pytest.importorskip("submitit")
-    done = run("slurm", "--launcher", "slurm", "--jobs", 2, "--launcher-option", "cluster=debug")
-    assert done.status == 0, done.err
+    run("slurm", "--launcher", "slurm", "--jobs", 2, "--launcher-option", "cluster=debug").ok()
     assert results(tmp_path / "slurm") == results(tmp_path / "whole")
 
 
@@ -132,8 +131,7 @@ def test_a_list_of_sounds_with_intervals(gesturekit, folder, tmp_path):
     ]
     (folder / "night.jsonl").write_text("\n".join(lines))
     command = ("features", folder / "night.jsonl", "--fps", 50, "--picture")
-    done = gesturekit(*command, "--out", tmp_path / "out")
-    assert done.status == 1 and "no sound, so there are no features" in done.err
+    gesturekit(*command, "--out", tmp_path / "out").fails(1, "no sound, so there are no features")
     assert len(FeatureTrack.load(tmp_path / "out" / "part.npz").values) == 10
     assert (tmp_path / "out" / "part.png").is_file()
 
@@ -141,5 +139,4 @@ def test_a_list_of_sounds_with_intervals(gesturekit, folder, tmp_path):
 def test_results_of_another_verb_are_never_replaced(gesturekit, folder, tmp_path):
     out = tmp_path / "out"
     assert gesturekit(*COMMANDS["convert"](folder, out)).status == 0
-    refused = gesturekit("features", folder, "--out", out)
-    assert refused.status == 2 and "a.npz" in refused.err and "exist already" in refused.err
+    gesturekit("features", folder, "--out", out).fails(2, "a.npz", "exist already")
