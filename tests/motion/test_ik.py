@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hinges import bent_backwards
+from rigs import at_rest
 
-from gesturekit.motion import Motion
 from gesturekit.motion.ik.two_bone import reachable, two_bone_ik
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.rotations import (
@@ -49,8 +49,7 @@ def bent(n: int, seed: int = 0) -> np.ndarray:
 
 
 def straight(n: int) -> np.ndarray:
-    rotations = np.tile([0.0, 0, 0, 1], (n, 5, 1))
-    return rotations
+    return at_rest(LEG, n).rotations
 
 
 def test_the_ankle_reaches_its_target_and_bones_keep_their_lengths():
@@ -112,14 +111,12 @@ def test_knees_bend_forward_and_elbows_backward_within_five_degrees(person, size
         "left_elbow": ("LeftForeArm", (0, 6, 0), (0, 4, 0), (0, -60, 0)),
         "right_elbow": ("RightForeArm", (0, -6, 0), (0, -4, 0), (0, 60, 0)),
     }
-    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (1 + 3 * len(poses), person.n_joints, 1))
-    expected = {part: np.zeros(len(rotations), dtype=bool) for part in poses}
+    motion = at_rest(person, 1 + 3 * len(poses), [0.0, 0.9, 0.0])
+    expected = {part: np.zeros(motion.n_frames, dtype=bool) for part in poses}
     for k, (part, (joint, *turns)) in enumerate(poses.items()):
-        rotations[1 + 3 * k : 4 + 3 * k, person.index(joint)] = quaternion_from_rotation_vector(
-            np.radians(turns)
-        )
+        turned = quaternion_from_rotation_vector(np.radians(turns))
+        motion.rotations[1 + 3 * k : 4 + 3 * k, person.index(joint)] = turned
         expected[part][1 + 3 * k] = True
-    motion = Motion(person, rotations, np.tile([0.0, 0.9, 0.0], (len(rotations), 1)), 30.0)
     found = bent_backwards(motion.scaled(size))
     assert found.keys() == expected.keys()
     for part, frames in expected.items():

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rigs import at_rest
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
@@ -44,13 +45,10 @@ def test_a_joint_whose_parent_is_removed_is_attached_to_the_next_ancestor(moving
 
 
 def test_another_root_moves_as_it_did(moving_person):
-    spine = moving_person.skeleton.index("Spine")
-    upper = [
-        moving_person.skeleton.names[j] for j in (spine, *moving_person.skeleton.descendants(spine))
-    ]
-    kept = check(
-        replace(moving_person, joint_translations={"Spine": moving_person.translation}), upper
-    )
+    rig = moving_person.skeleton
+    spine = rig.index("Spine")
+    moving = replace(moving_person, joint_translations={"Spine": moving_person.translation})
+    kept = check(moving, [rig.names[j] for j in (spine, *rig.descendants(spine))])
     assert kept.skeleton.names[0] == "Spine" and not kept.joint_translations
 
 
@@ -124,10 +122,9 @@ def test_a_camera_beside_the_body_is_not_modelled(moving_person, turning):
 
 def test_branches_of_an_unidentified_rig_that_all_move_share_the_models_root():
     skeleton = Skeleton(("hub", "a", "a2", "b", "b2"), (-1, 0, 1, 0, 3), np.ones((5, 3)))
-    rotations = np.tile([0.0, 0, 0, 1], (4, 5, 1))
-    half = np.linspace(0, 0.4, 4)
-    for joint in (1, 3):
-        rotations[:, joint, 0], rotations[:, joint, 3] = np.sin(half), np.cos(half)
-    representation = MultiresRepresentation.fit([Motion(skeleton, rotations, np.zeros((4, 3)), 30)])
+    motion, half = at_rest(skeleton, 4), np.linspace(0, 0.4, 4)
+    motion.rotations[:, [1, 3], 0] = np.sin(half)[:, None]
+    motion.rotations[:, [1, 3], 3] = np.cos(half)[:, None]
+    representation = MultiresRepresentation.fit([motion])
     assert representation.joints == skeleton.names
     VectorKinematics(representation, 30.0, arms=False)

@@ -32,9 +32,6 @@ def joint_by_joint(motion):
 
 def test_positions_follow_the_definition(moving_person):
     np.testing.assert_allclose(moving_person.positions(), joint_by_joint(moving_person), atol=1e-12)
-
-
-def test_moving_joints_leave_their_offset(moving_person):
     path = np.random.default_rng(0).normal(size=(moving_person.n_frames, 3))
     moving_person.joint_translations["LeftArm"] = path
     np.testing.assert_allclose(moving_person.positions(), joint_by_joint(moving_person), atol=1e-12)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rigs import Bones, below_a_root, numbered, renamed, rig_of
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
@@ -312,8 +313,7 @@ def test_rigs_of_the_field(kind):
     skeleton = rig(TEXTS[kind])
     expected = EXPECTED[kind.removesuffix("_spaces")]
     if kind.endswith("_spaces"):  # as 3ds Max writes them
-        names = tuple(name.replace("_", " ") for name in skeleton.names)
-        skeleton = Skeleton(names, skeleton.parents, skeleton.offsets)
+        skeleton = renamed(skeleton, {name: name.replace("_", " ") for name in skeleton.names})
         assert told(skeleton).replace("Bip01 ", "Bip01_").replace("_L ", "_L_") == expected
         return
     assert told(skeleton) == expected
@@ -330,8 +330,7 @@ def test_rigs_of_real_files(shared_data, kind):
 @pytest.mark.parametrize("prefix", ["mixamorig:", "mixamorig", "mixamorig9:", "Character1_"])
 def test_prefixes_of_joint_names_are_ignored(prefix):
     plain = rig(MIXAMO)
-    names = tuple(prefix + name for name in plain.names)
-    skeleton = Skeleton(names, plain.parents, plain.offsets)
+    skeleton = renamed(plain, {name: prefix + name for name in plain.names})
     assert told(skeleton).replace(prefix, "") == EXPECTED["mixamo"]
     assert len(body_joints(skeleton)) == 22
 
@@ -368,13 +367,6 @@ def test_arm_joints(person):
     assert arm_joints(person) == ("LeftArm", "LeftForeArm", "RightArm", "RightForeArm")
 
 
-def nameless(skeleton: Skeleton) -> Skeleton:
-    """The same rig, its joints called Joint1, Joint2, ..."""
-    names = tuple(f"Joint{j + 1}" for j in range(skeleton.n_joints))
-    ends = {names[skeleton.index(name)]: sites for name, sites in skeleton.end_sites.items()}
-    return replace(skeleton, names=names, end_sites=ends)
-
-
 def same_joints(found: BodyParts, expected: BodyParts, renamed: Skeleton, usual: Skeleton) -> None:
     to_usual = dict(zip(renamed.names, usual.names, strict=True))
     assert to_usual[found.pelvis] == expected.pelvis
@@ -389,7 +381,7 @@ def same_joints(found: BodyParts, expected: BodyParts, renamed: Skeleton, usual:
 def test_meaningless_joint_names(mixamo):
     """The shape tells: legs and arms, left from right by the feet, the head from its top."""
     for usual in (mixamo, smpl_skeleton(24), smpl_skeleton(55)):
-        renamed = nameless(usual)
+        renamed = numbered(usual)
         same_joints(find_parts(renamed), find_parts(usual), renamed, usual)
         by_name = {tuple(map(usual.index, pair)) for pair in left_right_pairs(usual)}
         by_shape = {tuple(map(renamed.index, pair)) for pair in left_right_pairs(renamed)}
@@ -399,12 +391,12 @@ def test_meaningless_joint_names(mixamo):
 @pytest.mark.parametrize("kind", [kind for kind in FILES if kind != "bandai"])
 def test_nameless_rigs_of_real_files(shared_data, kind):
     usual = Motion.load(shared_data / FILES[kind]).skeleton
-    renamed = nameless(usual)
+    renamed = numbered(usual)
     same_joints(find_parts(renamed), find_parts(usual), renamed, usual)
 
 
 def test_ambiguous_shapes_are_errors(mixamo, shared_data):
-    heap = nameless(Motion.load(shared_data / FILES["bandai"]).skeleton)
+    heap = numbered(Motion.load(shared_data / FILES["bandai"]).skeleton)
     no_feet = np.where(np.abs(mixamo.offsets[:, 2:]) > 0.08, 0, mixamo.offsets)
     three_bones = mixamo.offsets.copy()
     hands = [mixamo.index(f"mixamorig:{side}Hand") for side in ("Left", "Right")]
@@ -413,8 +405,8 @@ def test_ambiguous_shapes_are_errors(mixamo, shared_data):
     three_bones[knuckles, 0] *= 2.5
     for skeleton, says in (
         (heap, "1 pair of limbs"),
-        (replace(nameless(mixamo), offsets=no_feet), "which way is forward"),
-        (replace(nameless(mixamo), offsets=three_bones), "no two bones"),
+        (replace(numbered(mixamo), offsets=no_feet), "which way is forward"),
+        (replace(numbered(mixamo), offsets=three_bones), "no two bones"),
     ):
         with pytest.raises(MotionError, match=rf"arms.*{says}.*--part left_elbow=JOINT.*parts: "):
             find_parts(skeleton)
@@ -437,12 +429,12 @@ def by_hand(plain: Skeleton, names: tuple[str, ...]) -> dict[str, str]:
 
 def test_parts_named_by_hand():
     plain = rig(MIXAMO)  # all in one point: nothing is told by shape
-    skeleton = nameless(plain)
+    skeleton = numbered(plain)
     with pytest.raises(MotionError, match=r"arms and legs.*left_elbow=JOINT"):
         find_parts(skeleton)
     named = by_hand(plain, skeleton.names)
     parts = find_parts(skeleton, overrides=named)
-    assert parts.pelvis == "Joint1" and parts.spine == ("Joint2", "Joint3", "Joint4")
+    assert parts.pelvis == "Joint0" and parts.spine == ("Joint1", "Joint2", "Joint3")
     # A skeleton that holds them needs no overrides, and keeps them.
     holding = Skeleton.from_json(replace(skeleton, parts=named).to_json())
     assert find_parts(holding) == parts == find_parts(holding.scaled(2.0))
@@ -551,30 +543,22 @@ def test_fingers(mixamo, side):
 
 
 def test_accessories_are_not_the_head(mixamo):
-    names = {
-        "mixamorig:Head": "skull",
-        "mixamorig:HeadTop_End": "hat",
-        "mixamorig:LeftHand": "PalmL",
-    }
-    names["mixamorig:RightHand"] = "PalmR"
-    odd = replace(mixamo, names=tuple(names.get(name, name) for name in mixamo.names), end_sites={})
-    found = find_parts(odd)
+    odd = {"Head": "skull", "HeadTop_End": "hat", "LeftHand": "PalmL", "RightHand": "PalmR"}
+    found = find_parts(renamed(mixamo, {f"mixamorig:{usual}": name for usual, name in odd.items()}))
     assert found.head == "skull"
     assert [found.arms[side].wrist for side in ("left", "right")] == ["PalmL", "PalmR"]
 
 
 def animal(legs: int, named: tuple[str, ...]) -> Skeleton:
     """A body with so many legs of equal length, of which one pair has joints of these names."""
-    names, parents, offsets = ["Body"], [-1], [(0.0, 0.0, 0.0)]
+    bones: Bones = {"Body": (None, (0.0, 0.0, 0.0))}
     for k in range(legs):
-        side, row = ("Left", "Right")[k % 2], k // 2
-        parts = named if row == 1 else [f"Limb{row}{part}" for part in "abcd"[: len(named)]]
-        for bone, part in enumerate(parts):
-            names.append(f"{side}{part}")
-            parents.append(len(names) - 2 if bone else 0)
-            x = 0.1 if k % 2 == 0 else -0.1
-            offsets.append((x, 0.0, 0.1 * row) if bone == 0 else (x, -0.05, 0.0))
-    return Skeleton(tuple(names), tuple(parents), np.array(offsets))
+        side, x, row, above = ("Left", "Right")[k % 2], (0.1, -0.1)[k % 2], k // 2, "Body"
+        for part in named if row == 1 else [f"Limb{row}{part}" for part in "abcd"[: len(named)]]:
+            offset = (x, 0.0, 0.1 * row) if above == "Body" else (x, -0.05, 0.0)
+            bones[f"{side}{part}"] = (above, offset)
+            above = f"{side}{part}"
+    return rig_of(bones)
 
 
 @pytest.mark.parametrize(
@@ -586,14 +570,7 @@ def test_two_legs_of_a_crab_are_not_those_of_a_person(named):
     labels, reason = known_part_labels(crab)
     assert labels == {} and "cannot identify the arms and legs" in reason
     hip = named[named.index("Leg") - 1]
-    below_a_root = replace(
-        crab,
-        names=("Root", *crab.names),
-        parents=(-1, *(parent + 1 for parent in crab.parents)),
-        offsets=np.concatenate([[[0.0, 0.5, 0.0]], crab.offsets]),
-        rotation_orders=(),
-    )
-    assert find_legs(below_a_root) is None
+    assert find_legs(below_a_root(crab, 0.5)) is None
     by_hand = crab.with_parts({"left_hip": f"Left{hip}", "right_hip": f"Right{hip}"})
     for rig in (two_legs, by_hand):
         labels, _ = known_part_labels(rig)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
+from rigs import at_rest
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
@@ -15,12 +16,12 @@ def shaking(motion: Motion, hertz: float, fps: float = 120.0, seconds: float = 4
     """The left elbow and the root go to and fro, by 0.3 rad and 0.1 m."""
     n = round(seconds * fps)
     wave = np.sin(2 * np.pi * hertz * np.arange(n) / fps)
-    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (n, motion.skeleton.n_joints, 1))
+    place = np.stack([0.1 * wave, 0.9 + 0 * wave, 0 * wave], axis=-1)
+    made = at_rest(motion.skeleton, n, place, fps)
     # Far from the identity, where averaging numbers would not be averaging rotations.
     angle = np.stack([2.0 + 0.3 * wave, 0 * wave, 0.5 + 0 * wave], axis=-1)
-    rotations[:, motion.skeleton.index("LeftForeArm")] = quaternion_from_rotation_vector(angle)
-    place = np.stack([0.1 * wave, 0.9 + 0 * wave, 0 * wave], axis=-1)
-    return replace(motion, rotations=rotations, translation=place, fps=fps)
+    made.rotations[:, made.skeleton.index("LeftForeArm")] = quaternion_from_rotation_vector(angle)
+    return made
 
 
 def swing(motion: Motion) -> tuple[float, float]:
