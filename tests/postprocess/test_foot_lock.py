@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hinges import bent_backwards
+from rigs import PERSON, Bones, at_rest, below_a_root, rig_of, turned_at_root
 
 from gesturekit import Motion, Skeleton
 from gesturekit.errors import MotionError
@@ -21,7 +22,7 @@ from gesturekit.motion.rotations import (
 )
 from gesturekit.postprocess import lock_feet
 
-TOE = {
+TOES: Bones = {
     "LeftToeBase": ("LeftFoot", (0.0, -0.05, 0.14)),
     "LeftToe_End": ("LeftToeBase", (0.0, 0.0, 0.06)),
     "RightToeBase": ("RightFoot", (0.0, -0.05, 0.14)),
@@ -30,27 +31,33 @@ TOE = {
 
 
 @pytest.fixture(scope="module")
-def with_toes(skeleton) -> Skeleton:
-    names = [*skeleton.names, *TOE]
-    return Skeleton(
-        names=tuple(names),
-        parents=(*skeleton.parents, *(names.index(parent) for parent, _ in TOE.values())),
-        offsets=np.concatenate([skeleton.offsets, [offset for _, offset in TOE.values()]]),
-    )
+def with_toes() -> Skeleton:
+    return rig_of(PERSON | TOES)
 
 
 def standing(rig: Skeleton, seconds: float = 6.0, fps: float = 30.0) -> Motion:
     """Knees a little bent, feet flat on the floor, the body still."""
     n = round(seconds * fps)
-    angles = np.zeros((n, rig.n_joints, 3))
-    for side in ("Left", "Right"):
-        for part, pitch in (("UpLeg", -15.0), ("Leg", 30.0), ("Foot", -15.0)):
-            angles[:, rig.index(side + part), 0] = pitch
-    return Motion(rig, quaternion_from_euler(angles, "XYZ"), np.tile([0.0, 0.92, 0.0], (n, 1)), fps)
+    bend = {"UpLeg": -15.0, "Leg": 30.0, "Foot": -15.0}
+    turns = {s + part: np.full(n, by) for s in ("Left", "Right") for part, by in bend.items()}
+    return pitched(at_rest(rig, n, [0.0, 0.92, 0.0], fps), turns)
 
 
 def moved(motion: Motion, by: np.ndarray) -> Motion:
     return replace(motion, translation=motion.translation + by)
+
+
+def straightened(motion: Motion) -> Motion:
+    return replace(motion, rotations=at_rest(motion.skeleton, motion.n_frames).rotations)
+
+
+def pitched(motion: Motion, turns: dict[str, np.ndarray]) -> Motion:
+    """The motion in which joints have no rotation but about x, (T,) degrees."""
+    rotations = motion.rotations.copy()
+    for name, degrees in turns.items():
+        angles = np.stack([degrees, 0 * degrees, 0 * degrees], axis=-1)
+        rotations[:, motion.skeleton.index(name)] = quaternion_from_euler(angles, "XYZ")
+    return replace(motion, rotations=rotations)
 
 
 def swaying(motion: Motion) -> Motion:
@@ -119,13 +126,8 @@ def test_labels_of_another_shape_are_refused(with_toes):
 
 def test_the_ball_stays_while_the_heel_lifts(with_toes):
     motion = standing(with_toes)
-    rotations = motion.rotations.copy()
-    foot, toe = (motion.skeleton.index(name) for name in ("LeftFoot", "LeftToeBase"))
     lift = 25 * np.sin(np.pi * np.clip(motion.times - 2, 0, 2) / 2)
-    pitch = np.stack([lift, 0 * lift, 0 * lift], axis=-1)
-    rotations[:, foot] = quaternion_from_euler(pitch - [15, 0, 0], "XYZ")
-    rotations[:, toe] = quaternion_from_euler(-pitch, "XYZ")
-    lifted = replace(motion, rotations=rotations)
+    lifted = pitched(motion, {"LeftFoot": lift - 15, "LeftToeBase": -lift})
     # The hip holds the ankle, so that the ball goes up and down: put it on the floor by the labels.
     drop = foot_positions(lifted)[:, 1] - foot_positions(motion)[:, 1]
     assert np.ptp(drop[:, 1]) > 0.03
@@ -141,13 +143,9 @@ def test_the_ball_stays_while_the_heel_lifts(with_toes):
 
 def test_a_step_is_taken_and_both_standing_places_are_kept(with_toes):
     motion = standing(with_toes)
-    rotations = motion.rotations.copy()
     swing = np.sin(np.pi * np.clip((motion.times - 3) / 0.4, 0, 1)) ** 2
-    for name, pitch in (("LeftUpLeg", -30.0), ("LeftLeg", 60.0)):
-        bend = np.stack([pitch * swing, 0 * swing, 0 * swing], axis=-1)
-        own = quaternion_from_euler(bend + [{-30.0: -15, 60.0: 30}[pitch], 0, 0], "XYZ")
-        rotations[:, motion.skeleton.index(name)] = own
-    stepping = swaying(replace(motion, rotations=rotations))
+    bent = {"LeftUpLeg": -15 - 30 * swing, "LeftLeg": 30 + 60 * swing}
+    stepping = swaying(pitched(motion, bent))
     before, after = (foot_positions(m)[:, 0] for m in (stepping, lock_feet(stepping)))
     assert before[95, 1] - before[80, 1] > 0.1
     assert np.abs(after - before)[93:99].max() < 0.06, "the swing is the model's"
@@ -171,14 +169,11 @@ def test_legs_bend_forward_between_the_hip_and_a_foot_at_rest(with_toes):
     backwards by up to 4 degrees now and then.
     """
     motion = standing(with_toes)
-    bend = np.radians(4 + 8 * np.sin(2 * np.pi * 0.7 * motion.times))
-    rotations = motion.rotations.copy()
-    for side in ("Left", "Right"):
-        for part, share in (("UpLeg", -0.5), ("Leg", 1.0), ("Foot", -0.5)):
-            turn = share * bend[:, None] * [1.0, 0.0, 0.0]
-            rotations[:, rig_index(motion, side + part)] = quaternion_from_rotation_vector(turn)
+    bend = 4 + 8 * np.sin(2 * np.pi * 0.7 * motion.times)
+    shares = {"UpLeg": -0.5, "Leg": 1.0, "Foot": -0.5}
+    turns = {side + part: s * bend for side in ("Left", "Right") for part, s in shares.items()}
     sway = 0.03 * np.sin(2 * np.pi * 0.8 * motion.times)[:, None] * [0.0, 0.0, 1.0]
-    locked = lock_feet(moved(replace(motion, rotations=rotations), sway))
+    locked = lock_feet(moved(pitched(motion, turns), sway))
     positions = locked.positions()
     for side in ("Left", "Right"):
         hip, knee, ankle = (
@@ -252,9 +247,8 @@ def test_a_body_that_drifts_on_some_points_of_its_feet_is_moved_back(with_toes, 
 def test_hips_come_down_to_feet_that_they_would_lift(with_toes):
     """Straight legs, and hips that bob up by 2 cm: feet stay on the floor, and hips come down."""
     motion = standing(with_toes)
-    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (motion.n_frames, with_toes.n_joints, 1))
     bob = 0.02 * np.exp(-(((motion.times - 3) / 0.15) ** 2))[:, None] * [0.0, 1.0, 0.0]
-    bobbing = moved(replace(motion, rotations=rotations), bob)
+    bobbing = moved(straightened(motion), bob)
     locked = lock_feet(bobbing, np.ones((motion.n_frames, 4)))
     lifted = foot_positions(bobbing)[..., 1] - foot_positions(bobbing)[0, :, 1]
     kept = foot_positions(locked)[..., 1] - foot_positions(locked)[0, :, 1]
@@ -280,11 +274,7 @@ def test_tapping_toes_do_not_lift_the_hips(with_toes):
     """The heels stand, and are labelled; the balls come and go."""
     motion = standing(with_toes, 20.0)
     tap = 8 * (1 - np.cos(2 * np.pi * 0.1 * motion.times))
-    rotations = motion.rotations.copy()
-    for side in ("Left", "Right"):
-        pitch = np.stack([-15 - tap, 0 * tap, 0 * tap], axis=-1)
-        rotations[:, rig_index(motion, f"{side}Foot")] = quaternion_from_euler(pitch, "XYZ")
-    tapping = replace(motion, rotations=rotations)
+    tapping = pitched(motion, {"LeftFoot": -15 - tap, "RightFoot": -15 - tap})
     assert np.ptp(foot_positions(tapping)[:, 1, 1]) > 0.03
     locked = lock_feet(tapping, np.tile([1.0, 0.0, 1.0, 0.0], (motion.n_frames, 1)))
     np.testing.assert_allclose(locked.translation[:, 1], motion.translation[:, 1], atol=1e-6)
@@ -294,9 +284,8 @@ def test_tapping_toes_do_not_lift_the_hips(with_toes):
 def test_hips_that_sway_over_straight_legs_come_down_in_an_arc(with_toes, way):
     """0.06 m aside, a leg of 0.84 m reaches up to sqrt(0.84^2 - 0.06^2) = 0.83786 m."""
     motion = standing(with_toes)
-    straight = np.tile([0.0, 0.0, 0.0, 1.0], (motion.n_frames, with_toes.n_joints, 1))
     sway = 0.06 * np.sin(2 * np.pi * 0.5 * motion.times)[:, None] * way
-    swaying = moved(replace(motion, rotations=straight), sway)
+    swaying = moved(straightened(motion), sway)
     locked = lock_feet(swaying, np.ones((motion.n_frames, 4)), keep_path=True)
     assert np.ptp(foot_positions(locked), axis=0).max() < 1e-6
     drop = swaying.translation[:, 1] - locked.translation[:, 1]
@@ -314,11 +303,7 @@ def test_a_heel_that_is_lifted_while_labelled_stays_lifted(with_toes):
     length = np.hypot(0.05, 0.14)
     steep = np.degrees(np.arcsin((0.05 + 0.025) / length) - np.arcsin(0.05 / length))
     lift = steep * ((motion.times >= 2) & (motion.times < 4))
-    pitch = np.stack([lift, 0 * lift, 0 * lift], axis=-1)
-    rotations = motion.rotations.copy()
-    rotations[:, rig_index(motion, "LeftFoot")] = quaternion_from_euler(pitch - [15, 0, 0], "XYZ")
-    rotations[:, rig_index(motion, "LeftToeBase")] = quaternion_from_euler(-pitch, "XYZ")
-    lifted = replace(motion, rotations=rotations)
+    lifted = pitched(motion, {"LeftFoot": lift - 15, "LeftToeBase": -lift})
     raised = foot_positions(motion)[:, 1, 1] - foot_positions(lifted)[:, 1, 1]
     on_ball = moved(lifted, raised[:, None] * [0.0, 1.0, 0.0])
     labels = np.tile([1.0, 1.0, 0.0, 0.0], (motion.n_frames, 1))
@@ -360,10 +345,9 @@ def test_large_drops_of_the_hips_are_compressed(with_toes):
     0.021 + 0.021 (1 - exp(-(0.029 - 0.021) / 0.021)) = 0.02765 m.
     """
     motion = standing(with_toes)
-    straight = np.tile([0.0, 0.0, 0.0, 1.0], (motion.n_frames, with_toes.n_joints, 1))
     high = 0.029 * (np.abs(motion.times - 3) < 0.5)[:, None] * [0.0, 1.0, 0.0]
     labels = np.ones((motion.n_frames, 4))
-    raised = moved(replace(motion, rotations=straight), high)
+    raised = moved(straightened(motion), high)
     locked = lock_feet(raised, labels, keep_path=True)
     assert (locked.rotations[:60] == raised.rotations[:60]).all()
     drop = (raised.translation - locked.translation)[:, 1]
@@ -392,10 +376,8 @@ def strolling(rig: Skeleton) -> Motion:
 def turned(motion: Motion) -> Motion:
     """The whole motion turned by 2 rad about the vertical, on a floor 0.4 m lower, elsewhere."""
     turn = quaternion_from_rotation_vector(np.array([0.0, 2.0, 0.0]))
-    rotations = motion.rotations.copy()
-    rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
     place = rotate_vectors(turn, motion.translation) + [3.0, -0.4, 1.0]
-    return replace(motion, rotations=rotations, translation=place)
+    return replace(turned_at_root(motion, turn), translation=place)
 
 
 @pytest.mark.parametrize(
@@ -458,24 +440,12 @@ def test_feet_and_toes_keep_their_orientation_in_the_world(with_toes):
 
 @pytest.mark.parametrize("marker_turn", [0.0, 1.2])
 def test_joints_that_carry_the_body_may_hang_below_a_still_root(with_toes, marker_turn):
-    names = ("Marker", *with_toes.names)
-    rig = Skeleton(
-        names=names,
-        parents=(-1, *(parent + 1 for parent in with_toes.parents)),
-        offsets=np.concatenate([np.zeros((1, 3)), with_toes.offsets]),
-    )
     plain = standing(with_toes)
-    turn = quaternion_from_rotation_vector(np.array([0.0, marker_turn, 0.0]))
-    still = np.tile(turn, (plain.n_frames, 1, 1))
     place = plain.translation + plain.times[:, None] * [0.1, 0.0, 0.0]
-    motion = Motion(
-        rig,
-        np.concatenate([still, plain.rotations], axis=1),
-        np.zeros((plain.n_frames, 3)),
-        30.0,
-        {"Hips": place},
-    )
-    locked = lock_feet(motion)
+    motion = at_rest(below_a_root(with_toes, 0.0), plain.n_frames)
+    motion.rotations[:, 0] = quaternion_from_rotation_vector(np.array([0.0, marker_turn, 0.0]))
+    motion.rotations[:, 1:] = plain.rotations
+    locked = lock_feet(replace(motion, joint_translations={"Hips": place}))
     assert (locked.translation == 0).all()
     assert speed(foot_positions(locked), 30.0).mean() < 0.002
 
