@@ -28,16 +28,14 @@ from gesturekit.training.config import build
 
 RAISED = 2.0  # radians by which the arms of style b are higher
 FEW = {"first_stage": 30, "further_stages": 10, "discriminator_steps": 1, "batch": 4}
+SMALL = {"blocks": 2, "layers": 1, "channels": 32, "heads": 2, "feedforward": 32, "embedding": 16}
 SETTINGS = {
     "multires": {
         "network": {"levels": 4, "channels": [4, 4, 4], "embedding": 4, "modulate": "all"},
         "training": FEW | {"window": 2.0, "window_cache": 4, "learning_rate": 1e-2},
     },
     "diffusion": {
-        "network": {
-            **{"blocks": 2, "layers": 1, "channels": 32, "heads": 2},
-            **{"feedforward": 32, "embedding": 16},
-        },
+        "network": SMALL,
         "noise": {"steps": 8, "last_beta": 0.5, "predict": "clean"},
         "training": {"updates": 120, "batch": 8, "window": 2.0, "learning_rate": 5e-3},
     },
@@ -51,17 +49,16 @@ def corpus(tmp_path_factory, gesture, write_speech) -> Path:
 
     def recording(name: str, style: str, seconds: float, split: str) -> Item:
         motion = gesture(seconds, 25.0, seed=len(name))
-        angles = Rotation.from_quat(motion.rotations.reshape(-1, 4)).as_euler("xyz")
-        angles = angles.reshape(motion.n_frames, -1, 3)
         for side, sign in (("LeftArm", 1), ("RightArm", -1)):
-            angles[:, motion.skeleton.index(side), 2] += sign * RAISED * (style == "b")
-        turned = Rotation.from_euler("xyz", angles.reshape(-1, 3)).as_quat()
+            arm = motion.rotations[:, motion.skeleton.index(side)]
+            angles = Rotation.from_quat(arm).as_euler("xyz")
+            angles[:, 2] += sign * RAISED * (style == "b")
+            arm[:] = Rotation.from_euler("xyz", angles).as_quat()
         path = folder / f"{name}.bvh"
-        replace(motion, rotations=turned.reshape(motion.rotations.shape)).save(path)
+        motion.save(path)
         sound = write_speech(folder / f"{name}.wav", seconds)
-        return Item(
-            id=name, audio=sound, motion=path, duration=seconds, style=style, split=split
-        )  # fmt: skip
+        about = {"duration": seconds, "style": style, "split": split}
+        return Item(id=name, audio=sound, motion=path, **about)
 
     every = [("one", "a", 6.0, "train"), ("two", "b", 6.0, "train")]
     every += [("three", "b", 32.0, "test"), ("four", "a", 11.0, "test")]
