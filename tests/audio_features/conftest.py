@@ -19,8 +19,15 @@ from audio_features.acoustic import torchaudio_backend
 
 @pytest.fixture
 def speech() -> Wave:
-    """4 s of syllables at 16 kHz."""
-    return synthetic_speech(4.0)
+    """4 s: syllables of 250 ms every 400 ms, harmonics of a gliding pitch under an envelope."""
+    rate = 16_000
+    times = np.arange(4 * rate) / rate
+    fundamental = 150.0 + 30.0 * np.sin(2 * np.pi * 0.5 * times)
+    phase = 2 * np.pi * np.cumsum(fundamental) / rate
+    voice = sum(np.sin(k * phase) / k for k in range(1, 20))
+    place = (times % 0.4) / 0.25
+    envelope = np.where(place < 1, np.sin(np.pi * np.minimum(place, 1.0)) ** 2, 0.0)
+    return Wave((0.15 * envelope * voice).astype(np.float32), rate, "synthetic speech")
 
 
 @pytest.fixture(scope="module", params=["group", "layer"])
@@ -80,17 +87,6 @@ def torchaudio(monkeypatch):
     for name in [name for name in sys.modules if name.partition(".")[0] == "torchaudio"]:
         monkeypatch.delitem(sys.modules, name)
     torchaudio_backend.import_torchaudio.cache_clear()
-
-
-def synthetic_speech(seconds: float, rate: int = 16_000) -> Wave:
-    """Syllables of 250 ms every 400 ms: harmonics of a gliding fundamental under an envelope."""
-    times = np.arange(round(seconds * rate)) / rate
-    fundamental = 150.0 + 30.0 * np.sin(2 * np.pi * 0.5 * times)
-    phase = 2 * np.pi * np.cumsum(fundamental) / rate
-    voice = sum(np.sin(k * phase) / k for k in range(1, 20))
-    place = (times % 0.4) / 0.25
-    envelope = np.where(place < 1, np.sin(np.pi * np.minimum(place, 1.0)) ** 2, 0.0)
-    return Wave((0.15 * envelope * voice).astype(np.float32), rate, "synthetic speech")
 
 
 # transformers' names to Microsoft's.

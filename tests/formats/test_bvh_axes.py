@@ -112,9 +112,7 @@ def test_an_implausible_rest_pose_makes_the_axes_a_guess(shared_data):
 @pytest.mark.parametrize("unit", sorted(METRES))
 @pytest.mark.parametrize("size", [0.75, 1.0, 1.2])
 def test_units_are_told_from_the_size_of_the_body(facing_z, tmp_path, unit, size, save_as_others):
-    scaled = replace(
-        facing_z, skeleton=facing_z.skeleton.scaled(size), translation=facing_z.translation * size
-    )
+    scaled = facing_z.scaled(size)
     save_as_others(scaled, tmp_path / "a.bvh", unit=unit)
     motion = read_bvh(tmp_path / "a.bvh")
     assert (motion.info["unit"], motion.info["guessed"]) == (unit, ())

@@ -122,9 +122,8 @@ def add_on_accepts(path, target_fps=30):
         if not keys <= set(data) or not {"mocap_frame_rate", "mocap_framerate"} & set(data):
             return False
         gender = str(data["gender"])
-        fps = int(
-            data["mocap_frame_rate"] if "mocap_frame_rate" in data else data["mocap_framerate"]
-        )
+        rate = "mocap_frame_rate" if "mocap_frame_rate" in data else "mocap_framerate"
+        fps = int(data[rate])
         betas, poses, trans = data["betas"], data["poses"], data["trans"]
         expressions = data["expressions"]  # the copy that comes with BEAT2 asks for them too
     if gender not in ("female", "male", "neutral") or fps < target_fps:
@@ -235,16 +234,9 @@ def test_any_rig_of_the_family_to_any_other(tmp_path, old, rig, new, up):
 
 def test_other_spellings_of_the_same(tmp_path):
     motion = smpl_motion(24)
-    path = foreign(
-        tmp_path / "a.npz",
-        motion,
-        "y",
-        rig="smpl",
-        betas=np.tile(np.arange(10.0), (20, 1)),
-        gender=np.bytes_(b"Male"),
-        mocap_framerate=np.array([30], dtype=np.int16),
-        mocap_frame_rate=30.0,
-    )
+    spelled = {"betas": np.tile(np.arange(10.0), (20, 1)), "gender": np.bytes_(b"Male")}
+    spelled |= {"mocap_framerate": np.array([30], dtype=np.int16), "mocap_frame_rate": 30.0}
+    path = foreign(tmp_path / "a.npz", motion, "y", rig="smpl", **spelled)
     with np.load(path) as file:
         values = dict(file)
     np.savez(path, **(values | {"poses": values["poses"].reshape(20, 24, 3)}))
@@ -336,12 +328,9 @@ def test_joints_hang_together_as_in_the_models_own_tables():
     assert list(smpl_skeleton(24).parents) == [*body, 20, 21]
     for n_joints, face in ((52, []), (55, [15, 15, 15])):
         first = 22 + len(face)
-        hands = [
-            parent
-            for wrist, start in ((20, first), (21, first + 15))
-            for joint in range(start, start + 15, 3)
-            for parent in (wrist, joint, joint + 1)
-        ]
+        hands = []
+        for joint in range(first, first + 30, 3):
+            hands += [20 if joint < first + 15 else 21, joint, joint + 1]
         assert list(smpl_skeleton(n_joints).parents) == [*body, *face, *hands]
 
 

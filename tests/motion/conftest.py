@@ -84,13 +84,8 @@ def person() -> Skeleton:
 def moving_person(person: Skeleton) -> Motion:
     """Two seconds at 30 fps of smooth random movement."""
     rng = np.random.default_rng(1)
-    n_frames = 60
-    t = np.linspace(0, 2 * np.pi, n_frames)[:, None, None]
+    t = np.linspace(0, 2 * np.pi, 60)[:, None, None]
     phase, size = rng.uniform(0, 6, (2, person.n_joints, 4))
     rotations = 0.06 * size * np.sin(t + phase) + np.array([0.0, 0.0, 0.0, 1.0])
-    return Motion(
-        skeleton=person,
-        rotations=normalize_quaternions(rotations),
-        translation=np.array([0.1, 0.9, 0.2]) + 0.1 * np.sin(t[:, 0] + np.arange(3)),
-        fps=30.0,
-    )
+    path = np.array([0.1, 0.9, 0.2]) + 0.1 * np.sin(t[:, 0] + np.arange(3))
+    return Motion(person, normalize_quaternions(rotations), path, 30.0)

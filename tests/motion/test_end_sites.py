@@ -45,9 +45,8 @@ def test_ends_as_long_as_a_shin_and_beyond_an_end_joint_are_made_up(skeleton):
 
 @pytest.mark.parametrize("factor", [0.1, 0.5, 2.0, 10.0])
 def test_the_same_ends_are_real_at_any_size(skeleton, factor):
-    rig = with_ends(
-        skeleton, LeftHand=(0.0, 0.25, 0.0), RightHand=(-0.34, 0.0, 0.0), Head=(0.0, 0.4, 0.0)
-    )
+    hands = {"LeftHand": (0.0, 0.25, 0.0), "RightHand": (-0.34, 0.0, 0.0)}
+    rig = with_ends(skeleton, **hands, Head=(0.0, 0.4, 0.0))
     assert real_end_sites(rig).keys() == {"RightHand"}
     assert real_end_sites(rig.scaled(factor)).keys() == {"RightHand"}
 

@@ -62,10 +62,8 @@ def test_the_ankle_reaches_its_target_and_bones_keep_their_lengths():
     positions, solved = solve(rotations, target)
     np.testing.assert_allclose(positions[:, 4], target, atol=1e-9)
     for a, b in ((1, 3), (3, 4)):
-        before = np.linalg.norm(start[:, a] - start[:, b], axis=1)
-        np.testing.assert_allclose(
-            np.linalg.norm(positions[:, a] - positions[:, b], axis=1), before, atol=1e-9
-        )
+        before, after = (np.linalg.norm(p[:, a] - p[:, b], axis=1) for p in (start, positions))
+        np.testing.assert_allclose(after, before, atol=1e-9)
     np.testing.assert_array_equal(solved[:, [0, 2, 4]], rotations[:, [0, 2, 4]])
 
 
@@ -144,11 +142,8 @@ def test_the_knee_keeps_its_direction():
 @pytest.mark.parametrize("pole", [(0.0, 0.0, 1.0), (1.0, 0.0, 0.0)])
 def test_a_straight_leg_bends_along_the_pole(pole):
     lift = np.linspace(0, 0.3, 40)
-    positions, _ = solve(
-        straight(40),
-        np.stack([np.full(40, 0.11), -0.82 + lift, np.full(40, 0.01)], axis=-1),
-        pole=np.tile(pole, (40, 1)),
-    )
+    target = [0.11, -0.82, 0.01] + lift[:, None] * [0.0, 1.0, 0.0]
+    positions, _ = solve(straight(40), target, pole=np.tile(pole, (40, 1)))
     middle = (positions[:, 1] + positions[:, 4]) / 2
     out = (positions[:, 3] - middle) @ np.array(pole)
     assert out[-1] > 0.2 and (np.diff(out) > -1e-9).all()

@@ -80,11 +80,8 @@ def test_a_body_that_moves_above_the_waist_only_is_modelled_from_its_pelvis(movi
     chest = skeleton.index("Chest")
     still = [j for j in range(skeleton.n_joints) if j not in (chest, *skeleton.descendants(chest))]
     rotations[:, still] = rotations[:1, still]
-    seated = replace(
-        moving_person,
-        rotations=rotations,
-        translation=np.repeat(moving_person.translation[:1], moving_person.n_frames, axis=0),
-    )
+    place = np.repeat(moving_person.translation[:1], moving_person.n_frames, axis=0)
+    seated = replace(moving_person, rotations=rotations, translation=place)
     assert skeleton.names[first_moving_joint([seated])] == "Hips"
     representation = MultiresRepresentation.fit([seated])
     VectorKinematics(representation, seated.fps)  # its legs hang on the model's root

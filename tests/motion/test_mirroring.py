@@ -24,9 +24,8 @@ def counterpart(skeleton: Skeleton) -> list[int]:
 def check(motion: Motion) -> None:
     mirrored = motion.mirror()
     other = counterpart(motion.skeleton)
-    np.testing.assert_allclose(
-        mirrored.positions()[:, other], motion.positions() * MIRROR, atol=1e-9
-    )
+    found = mirrored.positions()[:, other]
+    np.testing.assert_allclose(found, motion.positions() * MIRROR, atol=1e-9)
     ends, seen = motion.end_positions(), mirrored.end_positions()
     for name, places in ends.items():
         name = motion.skeleton.names[other[motion.skeleton.index(name)]]

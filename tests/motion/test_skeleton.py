@@ -10,9 +10,8 @@ from gesturekit.motion import Skeleton
 
 
 def rig(names=("a", "b", "c"), parents=(-1, 0, 1), offsets=None, **more):
-    return Skeleton(
-        names, parents, np.zeros((len(names), 3)) if offsets is None else offsets, **more
-    )
+    offsets = np.zeros((len(names), 3)) if offsets is None else offsets
+    return Skeleton(names, parents, offsets, **more)
 
 
 @pytest.mark.parametrize(
@@ -61,9 +60,7 @@ def test_tree(person):
     chest = person.index("Chest")
     assert [person.names[j] for j in person.children(chest)] == ["Neck", "LeftArm", "RightArm"]
     assert [person.names[j] for j in person.ancestors(chest)] == ["Spine", "Hips"]
-    assert {person.names[j] for j in person.descendants(person.index("LeftArm"))} == {
-        "LeftForeArm",
-        "LeftHand",
-    }
+    below = person.descendants(person.index("LeftArm"))
+    assert {person.names[j] for j in below} == {"LeftForeArm", "LeftHand"}
     assert person.depth[chest] == 2
     assert person.is_leaf(person.index("Head")) and not person.is_leaf(chest)

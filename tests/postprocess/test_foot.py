@@ -107,6 +107,5 @@ def test_points_turn_with_their_joint():
     expected = np.tile([1.1, 2.0, 3.0], (3, 1))
     np.testing.assert_allclose(point.positions(positions, world), expected, atol=1e-12)
     foot = Foot(0, 0, 0, None, point, None, ((0, ahead), (1, ahead)), 0)
-    np.testing.assert_allclose(
-        foot.sole_positions(positions, world)[2], [[0, 0, 0.1], [1.1, 2.0, 3.0]], atol=1e-12
-    )
+    sole = foot.sole_positions(positions, world)[2]
+    np.testing.assert_allclose(sole, [[0, 0, 0.1], [1.1, 2.0, 3.0]], atol=1e-12)

@@ -176,9 +176,8 @@ def test_legs_bend_forward_between_the_hip_and_a_foot_at_rest(with_toes):
     locked = lock_feet(moved(pitched(motion, turns), sway))
     positions = locked.positions()
     for side in ("Left", "Right"):
-        hip, knee, ankle = (
-            positions[:, rig_index(motion, side + part)] for part in ("UpLeg", "Leg", "Foot")
-        )
+        limb = [rig_index(motion, side + part) for part in ("UpLeg", "Leg", "Foot")]
+        hip, knee, ankle = (positions[:, joint] for joint in limb)
         assert np.ptp(ankle, axis=0)[[0, 2]].max() < 1e-6 and np.ptp(hip[:, 2]) > 0.05
         along = ankle - hip
         distance = np.linalg.norm(along, axis=1, keepdims=True)
@@ -398,9 +397,8 @@ def test_feet_are_locked_alike_in_all_directions_on_both_sides_and_at_any_size(
     assert np.abs(locked.positions() - motion.positions()).max() > 0.01
     expected, found = change(locked), lock_feet(change(motion), other)
     np.testing.assert_allclose(found.positions(), expected.positions(), atol=1e-6)
-    np.testing.assert_allclose(
-        rotation_angles(found.global_rotations(), expected.global_rotations()), 0, atol=1e-5
-    )
+    apart = rotation_angles(found.global_rotations(), expected.global_rotations())
+    np.testing.assert_allclose(apart, 0, atol=1e-5)
 
 
 @pytest.mark.parametrize(("degrees", "heel_slides"), [(4.0, 1e-4), (8.0, 4e-3)])

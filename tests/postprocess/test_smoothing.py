@@ -34,9 +34,8 @@ def beating(gesture) -> Motion:
     rotations = motion.rotations * 0 + [0.0, 0.0, 0.0, 1.0]
     rotations[:, motion.skeleton.index("RightArm")] = quaternion_from_euler(angles, "XYZ")
     tremble = np.random.default_rng(0).normal(0, 0.006, (*rotations.shape[:2], 3))
-    return replace(
-        motion, rotations=multiply_quaternions(rotations, quaternion_from_rotation_vector(tremble))
-    )
+    turns = quaternion_from_rotation_vector(tremble)
+    return replace(motion, rotations=multiply_quaternions(rotations, turns))
 
 
 def test_trembling_goes_and_strokes_keep_time_and_height(beating):
