@@ -39,7 +39,7 @@ def refused(path: Path, match: str) -> str:
     return message
 
 
-def test_folders_that_cannot_be_used_are_refused_by_name(wavlm_copy, tmp_path):
+def test_unusable_folders_are_refused_by_name(wavlm_copy, tmp_path):
     refused(tmp_path / "missing", "no such folder or file")
     (tmp_path / "empty").mkdir()
     refused(tmp_path / "empty", "config.json: no such file")
@@ -71,9 +71,7 @@ def test_folders_that_cannot_be_used_are_refused_by_name(wavlm_copy, tmp_path):
     refused(wavlm_copy, "cannot be read as weights")
 
 
-def test_files_that_cannot_be_used_are_refused_by_name(
-    torchaudio_state, microsoft, wavlm_folder, tmp_path
-):
+def test_unusable_files_are_refused_by_name(torchaudio_state, microsoft, wavlm_folder, tmp_path):
     path = tmp_path / "file.pt"
     for change, complaint in (
         ({"conv_feature_layers": "__import__('os').system('touch /tmp/run')"}, "conv_feature"),

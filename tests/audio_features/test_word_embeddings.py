@@ -24,9 +24,7 @@ def talk(write_speech, tmp_path) -> af.Wave:
 @pytest.mark.parametrize(
     "name", ["bert", "roberta", "xlm-roberta", "distilbert", "mpnet", "electra"]
 )
-def test_a_word_has_the_mean_of_its_tokens_states_while_it_is_spoken(
-    name, talk, tmp_path, write_text_encoder
-):
+def test_a_spoken_word_has_the_mean_of_its_tokens_states(name, talk, tmp_path, write_text_encoder):
     model = write_text_encoder(tmp_path / "text", name)
     with torch.no_grad():  # [CLS] hand ##s [SEP], [CLS] so [SEP]
         hands = model(torch.tensor([[2, 6, 7, 3]]), output_hidden_states=True)

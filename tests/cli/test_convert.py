@@ -54,12 +54,11 @@ def test_a_folder_lists_what_failed_and_does_the_rest(gesturekit, takes, tmp_pat
     failed, count = done.err.splitlines()
     assert failed.startswith("Failed: ") and "broken.bvh:1" in failed and count == "1 of 3 failed."
     assert {path.name for path in out.rglob("*.html")} == {"a.html", "für später.html"}
-    again = gesturekit("convert", takes, out, "--format", "npz,html")
-    assert again.status == 1 and again.out.count("skipped, its outputs exist") == 2
-    other = gesturekit("convert", takes, out, "--format", "npz,html", "--mirror")
-    assert other.status == 2 and "another mirror (4 refused" in other.err and other.out == ""
-    skipped = gesturekit("convert", takes, out, "--format", "npz,html", "--existing", "skip")
-    assert skipped.status == 1 and skipped.out.count("skipped, its outputs exist") == 2
+    convert = ("convert", takes, out, "--format", "npz,html")
+    assert gesturekit(*convert, "--mirror").fails(2, "another mirror (4 refused").out == ""
+    for options in ((), ("--existing", "skip")):
+        again = gesturekit(*convert, *options).fails(1)
+        assert again.out.count("skipped, its outputs exist") == 2
 
 
 @pytest.mark.parametrize(
@@ -97,10 +96,10 @@ def test_joints_and_parts_that_are_not_there(gesturekit, takes, tmp_path):
 def test_the_rate_of_a_file_that_has_none_is_given(gesturekit, takes, tmp_path):
     text = re.sub("Frame Time: .*", "Frame Time: 0", (takes / "a.bvh").read_text())
     (takes / "a.bvh").write_text(text)
-    done = gesturekit("convert", takes / "a.bvh", tmp_path / "x.npz")
-    assert done.status == 1 and "Frame Time: '0' s" in done.err and "--in-fps" in done.err
-    done = gesturekit("convert", takes / "a.bvh", tmp_path / "x.npz", "--in-fps", 60)
-    assert done.status == 0 and Motion.load(tmp_path / "x.npz").fps == 60
+    convert = ("convert", takes / "a.bvh", tmp_path / "x.npz")
+    gesturekit(*convert).fails(1, "Frame Time: '0' s", "--in-fps")
+    gesturekit(*convert, "--in-fps", 60).ok()
+    assert Motion.load(tmp_path / "x.npz").fps == 60
 
 
 def test_folders_without_permission(gesturekit, takes, tmp_path):
@@ -152,12 +151,11 @@ def test_view_says_when_sound_and_motion_do_not_fit(gesturekit, takes, tmp_path,
 def test_a_page_that_exists_is_replaced_unless_asked(gesturekit, takes, tmp_path):
     page = tmp_path / "page.html"
     page.write_text("mine")
-    refused = gesturekit("view", takes / "a.bvh", "--out", page, "--existing", "refuse")
-    assert refused.status == 2 and "--existing replace" in refused.err
-    skipped = gesturekit("view", takes / "a.bvh", "--out", page, "--existing", "skip")
-    assert skipped.status == 0 and "skipped, exists already" in skipped.err
-    assert page.read_text() == "mine"
-    assert gesturekit("view", takes / "a.bvh", "--out", page).status == 0
+    view = ("view", takes / "a.bvh", "--out", page)
+    gesturekit(*view, "--existing", "refuse").fails(2, "--existing replace")
+    skipped = gesturekit(*view, "--existing", "skip").ok()
+    assert "skipped, exists already" in skipped.err and page.read_text() == "mine"
+    gesturekit(*view).ok()
     assert page.read_text() != "mine"
 
 
@@ -233,12 +231,9 @@ def test_a_warning_about_the_rig_is_one_line(gesture, tmp_path):
     body = {"Rh": [[0, 0, 0]], "Th": [[0, 0.9, 0]], "poses": [[0] * 72], "shapes": [[0] * 10]}
     (frames / "000000.json").write_text(json.dumps([{"id": k, **body} for k in range(2)]))
     gesture(0.5).save(tmp_path / "take.bvh")
-    done = subprocess.run(
-        [sys.executable, "-m", "gesturekit", "convert", "take.bvh", "on.npz", "--rig", "people"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-    )
+    command = [sys.executable, "-m", "gesturekit", "convert", "take.bvh", "on.npz"]
+    command += ["--rig", "people"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0
     (line,) = done.stderr.splitlines()
     assert line.startswith("Warning: people: several people")
@@ -284,8 +279,8 @@ def test_view_writes_videos_and_pictures(tmp_path, clip, gesturekit):
 
 
 def test_options_of_videos_are_refused_for_pages(tmp_path, clip, gesturekit):
-    refused = gesturekit("view", clip, "-o", tmp_path / "v.html", "--size", "720p")
-    assert refused.status == 2 and "--size is an option of mp4" in refused.err
+    view = ("view", clip, "-o", tmp_path / "v.html", "--size", "720p")
+    gesturekit(*view).fails(2, "--size is an option of mp4")
     gesturekit("view", clip, "-o", tmp_path / "v.avi").fails(2, ".mp4")
 
 

@@ -39,13 +39,8 @@ def test_a_broken_torchaudio_is_explained_and_not_needed(tmp_path):
     (tmp_path / "torchaudio").mkdir()
     (tmp_path / "torchaudio" / "__init__.py").write_text("raise OSError('libcudart.so.13: no')")
     path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
-    done = subprocess.run(
-        [sys.executable, "-c", UP_TO_TORCHAUDIO],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": path},
-        check=False,
-    )
+    command, about = [sys.executable, "-c", UP_TO_TORCHAUDIO], {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run(command, capture_output=True, text=True, env=about, check=False)
     assert done.returncode == 0, done.stderr
     last = done.stdout.splitlines()[-1]
     for word in ("name='torchaudio', state='note'", "libcudart.so.13", "pip uninstall torchaudio"):

@@ -53,13 +53,10 @@ def test_a_reader_that_closes_the_pipe_early_is_not_an_error(model, write_speech
     """gesturekit render ... | head -1"""
     for i in range(3):
         write_speech(tmp_path / "in" / f"{i}.wav", 0.5)
-    running = subprocess.Popen(
-        [sys.executable, "-u", "-m", "gesturekit", "render", tmp_path / "in"]
-        + ["--model", model, "--out", tmp_path / "out"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    command = [sys.executable, "-u", "-m", "gesturekit", "render", tmp_path / "in"]
+    command += ["--model", model, "--out", tmp_path / "out"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    running = subprocess.Popen(command, **pipes, text=True)
     assert running.stdout.readline().strip() == str(tmp_path / "out" / "0.bvh")
     running.stdout.close()
     told = running.stderr.read()

@@ -72,9 +72,8 @@ def test_a_copy_can_be_edited_and_is_trained_by_its_folder(gesturekit, tmp_path)
     done = gesturekit("recipes", "cp", "diffusion_styles", "new/my styles")
     assert done.status == 0 and "gesturekit train" in done.out
     copy = tmp_path / "new" / "my styles"
-    assert {path.name for path in copy.iterdir()} == {
-        path.name for path in (ROOT / "recipes" / "diffusion_styles").glob("*.*")
-    }
+    files = (ROOT / "recipes" / "diffusion_styles").glob("*.*")
+    assert {path.name for path in copy.iterdir()} == {path.name for path in files}
     text = (copy / "config.yaml").read_text()
     (copy / "config.yaml").write_text(text.replace("updates: 4000", "updates: 7"))
     shown = gesturekit("train", copy, "--show").out

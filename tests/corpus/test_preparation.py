@@ -71,9 +71,7 @@ def test_the_same_folders_give_the_same_bytes(tmp_path, write_pair):
     assert (tmp_path / "one.jsonl").read_bytes() == (tmp_path / "two.jsonl").read_bytes()
 
 
-def test_each_bad_file_is_reported_once_and_the_others_are_prepared(
-    tmp_path, write_pair, write_speech, gesture
-):
+def test_bad_files_are_reported_once_and_others_used(tmp_path, write_pair, write_speech, gesture):
     write_pair(tmp_path, "fine")
     for name in ("text", "empty", "cut", "apart", "twice"):
         write_pair(tmp_path, name)
@@ -137,9 +135,7 @@ def test_a_leading_t_pose_is_trimmed_from_sound_and_motion(tmp_path, write_pair,
     assert "20 frames (0.67 s) of T-pose or rest pose at the start" in texts(report, "warning")[0]
 
 
-def test_a_t_pose_held_by_an_actor_is_found_though_it_is_not_the_rest_pose(
-    tmp_path, write_pairs, gesture
-):
+def test_a_t_pose_of_an_actor_is_found_though_not_the_rest_pose(tmp_path, write_pairs, gesture):
     motion = gesture(4.0, t_pose=20)
     rng = np.random.default_rng(0)
     rotations = motion.rotations.copy()
@@ -173,9 +169,7 @@ def test_frozen_motion_is_warned_about(tmp_path, write_pairs, gesture):
     assert "all 120 frames hold one and the same pose" in whole
 
 
-def test_jumps_are_warned_about_with_what_to_check_where_they_are_many(
-    tmp_path, write_pairs, gesture
-):
+def test_jumps_are_warned_about_with_what_to_check_if_many(tmp_path, write_pairs, gesture):
     motion = gesture(4.0)
     once, often = motion.translation.copy(), motion.translation.copy()
     once[60:] += [1.0, 0.0, 0.0]
@@ -294,9 +288,7 @@ def test_intervals_outside_every_recording_are_reported(tmp_path, write_pair):
     assert "nothing of it lies in the seconds held out" in texts(report, "warning")[0]
 
 
-def test_speech_and_motion_alone_are_left_over_unless_asked_for(
-    tmp_path, write_pair, write_speech, gesture
-):
+def test_speech_or_motion_alone_is_left_over_unasked(tmp_path, write_pair, write_speech, gesture):
     write_pair(tmp_path, "a")
     write_speech(tmp_path / "talk" / "b.flac", 2.0)
     gesture(2.0).save(tmp_path / "dance" / "c.bvh")
@@ -429,9 +421,7 @@ def test_reading_options_for_unit_and_height_are_stored_with_the_items(
     assert item.load_motion().fps == 60 and item.duration == pytest.approx(2.0)
 
 
-def test_a_height_that_depends_on_parts_named_by_hand_is_the_same_in_training(
-    tmp_path, write_pairs, gesture
-):
+def test_a_height_by_parts_named_by_hand_is_the_same_in_training(tmp_path, write_pairs, gesture):
     motion, parts = nameless(gesture(4.0))
     write_pairs(a=motion)
     prepare(tmp_path, tmp_path / "m.jsonl", holdout=0.0, parts=parts, read={"height": 1.75})

@@ -26,9 +26,7 @@ from gesturekit.motion import Motion
         (-3.73, (0.0, 10.0), None),
     ],
 )
-def test_what_sound_and_motion_share_is_used(
-    tmp_path, gesture, write_speech, offset, limits, interval
-):
+def test_what_both_files_share_is_used(tmp_path, gesture, write_speech, offset, limits, interval):
     gesture(4.0).save(tmp_path / "a.bvh")
     write_speech(tmp_path / "a.wav", 3.0)
     files = {"audio": tmp_path / "a.wav", "motion": tmp_path / "a.bvh"}

@@ -52,9 +52,7 @@ def test_any_axes_are_found_and_turned_to_ours(facing_z, tmp_path, up, forward, 
 
 
 @pytest.mark.parametrize(("up", "forward"), [("y", "x"), ("y", "-z"), ("z", "-y"), ("z", "x")])
-def test_a_quadruped_faces_from_its_tail_to_its_head(
-    quadruped, tmp_path, save_as_others, up, forward
-):
+def test_a_quadruped_faces_from_tail_to_head(quadruped, tmp_path, save_as_others, up, forward):
     motion = in_axes(at_rest(quadruped, 30, [0.0, 0.75, 0.0]), up, forward)
     save_as_others(motion, tmp_path / "dog.bvh")
     read = read_bvh(tmp_path / "dog.bvh", unit="cm")

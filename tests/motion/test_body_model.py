@@ -258,9 +258,7 @@ def test_a_model_with_fewer_betas_than_the_body_warns(body):
 
 
 @pytest.mark.parametrize("up", ["y", "z", "-y"])
-def test_recordings_of_one_speaker_keep_their_trans_on_the_mean_body(
-    body, saved, tmp_path, caplog, up
-):
+def test_recordings_of_a_speaker_keep_trans_on_the_mean_body(body, saved, tmp_path, caplog, up):
     motion, model, items = a_motion(), saved(), []
     vectors = rotation_vector_from_quaternion(motion.rotations).reshape(20, -1)
     for name, betas in (("a", (2.0, 0.4)), ("b", (-1.0, 0.0, 3.0))):

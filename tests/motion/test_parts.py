@@ -24,7 +24,8 @@ from gesturekit.motion.parts import (
 from gesturekit.motion.parts.joint_names import bare_name
 from gesturekit.motion.retarget.body_frames import finger_chains
 
-MIXAMO = """
+TEXTS = {
+    "mixamo": """
 Hips
   Spine Spine1 Spine2
         Neck Head HeadTop_End
@@ -36,8 +37,8 @@ Hips
                 RightHandIndex1 RightHandIndex2
   LeftUpLeg LeftLeg LeftFoot LeftToeBase LeftToe_End
   RightUpLeg RightLeg RightFoot RightToeBase RightToe_End
-"""
-CMU = """
+""",
+    "cmu": """
 Hips
   LHipJoint LeftUpLeg LeftLeg LeftFoot LeftToeBase
   RHipJoint RightUpLeg RightLeg RightFoot RightToeBase
@@ -49,8 +50,8 @@ Hips
         RightShoulder RightArm RightForeArm RightHand
                 RightFingerBase RightHandIndex1
                 RThumb
-"""
-ACCLAIM = """
+""",
+    "acclaim": """
 root
   lhipjoint lfemur ltibia lfoot ltoes
   rhipjoint rfemur rtibia rfoot rtoes
@@ -62,8 +63,8 @@ root
         rclavicle rhumerus rradius rwrist rhand
                   rfingers
                 rthumb
-"""
-GENEA = """
+""",
+    "genea": """
 body_world b_root
     b_l_upleg b_l_leg b_l_foot_twist b_l_foot
     b_r_upleg b_r_leg b_r_foot_twist b_r_foot
@@ -83,8 +84,8 @@ body_world b_root
                           b_r_thumb0 b_r_thumb1 b_r_thumb2 b_r_thumb3
               p_r_delt
             b_neck0 b_head b_head_null
-"""
-TALKING_WITH_FEET = """
+""",
+    "genea_toes": """
 body_world b_root
     b_l_upleg b_l_leg b_l_foot b_l_ball
     b_r_upleg b_r_leg b_r_foot b_r_ball
@@ -96,8 +97,8 @@ body_world b_root
             b_r_shoulder p_r_scap b_r_arm
                   b_r_arm_twist
                   b_r_forearm b_r_wrist_twist b_r_wrist b_r_thumb0 b_r_thumb1
-"""
-BEAT = """
+""",
+    "beat": """
 Hips
   Spine Spine1 Spine2 Spine3
           Neck Neck1 Head HeadEnd
@@ -111,8 +112,8 @@ Hips
                   LeftHandThumb1 LeftHandThumb2
   RightUpLeg RightLeg RightFoot RightForeFoot RightToeBase RightToeBaseEnd
   LeftUpLeg LeftLeg LeftFoot LeftForeFoot LeftToeBase LeftToeBaseEnd
-"""
-XSENS = """
+""",
+    "xsens": """
 Pelvis
   L5 L3 T12 T8
           Neck Head
@@ -120,8 +121,8 @@ Pelvis
           LeftShoulder LeftUpperArm LeftForeArm LeftHand
   RightUpperLeg RightLowerLeg RightFoot RightToe
   LeftUpperLeg LeftLowerLeg LeftFoot LeftToe
-"""
-UNREAL = """
+""",
+    "unreal": """
 root
   pelvis
     spine_01 spine_02 spine_03
@@ -156,8 +157,8 @@ root
   ik_hand_root ik_hand_gun
       ik_hand_l
       ik_hand_r
-"""
-VRM = """
+""",
+    "vrm": """
 Root J_Bip_C_Hips
     J_Bip_C_Spine J_Bip_C_Chest J_Bip_C_UpperChest
           J_Sec_L_Bust1 J_Sec_L_Bust2
@@ -170,8 +171,8 @@ Root J_Bip_C_Hips
           J_Bip_R_Shoulder J_Bip_R_UpperArm J_Bip_R_LowerArm J_Bip_R_Hand J_Bip_R_Index1
     J_Bip_L_UpperLeg J_Bip_L_LowerLeg J_Bip_L_Foot J_Bip_L_ToeBase
     J_Bip_R_UpperLeg J_Bip_R_LowerLeg J_Bip_R_Foot J_Bip_R_ToeBase
-"""
-RIGIFY = """
+""",
+    "rigify": """
 DEF-spine
   DEF-pelvis.L
   DEF-pelvis.R
@@ -187,8 +188,8 @@ DEF-spine
               DEF-forearm.R DEF-forearm.R.001 DEF-hand.R
                     DEF-thumb.01.R DEF-thumb.02.R
         DEF-spine.004 DEF-spine.005 DEF-spine.006
-"""
-BIPED = """
+""",
+    "biped": """
 Bip01 Bip01_Pelvis
     Bip01_L_Thigh Bip01_L_Calf Bip01_L_Foot Bip01_L_Toe0 Bip01_L_Toe0Nub
     Bip01_R_Thigh Bip01_R_Calf Bip01_R_Foot Bip01_R_Toe0 Bip01_R_Toe0Nub
@@ -196,41 +197,24 @@ Bip01 Bip01_Pelvis
           Bip01_Head Bip01_HeadNub
           Bip01_L_Clavicle Bip01_L_UpperArm Bip01_L_Forearm Bip01_L_Hand Bip01_L_Finger0
           Bip01_R_Clavicle Bip01_R_UpperArm Bip01_R_Forearm Bip01_R_Hand Bip01_R_Finger0
-"""
-
-
-# VRChat calls the thigh "leg".
-VRCHAT = """
+""",
+    # VRChat calls the thigh "leg".
+    "vrchat": """
 Hips
   Spine Chest Neck Head
       Left_shoulder Left_arm Left_elbow Left_wrist
       Right_shoulder Right_arm Right_elbow Right_wrist
   Left_leg Left_knee Left_ankle Left_toe
   Right_leg Right_knee Right_ankle Right_toe
-"""
-SNAKE_CASE = """
+""",
+    "snake_case": """
 hips
   spine chest neck head
       left_shoulder left_upper_arm left_lower_arm left_hand
       right_shoulder right_upper_arm right_lower_arm right_hand
   left_upper_leg left_lower_leg left_foot left_toes
   right_upper_leg right_lower_leg right_foot right_toes
-"""
-TEXTS = {
-    "mixamo": MIXAMO,
-    "cmu": CMU,
-    "acclaim": ACCLAIM,
-    "genea": GENEA,
-    "genea_toes": TALKING_WITH_FEET,
-    "beat": BEAT,
-    "xsens": XSENS,
-    "biped": BIPED,
-    "biped_spaces": BIPED,
-    "unreal": UNREAL,
-    "vrm": VRM,
-    "rigify": RIGIFY,
-    "vrchat": VRCHAT,
-    "snake_case": SNAKE_CASE,
+""",
 }
 
 
@@ -308,9 +292,9 @@ def told(skeleton: Skeleton, side: str = "left") -> str:
     )
 
 
-@pytest.mark.parametrize("kind", TEXTS)
+@pytest.mark.parametrize("kind", [*TEXTS, "biped_spaces"])
 def test_rigs_of_the_field(kind):
-    skeleton = rig(TEXTS[kind])
+    skeleton = rig(TEXTS[kind.removesuffix("_spaces")])
     expected = EXPECTED[kind.removesuffix("_spaces")]
     if kind.endswith("_spaces"):  # as 3ds Max writes them
         skeleton = renamed(skeleton, {name: name.replace("_", " ") for name in skeleton.names})
@@ -329,7 +313,7 @@ def test_rigs_of_real_files(shared_data, kind):
 
 @pytest.mark.parametrize("prefix", ["mixamorig:", "mixamorig", "mixamorig9:", "Character1_"])
 def test_prefixes_of_joint_names_are_ignored(prefix):
-    plain = rig(MIXAMO)
+    plain = rig(TEXTS["mixamo"])
     skeleton = renamed(plain, {name: prefix + name for name in plain.names})
     assert told(skeleton).replace(prefix, "") == EXPECTED["mixamo"]
     assert len(body_joints(skeleton)) == 22
@@ -355,9 +339,9 @@ def test_body_and_upper_body_of_zeggs(shared_data):
 
 
 def test_fingers_ends_and_face_are_not_body_joints():
-    parts = find_parts(rig(ACCLAIM))
+    parts = find_parts(rig(TEXTS["acclaim"]))
     assert parts.fingers == ("lfingers", "lthumb", "rfingers", "rthumb")  # "lhand" is a hand
-    parts = find_parts(rig(MIXAMO))
+    parts = find_parts(rig(TEXTS["mixamo"]))
     assert len(parts.fingers) == 8
     assert parts.ends == ("HeadTop_End", "LeftToe_End", "RightToe_End")
     assert find_parts(smpl_skeleton(55)).face == ("jaw", "left_eye_smplhf", "right_eye_smplhf")
@@ -428,7 +412,7 @@ def by_hand(plain: Skeleton, names: tuple[str, ...]) -> dict[str, str]:
 
 
 def test_parts_named_by_hand():
-    plain = rig(MIXAMO)  # all in one point: nothing is told by shape
+    plain = rig(TEXTS["mixamo"])  # all in one point: nothing is told by shape
     skeleton = numbered(plain)
     with pytest.raises(MotionError, match=r"arms and legs.*left_elbow=JOINT"):
         find_parts(skeleton)
@@ -494,7 +478,7 @@ def test_labels(mixamo):
         "RightToeBase": "right toe",
     }.items():
         assert labels[f"mixamorig:{name}"] == label
-    genea = part_labels(rig(GENEA))
+    genea = part_labels(rig(TEXTS["genea"]))
     assert (genea["body_world"], genea["b_l_arm_twist"]) == ("root", "twist")
     assert genea["p_navel"] == "other"
 
@@ -520,7 +504,7 @@ def test_a_name_without_its_side(name, side, bare):
 
 def test_leg_length_counts_what_lies_between(mixamo):
     assert leg_length(mixamo) == pytest.approx(0.406 + 0.421)
-    plain = rig(GENEA)
+    plain = rig(TEXTS["genea"])
     offsets = np.zeros((plain.n_joints, 3))
     for side in "lr":
         for joint, length in (("leg", 0.4), ("foot_twist", 0.2), ("foot", 0.2), ("upleg", 0.1)):
@@ -534,10 +518,10 @@ def test_fingers(mixamo, side):
     assert list(chains) == ["thumb", "index", "middle", "ring", "little"]
     first = mixamo.index(f"mixamorig:{side.title()}HandPinky1")
     assert chains["little"] == (first, first + 1, first + 2, first + 3)
-    biped = rig(BIPED)
+    biped = rig(TEXTS["biped"])
     (kind, chain) = next(iter(finger_chains(biped, find_parts(biped), side).items()))
     assert kind == "thumb" and len(chain) == 1
-    unreal = rig(UNREAL)
+    unreal = rig(TEXTS["unreal"])
     index = finger_chains(unreal, find_parts(unreal), side)["index"]
     assert [unreal.names[j] for j in index] == [f"index_0{n}_{side[0]}" for n in (1, 2)]
 

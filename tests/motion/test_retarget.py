@@ -150,7 +150,6 @@ def test_the_source_file_is_remembered(moving_person, mixamo):
 
 
 def test_joints_that_move_scale_with_the_body(moving_person):
-    """A head that moves on its neck by 5 cm moves by 10 cm on a body twice as large."""
     person = moving_person.skeleton
     nod = person.offsets[person.index("Head")] + 0.05 * np.sin(moving_person.times)[:, None]
     nodding = replace(moving_person, joint_translations={"Head": nod})
@@ -246,9 +245,7 @@ def test_hips_come_down_and_up_again_within_four_tenths_of_a_second(person, fps)
 
 
 @pytest.mark.parametrize(("height", "is_marker"), [(0.19, False), (0.22, True), (0.9, True)])
-def test_a_root_a_quarter_of_a_leg_below_the_hips_is_a_marker_that_stands_still(
-    moving_person, height, is_marker
-):
+def test_a_root_a_quarter_leg_below_the_hips_is_a_still_marker(moving_person, height, is_marker):
     """The legs are 0.82 m long. At a hundred times the size all is the same."""
     rooted = below_a_root(moving_person.skeleton, height)
     made = retarget(moving_person, rooted)
@@ -355,9 +352,7 @@ def test_a_neck_that_the_source_does_not_have_turns_half_as_far_as_the_head(pers
     assert yaws(made, *names) == pytest.approx([50, 40, 30], abs=0.2)
 
 
-def test_clavicles_wrists_and_heads_that_the_source_does_not_have_follow_their_parents(
-    person, mixamo
-):
+def test_clavicles_wrists_and_heads_that_the_source_lacks_follow_their_parents(person, mixamo):
     missing = ("Head", "Neck", "LeftHand", "RightHand")
     rest = looking_aside(person)
     short = keep_joints(rest, [n for n in person.names if n not in missing]).skeleton
@@ -475,7 +470,6 @@ def test_a_rest_pose_that_is_neither_t_nor_a(zeggs, mixamo):
 
 
 def test_joint_axes_that_lie_anyhow(zeggs, mixamo):
-    """The same bones under other axes: with a pose to tell them, the same motion."""
     rng = np.random.default_rng(0)
     turned = normalize_quaternions(rng.normal(size=(mixamo.n_joints, 4)))
     heap, stands = with_frames(mixamo, turned), undone(mixamo, turned)

@@ -385,9 +385,7 @@ def turned(motion: Motion) -> Motion:
     ids=["turned", "mirrored", "scaled"],
 )
 @pytest.mark.parametrize("labelled", [False, True])
-def test_feet_are_locked_alike_in_all_directions_on_both_sides_and_at_any_size(
-    with_toes, change, labelled
-):
+def test_feet_are_locked_alike_in_any_direction_and_side_at_any_size(with_toes, change, labelled):
     motion = strolling(with_toes)
     contacts = contact_labels(motion, 0.3) if labelled else None
     other = None

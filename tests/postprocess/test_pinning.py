@@ -197,9 +197,7 @@ def test_across_a_short_gap_the_correction_goes_from_one_to_the_other():
         (20, 60, 0, 0),
     ],
 )
-def test_a_gap_too_short_for_its_correction_is_extended_into_the_contacts(
-    gap, length, before, after
-):
+def test_a_gap_too_short_for_its_correction_is_extended_into_contacts(gap, length, before, after):
     n = 2 * length + gap
     places = at_heights(n, (0, length + gap // 2, 0.02), (length + gap // 2, n, -0.02))
     offset, _ = pinned(places, (0, length), (length + gap, n))

@@ -56,9 +56,8 @@ def test_shards_in_any_order_and_processes_give_the_same_bytes(model, sounds, tm
     outcomes = run(model, sounds, tmp_path / "workers", workers=2)
     assert len(outcomes) == 5 and results(tmp_path / "workers") == whole
     run(model, [sounds / "day" / "c.wav"], tmp_path / "alone")
-    assert results(tmp_path / "alone") == {
-        name.removeprefix("day/"): data for name, data in whole.items() if "c." in name
-    }
+    one = {name.removeprefix("day/"): data for name, data in whole.items() if "c." in name}
+    assert results(tmp_path / "alone") == one
     # What shards made is kept by a run of all.
     assert [len(o.kept) for o in run(model, sounds, tmp_path / "sharded")] == [2] * 5
 
@@ -175,9 +174,8 @@ def test_a_worker_that_dies_costs_one_item(model, sounds, tmp_path, whole, monke
     with monkeypatch.context() as patch:
         patch.setattr(execution, "Pool", OneDies)
         outcomes = run(model, sounds, out, workers=2)
-    assert [outcome.error for outcome in outcomes if outcome.error] == [
-        f"{sounds / 'a.wav'}: its worker died"
-    ]
+    (error,) = [outcome.error for outcome in outcomes if outcome.error]
+    assert error == f"{sounds / 'a.wav'}: its worker died"
     # A file that it may have written without a line in the journal is written again.
     (out / "a.bvh").write_text("of the dead worker")
     assert [len(outcome.files) for outcome in run(model, sounds, out)] == [2, 0, 0, 0, 0]
@@ -185,9 +183,7 @@ def test_a_worker_that_dies_costs_one_item(model, sounds, tmp_path, whole, monke
 
 
 @pytest.mark.stress
-def test_a_slow_item_fails_at_the_deadline_and_is_retried_after_a_change(
-    model, sounds, tmp_path, write_speech
-):
+def test_a_slow_item_fails_at_the_deadline_until_it_changes(model, sounds, tmp_path, write_speech):
     write_speech(sounds / "b.wav", 1200.0)
     outcomes = run(model, sounds, tmp_path / "out", deadline=1.0)
     (late,) = [outcome for outcome in outcomes if outcome.error]
@@ -198,7 +194,6 @@ def test_a_slow_item_fails_at_the_deadline_and_is_retried_after_a_change(
 
 
 def test_an_item_in_progress_in_two_killed_runs_is_rendered_last(model, sounds, tmp_path):
-    """After two killed runs it is rendered last, in a process of its own."""
     out = tmp_path / "out"
     run(model, sounds / "day", out)
     (out / "d.bvh").unlink()
@@ -225,9 +220,8 @@ def test_options_of_each_line_of_a_list(model, sounds, tmp_path):
     (sounds / "night.jsonl").write_text("\n".join(map(json.dumps, lines)))
     *made, styled = run(model, sounds / "night.jsonl", tmp_path / "out")
     made = {Path(o.files[1]).stem: Motion.load(o.files[1]) for o in [*made, styled] if o.files}
-    assert {name: motion.n_frames for name, motion in made.items()} == {
-        "three": 13, "part": 10, "idle": 25,
-    }  # fmt: skip
+    lengths = {name: motion.n_frames for name, motion in made.items()}
+    assert lengths == {"three": 13, "part": 10, "idle": 25}
     wanted = model.generate(sounds / "a.wav", seed=3)
     assert (made["three"].rotations == wanted.rotations).all()
     (item,) = status_of(tmp_path / "out").failed

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from published import write_smplx
 
 from gesturekit.cli import main
 from gesturekit.errors import CorpusError
@@ -21,11 +22,9 @@ SPLITS = {"2_scott_0_1_1": "test", "1_wayne_0_86_87": "test", "1_wayne_0_1_1": "
 @pytest.fixture(scope="module")
 def beat2(tmp_path_factory, write_speech) -> Path:
     root = tmp_path_factory.mktemp("beat2")
-    (root / "smplxflame_30").mkdir()
     for name, seconds in SECONDS.items():
         write_speech(root / "wave16k" / f"{name}.wav", seconds)
-        still = {"poses": np.zeros((30, 165)), "trans": np.zeros((30, 3)), "mocap_frame_rate": 30}
-        np.savez(root / "smplxflame_30" / f"{name}.npz", **still)
+        write_smplx(root / "smplxflame_30" / f"{name}.npz", 1.0, seed=0)
     rows = "".join(f"{name},{split}\n" for name, split in SPLITS.items())
     (root / "train_test_split.csv").write_text(f"id,type\n{rows}")
     return root
