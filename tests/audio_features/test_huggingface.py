@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from sounds import distance, swelling
+from wavlm_layouts import old_norm
 
 import audio_features as af
 
@@ -178,7 +179,7 @@ def test_a_folder_with_code_of_its_own_is_refused(copy):
     assert not proof.exists()
 
 
-def test_the_same_weights_in_other_files_have_the_same_fingerprint(copy, old_norm):
+def test_the_same_weights_in_other_files_have_the_same_fingerprint(copy):
     from safetensors.torch import load_file, save_file
 
     print_of = af.HuggingFace(copy).fingerprint

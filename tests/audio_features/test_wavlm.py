@@ -9,6 +9,7 @@ import warnings
 import numpy as np
 import pytest
 from sounds import distance, swelling
+from wavlm_layouts import microsoft
 
 import audio_features as af
 
@@ -82,7 +83,7 @@ def test_values_are_those_of_transformers(network, seconds):
     assert distance(af.WavLM(folder, layer=below).extract(wave).values, states[below]) < 1e-5
 
 
-def test_both_implementations_agree(network, microsoft, tmp_path):
+def test_both_implementations_agree(network, tmp_path):
     wave = af.Wave(swelling(3.0), 16_000)
     for settings in ({}, {"layer": [0, 2], "final_norm": False}, {"layer": "mean"}):
         ours = af.WavLM(network[0], **settings)

@@ -107,15 +107,20 @@ def numbered(rig: Skeleton) -> Skeleton:
     return renamed(rig, {name: f"Joint{j}" for j, name in enumerate(rig.names)})
 
 
-_LIMBS = {"shoulder": "Arm", "elbow": "ForeArm", "hip": "UpLeg", "knee": "Leg", "ankle": "Foot"}
+_LIMBS = {"shoulder": "Arm", "elbow": "ForeArm", "wrist": "Hand"}
+_LIMBS |= {"hip": "UpLeg", "knee": "Leg", "ankle": "Foot"}
+
+
+def numbered_limbs(rig: Skeleton) -> dict[str, str]:
+    """Return parts of a person's limbs, such as "left_elbow", to their joints in `numbered`."""
+    return {
+        f"{side.lower()}_{part}": f"Joint{rig.index(side + joint)}"
+        for side in ("Left", "Right")
+        for part, joint in _LIMBS.items()
+    }
 
 
 def nameless(motion: Motion) -> tuple[Motion, dict[str, str]]:
     """Return a motion of a person with joints named by number, without end sites; and its parts."""
     rig = motion.skeleton
-    parts = {
-        f"{side}_{part}": f"Joint{rig.index(side.title() + joint)}"
-        for side in ("left", "right")
-        for part, joint in _LIMBS.items()
-    }
-    return replace(motion, skeleton=replace(numbered(rig), end_sites={})), parts
+    return replace(motion, skeleton=replace(numbered(rig), end_sites={})), numbered_limbs(rig)

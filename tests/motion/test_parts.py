@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import Bones, below_a_root, numbered, renamed, rig_of
+from rigs import Bones, below_a_root, numbered, numbered_limbs, renamed, rig_of
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
@@ -396,27 +396,12 @@ def test_ambiguous_shapes_are_errors(mixamo, shared_data):
             find_parts(skeleton)
 
 
-def by_hand(plain: Skeleton, names: tuple[str, ...]) -> dict[str, str]:
-    return {
-        f"{side}_{part}": names[plain.index(name)]
-        for side, word in (("left", "Left"), ("right", "Right"))
-        for part, name in (
-            ("shoulder", f"{word}Arm"),
-            ("elbow", f"{word}ForeArm"),
-            ("wrist", f"{word}Hand"),
-            ("hip", f"{word}UpLeg"),
-            ("knee", f"{word}Leg"),
-            ("ankle", f"{word}Foot"),
-        )
-    }
-
-
 def test_parts_named_by_hand():
     plain = rig(TEXTS["mixamo"])  # all in one point: nothing is told by shape
     skeleton = numbered(plain)
     with pytest.raises(MotionError, match=r"arms and legs.*left_elbow=JOINT"):
         find_parts(skeleton)
-    named = by_hand(plain, skeleton.names)
+    named = numbered_limbs(plain)
     parts = find_parts(skeleton, overrides=named)
     assert parts.pelvis == "Joint0" and parts.spine == ("Joint1", "Joint2", "Joint3")
     # A skeleton that holds them needs no overrides, and keeps them.
