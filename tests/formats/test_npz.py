@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import at_rest
+from rigs import BANDAI, RUN, ZEGGS, at_rest
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
@@ -27,10 +27,7 @@ def smpl_motion(n_joints: int, fps: float = 30.0) -> Motion:
 
 
 def test_any_rig_survives_to_the_last_bit(shared_data, tmp_path):
-    for file in (
-        "motion/bandai/dataset-1_bye_happy_001.bvh",
-        "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh",
-    ):
+    for file in (BANDAI, ZEGGS):
         motion = Motion.load(shared_data / file).slice(0, 100)
         motion.save(tmp_path / "a.npz")
         again = Motion.load(tmp_path / "a.npz")
@@ -98,7 +95,7 @@ def test_amass_and_beat2_files_are_read_whichever_axis_is_up(tmp_path, up):
 
 
 def test_real_amass_style_file(shared_data, tmp_path):
-    motion = Motion.load(shared_data / "smpl/glamr_running_smpl.npz")
+    motion = Motion.load(shared_data / RUN)
     assert motion.skeleton.names == smpl_skeleton(24).names
     assert (motion.n_frames, motion.fps, motion.info["up"]) == (203, 30.0, "z")
     places = motion.positions()

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import at_rest
+from rigs import BANDAI, ZEGGS, at_rest
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
@@ -62,10 +62,7 @@ def test_joints_that_cannot_be_removed_are_errors(moving_person):
     assert keep_joints(moving_person, ["Hips"]).skeleton.n_joints == 1
 
 
-@pytest.mark.parametrize(
-    "file",
-    ["paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh", "motion/bandai/dataset-1_bye_old_001.bvh"],
-)
+@pytest.mark.parametrize("file", [ZEGGS, BANDAI])
 def test_bodies_of_real_recordings(shared_data, file, tmp_path):
     motion = Motion.load(shared_data / file).slice(0, 60)
     kept = check(motion, list(body_joints(motion.skeleton)))

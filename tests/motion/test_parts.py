@@ -4,7 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import Bones, below_a_root, numbered, numbered_limbs, renamed, rig_of
+from rigs import (
+    AITVIEWER,
+    BANDAI,
+    IDLE,
+    ZEGGS,
+    Bones,
+    below_a_root,
+    numbered,
+    numbered_limbs,
+    renamed,
+    rig_of,
+)
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
@@ -274,12 +285,7 @@ EXPECTED = {
     "reactidle": "pelvis|spine spine.001|neck|face|shoulder.L upper_arm.L forearm.L None|"
     "thigh.L shin.L foot.L None",
 }
-FILES = {
-    "zeggs": "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh",
-    "aitviewer": "motion/aitviewer/sample.bvh",
-    "bandai": "motion/bandai/dataset-1_bow_sad_001.bvh",
-    "reactidle": "motion/reactidle/003_genuine.bvh",
-}
+FILES = {"zeggs": ZEGGS, "aitviewer": AITVIEWER, "bandai": BANDAI, "reactidle": IDLE}
 
 
 def told(skeleton: Skeleton, side: str = "left") -> str:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from rigs import at_rest
+from rigs import ZEGGS, at_rest
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
@@ -93,8 +93,7 @@ def test_a_still_motion_and_a_rising_rate_are_left_alone(moving_person):
 @pytest.mark.parametrize("antialias", [False, True])
 def test_resampling_down_and_up_again_has_a_small_error(shared_data, antialias):
     """30 to 25 to 30 fps: the mean error of real gestures is below half a degree."""
-    motion = Motion.load(shared_data / "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh")
-    motion = motion.slice(0, 600)
+    motion = Motion.load(shared_data / ZEGGS).slice(0, 600)
     back = motion.resample(25.0, antialias=antialias).resample(30.0, n_frames=600)
     assert np.degrees(rotation_angles(motion.rotations, back.rotations).mean()) < 0.5
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hinges import bent_backwards
-from rigs import at_rest, below_a_root, renamed, with_offsets
+from rigs import BANDAI, IDLE, RECORDED, RUN, ZEGGS, at_rest, below_a_root, renamed, with_offsets
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
@@ -28,10 +28,6 @@ from gesturekit.motion.rotations import (
     rotation_angles,
 )
 
-ZEGGS = "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh"
-BANDAI = "motion/bandai/dataset-1_bye_happy_001.bvh"
-IDLE = "motion/reactidle/003_genuine.bvh"
-RUN = "smpl/glamr_running_smpl.npz"
 UPRIGHT = np.array([0.0, 0.9, 0.0])
 
 
@@ -121,7 +117,7 @@ def hand_distances(motion: Motion) -> np.ndarray:
     return np.stack([np.linalg.norm(way, axis=-1) for way in ways], axis=-1) / trunk
 
 
-@pytest.mark.parametrize("file", [ZEGGS, BANDAI, IDLE, RUN, "motion/aitviewer/sample.bvh"])
+@pytest.mark.parametrize("file", RECORDED)
 def test_onto_itself_is_the_identity(shared_data, file):
     motion = Motion.load(shared_data / file)
     same = retarget(motion, motion.skeleton)

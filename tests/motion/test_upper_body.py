@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hinges import bent_backwards
-from rigs import Bones, at_rest, numbered, renamed, rig_of, turned_at_root
+from rigs import BANDAI, IDLE, ZEGGS, Bones, at_rest, numbered, renamed, rig_of, turned_at_root
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.axes import file_axes, rotation_to_y_up, turn_axes
@@ -35,8 +35,6 @@ from gesturekit.motion.rotations import invert_quaternions, quaternion_from_rota
 from gesturekit.postprocess import lock_feet
 
 LEGS = ("UpLeg", "Leg", "Foot", "Toe", "hip", "knee", "ankle", "left_foot", "right_foot")
-ZEGGS = "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh"
-BANDAI = "motion/bandai/dataset-1_bye_happy_001.bvh"
 
 
 def without(motion: Motion, endings: Iterable[str] = LEGS) -> Motion:
@@ -136,7 +134,7 @@ def test_arms_on_the_root_are_an_error(mixamo):
 
 def test_size_and_unit_are_those_of_the_whole_person(mixamo, zeggs, shared_data):
     bandai = Motion.load(shared_data / BANDAI).skeleton
-    idle = Motion.load(shared_data / "motion/reactidle/003_genuine.bvh").skeleton  # no wrists
+    idle = Motion.load(shared_data / IDLE).skeleton  # no wrists
     for whole in (mixamo, zeggs.skeleton, bandai, smpl_skeleton(24), idle):
         endings = (*LEGS, "shin", "thigh", "foot")
         rig = bust(whole, endings)

@@ -7,7 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hinges import bent_backwards
-from rigs import PERSON, Bones, at_rest, below_a_root, rig_of, turned_at_root
+from rigs import (
+    AITVIEWER,
+    IDLE,
+    PERSON,
+    RUN,
+    ZEGGS,
+    Bones,
+    at_rest,
+    below_a_root,
+    rig_of,
+    turned_at_root,
+)
 
 from gesturekit import Motion, Skeleton
 from gesturekit.errors import MotionError
@@ -64,10 +75,6 @@ def swaying(motion: Motion) -> Motion:
     """The body goes to and fro by 3 cm, and up and down by 1 cm, feet and all."""
     phase = 2 * np.pi * 0.4 * motion.times[:, None]
     return moved(motion, np.sin(phase) * [0.03, 0.0, 0.01] + np.sin(1.7 * phase) * [0, 0.01, 0])
-
-
-def rig_index(motion: Motion, name: str) -> int:
-    return motion.skeleton.index(name)
 
 
 def speed(places: np.ndarray, fps: float) -> np.ndarray:
@@ -176,7 +183,7 @@ def test_legs_bend_forward_between_the_hip_and_a_foot_at_rest(with_toes):
     locked = lock_feet(moved(pitched(motion, turns), sway))
     positions = locked.positions()
     for side in ("Left", "Right"):
-        limb = [rig_index(motion, side + part) for part in ("UpLeg", "Leg", "Foot")]
+        limb = [motion.skeleton.index(side + part) for part in ("UpLeg", "Leg", "Foot")]
         hip, knee, ankle = (positions[:, joint] for joint in limb)
         assert np.ptp(ankle, axis=0)[[0, 2]].max() < 1e-6 and np.ptp(hip[:, 2]) > 0.05
         along = ankle - hip
@@ -330,12 +337,12 @@ def test_a_heel_is_not_lowered_if_the_toes_would_sink(skeleton, with_toes, kind,
     for name, turn in turns.items():
         if name in motion.skeleton.names:
             own = quaternion_from_rotation_vector(turn * high * [1.0, 0.0, 0.0])
-            j = rig_index(motion, name)
+            j = motion.skeleton.index(name)
             rotations[:, j] = multiply_quaternions(rotations[:, j], own)
     raised = moved(replace(motion, rotations=rotations), 0.02 * high * [0.0, 1.0, 0.0])
     labels = np.tile([1.0, 0.0, 0.0, 0.0], (motion.n_frames, 1))
     locked = lock_feet(raised, labels, keep_path=True)
-    down = (raised.positions() - locked.positions())[75:105, rig_index(motion, "LeftFoot"), 1]
+    down = (raised.positions() - locked.positions())[75:105, motion.skeleton.index("LeftFoot"), 1]
     np.testing.assert_allclose(down, 0.005, atol=1e-4)
 
 
@@ -408,7 +415,7 @@ def test_heel_and_ball_of_a_flat_foot_stay_while_it_turns(with_toes, degrees, he
     motion = standing(with_toes)
     yaw = np.radians(degrees) * np.sin(2 * np.pi * 0.5 * motion.times)
     rotations = motion.rotations.copy()
-    foot = rig_index(motion, "LeftFoot")
+    foot = motion.skeleton.index("LeftFoot")
     world = quaternion_from_rotation_vector(yaw[:, None] * [0.0, 1.0, 0.0])
     rotations[:, foot] = multiply_quaternions(motion.rotations[:, foot], world)
     turning = replace(motion, rotations=rotations)
@@ -422,7 +429,7 @@ def test_heel_and_ball_of_a_flat_foot_stay_while_it_turns(with_toes, degrees, he
     left = 0.24 if degrees > 4 else 0.0
     assert pointing[np.argmax(yaw)] == pytest.approx(left, abs=0.03)
     assert pointing[np.argmin(yaw)] == pytest.approx(-left, abs=0.03)
-    toe = lock_feet(turning).global_rotations()[:, rig_index(motion, "LeftToeBase")]
+    toe = lock_feet(turning).global_rotations()[:, motion.skeleton.index("LeftToeBase")]
     assert np.degrees(rotation_angles(toe, np.array([0.0, 0.0, 0.0, 1.0]))).max() < 0.2 * degrees
 
 
@@ -430,7 +437,7 @@ def test_feet_and_toes_keep_their_orientation_in_the_world(with_toes):
     motion = swaying(standing(with_toes))
     locked = lock_feet(motion)
     for name in ("LeftFoot", "LeftToeBase", "RightFoot", "RightToeBase"):
-        own = [m.global_rotations()[:, rig_index(motion, name)] for m in (motion, locked)]
+        own = [m.global_rotations()[:, motion.skeleton.index(name)] for m in (motion, locked)]
         assert np.degrees(rotation_angles(*own)).max() < 0.01
 
 
@@ -461,11 +468,11 @@ def deeper(before: Motion, after: Motion) -> float:
 @pytest.mark.parametrize(
     ("name", "most"),
     [
-        ("paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh", 0.75),
+        (ZEGGS, 0.75),
         ("motion/bandai/dataset-1_bow_happy_001.bvh", 0.5),
         ("motion/bandai/dataset-1_bye_feminine_001.bvh", 0.5),
-        ("motion/reactidle/003_genuine.bvh", 0.5),
-        ("motion/aitviewer/sample.bvh", 0.5),
+        (IDLE, 0.5),
+        (AITVIEWER, 0.5),
     ],
 )
 def test_recordings_slide_less_and_sink_no_deeper(shared_data, name, most):
@@ -481,8 +488,7 @@ def test_recordings_slide_less_and_sink_no_deeper(shared_data, name, most):
 
 
 def test_a_recording_that_drifts_stands_again(shared_data):
-    path = shared_data / "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh"
-    recorded = Motion.load(path).slice(0, 600)
+    recorded = Motion.load(shared_data / ZEGGS).slice(0, 600)
     drifting = moved(recorded, recorded.times[:, None] * [0.1, 0.0, 0.0])
     labels = contact_labels(recorded)
     for contacts in (labels, None):
@@ -491,5 +497,5 @@ def test_a_recording_that_drifts_stands_again(shared_data):
 
 
 def test_foot_lock_does_not_change_running(shared_data):
-    motion = Motion.load(shared_data / "smpl/glamr_running_smpl.npz")
+    motion = Motion.load(shared_data / RUN)
     assert np.abs(lock_feet(motion).positions() - motion.positions()).max() < 0.02
