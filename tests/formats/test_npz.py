@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import BANDAI, RUN, ZEGGS, at_rest
+from recordings import BANDAI, RUN, ZEGGS
+from rigs import at_rest
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError

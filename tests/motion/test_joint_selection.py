@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import BANDAI, ZEGGS, at_rest
+from recordings import BANDAI, ZEGGS
+from rigs import at_rest
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton

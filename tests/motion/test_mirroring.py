@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import RECORDED, numbered, with_offsets
+from recordings import RECORDED
+from rigs import numbered, with_offsets
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton

@@ -4,18 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import (
-    AITVIEWER,
-    BANDAI,
-    IDLE,
-    ZEGGS,
-    Bones,
-    below_a_root,
-    numbered,
-    numbered_limbs,
-    renamed,
-    rig_of,
-)
+from recordings import AITVIEWER, BANDAI, IDLE, ZEGGS
+from rigs import Bones, below_a_root, numbered, numbered_limbs, renamed, rig_of
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.smpl.skeleton import smpl_skeleton

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from rigs import ZEGGS, at_rest
+from recordings import ZEGGS
+from rigs import at_rest
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion

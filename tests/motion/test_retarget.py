@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hinges import bent_backwards
-from rigs import BANDAI, IDLE, RECORDED, RUN, ZEGGS, at_rest, below_a_root, renamed, with_offsets
+from recordings import BANDAI, IDLE, RECORDED, RUN, ZEGGS
+from rigs import at_rest, below_a_root, renamed, with_offsets
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hinges import bent_backwards
-from rigs import BANDAI, IDLE, ZEGGS, Bones, at_rest, numbered, renamed, rig_of, turned_at_root
+from recordings import BANDAI, IDLE, ZEGGS
+from rigs import Bones, at_rest, numbered, renamed, rig_of, turned_at_root
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.axes import file_axes, rotation_to_y_up, turn_axes

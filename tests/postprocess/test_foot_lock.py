@@ -7,18 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hinges import bent_backwards
-from rigs import (
-    AITVIEWER,
-    IDLE,
-    PERSON,
-    RUN,
-    ZEGGS,
-    Bones,
-    at_rest,
-    below_a_root,
-    rig_of,
-    turned_at_root,
-)
+from recordings import AITVIEWER, IDLE, RUN, ZEGGS
+from rigs import PERSON, Bones, at_rest, below_a_root, rig_of, turned_at_root
 
 from gesturekit import Motion, Skeleton
 from gesturekit.errors import MotionError
