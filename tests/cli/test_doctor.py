@@ -6,8 +6,6 @@ import os
 import subprocess
 import sys
 
-import pytest
-
 from gesturekit.diagnosis import Finding, is_usable
 
 
@@ -47,14 +45,11 @@ def test_a_broken_torchaudio_is_explained_and_not_needed(tmp_path):
         assert word in last
 
 
-@pytest.fixture
-def wav(write_wavlm, write_speech, tmp_path):
-    """A second of speech, beside a folder of weights."""
+def test_the_cache_is_shown_and_cleared(
+    gesturekit, write_wavlm, write_speech, tmp_path, monkeypatch
+):
     write_wavlm(tmp_path / "weights")
-    return write_speech(tmp_path / "a.wav", 1.0)
-
-
-def test_the_cache_is_shown_and_cleared(gesturekit, wav, tmp_path, monkeypatch):
+    wav = write_speech(tmp_path / "a.wav", 1.0)
     monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "cache"))
     assert "entries  0" in gesturekit("cache", "info").out
     options = ("--extractor", "wavlm,prosody", "--weights", tmp_path / "weights")

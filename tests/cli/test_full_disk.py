@@ -37,13 +37,6 @@ def small_disk(tmp_path) -> Iterator[Path]:
     subprocess.run(["umount", str(path)], check=True)
 
 
-@pytest.fixture
-def recordings(tmp_path, write_pair) -> Path:
-    for number in range(12):
-        write_pair(tmp_path / "in", f"{number:02d}", 2.0, fps=25.0, seed=number)
-    return tmp_path / "in"
-
-
 COMMANDS: dict[str, Callable[[Path, Path], list]] = {
     "features": lambda folder, out: ["features", folder, "--out", out],
     "convert": lambda folder, out: ["convert", folder, out, "--format", "npz"],
@@ -55,8 +48,10 @@ READ = {"features": FeatureTrack.load, "convert": Motion.load, "render": Motion.
 @pytest.mark.parametrize(
     "verb", ["features", "convert", pytest.param("render", marks=pytest.mark.stress)]
 )
-def test_a_disk_that_becomes_full(gesturekit, recordings, small_disk, tmp_path, verb):
-    out, command = small_disk / "out", COMMANDS[verb]
+def test_a_disk_that_becomes_full(gesturekit, write_pair, small_disk, tmp_path, verb):
+    recordings, out, command = tmp_path / "in", small_disk / "out", COMMANDS[verb]
+    for number in range(12):
+        write_pair(recordings, f"{number:02d}", 2.0, fps=25.0, seed=number)
     assert gesturekit(*command(recordings, tmp_path / "whole")).status == 0
     whole = results(tmp_path / "whole")
     assert sum(map(len, whole.values())) > 1000 * ROOM, "the disk has room for all"

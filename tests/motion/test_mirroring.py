@@ -8,23 +8,18 @@ from recordings import RECORDED
 from rigs import numbered, with_offsets
 
 from gesturekit.errors import MotionError
-from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion import Motion
 from gesturekit.motion.parts import left_right_pairs
 from gesturekit.motion.rotations import rotation_angles
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
-def counterpart(skeleton: Skeleton) -> list[int]:
-    other = {name: name for name in skeleton.names}
-    for left, right in left_right_pairs(skeleton):
-        other |= {left: right, right: left}
-    return [skeleton.index(other[name]) for name in skeleton.names]
-
-
 def check(motion: Motion) -> None:
-    mirrored = motion.mirror()
-    other = counterpart(motion.skeleton)
+    mirrored, rig = motion.mirror(), motion.skeleton
+    to_other = dict(left_right_pairs(rig))
+    to_other |= {right: left for left, right in to_other.items()}
+    other = [rig.index(to_other.get(name, name)) for name in rig.names]
     found = mirrored.positions()[:, other]
     np.testing.assert_allclose(found, motion.positions() * MIRROR, atol=1e-9)
     ends, seen = motion.end_positions(), mirrored.end_positions()
