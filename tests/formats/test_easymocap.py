@@ -151,7 +151,7 @@ def test_pca_hands_are_left_at_rest_with_a_warning(tmp_path, width, n_joints):
         ('[{"id": 0, "Rh": {"a": 1}}]', "not a table of numbers"),
         ('[{"id": 0, "Rh": [0, 0, NaN]}]', "finite"),
         ('[{"id": 0, "Rh": [0, 0, 1e999]}]', "finite"),
-        ('[{"id": 0, "Rh": [0, 0, 0], "Th": [0, 0, 0], "poses": [1, 2]}]', "expected 66"),
+        ('[{"id":0, "Rh":[0,0,0], "Th":[0,0,0], "poses":[1,2]}]', "2 numbers; expected 66"),
         ("[]", "nobody"),
         ("[" + "9" * 5000 + "]", "JSON"),
     ],
