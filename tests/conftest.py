@@ -131,6 +131,19 @@ class Done(NamedTuple):
     out: str
     err: str
 
+    def ok(self) -> Done:
+        """Return the same, of a command that must have succeeded."""
+        assert self.status == 0, self.err
+        return self
+
+    def fails(self, status: int, *says: str) -> Done:
+        """Return the same, of a command that must have failed with these words."""
+        assert self.status == status, self.err
+        for text in says:
+            assert text in self.err, self.err
+        assert "Traceback" not in self.err
+        return self
+
 
 @pytest.fixture
 def gesturekit(capsys) -> Callable[..., Done]:

@@ -91,8 +91,7 @@ def test_the_rate_of_the_file_hardly_matters(speech, rate):
 def test_silence_is_the_floor(seconds):
     wave = Wave(np.zeros(round(16_000 * seconds), np.float32), 16_000)
     track = EVERYTHING.extract(wave)
-    mels = track.values[:, :24]
-    np.testing.assert_allclose(mels, FLOOR_DB, atol=1e-3)
+    np.testing.assert_allclose(track.values[:, :24], FLOOR_DB, atol=1e-3)
     assert (columns(track, "f0") == 0).all() and (columns(track, "voicing") == 0).all()
     np.testing.assert_allclose(columns(track, "energy"), FLOOR_DB, atol=1e-3)
     assert (columns(track, "onset") == 0).all()
@@ -158,10 +157,8 @@ def test_prosodic_range_is_the_range_of_pitch_and_energy():
         return Wave((0.05 * tone * gain).astype(np.float32), rate, None)
 
     extractor = ProsodicRange()
-    flat, high, loud = (
-        extractor.extract(say(*how)).values[100:-100].mean(axis=0)
-        for how in ((0.2, 0.5), (5.0, 0.5), (0.2, 6.0))
-    )
+    waves = (say(*how) for how in ((0.2, 0.5), (5.0, 0.5), (0.2, 6.0)))
+    flat, high, loud = (extractor.extract(w).values[100:-100].mean(axis=0) for w in waves)
     assert high[0] > 5 * flat[0] and loud[0] < 2 * flat[0] + 0.2
     assert loud[1] > 3 * flat[1]
     silence = extractor.extract(Wave(np.zeros(rate, np.float32), rate, None)).values
@@ -231,19 +228,12 @@ def test_values_are_those_of_librosa_which_is_not_imported(speech):
     for wave in (speech, Wave(noise, 16_000)):
         prepared = analysis.ShortTimeSpectrum(wave)
         f0, _ = track_pitch(prepared.wave.samples, prepared.n_frames)
-        theirs = librosa.yin(
-            np.pad(prepared.wave.samples, (512, 1024)),
-            fmin=60.0,
-            fmax=500.0,
-            sr=16_000,
-            frame_length=1024,
-            hop_length=160,
-            center=False,
-        )
+        padded = np.pad(prepared.wave.samples, (512, 1024))
+        frames = {"sr": 16_000, "frame_length": 1024, "hop_length": 160, "center": False}
+        theirs = librosa.yin(padded, fmin=60.0, fmax=500.0, **frames)
         np.testing.assert_allclose(f0, theirs[: len(f0)], rtol=1e-6)
-        picked = librosa.util.peak_pick(
-            prepared.onset, pre_max=3, post_max=1, pre_avg=10, post_avg=11, delta=1.0, wait=3
-        )
+        around = {"pre_max": 3, "post_max": 1, "pre_avg": 10, "post_avg": 11}
+        picked = librosa.util.peak_pick(prepared.onset, **around, delta=1.0, wait=3)
         assert len(picked) > 3
         bands = LogMel(40).extract(wave).values.T
         theirs = librosa.feature.mfcc(S=bands, n_mfcc=20)
@@ -310,12 +300,10 @@ def test_a_window_holds_half_a_second_of_the_clips_own_value():
 
 
 def test_tilt_is_the_power_above_1_khz_over_that_below():
-    time = np.arange(3 * RATE) / RATE
-
     def tilt(samples: np.ndarray) -> float:
         return float(np.median(effort(samples)[:, 2]))
 
-    low, high = np.sin(2 * np.pi * 500 * time), np.sin(2 * np.pi * 2500 * time)
+    low, high = (np.sin(2 * np.pi * hertz * np.arange(3 * RATE) / RATE) for hertz in (500, 2500))
     assert tilt(0.1 * low + 0.01 * high) == pytest.approx(-20.0, abs=1.0)
     assert tilt(0.05 * low + 0.05 * high) == pytest.approx(0.0, abs=1.0)
     assert tilt(band(100, 800)) < -20 and tilt(band(1200, 4800)) > 20

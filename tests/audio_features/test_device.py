@@ -14,12 +14,6 @@ pytest.importorskip("transformers")
 CHUNKS = {"full_context": 0.0, "chunk": 2.0, "context": 0.5}
 
 
-@pytest.fixture
-def long_speech(speech) -> af.Wave:
-    """16 s: more chunks of two seconds than a GPU takes at once."""
-    return af.Wave(np.tile(speech.samples, 4), speech.sample_rate)
-
-
 def apart(make, wave: af.Wave) -> float:
     """Return the relative difference of the values that an extractor has on both devices."""
     there, here = (make(device).extract(wave).values for device in ("cuda", "cpu"))
@@ -39,8 +33,10 @@ def apart(make, wave: af.Wave) -> float:
     ],
     ids=str,
 )
-def test_wavlm(gpu, wavlm_folder, long_speech, settings, largest):
-    assert apart(lambda d: af.WavLM(wavlm_folder, device=d, **settings), long_speech) < largest
+def test_wavlm(gpu, wavlm_folder, speech, settings, largest):
+    # 16 s: more chunks of two seconds than a GPU takes at once.
+    long = af.Wave(np.tile(speech.samples, 4), speech.sample_rate)
+    assert apart(lambda d: af.WavLM(wavlm_folder, device=d, **settings), long) < largest
 
 
 def test_wavlm_in_blocks_of_scores(gpu, wavlm_folder, speech, monkeypatch):

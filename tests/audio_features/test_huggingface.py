@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from safetensors.torch import load_file, save_file
 from sounds import distance, swelling
+from wavlm_layouts import old_norm
 
 import audio_features as af
 
@@ -82,9 +84,8 @@ def test_a_click_lands_in_its_frame(encoder):
     extractor = af.HuggingFace(folder, layer=0)
     plain = 0.1 * np.random.default_rng(1).standard_normal(16_000 * 2)
     before = extractor.extract(af.Wave(plain, 16_000))
-    np.testing.assert_allclose(
-        before.times, FIRST.get(name, 0.0125) + 0.02 * np.arange(len(before.times))
-    )
+    n_frames, first = len(before.times), FIRST.get(name, 0.0125)
+    np.testing.assert_allclose(before.times, first + 0.02 * np.arange(n_frames))
     errors = []
     for at in range(3_000, 27_000, 1_111):
         clicked = plain.copy()
@@ -99,7 +100,9 @@ def test_a_click_lands_in_its_frame(encoder):
 def test_long_sounds_are_processed_in_chunks_with_context(encoder, copy):
     """Inputs of the layers are exact; their outputs differ a little, less with more context."""
     if encoder[0] == "whisper":  # its positions count from the start of a chunk
-        without_positions(copy)
+        tensors = load_file(copy / "model.safetensors")
+        tensors["encoder.embed_positions.weight"].zero_()
+        save_file(tensors, copy / "model.safetensors")
     wave = af.Wave(swelling(2.9), 16_000)
     last = {"wav2vec2-bert": 0.1, "whisper": 0.25}.get(encoder[0], 0.03)
     for layer, bound in ((0, 1e-5), ("last", last)):
@@ -112,14 +115,6 @@ def test_long_sounds_are_processed_in_chunks_with_context(encoder, copy):
             errors.append(distance(chunked.values, whole.values))
         assert errors[1] < bound
         assert layer == 0 or errors[1] < errors[0]
-
-
-def without_positions(folder: Path) -> None:
-    from safetensors.torch import load_file, save_file
-
-    tensors = load_file(folder / "model.safetensors")
-    tensors["encoder.embed_positions.weight"].zero_()
-    save_file(tensors, folder / "model.safetensors")
 
 
 def test_sounds_longer_than_whisper_takes(encoder):
@@ -180,18 +175,10 @@ def test_a_folder_with_code_of_its_own_is_refused(copy):
 
 
 def test_the_same_weights_in_other_files_have_the_same_fingerprint(copy):
-    from safetensors.torch import load_file, save_file
-
     print_of = af.HuggingFace(copy).fingerprint
     tensors = load_file(copy / "model.safetensors")
     (copy / "model.safetensors").unlink()
-    old = {
-        name.replace("parametrizations.weight.original0", "weight_g").replace(
-            "parametrizations.weight.original1", "weight_v"
-        ): tensor
-        for name, tensor in tensors.items()
-    }
-    torch.save(old, copy / "pytorch_model.bin")
+    torch.save(old_norm(tensors), copy / "pytorch_model.bin")
     assert af.HuggingFace(copy).fingerprint == print_of
     (copy / "pytorch_model.bin").unlink()
     names = sorted(tensors)
@@ -210,8 +197,6 @@ def test_the_same_weights_in_other_files_have_the_same_fingerprint(copy):
 
 
 def test_broken_folders_are_errors_that_name_the_file(copy, tmp_path):
-    from safetensors.torch import load_file, save_file
-
     with pytest.raises(af.WeightsError, match="nowhere: no such folder"):
         af.HuggingFace(tmp_path / "nowhere")
     tensors = load_file(copy / "model.safetensors")

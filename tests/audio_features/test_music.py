@@ -60,9 +60,8 @@ def test_the_pulse_agrees_with_librosas_and_does_not_depend_on_blocks(monkeypatc
 
     flux = Music().extract(song(110)).values[:, -2].astype(np.float64)
     whole = local_pulse(flux)
-    theirs = librosa.beat.plp(
-        onset_envelope=flux, sr=100, hop_length=1, win_length=600, tempo_min=50, tempo_max=200
-    )
+    tempo = {"win_length": 600, "tempo_min": 50, "tempo_max": 200}
+    theirs = librosa.beat.plp(onset_envelope=flux, sr=100, hop_length=1, **tempo)
     assert np.corrcoef(whole, theirs)[0, 1] > 0.98
     monkeypatch.setattr(music_module, "_BLOCK_FRAMES", 271)
     np.testing.assert_allclose(local_pulse(flux), whole, atol=1e-6)

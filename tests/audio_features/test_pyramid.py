@@ -25,9 +25,8 @@ def test_level_lengths_never_fall_and_end_at_the_full_rate(n, levels):
 @given(n_in=st.integers(1, 300), n_out=st.integers(1, 300))
 def test_interpolation_is_torchs_linear_without_aligned_corners(n_in, n_out):
     values = np.random.default_rng(n_in).standard_normal((n_in, 3))
-    expected = torch.nn.functional.interpolate(
-        torch.from_numpy(values.T.copy())[None], size=n_out, mode="linear", align_corners=False
-    )[0].numpy()
+    given, how = torch.from_numpy(values.T.copy())[None], {"mode": "linear", "align_corners": False}
+    expected = torch.nn.functional.interpolate(given, size=n_out, **how)[0].numpy()
     np.testing.assert_allclose(af.resample_frames(values, n_out), expected.T, atol=1e-10)
 
 

@@ -33,9 +33,8 @@ def test_parity_with_the_default_backend(torchaudio, kind, seconds):
 @pytest.mark.parametrize("rate", [8_000, 44_100])
 def test_resampling_agrees_where_both_filters_pass(torchaudio, rate):
     wave = sound(3.017, rate)
-    ours, theirs = (
-        af.LogMel(32, backend=backend).extract(wave).values for backend in ("numpy", "torchaudio")
-    )
+    bands = (af.LogMel(32, backend=backend) for backend in ("numpy", "torchaudio"))
+    ours, theirs = (extractor.extract(wave).values for extractor in bands)
     assert ours.shape == theirs.shape
     below_3_khz = slice(0, 20)
     assert np.abs(ours - theirs)[3:-3, below_3_khz].max() < 0.1  # dB
@@ -44,21 +43,16 @@ def test_resampling_agrees_where_both_filters_pass(torchaudio, rate):
 @pytest.mark.parametrize("kind", [af.LogMel, af.MFCC])
 def test_a_gpu_gives_the_values_of_the_cpu(torchaudio, gpu, kind):
     wave = sound(4.0, 22_050)  # resampled too
-    there, here = (
-        kind(20, backend="torchaudio", device=device).extract(wave).values
-        for device in ("cuda", "cpu")
-    )
+    both = (kind(20, backend="torchaudio", device=device) for device in ("cuda", "cpu"))
+    there, here = (extractor.extract(wave).values for extractor in both)
     assert np.abs(there - here).max() < 1e-2
 
 
 def test_a_stack_of_both_backends_gives_each_its_own(torchaudio, speech):
     both = af.Stack([af.LogMel(backend="torchaudio"), af.Prosody()])
     assert af.extractor_from_spec(both.spec).spec == both.spec
-    np.testing.assert_allclose(
-        both.extract(speech).values,
-        af.Stack([af.LogMel(), af.Prosody()]).extract(speech).values,
-        atol=2e-3,
-    )
+    usual = af.Stack([af.LogMel(), af.Prosody()]).extract(speech).values
+    np.testing.assert_allclose(both.extract(speech).values, usual, atol=2e-3)
 
 
 USE_EVERYTHING = """
@@ -87,13 +81,9 @@ def test_a_broken_torchaudio_does_no_harm(wavlm_folder, tmp_path):
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: torchaudio\nVersion: 2.11.0\n")
     path = os.pathsep.join([str(tmp_path / "site"), os.environ.get("PYTHONPATH", "")])
-    done = subprocess.run(
-        [sys.executable, "-c", USE_EVERYTHING, wavlm_folder, tmp_path / "values.npy"],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": path},
-        check=False,
-    )
+    command = [sys.executable, "-c", USE_EVERYTHING, wavlm_folder, tmp_path / "values.npy"]
+    environment = {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr
     assert "backend='torchaudio'" in done.stdout and "libtorch_cuda.so" in done.stdout
     wave = af.Wave(0.1 * np.random.default_rng(0).standard_normal(32000).astype("f4"), 22050)

@@ -97,10 +97,8 @@ def test_the_level_has_no_influence():
 
 def test_only_long_pauses_become_silent_and_the_sound_beside_them_fades():
     floor = 0.01 * coloured(1.0, 19.0)
-    speech = 0.2 * np.concatenate(
-        [voiced(3.0), np.zeros(8 * RATE), voiced(3.0), np.zeros(2 * RATE), voiced(3.0)]
-    )
-    sound = wave(speech + floor)
+    long, short, said = np.zeros(8 * RATE), np.zeros(2 * RATE), voiced(3.0)
+    sound = wave(0.2 * np.concatenate([said, long, said, short, said]) + floor)
     found = af.voice_activity(sound)
     # Half a second around the voice; the pause of 2 s from 14 s on is part of the speech.
     np.testing.assert_allclose(found, [[0.0, 3.4], [10.6, 19.0]], atol=0.2)
@@ -109,12 +107,10 @@ def test_only_long_pauses_become_silent_and_the_sound_beside_them_fades():
     assert not silenced[stop:start].any()
     np.testing.assert_array_equal(silenced[: stop - RATE // 4], sound.samples[: stop - RATE // 4])
     np.testing.assert_array_equal(silenced[start + RATE // 4 :], sound.samples[start + RATE // 4 :])
-    near, half = slice(start, start + RATE // 25), start + RATE // 8
-    assert np.abs(silenced[near]).max() < 0.02 * np.abs(sound.samples[near]).max()
-    assert silenced[half] == pytest.approx(sound.samples[half] / 8, rel=0.01)
-    last, half = slice(stop - RATE // 25, stop), stop - RATE // 8
-    assert np.abs(silenced[last]).max() < 0.02 * np.abs(sound.samples[last]).max()
-    assert silenced[half] == pytest.approx(sound.samples[half] / 8, rel=0.01)
+    near, last = slice(start, start + RATE // 25), slice(stop - RATE // 25, stop)
+    for edge, half in ((near, start + RATE // 8), (last, stop - RATE // 8)):
+        assert np.abs(silenced[edge]).max() < 0.02 * np.abs(sound.samples[edge]).max()
+        assert silenced[half] == pytest.approx(sound.samples[half] / 8, rel=0.01)
 
 
 def test_a_pause_of_three_seconds_at_an_end_becomes_silent():

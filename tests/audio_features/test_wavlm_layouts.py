@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from sounds import distance
+from wavlm_layouts import microsoft, old_norm, torchaudio_state
 
 import audio_features as af
 
@@ -20,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("no_network")
 
 
 @pytest.fixture
-def layouts(wavlm_folder, tmp_path, microsoft, torchaudio_state, old_norm) -> dict[str, Path]:
+def layouts(wavlm_folder, tmp_path) -> dict[str, Path]:
     """The same network in every layout and spelling."""
     tensors = load_file(wavlm_folder / "model.safetensors")
     headed = {f"wavlm.{name}": tensor for name, tensor in old_norm(tensors).items()}
@@ -66,9 +67,7 @@ def test_all_layouts_of_one_network_give_the_same_features(wavlm_folder, layouts
     assert len(fingerprints) == 1
 
 
-def test_a_model_of_one_layout_takes_the_weights_of_another(
-    microsoft, wavlm_folder, tmp_path, speech
-):
+def test_a_model_of_one_layout_takes_weights_of_another(wavlm_folder, tmp_path, speech):
     """Even in near silence, where the three code bases' normalisations differ."""
     torch.save(microsoft(wavlm_folder), tmp_path / "WavLM.pt")
     quiet = af.Wave(speech.samples * np.float32(1e-3), 16_000)
@@ -82,9 +81,7 @@ def test_a_model_of_one_layout_takes_the_weights_of_another(
     assert differ == large
 
 
-def test_microsofts_normalisation_is_layer_norm_over_the_waveform(
-    microsoft, wavlm_folder, tmp_path, speech
-):
+def test_microsoft_applies_layer_norm_to_the_waveform(wavlm_folder, tmp_path, speech):
     torch.save(microsoft(wavlm_folder, normalize=True), tmp_path / "WavLM.pt")
     samples = torch.from_numpy(speech.samples * np.float32(1e-2))
     normal = torch.nn.functional.layer_norm(samples, samples.shape)
@@ -108,9 +105,7 @@ def test_the_preprocessor_file_decides_on_normalisation(wavlm_copy, speech):
         af.WavLM(wavlm_copy)
 
 
-def test_the_reach_of_positions_is_the_checkpoints_own(
-    microsoft, wavlm_folder, wavlm_copy, tmp_path, speech
-):
+def test_positions_reach_as_checkpoints_say(wavlm_folder, wavlm_copy, tmp_path, speech):
     """Published models say 800; Microsoft's class has 1280 where a checkpoint is silent."""
     config = json.loads((wavlm_copy / "config.json").read_text())
     (wavlm_copy / "config.json").write_text(json.dumps({**config, "max_bucket_distance": 200}))
@@ -129,9 +124,7 @@ def test_the_reach_of_positions_is_the_checkpoints_own(
 
 
 @pytest.mark.parametrize("mode", ["group_norm", "layer_norm"])
-def test_a_state_dict_of_torchaudio_gives_its_own_models_features(
-    torchaudio, mode, tmp_path, speech
-):
+def test_a_state_dict_of_torchaudio_gives_its_models_features(torchaudio, mode, tmp_path, speech):
     large = mode == "layer_norm"
     kernels = (10, 3, 3, 3, 3, 2, 2)
     model = torchaudio.models.wavlm_model(

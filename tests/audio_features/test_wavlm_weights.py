@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import soundfile
 from click.testing import CliRunner
+from wavlm_layouts import microsoft, torchaudio_state
 
 import audio_features as af
 
@@ -39,7 +40,7 @@ def refused(path: Path, match: str) -> str:
     return message
 
 
-def test_folders_that_cannot_be_used_are_refused_by_name(wavlm_copy, tmp_path):
+def test_unusable_folders_are_refused_by_name(wavlm_copy, tmp_path):
     refused(tmp_path / "missing", "no such folder or file")
     (tmp_path / "empty").mkdir()
     refused(tmp_path / "empty", "config.json: no such file")
@@ -71,9 +72,7 @@ def test_folders_that_cannot_be_used_are_refused_by_name(wavlm_copy, tmp_path):
     refused(wavlm_copy, "cannot be read as weights")
 
 
-def test_files_that_cannot_be_used_are_refused_by_name(
-    torchaudio_state, microsoft, wavlm_folder, tmp_path
-):
+def test_unusable_files_are_refused_by_name(wavlm_folder, tmp_path):
     path = tmp_path / "file.pt"
     for change, complaint in (
         ({"conv_feature_layers": "__import__('os').system('touch /tmp/run')"}, "conv_feature"),
@@ -106,7 +105,7 @@ def test_files_that_cannot_be_used_are_refused_by_name(
         refused(path, complaint)
 
 
-def test_nothing_in_a_file_is_run(microsoft, wavlm_folder, tmp_path, monkeypatch):
+def test_nothing_in_a_file_is_run(wavlm_folder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
     class Payload:
@@ -129,7 +128,7 @@ def test_nothing_in_a_file_is_run(microsoft, wavlm_folder, tmp_path, monkeypatch
     assert not (tmp_path / "run").exists()
 
 
-def test_damaged_files_are_refused(microsoft, wavlm_folder, tmp_path):
+def test_damaged_files_are_refused(wavlm_folder, tmp_path):
     good = tmp_path / "good.pt"
     path = tmp_path / "file.pt"
     torch.save(microsoft(wavlm_folder), good)
@@ -155,7 +154,7 @@ def test_damaged_files_are_refused(microsoft, wavlm_folder, tmp_path):
     refused(path, "begins with b'RIFF")
 
 
-def test_the_command_says_what_it_found(microsoft, wavlm_folder, tmp_path, speech):
+def test_the_command_says_what_it_found(wavlm_folder, tmp_path, speech):
     from gesturekit.cli.features import command
 
     soundfile.write(tmp_path / "a.wav", speech.samples, 16_000)

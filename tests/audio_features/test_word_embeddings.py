@@ -24,9 +24,7 @@ def talk(write_speech, tmp_path) -> af.Wave:
 @pytest.mark.parametrize(
     "name", ["bert", "roberta", "xlm-roberta", "distilbert", "mpnet", "electra"]
 )
-def test_a_word_has_the_mean_of_its_tokens_states_while_it_is_spoken(
-    name, talk, tmp_path, write_text_encoder
-):
+def test_a_spoken_word_has_the_mean_of_its_tokens_states(name, talk, tmp_path, write_text_encoder):
     model = write_text_encoder(tmp_path / "text", name)
     with torch.no_grad():  # [CLS] hand ##s [SEP], [CLS] so [SEP]
         hands = model(torch.tensor([[2, 6, 7, 3]]), output_hidden_states=True)
@@ -69,12 +67,10 @@ def test_published_files_with_heads_and_old_names_are_read(talk, tmp_path, write
 
     model = write_text_encoder(tmp_path / "text", head="ForMaskedLM").bert
     file = tmp_path / "text" / "model.safetensors"
-    old = {
-        name.replace("LayerNorm.weight", "LayerNorm.gamma").replace(
-            "LayerNorm.bias", "LayerNorm.beta"
-        ): value
-        for name, value in load_file(file).items()
-    }
+    old = {}
+    for name, value in load_file(file).items():
+        name = name.replace("LayerNorm.weight", "LayerNorm.gamma")
+        old[name.replace("LayerNorm.bias", "LayerNorm.beta")] = value
     assert any(name.endswith("gamma") for name in old)
     save_file({**old, "bert.embeddings.position_ids": torch.arange(40)[None]}, file)
     with torch.no_grad():

@@ -26,23 +26,23 @@ def write(path: Path, text: str) -> None:
     path.write_text(text)
 
 
-def write_smplx(path: Path, seconds: float, seed: int) -> None:
+def write_smplx(path: Path, seconds: float, seed: int, **changes: object) -> None:
     rng, n = np.random.default_rng(seed), round(30 * seconds)
     phase = rng.uniform(0, 6, 165) + np.arange(n)[:, None] / 10
     poses = 0.1 * np.sin(phase)
     poses[:, 3 * 16 + 2] -= 1.2  # the arms hang
     poses[:, 3 * 17 + 2] += 1.2
     path.parent.mkdir(parents=True, exist_ok=True)
-    np.savez(
-        path,
-        poses=poses,
-        trans=np.tile([0.0, 1.2, 0.0], (n, 1)),
-        expressions=np.zeros((n, 100)),
-        betas=np.zeros(300),
-        gender="neutral",
-        model="smplx2020",
-        mocap_frame_rate=30,
-    )
+    arrays = {
+        "poses": poses,
+        "trans": np.tile([0.0, 1.2, 0.0], (n, 1)),
+        "expressions": np.zeros((n, 100)),
+        "betas": np.zeros(300),
+        "gender": "neutral",
+        "model": "smplx2020",
+        "mocap_frame_rate": 30,
+    }
+    np.savez(path, **arrays | changes)
 
 
 def beat2(root: Path, motion: Write, sound: Write, seconds: float = 1.5) -> None:

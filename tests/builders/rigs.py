@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.rotations import multiply_quaternions
 
 Bones = dict[str, tuple[str | None, tuple[float, float, float]]]
 """Joint: its parent, and its offset in metres."""
@@ -64,19 +65,65 @@ def rig_of(bones: Bones, **more: Any) -> Skeleton:
     return Skeleton(names, parents, np.array([offset for _, offset in bones.values()]), **more)
 
 
-_LIMBS = {"shoulder": "Arm", "elbow": "ForeArm", "hip": "UpLeg", "knee": "Leg", "ankle": "Foot"}
+def at_rest(rig: Skeleton, n_frames: int, place: Any = (0.0, 0.0, 0.0), fps: float = 30) -> Motion:
+    """Return frames in which no joint turns, the root at a place; its arrays may be changed."""
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (n_frames, rig.n_joints, 1))
+    return Motion(rig, rotations, np.broadcast_to(place, (n_frames, 3)).copy(), fps)
+
+
+def with_offsets(rig: Skeleton, **offsets: tuple[float, float, float]) -> Skeleton:
+    """Return the rig with other offsets of some joints."""
+    changed = rig.offsets.copy()
+    for name, offset in offsets.items():
+        changed[rig.index(name)] = offset
+    return replace(rig, offsets=changed)
+
+
+def turned_at_root(motion: Motion, turn: np.ndarray) -> Motion:
+    """Return the motion with another rotation before those of its root, which stays in place."""
+    rotations = motion.rotations.copy()
+    rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
+    return replace(motion, rotations=rotations)
+
+
+def below_a_root(rig: Skeleton, height: float, name: str = "Reference") -> Skeleton:
+    """Return the rig below another joint, whose height above that is in metres."""
+    return Skeleton(
+        (name, *rig.names),
+        (-1, *(parent + 1 for parent in rig.parents)),
+        np.concatenate([np.zeros((1, 3)), [[0.0, height, 0.0]], rig.offsets[1:]]),
+    )
+
+
+def renamed(rig: Skeleton, names: dict[str, str]) -> Skeleton:
+    """Return the rig with other names of some joints."""
+    new = tuple(names.get(name, name) for name in rig.names)
+    ends = {names.get(name, name): sites for name, sites in rig.end_sites.items()}
+    return replace(rig, names=new, end_sites=ends)
+
+
+def numbered(rig: Skeleton) -> Skeleton:
+    """Return the rig with joints called Joint0, Joint1, ..."""
+    return renamed(rig, {name: f"Joint{j}" for j, name in enumerate(rig.names)})
+
+
+_LIMBS = {"shoulder": "Arm", "elbow": "ForeArm", "wrist": "Hand"}
+_LIMBS |= {"hip": "UpLeg", "knee": "Leg", "ankle": "Foot"}
+
+
+def numbered_limbs(rig: Skeleton) -> dict[str, str]:
+    """Return parts of a person's limbs, such as "left_elbow", to their joints in `numbered`."""
+    return {
+        f"{side.lower()}_{part}": f"Joint{rig.index(side + joint)}"
+        for side in ("Left", "Right")
+        for part, joint in _LIMBS.items()
+    }
 
 
 def nameless(motion: Motion) -> tuple[Motion, dict[str, str]]:
     """Return a motion of a person with joints named by number, without end sites; and its parts."""
     rig = motion.skeleton
-    names = tuple(f"Joint{j}" for j in range(rig.n_joints))
-    parts = {
-        f"{side}_{part}": names[rig.index(side.title() + joint)]
-        for side in ("left", "right")
-        for part, joint in _LIMBS.items()
-    }
-    return replace(motion, skeleton=replace(rig, names=names, end_sites={})), parts
+    return replace(motion, skeleton=replace(numbered(rig), end_sites={})), numbered_limbs(rig)
 
 
 def prefixed(motion: Motion, prefix: str = "mixamorig:") -> Motion:

@@ -58,17 +58,15 @@ def test_one_file_is_one_line_of_what_was_found_and_done(gesturekit, takes, monk
 
 def test_a_folder_lists_what_failed_and_does_the_rest(gesturekit, takes, tmp_path):
     out = tmp_path / "out"
-    done = gesturekit("convert", takes, out, "--format", "npz, html")
-    assert done.status == 1
+    done = gesturekit("convert", takes, out, "--format", "npz, html").fails(1)
     failed, count = done.err.splitlines()
     assert failed.startswith("Failed: ") and "broken.bvh:1" in failed and count == "1 of 3 failed."
     assert {path.name for path in out.rglob("*.html")} == {"a.html", "für später.html"}
-    again = gesturekit("convert", takes, out, "--format", "npz,html")
-    assert again.status == 1 and again.out.count("skipped, its outputs exist") == 2
-    other = gesturekit("convert", takes, out, "--format", "npz,html", "--mirror")
-    assert other.status == 2 and "another mirror (4 refused" in other.err and other.out == ""
-    skipped = gesturekit("convert", takes, out, "--format", "npz,html", "--existing", "skip")
-    assert skipped.status == 1 and skipped.out.count("skipped, its outputs exist") == 2
+    convert = ("convert", takes, out, "--format", "npz,html")
+    assert gesturekit(*convert, "--mirror").fails(2, "another mirror (4 refused").out == ""
+    for options in ((), ("--existing", "skip")):
+        again = gesturekit(*convert, *options).fails(1)
+        assert again.out.count("skipped, its outputs exist") == 2
 
 
 @pytest.mark.parametrize(
@@ -100,17 +98,16 @@ def test_joints_and_parts_that_are_not_there(gesturekit, takes, tmp_path):
         (("--joints", "LeftArm,RightArm"), "keep 'Chest' too"),
         (("--rig", "smplx", "--part", "head=Tail"), "no joint 'Tail'"),
     ):
-        done = gesturekit("convert", takes / "a.bvh", tmp_path / "x.npz", *options)
-        assert done.status == 1 and says in done.err and "a.bvh" in done.err
+        gesturekit("convert", takes / "a.bvh", tmp_path / "x.npz", *options).fails(1, says, "a.bvh")
 
 
 def test_the_rate_of_a_file_that_has_none_is_given(gesturekit, takes, tmp_path):
     text = re.sub("Frame Time: .*", "Frame Time: 0", (takes / "a.bvh").read_text())
     (takes / "a.bvh").write_text(text)
-    done = gesturekit("convert", takes / "a.bvh", tmp_path / "x.npz")
-    assert done.status == 1 and "Frame Time: '0' s" in done.err and "--in-fps" in done.err
-    done = gesturekit("convert", takes / "a.bvh", tmp_path / "x.npz", "--in-fps", 60)
-    assert done.status == 0 and Motion.load(tmp_path / "x.npz").fps == 60
+    convert = ("convert", takes / "a.bvh", tmp_path / "x.npz")
+    gesturekit(*convert).fails(1, "Frame Time: '0' s", "--in-fps")
+    gesturekit(*convert, "--in-fps", 60).ok()
+    assert Motion.load(tmp_path / "x.npz").fps == 60
 
 
 def test_folders_without_permission(gesturekit, takes, tmp_path):
@@ -162,12 +159,11 @@ def test_view_says_when_sound_and_motion_do_not_fit(gesturekit, takes, tmp_path,
 def test_a_page_that_exists_is_replaced_unless_asked(gesturekit, takes, tmp_path):
     page = tmp_path / "page.html"
     page.write_text("mine")
-    refused = gesturekit("view", takes / "a.bvh", "--out", page, "--existing", "refuse")
-    assert refused.status == 2 and "--existing replace" in refused.err
-    skipped = gesturekit("view", takes / "a.bvh", "--out", page, "--existing", "skip")
-    assert skipped.status == 0 and "skipped, exists already" in skipped.err
-    assert page.read_text() == "mine"
-    assert gesturekit("view", takes / "a.bvh", "--out", page).status == 0
+    view = ("view", takes / "a.bvh", "--out", page)
+    gesturekit(*view, "--existing", "refuse").fails(2, "--existing replace")
+    skipped = gesturekit(*view, "--existing", "skip").ok()
+    assert "skipped, exists already" in skipped.err and page.read_text() == "mine"
+    gesturekit(*view).ok()
     assert page.read_text() != "mine"
 
 
@@ -243,12 +239,9 @@ def test_a_warning_about_the_rig_is_one_line(gesture, tmp_path):
     body = {"Rh": [[0, 0, 0]], "Th": [[0, 0.9, 0]], "poses": [[0] * 72], "shapes": [[0] * 10]}
     (frames / "000000.json").write_text(json.dumps([{"id": k, **body} for k in range(2)]))
     gesture(0.5).save(tmp_path / "take.bvh")
-    done = subprocess.run(
-        [sys.executable, "-m", "gesturekit", "convert", "take.bvh", "on.npz", "--rig", "people"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-    )
+    command = [sys.executable, "-m", "gesturekit", "convert", "take.bvh", "on.npz"]
+    command += ["--rig", "people"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0
     (line,) = done.stderr.splitlines()
     assert line.startswith("Warning: people: several people")
@@ -272,8 +265,7 @@ def test_a_folder_is_viewed_by_its_motions(gesturekit, gesture, takes, tmp_path)
     assert done.status == 0 and "10 motions; the page shows the first 8" in done.err
     assert page.read_text().count('"label":') == 8
     (tmp_path / "empty").mkdir()
-    done = gesturekit("view", tmp_path / "empty")
-    assert done.status == 2 and "no motion in it; looked for .bvh" in done.err
+    gesturekit("view", tmp_path / "empty").fails(2, "no motion in it; looked for .bvh")
 
 
 def facts(path) -> dict:
@@ -295,14 +287,12 @@ def test_view_writes_videos_and_pictures(tmp_path, clip, gesturekit):
 
 
 def test_options_of_videos_are_refused_for_pages(tmp_path, clip, gesturekit):
-    refused = gesturekit("view", clip, "-o", tmp_path / "v.html", "--size", "720p")
-    assert refused.status == 2 and "--size is an option of mp4" in refused.err
-    refused = gesturekit("view", clip, "-o", tmp_path / "v.avi")
-    assert refused.status == 2 and ".mp4" in refused.err
+    view = ("view", clip, "-o", tmp_path / "v.html", "--size", "720p")
+    gesturekit(*view).fails(2, "--size is an option of mp4")
+    gesturekit("view", clip, "-o", tmp_path / "v.avi").fails(2, ".mp4")
 
 
 def test_convert_writes_videos_and_pictures_too(tmp_path, clip, gesturekit):
-    done = gesturekit("convert", clip, tmp_path / "o", "--format", "mp4,pdf", "--size", "1080p")
-    assert done.status == 0
+    gesturekit("convert", clip, tmp_path / "o", "--format", "mp4,pdf", "--size", "1080p").ok()
     assert facts(tmp_path / "o" / "a \u00fc.mp4")["size"] == (1920, 1080)
     assert (tmp_path / "o" / "a \u00fc.pdf").read_bytes().startswith(b"%PDF")

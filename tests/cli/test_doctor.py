@@ -6,23 +6,19 @@ import os
 import subprocess
 import sys
 
-import pytest
-
 from gesturekit.diagnosis import Finding, is_usable
 
 
 def test_a_machine_that_works_is_usable(gesturekit, write_wavlm, tmp_path):
     write_wavlm(tmp_path / "weights")
-    done = gesturekit("doctor", "--weights", tmp_path / "weights")
-    assert done.status == 0, done.out
+    done = gesturekit("doctor", "--weights", tmp_path / "weights").ok()
     for name in ("torch", "GPU", "threads", "torchaudio", "transformers", "ffmpeg", "disk"):
         assert f" {name} " in done.out
     assert "makes motion: 30 frames" in done.out and "3 layers of 32" in done.out
 
 
 def test_a_broken_requirement_gives_exit_code_1(gesturekit, tmp_path):
-    done = gesturekit("doctor", "--weights", tmp_path / "none")
-    assert done.status == 1
+    done = gesturekit("doctor", "--weights", tmp_path / "none").fails(1)
     assert f"BROKEN WavLM         {tmp_path / 'none'}" in done.out
     assert not is_usable([Finding("a", "ok", ""), Finding("b", "broken", "")])
     assert is_usable([Finding("a", "note", "")])
@@ -41,27 +37,19 @@ def test_a_broken_torchaudio_is_explained_and_not_needed(tmp_path):
     (tmp_path / "torchaudio").mkdir()
     (tmp_path / "torchaudio" / "__init__.py").write_text("raise OSError('libcudart.so.13: no')")
     path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
-    done = subprocess.run(
-        [sys.executable, "-c", UP_TO_TORCHAUDIO],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": path},
-        check=False,
-    )
+    command, about = [sys.executable, "-c", UP_TO_TORCHAUDIO], {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run(command, capture_output=True, text=True, env=about, check=False)
     assert done.returncode == 0, done.stderr
     last = done.stdout.splitlines()[-1]
     for word in ("name='torchaudio', state='note'", "libcudart.so.13", "pip uninstall torchaudio"):
         assert word in last
 
 
-@pytest.fixture
-def wav(write_wavlm, write_speech, tmp_path):
-    """A second of speech, beside a folder of weights."""
+def test_the_cache_is_shown_and_cleared(
+    gesturekit, write_wavlm, write_speech, tmp_path, monkeypatch
+):
     write_wavlm(tmp_path / "weights")
-    return write_speech(tmp_path / "a.wav", 1.0)
-
-
-def test_the_cache_is_shown_and_cleared(gesturekit, wav, tmp_path, monkeypatch):
+    wav = write_speech(tmp_path / "a.wav", 1.0)
     monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "cache"))
     assert "entries  0" in gesturekit("cache", "info").out
     options = ("--extractor", "wavlm,prosody", "--weights", tmp_path / "weights")

@@ -25,12 +25,6 @@ CONFIG = RECIPES / "multires_speech" / "config.yaml"
 pytestmark = pytest.mark.usefixtures("no_network")
 
 
-@pytest.fixture
-def hubert(write_encoder, tmp_path):
-    write_encoder(tmp_path / "hubert", "hubert")
-    return tmp_path / "hubert"
-
-
 @pytest.mark.parametrize("kind", ["wavlm", "hf"])
 def test_from_weights_to_motion(
     kind, gesturekit, corpus, light, write_speech, write_wavlm, write_encoder, tmp_path, tiny
@@ -57,14 +51,12 @@ def test_from_weights_to_motion(
 
     speech = write_speech(tmp_path / "speech.wav", 1.3)
     render = ("render", speech, "--model", run / "model", "--out", tmp_path / "out")
-    without = gesturekit(*render)
-    assert without.status == 2 and "--weights" in without.err and fingerprint in without.err
+    gesturekit(*render).fails(2, "--weights", fingerprint)
     refused = gesturekit(*render, "--weights", other)
     assert refused.status == 2 and len(refused.err.splitlines()) == 1
     found = set(re.findall(r"[0-9a-f]{64}", refused.err))
     assert fingerprint in found and len(found) == 2
-    nowhere = gesturekit(*render, "--weights", tmp_path / "nowhere")
-    assert nowhere.status == 2 and "nowhere: no such folder" in nowhere.err
+    gesturekit(*render, "--weights", tmp_path / "nowhere").fails(2, "nowhere: no such folder")
     assert not (tmp_path / "out").exists()
     # What counts is what the weights are, not where they lie.
     moved = weights.rename(tmp_path / "moved")
@@ -88,8 +80,7 @@ def test_training_names_the_weights_that_are_missing(
 ):
     """In one line, before features are extracted."""
     train = ("train", light, f"corpus={corpus}", f"out={tmp_path / 'run'}", *tiny)
-    done = gesturekit(*train, f"features.extractors={extractors}")
-    assert done.status == 2 and complaint in done.err, done.err
+    done = gesturekit(*train, f"features.extractors={extractors}").fails(2, complaint)
     assert len(done.err.splitlines()) == 1
 
 
@@ -101,15 +92,12 @@ def test_a_model_takes_a_speech_and_a_text_encoder(
     write_text_encoder(text)
     (tmp_path / "speech.tsv").write_text("0.1\t0.4\tso\n0.5\t0.9\thands\n", encoding="utf-8")
     said = {"words": tmp_path / "speech.tsv"}
-    Manifest([replace(item, conditions=said) for item in Manifest.load(corpus)]).save(
-        tmp_path / "corpus.jsonl"
-    )
+    items = [replace(item, conditions=said) for item in Manifest.load(corpus)]
+    Manifest(items).save(tmp_path / "corpus.jsonl")
     both = f"[{{kind: wavlm, layer: 2}}, {{kind: words, encoder: {text}, layer: 1}}]"
-    done = gesturekit(
-        *("train", light, f"corpus={tmp_path / 'corpus.jsonl'}", f"out={tmp_path / 'run'}"),
-        *(f"features.extractors={both}", f"features.weights={wavlm}", *tiny),
-    )
-    assert done.status == 0, done.err
+    files = (f"corpus={tmp_path / 'corpus.jsonl'}", f"out={tmp_path / 'run'}")
+    features = (f"features.extractors={both}", f"features.weights={wavlm}")
+    done = gesturekit("train", light, *files, *features, *tiny).ok()
     named = ("--weights", f"wavlm={wavlm}", "--weights", f"words={text}")
     assert " ".join(named) in done.out
     assert gesturekit("train", "--resume", tmp_path / "run").status == 0
@@ -119,16 +107,12 @@ def test_a_model_takes_a_speech_and_a_text_encoder(
     for given, complaint in (
         (("--weights", wavlm), "(--weights wavlm=PATH --weights words=PATH)"),
         (named[:2], "weights of the text encoder bert with fingerprint"),
-        (
-            ("--weights", wavlm, *named[2:]),
-            f"--weights {wavlm}: with several encoders, give KIND=PATH",
-        ),
+        (("--weights", wavlm, *named[2:]), f"{wavlm}: with several encoders, give KIND=PATH"),
         ((*named, *named[2:]), "words is given twice"),
         (("--weights", f"wavml={wavlm}", *named[2:]), "'wavml' is not an encoder"),
         (("--weights", f"wavlm={text}", "--weights", f"words={wavlm}"), "text"),
     ):
-        done = gesturekit(*render, *given)
-        assert done.status == 2 and complaint in done.err, done.err
+        gesturekit(*render, *given).fails(2, complaint)
     assert gesturekit(*render, *named).status == 0
     loaded = gk.load(model, weights={"wavlm": wavlm, "words": text})
     assert loaded.conditions.conditioner.extractor.dim == 32 + 16
@@ -138,9 +122,9 @@ def test_a_model_takes_a_speech_and_a_text_encoder(
     assert "other words" in gesturekit(*render, *named).err
 
 
-def test_features_and_doctor_take_the_folder(gesturekit, hubert, write_speech, tmp_path):
-    wav = write_speech(tmp_path / "a.wav", 1.0)
-    out = tmp_path / "out"
+def test_features_and_doctor_take_the_folder(gesturekit, write_encoder, write_speech, tmp_path):
+    wav, hubert, out = write_speech(tmp_path / "a.wav", 1.0), tmp_path / "hubert", tmp_path / "out"
+    write_encoder(hubert, "hubert")
     options = ("--layer", "1:1,2:3", "--out", out)
     done = gesturekit("features", wav, "--extractor", f"hf:{hubert},prosody", *options)
     assert done.status == 0 and "HuBERT, Hugging Face folder: 3 layers of 32" in done.out
@@ -149,10 +133,9 @@ def test_features_and_doctor_take_the_folder(gesturekit, hubert, write_speech, t
     same = ("--extractor", "hf,prosody", "--weights", hubert, *options, "--existing", "replace")
     assert gesturekit("features", wav, *same).status == 0
     np.testing.assert_array_equal(FeatureTrack.load(out / "a.npz").values, track.values)
-    wrong = gesturekit("features", wav, "--extractor", "hf", "--dtype", "bf16", *options)
-    assert wrong.status == 2 and "--dtype requires --extractor wavlm" in wrong.err
-    wrong = gesturekit("features", wav, "--extractor", "hf", "--layer", "1:x", "--out", out)
-    assert wrong.status == 2 and "--layer" in wrong.err
+    features = ("features", wav, "--extractor", "hf", *options)
+    gesturekit(*features, "--dtype", "bf16").fails(2, "--dtype requires --extractor wavlm")
+    gesturekit(*features, "--layer", "1:x").fails(2, "--layer")
     found = gesturekit("doctor", "--weights", hubert)
     assert found.status == 0 and "HuBERT, Hugging Face folder" in found.out
     (hubert / "model.safetensors").write_bytes(b"damaged")

@@ -22,6 +22,10 @@ from tqdm.utils import disp_len
 
 from gesturekit.corpus import Item, Manifest, prepare
 from gesturekit.motion import Motion
+from gesturekit.motion.rotations import (
+    quaternion_from_rotation_vector,
+    rotation_vector_from_quaternion,
+)
 from gesturekit.training.data.sources import TrainedSegment, save_sources
 
 
@@ -36,14 +40,16 @@ def folders(tmp_path_factory, write_pair, gesture) -> Path:
     return root
 
 
-def test_it_prints_a_table_and_writes_report_and_json(gesturekit, folders, tmp_path):
-    recordings = folders / "recordings"
-    done = gesturekit(
-        "evaluate", folders / "ours", recordings, "--audio", recordings,
-        "--out", tmp_path / "r.html", "--json", tmp_path / "r.json",
-        "--compare", folders / "baseline",
-    )  # fmt: skip
-    assert done.status == 0, done.err
+@pytest.fixture
+def evaluate(gesturekit, folders):
+    """evaluate(*options): the command, of the folder "ours" against the recordings."""
+    return lambda *more: gesturekit("evaluate", folders / "ours", folders / "recordings", *more)
+
+
+def test_it_prints_a_table_and_writes_report_and_json(evaluate, folders, tmp_path):
+    files = ("--out", tmp_path / "r.html", "--json", tmp_path / "r.json")
+    given = ("--audio", folders / "recordings", "--compare", folders / "baseline")
+    done = evaluate(*given, *files).ok()
     lines = done.out.splitlines()
     assert lines[0].startswith("ours: ") and lines[1].startswith("baseline: ")
     assert "In time with the speech?" in lines[2] and "Is it new?" in lines[7]
@@ -61,12 +67,8 @@ def test_it_prints_a_table_and_writes_report_and_json(gesturekit, folders, tmp_p
     assert lines[-3:-1] == [f"written  {tmp_path / name}" for name in ("r.json", "r.html")]
 
 
-def test_baselines_are_columns_of_the_table(gesturekit, folders):
-    done = gesturekit(
-        "evaluate", folders / "ours", folders / "recordings",
-        "--baseline", "mean_pose, other_utterance",
-    )  # fmt: skip
-    assert done.status == 0, done.err
+def test_baselines_are_columns_of_the_table(evaluate):
+    done = evaluate("--baseline", "mean_pose, other_utterance").ok()
     lines = done.out.splitlines()
     assert lines[12].split() == ["ours", "mean_pose", "other_utterance", "recording", "chance"]
     assert "9 clips measured, 0 left out" in lines[-1]
@@ -78,8 +80,7 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
     (made / "clip0.npz").write_bytes((folders / "ours" / "clip0.npz").read_bytes())
     (made / "clip1.npz").write_bytes(b"no npz")
     done = gesturekit("evaluate", made, folders / "recordings")
-    assert done.status == 1
-    assert "Left out: made: clip1: clip: " in done.err and "clip1.npz" in done.err
+    done.fails(1, "Left out: made: clip1: clip: ", "clip1.npz")
     assert "Arm speed, rad/s" in done.out
 
 
@@ -107,13 +108,10 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
         (["--sanity", "recordings", "--csv", "t.csv"], "does not use --csv; leave it out"),
     ],
 )
-def test_usage_errors_are_one_line_and_exit_code_2(
-    gesturekit, folders, monkeypatch, arguments, said
-):
+def test_usage_errors_are_a_line_and_exit_code_2(gesturekit, folders, monkeypatch, arguments, said):
     monkeypatch.chdir(folders)
     (folders / "empty").mkdir(exist_ok=True)
-    done = gesturekit("evaluate", *arguments)
-    assert done.status == 2 and said in done.err
+    done = gesturekit("evaluate", *arguments).fails(2, said)
     assert "Traceback" not in done.err and not done.out
 
 
@@ -124,17 +122,12 @@ def test_usage_errors_are_one_line_and_exit_code_2(
         ("lda", ["clip0_w000_s1", "clip0_w000_s2", "clip1_w000_s1", "clip1_w000_s2"], "fid_k"),
     ],
 )
-def test_a_protocol_samples_models(
-    gesturekit, model, write_pair, tmp_path, protocol, names, measure
-):
+def test_protocols_sample_models(gesturekit, model, write_pair, tmp_path, protocol, names, measure):
     for i in range(2):
         write_pair(tmp_path / "recordings", f"clip{i}", 12.0 if protocol == "lda" else 3.0, seed=i)
-    recordings = tmp_path / "recordings"
-    done = gesturekit(
-        "evaluate", model, recordings, "--protocol", protocol, "--audio", recordings,
-        "--samples", 2, "--samples-dir", tmp_path / "samples", "--json", tmp_path / "r.json",
-    )  # fmt: skip
-    assert done.status == 0, done.err
+    recordings, folder = tmp_path / "recordings", ("--samples-dir", tmp_path / "samples")
+    sample = ("evaluate", model, recordings, "--protocol", protocol, "--audio", recordings, *folder)
+    done = gesturekit(*sample, "--samples", 2, "--json", tmp_path / "r.json").ok()
     written = sorted(path.stem for path in (tmp_path / "samples" / "model").iterdir())
     assert written == names
     (found,) = json.loads((tmp_path / "r.json").read_text())["models"]
@@ -142,11 +135,7 @@ def test_a_protocol_samples_models(
     seconds = {round(clip["seconds"], 2) for clip in found["clips"]}
     assert seconds == ({10.0} if protocol == "lda" else {6.0})
     assert "the protocol takes" in done.err
-    again = gesturekit(
-        "evaluate", model, recordings, "--protocol", protocol, "--audio", recordings,
-        "--samples", 1, "--samples-dir", tmp_path / "samples",
-    )  # fmt: skip
-    assert again.status == 2 and "samples of an earlier run" in again.err
+    gesturekit(*sample, "--samples", 1).fails(2, "samples of an earlier run")
 
 
 def test_a_protocol_samples_the_items_of_a_manifest(gesturekit, model, write_pair, tmp_path):
@@ -161,11 +150,8 @@ def test_a_protocol_samples_the_items_of_a_manifest(gesturekit, model, write_pai
         ("lda", "talk_w000_s1", []),
         ("lda", "walk_w000_s1", ["--split", "train", "--bas", "bailando"]),
     ):
-        samples = tmp_path / f"samples {clip}"
-        done = gesturekit(
-            "evaluate", model, *about, "--protocol", protocol, "--samples-dir", samples, *more
-        )
-        assert done.status == 0, done.err
+        sampling = ("--protocol", protocol, "--samples-dir", tmp_path / f"samples {clip}", *more)
+        done = gesturekit("evaluate", model, *about, *sampling).ok()
         found = json.loads((tmp_path / "r.json").read_text())
         assert [c["name"] for m in found["models"] for c in m["clips"]] == [clip]
         assert found["settings"]["variants"]["bas"] == ("bailando" if more else "seconds")
@@ -178,16 +164,13 @@ def test_a_model_with_styles_is_not_sampled_for_recordings_of_unknown_style(
 ):
     styled = [replace(item, style="calm", split="train") for item in Manifest.load(corpus)]
     Manifest(styled).save(tmp_path / "corpus.jsonl")
-    done = gesturekit(
-        "train", "multires_labels", *tiny, "noise_levels=6",
-        f"corpus={tmp_path / 'corpus.jsonl'}", f"out={tmp_path / 'run'}",
-    )  # fmt: skip
-    assert done.status == 0, done.err
+    files = (f"corpus={tmp_path / 'corpus.jsonl'}", f"out={tmp_path / 'run'}")
+    gesturekit("train", "multires_labels", *tiny, "noise_levels=6", *files).ok()
     write_pair(tmp_path / "recordings", "clip", 3.0)
     about = ["--protocol", "multires", "--samples", 1, "--samples-dir", tmp_path / "samples"]
     done = gesturekit("evaluate", tmp_path / "run" / "model", tmp_path / "recordings", *about)
-    assert done.status == 2 and not (tmp_path / "samples").exists()
-    assert "style None of clip: the model has calm" in done.err and "--corpus" in done.err
+    done.fails(2, "style None of clip: the model has calm", "--corpus")
+    assert not (tmp_path / "samples").exists()
 
 
 @pytest.fixture(scope="module")
@@ -205,11 +188,9 @@ def held_out(tmp_path_factory, write_pair, gesture):
 def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_path):
     root, items = held_out
     test = items["test"]
-    done = gesturekit(
-        "evaluate", root / "rendered", "--corpus", root / "corpus.jsonl",
-        "--json", tmp_path / "r.json", "--out", tmp_path / "r.html",
-    )  # fmt: skip
-    assert done.status == 0, done.err
+    files = ("--json", tmp_path / "r.json", "--out", tmp_path / "r.html")
+    measured = ("evaluate", root / "rendered", "--corpus", root / "corpus.jsonl")
+    done = gesturekit(*measured, *files).ok()
     assert "trained on" not in done.err and "from 1 take: no intervals" in done.err
     assert f"1 clip measured, 0 left out; all of it in {tmp_path / 'r.html'}" in done.out
     beside = "held-out items with neighbours in training, of the same take (talk): 1 of 1."
@@ -222,15 +203,15 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
     test.load_motion().save(tmp_path / "cut" / "talk.npz")
     wave = test.load_wave()
     soundfile.write(tmp_path / "cut" / "talk.wav", wave.samples, wave.sample_rate, "FLOAT")
-    by_hand = gesturekit(
-        "evaluate", root / "rendered" / f"{test.id}.bvh", tmp_path / "cut" / "talk.npz",
-        "--audio", tmp_path / "cut", "--json", tmp_path / "hand.json",
-    )  # fmt: skip
-    assert by_hand.status == 0, by_hand.err
+    cut = (root / "rendered" / f"{test.id}.bvh", tmp_path / "cut" / "talk.npz")
+    files = ("--audio", tmp_path / "cut", "--json", tmp_path / "hand.json")
+    gesturekit("evaluate", *cut, *files).ok()
     ((other,),) = (m["clips"] for m in json.loads((tmp_path / "hand.json").read_text())["models"])
     # Those that compare with the training split, which a folder has not, differ.
-    own = {k: v for k, v in clip["figures"].items() if k not in ("copying", "novelty")}
-    by_hand = {k: v for k, v in other["figures"].items() if k not in ("copying", "novelty")}
+    own, by_hand = (
+        {k: v for k, v in found["figures"].items() if k not in ("copying", "novelty")}
+        for found in (clip, other)
+    )
     assert by_hand == pytest.approx(own, rel=1e-4, abs=1e-4)
 
 
@@ -255,20 +236,12 @@ def test_files_cut_from_a_take_are_one_unit(gesturekit, gesture, tmp_path):
 def test_retrieval_and_speech_blind_are_compared(gesturekit, held_out, tmp_path):
     root, items = held_out
     about = ["--corpus", root / "corpus.jsonl"]
-    made = gesturekit(
-        "render", *about, "--split", "test", "--model", "demo", "--out", tmp_path / "m"
-    )
-    assert made.status == 0, made.err
-    done = gesturekit(
-        "evaluate", tmp_path / "m", *about, "--baseline", "speech_blind,mean_pose,retrieval",
-        "--json", tmp_path / "r.json",
-    )  # fmt: skip
-    assert done.status == 0, done.err
+    gesturekit("render", *about, "--split", "test", "--model", "demo", "--out", tmp_path / "m").ok()
+    baselines = ("--baseline", "speech_blind,mean_pose,retrieval", "--json", tmp_path / "r.json")
+    gesturekit("evaluate", tmp_path / "m", *about, *baselines).ok()
     found = {m["label"]: m for m in json.loads((tmp_path / "r.json").read_text())["models"]}
     assert [*found] == ["m", "retrieval", "speech_blind", "mean_pose"]
-    ((own,), (blind,), (pieces,)) = (
-        found[name]["clips"] for name in ("m", "speech_blind", "retrieval")
-    )
+    (own,), (blind,), (pieces,) = (found[m]["clips"] for m in ("m", "speech_blind", "retrieval"))
     assert own["recording"] == blind["recording"] == pieces["recording"] == items["test"].id
     # The same model, another motion; pieces come from the training split, as their rig does.
     assert blind["figures"]["wrist_speed"] != own["figures"]["wrist_speed"]
@@ -285,8 +258,7 @@ def test_speech_blind_needs_a_folder_written_by_render(gesturekit, held_out):
 def test_evaluating_on_training_recordings_is_warned_about(gesturekit, held_out, tmp_path):
     root, items = held_out
     train = ("evaluate", root / "rendered", "--corpus", root / "corpus.jsonl", "--split", "train")
-    done = gesturekit(*train)
-    assert done.status == 0
+    done = gesturekit(*train).ok()
     assert f"trained on 1 of 1 recording, or on a part of each ({items['train'].id})" in done.err
     # A folder of whole recordings, rendered by a model that says what it was trained on.
     model, rendered = tmp_path / "model", tmp_path / "rendered"
@@ -313,12 +285,10 @@ def test_an_item_without_a_clip_is_left_out(gesturekit, held_out, tmp_path):
     made = tmp_path / "made"
     made.mkdir()
     (made / "other.npz").write_bytes(b"")
-    done = gesturekit("evaluate", made, *corpus)
-    assert done.status == 2 and "of 1 clip (other) none has a recording" in done.err
-    both = gesturekit("evaluate", made, root / "recordings", *corpus)
-    assert both.status == 2 and "with its own --compare" in both.err
-    named = gesturekit("evaluate", root / "rendered" / "day", root / "recordings")
-    assert named.status == 2 and "items of a manifest: --corpus" in named.err
+    gesturekit("evaluate", made, *corpus).fails(2, "of 1 clip (other) none has a recording")
+    gesturekit("evaluate", made, root / "recordings", *corpus).fails(2, "with its own --compare")
+    folders = (root / "rendered" / "day", root / "recordings")
+    gesturekit("evaluate", *folders).fails(2, "items of a manifest: --corpus")
 
 
 def test_a_rig_without_limbs_gets_one_line_of_what_was_left_out(gesturekit, tmp_path):
@@ -326,22 +296,16 @@ def test_a_rig_without_limbs_gets_one_line_of_what_was_left_out(gesturekit, tmp_
     for folder, seed in (("recordings", 0), ("made", 1)):
         angles = np.random.default_rng(seed).normal(0, 0.02, (150, 6, 3)).cumsum(axis=0)
         rotations = Rotation.from_euler("xyz", angles.reshape(-1, 3)).as_quat()
-        Motion(snake, rotations.reshape(150, 6, 4), np.zeros((150, 3)), 25.0).save(
-            tmp_path / folder / "clip.npz"
-        )
-    done = gesturekit("evaluate", tmp_path / "made", tmp_path / "recordings")
-    assert done.status == 0, done.err
+        motion = Motion(snake, rotations.reshape(150, 6, 4), np.zeros((150, 3)), 25.0)
+        motion.save(tmp_path / folder / "clip.npz")
+    done = gesturekit("evaluate", tmp_path / "made", tmp_path / "recordings").ok()
     assert "Jerk, m/s³" in done.out
     (line,) = (line for line in done.err.splitlines() if "Arm speed" in line)
     assert "Wrist speed" in line
 
 
-def test_recordings_are_read_by_the_units_that_are_named(gesturekit, folders, tmp_path):
-    done = gesturekit(
-        "evaluate", folders / "ours", folders / "recordings", "--in-fps", 50,
-        "--json", tmp_path / "r.json",
-    )  # fmt: skip
-    assert done.status == 0, done.err
+def test_recordings_are_read_by_the_units_that_are_named(evaluate, tmp_path):
+    evaluate("--in-fps", 50, "--json", tmp_path / "r.json").ok()
     clip = json.loads((tmp_path / "r.json").read_text())["models"][0]["clips"][0]
     assert any("longer than its recording" in note for note in clip["notes"])
 
@@ -358,7 +322,7 @@ def test_columns_stay_under_their_headers_beside_wide_characters(gesturekit, fol
     assert speed[:end].endswith("  ") and speed[end] != " "
 
 
-def test_an_interrupted_evaluation_goes_on_where_it_was(gesturekit, folders, tmp_path, monkeypatch):
+def test_an_interrupted_evaluation_goes_on_where_it_was(evaluate, tmp_path, monkeypatch):
     from gesturekit.evaluation.measuring.measurer import Measurer
 
     monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "cache"))
@@ -371,22 +335,19 @@ def test_an_interrupted_evaluation_goes_on_where_it_was(gesturekit, folders, tmp
         return measure(self, label, index)
 
     monkeypatch.setattr(Measurer, "clip", counted)
-    done = gesturekit("evaluate", folders / "ours", folders / "recordings")
-    assert done.status == 130 and "Finished measurements are cached" in done.err
+    evaluate().fails(130, "Finished measurements are cached")
     done_clips[:] = [None]  # room for one more clip
-    done = gesturekit("evaluate", folders / "ours", folders / "recordings")
-    assert done.status == 0, done.err
+    evaluate().ok()
     assert done_clips == [None, 2]
 
 
 def test_tables_have_a_line_for_each_metric_and_stable_columns(gesturekit, folders, tmp_path):
-    done = gesturekit(
+    gesturekit(
         "evaluate", "a_1=" + str(folders / "ours"), folders / "recordings",
         "--compare", "50% <b>=" + str(folders / "baseline"), "--csv", tmp_path / "t.csv",
         "--markdown", tmp_path / "t.md", "--latex", tmp_path / "t.tex",
         "--json", tmp_path / "r.json",
-    )  # fmt: skip
-    assert done.status == 0, done.err
+    ).ok()  # fmt: skip
     found = json.loads((tmp_path / "r.json").read_text())
     assert [model["label"] for model in found["models"]] == ["a_1", "50% <b>"]
     with (tmp_path / "t.csv").open(newline="") as file:
@@ -420,8 +381,7 @@ def test_clips_that_are_not_meant_to_be_measured_are_noted_and_leave_exit_code_0
     alone = [item.id for item in Manifest.load(corpus).unpaired("test")]
     for name in ("clip0", "clip1", *alone):
         gesture(3.0, 25.0, seed=9).save(tmp_path / "made" / f"{name}.npz")
-    done = gesturekit("evaluate", tmp_path / "made", "--corpus", corpus)
-    assert done.status == 0, done.err
+    done = gesturekit("evaluate", tmp_path / "made", "--corpus", corpus).ok()
     assert f"1 clip whose items have no motion in {corpus}, not measured: {alone[0]}" in done.err
     assert f"1 clip of split train in {corpus}, not measured: clip" in done.err
     assert "1 clip measured, 0 left out" in done.out
@@ -433,16 +393,11 @@ def test_clips_that_are_not_meant_to_be_measured_are_noted_and_leave_exit_code_0
 def test_sync_of_arms_that_hardly_move_is_not_given(gesturekit, write_pair, tmp_path):
     write_pair(tmp_path / "recordings", "a", 5.0, fps=25.0)
     recording = Motion.load(tmp_path / "recordings" / "a.bvh")
-    slow = Rotation.from_quat(recording.rotations.reshape(-1, 4)).as_rotvec()
-    still = slow.reshape(125, -1, 3)[:1]
-    slow = still + 0.02 * (slow.reshape(125, -1, 3) - still)
-    rotations = Rotation.from_rotvec(slow.reshape(-1, 3)).as_quat().reshape(125, -1, 4)
-    Motion(recording.skeleton, rotations, recording.translation, 25.0).save(
-        tmp_path / "made" / "a.npz"
-    )
+    turns = rotation_vector_from_quaternion(recording.rotations)
+    slow = quaternion_from_rotation_vector(turns[:1] + 0.02 * (turns - turns[:1]))
+    replace(recording, rotations=slow).save(tmp_path / "made" / "a.npz")
     folders = (tmp_path / "made", tmp_path / "recordings", "--audio", tmp_path / "recordings")
-    done = gesturekit("evaluate", *folders)
-    assert done.status == 0, done.err
+    done = gesturekit("evaluate", *folders).ok()
     assert "less than 5 % of the recording's speed" in done.err
     assert not any(line.startswith("  Sync  ") for line in done.out.splitlines())
 

@@ -7,6 +7,7 @@ import json
 import math
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,8 +33,7 @@ def sounds(tmp_path, write_speech):
 
 def test_the_state_of_a_run_is_shown_at_any_time(gesturekit, model, sounds, tmp_path):
     out = tmp_path / "out"
-    done = gesturekit("jobs", tmp_path)
-    assert done.status == 2 and "no plan in it" in done.err
+    gesturekit("jobs", tmp_path).fails(2, "no plan in it")
     common = ("render", sounds, "--model", model, "--out", out)
     assert gesturekit(*common, "--shard", "2/3").status in (0, 1)
     shown = gesturekit("jobs", out)
@@ -90,12 +90,16 @@ def test_wrong_options(gesturekit, model, sounds, tmp_path, arguments, says):
     assert done.status == 2 and says in done.err and not (tmp_path / "out").exists()
 
 
+def begun(folder: Path, *names: str) -> Journal:
+    """The journal of a run over items of these names."""
+    (folder / STATE / "journal").mkdir(parents=True)
+    write_plan(folder / STATE / "plan.jsonl", [Task(name) for name in names], 1, "r")
+    return Journal(folder / STATE, 1, 1, run="a", settings={}, about={})
+
+
 def test_names_from_a_journal_cannot_write_to_the_terminal(gesturekit, tmp_path):
-    state = tmp_path / STATE
-    (state / "journal").mkdir(parents=True)
     odd = "a\x1b[2J\udcff"
-    write_plan(state / "plan.jsonl", [Task(odd), Task("b\x1b")], 1, "r")
-    journal = Journal(state, 1, 1, run="a", settings={}, about={})
+    journal = begun(tmp_path, odd, "b\x1b")
     journal.finish(Result(Task(odd), "failed", error=f"{odd}: broken\x1b[31m"))
     journal.start("b\x1b")
     journal.close()
@@ -169,16 +173,12 @@ def test_names_with_html_are_text_on_the_page(gesturekit, model, write_speech, t
 
 
 def test_the_page_of_a_folder_is_html_whatever_its_journal_says(gesturekit, tmp_path):
-    state = tmp_path / STATE
-    (state / "journal").mkdir(parents=True)
-    write_plan(state / "plan.jsonl", [Task(name) for name in "abcd"], 1, "r")
-    journal = Journal(state, 1, 1, run="a", settings={}, about={})
+    journal = begun(tmp_path, *"abcd")
     for name, sound in zip("abcd", (0.0, 1.0, 2.0, math.inf)):
         journal.finish(Result(Task(name), "done", sound=sound, seconds=1.0))
     journal.close()
     for name in ("3", "page.bvh"):
-        done = gesturekit("jobs", tmp_path, "--page", tmp_path / name)
-        assert done.status == 2 and "name it .html" in done.err
+        gesturekit("jobs", tmp_path, "--page", tmp_path / name).fails(2, "name it .html")
         assert not (tmp_path / name).exists()
     page = tmp_path / "page.html"
     done = gesturekit("jobs", tmp_path, "--page", page)

@@ -33,9 +33,8 @@ def render(tmp_path, write_speech, monkeypatch):
 def test_slurm_makes_the_same_files(render, tmp_path):
     pytest.importorskip("submitit")
     assert render("plain").exit_code == 0
-    done = render(
-        "sharded", "--launcher", "slurm", "--jobs", "2", "--launcher-option", "cluster=debug"
-    )
+    jobs = ("--launcher", "slurm", "--jobs", "2", "--launcher-option", "cluster=debug")
+    done = render("sharded", *jobs)
     assert done.exit_code == 0, done.output
     assert results(tmp_path / "sharded") == results(tmp_path / "plain")
     assert len(results(tmp_path / "plain")) == 3
@@ -111,9 +110,8 @@ def test_shards_of_a_lost_ray_node_are_run_again(render, tmp_path, monkeypatch):
 
         thread = threading.Thread(target=lose, daemon=True)
         thread.start()
-        done = render(
-            "out", "--launcher", "ray", "--jobs", "4", "--address", cluster.address, files=40
-        )
+        jobs = ("--launcher", "ray", "--jobs", "4", "--address", cluster.address)
+        done = render("out", *jobs, files=40)
         thread.join(60)
         assert done.exit_code == 0, done.output
         assert "was lost with its node" in done.output

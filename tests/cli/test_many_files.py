@@ -11,11 +11,13 @@ from audio_features import FeatureTrack
 from gesturekit.jobs.state import STATE
 from gesturekit.jobs.status import status_of
 
+STEMS = ("a", "b", "day/c", "day/d", "day/night/e")
+
 
 @pytest.fixture
 def folder(tmp_path, write_pair) -> Path:
     """Five pairs of sound and motion, in folders."""
-    for number, name in enumerate(("a", "b", "day/c", "day/d", "day/night/e")):
+    for number, name in enumerate(STEMS):
         path = tmp_path / "in" / name
         write_pair(path.parent, path.name, 0.4 + 0.3 * number, fps=25.0, seed=number)
     return tmp_path / "in"
@@ -44,10 +46,7 @@ def test_shards_in_any_order_give_the_same_files(run, gesturekit, tmp_path, verb
     whole = run("whole")
     assert (whole.status, whole.err) == (0, "") and len(whole.out.splitlines()) >= 5
     made = results(tmp_path / "whole")
-    assert set(made) == {
-        f"{name}.{kind}" for name in ("a", "b", "day/c", "day/d", "day/night/e")
-        for kind in KINDS[verb]
-    }  # fmt: skip
+    assert set(made) == {f"{stem}.{kind}" for stem in STEMS for kind in KINDS[verb]}
     for shard in ("3/3", "1/3", "2/3"):
         assert run("out", "--shard", shard).status == 0
     assert results(tmp_path / "out") == made
@@ -63,8 +62,7 @@ def test_workers_and_launchers_give_the_same_files(run, tmp_path):
     assert run("workers", "--workers", 2).status == 0
     assert results(tmp_path / "workers") == results(tmp_path / "whole")
     pytest.importorskip("submitit")
-    done = run("slurm", "--launcher", "slurm", "--jobs", 2, "--launcher-option", "cluster=debug")
-    assert done.status == 0, done.err
+    run("slurm", "--launcher", "slurm", "--jobs", 2, "--launcher-option", "cluster=debug").ok()
     assert results(tmp_path / "slurm") == results(tmp_path / "whole")
 
 
@@ -80,9 +78,8 @@ def test_a_rerun_does_what_changed(run, folder, tmp_path, verb, write_pair):
     assert run("out", "--existing", "replace").status == 0
     after = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.*")}
     changed = {path.name for path in after if path.suffix and after[path] != before.get(path)}
-    assert {name for name in changed if name[0] in "abcde"} == {
-        f"a.{kinds[-1]}", *(f"b.{kind}" for kind in kinds)
-    }  # fmt: skip
+    anew = {f"a.{kinds[-1]}", *(f"b.{kind}" for kind in kinds)}
+    assert {name for name in changed if name[0] in "abcde"} == anew
 
 
 def test_three_failures_put_an_item_aside(run, folder, tmp_path, verb):
@@ -121,19 +118,14 @@ def test_one_motion_leaves_no_state_beside_it(gesturekit, folder, tmp_path):
     assert gesturekit("convert", folder / "a.bvh", tmp_path / "x.npz").status == 0
     assert not (tmp_path / STATE).exists()
     refused = gesturekit("convert", folder / "a.bvh", tmp_path / "y.npz", "--shard", "1/2")
-    assert refused.status == 2
-    assert "is a file, which cannot be split into shards; give a folder" in refused.err
+    refused.fails(2, "is a file, which cannot be split into shards; give a folder")
 
 
 def test_a_list_of_sounds_with_intervals(gesturekit, folder, tmp_path):
-    lines = [
-        '{"audio": "a.wav", "id": "part", "start": 0.1, "seconds": 0.2}',
-        '{"id": "idle", "seconds": 1}',
-    ]
-    (folder / "night.jsonl").write_text("\n".join(lines))
+    part = '{"audio": "a.wav", "id": "part", "start": 0.1, "seconds": 0.2}'
+    (folder / "night.jsonl").write_text(f'{part}\n{{"id": "idle", "seconds": 1}}')
     command = ("features", folder / "night.jsonl", "--fps", 50, "--picture")
-    done = gesturekit(*command, "--out", tmp_path / "out")
-    assert done.status == 1 and "no sound, so there are no features" in done.err
+    gesturekit(*command, "--out", tmp_path / "out").fails(1, "no sound, so there are no features")
     assert len(FeatureTrack.load(tmp_path / "out" / "part.npz").values) == 10
     assert (tmp_path / "out" / "part.png").is_file()
 
@@ -141,5 +133,4 @@ def test_a_list_of_sounds_with_intervals(gesturekit, folder, tmp_path):
 def test_results_of_another_verb_are_never_replaced(gesturekit, folder, tmp_path):
     out = tmp_path / "out"
     assert gesturekit(*COMMANDS["convert"](folder, out)).status == 0
-    refused = gesturekit("features", folder, "--out", out)
-    assert refused.status == 2 and "a.npz" in refused.err and "exist already" in refused.err
+    gesturekit("features", folder, "--out", out).fails(2, "a.npz", "exist already")

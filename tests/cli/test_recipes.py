@@ -55,8 +55,7 @@ def test_a_folder_of_data_does_not_hide_the_recipe_of_its_name(gesturekit, tmp_p
     (tmp_path / "zeggs" / "clean").mkdir(parents=True)
     assert "[styles]" in gesturekit("train", "zeggs", "--show").out
     (tmp_path / "recordings").mkdir()
-    done = gesturekit("train", "recordings", "--show")
-    assert done.status == 2 and "run gesturekit prepare on it" in done.err
+    gesturekit("train", "recordings", "--show").fails(2, "run gesturekit prepare on it")
 
 
 def test_the_list_names_recipes_and_configurations(gesturekit):
@@ -73,9 +72,8 @@ def test_a_copy_can_be_edited_and_is_trained_by_its_folder(gesturekit, tmp_path)
     done = gesturekit("recipes", "cp", "diffusion_styles", "new/my styles")
     assert done.status == 0 and "gesturekit train" in done.out
     copy = tmp_path / "new" / "my styles"
-    assert {path.name for path in copy.iterdir()} == {
-        path.name for path in (ROOT / "recipes" / "diffusion_styles").glob("*.*")
-    }
+    files = (ROOT / "recipes" / "diffusion_styles").glob("*.*")
+    assert {path.name for path in copy.iterdir()} == {path.name for path in files}
     text = (copy / "config.yaml").read_text()
     (copy / "config.yaml").write_text(text.replace("updates: 4000", "updates: 7"))
     shown = gesturekit("train", copy, "--show").out
@@ -85,8 +83,7 @@ def test_a_copy_can_be_edited_and_is_trained_by_its_folder(gesturekit, tmp_path)
 def test_a_copy_replaces_nothing(gesturekit, tmp_path):
     assert gesturekit("recipes", "cp", "ganimator").status == 0
     (tmp_path / "ganimator" / "config.yaml").write_text("mine")
-    again = gesturekit("recipes", "cp", "ganimator")
-    assert again.status == 2 and "ganimator: exists already" in again.err
+    gesturekit("recipes", "cp", "ganimator").fails(2, "ganimator: exists already")
     assert (tmp_path / "ganimator" / "config.yaml").read_text() == "mine"
 
 
@@ -100,8 +97,7 @@ def test_a_copy_replaces_nothing(gesturekit, tmp_path):
     ],
 )
 def test_usage_errors(gesturekit, arguments, says):
-    done = gesturekit("recipes", *arguments)
-    assert done.status == 2 and says in done.err
+    gesturekit("recipes", *arguments).fails(2, says)
 
 
 def test_base_names_a_recipe_or_the_nearest_file(tmp_path):

@@ -123,9 +123,8 @@ def test_zeggs(zeggs):
         ("067_Speech_2_x_1_0", "valid", "zeggs", "Speech", True, True),
     }
     assert report.is_complete
-    assert "left out: 2: 001_Neutral_0_mirror_x_1_0.bvh, 001_Neutral_0_x_0_9" in messages(
-        report, "note"
-    )
+    notes = messages(report, "note")
+    assert "left out: 2: 001_Neutral_0_mirror_x_1_0.bvh, 001_Neutral_0_x_0_9" in notes
     (zeggs / "clean" / "001_Neutral_0_x_1_0.wav").unlink()
     (zeggs / "clean" / "005_Neutral_4_x_1_0.bvh").write_text("HIERARCHY")
     (zeggs / "clean" / "067_Speech_2_x_1_0.wav").unlink()
@@ -176,9 +175,8 @@ def test_genea2023(publish):
     item = report.manifest.in_split("valid")[0]
     assert set(item.conditions) == {"words", "partner_audio", "partner_motion", "partner_words"}
     assert item.conditions["partner_audio"].name == "val_2023_v0_000_interloctr.wav"
-    assert "fingers were not recorded (metadata.csv): 1: trn_2023_v0_001" in messages(
-        report, "note"
-    )
+    notes = messages(report, "note")
+    assert "fingers were not recorded (metadata.csv): 1: trn_2023_v0_001" in notes
     (root / "trn" / "main-agent" / "bvh" / "trn_2023_v0_001_main-agent.bvh").unlink()
     (root / "val" / "main-agent" / "wav" / "val_2023_v0_000_main-agent.wav").write_text("x")
     words = root / "trn" / "main-agent" / "tsv" / "trn_2023_v0_000_main-agent.tsv"
@@ -311,10 +309,7 @@ def test_hold_outs_by_name(tmp_path, write_pair):
     for options, complaint in (
         ({"hold_out_list": names}, "1 name without a usable recording: c9"),
         ({"hold_out_list": tmp_path / "none"}, "none: cannot read"),
-        (
-            {"hold_out_speakers": "carl"},
-            "no recording of speaker 'carl'; the speakers are ann, bob",
-        ),
+        ({"hold_out_speakers": "carl"}, "no .* speaker 'carl'; the speakers are ann, bob"),
         ({"hold_out_speakers": "ann,bob"}, "all 4 recordings would be held out"),
         ({"hold_out_pattern": "x"}, "matches none of 4 recordings"),
         ({"hold_out_pattern": "("}, "not a regular expression"),

@@ -56,10 +56,8 @@ def test_paths_are_relative_to_the_manifest_and_may_lead_out_of_its_folder(tmp_p
 
 
 def test_a_saved_manifest_reads_back_and_has_the_same_bytes_whatever_the_order(tmp_path):
-    items = [
-        Item(id=name, audio=tmp_path / f"{name}.wav", motion=None, duration=1.0, text="Grüße")
-        for name in ("b", "a/x", "c")
-    ]
+    about = {"motion": None, "duration": 1.0, "text": "Grüße"}
+    items = [Item(id=n, audio=tmp_path / f"{n}.wav", **about) for n in ("b", "a/x", "c")]
     Manifest(items).save(tmp_path / "one.jsonl")
     Manifest(reversed(items)).save(tmp_path / "two.jsonl")
     assert (tmp_path / "one.jsonl").read_bytes() == (tmp_path / "two.jsonl").read_bytes()
@@ -147,15 +145,9 @@ def test_files_that_are_not_manifests_are_refused(tmp_path, content, message):
 
 
 def test_items_are_found_by_kind_and_split(tmp_path):
-    both = {"audio": tmp_path / "a.wav", "motion": tmp_path / "a.bvh", "duration": 1.0}
-    manifest = Manifest(
-        [
-            Item(id="pair", **both),
-            Item(id="held", **both, split="test"),
-            Item(id="speech", **{**both, "motion": None}),
-            Item(id="dance", **{**both, "audio": None}),
-        ]
-    )
+    pair = Item(id="pair", audio=tmp_path / "a.wav", motion=tmp_path / "a.bvh", duration=1.0)
+    held, speech = replace(pair, id="held", split="test"), replace(pair, id="speech", motion=None)
+    manifest = Manifest([pair, held, speech, replace(pair, id="dance", audio=None)])
     assert [item.id for item in manifest.paired()] == ["held", "pair"]
     assert [item.id for item in manifest.paired("train")] == ["pair"]
     assert [item.id for item in manifest.unpaired("train")] == ["speech"]

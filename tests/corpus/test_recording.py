@@ -1,9 +1,8 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from rigs import with_offsets
 from scipy.spatial.transform import Rotation
 
 from gesturekit.corpus.checks import reference_pose
@@ -27,9 +26,7 @@ from gesturekit.motion import Motion
         (-3.73, (0.0, 10.0), None),
     ],
 )
-def test_what_sound_and_motion_share_is_used(
-    tmp_path, gesture, write_speech, offset, limits, interval
-):
+def test_what_both_files_share_is_used(tmp_path, gesture, write_speech, offset, limits, interval):
     gesture(4.0).save(tmp_path / "a.bvh")
     write_speech(tmp_path / "a.wav", 3.0)
     files = {"audio": tmp_path / "a.wav", "motion": tmp_path / "a.bvh"}
@@ -66,16 +63,11 @@ def test_a_t_pose_ends_when_the_actor_walks_or_lowers_the_arms(skeleton):
 
 
 def test_a_rest_pose_with_hanging_arms_is_trimmed_wherever_it_stands(skeleton):
-    offsets = skeleton.offsets.copy()
-    for side in ("Left", "Right"):
-        for joint in ("ForeArm", "Hand"):
-            offsets[skeleton.index(f"{side}{joint}")] = [0.0, -0.25, 0.0]
-    rig = replace(skeleton, offsets=offsets)
-    moving = held(rig, np.full(30, 10.0))
-    rotations, translation = moving.rotations.copy(), moving.translation.copy()
-    rotations[:12] = [0.0, 0.0, 0.0, 1.0]
-    translation[:12, 0] = 0.3 * np.arange(12)
-    assert reference_pose(Motion(rig, rotations, translation, 30.0)) == (12, 0)
+    arms = [f"{side}{joint}" for side in ("Left", "Right") for joint in ("ForeArm", "Hand")]
+    moving = held(with_offsets(skeleton, **dict.fromkeys(arms, (0.0, -0.25, 0.0))), np.full(30, 10))
+    moving.rotations[:12] = [0.0, 0.0, 0.0, 1.0]
+    moving.translation[:12, 0] = 0.3 * np.arange(12)
+    assert reference_pose(moving) == (12, 0)
 
 
 @pytest.mark.parametrize(("pops", "times"), [(5, "5.00 s;"), (6, "5.00 s and 1 more;")])

@@ -71,10 +71,8 @@ def test_the_timbre_of_an_unseen_speaker_is_removed(conditioner):
     dull = np.convolve(wave.samples, np.ones(6) / 6, mode="same").astype(np.float32)
     plain = conditioner(wave)
     other = conditioner(af.Wave(dull, wave.sample_rate, None))
-    raw = [
-        conditioner.extractor.extract(w.at_level()).values[:, :24].mean(axis=0)
-        for w in (wave, af.Wave(dull, wave.sample_rate, None))
-    ]
+    heard = (w.at_level() for w in (wave, af.Wave(dull, wave.sample_rate, None)))
+    raw = [conditioner.extractor.extract(w).values[:, :24].mean(axis=0) for w in heard]
     spread = conditioner.scale[:24]
     assert np.abs(raw[0] - raw[1]).max() / spread.mean() > 1.0, "the microphone is heard"
     assert np.abs(plain[:, :24].mean(axis=0) - other[:, :24].mean(axis=0)).mean() < 0.6
@@ -150,9 +148,8 @@ def test_centre_and_scale_are_those_of_active_speech():
     """A clip counts once in the centre, and its active frames count in the scale."""
     extractor = Encoder((True, True, False))
     short, long = [[0, 10, 1], [2, 10, 3], [99, 99, 99]], [[4, 20, 5], [10, 20, 7]] * 3
-    clips = [
-        (np.array(values, np.float32), np.array(values)[:, 0] < 99) for values in (short, long)
-    ]
+    values = [np.array(clip, np.float32) for clip in (short, long)]
+    clips = [(clip, clip[:, 0] < 99) for clip in values]
     clips.append((np.full((4, 3), 50, np.float32), np.zeros(4, bool)))  # nobody speaks
     fitted = SpeechConditioner.fit(clips, extractor, 25.0, "mean")
     np.testing.assert_allclose(fitted.centre, [4, 15, 4])  # of the means 1 10 2 and 7 20 6
@@ -177,19 +174,16 @@ class Clock:
 @pytest.mark.parametrize("n_frames", [1, 10, 100])
 def test_silence_lasts_as_long_as_is_asked_for(n_frames):
     conditioner = SpeechConditioner(Clock(), 25.0, "linear", np.zeros(1), np.ones(1), "none")
-    np.testing.assert_allclose(
-        conditioner.silence(n_frames)[:, 0], np.arange(n_frames) / 25, atol=1e-6
-    )
+    silence = conditioner.silence(n_frames)[:, 0]
+    np.testing.assert_allclose(silence, np.arange(n_frames) / 25, atol=1e-6)
 
 
 def test_components_span_the_columns_that_vary():
     axis, rng = np.array([2.0, -1.0, 2.0]) / 3, np.random.default_rng(0)
     plain = SpeechConditioner(Encoder(), 25.0, "mean", np.zeros(3), np.ones(3), "none")
     said = [level + 5.0 * rng.standard_normal((n, 1)) for level, n in ((40.0, 300), (42.0, 200))]
-    heard = [
-        ((x * axis + 1e-3 * rng.standard_normal((len(x), 3))).astype(np.float32), x[:, 0] > 40)
-        for x in said
-    ]
+    noisy = (x * axis + 1e-3 * rng.standard_normal((len(x), 3)) for x in said)
+    heard = [(values.astype(np.float32), x[:, 0] > 40) for values, x in zip(noisy, said)]
     one, two = plain.reduced(heard, 1), plain.reduced(heard, 2)
     assert (plain.dim, one.dim, two.dim) == (3, 1, 2)
     spread = np.concatenate(said).std()

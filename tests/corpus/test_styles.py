@@ -9,12 +9,6 @@ from gesturekit.errors import ModelError
 NAMES = ("angry", "old", "sad")
 
 
-def letters(wanted: str, n_frames: int, fps: float = 1.0) -> str:
-    """The style of each frame by its first letter, where it has the whole weight."""
-    track = style_track(NAMES, wanted, n_frames, fps)
-    return "".join(NAMES[row.argmax()][0] if row.max() == 1 else "?" for row in track)
-
-
 @pytest.mark.parametrize(
     ("wanted", "expected"),
     [
@@ -27,8 +21,10 @@ def letters(wanted: str, n_frames: int, fps: float = 1.0) -> str:
     ],
 )
 def test_spans_of_styles_frame_by_frame(wanted, expected):
-    """At one frame per second a transition is shorter than a frame."""
-    assert letters(wanted, 10) == expected
+    """At one frame per second a transition is shorter than a frame; ? is a mixture."""
+    track = style_track(NAMES, wanted, 10, 1.0)
+    letters = (NAMES[row.argmax()][0] if row.max() == 1 else "?" for row in track)
+    assert "".join(letters) == expected
 
 
 def test_styles_cross_over_in_a_second_around_the_border():

@@ -21,12 +21,8 @@ RATES = (23.976, 59.94, 1 / 3, 30.0, 30000 / 1001, 60000 / 1001, 7.1234567, 119.
 
 
 def of_height(motion: Motion, metres: float) -> Motion:
-    scale = metres / 1.7
-    return replace(
-        motion,
-        skeleton=motion.skeleton.scaled(scale),
-        translation=motion.translation * scale + [0.1 * scale, 0, 0],
-    )
+    scaled = motion.scaled(metres / 1.7)
+    return replace(scaled, translation=scaled.translation + [0.1 * metres / 1.7, 0, 0])
 
 
 def same(one: Motion, two: Motion, size: float) -> None:

@@ -201,14 +201,9 @@ def bvh_texts(draw):
         if not tidy:
             channels = list(rng.permutation(channels))  # positions after and between rotations
         kinds.extend(channels)
-        lines.extend(
-            [
-                f"{tab}{'JOINT' if joint else 'ROOT'} {name.format(joint)}",
-                tab + "{",
-                f"{tab} OFFSET {vector(rng.normal(0, 15, 3))}",
-                f"{tab} CHANNELS {len(channels)} {' '.join(channels)}",
-            ]
-        )
+        lines.extend([f"{tab}{'JOINT' if joint else 'ROOT'} {name.format(joint)}", tab + "{"])
+        lines.append(f"{tab} OFFSET {vector(rng.normal(0, 15, 3))}")
+        lines.append(f"{tab} CHANNELS {len(channels)} {' '.join(channels)}")
         for _ in range(int(rng.choice([0, 1, 1, 2]))):
             lines.extend([f"{tab} End Site", tab + " {", f"OFFSET {vector(rng.normal(0, 5, 3))}"])
             lines.append(tab + " }")

@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+from rigs import at_rest
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
@@ -54,12 +55,8 @@ def test_the_root_turns_about_the_models_origin(tmp_path):
     assert motion.skeleton.names == smpl_skeleton(24).names
     assert (motion.n_frames, motion.fps, motion.info["up"]) == (FRAMES, 50.0, "z")
     # V = R X + T of each joint of the unturned body X, whose pelvis is at J.
-    unturned = Motion(
-        motion.skeleton,
-        np.concatenate([np.tile([0.0, 0, 0, 1], (FRAMES, 1, 1)), motion.rotations[:, 1:]], axis=1),
-        np.tile(model_pelvis(24), (FRAMES, 1)),
-        50.0,
-    )
+    unturned = at_rest(motion.skeleton, FRAMES, model_pelvis(24), 50.0)
+    unturned.rotations[:, 1:] = motion.rotations[:, 1:]
     turn = Rotation.from_rotvec(person["Rh"]).as_matrix()
     z_up = np.einsum("tab,tjb->tja", turn, unturned.positions()) + person["Th"][:, None]
     y_up = np.stack([z_up[..., 0], z_up[..., 2], -z_up[..., 1]], axis=-1)
@@ -145,10 +142,7 @@ def test_pca_hands_are_left_at_rest_with_a_warning(tmp_path, width, n_joints):
         ("", "not a readable JSON"),
         ("[" * 100_000, "not a readable JSON"),
         ("{}", "a JSON object with no keys"),
-        (
-            '{"reference": 1, "models": 2, "definitions": 3}',
-            "figures that gesturekit evaluate wrote",
-        ),
+        ('{"reference": 1, "models": 2, "definitions": 3}', "that gesturekit evaluate wrote"),
         ("[1]", "entry 0 is not a person"),
         ('[{"id": "a"}]', "id 'a'"),
         ('[{"id": 0}]', "no 'Rh'"),
@@ -157,10 +151,7 @@ def test_pca_hands_are_left_at_rest_with_a_warning(tmp_path, width, n_joints):
         ('[{"id": 0, "Rh": {"a": 1}}]', "not a table of numbers"),
         ('[{"id": 0, "Rh": [0, 0, NaN]}]', "finite"),
         ('[{"id": 0, "Rh": [0, 0, 1e999]}]', "finite"),
-        (
-            '[{"id": 0, "Rh": [0, 0, 0], "Th": [0, 0, 0], "poses": [1, 2]}]',
-            "2 numbers; expected 66",
-        ),
+        ('[{"id":0, "Rh":[0,0,0], "Th":[0,0,0], "poses":[1,2]}]', "2 numbers; expected 66"),
         ("[]", "nobody"),
         ("[" + "9" * 5000 + "]", "JSON"),
     ],
@@ -181,11 +172,9 @@ def test_other_folders_and_settings_are_refused(tmp_path):
     for options in ({"fps": 0.0}, {"fps": float("nan")}, {"up": "x"}):
         with pytest.raises(FormatError):
             read_easymocap(folder, **options)
-    person = recorded(n_frames=2)
-    mixed = write(tmp_path / "mixed", [person])
-    (mixed / "000001.json").write_text(
-        json.dumps([{"id": 0, "Rh": [0, 0, 0], "Th": [0, 0, 0], "poses": [0] * 66, "shapes": []}])
-    )
+    mixed = write(tmp_path / "mixed", [recorded(n_frames=2)])
+    short = {"id": 0, "Rh": [0, 0, 0], "Th": [0, 0, 0], "poses": [0] * 66, "shapes": []}
+    (mixed / "000001.json").write_text(json.dumps([short]))
     with warnings.catch_warnings(), pytest.raises(FormatError, match="in some frames"):
         Motion.load(mixed)
 

@@ -16,11 +16,11 @@ import zipfile
 
 import numpy as np
 import pytest
+from rigs import at_rest
 
 from gesturekit.errors import FormatError
 from gesturekit.formats import read_npz, write_npz
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
-from gesturekit.motion import Motion
 from gesturekit.motion.body_model.model import BodyModel
 
 N_MUTATIONS = int(os.environ.get("GESTUREKIT_MUTATIONS", "300"))
@@ -35,6 +35,11 @@ def npy(array) -> bytes:
 
 def header(text: str) -> bytes:
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text.encode()
+
+
+def promise(shape: str, dtype: str = "<f8") -> bytes:
+    """The header of an array without the array."""
+    return header(f"{{'descr':'{dtype}','fortran_order':False,'shape':{shape}}}\n")
 
 
 def pack(path, members, method=zipfile.ZIP_STORED):
@@ -55,20 +60,19 @@ def amass_members(n_frames=5):
 
 
 def native_members(tmp_path):
-    motion = Motion(smpl_skeleton(24), np.tile([0.0, 0, 0, 1], (5, 24, 1)), np.zeros((5, 3)), 30.0)
-    write_npz(motion, tmp_path / "native.npz")
+    write_npz(at_rest(smpl_skeleton(24), 5), tmp_path / "native.npz")
     with zipfile.ZipFile(tmp_path / "native.npz") as archive:
         return {info.filename[:-4]: archive.read(info) for info in archive.infolist()}
 
 
-def peak_of(path):
-    """Peak of memory in bytes and seconds of a reading that must fail or succeed cleanly."""
+def peak_of(path, read=read_npz):
+    """Error, peak of memory in bytes and seconds of a reading that must fail or succeed cleanly."""
     tracemalloc.start()
     begin = time.perf_counter()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            read_npz(path)
+            read(path)
         error = None
     except FormatError as caught:
         error = str(caught)
@@ -82,8 +86,7 @@ def peak_of(path):
 
 def zeros(shape: tuple[int, ...], dtype: str = "<f8") -> bytes:
     """An array of zeros without having it: its header, and as many bytes as it declares."""
-    text = repr({"descr": dtype, "fortran_order": False, "shape": shape}) + "\n"
-    return header(text) + bytes(int(np.prod(shape)) * np.dtype(dtype).itemsize)
+    return promise(repr(shape), dtype) + bytes(int(np.prod(shape)) * np.dtype(dtype).itemsize)
 
 
 def test_bombs_are_not_unpacked(tmp_path):
@@ -107,17 +110,13 @@ def test_members_within_the_limit_need_bounded_memory(tmp_path):
 @pytest.mark.parametrize(
     ("key", "content", "says"),
     [
-        ("poses", header("{'descr':'<f8','fortran_order':False,'shape':(10**9,72)}\n"), "'poses'"),
-        ("poses", header("{'descr':'<f8','fortran_order':False,'shape':(9999999999,72)}\n"), "72)"),
-        ("poses", header("{'descr':'<f8','fortran_order':False,'shape':(-5,72)}\n"), "'poses'"),
-        (
-            "poses",
-            header("{'descr':'<U0','fortran_order':False,'shape':(99999999999,)}\n"),
-            "poses",
-        ),
+        ("poses", promise("(10**9,72)"), "'poses'"),
+        ("poses", promise("(9999999999,72)"), "72)"),
+        ("poses", promise("(-5,72)"), "'poses'"),
+        ("poses", promise("(99999999999,)", "<U0"), "poses"),
         ("poses", header("(" * 5000 + "\n"), "'poses' cannot be read"),
         ("poses", header("[" * 9000 + "]" * 900 + "\n"), "'poses' cannot be read"),
-        ("poses", header("{'descr':'|O','fortran_order':False,'shape':(1,)}\n") + b"c", "pickled"),
+        ("poses", promise("(1,)", "|O") + b"c", "pickled"),
         ("poses", b"\x93NUMPY\x09\x00", "'poses' cannot be read"),
         ("poses", b"", "'poses' cannot be read"),
         ("poses", zeros((0, 72)), "'trans' has shape"),
@@ -142,16 +141,8 @@ def test_headers_that_promise_too_much(tmp_path, key, content, says):
         ("parents", zeros((2_000_000,), "<i8"), "'parents' has shape"),
         ("parents", npy(np.full(24, 2**62)), "'parents' holds a joint index outside -1 to 23"),
         ("gk_version", npy(10**9), "'gk_version' is 1000000000"),
-        (
-            "moving_joints",
-            npy([3, 3, 3]),
-            "has 0 entries, but 'moving_joints' has 3",
-        ),
-        (
-            "joint_translations",
-            npy(0.5),
-            "has one number, but 'moving_joints' has 0",
-        ),
+        ("moving_joints", npy([3, 3, 3]), "has 0 entries, but 'moving_joints' has 3"),
+        ("joint_translations", npy(0.5), "has one number, but 'moving_joints' has 0"),
         ("end_site_joints", npy([-1]), "'end_site_joints' holds a joint index"),
         ("parents", npy(np.linspace(0, 1, 24)), "'parents' has shape (24,) of float64"),
         ("rotations", npy(np.full((5, 24, 4), np.nan)), "frame 0"),
@@ -189,14 +180,10 @@ def test_hostile_body_models(tmp_path, capsule_body):
         ("v_template", zeros((500_000, 3))),
         ("weights", zeros((300, 2_000))),
         ("f", npy(np.array([[{}]], dtype=object))),
-        ("posedirs", header("{'descr':'<f8','fortran_order':False,'shape':(10**9,3)}\n")),
+        ("posedirs", promise("(10**9,3)")),
     ):
         path = pack(tmp_path / "a.npz", members | {key: content}, zipfile.ZIP_DEFLATED)
-        tracemalloc.start()
-        with pytest.raises(FormatError, match=r"a\.npz"):
-            BodyModel.load(path)
-        assert tracemalloc.get_traced_memory()[1] < 500 * MEGABYTE
-        tracemalloc.stop()
+        assert peak_of(path, BodyModel.load)[0]
 
 
 def mutated(content: bytes, rng: np.random.Generator) -> bytes:

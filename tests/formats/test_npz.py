@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from recordings import BANDAI, RUN, ZEGGS
+from rigs import at_rest
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
@@ -26,22 +28,16 @@ def smpl_motion(n_joints: int, fps: float = 30.0) -> Motion:
 
 
 def test_any_rig_survives_to_the_last_bit(shared_data, tmp_path):
-    for file in (
-        "motion/bandai/dataset-1_bye_happy_001.bvh",
-        "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh",
-    ):
+    for file in (BANDAI, ZEGGS):
         motion = Motion.load(shared_data / file).slice(0, 100)
         motion.save(tmp_path / "a.npz")
         again = Motion.load(tmp_path / "a.npz")
         assert (again.skeleton.names, again.fps) == (motion.skeleton.names, motion.fps)
         assert again.skeleton.rotation_orders == motion.skeleton.rotation_orders
         np.testing.assert_array_equal(again.positions(), motion.positions())
-        ends = motion.end_positions()
-        assert set(again.end_positions()) == set(ends)
-        np.testing.assert_array_equal(
-            again.end_positions()["Head" if "Head" in ends else "HeadEnd"],
-            ends["Head" if "Head" in ends else "HeadEnd"],
-        )
+        assert set(again.end_positions()) == set(motion.end_positions())
+        for name, ends in motion.end_positions().items():
+            np.testing.assert_array_equal(again.end_positions()[name], ends)
         assert set(again.joint_translations) == set(motion.joint_translations)
 
 
@@ -100,7 +96,7 @@ def test_amass_and_beat2_files_are_read_whichever_axis_is_up(tmp_path, up):
 
 
 def test_real_amass_style_file(shared_data, tmp_path):
-    motion = Motion.load(shared_data / "smpl/glamr_running_smpl.npz")
+    motion = Motion.load(shared_data / RUN)
     assert motion.skeleton.names == smpl_skeleton(24).names
     assert (motion.n_frames, motion.fps, motion.info["up"]) == (203, 30.0, "z")
     places = motion.positions()
@@ -124,9 +120,8 @@ def add_on_accepts(path, target_fps=30):
         if not keys <= set(data) or not {"mocap_frame_rate", "mocap_framerate"} & set(data):
             return False
         gender = str(data["gender"])
-        fps = int(
-            data["mocap_frame_rate"] if "mocap_frame_rate" in data else data["mocap_framerate"]
-        )
+        rate = "mocap_frame_rate" if "mocap_frame_rate" in data else "mocap_framerate"
+        fps = int(data[rate])
         betas, poses, trans = data["betas"], data["poses"], data["trans"]
         expressions = data["expressions"]  # the copy that comes with BEAT2 asks for them too
     if gender not in ("female", "male", "neutral") or fps < target_fps:
@@ -237,16 +232,9 @@ def test_any_rig_of_the_family_to_any_other(tmp_path, old, rig, new, up):
 
 def test_other_spellings_of_the_same(tmp_path):
     motion = smpl_motion(24)
-    path = foreign(
-        tmp_path / "a.npz",
-        motion,
-        "y",
-        rig="smpl",
-        betas=np.tile(np.arange(10.0), (20, 1)),
-        gender=np.bytes_(b"Male"),
-        mocap_framerate=np.array([30], dtype=np.int16),
-        mocap_frame_rate=30.0,
-    )
+    spelled = {"betas": np.tile(np.arange(10.0), (20, 1)), "gender": np.bytes_(b"Male")}
+    spelled |= {"mocap_framerate": np.array([30], dtype=np.int16), "mocap_frame_rate": 30.0}
+    path = foreign(tmp_path / "a.npz", motion, "y", rig="smpl", **spelled)
     with np.load(path) as file:
         values = dict(file)
     np.savez(path, **(values | {"poses": values["poses"].reshape(20, 24, 3)}))
@@ -338,20 +326,16 @@ def test_joints_hang_together_as_in_the_models_own_tables():
     assert list(smpl_skeleton(24).parents) == [*body, 20, 21]
     for n_joints, face in ((52, []), (55, [15, 15, 15])):
         first = 22 + len(face)
-        hands = [
-            parent
-            for wrist, start in ((20, first), (21, first + 15))
-            for joint in range(start, start + 15, 3)
-            for parent in (wrist, joint, joint + 1)
-        ]
+        hands = []
+        for joint in range(first, first + 30, 3):
+            hands += [20 if joint < first + 15 else 21, joint, joint + 1]
         assert list(smpl_skeleton(n_joints).parents) == [*body, *face, *hands]
 
 
 def test_the_average_body_is_as_tall_as_people_are():
     for n_joints in (22, 24, 52, 55):
         rig = smpl_skeleton(n_joints)
-        still = Motion(rig, np.tile([0.0, 0, 0, 1], (1, n_joints, 1)), rig.offsets[:1], 30.0)
-        at = dict(zip(rig.names, still.positions()[0]))
+        at = dict(zip(rig.names, at_rest(rig, 1, rig.offsets[0]).positions()[0]))
         # The head's joint sits some 17 cm below the crown, the toes' 2 cm above the sole.
         assert 1.6 < at["head"][1] - at["left_foot"][1] + 0.17 + 0.02 < 1.8
         assert 1.3 < at["left_wrist"][0] - at["right_wrist"][0] < 1.5

@@ -18,19 +18,15 @@ def test_other_trees_are_measured_by_their_longest_chain_below_the_first_fork():
     # A mast of 9 m up to the fork; below it branches of 1 + 2 m, 4 m and 0.5 m.
     rig = tree([-1, 0, 1, 2, 1, 1], [5.0, 9.0, 1.0, 2.0, 4.0, 0.5])
     assert body_size(rig) == pytest.approx((1 + 2 + 4) / 1.54)
-
-
-def test_a_chain_without_forks_is_measured_whole():
-    assert body_size(tree([-1, 0, 1, 2], [5.0, 1.0, 1.0, 1.0])) == pytest.approx(3 / 1.54)
-
-
-def test_a_rig_without_bones_has_the_reference_size():
+    chain = tree([-1, 0, 1, 2], [5.0, 1.0, 1.0, 1.0])
+    assert body_size(chain) == pytest.approx(3 / 1.54)
     assert body_size(tree([-1], [0.0])) == REFERENCE_SIZE
 
 
 @pytest.mark.parametrize("factor", [0.1, 0.5, 2.0, 10.0])
-def test_scale_grows_with_the_rig(factor, skeleton):
+def test_scale_grows_with_the_rig_and_is_one_at_the_reference_size(factor, skeleton):
     assert body_scale(skeleton.scaled(factor)) == pytest.approx(factor * body_scale(skeleton))
+    assert body_scale(skeleton.scaled(1.4 / (0.84 + 0.6))) == pytest.approx(1.0)
 
 
 def test_a_person_is_measured_from_ankle_to_head(skeleton):
@@ -59,7 +55,3 @@ def test_a_motion_is_scaled_to_a_height_with_all_that_moves(gesture):
     for wrong in (0.0, -1.0, float("nan")):
         with pytest.raises(MotionError, match="height is"):
             motion.with_height(wrong)
-
-
-def test_the_scale_is_one_for_a_body_of_the_reference_size(skeleton):
-    assert body_scale(skeleton.scaled(1.4 / (0.84 + 0.6))) == pytest.approx(1.0)

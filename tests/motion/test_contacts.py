@@ -4,16 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rigs import at_rest
 
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import contact_labels, foot_points, foot_positions
 
 
 def still(person, n_frames=10, speed=0.0, fps=30.0):
-    rotations = np.tile([0.0, 0, 0, 1], (n_frames, person.n_joints, 1))
-    path = np.zeros((n_frames, 3))
-    path[:, 2] = speed * np.arange(n_frames) / fps
-    return Motion(person, rotations, person.offsets[0] + path, fps)
+    path = speed * np.arange(n_frames)[:, None] / fps * [0.0, 0.0, 1.0]
+    return at_rest(person, n_frames, person.offsets[0] + path, fps)
 
 
 def test_points_are_heels_and_toes(person):
@@ -62,13 +61,7 @@ def test_idle_feet_stand_and_running_feet_do_not(shared_data):
 
 def test_soles_of_three_points_and_more_are_what_touches(person):
     sole = (np.array([-0.02, -0.02, 0.05]), np.array([0.03, -0.02, 0.04]))
-    rig = replace(
-        person,
-        end_sites={
-            **person.end_sites,
-            "LeftToeBase": sole,
-            "LeftFoot": (np.array([0.0, -0.08, -0.05]),),
-        },
-    )
+    feet = {"LeftToeBase": sole, "LeftFoot": (np.array([0.0, -0.08, -0.05]),)}
+    rig = replace(person, end_sites=person.end_sites | feet)
     joints = [point.joint for point in foot_points(rig)]
     assert joints == ["LeftToeBase", "LeftToeBase", "LeftFoot", "RightFoot", "RightToeBase"]

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hinges import bent_backwards
+from rigs import at_rest
 
-from gesturekit.motion import Motion
 from gesturekit.motion.ik.two_bone import reachable, two_bone_ik
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.rotations import (
@@ -49,8 +49,7 @@ def bent(n: int, seed: int = 0) -> np.ndarray:
 
 
 def straight(n: int) -> np.ndarray:
-    rotations = np.tile([0.0, 0, 0, 1], (n, 5, 1))
-    return rotations
+    return at_rest(LEG, n).rotations
 
 
 def test_the_ankle_reaches_its_target_and_bones_keep_their_lengths():
@@ -63,10 +62,8 @@ def test_the_ankle_reaches_its_target_and_bones_keep_their_lengths():
     positions, solved = solve(rotations, target)
     np.testing.assert_allclose(positions[:, 4], target, atol=1e-9)
     for a, b in ((1, 3), (3, 4)):
-        before = np.linalg.norm(start[:, a] - start[:, b], axis=1)
-        np.testing.assert_allclose(
-            np.linalg.norm(positions[:, a] - positions[:, b], axis=1), before, atol=1e-9
-        )
+        before, after = (np.linalg.norm(p[:, a] - p[:, b], axis=1) for p in (start, positions))
+        np.testing.assert_allclose(after, before, atol=1e-9)
     np.testing.assert_array_equal(solved[:, [0, 2, 4]], rotations[:, [0, 2, 4]])
 
 
@@ -112,14 +109,12 @@ def test_knees_bend_forward_and_elbows_backward_within_five_degrees(person, size
         "left_elbow": ("LeftForeArm", (0, 6, 0), (0, 4, 0), (0, -60, 0)),
         "right_elbow": ("RightForeArm", (0, -6, 0), (0, -4, 0), (0, 60, 0)),
     }
-    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (1 + 3 * len(poses), person.n_joints, 1))
-    expected = {part: np.zeros(len(rotations), dtype=bool) for part in poses}
+    motion = at_rest(person, 1 + 3 * len(poses), [0.0, 0.9, 0.0])
+    expected = {part: np.zeros(motion.n_frames, dtype=bool) for part in poses}
     for k, (part, (joint, *turns)) in enumerate(poses.items()):
-        rotations[1 + 3 * k : 4 + 3 * k, person.index(joint)] = quaternion_from_rotation_vector(
-            np.radians(turns)
-        )
+        turned = quaternion_from_rotation_vector(np.radians(turns))
+        motion.rotations[1 + 3 * k : 4 + 3 * k, person.index(joint)] = turned
         expected[part][1 + 3 * k] = True
-    motion = Motion(person, rotations, np.tile([0.0, 0.9, 0.0], (len(rotations), 1)), 30.0)
     found = bent_backwards(motion.scaled(size))
     assert found.keys() == expected.keys()
     for part, frames in expected.items():
@@ -147,11 +142,8 @@ def test_the_knee_keeps_its_direction():
 @pytest.mark.parametrize("pole", [(0.0, 0.0, 1.0), (1.0, 0.0, 0.0)])
 def test_a_straight_leg_bends_along_the_pole(pole):
     lift = np.linspace(0, 0.3, 40)
-    positions, _ = solve(
-        straight(40),
-        np.stack([np.full(40, 0.11), -0.82 + lift, np.full(40, 0.01)], axis=-1),
-        pole=np.tile(pole, (40, 1)),
-    )
+    target = [0.11, -0.82, 0.01] + lift[:, None] * [0.0, 1.0, 0.0]
+    positions, _ = solve(straight(40), target, pole=np.tile(pole, (40, 1)))
     middle = (positions[:, 1] + positions[:, 4]) / 2
     out = (positions[:, 3] - middle) @ np.array(pole)
     assert out[-1] > 0.2 and (np.diff(out) > -1e-9).all()

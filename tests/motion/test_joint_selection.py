@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from recordings import BANDAI, ZEGGS
+from rigs import at_rest
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
@@ -44,13 +46,10 @@ def test_a_joint_whose_parent_is_removed_is_attached_to_the_next_ancestor(moving
 
 
 def test_another_root_moves_as_it_did(moving_person):
-    spine = moving_person.skeleton.index("Spine")
-    upper = [
-        moving_person.skeleton.names[j] for j in (spine, *moving_person.skeleton.descendants(spine))
-    ]
-    kept = check(
-        replace(moving_person, joint_translations={"Spine": moving_person.translation}), upper
-    )
+    rig = moving_person.skeleton
+    spine = rig.index("Spine")
+    moving = replace(moving_person, joint_translations={"Spine": moving_person.translation})
+    kept = check(moving, [rig.names[j] for j in (spine, *rig.descendants(spine))])
     assert kept.skeleton.names[0] == "Spine" and not kept.joint_translations
 
 
@@ -64,10 +63,7 @@ def test_joints_that_cannot_be_removed_are_errors(moving_person):
     assert keep_joints(moving_person, ["Hips"]).skeleton.n_joints == 1
 
 
-@pytest.mark.parametrize(
-    "file",
-    ["paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh", "motion/bandai/dataset-1_bye_old_001.bvh"],
-)
+@pytest.mark.parametrize("file", [ZEGGS, BANDAI])
 def test_bodies_of_real_recordings(shared_data, file, tmp_path):
     motion = Motion.load(shared_data / file).slice(0, 60)
     kept = check(motion, list(body_joints(motion.skeleton)))
@@ -82,11 +78,8 @@ def test_a_body_that_moves_above_the_waist_only_is_modelled_from_its_pelvis(movi
     chest = skeleton.index("Chest")
     still = [j for j in range(skeleton.n_joints) if j not in (chest, *skeleton.descendants(chest))]
     rotations[:, still] = rotations[:1, still]
-    seated = replace(
-        moving_person,
-        rotations=rotations,
-        translation=np.repeat(moving_person.translation[:1], moving_person.n_frames, axis=0),
-    )
+    place = np.repeat(moving_person.translation[:1], moving_person.n_frames, axis=0)
+    seated = replace(moving_person, rotations=rotations, translation=place)
     assert skeleton.names[first_moving_joint([seated])] == "Hips"
     representation = MultiresRepresentation.fit([seated])
     VectorKinematics(representation, seated.fps)  # its legs hang on the model's root
@@ -124,10 +117,9 @@ def test_a_camera_beside_the_body_is_not_modelled(moving_person, turning):
 
 def test_branches_of_an_unidentified_rig_that_all_move_share_the_models_root():
     skeleton = Skeleton(("hub", "a", "a2", "b", "b2"), (-1, 0, 1, 0, 3), np.ones((5, 3)))
-    rotations = np.tile([0.0, 0, 0, 1], (4, 5, 1))
-    half = np.linspace(0, 0.4, 4)
-    for joint in (1, 3):
-        rotations[:, joint, 0], rotations[:, joint, 3] = np.sin(half), np.cos(half)
-    representation = MultiresRepresentation.fit([Motion(skeleton, rotations, np.zeros((4, 3)), 30)])
+    motion, half = at_rest(skeleton, 4), np.linspace(0, 0.4, 4)
+    motion.rotations[:, [1, 3], 0] = np.sin(half)[:, None]
+    motion.rotations[:, [1, 3], 3] = np.cos(half)[:, None]
+    representation = MultiresRepresentation.fit([motion])
     assert representation.joints == skeleton.names
     VectorKinematics(representation, 30.0, arms=False)

@@ -12,12 +12,6 @@ from gesturekit.motion import Motion
 from gesturekit.motion.rotations import rotation_angles
 
 
-def test_time(moving_person):
-    assert moving_person.n_frames == 60
-    assert moving_person.duration == 2.0
-    assert moving_person.times[-1] == pytest.approx(59 / 30)
-
-
 @pytest.mark.parametrize(
     ("change", "says"),
     [

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from recordings import AITVIEWER, BANDAI, IDLE, ZEGGS
+from rigs import Bones, below_a_root, numbered, numbered_limbs, renamed, rig_of
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
@@ -23,7 +25,8 @@ from gesturekit.motion.parts import (
 from gesturekit.motion.parts.joint_names import bare_name
 from gesturekit.motion.retarget.body_frames import finger_chains
 
-MIXAMO = """
+TEXTS = {
+    "mixamo": """
 Hips
   Spine Spine1 Spine2
         Neck Head HeadTop_End
@@ -35,8 +38,8 @@ Hips
                 RightHandIndex1 RightHandIndex2
   LeftUpLeg LeftLeg LeftFoot LeftToeBase LeftToe_End
   RightUpLeg RightLeg RightFoot RightToeBase RightToe_End
-"""
-CMU = """
+""",
+    "cmu": """
 Hips
   LHipJoint LeftUpLeg LeftLeg LeftFoot LeftToeBase
   RHipJoint RightUpLeg RightLeg RightFoot RightToeBase
@@ -48,8 +51,8 @@ Hips
         RightShoulder RightArm RightForeArm RightHand
                 RightFingerBase RightHandIndex1
                 RThumb
-"""
-ACCLAIM = """
+""",
+    "acclaim": """
 root
   lhipjoint lfemur ltibia lfoot ltoes
   rhipjoint rfemur rtibia rfoot rtoes
@@ -61,8 +64,8 @@ root
         rclavicle rhumerus rradius rwrist rhand
                   rfingers
                 rthumb
-"""
-GENEA = """
+""",
+    "genea": """
 body_world b_root
     b_l_upleg b_l_leg b_l_foot_twist b_l_foot
     b_r_upleg b_r_leg b_r_foot_twist b_r_foot
@@ -82,8 +85,8 @@ body_world b_root
                           b_r_thumb0 b_r_thumb1 b_r_thumb2 b_r_thumb3
               p_r_delt
             b_neck0 b_head b_head_null
-"""
-TALKING_WITH_FEET = """
+""",
+    "genea_toes": """
 body_world b_root
     b_l_upleg b_l_leg b_l_foot b_l_ball
     b_r_upleg b_r_leg b_r_foot b_r_ball
@@ -95,8 +98,8 @@ body_world b_root
             b_r_shoulder p_r_scap b_r_arm
                   b_r_arm_twist
                   b_r_forearm b_r_wrist_twist b_r_wrist b_r_thumb0 b_r_thumb1
-"""
-BEAT = """
+""",
+    "beat": """
 Hips
   Spine Spine1 Spine2 Spine3
           Neck Neck1 Head HeadEnd
@@ -110,8 +113,8 @@ Hips
                   LeftHandThumb1 LeftHandThumb2
   RightUpLeg RightLeg RightFoot RightForeFoot RightToeBase RightToeBaseEnd
   LeftUpLeg LeftLeg LeftFoot LeftForeFoot LeftToeBase LeftToeBaseEnd
-"""
-XSENS = """
+""",
+    "xsens": """
 Pelvis
   L5 L3 T12 T8
           Neck Head
@@ -119,8 +122,8 @@ Pelvis
           LeftShoulder LeftUpperArm LeftForeArm LeftHand
   RightUpperLeg RightLowerLeg RightFoot RightToe
   LeftUpperLeg LeftLowerLeg LeftFoot LeftToe
-"""
-UNREAL = """
+""",
+    "unreal": """
 root
   pelvis
     spine_01 spine_02 spine_03
@@ -155,8 +158,8 @@ root
   ik_hand_root ik_hand_gun
       ik_hand_l
       ik_hand_r
-"""
-VRM = """
+""",
+    "vrm": """
 Root J_Bip_C_Hips
     J_Bip_C_Spine J_Bip_C_Chest J_Bip_C_UpperChest
           J_Sec_L_Bust1 J_Sec_L_Bust2
@@ -169,8 +172,8 @@ Root J_Bip_C_Hips
           J_Bip_R_Shoulder J_Bip_R_UpperArm J_Bip_R_LowerArm J_Bip_R_Hand J_Bip_R_Index1
     J_Bip_L_UpperLeg J_Bip_L_LowerLeg J_Bip_L_Foot J_Bip_L_ToeBase
     J_Bip_R_UpperLeg J_Bip_R_LowerLeg J_Bip_R_Foot J_Bip_R_ToeBase
-"""
-RIGIFY = """
+""",
+    "rigify": """
 DEF-spine
   DEF-pelvis.L
   DEF-pelvis.R
@@ -186,8 +189,8 @@ DEF-spine
               DEF-forearm.R DEF-forearm.R.001 DEF-hand.R
                     DEF-thumb.01.R DEF-thumb.02.R
         DEF-spine.004 DEF-spine.005 DEF-spine.006
-"""
-BIPED = """
+""",
+    "biped": """
 Bip01 Bip01_Pelvis
     Bip01_L_Thigh Bip01_L_Calf Bip01_L_Foot Bip01_L_Toe0 Bip01_L_Toe0Nub
     Bip01_R_Thigh Bip01_R_Calf Bip01_R_Foot Bip01_R_Toe0 Bip01_R_Toe0Nub
@@ -195,41 +198,24 @@ Bip01 Bip01_Pelvis
           Bip01_Head Bip01_HeadNub
           Bip01_L_Clavicle Bip01_L_UpperArm Bip01_L_Forearm Bip01_L_Hand Bip01_L_Finger0
           Bip01_R_Clavicle Bip01_R_UpperArm Bip01_R_Forearm Bip01_R_Hand Bip01_R_Finger0
-"""
-
-
-# VRChat calls the thigh "leg".
-VRCHAT = """
+""",
+    # VRChat calls the thigh "leg".
+    "vrchat": """
 Hips
   Spine Chest Neck Head
       Left_shoulder Left_arm Left_elbow Left_wrist
       Right_shoulder Right_arm Right_elbow Right_wrist
   Left_leg Left_knee Left_ankle Left_toe
   Right_leg Right_knee Right_ankle Right_toe
-"""
-SNAKE_CASE = """
+""",
+    "snake_case": """
 hips
   spine chest neck head
       left_shoulder left_upper_arm left_lower_arm left_hand
       right_shoulder right_upper_arm right_lower_arm right_hand
   left_upper_leg left_lower_leg left_foot left_toes
   right_upper_leg right_lower_leg right_foot right_toes
-"""
-TEXTS = {
-    "mixamo": MIXAMO,
-    "cmu": CMU,
-    "acclaim": ACCLAIM,
-    "genea": GENEA,
-    "genea_toes": TALKING_WITH_FEET,
-    "beat": BEAT,
-    "xsens": XSENS,
-    "biped": BIPED,
-    "biped_spaces": BIPED,
-    "unreal": UNREAL,
-    "vrm": VRM,
-    "rigify": RIGIFY,
-    "vrchat": VRCHAT,
-    "snake_case": SNAKE_CASE,
+""",
 }
 
 
@@ -289,12 +275,7 @@ EXPECTED = {
     "reactidle": "pelvis|spine spine.001|neck|face|shoulder.L upper_arm.L forearm.L None|"
     "thigh.L shin.L foot.L None",
 }
-FILES = {
-    "zeggs": "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh",
-    "aitviewer": "motion/aitviewer/sample.bvh",
-    "bandai": "motion/bandai/dataset-1_bow_sad_001.bvh",
-    "reactidle": "motion/reactidle/003_genuine.bvh",
-}
+FILES = {"zeggs": ZEGGS, "aitviewer": AITVIEWER, "bandai": BANDAI, "reactidle": IDLE}
 
 
 def told(skeleton: Skeleton, side: str = "left") -> str:
@@ -307,13 +288,12 @@ def told(skeleton: Skeleton, side: str = "left") -> str:
     )
 
 
-@pytest.mark.parametrize("kind", TEXTS)
+@pytest.mark.parametrize("kind", [*TEXTS, "biped_spaces"])
 def test_rigs_of_the_field(kind):
-    skeleton = rig(TEXTS[kind])
+    skeleton = rig(TEXTS[kind.removesuffix("_spaces")])
     expected = EXPECTED[kind.removesuffix("_spaces")]
     if kind.endswith("_spaces"):  # as 3ds Max writes them
-        names = tuple(name.replace("_", " ") for name in skeleton.names)
-        skeleton = Skeleton(names, skeleton.parents, skeleton.offsets)
+        skeleton = renamed(skeleton, {name: name.replace("_", " ") for name in skeleton.names})
         assert told(skeleton).replace("Bip01 ", "Bip01_").replace("_L ", "_L_") == expected
         return
     assert told(skeleton) == expected
@@ -329,9 +309,8 @@ def test_rigs_of_real_files(shared_data, kind):
 
 @pytest.mark.parametrize("prefix", ["mixamorig:", "mixamorig", "mixamorig9:", "Character1_"])
 def test_prefixes_of_joint_names_are_ignored(prefix):
-    plain = rig(MIXAMO)
-    names = tuple(prefix + name for name in plain.names)
-    skeleton = Skeleton(names, plain.parents, plain.offsets)
+    plain = rig(TEXTS["mixamo"])
+    skeleton = renamed(plain, {name: prefix + name for name in plain.names})
     assert told(skeleton).replace(prefix, "") == EXPECTED["mixamo"]
     assert len(body_joints(skeleton)) == 22
 
@@ -356,9 +335,9 @@ def test_body_and_upper_body_of_zeggs(shared_data):
 
 
 def test_fingers_ends_and_face_are_not_body_joints():
-    parts = find_parts(rig(ACCLAIM))
+    parts = find_parts(rig(TEXTS["acclaim"]))
     assert parts.fingers == ("lfingers", "lthumb", "rfingers", "rthumb")  # "lhand" is a hand
-    parts = find_parts(rig(MIXAMO))
+    parts = find_parts(rig(TEXTS["mixamo"]))
     assert len(parts.fingers) == 8
     assert parts.ends == ("HeadTop_End", "LeftToe_End", "RightToe_End")
     assert find_parts(smpl_skeleton(55)).face == ("jaw", "left_eye_smplhf", "right_eye_smplhf")
@@ -366,13 +345,6 @@ def test_fingers_ends_and_face_are_not_body_joints():
 
 def test_arm_joints(person):
     assert arm_joints(person) == ("LeftArm", "LeftForeArm", "RightArm", "RightForeArm")
-
-
-def nameless(skeleton: Skeleton) -> Skeleton:
-    """The same rig, its joints called Joint1, Joint2, ..."""
-    names = tuple(f"Joint{j + 1}" for j in range(skeleton.n_joints))
-    ends = {names[skeleton.index(name)]: sites for name, sites in skeleton.end_sites.items()}
-    return replace(skeleton, names=names, end_sites=ends)
 
 
 def same_joints(found: BodyParts, expected: BodyParts, renamed: Skeleton, usual: Skeleton) -> None:
@@ -389,7 +361,7 @@ def same_joints(found: BodyParts, expected: BodyParts, renamed: Skeleton, usual:
 def test_meaningless_joint_names(mixamo):
     """The shape tells: legs and arms, left from right by the feet, the head from its top."""
     for usual in (mixamo, smpl_skeleton(24), smpl_skeleton(55)):
-        renamed = nameless(usual)
+        renamed = numbered(usual)
         same_joints(find_parts(renamed), find_parts(usual), renamed, usual)
         by_name = {tuple(map(usual.index, pair)) for pair in left_right_pairs(usual)}
         by_shape = {tuple(map(renamed.index, pair)) for pair in left_right_pairs(renamed)}
@@ -399,12 +371,12 @@ def test_meaningless_joint_names(mixamo):
 @pytest.mark.parametrize("kind", [kind for kind in FILES if kind != "bandai"])
 def test_nameless_rigs_of_real_files(shared_data, kind):
     usual = Motion.load(shared_data / FILES[kind]).skeleton
-    renamed = nameless(usual)
+    renamed = numbered(usual)
     same_joints(find_parts(renamed), find_parts(usual), renamed, usual)
 
 
 def test_ambiguous_shapes_are_errors(mixamo, shared_data):
-    heap = nameless(Motion.load(shared_data / FILES["bandai"]).skeleton)
+    heap = numbered(Motion.load(shared_data / FILES["bandai"]).skeleton)
     no_feet = np.where(np.abs(mixamo.offsets[:, 2:]) > 0.08, 0, mixamo.offsets)
     three_bones = mixamo.offsets.copy()
     hands = [mixamo.index(f"mixamorig:{side}Hand") for side in ("Left", "Right")]
@@ -413,36 +385,21 @@ def test_ambiguous_shapes_are_errors(mixamo, shared_data):
     three_bones[knuckles, 0] *= 2.5
     for skeleton, says in (
         (heap, "1 pair of limbs"),
-        (replace(nameless(mixamo), offsets=no_feet), "which way is forward"),
-        (replace(nameless(mixamo), offsets=three_bones), "no two bones"),
+        (replace(numbered(mixamo), offsets=no_feet), "which way is forward"),
+        (replace(numbered(mixamo), offsets=three_bones), "no two bones"),
     ):
         with pytest.raises(MotionError, match=rf"arms.*{says}.*--part left_elbow=JOINT.*parts: "):
             find_parts(skeleton)
 
 
-def by_hand(plain: Skeleton, names: tuple[str, ...]) -> dict[str, str]:
-    return {
-        f"{side}_{part}": names[plain.index(name)]
-        for side, word in (("left", "Left"), ("right", "Right"))
-        for part, name in (
-            ("shoulder", f"{word}Arm"),
-            ("elbow", f"{word}ForeArm"),
-            ("wrist", f"{word}Hand"),
-            ("hip", f"{word}UpLeg"),
-            ("knee", f"{word}Leg"),
-            ("ankle", f"{word}Foot"),
-        )
-    }
-
-
 def test_parts_named_by_hand():
-    plain = rig(MIXAMO)  # all in one point: nothing is told by shape
-    skeleton = nameless(plain)
+    plain = rig(TEXTS["mixamo"])  # all in one point: nothing is told by shape
+    skeleton = numbered(plain)
     with pytest.raises(MotionError, match=r"arms and legs.*left_elbow=JOINT"):
         find_parts(skeleton)
-    named = by_hand(plain, skeleton.names)
+    named = numbered_limbs(plain)
     parts = find_parts(skeleton, overrides=named)
-    assert parts.pelvis == "Joint1" and parts.spine == ("Joint2", "Joint3", "Joint4")
+    assert parts.pelvis == "Joint0" and parts.spine == ("Joint1", "Joint2", "Joint3")
     # A skeleton that holds them needs no overrides, and keeps them.
     holding = Skeleton.from_json(replace(skeleton, parts=named).to_json())
     assert find_parts(holding) == parts == find_parts(holding.scaled(2.0))
@@ -502,7 +459,7 @@ def test_labels(mixamo):
         "RightToeBase": "right toe",
     }.items():
         assert labels[f"mixamorig:{name}"] == label
-    genea = part_labels(rig(GENEA))
+    genea = part_labels(rig(TEXTS["genea"]))
     assert (genea["body_world"], genea["b_l_arm_twist"]) == ("root", "twist")
     assert genea["p_navel"] == "other"
 
@@ -528,7 +485,7 @@ def test_a_name_without_its_side(name, side, bare):
 
 def test_leg_length_counts_what_lies_between(mixamo):
     assert leg_length(mixamo) == pytest.approx(0.406 + 0.421)
-    plain = rig(GENEA)
+    plain = rig(TEXTS["genea"])
     offsets = np.zeros((plain.n_joints, 3))
     for side in "lr":
         for joint, length in (("leg", 0.4), ("foot_twist", 0.2), ("foot", 0.2), ("upleg", 0.1)):
@@ -542,39 +499,31 @@ def test_fingers(mixamo, side):
     assert list(chains) == ["thumb", "index", "middle", "ring", "little"]
     first = mixamo.index(f"mixamorig:{side.title()}HandPinky1")
     assert chains["little"] == (first, first + 1, first + 2, first + 3)
-    biped = rig(BIPED)
+    biped = rig(TEXTS["biped"])
     (kind, chain) = next(iter(finger_chains(biped, find_parts(biped), side).items()))
     assert kind == "thumb" and len(chain) == 1
-    unreal = rig(UNREAL)
+    unreal = rig(TEXTS["unreal"])
     index = finger_chains(unreal, find_parts(unreal), side)["index"]
     assert [unreal.names[j] for j in index] == [f"index_0{n}_{side[0]}" for n in (1, 2)]
 
 
 def test_accessories_are_not_the_head(mixamo):
-    names = {
-        "mixamorig:Head": "skull",
-        "mixamorig:HeadTop_End": "hat",
-        "mixamorig:LeftHand": "PalmL",
-    }
-    names["mixamorig:RightHand"] = "PalmR"
-    odd = replace(mixamo, names=tuple(names.get(name, name) for name in mixamo.names), end_sites={})
-    found = find_parts(odd)
+    odd = {"Head": "skull", "HeadTop_End": "hat", "LeftHand": "PalmL", "RightHand": "PalmR"}
+    found = find_parts(renamed(mixamo, {f"mixamorig:{usual}": name for usual, name in odd.items()}))
     assert found.head == "skull"
     assert [found.arms[side].wrist for side in ("left", "right")] == ["PalmL", "PalmR"]
 
 
 def animal(legs: int, named: tuple[str, ...]) -> Skeleton:
     """A body with so many legs of equal length, of which one pair has joints of these names."""
-    names, parents, offsets = ["Body"], [-1], [(0.0, 0.0, 0.0)]
+    bones: Bones = {"Body": (None, (0.0, 0.0, 0.0))}
     for k in range(legs):
-        side, row = ("Left", "Right")[k % 2], k // 2
-        parts = named if row == 1 else [f"Limb{row}{part}" for part in "abcd"[: len(named)]]
-        for bone, part in enumerate(parts):
-            names.append(f"{side}{part}")
-            parents.append(len(names) - 2 if bone else 0)
-            x = 0.1 if k % 2 == 0 else -0.1
-            offsets.append((x, 0.0, 0.1 * row) if bone == 0 else (x, -0.05, 0.0))
-    return Skeleton(tuple(names), tuple(parents), np.array(offsets))
+        side, x, row, above = ("Left", "Right")[k % 2], (0.1, -0.1)[k % 2], k // 2, "Body"
+        for part in named if row == 1 else [f"Limb{row}{part}" for part in "abcd"[: len(named)]]:
+            offset = (x, 0.0, 0.1 * row) if above == "Body" else (x, -0.05, 0.0)
+            bones[f"{side}{part}"] = (above, offset)
+            above = f"{side}{part}"
+    return rig_of(bones)
 
 
 @pytest.mark.parametrize(
@@ -586,14 +535,7 @@ def test_two_legs_of_a_crab_are_not_those_of_a_person(named):
     labels, reason = known_part_labels(crab)
     assert labels == {} and "cannot identify the arms and legs" in reason
     hip = named[named.index("Leg") - 1]
-    below_a_root = replace(
-        crab,
-        names=("Root", *crab.names),
-        parents=(-1, *(parent + 1 for parent in crab.parents)),
-        offsets=np.concatenate([[[0.0, 0.5, 0.0]], crab.offsets]),
-        rotation_orders=(),
-    )
-    assert find_legs(below_a_root) is None
+    assert find_legs(below_a_root(crab, 0.5)) is None
     by_hand = crab.with_parts({"left_hip": f"Left{hip}", "right_hip": f"Right{hip}"})
     for rig in (two_legs, by_hand):
         labels, _ = known_part_labels(rig)

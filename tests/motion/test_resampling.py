@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
+from recordings import ZEGGS
+from rigs import at_rest
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
@@ -15,12 +17,12 @@ def shaking(motion: Motion, hertz: float, fps: float = 120.0, seconds: float = 4
     """The left elbow and the root go to and fro, by 0.3 rad and 0.1 m."""
     n = round(seconds * fps)
     wave = np.sin(2 * np.pi * hertz * np.arange(n) / fps)
-    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (n, motion.skeleton.n_joints, 1))
+    place = np.stack([0.1 * wave, 0.9 + 0 * wave, 0 * wave], axis=-1)
+    made = at_rest(motion.skeleton, n, place, fps)
     # Far from the identity, where averaging numbers would not be averaging rotations.
     angle = np.stack([2.0 + 0.3 * wave, 0 * wave, 0.5 + 0 * wave], axis=-1)
-    rotations[:, motion.skeleton.index("LeftForeArm")] = quaternion_from_rotation_vector(angle)
-    place = np.stack([0.1 * wave, 0.9 + 0 * wave, 0 * wave], axis=-1)
-    return replace(motion, rotations=rotations, translation=place, fps=fps)
+    made.rotations[:, made.skeleton.index("LeftForeArm")] = quaternion_from_rotation_vector(angle)
+    return made
 
 
 def swing(motion: Motion) -> tuple[float, float]:
@@ -92,8 +94,7 @@ def test_a_still_motion_and_a_rising_rate_are_left_alone(moving_person):
 @pytest.mark.parametrize("antialias", [False, True])
 def test_resampling_down_and_up_again_has_a_small_error(shared_data, antialias):
     """30 to 25 to 30 fps: the mean error of real gestures is below half a degree."""
-    motion = Motion.load(shared_data / "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh")
-    motion = motion.slice(0, 600)
+    motion = Motion.load(shared_data / ZEGGS).slice(0, 600)
     back = motion.resample(25.0, antialias=antialias).resample(30.0, n_frames=600)
     assert np.degrees(rotation_angles(motion.rotations, back.rotations).mean()) < 0.5
 

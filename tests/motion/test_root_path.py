@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rigs import at_rest, rig_of
 
 from gesturekit.errors import MotionError
-from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion import Motion
 from gesturekit.motion.heading import headings_of_sides
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
@@ -23,6 +24,10 @@ def circle(radius: float = 2.0, speed: float = 1.2, fps: float = 30.0, n: int = 
     angle = speed / radius * np.arange(n) / fps
     x, z = radius * (1 - np.cos(angle)), radius * np.sin(angle)
     return RootPath(np.stack([x, z], axis=-1), angle, fps)
+
+
+def about_y(angles: np.ndarray) -> np.ndarray:
+    return quaternion_from_rotation_vector(np.outer(angles, [0.0, 1.0, 0.0]))
 
 
 def test_deltas_lead_back_to_the_path():
@@ -78,9 +83,8 @@ def test_a_path_may_be_read_from_between_two_frames():
 
 @pytest.mark.parametrize("n_frames", [1, 2, 4, 11, 300])
 def test_smoothing_keeps_both_ends_and_a_straight_walk(n_frames):
-    straight = RootPath(
-        np.outer(np.arange(n_frames), [0.03, 0.01]), 0.02 * np.arange(n_frames), 30.0
-    )
+    n = np.arange(n_frames)
+    straight = RootPath(np.outer(n, [0.03, 0.01]), 0.02 * n, 30.0)
     smooth = straight.smoothed()
     assert smooth.n_frames == n_frames
     assert np.abs(smooth.positions - straight.positions).max() < 1e-12
@@ -91,9 +95,8 @@ def test_smoothing_keeps_both_ends_and_a_straight_walk(n_frames):
 
 def test_smoothing_takes_out_what_is_shorter_than_ten_frames():
     n = np.arange(300)
-    path = RootPath(
-        np.stack([0.02 * np.sin(2 * np.pi * n / 10), 0.04 * n], axis=-1), 0 * n, fps=30.0
-    )
+    places = np.stack([0.02 * np.sin(2 * np.pi * n / 10), 0.04 * n], axis=-1)
+    path = RootPath(places, 0 * n, fps=30.0)
     smooth = path.smoothed()
     assert np.abs(smooth.positions[20:-20, 0]).max() < 1e-12
     assert smooth.positions[20:-20, 1] == pytest.approx(0.04 * n[20:-20]), "nothing is delayed"
@@ -109,9 +112,8 @@ def test_headings_that_jump_by_a_turn_are_unwrapped():
 
 def test_a_path_looks_where_it_goes_and_turns_while_it_stands():
     path = circle()
-    assert RootPath.looking_ahead(path.positions, 30.0).headings[1:-1] == pytest.approx(
-        path.headings[1:-1], abs=1e-6
-    )
+    found = RootPath.looking_ahead(path.positions, 30.0).headings
+    assert found[1:-1] == pytest.approx(path.headings[1:-1], abs=1e-6)
     there = np.concatenate([np.linspace([0, 0], [0, 1], 30), np.tile([[0.0, 1.0]], (20, 1))])
     back = np.concatenate([there, np.linspace([0, 1], [1, 1], 30)])
     headings = RootPath.looking_ahead(back, 30.0).headings
@@ -135,9 +137,7 @@ def test_who_moves_slower_than_a_twentieth_of_a_metre_a_second_stands(speed, sca
 def test_the_path_of_a_motion_is_that_of_its_hips(gesture):
     motion = gesture(4.0)
     path = circle(n=motion.n_frames)
-    motion.rotations[:, 0] = quaternion_from_rotation_vector(
-        np.outer(path.headings, [0.0, 1.0, 0.0])
-    )
+    motion.rotations[:, 0] = about_y(path.headings)
     motion.translation[:, [0, 2]] = path.positions
     made = RootPath.of(motion)
     assert np.abs(made.positions - path.positions).max() < 1e-12
@@ -149,10 +149,8 @@ def test_a_body_that_lies_down_keeps_its_heading(gesture):
     """Beyond 90 degrees of roll the left hip is on the right, where it would turn the heading."""
     motion = gesture(1.0)
     roll = np.radians(np.concatenate([np.linspace(0, 92, 15), np.linspace(92, 0, 15)]))
-    motion.rotations[:, 0] = multiply_quaternions(
-        quaternion_from_rotation_vector(np.array([0.0, 0.8, 0.0])),
-        quaternion_from_rotation_vector(np.outer(roll, [0.0, 0.0, 1.0])),
-    )
+    rolled = quaternion_from_rotation_vector(np.outer(roll, [0.0, 0.0, 1.0]))
+    motion.rotations[:, 0] = multiply_quaternions(about_y(np.array([0.8])), rolled)
     assert RootPath.of(motion).headings == pytest.approx(0.8)
 
 
@@ -167,14 +165,14 @@ def test_side_vectors_within_three_degrees_of_the_vertical_give_no_heading():
 
 
 def test_a_rig_without_legs_faces_where_its_root_does():
-    rig = Skeleton(
-        ("Root", "Chest", "Head"), (-1, 0, 1), np.array([[0, 0, 0], [0, 0.3, 0]] * 2)[:3]
-    )
+    bones = {
+        "Root": (None, (0, 0, 0)),
+        "Chest": ("Root", (0, 0.3, 0)),
+        "Head": ("Chest", (0, 0, 0)),
+    }
     angles = np.linspace(0, 2.5, 40)
-    rotations = np.zeros((40, 3, 4))
-    rotations[..., 3] = 1.0
-    rotations[:, 0] = quaternion_from_rotation_vector(np.outer(angles, [0.0, 1.0, 0.0]))
-    motion = Motion(rig, rotations, np.zeros((40, 3)), 30.0)
+    motion = at_rest(rig_of(bones), 40)
+    motion.rotations[:, 0] = about_y(angles)
     assert RootPath.of(motion).headings == pytest.approx(angles)
 
 

@@ -65,9 +65,7 @@ def test_slerp_takes_the_shorter_arc_at_an_even_pace():
 
 
 def test_mean_ignores_signs():
-    near = r.multiply_quaternions(Q[0], r.quaternion_from_rotation_vector(0.1 * V))
-    near = np.concatenate(
-        [near, r.multiply_quaternions(Q[0], r.quaternion_from_rotation_vector(-0.1 * V))]
-    )
+    turns = r.quaternion_from_rotation_vector(0.1 * np.concatenate([V, -V]))
+    near = r.multiply_quaternions(Q[0], turns)
     near[::3] *= -1
     assert r.rotation_angles(r.mean_quaternion(near), Q[0]) < 1e-6

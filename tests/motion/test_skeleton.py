@@ -9,12 +9,6 @@ from gesturekit.errors import MotionError
 from gesturekit.motion import Skeleton
 
 
-def rig(names=("a", "b", "c"), parents=(-1, 0, 1), offsets=None, **more):
-    return Skeleton(
-        names, parents, np.zeros((len(names), 3)) if offsets is None else offsets, **more
-    )
-
-
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -30,8 +24,9 @@ def rig(names=("a", "b", "c"), parents=(-1, 0, 1), offsets=None, **more):
     ],
 )
 def test_invalid_skeletons_are_refused(change, says):
+    rig = {"names": ("a", "b", "c"), "parents": (-1, 0, 1), "offsets": np.zeros((3, 3))}
     with pytest.raises(MotionError) as caught:
-        rig(**change)
+        Skeleton(**rig | change)
     assert says in str(caught.value)
 
 
@@ -61,9 +56,7 @@ def test_tree(person):
     chest = person.index("Chest")
     assert [person.names[j] for j in person.children(chest)] == ["Neck", "LeftArm", "RightArm"]
     assert [person.names[j] for j in person.ancestors(chest)] == ["Spine", "Hips"]
-    assert {person.names[j] for j in person.descendants(person.index("LeftArm"))} == {
-        "LeftForeArm",
-        "LeftHand",
-    }
+    below = person.descendants(person.index("LeftArm"))
+    assert {person.names[j] for j in below} == {"LeftForeArm", "LeftHand"}
     assert person.depth[chest] == 2
     assert person.is_leaf(person.index("Head")) and not person.is_leaf(chest)

@@ -78,9 +78,8 @@ def test_smoothing_does_not_make_a_standing_foot_leave_early():
 
 @pytest.mark.parametrize("scale", [1.0, 2.0])
 def test_the_floor_is_where_the_foot_stands_longest(scale):
-    height = np.repeat([0.05, 0.05 + 0.028 * scale, 0.05 - 0.028 * scale, 0.05 + 0.032 * scale], 15)
-    height[:15] = 0.05
-    height = np.concatenate([np.full(60, 0.05), height])
+    places = [0.0, 0.0, 0.0, 0.0, 0.0, 0.028, -0.028, 0.032]
+    height = 0.05 + scale * np.repeat(places, 15)
     stands, floor = contact_frames(path(0.0, height, 120), FPS, scale, np.ones(120))
     assert floor == pytest.approx(0.05)
     # The first frame at another height is too fast, at 50 fps: 0.028 m are 1.4 m/s.
@@ -175,12 +174,8 @@ def test_a_foot_that_shifts_stands_at_two_places(n_frames, jump, size, pieces):
 
 def test_pieces_are_at_least_two_frames_long():
     moving = steps(8, (1, 0.3), (4, 0.3), (7, 0.3))
-    assert split_at_movement([(0, 8)], moving, 4.0, np.array([0.01])) == [
-        (0, 2),
-        (2, 4),
-        (4, 6),
-        (6, 8),
-    ]
+    found = split_at_movement([(0, 8)], moving, 4.0, np.array([0.01]))
+    assert found == [(0, 2), (2, 4), (4, 6), (6, 8)]
 
 
 def test_movement_counts_relative_to_the_radius_of_its_point():

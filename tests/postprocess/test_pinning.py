@@ -88,9 +88,8 @@ def test_corrections_fade_in_a_smoothstep_of_limited_speed(height, frames):
     np.testing.assert_allclose(offset[:, 1] / height, hold, atol=1e-12)
     # Frame k after the span has the share (k + 1) / (frames + 1) of the way behind it: smoothstep
     # is 5/32 at a quarter and 1/2 at a half.
-    way = np.interp(
-        [0.25, 0.5, 0.75], np.arange(frames + 2) / (frames + 1), hold[199:][: frames + 2]
-    )
+    behind = np.arange(frames + 2) / (frames + 1)
+    way = np.interp([0.25, 0.5, 0.75], behind, hold[199:][: frames + 2])
     assert way == pytest.approx([27 / 32, 1 / 2, 5 / 32], abs=0.004)
     assert speeds(offset).max() < 0.3
     assert speeds(offset).max() > 0.28 or height == SMALL
@@ -118,9 +117,8 @@ def test_a_point_above_the_floor_is_lowered_only_while_it_stands():
     # Frame k of the span has the share (k + 1) / 16 of 15 frames behind it: 1/16, 1/2, 15/16.
     shares = [(3 - 2 / 16) / 16**2, 1 / 2, 1 - (3 - 2 / 16) / 16**2]
     assert offset[[40, 47, 54], 1] == pytest.approx(-SMALL * np.array(shares))
-    assert hold[[24, 25, 32, 40, 79, 87, 95]] == pytest.approx(
-        [0, shares[0], 1 / 2, 1, 1, 1 / 2, 0], abs=1e-12
-    )
+    expected = [0, shares[0], 1 / 2, 1, 1, 1 / 2, 0]
+    assert hold[[24, 25, 32, 40, 79, 87, 95]] == pytest.approx(expected, abs=1e-12)
 
 
 def test_a_short_contact_is_lowered_by_its_middle():
@@ -199,9 +197,7 @@ def test_across_a_short_gap_the_correction_goes_from_one_to_the_other():
         (20, 60, 0, 0),
     ],
 )
-def test_a_gap_too_short_for_its_correction_is_extended_into_the_contacts(
-    gap, length, before, after
-):
+def test_a_gap_too_short_for_its_correction_is_extended_into_contacts(gap, length, before, after):
     n = 2 * length + gap
     places = at_heights(n, (0, length + gap // 2, 0.02), (length + gap // 2, n, -0.02))
     offset, _ = pinned(places, (0, length), (length + gap, n))

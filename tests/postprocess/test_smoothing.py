@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rigs import at_rest
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 from scipy.special import erf
@@ -33,10 +34,8 @@ def beating(gesture) -> Motion:
     rotations = motion.rotations * 0 + [0.0, 0.0, 0.0, 1.0]
     rotations[:, motion.skeleton.index("RightArm")] = quaternion_from_euler(angles, "XYZ")
     tremble = np.random.default_rng(0).normal(0, 0.006, (*rotations.shape[:2], 3))
-    return replace(
-        motion,
-        rotations=multiply_quaternions(rotations, quaternion_from_rotation_vector(tremble)),
-    )
+    turns = quaternion_from_rotation_vector(tremble)
+    return replace(motion, rotations=multiply_quaternions(rotations, turns))
 
 
 def test_trembling_goes_and_strokes_keep_time_and_height(beating):
@@ -78,13 +77,11 @@ def test_quaternions_of_the_other_sign_are_the_same_motion(beating):
 
 def swinging(skeleton, joint: str, hertz: float, fps: float = 60.0) -> tuple[Motion, np.ndarray]:
     """Twenty seconds in which one joint turns about Y by 0.1 rad, to and fro; and its angles."""
-    times = np.arange(round(20 * fps)) / fps
-    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), skeleton.n_joints, 1))
-    angles = 0.1 * np.sin(2 * np.pi * hertz * times)
-    rotations[:, skeleton.index(joint)] = quaternion_from_rotation_vector(
-        angles[:, None] * [0.0, 1.0, 0.0]
-    )
-    return Motion(skeleton, rotations, np.zeros((len(times), 3)), fps), angles
+    motion = at_rest(skeleton, round(20 * fps), fps=fps)
+    angles = 0.1 * np.sin(2 * np.pi * hertz * motion.times)
+    turns = quaternion_from_rotation_vector(angles[:, None] * [0.0, 1.0, 0.0])
+    motion.rotations[:, skeleton.index(joint)] = turns
+    return motion, angles
 
 
 def gain(smooth: Motion, joint: str, angles: np.ndarray) -> float:
@@ -138,11 +135,10 @@ def test_frame_rates_too_low_for_a_filter_change_nothing(skeleton):
 @pytest.mark.parametrize("seconds", [0.2, 0.5, 2.0])
 def test_a_steady_turn_is_not_delayed_or_bent(skeleton, seconds):
     motion, _ = swinging(skeleton, "Hips", 1.0)
-    rotations = motion.rotations.copy()
     angles = 0.03 * motion.times
-    rotations[:, 0] = quaternion_from_rotation_vector(angles[:, None] * [0.0, 1.0, 0.0])
-    smooth = smooth_motion(replace(motion, rotations=rotations), seconds)
-    assert rotation_angles(smooth.rotations, rotations).max() < 1e-4, "neither inside nor at ends"
+    motion.rotations[:, 0] = quaternion_from_rotation_vector(angles[:, None] * [0.0, 1.0, 0.0])
+    apart = rotation_angles(smooth_motion(motion, seconds).rotations, motion.rotations)
+    assert apart.max() < 1e-4, "neither inside nor at ends"
 
 
 @pytest.mark.parametrize(("bump", "is_beat"), [(0.045, False), (0.055, True)])
@@ -157,11 +153,9 @@ def test_only_movement_near_a_peak_of_speed_is_kept(skeleton, bump, is_beat):
     motion, _ = swinging(skeleton, "Hips", 2.5)
     at = (motion.times - (10.0 - 0.5 / 60)) / 0.1  # speed 600 is from frame 599 to 600
     angle = motion.times + bump * 0.1 * np.sqrt(np.pi / 2) * erf(at / np.sqrt(2))
-    rotations = motion.rotations.copy()
-    rotations[:, skeleton.index("LeftArm")] = quaternion_from_rotation_vector(
-        angle[:, None] * [0.0, 0.0, 1.0]
-    )
-    q = smooth_motion(replace(motion, rotations=rotations), 1.0).rotations[:, 0]
+    turns = quaternion_from_rotation_vector(angle[:, None] * [0.0, 0.0, 1.0])
+    motion.rotations[:, skeleton.index("LeftArm")] = turns
+    q = smooth_motion(motion, 1.0).rotations[:, 0]
     sway = np.abs(2 * np.arctan2(q[:, 1], q[:, 3])) / 0.1
     assert sway[[594, 606]] == pytest.approx(0.552 if is_beat else 0.0016, abs=5e-3)
     assert sway[[582, 618]] == pytest.approx(0.0017, abs=5e-4)

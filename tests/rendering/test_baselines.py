@@ -26,14 +26,11 @@ def test_each_item_gets_the_sound_of_the_next_as_long_as_its_own(write_pair, tmp
     np.testing.assert_array_equal(other["take2"].samples[len(short) :], short[:16000])
 
 
-def test_a_single_held_out_item_gets_training_speech_and_a_single_item_is_refused(
-    write_pair, tmp_path
-):
+def test_one_held_out_item_gets_training_speech_and_a_single_item_is_refused(write_pair, tmp_path):
     write_pair(tmp_path / "r", "take", 20.0, seed=1)
     prepare([tmp_path / "r"], tmp_path / "cut.jsonl")
-    ((test,), (train,)) = (
-        Manifest.load(tmp_path / "cut.jsonl").paired(s) for s in ("test", "train")
-    )
+    manifest = Manifest.load(tmp_path / "cut.jsonl")
+    (test,), (train,) = (manifest.paired(split) for split in ("test", "train"))
     other = other_sounds(tmp_path / "cut.jsonl", "test")[test.id]
     np.testing.assert_array_equal(other.samples, train.load_wave().samples[: len(other.samples)])
     prepare([tmp_path / "r"], tmp_path / "whole.jsonl", holdout=0.0)

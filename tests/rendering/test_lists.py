@@ -49,9 +49,8 @@ def test_a_file_with_the_name_of_a_pattern_is_that_file(folder, tmp_path, write_
 def test_a_list_of_paths(folder, tmp_path):
     lines = ("# day 1", f"#{300 * '-'}", "a.wav\r\n", "./day/b.wav", f"{folder}/day/night/c.wav")
     (folder / "night.txt").write_text("\n".join(lines))
-    assert found("in/night.txt", tmp_path) == {
-        "a": "in/a.wav", "day/b": "in/day/b.wav", "c": "in/day/night/c.wav",
-    }  # fmt: skip
+    names = {"a": "in/a.wav", "day/b": "in/day/b.wav", "c": "in/day/night/c.wav"}
+    assert found("in/night.txt", tmp_path) == names
     # Where there is no such file beside the list, paths are those of the working folder.
     (folder / "more.lst").write_text("in/a.wav\n../in/day/b.wav\n")
     assert found("in/more.lst", tmp_path) == {"in/a": "in/a.wav", "b": "in/day/b.wav"}
@@ -63,17 +62,13 @@ def test_kaldis_wav_scp(folder, tmp_path):
 
 
 def test_jsonl_has_options_for_each_input(folder, tmp_path):
-    lines = [
-        {"audio": "in/a.wav", "seed": 3, "style": "old"},
-        {"audio": "in/a.wav", "id": "again/a", "start": 0.1, "seconds": 0.2},
-        {"id": "idle", "seconds": 2},
-    ]
-    (tmp_path / "night.jsonl").write_text("\n".join(map(json.dumps, lines)))
+    given = [{"seed": 3, "style": "old"}, {"start": 0.1, "seconds": 0.2}, {"seconds": 2}]
+    about = [{"audio": "in/a.wav"}, {"audio": "in/a.wav", "id": "again/a"}, {"id": "idle"}]
+    lines = [json.dumps(one | options) for one, options in zip(about, given, strict=True)]
+    (tmp_path / "night.jsonl").write_text("\n".join(lines))
     tasks = [measured(task) for task in find_tasks("night.jsonl", tmp_path / "out")]
     assert [task.id for task in tasks] == ["in/a", "again/a", "idle"]
-    assert [dict(task.more) for task in tasks] == [
-        {"seed": 3, "style": "old"}, {"start": 0.1, "seconds": 0.2}, {"seconds": 2},
-    ]  # fmt: skip
+    assert [dict(task.more) for task in tasks] == given
     assert [task.duration for task in tasks] == [0.5, 0.2, 2]
     plan = write_plan(tmp_path / "plan.jsonl", tasks, 1, "r")
     assert [task.more for task in plan.tasks()] == [task.more for task in tasks]

@@ -28,16 +28,14 @@ from gesturekit.training.config import build
 
 RAISED = 2.0  # radians by which the arms of style b are higher
 FEW = {"first_stage": 30, "further_stages": 10, "discriminator_steps": 1, "batch": 4}
+SMALL = {"blocks": 2, "layers": 1, "channels": 32, "heads": 2, "feedforward": 32, "embedding": 16}
 SETTINGS = {
     "multires": {
         "network": {"levels": 4, "channels": [4, 4, 4], "embedding": 4, "modulate": "all"},
         "training": FEW | {"window": 2.0, "window_cache": 4, "learning_rate": 1e-2},
     },
     "diffusion": {
-        "network": {
-            **{"blocks": 2, "layers": 1, "channels": 32, "heads": 2},
-            **{"feedforward": 32, "embedding": 16},
-        },
+        "network": SMALL,
         "noise": {"steps": 8, "last_beta": 0.5, "predict": "clean"},
         "training": {"updates": 120, "batch": 8, "window": 2.0, "learning_rate": 5e-3},
     },
@@ -51,17 +49,16 @@ def corpus(tmp_path_factory, gesture, write_speech) -> Path:
 
     def recording(name: str, style: str, seconds: float, split: str) -> Item:
         motion = gesture(seconds, 25.0, seed=len(name))
-        angles = Rotation.from_quat(motion.rotations.reshape(-1, 4)).as_euler("xyz")
-        angles = angles.reshape(motion.n_frames, -1, 3)
         for side, sign in (("LeftArm", 1), ("RightArm", -1)):
-            angles[:, motion.skeleton.index(side), 2] += sign * RAISED * (style == "b")
-        turned = Rotation.from_euler("xyz", angles.reshape(-1, 3)).as_quat()
+            arm = motion.rotations[:, motion.skeleton.index(side)]
+            angles = Rotation.from_quat(arm).as_euler("xyz")
+            angles[:, 2] += sign * RAISED * (style == "b")
+            arm[:] = Rotation.from_euler("xyz", angles).as_quat()
         path = folder / f"{name}.bvh"
-        replace(motion, rotations=turned.reshape(motion.rotations.shape)).save(path)
+        motion.save(path)
         sound = write_speech(folder / f"{name}.wav", seconds)
-        return Item(
-            id=name, audio=sound, motion=path, duration=seconds, style=style, split=split
-        )  # fmt: skip
+        about = {"duration": seconds, "style": style, "split": split}
+        return Item(id=name, audio=sound, motion=path, **about)
 
     every = [("one", "a", 6.0, "train"), ("two", "b", 6.0, "train")]
     every += [("three", "b", 32.0, "test"), ("four", "a", 11.0, "test")]
@@ -109,9 +106,8 @@ def test_every_recording_is_sampled_in_its_own_style(styled, corpus, tmp_path):
 def test_windows_and_samples_have_noise_of_their_own(styled, corpus, tmp_path):
     long = named(corpus, "three")
     files = list(sample_lda(styled, [long], tmp_path, SamplingOptions(samples=2)))
-    assert [file.stem for file in files] == [
-        f"three_w{window:03d}_s{number}" for window in range(3) for number in (1, 2)
-    ]
+    stems = [f"three_w{window:03d}_s{number}" for window in range(3) for number in (1, 2)]
+    assert [file.stem for file in files] == stems
     moved = [Motion.load(file).rotations for file in files]
     moved = [values - values.mean(axis=0) for values in moved]
     together = [np.corrcoef(a.ravel(), b.ravel())[0, 1] for a, b in combinations(moved, 2)]
@@ -150,10 +146,8 @@ def test_samples_are_what_the_network_generates_unless_asked_otherwise(model, co
     assert slide[1] < 0.1 * slide[0]
     smoothed = replace(model, smooth=0.3)
     hand = model.skeleton.index("LeftHand")
-    shake = [
-        np.abs(np.diff(motion.positions()[:, hand], 3, axis=0)).mean()
-        for motion in both_ways(smoothed, item, tmp_path / "smoothed")
-    ]
+    both = both_ways(smoothed, item, tmp_path / "smoothed")
+    shake = [np.abs(np.diff(m.positions()[:, hand], 3, axis=0)).mean() for m in both]
     assert shake[1] < 0.7 * shake[0]
 
 
@@ -162,10 +156,9 @@ def test_the_speaker_is_the_items_where_the_model_has_several(model, corpus, tmp
     tall = replace(model.skeleton, offsets=1.2 * model.skeleton.offsets)
     both = replace(model, speakers={"anna": model.skeleton, "ben": tall})
     one = SamplingOptions(samples=1)
-    anna, ben = (
-        Motion.load(next(sample_multires(both, [spoken], tmp_path / spoken.speaker, one)))
-        for spoken in (replace(item, speaker=name) for name in ("anna", "ben"))
-    )
+    spoken = (replace(item, speaker=name) for name in ("anna", "ben"))
+    files = (next(sample_multires(both, [one_], tmp_path / one_.speaker, one)) for one_ in spoken)
+    anna, ben = map(Motion.load, files)
     assert ben.skeleton.offsets == pytest.approx(1.2 * anna.skeleton.offsets, abs=1e-6)
 
 
@@ -187,11 +180,9 @@ def test_a_window_gets_its_own_part_of_the_sound(model, tmp_path, write_speech):
     sound[int(10.5 * rate) :] = 0.0
     soundfile.write(path, sound, rate)
     after = list(sample_lda(model, sounds_of(path.parent), tmp_path / "after", one))
-    same = [
-        np.array_equal(Motion.load(a).rotations, Motion.load(b).rotations)
-        for a, b in zip(before, after, strict=True)
-    ]
-    assert same == [True, False]
+    (same, changed), (as_before, other) = (map(Motion.load, files) for files in (before, after))
+    assert np.array_equal(same.rotations, as_before.rotations)
+    assert not np.array_equal(changed.rotations, other.rotations)
 
 
 def test_a_sound_shorter_than_its_motion_sets_the_length(model, corpus, tmp_path, write_speech):
@@ -210,9 +201,7 @@ def test_a_motion_without_its_sound_is_named(corpus, tmp_path):
         sequences_of(corpus.parent, tmp_path, {})
 
 
-def test_a_training_sequence_is_sampled_at_twice_its_length_and_the_models_own_rate(
-    model, corpus, tmp_path
-):
+def test_a_recording_is_sampled_at_twice_its_length_and_the_models_rate(model, corpus, tmp_path):
     item = named(corpus, "one")
     faster = replace(model, recorded_fps=50.0)  # at which `generate` returns motion by default
     for name, given in {"speech": item, "silence": replace(item, audio=None)}.items():
