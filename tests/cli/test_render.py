@@ -275,7 +275,7 @@ def test_a_file_named_twice_is_rendered_once(render, wav, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--format", "bvh,fbx"], "fbx: known: bvh, npz, html, mp4, png"),
+        (["--format", "bvh,fbx"], "fbx: known: bvh"),
         (["--format", ","], "known: bvh"),
         (["--model", "demmo"], "demmo: neither a model folder nor a bundled model"),
         (["--samples", "0"], "samples"),
