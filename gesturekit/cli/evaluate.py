@@ -110,6 +110,7 @@ _USED_BY_SANITY = (
 )
 @click.option("--out", type=_FILE, help="Write an HTML report.")
 @click.option("--json", "json_out", type=_FILE, help="Write all results as JSON.")
+@click.option("--against", type=_FILE, help="Print the differences from an earlier --json file.")
 @click.option("--csv", type=_FILE, help="Write the table of all metrics as CSV.")
 @click.option("--markdown", type=_FILE, help="Write the table in Markdown.")
 @click.option("--latex", type=_FILE, help="Write the table in LaTeX (booktabs).")
@@ -224,6 +225,7 @@ def command(
         raise click.UsageError(f"--out {out}: the report is HTML: name it .html (--json for data)")
     tables = {form: _to_write(options[form], options["existing"]) for form in WRITERS}
     out, json_out = (_to_write(path, options["existing"]) for path in (out, json_out))
+    before = _earlier(options["against"])
     answers = answers_of(options["study"])
     folders = folders_of(names, recordings, options)
     temporary = Path(ctx.with_resource(tempfile.TemporaryDirectory(prefix="gesturekit-")))
@@ -241,13 +243,21 @@ def command(
     # First: the reader of a pipe, such as head, may leave before everything is printed.
     line = shlex.join(["gesturekit", *sys.argv[1:]])
     written = _write(found, tables, json_out, out, command=line, body=options["body"])
-    _print(found, written)
+    _print(found, written, before)
     click.echo(summary_line(found, out or json_out))
     ctx.exit(0 if found.is_complete else 1)
 
 
-def _print(found: Evaluation, written: Sequence[Path]) -> None:
-    """Print verdicts, table and the written files, and notes to standard error."""
+def _earlier(path: Path | None) -> dict[str, Any] | None:
+    """Return the results to compare with, if any."""
+    from gesturekit.evaluation.report.differences import read_results
+
+    return None if path is None else read_results(path)
+
+
+def _print(found: Evaluation, written: Sequence[Path], before: Mapping[str, Any] | None) -> None:
+    """Print verdicts, table, differences and the written files, and notes to standard error."""
+    from gesturekit.evaluation.report.differences import differences
     from gesturekit.evaluation.report.metric_table import (
         agreement_lines,
         note_lines,
@@ -258,6 +268,8 @@ def _print(found: Evaluation, written: Sequence[Path]) -> None:
         click.echo(line)
     for line in note_lines(found):
         click.echo(line, err=True)
+    for difference in () if before is None else differences(found, before):
+        click.echo(difference)
     for path in written:
         click.echo(f"written  {path}")
 

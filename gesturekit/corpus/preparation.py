@@ -21,7 +21,7 @@ from gesturekit.corpus.manifest import Manifest, absolute
 from gesturekit.corpus.pairing import Found, pair, recording_ids, scan, unread
 from gesturekit.corpus.recording import Examination, Recording, examine_each
 from gesturekit.corpus.report import Report
-from gesturekit.corpus.takes import name_takes, neighbours
+from gesturekit.corpus.takes import name_takes, neighbours, take_in
 from gesturekit.errors import CorpusError, MotionError, gesturekit_errors
 from gesturekit.field_docs import build_options
 from gesturekit.formats.conversion import refuse_unused_read_options
@@ -110,6 +110,10 @@ class PrepareOptions:
         if self.hold_out() and self.hold_out_seconds:
             raise CorpusError("give either seconds or names of recordings to hold out, not both")
         splits.as_intervals(self.hold_out_seconds)
+        if self.take_pattern is not None:
+            take_in("", self.take_pattern)  # a wrong one is an error before files are read
+        if self.take_table is not None and not Path(self.take_table).is_file():
+            raise CorpusError(f"table of takes {self.take_table}: no such file")
         if not 0 <= self.holdout < 1:
             raise CorpusError(f"holdout is {self.holdout}; it must be a fraction from 0 to below 1")
         if self.seed < 0:

@@ -54,6 +54,7 @@ class Report:
             ("paired", _by_split(manifest.paired())),
             ("speech alone", _by_split(manifest.unpaired())),
             ("motion alone", _by_split(manifest.motion_alone())),
+            ("takes", self._takes()),
             ("frame rates", _counted(f"{r.fps:.6g} fps" for r in self._moving)),
             ("body heights", self._heights()),
             ("joints", _counted(str(r.skeleton.n_joints) for r in self._moving)),
@@ -63,6 +64,11 @@ class Report:
             ("left out", self._left_out()),
         ]
         return [(name, value) for name, value in rows if value]
+
+    def _takes(self) -> str:
+        """Return the number of takes if some recordings are of one take."""
+        count = len({recording.take for recording in self.recordings})
+        return str(count) if count < len(self.recordings) else ""
 
     def _left_out(self) -> str:
         """Return the numbers of recordings with errors and of unused files, or ""."""

@@ -27,6 +27,7 @@ __all__, __getattr__, __dir__ = attach(
         "beat_consistency": "metrics.rhythm",
         "body_centred": "metrics.hands",
         "calm_and_lively": "metrics.hands",
+        "calibration": "metrics.hands",
         "cca": "metrics.similarity",
         "copying": "metrics.two_sample",
         "coverage": "metrics.patches",

@@ -43,6 +43,15 @@ class Interval:
     speakers: int = 1
 
     @property
+    def method(self) -> str:
+        """How value and interval are computed, for papers and files of results."""
+        if self.over != "takes":
+            return "mean over samples" if self.over == "samples" else "one value of the whole set"
+        if self.low is None:
+            return "mean over takes, without an interval"
+        return "mean over takes, with a 95 % interval by Student's t over takes, within speakers"
+
+    @property
     def count(self) -> str:
         """Numbers of takes, speakers and clips, such as "10 takes of 2 speakers, 50 clips"."""
         clips = counted(self.n, "clip")
@@ -244,6 +253,18 @@ class Evaluation:
         named = len(self.models) > 1
         return [f"{m.label}: {m.verdict}" if named else m.verdict for m in self.models if m.verdict]
 
+    @property
+    def basis(self) -> str:
+        """A sentence for papers: takes, speakers and clips that the values are computed over."""
+        clips = self.models[0].clips
+        takes = {(clip.pair.speaker, clip.pair.take) for clip in clips}
+        over = takes_of_speakers(len(takes), len({speaker for speaker, _ in takes}))
+        seconds = sum(clip.seconds for clip in clips)
+        return (
+            f"Computed over {over} ({counted(len(clips), 'clip')}, {seconds:.0f} s) at "
+            f"{self.fps:g} fps."
+        )
+
     def definitions(self) -> list[Definition]:
         """Return the definitions of all metrics that at least one model has."""
         keys = {key for model in self.models for key in model.metrics}
@@ -257,6 +278,7 @@ class Evaluation:
             "reference": str(self.reference),
             "fps": self.fps,
             "protocol": self.protocol,
+            "basis": self.basis,
             "settings": self.settings,
             "versions": self.versions,
             "definitions": {d.key: d.to_json() for d in self.definitions()},
@@ -279,6 +301,9 @@ def _model(model: ModelResult) -> dict[str, Any]:
         "figures": {
             key: {
                 **asdict(result.interval),
+                "unit": DEFINITIONS[key].unit,
+                "takes": result.interval.units if result.interval.over == "takes" else None,
+                "method": result.interval.method,
                 "recording": result.recording,
                 "chance": result.chance,
                 "recording_low": result.recording_interval and result.recording_interval.low,

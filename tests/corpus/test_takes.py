@@ -35,7 +35,7 @@ def test_the_files_of_a_take_have_one_split(sessions, tmp_path, seed, holdout):
     assert set().union(*found.values()) == set("abcd")
     assert sum(map(len, found.values())) == 4, "no take is in two splits"
     assert len(found["train"]) == (3 if holdout == 0.1 else 2)
-    assert "neighbours" not in str(report)
+    assert "neighbours" not in str(report) and "takes         4" in str(report)
 
 
 def test_a_table_names_takes_before_a_pattern(sessions, tmp_path):
@@ -51,6 +51,7 @@ def test_a_table_names_takes_before_a_pattern(sessions, tmp_path):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
+        ({"take_table": None}, "none.csv: no such file"),
         ({"take_pattern": "("}, r"take pattern \( is not a regular expression"),
         ({"take_pattern": "xyz"}, "matches none of 12 recordings, such as a_part0"),
         ({"take_table": "id,take\na_prt0,x\n"}, "'a_prt0' is no usable recording; did you mean"),
@@ -59,9 +60,10 @@ def test_a_table_names_takes_before_a_pattern(sessions, tmp_path):
     ],
 )
 def test_wrong_takes_are_one_clear_error(sessions, tmp_path, options, says):
+    if table := options.get("take_table", ""):
+        (tmp_path / "takes.csv").write_text(table)
     if "take_table" in options:
-        (tmp_path / "takes.csv").write_text(options["take_table"])
-        options = {"take_table": tmp_path / "takes.csv"}
+        options = {"take_table": tmp_path / ("takes.csv" if table else "none.csv")}
     with pytest.raises(CorpusError, match=says):
         prepare(sessions, **options)
 

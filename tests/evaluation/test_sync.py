@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from audio_features import Wave
-from gesturekit.errors import MotionError
+from gesturekit.errors import EvaluationError, MotionError
 from gesturekit.evaluation import (
     arm_speed,
     beat_alignment,
@@ -20,6 +20,7 @@ from gesturekit.evaluation import (
     speech_onsets,
     sync,
 )
+from gesturekit.evaluation.metrics.sync import sync_of_moving_arms
 from gesturekit.motion import Motion
 
 ELBOW, SHOULDER = "LeftForeArm", "RightArm"
@@ -42,6 +43,16 @@ def test_a_motion_shifted_out_of_reach_scores_no_better_than_chance(turning, spe
     result = sync(turning({ELBOW: 4.0 * np.roll(loudness, 700)}), speaking(5.0 * loudness))
     assert result.r < 0.4
     assert abs(result.z) < 2.5
+
+
+@pytest.mark.parametrize("frames", [45, 250])
+def test_arms_that_hardly_move_are_not_informative_however_short_the_clip(
+    turning, speaking, curve, frames
+):
+    loudness = curve(frames, seed=0)
+    recording, motion = (turning({ELBOW: size * loudness}) for size in (4.0, 0.1))
+    with pytest.raises(EvaluationError, match="not informative: the arms move at less than 5 %"):
+        sync_of_moving_arms(motion, recording, speaking(5.0 * loudness))
 
 
 def test_unrelated_motion_scores_z_near_zero_on_average(turning, speaking, curve):

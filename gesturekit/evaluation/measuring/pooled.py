@@ -17,7 +17,11 @@ from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.evaluation.metrics.hands import (
     FPS,
     HAND_KEYS,
+    LEAST_SEEDS,
+    NOMINAL,
+    calibration,
     calm_and_lively,
+    hand_level,
     hand_values,
     upper_joints,
 )
@@ -125,6 +129,7 @@ class PooledMetrics:
             (["calm_lively_r", "calm_lively_slope"], self._calm_and_lively),
             (["one_nn", "within_reach", "forward"], self._windows),
             (["copying", "copying_low"], self._copying),
+            (["calibration", "seed_spread", "sharpness"], self._calibration),
         ):
             try:
                 metrics |= compute()
@@ -161,20 +166,54 @@ class PooledMetrics:
 
     def _hands(self) -> dict[str, MetricResult]:
         ours, theirs = map(hand_values, (self._all_generated(), self._all_recorded()))
+        trained = self._once("hands", (), self._trained_hands)
         results = {}
         for key in HAND_KEYS:
             value, own = ours[key], theirs[key]
+            note = f"training recordings: {trained[key]:.2f}" if key in trained else ""
             if np.isfinite(value):
-                results[key] = self._result(key, value, own if np.isfinite(own) else None)
+                results[key] = self._result(key, value, own if np.isfinite(own) else None, note)
             else:
                 self.problems.append((key, "the clips are too short, or the hands never move"))
         return results
+
+    def _trained_hands(self) -> dict[str, float]:
+        """Return the hand values of the training recordings; {} without these.
+
+        A held-out take may be livelier than all of training; a model can only know the latter.
+        """
+        found = hand_values(self.training.motions) if self.training.motions else {}
+        return {key: value for key, value in found.items() if np.isfinite(value)}
 
     def _calm_and_lively(self) -> dict[str, MetricResult]:
         found = calm_and_lively(self._all_recorded(), list(self._generated.values()))
         values = {"calm_lively_r": found.r, "calm_lively_slope": found.slope}
         note, enough = f"{found.n} windows", found.n >= ENOUGH_CALM
         return {key: self._result(key, value, 1.0, note, enough) for key, value in values.items()}
+
+    def _calibration(self) -> dict[str, MetricResult]:
+        """Return the calibration of a model with enough samples of each clip; {} for others."""
+        if min(map(len, self._generated.values())) < LEAST_SEEDS or len(self._generated) < 2:
+            return {}
+        recorded = self._all_recorded()
+        length = round(float(np.median([motion.n_frames for motion in recorded])))
+        speaker = [
+            hand_level(motion.slice(start, start + length))
+            for motion in self.training.motions
+            for start in range(0, motion.n_frames - length + 1, length)
+        ]
+        found = calibration(
+            [[hand_level(motion) for motion in samples] for samples in self._generated.values()],
+            [hand_level(motion) for motion in recorded],
+            speaker,
+        )
+        note = f"{found.clips} clips of {found.seeds} samples"
+        values = {
+            "calibration": (found.coverage, NOMINAL),
+            "seed_spread": (found.spread, None),
+            "sharpness": (found.sharpness, 1.0),
+        }
+        return {key: self._result(key, value, own, note) for key, (value, own) in values.items()}
 
     def _windows(self) -> dict[str, MetricResult]:
         joints = self._upper_joints()

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gesturekit.errors import MotionError
+from gesturekit.errors import EvaluationError, MotionError
 from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.motion import Motion
 from gesturekit.motion.heading import headings_of_sides
@@ -42,6 +42,12 @@ CALM_WINDOW, CALM_HOP = 5.0, 2.5
 _NO_MOVEMENT = 1e-6  # m/s; less is rounding
 
 Motions = Motion | Sequence[Motion]
+LEAST_SEEDS = 9
+"""Seeds from which an interval between two ranks covers 80 %: those of the lowest and highest."""
+NOMINAL = 80.0
+"""Percent of clips between the ranks if the model is calibrated."""
+_LEVEL_FLOOR = 0.01  # m/s, added to speeds before the logarithm
+_BLIND_DRAWS = 1000
 
 
 @dataclass(frozen=True)
@@ -367,3 +373,91 @@ def hand_values(motion: Motions) -> dict[str, float]:
     """
     found = hand_movement(motion)
     return {key: factor * getattr(found, name) for name, (key, factor) in _HANDS.items()}
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Recorded levels of clips beside those of many seeds.
+
+    Speech does not tell everything about a motion. A calibrated model draws the rest, so that the
+    recorded clip is one more draw: its rank among those of many seeds is uniform.
+
+    Attributes:
+        coverage: percent of clips whose recorded level lies within the ranks that cover `NOMINAL`
+            percent, such as the second lowest and the second highest of 19 seeds.
+        spread: standard deviation between the seeds of a clip, over that between recorded clips.
+        sharpness: mean width of those intervals, over that of draws from the speaker's clips, which
+            ignore the speech; 1 for such draws, less for a model that listens.
+        clips: number of clips.
+        seeds: number of seeds that are used.
+    """
+
+    coverage: float
+    spread: float
+    sharpness: float
+    clips: int
+    seeds: int
+
+
+def hand_level(motion: Motion) -> float:
+    """Return the level of a clip: the logarithm of its mean hand speed, relative to the body.
+
+    Raises:
+        MotionError: a rig without wrists, or fewer than 2 frames at 25 fps.
+
+    Examples:
+        Hands that never move, ln(0.01):
+
+        >>> rig = gk.load("demo").skeleton
+        >>> still = np.tile([0.0, 0, 0, 1], (75, rig.n_joints, 1))
+        >>> round(hand_level(gk.Motion(rig, still, np.zeros((75, 3)), 25)), 2)
+        -4.61
+    """
+    speed = np.linalg.norm(velocities(hand_paths(motion)), axis=-1) / body_scale(motion.skeleton)
+    return float(np.log(speed.mean() + _LEVEL_FLOOR))
+
+
+def calibration(
+    levels: Sequence[Sequence[float]], recorded: Sequence[float], speaker: Sequence[float] = ()
+) -> Calibration:
+    """Compare the levels of many seeds with the recorded ones.
+
+    Only ranks are used: quantiles interpolated between few seeds cover less than they say.
+
+    Args:
+        levels: for each clip, those of S seeds. Of S, the largest of 9, 19, 29 ... that all clips
+            have are used.
+        recorded: level of each recorded clip.
+        speaker: levels of the speaker's clips in training, as long as these; by default `recorded`.
+
+    Raises:
+        EvaluationError: fewer than 9 seeds of a clip, or fewer than two clips.
+
+    Examples:
+        Two of four clips lie between the second lowest and the second highest of 19 seeds:
+
+        >>> found = calibration([range(19)] * 4, [-3, 2, 9, 30])
+        >>> found.coverage, found.seeds
+        (50.0, 19)
+    """
+    fewest = min(map(len, levels), default=0)
+    if fewest < LEAST_SEEDS or len(levels) < 2:
+        raise EvaluationError(
+            f"{len(levels)} clips of {fewest} samples: calibration needs two clips or more of "
+            f"{LEAST_SEEDS} samples or more each (render --samples 19)"
+        )
+    seeds = (fewest + 1) // 10 * 10 - 1
+    rank = (seeds + 1) // 10  # so many of the seeds' S + 1 gaps lie outside, at each end
+    drawn = np.sort([list(own)[:seeds] for own in levels], axis=1)
+    own = np.asarray(recorded, float)
+    low, high = drawn[:, rank - 1], drawn[:, seeds - rank]
+    usual = np.asarray(speaker if len(speaker) > 1 else recorded, float)
+    blind = np.sort(np.random.default_rng(0).choice(usual, (_BLIND_DRAWS, seeds)), axis=1)
+    width = (blind[:, seeds - rank] - blind[:, rank - 1]).mean()
+    return Calibration(
+        coverage=100.0 * float(((low <= own) & (own <= high)).mean()),
+        spread=float(drawn.std(axis=1, ddof=1).mean() / max(own.std(ddof=1), 1e-9)),
+        sharpness=float((high - low).mean() / max(width, 1e-9)),
+        clips=len(own),
+        seeds=seeds,
+    )

@@ -141,7 +141,7 @@ def sync_of_moving_arms(motion: Motion, recording: Motion, wave: Wave) -> SyncRe
         recording's speed
     """
     result = sync(motion, wave)
-    if not result.note and hardly_moves(motion, recording):
+    if result.r != 0.0 and hardly_moves(motion, recording):
         raise EvaluationError(
             f"not informative: the arms move at less than {100 * HARDLY_MOVING:.0f} % of the "
             "recording's speed"

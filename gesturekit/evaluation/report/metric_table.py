@@ -125,7 +125,8 @@ def terminal_lines(evaluation: Evaluation) -> list[str]:
         "  ".join(cell + " " * (w - disp_len(cell)) for cell, w in zip(row, widths)).rstrip()
         for row in table
     ]
-    return [*headline_lines(evaluation), *lines, *_without_interval(evaluation)]
+    basis = evaluation.basis
+    return [*headline_lines(evaluation), *lines, basis, *_without_interval(evaluation)]
 
 
 def _without_interval(evaluation: Evaluation) -> list[str]:
@@ -280,8 +281,8 @@ def _value_text(result: MetricResult | None) -> str:
 
 def _caption(evaluation: Evaluation) -> str:
     return (
-        f"Mean and 95 % interval over takes at {evaluation.fps:g} fps. Bold: nearer to the "
-        "recordings' own value than every other model (paired over takes, Holm over rows). "
+        f"{evaluation.basis} Mean and 95 % interval over takes. Bold: nearer to the recordings' "
+        "own value than every other model (paired over takes, Holm over rows). "
         "Metrics of the whole set of clips have one value without an interval, never bold. "
         "No arrow: a model is beyond the recordings' own value, which is the goal."
     )

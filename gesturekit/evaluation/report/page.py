@@ -108,13 +108,11 @@ def _with_short_names(evaluation: Evaluation) -> Evaluation:
 
 def _facts(evaluation: Evaluation) -> Iterable[str]:
     model = evaluation.models[0]
-    seconds = sum(clip.seconds for clip in model.clips)
     recordings = len({clip.pair.stem for clip in model.clips})
     if evaluation.protocol:
         yield f"protocol {evaluation.protocol}"
-    yield f"{counted(len(model.clips), 'clip')}, {seconds:.0f} s"
     yield counted(recordings, "recording")
-    yield f"measured at {evaluation.fps:g} fps"
+    yield evaluation.basis.rstrip(".")
     yield f"seed {evaluation.settings['seed']}"
 
 

@@ -74,7 +74,7 @@ def metrics(evaluation: Evaluation, contests: Mapping[str, Contest]) -> str:
             groups.append(
                 f"<details{' open' if group in _OPEN else ''}><summary>{group}</summary>"
                 + table(f"<th>Measure</th><th></th>{head}", "".join(rows))
-                + "</details>"
+                + f"<p><small>{html.escape(evaluation.basis)}</small></p></details>"
             )
     lead = (
         "Mean over takes; below it the 95 % interval over takes (over windows or 10 s "

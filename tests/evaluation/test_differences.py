@@ -1,0 +1,103 @@
+"""Differences from an earlier file of results, and what the file says of each figure."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gesturekit.errors import EvaluationError
+from gesturekit.evaluation import evaluate
+from gesturekit.evaluation.report.differences import differences, read_results
+
+DOCS = Path(__file__).parents[2] / "docs" / "results_file.md"
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory, gesture):
+    """Six takes of a model."""
+    root = tmp_path_factory.mktemp("set")
+    for k in range(6):
+        gesture(2.0, 25.0, seed=k).save(root / "recorded" / f"clip{k}.npz")
+        gesture(2.0, 25.0, seed=9 + k).save(root / "made" / f"clip{k}.npz")
+    return evaluate({"new": root / "made"}, root / "recorded")
+
+
+@pytest.fixture
+def before(found, tmp_path):
+    """before(change): an earlier file of results, with a change."""
+
+    def write(change=lambda values: None) -> Path:
+        values = found.to_json()
+        change(values)
+        (tmp_path / "old.json").write_text(json.dumps(values))
+        return tmp_path / "old.json"
+
+    return write
+
+
+def test_the_same_results_are_equal(found, before):
+    assert list(differences(found, read_results(before()))) == ["new: equal"]
+
+
+def test_each_change_is_a_line_and_models_go_by_label(found, before):
+    def change(values):
+        (model,) = values["models"]
+        model["label"] = "old"
+        model["figures"]["wrist_speed"] |= {"value": 9.0, "low": 8.0, "high": 10.0}
+        del model["figures"]["jerk"]
+        model["figures"]["gone"] = {"value": 1.0}
+        values["fps"] = 30.0
+
+    now = found.models[0].metrics["wrist_speed"].interval.value
+    assert list(differences(found, read_results(before(change)))) == [
+        "fps: 30.0 before, 25.0 now: not comparable",
+        f"new: 3 of {len(found.models[0].metrics)} values differ",
+        f"  Wrist speed: 9.00 before, {now:.2f} m/s now, outside the earlier interval",
+        "  Jerk: only now",
+        "  gone: only before",
+    ]
+
+    def rename(values):
+        values["models"] = [{**values["models"][0], "label": name} for name in ("new", "other")]
+
+    lines = list(differences(found, read_results(before(rename))))
+    assert lines == ["new: equal", "other: only before"]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("{", "cannot read the results"),
+        ("[1]", "not a file of evaluate --json"),
+        ('{"format": 1, "models": [{"figures": {"a": {}}}]}', "not a file of evaluate --json"),
+        ('{"format": 2, "models": []}', "format 2 is newer"),
+    ],
+)
+def test_other_files_are_one_clear_error(tmp_path, text, says):
+    (tmp_path / "x.json").write_text(text)
+    with pytest.raises(EvaluationError, match=says):
+        read_results(tmp_path / "x.json")
+    with pytest.raises(EvaluationError, match="none.json"):
+        read_results(tmp_path / "none.json")
+
+
+def test_every_figure_says_what_it_is_computed_over(found):
+    values = found.to_json()
+    assert values["basis"] == "Computed over 6 takes (6 clips, 12 s) at 25 fps."
+    figures = values["models"][0]["figures"]
+    speed, distance = figures["wrist_speed"], figures["cca_global"]
+    assert (speed["unit"], speed["takes"], speed["n"]) == ("m/s", 6, 6)
+    assert "Student's t over takes" in speed["method"] and speed["low"] is not None
+    assert distance["takes"] is None and distance["method"] == "one value of the whole set"
+    page = DOCS.read_text(encoding="utf-8")
+    assert all(f"`{name}`" in page for name in (*values, *values["models"][0], *speed))
+
+
+def test_the_command_prints_the_differences(gesturekit, found, before, tmp_path):
+    folder = found.models[0].path
+    done = gesturekit("evaluate", f"new={folder}", found.reference, "--against", before())
+    assert done.status == 0 and done.out.rstrip().splitlines()[-2] == "new: equal"
+    bad = gesturekit("evaluate", folder, found.reference, "--against", tmp_path / "none.json")
+    assert bad.status == 2 and "none.json" in bad.err
