@@ -144,7 +144,7 @@ class Measurer:
         """Compute one part of the metrics of a model's clips."""
         groups = self.measure.groups
         groups = [g for g in groups if (g == FRECHET) == (portion.part == "frechet")]
-        measure = ClipMetrics(self.measure.statistics, groups, self.measure.variants)
+        measure = replace(self.measure, groups=groups)
         training = TrainingMotion()
         if POOLED in groups:
             training = TrainingMotion.of(self.reference, self.seed)
@@ -238,6 +238,7 @@ class Measurer:
             "fps": self.fps,
             "length": self.length,
             "groups": list(measure.groups),
+            "cheap": measure.cheap,
             "variants": asdict(measure.variants),
             "statistics": measure.statistics.digest(),
             "without": sorted(self.without),
@@ -299,7 +300,7 @@ class Measurer:
     def portable(self) -> Measurer:
         """Return the measurer for worker processes, without motion in memory."""
         statistics = replace(self.measure.statistics, recordings={})
-        measure = ClipMetrics(statistics, self.measure.groups, self.measure.variants)
+        measure = replace(self.measure, statistics=statistics)
         pairs = {key: pairs for key, pairs in self.pairs.items() if key not in self.local}
         return replace(self, measure=measure, pairs=pairs)
 
