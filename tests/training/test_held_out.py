@@ -170,7 +170,7 @@ def test_without_held_out_items_training_items_are_measured(
     items = [replace(item, split="train") for item in Manifest.load(talks)]
     Manifest(items).save(tmp_path / "all.jsonl")
     run, said = train(system, tmp_path / "all.jsonl")
-    assert said.startswith("Measured on 3 training recordings (17 s): ")
+    assert said.startswith("Measured on 5 training recordings (30 s): ")
     folder = run / "recorded"
     done = gesturekit("evaluate", folder, "--corpus", folder / "corpus.jsonl", "--split", "train")
     assert done.out.splitlines()[0] == said.partition(": ")[2]
@@ -183,7 +183,7 @@ def test_the_measured_clips_are_cut_and_the_training_items_stand_beside_them(
     monkeypatch.setattr(module, "MOST_SECONDS", 3.0)
     monkeypatch.setattr(module, "MOST_CLIPS", 1)
     run, said = train("multires", talks)
-    assert said.startswith("Measured on 1 held-out recording (3 s): ")
+    assert said.startswith("Measured on 1 of 2 held-out recordings (3 s of 15 s): ")
     kept = Manifest.load(run / "held_out" / "corpus.jsonl")
     assert [(item.id, item.split, item.duration) for item in kept] == [
         *(("test/3", "test", 3.0), ("train/0", "train", 4.0), ("train/1", "train", 5.0)),

@@ -6,7 +6,7 @@ import logging
 import shlex
 import shutil
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -25,9 +25,10 @@ from gesturekit.wording import counted, roughly
 
 log = logging.getLogger(__name__)
 
-MOST_CLIPS = 4
-MOST_SECONDS = 20.0
-"""Largest number of measured clips, and of seconds of each. Fixed: they bound the time it takes."""
+MOST_SECONDS = 120.0
+MOST_CLIPS = 6
+"""Items of at most so many seconds together are all measured, and whole. Of more, at most so many
+items are measured and cut to that total. Fixed: they bound the time it takes."""
 EVERY_SECONDS = 300.0
 """Seconds between measurements of a training without `eval_every`."""
 MOST_SHARE = 0.05
@@ -76,7 +77,23 @@ class HeldOutMetrics:
 
     @cached_property
     def items(self) -> tuple[Item, ...]:
-        """Return the items to measure, cut to MOST_SECONDS; none if the corpus cannot be read."""
+        """Return the items to measure; none if the corpus cannot be read."""
+        chosen, longest = self._fitting, MOST_SECONDS
+        if _seconds(chosen) > MOST_SECONDS:
+            chosen = chosen[:: -(-len(chosen) // MOST_CLIPS)]
+            longest = MOST_SECONDS / len(chosen)
+        return tuple(
+            replace(
+                item,
+                duration=min(item.duration, longest),
+                split="train" if item.split == "train" else "test",
+            )
+            for item in chosen
+        )
+
+    @cached_property
+    def _fitting(self) -> list[Item]:
+        """Return the items of the measured split that the model has the inputs for."""
         fitting = [
             item
             for item in self._corpus
@@ -84,15 +101,7 @@ class HeldOutMetrics:
             if not self.styles or item.style in self.styles
         ]
         by_split = ([i for i in fitting if i.split == name] for name in ("test", "valid", "train"))
-        chosen = next(filter(None, by_split), [])
-        return tuple(
-            replace(
-                item,
-                duration=min(item.duration, MOST_SECONDS),
-                split="train" if item.split == "train" else "test",
-            )
-            for item in chosen[:: -(-len(chosen) // MOST_CLIPS) or 1]
-        )
+        return next(filter(None, by_split), [])
 
     @cached_property
     def _corpus(self) -> list[Item]:
@@ -117,10 +126,14 @@ class HeldOutMetrics:
 
     @property
     def what(self) -> str:
-        """Return "2 held-out recordings (34 s)"."""
-        seconds = sum(item.duration for item in self.items)
+        """Return "1 held-out recording (34 s)", "6 of 9 held-out recordings (2 min of 5 min)"."""
         kind = "held-out" if self.is_held_out else "training"
-        return f"{counted(len(self.items), f'{kind} recording')} ({roughly(seconds)})"
+        text = counted(len(self._fitting), f"{kind} recording")
+        if len(self.items) < len(self._fitting):
+            text = f"{len(self.items)} of {text}"
+        measured, total = _seconds(self.items), _seconds(self._fitting)
+        of = "" if measured == total else f" of {roughly(total)}"
+        return f"{text} ({roughly(measured)}{of})"
 
     @property
     def folder(self) -> Path:
@@ -199,6 +212,11 @@ class HeldOutMetrics:
         speech = item.load_wave() if self.speech else None
         seconds = None if self.speech else item.duration
         return model.generate(speech, seconds=seconds, seed=0, **item.controls(model) | controls)
+
+
+def _seconds(items: Sequence[Item]) -> float:
+    """Return the length of items together, seconds."""
+    return sum(item.duration for item in items)
 
 
 def _logged(found: ModelResult, kind: str) -> Iterator[tuple[str, float]]:
