@@ -152,7 +152,7 @@ class Measurer:
             measure, self.seed, PooledMetrics(training, self.seed, self._of_recordings)
         )
         windows, speeds, wrists = {}, {}, {}
-        for pair in self.pairs[portion.label]:
+        for pair in self.pairs[portion.label] if groups else ():
             try:
                 clip = load_clip(pair, self.fps, self.without)
             except (GestureKitError, AudioFeaturesError):
@@ -163,7 +163,7 @@ class Measurer:
                 speeds[window] = SpeedHistogram.of([speeds_of(clip.recording, clip.joints)])
                 wrists[window] = wrists_of(clip.recording)
             clip_set.add(clip, speeds[window])
-        if not windows or not groups:
+        if not windows:
             metrics: dict[str, MetricResult] = {}
         elif portion.part == "frechet":
             metrics = self._frechet(clip_set, windows)
