@@ -67,7 +67,7 @@ def command(
     click.echo(f"Losses and metrics: {run / 'metrics.jsonl'}")
     click.echo(f"Curves: {shlex.join(['tensorboard', '--logdir', str(run / 'events')])}")
     click.echo(f"Model: {model}")
-    for line in _next_steps(model):
+    for line in (*_next_steps(model), *_verdict(model)):
         click.echo(line)
 
 
@@ -145,6 +145,14 @@ def _next_steps(model: Path) -> list[str]:
             f"Evaluate with: {shlex.join(['gesturekit', 'evaluate', 'rendered', *split])}",
         ]
     return lines
+
+
+def _verdict(model: Path) -> list[str]:
+    """Return the last line: what the model's README says of held-out recordings, if anything."""
+    from gesturekit.inspection.model import readme_notes
+
+    measured = readme_notes(model / "README.md").get("Measured")
+    return [f"Measured {measured}"] if measured else []
 
 
 def _weights_arguments(features: Mapping[str, Any]) -> list[str]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -33,6 +33,18 @@ READING: dict[str, type | tuple[type, ...]] = {
 _MISSING_SECONDS = 0.1
 """Sound that may be missing at the end of an item: decoders differ in what they trim."""
 _LONGEST_NAME = 230  # bytes; file systems take 255, of which suffixes are a part
+
+
+class _Inputs(Protocol):
+    path: bool
+    events: Collection[str]
+
+
+class _Model(Protocol):
+    fps: float
+    styles: Collection[str]
+    speakers: Collection[str]
+    inputs: _Inputs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,6 +231,29 @@ class Item:
         path = load_root_path(self.conditions["path"], scale)
         path = path.resample(fps, n_frames, start=begins)
         return path.mirror() if self.mirror else path
+
+    def controls(self, model: _Model) -> dict[str, Any]:
+        """Return the arguments of a model's `generate` for this item, beside sound and length.
+
+        They are those of the item's style, speaker, path and events that the model has as inputs.
+
+        Raises:
+            GestureKitError: a file of the item cannot be read.
+        """
+        found: dict[str, Any] = {}
+        if self.style in model.styles:
+            found["style"] = self.style
+        if self.speaker in model.speakers:
+            found["speaker"] = self.speaker
+        if model.inputs.path and (self.motion or "path" in self.conditions):
+            n_frames = max(1, int(self.duration * model.fps + 0.5))
+            found["path"] = self.load_path(model.fps, n_frames) or self.load_motion()
+        if events := [event for event in self.load_events() if event.name in model.inputs.events]:
+            found["events"] = ",".join(
+                f"{event.name}@{event.time:g}" + (f":{event.duration:g}" if event.duration else "")
+                for event in events
+            )
+        return found
 
 
 def muted(wave: Wave, audible: Iterable[tuple[float, float]]) -> Wave:

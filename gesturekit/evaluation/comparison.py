@@ -66,6 +66,8 @@ PROTOCOLS = {
     "lda": (SPEECH, MOVEMENT, FRECHET),
 }
 """Groups of metrics that a protocol takes; "" takes all."""
+CHEAP = {d.taken_with for d in DEFINITIONS.values() if d.cheap}
+"""Groups that have cheap metrics."""
 MULTIRES_SAMPLES = 200
 MULTIRES_LENGTH = 2.0
 """Samples of each training sequence, and their length relative to the sequence."""
@@ -95,6 +97,8 @@ class EvaluationOptions:
     file of a folder is a take of its own."""
     protocol: str = ""
     """ "", or "multires" or "lda", the evaluations of the two papers."""
+    cheap: bool = False
+    """Take only the cheap metrics (`cheap` in `definitions`): all that the verdict rests on."""
     variants: Variants = Variants()
     """Variants of the metrics."""
     features: FeatureModel | None = None
@@ -209,6 +213,12 @@ def _pairs(
     return found
 
 
+def _groups(options: EvaluationOptions) -> tuple[str, ...]:
+    """Return the groups of metrics to take."""
+    groups = PROTOCOLS[options.protocol]
+    return tuple(group for group in groups if group in CHEAP) if options.cheap else groups
+
+
 def _settings(options: EvaluationOptions, split: str | None) -> dict:
     """Return the settings of the report."""
     return {
@@ -230,7 +240,7 @@ def _measurer(
 ) -> Measurer:
     """Return all that is to be measured."""
     return Measurer(
-        measure=ClipMetrics(statistics, PROTOCOLS[options.protocol], options.variants),
+        measure=ClipMetrics(statistics, _groups(options), options.variants, options.cheap),
         pairs={label: pairs.pairs for label, pairs in found.items()},
         recordings={key: compared[key] for key in statistics.recordings},
         reference=reference,
@@ -324,7 +334,7 @@ def _summarise(
     floors: Mapping[str, tuple[Interval, str]],
     options: EvaluationOptions,
 ) -> None:
-    groups = PROTOCOLS[options.protocol]
+    groups = _groups(options)
     result.metrics = metric_results(result.clips, sets, floors)
     if POOLED in groups:
         result.verdict = verdict(result.metrics)

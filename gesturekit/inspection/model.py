@@ -74,7 +74,7 @@ def inspect_model(folder: Path) -> Summary:
         "parameters": sum(math.prod(shape) for shape in weights.values()),
         "bytes": sum(file.stat().st_size for file in folder.iterdir() if file.is_file()),
         "speakers": sorted(rig.get("speakers", {})),
-        "notes": _notes(folder / "README.md"),
+        "notes": readme_notes(folder / "README.md"),
     }
     return Summary(
         kind="model",
@@ -146,7 +146,7 @@ def _tensors(path: Path) -> dict[str, list[int]]:
         raise ModelError(f"{path.name} is damaged: {error}") from None
 
 
-def _notes(readme: Path) -> dict[str, str]:
+def readme_notes(readme: Path) -> dict[str, str]:
     """Return {label: text} of the README's notes on the training; empty without a README."""
     try:
         text = readme.read_text(encoding="utf-8")

@@ -154,7 +154,7 @@ class Renderer(Processor):
 
     def _item_controls(self, item: Item) -> dict[str, Any]:
         """Return the controls of a manifest's item that were not given for all inputs."""
-        found = item_controls(self.model, item)
+        found = item.controls(self.model)
         return {name: value for name, value in found.items() if name not in self.controls}
 
     def has_speaker(self, task: Task) -> bool:
@@ -213,28 +213,6 @@ class Renderer(Processor):
         if file.suffix in (".html", ".mp4", ".png") and sound is not None:
             options["audio"] = sound
         motion.save(file, **options)
-
-
-def item_controls(model: Model, item: Item) -> dict[str, Any]:
-    """Return the controls of a manifest's item that the model has as inputs.
-
-    Raises:
-        GestureKitError: a file of the item cannot be read.
-    """
-    found: dict[str, Any] = {}
-    if item.style in model.styles:
-        found["style"] = item.style
-    if item.speaker in model.speakers:
-        found["speaker"] = item.speaker
-    if model.inputs.path and (item.motion or "path" in item.conditions):
-        n_frames = max(1, int(item.duration * model.fps + 0.5))
-        found["path"] = item.load_path(model.fps, n_frames) or item.load_motion()
-    if events := [event for event in item.load_events() if event.name in model.inputs.events]:
-        found["events"] = ",".join(
-            f"{event.name}@{event.time:g}" + (f":{event.duration:g}" if event.duration else "")
-            for event in events
-        )
-    return found
 
 
 def _without_defaults(model: Model, arguments: Mapping[str, Any]) -> dict[str, Any]:

@@ -27,7 +27,6 @@ from gesturekit.evaluation.pairs import WINDOW_SECONDS, files_by_key, motion_fil
 from gesturekit.formats.conversion import load
 from gesturekit.formats.sources import SPEECH_SUFFIXES
 from gesturekit.model import Model
-from gesturekit.rendering.renderer import item_controls
 from gesturekit.training.seeds import rng_for
 from gesturekit.wording import listed
 
@@ -230,7 +229,7 @@ def _check_styles(model: Model, items: Sequence[Item]) -> None:
 
 def _controls(model: Model, item: Item, options: SamplingOptions, repeats: int) -> dict[str, Any]:
     """Return the arguments of `generate` for an item, several times as long as the item."""
-    found = item_controls(model, item) | ({} if options.postprocess else RAW)
+    found = item.controls(model) | ({} if options.postprocess else RAW)
     if item.audio is None or not model.inputs.speech:
         return found | {"seconds": repeats * item.duration}
     wave = item.load_wave()

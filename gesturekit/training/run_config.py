@@ -73,8 +73,8 @@ class RunConfig:
     eval_every: int = 0
     """Steps between cheap evaluations (`quick_metrics`) on the training recordings, written to
     metrics.jsonl with `kind: evaluation`; 0 for none. Evaluations do not change the training.
-    Independently of this setting, the model is evaluated on held-out recordings at the end and
-    every few minutes (`kind: held_out`)."""
+    The model is evaluated on held-out recordings as well (`kind: held_out`), and without this
+    setting every few minutes and at the end, as `gesturekit evaluate` does it."""
     threads: int | None = None
     """CPU threads; null leaves the choice to torch."""
     device: str = "auto"

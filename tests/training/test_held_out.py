@@ -1,10 +1,13 @@
-"""Held-out recordings: no part of training, and the metrics on them in words."""
+"""Held-out recordings: no part of training, and evaluated as `gesturekit evaluate` does it."""
 
 from __future__ import annotations
 
 import json
+import shlex
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +17,9 @@ from small_runs import small_values
 import gesturekit as gk
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import Manifest
+from gesturekit.evaluation.statistics.questions import answers, verdict
 from gesturekit.motion import Skeleton
-from gesturekit.training.run.held_out import sentence
+from gesturekit.training.run import held_out as module
 
 SETTINGS = {
     "multires": {"backend": "torch", "network": {"levels": 2}},
@@ -69,8 +73,153 @@ def test_a_model_is_the_same_with_and_without_held_out_items(system, changes, re
     assert made[0] == made[1]
 
 
-def test_sync_of_arms_that_hardly_move_is_not_praised():
-    figures = {"sync": 0.79, "sync_chance": 0.2, "arm_speed_ratio": 0.01}
-    assert "hardly move, so sync is not informative" in sentence(figures)
-    assert "0.79" not in sentence(figures)
-    assert "sync 0.79" in sentence(figures | {"arm_speed_ratio": 0.6})
+@pytest.fixture
+def talks(tmp_path, write_pair) -> Path:
+    """A manifest of recordings of one rig, in styles and of speakers: some are held out."""
+    items = []
+    for number, split in enumerate(["train", "train", "valid", "test", "test"]):
+        name = f"{split}/{number}"
+        audio, motion = write_pair(tmp_path / "talks", name, 5.0 + number, seed=number)
+        items.append(
+            Item(
+                id=name,
+                audio=audio,
+                motion=motion,
+                audio_start=1.0,
+                motion_start=1.0,
+                duration=4.0 + number,
+                speaker=f"speaker {number % 2}",
+                style=f"style {number % 2}",
+                split=split,
+            )
+        )
+    Manifest(items).save(tmp_path / "talks.jsonl")
+    return tmp_path / "talks.jsonl"
+
+
+@pytest.fixture
+def train(gesturekit, tmp_path) -> Callable[..., tuple[Path, str]]:
+    """train(system, corpus, **changes): the run folder, and the last line of the command."""
+
+    def run(system: str, corpus: Path, **changes: Any) -> tuple[Path, str]:
+        folder = tmp_path / f"run of {system}"
+        settings = {"system": system, "corpus": str(corpus), "out": str(folder)}
+        changes |= {"unpaired": None} if system == "diffusion" else {}
+        (tmp_path / "config.yaml").write_text(
+            json.dumps(settings | COMMON | SETTINGS[system] | changes)
+        )
+        done = gesturekit("train", tmp_path / "config.yaml")
+        assert done.status == 0, done.err
+        return folder, done.out.splitlines()[-1]
+
+    return run
+
+
+def arrays(file: Path) -> dict[str, np.ndarray]:
+    with np.load(file) as archive:
+        return {name: archive[name] for name in ("rotations", "translation", "fps")}
+
+
+@pytest.mark.parametrize("system", SETTINGS)
+def test_the_last_line_of_a_training_is_the_verdict_of_an_evaluation(
+    system, talks, train, gesturekit, tmp_path, caplog
+):
+    caplog.set_level("INFO")
+    run, said = train(system, talks)
+    what, _, verdict = said.partition(": ")
+    assert what == "Measured on 2 held-out recordings (15 s)" and len(verdict) > 20
+    card = (run / "model" / "README.md").read_text()
+    assert f"- **Measured**: {said.removeprefix('Measured ')}\n" in card
+    command = shlex.split(caplog.text.partition("The same, with all metrics: gesturekit ")[2])
+    kept = gesturekit(*command[:4], "--workers", 1, "--json", tmp_path / "kept.json")
+    assert kept.out.splitlines()[0] == verdict
+    rendered = tmp_path / "rendered"
+    chosen = ("--corpus", talks, "--split", "test")
+    made = gesturekit("render", *chosen, "--model", run, "--format", "npz", "--out", rendered)
+    assert made.status == 0, made.err
+    assert gesturekit("evaluate", rendered, *chosen, "--workers", 1).out.splitlines()[0] == verdict
+    for name in ("test/3", "test/4"):
+        ours, theirs = (arrays(f / f"{name}.npz") for f in (run / "held_out", rendered))
+        assert all(np.array_equal(ours[key], theirs[key]) for key in ours), name
+    assert not list(run.glob(".*"))
+    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    (logged,) = (line for line in lines if line.get("kind") == "held_out")
+    evaluated = json.loads((tmp_path / "kept.json").read_text())["models"][0]["figures"]
+    assert {"held_out/sync", "held_out/reach", "held_out/likeness"} <= logged.keys()
+    for key, result in evaluated.items():
+        if f"held_out/{key}" in logged:
+            assert logged[f"held_out/{key}"] == pytest.approx(result["value"], rel=1e-6), key
+
+
+@pytest.mark.parametrize("system", SETTINGS)
+def test_without_held_out_items_training_items_are_measured(
+    system, talks, train, gesturekit, tmp_path
+):
+    items = [replace(item, split="train") for item in Manifest.load(talks)]
+    Manifest(items).save(tmp_path / "all.jsonl")
+    run, said = train(system, tmp_path / "all.jsonl")
+    assert said.startswith("Measured on 5 training recordings (30 s): ")
+    folder = run / "recorded"
+    done = gesturekit("evaluate", folder, "--corpus", folder / "corpus.jsonl", "--split", "train")
+    assert done.out.splitlines()[0] == said.partition(": ")[2]
+    assert not (run / "held_out").exists()
+
+
+def test_the_measured_clips_are_cut_and_the_training_items_stand_beside_them(
+    talks, train, monkeypatch
+):
+    monkeypatch.setattr(module, "MOST_SECONDS", 3.0)
+    monkeypatch.setattr(module, "MOST_CLIPS", 1)
+    run, said = train("multires", talks)
+    assert said.startswith("Measured on 1 of 2 held-out recordings (3 s of 15 s): ")
+    kept = Manifest.load(run / "held_out" / "corpus.jsonl")
+    assert [(item.id, item.split, item.duration) for item in kept] == [
+        *(("test/3", "test", 3.0), ("train/0", "train", 4.0), ("train/1", "train", 5.0)),
+    ]
+    assert gk.Motion.load(run / "held_out" / "test" / "3.npz").duration == pytest.approx(3.0, 0.02)
+
+
+def test_a_measurement_that_fails_does_not_fail_the_training(
+    talks, train, tmp_path, monkeypatch, caplog
+):
+    def fail(*_: Any, **__: Any) -> None:
+        raise RuntimeError("out of luck")
+
+    monkeypatch.setattr(module, "evaluate", fail)
+    run, said = train("multires", talks)
+    assert "no metrics on 2 held-out recordings (15 s): out of luck" in caplog.text
+    assert "Measured" not in said and (run / "model" / "config.yaml").is_file()
+    assert not (run / "held_out").exists() and not list(run.glob(".*"))
+
+
+class Asked(dict):
+    """A mapping that keeps the keys it was asked for."""
+
+    def get(self, key: str, default: Any = None) -> Any:
+        self.setdefault("", set()).add(key)
+        return super().get(key, default)
+
+
+def test_cheap_metrics_are_all_that_verdict_and_answers_ask_for(tmp_path, gesture, write_pair):
+    for number in range(2):
+        _, recording = write_pair(tmp_path / "recorded", f"{number}", 20.0, seed=number)
+        for sample in (1, 2):
+            made = gesture(20.0, seed=10 * sample + number)
+            made.save(tmp_path / "made" / f"{number}_s{sample}.npz")
+    folders = tmp_path / "made", recording.parent
+    whole, cheap = (
+        gk.evaluate(*folders, audio=recording.parent, cheap=cheap).models[0]
+        for cheap in (False, True)
+    )
+    assert set(cheap.metrics) < set(whole.metrics) and "coverage" not in cheap.metrics
+    assert cheap.verdict == whole.verdict
+    asked = Asked(whole.metrics)
+    assert verdict(asked) == whole.verdict
+    for key in asked[""] & whole.metrics.keys():
+        assert cheap.metrics[key] == whole.metrics[key], key
+    assert [a.state for a in cheap.answers] == [a.state for a in whole.answers]
+    asked = Asked(whole.metrics)
+    assert answers(whole.clips, asked) == whole.answers
+    in_words_only = {"inter_diversity"}
+    for key in (asked[""] & whole.metrics.keys()) - in_words_only:
+        assert cheap.metrics[key] == whole.metrics[key], key

@@ -110,7 +110,6 @@ class Trainer:
             run,
             speech=self.data.conditions.conditioner is not None,
             styles=self.data.conditions.styles,
-            path=config.path,
         )
         self.loop = Loop(config, run, processes, self.held_out)
         if processes.is_first:
@@ -291,10 +290,9 @@ class Trainer:
             self.folder.log(step, metrics, kind="evaluation")
 
     def _measure(self, step: int) -> str:
-        """Log and return the metrics on held-out recordings, generated in a few steps."""
+        """Log and return the verdict on held-out recordings, generated in a few steps."""
         steps = min(STEPS, self.schedule.steps)
-        model = self._model(copy.deepcopy(self.average))
-        return self.held_out.measure(step, model.generate, steps=steps)
+        return self.held_out.measure(step, self._model(copy.deepcopy(self.average)), steps=steps)
 
     def _model(self, network: Denoiser) -> DiffusionModel:
         """Return the model with this network."""
@@ -318,7 +316,8 @@ class Trainer:
 
     def _finish(self) -> None:
         training = self.config.training
-        measured = self._measure(training.updates)
+        model = self._model(self.average)
+        measured = self.held_out.measure(training.updates, model, keep=True)
         model = self._model(self.average.cpu())
         paired, unpaired = self.data.seconds
         model.save(

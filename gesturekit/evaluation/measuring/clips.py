@@ -216,19 +216,25 @@ def read_semantic(path: Path) -> FeatureTrack:
 _semantic = functools.lru_cache(maxsize=_CACHED)(read_semantic)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RecordedSound:
     """A recording's sound and its beats.
 
     Attributes:
         wave: the sound.
-        onsets: (B,) speech onsets, seconds.
-        pulse: (B,) beats of the beat tracker, seconds.
     """
 
     wave: Wave
-    onsets: np.ndarray
-    pulse: np.ndarray
+
+    @functools.cached_property
+    def onsets(self) -> np.ndarray:
+        """Speech onsets (B,), seconds."""
+        return speech_onsets(self.wave)
+
+    @functools.cached_property
+    def pulse(self) -> np.ndarray:
+        """Beats (B,) of the beat tracker, seconds."""
+        return music_beats(self.wave)
 
     @classmethod
     def load(cls, path: Path | ItemInterval, window: int | None) -> RecordedSound:
@@ -240,7 +246,7 @@ class RecordedSound:
         wave = load_wave(path)
         if window is not None:
             wave = wave.slice(window * WINDOW_SECONDS, WINDOW_SECONDS)
-        return cls(wave, speech_onsets(wave), music_beats(wave))
+        return cls(wave)
 
 
 load_sound = functools.lru_cache(maxsize=16)(RecordedSound.load)

@@ -144,7 +144,7 @@ class Measurer:
         """Compute one part of the metrics of a model's clips."""
         groups = self.measure.groups
         groups = [g for g in groups if (g == FRECHET) == (portion.part == "frechet")]
-        measure = ClipMetrics(self.measure.statistics, groups, self.measure.variants)
+        measure = replace(self.measure, groups=groups)
         training = TrainingMotion()
         if POOLED in groups:
             training = TrainingMotion.of(self.reference, self.seed)
@@ -152,7 +152,7 @@ class Measurer:
             measure, self.seed, PooledMetrics(training, self.seed, self._of_recordings)
         )
         windows, speeds, wrists = {}, {}, {}
-        for pair in self.pairs[portion.label]:
+        for pair in self.pairs[portion.label] if groups else ():
             try:
                 clip = load_clip(pair, self.fps, self.without)
             except (GestureKitError, AudioFeaturesError):
@@ -163,7 +163,7 @@ class Measurer:
                 speeds[window] = SpeedHistogram.of([speeds_of(clip.recording, clip.joints)])
                 wrists[window] = wrists_of(clip.recording)
             clip_set.add(clip, speeds[window])
-        if not windows or not groups:
+        if not windows:
             metrics: dict[str, MetricResult] = {}
         elif portion.part == "frechet":
             metrics = self._frechet(clip_set, windows)
@@ -238,6 +238,7 @@ class Measurer:
             "fps": self.fps,
             "length": self.length,
             "groups": list(measure.groups),
+            "cheap": measure.cheap,
             "variants": asdict(measure.variants),
             "statistics": measure.statistics.digest(),
             "without": sorted(self.without),
@@ -299,7 +300,7 @@ class Measurer:
     def portable(self) -> Measurer:
         """Return the measurer for worker processes, without motion in memory."""
         statistics = replace(self.measure.statistics, recordings={})
-        measure = ClipMetrics(statistics, self.measure.groups, self.measure.variants)
+        measure = replace(self.measure, statistics=statistics)
         pairs = {key: pairs for key, pairs in self.pairs.items() if key not in self.local}
         return replace(self, measure=measure, pairs=pairs)
 

@@ -231,14 +231,14 @@ class Trainer:
         self.loop.train(list(zip(counts, cost, strict=True)), done, begin)
         return self._finish(sum(counts))
 
-    def measure(self, step: int, levels: int) -> str:
-        """Log and return metrics on held-out recordings, at the rate of the finest level so far."""
+    def measure(self, step: int, levels: int, *, keep: bool = False) -> str:
+        """Log and return the verdict on held-out recordings, at the finest level so far."""
         whole = levels == self.config.network.levels
-        network = copy.deepcopy(self.network)
         return self.held_out.measure(
             step,
-            self._model(network).generate,
+            self._model(copy.deepcopy(self.network)),
             "" if whole else f", levels 1-{levels} of {self.config.network.levels}",
+            keep=keep,
             **({} if whole else {"levels": levels}),
         )
 
@@ -265,7 +265,7 @@ class Trainer:
     def _finish(self, steps: int) -> Path:
         """Measure and write the model."""
         if self.processes.is_first:
-            measured = self.measure(steps, self.config.network.levels)
+            measured = self.measure(steps, self.config.network.levels, keep=True)
             self._save(
                 "model",
                 self.network,

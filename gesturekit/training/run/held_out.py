@@ -1,96 +1,123 @@
-"""Metrics of a model in training on held-out recordings: sync, coverage and speed."""
+"""Evaluation of a model in training on held-out recordings, as `gesturekit evaluate` does it."""
 
 from __future__ import annotations
 
 import logging
+import shlex
+import shutil
 import time
-from collections import defaultdict
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import Any, Protocol
 
-import numpy as np
-
-import audio_features as af
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import GestureKitError
-from gesturekit.evaluation.metrics.frame_rate import at_rate
-from gesturekit.evaluation.metrics.patches import coverage, patch_features
-from gesturekit.evaluation.metrics.physical import HARDLY_MOVING, arm_speed, joint_speed
-from gesturekit.evaluation.metrics.sync import sync
+from gesturekit.evaluation import evaluate
+from gesturekit.evaluation.measuring.clips import forget_files
+from gesturekit.evaluation.results import ModelResult
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import body_joints
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run_config import RunConfig
 from gesturekit.wording import counted, roughly
 
 log = logging.getLogger(__name__)
 
-MOST_CLIPS = 4
-MOST_SECONDS = 20.0
-"""Largest number of measured clips, and of seconds of each. Fixed: they bound the time it takes."""
+MOST_SECONDS = 120.0
+MOST_CLIPS = 6
+"""Items of at most so many seconds together are all measured, and whole. Of more, at most so many
+items are measured and cut to that total. Fixed: they bound the time it takes."""
 EVERY_SECONDS = 300.0
 """Seconds between measurements of a training without `eval_every`."""
 MOST_SHARE = 0.05
 """Largest share of the training time spent on evaluations; they become less frequent if needed."""
-_PATCH_FRAMES = 30
+NO_VERDICT = "No verdict: the clips are too short, or the rig's arms and legs are not known."
 
 
-@dataclass(frozen=True, eq=False)
-class _Clip:
-    item: Item
-    recording: Motion
-    wave: af.Wave | None
+class _Model(Protocol):
+    fps: float
+    inputs: Any
+
+    @property
+    def styles(self) -> Collection[str]: ...
+
+    @property
+    def speakers(self) -> Collection[str]: ...
+
+    def generate(self, *args: Any, **controls: Any) -> Motion: ...
 
 
 class HeldOutMetrics:
-    """Measurement of a model on the corpus's valid and test items, or on train without these.
+    """Evaluation of a model on the corpus's test items, else its valid, else its training items.
 
-    Items are read at the first measurement. The training goes on with a warning if the corpus
-    cannot be read any more.
+    Clips are generated as `gesturekit render --corpus` generates them with seed 0, and evaluated by
+    `gesturekit.evaluation.evaluate`, so that both say the same of the same clips. Those of the last
+    measurement are kept in the run, with a manifest of the measured intervals and of the training
+    items. Items are read at the first measurement. Training goes on with a warning where nothing
+    can be measured.
 
     Args:
         config: of the run.
-        run: folder in which metrics are logged.
-        speech: pass the items' audio to the model.
-        styles: styles of the model.
-        path: pass the recordings' root path to the model.
+        run: folder in which clips are written and metrics are logged.
+        speech: measure the items with sound alone, and pass it to the model.
+        styles: styles of the model; items of other styles are not measured.
     """
 
     def __init__(
-        self,
-        config: RunConfig,
-        run: Run,
-        *,
-        speech: bool,
-        styles: Collection[str] = (),
-        path: bool = False,
+        self, config: RunConfig, run: Run, *, speech: bool, styles: Collection[str] = ()
     ) -> None:
         self.config = config
         self.run = run
         self.speech = speech
         self.styles = styles
-        self.path = path
         self._measured = time.monotonic()
         self._took = 0.0
 
     @cached_property
     def items(self) -> tuple[Item, ...]:
         """Return the items to measure; none if the corpus cannot be read."""
+        chosen, longest = self._fitting, MOST_SECONDS
+        if _seconds(chosen) > MOST_SECONDS:
+            chosen = chosen[:: -(-len(chosen) // MOST_CLIPS)]
+            longest = MOST_SECONDS / len(chosen)
+        return tuple(
+            replace(
+                item,
+                duration=min(item.duration, longest),
+                split="train" if item.split == "train" else "test",
+            )
+            for item in chosen
+        )
+
+    @cached_property
+    def _fitting(self) -> list[Item]:
+        """Return the items of the measured split that the model has the inputs for."""
+        fitting = [
+            item
+            for item in self._corpus
+            if item.audio is not None or not self.speech
+            if not self.styles or item.style in self.styles
+        ]
+        by_split = ([i for i in fitting if i.split == name] for name in ("test", "valid", "train"))
+        return next(filter(None, by_split), [])
+
+    @cached_property
+    def _corpus(self) -> list[Item]:
+        """Return the corpus's items with motion."""
         try:
-            fitting = [
-                item
-                for item in Manifest.load(self.config.corpus)
-                if item.motion is not None and (item.audio is not None or not self.speech)
-                if not self.styles or item.style in self.styles
-            ]
+            return [self._readable(i) for i in Manifest.load(self.config.corpus) if i.motion]
         except GestureKitError as error:
             log.warning("No metrics on held-out recordings: %s", error)
-            return ()
-        kept = [item for item in fitting if item.split != "train"] or fitting
-        return tuple(kept[:: -(-len(kept) // MOST_CLIPS) or 1])
+            return []
+
+    def _readable(self, item: Item) -> Item:
+        """Return an item with the body parts of the run's settings."""
+        if not self.config.parts:
+            return item
+        parts = {**item.reading.get("parts", {}), **self.config.parts}
+        return replace(item, reading={**item.reading, "parts": parts})
 
     @property
     def is_held_out(self) -> bool:
@@ -99,121 +126,103 @@ class HeldOutMetrics:
 
     @property
     def what(self) -> str:
-        """Return "2 held-out recordings (34 s)"."""
-        seconds = sum(min(item.duration, MOST_SECONDS) for item in self.items)
+        """Return "1 held-out recording (34 s)", "6 of 9 held-out recordings (2 min of 5 min)"."""
         kind = "held-out" if self.is_held_out else "training"
-        return f"{counted(len(self.items), f'{kind} recording')} ({roughly(seconds)})"
+        text = counted(len(self._fitting), f"{kind} recording")
+        if len(self.items) < len(self._fitting):
+            text = f"{len(self.items)} of {text}"
+        measured, total = _seconds(self.items), _seconds(self._fitting)
+        of = "" if measured == total else f" of {roughly(total)}"
+        return f"{text} ({roughly(measured)}{of})"
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the clips of the last measurement, and of their manifest."""
+        return self.run.folder / ("held_out" if self.is_held_out else "recorded")
+
+    @property
+    def command(self) -> str:
+        """Command line that evaluates the kept clips, and has the same verdict."""
+        given = ["gesturekit", "evaluate", str(self.folder)]
+        split = [] if self.is_held_out else ["--split", "train"]
+        return shlex.join([*given, "--corpus", str(self.folder / "corpus.jsonl"), *split])
 
     def is_due(self) -> bool:
         """Return True if it is time to measure again."""
         return time.monotonic() - self._measured > max(EVERY_SECONDS, self._took / MOST_SHARE)
 
     def measure(
-        self, step: int, generate: Callable[..., Motion], so_far: str = "", **controls: Any
+        self, step: int, model: _Model, so_far: str = "", *, keep: bool = False, **controls: Any
     ) -> str:
-        """Log the metrics of a model, to the run's metrics and as a sentence.
+        """Evaluate a model; log the verdict, and the metrics to the run.
 
         Args:
             step: of the training.
-            generate: method of the model.
+            model: the model.
             so_far: text after the step number.
-            controls: further controls of `generate`.
+            keep: keep the clips in `folder`: those of the last measurement.
+            controls: controls of `generate` in addition to those of each item.
 
         Returns:
-            The sentence; empty if nothing could be measured.
+            Measured recordings and verdict in words; empty if nothing could be measured.
         """
         if not self.items:
             return ""
         began = time.monotonic()
         try:
-            figures = self._figures(generate, controls)
-        except (GestureKitError, af.AudioFeaturesError, OSError) as error:
+            found = self._evaluated(model, controls, keep=keep)
+        except Exception as error:  # a measurement is not worth ending a training for
             log.warning("Step %d: no metrics on %s: %s", step, self.what, error)
-            figures = {}
+            found = None
         self._measured = time.monotonic()
         self._took = self._measured - began
-        if not figures:
+        if found is None:
             return ""
-        said = f"on {self.what}: {sentence(figures)}"
-        log.info("Step %d%s: %s.", step, so_far, said)
-        kind = "held_out" if self.is_held_out else "recorded"
+        said = f"on {self.what}: {found.verdict or NO_VERDICT}"
+        log.info("Step %d%s: %s", step, so_far, said)
+        if keep:
+            log.info("The same, with all metrics: %s", self.command)
+        kind = self.folder.name
         if not self.run.has(step, kind):
-            values = {f"{kind}/{key}": value for key, value in figures.items()}
-            self.run.log(step, values, kind=kind)
+            self.run.log(step, dict(_logged(found, kind)), kind=kind)
         return said
 
-    @cached_property
-    def _clips(self) -> list[_Clip]:
-        clips = []
-        for item in self.items:
-            motion = item.load_motion(self.config.parts)
-            n_frames = min(motion.n_frames, round(MOST_SECONDS * motion.fps))
-            wave = None
-            if self.speech:
-                wave = item.load_wave().slice(0.0, n_frames / motion.fps)
-            clips.append(_Clip(item, motion.slice(0, n_frames), wave))
-        return clips
-
-    def _figures(
-        self, generate: Callable[..., Motion], controls: Mapping[str, Any]
-    ) -> dict[str, float]:
-        every: dict[str, list[float]] = defaultdict(list)
-        for clip in self._clips:
-            asked: dict[str, Any] = {"seed": 0, **controls}
-            if self.styles:
-                asked["style"] = clip.item.style
-            if self.path:
-                asked["path"] = clip.recording
-            if clip.wave is not None:
-                asked["speech"] = clip.wave
-            elif "path" not in asked:
-                asked["seconds"] = clip.recording.duration
-            made = generate(**asked)
-            for key, value in _compared(made, at_rate(clip.recording, made.fps), clip.wave).items():
-                every[key].append(value)
-        return {key: float(np.mean(values)) for key, values in every.items()}
-
-
-def sentence(figures: Mapping[str, float]) -> str:
-    """Return the metrics in words, each beside its reference value."""
-    parts = []
-    if figures.get("arm_speed_ratio", 1.0) < HARDLY_MOVING and "sync" in figures:
-        parts.append("the arms hardly move, so sync is not informative")
-    elif "sync" in figures:
-        own = figures.get("sync_recording")
-        beside = "" if own is None else f", the recording's own {own:.2f}"
-        parts.append(f"sync {figures['sync']:.2f} (chance {figures['sync_chance']:.2f}{beside})")
-    if "coverage" in figures:
-        parts.append(f"coverage {figures['coverage']:.0f} %")
-    for key, name in (("arm_speed_ratio", "arm speed"), ("speed_ratio", "speed")):
-        if key in figures:
-            parts.append(f"{name} {figures[key]:.2f} of the recording's")
-            break
-    return ", ".join(parts)
-
-
-def _compared(made: Motion, recording: Motion, wave: af.Wave | None) -> dict[str, float]:
-    """Return the metrics of a motion, without those that its rig or length does not allow."""
-    figures: dict[str, float] = {}
-    joints = body_joints(recording.skeleton)
-    for key, speed in (
-        ("speed_ratio", lambda motion: joint_speed(motion, joints)),
-        ("arm_speed_ratio", arm_speed),
-    ):
+    def _evaluated(self, model: _Model, controls: dict[str, Any], *, keep: bool) -> ModelResult:
+        """Return the evaluation of a model's clips, which are written to a folder beside."""
+        folder = self.run.folder / ".held_out"
+        shutil.rmtree(folder, ignore_errors=True)
         try:
-            own = float(speed(recording).mean())
-            if own > 0:
-                figures[key] = float(speed(made).mean()) / own
-        except GestureKitError:
-            continue
-    try:
-        if wave is not None:
-            ours, theirs = sync(made, wave), sync(recording, wave)
-            figures |= {"sync": ours.r, "sync_chance": ours.chance_mean}
-            figures["sync_recording"] = theirs.r
-        elif min(made.n_frames, recording.n_frames) > _PATCH_FRAMES:
-            features = [patch_features(m, "ganimator", joints=joints) for m in (made, recording)]
-            figures["coverage"] = 100.0 * coverage(*features, _PATCH_FRAMES)
-    except GestureKitError:
-        pass  # no arms, no feet, or too short
-    return figures
+            for item in self.items:
+                self._generated(model, item, controls).save(folder / f"{item.id}.npz")
+            training = [item for item in self._corpus if item.split == "train"]
+            manifest = Manifest([*self.items, *(training if self.is_held_out else ())])
+            manifest.save(folder / "corpus.jsonl")
+            split = self.items[0].split
+            found = evaluate(folder, folder / "corpus.jsonl", split=split, cheap=True)
+            if keep:
+                shutil.rmtree(self.folder, ignore_errors=True)
+                folder.rename(self.folder)
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+            forget_files()
+        return found.models[0]
+
+    def _generated(self, model: _Model, item: Item, controls: dict[str, Any]) -> Motion:
+        """Return the motion of an item."""
+        speech = item.load_wave() if self.speech else None
+        seconds = None if self.speech else item.duration
+        return model.generate(speech, seconds=seconds, seed=0, **item.controls(model) | controls)
+
+
+def _seconds(items: Sequence[Item]) -> float:
+    """Return the length of items together, seconds."""
+    return sum(item.duration for item in items)
+
+
+def _logged(found: ModelResult, kind: str) -> Iterator[tuple[str, float]]:
+    """Yield (name, value) of each metric, of the recordings' own, and of its chance level."""
+    for key, result in found.metrics.items():
+        yield f"{kind}/{key}", result.interval.value
+        for name in ("recording", "chance"):
+            if (value := getattr(result, name)) is not None:
+                yield f"{kind}/{key}_{name}", value

@@ -113,8 +113,8 @@ class RunReport:
                 continue
             title = name.rpartition("/")[2]
             label = "" if level is None else f"level {level}"
-            if title.startswith("sync"):  # belongs beside its chance level and the recording's
-                title, label = "sync", title.removeprefix("sync").strip("_") or "model"
+            if section in ("held_out", "recorded"):
+                title, label = _metric_and_whose(title)
             part = "pace" if name in _NO_LOSSES else section
             curve = self._curves[part][title][label]
             curve.append((step, float(value)))
@@ -157,6 +157,14 @@ class RunReport:
             for page in pages[:_MOST_SAMPLES]
         )
         return f"<h2>Samples, with their motion</h2><ul>{links}</ul>\n"
+
+
+def _metric_and_whose(name: str) -> tuple[str, str]:
+    """Return the metric of a logged value, and whose value it is; they share a chart."""
+    for whose in ("recording", "chance"):
+        if name.endswith(f"_{whose}"):
+            return name.removesuffix(f"_{whose}"), whose
+    return name, "model"
 
 
 def _chart(title: str, curves: dict[str, Curve], known: list[str]) -> str:
