@@ -14,7 +14,6 @@ import click
 from click.core import ParameterSource
 
 from gesturekit.cli.evaluate_inputs import (
-    answers_of,
     folders_of,
     place_of,
     recordings_of,
@@ -99,8 +98,9 @@ _USED_BY_SANITY = (
     "--study",
     type=click.Path(path_type=Path),
     metavar="CSV",
-    help="Answers of a user study on these models in the format of gesturekit study (a file or a "
-    "folder); shows how well each metric agrees with people's ranking of the models.",
+    help="Results of a user study on these models (a file or a folder): ratings, with the columns "
+    "rater, system, clip, question, value, or votes in the format of gesturekit study. Shows how "
+    "well each metric agrees with people's ranking of the models.",
 )
 @click.option(
     "--take-pattern",
@@ -212,8 +212,9 @@ def command(
     measured. With --corpus, clips of other splits and of items without motion do not count as left
     out: a note lists them.
     """
+    from gesturekit.evaluation import read_ratings
     from gesturekit.evaluation.report.metric_table import WRITERS, summary_line
-    from gesturekit.evaluation.statistics.agreement import agreement, shared_models
+    from gesturekit.evaluation.statistics.agreement import agreement, shared_systems
 
     if options["sanity"]:
         ctx.exit(_sanity((generated, reference, *surplus, *compare), out, json_out, options))
@@ -224,15 +225,15 @@ def command(
         raise click.UsageError(f"--out {out}: the report is HTML: name it .html (--json for data)")
     tables = {form: _to_write(options[form], options["existing"]) for form in WRITERS}
     out, json_out = (_to_write(path, options["existing"]) for path in (out, json_out))
-    answers = answers_of(options["study"])
+    ratings = None if options["study"] is None else read_ratings([options["study"]])
     folders = folders_of(names, recordings, options)
     temporary = Path(ctx.with_resource(tempfile.TemporaryDirectory(prefix="gesturekit-")))
     folders |= rendered_baselines(Path(place_of(generated)), folders, temporary, options)
-    if answers:
-        shared_models(list(folders), answers)  # before hours of measuring
+    if ratings is not None:
+        shared_systems(list(folders), ratings)  # before hours of measuring
     found = _evaluated(folders, recordings, options)
-    if answers:
-        found.agreement = agreement(found.models, answers, options["seed"])
+    if ratings is not None:
+        found.agreement = agreement(found.models, ratings, options["seed"])
     for model, name in zip(found.models, map(place_of, names)):
         if warning := trained_on(model, name):
             click.echo(f"Warning: {model.label}: {warning}", err=True)
@@ -248,11 +249,8 @@ def command(
 
 def _print(found: Evaluation, written: Sequence[Path]) -> None:
     """Print verdicts, table and the written files, and notes to standard error."""
-    from gesturekit.evaluation.report.metric_table import (
-        agreement_lines,
-        note_lines,
-        terminal_lines,
-    )
+    from gesturekit.evaluation.report.agreement_table import agreement_lines
+    from gesturekit.evaluation.report.metric_table import note_lines, terminal_lines
 
     for line in (*found.verdicts(), *terminal_lines(found), *agreement_lines(found)):
         click.echo(line)

@@ -1,8 +1,9 @@
-"""Rank correlation of metrics with people's preferences between the same models.
+"""Rank correlation of metrics with people's scores of the same systems.
 
-People's score of a model is the share of its comparisons that it wins, a tie counting half. A
-metric's score is its value, turned so that higher is better: negative for "lower", and minus the
-distance to the recording's value for "reference". Both are correlated over models.
+People's scores are those of `scores`. A metric's score is its value, turned so that higher is
+better: negative for "lower", and minus the distance to the recording's value for "reference". Both
+are correlated over systems. The interval is over systems, raters and clips together: each bootstrap
+sample draws all three again.
 """
 
 from __future__ import annotations
@@ -14,89 +15,168 @@ import numpy as np
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.results import Agreement, ModelResult
-from gesturekit.evaluation.statistics.answers import Answer
+from gesturekit.evaluation.results import (
+    Agreement,
+    MetricAgreement,
+    ModelResult,
+    QuestionAgreement,
+)
+from gesturekit.evaluation.statistics.intervals import FEW
+from gesturekit.evaluation.statistics.ratings import Ratings
+from gesturekit.evaluation.statistics.scores import Scores, scores_of
 from gesturekit.wording import listed
 
 RECORDING = "recording"
-"""Name by which a study may have the recordings themselves among its models."""
+"""Name by which a study may have the recordings themselves among its systems."""
 LEAST = 3
-"""Least number of models; two can only agree or disagree."""
-RESAMPLES = 500
+"""Least number of systems; two can only agree or disagree."""
 
 
-def agreement(
-    models: Sequence[ModelResult], answers: Sequence[Answer], seed: int = 0
-) -> list[Agreement]:
-    """Return the agreement of each metric with people, the closest first.
+def agreement(models: Sequence[ModelResult], ratings: Ratings, seed: int = 0) -> Agreement:
+    """Return the agreement of each metric with people, by question; the closest metric first.
 
     Args:
         models: the evaluated models; the study names them by their labels.
-        answers: the study's results. Those on other models are left out.
+        ratings: the study's ratings or votes. Those of other systems are left out.
         seed: seed of the bootstrap.
 
     Raises:
         EvaluationError: fewer than 3 of the evaluated models are in the study.
     """
-    known = shared_models([model.label for model in models], answers)
-    answers = [a for a in answers if a.left in known and a.right in known]
-    wins, users = _wins(answers, known)
-    drawn = np.random.default_rng(seed).integers(0, len(users), (RESAMPLES, len(users)))
-    people = _scores(wins.sum(axis=0))
-    resampled = [_scores(wins[at].sum(axis=0)) for at in drawn]
+    labels = [model.label for model in models]
+    known = shared_systems(labels, ratings)
+    notes = list(ratings.notes)
+    for names, where in (
+        (sorted(set(ratings.systems) - set(known)), "were in the study and not evaluated"),
+        ([label for label in labels if label not in known], "were evaluated and not in the study"),
+    ):
+        if names:
+            notes.append(f"left out, as they {where}: {listed(names)}")
     found = []
-    for key in DEFINITIONS:
-        values = _metric_scores(models, key, known)
-        kept = [i for i, name in enumerate(known) if name in values]
-        metric = np.array([values[known[i]] for i in kept])
-        if len(kept) < LEAST or np.ptp(metric) == 0 or np.ptp(people[kept]) == 0:
+    among = ratings.among(known)
+    for index, question in enumerate(ratings.questions):
+        kept = among & (ratings.question == index)
+        scores = scores_of(ratings, kept, known, seed) if kept.any() else None
+        if scores is None or len(scores.systems) < LEAST:
+            notes.append(f"question {question!r} left out: ratings of fewer than {LEAST} systems")
             continue
-        tau, rho = _correlations(metric, people[kept])
-        each = [_correlations(metric, scores[kept])[0] for scores in resampled]
-        low, high = np.nanquantile(each, (0.025, 0.975))
-        chosen = {known[i] for i in kept}
-        n = sum(a.left in chosen and a.right in chosen for a in answers)
-        found.append(Agreement(key, tau, rho, float(low), float(high), len(kept), len(users), n))
-    return sorted(found, key=lambda one: -one.kendall)
+        if scores.note:
+            notes.append(f"{question}: {scores.note}" if question else scores.note)
+        found.append(_of_question(question, models, scores, seed))
+    return Agreement(tuple(found), tuple(notes))
 
 
-def shared_models(labels: Sequence[str], answers: Sequence[Answer]) -> list[str]:
+def shared_systems(labels: Sequence[str], ratings: Ratings) -> list[str]:
     """Return the models, and perhaps the recordings, that evaluation and study have in common.
 
     Raises:
         EvaluationError: fewer than 3.
     """
-    named = {name for answer in answers for name in (answer.left, answer.right)}
-    known = [name for name in (*labels, RECORDING) if name in named]
+    known = [name for name in (*labels, RECORDING) if name in ratings.systems]
     if len(known) < LEAST:
         raise EvaluationError(
-            f"the study compares {listed(sorted(named))}, and the evaluation has "
+            f"the study has {listed(sorted(ratings.systems))}, and the evaluation has "
             f"{listed(list(labels))}: {len(known)} in common, and a correlation needs {LEAST}; "
             "name the folders as the study does (NAME=DIR), and compare all of them"
         )
     return known
 
 
-def _wins(answers: Sequence[Answer], models: Sequence[str]) -> tuple[np.ndarray, list[str]]:
-    """Return (users, 2, models) wins and comparisons, and the names of the users."""
-    users = sorted({answer.user for answer in answers})
-    counts = np.zeros((len(users), 2, len(models)))
-    for answer in answers:
-        row = counts[users.index(answer.user)]
-        sides = [models.index(name) for name in (answer.left, answer.right)]
-        share = 0.5 + 0.5 * float(np.sign(answer.score))
-        row[0, sides] += (share, 1.0 - share)
-        row[1, sides] += 1.0
-    return counts, users
+def _of_question(
+    question: str, models: Sequence[ModelResult], scores: Scores, seed: int
+) -> QuestionAgreement:
+    """Return the agreement of all metrics with the scores for one question."""
+    metrics = []
+    for key in DEFINITIONS:
+        values = metric_scores(models, key, scores.systems)
+        kept = np.array([i for i, name in enumerate(scores.systems) if name in values], int)
+        metric = np.array([values[scores.systems[i]] for i in kept])
+        if len(kept) >= LEAST and np.ptp(metric) > 0 and np.ptp(scores.values[kept]) > 0:
+            metrics.append(agreement_of(key, metric, scores, kept, seed))
+    return QuestionAgreement(
+        question,
+        dict(zip(scores.systems, scores.values.tolist(), strict=True)),
+        scores.raters,
+        scores.clips,
+        scores.ratings,
+        tuple(sorted(metrics, key=lambda one: -one.kendall)),
+    )
 
 
-def _scores(counts: np.ndarray) -> np.ndarray:
-    """Return the share of comparisons that each model wins; NaN without any."""
+def agreement_of(
+    key: str, metric: np.ndarray, scores: Scores, kept: np.ndarray, seed: int
+) -> MetricAgreement:
+    """Return the agreement of one metric with people.
+
+    Args:
+        key: key of `definitions`.
+        metric: (k,) the metric of the systems in `kept`, higher is better.
+        scores: people's scores.
+        kept: (k,) indices of systems in `scores`.
+        seed: seed of the bootstrap.
+    """
+    from scipy.stats import kendalltau, spearmanr
+
+    people, n = scores.values[kept], len(kept)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        tau, rho = (test(metric, people).statistic for test in (kendalltau, spearmanr))
+    low = high = None
+    if n >= FEW:
+        low, high = _interval(metric, scores.resampled[:, kept], seed)
+    one, other = np.triu_indices(n, 1)
+    certain = scores.differ[np.ix_(kept, kept)][one, other]
+    one, other = one[certain], other[certain]
+    same = np.sign(metric[one] - metric[other]) * np.sign(people[one] - people[other])
+    accuracy = float((0.5 + 0.5 * same).mean()) if len(same) else None
+    return MetricAgreement(
+        key, float(tau), low, high, float(rho), accuracy, len(same), n, chance_range(n)
+    )
+
+
+def _interval(
+    metric: np.ndarray, resampled: np.ndarray, seed: int
+) -> tuple[float, float] | tuple[None, None]:
+    """Return the 95 % percentile interval of Kendall's tau-b; none without any order.
+
+    Args:
+        metric: (k,) the metric of k systems.
+        resampled: (B, k) people's scores in each bootstrap sample of raters and clips.
+        seed: seed of the draws of systems.
+    """
+    drawn = np.random.default_rng(seed).integers(0, len(metric), resampled.shape)
+    found = kendall(metric[drawn], np.take_along_axis(resampled, drawn, axis=1))
+    if np.isnan(found).all():
+        return None, None
+    low, high = np.nanquantile(found, (0.025, 0.975))
+    return float(low), float(high)
+
+
+def kendall(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return Kendall's tau-b (B,) of the rows of two arrays (B, k); NaN for rows without order.
+
+    The same as `scipy.stats.kendalltau`, for many rows at once. NaN is tied with anything.
+    """
+    i, j = np.triu_indices(one.shape[1], 1)
+    a, b = (np.nan_to_num(np.sign(x[:, i] - x[:, j])) for x in (one, other))
     with np.errstate(invalid="ignore"):
-        return counts[0] / counts[1]
+        return (a * b).sum(axis=1) / np.sqrt((a**2).sum(axis=1) * (b**2).sum(axis=1))
 
 
-def _metric_scores(
+def chance_range(n: int) -> float:
+    """Return the least t so that |tau| > t has a probability of at most 5 % in a random order.
+
+    Args:
+        n: number of systems. With fewer than 5, t is 1: any order may be chance.
+    """
+    orders = np.ones(1)  # share of the orders of n things by their number of inversions
+    for k in range(2, n + 1):
+        orders = np.convolve(orders, np.full(k, 1.0 / k))
+    tau = np.abs(1.0 - 2.0 * np.arange(len(orders)) / (len(orders) - 1))
+    return float(min(t for t in tau if orders[tau > t + 1e-9].sum() <= 0.05))
+
+
+def metric_scores(
     models: Sequence[ModelResult], key: str, known: Sequence[str]
 ) -> Mapping[str, float]:
     """Return {model: value of the metric, turned so that higher is better}."""
@@ -110,17 +190,3 @@ def _metric_scores(
         values.setdefault(RECORDING, own)
     sign = -1.0 if better == "lower" else 1.0
     return {label: sign * value for label, value in values.items()}
-
-
-def _correlations(metric: np.ndarray, people: np.ndarray) -> tuple[float, float]:
-    """Return Kendall's tau-b and Spearman's rho; NaN for scores that are all equal."""
-    from scipy.stats import kendalltau, spearmanr
-
-    both = np.isfinite(people)
-    if both.sum() < 2 or np.ptp(people[both]) == 0 or np.ptp(metric[both]) == 0:
-        return float("nan"), float("nan")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        tau = kendalltau(metric[both], people[both]).statistic
-        rho = spearmanr(metric[both], people[both]).statistic
-    return float(tau), float(rho)
