@@ -11,7 +11,8 @@ from scipy.stats import kendalltau, spearmanr, ttest_1samp
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import read_ratings
-from gesturekit.evaluation.results import Interval, MetricResult, ModelResult
+from gesturekit.evaluation.pairs import Pair
+from gesturekit.evaluation.results import ClipResult, Interval, MetricResult, ModelResult
 from gesturekit.evaluation.statistics.agreement import agreement, chance_range, kendall
 from gesturekit.evaluation.statistics.answers import GENEA_COLUMNS, Answer
 from gesturekit.evaluation.statistics.ratings import Ratings
@@ -251,3 +252,32 @@ def test_invalid_tables_of_ratings_are_refused_with_their_place(tmp_path, text, 
         (tmp_path / "x.csv").write_text(text)
         read_ratings([tmp_path / "x.csv"])
     assert message in str(refused.value)
+
+
+def clips_of(label: str, values: list[float], recorded: float = 1.0) -> ModelResult:
+    """Return a model with a sync for each of some takes."""
+    found = model(label, sync=float(np.mean(values)))
+    found.clips = [
+        ClipResult(
+            Pair(f"c{k}", f"c{k}", None, Path(), Path()), 1.0, {"sync": v}, {"sync": recorded}, {}
+        )
+        for k, v in enumerate(values)
+    ]
+    return found
+
+
+def test_the_takes_of_the_evaluation_are_drawn_as_well(tmp_path):
+    # Two neighbours swap their order with the take: their tau is not certain.
+    quality = dict(zip("abcdefgh", (30, 25, 20, 15, 10, 5, 0, -5)))
+    ratings = study(tmp_path / "x.csv", quality)
+    steady = [clips_of(name, [v / 50] * 6) for name, v in quality.items()]
+    rng = np.random.default_rng(0)
+    noisy = [clips_of(name, list(v / 50 + rng.normal(0, 0.3, 6))) for name, v in quality.items()]
+    shared = rng.normal(0, 0.3, 6)  # takes that are easy or hard for all systems alike
+    alike = [clips_of(name, list(v / 50 + shared)) for name, v in quality.items()]
+    intervals = {}
+    for name, models in (("steady", steady), ("noisy", noisy), ("alike", alike)):
+        (question,) = agreement(models, ratings).questions
+        intervals[name] = (question.metrics[0].low, question.metrics[0].high)
+    assert intervals["steady"] == pytest.approx(intervals["alike"])
+    assert intervals["noisy"][0] < intervals["steady"][0] - 0.2

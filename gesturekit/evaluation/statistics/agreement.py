@@ -2,13 +2,17 @@
 
 People's scores are those of `scores`. A metric's score is its value, turned so that higher is
 better: negative for "lower", and minus the distance to the recording's value for "reference". Both
-are correlated over systems. The interval is over systems, raters and clips together: each bootstrap
-sample draws all three again.
+are correlated over systems.
+
+The interval is over systems, raters and clips together: each bootstrap sample draws all of them
+again, the study's clips for people's scores and the takes of the evaluation for a metric that has
+one value a clip; a metric of a whole set stays as it is. Systems are compared on the same takes.
 """
 
 from __future__ import annotations
 
 import warnings
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -23,13 +27,16 @@ from gesturekit.evaluation.results import (
 )
 from gesturekit.evaluation.statistics.intervals import FEW
 from gesturekit.evaluation.statistics.ratings import Ratings
-from gesturekit.evaluation.statistics.scores import Scores, scores_of
+from gesturekit.evaluation.statistics.scores import RESAMPLES, Scores, scores_of
 from gesturekit.wording import listed
 
 RECORDING = "recording"
 """Name by which a study may have the recordings themselves among its systems."""
 LEAST = 3
 """Least number of systems; two can only agree or disagree."""
+LEAST_FOR_INTERVAL = 6
+"""Least number of systems with an interval: drawn from five, it is too narrow (see
+benchmarks/agreement_power.py)."""
 
 
 def agreement(models: Sequence[ModelResult], ratings: Ratings, seed: int = 0) -> Agreement:
@@ -88,11 +95,13 @@ def _of_question(
     """Return the agreement of all metrics with the scores for one question."""
     metrics = []
     for key in DEFINITIONS:
-        values = metric_scores(models, key, scores.systems)
+        values = metric_values(models, key, scores.systems, seed)
         kept = np.array([i for i, name in enumerate(scores.systems) if name in values], int)
-        metric = np.array([values[scores.systems[i]] for i in kept])
-        if len(kept) >= LEAST and np.ptp(metric) > 0 and np.ptp(scores.values[kept]) > 0:
-            metrics.append(agreement_of(key, metric, scores, kept, seed))
+        if len(kept) < LEAST or np.ptp(scores.values[kept]) == 0:
+            continue
+        metric, *drawn = np.array([values[scores.systems[i]] for i in kept]).T
+        if np.ptp(metric) > 0:
+            metrics.append(agreement_of(key, metric, np.array(drawn), scores, kept, seed))
     return QuestionAgreement(
         question,
         dict(zip(scores.systems, scores.values.tolist(), strict=True)),
@@ -104,13 +113,19 @@ def _of_question(
 
 
 def agreement_of(
-    key: str, metric: np.ndarray, scores: Scores, kept: np.ndarray, seed: int
+    key: str,
+    metric: np.ndarray,
+    drawn: np.ndarray,
+    scores: Scores,
+    kept: np.ndarray,
+    seed: int = 0,
 ) -> MetricAgreement:
     """Return the agreement of one metric with people.
 
     Args:
         key: key of `definitions`.
         metric: (k,) the metric of the systems in `kept`, higher is better.
+        drawn: (B, k) the metric in each bootstrap sample of takes.
         scores: people's scores.
         kept: (k,) indices of systems in `scores`.
         seed: seed of the bootstrap.
@@ -122,8 +137,8 @@ def agreement_of(
         warnings.simplefilter("ignore")
         tau, rho = (test(metric, people).statistic for test in (kendalltau, spearmanr))
     low = high = None
-    if n >= FEW:
-        low, high = _interval(metric, scores.resampled[:, kept], seed)
+    if n >= LEAST_FOR_INTERVAL:
+        low, high = _interval(drawn, scores.resampled[:, kept], seed)
     one, other = np.triu_indices(n, 1)
     certain = scores.differ[np.ix_(kept, kept)][one, other]
     one, other = one[certain], other[certain]
@@ -135,17 +150,17 @@ def agreement_of(
 
 
 def _interval(
-    metric: np.ndarray, resampled: np.ndarray, seed: int
+    metric: np.ndarray, people: np.ndarray, seed: int
 ) -> tuple[float, float] | tuple[None, None]:
     """Return the 95 % percentile interval of Kendall's tau-b; none without any order.
 
     Args:
-        metric: (k,) the metric of k systems.
-        resampled: (B, k) people's scores in each bootstrap sample of raters and clips.
+        metric: (B, k) the metric of k systems in each bootstrap sample of takes.
+        people: (B, k) people's scores in each bootstrap sample of raters and clips.
         seed: seed of the draws of systems.
     """
-    drawn = np.random.default_rng(seed).integers(0, len(metric), resampled.shape)
-    found = kendall(metric[drawn], np.take_along_axis(resampled, drawn, axis=1))
+    drawn = np.random.default_rng(seed).integers(0, metric.shape[1], metric.shape)
+    found = kendall(*(np.take_along_axis(values, drawn, axis=1) for values in (metric, people)))
     if np.isnan(found).all():
         return None, None
     low, high = np.nanquantile(found, (0.025, 0.975))
@@ -176,17 +191,53 @@ def chance_range(n: int) -> float:
     return float(min(t for t in tau if orders[tau > t + 1e-9].sum() <= 0.05))
 
 
-def metric_scores(
-    models: Sequence[ModelResult], key: str, known: Sequence[str]
-) -> Mapping[str, float]:
-    """Return {model: value of the metric, turned so that higher is better}."""
-    metrics = {m.label: m.metrics[key] for m in models if key in m.metrics and m.label in known}
-    values = {label: result.interval.value for label, result in metrics.items()}
+def metric_values(
+    models: Sequence[ModelResult], key: str, known: Sequence[str], seed: int
+) -> dict[str, np.ndarray]:
+    """Return {system: (1 + B,) values of the metric, turned so that higher is better}.
+
+    The first one is the value, the others those of bootstrap samples of takes.
+    """
+    models = [m for m in models if key in m.metrics and m.label in known]
+    metrics = {m.label: m.metrics[key] for m in models}
+    away = _away(models, key, seed)
     own = next((f.recording for f in metrics.values() if f.recording is not None), None)
+    values = {label: f.interval.value + away[label] for label, f in metrics.items()}
     better = DEFINITIONS[key].better
-    if better == "reference":  # the recordings would come first by definition
-        return {} if own is None else {label: -abs(v - own) for label, v in values.items()}
+    if own is not None and better == "reference":  # the recordings would be first by definition
+        return {label: -abs(v - (own + away[RECORDING])) for label, v in values.items()}
+    if better == "reference":
+        return {}
     if own is not None and RECORDING in known:
-        values.setdefault(RECORDING, own)
+        values.setdefault(RECORDING, own + away[RECORDING])
     sign = -1.0 if better == "lower" else 1.0
     return {label: sign * value for label, value in values.items()}
+
+
+def _away(models: Sequence[ModelResult], key: str, seed: int) -> Mapping[str, np.ndarray]:
+    """Return {system: (1 + B,) differences of bootstrap samples of takes from all takes}.
+
+    The first one is 0, and all are if a model has no value for each clip, or with fewer than `FEW`
+    takes.
+    """
+    sides = {m.label: [(clip, clip.metrics) for clip in m.clips] for m in models}
+    sides.setdefault(RECORDING, [(clip, clip.recording) for m in models[:1] for clip in m.clips])
+    means: dict[str, dict[str, float]] = {}
+    for label, clips in sides.items():
+        takes: dict[str, list[float]] = {}
+        for clip, metrics in clips:
+            takes.setdefault(clip.pair.take, []).append(metrics.get(key, np.nan))
+        means[label] = {take: float(np.mean(values)) for take, values in takes.items()}
+    if np.isnan(list(means[RECORDING].values())).any():
+        del means[RECORDING]
+    common = sorted(set.intersection(*(set(found) for found in means.values())))
+    table = {label: np.array([found[take] for take in common]) for label, found in means.items()}
+    none = np.zeros(1 + RESAMPLES)
+    if len(common) < FEW or any(np.isnan(values).any() for values in table.values()):
+        return defaultdict(lambda: none)
+    n = len(common)
+    drawn = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), RESAMPLES) / n
+    drawn = np.vstack([np.full(n, 1.0 / n), drawn])
+    return defaultdict(
+        lambda: none, {label: drawn @ values - values.mean() for label, values in table.items()}
+    )
