@@ -31,8 +31,8 @@ from gesturekit.evaluation.statistics.ratings import Ratings
 from gesturekit.evaluation.statistics.scores import RESAMPLES, scores_of
 
 LEVEL, SYSTEMS, RATERS, CLIPS, INTERACTION, RESIDUAL = 45.0, 14.0, 12.0, 6.0, 7.0, 16.0
-"""Mean, and standard deviations: between systems, raters and clips, of a system within clips, and of
-the residual. All but the first make 22 together."""
+"""Mean, and standard deviations: between systems, between raters, between clips, of a system in a
+clip, and of the residual. The last four make 22 together."""
 PAGES = 10
 TAKES = 10
 METRIC_NOISE = 0.3

@@ -230,7 +230,8 @@ def command(
     temporary = Path(ctx.with_resource(tempfile.TemporaryDirectory(prefix="gesturekit-")))
     folders |= rendered_baselines(Path(place_of(generated)), folders, temporary, options)
     if ratings is not None:
-        shared_systems(list(folders), ratings)  # before hours of measuring
+        labels = dict.fromkeys((*folders, *comma_separated(options["baseline"])))
+        shared_systems(list(labels), ratings)  # before hours of measuring
     found = _evaluated(folders, recordings, options)
     if ratings is not None:
         found.agreement = agreement(found.models, ratings, options["seed"])

@@ -77,8 +77,8 @@ def scores_of(ratings: Ratings, kept: np.ndarray, systems: Sequence[str], seed: 
         sums / n,
         _resampled(values, system, rater, clip, seed),
         _differ(values, system, rater),
-        rater.max() + 1,
-        clip.max() + 1,
+        int(rater.max()) + 1,
+        int(clip.max()) + 1,
         len(values) // (2 if ratings.paired else 1),
         note,
     )
