@@ -230,22 +230,27 @@ def command(
     temporary = Path(ctx.with_resource(tempfile.TemporaryDirectory(prefix="gesturekit-")))
     folders |= rendered_baselines(Path(place_of(generated)), folders, temporary, options)
     if ratings is not None:
-        labels = dict.fromkeys((*folders, *comma_separated(options["baseline"])))
-        shared_systems(list(labels), ratings)  # before hours of measuring
+        # Before hours of measuring.
+        shared_systems([*folders, *comma_separated(options["baseline"])], ratings)
     found = _evaluated(folders, recordings, options)
     if ratings is not None:
         found.agreement = agreement(found.models, ratings, options["seed"])
-    for model, name in zip(found.models, map(place_of, names)):
-        if warning := trained_on(model, name):
-            click.echo(f"Warning: {model.label}: {warning}", err=True)
-            model.notes.append(warning)
-            model.marks.append("trained on these")
+    _mark_trained(found, names)
     # First: the reader of a pipe, such as head, may leave before everything is printed.
     line = shlex.join(["gesturekit", *sys.argv[1:]])
     written = _write(found, tables, json_out, out, command=line, body=options["body"])
     _print(found, written)
     click.echo(summary_line(found, out or json_out))
     ctx.exit(0 if found.is_complete else 1)
+
+
+def _mark_trained(found: Evaluation, names: Sequence[str]) -> None:
+    """Mark models that were trained on recordings of their evaluation, and print a warning."""
+    for model, name in zip(found.models, map(place_of, names)):
+        if warning := trained_on(model, name):
+            click.echo(f"Warning: {model.label}: {warning}", err=True)
+            model.notes.append(warning)
+            model.marks.append("trained on these")
 
 
 def _print(found: Evaluation, written: Sequence[Path]) -> None:
