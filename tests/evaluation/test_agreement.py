@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from itertools import permutations
 from pathlib import Path
 
@@ -281,3 +283,28 @@ def test_the_takes_of_the_evaluation_are_drawn_as_well(tmp_path):
         intervals[name] = (question.metrics[0].low, question.metrics[0].high)
     assert intervals["steady"] == pytest.approx(intervals["alike"])
     assert intervals["noisy"][0] < intervals["steady"][0] - 0.2
+
+
+@pytest.fixture(scope="module")
+def simulation():
+    """The module of `benchmarks/agreement_power.py`."""
+    path = Path(__file__).parents[2] / "benchmarks" / "agreement_power.py"
+    spec = importlib.util.spec_from_file_location("agreement_power", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+def test_simulated_studies_rank_metrics_as_they_are(simulation):
+    design = simulation.Design(9, 40, 20, 0.2)
+    found = list(simulation.studies(design, 30, seed=0))
+    rates = {
+        name: simulation.rates(name, [one[name] for one in found], 9)
+        for name in simulation.CORRELATIONS
+    }
+    assert rates["right"]["above chance"] >= 0.9 and rates["right"]["accuracy"] > 0.97
+    assert rates["inverted"]["below chance"] >= 0.9 and rates["inverted"]["accuracy"] < 0.03
+    assert rates["blind"]["above chance"] + rates["blind"]["below chance"] <= 0.2
+    assert all(one["covered"] >= 0.85 for one in rates.values())
