@@ -220,6 +220,12 @@ def test_other_names_of_columns_are_read(tmp_path):
     assert found.notes == ("1 line without a value left out", "1 repeated line counted once")
 
 
+def test_free_text_is_no_question(tmp_path):
+    lines = [("p", "a", "x", f"because {k}", 1) for k in range(101)]
+    with pytest.raises(EvaluationError, match="x.csv: 101 different questions"):
+        rated(tmp_path / "x.csv", lines)
+
+
 def test_votes_are_read_by_the_same_function(tmp_path):
     columns = ",".join((*GENEA_COLUMNS, "checks", "checks_failed"))
     text = f"{columns}\nu,c,a,b,model_a,True,,,2,0\nv,c,a,b,tie,,,,2,1\nw,d,b,a,tie,,,,2,0\n"

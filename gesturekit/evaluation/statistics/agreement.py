@@ -28,7 +28,7 @@ from gesturekit.evaluation.results import (
 from gesturekit.evaluation.statistics.intervals import FEW
 from gesturekit.evaluation.statistics.ratings import Ratings
 from gesturekit.evaluation.statistics.scores import RESAMPLES, Scores, scores_of
-from gesturekit.wording import listed
+from gesturekit.wording import listed, printable
 
 RECORDING = "recording"
 """Name by which a study may have the recordings themselves among its systems."""
@@ -58,17 +58,21 @@ def agreement(models: Sequence[ModelResult], ratings: Ratings, seed: int = 0) ->
         ([label for label in labels if label not in known], "were evaluated and not in the study"),
     ):
         if names:
-            notes.append(f"left out, as they {where}: {listed(names)}")
+            notes.append(
+                f"left out, as they {where}: {listed([printable(name[:40]) for name in names])}"
+            )
     found = []
     among = ratings.among(known)
     for index, question in enumerate(ratings.questions):
         kept = among & (ratings.question == index)
         scores = scores_of(ratings, kept, known, seed) if kept.any() else None
         if scores is None or len(scores.systems) < LEAST:
-            notes.append(f"question {question!r} left out: ratings of fewer than {LEAST} systems")
+            notes.append(
+                f"question {printable(question)!r} left out: ratings of fewer than {LEAST} systems"
+            )
             continue
         if scores.note:
-            notes.append(f"{question}: {scores.note}" if question else scores.note)
+            notes.append(f"{printable(question)}: {scores.note}" if question else scores.note)
         found.append(_of_question(question, models, scores, seed))
     return Agreement(tuple(found), tuple(notes))
 
@@ -81,8 +85,9 @@ def shared_systems(labels: Sequence[str], ratings: Ratings) -> list[str]:
     """
     known = [name for name in dict.fromkeys((*labels, RECORDING)) if name in ratings.systems]
     if len(known) < LEAST:
+        named = listed([printable(name[:40]) for name in sorted(ratings.systems)])
         raise EvaluationError(
-            f"the study has {listed(sorted(ratings.systems))}, and the evaluation has "
+            f"the study has {named}, and the evaluation has "
             f"{listed(list(labels))}: {len(known)} in common, and a correlation needs {LEAST}; "
             "name the folders as the study does (NAME=DIR), and compare all of them"
         )

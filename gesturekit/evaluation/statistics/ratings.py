@@ -40,6 +40,7 @@ PREFERENCE = "preference"
 
 _MISSING = ("", "na", "n/a", "nan", "none", "null")
 _MOST = 1e100
+_MOST_QUESTIONS = 100
 
 
 @dataclass(frozen=True)
@@ -151,6 +152,11 @@ def read_ratings(paths: Sequence[str | os.PathLike[str]]) -> Ratings:
             table.add(names, _value(row["value"], where))
     if not table.values:
         raise EvaluationError(f"{listed([str(path) for path in paths])}: no rating to analyse")
+    if (n := len(table.names[3])) > _MOST_QUESTIONS:
+        raise EvaluationError(
+            f"{path}: {n} different questions, and no study has more than {_MOST_QUESTIONS}; is it "
+            "a column of free text?"
+        )
     left_out = f"{counted(empty, 'line')} without a value left out"
     return table.ratings((left_out,) if empty else ())
 
@@ -202,6 +208,6 @@ def _value(text: str, where: str) -> float:
         value = math.nan
     if not abs(value) <= _MOST:
         raise EvaluationError(
-            f"{where}: value is {printable(text)!r}; expected a number such as 3.5"
+            f"{where}: value is {printable(text[:40])!r}; expected a number such as 3.5"
         )
     return value
