@@ -314,3 +314,8 @@ def test_simulated_studies_rank_metrics_as_they_are(simulation):
     assert rates["inverted"]["below chance"] >= 0.9 and rates["inverted"]["accuracy"] < 0.03
     assert rates["blind"]["above chance"] + rates["blind"]["below chance"] <= 0.2
     assert all(one["covered"] >= 0.85 for one in rates.values())
+
+
+def test_equal_systems_hardly_ever_differ_significantly(simulation):
+    # Many raters of the same clips agree on what is true of these clips only.
+    assert simulation.false_alarms(simulation.Design(9, 40, 200), 20, seed=0) <= 0.2

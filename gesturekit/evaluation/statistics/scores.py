@@ -76,7 +76,7 @@ def scores_of(ratings: Ratings, kept: np.ndarray, systems: Sequence[str], seed: 
         names,
         sums / n,
         _resampled(values, system, rater, clip, seed),
-        _differ(values, system, rater),
+        _differ(values, system, rater, clip),
         int(rater.max()) + 1,
         int(clip.max()) + 1,
         len(values) // (2 if ratings.paired else 1),
@@ -147,27 +147,38 @@ def _resampled(
     return np.concatenate(found)
 
 
-def _differ(values: np.ndarray, system: np.ndarray, rater: np.ndarray) -> np.ndarray:
+def _differ(
+    values: np.ndarray, system: np.ndarray, rater: np.ndarray, clip: np.ndarray
+) -> np.ndarray:
     """Return (S, S) True for pairs of systems whose scores differ significantly.
 
-    Student's t of the raters' differences between both systems' means, over raters who have both;
-    Holm's method over all pairs. Answers of one rater are not independent, raters are.
+    A pair must differ over raters, and over clips where clips have both systems: its p-value is the
+    larger one of both. Holm's method is over all pairs.
     """
-    n, raters = system.max() + 1, rater.max() + 1
-    cells = rater * n + system
+    over_raters, over_clips = (_p_values(values, system, column) for column in (rater, clip))
+    p = np.where(np.isnan(over_raters), np.nan, np.fmax(over_raters, over_clips))
+    n = system.max() + 1
+    found = np.zeros((n, n), bool)
+    found[np.triu_indices(n, 1)] = holm(p) < 1.0 - LEVEL
+    return found | found.T
+
+
+def _p_values(values: np.ndarray, system: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """Return the p-values (P,) of all pairs of systems, with raters or clips as units.
+
+    Student's t of the differences between both systems' means within a unit, over units that have
+    both; NaN with fewer than two. Ratings of one rater, or of one clip, are not independent.
+    """
+    n, units = system.max() + 1, unit.max() + 1
+    cells = unit * n + system
     with np.errstate(invalid="ignore"):
-        means = (
-            np.bincount(cells, values, raters * n) / np.bincount(cells, minlength=raters * n)
-        ).reshape(raters, n)
-    pairs = list(combinations(range(n), 2))
+        means = np.bincount(cells, values, units * n) / np.bincount(cells, minlength=units * n)
+    means = means.reshape(units, n)
     p = []
-    for one, other in pairs:
+    for one, other in combinations(range(n), 2):
         gap = means[:, one] - means[:, other]
         gap = gap[~np.isnan(gap)]
         free = len(gap) - 1
         error = gap.std(ddof=1) / np.sqrt(len(gap)) if free > 0 else np.nan
         p.append(p_value(float(gap.mean()), error, free) if free > 0 else np.nan)
-    found = np.zeros((n, n), bool)
-    for (one, other), adjusted in zip(pairs, holm(p), strict=True):
-        found[one, other] = found[other, one] = adjusted < 1.0 - LEVEL
-    return found
+    return np.array(p)
