@@ -180,8 +180,8 @@ def main() -> None:
         size = f"{design.systems} systems, {design.ratings} ratings"
         figures[size] = {"in order": float(told), "false alarms": alarms}
         print(
-            f"right above blind above inverted in {told:.1%} of studies; of equal systems, any pair "
-            f"is significant in {alarms:.1%}"
+            f"right above blind above inverted in {told:.1%} of studies; of equal systems, any "
+            f"pair is significant in {alarms:.1%}"
         )
     print(f"{number} studies of each size in {time.perf_counter() - start:.0f} s")
     if asked.json is not None:
