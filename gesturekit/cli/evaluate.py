@@ -14,7 +14,6 @@ import click
 from click.core import ParameterSource
 
 from gesturekit.cli.evaluate_inputs import (
-    answers_of,
     folders_of,
     place_of,
     recordings_of,
@@ -99,8 +98,9 @@ _USED_BY_SANITY = (
     "--study",
     type=click.Path(path_type=Path),
     metavar="CSV",
-    help="Answers of a user study on these models in the format of gesturekit study (a file or a "
-    "folder); shows how well each metric agrees with people's ranking of the models.",
+    help="Results of a user study on these models (a file or a folder): ratings, with the columns "
+    "rater, system, clip, question, value, or votes in the format of gesturekit study. Shows how "
+    "well each metric agrees with people's ranking of the models.",
 )
 @click.option(
     "--take-pattern",
@@ -213,8 +213,9 @@ def command(
     measured. With --corpus, clips of other splits and of items without motion do not count as left
     out: a note lists them.
     """
+    from gesturekit.evaluation import read_ratings
     from gesturekit.evaluation.report.metric_table import WRITERS, summary_line
-    from gesturekit.evaluation.statistics.agreement import agreement, shared_models
+    from gesturekit.evaluation.statistics.agreement import agreement, shared_systems
 
     if options["sanity"]:
         ctx.exit(_sanity((generated, reference, *surplus, *compare), out, json_out, options))
@@ -226,20 +227,17 @@ def command(
     tables = {form: _to_write(options[form], options["existing"]) for form in WRITERS}
     out, json_out = (_to_write(path, options["existing"]) for path in (out, json_out))
     before = _earlier(options["against"])
-    answers = answers_of(options["study"])
+    ratings = None if options["study"] is None else read_ratings([options["study"]])
     folders = folders_of(names, recordings, options)
     temporary = Path(ctx.with_resource(tempfile.TemporaryDirectory(prefix="gesturekit-")))
     folders |= rendered_baselines(Path(place_of(generated)), folders, temporary, options)
-    if answers:
-        shared_models(list(folders), answers)  # before hours of measuring
+    if ratings is not None:
+        # Before hours of measuring.
+        shared_systems([*folders, *comma_separated(options["baseline"])], ratings)
     found = _evaluated(folders, recordings, options)
-    if answers:
-        found.agreement = agreement(found.models, answers, options["seed"])
-    for model, name in zip(found.models, map(place_of, names)):
-        if warning := trained_on(model, name):
-            click.echo(f"Warning: {model.label}: {warning}", err=True)
-            model.notes.append(warning)
-            model.marks.append("trained on these")
+    if ratings is not None:
+        found.agreement = agreement(found.models, ratings, options["seed"])
+    _mark_trained(found, names)
     # First: the reader of a pipe, such as head, may leave before everything is printed.
     line = shlex.join(["gesturekit", *sys.argv[1:]])
     written = _write(found, tables, json_out, out, command=line, body=options["body"])
@@ -255,14 +253,20 @@ def _earlier(path: Path | None) -> dict[str, Any] | None:
     return None if path is None else read_results(path)
 
 
+def _mark_trained(found: Evaluation, names: Sequence[str]) -> None:
+    """Mark models that were trained on recordings of their evaluation, and print a warning."""
+    for model, name in zip(found.models, map(place_of, names)):
+        if warning := trained_on(model, name):
+            click.echo(f"Warning: {model.label}: {warning}", err=True)
+            model.notes.append(warning)
+            model.marks.append("trained on these")
+
+
 def _print(found: Evaluation, written: Sequence[Path], before: Mapping[str, Any] | None) -> None:
     """Print verdicts, table, differences and the written files, and notes to standard error."""
+    from gesturekit.evaluation.report.agreement_table import agreement_lines
     from gesturekit.evaluation.report.differences import differences
-    from gesturekit.evaluation.report.metric_table import (
-        agreement_lines,
-        note_lines,
-        terminal_lines,
-    )
+    from gesturekit.evaluation.report.metric_table import note_lines, terminal_lines
 
     for line in (*found.verdicts(), *terminal_lines(found), *agreement_lines(found)):
         click.echo(line)

@@ -1,4 +1,4 @@
-"""Inputs of gesturekit evaluate: recordings, models with their samples, answers of a study."""
+"""Inputs of gesturekit evaluate: recordings, and models with their samples."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from gesturekit.corpus.item import Item
     from gesturekit.evaluation import Items
     from gesturekit.evaluation.results import ModelResult
-    from gesturekit.evaluation.statistics.answers import Answer
 
 
 def _named(text: str) -> tuple[str | None, str]:
@@ -50,20 +49,6 @@ def recordings_of(reference: Path | None, options: Mapping[str, Any]) -> Path | 
         )
     usual = "train" if options["protocol"] == "multires" else "test"
     return Items.of_manifest(corpus, split or usual)
-
-
-def answers_of(study: Path | None) -> Sequence[Answer]:
-    """Read the results of a study; print what is left out to standard error."""
-    if study is None:
-        return ()
-    from gesturekit.evaluation import read_answers
-
-    found = read_answers([study])
-    for user, reason in found.excluded.items():
-        click.echo(f"Left out: {study}: rater {user}: {reason}", err=True)
-    for note in found.notes:
-        click.echo(f"Note: {study}: {note}", err=True)
-    return found.kept
 
 
 def folders_of(

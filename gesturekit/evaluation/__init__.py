@@ -64,6 +64,7 @@ __all__, __getattr__, __dir__ = attach(
         "patch_scores": "metrics.patches",
         "raw_fgd": "metrics.frechet.frechet",
         "read_answers": "statistics.answers",
+        "read_ratings": "statistics.ratings",
         "root_relative": "metrics.similarity",
         "speech_envelope": "metrics.sync",
         "speech_onsets": "metrics.rhythm",

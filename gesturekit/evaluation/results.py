@@ -118,27 +118,59 @@ class MetricResult:
 
 
 @dataclass(frozen=True)
-class Agreement:
-    """Agreement of one metric with people.
+class MetricAgreement:
+    """Agreement of one metric with people's scores of systems for one question.
 
     Attributes:
         key: key of `definitions`.
-        kendall: Kendall's tau-b over models; 1 is the order of people.
+        kendall: Kendall's tau-b over systems; 1 is the order of people.
+        low, high: 95 % interval of Kendall's tau over systems, raters and clips; None with fewer
+            than 5 systems.
         spearman: Spearman's rho.
-        low, high: 95 % bootstrap interval of Kendall's tau over the study's users.
-        n: number of models.
-        users: number of users.
-        answers: number of judgements between these models.
+        accuracy: share of the pairs of systems whose scores differ significantly that the metric
+            orders as people do; ties count half. 0.5 by chance; None without such a pair.
+        pairs: number of these pairs.
+        n: number of systems.
+        chance: 95 % of random orders have a tau between -chance and chance.
     """
 
     key: str
     kendall: float
+    low: float | None
+    high: float | None
     spearman: float
-    low: float
-    high: float
+    accuracy: float | None
+    pairs: int
     n: int
-    users: int
-    answers: int
+    chance: float
+
+
+@dataclass(frozen=True)
+class QuestionAgreement:
+    """Agreement of all metrics with people for one question of a study.
+
+    Attributes:
+        question: its name; "" in studies of one question.
+        scores: {system: people's score}: the mean rating less those of raters and clips, or the
+            share of comparisons won.
+        raters, clips, ratings: their numbers.
+        metrics: the closest first.
+    """
+
+    question: str
+    scores: dict[str, float]
+    raters: int
+    clips: int
+    ratings: int
+    metrics: tuple[MetricAgreement, ...]
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Agreement of metrics with people in a study, and notes on what was left out."""
+
+    questions: tuple[QuestionAgreement, ...]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -219,7 +251,7 @@ class Evaluation:
         settings: seeds and options, as plain values.
         recorded_speeds: histogram of joint speeds of the recordings.
         recorded_wrists: (N,) wrist speeds of the recordings, m/s; a sample of some thousands.
-        agreement: agreement of the metrics with the answers of a user study, if there is one.
+        agreement: agreement of the metrics with the ratings of a user study; None without one.
         versions: {library: version}.
 
     Examples:
@@ -240,7 +272,7 @@ class Evaluation:
     settings: dict[str, Any]
     recorded_speeds: SpeedHistogram
     recorded_wrists: np.ndarray
-    agreement: list[Agreement] = field(default_factory=list)
+    agreement: Agreement | None = None
     versions: dict[str, str] = field(default_factory=library_versions)
 
     @property
@@ -283,7 +315,7 @@ class Evaluation:
             "versions": self.versions,
             "definitions": {d.key: d.to_json() for d in self.definitions()},
             "models": [_model(model) for model in self.models],
-            "agreement": [asdict(one) for one in self.agreement],
+            "agreement": self.agreement and asdict(self.agreement),
         }
 
     def write_json(self, path: str | os.PathLike[str]) -> None:

@@ -74,6 +74,34 @@ def test_baselines_are_columns_of_the_table(evaluate):
     assert "9 clips measured, 0 left out" in lines[-1]
 
 
+def test_ratings_of_a_study_are_compared_with_the_metrics(evaluate, folders, tmp_path):
+    lines = [
+        f"p{r},{name},c{c},{question},{level + r + c % 2}"
+        for r in range(5) for c in range(4) for question in ("human-like", "appropriate")
+        for name, level in (("ours", 60), ("baseline", 30), ("recording", 70), ("mean_pose", 5),
+                            ("other_lab", 50))
+    ]  # fmt: skip
+    ratings, files = tmp_path / "ratings.csv", ("--out", tmp_path / "r.html")
+    ratings.write_text("\n".join(["participant,condition,stimulus,question,rating", *lines]))
+    given = ("--compare", folders / "baseline", "--baseline", "mean_pose", "--study", ratings)
+    done = evaluate(*given, *files, "--json", tmp_path / "r.json").ok()
+    assert "left out, as they were in the study and not evaluated: other_lab" in done.err
+    assert "Agreement with people on human-like: 5 raters, 4 clips, 80 ratings." in done.out
+    assert (
+        "People's scores: recording +28.8, ours +18.8, baseline -11.2, mean_pose -36.2" in done.out
+    )
+    assert "too few systems: any order may be chance" in done.out
+    found = json.loads((tmp_path / "r.json").read_text())["agreement"]
+    assert [one["question"] for one in found["questions"]] == ["human-like", "appropriate"]
+    assert {one["n"] for one in found["questions"][0]["metrics"]} == {3, 4}
+    page = (tmp_path / "r.html").read_text()
+    assert "Agreement with people" in page and "other_lab" in page
+    ratings.write_text("rater,system,clip,value\np,ours,c,1\np,baseline,c,good\n")
+    evaluate(*given, *files).fails(2, "ratings.csv, line 3: value is 'good'")
+    ratings.write_text("rater,system,clip,value\np,ours,c,1\np,baseline,c,3\n")
+    evaluate(*given, *files).fails(2, "2 in common, and a correlation needs 3")
+
+
 def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
     made = tmp_path / "made"
     made.mkdir()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -12,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from audio_features.atomic import write_text
-from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, Definition
+from gesturekit.evaluation.definitions import GROUPS, Definition
 from gesturekit.evaluation.report.headline import headline_lines, interval_warnings
 from gesturekit.evaluation.report.tables import ARROWS, number
 from gesturekit.evaluation.results import Evaluation, MetricResult
@@ -145,30 +144,11 @@ def _without_interval(evaluation: Evaluation) -> list[str]:
     ]
 
 
-def agreement_lines(evaluation: Evaluation) -> list[str]:
-    """Return the agreement with a study as lines; none without a study."""
-    found = evaluation.agreement
-    if not found:
-        return []
-    width = max(len(DEFINITIONS[one.key].name) for one in found)
-    first, most = found[0], max(one.n for one in found)
-    return [
-        "",
-        f"Agreement with {counted(first.users, 'person', 'people')}: rank correlation over models, "
-        "Kendall's tau [95 % over people], Spearman's rho, number of models.",
-        f"By chance alone, {most} models are in the order of people once in "
-        f"{math.factorial(most)} times.",
-        *(
-            f"  {DEFINITIONS[one.key].name:<{width}}  {one.kendall:+.2f} [{one.low:+.2f}, "
-            f"{one.high:+.2f}]  {one.spearman:+.2f}  {one.n}"
-            for one in found
-        ),
-    ]
-
-
 def note_lines(found: Evaluation) -> Iterator[str]:
     """Yield notes on the metrics; metrics left out for the same reason share a line."""
     yield from (f"Warning: {warning}." for warning in interval_warnings(found))
+    if found.agreement is not None:
+        yield from (f"Note: study: {note}" for note in found.agreement.notes)
     for model in found.models:
         yield from (f"Note: {model.label}: {note}" for note in model.notes)
         metrics: dict[str, tuple[list[str], list[str]]] = {}

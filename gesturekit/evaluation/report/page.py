@@ -11,8 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from gesturekit.evaluation.report import tables
+from gesturekit.evaluation.report.agreement_table import agreement_lines
 from gesturekit.evaluation.report.headline import headline, interval_warnings
-from gesturekit.evaluation.report.metric_table import agreement_lines
 from gesturekit.evaluation.report.plots import all_plots
 from gesturekit.evaluation.report.showcase import Shown, best_and_worst
 from gesturekit.evaluation.results import Evaluation
@@ -131,11 +131,11 @@ def _warnings(evaluation: Evaluation) -> Iterable[str]:
 
 
 def _agreement_section(evaluation: Evaluation) -> str:
-    lines = agreement_lines(evaluation)
-    if not lines:
+    if evaluation.agreement is None:
         return ""
-    lead, table = "<br>".join(map(html.escape, lines[1:3])), "\n".join(lines[3:])
-    return section("Agreement with people", lead, f"<pre>{html.escape(table)}</pre>")
+    notes = "<br>".join(html.escape(f"{note}.") for note in evaluation.agreement.notes)
+    table = "\n".join(agreement_lines(evaluation)).strip()
+    return section("Agreement with people", notes, f"<pre>{html.escape(table)}</pre>")
 
 
 def _clips_section(shown: list[Shown], evaluation: Evaluation) -> str:

@@ -1,126 +1,248 @@
-"""Rank correlation of metrics with people's preferences between the same models.
+"""Rank correlation of metrics with people's scores of the same systems.
 
-People's score of a model is the share of its comparisons that it wins, a tie counting half. A
-metric's score is its value, turned so that higher is better: negative for "lower", and minus the
-distance to the recording's value for "reference". Both are correlated over models.
+People's scores are those of `scores`. A metric's score is its value, turned so that higher is
+better: negative for "lower", and minus the distance to the recording's value for "reference". Both
+are correlated over systems.
+
+The interval is over systems, raters and clips together: each bootstrap sample draws all of them
+again, the study's clips for people's scores and the takes of the evaluation for a metric that has
+one value a clip; a metric of a whole set stays as it is. Systems are compared on the same takes.
 """
 
 from __future__ import annotations
 
 import warnings
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.results import Agreement, ModelResult
-from gesturekit.evaluation.statistics.answers import Answer
-from gesturekit.wording import listed
+from gesturekit.evaluation.results import (
+    Agreement,
+    MetricAgreement,
+    ModelResult,
+    QuestionAgreement,
+)
+from gesturekit.evaluation.statistics.intervals import FEW
+from gesturekit.evaluation.statistics.ratings import Ratings
+from gesturekit.evaluation.statistics.scores import RESAMPLES, Scores, scores_of
+from gesturekit.wording import listed, printable
 
 RECORDING = "recording"
-"""Name by which a study may have the recordings themselves among its models."""
+"""Name by which a study may have the recordings themselves among its systems."""
 LEAST = 3
-"""Least number of models; two can only agree or disagree."""
-RESAMPLES = 500
+"""Least number of systems; two can only agree or disagree."""
+LEAST_FOR_INTERVAL = 6
+"""Least number of systems with an interval. Drawn from five systems, it held a tau of 0.8 in only
+89 % of 600 simulated studies; with six, in 96 %."""
 
 
-def agreement(
-    models: Sequence[ModelResult], answers: Sequence[Answer], seed: int = 0
-) -> list[Agreement]:
-    """Return the agreement of each metric with people, the closest first.
+def agreement(models: Sequence[ModelResult], ratings: Ratings, seed: int = 0) -> Agreement:
+    """Return the agreement of each metric with people, by question; the closest metric first.
 
     Args:
         models: the evaluated models; the study names them by their labels.
-        answers: the study's results. Those on other models are left out.
+        ratings: the study's ratings or votes. Those of other systems are left out.
         seed: seed of the bootstrap.
 
     Raises:
         EvaluationError: fewer than 3 of the evaluated models are in the study.
     """
-    known = shared_models([model.label for model in models], answers)
-    answers = [a for a in answers if a.left in known and a.right in known]
-    wins, users = _wins(answers, known)
-    drawn = np.random.default_rng(seed).integers(0, len(users), (RESAMPLES, len(users)))
-    people = _scores(wins.sum(axis=0))
-    resampled = [_scores(wins[at].sum(axis=0)) for at in drawn]
+    labels = [model.label for model in models]
+    known = shared_systems(labels, ratings)
+    notes = list(ratings.notes)
+    for names, where in (
+        (sorted(set(ratings.systems) - set(known)), "were in the study and not evaluated"),
+        ([label for label in labels if label not in known], "were evaluated and not in the study"),
+    ):
+        if names:
+            notes.append(
+                f"left out, as they {where}: {listed([printable(name[:40]) for name in names])}"
+            )
     found = []
-    for key in DEFINITIONS:
-        values = _metric_scores(models, key, known)
-        kept = [i for i, name in enumerate(known) if name in values]
-        metric = np.array([values[known[i]] for i in kept])
-        if len(kept) < LEAST or np.ptp(metric) == 0 or np.ptp(people[kept]) == 0:
+    among = ratings.among(known)
+    for index, question in enumerate(ratings.questions):
+        kept = among & (ratings.question == index)
+        scores = scores_of(ratings, kept, known, seed) if kept.any() else None
+        if scores is None or len(scores.systems) < LEAST:
+            notes.append(
+                f"question {printable(question)!r} left out: ratings of fewer than {LEAST} systems"
+            )
             continue
-        tau, rho = _correlations(metric, people[kept])
-        each = [_correlations(metric, scores[kept])[0] for scores in resampled]
-        low, high = np.nanquantile(each, (0.025, 0.975))
-        chosen = {known[i] for i in kept}
-        n = sum(a.left in chosen and a.right in chosen for a in answers)
-        found.append(Agreement(key, tau, rho, float(low), float(high), len(kept), len(users), n))
-    return sorted(found, key=lambda one: -one.kendall)
+        if scores.note:
+            notes.append(f"{printable(question)}: {scores.note}" if question else scores.note)
+        found.append(_of_question(question, models, scores, seed))
+    return Agreement(tuple(found), tuple(notes))
 
 
-def shared_models(labels: Sequence[str], answers: Sequence[Answer]) -> list[str]:
+def shared_systems(labels: Sequence[str], ratings: Ratings) -> list[str]:
     """Return the models, and perhaps the recordings, that evaluation and study have in common.
 
     Raises:
         EvaluationError: fewer than 3.
     """
-    named = {name for answer in answers for name in (answer.left, answer.right)}
-    known = [name for name in (*labels, RECORDING) if name in named]
+    known = [name for name in dict.fromkeys((*labels, RECORDING)) if name in ratings.systems]
     if len(known) < LEAST:
+        named = listed([printable(name[:40]) for name in sorted(ratings.systems)])
         raise EvaluationError(
-            f"the study compares {listed(sorted(named))}, and the evaluation has "
+            f"the study has {named}, and the evaluation has "
             f"{listed(list(labels))}: {len(known)} in common, and a correlation needs {LEAST}; "
             "name the folders as the study does (NAME=DIR), and compare all of them"
         )
     return known
 
 
-def _wins(answers: Sequence[Answer], models: Sequence[str]) -> tuple[np.ndarray, list[str]]:
-    """Return (users, 2, models) wins and comparisons, and the names of the users."""
-    users = sorted({answer.user for answer in answers})
-    counts = np.zeros((len(users), 2, len(models)))
-    for answer in answers:
-        row = counts[users.index(answer.user)]
-        sides = [models.index(name) for name in (answer.left, answer.right)]
-        share = 0.5 + 0.5 * float(np.sign(answer.score))
-        row[0, sides] += (share, 1.0 - share)
-        row[1, sides] += 1.0
-    return counts, users
+def _of_question(
+    question: str, models: Sequence[ModelResult], scores: Scores, seed: int
+) -> QuestionAgreement:
+    """Return the agreement of all metrics with the scores for one question."""
+    metrics = []
+    for key in DEFINITIONS:
+        values = metric_values(models, key, scores.systems, seed)
+        kept = np.array([i for i, name in enumerate(scores.systems) if name in values], int)
+        if len(kept) < LEAST or np.ptp(scores.values[kept]) == 0:
+            continue
+        metric, *drawn = np.array([values[scores.systems[i]] for i in kept]).T
+        if np.ptp(metric) > 0:
+            metrics.append(agreement_of(key, metric, np.array(drawn), scores, kept, seed))
+    return QuestionAgreement(
+        question,
+        dict(zip(scores.systems, scores.values.tolist(), strict=True)),
+        scores.raters,
+        scores.clips,
+        scores.ratings,
+        tuple(sorted(metrics, key=lambda one: -one.kendall)),
+    )
 
 
-def _scores(counts: np.ndarray) -> np.ndarray:
-    """Return the share of comparisons that each model wins; NaN without any."""
+def agreement_of(
+    key: str,
+    metric: np.ndarray,
+    drawn: np.ndarray,
+    scores: Scores,
+    kept: np.ndarray,
+    seed: int = 0,
+) -> MetricAgreement:
+    """Return the agreement of one metric with people.
+
+    Args:
+        key: key of `definitions`.
+        metric: (k,) the metric of the systems in `kept`, higher is better.
+        drawn: (B, k) the metric in each bootstrap sample of takes.
+        scores: people's scores.
+        kept: (k,) indices of systems in `scores`.
+        seed: seed of the bootstrap.
+    """
+    from scipy.stats import kendalltau, spearmanr
+
+    people, n = scores.values[kept], len(kept)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        tau, rho = (test(metric, people).statistic for test in (kendalltau, spearmanr))
+    low = high = None
+    if n >= LEAST_FOR_INTERVAL:
+        low, high = _interval(drawn, scores.resampled[:, kept], seed)
+    one, other = np.triu_indices(n, 1)
+    certain = scores.differ[np.ix_(kept, kept)][one, other]
+    one, other = one[certain], other[certain]
+    same = np.sign(metric[one] - metric[other]) * np.sign(people[one] - people[other])
+    accuracy = float((0.5 + 0.5 * same).mean()) if len(same) else None
+    return MetricAgreement(
+        key, float(tau), low, high, float(rho), accuracy, len(same), n, chance_range(n)
+    )
+
+
+def _interval(
+    metric: np.ndarray, people: np.ndarray, seed: int
+) -> tuple[float, float] | tuple[None, None]:
+    """Return the 95 % percentile interval of Kendall's tau-b; none without any order.
+
+    Args:
+        metric: (B, k) the metric of k systems in each bootstrap sample of takes.
+        people: (B, k) people's scores in each bootstrap sample of raters and clips.
+        seed: seed of the draws of systems.
+    """
+    drawn = np.random.default_rng(seed).integers(0, metric.shape[1], metric.shape)
+    found = kendall(*(np.take_along_axis(values, drawn, axis=1) for values in (metric, people)))
+    if np.isnan(found).all():
+        return None, None
+    low, high = np.nanquantile(found, (0.025, 0.975))
+    return float(low), float(high)
+
+
+def kendall(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return Kendall's tau-b (B,) of the rows of two arrays (B, k); NaN for rows without order.
+
+    The same as `scipy.stats.kendalltau`, for many rows at once. NaN is tied with anything.
+    """
+    i, j = np.triu_indices(one.shape[1], 1)
+    a, b = (np.nan_to_num(np.sign(x[:, i] - x[:, j])) for x in (one, other))
     with np.errstate(invalid="ignore"):
-        return counts[0] / counts[1]
+        return (a * b).sum(axis=1) / np.sqrt((a**2).sum(axis=1) * (b**2).sum(axis=1))
 
 
-def _metric_scores(
-    models: Sequence[ModelResult], key: str, known: Sequence[str]
-) -> Mapping[str, float]:
-    """Return {model: value of the metric, turned so that higher is better}."""
-    metrics = {m.label: m.metrics[key] for m in models if key in m.metrics and m.label in known}
-    values = {label: result.interval.value for label, result in metrics.items()}
+def chance_range(n: int) -> float:
+    """Return the least t so that |tau| > t has a probability of at most 5 % in a random order.
+
+    Args:
+        n: number of systems. With fewer than 5, t is 1: any order may be chance.
+    """
+    orders = np.ones(1)  # share of the orders of n things by their number of inversions
+    for k in range(2, n + 1):
+        orders = np.convolve(orders, np.full(k, 1.0 / k))
+    tau = np.abs(1.0 - 2.0 * np.arange(len(orders)) / (len(orders) - 1))
+    return float(min(t for t in tau if orders[tau > t + 1e-9].sum() <= 0.05))
+
+
+def metric_values(
+    models: Sequence[ModelResult], key: str, known: Sequence[str], seed: int
+) -> dict[str, np.ndarray]:
+    """Return {system: (1 + B,) values of the metric, turned so that higher is better}.
+
+    The first one is the value, the others those of bootstrap samples of takes.
+    """
+    models = [m for m in models if key in m.metrics and m.label in known]
+    metrics = {m.label: m.metrics[key] for m in models}
+    away = _away(models, key, seed)
     own = next((f.recording for f in metrics.values() if f.recording is not None), None)
+    values = {label: f.interval.value + away[label] for label, f in metrics.items()}
     better = DEFINITIONS[key].better
-    if better == "reference":  # the recordings would come first by definition
-        return {} if own is None else {label: -abs(v - own) for label, v in values.items()}
+    if own is not None and better == "reference":  # the recordings would be first by definition
+        return {label: -abs(v - (own + away[RECORDING])) for label, v in values.items()}
+    if better == "reference":
+        return {}
     if own is not None and RECORDING in known:
-        values.setdefault(RECORDING, own)
+        values.setdefault(RECORDING, own + away[RECORDING])
     sign = -1.0 if better == "lower" else 1.0
     return {label: sign * value for label, value in values.items()}
 
 
-def _correlations(metric: np.ndarray, people: np.ndarray) -> tuple[float, float]:
-    """Return Kendall's tau-b and Spearman's rho; NaN for scores that are all equal."""
-    from scipy.stats import kendalltau, spearmanr
+def _away(models: Sequence[ModelResult], key: str, seed: int) -> Mapping[str, np.ndarray]:
+    """Return {system: (1 + B,) differences of bootstrap samples of takes from all takes}.
 
-    both = np.isfinite(people)
-    if both.sum() < 2 or np.ptp(people[both]) == 0 or np.ptp(metric[both]) == 0:
-        return float("nan"), float("nan")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        tau = kendalltau(metric[both], people[both]).statistic
-        rho = spearmanr(metric[both], people[both]).statistic
-    return float(tau), float(rho)
+    The first one is 0, and all are if a model has no value for each clip, or with fewer than `FEW`
+    takes.
+    """
+    sides = {m.label: [(clip, clip.metrics) for clip in m.clips] for m in models}
+    sides.setdefault(RECORDING, [(clip, clip.recording) for m in models[:1] for clip in m.clips])
+    means: dict[str, dict[str, float]] = {}
+    for label, clips in sides.items():
+        takes: dict[str, list[float]] = {}
+        for clip, metrics in clips:
+            takes.setdefault(clip.pair.take, []).append(metrics.get(key, np.nan))
+        means[label] = {take: float(np.mean(values)) for take, values in takes.items()}
+    if np.isnan(list(means[RECORDING].values())).any():
+        del means[RECORDING]
+    common = sorted(set.intersection(*(set(found) for found in means.values())))
+    table = {label: np.array([found[take] for take in common]) for label, found in means.items()}
+    none = np.zeros(1 + RESAMPLES)
+    if len(common) < FEW or any(np.isnan(values).any() for values in table.values()):
+        return defaultdict(lambda: none)
+    n = len(common)
+    drawn = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), RESAMPLES) / n
+    drawn = np.vstack([np.full(n, 1.0 / n), drawn])
+    return defaultdict(
+        lambda: none, {label: drawn @ values - values.mean() for label, values in table.items()}
+    )

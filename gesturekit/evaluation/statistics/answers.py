@@ -14,7 +14,7 @@ from __future__ import annotations
 import csv
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -115,8 +115,8 @@ def read_answers(
     sessions: dict[tuple[str, str], set[str]] = {}
     repeated = same = unsaid = 0
     has_checks = False
-    for path in _files(paths):
-        for number, row in _rows(path):
+    for path in csv_files(paths):
+        for number, row in csv_rows(path, _columns):
             key = tuple(f"{name}={value}" for name, value in sorted(row.items()) if name)
             if seen.setdefault(key, path) != path:
                 repeated += 1
@@ -167,7 +167,12 @@ def _notes(
         )
 
 
-def _files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[Path]:
+def csv_files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[Path]:
+    """Yield each CSV file once, in folders too.
+
+    Raises:
+        EvaluationError: no path, or a folder without a CSV file.
+    """
     if not paths:
         raise EvaluationError("no answers to read: name CSV files, or a folder of them")
     done: set[str] = set()
@@ -181,8 +186,18 @@ def _files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[Path]:
                 yield file
 
 
-def _rows(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
-    """Yield (line number, {column: text}) of the lines of a file."""
+def csv_rows(
+    path: Path, columns: Callable[[Path, list[str]], Sequence[str]]
+) -> Iterator[tuple[int, dict[str, str]]]:
+    """Yield (line number, {column: text}) of the lines of a file.
+
+    Args:
+        path: the file; columns are separated by commas, semicolons or tabs.
+        columns: called with the file and its header; refuses it, or returns names for its columns.
+
+    Raises:
+        EvaluationError: no CSV file in UTF-8, too large, or a line with another number of cells.
+    """
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise EvaluationError(f"{path}: larger than 200 MB, which is not a table of answers")
@@ -193,7 +208,7 @@ def _rows(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
             separator = max(",;\t", key=first.count)
             reader = csv.reader(lines, strict=True, delimiter=separator)
             header = [name.strip() for name in next(reader, [])]
-            _check_header(path, header)
+            names = columns(path, header)
             for cells in reader:
                 if not any(cell.strip() for cell in cells):
                     continue
@@ -202,14 +217,21 @@ def _rows(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
                         f"{path}, line {reader.line_num}: {counted(len(cells), 'cell')}, but the "
                         f"header has {len(header)}"
                     )
-                yield reader.line_num, {n: c.strip() for n, c in zip(header, cells, strict=True)}
+                yield reader.line_num, {n: c.strip() for n, c in zip(names, cells, strict=True)}
     except FileNotFoundError:
         raise EvaluationError(f"{path}: no such file") from None
+    except OSError as error:
+        raise EvaluationError(f"{path}: cannot be read ({error.strerror})") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise EvaluationError(f"{path}: not a CSV file in UTF-8 ({error})") from None
 
 
-def _check_header(path: Path, header: list[str]) -> None:
+def _columns(path: Path, header: list[str]) -> list[str]:
+    """Return the header.
+
+    Raises:
+        EvaluationError: it is not that of answers.
+    """
     missing = [name for name in _REQUIRED if name not in header]
     if missing:
         others = [name for name in header if name not in _REQUIRED]
@@ -219,6 +241,7 @@ def _check_header(path: Path, header: list[str]) -> None:
             f"{path}: no column {', '.join(missing)}{near}. A CSV of answers has the columns "
             f"{', '.join(_REQUIRED)}; this one has {has}"
         )
+    return header
 
 
 def _answer(row: dict[str, str], where: str) -> Answer:
