@@ -70,6 +70,9 @@ class _BaselineItem:
 
     id: str
     load_motion: Callable[[], Motion]
+    take: str = ""
+    speaker: str | None = None
+    style: str | None = None
     audio: Path | None = None
     motion: Path | None = None
     split: str = ""

@@ -27,7 +27,7 @@ from gesturekit.evaluation.measuring.content import (
     metric_version,
 )
 from gesturekit.evaluation.measuring.floors import floors
-from gesturekit.evaluation.measuring.pooled import PooledMetrics, TrainingMotion
+from gesturekit.evaluation.measuring.pooled import PooledMetrics, Window
 from gesturekit.evaluation.measuring.set_metrics import (
     SetMetrics,
     pooled,
@@ -35,6 +35,7 @@ from gesturekit.evaluation.measuring.set_metrics import (
     thinned,
     wrists_of,
 )
+from gesturekit.evaluation.measuring.speakers import TrainingMotion
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.pairs import ItemInterval, Items, Pair
 from gesturekit.evaluation.results import Interval, MetricResult
@@ -48,9 +49,6 @@ MISMATCHED = 3
 """Number of other recordings that a clip is also compared with, for the mismatched level."""
 PARTS = ("frechet", "pooled")
 """Halves of the metrics of a set, which are computed independently."""
-
-Window = tuple[str, int | None]
-"""A recording and the index of its 10 s window; None for the whole recording."""
 
 
 @dataclass(frozen=True)
@@ -429,8 +427,12 @@ def _failed(measurer: Measurer, portion: Portion, reason: str) -> list[Any]:
     return [(label, i, {"reason": reason}) for label, at in portion.clips.items() for i in at]
 
 
-def _nesting(pairs: Sequence[Pair]) -> list[tuple[int, int]]:
-    """Return the numbers of each clip's take and speaker, in order of appearance."""
+def _nesting(pairs: Sequence[Pair]) -> list[tuple[int, ...]]:
+    """Return the numbers of each clip's take, speaker and style, in order of appearance."""
+    styles = list(dict.fromkeys(pair.style for pair in pairs))
     takes = list(dict.fromkeys((pair.speaker, pair.take) for pair in pairs))
     speakers = list(dict.fromkeys(pair.speaker for pair in pairs))
-    return [(takes.index((p.speaker, p.take)), speakers.index(p.speaker)) for p in pairs]
+    return [
+        (takes.index((p.speaker, p.take)), speakers.index(p.speaker), styles.index(p.style))
+        for p in pairs
+    ]

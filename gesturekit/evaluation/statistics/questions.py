@@ -13,6 +13,7 @@ import numpy as np
 from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.evaluation.results import ClipResult, Finding, MetricResult
 from gesturekit.evaluation.statistics import thresholds
+from gesturekit.evaluation.statistics.groups import by_group
 from gesturekit.evaluation.statistics.intervals import (
     FEW,
     Takes,
@@ -77,29 +78,56 @@ def own_one_nn(metrics: Results) -> float:
 def likeness_of(
     clips: Sequence[ClipResult], own_one_nn: float
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function of weights (B, R) of takes (see `Takes.of`) to likenesses (B,)."""
-    ours, own = _measures(clips)
+    """Return a function of weights (B, R) of takes (see `Takes.of`) to likenesses (B,).
+
+    Each group of clips (`groups_of`) is compared with its own recordings; groups are averaged with
+    the weights of their takes.
+    """
+    groups = by_group([clip.pair for clip in clips]).values()
 
     def measured(weights: np.ndarray) -> np.ndarray:
-        sides = ({key: weights @ v for key, v in side.items()} for side in (ours, own))
-        found = likeness(*sides, own_one_nn)
-        return np.full(len(weights), np.nan) if found is None else found
+        total, shares = np.zeros(len(weights)), np.zeros(len(weights))
+        for group in groups:
+            share = weights @ group.sum(axis=1)
+            found = likeness(*_means(clips, weights @ group), own_one_nn)
+            if found is not None:
+                total += np.where(share > 0.0, share * np.nan_to_num(found), 0.0)
+                shares += share
+        return np.divide(total, shares, out=np.full(len(weights), np.nan), where=shares > 0.0)
 
     return measured
 
 
-def _measures(
-    clips: Sequence[ClipResult],
+def likeness_by_group(clips: Sequence[ClipResult], own_one_nn: float) -> dict[str, float]:
+    """Return {group of `groups_of`: likeness} of the groups that can be compared."""
+    found = {}
+    for name, group in by_group([clip.pair for clip in clips]).items():
+        value = likeness(*_means(clips, group.sum(axis=0)[None]), own_one_nn)
+        if value is not None:
+            found[name] = float(value[0])
+    return found
+
+
+def _means(
+    clips: Sequence[ClipResult], weights: np.ndarray
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return {measure: (R,) means by take} of the model and of the recordings."""
-    takes = Takes.of([clip.pair for clip in clips])
-    ours, own = {}, {}
-    for key in MEASURES:
-        if all(key in clip.metrics for clip in clips):
-            ours[key] = takes.means([clip.metrics[key] for clip in clips])
-        if all(key in clip.recording for clip in clips):
-            own[key] = takes.means([clip.recording[key] for clip in clips])
-    return ours, own
+    """Return {measure: (B,) means over clips} of the model and of the recordings.
+
+    Args:
+        clips: n clips.
+        weights: (B, n) their weights. A measure that a clip with a weight lacks is left out.
+    """
+    counts = weights.any(axis=0)
+    total = np.maximum(weights.sum(axis=1), 1e-12)
+
+    def means(sides: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
+        return {
+            key: weights @ np.array([side.get(key, 0.0) for side in sides]) / total
+            for key in MEASURES
+            if all(key in side for side, known in zip(sides, counts) if known)
+        }
+
+    return means([clip.metrics for clip in clips]), means([clip.recording for clip in clips])
 
 
 def _timing(metrics: Results) -> Finding:
@@ -131,19 +159,42 @@ def _likeness(clips: Sequence[ClipResult], metrics: Results) -> Finding:
     result = metrics.get("likeness")
     if result is None:
         return Finding(LIKE, "likeness", "not measured", "Not measured: no body parts to compare.")
-    means = ({k: v.mean() for k, v in side.items()} for side in _measures(clips))
-    found = credits(*means, own_one_nn(metrics))
+    found = _aspects(clips, own_one_nn(metrics))
     missed = [a for a in ASPECTS if a in found and found[a] < thresholds.NAMED_ASPECT]
     missed.sort(key=found.get)
     differs = f"; what differs: {listed(missed, 4)}" if missed else ""
+    differs += _speakers(clips, own_one_nn(metrics))
     value = result.interval.value
     top = 1.0 if result.recording is None else min(1.0, result.recording)
     if value >= min(thresholds.LIKE, top) and not missed:
-        return Finding(LIKE, "likeness", "yes", "Moves like this speaker.")
+        return Finding(LIKE, "likeness", "yes", f"Moves like this speaker{differs}.")
     if value >= thresholds.PARTLY_LIKE * top:
         much = "mostly" if value >= min(thresholds.LIKE, top) else "somewhat"
         return Finding(LIKE, "likeness", "partly", f"Moves {much} like this speaker{differs}.")
     return Finding(LIKE, "likeness", "no", f"Does not move like this speaker{differs}.")
+
+
+def _aspects(clips: Sequence[ClipResult], own_one_nn: float) -> dict[str, float]:
+    """Return the credit of each aspect, averaged over groups as `likeness_of` does."""
+    takes = Takes.of([clip.pair for clip in clips]).count
+    found: dict[str, list[tuple[float, float]]] = {}
+    for group in by_group([clip.pair for clip in clips]).values():
+        weights = group.sum(axis=0)[None] / takes
+        for aspect, credit in credits(*_means(clips, weights), own_one_nn).items():
+            found.setdefault(aspect, []).append((weights.sum(), float(credit[0])))
+    return {
+        aspect: sum(share * credit for share, credit in known) / sum(share for share, _ in known)
+        for aspect, known in found.items()
+    }
+
+
+def _speakers(clips: Sequence[ClipResult], own_one_nn: float) -> str:
+    """Return the likeness of each speaker in words, if they differ; else ""."""
+    found = likeness_by_group(clips, own_one_nn)
+    if max(found.values()) - min(found.values()) < thresholds.SPEAKERS_DIFFER:
+        return ""
+    each = [f"{name or 'unnamed'} {value:.2f}" for name, value in found.items()]
+    return f"; it differs between speakers: {listed(each, 6)}"
 
 
 def _novelty(metrics: Results) -> Finding:
