@@ -58,8 +58,8 @@ def test_a_model_at_chance_is_not_in_time_and_an_uninformative_recording_says_no
         found = states(clips(), in_time=result("in_time", value, 0.4))
         assert found["in_time"][0] == state, value
     found = states(clips(), in_time=result("in_time", 0.9, 0.4, informative=False))
-    assert found["in_time"][0] == "not informative here"
-    assert "Not informative here" in found["in_time"][1]
+    assert found["in_time"][0] == "cannot be answered"
+    assert "Cannot be answered on this corpus" in found["in_time"][1]
     assert states(clips())["in_time"][0] == "not measured"
     state, words = states(clips())["novelty"]
     assert state == "not measured" and "too short, or the rig's arms and legs" in words
@@ -85,7 +85,7 @@ def test_copies_are_named():
     low = result("copying_low", 0.1, 0.3)
     copied = result("novelty", 442.0, 1.0, informative=False)
     state, words = states(clips(), novelty=copied)["novelty"]
-    assert state == "not informative here" and "the same as the recordings" in words
+    assert state == "cannot be answered" and "the same as the recordings" in words
     found = states(clips(), novelty=result("novelty", 1.0, 1.0), copying_low=low)
     assert found["novelty"][0] == "partly" and "occasionally" in found["novelty"][1]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -37,9 +38,10 @@ from gesturekit.evaluation.metrics.two_sample import (
     within_reach,
 )
 from gesturekit.evaluation.pairs import Pair
-from gesturekit.evaluation.results import MetricResult
+from gesturekit.evaluation.results import Level, MetricResult
 from gesturekit.evaluation.statistics.groups import groups_of
 from gesturekit.evaluation.statistics.intervals import whole_set
+from gesturekit.evaluation.statistics.levels import CEILING, level_of
 from gesturekit.motion import Motion
 
 ENOUGH_CALM = 16
@@ -239,7 +241,7 @@ class PooledMetrics:
             every.append(nearest_training(ours, among, group.joints))
             self._keep("copying", group, _clip_means(ours, every[-1], np.median))
         distances = np.concatenate(every)
-        median, low = self._once("copying", self._own_copying)
+        median, low, ceiling = self._once("copying", self._own_copying)
         if median > 0.0:
             self._by_clip["novelty"] = {
                 clip: value / median for clip, value in self._by_clip["copying"].items()
@@ -249,25 +251,36 @@ class PooledMetrics:
             "copying": (float(np.median(distances)), median),
             "copying_low": (float(np.quantile(distances, LOW_QUANTILE)), low),
         }
-        return {key: self._result(key, value, own, note) for key, (value, own) in values.items()}
+        found = {key: self._result(key, value, own, note) for key, (value, own) in values.items()}
+        return {**found, "copying": replace(found["copying"], ceiling=ceiling)}
 
     def _among(self, joints: Sequence[str]) -> list[Motion]:
         """Return the training motion of all speakers that has these joints."""
         motions = self.training.motions
         return [motion for motion in motions if set(joints) <= set(motion.skeleton.names)]
 
-    def _own_copying(self) -> tuple[float, float]:
-        """Return median and 5 % quantile of the distances of held-out recordings to others."""
+    def _own_copying(self) -> tuple[float, float, Level]:
+        """Return median and 5 % quantile of the distances of held-out recordings to others.
+
+        Returns:
+            both, and the ceiling of novelty: the medians of takes relative to all.
+        """
         rng = np.random.default_rng(self.seed)
-        quantiles = []
+        quantiles, medians = [], []
+        single = not any(group.has_others for group in self._groups)
         for group in self._groups:
             for mine, others in group.splits():
                 windows = subsample(motion_windows(mine, group.joints), rng)
                 among = self._among(group.joints) or _at_most(others)
                 distances = nearest_training(windows, among, group.joints)
                 quantiles.append(np.quantile(distances, (0.5, LOW_QUANTILE)))
+                takes = group.takes if group.training else [""] * len(mine)
+                take = np.array(takes)[windows.clips]
+                if single or group.has_others:
+                    medians += [np.median(distances[take == name]) for name in set(take.tolist())]
         median, low = np.mean(quantiles, axis=0)
-        return float(median), float(low)
+        ceiling = level_of(CEILING, np.array(medians) / (median or 1.0), flattered=single)
+        return float(median), float(low), replace(ceiling, value=1.0)
 
     def _once(self, name: str, compute: Callable[[], Any]) -> Any:
         """Return a value of the recordings, computed once for all models that share them."""
@@ -289,8 +302,9 @@ class PooledMetrics:
         if self.training.motions:
             note = f" ({self.training.note})" if self.training.note else ""
             return f"against the training split{note}"
-        single = any(len(set(group.takes)) < 2 for group in self._groups)
-        return "one half against the other" if single else "each take against the speaker's others"
+        if all(group.has_others for group in self._groups):
+            return "each take against the speaker's others"
+        return "one half against the other"
 
     def _all_recorded(self) -> list[Motion]:
         return list(self._recorded.values())
