@@ -65,14 +65,14 @@ class Level:
         value: mean over takes.
         spread: standard deviation over takes; None with a single one.
         n: number of takes; 0 for a value by definition.
-        flattered: True where pieces of one take were compared with each other.
+        pieces: True where pieces of one take stand for takes, which flatters a ceiling.
     """
 
     name: str
     value: float
     spread: float | None = None
     n: int = 1
-    flattered: bool = False
+    pieces: bool = False
 
 
 @dataclass

@@ -94,7 +94,7 @@ def test_another_speaker_stands_at_the_floor_and_other_takes_at_the_ceiling(two_
     floors = {level.name: level for level in another.floors}
     assert set(floors) == {OTHER_SPEAKER, MEAN_POSE}
     floor, ceiling = floors[OTHER_SPEAKER], another.ceiling
-    assert (floor.n, ceiling.n, ceiling.flattered) == (7, 7, False)
+    assert (floor.n, ceiling.n, ceiling.pieces) == (7, 7, False)
     assert ceiling.value - ceiling.spread > floor.value + floor.spread
     assert floors[MEAN_POSE].value < floor.value
     assert another.interval.value == pytest.approx(floor.value, abs=0.1)
@@ -119,9 +119,10 @@ def test_a_single_take_in_pieces_has_a_flattered_ceiling(shared_data, tmp_path):
     pieces = zeroeggs(shared_data, [(10.0 + 12 * n, 12.0) for n in range(4)])[-4:]
     done = judged(pieces, lambda item: item, tmp_path, protocol="")
     likeness = done.models[0].metrics["likeness"]
-    assert likeness.ceiling.flattered and likeness.ceiling.n == 4
+    assert likeness.ceiling.pieces and likeness.ceiling.n == 4
     assert [level.name for level in likeness.floors] == [MEAN_POSE]
-    assert "pieces of one take, which flatter" in " ".join(headline_lines(done))
+    (said,) = (line for line in headline_lines(done) if "like this speaker" in line)
+    assert "ceiling: pieces of one take, which flatter" in said and said.count("(4 pieces)") == 2
 
 
 def result(value: float, ceiling: Level | None, *floors: Level) -> MetricResult:

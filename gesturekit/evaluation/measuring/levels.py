@@ -85,7 +85,7 @@ def likeness_levels(
             scores = (judge.score(ours, theirs, usual) for ours, theirs in sides)
             found[level] += [score for score in scores if score is not None]
     return {
-        name: level_of(name, values, flattered=name == CEILING and not several)
+        name: level_of(name, values, pieces=name != OTHER_SPEAKER and not several)
         for name, values in found.items()
         if values
     }

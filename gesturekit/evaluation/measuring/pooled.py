@@ -279,7 +279,7 @@ class PooledMetrics:
                 if single or group.has_others:
                     medians += [np.median(distances[take == name]) for name in set(take.tolist())]
         median, low = np.mean(quantiles, axis=0)
-        ceiling = level_of(CEILING, np.array(medians) / (median or 1.0), flattered=single)
+        ceiling = level_of(CEILING, np.array(medians) / (median or 1.0), pieces=single)
         return float(median), float(low), replace(ceiling, value=1.0)
 
     def _once(self, name: str, compute: Callable[[], Any]) -> Any:

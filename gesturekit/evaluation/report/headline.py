@@ -156,7 +156,7 @@ def _scale(result: MetricResult, column: Sequence[MetricResult]) -> str:
 def _level_line(level: Level) -> str:
     """Return a level in words, such as "another speaker 0.41 ± 0.06 (4 takes)"."""
     spread = "" if level.spread is None else f" ± {number(level.spread)}"
-    unit = "piece" if level.flattered else "take"
+    unit = "piece" if level.pieces else "take"
     count = f" ({level.n} {unit}{'s' if level.n > 1 else ''})" if level.n else ""
     return f"{level_name(level)} {number(level.value)}{spread}{count}"
 

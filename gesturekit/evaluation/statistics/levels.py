@@ -34,15 +34,15 @@ _BLIND = {"in_time": ("speech_blind", "other_utterance"), "likeness": ("speech_b
 ByTake = Callable[[ModelResult], Sequence[float]]
 
 
-def level_of(name: str, values: Sequence[float], *, flattered: bool = False) -> Level:
+def level_of(name: str, values: Sequence[float], *, pieces: bool = False) -> Level:
     """Return the mean and the spread of one value a take."""
     spread = float(np.std(values, ddof=1)) if len(values) > 1 else None
-    return Level(name, float(np.mean(values)), spread, len(values), flattered)
+    return Level(name, float(np.mean(values)), spread, len(values), pieces)
 
 
 def level_name(level: Level) -> str:
     """Return the name of a level; that of a flattered ceiling says so."""
-    return FLATTERED if level.flattered else level.name
+    return FLATTERED if level.pieces and level.name == CEILING else level.name
 
 
 def level_text(level: Level) -> str:

@@ -124,7 +124,7 @@ def likeness_result(
     floors = tuple(level for name, level in levels.items() if name != CEILING)
     if ceiling is None:
         return MetricResult("likeness", interval, floors=floors)
-    compared = "piece of one take against the others" if ceiling.flattered else OTHER_TAKES
+    compared = "piece of one take against the others" if ceiling.pieces else OTHER_TAKES
     note = f"recording: each {compared}"
     return MetricResult(
         "likeness", interval, ceiling.value, note=note, ceiling=ceiling, floors=floors
