@@ -31,13 +31,8 @@ from gesturekit.evaluation.measuring.baselines import baseline_pairs
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import LENGTH_TOLERANCE, forget_files
 from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
-from gesturekit.evaluation.measuring.measurer import (
-    MISMATCHED,
-    Measured,
-    Measurer,
-    Progress,
-    measure_all,
-)
+from gesturekit.evaluation.measuring.measurer import MISMATCHED, Measurer
+from gesturekit.evaluation.measuring.work import Measured, Progress, measure_all
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.metrics.frame_rate import RULE
 from gesturekit.evaluation.pairs import (
@@ -49,10 +44,16 @@ from gesturekit.evaluation.pairs import (
     find_pairs,
     recordings,
 )
-from gesturekit.evaluation.results import ClipResult, Evaluation, Interval, ModelResult
+from gesturekit.evaluation.results import (
+    ClipResult,
+    Evaluation,
+    Interval,
+    Level,
+    ModelResult,
+)
 from gesturekit.evaluation.statistics.intervals import interval_over_samples
 from gesturekit.evaluation.statistics.model_metrics import metric_results
-from gesturekit.evaluation.statistics.questions import answers, verdict
+from gesturekit.evaluation.statistics.questions import answer, verdict
 from gesturekit.field_docs import build_options
 from gesturekit.motion import Motion
 from gesturekit.wording import listed
@@ -73,6 +74,8 @@ MULTIRES_LENGTH = 2.0
 """Samples of each training sequence, and their length relative to the sequence."""
 LDA_SAMPLES = 3
 """Samples of each 10 s window."""
+OfRecordings = tuple[Mapping[str, tuple[Interval, str]], Mapping[str, Level]]
+"""Ceilings of metrics, and the levels of likeness: see `Measurer`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,12 +177,11 @@ def evaluate(
     statistics = ReferenceStatistics.of(compared, fps)
     measurer = _measurer(found, statistics, compared, reference, fps, chosen)
     measured = measure_all(measurer, chosen.workers, chosen.progress)
-    places, floors = {label: folders.get(label, Path(label)) for label in found}, measurer.floors()
-    models = [_model(k, places[k], pairs, measured, floors, chosen) for k, pairs in found.items()]
+    places = {label: folders.get(label, Path(label)) for label in found}
+    known = measurer.ceilings(), measurer.likeness_levels()
+    models = [_model(k, places[k], pairs, measured, known, chosen) for k, pairs in found.items()]
+    _judge(models, reference, chosen.protocol)
     first = measured.sets[models[0].label]["pooled"]
-    mark_unlike(models)
-    if split and (beside := neighbours((*reference.items, *reference.others), split)):
-        models[0].notes.append(beside)
     unread = [Excluded(**item) for item in first.get("training_excluded", ())]
     models[0].excluded += [*statistics.excluded, *unread]
     return Evaluation(
@@ -191,6 +193,16 @@ def evaluate(
         recorded_speeds=SpeedHistogram.from_json(first.get("recorded_speeds")),
         recorded_wrists=np.array(first.get("recorded_wrists", ())),
     )
+
+
+def _judge(models: Sequence[ModelResult], reference: Path | Items, protocol: str) -> None:
+    """Answer the three questions, and add notes on models and recordings that flatter them."""
+    if POOLED in PROTOCOLS[protocol]:
+        answer(models)
+    mark_unlike(models)
+    if isinstance(reference, Items) and reference.split:
+        beside = neighbours((*reference.items, *reference.others), reference.split)
+        models[0].notes += [beside] if beside else []
 
 
 def _pairs(
@@ -250,6 +262,7 @@ def _measurer(
         seed=options.seed,
         without=joints_to_leave_out(found, fps),
         local=frozenset(options.baselines),
+        take_pattern=options.take_pattern,
     )
 
 
@@ -296,7 +309,7 @@ def _model(
     path: Path,
     found: Pairs,
     measured: Measured,
-    floors: Mapping[str, tuple[Interval, str]],
+    known: OfRecordings,
     options: EvaluationOptions,
 ) -> ModelResult:
     """Return the results of a model, from the measurements of its clips and of their set.
@@ -318,7 +331,7 @@ def _model(
     if not result.clips:
         reasons = "; ".join(item.reason for item in result.excluded[:3])
         raise EvaluationError(f"{path}: no clip could be measured: {reasons}")
-    _summarise(result, sets, floors, options)
+    _summarise(result, sets, known, options)
     for part in sets.values():
         for key, reason in part["problems"]:
             problems.setdefault((key, reason), []).append("the whole set")
@@ -331,14 +344,13 @@ def _model(
 def _summarise(
     result: ModelResult,
     sets: Mapping[str, Mapping[str, Any]],
-    floors: Mapping[str, tuple[Interval, str]],
+    known: OfRecordings,
     options: EvaluationOptions,
 ) -> None:
     groups = _groups(options)
-    result.metrics = metric_results(result.clips, sets, floors)
+    result.metrics = metric_results(result.clips, sets, *known)
     if POOLED in groups:
         result.verdict = verdict(result.metrics)
-        result.answers = answers(result.clips, result.metrics)
     if PATCHES in groups:
         result.by_recording = _by_recording(result.clips)
     result.speeds = SpeedHistogram.from_json(sets["pooled"].get("speeds"))

@@ -42,6 +42,8 @@ class ManifestItem(Protocol):
 
     id: str
     take: str
+    speaker: str | None
+    style: str | None
     audio: Path | None
     motion: Path | None
     split: str
@@ -147,6 +149,7 @@ class _File:
     reading: Mapping[str, Any]
     audio: Path | None = None
     speaker: str | None = None
+    style: str | None = None
     take: str = ""
     split: str = ""
     motion_start: float = 0.0
@@ -194,6 +197,11 @@ class Pair:
     def speaker(self) -> str | None:
         """The speaker of the recording, if known."""
         return self.reference.item.speaker if isinstance(self.reference, ItemInterval) else None
+
+    @property
+    def style(self) -> str | None:
+        """The style of the recording, if known."""
+        return self.reference.item.style if isinstance(self.reference, ItemInterval) else None
 
 
 @dataclass(frozen=True)

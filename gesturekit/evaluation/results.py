@@ -65,6 +65,25 @@ def takes_of_speakers(takes: int, speakers: int) -> str:
     return counted(takes, "take") + (f" of {counted(speakers, 'speaker')}" if speakers > 1 else "")
 
 
+@dataclass(frozen=True)
+class Level:
+    """A floor or the ceiling of a score: the same score of other motion.
+
+    Attributes:
+        name: the motion, such as "another speaker".
+        value: mean over takes.
+        spread: standard deviation over takes; None with a single one.
+        n: number of takes; 0 for a value by definition.
+        pieces: True where pieces of one take stand for takes, which flatters a ceiling.
+    """
+
+    name: str
+    value: float
+    spread: float | None = None
+    n: int = 1
+    pieces: bool = False
+
+
 @dataclass
 class ClipResult:
     """Metrics of one clip and of its recording.
@@ -99,7 +118,10 @@ class MetricResult:
         mismatched: mean over other recordings' sounds or motion, or None.
         note: "" or a remark on how to read the value.
         informative: False where the recordings' own value is at its chance level, or they are too
-            short, so that the metric is not informative for these recordings.
+            short, or no higher than a floor, so that the metric is not informative for these
+            recordings.
+        ceiling: value of the speaker's other takes; of the three questions only.
+        floors: values of motion that should not have the score; of the three questions only.
     """
 
     key: str
@@ -110,11 +132,15 @@ class MetricResult:
     note: str = ""
     recording_interval: Interval | None = None
     informative: bool = True
+    ceiling: Level | None = None
+    floors: tuple[Level, ...] = ()
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> MetricResult:
         """Return the result that `dataclasses.asdict` described."""
-        return cls(**{k: Interval(**v) if isinstance(v, dict) else v for k, v in values.items()})
+        kinds = {"interval": Interval, "recording_interval": Interval, "ceiling": Level}
+        found = {k: kinds[k](**v) if k in kinds and v else v for k, v in values.items()}
+        return cls(**{**found, "floors": tuple(Level(**v) for v in values.get("floors", ()))})
 
 
 @dataclass(frozen=True)
@@ -180,7 +206,7 @@ class Finding:
     Attributes:
         question: such as "In time with the speech?".
         key: key of `definitions` of its metric.
-        state: "yes", "partly", "no", "not informative here" or "not measured".
+        state: "yes", "partly", "no", "cannot be answered" or "not measured".
         sentence: the answer in words.
     """
 
@@ -343,6 +369,8 @@ def _model(model: ModelResult) -> dict[str, Any]:
                 "informative": result.informative,
                 "mismatched": result.mismatched,
                 "note": result.note,
+                "ceiling": result.ceiling and asdict(result.ceiling),
+                "floors": [asdict(level) for level in result.floors],
             }
             for key, result in model.metrics.items()
         },

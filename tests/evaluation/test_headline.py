@@ -7,10 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gesturekit.evaluation.pairs import Pair
+from gesturekit.evaluation.pairs import ItemInterval, Pair
 from gesturekit.evaluation.results import ClipResult, Interval, MetricResult
+from gesturekit.evaluation.statistics.groups import groups_of
 from gesturekit.evaluation.statistics.likeness import credits, likeness
-from gesturekit.evaluation.statistics.questions import answers
+from gesturekit.evaluation.statistics.questions import (
+    answers,
+    likeness_by_group,
+    likeness_of,
+)
 
 OWN = {"hand_q50": 0.2, "reach": 0.3, "rest": 20.0, "jerk": 10.0, "foot_skate": 0.02}
 
@@ -53,8 +58,8 @@ def test_a_model_at_chance_is_not_in_time_and_an_uninformative_recording_says_no
         found = states(clips(), in_time=result("in_time", value, 0.4))
         assert found["in_time"][0] == state, value
     found = states(clips(), in_time=result("in_time", 0.9, 0.4, informative=False))
-    assert found["in_time"][0] == "not informative here"
-    assert "Not informative here" in found["in_time"][1]
+    assert found["in_time"][0] == "cannot be answered"
+    assert "Cannot be answered on this corpus" in found["in_time"][1]
     assert states(clips())["in_time"][0] == "not measured"
     state, words = states(clips())["novelty"]
     assert state == "not measured" and "too short, or the rig's arms and legs" in words
@@ -80,6 +85,45 @@ def test_copies_are_named():
     low = result("copying_low", 0.1, 0.3)
     copied = result("novelty", 442.0, 1.0, informative=False)
     state, words = states(clips(), novelty=copied)["novelty"]
-    assert state == "not informative here" and "the same as the recordings" in words
+    assert state == "cannot be answered" and "the same as the recordings" in words
     found = states(clips(), novelty=result("novelty", 1.0, 1.0), copying_low=low)
     assert found["novelty"][0] == "partly" and "occasionally" in found["novelty"][1]
+
+
+class Said:
+    """An item that names a speaker and a style."""
+
+    def __init__(self, speaker: str, style: str | None = None) -> None:
+        self.speaker, self.style, self.take = speaker, style, ""
+
+
+def spoken_by(speaker: str, stem: str, style: str | None = None) -> Pair:
+    return Pair(stem, stem, None, Path("a"), ItemInterval(Said(speaker, style)))
+
+
+def test_each_speaker_is_compared_with_own_recordings_and_speakers_are_averaged_by_takes():
+    """Reach .1 and .4 m with that of the other speaker: pooled .25 and .25, the credit 1."""
+    reach = {"a": 0.1, "b": 0.4}
+    made = [
+        ClipResult(spoken_by(who, stem), 9.0, {"reach": ours}, {"reach": reach[who]}, {})
+        for who, stem, ours in (("a", "1", 0.4), ("a", "2", 0.4), ("b", "3", 0.4), ("b", "4", 0.4))
+    ]
+    measure = likeness_of(made, 0.6)
+    assert likeness_by_group(made, 0.6) == {"a": 0.0, "b": 1.0}
+    assert measure(np.full((1, 4), 0.25)) == pytest.approx(0.5)
+    # Three quarters of the weight on the takes of b; none on those of a.
+    assert measure(np.array([[0.25, 0.0, 0.5, 0.25], [0.0, 0.0, 0.5, 0.5]])) == pytest.approx(
+        [0.75, 1.0]
+    )
+    like = result("likeness", 0.5, 0.9)
+    state, sentence = states(made, likeness=like)["likeness"]
+    assert state == "no" and "it differs between speakers: a 0.00, b 1.00" in sentence
+
+
+def test_styles_are_groups_where_each_has_three_recordings():
+    angry = [spoken_by("a", f"angry{i}", "angry") for i in range(3)]
+    calm = [spoken_by("a", f"calm{i}", "calm") for i in range(3)]
+    other = [spoken_by("b", "sad", "sad")]
+    assert groups_of([*angry, *calm, *other]) == ["a, angry"] * 3 + ["a, calm"] * 3 + ["b"]
+    assert groups_of([*angry, *calm[:2]]) == ["a"] * 5
+    assert groups_of([Pair("x", "x", None, Path("a"), Path("b"))]) == [""]

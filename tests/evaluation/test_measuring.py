@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gesturekit.evaluation import evaluate
-from gesturekit.evaluation.measuring import measurer
+from gesturekit.evaluation.measuring import work
 from gesturekit.evaluation.measuring.measurer import Measurer
 from gesturekit.motion import Motion
 
@@ -84,7 +84,7 @@ def test_content_counts_and_names_do_not(folders, measured):
 def test_a_damaged_entry_is_measured_again(folders, measured, caplog):
     first = evaluate(folders / "ours", folders / "recordings").to_json()
     entries = sorted((folders / "cache" / "measurements-1").rglob("*.json"))
-    assert len(entries) == 3 + 2 + 1  # and the recordings' own values
+    assert len(entries) == 3 + 2 + 2  # and the recordings' own values and levels
     for entry in entries:
         entry.write_text(entry.read_text()[:-20])
     measured.clear()
@@ -97,7 +97,7 @@ def test_worker_processes_give_the_same_figures(folders, tmp_path, monkeypatch):
     options = {"audio": folders / "recordings", "baselines": ("mean_pose",)}
     one = evaluate(models, folders / "recordings", **options).to_json()
     monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "another"))
-    monkeypatch.setattr(measurer, "IN_PROCESS_SECONDS", 0.0)
+    monkeypatch.setattr(work, "IN_PROCESS_SECONDS", 0.0)
     seen = []
 
     def progress(tasks, total, label):

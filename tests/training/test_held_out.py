@@ -103,11 +103,9 @@ def train(gesturekit, tmp_path) -> Callable[..., tuple[Path, str]]:
 
     def run(system: str, corpus: Path, **changes: Any) -> tuple[Path, str]:
         folder = tmp_path / f"run of {system}"
-        settings = {"system": system, "corpus": str(corpus), "out": str(folder)}
         changes |= {"unpaired": None} if system == "diffusion" else {}
-        (tmp_path / "config.yaml").write_text(
-            json.dumps(settings | COMMON | SETTINGS[system] | changes)
-        )
+        settings = small_values(system, corpus, folder, HEARD, SETTINGS[system], changes)
+        (tmp_path / "config.yaml").write_text(json.dumps(settings))
         done = gesturekit("train", tmp_path / "config.yaml")
         assert done.status == 0, done.err
         return folder, done.out.splitlines()[-1]

@@ -70,6 +70,9 @@ class _BaselineItem:
 
     id: str
     load_motion: Callable[[], Motion]
+    take: str = ""
+    speaker: str | None = None
+    style: str | None = None
     audio: Path | None = None
     motion: Path | None = None
     split: str = ""
@@ -91,28 +94,45 @@ def _mean_pose(every: _Recordings, source: _Recordings, fps: float) -> Loader:
     rig = motions[0].skeleton.names
     if any(motion.skeleton.names != rig for motion in motions):
         raise EvaluationError("baseline mean_pose needs recordings of one rig")
-    thinned = [slice(None, None, max(1, m.n_frames // _FRAMES)) for m in motions]
-    rotations = np.concatenate([m.rotations[kept] for m, kept in zip(motions, thinned)])
-    pose = np.stack([mean_quaternion(rotations[:, j]) for j in range(len(rig))])
-    place = np.concatenate([m.translation[kept] for m, kept in zip(motions, thinned)]).mean(axis=0)
-    moving = {
-        name: np.concatenate([m.joint_translations[name] for m in motions]).mean(axis=0)
-        for name in motions[0].joint_translations
-    }
+    pose = mean_pose(motions)
 
     def load(pair: Pair, n_frames: int) -> Motion:
         recording = load_recording(pair.reference, fps)
         if recording.skeleton.names != rig:
             raise MotionError(f"{pair.stem}: its rig differs from that of the mean pose")
-        return Motion(
-            recording.skeleton,
-            np.tile(pose, (n_frames, 1, 1)),
-            np.tile(place, (n_frames, 1)),
-            fps,
-            joint_translations={name: np.tile(p, (n_frames, 1)) for name, p in moving.items()},
-        )
+        return replace(held(pose, n_frames), skeleton=recording.skeleton)
 
     return load
+
+
+def mean_pose(motions: Sequence[Motion]) -> Motion:
+    """Return the mean pose of motions of one rig and frame rate, as one frame."""
+    thinned = [slice(None, None, max(1, m.n_frames // _FRAMES)) for m in motions]
+    rotations = np.concatenate([m.rotations[kept] for m, kept in zip(motions, thinned)])
+    place = np.concatenate([m.translation[kept] for m, kept in zip(motions, thinned)])
+    return Motion(
+        motions[0].skeleton,
+        np.stack([mean_quaternion(joint) for joint in rotations.swapaxes(0, 1)])[None],
+        place.mean(axis=0)[None],
+        motions[0].fps,
+        joint_translations={
+            name: np.concatenate([m.joint_translations[name] for m in motions]).mean(axis=0)[None]
+            for name in motions[0].joint_translations
+        },
+    )
+
+
+def held(pose: Motion, n_frames: int) -> Motion:
+    """Return a motion of `n_frames` that repeats its only frame."""
+    return replace(
+        pose,
+        rotations=np.repeat(pose.rotations, n_frames, axis=0),
+        translation=np.repeat(pose.translation, n_frames, axis=0),
+        joint_translations={
+            name: np.repeat(place, n_frames, axis=0)
+            for name, place in pose.joint_translations.items()
+        },
+    )
 
 
 def _other_utterance(every: _Recordings, source: _Recordings, fps: float) -> Loader:

@@ -1,17 +1,18 @@
-"""Measure all clips and sets: what is stored is read, the rest is measured on all cores."""
+"""Measurements of clips and sets, with the keys by which it is stored."""
 
 from __future__ import annotations
 
 import functools
-import time
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from audio_features import AudioFeaturesError
+from gesturekit.corpus.takes import take_in
 from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.definitions import FRECHET, POOLED, SPEECH
+from gesturekit.evaluation.measuring.ceilings import ceilings
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import (
     Clip,
@@ -26,8 +27,8 @@ from gesturekit.evaluation.measuring.content import (
     digest_of,
     metric_version,
 )
-from gesturekit.evaluation.measuring.floors import floors
-from gesturekit.evaluation.measuring.pooled import PooledMetrics, TrainingMotion
+from gesturekit.evaluation.measuring.levels import likeness_levels
+from gesturekit.evaluation.measuring.pooled import PooledMetrics, Window
 from gesturekit.evaluation.measuring.set_metrics import (
     SetMetrics,
     pooled,
@@ -35,10 +36,11 @@ from gesturekit.evaluation.measuring.set_metrics import (
     thinned,
     wrists_of,
 )
+from gesturekit.evaluation.measuring.speakers import TrainingMotion
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
-from gesturekit.evaluation.pairs import ItemInterval, Items, Pair
-from gesturekit.evaluation.results import Interval, MetricResult
-from gesturekit.jobs.workers import Failure, Pool
+from gesturekit.evaluation.pairs import ItemInterval, Items, Pair, recordings
+from gesturekit.evaluation.results import Interval, Level, MetricResult
+from gesturekit.evaluation.statistics.levels import OTHER_SOUND
 
 if TYPE_CHECKING:
     from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel
@@ -48,9 +50,6 @@ MISMATCHED = 3
 """Number of other recordings that a clip is also compared with, for the mismatched level."""
 PARTS = ("frechet", "pooled")
 """Halves of the metrics of a set, which are computed independently."""
-
-Window = tuple[str, int | None]
-"""A recording and the index of its 10 s window; None for the whole recording."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +86,7 @@ class Measurer:
         seed: seed of intervals and subsamples.
         without: bare names of joints that some model lacks, which no model is measured with.
         local: labels of models whose motion is made in memory.
+        take_pattern: regular expression for takes in the names of recordings, or None.
     """
 
     measure: ClipMetrics
@@ -99,6 +99,7 @@ class Measurer:
     seed: int
     without: frozenset[str] = frozenset()
     local: frozenset[str] = frozenset()
+    take_pattern: str | None = None
     _own: dict[tuple[Window, tuple[str, ...]], dict[str, float]] = field(
         default_factory=dict, init=False
     )
@@ -128,7 +129,7 @@ class Measurer:
         metrics, problems = self.measure.generated(clip)
         window = (pair.stem, pair.window), clip.joints
         if window not in self._own:
-            self._own[window] = self.measure.recording(clip)[0]
+            self._own[window] = self._recorded(clip, label)
         values = {
             "seconds": clip.generated.duration,
             "metrics": metrics,
@@ -139,6 +140,13 @@ class Measurer:
         }
         self.store.write(self.clip_key(label, index), values)
         return values
+
+    def _recorded(self, clip: Clip, label: str) -> dict[str, float]:
+        """Measure the recording of a clip, also in time with other recordings' sounds."""
+        values = self.measure.recording(clip)[0]
+        own = replace(clip, generated=clip.recording)
+        mismatched = self._mismatched_sound(own, label).get("in_time")
+        return values if mismatched is None else {**values, OTHER_SOUND: mismatched}
 
     def set(self, portion: SetPart) -> dict[str, Any]:
         """Compute one part of the metrics of a model's clips."""
@@ -182,21 +190,50 @@ class Measurer:
         self.store.write(self.set_key(portion), values)
         return values
 
-    def floors(self) -> dict[str, tuple[Interval, str]]:
-        """Return the recordings' own values (`contest.floors`), stored or computed here."""
-        contents = [content_of(source) for source in self.recordings.values()]
-        model = self.features and self.features.fingerprint
-        own = [Pair(n, n, None, source, source) for n, source in self.recordings.items()]
-        parts = [self._settings, "floors", list(self.recordings), contents, model, self.seed]
-        parts.append(_nesting(own))
-        key = None if None in contents else digest_of(parts)
-        stored = self.store.read(key)
-        if stored is None:
+    def ceilings(self) -> dict[str, tuple[Interval, str]]:
+        """Return the recordings' own values (`measuring.ceilings`), stored or computed here."""
+        own = {name: self._with_itself(name, source) for name, source in self.recordings.items()}
+
+        def compute() -> dict[str, list]:
             motions = self.measure.statistics.recordings
-            found = floors(motions, self.recordings, self.measure, self.features, self.seed)
-            stored = {name: [asdict(value), note] for name, (value, note) in found.items()}
-            self.store.write(key, stored)
+            found = ceilings(motions, own, self.measure, self.features, self.seed)
+            return {name: [asdict(value), note] for name, (value, note) in found.items()}
+
+        parts = ["ceilings", list(own), self.features and self.features.fingerprint]
+        stored = self._stored(list(own.values()), parts, compute)
         return {name: (Interval(**value), note) for name, (value, note) in stored.items()}
+
+    def likeness_levels(self) -> dict[str, Level]:
+        """Return ceiling and floors of likeness (`measuring.levels`), stored or computed here."""
+        if POOLED not in self.measure.groups:
+            return {}
+        recorded = recordings(self.reference)
+        held_out = [self._with_itself(name, source) for name, source in recorded.items()]
+        others = self.reference.others if isinstance(self.reference, Items) else ()
+        every = held_out + [self._with_itself(item.id, ItemInterval(item)) for item in others]
+
+        def compute() -> dict[str, dict[str, Any]]:
+            found = likeness_levels(every, len(held_out), self.fps, self.measure, self.seed)
+            return {name: asdict(level) for name, level in found.items()}
+
+        stored = self._stored(every, ["levels", len(held_out)], compute)
+        return {name: Level(**values) for name, values in stored.items()}
+
+    def _with_itself(self, name: str, source: Path | ItemInterval) -> Pair:
+        """Return the pair of a recording with itself."""
+        take = take_in(name, self.take_pattern) if self.take_pattern else ""
+        return Pair(name, name, None, source, source, take=take)
+
+    def _stored(self, own: Sequence[Pair], parts: Sequence[Any], compute: Callable) -> Any:
+        """Return what was computed of recordings before, or compute and store it."""
+        contents = [content_of(pair.reference) for pair in own]
+        parts = [self._settings, *parts, contents, self.seed, _nesting(own)]
+        key = None if None in contents else digest_of(parts)
+        found = self.store.read(key)
+        if found is None:
+            found = compute()
+            self.store.write(key, found)
+        return found
 
     @functools.cached_property
     def store(self) -> Store:
@@ -262,19 +299,22 @@ class Measurer:
 
     def _mismatched(self, clip: Clip, label: str) -> dict[str, float]:
         """Measure the clip with the sounds, and the motion, of other recordings."""
-        metrics: dict[str, float] = {}
-        if SPEECH in self.measure.groups and clip.pair.audio is not None:
-            sounds = []
-            for path, index in self._other_sounds(label, clip.pair):
-                try:
-                    sounds.append(load_sound(path, index))
-                except AudioFeaturesError:
-                    continue  # reported with the clip that it belongs to
-            metrics |= self.measure.mismatched_sound(clip, sounds)
+        metrics = self._mismatched_sound(clip, label)
         for key in self._other_motions(clip.pair):
             other = load_recording(self.recordings[key], self.fps)
             metrics |= self.measure.mismatched_motion(clip, other)
         return metrics
+
+    def _mismatched_sound(self, clip: Clip, label: str) -> dict[str, float]:
+        if SPEECH not in self.measure.groups or clip.pair.audio is None:
+            return {}
+        sounds = []
+        for path, index in self._other_sounds(label, clip.pair):
+            try:
+                sounds.append(load_sound(path, index))
+            except AudioFeaturesError:
+                continue  # reported with the clip that it belongs to
+        return self.measure.mismatched_sound(clip, sounds)
 
     def _other_sounds(self, label: str, pair: Pair) -> list[tuple[Path | ItemInterval, int | None]]:
         if pair.audio is None:
@@ -311,127 +351,12 @@ def _after(items: list, item: Any, count: int) -> list:
     return [items[(at + k) % len(items)] for k in range(1, min(count, len(items) - 1) + 1)]
 
 
-IN_PROCESS_SECONDS = 4.0
-"""Measuring that takes longer gets worker processes; starting them takes about as long."""
-
-Progress = Callable[[Iterable[Any], int, str], Iterable[Any]]
-"""Wraps an iterable of finished portions, such as in a progress bar, given number and label."""
-
-
-@dataclass
-class Measured:
-    """Measurements of all models.
-
-    Attributes:
-        clips: {label: measurement of each pair}, see `Measurer.clip`.
-        sets: {label: {part: metrics of the set}}, see `Measurer.set`.
-    """
-
-    clips: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
-    sets: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
-
-
-def measure_all(measurer: Measurer, workers: int, progress: Progress) -> Measured:
-    """Return the measurements of all clips and sets, the same for any number of workers.
-
-    Each result is stored as soon as it is computed, so that an interrupted evaluation can continue.
-
-    Args:
-        measurer: what to measure.
-        workers: number of processes; 1 measures in this one.
-        progress: see `Progress`.
-    """
-    found = Measured()
-    clip_groups = _read_clips(measurer, found)
-    portions = [*clip_groups, *_chains(measurer, _read_sets(measurer, found), workers)]
-    if not portions:
-        return found
-    for portion, results in progress(
-        _done(measurer, portions, workers), len(portions), "measuring"
-    ):
-        if isinstance(results, Failure):
-            results = _failed(measurer, portion, str(results))
-        if not isinstance(portion, ClipGroup):
-            for one, values in zip(portion, results, strict=True):
-                found.sets[one.label][one.part] = values
-            continue
-        for label, index, values in results:
-            found.clips[label][index] = values
-    return found
-
-
-def _read_clips(measurer: Measurer, found: Measured) -> list[ClipGroup]:
-    """Read the stored clips into `found`; return a portion for each recording with other clips."""
-    missing: dict[tuple[bool, str, int], dict[str, list[int]]] = {}
-    for label, pairs in measurer.pairs.items():
-        stored = [measurer.store.read(measurer.clip_key(label, i)) for i in range(len(pairs))]
-        found.clips[label] = [values or {} for values in stored]
-        for i, pair in enumerate(pairs):
-            if stored[i] is None:
-                window = (
-                    label in measurer.local,
-                    pair.stem,
-                    -1 if pair.window is None else pair.window,
-                )
-                missing.setdefault(window, {}).setdefault(label, []).append(i)
-    return [ClipGroup(clips) for _, clips in sorted(missing.items())]
-
-
-def _read_sets(measurer: Measurer, found: Measured) -> list[SetPart]:
-    """Read the stored metrics of sets into `found`; return portions for the others."""
-    portions = []
-    for label in measurer.pairs:
-        found.sets[label] = {}
-        for part in PARTS:
-            portion = SetPart(label, part)
-            stored = measurer.store.read(measurer.set_key(portion))
-            if stored is None:
-                portions.append(portion)
-            else:
-                found.sets[label][part] = stored
-    return portions
-
-
-def _chains(
-    measurer: Measurer, portions: Sequence[SetPart], workers: int
-) -> list[tuple[SetPart, ...]]:
-    """Return the metrics of sets in chains, one for two workers, each done by one process.
-
-    A set holds all motion of its model in memory; while one is computed, clips are measured.
-    """
-    chains = []
-    for portable in (True, False):
-        some = [portion for portion in portions if measurer.is_portable((portion,)) == portable]
-        count = max(1, workers // 2) if workers > 1 else len(some)
-        chains += [tuple(some[k::count]) for k in range(count) if some[k::count]]
-    return chains
-
-
-def _done(measurer: Measurer, portions: Sequence[Any], workers: int) -> Iterator[tuple[Any, Any]]:
-    """Yield (portion, results) as they are done; those that cannot be handed over are done here."""
-    here = [portion for portion in portions if not measurer.is_portable(portion)]
-    left = [portion for portion in portions if measurer.is_portable(portion)]
-    until = time.monotonic() + IN_PROCESS_SECONDS
-    while left and (workers < 2 or time.monotonic() < until):
-        portion = left.pop(0)
-        yield portion, measurer(portion)
-    if left:
-        left.sort(key=lambda portion: isinstance(portion, ClipGroup))  # the longest first
-        yield from Pool(measurer.portable(), workers).map(left, lambda _: None)
-    for portion in here:
-        yield portion, measurer(portion)
-
-
-def _failed(measurer: Measurer, portion: Portion, reason: str) -> list[Any]:
-    """Return the results of a portion whose worker process died; sets done before it are stored."""
-    if not isinstance(portion, ClipGroup):
-        failed = {"metrics": {}, "problems": [("metrics of the set", reason)]}
-        return [measurer.store.read(measurer.set_key(one)) or failed for one in portion]
-    return [(label, i, {"reason": reason}) for label, at in portion.clips.items() for i in at]
-
-
-def _nesting(pairs: Sequence[Pair]) -> list[tuple[int, int]]:
-    """Return the numbers of each clip's take and speaker, in order of appearance."""
+def _nesting(pairs: Sequence[Pair]) -> list[tuple[int, ...]]:
+    """Return the numbers of each clip's take, speaker and style, in order of appearance."""
+    styles = list(dict.fromkeys(pair.style for pair in pairs))
     takes = list(dict.fromkeys((pair.speaker, pair.take) for pair in pairs))
     speakers = list(dict.fromkeys(pair.speaker for pair in pairs))
-    return [(takes.index((p.speaker, p.take)), speakers.index(p.speaker)) for p in pairs]
+    return [
+        (takes.index((p.speaker, p.take)), speakers.index(p.speaker), styles.index(p.style))
+        for p in pairs
+    ]

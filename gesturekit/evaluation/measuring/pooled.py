@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gesturekit.errors import GestureKitError, MotionError
-from gesturekit.evaluation.measuring.clips import Clip, load_recording
+from gesturekit.evaluation.measuring.clips import Clip
+from gesturekit.evaluation.measuring.speakers import (
+    TRAINING_SECONDS,
+    SpeakerClips,
+    TrainingMotion,
+    backwards,
+    own_windows,
+)
 from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.evaluation.metrics.hands import (
     FPS,
@@ -32,67 +38,29 @@ from gesturekit.evaluation.metrics.two_sample import (
     motion_windows,
     nearest_training,
     subsample,
-    two_sample_accuracy,
     two_sample_votes,
     within_reach,
 )
-from gesturekit.evaluation.pairs import Excluded, ItemInterval, Items
-from gesturekit.evaluation.results import MetricResult
+from gesturekit.evaluation.pairs import Pair
+from gesturekit.evaluation.results import Level, MetricResult
+from gesturekit.evaluation.statistics.groups import groups_of
 from gesturekit.evaluation.statistics.intervals import whole_set
+from gesturekit.evaluation.statistics.levels import CEILING, level_of
 from gesturekit.motion import Motion
-
-TRAINING_SECONDS = 1200.0
-"""Length of training motion that is compared with, at most; of more, items are drawn at random."""
 
 ENOUGH_CALM = 16
 """Windows from which the correlation of calm and lively stretches is informative. Where the true
 one is 0.8, that of 4 windows is below 0.4 in 14 of 100 cases, that of 16 windows in 2."""
 
-
-@dataclass
-class TrainingMotion:
-    """Motion of the manifest's training split.
-
-    Attributes:
-        motions: at 25 fps; empty without such a split.
-        note: "" or how much of the split is used.
-        excluded: items that cannot be read.
-    """
-
-    motions: list[Motion] = field(default_factory=list)
-    note: str = ""
-    excluded: list[Excluded] = field(default_factory=list)
-
-    @classmethod
-    def of(cls, reference: Path | Items, seed: int) -> TrainingMotion:
-        """Read the training split that belongs to recordings; nothing unless they are `Items`."""
-        found = cls()
-        items = list(reference.training) if isinstance(reference, Items) else []
-        total = sum(item.duration for item in items)
-        if total > TRAINING_SECONDS:
-            np.random.default_rng(seed).shuffle(items)
-        left = TRAINING_SECONDS
-        for item in items:
-            if left < 1.0:
-                break
-            try:
-                motion = load_recording(ItemInterval(item), FPS)
-            except GestureKitError as error:
-                found.excluded.append(Excluded(item.id, str(error), "the training split"))
-                continue
-            motion = motion.slice(0, min(motion.n_frames, round(left * FPS)))
-            left -= motion.duration
-            found.motions.append(motion)
-        if total > TRAINING_SECONDS:
-            found.note = f"{TRAINING_SECONDS / 60:.0f} of {total / 60:.0f} min of it"
-        return found
+Window = tuple[str, int | None]
+"""A recording and the index of its 10 s window; None for the whole recording."""
 
 
 class PooledMetrics:
     """Accumulates the clips of one model and computes the metrics of all of them pooled.
 
     Args:
-        training: motion of the training split; without any, recordings are compared half by half.
+        training: motion of the training split; without any, takes are compared with each other.
         seed: seed of subsamples.
         known: values of recordings that other models have in common; filled here.
     """
@@ -104,10 +72,11 @@ class PooledMetrics:
         self.seed = seed
         self._known = {} if known is None else known
         self.problems: list[tuple[str, str]] = []
-        self._recorded: dict[tuple[str, int | None], Motion] = {}
-        self._generated: dict[tuple[str, int | None], list[Motion]] = {}
-        self._joints: tuple[str, ...] | None = None  # joints that all clips have
-        self._added: list[tuple[tuple[str, int | None], int]] = []  # window and sample of each clip
+        self._pairs: dict[Window, Pair] = {}
+        self._recorded: dict[Window, Motion] = {}
+        self._generated: dict[Window, list[Motion]] = {}
+        self._joints: dict[Window, tuple[str, ...]] = {}  # that all clips of the recording have
+        self._added: list[tuple[Window, int]] = []  # window and sample of each clip
         self._by_clip: dict[str, dict[int, float]] = {}  # {key: {number of the clip: value}}
 
     def add(self, clip: Clip) -> None:
@@ -115,11 +84,12 @@ class PooledMetrics:
         window = (clip.pair.stem, clip.pair.window)
         if window not in self._recorded:
             self._recorded[window] = at_rate(clip.recording, FPS)
+            self._pairs[window] = clip.pair
         samples = self._generated.setdefault(window, [])
         self._added.append((window, len(samples)))
         samples.append(at_rate(clip.generated, FPS))
-        known = clip.joints if self._joints is None else self._joints
-        self._joints = tuple(name for name in known if name in clip.joints)
+        known = self._joints.get(window, clip.joints)
+        self._joints[window] = tuple(name for name in known if name in clip.joints)
 
     def pooled(self) -> dict[str, MetricResult]:
         """Compute the metrics; those that fail are listed in `problems`."""
@@ -149,9 +119,30 @@ class PooledMetrics:
         ]
 
     @cached_property
-    def _recording_of(self) -> list[int]:
-        """Number of the recording of each clip, in the order of `_all_generated`."""
-        return [n for n, clips in enumerate(self._generated.values()) for _ in clips]
+    def _groups(self) -> list[SpeakerClips]:
+        """Clips by speaker (and style)."""
+        names = groups_of(list(self._pairs.values()))
+        numbers = iter(range(len(self._added)))
+        numbered = {w: [next(numbers) for _ in clips] for w, clips in self._generated.items()}
+        groups = []
+        for name in dict.fromkeys(names):
+            windows = [window for window, of in zip(self._pairs, names) if of == name]
+            clips = [(n, m) for w in windows for n, m in zip(numbered[w], self._generated[w])]
+            known = [set(self._joints[window]) for window in windows]
+            rig = self._recorded[windows[0]].skeleton
+            joints = tuple(n for n in upper_joints(rig) if all(n in one for one in known))
+            groups.append(
+                SpeakerClips(
+                    recorded=[self._recorded[window] for window in windows],
+                    takes=[self._pairs[window].take for window in windows],
+                    generated=[motion for _, motion in clips],
+                    numbers=[number for number, _ in clips],
+                    recording_of=[i for i, w in enumerate(windows) for _ in numbered[w]],
+                    joints=joints,
+                    training=self.training.of_speaker(self._pairs[windows[0]].speaker, joints),
+                )
+            )
+        return groups
 
     def _result(
         self,
@@ -216,44 +207,47 @@ class PooledMetrics:
         return {key: self._result(key, value, own, note) for key, (value, own) in values.items()}
 
     def _windows(self) -> dict[str, MetricResult]:
-        joints = self._upper_joints()
-        recorded = self._all_recorded()
-        ours, theirs = (
-            motion_windows(motions, joints) for motions in (self._all_generated(), recorded)
-        )
-        back = motion_windows([_reversed(motion) for motion in recorded], joints)
-        right, drawn = two_sample_votes(ours, theirs, seed=self.seed)
-        forward = 100.0 * forward_votes(ours, theirs, back)
-        self._vote(right, drawn, ours, theirs)
-        self._by_clip["forward"] = _clip_means(ours, forward)
+        votes, ahead, reached = [], [], []
+        for group in self._groups:
+            joints, recorded = group.joints, group.recorded
+            ours, theirs = (motion_windows(m, joints) for m in (group.generated, recorded))
+            back = motion_windows([backwards(motion) for motion in recorded], joints)
+            right, drawn = two_sample_votes(ours, theirs, seed=self.seed)
+            votes.append((right.sum(), drawn.sum()))
+            self._vote(group, right, drawn, ours, theirs)
+            ahead.append(100.0 * forward_votes(ours, theirs, back))
+            self._keep("forward", group, _clip_means(ours, ahead[-1]))
+            reached.append((len(theirs), 100.0 * within_reach(ours, theirs, seed=self.seed)))
+        right, drawn = np.sum(votes, axis=0)
+        windows, reach = np.transpose(reached)
         values = {
-            "one_nn": float(right.sum() / drawn.sum()),
-            "within_reach": 100.0 * within_reach(ours, theirs, seed=self.seed),
-            "forward": float(forward.mean()),
+            "one_nn": float(right / drawn),
+            "within_reach": float(np.average(reach, weights=windows)),
+            "forward": float(np.concatenate(ahead).mean()),
         }
-        own, note = self._once("windows", joints, lambda: self._own_windows(joints))
+        own, note = self._once("windows", self._own_windows)
         return {key: self._result(key, value, own.get(key), note) for key, value in values.items()}
 
-    def _own_windows(self, joints: Sequence[str]) -> tuple[dict[str, float], str]:
+    def _own_windows(self) -> tuple[dict[str, float], str]:
         """Return the values of held-out recordings against others, and a note."""
         found: dict[str, list[float]] = {}
         try:
-            for held, others in self._splits():
-                mine, theirs = motion_windows(held, joints), motion_windows(others, joints)
-                back = motion_windows([_reversed(motion) for motion in others], joints)
-                for key, value in (
-                    ("one_nn", two_sample_accuracy(theirs, mine, seed=self.seed)),
-                    ("within_reach", 100.0 * within_reach(theirs, mine, seed=self.seed)),
-                    ("forward", 100.0 * float(forward_votes(mine, theirs, back).mean())),
-                ):
-                    found.setdefault(key, []).append(value)
+            for group in self._groups:
+                for held, others in group.splits():
+                    for key, value in own_windows(held, others, group.joints, self.seed).items():
+                        found.setdefault(key, []).append(value)
         except MotionError:
             return {}, "no value of the recordings: they are too short"
         means = {key: float(np.mean(values)) for key, values in found.items()}
         return means, f"recording: {self._compared()}"
 
     def _vote(
-        self, right: np.ndarray, drawn: np.ndarray, ours: MotionWindows, theirs: MotionWindows
+        self,
+        group: SpeakerClips,
+        right: np.ndarray,
+        drawn: np.ndarray,
+        ours: MotionWindows,
+        theirs: MotionWindows,
     ) -> None:
         """Keep the 1-NN accuracy of each clip: the mean of its windows' and its recording's."""
         n = len(ours)
@@ -265,20 +259,28 @@ class PooledMetrics:
             }
             for side, windows in ((slice(n), ours), (slice(n, None), theirs))
         )
-        self._by_clip["one_nn"] = {
+        accuracies = {
             clip: float(value + own[recording]) / 2
             for clip, value in mine.items()
-            if (recording := self._recording_of[clip]) in own
+            if (recording := group.recording_of[clip]) in own
         }
+        self._keep("one_nn", group, accuracies)
+
+    def _keep(self, key: str, group: SpeakerClips, values: Mapping[int, float]) -> None:
+        """Keep the values of the clips of a group, by their index in it."""
+        known = self._by_clip.setdefault(key, {})
+        known |= {group.numbers[clip]: value for clip, value in values.items()}
 
     def _copying(self) -> dict[str, MetricResult]:
-        joints, recorded = self._upper_joints(), self._all_recorded()
-        among = self.training.motions or _at_most(recorded)
         rng = np.random.default_rng(self.seed)
-        ours = subsample(motion_windows(self._all_generated(), joints), rng)
-        distances = nearest_training(ours, among, joints)
-        self._by_clip["copying"] = _clip_means(ours, distances, np.median)
-        median, low = self._once("copying", joints, lambda: self._own_copying(joints))
+        every = []
+        for group in self._groups:
+            among = self._among(group.joints) or _at_most(group.recorded)
+            ours = subsample(motion_windows(group.generated, group.joints), rng)
+            every.append(nearest_training(ours, among, group.joints))
+            self._keep("copying", group, _clip_means(ours, every[-1], np.median))
+        distances = np.concatenate(every)
+        median, low, ceiling = self._once("copying", self._own_copying)
         if median > 0.0:
             self._by_clip["novelty"] = {
                 clip: value / median for clip, value in self._by_clip["copying"].items()
@@ -288,22 +290,40 @@ class PooledMetrics:
             "copying": (float(np.median(distances)), median),
             "copying_low": (float(np.quantile(distances, LOW_QUANTILE)), low),
         }
-        return {key: self._result(key, value, own, note) for key, (value, own) in values.items()}
+        found = {key: self._result(key, value, own, note) for key, (value, own) in values.items()}
+        return {**found, "copying": replace(found["copying"], ceiling=ceiling)}
 
-    def _own_copying(self, joints: Sequence[str]) -> tuple[float, float]:
-        """Return median and 5 % quantile of the distances of held-out recordings to others."""
+    def _among(self, joints: Sequence[str]) -> list[Motion]:
+        """Return the training motion of all speakers that has these joints."""
+        motions = self.training.motions
+        return [motion for motion in motions if set(joints) <= set(motion.skeleton.names)]
+
+    def _own_copying(self) -> tuple[float, float, Level]:
+        """Return median and 5 % quantile of the distances of held-out recordings to others.
+
+        Returns:
+            both, and the ceiling of novelty: the medians of takes relative to all.
+        """
         rng = np.random.default_rng(self.seed)
-        quantiles = []
-        for mine, others in self._splits():
-            windows = subsample(motion_windows(mine, joints), rng)
-            distances = nearest_training(windows, _at_most(others), joints)
-            quantiles.append(np.quantile(distances, (0.5, LOW_QUANTILE)))
+        quantiles, medians = [], []
+        single = not any(group.has_others for group in self._groups)
+        for group in self._groups:
+            for mine, others in group.splits():
+                windows = subsample(motion_windows(mine, group.joints), rng)
+                among = self._among(group.joints) or _at_most(others)
+                distances = nearest_training(windows, among, group.joints)
+                quantiles.append(np.quantile(distances, (0.5, LOW_QUANTILE)))
+                takes = group.takes if group.training else [""] * len(mine)
+                take = np.array(takes)[windows.clips]
+                if single or group.has_others:
+                    medians += [np.median(distances[take == name]) for name in set(take.tolist())]
         median, low = np.mean(quantiles, axis=0)
-        return float(median), float(low)
+        ceiling = level_of(CEILING, np.array(medians) / (median or 1.0), pieces=single)
+        return float(median), float(low), replace(ceiling, value=1.0)
 
-    def _once(self, name: str, joints: Sequence[str], compute: Callable[[], Any]) -> Any:
+    def _once(self, name: str, compute: Callable[[], Any]) -> Any:
         """Return a value of the recordings, computed once for all models that share them."""
-        key = (name, tuple(joints), self._recordings)
+        key = (name, tuple(group.joints for group in self._groups), self._recordings)
         if key not in self._known:
             self._known[key] = compute()
         return self._known[key]
@@ -316,47 +336,20 @@ class PooledMetrics:
             digest.update(np.ascontiguousarray(motion.rotations))
         return digest.hexdigest()
 
-    def _splits(self) -> list[tuple[list[Motion], list[Motion]]]:
-        """Return pairs of (held-out recordings, other recordings) to compare."""
-        recorded = self._all_recorded()
-        if self.training.motions:
-            return [(recorded, self.training.motions)]
-        if len(recorded) > 1:
-            halves = recorded[::2], recorded[1::2]
-        else:
-            (motion,) = recorded
-            middle = motion.n_frames // 2
-            if middle < 1:
-                raise MotionError("the recording is too short to be cut into halves")
-            halves = [motion.slice(0, middle)], [motion.slice(middle, motion.n_frames)]
-        return [halves, halves[::-1]]
-
     def _compared(self) -> str:
         """Return how recordings are compared with recordings, in words."""
-        if not self.training.motions:
-            return "one half against the other"
-        note = f" ({self.training.note})" if self.training.note else ""
-        return f"against the training split{note}"
-
-    def _upper_joints(self) -> tuple[str, ...]:
-        rig = next(iter(self._recorded.values())).skeleton
-        return tuple(name for name in upper_joints(rig) if name in (self._joints or ()))
+        if self.training.motions:
+            note = f" ({self.training.note})" if self.training.note else ""
+            return f"against the training split{note}"
+        if all(group.has_others for group in self._groups):
+            return "each take against the speaker's others"
+        return "one half against the other"
 
     def _all_recorded(self) -> list[Motion]:
         return list(self._recorded.values())
 
     def _all_generated(self) -> list[Motion]:
         return [motion for samples in self._generated.values() for motion in samples]
-
-
-def _reversed(motion: Motion) -> Motion:
-    """Return a motion with its frames in reverse order."""
-    return replace(
-        motion,
-        rotations=motion.rotations[::-1],
-        translation=motion.translation[::-1],
-        joint_translations={name: v[::-1] for name, v in motion.joint_translations.items()},
-    )
 
 
 def _clip_means(

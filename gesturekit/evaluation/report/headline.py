@@ -6,30 +6,22 @@ import html
 from collections.abc import Iterator, Mapping, Sequence
 
 from gesturekit.evaluation.report.tables import dotted, number
-from gesturekit.evaluation.results import Evaluation, Finding, MetricResult, ModelResult
+from gesturekit.evaluation.results import Evaluation, Finding, Level, MetricResult, ModelResult
 from gesturekit.evaluation.statistics.intervals import Takes
+from gesturekit.evaluation.statistics.levels import level_name
 from gesturekit.evaluation.statistics.paired import Contest
 from gesturekit.viewer.pages import section
 
 _LEAD = (
     "Each with one figure and its 95 % interval over takes (recording sessions): it holds for "
-    "other takes of the same speakers, not for other speakers. The last row has what the "
-    "speaker's recordings reach. Each clip is compared with the recording of the same speech, but "
-    "recordings differ in speech and mood: a model can be more like the speaker than they are like "
-    "each other. Bold: nearer to the recordings than every other model by more than chance."
+    "other takes of the same speakers, not for other speakers. The point stands on a line with "
+    "floors (grey), which are values of motion that should not have the figure, and the ceiling "
+    "(green), which the speaker's other takes reach; bands are their spread over takes. Where a "
+    "floor reaches the ceiling, the question cannot be answered on this corpus. Bold: nearer to "
+    "the recordings than every other model by more than chance."
 )
-_OWN = {
-    "in_time": ("the speaker's own", "Sync of the speaker's own arms, minus chance."),
-    "likeness": (
-        "recordings like each other",
-        "The speaker's recordings, one half judged by the other; 1 is alike in all.",
-    ),
-    "novelty": (
-        "recordings from each other",
-        "Other recordings, by definition; below 0.8 is nearer, below 0.5 copied.",
-    ),
-}
-"""Meaning of the recordings' own value of each metric: short, and as a sentence."""
+
+_WIDTH, _HEIGHT, _MARGIN = 260, 30, 6  # pixels of the line of a score
 
 
 def headline_lines(evaluation: Evaluation) -> list[str]:
@@ -52,14 +44,11 @@ def headline(evaluation: Evaluation, rows: Mapping[str, Contest]) -> str:
     head = "".join(f"<th>{html.escape(answer.question)}</th>" for answer in models[0].answers)
     body = "".join(
         f"<tr><th>{dotted(evaluation.models.index(model), model.heading)}</th>"
-        + "".join(_cell(model, answer, rows) for answer in model.answers)
+        + "".join(_cell(model, answer, models, rows) for answer in model.answers)
         + "</tr>"
         for model in models
     )
-    table = (
-        f"<thead><tr><th></th>{head}</tr></thead><tbody>{body}"
-        f"<tr class=own><th>recordings</th>{_own_cells(models)}</tr></tbody>"
-    )
+    table = f"<thead><tr><th></th>{head}</tr></thead><tbody>{body}</tbody>"
     return section(
         "Three questions", _LEAD, f'<div class="scroll"><table class="head">{table}</table></div>'
     )
@@ -83,30 +72,22 @@ def interval_warnings(evaluation: Evaluation) -> Iterator[str]:
         yield text if len(said) == 1 else f"{', '.join(labels)}: {text}"
 
 
-def _cell(model: ModelResult, answer: Finding, rows: Mapping[str, Contest]) -> str:
-    result = _shown(model, answer)
-    sentence = f"<p>{html.escape(answer.sentence)}</p>"
+def _cell(
+    model: ModelResult,
+    answer: Finding,
+    models: Sequence[ModelResult],
+    rows: Mapping[str, Contest],
+) -> str:
+    result, sentence = model.metrics.get(answer.key), f"<p>{html.escape(answer.sentence)}</p>"
     if result is None:
         return f"<td>{sentence}</td>"
+    line = _scale(result, [m.metrics[answer.key] for m in models if answer.key in m.metrics])
+    if not result.informative:
+        return f"<td>{sentence}{line}</td>"
     row = rows.get(answer.key)
     best = " class=best" if row is not None and row.best == model.label else ""
     value = f'<span class="figure"><span{best}>{number(result.interval.value)}</span></span>'
-    return f"<td>{value}<small>{_spread(result)}</small>{sentence}</td>"
-
-
-def _own_cells(models: Sequence[ModelResult]) -> str:
-    """Return the cells of the recordings' own values, each from the first model that has one."""
-    cells = ""
-    for answer in models[0].answers:
-        shown = (_shown(model, answer) for model in models)
-        known = (result.recording for result in shown if result is not None)
-        own = next((value for value in known if value is not None), None)
-        cells += (
-            "<td></td>"
-            if own is None
-            else f'<td><span class="figure">{number(own)}</span><p>{_OWN[answer.key][1]}</p></td>'
-        )
-    return cells
+    return f"<td>{value}<small>{_spread(result)}</small>{line}{sentence}</td>"
 
 
 def _shown(model: ModelResult, answer: Finding) -> MetricResult | None:
@@ -116,9 +97,8 @@ def _shown(model: ModelResult, answer: Finding) -> MetricResult | None:
 
 
 def _result_text(result: MetricResult) -> str:
-    short = _OWN[result.key][0]
-    own = "" if result.recording is None else f"; {short}: {number(result.recording)}"
-    return f"{number(result.interval.value)}, {_spread(result)}{own}"
+    line = _line_in_words(result)
+    return "; ".join(filter(None, (number(result.interval.value), _spread(result), line)))
 
 
 def _spread(result: MetricResult) -> str:
@@ -126,3 +106,65 @@ def _spread(result: MetricResult) -> str:
     if low is None or high is None:
         return "no interval"
     return f"95 % interval {number(low)} to {number(high)}"
+
+
+def _levels(result: MetricResult) -> list[Level]:
+    """Return floors and ceiling."""
+    return [*result.floors, *([result.ceiling] if result.ceiling else [])]
+
+
+def _scale(result: MetricResult, column: Sequence[MetricResult]) -> str:
+    """Return the line of a score as SVG, with a legend; "" without levels.
+
+    Bands are as wide as the spread over takes. An uninformative score is not drawn.
+
+    Args:
+        result: the score.
+        column: the scores of all models, whose lines have one scale.
+    """
+    levels = _levels(result)
+    if not levels:
+        return ""
+    every = [level for one in column for level in _levels(one)]
+    known = [level.value + sign * (level.spread or 0.0) for level in every for sign in (-1, 1)]
+    known += [one.interval.value for one in column if one.informative]
+    score = [result.interval.value] if result.informative else []
+    low, high = min(0.0, *known), max(1e-6, *known)
+
+    def place(value: float) -> float:
+        return _MARGIN + (_WIDTH - 2 * _MARGIN) * (value - low) / (high - low)
+
+    parts = [f'<line x1="{_MARGIN}" x2="{_WIDTH - _MARGIN}" y1="15" y2="15" class="axis"/>']
+    for level in levels:
+        kind, at = "ceiling" if level is result.ceiling else "floor", place(level.value)
+        spread = (level.spread or 0.0) * (_WIDTH - 2 * _MARGIN) / (high - low)
+        parts.append(
+            f'<g class="{kind}"><title>{html.escape(_level_line(level))}</title>'
+            f'<rect x="{at - spread:.1f}" width="{2 * spread:.1f}" y="9" height="12"/>'
+            f'<line x1="{at:.1f}" x2="{at:.1f}" y1="5" y2="25"/></g>'
+        )
+    parts += [f'<circle cx="{place(value):.1f}" cy="15" r="5"/>' for value in score]
+    picture = f'<svg class="scale" viewBox="0 0 {_WIDTH} {_HEIGHT}">{"".join(parts)}</svg>'
+    legend = "".join(
+        f'<small class="{kind}">{kind}: {html.escape("; ".join(map(_level_line, some)))}</small>'
+        for kind, some in (("floor", result.floors), ("ceiling", levels[len(result.floors) :]))
+        if some
+    )
+    return picture + legend
+
+
+def _level_line(level: Level) -> str:
+    """Return a level in words, such as "another speaker 0.41 ± 0.06 (4 takes)"."""
+    spread = "" if level.spread is None else f" ± {number(level.spread)}"
+    unit = "piece" if level.pieces else "take"
+    count = f" ({level.n} {unit}{'s' if level.n > 1 else ''})" if level.n else ""
+    return f"{level_name(level)} {number(level.value)}{spread}{count}"
+
+
+def _line_in_words(result: MetricResult) -> str:
+    """Return floors and ceiling for a terminal, such as "floor: mean pose 0.1; ceiling: ..."."""
+    floors = ", ".join(map(_level_line, result.floors))
+    parts = [f"floor: {floors}"] if floors else []
+    if result.ceiling is not None:
+        parts.append(f"ceiling: {_level_line(result.ceiling)}")
+    return "; ".join(parts)

@@ -109,7 +109,7 @@ def conclusion(sanity: Sanity) -> str:
     missed = [name for name, keys in found.items() if not keys]
     timed = sanity.evaluation.models[0].metrics.get("in_time")
     why = "" if timed is not None and timed.informative else (
-        " (In time with the speech: not informative here.)"
+        " (In time with the speech: cannot be answered on this corpus.)"
     )  # fmt: skip
     if not missed:
         return f"The three headline figures together notice all {len(found)} bad motions.{why}"

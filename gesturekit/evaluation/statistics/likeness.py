@@ -15,6 +15,7 @@ from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.evaluation.statistics.thresholds import (
     FORWARD,
     FULL_CREDIT,
+    MOST_ONE_NN,
     NO_CREDIT,
     USUAL_ONE_NN,
 )
@@ -53,7 +54,7 @@ def credits(
     for aspect, keys in ASPECTS.items():
         for key in keys:
             if key in ours and (key not in RATIOS or key in own):
-                credit = _credit(key, ours[key], own.get(key), max(own_one_nn, USUAL_ONE_NN))
+                credit = _credit(key, ours[key], own.get(key), own_one_nn)
                 found.setdefault(aspect, []).append(credit)
     return {aspect: np.mean(values, axis=0) for aspect, values in found.items()}
 
@@ -68,7 +69,8 @@ def likeness(
 
 def _credit(key: str, ours: np.ndarray, own: np.ndarray | None, own_one_nn: float) -> np.ndarray:
     if key == "one_nn":
-        return np.clip((1.0 - np.asarray(ours)) / max(1.0 - own_one_nn, 1e-6), 0.0, 1.0)
+        full = np.clip(own_one_nn, USUAL_ONE_NN, MOST_ONE_NN)
+        return np.clip((1.0 - np.asarray(ours)) / (1.0 - full), 0.0, 1.0)
     if key == "forward":
         return np.clip(np.asarray(ours) / FORWARD, 0.0, 1.0)
     floor, full, none = RATIOS[key], np.log(FULL_CREDIT), np.log(NO_CREDIT)

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.results import ClipResult, Interval, MetricResult
+from gesturekit.evaluation.results import ClipResult, Interval, Level, MetricResult
 from gesturekit.evaluation.statistics.intervals import Takes, interval_of, scaled_like
+from gesturekit.evaluation.statistics.levels import TRAINING, with_timing_levels
 from gesturekit.evaluation.statistics.questions import likeness_result, own_one_nn
 from gesturekit.evaluation.statistics.thresholds import ABOVE_CHANCE, SAME, SATURATED
 
@@ -24,14 +25,16 @@ _OF_SPEECH = {"sync": ("sync", "sync_z", "in_time"), "bas": ("bas", "bas_z"), "b
 def metric_results(
     clips: Sequence[ClipResult],
     sets: Mapping[str, Mapping[str, Any]],
-    floors: Mapping[str, tuple[Interval, str]],
+    ceilings: Mapping[str, tuple[Interval, str]],
+    levels: Mapping[str, Level],
 ) -> dict[str, MetricResult]:
     """Return {key of `definitions`: result}.
 
     Args:
         clips: the clips of a model; measures that compare windows of all clips are added to them.
         sets: {part: metrics of the set}, see `measuring.measurer`.
-        floors: the recordings' own values, see `floors`.
+        ceilings: the recordings' own values, see `measuring.ceilings`.
+        levels: ceiling and floors of likeness, see `measuring.levels`.
     """
     for clip, values in zip(clips, sets["pooled"].get("by_clip", ())):
         clip.metrics |= values
@@ -44,7 +47,7 @@ def metric_results(
         for key, values in sets[part]["metrics"].items():
             pooled = MetricResult.from_json(values)
             found[key] = _with_interval(pooled, found.get(key))
-    for key, (own, note) in floors.items():
+    for key, (own, note) in ceilings.items():
         if key in found:
             notes = "; ".join(filter(None, (found[key].note, note)))
             found[key] = replace(
@@ -54,16 +57,23 @@ def metric_results(
         copying = found["copying"]
         new = copying.recording is None or copying.recording > SAME
         found["novelty"] = replace(
-            found["novelty"], recording=1.0, note=copying.note, informative=new
+            found["novelty"],
+            recording=1.0,
+            note=copying.note,
+            informative=new,
+            ceiling=copying.ceiling,
+            floors=(Level(TRAINING, 0.0, None, 0),),
         )
+        found["copying"] = replace(copying, ceiling=None)
     for metric, keys in _OF_SPEECH.items():
         if metric in found and not informative(clips, metric):
             found |= {k: replace(found[k], informative=False) for k in keys if k in found}
     cca = found.get("cca")
     if cca is not None and cca.recording is not None and cca.recording > SATURATED:
         found["cca"] = replace(cca, informative=False)
-    own = floors["likeness"][0].value if "likeness" in floors else None
-    like = likeness_result(clips, own_one_nn(found), own)
+    if "in_time" in found:
+        found["in_time"] = with_timing_levels(found["in_time"], clips)
+    like = likeness_result(clips, own_one_nn(found), levels)
     return found if like is None else {**found, "likeness": like}
 
 

@@ -7,17 +7,26 @@ speech." All thresholds are in `thresholds`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.results import ClipResult, Finding, MetricResult
+from gesturekit.evaluation.results import ClipResult, Finding, Level, MetricResult, ModelResult
 from gesturekit.evaluation.statistics import thresholds
+from gesturekit.evaluation.statistics.groups import by_group
 from gesturekit.evaluation.statistics.intervals import (
     FEW,
     Takes,
     interval_about,
     pseudo_values,
+)
+from gesturekit.evaluation.statistics.levels import (
+    CEILING,
+    add_blind_floors,
+    level_text,
+    on_its_floor,
+    reached_floor,
 )
 from gesturekit.evaluation.statistics.likeness import (
     ASPECTS,
@@ -32,7 +41,27 @@ IN_TIME, LIKE, NEW = (
     "Moves like this speaker?",
     "Is it new?",
 )
+UNANSWERABLE = "cannot be answered"
+OTHER_TAKES = "take against the speaker's others"
 Results = Mapping[str, MetricResult]
+
+
+def answer(models: Sequence[ModelResult]) -> None:
+    """Answer the three questions for each model, with the models that ignore speech as floors."""
+    add_blind_floors(models, "in_time", _timing_by_take)
+    add_blind_floors(models, "likeness", _likeness_by_take)
+    for model in models:
+        model.answers = answers(model.clips, model.metrics)
+
+
+def _timing_by_take(model: ModelResult) -> np.ndarray:
+    clips = [clip for clip in model.clips if "in_time" in clip.metrics]
+    return Takes.of([c.pair for c in clips]).means([c.metrics["in_time"] for c in clips])
+
+
+def _likeness_by_take(model: ModelResult) -> np.ndarray:
+    takes = Takes.of([clip.pair for clip in model.clips])
+    return likeness_of(model.clips, own_one_nn(model.metrics))(np.eye(takes.count))
 
 
 def answers(clips: Sequence[ClipResult], metrics: Results) -> list[Finding]:
@@ -42,18 +71,46 @@ def answers(clips: Sequence[ClipResult], metrics: Results) -> list[Finding]:
         clips: the clips of a model.
         metrics: its results by key of `definitions`.
     """
-    return [_timing(metrics), _likeness(clips, metrics), _novelty(metrics)]
+    found = [_timing(metrics), _likeness(clips, metrics), _novelty(metrics)]
+    return [_on_its_line(finding, metrics.get(finding.key)) for finding in found]
+
+
+def _on_its_line(finding: Finding, result: MetricResult | None) -> Finding:
+    """Return a finding that says where its score is above the ceiling or no higher than a floor."""
+    if result is None or not result.informative:
+        return finding
+    floor, ceiling, value = on_its_floor(result), result.ceiling, result.interval.value
+    if floor is not None:
+        text = f"no higher than its floor, {level_text(floor)}"
+    elif ceiling is not None and value > ceiling.value + (ceiling.spread or 0.0):
+        text = f"above its ceiling, {level_text(ceiling)}"
+    else:
+        return finding
+    return replace(finding, sentence=f"{finding.sentence.removesuffix('.')}; {text}.")
+
+
+def _cannot_be_answered(question: str, key: str, why: str) -> Finding:
+    return Finding(question, key, UNANSWERABLE, f"Cannot be answered on this corpus: {why}")
+
+
+def _no_room(result: MetricResult) -> str:
+    """Return in words that a floor reaches the ceiling; "" if none does."""
+    floor = reached_floor(result)
+    if floor is None:
+        return ""
+    ceiling = level_text(result.ceiling)
+    return f"the floor, {level_text(floor)}, is not surely below the ceiling, {ceiling}."
 
 
 def likeness_result(
-    clips: Sequence[ClipResult], own_one_nn: float, own: float | None
+    clips: Sequence[ClipResult], own_one_nn: float, levels: Mapping[str, Level]
 ) -> MetricResult | None:
     """Return the likeness of a model's clips with its interval over takes.
 
     Args:
         clips: the clips.
         own_one_nn: 1-NN accuracy of the recordings among each other.
-        own: likeness of other recordings.
+        levels: ceiling and floors by name, see `statistics.levels`.
     """
     measure = likeness_of(clips, own_one_nn)
     takes = Takes.of([clip.pair for clip in clips])
@@ -63,8 +120,15 @@ def likeness_result(
     enough = takes.count >= FEW
     units = pseudo_values(measure, takes.count) if enough else np.full(takes.count, value)
     interval = interval_about(value, units, takes, DEFINITIONS["likeness"].within)
-    note = "" if own is None else "recording: one half against the other"
-    return MetricResult("likeness", interval, recording=own, note=note)
+    ceiling = levels.get(CEILING)
+    floors = tuple(level for name, level in levels.items() if name != CEILING)
+    if ceiling is None:
+        return MetricResult("likeness", interval, floors=floors)
+    compared = "piece of one take against the others" if ceiling.pieces else OTHER_TAKES
+    note = f"recording: each {compared}"
+    return MetricResult(
+        "likeness", interval, ceiling.value, note=note, ceiling=ceiling, floors=floors
+    )
 
 
 def own_one_nn(metrics: Results) -> float:
@@ -77,29 +141,56 @@ def own_one_nn(metrics: Results) -> float:
 def likeness_of(
     clips: Sequence[ClipResult], own_one_nn: float
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function of weights (B, R) of takes (see `Takes.of`) to likenesses (B,)."""
-    ours, own = _measures(clips)
+    """Return a function of weights (B, R) of takes (see `Takes.of`) to likenesses (B,).
+
+    Each group of clips (`groups_of`) is compared with its own recordings; groups are averaged with
+    the weights of their takes.
+    """
+    groups = by_group([clip.pair for clip in clips]).values()
 
     def measured(weights: np.ndarray) -> np.ndarray:
-        sides = ({key: weights @ v for key, v in side.items()} for side in (ours, own))
-        found = likeness(*sides, own_one_nn)
-        return np.full(len(weights), np.nan) if found is None else found
+        total, shares = np.zeros(len(weights)), np.zeros(len(weights))
+        for group in groups:
+            share = weights @ group.sum(axis=1)
+            found = likeness(*_means(clips, weights @ group), own_one_nn)
+            if found is not None:
+                total += np.where(share > 0.0, share * np.nan_to_num(found), 0.0)
+                shares += share
+        return np.divide(total, shares, out=np.full(len(weights), np.nan), where=shares > 0.0)
 
     return measured
 
 
-def _measures(
-    clips: Sequence[ClipResult],
+def likeness_by_group(clips: Sequence[ClipResult], own_one_nn: float) -> dict[str, float]:
+    """Return {group of `groups_of`: likeness} of the groups that can be compared."""
+    found = {}
+    for name, group in by_group([clip.pair for clip in clips]).items():
+        value = likeness(*_means(clips, group.sum(axis=0)[None]), own_one_nn)
+        if value is not None:
+            found[name] = float(value[0])
+    return found
+
+
+def _means(
+    clips: Sequence[ClipResult], weights: np.ndarray
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return {measure: (R,) means by take} of the model and of the recordings."""
-    takes = Takes.of([clip.pair for clip in clips])
-    ours, own = {}, {}
-    for key in MEASURES:
-        if all(key in clip.metrics for clip in clips):
-            ours[key] = takes.means([clip.metrics[key] for clip in clips])
-        if all(key in clip.recording for clip in clips):
-            own[key] = takes.means([clip.recording[key] for clip in clips])
-    return ours, own
+    """Return {measure: (B,) means over clips} of the model and of the recordings.
+
+    Args:
+        clips: n clips.
+        weights: (B, n) their weights. A measure that a clip with a weight lacks is left out.
+    """
+    counts = weights.any(axis=0)
+    total = np.maximum(weights.sum(axis=1), 1e-12)
+
+    def means(sides: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
+        return {
+            key: weights @ np.array([side.get(key, 0.0) for side in sides]) / total
+            for key in MEASURES
+            if all(key in side for side, known in zip(sides, counts) if known)
+        }
+
+    return means([clip.metrics for clip in clips]), means([clip.recording for clip in clips])
 
 
 def _timing(metrics: Results) -> Finding:
@@ -110,14 +201,14 @@ def _timing(metrics: Results) -> Finding:
         )
     if not result.informative:
         text = (
-            "Not informative here: the recordings' own sync is less than 3 standard errors above "
-            "chance. Their arms do not follow this speech, or there is too little of it."
+            "the recordings' own sync is less than 3 standard errors above chance. Their arms do "
+            "not follow this speech, or there is too little of it."
         )
-        return Finding(IN_TIME, "in_time", "not informative here", text)
+        return _cannot_be_answered(IN_TIME, "in_time", _no_room(result) or text)
     share = result.interval.value / result.recording
     low = result.interval.low
     beyond = low is not None and low <= 0.0 and share < thresholds.IN_TIME
-    if share < thresholds.LOOSELY_IN_TIME or beyond:
+    if share < thresholds.LOOSELY_IN_TIME or beyond or on_its_floor(result):
         return Finding(IN_TIME, "in_time", "no", "Not in time with the speech.")
     if share < thresholds.IN_TIME:
         return Finding(IN_TIME, "in_time", "partly", "Loosely in time with the speech.")
@@ -131,19 +222,46 @@ def _likeness(clips: Sequence[ClipResult], metrics: Results) -> Finding:
     result = metrics.get("likeness")
     if result is None:
         return Finding(LIKE, "likeness", "not measured", "Not measured: no body parts to compare.")
-    means = ({k: v.mean() for k, v in side.items()} for side in _measures(clips))
-    found = credits(*means, own_one_nn(metrics))
+    if not result.informative:
+        return _cannot_be_answered(LIKE, "likeness", _no_room(result))
+    found = _aspects(clips, own_one_nn(metrics))
     missed = [a for a in ASPECTS if a in found and found[a] < thresholds.NAMED_ASPECT]
     missed.sort(key=found.get)
     differs = f"; what differs: {listed(missed, 4)}" if missed else ""
+    differs += _speakers(clips, own_one_nn(metrics))
     value = result.interval.value
+    if on_its_floor(result):
+        return Finding(LIKE, "likeness", "no", f"Does not move like this speaker{differs}.")
     top = 1.0 if result.recording is None else min(1.0, result.recording)
     if value >= min(thresholds.LIKE, top) and not missed:
-        return Finding(LIKE, "likeness", "yes", "Moves like this speaker.")
+        return Finding(LIKE, "likeness", "yes", f"Moves like this speaker{differs}.")
     if value >= thresholds.PARTLY_LIKE * top:
         much = "mostly" if value >= min(thresholds.LIKE, top) else "somewhat"
         return Finding(LIKE, "likeness", "partly", f"Moves {much} like this speaker{differs}.")
     return Finding(LIKE, "likeness", "no", f"Does not move like this speaker{differs}.")
+
+
+def _aspects(clips: Sequence[ClipResult], own_one_nn: float) -> dict[str, float]:
+    """Return the credit of each aspect, averaged over groups as `likeness_of` does."""
+    takes = Takes.of([clip.pair for clip in clips]).count
+    found: dict[str, list[tuple[float, float]]] = {}
+    for group in by_group([clip.pair for clip in clips]).values():
+        weights = group.sum(axis=0)[None] / takes
+        for aspect, credit in credits(*_means(clips, weights), own_one_nn).items():
+            found.setdefault(aspect, []).append((weights.sum(), float(credit[0])))
+    return {
+        aspect: sum(share * credit for share, credit in known) / sum(share for share, _ in known)
+        for aspect, known in found.items()
+    }
+
+
+def _speakers(clips: Sequence[ClipResult], own_one_nn: float) -> str:
+    """Return the likeness of each speaker in words, if they differ; else ""."""
+    found = likeness_by_group(clips, own_one_nn)
+    if max(found.values()) - min(found.values()) < thresholds.SPEAKERS_DIFFER:
+        return ""
+    each = [f"{name or 'unnamed'} {value:.2f}" for name, value in found.items()]
+    return f"; it differs between speakers: {listed(each, 6)}"
 
 
 def _novelty(metrics: Results) -> Finding:
@@ -154,10 +272,10 @@ def _novelty(metrics: Results) -> Finding:
     among = "training motion" if "training split" in result.note else "the recordings"
     if not result.informative:
         text = (
-            f"Not informative here: the recordings themselves are the same as {among}, or do not "
-            "move. Look for one recording in two splits."
+            f"the recordings themselves are the same as {among}, or do not move. Look for one "
+            "recording in two splits."
         )
-        return Finding(NEW, "novelty", "not informative here", text)
+        return _cannot_be_answered(NEW, "novelty", text)
     now_and_then = low is not None and low.recording and (
         low.interval.value < thresholds.OCCASIONALLY_COPIED * low.recording
     )  # fmt: skip

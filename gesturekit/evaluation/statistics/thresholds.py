@@ -21,6 +21,12 @@ FORWARD = 30.0
 """Percentage of windows that are nearest to motion played forwards, above which the credit is 1."""
 LIKE, PARTLY_LIKE = 0.85, 0.6
 """Likeness for yes; and for partly, relative to that of the speaker's other recordings."""
+MOST_ONE_NN = 0.9
+"""1-NN accuracy with full credit, at most: nearer to 1, its differences say nothing."""
+LEAST_IN_STYLE = 3
+"""Recordings of each style of a speaker from which styles are compared one by one."""
+SPEAKERS_DIFFER = 0.2
+"""Difference of likeness between speakers from which they are named."""
 NAMED_ASPECT = 0.6
 """Credit of an aspect below which it is named."""
 SATURATED = 0.99

@@ -1,15 +1,15 @@
-"""The recordings' own value of metrics that compare with recordings.
+"""Ceilings of metrics that compare with recordings: the value of the speaker's other takes.
 
-Each recording is compared with the next one, as if it had been generated for it; a single recording
-with its other half. Fréchet distances compare one half of the recordings with the other. A model
-that moves like the speaker comes to about these values: it cannot know what was recorded.
+Each recording is compared with one of another take of the same speaker, as if it had been generated
+for it. A single take is compared with itself, piece by piece or half by half, which flatters.
+Fréchet distances compare one half of the recordings with the other. A model that moves like the
+speaker comes to about these values: it cannot know what was recorded.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,10 +30,9 @@ from gesturekit.evaluation.metrics import similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
 from gesturekit.evaluation.metrics.physical import relative_speed
-from gesturekit.evaluation.pairs import ItemInterval, Pair
+from gesturekit.evaluation.pairs import Pair
 from gesturekit.evaluation.results import Interval
 from gesturekit.evaluation.statistics.intervals import Takes, interval_of, whole_set
-from gesturekit.evaluation.statistics.likeness import RATIOS, likeness
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
 
@@ -44,14 +43,19 @@ MOST, LONGEST = 30, 60.0
 """Recordings that are compared with each other, at most, and seconds of each."""
 INTER = 20
 """Recordings that inter-diversity is taken of, at most."""
-OTHERS, HALVES = "recording: against another recording", "recording: one half against the other"
+OTHERS, PIECES, HALVES = (
+    "recording: against another take of the speaker",
+    "recording: against another piece of the same take",
+    "recording: one half against the other",
+)
 
-_NAMELESS = Path("recording")
+SECOND = ", second half"
+"""Ending of the name of the second half of a single recording."""
 
 
-def floors(
+def ceilings(
     recordings: Mapping[str, Motion],
-    sources: Mapping[str, Path | ItemInterval],
+    sources: Mapping[str, Pair],
     measure: ClipMetrics,
     features: FeatureModel | None,
     seed: int,
@@ -60,7 +64,7 @@ def floors(
 
     Args:
         recordings: all recordings by name, of one rig and frame rate.
-        sources: their files or items, by the same names, which tell their takes.
+        sources: pairs of each recording with itself, which tell takes and speakers.
         measure: the metrics of clips, with their groups.
         features: the feature extractor of FGD, or None.
         seed: seed of subsamples.
@@ -68,19 +72,13 @@ def floors(
     if not recordings:  # all are too short to be compared
         return {}
     chosen = _chosen(recordings)
-    note = OTHERS if len(recordings) > 1 else HALVES
-    pairs = _pairs(chosen)
+    own = {name: sources[name.removesuffix(SECOND)] for name in chosen}
+    others, note = _others(own)
+    note = note if len(recordings) > 1 else HALVES
     joints = body_joints(next(iter(chosen.values())).skeleton)
     clips = [
-        Clip(
-            Pair(a, b, None, _NAMELESS, sources.get(b, _NAMELESS)),
-            chosen[a],
-            chosen[b],
-            joints,
-            None,
-            (),
-        )
-        for a, b in pairs
+        Clip(own[name], chosen[other], chosen[name], joints, None, ())
+        for name, other in others.items()
     ]
     found: dict[str, tuple[Interval, str]] = {}
     values = [measure.against(clip) for clip in clips]
@@ -96,20 +94,7 @@ def floors(
             continue  # the model's own result says why it cannot be taken
         if value is not None:
             found[key] = whole_set(value, len(chosen)), HALVES
-    found |= _likeness(clips, measure)
     return found
-
-
-def _likeness(clips: Sequence[Clip], measure: ClipMetrics) -> dict[str, tuple[Interval, str]]:
-    """Return the likeness of one half of the recordings to the other."""
-    values = [measure.recording(clip)[0] for clip in clips]
-    keys = [key for key in RATIOS if all(key in v for v in values)]
-    one, other = (
-        {key: np.mean([v[key] for v in half]) for key in keys}
-        for half in (values[::2], values[1::2])
-    )
-    found = likeness(one, other)
-    return {} if found is None else {"likeness": (whole_set(float(found), len(clips)), HALVES)}
 
 
 def _chosen(recordings: Mapping[str, Motion]) -> dict[str, Motion]:
@@ -121,17 +106,29 @@ def _chosen(recordings: Mapping[str, Motion]) -> dict[str, Motion]:
         return cut
     ((name, motion),) = cut.items()
     first, second = _halves([motion])
-    return {name: first[0], f"{name}, second half": second[0]}
+    return {name: first[0], f"{name}{SECOND}": second[0]}
 
 
 def _cut(motion: Motion) -> Motion:
     return motion.slice(0, min(motion.n_frames, round(LONGEST * motion.fps)))
 
 
-def _pairs(recordings: Mapping[str, Motion]) -> list[tuple[str, str]]:
-    """Return (recording, the next one) cyclically."""
+def _others(recordings: Mapping[str, Pair]) -> tuple[dict[str, str], str]:
+    """Return {recording: the one that is compared with it}, and how they were chosen.
+
+    The next recording of another take of the same speaker, cyclically; for speakers with one take,
+    the next recording of it, unless others have several takes.
+    """
     names = list(recordings)
-    return list(zip(names[1:] + names[:1], names, strict=True))
+    takes, pieces = {}, {}
+    for at, name in enumerate(names):
+        after = [other for other in names[at + 1 :] + names[:at]]
+        same = [o for o in after if recordings[o].speaker == recordings[name].speaker]
+        other_takes = [o for o in same if recordings[o].take != recordings[name].take]
+        if other_takes:
+            takes[name] = other_takes[0]
+        pieces[name] = (same or after)[0]
+    return (takes, OTHERS) if takes else (pieces, PIECES)
 
 
 def _halves(motions: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:

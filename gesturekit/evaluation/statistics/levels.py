@@ -1,0 +1,121 @@
+"""Floors and ceilings of the scores that answer the three questions, with their spread over takes.
+
+The ceiling is the score of the speaker's other takes. Floors are scores of motion that should not
+have it: another speaker's, the mean pose, motion that ignores the speech.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gesturekit.evaluation.results import ClipResult, Level, MetricResult, ModelResult
+from gesturekit.evaluation.statistics.intervals import LEVEL, Takes
+
+CEILING, OTHER_SPEAKER, MEAN_POSE, OTHER_UTTERANCE = (
+    "the speaker's other takes",
+    "another speaker",
+    "mean pose",
+    "another utterance",
+)
+"""Names of levels."""
+OWN = "the speaker's own"
+"""Name of the ceiling of timing: recordings with their own speech."""
+FLATTERED = "pieces of one take, which flatter"
+"""Name of a ceiling where the speaker has a single take."""
+TRAINING = "training motion"
+"""Name of the floor of novelty."""
+OTHER_SOUND = "in_time_mismatched"
+"""Key, among a recording's metrics, of its timing with the sounds of other recordings."""
+_BLIND = {"in_time": ("speech_blind", "other_utterance"), "likeness": ("speech_blind",)}
+"""Labels of models that ignore the speech, and are floors of a metric."""
+ByTake = Callable[[ModelResult], Sequence[float]]
+
+
+def level_of(name: str, values: Sequence[float], *, pieces: bool = False) -> Level:
+    """Return the mean and the spread of one value a take."""
+    spread = float(np.std(values, ddof=1)) if len(values) > 1 else None
+    return Level(name, float(np.mean(values)), spread, len(values), pieces)
+
+
+def level_name(level: Level) -> str:
+    """Return the name of a level; that of a flattered ceiling says so."""
+    return FLATTERED if level.pieces and level.name == CEILING else level.name
+
+
+def level_text(level: Level) -> str:
+    """Return a level in words, such as "another speaker (0.41 ± 0.06)"."""
+    spread = "" if level.spread is None else f" ± {level.spread:.2f}"
+    return f"{level_name(level)} ({level.value:.2f}{spread})"
+
+
+def on_its_floor(result: MetricResult) -> Level | None:
+    """Return the highest floor if a score is no higher, by one standard error of the floor."""
+    floor = max(result.floors, key=lambda level: level.value, default=None)
+    if floor is None:
+        return None
+    error = (floor.spread or 0.0) / np.sqrt(max(floor.n, 1))
+    return floor if result.interval.value <= floor.value + error else None
+
+
+def reached_floor(result: MetricResult) -> Level | None:
+    """Return the highest floor that is not below the ceiling, so that a score says nothing.
+
+    It is below if Student's t of the two means, with the spread of takes pooled, is significant at
+    5 %, one-sided; without any spread, if its value is.
+    """
+    ceiling = result.ceiling
+    reached = [] if ceiling is None else [f for f in result.floors if not _differ(ceiling, f)]
+    return max(reached, key=lambda level: level.value, default=None)
+
+
+def _differ(ceiling: Level, floor: Level) -> bool:
+    from scipy.stats import t
+
+    gap = ceiling.value - floor.value
+    sides = [level for level in (ceiling, floor) if level.spread is not None]
+    free = sum(level.n - 1 for level in sides)
+    if not free:
+        return gap > 0.0
+    variance = sum((level.n - 1) * level.spread**2 for level in sides) / free
+    means = sum(1.0 / level.n for level in (ceiling, floor) if level.n)
+    return bool(gap > t.ppf(LEVEL, free) * np.sqrt(variance * means))
+
+
+def with_timing_levels(result: MetricResult, clips: Sequence[ClipResult]) -> MetricResult:
+    """Return the timing of a model with the speaker's own as ceiling, and its floors."""
+    own = _by_take(clips, "in_time")
+    other = _by_take(clips, OTHER_SOUND)
+    floors = [level_of(OTHER_UTTERANCE, other)] if len(other) else []
+    ceiling = level_of(OWN, own) if len(own) else None
+    return replace(result, ceiling=ceiling, floors=(*floors, Level(MEAN_POSE, 0.0, None, 0)))
+
+
+def _by_take(clips: Sequence[ClipResult], key: str) -> np.ndarray:
+    """Return the means by take of a metric of the recordings that have it."""
+    has = [clip for clip in clips if key in clip.recording]
+    if not has:
+        return np.zeros(0)
+    return Takes.of([clip.pair for clip in has]).means([clip.recording[key] for clip in has])
+
+
+def add_blind_floors(models: Sequence[ModelResult], key: str, values: ByTake) -> None:
+    """Add the scores of models that ignore the speech to the floors of the other models.
+
+    Where the ceiling is no higher than a floor, the metric is not informative.
+
+    Args:
+        models: all models.
+        key: key of `definitions`.
+        values: function of a model to its scores by take.
+    """
+    blind = [model for model in models if model.label in _BLIND[key] and key in model.metrics]
+    for model in models:
+        if key in model.metrics:
+            floors = [level_of(one.label, values(one)) for one in blind if one is not model]
+            result = model.metrics[key]
+            result = replace(result, floors=(*result.floors, *floors))
+            known = result.informative and reached_floor(result) is None
+            model.metrics[key] = replace(result, informative=known)

@@ -1,0 +1,193 @@
+"""Floors and ceilings of the three questions: who scores like whom."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gesturekit.corpus import Item, Manifest
+from gesturekit.evaluation import Evaluation, evaluate, write_report
+from gesturekit.evaluation.pairs import Pair
+from gesturekit.evaluation.report.headline import headline, headline_lines
+from gesturekit.evaluation.results import (
+    ClipResult,
+    Interval,
+    Level,
+    MetricResult,
+    ModelResult,
+)
+from gesturekit.evaluation.statistics.levels import (
+    CEILING,
+    MEAN_POSE,
+    OTHER_SPEAKER,
+    level_of,
+    on_its_floor,
+    reached_floor,
+)
+from gesturekit.evaluation.statistics.model_metrics import metric_results
+from gesturekit.evaluation.statistics.questions import answer, answers
+
+
+def show(shared_data: Path, speaker: str) -> list[Item]:
+    """Clips of SHOW of 10 s, each a take of its own."""
+    files = sorted((shared_data / "takes" / "show").glob(f"{speaker}_*.npz"))
+    return [
+        Item(id=p.stem, audio=p.with_suffix(".wav"), motion=p, duration=10.0, speaker=speaker,
+             split="test")
+        for p in files
+    ]  # fmt: skip
+
+
+def zeroeggs(shared_data: Path, pieces: Sequence[tuple[float, float]]) -> list[Item]:
+    """Pieces (start, duration) of each of the three takes of one speaker of ZeroEGGS."""
+    files = sorted((shared_data / "takes" / "zeggs_neutral" / "one_rig").glob("*.bvh"))
+    return [
+        Item(id=f"{p.stem}_{n}", take=p.stem, audio=p.with_suffix(".wav"), motion=p,
+             audio_start=start, motion_start=start, duration=seconds, speaker="zeggs",
+             split="test")
+        for p in files
+        for n, (start, seconds) in enumerate(pieces)
+    ]  # fmt: skip
+
+
+def judged(
+    items: Sequence[Item], others: Callable[[Item], Item], folder: Path, **options
+) -> Evaluation:
+    """Evaluate recordings in the place of generated clips: of each item that of another one."""
+    Manifest(items).save(folder / "corpus.jsonl")
+    for item in items:
+        motion = others(item).load_motion()
+        frames = min(motion.n_frames, round(item.duration * motion.fps))
+        motion.slice(0, frames).save(folder / "made" / f"{item.id}.npz")
+    return evaluate(folder / "made", folder / "corpus.jsonl", **options)
+
+
+@pytest.fixture(scope="module")
+def two_speakers(shared_data, tmp_path_factory) -> dict[str, Evaluation]:
+    """ZeroEGGS and SHOW in one corpus: each speaker moves like the other, or as in another take."""
+    oliver, zeggs = show(shared_data, "oliver"), zeroeggs(shared_data, [(10.0, 20.0)])
+    own = {"oliver": oliver, "zeggs": zeggs}
+
+    def following(item: Item, speaker: str) -> Item:
+        return own[speaker][(own[item.speaker].index(item) + 1) % len(own[speaker])]
+
+    other = {"oliver": "zeggs", "zeggs": "oliver"}
+    return {
+        "another": judged(
+            [*oliver, *zeggs],
+            lambda item: following(item, other[item.speaker]),
+            tmp_path_factory.mktemp("another"),
+        ),
+        "same": judged(
+            [*oliver, *zeggs],
+            lambda item: following(item, item.speaker),
+            tmp_path_factory.mktemp("same"),
+        ),
+    }
+
+
+def test_another_speaker_stands_at_the_floor_and_other_takes_at_the_ceiling(two_speakers):
+    another, same = (two_speakers[name].models[0].metrics["likeness"] for name in two_speakers)
+    floors = {level.name: level for level in another.floors}
+    assert set(floors) == {OTHER_SPEAKER, MEAN_POSE}
+    floor, ceiling = floors[OTHER_SPEAKER], another.ceiling
+    assert (floor.n, ceiling.n, ceiling.pieces) == (7, 7, False)
+    assert ceiling.value - ceiling.spread > floor.value + floor.spread
+    assert floors[MEAN_POSE].value < floor.value
+    assert another.interval.value == pytest.approx(floor.value, abs=0.1)
+    assert same.interval.value >= ceiling.value - ceiling.spread
+    assert same.informative and another.informative
+    assert another.recording == ceiling.value
+
+
+def test_the_first_screen_says_where_a_score_stands(two_speakers, tmp_path):
+    found = {name: headline_lines(done) for name, done in two_speakers.items()}
+    like = {name: next(t for t in lines if "like this" in t) for name, lines in found.items()}
+    assert "Does not move like this speaker" in like["another"]
+    assert "no higher than its floor, another speaker (0." in like["another"]
+    assert "floor: another speaker 0." in like["same"] and "(7 takes)" in like["same"]
+    assert "ceiling: the speaker's other takes 0." in like["same"]
+    page = headline(two_speakers["another"], {})
+    assert page.count('<svg class="scale"') == 3 and page.count("<circle") == 3
+    write_report(two_speakers["another"], tmp_path / "report.html")
+
+
+def test_a_single_take_in_pieces_has_a_flattered_ceiling(shared_data, tmp_path):
+    pieces = zeroeggs(shared_data, [(10.0 + 12 * n, 12.0) for n in range(4)])[-4:]
+    done = judged(pieces, lambda item: item, tmp_path, protocol="")
+    likeness = done.models[0].metrics["likeness"]
+    assert likeness.ceiling.pieces and likeness.ceiling.n == 4
+    assert [level.name for level in likeness.floors] == [MEAN_POSE]
+    (said,) = (line for line in headline_lines(done) if "like this speaker" in line)
+    assert "ceiling: pieces of one take, which flatter" in said and said.count("(4 pieces)") == 2
+
+
+def result(value: float, ceiling: Level | None, *floors: Level) -> MetricResult:
+    interval = Interval(value, None, None, 3, 3, "takes")
+    return MetricResult("likeness", interval, ceiling=ceiling, floors=floors)
+
+
+def test_a_floor_differs_from_the_ceiling_by_a_t_test_over_takes():
+    """Both with sd .1 of 4 takes: t(6) = 1.943, times .1 sqrt(1/4 + 1/4), is .137."""
+    ceiling = Level(CEILING, 0.8, 0.1, 4)
+    for value, differs in ((0.65, True), (0.67, False)):
+        found = result(0.7, ceiling, Level(OTHER_SPEAKER, value, 0.1, 4))
+        assert (reached_floor(found) is None) == differs, value
+    # A floor by definition has no error: t(3) = 2.353 times .1 / 2 is .118.
+    assert reached_floor(result(0.7, ceiling, Level("zero", 0.68, None, 0))) is None
+    assert reached_floor(result(0.7, ceiling, Level("zero", 0.69, None, 0))) is not None
+    assert reached_floor(result(0.7, Level(CEILING, 0.5), Level("one", 0.4))) is None
+    assert reached_floor(result(0.7, None, Level("one", 0.4))) is None
+
+
+def test_levels_are_means_and_standard_deviations_over_takes():
+    assert level_of("a", [1.0, 3.0]) == Level("a", 2.0, pytest.approx(2**0.5), 2)
+    assert level_of("a", [1.0]) == Level("a", 1.0, None, 1)
+    assert on_its_floor(result(0.41, None, Level("a", 0.4, 0.04, 4))).name == "a"
+    assert on_its_floor(result(0.43, None, Level("a", 0.4, 0.04, 4))) is None
+
+
+def test_models_that_ignore_the_speech_are_floors_of_the_others():
+    def model(label: str, timing: float, own: float) -> ModelResult:
+        pairs = [Pair(f"r{r}", f"r{r}", None, Path("a"), Path("b")) for r in range(3)]
+        metrics, recorded = {"in_time": timing, "reach": 0.2}, {"in_time": own, "reach": 0.3}
+        clips = [ClipResult(pair, 9.0, dict(metrics), recorded, {}) for pair in pairs]
+        sets = {"pooled": {"metrics": {}}, "frechet": {"metrics": {}}}
+        return ModelResult(
+            label, Path(label), clips=clips, metrics=metric_results(clips, sets, {}, {})
+        )
+
+    models = [model("ours", 0.28, 0.4), model("speech_blind", 0.3, 0.4)]
+    answer(models)
+    timing, like = (models[0].metrics[key] for key in ("in_time", "likeness"))
+    assert {level.name: level.value for level in timing.floors} == pytest.approx(
+        {MEAN_POSE: 0.0, "speech_blind": 0.3}
+    )
+    assert [level.name for level in like.floors] == ["speech_blind"]
+    assert "no higher than its floor, speech_blind (0.30" in models[0].answers[0].sentence
+    assert models[0].answers[0].state == "no"
+    assert [level.name for level in models[1].metrics["in_time"].floors] == [MEAN_POSE]
+    models = [model("ours", 0.28, 0.25), model("speech_blind", 0.3, 0.25)]
+    answer(models)
+    assert models[0].answers[0].state == "cannot be answered"
+
+
+def test_scores_beyond_their_line_and_questions_without_one_are_said_in_words():
+    ceiling, floor = Level(CEILING, 0.8, 0.1, 5), Level(OTHER_SPEAKER, 0.3, 0.1, 5)
+    timing = replace(result(0.95, ceiling, floor), key="in_time", recording=0.8)
+    for value, words in (
+        (0.95, "above its ceiling, the speaker's other takes (0.80 ± 0.10)"),
+        (0.2, "no higher than its floor, another speaker (0.30 ± 0.10)"),
+    ):
+        made = replace(timing, interval=Interval(value, None, None, 5, 5, "takes"))
+        assert words in answers([], {"in_time": made})[0].sentence
+    none = replace(timing, floors=(replace(floor, value=0.75),), informative=False)
+    said = answers([], {"in_time": none})[0]
+    assert said.state == "cannot be answered"
+    assert said.sentence == (
+        "Cannot be answered on this corpus: the floor, another speaker (0.75 ± 0.10), is not "
+        "surely below the ceiling, the speaker's other takes (0.80 ± 0.10)."
+    )
