@@ -157,7 +157,7 @@ class PooledMetrics:
 
     def _hands(self) -> dict[str, MetricResult]:
         ours, theirs = map(hand_values, (self._all_generated(), self._all_recorded()))
-        trained = self._once("hands", (), self._trained_hands)
+        trained = self._once("hands", self._trained_hands)
         results = {}
         for key in HAND_KEYS:
             value, own = ours[key], theirs[key]
