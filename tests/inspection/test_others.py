@@ -91,7 +91,7 @@ def test_features(write_speech, tmp_path):
     summary = inspect(tmp_path / "a.npz")
     assert summary.kind == "features" and row(summary, "columns").startswith("24: mel_0, mel_1")
     spec = {"kind": "logmel", "n_mels": 24, "backend": "numpy"}
-    assert plain(summary)["spec"] == spec
+    assert plain(summary)["spec"] == spec and plain(summary)["rate"] == pytest.approx(100.0)
 
 
 # Models

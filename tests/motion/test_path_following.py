@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -31,11 +33,12 @@ def test_feet_stay_where_they_stood(shared_data, name):
     assert foot_skate(driven) < foot_skate(carried)
 
 
-def test_a_motion_that_is_on_its_path_stays_as_it_is(gesture):
+@pytest.mark.parametrize("aside", [0.0, 0.1])
+def test_a_motion_comes_onto_its_path_and_stays_as_it_is_on_its_own(gesture, aside):
     motion = gesture(2.0)
-    representation = DeltaRepresentation.fit([motion])
-    made = follow_path(motion, representation.path_of(motion))
-    assert np.abs(made.positions() - motion.positions()).max() < 1e-6
+    path = DeltaRepresentation.fit([motion]).path_of(motion)
+    made = follow_path(motion, replace(path, positions=path.positions + [aside, 0.0]))
+    np.testing.assert_allclose(made.translation, motion.translation + [aside, 0, 0], atol=1e-6)
 
 
 def test_a_path_of_another_length_is_refused(gesture):

@@ -247,11 +247,14 @@ def test_a_single_rater_gives_figures_without_intervals_or_tests():
     assert np.isnan(found.systems[0].merit.low) and np.isnan(found.pairs[0].p_holm)
 
 
+@pytest.mark.parametrize("has_checks", [True, False])
 @pytest.mark.parametrize(("raters", "few"), [(14, True), (15, False)])
-def test_fewer_than_fifteen_raters_are_called_few(raters, few):
+def test_few_raters_and_missing_attention_checks_are_named(raters, few, has_checks):
     answers = [Answer(f"r{r}", f"c{c}", "a", "b", 1) for r in range(raters) for c in range(2)]
-    text = " ".join(reservations(analyse_study(Answers(tuple(answers)), rounds=20)))
+    found = analyse_study(Answers(tuple(answers), has_checks=has_checks), rounds=20)
+    text = " ".join(reservations(found))
     assert (f"{raters} raters are few" in text) == few
+    assert ("do not say who failed attention checks" in text) == (not has_checks)
 
 
 def test_the_same_seed_gives_the_same_intervals(simulate):

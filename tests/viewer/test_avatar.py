@@ -133,9 +133,14 @@ def test_faces_of_transparent_texture_are_left_out(tmp_path):
     np.testing.assert_array_equal(np.unique(skin.palette[skin.regions], axis=0), [[200, 30, 30]])
 
 
-def test_a_texture_that_cannot_be_read_leaves_the_base_colour(tmp_path):
+@pytest.mark.parametrize("change", ["no picture", "too large"])
+def test_a_texture_that_cannot_be_read_leaves_the_base_colour(tmp_path, change, monkeypatch):
     colour = ("materials", 0, "pbrMetallicRoughness", "baseColorFactor")
-    changes = changed(*colour, value=[0, 0, 1, 1]), changed("images", 0, "bufferView", value=0)
+    changes = [changed(*colour, value=[0, 0, 1, 1])]
+    if change == "no picture":
+        changes.append(changed("images", 0, "bufferView", value=0))
+    else:
+        monkeypatch.setattr("gesturekit.viewer.glb._MOST_PIXELS", 0)
     with pytest.warns(UserWarning, match="texture cannot be read"):
         skin = read_avatar(with_changes(tmp_path / "me.vrm", *changes)).skins[0]
     np.testing.assert_array_equal(skin.palette, [[0, 0, 255]])
