@@ -121,7 +121,7 @@ class MetricResult:
             short, or no higher than a floor, so that the metric is not informative for these
             recordings.
         ceiling: value of the speaker's other takes; of the three questions only.
-        floors: values of motion that should not have the score; of the three questions only.
+        floors: values of motion that should fail; of the three questions only.
     """
 
     key: str

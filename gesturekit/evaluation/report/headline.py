@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Iterator, Mapping, Sequence
 
+from gesturekit.evaluation.report.plots import colour
 from gesturekit.evaluation.report.tables import dotted, number
 from gesturekit.evaluation.results import Evaluation, Finding, Level, MetricResult, ModelResult
 from gesturekit.evaluation.statistics.intervals import Takes
@@ -13,12 +14,14 @@ from gesturekit.evaluation.statistics.paired import Contest
 from gesturekit.viewer.pages import section
 
 _LEAD = (
-    "Each with one figure and its 95 % interval over takes (recording sessions): it holds for "
-    "other takes of the same speakers, not for other speakers. The point stands on a line with "
-    "floors (grey), which are values of motion that should not have the figure, and the ceiling "
-    "(green), which the speaker's other takes reach; bands are their spread over takes. Where a "
-    "floor reaches the ceiling, the question cannot be answered on this corpus. Bold: nearer to "
-    "the recordings than every other model by more than chance."
+    "Each has one figure with its 95 % interval over takes (recording sessions), which holds for "
+    "other takes of the same speakers, not for other speakers. On the line, the dot is the model. "
+    "Grey marks are floors, the values of motion that should fail: another speaker, the mean pose, "
+    "motion with other speech. The green mark is the ceiling, the value of the speaker's own "
+    "recordings. Bands are one standard deviation between takes, or between pieces of the only "
+    "take, to either side. Without a dot the question cannot be answered on this corpus: a floor "
+    "is too near to the ceiling, or there is too little data. Bold: nearer to the recordings than "
+    "every other model by more than chance."
 )
 
 _WIDTH, _HEIGHT, _MARGIN = 260, 30, 6  # pixels of the line of a score
@@ -81,7 +84,8 @@ def _cell(
     result, sentence = model.metrics.get(answer.key), f"<p>{html.escape(answer.sentence)}</p>"
     if result is None:
         return f"<td>{sentence}</td>"
-    line = _scale(result, [m.metrics[answer.key] for m in models if answer.key in m.metrics])
+    column = [m.metrics[answer.key] for m in models if answer.key in m.metrics]
+    line = _scale(result, column, colour(models.index(model)))
     if not result.informative:
         return f"<td>{sentence}{line}</td>"
     row = rows.get(answer.key)
@@ -113,7 +117,7 @@ def _levels(result: MetricResult) -> list[Level]:
     return [*result.floors, *([result.ceiling] if result.ceiling else [])]
 
 
-def _scale(result: MetricResult, column: Sequence[MetricResult]) -> str:
+def _scale(result: MetricResult, column: Sequence[MetricResult], ink: str) -> str:
     """Return the line of a score as SVG, with a legend; "" without levels.
 
     Bands are as wide as the spread over takes. An uninformative score is not drawn.
@@ -121,6 +125,7 @@ def _scale(result: MetricResult, column: Sequence[MetricResult]) -> str:
     Args:
         result: the score.
         column: the scores of all models, whose lines have one scale.
+        ink: colour of the model.
     """
     levels = _levels(result)
     if not levels:
@@ -143,7 +148,8 @@ def _scale(result: MetricResult, column: Sequence[MetricResult]) -> str:
             f'<rect x="{at - spread:.1f}" width="{2 * spread:.1f}" y="9" height="12"/>'
             f'<line x1="{at:.1f}" x2="{at:.1f}" y1="5" y2="25"/></g>'
         )
-    parts += [f'<circle cx="{place(value):.1f}" cy="15" r="5"/>' for value in score]
+    dot = f'cy="15" r="5" style="fill:{ink}"'
+    parts += [f'<circle cx="{place(value):.1f}" {dot}/>' for value in score]
     picture = f'<svg class="scale" viewBox="0 0 {_WIDTH} {_HEIGHT}">{"".join(parts)}</svg>'
     legend = "".join(
         f'<small class="{kind}">{kind}: {html.escape("; ".join(map(_level_line, some)))}</small>'

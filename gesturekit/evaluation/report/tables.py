@@ -80,8 +80,8 @@ def metrics(evaluation: Evaluation, contests: Mapping[str, Contest]) -> str:
         "Mean over takes; below it the 95 % interval over takes (over windows or 10 s "
         "clips for Fréchet distances), and the numbers of recordings and of clips. The recordings "
         "are measured as well: where a metric compares with recordings, another one, or one half "
-        "against the other. Their own value is the goal: an arrow stands only where no model is "
-        "beyond it. Bold: nearer to it than every other model by more than chance (paired over "
+        "against the other. Their own value is the goal: an arrow says where it lies, unless a "
+        "model is beyond it. Bold: nearer to it than every other model by more than chance (paired over "
         "recordings, Holm over all rows), and above chance. Metrics of a whole set have one "
         "value: many of them have no interval, and none is ever bold. Chance is the same motion's "
         "value with its sound shifted, or with other recordings."
@@ -120,7 +120,7 @@ def _metric_cell(model: ModelResult, key: str, row: Contest | None) -> str:
     if result.chance is not None:
         below.append(f"chance {number(result.chance)}")
     if result.mismatched is not None:
-        below.append(f"other recordings {number(result.mismatched)}")
+        below.append(f"with other recordings {number(result.mismatched)}")
     if result.note:
         below.append(result.note)
     small = "".join(f"<small>{html.escape(line)}</small>" for line in below)

@@ -1,7 +1,7 @@
 """Floors and ceilings of the scores that answer the three questions, with their spread over takes.
 
-The ceiling is the score of the speaker's other takes. Floors are scores of motion that should not
-have it: another speaker's, the mean pose, motion that ignores the speech.
+The ceiling is the score of the speaker's other takes. Floors are scores of motion that should fail:
+another speaker's, the mean pose, motion that ignores the speech.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ CEILING, OTHER_SPEAKER, MEAN_POSE, OTHER_UTTERANCE = (
 """Names of levels."""
 OWN = "the speaker's own"
 """Name of the ceiling of timing: recordings with their own speech."""
-FLATTERED = "pieces of one take, which flatter"
+FLATTERED = "pieces of one take, more alike than takes are"
 """Name of a ceiling where the speaker has a single take."""
 TRAINING = "training motion"
 """Name of the floor of novelty."""
@@ -41,7 +41,7 @@ def level_of(name: str, values: Sequence[float], *, pieces: bool = False) -> Lev
 
 
 def level_name(level: Level) -> str:
-    """Return the name of a level; that of a flattered ceiling says so."""
+    """Return the name of a level; that of a ceiling from pieces says so."""
     return FLATTERED if level.pieces and level.name == CEILING else level.name
 
 

@@ -82,11 +82,16 @@ def _on_its_line(finding: Finding, result: MetricResult | None) -> Finding:
     floor, ceiling, value = on_its_floor(result), result.ceiling, result.interval.value
     if floor is not None:
         text = f"no higher than its floor, {level_text(floor)}"
-    elif ceiling is not None and value > ceiling.value + (ceiling.spread or 0.0):
+    elif finding.key != "novelty" and _is_above(value, ceiling):
         text = f"above its ceiling, {level_text(ceiling)}"
     else:
         return finding
     return replace(finding, sentence=f"{finding.sentence.removesuffix('.')}; {text}.")
+
+
+def _is_above(value: float, ceiling: Level | None) -> bool:
+    """Return whether a score is above the ceiling by more than its spread."""
+    return ceiling is not None and value > ceiling.value + (ceiling.spread or 0.0)
 
 
 def _cannot_be_answered(question: str, key: str, why: str) -> Finding:
@@ -201,8 +206,8 @@ def _timing(metrics: Results) -> Finding:
         )
     if not result.informative:
         text = (
-            "the recordings' own sync is less than 3 standard errors above chance. Their arms do "
-            "not follow this speech, or there is too little of it."
+            "the sync of the recordings themselves is less than 3 standard errors above chance. "
+            "The recorded arms do not follow this speech, or there is too little of it."
         )
         return _cannot_be_answered(IN_TIME, "in_time", _no_room(result) or text)
     share = result.interval.value / result.recording
@@ -227,7 +232,7 @@ def _likeness(clips: Sequence[ClipResult], metrics: Results) -> Finding:
     found = _aspects(clips, own_one_nn(metrics))
     missed = [a for a in ASPECTS if a in found and found[a] < thresholds.NAMED_ASPECT]
     missed.sort(key=found.get)
-    differs = f"; what differs: {listed(missed, 4)}" if missed else ""
+    differs = f"; what differs: {listed(missed, len(ASPECTS))}" if missed else ""
     differs += _speakers(clips, own_one_nn(metrics))
     value = result.interval.value
     if on_its_floor(result):
@@ -287,9 +292,10 @@ def _novelty(metrics: Results) -> Finding:
     if now_and_then:
         text = f"New, but occasionally copied from {among}{_seeds(metrics)}."
         return Finding(NEW, "novelty", "partly", text)
-    return Finding(
-        NEW, "novelty", "yes", f"New: as far from {among} as other recordings{_seeds(metrics)}."
-    )
+    text = f"New: as far from {among} as other recordings"
+    if _is_above(result.interval.value, result.ceiling):
+        text = f"New: farther from {among} than other recordings, as odd motion is too"
+    return Finding(NEW, "novelty", "yes", f"{text}{_seeds(metrics)}.")
 
 
 def _seeds(metrics: Results) -> str:
