@@ -81,8 +81,8 @@ def metrics(evaluation: Evaluation, contests: Mapping[str, Contest]) -> str:
         "clips for Fréchet distances), and the numbers of recordings and of clips. The recordings "
         "are measured as well: where a metric compares with recordings, another one, or one half "
         "against the other. Their own value is the goal: an arrow says where it lies, unless a "
-        "model is beyond it. Bold: nearer to it than every other model by more than chance (paired over "
-        "recordings, Holm over all rows), and above chance. Metrics of a whole set have one "
+        "model is beyond it. Bold: nearer to it than every other model by more than chance (paired "
+        "over recordings, Holm over all rows), and above chance. Metrics of a whole set have one "
         "value: many of them have no interval, and none is ever bold. Chance is the same motion's "
         "value with its sound shifted, or with other recordings."
     )
