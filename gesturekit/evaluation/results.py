@@ -44,7 +44,7 @@ class Interval:
 
     @property
     def method(self) -> str:
-        """How value and interval are computed, for papers and files of results."""
+        """Method of the value and its interval in words, for papers and files of results."""
         if self.over != "takes":
             return "mean over samples" if self.over == "samples" else "one value of the whole set"
         if self.low is None:

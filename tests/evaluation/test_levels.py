@@ -122,7 +122,10 @@ def test_a_single_take_in_pieces_has_a_flattered_ceiling(shared_data, tmp_path):
     assert likeness.ceiling.pieces and likeness.ceiling.n == 4
     assert [level.name for level in likeness.floors] == [MEAN_POSE]
     (said,) = (line for line in headline_lines(done) if "like this speaker" in line)
-    assert "ceiling: pieces of one take, more alike than takes are" in said and said.count("(4 pieces)") == 2
+    assert (
+        "ceiling: pieces of one take, more alike than takes are" in said
+        and said.count("(4 pieces)") == 2
+    )
 
 
 def result(value: float, ceiling: Level | None, *floors: Level) -> MetricResult:
