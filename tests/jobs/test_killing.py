@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from small_runs import SMALL
 
 KILLS = int(os.environ.get("GESTUREKIT_KILLS", "200"))
 """Number for each command; `make test` kills one command twice."""
@@ -33,21 +34,9 @@ MULTIRES = {
     "checkpoint_every": 4,
     "log_every": 2,
 }
-DIFFUSION = {
-    "system": "diffusion",
-    "threads": 1,
-    "network": {
-        "blocks": 2,
-        "layers": 1,
-        "channels": 16,
-        "heads": 2,
-        "feedforward": 16,
-        "embedding": 16,
-    },
-    "noise": {"steps": 20, "last_beta": 0.5},
-    "training": {"updates": 30, "batch": 4, "window": 2.0, "warm_up": 2},
+DIFFUSION = SMALL["diffusion"] | {
+    "training": SMALL["diffusion"]["training"] | {"updates": 30},
     "checkpoint_every": 4,  # a multiple of log_every: losses of a line are not in checkpoints
-    "log_every": 2,
 }
 
 
