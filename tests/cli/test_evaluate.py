@@ -256,9 +256,11 @@ def test_files_cut_from_a_take_are_one_unit(gesturekit, gesture, tmp_path):
         )  # fmt: skip
         assert done.status == 0, done.err
         (model,) = json.loads((tmp_path / f"{name}.json").read_text())["models"]
-        found[name] = model["figures"]["wrist_speed"]
-    assert found["files"]["low"] < found["files"]["value"] < found["files"]["high"]
-    assert found["takes"]["low"] is None and found["takes"]["value"] is not None
+        found[name] = model["figures"]["wrist_speed"], model["figures"]["likeness"]
+    (files, _), (takes, likeness) = found["files"], found["takes"]
+    assert files["low"] < files["value"] < files["high"]
+    assert takes["low"] is None and takes["value"] is not None
+    assert likeness["ceiling"]["n"] == 2, "each take against the other"
 
 
 def test_retrieval_and_speech_blind_are_compared(gesturekit, held_out, tmp_path):

@@ -46,24 +46,28 @@ def test_each_change_is_a_line_and_models_go_by_label(found, before):
         (model,) = values["models"]
         model["label"] = "old"
         model["figures"]["wrist_speed"] |= {"value": 9.0, "low": 8.0, "high": 10.0}
+        model["figures"]["cca_global"]["value"] += 0.5
         del model["figures"]["jerk"]
         model["figures"]["gone"] = {"value": 1.0}
         values["fps"] = 30.0
 
-    now = found.models[0].metrics["wrist_speed"].interval.value
+    now, cca = (found.models[0].metrics[k].interval.value for k in ("wrist_speed", "cca_global"))
     assert list(differences(found, read_results(before(change)))) == [
         "fps: 30.0 before, 25.0 now: not comparable",
-        f"new: 3 of {len(found.models[0].metrics)} values differ",
+        f"new: 4 of {len(found.models[0].metrics)} values differ",
         f"  Wrist speed: 9.00 before, {now:.2f} m/s now, outside the earlier interval",
         "  Jerk: only now",
+        f"  CCA, global: {cca + 0.5:.2f} before, {cca:.2f} now",
         "  gone: only before",
     ]
 
+    names = ("other", "new", "more")
+
     def rename(values):
-        values["models"] = [{**values["models"][0], "label": name} for name in ("new", "other")]
+        values["models"] = [{**values["models"][0], "label": name} for name in names]
 
     lines = list(differences(found, read_results(before(rename))))
-    assert lines == ["new: equal", "other: only before"]
+    assert lines == ["new: equal", "other: only before", "more: only before"]
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 from gesturekit.corpus import Item, Manifest
 from gesturekit.evaluation import Evaluation, evaluate, write_report
 from gesturekit.evaluation.pairs import Pair
-from gesturekit.evaluation.report.headline import headline, headline_lines
+from gesturekit.evaluation.report.headline import _scale, headline, headline_lines
 from gesturekit.evaluation.results import (
     ClipResult,
     Interval,
@@ -101,6 +102,8 @@ def test_another_speaker_stands_at_the_floor_and_other_takes_at_the_ceiling(two_
     assert same.interval.value >= ceiling.value - ceiling.spread
     assert same.informative and another.informative
     assert another.recording == ceiling.value
+    novelty = two_speakers["another"].models[0].metrics["novelty"]
+    assert novelty.ceiling.value == 1.0 and novelty.ceiling.spread > 0.0
 
 
 def test_the_first_screen_says_where_a_score_stands(two_speakers, tmp_path):
@@ -143,7 +146,20 @@ def test_a_floor_differs_from_the_ceiling_by_a_t_test_over_takes():
     assert reached_floor(result(0.7, ceiling, Level("zero", 0.68, None, 0))) is None
     assert reached_floor(result(0.7, ceiling, Level("zero", 0.69, None, 0))) is not None
     assert reached_floor(result(0.7, Level(CEILING, 0.5), Level("one", 0.4))) is None
+    assert reached_floor(result(0.7, Level(CEILING, 0.5), Level("one", 0.5))) is not None
     assert reached_floor(result(0.7, None, Level("one", 0.4))) is None
+
+
+def test_marks_stand_on_the_line_in_the_order_of_their_values():
+    score = result(0.5, Level(CEILING, 0.8, 0.1, 4), Level(OTHER_SPEAKER, -0.2, 0.1, 4))
+    drawn = _scale(score, [score, result(2.0, None)], "red")
+    floor, ceiling = map(float, re.findall(r'<line x1="([\d.-]+)" x2="\1"', drawn))
+    (dot,) = map(float, re.findall(r'cx="([\d.-]+)"', drawn))
+    bands = re.findall(r'<rect x="([\d.-]+)" width="([\d.-]+)"', drawn)
+    assert 0 < float(bands[0][0]) < floor < dot < ceiling < 260
+    # From -0.3 (the end of a band) to 2.0 (another model's score).
+    assert (dot - floor) / (ceiling - floor) == pytest.approx(0.7, abs=0.01)
+    assert (floor - 6) / (260 - 12) == pytest.approx(0.1 / 2.3, abs=0.001)
 
 
 def test_levels_are_means_and_standard_deviations_over_takes():
