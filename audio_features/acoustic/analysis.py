@@ -13,6 +13,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from audio_features.errors import FeatureError
+from audio_features.librosa_import import import_librosa
 from audio_features.wave import SPEECH_LEVEL_DBFS, Wave
 
 SAMPLE_RATE = 16_000
@@ -141,8 +142,7 @@ def _normalised_difference(frames: np.ndarray) -> np.ndarray:
 
 def _pyin(samples: np.ndarray, n_frames: int) -> np.ndarray:
     """Track f0 (T,) by probabilistic YIN (Mauch and Dixon 2014), about 15 times real time."""
-    import librosa
-
+    librosa = import_librosa()
     f0 = np.empty(n_frames)
     for first in range(0, n_frames, _PATH_FRAMES):
         last = min(first + _PATH_FRAMES, n_frames)

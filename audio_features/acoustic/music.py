@@ -14,6 +14,7 @@ from audio_features.acoustic.analysis import (
 )
 from audio_features.acoustic.extractors import AcousticExtractor, whole_number
 from audio_features.errors import FeatureError
+from audio_features.librosa_import import import_librosa
 
 BEATS_PER_MINUTE = (50.0, 200.0)
 """Slowest and fastest tempo that is searched for."""
@@ -112,8 +113,7 @@ def local_pulse(flux: np.ndarray) -> np.ndarray:
     Unlike librosa.beat.plp, every window has the same weight, and the scale does not depend on
     the clip's maximum.
     """
-    import librosa
-
+    librosa = import_librosa()
     n = len(flux)
     if n < _TEMPO_FRAMES:
         return local_pulse(np.pad(flux, (0, _TEMPO_FRAMES - n)))[:n]

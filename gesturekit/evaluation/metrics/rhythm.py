@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from audio_features import Wave
+from audio_features.librosa_import import import_librosa
 from gesturekit.errors import MotionError
 from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.physical import CUTOFF, derivative, joint_paths, joint_speed
@@ -244,12 +245,10 @@ def speech_onsets(wave: Wave) -> np.ndarray:
         >>> speech_onsets(af.Wave(samples, 16000)).round(1).tolist()
         [1.0, 2.0]
     """
-    import librosa
-
     if wave.is_silent:
         return np.zeros(0)
     sound = wave.resample(_ONSET_RATE)
-    return librosa.onset.onset_detect(
+    return import_librosa().onset.onset_detect(
         y=sound.samples, sr=_ONSET_RATE, hop_length=_ONSET_HOP, units="time"
     )
 
@@ -265,11 +264,9 @@ def music_beats(wave: Wave) -> np.ndarray:
         >>> np.diff(music_beats(af.Wave(clicks, 22050))).mean().round(1).tolist()
         0.5
     """
-    import librosa
-
     if wave.is_silent:
         return np.zeros(0)
-    return librosa.beat.beat_track(y=wave.samples, sr=wave.sample_rate, units="time")[1]
+    return import_librosa().beat.beat_track(y=wave.samples, sr=wave.sample_rate, units="time")[1]
 
 
 def central_speed(motion: Motion, joints: Sequence[str]) -> np.ndarray:
