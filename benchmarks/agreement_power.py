@@ -172,16 +172,16 @@ def main() -> None:
                 f"| {one['accuracy']:.1%} | {one['pairs']:.1f} |",
                 flush=True,
             )
-        told = np.mean([
+        in_order = np.mean([
             each["right"].kendall > each["blind"].kendall > each["inverted"].kendall
             for each in found
         ])  # fmt: skip
         alarms = false_alarms(design, number, asked.seed)
         size = f"{design.systems} systems, {design.ratings} ratings"
-        figures[size] = {"in order": float(told), "false alarms": alarms}
+        figures[size] = {"in order": float(in_order), "false alarms": alarms}
         print(
-            f"right above blind above inverted in {told:.1%} of studies; of equal systems, any "
-            f"pair is significant in {alarms:.1%}"
+            f"right above blind above inverted in {in_order:.1%} of studies; with equal systems, "
+            f"any pair is significant in {alarms:.1%}"
         )
     print(f"{number} studies of each size in {time.perf_counter() - start:.0f} s")
     if asked.json is not None:

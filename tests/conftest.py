@@ -21,14 +21,11 @@ from rigs import PERSON, QUADRUPED, rig_of
 from scipy.spatial.transform import Rotation
 from sounds import voiced
 
-from audio_features.librosa_import import import_librosa
 from gesturekit.motion import Motion, Skeleton
 
 # Examples follow from the test alone: a run on another day finds no other failure.
 settings.register_profile("repeatable", derandomize=True)
 settings.load_profile("repeatable")
-# Before tests that import librosa themselves, in several processes at once.
-import_librosa()
 
 NEVER_SKIPPED_IN_CI = ("Chromium", "smplx", "ffmpeg")
 

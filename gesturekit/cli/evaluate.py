@@ -27,6 +27,7 @@ from gesturekit.cli.options import (
     existing_option,
     is_left,
     recording_options,
+    take_option,
     weights_option,
 )
 
@@ -102,12 +103,7 @@ _USED_BY_SANITY = (
     "rater, system, clip, question, value, or votes in the format of gesturekit study. Shows how "
     "well each metric agrees with people's ranking of the models.",
 )
-@click.option(
-    "--take-pattern",
-    metavar="REGEX",
-    help="For takes (recording sessions) that were cut into files: take the session from the name "
-    "of each recording, by a group such as '(.*)_part[0-9]+'. Intervals and tests are over takes.",
-)
+@take_option("Intervals and tests are over takes.")
 @click.option("--out", type=_FILE, help="Write an HTML report.")
 @click.option("--json", "json_out", type=_FILE, help="Write all results as JSON.")
 @click.option("--against", type=_FILE, help="Print the differences from an earlier --json file.")

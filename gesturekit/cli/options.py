@@ -207,6 +207,16 @@ def parse_level_files(text: str) -> dict[str, Path]:
     return {levels: Path(name) for levels, _, name in pairs}
 
 
+def take_option(effect: str) -> Callable[..., Any]:
+    """Add --take-pattern; `effect` says what goes by takes."""
+    return click.option(
+        "--take-pattern",
+        metavar="REGEX",
+        help="For takes (recording sessions) that were cut into files: take the session from the "
+        f"name of each recording, by a group such as '(.*)_part[0-9]+'. {effect}",
+    )
+
+
 def existing_option(default: str, *, alias: bool = False, note: str = "") -> Callable[..., Any]:
     """Add --existing, with --skip-existing as another name of `--existing skip`.
 

@@ -15,6 +15,7 @@ from gesturekit.cli.options import (
     part_option,
     read_from,
     recording_options,
+    take_option,
     workers_option,
 )
 from gesturekit.corpus.layouts import LAYOUTS
@@ -90,12 +91,7 @@ from gesturekit.corpus.layouts import LAYOUTS
     help="Take style (and speaker) from the path of each recording within its folder, by named "
     "groups such as '(?P<style>calm|lively)_.*'.",
 )
-@click.option(
-    "--take-pattern",
-    metavar="REGEX",
-    help="For takes (recording sessions) that were cut into files: take the session from the path "
-    "of each recording, by a group such as '(.*)_part[0-9]+'. Takes are held out as a whole.",
-)
+@take_option("Takes are held out as a whole.")
 @click.option(
     "--take-table",
     type=click.Path(path_type=Path),

@@ -14,6 +14,7 @@ import os
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 
 from gesturekit.corpus.checks import Problem
@@ -42,12 +43,12 @@ def choose_held_out(
     held out, so that the choice depends neither on the order of the files nor on the machine, and
     hardly changes when takes are added.
     """
-    ids = list(dict.fromkeys(names))
+    units = list(dict.fromkeys(names))
     count = 0
     if fraction > 0:
-        count = min(max(at_least, math.floor(fraction * len(ids) + 0.5)), len(ids) - 1)
-    ranked = sorted(ids, key=lambda name: hashlib.sha256(f"{seed}:{name}".encode()).digest())
-    splits = dict.fromkeys(ids, "train")
+        count = min(max(at_least, math.floor(fraction * len(units) + 0.5)), len(units) - 1)
+    ranked = sorted(units, key=lambda name: hashlib.sha256(f"{seed}:{name}".encode()).digest())
+    splits = dict.fromkeys(units, "train")
     for i, name in enumerate(ranked[: max(count, 0)]):
         splits[name] = "valid" if i % 2 else "test"
     return splits
@@ -265,16 +266,9 @@ def _whole(
     """Return the items of whole recordings; takes without a published split are kept together."""
     free = [one for one in recordings if not one.split]
     are_takes = len({one.take for one in free}) > 1
-    names = [one.take if are_takes else one.id for one in recordings]
-    chosen = choose_held_out(
-        (name for one, name in zip(recordings, names, strict=True) if not one.split),
-        holdout,
-        seed,
-        at_least=at_least,
-    )
-    return [
-        _item(one, one.split or chosen[name]) for one, name in zip(recordings, names, strict=True)
-    ]
+    unit = attrgetter("take" if are_takes else "id")
+    chosen = choose_held_out(map(unit, free), holdout, seed, at_least=at_least)
+    return [_item(one, one.split or chosen[unit(one)]) for one in recordings]
 
 
 def _parts(recording: Recording, intervals: Sequence[Interval]) -> list[tuple[str, Interval]]:

@@ -1,4 +1,4 @@
-"""What a training leaves, and trainings in processes of their own."""
+"""Outputs of a training run, and training in separate processes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def weights(folder: Path) -> dict[str, torch.Tensor]:
 
 
 def same_weights(one: Path, other: Path) -> bool:
-    """Whether all tensors of two model folders are equal to the last bit."""
+    """Return whether all tensors of two model folders are equal to the last bit."""
     first, second = weights(one), weights(other)
     assert first.keys() == second.keys()
     return all(torch.equal(value, second[name]) for name, value in first.items())

@@ -382,9 +382,9 @@ def test_tables_beside_a_recording_go_with_it_and_are_cut_as_it_is(tmp_path, wri
     assert report.is_complete, report.problems
     train, test = Manifest.load(tmp_path / "c.jsonl")
     assert (train.split, test.split) == ("train", "test")
-    told = [[(e.time, e.name, e.duration) for e in item.load_events()] for item in (train, test)]
-    assert told[0] == [(1.0, "kick", 0.0), (3.5, "nod", 1.0)]
-    assert told[1] == [(0.0, "nod", 0.5), (1.0, "kick", 0.0)]
+    events = [[(e.time, e.name, e.duration) for e in item.load_events()] for item in (train, test)]
+    assert events[0] == [(1.0, "kick", 0.0), (3.5, "nod", 1.0)]
+    assert events[1] == [(0.0, "nod", 0.5), (1.0, "kick", 0.0)]
     path = test.load_path(30.0, 60)
     assert path.n_frames == 60 and np.allclose(path.positions[[0, 30]], [[0, 2.0], [0, 2.5]])
 

@@ -143,7 +143,7 @@ def data(config):
 
 @pytest.fixture(scope="module")
 def library(data, config):
-    """What a training on the data would recall."""
+    """Recall library of a training on the data."""
     return build_library(data, config)
 
 

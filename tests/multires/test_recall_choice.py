@@ -498,7 +498,7 @@ def test_still_recordings_and_constant_speech_are_finite():
     ],
 )
 def test_a_piece_with_a_defect_is_not_chosen_where_there_are_others(frames, is_avoided):
-    """Of a recording of 40 frames, what frames 20 to 29 show is wanted."""
+    """Frames 20 to 29 of a recording of 40 frames hold the wanted movement."""
     flags, profile = np.zeros(40, bool), noise(40, 2)
     flags[frames] = True
     found = PieceSearch([np.zeros((40, 3))], [profile], 10, 0, ONLY_MOVEMENT, [flags])

@@ -122,7 +122,7 @@ def _others(recordings: Mapping[str, Pair]) -> tuple[dict[str, str], str]:
     names = list(recordings)
     takes, pieces = {}, {}
     for at, name in enumerate(names):
-        after = [other for other in names[at + 1 :] + names[:at]]
+        after = names[at + 1 :] + names[:at]
         same = [o for o in after if recordings[o].speaker == recordings[name].speaker]
         other_takes = [o for o in same if recordings[o].take != recordings[name].take]
         if other_takes:

@@ -8,7 +8,7 @@ pieces of one take are compared with each other, which flatters: they share its 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -110,9 +110,9 @@ def _evenly(items: list, most: int) -> list:
 
 
 def _by_take(recorded: Sequence[_Recorded]) -> list[list[_Recorded]]:
-    takes: dict[str, list[_Recorded]] = {}
+    takes: dict[tuple[str | None, str], list[_Recorded]] = {}
     for one in recorded:
-        takes.setdefault(one.pair.take, []).append(one)
+        takes.setdefault((one.pair.speaker, one.pair.take), []).append(one)
     return list(takes.values())
 
 
@@ -171,7 +171,7 @@ class _Judge:
                 continue
             same = RETARGETED not in notes and motion.skeleton.names == one.motion.skeleton.names
             moved.append(one if same else self._measured(one.pair, motion))
-        return _by_take([replace(one, pair=replace(one.pair, take=_take(one))) for one in moved])
+        return _by_take(moved)
 
     def still(self, own: Sequence[_Recorded]) -> _Recorded:
         """Return the mean pose of recordings, of those on the rig of the first, held still."""
@@ -205,10 +205,6 @@ class _Judge:
             return own_windows(*sides, joints, self.seed, reach=False)
         except GestureKitError:
             return {}
-
-
-def _take(one: _Recorded) -> str:
-    return f"{one.pair.speaker}/{one.pair.take}"
 
 
 def _means(recorded: Sequence[_Recorded]) -> Iterator[tuple[str, float]]:

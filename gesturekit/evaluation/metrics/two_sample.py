@@ -166,7 +166,7 @@ def two_sample_accuracy(one: MotionWindows, other: MotionWindows, *, seed: int =
         MotionError: a set of fewer than 2 windows, or windows of different joints.
 
     Examples:
-        The nearest window of a copy is its original; bodies of 10 times the size are told apart:
+        The nearest window of a copy is its original; bodies of 10 times the size are distinguished:
 
         >>> motion = gk.load("demo").generate(seconds=5)
         >>> one, large = motion_windows(motion), motion_windows(motion.scaled(10))

@@ -89,8 +89,8 @@ def _without_raters_and_clips(
 ) -> tuple[np.ndarray, str]:
     """Return ratings (n,) less the effects of raters and clips, and a note if one cannot be known.
 
-    An effect can only be told from those of systems if it connects them: raters who rate a single
-    system each say nothing about the difference of two.
+    An effect can be separated from those of systems only if it connects them: raters who rate a
+    single system each say nothing about the difference of two.
     """
     from scipy.sparse import coo_matrix, csr_matrix, hstack
     from scipy.sparse.linalg import lsqr

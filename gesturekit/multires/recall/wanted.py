@@ -35,7 +35,7 @@ _RIDGES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Ridge penalties to choose from, relative to the mean variance of the inputs."""
 _FOLDS = 4
 _LEAST_TAKES, _MOST_FOLDS = 3, 8
-"""With as many takes, whole takes are left out in cross-validation, in groups if there are more."""
+"""Least number of takes for a cross-validation over whole takes; its largest number of folds."""
 _GAP_SECONDS = 1.0
 _CREDIBLE = 0.3
 """Out-of-fold correlation above which predictions are used without scaling down."""
