@@ -23,7 +23,7 @@ is twice continuously differentiable however the strokes fall.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -43,6 +43,7 @@ _HOP = 0.01  # seconds between frames of prosody
 _SHORT_PAUSE = 0.28  # seconds; a shorter silence is part of a word or of a phrase
 _REST_PAUSE = 1.2  # seconds; in a longer one the hands go back to rest
 _LIVELINESS = (0.5, 1.7)  # pitch range (`af.ProsodicRange`, semitones) of a calm, a lively talker
+_MOOD_RANGE = (-0.9, 1.15)  # limits of the liveliness to which a mood was added
 _HIPS = STANDING_HEIGHT - 0.012  # m; soft knees leave room for the weight to shift
 _TRUNK = np.array([0.185, 0.165])  # m; half axes of the ellipse that wrists stay out of
 _HANDS_APART = 0.26  # m between the wrists: hands that point inwards just do not touch
@@ -129,13 +130,15 @@ class Step:
 
 @dataclass(frozen=True)
 class Gesture:
-    """A stroke in time: its middle and its length in s, its size and what each hand does of it."""
+    """A stroke in time: its middle and its length in s, its size, what each hand does of it, and
+    the middle of the gesture space."""
 
     form: Stroke
     time: float
     size: float
     duration: float
     shares: tuple[float, float]
+    centre: np.ndarray
 
 
 class _Deck:
@@ -165,14 +168,36 @@ class Syllable:
 
 
 @dataclass(frozen=True)
+class Mood:
+    """What the talker does beyond what the speech shows.
+
+    liveliness: added to a phrase's liveliness; height: m, added to the height of gestures and
+    rest places; width: factor of the size of gestures; left: probability that the left hand leads.
+    """
+
+    liveliness: float = 0.0
+    height: float = 0.0
+    width: float = 1.0
+    left: float = 0.5
+
+
+Moods = Callable[[float], Mood]
+"""The mood at a time in s."""
+
+
+@dataclass(frozen=True)
 class Phrase:
-    """Speech between two pauses; start, stop and the pause after it in s, liveliness 0..1."""
+    """Speech between two pauses; start, stop and the pause after it in s.
+
+    liveliness: 0..1, read off the speech; `_MOOD_RANGE` where a mood was added.
+    """
 
     start: float
     stop: float
     pause: float
     syllables: tuple[Syllable, ...]
     liveliness: float
+    mood: Mood | None = None
 
     @property
     def accents(self) -> list[Syllable]:
@@ -180,11 +205,22 @@ class Phrase:
         return [s for s in self.syllables if s.accent] or list(self.syllables)
 
 
-def talk(wave: af.Wave, seed: int = 0) -> Motion:
-    """The motion of a standing speaker who says `wave`, at 30 fps, as long as the wave."""
+def talk(wave: af.Wave, seed: int = 0, moods: Moods | None = None) -> Motion:
+    """The motion of a standing speaker who says `wave`, at 30 fps, as long as the wave.
+
+    moods: the talker's mood at each phrase's middle. A calm talker leaves out gestures and rests.
+    """
     n_frames = wave.n_frames(FPS)
     rng = np.random.default_rng(seed)
-    return _Talker(n_frames, rng).move(phrases(wave))
+    spoken = phrases(wave)
+    if moods is not None:
+        spoken = [_in_mood(phrase, moods(0.5 * (phrase.start + phrase.stop))) for phrase in spoken]
+    return _Talker(n_frames, rng).move(spoken)
+
+
+def _in_mood(phrase: Phrase, mood: Mood) -> Phrase:
+    liveliness = float(np.clip(phrase.liveliness + mood.liveliness, *_MOOD_RANGE))
+    return replace(phrase, liveliness=liveliness, mood=mood)
 
 
 def phrases(wave: af.Wave) -> list[Phrase]:
@@ -393,7 +429,16 @@ class _Talker:
         for phrase in spoken:
             slow = 1.25 - 0.3 * phrase.liveliness
             free = max(free, phrase.start - 0.12)
-            for gesture in self.gestures(phrase, early=0.45 if any(raised) else 0.8):
+            gestures = self.gestures(phrase, early=0.45 if any(raised) else 0.8)
+            if phrase.mood:
+                starts = self.rests_in(phrase.mood, resting)
+                if not gestures:  # too calm to gesture
+                    for arm in (0, 1):
+                        if raised[arm]:
+                            middle = max(phrase.start + 0.3, free + 0.5)
+                            steps[arm].append(self.retraction(middle, starts[arm], slow))
+                    raised = [False, False]
+            for gesture in gestures:
                 for arm, share in enumerate(gesture.shares):
                     if share > 0.0:
                         steps[arm].extend(self.stroke(gesture, share, free, raised[arm], slow))
@@ -408,7 +453,7 @@ class _Talker:
                 free = gesture.time + 0.5 * gesture.duration
             if phrase.pause > _REST_PAUSE:
                 resting = next(self.rests)
-                starts = resting.left, resting.right
+                starts = self.rests_in(phrase.mood, resting)
                 for arm in (0, 1):
                     middle = max(phrase.stop + 0.15, free + 0.5) + self.rng.uniform(0.0, 0.15)
                     steps[arm].append(self.retraction(middle, starts[arm], slow))
@@ -418,7 +463,7 @@ class _Talker:
                     if raised[arm]:
                         last = steps[arm][-1].target
                         middle = max(phrase.stop, free) + self.rng.uniform(0.1, 0.3)
-                        relaxed = last + 0.45 * (CENTRE + self.space - last)
+                        relaxed = last + 0.45 * (self.centre(phrase.mood) - last)
                         steps[arm].append(Step(middle, 1.0 * slow, relaxed))
         first = RESTS[0]
         paths = []
@@ -431,11 +476,28 @@ class _Talker:
             paths.append(path)
         return apart(*paths), self.path(np.zeros(1), shrugs)[:, 0]
 
+    def centre(self, mood: Mood | None) -> np.ndarray:
+        """The middle of this talker's gesture space, raised by the mood."""
+        if mood is None:
+            return CENTRE + self.space
+        return CENTRE + np.array([0.0, mood.height, 0.0, 0.0])
+
+    def rests_in(self, mood: Mood | None, rest: Rest) -> tuple[np.ndarray, np.ndarray]:
+        """The places of both hands at rest, raised by the mood; hands at the sides hang."""
+        places = rest.left, rest.right
+        if mood is None:
+            return places
+        hangs = [place[1] < REST_AT_SIDES[1] + 0.05 for place in places]
+        return tuple(
+            place + np.array([0.0, (0.25 if hang else 1.0) * mood.height, 0.0, 0.0])
+            for place, hang in zip(places, hangs, strict=True)
+        )
+
     def gestures(self, phrase: Phrase, early: float) -> list[Gesture]:
         """One gesture for each of the phrase's chosen accents, larger for a more prominent one.
 
         Hands begin to move with the phrase, not before it: accents in its first `early` seconds
-        get none.
+        get none. A liveliness below 0, which only a mood gives, leaves out gestures.
         """
         chosen: list[Syllable] = []
         apart = 1.15 - 0.5 * phrase.liveliness
@@ -444,31 +506,44 @@ class _Talker:
         for accent in sorted(accents, key=lambda s: -s.prominence):
             if all(abs(accent.time - other.time) >= apart for other in chosen):
                 chosen.append(accent)
+        if phrase.mood:
+            left_out = np.clip(0.25 - 0.7 * phrase.liveliness, 0.0, 0.85)
+            chosen = [accent for accent in chosen if self.rng.random() >= left_out]
         result = []
         for accent in sorted(chosen, key=lambda s: s.time):
             force = accent.prominence
             # How large a gesture is follows from the accent; which one is drawn from a deck.
             usual = 0.34 + 0.16 * phrase.liveliness
+            if phrase.mood:  # a calm mood makes smaller gestures of the same accents
+                usual -= 0.3 * phrase.mood.liveliness
             rank = "small" if force < 0.4 * usual else "medium" if force < usual else "large"
             if rank != "large" and self.rng.random() < 0.22:
                 rank = "large" if rank == "medium" else "medium"
             form = next(self.decks[rank])
             size = float(np.clip(0.65 + 0.32 * phrase.liveliness + 0.3 * force, 0.76, 1.15))
+            if phrase.mood:
+                size *= phrase.mood.width * (1.0 + 0.35 * min(phrase.liveliness, 0.0))
+                size = min(size, 1.25)  # arms do not stretch farther
             duration = (0.34 + 0.14 * (rank == "large")) * (1.45 - 0.45 * phrase.liveliness)
-            shares = self.shares(form, phrase.liveliness)
-            result.append(Gesture(form, accent.time, size, duration, shares))
+            shares = self.shares(form, phrase)
+            centre = self.centre(phrase.mood)
+            result.append(Gesture(form, accent.time, size, duration, shares, centre))
         return result
 
-    def shares(self, form: Stroke, liveliness: float) -> tuple[float, float]:
+    def shares(self, form: Stroke, phrase: Phrase) -> tuple[float, float]:
         """Draw the share of left and right hand: both, one with a smaller echo, or one alone."""
         if form.hands == "both":
             other = self.rng.uniform(0.85, 1.0)
         else:
             draw = self.rng.random()
             mirrors = form.hands == "any" and draw < 0.35
-            echoes = draw < 0.65 + 0.3 * liveliness
+            echoes = draw < 0.65 + 0.3 * phrase.liveliness
             other = 1.0 if mirrors else self.rng.uniform(0.45, 0.7) if echoes else 0.0
-        leads = self.leading if self.rng.random() < 0.7 else 1 - self.leading
+        draw = self.rng.random()
+        if phrase.mood:
+            leads = 0 if draw < phrase.mood.left else 1
+        else:
+            leads = self.leading if draw < 0.7 else 1 - self.leading
         return (1.0, other) if leads == 0 else (other, 1.0)
 
     def stroke(
@@ -477,7 +552,7 @@ class _Talker:
         """Preparation and stroke of one hand; what follows until the next step is the hold."""
         late = 0.0 if share == 1.0 else self.rng.uniform(0.0, 0.07)
         begin, end = (
-            self.place(place, gesture.size, share)
+            self.place(place, gesture.size, share, gesture.centre)
             for place in (gesture.form.begin, gesture.form.end)
         )
         centre = gesture.time - LEAD + late
@@ -493,9 +568,8 @@ class _Talker:
     def retraction(self, centre: float, rest: np.ndarray, slow: float) -> Step:
         return Step(centre, self.rng.uniform(1.1, 1.4) * slow, rest)
 
-    def place(self, place: np.ndarray, size: float, share: float) -> np.ndarray:
+    def place(self, place: np.ndarray, size: float, share: float, centre: np.ndarray) -> np.ndarray:
         """Return the place of a hand, nearer to the centre for a smaller gesture."""
-        centre = CENTRE + self.space
         away = (np.asarray(place) - CENTRE) * self.rng.normal(1.0, 0.08, 4)
         if share < 1.0:
             centre = centre - np.array([0.0, 0.07 * (1 - share), 0.02, 0.0])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import multiprocessing
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from xml.sax.saxutils import escape
@@ -39,8 +40,10 @@ class Voice:
     pitch_range: int = 50
 
 
-def speak(sentences: list[str], voice: Voice) -> tuple[list[np.ndarray], int]:
+def speak(sentences: list[str], voice: Voice | Sequence[Voice]) -> tuple[list[np.ndarray], int]:
     """Say each sentence; words between *asterisks* are stressed.
+
+    voice: one for all sentences, or one for each; all of them have the same name.
 
     Returns one (N,) float32 array in [-1, 1] for each sentence, and their rate in Hz.
     Raises RuntimeError if the engine does not start or does not know the voice.
@@ -51,10 +54,11 @@ def speak(sentences: list[str], voice: Voice) -> tuple[list[np.ndarray], int]:
     """
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=context) as process:
-        return process.submit(_speak_here, sentences, voice).result()
+        voices = [voice] * len(sentences) if isinstance(voice, Voice) else list(voice)
+        return process.submit(_speak_here, sentences, voices).result()
 
 
-def _speak_here(sentences: list[str], voice: Voice) -> tuple[list[np.ndarray], int]:
+def _speak_here(sentences: list[str], voices: list[Voice]) -> tuple[list[np.ndarray], int]:
     try:
         import espeakng_loader
     except ImportError as error:
@@ -75,17 +79,18 @@ def _speak_here(sentences: list[str], voice: Voice) -> tuple[list[np.ndarray], i
     if rate <= 0:
         raise RuntimeError(f"espeak-ng did not start with the data in {data}")
     library.espeak_SetSynthCallback(callback)
-    if library.espeak_SetVoiceByName(voice.name.encode()) != 0:
-        raise RuntimeError(f"espeak-ng has no voice {voice.name!r}")
-    for parameter, value in (
-        (_RATE, voice.rate),
-        (_PITCH, voice.pitch),
-        (_RANGE, voice.pitch_range),
-    ):
-        library.espeak_SetParameter(parameter, value, 0)
+    name = voices[0].name
+    if library.espeak_SetVoiceByName(name.encode()) != 0:
+        raise RuntimeError(f"espeak-ng has no voice {name!r}")
 
     spoken = []
-    for sentence in sentences:
+    for sentence, voice in zip(sentences, voices, strict=True):
+        for parameter, value in (
+            (_RATE, voice.rate),
+            (_PITCH, voice.pitch),
+            (_RANGE, voice.pitch_range),
+        ):
+            library.espeak_SetParameter(parameter, value, 0)
         blocks.clear()
         text = _ssml(sentence).encode()
         library.espeak_Synth(
@@ -93,7 +98,7 @@ def _speak_here(sentences: list[str], voice: Voice) -> tuple[list[np.ndarray], i
         )
         library.espeak_Synchronize()
         if not blocks:
-            raise RuntimeError(f"espeak-ng said nothing for {sentence!r} with {voice.name!r}")
+            raise RuntimeError(f"espeak-ng said nothing for {sentence!r} with {name!r}")
         spoken.append(np.concatenate(blocks).astype(np.float32) / 32768.0)
     library.espeak_Terminate()
     return spoken, rate

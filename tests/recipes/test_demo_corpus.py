@@ -30,14 +30,15 @@ def recipe():
     sys.path.insert(0, str(RECIPE))
     import bundle
     import measure
+    import moods
     import prepare
     import talker
     import voice
 
-    modules = (bundle, measure, prepare, talker, voice)
+    modules = (bundle, measure, moods, prepare, talker, voice)
     yield {module.__name__: module for module in modules}
     sys.path.remove(str(RECIPE))
-    for name in ("bundle", "measure", "prepare", "talker", "rig", "texts", "voice"):
+    for name in ("bundle", "measure", "moods", "prepare", "talker", "rig", "texts", "voice"):
         sys.modules.pop(name, None)
 
 
@@ -192,6 +193,64 @@ def test_hands_stay_clear_of_the_trunk_the_head_and_each_other(talks):
             hands.append(hand)
         gaps = np.linalg.norm(hands[0][:, None] - hands[1][None], axis=-1)
         assert gaps.min() > 0.05
+
+
+def test_a_lively_mood_moves_more_than_a_calm_one_in_the_same_speech(recipe, talks):
+    talker = recipe["talker"]
+    wave, _ = talks["calm"][0]
+
+    def made(**mood) -> Motion:
+        return talker.talk(wave, 0, lambda time: talker.Mood(**mood))
+
+    calm, lively = (made(liveliness=by) for by in (-0.8, 0.8))
+    assert arm_speed(lively).mean() > 2 * arm_speed(calm).mean() > 0
+    assert np.array_equal(made(liveliness=0.8).rotations, lively.rotations)
+    high, low = (wrists(made(liveliness=0.4, height=by))[..., 1].mean() for by in (0.05, -0.05))
+    assert 0.02 < high - low < 0.1
+    wide, narrow = (arm_speed(made(liveliness=0.4, width=by)).mean() for by in (1.2, 0.8))
+    assert wide > 1.15 * narrow
+    left, right = (
+        np.abs(np.diff(wrists(made(left=share)), axis=0)).sum(axis=(0, 2)) for share in (1.0, 0.0)
+    )
+    assert left[0] / left[1] > 1.1 * right[0] / right[1]
+
+
+def test_without_moods_the_talker_moves_as_it_did_before_it_had_them(recipe):
+    motion = recipe["talker"].talk(af.Wave.load(gk.systems.bundled_speech()), 0)
+    places = wrists(motion)
+    paths = np.linalg.norm(np.diff(places, axis=0), axis=-1).sum(axis=0)
+    # Measured on the talker without moods, metres.
+    assert paths == pytest.approx([5.206196, 5.922876], rel=1e-4)
+    assert places[..., 1].mean(axis=0) == pytest.approx([1.176335, 1.182267], rel=1e-4)
+
+
+def test_a_corpus_of_moods_is_a_speakers_and_its_truth(recipe, tmp_path):
+    short = ["--talks", "2", "--seconds", "6"]
+    for folder, seed in (("one", "0"), ("same", "0"), ("other", "1")):
+        recipe["moods"].main([str(tmp_path / folder), *short, "--seed", seed])
+    names = {path.name for path in (tmp_path / "one").iterdir()}
+    stems = ("talk_01", "talk_02")
+    expected = {stem + suffix for stem in stems for suffix in (".wav", ".bvh")}
+    assert names == expected | {"moods.csv", "speaker.json"}
+    for name in names:
+        one, same, other = ((tmp_path / f / name).read_bytes() for f in ("one", "same", "other"))
+        assert one == same, name
+        assert one != other, name
+    rows = (tmp_path / "one" / "moods.csv").read_text(encoding="utf-8").splitlines()
+    assert rows[0] == "talk,time,mood,height,width,left"
+    wave = af.Wave.load(tmp_path / "one" / "talk_01.wav")
+    assert sum(row.startswith("talk_01,") for row in rows) == np.ceil(wave.duration)
+
+
+def test_moods_have_the_spreads_and_the_time_constant_that_are_asked_for(recipe):
+    moods = recipe["moods"]
+    rng = np.random.default_rng(0)
+    drawn = np.array([moods.process(rng, 600, moods.Spread(0.4, 0.3), 5.0) for _ in range(200)])
+    assert np.std(drawn) == pytest.approx(0.5, rel=0.1)
+    # Over a minute, the mean within the talk is not quite zero.
+    assert np.mean(np.var(drawn, axis=1)) ** 0.5 == pytest.approx(0.3, rel=0.15)
+    steps = drawn[:, 50:] - drawn[:, :-50]  # 5 s apart
+    assert 1 - np.mean(steps**2) / (2 * 0.3**2) == pytest.approx(0.5, abs=0.07)
 
 
 def test_a_bundle_is_the_model_in_fewer_bytes_with_its_figures(recipe, tmp_path, monkeypatch):
