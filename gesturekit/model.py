@@ -322,6 +322,7 @@ class Model(Protocol):
         seconds: float | None = None,
         samples: Literal[1] = 1,
         seed: int = 0,
+        item: str = "",
         **controls: Any,
     ) -> Motion: ...
 
@@ -334,17 +335,20 @@ class Model(Protocol):
         seconds: float | None = None,
         samples: int,
         seed: int = 0,
+        item: str = "",
         **controls: Any,
     ) -> list[Motion]: ...
 
     def generate(self, *args: Any, **controls: Any) -> Motion | list[Motion]:
         """Generate motion as long as the speech or `seconds`; a list where `samples` > 1.
 
-        `controls` are the fields of the system's `Controls`: see `MultiresControls` and
-        `DiffusionControls`.
+        `item` is the name of the utterance. Motions of different items are different draws; the
+        same seed, item, request and sample number give the same motion. `controls` are the fields
+        of the system's `Controls`: see `MultiresControls` and `DiffusionControls`.
 
         Raises:
-            ModelError: a control, style or speaker that this model does not have.
+            ModelError: a control, style or speaker that this model does not have, a seed below 0,
+                or an item that is not text.
             AudioError, FormatError: a file cannot be read, or an array is not a sound.
         """
         ...

@@ -151,6 +151,6 @@ def test_bytes_do_not_depend_on_caches(tmp_path):
     )
     model = gk.load("demo")
     model.generate(seconds=2)  # its kernels are in the cache from here on
-    model.generate(tmp_path / "speech.wav").save(tmp_path / "warm.bvh")
+    model.generate(tmp_path / "speech.wav", item="speech").save(tmp_path / "warm.bvh")
     cold = (tmp_path / "cold" / "speech.bvh").read_bytes()
     assert cold == (tmp_path / "warm.bvh").read_bytes()

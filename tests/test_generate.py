@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
+from importlib import import_module
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -19,7 +22,7 @@ from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.errors import ModelError
 from gesturekit.motion.rotations import rotation_angles
 from gesturekit.systems import bundled_speech
-from gesturekit.training.seeds import seeded
+from gesturekit.training.seeds import rng_for, seeded
 
 
 def diffusion(gesture, recorded_fps: float = 30.0) -> DiffusionModel:
@@ -71,6 +74,41 @@ def same(one: gk.Motion, other: gk.Motion) -> bool:
 def test_a_value_that_no_model_takes_is_an_error_before_generating(model, given, expected):
     with pytest.raises(gk.GestureKitError, match=expected):
         model.check_controls(**given)
+
+
+def test_each_item_is_a_draw_of_its_own(model, wave):
+    def made(**asked):
+        return model.generate(wave, samples=2, **asked)
+
+    one, other, unnamed = made(item="day/a"), made(item="day/b"), made()
+    drawn = [*one, *other, *unnamed, *made(item="day/a", seed=1)]
+    assert not any(same(a, b) for a, b in combinations(drawn, 2))
+    assert all(map(same, made(item=np.str_("day/a")), one))
+    assert all(map(same, made(item=""), unnamed))
+    odd = os.fsdecode(b"\xff.wav")  # a name of a file that is no text
+    assert not same(model.generate(wave, item=odd), unnamed[0])
+
+
+@pytest.mark.parametrize("item", [3, None, b"a", ["a"]])
+def test_an_item_is_text(model, wave, item):
+    with pytest.raises(ModelError, match="item=.*name of the utterance as text"):
+        model.generate(wave, item=item)
+
+
+def test_every_random_number_is_keyed_by_seed_item_and_sample(model, wave, monkeypatch):
+    sampling = import_module(f"gesturekit.{model.kind}.sampling.sampler")
+    keys = []
+
+    def spy(*given):
+        keys.append(given)
+        return rng_for(*given)
+
+    monkeypatch.setattr(sampling, "rng_for", spy)
+    motions = model.generate(wave, samples=2, seed=5, item="day/a")
+    assert {key[:4] for key in keys} == {(5, "day/a", "sample", number) for number in (0, 1)}
+    # No random number comes from elsewhere.
+    torch.manual_seed(99)
+    assert all(map(same, model.generate(wave, samples=2, seed=5, item="day/a"), motions))
 
 
 def test_speech_can_be_an_array(model, wave):

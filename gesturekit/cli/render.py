@@ -149,7 +149,13 @@ def control_options() -> list[click.Parameter]:
 )
 @body_option
 @size_option
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed.")
+@click.option(
+    "--seed",
+    type=SEED,
+    default=0,
+    show_default=True,
+    help="Random seed. Results of different names are different draws at the same seed.",
+)
 @click.option(
     "--samples",
     type=click.IntRange(min=1),

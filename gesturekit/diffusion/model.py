@@ -33,7 +33,7 @@ from gesturekit.training.model_folder import (
     save_model,
 )
 from gesturekit.training.run.device import prepare_device, warn_of_slow_bfloat16
-from gesturekit.training.seeds import checked_seed
+from gesturekit.training.seeds import checked_item, checked_seed
 
 _DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16}
 
@@ -51,6 +51,7 @@ class DiffusionModel(TrainedModel):
         seconds: float | None = None,
         samples: int = 1,
         seed: int = 0,
+        item: str = "",
         **controls: Unpack[DiffusionControlArguments],
     ) -> Motion | list[Motion]:
         """Generate motion as long as the speech, the path or `seconds`; frame k is at k / fps.
@@ -62,22 +63,24 @@ class DiffusionModel(TrainedModel):
             sample_rate: of an array, in Hz.
             seconds: length without speech, in s.
             samples: number of different motions; more than one gives a list.
-            seed: the same seed, request and sample number give the same motion.
+            seed: the same seed, item, request and sample number give the same motion.
+            item: name of the utterance. Motions of different items are different draws.
             controls: the fields of `DiffusionControls`.
 
         Raises:
             ModelError: a control, style, event or speaker that this model does not have, experts
-                that cannot be combined, or no length.
+                that cannot be combined, an item that is not text, or no length.
             AudioError, FormatError: a file cannot be read, or an array is not audio.
         """
         asked = DiffusionControls.build(controls, self.kind)
-        seed, speech = checked_seed(seed), as_speech(speech, sample_rate)
+        seed, item = checked_seed(seed), checked_item(item)
+        speech = as_speech(speech, sample_rate)
         rate = self.recorded_fps if asked.fps is None else asked.fps
         product = check_controls(self, asked, samples)
         request = Request.build(product.models, asked, speech, seconds)
         motions = [
             to_output_rate(motion, rate, request.wave, request.seconds)
-            for motion in Sampler(self, product, request).motions(seed, samples)
+            for motion in Sampler(self, product, request).motions(seed, item, samples)
         ]
         return motions[0] if samples == 1 else motions
 

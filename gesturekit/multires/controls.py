@@ -38,9 +38,9 @@ class MultiresControls(Controls):
     combined with it."""
     keyframes: str | Path | Motion | None = control(kind=Path, metavar="EDIT.bvh")
     """A motion that replaces the output of a coarse level; the finer levels add detail and keep its
-    slow movement. If it is an edited copy of a motion generated with levels and the same seed,
-    unedited frames are reproduced as generated. A motion on another rig is retargeted. The result
-    has the model's own frame rate, unless fps is given."""
+    slow movement. If it is an edited copy of a motion generated with levels, the same seed and the
+    same name, unedited frames are reproduced as generated. A motion on another rig is retargeted.
+    The result has the model's own frame rate, unless fps is given."""
     keyframe_level: int = control(1, kind=int, least=1, metavar="N")
     """The level that keyframes or like replaces, counted from 1 (coarsest)."""
     keep: Mapping[float, str | Path | Motion] | None = control(
@@ -54,8 +54,12 @@ class MultiresControls(Controls):
     """Recall pieces of the training recordings, chosen by the speech (--no-recall: generate all
     levels from noise). By default a model uses recall if it was trained with it."""
     liveliness: float = control(1.0, kind=float, above=0, metavar="AMOUNT")
-    """Amount of hand movement relative to the prediction from speech, about 0.5 (calmer) to 1.5
-    (livelier). For models with recall."""
+    """Factor on the hand speed that is drawn for the speech, about 0.5 (calmer) to 1.5 (livelier).
+    For models with recall."""
+    mood_seed: int | None = control(kind=int, least=0, metavar="N")
+    """Seed of the moods: calm or lively, and where the hands are held; by default that of
+    everything else. With a fixed mood_seed, seed changes the details and keeps the moods. For
+    models with recall."""
 
 
 class MultiresControlArguments(ControlArguments, total=False):
@@ -69,3 +73,4 @@ class MultiresControlArguments(ControlArguments, total=False):
     keep: Mapping[float, str | Path | Motion] | None
     recall: bool | None
     liveliness: float
+    mood_seed: int | None

@@ -26,6 +26,7 @@ from gesturekit.multires.recall.library_format import (
     library_tensors,
     library_values,
     load_library,
+    prediction_rows,
 )
 from gesturekit.multires.sampling.conditions import Conditions, level_track
 from gesturekit.multires.sampling.request import Request, check_controls
@@ -52,7 +53,7 @@ from gesturekit.training.model_folder import (
     save_model,
 )
 from gesturekit.training.run.device import prepare_device
-from gesturekit.training.seeds import checked_seed
+from gesturekit.training.seeds import checked_item, checked_seed
 
 
 class MultiresModel(TrainedModel):
@@ -68,6 +69,7 @@ class MultiresModel(TrainedModel):
         seconds: float | None = None,
         samples: int = 1,
         seed: int = 0,
+        item: str = "",
         **controls: Unpack[MultiresControlArguments],
     ) -> Motion | list[Motion]:
         """Generate motion as long as the speech or `seconds`; frame k is at k / fps.
@@ -78,24 +80,25 @@ class MultiresModel(TrainedModel):
             sample_rate: of an array, in Hz.
             seconds: length without speech, in s.
             samples: number of different motions; more than one gives a list.
-            seed: the same seed, request and sample number give the same motion.
+            seed: the same seed, item, request and sample number give the same motion.
+            item: name of the utterance. Motions of different items are different draws.
             controls: the fields of `MultiresControls`.
 
         Raises:
             ModelError: a control, style or speaker that this model does not have, controls that
-                cannot be combined, or no length.
+                cannot be combined, an item that is not text, or no length.
             AudioError, FormatError: a file cannot be read, or an array is not audio.
             MotionError: a `smooth` below 0.
         """
         asked = MultiresControls.build(controls, self.kind)
-        seed = checked_seed(seed)
+        seed, item = checked_seed(seed), checked_item(item)
         rate = self._rate(asked)
         check_controls(self, asked, samples)
         request = Request.build(self, asked, as_speech(speech, sample_rate), seconds)
         sampler = Sampler(self, request)
         # One at a time: batching changes the order of sums, and the last digits of a sample would
         # depend on the number of samples.
-        motions = [sampler.motion(seed, number) for number in range(samples)]
+        motions = [sampler.motion(seed, item, number) for number in range(samples)]
         if rate is not None:
             motions = [to_output_rate(motion, rate, request.wave, seconds) for motion in motions]
         return motions[0] if samples == 1 else motions
@@ -216,6 +219,7 @@ class MultiresModel(TrainedModel):
             call = '"speech.wav"'
         if self.library is not None:
             lines["Recalled motion"] = library_row(self.library)
+            lines |= prediction_rows(self.library)
         if self.styles:
             lines["Styles"] = ", ".join(self.styles)
             call += f', style="{self.styles[0]}"'

@@ -68,7 +68,7 @@ class Renderer(Processor):
         output: settings of the written files.
         seconds: length of the motion without sources.
         channel: channel of each file to use, counted from 1; None for the mean of all.
-        controls: arguments of the model's `generate`.
+        controls: arguments of the model's `generate`; `item` is the id of each task.
 
     Attributes:
         settings: what all results depend on, as JSON values.
@@ -195,7 +195,7 @@ class Renderer(Processor):
             if not is_whole_sound:
                 seconds = task.more.get("seconds", wave and wave.duration)
         speech = wave if seconds is None else None
-        motions = self.model.generate(speech, seconds=seconds, **controls)
+        motions = self.model.generate(speech, seconds=seconds, item=task.id, **controls)
         return wave, motions if isinstance(motions, list) else [motions]
 
     def _takes_speech(self) -> bool:

@@ -1,7 +1,7 @@
 """Samples for the papers' evaluation protocols and of baseline models, written to a folder.
 
 `gesturekit.evaluation` only reads such folders, not models. Motion has the model's own frame rate,
-each recording's own style and speaker, and noise drawn for each clip from the seed and its name.
+each recording's own style and speaker, and random numbers drawn from the seed and the clip's name.
 Clips are named after their recordings: `STEM_s1` ..., `STEM_w000_s1` ... for windows.
 
 Baselines that need a model are rendered here; `gesturekit.evaluation` makes those that need
@@ -27,7 +27,6 @@ from gesturekit.evaluation.pairs import WINDOW_SECONDS, files_by_key, motion_fil
 from gesturekit.formats.conversion import load
 from gesturekit.formats.sources import SPEECH_SUFFIXES
 from gesturekit.model import Model
-from gesturekit.training.seeds import rng_for
 from gesturekit.wording import listed
 
 RAW = {"foot_lock": False, "smooth": 0.0}
@@ -42,7 +41,7 @@ class SamplingOptions:
 
     Attributes:
         samples: number of samples for each sequence or window; None for that of the paper.
-        seed: the noise of a clip is drawn from it and the name of the clip.
+        seed: of `generate`, whose `item` is the name of the clip.
         skip: keep existing samples, to continue an interrupted run.
         postprocess: lock feet and smooth as `generate` does.
     """
@@ -207,7 +206,7 @@ def render_baseline(
     for name, wave in sounds.items():
         path = out / f"{name}.npz"
         path.parent.mkdir(parents=True, exist_ok=True)
-        model.generate(wave, seed=seed).save(path)
+        model.generate(wave, seed=seed, item=name).save(path)
         yield path
 
 
@@ -246,11 +245,11 @@ def _samples(
 ) -> Iterator[Path]:
     # One at a time: 200 motions of some minutes do not fit into memory together.
     for number in range(options.samples or usual):
-        path = out / f"{name}_s{number + 1}.npz"
+        stem = f"{name}_s{number + 1}"
+        path = out / f"{stem}.npz"
         path.parent.mkdir(parents=True, exist_ok=True)
         if not (options.skip and path.exists()):
-            seed = rng_for(options.seed, name, number).initial_seed()
-            motion = model.generate(**controls, seed=seed, fps=model.fps)
+            motion = model.generate(**controls, seed=options.seed, item=stem, fps=model.fps)
             with warnings.catch_warnings():
                 # Limits of other readers of npz do not matter: only `evaluate` reads samples.
                 warnings.simplefilter("ignore")

@@ -98,6 +98,13 @@ class _Settings(BaseModel, extra="forbid"):
         Literal["bvh", "npz", "html"], Query(description="html is a player with the sound")
     ] = "bvh"
     seed: Annotated[int, Query(ge=0, lt=2**63)] = 0
+    item: Annotated[
+        str,
+        Query(
+            max_length=1000,
+            description="name of the utterance; other items with the same seed are other draws",
+        ),
+    ] = ""
 
 
 # Settings of a motion, from the query of a URL: the controls of every system that are no file.

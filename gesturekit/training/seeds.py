@@ -33,10 +33,22 @@ def checked_seed(seed: int) -> int:
     return number
 
 
+def checked_item(item: str) -> str:
+    """Return the name of an utterance as a plain str.
+
+    Raises:
+        ModelError: it is not text.
+    """
+    if not isinstance(item, str):
+        raise ModelError(f"item={item!r}: give the name of the utterance as text")
+    return str(item)
+
+
 def rng_for(*keys: int | str) -> torch.Generator:
     """Return a CPU generator seeded by the keys alone."""
     text = "\x1f".join(f"{type(key).__name__}:{key}" for key in keys)
-    digest = hashlib.sha256(text.encode()).digest()
+    # A file name, and so the name of an item, may hold bytes that are no text.
+    digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).digest()
     # 63 bits: manual_seed takes a signed 64-bit number.
     return torch.Generator().manual_seed(int.from_bytes(digest[:8], "little") >> 1)
 

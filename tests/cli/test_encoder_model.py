@@ -116,7 +116,7 @@ def test_a_model_takes_a_speech_and_a_text_encoder(
     assert gesturekit(*render, *named).status == 0
     loaded = gk.load(model, weights={"wavlm": wavlm, "words": text})
     assert loaded.conditions.conditioner.extractor.dim == 32 + 16
-    again, first = loaded.generate(speech, seed=0), Motion.load(tmp_path / "out" / "speech.bvh")
+    again, first = loaded.generate(speech, item="speech"), Motion.load(tmp_path / "out/speech.bvh")
     np.testing.assert_allclose(again.positions(), first.positions(), atol=1e-4)
     (tmp_path / "speech.tsv").write_text("0.2\t0.4\tno\n", encoding="utf-8")
     assert "other words" in gesturekit(*render, *named).err
@@ -166,7 +166,7 @@ def test_a_model_of_components(
     assert done.status == 0, done.err
     assert f"32 of {dim - count + 32} speech features reduced to {count}" in caplog.text
     # Recall weighs the components against the other features.
-    assert ("Hand movement predicted from the speech of left-out" in caplog.text) == recalls
+    assert ("Hand movement predicted from speech: when the hands move" in caplog.text) == recalls
     tensors = load_file(run / "model" / "model.safetensors")
     assert tensors["features.components"].shape == (32, count)
     reduction = f"32 features reduced to {count} components"

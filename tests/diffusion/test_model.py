@@ -49,6 +49,8 @@ def test_the_same_seed_gives_the_same_bytes_however_many_are_asked_for(model):
     assert same(three[0], two[0]) and same(three[1], two[1])
     assert not same(three[0], three[1])
     assert not same(three[0], model.generate(**QUICK, seed=5))
+    named = model.generate(**QUICK, samples=3, seed=4, item="a")
+    assert not any(same(*pair) for pair in zip(three, named, strict=True))
     together = model.generate(**QUICK, samples=3, seed=4, batch=2)
     for one, other in zip(three, together, strict=True):
         np.testing.assert_allclose(one.rotations, other.rotations, atol=1e-3)
@@ -81,13 +83,13 @@ def test_styles_are_followed_mixed_and_changed_over_time(model):
 def test_without_a_style_each_sample_draws_its_own(model):
     """The same noise with either style, so that the motion of a sample shows its style."""
     drawn = set()
-    for seed in (0, 1):
-        asked = QUICK | {"samples": 6, "seed": seed}
+    for draw in ({"seed": 0}, {"seed": 1}, {"item": "a"}):
+        asked = QUICK | {"samples": 6} | draw
         free, *styled = (model.generate(**asked, style=name) for name in (None, *model.styles))
         chosen = [[same(made, one[k]) for one in styled] for k, made in enumerate(free)]
         assert all(sum(found) == 1 for found in chosen)
         drawn.add(tuple(found.index(True) for found in chosen))
-    assert len(drawn) == 2 and all(set(styles) == {0, 1} for styles in drawn)
+    assert len(drawn) == 3 and all(set(styles) == {0, 1} for styles in drawn)
 
 
 def test_guidance_leads_from_the_unconditional_to_the_conditional_and_beyond(model, untrained):
@@ -117,6 +119,10 @@ def test_experts_are_other_models_with_conditions_of_their_own(model, untrained,
     prior, hearing = untrained(seed=2), untrained(seed=3, conditioner=ears)
     leads = model.generate(**asked, experts=[(prior, 1.0)])
     assert same(leads, prior.generate(**QUICK, foot_lock=False))
+    named = model.generate(**asked, experts=[(prior, 1.0)], item="a")
+    assert same(named, prior.generate(**QUICK, foot_lock=False, item="a")) and not same(
+        named, leads
+    )
     own_style = model.generate(**asked, experts=[(copy, 1.0, "angry")])
     assert same(own_style, model.generate(**asked | {"style": "angry"}))
     third = model.generate(**asked, experts=[(prior, None), (hearing, None)])

@@ -54,12 +54,13 @@ def test_options_reach_the_model(render, folders, untrained):
     model = untrained(**STYLED)
     asked = {"style": "old:0.25,angry:0.75", "guidance": 1.5, "events": "kick@0.5:0.2"}
     experts = [(untrained(seed=1), 0.25), (model, 0.1, "old")]
-    expected = model.generate(seconds=1.0, **asked, steps=3, solver="ddim", experts=experts)
+    asked |= {"steps": 3, "solver": "ddim", "experts": experts, "item": "motion"}
+    expected = model.generate(seconds=1.0, **asked)
     np.testing.assert_array_equal(motion.rotations, expected.rotations)
     short = ("--seconds", 1, "--steps", 2, "--no-foot-lock")
     options = ("--guidance", 0, "--unconditional", folders["plain"])
     status, motion, _ = render(folders["styled"], *short, *options)
-    expected = untrained(seed=1).generate(seconds=1.0, steps=2, foot_lock=False)
+    expected = untrained(seed=1).generate(seconds=1.0, steps=2, foot_lock=False, item="motion")
     np.testing.assert_array_equal(motion.rotations, expected.rotations)
     _, motion, _ = render(folders["plain"], *short, "--dtype", "bf16")
     assert not np.array_equal(motion.rotations, expected.rotations)
@@ -97,7 +98,7 @@ def test_a_motion_to_begin_from(render, folders, untrained, gesture, tmp_path):
     asked = {"like": gesture(1.5), "style": "old", "steps": 3}
     for change, told in ((0.5, []), (0.1, ["--change", 0.1])):
         _, motion, _ = render(folders["styled"], *options, *told)
-        expected = model.generate(**asked, change=change)
+        expected = model.generate(**asked, change=change, item="motion")
         np.testing.assert_allclose(motion.rotations, expected.rotations, atol=1e-6)
     for name, wrong, told in (
         ("styled", ["--change", 0.1, "--seconds", 1], "--change requires --like"),
@@ -120,7 +121,7 @@ def test_events_of_a_manifest_keep_their_durations(render, folders, untrained, g
     Manifest([item]).save(tmp_path / "c.jsonl")
     status, motion, _ = render(folders["styled"], "--corpus", tmp_path / "c.jsonl", "--steps", 3)
     asked = {"seconds": 2.0, "style": "old", "events": "kick@0.5:0.3,kick@1.0", "steps": 3}
-    expected = untrained(**STYLED).generate(**asked, seed=0)
+    expected = untrained(**STYLED).generate(**asked, item="motion")
     assert status == 0
     np.testing.assert_allclose(motion.rotations, expected.rotations, atol=1e-6)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 
@@ -67,9 +69,10 @@ def test_invalid_level_speech_is_an_error(levels, file, message, tmp_path):
 
 
 def test_level_speech_from_the_command_line(two_voices, tmp_path, render):
-    calm, lively = two_voices
+    calm, _ = two_voices
+    named = shutil.copy(calm, tmp_path / "motion.wav")  # the name of a motion without sound
     made = []
-    for options in ([calm], ["--seconds", 4, "--level-speech", f"1-4={calm},5-8={calm}"]):
+    for options in ([named], ["--seconds", 4, "--level-speech", f"1-4={calm},5-8={calm}"]):
         assert render("demo", "--no-recall", *options).status == 0
         (file,) = (tmp_path / "out").glob("*.bvh")
         made.append(gk.Motion.load(file).rotations)

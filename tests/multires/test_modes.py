@@ -81,6 +81,20 @@ def test_styles_of_the_manifest_move_differently(make_config, motions):
         rotations(style="sad")
 
 
+def test_without_a_style_each_item_draws_its_own(make_config, motions):
+    corpus = motions(old=[4.0], angry=[4.0])
+    model = gk.load(train(make_config(corpus=str(corpus), **LABELS)))
+    drawn = []
+    for item in map(str, range(8)):
+        asked = {"seconds": 2.0, "item": item}
+        free, old, angry = (
+            model.generate(**asked, style=style).rotations for style in (None, "old", "angry")
+        )
+        drawn.append(np.array_equal(free, old))
+        assert drawn[-1] or np.array_equal(free, angry)
+    assert len(set(drawn)) == 2
+
+
 def test_discriminators_tell_a_style_from_others(make_config, motions, tmp_path):
     corpus = motions(high=[4.0], low=[4.0])
     raised = gk.Motion.load(tmp_path / "high_0.bvh")

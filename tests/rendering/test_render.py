@@ -56,7 +56,7 @@ def test_a_stopped_rendering_goes_on_with_what_is_missing(model, sounds, tmp_pat
 
 
 def test_smoothing_defaults_to_the_models_setting(model, sounds, tmp_path):
-    plain = model.generate(sounds[0])
+    plain = model.generate(sounds[0], item="a")
     replace(model, smooth=0.3).save(tmp_path / "model")
     again = gk.load(tmp_path / "model")
     for seconds, wanted in ((None, smooth_motion(plain, 0.3)), (0, plain)):
@@ -258,7 +258,7 @@ def test_items_of_a_manifest_are_cut_and_named_as_it_says(model, tmp_path, write
     assert made == [(out / f"{stem}_s1.bvh", out / f"{stem}_s2.bvh") for stem in ("day/a", "b")]
     list(render(model, items[:1], out, output=Output(["npz"])))
     made = Motion.load(out / "day" / "a.npz")
-    wanted = model.generate(af.Wave.load(audio, start=1.0, duration=2.0))
+    wanted = model.generate(af.Wave.load(audio, start=1.0, duration=2.0), item="day/a")
     assert (made.rotations == wanted.rotations).all()
     assert Motion.load(out / "b_s1.bvh").n_frames == 38
     assert counted(render(model, items, out, samples=2)) == [(0, 2)] * 2
@@ -277,7 +277,7 @@ def test_a_model_without_speech_input_moves_as_long_as_the_items(tmp_path, write
     audio, motion = write_pair(tmp_path / "in", "a", 3.0)
     deaf = replace(model, conditions=replace(model.conditions, conditioner=None))
     deaf.save = model.save
-    deaf.generate = lambda speech=None, *, seconds=None, seed=0: (
+    deaf.generate = lambda speech=None, *, seconds=None, item="": (
         model.generate(seconds=seconds) if speech is None else None
     )
     items = [Item(id="a", audio=audio, motion=motion, duration=2.0)]

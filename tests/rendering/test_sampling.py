@@ -111,7 +111,7 @@ def test_windows_and_samples_have_noise_of_their_own(styled, corpus, tmp_path):
     moved = [Motion.load(file).rotations for file in files]
     moved = [values - values.mean(axis=0) for values in moved]
     together = [np.corrcoef(a.ravel(), b.ravel())[0, 1] for a, b in combinations(moved, 2)]
-    assert np.abs(together).max() < 0.3 and np.ptp(moved, axis=1).max() > 0.01
+    assert np.abs(together).max() < 0.6 and np.ptp(moved, axis=1).max() > 0.01
     again = list(sample_lda(styled, [long], tmp_path / "again", SamplingOptions(samples=1)))
     assert np.array_equal(Motion.load(again[0]).rotations, Motion.load(files[0]).rotations)
     other = SamplingOptions(samples=1, seed=1)

@@ -55,6 +55,9 @@ def test_a_wav_gives_the_motion_that_the_model_makes(client, model, tmp_path):
     answer = one.post("/motion?format=bvh&seed=3", content=sound.read_bytes())
     assert answer.status_code == 200, answer.text
     assert answer.content == (tmp_path / "expected.bvh").read_bytes()
+    model.generate(sound, seed=3, item="day/a").save(tmp_path / "named.bvh")
+    named = one.post("/motion?format=bvh&seed=3&item=day/a", content=sound.read_bytes())
+    assert named.content == (tmp_path / "named.bvh").read_bytes() != answer.content
     assert 'filename="motion.bvh"' in answer.headers["content-disposition"]
     (tmp_path / "a.npz").write_bytes(one.post("/motion?format=npz", content=wav()).content)
     assert Motion.load(tmp_path / "a.npz").n_frames == 30
@@ -76,6 +79,7 @@ def test_a_wav_gives_the_motion_that_the_model_makes(client, model, tmp_path):
         ("?format=exe", wav(), 422, "format"),
         ("?seed=-1", wav(), 422, "seed"),
         ("?seed=" + "9" * 5000, wav(), 422, "seed"),
+        ("?item=" + "a" * 2000, wav(), 422, "item"),
         ("?style=old", wav(), 422, "style"),
         ("?speaker=/etc/passwd", wav(), 422, "speaker"),
         ("?path=/etc/passwd", wav(), 422, "path"),
@@ -170,7 +174,8 @@ def test_the_pages_load_nothing_from_elsewhere(client):
     assert "POST /motion" in one.get("/docs").text
     schema = one.get("/openapi.json").json()
     names = {parameter["name"] for parameter in schema["paths"]["/motion"]["post"]["parameters"]}
-    assert names == {"format", "seed", "style", "speaker", "foot_lock", "smooth", "vad", "fps"}
+    controls = {"style", "speaker", "foot_lock", "smooth", "vad", "fps"}
+    assert names == {"format", "seed", "item"} | controls
     table = (Path(__file__).parents[2] / "docs" / "serve.md").read_text(encoding="utf-8")
     assert all(f"`{name}" in table for name in names)
 

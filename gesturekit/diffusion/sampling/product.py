@@ -56,14 +56,14 @@ class Term:
     weight: float | np.ndarray
     draws_style: bool = False
 
-    def expert(self, seed: int, numbers: Sequence[int]) -> Expert:
-        """Return the expert for the samples with these numbers."""
+    def expert(self, seed: int, item: str, numbers: Sequence[int]) -> Expert:
+        """Return the expert for the samples of an item with these numbers."""
         condition = torch.from_numpy(self.condition)[None]
         if self.draws_style:
             condition = condition.repeat(len(numbers), 1, 1)
             first = self.model.conditions.columns["styles"].start
             for own, number in zip(condition, numbers, strict=True):
-                rng = rng_for(seed, "sample", number, "style")
+                rng = rng_for(seed, item, "sample", number, "style")
                 drawn = int(torch.randint(len(self.model.styles), (), generator=rng))
                 own[:, first + drawn] = 1
         device = self.model.device
@@ -71,9 +71,11 @@ class Term:
         return Expert(self.model.network, self.model.schedule, condition.to(device), shift)
 
 
-def product_of(terms: Sequence[Term], seed: int, numbers: Sequence[int]) -> ProductOfExperts:
-    """Return the product of experts for the samples with these numbers."""
-    experts = [term.expert(seed, numbers) for term in terms]
+def product_of(
+    terms: Sequence[Term], seed: int, item: str, numbers: Sequence[int]
+) -> ProductOfExperts:
+    """Return the product of experts for the samples of an item with these numbers."""
+    experts = [term.expert(seed, item, numbers) for term in terms]
     return ProductOfExperts(experts, [term.weight for term in terms])
 
 

@@ -59,12 +59,12 @@ class Sampler:
     def __init__(self, model: TrainedModel, product: ModelProduct, request: Request) -> None:
         self.model, self.product, self.request = model, product, request
 
-    def motions(self, seed: int, samples: int) -> list[Motion]:
-        """Generate the samples of these numbers: 0 to `samples` - 1."""
+    def motions(self, seed: int, item: str, samples: int) -> list[Motion]:
+        """Generate the samples of an item with the numbers 0 to `samples` - 1."""
         request, smooth = self.request, self.request.controls.smooth
         smooth = self.model.smooth if smooth is None else smooth
         motions = []
-        with closing(self._vectors(seed, samples)) as batches:
+        with closing(self._vectors(seed, item, samples)) as batches:
             for vector in (vector for vectors in batches for vector in vectors.cpu()):
                 motion = self._decoded(vector)
                 motion = smooth_motion(motion, smooth) if smooth else motion
@@ -73,7 +73,7 @@ class Sampler:
                 motions.append(motion)
         return motions
 
-    def _vectors(self, seed: int, samples: int) -> Generator[Tensor]:
+    def _vectors(self, seed: int, item: str, samples: int) -> Generator[Tensor]:
         """Yield normalised motion vectors (B, T, X), batch by batch."""
         model, request, start = self.model, self.request, self.request.start
         controls, terms, begin = request.controls, self.product.terms(request), None
@@ -91,11 +91,11 @@ class Sampler:
         batches = [range(k, min(k + size, samples)) for k in range(0, samples, size)]
         with Progress(total=len(batches) * visited, desc="Denoising", unit="step") as progress:
             for numbers in batches:
-                predict = tiled(product_of(terms, seed, numbers), model.window)
+                predict = tiled(product_of(terms, seed, item, numbers), model.window)
                 predict = clip_denoised(predict, model.schedule) if clip else predict
                 predict = _counted(predict, progress)
                 shape = (request.n_frames, model.network.n_motion)
-                noise = _noise(seed, numbers, shape, model.device)
+                noise = _noise(seed, item, numbers, shape, model.device)
                 yield sample(
                     predict, noise, model.schedule, solver=solver, steps=steps, start=begin
                 )
@@ -133,12 +133,12 @@ def _counted(predict: Predict, progress: Progress) -> Predict:
 
 
 def _noise(
-    seed: int, numbers: Sequence[int], shape: tuple[int, int], device: torch.device
+    seed: int, item: str, numbers: Sequence[int], shape: tuple[int, int], device: torch.device
 ) -> Callable[[int], Tensor]:
-    """Return the noise (B, T, X) of each step, keyed by seed, sample and step, from the CPU."""
+    """Return the noise (B, T, X) of each step, from (seed, item, sample, step), on the CPU."""
 
     def noise_at(step: int) -> Tensor:
-        rngs = (rng_for(seed, "sample", number, "noise", step) for number in numbers)
+        rngs = (rng_for(seed, item, "sample", number, "noise", step) for number in numbers)
         return torch.stack([torch.randn(shape, generator=rng) for rng in rngs]).to(device)
 
     return noise_at

@@ -14,8 +14,15 @@ from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.multires.recall.parts import SPEED_FLOOR, MotionPart, PassiveChannels
+from gesturekit.multires.recall.parts import (
+    SPEED_FLOOR,
+    MotionPart,
+    PassiveChannels,
+    slow_channels,
+    slow_part,
+)
 from gesturekit.multires.recall.pieces import ChoiceWeights, Pieces, PieceSearch
+from gesturekit.multires.recall.slow_state import SlowState, recorded_values
 from gesturekit.multires.recall.wanted import WantedMovement
 
 _REST = 0.1
@@ -26,6 +33,17 @@ _FURTHEST_SECONDS = 0.4
 """Pieces are shown at most this much earlier or later than they were chosen for."""
 _CHANGE_OF_TEMPO = 0.1
 """Cost of a change to the next tempo, in squared standard deviations of movement."""
+_COPIED_ARM = 0.25
+"""Factor on `ChoiceWeights.copied` for the second arm."""
+_SHRINKAGE = 0.5
+"""Shrinkage of the second hand's directions, see `PieceSearch`."""
+_TRUNK_CONTINUITY = 3.0
+"""Factor on `ChoiceWeights.continuity` for the trunk and legs: feet slide where stances differ."""
+_CLEAR = 0.5
+"""Correlation from which `ChoiceWeights.movement` has its full weight. A choice among many pieces
+follows any prediction more closely than it deserves, a weak one most of all."""
+_LEAST_R = 0.2
+"""Least correlation with which the peaks of predicted movement are scaled up for this."""
 _TEMPOS = (-1, 0, 1)
 """Slower, as recorded, and faster: change of the offset from frame to frame, in grid steps."""
 _FRAMES_AT_ONCE = 1024
@@ -38,9 +56,10 @@ class RecalledRecording:
     Attributes:
         motion: (D, T_l) normalised motion vectors at the recalled level.
         passive: (X, T_l) of the library's `PassiveChannels`.
-        profiles: (2 P, T_l) movement of each part and its slow part, in standard deviations.
-        directions: (2, T_l) movement of the first arm's hand, see `hand_directions`, scaled by how
-            well it predicts the second hand; (0, T_l) if the second arm is chosen independently.
+        profiles: (P, T_l) movement of each part, in standard deviations.
+        states: (S, T_l) slow channels of all parts, see `slow_states`.
+        directions: (4, T_l) directions of both hands, see `hand_directions`, weighted by their
+            correlation; (0, T_l) without arms.
         speaker: its speaker; None if the corpus names none.
         style: number of its style; 0 without styles.
         defective: (P, T_l) bool, the frames in which each part jumps or pops.
@@ -49,6 +68,7 @@ class RecalledRecording:
     motion: Tensor
     passive: Tensor
     profiles: Tensor
+    states: Tensor
     directions: Tensor
     speaker: str | None
     style: int
@@ -111,8 +131,9 @@ class RecallLibrary:
         overlap: length of the cross-fade between two pieces, seconds.
         parts: of the body, recalled separately.
         recordings: at least one.
-        spread: (2,) standard deviation of movement and of its slow part, log m/s.
+        spread: standard deviation of movement, log m/s.
         mean: mean movement, log m/s.
+        slow_state: process from which the slow channels of a motion are drawn.
         wanted: prediction of movement from speech; None for a model without speech input.
         passive: joints and face channels that are recalled but not modelled.
         stretch: largest fraction by which pieces of an arm are played faster or slower, so that
@@ -127,8 +148,9 @@ class RecallLibrary:
     overlap: float
     parts: tuple[MotionPart, ...]
     recordings: tuple[RecalledRecording, ...]
-    spread: np.ndarray
+    spread: float
     mean: float
+    slow_state: SlowState
     wanted: WantedMovement | None
     passive: PassiveChannels
     stretch: float
@@ -151,22 +173,47 @@ class RecallLibrary:
             PieceSearch(
                 [recording.motion[part.columns].T.numpy() for recording in self.recordings],
                 [self._profile(recording, i).T.numpy() for recording in self.recordings],
+                [recording.states[rows].T.numpy() for recording in self.recordings],
                 max(2, round(part.length * self.piece * self.level_fps)),
                 max(1, round(part.length * self.overlap * self.level_fps)),
+                (self._explained, *[_SHRINKAGE] * 2)[: 3 if i == 1 else 1],
                 # Longer pieces meet less often, so that each border counts for more.
-                replace(self.weights, continuity=part.length * self.weights.continuity),
+                replace(
+                    self.weights,
+                    movement=self.weights.movement * min(1.0, math.sqrt(self._explained) / _CLEAR),
+                    continuity=part.length
+                    * self.weights.continuity
+                    * (1 if part.is_arm else _TRUNK_CONTINUITY),
+                    copied=self.weights.copied * (_COPIED_ARM if part.is_arm else 1),
+                ),
                 [recording.defective[i].numpy() for recording in self.recordings],
             )
-            for i, part in enumerate(self.parts)
+            for i, (part, rows) in enumerate(zip(self.parts, self.rows, strict=True))
+        )
+
+    @property
+    def _explained(self) -> float:
+        """Share of the variance of fast movement that speech predicts."""
+        return 0.0 if self.wanted is None else max(self.wanted.fast.r, 0.0) ** 2
+
+    @cached_property
+    def rows(self) -> tuple[slice, ...]:
+        """Rows of each part in `RecalledRecording.states`."""
+        ends = np.cumsum([len(slow_channels(part)) for part in self.parts])
+        return tuple(
+            slice(int(end) - len(slow_channels(part)), int(end))
+            for end, part in zip(ends, self.parts, strict=True)
         )
 
     def _profile(self, recording: RecalledRecording, i: int) -> Tensor:
-        """Return the profile by which a part's pieces are chosen: its movement, and its slow part.
+        """Return the profile by which a part's pieces are chosen: its movement.
 
-        For the second arm, it also has the movement of the first hand at the same time.
+        It is the fast part; the slow one is among the slow channels. For the second arm, the
+        profile also has the directions of its hand.
         """
-        own = recording.profiles[2 * i : 2 * i + 2]
-        return torch.cat([own, recording.directions]) if i == 1 else own
+        movement = recording.profiles[i : i + 1]
+        own = movement - torch.from_numpy(slow_part(movement.numpy(), self.level_fps))
+        return torch.cat([own, recording.directions[2:]]) if i == 1 else own
 
     def recall(
         self,
@@ -181,47 +228,70 @@ class RecallLibrary:
 
         Args:
             speech: (S, T) features at the finest level; S is 0 without speech input.
-            rng_of: random generator of a part, by its name.
-            liveliness: factor on the hand speed that is predicted from the speech.
+            rng_of: random generator of the choice for each part, by its name, and of the slow
+                state, by the name mood.
+            liveliness: factor on the hand speed that is drawn.
             speaker: use only this speaker's recordings, if there are any; None for all recordings.
             styles: (T_l,) number of the style in each frame of the level; None for any.
         """
         n_frames = af.level_lengths(speech.shape[1], self.levels)[self.level - 1]
-        profile = np.full((n_frames, 2), np.nan)
+        fast, predicted = np.full(n_frames, np.nan), None
         if self.wanted is not None:
-            asked = self.wanted(speech) + math.log(liveliness)
-            profile = averaged((asked - self.mean) / self.spread[:, None], n_frames).T
-        elif liveliness != 1.0:
-            profile[:, 1] = math.log(liveliness) / self.spread[1]
+            fast, predicted = averaged(np.stack(self.wanted(speech)), n_frames)
+        scores = self.slow_state.draw(rng_of("mood"), n_frames, self.level_fps, predicted)
+        fast = fast / self.spread
         pieces: list[Pieces] = []
         for i, (part, search) in enumerate(zip(self.parts, self.searches, strict=True)):
             allowed = self._allowed(search.piece, n_frames, speaker, styles)
-            wanted = profile
+            states = self._drawn(scores, i, allowed)
+            states[:, 0] += math.log(liveliness)
+            wanted = fast[:, None]
+            others = first = None
             if i == 1:
-                directions = [recording.directions for recording in self.recordings]
+                first = pieces[0].first
+                directions = [recording.directions[:2] for recording in self.recordings]
                 beside = pieces[0].blend(directions, self.lengths, n_frames)
-                wanted = np.concatenate([profile, beside.T.numpy()], axis=1)
-            others = None
-            if pieces and not part.is_arm:
+                wanted = np.concatenate([wanted, beside.T.numpy()], axis=1)
+            if pieces:
                 others = np.stack([arm.recorded_frames(self.lengths) for arm in pieces], axis=1)
-            chosen = search.choose_from_any_frame(rng_of(part.name), wanted, allowed, others)
-            if self.stretch and part.is_arm and self.wanted is not None:
-                chosen = self._stretched(chosen, i, wanted.T)
-            pieces.append(chosen)
+            pieces.append(
+                search.choose_from_any_frame(
+                    rng_of(part.name), wanted, states, allowed, others, first=first
+                )
+            )
+            if i == 1 and self.stretch and self._explained:
+                pieces = self._stretched(pieces, fast)
         return RecalledMotion(self.parts, tuple(pieces), self.lengths)
 
-    def _stretched(self, pieces: Pieces, i: int, wanted: np.ndarray) -> Pieces:
-        """Play an arm's pieces faster or slower, to match the profile `wanted` (C, T_l).
+    def _drawn(self, scores: np.ndarray, i: int, allowed: np.ndarray | None) -> np.ndarray:
+        """Return the slow channels (T_l, S) of a part: recorded values of the drawn scores.
 
-        They are matched by the profile with which they were chosen, without its slow part, which
-        hardly changes.
+        Values are those of the recordings that are `allowed` (T_l, K) in each frame.
         """
-        counting = np.delete(np.arange(len(wanted)), 1)
-        curves = [self._profile(recording, i)[counting] for recording in self.recordings]
-        own = pieces.blend(curves, self.lengths, pieces.n_frames).double().numpy()
-        scale = self.searches[i].scale[counting, None] / self.searches[i].scale[0]
-        own, wanted = scale * own, scale * wanted[counting]
-        return replace(pieces, offsets=time_offsets(own, wanted, self.level_fps, self.stretch))
+        scores = scores[self.rows[i]]
+        recorded = [recording.states[self.rows[i]].numpy() for recording in self.recordings]
+        if allowed is None:
+            return recorded_values(scores, recorded).T
+        result = np.empty_like(scores)
+        for own in np.unique(allowed, axis=0):
+            here = (allowed == own).all(axis=1)
+            chosen = [curve for curve, used in zip(recorded, own, strict=True) if used]
+            result[:, here] = recorded_values(scores[:, here], chosen)
+        return result.T
+
+    def _stretched(self, pieces: Sequence[Pieces], fast: np.ndarray) -> list[Pieces]:
+        """Play the pieces of both arms faster or slower, to match predicted fast movement (T_l,).
+
+        Both arms have the same tempo, so that two-handed gestures stay together.
+        """
+        own = []
+        for i, arm in enumerate(pieces):
+            curves = [self._profile(recording, i)[:1] for recording in self.recordings]
+            own.append(arm.blend(curves, self.lengths, arm.n_frames).double().numpy())
+        # A conditional mean has the right times, but smaller peaks than the pieces have.
+        goals = np.stack([fast / max(self.wanted.fast.r, _LEAST_R)] * len(own))
+        offsets = time_offsets(np.concatenate(own), goals, self.level_fps, self.stretch)
+        return [replace(arm, offsets=offsets) for arm in pieces]
 
     def detail(self, choice: RecalledMotion, n_frames: int) -> np.ndarray:
         """Return how much detail finer levels may add to each column, (D, n_frames), 0 to 1.
@@ -229,13 +299,13 @@ class RecallLibrary:
         It is 0 in the `calmed` columns of a part while its recalled pieces rest, so that rests are
         kept, and 1 while they move fast, and in all other columns.
         """
-        rows = [np.array([2 * i, 2 * i + 1]) for i in range(len(self.parts))]
+        rows = [np.array([i]) for i in range(len(self.parts))]
         curves = [recording.profiles for recording in self.recordings]
         profiles = choice.channels(curves, rows, n_frames).numpy()
         shares = np.ones((len(self.recordings[0].motion), n_frames), np.float32)
         for i, part in enumerate(self.parts):
             if len(part.calmed):
-                speed = np.exp(profiles[2 * i] * self.spread[0] + self.mean) - SPEED_FLOOR
+                speed = np.exp(profiles[i] * self.spread + self.mean) - SPEED_FLOOR
                 share = np.clip((speed - _REST) / (part.full_detail - _REST), 0.0, 1.0)
                 shares[part.calmed] = gaussian_filter1d(share, _REST_SECONDS * self.fps)
         return shares

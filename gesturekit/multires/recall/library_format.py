@@ -12,16 +12,23 @@ from torch import Tensor
 from gesturekit.multires.config import check_stretch
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary
-from gesturekit.multires.recall.parts import PassiveChannels, motion_parts
+from gesturekit.multires.recall.parts import PassiveChannels, motion_parts, slow_channels
+from gesturekit.multires.recall.slow_state import SlowState
 from gesturekit.multires.recall.wanted import Regression, WantedMovement
 from gesturekit.training.model_folder import ModelParts
 from gesturekit.wording import counted
 
-_VALUES = ("level", "piece", "overlap", "mean", "stretch")
+_VALUES = ("level", "piece", "overlap", "mean", "spread", "stretch")
 _LARGEST = 1e4  # of `_VALUES`: levels, seconds and log m/s
-_CURVES = ("motion", "passive", "profiles", "directions", "defective")
-_REGRESSION = ("mean", "weights", "offset", "predicted", "recorded", "r")
-_DISTRIBUTION = ("predicted", "recorded", "voices")
+_LEAST_SPREAD = 1e-6
+_CURVES = ("motion", "passive", "profiles", "states", "directions", "defective")
+_REGRESSION = ("mean", "weights", "offset", "r")
+_FACTORS = ("mean_counts", "spread", "across_takes")
+_BASES = ("fast_basis", "slow_basis")
+_PREDICTION = (*_BASES, "voices")
+_SLOW_STATE = {"explained": (-2, 2), "mixing": (-2, 2), "between": (0, 1), "width": (0.1, 100)}
+"""Ranges of the slow state's tensors."""
+_TAKE = (0.1, 1e7)  # seconds; a single take may have hours
 
 
 def library_values(library: RecallLibrary) -> dict[str, Any]:
@@ -32,7 +39,10 @@ def library_values(library: RecallLibrary) -> dict[str, Any]:
         "separate": len(library.parts) > 1,
         "recordings": [[part.speaker, part.style] for part in library.recordings],
         "passive": {"joints": list(library.passive.joints), "face": library.passive.expressions},
-        "effort": None if wanted is None else list(wanted.effort),
+        "slow_state": {name: getattr(library.slow_state, name) for name in ("trust", "take")},
+        "wanted": None
+        if wanted is None
+        else {"effort": list(wanted.effort), **{name: getattr(wanted, name) for name in _FACTORS}},
     }
 
 
@@ -49,18 +59,24 @@ def library_row(library: RecallLibrary) -> str:
     return f"{count} at {rate}, {size:.1f} MB of model.safetensors" + faster * (library.stretch > 0)
 
 
+def prediction_rows(library: RecallLibrary) -> dict[str, str]:
+    """Return the correlations of speech with hand movement, for the README; empty without."""
+    return {} if library.wanted is None else {"Hand movement from speech": library.wanted.summary()}
+
+
 def library_tensors(library: RecallLibrary) -> dict[str, Tensor]:
     """Return the tensors of a library by name."""
-    tensors = {"recall.spread": torch.from_numpy(library.spread)}
+    tensors = {
+        f"recall.slow_state.{name}": _tensor(getattr(library.slow_state, name))
+        for name in _SLOW_STATE
+    }
     for i, recording in enumerate(library.recordings):
         for name in _CURVES:
             tensors[f"recall.{i}.{name}"] = getattr(recording, name).contiguous()
     wanted = library.wanted
     if wanted is None:
         return tensors
-    if wanted.basis is not None:
-        tensors["recall.basis"] = torch.from_numpy(np.ascontiguousarray(wanted.basis))
-    for name in _DISTRIBUTION:
+    for name in _PREDICTION:
         tensors[f"recall.{name}"] = _tensor(getattr(wanted, name))
     for part in ("fast", "slow"):
         for name in _REGRESSION:
@@ -91,15 +107,17 @@ def load_library(
         for i, (speaker, style) in enumerate(values["recordings"])
     )
     wanted = None
-    if values["effort"] is not None:
-        basis = tensors.get("recall.basis")
+    if (speech := values["wanted"]) is not None:
         wanted = WantedMovement(
             fps,
-            tuple(map(int, values["effort"])),
-            None if basis is None else basis.numpy(),
+            tuple(map(int, speech["effort"])),
+            *(tensors[f"recall.{name}"].numpy() for name in _BASES),
             _regression(tensors, "fast"),
             _regression(tensors, "slow"),
-            *(tensors[f"recall.{name}"].numpy() for name in _DISTRIBUTION),
+            float(speech["mean_counts"]),
+            float(speech["spread"]),
+            bool(speech["across_takes"]),
+            tensors["recall.voices"].numpy(),
         )
     _check_values(values, levels)
     for name in values["passive"]["joints"]:
@@ -112,8 +130,12 @@ def load_library(
         overlap=float(values["overlap"]),
         parts=motion_parts(representation, bool(values["separate"])),
         recordings=recordings,
-        spread=tensors["recall.spread"].numpy(),
+        spread=float(values["spread"]),
         mean=float(values["mean"]),
+        slow_state=SlowState(
+            **{name: tensors[f"recall.slow_state.{name}"].numpy() for name in _SLOW_STATE},
+            **{name: float(value) for name, value in values["slow_state"].items()},
+        ),
         wanted=wanted,
         passive=PassiveChannels(
             tuple(map(str, values["passive"]["joints"])), int(values["passive"]["face"])
@@ -132,6 +154,20 @@ def _check_values(values: Mapping[str, Any], levels: int) -> None:
     if not 1 <= values["level"] <= levels:
         raise ValueError(f"recall: level {values['level']} of {levels}")
     check_stretch(values["stretch"])
+    if not values["spread"] >= _LEAST_SPREAD:
+        raise ValueError(f"recall: spread is {values['spread']}")
+    _check_range("slow_state.take", float(values["slow_state"]["take"]), *_TAKE)
+    _check_range("slow_state.trust", float(values["slow_state"]["trust"]), 0, 1)
+    if (wanted := values["wanted"]) is not None:
+        _check_range("wanted.mean_counts", float(wanted["mean_counts"]), 0, 1)
+        _check_range("wanted.spread", float(wanted["spread"]), 0, _LARGEST)
+
+
+def _check_range(name: str, values: float | np.ndarray, low: float, high: float) -> None:
+    """Raise ValueError for values out of a range, NaN included."""
+    wrong = np.extract(~((low <= np.asarray(values)) & (np.asarray(values) <= high)), values)
+    if len(wrong):
+        raise ValueError(f"recall: {name} is {wrong[0]}, not from {low:g} to {high:g}")
 
 
 def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> None:
@@ -139,9 +175,10 @@ def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> 
     passive = library.passive
     n_passive = 6 * len(passive.joints) + passive.expressions
     n_parts = len(library.parts)
-    sizes = {"motion": n_features, "passive": n_passive, "profiles": 2 * n_parts}
+    sizes = {"motion": n_features, "passive": n_passive, "profiles": n_parts}
+    sizes["states"] = sum(len(slow_channels(part)) for part in library.parts)
     sizes["defective"] = n_parts
-    sizes["directions"] = min(2, len(library.recordings[0].directions))
+    sizes["directions"] = 4 if library.parts[0].is_arm else 0
     for i, recording in enumerate(library.recordings):
         for name, size in sizes.items():
             found, wanted = tuple(getattr(recording, name).shape), (size, library.lengths[i])
@@ -149,8 +186,12 @@ def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> 
                 raise ValueError(f"recall.{i}.{name} has the shape {found}, not {wanted}")
         if recording.defective.dtype != torch.bool:
             raise ValueError(f"recall.{i}.defective is {recording.defective.dtype}, not bool")
-    if library.spread.shape != (2,):
-        raise ValueError(f"recall.spread has the shape {library.spread.shape}, not (2,)")
+    for name, limits in _SLOW_STATE.items():
+        size = sizes["states"]
+        found, wanted = getattr(library.slow_state, name), (size,) * (1 + (name == "mixing"))
+        if found.shape != wanted:
+            raise ValueError(f"recall.slow_state.{name} has the shape {found.shape}, not {wanted}")
+        _check_range(f"slow_state.{name}", found, *limits)
     if library.wanted is not None:
         try:
             library.wanted(np.zeros((speech_size, 2), np.float32))

@@ -32,6 +32,11 @@ _REST_LENGTH = 2.0
 """`MotionPart.length` of all parts but the arms. They are longer because feet slide at the joins of
 pieces with different stances, and only arms have to follow every word."""
 
+SLOW_SECONDS = 2.0
+"""Standard deviation of the Gaussian that separates slow from fast movement."""
+_WIDTH_FLOOR = 0.01
+"""Added to widths before the logarithm, m on the reference body."""
+
 _FRAMES_AT_ONCE = 1024
 """Frames decoded in one call, which bounds the memory of long motions."""
 _STILL = 0.01
@@ -157,6 +162,46 @@ def movements(
     speed = np.log(np.linalg.norm(velocity, axis=1) + SPEED_FLOOR)
     smooth = gaussian_filter1d(speed, _SMOOTHING_SECONDS * fps, axis=-1, mode="nearest")
     return [smooth[[joints.index(name) for name in part.moving]].mean(axis=0) for part in parts]
+
+
+def slow_part(curves: np.ndarray, fps: float) -> np.ndarray:
+    """Return the slow part (..., T) of curves (..., T)."""
+    return gaussian_filter1d(curves, SLOW_SECONDS * fps, axis=-1, mode="nearest")
+
+
+def slow_channels(part: MotionPart) -> tuple[str, ...]:
+    """Return the names of a part's S slow channels, see `slow_states`."""
+    return ("movement", "height", "distance", "width") if part.is_arm else ("movement",)
+
+
+def slow_states(
+    part: MotionPart, joints: Sequence[str], fps: float, places: np.ndarray, movement: np.ndarray
+) -> np.ndarray:
+    """Return the slow channels of a part, (S, T): its movement and, for an arm, where its hand is.
+
+    The slow movement is the logarithm of the mean speed. The mean logarithm would depend on how
+    much of the time the hand is still, more than on how calm or lively it looks.
+
+    The hand's height above the root and its distance from the root's vertical are in metres on the
+    reference body; its width is the logarithm of its local standard deviation in both. None depends
+    on where the body faces.
+
+    Args:
+        part: of the body.
+        joints: names of the K modelled joints.
+        fps: frames per second.
+        places: (K, 3, T), see `joint_places`.
+        movement: (T,) of the part, see `movements`.
+    """
+    slow = np.log(slow_part(np.exp(movement), fps))[None]
+    if not part.is_arm:
+        return slow
+    x, y, z = places[joints.index(part.moving[0])]
+    place = np.stack([y, np.hypot(x, z)])
+    held = slow_part(place, fps)
+    variance = np.maximum(slow_part(np.square(place), fps) - np.square(held), 0.0)
+    width = np.log(np.sqrt(variance.sum(axis=0)) + _WIDTH_FLOOR)
+    return np.concatenate([slow, held, width[None]])
 
 
 def hand_directions(

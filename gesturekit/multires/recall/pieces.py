@@ -13,10 +13,6 @@ BEAM = 48
 """Width of the beam: number of sequences of pieces that are kept."""
 _STEPS_AT_ONCE = 64
 """Pieces whose distances to all recorded frames are in memory at once."""
-_SHRINKAGE = 0.8
-"""Weight of the square of the recorded movement in the squared difference from the wanted movement.
-The plain squared difference (weight 1) prefers pieces that vary little, because the wanted movement
-is only a prediction."""
 _FORGETTING = 0.95
 """Decay of the use counts after each piece, so that long motions may reuse pieces after some
 time."""
@@ -138,20 +134,22 @@ class ChoiceWeights:
     Attributes:
         movement: squared difference of wanted and recorded movement, in standard deviations.
         slow: the same for its slow part.
-        together: in the choice of the second arm, squared difference between the first hand's
-            directions in the recording of a piece and in the motion so far.
+        place: the same for the place where a hand is held, and for how wide it reaches.
+        together: in the choice of the second arm, squared difference between its hand's directions
+            and those of the first hand in the motion so far.
         continuity: mean squared difference of the normalised vectors over the cross-fade.
         used: number of recent uses of the same recorded frames.
-        copied: fraction of a piece in which all other parts show the same moment of the same
-            recording.
+        copied: fraction of a piece in which all parts chosen before show the same moment of the
+            same recording; a quarter of it for the second arm, whose gestures may be two-handed.
         defective: 1 for a piece with motion-capture errors. If all pieces have errors, they are
             used nevertheless.
         chance: scale of the Gumbel noise that makes seeds differ.
     """
 
-    movement: float = 6.0
-    slow: float = 1.0
-    together: float = 0.6
+    movement: float = 24.0
+    slow: float = 12.0
+    place: float = 0.5
+    together: float = 2.5
     continuity: float = 3.0
     used: float = 0.25
     copied: float = 12.0
@@ -164,10 +162,15 @@ class PieceSearch:
 
     Args:
         vectors: (T_k, C) normalised motion of each recording at the recalled level.
-        profiles: (T_k, 2) movement of each recording and its slow part, in standard deviations; or
-            (T_k, 4), followed by the movement of the other hand.
+        profiles: (T_k, 1) movement of each recording, in standard deviations; or (T_k, 3),
+            followed by the movement of the other hand.
+        states: (T_k, S) slow channels of each recording: movement, then places.
         piece: frames of a piece; no more than the longest recording has.
         overlap: frames of the cross-fade; at most half a piece, so that each ends before the next.
+        shrinkage: (C,) weight of the square of each column of a profile, from 0 to 1, where the
+            wanted one is a prediction. The plain squared difference (1) would prefer pieces that
+            vary as little as predictions. With the square of the prediction's correlation, the
+            cost is the logarithm of how much likelier the prediction makes a piece, for Gaussians.
         weights: of the choice.
         defective: (T_k,) bool, the frames of each recording in which the part jumps or pops.
     """
@@ -176,8 +179,10 @@ class PieceSearch:
         self,
         vectors: Sequence[np.ndarray],
         profiles: Sequence[np.ndarray],
+        states: Sequence[np.ndarray],
         piece: int,
         overlap: int,
+        shrinkage: Sequence[float],
         weights: ChoiceWeights,
         defective: Sequence[np.ndarray],
     ) -> None:
@@ -191,7 +196,7 @@ class PieceSearch:
         first = np.cumsum([0, *map(len, vectors)])
         self.frame = first[self.recording] + self.start
         self.vectors = np.concatenate(vectors).astype(np.float32)
-        counts = [weights.movement, weights.slow, weights.together, weights.together]
+        counts = [weights.movement, weights.together, weights.together]
         self.scale = np.sqrt(np.array(counts[: profiles[0].shape[1]]) / self.piece)
         self.profiles = np.concatenate(
             [
@@ -200,7 +205,13 @@ class PieceSearch:
                 if count
             ]
         )
-        self.squares = np.square(self.profiles)
+        self.squares = np.square(self.profiles) * np.repeat(shrinkage, self.piece)
+        pooled = np.concatenate(states)
+        counts = [weights.slow] + [weights.place] * (pooled.shape[1] - 1)
+        # Squares of states far from their mean would be inexact in float32.
+        self.usual_states = pooled.mean(axis=0)
+        self.of_states = np.sqrt(np.array(counts)) / np.maximum(pooled.std(axis=0), 1e-6)
+        self.states = self._means(pooled)[self.frame].astype(np.float32)
         counts = np.cumsum([0, *np.concatenate(defective)])
         has_some = counts[self.frame + self.piece] > counts[self.frame]
         self.defects = weights.defective * has_some.astype(np.float32)
@@ -214,13 +225,22 @@ class PieceSearch:
         windows = np.lib.stride_tricks.sliding_window_view(scaled, self.piece, axis=0)
         return windows.reshape(len(windows), -1)
 
-    def choose_from_any_frame(self, rng: torch.Generator, *rows: np.ndarray | None) -> Pieces:
+    def _means(self, states: np.ndarray) -> np.ndarray:
+        """Return the weighted means (T - piece + 1, S) of states (T, S) in each window."""
+        scaled = (states - self.usual_states) * self.of_states
+        total = np.cumsum(np.pad(scaled, ((1, 0), (0, 0))), axis=0)
+        return (total[self.piece :] - total[: -self.piece]) / self.piece
+
+    def choose_from_any_frame(
+        self, rng: torch.Generator, *rows: np.ndarray | None, first: int | None = None
+    ) -> Pieces:
         """Return the pieces for the `rows` (T, ...) of `choose`, beginning inside the first piece.
 
         The offset into the first piece is random, so that the joins, and with them the chosen
         pieces, differ between seeds.
         """
-        first = int(torch.randint(self.hop, (), generator=rng))
+        if first is None:
+            first = int(torch.randint(self.hop, (), generator=rng))
         earlier = ((first, 0), (0, 0))
         wider = [None if row is None else np.pad(row, earlier, mode="edge") for row in rows]
         return self.choose(rng, *wider).beginning_at(first)
@@ -229,6 +249,7 @@ class PieceSearch:
         self,
         rng: torch.Generator,
         wanted: np.ndarray,
+        states: np.ndarray,
         allowed: np.ndarray | None = None,
         others: np.ndarray | None = None,
     ) -> Pieces:
@@ -236,7 +257,8 @@ class PieceSearch:
 
         Args:
             rng: random numbers.
-            wanted: (T, 2) or (T, 4) like `profiles`; NaN matches anything.
+            wanted: (T, 1) or (T, 3) like `profiles`; NaN matches anything.
+            states: (T, S) wanted slow channels.
             allowed: (T, K) bool, the recordings that may be used in each frame; None for all.
             others: (T, P) `Pieces.recorded_frames` of the other parts, so that the parts do not
                 together copy a recording; None if there are none.
@@ -244,8 +266,9 @@ class PieceSearch:
         n_frames = len(wanted)
         count = max(1, -(-(n_frames - self.overlap) // self.hop))
         missing = max(0, count * self.hop + self.overlap - n_frames)
-        asked = self._windows(np.pad(wanted, ((0, missing), (0, 0)), mode="edge"))
-        asked = asked[:: self.hop][:count]
+        after = ((0, missing), (0, 0))
+        asked = self._windows(np.pad(wanted, after, mode="edge"))[:: self.hop][:count]
+        slow = self._means(np.pad(states, after, mode="edge"))[:: self.hop][:count]
         known = ~np.isnan(asked)
         asked = np.where(known, asked, 0.0)
         middle = np.minimum(np.arange(count) * self.hop + self.piece // 2, n_frames - 1)
@@ -258,7 +281,10 @@ class PieceSearch:
             distances = (
                 np.square(asked[part]).sum(axis=1)[:, None]
                 - 2 * asked[part] @ self.profiles.T
-                + _SHRINKAGE * (known[part] @ self.squares.T)
+                + known[part] @ self.squares.T
+                + np.square(slow[part]).sum(axis=1)[:, None]
+                - 2 * slow[part] @ self.states.T
+                + np.square(self.states).sum(axis=1)
                 + self.defects
             )
             for n, distance in enumerate(distances, first):

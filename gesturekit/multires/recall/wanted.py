@@ -1,33 +1,34 @@
 """Prediction of hand movement from speech, for the choice of recorded pieces.
 
-Movement is the logarithm of the hand speed. Its slow part (calm or lively) is predicted from vocal
-effort, its fast part (when the hands move) from the speech features around each frame, both by
-ridge regression. Predictions vary less than the recordings. So the fast part is scaled to the
-recorded spread, and the sum of both is mapped to the recorded distribution, quantile by quantile.
+Movement is the logarithm of the hand speed. Its fast part (when the hands move) is predicted from
+the speech features around each frame, its slow part (calm or lively) from the slow part of the
+features and from vocal effort, both by ridge regression. Cross-validation over whole takes
+determines how much each prediction counts: it enters as its conditional mean, r times the recorded
+standard deviation for each standard deviation of the prediction. What it leaves open is drawn, see
+`SlowState`.
 
-Cross-validation, by takes where there are three, determines how much the predictions are trusted. A
-few features replace many that predict hardly better, since few features generalise better to unseen
-voices, and predictions with a low correlation are scaled down.
+A few features replace many that predict hardly better, since few features generalise better to
+unseen voices.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
+
+from gesturekit.multires.recall.parts import slow_part
 
 log = logging.getLogger(__name__)
 
 # Fixed, as they describe speech and gestures, not a corpus.
-SLOW_SECONDS = 2.0
-"""Standard deviation of the Gaussian that separates slow from fast movement."""
 _BIN_SECONDS = 0.16
 _BINS = 5
 """Speech features are averaged over this many bins around a frame."""
-_SLOW_INPUT_SECONDS = 1.0
 _FRAMES_AT_ONCE = 4096
 _MOST_FEATURES = 64
 """Wider speech features are reduced to this many principal components."""
@@ -36,29 +37,30 @@ _RIDGES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 _FOLDS = 4
 _LEAST_TAKES, _MOST_FOLDS = 3, 8
 """Least number of takes for a cross-validation over whole takes; its largest number of folds."""
-_GAP_SECONDS = 1.0
-_CREDIBLE = 0.3
-"""Out-of-fold correlation above which predictions are used without scaling down."""
+_GAP_SECONDS = 6.0
+"""Left out beside a part of a recording, as slow movement is correlated over several seconds."""
+_WITHIN_TAKE = 0.5
+"""Factor on the correlation of the slow part if it was found on left-out parts of one or two takes.
+Three ZeroEGGS takes have 0.79 within a take and 0.69 on left-out takes; other speakers may have
+less. Predictions of pauses count in full, see `SlowState`."""
+_MEAN_COUNTS, _PRIOR_TAKES = 0.3, 4.0
+"""How much the mean prediction of an utterance counts before any take was left out, as it depends
+on the voice, the microphone and the room too; and the number of left-out takes that count as much
+as this expectation."""
+_FURTHEST = 2.5
+"""Predictions are limited to this many standard deviations."""
 _HARDLY_BETTER = 0.03
 """A larger set of speech features has to raise the out-of-fold correlation by more than this."""
-_QUANTILES = np.linspace(0.01, 0.99, 50)
-
-
-def slow_part(movement: np.ndarray, fps: float) -> np.ndarray:
-    """Return the slow part (..., T) of movement (..., T)."""
-    return gaussian_filter1d(movement, SLOW_SECONDS * fps, axis=-1, mode="nearest")
 
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """Ridge regression of one curve, with the distribution of its out-of-fold predictions.
+    """Ridge regression of one curve, in standard deviations of its out-of-fold predictions.
 
     Attributes:
         mean: (P,) of the inputs.
         weights: (P,).
-        offset: mean of the curve.
-        predicted: (Q,) quantiles of the out-of-fold predictions.
-        recorded: (Q,) the same quantiles of the recordings.
+        offset: prediction at the mean of the inputs.
         r: correlation of out-of-fold predictions and recordings.
         left_out: (T,) the out-of-fold predictions of all recordings, one after another; None in a
             loaded model.
@@ -67,8 +69,6 @@ class Regression:
     mean: np.ndarray
     weights: np.ndarray
     offset: float
-    predicted: np.ndarray
-    recorded: np.ndarray
     r: float
     left_out: np.ndarray | None = field(default=None, repr=False)
 
@@ -87,36 +87,23 @@ class Regression:
             predictions[out] = _predictions_of(x, y, out, kept) + offset
         scores = [correlation(row, y) for row in predictions.T]
         best = int(np.argmax(scores))
-        weights = _ridge(x - mean, y - offset)[:, best]
+        found = predictions[:, best]
+        size = max(found.std(), 1e-9)
         return cls(
             mean,
-            weights,
-            float(offset),
-            np.quantile(predictions[:, best], _QUANTILES),
-            np.quantile(y, _QUANTILES),
+            _ridge(x - mean, y - offset)[:, best] / size,
+            float((offset - found.mean()) / size),
             scores[best],
-            predictions[:, best],
+            _limited((found - found.mean()) / size),
         )
 
     def __call__(self, inputs: np.ndarray) -> np.ndarray:
-        """Return the predicted curve (T,) from inputs (T, P)."""
-        return (inputs - self.mean) @ self.weights + self.offset
+        """Return the predicted curve (T,) from inputs (T, P), in standard deviations."""
+        return _limited((inputs - self.mean) @ self.weights + self.offset)
 
-    @property
-    def trust(self) -> float:
-        """Share from 0 to 1 of the predictions' variation that counts."""
-        return float(np.clip(self.r / _CREDIBLE, 0.0, 1.0))
 
-    def scaled(self, predictions: np.ndarray) -> np.ndarray:
-        """Scale predictions (T,) to the recorded spread, as far as they are trusted."""
-        factor = self.recorded.std() / max(self.predicted.std(), 1e-9)
-        values = self.recorded.mean() + factor * (predictions - self.predicted.mean())
-        return self.trust * np.clip(values, self.recorded[0], self.recorded[-1])
-
-    def trusted(self, predictions: np.ndarray) -> np.ndarray:
-        """Draw predictions (T,) towards their mean, as far as left-out ones were wrong."""
-        within = np.clip(predictions, self.recorded[0], self.recorded[-1])
-        return self.offset + self.trust * (within - self.offset)
+def _limited(predictions: np.ndarray) -> np.ndarray:
+    return np.clip(predictions, -_FURTHEST, _FURTHEST)
 
 
 def _ridge(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -144,7 +131,7 @@ def folds_of(lengths: Sequence[int], takes: Sequence[str], gap: int) -> Folds:
     """Return the folds of a cross-validation.
 
     Three or more takes are left out as a whole. With fewer, about `_FOLDS` parts of recordings are,
-    and `gap` frames beside them.
+    and `gap` frames beside them, or half the length of a part.
 
     Args:
         lengths: frames of each recording.
@@ -158,6 +145,7 @@ def folds_of(lengths: Sequence[int], takes: Sequence[str], gap: int) -> Folds:
         fold_of = np.arange(len(names)) % _MOST_FOLDS
         return [((out := fold_of[of_frame] == k), ~out) for k in np.unique(fold_of)]
     folds = []
+    gap = min(gap, n_frames // (2 * _FOLDS))
     for length in lengths:
         count = max(1, round(length / (n_frames / _FOLDS)))
         edges = np.linspace(first, first + length, count + 1).astype(int)
@@ -184,22 +172,27 @@ class WantedMovement:
     Attributes:
         fps: frames per second of the speech features.
         effort: columns of the features with vocal effort; empty if there are none.
-        basis: (S', M) principal components of the other features, or the choice of some of them;
-            None for the features themselves.
+        fast_basis: (S, M) principal components of the features, or the choice of some of them,
+            from which the fast part is predicted.
+        slow_basis: (S, M') the same for the slow part.
         fast: regression of the fast part.
         slow: regression of the slow part.
-        predicted: (Q,) quantiles of the movement predicted for left-out recordings.
-        recorded: (Q,) the same quantiles of recorded movement.
+        mean_counts: factor on the mean of the slow part's prediction for an utterance.
+        spread: conditional mean of the fast part for each standard deviation of its prediction, log
+            m/s.
+        across_takes: True if the correlations were found on left-out takes.
         voices: (3, E) lowest, mean and highest vocal effort in training, see `usual_voice`.
     """
 
     fps: float
     effort: tuple[int, ...]
-    basis: np.ndarray | None
+    fast_basis: np.ndarray = field(repr=False)
+    slow_basis: np.ndarray = field(repr=False)
     fast: Regression = field(repr=False)
     slow: Regression = field(repr=False)
-    predicted: np.ndarray = field(repr=False)
-    recorded: np.ndarray = field(repr=False)
+    mean_counts: float
+    spread: float
+    across_takes: bool
     voices: np.ndarray = field(repr=False)
 
     @classmethod
@@ -207,6 +200,7 @@ class WantedMovement:
         cls,
         speeches: Sequence[np.ndarray],
         movements: Sequence[np.ndarray],
+        slow: Sequence[np.ndarray],
         fps: float,
         effort: Sequence[int],
         smaller: Sequence[Sequence[int]] = (),
@@ -217,67 +211,78 @@ class WantedMovement:
         Args:
             speeches: features (S, T_k).
             movements: (T_k,).
+            slow: (T_k,) normal scores of the slow part of movement.
             fps: frames per second of both.
             effort: columns of vocal effort.
             smaller: smaller sets of columns, the largest first; one is used instead of all columns
                 if it predicts about as well.
             takes: take of each recording; without, each is a part of one take.
         """
-        slow = [slow_part(movement, fps) for movement in movements]
-        fast = [movement - part for movement, part in zip(movements, slow, strict=True)]
+        fast = [movement - slow_part(movement, fps) for movement in movements]
         lengths = [len(movement) for movement in movements]
         takes = takes or [""] * len(lengths)
         folds = folds_of(lengths, takes, round(_GAP_SECONDS * fps))
         effort = tuple(effort)
         bases = _bases(speeches, effort, smaller)
-        fitted = [
-            Regression.fit([fast_inputs(s, effort, basis, fps) for s in speeches], fast, folds)
-            for basis in bases
-        ]
-        enough = max(regression.r for regression in fitted) - _HARDLY_BETTER
-        used = [k for k, regression in enumerate(fitted) if regression.r >= enough][-1]
-        of_fast, basis = fitted[used], bases[used]
-        inputs = [slow_inputs(speech, effort, basis, fps) for speech in speeches]
-        of_slow = Regression.fit(inputs, slow, folds)
-        log.info(
-            "Hand movement predicted from the speech of left-out %s: r = %s; %d features are used. "
-            "Calm or lively: r = %.2f.",
-            "takes" if len(set(takes)) >= _LEAST_TAKES else "parts of recordings",
-            ", ".join(f"{one.r:.2f} with {len(one.mean) // _BINS} features" for one in fitted),
-            len(of_fast.mean) // _BINS,
-            of_slow.r,
+        of_fast, fast_basis = _best(speeches, fast, folds, bases, partial(fast_inputs, fps=fps))
+        voice = np.eye(len(speeches[0]))[:, effort]
+        with_voice = [np.concatenate([basis, voice], axis=1) for basis in bases]
+        of_slow, slow_basis = _best(
+            speeches,
+            slow,
+            folds,
+            [*with_voice, *bases, *([voice] if effort else [])],
+            partial(slow_inputs, fps=fps),
         )
+        mean_counts, of_slow = _steadied(of_slow, slow, takes)
         efforts = np.concatenate([speech[list(effort)] for speech in speeches], axis=1)
         lowest, highest = np.quantile(efforts, (0.02, 0.98), axis=1)
-        left_out = of_fast.scaled(of_fast.left_out) + of_slow.trusted(of_slow.left_out)
-        return cls(
+        wanted = cls(
             fps,
             effort,
-            basis,
+            fast_basis,
+            slow_basis,
             of_fast,
             of_slow,
-            np.quantile(left_out, _QUANTILES),
-            np.quantile(np.concatenate(movements), _QUANTILES),
+            mean_counts,
+            float(max(of_fast.r, 0.0) * np.concatenate(fast).std()),
+            len(set(takes)) >= _LEAST_TAKES,
             np.stack([lowest, efforts.mean(1), highest]),
         )
+        log.info("Hand movement predicted from speech: %s.", wanted.summary())
+        return wanted
+
+    @property
+    def trust(self) -> float:
+        """Factor on the correlations of slow channels with the prediction."""
+        return float(self.slow.r > 0) * (1.0 if self.across_takes else _WITHIN_TAKE)
 
     @property
     def predicts(self) -> bool:
         """True if speech predicted some of the movement of left-out recordings."""
-        return self.fast.trust > 0 or self.slow.trust > 0
+        return self.spread > 0 or self.trust > 0
 
-    def __call__(self, speech: np.ndarray) -> np.ndarray:
-        """Return the movement predicted from speech features (S, T), and its slow part, (2, T)."""
+    def summary(self) -> str:
+        """Return the correlations, how they were found, and the numbers of features."""
+        halved = f" (taken as {self.trust * max(self.slow.r, 0.0):.2f} on other takes)"
+        return (
+            f"when the hands move, r = {self.fast.r:.2f} with {self.fast_basis.shape[1]} features; "
+            f"calm or lively, r = {self.slow.r:.2f} with {self.slow_basis.shape[1]} features"
+            f"{'' if self.across_takes else halved}; found on left-out "
+            f"{'takes' if self.across_takes else 'parts of recordings'}"
+        )
+
+    def __call__(self, speech: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the fast part of movement, in log m/s, and the prediction of the slow part, in
+        standard deviations, both (T,), from speech features (S, T)."""
         speech = usual_voice(speech, self.effort, self.voices)
-        slow = self.slow.trusted(self.slow(slow_inputs(speech, self.effort, self.basis, self.fps)))
-        inputs = _bins(speech, self.effort, self.basis, self.fps)
+        slow = self.slow(slow_inputs(speech, self.slow_basis, self.fps))
+        slow -= (1 - self.mean_counts) * slow.mean()
+        inputs = _bins(speech, self.fast_basis, self.fps)
         n_frames = speech.shape[1]
         parts = [slice(i, i + _FRAMES_AT_ONCE) for i in range(0, n_frames, _FRAMES_AT_ONCE)]
         fast = np.concatenate([self.fast(_flat(inputs[part])) for part in parts])
-        # Quantiles of a constant prediction do not increase.
-        predicted = self.predicted + 1e-9 * np.arange(len(self.predicted))
-        movement = np.interp(self.fast.scaled(fast) + slow, predicted, self.recorded)
-        return np.stack([movement, slow_part(movement, self.fps)])
+        return self.spread * fast, slow
 
 
 def usual_voice(speech: np.ndarray, effort: Sequence[int], voices: np.ndarray) -> np.ndarray:
@@ -303,18 +308,18 @@ def usual_voice(speech: np.ndarray, effort: Sequence[int], voices: np.ndarray) -
     return speech
 
 
-def fast_inputs(
-    speech: np.ndarray, effort: Sequence[int], basis: np.ndarray | None, fps: float
-) -> np.ndarray:
-    """Return (T, 5 M) means of the speech features (S, T) in five bins around each frame."""
-    return _flat(_bins(speech, effort, basis, fps))
+def fast_inputs(speech: np.ndarray, basis: np.ndarray, fps: float) -> np.ndarray:
+    """Return (T, 5 M) means of the features (S, T), in a basis, in five bins around each frame."""
+    return _flat(_bins(speech, basis, fps))
 
 
-def _bins(
-    speech: np.ndarray, effort: Sequence[int], basis: np.ndarray | None, fps: float
-) -> np.ndarray:
-    """Return a view (T, M, 5) of the features' means in five bins around each frame."""
-    features = _reduced(speech, effort, basis)
+def _bins(speech: np.ndarray, basis: np.ndarray, fps: float) -> np.ndarray:
+    """Return a view (T, M, 5) of the features' means in five bins around each frame.
+
+    Means are without their slow part, which an unseen take has at another level.
+    """
+    features = speech.T.astype(float) @ basis
+    features -= slow_part(features.T, fps).T
     width = max(1, round(_BIN_SECONDS * fps))
     means = uniform_filter1d(features, width, axis=0, mode="nearest")
     around = (_BINS // 2) * width
@@ -327,34 +332,82 @@ def _flat(bins: np.ndarray) -> np.ndarray:
     return bins.transpose(0, 2, 1).reshape(len(bins), -1)
 
 
-def slow_inputs(
-    speech: np.ndarray, effort: Sequence[int], basis: np.ndarray | None, fps: float
-) -> np.ndarray:
-    """Return (T, E) vocal effort or, without it, slow means of the speech features (T, M)."""
-    if effort:
-        columns = speech[list(effort)].T.astype(float)
-        return gaussian_filter1d(columns, _SLOW_INPUT_SECONDS * fps, axis=0, mode="nearest")
-    return slow_part(_reduced(speech, effort, basis).T, fps).T
+def slow_inputs(speech: np.ndarray, basis: np.ndarray, fps: float) -> np.ndarray:
+    """Return (T, M) the slow part of the features (S, T) in a basis."""
+    return slow_part((speech.T.astype(float) @ basis).T, fps).T
+
+
+def _best(
+    speeches: Sequence[np.ndarray],
+    curves: Sequence[np.ndarray],
+    folds: Folds,
+    bases: Sequence[np.ndarray],
+    inputs: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> tuple[Regression, np.ndarray]:
+    """Return the regression of the last of the bases that predicts about as well as the best."""
+    fitted = [
+        Regression.fit([inputs(speech, basis) for speech in speeches], curves, folds)
+        for basis in bases
+    ]
+    enough = max(regression.r for regression in fitted) - _HARDLY_BETTER
+    used = [k for k, regression in enumerate(fitted) if regression.r >= enough][-1]
+    return fitted[used], bases[used]
+
+
+def _steadied(
+    regression: Regression, slow: Sequence[np.ndarray], takes: Sequence[str]
+) -> tuple[float, Regression]:
+    """Return `WantedMovement.mean_counts`, and the regression in its new standard deviations.
+
+    The factor is the slope of the takes' recorded means over their predicted means, relative to the
+    slope within takes.
+
+    Args:
+        regression: of the slow part.
+        slow: (T_k,) recorded slow part.
+        takes: take of each recording.
+    """
+    ends = np.cumsum([len(own) for own in slow])[:-1]
+    predicted = np.split(regression.left_out, ends)
+    names, counts = list(dict.fromkeys(takes)), _MEAN_COUNTS
+    if len(names) >= _LEAST_TAKES:
+        of_take = [[k for k, take in enumerate(takes) if take == name] for name in names]
+        means = np.array(
+            [
+                [np.concatenate([rows[k] for k in own]).mean() for own in of_take]
+                for rows in (predicted, slow)
+            ]
+        )
+        changes = [np.concatenate([own - own.mean() for own in rows]) for rows in (predicted, slow)]
+        found = _slope(*means) / max(_slope(*changes), 1e-6)
+        n = len(names) - 1
+        counts = (n * np.clip(found, 0.0, 1.0) + _PRIOR_TAKES * counts) / (n + _PRIOR_TAKES)
+    predicted = np.concatenate([own - (1 - counts) * own.mean() for own in predicted])
+    size = max(predicted.std(), 1e-9)
+    return float(counts), replace(
+        regression,
+        weights=regression.weights / size,
+        offset=regression.offset / size,
+        r=correlation(predicted, np.concatenate(slow)),
+        left_out=predicted / size,
+    )
+
+
+def _slope(x: np.ndarray, y: np.ndarray) -> float:
+    """Return the slope of the least-squares line; 0 if x is constant."""
+    x, y = x - x.mean(), y - y.mean()
+    return float(x @ y / (x @ x)) if x @ x > 1e-12 else 0.0
 
 
 def _bases(
     speeches: Sequence[np.ndarray], effort: Sequence[int], smaller: Sequence[Sequence[int]]
-) -> list[np.ndarray | None]:
-    """Return the values of `WantedMovement.basis` to choose from, the largest first."""
-    others = _without(speeches[0].shape[0], effort)
-    basis = None
+) -> list[np.ndarray]:
+    """Return the bases (S, M) to choose from, the largest first; none has vocal effort."""
+    every = np.eye(len(speeches[0]))
+    others = [i for i in range(len(every)) if i not in effort]
+    largest = every[:, others]
     if len(others) > _MOST_FEATURES:
         x = np.concatenate([speech[others] for speech in speeches], axis=1).astype(float)
-        basis = np.linalg.eigh(np.cov(x))[1][:, -_MOST_FEATURES:]
-    chosen = [np.eye(len(others))[:, [i in set(own) for i in others]] for own in smaller]
-    return [basis, *(part for part in chosen if 0 < part.shape[1] < len(others))]
-
-
-def _without(count: int, columns: Sequence[int]) -> list[int]:
-    return [i for i in range(count) if i not in set(columns)]
-
-
-def _reduced(speech: np.ndarray, effort: Sequence[int], basis: np.ndarray | None) -> np.ndarray:
-    """Return (T, M) features without vocal effort, as principal components if there is a basis."""
-    features = speech[_without(len(speech), effort)].T.astype(float)
-    return features if basis is None else features @ basis
+        largest = largest @ np.linalg.eigh(np.cov(x))[1][:, -_MOST_FEATURES:]
+    chosen = [every[:, [i for i in others if i in own]] for own in smaller]
+    return [largest, *(part for part in chosen if 0 < part.shape[1] < len(others))]

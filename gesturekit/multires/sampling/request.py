@@ -172,7 +172,7 @@ def check_controls(model: TrainedModel, controls: MultiresControls, samples: int
 
     Raises:
         ModelError: a style, level or speaker that the model does not have, level_speech without
-            speech input, recall by a model without it, or a liveliness without recall.
+            speech input, recall by a model without it, or liveliness or mood_seed without recall.
     """
     levels = model.network_config.levels
     if model.styles:
@@ -201,15 +201,16 @@ def _check_recall(controls: MultiresControls, recalls: bool) -> None:
     """Raise ModelError for recall controls that have no effect."""
     if controls.recall and not recalls:
         raise ModelError("recall=True: this model was not trained with recall; leave recall away")
-    value = controls.liveliness
-    if value == 1:
-        return
-    if not recalls:
-        raise ModelError(f"liveliness={value:g}: only models trained with recall take it")
-    if controls.recall is False:
-        raise ModelError(f"liveliness={value:g}: without recall it has no effect; give one of them")
-    if controls.like is not None:
-        raise ModelError(f"liveliness={value:g}: like sets the movement; give one of them")
+    for name, unset in (("liveliness", 1), ("mood_seed", None)):
+        value = getattr(controls, name)
+        if value == unset:
+            continue
+        if not recalls:
+            raise ModelError(f"{name}={value}: only models trained with recall take it")
+        if controls.recall is False:
+            raise ModelError(f"{name}={value}: without recall it has no effect; give one of them")
+        if controls.like is not None:
+            raise ModelError(f"{name}={value}: like sets the movement; give one of them")
 
 
 def _check_combination(controls: MultiresControls, fewer_levels: bool) -> None:

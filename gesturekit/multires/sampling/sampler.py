@@ -6,7 +6,7 @@ import logging
 from dataclasses import replace
 
 import numpy as np
-from torch import Tensor
+from torch import Generator, Tensor
 
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import slerp
@@ -50,11 +50,11 @@ class Sampler:
         self.noise = model.noise.random(model.styles)
         self.constraint = self._constraint()
 
-    def motion(self, seed: int, number: int) -> Motion:
-        """Generate the sample of this number."""
+    def motion(self, seed: int, item: str, number: int) -> Motion:
+        """Generate the sample of an item with this number."""
         request = self.request
-        styles = self._styles(seed, number)
-        choice = self._recalled(seed, number, styles)
+        styles = self._styles(seed, item, number)
+        choice = self._recalled(seed, item, number, styles)
         pyramid = Pyramid(
             self.model,
             request.lengths,
@@ -62,7 +62,7 @@ class Sampler:
                 request.features, request.lengths, styles, request.level_speech
             ),
             self.noise,
-            lambda level: rng_for(seed, "sample", number, "level", level + 1),
+            lambda level: rng_for(seed, item, "sample", number, "level", level + 1),
             None if choice is None else self._recalled_level(choice),
             0 if self.request.library is None else self.request.library.level - 1,
         )
@@ -113,12 +113,12 @@ class Sampler:
                 fastest,
             )
 
-    def _styles(self, seed: int, number: int) -> list[Tensor]:
+    def _styles(self, seed: int, item: str, number: int) -> list[Tensor]:
         """Return (1, K, T_i) for each level; empty for a model without styles."""
         request, names = self.request, self.model.styles
         if not names:
             return []
-        rng = rng_for(seed, "sample", number, "style")
+        rng = rng_for(seed, item, "sample", number, "style")
         return requested_styles(
             names,
             request.controls,
@@ -128,15 +128,24 @@ class Sampler:
             margin=request.margin,
         )
 
-    def _recalled(self, seed: int, number: int, styles: list[Tensor]) -> RecalledMotion | None:
+    def _recalled(
+        self, seed: int, item: str, number: int, styles: list[Tensor]
+    ) -> RecalledMotion | None:
         """Choose the recalled pieces; None without recall, or if no joint would take them."""
         request = self.request
-        library = request.library
+        library, mood_seed = request.library, request.controls.mood_seed
         if library is None or (request.controls.like is not None and library.passive.is_empty):
             return None
+
+        def rng_of(part: str) -> Generator:
+            if part == "mood":
+                key = seed if mood_seed is None else int(mood_seed)
+                return rng_for(key, item, "sample", number, "mood")
+            return rng_for(seed, item, "sample", number, "recall", part)
+
         return library.recall(
             request.features.T,
-            lambda part: rng_for(seed, "sample", number, "recall", part),
+            rng_of,
             liveliness=request.controls.liveliness,
             speaker=request.controls.speaker,
             styles=styles[library.level - 1][0].argmax(dim=0).numpy() if styles else None,

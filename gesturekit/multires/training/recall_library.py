@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from itertools import repeat
 
 import numpy as np
 import torch
@@ -13,14 +14,18 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary, averaged
 from gesturekit.multires.recall.parts import (
+    MotionPart,
     defects_of_parts,
     hand_directions,
     joint_places,
     motion_parts,
     movements,
+    slow_channels,
+    slow_states,
 )
-from gesturekit.multires.recall.wanted import WantedMovement, correlation, slow_part
-from gesturekit.multires.training.data import TrainingData
+from gesturekit.multires.recall.slow_state import SlowState, normal_scores
+from gesturekit.multires.recall.wanted import WantedMovement, correlation
+from gesturekit.multires.training.data import PairedSequence, TrainingData
 
 log = logging.getLogger(__name__)
 
@@ -42,37 +47,26 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
     moved = [movements(parts, joints, fps, own) for own in places]
     # Speech predicts the movement of the hands: that of both arms, or of the only part.
     asked = [i for i, part in enumerate(parts) if part.is_arm] or [0]
-    every = [np.mean([of_parts[i] for i in asked], axis=0) for of_parts in moved]
-    goals = [np.concatenate(curves) for curves in _with_slow(every, fps)]
-    mean = float(goals[0].mean())
-    spread = np.array([max(goal.std(), 1e-3) for goal in goals])
-    goals = [(goal - mean) / width for goal, width in zip(goals, spread, strict=True)]
-    profiles: list[list[np.ndarray]] = [[] for _ in sequences]
-    for i in range(len(parts)):
-        for curves, goal in zip(_with_slow([m[i] for m in moved], fps), goals, strict=True):
-            own = np.concatenate(curves)
-            for of_sequence, curve in zip(profiles, curves, strict=True):
-                of_sequence.append(_mapped(curve, own, goal))
-    directions = [np.zeros((0, sequence.n_frames)) for sequence in sequences]
-    if parts[0].is_arm:
-        of_arms = [
-            [hand_directions(part, joints, fps, own) for own in places] for part in parts[:2]
-        ]
-        directions = _weighted(*of_arms)
-    recordings = []
-    for sequence, rows, led, faulty in zip(sequences, profiles, directions, defects, strict=True):
-        n = af.level_lengths(sequence.n_frames, levels)[settings.level - 1]
-        recordings.append(
-            RecalledRecording(
-                resample(sequence.motion[None], n)[0].contiguous(),
-                resample(sequence.passive[None], n)[0].contiguous(),
-                torch.from_numpy(averaged(np.stack(rows), n)).float(),
-                torch.from_numpy(averaged(led, n)).float(),
-                sequence.speaker,
-                sequence.style,
-                torch.from_numpy(_any_near(faulty, n)),
-            )
+    hands = [np.mean([of_parts[i] for i in asked], axis=0) for of_parts in moved]
+    goal = np.concatenate(hands)
+    mean, spread = float(goal.mean()), max(float(goal.std()), 1e-3)
+    # The trunk moves less than hands do: by quantiles, its movement becomes comparable.
+    for i in range(len(asked), len(parts)):
+        own = np.concatenate([of_parts[i] for of_parts in moved])
+        for of_parts in moved:
+            of_parts[i] = _mapped(of_parts[i], own, goal)
+    states = [
+        np.concatenate(
+            [slow_states(part, joints, fps, *own) for part, *own in zip(parts, repeat(where), rows)]
         )
+        for where, rows in zip(places, moved, strict=True)
+    ]
+    scores = normal_scores(states, [(one.speaker, one.style) for one in sequences])
+    first = np.cumsum([0, *(len(slow_channels(part)) for part in parts)])[asked]
+    wanted = _wanted(data, hands, [own[first].mean(axis=0) for own in scores], fps)
+    directions = _directions(parts, joints, fps, places)
+    standard = [(np.stack(rows) - mean) / spread for rows in moved]
+    rows = zip(sequences, standard, states, directions, defects, strict=True)
     return RecallLibrary(
         settings.level,
         levels,
@@ -80,17 +74,18 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
         settings.piece,
         settings.overlap,
         parts,
-        tuple(recordings),
+        tuple(_recalled(*own, levels, settings.level) for own in rows),
         spread,
         mean,
-        _wanted(data, every, fps),
+        SlowState.fit(scores, wanted, [sequence.take for sequence in sequences], fps),
+        wanted,
         data.passive,
         stretch=settings.stretch,
     )
 
 
 def _wanted(
-    data: TrainingData, movement: Sequence[np.ndarray], fps: float
+    data: TrainingData, movement: Sequence[np.ndarray], slow: Sequence[np.ndarray], fps: float
 ) -> WantedMovement | None:
     """Return the prediction of movement from speech; None if there is no speech or it fails."""
     if data.conditioner is None:
@@ -100,6 +95,7 @@ def _wanted(
     wanted = WantedMovement.fit(
         speeches,
         movement,
+        slow,
         fps,
         data.conditioner.effort,
         smaller,
@@ -111,25 +107,52 @@ def _wanted(
     return None
 
 
-def _with_slow(
-    curves: Sequence[np.ndarray], fps: float
-) -> tuple[Sequence[np.ndarray], Sequence[np.ndarray]]:
-    """Return movement curves (T_k,) and their slow parts."""
-    return curves, [slow_part(curve, fps) for curve in curves]
+def _recalled(
+    sequence: PairedSequence,
+    profiles: np.ndarray,
+    states: np.ndarray,
+    directions: np.ndarray,
+    defects: np.ndarray,
+    levels: int,
+    level: int,
+) -> RecalledRecording:
+    """Return a recording with its curves (C, T) at the recalled level."""
+    n = af.level_lengths(sequence.n_frames, levels)[level - 1]
+    return RecalledRecording(
+        resample(sequence.motion[None], n)[0].contiguous(),
+        resample(sequence.passive[None], n)[0].contiguous(),
+        *(torch.from_numpy(averaged(rows, n)).float() for rows in (profiles, states, directions)),
+        sequence.speaker,
+        sequence.style,
+        torch.from_numpy(_any_near(defects, n)),
+    )
 
 
-def _weighted(first: Sequence[np.ndarray], second: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Scale the directions (2, T_k) of the first hand by how well they predict the second hand.
+def _directions(
+    parts: Sequence[MotionPart], joints: Sequence[str], fps: float, places: Sequence[np.ndarray]
+) -> list[np.ndarray]:
+    """Return the weighted directions of both hands, (4, T_k); (0, T_k) without arms."""
+    if not parts[0].is_arm:
+        return [np.zeros((0, own.shape[-1])) for own in places]
+    return _weighted(
+        [[hand_directions(part, joints, fps, own) for own in places] for part in parts[:2]]
+    )
 
-    If the hands have correlation r, a row gets the standard deviation r^2 / (1 - r^2): the ratio of
-    explained to unexplained variance of the second hand.
+
+def _weighted(both: Sequence[Sequence[np.ndarray]]) -> list[np.ndarray]:
+    """Return the directions (2, T_k) of both hands (2), as (4, T_k), weighted by their correlation.
+
+    If the hands have correlation r in a row, both get the variance r / (1 - r^2): their product is
+    then the logarithm of how much likelier each makes the other, for Gaussians.
     """
-    both = np.stack([np.concatenate(first, axis=1), np.concatenate(second, axis=1)])
-    factors = []
-    for a, b in zip(*both, strict=True):
-        r = min(abs(correlation(a, b)), _HIGHEST)
-        factors.append(r**2 / (1 - r**2) / max(a.std(), 1e-3))
-    return [rows * np.array(factors)[:, None] for rows in first]
+    pooled = [np.concatenate(hand, axis=1) for hand in both]
+    r = [np.clip(correlation(a, b), 0.0, _HIGHEST) for a, b in zip(*pooled, strict=True)]
+    sizes = np.sqrt([own / (1 - own**2) for own in r])
+    factors = [sizes / np.maximum(hand.std(axis=1), 1e-3) for hand in pooled]
+    return [
+        np.concatenate([factor[:, None] * rows for factor, rows in zip(factors, hands)])
+        for hands in zip(*both, strict=True)
+    ]
 
 
 def _any_near(flags: np.ndarray, n_frames: int) -> np.ndarray:

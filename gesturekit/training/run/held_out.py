@@ -211,7 +211,8 @@ class HeldOutMetrics:
         """Return the motion of an item."""
         speech = item.load_wave() if self.speech else None
         seconds = None if self.speech else item.duration
-        return model.generate(speech, seconds=seconds, seed=0, **item.controls(model) | controls)
+        asked = item.controls(model) | controls
+        return model.generate(speech, seconds=seconds, seed=0, item=item.id, **asked)
 
 
 def _seconds(items: Sequence[Item]) -> float:

@@ -1,0 +1,243 @@
+"""The slow state of the body: how much it moves, where the hands are held, how wide they reach.
+
+Speech tells little of it, so a mean of what speakers do would be calmer and narrower than any of
+them. The state is therefore drawn, for each motion anew, from a random process that is fitted to
+the training recordings (a Gaussian copula):
+
+- Each channel has standard normal scores, by rank among the recordings of the same speaker and
+  style. A drawn score becomes the recorded value of the same rank, so that drawn values are
+  distributed as recorded ones, however skewed those are.
+- A score is the part that speech predicts, plus noise with the rest of the variance: one component
+  that changes from take to take and one that changes within a take. Both are smooth Gaussian
+  noise, correlated between channels as in the recordings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.ndimage import gaussian_filter1d
+from scipy.special import ndtr, ndtri
+from scipy.stats import rankdata
+
+from gesturekit.multires.recall.wanted import WantedMovement
+
+_BETWEEN_TAKES = 1 / 3
+"""Share of the variance between takes that is expected before any recording is seen ..."""
+_PRIOR_TAKES = 3.0
+"""... and the number of takes that count as much as that expectation."""
+_WIDTHS = np.geomspace(1.5, 24.0, 13)
+"""Smoothness of the component within takes to choose from: seconds of standard deviation of the
+Gaussian that smooths white noise. Its correlation at lag t is exp(-t^2 / (4 width^2))."""
+_STEP, _STEPS_OF_TAKE = 0.25, 8
+"""Seconds between the points at which noise within takes is drawn; points in each `take`."""
+_TRUNCATED = 4.0
+"""Gaussians end at this many standard deviations."""
+_PAUSE = -1.0
+"""Predictions one standard deviation below this one are trusted in full, see `trust_in`."""
+_LAGS = 24
+_QUANTILES = 201
+
+
+def normal_scores(curves: Sequence[np.ndarray], groups: Sequence[object]) -> list[np.ndarray]:
+    """Return standard normal scores of curves (C, T_k), by rank in each channel.
+
+    Ranks are those among the curves of the same group.
+    """
+    result: list[np.ndarray] = [np.empty(0)] * len(curves)
+    for group in dict.fromkeys(groups):
+        own = [k for k, other in enumerate(groups) if other == group]
+        pooled = np.concatenate([curves[k] for k in own], axis=1)
+        scores = ndtri((rankdata(pooled, axis=1) - 0.5) / pooled.shape[1])
+        edges = np.cumsum([curves[k].shape[1] for k in own])[:-1]
+        for k, part in zip(own, np.split(scores, edges, axis=1), strict=True):
+            result[k] = part
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class SlowState:
+    """Random process of the normal scores of C channels.
+
+    Attributes:
+        explained: (C,) correlation of each channel with the prediction from speech.
+        trust: factor on these correlations, see `trust_in`.
+        mixing: (C, C) Cholesky factor of the noise's correlation between channels.
+        between: (C,) share of the noise's variance between takes.
+        width: (C,) smoothness of the noise within takes, seconds, see `_WIDTHS`.
+        take: smoothness of the noise between takes, seconds.
+    """
+
+    explained: np.ndarray
+    trust: float
+    mixing: np.ndarray
+    between: np.ndarray
+    width: np.ndarray
+    take: float
+
+    @classmethod
+    def fit(
+        cls,
+        scores: Sequence[np.ndarray],
+        wanted: WantedMovement | None,
+        takes: Sequence[str],
+        fps: float,
+    ) -> SlowState:
+        """Fit to the recordings.
+
+        Args:
+            scores: (C, T_k) of each recording, see `normal_scores`.
+            wanted: prediction from speech that was fitted to them; None without.
+            takes: take of each recording.
+            fps: frames per second.
+        """
+        explained, trust, noise = np.zeros(len(scores[0])), 0.0, scores
+        if wanted is not None:
+            predicted, trust = wanted.slow.left_out, wanted.trust
+            explained = np.concatenate(scores, axis=1) @ predicted / len(predicted)
+            ends = np.cumsum([own.shape[1] for own in scores])[:-1]
+            noise = [
+                own - explained[:, None] * trust_in(part, trust) * part
+                for own, part in zip(scores, np.split(predicted, ends), strict=True)
+            ]
+        pooled = np.concatenate(noise, axis=1)
+        sizes = np.maximum(pooled.std(axis=1), 1e-6)
+        correlation = (pooled @ pooled.T) / pooled.shape[1] / np.outer(sizes, sizes)
+        values, vectors = np.linalg.eigh((correlation + correlation.T) / 2)
+        correlation = (vectors * np.maximum(values, 1e-6)) @ vectors.T
+        scale = np.sqrt(np.diag(correlation))
+        names = list(dict.fromkeys(takes))
+        noise = [own / sizes[:, None] for own in noise]
+        within, width = _within_takes(noise, fps)
+        count = len(names) - 1
+        between = (count * (1 - within) + _PRIOR_TAKES * _BETWEEN_TAKES) / (count + _PRIOR_TAKES)
+        return cls(
+            explained,
+            trust,
+            np.linalg.cholesky(correlation / np.outer(scale, scale)),
+            between,
+            width,
+            max(pooled.shape[1] / fps / len(names), _STEP),
+        )
+
+    def draw(
+        self, rng: torch.Generator, n_frames: int, fps: float, predicted: np.ndarray | None
+    ) -> np.ndarray:
+        """Draw the scores (C, n_frames); a longer motion begins like a shorter one.
+
+        Args:
+            rng: random numbers.
+            n_frames: frames to draw.
+            fps: frames per second.
+            predicted: (n_frames,) prediction from speech, in standard deviations; None without.
+        """
+        first, second = torch.randint(2**62, (2,), generator=rng).tolist()
+        seconds = n_frames / fps
+        take = _smooth_noise(
+            first,
+            self.mixing,
+            np.full_like(self.width, self.take),
+            seconds,
+            self.take / _STEPS_OF_TAKE,
+            n_frames,
+        )
+        within = _smooth_noise(second, self.mixing, self.width, seconds, _STEP, n_frames)
+        noise = np.sqrt(self.between)[:, None] * take + np.sqrt(1 - self.between)[:, None] * within
+        if predicted is None:
+            return noise
+        explained = self.explained[:, None] * trust_in(predicted, self.trust)
+        return explained * predicted + np.sqrt(np.maximum(1 - explained**2, 0.0)) * noise
+
+
+def trust_in(predicted: np.ndarray, trust: float) -> np.ndarray:
+    """Return the factor on correlations with predictions (T,), in standard deviations.
+
+    Predictions far below the mean, as in pauses, are trusted in full if any are (`trust` above 0):
+    people rest while they are silent, on every take.
+    """
+    if not trust:
+        return np.zeros_like(predicted)
+    return trust + (1 - trust) * np.clip(_PAUSE - predicted, 0.0, 1.0)
+
+
+def recorded_values(scores: np.ndarray, recorded: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the recorded value of the same rank for each score, (C, T).
+
+    Args:
+        scores: (C, T).
+        recorded: (C, T_k) of each recording.
+    """
+    shares = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
+    quantiles = np.quantile(np.concatenate(recorded, axis=1), shares, axis=1)
+    return np.stack([np.interp(ndtr(row), shares, quantiles[:, c]) for c, row in enumerate(scores)])
+
+
+def _smooth_noise(
+    seed: int, mixing: np.ndarray, widths: np.ndarray, seconds: float, step: float, n_frames: int
+) -> np.ndarray:
+    """Return white noise smoothed by Gaussians, (C, n_frames), with standard deviation 1.
+
+    Args:
+        seed: of the noise.
+        mixing: (C, C) Cholesky factor of the correlation between channels.
+        widths: (C,) seconds of the Gaussians.
+        seconds: length.
+        step: seconds between the points of the white noise.
+        n_frames: frames of the result.
+    """
+    margin = int(np.ceil(_TRUNCATED * widths.max() / step)) + 1
+    count = int(np.ceil(seconds / step)) + 1
+    white = np.random.default_rng(seed).standard_normal((count + 2 * margin, len(widths)))
+    white = mixing @ white.T
+    at = (np.arange(n_frames) + 0.5) * (seconds / n_frames / step)
+    rows = []
+    for row, width in zip(white, widths, strict=True):
+        impulse = np.zeros(2 * margin + 1)
+        impulse[margin] = 1.0
+        kernel = gaussian_filter1d(impulse, width / step, truncate=_TRUNCATED)
+        smooth = np.convolve(row, kernel, mode="valid") / np.linalg.norm(kernel)
+        rows.append(np.interp(at, np.arange(len(smooth)), smooth))
+    return np.stack(rows)
+
+
+def _within_takes(scores: Sequence[np.ndarray], fps: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the share of the variance within takes, and its smoothness in seconds, both (C,).
+
+    They are fitted to half the mean squared difference of frames of a recording, at lags up to half
+    of the longest recording (a variogram). It does not depend on the recordings' means, which are
+    known badly.
+
+    Args:
+        scores: (C, T_k) of variance 1 in all recordings together.
+        fps: frames per second.
+    """
+    longest = max(own.shape[1] for own in scores)
+    lags = np.unique(np.geomspace(max(1, fps / 2), max(2, longest / 2), _LAGS).astype(int))
+    seen = [[own for own in scores if own.shape[1] > lag] for lag in lags]
+    lags = np.array([lag for lag, some in zip(lags, seen, strict=True) if some])
+    if not len(lags):
+        return np.full(len(scores[0]), 0.5), np.full(len(scores[0]), _WIDTHS[0])
+    counts = np.array(
+        [sum(own.shape[1] - lag for own in scores if own.shape[1] > lag) for lag in lags]
+    )
+    halves = np.stack(
+        [
+            sum(
+                np.square(own[:, lag:] - own[:, :-lag]).sum(axis=1)
+                for own in scores
+                if own.shape[1] > lag
+            )
+            / (2 * count)
+            for lag, count in zip(lags, counts, strict=True)
+        ]
+    )  # (lags, C)
+    shapes = 1 - np.exp(-np.square(lags[:, None] / fps / _WIDTHS) / 4)  # (lags, widths)
+    weights = counts[:, None]
+    shares = ((weights * shapes).T @ halves) / (weights * np.square(shapes)).sum(axis=0)[:, None]
+    shares = np.clip(shares, 0.0, 1.0)  # (widths, C)
+    errors = np.square(halves[:, None] - shapes[:, :, None] * shares).transpose(1, 2, 0) @ counts
+    best = errors.argmin(axis=0)
+    return shares[best, np.arange(len(best))], _WIDTHS[best]
