@@ -60,7 +60,7 @@ def blocks_of(
     found = []
     for item in items.paired(split):
         wave = item.load_wave()
-        made = [loaded.generate(wave, seed=seed, fps=FPS) for seed in range(seeds)]
+        made = [loaded.generate(wave, seed=s, item=item.id, fps=FPS) for s in range(seeds)]
         found.append(Block(item.load_motion().resample(FPS), wave, training, others, made))
     return found
 
@@ -205,8 +205,11 @@ def main() -> None:
         rows = []
         for pair in options.models:
             model = gk.load(pair.partition("=")[0], weights=options.weights)
-            waves = [af.Wave.load(path) for path in sorted(options.strangers.iterdir())]
-            rows.append(np.mean([sync(model.generate(w, seed=0, fps=FPS), w).r for w in waves]))
+            heard = []
+            for path in sorted(options.strangers.iterdir()):
+                wave = af.Wave.load(path)
+                heard.append(sync(model.generate(wave, seed=0, item=path.stem, fps=FPS), wave).r)
+            rows.append(np.mean(heard))
         print_rows({"strangers": rows})
 
 

@@ -61,7 +61,7 @@ def measure(model, item, others: list[af.Wave], seeds: int) -> dict[str, float]:
     quiet = low_passed(recording)
     rows = []
     for seed in range(seeds):
-        motion = model.generate(wave, seed=seed, fps=model.fps)
+        motion = model.generate(wave, seed=seed, item=item.id, fps=model.fps)
         n_frames = min(motion.n_frames, recording.n_frames)
         heard = sync(motion, wave)
         rows.append(
@@ -92,7 +92,7 @@ def measure_strangers(model, folder: Path, recordings, seeds: int) -> dict[str, 
     for path in sorted(path for path in folder.iterdir() if path.suffix.lower() in SPEECH_SUFFIXES):
         wave = af.Wave.load(path)
         for seed in range(seeds):
-            motion = model.generate(wave, seed=seed, fps=model.fps)
+            motion = model.generate(wave, seed=seed, item=path.stem, fps=model.fps)
             heard = sync(motion, wave)
             rows.append(
                 {
