@@ -283,7 +283,7 @@ def test_hands_move_when_speech_says_so_and_as_much_as_recorded():
     found = [followed(made_of(8, heard=heard, hears=True), heard) for heard in (0.15, 0.4, 0.8)]
     weak, some, strong = (r for r, _ in found)
     assert 0.1 < weak < some < strong
-    assert all(0.8 < spread < 1.45 for _, spread in found)
+    assert all(0.8 < spread < 1.25 for _, spread in found)
 
 
 def test_a_prediction_that_was_wrong_on_left_out_talks_is_not_followed():

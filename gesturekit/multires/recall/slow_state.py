@@ -216,8 +216,7 @@ def _within_takes(scores: Sequence[np.ndarray], fps: float) -> tuple[np.ndarray,
     """
     longest = max(own.shape[1] for own in scores)
     lags = np.unique(np.geomspace(max(1, fps / 2), max(2, longest / 2), _LAGS).astype(int))
-    seen = [[own for own in scores if own.shape[1] > lag] for lag in lags]
-    lags = np.array([lag for lag, some in zip(lags, seen, strict=True) if some])
+    lags = lags[lags < longest]
     if not len(lags):
         return np.full(len(scores[0]), 0.5), np.full(len(scores[0]), _WIDTHS[0])
     counts = np.array(

@@ -91,7 +91,7 @@ class Regression:
         size = max(found.std(), 1e-9)
         return cls(
             mean,
-            _ridge(x - mean, y - offset)[:, best] / size,
+            _ridge(x - mean, y)[:, best] / size,
             float((offset - found.mean()) / size),
             scores[best],
             _limited((found - found.mean()) / size),
@@ -395,7 +395,7 @@ def _steadied(
 
 def _slope(x: np.ndarray, y: np.ndarray) -> float:
     """Return the slope of the least-squares line; 0 if x is constant."""
-    x, y = x - x.mean(), y - y.mean()
+    x = x - x.mean()
     return float(x @ y / (x @ x)) if x @ x > 1e-12 else 0.0
 
 
