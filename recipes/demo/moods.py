@@ -245,13 +245,13 @@ def speech(
     begins.append(time)
     samples, rate, starts = _performed(sentences, voices, gains, pauses)
     # The same throat, microphone and room in all talks of a speaker.
-    heard = recorded(samples, np.random.default_rng([seed, 12]))
-    starts = starts * len(heard) / len(samples)
+    played = recorded(samples, np.random.default_rng([seed, 12]))
+    starts = starts * len(played) / len(samples)
     # Moods were drawn on planned times; they are moved to when the sentences were said.
     planned = np.array([0.0, *begins])
     said = np.interp(times, planned, [0.0, *starts])
     inside = times <= planned[-1]
-    return heard, rate, Course(said[inside], np.stack(columns, axis=1)[inside])
+    return played, rate, Course(said[inside], np.stack(columns, axis=1)[inside])
 
 
 def _performed(

@@ -169,7 +169,7 @@ class Syllable:
 
 @dataclass(frozen=True)
 class Mood:
-    """What the talker does beyond what the speech shows.
+    """Behaviour of the talker that its speech does not show.
 
     liveliness: added to a phrase's liveliness; height: m, added to the height of gestures and
     rest places; width: factor of the size of gestures; left: probability that the left hand leads.

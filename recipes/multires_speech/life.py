@@ -205,11 +205,11 @@ def main() -> None:
         rows = []
         for pair in options.models:
             model = gk.load(pair.partition("=")[0], weights=options.weights)
-            heard = []
+            synced = []
             for path in sorted(options.strangers.iterdir()):
                 wave = af.Wave.load(path)
-                heard.append(sync(model.generate(wave, seed=0, item=path.stem, fps=FPS), wave).r)
-            rows.append(np.mean(heard))
+                synced.append(sync(model.generate(wave, seed=0, item=path.stem, fps=FPS), wave).r)
+            rows.append(np.mean(synced))
         print_rows({"strangers": rows})
 
 

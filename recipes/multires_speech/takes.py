@@ -32,7 +32,7 @@ import audio_features as af
 import gesturekit as gk
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.evaluation import calibration, hand_movement, hand_speed
-from gesturekit.evaluation.metrics.hands import hand_level
+from gesturekit.evaluation.metrics.hands import hand_level, window_starts
 
 POOLED = ("q50", "q90", "q99", "rest", "reach", "range")
 SECONDS = 10.0
@@ -40,15 +40,17 @@ SECONDS = 10.0
 
 def clips_of(wave: af.Wave, motion: gk.Motion) -> list[tuple[af.Wave, gk.Motion]]:
     """Cut a recording into clips of `SECONDS`; what is left over at the end is left out."""
-    frames, samples = round(SECONDS * FPS), round(SECONDS * wave.sample_rate)
-    count = min(motion.n_frames // frames, len(wave.samples) // samples)
-    return [
-        (
-            af.Wave(wave.samples[k * samples : (k + 1) * samples], wave.sample_rate),
-            motion.slice(k * frames, (k + 1) * frames),
-        )
-        for k in range(count)
-    ]
+    samples = round(SECONDS * wave.sample_rate)
+    starts = range(0, len(wave.samples) - samples + 1, samples)
+    waves = [af.Wave(wave.samples[start : start + samples], wave.sample_rate) for start in starts]
+    return list(zip(waves, motions_of(motion), strict=False))
+
+
+def motions_of(motion: gk.Motion) -> list[gk.Motion]:
+    """Cut a motion into clips of `SECONDS`."""
+    frames = round(SECONDS * FPS)
+    starts = window_starts(motion.n_frames, frames, frames)
+    return [motion.slice(int(start), int(start) + frames) for start in starts]
 
 
 def fast(curve: np.ndarray) -> np.ndarray:
@@ -75,7 +77,7 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
 def row(model: str, manifest: str, split: str, seeds: int) -> dict[str, float]:
     loaded, items = gk.load(model), Manifest.load(manifest)
     training = [item.load_motion().resample(FPS) for item in items.paired("train")]
-    usual = [motion.slice(a, a + 250) for motion in training for a in starts(motion)]
+    usual = [clip for motion in training for clip in motions_of(motion)]
     clips, names = [], []
     for item in items.paired(split):
         own = clips_of(item.load_wave(), item.load_motion().resample(FPS))
@@ -108,10 +110,6 @@ def row(model: str, manifest: str, split: str, seeds: int) -> dict[str, float]:
         "(training)": np.mean([hands_together(motion) for motion in usual]),
         "clips": len(clips),
     }
-
-
-def starts(motion: gk.Motion) -> range:
-    return range(0, motion.n_frames - round(SECONDS * FPS) + 1, round(SECONDS * FPS))
 
 
 def main() -> None:

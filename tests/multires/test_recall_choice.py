@@ -426,11 +426,11 @@ def test_an_hour_of_speech_takes_seconds_and_little_memory():
 EFFORT = (4, 5)  # columns of vocal effort in the synthetic speech
 
 
-def talk(seed: int, *, seconds: float = 40.0, lively: float | None = None, heard: bool = True):
+def talk(seed: int, *, seconds: float = 40.0, lively: float | None = None, follows: bool = True):
     """Return synthetic speech (6, T) and movement (T,).
 
     Movement follows energy, column 0, and effort, whose level changes slowly or is `lively`.
-    Without `heard`, it follows those of other speech.
+    Without `follows`, it follows those of other speech.
     """
     n = round(seconds * FPS)
     energy = slow_part(noise(n, seed=seed), 0.15 * FPS)
@@ -439,7 +439,7 @@ def talk(seed: int, *, seconds: float = 40.0, lively: float | None = None, heard
     level = slow_part(noise(n, seed=seed + 1000), 4 * FPS)
     level = level / level.std() if lively is None else np.full(n, lively)
     movement = -1.0 + 0.4 * energy + 0.5 * level
-    if not heard:
+    if not follows:
         energy, level = talk(seed + 5000, seconds=seconds)[0][[0, 4]]
     speech = 0.2 * noise(6, n, seed=seed + 2000)
     speech[0] += energy
@@ -447,9 +447,11 @@ def talk(seed: int, *, seconds: float = 40.0, lively: float | None = None, heard
     return speech, movement
 
 
-def fitted(heard: bool = True, effort=EFFORT, wide: bool = False, count: int = 5) -> WantedMovement:
+def fitted(
+    follows: bool = True, effort=EFFORT, wide: bool = False, count: int = 5
+) -> WantedMovement:
     """Fit to talks of which each is a take."""
-    speeches, movements = zip(*(talk(seed, heard=heard) for seed in range(count)), strict=True)
+    speeches, movements = zip(*(talk(seed, follows=follows) for seed in range(count)), strict=True)
     if wide:
         speeches = [np.concatenate([s, 0.01 * noise(80, s.shape[1])]) for s in speeches]
     takes = [f"take {k}" for k in range(count)]
@@ -567,7 +569,7 @@ def test_calm_voices_predict_less_movement_than_lively_ones(wanted):
 
 
 def test_uninformative_speech_predicts_hardly_anything(wanted):
-    unrelated = fitted(heard=False, count=20)
+    unrelated = fitted(follows=False, count=20)
     assert abs(unrelated.slow.r) < 0.25 and wanted.slow.r > 0.5
     assert unrelated.spread < 0.1 * wanted.spread
 
@@ -575,7 +577,7 @@ def test_uninformative_speech_predicts_hardly_anything(wanted):
 def test_an_unusual_voice_is_centred_and_a_usual_one_unchanged():
     voices = np.array([[-1.0], [0.0], [1.0]])
 
-    def heard(level: float) -> tuple[float, float]:
+    def effort_and_result(level: float) -> tuple[float, float]:
         speech = np.stack([noise(50), level + 0.1 * noise(50) - 0.1 * noise(50).mean()])
         kept = usual_voice(speech, (1,), voices)
         np.testing.assert_array_equal(kept[0], speech[0])
@@ -583,11 +585,11 @@ def test_an_unusual_voice_is_centred_and_a_usual_one_unchanged():
         return float(speech[1].mean()), float(kept[1].mean())
 
     for level in (-1.9, -1.0, 0.0, 0.7, 1.9):
-        before, after = heard(level)
+        before, after = effort_and_result(level)
         assert after == pytest.approx(before), "calm and lively voices stay so"
-    assert heard(2.5)[1] == pytest.approx(1.25), "half way at 1.5 half ranges outside"
+    assert effort_and_result(2.5)[1] == pytest.approx(1.25), "half way at 1.5 half ranges outside"
     for level in (-8.0, 3.0, 40.0):
-        assert heard(level)[1] == pytest.approx(0.0, abs=1e-9)
+        assert effort_and_result(level)[1] == pytest.approx(0.0, abs=1e-9)
     same = noise(2, 20)
     np.testing.assert_array_equal(usual_voice(same, (), voices), same)
 

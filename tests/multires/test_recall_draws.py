@@ -59,13 +59,13 @@ class Talk:
         return np.stack([np.zeros(len(self.energy)), self.energy])
 
 
-def talk(seed: int, *, together: float, heard: float, level: float = 0.0) -> Talk:
+def talk(seed: int, *, together: float, r_energy: float, level: float = 0.0) -> Talk:
     """Simulate a recording.
 
     Args:
         seed: of the recording.
         together: correlation of both hands' velocities.
-        heard: correlation of fast movement and energy.
+        r_energy: correlation of fast movement and energy.
         level: of all slow movement, standard deviations.
     """
     rng, n = np.random.default_rng(seed), round(SECONDS * FPS)
@@ -74,7 +74,7 @@ def talk(seed: int, *, together: float, heard: float, level: float = 0.0) -> Tal
     energy /= energy.std()
     fast = curves(rng, 3, n, 0.2)
     fast -= slow_part(fast, FPS)
-    fast = correlated(heard, energy, fast / fast.std(axis=1, keepdims=True))
+    fast = correlated(r_energy, energy, fast / fast.std(axis=1, keepdims=True))
     states = curves(rng, 9, n, 4.0)
     states[[4, 8]] = correlated(0.8, states[0], states[[4, 8]])
     states[[0, 4, 8]] += level
@@ -119,8 +119,8 @@ def library_of(
     return RecallLibrary(slow_state=fitted, wanted=wanted, **about)
 
 
-def made_of(count=4, *, together=0.0, heard=0.0, **changes) -> RecallLibrary:
-    talks = [talk(seed, together=together, heard=heard) for seed in range(count)]
+def made_of(count=4, *, together=0.0, r_energy=0.0, **changes) -> RecallLibrary:
+    talks = [talk(seed, together=together, r_energy=r_energy) for seed in range(count)]
     return library_of(talks, **changes)
 
 
@@ -196,7 +196,7 @@ def test_a_mood_is_of_all_pieces_and_pieces_of_one_mood_differ_little(library):
 
 
 def test_a_calm_stretch_is_made_of_calm_pieces():
-    """What is drawn is found again in the pieces: movement of each part most, places too."""
+    """Pieces have the drawn state: movement of each part most closely, places too."""
     library = made_of(6)
     time = np.arange(600) / FPS
     phases = np.linspace(0, 2 * np.pi, 9, endpoint=False)[:, None]
@@ -235,7 +235,7 @@ def test_extreme_liveliness_is_the_calmest_or_liveliest_that_was_recorded(librar
 
 def test_drawn_values_come_from_the_recordings_that_are_allowed():
     """Ann is calm, Bo lively: one score is one level of hers and another of his."""
-    talks = [talk(k, together=0.0, heard=0.0, level=4.0 * (k % 2)) for k in range(4)]
+    talks = [talk(k, together=0.0, r_energy=0.0, level=4.0 * (k % 2)) for k in range(4)]
     library = library_of(talks, speakers=("Ann", "Bo") * 2, styles=(0, 1) * 2)
     library = replace(library, slow_state=drawing(np.zeros((9, 200))))
     own = [
@@ -264,12 +264,12 @@ def fast_of(library: RecallLibrary, motion) -> np.ndarray:
     return moved - slow_part(moved, FPS)
 
 
-def followed(library: RecallLibrary, heard: float) -> tuple[float, float]:
+def followed(library: RecallLibrary, r_energy: float) -> tuple[float, float]:
     """Return the correlation of the hands' fast movement with the energy of new talks, and its
     standard deviation relative to the recordings'."""
     r, spreads = [], []
     for seed in range(3):
-        own = talk(100 + seed, together=0.0, heard=heard)
+        own = talk(100 + seed, together=0.0, r_energy=r_energy)
         fast = fast_of(library, library.recall(own.speech, rng_of(seed, seed)))
         r += [np.corrcoef(row, own.energy)[0, 1] for row in fast[:2]]
         spreads.append(fast[:2].std())
@@ -280,14 +280,17 @@ def followed(library: RecallLibrary, heard: float) -> tuple[float, float]:
 
 def test_hands_move_when_speech_says_so_and_as_much_as_recorded():
     """The weaker the prediction, the less it is followed; a mean would also be calmer."""
-    found = [followed(made_of(8, heard=heard, hears=True), heard) for heard in (0.15, 0.4, 0.8)]
+    found = [
+        followed(made_of(8, r_energy=r_energy, hears=True), r_energy)
+        for r_energy in (0.15, 0.4, 0.8)
+    ]
     weak, some, strong = (r for r, _ in found)
     assert 0.1 < weak < some < strong
     assert all(0.8 < spread < 1.25 for _, spread in found)
 
 
 def test_a_prediction_that_was_wrong_on_left_out_talks_is_not_followed():
-    library = made_of(8, heard=0.8, hears=True)
+    library = made_of(8, r_energy=0.8, hears=True)
     wanted = library.wanted
     wrong = replace(wanted, spread=0.0, fast=replace(wanted.fast, r=-0.5))
     r, spread = followed(replace(library, wanted=wrong), 0.8)
@@ -313,8 +316,8 @@ def test_hands_rise_together_where_the_speaker_raises_them_together(together, le
 def test_recorded_speech_in_the_recorded_mood_gives_no_copy_of_the_recording():
     """Each part finds the same best moment. Arms may keep it more often than the rest of the body,
     as gestures may be two-handed."""
-    library = made_of(4, heard=0.8, together=0.7, hears=True)
-    own, shares = talk(0, together=0.7, heard=0.8), []
+    library = made_of(4, r_energy=0.8, together=0.7, hears=True)
+    own, shares = talk(0, together=0.7, r_energy=0.8), []
     shown = slice(100, 700)
     library = replace(library, slow_state=drawing(own.states[:, shown]))
     for copied in (0.0, 12.0, 100.0):
@@ -337,9 +340,9 @@ def test_both_arms_begin_their_pieces_at_the_same_time(library):
 
 
 def test_both_arms_are_stretched_alike():
-    library = made_of(6, heard=0.5, together=0.7, hears=True, stretch=0.25)
+    library = made_of(6, r_energy=0.5, together=0.7, hears=True, stretch=0.25)
     for seed in range(3):
-        own = talk(100 + seed, together=0.0, heard=0.5)
+        own = talk(100 + seed, together=0.0, r_energy=0.5)
         motion = library.recall(own.speech, rng_of(seed, seed))
         left, right, rest = motion.pieces
         np.testing.assert_array_equal(left.offsets, right.offsets)

@@ -16,6 +16,7 @@ from gesturekit.multires.recall.slow_state import (
     _PRIOR_TAKES,
     SlowState,
     normal_scores,
+    recorded_quantiles,
     recorded_values,
 )
 
@@ -30,7 +31,7 @@ def rng(seed: int = 0) -> torch.Generator:
 
 
 def test_scores_are_the_quantiles_of_ranks_among_the_same_group():
-    """Of 4 values, the ranks lie at 1/8, 3/8, 5/8 and 7/8; equal values share their mean rank."""
+    """Ranks of 4 values lie at 1/8, 3/8, 5/8 and 7/8; equal values share their mean rank."""
     ann = [np.array([[1.0, 100.0]]), np.array([[2.0, 7.0]])]
     bo = [np.array([[-5.0, -5.0, 3.0]])]
     one, two, three = normal_scores([ann[0], bo[0], ann[1]], ["Ann", "Bo", "Ann"])
@@ -42,7 +43,7 @@ def test_scores_are_the_quantiles_of_ranks_among_the_same_group():
 
 
 def test_a_calm_speaker_has_the_same_scores_as_a_lively_one():
-    """What is calm for one may be lively for another: scores tell within speaker and style."""
+    """Scores are ranks within a speaker and style: calm frames of one may be lively for another."""
     calm = np.random.default_rng(0).gamma(1.0, size=(2, 300))
     lively = 50 + 3 * calm
     one, two = normal_scores([calm, lively], "ab")
@@ -58,12 +59,12 @@ def test_scores_of_recorded_values_are_those_values_again(seed):
     parts = np.split(values, [1000, 1200], axis=1)
     scores = normal_scores(parts, ["a"] * 3)
     for own, score in zip(parts, scores, strict=True):
-        again = recorded_values(score, parts)
+        again = recorded_values(score, recorded_quantiles(parts))
         for row, found, every in zip(own, again, values, strict=True):
             ranks = [stats.percentileofscore(every, some) for some in (row, found)]
             assert np.abs(np.subtract(*ranks)).max() < 0.51
             assert stats.spearmanr(row, found).statistic > 0.9999
-    extreme = recorded_values(np.array([[-9.0, 9.0]] * 2), parts)
+    extreme = recorded_values(np.array([[-9.0, 9.0]] * 2), recorded_quantiles(parts))
     assert (values.min(axis=1) <= extreme[:, 0]).all()
     assert (extreme[:, 1] <= values.max(axis=1)).all()
 
@@ -73,7 +74,7 @@ def test_drawn_values_have_the_recorded_skewed_distribution():
     recorded = [np.random.default_rng(k).exponential(size=(1, 500)) for k in range(4)]
     state = simple(width=1.5)
     scores = np.concatenate([state.draw(rng(k), 600, FPS, None) for k in range(60)], axis=1)
-    drawn = recorded_values(scores, recorded)[0]
+    drawn = recorded_values(scores, recorded_quantiles(recorded))[0]
     shares = np.array([0.1, 0.25, 0.5, 0.75, 0.9])
     exact = -np.log(1 - shares)
     np.testing.assert_allclose(np.quantile(drawn, shares), exact, rtol=0.1, atol=0.03)
@@ -274,7 +275,7 @@ def test_pauses_are_trusted_in_full_and_all_else_as_far_as_stated(trust):
 
 
 def test_fit_and_draw_agree_on_a_process():
-    """What was drawn as takes is found again: fit and draw mean the same."""
+    """Parameters of takes that were drawn are found again by the fit."""
     truth = simple(
         between=0.4, width=4.0, take=1e4, mixing=np.linalg.cholesky([[1, 0.6], [0.6, 1]])
     )

@@ -149,7 +149,7 @@ def slope(x, y) -> float:
 
 @pytest.mark.parametrize("r", [0.25, 0.6, 0.95])
 def test_predictions_of_fast_movement_are_conditional_means_on_unseen_takes(r):
-    """Where 1 is predicted, 1 is what moves there on average, however weak the prediction."""
+    """Recorded movement is on average as large as its prediction, however weak that is."""
     wanted = fit(12, r_fast=r)
     assert wanted.fast.r == pytest.approx(r, abs=0.06)
     speeches, movements, _ = takes(12, 1, r_fast=r)

@@ -18,11 +18,11 @@ from gesturekit.multires.recall.parts import (
     SPEED_FLOOR,
     MotionPart,
     PassiveChannels,
-    slow_channels,
     slow_part,
+    slow_rows,
 )
 from gesturekit.multires.recall.pieces import ChoiceWeights, Pieces, PieceSearch
-from gesturekit.multires.recall.slow_state import SlowState, recorded_values
+from gesturekit.multires.recall.slow_state import SlowState, recorded_quantiles, recorded_values
 from gesturekit.multires.recall.wanted import WantedMovement
 
 _REST = 0.1
@@ -43,7 +43,8 @@ _CLEAR = 0.5
 """Correlation from which `ChoiceWeights.movement` has its full weight. A choice among many pieces
 follows any prediction more closely than it deserves, a weak one most of all."""
 _LEAST_R = 0.2
-"""Least correlation with which the peaks of predicted movement are scaled up for this."""
+"""Least correlation by which predicted movement is divided, so that its peaks are as large as those
+of the pieces that are stretched to match it."""
 _TEMPOS = (-1, 0, 1)
 """Slower, as recorded, and faster: change of the offset from frame to frame, in grid steps."""
 _FRAMES_AT_ONCE = 1024
@@ -172,15 +173,15 @@ class RecallLibrary:
         return tuple(
             PieceSearch(
                 [recording.motion[part.columns].T.numpy() for recording in self.recordings],
-                [self._profile(recording, i).T.numpy() for recording in self.recordings],
+                [profile.T.numpy() for profile in self._profiles[i]],
                 [recording.states[rows].T.numpy() for recording in self.recordings],
                 max(2, round(part.length * self.piece * self.level_fps)),
                 max(1, round(part.length * self.overlap * self.level_fps)),
-                (self._explained, *[_SHRINKAGE] * 2)[: 3 if i == 1 else 1],
+                (self._r**2, *[_SHRINKAGE] * 2)[: 3 if i == 1 else 1],
                 # Longer pieces meet less often, so that each border counts for more.
                 replace(
                     self.weights,
-                    movement=self.weights.movement * min(1.0, math.sqrt(self._explained) / _CLEAR),
+                    movement=self.weights.movement * min(1.0, self._r / _CLEAR),
                     continuity=part.length
                     * self.weights.continuity
                     * (1 if part.is_arm else _TRUNK_CONTINUITY),
@@ -192,28 +193,35 @@ class RecallLibrary:
         )
 
     @property
-    def _explained(self) -> float:
-        """Share of the variance of fast movement that speech predicts."""
-        return 0.0 if self.wanted is None else max(self.wanted.fast.r, 0.0) ** 2
+    def _r(self) -> float:
+        """Correlation of fast movement with its prediction from speech; 0 if it is negative."""
+        return 0.0 if self.wanted is None else max(self.wanted.fast.r, 0.0)
 
     @cached_property
     def rows(self) -> tuple[slice, ...]:
         """Rows of each part in `RecalledRecording.states`."""
-        ends = np.cumsum([len(slow_channels(part)) for part in self.parts])
-        return tuple(
-            slice(int(end) - len(slow_channels(part)), int(end))
-            for end, part in zip(ends, self.parts, strict=True)
-        )
+        return slow_rows(self.parts)
 
-    def _profile(self, recording: RecalledRecording, i: int) -> Tensor:
-        """Return the profile by which a part's pieces are chosen: its movement.
+    @cached_property
+    def _profiles(self) -> tuple[list[Tensor], ...]:
+        """Profiles (C, T_k) of each part by which its pieces are chosen: its fast movement.
 
-        It is the fast part; the slow one is among the slow channels. For the second arm, the
-        profile also has the directions of its hand.
+        The slow movement is among the slow channels. For the second arm, the profile also has the
+        directions of its hand.
         """
-        movement = recording.profiles[i : i + 1]
-        own = movement - torch.from_numpy(slow_part(movement.numpy(), self.level_fps))
-        return torch.cat([own, recording.directions[2:]]) if i == 1 else own
+        profiles: tuple[list[Tensor], ...] = tuple([] for _ in self.parts)
+        for recording in self.recordings:
+            movement = recording.profiles
+            fast = movement - torch.from_numpy(slow_part(movement.numpy(), self.level_fps))
+            for i, own in enumerate(profiles):
+                directions = [recording.directions[2:]] if i == 1 else []
+                own.append(torch.cat([fast[i : i + 1], *directions]))
+        return profiles
+
+    @cached_property
+    def _quantiles(self) -> dict[bytes, np.ndarray]:
+        """Quantiles (S, Q) of all slow channels, by the recordings that are used."""
+        return {}
 
     def recall(
         self,
@@ -259,7 +267,7 @@ class RecallLibrary:
                     rng_of(part.name), wanted, states, allowed, others, first=first
                 )
             )
-            if i == 1 and self.stretch and self._explained:
+            if i == 1 and self.stretch and self._r:
                 pieces = self._stretched(pieces, fast)
         return RecalledMotion(self.parts, tuple(pieces), self.lengths)
 
@@ -268,16 +276,25 @@ class RecallLibrary:
 
         Values are those of the recordings that are `allowed` (T_l, K) in each frame.
         """
-        scores = scores[self.rows[i]]
-        recorded = [recording.states[self.rows[i]].numpy() for recording in self.recordings]
+        rows = self.rows[i]
+        scores = scores[rows]
         if allowed is None:
-            return recorded_values(scores, recorded).T
+            every = np.ones(len(self.recordings), bool)
+            return recorded_values(scores, self._quantiles_of(every)[rows]).T
         result = np.empty_like(scores)
         for own in np.unique(allowed, axis=0):
             here = (allowed == own).all(axis=1)
-            chosen = [curve for curve, used in zip(recorded, own, strict=True) if used]
-            result[:, here] = recorded_values(scores[:, here], chosen)
+            result[:, here] = recorded_values(scores[:, here], self._quantiles_of(own)[rows])
         return result.T
+
+    def _quantiles_of(self, used: np.ndarray) -> np.ndarray:
+        """Return the quantiles (S, Q) of the slow channels of the recordings `used` (K,) bool."""
+        key = used.tobytes()
+        if key not in self._quantiles:
+            pairs = zip(self.recordings, used, strict=True)
+            recorded = [recording.states.numpy() for recording, own in pairs if own]
+            self._quantiles[key] = recorded_quantiles(recorded)
+        return self._quantiles[key]
 
     def _stretched(self, pieces: Sequence[Pieces], fast: np.ndarray) -> list[Pieces]:
         """Play the pieces of both arms faster or slower, to match predicted fast movement (T_l,).
@@ -286,7 +303,7 @@ class RecallLibrary:
         """
         own = []
         for i, arm in enumerate(pieces):
-            curves = [self._profile(recording, i)[:1] for recording in self.recordings]
+            curves = [profile[:1] for profile in self._profiles[i]]
             own.append(arm.blend(curves, self.lengths, arm.n_frames).double().numpy())
         # A conditional mean has the right times, but smaller peaks than the pieces have.
         goals = np.stack([fast / max(self.wanted.fast.r, _LEAST_R)] * len(own))

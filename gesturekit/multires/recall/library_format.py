@@ -12,7 +12,7 @@ from torch import Tensor
 from gesturekit.multires.config import check_stretch
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary
-from gesturekit.multires.recall.parts import PassiveChannels, motion_parts, slow_channels
+from gesturekit.multires.recall.parts import PassiveChannels, motion_parts, slow_rows
 from gesturekit.multires.recall.slow_state import SlowState
 from gesturekit.multires.recall.wanted import Regression, WantedMovement
 from gesturekit.training.model_folder import ModelParts
@@ -176,7 +176,7 @@ def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> 
     n_passive = 6 * len(passive.joints) + passive.expressions
     n_parts = len(library.parts)
     sizes = {"motion": n_features, "passive": n_passive, "profiles": n_parts}
-    sizes["states"] = sum(len(slow_channels(part)) for part in library.parts)
+    sizes["states"] = slow_rows(library.parts)[-1].stop
     sizes["defective"] = n_parts
     sizes["directions"] = 4 if library.parts[0].is_arm else 0
     for i, recording in enumerate(library.recordings):

@@ -174,6 +174,12 @@ def slow_channels(part: MotionPart) -> tuple[str, ...]:
     return ("movement", "height", "distance", "width") if part.is_arm else ("movement",)
 
 
+def slow_rows(parts: Sequence[MotionPart]) -> tuple[slice, ...]:
+    """Return the rows of each part among the slow channels of all parts."""
+    ends = np.cumsum([0, *(len(slow_channels(part)) for part in parts)]).tolist()
+    return tuple(map(slice, ends[:-1], ends[1:]))
+
+
 def slow_states(
     part: MotionPart, joints: Sequence[str], fps: float, places: np.ndarray, movement: np.ndarray
 ) -> np.ndarray:

@@ -132,8 +132,9 @@ class ChoiceWeights:
     """Weights of the cost terms in the choice of pieces.
 
     Attributes:
-        movement: squared difference of wanted and recorded movement, in standard deviations.
-        slow: the same for its slow part.
+        movement: squared difference of predicted and recorded fast movement, in standard
+            deviations.
+        slow: squared difference of drawn and recorded slow movement, in standard deviations.
         place: the same for the place where a hand is held, and for how wide it reaches.
         together: in the choice of the second arm, squared difference between its hand's directions
             and those of the first hand in the motion so far.
@@ -162,8 +163,8 @@ class PieceSearch:
 
     Args:
         vectors: (T_k, C) normalised motion of each recording at the recalled level.
-        profiles: (T_k, 1) movement of each recording, in standard deviations; or (T_k, 3),
-            followed by the movement of the other hand.
+        profiles: (T_k, 1) fast movement of each recording, in standard deviations; or (T_k, 3),
+            followed by the directions of the hand, to compare with those of the other one.
         states: (T_k, S) slow channels of each recording: movement, then places.
         piece: frames of a piece; no more than the longest recording has.
         overlap: frames of the cross-fade; at most half a piece, so that each ends before the next.
@@ -212,6 +213,7 @@ class PieceSearch:
         self.usual_states = pooled.mean(axis=0)
         self.of_states = np.sqrt(np.array(counts)) / np.maximum(pooled.std(axis=0), 1e-6)
         self.states = self._means(pooled)[self.frame].astype(np.float32)
+        self.squares_of_states = np.square(self.states).sum(axis=1)
         counts = np.cumsum([0, *np.concatenate(defective)])
         has_some = counts[self.frame + self.piece] > counts[self.frame]
         self.defects = weights.defective * has_some.astype(np.float32)
@@ -284,7 +286,7 @@ class PieceSearch:
                 + known[part] @ self.squares.T
                 + np.square(slow[part]).sum(axis=1)[:, None]
                 - 2 * slow[part] @ self.states.T
-                + np.square(self.states).sum(axis=1)
+                + self.squares_of_states
                 + self.defects
             )
             for n, distance in enumerate(distances, first):

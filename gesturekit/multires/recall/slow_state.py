@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import repeat
 
 import numpy as np
 import torch
@@ -39,7 +40,8 @@ _TRUNCATED = 4.0
 _PAUSE = -1.0
 """Predictions one standard deviation below this one are trusted in full, see `trust_in`."""
 _LAGS = 24
-_QUANTILES = 201
+_SHARES = (np.arange(201) + 0.5) / 201
+"""Shares of the quantiles between which recorded values are interpolated."""
 
 
 def normal_scores(curves: Sequence[np.ndarray], groups: Sequence[object]) -> list[np.ndarray]:
@@ -163,16 +165,20 @@ def trust_in(predicted: np.ndarray, trust: float) -> np.ndarray:
     return trust + (1 - trust) * np.clip(_PAUSE - predicted, 0.0, 1.0)
 
 
-def recorded_values(scores: np.ndarray, recorded: Sequence[np.ndarray]) -> np.ndarray:
+def recorded_quantiles(recorded: Sequence[np.ndarray]) -> np.ndarray:
+    """Return quantiles (C, Q) of recorded curves (C, T_k)."""
+    return np.quantile(np.concatenate(recorded, axis=1), _SHARES, axis=1).T
+
+
+def recorded_values(scores: np.ndarray, quantiles: np.ndarray) -> np.ndarray:
     """Return the recorded value of the same rank for each score, (C, T).
 
     Args:
         scores: (C, T).
-        recorded: (C, T_k) of each recording.
+        quantiles: (C, Q) of the recordings, see `recorded_quantiles`.
     """
-    shares = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
-    quantiles = np.quantile(np.concatenate(recorded, axis=1), shares, axis=1)
-    return np.stack([np.interp(ndtr(row), shares, quantiles[:, c]) for c, row in enumerate(scores)])
+    ranks = ndtr(scores)
+    return np.stack([np.interp(*row) for row in zip(ranks, repeat(_SHARES), quantiles)])
 
 
 def _smooth_noise(

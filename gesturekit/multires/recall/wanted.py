@@ -44,9 +44,9 @@ _WITHIN_TAKE = 0.5
 Three ZeroEGGS takes have 0.79 within a take and 0.69 on left-out takes; other speakers may have
 less. Predictions of pauses count in full, see `SlowState`."""
 _MEAN_COUNTS, _PRIOR_TAKES = 0.3, 4.0
-"""How much the mean prediction of an utterance counts before any take was left out, as it depends
-on the voice, the microphone and the room too; and the number of left-out takes that count as much
-as this expectation."""
+"""Factor on the mean prediction of an utterance before any take was left out, because the mean also
+depends on the voice, the microphone and the room; and the number of left-out takes that count as
+much as this expectation."""
 _FURTHEST = 2.5
 """Predictions are limited to this many standard deviations."""
 _HARDLY_BETTER = 0.03

@@ -20,7 +20,7 @@ from gesturekit.multires.recall.parts import (
     joint_places,
     motion_parts,
     movements,
-    slow_channels,
+    slow_rows,
     slow_states,
 )
 from gesturekit.multires.recall.slow_state import SlowState, normal_scores
@@ -30,7 +30,7 @@ from gesturekit.multires.training.data import PairedSequence, TrainingData
 log = logging.getLogger(__name__)
 
 _HIGHEST = 0.8
-"""Correlation of the two hands above which the weight of the first hand no longer grows."""
+"""Correlation of the two hands above which the weight of their directions no longer grows."""
 
 
 def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary | None:
@@ -62,7 +62,7 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
         for where, rows in zip(places, moved, strict=True)
     ]
     scores = normal_scores(states, [(one.speaker, one.style) for one in sequences])
-    first = np.cumsum([0, *(len(slow_channels(part)) for part in parts)])[asked]
+    first = [rows.start for rows in slow_rows(parts)[: len(asked)]]
     wanted = _wanted(data, hands, [own[first].mean(axis=0) for own in scores], fps)
     directions = _directions(parts, joints, fps, places)
     standard = [(np.stack(rows) - mean) / spread for rows in moved]
