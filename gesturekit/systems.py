@@ -33,6 +33,7 @@ class System:
     config: str
     train: str
     plan: str
+    arrays: str
 
 
 SYSTEMS = {
@@ -42,6 +43,7 @@ SYSTEMS = {
         config="gesturekit.multires.config:MultiresConfig",
         train="gesturekit.multires.training.trainer:train",
         plan="gesturekit.multires.training.trainer:plan_training",
+        arrays="gesturekit.multires.training.trainer:make_arrays",
     ),
     "diffusion": System(
         model="gesturekit.diffusion.model:DiffusionModel",
@@ -49,6 +51,7 @@ SYSTEMS = {
         config="gesturekit.diffusion.config:DiffusionConfig",
         train="gesturekit.diffusion.training.trainer:train",
         plan="gesturekit.diffusion.training.trainer:plan_training",
+        arrays="gesturekit.diffusion.training.trainer:make_arrays",
     ),
 }
 
@@ -201,6 +204,18 @@ def plan_training(config: str | Path, overrides: Sequence[str] = ()) -> None:
     """
     system, loaded = _resolve(config, overrides, {}, resume=False)
     _part(system.plan)(loaded)
+
+
+def make_arrays(config: str | Path, overrides: Sequence[str] = ()) -> None:
+    """Make the arrays of a long corpus, which a training with these settings then reads.
+
+    Raises:
+        ConfigError: the configuration is wrong.
+        CorpusError: the corpus cannot be trained on.
+        OutputError: the disk is full; the arrays made so far are kept.
+    """
+    system, loaded = _resolve(config, overrides, {}, resume=False)
+    _part(system.arrays)(loaded)
 
 
 def resolved_settings(config: str | Path, overrides: Sequence[str] = ()) -> list[Setting]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable, Sequence
 
 
@@ -40,3 +41,13 @@ def roughly(seconds: float) -> str:
     if seconds < 90:
         return f"{max(seconds, 1):.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def drawn(mean: float) -> str:
+    """Return how often a second is drawn at random: "0.5 times (39% at least once)".
+
+    What is drawn m times on average is drawn at least once with probability 1 - exp(-m), the
+    Poisson distribution's.
+    """
+    count = f"{mean:.0f}" if mean >= 10 else f"{mean:.2g}"
+    return f"{count} times ({1 - math.exp(-mean):.0%} at least once)"

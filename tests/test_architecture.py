@@ -26,7 +26,7 @@ for _package in ("corpus", "evaluation", "viewer"):
     MAY_IMPORT[_package] = {"formats", "motion"}
 MAY_IMPORT["corpus"] |= {"jobs"}
 MAY_IMPORT["evaluation"] |= {"corpus", "jobs", "viewer"}  # its report embeds the player
-MAY_IMPORT["training"] = {"corpus", "evaluation", "formats", "motion", "viewer"}
+MAY_IMPORT["training"] = {"corpus", "evaluation", "formats", "jobs", "motion", "viewer"}
 MAY_IMPORT["multires"] = {"model", "postprocess", "training", *MAY_IMPORT["training"]}
 MAY_IMPORT["diffusion"] = MAY_IMPORT["multires"]
 MAY_IMPORT["inspection"] = {"systems", "diffusion", *MAY_IMPORT["multires"]}

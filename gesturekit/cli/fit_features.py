@@ -10,7 +10,7 @@ import click
 from gesturekit.cli.options import SEED, existing_option, is_left
 
 if TYPE_CHECKING:
-    from gesturekit.motion import Motion
+    from gesturekit.evaluation.measuring.samples import MotionSample
 
 
 @click.command(
@@ -55,7 +55,8 @@ def command(
 
     REFERENCE are motion files (bvh, npz) of one rig, or folders of them. Writes
     feature_model.safetensors and feature_model.json to the output folder, and prints a fingerprint:
-    only distances with the same fingerprint can be compared. Takes minutes on a CPU.
+    only distances with the same fingerprint can be compared. Takes minutes on a CPU. Of more than
+    300 MB of rotations (70 minutes at 30 fps with 75 joints), a random sample is used.
 
     Exit codes: 0 all files were used; 1 some could not be read; 2 none could.
     """
@@ -67,13 +68,13 @@ def command(
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     if is_left([out / f"feature_model.{kind}" for kind in ("safetensors", "json")], existing):
         return 0
-    motions, failed = _read(reference)
+    sample, failed = _read(reference, seed)
     names: str | list[str] | None = joints
     if joints is not None and joints not in ("body", "upper"):
         names = [name.strip() for name in joints.split(",") if name.strip()]
     with Progress(total=steps, desc="Fitting", unit="step") as bar:
         model = FeatureModel.fit(
-            motions,
+            sample.motions,
             variant,
             n_frames=frames,
             joints=names,
@@ -82,6 +83,9 @@ def command(
             progress=lambda step, loss: bar.update(),
         )
     model.save(out)
+    if not sample.is_whole:
+        used = sum(motion.duration for motion in sample.motions)
+        click.echo(f"Fitted on a random {used / 60:.0f} of {sample.seconds / 60:.0f} minutes.")
     click.echo(
         f"{out}: {variant}, {model.windows.n_frames} frames at {model.windows.fps:g} fps, "
         f"{len(model.windows.bones)} bones, {model.training['windows']} windows; "
@@ -91,10 +95,11 @@ def command(
     return 1 if failed else 0
 
 
-def _read(paths: tuple[Path, ...]) -> tuple[list[Motion], int]:
-    """Motions of files and of folders, and how many could not be read."""
+def _read(paths: tuple[Path, ...], seed: int) -> tuple[MotionSample, int]:
+    """Return motions of files and of folders, and how many could not be read."""
     from gesturekit.corpus.pairing import scan
     from gesturekit.errors import EvaluationError, GestureKitError
+    from gesturekit.evaluation.measuring.samples import MotionSample
     from gesturekit.motion import Motion
 
     files: list[Path] = []
@@ -108,15 +113,15 @@ def _read(paths: tuple[Path, ...]) -> tuple[list[Motion], int]:
         for problem in problems:
             click.echo(f"Error: {problem}", err=True)
         files += [one.path for one in found if not one.is_speech]
-    motions = []
+    sample = MotionSample(seed)
     for file in files:
         try:
-            motions.append(Motion.load(file))
+            sample.add(Motion.load(file))
         except (GestureKitError, OSError) as error:
             failed += 1
             click.echo(f"Error: {error}", err=True)
-    if not motions:
+    if not sample.count:
         raise EvaluationError(
             f"no motion (bvh, npz) could be read from {', '.join(map(str, paths))}"
         )
-    return motions, failed
+    return sample, failed

@@ -32,12 +32,31 @@ if TYPE_CHECKING:
     help="Print the model, data, output folder and estimated time of the run, and exit.",
 )
 @click.option(
+    "--arrays",
+    "only_arrays",
+    is_flag=True,
+    help="Make the arrays of a corpus that is too long for the memory, and exit; the training then "
+    "finds them.",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Processes that make these arrays.  [default: 1]",
+)
+@click.option(
     "--show",
     is_flag=True,
     help="Print every setting with its value, default and description, and exit.",
 )
 def command(
-    config: Path, overrides: tuple[str, ...], resume: bool, only_plan: bool, show: bool
+    config: Path,
+    overrides: tuple[str, ...],
+    resume: bool,
+    only_plan: bool,
+    only_arrays: bool,
+    workers: int | None,
+    show: bool,
 ) -> None:
     """Train the model that CONFIG describes; KEY=VALUE changes a setting (training.batch=8).
 
@@ -49,17 +68,23 @@ def command(
     import logging
     import shlex
 
-    from gesturekit.systems import plan_training, resolved_settings, train
+    from gesturekit.systems import make_arrays, plan_training, resolved_settings, train
 
-    if resume and only_plan:
-        raise click.UsageError("--plan is for a new run; leave out --resume")
+    if resume and (only_plan or only_arrays):
+        option = "--plan" if only_plan else "--arrays"
+        raise click.UsageError(f"{option} is for a new run; leave out --resume")
     _refuse_options([str(config), *overrides])
+    if workers is not None:
+        overrides = (*overrides, f"workers={workers}")
     if show:
         _show(resolved_settings(config, overrides))
         return
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     if only_plan:
         plan_training(config, overrides)
+        return
+    if only_arrays:
+        make_arrays(config, overrides)
         return
     model = train(config, overrides, resume=resume)
     run = model.parent
@@ -83,7 +108,9 @@ def _refuse_options(arguments: Sequence[str]) -> None:
         if not text.startswith("-"):
             continue
         name, _, value = text.partition("=")
-        if near := did_you_mean(name, ["--resume", "--plan", "--show"], "{}"):
+        if near := did_you_mean(
+            name, ["--resume", "--plan", "--arrays", "--workers", "--show"], "{}"
+        ):
             raise click.NoSuchOption(text, possibilities=[near])
         is_value = after and "=" not in after and not after.startswith("-")
         setting = f"{name.lstrip('-')}={value or (after if is_value else 'VALUE')}"

@@ -243,12 +243,26 @@ class SpeechConditioner:
         Returns:
             (T, S) float32.
         """
-        centre, limit = self.centre, np.inf
-        if self.normalisation == "clip":
-            prior = _PRIOR_SECONDS * self.fps
-            own = values[active].sum(axis=0, dtype=np.float64)
-            centre = (own + prior * self.centre) / (active.sum() + prior)
-            centre, limit = np.where(self.extractor.centred, centre, self.centre), LIMIT
+        return self.scaled(
+            values, self.clip_centre(values[active].sum(axis=0, dtype=np.float64), active.sum())
+        )
+
+    def clip_centre(self, total: ArrayLike, count: int) -> np.ndarray:
+        """Return the centre (D,) of a clip.
+
+        Args:
+            total: (D,) sum of the features over its active frames.
+            count: number of these frames.
+        """
+        if self.normalisation != "clip":
+            return self.centre
+        prior = _PRIOR_SECONDS * self.fps
+        centre = (np.asarray(total) + prior * self.centre) / (count + prior)
+        return np.where(self.extractor.centred, centre, self.centre)
+
+    def scaled(self, values: np.ndarray, centre: np.ndarray) -> np.ndarray:
+        """Normalise features (T, D) of a clip with this centre (D,); return (T, S) float32."""
+        limit = LIMIT if self.normalisation == "clip" else np.inf
         normalised = np.empty((len(values), self.dim), np.float32)
         for start in range(0, len(values), _FRAMES_AT_ONCE):
             part = slice(start, start + _FRAMES_AT_ONCE)

@@ -39,7 +39,8 @@ def side_axis(motions: Sequence[Motion], root: int) -> np.ndarray:
         motions: motions of one rig.
         root: index of the joint that turns with the body.
     """
-    world = np.concatenate([motion.global_rotations()[:, root] for motion in motions])
+    # Copies, because a view would keep the rotations of all joints in memory.
+    world = np.concatenate([motion.global_rotations()[:, root].copy() for motion in motions])
     hips = [_across(motion) for motion in motions]
     if any(vectors is None for vectors in hips):
         flat = [np.hypot(*rotate_vectors(world, axis)[:, GROUND].T).mean() for axis in np.eye(3)]

@@ -81,13 +81,16 @@ class ModelJoints:
             root,
             *(j for j, name in enumerate(skeleton.names) if name in wanted and j != root),
         ]
-        rotations = np.concatenate([motion.rotations for motion in motions])
         moved = {name for motion in motions for name in motion.joint_translations}
         return {
             "skeleton": skeleton,
             "joints": tuple(skeleton.names[j] for j in order),
+            # Joint by joint, because rotations of a large corpus fill memory.
             "fixed_rotations": np.stack(
-                [mean_quaternion(rotations[:, j]) for j in range(skeleton.n_joints)]
+                [
+                    mean_quaternion(np.concatenate([motion.rotations[:, j] for motion in motions]))
+                    for j in range(skeleton.n_joints)
+                ]
             ),
             "fixed_translations": {
                 name: np.concatenate([_local_position(m, name) for m in motions]).mean(axis=0)

@@ -249,12 +249,16 @@ class RecallConfig:
     stretch: float = 0.0
     """Largest fraction by which pieces of an arm are played faster or slower, so that they move at
     the times predicted from the speech; from 0.05 to 0.5, or 0 to play them as recorded."""
+    minutes: float = 20.0
+    """Minutes of recordings in the model, at most: of a longer corpus, parts that cover its takes,
+    speakers and styles, calm and lively movement, and usual and rare gestures."""
     own_movement: float = 0.9
     """Weight, from 0 to 1, of the recalled pieces' own arm movement in the targets of
     `losses.arm_speed` and `losses.arm_acceleration`; the rest is the prediction from speech."""
 
     def __post_init__(self) -> None:
         check_positive(level=self.level, piece=self.piece, overlap=self.overlap)
+        check_positive(minutes=self.minutes)
         if self.level % 2:
             raise ConfigError(f"level: {self.level} must be even: levels train in pairs")
         if self.overlap > self.piece / 2:

@@ -8,8 +8,9 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from gesturekit.corpus.checks import first_difference
 from gesturekit.corpus.item import Item
@@ -21,7 +22,8 @@ from gesturekit.motion.model_joints import reference_skeleton
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.training.data.sources import TrainedSegment
+from gesturekit.training.data.excerpts import Excerpt, systematic_sample
+from gesturekit.training.data.sources import TrainedSegment, file_fingerprint
 from gesturekit.training.run_config import RunConfig
 from gesturekit.wording import counted, listed
 
@@ -31,6 +33,10 @@ _FAR_ABOVE = 1.5
 """Frame rate of the training, as a multiple of the recordings' highest, above which to warn."""
 
 
+TRIAL_SECONDS = 30.0
+"""Length of the excerpt of the corpus that a trial has."""
+
+
 @dataclass(frozen=True, eq=False)
 class Recordings:
     """Training recordings of a corpus, all of one rig.
@@ -38,36 +44,116 @@ class Recordings:
     Attributes:
         manifest: of the corpus.
         items: with motion, and with audio if speech is an input.
-        motions: of each item, at its file's frame rate.
+        excerpts: those that were read of a corpus longer than `RunConfig.in_memory`; None if all
+            items were read.
+        motions: of each item or excerpt, at its file's frame rate.
         styles: names of the styles, in alphabetical order; empty for a model without styles.
         style_of: index of each item's style; 0 without styles.
+        unpaired: items of speech without motion, or `others` of `load_recordings`.
+        whole: all items of the corpus with motion, and those without; others than `items` and
+            `unpaired` in a trial, which has an excerpt of the corpus only.
     """
 
     manifest: Manifest
     items: tuple[Item, ...]
+    excerpts: tuple[Excerpt, ...] | None
     motions: list[Motion]
     styles: tuple[str, ...]
     style_of: list[int]
+    unpaired: tuple[Item, ...]
+    whole: tuple[tuple[Item, ...], tuple[Item, ...]]
+
+    @property
+    def read(self) -> tuple[Item, ...]:
+        """Items or excerpts whose motion was read."""
+        return self.items if self.excerpts is None else _of(self.excerpts, self.items)
+
+    @property
+    def rates(self) -> list[float]:
+        """Frame rate of each file that was read."""
+        return [motion.info["recorded_fps"] for motion in self.motions]
 
     @property
     def recorded_fps(self) -> float:
         """Most common frame rate of the files."""
-        rates = Counter(motion.info["recorded_fps"] for motion in self.motions)
-        return rates.most_common(1)[0][0]
+        return Counter(self.rates).most_common(1)[0][0]
+
+    @property
+    def lengths(self) -> tuple[float, float]:
+        """Seconds of the whole corpus: of items with motion, and of those without."""
+        first, second = (sum(item.duration for item in items) for items in self.whole)
+        return first, second
+
+    def is_long(self, config: RunConfig) -> bool:
+        """Return True if the corpus is longer than what is held in memory."""
+        return sum(self.lengths) > 60 * config.in_memory
 
     @property
     def speakers(self) -> dict[str, Skeleton]:
         """Reference skeleton of each speaker that the corpus names."""
         own: dict[str, list[Motion]] = {}
-        for item, motion in zip(self.items, self.motions, strict=True):
+        for item, motion in zip(self.read, self.motions, strict=True):
             if item.speaker is not None:
                 own.setdefault(item.speaker, []).append(motion)
         return {name: reference_skeleton(theirs) for name, theirs in own.items()}
 
-    @property
-    def sources(self) -> tuple[TrainedSegment, ...]:
-        """Record of the recordings for the model folder."""
-        return tuple(map(TrainedSegment.of, self.items, self.motions))
+    def sources(self, rates: Sequence[float]) -> tuple[TrainedSegment, ...]:
+        """Return the record of the items, with the frame rates of their files, for the model
+        folder; in a trial, of the whole corpus without the content of its files."""
+        if self.whole[0] is self.items:
+            return tuple(map(TrainedSegment.of, self.items, rates))
+        rate = self.recorded_fps
+        return tuple(TrainedSegment.of(item, rate, read=False) for item in self.whole[0])
+
+    def rig(self, config: RunConfig, parts: Mapping[str, str]) -> Rig:
+        """Return what motion of the other items is read with; `parts` as in `load_motions`."""
+        bodies = {
+            item.speaker: motion.skeleton
+            for item, motion in zip(self.read, self.motions, strict=True)
+            if motion.skeleton.body_shape is not None
+        }
+        return Rig(config.corpus, dict(parts), self.motions[0].skeleton, bodies)
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """The rig of a corpus, on which its motion is read item by item.
+
+    Attributes:
+        corpus: the manifest, for messages.
+        parts: joints of body parts, see `Skeleton.parts`.
+        skeleton: of one recording.
+        bodies: the body shape of each speaker; empty on a rig without body shapes.
+    """
+
+    corpus: Path
+    parts: dict[str, str]
+    skeleton: Skeleton
+    bodies: dict[str | None, Skeleton]
+
+    def load(self, item: Item) -> Motion:
+        """Read the motion of an item at its file's frame rate, on its speaker's body.
+
+        Raises:
+            CorpusError, ConfigError, FormatError: see `load_motions`.
+        """
+        motion = _load(item, self.parts)
+        _check_same_rig(item, motion, self.skeleton, self.corpus)
+        body = self.bodies.get(item.speaker)
+        return motion if body is None else on_body(motion, body)
+
+    def origin(self, item: Item) -> dict[str, Any]:
+        """Return all that the motion of an item depends on, as plain values."""
+        body = self.bodies.get(item.speaker)
+        return {
+            "motion": file_fingerprint(item.motion),
+            "interval": [item.motion_start, item.duration],
+            "mirror": item.mirror,
+            "reading": dict(item.reading),
+            "parts": self.parts,
+            "rig": [list(self.skeleton.names), list(self.skeleton.parents)],
+            "body": None if body is None else [float(beta) for beta in body.body_shape.betas],
+        }
 
 
 def load_recordings(
@@ -77,6 +163,8 @@ def load_recordings(
     speech: bool,
     styles: bool,
     check_styles: Callable[[Sequence[str]], object] = lambda styles: None,
+    others: Callable[[Manifest], Sequence[Item]] | None = None,
+    trial: bool = False,
 ) -> Recordings:
     """Read the items of split train, their styles and their motion.
 
@@ -86,6 +174,9 @@ def load_recordings(
         speech: whether speech is an input.
         styles: whether styles are a condition.
         check_styles: called with the names of the styles before motion is read.
+        others: returns further items, whose length counts towards `RunConfig.in_memory`; by default
+            those of unpaired speech, if speech is an input.
+        trial: read an excerpt of the corpus only, to time a few steps on it.
 
     Raises:
         CorpusError: no training item with what the run needs, an item without style, rigs that
@@ -99,8 +190,33 @@ def load_recordings(
     items = training_items(manifest, config.corpus, with_audio=speech)
     names, style_of = item_styles(items, config.corpus) if styles else ((), [0] * len(items))
     check_styles(names)
-    motions = load_motions(items, config.corpus, config.fps, parts)
-    return Recordings(manifest, items, motions, names, style_of)
+    if others is not None:
+        unpaired = tuple(others(manifest))
+    else:
+        unpaired = manifest.unpaired("train") if speech else ()
+    found = Recordings(manifest, items, None, [], names, style_of, unpaired, (items, unpaired))
+    if trial:
+        chosen = _trial(items)
+        found = replace(
+            found,
+            items=_of(chosen, items),
+            style_of=[style_of[excerpt.index] for excerpt in chosen],
+            unpaired=_of(_trial(unpaired), unpaired),
+        )
+    elif found.is_long(config):
+        sample = systematic_sample(items, 60 * config.in_memory)
+        found = replace(found, excerpts=tuple(sample))
+    motions = load_motions(found.read, config.corpus, config.fps, parts)
+    return replace(found, motions=motions)
+
+
+def _trial(items: Sequence[Item]) -> list[Excerpt]:
+    """Return an excerpt of a corpus of which a few steps are timed; all of a short one."""
+    return systematic_sample(items, TRIAL_SECONDS, every_group=False)
+
+
+def _of(excerpts: Sequence[Excerpt], items: Sequence[Item]) -> tuple[Item, ...]:
+    return tuple(excerpt.of(items) for excerpt in excerpts)
 
 
 def training_items(manifest: Manifest, corpus: Path, *, with_audio: bool) -> tuple[Item, ...]:
@@ -164,15 +280,8 @@ def load_motions(
     """
     motions = []
     for item in items:
-        try:
-            motion = item.load_motion(parts)
-            motion.info["recorded_fps"] = motion.fps
-            motions.append(motion)
-        except MotionError as error:
-            raise ConfigError(f"parts: item {item.id}: {error}") from None
-        different = first_difference(motions[-1].skeleton, motions[0].skeleton)
-        if different:
-            raise CorpusError(f"{corpus}: item {item.id}: another skeleton: {different}")
+        motions.append(_load(item, parts))
+        _check_same_rig(item, motions[-1], motions[0].skeleton, corpus)
     if parts:
         try:
             find_parts(motions[0].skeleton)
@@ -187,6 +296,22 @@ def load_motions(
             highest,
         )
     return _with_one_body_each(items, motions, corpus)
+
+
+def _load(item: Item, parts: Mapping[str, str]) -> Motion:
+    """Read the motion of an item at its file's frame rate, `info["recorded_fps"]`."""
+    try:
+        motion = item.load_motion(parts)
+    except MotionError as error:
+        raise ConfigError(f"parts: item {item.id}: {error}") from None
+    motion.info["recorded_fps"] = motion.fps
+    return motion
+
+
+def _check_same_rig(item: Item, motion: Motion, usual: Skeleton, corpus: Path) -> None:
+    """Raise CorpusError for a motion on another rig than the corpus's usual one."""
+    if different := first_difference(motion.skeleton, usual):
+        raise CorpusError(f"{corpus}: item {item.id}: another skeleton: {different}")
 
 
 def _with_one_body_each(

@@ -62,6 +62,15 @@ class RunConfig:
     parts: dict[str, str] = field(default_factory=dict)
     """Joints of body parts, such as {left_elbow: Joint12}, for rigs whose body parts cannot be
     identified by joint names and shape."""
+    in_memory: float = 60.0
+    """Minutes of recordings and unpaired speech up to which a corpus is held in memory. Of a longer
+    one, training reads windows from arrays on disk, and statistics are those of a sample of this
+    length, spread over speakers, styles and takes."""
+    arrays: Path | None = None
+    """Folder of the arrays of a long corpus, which runs share; null for CORPUS.arrays beside the
+    manifest."""
+    workers: int = 1
+    """Processes that make arrays (`--workers`)."""
     smooth: float | None = None
     """Smooth generated movements of the upper body that are shorter than this many seconds, except
     beats (`gesturekit.postprocess.smooth_motion`); null for none. Applied in generation, and stored
@@ -83,6 +92,11 @@ class RunConfig:
     """Free text for the model's README, such as data and licence."""
 
     @property
+    def arrays_folder(self) -> Path:
+        """Return the folder of the arrays."""
+        return self.arrays or self.corpus.with_suffix(".arrays")
+
+    @property
     def began_with(self) -> str:
         """Return the origin of the first weights, for the model's README."""
         return str(self.start_from or "random weights")
@@ -99,5 +113,6 @@ class RunConfig:
                 raise ConfigError(f"parts: {part!r} is none of {', '.join(KNOWN_PARTS)}")
             if not isinstance(joint, str):
                 raise ConfigError(f"parts.{part}: {joint!r} is not a joint name")
+        check_positive(in_memory=self.in_memory, workers=self.workers)
         if self.threads is not None:
             check_positive(threads=self.threads)

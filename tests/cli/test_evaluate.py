@@ -293,7 +293,7 @@ def test_evaluating_on_training_recordings_is_warned_about(gesturekit, held_out,
     # A folder of whole recordings, rendered by a model that says what it was trained on.
     model, rendered = tmp_path / "model", tmp_path / "rendered"
     model.mkdir()
-    save_sources(model, [TrainedSegment.of(items["train"], items["train"].load_motion())])
+    save_sources(model, [TrainedSegment.of(items["train"], items["train"].load_motion().fps)])
     rendered.mkdir()
     whole = (root / "recordings" / "day" / "talk.bvh").read_bytes()
     (rendered / "talk.bvh").write_bytes(whole)

@@ -169,7 +169,7 @@ def test_before_the_first_step_it_says_what_it_will_do(train, tmp_path, caplog):
     assert not (tmp_path / "run").exists()
     says = f"Run folder {tmp_path / 'run'}: multires, speech mode, 6 levels, 6 iterations"
     assert says in caplog.text
-    assert "2 recordings, 9 s at 30 fps, trained at 25 fps" in caplog.text
+    assert "2 recordings, 8 s at 30 fps, trained at 25 fps" in caplog.text
     assert "19 of 19 joints modelled" in caplog.text
     assert re.search(r"Time: about \d+ ", caplog.text)
     assert train().status == 0

@@ -17,8 +17,9 @@ from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.motion import Skeleton
 from gesturekit.motion.parts import upper_body
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
-from gesturekit.multires.training.data import PairedSequence, TrainingData, level_sigmas
+from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.loading import load_training_data
+from gesturekit.multires.training.sequences import PairedSequence, level_sigmas
 from gesturekit.multires.training.trainer import train
 
 

@@ -35,7 +35,7 @@ from gesturekit.multires.recall.wanted import (
     folds_of,
     usual_voice,
 )
-from gesturekit.multires.training.recall_library import _any_near, _weighted
+from gesturekit.multires.training.recall_library import _any_near, _weights
 
 FPS = 25.0
 ONLY_MOVEMENT = ChoiceWeights(continuity=0.0, used=0.0, chance=0.0)
@@ -142,8 +142,8 @@ def test_the_second_arm_follows_as_closely_as_the_recorded_one_did(r, variance):
     hand, other = hand - hand.mean(), other - other.mean()
     other -= hand * (hand @ other) / (hand @ hand)
     beside = r * hand / hand.std() + np.sqrt(1 - r**2) * other / other.std()
-    cut = [np.split(7 * np.stack([row, row]), [150], axis=1) for row in (hand, beside)]
-    both = np.concatenate(_weighted(cut), axis=1)
+    directions = 7 * np.stack([hand, hand, beside, beside])
+    both = _weights(np.split(directions, [150], axis=1)) * directions
     np.testing.assert_allclose(both.var(axis=1), variance, atol=1e-3)
     assert both.shape == (4, 400)
     for row, own in zip(both, (hand, hand, beside, beside), strict=True):

@@ -19,7 +19,7 @@ from gesturekit.multires.recall.parts import MotionPart, PassiveChannels, slow_p
 from gesturekit.multires.recall.pieces import ChoiceWeights
 from gesturekit.multires.recall.slow_state import SlowState
 from gesturekit.multires.recall.wanted import WantedMovement
-from gesturekit.multires.training.recall_library import _weighted
+from gesturekit.multires.training.recall_library import _weights
 
 FPS = 10.0
 SECONDS = 120.0
@@ -87,7 +87,8 @@ def library_of(
 ) -> RecallLibrary:
     """Return the library of talks, which are takes of their own."""
     n = len(talks)
-    directions = _weighted([[own.velocities[hand] for own in talks] for hand in (0, 1)])
+    directions = [own.velocities.reshape(4, -1) for own in talks]
+    directions = [_weights(directions) * own for own in directions]
     names = [f"take {k}" for k in range(n)]
     movements = [MEAN + SPREAD * (0.7 * o.states[[0, 4, 8]] + 0.7 * o.fast) for o in talks]
     slow = [MEAN + SPREAD * 0.7 * own.states[[0, 4, 8]] for own in talks]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from gesturekit.multires.training.data import PairedSequence
+from gesturekit.multires.training.sequences import PairedSequence
 from gesturekit.multires.training.targets import ArmTarget, DetailTarget, log_movement
 
 LEVELS, LEVEL = 4, 3

@@ -81,7 +81,7 @@ def test_random_steps_take_unpaired_clips_whole_and_read_no_target(make_config, 
     read = {"_discriminator_steps": set(), "_random_step": set(), "_reconstruction_step": set()}
     step = []
 
-    def marked(config, device):
+    def marked(config, device, *, trial):
         data = load_training_data(config)
         for sequence in data.paired:
             sequence.speech.fill_(1.0)

@@ -13,16 +13,26 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import torch
 
+from gesturekit.corpus.item import Item
 from gesturekit.errors import ConfigError
 from gesturekit.motion.motion import Motion
 
 _WORDS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^A-Za-z]+|[A-Z]")
 _OTHER_SIDE = {"left": "right", "right": "left", "l": "r", "r": "l"}
+
+
+class Rows(Protocol):
+    """Frames (T, D) of a recording: an array, or a file of which `[start:stop]` reads some."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, frames: slice, /) -> np.ndarray: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +62,19 @@ def phases(motion: Motion, fps: float) -> tuple[Phase, ...]:
             Phase(motion.slice(k, motion.n_frames).resample(fps), k / motion.fps)
             for k in range(1, min(n, motion.n_frames))
         ),
+    )
+
+
+def phase_item(item: Item, number: int, start: float) -> Item:
+    """Return phase `number` of an item, counted from 0, which begins `start` seconds later."""
+    if not number:
+        return item
+    return replace(
+        item,
+        id=f"{item.id} (phase {number + 1})",
+        motion_start=item.motion_start + start,
+        audio_start=item.audio_start + start,
+        duration=item.duration - start,
     )
 
 
@@ -124,7 +147,7 @@ def source_frames(n_frames: int, factor: float) -> int:
 
 
 def stretch(
-    values: np.ndarray,
+    values: Rows,
     start: float,
     n_frames: int,
     factor: float,
@@ -139,7 +162,7 @@ def stretch(
     Frame k is the recording at frame `start + k / factor`, linearly interpolated.
 
     Args:
-        values: (T, D) of a recording.
+        values: (T, D) of a recording, of which only the frames around the window are read.
         start: first frame of the window, possibly fractional.
         n_frames: N, of the result; see `source_frames`.
         factor: above 1 is slower.
@@ -166,25 +189,34 @@ def stretch(
     low = np.minimum(np.floor(at).astype(np.int64), max(last - 1, 0))
     high = np.minimum(low + 1, last)
     weight = (at - low)[:, None]
-    nearest = np.where(weight[:, 0] < 0.5, low, high)
-    result = values[low] + weight * (values[high] - values[low])
+    # Displacements before the window are read too, see `_scaled_steps`.
+    begin = max(int(low[0]) - math.ceil(1 / factor), 0)
+    part = values[begin : min(int(np.ceil(at[-1])) + 2, last + 1)]
+    below, above = part[low - begin], part[high - begin]
+    result = below + weight * (above - below)
     if maps.stop > maps.start:
-        pairs = (values[high, maps] - values[low, maps]).reshape(n_frames, -1, 3)
+        pairs = (above[:, maps] - below[:, maps]).reshape(n_frames, -1, 3)
         apart = np.repeat(np.linalg.norm(pairs, axis=-1) > np.pi, 3, axis=-1)
-        result[:, maps] = np.where(apart, values[nearest, maps], result[:, maps])
+        nearest = np.where(weight < 0.5, below[:, maps], above[:, maps])
+        result[:, maps] = np.where(apart, nearest, result[:, maps])
     if steps.stop > steps.start:
         offset = np.asarray(steps_offset, dtype=np.float64)
-        result[:, steps] = _scaled_steps(values[:, steps], at, 1 / factor, offset)
+        result[:, steps] = _scaled_steps(part[:, steps], begin, at, 1 / factor, offset)
     if flags.stop > flags.start:
-        result[:, flags] = _kept_flags(values[:, flags], at, 1 / factor)
-    return result.astype(values.dtype)
+        result[:, flags] = _kept_flags(part[:, flags], begin, at, 1 / factor)
+    return result.astype(part.dtype)
 
 
-def _scaled_steps(steps: np.ndarray, at: np.ndarray, rate: float, offset: np.ndarray) -> np.ndarray:
-    """Return displacements (N, S) between times `at`, which are `rate` frames apart."""
+def _scaled_steps(
+    steps: np.ndarray, begin: int, at: np.ndarray, rate: float, offset: np.ndarray
+) -> np.ndarray:
+    """Return displacements (N, S) between times `at`, which are `rate` frames apart.
+
+    `steps` are those of frames from `begin`.
+    """
     first = max(int(np.floor(at[0])) - math.ceil(rate), 0)
-    stop = min(int(np.ceil(at[-1])) + 1, len(steps))
-    counted = steps[first:stop].astype(np.float64) + offset
+    stop = min(int(np.ceil(at[-1])) + 1, begin + len(steps))
+    counted = steps[first - begin : stop - begin].astype(np.float64) + offset
     # Row k is from frame k - 1 to frame k; before the first frame, extrapolate.
     before = np.tile(counted[:1], (math.ceil(rate) + 1, 1))
     way = np.concatenate([before, counted]).cumsum(axis=0)
@@ -194,14 +226,18 @@ def _scaled_steps(steps: np.ndarray, at: np.ndarray, rate: float, offset: np.nda
     return np.diff(sums, axis=0) - offset
 
 
-def _kept_flags(flags: np.ndarray, at: np.ndarray, rate: float) -> np.ndarray:
-    """Return flags (N, E) at the nearest frames; flags of skipped frames move to kept ones."""
-    last = len(flags) - 1
-    kept = flags[np.minimum(np.floor(at + 0.5).astype(np.int64), last)].copy()
+def _kept_flags(flags: np.ndarray, begin: int, at: np.ndarray, rate: float) -> np.ndarray:
+    """Return flags (N, E) at the nearest frames; flags of skipped frames move to kept ones.
+
+    `flags` are those of frames from `begin`.
+    """
+    nearest = np.minimum(np.floor(at + 0.5).astype(np.int64) - begin, len(flags) - 1)
+    kept = flags[nearest].copy()
     if rate <= 1:  # no frame of the recording is skipped
         return kept
     first, stop = int(np.ceil(at[0])), int(np.floor(at[-1])) + 1
-    for frame, column in np.argwhere(flags[first:stop] > 0):
-        nearest = min(max(math.floor((frame + first - at[0]) / rate + 0.5), 0), len(at) - 1)
-        kept[nearest, column] = max(kept[nearest, column], flags[frame + first, column])
+    for number, column in np.argwhere(flags[first - begin : stop - begin] > 0):
+        frame = number + first
+        near = min(max(math.floor((frame - at[0]) / rate + 0.5), 0), len(at) - 1)
+        kept[near, column] = max(kept[near, column], flags[frame - begin, column])
     return kept

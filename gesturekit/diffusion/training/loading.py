@@ -2,28 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from gesturekit.corpus.item import Item
-from gesturekit.corpus.styles import style_track
-from gesturekit.diffusion.conditions import Conditions, smooth_path
+from gesturekit.corpus.speech import SpeechConditioner
+from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.model import DiffusionModel
 from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
-from gesturekit.diffusion.training.augmentation import mirror_condition, phases
-from gesturekit.diffusion.training.corpus import Corpus, read_corpus
-from gesturekit.diffusion.training.data import TrainingData, TrainingSequence
-from gesturekit.errors import ConfigError, CorpusError, MotionError
-from gesturekit.formats.tables.events import Event
-from gesturekit.motion.mirroring import can_be_mirrored
+from gesturekit.diffusion.training.augmentation import phase_item
+from gesturekit.diffusion.training.corpus import Corpus, phases_of, read_corpus
+from gesturekit.diffusion.training.data import (
+    Cut,
+    StoredCorpus,
+    TrainingData,
+    TrainingSequence,
+    motion_of,
+    stored_variants,
+)
+from gesturekit.diffusion.training.variants import VariantArrays
+from gesturekit.errors import ConfigError
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.root_path import RootPath, follow_path
+from gesturekit.motion.root_path import RootPath
 from gesturekit.training.config import to_dict
-from gesturekit.training.data.features import extract_features, feature_values
+from gesturekit.training.data.arrays import Maker, StoredArray, stored_arrays
+from gesturekit.training.data.excerpts import Excerpt, systematic_sample
+from gesturekit.training.data.features import (
+    SpeechArrays,
+    extract_features,
+    feature_values,
+    fit_conditioner,
+    raw_speech,
+)
 from gesturekit.training.data.start_model import (
     check_conditions,
     check_rig,
@@ -35,21 +48,23 @@ _STEP_FLOORS = np.array([0.03, 0.015, 0.015])
 """Least scale of turn, forward and lateral displacement: radians and metres per second."""
 
 
-@dataclass(frozen=True)
-class _Take:
-    """A recording with its inputs: the path of its root, features, events and style."""
+@dataclass(frozen=True, eq=False)
+class _Read:
+    """Recordings and conditions of a run; fields as in `TrainingData`."""
 
-    name: str
-    motion: Motion
-    path: RootPath | None
-    speech: np.ndarray | None = None
-    events: tuple[Event, ...] = ()
-    style: str | None = None
-    is_paired: bool = True
+    recordings: tuple[TrainingSequence, ...]
+    conditions: Conditions
+    seconds: tuple[float, float]
+    rates: Sequence[float]
+    sampled: tuple[Cut, ...] | None = None
+    stored: StoredCorpus | None = None
 
 
-def load_training_data(config: DiffusionConfig, device: str = "cpu") -> TrainingData:
-    """Read the corpus of a run, extract features on a device, and normalise.
+def load_training_data(
+    config: DiffusionConfig, device: str = "cpu", *, trial: bool = False
+) -> TrainingData:
+    """Read the corpus of a run, or in a trial an excerpt of it; extract features on a device, and
+    normalise.
 
     Raises:
         CorpusError: no training item with what the run needs, rigs that differ, or a file that
@@ -59,97 +74,191 @@ def load_training_data(config: DiffusionConfig, device: str = "cpu") -> Training
         ModelError: such a model cannot be read.
     """
     # First, so that wrong settings fail before anything is read.
-    extractor = None if config.features is None else config.features.extractor(device)
+    speech = None
+    if config.features is not None:
+        speech = SpeechArrays.open(config.features, config.fps, device)
     start = _start(config)
     like = _like(config) if start is None else start
-    corpus = read_corpus(config, speech=extractor is not None)
-    conditions, speeches = _conditions(config, corpus, extractor, start)
+    corpus = read_corpus(config, speech=speech is not None, trial=trial)
+    conditions = _conditions(config, corpus, speech, start)
     if like is None:
         motions = corpus.motions
         representation = DeltaRepresentation.fit(motions, config.joints, root=not config.path)
     else:
         representation = _same_rig(like, corpus.motions, config)
-    takes = _takes(config, corpus, speeches, representation)
-    vectors = [_encode(config, representation, take.motion, take) for take in takes]
-    if start is None and config.path:
-        conditions = _with_path_scale(conditions, takes, representation.scale, config.fps)
-    encoded = [_condition(take, conditions, config.fps, representation.scale) for take in takes]
-    recordings = [
-        TrainingSequence(take.name, vector[: len(own)].astype(np.float32), own, take.is_paired)
-        for take, vector, own in zip(takes, vectors, encoded, strict=True)
-    ]
-    if config.augmentation.mirror and can_be_mirrored(representation.skeleton):
-        handed = () if config.styles is None else config.styles.handed
-        recordings += [
-            _mirrored(config, representation, conditions, take, recording)
-            for take, recording in zip(takes, recordings, strict=True)
-            if take.style not in handed
-        ]
+    rig = corpus.recordings.rig(config, config.parts)
+    paired = VariantArrays(config, rig, representation, replace(conditions, conditioner=None))
+    read_all = _in_memory if corpus.recordings.excerpts is None else _on_disk
+    read = read_all(corpus, paired, conditions, speech, start is None)
     if like is None:
-        normaliser = Normaliser.fit(
-            [r.motion for r in recordings], _floors(representation, config.fps)
-        )
+        motion = motion_of(read.recordings, read.sampled)
+        normaliser = Normaliser.fit(motion, _floors(representation, config.fps))
     else:
         normaliser = like.normaliser
     return TrainingData(
-        recordings=tuple(recordings),
-        seconds=corpus.seconds,
+        recordings=read.recordings,
+        seconds=corpus.recordings.lengths if trial else read.seconds,
         representation=representation,
-        conditions=conditions,
+        conditions=read.conditions,
         normaliser=normaliser,
         speakers=corpus.recordings.speakers,
-        sources=corpus.recordings.sources,
+        sources=corpus.recordings.sources(read.rates),
         recorded_fps=corpus.recordings.recorded_fps,
         start={} if start is None else start.network.state_dict(),
+        sampled=read.sampled,
+        stored=read.stored,
     )
 
 
 def _conditions(
-    config: DiffusionConfig, corpus: Corpus, extractor: Any, start: DiffusionModel | None
-) -> tuple[Conditions, list[np.ndarray | None]]:
-    """Return the conditions of the model, and the speech features (T, S) of each item."""
-    names = tuple(sorted({event.name for events in corpus.events for event in events}))
-    fitted = None
-    if start is not None:
-        wanted = Conditions(None, config.path, names, corpus.recordings.styles).to_values()
-        if extractor is not None:
-            wanted["features"] = feature_values(extractor, config.features)
-        check_conditions(config.start_from, start.conditions.to_values(), wanted)
-        fitted = start.conditions.conditioner
-    conditioner, speeches = None, [None] * len(corpus.items)
-    if extractor is not None:
-        lengths = [motion.n_frames for motion in corpus.motions]
-        conditioner, speeches = extract_features(
-            corpus.items, lengths, extractor, config.fps, config.features, fitted
-        )
-    if start is not None:
-        return start.conditions, speeches
-    return Conditions(conditioner, config.path, names, corpus.recordings.styles), speeches
-
-
-def _takes(
     config: DiffusionConfig,
     corpus: Corpus,
-    speeches: Sequence[np.ndarray | None],
-    representation: DeltaRepresentation,
-) -> list[_Take]:
-    """Return all recordings with their inputs, unpaired motion last."""
-    inputs = zip(corpus.items, corpus.motions, speeches, corpus.events, strict=True)
-    takes = [
-        _Take(
-            item.id,
-            *_on_path(config, representation, motion, item),
-            speech,
-            events,
-            style=item.style if corpus.recordings.styles else None,
+    speech: SpeechArrays | None,
+    start: DiffusionModel | None,
+) -> Conditions:
+    """Return the conditions of the model to start from, or new ones that nothing is fitted to."""
+    new = Conditions(None, config.path, corpus.events, corpus.recordings.styles)
+    if start is None:
+        return new
+    wanted = new.to_values()
+    if speech is not None:
+        wanted["features"] = feature_values(speech.extractor, config.features)
+    check_conditions(config.start_from, start.conditions.to_values(), wanted)
+    return start.conditions
+
+
+def _in_memory(
+    corpus: Corpus,
+    paired: VariantArrays,
+    conditions: Conditions,
+    speech: SpeechArrays | None,
+    fits: bool,
+) -> _Read:
+    """Return all recordings and their variants in memory.
+
+    Args:
+        corpus: of the run, read whole.
+        paired: encodes its recordings.
+        conditions: see `_conditions`.
+        speech: extracts features; None without speech input.
+        fits: whether conditions are fitted to the recordings.
+    """
+    config, n_paired = paired.config, len(corpus.items)
+    takes = [paired.take(*one) for one in zip(corpus.items, corpus.motions, strict=True)]
+    alone, unpaired_seconds = replace(paired, rig=corpus.unpaired_rig), 0.0
+    for item in corpus.unpaired:
+        motion = alone.rig.load(item)
+        unpaired_seconds += motion.duration
+        takes += [alone.take(*phase) for phase in phases_of(item, motion, config.fps)]
+    if fits and config.path:
+        conditions = _with_path_scale(conditions, [take.path for take in takes], paired)
+    speeches: list[np.ndarray | None] = [None] * len(takes)
+    if speech is not None:
+        lengths = [motion.n_frames for motion in corpus.motions]
+        conditioner, speeches[:n_paired] = extract_features(
+            corpus.items,
+            lengths,
+            speech.extractor,
+            config.fps,
+            config.features,
+            conditions.conditioner,
         )
-        for item, motion, speech, events in inputs
+        conditions = replace(conditions, conditioner=conditioner)
+    own = replace(conditions, conditioner=None)
+    makers = [replace(paired, conditions=own)] * n_paired
+    makers += [replace(alone, conditions=own)] * (len(takes) - n_paired)
+    n_speech = conditions.columns["speech"].stop
+    plain, mirrored = [], []
+    for maker, take, features in zip(makers, takes, speeches, strict=True):
+        rows = maker.rows(take)
+        if features is None:
+            features = np.zeros((len(rows), n_speech), np.float32)
+        plain.append(maker.sequence(take.name, rows, features))
+        if maker.is_mirrored(take.style):
+            rows = maker.mirrored_rows(take, rows)
+            mirrored.append(maker.sequence(f"{take.name} (mirrored)", rows, features))
+    seconds = corpus.seconds, unpaired_seconds
+    return _Read((*plain, *mirrored), conditions, seconds, corpus.recordings.rates)
+
+
+def _on_disk(
+    corpus: Corpus,
+    paired: VariantArrays,
+    conditions: Conditions,
+    speech: SpeechArrays | None,
+    fits: bool,
+) -> _Read:
+    """Return all recordings and their variants on disk; arrays that are missing are made.
+
+    Conditions are fitted to a sample; see `_in_memory` for the arguments.
+    """
+    config, items = paired.config, corpus.recordings.items
+    alone = replace(paired, rig=corpus.unpaired_rig)
+    others = systematic_sample(corpus.unpaired, 60 * config.in_memory)
+    if fits and config.path:
+        paths = [paired.take(*one).path for one in zip(corpus.items, corpus.motions, strict=True)]
+        for item in (excerpt.of(corpus.unpaired) for excerpt in others):
+            phases = phases_of(item, alone.rig.load(item), config.fps)
+            paths += [alone.take(*phase).path for phase in phases]
+        conditions = _with_path_scale(conditions, paths, paired)
+    own = replace(conditions, conditioner=None)
+    wanted: list[tuple[Maker, Sequence[Item]]] = [
+        (replace(paired, conditions=own), items),
+        (replace(alone, conditions=own), corpus.unpaired),
     ]
-    return takes + [
-        _Take(name, *_on_path(config, representation, phase.motion), is_paired=False)
-        for name, motion in corpus.unpaired
-        for phase in phases(motion, config.fps)
-    ]
+    motion, unpaired = stored_arrays(config.arrays_folder, wanted, config.workers)
+    spoken: list[StoredArray] = []
+    if speech is not None:
+        phases = [
+            phase_item(item, number, start)
+            for item, array in zip(items, motion, strict=True)
+            for number, start in enumerate(array.facts["starts"])
+        ]
+        (spoken,) = stored_arrays(config.arrays_folder, [(speech, phases)], config.workers)
+    sample: dict[int, list[Excerpt]] = {}
+    for excerpt in corpus.recordings.excerpts:
+        sample.setdefault(excerpt.index, []).append(excerpt)
+    if speech is not None and conditions.conditioner is None:
+        conditions = replace(conditions, conditioner=_fitted(speech, motion, spoken, sample))
+    for excerpt in others:
+        sample.setdefault(len(items) + excerpt.index, []).append(excerpt)
+    stored = StoredCorpus(
+        *([array.path.stem for array in arrays] for arrays in (motion, spoken, unpaired))
+    )
+    recordings = stored.sequences(config, conditions, paired.representation.n_features)
+    sampled = tuple(
+        (i, *excerpt.frames(config.fps, recordings[i].n_frames))
+        for i, variant in enumerate(stored_variants([*motion, *unpaired]))
+        # The other phases of an excerpt are almost the same motion.
+        for excerpt in sample.get(variant.which, ()) * (variant.phase == 0)
+    )
+    seconds = [sum(array.facts["seconds"] for array in arrays) for arrays in (motion, unpaired)]
+    rates = [array.facts["fps"] for array in motion]
+    return _Read(recordings, conditions, (seconds[0], seconds[1]), rates, sampled, stored)
+
+
+def _fitted(
+    speech: SpeechArrays,
+    motion: Sequence[StoredArray],
+    spoken: Sequence[StoredArray],
+    sample: Mapping[int, Sequence[Excerpt]],
+) -> SpeechConditioner:
+    """Return a conditioner that is fitted to the excerpts of each recording.
+
+    Args:
+        speech: made `spoken`.
+        motion: arrays of the recordings.
+        spoken: arrays of the speech of their phases.
+        sample: excerpts of a recording, by its index.
+    """
+    clips, arrays = [], iter(spoken)
+    for i, array in enumerate(motion):
+        lengths = array.facts["lengths"]
+        first = [next(arrays) for _ in lengths][0]
+        for excerpt in sample.get(i, ()):
+            part = excerpt.frames(speech.fps, min(first.shape[0], lengths[0]))
+            clips.append(raw_speech(first, *part))
+    return fit_conditioner(clips, speech.extractor, speech.fps, speech.settings)
 
 
 def _start(config: DiffusionConfig) -> DiffusionModel | None:
@@ -193,63 +302,6 @@ def _same_rig(
     return known if setting == "moves_like" else known.on_bones_of(motions)
 
 
-def _on_path(
-    config: DiffusionConfig,
-    representation: DeltaRepresentation,
-    motion: Motion,
-    item: Item | None = None,
-) -> tuple[Motion, RootPath | None]:
-    """Move a motion onto its item's path, or onto its smoothed root path.
-
-    Without path condition, return the motion as it is and no path.
-    """
-    if not config.path:
-        return motion, None
-    own = representation.path_of(motion)
-    given = (
-        None if item is None else item.load_path(config.fps, motion.n_frames, representation.scale)
-    )
-    path = smooth_path(given or own, config.fps, motion.n_frames)
-    # A table may have another origin; a model only gets the displacements of a path.
-    apart = (own.positions - path.positions).mean(axis=0)
-    path = replace(path, positions=path.positions + apart)
-    return follow_path(motion, path, representation.root), path
-
-
-def _encode(
-    config: DiffusionConfig,
-    representation: DeltaRepresentation,
-    motion: Motion,
-    take: _Take,
-    path: RootPath | None = None,
-) -> np.ndarray:
-    try:
-        return representation.encode(motion, path or take.path)
-    except MotionError as error:
-        raise CorpusError(f"{config.corpus}: item {take.name}: {error}") from None
-
-
-def _mirrored(
-    config: DiffusionConfig,
-    representation: DeltaRepresentation,
-    conditions: Conditions,
-    take: _Take,
-    recording: TrainingSequence,
-) -> TrainingSequence:
-    path = None if take.path is None else take.path.mirror()
-    vector = _encode(config, representation, take.motion.mirror(), take, path)
-    columns = conditions.columns
-    condition = mirror_condition(
-        recording.condition,
-        path=columns["path"],
-        path_offset=conditions.path_mean / conditions.path_scale,
-        events=columns["events"],
-        event_names=conditions.events,
-    )
-    motion = vector[: recording.n_frames].astype(np.float32)
-    return replace(recording, name=f"{take.name} (mirrored)", motion=motion, condition=condition)
-
-
 def _floors(representation: DeltaRepresentation, fps: float) -> np.ndarray:
     """Return the least scale (X,) of each number of a motion vector."""
     values = np.full(representation.n_features, 0.01)  # radians
@@ -260,26 +312,10 @@ def _floors(representation: DeltaRepresentation, fps: float) -> np.ndarray:
 
 
 def _with_path_scale(
-    conditions: Conditions, takes: Sequence[_Take], scale: float, fps: float
+    conditions: Conditions, paths: Sequence[RootPath], maker: VariantArrays
 ) -> Conditions:
-    paths = [take.path.scaled(1 / scale) for take in takes if take.path is not None]
-    deltas = np.concatenate([path.deltas() for path in paths])
-    scale = np.maximum(deltas.std(axis=0), _STEP_FLOORS / fps)
+    """Return the conditions with mean and scale of the displacements of these paths."""
+    size = 1 / maker.representation.scale
+    deltas = np.concatenate([path.scaled(size).deltas() for path in paths])
+    scale = np.maximum(deltas.std(axis=0), _STEP_FLOORS / maker.config.fps)
     return replace(conditions, path_mean=deltas.mean(axis=0), path_scale=scale)
-
-
-def _condition(take: _Take, conditions: Conditions, fps: float, scale: float) -> np.ndarray:
-    """Return the condition (T, C), as long as the shorter of motion and speech."""
-    n_frames = take.motion.n_frames
-    if take.speech is not None:
-        n_frames = min(n_frames, len(take.speech))
-    return conditions.encode(
-        n_frames,
-        fps,
-        speech=None if take.speech is None else take.speech[:n_frames],
-        path=None if take.path is None else take.path.slice(0, n_frames).scaled(1 / scale),
-        events=take.events,
-        style=None
-        if take.style is None
-        else style_track(conditions.styles, take.style, n_frames, fps),
-    )

@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import copy
 import logging
-import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from gesturekit.diffusion.noise_schedule import NoiseSchedule
 from gesturekit.diffusion.sampling.experts import Expert
 from gesturekit.diffusion.sampling.solvers import sample
 from gesturekit.diffusion.training.batches import Batches, TrainingBatch
+from gesturekit.diffusion.training.corpus import read_recordings
 from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.diffusion.training.loading import load_training_data
 from gesturekit.errors import MotionError
@@ -30,14 +31,16 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified
 from gesturekit.motion.torch_kinematics import foot_kinematics
 from gesturekit.training.data.sources import describe_recordings, save_sources, unused_labels
+from gesturekit.training.run.device import prepare_device
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.held_out import HeldOutMetrics
 from gesturekit.training.run.loop import Loop, StageCallbacks, last_losses, read_once
+from gesturekit.training.run.plan import Estimate, log_arrays, log_plan, quickest
 from gesturekit.training.run.processes import Processes
-from gesturekit.training.run.session import log_plan, session
+from gesturekit.training.run.session import session
 from gesturekit.training.run_config import UNIDENTIFIED
 from gesturekit.training.seeds import rng_for, seeded
-from gesturekit.wording import counted, roughly
+from gesturekit.wording import counted, drawn, roughly
 
 log = logging.getLogger(__name__)
 
@@ -68,8 +71,20 @@ def train(config: DiffusionConfig, *, resume: bool = False) -> Path:
 
 
 def plan_training(config: DiffusionConfig) -> None:
-    """Log the plan of `train` and its estimated duration; see `training.run.session`."""
-    log_plan(config, Trainer)
+    """Log the plan of `train` and its estimated duration; see `training.run.plan`."""
+    device = str(prepare_device(config.device, config.threads))
+    log_plan(
+        config,
+        partial(load_training_data, config, device, trial=True),
+        partial(read_recordings, config, speech=config.features is not None, trial=True),
+        Trainer,
+    )
+
+
+def make_arrays(config: DiffusionConfig) -> None:
+    """Make the arrays of a corpus that is not held in memory; see `gesturekit.systems`."""
+    data = load_training_data(config, str(prepare_device(config.device, config.threads)))
+    log_arrays(config, data.stored is not None)
 
 
 def learning_rate(training: TrainingConfig, update: int) -> float:
@@ -89,6 +104,7 @@ class Trainer:
         processes: Processes,
         *,
         resume: bool,
+        trial: bool = False,
     ) -> None:
         self.config = config
         self.folder = run
@@ -98,7 +114,7 @@ class Trainer:
             run,
             processes,
             resume=resume,
-            read=lambda: load_training_data(config, str(device)),
+            read=lambda: load_training_data(config, str(device), trial=trial),
             load=lambda folder: TrainingData.load(folder, config, str(device)),
         )
         self.schedule = NoiseSchedule.of(config.noise)
@@ -116,7 +132,8 @@ class Trainer:
             self._log_missing_parts()
         updates = counted(config.training.updates, "update")
         self.unused = unused_labels(self.data.sources, self.data.conditions.styles)
-        self.loop.announce(["diffusion", self._mode(), updates], self._contents(), self.unused)
+        kind = ["diffusion", self._mode(), updates]
+        self.loop.announce(kind, self._contents(), self._usage(), self.unused)
         self.network = self._network().to(device)
         # The weights of the final model.
         self.average = copy.deepcopy(self.network).eval() if config.training.ema else self.network
@@ -189,14 +206,30 @@ class Trainer:
         names = [name for name, known in given.items() if known]
         return f"from {' and '.join(names)}" if names else "no condition"
 
-    def seconds_needed(self) -> float:
-        """Estimate the duration of training from a few updates; they change the network's
-        weights."""
-        float(self._update(0))  # warm-up; reading the loss waits for the GPU
-        began = time.monotonic()
-        for update in (1, 2, 3):
-            float(self._update(update))
-        return self.config.training.updates * (time.monotonic() - began) / 3
+    def _usage(self) -> str:
+        """Return how often the training draws each second of the recordings, and how much of them
+        at all."""
+        training, (paired, unpaired) = self.config.training, self.data.seconds
+        share = self.config.unpaired.share if self.config.unpaired is not None and unpaired else 0.0
+        mean = training.updates * training.batch * training.window * (1 - share) / paired
+        return f"a second is drawn about {drawn(mean)}"
+
+    def estimate(self) -> Estimate:
+        """Estimate the cost of the training from a few updates.
+
+        They change the networks: for a run that is not kept.
+        """
+        training, data = self.config.training, self.data
+        self._update(0)  # is slower
+        update = quickest(lambda: float(self._update(1)), 3)
+        fps, conditions = self.config.fps, data.conditions
+        variants = max(1, round(data.recorded_fps / fps)) * (1 + self.config.augmentation.mirror)
+        speech = conditions.columns["speech"].stop
+        own = 4 * fps * variants * (data.representation.n_features + conditions.width - speech)
+        raw = 0.0
+        if conditions.conditioner is not None:
+            raw = 4 * fps * (conditions.conditioner.extractor.dim + 1)
+        return Estimate(training.updates * update, self.held_out.seconds, (own + raw, own))
 
     def run(self) -> Path:
         """Train all updates, or those that are left, and write the model."""
@@ -326,6 +359,7 @@ class Trainer:
                 "Recordings": describe_recordings(self.data.sources, paired, self.config.fps),
                 "Unpaired motion": f"{unpaired:.0f} s" if unpaired else "none",
                 **({"Not used": "; ".join(self.unused)} if self.unused else {}),
+                "Use of the recordings": self._usage(),
                 "Began with": self.config.began_with,
                 "Training steps": str(training.updates),
                 "Last losses": last_losses(self.folder),

@@ -16,6 +16,7 @@ import numpy as np
 from audio_features import Wave
 from gesturekit.errors import EvaluationError, MotionError
 from gesturekit.evaluation.measuring.clips import load_recording
+from gesturekit.evaluation.measuring.samples import MotionSample
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
     ItemInterval,
@@ -90,11 +91,13 @@ _Recordings = Mapping[str, Path | ItemInterval]
 
 def _mean_pose(every: _Recordings, source: _Recordings, fps: float) -> Loader:
     """Return a loader of the mean pose of the recordings in `source`, held still."""
-    motions = [load_recording(path, fps) for path in source.values()]
-    rig = motions[0].skeleton.names
-    if any(motion.skeleton.names != rig for motion in motions):
+    sample, rigs = MotionSample(seed=0), set()
+    for path in source.values():
+        sample.add(motion := load_recording(path, fps))
+        rigs.add(motion.skeleton.names)
+    if len(rigs) > 1:
         raise EvaluationError("baseline mean_pose needs recordings of one rig")
-    pose = mean_pose(motions)
+    (rig,), pose = rigs, mean_pose(sample.motions)
 
     def load(pair: Pair, n_frames: int) -> Motion:
         recording = load_recording(pair.reference, fps)

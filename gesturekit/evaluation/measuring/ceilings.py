@@ -24,8 +24,9 @@ from gesturekit.evaluation.definitions import (
     definitions_of,
 )
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
-from gesturekit.evaluation.measuring.clips import Clip
+from gesturekit.evaluation.measuring.clips import Clip, load_recording
 from gesturekit.evaluation.measuring.inputs import SetInputs, compute
+from gesturekit.evaluation.measuring.samples import copied
 from gesturekit.evaluation.metrics import similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
@@ -54,8 +55,8 @@ SECOND = ", second half"
 
 
 def ceilings(
-    recordings: Mapping[str, Motion],
     sources: Mapping[str, Pair],
+    fps: float,
     measure: ClipMetrics,
     features: FeatureModel | None,
     seed: int,
@@ -63,18 +64,18 @@ def ceilings(
     """Return {key of `definitions`: (the recordings' own value, how it was taken)}.
 
     Args:
-        recordings: all recordings by name, of one rig and frame rate.
-        sources: pairs of each recording with itself, which tell takes and speakers.
+        sources: pairs of each recording with itself, which give takes and speakers; of one rig.
+        fps: frame rate of the evaluation.
         measure: the metrics of clips, with their groups.
         features: the feature extractor of FGD, or None.
         seed: seed of subsamples.
     """
-    if not recordings:  # all are too short to be compared
+    if not sources:  # all are too short to be compared
         return {}
-    chosen = _chosen(recordings)
+    chosen = _chosen(sources, fps)
     own = {name: sources[name.removesuffix(SECOND)] for name in chosen}
     others, note = _others(own)
-    note = note if len(recordings) > 1 else HALVES
+    note = note if len(sources) > 1 else HALVES
     joints = body_joints(next(iter(chosen.values())).skeleton)
     clips = [
         Clip(own[name], chosen[other], chosen[name], joints, None, ())
@@ -97,11 +98,11 @@ def ceilings(
     return found
 
 
-def _chosen(recordings: Mapping[str, Motion]) -> dict[str, Motion]:
+def _chosen(sources: Mapping[str, Pair], fps: float) -> dict[str, Motion]:
     """Return at most `MOST` recordings, evenly chosen and cut; halves of a single one."""
-    names = list(recordings)
+    names = list(sources)
     kept = names[:: -(-len(names) // MOST)]
-    cut = {name: _cut(recordings[name]) for name in kept}
+    cut = {name: _cut(load_recording(sources[name].reference, fps)) for name in kept}
     if len(cut) > 1:
         return cut
     ((name, motion),) = cut.items()
@@ -110,7 +111,7 @@ def _chosen(recordings: Mapping[str, Motion]) -> dict[str, Motion]:
 
 
 def _cut(motion: Motion) -> Motion:
-    return motion.slice(0, min(motion.n_frames, round(LONGEST * motion.fps)))
+    return copied(motion, 0, min(motion.n_frames, round(LONGEST * motion.fps)))
 
 
 def _others(recordings: Mapping[str, Pair]) -> tuple[dict[str, str], str]:

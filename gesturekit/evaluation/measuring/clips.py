@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -25,7 +27,38 @@ LENGTH_TOLERANCE = 0.1
 STILL = 1e-4
 """m/s on the reference body; a frame stands still if no joint is faster."""
 
-_CACHED = 8  # files of each kind kept in memory; samples of one recording are consecutive
+_CACHED = 8  # semantic tracks kept in memory; samples of one recording are consecutive
+_CACHED_BYTES = 100_000_000  # of motions, and of sounds: 24 minutes of 75 joints, 26 of sound
+
+
+_Value = TypeVar("_Value")
+
+
+class ByteCache(Generic[_Value]):
+    """Keeps the values that were used last, up to a number of bytes.
+
+    A value that is larger is not kept at all.
+
+    Args:
+        most: bytes to keep.
+        size: returns the bytes of a value.
+    """
+
+    def __init__(self, most: int, size: Callable[[_Value], int]) -> None:
+        self._most, self._size = most, size
+        self._values: dict[Hashable, _Value] = {}  # the value used last is the last
+
+    def get(self, key: Hashable, load: Callable[[], _Value]) -> _Value:
+        """Return the value of a key, which `load` makes unless it is kept."""
+        value = self._values.pop(key) if key in self._values else load()
+        self._values[key] = value
+        while self._values and sum(map(self._size, self._values.values())) > self._most:
+            del self._values[next(iter(self._values))]
+        return value
+
+    def clear(self) -> None:
+        """Forget all values."""
+        self._values.clear()
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +114,7 @@ def load_clip(pair: Pair, fps: float | None = None, without: frozenset[str] = fr
     """
     generated = _read(pair.generated)
     rate = fps or generated.fps
-    recording = _resampled(pair.reference, rate)
+    recording = load_recording(pair.reference, rate)
     notes = []
     if generated.n_frames < 2:
         raise FormatError(f"{pair.generated}: one frame; a motion to be measured has at least 2")
@@ -134,7 +167,7 @@ def load_recording(path: Path | ItemInterval, fps: float) -> Motion:
     Raises:
         FormatError, MotionError: the file cannot be read.
     """
-    return _resampled(path, fps)
+    return _motions.get((path, fps), lambda: _resampled(path, fps))
 
 
 def load_wave(source: Path | ItemInterval) -> Wave:
@@ -164,12 +197,14 @@ def _later(track: FeatureTrack, start: float) -> FeatureTrack:
     return FeatureTrack(track.values[keep], track.times[keep] - start, track.spec, track.names)
 
 
-@functools.lru_cache(maxsize=_CACHED)
 def _resampled(path: Path | ItemInterval, fps: float) -> Motion:
     motion = _read(path)
     if motion.n_frames < 2:
         raise FormatError(f"{path.name}: one frame; a motion to be measured has at least 2")
     return at_rate(motion, fps)
+
+
+_motions = ByteCache[Motion](_CACHED_BYTES, lambda motion: motion.rotations.nbytes)
 
 
 def _read(path: Path | ItemInterval) -> Motion:
@@ -249,11 +284,20 @@ class RecordedSound:
         return cls(wave)
 
 
-load_sound = functools.lru_cache(maxsize=16)(RecordedSound.load)
+_sounds = ByteCache[RecordedSound](_CACHED_BYTES, lambda sound: sound.wave.samples.nbytes)
+
+
+def load_sound(path: Path | ItemInterval, window: int | None) -> RecordedSound:
+    """Return `RecordedSound.load`, of recent sounds from memory.
+
+    Raises:
+        AudioError: it cannot be read.
+    """
+    return _sounds.get((path, window), lambda: RecordedSound.load(path, window))
 
 
 def forget_files() -> None:
     """Forget files in memory, which may have changed on disk since the last evaluation."""
-    _resampled.cache_clear()
+    _motions.clear()
     _semantic.cache_clear()
-    load_sound.cache_clear()
+    _sounds.clear()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import inspect
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,7 @@ from gesturekit.evaluation.definitions import Definition, Variants
 from gesturekit.evaluation.measuring.clips import Clip, RecordedSound, load_recording
 from gesturekit.evaluation.metrics import rhythm
 from gesturekit.evaluation.metrics.hands import upper_joints
-from gesturekit.evaluation.metrics.physical import JointLimits, standing_heights
+from gesturekit.evaluation.metrics.physical import JointLimits, LimitsFit, standing_heights
 from gesturekit.evaluation.pairs import Excluded, ItemInterval
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
@@ -33,13 +33,13 @@ class ReferenceStatistics:
     """Statistics of all recordings that clips are compared with.
 
     Attributes:
-        recordings: {key: motion} at the frame rate of the evaluation.
+        recordings: keys of the recordings that can be read.
         limits: the range of each joint; None without joints that can have one.
         mean_speed: {joint name: mean speed over the recordings, m/s}.
         excluded: recordings that cannot be read, or have another rig than the first.
     """
 
-    recordings: dict[str, Motion] = field(default_factory=dict)
+    recordings: list[str] = field(default_factory=list)
     limits: JointLimits | None = None
     mean_speed: dict[str, float] = field(default_factory=dict)
     excluded: list[Excluded] = field(default_factory=list)
@@ -50,6 +50,8 @@ class ReferenceStatistics:
         statistics = cls()
         joints: tuple[str, ...] = ()
         sums: dict[str, tuple[float, int]] = {}
+        roots: set[str] = set()  # they turn with the whole body
+        limits = LimitsFit()
         for key, path in recordings.items():
             try:
                 motion = load_recording(path, fps)
@@ -60,16 +62,16 @@ class ReferenceStatistics:
             except GestureKitError as error:
                 statistics.excluded.append(Excluded(key, str(error), "the set of recordings"))
                 continue
-            statistics.recordings[key] = motion
+            statistics.recordings.append(key)
+            roots |= {motion.skeleton.names[0], *motion.joint_translations}
+            limits.add(motion, joints)
             for name, column in zip(joints, speed.T, strict=True):
                 total, count = sums.get(name, (0.0, 0))
                 sums[name] = total + float(column.sum()), count + len(column)
         statistics.mean_speed = {name: total / count for name, (total, count) in sums.items()}
-        kept = list(statistics.recordings.values())
-        roots = _roots(kept)
         turning = [name for name in joints if name not in roots]
-        if kept and turning:
-            statistics.limits = JointLimits.fit(kept, turning)
+        if statistics.recordings and turning:
+            statistics.limits = limits.result().of_joints(turning)
         return statistics
 
     def digest(self) -> str:
@@ -80,14 +82,6 @@ class ReferenceStatistics:
             for values in (self.limits.mean, self.limits.low, self.limits.high):
                 found.update(np.ascontiguousarray(values))
         return found.hexdigest()
-
-
-def _roots(motions: Iterable[Motion]) -> set[str]:
-    """Return the root and all joints with a translation: they turn with the whole body."""
-    roots: set[str] = set()
-    for motion in motions:
-        roots |= {motion.skeleton.names[0], *motion.joint_translations}
-    return roots
 
 
 @dataclass(eq=False)

@@ -18,6 +18,7 @@ from gesturekit.evaluation.measuring.baselines import held, mean_pose
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import Clip, load_recording
 from gesturekit.evaluation.measuring.rigs import RETARGETED, matched
+from gesturekit.evaluation.measuring.samples import copied
 from gesturekit.evaluation.measuring.speakers import own_windows
 from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.pairs import Pair
@@ -140,7 +141,7 @@ class _Judge:
         for pair in pairs:
             try:
                 motion = load_recording(pair.reference, self.fps)
-                motion = motion.slice(0, min(motion.n_frames, round(LONGEST * motion.fps)))
+                motion = copied(motion, 0, min(motion.n_frames, round(LONGEST * motion.fps)))
                 found.append(self._measured(pair, motion))
             except GestureKitError:
                 continue

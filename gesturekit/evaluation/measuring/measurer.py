@@ -29,6 +29,7 @@ from gesturekit.evaluation.measuring.content import (
 )
 from gesturekit.evaluation.measuring.levels import likeness_levels
 from gesturekit.evaluation.measuring.pooled import PooledMetrics, Window
+from gesturekit.evaluation.measuring.samples import MotionSample
 from gesturekit.evaluation.measuring.set_metrics import (
     SetMetrics,
     pooled,
@@ -159,22 +160,23 @@ class Measurer:
         clip_set = SetMetrics(
             measure, self.seed, PooledMetrics(training, self.seed, self._of_recordings)
         )
-        windows, speeds, wrists = {}, {}, {}
+        recorded, speeds, wrists = MotionSample(self.seed), {}, {}
         for pair in self.pairs[portion.label] if groups else ():
             try:
                 clip = load_clip(pair, self.fps, self.without)
             except (GestureKitError, AudioFeaturesError):
                 continue  # reported by `clip`
             window = (pair.stem, pair.window)
-            if window not in windows:
-                windows[window] = clip.recording if portion.part == "frechet" else None
+            if window not in speeds:
+                if portion.part == "frechet":
+                    recorded.add(clip.recording)
                 speeds[window] = SpeedHistogram.of([speeds_of(clip.recording, clip.joints)])
                 wrists[window] = wrists_of(clip.recording)
             clip_set.add(clip, speeds[window])
-        if not windows:
+        if not speeds:
             metrics: dict[str, MetricResult] = {}
         elif portion.part == "frechet":
-            metrics = self._frechet(clip_set, windows)
+            metrics = self._frechet(clip_set, recorded, set(speeds))
         else:
             metrics = clip_set.pooled()
         values = {
@@ -195,8 +197,7 @@ class Measurer:
         own = {name: self._with_itself(name, source) for name, source in self.recordings.items()}
 
         def compute() -> dict[str, list]:
-            motions = self.measure.statistics.recordings
-            found = ceilings(motions, own, self.measure, self.features, self.seed)
+            found = ceilings(own, self.fps, self.measure, self.features, self.seed)
             return {name: [asdict(value), note] for name, (value, note) in found.items()}
 
         parts = ["ceilings", list(own), self.features and self.features.fingerprint]
@@ -259,8 +260,8 @@ class Measurer:
             every += [content_of(ItemInterval(item)) for item in self.reference.training]
         if None in every:
             return None
-        names = list(dict.fromkeys((pair.stem, pair.window) for pair in pairs))
-        order = [names.index((pair.stem, pair.window)) for pair in pairs]
+        names: dict[Window, int] = {}
+        order = [names.setdefault((pair.stem, pair.window), len(names)) for pair in pairs]
         model = self.features and self.features.fingerprint
         return digest_of(
             [self._settings, portion.part, every, order, _nesting(pairs), model, self.seed]
@@ -290,12 +291,16 @@ class Measurer:
             self._contents[pair] = digest_of([contents, pair.window]) if known else None
         return self._contents[pair]
 
-    def _frechet(self, clip_set: SetMetrics, windows: Mapping[Window, Any]) -> dict[str, Any]:
-        full = [load_recording(source, self.fps) for source in self.recordings.values()]
-        whole = {(key, None) for key in self.recordings}
-        seen = sorted(windows, key=lambda window: (window[0], window[1] or 0))
-        compared = None if set(seen) == whole else [windows[window] for window in seen]
-        return clip_set.frechet(full, compared, self.features)
+    def _frechet(
+        self, clip_set: SetMetrics, recorded: MotionSample, seen: set[Window]
+    ) -> dict[str, MetricResult]:
+        """Compute the Fréchet distances of clips; `recorded` are the recordings of the clips."""
+        if seen == {(key, None) for key in self.recordings}:
+            return clip_set.frechet(recorded, None, self.features)
+        full = MotionSample(self.seed)
+        for source in self.recordings.values():
+            full.add(load_recording(source, self.fps))
+        return clip_set.frechet(full, recorded, self.features)
 
     def _mismatched(self, clip: Clip, label: str) -> dict[str, float]:
         """Measure the clip with the sounds, and the motion, of other recordings."""
@@ -339,10 +344,8 @@ class Measurer:
 
     def portable(self) -> Measurer:
         """Return the measurer for worker processes, without motion in memory."""
-        statistics = replace(self.measure.statistics, recordings={})
-        measure = replace(self.measure, statistics=statistics)
         pairs = {key: pairs for key, pairs in self.pairs.items() if key not in self.local}
-        return replace(self, measure=measure, pairs=pairs)
+        return replace(self, pairs=pairs)
 
 
 def _after(items: list, item: Any, count: int) -> list:
@@ -353,10 +356,14 @@ def _after(items: list, item: Any, count: int) -> list:
 
 def _nesting(pairs: Sequence[Pair]) -> list[tuple[int, ...]]:
     """Return the numbers of each clip's take, speaker and style, in order of appearance."""
-    styles = list(dict.fromkeys(pair.style for pair in pairs))
-    takes = list(dict.fromkeys((pair.speaker, pair.take) for pair in pairs))
-    speakers = list(dict.fromkeys(pair.speaker for pair in pairs))
+    takes: dict[tuple[str | None, str], int] = {}
+    speakers: dict[str | None, int] = {}
+    styles: dict[str | None, int] = {}
     return [
-        (takes.index((p.speaker, p.take)), speakers.index(p.speaker), styles.index(p.style))
-        for p in pairs
+        (
+            takes.setdefault((pair.speaker, pair.take), len(takes)),
+            speakers.setdefault(pair.speaker, len(speakers)),
+            styles.setdefault(pair.style, len(styles)),
+        )
+        for pair in pairs
     ]

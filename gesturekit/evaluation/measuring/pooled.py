@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from gesturekit.errors import GestureKitError, MotionError
 from gesturekit.evaluation.measuring.clips import Clip
+from gesturekit.evaluation.measuring.samples import MotionSample
 from gesturekit.evaluation.measuring.speakers import (
     TRAINING_SECONDS,
     SpeakerClips,
@@ -25,6 +26,7 @@ from gesturekit.evaluation.metrics.hands import (
     HAND_KEYS,
     LEAST_SEEDS,
     NOMINAL,
+    Hands,
     calibration,
     calm_and_lively,
     hand_level,
@@ -46,7 +48,7 @@ from gesturekit.evaluation.results import Level, MetricResult
 from gesturekit.evaluation.statistics.groups import groups_of
 from gesturekit.evaluation.statistics.intervals import whole_set
 from gesturekit.evaluation.statistics.levels import CEILING, level_of
-from gesturekit.motion import Motion
+from gesturekit.motion import Motion, Skeleton
 
 ENOUGH_CALM = 16
 """Windows from which the correlation of calm and lively stretches is informative. Where the true
@@ -72,24 +74,41 @@ class PooledMetrics:
         self.seed = seed
         self._known = {} if known is None else known
         self.problems: list[tuple[str, str]] = []
-        self._pairs: dict[Window, Pair] = {}
-        self._recorded: dict[Window, Motion] = {}
-        self._generated: dict[Window, list[Motion]] = {}
-        self._joints: dict[Window, tuple[str, ...]] = {}  # that all clips of the recording have
-        self._added: list[tuple[Window, int]] = []  # window and sample of each clip
+        self._of_window: dict[Window, _Window] = {}
+        self._window_of: list[int] = []  # number of each clip's window
+        self._recorded, self._generated = MotionSample(seed), MotionSample(seed)
+        self._without_hands: MotionError | None = None
+        self._digest = hashlib.sha256()  # of the recordings
         self._by_clip: dict[str, dict[int, float]] = {}  # {key: {number of the clip: value}}
 
     def add(self, clip: Clip) -> None:
         """Add a clip and its recording."""
-        window = (clip.pair.stem, clip.pair.window)
-        if window not in self._recorded:
-            self._recorded[window] = at_rate(clip.recording, FPS)
-            self._pairs[window] = clip.pair
-        samples = self._generated.setdefault(window, [])
-        self._added.append((window, len(samples)))
-        samples.append(at_rate(clip.generated, FPS))
-        known = self._joints.get(window, clip.joints)
-        self._joints[window] = tuple(name for name in known if name in clip.joints)
+        key = (clip.pair.stem, clip.pair.window)
+        if key not in self._of_window:
+            motion = at_rate(clip.recording, FPS)
+            self._recorded.add(motion)
+            self._digest.update(np.ascontiguousarray(motion.rotations))
+            self._of_window[key] = _Window(
+                len(self._of_window),
+                clip.pair,
+                motion.skeleton,
+                clip.joints,
+                self._hands_of(motion),
+            )
+        window = self._of_window[key]
+        window.joints = tuple(name for name in window.joints if name in clip.joints)
+        self._window_of.append(window.number)
+        motion = at_rate(clip.generated, FPS)
+        self._generated.add(motion)
+        window.samples += self._hands_of(motion)
+
+    def _hands_of(self, motion: Motion) -> list[Hands]:
+        """Return the hands of a motion; without any, return nothing and keep the error."""
+        try:
+            return [Hands.of(motion)]
+        except MotionError as error:
+            self._without_hands = self._without_hands or error
+            return []
 
     def pooled(self) -> dict[str, MetricResult]:
         """Compute the metrics; those that fail are listed in `problems`."""
@@ -109,37 +128,44 @@ class PooledMetrics:
 
     def by_clip(self) -> list[dict[str, float]]:
         """Return the measures of each clip, in the order of `add`, after `pooled`."""
-        numbers = {}
-        for window, samples in self._generated.items():
-            for sample in range(len(samples)):
-                numbers[window, sample] = len(numbers)
         return [
             {key: values[n] for key, values in self._by_clip.items() if n in values}
-            for n in (numbers[added] for added in self._added)
+            for n in range(len(self._window_of))
         ]
 
     @cached_property
     def _groups(self) -> list[SpeakerClips]:
-        """Clips by speaker (and style)."""
-        names = groups_of(list(self._pairs.values()))
-        numbers = iter(range(len(self._added)))
-        numbered = {w: [next(numbers) for _ in clips] for w, clips in self._generated.items()}
+        """Clips by speaker (and style), of those in the samples."""
+        names = groups_of([window.pair for window in self._of_window.values()])
+        generated = sorted(  # in the order of their recordings
+            zip(self._generated.owners, self._generated.motions),
+            key=lambda clip: self._window_of[clip[0]],
+        )
         groups = []
         for name in dict.fromkeys(names):
-            windows = [window for window, of in zip(self._pairs, names) if of == name]
-            clips = [(n, m) for w in windows for n, m in zip(numbered[w], self._generated[w])]
-            known = [set(self._joints[window]) for window in windows]
-            rig = self._recorded[windows[0]].skeleton
+            windows = [w for w, of in zip(self._of_window.values(), names) if of == name]
+            recorded = [
+                (number, motion)
+                for number, motion in zip(self._recorded.owners, self._recorded.motions)
+                if names[number] == name
+            ]
+            clips = [(n, m) for n, m in generated if names[self._window_of[n]] == name]
+            if not recorded or not clips:
+                continue
+            pairs = {window.number: window.pair for window in windows}
+            known = [set(window.joints) for window in windows]
+            rig = windows[0].skeleton
             joints = tuple(n for n in upper_joints(rig) if all(n in one for one in known))
             groups.append(
                 SpeakerClips(
-                    recorded=[self._recorded[window] for window in windows],
-                    takes=[self._pairs[window].take for window in windows],
+                    recorded=[motion for _, motion in recorded],
+                    recordings=np.array([number for number, _ in recorded]),
+                    takes=[pairs[number].take for number, _ in recorded],
                     generated=[motion for _, motion in clips],
-                    numbers=[number for number, _ in clips],
-                    recording_of=[i for i, w in enumerate(windows) for _ in numbered[w]],
+                    clips=np.array([number for number, _ in clips]),
+                    recording_of=self._window_of,
                     joints=joints,
-                    training=self.training.of_speaker(self._pairs[windows[0]].speaker, joints),
+                    training=self.training.of_speaker(windows[0].pair.speaker, joints),
                 )
             )
         return groups
@@ -152,11 +178,13 @@ class PooledMetrics:
         note: str = "",
         informative: bool = True,
     ) -> MetricResult:
-        interval = whole_set(value, sum(map(len, self._generated.values())))
+        interval = whole_set(value, self._generated.count)
         return MetricResult(key, interval, recording, note=note, informative=informative)
 
     def _hands(self) -> dict[str, MetricResult]:
-        ours, theirs = map(hand_values, (self._all_generated(), self._all_recorded()))
+        samples = [hands for window in self._with_hands for hands in window.samples]
+        recorded = [hands for window in self._with_hands for hands in window.recorded]
+        ours, theirs = map(hand_values, (samples, recorded))
         trained = self._once("hands", self._trained_hands)
         results = {}
         for key in HAND_KEYS:
@@ -168,6 +196,17 @@ class PooledMetrics:
                 self.problems.append((key, "the clips are too short, or the hands never move"))
         return results
 
+    @property
+    def _with_hands(self) -> list[_Window]:
+        """The windows, with the hands of all their motions.
+
+        Raises:
+            MotionError: a motion has none.
+        """
+        if self._without_hands is not None:
+            raise self._without_hands
+        return list(self._of_window.values())
+
     def _trained_hands(self) -> dict[str, float]:
         """Return the hand values of the training recordings; {} without these.
 
@@ -177,25 +216,27 @@ class PooledMetrics:
         return {key: value for key, value in found.items() if np.isfinite(value)}
 
     def _calm_and_lively(self) -> dict[str, MetricResult]:
-        found = calm_and_lively(self._all_recorded(), list(self._generated.values()))
+        recorded = [hands for window in self._with_hands for hands in window.recorded]
+        found = calm_and_lively(recorded, [window.samples for window in self._with_hands])
         values = {"calm_lively_r": found.r, "calm_lively_slope": found.slope}
         note, enough = f"{found.n} windows", found.n >= ENOUGH_CALM
         return {key: self._result(key, value, 1.0, note, enough) for key, value in values.items()}
 
     def _calibration(self) -> dict[str, MetricResult]:
         """Return the calibration of a model with enough samples of each clip; {} for others."""
-        if min(map(len, self._generated.values())) < LEAST_SEEDS or len(self._generated) < 2:
+        counts = np.bincount(self._window_of)
+        if counts.min() < LEAST_SEEDS or len(counts) < 2:
             return {}
-        recorded = self._all_recorded()
-        length = round(float(np.median([motion.n_frames for motion in recorded])))
+        recorded = [hands for window in self._with_hands for hands in window.recorded]
+        length = round(float(np.median([len(hands.paths) for hands in recorded])))
         speaker = [
             hand_level(motion.slice(start, start + length))
             for motion in self.training.motions
             for start in range(0, motion.n_frames - length + 1, length)
         ]
         found = calibration(
-            [[hand_level(motion) for motion in samples] for samples in self._generated.values()],
-            [hand_level(motion) for motion in recorded],
+            [[hand_level(hands) for hands in window.samples] for window in self._with_hands],
+            [hand_level(hands) for hands in recorded],
             speaker,
         )
         note = f"{found.clips} clips of {found.seeds} samples"
@@ -216,7 +257,7 @@ class PooledMetrics:
             votes.append((right.sum(), drawn.sum()))
             self._vote(group, right, drawn, ours, theirs)
             ahead.append(100.0 * forward_votes(ours, theirs, back))
-            self._keep("forward", group, _clip_means(ours, ahead[-1]))
+            self._keep("forward", _clip_means(group.clips[ours.clips], ahead[-1]))
             reached.append((len(theirs), 100.0 * within_reach(ours, theirs, seed=self.seed)))
         right, drawn = np.sum(votes, axis=0)
         windows, reach = np.transpose(reached)
@@ -251,25 +292,19 @@ class PooledMetrics:
     ) -> None:
         """Keep the 1-NN accuracy of each clip: the mean of its windows' and its recording's."""
         n = len(ours)
-        mine, own = (
-            {
-                clip: right[side][windows.clips == clip].sum() / count
-                for clip in set(windows.clips.tolist())
-                if (count := drawn[side][windows.clips == clip].sum())
-            }
-            for side, windows in ((slice(n), ours), (slice(n, None), theirs))
-        )
+        mine = _shares(group.clips[ours.clips], right[:n], drawn[:n])
+        own = _shares(group.recordings[theirs.clips], right[n:], drawn[n:])
         accuracies = {
             clip: float(value + own[recording]) / 2
             for clip, value in mine.items()
             if (recording := group.recording_of[clip]) in own
         }
-        self._keep("one_nn", group, accuracies)
+        self._keep("one_nn", accuracies)
 
-    def _keep(self, key: str, group: SpeakerClips, values: Mapping[int, float]) -> None:
-        """Keep the values of the clips of a group, by their index in it."""
+    def _keep(self, key: str, values: Mapping[int, float]) -> None:
+        """Keep values of clips, by number."""
         known = self._by_clip.setdefault(key, {})
-        known |= {group.numbers[clip]: value for clip, value in values.items()}
+        known |= values
 
     def _copying(self) -> dict[str, MetricResult]:
         rng = np.random.default_rng(self.seed)
@@ -278,7 +313,7 @@ class PooledMetrics:
             among = self._among(group.joints) or _at_most(group.recorded)
             ours = subsample(motion_windows(group.generated, group.joints), rng)
             every.append(nearest_training(ours, among, group.joints))
-            self._keep("copying", group, _clip_means(ours, every[-1], np.median))
+            self._keep("copying", _clip_means(group.clips[ours.clips], every[-1], np.median))
         distances = np.concatenate(every)
         median, low, ceiling = self._once("copying", self._own_copying)
         if median > 0.0:
@@ -323,18 +358,11 @@ class PooledMetrics:
 
     def _once(self, name: str, compute: Callable[[], Any]) -> Any:
         """Return a value of the recordings, computed once for all models that share them."""
-        key = (name, tuple(group.joints for group in self._groups), self._recordings)
+        # A model lacks the recordings whose clips cannot be read.
+        key = (name, tuple(group.joints for group in self._groups), self._digest.hexdigest())
         if key not in self._known:
             self._known[key] = compute()
         return self._known[key]
-
-    @cached_property
-    def _recordings(self) -> str:
-        """Digest of the recordings: a model lacks those whose clips cannot be read."""
-        digest = hashlib.sha256()
-        for motion in self._recorded.values():
-            digest.update(np.ascontiguousarray(motion.rotations))
-        return digest.hexdigest()
 
     def _compared(self) -> str:
         """Return how recordings are compared with recordings, in words."""
@@ -345,22 +373,44 @@ class PooledMetrics:
             return "each take against the speaker's others"
         return "one half against the other"
 
-    def _all_recorded(self) -> list[Motion]:
-        return list(self._recorded.values())
 
-    def _all_generated(self) -> list[Motion]:
-        return [motion for samples in self._generated.values() for motion in samples]
+@dataclass
+class _Window:
+    """A recording and the hands of the clips for it.
+
+    Attributes:
+        number: number of the recording, from 0.
+        pair: its first clip.
+        skeleton: its rig.
+        joints: names of the joints that all its clips have.
+        recorded: its hands; empty for a rig without.
+        samples: hands of its clips.
+    """
+
+    number: int
+    pair: Pair
+    skeleton: Skeleton
+    joints: tuple[str, ...]
+    recorded: list[Hands]
+    samples: list[Hands] = field(default_factory=list)
+
+
+def _shares(owners: np.ndarray, right: np.ndarray, drawn: np.ndarray) -> dict[int, float]:
+    """Return {number of a clip: fraction of the draws of its windows (N,) that were right}."""
+    total, good = (np.bincount(owners, weights=votes) for votes in (drawn, right))
+    return {int(n): good[n] / total[n] for n in np.flatnonzero(total)}
 
 
 def _clip_means(
-    windows: MotionWindows,
+    owners: np.ndarray,
     values: np.ndarray,
     mean: Callable[[np.ndarray], float] = np.mean,
 ) -> dict[int, float]:
-    """Return {number of a clip: mean of its windows' values}."""
-    return {
-        clip: float(mean(values[windows.clips == clip])) for clip in set(windows.clips.tolist())
-    }
+    """Return {number of a clip: mean of the values of its windows (N,)}."""
+    order = np.argsort(owners, kind="stable")
+    clips, first = np.unique(owners[order], return_index=True)
+    parts = np.split(values[order], first[1:])
+    return {clip: float(mean(part)) for clip, part in zip(clips.tolist(), parts)}
 
 
 def _at_most(motions: list[Motion], seconds: float = TRAINING_SECONDS) -> list[Motion]:

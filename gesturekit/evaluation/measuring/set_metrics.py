@@ -21,6 +21,7 @@ from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import Clip
 from gesturekit.evaluation.measuring.inputs import SetInputs, compute
 from gesturekit.evaluation.measuring.pooled import PooledMetrics
+from gesturekit.evaluation.measuring.samples import MotionSample
 from gesturekit.evaluation.metrics import physical, similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.frechet.frechet import FrechetResult
@@ -43,6 +44,8 @@ INTER_SAMPLES = 20
 ENOUGH_WINDOWS = 32
 """Windows from which FGD is informative: from fewer, a covariance says so little that motion that
 hardly moves may be nearer to the recordings than other recordings are."""
+INDEPENDENT = 0.8
+"""Takes for each motion, or piece of one, from which a bootstrap over motions gives an interval."""
 _WRISTS = 20_000
 _CCA_FRAMES = 50_000  # frames that the global CCA is fitted on, at most
 
@@ -60,7 +63,7 @@ class SetMetrics:
         self.measure = measure
         self.seed = seed
         self.pooled_metrics = pooled_metrics
-        self.motions: list[Motion] = []
+        self.sample = MotionSample(seed)
         self.histograms: list[SpeedHistogram] = []
         self.recorded: list[SpeedHistogram] = []
         self.wrists: list[np.ndarray] = []
@@ -89,7 +92,7 @@ class SetMetrics:
         if POOLED in groups:
             self.pooled_metrics.add(clip)
         if FRECHET in groups:
-            self.motions.append(clip.generated)
+            self.sample.add(clip.generated)
             known = clip.joints if self._shared is None else self._shared
             self._shared = tuple(name for name in known if name in clip.joints)
         if SIMILARITY in groups:
@@ -118,8 +121,8 @@ class SetMetrics:
 
     def frechet(
         self,
-        full: Sequence[Motion],
-        compared: Sequence[Motion] | None,
+        full: MotionSample,
+        compared: MotionSample | None,
         model: FeatureModel | None,
     ) -> dict[str, MetricResult]:
         """Compute Fréchet distances to the full set of recordings, and the diversity of clips.
@@ -145,23 +148,25 @@ class SetMetrics:
     def _of_sets(
         self,
         definition: Definition,
-        full: Sequence[Motion],
-        compared: Sequence[Motion] | None,
+        full: MotionSample,
+        compared: MotionSample | None,
         model: FeatureModel | None,
     ) -> MetricResult | None:
         """Return one metric of `frechet`; None if it needs a feature extractor."""
 
-        def taken(motions: Sequence[Motion]) -> Any | None:
-            return compute(definition, SetInputs(motions, full, model, self._shared, self.seed))
+        def taken(sample: MotionSample) -> Any | None:
+            sides = sample.motions, full.motions
+            return compute(definition, SetInputs(*sides, model, self._shared, self.seed))
 
-        ours = taken(self.motions)
+        ours = taken(self.sample)
         if ours is None:
             return None
         if definition.of == "distance":
             top = None if compared is None else taken(compared)
-            apart = Takes.of(self._pairs).count == len(self._pairs)
+            takes = Takes.of([self._pairs[owner] for owner in self.sample.owners]).count
+            apart = takes >= INDEPENDENT * len(self.sample.owners)
             return _frechet(definition.key, ours, top, apart)
-        interval = whole_set(ours, len(self.motions))
+        interval = whole_set(ours, self.sample.count)
         return MetricResult(definition.key, interval, taken(full if compared is None else compared))
 
     def _try(

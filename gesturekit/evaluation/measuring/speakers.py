@@ -10,6 +10,7 @@ import numpy as np
 
 from gesturekit.errors import GestureKitError, MotionError
 from gesturekit.evaluation.measuring.clips import load_recording
+from gesturekit.evaluation.measuring.samples import copied
 from gesturekit.evaluation.metrics.hands import FPS
 from gesturekit.evaluation.metrics.two_sample import (
     forward_votes,
@@ -60,7 +61,7 @@ class TrainingMotion:
             except GestureKitError as error:
                 found.excluded.append(Excluded(item.id, str(error), "the training split"))
                 continue
-            motion = motion.slice(0, min(motion.n_frames, round(left * FPS)))
+            motion = copied(motion, 0, min(motion.n_frames, round(left * FPS)))
             left -= motion.duration
             found.motions.append(motion)
             found.speakers.append(item.speaker)
@@ -83,23 +84,25 @@ class TrainingMotion:
 
 @dataclass(frozen=True)
 class SpeakerClips:
-    """Clips of one speaker (and style) with their recordings; see `groups_of`.
+    """Clips of one speaker (and style) with their recordings, or pieces of them; see `groups_of`.
 
     Attributes:
         recorded: (R) recordings.
+        recordings: (R) number of each among the recordings of all groups; pieces share it.
         takes: (R) take of each.
         generated: (C) clips, in the order of their recordings.
-        numbers: (C) number of each clip among the clips of all groups.
-        recording_of: (C) index of each clip's recording.
+        clips: (C) number of each among the clips of all groups.
+        recording_of: number of the recording of each clip of all groups.
         joints: upper-body joints that all clips have.
         training: motion of the speaker's training split.
     """
 
     recorded: list[Motion]
+    recordings: np.ndarray
     takes: list[str]
     generated: list[Motion]
-    numbers: list[int]
-    recording_of: list[int]
+    clips: np.ndarray
+    recording_of: Sequence[int]
     joints: tuple[str, ...]
     training: list[Motion]
 

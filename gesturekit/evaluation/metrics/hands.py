@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -42,6 +43,35 @@ CALM_WINDOW, CALM_HOP = 5.0, 2.5
 _NO_MOVEMENT = 1e-6  # m/s; less is rounding
 
 Motions = Motion | Sequence[Motion]
+
+
+@dataclass(frozen=True, eq=False)
+class Hands:
+    """Hands of a motion at 25 fps: all that metrics of hand movement need of it.
+
+    Attributes:
+        paths: (T, 2, 3) body-centred positions of the left and the right wrist, metres.
+        scale: size of the body relative to the reference body.
+    """
+
+    paths: np.ndarray
+    scale: float
+
+    @classmethod
+    def of(cls, motion: Motion | Hands) -> Hands:
+        """Return the hands of a motion; see `hand_paths`."""
+        if isinstance(motion, Hands):
+            return motion
+        return cls(hand_paths(motion), body_scale(motion.skeleton))
+
+    @cached_property
+    def speed(self) -> np.ndarray:
+        """(T, 2) speed of both hands, m/s; see `hand_speed`."""
+        return np.linalg.norm(velocities(self.paths), axis=-1)
+
+
+HandMotions = Motions | Hands | Sequence[Hands]
+"""Motions, or their hands alone."""
 LEAST_SEEDS = 9
 """Seeds from which an interval between two ranks covers 80 %: those of the lowest and highest."""
 NOMINAL = 80.0
@@ -205,7 +235,7 @@ def hand_speed(motion: Motion) -> np.ndarray:
         >>> np.allclose(hand_speed(motion.scaled(2)), 2 * hand_speed(motion))
         True
     """
-    return np.linalg.norm(velocities(hand_paths(motion)), axis=-1)
+    return Hands.of(motion).speed
 
 
 def velocities(paths: np.ndarray) -> np.ndarray:
@@ -224,7 +254,7 @@ def velocities(paths: np.ndarray) -> np.ndarray:
     return gaussian_filter1d(steps, SIGMA, axis=0, mode="nearest")
 
 
-def hand_movement(motions: Motions) -> HandMovement:
+def hand_movement(motions: HandMotions) -> HandMovement:
     """Measure how much, how far and how variedly the hands move.
 
     Args:
@@ -240,13 +270,10 @@ def hand_movement(motions: Motions) -> HandMovement:
         >>> round(hand_movement(motion.scaled(2)).reach / hand_movement(motion).reach, 6)
         2.0
     """
-    motions = as_list(motions)
-    paths = [hand_paths(motion) for motion in motions]
-    speeds = [np.linalg.norm(velocities(path), axis=-1) for path in paths]
+    hands = [Hands.of(motion) for motion in as_list(motions)]
+    speeds = [one.speed for one in hands]
     pooled = np.concatenate(speeds)
-    relative = np.concatenate(
-        [speed / body_scale(motion.skeleton) for speed, motion in zip(speeds, motions)]
-    )
+    relative = np.concatenate([one.speed / one.scale for one in hands])
     q10, q50, q90, q99 = map(float, np.quantile(pooled, (0.1, 0.5, 0.9, 0.99)))
     means = np.concatenate([_window_means(speed, RANGE_WINDOW, RANGE_HOP) for speed in speeds])
     moves = len(means) > 1 and means.mean() > _NO_MOVEMENT
@@ -258,12 +285,12 @@ def hand_movement(motions: Motions) -> HandMovement:
         q99,
         rest=float((relative < REST).mean()),
         near_still=float((relative < STILL).mean()),
-        reach=_reach(np.concatenate(paths)),
+        reach=_reach(np.concatenate([one.paths for one in hands])),
         range=float(contrast),
     )
 
 
-def calm_and_lively(recorded: Motions, generated: Sequence[Motions]) -> CalmAndLively:
+def calm_and_lively(recorded: HandMotions, generated: Sequence[HandMotions]) -> CalmAndLively:
     """Compare calm and lively stretches of recorded and generated motion.
 
     Mean hand speed in windows of 5 s (hop 2.5 s), windows of all recordings pooled.
@@ -287,7 +314,7 @@ def calm_and_lively(recorded: Motions, generated: Sequence[Motions]) -> CalmAndL
     recorded = as_list(recorded)
     x, y = [], []
     for recording, samples in zip(recorded, generated, strict=True):
-        speeds = [hand_speed(motion) for motion in (recording, *as_list(samples))]
+        speeds = [Hands.of(one).speed for one in (recording, *as_list(samples))]
         n = min(map(len, speeds))
         own, *others = (_window_means(speed[:n], CALM_WINDOW, CALM_HOP) for speed in speeds)
         x.append(own)
@@ -306,13 +333,13 @@ def calm_and_lively(recorded: Motions, generated: Sequence[Motions]) -> CalmAndL
     return CalmAndLively(r, slope, len(x))
 
 
-def as_list(motions: Motions) -> list[Motion]:
+def as_list(motions: HandMotions) -> list[Motion | Hands]:
     """Return one or several motions as a list.
 
     Raises:
         MotionError: there is none.
     """
-    motions = [motions] if isinstance(motions, Motion) else list(motions)
+    motions = [motions] if isinstance(motions, Motion | Hands) else list(motions)
     if not motions:
         raise MotionError("no motion to measure")
     return motions
@@ -354,7 +381,7 @@ HAND_KEYS = tuple(key for key, _ in _HANDS.values())
 """Keys of `definitions` of the hand movement."""
 
 
-def hand_values(motion: Motions) -> dict[str, float]:
+def hand_values(motion: HandMotions) -> dict[str, float]:
     """Return {key of `definitions`: value} of the hand movement of motions, pooled.
 
     A value that is not defined is NaN.
@@ -399,7 +426,7 @@ class Calibration:
     seeds: int
 
 
-def hand_level(motion: Motion) -> float:
+def hand_level(motion: Motion | Hands) -> float:
     """Return the level of a clip: the logarithm of its mean hand speed, relative to the body.
 
     Raises:
@@ -413,8 +440,8 @@ def hand_level(motion: Motion) -> float:
         >>> round(hand_level(gk.Motion(rig, still, np.zeros((75, 3)), 25)), 2)
         -4.61
     """
-    speed = np.linalg.norm(velocities(hand_paths(motion)), axis=-1) / body_scale(motion.skeleton)
-    return float(np.log(speed.mean() + _LEVEL_FLOOR))
+    hands = Hands.of(motion)
+    return float(np.log((hands.speed / hands.scale).mean() + _LEVEL_FLOOR))
 
 
 def calibration(

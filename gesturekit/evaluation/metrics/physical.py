@@ -42,6 +42,8 @@ HARDLY_MOVING = 0.05
 NEAR = 0.025
 """H of Zhang et al. 2018: height above standing from which a foot point is in the air, metres on
 the reference body."""
+MEAN_FRAMES = 100_000
+"""Frames of recordings that the mean rotations of `LimitsFit` are taken of."""
 MARGIN = np.deg2rad(5.0)
 """Radians by which a joint may exceed its recorded range."""
 
@@ -413,13 +415,64 @@ class JointLimits:
         Raises:
             MotionError: no motions, or a joint that one of them lacks.
         """
-        rotations = [_rotations(motion, joints) for motion in motions]
-        if not rotations:
+        fit = LimitsFit()
+        for motion in motions:
+            fit.add(motion, joints)
+        return fit.result()
+
+    def of_joints(self, names: Sequence[str]) -> JointLimits:
+        """Return the limits of some of the joints."""
+        kept = [self.joints.index(name) for name in names]
+        return JointLimits(tuple(names), self.mean[kept], self.low[kept], self.high[kept])
+
+
+class LimitsFit:
+    """Learns `JointLimits` from one recording after another, in bounded memory.
+
+    The limits are exact; the mean rotation, from which they are measured, is that of the first
+    `MEAN_FRAMES` frames (and the rest of their recording).
+    """
+
+    def __init__(self) -> None:
+        self._joints: tuple[str, ...] = ()
+        self._waiting: list[np.ndarray] = []
+        self._mean: np.ndarray | None = None
+        self._low, self._high = np.inf, -np.inf
+
+    def add(self, motion: Motion, joints: Sequence[str]) -> None:
+        """Add a recording; `joints` are the same for all.
+
+        Raises:
+            MotionError: the recording lacks a joint.
+        """
+        self._joints = tuple(joints)
+        self._waiting.append(_rotations(motion, joints))
+        if self._mean is not None or sum(map(len, self._waiting)) > MEAN_FRAMES:
+            self._measure()
+
+    def result(self) -> JointLimits:
+        """Return the limits.
+
+        Raises:
+            MotionError: no recording was added.
+        """
+        if self._waiting:
+            self._measure()
+        if self._mean is None:
             raise MotionError("no recording to learn joint limits from")
-        stacked = np.concatenate(rotations)
-        mean = np.stack([mean_quaternion(stacked[:, j]) for j in range(stacked.shape[1])])
-        away = _away(stacked, mean)
-        return cls(tuple(joints), mean, away.min(axis=0) - MARGIN, away.max(axis=0) + MARGIN)
+        return JointLimits(self._joints, self._mean, self._low - MARGIN, self._high + MARGIN)
+
+    def _measure(self) -> None:
+        """Widen the limits to the rotations that wait."""
+        if self._mean is None:
+            stacked = np.concatenate(self._waiting)
+            columns = range(stacked.shape[1])
+            self._mean = np.stack([mean_quaternion(stacked[:, j]) for j in columns])
+        for rotations in self._waiting:
+            away = _away(rotations, self._mean)
+            self._low = np.minimum(self._low, away.min(axis=0))
+            self._high = np.maximum(self._high, away.max(axis=0))
+        self._waiting.clear()
 
 
 def joint_limit_share(motion: Motion, limits: JointLimits) -> float:

@@ -34,6 +34,10 @@ CONSISTENCY_SPEED = 0.1
 SHIFT_STEP = 0.1
 """Seconds between two circular shifts of the sound, for the chance level."""
 
+MOST_SHIFTS = 1000
+"""Shifts of the sound, at most; of longer clips than 102 s, evenly spaced ones are taken."""
+
+_BLOCK = 1_000_000  # shifts times beats that are compared at a time
 _ONSET_RATE, _ONSET_HOP = 16_000, 512
 _STILL = 1e-6  # m/s on the reference body; a speed that varies less has no beats
 
@@ -315,8 +319,14 @@ def beat_result(
     if len(shifts) == 0:
         note = f"too short ({duration:.1f} s) to shift by more than {MIN_SHIFT:g} s: chance unknown"
         return BeatResult(score, 0.0, 0.0, 0.0, count, len(beats), note)
-    moved = (beats[None] + shifts[:, None]) % duration
-    chance = np.mean([_met(moved, times, sigma) for times in found], axis=0)
+    shifts = shifts[:: -(-len(shifts) // MOST_SHIFTS)]
+    blocks = np.array_split(shifts, -(-len(shifts) * len(beats) // _BLOCK))
+    chance = np.concatenate(
+        [
+            np.mean([_met(moved, times, sigma) for times in found], axis=0)
+            for moved in ((beats[None] + block[:, None]) % duration for block in blocks)
+        ]
+    )
     mean, sd = float(chance.mean()), float(chance.std())
     z = (score - mean) / sd if sd > 1e-9 else 0.0
     return BeatResult(score, mean, sd, z, count, len(beats))

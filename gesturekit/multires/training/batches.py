@@ -9,13 +9,15 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.config import MultiresConfig, TrainingConfig
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.skeleton_conv import Convolve
 from gesturekit.multires.recall.library import RecallLibrary
-from gesturekit.multires.training.data import PairedSequence, TrainingData
+from gesturekit.multires.training.data import TrainingData
+from gesturekit.multires.training.sequences import PairedSequence
 from gesturekit.multires.training.window_cache import WindowCache, Windows
 from gesturekit.training.seeds import rng_for
+from gesturekit.wording import drawn
 
 
 class Batches:
@@ -132,3 +134,24 @@ class Batches:
         if kind == "random" and self.own_lengths:
             return self.paired
         return self.sequences[n_frames]
+
+
+def usage(training: TrainingConfig, iterations: int, seconds: float, recordings: int) -> str:
+    """Return how often a stage draws each second of the recordings.
+
+    Args:
+        training: of the run.
+        iterations: of the stage.
+        seconds: of all recordings.
+        recordings: their number.
+    """
+    windows = iterations * training.windows_per_step
+    counts = {"as real motion": windows * training.discriminator_steps}
+    if training.reconstruction_steps:
+        count = windows * training.reconstruction_steps
+        if training.window_cache is not None:
+            count = math.ceil(iterations / training.renew_every) * training.window_cache
+        counts["to be reconstructed"] = count
+    share = (training.window or seconds / recordings) / seconds
+    parts = [f"{name} about {drawn(count * share)}" for name, count in counts.items() if count]
+    return f"each stage draws a second {' and '.join(parts)}"

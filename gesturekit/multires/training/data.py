@@ -1,4 +1,4 @@
-"""Training data of a multires run: normalised recordings and speech features in memory.
+"""Training data of a multires run: normalised recordings and speech features, in memory or on disk.
 
 Reconstruction steps and discriminators use paired sequences (speech and motion). Random-generation
 steps use unpaired speech only. Without speech input, speech has no channels (0, T), and every
@@ -8,21 +8,24 @@ motion is a sequence.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from torch import Tensor
 
-import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
-from gesturekit.multires.network.resampling import reflect, resample
+from gesturekit.multires.network.resampling import reflect
 from gesturekit.multires.recall.parts import PassiveChannels
 from gesturekit.multires.sampling.conditions import Conditions
+from gesturekit.multires.training.sequences import Cut, PairedSequence
+from gesturekit.multires.training.stored import StoredCorpus
+from gesturekit.training.data.arrays import Frames
 from gesturekit.training.data.data_folder import load_data, save_data
 from gesturekit.training.data.features import (
     conditioner_tensors,
@@ -32,85 +35,6 @@ from gesturekit.training.data.features import (
 from gesturekit.training.data.sources import TrainedSegment, from_values, to_values
 from gesturekit.training.data.start_model import read_start, start_tensors
 from gesturekit.training.model_folder import read_speakers, rig_values
-from gesturekit.training.seeds import rng_for
-
-
-@dataclass(frozen=True)
-class PairedSequence:
-    """Recording with speech features, noise and style.
-
-    Attributes:
-        name: id of the manifest item.
-        motion: (D, T) normalised motion vectors.
-        speech: (S, T) features.
-        sigma: (L,) noise scale of each level: RMSE between the level and the upsampled coarser one;
-            RMS at the first level.
-        z_star: noise at level 1 from which this recording is reconstructed, (T_1,), or (D, T_1)
-            with separate noise for each channel.
-        passive: (X, T) of the corpus's `PassiveChannels`.
-        style: index among the corpus's styles; 0 without styles.
-        speaker: its speaker; None if the corpus names none.
-        take: its recording session, see `gesturekit.corpus.Item`.
-    """
-
-    TENSORS: ClassVar[tuple[str, ...]] = ("motion", "speech", "sigma", "z_star", "passive")
-
-    name: str
-    motion: Tensor
-    speech: Tensor
-    sigma: Tensor
-    z_star: Tensor
-    passive: Tensor
-    style: int = 0
-    speaker: str | None = None
-    take: str = ""
-
-    @property
-    def n_frames(self) -> int:
-        """Return T, at the full rate."""
-        return self.motion.shape[-1]
-
-    @classmethod
-    def make(
-        cls,
-        name: str,
-        motion: Tensor,
-        speech: Tensor,
-        levels: int,
-        seed: int,
-        *,
-        style: int = 0,
-        full_noise: bool = False,
-    ) -> PairedSequence:
-        """Make a sequence; its noise depends on the seed and the name only."""
-        sigma = level_sigmas(motion[None], levels)
-        n_coarsest = af.level_lengths(motion.shape[-1], levels)[0]
-        rng = rng_for(seed, "z_star", name)
-        if full_noise:
-            noise = torch.randn(len(motion), n_coarsest, generator=rng)
-        else:
-            noise = torch.randn(n_coarsest, generator=rng) * sigma[0]
-        passive = motion.new_zeros(0, motion.shape[-1])
-        return cls(name, motion, speech, sigma, noise, passive, style)
-
-    def z_star_window(self, start: int, n_coarsest: int) -> Tensor:
-        """Return the noise (1 or D, T_1) of the window that starts at this full-rate frame."""
-        noise = self.z_star.reshape(-1, self.z_star.shape[-1])
-        first = round(start * noise.shape[-1] / self.n_frames)
-        first = max(0, min(first, noise.shape[-1] - n_coarsest))
-        window = noise[:, first : first + n_coarsest]
-        # A window as long as its sequence may come out one coarse frame longer by rounding.
-        return resample(window, n_coarsest)
-
-
-def level_sigmas(motion: Tensor, levels: int) -> Tensor:
-    """Return sigma_i of all levels (L,) for a normalised motion (1, D, T)."""
-    lengths = af.level_lengths(motion.shape[-1], levels)
-    pyramid = [resample(motion, n) for n in lengths]
-    sigmas = [pyramid[0].square().mean().sqrt()]
-    for coarse, fine in zip(pyramid, pyramid[1:], strict=False):
-        sigmas.append((fine - resample(coarse, fine.shape[-1])).square().mean().sqrt())
-    return torch.stack(sigmas)
 
 
 @dataclass(frozen=True)
@@ -130,10 +54,14 @@ class TrainingData:
         recorded_fps: most common frame rate of the recordings.
         passive: joints and face channels that are recalled but not modelled; none without recall.
         start: weights of the generators to start from, by name; empty for random ones.
+        spoken: seconds and number of the sounds without motion.
+        sampled: parts of `paired` from which statistics are computed; None for all of it.
+        chosen: parts of `paired` that are recalled; None for all of it.
+        stored: of recordings on disk, what `load` finds them by.
     """
 
     paired: tuple[PairedSequence, ...]
-    unpaired: tuple[Tensor, ...]
+    unpaired: tuple[Frames, ...]
     silence: Tensor
     window: int | None
     representation: MultiresRepresentation
@@ -146,6 +74,27 @@ class TrainingData:
     recorded_fps: float
     passive: PassiveChannels
     start: Mapping[str, Tensor]
+    spoken: tuple[float, int]
+    sampled: tuple[Cut, ...] | None = None
+    chosen: tuple[Cut, ...] | None = None
+    stored: StoredCorpus | None = None
+
+    @cached_property
+    def sample(self) -> tuple[PairedSequence, ...]:
+        """Return recordings or parts of them, in memory, from which statistics are computed."""
+        return self._parts(self.sampled)
+
+    @cached_property
+    def recalled(self) -> tuple[PairedSequence, ...]:
+        """Return recordings or parts of them, in memory, that are recalled."""
+        return self._parts(self.chosen)
+
+    def _parts(self, cuts: Sequence[Cut] | None) -> tuple[PairedSequence, ...]:
+        if cuts is None and self.stored is None:
+            return self.paired
+        if cuts is None:
+            cuts = [(i, 0, sequence.n_frames) for i, sequence in enumerate(self.paired)]
+        return tuple(self.paired[i].cut(start, stop) for i, start, stop in cuts)
 
     def save(self, folder: Path) -> None:
         """Write the data into a folder, from which a resumed run loads it."""
@@ -156,11 +105,14 @@ class TrainingData:
             **conditioner_tensors(self.conditioner),
             **start_tensors(self.start),
         }
-        for i, sequence in enumerate(self.paired):
-            for name in PairedSequence.TENSORS:
-                tensors[f"paired.{i}.{name}"] = getattr(sequence, name).contiguous()
-        if not self.unpaired_is_paired:
-            tensors |= {f"unpaired.{i}": clip for i, clip in enumerate(self.unpaired)}
+        if self.stored is None:
+            for i, sequence in enumerate(self.paired):
+                for name in PairedSequence.TENSORS:
+                    tensors[f"paired.{i}.{name}"] = getattr(sequence, name).contiguous()
+            if not self.unpaired_is_paired:
+                tensors |= {f"unpaired.{i}": clip for i, clip in enumerate(self.unpaired)}
+        else:
+            tensors["sigma"] = self.paired[0].sigma
         about = {
             "names": [sequence.name for sequence in self.paired],
             "unpaired": 0 if self.unpaired_is_paired else len(self.unpaired),
@@ -173,6 +125,10 @@ class TrainingData:
             "window": self.window,
             "recorded_fps": self.recorded_fps,
             "passive": [list(self.passive.joints), self.passive.expressions],
+            "spoken": self.spoken,
+            "sampled": self.sampled,
+            "chosen": self.chosen,
+            "stored": None if self.stored is None else asdict(self.stored),
             **rig_values(self.representation, self.speakers),
         }
         save_data(folder, tensors, about)
@@ -188,40 +144,51 @@ class TrainingData:
 
         def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
             joints, expressions = about["passive"]
-            paired = tuple(
-                PairedSequence(
-                    name,
-                    *(tensors[f"paired.{i}.{part}"] for part in PairedSequence.TENSORS),
-                    *labels,
-                )
-                for i, (name, *labels) in enumerate(
-                    zip(
-                        *(about[key] for key in ("names", "style_of", "speaker_of", "take_of")),
-                        strict=True,
-                    )
-                )
-            )
-            unpaired = tuple(tensors[f"unpaired.{i}"] for i in range(about["unpaired"]))
             skeleton = Skeleton.from_json(about["skeleton"])
+            representation = MultiresRepresentation.from_json(skeleton, about["motion"])
+            normaliser = Normaliser(tensors["motion.mean"], tensors["motion.scale"])
+            conditioner = None
+            if config.features is not None:
+                places = config.features.encoder_places
+                about_features = about["features"]
+                conditioner = load_conditioner(about_features, tensors, config.fps, places, device)
+            names = ("names", "style_of", "speaker_of", "take_of")
+            labels = list(zip(*(about[key] for key in names), strict=True))
+            stored = None
+            if about["stored"] is None:
+                paired = tuple(
+                    PairedSequence(
+                        name,
+                        *(tensors[f"paired.{i}.{part}"] for part in PairedSequence.TENSORS),
+                        *others,
+                    )
+                    for i, (name, *others) in enumerate(labels)
+                )
+                unpaired = tuple(tensors[f"unpaired.{i}"] for i in range(about["unpaired"]))
+            else:
+                stored = StoredCorpus(**about["stored"])
+                paired, unpaired = stored.sequences(
+                    config, labels, normaliser, conditioner, tensors["sigma"]
+                )
             return cls(
                 paired=paired,
                 unpaired=unpaired or tuple(sequence.speech for sequence in paired),
                 silence=tensors["silence"],
                 window=about["window"],
-                representation=MultiresRepresentation.from_json(skeleton, about["motion"]),
-                conditioner=None
-                if config.features is None
-                else load_conditioner(
-                    about["features"], tensors, config.fps, config.features.encoder_places, device
-                ),
+                representation=representation,
+                conditioner=conditioner,
                 styles=tuple(about["styles"]),
-                normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
+                normaliser=normaliser,
                 speakers=read_speakers(about),
                 unpaired_is_paired=config.features is not None and not unpaired,
                 sources=from_values(about["sources"]),
                 recorded_fps=about["recorded_fps"],
                 passive=PassiveChannels(tuple(joints), expressions),
                 start=read_start(tensors),
+                spoken=tuple(about["spoken"]),
+                sampled=_cuts(about["sampled"]),
+                chosen=_cuts(about["chosen"]),
+                stored=stored,
             )
 
         return load_data(folder, assemble)
@@ -264,6 +231,10 @@ class TrainingData:
             groups.setdefault(length, []).append(i)
         return groups
 
+    @cached_property
+    def _unpaired_frames(self) -> Tensor:
+        return torch.tensor([float(clip.shape[-1]) for clip in self.unpaired])
+
     def speech_window(self, n_frames: int, margin: int, rng: torch.Generator) -> Tensor:
         """Draw unpaired speech (S, n_frames + 2 margin) for a motion of a random step.
 
@@ -272,16 +243,22 @@ class TrainingData:
         """
         if self.own_lengths:
             clips = [clip for clip in self.unpaired if clip.shape[-1] == n_frames]
-            return reflect(clips[int(torch.randint(len(clips), (), generator=rng))], margin)
+            clip = clips[int(torch.randint(len(clips), (), generator=rng))]
+            return reflect(clip[:, :], margin)
         missing = n_frames + 2 * margin
         if not self.n_speech:
             return torch.zeros(0, missing)
-        frames = torch.tensor([float(clip.shape[-1]) for clip in self.unpaired])
         parts = []
         while missing:
-            clip = self.unpaired[int(torch.multinomial(frames, 1, generator=rng))]
+            which = int(torch.multinomial(self._unpaired_frames, 1, generator=rng))
+            clip = self.unpaired[which]
             slack = max(0, clip.shape[-1] - missing)
             start = int(torch.randint(slack + 1, (), generator=rng))
             parts.append(clip[:, start : start + missing])
             missing -= parts[-1].shape[-1]
         return torch.cat(parts, dim=-1)
+
+
+def _cuts(values: Sequence[Sequence[int]] | None) -> tuple[Cut, ...] | None:
+    """Return the inverse of their plain values."""
+    return None if values is None else tuple((i, start, stop) for i, start, stop in values)

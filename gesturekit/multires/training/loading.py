@@ -13,28 +13,38 @@ from torch import Tensor
 import audio_features as af
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.errors import ConfigError, CorpusError, MotionError
-from gesturekit.motion.heading import heading
+from gesturekit.errors import ConfigError, MotionError
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.recall.parts import PassiveChannels
-from gesturekit.multires.training.data import PairedSequence, TrainingData
+from gesturekit.multires.training.data import TrainingData
+from gesturekit.multires.training.library_choice import chosen_parts
+from gesturekit.multires.training.sequences import PairedSequence
 from gesturekit.multires.training.start import (
     check_styles,
     load_start,
     representation_on_bones_of,
 )
-from gesturekit.training.data.features import extract_features
+from gesturekit.multires.training.stored import (
+    CorpusData,
+    MotionArrays,
+    encoded,
+    read_on_disk,
+)
+from gesturekit.training.data.features import SpeechArrays, extract_features
 from gesturekit.training.recordings import Recordings, load_recordings
 
 log = logging.getLogger(__name__)
 
 
-def load_training_data(config: MultiresConfig, device: str = "cpu") -> TrainingData:
-    """Read the corpus of a run, extract features on a device, and normalise.
+def load_training_data(
+    config: MultiresConfig, device: str = "cpu", *, trial: bool = False
+) -> TrainingData:
+    """Read the corpus of a run, or in a trial an excerpt of it; extract features on a device, and
+    normalise.
 
     Raises:
         ConfigError: settings that the recordings do not allow, or a model in `start_from` with
@@ -46,47 +56,115 @@ def load_training_data(config: MultiresConfig, device: str = "cpu") -> TrainingD
     # Wrong extractor settings are reported before any file is read.
     extractor = None if config.features is None else config.features.extractor(device)
     start = load_start(config, extractor)
-    recordings = _recordings(config, start)
-    items = recordings.items
+    recordings = _recordings(config, start, trial)
     motions = [motion.resample(config.fps) for motion in recordings.motions]
     representation = _representation(config, motions, start)
-    vectors = _encode(config, items, motions, representation)
+    vectors = _vectors(config, recordings, motions, representation)
     normaliser = _normaliser(config, vectors, representation, start)
-    others = () if extractor is None else recordings.manifest.unpaired("train")
-    lengths = list(map(len, vectors))
+    recalls = config.recall is not None
+    passive = PassiveChannels.find(motions, representation.joints) if recalls else PassiveChannels()
     fitted = None if start is None else start.conditions.conditioner
-    conditioner, speeches, unpaired = _speech(config, items, lengths, others, extractor, fitted)
-    paired = _paired(config, items, vectors, speeches, recordings.style_of, normaliser)
-    passive = PassiveChannels()
-    if config.recall is not None:
-        passive = PassiveChannels.find(motions, representation.joints)
-        paired = [
-            replace(sequence, passive=passive.encode(motion)[:, : sequence.n_frames].contiguous())
-            for sequence, motion in zip(paired, motions, strict=True)
-        ]
-    longest, window = _longest(config, paired), config.training.window
+    if recordings.excerpts is None:
+        others = [passive.encode(motion) for motion in motions]
+        read = _in_memory(config, recordings, vectors, others, normaliser, extractor, fitted)
+    else:
+        parts = config.parts if start is None else {**start.skeleton.parts, **config.parts}
+        maker = MotionArrays(
+            recordings.rig(config, parts), representation, passive, config.fps, config.face_forward
+        )
+        del motions, vectors  # the sample is read again, from the arrays
+        speech_maker = None
+        if extractor is not None:
+            speech_maker = SpeechArrays(config.features, config.fps, device, extractor)
+        read = read_on_disk(config, recordings, maker, normaliser, speech_maker, fitted)
+    window = config.training.window
     frames = None if window is None else max(config.network.levels, round(window * config.fps))
-    longest = max(longest, *(clip.shape[-1] for clip in unpaired), 0)
-    silent = (frames or longest) + 2 * config.random_margin
-    return TrainingData(
-        paired=tuple(paired),
-        unpaired=tuple(unpaired) or tuple(sequence.speech for sequence in paired),
-        silence=_transposed(conditioner.silence(silent)) if conditioner else torch.zeros(0, silent),
+    data = TrainingData(
+        paired=read.paired,
+        unpaired=read.unpaired or tuple(sequence.speech for sequence in read.paired),
+        silence=_silence(config, read, frames),
         window=frames,
         representation=representation,
-        conditioner=conditioner,
+        conditioner=read.conditioner,
         styles=recordings.styles,
         normaliser=normaliser,
         speakers=recordings.speakers,
-        unpaired_is_paired=conditioner is not None and not unpaired,
-        sources=recordings.sources,
+        unpaired_is_paired=read.conditioner is not None and not read.unpaired,
+        sources=recordings.sources(read.rates),
         recorded_fps=recordings.recorded_fps,
         passive=passive,
         start={} if start is None else start.network.state_dict(),
+        spoken=(recordings.lengths[1], len(recordings.whole[1])),
+        sampled=read.sampled,
+        stored=read.stored,
     )
+    return replace(data, chosen=chosen_parts(data, config)) if recalls else data
 
 
-def _recordings(config: MultiresConfig, start: MultiresModel | None) -> Recordings:
+def _vectors(
+    config: MultiresConfig,
+    recordings: Recordings,
+    motions: Sequence[Motion],
+    representation: MultiresRepresentation,
+) -> list[np.ndarray]:
+    """Return the motion vectors (T, D) of each recording that was read."""
+    return [
+        encoded(representation, motion, config.face_forward, f"{config.corpus}: item {item.id}")
+        for item, motion in zip(recordings.read, motions, strict=True)
+    ]
+
+
+def _in_memory(
+    config: MultiresConfig,
+    recordings: Recordings,
+    vectors: Sequence[np.ndarray],
+    passive: Sequence[Tensor],
+    normaliser: Normaliser,
+    extractor: af.Extractor | None,
+    fitted: SpeechConditioner | None,
+) -> CorpusData:
+    """Return all recordings and unpaired speech in memory.
+
+    Args:
+        config: of the run.
+        recordings: of the corpus.
+        vectors: motion vectors (T, D) of each recording.
+        passive: passive channels (X, T) of each.
+        normaliser: of motion vectors.
+        extractor: of speech features; None without speech input.
+        fitted: conditioner of a model to start from; None to fit one.
+    """
+    items, lengths = recordings.items, list(map(len, vectors))
+    conditioner, speeches, unpaired = _speech(
+        config, items, lengths, recordings.unpaired, extractor, fitted
+    )
+    paired = [
+        replace(sequence, passive=rows[:, : sequence.n_frames].contiguous())
+        for sequence, rows in zip(
+            _paired(config, items, vectors, speeches, recordings.style_of, normaliser),
+            passive,
+            strict=True,
+        )
+    ]
+    return CorpusData(conditioner, tuple(paired), tuple(unpaired), recordings.rates)
+
+
+def _silence(config: MultiresConfig, read: CorpusData, window: int | None) -> Tensor:
+    """Return the features (S, T) of silence as long as the longest motion of a step.
+
+    Args:
+        config: of the run.
+        read: its data.
+        window: frames of a training window; None for whole sequences.
+    """
+    longest = max(_longest(config, read.paired), *(clip.shape[-1] for clip in read.unpaired), 0)
+    n_frames = (window or longest) + 2 * config.random_margin
+    if read.conditioner is None:
+        return torch.zeros(0, n_frames)
+    return _transposed(read.conditioner.silence(n_frames))
+
+
+def _recordings(config: MultiresConfig, start: MultiresModel | None, trial: bool) -> Recordings:
     """Read the recordings; a model to start from gives its parts of the rig and its styles."""
     found = load_recordings(
         config,
@@ -94,6 +172,7 @@ def _recordings(config: MultiresConfig, start: MultiresModel | None) -> Recordin
         speech=config.features is not None,
         styles=config.styles is not None,
         check_styles=lambda styles: check_styles(start, config, styles),
+        trial=trial,
     )
     if start is None:
         return found
@@ -159,23 +238,6 @@ def _representation(
                 error,
             )
     return representation
-
-
-def _encode(
-    config: MultiresConfig,
-    items: Sequence[Item],
-    motions: Sequence[Motion],
-    representation: MultiresRepresentation,
-) -> list[np.ndarray]:
-    """Return each recording as motion vectors (T, D)."""
-    vectors = []
-    for item, motion in zip(items, motions, strict=True):
-        try:
-            turn = -heading(motion) if config.face_forward else 0.0
-            vectors.append(representation.encode(motion, turn=turn))
-        except ValueError as error:
-            raise CorpusError(f"{config.corpus}: item {item.id}: {error}") from None
-    return vectors
 
 
 def _speech(

@@ -97,7 +97,7 @@ class Monitor:
         device = next(network.parameters()).device
         sequence, n_frames = self.excerpts[number]
         lengths = af.level_lengths(n_frames, self.config.network.levels)
-        speech = sequence.speech[None, :, :n_frames]
+        speech = sequence.speech[:, :n_frames][None]
         styles = []
         if self.data.styles:
             same = torch.full((1, len(lengths)), sequence.style)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from itertools import repeat
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -25,7 +25,8 @@ from gesturekit.multires.recall.parts import (
 )
 from gesturekit.multires.recall.slow_state import SlowState, normal_scores
 from gesturekit.multires.recall.wanted import WantedMovement, correlation
-from gesturekit.multires.training.data import PairedSequence, TrainingData
+from gesturekit.multires.training.data import TrainingData
+from gesturekit.multires.training.sequences import PairedSequence
 
 log = logging.getLogger(__name__)
 
@@ -38,35 +39,34 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
     settings, fps, levels = config.recall, config.fps, config.network.levels
     if settings is None:
         return None
-    representation, sequences = data.representation, data.paired
-    parts = motion_parts(representation, settings.parts == "arms")
-    joints = representation.joints
-    values = [data.normaliser.inverse(sequence.motion[None])[0] for sequence in sequences]
-    places = [joint_places(representation, fps, own) for own in values]
-    defects = [defects_of_parts(parts, representation, fps, own) for own in values]
-    moved = [movements(parts, joints, fps, own) for own in places]
+    parts = motion_parts(data.representation, settings.parts == "arms")
+    joints = data.representation.joints
+    sample = _curves(data, data.sample, parts, fps)
+    recalled = sample if data.recalled is data.sample else _curves(data, data.recalled, parts, fps)
     # Speech predicts the movement of the hands: that of both arms, or of the only part.
     asked = [i for i, part in enumerate(parts) if part.is_arm] or [0]
-    hands = [np.mean([of_parts[i] for i in asked], axis=0) for of_parts in moved]
+    hands = [curves.moved[asked].mean(axis=0) for curves in sample]
     goal = np.concatenate(hands)
     mean, spread = float(goal.mean()), max(float(goal.std()), 1e-3)
     # The trunk moves less than hands do: by quantiles, its movement becomes comparable.
     for i in range(len(asked), len(parts)):
-        own = np.concatenate([of_parts[i] for of_parts in moved])
-        for of_parts in moved:
-            of_parts[i] = _mapped(of_parts[i], own, goal)
-    states = [
-        np.concatenate(
-            [slow_states(part, joints, fps, *own) for part, *own in zip(parts, repeat(where), rows)]
+        own = np.concatenate([curves.moved[i] for curves in sample])
+        for curves in dict.fromkeys((*sample, *recalled)):
+            curves.moved[i] = _mapped(curves.moved[i], own, goal)
+    states = {
+        curves: np.concatenate(
+            [
+                slow_states(part, joints, fps, curves.places, rows)
+                for part, rows in zip(parts, curves.moved, strict=True)
+            ]
         )
-        for where, rows in zip(places, moved, strict=True)
-    ]
-    scores = normal_scores(states, [(one.speaker, one.style) for one in sequences])
+        for curves in (*sample, *recalled)
+    }
+    of_sample = [states[curves] for curves in sample]
+    scores = normal_scores(of_sample, [(one.speaker, one.style) for one in data.sample])
     first = [rows.start for rows in slow_rows(parts)[: len(asked)]]
     wanted = _wanted(data, hands, [own[first].mean(axis=0) for own in scores], fps)
-    directions = _directions(parts, joints, fps, places)
-    standard = [(np.stack(rows) - mean) / spread for rows in moved]
-    rows = zip(sequences, standard, states, directions, defects, strict=True)
+    weights = _weights([curves.directions for curves in sample])
     return RecallLibrary(
         settings.level,
         levels,
@@ -74,14 +74,57 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
         settings.piece,
         settings.overlap,
         parts,
-        tuple(_recalled(*own, levels, settings.level) for own in rows),
+        tuple(
+            _recalled(
+                sequence,
+                (curves.moved - mean) / spread,
+                states[curves],
+                weights * curves.directions,
+                curves.defects,
+                levels,
+                settings.level,
+            )
+            for sequence, curves in zip(data.recalled, recalled, strict=True)
+        ),
         spread,
         mean,
-        SlowState.fit(scores, wanted, [sequence.take for sequence in sequences], fps),
+        SlowState.fit(scores, wanted, [sequence.take for sequence in data.sample], fps),
         wanted,
         data.passive,
         stretch=settings.stretch,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Curves:
+    """Curves of a recording of T frames: joint positions (K, 3, T), movement of each part (P, T),
+    directions of both hands (4, T), or none (0, T) without arms, and defects (P, T)."""
+
+    places: np.ndarray
+    moved: np.ndarray
+    directions: np.ndarray
+    defects: np.ndarray
+
+
+def _curves(
+    data: TrainingData, sequences: Sequence[PairedSequence], parts: Sequence[MotionPart], fps: float
+) -> list[_Curves]:
+    """Return the curves of each sequence."""
+    representation, found = data.representation, []
+    joints = representation.joints
+    for sequence in sequences:
+        values = data.normaliser.inverse(sequence.motion[None])[0]
+        places = joint_places(representation, fps, values)
+        arms = [hand_directions(part, joints, fps, places) for part in parts[:2] if part.is_arm]
+        found.append(
+            _Curves(
+                places,
+                np.stack(movements(parts, joints, fps, places)),
+                np.concatenate(arms) if arms else np.zeros((0, sequence.n_frames)),
+                defects_of_parts(parts, representation, fps, values),
+            )
+        )
+    return found
 
 
 def _wanted(
@@ -90,7 +133,7 @@ def _wanted(
     """Return the prediction of movement from speech; None if there is no speech or it fails."""
     if data.conditioner is None:
         return None
-    speeches = [sequence.speech.numpy() for sequence in data.paired]
+    speeches = [sequence.speech.numpy() for sequence in data.sample]
     smaller = (data.conditioner.acoustic, data.conditioner.prosody)
     wanted = WantedMovement.fit(
         speeches,
@@ -99,7 +142,7 @@ def _wanted(
         fps,
         data.conditioner.effort,
         smaller,
-        takes=[sequence.take for sequence in data.paired],
+        takes=[sequence.take for sequence in data.sample],
     )
     if wanted.predicts:
         return wanted
@@ -128,31 +171,17 @@ def _recalled(
     )
 
 
-def _directions(
-    parts: Sequence[MotionPart], joints: Sequence[str], fps: float, places: Sequence[np.ndarray]
-) -> list[np.ndarray]:
-    """Return the weighted directions of both hands, (4, T_k); (0, T_k) without arms."""
-    if not parts[0].is_arm:
-        return [np.zeros((0, own.shape[-1])) for own in places]
-    return _weighted(
-        [[hand_directions(part, joints, fps, own) for own in places] for part in parts[:2]]
-    )
-
-
-def _weighted(both: Sequence[Sequence[np.ndarray]]) -> list[np.ndarray]:
-    """Return the directions (2, T_k) of both hands (2), as (4, T_k), weighted by their correlation.
+def _weights(directions: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the weights (4, 1) of the directions (4, T_k) of both hands; (0, 1) without arms.
 
     If the hands have correlation r in a row, both get the variance r / (1 - r^2): their product is
     then the logarithm of how much likelier each makes the other, for Gaussians.
     """
-    pooled = [np.concatenate(hand, axis=1) for hand in both]
-    r = [np.clip(correlation(a, b), 0.0, _HIGHEST) for a, b in zip(*pooled, strict=True)]
-    sizes = np.sqrt([own / (1 - own**2) for own in r])
-    factors = [sizes / np.maximum(hand.std(axis=1), 1e-3) for hand in pooled]
-    return [
-        np.concatenate([factor[:, None] * rows for factor, rows in zip(factors, hands)])
-        for hands in zip(*both, strict=True)
-    ]
+    pooled = np.concatenate(directions, axis=1)
+    first, second = pooled[:2], pooled[2:]
+    r = [np.clip(correlation(a, b), 0.0, _HIGHEST) for a, b in zip(first, second, strict=True)]
+    sizes = np.tile(np.sqrt([own / (1 - own**2) for own in r]), 2)[: len(pooled)]
+    return (sizes / np.maximum(pooled.std(axis=1), 1e-3))[:, None]
 
 
 def _any_near(flags: np.ndarray, n_frames: int) -> np.ndarray:

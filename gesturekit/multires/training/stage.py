@@ -91,7 +91,7 @@ class Stage:
         self.targets: list[ArmTarget] = []
         if config.uses_arm_speed:
             self.targets = arm_targets(
-                data.paired,
+                data.sample,
                 self.indices,
                 config.network.levels,
                 self.normaliser.inverse,

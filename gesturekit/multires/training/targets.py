@@ -13,6 +13,7 @@ almost nothing. Unused if `losses.detail` is 0.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import torch
@@ -28,7 +29,8 @@ from gesturekit.multires.kinematics import (
     smooth,
 )
 from gesturekit.multires.network.resampling import reflect, resample
-from gesturekit.multires.training.data import PairedSequence, TrainingData
+from gesturekit.multires.training.data import TrainingData
+from gesturekit.multires.training.sequences import PairedSequence
 
 # Fixed: the recipes' loss weights were chosen with these values.
 _CONTEXT_SECONDS = 0.2
@@ -45,6 +47,14 @@ the logarithm finite."""
 _LEAST_DETAIL = 1e-12
 """Smallest floor, m^2, for rigs whose joints never move relative to the root, such as a single
 joint."""
+_MOST_INPUTS = 50_000_000
+"""Numbers of speech inputs that arm movement is fitted to; of more, every second, third ... frame
+is used. An hour of light features has 33 million, and of an encoder's 768 columns 830 million."""
+MOST_WINDOWS = 2048
+"""Number of recorded windows whose detail is computed; of more than that, this many, evenly spaced
+over the recordings. Windows beside each other overlap, so that more would change the mean by less
+than 1 %."""
+_WINDOWS_AT_ONCE = 256  # bounds the memory of their joint positions
 _DETAIL_WINDOWS = 64
 """Number of recorded windows per style, evenly spaced. Fixed; it bounds the cost of a step."""
 
@@ -160,8 +170,10 @@ class ArmTarget(nn.Module):
             speeches: (S, T) of each recording.
             movements: (2, T) `log_movement` of each recording.
         """
-        inputs = torch.cat([self._inputs(speech[None])[0] for speech in speeches]).double()
-        goal = torch.cat([movement.T for movement in movements]).double()
+        columns = speeches[0].shape[0] * (2 * self.context + 2) + 1
+        every = math.ceil(columns * sum(speech.shape[1] for speech in speeches) / _MOST_INPUTS)
+        inputs = torch.cat([self._inputs(speech[None])[0, ::every] for speech in speeches]).double()
+        goal = torch.cat([movement.T[::every] for movement in movements]).double()
         mean = goal.mean(dim=0)
         ridge = _RIDGE * max(1.0, speeches[0].shape[0] / _RIDGE_FEATURES)
         penalty = ridge * torch.eye(inputs.shape[1], dtype=torch.float64, device=inputs.device)
@@ -217,6 +229,7 @@ class DetailTarget(nn.Module):
     ) -> None:
         super().__init__()
         powers: list[list[Tensor]] = [[] for _ in range(styles)]
+        share = MOST_WINDOWS / sum(sequence.n_frames for sequence in sequences)
         for sequence in sequences:
             whole = af.level_lengths(sequence.n_frames, levels)[level]
             motion = resample(sequence.motion[None], whole)
@@ -224,7 +237,11 @@ class DetailTarget(nn.Module):
             if window is not None and window < sequence.n_frames:
                 size = max(2, round(whole * window / sequence.n_frames))
             windows = motion[0].unfold(-1, size, 1).transpose(0, 1)
-            powers[sequence.style].append(self._power(places(windows)))
+            most = max(1, math.ceil(share * sequence.n_frames))
+            if most < len(windows):
+                windows = windows[torch.linspace(0, len(windows) - 1, most).round().long()]
+            for some in windows.split(_WINDOWS_AT_ONCE):
+                powers[sequence.style].append(self._power(places(some)))
         everywhere = torch.cat([part for parts in powers for part in parts]).mean()
         self.register_buffer("floor", (_DETAIL_FLOOR**2 * everywhere).clamp(min=_LEAST_DETAIL))
         for style, parts in enumerate(powers):
@@ -273,7 +290,7 @@ def detail_targets(
     level."""
     styles = max(1, len(data.styles))
     return {
-        i: DetailTarget(data.paired, i, levels, places, data.window, styles).to(device)
+        i: DetailTarget(data.sample, i, levels, places, data.window, styles).to(device)
         for i in indices
         if i
     }

@@ -7,6 +7,7 @@ import logging
 import math
 import time
 from dataclasses import replace
+from functools import cached_property, partial
 from pathlib import Path
 
 import torch
@@ -18,18 +19,24 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.constraints.constraint import fastest_second
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.sampling.trained_model import TrainedNoise, TrainedSequence
+from gesturekit.multires.training.batches import usage
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.training.recall_library import build_library
 from gesturekit.multires.training.stage import Stage
+from gesturekit.multires.training.targets import MOST_WINDOWS
 from gesturekit.training.data.sources import describe_recordings, save_sources, unused_labels
+from gesturekit.training.recordings import load_recordings
+from gesturekit.training.run.device import prepare_device
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.held_out import HeldOutMetrics
 from gesturekit.training.run.loop import Loop, StageCallbacks, last_losses, read_once
+from gesturekit.training.run.plan import Estimate, log_arrays, log_plan, quickest
 from gesturekit.training.run.processes import Processes
-from gesturekit.training.run.session import log_plan, session
+from gesturekit.training.run.session import session
 from gesturekit.training.run_config import LEGLESS, UNIDENTIFIED
 from gesturekit.training.seeds import seeded
 from gesturekit.wording import counted, roughly
@@ -59,8 +66,27 @@ def train(config: MultiresConfig, *, resume: bool = False) -> Path:
 
 
 def plan_training(config: MultiresConfig) -> None:
-    """Log the plan of `train` and its estimated duration; see `training.run.session`."""
-    log_plan(config, Trainer)
+    """Log the plan of `train` and its estimated duration; see `training.run.plan`."""
+    device = str(prepare_device(config.device, config.threads))
+    log_plan(
+        config,
+        partial(load_training_data, config, device, trial=True),
+        partial(
+            load_recordings,
+            config,
+            config.parts,
+            speech=config.features is not None,
+            styles=config.styles is not None,
+            trial=True,
+        ),
+        Trainer,
+    )
+
+
+def make_arrays(config: MultiresConfig) -> None:
+    """Make the arrays of a corpus that is not held in memory; see `gesturekit.systems`."""
+    data = load_training_data(config, str(prepare_device(config.device, config.threads)))
+    log_arrays(config, data.stored is not None)
 
 
 class Trainer:
@@ -74,6 +100,7 @@ class Trainer:
         processes: Processes,
         *,
         resume: bool,
+        trial: bool = False,
     ) -> None:
         self.folder = run
         self.processes = processes
@@ -88,14 +115,13 @@ class Trainer:
             run,
             processes,
             resume=resume,
-            read=lambda: load_training_data(config, str(device)),
+            read=lambda: load_training_data(config, str(device), trial=trial),
             load=lambda folder: TrainingData.load(folder, config, str(device)),
         )
         self.config = config = self._adapted(config)
         if self.data.unpaired_is_paired and processes.is_first:
             log.warning("The corpus has no unpaired speech: random steps take the paired speech.")
-        self.seconds = sum(sequence.n_frames for sequence in self.data.paired) / config.fps
-        self.unpaired_seconds = sum(clip.shape[-1] for clip in self.data.unpaired) / config.fps
+        self.seconds = sum(source.duration for source in self.data.sources)
         self.held_out = HeldOutMetrics(
             config, run, speech=self.data.conditioner is not None, styles=self.data.styles
         )
@@ -105,7 +131,8 @@ class Trainer:
         self.unused = unused_labels(
             self.data.sources, self.data.styles, recalls=config.recall is not None
         )
-        self.loop.announce(["multires", self._mode(), *length], self._contents(), self.unused)
+        kind = ["multires", self._mode(), *length]
+        self.loop.announce(kind, self._contents(), self._usage(), self.unused)
         self.network = seeded(
             (config.seed, "generator"),
             lambda: MultiresGenerator(
@@ -117,10 +144,14 @@ class Trainer:
         if self.data.start:
             self.network.load_state_dict(self.data.start)
         self.network.to(device)
-        self.library = build_library(self.data, config)
         watched = config.eval_every and processes.is_first
         convolve = choose_backend(config.backend, self.network).convolve
         self.monitor = Monitor(self.data, config, convolve) if watched else None
+
+    @cached_property
+    def library(self) -> RecallLibrary | None:
+        """Return the recall library; None without recall."""
+        return build_library(self.data, self.config)
 
     def _adapted(self, config: MultiresConfig) -> MultiresConfig:
         """Return the settings without losses on body parts that the rig lacks; log them."""
@@ -149,8 +180,10 @@ class Trainer:
         data = self.data
         parts = [describe_recordings(data.sources, self.seconds, self.config.fps)]
         if data.conditioner is not None:
-            kind = "the same" if data.unpaired_is_paired else "unpaired"
-            parts.append(f"{roughly(self.unpaired_seconds)} of {kind} speech")
+            spoken = (
+                "the same" if data.unpaired_is_paired else f"{roughly(data.spoken[0])} of unpaired"
+            )
+            parts.append(f"{spoken} speech")
             parts.append(counted(data.conditioner.dim, "feature"))
         if data.styles:
             parts.append(counted(len(data.styles), "style"))
@@ -163,24 +196,46 @@ class Trainer:
         given = ["speech"] * bool(self.data.conditioner) + ["labels"] * bool(self.data.styles)
         return f"{' and '.join(given)} mode" if given else "no condition"
 
-    def seconds_needed(self) -> float:
-        """Estimate the length of the training from a few iterations of each stage.
+    def estimate(self) -> Estimate:
+        """Estimate the cost of the training from a few iterations of each stage.
 
         They change the networks: for a run that is not kept.
         """
-        needed = 0.0
+        data, config = self.data, self.config
+        logging.disable(logging.INFO)  # what is logged of the excerpt is not true of the corpus
+        whole = self.seconds * config.fps
+        frames = sum(sequence.n_frames for sequence in data.paired)
+        # Whole recordings differ in length, and each iteration takes one of them.
+        longer = 1.0
+        if config.training.window is None:
+            longer = whole / len(data.sources) / (frames / len(data.paired))
+        sampled = min(whole, 60 * config.in_memory * config.fps)
+        seconds = quickest(lambda: self.library, 1) * sampled / frames
         for first, iterations in self.stages():
+            began = time.monotonic()
             stage = self.stage(first, iterations)
-            stage.iterate(0)  # compiles
-            clock = [time.monotonic()]
-            for iteration in (0, 1, 2):  # number 0 fills the window cache
-                stage.iterate(iteration)
-                clock.append(time.monotonic())
-            pace = (clock[3] - clock[1]) / 2
-            refill = max(0.0, clock[1] - clock[0] - pace)
-            needed += iterations * pace
-            needed += refill * math.ceil(iterations / self.config.training.renew_every)
-        return needed
+            begin = time.monotonic() - began
+            seconds += begin * min(sampled, MOST_WINDOWS) / min(frames, MOST_WINDOWS)
+            renewals = math.ceil(iterations / config.training.renew_every)
+            seconds += renewals * quickest(partial(stage.batches.renew, 0), 2)
+            stage.iterate(1)  # compiles
+            seconds += iterations * longer * quickest(partial(stage.iterate, 1), 3)
+        logging.disable(logging.NOTSET)
+        speech = 0.0
+        if data.conditioner is not None:
+            speech = 4 * config.fps * (data.conditioner.extractor.dim + 1)
+        motion = data.representation.n_features + data.paired[0].passive.shape[0]
+        rates = (4 * config.fps * motion + speech, speech)
+        return Estimate(seconds, self.held_out.seconds, rates)
+
+    def _usage(self) -> str:
+        """Return how much of the recordings is drawn and recalled."""
+        shortest = min(iterations for _, iterations in self.stages())
+        drawn = usage(self.config.training, shortest, self.seconds, len(self.data.sources))
+        if self.config.recall is None:
+            return drawn
+        recalled = min(self.seconds, 60 * self.config.recall.minutes)
+        return f"{drawn}; {roughly(recalled)} of {roughly(self.seconds)} can be recalled"
 
     def stages(self) -> list[tuple[int, int]]:
         """Return (first level, iterations) of each stage."""
@@ -280,15 +335,16 @@ class Trainer:
 
     def _save(self, name: str, network: MultiresGenerator, notes: dict[str, str]) -> None:
         """Write a model of the run."""
-        files = 0 if self.data.unpaired_is_paired else len(self.data.unpaired)
+        spoken, files = self.data.spoken
         self._model(network).save(
             self.folder.folder / name,
             notes={
                 "Recordings": describe_recordings(self.data.sources, self.seconds, self.config.fps),
-                "Unpaired speech": f"{roughly(self.unpaired_seconds)} in {counted(files, 'file')}"
-                if files and self.data.n_speech
+                "Unpaired speech": f"{roughly(spoken)} in {counted(files, 'file')}"
+                if files
                 else "none",
                 **({"Not used": "; ".join(self.unused)} if self.unused else {}),
+                "Use of the recordings": self._usage(),
                 "Began with": self.config.began_with,
                 **notes,
                 **{str(key): str(value) for key, value in self.config.notes.items()},
@@ -308,14 +364,14 @@ class Trainer:
             network_config=self.config.network,
             network=network.cpu().eval(),
             noise=TrainedNoise(
-                sigma=torch.stack([sequence.sigma for sequence in self.data.paired]),
-                z_star={sequence.name: sequence.z_star for sequence in self.data.paired},
+                sigma=torch.stack([sequence.sigma for sequence in self.data.sample]),
+                z_star={sequence.name: sequence.z_star for sequence in self.data.sample},
                 sequences={
                     sequence.name: TrainedSequence(
                         sequence.n_frames,
                         self.data.styles[sequence.style] if self.data.styles else None,
                     )
-                    for sequence in self.data.paired
+                    for sequence in self.data.sample
                 },
                 z_star_shuffle=self.config.z_star_shuffle,
                 noise_levels=self.config.noise_levels,
@@ -327,7 +383,7 @@ class Trainer:
                     self.data.normaliser.to_values(sequence.motion[None])[:, root_xz],
                     self.config.fps,
                 )
-                for sequence in self.data.paired
+                for sequence in self.data.sample
             ),
             smooth=self.config.smooth,
             recorded_fps=self.data.recorded_fps,

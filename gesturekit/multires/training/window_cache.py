@@ -22,7 +22,8 @@ from gesturekit.multires.network.skeleton_conv import Convolve, convolve_dense
 from gesturekit.multires.recall.library import RecalledMotion, RecallLibrary
 from gesturekit.multires.sampling.conditions import condition_levels, mixed_styles, style_levels
 from gesturekit.multires.sampling.trained_model import RandomNoise, ZStarPatches
-from gesturekit.multires.training.data import PairedSequence, TrainingData
+from gesturekit.multires.training.data import TrainingData
+from gesturekit.multires.training.sequences import PairedSequence
 
 
 @dataclass(frozen=True)
@@ -286,7 +287,7 @@ class WindowCache:
         self, recalled: Sequence[RecalledMotion], lengths: Sequence[int]
     ) -> tuple[Tensor, ...]:
         """Return recalled pieces as recorded, (N, D, T_i) for each length."""
-        motions = [sequence.motion for sequence in self.data.paired]
+        motions = [sequence.motion for sequence in self.data.recalled]
         return tuple(
             torch.stack([choice.vectors(motions, n) for choice in recalled]).to(self.device)
             for n in lengths
@@ -297,10 +298,10 @@ def random_noise(data: TrainingData, config: MultiresConfig, levels: int) -> Ran
     """Return the noise of random motions, with noise at this many of the coarsest levels."""
     patches = None
     if config.z_star_shuffle:
-        z_stars = [sequence.z_star for sequence in data.paired]
-        styles = [sequence.style for sequence in data.paired]
+        z_stars = [sequence.z_star for sequence in data.sample]
+        styles = [sequence.style for sequence in data.sample]
         patches = ZStarPatches(z_stars, styles, config.z_star_shuffle)
-    sigma = torch.stack([sequence.sigma for sequence in data.paired])
+    sigma = torch.stack([sequence.sigma for sequence in data.sample])
     return RandomNoise(sigma.mean(dim=0), levels, patches)
 
 

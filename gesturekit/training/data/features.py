@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,15 +15,19 @@ from torch import Tensor
 import audio_features as af
 from audio_features.extractor import folder_in_spec, needs_weights
 from audio_features.weight_files import WeightPlaces
+from audio_features.words import takes_words
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.speech import (
     Normalisation,
+    RawFeatures,
     SpeechConditioner,
     detects_voice,
     extract,
     wide_columns,
 )
 from gesturekit.progress import Progress
+from gesturekit.training.data.arrays import StoredArray, StoredFrames
+from gesturekit.training.data.sources import file_fingerprint
 from gesturekit.training.run_config import check_positive
 
 log = logging.getLogger(__name__)
@@ -114,23 +118,14 @@ def extract_features(
     align, level = settings.align, settings.normalise == "clip"
     extracted, voiceless, vad = [], [], detects_voice(extractor, settings.vad)
     for item in progress:
-        wave = item.load_wave()
-        speech = af.speech_only(wave) if vad else wave
-        if speech.is_silent and not wave.is_silent:
+        speech, has_voice = _speech_of(item, vad)
+        if not has_voice:
             voiceless.append(item.id)
         extracted.append(extract(speech, extractor, fps, align, level=level))
-    if voiceless:
-        log.warning(
-            "%d of %d sounds have no voice and count as silence (%s); features.vad=false uses them "
-            "as speech",
-            *(len(voiceless), len(items), ", ".join(voiceless[:3])),
-        )
+    _warn_of_voiceless(voiceless, len(items))
     conditioner = fitted
     if conditioner is None:
-        conditioner = SpeechConditioner.fit(extracted, extractor, fps, align, settings.normalise)
-        conditioner = replace(conditioner, vad=vad)
-        if settings.components is not None:
-            conditioner = conditioner.reduced(extracted, settings.components)
+        conditioner = fit_conditioner(extracted, extractor, fps, settings)
     # Each array is released as soon as it is normalised: features of a large corpus fill memory.
     extracted.reverse()
     speeches = []
@@ -138,6 +133,132 @@ def extract_features(
         values, active = extracted.pop()
         speeches.append(conditioner.normalise(values[:n_frames], active[:n_frames]))
     return conditioner, speeches
+
+
+def _speech_of(item: Item, vad: bool) -> tuple[af.Wave, bool]:
+    """Return an item's sound, without voiceless stretches if `vad`, and whether it has a voice."""
+    wave = item.load_wave()
+    speech = af.speech_only(wave) if vad else wave
+    return speech, wave.is_silent or not speech.is_silent
+
+
+def _warn_of_voiceless(names: Sequence[str], count: int) -> None:
+    """Warn of sounds without voice, by their names, among `count` sounds."""
+    if names:
+        log.warning(
+            "%d of %d sounds have no voice and count as silence (%s); features.vad=false uses them "
+            "as speech",
+            *(len(names), count, ", ".join(names[:3])),
+        )
+
+
+def fit_conditioner(
+    clips: Sequence[RawFeatures], extractor: Any, fps: float, settings: FeatureConfig
+) -> SpeechConditioner:
+    """Fit the conditioner of a run to its speech, the result of `extract` for each clip."""
+    conditioner = SpeechConditioner.fit(clips, extractor, fps, settings.align, settings.normalise)
+    conditioner = replace(conditioner, vad=detects_voice(extractor, settings.vad))
+    if settings.components is not None:
+        conditioner = conditioner.reduced(clips, settings.components)
+    return conditioner
+
+
+@dataclass(frozen=True)
+class SpeechArrays:
+    """Makes arrays (T, D + 1): D features, not normalised, and speech activity, 0 or 1.
+
+    Attributes:
+        settings: of the features.
+        fps: frames per second.
+        device: on which encoders compute.
+        extractor: see `FeatureConfig.extractor`; its weights are not handed to worker processes.
+    """
+
+    settings: FeatureConfig
+    fps: float
+    device: str
+    extractor: Any = field(repr=False)
+
+    @classmethod
+    def open(cls, settings: FeatureConfig, fps: float, device: str) -> SpeechArrays:
+        """Return a maker with an extractor of its own."""
+        return cls(settings, fps, device, settings.extractor(device))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return SpeechArrays.open, (self.settings, self.fps, self.device)
+
+    @property
+    def _vad(self) -> bool:
+        return detects_voice(self.extractor, self.settings.vad)
+
+    @property
+    def _level(self) -> bool:
+        return self.settings.normalise == "clip"
+
+    def origin(self, item: Item) -> dict[str, Any]:
+        """Return all that the features of an item depend on."""
+        words = item.conditions.get("words") if takes_words(self.extractor) else None
+        return {
+            "audio": file_fingerprint(item.audio),
+            "words": None if words is None else file_fingerprint(words),
+            "interval": [item.audio_start, item.duration],
+            "audible": [list(interval) for interval in item.audible],
+            "channel": item.channel,
+            "spec": self.extractor.spec,
+            "settings": [self.fps, self.settings.align, self._level, self._vad],
+        }
+
+    def make(self, item: Item) -> tuple[np.ndarray, dict[str, Any]]:
+        """Extract the features of an item."""
+        speech, has_voice = _speech_of(item, self._vad)
+        align = self.settings.align
+        values, active = extract(speech, self.extractor, self.fps, align, level=self._level)
+        return np.column_stack([values, active]), {
+            "id": item.id,
+            "has_voice": has_voice,
+            "spoken": int(active.sum()),
+            "total": values[active].sum(axis=0, dtype=np.float64).tolist(),
+        }
+
+
+def stored_speech(
+    arrays: Sequence[StoredArray],
+    conditioner: SpeechConditioner,
+    most: Sequence[int] | None = None,
+) -> list[StoredFrames]:
+    """Return the normalised features (S, T) of arrays that `SpeechArrays` made.
+
+    Args:
+        arrays: of each item.
+        conditioner: normalises them.
+        most: largest number of frames of each, as in `extract_features`; None for all.
+    """
+
+    def of(array: StoredArray, n_frames: int) -> StoredFrames:
+        total, spoken = array.facts["total"], array.facts["spoken"]
+        if n_frames < array.shape[0]:
+            values, active = raw_speech(array, 0, n_frames)
+            total, spoken = values[active].sum(axis=0, dtype=np.float64), active.sum()
+        centre = conditioner.clip_centre(total, spoken)
+
+        def convert(rows: np.ndarray) -> Tensor:
+            scaled = conditioner.scaled(rows[:, :-1], centre)
+            return torch.from_numpy(np.ascontiguousarray(scaled.T))
+
+        return StoredFrames(array, (conditioner.dim, n_frames), convert)
+
+    silent = [array.facts["id"] for array in arrays if not array.facts["has_voice"]]
+    _warn_of_voiceless(silent, len(arrays))
+    lengths = [array.shape[0] for array in arrays]
+    if most is not None:
+        lengths = list(map(min, lengths, most))
+    return list(map(of, arrays, lengths))
+
+
+def raw_speech(array: StoredArray, start: int, stop: int) -> RawFeatures:
+    """Read the features of some frames as `extract` returned them."""
+    rows = array.rows(start, stop)
+    return rows[:, :-1], rows[:, -1] > 0
 
 
 def conditioner_tensors(conditioner: SpeechConditioner | None) -> dict[str, Tensor]:

@@ -14,7 +14,6 @@ from typing import Any
 
 from audio_features.atomic import atomic_write
 from gesturekit.corpus.item import Item
-from gesturekit.motion.motion import Motion
 from gesturekit.wording import counted, roughly
 
 FILE = "trained_on.json"
@@ -45,23 +44,34 @@ class TrainedSegment:
     speaker: str | None = None
 
     @classmethod
-    def of(cls, item: Item, motion: Motion) -> TrainedSegment:
-        """Describe an item and the motion that was read for it, at the rate of its file."""
+    def of(cls, item: Item, fps: float, *, read: bool = True) -> TrainedSegment:
+        """Describe an item whose motion file has `fps` frames per second.
+
+        Without `read`, paths replace the fingerprints of its files.
+        """
+        content = file_fingerprint if read else str
         return cls(
             id=item.id,
-            motion=file_fingerprint(item.motion),
-            audio=None if item.audio is None else file_fingerprint(item.audio),
+            motion=content(item.motion),
+            audio=None if item.audio is None else content(item.audio),
             start=item.motion_start,
             duration=item.duration,
-            fps=motion.fps,
+            fps=fps,
             style=item.style,
             speaker=item.speaker,
         )
 
 
-@lru_cache(maxsize=4096)
 def file_fingerprint(path: Path) -> str:
     """Return the first 16 hexadecimal digits of the SHA-256 of a file's content."""
+    found = path.stat()
+    # A file that is written again has another time of change, whatever its other times are set to.
+    return _fingerprint(path, found.st_size, found.st_mtime_ns, found.st_ctime_ns)
+
+
+@lru_cache(maxsize=2**16)
+def _fingerprint(path: Path, *state: int) -> str:
+    """Return the fingerprint of a file in this state."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 

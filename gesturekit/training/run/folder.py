@@ -19,7 +19,7 @@ from gesturekit.training.run.report import RunReport
 _VERSIONS_OF = ("gesturekit", "torch", "numpy", "scipy", "librosa", "soxr", "transformers")
 
 # These settings do not change what a run computes, so they may change when it is resumed.
-_REPORTING = ("out", "checkpoint_every", "log_every", "eval_every")
+_REPORTING = ("out", "checkpoint_every", "log_every", "eval_every", "arrays", "workers")
 _BEFORE_CONFIG = ("data", "command.txt", "versions.json")  # written before config.yaml
 
 

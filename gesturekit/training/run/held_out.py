@@ -91,6 +91,11 @@ class HeldOutMetrics:
             for item in chosen
         )
 
+    @property
+    def seconds(self) -> float:
+        """Return the total length of the items to measure."""
+        return _seconds(self.items)
+
     @cached_property
     def _fitting(self) -> list[Item]:
         """Return the items of the measured split that the model has the inputs for."""

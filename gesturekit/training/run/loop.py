@@ -104,17 +104,21 @@ class Loop:
         self.processes = processes
         self.held_out = held_out
 
-    def announce(self, kind: Sequence[str], contents: Sequence[str], unused: Sequence[str]) -> None:
+    def announce(
+        self, kind: Sequence[str], contents: Sequence[str], usage: str, unused: Sequence[str]
+    ) -> None:
         """Log the run folder, kind of training, data and held-out recordings, on one process.
 
         Args:
             kind: system, mode and length of the training.
             contents: training data.
+            usage: how often the training draws it.
             unused: sentences about labels of the corpus, see `unused_labels`.
         """
         if self.processes.is_first:
             log.info("Run folder %s: %s.", self.config.out, ", ".join(kind))
             log.info("Training on %s.", ", ".join(contents))
+            log.info("Of them, %s.", usage)
             for line in unused:
                 log.warning("%s.", line)
             log.info("Measured at the end and every few minutes: %s.", self.held_out.what)

@@ -5,23 +5,20 @@ from __future__ import annotations
 import logging
 import shlex
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
 
 import torch
 from tqdm.contrib.logging import logging_redirect_tqdm
 
-from gesturekit.errors import ConfigError, ModelError, OutputError, is_full
+from gesturekit.errors import ModelError, OutputError, is_full
 from gesturekit.progress import Progress
 from gesturekit.training.config import to_dict
 from gesturekit.training.run.device import memory_ran_out, prepare_device
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.run_config import RunConfig
-from gesturekit.wording import roughly
 
 log = logging.getLogger(__name__)
 
@@ -97,31 +94,3 @@ def resume_command(folder: Path, processes: Processes) -> str:
         else ["torchrun", "--nproc_per_node", str(processes.count), "-m", "gesturekit"]
     )
     return shlex.join([*program, "train", "--resume", str(folder)])
-
-
-def log_plan(config: RunConfig, trainer: Callable[..., Any]) -> None:
-    """Log the plan and estimated duration of a run, without its run folder.
-
-    The data is read and a few steps are timed in a temporary folder.
-
-    Args:
-        config: of the run.
-        trainer: called as `trainer(config, run, device, processes, resume=False)`; announces
-            itself, and has `seconds_needed()`, an estimate of the whole training.
-
-    Raises:
-        ConfigError: `config.out` is a file, or no such device.
-    """
-    try:
-        Run(config.out, to_dict(config), resume=False)
-    except ConfigError as error:
-        if not (config.out / "config.yaml").is_file():
-            raise
-        log.warning("This cannot be trained yet: %s.", error)
-    with (
-        TemporaryDirectory() as folder,
-        session(config, resume=False, folder=Path(folder)) as (run, device, processes),
-    ):
-        seconds = trainer(config, run, device, processes, resume=False).seconds_needed()
-        if processes.is_first:
-            log.info("Time: about %s on this machine. Nothing was written.", roughly(seconds))

@@ -1,0 +1,38 @@
+"""How often the recordings are drawn, as the log and the model's README say it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from gesturekit.multires.config import TrainingConfig
+from gesturekit.multires.training.batches import usage
+from gesturekit.wording import drawn
+
+STEPS = TrainingConfig(batch=2, window=10.0, discriminator_steps=1, window_cache=32, renew_every=50)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        # 80 steps of two windows of 10 s are 1,600 s; two renewals of 32 windows are 640 s.
+        ({}, "as real motion about 1 times (63% at least once) and to be reconstructed about "
+             "0.4 times (33% at least once)"),
+        # Three reconstruction steps of two windows in each of 80 iterations are 4,800 s.
+        ({"window_cache": None, "reconstruction_steps": 3, "discriminator_steps": 2},
+         "as real motion about 2 times (86% at least once) and to be reconstructed about "
+         "3 times (95% at least once)"),
+        ({"reconstruction_steps": 0}, "as real motion about 1 times (63% at least once)"),
+        # Whole recordings of 400 s, one at a time.
+        ({"window": None, "window_cache": None}, "as real motion about 20 times (100% at least "
+         "once) and to be reconstructed about 20 times (100% at least once)"),
+    ],
+)  # fmt: skip
+def test_usage_counts_windows(changes, text):
+    assert usage(replace(STEPS, **changes), 80, 1600.0, 4) == f"each stage draws a second {text}"
+
+
+def test_what_is_seldom_drawn_is_mostly_never_drawn():
+    assert drawn(0.025) == "0.025 times (2% at least once)"
+    assert drawn(12.4) == "12 times (100% at least once)"
