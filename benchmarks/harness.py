@@ -11,10 +11,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 
-def arguments(description: str, *, takes_device: bool = False) -> argparse.Namespace:
+def common_options(description: str) -> argparse.ArgumentParser:
+    """Return a parser with the options that every benchmark has."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--quick", action="store_true", help="under 60 s on 2 cores")
     parser.add_argument("--json", type=Path, help="write the figures here as well")
+    return parser
+
+
+def arguments(description: str, *, takes_device: bool = False) -> argparse.Namespace:
+    parser = common_options(description)
     if takes_device:
         parser.add_argument("--device", default="cpu", help="cpu (default), cuda, cuda:1 ...")
     return parser.parse_args()
@@ -69,10 +75,12 @@ def compare(
 
 
 def report(figures: dict[str, dict[str, float | str]], path: Path | None) -> None:
+    """Print figures and write them as JSON; values without a `unit` are seconds."""
     for name, row in figures.items():
+        scale, unit = (1, row["unit"]) if "unit" in row else (1e3, "ms")
         print(
-            f"{name}: ours {row['ours'] * 1e3:.2f} ms, other {row['other'] * 1e3:.2f} ms, "
-            f"ratio {row['ratio']:.2f} ({row['note']})"
+            f"{name}: ours {row['ours'] * scale:.2f} {unit}, "
+            f"other {row['other'] * scale:.2f} {unit}, ratio {row['ratio']:.2f} ({row['note']})"
         )
     if path is not None:
         path.write_text(json.dumps(figures, indent=1), encoding="utf-8")
