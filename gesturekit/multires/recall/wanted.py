@@ -96,7 +96,7 @@ class Regression:
         size = max(found.std(), 1e-9)
         return cls(
             mean,
-            _ridge(x[fitted] - mean, y[fitted])[:, best] / size,
+            _ridge(x[::every] - mean, y[::every])[:, best] / size,
             float((offset - found.mean()) / size),
             scores[best],
             _limited((found - found.mean()) / size),

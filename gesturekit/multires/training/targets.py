@@ -47,9 +47,9 @@ the logarithm finite."""
 _LEAST_DETAIL = 1e-12
 """Smallest floor, m^2, for rigs whose joints never move relative to the root, such as a single
 joint."""
-_MOST_INPUTS = 50_000_000
+_MOST_INPUTS = 20_000_000
 """Numbers of speech inputs that arm movement is fitted to; of more, every second, third ... frame
-is used. An hour of light features has 33 million, and of an encoder's 768 columns 830 million."""
+is used. An hour of light features has 33 million, and of 768 columns of an encoder 830 million."""
 MOST_WINDOWS = 2048
 """Number of recorded windows whose detail is computed; of more than that, this many, evenly spaced
 over the recordings. Windows beside each other overlap, so that more would change the mean by less
@@ -176,11 +176,12 @@ class ArmTarget(nn.Module):
         goal = torch.cat([movement.T[::every] for movement in movements]).double()
         mean = goal.mean(dim=0)
         ridge = _RIDGE * max(1.0, speeches[0].shape[0] / _RIDGE_FEATURES)
-        penalty = ridge * torch.eye(inputs.shape[1], dtype=torch.float64, device=inputs.device)
-        penalty[-1, -1] = 1e-6
-        weights = torch.linalg.solve(
-            inputs.T @ inputs + penalty * len(inputs) ** 0.5, inputs.T @ (goal - mean)
-        )
+        penalty = inputs.new_full((columns,), ridge)
+        penalty[-1] = 1e-6
+        gram = inputs.T @ inputs  # 0.7 GB with the columns of an encoder
+        gram.diagonal().add_(penalty * len(inputs) ** 0.5)
+        weights = torch.linalg.solve(gram, inputs.T @ (goal - mean))
+        del gram
         weights[-1] += mean - (inputs @ weights).mean(dim=0)
         self.register_buffer("weights", weights.float(), persistent=False)
         limits = torch.quantile(goal, goal.new_tensor([0.01, 0.99]), dim=0)
