@@ -38,7 +38,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from corpus_variants import make_corpus
-from harness import common_options, report
+from harness import common_options, report, with_children
 
 from gesturekit.corpus import Manifest
 from gesturekit.systems import bundled_speech
@@ -80,7 +80,7 @@ def measured(command: Sequence[str], folder: Path, name: str) -> Usage:
     with log.open("w", encoding="utf-8") as out:
         process = subprocess.Popen(command, env=environment, stdout=out, stderr=subprocess.STDOUT)
         while not ended:
-            memory = [_memory(pid) for pid in _with_children(process.pid)]
+            memory = [_memory(pid) for pid in with_children(process.pid)]
             resident = max(resident, sum(one for one, _ in memory))
             anonymous = max(anonymous, sum(one for _, one in memory))
             time.sleep(SAMPLE_EVERY)
@@ -90,14 +90,6 @@ def measured(command: Sequence[str], folder: Path, name: str) -> Usage:
     if process.returncode:
         raise SystemExit(f"{' '.join(command)}:\n{log.read_text(encoding='utf-8')[-3000:]}")
     return Usage(wall, used.ru_utime, resident / 1024, anonymous / 1024)
-
-
-def _with_children(pid: int) -> list[int]:
-    try:
-        own = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    except OSError:
-        return []
-    return [pid, *(p for child in own for p in _with_children(int(child)))]
 
 
 def _memory(pid: int) -> tuple[int, int]:

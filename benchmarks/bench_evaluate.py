@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import soundfile
-from harness import arguments, report
+from harness import arguments, report, with_children
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
@@ -87,16 +87,8 @@ def evaluated(folder: Path, models: int) -> tuple[float, float]:
 
 def _watch(process: subprocess.Popen[bytes], peak: list[float]) -> None:
     while process.poll() is None:
-        peak[0] = max(peak[0], sum(map(_memory, _with_children(process.pid))) / 1e9)
+        peak[0] = max(peak[0], sum(map(_memory, with_children(process.pid))) / 1e9)
         time.sleep(0.5)
-
-
-def _with_children(pid: int) -> list[int]:
-    try:
-        own = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    except OSError:
-        return []
-    return [pid, *(p for child in own for p in _with_children(int(child)))]
 
 
 def _memory(pid: int) -> int:

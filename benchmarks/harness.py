@@ -84,3 +84,12 @@ def report(figures: dict[str, dict[str, float | str]], path: Path | None) -> Non
         )
     if path is not None:
         path.write_text(json.dumps(figures, indent=1), encoding="utf-8")
+
+
+def with_children(pid: int) -> list[int]:
+    """The process and all below it (Linux)."""
+    try:
+        own = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    except OSError:
+        return []
+    return [pid, *(p for child in own for p in with_children(int(child)))]

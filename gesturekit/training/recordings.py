@@ -115,6 +115,16 @@ class Recordings:
         return Rig(config.corpus, dict(parts), self.motions[0].skeleton, bodies)
 
 
+def motion_origin(item: Item) -> dict[str, Any]:
+    """Return all that `Item.load_motion` depends on beside body parts, as plain values."""
+    return {
+        "motion": file_fingerprint(item.motion),
+        "interval": [item.motion_start, item.duration],
+        "mirror": item.mirror,
+        "reading": dict(item.reading),
+    }
+
+
 @dataclass(frozen=True, eq=False)
 class Rig:
     """The rig of a corpus, on which its motion is read item by item.
@@ -146,10 +156,7 @@ class Rig:
         """Return all that the motion of an item depends on, as plain values."""
         body = self.bodies.get(item.speaker)
         return {
-            "motion": file_fingerprint(item.motion),
-            "interval": [item.motion_start, item.duration],
-            "mirror": item.mirror,
-            "reading": dict(item.reading),
+            **motion_origin(item),
             "parts": self.parts,
             "rig": [list(self.skeleton.names), list(self.skeleton.parents)],
             "body": None if body is None else [float(beta) for beta in body.body_shape.betas],

@@ -171,8 +171,8 @@ def test_features_are_normalised_as_they_are_read(config_of, start, tmp_path):
     model, folder = start("speech"), tmp_path / "arrays"
 
     def new(**features: Any) -> int:
-        known, told = arrays_in(folder), {**KINDS["speech"]["features"], **features}
-        load_training_data(config_of("speech", moves_like=model, features=told, **ON_DISK))
+        known, wanted = arrays_in(folder), {**KINDS["speech"]["features"], **features}
+        load_training_data(config_of("speech", moves_like=model, features=wanted, **ON_DISK))
         return len(arrays_in(folder) - known)
 
     assert new() == 6

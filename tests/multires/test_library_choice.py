@@ -1,4 +1,4 @@
-"""Which parts of a long corpus a model can recall."""
+"""Choice of the parts of a long corpus that a model can recall."""
 
 from __future__ import annotations
 

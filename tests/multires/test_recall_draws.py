@@ -83,7 +83,7 @@ def talk(seed: int, *, together: float, r_energy: float, level: float = 0.0) -> 
 
 
 def library_of(
-    talks, *, speakers=(), styles=(), slow_state=None, stretch=0.0, hears=False
+    talks, *, speakers=(), styles=(), slow_state=None, stretch=0.0, from_speech=False
 ) -> RecallLibrary:
     """Return the library of talks, which are takes of their own."""
     n = len(talks)
@@ -107,7 +107,7 @@ def library_of(
             )
         )
     wanted = None
-    if hears:
+    if from_speech:
         hands = [movement[:2].mean(axis=0) for movement in movements]
         levels = [own.states[[0, 4]].mean(axis=0) for own in talks]
         speeches = [own.speech for own in talks]
@@ -282,7 +282,7 @@ def followed(library: RecallLibrary, r_energy: float) -> tuple[float, float]:
 def test_hands_move_when_speech_says_so_and_as_much_as_recorded():
     """The weaker the prediction, the less it is followed; a mean would also be calmer."""
     found = [
-        followed(made_of(8, r_energy=r_energy, hears=True), r_energy)
+        followed(made_of(8, r_energy=r_energy, from_speech=True), r_energy)
         for r_energy in (0.15, 0.4, 0.8)
     ]
     weak, some, strong = (r for r, _ in found)
@@ -291,7 +291,7 @@ def test_hands_move_when_speech_says_so_and_as_much_as_recorded():
 
 
 def test_a_prediction_that_was_wrong_on_left_out_talks_is_not_followed():
-    library = made_of(8, r_energy=0.8, hears=True)
+    library = made_of(8, r_energy=0.8, from_speech=True)
     wanted = library.wanted
     wrong = replace(wanted, spread=0.0, fast=replace(wanted.fast, r=-0.5))
     r, spread = followed(replace(library, wanted=wrong), 0.8)
@@ -317,7 +317,7 @@ def test_hands_rise_together_where_the_speaker_raises_them_together(together, le
 def test_recorded_speech_in_the_recorded_mood_gives_no_copy_of_the_recording():
     """Each part finds the same best moment. Arms may keep it more often than the rest of the body,
     as gestures may be two-handed."""
-    library = made_of(4, r_energy=0.8, together=0.7, hears=True)
+    library = made_of(4, r_energy=0.8, together=0.7, from_speech=True)
     own, shares = talk(0, together=0.7, r_energy=0.8), []
     shown = slice(100, 700)
     library = replace(library, slow_state=drawing(own.states[:, shown]))
@@ -341,7 +341,7 @@ def test_both_arms_begin_their_pieces_at_the_same_time(library):
 
 
 def test_both_arms_are_stretched_alike():
-    library = made_of(6, r_energy=0.5, together=0.7, hears=True, stretch=0.25)
+    library = made_of(6, r_energy=0.5, together=0.7, from_speech=True, stretch=0.25)
     for seed in range(3):
         own = talk(100 + seed, together=0.0, r_energy=0.5)
         motion = library.recall(own.speech, rng_of(seed, seed))

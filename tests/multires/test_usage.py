@@ -1,4 +1,4 @@
-"""How often the recordings are drawn, as the log and the model's README say it."""
+"""Use of the recordings, as the log and the model's README give it."""
 
 from __future__ import annotations
 

@@ -21,8 +21,12 @@ from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.retarget.standing_pose import standing_pose
-from gesturekit.training.data.sources import file_fingerprint
-from gesturekit.training.recordings import Recordings, load_recordings, training_items
+from gesturekit.training.recordings import (
+    Recordings,
+    load_recordings,
+    motion_origin,
+    training_items,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +74,7 @@ class UnpairedRig:
         for values in (skeleton.offsets, self.usual.rotations, self.usual.translation):
             usual.update(np.ascontiguousarray(values).tobytes())
         return {
-            "motion": file_fingerprint(item.motion),
-            "interval": [item.motion_start, item.duration],
-            "mirror": item.mirror,
-            "reading": dict(item.reading),
+            **motion_origin(item),
             "parts": self.parts,
             "rig": [list(skeleton.names), list(skeleton.parents), usual.hexdigest()],
         }

@@ -68,10 +68,8 @@ def load_training_data(
         others = [passive.encode(motion) for motion in motions]
         read = _in_memory(config, recordings, vectors, others, normaliser, extractor, fitted)
     else:
-        parts = config.parts if start is None else {**start.skeleton.parts, **config.parts}
-        maker = MotionArrays(
-            recordings.rig(config, parts), representation, passive, config.fps, config.face_forward
-        )
+        rig = recordings.rig(config, _parts(config, start))
+        maker = MotionArrays(rig, representation, passive, config.fps, config.face_forward)
         del motions, vectors  # the sample is read again, from the arrays
         speech_maker = None
         if extractor is not None:
@@ -164,11 +162,16 @@ def _silence(config: MultiresConfig, read: CorpusData, window: int | None) -> Te
     return _transposed(read.conditioner.silence(n_frames))
 
 
+def _parts(config: MultiresConfig, start: MultiresModel | None) -> dict[str, str]:
+    """Return the body parts that are assigned by hand, with those of a model to start from."""
+    return config.parts if start is None else {**start.skeleton.parts, **config.parts}
+
+
 def _recordings(config: MultiresConfig, start: MultiresModel | None, trial: bool) -> Recordings:
     """Read the recordings; a model to start from gives its parts of the rig and its styles."""
     found = load_recordings(
         config,
-        config.parts if start is None else {**start.skeleton.parts, **config.parts},
+        _parts(config, start),
         speech=config.features is not None,
         styles=config.styles is not None,
         check_styles=lambda styles: check_styles(start, config, styles),

@@ -202,7 +202,6 @@ class Trainer:
         They change the networks: for a run that is not kept.
         """
         data, config = self.data, self.config
-        logging.disable(logging.INFO)  # what is logged of the excerpt is not true of the corpus
         whole = self.seconds * config.fps
         frames = sum(sequence.n_frames for sequence in data.paired)
         # Whole recordings differ in length, and each iteration takes one of them.
@@ -220,7 +219,6 @@ class Trainer:
             seconds += renewals * quickest(partial(stage.batches.renew, 0), 2)
             stage.iterate(1)  # compiles
             seconds += iterations * longer * quickest(partial(stage.iterate, 1), 3)
-        logging.disable(logging.NOTSET)
         speech = 0.0
         if data.conditioner is not None:
             speech = 4 * config.fps * (data.conditioner.extractor.dim + 1)

@@ -218,7 +218,7 @@ def stored_arrays(
             if arrays.find(key) is None
         ]
     _make_all(_Make(arrays, tuple(maker for maker, _ in wanted)), tasks, workers)
-    return [[_found(arrays, key) for key in own] for own in keys]
+    return [arrays.find_all(own) for own in keys]
 
 
 def _make_all(make: _Make, tasks: Sequence[tuple[int, Item, str]], workers: int) -> None:
@@ -246,11 +246,3 @@ def _results(
         return
     for task, result in Pool(make, workers).map(tasks, lambda _: None):
         yield f"item {task[1].id}: {result}" if isinstance(result, Failure) else result
-
-
-def _found(arrays: ArrayFolder, key: str) -> StoredArray:
-    """Return an array that was made."""
-    array = arrays.find(key)
-    if array is None:
-        raise ConfigError(f"{arrays.folder}: {key} has disappeared; start again")
-    return array

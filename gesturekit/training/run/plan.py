@@ -78,7 +78,7 @@ def log_plan(
         session(config, resume=False, folder=Path(folder)) as (run, device, processes),
     ):
         trial = trainer(config, run, device, processes, resume=False, trial=True)
-        estimate = trial.estimate()
+        estimate = _silently(trial.estimate)
         if not processes.is_first:
             return
         excerpt = recordings()
@@ -103,6 +103,15 @@ def log_plan(
             "Nothing was written.",
             *map(roughly, (seconds, _FASTER * seconds, _SLOWER * seconds)),
         )
+
+
+def _silently(estimate: Callable[[], Estimate]) -> Estimate:
+    """Return an estimate; what is logged meanwhile is not true of the whole corpus."""
+    logging.disable(logging.INFO)
+    try:
+        return estimate()
+    finally:
+        logging.disable(logging.NOTSET)
 
 
 def log_arrays(config: RunConfig, are_used: bool) -> None:
