@@ -137,3 +137,13 @@ def test_uninformative_features_are_not_overfitted(width):
     target = ArmTarget(FRAME).fit(speeches, movements)
     asked = target(torch.randn(1, width, 300, generator=rng))[0]
     assert (asked.std(dim=1) < 0.25 * movements[0].std(dim=1)).all()
+
+
+def test_features_that_never_change_leave_the_prediction_as_it_is():
+    """There are more columns than frames then, and the dual problem is solved."""
+    speech, movement = talk(300, 2.0, seed=0)
+    silent = torch.zeros(29, 300)
+    few = ArmTarget(FRAME).fit([speech], [movement])(speech[None])
+    many = ArmTarget(FRAME).fit([torch.cat([speech, silent])], [movement])
+    assert torch.allclose(many(torch.cat([speech, silent])[None]), few, atol=1e-3)
+    assert few.std() > 0.1

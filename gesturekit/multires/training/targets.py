@@ -178,10 +178,16 @@ class ArmTarget(nn.Module):
         ridge = _RIDGE * max(1.0, speeches[0].shape[0] / _RIDGE_FEATURES)
         penalty = inputs.new_full((columns,), ridge)
         penalty[-1] = 1e-6
-        gram = inputs.T @ inputs  # 0.7 GB with the columns of an encoder
-        gram.diagonal().add_(penalty * len(inputs) ** 0.5)
-        weights = torch.linalg.solve(gram, inputs.T @ (goal - mean))
-        del gram
+        penalty *= len(inputs) ** 0.5
+        if len(inputs) < columns:  # the columns of an encoder: the same weights, by the dual problem
+            scaled = inputs / penalty
+            gram = scaled @ inputs.T
+            gram.diagonal().add_(1.0)
+            weights = scaled.T @ torch.linalg.solve(gram, goal - mean)
+        else:
+            gram = inputs.T @ inputs
+            gram.diagonal().add_(penalty)
+            weights = torch.linalg.solve(gram, inputs.T @ (goal - mean))
         weights[-1] += mean - (inputs @ weights).mean(dim=0)
         self.register_buffer("weights", weights.float(), persistent=False)
         limits = torch.quantile(goal, goal.new_tensor([0.01, 0.99]), dim=0)
