@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -86,3 +87,16 @@ def test_baselines_that_cannot_be_made_are_errors(folders):
     one = folders / "made" / "clip1_s1.npz", folders / "recordings" / "clip1.npz"
     with pytest.raises(EvaluationError, match="needs a second recording; there is only 'clip1'"):
         evaluate(*one, baselines=["other_utterance"])
+
+
+def test_a_mean_pose_of_two_rigs_is_refused(folders, tmp_path, gesture):
+    """The rigs differ in the name of a joint only."""
+    motion = gesture(3.0, 25.0, seed=1)
+    names = tuple(name.replace("Neck", "Throat") for name in motion.skeleton.names)
+    other = replace(motion, skeleton=replace(motion.skeleton, names=names))
+    assert names != motion.skeleton.names
+    for name, one in (("a", motion), ("b", other)):
+        one.save(tmp_path / "recordings" / f"{name}.npz")
+        one.save(tmp_path / "made" / f"{name}.npz")
+    with pytest.raises(EvaluationError, match="mean_pose needs recordings of one rig"):
+        evaluate(tmp_path / "made", tmp_path / "recordings", baselines=["mean_pose"])

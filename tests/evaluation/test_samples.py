@@ -55,6 +55,14 @@ def test_memory_does_not_grow_with_the_set(count):
     assert all(motion.duration >= samples.PIECE_SECONDS for motion in sample.motions)
 
 
+def test_a_clip_as_short_as_a_piece_is_never_cut():
+    sample = MotionSample(0, 100_000)
+    for _ in range(200):
+        sample.add(numbered(1.5 * samples.PIECE_SECONDS))
+    assert not sample.is_whole and len(sample.motions) > 9
+    assert {motion.duration for motion in sample.motions} == {1.5 * samples.PIECE_SECONDS}
+
+
 def test_all_parts_of_a_set_are_drawn_equally_often():
     means, shares = [], np.zeros(6)
     for seed in range(40):

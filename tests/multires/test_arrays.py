@@ -297,6 +297,19 @@ def test_a_plan_makes_no_arrays(long_config, gesturekit, recipe, tmp_path, caplo
     assert not config.arrays_folder.exists() and "making those that are missing" in caplog.text
 
 
+def test_a_plan_reads_half_a_minute_of_any_number_of_speakers(long_config):
+    config = long_config(losses={"arm_speed": 0.0})
+    pairs = [item for item in Manifest.load(config.corpus) if item.is_paired]
+    items = [
+        replace(item, id=f"{item.id}{k}", take=f"{item.id}{k}", speaker=f"{item.id}{k}")
+        for item in pairs
+        for k in range(20)
+    ]
+    Manifest(items).save(config.corpus)
+    data = load_training_data(config, trial=True)
+    assert sum(one.n_frames for one in data.paired) == pytest.approx(30 * config.fps, rel=0.35)
+
+
 def test_styles_and_a_sound_that_ends_early_are_read_from_disk_too(long_config):
     config = long_config(styles={}, losses={"arm_speed": 0.0})
     sound = config.corpus.parent / "paired" / "a.wav"

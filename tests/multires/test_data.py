@@ -63,6 +63,13 @@ def test_sigma_is_what_each_level_adds():
     assert noise[1:].min() > 0.3
 
 
+def test_sigma_of_a_pulse_worked_out_by_hand():
+    """Four frames at three quarters: at 1/6, 3/2 and 17/6, so that (0, 0, 0, 4) is (0, 0, 10/3)."""
+    sigma = level_sigmas(torch.tensor([[[0.0, 0.0, 0.0, 4.0]]]), levels=2)
+    # Back at 0, 5/8, 11/8 and 2 of the three, it is (0, 0, 5/4, 10/3).
+    assert sigma.tolist() == pytest.approx([(100 / 27) ** 0.5, ((25 / 16 + 4 / 9) / 4) ** 0.5])
+
+
 def test_a_window_slices_its_sequences_noise():
     sequence = PairedSequence.make("a", torch.randn(3, 200), torch.zeros(2, 200), 5, seed=0)
     same = PairedSequence.make("a", torch.randn(3, 200), torch.zeros(2, 200), 5, seed=0)

@@ -172,14 +172,16 @@ class ArmTarget(nn.Module):
         """
         columns = speeches[0].shape[0] * (2 * self.context + 2) + 1
         every = math.ceil(columns * sum(speech.shape[1] for speech in speeches) / _MOST_INPUTS)
-        inputs = torch.cat([self._inputs(speech[None])[0, ::every] for speech in speeches]).double()
+        # Copied by `double`: a view would keep the inputs of all frames in memory.
+        inputs = torch.cat([self._inputs(speech[None])[0, ::every].double() for speech in speeches])
         goal = torch.cat([movement.T[::every] for movement in movements]).double()
         mean = goal.mean(dim=0)
         ridge = _RIDGE * max(1.0, speeches[0].shape[0] / _RIDGE_FEATURES)
         penalty = inputs.new_full((columns,), ridge)
         penalty[-1] = 1e-6
         penalty *= len(inputs) ** 0.5
-        if len(inputs) < columns:  # the columns of an encoder: the same weights, by the dual problem
+        # With the columns of an encoder, the dual problem is smaller and has the same solution.
+        if len(inputs) < columns:
             scaled = inputs / penalty
             gram = scaled @ inputs.T
             gram.diagonal().add_(1.0)
