@@ -245,12 +245,12 @@ class DetailTarget(nn.Module):
             size = whole
             if window is not None and window < sequence.n_frames:
                 size = max(2, round(whole * window / sequence.n_frames))
-            windows = motion[0].unfold(-1, size, 1).transpose(0, 1)
+            windows = places(motion)[0].unfold(-1, size, 1).movedim(-2, 0)
             most = max(1, math.ceil(share * sequence.n_frames))
             if most < len(windows):
                 windows = windows[torch.linspace(0, len(windows) - 1, most).round().long()]
             for some in windows.split(_WINDOWS_AT_ONCE):
-                powers[sequence.style].append(self._power(places(some)))
+                powers[sequence.style].append(self._power(some))
         everywhere = torch.cat([part for parts in powers for part in parts]).mean()
         self.register_buffer("floor", (_DETAIL_FLOOR**2 * everywhere).clamp(min=_LEAST_DETAIL))
         for style, parts in enumerate(powers):
