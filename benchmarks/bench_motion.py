@@ -109,7 +109,7 @@ def main() -> None:
             runs,
             f"the numbers of the same {long} frames alone; other: numpy.loadtxt",
         )
-        motion = motion.slice(0, short)
+        motion = motion[:short]
         write_bvh(motion, path)
         root = bvhio.readAsHierarchy(str(path))
         note = f"{short} frames of {N_JOINTS} joints; other: bvhio"

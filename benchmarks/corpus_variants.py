@@ -21,20 +21,13 @@ import soxr
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.corpus.item import Item
 from gesturekit.motion import Motion
-from gesturekit.motion.heading import heading
+from gesturekit.motion.concatenation import concatenate
 from gesturekit.motion.mirroring import can_be_mirrored
-from gesturekit.motion.rotations import (
-    invert_quaternions,
-    multiply_quaternions,
-    quaternion_from_rotation_vector,
-    rotate_vectors,
-    rotation_vector_from_quaternion,
-)
 
 TEMPO, GAIN_DB = 0.1, 6.0
 """Largest change of the tempo, as a share, and of the gain."""
 SEAM, FADE = 0.3, 0.005
-"""Seconds of motion that are smoothed about a seam, and of sound that fade on each side of it."""
+"""Seconds of motion that are changed after a seam, and of sound that fade on each side of it."""
 PEAK = 0.99
 """Largest sample; a gain is reduced where it would clip."""
 TAKES_AT_ONCE = 16
@@ -151,66 +144,12 @@ def variant(
     samples = _of_length(samples, round(motion.duration * rate))
     frames = round(change.shift * motion.n_frames)
     if 0 < frames < motion.n_frames:
-        motion = shifted_motion(motion, frames)
+        motion = concatenate([motion[frames:], motion[:frames]], blend=SEAM)
         samples = _shifted_sound(samples, round(frames / motion.fps * rate), round(FADE * rate))
     if change.mirror and can_be_mirrored(motion.skeleton):
         motion = motion.mirror()
     gain = 10 ** (change.gain_db / 20)
     return motion, samples * min(gain, PEAK / max(np.abs(samples).max(), 1e-6))
-
-
-def shifted_motion(motion: Motion, frames: int) -> Motion:
-    """Return a motion from frame `frames` on, followed by the frames before it.
-
-    The part that follows is placed where the first one ends, with the same heading, and the
-    remaining difference in pose is spread over `SEAM` seconds.
-    """
-    before, after = motion.slice(frames, motion.n_frames), motion.slice(0, frames)
-    after = _placed_behind(before, after)
-    reach = min(round(SEAM / 2 * motion.fps), before.n_frames, after.n_frames)
-    ramp = np.linspace(0.0, 1.0, reach + 1)[1:]
-    ramp = ramp**2 * (3 - 2 * ramp)
-
-    def joined(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        half = (second[0] - first[-1]) / 2
-        values = np.concatenate([first, second])
-        values[len(first) - reach : len(first)] += ramp[:, None] * half
-        values[len(first) : len(first) + reach] -= ramp[::-1, None] * half
-        return values
-
-    first, second = before.rotations, after.rotations
-    half = rotation_vector_from_quaternion(
-        multiply_quaternions(second[0], invert_quaternions(first[-1]))
-    )
-    weights = np.concatenate([ramp, -ramp[::-1]])[:, None, None]
-    turns = quaternion_from_rotation_vector(weights * half / 2)
-    rotations = np.concatenate([first, second])
-    seam = np.s_[len(first) - reach : len(first) + reach]
-    rotations[seam] = multiply_quaternions(turns, rotations[seam])
-    moving = {
-        name: joined(values, after.joint_translations[name])
-        for name, values in before.joint_translations.items()
-    }
-    face = before.expressions
-    return replace(
-        motion,
-        rotations=rotations,
-        translation=joined(before.translation, after.translation),
-        joint_translations=moving,
-        expressions=None if face is None else joined(face, after.expressions),
-    )
-
-
-def _placed_behind(before: Motion, after: Motion) -> Motion:
-    """Turn `after` about Y and move it on the ground to begin where `before` ends."""
-    last = before.slice(before.n_frames - 1, before.n_frames)
-    angle = heading(last) - heading(after.slice(0, 1))
-    turn = quaternion_from_rotation_vector(np.array([0.0, angle, 0.0]))
-    rotations = after.rotations.copy()
-    rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
-    translation = rotate_vectors(turn, after.translation)
-    move = last.translation[0] - translation[0]
-    return replace(after, rotations=rotations, translation=translation + move * (1.0, 0.0, 1.0))
 
 
 def _of_length(samples: np.ndarray, length: int) -> np.ndarray:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from gesturekit.errors import GestureKitError
     from gesturekit.evaluation import evaluate
     from gesturekit.model import Model
+    from gesturekit.motion.concatenation import concatenate
     from gesturekit.motion.motion import Motion
     from gesturekit.motion.skeleton import Skeleton
     from gesturekit.rendering.batch import render
@@ -29,6 +30,7 @@ __all__ = [
     "Model",
     "Motion",
     "Skeleton",
+    "concatenate",
     "evaluate",
     "load",
     "prepare",
@@ -44,6 +46,7 @@ _, __getattr__, _ = attach(
         "Model": "model",
         "Motion": "motion.motion",
         "Skeleton": "motion.skeleton",
+        "concatenate": "motion.concatenation",
         "evaluate": "evaluation",
         "load": "systems",
         "prepare": "corpus",

@@ -337,7 +337,7 @@ def test_every_real_recording_is_prepared_trained_on_and_rendered(system, shared
     assert files
     for number, path in enumerate(files):
         motion = Motion.load(path)
-        motion = motion.slice(0, min(motion.n_frames, round(10 * motion.fps)))
+        motion = motion[: round(10 * motion.fps)]
         folder = tmp_path / str(number)
         corpus = prepared(folder, {"a": motion})
         model = gk.load(trained(system, corpus, folder / "run"))

@@ -20,7 +20,6 @@ from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
 from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.inspection import inspect
 from gesturekit.motion import Motion
-from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.multires.recall.parts import motion_parts
 from gesturekit.training.recipes import recipe_table
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
@@ -35,7 +34,7 @@ RECALL = ("recall.level=2", "recall.piece=1", "recall.overlap=0.3", "losses.deta
 def upper(motion: Motion) -> Motion:
     """The motion without the joints of the legs; the end of the hips shows no leg either."""
     legs = ("UpLeg", "Leg", "Foot")
-    return keep_joints(motion, [n for n in motion.skeleton.names if not n.endswith(legs)])
+    return motion.keep([n for n in motion.skeleton.names if not n.endswith(legs)])
 
 
 @pytest.fixture(scope="module")

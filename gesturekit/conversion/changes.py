@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 from gesturekit.errors import ConfigError, MotionError
 from gesturekit.formats.rig import Rig
-from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import body_joints
 from gesturekit.motion.skeleton import Skeleton
@@ -65,7 +64,7 @@ class Changes:
             done.append(f"on {self.rig.name}, {counted(motion.skeleton.n_joints, 'joint')}")
         if self.joints != "all":
             before = motion
-            motion = keep_joints(motion, self._joints(motion.skeleton))
+            motion = motion.keep(self._joints(motion.skeleton))
             if motion is not before:
                 done.append(f"{motion.skeleton.n_joints} of {before.skeleton.n_joints} joints")
             if now_moving := sorted(

@@ -187,7 +187,7 @@ class Item:
                 f"{motion.n_frames} frames at {motion.fps:g} fps; prepare the corpus again"
             )
         if start > 0 or stop < motion.n_frames:
-            motion = motion.slice(start, min(stop, motion.n_frames))
+            motion = motion[start:stop]
         return motion.mirror() if self.mirror else motion
 
     def load_events(self) -> tuple[Event, ...]:

@@ -237,7 +237,7 @@ def _check_motion(motion: Motion, file: Path, problems: list[Problem]) -> tuple[
     first, stop = lead, motion.n_frames - trail
     if stop - first < 2:
         return first, stop
-    used = motion.slice(first, stop)
+    used = motion[first:stop]
 
     def at(frame: int) -> str:
         return f"{(first + frame) / motion.fps:.2f} s"

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.motion import Motion
+from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions, rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
@@ -17,48 +16,52 @@ STILL = 2.5e-6
 """Metres on the reference body; a position that varies by less is a constant offset."""
 
 
-def keep_joints(motion: Motion, names: Sequence[str]) -> Motion:
-    """Remove all joints but `names`; kept joints keep their world positions and rotations.
+def keep_joints(
+    skeleton: Skeleton,
+    rotations: np.ndarray,
+    translation: np.ndarray,
+    moving: Mapping[str, np.ndarray],
+    names: Sequence[str],
+) -> tuple[Skeleton, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """Return rig and movement without all joints but `names`, which stay where they are.
 
     A joint whose parent is removed becomes a child of its nearest kept ancestor. If a removed
-    joint between them rotates, the position under the new parent varies and is stored in
-    `joint_translations`. A joint that loses all its children gets an end site at the removed
-    child, or at the mean of several (the knuckles of a hand).
+    joint between them rotates, the position under the new parent varies and is stored among the
+    joints that move. A joint that loses all its children gets an end site at the removed child, or
+    at the mean of several (the knuckles of a hand).
 
     Args:
-        motion: T frames, J joints.
+        skeleton: J joints.
+        rotations: (T, J, 4) local quaternions.
+        translation: (T, 3) root positions, metres.
+        moving: joint name to (T, 3) positions in the parent's frame, metres.
         names: the joints to keep, in any order.
 
     Raises:
         MotionError: no names, an unknown one, or no kept joint above all others.
     """
-    skeleton = motion.skeleton
     kept = sorted({skeleton.index(name) for name in names})
-    if len(kept) == skeleton.n_joints:
-        return motion
     parent = _kept_parents(skeleton, kept)
     root = kept[0]
-    rotations = motion.rotations.copy()
-    offsets = skeleton.offsets.copy()
-    moving = dict(motion.joint_translations)
-    translation = motion.translation
+    world = global_rotations(rotations, skeleton)
+    positions = forward_kinematics(rotations, translation, skeleton, moving)
+    rotations, offsets, moving = rotations.copy(), skeleton.offsets.copy(), dict(moving)
     still = STILL * body_scale(skeleton)
-    if any(parent[j] != skeleton.parents[j] for j in kept):
-        world, positions = motion.global_rotations(), motion.positions()
-        for j in kept:
-            if j == root:
-                rotations[:, j], translation = world[:, j], positions[:, j]
-                offsets[j] = skeleton.offsets[[j, *skeleton.ancestors(j)]].sum(axis=0)
-                moving.pop(skeleton.names[j], None)
-            elif parent[j] != skeleton.parents[j]:
-                back = invert_quaternions(world[:, parent[j]])
-                rotations[:, j] = multiply_quaternions(back, world[:, j])
-                local = rotate_vectors(back, positions[:, j] - positions[:, parent[j]])
-                low, high = local.min(axis=0), local.max(axis=0)
-                offsets[j] = (low + high) / 2
-                moving.pop(skeleton.names[j], None)
-                if (high - low > still).any():
-                    moving[skeleton.names[j]] = local
+    for j in kept:
+        if parent[j] == skeleton.parents[j]:
+            continue
+        moving.pop(skeleton.names[j], None)
+        if j == root:
+            rotations[:, j], translation = world[:, j], positions[:, j]
+            offsets[j] = skeleton.offsets[[j, *skeleton.ancestors(j)]].sum(axis=0)
+            continue
+        back = invert_quaternions(world[:, parent[j]])
+        rotations[:, j] = multiply_quaternions(back, world[:, j])
+        local = rotate_vectors(back, positions[:, j] - positions[:, parent[j]])
+        low, high = local.min(axis=0), local.max(axis=0)
+        offsets[j] = (low + high) / 2
+        if (high - low > still).any():
+            moving[skeleton.names[j]] = local
     number = {j: k for k, j in enumerate(kept)}
     rig = Skeleton(
         names=tuple(skeleton.names[j] for j in kept),
@@ -69,14 +72,8 @@ def keep_joints(motion: Motion, names: Sequence[str]) -> Motion:
         parts={p: name for p, name in skeleton.parts.items() if skeleton.index(name) in number},
         body_shape=skeleton.body_shape,
     )
-    return replace(
-        motion,
-        skeleton=rig,
-        rotations=rotations[:, kept],
-        translation=translation,
-        joint_translations={k: v for k, v in moving.items() if k in rig.names},
-        info=dict(motion.info),
-    )
+    moving = {name: values for name, values in moving.items() if name in rig.names}
+    return rig, rotations[:, kept], translation, moving
 
 
 def _kept_parents(skeleton: Skeleton, kept: Sequence[int]) -> dict[int, int]:

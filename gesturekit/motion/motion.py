@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import stat
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
@@ -15,11 +15,12 @@ import numpy as np
 
 from gesturekit.errors import FormatError, MotionError, gesturekit_errors
 from gesturekit.motion import kinematics
+from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.mirroring import mirror
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.resampling import Resampler, checked_fps
-from gesturekit.motion.rotations import rotate_vectors
-from gesturekit.motion.skeleton import FARTHEST, Skeleton
+from gesturekit.motion.rotations import euler_from_quaternion, rotate_vectors
+from gesturekit.motion.skeleton import FARTHEST, ROTATION_ORDERS, Skeleton
 
 # The only upward imports: readers, writers and the viewer are in packages that import this one,
 # and are loaded by name when they are used.
@@ -112,6 +113,40 @@ class Motion:
         """Number of frames T."""
         return len(self.rotations)
 
+    def __len__(self) -> int:
+        return self.n_frames
+
+    def __getitem__(self, frames: slice) -> Motion:
+        """Return a range of frames, such as `motion[10:40]` or `motion[-1:]`, as arrays have them.
+
+        The arrays of the result are views. A step as in `motion[::2]` lowers the frame rate, so
+        that the motion stays as fast as it was. For seconds, see `trim`.
+
+        Raises:
+            MotionError: not a range, an empty one, or a step below 1.
+        """
+        if not isinstance(frames, slice):
+            raise MotionError(
+                f"frame {frames!r}: a motion is cut by a range, such as motion[10:40]; "
+                "motion[10:11] is frame 10"
+            )
+        step = 1 if frames.step is None else frames.step
+        if step < 1:
+            raise MotionError(f"step {step}: frames are taken in order, with a step of at least 1")
+        if not len(range(*frames.indices(self.n_frames))):
+            raise MotionError(
+                f"no frames from {frames.start} to {frames.stop} in a motion of {self.n_frames}"
+            )
+        return replace(
+            self,
+            rotations=self.rotations[frames],
+            translation=self.translation[frames],
+            fps=self.fps / step,
+            joint_translations={k: v[frames] for k, v in self.joint_translations.items()},
+            expressions=None if self.expressions is None else self.expressions[frames],
+            info=dict(self.info),
+        )
+
     @property
     def duration(self) -> float:
         """Duration T / fps in seconds; each frame lasts 1 / fps."""
@@ -140,6 +175,19 @@ class Motion:
     def global_rotations(self) -> np.ndarray:
         """(T, J, 4) quaternions from each joint's frame to the world."""
         return kinematics.global_rotations(self.rotations, self.skeleton)
+
+    def euler(self, order: str = "ZXY") -> np.ndarray:
+        """(T, J, 3) intrinsic local Euler angles, degrees, columns as in `order`.
+
+        "ZXY" rotates about Z, then about the new X, then about the newest Y, as in BVH. In gimbal
+        lock the third angle is set to 0; the rotation is still correct.
+
+        Raises:
+            MotionError: not an order of three different axes.
+        """
+        if order not in ROTATION_ORDERS:
+            raise MotionError(f"order {order!r}; expected one of {', '.join(ROTATION_ORDERS)}")
+        return euler_from_quaternion(self.rotations, order)
 
     def resample(self, fps: float, n_frames: int | None = None, antialias: bool = False) -> Motion:
         """Return the motion at another frame rate; after its last frame it stands still.
@@ -192,6 +240,33 @@ class Motion:
             info=dict(self.info),
         )
 
+    def keep(self, joints: Sequence[str]) -> Motion:
+        """Return the motion without all other joints; kept ones stay where they are in the world.
+
+        A joint whose parent is removed becomes a child of its nearest kept ancestor; it gets
+        `joint_translations` if a removed joint between them rotates. A joint that loses all its
+        children gets an end site.
+
+        Args:
+            joints: names, in any order.
+
+        Raises:
+            MotionError: no names, an unknown one, or no kept joint above all others.
+        """
+        if set(joints) == set(self.skeleton.names):
+            return self
+        skeleton, rotations, translation, moving = keep_joints(
+            self.skeleton, self.rotations, self.translation, self.joint_translations, joints
+        )
+        return replace(
+            self,
+            skeleton=skeleton,
+            rotations=rotations,
+            translation=translation,
+            joint_translations=moving,
+            info=dict(self.info),
+        )
+
     def scaled(self, factor: float) -> Motion:
         """Multiply all lengths by `factor`: skeleton, translation and joint translations.
 
@@ -231,26 +306,6 @@ class Motion:
         scale = metres / body_height(self.skeleton)
         return replace(self.scaled(scale), info=self.info | {"scale": scale})
 
-    def slice(self, start_frame: int, stop_frame: int) -> Motion:
-        """Return frames `start_frame` up to, not including, `stop_frame`.
-
-        Raises:
-            MotionError: the range is empty or exceeds the motion.
-        """
-        if not 0 <= start_frame < stop_frame <= self.n_frames:
-            raise MotionError(
-                f"frames {start_frame} to {stop_frame} of a motion of {self.n_frames} frames"
-            )
-        part = np.s_[start_frame:stop_frame]
-        return replace(
-            self,
-            rotations=self.rotations[part],
-            translation=self.translation[part],
-            joint_translations={k: v[part] for k, v in self.joint_translations.items()},
-            expressions=None if self.expressions is None else self.expressions[part],
-            info=dict(self.info),
-        )
-
     def trim(self, start: float = 0.0, stop: float | None = None) -> Motion:
         """Return seconds `start` to `stop` (default: the end), both rounded to whole frames.
 
@@ -266,7 +321,7 @@ class Motion:
                 f"{start:g} to {last:g} s of a motion of {self.duration:g} s; "
                 f"give seconds within it, at least {1 / self.fps:.3f} apart"
             )
-        return self.slice(*frames)
+        return self[slice(*frames)]
 
     @classmethod
     def load(

@@ -23,7 +23,6 @@ from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.ik.two_bone import reachable, two_bone_ik
-from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length
@@ -105,7 +104,7 @@ class _FootLock:
         legs = {joint for foot in feet for joint in foot.joints}
         self.kept = sorted(legs.union(*map(whole.ancestors, legs)))
         self.whole, self.fps = motion, motion.fps
-        self.motion = keep_joints(motion, [whole.names[j] for j in self.kept])
+        self.motion = motion.keep([whole.names[j] for j in self.kept])
         self.skeleton = self.motion.skeleton
         self.feet = [foot.renumbered({j: k for k, j in enumerate(self.kept)}) for foot in feet]
         columns = max(k for foot in self.feet for anchor in foot.anchors for k in anchor.columns)

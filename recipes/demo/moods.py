@@ -287,7 +287,7 @@ def measure(wave: af.Wave, motion: Motion) -> Measures:
     pitch = af.ProsodicRange().extract(wave)
     size = round(CLIP_SECONDS * motion.fps)
     for start in range(0, motion.n_frames - size + 1, size):
-        clip = motion.slice(start, start + size)
+        clip = motion[start : start + size]
         first = start / motion.fps
         here = (pitch.times >= first) & (pitch.times < first + CLIP_SECONDS)
         levels.append(hand_level(clip))

@@ -99,7 +99,7 @@ def walk(path: RootPath, gait: Gait) -> Motion:
         motion.rotations[:, rig.index(side + "ToeBase")] = toe.as_quat()
         _reach(motion, side, ankle, foot, path)
     margin = round(MARGIN * fps)
-    return motion.slice(margin, n - margin)
+    return motion[margin : n - margin]
 
 
 def _foot(

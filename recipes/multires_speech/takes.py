@@ -50,7 +50,7 @@ def motions_of(motion: gk.Motion) -> list[gk.Motion]:
     """Cut a motion into clips of `SECONDS`."""
     frames = round(SECONDS * FPS)
     starts = window_starts(motion.n_frames, frames, frames)
-    return [motion.slice(int(start), int(start) + frames) for start in starts]
+    return [motion[start : start + frames] for start in starts]
 
 
 def fast(curve: np.ndarray) -> np.ndarray:

@@ -139,7 +139,7 @@ def test_a_share_of_the_windows_is_stretched():
 )
 def test_mirrored_motion_has_the_mirrored_vector(shared_data, file):
     motion = gk.Motion.load(shared_data / file)
-    motion = motion.slice(0, min(300, motion.n_frames))
+    motion = motion[:300]
     representation = DeltaRepresentation.fit([motion, motion.mirror()])
     values, mirrored = (representation.encode(m) for m in (motion, motion.mirror()))
     steps = representation.root_columns
@@ -185,4 +185,4 @@ def test_every_frame_of_a_fast_recording_is_used(gesture):
     assert second.motion.rotations == pytest.approx(motion.rotations[1::2])
     for fps, count in ((120.0, 4), (25.0, 1), (75.0, 1), (60.0 + 1e-9, 2)):
         assert len(phases(replace(motion, fps=fps), 30.0)) == count
-    assert len(phases(motion.slice(0, 1), 30.0)) == 1
+    assert len(phases(motion[:1], 30.0)) == 1

@@ -52,7 +52,7 @@ def errors(representation: DeltaRepresentation, motion: Motion) -> tuple[float, 
 )
 def test_a_round_trip_of_real_rigs_is_exact(shared_data, file, fps):
     motion = gk.Motion.load(shared_data / file)
-    motion = motion.resample(fps) if fps else motion.slice(0, min(2000, motion.n_frames))
+    motion = motion.resample(fps) if fps else motion[:2000]
     representation = DeltaRepresentation.fit([motion])
     rotation, place = errors(representation, motion)
     assert rotation < 1e-9
@@ -65,9 +65,9 @@ def test_a_round_trip_of_real_rigs_is_exact(shared_data, file, fps):
 def test_very_short_motions(gesture, n_frames):
     motion = gesture(2.0)
     representation = DeltaRepresentation.fit([motion])
-    assert representation.encode(motion.slice(5, 5 + n_frames)).shape == (n_frames, 61)
-    assert max(errors(representation, motion.slice(5, 5 + n_frames))) < 1e-9
-    alone = motion.slice(5, 5 + n_frames)
+    assert representation.encode(motion[5 : 5 + n_frames]).shape == (n_frames, 61)
+    assert max(errors(representation, motion[5 : 5 + n_frames])) < 1e-9
+    alone = motion[5 : 5 + n_frames]
     assert max(errors(DeltaRepresentation.fit([alone]), alone)) < 1e-9
 
 
@@ -170,7 +170,7 @@ def test_the_root_goes_forward_and_turns_left(gesture):
 
 @pytest.mark.parametrize("kind", [DeltaRepresentation, MultiresRepresentation])
 def test_joints_that_are_not_modelled_are_written_at_their_mean(shared_data, kind):
-    motion = gk.Motion.load(shared_data / REAL[0]).slice(300, 400)
+    motion = gk.Motion.load(shared_data / REAL[0])[300:400]
     representation = kind.fit([motion])
     assert not any("Thumb" in name for name in representation.joints)
     made = representation.decode(representation.encode(motion), motion.fps)

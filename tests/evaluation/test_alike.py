@@ -10,7 +10,6 @@ from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import evaluate
 from gesturekit.evaluation.report.page import write_report
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.retarget import retarget
 
 
@@ -53,7 +52,7 @@ def test_all_models_are_measured_with_the_joints_that_all_have(recordings, gestu
     motions = {f"clip{i}": gesture(4.0, 25.0, seed=10 + i) for i in range(3)}
     whole = saved(tmp_path / "whole", motions)
     kept = [n for n in motions["clip0"].skeleton.names if n != "Neck"]
-    cut = {name: keep_joints(motion, kept) for name, motion in motions.items()}
+    cut = {name: motion.keep(kept) for name, motion in motions.items()}
     fewer = saved(tmp_path / "fewer", cut)
     found = evaluate({"whole": whole, "fewer": fewer}, recordings)
     # The same motion: with and without the joints that one of them lacks.

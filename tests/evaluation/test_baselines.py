@@ -74,7 +74,7 @@ def test_a_single_held_out_item_is_compared_with_training_recordings(folders, tm
         for i in range(3)
     ]  # fmt: skip
     Manifest(items).save(tmp_path / "corpus.jsonl")
-    made = Motion.load(folders / "made" / "clip1_s1.npz").slice(0, 100)
+    made = Motion.load(folders / "made" / "clip1_s1.npz")[:100]
     made.save(tmp_path / "made" / "clip1.npz")
     found = evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", baselines=BOTH)
     other = load_clip(found.models[2].clips[0].pair, 25.0).generated

@@ -17,7 +17,6 @@ from gesturekit.evaluation import Variants, evaluate
 from gesturekit.evaluation.metrics.rhythm import beat_alignment, music_beats
 from gesturekit.evaluation.report.headline import interval_warnings
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.joint_selection import keep_joints
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +145,7 @@ def test_windows_are_compared_with_their_part_of_the_recording(tmp_path, gesture
     whole.save(tmp_path / "recordings" / "a.npz")
     write_speech(tmp_path / "sound" / "a.wav", 25.0)
     for window in (0, 1):
-        part = whole.slice(250 * window, 250 * window + 250)
+        part = whole[250 * window : 250 * window + 250]
         for sample in (1, 2, 3):
             part.save(tmp_path / "made" / f"a_w{window:03d}_s{sample}.npz")
     found = evaluate(
@@ -250,7 +249,7 @@ def test_bad_clips_are_left_out_with_their_reasons_and_the_rest_is_measured(fold
     made = tmp_path / "made"
     good = Motion.load(folders / "samples" / "clip0_s1.npz")
     good.save(made / "clip0.npz")
-    good.slice(0, 1).save(made / "clip1.npz")
+    good[:1].save(made / "clip1.npz")
     good.save(made / "clip2.bvh")
     text = (made / "clip2.bvh").read_text().splitlines()
     text[-5] = text[-5].replace(text[-5].split()[3], "nan", 1)
@@ -285,7 +284,7 @@ def test_oddities_of_a_clip_are_reported(folders, tmp_path):
     rotations[50:80] = rotations[50]
     translation = motion.translation.copy()
     translation[80:] += [3.0, 0.0, 0.0]
-    odd = replace(motion, rotations=rotations, translation=translation).slice(0, 90)
+    odd = replace(motion, rotations=rotations, translation=translation)[:90]
     odd.save(tmp_path / "made" / "clip0.npz")
     (model,) = evaluate(tmp_path / "made", folders / "recordings").models
     notes = "; ".join(model.clips[0].notes)
@@ -321,7 +320,7 @@ def test_a_model_of_fewer_joints_has_fréchet_distances_on_those_it_shares(gestu
         motion.save(tmp_path / "recordings" / f"clip{i}.npz")
         kept = [name for name in motion.skeleton.names if name not in ("Neck", "LeftToeBase")]
         assert len(kept) < motion.skeleton.n_joints
-        keep_joints(motion, kept).save(tmp_path / "made" / f"clip{i}.npz")
+        motion.keep(kept).save(tmp_path / "made" / f"clip{i}.npz")
     (model,) = evaluate(tmp_path / "made", tmp_path / "recordings").models
     for key in ("raw_fgd", "fid_k"):
         assert model.metrics[key].interval.value == pytest.approx(0.0, abs=1e-6), key

@@ -138,7 +138,7 @@ def pair_of_files(shared_data, tmp_path_factory):
     sound = tmp_path_factory.mktemp("sound") / "speech.wav"
     soundfile.write(sound, wave.samples, wave.sample_rate)
     motion = Motion.load(bvh)
-    return motion.slice(0, round(SECONDS * motion.fps)), sound
+    return motion[: round(SECONDS * motion.fps)], sound
 
 
 @pytest.fixture(scope="module")
@@ -231,7 +231,7 @@ def still(motion: Motion, number: int) -> Motion:
 
 def later(motion: Motion, number: int) -> Motion:
     """A third of a second later."""
-    return motion.slice(round(motion.fps / 3), motion.n_frames)
+    return motion[round(motion.fps / 3) :]
 
 
 def sliding(motion: Motion, number: int) -> Motion:
@@ -302,7 +302,7 @@ def synthetic(gesture) -> list[Motion]:
 
 def recorded(shared_data) -> list[Motion]:
     motion = Motion.load(shared_data / "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh")
-    return [motion.slice(start, start + 300) for start in range(300, 1500, 300)]
+    return [motion[start : start + 300] for start in range(300, 1500, 300)]
 
 
 @pytest.fixture(scope="module", params=["synthetic", "recorded"])

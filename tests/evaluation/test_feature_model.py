@@ -78,13 +78,13 @@ def test_yoon_poses_are_directions_of_the_upper_body(clips):
 def test_windows_start_every_half_window(clips):
     windows = PoseWindows.fit(clips)
     frames = windows.frames(clips[0])
-    (cut,) = windows.cut([clips[0], clips[1].slice(0, 59)])  # one is too short
+    (cut,) = windows.cut([clips[0], clips[1][:59]])  # one is too short
     assert cut.shape == (5, 60, windows.n_features)  # 180 frames: 0, 30, ..., 120
     assert np.array_equal(cut[4], frames[120:180])
 
 
 def test_no_window_reaches_from_one_motion_into_the_next(clips):
-    short = clips[1].slice(0, 20)
+    short = clips[1][:20]
     alone = FeatureModel.fit([clips[0], clips[2]], n_frames=30, steps=1)
     beside = FeatureModel.fit([clips[0], short, clips[2]], n_frames=30, steps=1)
     assert beside.training["windows"] == alone.training["windows"] == 2 * 151
@@ -175,7 +175,7 @@ def test_bad_input_gets_one_clear_error(clips, model, skeleton):
     with pytest.raises(EvaluationError, match="has no joint LeftArm, which the other motions"):
         fgd([other], clips, model)
     with pytest.raises(EvaluationError, match="none of 1 motions is as long as a window of 1 s"):
-        fgd([clips[0].slice(0, 1)], clips, model)
+        fgd([clips[0][:1]], clips, model)
     for options, message in (
         ({"variant": "fgd"}, "'fgd'; expected genea or yoon"),
         ({"n_frames": 5}, "windows of 5 frames"),

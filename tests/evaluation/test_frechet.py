@@ -159,7 +159,7 @@ def kinetic_by_definition(places: np.ndarray, dt: float) -> np.ndarray:
 
 @pytest.mark.parametrize("n_frames", [4, 5, 23])
 def test_kinetic_features_equal_their_definition(gesture, skeleton, n_frames):
-    motion = gesture(1.0).slice(0, n_frames)
+    motion = gesture(1.0)[:n_frames]
     joints = body_joints(skeleton)
     features = kinetic_features(motion).reshape(len(joints), 3)
     positions = motion.positions()
@@ -241,10 +241,10 @@ def renamed(motion: Motion) -> Motion:
     [
         (lambda m: fid_k([m], [m]), "none of 1 motions is as long as a clip of 10 s"),
         (lambda m: fid_k([], [m]), "set of motions is empty"),
-        (lambda m: raw_fgd([m.slice(0, 59)], [m]), "none of 1 motions is as long as a window of 2"),
+        (lambda m: raw_fgd([m[:59]], [m]), "none of 1 motions is as long as a window of 2"),
         (lambda m: raw_fgd([m], []), "no motion to learn poses from"),
         (lambda m: fid_k([renamed(m)], [m], seconds=4.0), "has no joint LeftArm, which the other"),
-        (lambda m: kinetic_features(m.slice(0, 1)), "1 frames at 30 fps; clip features need 4"),
+        (lambda m: kinetic_features(m[:1]), "1 frames at 30 fps; clip features need 4"),
         (lambda m: div_k([m], seconds=8.0), "diversity needs two clips"),
         (lambda m: div_k([m], seconds=0.0), "clips of 0.0 s"),
     ],

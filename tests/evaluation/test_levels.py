@@ -62,7 +62,7 @@ def judged(
     for item in items:
         motion = others(item).load_motion()
         frames = min(motion.n_frames, round(item.duration * motion.fps))
-        motion.slice(0, frames).save(folder / "made" / f"{item.id}.npz")
+        motion[:frames].save(folder / "made" / f"{item.id}.npz")
     return evaluate(folder / "made", folder / "corpus.jsonl", **options)
 
 

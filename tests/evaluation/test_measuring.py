@@ -70,13 +70,13 @@ def test_content_counts_and_names_do_not(folders, measured):
     evaluate({"copy": folders / "a copy"}, folders / "recordings")
     assert not measured
     changed = folders / "a copy" / "clip1.npz"
-    Motion.load(changed).slice(0, 70).save(changed)
+    Motion.load(changed)[:70].save(changed)
     evaluate({"copy": folders / "a copy"}, folders / "recordings")
     assert sorted(measured) == [("copy", "clip1"), ("copy", "frechet"), ("copy", "pooled")]
     measured.clear()
     # Another recording changes the joint limits that every clip is measured against.
     changed = folders / "recordings" / "clip1.bvh"
-    Motion.load(changed).slice(0, 40).save(changed)
+    Motion.load(changed)[:40].save(changed)
     evaluate(folders / "ours", folders / "recordings")
     assert len(measured) == 3 + 2
 

@@ -121,7 +121,7 @@ def test_penetration_is_the_depth_below_the_standing_height(standing):
 
 def test_one_frame_has_no_speed(standing):
     with pytest.raises(MotionError, match="has 1 frame"):
-        foot_skate(standing.slice(0, 1))
+        foot_skate(standing[:1])
 
 
 def test_joints_beyond_recorded_limits_are_counted_per_frame(turning):

@@ -184,7 +184,7 @@ def test_calm_and_lively_has_the_slope_and_the_sign(reaching):
     still = reaching(np.zeros((2500, 3)))
     assert calm_and_lively(recorded, [still]).r == 0.0
     with pytest.raises(MotionError, match="at least 3 windows"):
-        calm_and_lively(recorded.slice(0, 200), [half])
+        calm_and_lively(recorded[:200], [half])
 
 
 def test_rigs_without_arms_or_wrists_are_errors(turning, skeleton):
@@ -301,7 +301,7 @@ def test_copies_are_found_mirrored_stretched_and_at_any_frame(talker):
     new = copying(talker(2, 20.0), held_out, training)
     assert 0.8 < new.median_ratio < 1.25
     assert 0.7 < new.low_ratio < 1.4
-    cut = training.slice(107, 407)
+    cut = training[107:407]
     for copy, far in (
         (cut, 1e-6),
         (cut.mirror(), 1e-6),
@@ -312,7 +312,7 @@ def test_copies_are_found_mirrored_stretched_and_at_any_frame(talker):
         assert found.median_ratio < far
         assert found.held_out_median == new.held_out_median
     # One copied second in twenty shows in the 5 % quantile alone.
-    mixed = copying([talker(2, 18.0), training.slice(107, 207)], held_out, training)
+    mixed = copying([talker(2, 18.0), training[107:207]], held_out, training)
     assert mixed.median_ratio > 0.8
     assert mixed.low_ratio < 0.1
 

@@ -192,7 +192,7 @@ def test_a_frozen_body_and_silence_score_zero_and_say_why(turning, pulsing, meas
     assert (found.score, found.z) == (0.0, 0.0) and "motion has no beats" in found.note
     found = measure(pulsing(), np.zeros(0))
     assert (found.score, found.z) == (0.0, 0.0) and "sound has no beats" in found.note
-    short = pulsing().slice(0, 90)
+    short = pulsing()[:90]
     assert "chance unknown" in measure(short, np.array([0.5])).note
 
 

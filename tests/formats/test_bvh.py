@@ -337,7 +337,7 @@ def test_unit_and_axes_can_be_set(write):
 
 
 def test_z_up_files_are_stood_up(shared_data, tmp_path, save_as_others):
-    motion = read_bvh(shared_data / "motion/aitviewer/sample.bvh").slice(0, 50)
+    motion = read_bvh(shared_data / "motion/aitviewer/sample.bvh")[:50]
     skeleton, quarter = motion.skeleton, Rotation.from_euler("x", 90, degrees=True)
     lying = replace(
         motion,

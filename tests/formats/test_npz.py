@@ -29,7 +29,7 @@ def smpl_motion(n_joints: int, fps: float = 30.0) -> Motion:
 
 def test_any_rig_survives_to_the_last_bit(shared_data, tmp_path):
     for file in (BANDAI, ZEGGS):
-        motion = Motion.load(shared_data / file).slice(0, 100)
+        motion = Motion.load(shared_data / file)[:100]
         motion.save(tmp_path / "a.npz")
         again = Motion.load(tmp_path / "a.npz")
         assert (again.skeleton.names, again.fps) == (motion.skeleton.names, motion.fps)
@@ -205,7 +205,7 @@ def test_a_beat2_file_comes_back_as_it_was(tmp_path):
 def test_expressions_follow_the_frames(tmp_path):
     values = beat2(tmp_path / "beat2.npz")
     motion = read_npz(tmp_path / "beat2.npz", up="y")
-    part = motion.slice(3, 9)
+    part = motion[3:9]
     np.testing.assert_array_equal(part.expressions, values["expressions"][3:9])
     assert part.mirror().expressions.shape == (6, 100)
     half = motion.resample(15.0)

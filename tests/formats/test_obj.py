@@ -38,7 +38,7 @@ def test_the_skin_of_a_frame(tmp_path, body_file, n_joints):
     assert faces.min() == 1 and faces.max() == len(skin) == body.n_vertices
     assert 0.9 < np.ptp(skin, axis=0).max() < 2.0
     if n_joints == 24:
-        np.testing.assert_allclose(skin, body.vertices(motion.slice(3, 4))[0], atol=1e-6)
+        np.testing.assert_allclose(skin, body.vertices(motion[3:4])[0], atol=1e-6)
 
 
 def test_faces_look_outwards(body_file):

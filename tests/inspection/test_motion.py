@@ -17,7 +17,6 @@ from gesturekit.errors import GestureKitError
 from gesturekit.inspection import Summary, inspect
 from gesturekit.inspection.tree import tree
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.joint_selection import keep_joints
 
 
 def row(summary: Summary, label: str) -> str:
@@ -84,7 +83,7 @@ def test_a_rig_that_is_not_a_body_is_described(tmp_path, save_as_others):
 
 
 def test_one_frame_is_enough(gesture, tmp_path):
-    gesture(1.0).slice(3, 4).save(tmp_path / "one.bvh")
+    gesture(1.0)[3:4].save(tmp_path / "one.bvh")
     summary = inspect(tmp_path / "one.bvh")
     assert "1 frame at 30 fps" in row(summary, "time") and summary.problems == ()
 
@@ -106,7 +105,7 @@ def test_the_tree_names_every_joint_but_fingers_and_fits(shared_data):
 
 def test_a_tree_of_one_joint_and_of_no_parts(gesture):
     motion = gesture(0.5)
-    assert tree(keep_joints(motion, ["Hips"]).skeleton, {}) == ["Hips"]
+    assert tree(motion.keep(["Hips"]).skeleton, {}) == ["Hips"]
     assert "LeftHand" in "\n".join(tree(motion.skeleton, {}))
 
 
@@ -214,7 +213,7 @@ def test_a_rig_that_lacks_an_arm_shows_all_its_other_parts(gesture, tmp_path, pa
     motion = gesture(1.0)
     kept = [name for name in motion.skeleton.names if not name.startswith(("LeftSh", "LeftArm"))]
     kept = [name for name in kept if name not in ("LeftForeArm", "LeftHand")]
-    keep_joints(motion, kept).save(tmp_path / "a.npz")
+    motion.keep(kept).save(tmp_path / "a.npz")
     summary = inspect(tmp_path / "a.npz", parts=parts)
     labels = summary.facts["parts"]
     told = {name: labels[name] for name in ("Hips", "Chest", "Neck", "Head", "LeftFoot")}

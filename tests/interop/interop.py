@@ -72,7 +72,7 @@ def main(bpy_python: str) -> None:
         written: dict[Path, Motion] = {}
         for stem, motion in motions():
             path = folder / f"{stem}.bvh"
-            written[path] = replace(motion.slice(0, min(N_FRAMES, motion.n_frames)), info={})
+            written[path] = replace(motion[:N_FRAMES], info={})
             written[path].save(path)
         files = [str(path) for path in written]
         here = Path(__file__).parent

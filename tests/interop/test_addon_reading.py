@@ -57,7 +57,7 @@ def test_joints_rotations_and_places_are_those_of_the_file(reading, odd_motion, 
 
 
 def test_other_files_are_named(reading, odd_motion, tmp_path):
-    motion = odd_motion.slice(0, 3)
+    motion = odd_motion[:3]
     with pytest.warns(UserWarning, match="spaces"):
         motion.save(tmp_path / "a.bvh")
     text = (tmp_path / "a.bvh").read_text()

@@ -29,7 +29,7 @@ def test_a_good_motion_has_no_defects(moving_person):
     assert find_jumps(moving_person) is None and find_pops(moving_person) is None
     assert jitter_share(moving_person) == 0 and frozen_runs(moving_person) == []
     for n in (1, 2, 3):
-        short = moving_person.slice(0, n)
+        short = moving_person[:n]
         assert (find_jumps(short), find_pops(short), jitter_share(short)) == (None, None, 0.0)
         assert frozen_runs(short) == []
 
@@ -51,7 +51,7 @@ def test_a_joint_displaced_for_one_frame(moving_person, fps):
 def test_defects_are_those_of_the_joints_that_jump_or_pop(moving_person):
     names = moving_person.skeleton.names
     assert not defective_joints(moving_person).any()
-    assert defective_joints(moving_person.slice(0, 1)).shape == (1, len(names))
+    assert defective_joints(moving_person[:1]).shape == (1, len(names))
     off = np.zeros(60)
     off[[20, 41]] = [0.5, -0.6]
     found = defective_joints(turned(moving_person, "LeftForeArm", off))

@@ -9,7 +9,6 @@ from rigs import at_rest
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.parts import body_joints
 from gesturekit.multires.kinematics import VectorKinematics
@@ -18,7 +17,7 @@ from gesturekit.multires.motion_vector import MultiresRepresentation
 
 def check(motion: Motion, names: list[str]) -> Motion:
     """What stays lies and turns in the world as before."""
-    kept = keep_joints(motion, names)
+    kept = motion.keep(names)
     assert set(kept.skeleton.names) == set(names)
     before = [motion.skeleton.index(name) for name in kept.skeleton.names]
     np.testing.assert_allclose(kept.positions(), motion.positions()[:, before], atol=1e-5)
@@ -55,17 +54,17 @@ def test_another_root_moves_as_it_did(moving_person):
 
 def test_joints_that_cannot_be_removed_are_errors(moving_person):
     with pytest.raises(MotionError, match="keep 'Chest' too"):
-        keep_joints(moving_person, ["LeftArm", "RightArm"])
+        moving_person.keep(["LeftArm", "RightArm"])
     with pytest.raises(MotionError, match="did you mean LeftArm"):
-        keep_joints(moving_person, ["Leftarm"])
+        moving_person.keep(["Leftarm"])
     with pytest.raises(MotionError, match="at least one"):
-        keep_joints(moving_person, [])
-    assert keep_joints(moving_person, ["Hips"]).skeleton.n_joints == 1
+        moving_person.keep([])
+    assert moving_person.keep(["Hips"]).skeleton.n_joints == 1
 
 
 @pytest.mark.parametrize("file", [ZEGGS, BANDAI])
 def test_bodies_of_real_recordings(shared_data, file, tmp_path):
-    motion = Motion.load(shared_data / file).slice(0, 60)
+    motion = Motion.load(shared_data / file)[:60]
     kept = check(motion, list(body_joints(motion.skeleton)))
     kept.save(tmp_path / "a.bvh")
     again = Motion.load(tmp_path / "a.bvh")

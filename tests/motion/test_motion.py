@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.motion import Motion
@@ -38,12 +39,33 @@ def test_a_bad_quaternion_is_named(moving_person):
         replace(moving_person, rotations=rotations)
 
 
-def test_slice(moving_person):
-    part = moving_person.slice(10, 20)
-    assert part.n_frames == 10
-    np.testing.assert_array_equal(part.positions(), moving_person.positions()[10:20])
-    with pytest.raises(MotionError, match="50 to 61"):
-        moving_person.slice(50, 61)
+def test_frames_are_cut_like_those_of_an_array(moving_person):
+    positions = moving_person.positions()
+    for frames in (np.s_[10:20], np.s_[-5:], np.s_[:7], np.s_[50:99], np.s_[::2], np.s_[3:20:4]):
+        part = moving_person[frames]
+        np.testing.assert_array_equal(part.positions(), positions[frames])
+        np.testing.assert_allclose(part.times, moving_person.times[frames] - part_start(frames))
+    assert len(moving_person) == 60 and len(moving_person[10:40]) == 30
+    for frames in (np.s_[60:], np.s_[5:5], np.s_[9:3]):
+        with pytest.raises(MotionError, match="in a motion of 60"):
+            moving_person[frames]
+    for wrong, message in ((3, r"motion\[10:11\] is frame 10"), (np.s_[::-1], "step -1")):
+        with pytest.raises(MotionError, match=message):
+            moving_person[wrong]
+
+
+def part_start(frames: slice) -> float:
+    """Return the time of a part's first frame; 30 fps, 60 frames."""
+    return range(60)[frames][0] / 30
+
+
+def test_euler_angles_are_those_of_scipy(moving_person):
+    angles = moving_person.euler("XZY")
+    assert angles.shape == (60, moving_person.skeleton.n_joints, 3)
+    expected = Rotation.from_quat(moving_person.rotations[7]).as_euler("XZY", degrees=True)
+    np.testing.assert_allclose(angles[7], expected)
+    with pytest.raises(MotionError, match="'XZ'; expected one of XYZ"):
+        moving_person.euler("XZ")
 
 
 def test_trim(moving_person):
@@ -79,8 +101,8 @@ def test_resample_between_frames_and_past_the_end(moving_person):
 
 def test_number_of_frames_is_exact(moving_person):
     # 49 frames at 30 fps are 24.5 at 15 fps: half a frame counts as one.
-    assert moving_person.slice(0, 49).resample(15).n_frames == 25
-    assert moving_person.slice(0, 47).resample(15).n_frames == 24
+    assert moving_person[:49].resample(15).n_frames == 25
+    assert moving_person[:47].resample(15).n_frames == 24
 
 
 def test_unknown_suffix_is_refused_by_name(moving_person, tmp_path):

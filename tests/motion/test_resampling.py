@@ -56,7 +56,7 @@ def test_the_filter_is_pillows_lanczos(moving_person, fps):
     joint = noisy.skeleton.index("LeftForeArm")
     turns = quaternion_from_rotation_vector(values[:, None] * [0.0, 0.6, 0.8])
     noisy.rotations[:200, joint] = turns
-    made = noisy.resample(fps, antialias=True).slice(first, first + n)
+    made = noisy.resample(fps, antialias=True)[first : first + n]
     expected = np.asarray(image)[0].astype(np.float64)
     np.testing.assert_allclose(made.translation[:, 2], expected, atol=1e-5)
     turns = quaternion_from_rotation_vector(expected[:, None] * [0.0, 0.6, 0.8])
@@ -68,7 +68,7 @@ def test_the_end_frames_go_on_for_the_filter(moving_person):
 
     The frame's own weight is about 1/4 at a quarter of the rate, which leaves (1 + 1/4) / 2.
     """
-    still = shaking(moving_person, hertz=0.0).slice(0, 201)
+    still = shaking(moving_person, hertz=0.0)[:201]
     still.translation[[0, -1], 2] = 1.0
     made = still.resample(30.0, n_frames=51, antialias=True).translation[:, 2]
     assert made[[0, 50]] == pytest.approx(0.625, abs=2e-3)
@@ -87,14 +87,14 @@ def test_a_still_motion_and_a_rising_rate_are_left_alone(moving_person):
     assert rotation_angles(still.rotations[:1], still.rotations).max() < 1e-9
     up = moving_person.resample(60.0, antialias=True)
     np.testing.assert_array_equal(up.rotations, moving_person.resample(60.0).rotations)
-    one = moving_person.slice(0, 1).resample(10.0, antialias=True)
+    one = moving_person[:1].resample(10.0, antialias=True)
     np.testing.assert_allclose(one.translation, moving_person.translation[:1])
 
 
 @pytest.mark.parametrize("antialias", [False, True])
 def test_resampling_down_and_up_again_has_a_small_error(shared_data, antialias):
     """30 to 25 to 30 fps: the mean error of real gestures is below half a degree."""
-    motion = Motion.load(shared_data / ZEGGS).slice(0, 600)
+    motion = Motion.load(shared_data / ZEGGS)[:600]
     back = motion.resample(25.0, antialias=antialias).resample(30.0, n_frames=600)
     assert np.degrees(rotation_angles(motion.rotations, back.rotations).mean()) < 0.5
 

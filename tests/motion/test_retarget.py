@@ -13,7 +13,6 @@ from gesturekit.errors import MotionError
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.contacts import contact_labels, foot_positions
-from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.parts import SIDES, find_parts
 from gesturekit.motion.retarget import retarget
@@ -34,7 +33,7 @@ UPRIGHT = np.array([0.0, 0.9, 0.0])
 
 @pytest.fixture(scope="module")
 def zeggs(shared_data) -> Motion:
-    return Motion.load(shared_data / ZEGGS).slice(0, 600)
+    return Motion.load(shared_data / ZEGGS)[:600]
 
 
 def with_rest(skeleton: Skeleton, pose: np.ndarray) -> Skeleton:
@@ -338,7 +337,7 @@ def test_spines_are_matched_along_their_length(person, mixamo):
 
 
 def test_a_neck_that_the_source_does_not_have_turns_half_as_far_as_the_head(person, mixamo):
-    short = keep_joints(looking_aside(person), [n for n in person.names if n != "Neck"]).skeleton
+    short = looking_aside(person).keep([n for n in person.names if n != "Neck"]).skeleton
     made = retarget(looking_aside(short, Spine=10.0, Chest=40.0, Head=-20.0), mixamo)
     names = [f"mixamorig:{name}" for name in ("Spine2", "Neck", "Head")]
     assert yaws(made, *names) == pytest.approx([50, 40, 30], abs=0.2)
@@ -347,7 +346,7 @@ def test_a_neck_that_the_source_does_not_have_turns_half_as_far_as_the_head(pers
 def test_clavicles_wrists_and_heads_that_the_source_lacks_follow_their_parents(person, mixamo):
     missing = ("Head", "Neck", "LeftHand", "RightHand")
     rest = looking_aside(person)
-    short = keep_joints(rest, [n for n in person.names if n not in missing]).skeleton
+    short = rest.keep([n for n in person.names if n not in missing]).skeleton
     made = retarget(looking_aside(short, Chest=30.0, LeftForeArm=20.0), mixamo)
     names = [f"mixamorig:{name}" for name in ("LeftShoulder", "LeftHand", "RightHand", "Head")]
     # Hands are placed too, which turns arms by up to two degrees.
@@ -358,7 +357,7 @@ def test_a_body_with_a_hanging_head_stands_and_a_bust_with_one_does_not(person):
     bowed = with_offsets(person, Head=(0.0, -0.15, 0.1))
     np.testing.assert_array_equal(standing_rig(bowed), at_rest(person, 1).rotations[0])
     kept = [n for n in person.names if "Leg" not in n and "Foot" not in n and "Toe" not in n]
-    bust = keep_joints(looking_aside(bowed), kept).skeleton
+    bust = looking_aside(bowed).keep(kept).skeleton
     assert np.abs(standing_rig(bust) - [0, 0, 0, 1]).max() > 0.1
 
 

@@ -18,7 +18,6 @@ from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.motion.heading import heading, side_axis
-from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.parts import (
     SIDES,
     body_joints,
@@ -41,7 +40,7 @@ LEGS = ("UpLeg", "Leg", "Foot", "Toe", "hip", "knee", "ankle", "left_foot", "rig
 def without(motion: Motion, endings: Iterable[str] = LEGS) -> Motion:
     """The motion without the joints whose names have one of `endings` in them."""
     kept = [n for n in motion.skeleton.names if not any(word in n for word in endings)]
-    return keep_joints(motion, kept)
+    return motion.keep(kept)
 
 
 def bust(skeleton: Skeleton, endings: Iterable[str] = LEGS) -> Skeleton:
@@ -50,7 +49,7 @@ def bust(skeleton: Skeleton, endings: Iterable[str] = LEGS) -> Skeleton:
 
 @pytest.fixture(scope="module")
 def zeggs(shared_data) -> Motion:
-    return Motion.load(shared_data / ZEGGS).slice(0, 300)
+    return Motion.load(shared_data / ZEGGS)[:300]
 
 
 def test_all_parts_but_the_legs_are_those_of_the_whole_rig(mixamo, person, zeggs, shared_data):

@@ -176,7 +176,7 @@ def test_at_every_level_the_root_moves_from_one_clip_to_the_next(model, gesture)
 
 
 def test_a_single_pose_is_kept(model, gesture):
-    pose = gesture(1.0, seed=4).resample(25.0).slice(3, 4)
+    pose = gesture(1.0, seed=4).resample(25.0)[3:4]
     made = model.generate(keep={1.0: pose}, seconds=3.0)
     np.testing.assert_allclose(made.rotations[25], pose.rotations[0], atol=1e-12)
 

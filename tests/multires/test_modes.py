@@ -192,7 +192,7 @@ def test_keyframes_of_another_rate_or_length_cause_warnings(single, caplog):
         made, words = said(longer, **options)
         assert "187 equal frames at the end are left out, 63 remain" in words
         assert (made.rotations == whole.rotations).all()
-    still = coarse.slice(0, 1).resample(coarse.fps, 63)
+    still = coarse[:1].resample(coarse.fps, 63)
     assert said(still)[0].n_frames == whole.n_frames and caplog.text == ""
     _, words = said(model.generate(seconds=6.0, seed=1, levels=2))
     assert "14 fps, but level 1 has 10.5 fps: it fits level 2" in words

@@ -52,7 +52,7 @@ def test_a_round_trip_keeps_every_modelled_joint(gesture):
 )
 def test_real_rigs_survive_a_round_trip(shared_data, file, root, tolerance):
     motion = gk.Motion.load(shared_data / file)
-    motion = motion.slice(0, min(200, motion.n_frames))
+    motion = motion[:200]
     representation = MultiresRepresentation.fit([motion])
     assert representation.joints[0] == root
     assert body_error(representation, motion) < tolerance

@@ -446,7 +446,7 @@ def test_joints_that_carry_the_body_may_hang_below_a_still_root(with_toes, marke
 def test_one_frame_and_two(with_toes):
     motion = standing(with_toes)
     for n in (1, 2, 5):
-        assert lock_feet(motion.slice(0, n)).n_frames == n
+        assert lock_feet(motion[:n]).n_frames == n
 
 
 @pytest.mark.parametrize(
@@ -461,7 +461,7 @@ def test_one_frame_and_two(with_toes):
 )
 def test_recordings_slide_less_and_sink_no_deeper(shared_data, name, most):
     motion = Motion.load(shared_data / name)
-    motion = motion.slice(2, motion.n_frames)  # one of them begins with another pose
+    motion = motion[2:]  # one of them begins with another pose
     locked = lock_feet(motion)
     labels = contact_labels(motion)[1:] > 0
     before, after = (speed(foot_positions(m), m.fps)[labels] for m in (motion, locked))
@@ -474,7 +474,7 @@ def test_recordings_slide_less_and_sink_no_deeper(shared_data, name, most):
 
 
 def test_a_recording_that_drifts_stands_again(shared_data):
-    recorded = Motion.load(shared_data / ZEGGS).slice(0, 600)
+    recorded = Motion.load(shared_data / ZEGGS)[:600]
     drifting = moved(recorded, recorded.times[:, None] * [0.1, 0.0, 0.0])
     labels = contact_labels(recorded)
     for contacts in (labels, None):

@@ -163,7 +163,7 @@ def test_only_movement_near_a_peak_of_speed_is_kept(skeleton, bump, is_beat):
 
 @pytest.mark.parametrize("n_frames", [1, 2, 3, 4, 7])
 def test_short_motions(beating, n_frames):
-    assert smooth_motion(beating.slice(0, n_frames), 0.3).n_frames == n_frames
+    assert smooth_motion(beating[:n_frames], 0.3).n_frames == n_frames
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), float("inf")])

@@ -56,7 +56,7 @@ def test_every_fault_is_named(beat2, submission, tmp_path):
     good = Motion.load(submission / "2_scott_0_1_1_s1.npz")
     good.save(tmp_path / "2_scott_0_1_1_s1.npz")
     good.save(tmp_path / "2_scott_0_1_1_s2.npz")
-    good.slice(0, 44).save(tmp_path / "2_scott_0_1_1_s3.npz")
+    good[:44].save(tmp_path / "2_scott_0_1_1_s3.npz")
     (tmp_path / "1_wayne_0_86_87_s1.npz").write_bytes(b"no npz")
     faults = check(tmp_path, sounds, "smplx", 3)
     assert len(faults) == 5

@@ -19,7 +19,7 @@ def test_a_rig_without_a_plausible_rest_pose_is_turned_as_its_recordings_are(sha
     """Bandai-Namco's: where bones lie is told without a pose, how they turn is not."""
     folder = shared_data / "motion"
     model = DeltaRepresentation.fit([Motion.load(folder / "bandai/dataset-1_bye_normal_001.bvh")])
-    idle = Motion.load(folder / "reactidle/003_genuine.bvh").slice(0, 48)
+    idle = Motion.load(folder / "reactidle/003_genuine.bvh")[:48]
     moved = on_rig(model, idle)
     assert (moved.n_frames, moved.skeleton.names) == (48, model.skeleton.names)
 

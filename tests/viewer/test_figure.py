@@ -30,7 +30,7 @@ def at_rest(skeleton: Skeleton, n_frames: int, height: float = 0.0) -> Motion:
 @pytest.fixture(scope="module", params=RECORDINGS)
 def recording(request: pytest.FixtureRequest, shared_data: Path) -> tuple[Motion, Figure]:
     motion = Motion.load(shared_data / request.param)
-    motion = motion.slice(0, min(150, motion.n_frames))
+    motion = motion[:150]
     figure = Figure.of(motion)
     low, high = RECORDINGS[request.param]
     assert low < figure.height < high
@@ -84,7 +84,7 @@ def test_hand_speed_is_relative_to_the_hips_under_a_still_root(shared_data):
 
 
 def test_hands_without_wrists_are_the_ends_of_the_forearms(shared_data):
-    motion = Motion.load(shared_data / "motion/reactidle/003_genuine.bvh").slice(0, 200)
+    motion = Motion.load(shared_data / "motion/reactidle/003_genuine.bvh")[:200]
     figure = Figure.of(motion)
     ends = motion.end_positions()
     for hand, forearm in zip(figure.hands, ("forearm.L", "forearm.R"), strict=True):

@@ -111,7 +111,7 @@ def check(motion: Motion, n_frames: int = 12) -> None:
     wrists = tuple(parts.arms[side].wrist for side in ("left", "right"))
     if None in wrists:
         return
-    near = clasped(motion.slice(0, min(10, motion.n_frames)), 0.03)
+    near = clasped(motion[:10], 0.03)
     np.testing.assert_allclose(gap_of(near, wrists), 0.03, atol=2e-3)
     ours = gap_of(DrawnBody.of(near, "human").motion, ("LeftHand", "RightHand"))
     np.testing.assert_allclose(ours, 0.03, atol=0.02)
@@ -134,7 +134,7 @@ def test_any_rig_is_retargeted_to_the_body(rig, gesture, request):
                 source = motion.skeleton.index(side.title() + theirs)
                 rotations[:, names.index(f"{side}_{name}")] = motion.rotations[:, source]
         motion = Motion(smpl_skeleton(55), rotations, np.tile([0.0, 0.9, 0], (30, 1)), 30.0)
-    check(motion.slice(0, min(300, motion.n_frames)), 12 if rig in (*RIGS, "demo") else 4)
+    check(motion[:300], 12 if rig in (*RIGS, "demo") else 4)
 
 
 @baked

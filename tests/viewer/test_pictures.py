@@ -51,14 +51,14 @@ def test_each_figure_shows_its_own_moment(tmp_path):
 
 
 def test_a_motion_too_short_for_the_first_time_is_drawn_in_its_middle(tmp_path):
-    short = {"long": a_swing(0.0), "short": a_swing(0.0).slice(0, 3)}
+    short = {"long": a_swing(0.0), "short": a_swing(0.0)[:3]}
     write_picture(short, tmp_path / "a.png")
     body = body_of(tmp_path / "a.png")
     assert body[len(body) // 2 : 3 * len(body) // 4].any()
 
 
 def test_more_motions_than_colours_have_speeds_of_their_own(tmp_path):
-    figure = a_swing(1.0).slice(0, 30)
+    figure = a_swing(1.0)[:30]
     write_picture({f"take {k}": figure for k in range(8)}, tmp_path / "a.svg")
     drawn = re.findall(
         r'clip-path[^>]*style="(fill: none; [^"]*)"', (tmp_path / "a.svg").read_text()

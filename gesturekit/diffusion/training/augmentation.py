@@ -59,7 +59,7 @@ def phases(motion: Motion, fps: float) -> tuple[Phase, ...]:
     return (
         Phase(motion.resample(fps), 0.0),
         *(
-            Phase(motion.slice(k, motion.n_frames).resample(fps), k / motion.fps)
+            Phase(motion[k:].resample(fps), k / motion.fps)
             for k in range(1, min(n, motion.n_frames))
         ),
     )

@@ -151,7 +151,7 @@ def _other_utterance(every: _Recordings, source: _Recordings, fps: float) -> Loa
         keys = list(others)
         after = (keys.index(pair.stem) + 1) % len(keys) if pair.stem in others else 0
         motion = load_recording(others[keys[after]], fps)
-        return motion.slice(0, min(n_frames, motion.n_frames))
+        return motion[:n_frames]
 
     return load
 

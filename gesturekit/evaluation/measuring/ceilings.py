@@ -138,7 +138,7 @@ def _halves(motions: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:
         return list(motions[::2]), list(motions[1::2])
     (motion,) = motions
     middle = max(1, motion.n_frames // 2)
-    return [motion.slice(0, middle)], [motion.slice(middle, motion.n_frames)]
+    return [motion[:middle]], [motion[middle:]]
 
 
 def _set_metrics(

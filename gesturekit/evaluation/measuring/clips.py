@@ -187,7 +187,7 @@ def _window(recording: Motion, start: float, pair: Pair) -> Motion:
             f"{pair.generated}: {pair.reference.name} ends before its window {pair.window} "
             f"({start:g} s) begins"
         )
-    return recording.slice(first, stop)
+    return recording[first:stop]
 
 
 def _later(track: FeatureTrack, start: float) -> FeatureTrack:

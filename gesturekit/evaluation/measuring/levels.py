@@ -157,7 +157,7 @@ class _Judge:
             return [[one] for one in own]
         (whole,) = own
         cuts = np.linspace(0, whole.motion.n_frames, PIECES + 1).astype(int)
-        parts = [whole.motion.slice(a, b) for a, b in zip(cuts, cuts[1:]) if b - a > 1]
+        parts = [whole.motion[a:b] for a, b in zip(cuts, cuts[1:]) if b - a > 1]
         return [[self._measured(whole.pair, part)] for part in parts]
 
     def of_others(self, own: _Recorded, every: Sequence[_Recorded]) -> list[list[_Recorded]]:

@@ -230,7 +230,7 @@ class PooledMetrics:
         recorded = [hands for window in self._with_hands for hands in window.recorded]
         length = round(float(np.median([len(hands.paths) for hands in recorded])))
         speaker = [
-            hand_level(motion.slice(start, start + length))
+            hand_level(motion[start : start + length])
             for motion in self.training.motions
             for start in range(0, motion.n_frames - length + 1, length)
         ]

@@ -8,7 +8,6 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
-from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.kinematics import forward_kinematics
 from gesturekit.motion.parts import body_joints, find_legs, is_upper_body, leg_joints
 from gesturekit.motion.parts.body_size import body_scale
@@ -61,7 +60,7 @@ def matched(motion: Motion, recording: Motion) -> tuple[tuple[str, ...], Motion,
         try:
             moved = retarget(motion, rig)
             if legs:  # they would be measured as if they had been generated
-                moved = keep_joints(moved, [name for name in rig.names if name not in legs])
+                moved = moved.keep([name for name in rig.names if name not in legs])
             return names, moved, [RETARGETED, *notes]
         except MotionError as error:
             if not by_name:

@@ -96,7 +96,7 @@ def copied(motion: Motion, start_frame: int, stop_frame: int) -> Motion:
     Raises:
         MotionError: the range is empty or exceeds the motion.
     """
-    part = motion.slice(int(start_frame), int(stop_frame))
+    part = motion[start_frame:stop_frame]
     return replace(
         part,
         rotations=part.rotations.copy(),

@@ -135,7 +135,7 @@ class SpeakerClips:
             middle = motion.n_frames // 2
             if middle < 1:
                 raise MotionError("the recording is too short to be cut into halves")
-            halves = [motion.slice(0, middle)], [motion.slice(middle, motion.n_frames)]
+            halves = [motion[:middle]], [motion[middle:]]
         return [halves, halves[::-1]]
 
 

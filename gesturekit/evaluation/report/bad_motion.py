@@ -143,7 +143,7 @@ def _frames(motion: Motion, frames: Sequence[int] | np.ndarray) -> Motion:
 
 
 def _cut(motion: Motion, length: Motion) -> Motion:
-    return motion.slice(0, min(motion.n_frames, length.n_frames))
+    return motion[: length.n_frames]
 
 
 def _mean_rotations(motion: Motion) -> np.ndarray:

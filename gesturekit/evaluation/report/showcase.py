@@ -89,4 +89,4 @@ def _same(model: ModelResult, result: ClipResult) -> ClipResult | None:
 
 
 def _start(motion: Motion) -> Motion:
-    return motion.slice(0, min(motion.n_frames, round(SECONDS * motion.fps)))
+    return motion[: round(SECONDS * motion.fps)]

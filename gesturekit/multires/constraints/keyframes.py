@@ -186,7 +186,7 @@ def _without_held_frames(motion: Motion, end: int | None) -> Motion:
             motion.n_frames - end,
             end,
         )
-        return motion.slice(0, end)
+        return motion[:end]
     return motion
 
 

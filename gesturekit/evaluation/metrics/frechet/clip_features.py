@@ -201,7 +201,7 @@ def clip_features(
                 require_joints(motion, joints)
             motion = _long_enough(motion)
             clips = [
-                motion.slice(start, start + n_frames)
+                motion[start : start + n_frames]
                 for start in range(0, motion.n_frames - n_frames + 1, n_frames)
             ]
             if clips:

@@ -1,0 +1,166 @@
+"""Motions one after another, without seams."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gesturekit.errors import MotionError
+from gesturekit.motion.heading import heading
+from gesturekit.motion.kinematics import GROUND
+from gesturekit.motion.model_joints import first_moving_joint
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts.body_size import body_scale
+from gesturekit.motion.rotations import (
+    invert_quaternions,
+    multiply_quaternions,
+    quaternion_from_rotation_vector,
+    rotate_vectors,
+    rotation_vector_from_quaternion,
+)
+
+_SAME_OFFSET = 1e-3
+"""Metres on the reference body; files round offsets."""
+
+
+def concatenate(motions: Sequence[Motion], blend: float = 0.3) -> Motion:
+    """Return motions of one rig one after another; no frame is left out.
+
+    Each motion is turned about Y and moved on the ground to begin where the previous one ends,
+    with the same heading. It begins with the pose and the speed with which the previous one ends;
+    the difference from its own decays within `blend` seconds (a cubic Hermite curve of the
+    rotation vectors; inertialisation, Bollo 2018). All motions get the frame rate of the first.
+
+    Args:
+        motions: of rigs with the same joints and bone lengths.
+        blend: seconds; 0 places the motions, and leaves poses as they are.
+
+    Raises:
+        MotionError: no motions, rigs that differ, or an invalid `blend`.
+
+    Examples:
+        >>> rig = gk.Skeleton(("hips",), (-1,), [[0, 1, 0]])
+        >>> walk = gk.Motion(rig, [[[0, 0, 0, 1]]] * 3, [[0, 1, 0], [0, 1, 1], [0, 1, 2]], 30)
+        >>> gk.concatenate([walk, walk]).translation[:, 2].tolist()
+        [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    """
+    if not motions:
+        raise MotionError("no motions to concatenate")
+    if not 0 <= blend < math.inf:
+        raise MotionError(f"blend is {blend!r}; expected seconds, 0 or more")
+    first = motions[0]
+    parts = [first]
+    for number, motion in enumerate(motions[1:], start=2):
+        _check_rig(first, motion, number)
+        motion = motion if motion.fps == first.fps else motion.resample(first.fps)
+        parts.append(_continued(parts[-1], replace(motion, skeleton=first.skeleton), blend))
+    moving = {name for part in parts for name in part.joint_translations}
+    faces = [part.expressions for part in parts if part.expressions is not None]
+    alike = len(faces) == len(parts) and len({face.shape[1] for face in faces}) == 1
+    return replace(
+        first,
+        rotations=np.concatenate([part.rotations for part in parts]),
+        translation=np.concatenate([part.translation for part in parts]),
+        joint_translations={
+            name: np.concatenate([_local(part, name) for part in parts]) for name in moving
+        },
+        expressions=np.concatenate(faces) if alike else None,
+        info=dict(first.info),
+    )
+
+
+def _check_rig(first: Motion, motion: Motion, number: int) -> None:
+    """Raise MotionError if motion `number` is of another rig than the first one."""
+    rig, other = first.skeleton, motion.skeleton
+    if (rig.names, rig.parents) != (other.names, other.parents):
+        strange = [
+            n for n in (*rig.names, *other.names) if n not in rig.names or n not in other.names
+        ]
+        what = f"{strange[0]!r} is a joint of one only" if strange else "their parents differ"
+        raise MotionError(
+            f"motion {number} to concatenate has another rig than the first ({other.n_joints} and "
+            f"{rig.n_joints} joints, {what}); retarget it first: gesturekit convert --rig"
+        )
+    apart = np.abs(rig.offsets - other.offsets).max(axis=1)
+    apart[0] = 0.0  # replaced by the translation
+    worst = int(apart.argmax())
+    if apart[worst] > _SAME_OFFSET * body_scale(rig):
+        raise MotionError(
+            f"motion {number} to concatenate has other bones than the first: the offset of "
+            f"{rig.names[worst]!r} differs by {apart[worst]:.3g} m; retarget it first: "
+            "gesturekit convert --rig"
+        )
+
+
+def _continued(before: Motion, after: Motion, blend: float) -> Motion:
+    """Return `after` from the place, heading, pose and speed with which `before` ends."""
+    last = before[-2:]
+    after = _placed_behind(last, after)
+    count = min(round(blend * after.fps), after.n_frames)
+    if count < 1:
+        return after
+    s = np.arange(count)[:, None] / count
+    # Cubic Hermite curves that end at 0 without speed, from a value and from a speed.
+    from_value, from_speed = 1 - 3 * s**2 + 2 * s**3, count * (s - 2 * s**2 + s**3)
+
+    def decayed(ended: np.ndarray, values: np.ndarray) -> np.ndarray:
+        speed, own = ended[-1] - ended[0], values[min(1, len(values) - 1)] - values[0]
+        values = values.copy()
+        values[:count] += from_value * (ended[-1] + speed - values[0]) + from_speed * (speed - own)
+        return values
+
+    names = {*before.joint_translations, *after.joint_translations}
+    rotations = after.rotations.copy()
+    speed, own = (_turn(q[0], q[min(1, len(q) - 1)]) for q in (last.rotations[-2:], rotations))
+    start = multiply_quaternions(quaternion_from_rotation_vector(speed), last.rotations[-1])
+    offset = _turn(rotations[0], start)
+    carried = rotate_vectors(quaternion_from_rotation_vector(offset), own)
+    s = s[..., None]
+    turns = from_value[..., None] * offset + from_speed[..., None] * (speed - carried)
+    rotations[:count] = multiply_quaternions(
+        quaternion_from_rotation_vector(turns), rotations[:count]
+    )
+    return replace(
+        after,
+        rotations=rotations,
+        translation=decayed(last.translation, after.translation),
+        joint_translations={
+            name: decayed(_local(last, name), _local(after, name)) for name in names
+        },
+    )
+
+
+def _placed_behind(last: Motion, after: Motion) -> Motion:
+    """Turn `after` about Y and move it on the ground to go on from the end of `last`."""
+    root = first_moving_joint([last, after])
+    angle = heading(last[-1:]) - heading(after[:1])
+    turn = quaternion_from_rotation_vector(np.array([0.0, angle, 0.0]))
+    world, positions = after.global_rotations(), after.positions()
+    place = rotate_vectors(turn, positions[:, root])
+    ended = last.positions()[:, root]
+    move = 2 * ended[-1] - ended[0] if len(ended) > 1 else ended[0]
+    place[:, GROUND] += (move - place[0])[GROUND]
+    rotations = after.rotations.copy()
+    rotations[:, root] = multiply_quaternions(turn, world[:, root])
+    if root == 0:
+        return replace(after, rotations=rotations, translation=place)
+    parent = after.skeleton.parents[root]
+    back = invert_quaternions(world[:, parent])
+    rotations[:, root] = multiply_quaternions(back, rotations[:, root])
+    local = rotate_vectors(back, place - positions[:, parent])
+    moving = {**after.joint_translations, after.skeleton.names[root]: local}
+    return replace(after, rotations=rotations, joint_translations=moving)
+
+
+def _local(motion: Motion, name: str) -> np.ndarray:
+    """(T, 3) positions of a joint in its parent's frame, metres."""
+    rest = motion.skeleton.offsets[motion.skeleton.index(name)]
+    return motion.joint_translations.get(name, np.tile(rest, (motion.n_frames, 1)))
+
+
+def _turn(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """(J, 3) rotation vectors from quaternions `before` to `after`, in the parents' frames."""
+    return rotation_vector_from_quaternion(multiply_quaternions(after, invert_quaternions(before)))

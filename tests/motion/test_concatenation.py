@@ -1,0 +1,99 @@
+"""Motions one after another: placed, and without a jump in pose or speed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import gesturekit as gk
+from gesturekit.errors import MotionError
+from gesturekit.motion import Motion, Skeleton
+
+
+@pytest.fixture
+def other(moving_person) -> Motion:
+    """The same person in other poses at another place."""
+    later = np.roll(moving_person.rotations, 23, axis=0)
+    return replace(moving_person, rotations=later, translation=moving_person.translation + 0.3)
+
+
+def elsewhere(motion: Motion, degrees: float, move=(5.0, 0.0, -3.0)) -> Motion:
+    """Return the whole motion turned about Y through the origin and moved on the ground."""
+    turn = Rotation.from_euler("Y", degrees, degrees=True)
+    rotations = motion.rotations.copy()
+    rotations[:, 0] = (turn * Rotation.from_quat(rotations[:, 0])).as_quat()
+    return replace(motion, rotations=rotations, translation=turn.apply(motion.translation) + move)
+
+
+def test_pose_and_speed_go_on_and_later_frames_keep_their_pose(moving_person, other):
+    made = gk.concatenate([moving_person, other], blend=0.3)
+    assert (made.n_frames, made.fps) == (120, 30.0)
+    np.testing.assert_array_equal(made.positions()[:60], moving_person.positions())
+    changes = np.abs(np.diff(made.positions(), 2, axis=0)).max(axis=(1, 2))
+    hard = gk.concatenate([moving_person, other], blend=0)
+    jump = np.abs(np.diff(hard.positions(), 2, axis=0)).max()
+    # The step to the first frame of the second motion is the last one before it, up to curvature.
+    assert changes[58] < 1.5 * changes[:57].max() and changes[58] < 0.05 * jump
+    assert changes.max() < 0.2 * jump
+    np.testing.assert_allclose(made.rotations[69:, 1:], other.rotations[9:, 1:], atol=1e-12)
+    assert np.abs(made.rotations[63, 1:] - other.rotations[3, 1:]).max() > 1e-3
+
+
+@pytest.mark.parametrize("degrees", [75.0, 180.0])
+def test_place_and_heading_of_the_second_do_not_matter(moving_person, other, degrees):
+    made = gk.concatenate([moving_person, other]).positions()
+    moved = gk.concatenate([moving_person, elsewhere(other, degrees)]).positions()
+    np.testing.assert_allclose(moved, made, atol=1e-9)
+
+
+def test_without_blending_poses_are_kept_and_heights_too(moving_person, other):
+    made = gk.concatenate([moving_person, elsewhere(other, 40.0)], blend=0)
+    np.testing.assert_allclose(made.rotations[60:, 1:], other.rotations[:, 1:], atol=1e-12)
+    np.testing.assert_allclose(made.translation[60:, 1], other.translation[:, 1])
+    # The path goes on for one frame at the speed at which it ended.
+    path = made.translation[:, [0, 2]]
+    np.testing.assert_allclose(path[60] - path[59], path[59] - path[58], atol=1e-12)
+
+
+def test_a_rig_that_moves_below_its_root(moving_person, other):
+    """The hips walk below a root that stands, turned, as in corpora of game studios."""
+
+    def below(motion: Motion) -> Motion:
+        rig = motion.skeleton
+        skeleton = Skeleton(
+            ("Stage", *rig.names), (-1, *(p + 1 for p in rig.parents)), [[0, 0, 0], *rig.offsets]
+        )
+        stage = Rotation.from_euler("X", 90, degrees=True)
+        rotations = np.insert(motion.rotations, 0, stage.as_quat(), axis=1)
+        rotations[:, 1] = (stage.inv() * Rotation.from_quat(rotations[:, 1])).as_quat()
+        hips = {rig.names[0]: stage.inv().apply(motion.translation)}
+        return Motion(skeleton, rotations, 0 * motion.translation, motion.fps, hips)
+
+    made = gk.concatenate([moving_person, elsewhere(other, 75.0)])
+    apart = gk.concatenate([below(moving_person), below(elsewhere(other, 75.0))])
+    np.testing.assert_allclose(apart.positions()[:, 1:], made.positions(), atol=1e-9)
+    assert not apart.positions()[:, 0].any()
+
+
+def test_short_motions_other_rates_and_faces(moving_person, other):
+    face = np.ones((60, 10))
+    parts = [replace(moving_person, expressions=face), other[:1], other.resample(60.0)]
+    made = gk.concatenate(parts)
+    assert made.n_frames == 60 + 1 + 60 and made.fps == 30.0 and made.expressions is None
+    assert np.isfinite(made.positions()).all()
+    assert gk.concatenate(parts[:1] * 2).expressions.shape == (120, 10)
+    assert gk.concatenate([other[:1], other[:1]]).n_frames == 2
+
+
+def test_what_cannot_be_concatenated_is_one_error(moving_person):
+    with pytest.raises(MotionError, match="motion 2 to concatenate has another rig.*'RightToeBase'"):
+        gk.concatenate([moving_person, moving_person.keep(moving_person.skeleton.names[:-1])])
+    with pytest.raises(MotionError, match=r"motion 3 .*differs by 0\.\d+ m; retarget it first"):
+        gk.concatenate([moving_person, moving_person, moving_person.scaled(1.2)])
+    with pytest.raises(MotionError, match="no motions"):
+        gk.concatenate([])
+    with pytest.raises(MotionError, match="blend is -1"):
+        gk.concatenate([moving_person], blend=-1)
