@@ -17,6 +17,7 @@ from gesturekit.corpus import Manifest, prepare
 from gesturekit.corpus.speech import one_blas_thread
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.training.batches import Batches
+from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.diffusion.training.loading import load_training_data
 from gesturekit.diffusion.training.trainer import train
 from gesturekit.errors import ConfigError
@@ -128,6 +129,29 @@ def test_statistics_are_those_of_a_sample(config_of, tmp_path, write_pair):
     assert (disk.changes() / memory.changes()).log().abs().max() < 0.1
     centres = (data.conditions.conditioner.centre for data in (memory, disk))
     assert np.abs(np.subtract(*centres)).max() < 0.3
+    disk.save(tmp_path / "data")
+    resumed = TrainingData.load(tmp_path / "data", config_of("speech", **changes, in_memory=0.3))
+    assert torch.equal(resumed.changes(), disk.changes())
+
+
+def test_motion_without_speech_is_sampled_too(config_of, tmp_path, write_pair, gesture):
+    write_pair(tmp_path / "short", "s", 4.0, seed=4)
+    (tmp_path / "more").mkdir()
+    gesture(60.0, 30.0, seed=5).save(tmp_path / "more" / "u.bvh")
+    prepare(
+        [tmp_path / "short"],
+        tmp_path / "few.jsonl",
+        unpaired_motion=[tmp_path / "more"],
+        holdout=0.0,
+    )
+    data = load_training_data(
+        config_of("speech", corpus=str(tmp_path / "few.jsonl"), in_memory=0.3)
+    )
+    lengths = {"s": 0, "u": 0}
+    for i, start, stop in data.sampled:
+        if "mirrored" not in data.recordings[i].name:
+            lengths[data.recordings[i].name] += stop - start
+    assert lengths["s"] == 120 and 300 < lengths["u"] < 750
 
 
 @pytest.mark.parametrize("kind", ["speech", "path"])

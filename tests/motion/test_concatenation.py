@@ -89,7 +89,9 @@ def test_short_motions_other_rates_and_faces(moving_person, other):
 
 
 def test_what_cannot_be_concatenated_is_one_error(moving_person):
-    with pytest.raises(MotionError, match="motion 2 to concatenate has another rig.*'RightToeBase'"):
+    with pytest.raises(
+        MotionError, match="motion 2 to concatenate has another rig.*'RightToeBase'"
+    ):
         gk.concatenate([moving_person, moving_person.keep(moving_person.skeleton.names[:-1])])
     with pytest.raises(MotionError, match=r"motion 3 .*differs by 0\.\d+ m; retarget it first"):
         gk.concatenate([moving_person, moving_person, moving_person.scaled(1.2)])

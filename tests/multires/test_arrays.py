@@ -25,6 +25,7 @@ from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.stage import Stage
 from gesturekit.multires.training.trainer import train
 from gesturekit.systems import _part, _resolve, make_arrays
+from gesturekit.training.run import plan
 from gesturekit.training.run.session import session
 
 LONG = {"in_memory": 0.15}
@@ -68,6 +69,8 @@ def test_frames_on_disk_are_those_of_memory(long_config):
             torch.testing.assert_close(theirs, mine, rtol=0, atol=2e-6)
         torch.testing.assert_close(other.z_star / other.sigma[0], one.z_star / one.sigma[0])
     torch.testing.assert_close(read.unpaired[0][:, :], kept.unpaired[0], rtol=0, atol=2e-6)
+    for one, other in zip(kept.recalled, read.recalled, strict=True):
+        torch.testing.assert_close(other.motion, one.motion, rtol=0, atol=2e-6)
     assert [source.motion for source in read.sources] == [source.motion for source in kept.sources]
 
 
@@ -286,6 +289,26 @@ def test_the_plan_counts_steps_and_renewals(long_config, monkeypatch, tmp_path, 
     share = 8.5 * 25 / 213
     own = 160.0 if window else 160.0 * share
     assert seconds == pytest.approx(own + 4 + share, abs=1e-6)
+
+
+@pytest.mark.parametrize(("in_memory", "minutes"), [(9.0, 60), (0.1125, 50)])
+def test_the_plan_adds_loading_reading_and_training(
+    long_config, gesturekit, monkeypatch, tmp_path, caplog, in_memory, minutes
+):
+    """Loading took 10 min of processor time, reading takes 20 and all steps 30.
+
+    Of 13.5 s of a long corpus, statistics need 6.75 s, half of the reading.
+    """
+    caplog.set_level(logging.INFO)
+    monkeypatch.setattr(plan.time, "process_time", lambda: 600.0)
+    monkeypatch.setattr(plan, "quickest", lambda work, times: 1200.0)
+    monkeypatch.setattr(
+        trainer.Trainer, "estimate", lambda self: plan.Estimate(1800.0, 0.0, (0.0, 0.0))
+    )
+    where = f"corpus={long_config().corpus}", f"out={tmp_path / 'run'}", f"in_memory={in_memory}"
+    gesturekit("train", "own_corpus", *where, "threads=1", "--plan").ok()
+    assert f"Time: about {minutes} min on this machine while it is idle" in caplog.text
+    assert f"{0.8 * minutes:.0f} min to {2 * minutes / 60:.1f} h beside" in caplog.text
 
 
 @pytest.mark.parametrize("recipe", ["own_corpus", "diffusion_speech/small"])

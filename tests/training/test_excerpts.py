@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gesturekit.corpus import Item
-from gesturekit.training.data.excerpts import systematic_sample
+from gesturekit.training.data.excerpts import Excerpt, systematic_sample
 
 
 def items_of(durations, speakers=None) -> list[Item]:
@@ -67,3 +67,10 @@ def test_an_excerpt_is_an_interval_of_its_item():
     part = one.of(items)
     assert (part.motion_start, part.audio_start) == (one.start, one.start)
     assert part.duration == 60.0 and part.id == "t000"
+
+
+def test_frames_of_an_excerpt():
+    excerpt = Excerpt(0, start=2.0, duration=3.0)
+    assert excerpt.frames(25.0, 1000) == (50, 125)
+    assert excerpt.frames(25.0, 120) == (45, 120)  # sound and motion may end a little early
+    assert excerpt.frames(25.0, 60) == (0, 60)
