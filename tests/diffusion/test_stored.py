@@ -215,3 +215,11 @@ def test_workers_make_the_arrays_of_one_process(config_of, tmp_path):
     assert len(files[0]) == 6
     for first, second in zip(*files, strict=True):
         assert first.read_bytes() == second.read_bytes()
+
+
+@pytest.mark.parametrize("where", [{}, ON_DISK], ids=["memory", "disk"])
+def test_the_card_says_how_often_a_second_is_drawn(config_of, where):
+    """Of 12 windows of 1.5 s a quarter is without speech; 13.5 s fall on 9 s of recordings."""
+    changes = {"unpaired": {"share": 0.25}, "training": {"updates": 1, "window": 1.5}}
+    card = (train(config_of("speech", **changes, **where)) / "README.md").read_text()
+    assert "a second is drawn about 1.5 times (78% at least once)" in card
