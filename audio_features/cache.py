@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -20,6 +19,7 @@ import numpy as np
 
 from audio_features.atomic import atomic_write
 from audio_features.errors import AudioFeaturesError, FeatureError
+from audio_features.installed import digest_of_sources, installed_versions
 from audio_features.track import FeatureTrack
 
 if TYPE_CHECKING:
@@ -188,26 +188,6 @@ def size_limit() -> int:
             f"GESTUREKIT_CACHE_GB={size!r}: give the gigabytes that the cache may hold, 0 for none"
         ) from error
     return limit
-
-
-@lru_cache
-def digest_of_sources(root: Path) -> str:
-    """Return a digest of all Python source code and tables below a folder: a part of keys."""
-    digest = hashlib.sha256()
-    for path in sorted((*root.rglob("*.py"), *root.rglob("*.toml"))):
-        digest.update(path.relative_to(root).as_posix().encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-@lru_cache
-def installed_versions(packages: tuple[str, ...]) -> dict[str, str]:
-    """Return {package: version} of those that are installed."""
-    found = {}
-    for package in packages:
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            found[package] = metadata.version(package)
-    return found
 
 
 # Packages of which another version may change the last bits of a feature.

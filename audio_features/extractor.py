@@ -11,13 +11,14 @@ import numpy as np
 from audio_features.acoustic.analysis import ShortTimeSpectrum
 from audio_features.acoustic.extractors import AcousticExtractor
 from audio_features.errors import FeatureError, WeightsError
+from audio_features.installed import Installed, installed_kinds
 from audio_features.kinds import KINDS
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 from audio_features.weight_files import WeightPlaces
 
-_ENCODERS = {kind: entry.argument for kind, entry in KINDS.items() if entry.weights}
-"""Kinds of extractors with weights, and the setting of a spec that names their folder."""
+_PLACES = {kind: entry.place for kind, entry in KINDS.items() if entry.place is not None}
+"""Kinds of extractors with weights or files, and the setting of a spec that names their folder."""
 
 
 @runtime_checkable
@@ -123,12 +124,16 @@ def extractor_from_spec(
     Args:
         spec: value of `Extractor.spec`, as stored in feature files and models.
         weights: folder or file of the WavLM weights, or folder of the Hugging Face encoder of
-            speech or words, if the spec contains one and does not name its path; for several
-            encoders, {kind: path}, such as {"wavlm": "wavlm-base-plus/", "words": "bert-base/"}.
-        device: "cpu" or "cuda", for WavLM, Hugging Face encoders and torchaudio.
+            speech or words, if the spec contains one and does not name its path; or the folder of
+            the files of `Files`. For several, {kind: path}, such as {"wavlm": "wavlm-base-plus/",
+            "words": "bert-base/", "files": "own_features/"}.
+        device: "cpu" or "cuda", for WavLM, Hugging Face encoders, torchaudio and installed kinds.
 
-    Raises FeatureError for an unknown kind or a setting that the kind does not have, and
-    WeightsError if weights are missing or have another fingerprint than the spec.
+    Kinds of installed packages are found by their entry points, see `installed.GROUP`.
+
+    Raises FeatureError for a kind that is unknown or not installed, or a setting that the kind
+    does not have, and WeightsError if weights are missing or have another fingerprint than the
+    spec.
 
     Examples:
         >>> extractor = af.extractor_from_spec({"kind": "mfcc", "n": 13})
@@ -137,7 +142,8 @@ def extractor_from_spec(
         >>> af.extractor_from_spec({"kind": "mffc"})
         Traceback (most recent call last):
         audio_features.errors.FeatureError: feature spec {'kind': 'mffc'}: kind 'mffc' is none
-        of logmel, mfcc, prosody, onset, prosodic_range, effort, music, words, wavlm, hf, stack
+        of logmel, mfcc, prosody, onset, prosodic_range, effort, music, words, wavlm, hf, files,
+        stack
     """
     settings = dict(spec) if isinstance(spec, dict) else {}
     kind = settings.pop("kind", None)
@@ -152,17 +158,32 @@ def extractor_from_spec(
         parts = settings.pop("parts", None)
         if settings or not isinstance(parts, list):
             raise FeatureError(f"feature spec {spec!r}: a stack has 'parts', a list of specs")
-        _check_one_place(parts, weights)
+        weights = _by_kind(parts, weights)
         return Stack([extractor_from_spec(part, weights=weights, device=device) for part in parts])
     if kind not in KINDS:
-        known = ", ".join([*KINDS, "stack"])
-        raise FeatureError(f"feature spec {spec!r}: kind {kind!r} is none of {known}")
+        return _installed(kind, settings, device)
+    if kind == "files" and (place := _place_of(kind, weights)) is not None:
+        settings["folder"] = place
     if settings.get("backend") == "torchaudio":
         settings["device"] = device
     try:
         return KINDS[kind].load()(**settings)
     except TypeError as error:
         raise FeatureError(f"feature spec {spec!r}: {error}") from error
+
+
+def _installed(kind: Any, settings: dict[str, Any], device: str) -> Installed:
+    """Return the extractor of an installed package; FeatureError for a kind that none has."""
+    kinds = installed_kinds()
+    if kind in kinds:
+        return Installed(kinds[kind], settings, device)
+    if package := settings.get("package"):
+        raise FeatureError(
+            f"the extractor {kind!r} is not installed here: install its package, {package!r}, "
+            "if you trust it"
+        )
+    known, spec = ", ".join([*KINDS, *kinds, "stack"]), {"kind": kind, **settings}
+    raise FeatureError(f"feature spec {spec!r}: kind {kind!r} is none of {known}")
 
 
 def needs_weights(spec: Any) -> bool:
@@ -176,32 +197,63 @@ def needs_weights(spec: Any) -> bool:
     return kind in ("wavlm", "hf") or (kind == "words" and len(spec) > 1)
 
 
+def needs_of(spec: Any) -> list[str]:
+    """Return what an extractor of this spec needs beside the sound, in phrases.
+
+    Examples:
+        >>> needs_of({"kind": "files", "dim": 64, "suffix": ".npy", "rate": 50})
+        ['STEM.npy with 64 columns, beside each sound or in --weights files=FOLDER']
+    """
+    spec = spec if isinstance(spec, dict) else {}
+    kind = spec.get("kind")
+    if kind == "stack":
+        parts = spec.get("parts")
+        return (
+            [need for part in parts for need in needs_of(part)] if isinstance(parts, list) else []
+        )
+    found = [f"the weights of the encoder: --weights {kind}=PATH"] if needs_weights(spec) else []
+    if kind == "words":
+        found.append("a list of words with times beside each sound, such as STEM.TextGrid")
+    elif kind == "files":
+        found.append(
+            f"STEM{spec.get('suffix')} with {spec.get('dim')} columns, beside each sound or in "
+            "--weights files=FOLDER"
+        )
+    elif kind is not None and kind not in KINDS:
+        here = "" if kind in installed_kinds() else ", which is not installed here"
+        found.append(f"the extractor {kind} of the package {spec.get('package')}{here}")
+    return found
+
+
 def folder_in_spec(spec: Mapping[str, Any]) -> str | None:
-    """Return the folder of the encoder that a spec names itself."""
-    name = _ENCODERS.get(spec.get("kind"))
-    return None if name is None else spec.get(name)
+    """Return the folder of the weights or files that a spec names itself."""
+    name = _PLACES.get(spec.get("kind"))
+    return spec.get(name) if name else None
 
 
 def _place_of(kind: str, weights: WeightPlaces | None) -> str | os.PathLike[str] | None:
-    """Return the place of the weights of one kind of encoder.
+    """Return the place of the weights or files of one kind of extractor.
 
     Raises WeightsError for a kind that does not exist.
     """
     if not isinstance(weights, Mapping):
         return weights
     for name in weights:
-        if name not in _ENCODERS:
+        if name not in _PLACES:
             raise WeightsError(
-                f"weights {name}={os.fspath(weights[name])}: {name!r} is not an encoder; expected "
-                f"{', '.join(_ENCODERS)}"
+                f"weights {name}={os.fspath(weights[name])}: {name!r} has no weights or files; "
+                f"expected {', '.join(_PLACES)}"
             )
     return weights.get(kind)
 
 
-def _check_one_place(parts: list[Any], weights: WeightPlaces | None) -> None:
-    """Raise WeightsError if one path is given for several encoders."""
+def _by_kind(parts: list[Any], weights: WeightPlaces | None) -> WeightPlaces | None:
+    """Return the places by kind if one path is given and an encoder needs it.
+
+    Raises WeightsError if one path is given for several encoders.
+    """
     if weights is None or isinstance(weights, Mapping):
-        return
+        return weights
     encoders = [part["kind"] for part in parts if needs_weights(part) and not folder_in_spec(part)]
     kinds = list(dict.fromkeys(encoders))
     if len(kinds) > 1:
@@ -210,3 +262,4 @@ def _check_one_place(parts: list[Any], weights: WeightPlaces | None) -> None:
             f"{os.fspath(weights)}: the features need {len(kinds)} encoders, but this is one path: "
             f"give the weights of each ({named})"
         )
+    return {kinds[0]: weights} if kinds else weights

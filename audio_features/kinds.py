@@ -15,14 +15,14 @@ class Kind:
         module: module of audio_features that holds the class; imported on first use.
         name: name of the class, which audio_features exports.
         argument: setting that may follow the kind after a colon, as in `mfcc:20`; None for none.
-            With `weights` it is the folder of the encoder.
-        weights: True if the extractor may have the weights of an encoder.
+        place: setting of the folder of its weights or files, which may be given beside the spec;
+            "" if no setting names it, None for an extractor without.
     """
 
     module: str
     name: str
     argument: str | None = None
-    weights: bool = False
+    place: str | None = None
 
     def load(self) -> Any:
         """Import and return the class."""
@@ -37,8 +37,9 @@ KINDS = {
     "prosodic_range": Kind("acoustic.extractors", "ProsodicRange", "seconds"),
     "effort": Kind("acoustic.extractors", "Effort", "seconds"),
     "music": Kind("acoustic.music", "Music", "n_chroma"),
-    "words": Kind("words", "Words", "encoder", weights=True),
-    "wavlm": Kind("wavlm.extractor", "WavLM", weights=True),
-    "hf": Kind("huggingface.extractor", "HuggingFace", "path", weights=True),
+    "words": Kind("words", "Words", "encoder", place="encoder"),
+    "wavlm": Kind("wavlm.extractor", "WavLM", place=""),
+    "hf": Kind("huggingface.extractor", "HuggingFace", "path", place="path"),
+    "files": Kind("files", "Files", "dim", place="folder"),
 }
 """Extractors by the `kind` of their specs, in the order in which messages list them."""

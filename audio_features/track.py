@@ -147,14 +147,17 @@ class FeatureTrack:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> FeatureTrack:
-        """Read a feature file. Raises FeatureError for other files and newer formats."""
+        """Read a feature file; `spec` may be missing, in files that other programs wrote.
+
+        Raises FeatureError for other files and newer formats.
+        """
         name = os.fspath(path)
         if not Path(name).is_file():
             raise FeatureError(f"{name}: no such file: give a feature file (npz)")
         try:
             with open_archive(name, FeatureError) as archive:
                 values, times = archive.numbers("values", np.float32), archive.numbers("times")
-                spec = json.loads("".join(archive.texts("spec")))
+                spec = json.loads("".join(archive.texts("spec"))) if "spec" in archive else {}
         except (ValueError, RecursionError) as error:
             reason = str(error).removeprefix(f"{Path(name)}: ")
             raise FeatureError(

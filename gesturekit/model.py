@@ -28,6 +28,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.wording import counted, did_you_mean
 
 if TYPE_CHECKING:
+    from audio_features.files import Files
     from audio_features.weight_files import WeightPlaces
     from gesturekit.corpus.speech import Speech
     from gesturekit.motion.root_path import RootPath
@@ -190,12 +191,14 @@ class Inputs:
     Attributes:
         speech: whether it was trained with speech (or music) features.
         words: whether these features include the words beside a recording.
+        files: extractors among them that read files of own features.
         path: whether it was trained with the path of the root.
         events: names of the events with which it was trained.
     """
 
     speech: bool = False
     words: bool = False
+    files: tuple[Files, ...] = ()
     path: bool = False
     events: tuple[str, ...] = ()
 
@@ -269,7 +272,11 @@ class BaseModel:
         conditioner = self.conditions.conditioner
         if conditioner is None:
             return {}
+        from audio_features.extractor import needs_of
+
         rows = {"Speech features": json.dumps(conditioner.extractor.spec)}
+        if needs := needs_of(conditioner.extractor.spec):
+            rows["Needs"] = "; ".join(needs)
         if conditioner.components is not None:
             rows["Reduced features"] = reduction_text(conditioner.components.shape)
         return rows

@@ -32,7 +32,8 @@ GROUPS = {
 }
 
 _NETWORKS = {
-    **dict.fromkeys(("weights", "layer", "full_context"), ("wavlm", "hf")),
+    "weights": ("wavlm", "hf", "files"),
+    **dict.fromkeys(("layer", "full_context"), ("wavlm", "hf")),
     **dict.fromkeys(("preset", "dtype", "implementation"), ("wavlm",)),
 }
 """Extractors that each option of networks applies to."""
@@ -47,7 +48,7 @@ _NETWORKS = {
     metavar="LIST",
     help=f"One or more of {', '.join(KINDS)}, separated by commas and concatenated. A size, "
     "method or folder may follow a colon: logmel:64, mfcc:16, prosody:pyin, music:1, "
-    "hf:hubert-base/, words:bert-base/.",
+    "hf:hubert-base/, words:bert-base/. Or the kind of an installed extractor.",
 )
 @click.option(
     "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Output folder."
@@ -164,6 +165,7 @@ def _print(result: Result) -> None:
 def _extractor(kinds: str, options: dict[str, Any]) -> Extractor:
     """Return the extractor of --extractor and its options; print the weights that it uses."""
     from audio_features import extractor_from_spec
+    from audio_features.installed import installed_kinds
 
     weights, device = options.pop("weights"), options.pop("device")
     given = {name: value for name, value in options.items() if value is not None}
@@ -173,8 +175,9 @@ def _extractor(kinds: str, options: dict[str, Any]) -> Extractor:
     specs = []
     for item in filter(None, map(str.strip, kinds.split(","))):
         kind, _, value = item.partition(":")
-        if kind not in KINDS or (value and KINDS[kind].argument is None):
-            raise click.UsageError(f"--extractor {item!r}: one or more of {', '.join(KINDS)}")
+        kinds_here = [*KINDS, *installed_kinds()]
+        if kind not in kinds_here or (value and (kind not in KINDS or not KINDS[kind].argument)):
+            raise click.UsageError(f"--extractor {item!r}: one or more of {', '.join(kinds_here)}")
         specs.append({"kind": kind} | ({KINDS[kind].argument: _number(value)} if value else {}))
         specs[-1] |= {name: given[name] for name in given if kind in _NETWORKS.get(name, ())}
     kinds = {spec["kind"] for spec in specs}

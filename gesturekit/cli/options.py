@@ -97,9 +97,9 @@ weights_option = click.option(
     multiple=True,
     callback=parse_weights,
     metavar="[KIND=]PATH",
-    help="Weights of the speech or text encoder that the model was trained with. For several "
-    "encoders, give each with its kind (wavlm, hf or words): --weights wavlm=PATH --weights "
-    "words=PATH.",
+    help="Weights of the speech or text encoder that the model was trained with, or the folder of "
+    "the files of own features. For several, give each with its kind (wavlm, hf, words or files): "
+    "--weights wavlm=PATH --weights files=FOLDER.",
 )
 
 workers_option = click.option(

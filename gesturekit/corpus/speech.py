@@ -147,6 +147,11 @@ class SpeechConditioner:
         return takes_words(self.extractor)
 
     @property
+    def files(self) -> tuple[af.Files, ...]:
+        """Extractors that read the files of own features."""
+        return tuple(part for part in parts_of(self.extractor) if isinstance(part, af.Files))
+
+    @property
     def effort(self) -> tuple[int, ...]:
         """Columns of vocal effort (`af.Effort`); empty without that extractor."""
         return tuple(i for i, name in enumerate(self._names) if name.startswith("effort_"))
@@ -225,9 +230,6 @@ class SpeechConditioner:
                 "vad=False (--no-vad) it follows this sound all the same",
                 name,
             )
-        return self._features(speech, n_frames)
-
-    def _features(self, speech: af.Wave, n_frames: int | None) -> np.ndarray:
         level = self.normalisation == "clip"
         with one_blas_thread():
             features = extract(speech, self.extractor, self.fps, self.align, n_frames, level=level)
@@ -283,13 +285,25 @@ class SpeechConditioner:
         rate = 16000
         seconds = max(1.0, n_frames / self.fps)
         nothing = af.Wave(np.zeros(int(np.ceil(seconds * rate)), np.float32), rate, None)
-        return self._features(nothing, n_frames)
+        with one_blas_thread():
+            values, active = extract(nothing, self.extractor, self.fps, self.align, n_frames)
+        # Features from files are unknown for silence: the mean of training stands for them.
+        parts = parts_of(self.extractor)
+        unknown = np.repeat([part in self.files for part in parts], [part.dim for part in parts])
+        values[:, unknown] = self.centre[unknown]
+        return self.normalise(values, active)
 
 
 def detects_voice(extractor: Any, vad: bool | None) -> bool:
     """Return `vad`, or if it is None, True unless the features are those of music (`af.Music`)."""
-    parts = extractor.parts if isinstance(extractor, af.Stack) else (extractor,)
-    return not any(isinstance(part, af.Music) for part in parts) if vad is None else vad
+    if vad is None:
+        return not any(isinstance(part, af.Music) for part in parts_of(extractor))
+    return vad
+
+
+def parts_of(extractor: Any) -> tuple[Any, ...]:
+    """Return the extractors of a stack, or the extractor alone."""
+    return extractor.parts if isinstance(extractor, af.Stack) else (extractor,)
 
 
 def wide_columns(extractor: Any, count: int) -> np.ndarray:
@@ -297,7 +311,7 @@ def wide_columns(extractor: Any, count: int) -> np.ndarray:
 
     Vocal effort is never wide: recall needs its columns.
     """
-    parts = extractor.parts if isinstance(extractor, af.Stack) else (extractor,)
+    parts = parts_of(extractor)
     wide = [part.dim > count and not isinstance(part, af.Effort) for part in parts]
     return np.repeat(wide, [part.dim for part in parts])
 

@@ -60,6 +60,7 @@ class TrainedModel(BaseModel):
         return Inputs(
             speech=speech is not None,
             words=speech is not None and speech.takes_words,
+            files=() if speech is None else speech.files,
             path=conditions.path,
             events=conditions.events,
         )

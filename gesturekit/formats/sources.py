@@ -121,7 +121,7 @@ def is_motion(path: Path) -> bool:
 
 def is_feature_file(path: Path) -> bool:
     """Return whether a file is an npz of speech features."""
-    return _has_keys(path, "values", "times", "spec")
+    return _has_keys(path, "values", "times")
 
 
 def is_body_model(path: Path) -> bool:

@@ -10,6 +10,7 @@ from typing import Any
 
 from safetensors import SafetensorError, safe_open
 
+from audio_features.extractor import needs_of
 from gesturekit.errors import ConfigError, GestureKitError, ModelError
 from gesturekit.inspection.summary import Summary, size
 from gesturekit.model import rate_text, reduction_text
@@ -18,7 +19,7 @@ from gesturekit.training.config import read_yaml
 from gesturekit.wording import counted, listed
 
 _NOTE = re.compile(r"- \*\*(.+?)\*\*: (.*)")
-_SHOWN_ABOVE = {"Kind", "Motion", "Speech features", "Reduced features", "Styles"}
+_SHOWN_ABOVE = {"Kind", "Motion", "Speech features", "Needs", "Reduced features", "Styles"}
 _OF_CONFORMERS = {
     "layers",
     "heads",
@@ -68,6 +69,7 @@ def inspect_model(folder: Path) -> Summary:
         "joints": joints,
         "skeleton": list(skeleton.names),
         "features": features,
+        "needs": needs_of(features.get("spec")),
         "components": shapes.get("features.components"),
         "styles": [str(name) for name in config.get("styles") or ()],
         "network": _used(config.get("network", {})),
@@ -95,6 +97,7 @@ def _rows(facts: dict[str, Any], skeleton: Skeleton) -> list[tuple[str, str]]:
             + (f"; not {listed(still, 4)}" if still else ""),
         ),
         ("speech features", _speech_features(facts["features"].get("spec"))),
+        *(("needs", need) for need in facts["needs"]),
     ]
     if facts["components"]:
         rows.append(("reduced features", reduction_text(facts["components"])))

@@ -57,6 +57,7 @@ class FeatureExtraction(Processor):
 
     def input_of(self, task: Task, digest: str | None = None) -> dict[str, Any]:
         """Return the digests of the sound and of its words, and which part of it is used."""
+        from audio_features.files import own_files
         from audio_features.words import takes_words
 
         found = super().input_of(task, digest)
@@ -67,6 +68,8 @@ class FeatureExtraction(Processor):
         if task.path is not None and takes_words(self.extractor):
             words = task_words(task)
             found["words"] = words and path_digest(words)
+        if task.path is not None and (own := own_files(self.extractor, task.path)):
+            found["features"] = [path and path_digest(path) for path in own]
         return found
 
     def make(self, result: Result) -> None:

@@ -144,6 +144,10 @@ class Renderer(Processor):
         if task.path is not None and any(model.inputs.words for model in self._models):
             words = task_words(task)
             found["words"] = words and path_digest(words)
+        if task.path is not None:
+            files = (file.find(task.path) for m in self._models for file in m.inputs.files)
+            own = [path and path_digest(path) for path in files]
+            found |= {"features": own} if own else {}
         if (item := item_of(task)) is not None:
             found |= {"start": item.audio_start, "duration": item.duration}
             found |= {"channel": item.channel} if item.channel is not None else {}

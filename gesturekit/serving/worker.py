@@ -93,5 +93,11 @@ class Worker:
         """
         if not self.model.inputs.speech:
             raise GestureKitError("this model has no speech input; serve one that has")
+        if self.model.inputs.words or self.model.inputs.files:
+            raise GestureKitError(
+                "this model reads a file beside each sound (own features, or words), which a "
+                "request does not bring: use gesturekit render, or compute the features by an "
+                "installed extractor"
+            )
         self.model.generate(af.Wave.load(bundled_speech(), duration=1.0))
         threadpool_limits(1, user_api="blas")  # now that all libraries are loaded

@@ -109,7 +109,7 @@ def test_a_model_takes_a_speech_and_a_text_encoder(
         (named[:2], "weights of the text encoder bert with fingerprint"),
         (("--weights", wavlm, *named[2:]), f"{wavlm}: with several encoders, give KIND=PATH"),
         ((*named, *named[2:]), "words is given twice"),
-        (("--weights", f"wavml={wavlm}", *named[2:]), "'wavml' is not an encoder"),
+        (("--weights", f"wavml={wavlm}", *named[2:]), "'wavml' has no weights or files"),
         (("--weights", f"wavlm={text}", "--weights", f"words={wavlm}"), "text"),
     ):
         gesturekit(*render, *given).fails(2, complaint)

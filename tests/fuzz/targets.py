@@ -76,6 +76,11 @@ def motion(folder: Path, file: Path) -> None:
     assert np.isfinite(Motion.load(file).positions()).all(), "positions that are not finite"
 
 
+def own_features(folder: Path, file: Path) -> None:
+    sound = af.Wave(np.zeros(16_000), 16_000, source=str(file.with_suffix(".wav")))
+    af.Files(3, rate=5).extract(sound)
+
+
 def config(schema: type, folder: Path, file: Path) -> None:
     load_config(file, schema)
 
@@ -259,6 +264,7 @@ TARGETS = {
             *("features", "a.npz", seeds.features),
             *(lambda _, file: af.FeatureTrack.load(file), mutators.NPZ),
         ),
+        Target("own_features", "a.npy", seeds.own_features, own_features, mutators.TEXT),
         Target("sound", "a.wav", seeds.sounds, lambda _, f: af.Wave.load(f), mutators.ANY),
         words("textgrid", ".TextGrid", seeds.textgrid),
         words("ctm", ".ctm", text(";; x", "a 1 0.5 0.25 hello", "a 1 1.5 0.5 you 0.9")),

@@ -11,8 +11,10 @@ import soundfile
 
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import ConfigError
+from gesturekit.training.data.arrays import array_key
 from gesturekit.training.data.features import (
     FeatureConfig,
+    SpeechArrays,
     conditioner_tensors,
     conditioner_values,
     extract_features,
@@ -100,3 +102,21 @@ def test_models_of_music_do_without_voice_activity(kinds, is_on):
     for vad in (True, False):
         chosen = replace(config, vad=vad)
         assert feature_values(config.extractor(), chosen)["vad"] is vad
+
+
+def test_own_features_are_a_part_of_what_arrays_and_silence_are_made_of(tmp_path, write_pair):
+    wav, _ = write_pair(tmp_path, "a", 4.0)
+    own = wav.with_suffix(".npy")
+    np.save(own, 7.0 + np.arange(80)[:, None] * [0.01, -0.02])
+    (item,) = prepare(tmp_path, holdout=0.0).manifest
+    config = FeatureConfig(({"kind": "files", "dim": 2, "rate": 20}, {"kind": "prosody"}))
+    arrays = SpeechArrays.open(config, 25.0, "cpu")
+    key = array_key(arrays, item)
+    values, _ = arrays.make(item)
+    assert values[25, 0] == pytest.approx(7.2, abs=0.02)  # after one second
+    conditioner, (speech,) = extract_features([item], [None], arrays.extractor, 25.0, config)
+    # A file is never silent: the mean of training stands for it, far from zeros.
+    np.testing.assert_allclose(conditioner.silence(50)[:, :2], 0.0, atol=1e-6)
+    assert abs(speech[:, :2]).max() > 1.0
+    np.save(own, np.load(own) + 1)
+    assert array_key(arrays, item) != key

@@ -12,13 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import audio_features
-from audio_features.cache import (
-    DiskCache,
-    default_folder,
-    digest_of_sources,
-    installed_versions,
-    size_limit,
-)
+from audio_features.cache import DiskCache, default_folder, size_limit
+from audio_features.installed import digest_of_sources, installed_versions
 from gesturekit.evaluation.pairs import ItemInterval
 
 _KIND = "measurements-1"

@@ -200,7 +200,9 @@ class TrainedModel(BaseModel):
     def inputs(self) -> Inputs:
         """Inputs besides style and speaker."""
         speech = self.conditions.conditioner
-        return Inputs(speech=speech is not None, words=speech is not None and speech.takes_words)
+        if speech is None:
+            return Inputs()
+        return Inputs(speech=True, words=speech.takes_words, files=speech.files)
 
 
 TILE = 2048

@@ -14,6 +14,7 @@ from torch import Tensor
 
 import audio_features as af
 from audio_features.extractor import folder_in_spec, needs_weights
+from audio_features.files import own_files
 from audio_features.weight_files import WeightPlaces
 from audio_features.words import takes_words
 from gesturekit.corpus.item import Item
@@ -66,11 +67,11 @@ class FeatureConfig:
 
     @property
     def encoder_places(self) -> dict[str, Path]:
-        """Folder or file of the weights of each encoder, by its kind."""
+        """Folder or file of the weights of each encoder, by its kind, and that of own features."""
         places = {}
         for spec in self.extractors:
-            folder = folder_in_spec(spec) or self.weights
-            if needs_weights(spec) and folder is not None:
+            folder = folder_in_spec(spec) or (self.weights if needs_weights(spec) else None)
+            if folder is not None:
                 places[spec["kind"]] = Path(folder)
         return places
 
@@ -198,7 +199,8 @@ class SpeechArrays:
     def origin(self, item: Item) -> dict[str, Any]:
         """Return all that the features of an item depend on."""
         words = item.conditions.get("words") if takes_words(self.extractor) else None
-        return {
+        own = [path and file_fingerprint(path) for path in own_files(self.extractor, item.audio)]
+        return ({"features": own} if own else {}) | {
             "audio": file_fingerprint(item.audio),
             "words": None if words is None else file_fingerprint(words),
             "interval": [item.audio_start, item.duration],

@@ -1,0 +1,202 @@
+"""Features that a user computed, read from files that lie beside the sounds or in a folder."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import soundfile
+
+from audio_features.errors import FeatureError
+from audio_features.track import FeatureTrack
+from audio_features.wave import Wave
+
+SLACK = 0.5
+"""Seconds by which features may end before the sound, in addition to two of their frames."""
+_MOST_COLUMNS = 1 << 16
+
+log = logging.getLogger(__name__)
+
+
+class Files:
+    """Features from a file for each sound: npz of `values` and `times`, or npy with a rate.
+
+    The file of SOUND.wav is SOUND with the suffix, beside the sound or in a folder. A folder has
+    the structure of the folder of sounds, or holds all files side by side. Values (T, D) are taken
+    by their true times: `times` (T,) in seconds, or `start + k / rate` for row k of an npy. An
+    array (D,) holds for the whole sound. Silence that is no file has zeros.
+
+    Args:
+        dim: D, the number of columns.
+        suffix: end of the file's name, such as ".hubert.npy"; by default ".npy" with a rate, else
+            ".npz".
+        rate: rows per second of an npy.
+        start: time of its first row, in seconds from the start of the sound file.
+        centred: whether each clip's own mean is removed, as for an encoder of speech. False keeps
+            what a clip's mean says, such as an emotion.
+        folder: folder of the files; None for beside the sounds. It is no part of the spec.
+
+    Raises FeatureError for settings out of range.
+
+    Examples:
+        Two columns at 4 rows per second, of which the second row is at 0.25 s:
+
+        >>> np.save(folder / "talk.npy", [[0, 0], [4, 8], [0, 0]])
+        >>> wave = af.Wave(np.zeros(12000), 16000, source=str(folder / "talk.wav"))
+        >>> af.Files(2, rate=4).extract(wave).at([0.125, 0.25]).values
+        array([[2., 4.],
+               [4., 8.]], dtype=float32)
+    """
+
+    worth_caching = False  # the sound does not determine the file
+
+    def __init__(
+        self,
+        dim: int | None = None,
+        suffix: str | None = None,
+        rate: float | None = None,
+        start: float = 0.0,
+        centred: bool = False,
+        folder: str | os.PathLike[str] | None = None,
+    ) -> None:
+        if not isinstance(dim, int) or not 1 <= dim <= _MOST_COLUMNS:
+            raise FeatureError(f"files: dim is {dim!r}: give the number of columns of the files")
+        suffix = (".npz" if rate is None else ".npy") if suffix is None else suffix
+        is_name = isinstance(suffix, str) and Path(f"a{suffix}").name == f"a{suffix}"
+        if not is_name or not suffix.lower().endswith((".npz", ".npy")) or suffix[0] != ".":
+            raise FeatureError(f"files: suffix is {suffix!r}: expected .npz, .npy or .NAME.npy")
+        self._is_npy = suffix.lower().endswith(".npy")
+        if self._is_npy and not (_is_number(rate) and 1e-3 <= rate <= 1e6):
+            raise FeatureError(f"files: rate is {rate!r}: give the rows per second of *{suffix}")
+        if not _is_number(start) or not isinstance(centred, bool):
+            raise FeatureError(
+                f"files: start is {start!r}, centred {centred!r}: a time, true/false"
+            )
+        self.dim, self.suffix, self.rate, self.start = dim, suffix, rate, start
+        self.folder = None if folder is None else Path(folder)
+        if self.folder is not None and not self.folder.is_dir():
+            raise FeatureError(f"{folder}: no such folder: give the folder of the *{suffix} files")
+        self.names = tuple(f"files{suffix}_{i}" for i in range(dim))
+        self.centred = (centred,) * dim
+        self.spec: dict[str, Any] = {"kind": "files", "dim": dim, "suffix": suffix}
+        given = {"rate": rate, "start": start or None, "centred": centred or None}
+        self.spec |= {name: value for name, value in given.items() if value is not None}
+
+    def find(self, sound: str | os.PathLike[str]) -> Path | None:
+        """Return the file of a sound; None if there is none.
+
+        In a folder, of the files that fit, the one with the longest common path counts: of
+        data/s1/talk.wav first s1/talk.npy, then talk.npy.
+        """
+        beside = Path(os.path.abspath(sound)).with_suffix(self.suffix)  # noqa: PTH100 (keeps links)
+        if self.folder is None:
+            return beside if beside.is_file() else None
+        parts = beside.parts[1:]
+        places = (self.folder.joinpath(*parts[i:]) for i in range(len(parts)))
+        return next((place for place in places if place.is_file()), None)
+
+    def extract(self, wave: Wave) -> FeatureTrack:
+        """Read the features of the part of its file that a wave is: values (T, D).
+
+        Raises FeatureError, which names the file and the sound, if there is no file, if it is
+        damaged, has another number of columns, or ends before the sound.
+        """
+        if wave.source is None and wave.is_silent:
+            return FeatureTrack(np.zeros((1, self.dim)), [0.0], self.spec, self.names)
+        path = None if wave.source is None else self.find(wave.source)
+        if path is None:
+            where = "beside it" if self.folder is None else f"in {self.folder}"
+            other = "FOLDER" if self.folder is None else "ANOTHER FOLDER"
+            raise FeatureError(
+                f"{wave.source or 'the sound'}: no file of features STEM{self.suffix} {where}: "
+                f"compute it as for training, or name its place (--weights files={other})"
+            )
+        try:
+            values, times = self._read(path)
+            self._check(path, times, wave)
+            return self._part(values, times, wave)
+        except (OSError, FeatureError) as error:
+            reason = str(error).removeprefix(f"{path}: ")
+            raise FeatureError(f"{path}, features of {wave.source}: {reason}") from error
+
+    def _read(self, path: Path) -> tuple[np.ndarray, np.ndarray]:
+        """Return values (T, D), which an npy leaves on disk, and times (T,)."""
+        if not self._is_npy:
+            track = FeatureTrack.load(path)
+            values, times = track.values, track.times
+        else:
+            values, times = _open_npy(path), None
+            if values.dtype.kind not in "fiub":
+                raise FeatureError(f"holds {values.dtype}, not numbers: save plain numbers")
+            if values.ndim == 1:
+                values = values.reshape(-1, 1) if self.dim == 1 else values.reshape(1, -1)
+            if values.ndim == 2 and values.shape[0] == self.dim != values.shape[1]:
+                values = values.T  # (D, T), as librosa has it
+        if values.ndim != 2 or values.shape[1] != self.dim or not len(values):
+            raise FeatureError(f"shape {values.shape}: expected (T, {self.dim}), T > 0")
+        return values, self.start + np.arange(len(values)) / self.rate if times is None else times
+
+    def _check(self, path: Path, times: np.ndarray, wave: Wave) -> None:
+        """Compare the last time with the end of the sound: a wrong rate must not pass."""
+        if len(times) == 1:
+            return
+        slack = SLACK + 2 * float(np.median(np.diff(times[:1000])))
+        end = wave.offset + wave.duration
+        if times[-1] < end - slack or times[0] > wave.offset + slack:
+            raise FeatureError(
+                f"its {len(times)} rows are from {times[0]:.2f} to {times[-1]:.2f} s, the sound is "
+                f"from {wave.offset:.2f} to {end:.2f} s: check the rate and the file"
+            )
+        if times[-1] > end + slack and times[-1] > (whole := _length(wave)) + slack:
+            text = "%s: its rows end at %.2f s, the sound %s at %.2f s; check the rate"
+            log.warning(text, path, times[-1], wave.source, whole)
+
+    def _part(self, values: np.ndarray, times: np.ndarray, wave: Wave) -> FeatureTrack:
+        """Return the rows within the wave and the ones beside it, in the wave's own time."""
+        first = max(0, int(np.searchsorted(times, wave.offset, side="right")) - 1)
+        last = int(np.searchsorted(times, wave.offset + wave.duration)) + 1
+        first = min(first, len(times) - 1)
+        part = np.asarray(values[first:last], dtype=np.float32)
+        if not np.isfinite(part).all():
+            row, column = np.argwhere(~np.isfinite(part))[0]
+            value = part[row, column]
+            raise FeatureError(
+                f"row {first + row}, column {column} is {value}: not a finite number"
+            )
+        return FeatureTrack(part, times[first:last] - wave.offset, self.spec, self.names)
+
+    def __repr__(self) -> str:
+        return f"Files({self.spec})"
+
+
+def own_files(extractor: Any, sound: str | os.PathLike[str]) -> list[Path | None]:
+    """Return the file of a sound for each `Files` among the extractors of a stack."""
+    parts = getattr(extractor, "parts", (extractor,))
+    return [part.find(sound) for part in parts if isinstance(part, Files)]
+
+
+def _open_npy(path: Path) -> np.ndarray:
+    """Return the array of an npy, which stays on disk; objects are never loaded."""
+    try:
+        return np.lib.format.open_memmap(path, mode="r")
+    except OSError:
+        raise
+    except Exception as error:  # numpy's parser of headers raises anything
+        raise FeatureError("not a whole npy of plain numbers: write it with numpy.save") from error
+
+
+def _is_number(value: Any) -> bool:
+    is_real = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_real and math.isfinite(value)
+
+
+def _length(wave: Wave) -> float:
+    """Return the seconds of the whole file of a wave, as far as its header says."""
+    try:
+        return soundfile.info(wave.source).duration
+    except (RuntimeError, OSError, ValueError):
+        return math.inf

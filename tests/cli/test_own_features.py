@@ -1,0 +1,131 @@
+"""A model of own features: from files, and from an installed package, from prepare to render."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from packages import install
+from starlette.testclient import TestClient
+
+import gesturekit as gk
+from audio_features import FeatureError
+from gesturekit.corpus import prepare
+from gesturekit.errors import GestureKitError
+from gesturekit.inspection import inspect
+from gesturekit.motion import Motion
+from gesturekit.serving.app import create_app
+
+WIDTH, RATE = 3, 20
+EXTRACTORS = (
+    f"features.extractors=[{{kind: files, dim: {WIDTH}, suffix: .own.npy, rate: {RATE}}}, "
+    "{kind: files, dim: 2}, {kind: loudness, gain: 2}, {kind: prosody}]"
+)
+
+
+def write_own(wav, seconds, seed=0):
+    """Write STEM.own.npy and STEM.npz beside a sound."""
+    rng = np.random.default_rng(seed)
+    rows = 5 + np.cumsum(rng.standard_normal((round(seconds * RATE), WIDTH)), axis=0) / 5
+    np.save(wav.with_suffix(".own.npy"), rows)
+    times = np.arange(0, seconds, 0.2)
+    np.savez(wav.with_suffix(".npz"), values=np.stack([times, times**2], axis=1), times=times)
+    return wav
+
+
+@pytest.fixture
+def own_corpus(tmp_path, write_pair, write_speech):
+    """The manifest of a folder in which sounds, motion and features lie side by side."""
+    folder = tmp_path / "corpus"
+    for stem, seconds in (("a", 6.0), ("b", 2.5)):
+        write_own(write_pair(folder, stem, seconds, seed=ord(stem))[0], seconds, ord(stem))
+    more = tmp_path / "more"
+    write_own(write_speech(more / "c.wav", 5.0, level=0.1), 5.0)
+    report = prepare(folder, tmp_path / "corpus.jsonl", unpaired=more, holdout=0.0)
+    assert len(report.manifest) == 3 and report.is_complete
+    return tmp_path / "corpus.jsonl"
+
+
+def test_own_features_from_training_to_motion(
+    gesturekit, own_corpus, recipe, write_speech, tmp_path, monkeypatch
+):
+    install(tmp_path / "site", monkeypatch)
+    config, *tiny = recipe
+    if config.parent.name.startswith("multires"):
+        tiny.append("recall.level=2")  # its finest level would copy recordings
+    given = (f"corpus={own_corpus}", f"out={tmp_path / 'run'}")
+    gesturekit("train", config, *given, *tiny, EXTRACTORS).ok()
+    model = tmp_path / "run" / "model"
+    needs = [text for name, text in inspect(model).rows if name == "needs"]
+    assert len(needs) == 3 and needs[2].startswith("the extractor loudness of the package own-f")
+    assert needs[0].startswith("STEM.own.npy with 3 columns, beside each sound or in --weights")
+    assert f"- **Needs**: {'; '.join(needs)}\n" in (model / "README.md").read_text()
+
+    speech, out = tmp_path / "speech", tmp_path / "out"
+    for stem in ("ok", "lone", "narrow"):
+        write_own(write_speech(speech / f"{stem}.wav", 1.3), 1.3)
+    (speech / "lone.own.npy").unlink()
+    np.save(speech / "narrow.own.npy", np.zeros((26, 2)))
+    render = ("render", speech, "--model", model, "--out", out, "--format", "npz")
+    done = gesturekit(*render).fails(1, "lone.wav: no file of features STEM.own.npy beside it")
+    assert "narrow.own.npy, features of" in done.err and "expected (T, 3)" in done.err
+    assert Motion.load(out / "ok.npz").n_frames == 39 and not (out / "lone.npz").exists()
+    write_own(speech / "lone.wav", 1.3)
+    write_own(speech / "narrow.wav", 1.3)
+    assert gesturekit(*render).status == 0  # the one that is there is kept
+    first = Motion.load(out / "ok.npz")
+    write_own(speech / "ok.wav", 1.3, seed=9)
+    assert "other features" in gesturekit(*render).err  # and not kept if its features change
+    gesturekit(*render, "--existing", "replace").ok()
+    assert not np.array_equal(Motion.load(out / "ok.npz").rotations, first.rotations)
+
+    # The same files in a folder of their own, and a sound somewhere else.
+    elsewhere = write_speech(tmp_path / "new" / "ok.wav", 1.3)
+    there = gk.load(model, weights={"files": speech})
+    again = there.generate(elsewhere, item="ok")
+    np.testing.assert_allclose(
+        again.positions(), Motion.load(out / "ok.npz").positions(), atol=1e-4
+    )
+    assert gk.load(model).generate(seconds=1.0).n_frames == 30  # silence needs no file
+    with pytest.raises(FeatureError, match="no file of features"):
+        there.generate(np.sin(np.arange(20_000) * 0.1), 16_000)
+
+
+def test_without_the_package_the_model_says_what_to_install(
+    gesturekit, own_corpus, light, tiny, write_speech, tmp_path
+):
+    with pytest.MonkeyPatch.context() as patch:
+        install(tmp_path / "site", patch)
+        given = (f"corpus={own_corpus}", f"out={tmp_path / 'run'}")
+        extractors = "features.extractors=[{kind: loudness}]"
+        gesturekit("train", light, *given, *tiny, extractors).ok()
+        speech = write_speech(tmp_path / "new.wav", 1.3)
+        render = ("render", speech, "--model", tmp_path / "run" / "model", "--out", tmp_path / "o")
+        gesturekit(*render).ok()
+        done = gesturekit("features", speech, "--extractor", "loudness", "--out", tmp_path / "f")
+        assert "26 frames × 2" in done.ok().out
+        service = create_app(gk.load(tmp_path / "run" / "model"))  # a sound is all that it needs
+        with TestClient(service, base_url="http://127.0.0.1") as client:
+            answer = client.post("/motion?item=new", content=speech.read_bytes())
+        assert answer.text == (tmp_path / "o" / "new.bvh").read_text()
+    done = gesturekit(*render).fails(2, "'loudness' is not installed here", "own-features 1.2")
+    assert len(done.err.splitlines()) == 1
+    shown = " ".join(gesturekit("inspect", tmp_path / "run" / "model").ok().out.split())
+    assert "own-features 1.2" in shown and "which is not installed here" in shown
+
+
+def test_training_names_the_item_without_features(gesturekit, own_corpus, light, tiny, tmp_path):
+    (tmp_path / "corpus" / "b.own.npy").unlink()
+    given = (f"corpus={own_corpus}", f"out={tmp_path / 'run'}")
+    extractors = EXTRACTORS.replace("{kind: loudness, gain: 2}, ", "")
+    done = gesturekit("train", light, *given, *tiny, extractors).fails(2, "b.wav: no file of feat")
+    assert len(done.err.splitlines()) == 1
+    assert json.loads(own_corpus.read_text().splitlines()[1])["id"] == "a"
+
+
+def test_a_service_refuses_a_model_that_reads_files(own_corpus, gesturekit, light, tiny, tmp_path):
+    given = (f"corpus={own_corpus}", f"out={tmp_path / 'run'}")
+    gesturekit("train", light, *given, *tiny, "features.extractors=[{kind: files, dim: 2}]").ok()
+    with pytest.raises(GestureKitError, match="reads a file beside each sound"):
+        create_app(gk.load(tmp_path / "run" / "model"))
