@@ -21,6 +21,13 @@ from gesturekit.cli.options import (
 from gesturekit.corpus.layouts import LAYOUTS
 
 
+def _seconds(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is not a number of seconds, nor auto") from None
+
+
 @click.command(
     epilog="Example: gesturekit prepare recordings/ --unpaired speech/ --out corpus.jsonl"
 )
@@ -105,6 +112,14 @@ from gesturekit.corpus.layouts import LAYOUTS
     show_default=True,
     help="Largest allowed difference in length between sound and motion, in seconds; the longer "
     "one is trimmed.",
+)
+@click.option(
+    "--shift",
+    default="0",
+    metavar="SECONDS|auto",
+    callback=lambda ctx, parameter, text: text if text == "auto" else _seconds(text),
+    help="Seconds by which the motion comes later than the sound in the files (negative: earlier), "
+    "to be taken back; auto estimates them for each recording.  [default: 0]",
 )
 @workers_option
 @channel_option

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gesturekit.corpus import checks, splits
+from gesturekit.corpus.alignment import corrections, shift_problems
 from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.item import READING
 from gesturekit.corpus.layouts import read_layout
@@ -86,6 +87,10 @@ class PrepareOptions:
     tolerance: float = 1.0
     """Largest difference in length between the sound and the motion of a pair, seconds. The longer
     one is trimmed; a larger difference is an error."""
+    shift: float | str = 0.0
+    """Seconds by which the motion of every pair comes later than its sound in the files (negative:
+    earlier), which are taken back; "auto" estimates them, and reads the recordings twice. See
+    `gesturekit.corpus.alignment`."""
     channel: int | None = None
     """Channel of every sound file to use, counted from 1; None for their mean."""
     parts: Mapping[str, str] | None = None
@@ -122,6 +127,9 @@ class PrepareOptions:
             raise CorpusError(f"workers is {self.workers}: give at least 1")
         if not (math.isfinite(self.tolerance) and self.tolerance >= 0):
             raise CorpusError(f"tolerance is {self.tolerance}; it must be 0 or more seconds")
+        is_number = isinstance(self.shift, int | float) and math.isfinite(self.shift)
+        if self.shift != "auto" and not is_number:
+            raise CorpusError(f"shift is {self.shift!r}; give seconds, or auto")
         if unknown := sorted(set(self.read or {}) - set(READING)):
             raise CorpusError(f"read: unknown option {unknown[0]!r}; expected {list(READING)}")
         body_model = (self.read or {}).get("body_model")
@@ -137,10 +145,10 @@ def prepare(
 ) -> Report:
     """Find, check and split recordings, and write the manifest if any are usable.
 
-    The sound and the motion of a pair are assumed to begin together. Tables beside a recording
-    become its conditions: STEM.events.csv (`gesturekit.formats.tables.events`) and STEM.path.csv
-    (`formats.tables.root_path`). A problem with one recording does not stop the others: it is
-    reported with its file, and a recording with an error is left out.
+    Sound and motion of a pair begin together, up to `shift`; if their energy and arm speed show
+    another shift, a warning names it. Tables beside a recording (STEM.events.csv, STEM.path.csv;
+    see `formats.tables`) become its conditions. A problem with one recording is reported with its
+    file, and one with an error is left out; the others go on.
 
     Args:
         folders: folders with speech and motion of equal names, see `pairing.pair`.
@@ -171,7 +179,7 @@ def prepare(
     if listing:
         tasks = [(recording, False) for recording in listing.recordings] + tasks
         left_over, problems = left_over + listing.left_over, problems + listing.problems
-    recordings, found = _examined(tasks, chosen, label)
+    recordings, found = _in_time(tasks, chosen, label)
     recordings, odd = _of_one_skeleton(recordings)
     left_out = {problem.file for problem in odd}
     problems = [
@@ -190,6 +198,28 @@ def prepare(
     if out is not None and items:
         report.manifest.save(out)
     return report
+
+
+def _in_time(
+    tasks: list[tuple[Recording, bool]], options: PrepareOptions, label: Labeller
+) -> tuple[list[Recording], list[Problem]]:
+    """Examine the recordings, with the shift between their sound and motion taken back."""
+    if options.shift != "auto":
+        tasks = [(one.shifted(options.shift), alone) for one, alone in tasks]
+    recordings, problems = _examined(tasks, options, label)
+    if options.shift == "auto":
+        found = corrections([one.correlation for one in recordings])
+        shifts = {one.id: shift for one, shift in zip(recordings, found, strict=True) if shift}
+        if shifts:
+            tasks = [(one.shifted(shifts.get(one.id, 0.0)), alone) for one, alone in tasks]
+            recordings, problems = _examined(tasks, options, label)
+        for one in recordings:
+            if one.id in shifts:
+                text = f"shifted: the motion came {shifts[one.id]:+.2f} s after the sound"
+                problems.append(Problem("note", one.motion, text))
+    known = [(one.motion, one.correlation) for one in recordings if one.correlation is not None]
+    taken_back = 0.0 if options.shift == "auto" else options.shift
+    return recordings, problems + shift_problems(known, taken_back)
 
 
 def _examined(

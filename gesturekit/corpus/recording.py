@@ -14,8 +14,9 @@ import numpy as np
 from audio_features import AudioFeaturesError, Wave, load_words
 from audio_features.words import words_beside
 from gesturekit.corpus import checks
+from gesturekit.corpus.alignment import Correlation, correlate
 from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.item import CONDITIONS
+from gesturekit.corpus.item import CONDITIONS, muted
 from gesturekit.errors import FormatError, GestureKitError, MotionError
 from gesturekit.formats.conversion import applicable_read_options, load_with_warnings
 from gesturekit.formats.plausibility import plausibility_warnings
@@ -46,6 +47,7 @@ class Recording:
         limits: interval to use, in the seconds of `start`.
         audio_offset: time in the sound file at which the motion file begins.
         audible: intervals of the sound file in which the recorded person speaks; () for all.
+        correlation: of arm speed and speech energy; None if it says nothing.
     """
 
     id: str
@@ -66,6 +68,13 @@ class Recording:
     limits: tuple[float, float] = (0.0, math.inf)
     audio_offset: float = 0.0
     audible: tuple[tuple[float, float], ...] = ()
+    correlation: Correlation | None = None
+
+    def shifted(self, seconds: float) -> Recording:
+        """Return the recording of which the motion comes so much later than the sound."""
+        if self.audio is None or self.motion is None:
+            return self
+        return replace(self, audio_offset=self.audio_offset - seconds)
 
     @property
     def file(self) -> Path:
@@ -116,7 +125,9 @@ def examine(
             for text in plausibility_warnings(motion, recording.reading)
         ]
         if wave is not None and recording.limits == (0.0, math.inf):
-            _check_lengths(wave.duration, motion, recording.motion, tolerance, problems)
+            sounds = (wave.duration, wave.duration - recording.audio_offset)
+            sound = min(sounds, key=lambda seconds: abs(seconds - motion.duration))
+            _check_lengths(sound, motion, recording.motion, tolerance, problems)
         stop = min(stop, motion.duration)
         if any(problem.severity == "error" for problem in problems):
             return None, problems
@@ -129,7 +140,21 @@ def examine(
     start, stop = _limited(recording, start, stop)
     if stop - start < MIN_DURATION:
         return None, [*problems, _too_short(recording, stop - start)]
+    if wave is not None and motion is not None:
+        found = _correlation(recording, wave, motion, (start, stop))
+        recording = replace(recording, correlation=found)
     return replace(recording, start=start, stop=stop), problems
+
+
+def _correlation(
+    recording: Recording, wave: Wave, motion: Motion, used: tuple[float, float]
+) -> Correlation | None:
+    """Correlate sound and motion over the used interval, in seconds of the motion."""
+    first, stop = (round(seconds * motion.fps) for seconds in used)
+    if recording.audible:
+        wave = muted(wave, recording.audible)
+    sound = wave.slice(max(0.0, used[0] + recording.audio_offset), used[1] - used[0])
+    return correlate(motion[first:stop], sound)
 
 
 def _limited(recording: Recording, start: float, stop: float) -> tuple[float, float]:

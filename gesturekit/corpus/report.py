@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gesturekit.corpus.alignment import pooled
 from gesturekit.corpus.checks import Problem, printed
 from gesturekit.corpus.item import SPLITS, Item
 from gesturekit.corpus.manifest import Manifest
@@ -61,6 +62,7 @@ class Report:
             ("sample rates", _counted(f"{r.sample_rate} Hz" for r in self.recordings if r.audio)),
             ("speakers", _counted(r.speaker or "not named" for r in self.recordings)),
             ("styles", _counted(r.style or "none" for r in self.recordings)),
+            ("shift", self._shift()),
             ("left out", self._left_out()),
         ]
         return [(name, value) for name, value in rows if value]
@@ -100,6 +102,12 @@ class Report:
         heights = sorted(one.height for one in self.recordings if one.height is not None)
         ends = dict.fromkeys(f"{height:.3g}" for height in [*heights[:1], *heights[-1:]])
         return f"{' to '.join(ends)} m" if ends else ""
+
+    def _shift(self) -> str:
+        """Return the shift between sound and motion, or "" if they say nothing."""
+        each = [one.correlation for one in self.recordings if one.correlation is not None]
+        every = pooled(each)
+        return str(every) if every is not None and every.is_clear else ""
 
     @property
     def _moving(self) -> list[Recording]:

@@ -22,10 +22,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gesturekit.corpus.alignment import arm_speed
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import contact_labels, foot_positions
-from gesturekit.motion.parts import SIDES, arm_joints, body_joints, find_parts, is_upper_body
+from gesturekit.motion.parts import SIDES, body_joints, find_parts, is_upper_body
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import (
     invert_quaternions,
@@ -49,40 +50,6 @@ MARGIN = np.deg2rad(5.0)
 
 _ORDER = 4
 _DEGREE = 5
-
-
-def arm_speed(motion: Motion) -> np.ndarray:
-    """Return the summed local angular speed of both shoulder and elbow joints for each frame.
-
-    The value of a frame is the mean of the steps before and after it, so that the speed is not
-    delayed by half a frame. The first and last frames have only one step.
-
-    Returns:
-        (T,) radians per second.
-
-    Raises:
-        MotionError: fewer than 2 frames, or no shoulders and elbows in the skeleton.
-
-    Examples:
-        The left elbow turns by one radian per second:
-
-        >>> rig = gk.load("demo").skeleton
-        >>> turns, half = np.tile([0.0, 0, 0, 1], (30, rig.n_joints, 1)), np.arange(30) / 60
-        >>> turns[:, rig.index("LeftForeArm"), 2:] = np.stack([np.sin(half), np.cos(half)], axis=1)
-        >>> arm_speed(gk.Motion(rig, turns, np.zeros((30, 3)), 30))[:3].round(6).tolist()
-        [1.0, 1.0, 1.0]
-    """
-    _require_frames(motion, 2)
-    joints = [motion.skeleton.index(name) for name in arm_joints(motion.skeleton)]
-    q = motion.rotations[:, joints]
-    # |q1 - q0| = 2 sin(angle / 4) for unit quaternions of one hemisphere: exact near zero,
-    # where the arc cosine of a dot product loses half of its digits.
-    chord = np.minimum(
-        np.linalg.norm(q[1:] - q[:-1], axis=-1), np.linalg.norm(q[1:] + q[:-1], axis=-1)
-    )
-    steps = (4.0 * np.arcsin(chord / 2.0)).sum(axis=1) * motion.fps
-    padded = np.concatenate([steps[:1], steps, steps[-1:]])
-    return 0.5 * (padded[:-1] + padded[1:])
 
 
 def wrist_speed(motion: Motion) -> np.ndarray:

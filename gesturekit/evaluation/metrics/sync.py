@@ -13,13 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from audio_features import Wave
+from gesturekit.corpus.alignment import arm_speed, smoothed, speech_envelope
 from gesturekit.errors import EvaluationError, GestureKitError, MotionError
-from gesturekit.evaluation.metrics.physical import HARDLY_MOVING, arm_speed
+from gesturekit.evaluation.metrics.physical import HARDLY_MOVING
 from gesturekit.motion import Motion
 
-WINDOW = 0.05  # seconds of sound in the RMS of one envelope value
-FLOOR = 1e-4  # added to the RMS before the logarithm: -80 dB of full scale
-SIGMA = 0.1  # seconds, standard deviation of the Gaussian that smooths both curves
 MIN_SHIFT = 1.0  # seconds; smaller circular shifts are not chance alignments
 
 # Larger than rounding in files.
@@ -102,8 +100,8 @@ def sync(motion: Motion, wave: Wave, *, max_lag: float = 0.3) -> SyncResult:
             f"sync needs more than {max_lag:g} s and 3 frames of motion with speech; "
             f"there are {n} frames at {fps:g} fps"
         )
-    speed = _smoothed(arm_speed(motion)[:n], fps)
-    envelope = _smoothed(speech_envelope(wave, fps, n), fps)
+    speed = smoothed(arm_speed(motion)[:n], fps)
+    envelope = smoothed(speech_envelope(wave, fps, n), fps)
     if speed.std() < _STILL:
         return SyncResult(0.0, 0.0, 0.0, 0.0, 0.0, "the arms do not move")
     if envelope.std() < _FLAT:
@@ -156,31 +154,6 @@ def hardly_moves(motion: Motion, recording: Motion) -> bool:
     except GestureKitError:
         return False
     return bool(ours < HARDLY_MOVING * own)
-
-
-def speech_envelope(wave: Wave, fps: float, n_frames: int) -> np.ndarray:
-    """Return ln(RMS + 1e-4) of the 50 ms of sound around each motion frame.
-
-    Frame k is centred at k/fps seconds. Windows are cut off at the ends of the sound; outside it
-    there is silence.
-
-    Returns:
-        (n_frames,) nepers of full scale, not smoothed.
-
-    Examples:
-        Silence, ln(1e-4), and a sound at full scale from 0.5 s on:
-
-        >>> samples = np.repeat([0.0, 1.0], 8000) * np.resize([1.0, -1.0], 16000)
-        >>> speech_envelope(af.Wave(samples, 16000), fps=4, n_frames=4).round(2).tolist()
-        [-9.21, -9.21, -0.35, 0.0]
-    """
-    return np.log(wave.rms(np.arange(n_frames) / fps, window=WINDOW) + FLOOR)
-
-
-def _smoothed(curve: np.ndarray, fps: float) -> np.ndarray:
-    from scipy.ndimage import gaussian_filter1d
-
-    return gaussian_filter1d(curve, SIGMA * fps, mode="nearest")
 
 
 def _r_by_lag_and_shift(x: np.ndarray, y: np.ndarray, lags: np.ndarray) -> np.ndarray:
