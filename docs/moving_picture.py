@@ -61,8 +61,10 @@ def frames() -> list[Image.Image]:
     model, wave = gk.load("demo"), af.Wave.load(bundled_speech())
     motions = {seed: model.generate(wave, seed=seed) for seed in SEEDS}
     panel = WIDTH // len(SEEDS)
-    bodies = [DrawnBody.of(motion, "mannequin") for motion in motions.values()]
-    scenes = [Scene(body, panel / HEIGHT) for body in bodies]
+    scenes = [
+        Scene(DrawnBody.of(motion, "human"), panel / HEIGHT, index=k, framing="waist")
+        for k, motion in enumerate(motions.values())
+    ]
     buffers, strip = Buffers(HEIGHT, panel), curves(motions, wave)
     images = []
     for k in range(round(SECONDS * FPS)):

@@ -14,7 +14,8 @@ import soundfile
 import audio_features as af
 import gesturekit as gk
 from gesturekit.evaluation import arm_speed, max_speed
-from gesturekit.motion.rotations import rotation_angles
+from gesturekit.motion.parts import find_parts
+from gesturekit.motion.rotations import IDENTITY, rotation_angles
 from gesturekit.systems import bundled_speech
 
 RECIPE = Path(__file__).resolve().parents[1] / "recipes" / "demo"
@@ -57,7 +58,7 @@ def say():
 
 def test_the_model_is_small_and_says_where_it_comes_from():
     folder = bundled_speech().parent
-    assert sum(path.stat().st_size for path in folder.iterdir()) <= 4 * 2**20
+    assert sum(path.stat().st_size for path in folder.iterdir()) <= 5 * 2**20
     assert "synthetic" in (folder / "README.md").read_text()
 
 
@@ -75,6 +76,19 @@ def test_motion_is_plausible(model, speech):
     assert not still, "joints that move in training"
     feet = motion.positions()[:, [motion.skeleton.index(f"{s}Foot") for s in ("Left", "Right")]]
     assert np.ptp(feet[..., 1]) < 0.1, "feet stay near the floor"
+
+
+def test_fingers_move_with_the_hands_and_relax(model, speech):
+    motion = model.generate(speech)
+    fingers = [motion.skeleton.index(name) for name in find_parts(motion.skeleton).fingers]
+    assert len(fingers) == 30
+    angles = np.degrees(rotation_angles(motion.rotations[:, fingers], IDENTITY))
+    assert np.median(np.ptp(angles, axis=0)) > 25
+    assert angles.max() < 110
+    speed = rotation_angles(motion.rotations[1:, fingers], motion.rotations[:-1, fingers]) * 30
+    assert speed.max() < 16  # rad/s
+    still = model.generate(seconds=4.0).rotations[:, fingers]
+    assert np.degrees(rotation_angles(still, still[:1])).max() < 15
 
 
 def test_silence_moves_less_than_speech(model, speech):

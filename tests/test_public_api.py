@@ -21,7 +21,7 @@ def sound(tmp_path, write_speech):
 
 
 def test_a_model_describes_itself_in_a_line(demo):
-    assert repr(demo) == f"MultiresModel({str(demo.folder)!r}: 30 fps, 22 of 22 joints modelled)"
+    assert repr(demo) == f"MultiresModel({str(demo.folder)!r}: 30 fps, 22 of 52 joints modelled)"
 
 
 def test_render_takes_one_source_as_text_and_renders_at_once(demo, sound, tmp_path):

@@ -18,6 +18,7 @@ from gesturekit.cli.options import (
     body_option,
     comma_separated,
     existing_option,
+    framing_option,
     given,
     part_option,
     read_from,
@@ -37,7 +38,7 @@ gesturekit convert takes/ converted/ --format npz,html
 GROUPS = {
     "Output": (
         *("formats", "rig", "rig_parts", "fps", "antialias", "trim", "mirror", "joints", "up"),
-        *("unit", "frame", "body", "size", "existing"),
+        *("unit", "frame", "body", "framing", "size", "existing"),
     ),
     "Input": (*RECORDING_OPTIONS, "person", "parts"),
     **BATCH_GROUPS,
@@ -82,6 +83,7 @@ WIDTH = 100
     "--frame", type=int, metavar="N", help="Frame to write as obj; -1 is the last.  [default: 0]"
 )
 @body_option
+@framing_option
 @size_option
 @batch_options
 @existing_option("refuse")
@@ -115,7 +117,8 @@ def command(
         ctx.exit(elsewhere)
     execution, dry_run = pop_execution(options), options.pop("dry_run")
     changes, parts = _changes(options), parse_parts(options.pop("parts"))
-    write = given(**{name: options.pop(name) for name in ("up", "unit", "frame", "body", "size")})
+    names = ("up", "unit", "frame", "body", "framing", "size")
+    write = given(**{name: options.pop(name) for name in names})
     conversion = Conversion(
         sources,
         out,

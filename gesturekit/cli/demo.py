@@ -32,7 +32,8 @@ def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
     from gesturekit.systems import bundled_speech, load
 
     speech = bundled_speech()
-    output = Output(("bvh", "npz", "html", "png"), existing=existing)
+    formats = ("bvh", "npz", "html", "png")
+    output = Output(formats, existing=existing, body="human", framing="waist")
     # For playing it with the motion in Blender.
     wav = out / speech.name
     is_there = wav.is_file() and wav.read_bytes() == speech.read_bytes()

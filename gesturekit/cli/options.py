@@ -115,6 +115,13 @@ size_option = click.option(
 )
 
 
+framing_option = click.option(
+    "--framing",
+    type=click.Choice(["whole", "waist"]),
+    help="First view of pages: the whole body, or from the waist up.  [default: whole]",
+)
+
+
 class _Body(click.Choice):
     """A body of the package, or the path of an avatar."""
 

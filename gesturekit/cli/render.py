@@ -21,6 +21,7 @@ from gesturekit.cli.options import (
     body_option,
     channel_option,
     existing_option,
+    framing_option,
     given,
     parse_expert,
     parse_level_files,
@@ -59,8 +60,8 @@ GROUPS = {
         *("model", "corpus", "split", "seconds", "samples", "seed", "channel", "weights"),
     ),
     "Output": (
-        *("out", "formats", "fps", "unit", "up", "body", "size", "rig", "rig_parts", "existing"),
-        "skip_existing",
+        *("out", "formats", "fps", "unit", "up", "body", "framing", "size", "rig", "rig_parts"),
+        *("existing", "skip_existing"),
     ),
     **BATCH_GROUPS,
     "Controls of all models": [name for name in _COMMON if name != "fps"],
@@ -148,6 +149,7 @@ def control_options() -> list[click.Parameter]:
     "--up", type=click.Choice(["y", "z"]), help="Up axis of SMPL npz files; z for AMASS readers."
 )
 @body_option
+@framing_option
 @size_option
 @click.option(
     "--seed",
@@ -384,6 +386,9 @@ def _write_page(batch: Batch) -> None:
     click.echo(f"Summary page: {page}", err=True)
 
 
+_WRITTEN = ("existing", "unit", "up", "body", "framing", "size")
+
+
 def _output(options: dict[str, Any]) -> Output:
     """Pop the options of the output from all options."""
     from gesturekit.formats.rig import Rig
@@ -394,7 +399,7 @@ def _output(options: dict[str, Any]) -> Output:
     return Output(
         formats=options.pop("formats"),
         rig=None if rig is None else Rig.load(rig, parts),
-        **{name: options.pop(name) for name in ("existing", "unit", "up", "body", "size")},
+        **{name: options.pop(name) for name in _WRITTEN},
     )
 
 

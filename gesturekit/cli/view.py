@@ -13,6 +13,7 @@ from gesturekit.cli.options import (
     RATE,
     body_option,
     existing_option,
+    framing_option,
     given,
     is_left,
     part_option,
@@ -48,6 +49,7 @@ _TOLERANCE = 1.0
     help="Write a page (.html), video (.mp4) or picture (.png, .svg, .pdf) and do not open it.",
 )
 @body_option
+@framing_option
 @size_option
 @click.option("--fps", type=RATE, metavar="RATE", help="Frames per second of an mp4 video.")
 @existing_option("replace")
@@ -73,8 +75,8 @@ def command(
 
     from gesturekit.errors import ConfigError
 
-    body = options.pop("body")
-    write = _writer(out, given(**{name: options.pop(name) for name in ("size", "fps")}))
+    body, framing = options.pop("body"), given(framing=options.pop("framing"))
+    write = _writer(out, given(**{name: options.pop(name) for name in ("size", "fps")}), framing)
     if out is not None and is_left([out], existing):
         return
     reading = read_from(options)
@@ -96,22 +98,26 @@ def command(
     ctx.exit(1 if n_failed else 0)
 
 
-def _writer(out: Path | None, of_videos: Mapping[str, Any]) -> Callable[..., None]:
+def _writer(
+    out: Path | None, of_videos: Mapping[str, Any], of_pages: Mapping[str, Any]
+) -> Callable[..., None]:
     """Return the function that writes a file of this name, by default a page.
 
     Raises:
-        ConfigError: an unknown format, or `of_videos` has options and the file is not a video.
+        ConfigError: an unknown format, or `of_videos` or `of_pages` has options of another one.
     """
     from gesturekit.errors import ConfigError
     from gesturekit.viewer import write_html, write_picture, write_video
 
     kind = ".html" if out is None else out.suffix.lower()
+    if of_pages and kind not in (".html", ".htm"):
+        raise ConfigError("--framing is an option of html; give --out NAME.html")
     if kind == ".mp4":
         return partial(write_video, **of_videos)
     if of_videos:
         raise ConfigError(f"--{next(iter(of_videos))} is an option of mp4; give --out NAME.mp4")
     if kind in (".html", ".htm"):
-        return write_html
+        return partial(write_html, **of_pages)
     if kind in (".png", ".svg", ".pdf"):
         return write_picture
     raise ConfigError(f"{out}: give a name ending in .html, .mp4, .png, .svg or .pdf")

@@ -59,7 +59,7 @@ FORMATS = (
     Format(
         ".html",
         writer="gesturekit.viewer:write_html",
-        writes=frozenset({"body", "body_model"}),
+        writes=frozenset({"body", "body_model", "framing"}),
     ),
     Format(
         ".mp4",

@@ -363,7 +363,7 @@ class Motion:
 
         Args:
             audio: the speech: a file, a `Wave`, or (samples, rate).
-            options: `title`, `body`, `body_model` and `height` in pixels; see
+            options: `title`, `body`, `framing`, `body_model` and `height` in pixels; see
                 `gesturekit.viewer.display`.
         """
         return import_module("gesturekit.viewer").display(self, audio, **options)

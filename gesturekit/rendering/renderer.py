@@ -41,6 +41,7 @@ class Output:
         up: up axis of SMPL npz files, "y" or "z"; None for y.
         body: in pages, videos and pictures: "mannequin", "human", "skeleton" or the path of a VRM
             avatar; None for mannequin.
+        framing: of pages, "whole" or "waist"; None for whole.
         size: of videos, "720p" or "1080p"; None for 720p.
     """
 
@@ -50,6 +51,7 @@ class Output:
     unit: str | None = None
     up: str | None = None
     body: str | None = None
+    framing: str | None = None
     size: str | None = None
 
     def __post_init__(self) -> None:
@@ -105,7 +107,7 @@ class Renderer(Processor):
         rig = output.rig
         self.body = rig if rig is None or isinstance(rig, Rig) else Rig.load(rig)
         written = {"unit": output.unit, "up": output.up, "body": output.body}
-        written["size"] = output.size
+        written |= {"framing": output.framing, "size": output.size}
         self.written = writer_options(
             output.formats, {name: value for name, value in written.items() if value is not None}
         )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from gesturekit.errors import MotionError
+from gesturekit.errors import FormatError, MotionError
 from gesturekit.motion.parts import BodyParts, find_parts
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.parts.end_sites import real_end_sites
@@ -23,6 +23,8 @@ _UPRIGHT = 0.5
 """A body is upright if the unit vector from pelvis to shoulders has a mean y above this."""
 _BUST = 0.75
 """Height that trunk, head and moving arms take in a view, as a share of the whole person's."""
+FRAMINGS = {"whole": 0.0, "waist": 0.42}
+"""Share of the body's height that is below a view, by framing; "waist" shows hanging hands too."""
 SPEED_SMOOTHING = 0.1
 """Standard deviation of the Gaussian that hand speed is smoothed with, in seconds."""
 
@@ -105,6 +107,16 @@ class Figure:
         """
         usual = 1.5 * float(np.quantile(self.hand_speed, 0.98))
         return max(min(float(self.hand_speed.max()), usual), 1e-6)
+
+    def below(self, framing: str) -> float:
+        """Return how much of the figure is below a view with one of FRAMINGS, metres.
+
+        Raises:
+            FormatError: an unknown framing.
+        """
+        if framing not in FRAMINGS:
+            raise FormatError(f"framing is {framing!r}; expected {' or '.join(FRAMINGS)}")
+        return FRAMINGS[framing] * self.height if self.extent == self.height else 0.0
 
     @classmethod
     def of(cls, motion: Motion, plain: bool = False) -> Figure:

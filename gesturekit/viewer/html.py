@@ -58,6 +58,7 @@ def write_html(
     title: str | None = None,
     body: str | None = None,
     body_model: BodyModel | str | os.PathLike[str] | None = None,
+    framing: str = "whole",
 ) -> None:
     """Write a page that plays a motion: open it by a double click, send it by mail.
 
@@ -70,12 +71,13 @@ def write_html(
             `gesturekit.viewer.drawn_body`.
         body_model: shows the skin of this body in place of limbs: a `BodyModel`, its .npz file or a
             folder of models; the motion is put on its rig.
+        framing: the camera's first view, "whole" or "waist" (from there up, without the legs).
 
     Raises GestureKitError where the player has not been bundled, AudioError where `audio` is no
-    sound, FormatError where `body_model` is none.
+    sound, FormatError where `body_model` is none or the framing is unknown.
     """
     title = Path(path).stem if title is None else title
-    write_text(path, page_text(motion, audio, title, body_model, body))
+    write_text(path, page_text(motion, audio, title, body_model, body, framing))
 
 
 def page_text(
@@ -84,11 +86,12 @@ def page_text(
     title: str,
     body_model: BodyModel | str | os.PathLike[str] | None,
     body: str | None = None,
+    framing: str = "whole",
 ) -> str:
     """Return the page that `write_html` writes."""
     places = {
         "title": html.escape(printable(title)),
-        "motion": player_data(motion, audio, body_model, body=body),
+        "motion": player_data(motion, audio, body_model, body=body, framing=framing),
     }
     return insert(player_shell(), places)
 
@@ -109,6 +112,7 @@ def player_data(
     body_model: BodyModel | str | os.PathLike[str] | None = None,
     colours: Mapping[str, str] | None = None,
     body: str | None = None,
+    framing: str = "whole",
 ) -> str:
     """Return the JSON for `{{motion}}` of `player_shell`; arguments as for `write_html`.
 
@@ -122,6 +126,7 @@ def player_data(
         raise MotionError("no motion to show: the mapping of motions is empty")
     shown = {label: DrawnBody.of(motion, body, body_model) for label, motion in motions.items()}
     page = _page(shown, None if audio is None else as_sound(audio))
+    page["below"] = max(drawn.figure.below(framing) for drawn in shown.values())
     for figure in page["figures"]:
         if colours is not None and figure["label"] in colours:
             figure["ink"] = colours[figure["label"]]
@@ -236,9 +241,10 @@ def display(
     body_model: BodyModel | str | os.PathLike[str] | None = None,
     height: int = 640,
     body: str | None = None,
+    framing: str = "whole",
 ) -> Display:
     """Return the player of one motion, or of {label: motion}, for a notebook.
 
     Arguments and errors are those of `write_html`; `height` is in pixels.
     """
-    return Display(page_text(motion, audio, title, body_model, body), int(height))
+    return Display(page_text(motion, audio, title, body_model, body, framing), int(height))

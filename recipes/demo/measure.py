@@ -22,6 +22,8 @@ import gesturekit as gk
 from audio_features import Wave
 from gesturekit.evaluation import hand_movement, jerk, sync
 from gesturekit.evaluation.metrics.physical import joint_speed
+from gesturekit.motion.parts import find_parts
+from gesturekit.motion.rotations import IDENTITY, rotation_angles
 
 VOICES = ("en-us+m5", "en+f3", "en-gb-x-rp+m6", "en-us+f5")
 """Voices that `prepare.py` never uses."""
@@ -52,18 +54,19 @@ def table(model: str, talks: int = 2, seed: int = 2000) -> str:
         }
     lines = [
         "| talks | wrist speed, m/s: median, fastest tenth | hands at rest, % "
-        "| hand height range, m | reach, m | jerk, m/s³ | two seeds apart, m "
-        "| sync r (by chance) |",
-        "|---|---|---|---|---|---|---|---|",
+        "| hand height range, m | reach, m | jerk, m/s³ | finger range, ° "
+        "| two seeds apart, m | sync r (by chance) |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     speech = {style: held_out_talks(style, talks, seed) for style in STYLES}
     for name, gesturer in gesturers.items():
         for style, waves in speech.items():
             found = np.mean([figures(gesturer, wave) for wave in waves], axis=0)
-            median, fast, rest, height, reach, shaking, apart, r, chance = found
+            median, fast, rest, height, reach, shaking, bent, apart, r, chance = found
             lines.append(
                 f"| {style}, {name} | {median:.2f}, {fast:.2f} | {100 * rest:.0f} | {height:.2f} "
-                f"| {reach:.2f} | {shaking:.0f} | {apart:.2f} | {r:.2f} ({chance:.2f}) |"
+                f"| {reach:.2f} | {shaking:.0f} | {bent:.0f} | {apart:.2f} "
+                f"| {r:.2f} ({chance:.2f}) |"
             )
     return "\n".join(lines)
 
@@ -83,10 +86,11 @@ def figures(gesturer: Gesturer, wave: Wave) -> np.ndarray:
     """Measure the motions of one speech, means over `SEEDS`.
 
     Returns:
-        (9,): median of the wrists' speed and its 90 % quantile (m/s, over frames and wrists);
+        (10,): median of the wrists' speed and its 90 % quantile (m/s, over frames and wrists);
         share of rest (`HandMovement.rest`); range of the hands' height (m); reach (m,
-        `HandMovement.reach`); jerk of the body joints (m/s^3); distance of the hands between two
-        seeds (m, mean over frames); sync, and its chance level.
+        `HandMovement.reach`); jerk of the body joints (m/s^3); range of the fingers'
+        joints (`finger_range`); distance of the hands between two seeds (m, mean over frames);
+        sync, and its chance level.
     """
     motions = [gesturer(wave, seed) for seed in SEEDS]
     rows = []
@@ -94,7 +98,8 @@ def figures(gesturer: Gesturer, wave: Wave) -> np.ndarray:
         speed, moved = joint_speed(motion, _WRISTS), hand_movement(motion)
         quantiles = np.quantile(speed, (0.5, 0.9))
         height = np.ptp(hands(motion)[..., 1])
-        rows.append([*quantiles, moved.rest, height, moved.reach, jerk(motion)])
+        shaking, bent = jerk(motion), finger_range(motion)
+        rows.append([*quantiles, moved.rest, height, moved.reach, shaking, bent])
     apart = [
         np.linalg.norm(hands(one) - hands(other), axis=-1).mean()
         for one, other in combinations(motions, 2)
@@ -102,6 +107,17 @@ def figures(gesturer: Gesturer, wave: Wave) -> np.ndarray:
     found = [sync(motion, wave) for motion in motions]
     synced = np.mean([[each.r, each.chance_mean] for each in found], axis=0)
     return np.array([*np.mean(rows, axis=0), np.mean(apart), *synced])
+
+
+def finger_range(motion: gk.Motion) -> float:
+    """Degrees from the 5 % to the 95 % quantile of a finger joint's angle, mean over the joints."""
+    joints = [motion.skeleton.index(name) for name in find_parts(motion.skeleton).fingers]
+    if not joints:
+        return 0.0
+    low, high = np.quantile(
+        rotation_angles(motion.rotations[:, joints], IDENTITY), (0.05, 0.95), axis=0
+    )
+    return float(np.degrees(high - low).mean())
 
 
 def hands(motion: gk.Motion) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The demo's body: a 22-joint humanoid of 1.70 m, and the inverse kinematics that pose it.
+"""The demo's body: a humanoid of 1.70 m, with or without fingers, and the inverse kinematics.
 
 T-pose, Y up, facing +Z, its left along +X, metres. A stroke of the hand is planned where it is
 seen, as a path of the wrist in front of the chest; two-bone inverse kinematics turns it into
@@ -48,7 +48,30 @@ _END_SITES = {
     "LeftToeBase": (0.0, 0.0, 0.07),
     "RightToeBase": (0.0, 0.0, 0.07),
 }
+_FINGERS = {
+    "Thumb": ((0.026, -0.010, 0.026), (0.040, 0.031, 0.024)),
+    "Index": ((0.086, 0.002, 0.024), (0.040, 0.024, 0.019)),
+    "Middle": ((0.088, 0.004, 0.003), (0.043, 0.027, 0.020)),
+    "Ring": ((0.083, 0.002, -0.016), (0.040, 0.026, 0.020)),
+    "Pinky": ((0.077, -0.002, -0.034), (0.031, 0.019, 0.018)),
+}
+"""Left knuckles from the wrist, and the lengths of the bones from there to the tip, metres."""
+_THUMB = np.array([0.66, -0.22, 0.72])
+"""Direction of the left thumb; other fingers lie along +X."""
 _UPPER_ARM, _FOREARM, _THIGH, _SHIN = 0.28, 0.25, 0.42, 0.40
+
+HAND_SHAPES = {
+    "relaxed": (0.30, 0.20, 0.26, 0.34, 0.40, 0.44, 0.25),
+    "open": (0.05, 0.02, 0.02, 0.03, 0.05, 0.07, 0.9),
+    "pointing": (0.60, 0.75, 0.02, 0.82, 0.90, 0.92, 0.0),
+    "precision": (0.95, 0.30, 0.50, 0.40, 0.34, 0.30, 0.35),
+    "fist": (0.80, 0.80, 0.92, 0.95, 0.97, 0.98, 0.0),
+}
+"""Hand shapes: opposition of the thumb, flexion of thumb, index, middle, ring and little finger,
+and spread. 0 to 1 is the range that a hand has without force."""
+_OPPOSITION, _SPREAD = np.radians(50.0), np.radians([9.0, 1.0, -7.0, -15.0])
+_FLEXION = np.radians([[20.0, 45.0, 60.0], *[[80.0, 100.0, 62.0]] * 4])
+"""Angles of a finger's three joints at full flexion: thumb first."""
 
 SHOULDER = np.array([0.18, 0.12, 0.0])
 """The left shoulder joint seen from the chest (Spine2), at rest."""
@@ -67,7 +90,8 @@ class Arm:
     wrist: (T, 3) m in the chest's frame; twist: (T,) rad of the forearm, negative turns the
     palm up; extension: (T,) rad of the wrist, positive lifts the hand; lift: (T,) rad of the
     shoulder girdle, positive is a shrug; pole: (3,) or (T, 3) direction in the chest's frame
-    towards which the elbow points, as far as the wrist leaves it free.
+    towards which the elbow points, as far as the wrist leaves it free; fingers: (T, 7), see
+    `HAND_SHAPES`, or None for a rig without fingers.
     """
 
     wrist: np.ndarray
@@ -75,16 +99,27 @@ class Arm:
     extension: np.ndarray
     lift: np.ndarray
     pole: np.ndarray = field(default_factory=ELBOW_POLE.copy)
+    fingers: np.ndarray | None = None
 
 
-def skeleton() -> Skeleton:
-    """The rig: 22 joints without fingers, 1.70 m from the floor to the top of the head."""
-    names = tuple(name for name, _, _ in _JOINTS)
+def skeleton(fingers: bool = False) -> Skeleton:
+    """The rig: 22 joints, or 52 with fingers, 1.70 m from the floor to the top of the head."""
+    joints, ends = list(_JOINTS), dict(_END_SITES)
+    for side, mirror in (("Left", 1.0), ("Right", np.array([-1.0, 1.0, 1.0]))) if fingers else ():
+        del ends[f"{side}Hand"]
+        for finger, (knuckle, lengths) in _FINGERS.items():
+            along = _unit(_THUMB) if finger == "Thumb" else np.array([1.0, 0.0, 0.0])
+            parent, offset = f"{side}Hand", np.array(knuckle)
+            for k, length in enumerate(lengths, start=1):
+                joints.append((f"{side}Hand{finger}{k}", parent, mirror * offset))
+                parent, offset = joints[-1][0], length * along
+            ends[parent] = mirror * offset
+    names = tuple(name for name, _, _ in joints)
     return Skeleton(
         names=names,
-        parents=tuple(-1 if parent is None else names.index(parent) for _, parent, _ in _JOINTS),
-        offsets=np.array([offset for _, _, offset in _JOINTS]),
-        end_sites={name: (np.array(offset),) for name, offset in _END_SITES.items()},
+        parents=tuple(-1 if parent is None else names.index(parent) for _, parent, _ in joints),
+        offsets=np.array([offset for _, _, offset in joints]),
+        end_sites={name: (np.array(offset),) for name, offset in ends.items()},
         rotation_orders=("ZXY",) * len(names),
     )
 
@@ -104,7 +139,7 @@ def pose(
     is positive), yaw (to its left) and roll, shared out over three spine joints and over neck
     and head; left, right: the arms.
     """
-    rig = skeleton()
+    rig = skeleton(fingers=left.fingers is not None)
     quaternions = np.zeros((len(hips), len(rig.names), 4))
     quaternions[..., 3] = 1.0
 
@@ -119,6 +154,8 @@ def pose(
     for side, arm in (("Left", left), ("Right", right)):
         for name, rotation in zip(("Shoulder", "Arm", "ForeArm", "Hand"), _arm(arm), strict=True):
             put(side + name, rotation if side == "Left" else mirrored(rotation))
+        for name, rotation in {} if arm.fingers is None else _fingers(arm.fingers).items():
+            put(f"{side}Hand{name}", rotation if side == "Left" else mirrored(rotation))
     for side, sign in (("Left", 1.0), ("Right", -1.0)):
         for name, rotation in zip(("UpLeg", "Leg", "Foot"), _leg(hips, pelvis, sign), strict=True):
             put(side + name, rotation)
@@ -164,6 +201,23 @@ def _arm(arm: Arm) -> tuple[Rotation, Rotation, Rotation, Rotation]:
     upper = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=-1))
     forearm = _about("y", -bend) * _about("x", arm.twist)
     return girdle, upper, forearm, _about("z", arm.extension)
+
+
+def _fingers(shape: np.ndarray) -> dict[str, Rotation]:
+    """Local rotations of the fingers of a left hand from (T, 7) hand shapes."""
+    found = {}
+    across = _unit(np.cross(_THUMB, [0.25, -0.80, -0.55]))  # axis of the thumb's hinges
+    for f, finger in enumerate(_FINGERS):
+        for k, full in enumerate(_FLEXION[f]):
+            angle = full * shape[:, f + 1]
+            axis = across if finger == "Thumb" else np.array([0.0, 0.0, -1.0])
+            found[f"{finger}{k + 1}"] = Rotation.from_rotvec(angle[:, None] * axis)
+        base = f"{finger}1"
+        if finger == "Thumb":
+            found[base] = _about("x", _OPPOSITION * shape[:, 0]) * found[base]
+        else:
+            found[base] = _about("y", -_SPREAD[f - 1] * shape[:, 6]) * found[base]
+    return found
 
 
 def _leg(hips: np.ndarray, pelvis: Rotation, sign: float) -> tuple[Rotation, Rotation, Rotation]:

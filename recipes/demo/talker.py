@@ -16,6 +16,7 @@ seed. The rules follow what is known of gestures (McNeill 1992; Kendon 2004):
   one of several listeners in it, and nods on accents.
 - Arms move as arms do: wrists draw arcs and loops, elbows swing out as the hand rises, shoulders
   rise with it, the hand trails its wrist; nothing reaches into the trunk.
+- A hand takes its shape in the preparation and the stroke, and relaxes with the retraction.
 
 Paths are sums of overlapping minimum-jerk movements (Flash & Henis 1991), so that every angle
 is twice continuously differentiable however the strokes fall.
@@ -28,7 +29,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from rig import ELBOW_POLE, SHOULDER, STANDING_HEIGHT, Arm, pose
+from rig import ELBOW_POLE, HAND_SHAPES, SHOULDER, STANDING_HEIGHT, Arm, pose
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 from scipy.spatial.transform import Rotation
@@ -51,6 +52,8 @@ _LISTENERS = (-0.38, 0.0, 0.0, 0.34)  # rad; where they stand
 
 # Seconds by which x, y, z and twist run late: unequal, so that the hand draws loops.
 _DELAYS = np.array([0.06, 0.0, 0.03, 0.05])
+# The same of a hand shape: the little finger closes and opens last.
+_FINGER_DELAYS = np.array([0.0, 0.0, 0.0, 0.01, 0.02, 0.03, 0.02])
 # What a raised hand does on a syllable without a gesture, for a lively talker.
 _BEAT = np.array([0.010, -0.026, 0.014, 0.10])
 
@@ -116,16 +119,33 @@ STROKES = {
     ),
 }
 """Gestures by how prominent an accent they go with."""
+_OPENING = ("relaxed", "open")
+_SHAPES = {
+    "beat": ("precision", "precision"),
+    "beat aside": ("precision", "open"),
+    "tilt": ("precision", "open"),
+    "chop": ("open", "open"),
+    "point": ("fist", "pointing"),
+    "hold a box": ("open", "open"),
+    "raise": ("pointing", "pointing"),
+    "spread": ("precision", "open"),
+    "sweep": ("fist", "open"),
+    "toss": ("fist", "open"),
+    "bring down": ("fist", "fist"),
+}
+"""Hand shapes as a stroke begins and as it ends; `_OPENING` for all other gestures."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """One movement: its middle and its length in s, where it ends, and its arc in m."""
+    """One movement: its middle and its length in s, where it ends, its arc in m, and the shape
+    that the hand takes."""
 
     centre: float
     duration: float
     target: np.ndarray
     arc: float = 0.0
+    shape: str = "relaxed"
 
 
 @dataclass(frozen=True)
@@ -289,7 +309,8 @@ class _Talker:
 
     def __init__(self, n_frames: int, rng: np.random.Generator) -> None:
         self.times = np.arange(n_frames) / FPS
-        self.rng = rng
+        # With draws of their own, fingers leave the rest of the body as it is without them.
+        self.rng, (self.finger_rng,) = rng, rng.spawn(1)
         self.leading = int(rng.integers(2))  # the hand that gestures alone: 0 left, 1 right
         self.decks = {rank: _Deck(rng, strokes) for rank, strokes in STROKES.items()}
         self.rests = _Deck(rng, RESTS, first=RESTS[0])
@@ -337,8 +358,10 @@ class _Talker:
         breath = np.sin(
             2 * np.pi * self.times / self.rng.uniform(3.4, 4.2) + self.rng.uniform(0, 6)
         )
-        hands, shrug = self.hands(spoken)
-        left, right = (self.arm(path, breath, shrug) for path in hands)
+        hands, shapes, shrug = self.hands(spoken)
+        left, right = (
+            self.arm(path, shape, breath, shrug) for path, shape in zip(hands, shapes, strict=True)
+        )
         # The trunk turns to the side on which the hands are, and follows them with its mass.
         aside = gaussian_filter1d(hands[0][:, 0] - hands[1][:, 0], 0.25 * FPS)
         raised = [path[:, 1] - REST_AT_SIDES[1] for path in hands]
@@ -417,9 +440,11 @@ class _Talker:
 
     # -- the hands ---------------------------------------------------------------------------
 
-    def hands(self, spoken: list[Phrase]) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-        """Paths of the left and the right wrist and palm (T, 4), both as a left arm's, and how
-        far the shoulders shrug (T,) rad."""
+    def hands(
+        self, spoken: list[Phrase]
+    ) -> tuple[tuple[np.ndarray, np.ndarray], list[np.ndarray], np.ndarray]:
+        """Paths of the left and the right wrist and palm (T, 4), both as a left arm's, the shapes
+        of both hands (T, 7), and how far the shoulders shrug (T,) rad."""
         steps: tuple[list[Step], list[Step]] = ([], [])
         shrugs: list[Step] = []
         resting = next(self.rests)
@@ -474,7 +499,18 @@ class _Talker:
             path += up * self.beats(spoken, arm)
             path += np.stack([self.drift(s) for s in (0.002, 0.002, 0.003, 0.015)], axis=1)
             paths.append(path)
-        return apart(*paths), self.path(np.zeros(1), shrugs)[:, 0]
+        shapes = [self.shape(each) for each in steps]
+        return apart(*paths), shapes, self.path(np.zeros(1), shrugs)[:, 0]
+
+    def shape(self, steps: list[Step]) -> np.ndarray:
+        """The shape of a hand (T, 7), see `HAND_SHAPES`: more or less clear in each movement."""
+        relaxed, shaped = np.array(HAND_SHAPES["relaxed"]), []
+        for step in steps:
+            clear = np.clip(self.finger_rng.normal(0.85, 0.15), 0.5, 1.0)
+            target = relaxed + clear * (np.array(HAND_SHAPES[step.shape]) - relaxed)
+            target += self.finger_rng.normal(0, 0.03, len(target))
+            shaped.append(replace(step, target=target, arc=0.0))
+        return self.path(relaxed, shaped, _FINGER_DELAYS)
 
     def centre(self, mood: Mood | None) -> np.ndarray:
         """The middle of this talker's gesture space, raised by the mood."""
@@ -557,12 +593,15 @@ class _Talker:
         )
         centre = gesture.time - LEAD + late
         starts = centre - 0.5 * gesture.duration
+        own = _SHAPES.get(gesture.form.name, _OPENING)
+        shapes = own if share > 0.8 else ("relaxed", "relaxed")  # an echo has none
         steps = []
         duration = min(starts - free, 0.8 * slow)
         if duration > 0.22 or not raised:  # else there is no time for a preparation
             duration = max(duration, 0.4 if raised else 0.62 * slow)
-            steps.append(Step(starts - 0.42 * duration, duration, begin, 0.0))
-        steps.append(Step(centre, gesture.duration, end, gesture.form.arc * gesture.size * share))
+            steps.append(Step(starts - 0.42 * duration, duration, begin, 0.0, shapes[0]))
+        arc = gesture.form.arc * gesture.size * share
+        steps.append(Step(centre, gesture.duration, end, arc, shapes[1]))
         return steps
 
     def retraction(self, centre: float, rest: np.ndarray, slow: float) -> Step:
@@ -588,7 +627,9 @@ class _Talker:
             steps.append(Step(phrase.stop + 0.1, 0.5, np.zeros(4)))
         return self.path(np.zeros(4), steps, _DELAYS + 0.015 * arm)
 
-    def arm(self, path: np.ndarray, breath: np.ndarray, shrug: np.ndarray) -> Arm:
+    def arm(
+        self, path: np.ndarray, shape: np.ndarray, breath: np.ndarray, shrug: np.ndarray
+    ) -> Arm:
         """An arm whose wrist follows `path` within reach and clear of the trunk."""
         wrist, twist = clear_of_trunk(within_reach(path[:, :3])), path[:, 3]
         velocity = np.gradient(wrist, axis=0) * FPS
@@ -601,12 +642,16 @@ class _Talker:
         outward = gaussian_filter1d(velocity[:, 0], 0.12 * FPS)
         pole = (1 - raised) * ELBOW_POLE + raised * np.array([0.60, -0.77, -0.20])
         pole[:, 0] += 0.12 * np.tanh(outward)
+        extension = 0.12 * np.tanh(height / 0.1) + 0.55 * np.tanh(falling / 1.1)
+        # Tendons that pass the wrist close the fingers of a hand that is lifted (tenodesis).
+        closed = 0.12 * extension[:, None] * [0, 1, 1, 1, 1, 1, 0]
         return Arm(
             wrist=wrist,
             twist=np.clip(twist, -1.4, 1.3),
-            extension=0.12 * np.tanh(height / 0.1) + 0.55 * np.tanh(falling / 1.1),
+            extension=extension,
             lift=0.01 + 0.006 * breath + 0.17 * height + shrug,
             pole=pole,
+            fingers=shape + closed,
         )
 
     # -- the head ----------------------------------------------------------------------------

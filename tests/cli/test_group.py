@@ -8,12 +8,14 @@ import sys
 import click
 import numpy as np
 import pytest
+from pages import data_of
 
 import audio_features as af
 import gesturekit as gk
 from gesturekit.cli import VERBS, cli
 from gesturekit.jobs.run import EXISTING
 from gesturekit.systems import bundled_speech
+from gesturekit.viewer.human.body import is_baked
 
 
 def test_help_and_version(gesturekit):
@@ -93,6 +95,10 @@ def test_the_demo_leaves_every_format_and_its_sound(gesturekit, tmp_path):
     assert sorted(path.name for path in tmp_path.glob("speech.*")) == names
     assert (tmp_path / "speech.wav").read_bytes() == bundled_speech().read_bytes()
     assert all(f"{tmp_path / name}\n" in done.out for name in names)
+    page = data_of(tmp_path / "speech.html")
+    assert 0.4 < page["below"] / page["height"] < 0.5  # from the waist up
+    if is_baked():
+        assert page["figures"][0]["n_joints"] > 52  # the human body, with fingers
     assert "Blender: File > Import" in done.out
     with np.load(tmp_path / "speech.npz", allow_pickle=False) as arrays:
         assert arrays["rotations"].shape[0] == arrays["translation"].shape[0]

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 import gesturekit.viewer.html as page_module
 from audio_features import Wave
-from gesturekit.errors import GestureKitError, MotionError
+from gesturekit.errors import FormatError, GestureKitError, MotionError
 from gesturekit.motion import Motion
 from gesturekit.viewer import write_html
 
@@ -227,6 +227,18 @@ def test_the_mannequin_is_drawn_still_and_moving(tmp_path, gesture, open_browser
     browser.run("player.pause()")
     browser.wait(f"{RATIO} == 2")
     assert browser.lines == []
+
+
+def test_a_page_opens_from_the_waist_up(tmp_path, gesture, open_browser) -> None:
+    browser, apart = open_browser(), {}
+    for framing in ("whole", "waist"):
+        write_html(gesture(1.0), page := tmp_path / f"{framing}.html", framing=framing)
+        left, right = sides(opened(lambda: browser, page), tmp_path)
+        apart[framing] = left - right
+    assert browser.lines == []
+    assert apart["waist"] > 1.5 * apart["whole"]
+    with pytest.raises(FormatError, match=r"framing is 'feet'; expected whole or waist"):
+        write_html(gesture(0.2), tmp_path / "a.html", framing="feet")
 
 
 @pytest.mark.stress

@@ -85,16 +85,19 @@ def test_the_whole_figure_is_framed_whatever_its_size_and_path(tmp_path, gesture
             assert columns.min() > 5 and columns.max() < 635
 
 
+@pytest.mark.parametrize("framing", ["whole", "waist"])
 @pytest.mark.parametrize("aspect", [0.4, 16 / 9])
-def test_the_figure_fills_its_view_and_is_never_cut(gesture, aspect):
+def test_the_figure_fills_its_view_and_is_never_cut(gesture, aspect, framing):
     """Seen through a field of 30 degrees, all limbs keep 14 % of the view free, and no more."""
     figure = Figure.of(gesture(1.0))
-    camera = Camera(figure, aspect)
+    camera = Camera(figure, aspect, framing)
+    lowest = figure.floor + (0.42 * figure.height if framing == "waist" else -1.0)
+    points = np.maximum(figure.points, [-np.inf, lowest, -np.inf])
     thickest = max(max(limb.radii) * limb.width for limb in figure.limbs)
     shares = []
     for k in range(len(figure.points)):
         right, up, back, eye = camera.at(k / figure.fps)
-        offset = figure.points[k] - eye
+        offset = points[k] - eye
         view = np.tan(np.radians(15.0)) * (-offset @ back - thickest)
         shares.append((np.abs(offset @ up) + thickest) / view)
         shares.append((np.abs(offset @ right) + thickest) / view / aspect)

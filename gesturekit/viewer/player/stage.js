@@ -80,9 +80,10 @@ function isSoftware() {
 }
 
 export class Stage {
-  constructor(canvas, { height, floor, front, spread }) {
+  constructor(canvas, { height, below, floor, front, spread }) {
     this.canvas = canvas;
     this.height = height;
+    this.below = below; // what of the figure is below the view
     this.floor = floor;
     this.front = front;
     this.spread = spread;
@@ -156,19 +157,20 @@ export class Stage {
     this.dirty = true;
   }
 
-  // Put the camera before the figure's face, far enough to see all of it above the controls.
+  // Put the camera before the figure's face, far enough to see all that is to be seen of it above
+  // the controls.
   frontView() {
-    const { camera, controls, middle, height, floor, front, spread } = this;
+    const { camera, controls, middle, height, below, floor, front, spread } = this;
     const half = Math.tan((camera.fov * Math.PI) / 360);
     const tallest = this.canvas.clientHeight;
     const clear = Math.max(0.3, 1 - (this.titled + 40) / tallest);
-    const tall = (1.14 * height) / (2 * half * clear);
-    const wide = (1.25 * height + 2 * spread) / (2 * half * camera.aspect);
+    const tall = (1.14 * (height - below)) / (2 * half * clear);
+    const wide = ((below ? 0.9 : 1.25) * height + 2 * spread) / (2 * half * camera.aspect);
     const distance = Math.max(tall, wide);
     // Aim at what lies in the middle of the canvas when the figure's middle is midway between the
     // title and the controls, so that the floor is not hidden.
     const lower = (distance * half * (MARGIN - this.titled)) / tallest;
-    controls.target.set(middle.x, floor + 0.5 * height - lower, middle.z);
+    controls.target.set(middle.x, floor + 0.5 * (below + height) - lower, middle.z);
     const turn = front + 0.32;
     camera.position.set(
       middle.x + distance * Math.sin(turn), controls.target.y + 0.16 * distance, middle.z + distance * Math.cos(turn),

@@ -5,7 +5,7 @@ Stills show a skinned body from the front, without perspective, on nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -38,12 +38,15 @@ class Camera:
         floor: height of the ground, metres.
     """
 
-    def __init__(self, figure: Figure, aspect: float) -> None:
-        """Fit the view; `aspect` is its width by its height."""
-        points = figure.points
+    def __init__(self, figure: Figure, aspect: float, framing: str = "whole") -> None:
+        """Fit the view; `aspect` is its width by its height, `framing` one of FRAMINGS."""
+        points, lowest = figure.points, figure.floor + figure.below(framing)
         middle = np.median(points, axis=1)  # a joint that is left behind does not count
         self._path = gaussian_filter1d(middle, _CALM * figure.fps, axis=0, mode="nearest")
         self._fps, self.floor = figure.fps, figure.floor
+        if lowest > figure.floor:
+            points = np.maximum(points, [-np.inf, lowest, -np.inf])
+            figure = replace(figure, points=points, floor=lowest)
         yaw = figure.front + _TURN
         level = np.array([np.sin(yaw), 0.0, np.cos(yaw)])
         back = np.cos(_LOOK_DOWN) * level + [0.0, np.sin(_LOOK_DOWN), 0.0]
@@ -126,7 +129,14 @@ class Scene:
         duration: seconds of its motion.
     """
 
-    def __init__(self, drawn: DrawnBody, aspect: float, level: int = 0, index: int = 0) -> None:
+    def __init__(
+        self,
+        drawn: DrawnBody,
+        aspect: float,
+        level: int = 0,
+        index: int = 0,
+        framing: str = "whole",
+    ) -> None:
         """Prepare a motion on its body.
 
         Args:
@@ -134,6 +144,7 @@ class Scene:
             aspect: width by height of the panel.
             level: of the skin, the last one if there are fewer.
             index: of the panel; clothes have another colour in each.
+            framing: one of FRAMINGS of `gesturekit.viewer.figure`.
         """
         figure = drawn.figure
         self.duration = drawn.motion.duration
@@ -142,7 +153,7 @@ class Scene:
         if drawn.skins:
             skin = drawn.skins[min(level, len(drawn.skins) - 1)]
             self._body = SkinnedBody(drawn, skin, TOPS[index % len(TOPS)])
-        self._camera = Camera(figure, aspect)
+        self._camera = Camera(figure, aspect, framing)
         cos, sin = np.cos(figure.front), np.sin(figure.front)
         turned = np.array(
             [cos * _SUN[0] + sin * _SUN[2], _SUN[1], cos * _SUN[2] - sin * _SUN[0]], np.float32
