@@ -91,9 +91,10 @@ def test_the_figure_fills_its_view_and_is_never_cut(gesture, aspect, framing):
     """Seen through a field of 30 degrees, all limbs keep 14 % of the view free, and no more."""
     figure = Figure.of(gesture(1.0))
     camera = Camera(figure, aspect, framing)
-    lowest = figure.floor + (0.42 * figure.height if framing == "waist" else -1.0)
+    lowest = figure.floor + (0.45 * figure.height if framing == "waist" else -1.0)
     points = np.maximum(figure.points, [-np.inf, lowest, -np.inf])
     thickest = max(max(limb.radii) * limb.width for limb in figure.limbs)
+    thickest *= framing == "whole"
     shares = []
     for k in range(len(figure.points)):
         right, up, back, eye = camera.at(k / figure.fps)

@@ -46,7 +46,8 @@ class Camera:
         self._fps, self.floor = figure.fps, figure.floor
         if lowest > figure.floor:
             points = np.maximum(points, [-np.inf, lowest, -np.inf])
-            figure = replace(figure, points=points, floor=lowest)
+            # Near the body's middle its thickness needs no room: the view is cut there.
+            figure = replace(figure, points=points, floor=lowest, limbs=())
         yaw = figure.front + _TURN
         level = np.array([np.sin(yaw), 0.0, np.cos(yaw)])
         back = np.cos(_LOOK_DOWN) * level + [0.0, np.sin(_LOOK_DOWN), 0.0]
