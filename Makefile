@@ -16,7 +16,7 @@ export PIP_CONSTRAINT := constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test stress mutants fuzz lint format bench blender interop picture docs gallery clean
+.PHONY: help setup demo test stress mutants fuzz lint format bench blender interop picture docs gallery dist clean
 
 help:
 	@echo "make demo    set up, then turn a sentence of speech into motion and show where it is"
@@ -32,6 +32,7 @@ help:
 	@echo "make docs    build the documentation site in build/site (installs mkdocs)"
 	@echo "make picture render the moving picture docs/demo.webp again"
 	@echo "make gallery render clips of the bundled model to build/gallery/index.html"
+	@echo "make dist    build the wheel and the sdist in dist/ and check them"
 	@echo "make clean   remove everything that these commands created, including $(VENV)"
 
 setup: $(READY) $(BUNDLES) $(BODY)
@@ -107,6 +108,13 @@ docs: setup $(VENV)/.docs-ready
 # Clips of the bundled model on one page.
 gallery: setup
 	@$(BIN)/python docs/gallery.py build/gallery
+
+# The wheel has the human body if it was baked (make setup).
+dist: setup
+	@$(BIN)/python -m pip install -qq hatchling twine
+	@rm -rf dist && $(BIN)/python -m hatchling build -d dist
+	@$(BIN)/python -m twine check --strict dist/*
+	@du -h dist/*
 
 clean:
 	rm -rf $(VENV) $(BUNDLES) $(BODY) $(HUMAN)/LICENSE.makehuman.md $(PLAYER)/node_modules $(STUDY)/node_modules build dist .pytest_cache .ruff_cache .hypothesis

@@ -11,7 +11,9 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
 
+import gesturekit
 from gesturekit.training.recipes import recipe_table
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -55,6 +57,13 @@ def packages(environment, tmp_path_factory) -> dict[str, Path]:
     }
 
 
+def test_the_citation_names_this_version_and_both_papers():
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert cited["version"] == gesturekit.__version__
+    authors = [paper["authors"][0]["family-names"] for paper in cited["references"]]
+    assert authors == ["Moreno-Villamarín", "Alexanderson"]
+
+
 @pytest.mark.stress
 def test_the_wheel_of_the_sdist_has_the_files_of_the_wheel(packages):
     names = []
@@ -65,6 +74,7 @@ def test_the_wheel_of_the_sdist_has_the_files_of_the_wheel(packages):
     recipes = {p.relative_to(ROOT).as_posix() for p in ROOT.glob("recipes/*/*") if p.is_file()}
     assert {f"gesturekit/{name}" for name in recipes} <= names[0]
     assert not [name for name in names[0] if "__pycache__" in name or name.startswith("tests")]
+    assert packages["wheel"].stat().st_size < 20e6
     with tarfile.open(packages["sdist"]) as archive:
         assert any(name.endswith("tests/test_packaging.py") for name in archive.getnames())
 
