@@ -67,6 +67,7 @@ def inspect_model(folder: Path) -> Summary:
         "fps": fps,
         "recorded_fps": recorded_fps,
         "joints": joints,
+        "recalled_joints": _recalled_joints(config),
         "skeleton": list(skeleton.names),
         "features": features,
         "needs": needs_of(features.get("spec")),
@@ -87,13 +88,22 @@ def inspect_model(folder: Path) -> Summary:
     )
 
 
+def _recalled_joints(config: Any) -> list[str]:
+    """Return the joints, such as fingers, that are recalled but not modelled."""
+    for key in ("recall", "passive", "joints"):
+        config = config.get(key) if isinstance(config, dict) else None
+    return [str(name) for name in config] if isinstance(config, list) else []
+
+
 def _rows(facts: dict[str, Any], skeleton: Skeleton) -> list[tuple[str, str]]:
-    still = [name for name in skeleton.names if name not in set(facts["joints"])]
+    recalled = facts["recalled_joints"]
+    still = [name for name in skeleton.names if name not in {*facts["joints"], *recalled}]
     rows = [
         (
             "moves",
             f"{len(facts['joints'])} of {counted(skeleton.n_joints, 'joint')} at "
             + rate_text(facts["fps"], facts["recorded_fps"])
+            + (f"; {len(recalled)} more by recall: {listed(recalled, 4)}" if recalled else "")
             + (f"; not {listed(still, 4)}" if still else ""),
         ),
         ("speech features", _speech_features(facts["features"].get("spec"))),
