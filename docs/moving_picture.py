@@ -62,7 +62,7 @@ def frames() -> list[Image.Image]:
     model, wave = gk.load("demo"), af.Wave.load(bundled_speech())
     # With seed 0 the motion of `gesturekit demo`, for which the name of the file counts.
     made = {seed: model.generate(wave, seed=seed, item=bundled_speech().stem) for seed in SEEDS}
-    motions = {seed: motion.slice(0, round(SECONDS * motion.fps)) for seed, motion in made.items()}
+    motions = {seed: motion[: round(SECONDS * motion.fps)] for seed, motion in made.items()}
     panel = WIDTH // len(SEEDS)
     scenes = [
         Scene(DrawnBody.of(motion, "human"), panel / HEIGHT, index=k, framing="waist")
