@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral, Real
 from pathlib import Path
@@ -48,6 +48,8 @@ class ControlEntry:
         metavar: placeholder of the value in the help of `gesturekit render`.
         note: further help on the syntax of the command line.
         option: name of the option if it is not that of the control; it may then be repeated.
+        excludes: controls that cannot be combined with this one.
+        convert: function of a value that returns what `generate` uses.
     """
 
     kind: type | None = str
@@ -58,6 +60,8 @@ class ControlEntry:
     metavar: str | None = None
     note: str = ""
     option: str | None = None
+    excludes: tuple[str, ...] = ()
+    convert: Callable[[Any], Any] | None = None
 
     def check(self, name: str, value: Any) -> None:
         """Check a value that was given.
@@ -103,6 +107,68 @@ def control(default: Any = None, **entry: Any) -> Any:
     return field(default=default, metadata={ControlEntry: ControlEntry(**entry)})
 
 
+def split_seconds(text: str) -> tuple[str, float | None]:
+    """Return a file name and its seconds from FILE@SECONDS; None without, or for an @ in a name."""
+    name, _, seconds = text.rpartition("@")
+    try:
+        return (name, float(seconds)) if name else (text, None)
+    except ValueError:
+        return text, None
+
+
+@dataclass(frozen=True)
+class PoseSource:
+    """A frame of a motion.
+
+    Attributes:
+        motion: the motion, or its file.
+        seconds: time of the frame; None for the first or the last one.
+    """
+
+    motion: Path | Motion
+    seconds: float | None = None
+
+    @classmethod
+    def of(cls, value: Any) -> PoseSource:
+        """Return the source of a motion, a file, or FILE@SECONDS.
+
+        Raises:
+            ModelError: it is none of these.
+            FormatError: there is no such file.
+        """
+        if isinstance(value, PoseSource):
+            return value
+        if isinstance(value, Motion):
+            return cls(value)
+        if not isinstance(value, str | Path):
+            raise ModelError(f"{type(value).__name__}: expected a motion or its file, FILE@SECONDS")
+        name, seconds = (str(value), None) if Path(value).exists() else split_seconds(str(value))
+        if not Path(name).exists():
+            raise FormatError(f"{name}: no such file")
+        return cls(Path(name), seconds)
+
+    def read(self, default: int) -> tuple[Motion, int]:
+        """Return the motion and the index of the frame; `default` is that without seconds.
+
+        Raises:
+            ModelError: the motion does not have the frame.
+            FormatError: a file that cannot be read.
+        """
+        motion = self.motion if isinstance(self.motion, Motion) else Motion.load(self.motion)
+        if self.seconds is None:
+            return motion, default % motion.n_frames
+        if not 0 <= self.seconds < motion.duration:
+            raise ModelError(
+                f"{self.motion}@{self.seconds:g}: the motion has {motion.duration:g} s; give "
+                "seconds within it"
+            )
+        return motion, min(int(self.seconds * motion.fps + 0.5), motion.n_frames - 1)
+
+
+PLACING = ("start_pose", "end_pose", "facing", "in_place")
+"""Controls that place the body."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Controls:
     """Controls of `generate` that models of every system take; each system adds its own.
@@ -121,11 +187,30 @@ class Controls:
         "old:0.25,angry:0.75.",
     )
     """A style of the model, or several over time: old@0-10,angry@10-20 (seconds)."""
-    path: str | Path | RootPath | Motion | None = control(kind=Path, metavar="PATH.csv")
+    path: str | Path | RootPath | Motion | None = control(
+        kind=Path, metavar="PATH.csv", excludes=("facing", "in_place")
+    )
     """The path of the root: a table time,x,z[,heading] (s, m, degrees), or a motion whose path is
     followed."""
     like: str | Path | Motion | None = control(kind=Path, metavar="OTHER.bvh")
     """A motion on any human rig, to be regenerated in the manner of the model's recordings."""
+    start_pose: str | Path | Motion | PoseSource | None = control(
+        kind=None, convert=PoseSource.of, metavar="FILE[@SECONDS]"
+    )
+    """A frame of a motion on any human rig, by default its first: the motion begins in this pose,
+    at its place and heading (with a path, at that of the path), and its own movement takes over
+    within half a second. Feet stay, or step."""
+    end_pose: str | Path | Motion | PoseSource | None = control(
+        kind=None, convert=PoseSource.of, metavar="FILE[@SECONDS]"
+    )
+    """A frame of a motion on any human rig, by default its last: the motion comes to rest in this
+    pose in its last half second, where the body then stands and faces."""
+    facing: float | None = control(kind=float, least=-360, most=360, metavar="DEGREES")
+    """Heading of the body in the first frame: 0 faces +Z, 90 faces +X. It replaces that of
+    start_pose."""
+    in_place: bool = control(False, kind=bool)
+    """Keep the feet about where they begin: the body neither wanders nor turns away, but shifts its
+    weight and steps. A walk becomes a walk on the spot."""
     foot_lock: bool = control(True, kind=bool)
     """Lock planted feet in place; without it, feet stay as the model generated them."""
     smooth: float | None = control(kind=float, least=0, most=2, metavar="SECONDS")
@@ -164,6 +249,16 @@ class Controls:
                 shown = f"{name}={value!r}" if isinstance(value, str | int | float) else name
                 raise UnknownControlError(f"{shown}: {kind} models have no control {name}{hint}")
             entries[name].check(name, value)
+            if (convert := entries[name].convert) is not None:
+                try:
+                    given[name] = convert(value)
+                except (FormatError, ModelError) as error:
+                    raise type(error)(f"{name}: {error}") from None
+        defaults = cls.__dataclass_fields__
+        for name in given:
+            for other in entries[name].excludes:
+                if other in given and given[other] != defaults[other].default:
+                    raise ModelError(f"{other} cannot be combined with {name}: give one of them")
         return cls(**given)
 
 
@@ -178,6 +273,10 @@ class ControlArguments(TypedDict, total=False):
     style: str | None
     path: str | Path | RootPath | Motion | None
     like: str | Path | Motion | None
+    start_pose: str | Path | Motion | PoseSource | None
+    end_pose: str | Path | Motion | PoseSource | None
+    facing: float | None
+    in_place: bool
     foot_lock: bool
     smooth: float | None
     vad: bool | None

@@ -189,19 +189,18 @@ def parse_expert(
 
 def parse_placed_files(text: str) -> dict[float, Path]:
     """Parse a.bvh@0,b.bvh@6 to files by the second at which they begin; without @ at 0."""
+    from gesturekit.model import split_seconds
+
     placed: dict[float, Path] = {}
     for item in comma_separated(text):
-        name, at, second = item.rpartition("@")
-        try:
-            begin = float(second) if at else 0.0
-        except ValueError:
-            name, begin = item, 0.0  # an @ in the file's name
+        name, seconds = split_seconds(item)
+        begin = seconds or 0.0
         if begin in placed:
             raise click.UsageError(
-                f"--keep: {placed[begin]} and {name or item} both begin at {begin:g} s; give a "
+                f"--keep: {placed[begin]} and {name} both begin at {begin:g} s; give a "
                 "time, such as b.bvh@6."
             )
-        placed[begin] = Path(name or item)
+        placed[begin] = Path(name)
     return placed
 
 

@@ -46,6 +46,7 @@ gesturekit render --corpus corpus.jsonl --split test --model runs/mine/model --o
 gesturekit render night.jsonl --model demo --out rendered --workers 4 --dry-run
 gesturekit render --seconds 20 --samples 5 --model runs/clip/model --out rendered
 gesturekit render new.wav --model demo --out rendered --rig avatar.bvh --fps 30 --unit m
+gesturekit render new.wav --model demo --out rendered --start-pose idle.bvh@2.5 --end-pose idle.bvh
 """
 
 _PARSERS = {"keep": parse_placed_files, "level_speech": parse_level_files}

@@ -79,7 +79,7 @@ class DiffusionModel(TrainedModel):
         product = check_controls(self, asked, samples)
         request = Request.build(product.models, asked, speech, seconds)
         motions = [
-            to_output_rate(motion, rate, request.wave, request.seconds)
+            to_output_rate(request.placement.applied(motion), rate, request.wave, request.seconds)
             for motion in Sampler(self, product, request).motions(seed, item, samples)
         ]
         return motions[0] if samples == 1 else motions

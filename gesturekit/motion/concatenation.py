@@ -100,8 +100,17 @@ def _continued(before: Motion, after: Motion, blend: float) -> Motion:
     last = before[-2:]
     after = _placed_behind(last, after)
     count = min(round(blend * after.fps), after.n_frames)
-    if count < 1:
-        return after
+    return eased(last, after, count) if count >= 1 else after
+
+
+def eased(last: Motion, after: Motion, count: int) -> Motion:
+    """Return `after` with the difference from the end of `last` decaying over its first frames.
+
+    Args:
+        last: of the same rig; its last two frames give pose and speed, a single one the pose.
+        after: T frames, already in place.
+        count: frames over which the difference decays, 1 to T.
+    """
     s = np.arange(count)[:, None] / count
     # Cubic Hermite curves that end at 0 without speed, from a value and from a speed.
     from_value, from_speed = 1 - 3 * s**2 + 2 * s**3, count * (s - 2 * s**2 + s**3)
@@ -112,7 +121,7 @@ def _continued(before: Motion, after: Motion, blend: float) -> Motion:
         values[:count] += from_value * (ended[-1] + speed - values[0]) + from_speed * (speed - own)
         return values
 
-    names = {*before.joint_translations, *after.joint_translations}
+    names = {*last.joint_translations, *after.joint_translations}
     rotations = after.rotations.copy()
     speed, own = (_turn(q[0], q[min(1, len(q) - 1)]) for q in (last.rotations[-2:], rotations))
     start = multiply_quaternions(quaternion_from_rotation_vector(speed), last.rotations[-1])
@@ -137,22 +146,51 @@ def _placed_behind(last: Motion, after: Motion) -> Motion:
     """Turn `after` about Y and move it on the ground to go on from the end of `last`."""
     root = first_moving_joint([last, after])
     angle = heading(last[-1:]) - heading(after[:1])
-    turn = quaternion_from_rotation_vector(np.array([0.0, angle, 0.0]))
-    world, positions = after.global_rotations(), after.positions()
-    place = rotate_vectors(turn, positions[:, root])
-    ended = last.positions()[:, root]
+    ended, begins = last.positions()[:, root], after[:1].positions()[0, root]
     move = 2 * ended[-1] - ended[0] if len(ended) > 1 else ended[0]
-    place[:, GROUND] += (move - place[0])[GROUND]
-    rotations = after.rotations.copy()
-    rotations[:, root] = multiply_quaternions(turn, world[:, root])
+    return carried(after, root, angle, begins[GROUND], move[GROUND])
+
+
+def carried(
+    motion: Motion, root: int, angle: float | np.ndarray, pivot: np.ndarray, goal: np.ndarray
+) -> Motion:
+    """Turn a motion about the vertical through `pivot`, and move that point to `goal`.
+
+    Joints above the root stay as they are.
+
+    Args:
+        motion: T frames.
+        root: index of the joint that carries the body.
+        angle: radians about Y, or (T,).
+        pivot: (2,) or (T, 2) x and z, metres.
+        goal: (2,) or (T, 2) x and z, metres.
+    """
+    turns = np.zeros((motion.n_frames, 3))
+    turns[:, 1] = angle
+    turn = quaternion_from_rotation_vector(turns)
+    place = motion.positions()[:, root]
+    place[:, GROUND] -= pivot
+    place = rotate_vectors(turn, place)
+    place[:, GROUND] += goal
+    world = multiply_quaternions(turn, motion.global_rotations()[:, root])
+    return with_root(motion, root, place, world)
+
+
+def with_root(motion: Motion, root: int, place: np.ndarray, world: np.ndarray) -> Motion:
+    """Return the motion with a joint at `place` (T, 3), metres, turned as `world` (T, 4).
+
+    Joints above it stay, those below it keep their local pose.
+    """
+    rotations = motion.rotations.copy()
+    rotations[:, root] = world
     if root == 0:
-        return replace(after, rotations=rotations, translation=place)
-    parent = after.skeleton.parents[root]
-    back = invert_quaternions(world[:, parent])
-    rotations[:, root] = multiply_quaternions(back, rotations[:, root])
-    local = rotate_vectors(back, place - positions[:, parent])
-    moving = {**after.joint_translations, after.skeleton.names[root]: local}
-    return replace(after, rotations=rotations, joint_translations=moving)
+        return replace(motion, rotations=rotations, translation=place)
+    parent = motion.skeleton.parents[root]
+    back = invert_quaternions(motion.global_rotations()[:, parent])
+    rotations[:, root] = multiply_quaternions(back, world)
+    local = rotate_vectors(back, place - motion.positions()[:, parent])
+    moving = {**motion.joint_translations, motion.skeleton.names[root]: local}
+    return replace(motion, rotations=rotations, joint_translations=moving)
 
 
 def _local(motion: Motion, name: str) -> np.ndarray:

@@ -10,13 +10,13 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.heading import headings, side_axis
-from gesturekit.motion.ik.two_bone import two_bone_ik
+from gesturekit.motion.ik.legs import reach_feet
 from gesturekit.motion.kinematics import GROUND
 from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs
 from gesturekit.motion.resampling import checked_fps
-from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions, rotate_vectors
+from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 from gesturekit.motion.skeleton import FARTHEST
 
 STANDING = 0.05
@@ -261,22 +261,8 @@ def follow_path(motion: Motion, path: RootPath, root: int | None = None) -> Moti
     legs = find_legs(motion.skeleton)
     if legs is None:
         return moved
-    parents = motion.skeleton.parents
-    rotations = moved.rotations.copy()
-    for leg in legs.values():
-        hip, knee, ankle = (motion.skeleton.index(name) for name in (leg.hip, leg.knee, leg.ankle))
-        rotations[:, [hip, knee]] = two_bone_ik(
-            positions[:, [hip, knee, ankle]] + shift[:, None],
-            positions[:, ankle],
-            rotations[:, [hip, knee]],
-            world[:, [parents[hip], parents[knee]]],
-        )
-    reached = replace(moved, rotations=rotations).global_rotations()
-    for leg in legs.values():
-        ankle = motion.skeleton.index(leg.ankle)
-        back = invert_quaternions(reached[:, parents[ankle]])
-        rotations[:, ankle] = multiply_quaternions(back, world[:, ankle])
-    return replace(moved, rotations=rotations)
+    ankles = [motion.skeleton.index(leg.ankle) for leg in legs.values()]
+    return reach_feet(moved, positions[:, ankles], world[:, ankles])
 
 
 def _shifted(motion: Motion, root: int, shift: np.ndarray, world: np.ndarray) -> Motion:

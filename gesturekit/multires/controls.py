@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gesturekit.model import ControlArguments, Controls, control
+from gesturekit.model import PLACING, ControlArguments, Controls, control
 
 if TYPE_CHECKING:
     import audio_features as af
@@ -32,11 +32,11 @@ class MultiresControls(Controls):
     """Speech of single levels, counted from 1 (coarsest), in place of the main speech:
     7-10=b.wav, in Python {"7-10": "b.wav"}. It is cut to the length of the motion, or continues
     with silence. Recall follows the main speech."""
-    levels: int | None = control(kind=int, least=1, metavar="N")
+    levels: int | None = control(kind=int, least=1, metavar="N", excludes=PLACING)
     """Stop after this many levels. The motion has the lower frame rate of that level and can be
     edited and passed back as keyframes. Only style, level_style, speech and level_speech can be
     combined with it."""
-    keyframes: str | Path | Motion | None = control(kind=Path, metavar="EDIT.bvh")
+    keyframes: str | Path | Motion | None = control(kind=Path, metavar="EDIT.bvh", excludes=PLACING)
     """A motion that replaces the output of a coarse level; the finer levels add detail and keep its
     slow movement. If it is an edited copy of a motion generated with levels, the same seed and the
     same name, unedited frames are reproduced as generated. A motion on another rig is retargeted.
@@ -46,6 +46,7 @@ class MultiresControls(Controls):
     keep: Mapping[float, str | Path | Motion] | None = control(
         kind=Path,
         metavar="FILE[@SECONDS],...",
+        excludes=PLACING,
         note="clip.bvh is continued up to --seconds; a.bvh@0,b.bvh@6 is filled in between.",
     )
     """Motions to keep, each with its start time in seconds. They appear unchanged and at their own

@@ -98,7 +98,10 @@ class MultiresModel(TrainedModel):
         sampler = Sampler(self, request)
         # One at a time: batching changes the order of sums, and the last digits of a sample would
         # depend on the number of samples.
-        motions = [sampler.motion(seed, item, number) for number in range(samples)]
+        motions = [
+            request.placement.applied(sampler.motion(seed, item, number))
+            for number in range(samples)
+        ]
         if rate is not None:
             motions = [to_output_rate(motion, rate, request.wave, seconds) for motion in motions]
         return motions[0] if samples == 1 else motions

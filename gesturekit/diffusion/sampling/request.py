@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,8 @@ from gesturekit.formats.tables.root_path import as_root_path
 from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
-from gesturekit.training.data.own_rig import on_rig
+from gesturekit.postprocess import Placement
+from gesturekit.training.data.own_rig import on_rig, pose_on_rig
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,7 @@ class Request:
         events: in order of time; None for no events.
         conditioner: of the first model with speech input; None without such a model.
         features: (T, S) speech features of that conditioner.
+        placement: where and how the motion begins and ends.
     """
 
     controls: DiffusionControls
@@ -57,6 +60,7 @@ class Request:
     events: tuple[Event, ...] | None
     conditioner: SpeechConditioner | None
     features: np.ndarray
+    placement: Placement
 
     @classmethod
     def build(
@@ -79,6 +83,7 @@ class Request:
             AudioError, FormatError: a file that cannot be read.
         """
         model, start = models[0], None
+        read_pose = partial(pose_on_rig, model.representation)
         fps, follows = model.fps, model.conditions.path
         path, events = controls.path, controls.events
         if controls.like is not None:
@@ -116,6 +121,7 @@ class Request:
             events=found,
             conditioner=conditioner,
             features=features,
+            placement=Placement.of(controls, read_pose, on_path=follows),
         )
 
     def condition(self, conditions: Conditions) -> np.ndarray:

@@ -37,6 +37,10 @@ def check_controls(model: TrainedModel, controls: DiffusionControls, samples: in
         raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
     if samples < 1:
         raise ModelError(f"samples={samples}: ask for at least 1")
+    if model.conditions.path:
+        for name in ("facing", "in_place"):
+            if (value := getattr(controls, name)) not in (None, False):
+                raise ModelError(f"{name}={value}: the model follows a path, which places the body")
     product = ModelProduct.build(model, controls)
     product.check_styles()
     if controls.events is not None:

@@ -23,6 +23,8 @@ from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.sampling.conditions import level_range, requested_styles
 from gesturekit.multires.sampling.trained_model import TrainedModel
+from gesturekit.postprocess import Placement
+from gesturekit.training.data.own_rig import pose_on_rig
 from gesturekit.training.seeds import rng_for
 
 log = logging.getLogger(__name__)
@@ -47,6 +49,7 @@ class Request:
         clips: the clips of in-betweening, or None.
         level_speech: levels with speech of their own, and its features, shaped as `features`.
         library: recordings to recall; None to generate all levels.
+        placement: where and how the motion begins and ends.
     """
 
     controls: MultiresControls
@@ -60,6 +63,7 @@ class Request:
     clips: InbetweenClips | None
     level_speech: tuple[tuple[range, np.ndarray], ...]
     library: RecallLibrary | None
+    placement: Placement
 
     @classmethod
     def build(
@@ -77,6 +81,7 @@ class Request:
         """
         fps, n_levels = model.fps, model.network_config.levels
         conditioner = model.conditions.conditioner
+        read_pose = partial(pose_on_rig, model.representation)
         fewer_levels = controls.levels not in (None, n_levels)
         _check_combination(controls, fewer_levels)
         start = controls.keyframes if controls.like is None else controls.like
@@ -118,6 +123,7 @@ class Request:
             clips=clips,
             level_speech=_level_speech(model, controls, n_frames, margin),
             library=None if controls.recall is False else model.library,
+            placement=Placement.of(controls, read_pose, on_path=path is not None),
         )
 
     @property

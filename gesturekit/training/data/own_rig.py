@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
 from gesturekit.errors import ModelError, MotionError
+from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.model_joints import ModelJoints
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import find_parts
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.retarget.standing_pose import standing_pose
 
@@ -24,6 +29,29 @@ def on_rig(model: ModelJoints, motion: Motion) -> Motion:
         return retarget(motion, rig, pose=_upright(model))
     except MotionError as error:
         raise ModelError(f"the motion cannot be retargeted to the model's rig: {error}") from None
+
+
+def pose_on_rig(
+    model: ModelJoints, read: Callable[[int], tuple[Motion, int]], default: int
+) -> Motion:
+    """Return a frame of a motion as a pose of the model's rig; arguments as for `Placement.of`.
+
+    Of a motion on another rig, joints without a counterpart keep the pose that the model gives
+    them, and `info["floor"]` is the height of its floor on the model's rig, metres.
+
+    Raises:
+        ModelError: the motion cannot be retargeted.
+    """
+    motion, frame = read(default)
+    own = on_rig(model, motion)
+    if own is motion:
+        return motion[frame : frame + 1]
+    pose = own[frame : frame + 1]
+    rotations = pose.rotations.copy()
+    if not find_parts(motion.skeleton).fingers:
+        others = [j for j in range(model.skeleton.n_joints) if j not in model.indices]
+        rotations[:, others] = model.fixed_rotations[others]
+    return replace(pose, rotations=rotations, info={"floor": floor_height(own)})
 
 
 def _upright(model: ModelJoints) -> np.ndarray | None:
