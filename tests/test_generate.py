@@ -10,44 +10,19 @@ from itertools import combinations
 import numpy as np
 import pytest
 import torch
+from small_models import small_diffusion
 
 import audio_features as af
 import gesturekit as gk
-from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.diffusion.conditions import Conditions
-from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
-from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
-from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.errors import ModelError
 from gesturekit.motion.rotations import rotation_angles
 from gesturekit.systems import bundled_speech
-from gesturekit.training.seeds import rng_for, seeded
-
-
-def diffusion(gesture, recorded_fps: float = 30.0) -> DiffusionModel:
-    """Return a small model with speech input and random weights."""
-    extractor = af.LogMel(n_mels=4)
-    ears = SpeechConditioner(extractor, 30.0, "mean", np.zeros(4), np.full(4, 10.0))
-    conditions = Conditions(ears)
-    config = NetworkConfig(blocks=1, layers=1, channels=8, heads=1, feedforward=8, embedding=8)
-    body = DeltaRepresentation.fit([gesture(2.0)])
-    width = body.n_features
-    return DiffusionModel(
-        fps=30.0,
-        representation=body,
-        conditions=conditions,
-        normaliser=Normaliser.fit([body.encode(gesture(2.0))]),
-        noise_config=NoiseConfig(predict="velocity", steps=4),
-        network=seeded("network", lambda: Denoiser(width, conditions.width, config)),
-        speakers={},
-        recorded_fps=recorded_fps,
-    )
+from gesturekit.training.seeds import rng_for
 
 
 @pytest.fixture(params=["multires", "diffusion"])
 def model(request, gesture) -> gk.Model:
-    return gk.load("demo") if request.param == "multires" else diffusion(gesture)
+    return gk.load("demo") if request.param == "multires" else small_diffusion(gesture)
 
 
 @pytest.fixture(scope="module")

@@ -174,7 +174,7 @@ def test_the_pages_load_nothing_from_elsewhere(client):
     assert "POST /motion" in one.get("/docs").text
     schema = one.get("/openapi.json").json()
     names = {parameter["name"] for parameter in schema["paths"]["/motion"]["post"]["parameters"]}
-    controls = {"style", "speaker", "foot_lock", "smooth", "vad", "fps"}
+    controls = {"style", "speaker", "facing", "in_place", "foot_lock", "smooth", "vad", "fps"}
     assert names == {"format", "seed", "item"} | controls
     table = (Path(__file__).parents[2] / "docs" / "serve.md").read_text(encoding="utf-8")
     assert all(f"`{name}" in table for name in names)
