@@ -138,6 +138,23 @@ def test_in_place_keeps_weight_shifts(gesture):
     assert extent(made)[0] < 0.5 * extent(slides)[0], "feet that go along are no weight shift"
 
 
+def test_steps_in_place_are_locked(gesture):
+    still = gesture(8.0, t_pose=240)
+    feet = [still.skeleton.index(name) for name in ("LeftFoot", "RightFoot")]
+    ankles, turns = still.positions()[:, feet], still.global_rotations()[:, feet]
+    # Each foot steps 10 cm forward every two seconds, in turn, and the hips go along.
+    count, within = np.divmod(still.times[:, None] - [0.0, 1.0], 2.0)
+    swing = np.clip(within / 0.5, 0, 1)
+    ankles[..., 2] += 0.1 * (np.maximum(count, -1) + swing**2 * (3 - 2 * swing))
+    ankles[..., 1] += 0.05 * np.sin(np.pi * swing) ** 2
+    hips = ankles.mean(axis=1) * [0, 0, 1] - [0, 0.1, 0]
+    walk = reach_feet(replace(still, translation=still.translation + hips), ankles, turns)
+    free, made = (Placement(in_place=True, foot_lock=lock).applied(walk) for lock in (False, True))
+    assert extent(walk)[0] > 0.3 and extent(made)[0] < 0.1
+    assert foot_skate(made) < 0.5 * foot_skate(free)
+    assert foot_skate(made) < foot_skate(walk) + 0.005
+
+
 def test_feet_step_from_a_pose_and_do_not_slide(wave):
     model = gk.load("demo")
     own = model.generate(wave)
@@ -164,15 +181,19 @@ def stance(model: gk.Model, own: gk.Motion, metres: float) -> gk.Motion:
     return reach_feet(pose, own.positions()[:1, feet] + out, own.global_rotations()[:1, feet])
 
 
-def test_a_pose_of_another_rig_is_retargeted(model, wave, gesture):
+def test_a_pose_of_another_rig_is_retargeted(model, wave, gesture, tmp_path):
     """A body of half the size that stands on a floor at 1 m, with other joint names."""
     names = {"Hips": "pelvis", "Spine": "spine_01", "Chest": "spine_02", "Neck": "neck_01"}
     names |= {name: name.replace("Left", "l_").replace("Right", "r_") for name in PERSON} | names
     bones = {names[k]: (p and names[p], o) for k, (p, o) in PERSON.items()}
     own = gesture(3.0)
     other = gk.Motion(rig_of(bones), own.rotations, own.translation, 30.0).scaled(0.5)
-    other = replace(other, translation=other.translation + [0, 1, 0])
-    made = model.generate(wave, start_pose=other[60:61])
+    way = np.linspace(0, 1, other.n_frames)[:, None] * [3.0, 0.0, 0.0]
+    other = replace(other, translation=other.translation + [0, 1, 0] + way)
+    other.save(tmp_path / "other.npz")
+    made = model.generate(wave, start_pose=f"{tmp_path / 'other.npz'}@2.0")
+    apart = made.positions()[0, 0] - other.positions()[60, 0]
+    assert np.linalg.norm(apart[[0, 2]]) < 0.03, "places in a scene are not scaled"
     bone = [m.positions()[f] for m, f in ((made, 0), (own, 60))]
 
     def arm(places, rig):

@@ -9,11 +9,14 @@ import numpy as np
 
 from gesturekit.errors import ModelError, MotionError
 from gesturekit.motion.contacts import floor_height
+from gesturekit.motion.kinematics import GROUND
 from gesturekit.motion.model_joints import ModelJoints
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.retarget.standing_pose import standing_pose
+
+_AROUND_SECONDS = 60.0
 
 
 def on_rig(model: ModelJoints, motion: Motion) -> Motion:
@@ -42,16 +45,29 @@ def pose_on_rig(
     Raises:
         ModelError: the motion cannot be retargeted.
     """
-    motion, frame = read(default)
+    whole, frame = read(default)
+    # Retargeting finds out how a rig stands, for which a minute before and after is enough.
+    around = round(_AROUND_SECONDS * whole.fps)
+    first = max(0, frame - around)
+    motion, frame = whole[first : frame + around + 1], frame - first
     own = on_rig(model, motion)
+    pose, given = (m[frame : frame + 1] for m in (own, motion))
     if own is motion:
-        return motion[frame : frame + 1]
-    pose = own[frame : frame + 1]
-    rotations = pose.rotations.copy()
-    if not find_parts(motion.skeleton).fingers:
+        return pose
+    source, target = (find_parts(m.skeleton) for m in (given, pose))
+    rotations, translation = pose.rotations.copy(), pose.translation.copy()
+    if not source.fingers:
         others = [j for j in range(model.skeleton.n_joints) if j not in model.indices]
         rotations[:, others] = model.fixed_rotations[others]
-    return replace(pose, rotations=rotations, info={"floor": floor_height(own)})
+    # Retargeting scales the way from the first frame; a place in a scene has no scale.
+    places = [
+        m.positions()[:, m.skeleton.index(parts.pelvis)]
+        for m, parts in ((given, source), (pose, target))
+    ]
+    translation[:, GROUND] += (places[0] - places[1])[:, GROUND]
+    return replace(
+        pose, rotations=rotations, translation=translation, info={"floor": floor_height(own)}
+    )
 
 
 def _upright(model: ModelJoints) -> np.ndarray | None:
