@@ -193,7 +193,7 @@ def _begun(motion: Motion, pose: Motion, count: int, may_stay: bool) -> Motion:
         motion: T frames, in place.
         pose: one frame on its body.
         count: frames.
-        may_stay: whether feet that the motion never moves may stay as in the pose to its end.
+        may_stay: whether feet that the motion does not move may stay as in the pose to its end.
     """
     made, legs = eased(pose, motion, count), find_legs(motion.skeleton)
     if legs is None:
@@ -214,10 +214,9 @@ def _begun(motion: Motion, pose: Motion, count: int, may_stay: bool) -> Motion:
     weights[..., 1] = _released(motion.n_frames, 0, count)[:, None]
     for foot in (first, 1 - first):
         moves = np.flatnonzero(speed[:, foot] > CONTACT_SPEED * scale)
-        if far[foot] <= _NEAR * leg_length(motion.skeleton) and (len(moves) or may_stay):
-            begin = int(moves[0]) if len(moves) else motion.n_frames
-            lift = 0.0
-        else:
+        begin, lift = int(moves[0]) if len(moves) else motion.n_frames, 0.0
+        is_near = far[foot] <= _NEAR * leg_length(motion.skeleton)
+        if not is_near or not (may_stay or begin + count < motion.n_frames):
             begin, now = now, now + count
             lift = min(length[foot], _LIFT * scale + 0.1 * length[foot])
         rising = _released(motion.n_frames, begin, count)

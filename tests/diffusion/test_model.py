@@ -21,6 +21,7 @@ from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.errors import ConfigError, FormatError, ModelError
 from gesturekit.inspection import inspect
 from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.rotations import rotation_angles
 from gesturekit.postprocess import smooth_motion
 
 QUICK = {"seconds": 1.5, "steps": 4}
@@ -130,6 +131,19 @@ def test_experts_are_other_models_with_conditions_of_their_own(model, untrained,
     early = np.repeat([1.0, 0.0], [20, 25])
     half = model.generate(**asked, experts=[(prior, early)])
     assert not same(half, alone)
+
+
+def test_a_path_places_the_body(untrained, gesture):
+    walker, path = untrained(path=True), RootPath(np.zeros((60, 2)), np.zeros(60), 30.0)
+    for asked in ({"facing": 0.0}, {"in_place": True}):
+        with pytest.raises(ModelError, match="the model follows a path, which places the body"):
+            walker.check_controls(**asked)
+    pose = gesture(1.0)[20:21]
+    pose = replace(pose, translation=pose.translation + [3.0, 0.0, 1.0])
+    made = walker.generate(path=path, steps=2, start_pose=pose)
+    assert rotation_angles(made.rotations[0, 1:], pose.rotations[0, 1:]).max() < 1e-6
+    assert np.linalg.norm(made.positions()[:, 0, [0, 2]], axis=1).max() < 0.3, "not at (3, 1)"
+    np.testing.assert_allclose(made.positions()[15:, 0, [0, 2]], 0, atol=1e-3)
 
 
 def test_a_path_is_followed_to_the_millimetre(untrained, tmp_path):

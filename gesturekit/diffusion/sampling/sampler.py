@@ -38,8 +38,8 @@ def check_controls(model: TrainedModel, controls: DiffusionControls, samples: in
     if samples < 1:
         raise ModelError(f"samples={samples}: ask for at least 1")
     if model.conditions.path:
-        for name in ("facing", "in_place"):
-            if (value := getattr(controls, name)) not in (None, False):
+        for name, unset in (("facing", None), ("in_place", False)):
+            if (value := getattr(controls, name)) != unset:
                 raise ModelError(f"{name}={value}: the model follows a path, which places the body")
     product = ModelProduct.build(model, controls)
     product.check_styles()
