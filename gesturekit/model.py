@@ -207,7 +207,7 @@ class Controls:
     pose in its last half second, where the body then stands and faces."""
     facing: float | None = control(kind=float, least=-360, most=360, metavar="DEGREES")
     """Heading of the body in the first frame: 0 faces +Z, 90 faces +X. It replaces that of
-    start_pose."""
+    `start_pose`."""
     in_place: bool = control(False, kind=bool)
     """Keep the feet about where they begin: the body neither wanders nor turns away, but shifts its
     weight and steps. A walk becomes a walk on the spot."""

@@ -17,6 +17,7 @@ from gesturekit.motion.retarget import retarget
 from gesturekit.motion.retarget.standing_pose import standing_pose
 
 _AROUND_SECONDS = 60.0
+"""Seconds before and after a pose that are retargeted with it."""
 
 
 def on_rig(model: ModelJoints, motion: Motion) -> Motion:
