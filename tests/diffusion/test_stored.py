@@ -122,6 +122,7 @@ def test_statistics_are_those_of_a_sample(config_of, tmp_path, write_pair):
         load_training_data(config_of("speech", **changes, in_memory=m)) for m in (1.0, 0.3)
     )
     assert {disk.recordings[i].name for i, *_ in disk.sampled} == {"l", "l (mirrored)"}
+    assert [one.n_frames for one in memory.recordings] == [40 * 30] * 2
     assert 2 * 450 < sum(stop - start for _, start, stop in disk.sampled) < 2 * 750
     scale = memory.normaliser.scale
     assert ((memory.normaliser.mean - disk.normaliser.mean) / scale).abs().max() < 0.2

@@ -318,6 +318,8 @@ def test_a_plan_makes_no_arrays(long_config, gesturekit, recipe, tmp_path, caplo
     where = f"corpus={config.corpus}", f"out={tmp_path / 'run'}", "in_memory=0.1", "threads=1"
     gesturekit("train", recipe, *where, "--plan").ok()
     assert not config.arrays_folder.exists() and "making those that are missing" in caplog.text
+    # What a few steps on an excerpt find out is not true of the corpus.
+    assert "Hand movement predicted" not in caplog.text
 
 
 def test_a_plan_reads_half_a_minute_of_any_number_of_speakers(long_config):
