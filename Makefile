@@ -27,7 +27,7 @@ help:
 	@echo "make setup   create $(VENV) with gesturekit and its dependencies"
 	@echo "make lint    check style only          make format  fix style"
 	@echo "make bench   run all benchmarks in quick mode"
-	@echo "make interop open files written by gesturekit in Blender and three.js (installs Blender: 1.6 GB)"
+	@echo "make interop open files written by gesturekit in Blender, three.js and the glTF validator (1.6 GB)"
 	@echo "make blender make the Blender add-on, build/gesturekit_motion.zip"
 	@echo "make docs    build the documentation site in build/site (installs mkdocs)"
 	@echo "make picture render the moving picture docs/demo.webp again"
@@ -89,7 +89,7 @@ blender:
 	@echo "build/gesturekit_motion.zip"
 
 interop: setup blender $(VENV)/interop/ready
-	@$(BIN)/python tests/interop/interop.py $(VENV)/interop/bin/python
+	@$(BIN)/python tests/interop/interop.py $(VENV)/interop/bin/python $(FILES)
 
 # The moving picture in README.md: the bundled model speaking the bundled speech.
 picture: setup

@@ -16,8 +16,8 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 class PackageHook(BuildHookInterface):
     """Bundles the scripts of HTML pages where they are missing or out of date.
 
-    For wheels, it also bakes the human body where it is missing, and adds `recipes/` as
-    `gesturekit/recipes/`.
+    For wheels, it also bakes the human body where it is missing, and adds `recipes/` and Blender's
+    script for FBX files below `gesturekit/`.
     """
 
     def dependencies(self) -> list[str]:
@@ -38,6 +38,7 @@ class PackageHook(BuildHookInterface):
             subprocess.run(bake, cwd=self.root, env=environment, check=False)
         if self.target_name == "wheel" and version != "editable":
             build_data["force_include"]["recipes"] = "gesturekit/recipes"
+            build_data["force_include"]["blender/fbx.py"] = "gesturekit/blender/fbx.py"
 
     def _wants_body(self) -> bool:
         baked = Path(self.root) / "gesturekit" / "viewer" / "human" / "human.npz"

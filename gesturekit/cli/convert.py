@@ -40,7 +40,7 @@ GROUPS = {
         *("formats", "rig", "rig_parts", "fps", "antialias", "trim", "mirror", "joints", "up"),
         *("unit", "frame", "body", "framing", "size", "existing"),
     ),
-    "Input": (*RECORDING_OPTIONS, "person", "parts"),
+    "Input": (*RECORDING_OPTIONS, "person", "animation", "parts"),
     **BATCH_GROUPS,
 }
 WIDTH = 100
@@ -56,7 +56,7 @@ WIDTH = 100
     "--format",
     "formats",
     metavar="LIST",
-    help="Formats to write into a folder: any of bvh,npz,html,mp4,png,svg,pdf,obj.",
+    help="Formats to write into a folder: any of bvh,npz,glb,vrma,fbx,html,mp4,png,svg,pdf,obj.",
 )
 @click.option(
     "--rig", metavar="RIG", help="Skeleton to retarget to: a motion file, smpl, smplh or smplx."

@@ -21,7 +21,7 @@ SEED = click.IntRange(0, 2**63 - 1)
 
 
 _RECORDING = (
-    click.option("--in-unit", type=click.Choice(UNITS), help="Unit of the BVH input."),
+    click.option("--in-unit", type=click.Choice(UNITS), help="Unit of the BVH or glTF input."),
     click.option("--in-up", type=click.Choice(AXES), help="Up axis of the input."),
     click.option("--in-forward", type=click.Choice(AXES), help="Forward axis of the input."),
     click.option(
@@ -38,8 +38,8 @@ _RECORDING = (
         type=click.Path(path_type=Path),
         metavar="PATH",
         help="SMPL, SMPL-H or SMPL-X body model, or a folder of them (SMPLX_FEMALE.npz and so on, "
-        "chosen by gender): gives SMPL files their bones and foot points, and html and obj a body "
-        "mesh.",
+        "chosen by gender): gives SMPL files their bones and foot points, and html, glb and obj a "
+        "body mesh.",
     ),
 )
 RECORDING_OPTIONS = ("in_unit", "in_up", "in_forward", "in_fps", "height", "body_model")
@@ -47,6 +47,11 @@ RECORDING_OPTIONS = ("in_unit", "in_up", "in_forward", "in_fps", "height", "body
 _OPTIONS = (
     *_RECORDING,
     click.option("--person", type=int, metavar="ID", help="Person to read (EasyMocap)."),
+    click.option(
+        "--animation",
+        metavar="NAME",
+        help="Animation to read (glb, gltf, vrma, fbx): name, or number.",
+    ),
 )
 
 channel_option = click.option(
@@ -138,8 +143,8 @@ body_option = click.option(
     "--body",
     type=_Body(),
     metavar="[mannequin|human|skeleton|FILE.vrm]",
-    help="Body in pages, videos and pictures; the motion is retargeted to human and to your own "
-    "VRM avatar.  [default: mannequin]",
+    help="Body in glb and fbx files, pages, videos and pictures; the motion is retargeted to human "
+    "and to your own VRM avatar.  [default: mannequin]",
 )
 
 

@@ -143,7 +143,7 @@ def control_options() -> list[click.Parameter]:
     "--format",
     "formats",
     default="bvh",
-    help="Output formats: any of bvh,npz,html,mp4,png.  [default: bvh]",
+    help="Output formats: any of bvh,npz,glb,html,mp4,png.  [default: bvh]",
 )
 @click.option("--unit", type=click.Choice(UNITS), help="Unit of BVH files.  [default: cm]")
 @click.option(

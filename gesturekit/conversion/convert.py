@@ -112,7 +112,8 @@ class Conversion:
     Args:
         sources: motion files, and folders to search for motions.
         out: a file for a single motion, otherwise a folder; see `conversion.inputs.find_tasks`.
-        formats: formats to write into a folder: bvh, npz, html, mp4, png, svg, pdf, obj.
+        formats: formats to write into a folder: bvh, npz, glb, vrma, fbx, html, mp4,
+            png, svg, pdf, obj.
         changes: changes to make to each motion.
         options: options of readers and writers.
         existing: "refuse", "skip" or "replace" files that were made with other settings.

@@ -14,6 +14,9 @@ from gesturekit.formats.conversion import describe_axes
 from gesturekit.motion.motion import Motion
 from gesturekit.wording import counted
 
+_WITHOUT_FACES = {".bvh": "BVH", ".glb": "glTF", ".vrma": "a VRM animation", ".fbx": "FBX"}
+"""Formats without expressions and body shape, by suffix."""
+
 
 @dataclass(frozen=True)
 class FormatOptions:
@@ -66,9 +69,12 @@ def without_mesh(formats: Sequence[str], out: Path) -> Sequence[str]:
 
 def warn_of_losses(motion: Motion, target: Path) -> None:
     """Warn of data of a motion that the format of a target cannot hold."""
-    if target.suffix.lower() == ".bvh":
+    name = _WITHOUT_FACES.get(target.suffix.lower())
+    if name:
         lost = ["face expressions"] if motion.expressions is not None else []
         if motion.skeleton.body_shape.betas:
             lost.append("body shape (betas)")
         if lost:
-            warnings.warn(f"{target}: BVH holds no {' and no '.join(lost)}; npz does", stacklevel=2)
+            warnings.warn(
+                f"{target}: {name} holds no {' and no '.join(lost)}; npz does", stacklevel=2
+            )

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from audio_features import Wave
     from gesturekit.motion import Motion
 
-_MOTION = MOTION_SUFFIXES[::-1]
+_MOTION = tuple(sorted(MOTION_SUFFIXES, key=lambda suffix: suffix != ".npz"))
 """Motion formats, the preferred one first: npz stores every digit."""
 SEMANTIC_SUFFIXES = (".npz", ".txt")
 WINDOW_SECONDS = 10.0

@@ -54,7 +54,7 @@ def load(
         FormatError: it cannot be read.
         MotionError: `parts` names a joint that does not exist.
     """
-    if format_of(source) in OTHER_MOTION_SUFFIXES:
+    if format_of(source) in OTHER_MOTION_SUFFIXES and format_of(source) not in READ_OPTIONS:
         raise FormatError(f"{source}: {unreadable_media(source)}")
     known = READ_OPTIONS.get(format_of(source), ())
     motion = Motion.load(source, **{name: options[name] for name in options if name in known})

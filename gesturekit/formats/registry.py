@@ -15,6 +15,8 @@ from gesturekit.errors import FormatError
 FOLDER = "EasyMocap"
 """Stands for a suffix where a folder is one motion."""
 
+_CURVES = frozenset({"animation", "unit", "up", "forward", "fps"})
+_BODY = frozenset({"body", "body_model"})
 _SEQUENCE = frozenset({"up", "fps", "person", "body_model"})
 
 
@@ -53,6 +55,29 @@ FORMATS = (
         reads=frozenset({"up", "body_model"}),
         writes=frozenset({"up"}),
         searched=True,
+    ),
+    *(
+        Format(
+            suffix,
+            "gesturekit.formats.gltf.reading:read_gltf",
+            writer,
+            reads=_CURVES,
+            writes=_BODY if suffix == ".glb" else frozenset(),
+            searched=suffix != ".vrm",  # an avatar, which has no motion: a rig
+        )
+        for suffix, writer in (
+            (".glb", "gesturekit.viewer:write_glb"),
+            (".gltf", None),
+            (".vrm", None),
+            (".vrma", "gesturekit.viewer:write_vrma"),
+        )
+    ),
+    Format(
+        ".fbx",
+        "gesturekit.formats.fbx:read_fbx",
+        "gesturekit.viewer:write_fbx",
+        reads=_CURVES,
+        writes=_BODY,
     ),
     Format(".json", "gesturekit.formats.smpl.easymocap:read_easymocap", reads=_SEQUENCE),
     Format(FOLDER, "gesturekit.formats.smpl.easymocap:read_easymocap", reads=_SEQUENCE),

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from audio_features.archive import open_archive
 from gesturekit.errors import ConfigError, FormatError
+from gesturekit.formats.gltf.file import Gltf
 from gesturekit.formats.registry import MOTION_SUFFIXES
 from gesturekit.formats.smpl.easymocap import SUBFOLDERS
 from gesturekit.wording import listed
@@ -24,11 +25,12 @@ OTHER_SPEECH_SUFFIXES = (
 )
 """Unsupported audio and video; ffmpeg converts them to wav."""
 OTHER_MOTION_SUFFIXES = (
-    *(".fbx", ".c3d", ".glb", ".gltf", ".trc", ".mot", ".asf", ".amc", ".vrma", ".vmd"),
+    *(".fbx", ".c3d", ".trc", ".mot", ".asf", ".amc", ".vmd"),
     *(".usd", ".usda", ".usdc", ".usdz", ".dae", ".blend"),
 )
-"""Unsupported motion files; Blender and other programs convert most of them to BVH."""
+"""Motion files that are not searched for; Blender and other programs convert most to BVH."""
 NO_MOTION = f"no motion in it; looked for {', '.join(MOTION_SUFFIXES)} and EasyMocap folders"
+_GLTF = (".gltf", ".vrma", ".glb")
 _SHOWN = 3
 _GLANCE = 1 << 16
 
@@ -102,7 +104,8 @@ def unreadable_media(path: Path) -> str | None:
     if path.suffix.lower() in OTHER_SPEECH_SUFFIXES:
         return f"{kind} is not read; make a wav of it: ffmpeg -i x.{kind} x.wav"
     if path.suffix.lower() in OTHER_MOTION_SUFFIXES:
-        return f"{kind} is not read; export it as bvh, for example from Blender"
+        how = "from Blender" if kind != "fbx" else "by gesturekit convert x.fbx x.bvh, with Blender"
+        return f"{kind} is not read; export it as bvh, for example {how}"
     return None
 
 
@@ -112,11 +115,21 @@ def is_sequence(path: Path) -> bool:
 
 
 def is_motion(path: Path) -> bool:
-    """Return whether a file is a motion, by its suffix and the keys of an npz."""
+    """Return whether a file is a motion, by its suffix and the content of an npz or glTF file."""
     suffix = path.suffix.lower()
+    if suffix in _GLTF:
+        return _is_animated(path)
     if suffix == ".npz":
         return not (is_feature_file(path) or is_body_model(path))
     return suffix in MOTION_SUFFIXES
+
+
+def _is_animated(path: Path) -> bool:
+    """Return whether a glTF file is no mere mesh or avatar."""
+    try:
+        return "animations" in Gltf(path).json
+    except FormatError:
+        return True  # the reader reports the error
 
 
 def is_feature_file(path: Path) -> bool:
@@ -157,7 +170,8 @@ def _has_frames(folder: Path) -> bool:
 def one_of_two_formats(motions: Iterable[Path]) -> tuple[set[Path], list[str]]:
     """Return the motions that are duplicates, and lines about them.
 
-    Of STEM.bvh and STEM.npz in one folder, the one with more data is read.
+    Of STEM.bvh and STEM.npz in one folder, the one with more data is read; of a glTF file and one
+    of these, the other.
     """
     groups: dict[Path, dict[str, Path]] = {}
     for path in motions:
@@ -165,6 +179,9 @@ def one_of_two_formats(motions: Iterable[Path]) -> tuple[set[Path], list[str]]:
     kept: dict[str, list[str]] = {".npz": [], ".bvh": []}
     copies = set()
     for group in groups.values():
+        for suffix in _GLTF:
+            if suffix in group and len(group) > 1:
+                copies.add(group.pop(suffix))
         if not group.keys() >= kept.keys():
             continue
         suffix, other = ".bvh", ".npz"
@@ -180,4 +197,6 @@ def one_of_two_formats(motions: Iterable[Path]) -> tuple[set[Path], list[str]]:
         )
         if kept[suffix]
     ]
+    if others := sorted(str(path) for path in copies if path.suffix.lower() in _GLTF):
+        lines.append(f"not read, for another file of the same name: {listed(others, _SHOWN)}")
     return copies, lines

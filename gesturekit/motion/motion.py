@@ -327,7 +327,7 @@ class Motion:
     def load(
         cls, path: str | os.PathLike[str], *, height: float | None = None, **options: Any
     ) -> Motion:
-        """Read a .bvh or .npz file, or an EasyMocap folder.
+        """Read a .bvh, .npz, .glb, .gltf, .vrma or .fbx file, or an EasyMocap folder.
 
         Args:
             path: the file or folder.
@@ -345,7 +345,7 @@ class Motion:
 
     @gesturekit_errors()
     def save(self, path: str | os.PathLike[str], **options: Any) -> None:
-        """Write a .bvh, .npz, .obj, .html, .mp4, .png, .svg or .pdf file.
+        """Write a .bvh, .npz, .glb, .vrma, .fbx, .obj, .html, .mp4, .png, .svg or .pdf file.
 
         Args:
             path: the file; its suffix selects the format.

@@ -228,6 +228,20 @@ class Skeleton:
             raise MotionError(f"the skeleton cannot be read: {error}") from None
 
 
+def unique_names(names: Sequence[str]) -> list[str]:
+    """Return names with a number added to repeated ones: "arm", "arm_2"."""
+    taken, times, unique = set(names), dict.fromkeys(names, 0), []
+    for name in names:
+        times[name] += 1
+        new = name
+        if times[name] > 1:
+            while (new := f"{name}_{times[name]}") in taken:
+                times[name] += 1
+            taken.add(new)
+        unique.append(new)
+    return unique
+
+
 def _check_tree(names: Sequence[str], parents: Sequence[int]) -> None:
     """Raise MotionError unless names and parents are those of one tree, parents first."""
     if not names:

@@ -58,7 +58,7 @@ def render(
         options: fields of `gesturekit.rendering.renderer.Output` (formats, existing, rig, unit, up)
             and of `gesturekit.jobs.run.Execution` (workers, shard, deadline ...), and
             arguments of the model's `generate` (seed, samples, style, foot_lock, smooth ...).
-            `formats` are of bvh, npz, html, mp4 and png: `("bvh", "html")` or `"bvh,html"`.
+            `formats` are of bvh, npz, glb, html, mp4 and png: `("bvh", "html")` or `"bvh,html"`.
 
     Raises:
         ModelError: no such model, or a control, style or level that it does not have.

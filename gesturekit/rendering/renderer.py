@@ -23,7 +23,7 @@ from gesturekit.rendering.inputs import item_of, task_wave, task_words
 from gesturekit.viewer.video.writer import require_encoder
 
 log = logging.getLogger(__name__)
-RENDERED = ("bvh", "npz", "html", "mp4", "png")
+RENDERED = ("bvh", "npz", "glb", "html", "mp4", "png")
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Output:
     """Settings of the files that are written.
 
     Attributes:
-        formats: of bvh, npz, html (a player with sound), mp4 (a video with sound), png (a
+        formats: of bvh, npz, glb, html (a player with sound), mp4 (a video with sound), png (a
             picture); `"bvh,html"` or `(".BVH", "html")` mean the same as `("bvh", "html")`.
         existing: treatment of existing files that were made with another model, settings or
             input: refuse, skip or replace. Files made with the same ones are kept.

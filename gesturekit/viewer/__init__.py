@@ -8,8 +8,11 @@ __all__, __getattr__, __dir__ = attach(
         "display": "html",
         "player_data": "html",
         "player_shell": "html",
+        "write_fbx": "scenes",
+        "write_glb": "scenes",
         "write_html": "html",
         "write_picture": "pictures",
         "write_video": "video.writer",
+        "write_vrma": "scenes",
     },
 )

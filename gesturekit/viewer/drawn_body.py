@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from gesturekit.errors import FormatError, GestureKitError
+from gesturekit.formats.gltf.skin import Skin
 from gesturekit.formats.smpl.skeleton import fit_body
 from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.viewer.avatars import load_avatar
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human.body import Human
-from gesturekit.viewer.skin import Skin
-from gesturekit.viewer.vrm import load_avatar
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -77,7 +77,7 @@ class DrawnBody:
             skin = Skin.of(model, motion.skeleton.body_shape.betas)
             return cls(motion, Figure.of(motion), (skin,))
         if body not in (None, "mannequin", "skeleton"):
-            avatar = None if body == "human" else load_avatar(body)
+            avatar = None if body == "human" else load_avatar(body)[0]
             try:
                 human = avatar or Human.load()
                 moved, scale = human.retargeted(motion)

@@ -15,10 +15,10 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from audio_features import LogMel, Onset, Wave
+from gesturekit.formats.gltf.skin import Skin, steady_turns
 from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.human.body import TOPS, palette_of
-from gesturekit.viewer.skin import Skin, steady_turns
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion

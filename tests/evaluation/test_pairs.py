@@ -80,7 +80,7 @@ def test_wrong_folders_are_errors_that_name_what_was_found(touch, tmp_path):
         find_pairs(made, recordings)
     with pytest.raises(CorpusError, match=r"none of its sounds \(z\) has the name"):
         find_pairs(touch("again", "b.npz"), recordings, audio=touch("wav", "z.wav"))
-    with pytest.raises(CorpusError, match=r"no motion files \(\.npz, \.bvh\)"):
+    with pytest.raises(CorpusError, match=r"no motion files \(\.npz, \.bvh, \.glb"):
         find_pairs(touch("sounds", "a.wav"), recordings)
     with pytest.raises(CorpusError, match="no such file or folder"):
         find_pairs(tmp_path / "absent", recordings)

@@ -121,7 +121,7 @@ def test_three_js_loads_it_without_a_word(gesture, tmp_path):
         ["node", script, THREE, tmp_path / "a.bvh"], capture_output=True, text=True, check=True
     )
     assert (done.stdout, done.stderr) == ("", "")
-    found = json.loads((tmp_path / "a.three.json").read_text())
+    found = json.loads((tmp_path / "a.bvh.three.json").read_text())
     assert found["fps"] == pytest.approx(23.976, rel=1e-6)
     again = read_bvh(tmp_path / "a.bvh")
     np.testing.assert_allclose(np.array(found["frames"]) / 100, again.positions(), atol=1e-5)

@@ -120,6 +120,8 @@ def avatar_json(version: int) -> tuple[dict[str, Any], bytes]:
             for k, (array, component, kind) in enumerate(arrays)
         ],
     }
+    ends = {"min": vertices.min(axis=0), "max": vertices.max(axis=0)}
+    found["accessors"][0] |= {k: v.astype("f4").astype(float).tolist() for k, v in ends.items()}
     return found, b"".join(parts)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import soundfile
 import torch
 from avatars import avatar
+from gltf_files import GltfFile, arm
 from safetensors.numpy import save
 
 import audio_features as af
@@ -237,6 +238,24 @@ def plan_of_motions(folder: Path) -> list[bytes]:
 
 def avatars(folder: Path) -> list[bytes]:
     return [avatar(version) for version in (0, 1)]
+
+
+def splines() -> GltfFile:
+    """Curves of all kinds, and an array of zeros with a value elsewhere."""
+    file = arm("CUBICSPLINE").animate([(1, "scale", [0, 1], [(1, 1, 1), (2, 2, 2)])], "STEP")
+    zeros = file.array(np.zeros((3, 3)))
+    places = {"bufferView": file.view(np.array([1], "<u2").tobytes()), "componentType": 5123}
+    values = {"bufferView": file.view(np.ones(3, "<f4").tobytes())}
+    file.json["accessors"][zeros]["sparse"] = {"count": 1, "indices": places, "values": values}
+    return file.animate([(1, "translation", [0, 1, 2], zeros)])
+
+
+def animated(folder: Path) -> list[bytes]:
+    files = [splines().glb()]
+    for motion in base_motions()[:3]:
+        motion.save(folder / "base.glb")
+        files.append((folder / "base.glb").read_bytes())
+    return files
 
 
 def lists(folder: Path) -> list[bytes]:

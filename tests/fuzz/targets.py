@@ -23,6 +23,7 @@ from audio_features import words as word_lists
 from audio_features.weight_files import read_file, read_json
 from gesturekit.corpus import Manifest
 from gesturekit.diffusion.config import DiffusionConfig
+from gesturekit.formats.gltf.vrm import read_avatar
 from gesturekit.formats.smpl.easymocap import read_easymocap
 from gesturekit.formats.tables.events import load_events
 from gesturekit.formats.tables.root_path import load_root_path
@@ -40,7 +41,6 @@ from gesturekit.rendering.inputs import item_of, read_list
 from gesturekit.systems import model_folder
 from gesturekit.training.config import load_config
 from gesturekit.training.run.checkpoint import Checkpoints
-from gesturekit.viewer.vrm import read_avatar
 
 Seeds = Callable[[Path], list[bytes]]
 
@@ -188,6 +188,13 @@ def avatar_parts() -> tuple[bytes, bytes]:
     return json.dumps(found).encode(), data
 
 
+@cache
+def animated_parts() -> tuple[bytes, bytes]:
+    """JSON and arrays of a skeleton with curves of all kinds."""
+    file = seeds.splines()
+    return json.dumps(file.json | {"buffers": [{"byteLength": len(file.data)}]}).encode(), file.data
+
+
 def words(name: str, suffix: str, seeds_: Seeds, how: tuple[Any, ...] = mutators.TEXT) -> Target:
     return Target(
         f"words_{name}", f"a{suffix}", seeds_, lambda _, file: word_lists.load_words(file), how
@@ -253,6 +260,16 @@ TARGETS = {
         Target(
             *("body_model", "a.npz", seeds.body_model),
             *(lambda _, file: BodyModel.load(file), mutators.NPZ),
+        ),
+        Target("gltf", "a.glb", seeds.animated, motion, mutators.ANY, says="PATH: "),
+        Target(
+            *("gltf_json", "a.glb", lambda _: [animated_parts()[0]], motion, mutators.JSON),
+            says="PATH: ",
+            wrap=lambda text: avatars.glb(text, animated_parts()[1]),
+        ),
+        Target(
+            *("gltf_text", "a.gltf", lambda _: [seeds.splines().gltf()], motion, mutators.JSON),
+            says="PATH: ",
         ),
         Target("avatar", "a.vrm", seeds.avatars, lambda _, f: read_avatar(f), mutators.ANY),
         Target(

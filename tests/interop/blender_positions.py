@@ -1,6 +1,6 @@
-"""Where Blender puts the joints of BVH files; run by the Python that has `bpy`.
+"""Where Blender puts the joints of BVH, glTF and FBX files; run by the Python that has `bpy`.
 
-python blender_positions.py FILE.bvh ...    writes FILE.blender.json beside each
+python blender_positions.py FILE ...    writes FILE.blender.json beside each
 """
 
 from __future__ import annotations
@@ -13,30 +13,45 @@ from pathlib import Path
 import bpy
 
 
-def positions(path: Path) -> dict[str, object]:
-    """Rate, frames and joints, in the BVH file's own axes and unit."""
+def load(path: Path) -> range:
+    """Import a file; return its frames."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.context.scene.frame_end = 1  # a longer scene would keep its length
-    bpy.ops.import_anim.bvh(
-        filepath=str(path),
-        axis_forward="-Z",
-        axis_up="Y",
-        rotate_mode="NATIVE",
-        update_scene_fps=True,
-        update_scene_duration=True,
-    )
-    scene, armature = bpy.context.scene, bpy.context.object
+    scene = bpy.context.scene
+    if path.suffix == ".bvh":
+        scene.frame_end = 1  # a longer scene would keep its length
+        bpy.ops.import_anim.bvh(
+            filepath=str(path),
+            axis_forward="-Z",
+            axis_up="Y",
+            rotate_mode="NATIVE",
+            update_scene_fps=True,
+            update_scene_duration=True,
+        )
+        return range(1, scene.frame_end)  # it makes room for one more than there are
+    if path.suffix == ".fbx":
+        bpy.ops.import_scene.fbx(filepath=str(path))
+    else:
+        scene.render.fps = 30  # of the files of interop.py; the format has none
+        bpy.ops.import_scene.gltf(filepath=str(path), bone_heuristic="TEMPERANCE")
+    ranges = [action.frame_range for action in bpy.data.actions]
+    return range(round(min(r[0] for r in ranges)), round(max(r[1] for r in ranges)) + 1)
+
+
+def positions(path: Path) -> dict[str, object]:
+    """Rate, frames and joints, in the file's axes: Blender's world is (x, -z, y) of them."""
+    numbers = load(path)
+    scene = bpy.context.scene
+    armature = next(thing for thing in scene.objects if thing.type == "ARMATURE")
     frames = []
-    for frame in range(1, scene.frame_end):  # it makes room for one more than there are
+    for frame in numbers:
         scene.frame_set(frame)
         heads = [armature.matrix_world @ bone.head for bone in armature.pose.bones]
-        frames.append([[x, z, -y] for x, y, z in heads])  # Blender's world is the file's (x, -z, y)
+        frames.append([[x, z, -y] for x, y, z in heads])
     names = [bone.name for bone in armature.pose.bones]
     return {"fps": scene.render.fps / scene.render.fps_base, "names": names, "frames": frames}
 
 
 for name in sys.argv[1:]:
-    path = Path(name)
-    path.with_suffix(".blender.json").write_text(json.dumps(positions(path)))
+    Path(name + ".blender.json").write_text(json.dumps(positions(Path(name))))
 sys.stdout.flush()
 os._exit(0)  # bpy 4.2 crashes while Python clears up

@@ -1,11 +1,13 @@
 """Files we wrote, opened in Blender and three.js: do the joints stand where we put them?
 
-    make interop
+    make interop                           # and FILES="a.glb b.gltf" for files of others
 
 makes an environment for Blender's module `bpy` (1.6 GB, some minutes the first time) and runs
-this. BVH files go through the importers of both; BVH and npz with their sound go through our
-add-on, onto a new armature and onto one with other bone axes, scale and place. Exits 1 where a
-joint is more than 0.01 cm away, the frame rate is another, or the sound is not in its place.
+this. BVH, glb and FBX files go through the importers of Blender and three.js and through our own
+readers, glb files through Khronos' validator too; BVH and npz with their sound go through our
+add-on, onto a new armature and onto one with other bone axes, scale and place. FILES are compared
+between our reader and three.js. Exits 1 where a joint is more than 0.1 mm away, the frame rate is
+another, the sound is not in its place, or the validator finds an error.
 """
 
 from __future__ import annotations
@@ -24,8 +26,11 @@ import soundfile
 from scipy.spatial.transform import Rotation
 
 import gesturekit as gk
+from gesturekit.formats.gltf.file import Gltf
+from gesturekit.formats.gltf.vrm import read_avatar
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.skeleton import ROTATION_ORDERS
+from gesturekit.viewer.drawn_body import DrawnBody
 
 ROOT = Path(__file__).resolve().parents[2]
 PLAYER = ROOT / "gesturekit" / "viewer" / "player"
@@ -37,7 +42,8 @@ RECORDINGS = (
     "motion/bandai/dataset-2_wave-both-hands_normal_001.bvh",
 )
 N_FRAMES = 110
-TOLERANCE = 0.01  # cm
+TOLERANCE = 0.1  # mm
+VALIDATOR = "gltf-validator@2.0.0-dev.3.10"
 
 
 def motions() -> Iterator[tuple[str, Motion]]:
@@ -66,36 +72,137 @@ def odd_motion() -> Motion:
     return Motion(skeleton, turns, places[0] + [0, 1, 0], 30000 / 1001, moving)
 
 
-def main(bpy_python: str) -> None:
+def main(bpy_python: str, others: list[Path]) -> None:
+    sys.path.append(str(ROOT / "tests" / "fuzz"))
+    from avatars import avatar
+
+    os.environ["GESTUREKIT_BLENDER"] = bpy_python
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        written: dict[Path, Motion] = {}
+        takes, written = {}, {}
         for stem, motion in motions():
-            path = folder / f"{stem}.bvh"
-            written[path] = replace(motion[:N_FRAMES], info={})
-            written[path].save(path)
-        files = [str(path) for path in written]
-        here = Path(__file__).parent
-        bad = through_addon(bpy_python, here, written)
-        run(bpy_python, here / "blender_positions.py", *files)
-        run(node(), here / "three_positions.mjs", PLAYER / "node_modules" / "three", *files)
-        for path, motion in written.items():
-            for tool in ("blender", "three"):
-                found = json.loads(path.with_suffix(f".{tool}.json").read_text())
-                names = Motion.load(path).skeleton.names
-                if "names" in found:  # Blender has an order and blanks of its own
-                    known = {name.replace(" ", "_"): name for name in names}
-                    names = [known[name] for name in found["names"]]
-                apart = worst(motion, names, found["frames"])
-                same_rate = abs(found["fps"] / motion.fps - 1) < 1e-6
-                bad |= apart > TOLERANCE or not same_rate
-                print(
-                    f"{path.stem:24} {tool:8} {motion.skeleton.n_joints:3} joints "
-                    f"{motion.n_frames:3} frames: {apart:.1e} cm apart at most, "
-                    f"{found['fps']:.6f} fps (ours {motion.fps:.6f})"
-                )
+            motion = replace(motion[:N_FRAMES], info={})
+            takes[folder / f"{stem}.bvh"] = motion
+            for suffix in ("bvh", "npz", "glb", "fbx"):
+                # Blender's importers of these take fractional rates for others.
+                rounded = replace(motion, fps=30) if suffix in ("glb", "fbx") else motion
+                written[folder / f"{stem}.{suffix}"] = rounded, {}
+        (folder / "me.vrm").write_bytes(avatar(0))
+        motion = next(iter(takes.values()))
+        for body in ("human", str(folder / "me.vrm")):
+            path = folder / f"on_{Path(body).stem}.glb"
+            written[path] = with_names(DrawnBody.of(motion, body).motion, body), {"body": body}
+            motion.save(path, body=body)
+        for path, (motion, options) in written.items():
+            if not options:
+                motion.save(path)
+        bad = through_addon(bpy_python, Path(__file__).parent, takes)
+        bad |= not valid(
+            Path(bpy_python).parents[1], [path for path in written if path.suffix == ".glb"]
+        )
+        bad |= table(bpy_python, {path: motion for path, (motion, _) in written.items()})
+    bad |= between_three_and_us(others)
     if bad:
-        sys.exit("Some joints are over 0.01 cm away, or frame rates differ.")
+        sys.exit("Some joints are over 0.1 mm away, frame rates differ, or a file is not valid.")
+
+
+def with_names(motion: Motion, body: str) -> Motion:
+    """The motion with the names that the joints of an avatar have in its file."""
+    if body == "human":
+        return motion
+    found, _ = read_avatar(body)
+    names = [found.gltf.json["nodes"][node]["name"] for node in found.nodes]
+    rig = Skeleton(names, motion.skeleton.parents, motion.skeleton.offsets)
+    return replace(motion, skeleton=rig)
+
+
+def table(bpy_python: str, written: dict[Path, Motion]) -> bool:
+    """Print the largest error of each file in each program; return whether any is too large."""
+    here, bad = Path(__file__).parent, False
+    read = {path: motion for path, motion in written.items() if path.suffix != ".npz"}
+    run(bpy_python, here / "blender_positions.py", *read)
+    in_three = [path for path in read if path.suffix != ".fbx"]
+    for path in in_three:
+        times(path, written[path].times)
+    run(node(), here / "three_positions.mjs", PLAYER / "node_modules" / "three", *in_three)
+    print(
+        "| file | reader | joints | frames | largest error, mm | fps |\n|---|---|---|---|---|---|"
+    )
+    for path, motion in written.items():
+        rows = [("gesturekit", *ours(path))]
+        for tool in ("blender", "three"):
+            if (said := path.with_name(f"{path.name}.{tool}.json")).exists():
+                rows.append((tool, *theirs(path, tool, said)))
+        for tool, names, frames, fps in rows:
+            apart = worst(motion, path, names, frames)
+            bad |= apart > TOLERANCE or not (fps is None or abs(fps / motion.fps - 1) < 1e-6)
+            rate = "" if fps is None else f"{fps:.6g}"
+            size = f"{motion.skeleton.n_joints} | {motion.n_frames}"
+            print(f"| {path.name} | {tool} | {size} | {apart:.1e} | {rate} |")
+    return bad
+
+
+def ours(path: Path) -> tuple[list[str], np.ndarray, float]:
+    """Names, positions in metres and rate, by our own reader."""
+    motion = Motion.load(path)
+    return list(motion.skeleton.names), motion.positions(), motion.fps
+
+
+def theirs(path: Path, tool: str, said: Path) -> tuple[list[str], np.ndarray, float | None]:
+    """Names, positions in metres and rate, by another program."""
+    found = json.loads(said.read_text())
+    frames = np.array(found["frames"], float) * (0.01 if path.suffix == ".bvh" else 1)
+    names = found.get("names") or list(Motion.load(path).skeleton.names)
+    return names, frames, found.get("fps")
+
+
+def times(path: Path, seconds: np.ndarray, animation: int = 0) -> None:
+    """Write what three_positions.mjs is to read of a glTF file."""
+    asked = {"animation": animation, "times": seconds.tolist()}
+    path.with_name(path.name + ".times.json").write_text(json.dumps(asked))
+
+
+def valid(folder: Path, files: list[Path]) -> bool:
+    """Print what Khronos' validator says of glTF files; return whether it finds no error."""
+    validator = folder / "node_modules" / "gltf-validator"
+    if not validator.exists():
+        run(*find_node()[1], "install", "--prefix", folder, "--no-audit", "--no-fund", VALIDATOR)
+    done = run(node(), Path(__file__).parent / "validate.mjs", validator, *files)
+    found = [json.loads(line) for line in done.splitlines()]
+    for one in found:
+        print(
+            f"{Path(one['file']).name:24} validator: {one['errors']} errors, "
+            f"{one['warnings']} warnings {', '.join(one['said'][:3])}"
+        )
+    return not any(one["errors"] for one in found)
+
+
+def between_three_and_us(files: list[Path]) -> bool:
+    """Print the largest distance between our joints and those of three.js; return if too large."""
+    motions, bad = {path: Motion.load(path) for path in files}, False
+    for path, motion in motions.items():
+        named = [one.get("name", "") for one in Gltf(path).json.get("animations", [])]
+        start, called = motion.info["start"], motion.info["animation"]
+        times(path, start + motion.times, named.index(called) if called in named else 0)
+    script = Path(__file__).parent / "three_positions.mjs"
+    run(node(), script, PLAYER / "node_modules" / "three", *files)
+    for path, motion in motions.items():
+        said = path.with_name(path.name + ".three.json")
+        found = json.loads(said.read_text())
+        for made in (said, path.with_name(path.name + ".times.json")):
+            made.unlink()
+        frames, apart = np.array(found["frames"], float), 0.0
+        for place, name in zip(np.moveaxis(motion.positions(), 1, 0), motion.skeleton.names):
+            # Several nodes may have a name.
+            called = motion.info["renamed"].get(name, name)
+            alike = [k for k, other in enumerate(found["names"]) if other == called]
+            apart = max(
+                apart, min(np.linalg.norm(frames[:, k] - place, axis=1).max() for k in alike)
+            )
+        size = f"{motion.skeleton.n_joints} | {motion.n_frames}"
+        print(f"| {path.name} | three | {size} | {1000 * apart:.1e} | {motion.fps:.6g} |")
+        bad |= 1000 * apart > TOLERANCE
+    return bad
 
 
 def through_addon(bpy_python: str, here: Path, written: dict[Path, Motion]) -> bool:
@@ -116,50 +223,60 @@ def through_addon(bpy_python: str, here: Path, written: dict[Path, Motion]) -> b
         for kind in ("addon", "rig"):
             found = json.loads(path.with_name(f"{path.name}.{kind}.json").read_text())
             names = [known[name.replace(" ", "_")] for name in found["names"]]
-            apart = worst(motion, names, 100 * np.array(found["frames"]))
+            apart = worst(motion, path, names, np.array(found["frames"]))
             wav = [path.with_suffix(".wav").name, 1.0]
             silent = found["sound"] is None
             same_rate = abs(found["fps"] / motion.fps - 1) < 1e-6
             bad |= apart > TOLERANCE or not same_rate or not (silent or [wav] == found["sound"])
             sound = "not tested, Blender's module has none" if silent else found["sound"]
             print(
-                f"{path.name:24} {kind:8} {apart:.1e} cm apart at most, "
+                f"{path.name:24} {kind:8} {apart:.1e} mm apart at most, "
                 f"{found['fps']:.6f} fps, sound {sound}"
             )
     return bad
 
 
-def worst(motion: Motion, names: list[str], frames: object) -> float:
-    """The largest distance between our joints and theirs, cm."""
-    theirs = np.array(frames)
-    ours = 100 * motion.positions()[:, [motion.skeleton.index(name) for name in names]]
-    if ours.shape != theirs.shape:
-        sys.exit(f"frames, joints and axes are {theirs.shape} instead of {ours.shape}")
-    return float(np.linalg.norm(theirs - ours, axis=-1).max())
+def worst(motion: Motion, path: Path, names: list[str], frames: np.ndarray) -> float:
+    """The largest distance between our joints and theirs, mm; all of our joints must be there."""
+    found = {plain(name): k for k, name in enumerate(names)}
+    chosen = [found[plain(name)] for name in motion.skeleton.names]
+    positions = motion.positions()
+    if frames[:, chosen].shape != positions.shape:
+        sys.exit(f"{path}: frames, joints and axes are {frames.shape}, not {positions.shape}")
+    return 1000 * float(np.linalg.norm(frames[:, chosen] - positions, axis=-1).max())
+
+
+def plain(name: str) -> str:
+    """A joint's name without what Blender changes."""
+    return name.replace(" ", "_")
+
+
+def find_node() -> tuple[str, list[str]]:
+    """Node.js, and the command of its npm."""
+    sys.path.insert(0, str(PLAYER))
+    import bundle
+
+    return bundle.find_node() or sys.exit(f"No Node.js {bundle.OLDEST_NODE} or newer found.")
 
 
 def node() -> str:
     """Node.js, with three.js in the player's folder."""
-    sys.path.insert(0, str(PLAYER))
-    import bundle
-
-    found = bundle.find_node()
-    if found is None:
-        sys.exit(f"No Node.js {bundle.OLDEST_NODE} or newer found.")
+    found, npm = find_node()
     if not (PLAYER / "node_modules" / "three").exists():
-        run(*found[1], "ci", "--ignore-scripts", "--no-audit", "--no-fund", cwd=PLAYER)
-    return found[0]
+        run(*npm, "ci", "--ignore-scripts", "--no-audit", "--no-fund", cwd=PLAYER)
+    return found
 
 
-def run(*command: object, cwd: Path | None = None) -> None:
+def run(*command: object, cwd: Path | None = None) -> str:
     done = subprocess.run(
         [str(word) for word in command], cwd=cwd, capture_output=True, text=True, check=False
     )
     if done.returncode:
         sys.exit(f"{command[0]} {command[1]} failed:\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
+    return done.stdout
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        sys.exit("usage: interop.py PYTHON-THAT-HAS-BPY   (or: make interop)")
-    main(sys.argv[1])
+    if len(sys.argv) < 2:
+        sys.exit("usage: interop.py PYTHON-THAT-HAS-BPY [FILE ...]   (or: make interop)")
+    main(sys.argv[1], [Path(name) for name in sys.argv[2:]])

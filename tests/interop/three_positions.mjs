@@ -1,17 +1,43 @@
-// Where three.js puts the joints of BVH files:
+// Where three.js puts the joints of BVH files and the nodes of glTF files:
 //
-//     node three_positions.mjs FOLDER-OF-THREE FILE.bvh ...    writes FILE.three.json beside each
+//     node three_positions.mjs FOLDER-OF-THREE FILE ...    writes FILE.three.json beside each
+//
+// Times and the animation of a glTF file are read from FILE.times.json.
 
 import { readFileSync, writeFileSync } from 'node:fs';
-import { join } from 'node:path';
+import { dirname, join } from 'node:path';
 import { pathToFileURL } from 'node:url';
 
 const [ three, ...files ] = process.argv.slice( 2 );
 const load = ( path ) => import( pathToFileURL( join( three, path ) ).href );
+globalThis.self = globalThis;
+globalThis.ProgressEvent ??= class extends Event {};
 const { AnimationMixer, LoopOnce, Vector3 } = await load( 'build/three.module.js' );
 const { BVHLoader } = await load( 'examples/jsm/loaders/BVHLoader.js' );
+const { GLTFLoader } = await load( 'examples/jsm/loaders/GLTFLoader.js' );
 
-for ( const file of files ) {
+function positions( root, clip, nodes, times ) {
+
+	const mixer = new AnimationMixer( root );
+	if ( clip ) {
+
+		const action = mixer.clipAction( clip ).setLoop( LoopOnce );
+		action.clampWhenFinished = true;
+		action.play();
+
+	}
+
+	return times.map( ( time ) => {
+
+		mixer.setTime( time );
+		root.updateMatrixWorld( true );
+		return nodes.map( ( node ) => node.getWorldPosition( new Vector3() ).toArray() );
+
+	} );
+
+}
+
+function ofBvh( file ) {
 
 	const { skeleton, clip } = new BVHLoader().parse( readFileSync( file, 'utf8' ) );
 	const joints = skeleton.bones.filter( ( bone ) => bone.name !== 'ENDSITE' );
@@ -23,20 +49,48 @@ for ( const file of files ) {
 
 	} );
 
-	const mixer = new AnimationMixer( skeleton.bones[ 0 ] );
-	const action = mixer.clipAction( clip ).setLoop( LoopOnce );
-	action.clampWhenFinished = true;
-	action.play();
-
-	const times = clip.tracks[ 0 ].times;
-	const frames = Array.from( times, ( time ) => {
-
-		mixer.setTime( time );
-		skeleton.bones[ 0 ].updateMatrixWorld( true );
-		return joints.map( ( bone ) => bone.getWorldPosition( new Vector3() ).toArray() );
-
-	} );
+	const times = Array.from( clip.tracks[ 0 ].times );
 	const fps = times.length > 1 ? ( times.length - 1 ) / times[ times.length - 1 ] : null;
-	writeFileSync( file.replace( /bvh$/, 'three.json' ), JSON.stringify( { fps, frames } ) );
+	return { fps, frames: positions( skeleton.bones[ 0 ], clip, joints, times ) };
+
+}
+
+// The JSON of a file with its arrays in it, without meshes and pictures, which Node.js cannot decode.
+function withoutMeshes( file ) {
+
+	const content = readFileSync( file );
+	const isBinary = content.toString( 'latin1', 0, 4 ) === 'glTF';
+	const end = isBinary ? 20 + content.readUInt32LE( 12 ) : content.length;
+	const found = JSON.parse( content.toString( 'utf8', isBinary ? 20 : 0, end ) );
+	const kept = [ 'asset', 'scene', 'scenes', 'nodes', 'animations', 'accessors', 'bufferViews', 'buffers' ];
+	const json = Object.fromEntries( kept.filter( ( key ) => key in found ).map( ( key ) => [ key, found[ key ] ] ) );
+	for ( const node of json.nodes ) for ( const key of [ 'mesh', 'skin', 'camera', 'extensions' ] ) delete node[ key ];
+	for ( const buffer of json.buffers ) {
+
+		if ( buffer.uri?.startsWith( 'data:' ) ) continue;
+		const data = buffer.uri ? readFileSync( join( dirname( file ), decodeURIComponent( buffer.uri ) ) ) : content.subarray( end + 8 );
+		buffer.uri = 'data:application/octet-stream;base64,' + data.toString( 'base64' );
+
+	}
+
+	return json;
+
+}
+
+async function ofGltf( file ) {
+
+	const { animation, times } = JSON.parse( readFileSync( file + '.times.json' ) );
+	const json = withoutMeshes( file );
+	const { scene, animations, parser } = await new GLTFLoader().parseAsync( JSON.stringify( json ), '' );
+	const nodes = await parser.getDependencies( 'node' );
+	const names = json.nodes.map( ( node ) => node.name ?? '' );
+	return { names, frames: positions( scene, animations[ animation ], nodes, times ) };
+
+}
+
+for ( const file of files ) {
+
+	const found = file.endsWith( '.bvh' ) ? ofBvh( file ) : await ofGltf( file );
+	writeFileSync( file + '.three.json', JSON.stringify( found ) );
 
 }

@@ -32,7 +32,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-COPIED = ("audio_features", "gesturekit", "tests", "recipes", "benchmarks", "docs")
+COPIED = ("audio_features", "gesturekit", "blender", "tests", "recipes", "benchmarks", "docs")
 COPIED_FILES = (
     "pyproject.toml",
     "Makefile",

@@ -13,13 +13,13 @@ from avatars import BONES, HAIR, avatar, avatar_json, packed
 from pages import bundled, opened
 
 from gesturekit.errors import FormatError
+from gesturekit.formats.gltf.materials import reduce_colours
+from gesturekit.formats.gltf.skin import Skin
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.viewer import write_picture, write_video
+from gesturekit.viewer.avatars import load_avatar, simplified
 from gesturekit.viewer.drawn_body import DrawnBody
-from gesturekit.viewer.glb import reduce_colours
-from gesturekit.viewer.skin import Skin
 from gesturekit.viewer.video.mesh import SkinnedBody
-from gesturekit.viewer.vrm import read_avatar, simplified
 
 LEFT_ARM = {"Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "HandIndex1": "IndexProximal"}
 
@@ -31,7 +31,7 @@ def vrm(tmp_path, request) -> Path:
 
 
 def test_both_versions_of_vrm_look_along_z_with_their_bones_and_colours(vrm):
-    human = read_avatar(vrm)
+    human = load_avatar(vrm)[0]
     rig, skin = human.skeleton, human.skins[0]
     for ours, theirs in LEFT_ARM.items():
         place = skin.rest[rig.index(f"Left{ours}")]
@@ -128,7 +128,7 @@ def changed(*path: Any, value: Any = None, drop: bool = False) -> Callable[[dict
 
 def test_faces_of_transparent_texture_are_left_out(tmp_path):
     masked = changed("materials", 0, "alphaMode", value="MASK")
-    skin = read_avatar(with_changes(tmp_path / "me.vrm", masked)).skins[0]
+    skin = load_avatar(with_changes(tmp_path / "me.vrm", masked))[0].skins[0]
     assert (np.linalg.norm(skin.vertices - HAIR, axis=1) > 0.06).all()
     np.testing.assert_array_equal(np.unique(skin.palette[skin.regions], axis=0), [[200, 30, 30]])
 
@@ -140,9 +140,9 @@ def test_a_texture_that_cannot_be_read_leaves_the_base_colour(tmp_path, change, 
     if change == "no picture":
         changes.append(changed("images", 0, "bufferView", value=0))
     else:
-        monkeypatch.setattr("gesturekit.viewer.glb._MOST_PIXELS", 0)
+        monkeypatch.setattr("gesturekit.formats.gltf.materials._MOST_PIXELS", 0)
     with pytest.warns(UserWarning, match="texture cannot be read"):
-        skin = read_avatar(with_changes(tmp_path / "me.vrm", *changes)).skins[0]
+        skin = load_avatar(with_changes(tmp_path / "me.vrm", *changes))[0].skins[0]
     np.testing.assert_array_equal(skin.palette, [[0, 0, 255]])
 
 
@@ -156,7 +156,10 @@ BAD = {
     "negative count": (changed("accessors", 0, "count", value=-1), "count of POSITION is -1"),
     "negative offset": (changed("bufferViews", 0, "byteOffset", value=-4), "byteOffset is -4"),
     "beyond the file": (changed("bufferViews", 0, "byteLength", value=1 << 40), "byteLength"),
-    "other file": (changed("buffers", 0, "uri", value="http://a.b/c.bin"), "another file"),
+    "other file": (
+        changed("buffers", 0, "uri", value="http://a.b/c.bin"),
+        "not a file in its folder",
+    ),
     "two parents": (changed("nodes", 3, "children", value=[1]), "two parents"),
     "cycle": (changed("nodes", 4, "children", value=[len(BONES) + 1]), "form no tree"),
     "not a number": (changed("nodes", 2, "translation", value=[0, float("nan"), 0]), "translation"),
@@ -179,7 +182,7 @@ BAD = {
 def test_bad_avatars_are_refused_by_name(tmp_path, case):
     change, message = BAD[case]
     with pytest.raises(FormatError, match=message) as error:
-        read_avatar(with_changes(tmp_path / "me.vrm", change))
+        load_avatar(with_changes(tmp_path / "me.vrm", change))
     assert str(error.value).startswith(f"{tmp_path / 'me.vrm'}: ")
 
 
@@ -187,7 +190,7 @@ def test_bad_avatars_are_refused_by_name(tmp_path, case):
 def test_files_that_are_cut_short_are_refused(tmp_path, n_bytes):
     (tmp_path / "me.vrm").write_bytes(avatar(0)[:n_bytes])
     with pytest.raises(FormatError, match=r"me\.vrm: (cut short|no binary glTF)"):
-        read_avatar(tmp_path / "me.vrm")
+        load_avatar(tmp_path / "me.vrm")
 
 
 def test_values_that_are_not_numbers_are_refused(tmp_path):
@@ -196,7 +199,7 @@ def test_values_that_are_not_numbers_are_refused(tmp_path):
     broken = data[:start] + np.float32(np.nan).tobytes() + data[start + 4 :]
     (tmp_path / "me.vrm").write_bytes(packed(found, broken))
     with pytest.raises(FormatError, match="POSITION holds numbers that are not finite"):
-        read_avatar(tmp_path / "me.vrm")
+        load_avatar(tmp_path / "me.vrm")
 
 
 def test_a_missing_avatar_is_named_on_the_command_line(tmp_path, gesture, gesturekit):

@@ -10,12 +10,12 @@ import pytest
 from pages import bundled, data_of, opened, unpacked
 from scipy.spatial.transform import Rotation
 
+from gesturekit.formats.gltf.skin import steady_turns
 from gesturekit.formats.smpl.skeleton import fit_body, smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.motion.body_shape import BodyShape
 from gesturekit.viewer import write_html
-from gesturekit.viewer.skin import steady_turns
 
 pytestmark = bundled
 

@@ -15,6 +15,7 @@ from gesturekit.formats.bvh.mark import marked_unit
 from gesturekit.formats.bvh.rows import LARGEST, Lines, parse_rows
 from gesturekit.formats.frame_rate import frame_rate
 from gesturekit.formats.signatures import kind_by_content
+from gesturekit.motion.skeleton import unique_names
 
 _MOST_JOINTS = 2000
 _LONGEST_NAME = 200
@@ -215,18 +216,9 @@ def _fold_ends(blocks: list[ParsedJoint]) -> list[ParsedJoint]:
 def _name_apart(joints: list[ParsedJoint]) -> tuple[list[ParsedJoint], dict[str, str]]:
     """Return the joints with unique names, and new name to name in the file."""
     renamed: dict[str, str] = {}
-    taken = {joint.name for joint in joints}
-    times: dict[str, int] = {}
-    for joint in joints:
-        name = joint.name
-        n = times[name] = times.get(name, 0) + 1
-        if n > 1:
-            while f"{name}_{n}" in taken:
-                n += 1
-            times[name] = n
-            joint.name = f"{name}_{n}"
-            taken.add(joint.name)
-            renamed[joint.name] = name
+    for joint, name in zip(joints, unique_names([joint.name for joint in joints])):
+        if name != joint.name:
+            renamed[name], joint.name = joint.name, name
     return joints, renamed
 
 

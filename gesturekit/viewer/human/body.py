@@ -10,6 +10,7 @@ import numpy as np
 
 from audio_features.archive import Archive, open_archive
 from gesturekit.errors import FormatError
+from gesturekit.formats.gltf.skin import Skin
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.retarget import retarget
@@ -19,7 +20,6 @@ from gesturekit.motion.rotations import (
     multiply_quaternions,
     shortest_arc,
 )
-from gesturekit.viewer.skin import Skin
 
 FILE = Path(__file__).with_name("human.npz")
 COLOURS = {
@@ -79,15 +79,39 @@ class Human:
         Raises:
             MotionError: body parts of the motion's rig cannot be found.
         """
-        plain = _without_twists(self.skeleton)
-        scale = body_height(motion.skeleton) / body_height(plain)
-        moved = retarget(motion, _scaled(plain, scale), pose=_t_pose(plain))
+        moved, plain, scale = self._put(motion)
         rig, n_plain = _scaled(self.skeleton, scale), plain.n_joints
         rotations = np.tile(IDENTITY, (motion.n_frames, rig.n_joints, 1))
         rotations[:, :n_plain] = moved.rotations
         for joint in range(n_plain, rig.n_joints):
             _share_twist(rig, joint, rotations)
         return replace(moved, skeleton=rig, rotations=rotations), scale
+
+    def in_t_pose(self, motion: Motion) -> Motion:
+        """Return a motion on this body without twist joints, whose rest pose is a T-pose.
+
+        Raises:
+            MotionError: body parts of the motion's rig cannot be found.
+        """
+        moved, plain, scale = self._put(motion)
+        pose = _t_pose(plain)[None]
+        standing = Motion(_scaled(plain, scale), pose, moved.skeleton.offsets[:1], moved.fps)
+        places = standing.positions()[0]
+        offsets = places - places[np.maximum(plain.parents, 0)]
+        offsets[0] = places[0]
+        back = invert_quaternions(standing.global_rotations())
+        turns = multiply_quaternions(moved.global_rotations(), back)
+        local = turns.copy()
+        above = list(plain.parents[1:])
+        local[:, 1:] = multiply_quaternions(invert_quaternions(turns[:, above]), turns[:, 1:])
+        rig = Skeleton(plain.names, plain.parents, offsets)
+        return Motion(rig, local, moved.translation, moved.fps)
+
+    def _put(self, motion: Motion) -> tuple[Motion, Skeleton, float]:
+        """Return a motion on this body without twist joints, that body's rig, and the scale."""
+        plain = _without_twists(self.skeleton)
+        scale = body_height(motion.skeleton) / body_height(plain)
+        return retarget(motion, _scaled(plain, scale), pose=_t_pose(plain)), plain, scale
 
 
 def _without_twists(rig: Skeleton) -> Skeleton:

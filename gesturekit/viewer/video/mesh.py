@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gesturekit.formats.gltf.skin import INFLUENCES, Skin, steady_turns
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure, Head, Limb
 from gesturekit.viewer.human.body import palette_of
-from gesturekit.viewer.skin import INFLUENCES, Skin, steady_turns
 
 COLOURS = {MIDDLE: (233, 228, 218), LEFT: (232, 138, 98), RIGHT: (93, 151, 191)}
 """Colours of the sides of the body, RGB, as in the page."""

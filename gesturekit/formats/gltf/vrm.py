@@ -1,4 +1,4 @@
-"""VRM avatars (0.x and 1.0): their mesh on a rig of our bone names.
+"""Avatars: VRM (0.x and 1.0), or with Mixamo's names; their mesh on a rig of our bone names.
 
 Hair, skirts and other bones without a counterpart move with the nearest bone above that has one;
 expressions are left out.
@@ -7,25 +7,23 @@ expressions are left out.
 from __future__ import annotations
 
 import os
-from dataclasses import replace
-from functools import lru_cache
-from pathlib import Path
+import re
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from gesturekit.errors import GestureKitError
+from gesturekit.formats.gltf.file import Gltf
+from gesturekit.formats.gltf.materials import Colours, is_seen, reduce_colours
+from gesturekit.formats.gltf.nodes import Nodes
+from gesturekit.formats.gltf.skin import INFLUENCES, Skin, whole_weights
 from gesturekit.motion import Skeleton
 from gesturekit.motion.parts.body_size import body_height
-from gesturekit.viewer.glb import Colours, Glb, is_seen, reduce_colours
-from gesturekit.viewer.human.body import Human
-from gesturekit.viewer.skin import INFLUENCES, Skin, whole_weights
 
 _MAX_FACES = 600_000
 _MAX_PARTS = 4096
 """Largest number of pieces of mesh."""
-_FINEST, _COARSE = 65_535, 5_000
-"""Most vertices of the mesh in pages and videos, and of the one for slow machines."""
 _TRIANGLES = 4
 _HEIGHTS = (0.05, 100.0)
 """Plausible body heights, metres."""
@@ -37,6 +35,7 @@ _LIMBS = {"Shoulder": "Shoulder", "UpperArm": "Arm", "LowerArm": "ForeArm", "Han
 _FINGERS = {"Thumb": "Thumb", "Index": "Index", "Middle": "Middle", "Ring": "Ring",
             "Little": "Pinky"}  # fmt: skip
 _SEGMENTS = ("Proximal", "Intermediate", "Distal")
+_PREFIX = re.compile(r"mixamorig\d*[:_]?|.*[:|]")
 _THUMB_1 = ("Metacarpal", "Proximal", "Distal")
 """Segments of the thumb in VRM 1.0; 0.x names them as it does those of the other fingers."""
 _NEEDED = ("hips", "spine", "head", *(
@@ -46,8 +45,9 @@ _NEEDED = ("hips", "spine", "head", *(
 ))  # fmt: skip
 
 
-def _our_names(thumb: tuple[str, ...]) -> dict[str, str]:
-    """Return {VRM bone: our bone}."""
+def our_names(is_new: bool) -> dict[str, str]:
+    """Return {VRM bone: our bone} of VRM 1.0, or of 0.x."""
+    thumb = _THUMB_1 if is_new else _SEGMENTS
     names = dict(_TRUNK)
     for side in ("left", "right"):
         names |= {f"{side}{bone}": f"{side.title()}{ours}" for bone, ours in _LIMBS.items()}
@@ -58,8 +58,27 @@ def _our_names(thumb: tuple[str, ...]) -> dict[str, str]:
     return names
 
 
-def load_avatar(path: str | os.PathLike[str]) -> Human:
-    """Read an avatar; the last ones are cached.
+@dataclass(frozen=True, eq=False)
+class Avatar:
+    """An avatar of a VRM file.
+
+    Attributes:
+        gltf: the file.
+        nodes: J nodes of the joints, in the rig's order.
+        skeleton: J joints with our names, in a pose in which the avatar looks along +Z.
+        height: metres.
+        is_backwards: whether the file looks along -Z, as in VRM 0.x.
+    """
+
+    gltf: Gltf
+    nodes: tuple[int, ...]
+    skeleton: Skeleton
+    height: float
+    is_backwards: bool
+
+
+def read_avatar(path: str | os.PathLike[str]) -> tuple[Avatar, Skin]:
+    """Read an avatar and its whole mesh.
 
     Warns:
         UserWarning: a texture that cannot be read.
@@ -67,63 +86,45 @@ def load_avatar(path: str | os.PathLike[str]) -> Human:
     Raises:
         FormatError: no VRM file, damaged, or without a bone that every VRM avatar has.
     """
-    path = Path(path)
-    try:
-        status = path.stat()
-        version = status.st_mtime_ns, status.st_size
-    except OSError:
-        version = 0, 0  # `Glb` says what is wrong
-    return _loaded(path.resolve(), version)
-
-
-@lru_cache(maxsize=2)
-def _loaded(path: Path, version: tuple[int, int]) -> Human:
-    return read_avatar(path)
-
-
-def read_avatar(path: str | os.PathLike[str]) -> Human:
-    """Read an avatar as `load_avatar` does, without a cache."""
-    glb = Glb(path)
-    bones, is_backwards = _bones(glb)
-    order, parents, world = glb.transforms()
+    gltf = Gltf(path)
+    bones, is_backwards = _bones(gltf)
+    nodes = Nodes(gltf)
+    world = nodes.matrices()
     if is_backwards:
         world = np.diag([-1.0, 1.0, -1.0, 1.0]) @ world
-    names = [bones[node] for node in order if node in bones]
-    at = {name: joint for joint, name in enumerate(names)}
-    owners = np.full(len(order), -1)
+    joints = [node for node in nodes.order if node in bones]
+    names = [bones[node] for node in joints]
+    at = {node: joint for joint, node in enumerate(joints)}
+    owners = np.full(len(nodes.order), -1)
     above = []
-    for node in order:
-        owner = owners[parents[node]] if parents[node] >= 0 else -1
+    for node in nodes.order:
+        parent = nodes.parents[node]
+        owner = owners[parent] if parent >= 0 else -1
         if node in bones:
             above.append(int(owner))
-            owner = at[bones[node]]
+            owner = at[node]
         owners[node] = owner
     if names[0] != "Hips" or above.count(-1) != 1:
-        raise glb.error("a bone of its humanoid is not below the hips")
+        raise gltf.error("a bone of its humanoid is not below the hips")
     owners[owners < 0] = 0  # what hangs on no bone moves with the hips
-    nodes = {bone: node for node, bone in bones.items()}
-    joints = np.array([world[nodes[name]][:3, 3] for name in names])
-    mesh = replace(_mesh(glb, world, owners), rest=joints)
+    rest = world[joints, :3, 3]
+    mesh = replace(_mesh(gltf, world, owners), rest=rest)
     try:
-        skeleton = _skeleton(names, above, joints, mesh)
+        skeleton = _skeleton(names, above, rest, mesh)
         height = body_height(skeleton)
     except GestureKitError as error:
-        raise glb.error(f"its bones form no body: {error}") from None
+        raise gltf.error(f"its bones form no body: {error}") from None
     if not _HEIGHTS[0] <= height <= _HEIGHTS[1]:
-        raise glb.error(f"its body is {height:g} metres tall")
-    finest = simplified(welded(mesh, height), _FINEST, height)
-    return Human(skeleton, (finest, simplified(finest, _COARSE, height)))
+        raise gltf.error(f"its body is {height:g} metres tall")
+    return Avatar(gltf, tuple(joints), skeleton, height, is_backwards), mesh
 
 
-def _bones(glb: Glb) -> tuple[dict[int, str], bool]:
+def _bones(glb: Gltf) -> tuple[dict[int, str], bool]:
     """Return {node: our bone}, and whether the avatar looks along -Z, as in VRM 0.x."""
     extensions = glb.object(glb.json, "extensions")
     is_new = "VRMC_vrm" in extensions
     if not is_new and "VRM" not in extensions:
-        raise glb.error(
-            "not a VRM avatar: it does not say which node is which bone. Export it as VRM (VRoid "
-            "Studio, UniVRM, the VRM add-on for Blender)"
-        )
+        return _bones_by_name(glb), False
     humanoid = glb.object(glb.object(extensions, "VRMC_vrm" if is_new else "VRM"), "humanoid")
     listed: list[tuple[Any, dict[str, Any]]]
     if is_new:
@@ -131,7 +132,7 @@ def _bones(glb: Glb) -> tuple[dict[int, str], bool]:
         listed = [(name, glb.object(entries, name)) for name in entries]
     else:
         listed = [(each.get("bone"), each) for each in glb.items("humanBones", humanoid)]
-    ours = _our_names(_THUMB_1 if is_new else _SEGMENTS)
+    ours = our_names(is_new)
     n_nodes = len(glb.items("nodes"))
     found: dict[str, int] = {}
     for name, entry in listed:
@@ -145,8 +146,24 @@ def _bones(glb: Glb) -> tuple[dict[int, str], bool]:
     return {node: ours[name] for name, node in found.items()}, not is_new
 
 
-def _mesh(glb: Glb, world: np.ndarray, owners: np.ndarray) -> Skin:
+def _bones_by_name(glb: Gltf) -> dict[int, str]:
+    """Return {node: our bone} of Mixamo's and Ready Player Me's rigs, which have our names."""
+    ours, found = our_names(True), {}
+    for node, entry in enumerate(glb.items("nodes")):
+        name = _PREFIX.sub("", str(entry.get("name", "")))
+        if name in ours.values():
+            found.setdefault(name, node)
+    if not found.keys() >= {ours[bone] for bone in _NEEDED}:
+        raise glb.error(
+            "not a VRM avatar, nor one with Mixamo's names of bones: it does not say which node is "
+            "which bone. Export it as VRM (VRoid Studio, UniVRM, the VRM add-on for Blender)"
+        )
+    return {node: name for name, node in found.items()}
+
+
+def _mesh(glb: Gltf, world: np.ndarray, owners: np.ndarray) -> Skin:
     """Return all meshes at rest in the world, on the joints of the rig; `rest` is still empty."""
+    glb.refuse_compressed_meshes()
     colours, parts, n_faces = Colours(glb), [], 0
     for node, entry in enumerate(glb.items("nodes")):
         if "mesh" not in entry:
@@ -186,7 +203,7 @@ class _Part:
         colours: (V, 3) RGB, 0 to 1.
     """
 
-    def __init__(self, glb: Glb, primitive: dict[str, Any], colours: Colours) -> None:
+    def __init__(self, glb: Gltf, primitive: dict[str, Any], colours: Colours) -> None:
         self._glb, self._attributes = glb, glb.object(primitive, "attributes")
         places = glb.array(self._attributes.get("POSITION"), "POSITION", 3)
         if places.dtype.kind != "f":
@@ -275,54 +292,3 @@ def _skeleton(names: list[str], parents: list[int], joints: np.ndarray, mesh: Sk
             end = np.array([0.0, skin[:, 1].max() - joints[joint, 1], 0.0])
         ends[name] = (end,)
     return Skeleton(tuple(names), tuple(parents), offsets, end_sites=ends)
-
-
-_FIRST, _GROWTH = 1 / 800, 1.25
-"""Size of the first grid's cells by the body's height, and by which each next one is larger."""
-_ROUNDS = 30
-_SAME = 1e-5
-"""Distance of vertices at one place, by the body's height."""
-
-
-def welded(skin: Skin, height: float) -> Skin:
-    """Return the mesh with vertices of one place and colour made one, so that no seam is seen."""
-    return _clustered(skin, _SAME * height, skin.regions[:, None])
-
-
-def simplified(skin: Skin, most: int, height: float) -> Skin:
-    """Return a mesh of at most `most` vertices, of a body of this height in metres.
-
-    Vertices of one cell of a grid that move with the same joint become one, so that fingers stay
-    apart. The last of the grids has one cell a joint at most.
-    """
-    if len(skin.vertices) <= most:
-        return skin
-    cell, found = _FIRST * height, skin
-    for _ in range(_ROUNDS):
-        found = _clustered(skin, cell, skin.joints[:, :1])
-        if len(found.vertices) <= most:
-            break
-        cell *= _GROWTH
-    return found
-
-
-def _clustered(skin: Skin, cell: float, apart: np.ndarray) -> Skin:
-    """Return the mesh with one vertex for those of a cell with the same numbers `apart` (V, N)."""
-    keys = np.floor(skin.vertices / cell).astype(np.int64)
-    keys = np.concatenate([keys, apart], axis=1)
-    _, first, groups = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    groups = groups.reshape(-1)
-    counts = np.bincount(groups)
-    vertices = np.stack(
-        [np.bincount(groups, skin.vertices[:, axis]) / counts for axis in range(3)], axis=1
-    )
-    faces = groups[skin.faces]
-    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    return replace(
-        skin,
-        vertices=vertices,
-        faces=faces[whole].astype(np.uint32),
-        joints=skin.joints[first],
-        weights=skin.weights[first],
-        regions=skin.regions[first],
-    )

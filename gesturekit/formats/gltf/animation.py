@@ -1,0 +1,234 @@
+"""Animations of a glTF file: curves of nodes, and the frame rate of their keys."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gesturekit.errors import FormatError
+from gesturekit.formats.frame_rate import COMMON_RATES
+from gesturekit.formats.gltf.file import Gltf
+from gesturekit.motion.resampling import checked_fps
+from gesturekit.motion.rotations import normalize_quaternions, slerp
+from gesturekit.wording import listed
+
+_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
+_SHOWN = 6
+_EARLY = 1e-4
+"""Seconds between a key and the time of its frame: rounding to float32."""
+_NEAR = 0.02
+"""Largest distance of a key from its frame, in frames."""
+_SLOWEST, _FASTEST = 20.0, 240.0
+"""Least and greatest frame rate of a motion whose keys are far apart, or lie anywhere."""
+_ALIKE = 5e-3
+"""Relative distance within which a common rate is likelier than the mean of the steps."""
+_NO_KEYS_RATE = 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Keys of one property of a node.
+
+    Attributes:
+        times: (K,) seconds, in order.
+        values: (K, D); for CUBICSPLINE (K, 3, D) with the tangents before and after each value.
+        interpolation: LINEAR, STEP or CUBICSPLINE.
+    """
+
+    times: np.ndarray
+    values: np.ndarray
+    interpolation: str
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """Return the values (T, D) at times (T,); before and after all keys those at the ends."""
+        last = len(self.times) - 1
+        left = np.clip(np.searchsorted(self.times, times + _EARLY, side="right") - 1, 0, last)
+        right = np.minimum(left + 1, last)
+        span = self.times[right] - self.times[left]
+        after = times - self.times[left]
+        after[np.abs(after) <= _EARLY] = 0.0  # at the key
+        share = np.clip(after / np.where(span > 0, span, 1.0), 0.0, 1.0)
+        is_rotation = self.values.shape[-1] == 4
+        if self.interpolation == "CUBICSPLINE":
+            u, dt = share[:, None], span[:, None]
+            (_, start, out), (into, end, _) = (
+                np.moveaxis(self.values[k], 1, 0) for k in (left, right)
+            )
+            found = (
+                (2 * u**3 - 3 * u**2 + 1) * start
+                + (u**3 - 2 * u**2 + u) * dt * out
+                + (3 * u**2 - 2 * u**3) * end
+                + (u**3 - u**2) * dt * into
+            )
+            return normalize_quaternions(found) if is_rotation else found
+        start, end = self.values[left], self.values[right]
+        if self.interpolation == "STEP":
+            return start
+        if is_rotation:
+            return slerp(start, end, share)
+        return start + share[:, None] * (end - start)
+
+
+@dataclass(frozen=True, eq=False)
+class Animation:
+    """An animation of a file.
+
+    Attributes:
+        name: in the file, or "" if it has none.
+        curves: by node and property (translation, rotation, scale).
+        rate: frames per second that our own files declare, or None.
+    """
+
+    name: str
+    curves: Mapping[tuple[int, str], Curve]
+    rate: float | None = None
+
+    @property
+    def seconds(self) -> float:
+        """Time of the last key; -1 if no node moves."""
+        return max((curve.times[-1] for curve in self.curves.values()), default=-1.0)
+
+    def frames(self, fps: float | None, gltf: Gltf, most: int) -> tuple[np.ndarray, float]:
+        """Return the times (T,) of frames from the first key to the last, and their rate.
+
+        Args:
+            fps: frames per second, or None for the rate of the keys.
+            gltf: the file, for its name in messages.
+            most: largest number of frames.
+
+        Warns:
+            UserWarning: no common rate has frames at all keys.
+
+        Raises:
+            FormatError: too many frames.
+            MotionError: an invalid rate.
+        """
+        keys = [curve.times for curve in self.curves.values()]
+        times = np.unique(np.concatenate(keys)) if keys else np.zeros(1)
+        first, last = float(times[0]), float(times[-1])
+        if fps is None and self.rate and _fits(times, self.rate):
+            fps = self.rate
+        if fps is None:
+            fps, fits = _rate(times)
+            if not fits:
+                warnings.warn(
+                    f"{gltf.path}: its keys lie between the frames of any common rate: read at "
+                    f"{fps:g} fps; --in-fps sets another",
+                    stacklevel=4,
+                )
+        n_frames = np.floor((last - first) * checked_fps(fps) + 0.5) + 1
+        if n_frames > most:
+            raise gltf.error(
+                f"{n_frames:.0f} frames; at most {most} are read: cut the animation, or give a "
+                "lower --in-fps"
+            )
+        return first + np.arange(n_frames) / fps, fps
+
+
+def _fits(times: np.ndarray, rate: float) -> bool:
+    """Return whether all times are those of frames."""
+    frames = (times - times[0]) * rate
+    return bool((np.abs(frames - np.rint(frames)) <= _NEAR + _EARLY * rate / 10).all())
+
+
+def _rate(times: np.ndarray) -> tuple[float, bool]:
+    """Return the likely frame rate of sorted keys (K,), and whether all lie at frames."""
+    steps = np.diff(times)
+    steps = steps[steps > _EARLY]
+    if not len(steps):
+        return _NO_KEYS_RATE, True
+    span, step = float(times[-1] - times[0]), float(np.median(steps))
+    keyed = round(span / step) / span
+    if abs(keyed - round(keyed)) < 1e-6 * keyed:  # rounding to float32
+        keyed = round(keyed)
+    even = keyed * max(1, np.ceil(_SLOWEST / keyed))
+    common = [*COMMON_RATES, *(rate / 1.001 for rate in COMMON_RATES)]
+    likely = [rate for rate in common if abs(rate / even - 1) < _ALIKE]
+    likely.sort(key=lambda rate: abs(rate - even))
+    if np.ptp(steps) < 0.1 * step and even == keyed:
+        likely.append(even)
+    for rate in (*likely, *common, even):
+        if rate <= _FASTEST and _fits(times, rate):
+            return float(rate), True
+    dense = 1 / float(np.quantile(steps, 0.1))
+    return float(min((r for r in COMMON_RATES if r >= dense), default=_FASTEST)), False
+
+
+def read_animation(gltf: Gltf, nodes: set[int], name: str | None) -> Animation:
+    """Return one animation of a file, with the curves of some nodes.
+
+    Args:
+        gltf: the file.
+        nodes: those whose curves are read.
+        name: of the animation, or its number from 1 on; None for the longest that moves the nodes.
+
+    Warns:
+        UserWarning: there are several, or none.
+
+    Raises:
+        FormatError: no animation of this name, or a broken one.
+    """
+    entries = gltf.items("animations")
+    names = [str(entry.get("name", ""))[:60] for entry in entries]
+    shown = listed([one or str(k) for k, one in enumerate(names, start=1)], _SHOWN)
+    if name is not None:
+        if name in names:
+            chosen = names.index(name)
+        elif name.isdecimal() and 0 < int(name) <= len(names):
+            chosen = int(name) - 1
+        else:
+            raise FormatError(f"{gltf.path}: no animation {name!r}; it has {shown or 'none'}")
+        return _animation(gltf, entries[chosen], nodes)
+    read = [_animation(gltf, entry, nodes) for entry in entries]
+    longest = max(read, key=lambda one: one.seconds, default=None)
+    if longest is not None and longest.curves:
+        if len(read) > 1:
+            warnings.warn(
+                f"{gltf.path}: of its animations ({shown}), the longest is read, "
+                f"{longest.name or read.index(longest) + 1}; --animation NAME chooses",
+                stacklevel=3,
+            )
+        return longest
+    warnings.warn(f"{gltf.path}: no animation of its skeleton: one frame, at rest", stacklevel=3)
+    return Animation("", {})
+
+
+def _animation(gltf: Gltf, entry: dict[str, Any], nodes: set[int]) -> Animation:
+    samplers, curves = gltf.items("samplers", entry), {}
+    n_nodes = len(gltf.items("nodes"))
+    for channel in gltf.items("channels", entry):
+        target = gltf.object(channel, "target")
+        path = target.get("path")
+        if "node" not in target or not isinstance(path, str) or path not in _WIDTHS:
+            continue  # morph targets, pointers of extensions
+        node = gltf.whole(target["node"], n_nodes, "node of a channel")
+        if node in nodes:
+            at = gltf.whole(channel.get("sampler"), len(samplers), "sampler")
+            curves[node, path] = _curve(gltf, samplers[at], path)
+    rate = gltf.object(entry, "extras").get("fps")
+    right = type(rate) in (int, float) and 1e-5 <= rate <= 1e5
+    return Animation(str(entry.get("name", "")), curves, float(rate) if right else None)
+
+
+def _curve(gltf: Gltf, sampler: dict[str, Any], path: str) -> Curve:
+    interpolation = sampler.get("interpolation", "LINEAR")
+    if interpolation not in ("LINEAR", "STEP", "CUBICSPLINE"):
+        raise gltf.error(f"the interpolation {str(interpolation)[:40]!r} is not known")
+    times = gltf.array(sampler.get("input"), "times", 1)[:, 0].astype(float)
+    values = gltf.array(sampler.get("output"), path, _WIDTHS[path]).astype(float)
+    each = 3 if interpolation == "CUBICSPLINE" else 1
+    if not len(times) or len(values) < each * len(times):
+        raise gltf.error(f"{len(values)} values of {path} for {len(times)} times")
+    values = values[: each * len(times)]
+    if each > 1:
+        values = values.reshape(len(times), each, -1)
+    elif path == "rotation":
+        values = normalize_quaternions(values)
+    if (np.diff(times) < 0).any():
+        order = np.argsort(times, kind="stable")
+        times, values = times[order], values[order]
+    return Curve(times, values, interpolation)

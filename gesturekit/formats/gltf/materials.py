@@ -1,0 +1,105 @@
+"""Colours of the materials of a glTF file, from base colours and textures."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from gesturekit.formats.gltf.file import Gltf
+
+_MOST_PIXELS = 1 << 26
+_SIDE = 512
+"""Textures are reduced to this many pixels: vertices are far apart."""
+_PALETTE = 128
+"""Colours of an avatar."""
+_CUT = 0.5
+"""Faces of materials with holes that are less opaque are left out."""
+
+
+class Colours:
+    """Colours of the materials of a file."""
+
+    def __init__(self, glb: Gltf) -> None:
+        self._glb = glb
+        self._images: dict[int, np.ndarray | None] = {}
+
+    def at(self, material: object, uv: np.ndarray | None, n_points: int) -> np.ndarray:
+        """Return RGBA (N, 4) of a material at texture coordinates (N, 2), 0 to 1, sRGB.
+
+        Opaque materials have an alpha of 1.
+
+        Warns:
+            UserWarning: a texture that cannot be read; its base colour is used.
+        """
+        if material is None:
+            return np.broadcast_to([0.8, 0.8, 0.8, 1.0], (n_points, 4))
+        glb = self._glb
+        found = glb.item("materials", material)
+        surface = glb.object(found, "pbrMetallicRoughness")
+        factor = np.clip(glb.numbers(surface, "baseColorFactor", [1.0] * 4), 0, 1)
+        factor[:3] = np.where(
+            factor[:3] <= 0.0031308, 12.92 * factor[:3], 1.055 * factor[:3] ** (1 / 2.4) - 0.055
+        )
+        rgba = np.broadcast_to(factor, (n_points, 4)).copy()
+        texture = self._texture(glb.object(surface, "baseColorTexture"))
+        if texture is not None and uv is not None:
+            height, width = texture.shape[:2]
+            column, row = ((uv % 1.0) * [width, height]).astype(int).T
+            rgba *= texture[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)] / 255
+        if found.get("alphaMode", "OPAQUE") == "OPAQUE":
+            rgba[:, 3] = 1.0
+        return rgba
+
+    def _texture(self, reference: dict[str, Any]) -> np.ndarray | None:
+        """Return the RGBA image (H, W, 4) uint8 of a texture."""
+        if "index" not in reference:
+            return None
+        source = self._glb.item("textures", reference["index"]).get("source")
+        if source is None:  # an extension's format
+            return None
+        at = self._glb.whole(source, len(self._glb.items("images")), "index into images")
+        if at not in self._images:
+            self._images[at] = self._image(self._glb.item("images", at))
+        return self._images[at]
+
+    def _image(self, image: dict[str, Any]) -> np.ndarray | None:
+        try:
+            if "bufferView" in image:
+                data = self._glb.view(image["bufferView"])
+            else:
+                data = self._glb.resource(image.get("uri"))
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", Image.DecompressionBombWarning)
+                with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as opened:
+                    if opened.width * opened.height > _MOST_PIXELS:
+                        raise ValueError(f"{opened.width} by {opened.height} pixels")
+                    opened.draft("RGB", (_SIDE, _SIDE))
+                    opened.thumbnail((_SIDE, _SIDE))
+                    return np.asarray(opened.convert("RGBA"))
+        except Exception as error:  # Pillow's decoders raise anything
+            warnings.warn(
+                f"{self._glb.path}: a texture cannot be read ({str(error)[:120]}): the base colour "
+                "of its material is used",
+                stacklevel=2,
+            )
+            return None
+
+
+def is_seen(alpha: np.ndarray) -> np.ndarray:
+    """Return whether faces (F,) are drawn, from the alpha (F, 3) of their corners."""
+    return alpha.mean(axis=1) >= _CUT
+
+
+def reduce_colours(colours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return few colours, (R, 3) uint8, and the indices (V,) of those of vertices (V, 3)."""
+    pixels = np.rint(np.clip(colours, 0, 1) * 255).astype(np.uint8)
+    palette, regions = np.unique(pixels, axis=0, return_inverse=True)
+    if len(palette) > _PALETTE:
+        image = Image.fromarray(pixels[None]).quantize(_PALETTE, dither=Image.Dither.NONE)
+        regions = np.asarray(image)[0]
+        palette = np.array(image.getpalette()[: 3 * _PALETTE], np.uint8).reshape(-1, 3)
+    return palette, regions.reshape(-1).astype(np.uint8)

@@ -1,0 +1,237 @@
+"""Motion of any skeleton in a glTF file.
+
+A rig's joints are turned to the axes of the world at rest, so that its rest pose is that of the
+file: joints of most programs have axes along their bones. Scales of nodes become part of offsets
+and joint translations; world positions stay those of the file.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from dataclasses import replace
+
+import numpy as np
+
+from gesturekit.errors import MotionError
+from gesturekit.formats.axes import AXES, USUAL_FORWARD, FileAxes, file_axes, with_y_up
+from gesturekit.formats.gltf.animation import read_animation
+from gesturekit.formats.gltf.file import Gltf
+from gesturekit.formats.gltf.nodes import Nodes
+from gesturekit.formats.plausibility import METRES, guess_unit
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions, rotate_vectors
+from gesturekit.motion.skeleton import Skeleton, unique_names
+from gesturekit.wording import listed, printable
+
+END_SITE = "gesturekit_end_site"
+"""Key of the `extras` of nodes that are end sites in files that we wrote."""
+_STILL = 1e-5
+"""Positions within a parent that vary by no more than this, metres, are a constant offset."""
+_MOST = 800_000
+"""Joints times frames that even the smallest file may have; larger files may have more."""
+_BODY = 0.6
+"""Least share of the joints in one tree, if a node above several trees is not their root."""
+
+
+def read_gltf(
+    path: str | os.PathLike[str],
+    *,
+    animation: str | None = None,
+    unit: str = "m",
+    up: str = "y",
+    forward: str = "auto",
+    fps: float | None = None,
+) -> Motion:
+    """Read an animation of a .glb or .gltf file; without one, its rest pose as a single frame.
+
+    Joints are the nodes of all skins and what hangs on them without a mesh; in a file without
+    skins, the trees of animated nodes. Of several skeletons the largest is read.
+
+    Args:
+        path: the file. Arrays may lie in it, in data URIs, or in files of its folder.
+        animation: name of the animation, or its number from 1 on; by default the longest that
+            moves the skeleton.
+        unit: of its lengths, one of `METRES`.
+        up: axis that points up, "x" to "z" or "-x" to "-z".
+        forward: axis that the asset faces; "auto" is +Z for Y up, as the format has it.
+        fps: frames per second at which curves are sampled; by default a common rate with frames
+            at all keys. The first frame is at the first key.
+
+    Returns:
+        The motion, metres, Y up, +Z forward. `info` has `source`, `unit`, `up`, `forward`,
+        `animation` (its name), `start` (time of the first frame in it, seconds) and `renamed` (new
+        name to name in the file).
+
+    Warns:
+        UserWarning: a choice among animations or skeletons, keys between frames, an unlikely unit.
+
+    Raises:
+        FormatError: not glTF 2.0, broken, compressed, or without joints.
+    """
+    gltf = Gltf(path)
+    if unit not in METRES:
+        raise gltf.error(f"unit {unit!r}; expected {', '.join(METRES)}")
+    nodes = Nodes(gltf)
+    joints, ends = _joints(gltf, nodes)
+    names, renamed = _names(gltf, joints)
+    found = read_animation(gltf, set(nodes.with_ancestors(joints)), animation)
+    try:
+        times, rate = found.frames(fps, gltf, (_MOST + gltf.size // 8) // len(joints))
+        rig = _rest(nodes, joints, ends, names, METRES[unit])
+        motion = _moved(rig, nodes.world(joints, found.curves, times), METRES[unit], rate)
+        motion = _in_our_axes(motion, up, forward)
+    except MotionError as error:
+        raise gltf.error(str(error)) from None
+    motion.info.update(source=str(path), unit=unit, renamed=renamed)
+    motion.info.update(animation=found.name, start=float(times[0]))
+    likely, is_sure = guess_unit(motion.skeleton, motion.rotations[0])
+    if unit == "m" and is_sure and likely != "m":
+        warnings.warn(
+            f"{path}: its body is as large as if the unit were {likely}, not m: --in-unit {likely}",
+            stacklevel=2,
+        )
+    return motion
+
+
+def _joints(gltf: Gltf, nodes: Nodes) -> tuple[list[int], list[int]]:
+    """Return the nodes of the largest skeleton, parents first, and those of end sites.
+
+    Warns:
+        UserWarning: joints that are not below its root.
+    """
+    entries = gltf.items("nodes")
+    named = _named_joints(gltf, nodes)
+    if not named:
+        raise gltf.error("no skeleton in it: neither a skin nor an animated node")
+    inside = set(named)
+    for node in nodes.order:
+        if nodes.parents[node] in inside and not entries[node].keys() & {"mesh", "camera"}:
+            inside.add(node)
+    inside |= _between(nodes, inside)
+    trees = _trees(nodes, inside)
+    root = max(trees, key=lambda node: len(trees[node]))
+    above = nodes.parents[root]
+    if above >= 0 and len(trees[root]) < _BODY * len(inside):
+        beside = [node for node in trees if nodes.parents[node] == above]
+        if len(beside) > 1:
+            trees[above] = [above, *(node for one in beside for node in trees.pop(one))]
+            root = above
+    tree = set(trees.pop(root))
+    if others := [str(entries[node].get("name", node))[:60] for node in trees]:
+        warnings.warn(
+            f"{gltf.path}: several skeletons; that of {str(entries[root].get('name', root))[:60]} "
+            f"with {len(tree)} joints is read, not {listed(others, 4)}",
+            stacklevel=3,
+        )
+    ends = [
+        node
+        for node in nodes.order
+        if node in tree and node != root and END_SITE in gltf.object(entries[node], "extras")
+    ]
+    if any(nodes.parents[node] in ends for node in tree):
+        ends = []
+    return [node for node in nodes.order if node in tree and node not in set(ends)], ends
+
+
+def _named_joints(gltf: Gltf, nodes: Nodes) -> set[int]:
+    """Return the joints of all skins, or else nodes that an animation moves, and those above."""
+    entries = gltf.items("nodes")
+    n_nodes = len(entries)
+    found = {j for skin in gltf.items("skins") for j in gltf.wholes(skin, "joints", n_nodes)}
+    if found:
+        return found
+    for animation in gltf.items("animations"):
+        for channel in gltf.items("channels", animation):
+            target = gltf.object(channel, "target")
+            if target.get("path") in ("rotation", "translation") and "node" in target:
+                found.add(gltf.whole(target["node"], n_nodes, "node of a channel"))
+    whole: set[int] = set()
+    for node in nodes.with_ancestors(list(found)):
+        is_holder = node not in found and len(entries[node].get("children", [])) == 1
+        if nodes.parents[node] in whole or not is_holder:
+            whole.add(node)
+    return whole
+
+
+def _between(nodes: Nodes, joints: set[int]) -> set[int]:
+    """Return the nodes that lie between two joints."""
+    found: set[int] = set()
+    for node in joints:
+        path, above = [], nodes.parents[node]
+        while above >= 0 and above not in joints and above not in found:
+            path.append(above)
+            above = nodes.parents[above]
+        if above >= 0:
+            found.update(path)
+    return found
+
+
+def _trees(nodes: Nodes, joints: set[int]) -> dict[int, list[int]]:
+    """Return {root: its joints, parents first}."""
+    roots: dict[int, int] = {}
+    trees: dict[int, list[int]] = {}
+    for node in nodes.order:
+        if node in joints:
+            roots[node] = roots.get(nodes.parents[node], node)
+            trees.setdefault(roots[node], []).append(node)
+    return trees
+
+
+def _names(gltf: Gltf, joints: list[int]) -> tuple[list[str], dict[str, str]]:
+    """Return unique names of joints, and new name to name in the file."""
+    entries = gltf.items("nodes")
+    found = [str(entries[node].get("name", "")) for node in joints]
+    named = [printable(name).strip() or f"node_{node}" for name, node in zip(found, joints)]
+    names = unique_names(named)
+    return names, {new: old for new, old in zip(names, found) if new != old}
+
+
+def _rest(
+    nodes: Nodes, joints: list[int], ends: list[int], names: list[str], metres: float
+) -> tuple[Skeleton, np.ndarray]:
+    """Return the rig at rest, and the world rotations (J, 4) of its nodes there."""
+    positions, turns = (each[0] for each in nodes.world(joints + ends, {}, np.zeros(1)))
+    at = {node: k for k, node in enumerate(joints)}
+    above = np.array([at.get(nodes.parents[node], -1) for node in joints + ends], int)
+    offsets = metres * (positions - np.where(above[:, None] >= 0, positions[above], 0.0))
+    sites: dict[str, tuple[np.ndarray, ...]] = {}
+    for parent, site in zip(above[len(joints) :], offsets[len(joints) :]):
+        sites[names[parent]] = (*sites.get(names[parent], ()), site)
+    n_joints = len(joints)
+    parents = (-1, *above[1:n_joints])
+    return Skeleton(names, parents, offsets[:n_joints], end_sites=sites), turns[:n_joints]
+
+
+def _moved(
+    rig: tuple[Skeleton, np.ndarray],
+    world: tuple[np.ndarray, np.ndarray],
+    metres: float,
+    fps: float,
+) -> Motion:
+    """Return the motion of a rig at rest to world positions (T, J, 3) and rotations (T, J, 4)."""
+    (skeleton, rest), (positions, turns) = rig, world
+    positions = metres * positions
+    turns = multiply_quaternions(turns, invert_quaternions(rest))
+    above = list(skeleton.parents[1:])
+    inverse = invert_quaternions(turns[:, above])
+    local = np.concatenate([turns[:, :1], multiply_quaternions(inverse, turns[:, 1:])], axis=1)
+    steps = rotate_vectors(inverse, positions[:, 1:] - positions[:, above])
+    low, high = steps.min(axis=0), steps.max(axis=0)
+    moves = (high - low > _STILL).any(axis=-1)
+    offsets = skeleton.offsets.copy()
+    offsets[1:][~moves] = ((low + high) / 2)[~moves]
+    moving = {skeleton.names[j + 1]: steps[:, j] for j in np.flatnonzero(moves)}
+    return Motion(replace(skeleton, offsets=offsets), local, positions[:, 0], fps, moving)
+
+
+def _in_our_axes(motion: Motion, up: str, forward: str) -> Motion:
+    """Return the motion with Y up and +Z forward; its rest pose stands and faces +Z if it can."""
+    found = file_axes(motion)
+    forward = USUAL_FORWARD.get(up, "z") if forward == "auto" else forward
+    if not {up, forward} <= set(AXES):
+        raise MotionError(f"axes {up!r} and {forward!r}; expected {', '.join(AXES)}")
+    rest = found.rest or (None if "forward" in found.guessed else (found.up, found.forward))
+    motion = with_y_up(motion, FileAxes(up, forward, rest))
+    motion.info.update(up=up, forward=forward)
+    return motion

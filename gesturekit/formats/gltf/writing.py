@@ -1,0 +1,327 @@
+"""Writer of binary glTF 2.0 files: skeleton, animation and skinned meshes.
+
+The format's axes and unit are ours: metres, Y up, +Z forward. Every joint is a node with the axes
+of the world at rest, and so is every end site, which is marked in its `extras`.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gesturekit.formats.gltf.file import BIN, JSON, MAX_BYTES, Gltf
+from gesturekit.formats.gltf.nodes import Nodes
+from gesturekit.formats.gltf.reading import END_SITE
+from gesturekit.formats.gltf.skin import INFLUENCES, Skin, steady_signs
+from gesturekit.formats.gltf.vrm import Avatar
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.rotations import IDENTITY, invert_quaternions, multiply_quaternions
+from gesturekit.motion.skeleton import Skeleton, unique_names
+
+_FLOAT, _BYTE, _SHORT, _INT = 5126, 5121, 5123, 5125
+_DTYPES = {_FLOAT: "<f4", _BYTE: "u1", _SHORT: "<u2", _INT: "<u4"}
+_KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+_VERTICES, _INDICES = {"target": 34962}, {"target": 34963}
+"""Uses of a buffer view."""
+_ROUGH = 0.8
+_BONE = (150, 160, 175)
+"""RGB of bones."""
+_THICK = 0.09
+"""Width of a bone by its length; it is widest at this share of it from its joint."""
+_SHORTEST = 1e-6
+"""Length of bones that are seen, metres."""
+_TURNED = np.array([0.0, 1.0, 0.0, 0.0])
+"""Half a turn about Y."""
+_VRM = ("VRM", "VRMC_vrm", "VRMC_springBone", "VRMC_node_constraint")
+"""Extensions for programs that move the nodes themselves."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """A material of one colour.
+
+    Attributes:
+        name: as programs show it.
+        colour: RGB, 0 to 255, sRGB.
+    """
+
+    name: str
+    colour: Sequence[int]
+
+    def json(self) -> dict[str, Any]:
+        """Return the object of the file, whose colours are linear."""
+        srgb = np.asarray(self.colour) / 255
+        linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+        surface = {
+            "baseColorFactor": [*np.round(linear, 4).tolist(), 1.0],
+            "metallicFactor": 0.0,
+            "roughnessFactor": _ROUGH,
+        }
+        return {"name": self.name, "pbrMetallicRoughness": surface}
+
+
+class _Builder:
+    """JSON object and arrays of a file that is being made."""
+
+    def __init__(self, found: dict[str, Any]) -> None:
+        self.json = found
+        self._data = bytearray()
+
+    def append(self, key: str, item: dict[str, Any]) -> int:
+        """Append an object to a list of the file; return its index."""
+        self.json.setdefault(key, []).append(item)
+        return len(self.json[key]) - 1
+
+    def place(self, data: bytes) -> int:
+        """Append bytes at a multiple of four; return where they are."""
+        self._data += bytes(-len(self._data) % 4)
+        start = len(self._data)
+        self._data += data
+        return start
+
+    def view(self, data: bytes, more: Mapping[str, Any]) -> int:
+        """Add a buffer view of bytes; return its index."""
+        view = {"buffer": 0, "byteOffset": self.place(data), "byteLength": len(data)}
+        return self.append("bufferViews", view | dict(more))
+
+    def array(
+        self,
+        values: np.ndarray,
+        component: int = _FLOAT,
+        use: Mapping[str, int] | None = None,
+        **more: Any,
+    ) -> int:
+        """Add an accessor of values (N, W); return its index."""
+        data = np.ascontiguousarray(values, _DTYPES[component]).tobytes()
+        accessor = {
+            "bufferView": self.view(data, use or {}),
+            "componentType": component,
+            "type": _KINDS[values.shape[1]],
+            "count": len(values),
+        }
+        return self.append("accessors", accessor | more)
+
+    def bounded(self, values: np.ndarray, use: Mapping[str, int] | None = None) -> int:
+        """Add an accessor of floats with its least and greatest values."""
+        values = values.astype("<f4")
+        low, high = (end.astype(float).tolist() for end in (values.min(axis=0), values.max(axis=0)))
+        return self.array(values, use=use, min=low, max=high)
+
+    def file(self) -> bytes:
+        """Return the file."""
+        self.place(b"")
+        self.json["buffers"] = [{"byteLength": len(self._data)}]
+        text = json.dumps(self.json, separators=(",", ":"), allow_nan=False).encode()
+        text += b" " * (-len(text) % 4)
+        size = 28 + len(text) + len(self._data)
+        head = struct.pack("<4s4I", b"glTF", 2, size, len(text), JSON)
+        return head + text + struct.pack("<2I", len(self._data), BIN) + bytes(self._data)
+
+
+def animated_skeleton(
+    motion: Motion,
+    name: str,
+    skin: Skin | None,
+    materials: Sequence[Material] = (),
+    scale: float = 1.0,
+    extensions: Mapping[str, Any] | None = None,
+) -> bytes:
+    """Return a file with the rig of a motion, its animation, and a mesh.
+
+    Args:
+        motion: T frames, J joints.
+        name: of the animation and the mesh.
+        skin: the mesh; None for bones of the rig.
+        materials: of the skin's regions.
+        scale: factor on the skin's vertices.
+        extensions: by name, of a file without a mesh; node k is joint k.
+    """
+    builder = _Builder({"asset": {"version": "2.0", "generator": "gesturekit"}, "scene": 0})
+    skeleton = motion.skeleton
+    nodes, parents, rest = _rig(skeleton)
+    builder.json |= {"scenes": [{"nodes": [0]}], "nodes": nodes}
+    if extensions:
+        builder.json |= {"extensions": extensions, "extensionsUsed": [*extensions]}
+    elif skin is None:
+        skin, materials = bones(parents, rest), [Material("bones", _BONE)]
+    if skin is not None and len(skin.faces):
+        inverse = np.tile(np.eye(4), (len(rest), 1, 1))
+        inverse[:, 3, :3] = -rest  # columns first
+        matrices = builder.array(inverse.reshape(-1, 16))
+        joints = list(range(len(rest)))
+        builder.append("skins", {"joints": joints, "inverseBindMatrices": matrices})
+        primitives = _primitives(builder, skin, materials, scale)
+        mesh = builder.append("meshes", {"name": name, "primitives": primitives})
+        body = builder.append("nodes", {"name": f"{name}_mesh", "mesh": mesh, "skin": 0})
+        builder.json["scenes"][0]["nodes"].append(body)
+    places = {skeleton.index(joint): moved for joint, moved in motion.joint_translations.items()}
+    rotations = dict(enumerate(np.moveaxis(motion.rotations, 1, 0)))
+    _animate(builder, motion.fps, name, rotations, {0: motion.translation, **places})
+    return builder.file()
+
+
+def _rig(skeleton: Skeleton) -> tuple[list[dict[str, Any]], list[int], np.ndarray]:
+    """Return N nodes of joints and end sites, their parents, and positions (N, 3) at rest."""
+    ends = [name for name, sites in skeleton.end_sites.items() for _ in sites]
+    sites = [site for sites in skeleton.end_sites.values() for site in sites]
+    names = unique_names([*skeleton.names, *(f"{name}_end" for name in ends)])
+    parents = [*skeleton.parents, *map(skeleton.index, ends)]
+    rest = np.array([*skeleton.offsets, *sites])
+    nodes: list[dict[str, Any]] = []
+    for k, (name, parent) in enumerate(zip(names, parents)):
+        nodes.append({"name": name, "translation": rest[k].tolist()})
+        if parent >= 0:
+            rest[k] += rest[parent]
+            nodes[parent].setdefault("children", []).append(k)
+        if k >= skeleton.n_joints:
+            nodes[k]["extras"] = {END_SITE: True}
+    return nodes, parents, rest
+
+
+def bones(parents: Sequence[int], rest: np.ndarray) -> Skin:
+    """Return an octahedron from each parent to its N joints and end sites at rest, (N, 3)."""
+    above = np.array(parents, int)
+    ends = np.flatnonzero(np.linalg.norm(rest - rest[above], axis=1) > _SHORTEST)
+    ends = ends[above[ends] >= 0]
+    owners, start, end = above[ends], rest[above[ends]], rest[ends]
+    along = end - start
+    side = np.cross(along, np.eye(3)[np.abs(along).argmin(axis=1)])
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    side *= _THICK * length / np.linalg.norm(side, axis=1, keepdims=True)
+    other = np.cross(along / length, side)
+    ring = [start + _THICK * along + each for each in (side, other, -side, -other)]
+    corners = []
+    for a, b in zip(ring, [*ring[1:], ring[0]]):
+        corners += [start, b, a, end, a, b]
+    vertices = np.stack(corners, axis=1).reshape(-1, 3)  # each face has its own, to look flat
+    joints = np.zeros((len(vertices), INFLUENCES), np.uint32)
+    joints[:, 0] = np.repeat(owners, len(corners))
+    weights = np.tile(np.array([255, 0, 0, 0], np.uint8), (len(vertices), 1))
+    faces = np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3)
+    return Skin(vertices, faces, joints, weights, rest)
+
+
+def _primitives(
+    builder: _Builder, skin: Skin, materials: Sequence[Material], scale: float
+) -> list[dict[str, Any]]:
+    """Add the arrays and the material of each region of a skin; return their primitives."""
+    regions = np.zeros(len(skin.vertices), int) if skin.regions is None else skin.regions
+    normals = skin.normals()
+    lost = np.linalg.norm(normals, axis=1) < 0.5  # faces that cancel one another
+    normals[lost] = [0.0, 1.0, 0.0]
+    joints = np.where(skin.weights > 0, skin.joints, 0)
+    primitives = []
+    for region, material in enumerate(materials):
+        faces = skin.faces[regions[skin.faces[:, 0]] == region]
+        if not len(faces):
+            continue
+        used, corners = np.unique(faces, return_inverse=True)
+        wide = _SHORT if joints.max() > 255 else _BYTE
+        attributes = {
+            "POSITION": builder.bounded(scale * skin.vertices[used], _VERTICES),
+            "NORMAL": builder.array(normals[used], use=_VERTICES),
+            "JOINTS_0": builder.array(joints[used], wide, _VERTICES),
+            "WEIGHTS_0": builder.array(skin.weights[used], _BYTE, _VERTICES, normalized=True),
+        }
+        indices = builder.array(corners.reshape(-1, 1), _INT, _INDICES)
+        primitive = {"attributes": attributes, "indices": indices}
+        primitives.append(primitive | {"material": builder.append("materials", material.json())})
+    return primitives
+
+
+def _animate(
+    builder: _Builder,
+    fps: float,
+    name: str,
+    rotations: Mapping[int, np.ndarray],
+    translations: Mapping[int, np.ndarray],
+) -> None:
+    """Add an animation of nodes; what stands still has one key, but the first translation all."""
+    n_frames = len(next(iter(rotations.values())))
+    times = {n_frames: builder.bounded(np.arange(n_frames)[:, None] / fps)}
+    channels, samplers = [], []
+    for path, curves in (("translation", translations), ("rotation", rotations)):
+        for node, values in curves.items():
+            keys = (steady_signs(values) if path == "rotation" else values).astype("<f4")
+            if channels and not np.ptp(keys, axis=0).any():
+                keys = keys[:1]
+            if len(keys) not in times:
+                times[1] = builder.bounded(np.zeros((1, 1)))
+            channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
+            samplers.append({"input": times[len(keys)], "output": builder.array(keys)})
+    extras = {"fps": fps, "frames": n_frames}
+    animation = {"name": name, "channels": channels, "samplers": samplers, "extras": extras}
+    builder.append("animations", animation)
+
+
+def animated_avatar(avatar: Avatar, motion: Motion, name: str, scale: float) -> bytes:
+    """Return the file of an avatar, with its meshes, textures and materials, and an animation.
+
+    Args:
+        avatar: J joints.
+        motion: on the avatar's rig, scaled by `scale`.
+        name: of the animation.
+        scale: factor on all lengths of the avatar.
+    """
+    tree = Nodes(avatar.gltf)
+    builder = _embedded(avatar.gltf)
+    upright = _TURNED if avatar.is_backwards else IDENTITY
+    _, rest = (each[0] for each in tree.world(list(range(len(tree.parents))), {}, np.zeros(1)))
+    turns = multiply_quaternions(invert_quaternions(upright), motion.global_rotations())
+    turns = multiply_quaternions(turns, multiply_quaternions(upright, rest[list(avatar.nodes)]))
+    rotations = {}
+    for joint, node in enumerate(avatar.nodes):
+        above, parent = motion.skeleton.parents[joint], tree.parents[node]
+        world = rest[parent] if parent >= 0 else IDENTITY
+        if above >= 0:
+            back = invert_quaternions(rest[avatar.nodes[above]])
+            world = multiply_quaternions(turns[:, above], multiply_quaternions(back, world))
+        rotations[node] = multiply_quaternions(invert_quaternions(world), turns[:, joint])
+    hips = avatar.nodes[0]
+    above = tree.parents[hips]
+    frame = tree.matrices()[above] if above >= 0 else np.eye(4)
+    places = motion.translation / scale * ([-1, 1, -1] if avatar.is_backwards else [1, 1, 1])
+    places = np.linalg.solve(frame[:3, :3], (places - frame[:3, 3]).T).T
+    _animate(builder, motion.fps, name, rotations, {hips: places})
+    roots = [node for node, parent in enumerate(tree.parents) if parent < 0]
+    whole = {"name": "avatar", "children": roots, "scale": [scale] * 3}
+    root = builder.append("nodes", whole | {"rotation": upright.tolist()})
+    builder.json |= {"scene": 0, "scenes": [{"nodes": [root]}]}
+    try:
+        return builder.file()
+    except ValueError:
+        raise avatar.gltf.error("its JSON part holds numbers that are not finite") from None
+
+
+def _embedded(gltf: Gltf) -> _Builder:
+    """Return a builder with all of a file in one buffer, but for animations and VRM's own data."""
+    builder = _Builder(copy.deepcopy(gltf.json))
+    found = builder.json
+    found.pop("animations", None)
+    starts = [builder.place(gltf.buffer(k)) for k in range(len(gltf.items("buffers")))]
+    for view in gltf.items("bufferViews", found):
+        buffer = gltf.whole(view.get("buffer"), len(starts), "buffer")
+        offset = gltf.whole(view.get("byteOffset", 0), MAX_BYTES, "byteOffset")
+        view |= {"buffer": 0, "byteOffset": offset + starts[buffer]}
+    for image in gltf.items("images", found):
+        if "uri" in image:
+            data = gltf.resource(image.pop("uri"))
+            kind = "png" if data.startswith(b"\x89PNG") else "jpeg"
+            image |= {"bufferView": builder.view(data, {}), "mimeType": f"image/{kind}"}
+    for holder in (found, *found["nodes"]):
+        extensions = gltf.object(holder, "extensions")
+        for name in _VRM:
+            extensions.pop(name, None)
+        if not extensions:
+            holder.pop("extensions", None)
+    for key in ("extensionsUsed", "extensionsRequired"):
+        found[key] = [name for name in map(str, gltf.values(found, key)) if name not in _VRM]
+        if not found[key]:
+            del found[key]
+    return builder

@@ -1,0 +1,357 @@
+"""Motion from glTF files of any program: curves, trees, arrays, and files that are hostile."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gltf_files import HALF, QUARTER_TURN, GltfFile, arm
+from scipy.spatial.transform import Rotation
+
+from gesturekit.errors import FormatError
+from gesturekit.formats.gltf.reading import read_gltf
+from gesturekit.motion import Motion
+
+
+def hand(path: Path, **options) -> np.ndarray:
+    motion = Motion.load(path, **options)
+    return motion.positions()[:, motion.skeleton.index("hand")]
+
+
+def angle(path: Path, **options) -> np.ndarray:
+    """Degrees by which the hand stands above the horizon of the shoulder."""
+    x, y, _ = hand(path, **options).T
+    return np.degrees(np.arctan2(y - 1, x))
+
+
+def test_linear_curves_turn_evenly(tmp_path):
+    path = arm().save(tmp_path / "a.glb")
+    np.testing.assert_allclose(
+        angle(path, fps=4), [0, 22.5, 45, 67.5, 90, 67.5, 45, 22.5, 0], atol=1e-4
+    )
+
+
+def test_steps_hold_each_key_until_the_next(tmp_path):
+    path = arm("STEP", (0, 0.1, 0.2)).save(tmp_path / "a.glb")
+    np.testing.assert_allclose(angle(path, fps=20), [0, 0, 90, 90, 0], atol=1e-4)
+
+
+def test_splines_start_and_stop_gently(tmp_path):
+    """With tangents of 0, u = 1/4 of the way gives 3 u^2 - 2 u^3 = 5/32 of the change."""
+    path = arm("CUBICSPLINE").save(tmp_path / "a.glb")
+    z, w = 5 / 32 * HALF, 1 - 5 / 32 + 5 / 32 * HALF
+    quarter = np.degrees(2 * np.arctan2(z, w))
+    np.testing.assert_allclose(angle(path, fps=4)[[0, 1, 2, 4]], [0, quarter, 45, 90], atol=1e-4)
+
+
+def test_tangents_of_splines_are_used(tmp_path):
+    """Tangents of 1 a second between 0 and 2, in 2 s, give a straight line."""
+    values = [(0, 0, 0), (0, 0, 0), (1, 0, 0), (1, 0, 0), (2, 0, 0), (0, 0, 0)]
+    nodes = [{"name": "hand"}]
+    file = GltfFile(nodes, [[0]]).animate([(0, "translation", [1, 3], values)], "CUBICSPLINE")
+    path = file.save(tmp_path / "a.glb")
+    np.testing.assert_allclose(hand(path, fps=2)[:, 0], [0, 0.5, 1, 1.5, 2], atol=1e-6)
+
+
+def test_the_shorter_way_is_turned(tmp_path):
+    """q and -q are one rotation."""
+    nodes = arm().json["nodes"]
+    turns = [(0, 0, 0, 1), tuple(-x for x in QUARTER_TURN)]
+    path = (
+        GltfFile(nodes, [[0, 1]]).animate([(0, "rotation", [0, 1], turns)]).save(tmp_path / "a.glb")
+    )
+    np.testing.assert_allclose(angle(path, fps=2), [0, 45, 90], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("times", "fps"),
+    [
+        (np.arange(20) / 24, 24),
+        (np.arange(300) * 1.001 / 24, 24 / 1.001),
+        (np.arange(9) / 30, 30),
+        (np.arange(300) * 1.001 / 30, 30 / 1.001),
+        (np.arange(9) / 20, 20),
+        (np.arange(99) / 120, 120),
+        (np.round(np.arange(60) / 30, 3), 30),
+        (np.array([0, 1, 2, 7, 30, 31, 90]) / 30, 30),
+        (np.array([0, 1.5]), 24),
+        (np.array([0.0]), 30),
+    ],
+)
+def test_the_rate_is_that_of_the_keys(tmp_path, times, fps):
+    turns = np.tile([0, 0, 0, 1], (len(times), 1))
+    nodes = arm().json["nodes"]
+    path = GltfFile(nodes).animate([(0, "rotation", times, turns)]).save(tmp_path / "a.glb")
+    motion = Motion.load(path)
+    assert motion.fps == pytest.approx(fps, rel=1e-9)
+    assert motion.n_frames == round(times[-1] * fps) + 1
+
+
+def test_keys_between_frames_are_sampled_and_said(tmp_path):
+    path = arm(times=(0.0, 0.0333, 0.0571)).save(tmp_path / "a.glb")
+    with pytest.warns(UserWarning, match="lie between the frames"):
+        assert 30 <= Motion.load(path).fps <= 240
+
+
+def scaled_rig() -> GltfFile:
+    """A rig in centimetres, lying, in an object that scales and raises it, with a bone between."""
+    nodes = [
+        {
+            "name": "Armature",
+            "scale": [0.01] * 3,
+            "rotation": [-HALF, 0, 0, HALF],
+            "children": [1, 4],
+        },
+        {"name": "hips", "translation": [0, 0, 90], "rotation": [*QUARTER_TURN], "children": [2]},
+        {
+            "name": "between",
+            "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 20, 1],
+            "children": [3],
+        },
+        {"name": "head", "translation": [0, 0, 30]},
+        {"name": "mesh", "mesh": 0},
+    ]
+    return GltfFile(nodes, [[1], [3]])
+
+
+def test_scales_and_turns_above_the_skeleton_count(tmp_path):
+    turn = Rotation.from_quat(QUARTER_TURN)
+    tilted = (turn * Rotation.from_euler("y", 90, degrees=True)).as_quat()
+    curves = [(1, "rotation", [0, 1], [QUARTER_TURN, tilted])]
+    motion = Motion.load(scaled_rig().animate(curves).save(tmp_path / "a.glb"), fps=1)
+    assert motion.skeleton.names == ("hips", "between", "head")
+    # Z of the armature is up; turning about Y of the hips, which is -X of the armature, lays the
+    # spine to its +Y, which is -Z of the world.
+    places = motion.positions()
+    np.testing.assert_allclose(places[0], [[0, 0.9, 0], [0, 1.1, 0], [0, 1.4, 0]], atol=1e-6)
+    np.testing.assert_allclose(places[1], [[0, 0.9, 0], [0, 0.9, -0.2], [0, 0.9, -0.5]], atol=1e-6)
+    np.testing.assert_allclose(motion.skeleton.offsets[1:], [[0, 0.2, 0], [0, 0.3, 0]], atol=1e-6)
+    assert not motion.joint_translations
+
+
+def test_joints_that_move_keep_their_ways(tmp_path):
+    places = [(1, 0, 0), (1, 0.5, 0)]
+    file = GltfFile(arm().json["nodes"], [[0, 1]]).animate([(1, "translation", [0, 1], places)])
+    motion = Motion.load(file.save(tmp_path / "a.glb"), fps=1)
+    np.testing.assert_allclose(motion.joint_translations["hand"], places)
+
+
+def test_animated_scale_moves_what_hangs_below(tmp_path):
+    curves = [(0, "scale", [0, 1], [(1, 1, 1), (2, 2, 2)])]
+    path = GltfFile(arm().json["nodes"], [[0, 1]]).animate(curves).save(tmp_path / "a.glb")
+    np.testing.assert_allclose(hand(path, fps=1), [[1, 1, 0], [2, 1, 0]], atol=1e-6)
+
+
+def test_repeated_and_missing_names_are_told_apart(tmp_path):
+    nodes = [{"name": "a", "children": [1, 2]}, {"name": "a"}, {}]
+    path = GltfFile(nodes, [[0, 1, 2]]).save(tmp_path / "a.glb")
+    with pytest.warns(UserWarning, match="no animation"):
+        motion = Motion.load(path)
+    assert motion.skeleton.names == ("a", "a_2", "node_2")
+    assert motion.info["renamed"] == {"a_2": "a", "node_2": ""}
+
+
+def sparse(count: int, indices: int = 0, values: int = 0) -> dict[str, object]:
+    return {
+        "count": count,
+        "indices": {"bufferView": indices, "componentType": 5123},
+        "values": {"bufferView": values},
+    }
+
+
+def test_sparse_short_and_normalised_arrays(tmp_path):
+    """Three turns as 16-bit numbers, the second of which is stored apart."""
+    file = GltfFile(arm().json["nodes"], [[0, 1]])
+    still = np.tile(np.array([0, 0, 0, 32767], "<i2"), (3, 1))
+    turns = file.array(still, "<i2", normalized=True)
+    file.json["accessors"][turns]["sparse"] = {
+        "count": 1,
+        "indices": {"bufferView": file.view(np.array([1], "<u2").tobytes()), "componentType": 5123},
+        "values": {
+            "bufferView": file.view(np.rint(np.array(QUARTER_TURN) * 32767).astype("<i2").tobytes())
+        },
+    }
+    path = file.animate([(0, "rotation", [0, 1, 2], turns)]).save(tmp_path / "a.glb")
+    np.testing.assert_allclose(angle(path, fps=1), [0, 90, 0], atol=0.01)
+
+
+def test_arrays_may_lie_in_the_text_or_beside_it(tmp_path):
+    (tmp_path / "a.gltf").write_bytes(arm().gltf())
+    (tmp_path / "b c.bin").write_bytes(arm().data)
+    (tmp_path / "b.gltf").write_bytes(arm().gltf("b%20c.bin"))
+    for name in ("a.gltf", "b.gltf"):
+        np.testing.assert_allclose(angle(tmp_path / name, fps=1), [0, 90, 0], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "uri",
+    [
+        "../secret.bin",
+        "%2e%2e/secret.bin",
+        "{folder}/secret.bin",
+        "link.bin",
+        "http://a.b/secret.bin",
+        "file:///etc/passwd",
+        ".",
+        "a\0b",
+        "x" * 5000,
+    ],
+)
+def test_no_file_of_another_folder_is_opened(tmp_path, uri):
+    inside = tmp_path / "inside"
+    inside.mkdir()
+    (tmp_path / "secret.bin").write_bytes(arm().data)
+    (inside / "link.bin").symlink_to(tmp_path / "secret.bin")
+    (inside / "a.gltf").write_bytes(arm().gltf(uri.format(folder=tmp_path)))
+    with pytest.raises(FormatError, match=r"a\.gltf: ") as error:
+        Motion.load(inside / "a.gltf")
+    assert len(str(error.value)) < 1300
+
+
+def two_animations() -> GltfFile:
+    file = arm().animate([(0, "rotation", [0, 3], [(0, 0, 0, 1), QUARTER_TURN])], name="wave")
+    file.json["animations"][0]["name"] = "idle"
+    file.json["animations"].append({"samplers": [], "channels": []})
+    return file
+
+
+def test_the_longest_animation_is_read_or_that_which_is_named(tmp_path):
+    path = two_animations().save(tmp_path / "a.glb")
+    with pytest.warns(UserWarning, match=r"idle, wave, 3.*wave; --animation NAME"):
+        assert Motion.load(path).info["animation"] == "wave"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for name in ("idle", "1"):
+            assert Motion.load(path, animation=name).info["animation"] == "idle"
+    for name in ("run", "0", "4"):
+        with pytest.raises(FormatError, match=f"no animation '{name}'; it has idle, wave, 3"):
+            Motion.load(path, animation=name)
+
+
+def test_without_a_skin_the_tree_of_animated_nodes_is_read(tmp_path):
+    nodes = [
+        {"name": "scene", "children": [1]},
+        {"name": "root", "children": [2, 3]},
+        {"name": "left", "children": [4]},
+        {"name": "right"},
+        {"name": "tip"},
+    ]
+    turns = [(0, 0, 0, 1), QUARTER_TURN]
+    file = GltfFile(nodes).animate([(k, "rotation", [0, 1], turns) for k in (2, 3)])
+    assert Motion.load(file.save(tmp_path / "a.glb")).skeleton.names == (
+        "root",
+        "left",
+        "right",
+        "tip",
+    )
+
+
+def test_of_two_skeletons_the_larger_is_read(tmp_path):
+    nodes = [{"name": "prop"}, {"name": "body", "children": [2]}, {"name": "head"}]
+    file = GltfFile(nodes, [[0], [1, 2]]).animate([(1, "rotation", [0], [(0, 0, 0, 1)])])
+    with pytest.warns(UserWarning, match="that of body with 2 joints is read, not prop"):
+        assert Motion.load(file.save(tmp_path / "a.glb")).skeleton.names == ("body", "head")
+
+
+def test_a_body_that_faces_backwards_rests_forwards_and_stays_where_it_is(tmp_path, gesture):
+    """VRM 0.x and others look along -Z: the world is kept, the rig at rest is turned."""
+    motion = gesture(0.5)
+    motion.save(tmp_path / "a.glb")
+    content = (tmp_path / "a.glb").read_bytes()
+    size = int.from_bytes(content[12:16], "little")
+    found = json.loads(content[20 : 20 + size])
+    found["nodes"].append({"rotation": [0, 1, 0, 0], "children": [0]})
+    found["scenes"][0]["nodes"] = [len(found["nodes"]) - 1]
+    found["buffers"][0]["uri"] = "a.bin"
+    (tmp_path / "a.bin").write_bytes(content[28 + size :])
+    (tmp_path / "b.gltf").write_text(json.dumps(found))
+    turned = Motion.load(tmp_path / "b.gltf")
+    np.testing.assert_allclose(turned.positions(), motion.positions() * [-1, 1, -1], atol=1e-5)
+    np.testing.assert_allclose(turned.skeleton.offsets[1:], motion.skeleton.offsets[1:], atol=1e-6)
+    facing = Motion.load(tmp_path / "b.gltf", forward="-z")
+    np.testing.assert_allclose(facing.positions(), motion.positions(), atol=1e-5)
+
+
+def test_compressed_files_are_refused_by_name(tmp_path):
+    file = arm()
+    file.json["bufferViews"][1]["extensions"] = {"EXT_meshopt_compression": {}}
+    with pytest.raises(FormatError, match="EXT_meshopt_compression.*without compression"):
+        Motion.load(file.save(tmp_path / "a.glb"))
+    file.json["extensionsRequired"] = ["KHR_draco_mesh_compression"]
+    del file.json["bufferViews"][1]["extensions"]
+    np.testing.assert_allclose(angle(file.save(tmp_path / "b.glb"), fps=1), [0, 90, 0], atol=1e-4)
+    file.json["extensionsRequired"] = ["KHR_xmp"]
+    with pytest.warns(UserWarning, match="'KHR_xmp', which is left out"):
+        Motion.load(file.save(tmp_path / "c.glb"))
+
+
+def changed(key: str, value: object, *path: object):
+    def change(file: GltfFile) -> None:
+        place = file.json
+        for part in path:
+            place = place[part]
+        place[key] = value
+
+    return change
+
+
+ZEROS = {"type": "VEC4", "componentType": 5126, "count": 10**9}
+FIRST = ("accessors", 0)
+HOSTILE = {
+    "frames": (changed("uri", None), "frames; at most"),
+    "no such view": (changed("bufferView", 10**9, *FIRST), "index into bufferViews"),
+    "many zeros": (changed("accessors", [ZEROS, ZEROS]), "count of"),
+    "count": (changed("count", 10**12, *FIRST), "count of"),
+    "sparse count": (changed("sparse", sparse(10**9), *FIRST), "count of indices"),
+    "sparse place": (changed("sparse", sparse(8), *FIRST), "beyond its 3 elements"),
+    "few values": (changed("count", 1, *FIRST), "1 values of rotation for 3 times"),
+    "interpolation": (changed("interpolation", "x", "animations", 0, "samplers", 0), "not known"),
+    "cycle": (changed("children", [0], "nodes", 1), "no tree"),
+    "version": (changed("asset", {"version": "1.0"}), "version 1.0"),
+    "not json": (changed("nodes", [3]), "not an object"),
+    "no skin": (changed("skins", [{"joints": [7]}]), "joints is 7; expected 0 to 1"),
+}
+
+
+@pytest.mark.parametrize("case", HOSTILE)
+def test_hostile_files_are_refused_by_name(tmp_path, case):
+    change, message = HOSTILE[case]
+    file = arm(times=(0, 1, 9e5)) if case == "frames" else arm()
+    change(file)
+    path = file.save(tmp_path / "a.glb")
+    with pytest.raises(FormatError, match=message) as error:
+        Motion.load(path)
+    assert str(error.value).startswith(f"{path}: ")
+
+
+def test_deep_trees_are_counted_not_recursed_into(tmp_path):
+    nodes = [{"children": [k + 1]} for k in range(15_000)] + [{}]
+    with pytest.raises(FormatError, match="over 1000 nodes above one another"):
+        Motion.load(GltfFile(nodes, [[0]]).save(tmp_path / "a.glb"))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
+def test_a_pipe_beside_the_file_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "a.bin")
+    (tmp_path / "a.gltf").write_bytes(arm().gltf("a.bin"))
+    with pytest.raises(FormatError, match="not a regular file"):
+        Motion.load(tmp_path / "a.gltf")
+
+
+def test_wrong_options_are_refused(tmp_path):
+    path = arm().save(tmp_path / "a.glb")
+    for options in ({"unit": "miles"}, {"up": "w"}, {"up": "z", "forward": "-z"}, {"fps": 0}):
+        with pytest.raises(FormatError, match=r"a\.glb|forward axis"):
+            read_gltf(path, **options)
+
+
+def test_units_of_a_body_are_doubted_and_settable(tmp_path, gesture):
+    gesture(0.2).scaled(100).save(tmp_path / "a.glb")
+    with pytest.warns(UserWarning, match="--in-unit cm"):
+        Motion.load(tmp_path / "a.glb")
+    places = Motion.load(tmp_path / "a.glb", unit="cm").positions()
+    np.testing.assert_allclose(places, gesture(0.2).positions(), atol=1e-5)
