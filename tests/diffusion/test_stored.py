@@ -123,6 +123,9 @@ def test_statistics_are_those_of_a_sample(config_of, tmp_path, write_pair):
     )
     assert {disk.recordings[i].name for i, *_ in disk.sampled} == {"l", "l (mirrored)"}
     assert [one.n_frames for one in memory.recordings] == [40 * 30] * 2
+    trial = load_training_data(config_of("speech", **changes, in_memory=1.0), trial=True)
+    assert trial.recordings[0].n_frames == 30 * 30
+    assert trial.seconds[0] == pytest.approx(40, abs=0.1)
     assert 2 * 450 < sum(stop - start for _, start, stop in disk.sampled) < 2 * 750
     scale = memory.normaliser.scale
     assert ((memory.normaliser.mean - disk.normaliser.mean) / scale).abs().max() < 0.2
@@ -133,6 +136,16 @@ def test_statistics_are_those_of_a_sample(config_of, tmp_path, write_pair):
     disk.save(tmp_path / "data")
     resumed = TrainingData.load(tmp_path / "data", config_of("speech", **changes, in_memory=0.3))
     assert torch.equal(resumed.changes(), disk.changes())
+
+
+@pytest.mark.parametrize("where", [{}, {"in_memory": 0.2}], ids=["memory", "disk"])
+def test_paths_with_and_without_speech_are_normalised_alike(config_of, where):
+    data = load_training_data(config_of("all", **where))
+    assert {one.is_paired for one in data.recordings} == {True, False}
+    plain = [one.condition[:] for one in data.recordings if "mirrored" not in one.name]
+    paths = np.concatenate(plain)[:, data.conditions.columns["path"]]
+    assert np.abs(paths.mean(axis=0)).max() < 0.15
+    assert np.abs(np.log(paths.std(axis=0))).max() < 0.15
 
 
 def test_motion_without_speech_is_sampled_too(config_of, tmp_path, write_pair, gesture):

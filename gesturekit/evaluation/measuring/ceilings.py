@@ -111,7 +111,7 @@ def _chosen(sources: Mapping[str, Pair], fps: float) -> dict[str, Motion]:
 
 
 def _cut(motion: Motion) -> Motion:
-    return copied(motion, 0, min(motion.n_frames, round(LONGEST * motion.fps)))
+    return copied(motion, 0, round(LONGEST * motion.fps))
 
 
 def _others(recordings: Mapping[str, Pair]) -> tuple[dict[str, str], str]:
