@@ -106,8 +106,8 @@ def test_number_of_frames_is_exact(moving_person):
 
 
 def test_unknown_suffix_is_refused_by_name(moving_person, tmp_path):
-    with pytest.raises(FormatError, match=r"\.fbx.*\.bvh"):
-        moving_person.save(tmp_path / "a.fbx")
+    with pytest.raises(FormatError, match=r"\.c3d.*\.bvh"):
+        moving_person.save(tmp_path / "a.c3d")
     with pytest.raises(FormatError, match=r"\.txt"):
         Motion.load(tmp_path / "a.txt")
 
