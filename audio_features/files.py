@@ -109,11 +109,16 @@ class Files:
             return FeatureTrack(np.zeros((1, self.dim)), [0.0], self.spec, self.names)
         path = None if wave.source is None else self.find(wave.source)
         if path is None:
+            if wave.source is None:
+                raise FeatureError(
+                    f"the sound is no file, so that no file of features *{self.suffix} belongs to "
+                    "it: give the path of the sound instead of its samples"
+                )
+            name = Path(wave.source).with_suffix(self.suffix).name
             where = "beside it" if self.folder is None else f"in {self.folder}"
-            other = "FOLDER" if self.folder is None else "ANOTHER FOLDER"
             raise FeatureError(
-                f"{wave.source or 'the sound'}: no file of features STEM{self.suffix} {where}: "
-                f"compute it as for training, or name its place (--weights files={other})"
+                f"{wave.source}: no file of features {name} {where}: compute it, or name its "
+                "folder (folder: in a training's settings, --weights files=FOLDER at rendering)"
             )
         try:
             values, times = self._read(path)

@@ -46,7 +46,7 @@ class Summary:
             lines += textwrap.wrap(
                 text,
                 width,
-                initial_indent=f"  {label}".ljust(column),
+                initial_indent=f"  {label} ".ljust(column),
                 subsequent_indent=" " * column,
                 break_on_hyphens=False,
             )

@@ -53,7 +53,7 @@ def test_the_nearest_file_in_a_folder_counts(talk, tmp_path):
     spec = {"kind": "files", "dim": 1, "rate": 1, "folder": str(tmp_path)}
     own = af.extractor_from_spec(spec, weights={"files": folder})  # the argument counts
     assert "folder" not in own.spec and af.extractor_from_spec(own.spec).spec == own.spec
-    with pytest.raises(af.FeatureError, match=r"talk.wav: no file of features STEM.npy in .*own"):
+    with pytest.raises(af.FeatureError, match=r"talk.wav: no file of features talk.npy in .*own"):
         own.extract(wave)
     for place, value in (("talk.npy", 1), ("s1/talk.npy", 2), ("data/s1/talk.npy", 3)):
         (folder / place).parent.mkdir(exist_ok=True, parents=True)

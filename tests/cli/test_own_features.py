@@ -68,7 +68,7 @@ def test_own_features_from_training_to_motion(
     (speech / "lone.own.npy").unlink()
     np.save(speech / "narrow.own.npy", np.zeros((26, 2)))
     render = ("render", speech, "--model", model, "--out", out, "--format", "npz")
-    done = gesturekit(*render).fails(1, "lone.wav: no file of features STEM.own.npy beside it")
+    done = gesturekit(*render).fails(1, "lone.wav: no file of features lone.own.npy beside it")
     assert "narrow.own.npy, features of" in done.err and "expected (T, 3)" in done.err
     assert Motion.load(out / "ok.npz").n_frames == 39 and not (out / "lone.npz").exists()
     write_own(speech / "lone.wav", 1.3)
