@@ -43,13 +43,13 @@ def keep_joints(
     kept = sorted({skeleton.index(name) for name in names})
     parent = _kept_parents(skeleton, kept)
     root = kept[0]
-    world = global_rotations(rotations, skeleton)
-    positions = forward_kinematics(rotations, translation, skeleton, moving)
+    below_others = [j for j in kept if parent[j] != skeleton.parents[j]]
+    if below_others:  # not if leaves go, such as fingers
+        world = global_rotations(rotations, skeleton)
+        positions = forward_kinematics(rotations, translation, skeleton, moving)
     rotations, offsets, moving = rotations.copy(), skeleton.offsets.copy(), dict(moving)
     still = STILL * body_scale(skeleton)
-    for j in kept:
-        if parent[j] == skeleton.parents[j]:
-            continue
+    for j in below_others:
         moving.pop(skeleton.names[j], None)
         if j == root:
             rotations[:, j], translation = world[:, j], positions[:, j]

@@ -228,16 +228,8 @@ class Motion:
         Raises:
             MotionError: a rig with limbs whose left and right cannot be identified.
         """
-        skeleton, rotations, translation, moving = mirror(
-            self.skeleton, self.rotations, self.translation, self.joint_translations
-        )
-        return replace(
-            self,
-            skeleton=skeleton,
-            rotations=rotations,
-            translation=translation,
-            joint_translations=moving,
-            info=dict(self.info),
+        return self._on_rig(
+            *mirror(self.skeleton, self.rotations, self.translation, self.joint_translations)
         )
 
     def keep(self, joints: Sequence[str]) -> Motion:
@@ -255,9 +247,20 @@ class Motion:
         """
         if set(joints) == set(self.skeleton.names):
             return self
-        skeleton, rotations, translation, moving = keep_joints(
-            self.skeleton, self.rotations, self.translation, self.joint_translations, joints
+        return self._on_rig(
+            *keep_joints(
+                self.skeleton, self.rotations, self.translation, self.joint_translations, joints
+            )
         )
+
+    def _on_rig(
+        self,
+        skeleton: Skeleton,
+        rotations: np.ndarray,
+        translation: np.ndarray,
+        moving: Mapping[str, np.ndarray],
+    ) -> Motion:
+        """Return the motion with another rig and movement."""
         return replace(
             self,
             skeleton=skeleton,

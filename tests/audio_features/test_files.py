@@ -129,7 +129,7 @@ def test_a_wrong_npz_says_what_is_missing(talk, arrays, complaint):
 
 
 def test_features_that_go_on_after_the_sound_are_warned_about(talk, caplog):
-    """Of a wrong rate, or of an encoder that fills up to 30 s."""
+    """A wrong rate, or an encoder that fills up to 30 s, gives too many."""
     np.save(talk.with_suffix(".npy"), clock(30, 50))
     own = af.Files(2, rate=50)
     assert own.extract(af.Wave.load(talk)).at([4.0]).values[0, 0] == pytest.approx(4.0)

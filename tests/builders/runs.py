@@ -12,6 +12,8 @@ from typing import Any
 import torch
 from safetensors.torch import load_file
 
+from gesturekit.training.run.checkpoint import Checkpoints
+
 
 def weights(folder: Path) -> dict[str, torch.Tensor]:
     """Return the tensors of a model folder."""
@@ -39,6 +41,13 @@ def logged(run: Path, kind: str | None = None) -> list[dict[str, Any]]:
     lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     lines = [line for line in lines if line.get("kind") == kind]
     return [{key: x for key, x in line.items() if "seconds" not in key} for line in lines]
+
+
+def cut_off(run: Path, step: int) -> None:
+    """Remove the checkpoint of a step and the model, as if the run had been killed before it."""
+    Checkpoints(run / "checkpoints").path(step).unlink()
+    for file in (run / "model").iterdir():
+        file.unlink()
 
 
 def launch(*arguments: object, processes: int = 0) -> subprocess.Popen[str]:

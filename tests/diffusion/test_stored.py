@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from runs import same_weights
+from runs import cut_off, same_weights
 from small_runs import small_diffusion
 
 from gesturekit.corpus import Manifest, prepare
@@ -21,7 +21,6 @@ from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.diffusion.training.loading import load_training_data
 from gesturekit.diffusion.training.trainer import train
 from gesturekit.errors import ConfigError
-from gesturekit.training.run.checkpoint import Checkpoints
 
 ON_DISK = {"in_memory": 0.06}
 """A sample of 3.6 s of 13 s."""
@@ -176,9 +175,7 @@ def test_a_run_from_disk_is_resumed_to_the_last_bit(config_of, tmp_path, kind):
     )
     train(whole)
     train(cut)
-    Checkpoints(cut.out / "checkpoints").path(6).unlink()
-    for file in (cut.out / "model").iterdir():
-        file.unlink()
+    cut_off(cut.out, 6)
     train(cut, resume=True)
     assert same_weights(whole.out / "model", cut.out / "model")
     next((tmp_path / "arrays").rglob("*.npy")).unlink()
@@ -233,7 +230,7 @@ def test_workers_make_the_arrays_of_one_process(config_of, tmp_path):
 
 @pytest.mark.parametrize("where", [{}, ON_DISK], ids=["memory", "disk"])
 def test_the_card_says_how_often_a_second_is_drawn(config_of, where):
-    """Of 12 windows of 1.5 s a quarter is without speech; 13.5 s fall on 9 s of recordings."""
+    """A quarter of 12 windows of 1.5 s is without speech; 13.5 s fall on 9 s of recordings."""
     changes = {"unpaired": {"share": 0.25}, "training": {"updates": 1, "window": 1.5}}
     card = (train(config_of("speech", **changes, **where)) / "README.md").read_text()
     assert "a second is drawn about 1.5 times (78% at least once)" in card

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from runs import ended, launch, logged, same_weights, weights
+from runs import cut_off, ended, launch, logged, same_weights, weights
 
 import gesturekit as gk
 from gesturekit.corpus import prepare
@@ -60,9 +60,7 @@ def test_a_resumed_run_is_the_same_to_the_last_bit(make_config, tmp_path):
     train(whole)
     train(cut)
     # As it was when killed after step 5: a checkpoint of step 3, and lines that come again.
-    Checkpoints(cut.out / "checkpoints").path(6).unlink()
-    for file in (cut.out / "model").iterdir():
-        file.unlink()
+    cut_off(cut.out, 6)
     train(cut, resume=True)
     assert same_weights(whole.out / "model", cut.out / "model")
     assert [line["step"] for line in logged(cut.out)] == [2, 4, 6]

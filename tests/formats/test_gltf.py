@@ -41,7 +41,7 @@ def test_steps_hold_each_key_until_the_next(tmp_path):
 
 
 def test_splines_start_and_stop_gently(tmp_path):
-    """With tangents of 0, u = 1/4 of the way gives 3 u^2 - 2 u^3 = 5/32 of the change."""
+    """Tangents of 0 give 3 u^2 - 2 u^3 of the change, 5/32 at u = 1/4."""
     path = arm("CUBICSPLINE").save(tmp_path / "a.glb")
     z, w = 5 / 32 * HALF, 1 - 5 / 32 + 5 / 32 * HALF
     quarter = np.degrees(2 * np.arctan2(z, w))

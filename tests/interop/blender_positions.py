@@ -1,4 +1,4 @@
-"""Where Blender puts the joints of BVH, glTF and FBX files; run by the Python that has `bpy`.
+"""Joint positions that Blender reads from BVH, glTF and FBX; run by the Python that has `bpy`.
 
 python blender_positions.py FILE ...    writes FILE.blender.json beside each
 """

@@ -94,7 +94,7 @@ def copied(motion: Motion, start_frame: int, stop_frame: int) -> Motion:
     """Return a copy of some frames, which does not keep the whole motion in memory as a slice does.
 
     Raises:
-        MotionError: the range is empty or exceeds the motion.
+        MotionError: the range is empty.
     """
     part = motion[start_frame:stop_frame]
     return replace(
