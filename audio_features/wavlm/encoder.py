@@ -28,7 +28,7 @@ class Encoder:
         tensors: float32 tensors under transformers' names.
         depth: number of layers; those above are not loaded.
         dtype: type of all matrix products except queries with keys. Scores, softmax,
-            normalisations and the residual stream are always float32.
+            normalisations, the positional convolution and the residual stream are always float32.
     """
 
     def __init__(
@@ -43,10 +43,7 @@ class Encoder:
         magnitude = tensors[f"{conv}parametrizations.weight.original0"]
         direction = tensors[f"{conv}parametrizations.weight.original1"]
         norm = torch.linalg.vector_norm(direction, dim=(0, 1), keepdim=True)
-        self._position = (
-            (direction * (magnitude / norm)).to(dtype),
-            tensors[f"{conv}bias"].to(dtype),
-        )
+        self._position = direction * (magnitude / norm), tensors[f"{conv}bias"]
         self._norm = tensors["encoder.layer_norm.weight"], tensors["encoder.layer_norm.bias"]
         self._embedding = tensors["encoder.layers.0.attention.rel_attn_embed.weight"]
         self._layers = [self._layer(tensors, f"encoder.layers.{i}.") for i in range(depth)]
@@ -85,8 +82,8 @@ class Encoder:
         return self._normalised(x, self._norm)
 
     def _positions(self, x: torch.Tensor) -> torch.Tensor:
-        x = x.to(self._dtype).transpose(1, 2)
-        x = F.conv1d(x, *self._position, groups=self._shape.position_groups)
+        # Not in bfloat16: oneDNN's convolution of few channels a group is wrong on CPUs with AMX.
+        x = F.conv1d(x.transpose(1, 2), *self._position, groups=self._shape.position_groups)
         return F.gelu(x).transpose(1, 2)
 
     def _layer(self, tensors: dict[str, torch.Tensor], name: str) -> dict[str, tuple]:
