@@ -96,6 +96,19 @@ def test_blocks_equal_the_full_computation(gradients):
     torch.testing.assert_close(ours.double(), exact, atol=1e-5, rtol=1e-5)
 
 
+def test_on_a_gpu_all_heads_share_a_few_large_blocks(gpu):
+    config, n_frames = NetworkConfig(kernels=4), 600
+    bias = bent_bias(config)
+    q, k, v = torch.randn(3, 1, 8, n_frames, 32, generator=rng_for("qkv")) * 2
+    scores = q.double() @ k.double().transpose(-1, -2) / math.sqrt(32)
+    exact = torch.softmax(scores + explicit(bias, config, n_frames), -1) @ v.double()
+    with torch.no_grad():
+        made = bands(bias.to("cuda"), n_frames)
+        assert [(band.first, band.last, len(band.blocks)) for band in made] == [(0, 8, 3)]
+        ours = attend(*(part.to("cuda") for part in (q, k, v)), made, 0.0).cpu()
+    torch.testing.assert_close(ours.double(), exact, atol=5e-5, rtol=1e-5)
+
+
 def test_gradients_of_blocks_equal_those_of_the_full_computation():
     config, n_frames = NetworkConfig(heads=2, channels=16, kernels=5), 260
     bias = bent_bias(config)

@@ -26,6 +26,8 @@ EPSILON = 1e-8
 """Added inside the logarithm; also the attention weight at half of a head's view."""
 MIN_QUERIES = 48
 """Least number of frames in a block; blocks have 4/3 of the head's reach if that is more."""
+GPU_QUERIES = 256
+"""The same on a GPU, where starting a small product takes longer than computing a large one."""
 
 
 class PositionBias(nn.Module):
@@ -130,14 +132,16 @@ def bands(bias: PositionBias, n_frames: int) -> list[Band]:
     """Group all heads into bands for a clip of `n_frames`.
 
     In a band, the widest reach is less than four times the narrowest. At the published sizes, four
-    heads reach up to 16 frames and four up to 75.
+    heads reach up to 16 frames and four up to 75. On a GPU all heads are one band.
     """
+    is_gpu = bias.slopes.device.type != "cpu"
     made: list[Band] = []
     last = len(bias.reaches)
     while last > 0:
         reach = bias.reaches[last - 1]
-        first = next(h for h in range(last) if 4 * bias.reaches[h] > reach)
-        blocks = blocks_of(n_frames, reach, max(MIN_QUERIES, 4 * reach // 3))
+        first = next(h for h in range(last) if is_gpu or 4 * bias.reaches[h] > reach)
+        least = GPU_QUERIES if is_gpu else MIN_QUERIES
+        blocks = blocks_of(n_frames, reach, max(least, 4 * reach // 3))
         widest = max(max(b.last - b.first_key, b.last_key - b.first) for b in blocks)
         table = bias.table(widest)[first:last]
         made.append(Band(first, last, blocks, bias_of_blocks(table, blocks)))
