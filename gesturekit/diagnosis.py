@@ -11,7 +11,7 @@ from importlib import metadata, util
 from pathlib import Path
 from typing import Literal
 
-from gesturekit.errors import ConfigError
+from gesturekit.errors import ConfigError, FormatError
 
 _LOW_DISK = 2 * 10**9
 _NEEDED = ("numpy", "scipy", "soundfile", "soxr", "librosa", "safetensors", "yaml", "matplotlib")
@@ -51,6 +51,7 @@ def diagnose(weights: str | os.PathLike[str] | None = None) -> Iterator[Finding]
         "torchaudio": _torchaudio,
         "transformers": _transformers,
         "ffmpeg": _ffmpeg,
+        "Blender": _blender,
         "HTML player": _player,
         "human body": _human,
         "demo model": _demo,
@@ -161,6 +162,19 @@ def _ffmpeg() -> Finding:
     except (ImportError, RuntimeError):
         text = "imageio-ffmpeg is not installed; only mp4 files need it"
         return Finding("ffmpeg", "note", text, "pip install 'gesturekit[video]'")
+
+
+def _blender() -> Finding:
+    from gesturekit.formats.fbx import PROGRAM, blender_command
+
+    advice = f"install Blender or its module bpy, or name it: {PROGRAM}=/path/to/blender"
+    try:
+        program = blender_command(Path())[0]
+    except FormatError:
+        return Finding("Blender", "note", "not found; only FBX files need it", advice)
+    if shutil.which(program) is None:
+        return Finding("Blender", "note", f"{program}: no such program", advice)
+    return Finding("Blender", "ok", f"{program}, for FBX files")
 
 
 def _player() -> Finding:

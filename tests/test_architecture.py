@@ -53,7 +53,7 @@ MAY_IMPORT["cli"] |= MAY_IMPORT["rendering"]
 # Modules outside of any package. `systems` imports models and trainers by name, lazily.
 MAY_IMPORT["model"] = {"corpus", "motion"}
 MAY_IMPORT["systems"] = {"model", "training"}
-MAY_IMPORT["diagnosis"] = {"systems"}
+MAY_IMPORT["diagnosis"] = {"formats", "systems"}
 EVERYONE_MAY_IMPORT = {
     "errors",
     "compiled",

@@ -16,7 +16,7 @@ MARKS = {"ok": "ok", "note": "note", "broken": "BROKEN"}
     help="WavLM weights (folder or file) or Hugging Face speech encoder (folder) to read.",
 )
 def command(weights: Path | None) -> int:
-    """Check torch, GPU, threads, torchaudio, transformers, ffmpeg, disk, cache and weights.
+    """Check torch, GPU, threads, torchaudio, transformers, ffmpeg, Blender, disk, cache, weights.
 
     The exit code is 0 if gesturekit is usable, and 1 if a requirement is broken. Include the
     output when you report a problem.

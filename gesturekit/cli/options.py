@@ -128,23 +128,24 @@ framing_option = click.option(
 
 
 class _Body(click.Choice):
-    """A body of the package, or the path of an avatar."""
+    """A body of the package, or the file of an avatar."""
 
     def __init__(self) -> None:
         super().__init__(["mannequin", "human", "skeleton"])
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        if str(value).lower().endswith((".vrm", ".glb")):
-            return str(value)
-        return super().convert(value, param, ctx)
+        if value in self.choices or str(value).lower().endswith((".vrm", ".glb")):
+            return value
+        self.fail(f"{value!r} is none of {', '.join(self.choices)}, FILE.vrm, FILE.glb", param)
 
 
 body_option = click.option(
     "--body",
     type=_Body(),
-    metavar="[mannequin|human|skeleton|FILE.vrm]",
-    help="Body in glb and fbx files, pages, videos and pictures; the motion is retargeted to human "
-    "and to your own VRM avatar.  [default: mannequin]",
+    metavar="[mannequin|human|skeleton|FILE.vrm|FILE.glb]",
+    help="Body in glb files (and the fbx of convert), pages, videos and pictures; the motion is "
+    "retargeted to human and to your own avatar: a VRM file, or a glb with Mixamo's names of "
+    "bones.  [default: mannequin]",
 )
 
 

@@ -238,6 +238,7 @@ def command(
     elsewhere = run_elsewhere(ctx, out, options)
     if elsewhere is not None:
         ctx.exit(elsewhere)
+    output = _output(options)  # before the model, which takes seconds to load
     names = ("weights", "device", "dtype")
     open_model = partial(load, **{name: options.pop(name) for name in names})
     loaded = open_model(model)
@@ -247,7 +248,7 @@ def command(
         loaded,
         [*sources, *items],
         out,
-        output=_output(options),
+        output=output,
         execution=execution,
         seconds=seconds,
         channel=options.pop("channel"),

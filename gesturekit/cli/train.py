@@ -143,6 +143,7 @@ def _next_steps(model: Path) -> list[str]:
     """Return the commands that render with a model and evaluate it on held-out speech."""
     import shlex
 
+    from audio_features.extractor import needs_of
     from gesturekit.corpus import Manifest
     from gesturekit.errors import CorpusError
     from gesturekit.training.config import read_yaml
@@ -160,6 +161,7 @@ def _next_steps(model: Path) -> list[str]:
     given = ["speech.wav"] if takes_speech else [] if config.get("path") else ["--seconds", "20"]
     end = ["--model", str(model), *needed, "--out", "rendered"]
     lines = [f"Render with: {shlex.join([*start, *given, *end])}"]
+    lines += [f"It needs {need}" for need in needs_of((config.get("features") or {}).get("spec"))]
     corpus = run["corpus"]
     try:
         is_held_out = takes_speech and bool(Manifest.load(corpus).paired("test"))

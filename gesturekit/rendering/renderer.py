@@ -14,12 +14,15 @@ import audio_features as af
 from gesturekit.corpus.item import Item
 from gesturekit.errors import ConfigError
 from gesturekit.formats.conversion import writer_options
+from gesturekit.formats.registry import WRITABLE
 from gesturekit.formats.rig import Rig
 from gesturekit.jobs.result import Processor, Result, json_of, path_digest
 from gesturekit.jobs.task import Task
 from gesturekit.model import Model
 from gesturekit.motion.motion import Motion
 from gesturekit.rendering.inputs import item_of, task_wave, task_words
+from gesturekit.viewer.avatars import load_avatar
+from gesturekit.viewer.drawn_body import AVATARS
 from gesturekit.viewer.video.writer import require_encoder
 
 log = logging.getLogger(__name__)
@@ -39,10 +42,13 @@ class Output:
             smpl, smplh or smplx; see `gesturekit.formats.rig`. None for the model's own.
         unit: unit of BVH files; None for cm.
         up: up axis of SMPL npz files, "y" or "z"; None for y.
-        body: in pages, videos and pictures: "mannequin", "human", "skeleton" or the path of a VRM
-            avatar; None for mannequin.
+        body: in glb files, pages, videos and pictures: "mannequin", "human", "skeleton" or the path
+            of an avatar (.vrm, or .glb with Mixamo's names); None for mannequin.
         framing: of pages, "whole" or "waist"; None for whole.
         size: of videos, "720p" or "1080p"; None for 720p.
+
+    Raises:
+        FormatError: an avatar that is missing or cannot be read.
     """
 
     formats: str | Sequence[str] = ("bvh",)
@@ -58,6 +64,8 @@ class Output:
         formats = self.formats.split(",") if isinstance(self.formats, str) else self.formats
         plain = (name.strip().lower().removeprefix(".") for name in formats)
         object.__setattr__(self, "formats", tuple(dict.fromkeys(filter(None, plain))))
+        if self.body is not None and self.body.lower().endswith(AVATARS):
+            load_avatar(self.body)  # refused here, before any work
 
 
 @dataclass
@@ -96,8 +104,10 @@ class Renderer(Processor):
         output = self.output
         unknown = [name for name in output.formats if name not in RENDERED]
         if unknown or not output.formats:
+            others = [name for name in unknown if name in WRITABLE]
+            convert = f"; gesturekit convert x.bvh x.{others[0]} writes it" if others else ""
             raise ConfigError(
-                f"format {', '.join(unknown) or '(none)'}: known: {', '.join(RENDERED)}"
+                f"format {', '.join(unknown) or '(none)'}: known: {', '.join(RENDERED)}{convert}"
             )
         if "mp4" in output.formats:
             require_encoder()

@@ -81,7 +81,7 @@ class StudyConfig:
             raise ConfigError("title is empty; it is the heading that raters see")
         self._check_systems()
         if not is_body(self.body):
-            raise ConfigError(f"body: {self.body!r}; expected {', '.join(BODIES)} or a .vrm file")
+            raise ConfigError(f"body: {self.body!r}; expected {', '.join(BODIES)}, .vrm or .glb")
         for name, least in (("lists", 1), ("attention_checks", 0), ("seed", 0)):
             if getattr(self, name) < least:
                 raise ConfigError(f"{name}: {getattr(self, name)} is below {least}")

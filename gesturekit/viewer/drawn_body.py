@@ -68,7 +68,7 @@ class DrawnBody:
             UserWarning: the human body was not baked, or the motion cannot be retargeted to a body.
         """
         if body is not None and not is_body(body):
-            raise FormatError(f"body is {body!r}; expected {', '.join(BODIES)} or a .vrm file")
+            raise FormatError(f"body is {body!r}; expected {', '.join(BODIES)}, .vrm or .glb")
         if body_model is not None:
             if body is not None:
                 raise FormatError("give either a body or a body model, not both")

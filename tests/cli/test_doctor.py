@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 
-from gesturekit.diagnosis import Finding, is_usable
+from gesturekit.diagnosis import Finding, diagnose, is_usable
 
 
 def test_a_machine_that_works_is_usable(gesturekit, write_wavlm, tmp_path):
@@ -22,6 +22,13 @@ def test_a_broken_requirement_gives_exit_code_1(gesturekit, tmp_path):
     assert f"BROKEN WavLM         {tmp_path / 'none'}" in done.out
     assert not is_usable([Finding("a", "ok", ""), Finding("b", "broken", "")])
     assert is_usable([Finding("a", "note", "")])
+
+
+def test_a_named_blender_that_is_not_there_is_noted(monkeypatch, tmp_path):
+    for name, state in ((sys.executable, "ok"), (str(tmp_path / "blender"), "note")):
+        monkeypatch.setenv("GESTUREKIT_BLENDER", name)
+        found = next(finding for finding in diagnose() if finding.name == "Blender")
+        assert found.state == state and name in found.text
 
 
 UP_TO_TORCHAUDIO = """

@@ -55,7 +55,8 @@ def test_own_features_from_training_to_motion(
     if config.parent.name.startswith("multires"):
         tiny.append("recall.level=2")  # its finest level would copy recordings
     given = (f"corpus={own_corpus}", f"out={tmp_path / 'run'}")
-    gesturekit("train", config, *given, *tiny, EXTRACTORS).ok()
+    trained = gesturekit("train", config, *given, *tiny, EXTRACTORS).ok()
+    assert "It needs STEM.own.npy with 3 columns, beside each sound" in trained.out
     model = tmp_path / "run" / "model"
     needs = [text for name, text in inspect(model).rows if name == "needs"]
     assert len(needs) == 3 and needs[2].startswith("the extractor loudness of the package own-f")

@@ -280,7 +280,7 @@ def test_a_file_named_twice_is_rendered_once(render, wav, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--format", "bvh,fbx"], "fbx: known: bvh"),
+        (["--format", "bvh,fbx"], "mp4, png; gesturekit convert x.bvh x.fbx writes it"),
         (["--format", ","], "known: bvh"),
         (["--model", "demmo"], "demmo: neither a model folder nor a bundled model"),
         (["--samples", "0"], "samples"),

@@ -190,14 +190,19 @@ def test_it_ends_with_a_verdict_on_held_out_speech(train, one_recording, tmp_pat
     caplog.set_level(logging.INFO)
     done = train(f"corpus={one_recording}").ok()
     assert "Training on 1 recording, 32 s at 30 fps" in caplog.text
-    said = re.search(r"Step 6: (on 1 held-out recording \(8 s\): [A-Z].*\.)", caplog.text)[1]
+    said = re.search(r"Measured (on 1 held-out recording \(8 s\): [A-Z].*\.)\n\Z", done.out)[1]
     assert said in (tmp_path / "run" / "model" / "README.md").read_text()
-    assert done.out.splitlines()[-1] == f"Measured {said}"
+    assert said not in caplog.text  # a terminal shows both
     lines = [json.loads(x) for x in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
     (figures,) = (line for line in lines if line.get("kind") == "held_out")
     assert {"held_out/sync", "held_out/sync_chance", "held_out/arm_speed"} <= figures.keys()
     assert "metrics.jsonl" in done.out and "tensorboard --logdir" in done.out
     assert f"render --corpus {one_recording} --split test" in done.out
+
+
+def test_a_plan_warns_of_held_out_neighbours_once(train, one_recording, caplog):
+    train(f"corpus={one_recording}", "--plan").ok()
+    assert caplog.text.count("held-out items with neighbours in training") == 1
 
 
 def test_frequent_evaluation_does_not_change_weights(train, one_recording, tmp_path, monkeypatch):

@@ -126,9 +126,10 @@ def test_the_last_line_of_a_training_is_the_verdict_of_an_evaluation(
     run, said = train(system, talks)
     what, _, verdict = said.partition(": ")
     assert what == "Measured on 2 held-out recordings (15 s)" and len(verdict) > 20
+    assert verdict not in caplog.text  # a terminal shows both streams
     card = (run / "model" / "README.md").read_text()
     assert f"- **Measured**: {said.removeprefix('Measured ')}\n" in card
-    command = shlex.split(caplog.text.partition("The same, with all metrics: gesturekit ")[2])
+    command = shlex.split(caplog.text.partition("All metrics on ")[2].partition("kit ")[2])
     kept = gesturekit(*command[:4], "--workers", 1, "--json", tmp_path / "kept.json")
     assert kept.out.splitlines()[0] == verdict
     rendered = tmp_path / "rendered"

@@ -206,6 +206,10 @@ def test_a_missing_avatar_is_named_on_the_command_line(tmp_path, gesture, gestur
     gesture(0.2).save(tmp_path / "a.bvh")
     done = gesturekit("view", tmp_path / "a.bvh", "--body", "who.vrm", "-o", tmp_path / "a.png")
     assert done.status == 2 and "who.vrm: no such file" in done.err
+    # Before a model is loaded, and once for all sounds.
+    render = ("render", "--seconds", 1, "--model", "none", "--out", tmp_path / "out", "--body")
+    gesturekit(*render, "who.glb").fails(2, "who.glb: no such file")
+    gesturekit(*render, "who.obj").fails(2, "human", "FILE.vrm", "FILE.glb")
 
 
 def test_dense_meshes_become_smaller_and_keep_their_shape():

@@ -159,7 +159,7 @@ class HeldOutMetrics:
     def measure(
         self, step: int, model: _Model, so_far: str = "", *, keep: bool = False, **controls: Any
     ) -> str:
-        """Evaluate a model; log the verdict, and the metrics to the run.
+        """Evaluate a model; log the metrics to the run, and the verdict unless it is the last.
 
         Args:
             step: of the training.
@@ -184,9 +184,10 @@ class HeldOutMetrics:
         if found is None:
             return ""
         said = f"on {self.what}: {found.verdict or NO_VERDICT}"
-        log.info("Step %d%s: %s", step, so_far, said)
-        if keep:
-            log.info("The same, with all metrics: %s", self.command)
+        if keep:  # the training ends with the verdict, in the model's README
+            log.info("All metrics on %s: %s", self.what, self.command)
+        else:
+            log.info("Step %d%s: %s", step, so_far, said)
         kind = self.folder.name
         if not self.run.has(step, kind):
             self.run.log(step, dict(_logged(found, kind)), kind=kind)

@@ -6,10 +6,11 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from gesturekit.training.run_config import RunConfig
 from gesturekit.wording import roughly
 
 log = logging.getLogger(__name__)
+_T = TypeVar("_T")
 
 _FASTER, _SLOWER = 0.8, 2.0
 """Limits of the interval, relative to the estimate: other programs on the machine slow a training
@@ -81,12 +83,12 @@ def log_plan(
         estimate = _silently(trial.estimate)
         if not processes.is_first:
             return
-        excerpt = recordings()
+        excerpt = _silently(recordings, logging.WARNING)
         motion = quickest(lambda: [item.load_motion(config.parts) for item in excerpt.items], 1)
         # A motion file is read whole, however short the excerpt is.
         reading = motion * len(excerpt.whole[0]) / len(excerpt.items)
         # The first reading loaded libraries too.
-        features = max(0.0, quickest(read, 1) - motion)
+        features = max(0.0, quickest(partial(_silently, read, logging.WARNING), 1) - motion)
         reading += features * excerpt.lengths[0] / sum(item.duration for item in excerpt.items)
         if excerpt.is_long(config):
             size = np.dot(estimate.rates, excerpt.lengths)
@@ -105,11 +107,15 @@ def log_plan(
         )
 
 
-def _silently(estimate: Callable[[], Estimate]) -> Estimate:
-    """Return an estimate; what is logged meanwhile is not true of the whole corpus."""
-    logging.disable(logging.INFO)
+def _silently(work: Callable[[], _T], level: int = logging.INFO) -> _T:
+    """Return what a function returns, without its messages of up to a level.
+
+    Information on an excerpt is not true of the whole corpus; warnings of a second reading are
+    those of the first.
+    """
+    logging.disable(level)
     try:
-        return estimate()
+        return work()
     finally:
         logging.disable(logging.NOTSET)
 
