@@ -42,7 +42,7 @@ class AudioError(AudioFeaturesError, ValueError):
 
 
 class WeightsError(AudioFeaturesError, ValueError):
-    """A folder of network weights that is missing, incomplete, or not the requested one.
+    """A folder of network weights or of own features that is missing, incomplete or another one.
 
     Examples:
         >>> af.extractor_from_spec({"kind": "hf", "model": "hubert"})

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import soundfile
 
-from audio_features.errors import FeatureError
+from audio_features.errors import FeatureError, WeightsError
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 
@@ -40,7 +40,7 @@ class Files:
             what a clip's mean says, such as an emotion.
         folder: folder of the files; None for beside the sounds. It is no part of the spec.
 
-    Raises FeatureError for settings out of range.
+    Raises FeatureError for settings out of range, and WeightsError for a missing folder.
 
     Examples:
         Two columns at 4 rows per second, of which the second row is at 0.25 s:
@@ -64,14 +64,20 @@ class Files:
         folder: str | os.PathLike[str] | None = None,
     ) -> None:
         if not isinstance(dim, int) or not 1 <= dim <= _MOST_COLUMNS:
-            raise FeatureError(f"files: dim is {dim!r}: give the number of columns of the files")
+            raise FeatureError(
+                f"files: {_given('dim', dim)}: give the number of columns of the files "
+                "(dim: 64, --extractor files:64)"
+            )
         suffix = (".npz" if rate is None else ".npy") if suffix is None else suffix
         is_name = isinstance(suffix, str) and Path(f"a{suffix}").name == f"a{suffix}"
         if not is_name or not suffix.lower().endswith((".npz", ".npy")) or suffix[0] != ".":
             raise FeatureError(f"files: suffix is {suffix!r}: expected .npz, .npy or .NAME.npy")
         self._is_npy = suffix.lower().endswith(".npy")
         if self._is_npy and not (_is_number(rate) and 1e-3 <= rate <= 1e6):
-            raise FeatureError(f"files: rate is {rate!r}: give the rows per second of *{suffix}")
+            raise FeatureError(
+                f"files: {_given('rate', rate)}: give the rows per second of *{suffix} "
+                "(rate: 50, --rate 50)"
+            )
         if not _is_number(start) or not isinstance(centred, bool):
             raise FeatureError(
                 f"files: start is {start!r}, centred {centred!r}: a time, true/false"
@@ -79,7 +85,7 @@ class Files:
         self.dim, self.suffix, self.rate, self.start = dim, suffix, rate, start
         self.folder = None if folder is None else Path(folder)
         if self.folder is not None and not self.folder.is_dir():
-            raise FeatureError(f"{folder}: no such folder: give the folder of the *{suffix} files")
+            raise WeightsError(f"{folder}: no such folder: give the folder of the *{suffix} files")
         self.names = tuple(f"files{suffix}_{i}" for i in range(dim))
         self.centred = (centred,) * dim
         self.spec: dict[str, Any] = {"kind": "files", "dim": dim, "suffix": suffix}
@@ -116,8 +122,9 @@ class Files:
                 )
             name = Path(wave.source).with_suffix(self.suffix).name
             where = "beside it" if self.folder is None else f"in {self.folder}"
+            npy = "" if self._is_npy else "; an npy needs a rate"
             raise FeatureError(
-                f"{wave.source}: no file of features {name} {where}: compute it, or name its "
+                f"{wave.source}: no file of features {name} {where}{npy}: compute it, or name its "
                 "folder (folder: in a training's settings, --weights files=FOLDER at rendering)"
             )
         try:
@@ -132,9 +139,10 @@ class Files:
         """Return values (T, D), which an npy leaves on disk, and times (T,)."""
         if not self._is_npy:
             track = FeatureTrack.load(path)
-            values, times = track.values, track.times
+            values, times, shape = track.values, track.times, track.values.shape
         else:
-            values, times = _open_npy(path), None
+            values, times = open_npy(path), None
+            shape = values.shape
             if values.dtype.kind not in "fiub":
                 raise FeatureError(f"holds {values.dtype}, not numbers: save plain numbers")
             if values.ndim == 1:
@@ -142,7 +150,7 @@ class Files:
             if values.ndim == 2 and values.shape[0] == self.dim != values.shape[1]:
                 values = values.T  # (D, T), as librosa has it
         if values.ndim != 2 or values.shape[1] != self.dim or not len(values):
-            raise FeatureError(f"shape {values.shape}: expected (T, {self.dim}), T > 0")
+            raise FeatureError(f"shape {shape}: expected (T, {self.dim}), T > 0")
         return values, self.start + np.arange(len(values)) / self.rate if times is None else times
 
     def _check(self, path: Path, times: np.ndarray, wave: Wave) -> None:
@@ -184,14 +192,21 @@ def own_files(extractor: Any, sound: str | os.PathLike[str]) -> list[Path | None
     return [part.find(sound) for part in parts if isinstance(part, Files)]
 
 
-def _open_npy(path: Path) -> np.ndarray:
-    """Return the array of an npy, which stays on disk; objects are never loaded."""
+def open_npy(path: Path) -> np.ndarray:
+    """Return the array of an npy, which stays on disk; objects are never loaded.
+
+    Raises FeatureError for another file.
+    """
     try:
         return np.lib.format.open_memmap(path, mode="r")
     except OSError:
         raise
     except Exception as error:  # numpy's parser of headers raises anything
         raise FeatureError("not a whole npy of plain numbers: write it with numpy.save") from error
+
+
+def _given(name: str, value: Any) -> str:
+    return f"no {name} is given" if value is None else f"{name} is {value!r}"
 
 
 def _is_number(value: Any) -> bool:

@@ -23,7 +23,7 @@ gesturekit features speech/*.wav --extractor mfcc:20,prosody --out features
 gesturekit features speech/ --out features --workers 4    # all sounds below it
 """
 GROUPS = {
-    "What to extract": ("extractor", "fps", "align", "channel"),
+    "What to extract": ("extractor", "rate", "fps", "align", "channel"),
     "Output": ("out", "picture", "existing", "skip_existing"),
     **BATCH_GROUPS,
     "Networks": (
@@ -31,12 +31,13 @@ GROUPS = {
     ),
 }
 
-_NETWORKS = {
+_APPLY_TO = {
     "weights": ("wavlm", "hf", "files"),
+    "rate": ("files",),
     **dict.fromkeys(("layer", "full_context"), ("wavlm", "hf")),
     **dict.fromkeys(("preset", "dtype", "implementation"), ("wavlm",)),
 }
-"""Extractors that each option of networks applies to."""
+"""Extractors that each option applies to, of options that are not for all."""
 
 
 @click.command("features", cls=GroupedCommand, groups=GROUPS, epilog=EXAMPLES)
@@ -48,7 +49,13 @@ _NETWORKS = {
     metavar="LIST",
     help=f"One or more of {', '.join(KINDS)}, separated by commas and concatenated. A size, "
     "method or folder may follow a colon: logmel:64, mfcc:16, prosody:pyin, music:1, "
-    "hf:hubert-base/, words:bert-base/. Or the kind of an installed extractor.",
+    "hf:hubert-base/, words:bert-base/; for files, the number of columns: files:64. Or the kind of "
+    "an installed extractor.",
+)
+@click.option(
+    "--rate",
+    type=float,
+    help="Rows per second of the npy files of own features (files); without it they are npz files.",
 )
 @click.option(
     "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Output folder."
@@ -179,11 +186,11 @@ def _extractor(kinds: str, options: dict[str, Any]) -> Extractor:
         if kind not in kinds_here or (value and (kind not in KINDS or not KINDS[kind].argument)):
             raise click.UsageError(f"--extractor {item!r}: one or more of {', '.join(kinds_here)}")
         specs.append({"kind": kind} | ({KINDS[kind].argument: _number(value)} if value else {}))
-        specs[-1] |= {name: given[name] for name in given if kind in _NETWORKS.get(name, ())}
+        specs[-1] |= {name: given[name] for name in given if kind in _APPLY_TO.get(name, ())}
     kinds = {spec["kind"] for spec in specs}
     for name in [*(["weights"] if weights is not None else []), *given]:
-        if kinds.isdisjoint(_NETWORKS[name]):
-            option, network = name.replace("_", "-"), " or ".join(_NETWORKS[name])
+        if kinds.isdisjoint(_APPLY_TO[name]):
+            option, network = name.replace("_", "-"), " or ".join(_APPLY_TO[name])
             raise click.UsageError(f"--{option} requires --extractor {network}")
     spec = specs[0] if len(specs) == 1 else {"kind": "stack", "parts": specs}
     extractor = extractor_from_spec(spec, weights=weights, device=device)

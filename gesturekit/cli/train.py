@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 @click.command(
     "train",
     context_settings={"ignore_unknown_options": True},  # refused below
-    epilog="Example: gesturekit train recipes/multires_speech/light.yaml corpus=corpus.jsonl "
-    "out=runs/mine",
+    epilog="Example: gesturekit train own_corpus corpus=corpus.jsonl out=runs/mine",
 )
 @click.argument("config", type=click.Path(path_type=Path))
 @click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
@@ -60,7 +59,7 @@ def command(
 ) -> None:
     """Train the model that CONFIG describes; KEY=VALUE changes a setting (training.batch=8).
 
-    CONFIG is a YAML file or the name of a recipe: multires_speech/light (gesturekit recipes ls).
+    CONFIG is a YAML file or the name of a recipe: own_corpus (gesturekit recipes ls).
 
     The run folder (out=...) gets the resolved config, metrics, TensorBoard events, checkpoints,
     and at the end the model.

@@ -35,6 +35,17 @@ def test_features_on_motion_frames(folder):
     assert track.spec["kind"] == "stack"
 
 
+def test_an_npy_of_own_features_is_read_at_its_rate(folder):
+    np.save("a.npy", np.arange(0, 4, 0.05)[:, None])  # 20 rows a second, each its time
+    options = ("--extractor", "files:1", "--out", "out")
+    result = run("a.wav", *options)
+    assert result.return_value == 1 and "no file of features a.npz" in result.output
+    assert run("a.wav", *options, "--rate", "20").return_value == 0
+    track = FeatureTrack.load(folder / "out" / "a.npz")
+    np.testing.assert_allclose(track.times, track.values[:, 0], atol=1e-6)
+    assert track.times[-1] == pytest.approx(3.95)
+
+
 def test_one_bad_file_is_listed_and_the_others_are_done(folder):
     result = run("broken.wav", "silent.wav", "a.wav", "--out", "out")
     assert result.return_value == 1
@@ -52,6 +63,7 @@ def test_commands_that_cannot_start_give_a_reason(folder):
         (["--extractor", "wavlm"], WeightsError, "--weights"),
         (["--weights", "x"], UsageError, "--weights"),
         (["--layer", "3"], UsageError, "--layer"),
+        (["--rate", "50"], UsageError, "--rate requires --extractor files"),
         (["--full-context", "9"], UsageError, "--full-context"),
         (["--align", "mean"], UsageError, "--fps"),
     ):

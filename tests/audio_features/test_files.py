@@ -92,6 +92,7 @@ HUGE = of_rows(np.zeros((1, 2))).replace(b"(1, 2), }           ", b"(99999999999
     [
         (of_rows(clock(8, 50)[:, :1]), r"shape \(400, 1\): expected \(T, 2\)"),
         (of_rows(clock(8, 100)[:, None]), r"shape \(800, 1, 2\)"),
+        (of_rows(np.zeros(400)), r"shape \(400,\): expected \(T, 2\)"),
         (of_rows(np.zeros((0, 2))), "T > 0"),
         (of_rows(with_nan()), "row 120, column 1 is nan"),
         (
@@ -143,9 +144,9 @@ def test_features_that_go_on_after_the_sound_are_warned_about(talk, caplog):
 @pytest.mark.parametrize(
     "settings, complaint",
     [
-        ({}, "dim is None: give the number of columns"),
+        ({}, "no dim is given: give the number of columns"),
         ({"dim": 0}, "dim is 0"),
-        ({"dim": 4, "suffix": ".npy"}, r"rate is None: give the rows per second of \*.npy"),
+        ({"dim": 4, "suffix": ".npy"}, r"no rate is given: give the rows per second of \*.npy"),
         ({"dim": 4, "suffix": "/../x.npy", "rate": 50}, "suffix"),
         ({"dim": 4, "suffix": ".mat"}, "suffix is '.mat'"),
         ({"dim": 4, "rate": float("nan")}, "rate is nan"),
@@ -155,7 +156,7 @@ def test_features_that_go_on_after_the_sound_are_warned_about(talk, caplog):
     ],
 )
 def test_wrong_settings_say_what_to_give(settings, complaint):
-    with pytest.raises(af.FeatureError, match=complaint):
+    with pytest.raises((af.FeatureError, af.WeightsError), match=complaint):
         af.extractor_from_spec({"kind": "files", **settings})
 
 

@@ -125,8 +125,13 @@ def test_training_names_the_item_without_features(gesturekit, own_corpus, light,
     assert json.loads(own_corpus.read_text().splitlines()[1])["id"] == "a"
 
 
-def test_a_service_refuses_a_model_that_reads_files(own_corpus, gesturekit, light, tiny, tmp_path):
+def test_a_service_refuses_a_model_of_files_and_a_missing_folder_is_named(
+    own_corpus, gesturekit, light, tiny, tmp_path
+):
     given = (f"corpus={own_corpus}", f"out={tmp_path / 'run'}")
     gesturekit("train", light, *given, *tiny, "features.extractors=[{kind: files, dim: 2}]").ok()
     with pytest.raises(GestureKitError, match="reads a file beside each sound"):
         create_app(gk.load(tmp_path / "run" / "model"))
+    render = ("render", "--seconds", 1, "--model", tmp_path / "run", "--out", tmp_path / "out")
+    done = gesturekit(*render, "--weights", "files=nowhere").fails(2, "nowhere: no such folder")
+    assert "config.yaml" not in done.err  # no fault of the model

@@ -9,6 +9,7 @@ import shutil
 
 import pytest
 
+from audio_features.kinds import KINDS
 from gesturekit.multires.training.stage import Stage
 from gesturekit.systems import resolved_settings
 from gesturekit.training.config import read_yaml
@@ -308,6 +309,12 @@ def test_show_prints_every_setting(gesturekit, monkeypatch, tmp_path):
     assert any(line.startswith("features=null  (default: {extractors:") for line in lines)
     shown = {line.partition("=")[0] for line in lines if "=" in line and line[0] != " "}
     assert {"fps", "network.levels", "losses.contact", "styles.mixing"} <= shown
+
+
+def test_show_lists_the_kinds_of_extractors(gesturekit):
+    said = gesturekit("train", "own_corpus", "--show").ok().out
+    kinds = said.partition("features.extractors=")[2].partition("Kinds:")[2].partition("(")[0]
+    assert [kind.strip() for kind in kinds.split(",")] == list(KINDS)
 
 
 def test_show_of_a_run_has_its_corpus(gesturekit, tmp_path):

@@ -39,7 +39,10 @@ class FeatureConfig:
     """Speech features of a model."""
 
     extractors: tuple[dict, ...] = ({"kind": "logmel", "n_mels": 24}, {"kind": "prosody"})
-    """Feature extractors, each with its `kind` and settings; their features are concatenated."""
+    """Feature extractors, each with its `kind` and settings; their features are concatenated.
+    Kinds: logmel, mfcc, prosody, onset, prosodic_range, effort, music, words, wavlm, hf, files
+    (your own features, `{kind: files, dim: 64, suffix: .npy, rate: 50}`), and those of installed
+    packages."""
     weights: Path | None = None
     """Folder or file of WavLM weights, or folder of a Hugging Face encoder whose extractor has no
     `path` or `encoder` of its own."""
