@@ -25,8 +25,8 @@ def command(
     as_json: bool,
     **reading: object,
 ) -> None:
-    """Describe PATH: motion, sound, features, a model (folder or bundled name), a corpus
-    (manifest or folder of recordings), or a training run.
+    """Describe PATH: motion, an avatar, sound, features (npz, npy), a model (folder or bundled
+    name), a corpus (manifest or folder of recordings), or a training run.
 
     A motion is shown with its unit, axes and frame rate, its rig as a tree with body parts in
     brackets, statistics of its movement, and probable defects. The exit code is 1 if a PATH

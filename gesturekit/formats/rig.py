@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gesturekit.errors import FormatError, MotionError
+from gesturekit.formats.gltf.animation import NoAnimationWarning
 from gesturekit.formats.smpl.skeleton import RIGS, as_smpl, is_smpl, smpl_skeleton
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
@@ -54,7 +56,9 @@ class Rig:
             )
         from gesturekit.motion.retarget.standing_pose import standing_pose
 
-        motion = Motion.load(name)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NoAnimationWarning)  # a rest pose is enough
+            motion = Motion.load(name)
         try:
             motion = motion.with_parts(parts)
             return cls(Path(name).name, motion.skeleton, standing_pose(motion))

@@ -12,6 +12,7 @@ import numpy as np
 
 from gesturekit.corpus.checks import MAX_JITTER_SHARE, reference_pose
 from gesturekit.formats.conversion import describe_axes, load_with_warnings
+from gesturekit.formats.gltf.vrm import avatar_facts
 from gesturekit.formats.plausibility import plausibility_warnings
 from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.inspection.tree import tree
@@ -34,6 +35,7 @@ from gesturekit.wording import counted, listed
 
 _STILL = np.deg2rad(0.5)
 """Rotation from the first frame up to which a joint counts as not moving, radians."""
+_GLTF = (".glb", ".gltf", ".vrm", ".vrma")
 _STANDS = 1e-4
 """Range up to which a root counts as not travelling, metres on the reference body."""
 
@@ -75,15 +77,17 @@ def inspect_motion(
         **_movement(motion, figure, labels),
         **_feet(motion, labels),
         "upper_body_only": is_upper_body(skeleton),
+        **(avatar_facts(path) if path.suffix.lower() in _GLTF else {}),
     }
     problems = [
         *warnings,
         *plausibility_warnings(motion, options),
     ]
     problems += [*([unknown] if unknown else []), *_defects(motion)]
+    what = "avatar" if facts.get("vrm") else "motion"
     return Summary(
         kind="motion",
-        title=f"{path}: motion, {facts['format']}, {size(facts['bytes'])}",
+        title=f"{path}: {what}, {facts['format']}, {size(facts['bytes'])}",
         facts=facts,
         rows=tuple(_rows(motion, facts, labels, figure.speed_of)),
         drawing=partial(tree, skeleton, labels),
@@ -149,7 +153,7 @@ def _defects(motion: Motion) -> list[str]:
     start, end = reference_pose(motion)
     if start == motion.n_frames > 1:
         found.append("it is in its rest pose or a T-pose all the time")
-    elif start or end:
+    elif (start or end) and motion.n_frames > 1:
         where = [f"the first {counted(start, 'frame')}"] if start else []
         where += [f"the last {counted(end, 'frame')}"] if end else []
         found.append(f"rest pose or T-pose: {' and '.join(where)}")
@@ -194,9 +198,29 @@ def _rows(
         rows.append(("feet", f"stand still (heel or toe below {slow}): {shares} of the frames"))
     if facts["upper_body_only"]:
         rows.append(("legs", "no legs: upper body only; contacts and foot metrics are left out"))
+    if "meshes" in facts:
+        rows += _contents(facts)
     if info.get("renamed"):
         pairs = [f"{new} (was {old})" for new, old in info["renamed"].items()]
         rows.append(("renamed", f"names that repeat: {listed(pairs)}"))
+    return rows
+
+
+def _contents(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return rows on the meshes, animations and avatar of a glTF file."""
+    animations = facts["animations"]
+    named = f": {listed(animations)}" if animations else ""
+    words = [counted(facts["meshes"], "mesh", "meshes"), counted(len(animations), "animation")]
+    rows = [("contents", f"{', '.join(words)}{named}")]
+    bones = facts["humanoid"]
+    if facts["vrm"]:
+        about = [f"VRM {facts['vrm']}", f"{counted(bones, 'humanoid bone')}"]
+        about += [facts["name"]] if facts["name"] else []
+        about += [f"by {facts['authors']}"] if facts["authors"] else []
+        rows.append(("avatar", ", ".join(about)))
+        rows.append(("licence", facts["licence"] or "none named"))
+    elif bones:
+        rows.append(("avatar", f"{counted(bones, 'bone')} with Mixamo's names: --body can draw it"))
     return rows
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import audio_features as af
+from audio_features.files import open_npy
 from gesturekit.formats.signatures import A_JSON_FILE, REPORT_IN_WORDS, is_report, kind_by_content
 from gesturekit.formats.sources import unreadable_media
 from gesturekit.inspection.summary import Summary, size, span
@@ -128,3 +129,45 @@ def inspect_features(path: Path) -> Summary:
         rows=tuple(rows),
         problems=problems,
     )
+
+
+_BLOCK = 1 << 20
+"""Values that are checked at a time."""
+
+
+def inspect_array(path: Path) -> Summary:
+    """Summarise an npy file of own features, which stays on disk.
+
+    Raises:
+        FeatureError: it holds no array of plain values.
+    """
+    try:
+        values = open_npy(path)
+    except af.FeatureError as error:
+        raise af.FeatureError(f"{path}: {error}") from None
+    shape, dtype = values.shape, str(values.dtype)
+    facts = {"path": str(path), "bytes": path.stat().st_size, "shape": list(shape), "dtype": dtype}
+    rows = [("shape", f"{shape}, {dtype}")]
+    if values.ndim == 2:
+        n_rows, n_columns = counted(shape[0], "row"), counted(shape[1], "column")
+        setting = f"{{kind: files, dim: {shape[1]}, suffix: .npy, rate: ROWS PER SECOND}}"
+        rows = [("shape", f"{n_rows}, {n_columns}, {dtype}"), ("train with", setting)]
+    problems = [] if values.size else ["no values"]
+    if values.dtype.kind in "fiub":
+        facts |= _not_finite(values)
+        counts = {"NaN": facts["nan"], "infinite": facts["infinite"]}
+        problems += [f"{n} of {values.size} values are {name}" for name, n in counts.items() if n]
+    else:
+        problems.append(f"{dtype} is no number: save plain numbers")
+    title = f"{path}: an array without times, {size(facts['bytes'])}"
+    return Summary("features", title, facts, tuple(rows), problems=tuple(problems))
+
+
+def _not_finite(values: np.ndarray) -> dict[str, int]:
+    """Return the numbers of NaN and of infinite values, without copying the array."""
+    flat, found = values.ravel(order="K"), {"nan": 0, "infinite": 0}
+    for start in range(0, flat.size, _BLOCK):
+        block = flat[start : start + _BLOCK]
+        found["nan"] += int(np.isnan(block).sum())
+        found["infinite"] += int(np.isinf(block).sum())
+    return found

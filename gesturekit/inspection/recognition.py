@@ -19,8 +19,8 @@ from gesturekit.training.recipes import is_copy
 
 _JSON = {".json": "motion", ".jsonl": "corpus"}
 _KNOWN = (
-    "motion (.bvh, .npz, EasyMocap folders), sound (.wav, .flac, ...), feature files (.npz), "
-    "manifests (.jsonl), model, run and corpus folders"
+    "motion (.bvh, .npz, .glb, EasyMocap folders), avatars (.vrm), sound (.wav, .flac, ...), "
+    "feature files (.npz, .npy), manifests (.jsonl), model, run and corpus folders"
 )
 
 
@@ -34,8 +34,8 @@ def inspect(
     """Summarise a file, a folder, or a bundled model.
 
     Args:
-        path: motion, sound, features, model (folder or bundled name), corpus (manifest or folder
-            of recordings), or run.
+        path: motion, avatar, sound, features, model (folder or bundled name), corpus (manifest or
+            folder of recordings), or run.
         parts: for motion: body parts assigned by hand, {"left_elbow": "Joint12"}.
         read: for motion: options of its reader, such as `up`.
         progress: wraps the list of a folder's recordings while they are read, as tqdm does.
@@ -71,9 +71,10 @@ def inspect(
 
         return inspect_audio(Path(path))
     if kind == "features":
-        from gesturekit.inspection.others import inspect_features
+        from gesturekit.inspection.others import inspect_array, inspect_features
 
-        return inspect_features(Path(path))
+        is_npy = Path(path).suffix.lower() == ".npy"
+        return (inspect_array if is_npy else inspect_features)(Path(path))
     from gesturekit.inspection.corpus import inspect_manifest
 
     return inspect_manifest(Path(path))
@@ -97,11 +98,11 @@ def kind_of(path: str | Path) -> str:
     if not path.is_file():
         raise FormatError(f"{path}: not a regular file")
     suffix = path.suffix.lower()
-    if suffix == ".npz" and is_feature_file(path):
+    if suffix == ".npy" or (suffix == ".npz" and is_feature_file(path)):
         return "features"
     if suffix == ".npz" and is_body_model(path):
         return "other"
-    if suffix in MOTION_SUFFIXES:
+    if suffix in (*MOTION_SUFFIXES, ".vrm"):  # of an avatar, the rig
         return "motion"
     if suffix in SPEECH_SUFFIXES:
         return "audio"

@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from avatars import BONES, avatar
 from gltf_files import HALF, QUARTER_TURN, GltfFile, arm
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
 from gesturekit.formats.gltf.reading import read_gltf
+from gesturekit.formats.rig import Rig
 from gesturekit.motion import Motion
 
 
@@ -153,6 +155,12 @@ def test_repeated_and_missing_names_are_told_apart(tmp_path):
         motion = Motion.load(path)
     assert motion.skeleton.names == ("a", "a_2", "node_2")
     assert motion.info["renamed"] == {"a_2": "a", "node_2": ""}
+
+
+def test_a_rest_pose_is_enough_for_a_rig(tmp_path, recwarn):
+    (tmp_path / "me.glb").write_bytes(avatar(1))
+    assert Rig.load(tmp_path / "me.glb").skeleton.n_joints == len(BONES) + 1
+    assert not recwarn.list
 
 
 def sparse(count: int, indices: int = 0, values: int = 0) -> dict[str, object]:

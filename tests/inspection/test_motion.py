@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from avatars import BONES, avatar_json, packed
 from rigs import nameless
 
 from gesturekit.conversion.convert import convert
@@ -80,6 +81,31 @@ def test_a_rig_that_is_not_a_body_is_described(tmp_path, save_as_others):
     assert summary.drawing(100) == ["rope", "├─ rope1 > rope2", "└─ tail"]
     assert summary.facts["parts"] == {} and summary.problems
     assert "guessed" in row(summary, "axes") and "feet" not in dict(summary.rows)
+
+
+@pytest.mark.parametrize(
+    "version, meta, named",
+    [
+        (1, {"name": "Ann", "authors": ["B", "C"], "licenseUrl": "vrm.dev/1.0"}, "Ann, by B, C"),
+        (0, {"title": "Ann", "author": 3, "licenseName": "vrm.dev/1.0"}, "Ann"),
+    ],
+)
+def test_an_avatar(version, meta, named, tmp_path, recwarn):
+    found, data = avatar_json(version)
+    found["extensions"]["VRMC_vrm" if version else "VRM"]["meta"] = meta
+    (tmp_path / "me.vrm").write_bytes(packed(found, data))
+    summary = inspect(tmp_path / "me.vrm")
+    assert summary.title.startswith(f"{tmp_path / 'me.vrm'}: avatar, vrm, ") and not recwarn.list
+    vrm = f"VRM {'1.0' if version else '0.x'}, {len(BONES)} humanoid bones, {named}"
+    assert row(summary, "avatar") == vrm and row(summary, "licence") == "vrm.dev/1.0"
+    assert row(summary, "contents") == "1 mesh, 0 animations" and summary.problems == ()
+    assert f"{len(BONES) + 1} joints" in row(summary, "body")  # and one of the hair
+
+
+def test_the_contents_of_a_glb(gesture, tmp_path):
+    gesture(0.5).save(tmp_path / "take.glb", body="human")
+    assert row(inspect(tmp_path / "take.glb"), "contents") == "1 mesh, 1 animation: take"
+    assert "52 bones with Mixamo's names" in row(inspect(tmp_path / "take.glb"), "avatar")
 
 
 def test_one_frame_is_enough(gesture, tmp_path):

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +93,28 @@ def test_features(write_speech, tmp_path):
     assert summary.kind == "features" and row(summary, "columns").startswith("24: mel_0, mel_1")
     spec = {"kind": "logmel", "n_mels": 24, "backend": "numpy"}
     assert plain(summary)["spec"] == spec and plain(summary)["rate"] == pytest.approx(100.0)
+
+
+def test_an_array_of_own_features_stays_on_disk(tmp_path):
+    values = np.lib.format.open_memmap(
+        tmp_path / "a.npy", "w+", np.float32, (8, 2_000_000), fortran_order=True
+    )  # 64 MB, of holes in the file
+    values[[0, 3, 7], [0, 1_999_999, 5]] = np.nan, np.inf, np.nan
+    values.flush()
+    tracemalloc.start()
+    summary = inspect(tmp_path / "a.npy")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 8e6
+    assert row(summary, "shape") == "8 rows, 2000000 columns, float32"
+    facts = plain(summary)
+    assert (facts["shape"], facts["nan"], facts["infinite"]) == ([8, 2_000_000], 2, 1)
+    assert summary.problems[0] == "2 of 16000000 values are NaN"
+    np.save(tmp_path / "b.npy", np.array(["text"]))
+    assert "<U4 is no number" in inspect(tmp_path / "b.npy").problems[0]
+    np.save(tmp_path / "c.npy", np.array([{}]), allow_pickle=True)
+    with pytest.raises(af.FeatureError, match="c.npy: not a whole npy of plain numbers"):
+        inspect(tmp_path / "c.npy")
 
 
 # Models

@@ -29,6 +29,10 @@ _ALIKE = 5e-3
 _NO_KEYS_RATE = 30.0
 
 
+class NoAnimationWarning(UserWarning):
+    """A file without an animation, of which the rest pose is read."""
+
+
 @dataclass(frozen=True, eq=False)
 class Curve:
     """Keys of one property of a node.
@@ -167,7 +171,7 @@ def read_animation(gltf: Gltf, nodes: set[int], name: str | None) -> Animation:
         name: of the animation, or its number from 1 on; None for the longest that moves the nodes.
 
     Warns:
-        UserWarning: there are several, or none.
+        UserWarning: there are several. NoAnimationWarning: none, in a file other than .vrm.
 
     Raises:
         FormatError: no animation of this name, or a broken one.
@@ -193,7 +197,9 @@ def read_animation(gltf: Gltf, nodes: set[int], name: str | None) -> Animation:
                 stacklevel=3,
             )
         return longest
-    warnings.warn(f"{gltf.path}: no animation of its skeleton: one frame, at rest", stacklevel=3)
+    if gltf.path.suffix.lower() != ".vrm":  # avatars have none
+        said = f"{gltf.path}: no animation of its skeleton: one frame, at rest"
+        warnings.warn(said, NoAnimationWarning, stacklevel=3)
     return Animation("", {})
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,6 +21,7 @@ from gesturekit.formats.gltf.nodes import Nodes
 from gesturekit.formats.gltf.skin import INFLUENCES, Skin, whole_weights
 from gesturekit.motion import Skeleton
 from gesturekit.motion.parts.body_size import body_height
+from gesturekit.wording import printable
 
 _MAX_FACES = 600_000
 _MAX_PARTS = 4096
@@ -117,6 +119,45 @@ def read_avatar(path: str | os.PathLike[str]) -> tuple[Avatar, Skin]:
     if not _HEIGHTS[0] <= height <= _HEIGHTS[1]:
         raise gltf.error(f"its body is {height:g} metres tall")
     return Avatar(gltf, tuple(joints), skeleton, height, is_backwards), mesh
+
+
+def avatar_facts(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return what a glTF file holds besides a rig and its motion, for a summary.
+
+    Returns:
+        `meshes` (their number), `animations` (names), `vrm` ("1.0", "0.x" or None), `humanoid` (the
+        number of bones by which it can be an avatar; 0 if it cannot), and `name`, `authors` and
+        `licence` of a VRM file, as texts of at most 200 characters, "" where it does not say.
+
+    Raises:
+        FormatError: not glTF 2.0, or broken.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # reading its motion said so
+        gltf = Gltf(path)
+    extensions = gltf.object(gltf.json, "extensions")
+    key, vrm = ("VRMC_vrm", "1.0") if "VRMC_vrm" in extensions else ("VRM", "0.x")
+    meta = gltf.object(gltf.object(extensions, key), "meta")
+    try:
+        n_bones = len(_bones(gltf)[0])
+    except GestureKitError:
+        n_bones = 0
+
+    def text(*keys: str) -> str:
+        found = next((meta[key] for key in keys if meta.get(key)), "")
+        several = found if isinstance(found, list) else [found]
+        return printable(", ".join(each for each in several if isinstance(each, str))[:200])
+
+    names = [printable(str(each.get("name", "")))[:60] for each in gltf.items("animations")]
+    return {
+        "meshes": len(gltf.items("meshes")),
+        "animations": [name or str(k) for k, name in enumerate(names, start=1)],
+        "vrm": vrm if key in extensions else None,
+        "humanoid": n_bones,
+        "name": text("name", "title"),
+        "authors": text("authors", "author"),
+        "licence": text("licenseUrl", "licenseName", "otherLicenseUrl"),
+    }
 
 
 def _bones(glb: Gltf) -> tuple[dict[int, str], bool]:
