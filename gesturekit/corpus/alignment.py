@@ -81,7 +81,8 @@ class Correlation:
 
     def __str__(self) -> str:
         when = "after" if self.shift > 0 else "before"
-        return f"the motion comes {abs(self.shift):.2f} s {when} the sound (z = {self.z:.1f})"
+        sure = f"a correlation {self.z:.1f} standard deviations above chance"
+        return f"the motion comes {abs(self.shift):.2f} s {when} the sound ({sure})"
 
 
 def correlate(motion: Motion, wave: Wave) -> Correlation | None:

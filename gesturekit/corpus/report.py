@@ -60,8 +60,8 @@ class Report:
             ("body heights", self._heights()),
             ("joints", _counted(str(r.skeleton.n_joints) for r in self._moving)),
             ("sample rates", _counted(f"{r.sample_rate} Hz" for r in self.recordings if r.audio)),
-            ("speakers", _counted(r.speaker or "not named" for r in self.recordings)),
-            ("styles", _counted(r.style or "none" for r in self.recordings)),
+            ("speakers", _labels([r.speaker for r in self.recordings])),
+            ("styles", _labels([r.style for r in self.recordings])),
             ("shift", self._shift()),
             ("left out", self._left_out()),
         ]
@@ -107,7 +107,9 @@ class Report:
         """Return the shift between sound and motion, or "" if they say nothing."""
         each = [one.correlation for one in self.recordings if one.correlation is not None]
         every = pooled(each)
-        return str(every) if every is not None and every.is_clear else ""
+        if every is None or not every.is_clear:
+            return ""
+        return f"{every}" if every.is_notable else f"in time: {every}"
 
     @property
     def _moving(self) -> list[Recording]:
@@ -138,6 +140,11 @@ def _by_split(items: Collection[Item]) -> str:
 
 def _length(seconds: float) -> str:
     return f"{seconds:.1f} s" if seconds < 100 else f"{seconds / 60:.1f} min"
+
+
+def _labels(values: Collection[str | None]) -> str:
+    """Return the labels with their numbers of recordings."""
+    return _counted(value or "not named" for value in values) if any(values) else "none named"
 
 
 def _counted(values: Iterable[Any]) -> str:

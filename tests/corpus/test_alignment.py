@@ -116,7 +116,8 @@ def test_prepare_warns_and_the_option_that_it_names_corrects_it(write, shift):
     lines = [text for text in report.problem_lines() if "after" in text or "before" in text]
     assert len(lines) == (shift != 0)
     if not shift:
-        assert any(line.startswith("shift ") for line in report.table())
+        (row,) = [line for line in report.table() if line.startswith("shift ")]
+        assert "in time" in row and re.search(r"[\d.]+ standard deviations above chance", row)
         return
     named = float(re.search(r"--shift (-?[\d.]+)", lines[0])[1])
     assert named == pytest.approx(shift, abs=0.06) and "a.npz: the motion comes" in lines[0]

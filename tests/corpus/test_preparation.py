@@ -346,7 +346,7 @@ def test_the_report_reads_as_a_table_with_every_problem(tmp_path, write_pair, wr
     text = str(prepare(tmp_path, style="calm"))
     assert "paired        3 recordings, 6.0 s: train 2 (4.0 s), test 1 (2.0 s)" in text
     assert "frame rates   30 fps (3)" in text
-    assert "styles        calm (3)" in text
+    assert "styles        calm (3)" in text and "speakers      none named" in text
     alone = f"speech without motion in {tmp_path / 'talk'}: s0.wav, s1.wav, s2.wav and 2 more"
     assert alone in text
 
