@@ -24,6 +24,7 @@ from gesturekit.motion.rotations import (
 
 _SAME_OFFSET = 1e-3
 """Metres on the reference body; files round offsets."""
+_REMEDY = "retarget it first: gesturekit convert --rig, or gesturekit.motion.retarget.retarget"
 
 
 def concatenate(motions: Sequence[Motion], blend: float = 0.3) -> Motion:
@@ -39,7 +40,7 @@ def concatenate(motions: Sequence[Motion], blend: float = 0.3) -> Motion:
         blend: seconds; 0 places the motions, and leaves poses as they are.
 
     Raises:
-        MotionError: no motions, rigs that differ, or an invalid `blend`.
+        MotionError: no list of motions, rigs that differ, or an invalid `blend`.
 
     Examples:
         >>> rig = gk.Skeleton(("hips",), (-1,), [[0, 1, 0]])
@@ -47,6 +48,8 @@ def concatenate(motions: Sequence[Motion], blend: float = 0.3) -> Motion:
         >>> gk.concatenate([walk, walk]).translation[:, 2].tolist()
         [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     """
+    if isinstance(motions, Motion):
+        raise MotionError("give the motions as a list: concatenate([a, b])")
     if not motions:
         raise MotionError("no motions to concatenate")
     if not 0 <= blend < math.inf:
@@ -82,7 +85,7 @@ def _check_rig(first: Motion, motion: Motion, number: int) -> None:
         what = f"{strange[0]!r} is a joint of one only" if strange else "their parents differ"
         raise MotionError(
             f"motion {number} to concatenate has another rig than the first ({other.n_joints} and "
-            f"{rig.n_joints} joints, {what}); retarget it first: gesturekit convert --rig"
+            f"{rig.n_joints} joints, {what}); {_REMEDY}"
         )
     apart = np.abs(rig.offsets - other.offsets).max(axis=1)
     apart[0] = 0.0  # replaced by the translation
@@ -90,8 +93,7 @@ def _check_rig(first: Motion, motion: Motion, number: int) -> None:
     if apart[worst] > _SAME_OFFSET * body_scale(rig):
         raise MotionError(
             f"motion {number} to concatenate has other bones than the first: the offset of "
-            f"{rig.names[worst]!r} differs by {apart[worst]:.3g} m; retarget it first: "
-            "gesturekit convert --rig"
+            f"{rig.names[worst]!r} differs by {apart[worst]:.3g} m; {_REMEDY}"
         )
 
 

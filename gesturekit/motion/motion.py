@@ -134,9 +134,8 @@ class Motion:
         if step < 1:
             raise MotionError(f"step {step}: frames are taken in order, with a step of at least 1")
         if not len(range(*frames.indices(self.n_frames))):
-            raise MotionError(
-                f"no frames from {frames.start} to {frames.stop} in a motion of {self.n_frames}"
-            )
+            start, stop = ("" if at is None else at for at in (frames.start, frames.stop))
+            raise MotionError(f"no frames in motion[{start}:{stop}]: it has {self.n_frames}")
         return replace(
             self,
             rotations=self.rotations[frames],
@@ -232,7 +231,7 @@ class Motion:
             *mirror(self.skeleton, self.rotations, self.translation, self.joint_translations)
         )
 
-    def keep(self, joints: Sequence[str]) -> Motion:
+    def keep(self, joints: Sequence[str] | str) -> Motion:
         """Return the motion without all other joints; kept ones stay where they are in the world.
 
         A joint whose parent is removed becomes a child of its nearest kept ancestor; it gets
@@ -240,11 +239,12 @@ class Motion:
         children gets an end site.
 
         Args:
-            joints: names, in any order.
+            joints: names, in any order; or one name.
 
         Raises:
             MotionError: no names, an unknown one, or no kept joint above all others.
         """
+        joints = [joints] if isinstance(joints, str) else joints
         if set(joints) == set(self.skeleton.names):
             return self
         return self._on_rig(

@@ -97,5 +97,7 @@ def test_what_cannot_be_concatenated_is_one_error(moving_person):
         gk.concatenate([moving_person, moving_person, moving_person.scaled(1.2)])
     with pytest.raises(MotionError, match="no motions"):
         gk.concatenate([])
+    with pytest.raises(MotionError, match=r"as a list: concatenate\(\[a, b\]\)"):
+        gk.concatenate(moving_person, moving_person)
     with pytest.raises(MotionError, match="blend is -1"):
         gk.concatenate([moving_person], blend=-1)

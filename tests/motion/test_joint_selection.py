@@ -44,6 +44,15 @@ def test_a_joint_whose_parent_is_removed_is_attached_to_the_next_ancestor(moving
     assert {"Neck", "LeftForeArm", "RightArm"} == set(kept.joint_translations)
 
 
+def test_a_single_name_is_one_joint(moving_person):
+    np.testing.assert_allclose(
+        moving_person.keep("Head").positions()[:, 0],
+        moving_person.positions()[:, moving_person.skeleton.index("Head")],
+    )
+    with pytest.raises(MotionError, match="no joint 'head'; did you mean Head"):
+        moving_person.keep("head")
+
+
 def test_another_root_moves_as_it_did(moving_person):
     rig = moving_person.skeleton
     spine = rig.index("Spine")
