@@ -122,7 +122,7 @@ class Files:
                 )
             name = Path(wave.source).with_suffix(self.suffix).name
             where = "beside it" if self.folder is None else f"in {self.folder}"
-            npy = "" if self._is_npy else "; an npy needs a rate"
+            npy = "" if self._is_npy else " (an npy needs a rate)"
             raise FeatureError(
                 f"{wave.source}: no file of features {name} {where}{npy}: compute it, or name its "
                 "folder (folder: in a training's settings, --weights files=FOLDER at rendering)"
