@@ -103,9 +103,10 @@ def test_an_avatar(version, meta, named, tmp_path, recwarn):
 
 
 def test_the_contents_of_a_glb(gesture, tmp_path):
-    gesture(0.5).save(tmp_path / "take.glb", body="human")
-    assert row(inspect(tmp_path / "take.glb"), "contents") == "1 mesh, 1 animation: take"
-    assert "52 bones with Mixamo's names" in row(inspect(tmp_path / "take.glb"), "avatar")
+    gesture(0.5).save(tmp_path / "take.glb")  # 19 joints; Mixamo has Spine1 for its Chest
+    summary = inspect(tmp_path / "take.glb")
+    assert row(summary, "contents") == "1 mesh, 1 animation: take"
+    assert row(summary, "avatar").startswith("18 bones with Mixamo's names")
 
 
 def test_one_frame_is_enough(gesture, tmp_path):
