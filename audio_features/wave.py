@@ -100,7 +100,7 @@ class Wave:
         if samples.dtype.kind != "f":
             raise AudioError(f"{name}: dtype {samples.dtype}, expected floats with full scale ±1")
         object.__setattr__(self, "samples", np.ascontiguousarray(samples, dtype=np.float32))
-        object.__setattr__(self, "sample_rate", _checked_rate(self.sample_rate, name))
+        object.__setattr__(self, "sample_rate", checked_rate(self.sample_rate, name))
         if Fraction(len(samples), self.sample_rate) < MIN_SECONDS:
             raise AudioError(
                 f"{name}: {len(samples)} samples at {self.sample_rate} Hz are "
@@ -147,7 +147,7 @@ class Wave:
         name = os.fspath(path)
 
         def segment(n: int, rate: int) -> tuple[int, int]:
-            return _segment(name, n, _checked_rate(rate, name), start, duration, max_seconds)
+            return _segment(name, n, checked_rate(rate, name), start, duration, max_seconds)
 
         samples, rate, used = read_sound(name, segment, channel)
         repairs = [CANCELLING.format(used)] if used != channel else []
@@ -176,7 +176,7 @@ class Wave:
             raise AudioError(
                 f"{name}: an array holds no sample rate: give sample_rate, for example 16000 (Hz)"
             )
-        rate, repairs = _checked_rate(sample_rate, name), []
+        rate, repairs = checked_rate(sample_rate, name), []
         if values.ndim == 2:
             values, used = one_channel(values)
             repairs = [CANCELLING.format(used)] if used is not None else []
@@ -198,7 +198,7 @@ class Wave:
         """Resample the sound (soxr HQ) to ceil(N·new/old) samples."""
         if sample_rate == self.sample_rate:
             return self
-        sample_rate = _checked_rate(sample_rate, "sample_rate")
+        sample_rate = checked_rate(sample_rate, "sample_rate")
         samples = soxr.resample(self.samples, self.sample_rate, sample_rate, quality="HQ")
         # soxr's length may differ by one from the ceiling; frame counts must not depend on that.
         n = -(-len(self.samples) * sample_rate // self.sample_rate)
@@ -342,7 +342,8 @@ class Wave:
         return active, level
 
 
-def _checked_rate(rate: int, name: str) -> int:
+def checked_rate(rate: int, name: str) -> int:
+    """Return a sample rate as int; raise AudioError unless it is a whole number in range."""
     low, high = SAMPLE_RATES
     try:
         is_whole = int(rate) == rate

@@ -216,7 +216,7 @@ BANDS = 40
 
 WINDOW = 400  # 25 ms
 N_FFT = 512
-_VOICED = 0.6  # periodicity from which a frame counts as voiced
+VOICED = 0.6  # periodicity from which a frame counts as voiced
 _AUDIBLE_DB = -30.0  # quieter frames than this, relative to active speech, are unvoiced
 _ONSET_LAG = 2  # frames: windows 20 ms apart hardly overlap, so a rise appears at full size
 # Slaney's mel scale: linear up to 15 mel (1 kHz), logarithmic above.
@@ -245,6 +245,22 @@ class Melody:
     energy: np.ndarray
     voiced: np.ndarray
     f0: np.ndarray
+
+
+def audible_melody(
+    f0: np.ndarray, voicing: np.ndarray, energy: np.ndarray, median: float | None = None
+) -> Melody:
+    """Return the melody of pitch, voicing and energy, each (T,); quiet frames become unvoiced.
+
+    Pitch is relative to `median` in Hz, by default that of the voiced frames.
+    """
+    voicing = np.where(energy < _AUDIBLE_DB, 0.0, voicing)
+    voiced = voicing >= VOICED
+    semitones = np.zeros_like(f0)
+    if voiced.any():
+        usual = np.median(f0[voiced]) if median is None else median
+        semitones[voiced] = 12.0 * np.log2(f0[voiced] / usual)
+    return Melody(semitones, voicing, energy, voiced, f0)
 
 
 class ShortTimeSpectrum:
@@ -277,24 +293,12 @@ class ShortTimeSpectrum:
         rms = self.wave.rms(self.times, window=0.05)
         energy = to_db(np.square(rms) / 10.0 ** (SPEECH_LEVEL_DBFS / 10.0))
         f0, voicing = track_pitch(self.wave.samples, self.n_frames, tracker)
-        voicing[energy < _AUDIBLE_DB] = 0.0
-        voiced = voicing >= _VOICED
-        semitones = np.zeros_like(f0)
-        if voiced.any():
-            semitones[voiced] = 12.0 * np.log2(f0[voiced] / np.median(f0[voiced]))
-        return Melody(semitones, voicing, energy, voiced, f0)
+        return audible_melody(f0, voicing, energy)
 
     @cached_property
     def power(self) -> np.ndarray:
         """Power (T, 257) float32; a frame's sum is its mean square relative to active speech."""
-        from scipy.fft import rfft
-
-        window = hann_window()
-        power = np.empty((self.n_frames, N_FFT // 2 + 1), dtype=np.float32)
-        for first, frames in centred_frames(self.wave.samples, WINDOW, self.n_frames):
-            spectrum = rfft(frames * window, N_FFT, axis=1, overwrite_x=True)
-            power[first : first + len(frames)] = spectrum.real**2 + spectrum.imag**2
-        return power
+        return short_time_power(self.wave.samples, self.n_frames)
 
     def log_mel(self, n_mels: int) -> np.ndarray:
         """Return (T, n_mels) float32 band powers in dB relative to active speech, at least -60."""
@@ -315,6 +319,18 @@ class ShortTimeSpectrum:
 
     def _mel_filters(self, n_mels: int) -> np.ndarray:
         return mel_filters(n_mels)
+
+
+def short_time_power(samples: np.ndarray, n_frames: int) -> np.ndarray:
+    """Return the power (T, 257) float32 of 16 kHz samples at the level of active speech."""
+    from scipy.fft import rfft
+
+    window = hann_window()
+    power = np.empty((n_frames, N_FFT // 2 + 1), dtype=np.float32)
+    for first, frames in centred_frames(samples, WINDOW, n_frames):
+        spectrum = rfft(frames * window, N_FFT, axis=1, overwrite_x=True)
+        power[first : first + len(frames)] = spectrum.real**2 + spectrum.imag**2
+    return power
 
 
 def hann_window() -> np.ndarray:

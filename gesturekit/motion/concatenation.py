@@ -60,6 +60,12 @@ def concatenate(motions: Sequence[Motion], blend: float = 0.3) -> Motion:
         _check_rig(first, motion, number)
         motion = motion if motion.fps == first.fps else motion.resample(first.fps)
         parts.append(_continued(parts[-1], replace(motion, skeleton=first.skeleton), blend))
+    return stacked(parts)
+
+
+def stacked(parts: Sequence[Motion]) -> Motion:
+    """Return the frames of motions of one rig and frame rate, at least one, as they are."""
+    first = parts[0]
     moving = {name for part in parts for name in part.joint_translations}
     faces = [part.expressions for part in parts if part.expressions is not None]
     alike = len(faces) == len(parts) and len({face.shape[1] for face in faces}) == 1

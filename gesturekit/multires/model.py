@@ -25,6 +25,7 @@ from gesturekit.multires.recall.library_format import (
     library_row,
     library_tensors,
     library_values,
+    live_rows,
     load_library,
     prediction_rows,
 )
@@ -37,6 +38,7 @@ from gesturekit.multires.sampling.trained_model import (
     TrainedNoise,
     TrainedSequence,
 )
+from gesturekit.multires.streaming.stream import MotionStream
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.data.features import (
     conditioner_tensors,
@@ -105,6 +107,40 @@ class MultiresModel(TrainedModel):
         if rate is not None:
             motions = [to_output_rate(motion, rate, request.wave, seconds) for motion in motions]
         return motions[0] if samples == 1 else motions
+
+    @gesturekit_errors()
+    def stream(
+        self,
+        sample_rate: int,
+        look_ahead: float = 0.2,
+        seed: int = 0,
+        item: str = "",
+        **controls: Unpack[MultiresControlArguments],
+    ) -> MotionStream:
+        """Return a stream that generates motion while sound comes in.
+
+        Args:
+            sample_rate: of the sound, Hz.
+            look_ahead: seconds of sound that a frame waits for: 0, 0.1, 0.2 or 0.4. With less, the
+                motion follows the speech less.
+            seed: the same seed and item give the same motion for the same sound.
+            item: name of the stream.
+            controls: style, speaker, liveliness, mood_seed, foot_lock and smooth of
+                `MultiresControls`.
+
+        Raises:
+            ModelError: a model that cannot stream, or a control that a stream does not take.
+            AudioError: a sample rate out of range.
+
+        Examples:
+            >>> model = gk.load("demo")
+            >>> stream = model.stream(16000)
+            >>> half_a_second = np.zeros(8000, np.float32)
+            >>> stream.step(half_a_second).n_frames + stream.finish().n_frames
+            15
+        """
+        asked = self.check_controls(seed=seed, **controls)
+        return MotionStream(self, sample_rate, look_ahead, seed, item, asked)
 
     def check_controls(
         self, *, samples: int = 1, seed: int = 0, **controls: Unpack[MultiresControlArguments]
@@ -175,13 +211,13 @@ class MultiresModel(TrainedModel):
 
     def fingerprint(self) -> str:
         """Return the SHA-256 of what `save` writes, its README apart."""
-        return model_digest(*self._parts())
+        return model_digest(*self.parts())
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
         """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""
-        save_model(folder, *self._parts(), self._readme(notes or {}))
+        save_model(folder, *self.parts(), self._readme(notes or {}))
 
-    def _parts(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Tensor]]:
+    def parts(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Tensor]]:
         """Return config.yaml, skeleton.json and model.safetensors of the folder."""
         conditions, noise = self.conditions, self.noise
         conditioner = conditions.conditioner
@@ -222,7 +258,7 @@ class MultiresModel(TrainedModel):
             call = '"speech.wav"'
         if self.library is not None:
             lines["Recalled motion"] = library_row(self.library)
-            lines |= prediction_rows(self.library)
+            lines |= prediction_rows(self.library) | live_rows(self.library)
         if self.styles:
             lines["Styles"] = ", ".join(self.styles)
             call += f', style="{self.styles[0]}"'

@@ -108,7 +108,8 @@ def test_finer_levels_add_nothing_to_a_part_that_rests(speed, share):
     profiles[0] = profiles[2] = (np.log(speed + 0.05) + 1.0) / 2.0  # log speed: sd 2, mean -1
     library = library_of(torch.zeros(6, 12), profiles, parts, 25.0, 2.0, -1.0)
     pieces = Pieces(np.array([0]), np.array([0]), hop=12, overlap=0, n_frames=12)
-    detail = library.detail(RecalledMotion(parts, (pieces,) * 4, (12,)), 20)
+    choice = RecalledMotion(parts, (pieces,) * 4, (12,))
+    detail = library.detail(choice.profiles(library.recordings, 20))
     assert detail.shape == (6, 20)
     np.testing.assert_allclose(detail[[0, 2, 4]], share, atol=1e-5)
     mean = (np.exp(-1.0) - 0.05 - 0.1) / 0.5  # the right hand moves at the mean log speed
@@ -125,7 +126,8 @@ def test_detail_returns_within_a_tenth_of_a_second_at_any_frame_rate(fps, frames
     profiles[0, ends:] = float(np.log(2.0 + 0.05))
     library = library_of(torch.zeros(1, n_frames), profiles, (left,), fps, 1.0, 0.0)
     pieces = Pieces(np.array([0]), np.array([0]), hop=n_frames, overlap=0, n_frames=n_frames)
-    detail = library.detail(RecalledMotion((left,), (pieces,), (n_frames,)), n_frames)[0]
+    choice = RecalledMotion((left,), (pieces,), (n_frames,))
+    detail = library.detail(choice.profiles(library.recordings, n_frames))[0]
     # The edge lies half a frame before the first fast frame.
     assert (frames - 0.5) / fps == pytest.approx(0.08)
     assert detail[ends - frames] == pytest.approx(norm.cdf(-1.0), abs=0.005)

@@ -14,6 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 import audio_features as af
+from gesturekit.multires.recall.ahead import AheadPrediction
 from gesturekit.multires.recall.parts import (
     SPEED_FLOOR,
     MotionPart,
@@ -97,6 +98,12 @@ class RecalledMotion:
         """
         return self.channels(motions, [part.columns for part in self.parts], n_frames)
 
+    def profiles(self, recordings: Sequence[RecalledRecording], n_frames: int) -> np.ndarray:
+        """Return the movement (P, n_frames) of the pieces of each part."""
+        rows = [np.array([i]) for i in range(len(self.parts))]
+        curves = [recording.profiles for recording in recordings]
+        return self.channels(curves, rows, n_frames).numpy()
+
     def channels(
         self,
         curves: Sequence[Tensor],
@@ -140,6 +147,7 @@ class RecallLibrary:
         stretch: largest fraction by which pieces of an arm are played faster or slower, so that
             they move at the predicted times; 0 plays them as recorded.
         weights: of the choice.
+        ahead: predictions for live speech, by look-ahead; none in a model that cannot stream.
     """
 
     level: int
@@ -156,6 +164,7 @@ class RecallLibrary:
     passive: PassiveChannels
     stretch: float
     weights: ChoiceWeights = ChoiceWeights()
+    ahead: tuple[AheadPrediction, ...] = ()
 
     @cached_property
     def lengths(self) -> tuple[int, ...]:
@@ -170,22 +179,28 @@ class RecallLibrary:
     @cached_property
     def searches(self) -> tuple[PieceSearch, ...]:
         """One search for each part."""
+        return self.searches_of(self.piece, self.overlap, self.weights)
+
+    def searches_of(
+        self, piece: float, overlap: float, weights: ChoiceWeights
+    ) -> tuple[PieceSearch, ...]:
+        """Return a search for each part, with pieces and cross-fades of these seconds."""
         return tuple(
             PieceSearch(
                 [recording.motion[part.columns].T.numpy() for recording in self.recordings],
                 [profile.T.numpy() for profile in self._profiles[i]],
                 [recording.states[rows].T.numpy() for recording in self.recordings],
-                max(2, round(part.length * self.piece * self.level_fps)),
-                max(1, round(part.length * self.overlap * self.level_fps)),
+                max(2, round(part.length * piece * self.level_fps)),
+                max(1, round(part.length * overlap * self.level_fps)),
                 (self._r**2, *[_SHRINKAGE] * 2)[: 3 if i == 1 else 1],
                 # Longer pieces meet less often, so that each border counts for more.
                 replace(
-                    self.weights,
-                    movement=self.weights.movement * min(1.0, self._r / _CLEAR),
+                    weights,
+                    movement=weights.movement * min(1.0, self._r / _CLEAR),
                     continuity=part.length
-                    * self.weights.continuity
+                    * weights.continuity
                     * (1 if part.is_arm else _TRUNK_CONTINUITY),
-                    copied=self.weights.copied * (_COPIED_ARM if part.is_arm else 1),
+                    copied=weights.copied * (_COPIED_ARM if part.is_arm else 1),
                 ),
                 [recording.defective[i].numpy() for recording in self.recordings],
             )
@@ -209,14 +224,21 @@ class RecallLibrary:
         The slow movement is among the slow channels. For the second arm, the profile also has the
         directions of its hand.
         """
-        profiles: tuple[list[Tensor], ...] = tuple([] for _ in self.parts)
-        for recording in self.recordings:
-            movement = recording.profiles
-            fast = movement - torch.from_numpy(slow_part(movement.numpy(), self.level_fps))
-            for i, own in enumerate(profiles):
-                directions = [recording.directions[2:]] if i == 1 else []
-                own.append(torch.cat([fast[i : i + 1], *directions]))
+        profiles = tuple(map(list, self.fast_movement))
+        for k, recording in enumerate(self.recordings):
+            if len(profiles) > 1:
+                profiles[1][k] = torch.cat([profiles[1][k], recording.directions[2:]])
         return profiles
+
+    @cached_property
+    def fast_movement(self) -> tuple[list[Tensor], ...]:
+        """Fast movement (1, T_k) of each part, in standard deviations of movement."""
+        fast = [
+            recording.profiles
+            - torch.from_numpy(slow_part(recording.profiles.numpy(), self.level_fps))
+            for recording in self.recordings
+        ]
+        return tuple([own[i : i + 1] for own in fast] for i in range(len(self.parts)))
 
     @cached_property
     def _quantiles(self) -> dict[bytes, np.ndarray]:
@@ -250,8 +272,8 @@ class RecallLibrary:
         fast = fast / self.spread
         pieces: list[Pieces] = []
         for i, (part, search) in enumerate(zip(self.parts, self.searches, strict=True)):
-            allowed = self._allowed(search.piece, n_frames, speaker, styles)
-            states = self._drawn(scores, i, allowed)
+            allowed = self.allowed(search.piece, n_frames, speaker, styles)
+            states = self.drawn_states(scores, i, allowed)
             states[:, 0] += math.log(liveliness)
             wanted = fast[:, None]
             others = first = None
@@ -271,7 +293,7 @@ class RecallLibrary:
                 pieces = self._stretched(pieces, fast)
         return RecalledMotion(self.parts, tuple(pieces), self.lengths)
 
-    def _drawn(self, scores: np.ndarray, i: int, allowed: np.ndarray | None) -> np.ndarray:
+    def drawn_states(self, scores: np.ndarray, i: int, allowed: np.ndarray | None) -> np.ndarray:
         """Return the slow channels (T_l, S) of a part: recorded values of the drawn scores.
 
         Values are those of the recordings that are `allowed` (T_l, K) in each frame.
@@ -310,16 +332,14 @@ class RecallLibrary:
         offsets = time_offsets(np.concatenate(own), goals, self.level_fps, self.stretch)
         return [replace(arm, offsets=offsets) for arm in pieces]
 
-    def detail(self, choice: RecalledMotion, n_frames: int) -> np.ndarray:
-        """Return how much detail finer levels may add to each column, (D, n_frames), 0 to 1.
+    def detail(self, profiles: np.ndarray) -> np.ndarray:
+        """Return how much detail finer levels may add to each column, (D, T), 0 to 1.
 
         It is 0 in the `calmed` columns of a part while its recalled pieces rest, so that rests are
-        kept, and 1 while they move fast, and in all other columns.
+        kept, and 1 while they move fast, and in all other columns. `profiles` (P, T) are those of
+        the pieces, see `RecalledMotion.profiles`.
         """
-        rows = [np.array([i]) for i in range(len(self.parts))]
-        curves = [recording.profiles for recording in self.recordings]
-        profiles = choice.channels(curves, rows, n_frames).numpy()
-        shares = np.ones((len(self.recordings[0].motion), n_frames), np.float32)
+        shares = np.ones((len(self.recordings[0].motion), profiles.shape[1]), np.float32)
         for i, part in enumerate(self.parts):
             if len(part.calmed):
                 speed = np.exp(profiles[i] * self.spread + self.mean) - SPEED_FLOOR
@@ -327,7 +347,7 @@ class RecallLibrary:
                 shares[part.calmed] = gaussian_filter1d(share, _REST_SECONDS * self.fps)
         return shares
 
-    def _allowed(
+    def allowed(
         self, piece: int, n_frames: int, speaker: str | None, styles: np.ndarray | None
     ) -> np.ndarray | None:
         """Return (T, K) the recordings allowed for a piece at each frame; None for all.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from gesturekit.multires.config import check_stretch
 from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.recall.ahead import AheadPrediction, HeardSpeech
 from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary
 from gesturekit.multires.recall.parts import PassiveChannels, motion_parts, slow_rows
 from gesturekit.multires.recall.slow_state import SlowState
@@ -43,6 +44,14 @@ def library_values(library: RecallLibrary) -> dict[str, Any]:
         "wanted": None
         if wanted is None
         else {"effort": list(wanted.effort), **{name: getattr(wanted, name) for name in _FACTORS}},
+        "ahead": [
+            {
+                "look_ahead": one.look_ahead,
+                "fast_columns": one.fast_columns.tolist(),
+                "slow_columns": one.slow_columns.tolist(),
+            }
+            for one in library.ahead
+        ],
     }
 
 
@@ -64,6 +73,18 @@ def prediction_rows(library: RecallLibrary) -> dict[str, str]:
     return {} if library.wanted is None else {"Hand movement from speech": library.wanted.summary()}
 
 
+def live_rows(library: RecallLibrary) -> dict[str, str]:
+    """Return the correlations for live speech by look-ahead, for the README; empty without."""
+    if not library.ahead:
+        return {}
+    fast, slow = (
+        ", ".join(f"{getattr(one, part).r:.2f}" for one in library.ahead)
+        for part in ("fast", "slow")
+    )
+    seconds = ", ".join(f"{one.look_ahead:g}" for one in library.ahead)
+    return {"Live": f"with {seconds} s of look-ahead, r = {fast} (calm or lively {slow})"}
+
+
 def library_tensors(library: RecallLibrary) -> dict[str, Tensor]:
     """Return the tensors of a library by name."""
     tensors = {
@@ -78,9 +99,13 @@ def library_tensors(library: RecallLibrary) -> dict[str, Tensor]:
         return tensors
     for name in _PREDICTION:
         tensors[f"recall.{name}"] = _tensor(getattr(wanted, name))
-    for part in ("fast", "slow"):
-        for name in _REGRESSION:
-            tensors[f"recall.{part}.{name}"] = _tensor(getattr(getattr(wanted, part), name))
+    predictions = {"recall": wanted}
+    predictions |= {f"recall.ahead.{i}": one for i, one in enumerate(library.ahead)}
+    for where, prediction in predictions.items():
+        for part in ("fast", "slow"):
+            for name in _REGRESSION:
+                value = getattr(getattr(prediction, part), name)
+                tensors[f"{where}.{part}.{name}"] = _tensor(value)
     return tensors
 
 
@@ -106,22 +131,7 @@ def load_library(
         )
         for i, (speaker, style) in enumerate(values["recordings"])
     )
-    wanted = None
-    if (speech := values["wanted"]) is not None:
-        wanted = WantedMovement(
-            fps,
-            tuple(map(int, speech["effort"])),
-            *(tensors[f"recall.{name}"].numpy() for name in _BASES),
-            _regression(tensors, "fast"),
-            _regression(tensors, "slow"),
-            float(speech["mean_counts"]),
-            float(speech["spread"]),
-            bool(speech["across_takes"]),
-            tensors["recall.voices"].numpy(),
-        )
     _check_values(values, levels)
-    for name in values["passive"]["joints"]:
-        representation.skeleton.index(name)
     library = RecallLibrary(
         level=int(values["level"]),
         levels=levels,
@@ -136,13 +146,16 @@ def load_library(
             **{name: tensors[f"recall.slow_state.{name}"].numpy() for name in _SLOW_STATE},
             **{name: float(value) for name, value in values["slow_state"].items()},
         ),
-        wanted=wanted,
+        wanted=_wanted(tensors, values["wanted"], fps),
         passive=PassiveChannels(
             tuple(map(str, values["passive"]["joints"])), int(values["passive"]["face"])
         ),
         stretch=float(values["stretch"]),
+        ahead=_ahead(tensors, values["ahead"]),
     )
     _check_shapes(library, representation.n_features, speech_size)
+    for name in library.passive.joints:
+        representation.skeleton.index(name)
     return library
 
 
@@ -197,10 +210,51 @@ def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> 
             library.wanted(np.zeros((speech_size, 2), np.float32))
         except (IndexError, ValueError) as error:
             raise ValueError(f"recall: no {speech_size} speech features fit ({error})") from None
+    rows, averages = (np.zeros((n, speech_size)) for n in (round(library.fps) + 1, 2))
+    for one in library.ahead:
+        _check_range("ahead.look_ahead", one.look_ahead, 0, 1)
+        try:
+            one(HeardSpeech(rows, averages), library.wanted)
+        except (AttributeError, IndexError, ValueError) as error:
+            raise ValueError(f"recall: live predictions do not fit ({error})") from None
 
 
-def _regression(tensors: Mapping[str, Tensor], part: str) -> Regression:
-    arrays = {name: tensors[f"recall.{part}.{name}"].numpy() for name in _REGRESSION}
+def _wanted(
+    tensors: Mapping[str, Tensor], speech: Mapping[str, Any] | None, fps: float
+) -> WantedMovement | None:
+    """Return the prediction of movement from its plain values; None without."""
+    if speech is None:
+        return None
+    return WantedMovement(
+        fps,
+        tuple(map(int, speech["effort"])),
+        *(tensors[f"recall.{name}"].numpy() for name in _BASES),
+        _regression(tensors, "recall.fast"),
+        _regression(tensors, "recall.slow"),
+        float(speech["mean_counts"]),
+        float(speech["spread"]),
+        bool(speech["across_takes"]),
+        tensors["recall.voices"].numpy(),
+    )
+
+
+def _ahead(
+    tensors: Mapping[str, Tensor], rows: Sequence[Mapping[str, Any]]
+) -> tuple[AheadPrediction, ...]:
+    """Return the predictions for live speech, from their plain values."""
+    return tuple(
+        AheadPrediction(
+            float(row["look_ahead"]),
+            np.array(row["fast_columns"], int),
+            np.array(row["slow_columns"], int),
+            *(_regression(tensors, f"recall.ahead.{i}.{part}") for part in ("fast", "slow")),
+        )
+        for i, row in enumerate(rows)
+    )
+
+
+def _regression(tensors: Mapping[str, Tensor], where: str) -> Regression:
+    arrays = {name: tensors[f"{where}.{name}"].numpy() for name in _REGRESSION}
     return Regression(**{**arrays, "offset": float(arrays["offset"]), "r": float(arrays["r"])})
 
 

@@ -67,13 +67,10 @@ class Pieces:
         if self.overlap:
             fading = piece > 0
             weight[fading] = np.clip((into[fading] + 0.5) / self.overlap, 0.0, 1.0)
-        result = self._sampled(curves, lengths, piece, into)
-        fading = np.flatnonzero(weight < 1.0)
-        if len(fading):
-            before = self._sampled(curves, lengths, piece[fading] - 1, into[fading] + self.hop)
-            share = torch.from_numpy(weight[fading]).to(result.dtype)
-            result[:, fading] = share * result[:, fading] + (1 - share) * before
-        return result
+        shown = self.recordings[piece], self.starts[piece] + into
+        earlier = np.maximum(piece - 1, 0)
+        before = self.recordings[earlier], self.starts[earlier] + into + self.hop
+        return cross_faded(curves, lengths, shown, before, weight)
 
     def recorded_frames(self, lengths: Sequence[int]) -> np.ndarray:
         """Return (n_frames,) the recorded frame that each frame shows, numbered across all
@@ -94,19 +91,43 @@ class Pieces:
         piece = np.clip(np.floor(time / self.hop).astype(int), 0, len(self.starts) - 1)
         return piece, time - piece * self.hop
 
-    def _sampled(
-        self, curves: Sequence[Tensor], lengths: Sequence[int], piece: np.ndarray, into: np.ndarray
-    ) -> Tensor:
-        """Return the curves (C, M) at `into` (M,) frames after the start of each `piece` (M,)."""
-        result = curves[0].new_empty(len(curves[0]), len(piece))
-        owner = self.recordings[piece]
-        for k in np.unique(owner):
-            here = np.flatnonzero(owner == k)
-            curve = curves[k]
-            at = self.starts[piece[here]] + into[here] + 0.5
-            at = np.clip(at * (curve.shape[-1] / lengths[k]) - 0.5, 0, curve.shape[-1] - 1)
-            result[:, here] = _interpolated(curve, at)
-        return result
+
+def cross_faded(
+    curves: Sequence[Tensor],
+    lengths: Sequence[int],
+    shown: tuple[np.ndarray, np.ndarray],
+    before: tuple[np.ndarray, np.ndarray],
+    weight: np.ndarray,
+) -> Tensor:
+    """Return curves (C, M) of recordings, faded over from other ones.
+
+    Args:
+        curves: (C, T_k) of each recording, at any frame rate.
+        lengths: frames of each recording at the recalled level.
+        shown: recording and frame at the recalled level, (M,) each.
+        before: the same for what is faded over from.
+        weight: (M,) of `shown`, 0 to 1.
+    """
+    result = _sampled(curves, lengths, *shown)
+    fading = np.flatnonzero(weight < 1.0)
+    if len(fading):
+        earlier = _sampled(curves, lengths, *(own[fading] for own in before))
+        share = torch.from_numpy(weight[fading]).to(result.dtype)
+        result[:, fading] = share * result[:, fading] + (1 - share) * earlier
+    return result
+
+
+def _sampled(
+    curves: Sequence[Tensor], lengths: Sequence[int], recordings: np.ndarray, frames: np.ndarray
+) -> Tensor:
+    """Return the curves (C, M) at these frames (M,) of the recalled level."""
+    result = curves[0].new_empty(len(curves[0]), len(recordings))
+    for k in np.unique(recordings):
+        here = np.flatnonzero(recordings == k)
+        curve = curves[k]
+        at = np.clip((frames[here] + 0.5) * (curve.shape[-1] / lengths[k]) - 0.5, 0, None)
+        result[:, here] = _interpolated(curve, np.minimum(at, curve.shape[-1] - 1))
+    return result
 
 
 def _interpolated(curve: Tensor, at: np.ndarray) -> Tensor:
@@ -194,8 +215,8 @@ class PieceSearch:
         usable = [max(0, len(vector) - self.piece + 1) for vector in vectors]
         self.recording = np.repeat(np.arange(len(vectors)), usable)
         self.start = np.concatenate([np.arange(count) for count in usable])
-        first = np.cumsum([0, *map(len, vectors)])
-        self.frame = first[self.recording] + self.start
+        self.first = np.cumsum([0, *map(len, vectors)])
+        self.frame = self.first[self.recording] + self.start
         self.vectors = np.concatenate(vectors).astype(np.float32)
         counts = [weights.movement, weights.together, weights.together]
         self.scale = np.sqrt(np.array(counts[: profiles[0].shape[1]]) / self.piece)
@@ -271,8 +292,6 @@ class PieceSearch:
         after = ((0, missing), (0, 0))
         asked = self._windows(np.pad(wanted, after, mode="edge"))[:: self.hop][:count]
         slow = self._means(np.pad(states, after, mode="edge"))[:: self.hop][:count]
-        known = ~np.isnan(asked)
-        asked = np.where(known, asked, 0.0)
         middle = np.minimum(np.arange(count) * self.hop + self.piece // 2, n_frames - 1)
         states = np.empty((count, min(BEAM, len(self.start))), int)
         before = np.empty_like(states)
@@ -280,16 +299,7 @@ class PieceSearch:
         used = np.zeros((states.shape[1], self.n_bins), np.float32)
         for first in range(0, count, _STEPS_AT_ONCE):
             part = slice(first, first + _STEPS_AT_ONCE)
-            distances = (
-                np.square(asked[part]).sum(axis=1)[:, None]
-                - 2 * asked[part] @ self.profiles.T
-                + known[part] @ self.squares.T
-                + np.square(slow[part]).sum(axis=1)[:, None]
-                - 2 * slow[part] @ self.states.T
-                + self.squares_of_states
-                + self.defects
-            )
-            for n, distance in enumerate(distances, first):
+            for n, distance in enumerate(self._distances(asked[part], slow[part]), first):
                 if others is not None:
                     distance = distance + self.weights.copied * self._copied(others[n * self.hop :])
                 if allowed is not None:
@@ -303,6 +313,63 @@ class PieceSearch:
             chosen[n] = states[n, best]
             best = before[n, best]
         return Pieces(self.recording[chosen], self.start[chosen], self.hop, self.overlap, n_frames)
+
+    def following(
+        self,
+        rng: torch.Generator,
+        wanted: np.ndarray,
+        states: np.ndarray,
+        used: np.ndarray,
+        *,
+        allowed: np.ndarray | None = None,
+        others: np.ndarray | None = None,
+        shown: int | None = None,
+    ) -> int:
+        """Return the start of the best piece for the next frames, without search beyond them.
+
+        Args:
+            rng: random numbers.
+            wanted: (piece, 1) or (piece, 3) like `profiles`; NaN matches anything.
+            states: (S,) wanted slow channels.
+            used: (bins,) recent uses of each part of the recordings; the new one is added.
+            allowed: (K,) bool, the recordings that may be used; None for all.
+            others: (piece, P) as in `choose`.
+            shown: frame that is shown now, numbered across all recordings; None at the beginning.
+        """
+        asked = (wanted * self.scale).astype(np.float32).T.reshape(1, -1)
+        slow = ((states - self.usual_states) * self.of_states)[None]
+        cost = self._distances(asked, slow)[0] - self._chance(rng)
+        cost += self.weights.used * used[self.bins].mean(axis=0)
+        if others is not None:
+            cost += self.weights.copied * self._copied(others)
+        if allowed is not None:
+            cost = np.where(allowed[self.recording], cost, np.inf)
+        if shown is not None:
+            starts = np.arange(len(self.start))
+            cost += self.weights.continuity * self._differences(np.array([shown]), starts)[0]
+        best = int(cost.argmin())
+        used *= _FORGETTING ** (self.hop / self.piece)
+        used[self.bins[:, best]] += 0.5
+        return best
+
+    def _distances(self, asked: np.ndarray, slow: np.ndarray) -> np.ndarray:
+        """Return the cost (N, S) of each start, apart from its neighbours and chance.
+
+        Args:
+            asked: (N, C * piece) wanted profiles, weighted; NaN matches anything.
+            slow: (N, S) wanted slow channels, weighted.
+        """
+        known = ~np.isnan(asked)
+        asked = np.where(known, asked, 0.0)
+        return (
+            np.square(asked).sum(axis=1)[:, None]
+            - 2 * asked @ self.profiles.T
+            + known @ self.squares.T
+            + np.square(slow).sum(axis=1)[:, None]
+            - 2 * slow @ self.states.T
+            + self.squares_of_states
+            + self.defects
+        )
 
     def _copied(self, others: np.ndarray) -> np.ndarray:
         """Return the share (S,) of a piece in which all other parts show the same moment as it.
@@ -343,7 +410,9 @@ class PieceSearch:
             starts = np.union1d(starts, self._continuations(last))
         total = np.repeat(cost[:, None], len(starts), axis=1)
         if last is not None:
-            total += self.weights.continuity * self._differences(last, starts)
+            total += self.weights.continuity * self._differences(
+                self.frame[last] + self.hop, starts
+            )
             total += self.weights.used * used[:, self.bins[:, starts]].mean(axis=1)
         origin = total.argmin(axis=0)
         cost = total[origin, np.arange(len(starts))] + distance[starts]
@@ -360,12 +429,16 @@ class PieceSearch:
         after, before = after[after < len(self.start)], last[after < len(self.start)]
         return after[self.recording[after] == self.recording[before]]
 
-    def _differences(self, last: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """Return (B, B') the mean squared difference between ends and beginnings of pieces."""
+    def _differences(self, frames: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return (B, B') the mean squared difference between recorded frames and pieces.
+
+        `frames` (B,) follow the pieces before, numbered across all recordings.
+        """
         if not self.overlap:
-            return np.zeros((len(last), len(starts)), np.float32)
+            return np.zeros((len(frames), len(starts)), np.float32)
         span = np.arange(self.overlap)
-        ends = self.vectors[self.frame[last][:, None] + self.hop + span].reshape(len(last), -1)
+        after = np.minimum(frames[:, None] + span, len(self.vectors) - 1)
+        ends = self.vectors[after].reshape(len(frames), -1)
         heads = self.vectors[self.frame[starts][:, None] + span].reshape(len(starts), -1)
         squares = np.square(ends).sum(axis=1)[:, None] + np.square(heads).sum(axis=1)
         return np.maximum(squares - 2 * ends @ heads.T, 0.0) / ends.shape[1]

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import repeat
 
 import numpy as np
@@ -40,6 +41,8 @@ _TRUNCATED = 4.0
 _PAUSE = -1.0
 """Predictions one standard deviation below this one are trusted in full, see `trust_in`."""
 _LAGS = 24
+_BLOCK = 256
+"""Points of white noise that are drawn at a time in a motion without end."""
 _SHARES = (np.arange(201) + 0.5) / 201
 """Shares of the quantiles between which recorded values are interpolated."""
 
@@ -148,8 +151,25 @@ class SlowState:
         )
         within = _smooth_noise(second, self.mixing, self.width, seconds, _STEP, n_frames)
         noise = np.sqrt(self.between)[:, None] * take + np.sqrt(1 - self.between)[:, None] * within
-        if predicted is None:
-            return noise
+        return noise if predicted is None else self._scores(noise, predicted)
+
+    def at(self, seed: int, seconds: float, predicted: float | None) -> np.ndarray:
+        """Return the scores (C, 1) at a time of a motion without end.
+
+        Args:
+            seed: of the noise.
+            seconds: from the beginning.
+            predicted: prediction from speech, in standard deviations; None without.
+        """
+        within = _noise_at(seed, self.mixing, self.width, seconds, _STEP)
+        widths, step = np.full_like(self.width, self.take), self.take / _STEPS_OF_TAKE
+        take = _noise_at(seed + 1, self.mixing, widths, seconds, step)
+        noise = np.sqrt(self.between) * take + np.sqrt(1 - self.between) * within
+        noise = noise[:, None]
+        return noise if predicted is None else self._scores(noise, np.array([predicted]))
+
+    def _scores(self, noise: np.ndarray, predicted: np.ndarray) -> np.ndarray:
+        """Return the scores (C, T) of noise (C, T) and a prediction (T,)."""
         explained = self.explained[:, None] * trust_in(predicted, self.trust)
         return explained * predicted + np.sqrt(np.maximum(1 - explained**2, 0.0)) * noise
 
@@ -201,12 +221,41 @@ def _smooth_noise(
     at = (np.arange(n_frames) + 0.5) * (seconds / n_frames / step)
     rows = []
     for row, width in zip(white, widths, strict=True):
-        impulse = np.zeros(2 * margin + 1)
-        impulse[margin] = 1.0
-        kernel = gaussian_filter1d(impulse, width / step, truncate=_TRUNCATED)
+        kernel = _kernel(width / step, margin)
         smooth = np.convolve(row, kernel, mode="valid") / np.linalg.norm(kernel)
         rows.append(np.interp(at, np.arange(len(smooth)), smooth))
     return np.stack(rows)
+
+
+def _noise_at(
+    seed: int, mixing: np.ndarray, widths: np.ndarray, seconds: float, step: float
+) -> np.ndarray:
+    """Return white noise smoothed by Gaussians at one time, (C,); arguments as `_smooth_noise`."""
+    margin = int(np.ceil(_TRUNCATED * widths.max() / step)) + 1
+    first, part = divmod(seconds / step, 1)
+    points = int(first) + np.arange(2 * margin + 2)
+    blocks = range(points[0] // _BLOCK, points[-1] // _BLOCK + 1)
+    white = np.concatenate([_white(seed, block, len(widths)) for block in blocks])
+    white = mixing @ white[points - blocks[0] * _BLOCK].T
+    found = []
+    for row, width in zip(white, widths, strict=True):
+        kernel = _kernel(width / step, margin)
+        before, after = np.convolve(row, kernel, mode="valid") / np.linalg.norm(kernel)
+        found.append(before + part * (after - before))
+    return np.array(found)
+
+
+@lru_cache(maxsize=64)
+def _white(seed: int, block: int, channels: int) -> np.ndarray:
+    """Return a block of white noise, (_BLOCK, channels)."""
+    return np.random.default_rng((seed, block)).standard_normal((_BLOCK, channels))
+
+
+def _kernel(width: float, margin: int) -> np.ndarray:
+    """Return a Gaussian (2 margin + 1,) whose standard deviation is `width` points."""
+    impulse = np.zeros(2 * margin + 1)
+    impulse[margin] = 1.0
+    return gaussian_filter1d(impulse, width, truncate=_TRUNCATED)
 
 
 def _within_takes(scores: Sequence[np.ndarray], fps: float) -> tuple[np.ndarray, np.ndarray]:

@@ -37,7 +37,7 @@ _RIDGES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 _FOLDS = 4
 _LEAST_TAKES, _MOST_FOLDS = 3, 8
 """Least number of takes for a cross-validation over whole takes; its largest number of folds."""
-_GAP_SECONDS = 6.0
+GAP_SECONDS = 6.0
 """Left out beside a part of a recording, as slow movement is correlated over several seconds."""
 _WITHIN_TAKE = 0.5
 """Factor on the correlation of the slow part if it was found on left-out parts of one or two takes.
@@ -226,7 +226,7 @@ class WantedMovement:
         fast = [movement - slow_part(movement, fps) for movement in movements]
         lengths = [len(movement) for movement in movements]
         takes = takes or [""] * len(lengths)
-        folds = folds_of(lengths, takes, round(_GAP_SECONDS * fps))
+        folds = folds_of(lengths, takes, round(GAP_SECONDS * fps))
         effort = tuple(effort)
         bases = _bases(speeches, effort, smaller)
         of_fast, fast_basis = _best(speeches, fast, folds, bases, partial(fast_inputs, fps=fps))
@@ -354,9 +354,14 @@ def _best(
         Regression.fit([inputs(speech, basis) for speech in speeches], curves, folds)
         for basis in bases
     ]
-    enough = max(regression.r for regression in fitted) - _HARDLY_BETTER
-    used = [k for k, regression in enumerate(fitted) if regression.r >= enough][-1]
+    used = nearly_best(fitted)
     return fitted[used], bases[used]
+
+
+def nearly_best(fitted: Sequence[Regression]) -> int:
+    """Return the number of the last regression that predicts about as well as the best."""
+    enough = max(regression.r for regression in fitted) - _HARDLY_BETTER
+    return [k for k, regression in enumerate(fitted) if regression.r >= enough][-1]
 
 
 def _steadied(

@@ -163,7 +163,9 @@ class Sampler:
         """
         # Linear interpolation would leave a corner at every frame of the recalled level.
         coarse = self.model.normaliser.to_values(resample_smoothly(recalled, len(values)))
-        return coarse + self.request.library.detail(choice, len(values)).T * (values - coarse)
+        library = self.request.library
+        profiles = choice.profiles(library.recordings, len(values))
+        return coarse + library.detail(profiles).T * (values - coarse)
 
     def _with_passive(self, motion: Motion, choice: RecalledMotion | None) -> Motion:
         """Return the motion with the fingers and the face of the recalled pieces, if any."""

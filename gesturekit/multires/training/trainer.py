@@ -12,15 +12,19 @@ from pathlib import Path
 
 import torch
 
-from gesturekit.errors import ConfigError
+import audio_features as af
+from gesturekit.corpus.manifest import Manifest
+from gesturekit.errors import ConfigError, GestureKitError
 from gesturekit.motion.parts import find_legs, is_upper_body, unidentified
 from gesturekit.multires.backend import choose_backend, requested_backend
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.constraints.constraint import fastest_second
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.recall.ahead import AheadPrediction
 from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.sampling.trained_model import TrainedNoise, TrainedSequence
+from gesturekit.multires.training.ahead import with_live_predictions
 from gesturekit.multires.training.batches import usage
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.loading import load_training_data
@@ -29,7 +33,7 @@ from gesturekit.multires.training.recall_library import build_library
 from gesturekit.multires.training.stage import Stage
 from gesturekit.multires.training.targets import MOST_WINDOWS
 from gesturekit.training.data.sources import describe_recordings, save_sources, unused_labels
-from gesturekit.training.recordings import load_recordings
+from gesturekit.training.recordings import load_recordings, training_items
 from gesturekit.training.run.device import prepare_device
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.held_out import HeldOutMetrics
@@ -111,6 +115,7 @@ class Trainer:
                 f"{processes.count} processes (whole sequences go one at a time)"
             )
         requested_backend(config.backend)  # refused here, before the run folder is made
+        self.ahead: tuple[AheadPrediction, ...] | None = None
         self.data = read_once(
             run,
             processes,
@@ -334,7 +339,12 @@ class Trainer:
     def _save(self, name: str, network: MultiresGenerator, notes: dict[str, str]) -> None:
         """Write a model of the run."""
         spoken, files = self.data.spoken
-        self._model(network).save(
+        model = self._model(network)
+        if model.library is not None:
+            if self.ahead is None:
+                self.ahead = self._live_predictions(model)
+            model = replace(model, library=replace(model.library, ahead=self.ahead))
+        model.save(
             self.folder.folder / name,
             notes={
                 "Recordings": describe_recordings(self.data.sources, self.seconds, self.config.fps),
@@ -349,6 +359,17 @@ class Trainer:
             },
         )
         save_sources(self.folder.folder / name, self.data.sources)
+
+    def _live_predictions(self, model: MultiresModel) -> tuple[AheadPrediction, ...]:
+        """Return the predictions for live speech; none for a model that cannot stream."""
+        corpus = self.config.corpus
+        try:
+            items = training_items(Manifest.load(corpus), corpus, with_audio=True)
+            return with_live_predictions(model, items).library.ahead
+        except (GestureKitError, af.AudioFeaturesError) as error:
+            # A trained model is worth more than its use for live speech.
+            log.warning("The model cannot stream, without predictions for live speech: %s", error)
+            return ()
 
     def _model(self, network: MultiresGenerator) -> MultiresModel:
         """Return the model of a network, which is moved to the CPU."""

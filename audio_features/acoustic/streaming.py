@@ -1,0 +1,219 @@
+"""Acoustic features of sound that arrives block by block.
+
+Power, pitch and energy of a frame of 10 ms depend on 64 ms of sound, so they are computed once. The
+voiced frames so far give what offline extraction takes from the whole clip: its level, its median
+pitch, its stretches without voice. The extractors run, unchanged, on the last seconds of frames.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from audio_features.acoustic.analysis import (
+    FRAME_RATE,
+    HOP,
+    N_FFT,
+    SAMPLE_RATE,
+    VOICED,
+    WINDOW,
+    Melody,
+    ShortTimeSpectrum,
+    audible_melody,
+    centred_frames,
+    short_time_power,
+    to_db,
+    track_pitch,
+)
+from audio_features.acoustic.extractors import AcousticExtractor
+from audio_features.errors import FeatureError
+from audio_features.wave import ACTIVE_RANGE_DB, SPEECH_LEVEL_DBFS, checked_rate
+
+REACH = 0.032
+"""Seconds of sound after a frame on which its pitch depends."""
+_CONTEXT = 4
+"""Frames of sound before new frames; more than the 32 ms that these need."""
+_SILENT = 10.0**-6
+"""Power at or below which a frame is silent, -60 dBFS: the noise of a microphone."""
+_REMEMBERED = 1500
+"""Voiced frames, 15 s of them, from which level and median pitch are taken."""
+_VOICELESS_SECONDS = 2.0
+"""After this time without a voiced frame, sound counts as silence until the next one."""
+_LONGEST_STEP = 1600
+"""Samples at 16 kHz that are resampled at a time, at most."""
+_FILTER = 10
+"""Half the length of scipy's resampling filter, in samples of the lower rate."""
+
+
+def check_streams(extractor: Any) -> None:
+    """Raise FeatureError for an extractor, or a stack, that does not work on a stream of sound."""
+    for part in getattr(extractor, "parts", (extractor,)):
+        acoustic = isinstance(part, AcousticExtractor) and part.device is None
+        if not acoustic or part.spec.get("f0", "yin") != "yin":
+            raise FeatureError(
+                f"{part.spec['kind']}: these features need the whole sound; logmel, mfcc, prosody "
+                "(f0 yin), onset, prosodic_range and effort work on a stream"
+            )
+
+
+class _StreamedSpectrum(ShortTimeSpectrum):
+    """Frames of a `SpectrumStream`, as the input of extractors."""
+
+    def __init__(self, times: np.ndarray, power: np.ndarray, melody: Melody) -> None:
+        self.n_frames, self.times, self.power = len(times), times, power
+        self._log_mels: dict[int, np.ndarray] = {}
+        self._melodies = {"yin": melody}
+
+
+class SpectrumStream:
+    """Spectrum, pitch and energy of sound that arrives block by block.
+
+    Results do not depend on the size of the blocks, and memory is bounded.
+
+    Args:
+        sample_rate: of the sound, Hz.
+        seconds: of frames that are kept.
+
+    Attributes:
+        n_frames: frames computed so far; frame k is centred at k·0.01 s.
+        delay: seconds of sound, after the end of a frame's `REACH`, until it is computed, at most.
+
+    Raises:
+        AudioError: a sample rate out of range.
+        FeatureError: a sample rate without a common period with 16 kHz, such as 15999 Hz.
+    """
+
+    def __init__(self, sample_rate: int, seconds: float) -> None:
+        rate = checked_rate(sample_rate, "sample_rate")
+        common = math.gcd(rate, SAMPLE_RATE)
+        self._up, self._down = SAMPLE_RATE // common, rate // common
+        self._step = math.lcm(HOP, self._up)
+        if self._step > _LONGEST_STEP:
+            raise FeatureError(
+                f"sample_rate={rate}: a stream needs a usual rate, such as 16000, 44100 or 48000 Hz"
+            )
+        ahead = math.ceil(_FILTER * max(1, self._down / self._up)) + 1
+        self._ahead = ahead if rate != SAMPLE_RATE else 0
+        self._behind = self._down * math.ceil(self._ahead / self._down)
+        self.delay = self._step / SAMPLE_RATE + self._ahead / rate
+        self._kept = round(seconds * FRAME_RATE)
+        self.n_frames = 0
+        self._waiting = np.zeros(self._behind, np.float32)
+        self._sound = np.zeros(_CONTEXT * HOP, np.float32)
+        self._power = np.zeros((0, N_FFT // 2 + 1), np.float32)
+        # Columns: mean square over 50 ms, f0, periodicity.
+        self._curves = np.zeros((0, 3))
+        # Of the last voiced frames: mean square over 25 ms, and ln(f0).
+        self._voiced = np.zeros((0, 2))
+        self._last_voiced = -math.inf
+        self._offset = 0.0
+
+    def state(self) -> dict[str, Any]:
+        """Return what `restore` needs: arrays and numbers."""
+        return {name: getattr(self, name) for name in _STATE}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a `state` of a stream with the same arguments."""
+        for name in _STATE:
+            setattr(self, name, state[name])
+
+    def push(self, samples: np.ndarray) -> Iterator[None]:
+        """Take the next samples (N,) float32, of any number; yield after each step of them."""
+        self._waiting = np.concatenate([self._waiting, samples])
+        step = self._step * self._down // self._up
+        while len(self._waiting) >= self._behind + step + self._ahead:
+            self._add(self._resampled(self._waiting[: self._behind + step + self._ahead]))
+            self._waiting = self._waiting[step:]
+            yield
+
+    def _resampled(self, samples: np.ndarray) -> np.ndarray:
+        if not self._ahead:
+            return samples
+        from scipy.signal import resample_poly
+
+        first = self._behind * self._up // self._down
+        return resample_poly(samples, self._up, self._down)[first:][: self._step]
+
+    def _add(self, sound: np.ndarray) -> None:
+        """Compute the frames that the next 16 kHz samples complete."""
+        self._sound = np.concatenate([self._sound, sound])
+        reach = round(REACH * SAMPLE_RATE)
+        count = (len(self._sound) - reach) // HOP - _CONTEXT + 1
+        if count <= 0:
+            return
+        # The mean of the sound so far: a microphone's offset is no speech.
+        self._offset += 0.01 * (float(self._sound.mean()) - self._offset)
+        samples = self._sound - np.float32(self._offset)
+        n = _CONTEXT + count
+        new = slice(_CONTEXT, n)
+        f0, periodicity = track_pitch(samples, n)
+        loudness, level = (_mean_squares(samples, length, n)[new] for length in (800, WINDOW))
+        curves = np.stack([loudness, f0[new], periodicity[new]], axis=1)
+        voiced = (curves[:, 2] >= VOICED) & (level > _SILENT)
+        self._remember(voiced, level, curves[:, 1])
+        self._power = self._latest(self._power, short_time_power(samples, n)[new])
+        silent = self._voiceless(voiced)
+        self._power[-count:][silent] = 0.0
+        curves[silent, 0] = 0.0
+        self._curves = self._latest(self._curves, curves)
+        self.n_frames += count
+        self._sound = self._sound[count * HOP :]
+
+    def _latest(self, kept: np.ndarray, new: np.ndarray) -> np.ndarray:
+        return np.concatenate([kept, new])[-self._kept :]
+
+    def _remember(self, voiced: np.ndarray, level: np.ndarray, f0: np.ndarray) -> None:
+        own = np.stack([level[voiced], np.log(f0[voiced])], axis=1)
+        self._voiced = np.concatenate([self._voiced, own])[-_REMEMBERED:]
+
+    def _voiceless(self, voiced: np.ndarray) -> np.ndarray:
+        """Return flags of the new frames, True a while after the last voiced frame."""
+        frames = self.n_frames + np.arange(len(voiced))
+        last = np.maximum.accumulate(np.where(voiced, frames, self._last_voiced))
+        self._last_voiced = float(last[-1])
+        return frames - last > _VOICELESS_SECONDS * FRAME_RATE
+
+    def window(self, seconds: float) -> tuple[ShortTimeSpectrum, np.ndarray]:
+        """Return the last frames as a spectrum, and their speech activity (T,) bool.
+
+        Before the first voiced frame, all frames are silent.
+        """
+        count = min(round(seconds * FRAME_RATE), len(self._power))
+        loudness, f0, periodicity = self._curves[-count:].T
+        level, pitch = self._speaker()
+        gain = 10.0 ** (SPEECH_LEVEL_DBFS / 10.0) / level if level else 0.0
+        energy = to_db(loudness * gain / 10.0 ** (SPEECH_LEVEL_DBFS / 10.0))
+        melody = audible_melody(f0, periodicity.copy(), energy, pitch)
+        times = (self.n_frames - count + np.arange(count)) / FRAME_RATE
+        power = self._power[-count:] * np.float32(gain)
+        return _StreamedSpectrum(times, power, melody), energy >= -ACTIVE_RANGE_DB
+
+    def _speaker(self) -> tuple[float, float]:
+        """Return the mean square of speech so far, and its median f0 in Hz; 0 before any."""
+        power, log_f0 = self._voiced.T
+        if not len(power):
+            return 0.0, 0.0
+        # As in `Wave.active`: frames 20 dB below the mean do not count.
+        loud = power[power >= power.mean() * 10.0 ** (-ACTIVE_RANGE_DB / 10.0)]
+        return float(loud.mean()), float(np.exp(np.median(log_f0)))
+
+
+_STATE = (
+    "n_frames",
+    "_waiting",
+    "_sound",
+    "_power",
+    "_curves",
+    "_voiced",
+    "_last_voiced",
+    "_offset",
+)
+
+
+def _mean_squares(samples: np.ndarray, length: int, n_frames: int) -> np.ndarray:
+    """Return the mean square (T,) of `length` samples around each frame."""
+    blocks = [np.square(part).mean(axis=1) for _, part in centred_frames(samples, length, n_frames)]
+    return np.concatenate(blocks).astype(float)

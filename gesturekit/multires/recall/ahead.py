@@ -1,0 +1,128 @@
+"""Prediction of movement from speech while it is spoken: the future is unknown.
+
+The regressions of `wanted.py` use features on both sides of a frame. Without the later ones they
+would lose much of what they know, so a separate pair is fitted for each look-ahead.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gesturekit.multires.recall.wanted import (
+    GAP_SECONDS,
+    Regression,
+    WantedMovement,
+    folds_of,
+    nearly_best,
+    usual_voice,
+)
+
+log = logging.getLogger(__name__)
+
+LOOK_AHEADS = (0.0, 0.1, 0.2, 0.4)
+"""Seconds of sound after a frame for which predictions are fitted."""
+AVERAGED_SECONDS = (2.0, 8.0)
+"""Time constants of the running means of features."""
+_BIN_SECONDS, _BINS = 0.16, 4
+"""Features are averaged over these bins, the last of which ends with the last known frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeardSpeech:
+    """Speech features up to now.
+
+    Attributes:
+        rows: (W, S) the last rows.
+        averages: (2, S) running means, see `AVERAGED_SECONDS`.
+    """
+
+    rows: np.ndarray
+    averages: np.ndarray
+
+
+def last_bins(speech: HeardSpeech, fps: float) -> np.ndarray:
+    """Return (5, S): the features' running mean, and their means in bins relative to it."""
+    width = max(1, round(_BIN_SECONDS * fps))
+    rows = speech.rows[-_BINS * width :].reshape(_BINS, width, -1).mean(axis=1)
+    return np.concatenate([speech.averages[:1], rows - speech.averages[0]])
+
+
+@dataclass(frozen=True, eq=False)
+class AheadPrediction:
+    """Regressions of fast and slow movement for one look-ahead.
+
+    Attributes:
+        look_ahead: seconds.
+        fast_columns: of the speech features, for the fast part.
+        slow_columns: of the speech features, for the slow part.
+        fast: from the values of `last_bins`.
+        slow: from `HeardSpeech.averages`.
+    """
+
+    look_ahead: float
+    fast_columns: np.ndarray = field(repr=False)
+    slow_columns: np.ndarray = field(repr=False)
+    fast: Regression = field(repr=False)
+    slow: Regression = field(repr=False)
+
+    @classmethod
+    def fit(
+        cls,
+        look_ahead: float,
+        speeches: Sequence[Sequence[HeardSpeech]],
+        fast: Sequence[np.ndarray],
+        slow: Sequence[np.ndarray],
+        takes: Sequence[str],
+        wanted: WantedMovement,
+        columns: Sequence[Sequence[int]],
+        rate: float,
+    ) -> AheadPrediction:
+        """Fit to recordings, sampled at any times.
+
+        Args:
+            look_ahead: seconds.
+            speeches: what was known of each recording at each of its sampled times.
+            fast: fast part of movement, log m/s, at each of these times.
+            slow: normal scores of the slow part.
+            takes: take of each recording.
+            wanted: regressions of the whole sound.
+            columns: sets of columns for the fast part, the largest first.
+            rate: samples per second.
+        """
+        folds = folds_of([len(own) for own in fast], takes, round(GAP_SECONDS * rate))
+        effort = list(wanted.effort)
+        fast_sets = [np.array(own) for own in columns if len(own)]
+        slow_sets = [np.array([*own, *effort], int) for own in columns if len(own)]
+
+        def fitted(curves: Sequence[np.ndarray], inputs: list[list[np.ndarray]]) -> Regression:
+            return Regression.fit([np.stack(own) for own in inputs], curves, folds)
+
+        of_fast = [
+            fitted(
+                fast,
+                [[_flat(last_bins(one, wanted.fps), own) for one in rows] for rows in speeches],
+            )
+            for own in fast_sets
+        ]
+        of_slow = [
+            fitted(slow, [[_flat(one.averages, own) for one in rows] for rows in speeches])
+            for own in slow_sets
+        ]
+        i, j = nearly_best(of_fast), nearly_best(of_slow)
+        return cls(look_ahead, fast_sets[i], slow_sets[j], of_fast[i], of_slow[j])
+
+    def __call__(self, speech: HeardSpeech, wanted: WantedMovement) -> tuple[float, float]:
+        """Return the fast part of movement, log m/s, and the slow part, in standard deviations."""
+        fast = self.fast(_flat(last_bins(speech, wanted.fps), self.fast_columns)[None])[0]
+        averages = usual_voice(speech.averages.T, wanted.effort, wanted.voices).T
+        slow = self.slow(_flat(averages, self.slow_columns)[None])[0]
+        share = max(self.fast.r, 0.0) / max(wanted.fast.r, 1e-3)
+        return float(fast * wanted.spread * min(share, 1.0)), float(slow)
+
+
+def _flat(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    return rows[:, columns].reshape(-1)

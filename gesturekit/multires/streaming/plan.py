@@ -1,0 +1,288 @@
+"""Choice of recorded pieces while the person speaks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gesturekit.multires.recall.library import RecallLibrary
+from gesturekit.multires.recall.pieces import cross_faded
+from gesturekit.training.seeds import rng_for
+
+# Chosen on two ZeroEGGS takes that are reported nowhere, for sync without jumps.
+_PIECE, _OVERLAP = 1.0, 0.5
+"""Seconds over which pieces are compared, and of the cross-fade into one. After their difference
+the next one is chosen, most often the continuation."""
+_FACTORS = {"continuity": 25.0, "movement": 4.0, "chance": 0.1}
+"""Factors on the library's `ChoiceWeights`. Pieces are shorter than offline: they are chosen more
+often, each by the little movement that is predicted."""
+_KNOWN_SECONDS = 0.3
+"""A prediction counts for this long."""
+_FASTEST = 3.0
+"""Arms play at most so much faster, or slower, than recorded."""
+_LEAST_R = 0.2
+"""Least correlation by which predicted movement is divided, see `RecallLibrary`."""
+_KEPT = 4
+"""Pieces of a part that are remembered, for the frames before the current one."""
+_STEADY_SECONDS = 5.0
+"""Weight of a mean of 0 in the running mean of the slow prediction, in seconds of sound."""
+
+
+@dataclass(frozen=True)
+class LiveChoice:
+    """Inputs of the choice of pieces, beside the speech.
+
+    Attributes:
+        seed: of the noise.
+        item: name of the stream.
+        speaker: whose recordings to use; None for all.
+        style: number of the style; None for any.
+        liveliness: factor on the hand speed that is drawn.
+        mood_seed: seed of the slow state; None for `seed`.
+    """
+
+    seed: int = 0
+    item: str = ""
+    speaker: str | None = None
+    style: int | None = None
+    liveliness: float = 1.0
+    mood_seed: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """Predicted fast movement.
+
+    Attributes:
+        seconds: (H,) from now, ascending from 0.
+        values: (H,) log m/s.
+        r: correlation of the first with recorded movement.
+    """
+
+    seconds: np.ndarray
+    values: np.ndarray
+    r: float
+
+    def at(self, seconds: np.ndarray) -> np.ndarray:
+        """Return the predictions (M,) at times (M,); NaN where nothing is known."""
+        known = seconds <= self.seconds[-1] + _KNOWN_SECONDS
+        return np.where(known, np.interp(seconds, self.seconds, self.values), np.nan)
+
+
+class LivePlan:
+    """Recorded pieces of each part of the body, up to now and on.
+
+    Times are in frames of the recalled level. Arms have a clock of their own, the same for both, so
+    that two-handed gestures stay together. Its speed gives the pieces the movement that the speech
+    predicts: pieces chosen without the speech to come cannot.
+
+    Args:
+        library: recordings.
+        choice: of pieces.
+        past: motion frames of a window before the current one.
+        future: motion frames of a window from the current one on.
+    """
+
+    def __init__(self, library: RecallLibrary, choice: LiveChoice, past: int, future: int) -> None:
+        self.library, self.choice = library, choice
+        self._past, self._future = past, future
+        weights = {name: by * getattr(library.weights, name) for name, by in _FACTORS.items()}
+        self._searches = library.searches_of(_PIECE, _OVERLAP, replace(library.weights, **weights))
+        self._curves = [
+            [recording.motion[part.columns].contiguous() for recording in library.recordings]
+            for part in library.parts
+        ]
+        self._profiles = [
+            [recording.profiles[i : i + 1].contiguous() for recording in library.recordings]
+            for i in range(len(library.parts))
+        ]
+        self._directions = [recording.directions[:2] for recording in library.recordings]
+        self._passive = [
+            (own, [recording.passive[own].contiguous() for recording in library.recordings])
+            for own in library.passive.columns(library.parts)
+        ]
+        self._frame = -1
+        self._step = library.level_fps / library.fps
+        self._clock = self._step * np.arange(-past, 1.0)  # of the arms, at the last frames
+        self._used = [np.zeros(search.n_bins) for search in self._searches]
+        # Of each part: (begin, recording, frame of it at the beginning), the latest last.
+        self._pieces: list[list[tuple[float, int, float]]] = [[] for _ in library.parts]
+        self._due = [0.0] * len(library.parts)
+        self._slow = np.zeros(2)  # sum and count of slow predictions
+
+    def state(self) -> dict[str, Any]:
+        """Return what `restore` needs."""
+        return {name: getattr(self, name) for name in _STATE}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from the `state` of a plan with the same arguments."""
+        for name in _STATE:
+            setattr(self, name, state[name])
+
+    def advance(self, fast: Forecast | None, slow: float | None) -> None:
+        """Go on by a motion frame.
+
+        Args:
+            fast: fast movement; None without prediction.
+            slow: slow movement, in standard deviations.
+        """
+        self._frame += 1
+        if self._frame:
+            self._clock = np.append(
+                self._clock[1:], self._clock[-1] + self._step * self._tempo(fast)
+            )
+        slow = self._steadied(slow)
+        due = [i for i in range(len(self._due)) if self._now(i) >= self._due[i]]
+        if due:
+            seconds = self._frame / self.library.fps
+            scores = self.library.slow_state.at(self._mood_seed, seconds, slow)
+        for i in due:
+            now = self._now(i)
+            self._due[i] = now + self._searches[i].hop
+            self._choose(i, now, fast, scores)
+
+    def _tempo(self, fast: Forecast | None) -> float:
+        """Return the speed of the arms' clock; 1 is as recorded."""
+        arms = [i for i, part in enumerate(self.library.parts) if part.is_arm]
+        if fast is None or not arms:
+            return 1.0
+        now, spread = self._clock[-1:], self.library.spread
+        own = np.mean([self._shown(i, now, self.library.fast_movement[i]) for i in arms])
+        # A conditional mean has the right times, but smaller peaks than the pieces have.
+        wanted = fast.values[0] / max(fast.r, _LEAST_R)
+        return float(np.clip(np.exp(wanted - spread * own), 1 / _FASTEST, _FASTEST))
+
+    def _steadied(self, slow: float | None) -> float | None:
+        """Return the slow prediction, its mean so far reduced as in `WantedMovement`."""
+        if slow is None:
+            return None
+        self._slow += slow, 1.0
+        mean = self._slow[0] / (self._slow[1] + _STEADY_SECONDS * self.library.fps)
+        return slow - (1 - self.library.wanted.mean_counts) * mean
+
+    def _own(self) -> float:
+        """Return the fast movement of the arms' pieces now, log m/s."""
+        own = [
+            self._shown(i, self._clock[-1:], self._fast[i])[0, 0]
+            for i, part in enumerate(self.library.parts)
+            if part.is_arm
+        ]
+        return self.library.spread * float(np.mean(own)) if own else 0.0
+
+    @cached_property
+    def _mood_seed(self) -> int:
+        choice = self.choice
+        key = choice.seed if choice.mood_seed is None else choice.mood_seed
+        return rng_for(key, choice.item, "live", "mood").initial_seed() >> 1
+
+    def _now(self, i: int) -> float:
+        return float(self._times(i, np.zeros(1))[0])
+
+    def _choose(self, i: int, now: float, fast: Forecast | None, scores: np.ndarray) -> None:
+        """Choose what a part shows from `now` on.
+
+        Args:
+            i: number of the part.
+            now: its time.
+            fast: see `advance`.
+            scores: (C, 1) drawn scores of all slow channels.
+        """
+        library, search, pieces = self.library, self._searches[i], self._pieces[i]
+        allowed = library.allowed(search.piece, 1, self.choice.speaker, self._styles)
+        states = library.drawn_states(scores, i, allowed)[0]
+        states[0] += math.log(self.choice.liveliness)
+        ahead = np.arange(search.piece)
+        wanted = np.full((search.piece, 1), np.nan)
+        if fast is not None:
+            wanted[:, 0] = fast.at((ahead + 0.5) / library.level_fps) / library.spread
+        if i == 1:
+            beside = self._shown(0, self._now(0) + ahead, self._directions)
+            wanted = np.concatenate([wanted, beside.T.numpy()], axis=1)
+        others = [self._numbers(j, self._now(j) + ahead) for j in range(i)]
+        shown = round(float(self._numbers(i, np.array([now]))[0])) if pieces else None
+        choice = self.choice
+        best = search.following(
+            rng_for(choice.seed, choice.item, "live", library.parts[i].name, self._frame),
+            wanted,
+            states,
+            self._used[i],
+            allowed=None if allowed is None else allowed[0],
+            others=np.stack(others, axis=1) if others else None,
+            shown=shown,
+        )
+        if shown != search.frame[best]:
+            pieces.append((now, int(search.recording[best]), float(search.start[best])))
+            del pieces[:-_KEPT]
+
+    @property
+    def _styles(self) -> np.ndarray | None:
+        return None if self.choice.style is None else np.array([self.choice.style])
+
+    def _numbers(self, i: int, times: np.ndarray) -> np.ndarray:
+        """Return the frames (M,) that a part shows, numbered across all recordings."""
+        (recordings, frames), _, _ = self._at(i, times)
+        lengths = np.array(self.library.lengths)
+        frames = np.clip(frames, 0, lengths[recordings] - 1)
+        return np.cumsum([0, *lengths])[recordings] + np.rint(frames)
+
+    def _at(
+        self, i: int, times: np.ndarray
+    ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray], np.ndarray]:
+        """Return what a part shows at times (M,), what it is faded over from, and its weight.
+
+        Recordings and frames, (M,) each, as for `cross_faded`.
+        """
+        begins, recordings, frames = (np.array(column) for column in zip(*self._pieces[i]))
+        latest = np.maximum(np.searchsorted(begins, times, side="right") - 1, 0)
+        before = np.maximum(latest - 1, 0)
+        part = np.clip((times - begins[latest]) / self._searches[i].overlap, 0.0, 1.0)
+        weight = np.where(latest > 0, part * part * (3 - 2 * part), 1.0)
+        shown, earlier = (
+            (recordings[own], frames[own] + times - begins[own]) for own in (latest, before)
+        )
+        return shown, earlier, weight
+
+    def _shown(self, i: int, times: np.ndarray, curves: Sequence[Tensor]) -> Tensor:
+        """Return curves (C, M) of the recordings that a part shows at times (M,)."""
+        return cross_faded(curves, self.library.lengths, *self._at(i, times))
+
+    def _times(self, i: int, offsets: np.ndarray) -> np.ndarray:
+        """Return the times of a part at motion frames (M,) relative to the current one."""
+        if not self.library.parts[i].is_arm:
+            return (self._frame + offsets) * self._step
+        past = np.interp(offsets, np.arange(-self._past, 1.0), self._clock)
+        return past + self._step * np.maximum(offsets, 0.0)
+
+    def vectors(self, offsets: np.ndarray) -> Tensor:
+        """Return the recalled motion (1, D, M) at motion frames relative to the current one."""
+        library = self.library
+        result = torch.empty(1, len(library.recordings[0].motion), len(offsets))
+        for i, part in enumerate(library.parts):
+            result[0, part.columns] = self._shown(i, self._times(i, offsets), self._curves[i])
+        return result
+
+    def profiles(self, offsets: np.ndarray) -> np.ndarray:
+        """Return the movement (P, M) of the parts' pieces there."""
+        shown = [
+            self._shown(i, self._times(i, offsets), curves)
+            for i, curves in enumerate(self._profiles)
+        ]
+        return torch.cat(shown).numpy()
+
+    def passive(self) -> Tensor:
+        """Return the channels (X, 1) that are recalled but not modelled, at the current frame."""
+        result = torch.empty(sum(len(own) for own, _ in self._passive), 1)
+        for i, (own, curves) in enumerate(self._passive):
+            if len(own):
+                result[own] = self._shown(i, self._times(i, np.zeros(1)), curves)
+        return result
+
+
+_STATE = ("_frame", "_clock", "_used", "_pieces", "_due", "_slow")

@@ -1,0 +1,269 @@
+"""Stream of sound in, stream of motion out."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.ndimage import gaussian_filter1d
+from torch import Tensor
+
+import audio_features as af
+from audio_features.acoustic.streaming import check_streams
+from gesturekit.errors import ModelError
+from gesturekit.motion.concatenation import stacked
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.skeleton import Skeleton
+from gesturekit.multires.constraints.keyframes import moved
+from gesturekit.multires.controls import MultiresControls
+from gesturekit.multires.recall.ahead import AheadPrediction, HeardSpeech
+from gesturekit.multires.sampling.conditions import requested_styles
+from gesturekit.multires.sampling.trained_model import Pyramid, RandomNoise, TrainedModel
+from gesturekit.multires.streaming.features import SpeechStream
+from gesturekit.multires.streaming.feet import FootHold
+from gesturekit.multires.streaming.plan import Forecast, LiveChoice, LivePlan
+from gesturekit.training.seeds import checked_item, checked_seed, rng_for
+
+_AROUND_SECONDS = 1.6
+"""Seconds before and after a frame that its finer levels are computed from."""
+_HELD_SECONDS = 0.5
+"""Features of the unknown future are their mean over this time."""
+_SMOOTHED_SECONDS = 0.03
+"""Standard deviation of the low-pass of models that smooth their motion: 6 Hz, above which gestures
+have almost no energy."""
+_HOME_SECONDS = 30.0
+"""Time constant with which the body returns to its place: a stream may last for hours."""
+_NO_NOISE = RandomNoise(torch.zeros(0), 0, None)
+"""The levels above the recalled one: what differs between seeds is the choice of pieces."""
+_CONTROLS = ("style", "speaker", "liveliness", "mood_seed", "foot_lock", "smooth")
+"""Controls that a stream takes."""
+
+
+class MotionStream:
+    """Motion that is generated while sound comes in.
+
+    Frame k of the stream belongs to k / fps seconds of the sound. It depends on the sound up to
+    `look_ahead` seconds later. Motion does not depend on the size of blocks, so a stream equals its
+    replay. Memory is bounded.
+
+    Each frame is computed from a window around it: the recalled pieces, which go on as recorded,
+    and the features, which are unknown from the look-ahead on. So there are no seams.
+
+    Args:
+        model: with speech input, recall, and predictions for live speech.
+        sample_rate: of the sound, Hz.
+        look_ahead: seconds of sound that a frame waits for; the next smaller one of those that the
+            model has predictions for is used.
+        seed: of the random numbers.
+        item: name of the stream; streams of other names are other draws.
+        controls: style, speaker, liveliness, mood_seed, foot_lock and smooth.
+
+    Attributes:
+        n_frames: frames returned so far.
+
+    Raises:
+        ModelError: a model that cannot stream, or a control that a stream does not take.
+        AudioError: a sample rate out of range.
+    """
+
+    def __init__(
+        self,
+        model: TrainedModel,
+        sample_rate: int,
+        look_ahead: float,
+        seed: int,
+        item: str,
+        controls: MultiresControls,
+    ) -> None:
+        seed, item = checked_seed(seed), checked_item(item)
+        predictions = _predictions(model, look_ahead, controls)
+        self.model, self.sample_rate, self.fps = model, sample_rate, model.fps
+        self._around = round(_AROUND_SECONDS * model.fps)
+        most = self._around + 1 + math.ceil(predictions[0].look_ahead * model.fps)
+        self._speech = SpeechStream(model.conditions.conditioner, sample_rate, most)
+        ahead = [self._speech.rows_ahead(prediction.look_ahead) for prediction in predictions]
+        self._predictions, self._ahead = predictions, ahead[0]
+        self._horizons = (ahead[0] - np.array(ahead)) / model.fps
+        n, levels, recalled = 2 * self._around, model.network_config.levels, model.library.level - 1
+        self._lengths = af.level_lengths(n, levels)
+        frames = self._lengths[recalled]
+        # Times of the recalled level's frames, relative to the current frame.
+        self._coarse = (np.arange(frames) + 0.5) * (n / frames) - 0.5 - self._around
+        self._near = np.arange(-self._around // 4, self._around // 4 + 1.0)
+        self._styles, style = _styles(model, controls, self._lengths, seed, item)
+        choice = LiveChoice(
+            seed, item, controls.speaker, style, controls.liveliness, controls.mood_seed
+        )
+        self._plan = LivePlan(model.library, choice, self._around, self._around)
+        own = None if controls.speaker is None else model.speakers[controls.speaker]
+        self._own = own
+        self.skeleton: Skeleton = model.skeleton if own is None else own
+        self._smooth = model.smooth if controls.smooth is None else controls.smooth
+        self._feet = FootHold(self.skeleton, model.fps) if controls.foot_lock else None
+        self._place = np.zeros(2)
+        self.n_frames, self._samples = 0, 0
+
+    @property
+    def latency(self) -> float:
+        """Seconds from a sound to the return of the frame that belongs to it, at most.
+
+        The length of the blocks comes on top of it, and the time to compute.
+        """
+        return self._ahead / self.fps + self._speech.reach
+
+    def state(self) -> dict[str, Any]:
+        """Return everything that `restore` needs, as numbers and arrays."""
+        own = {name: getattr(self, name) for name in _STATE}
+        parts = {name: getattr(self, name) for name in _PARTS}
+        return copy.deepcopy(
+            own | {name: part.state() for name, part in parts.items() if part is not None}
+        )
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from the `state` of a stream with the same arguments."""
+        state = copy.deepcopy(dict(state))
+        for name in _STATE:
+            setattr(self, name, state[name])
+        for name in _PARTS:
+            if (part := getattr(self, name)) is not None:
+                part.restore(state[name])
+
+    def step(self, samples: np.ndarray) -> Motion | None:
+        """Take the next samples and return the frames that they complete; None without any.
+
+        Args:
+            samples: (N,) float32 at `sample_rate`, full scale 1; N may be 0.
+
+        Raises:
+            ModelError: samples of another shape, or that are not finite.
+        """
+        samples = np.asarray(samples, np.float32)
+        if samples.ndim != 1 or not np.isfinite(samples).all():
+            raise ModelError(
+                f"samples of shape {samples.shape}: a stream takes finite samples (N,), one channel"
+            )
+        self._samples += len(samples)
+        return self._step(samples, math.inf)
+
+    def finish(self) -> Motion | None:
+        """Return the remaining frames, as if silence followed: floor(duration · fps + ½) in all."""
+        total = math.floor(self._samples * self.fps / self.sample_rate + 0.5)
+        silence = math.ceil((self.latency + 2 / self.fps) * self.sample_rate)
+        return self._step(np.zeros(max(silence, 0), np.float32), total)
+
+    def _step(self, samples: np.ndarray, most: float) -> Motion | None:
+        passive, frames = self.model.library.passive, []
+        for heard in self._speech.push(samples):
+            if self._speech.n_rows > self._ahead + self.n_frames and self.n_frames < most:
+                frame = self._placed(self._vector(heard))
+                channels = self._plan.passive()
+                frames.append(passive.applied(frame, lambda _, own=channels: own))
+                self.n_frames += 1
+        return stacked(frames) if frames else None
+
+    def _vector(self, heard: HeardSpeech) -> np.ndarray:
+        """Return the motion vector (D,) of the next frame."""
+        model, library = self.model, self.model.library
+        self._plan.advance(*self._predicted(heard))
+        recalled = self._plan.vectors(self._coarse)
+        condition = model.conditions.of_motion(self._features(heard), self._lengths, self._styles)
+        made = Pyramid(
+            model, self._lengths, condition, _NO_NOISE, None, recalled, library.level - 1
+        )
+        near = slice(self._around + int(self._near[0]), self._around + int(self._near[-1]) + 1)
+        values = made.random()[near]
+        # As in offline sampling, finer levels add no detail where a recalled hand rests.
+        coarse = model.normaliser.to_values(self._plan.vectors(self._near))
+        values = coarse + library.detail(self._plan.profiles(self._near)).T * (values - coarse)
+        if self._smooth:
+            columns = model.representation.layout.rotations
+            smoothed = gaussian_filter1d(values[:, columns], _SMOOTHED_SECONDS * self.fps, axis=0)
+            values[:, columns] = smoothed
+        return values[len(values) // 2]
+
+    def _predicted(self, heard: HeardSpeech) -> tuple[Forecast | None, float | None]:
+        """Return predictions of fast and slow movement; None without."""
+        wanted = self.model.library.wanted
+        if wanted is None:
+            return None, None
+        found = [prediction(heard, wanted) for prediction in self._predictions]
+        fast = np.array([fast for fast, _ in found])
+        return Forecast(self._horizons, fast, self._predictions[0].fast.r), found[0][1]
+
+    def _features(self, heard: HeardSpeech) -> np.ndarray:
+        """Return the speech features (2 around, S) around the current frame."""
+        rows, n = heard.rows, 2 * self._around
+        known = rows[len(rows) - self._ahead - 1 - self._around :] if self._ahead >= 0 else rows
+        known = known[-(self._around + 1 + self._ahead) :][:n]
+        held = rows[-round(_HELD_SECONDS * self.fps) :].mean(axis=0, keepdims=True)
+        return np.concatenate([known, np.repeat(held, n - len(known), axis=0)])
+
+    def _placed(self, vector: np.ndarray) -> Motion:
+        """Return the frame of a motion vector (D,), which goes on where the last one ended."""
+        representation = self.model.representation
+        layout = representation.layout
+        if self.n_frames:
+            stays = 1 - 1 / (_HOME_SECONDS * self.fps)
+            self._place = stays * self._place + vector[layout.root_xz]
+        motion = representation.decode(vector[None], self.fps, skeleton=self._own)
+        size = representation.scale * representation.size_of(self._own)
+        motion = moved(representation, motion, size * self._place)
+        if self._feet is None:
+            return motion
+        return self._feet(motion, vector[layout.contacts], partial(moved, representation))
+
+
+def _predictions(
+    model: TrainedModel, look_ahead: float, controls: MultiresControls
+) -> list[AheadPrediction]:
+    """Return the predictions of this look-ahead and all smaller ones, the largest first.
+
+    Raises:
+        ModelError: the model cannot stream, or does not take a control or the look-ahead.
+    """
+    conditioner, library = model.conditions.conditioner, model.library
+    if conditioner is None or library is None:
+        missing = "speech input" if conditioner is None else "recall"
+        raise ModelError(f"a model without {missing} cannot stream: train own_corpus for one")
+    try:
+        check_streams(conditioner.extractor)
+    except af.FeatureError as error:
+        raise ModelError(f"the model cannot stream: {error}") from error
+    for given in dataclasses.fields(controls):
+        if given.name not in _CONTROLS and getattr(controls, given.name) != given.default:
+            raise ModelError(
+                f"{given.name}: a stream takes {', '.join(_CONTROLS[:-1])} and {_CONTROLS[-1]} only"
+            )
+    if not library.ahead:
+        where = model.folder or "MODEL"
+        raise ModelError(
+            "the model has no predictions for live speech: "
+            f"gesturekit live --fit corpus.jsonl --model {where} adds them"
+        )
+    found = [one for one in library.ahead if one.look_ahead <= look_ahead + 1e-9]
+    if not (math.isfinite(look_ahead) and found):
+        raise ModelError(f"look_ahead={look_ahead}: seconds from 0, such as 0.2")
+    return sorted(found, key=lambda one: -one.look_ahead)
+
+
+def _styles(
+    model: TrainedModel, controls: MultiresControls, lengths: Sequence[int], seed: int, item: str
+) -> tuple[list[Tensor], int | None]:
+    """Return the styles (1, K, T_i) of each level, and the number of the recalled level's style."""
+    if not model.styles:
+        return [], None
+    rng = rng_for(seed, item, "live", "style")
+    styles = requested_styles(model.styles, controls, lengths, fps=model.fps, rng=rng)
+    if any((own != own[..., :1]).any() for own in styles):
+        raise ModelError(f"style={controls.style!r}: a stream takes one style, without times")
+    return styles, int(styles[model.library.level - 1][0, :, 0].argmax())
+
+
+_STATE = ("n_frames", "_samples", "_place")
+_PARTS = ("_speech", "_plan", "_feet")

@@ -1,0 +1,141 @@
+"""Fit the predictions of movement for live speech."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+import audio_features as af
+from audio_features.acoustic.analysis import SAMPLE_RATE
+from audio_features.acoustic.streaming import check_streams
+from gesturekit.corpus.item import Item
+from gesturekit.corpus.manifest import Manifest
+from gesturekit.errors import ModelError
+from gesturekit.multires.model import MultiresModel
+from gesturekit.multires.recall.ahead import LOOK_AHEADS, AheadPrediction, HeardSpeech
+from gesturekit.multires.recall.library_format import live_rows
+from gesturekit.multires.recall.parts import joint_places, movements, slow_part
+from gesturekit.multires.recall.slow_state import normal_scores
+from gesturekit.multires.streaming.features import SpeechStream
+from gesturekit.progress import Progress
+from gesturekit.training.data.excerpts import systematic_sample
+from gesturekit.training.model_folder import save_model
+from gesturekit.training.recordings import training_items
+
+log = logging.getLogger(__name__)
+
+_MOST_SECONDS = 600.0
+"""Recordings to fit to, spread over the corpus."""
+_EVERY = 3
+"""One in so many motion frames is used; frames beside each other are alike."""
+_AFTER_SECONDS = 1.0
+"""Silence after a recording, as its last frames look ahead."""
+_ROWS_SECONDS = 1.0
+"""Of the features before a frame."""
+
+
+def with_live_predictions(model: MultiresModel, items: Sequence[Item]) -> MultiresModel:
+    """Return a model with predictions for live speech, if it can stream; else the model itself.
+
+    Args:
+        model: with recall.
+        items: paired items of its training.
+
+    Raises:
+        CorpusError, AudioError, FormatError: a file cannot be read.
+    """
+    library, conditioner = model.library, model.conditions.conditioner
+    if library is None or conditioner is None or library.wanted is None:
+        return model
+    try:
+        check_streams(conditioner.extractor)
+    except af.FeatureError:
+        return model
+    chosen = [excerpt.of(items) for excerpt in systematic_sample(items, _MOST_SECONDS)]
+    fast, slow, speeches = [], [], []
+    for item in Progress(chosen, desc="Fitting to live speech", unit="recording"):
+        movement, states = _movement(model, item)
+        fast.append(movement)
+        slow.append(states)
+        stream = SpeechStream(conditioner, SAMPLE_RATE, round(_ROWS_SECONDS * model.fps), _EVERY)
+        speeches.append(_heard(stream, item))
+    # Ranks are those of all recordings: a stream begins without knowing whose it is.
+    scores = [own.mean(axis=0) for own in normal_scores(slow, [""] * len(slow))]
+    sets = [[i for i in own if i not in conditioner.effort] for own in _columns(model)]
+    predictions = []
+    for look_ahead in LOOK_AHEADS:
+        ahead = stream.rows_ahead(look_ahead)
+        pairs = [
+            [(rows, row - ahead) for row, rows in heard if 0 <= row - ahead < len(movement)]
+            for heard, movement in zip(speeches, fast, strict=True)
+        ]
+        predictions.append(
+            AheadPrediction.fit(
+                look_ahead,
+                [[rows for rows, _ in own] for own in pairs],
+                *(
+                    [curve[[frame for _, frame in own]] for curve, own in zip(curves, pairs)]
+                    for curves in (fast, scores)
+                ),
+                [item.take for item in chosen],
+                library.wanted,
+                sets,
+                model.fps / _EVERY,
+            )
+        )
+    model = replace(model, library=replace(library, ahead=tuple(predictions)))
+    log.info("Live: %s.", *live_rows(model.library).values())
+    return model
+
+
+def fit_live(folder: Path, corpus: Path) -> None:
+    """Add predictions for live speech to a model folder, from the corpus of its training.
+
+    Raises:
+        ModelError: not such a folder, or a model that cannot stream.
+        CorpusError, AudioError, FormatError: a file cannot be read.
+    """
+    model = MultiresModel.load(folder)
+    items = training_items(Manifest.load(corpus), corpus, with_audio=True)
+    fitted = with_live_predictions(model, items)
+    if fitted is model:
+        raise ModelError(
+            f"{folder}: the model cannot stream: it needs recall, acoustic features, and speech "
+            "that predicted movement in training"
+        )
+    readme = (folder / "README.md").read_text(encoding="utf-8").splitlines()
+    kept = [line for line in readme if not line.startswith("- **Live**")]
+    last = max((i for i, line in enumerate(kept) if line.startswith("- **")), default=-1)
+    rows = [f"- **{name}**: {text}" for name, text in live_rows(fitted.library).items()]
+    kept[last + 1 : last + 1] = rows
+    save_model(folder, *fitted.parts(), "\n".join(kept) + "\n")
+
+
+def _columns(model: MultiresModel) -> tuple[Sequence[int], Sequence[int]]:
+    """Return the sets of feature columns to choose from, the largest first."""
+    conditioner = model.conditions.conditioner
+    return conditioner.acoustic, conditioner.prosody
+
+
+def _movement(model: MultiresModel, item: Item) -> tuple[np.ndarray, np.ndarray]:
+    """Return the fast movement of both hands together (T,), and the slow one of each (H, T)."""
+    representation, parts, fps = model.representation, model.library.parts, model.fps
+    hands = [i for i, part in enumerate(parts) if part.is_arm] or [0]
+    motion = item.load_motion(model.skeleton.parts).resample(fps)
+    values = torch.from_numpy(representation.encode(motion).T).float()
+    places = joint_places(representation, fps, values)
+    moved = np.stack(movements(parts, representation.joints, fps, places))[hands]
+    both = moved.mean(axis=0)
+    return both - slow_part(both, fps), np.log(slow_part(np.exp(moved), fps))
+
+
+def _heard(stream: SpeechStream, item: Item) -> list[tuple[int, HeardSpeech]]:
+    """Return what a stream knows with each of some of its rows, and their numbers."""
+    sound = item.load_wave().resample(SAMPLE_RATE).samples
+    after = np.zeros(round(_AFTER_SECONDS * SAMPLE_RATE), np.float32)
+    return [(stream.n_rows - 1, heard) for heard in stream.push(np.concatenate([sound, after]))]
