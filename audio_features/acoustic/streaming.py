@@ -28,10 +28,11 @@ from audio_features.acoustic.analysis import (
     to_db,
     track_pitch,
 )
-from audio_features.acoustic.extractors import AcousticExtractor
 from audio_features.errors import FeatureError
 from audio_features.wave import ACTIVE_RANGE_DB, SPEECH_LEVEL_DBFS, checked_rate
 
+_KINDS = ("logmel", "mfcc", "prosody", "onset", "prosodic_range", "effort")
+"""Extractors that work on a stream."""
 REACH = 0.032
 """Seconds of sound after a frame on which its pitch depends."""
 _CONTEXT = 4
@@ -51,11 +52,11 @@ _FILTER = 10
 def check_streams(extractor: Any) -> None:
     """Raise FeatureError for an extractor, or a stack, that does not work on a stream of sound."""
     for part in getattr(extractor, "parts", (extractor,)):
-        acoustic = isinstance(part, AcousticExtractor) and part.device is None
-        if not acoustic or part.spec.get("f0", "yin") != "yin":
+        kind, device = part.spec["kind"], getattr(part, "device", None)
+        if kind not in _KINDS or device is not None or part.spec.get("f0", "yin") != "yin":
             raise FeatureError(
-                f"{part.spec['kind']}: these features need the whole sound; logmel, mfcc, prosody "
-                "(f0 yin), onset, prosodic_range and effort work on a stream"
+                f"{kind}: these features need the whole sound; {', '.join(_KINDS)} work on a "
+                "stream (pitch by yin, backend numpy)"
             )
 
 
@@ -144,8 +145,9 @@ class SpectrumStream:
         count = (len(self._sound) - reach) // HOP - _CONTEXT + 1
         if count <= 0:
             return
-        # The mean of the sound so far: a microphone's offset is no speech.
-        self._offset += 0.01 * (float(self._sound.mean()) - self._offset)
+        # A microphone's offset is no speech: the mean of about the last second.
+        share = max(0.01, 1.0 / (1 + self.n_frames))
+        self._offset += share * (float(self._sound.mean()) - self._offset)
         samples = self._sound - np.float32(self._offset)
         n = _CONTEXT + count
         new = slice(_CONTEXT, n)

@@ -410,9 +410,8 @@ class PieceSearch:
             starts = np.union1d(starts, self._continuations(last))
         total = np.repeat(cost[:, None], len(starts), axis=1)
         if last is not None:
-            total += self.weights.continuity * self._differences(
-                self.frame[last] + self.hop, starts
-            )
+            after = self.frame[last] + self.hop
+            total += self.weights.continuity * self._differences(after, starts)
             total += self.weights.used * used[:, self.bins[:, starts]].mean(axis=1)
         origin = total.argmin(axis=0)
         cost = total[origin, np.arange(len(starts))] + distance[starts]

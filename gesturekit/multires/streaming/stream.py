@@ -115,7 +115,7 @@ class MotionStream:
 
         The length of the blocks comes on top of it, and the time to compute.
         """
-        return self._ahead / self.fps + self._speech.reach
+        return max(0.0, self._ahead / self.fps + self._speech.reach)
 
     def state(self) -> dict[str, Any]:
         """Return everything that `restore` needs, as numbers and arrays."""

@@ -1,0 +1,283 @@
+"""Streams of the bundled model: what they promise about time, blocks, the future and the body."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+
+import audio_features as af
+import gesturekit as gk
+from gesturekit.errors import ModelError
+from gesturekit.motion.concatenation import stacked
+from gesturekit.multires.constraints.keyframes import moved
+from gesturekit.multires.recall.pieces import ChoiceWeights, PieceSearch
+from gesturekit.multires.recall.slow_state import SlowState
+from gesturekit.multires.streaming.feet import FootHold
+from gesturekit.multires.streaming.plan import Forecast
+
+RATE = 16_000
+
+
+@pytest.fixture(scope="module")
+def model():
+    return gk.load("demo")
+
+
+@pytest.fixture(scope="module")
+def speech() -> np.ndarray:
+    """Three seconds of sound; speech begins after half a second."""
+    wave = af.Wave.load(Path(gk.__file__).parent / "models" / "demo" / "speech.wav")
+    sound = wave.resample(RATE).samples[: 5 * RATE // 2]
+    return np.concatenate([np.zeros(RATE // 2, np.float32), sound])
+
+
+def streamed(stream, samples: np.ndarray, sizes=itertools.repeat(640)) -> gk.Motion:  # noqa: B008
+    """The motion of samples in blocks of these sizes, to the end of the stream."""
+    made, first = [], 0
+    for size in sizes:
+        made.append(stream.step(samples[first : first + size]))
+        first += size
+        if first >= len(samples):
+            break
+    return stacked([part for part in [*made, stream.finish()] if part is not None])
+
+
+@pytest.fixture(scope="module")
+def usual(model, speech) -> gk.Motion:
+    return streamed(model.stream(RATE, seed=3), speech)
+
+
+def equal(first: gk.Motion, second: gk.Motion, frames: slice = slice(None)) -> bool:
+    return np.array_equal(first.rotations[frames], second.rotations[frames]) and np.array_equal(
+        first.translation[frames], second.translation[frames]
+    )
+
+
+# Time.
+
+
+@pytest.mark.parametrize("samples, frames", [(0, 0), (266, 0), (267, 1), (16_000, 30), (1, 0)])
+def test_a_stream_has_as_many_frames_as_a_file(model, samples, frames):
+    """floor(duration · fps + 1/2), at 30 fps: 266 samples are 0.499 frames, 267 are 0.501."""
+    stream = model.stream(RATE)
+    parts = [stream.step(np.zeros(samples, np.float32)), stream.finish()]
+    assert sum(part.n_frames for part in parts if part is not None) == stream.n_frames == frames
+
+
+@pytest.mark.parametrize("look_ahead", [0.0, 0.2, 0.4])
+def test_a_frame_comes_after_its_latency_and_no_later(model, speech, look_ahead):
+    stream = model.stream(RATE, look_ahead)
+    assert stream.latency <= look_ahead + 0.011, "samples are taken 10 ms at a time"
+    given = 0
+    for block in np.split(speech[:RATE], 100):
+        stream.step(block)
+        given += len(block)
+        due = given / RATE - stream.latency
+        assert stream.n_frames >= np.floor(due * model.fps - 1e-6) or due < 0.1
+        assert stream.n_frames <= max(0, np.ceil((due + 0.1) * model.fps)) + 1
+
+
+def test_the_size_of_blocks_changes_no_bit_and_a_stream_equals_its_replay(model, speech, usual):
+    rng = np.random.default_rng(0)
+    odd = (int(rng.integers(0, 3000)) for _ in itertools.count())
+    for sizes in (odd, itertools.repeat(48_000)):
+        assert equal(streamed(model.stream(RATE, seed=3), speech, sizes), usual)
+    short = speech[RATE : RATE + 3000]
+    single = streamed(model.stream(RATE, seed=3), short, itertools.repeat(1))
+    for options, same in (({}, True), ({"seed": 4}, False), ({"item": "b"}, False)):
+        other = streamed(model.stream(RATE, **{"seed": 3} | options), short)
+        assert equal(other, single) == same
+
+
+def test_sound_beyond_the_look_ahead_has_no_influence(model, speech, usual):
+    changed = speech.copy()
+    changed[2 * RATE :] = np.random.default_rng(1).normal(0, 0.2, RATE)
+    other = streamed(model.stream(RATE, seed=3), changed)
+    before = slice(0, int((2.0 - 0.2) * model.fps))
+    assert equal(other, usual, before) and not equal(other, usual)
+
+
+def test_a_stream_goes_on_from_its_state(model, speech, usual):
+    first = model.stream(RATE, seed=3)
+    begun = first.step(speech[: RATE + 123])
+    kept = first.state()
+    first.step(speech[: RATE // 2])
+    second = model.stream(RATE, seed=3)
+    second.restore(kept)
+    rest = [second.step(speech[RATE + 123 :]), second.finish()]
+    assert equal(stacked([begun, *rest]), usual)
+
+
+# Motion.
+
+
+def arms(motion: gk.Motion) -> np.ndarray:
+    """Mean speed (T - 1,) of both hands relative to the hips, m/s."""
+    names, places = motion.skeleton.names, motion.positions()
+    hands = places[:, [names.index("LeftHand"), names.index("RightHand")]] - places[:, :1]
+    return np.linalg.norm(np.diff(hands, axis=0), axis=-1).mean(axis=1) * motion.fps
+
+
+def test_hands_move_with_the_speech_and_calm_down_after_it(model):
+    wave = af.Wave.load(Path(gk.__file__).parent / "models" / "demo" / "speech.wav")
+    seconds = 9
+    sound = wave.resample(RATE).samples[: seconds * RATE]
+    sound = np.concatenate([sound, np.zeros(6 * RATE, np.float32)])
+    speed = arms(streamed(model.stream(RATE, seed=1), sound, itertools.repeat(RATE)))
+    spoken, after = speed[30 : 30 * seconds], speed[-90:]
+    loudness = np.log(wave.rms(np.arange(30, 30 * seconds) / 30, 0.3) + 1e-3)
+    assert stats.spearmanr(spoken, loudness).statistic > 0.15
+    assert np.median(spoken) > 2.0 * np.median(after)
+    assert np.median(after) > 0.002, "idle, not frozen"
+
+
+def test_a_quiet_microphone_gives_the_same_motion(model, speech, usual):
+    quiet = streamed(model.stream(RATE, seed=3), 0.1 * speech[: 2 * RATE])
+    turn = np.abs((quiet.rotations * usual.rotations[:60]).sum(axis=-1)).clip(0, 1)
+    assert np.degrees(2 * np.arccos(turn)).mean() < 0.5
+
+
+def test_noise_without_voice_moves_as_silence_does(model):
+    silent = streamed(model.stream(RATE), np.zeros(RATE, np.float32))
+    noise = np.random.default_rng(0).normal(0, 0.05, RATE).astype(np.float32)
+    assert equal(streamed(model.stream(RATE), noise), silent)
+
+
+def test_frames_join_without_jumps(model, usual):
+    """No joint turns faster from one frame to the next than in the model's own recordings."""
+    turn = np.abs((usual.rotations[1:] * usual.rotations[:-1]).sum(axis=-1)).clip(0, 1)
+    fastest = np.degrees(2 * np.arccos(turn)).max() * model.fps
+    assert fastest < 900
+    hips = np.linalg.norm(np.diff(usual.translation, axis=0), axis=1) * model.fps
+    assert hips.max() < 0.5
+    assert np.abs(usual.translation[:, [0, 2]]).max() < 0.3
+
+
+def test_liveliness_and_fingers(model, speech):
+    short = speech[: 2 * RATE]
+    lively = streamed(model.stream(RATE, liveliness=2.0), short)
+    calm = streamed(model.stream(RATE, liveliness=0.4, foot_lock=False), short)
+    assert np.median(arms(lively)) > np.median(arms(calm))
+    fingers = [i for i, name in enumerate(model.skeleton.names) if name.endswith(("1", "2", "3"))]
+    assert np.ptp(lively.rotations[:, fingers], axis=0).max() > 0.01, "fingers are recalled too"
+
+
+def test_what_cannot_stream_says_why(model, tmp_path):
+    no_ahead = replace(model, library=replace(model.library, ahead=()))
+    no_recall = replace(model, library=None)
+    for own, options, message in (
+        (no_ahead, {}, "no predictions for live speech: gesturekit live --fit corpus.jsonl"),
+        (no_recall, {}, "without recall cannot stream"),
+        (model, {"look_ahead": -0.1}, "look_ahead=-0.1: seconds from 0"),
+        (model, {"levels": 3}, "levels: a stream takes style, .*smooth only"),
+        (model, {"style": "old"}, "style='old': this multires model has no style"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            own.stream(RATE, **options)
+    with pytest.raises(ModelError, match=r"shape \(2, 3\): a stream takes finite samples \(N,\)"):
+        model.stream(RATE).step(np.zeros((2, 3)))
+    with pytest.raises(ModelError, match="finite"):
+        model.stream(RATE).step(np.array([np.nan]))
+
+
+# Parts.
+
+
+def test_slow_noise_without_end_is_distributed_and_smooth_as_drawn_noise():
+    """Standard normal at any time, correlated between channels and over half a second."""
+    mixing = np.linalg.cholesky(np.array([[1.0, 0.6], [0.6, 1.0]]))
+    state = SlowState(
+        np.array([0.8, 0.0]), 1.0, mixing, np.array([0.3, 0.3]), np.array([2.0, 3.0]), 30.0
+    )
+    times = np.arange(0, 6000, 10.0)
+    found = np.concatenate([state.at(5, t, None) for t in times], axis=1)
+    assert found.std(axis=1) == pytest.approx(1.0, abs=0.12)
+    assert np.corrcoef(found)[0, 1] == pytest.approx(0.6, abs=0.12)
+    later = np.concatenate([state.at(5, t + 0.5, None) for t in times], axis=1)
+    # exp(-t^2 / (4 width^2)) within takes, and the whole of the noise between takes
+    expected = 0.7 * np.exp(-(0.5**2) / (4 * 2.0**2)) + 0.3
+    assert np.corrcoef(found[0], later[0])[0, 1] == pytest.approx(expected, abs=0.03)
+    noise = state.at(5, 12.0, None)
+    predicted = state.at(5, 12.0, 2.0)
+    assert predicted[0] == pytest.approx(0.8 * 2.0 + 0.6 * noise[0])
+    assert predicted[1] == pytest.approx(noise[1])
+    assert not np.array_equal(state.at(6, 12.0, None), noise)
+
+
+def test_the_next_piece_fits_what_is_wanted_and_goes_on_where_nothing_is():
+    rng = np.random.default_rng(0)
+    vectors = [rng.standard_normal((40, 3)), rng.standard_normal((30, 3))]
+    profiles = [rng.standard_normal((40, 1)), rng.standard_normal((30, 1))]
+    states = [np.zeros((40, 1)), np.zeros((30, 1))]
+    fine = [np.zeros(40, bool), np.zeros(30, bool)]
+
+    def search(**weights) -> PieceSearch:
+        own = ChoiceWeights(**{"used": 0.0, "chance": 0.0, "continuity": 0.0} | weights)
+        return PieceSearch(vectors, profiles, states, 6, 2, [1.0], own, fine)
+
+    def chosen(of: PieceSearch, wanted, used=None, **options) -> tuple[int, int]:
+        used = np.zeros(of.n_bins) if used is None else used
+        generator = torch.Generator().manual_seed(0)
+        best = of.following(generator, wanted, np.zeros(1), used, **options)
+        return int(of.recording[best]), int(of.start[best])
+
+    wanted = profiles[1][7:13]
+    assert chosen(search(), wanted) == (1, 7)
+    begun = wanted.copy()
+    begun[3:] = np.nan
+    assert chosen(search(), begun) == (1, 7), "unknown frames match anything"
+    assert chosen(search(), wanted, allowed=np.array([True, False]))[0] == 0
+    nothing = np.full((6, 1), np.nan)
+    assert chosen(search(continuity=1.0), nothing, shown=40 + 11) == (1, 11), "it goes on"
+    used = np.zeros(search().n_bins)
+    assert chosen(search(), wanted, used) == (1, 7)
+    assert used.sum() == pytest.approx(1.0)
+    assert chosen(search(used=1e6), wanted, used) != (1, 7), "not the same piece again"
+    elsewhere = np.arange(47, 53)[:, None]
+    assert chosen(search(copied=1e6), wanted, others=elsewhere) != (1, 7)
+
+
+def test_a_forecast_holds_a_while():
+    """Linear between the known times, and the last value for 0.3 s more."""
+    forecast = Forecast(np.array([0.0, 0.1, 0.2]), np.array([1.0, 3.0, 2.0]), 0.4)
+    found = forecast.at(np.array([0.0, 0.05, 0.15, 0.2, 0.49, 0.51, 2.0]))
+    np.testing.assert_allclose(found, [1.0, 2.0, 2.5, 2.0, 2.0, np.nan, np.nan])
+
+
+def test_a_standing_foot_stays_and_a_lifted_one_returns(model, usual):
+    """The body slides by 1 mm a frame; both feet stand, then one is lifted."""
+    representation = model.representation
+    pose = usual[40:41]
+    hold = FootHold(model.skeleton, 30.0)
+    names = model.skeleton.names
+    feet = [names.index("LeftFoot"), names.index("RightFoot")]
+    points = len(representation.foot_points)
+    left = np.array(["Left" in point.joint for point in representation.foot_points])
+    made, free = [], []
+    for t in range(90):
+        slid = moved(representation, pose, np.array([0.001 * t, 0.0]))
+        contacts = np.where(left & (t >= 60), 0.0, np.ones(points))
+        made.append(hold(slid, contacts, lambda m, by: moved(representation, m, by)))
+        free.append(slid)
+    found = stacked(made).positions()[:, feet, 0]
+    own = stacked(free).positions()[:, feet, 0]
+    assert np.abs(np.diff(found[1:60], axis=0)).max() < 2e-4, "standing feet hardly slide"
+    assert np.ptp(own[:60, 0]) == pytest.approx(0.059, abs=1e-6)
+    assert np.abs(np.diff(found[61:, 1])).max() < 2e-4
+    # The lifted one follows the body again: the slide of both, less what the body was held back.
+    assert found[-1, 0] - found[60, 0] < own[-1, 0] - own[60, 0]
+    body = stacked(made).translation[:, 0]
+    assert body[59] - body[0] < 0.03, "the body stays over its feet"
+
+
+def test_a_body_without_legs_is_left_alone(model, usual):
+    torso = usual.keep(
+        [n for n in usual.skeleton.names if "Leg" not in n and "Foot" not in n and "Toe" not in n]
+    )[:1]
+    assert FootHold(torso.skeleton, 30.0)(torso, np.ones(0), lambda m, by: m) is torso
