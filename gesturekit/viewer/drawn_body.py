@@ -13,7 +13,7 @@ from gesturekit.formats.smpl.skeleton import fit_body
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.viewer.avatars import load_avatar
 from gesturekit.viewer.figure import Figure
-from gesturekit.viewer.human.body import Human
+from gesturekit.viewer.human.body import Fitting, Human
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -38,12 +38,14 @@ class DrawnBody:
         skins: meshes drawn in place of limbs, from the finest to the coarsest; empty if the limbs
             are drawn.
         scale: factor on the skins' vertices and joints at rest.
+        fitting: puts further motions of the same rig on the body; None if it is that rig.
     """
 
     motion: Motion
     figure: Figure
     skins: tuple[Skin, ...] = ()
     scale: float = 1.0
+    fitting: Fitting | None = None
 
     @classmethod
     def of(
@@ -80,8 +82,9 @@ class DrawnBody:
             avatar = None if body == "human" else load_avatar(body)[0]
             try:
                 human = avatar or Human.load()
-                moved, scale = human.retargeted(motion)
-                return cls(moved, Figure.of(moved), human.skins, scale)
+                fitting = Fitting(human, motion.skeleton)
+                moved = fitting.on_body(motion)
+                return cls(moved, Figure.of(moved), human.skins, fitting.scale, fitting)
             except GestureKitError as error:
                 warnings.warn(f"the mannequin is drawn instead of {body}: {error}", stacklevel=2)
         return cls(motion, Figure.of(motion, plain=body == "skeleton"))

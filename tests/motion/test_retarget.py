@@ -15,7 +15,7 @@ from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.contacts import contact_labels, foot_positions
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.parts import SIDES, find_parts
-from gesturekit.motion.retarget import retarget
+from gesturekit.motion.retarget import Transfer, retarget
 from gesturekit.motion.retarget.body_frames import body_frames
 from gesturekit.motion.retarget.feet import FootMotion
 from gesturekit.motion.retarget.standing_pose import body_frame, standing_pose, standing_rig
@@ -125,6 +125,15 @@ def test_size_scales_steps_and_heights(moving_person):
     np.testing.assert_allclose(large.rotations, moving_person.rotations, atol=1e-6)
     walked = np.diff(moving_person.translation, axis=0)
     np.testing.assert_allclose(np.diff(large.translation, axis=0), 1.3 * walked, atol=1e-6)
+
+
+def test_parts_of_a_stream_go_on_from_one_another(moving_person, mixamo):
+    """Each part alone would have its own floor and lean, and begin where it is on the source."""
+    whole = replace(moving_person, translation=moving_person.translation + [0.0, 0.3, 0.0])
+    transfer = Transfer(mixamo, feet=False)
+    expected = transfer(whole).positions()
+    parts = [transfer(whole[k : k + 7]).positions() for k in range(0, 60, 7)]
+    np.testing.assert_allclose(np.concatenate(parts), expected, atol=1e-3)
 
 
 def test_faces_are_kept_on_the_same_rig_alone(moving_person, mixamo):

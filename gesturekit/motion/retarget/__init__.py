@@ -1,5 +1,5 @@
 """Transfer motion to another rig."""
 
-from gesturekit.motion.retarget.transfer import retarget
+from gesturekit.motion.retarget.transfer import Transfer, retarget
 
-__all__ = ["retarget"]
+__all__ = ["Transfer", "retarget"]

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -88,19 +89,31 @@ class BodyFrames:
             positions: (..., J, 3) positions of the joints. If given, bone directions come from
                 them, which also handles joint translations and limbs bent by helper joints.
         """
-        found = {}
-        shortest = _NO_LENGTH * body_scale(self.skeleton)
-        for segment, joint in self.joints.items():
-            own = multiply_quaternions(rotations[..., joint, :], self.from_anatomical[segment])
-            if positions is not None and segment in self.bones:
-                below, direction = self.bones[segment]
-                bone = positions[..., below, :] - positions[..., joint, :]
-                length = np.linalg.norm(bone, axis=-1, keepdims=True)
-                drawn = rotate_vectors(own, np.broadcast_to(direction, bone.shape))
-                bone = np.where(length > shortest, bone / np.maximum(length, shortest), drawn)
-                own = multiply_quaternions(shortest_arc(drawn, bone), own)
-            found[segment] = own
-        return found
+        segments, joints = list(self.joints), list(self.joints.values())
+        from_anatomical = np.array([self.from_anatomical[segment] for segment in segments])
+        own = multiply_quaternions(rotations[..., joints, :], from_anatomical)
+        if positions is not None and self.bones:
+            shortest = _NO_LENGTH * body_scale(self.skeleton)
+            drawn = [segments.index(segment) for segment in self.bones]
+            ends, directions = zip(*self.bones.values())
+            starts = [joints[k] for k in drawn]
+            bone = positions[..., list(ends), :] - positions[..., starts, :]
+            length = np.linalg.norm(bone, axis=-1, keepdims=True)
+            expected = rotate_vectors(own[..., drawn, :], np.broadcast_to(directions, bone.shape))
+            bone = np.where(length > shortest, bone / np.maximum(length, shortest), expected)
+            arc = shortest_arc(expected, bone)
+            own[..., drawn, :] = multiply_quaternions(arc, own[..., drawn, :])
+        return {segment: own[..., k, :] for k, segment in enumerate(segments)}
+
+    @cached_property
+    def places(self) -> np.ndarray:
+        """(J, 3) positions of the joints in the standing pose, its root at the origin, metres."""
+        return forward_kinematics(self.pose, np.zeros(3), self.skeleton)
+
+    @cached_property
+    def _turns(self) -> np.ndarray:
+        """(J, 4) world rotations of the joints in the standing pose."""
+        return global_rotations(self.pose, self.skeleton)
 
     def chain(self, kind: str) -> list[str]:
         """Return the segments of a kind, "spine" or "neck", from below: "spine0", "spine1", ..."""
@@ -108,10 +121,9 @@ class BodyFrames:
 
     def leg_lengths(self) -> dict[str, float]:
         """Return side to metres from hip to knee to ankle."""
-        places = forward_kinematics(self.pose, np.zeros(3), self.skeleton)
         lengths = {}
         for side in SIDES:
-            leg = places[[self.joints[f"{side}_{part}"] for part in ("hip", "knee", "ankle")]]
+            leg = self.places[[self.joints[f"{side}_{part}"] for part in ("hip", "knee", "ankle")]]
             lengths[side] = float(np.linalg.norm(np.diff(leg, axis=0), axis=-1).sum())
         return lengths
 
@@ -133,10 +145,9 @@ class BodyFrames:
         """(3,) vector from the ankle to the toe point in the frame of the ankle, metres."""
         ankle = self.joints[f"{side}_ankle"]
         joint, offset = self.toes[side]
-        places = forward_kinematics(self.pose, np.zeros(3), self.skeleton)
-        world = global_rotations(self.pose, self.skeleton)
-        tip = places[joint] + rotate_vectors(world[joint], offset)
-        return rotate_vectors(invert_quaternions(world[ankle]), tip - places[ankle])
+        world = self._turns
+        tip = self.places[joint] + rotate_vectors(world[joint], offset)
+        return rotate_vectors(invert_quaternions(world[ankle]), tip - self.places[ankle])
 
     def levelled(self, motion: Motion, standing: dict[str, np.ndarray]) -> BodyFrames:
         """Return the frames with level feet as measured in a motion instead of in the pose.

@@ -118,6 +118,8 @@ class FootTargets:
         source: foot positions of the source.
         heights: see `FootMotion.heights`.
         drop_frames: frames before and after over which the hips move down.
+        base: (3,) point on the floor about which the source is scaled, metres.
+        shift: (3,) offset of the hips, see `mean_shift`; None before it is measured.
     """
 
     target: BodyFrames
@@ -125,6 +127,8 @@ class FootTargets:
     source: FootMotion
     heights: dict[str, tuple[tuple[float, float], tuple[float, float]]]
     drop_frames: int
+    base: np.ndarray
+    shift: np.ndarray | None = None
 
     def hip_centre(self, positions: np.ndarray) -> np.ndarray:
         """(T, 3) midpoint between the target's hips, from joint positions (T, J, 3), metres."""
@@ -133,26 +137,35 @@ class FootTargets:
     def hips(self, world: np.ndarray) -> np.ndarray:
         """(T, 3) target midpoint between the hips, metres.
 
-        Its mean offset from the ankles is that of the source, so that a target with longer or
-        shorter feet does not lean.
-
         Args:
             world: (T, J, 4) world rotations of the target's joints.
         """
         ankle = [np.mean([self.heights[side][i][0] for side in SIDES]) for i in (0, 1)]
         hips = self._scaled(self.source.hips, *ankle)
-        # Only the horizontal part is used below, so no heights are needed.
+        return hips + rotate_vectors(self._heading(world), np.broadcast_to(self.shift, hips.shape))
+
+    def mean_shift(self, world: np.ndarray) -> np.ndarray:
+        """(3,) horizontal offset of the hips along the body's heading, metres.
+
+        With it, their mean offset from the ankles is that of the source, so that a target with
+        longer or shorter feet does not lean.
+
+        Args:
+            world: (T, J, 4) world rotations of the target's joints.
+        """
+        # Only the horizontal part is used, so no heights are needed.
         moved = sum(
             self.ankle(side, world) - self._scaled(self.source.ankles[side], 0.0, 0.0)
             for side in SIDES
         )
+        back = invert_quaternions(self._heading(world))
+        return rotate_vectors(back, moved / 2).mean(axis=0) * [1, 0, 1]
+
+    def _heading(self, world: np.ndarray) -> np.ndarray:
+        """(T, 4) rotations about the vertical that face where the target's pelvis does."""
         pelvis = self.target.joints["pelvis"]
         own = multiply_quaternions(world[:, pelvis], self.target.from_anatomical["pelvis"])
-        ahead = rotate_vectors(own, np.broadcast_to(FORWARD, hips.shape))
-        angle = np.arctan2(ahead[:, 0], ahead[:, 2])
-        heading = np.stack([0 * angle, np.sin(angle / 2), 0 * angle, np.cos(angle / 2)], axis=-1)
-        mean = rotate_vectors(invert_quaternions(heading), moved / 2).mean(axis=0)
-        return hips + rotate_vectors(heading, np.broadcast_to(mean * [1, 0, 1], hips.shape))
+        return heading_of(own)
 
     def hip_drop(self, world: np.ndarray, positions: np.ndarray, hips: np.ndarray) -> np.ndarray:
         """(T, 3) smooth downward shift of the hips that brings both feet within reach, metres.
@@ -222,13 +235,19 @@ class FootTargets:
         return rotations
 
     def _scaled(self, points: np.ndarray, own_height: float, height: float) -> np.ndarray:
-        """(T, 3) `points` (T, 3) scaled about the floor under the hips of the first frame.
+        """(T, 3) `points` (T, 3) scaled about a point on the floor.
 
         Height `own_height` above the floor in the source becomes `height` in the target.
         """
-        floor = self.source.floor
-        base = np.array([self.source.hips[0, 0], floor + own_height, self.source.hips[0, 2]])
+        base = self.base + [0, own_height, 0]
         return (points - base) * self.scale + base + [0, height - own_height, 0]
+
+
+def heading_of(turns: np.ndarray) -> np.ndarray:
+    """(T, 4) rotations about the vertical that face where anatomical frames (T, 4) face."""
+    ahead = rotate_vectors(turns, np.broadcast_to(FORWARD, (len(turns), 3)))
+    half = np.arctan2(ahead[:, 0], ahead[:, 2]) / 2
+    return np.stack([0 * half, np.sin(half), 0 * half, np.cos(half)], axis=-1)
 
 
 def smooth_upper_envelope(values: np.ndarray, frames: int) -> np.ndarray:

@@ -27,9 +27,9 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.retarget.body_frames import BodyFrames, body_frames
-from gesturekit.motion.retarget.feet import HIP_DROP_SECONDS, FootMotion, FootTargets
+from gesturekit.motion.retarget.feet import HIP_DROP_SECONDS, FootMotion, FootTargets, heading_of
 from gesturekit.motion.retarget.hands import place_hands
-from gesturekit.motion.retarget.standing_pose import FORWARD, standing_pose, standing_rig
+from gesturekit.motion.retarget.standing_pose import standing_pose, standing_rig
 from gesturekit.motion.rotations import (
     invert_quaternions,
     multiply_quaternions,
@@ -73,37 +73,152 @@ def retarget(
         MotionError: parts of either rig that cannot be identified, a source that never stands, or a
             target that is no skeleton. Legs are not needed.
     """
-    _check_target(skeleton)
-    source_parts = find_parts(motion.skeleton, parts)
-    source = body_frames(motion.skeleton, source_parts, standing_pose(motion, source_parts))
-    source_feet = FootMotion.measure(motion, source) if source_parts.legs else None
-    if source_feet is not None:
-        source = source.levelled(motion, source_feet.standing)
-    same = (skeleton.names, skeleton.parents) == (motion.skeleton.names, motion.skeleton.parents)
-    if same:
-        # Joint axes mean the same on one rig, whatever the offsets of a performer.
-        target = replace(source, skeleton=skeleton)
-    else:
-        found = find_parts(skeleton, target_parts)
-        stands = standing_rig(skeleton, found) if pose is None else np.asarray(pose)
-        target = body_frames(skeleton, found, stands)
-    scale = target.leg_length() / source.leg_length()
-    carrier = _carrier(target)
-    moving = {
-        name: values * scale
-        for name, values in motion.joint_translations.items()
-        if same and skeleton.index(name) != carrier
-    }
-    world = _world_rotations(motion, source, target, same)
-    if source_feet is None or not target.parts.legs:
-        rotations, root = _without_feet(motion, source, target, world, moving, carrier, source_feet)
-    else:
-        heights = source_feet.heights(source, target, same, scale)
-        drop_frames = round(HIP_DROP_SECONDS * motion.fps)
-        targets = FootTargets(target, scale, source_feet, heights, drop_frames)
-        rotations, root = _solved(motion, source, targets, world, moving, carrier, feet)
-    made = _placed(motion, skeleton, rotations, moving, carrier, root)
-    return replace(made, expressions=motion.expressions) if same else made
+    return Transfer(skeleton, parts=parts, target_parts=target_parts, feet=feet, pose=pose)(motion)
+
+
+class Transfer:
+    """Retargeting of motions of one rig, such as the parts of a stream.
+
+    What is measured on a whole clip (level feet, floor, lean) is measured on the first motion, and
+    holds for all later ones. Arguments as for `retarget`.
+    """
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        *,
+        parts: Mapping[str, str] | None = None,
+        target_parts: Mapping[str, str] | None = None,
+        feet: bool = True,
+        pose: np.ndarray | None = None,
+    ) -> None:
+        _check_target(skeleton)
+        self._skeleton, self._parts, self._target_parts = skeleton, parts, target_parts
+        self._feet, self._pose = feet, pose
+        self._source: BodyFrames | None = None
+        self._targets: FootTargets | None = None
+        self._path: tuple[np.ndarray, float] | None = None
+
+    def __call__(self, motion: Motion) -> Motion:
+        """Return the motion on the target rig; errors as for `retarget`."""
+        skeleton = self._skeleton
+        source, same = self._source, _is_one_rig(skeleton, motion.skeleton)
+        is_first = source is None
+        if is_first:
+            source_parts = find_parts(motion.skeleton, self._parts)
+            source = body_frames(motion.skeleton, source_parts, standing_pose(motion, source_parts))
+        own_feet = FootMotion.measure(motion, source) if source.parts.legs else None
+        if is_first:
+            source = self._fit(motion, source, own_feet, same)
+        target = self._target
+        moving = {
+            name: values * self._scale
+            for name, values in motion.joint_translations.items()
+            if same and skeleton.index(name) != self._carrier
+        }
+        world = _world_rotations(motion, source, target, same)
+        if own_feet is None or not target.parts.legs:
+            rotations, root = self._without_feet(motion, world, moving, own_feet)
+        else:
+            rotations, root = self._with_feet(motion, world, moving, own_feet)
+        made = _placed(motion, skeleton, rotations, moving, self._carrier, root)
+        return replace(made, expressions=motion.expressions) if same else made
+
+    def _fit(
+        self, motion: Motion, source: BodyFrames, feet: FootMotion | None, same: bool
+    ) -> BodyFrames:
+        """Measure the first motion, and return the frames of its rig with level feet."""
+        if feet is not None:
+            source = source.levelled(motion, feet.standing)
+        if same:
+            # Joint axes mean the same on one rig, whatever the offsets of a performer.
+            target = replace(source, skeleton=self._skeleton)
+        else:
+            found = find_parts(self._skeleton, self._target_parts)
+            pose = self._pose
+            stands = standing_rig(self._skeleton, found) if pose is None else np.asarray(pose)
+            target = body_frames(self._skeleton, found, stands)
+        self._source, self._target, self._carrier = source, target, _carrier(target)
+        self._scale = target.leg_length() / source.leg_length()
+        if feet is not None and target.parts.legs:
+            heights = feet.heights(source, target, same, self._scale)
+            drop_frames = round(HIP_DROP_SECONDS * motion.fps)
+            base = np.array([feet.hips[0, 0], feet.floor, feet.hips[0, 2]])
+            self._targets = FootTargets(target, self._scale, feet, heights, drop_frames, base)
+        return source
+
+    def _arms(
+        self, motion: Motion, world: np.ndarray, moving: dict[str, np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return local rotations (T, J, 4) with solved arms, and joint positions without them.
+
+        `world` (T, J, 4) and `moving` {joint: (T, 3)} are world rotations and joint translations of
+        the target.
+        """
+        skeleton = self._skeleton
+        rotations = _local_rotations(world, skeleton)
+        origin = np.zeros((motion.n_frames, 3))
+        positions = forward_kinematics(rotations, origin, skeleton, moving)
+        turns = motion.global_rotations()
+        own = motion.positions()
+        return place_hands(self._source, self._target, own, turns, positions, rotations), positions
+
+    def _with_feet(
+        self,
+        motion: Motion,
+        world: np.ndarray,
+        moving: dict[str, np.ndarray],
+        own_feet: FootMotion,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Solve arms and legs; return local rotations (T, J, 4) and carrier places (T, 3)."""
+        rotations, positions = self._arms(motion, world, moving)
+        if self._targets.shift is None:
+            shift = self._targets.mean_shift(world)
+            self._targets = replace(self._targets, shift=shift)
+        targets = replace(self._targets, source=own_feet)
+        hips = targets.hips(world)
+        if self._feet:
+            hips = hips - targets.hip_drop(world, positions, hips)
+            rotations = targets.solve_legs(rotations, world, positions, hips)
+            origin = np.zeros((motion.n_frames, 3))
+            positions = forward_kinematics(rotations, origin, self._skeleton, moving)
+        return rotations, positions[:, self._carrier] + (hips - targets.hip_centre(positions))
+
+    def _without_feet(
+        self,
+        motion: Motion,
+        world: np.ndarray,
+        moving: dict[str, np.ndarray],
+        own_feet: FootMotion | None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Solve the arms where one of the rigs has no legs; see `_with_feet`.
+
+        The path of the pelvis is scaled about the floor under its first frame, which is at 0
+        without feet. The height of a source without legs says nothing about standing, so that a
+        target with legs stands on the floor.
+        """
+        skeleton, target = self._skeleton, self._target
+        rotations, positions = self._arms(motion, world, moving)
+        pelvis = motion.positions()[:, self._source.joints["pelvis"]]
+        body = positions[:, target.joints["pelvis"]]
+        if self._path is None:
+            floor = 0.0 if own_feet is None else own_feet.floor
+            base, lift = np.array([pelvis[0, 0], floor, pelvis[0, 2]]), 0.0
+            if target.parts.legs:
+                names = [
+                    joint for leg in target.parts.legs.values() for joint in (leg.ankle, leg.toe)
+                ]
+                feet = [skeleton.index(name) for name in names if name is not None]
+                stands = np.median(body[:, 1] - positions[:, feet, 1].min(axis=1))
+                lift = stands - np.median((pelvis - base)[:, 1] * self._scale + base[1])
+            self._path = base, lift
+        base, lift = self._path
+        path = (pelvis - base) * self._scale + base + [0.0, lift, 0.0]
+        return rotations, positions[:, self._carrier] + (path - body)
+
+
+def _is_one_rig(a: Skeleton, b: Skeleton) -> bool:
+    return (a.names, a.parents) == (b.names, b.parents)
 
 
 def _check_target(skeleton: Any) -> None:
@@ -112,69 +227,6 @@ def _check_target(skeleton: Any) -> None:
         kind = type(skeleton).__name__
         hint = "; give its skeleton" if isinstance(skeleton, Motion) else ""
         raise MotionError(f"skeleton is a {kind}, and must be a Skeleton{hint}")
-
-
-def _solved(
-    motion: Motion,
-    source: BodyFrames,
-    targets: FootTargets,
-    world: np.ndarray,
-    moving: dict[str, np.ndarray],
-    carrier: int,
-    feet: bool,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Solve arms and, if `feet`, legs; return local rotations (T, J, 4) and carrier places (T, 3).
-
-    `world` (T, J, 4) and `moving` {joint: (T, 3)} are world rotations and joint translations of the
-    target; `carrier` is the joint that carries its body.
-    """
-    target = targets.target
-    skeleton = target.skeleton
-    rotations = _local_rotations(world, skeleton)
-    origin = np.zeros((motion.n_frames, 3))
-    positions = forward_kinematics(rotations, origin, skeleton, moving)
-    source_world = motion.global_rotations()
-    rotations = place_hands(source, target, motion.positions(), source_world, positions, rotations)
-    hips = targets.hips(world)
-    if feet:
-        hips = hips - targets.hip_drop(world, positions, hips)
-        rotations = targets.solve_legs(rotations, world, positions, hips)
-        positions = forward_kinematics(rotations, origin, skeleton, moving)
-    return rotations, positions[:, carrier] + (hips - targets.hip_centre(positions))
-
-
-def _without_feet(
-    motion: Motion,
-    source: BodyFrames,
-    target: BodyFrames,
-    world: np.ndarray,
-    moving: dict[str, np.ndarray],
-    carrier: int,
-    source_feet: FootMotion | None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Solve the arms where one of the rigs has no legs; see `_solved`.
-
-    The path of the pelvis is scaled about the floor under its first frame, which is at 0 without
-    feet (`source_feet`). The height of a source without legs says nothing about standing, so that a
-    target with legs stands on the floor.
-    """
-    skeleton, scale = target.skeleton, target.leg_length() / source.leg_length()
-    rotations = _local_rotations(world, skeleton)
-    origin = np.zeros((motion.n_frames, 3))
-    positions = forward_kinematics(rotations, origin, skeleton, moving)
-    own = motion.positions()
-    rotations = place_hands(source, target, own, motion.global_rotations(), positions, rotations)
-    pelvis = own[:, source.joints["pelvis"]]
-    floor = 0.0 if source_feet is None else source_feet.floor
-    base = np.array([pelvis[0, 0], floor, pelvis[0, 2]])
-    path = (pelvis - base) * scale + base
-    body = positions[:, target.joints["pelvis"]]
-    if target.parts.legs:
-        names = [joint for leg in target.parts.legs.values() for joint in (leg.ankle, leg.toe)]
-        feet = [skeleton.index(name) for name in names if name is not None]
-        stands = np.median(body[:, 1] - positions[:, feet, 1].min(axis=1))
-        path[:, 1] += stands - np.median(path[:, 1])
-    return rotations, positions[:, carrier] + (path - body)
 
 
 def _world_rotations(
@@ -190,11 +242,13 @@ def _world_rotations(
     rests = motion.rotations if same else np.tile(target.pose, (motion.n_frames, 1, 1))
     pelvis, carrier = target.joints["pelvis"], _carrier(target)
     world = np.empty((motion.n_frames, skeleton.n_joints, 4))
+    back = invert_quaternions([target.from_anatomical[each] for each in segment_of.values()])
+    own = np.stack([frames[segment] for segment in segment_of.values()], axis=1)
+    world[:, list(segment_of)] = multiply_quaternions(own, back)
     for j, parent in enumerate(skeleton.parents):
         if j in segment_of:
-            back = invert_quaternions(target.from_anatomical[segment_of[j]])
-            world[:, j] = multiply_quaternions(frames[segment_of[j]], back)
-        elif j == carrier and not same:
+            continue
+        if j == carrier and not same:
             # The carrier turns with the pelvis; the joints between them keep the standing pose.
             back = invert_quaternions(target.from_anatomical["pelvis"])
             own = multiply_quaternions(frames["pelvis"], back)
@@ -239,17 +293,10 @@ def _segment_frames(
         elif kind.endswith("wrist"):
             found[segment] = frames[kind.replace("wrist", "elbow")]
         elif not source.parts.legs and kind.endswith(("hip", "knee", "ankle", "toe")):
-            found[segment] = _heading(frames["pelvis"])
+            found[segment] = heading_of(frames["pelvis"])
         elif kind.endswith("toe"):
             found[segment] = frames[kind.replace("toe", "ankle")]
     return found
-
-
-def _heading(turns: np.ndarray) -> np.ndarray:
-    """(T, 4) rotations about the vertical that face where anatomical frames (T, 4) face."""
-    ahead = rotate_vectors(turns, np.broadcast_to(FORWARD, (len(turns), 3)))
-    half = np.arctan2(ahead[:, 0], ahead[:, 2]) / 2
-    return np.stack([0 * half, np.sin(half), 0 * half, np.cos(half)], axis=-1)
 
 
 def _along(
@@ -277,11 +324,10 @@ def _along(
 def _heights(frames: BodyFrames, chain: list[str]) -> np.ndarray:
     """(N,) middles of the bones of a chain, as shares of the distance to the last one."""
     skeleton = frames.skeleton
-    places = forward_kinematics(frames.pose, np.zeros(3), skeleton)
     joints = [frames.joints[segment] for segment in chain]
     end = {"spine": ("neck0", "head"), "neck": ("head",)}[chain[0].rstrip("0123456789")]
     top = next((frames.joints[segment] for segment in end if segment in frames.joints), joints[-1])
-    lengths = np.linalg.norm(np.diff(places[[*joints, top]], axis=0), axis=-1)
+    lengths = np.linalg.norm(np.diff(frames.places[[*joints, top]], axis=0), axis=-1)
     middles = np.cumsum(lengths) - lengths / 2
     if middles[-1] < _NO_LENGTH * body_scale(skeleton):
         return np.linspace(0, 1, len(chain) + 1)[1:]
@@ -290,18 +336,15 @@ def _heights(frames: BodyFrames, chain: list[str]) -> np.ndarray:
 
 def _local_rotations(world: np.ndarray, skeleton: Skeleton) -> np.ndarray:
     """(T, J, 4) local rotations from world rotations of the same shape."""
-    local = world.copy()
-    for j, parent in enumerate(skeleton.parents):
-        if parent >= 0:
-            local[:, j] = multiply_quaternions(invert_quaternions(world[:, parent]), world[:, j])
+    local, above = world.copy(), list(skeleton.parents[1:])
+    local[:, 1:] = multiply_quaternions(invert_quaternions(world[:, above]), world[:, 1:])
     return local
 
 
 def _carrier(target: BodyFrames) -> int:
     """Return the joint that carries the body: the root, or the pelvis if the root is a marker."""
     pelvis = target.joints["pelvis"]
-    places = forward_kinematics(target.pose, np.zeros(3), target.skeleton)
-    far = np.linalg.norm(places[pelvis] - places[0])
+    far = np.linalg.norm(target.places[pelvis] - target.places[0])
     return pelvis if far > _FLOOR_MARKER * target.leg_length() else 0
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from gesturekit.errors import FormatError
 from gesturekit.formats.gltf.skin import Skin
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts.body_size import body_height
-from gesturekit.motion.retarget import retarget
+from gesturekit.motion.retarget import Transfer
 from gesturekit.motion.rotations import (
     IDENTITY,
     invert_quaternions,
@@ -79,13 +79,8 @@ class Human:
         Raises:
             MotionError: body parts of the motion's rig cannot be found.
         """
-        moved, plain, scale = self._put(motion)
-        rig, n_plain = _scaled(self.skeleton, scale), plain.n_joints
-        rotations = np.tile(IDENTITY, (motion.n_frames, rig.n_joints, 1))
-        rotations[:, :n_plain] = moved.rotations
-        for joint in range(n_plain, rig.n_joints):
-            _share_twist(rig, joint, rotations)
-        return replace(moved, skeleton=rig, rotations=rotations), scale
+        fitting = Fitting(self, motion.skeleton)
+        return fitting.on_body(motion), fitting.scale
 
     def in_t_pose(self, motion: Motion) -> Motion:
         """Return a motion on this body without twist joints, whose rest pose is a T-pose.
@@ -93,25 +88,65 @@ class Human:
         Raises:
             MotionError: body parts of the motion's rig cannot be found.
         """
-        moved, plain, scale = self._put(motion)
-        pose = _t_pose(plain)[None]
-        standing = Motion(_scaled(plain, scale), pose, moved.skeleton.offsets[:1], moved.fps)
+        return Fitting(self, motion.skeleton).in_t_pose(motion)
+
+
+class Fitting:
+    """A body in the size of a rig, onto which motions of that rig are put.
+
+    Later motions go on from the first one, as the parts of a stream do; see `Transfer`.
+
+    Args:
+        human: the body.
+        skeleton: rig of the motions.
+
+    Attributes:
+        scale: height of the rig's body over that of `human`.
+    """
+
+    def __init__(self, human: Human, skeleton: Skeleton) -> None:
+        plain = _without_twists(human.skeleton)
+        self.scale = body_height(skeleton) / body_height(plain)
+        self._pose = _t_pose(plain)
+        self._plain, self._rig = (_scaled(rig, self.scale) for rig in (plain, human.skeleton))
+        self._transfer = Transfer(self._plain, pose=self._pose)
+
+    def on_body(self, motion: Motion) -> Motion:
+        """Return a motion on the body.
+
+        Raises:
+            MotionError: body parts of the motion's rig cannot be found.
+        """
+        moved, n_plain = self._transfer(motion), self._plain.n_joints
+        rotations = np.tile(IDENTITY, (motion.n_frames, self._rig.n_joints, 1))
+        rotations[:, :n_plain] = moved.rotations
+        for joint in range(n_plain, self._rig.n_joints):
+            _share_twist(self._rig, joint, rotations)
+        return replace(moved, skeleton=self._rig, rotations=rotations)
+
+    def in_t_pose(self, motion: Motion) -> Motion:
+        """Return a motion on the body without twist joints, whose rest pose is a T-pose.
+
+        Raises:
+            MotionError: body parts of the motion's rig cannot be found.
+        """
+        moved, (rig, back) = self._transfer(motion), self._standing
+        turns = multiply_quaternions(moved.global_rotations(), back)
+        local = turns.copy()
+        above = list(rig.parents[1:])
+        local[:, 1:] = multiply_quaternions(invert_quaternions(turns[:, above]), turns[:, 1:])
+        return Motion(rig, local, moved.translation, moved.fps)
+
+    @cached_property
+    def _standing(self) -> tuple[Skeleton, np.ndarray]:
+        """Return the rig that rests in a T-pose, and inverse rotations (1, J, 4) of that pose."""
+        plain = self._plain
+        standing = Motion(plain, self._pose[None], plain.offsets[:1], 1.0)
         places = standing.positions()[0]
         offsets = places - places[np.maximum(plain.parents, 0)]
         offsets[0] = places[0]
-        back = invert_quaternions(standing.global_rotations())
-        turns = multiply_quaternions(moved.global_rotations(), back)
-        local = turns.copy()
-        above = list(plain.parents[1:])
-        local[:, 1:] = multiply_quaternions(invert_quaternions(turns[:, above]), turns[:, 1:])
         rig = Skeleton(plain.names, plain.parents, offsets)
-        return Motion(rig, local, moved.translation, moved.fps)
-
-    def _put(self, motion: Motion) -> tuple[Motion, Skeleton, float]:
-        """Return a motion on this body without twist joints, that body's rig, and the scale."""
-        plain = _without_twists(self.skeleton)
-        scale = body_height(motion.skeleton) / body_height(plain)
-        return retarget(motion, _scaled(plain, scale), pose=_t_pose(plain)), plain, scale
+        return rig, invert_quaternions(standing.global_rotations())
 
 
 def _without_twists(rig: Skeleton) -> Skeleton:
