@@ -30,6 +30,7 @@ PACKAGES = (
     "gesturekit.postprocess",
     "gesturekit.viewer",
     "gesturekit.inspection",
+    "gesturekit.live",
 )
 _LINK = re.compile(r"(\]\()([^)#\s:]+)?(#[^)\s]*)?(\))")
 

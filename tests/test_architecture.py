@@ -40,11 +40,13 @@ MAY_IMPORT["rendering"] = {
 }
 MAY_IMPORT["study"] = {"corpus", "evaluation", "formats", "motion", "training", "viewer"}
 MAY_IMPORT["serving"] = {"model", "systems"}
+MAY_IMPORT["live"] = {"formats", "model", "motion", "serving", "viewer"}
 MAY_IMPORT["cli"] = {
     "conversion",
     "study",
     "diagnosis",
     "inspection",
+    "live",
     "rendering",
     "serving",
     "systems",

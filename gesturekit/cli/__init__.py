@@ -23,6 +23,7 @@ VERBS = (
     "render",
     "jobs",
     "serve",
+    "live",
     "convert",
     "inspect",
     "view",

@@ -127,13 +127,14 @@ framing_option = click.option(
 )
 
 
-class _Body(click.Choice):
+class Body(click.Choice):
     """A body of the package, or the file of an avatar."""
 
     def __init__(self) -> None:
         super().__init__(["mannequin", "human", "skeleton"])
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Return a body, or the path of an avatar."""
         if value in self.choices or str(value).lower().endswith((".vrm", ".glb")):
             return value
         self.fail(f"{value!r} is none of {', '.join(self.choices)}, FILE.vrm, FILE.glb", param)
@@ -141,7 +142,7 @@ class _Body(click.Choice):
 
 body_option = click.option(
     "--body",
-    type=_Body(),
+    type=Body(),
     metavar="[mannequin|human|skeleton|FILE.vrm|FILE.glb]",
     help="Body in glb files (and the fbx of convert), pages, videos and pictures; the motion is "
     "retargeted to human and to your own avatar: a VRM file, or a glb with Mixamo's names of "

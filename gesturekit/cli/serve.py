@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import socket
 from pathlib import Path
 
 import click
@@ -71,7 +70,8 @@ def command(
     try:
         import uvicorn
 
-        from gesturekit.serving.app import LOOPBACK, create_app
+        from gesturekit.serving.address import LOOPBACK, address_of, listening_socket
+        from gesturekit.serving.app import create_app
     except ImportError as error:
         raise ConfigError(
             f"{error.name} is not installed; run: pip install 'gesturekit[serve]'"
@@ -90,10 +90,9 @@ def command(
         )
     # An address of all interfaces has many names; there the token protects.
     hosts = ("*",) if not is_local and not names else (*LOOPBACK, host, *names)
-    listening = _listening(host, port)
+    listening = listening_socket(host, port)
     app = create_app(load(model, weights=weights, device=device), bounds, token=token, hosts=hosts)
-    shown, port = f"[{host}]" if ":" in host else host, listening.getsockname()[1]
-    click.echo(f"Serving {model} at http://{shown}:{port}/ (end with Ctrl-C)", err=True)
+    click.echo(f"Serving {model} at {address_of(listening, host)} (end with Ctrl-C)", err=True)
     connections = 4 * (bounds.workers + bounds.queue) + 32
     config = uvicorn.Config(
         app,
@@ -106,23 +105,6 @@ def command(
     )
     with contextlib.suppress(KeyboardInterrupt):
         uvicorn.Server(config).run(sockets=[listening])
-
-
-def _listening(host: str, port: int) -> socket.socket:
-    """Return a socket that listens; port 0 takes a free one.
-
-    Raises:
-        ConfigError: the address is in use, or not of this machine.
-    """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        return socket.create_server((host, port), family=family)
-    except OSError as error:
-        # The message of `create_server` repeats the address.
-        reason = (error.strerror or str(error)).partition(" (while")[0]
-        raise ConfigError(
-            f"--host {host} --port {port}: {reason}; another --port may be free"
-        ) from None
 
 
 def _token(file: Path | None) -> str | None:

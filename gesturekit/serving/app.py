@@ -24,6 +24,7 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 from audio_features.errors import AudioFeaturesError
 from gesturekit.errors import GestureKitError
 from gesturekit.model import Model
+from gesturekit.serving.address import LOOPBACK
 from gesturekit.serving.pages import DROP_PAGE, PAGE_HEADERS, api_page
 from gesturekit.serving.requests import (
     Limits,
@@ -62,7 +63,6 @@ class Metrics:
 
 
 log = logging.getLogger(__name__)
-LOOPBACK = ("localhost", "127.0.0.1", "[::1]", "::1")
 _TYPES = {"bvh": "text/plain", "npz": "application/octet-stream", "html": "text/html"}
 _BODY = {
     "requestBody": {

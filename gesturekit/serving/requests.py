@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
-from urllib.parse import urlsplit
 
 from fastapi import HTTPException, Query, Request
 from pydantic import BaseModel, create_model
@@ -19,6 +18,7 @@ from starlette.requests import ClientDisconnect
 from gesturekit.errors import ConfigError
 from gesturekit.field_docs import field_docs
 from gesturekit.model import ControlEntry, Controls
+from gesturekit.serving.address import is_foreign
 
 _MOST_CLIENTS = 10_000
 
@@ -158,8 +158,7 @@ def check_origin(request: Request) -> None:
     Raises:
         HTTPException: the page is of another site.
     """
-    origin = request.headers.get("origin")
-    if origin is not None and urlsplit(origin).netloc != request.headers.get("host"):
+    if is_foreign(request):
         raise HTTPException(403, "a page of another site may not use this service")
 
 

@@ -5,6 +5,7 @@
 import { Body } from "./body.js";
 import { Clock } from "./clock.js";
 import { calmMiddle, pose, read } from "./data.js";
+import { live } from "./live.js";
 import { Stage } from "./stage.js";
 import { Strip } from "./strip.js";
 
@@ -87,6 +88,7 @@ async function main() {
     return fail(`This page draws with WebGL, which this browser does not offer: ${error.message}`);
   }
   stage.scene.add(...bodies);
+  if (page.live) return showLive(page, bodies[0], stage);
   const strip = new Strip($("strip"), page, duration);
   const clock = new Clock(duration, page.audio);
   const middle = [0, 0, 0];
@@ -209,6 +211,28 @@ async function main() {
     if (clock.playing !== wasPlaying) showPlaying();
     stage.setMoving(clock.playing, now);
     for (const body of bodies) body.shape.setCoarse(stage.coarse);
+    stage.draw();
+    requestAnimationFrame(draw);
+  });
+}
+
+// A page that is fed by gesturekit/live/page.py has no end, and so no controls of time.
+function showLive(page, body, stage) {
+  document.documentElement.dataset.live = "";
+  $("facts").replaceChildren();
+  const show = live(page, body, stage, $("facts"));
+  const darkness = window.matchMedia("(prefers-color-scheme: dark)");
+  const setTheme = () => stage.setTheme(darkness.matches);
+  darkness.addEventListener("change", setTheme);
+  window.addEventListener("resize", () => stage.resize());
+  setTheme();
+  stage.resize();
+  stage.frontView();
+  document.documentElement.dataset.state = "ready";
+  requestAnimationFrame(function draw(now) {
+    show();
+    stage.setMoving(true, now);
+    body.shape.setCoarse(stage.coarse);
     stage.draw();
     requestAnimationFrame(draw);
   });

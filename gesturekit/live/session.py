@@ -1,0 +1,146 @@
+"""A run of live generation, from the words of a command: which sound, which model, which sinks."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gesturekit.errors import ConfigError
+from gesturekit.formats.registry import writer_of
+from gesturekit.live.recording import Recording
+from gesturekit.live.runner import MotionStream, Report, Sink, run
+from gesturekit.live.sources import FileSource, Microphone, PipeSource, Source
+
+if TYPE_CHECKING:
+    from gesturekit.model import Model
+    from gesturekit.motion import Motion
+
+SINKS = "page, vmc:HOST:PORT or record:FILE"
+_EXAMPLE_SECONDS = 2.0
+
+
+@dataclass(frozen=True)
+class Session:
+    """Settings of a run.
+
+    Attributes:
+        source: "mic", "mic:DEVICE", "-" for standard input, or a sound file.
+        sinks: each as in `SINKS`.
+        look_ahead: seconds of sound that the model knows beyond a frame.
+        seed: of the stream.
+        item: name of the utterance.
+        fast: do not wait for real time.
+        block: seconds of sound of each step.
+        rate: samples per second of standard input.
+        host: address of the page.
+        port: of the page; 0 takes a free one.
+        say: called with lines for the user.
+        body: body on the page.
+        framing: first view of the page.
+    """
+
+    source: str
+    sinks: tuple[str, ...]
+    look_ahead: float
+    seed: int
+    item: str
+    fast: bool
+    block: float
+    rate: int
+    host: str
+    port: int
+    say: Callable[[str], None]
+    body: str = "human"
+    framing: str = "whole"
+
+    def run(self, load: Callable[[], Model], report: Report, stopped: threading.Event) -> None:
+        """Generate motion until the sound ends or `stopped` is set.
+
+        Args:
+            load: function that returns the model; called when everything else has been checked.
+            report: figures to fill in.
+            stopped: ends the run.
+
+        Raises:
+            ConfigError: a source or sink that there is not.
+            ModelError: the model cannot stream.
+        """
+        source = self._source()
+        makers = [self._maker(sink, source) for sink in self.sinks]
+        model = load()
+        # A first step compiles and fills caches, for which no microphone waits.
+        self._stream(model, source).step(np.zeros(source.rate, np.float32))
+        stream = self._stream(model, source)
+        example = cache(partial(model.generate, seconds=_EXAMPLE_SECONDS, seed=self.seed))
+        sinks = [make(example) for make in makers]
+        report.latency = stream.latency + self.block
+        ways = {"block": self.block, "fast": self.fast, "stopped": stopped, "warn": self._warn}
+        run(stream, source, sinks, report=report, **ways)
+
+    def _stream(self, model: Model, source: Source) -> MotionStream:
+        settings = {"look_ahead": self.look_ahead, "seed": self.seed, "item": self.item}
+        return model.stream(source.rate, **settings)
+
+    def _warn(self, text: str) -> None:
+        self.say(f"Warning: {text}")
+
+    def _source(self) -> Source:
+        kind, _, device = self.source.partition(":")
+        if kind == "mic" and self.fast:
+            raise ConfigError("--fast is for files and pipes: a microphone is as fast as it is")
+        if kind == "mic":
+            return Microphone(device or None, self.block, self._warn)
+        if self.source == "-":
+            return PipeSource(sys.stdin.buffer, self.rate, self.block, self.fast)
+        return FileSource(Path(self.source), self.block, self.fast)
+
+    def _maker(self, sink: str, source: Source) -> Callable[[Callable[[], Motion]], Sink]:
+        """Check a sink, and return the function that opens it, given one that makes a motion.
+
+        Raises:
+            ConfigError: no such sink, or a package for it is not installed.
+            FormatError: a recording of a format that is not written.
+        """
+        kind, _, place = sink.partition(":")
+        try:
+            if sink == "page":
+                return self._page_maker()
+            if kind == "vmc":
+                from gesturekit.live.vmc import PORT, VmcSender
+
+                host, _, port = (place or f"127.0.0.1:{PORT}").rpartition(":")
+                if not host or not port.isdecimal() or not 0 < int(port) < 1 << 16:
+                    raise ConfigError(
+                        f"--to {sink}: expected vmc:HOST:PORT, as vmc:127.0.0.1:39539"
+                    )
+                return lambda example: VmcSender(host.strip("[]"), int(port), example())
+        except ImportError as error:
+            raise ConfigError(
+                f"{error.name} is not installed; run: pip install 'gesturekit[live]'"
+            ) from None
+        if kind != "record" or not place:
+            raise ConfigError(f"--to {sink}: no such sink; expected {SINKS}")
+        writer_of(place, ())
+        rate = source.rate if source.is_live else None
+        return lambda _: Recording(Path(place), rate)
+
+    def _page_maker(self) -> Callable[[Callable[[], Motion]], Sink]:
+        from gesturekit.live.page import Page
+        from gesturekit.serving.address import LOOPBACK, address_of, listening_socket
+
+        listening = listening_socket(self.host, self.port)
+        hosts = (*LOOPBACK, self.host) if self.host in LOOPBACK else ("*",)
+
+        def make(example: Callable[[], Motion]) -> Sink:
+            page = Page(listening, hosts, example(), body=self.body, framing=self.framing)
+            self.say(f"Page at {address_of(listening, self.host)} (end with Ctrl-C)")
+            return page
+
+        return make

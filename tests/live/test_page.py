@@ -1,0 +1,196 @@
+"""The page and its frames, as real clients get them."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import re
+import socket
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from loud import LoudModel, raised
+from pages import bundled
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from gesturekit.live import Step
+from gesturekit.live.page import Page
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.viewer.human.body import Human, is_baked
+
+pytestmark = [
+    bundled,
+    pytest.mark.skipif(not is_baked(), reason="the human body is not baked: `make setup`"),
+]
+
+SILENCE = np.zeros(0, np.float32)
+
+
+@dataclass
+class Served:
+    """A page that is being served, and its sink."""
+
+    page: Page
+    port: int
+    skeleton: Skeleton
+
+    @property
+    def url(self) -> str:
+        return f"ws://127.0.0.1:{self.port}/stream"
+
+    def raise_arm(self, degrees: list[float], time: float, lag: float = 0.25) -> None:
+        motion = raised(self.skeleton, np.deg2rad(degrees), 30.0)
+        self.page.put(Step(SILENCE, motion, time, lag))
+
+    def joints(self) -> dict:
+        with urllib.request.urlopen(f"http://127.0.0.1:{self.port}/") as answer:
+            text = answer.read().decode()
+        return json.loads(re.search(r'json" id="motion">(.*?)</script>', text, re.S)[1])["live"]
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[..., Served]]:
+    opened = []
+
+    def start(body: str = "human") -> Served:
+        listening = socket.create_server(("127.0.0.1", 0))
+        skeleton = LoudModel().skeleton
+        example = raised(skeleton, np.zeros(30), 30.0)
+        page = Page(listening, ("127.0.0.1",), example, body=body)
+        opened.append(page)
+        return Served(page, listening.getsockname()[1], skeleton)
+
+    yield start
+    for page in opened:
+        page.close()
+
+
+def decoded(message: bytes) -> tuple[float, float, np.ndarray, np.ndarray]:
+    """Return seconds, lag, the root's place and local quaternions of a message."""
+    seconds, lag = np.frombuffer(message[:16], "<f8")
+    numbers = np.frombuffer(message[16:], "<f4")
+    return seconds, lag, numbers[:3], numbers[3:].reshape(-1, 4)
+
+
+def wait_for_client(served: Served, number: int) -> None:
+    deadline = time.monotonic() + 5
+    while len(served.page._clients) < number:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_a_client_gets_each_pose_with_the_time_of_its_sound(serve):
+    served = serve()
+    with connect(served.url) as client:
+        wait_for_client(served, 1)
+        served.raise_arm([0.0, 60.0], 3.0)
+        first, second = (decoded(client.recv(timeout=5)) for _ in range(2))
+    assert first[0] == 3.0 and second[0] == pytest.approx(3.0 + 1 / 30)
+    assert first[1] == 0.25 and second[1] == pytest.approx(0.25 - 1 / 30)
+    joints, human = served.joints(), Human.load().skeleton
+    assert joints["parents"][: joints["n_joints"]] == list(human.parents)
+    for (_, _, root, turns), direction in ((first, [-1, 0, 0]), (second, [-0.5, 0.75**0.5, 0])):
+        # The right arm, on the page's rig: the page turns each offset by all joints above it.
+        rig = Skeleton(human.names, human.parents, joints["offsets"][: len(turns)])
+        places = Motion(rig, turns[None], root[None], 30.0).positions()[0]
+        arm, hand = (places[rig.index(name)] for name in ("RightArm", "RightHand"))
+        np.testing.assert_allclose((hand - arm) / np.linalg.norm(hand - arm), direction, atol=0.03)
+        assert places[:, 1].min() == pytest.approx(0.08, abs=0.08)
+
+
+def test_a_body_without_skin_has_its_limbs_ends_on_the_page(serve):
+    served = serve("mannequin")
+    joints = served.joints()
+    assert joints["n_joints"] == served.skeleton.n_joints < len(joints["parents"])
+    head = served.skeleton.index("Head")
+    tops = [o[1] for p, o in zip(joints["parents"], joints["offsets"]) if p == head]
+    assert 0.15 < max(tops) < 0.35
+
+
+def test_clients_that_leave_or_block_slow_nobody(serve):
+    served = serve()
+    with (
+        connect(served.url, max_queue=1, compression=None) as asleep,
+        connect(served.url) as awake,
+    ):
+        with connect(served.url):
+            wait_for_client(served, 3)
+        begun, per_step, seen = time.monotonic(), 200, []
+        for k in range(40):  # 8000 frames, some 17 MB: more than the system holds for the sleeper
+            served.raise_arm([0.0] * per_step, k * per_step / 30)
+            while not seen or seen[-1] < ((k + 1) * per_step - 1) / 30 - 1e-6:
+                seen.append(decoded(awake.recv(timeout=5))[0])
+        assert time.monotonic() - begun < 8
+        # The sleeper wakes: what it missed is gone, and it gets the newest frames.
+        late = [decoded(asleep.recv(timeout=5))[0]]
+        while late[-1] < 7999 / 30 - 1e-6:
+            late.append(decoded(asleep.recv(timeout=5))[0])
+    assert len(late) < 8000 and (np.diff(late) > 0).all()
+
+
+def test_pages_of_other_sites_get_nothing(serve):
+    served = serve()
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(served.url, origin="http://elsewhere.example")
+    for path in ("/", "/stream"):
+        asked = http.client.HTTPConnection("127.0.0.1", served.port, timeout=5)
+        asked.request("GET", path, headers={"Host": "rebound.example"})
+        assert asked.getresponse().status in (400, 404)
+        asked.close()
+    with connect(served.url, origin=f"http://127.0.0.1:{served.port}") as client:
+        served.page.close()
+        with pytest.raises(ConnectionClosed):
+            client.recv(timeout=5)
+
+
+NEWEST = """(({{ steps, channels, n_frames }}) => {{
+  const at = (n_frames - 1) * channels + 3 * {};
+  return [...steps.slice(at, at + 3)];
+}})(window.live.figure)"""
+HOUR = """(() => {
+  const worst = { behind: 0, ahead: 0, back: 0 };
+  for (const ppm of [-200, 200]) {
+    const playout = new window.live.Playout();
+    let seed = 1, newest = 0, last = 0;
+    const random = () => (seed = (seed * 16807) % 2147483647) / 2147483647;
+    for (let k = 0; k < 3600 * 30; k++) {
+      const sent = (k / 30) * (1 + ppm * 1e-6) + 50;
+      playout.arrived(k / 30, sent + 0.03 * random());
+      const now = sent + 0.033;
+      const shown = playout.at(now);
+      if (k < 300) { last = shown; continue; }
+      worst.behind = Math.max(worst.behind, k / 30 - shown);
+      worst.ahead = Math.max(worst.ahead, shown - k / 30);
+      worst.back = Math.max(worst.back, last - shown);
+      last = shown;
+    }
+  }
+  return worst;
+})()"""
+
+
+def test_a_browser_shows_frames_steadily_and_follows_the_senders_clock(serve, open_browser):
+    served, browser = serve(), open_browser()
+    browser.open(f"http://127.0.0.1:{served.port}/", width=480, height=400)
+    browser.wait("document.documentElement.dataset.state == 'ready'")
+    wait_for_client(served, 1)
+    for k in range(12):
+        served.raise_arm([5.0 * k], k / 30)
+        time.sleep(0.01)
+    browser.wait("document.documentElement.dataset.frames == '12'")
+    browser.wait("/^0\\.\\d s, shown 0\\.\\d\\d s after/.test(facts.textContent)")
+    # The last pose: the right hand is on the figure's right, above its head.
+    hand = Human.load().skeleton.index("RightHand")
+    x, y, _ = browser.run(NEWEST.format(hand))
+    assert x < -0.2 and y > 1.6
+    # At 3 to 33 ms on the way and 200 ppm of drift, an hour long: 30 ms of delay, no more.
+    worst = browser.run(HOUR)
+    assert worst["behind"] < 0.02 and worst["ahead"] < 0.034 and worst["back"] == 0
+    served.page.close()
+    browser.wait("facts.textContent.startsWith('The stream has ended')")
+    assert not [line for line in browser.lines if "Content Security Policy" in line]

@@ -1,0 +1,241 @@
+"""Whole runs on a model that moves by loudness: recordings, sinks, stalls, and how a run ends."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import soundfile
+from loud import LoudModel
+
+from audio_features import Wave
+from gesturekit import systems
+from gesturekit.live import runner
+from gesturekit.live.recording import Recording
+from gesturekit.live.runner import Report, run
+from gesturekit.live.sources import FileSource
+from gesturekit.live.timeline import Block
+from gesturekit.motion import Motion
+
+MAIN = """
+import sys, loud, gesturekit.systems
+gesturekit.systems.load = lambda *_, **__: loud.LoudModel()
+from gesturekit.cli import main
+main(sys.argv[1:])
+"""
+
+
+@pytest.fixture
+def live(gesturekit, monkeypatch):
+    """live("--from", path, ...): run `gesturekit live` on the model that moves by loudness."""
+    monkeypatch.setattr(systems, "load", lambda **_: LoudModel())
+    return lambda *arguments: gesturekit("live", *arguments)
+
+
+def start(source, sinks, *, fast: bool = False) -> Report:
+    """Run a source through the stream in this process."""
+    report, warnings = Report(begun=time.perf_counter()), []
+    stream = LoudModel().stream(source.rate)
+    ways = {"block": 0.04, "fast": fast, "stopped": threading.Event(), "warn": warnings.append}
+    run(stream, source, sinks, report=report, **ways)
+    return report
+
+
+class Kept:
+    """A sink that keeps what it gets."""
+
+    def __init__(self) -> None:
+        self.steps, self.times = [], []
+
+    def put(self, step) -> None:
+        self.steps.append(step)
+        self.times.append(time.monotonic())
+
+    def close(self) -> None:
+        pass
+
+    @property
+    def angles(self) -> np.ndarray:
+        return np.concatenate([s.motion.rotations[:, :, 2].sum(1) for s in self.steps if s.motion])
+
+
+def test_a_file_and_standard_input_give_the_same_bytes(live, write_speech, tmp_path, monkeypatch):
+    speech = write_speech(tmp_path / "a.wav", 2.03)
+    wave = Wave.load(speech)
+    live("--from", speech, "--fast", "--to", f"record:{tmp_path / 'file.bvh'}").ok()
+    data = (wave.samples * 32768).astype("<i2").tobytes()
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(data)))
+    done = live("--from", "-", "--fast", "--to", f"record:{tmp_path / 'pipe.bvh'}").ok()
+    assert "2.0 s, 61 frames" in done.err  # 2.03 s * 30 + 1/2
+    assert (tmp_path / "file.bvh").read_bytes() == (tmp_path / "pipe.bvh").read_bytes()
+    assert Motion.load(tmp_path / "file.bvh").n_frames == wave.n_frames(30)
+    # Piped sound may be nowhere else, a file is.
+    piped, _ = soundfile.read(tmp_path / "pipe.wav", dtype="int16")
+    assert piped.tobytes() == data
+    assert not (tmp_path / "file.wav").exists() and len(list(tmp_path.iterdir())) == 4
+
+
+def test_a_file_in_real_time_moves_as_it_does_at_once(write_speech, tmp_path):
+    speech, kept = write_speech(tmp_path / "a.wav", 0.7), {}
+    for fast in (False, True):
+        kept[fast] = Kept()
+        report = start(FileSource(speech, 0.04, fast), [kept[fast]], fast=fast)
+        if any(report.sound.values()):
+            pytest.skip("this machine is too busy for real time")
+    np.testing.assert_array_equal(kept[False].angles, kept[True].angles)
+    # In real time, each frame comes when the sound .2 s beyond it is known, a block at a time.
+    taken = [(step, at) for step, at in zip(kept[False].steps, kept[False].times) if step.motion]
+    assert [s.time for s, _ in taken] == pytest.approx(
+        np.cumsum([0, *(s.motion.n_frames / 30 for s, _ in taken[:-1])])
+    )
+    assert all(0.2 <= s.lag < 0.2 + 0.04 + 0.1 for s, _ in taken[:-1])
+    assert taken[-2][1] - taken[0][1] == pytest.approx(taken[-2][0].time, abs=0.1)
+
+
+class Blocked(Kept):
+    def __init__(self) -> None:
+        super().__init__()
+        self.freed = threading.Event()
+
+    def put(self, step) -> None:
+        self.freed.wait(20)
+
+
+class Failing(Kept):
+    def put(self, step) -> None:
+        raise OSError(28, "No space left on device")
+
+
+def test_sinks_that_block_or_fail_slow_nobody(write_speech, tmp_path, monkeypatch):
+    monkeypatch.setattr(runner, "_PATIENCE", 0.1)
+    monkeypatch.setattr(runner, "_SINK_STEPS", 5)
+    speech, kept, blocked = write_speech(tmp_path / "a.wav", 0.6), Kept(), Blocked()
+    recording = Recording(tmp_path / "take.npz")
+    report = start(FileSource(speech, 0.04, False), [blocked, Failing(), kept, recording])
+    blocked.freed.set()
+    assert report.frames == 18 == Motion.load(tmp_path / "take.npz").n_frames
+    assert sum(step.motion.n_frames for step in kept.steps if step.motion) == 18
+    assert max(report.lags) < 0.5 and report.missed >= 9
+    assert [line.split(":")[0] for line in report.failures] == ["Blocked", "Failing"]
+    assert "No space left" in report.failures[1]
+
+
+class Stalling:
+    """Half a second of sound, nothing for as long, and the rest at its time."""
+
+    rate, tolerance, is_live = 16_000, 0.02, True
+
+    def run(self, put, stopped) -> None:
+        start = time.monotonic()
+        for k in [*range(5), *range(30, 35)]:
+            time.sleep(max(start + 0.04 * (k + 1) - time.monotonic(), 0))
+            put(Block(np.full(640, 0.1, np.float32), start + 0.04 * k))
+
+
+def test_the_stream_goes_on_while_its_source_stalls():
+    kept = Kept()
+    report = start(Stalling(), [kept])
+    assert report.seconds == pytest.approx(1.4, abs=0.06)
+    assert report.frames == pytest.approx(42, abs=2)
+    assert report.sound["bridged"] >= 0.19 and 0.6 < report.sound["silent"] < 0.9
+    frames = [at for step, at in zip(kept.steps, kept.times) if step.motion]
+    assert np.diff(frames).max() < 0.4
+    angles = kept.angles
+    assert angles[6] < -0.15 and abs(angles[24]) < 1e-6 and angles[-2] < -0.1
+
+
+def test_a_model_that_is_too_slow_drops_sound_and_stays_near_the_present(write_speech, tmp_path):
+    speech, stream = write_speech(tmp_path / "a.wav", 1.8), LoudModel().stream(16_000)
+    step = stream.step
+    stream.step = lambda samples: (time.sleep(2 * len(samples) / 16_000), step(samples))[1]
+    report = Report(begun=time.perf_counter())
+    ways = {"block": 0.04, "fast": False, "stopped": threading.Event(), "warn": print}
+    run(stream, FileSource(speech, 0.04, False), [], report=report, **ways)
+    assert report.sound["dropped"] > 0.3
+    # The look-ahead, and what waits at the end at half the speed; all sound would take 2 s.
+    assert max(report.lags) < 0.2 + 2 * 0.5 + 0.3
+
+
+def test_ctrl_c_leaves_a_whole_recording(tmp_path):
+    out = tmp_path / "out.bvh"
+    arguments = ["live", "--from", "-", "--to", f"record:{out}", "--seed", "3"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", MAIN, *arguments],
+        stdin=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    sound = np.full(1600, 3000, "<i2").tobytes()
+    deadline = time.monotonic() + 30
+    while not any(file.stat().st_size > 20_000 for file in tmp_path.glob(".out-*.wav")):
+        assert time.monotonic() < deadline and process.poll() is None, process.stderr.read()
+        process.stdin.write(sound)
+        process.stdin.flush()
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 130, said
+    wave = Wave.load(tmp_path / "out.wav")
+    assert Motion.load(out).n_frames == wave.n_frames(30) > 15
+    assert f"{wave.n_frames(30)} frames" in said.decode() and b"Traceback" not in said
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["out.bvh", "out.wav"]
+
+
+def test_figures_of_a_run_are_a_table_and_json(live, write_speech, tmp_path):
+    speech, figures = write_speech(tmp_path / "a.wav", 0.6), tmp_path / "f.json"
+    done = live("--measure", "--from", speech, "--json", figures, "--look-ahead", "0.1").ok()
+    found = json.loads(figures.read_text())
+    assert found["algorithmic_latency"] == pytest.approx(0.1 + 0.04)
+    assert found["frames"] == 18 and found["sound"] == pytest.approx(0.6)
+    assert 0 < found["step_p50"] <= found["step_p95"] <= found["step_max"] < 0.6
+    assert 0 < found["real_time_factor"] < 1 and 0.1 < found["load_to_first_pose"] < 3
+    assert 0.1 <= found["lag_p50"] <= found["lag_max"] and 0 < found["arrival_jitter"] < 0.2
+    for name in found:
+        assert name.replace("_", " ") in done.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--from", "no_such.wav"], "no_such.wav"),
+        (["--from", "{wav}", "--to", "wall"], "--to wall: no such sink; expected page, vmc:"),
+        (["--from", "{wav}", "--to", "vmc:here"], "--to vmc:here: expected vmc:HOST:PORT"),
+        (["--from", "{wav}", "--to", "vmc:1.2.3.4:99999"], "expected vmc:HOST:PORT"),
+        (["--from", "{wav}", "--to", "record:a.xyz"], "a.xyz: cannot write motion as .xyz"),
+        (
+            ["--from", "{wav}", "--to", "record:{wav}.bvh", "--block", "9"],
+            "9.0 is not in the range",
+        ),
+        (["--from", "{wav}", "--to", "page", "--host", "192.0.2.1"], "--host 192.0.2.1"),
+        (["--fast"], "--fast is for files and pipes"),
+    ],
+)
+def test_wrong_arguments_are_one_clear_error(live, write_speech, tmp_path, arguments, says):
+    wav = write_speech(tmp_path / "a.wav", 0.1)
+    done = live(*(str(each).replace("{wav}", str(wav)) for each in arguments))
+    done.fails(2, says)
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.wav"]
+
+
+def test_a_recording_that_exists_is_not_overwritten(live, write_speech, tmp_path):
+    wav, out = write_speech(tmp_path / "a.wav", 0.1), tmp_path / "b.bvh"
+    out.write_text("mine")
+    live("--from", wav, "--to", f"record:{out}").fails(2, "b.bvh exists already")
+    assert out.read_text() == "mine"
+
+
+def test_a_pipe_without_sound_records_nothing(live, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO()))
+    done = live("--from", "-", "--fast", "--to", f"record:{tmp_path / 'a.bvh'}")
+    done.fails(1, "a.bvh: nothing to record, as no sound came", "0.0 s, 0 frames")
+    assert not list(Path(tmp_path).iterdir())

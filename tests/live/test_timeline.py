@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gesturekit.live.timeline import Block, Timeline
+
+RATE, SIZE = 16_000, 640
+TONE = np.sin(np.arange(40 * SIZE) / 9).astype(np.float32)
+
+
+def blocks(times: dict[int, float]) -> list[Block]:
+    """Blocks of a tone by number, and the second at which each was captured."""
+    return [Block(TONE[k * SIZE : (k + 1) * SIZE], time) for k, time in times.items()]
+
+
+def placed(line: Timeline, block: Block, waited: float = 0.0) -> np.ndarray:
+    """Place a block that waited some seconds after its last sample."""
+    return line.place(block, (block.time or 0.0) + 0.04 + waited)
+
+
+def counts(line: Timeline) -> list[float]:
+    return [round(v, 6) for v in (line.bridged, line.silent, line.dropped, line.skipped)]
+
+
+@pytest.mark.parametrize("ppm", [-200, 200])
+def test_an_hour_of_a_clock_that_drifts_is_no_gap_and_no_delay(ppm):
+    """The sound card counts 16,000 samples in a little more or less than a second."""
+    line, length = Timeline(RATE, 0.02), 0.04 * (1 + ppm * 1e-6)
+    rng = np.random.default_rng(0)
+    block = np.zeros(SIZE, np.float32)
+    n_blocks = 3600 * 25
+    for k, jitter in enumerate(rng.uniform(-0.005, 0.005, n_blocks).tolist()):
+        assert len(placed(line, Block(block, 100 + k * length + jitter))) == SIZE
+        if k % 7 == 0:
+            assert not len(line.idle(100 + (k + 1) * length + 0.15))
+    assert counts(line) == [0, 0, 0, 0]
+    assert line.moment(line.seconds) == pytest.approx(100 + n_blocks * length, abs=0.01)
+
+
+def test_a_lost_block_is_bridged_by_sound_that_fades():
+    line = Timeline(RATE, 0.02)
+    given = [placed(line, block) for block in blocks({k: 0.04 * k for k in range(10) if k != 6})]
+    whole = np.concatenate(given)
+    assert len(whole) == 10 * SIZE and counts(line) == [0.04, 0, 0, 0]
+    np.testing.assert_array_equal(whole[7 * SIZE :], TONE[7 * SIZE : 10 * SIZE])
+    bridge = whole[6 * SIZE : 7 * SIZE]
+    # The mirror image of what was before, no jump at its start, and down by 0.04 of 0.2 s.
+    np.testing.assert_allclose(bridge[0], whole[6 * SIZE - 1], atol=1e-3)
+    mirrored = whole[5 * SIZE : 6 * SIZE][::-1] * np.linspace(1, 0.8, SIZE)
+    np.testing.assert_allclose(bridge, mirrored, atol=2e-3)
+
+
+def test_a_source_that_stalls_gives_fading_sound_and_then_silence():
+    line = Timeline(RATE, 0.02)
+    for block in blocks({k: 5 + 0.04 * k for k in range(5)}):
+        placed(line, block)
+    assert not len(line.idle(5.2 + 0.219))
+    idle = np.concatenate([line.idle(now) for now in np.arange(5.42, 6.42, 0.05)])
+    assert line.seconds == pytest.approx(0.2 + len(idle) / RATE)
+    assert line.seconds == pytest.approx(6.37 - 5 - 0.22, abs=1e-3)
+    assert np.abs(idle[:3200]).max() > 0.5 and not idle[3200:].any()
+    # What was on its way when silence had begun is late; what is said now is taken.
+    late, now = blocks({5: 5.2, 6: 6.4})
+    assert not len(placed(line, late))
+    assert placed(line, now)[-SIZE:].tolist() == now.samples.tolist()
+    assert line.dropped == pytest.approx(0.04)
+
+
+def test_a_gap_that_no_silence_could_fill_is_skipped():
+    """The computer slept for an hour: the stream goes on with the present."""
+    line = Timeline(RATE, 0.02)
+    placed(line, blocks({0: 0.0})[0])
+    assert len(placed(line, blocks({1: 3600.0})[0])) == 0.2 * RATE + SIZE
+    assert line.moment(line.seconds) == pytest.approx(3600.04)
+    assert counts(line)[::3] == [0.2, round(3600 - 0.04 - 0.2, 6)]
+    assert len(line.idle(9000.0)) == RATE
+
+
+def test_a_gap_is_not_filled_while_the_computer_is_behind():
+    line = Timeline(RATE, 0.02)
+    first, later = blocks({0: 0.0, 5: 0.2})
+    placed(line, first)
+    assert len(placed(line, later, waited=0.4)) == SIZE
+    assert counts(line) == [0, 0, 0, 0.16]
+
+
+def test_sound_without_a_clock_is_taken_as_it_is():
+    line = Timeline(RATE, 0.02)
+    given = [placed(line, block) for block in blocks(dict.fromkeys(range(8)))]
+    np.testing.assert_array_equal(np.concatenate(given), TONE[: 8 * SIZE])
+    assert line.moment(1.0) is None

@@ -1,0 +1,123 @@
+"""What programs that draw an avatar get, read from the datagrams by a reader of the test's own."""
+
+from __future__ import annotations
+
+import socket
+import struct
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from loud import raised
+from scipy.spatial.transform import Rotation
+
+from gesturekit.errors import ConfigError
+from gesturekit.live import Step
+from gesturekit.live.vmc import VmcSender
+from gesturekit.viewer.human.body import is_baked
+
+pytestmark = pytest.mark.skipif(not is_baked(), reason="the human body is not baked: `make setup`")
+
+SILENCE = np.zeros(0, np.float32)
+NEEDED = {  # bones that Unity needs for a humanoid
+    *("Hips", "Spine", "Chest", "Neck", "Head"),
+    *(
+        side + bone
+        for side in ("Left", "Right")
+        for bone in (
+            *("Shoulder", "UpperArm", "LowerArm", "Hand", "UpperLeg", "LowerLeg", "Foot", "Toes"),
+            *("ThumbProximal", "ThumbIntermediate", "ThumbDistal", "LittleDistal"),
+        )
+    ),
+}
+
+
+def text(data: bytes) -> tuple[str, bytes]:
+    end = data.index(b"\0")
+    return data[:end].decode(), data[end // 4 * 4 + 4 :]
+
+
+def messages(data: bytes) -> Iterator[tuple[str, list]]:
+    """Yield (address, arguments) of an OSC bundle."""
+    assert data[:8] == b"#bundle\0"
+    data = data[16:]
+    while data:
+        size = struct.unpack(">i", data[:4])[0]
+        address, rest = text(data[4 : 4 + size])
+        tags, rest = text(rest)
+        arguments = []
+        for tag in tags[1:]:
+            if tag == "s":
+                value, rest = text(rest)
+            else:
+                value, rest = struct.unpack(f">{tag}", rest[:4])[0], rest[4:]
+            arguments.append(value)
+        yield address, arguments
+        data = data[4 + size :]
+
+
+@pytest.fixture
+def received(skeleton) -> Iterator[list[list]]:
+    """received(angles, time): what arrives of a right arm raised by angles in degrees."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reader:
+        reader.bind(("127.0.0.1", 0))
+        reader.settimeout(5)
+        sender = VmcSender("127.0.0.1", reader.getsockname()[1], raised(skeleton, [0.0], 30.0))
+
+        def send(angles: list[float], time: float) -> list[list]:
+            frames, motion = [], raised(skeleton, np.deg2rad(angles), 30.0)
+            for k in range(0, len(angles), 2):  # few at once, so that the system loses none
+                sender.put(Step(SILENCE, motion[k : k + 2], time + k / 30, None))
+                frames += [list(messages(reader.recv(1 << 16))) for _ in angles[k : k + 2]]
+            return frames
+
+        yield send
+        sender.close()
+
+
+def bones(frame: list) -> dict[str, np.ndarray]:
+    found = {values[0]: np.array(values[1:]) for at, values in frame if at == "/VMC/Ext/Bone/Pos"}
+    assert len(found) + 3 == len(frame)
+    return found
+
+
+def test_a_t_pose_is_unitys(received):
+    (frame,) = received([0.0], 1.5)
+    assert frame[0] == ("/VMC/Ext/OK", [1])
+    assert frame[1] == ("/VMC/Ext/T", [1.5])
+    assert frame[2] == ("/VMC/Ext/Root/Pos", ["root", 0, 0, 0, 0, 0, 0, 1])
+    found = bones(frame)
+    assert found.keys() >= NEEDED
+    for name, pose in found.items():
+        # Legs reach for where the feet of the speaker are.
+        most = 12 if name.endswith(("Leg", "Foot", "Toes")) else 5
+        assert np.rad2deg(Rotation.from_quat(pose[3:]).magnitude()) < most, name
+    # Metres, Y up; the left of a body that faces +Z is at -x in Unity.
+    assert 0.7 < found["Hips"][1] < 1.1
+    assert found["LeftUpperLeg"][0] < -0.05 < 0.05 < found["RightUpperLeg"][0]
+    assert found["LeftLowerArm"][0] < -0.2 and found["RightLowerArm"][0] > 0.2
+
+
+def test_a_right_arm_is_raised_to_unitys_right(received):
+    (frame,) = received([60.0], 0.0)
+    found = bones(frame)
+    turn = Rotation.identity()
+    for name in ("Hips", "Spine", "Chest", "UpperChest", "RightShoulder", "RightUpperArm"):
+        turn = turn * Rotation.from_quat(found[name][3:])
+    np.testing.assert_allclose(turn.apply([1, 0, 0]), [0.5, np.sqrt(0.75), 0], atol=0.02)
+    np.testing.assert_allclose(np.abs(found["LeftUpperArm"][6]), 1, atol=2e-3)
+
+
+def test_each_datagram_is_a_whole_frame_so_that_a_fifth_of_them_may_be_lost(received):
+    frames = received(list(range(40)), 2.0)
+    kept = [frame for k, frame in enumerate(frames) if k % 5]
+    assert len(kept) == 32
+    times = [frame[1][1][0] for frame in kept]
+    np.testing.assert_allclose(times, [2 + k / 30 for k in range(40) if k % 5], atol=1e-5)
+    heights = [bones(frame)["RightUpperArm"][5] for frame in kept]
+    assert (np.diff(heights) > 0).all() and {len(frame) for frame in kept} == {len(frames[0])}
+
+
+def test_an_unknown_host_is_one_clear_error(skeleton):
+    with pytest.raises(ConfigError, match="vmc:no.such.host.invalid:39539"):
+        VmcSender("no.such.host.invalid", 39539, raised(skeleton, [0.0], 30.0))
