@@ -35,7 +35,7 @@ gesturekit live --from - --rate 48000 --to page            # samples from anothe
 gesturekit live --measure --json latency.json
 """
 GROUPS = {
-    "What to generate": ("model", "source", "rate", "look_ahead", "seed", "item", "weights"),
+    "What to generate": ("model", "source", "rate", "look_ahead", "seed", "weights"),
     "Output": ("sinks", "existing", "host", "port", "body", "framing"),
 }
 _RECORD = "record:"
@@ -69,7 +69,6 @@ _URGENT = 3
     help="Seconds of sound that the model knows beyond a frame; with less, motion fits worse.",
 )
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed.")
-@click.option("--item", default="", help="Name of the utterance; others are other draws.")
 @click.option("--fast", is_flag=True, help="As fast as possible, for a file or a pipe.")
 @click.option(
     "--block",

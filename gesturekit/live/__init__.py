@@ -2,19 +2,6 @@
 
 from gesturekit.live.recording import Recording
 from gesturekit.live.runner import MotionStream, Report, Sink, Step, run
-from gesturekit.live.sources import FileSource, Microphone, PipeSource, Source
-from gesturekit.live.timeline import Block
+from gesturekit.live.sources import FileSource
 
-__all__ = [
-    "Block",
-    "FileSource",
-    "Microphone",
-    "MotionStream",
-    "PipeSource",
-    "Recording",
-    "Report",
-    "Sink",
-    "Source",
-    "Step",
-    "run",
-]
+__all__ = ["FileSource", "MotionStream", "Recording", "Report", "Sink", "Step", "run"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import html
 import json
 import socket
 import struct
@@ -48,7 +47,6 @@ class Page:
         example: motion on the stream's rig, from which its standing pose is measured.
         body: body to draw; see `DrawnBody`.
         framing: first view, "whole" or "waist".
-        title: heading of the page.
 
     Raises:
         GestureKitError: the player was not bundled, or the body cannot be read.
@@ -62,27 +60,20 @@ class Page:
         *,
         body: str = "human",
         framing: str = "whole",
-        title: str = "Live",
     ) -> None:
         drawn = DrawnBody.of(example, body)
         self._fitting = drawn.fitting
         page = json.loads(player_data(example, body=body, framing=framing))
         page["live"] = _joints(drawn)
-        places = {"title": html.escape(title), "motion": script_json(page)}
+        places = {"title": "Live", "motion": script_json(page)}
         self._html = insert(player_shell(), places)
         self._clients: set[asyncio.Queue[bytes]] = set()
         app = Starlette(
             routes=[Route("/", self._page), WebSocketRoute("/stream", self._stream)],
             middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=list(hosts))],
         )
-        config = uvicorn.Config(
-            app,
-            log_level="critical",
-            server_header=False,
-            proxy_headers=False,
-            ws_per_message_deflate=False,
-            timeout_graceful_shutdown=_END_SECONDS,
-        )
+        ways = {"log_level": "critical", "ws_per_message_deflate": False}
+        config = uvicorn.Config(app, timeout_graceful_shutdown=_END_SECONDS, **ways)
         self._server = uvicorn.Server(config)
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._serve, args=(listening,), daemon=True)

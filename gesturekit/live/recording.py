@@ -71,17 +71,10 @@ class Recording:
         rows = np.memmap(self._frames, np.float64, "r").reshape(-1, _rows(first).shape[1])
         n_joints = first.skeleton.n_joints
         ends = 3 + 4 * n_joints
-        moving = {
-            name: rows[:, ends + 3 * k : ends + 3 * (k + 1)]
-            for k, name in enumerate(first.joint_translations)
-        }
-        return Motion(
-            skeleton=first.skeleton,
-            rotations=rows[:, 3:ends].reshape(len(rows), n_joints, 4),
-            translation=rows[:, :3],
-            fps=first.fps,
-            joint_translations=moving,
-        )
+        turns = rows[:, 3:ends].reshape(len(rows), n_joints, 4)
+        starts = range(ends, rows.shape[1], 3)
+        moving = {name: rows[:, at : at + 3] for name, at in zip(first.joint_translations, starts)}
+        return Motion(first.skeleton, turns, rows[:, :3], first.fps, moving)
 
 
 def _rows(motion: Motion) -> np.ndarray:

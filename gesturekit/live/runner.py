@@ -6,7 +6,7 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Protocol
@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from gesturekit.live.sources import Intake, Source, put_newest
-from gesturekit.live.timeline import Block, Timeline
+from gesturekit.live.timeline import Timeline
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.wording import counted
 
@@ -23,6 +23,7 @@ _SINK_STEPS = 250
 _PATIENCE = 5.0
 """Seconds that a sink gets to take what waits for it at the end."""
 _POLL = 0.05
+_NOTHING = np.zeros(0, np.float32)
 _KEPT = 100_000
 """Measurements kept for quantiles: those of the last hour or so."""
 
@@ -92,6 +93,7 @@ class Report:
         steps: seconds of each step.
         lags: seconds from a sound's capture to its frame, for each step with frames.
         sound: seconds that were bridged, silent, dropped and skipped.
+        overflows: times that the sound card lost sound.
         missed: steps that slow sinks missed.
         failures: one line for each sink that failed.
     """
@@ -104,9 +106,29 @@ class Report:
     computed: float = 0.0
     steps: deque[float] = field(default_factory=lambda: deque(maxlen=_KEPT))
     lags: deque[float] = field(default_factory=lambda: deque(maxlen=_KEPT))
-    sound: Mapping[str, float] = field(default_factory=dict)
+    sound: dict[str, float] = field(default_factory=dict)
+    overflows: int = 0
     missed: int = 0
     failures: list[str] = field(default_factory=list)
+
+    def timed(self, work: Callable[[], Motion | None]) -> Motion | None:
+        """Do a step of work, and keep how long it took and how many frames it made."""
+        begun = time.perf_counter()
+        motion = work()
+        ended = time.perf_counter()
+        self.steps.append(ended - begun)
+        self.computed += ended - begun
+        if motion is not None:
+            self.frames += motion.n_frames
+            self.first_pose = self.first_pose or ended - self.begun
+        return motion
+
+    def arrived(self, captured: float | None) -> float | None:
+        """Keep and return the lag of a frame whose sound was captured at a time of the clock."""
+        if captured is None:
+            return None
+        self.lags.append(time.monotonic() - captured)
+        return self.lags[-1]
 
     def figures(self) -> dict[str, float | None]:
         """Return all figures by name; seconds, if the name says no other unit."""
@@ -123,15 +145,17 @@ class Report:
                 found[f"{name}_{label}"] = value
         jitter = np.quantile(self.lags, [0.05, 0.95]) if self.lags else None
         found["arrival_jitter"] = None if jitter is None else float(jitter[1] - jitter[0])
-        return found | dict(self.sound) | {"missed_by_sinks_steps": self.missed}
+        counts = {"overflows": self.overflows, "steps_missed_by_sinks": self.missed}
+        return found | self.sound | counts
 
     def line(self) -> str:
         """Return a summary of one line."""
-        lag = f", worst lag {max(self.lags):.2f} s" if self.lags else ""
-        sound = ", ".join(f"{value:.2f} s {name}" for name, value in self.sound.items() if value)
-        missed = f", {counted(self.missed, 'step')} missed by a slow sink" if self.missed else ""
-        frames = counted(self.frames, "frame")
-        return f"{self.seconds:.1f} s, {frames}{lag}{f', {sound}' if sound else ''}{missed}"
+        parts = [f"{self.seconds:.1f} s", counted(self.frames, "frame")]
+        parts += [f"worst lag {max(self.lags):.2f} s"] if self.lags else []
+        parts += [f"{value:.2f} s {name}" for name, value in self.sound.items() if value >= 0.005]
+        parts += [counted(self.overflows, "overflow")] if self.overflows else []
+        parts += [f"{counted(self.missed, 'step')} missed by a sink"] if self.missed else []
+        return ", ".join(parts)
 
 
 class _Feed:
@@ -178,8 +202,6 @@ def run(
     source: Source,
     sinks: list[Sink],
     *,
-    block: float,
-    fast: bool,
     report: Report,
     stopped: threading.Event,
     warn: Callable[[str], None],
@@ -188,75 +210,42 @@ def run(
 
     Args:
         stream: at the rate of `source`.
-        source: where the sound comes from.
-        sinks: where the motion goes; they are closed at the end.
-        block: seconds of a block of sound.
-        fast: nothing waits for real time, and nothing is dropped.
+        source: origin of the sound. If it is fast, nothing is dropped, and it waits for the sinks.
+        sinks: receivers of the motion; they are closed at the end.
         report: figures to fill in.
         stopped: ends the run when it is set.
         warn: called with a line when something goes wrong that does not end the run.
     """
-    loop = _Loop(stream, source, Timeline(source.rate, source.tolerance), report)
-    intake = Intake(source, block, fast)
+    timeline, intake = Timeline(source.rate, source.tolerance), Intake(source)
+    feeds = [_Feed(sink, source.fast, warn) for sink in sinks]
+
+    def deliver(samples: np.ndarray, work: Callable[[], Motion | None]) -> None:
+        seconds = stream.n_frames / stream.fps
+        motion = report.timed(work)
+        lag = report.arrived(timeline.moment(seconds)) if motion is not None else None
+        for feed in feeds:
+            feed.put(Step(samples, motion, seconds, lag))
+
     try:
-        loop.feeds += [_Feed(sink, fast, warn) for sink in sinks]
         with intake:
-            while not stopped.is_set():
-                try:
-                    if (taken := intake.get(_POLL)) is None:
-                        break
-                except queue.Empty:
-                    loop.idle(fast)
-                else:
-                    loop.take(taken)
-        loop.deliver(np.zeros(0, np.float32), stream.finish)
+            while not stopped.is_set() and (samples := _next(intake, timeline)) is not None:
+                if len(samples):
+                    deliver(samples, partial(stream.step, samples))
+        deliver(_NOTHING, stream.finish)
     finally:
-        loop.close(intake.dropped)
-
-
-@dataclass
-class _Loop:
-    """State of a run, and the work of a block."""
-
-    stream: MotionStream
-    source: Source
-    timeline: Timeline
-    report: Report
-    feeds: list[_Feed] = field(default_factory=list)
-
-    def take(self, block: Block) -> None:
-        samples = self.timeline.place(block, time.monotonic())
-        self.deliver(samples, partial(self.stream.step, samples))
-
-    def idle(self, fast: bool) -> None:
-        if not fast and len(samples := self.timeline.idle(time.monotonic())):
-            self.deliver(samples, partial(self.stream.step, samples))
-
-    def deliver(self, samples: np.ndarray, work: Callable[[], Motion | None]) -> None:
-        """Do a step of work and hand its result to all sinks."""
-        report, first = self.report, self.stream.n_frames / self.stream.fps
-        begun = time.perf_counter()
-        motion = work()
-        ended = time.perf_counter()
-        report.steps.append(ended - begun)
-        report.computed += ended - begun
-        lag = None
-        if motion is not None:
-            report.frames += motion.n_frames
-            report.first_pose = report.first_pose or ended - report.begun
-            if (captured := self.timeline.moment(first)) is not None:
-                lag = time.monotonic() - captured
-                report.lags.append(lag)
-        for feed in self.feeds:
-            feed.put(Step(samples, motion, first, lag))
-
-    def close(self, dropped: float) -> None:
-        for feed in self.feeds:
+        for feed in feeds:
             feed.close()
-        line, report = self.timeline, self.report
-        report.seconds = line.seconds
-        report.missed = sum(feed.missed for feed in self.feeds)
-        report.failures = [feed.failure for feed in self.feeds if feed.failure]
-        names = ("bridged", "silent", "dropped", "skipped")
-        sound = (line.bridged, line.silent, line.dropped + dropped, line.skipped)
-        report.sound = dict(zip(names, sound))
+        report.seconds, report.overflows = timeline.seconds, source.overflows
+        report.sound = timeline.counts()
+        report.sound["dropped"] += intake.dropped
+        report.missed = sum(feed.missed for feed in feeds)
+        report.failures = [feed.failure for feed in feeds if feed.failure]
+
+
+def _next(intake: Intake, timeline: Timeline) -> np.ndarray | None:
+    """Return the samples that the stream gets next, which may be none yet; None at the end."""
+    try:
+        block = intake.get(_POLL)
+    except queue.Empty:
+        return _NOTHING if intake.source.fast else timeline.idle(time.monotonic())
+    return None if block is None else timeline.place(block, time.monotonic())

@@ -35,7 +35,6 @@ class Session:
         sinks: each as in `SINKS`.
         look_ahead: seconds of sound that the model knows beyond a frame.
         seed: of the stream.
-        item: name of the utterance.
         fast: do not wait for real time.
         block: seconds of sound of each step.
         rate: samples per second of standard input.
@@ -50,7 +49,6 @@ class Session:
     sinks: tuple[str, ...]
     look_ahead: float
     seed: int
-    item: str
     fast: bool
     block: float
     rate: int
@@ -73,20 +71,20 @@ class Session:
             ModelError: the model cannot stream.
         """
         source = self._source()
-        makers = [self._maker(sink, source) for sink in self.sinks]
+        # Recordings last: what they open is closed at the end of a run.
+        sinks = sorted(self.sinks, key=lambda sink: sink.startswith("record:"))
+        makers = [self._maker(sink, source) for sink in sinks]
         model = load()
         # A first step compiles and fills caches, for which no microphone waits.
         self._stream(model, source).step(np.zeros(source.rate, np.float32))
         stream = self._stream(model, source)
         example = cache(partial(model.generate, seconds=_EXAMPLE_SECONDS, seed=self.seed))
-        sinks = [make(example) for make in makers]
+        opened = [make(example) for make in makers]
         report.latency = stream.latency + self.block
-        ways = {"block": self.block, "fast": self.fast, "stopped": stopped, "warn": self._warn}
-        run(stream, source, sinks, report=report, **ways)
+        run(stream, source, opened, report=report, stopped=stopped, warn=self._warn)
 
     def _stream(self, model: Model, source: Source) -> MotionStream:
-        settings = {"look_ahead": self.look_ahead, "seed": self.seed, "item": self.item}
-        return model.stream(source.rate, **settings)
+        return model.stream(source.rate, look_ahead=self.look_ahead, seed=self.seed)
 
     def _warn(self, text: str) -> None:
         self.say(f"Warning: {text}")

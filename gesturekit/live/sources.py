@@ -31,13 +31,19 @@ class Source(Protocol):
 
     Attributes:
         rate: samples per second.
+        block: seconds of a block.
+        fast: whether blocks come as fast as they are taken, and have no time.
         tolerance: see `Timeline`.
         is_live: whether the sound is nowhere else, so that a recording has it too.
+        overflows: times that the sound card lost sound.
     """
 
     rate: int
+    block: float
+    fast: bool
     tolerance: float
     is_live: bool
+    overflows: int
 
     def run(self, put: Put, stopped: threading.Event) -> None:
         """Deliver blocks until the sound ends, or `stopped` is set."""
@@ -55,10 +61,10 @@ class FileSource:
         AudioError: no sound file.
     """
 
-    tolerance, is_live = 0.02, False
+    tolerance, is_live, overflows = 0.02, False, 0
 
     def __init__(self, path: Path, block: float, fast: bool) -> None:
-        self._wave, self._fast = Wave.load(path), fast
+        self._wave, self.block, self.fast = Wave.load(path), block, fast
         self.rate = self._wave.sample_rate
         self._size = max(round(block * self.rate), 1)
 
@@ -68,11 +74,11 @@ class FileSource:
         for at in range(0, len(samples), self._size):
             block = samples[at : at + self._size]
             begins = start + at / self.rate
-            if not self._fast:
+            if not self.fast:
                 time.sleep(max(begins + len(block) / self.rate - time.monotonic(), 0))
             if stopped.is_set():
                 return
-            put(Block(block, None if self._fast else begins))
+            put(Block(block, None if self.fast else begins))
 
 
 class PipeSource:
@@ -85,10 +91,10 @@ class PipeSource:
         fast: read as fast as possible.
     """
 
-    tolerance, is_live = _AHEAD, True
+    tolerance, is_live, overflows = _AHEAD, True, 0
 
     def __init__(self, pipe: BinaryIO, rate: int, block: float, fast: bool) -> None:
-        self._pipe, self._fast, self.rate = pipe, fast, rate
+        self._pipe, self.rate, self.block, self.fast = pipe, rate, block, fast
         self._size = 2 * max(round(block * rate), 1)
 
     def run(self, put: Put, stopped: threading.Event) -> None:
@@ -98,10 +104,10 @@ class PipeSource:
             samples = np.frombuffer(data[: len(data) // 2 * 2], "<i2") / np.float32(32768)
             n_read += len(samples)
             ahead = n_read / self.rate - _FASTER * (time.monotonic() - start)
-            if not self._fast:
+            if not self.fast:
                 time.sleep(max(ahead - _AHEAD, 0))
             begins = time.monotonic() - len(samples) / self.rate
-            put(Block(samples, None if self._fast else begins))
+            put(Block(samples, None if self.fast else begins))
 
 
 class Microphone:
@@ -116,10 +122,10 @@ class Microphone:
         ConfigError: sounddevice or PortAudio is not installed, or there is no such device.
     """
 
-    tolerance, is_live = 0.02, True
+    tolerance, is_live, fast = 0.02, True, False
 
     def __init__(self, device: str | None, block: float, warn: Callable[[str], None]) -> None:
-        self._portaudio, self._block, self._warn = _portaudio(), block, warn
+        self._portaudio, self.block, self._warn = _portaudio(), block, warn
         self._device = int(device) if device is not None and device.isdecimal() else device
         self.overflows = 0
         try:
@@ -147,7 +153,7 @@ class Microphone:
 
         with self._portaudio.InputStream(
             samplerate=self.rate,
-            blocksize=max(round(self._block * self.rate), 1),
+            blocksize=max(round(self.block * self.rate), 1),
             device=self._device,
             channels=1,
             dtype="float32",
@@ -179,18 +185,18 @@ def _portaudio() -> ModuleType:
 class Intake:
     """A source in a thread of its own, and the bounded queue of its blocks.
 
+    While the queue is full, a fast source waits; any other loses the oldest block.
+
     Args:
-        source: where the sound comes from.
-        block: seconds of a block, of which `QUEUE_SECONDS` may wait.
-        fast: let the source wait while the queue is full, instead of dropping the oldest block.
+        source: origin of the sound, of which `QUEUE_SECONDS` may wait.
 
     Attributes:
         dropped: seconds of sound that had to go.
     """
 
-    def __init__(self, source: Source, block: float, fast: bool) -> None:
-        self._source, self._fast = source, fast
-        self._queue: queue.Queue[Block | None] = queue.Queue(max(round(QUEUE_SECONDS / block), 2))
+    def __init__(self, source: Source) -> None:
+        self.source, size = source, max(round(QUEUE_SECONDS / source.block), 2)
+        self._queue: queue.Queue[Block | None] = queue.Queue(size)
         self._stopped, self._error, self.dropped = threading.Event(), None, 0.0
         self._thread = threading.Thread(target=self._run, name="sound", daemon=True)
 
@@ -215,15 +221,15 @@ class Intake:
 
     def _run(self) -> None:
         try:
-            self._source.run(self._put, self._stopped)
+            self.source.run(self._put, self._stopped)
         except Exception as error:
             self._error = error
         self._put(None)
 
     def _put(self, block: Block | None) -> None:
-        wait = self._stopped if self._fast or block is None else None
+        wait = self._stopped if self.source.fast or block is None else None
         for gone in put_newest(self._queue, block, wait):
-            self.dropped += len(gone.samples) / self._source.rate
+            self.dropped += len(gone.samples) / self.source.rate
 
 
 def put_newest(full: queue.Queue[Any], item: Any, wait: threading.Event | None) -> list[Any]:

@@ -40,12 +40,10 @@ class Timeline:
         rate: samples per second.
         tolerance: seconds by which a block may come early or late without being taken for a gap.
 
-    Attributes:
-        bridged, silent, dropped, skipped: seconds of sound so far.
     """
 
     def __init__(self, rate: int, tolerance: float) -> None:
-        self.bridged = self.silent = self.dropped = self.skipped = 0.0
+        self._bridged = self._silent = self._dropped = self._skipped = 0.0
         self._rate, self._tolerance = rate, tolerance
         self._given, self._missing = 0, 0
         self._origin: float | None = None
@@ -55,6 +53,11 @@ class Timeline:
     def seconds(self) -> float:
         """Length of the sound that the stream got."""
         return self._given / self._rate
+
+    def counts(self) -> dict[str, float]:
+        """Return how many seconds of sound were bridged, silent, dropped and skipped so far."""
+        names = ("bridged", "silent", "dropped", "skipped")
+        return {name: getattr(self, f"_{name}") for name in names}
 
     def moment(self, seconds: float) -> float | None:
         """Return the clock's time of a second of the stream's sound; None without a clock."""
@@ -69,7 +72,7 @@ class Timeline:
             ahead = self._origin + self.seconds - block.time
             if ahead > self._tolerance:
                 late = min(round(ahead * self._rate), len(samples))
-                self.dropped += late / self._rate
+                self._dropped += late / self._rate
                 samples = samples[late:]
             elif -ahead > self._tolerance:
                 is_behind = now - block.time - len(samples) / self._rate > BRIDGE
@@ -95,7 +98,7 @@ class Timeline:
 
     def _skip(self, seconds: float) -> None:
         self._origin += max(seconds, 0.0)
-        self.skipped += max(seconds, 0.0)
+        self._skipped += max(seconds, 0.0)
 
     def _filled(self, count: int) -> np.ndarray:
         """Return `count` samples that go on from the last ones, mirrored and fading to silence."""
@@ -103,8 +106,8 @@ class Timeline:
         kept = places[places < len(self._last)]
         filled = np.zeros(count, np.float32)
         filled[: len(kept)] = self._last[::-1][kept] * (1 - kept / len(self._last))
-        self.bridged += len(kept) / self._rate
-        self.silent += (count - len(kept)) / self._rate
+        self._bridged += len(kept) / self._rate
+        self._silent += (count - len(kept)) / self._rate
         self._missing += count
         self._given += count
         return filled

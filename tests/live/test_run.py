@@ -42,12 +42,11 @@ def live(gesturekit, monkeypatch):
     return lambda *arguments: gesturekit("live", *arguments)
 
 
-def start(source, sinks, *, fast: bool = False) -> Report:
+def start(source, sinks, stream=None) -> Report:
     """Run a source through the stream in this process."""
     report, warnings = Report(begun=time.perf_counter()), []
-    stream = LoudModel().stream(source.rate)
-    ways = {"block": 0.04, "fast": fast, "stopped": threading.Event(), "warn": warnings.append}
-    run(stream, source, sinks, report=report, **ways)
+    stream = stream or LoudModel().stream(source.rate)
+    run(stream, source, sinks, report=report, stopped=threading.Event(), warn=warnings.append)
     return report
 
 
@@ -89,7 +88,7 @@ def test_a_file_in_real_time_moves_as_it_does_at_once(write_speech, tmp_path):
     speech, kept = write_speech(tmp_path / "a.wav", 0.7), {}
     for fast in (False, True):
         kept[fast] = Kept()
-        report = start(FileSource(speech, 0.04, fast), [kept[fast]], fast=fast)
+        report = start(FileSource(speech, 0.04, fast), [kept[fast]])
         if any(report.sound.values()):
             pytest.skip("this machine is too busy for real time")
     np.testing.assert_array_equal(kept[False].angles, kept[True].angles)
@@ -133,7 +132,7 @@ def test_sinks_that_block_or_fail_slow_nobody(write_speech, tmp_path, monkeypatc
 class Stalling:
     """Half a second of sound, nothing for as long, and the rest at its time."""
 
-    rate, tolerance, is_live = 16_000, 0.02, True
+    rate, block, fast, tolerance, is_live, overflows = 16_000, 0.04, False, 0.02, True, 0
 
     def run(self, put, stopped) -> None:
         start = time.monotonic()
@@ -158,9 +157,7 @@ def test_a_model_that_is_too_slow_drops_sound_and_stays_near_the_present(write_s
     speech, stream = write_speech(tmp_path / "a.wav", 1.8), LoudModel().stream(16_000)
     step = stream.step
     stream.step = lambda samples: (time.sleep(2 * len(samples) / 16_000), step(samples))[1]
-    report = Report(begun=time.perf_counter())
-    ways = {"block": 0.04, "fast": False, "stopped": threading.Event(), "warn": print}
-    run(stream, FileSource(speech, 0.04, False), [], report=report, **ways)
+    report = start(FileSource(speech, 0.04, False), [], stream)
     assert report.sound["dropped"] > 0.3
     # The look-ahead, and what waits at the end at half the speed; all sound would take 2 s.
     assert max(report.lags) < 0.2 + 2 * 0.5 + 0.3

@@ -9,6 +9,7 @@ const LONGER = 0.5; // how fast the delay grows, in seconds a second: frames com
 const SHORTER = 0.05; // and how fast it shrinks, which no one sees
 const JUMP = 1; // a longer way, in seconds, is not gone slowly: the sender was stopped
 const RETRY = 2000; // milliseconds
+const BEFORE = new Quaternion();
 const CALM = 0.02; // share of the way that the camera follows in a drawn frame
 
 // Time at which a frame is shown: a delay after its own, as long as the frame that came latest needs.
@@ -62,23 +63,23 @@ function append(figure, { parents, offsets }, count, numbers) {
   else figure.n_frames += 1;
   const frame = figure.n_frames - 1;
   const turns = [];
-  const places = parents.map((above, j) => {
-    const turn = j < joints ? new Quaternion().fromArray(numbers, 3 + 4 * j) : new Quaternion();
-    turns.push(above < 0 ? turn : turn.premultiply(turns[above]));
-    return above < 0 ? new Vector3().fromArray(numbers) : new Vector3().fromArray(offsets[j]).applyQuaternion(turns[above]);
-  });
+  const places = [];
   parents.forEach((above, j) => {
-    if (above >= 0) places[j].add(places[above]);
-    places[j].toArray(steps, frame * channels + 3 * j);
+    const turn = new Quaternion();
+    if (j < joints) turn.fromArray(numbers, 3 + 4 * j);
+    const place = new Vector3().fromArray(above < 0 ? numbers : offsets[j]);
+    if (above >= 0) {
+      turn.premultiply(turns[above]);
+      place.applyQuaternion(turns[above]).add(places[above]);
+    }
+    turns.push(turn);
+    places.push(place);
+    place.toArray(steps, frame * channels + 3 * j);
   });
-  if (!skin) return;
-  for (let j = 0, at = 4 * joints * frame; j < joints; j++, at += 4) {
-    const before = frame ? at - 4 * joints : at;
-    const [x, y, z, w] = turns[j].toArray();
+  for (let j = 0, at = 4 * joints * frame; skin && j < joints; j++, at += 4) {
     // q and -q are the same rotation; the nearer one can be interpolated.
-    const [a, b, c, d] = skin.turns.subarray(before, before + 4);
-    const sign = frame && a * x + b * y + c * z + d * w < 0 ? -1 : 1;
-    skin.turns.set([sign * x, sign * y, sign * z, sign * w], at);
+    const isFar = frame && BEFORE.fromArray(skin.turns, at - 4 * joints).dot(turns[j]) < 0;
+    skin.turns.set(turns[j].toArray().map((value) => (isFar ? -value : value)), at);
   }
 }
 

@@ -1,0 +1,76 @@
+"""A microphone, by a stand-in of PortAudio that plays what a sound card would deliver."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gesturekit.errors import ConfigError
+from gesturekit.live.sources import Microphone
+from gesturekit.live.timeline import Block
+
+
+class SoundCard:
+    """The parts of the module `sounddevice` that are used, of a card with one microphone.
+
+    Args:
+        dated: whether the driver says when sound was captured.
+    """
+
+    class PortAudioError(Exception):
+        pass
+
+    def __init__(self, dated: bool = True) -> None:
+        self.dated, self.asked = dated, None
+
+    def query_devices(self, device=None, kind=None):
+        if device not in (None, 1, "USB"):
+            raise ValueError(f"No input device matching {device!r}")
+        return {"default_samplerate": 48000.0} if kind else "  1 USB microphone"
+
+    def InputStream(self, **settings):  # noqa: N802
+        self.settings = settings
+        return self
+
+    def __enter__(self):
+        for k in range(5):
+            data = np.full((1920, 1), k / 10, np.float32)
+            # Dated half a second after the stream began, by a clock of its own.
+            times = SimpleNamespace(currentTime=7.5, inputBufferAdcTime=7.4 if self.dated else 0.0)
+            status = SimpleNamespace(input_overflow=k in (2, 3))
+            self.settings["callback"](data, 1920, times, status)
+            data[:] = 9.0  # PortAudio uses its buffer again
+
+    def __exit__(self, *_):
+        pass
+
+
+@pytest.mark.parametrize(("dated", "age"), [(True, 0.1), (False, 0.04)])
+def test_sound_of_a_microphone_is_dated_and_lost_sound_is_said_once(monkeypatch, dated, age):
+    card, warnings, blocks = SoundCard(dated), [], []
+    monkeypatch.setitem(sys.modules, "sounddevice", card)
+    microphone = Microphone("1", 0.04, warnings.append)
+    stopped, now = threading.Event(), time.monotonic()
+    stopped.set()
+    microphone.run(blocks.append, stopped)
+    assert microphone.rate == 48000 and card.settings["blocksize"] == 1920
+    assert card.settings["device"] == 1 and card.settings["channels"] == 1
+    assert [block.samples.tolist() for block in blocks] == [
+        np.full(1920, k / 10, np.float32).tolist() for k in range(5)
+    ]
+    assert all(isinstance(b, Block) and abs(now - age - b.time) < 0.05 for b in blocks)
+    assert len(warnings) == 1 and "lost sound" in warnings[0] and microphone.overflows == 2
+
+
+def test_a_microphone_that_is_missing_is_one_clear_error(monkeypatch, gesturekit):
+    monkeypatch.setitem(sys.modules, "sounddevice", SoundCard())
+    assert "USB microphone" in gesturekit("live", "--list-devices").ok().out
+    gesturekit("live", "--from", "mic:front").fails(2, "mic:front: No input device matching")
+    monkeypatch.setitem(sys.modules, "sounddevice", None)
+    with pytest.raises(ConfigError, match=r"pip install 'gesturekit\[live\]'"):
+        Microphone(None, 0.04, print)
