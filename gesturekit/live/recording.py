@@ -67,7 +67,6 @@ class Recording:
 
     def _recorded(self, first: Motion) -> Motion:
         """Return all motion, whose numbers stay on disk; `first` is its first frame."""
-        self._frames.flush()
         rows = np.memmap(self._frames, np.float64, "r").reshape(-1, _rows(first).shape[1])
         n_joints = first.skeleton.n_joints
         ends = 3 + 4 * n_joints

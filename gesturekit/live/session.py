@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gesturekit.errors import ConfigError
-from gesturekit.formats.registry import writer_of
 from gesturekit.live.recording import Recording
 from gesturekit.live.runner import MotionStream, Report, Sink, run
 from gesturekit.live.sources import FileSource, Microphone, PipeSource, Source
@@ -71,9 +70,7 @@ class Session:
             ModelError: the model cannot stream.
         """
         source = self._source()
-        # Recordings last: what they open is closed at the end of a run.
-        sinks = sorted(self.sinks, key=lambda sink: sink.startswith("record:"))
-        makers = [self._maker(sink, source) for sink in sinks]
+        makers = [self._maker(sink, source) for sink in self.sinks]
         model = load()
         # A first step compiles and fills caches, for which no microphone waits.
         self._stream(model, source).step(np.zeros(source.rate, np.float32))
@@ -104,7 +101,6 @@ class Session:
 
         Raises:
             ConfigError: no such sink, or a package for it is not installed.
-            FormatError: a recording of a format that is not written.
         """
         kind, _, place = sink.partition(":")
         try:
@@ -125,7 +121,6 @@ class Session:
             ) from None
         if kind != "record" or not place:
             raise ConfigError(f"--to {sink}: no such sink; expected {SINKS}")
-        writer_of(place, ())
         rate = source.rate if source.is_live else None
         return lambda _: Recording(Path(place), rate)
 

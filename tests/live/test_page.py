@@ -57,10 +57,10 @@ class Served:
 def serve() -> Iterator[Callable[..., Served]]:
     opened = []
 
-    def start(body: str = "human") -> Served:
+    def start(body: str = "human", raised_by: float = 0.0) -> Served:
         listening = socket.create_server(("127.0.0.1", 0))
         skeleton = LoudModel().skeleton
-        example = raised(skeleton, np.zeros(30), 30.0)
+        example = raised(skeleton, np.full(30, raised_by), 30.0)
         page = Page(listening, ("127.0.0.1",), example, body=body)
         opened.append(page)
         return Served(page, listening.getsockname()[1], skeleton)
@@ -110,27 +110,30 @@ def test_a_body_without_skin_has_its_limbs_ends_on_the_page(serve):
     head = served.skeleton.index("Head")
     tops = [o[1] for p, o in zip(joints["parents"], joints["offsets"]) if p == head]
     assert 0.15 < max(tops) < 0.35
+    # They hang on their joints, whatever the pose in which they were measured.
+    other = serve("mannequin", raised_by=1.0).joints()
+    for one, same in zip(
+        joints["offsets"][joints["n_joints"] :], other["offsets"][joints["n_joints"] :]
+    ):
+        np.testing.assert_allclose(one, same, atol=1e-6)
 
 
 def test_clients_that_leave_or_block_slow_nobody(serve):
     served = serve()
-    with (
-        connect(served.url, max_queue=1, compression=None) as asleep,
-        connect(served.url) as awake,
-    ):
+    with connect(served.url, max_queue=1) as asleep, connect(served.url) as awake:
         with connect(served.url):
             wait_for_client(served, 3)
         begun, per_step, seen = time.monotonic(), 200, []
-        for k in range(40):  # 8000 frames, some 17 MB: more than the system holds for the sleeper
+        for k in range(18):  # 3600 frames, some 7 MB: more than the system holds for the sleeper
             served.raise_arm([0.0] * per_step, k * per_step / 30)
             while not seen or seen[-1] < ((k + 1) * per_step - 1) / 30 - 1e-6:
                 seen.append(decoded(awake.recv(timeout=5))[0])
-        assert time.monotonic() - begun < 8
+        assert time.monotonic() - begun < 4
         # The sleeper wakes: what it missed is gone, and it gets the newest frames.
         late = [decoded(asleep.recv(timeout=5))[0]]
-        while late[-1] < 7999 / 30 - 1e-6:
+        while late[-1] < 3599 / 30 - 1e-6:
             late.append(decoded(asleep.recv(timeout=5))[0])
-    assert len(late) < 8000 and (np.diff(late) > 0).all()
+    assert len(late) < 3600 and (np.diff(late) > 0).all()
 
 
 def test_pages_of_other_sites_get_nothing(serve):
@@ -158,7 +161,7 @@ HOUR = """(() => {
     const playout = new window.live.Playout();
     let seed = 1, newest = 0, last = 0;
     const random = () => (seed = (seed * 16807) % 2147483647) / 2147483647;
-    for (let k = 0; k < 3600 * 30; k++) {
+    for (let k = 0; k < 1800 * 30; k++) {
       const sent = (k / 30) * (1 + ppm * 1e-6) + 50;
       playout.arrived(k / 30, sent + 0.03 * random());
       const now = sent + 0.033;
@@ -183,12 +186,12 @@ def test_a_browser_shows_frames_steadily_and_follows_the_senders_clock(serve, op
         served.raise_arm([5.0 * k], k / 30)
         time.sleep(0.01)
     browser.wait("document.documentElement.dataset.frames == '12'")
-    browser.wait("/^0\\.\\d s, shown 0\\.\\d\\d s after/.test(facts.textContent)")
+    browser.wait("/^0\\.\\d s, shown \\d+\\.\\d\\d s after/.test(facts.textContent)")
     # The last pose: the right hand is on the figure's right, above its head.
     hand = Human.load().skeleton.index("RightHand")
     x, y, _ = browser.run(NEWEST.format(hand))
     assert x < -0.2 and y > 1.6
-    # At 3 to 33 ms on the way and 200 ppm of drift, an hour long: 30 ms of delay, no more.
+    # Up to 30 ms on the way, and half an hour of 200 ppm each way: 30 ms of delay, no more.
     worst = browser.run(HOUR)
     assert worst["behind"] < 0.02 and worst["ahead"] < 0.034 and worst["back"] == 0
     served.page.close()

@@ -20,10 +20,10 @@ from loud import LoudModel
 
 from audio_features import Wave
 from gesturekit import systems
-from gesturekit.live import runner
+from gesturekit.live import runner, sources
 from gesturekit.live.recording import Recording
 from gesturekit.live.runner import Report, run
-from gesturekit.live.sources import FileSource
+from gesturekit.live.sources import FileSource, PipeSource
 from gesturekit.live.timeline import Block
 from gesturekit.motion import Motion
 
@@ -153,14 +153,48 @@ def test_the_stream_goes_on_while_its_source_stalls():
     assert angles[6] < -0.15 and abs(angles[24]) < 1e-6 and angles[-2] < -0.1
 
 
-def test_a_model_that_is_too_slow_drops_sound_and_stays_near_the_present(write_speech, tmp_path):
-    speech, stream = write_speech(tmp_path / "a.wav", 1.8), LoudModel().stream(16_000)
+class Pipe:
+    """Seconds of sound, each block of .04 s to be had at its time after the start.
+
+    Args:
+        times: of each block, seconds.
+    """
+
+    def __init__(self, times: list[float]) -> None:
+        self.times, self.start = times[::-1], time.monotonic()
+
+    def read(self, size: int) -> bytes:
+        if not self.times:
+            return b""
+        time.sleep(max(self.start + self.times.pop() - time.monotonic(), 0))
+        return np.full(size // 2, 3000, "<i2").tobytes()
+
+
+def test_a_pipe_is_read_at_the_speed_of_speech_and_its_backlog_is_dropped():
+    at_once = [0.0] * 15
+    begun = time.monotonic()
+    report = start(PipeSource(Pipe(at_once), 16_000, 0.04, False), [])
+    assert time.monotonic() - begun > 0.6 - 0.25 - 0.05
+    assert report.seconds == pytest.approx(0.6) and not any(report.sound.values())
+    # It stalls for .7 s, and what was said meanwhile comes in one burst.
+    stalled = [0.04, 0.08, *[0.8] * 18, *np.arange(0.84, 1.1, 0.04).tolist()]
+    begun = time.monotonic()
+    report = start(PipeSource(Pipe(stalled), 16_000, 0.04, False), [])
+    assert report.sound["bridged"] > 0.1 and report.sound["dropped"] > 0.3
+    assert report.seconds < time.monotonic() - begun + 0.25 + 0.1
+
+
+def test_a_model_that_is_too_slow_drops_sound_and_stays_near_the_present(
+    write_speech, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(sources, "QUEUE_SECONDS", 0.32)
+    speech, stream = write_speech(tmp_path / "a.wav", 1.2), LoudModel().stream(16_000)
     step = stream.step
     stream.step = lambda samples: (time.sleep(2 * len(samples) / 16_000), step(samples))[1]
     report = start(FileSource(speech, 0.04, False), [], stream)
-    assert report.sound["dropped"] > 0.3
-    # The look-ahead, and what waits at the end at half the speed; all sound would take 2 s.
-    assert max(report.lags) < 0.2 + 2 * 0.5 + 0.3
+    assert report.sound["dropped"] > 0.2
+    # The look-ahead, and what waits, at half the speed; all sound would be 1.4 s late at the end.
+    assert max(report.lags) < 0.2 + 2 * 0.32 + 0.3
 
 
 def test_ctrl_c_leaves_a_whole_recording(tmp_path):
@@ -214,6 +248,10 @@ def test_figures_of_a_run_are_a_table_and_json(live, write_speech, tmp_path):
             "9.0 is not in the range",
         ),
         (["--from", "{wav}", "--to", "page", "--host", "192.0.2.1"], "--host 192.0.2.1"),
+        (
+            ["--from", "-", "--to", "record:{wav}.bvh,vmc:no.such.host.invalid:39539"],
+            "no.such.host",
+        ),
         (["--fast"], "--fast is for files and pipes"),
     ],
 )

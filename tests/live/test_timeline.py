@@ -49,6 +49,9 @@ def test_a_lost_block_is_bridged_by_sound_that_fades():
     np.testing.assert_allclose(bridge[0], whole[6 * SIZE - 1], atol=1e-3)
     mirrored = whole[5 * SIZE : 6 * SIZE][::-1] * np.linspace(1, 0.8, SIZE)
     np.testing.assert_allclose(bridge, mirrored, atol=2e-3)
+    # The next gap is bridged anew.
+    again = placed(line, Block(TONE[11 * SIZE : 12 * SIZE], 0.44))
+    np.testing.assert_allclose(again[:50], whole[::-1][:50], atol=0.02)
 
 
 def test_a_source_that_stalls_gives_fading_sound_and_then_silence():
@@ -75,6 +78,7 @@ def test_a_gap_that_no_silence_could_fill_is_skipped():
     assert line.moment(line.seconds) == pytest.approx(3600.04)
     assert counts(line)[::3] == [0.2, round(3600 - 0.04 - 0.2, 6)]
     assert len(line.idle(9000.0)) == RATE
+    assert line.moment(line.seconds) == pytest.approx(9000 - 0.22)
 
 
 def test_a_gap_is_not_filled_while_the_computer_is_behind():
