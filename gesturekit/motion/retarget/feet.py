@@ -49,9 +49,17 @@ class FootMotion:
     floor: float
 
     @classmethod
-    def measure(cls, motion: Motion, frames: BodyFrames) -> FootMotion:
-        """Measure the feet of a motion whose rig has these segments."""
-        positions, world = motion.positions(), motion.global_rotations()
+    def measure(
+        cls, motion: Motion, frames: BodyFrames, positions: np.ndarray, world: np.ndarray
+    ) -> FootMotion:
+        """Measure the feet of a motion.
+
+        Args:
+            motion: T frames.
+            frames: segments of its rig.
+            positions: (T, J, 3) positions of its joints, metres.
+            world: (T, J, 4) their world rotations.
+        """
         ankles, toes, standing, stretch = {}, {}, {}, {}
         still = CONTACT_SPEED * body_scale(motion.skeleton)
         for side in SIDES:
@@ -218,7 +226,7 @@ class FootTargets:
         rotations = rotations.copy()
         positions = positions + (hips - self.hip_centre(positions))[:, None]
         for side in SIDES:
-            hip, knee, ankle = limb = [
+            hip, knee, _ = limb = [
                 self.target.joints[f"{side}_{part}"] for part in ("hip", "knee", "ankle")
             ]
             own = multiply_quaternions(world[:, hip], self.target.from_anatomical[f"{side}_hip"])
@@ -229,7 +237,9 @@ class FootTargets:
                 world[:, [skeleton.parents[hip], skeleton.parents[knee]]],
                 pole=rotate_vectors(own, np.broadcast_to(FORWARD, (len(own), 3))),
             )
-            now = global_rotations(rotations, skeleton)
+        now = global_rotations(rotations, skeleton)
+        for side in SIDES:
+            ankle = self.target.joints[f"{side}_ankle"]
             back = invert_quaternions(now[:, skeleton.parents[ankle]])
             rotations[:, ankle] = multiply_quaternions(back, world[:, ankle])
         return rotations

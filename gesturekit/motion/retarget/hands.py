@@ -76,10 +76,11 @@ def place_hands(
             world[:, [skeleton.parents[j] for j in bones]],
             pole=rotate_vectors(upper_arm, np.broadcast_to(-FORWARD, by_position.shape)),
         )
+    now = global_rotations(rotations, skeleton)
+    for side in SIDES:
         wrist = target.joints.get(f"{side}_wrist")
         if wrist is not None:  # keep the orientation of the hand
-            forearm = global_rotations(rotations, skeleton)[:, skeleton.parents[wrist]]
-            back = invert_quaternions(forearm)
+            back = invert_quaternions(now[:, skeleton.parents[wrist]])
             rotations[:, wrist] = multiply_quaternions(back, world[:, wrist])
     return rotations
 

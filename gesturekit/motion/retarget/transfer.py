@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -107,7 +107,8 @@ class Transfer:
         if is_first:
             source_parts = find_parts(motion.skeleton, self._parts)
             source = body_frames(motion.skeleton, source_parts, standing_pose(motion, source_parts))
-        own_feet = FootMotion.measure(motion, source) if source.parts.legs else None
+        own = _Posed(motion, motion.positions(), motion.global_rotations())
+        own_feet = FootMotion.measure(motion, source, *own[1:]) if source.parts.legs else None
         if is_first:
             source = self._fit(motion, source, own_feet, same)
         target = self._target
@@ -116,11 +117,11 @@ class Transfer:
             for name, values in motion.joint_translations.items()
             if same and skeleton.index(name) != self._carrier
         }
-        world = _world_rotations(motion, source, target, same)
+        world = _world_rotations(own, source, target, same)
         if own_feet is None or not target.parts.legs:
-            rotations, root = self._without_feet(motion, world, moving, own_feet)
+            rotations, root = self._without_feet(own, world, moving, own_feet)
         else:
-            rotations, root = self._with_feet(motion, world, moving, own_feet)
+            rotations, root = self._with_feet(own, world, moving, own_feet)
         made = _placed(motion, skeleton, rotations, moving, self._carrier, root)
         return replace(made, expressions=motion.expressions) if same else made
 
@@ -148,7 +149,7 @@ class Transfer:
         return source
 
     def _arms(
-        self, motion: Motion, world: np.ndarray, moving: dict[str, np.ndarray]
+        self, own: _Posed, world: np.ndarray, moving: dict[str, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return local rotations (T, J, 4) with solved arms, and joint positions without them.
 
@@ -157,21 +158,20 @@ class Transfer:
         """
         skeleton = self._skeleton
         rotations = _local_rotations(world, skeleton)
-        origin = np.zeros((motion.n_frames, 3))
+        origin = np.zeros((len(world), 3))
         positions = forward_kinematics(rotations, origin, skeleton, moving)
-        turns = motion.global_rotations()
-        own = motion.positions()
-        return place_hands(self._source, self._target, own, turns, positions, rotations), positions
+        rotations = place_hands(self._source, self._target, *own[1:], positions, rotations)
+        return rotations, positions
 
     def _with_feet(
         self,
-        motion: Motion,
+        own: _Posed,
         world: np.ndarray,
         moving: dict[str, np.ndarray],
         own_feet: FootMotion,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Solve arms and legs; return local rotations (T, J, 4) and carrier places (T, 3)."""
-        rotations, positions = self._arms(motion, world, moving)
+        rotations, positions = self._arms(own, world, moving)
         if self._targets.shift is None:
             shift = self._targets.mean_shift(world)
             self._targets = replace(self._targets, shift=shift)
@@ -180,13 +180,12 @@ class Transfer:
         if self._feet:
             hips = hips - targets.hip_drop(world, positions, hips)
             rotations = targets.solve_legs(rotations, world, positions, hips)
-            origin = np.zeros((motion.n_frames, 3))
-            positions = forward_kinematics(rotations, origin, self._skeleton, moving)
+        # Neither arms nor legs move the hips, or what is above them.
         return rotations, positions[:, self._carrier] + (hips - targets.hip_centre(positions))
 
     def _without_feet(
         self,
-        motion: Motion,
+        own: _Posed,
         world: np.ndarray,
         moving: dict[str, np.ndarray],
         own_feet: FootMotion | None,
@@ -198,8 +197,8 @@ class Transfer:
         target with legs stands on the floor.
         """
         skeleton, target = self._skeleton, self._target
-        rotations, positions = self._arms(motion, world, moving)
-        pelvis = motion.positions()[:, self._source.joints["pelvis"]]
+        rotations, positions = self._arms(own, world, moving)
+        pelvis = own.positions[:, self._source.joints["pelvis"]]
         body = positions[:, target.joints["pelvis"]]
         if self._path is None:
             floor = 0.0 if own_feet is None else own_feet.floor
@@ -217,6 +216,14 @@ class Transfer:
         return rotations, positions[:, self._carrier] + (path - body)
 
 
+class _Posed(NamedTuple):
+    """A motion, and world positions (T, J, 3), metres, and rotations (T, J, 4) of its joints."""
+
+    motion: Motion
+    positions: np.ndarray
+    turns: np.ndarray
+
+
 def _is_one_rig(a: Skeleton, b: Skeleton) -> bool:
     return (a.names, a.parents) == (b.names, b.parents)
 
@@ -230,13 +237,11 @@ def _check_target(skeleton: Any) -> None:
 
 
 def _world_rotations(
-    motion: Motion, source: BodyFrames, target: BodyFrames, same: bool
+    posed: _Posed, source: BodyFrames, target: BodyFrames, same: bool
 ) -> np.ndarray:
     """(T, J, 4) world rotations of the target's joints."""
-    skeleton = target.skeleton
-    frames = _segment_frames(
-        source, target, source.world(motion.global_rotations(), motion.positions())
-    )
+    skeleton, motion = target.skeleton, posed.motion
+    frames = _segment_frames(source, target, source.world(posed.turns, posed.positions))
     # Joints without a segment in the source, fingers included, keep their rest rotation.
     segment_of = {joint: segment for segment, joint in target.joints.items() if segment in frames}
     rests = motion.rotations if same else np.tile(target.pose, (motion.n_frames, 1, 1))
