@@ -7,6 +7,7 @@ import json
 import socket
 import struct
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -26,6 +27,7 @@ from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 from gesturekit.serving.address import is_foreign
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.html import player_data, player_shell
+from gesturekit.viewer.human.body import Fitting
 from gesturekit.viewer.pages import insert, script_json
 
 _MOST_CLIENTS = 32
@@ -45,6 +47,7 @@ class Page:
         listening: socket that listens.
         hosts: names under which the page is reached; ("*",) for any.
         example: motion on the stream's rig, from which its standing pose is measured.
+        human: function that returns what puts motion on the human body.
         body: body to draw; see `DrawnBody`.
         framing: first view, "whole" or "waist".
 
@@ -57,12 +60,13 @@ class Page:
         listening: socket.socket,
         hosts: tuple[str, ...],
         example: Motion,
+        human: Callable[[], Fitting],
         *,
         body: str = "human",
         framing: str = "whole",
     ) -> None:
         drawn = DrawnBody.of(example, body)
-        self._fitting = drawn.fitting
+        self._fitting = human() if drawn.fitting and body == "human" else drawn.fitting
         page = json.loads(player_data(example, body=body, framing=framing))
         page["live"] = _joints(drawn)
         places = {"title": "Live", "motion": script_json(page)}

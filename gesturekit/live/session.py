@@ -16,11 +16,14 @@ from gesturekit.errors import ConfigError
 from gesturekit.live.recording import Recording
 from gesturekit.live.runner import MotionStream, Report, Sink, run
 from gesturekit.live.sources import FileSource, Microphone, PipeSource, Source
+from gesturekit.motion import Motion
+from gesturekit.viewer.human.body import Fitting, Human
 
 if TYPE_CHECKING:
     from gesturekit.model import Model
-    from gesturekit.motion import Motion
 
+Maker = Callable[[Callable[[], Motion], Callable[[], Fitting]], Sink]
+"""Function that opens a sink, of an example of the motion and what puts it on the human body."""
 SINKS = "page, vmc:HOST:PORT or record:FILE"
 _EXAMPLE_SECONDS = 2.0
 
@@ -76,7 +79,9 @@ class Session:
         self._stream(model, source).step(np.zeros(source.rate, np.float32))
         stream = self._stream(model, source)
         example = cache(partial(model.generate, seconds=_EXAMPLE_SECONDS, seed=self.seed))
-        opened = [make(example) for make in makers]
+        # One for all sinks, so that each motion is retargeted once.
+        human = cache(lambda: Fitting(Human.load(), example()))
+        opened = [make(example, human) for make in makers]
         report.latency = stream.latency + self.block
         run(stream, source, opened, report=report, stopped=stopped, warn=self._warn)
 
@@ -96,8 +101,8 @@ class Session:
             return PipeSource(sys.stdin.buffer, self.rate, self.block, self.fast)
         return FileSource(Path(self.source), self.block, self.fast)
 
-    def _maker(self, sink: str, source: Source) -> Callable[[Callable[[], Motion]], Sink]:
-        """Check a sink, and return the function that opens it, given one that makes a motion.
+    def _maker(self, sink: str, source: Source) -> Maker:
+        """Check a sink, and return the function that opens it.
 
         Raises:
             ConfigError: no such sink, or a package for it is not installed.
@@ -114,7 +119,7 @@ class Session:
                     raise ConfigError(
                         f"--to {sink}: expected vmc:HOST:PORT, as vmc:127.0.0.1:39539"
                     )
-                return lambda example: VmcSender(host.strip("[]"), int(port), example())
+                return lambda _, human: VmcSender(host.strip("[]"), int(port), human())
         except ImportError as error:
             raise ConfigError(
                 f"{error.name} is not installed; run: pip install 'gesturekit[live]'"
@@ -122,17 +127,18 @@ class Session:
         if kind != "record" or not place:
             raise ConfigError(f"--to {sink}: no such sink; expected {SINKS}")
         rate = source.rate if source.is_live else None
-        return lambda _: Recording(Path(place), rate)
+        return lambda *_: Recording(Path(place), rate)
 
-    def _page_maker(self) -> Callable[[Callable[[], Motion]], Sink]:
+    def _page_maker(self) -> Maker:
         from gesturekit.live.page import Page
         from gesturekit.serving.address import LOOPBACK, address_of, listening_socket
 
         listening = listening_socket(self.host, self.port)
         hosts = (*LOOPBACK, self.host) if self.host in LOOPBACK else ("*",)
 
-        def make(example: Callable[[], Motion]) -> Sink:
-            page = Page(listening, hosts, example(), body=self.body, framing=self.framing)
+        def make(example: Callable[[], Motion], human: Callable[[], Fitting]) -> Sink:
+            shown = {"body": self.body, "framing": self.framing}
+            page = Page(listening, hosts, example(), human, **shown)
             self.say(f"Page at {address_of(listening, self.host)} (end with Ctrl-C)")
             return page
 

@@ -18,8 +18,7 @@ from pythonosc.udp_client import UDPClient
 from gesturekit.errors import ConfigError
 from gesturekit.formats.gltf.vrm import our_names
 from gesturekit.live.runner import Step
-from gesturekit.motion import Motion
-from gesturekit.viewer.human.body import Fitting, Human
+from gesturekit.viewer.human.body import Fitting
 
 PORT = 39539
 """Port on which programs that draw an avatar listen."""
@@ -33,17 +32,14 @@ class VmcSender:
     Args:
         host: of the program.
         port: on which it listens.
-        example: motion on the stream's rig, from which its standing pose is measured.
+        fitting: puts motion of the stream on the human body.
 
     Raises:
         ConfigError: an unknown host.
-        MotionError: body parts of the motion's rig cannot be found.
-        FormatError: the human body was not baked.
     """
 
-    def __init__(self, host: str, port: int, example: Motion) -> None:
-        self._fitting = Fitting(Human.load(), example.skeleton)
-        rig = self._fitting.in_t_pose(example).skeleton
+    def __init__(self, host: str, port: int, fitting: Fitting) -> None:
+        self._fitting, rig = fitting, fitting.t_pose_rig
         bones = {ours: f"{bone[0].upper()}{bone[1:]}" for bone, ours in our_names(False).items()}
         self._bones = [(joint, bones[name]) for joint, name in enumerate(rig.names)]
         self._rest = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (rig.n_joints, 1))

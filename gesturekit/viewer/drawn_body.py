@@ -82,7 +82,7 @@ class DrawnBody:
             avatar = None if body == "human" else load_avatar(body)[0]
             try:
                 human = avatar or Human.load()
-                fitting = Fitting(human, motion.skeleton)
+                fitting = Fitting(human, motion)
                 moved = fitting.on_body(motion)
                 return cls(moved, Figure.of(moved), human.skins, fitting.scale, fitting)
             except GestureKitError as error:

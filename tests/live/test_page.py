@@ -10,6 +10,7 @@ import time
 import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from websockets.sync.client import connect
 from gesturekit.live import Step
 from gesturekit.live.page import Page
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.viewer.human.body import Human, is_baked
+from gesturekit.viewer.human.body import Fitting, Human, is_baked
 
 pytestmark = [
     bundled,
@@ -61,7 +62,8 @@ def serve() -> Iterator[Callable[..., Served]]:
         listening = socket.create_server(("127.0.0.1", 0))
         skeleton = LoudModel().skeleton
         example = raised(skeleton, np.full(30, raised_by), 30.0)
-        page = Page(listening, ("127.0.0.1",), example, body=body)
+        human = partial(Fitting, Human.load(), example)
+        page = Page(listening, ("127.0.0.1",), example, human, body=body)
         opened.append(page)
         return Served(page, listening.getsockname()[1], skeleton)
 

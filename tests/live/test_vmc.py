@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from gesturekit.errors import ConfigError
 from gesturekit.live import Step
 from gesturekit.live.vmc import VmcSender
-from gesturekit.viewer.human.body import is_baked
+from gesturekit.viewer.human.body import Fitting, Human, is_baked
 
 pytestmark = pytest.mark.skipif(not is_baked(), reason="the human body is not baked: `make setup`")
 
@@ -62,7 +62,8 @@ def received(skeleton) -> Iterator[list[list]]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reader:
         reader.bind(("127.0.0.1", 0))
         reader.settimeout(5)
-        sender = VmcSender("127.0.0.1", reader.getsockname()[1], raised(skeleton, [0.0], 30.0))
+        fitting = Fitting(Human.load(), raised(skeleton, [0.0], 30.0))
+        sender = VmcSender("127.0.0.1", reader.getsockname()[1], fitting)
 
         def send(angles: list[float], time: float) -> list[list]:
             frames, motion = [], raised(skeleton, np.deg2rad(angles), 30.0)
@@ -120,4 +121,4 @@ def test_each_datagram_is_a_whole_frame_so_that_a_fifth_of_them_may_be_lost(rece
 
 def test_an_unknown_host_is_one_clear_error(skeleton):
     with pytest.raises(ConfigError, match="vmc:no.such.host.invalid:39539"):
-        VmcSender("no.such.host.invalid", 39539, raised(skeleton, [0.0], 30.0))
+        VmcSender("no.such.host.invalid", 39539, Fitting(Human.load(), raised(skeleton, [0], 30)))

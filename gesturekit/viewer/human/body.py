@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -79,7 +80,7 @@ class Human:
         Raises:
             MotionError: body parts of the motion's rig cannot be found.
         """
-        fitting = Fitting(self, motion.skeleton)
+        fitting = Fitting(self, motion)
         return fitting.on_body(motion), fitting.scale
 
     def in_t_pose(self, motion: Motion) -> Motion:
@@ -88,36 +89,44 @@ class Human:
         Raises:
             MotionError: body parts of the motion's rig cannot be found.
         """
-        return Fitting(self, motion.skeleton).in_t_pose(motion)
+        return Fitting(self, motion).in_t_pose(motion)
 
 
 class Fitting:
     """A body in the size of a rig, onto which motions of that rig are put.
 
-    Later motions go on from the first one, as the parts of a stream do; see `Transfer`.
+    Later motions go on from the first one, as the parts of a stream do; see `Transfer`. Several
+    threads may use it.
 
     Args:
         human: the body.
-        skeleton: rig of the motions.
+        first: motion on the rig.
 
     Attributes:
         scale: height of the rig's body over that of `human`.
+
+    Raises:
+        MotionError: body parts of the motion's rig cannot be found.
     """
 
-    def __init__(self, human: Human, skeleton: Skeleton) -> None:
+    def __init__(self, human: Human, first: Motion) -> None:
         plain = _without_twists(human.skeleton)
-        self.scale = body_height(skeleton) / body_height(plain)
+        self.scale = body_height(first.skeleton) / body_height(plain)
         self._pose = _t_pose(plain)
         self._plain, self._rig = (_scaled(rig, self.scale) for rig in (plain, human.skeleton))
-        self._transfer = Transfer(self._plain, pose=self._pose)
+        self._transfer, self._lock = Transfer(self._plain, pose=self._pose), threading.Lock()
+        self._last = first, self._transfer(first)
+
+    def _moved(self, motion: Motion) -> Motion:
+        """Return a motion on the body without twist joints; the last one is kept."""
+        with self._lock:
+            if self._last[0] is not motion:
+                self._last = motion, self._transfer(motion)
+            return self._last[1]
 
     def on_body(self, motion: Motion) -> Motion:
-        """Return a motion on the body.
-
-        Raises:
-            MotionError: body parts of the motion's rig cannot be found.
-        """
-        moved, n_plain = self._transfer(motion), self._plain.n_joints
+        """Return a motion on the body."""
+        moved, n_plain = self._moved(motion), self._plain.n_joints
         rotations = np.tile(IDENTITY, (motion.n_frames, self._rig.n_joints, 1))
         rotations[:, :n_plain] = moved.rotations
         for joint in range(n_plain, self._rig.n_joints):
@@ -125,17 +134,18 @@ class Fitting:
         return replace(moved, skeleton=self._rig, rotations=rotations)
 
     def in_t_pose(self, motion: Motion) -> Motion:
-        """Return a motion on the body without twist joints, whose rest pose is a T-pose.
-
-        Raises:
-            MotionError: body parts of the motion's rig cannot be found.
-        """
-        moved, (rig, back) = self._transfer(motion), self._standing
+        """Return a motion on the body without twist joints, whose rest pose is a T-pose."""
+        moved, (rig, back) = self._moved(motion), self._standing
         turns = multiply_quaternions(moved.global_rotations(), back)
         local = turns.copy()
         above = list(rig.parents[1:])
         local[:, 1:] = multiply_quaternions(invert_quaternions(turns[:, above]), turns[:, 1:])
         return Motion(rig, local, moved.translation, moved.fps)
+
+    @property
+    def t_pose_rig(self) -> Skeleton:
+        """Rig of `in_t_pose`."""
+        return self._standing[0]
 
     @cached_property
     def _standing(self) -> tuple[Skeleton, np.ndarray]:
