@@ -312,6 +312,37 @@ def reduction_text(shape: Sequence[int]) -> str:
     return f"{shape[0]} features reduced to {counted(shape[-1], 'component')}"
 
 
+class MotionStream(Protocol):
+    """Motion that is generated while sound comes in, as `Model.stream` returns it.
+
+    Attributes:
+        sample_rate: of the sound, Hz.
+        fps: frames per second.
+        skeleton: rig of the motion.
+        n_frames: number of frames returned so far; frame k belongs to k / fps s of the sound.
+        latency: seconds from a sound to the return of the frame that belongs to it, without the
+            length of a block and the time of computing.
+    """
+
+    sample_rate: int
+    fps: float
+    skeleton: Skeleton
+    n_frames: int
+    latency: float
+
+    def step(self, samples: np.ndarray) -> Motion | None:
+        """Take samples (N,) float32 and return the frames that became final, if any did."""
+
+    def finish(self) -> Motion | None:
+        """Return the remaining frames: floor(duration fps + 1/2) in all."""
+
+    def state(self) -> dict[str, Any]:
+        """Return everything that `restore` needs, as numbers and arrays."""
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from the `state` of a stream with the same arguments."""
+
+
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class BaseModel:
     """Fields of every trained model; each system adds its networks and its generation.
@@ -365,6 +396,24 @@ class BaseModel:
         """Return the rates and joints of the motion, for the README of the model folder."""
         joints = f"{len(self.representation.joints)} of {self.skeleton.n_joints} joints modelled"
         return f"{rate_text(self.fps, self.recorded_fps)}, {joints}"
+
+    def stream(
+        self,
+        sample_rate: int,
+        look_ahead: float = 0.2,
+        seed: int = 0,
+        item: str = "",
+        **controls: Any,
+    ) -> MotionStream:
+        """Return a stream that generates motion while sound comes in.
+
+        Raises:
+            ModelError: the model cannot stream.
+        """
+        raise ModelError(
+            f"a {self.kind} model generates whole motions only: multires models with acoustic "
+            "features and recall can stream, such as own_corpus"
+        )
 
     def speech_rows(self) -> dict[str, str]:
         """Return the speech features, for the README; empty without speech input."""
@@ -456,6 +505,21 @@ class Model(Protocol):
             ModelError: a control, style or speaker that this model does not have, a seed below 0,
                 or an item that is not text.
             AudioError, FormatError: a file cannot be read, or an array is not a sound.
+        """
+        ...
+
+    def stream(
+        self,
+        sample_rate: int,
+        look_ahead: float = 0.2,
+        seed: int = 0,
+        item: str = "",
+        **controls: Any,
+    ) -> MotionStream:
+        """Return a stream that generates motion while sound comes in; see `MultiresModel.stream`.
+
+        Raises:
+            ModelError: the model cannot stream.
         """
         ...
 

@@ -34,6 +34,7 @@ class System:
     train: str
     plan: str
     arrays: str
+    fit_live: str | None = None
 
 
 SYSTEMS = {
@@ -44,6 +45,7 @@ SYSTEMS = {
         train="gesturekit.multires.training.trainer:train",
         plan="gesturekit.multires.training.trainer:plan_training",
         arrays="gesturekit.multires.training.trainer:make_arrays",
+        fit_live="gesturekit.multires.training.ahead:fit_live",
     ),
     "diffusion": System(
         model="gesturekit.diffusion.model:DiffusionModel",
@@ -95,6 +97,21 @@ def control_docs() -> dict[str, str]:
             elif isinstance(field.default, int | float):
                 docs[field.name] += f"  [default: {field.default:g}]"
     return docs
+
+
+@gesturekit_errors()
+def fit_live(model: str | Path, corpus: str | Path) -> None:
+    """Add the predictions for live speech to a model folder, from the corpus of its training.
+
+    Raises:
+        ModelError: there is no such folder, or the model cannot stream.
+        CorpusError, AudioError, FormatError: a file cannot be read.
+    """
+    loaded = load(model)
+    fit = SYSTEMS[loaded.kind].fit_live
+    if fit is None:
+        raise ModelError(f"{model}: a {loaded.kind} model cannot stream")
+    _part(fit)(loaded.folder, Path(corpus))
 
 
 @gesturekit_errors()

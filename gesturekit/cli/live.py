@@ -33,9 +33,11 @@ gesturekit live --model runs/mine/model --from mic:USB --to page,vmc:127.0.0.1:3
 gesturekit live --from speech.wav --to page,record:take.bvh
 gesturekit live --from - --rate 48000 --to page            # samples from another program's output
 gesturekit live --measure --json latency.json
+gesturekit live --fit corpus.jsonl --model runs/mine/model   # a model without live predictions
 """
+_CONTROLS = ("style", "speaker", "liveliness")
 GROUPS = {
-    "What to generate": ("model", "source", "rate", "look_ahead", "seed", "weights"),
+    "What to generate": ("model", "source", "rate", "look_ahead", "seed", *_CONTROLS, "weights"),
     "Output": ("sinks", "existing", "host", "port", "body", "framing"),
 }
 _RECORD = "record:"
@@ -69,6 +71,11 @@ _URGENT = 3
     help="Seconds of sound that the model knows beyond a frame; with less, motion fits worse.",
 )
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed.")
+@click.option("--style", help="Style, for models with styles; by default one is drawn.")
+@click.option("--speaker", help="Recordings and body of this speaker of the corpus.")
+@click.option(
+    "--liveliness", type=float, help="Factor on the hand speed that is drawn.  [default: 1]"
+)
 @click.option("--fast", is_flag=True, help="As fast as possible, for a file or a pipe.")
 @click.option(
     "--block",
@@ -103,6 +110,13 @@ _URGENT = 3
 @existing_option("refuse")
 @weights_option
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda, cuda:1, or auto.")
+@click.option(
+    "--fit",
+    "corpus",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    metavar="CORPUS.jsonl",
+    help="Add what live speech needs to the model, from the corpus of its training, and end.",
+)
 @click.option("--list-devices", is_flag=True, help="List microphones and end.")
 @click.option(
     "--measure",
@@ -125,8 +139,11 @@ def command(ctx: click.Context, **options: Any) -> None:
     from gesturekit.live.runner import Report
     from gesturekit.live.session import Session
     from gesturekit.live.sources import devices
-    from gesturekit.systems import bundled_speech, load
+    from gesturekit.systems import bundled_speech, fit_live, load
 
+    if (corpus := options.pop("corpus")) is not None:
+        fit_live(options["model"], corpus)
+        return
     if options.pop("list_devices"):
         click.echo(devices())
         return
@@ -137,7 +154,8 @@ def command(ctx: click.Context, **options: Any) -> None:
     if is_left(files, options.pop("existing")):
         return
     model = {name: options.pop(name) for name in ("model", "weights", "device")}
-    session = Session(**given(**options), say=partial(click.echo, err=True))
+    controls = given(**{name: options.pop(name) for name in _CONTROLS})
+    session = Session(**given(**options), controls=controls, say=partial(click.echo, err=True))
     report = Report(begun=begun)
     with _ended_by_signals() as stopped:
         session.run(lambda: load(**model), report, stopped)

@@ -1,7 +1,7 @@
 """Live generation: sound from a microphone, file or pipe in, poses out while it goes on."""
 
 from gesturekit.live.recording import Recording
-from gesturekit.live.runner import MotionStream, Report, Sink, Step, run
+from gesturekit.live.runner import Report, Sink, Step, run
 from gesturekit.live.sources import FileSource
 
-__all__ = ["FileSource", "MotionStream", "Recording", "Report", "Sink", "Step", "run"]
+__all__ = ["FileSource", "Recording", "Report", "Sink", "Step", "run"]

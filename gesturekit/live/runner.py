@@ -15,7 +15,8 @@ import numpy as np
 
 from gesturekit.live.sources import Intake, Source, put_newest
 from gesturekit.live.timeline import Timeline
-from gesturekit.motion import Motion, Skeleton
+from gesturekit.model import MotionStream
+from gesturekit.motion import Motion
 from gesturekit.wording import counted
 
 _SINK_STEPS = 250
@@ -26,31 +27,6 @@ _POLL = 0.05
 _NOTHING = np.zeros(0, np.float32)
 _KEPT = 100_000
 """Measurements kept for quantiles: those of the last hour or so."""
-
-
-class MotionStream(Protocol):
-    """Motion that is generated while sound comes in, as `Model.stream` returns it.
-
-    Attributes:
-        sample_rate: of the sound, Hz.
-        fps: frames per second.
-        skeleton: rig of the motion.
-        n_frames: number of frames returned so far; frame k belongs to k / fps s of the sound.
-        latency: seconds from a sound to the return of the frame that belongs to it, without the
-            length of a block and the time of computing.
-    """
-
-    sample_rate: int
-    fps: float
-    skeleton: Skeleton
-    n_frames: int
-    latency: float
-
-    def step(self, samples: np.ndarray) -> Motion | None:
-        """Take samples (N,) float32 and return the frames that became final, if any did."""
-
-    def finish(self) -> Motion | None:
-        """Return the remaining frames: floor(duration fps + 1/2) in all."""
 
 
 @dataclass(frozen=True)

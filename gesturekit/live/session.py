@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gesturekit.errors import ConfigError
 from gesturekit.live.recording import Recording
-from gesturekit.live.runner import MotionStream, Report, Sink, run
+from gesturekit.live.runner import Report, Sink, run
 from gesturekit.live.sources import FileSource, Microphone, PipeSource, Source
+from gesturekit.model import MotionStream
 from gesturekit.motion import Motion
 from gesturekit.viewer.human.body import Fitting, Human
 
@@ -45,6 +46,7 @@ class Session:
         say: called with lines for the user.
         body: body on the page.
         framing: first view of the page.
+        controls: of the stream: style, speaker and liveliness.
     """
 
     source: str
@@ -59,6 +61,7 @@ class Session:
     say: Callable[[str], None]
     body: str = "human"
     framing: str = "whole"
+    controls: Mapping[str, Any] = field(default_factory=dict)
 
     def run(self, load: Callable[[], Model], report: Report, stopped: threading.Event) -> None:
         """Generate motion until the sound ends or `stopped` is set.
@@ -86,7 +89,7 @@ class Session:
         run(stream, source, opened, report=report, stopped=stopped, warn=self._warn)
 
     def _stream(self, model: Model, source: Source) -> MotionStream:
-        return model.stream(source.rate, look_ahead=self.look_ahead, seed=self.seed)
+        return model.stream(source.rate, self.look_ahead, self.seed, **self.controls)
 
     def _warn(self, text: str) -> None:
         self.say(f"Warning: {text}")

@@ -38,7 +38,7 @@ from gesturekit.multires.sampling.trained_model import (
     TrainedNoise,
     TrainedSequence,
 )
-from gesturekit.multires.streaming.stream import MotionStream
+from gesturekit.multires.streaming.stream import MultiresStream
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.data.features import (
     conditioner_tensors,
@@ -116,7 +116,7 @@ class MultiresModel(TrainedModel):
         seed: int = 0,
         item: str = "",
         **controls: Unpack[MultiresControlArguments],
-    ) -> MotionStream:
+    ) -> MultiresStream:
         """Return a stream that generates motion while sound comes in.
 
         Args:
@@ -140,7 +140,7 @@ class MultiresModel(TrainedModel):
             15
         """
         asked = self.check_controls(seed=seed, **controls)
-        return MotionStream(self, sample_rate, look_ahead, seed, item, asked)
+        return MultiresStream(self, sample_rate, look_ahead, seed, item, asked)
 
     def check_controls(
         self, *, samples: int = 1, seed: int = 0, **controls: Unpack[MultiresControlArguments]

@@ -112,8 +112,8 @@ class LivePlan:
         self._step = library.level_fps / library.fps
         self._clock = self._step * np.arange(-past, 1.0)  # of the arms, at the last frames
         self._used = [np.zeros(search.n_bins) for search in self._searches]
-        # Of each part: (begin, recording, frame of it at the beginning), the latest last.
-        self._pieces: list[list[tuple[float, int, float]]] = [[] for _ in library.parts]
+        # Of each part: begin, the same by its clock, recording, and its frame; the latest last.
+        self._pieces: list[list[tuple[float, float, int, float]]] = [[] for _ in library.parts]
         self._due = [0.0] * len(library.parts)
         self._slow = np.zeros(2)  # sum and count of slow predictions
 
@@ -139,21 +139,21 @@ class LivePlan:
                 self._clock[1:], self._clock[-1] + self._step * self._tempo(fast)
             )
         slow = self._steadied(slow)
-        due = [i for i in range(len(self._due)) if self._now(i) >= self._due[i]]
+        now = self._frame * self._step
+        due = [i for i in range(len(self._due)) if now >= self._due[i]]
         if due:
             seconds = self._frame / self.library.fps
             scores = self.library.slow_state.at(self._mood_seed, seconds, slow)
         for i in due:
-            now = self._now(i)
             self._due[i] = now + self._searches[i].hop
-            self._choose(i, now, fast, scores)
+            self._choose(i, fast, scores)
 
     def _tempo(self, fast: Forecast | None) -> float:
         """Return the speed of the arms' clock; 1 is as recorded."""
         arms = [i for i, part in enumerate(self.library.parts) if part.is_arm]
         if fast is None or not arms:
             return 1.0
-        now, spread = self._clock[-1:], self.library.spread
+        now, spread = np.zeros(1), self.library.spread
         own = np.mean([self._shown(i, now, self.library.fast_movement[i]) for i in arms])
         # A conditional mean has the right times, but smaller peaks than the pieces have.
         wanted = fast.values[0] / max(fast.r, _LEAST_R)
@@ -167,30 +167,17 @@ class LivePlan:
         mean = self._slow[0] / (self._slow[1] + _STEADY_SECONDS * self.library.fps)
         return slow - (1 - self.library.wanted.mean_counts) * mean
 
-    def _own(self) -> float:
-        """Return the fast movement of the arms' pieces now, log m/s."""
-        own = [
-            self._shown(i, self._clock[-1:], self._fast[i])[0, 0]
-            for i, part in enumerate(self.library.parts)
-            if part.is_arm
-        ]
-        return self.library.spread * float(np.mean(own)) if own else 0.0
-
     @cached_property
     def _mood_seed(self) -> int:
         choice = self.choice
         key = choice.seed if choice.mood_seed is None else choice.mood_seed
         return rng_for(key, choice.item, "live", "mood").initial_seed() >> 1
 
-    def _now(self, i: int) -> float:
-        return float(self._times(i, np.zeros(1))[0])
-
-    def _choose(self, i: int, now: float, fast: Forecast | None, scores: np.ndarray) -> None:
-        """Choose what a part shows from `now` on.
+    def _choose(self, i: int, fast: Forecast | None, scores: np.ndarray) -> None:
+        """Choose what a part shows from now on.
 
         Args:
             i: number of the part.
-            now: its time.
             fast: see `advance`.
             scores: (C, 1) drawn scores of all slow channels.
         """
@@ -198,15 +185,16 @@ class LivePlan:
         allowed = library.allowed(search.piece, 1, self.choice.speaker, self._styles)
         states = library.drawn_states(scores, i, allowed)[0]
         states[0] += math.log(self.choice.liveliness)
-        ahead = np.arange(search.piece)
+        now, ahead = np.zeros(1), np.arange(search.piece) / self._step
         wanted = np.full((search.piece, 1), np.nan)
         if fast is not None:
-            wanted[:, 0] = fast.at((ahead + 0.5) / library.level_fps) / library.spread
+            wanted[:, 0] = fast.at((np.arange(search.piece) + 0.5) / library.level_fps)
+            wanted /= library.spread
         if i == 1:
-            beside = self._shown(0, self._now(0) + ahead, self._directions)
+            beside = self._shown(0, ahead, self._directions)
             wanted = np.concatenate([wanted, beside.T.numpy()], axis=1)
-        others = [self._numbers(j, self._now(j) + ahead) for j in range(i)]
-        shown = round(float(self._numbers(i, np.array([now]))[0])) if pieces else None
+        others = [self._numbers(j, ahead) for j in range(i)]
+        shown = round(float(self._numbers(i, now)[0])) if pieces else None
         choice = self.choice
         best = search.following(
             rng_for(choice.seed, choice.item, "live", library.parts[i].name, self._frame),
@@ -218,40 +206,45 @@ class LivePlan:
             shown=shown,
         )
         if shown != search.frame[best]:
-            pieces.append((now, int(search.recording[best]), float(search.start[best])))
+            begin = self._frame * self._step, float(self._times(i, now)[0])
+            pieces.append((*begin, int(search.recording[best]), float(search.start[best])))
             del pieces[:-_KEPT]
 
     @property
     def _styles(self) -> np.ndarray | None:
         return None if self.choice.style is None else np.array([self.choice.style])
 
-    def _numbers(self, i: int, times: np.ndarray) -> np.ndarray:
+    def _numbers(self, i: int, offsets: np.ndarray) -> np.ndarray:
         """Return the frames (M,) that a part shows, numbered across all recordings."""
-        (recordings, frames), _, _ = self._at(i, times)
+        (recordings, frames), _, _ = self._at(i, offsets)
         lengths = np.array(self.library.lengths)
         frames = np.clip(frames, 0, lengths[recordings] - 1)
         return np.cumsum([0, *lengths])[recordings] + np.rint(frames)
 
     def _at(
-        self, i: int, times: np.ndarray
+        self, i: int, offsets: np.ndarray
     ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray], np.ndarray]:
-        """Return what a part shows at times (M,), what it is faded over from, and its weight.
+        """Return what a part shows, what it is faded over from, and the weight of the former.
 
-        Recordings and frames, (M,) each, as for `cross_faded`.
+        Recordings and frames, (M,) each, as for `cross_faded`, at motion frames (M,) relative to
+        the current one.
         """
-        begins, recordings, frames = (np.array(column) for column in zip(*self._pieces[i]))
-        latest = np.maximum(np.searchsorted(begins, times, side="right") - 1, 0)
+        columns = zip(*self._pieces[i], strict=True)
+        begins, clocks, recordings, frames = (np.array(column) for column in columns)
+        now, times = (self._frame + offsets) * self._step, self._times(i, offsets)
+        latest = np.maximum(np.searchsorted(begins, now, side="right") - 1, 0)
         before = np.maximum(latest - 1, 0)
-        part = np.clip((times - begins[latest]) / self._searches[i].overlap, 0.0, 1.0)
-        weight = np.where(latest > 0, part * part * (3 - 2 * part), 1.0)
+        # Fades are as long as they are, however fast the arms' clock runs.
+        part = np.clip((now - begins[latest]) / self._searches[i].overlap, 0.0, 1.0)
+        weight = np.where(latest > 0, part**3 * (10 - 15 * part + 6 * part**2), 1.0)
         shown, earlier = (
-            (recordings[own], frames[own] + times - begins[own]) for own in (latest, before)
+            (recordings[own], frames[own] + times - clocks[own]) for own in (latest, before)
         )
         return shown, earlier, weight
 
-    def _shown(self, i: int, times: np.ndarray, curves: Sequence[Tensor]) -> Tensor:
-        """Return curves (C, M) of the recordings that a part shows at times (M,)."""
-        return cross_faded(curves, self.library.lengths, *self._at(i, times))
+    def _shown(self, i: int, offsets: np.ndarray, curves: Sequence[Tensor]) -> Tensor:
+        """Return curves (C, M) of what a part shows at motion frames (M,) relative to now."""
+        return cross_faded(curves, self.library.lengths, *self._at(i, offsets))
 
     def _times(self, i: int, offsets: np.ndarray) -> np.ndarray:
         """Return the times of a part at motion frames (M,) relative to the current one."""
@@ -265,15 +258,12 @@ class LivePlan:
         library = self.library
         result = torch.empty(1, len(library.recordings[0].motion), len(offsets))
         for i, part in enumerate(library.parts):
-            result[0, part.columns] = self._shown(i, self._times(i, offsets), self._curves[i])
+            result[0, part.columns] = self._shown(i, offsets, self._curves[i])
         return result
 
     def profiles(self, offsets: np.ndarray) -> np.ndarray:
         """Return the movement (P, M) of the parts' pieces there."""
-        shown = [
-            self._shown(i, self._times(i, offsets), curves)
-            for i, curves in enumerate(self._profiles)
-        ]
+        shown = [self._shown(i, offsets, curves) for i, curves in enumerate(self._profiles)]
         return torch.cat(shown).numpy()
 
     def passive(self) -> Tensor:
@@ -281,7 +271,7 @@ class LivePlan:
         result = torch.empty(sum(len(own) for own, _ in self._passive), 1)
         for i, (own, curves) in enumerate(self._passive):
             if len(own):
-                result[own] = self._shown(i, self._times(i, np.zeros(1)), curves)
+                result[own] = self._shown(i, np.zeros(1), curves)
         return result
 
 

@@ -45,7 +45,7 @@ _CONTROLS = ("style", "speaker", "liveliness", "mood_seed", "foot_lock", "smooth
 """Controls that a stream takes."""
 
 
-class MotionStream:
+class MultiresStream:
     """Motion that is generated while sound comes in.
 
     Frame k of the stream belongs to k / fps seconds of the sound. It depends on the sound up to
@@ -160,7 +160,7 @@ class MotionStream:
     def _step(self, samples: np.ndarray, most: float) -> Motion | None:
         passive, frames = self.model.library.passive, []
         for heard in self._speech.push(samples):
-            if self._speech.n_rows > self._ahead + self.n_frames and self.n_frames < most:
+            while self.n_frames < min(most, self._speech.n_rows - self._ahead):
                 frame = self._placed(self._vector(heard))
                 channels = self._plan.passive()
                 frames.append(passive.applied(frame, lambda _, own=channels: own))
