@@ -868,3 +868,33 @@ def test_a_run_with_recall_resumes_bitwise(recordings, folder, tmp_path):
     (again / "model.safetensors").unlink()
     train(config, resume=True)
     assert (again / "model.safetensors").read_bytes() == whole
+
+
+def test_training_fits_predictions_for_live_speech_and_so_does_the_command(
+    folder, recordings, gesturekit, tmp_path
+):
+    """The same bytes, whether training adds them or `live --fit` adds them later."""
+    trained = gk.load(folder)
+    assert [one.look_ahead for one in trained.library.ahead] == [0.0, 0.1, 0.2, 0.4]
+    for one in trained.library.ahead:
+        assert one.slow.r > 0.3, "calm and lively stretches are heard"
+        assert max(one.fast_columns) < 4, "pitch and energy; vocal effort is of no use here"
+    other = tmp_path / "model"
+    empty = replace(trained, library=replace(trained.library, ahead=()))
+    empty.save(other, notes={"Note": "kept"})
+    with pytest.raises(ModelError, match="live --fit corpus.jsonl --model"):
+        gk.load(other).stream(RATE)
+    assert gesturekit("live", "--fit", recordings, "--model", other).status == 0
+    assert gk.load(other).fingerprint() == trained.fingerprint()
+    card = (other / "README.md").read_text()
+    assert "- **Note**: kept" in card and card.count("- **Live**: with 0, 0.1, 0.2, 0.4 s") == 1
+    assert gesturekit("live", "--fit", recordings, "--model", other).status == 0
+    assert (other / "README.md").read_text() == card
+    sound = voice(1.0).samples
+    assert gk.load(other).stream(RATE).step(sound).n_frames > 15
+
+
+def test_a_model_without_recall_gets_no_live_predictions(plain, recordings, gesturekit, tmp_path):
+    plain.save(tmp_path / "plain")
+    done = gesturekit("live", "--fit", recordings, "--model", tmp_path / "plain")
+    assert done.status != 0 and "the model cannot stream: it needs recall" in done.err
