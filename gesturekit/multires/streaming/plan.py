@@ -27,6 +27,8 @@ _KNOWN_SECONDS = 0.3
 """A prediction counts for this long."""
 _FASTEST = 3.0
 """Arms play at most so much faster, or slower, than recorded."""
+_TEMPO_SECONDS = 0.05
+"""Time constant of changes of that speed; hands have mass."""
 _LEAST_R = 0.2
 """Least correlation by which predicted movement is divided, see `RecallLibrary`."""
 _KEPT = 4
@@ -115,6 +117,7 @@ class LivePlan:
         # Of each part: begin, the same by its clock, recording, and its frame; the latest last.
         self._pieces: list[list[tuple[float, float, int, float]]] = [[] for _ in library.parts]
         self._due = [0.0] * len(library.parts)
+        self._log_tempo = 0.0
         self._slow = np.zeros(2)  # sum and count of slow predictions
 
     def state(self) -> dict[str, Any]:
@@ -157,7 +160,10 @@ class LivePlan:
         own = np.mean([self._shown(i, now, self.library.fast_movement[i]) for i in arms])
         # A conditional mean has the right times, but smaller peaks than the pieces have.
         wanted = fast.values[0] / max(fast.r, _LEAST_R)
-        return float(np.clip(np.exp(wanted - spread * own), 1 / _FASTEST, _FASTEST))
+        goal = np.clip(wanted - spread * own, -math.log(_FASTEST), math.log(_FASTEST))
+        share = 1 - math.exp(-1 / (_TEMPO_SECONDS * self.library.fps))
+        self._log_tempo += share * (float(goal) - self._log_tempo)
+        return math.exp(self._log_tempo)
 
     def _steadied(self, slow: float | None) -> float | None:
         """Return the slow prediction, its mean so far reduced as in `WantedMovement`."""
@@ -275,4 +281,4 @@ class LivePlan:
         return result
 
 
-_STATE = ("_frame", "_clock", "_used", "_pieces", "_due", "_slow")
+_STATE = ("_frame", "_clock", "_used", "_pieces", "_due", "_slow", "_log_tempo")
