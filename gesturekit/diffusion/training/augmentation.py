@@ -191,7 +191,7 @@ def stretch(
     weight = (at - low)[:, None]
     # Displacements before the window are read too, see `_scaled_steps`.
     begin = max(int(low[0]) - math.ceil(1 / factor), 0)
-    part = values[begin : min(int(np.ceil(at[-1])) + 2, last + 1)]
+    part = values[begin : int(high[-1]) + 1]
     below, above = part[low - begin], part[high - begin]
     result = below + weight * (above - below)
     if maps.stop > maps.start:
@@ -214,13 +214,11 @@ def _scaled_steps(
 
     `steps` are those of frames from `begin`.
     """
-    first = max(int(np.floor(at[0])) - math.ceil(rate), 0)
-    stop = min(int(np.ceil(at[-1])) + 1, begin + len(steps))
-    counted = steps[first - begin : stop - begin].astype(np.float64) + offset
+    counted = steps.astype(np.float64) + offset
     # Row k is from frame k - 1 to frame k; before the first frame, extrapolate.
-    before = np.tile(counted[:1], (math.ceil(rate) + 1, 1))
+    before = np.tile(counted[:1], (math.ceil(rate), 1))
     way = np.concatenate([before, counted]).cumsum(axis=0)
-    frames = np.arange(len(way)) + first - len(before)
+    frames = np.arange(len(way)) + begin - len(before)
     ends = np.concatenate([[at[0] - rate], at])
     sums = np.stack([np.interp(ends, frames, column) for column in way.T], axis=-1)
     return np.diff(sums, axis=0) - offset
@@ -231,13 +229,9 @@ def _kept_flags(flags: np.ndarray, begin: int, at: np.ndarray, rate: float) -> n
 
     `flags` are those of frames from `begin`.
     """
-    nearest = np.minimum(np.floor(at + 0.5).astype(np.int64) - begin, len(flags) - 1)
-    kept = flags[nearest].copy()
-    if rate <= 1:  # no frame of the recording is skipped
-        return kept
+    kept = flags[np.floor(at + 0.5).astype(np.int64) - begin].copy()
     first, stop = int(np.ceil(at[0])), int(np.floor(at[-1])) + 1
-    for number, column in np.argwhere(flags[first - begin : stop - begin] > 0):
-        frame = number + first
-        near = min(max(math.floor((frame - at[0]) / rate + 0.5), 0), len(at) - 1)
-        kept[near, column] = max(kept[near, column], flags[frame - begin, column])
+    number, column = np.nonzero(flags[first - begin : stop - begin])
+    near = np.ceil((number + first - at[0]) / rate - 0.5).astype(np.int64)
+    kept[near, column] = 1.0
     return kept
