@@ -312,7 +312,7 @@ def test_feet_do_not_slide_on_a_smooth_path_nor_on_one_with_its_own_origin(
     walk.save(tmp_path / "a.bvh")
     if has_table:
         path = RootPath.of(walk)
-        moved = RootPath(path.positions - path.positions[0], path.headings, path.fps)
+        moved = RootPath(path.positions + [3.0, -2.0], path.headings, path.fps)
         (tmp_path / "a.path.csv").write_text(table(moved))
     data = on_path()
     assert [r.name for r in data.recordings] == ["a", "a (mirrored)"]

@@ -307,6 +307,18 @@ def changed(key: str, value: object, *path: object):
     return change
 
 
+def change_all(*changes):
+    return lambda file: [change(file) for change in changes]
+
+
+def read_the_same_bytes_often(file: GltfFile) -> None:
+    turns = file.array(np.tile(QUARTER_TURN, (20_000, 1)))
+    for _ in range(10):
+        file.json["accessors"].append(dict(file.json["accessors"][turns]))
+        again = len(file.json["accessors"]) - 1
+        file.animate([(0, "rotation", [0, 1], again)])
+
+
 ZEROS = {"type": "VEC4", "componentType": 5126, "count": 10**9}
 FIRST = ("accessors", 0)
 HOSTILE = {
@@ -314,6 +326,12 @@ HOSTILE = {
     "no such view": (changed("bufferView", 10**9, *FIRST), "index into bufferViews"),
     "many zeros": (changed("accessors", [ZEROS, ZEROS]), "count of"),
     "count": (changed("count", 10**12, *FIRST), "count of"),
+    "one too many": (changed("count", 4, *FIRST), "count of"),
+    "not one fits": (
+        change_all(changed("count", 1, *FIRST), changed("byteLength", 2, "bufferViews", 0)),
+        "count of rotation is 1; expected 0 to 0",
+    ),
+    "same bytes": (read_the_same_bytes_often, "several times larger than the file"),
     "sparse count": (changed("sparse", sparse(10**9), *FIRST), "count of indices"),
     "sparse place": (changed("sparse", sparse(8), *FIRST), "beyond its 3 elements"),
     "few values": (changed("count", 1, *FIRST), "1 values of rotation for 3 times"),

@@ -20,6 +20,7 @@ import gesturekit as gk
 from gesturekit.corpus import Manifest
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.multires.training import trainer
+from gesturekit.multires.training.batches import Batches
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.stage import Stage
@@ -271,24 +272,45 @@ def test_the_plan_gives_the_size_of_the_arrays(long_config, recipe, tmp_path, ca
     assert estimate.training > 0
 
 
-@pytest.mark.parametrize("window", [2.0, None])
-def test_the_plan_counts_steps_and_renewals(long_config, monkeypatch, tmp_path, window):
-    """Each timed piece of work takes a second here, and no stage takes time to begin.
+@pytest.mark.parametrize(("window", "in_memory", "kept"), [(2.0, 0.15, 212.5), (None, 0.1, 150)])
+def test_the_plan_counts_steps_renewals_and_preparation(
+    long_config, monkeypatch, tmp_path, caplog, window, in_memory, kept
+):
+    """The library takes 40 s here, each of two stages 7 s to begin, 50 for its first iteration and
+    1 for the others, and each renewal 3 s.
 
-    Of 100 and 60 iterations each takes a second, and so do two renewals a stage and the library;
-    the recordings have 8.5 s, and the trial has all of them, 213 frames.
+    The trial has all recordings, 8.5 s in 213 frames; library and stages of the run read no more
+    frames than are held in memory.
     """
+    caplog.set_level(logging.INFO)
+    clock = [0.0]
+
+    def taking(seconds, work):
+        def run(*arguments):
+            clock[0] += seconds(arguments[0]) if callable(seconds) else seconds
+            return work and work(*arguments)
+
+        return run
+
+    begun = set()
+    iteration = taking(lambda stage: 1.0 if stage in begun else begun.add(stage) or 50.0, None)
+    monkeypatch.setattr(trainer.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(trainer, "build_library", taking(40.0, None))
+    monkeypatch.setattr(Stage, "__init__", taking(7.0, Stage.__init__))
+    monkeypatch.setattr(Stage, "iterate", iteration)
+    monkeypatch.setattr(Batches, "renew", taking(3.0, None))
     steps = {"first_stage": 100, "further_stages": 60, "window_cache": 4, "renew_every": 50}
-    config = long_config(training={**steps, "window": window})
-    monkeypatch.setattr(trainer, "quickest", lambda work, times: 1.0)
-    monkeypatch.setattr(trainer.time, "monotonic", lambda: 5.0)
+    training, recall = {**steps, "window": window}, {"level": 4, "minutes": 0.1}
+    config = long_config(training=training, in_memory=in_memory, recall=recall)
     with session(config, resume=False, folder=tmp_path / "plan") as (run, device, processes):
         trial = trainer.Trainer(config, run, device, processes, resume=False, trial=True)
-        trial.library = None
         seconds = trial.estimate().training
-    share = 8.5 * 25 / 213
-    own = 160.0 if window else 160.0 * share
-    assert seconds == pytest.approx(own + 4 + share, abs=1e-6)
+    iterations = 160 if window else 160 * 212.5 / 213
+    share = kept / 213
+    assert seconds == pytest.approx(40 * share + 2 * 7 * share + 4 * 3 + iterations, abs=1e-6)
+    if window:  # two windows of 2 s in each of 60 iterations
+        assert "each stage draws a second as real motion about 28 times" in caplog.text
+    assert "; 6 s of 8 s can be recalled" in caplog.text
 
 
 @pytest.mark.parametrize(("in_memory", "minutes"), [(9.0, 60), (0.1125, 50)])

@@ -75,13 +75,14 @@ def test_calm_and_lively_recordings_have_their_shares(choose):
     assert found[True] / (found[True] + found[False]) == pytest.approx(1 / 3, abs=0.07)
 
 
-def test_each_speaker_has_a_share_and_a_few_seconds_at_least(choose):
+@pytest.mark.parametrize("minutes", [6.0, 1.0])
+def test_each_speaker_has_a_share_and_a_few_seconds_at_least(choose, minutes):
     speakers = ["ann"] * 12 + ["bob"] * 6 + ["cid"]
     recordings = [
         (swinging(choose.width, 40 if who != "cid" else 12, 1.0, i), who)
         for i, who in enumerate(speakers)
     ]
-    found = seconds_of(choose(recordings, 6.0), recordings, lambda i: speakers[i])
+    found = seconds_of(choose(recordings, minutes), recordings, lambda i: speakers[i])
     assert set(found) == {"ann", "bob", "cid"}
     assert found["ann"] / found["bob"] == pytest.approx(2.0, rel=0.35)
 

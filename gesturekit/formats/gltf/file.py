@@ -303,7 +303,7 @@ class Gltf:
         if type(stride) is not int or not each <= stride <= 252:
             raise self.error(f"{what} has a byteStride of {str(stride)[:40]}")
         offset = self.whole(place.get("byteOffset", 0), size + 1, f"byteOffset of {what}")
-        most = (size - offset - each) // stride + 1 if size - offset >= each else 0
+        most = (size - offset - each) // stride + 1  # 0 if not one fits
         n = self.whole(count, most + 1, f"count of {what}")
         self._left -= n * each
         if self._left < 0:

@@ -108,8 +108,7 @@ def _chosen(features: np.ndarray, takes: Sequence[str], count: int) -> list[int]
     chosen: list[int] = []
     while len(chosen) < min(count, len(order)):
         gains = np.maximum(nearest - far, 0.0).sum(axis=1)
-        used = {takes[k] for k in chosen}
-        gains *= [_SAME_TAKE if take in used else 1.0 for take in takes]
+        gains[np.isin(takes, [takes[k] for k in chosen])] *= _SAME_TAKE
         gains[np.isin(level_of, level_of[chosen])] = -1.0  # one part of each level
         chosen.append(int(gains.argmax()))
         nearest = np.minimum(nearest, far[chosen[-1]])

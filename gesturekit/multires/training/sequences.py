@@ -85,14 +85,12 @@ class PairedSequence:
         """Return frames `start` to `stop` in memory, with their part of z*."""
         part = slice(start, stop)
         n_coarsest = af.level_lengths(stop - start, len(self.sigma))[0]
-        motion = self.motion[:, part].contiguous()
         z_star = self.z_star_window(start, n_coarsest)
         return replace(
             self,
             name=f"{self.name}[{start}:{stop}]",
-            motion=motion,
+            motion=self.motion[:, part].contiguous(),
             speech=self.speech[:, part].contiguous(),
-            sigma=level_sigmas(motion[None], len(self.sigma)),
             z_star=z_star if self.z_star.ndim > 1 else z_star[0],
             passive=self.passive[:, part].contiguous(),
         )

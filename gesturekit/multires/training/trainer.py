@@ -222,8 +222,8 @@ class Trainer:
             seconds += begin * min(sampled, MOST_WINDOWS) / min(frames, MOST_WINDOWS)
             renewals = math.ceil(iterations / config.training.renew_every)
             seconds += renewals * quickest(partial(stage.batches.renew, 0), 2)
-            stage.iterate(1)  # compiles
-            seconds += iterations * longer * quickest(partial(stage.iterate, 1), 3)
+            # The first iteration compiles too.
+            seconds += iterations * longer * quickest(partial(stage.iterate, 1), 4)
         speech = 0.0
         if data.conditioner is not None:
             speech = 4 * config.fps * (data.conditioner.extractor.dim + 1)
