@@ -132,6 +132,8 @@ def test_prepare_warns_and_the_option_that_it_names_corrects_it(write, shift):
         total = sum(one.duration for one in report.manifest)
         assert total == pytest.approx(90 - abs(named), abs=0.1)
         assert not [line for line in report.problem_lines() if "--shift" in line]
+    (line,) = [line for line in report.problem_lines() if "shifted" in line]
+    assert re.search(rf"a.npz: shifted: the motion came \{named:+.2f} s after the sound", line)
 
 
 def test_short_recordings_say_it_together(write):
@@ -153,7 +155,10 @@ def test_a_recording_that_is_apart_from_the_others_is_named(write):
     (line,) = lines
     named = re.search(r"late.npz: the motion comes ([\d.]+) s after .*--shift auto", line)
     assert float(named[1]) == pytest.approx(2.0, abs=0.06)
-    items = {item.take: item for item in prepare(folder, shift="auto").manifest}
+    report = prepare(folder, shift="auto")
+    (line,) = [line for line in report.problem_lines() if "shifted" in line]
+    assert "late.npz: shifted: the motion came +" in line
+    items = {item.take: item for item in report.manifest}
     begins = [item.motion_start - item.audio_start for _, item in sorted(items.items())]
     assert begins == pytest.approx([0.0, 2.0, 0.0], abs=0.06)
 

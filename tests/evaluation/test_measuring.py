@@ -5,11 +5,14 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gesturekit.evaluation import evaluate
 from gesturekit.evaluation.measuring import work
+from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
 from gesturekit.evaluation.measuring.measurer import Measurer
+from gesturekit.evaluation.metrics.rhythm import central_speed
 from gesturekit.motion import Motion
 
 
@@ -110,3 +113,20 @@ def test_worker_processes_give_the_same_figures(folders, tmp_path, monkeypatch):
     # Three recordings of two models, three of the baseline, and a chain of sets of each kind: two
     # workers never hold the motion of two sets at a time.
     assert seen == [("measuring", 8)] * 8
+
+
+def test_statistics_are_those_of_recordings_on_one_rig(folders, quadruped):
+    """Two of three recordings are whole, and one is of an animal."""
+    files = {path.stem: path for path in sorted((folders / "recordings").glob("*.bvh"))}
+    files["clip1"].write_text("HIERARCHY")
+    still = np.tile([0.0, 0, 0, 1], (50, quadruped.n_joints, 1))
+    Motion(quadruped, still, np.zeros((50, 3)), 25.0).save(folders / "horse.npz")
+    statistics = ReferenceStatistics.of({**files, "horse": folders / "horse.npz"}, 25.0)
+    assert statistics.recordings == ["clip0", "clip2"]
+    assert [one.name for one in statistics.excluded] == ["clip1", "horse"]
+    two = [Motion.load(files[name]) for name in statistics.recordings]
+    # The body's own turn is no joint's range, and no joint's local speed.
+    assert set(statistics.limits.joints) == set(statistics.mean_speed) - {two[0].skeleton.names[0]}
+    speeds = [central_speed(motion, tuple(statistics.mean_speed)) for motion in two]
+    mean = np.concatenate(speeds).mean(axis=0)
+    np.testing.assert_allclose(list(statistics.mean_speed.values()), mean, rtol=1e-9)

@@ -17,7 +17,7 @@ import soundfile
 import torch
 
 import gesturekit as gk
-from gesturekit.corpus import Manifest
+from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.multires.training import trainer
 from gesturekit.multires.training.batches import Batches
@@ -342,6 +342,18 @@ def test_a_plan_makes_no_arrays(long_config, gesturekit, recipe, tmp_path, caplo
     assert not config.arrays_folder.exists() and "making those that are missing" in caplog.text
     # What a few steps on an excerpt find out is not true of the corpus.
     assert "Hand movement predicted" not in caplog.text
+
+
+def test_a_plan_counts_what_is_trained_on(long_config, gesturekit, gesture, tmp_path, caplog):
+    """Motion without speech is no recording of a model of speech: 8.5 s fit into memory."""
+    caplog.set_level(logging.INFO)
+    config = long_config()
+    gesture(20.0).save(tmp_path / "alone.bvh")
+    alone = Item(id="alone", audio=None, motion=tmp_path / "alone.bvh", duration=20.0)
+    Manifest([*Manifest.load(config.corpus), alone]).save(config.corpus)
+    where = f"corpus={config.corpus}", f"out={tmp_path / 'run'}", "in_memory=0.25", "threads=1"
+    gesturekit("train", "diffusion_speech/small", *where, "--plan").ok()
+    assert "Time: about" in caplog.text and "Arrays of" not in caplog.text
 
 
 def test_a_plan_reads_half_a_minute_of_any_number_of_speakers(long_config):

@@ -226,3 +226,12 @@ def test_parts_named_by_hand_reach_the_model(make_config, tmp_path, gesture, wri
         make_config(parts={"left_elbo": "Joint7"})
     with pytest.raises(ConfigError, match=r"parts.*'Joint99'"):
         load_training_data(make_config(corpus=corpus, parts={"left_elbow": "Joint99"}))
+
+
+def test_every_second_of_unpaired_speech_is_drawn_as_often(make_config):
+    """Clips of 40 and 120 frames: a quarter and three quarters of the windows."""
+    data = load_training_data(make_config())
+    clips = tuple(torch.full((data.n_speech, n), float(n)) for n in (40, 120))
+    data, rng = replace(data, unpaired=clips), torch.Generator().manual_seed(0)
+    drawn = [float(data.speech_window(10, 0, rng)[0, 0]) for _ in range(400)]
+    assert np.mean(np.equal(drawn, 120)) == pytest.approx(0.75, abs=0.07)

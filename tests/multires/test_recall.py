@@ -174,6 +174,9 @@ def test_only_training_recordings_are_recalled(data, library, model):
         assert own.profiles.shape == (3, n) and own.directions.shape == (4, n)
         # Movement, height, distance and width of each hand, and movement of the rest.
         assert own.states.shape == (4 + 4 + 1, n)
+    # Movement of the hands is in standard deviations, but for what the level averages away.
+    hands = np.concatenate([own.profiles[:2] for own in library.recordings], axis=1)
+    assert hands.mean() == pytest.approx(0, abs=0.1) and 0.5 < hands.std() < 1.1
     # The held-out recording has its arms up; nobody else has.
     for seed in range(3):
         motion = model.generate(voice(4.0, seed=seed), seed=seed)

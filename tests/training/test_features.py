@@ -120,3 +120,19 @@ def test_own_features_are_a_part_of_what_arrays_and_silence_are_made_of(tmp_path
     assert abs(speech[:, :2]).max() > 1.0
     np.save(own, np.load(own) + 1)
     assert array_key(arrays, item) != key
+
+
+@pytest.mark.parametrize("normalise", ["clip", "corpus"])
+def test_arrays_of_quiet_speech_are_those_of_loud_speech(
+    tmp_path, write_speech, write_wavlm, normalise
+):
+    """With `clip`; an encoder notices the level, acoustic features do not."""
+    write_wavlm(tmp_path / "weights")
+    write_speech(tmp_path / "in" / "loud.wav", 3.0)
+    samples, rate = soundfile.read(tmp_path / "in" / "loud.wav")
+    soundfile.write(tmp_path / "in" / "quiet.wav", 0.1 * samples, rate, subtype="FLOAT")
+    items = prepare([], unpaired=[tmp_path / "in"], holdout=0.0).manifest
+    config = FeatureConfig(({"kind": "wavlm"},), tmp_path / "weights", normalise=normalise)
+    arrays = SpeechArrays.open(config, 25.0, "cpu")
+    (loud, _), (quiet, _) = (arrays.make(item) for item in items)
+    assert np.allclose(loud, quiet, atol=0.02) == (normalise == "clip")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from avatars import BONES, HAIR, avatar, avatar_json, packed
 from pages import bundled, opened
+from PIL import Image
 
 from gesturekit.errors import FormatError
 from gesturekit.formats.gltf.materials import reduce_colours
@@ -144,6 +146,20 @@ def test_a_texture_that_cannot_be_read_leaves_the_base_colour(tmp_path, change, 
     with pytest.warns(UserWarning, match="texture cannot be read"):
         skin = load_avatar(with_changes(tmp_path / "me.vrm", *changes))[0].skins[0]
     np.testing.assert_array_equal(skin.palette, [[0, 0, 255]])
+
+
+def test_a_fine_pattern_becomes_its_mean_colour(tmp_path):
+    """A vertex stands for the skin around it: not for the black or white pixel that it is at."""
+    found, data = avatar_json(1)
+    board = np.indices((2048, 2048)).sum(axis=0) % 2 * 255
+    out = io.BytesIO()
+    Image.fromarray(board.astype(np.uint8)).save(out, "PNG")
+    found["bufferViews"][6] |= {"byteOffset": len(data), "byteLength": out.tell()}
+    data += out.getvalue() + bytes(-out.tell() % 4)
+    found["buffers"][0]["byteLength"] = len(data)
+    (tmp_path / "me.vrm").write_bytes(packed(found, data))
+    skin = load_avatar(tmp_path / "me.vrm")[0].skins[0]
+    assert np.abs(skin.palette[skin.regions].astype(int) - 127).max() < 20
 
 
 BAD = {

@@ -117,6 +117,15 @@ def test_a_figure_is_drawn_alike_at_any_size(skeleton, factor):
     assert np.allclose(radii[1], factor * np.array(radii[0]))
 
 
+@pytest.mark.parametrize("factor", [0.1, 1.0, 2.0])
+def test_a_view_from_the_waist_up_has_the_hips_and_not_the_knees(skeleton, factor):
+    motion = at_rest(skeleton, 5, 0.9).scaled(factor)
+    figure = Figure.of(motion)
+    hips, knee = (motion.positions()[0, skeleton.index(name), 1] for name in ("Hips", "LeftLeg"))
+    assert knee < figure.floor + figure.below("waist") < hips
+    assert figure.below("whole") == 0.0
+
+
 def test_ends_that_no_limb_can_have_are_not_drawn(skeleton):
     """Mixamo's rigs from Blender: as long as the last bone, and up."""
     ends = {"LeftHand": (np.array([0.0, 0.25, 0.0]),), "LeftFoot": (np.array([0.0, 0.42, 0.0]),)}

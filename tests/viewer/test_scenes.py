@@ -122,6 +122,13 @@ def test_bones_are_drawn_between_joints(gesture, tmp_path):
     )
     for place in (elbow, wrist, motion.end_positions()["LeftHand"][7, 0]):
         assert np.linalg.norm(vertices - place, axis=1).min() < 1e-5
+    for upper, lower in (("Hips", "LeftUpLeg"), ("LeftForeArm", "LeftHand")):
+        start, end = (motion.positions()[7, motion.skeleton.index(n)] for n in (upper, lower))
+        length = np.linalg.norm(end - start)
+        along = (vertices - start) @ (end - start) / length
+        away = np.linalg.norm(vertices - start - np.outer(along, (end - start) / length), axis=1)
+        beside = (along > 0.02 * length) & (along < 0.5 * length) & (away < 0.2 * length)
+        assert beside.sum() >= 4, f"a solid bone below {upper}"
 
 
 @pytest.mark.parametrize("version", [0, 1])

@@ -217,10 +217,10 @@ def _paired(
             speech[:, :n_frames].contiguous(),
             config.network.levels,
             config.seed,
-            style=style,
             full_noise=config.z_star == "full",
         )
-        paired.append(replace(sequence, speaker=item.speaker, take=item.take))
+        about = {"style": style, "speaker": item.speaker, "take": item.take}
+        paired.append(replace(sequence, **about))
     return paired
 
 

@@ -62,7 +62,6 @@ class PairedSequence:
         levels: int,
         seed: int,
         *,
-        style: int = 0,
         full_noise: bool = False,
         sigma: Tensor | None = None,
     ) -> PairedSequence:
@@ -79,7 +78,7 @@ class PairedSequence:
             noise = torch.randn(channels, n_coarsest, generator=rng)
         else:
             noise = torch.randn(n_coarsest, generator=rng) * sigma[0]
-        return cls(name, motion, speech, sigma, noise, torch.zeros(0, n_frames), style)
+        return cls(name, motion, speech, sigma, noise, torch.zeros(0, n_frames))
 
     def cut(self, start: int, stop: int) -> PairedSequence:
         """Return frames `start` to `stop` in memory, with their part of z*."""

@@ -149,11 +149,11 @@ class StoredCorpus:
                 spoken,
                 config.network.levels,
                 config.seed,
-                style=style,
                 full_noise=config.z_star == "full",
                 sigma=sigma,
             )
-            paired.append(replace(made, passive=passive, speaker=speaker, take=take))
+            about = {"style": style, "speaker": speaker, "take": take}
+            paired.append(replace(made, passive=passive, **about))
         return tuple(paired), tuple(unpaired)
 
 
