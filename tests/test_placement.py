@@ -91,6 +91,19 @@ def test_a_motion_ends_in_a_pose_where_the_body_is(model, wave):
         assert rotation_angles(short.rotations[0, 1:], pose.rotations[first, 1:]).max() < 1e-6
 
 
+def test_a_short_motion_begins_and_ends_in_poses_and_steps_between_them(gesture):
+    """Two thirds of a second, in which both feet step twice."""
+    own = gesture(4.0)
+    first, last = own[10:11], own[90:91]
+    last = replace(last, translation=last.translation + [0.3, 0.0, 0.2])
+    made = Placement(start=first, end=last, facing=None, in_place=False).applied(own[30:50])
+    assert made.n_frames == 20
+    for motion, pose in ((made[:1], first), (made[-1:], last)):
+        assert rotation_angles(motion.rotations[0, 1:], pose.rotations[0, 1:]).max() < 0.05
+    step = rotation_angles(made.rotations[1:], made.rotations[:-1])
+    assert np.degrees(step.max()) < 30, "no jump from frame to frame"
+
+
 def test_facing_turns_the_whole_motion(model, wave):
     own, made = model.generate(wave), model.generate(wave, facing=90.0)
     assert np.degrees(heading(made[:1])) == pytest.approx(90)

@@ -107,8 +107,7 @@ class Placement:
             for pose in (self.start, self.end)
         )
         # Two steps at either end fit into the motion.
-        most = motion.n_frames // (2 if start is None or end is None else 4)
-        count = max(1, min(round(BLEND_SECONDS * motion.fps), most))
+        count = max(1, min(round(BLEND_SECONDS * motion.fps), motion.n_frames // 4))
         if start is None and self.facing is not None:
             motion = _facing(motion, root, self.facing)
         if start is not None and self.on_path:

@@ -258,6 +258,8 @@ def test_a_mistyped_configuration_suggests_the_nearest(gesturekit, light, monkey
         (["recipes/speech/light.yaml", "window=3"], "did you mean training.window?"),
         (["recipes/speech/light.yaml", "window=3", "--show"], "did you mean training.window?"),
         (["recipes/speech/light.yaml", "--resum"], "--resume"),
+        (["runs/none", "--resume", "--plan"], "--plan is for a new run; leave out --resume"),
+        (["runs/none", "--resume", "--arrays"], "--arrays is for a new run; leave out --resume"),
     ],
 )
 def test_common_mistakes_in_naming_a_run_a_recipe_or_a_setting(

@@ -66,10 +66,11 @@ def test_a_library_is_as_long_as_it_may_be_and_no_longer(choose, length):
     assert parts == choose(recordings, minutes=3.0)
 
 
-def test_calm_and_lively_recordings_have_their_shares(choose):
+@pytest.mark.parametrize("calm", [0.0, 0.5])
+def test_calm_and_lively_recordings_have_their_shares(choose, calm):
     """A third of the corpus is lively, and so is a third of the library."""
     recordings = [
-        (swinging(choose.width, 40, 3.0 if i % 3 == 0 else 0.5, i), None) for i in range(18)
+        (swinging(choose.width, 40, 3.0 if i % 3 == 0 else calm, i), None) for i in range(18)
     ]
     found = seconds_of(choose(recordings, 4.0), recordings, lambda i: i % 3 == 0)
     assert found[True] / (found[True] + found[False]) == pytest.approx(1 / 3, abs=0.07)

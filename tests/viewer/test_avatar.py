@@ -162,6 +162,14 @@ def test_a_fine_pattern_becomes_its_mean_colour(tmp_path):
     assert np.abs(skin.palette[skin.regions].astype(int) - 127).max() < 20
 
 
+def test_a_base_colour_is_linear_light(tmp_path):
+    """As IEC 61966-2-1 has it: a fifth of the light is half of the code, hardly any is 12.92."""
+    surface = {"baseColorFactor": [0.2159, 0.002, 1.0, 1.0]}
+    change = changed("materials", 0, "pbrMetallicRoughness", value=surface)
+    skin = load_avatar(with_changes(tmp_path / "me.vrm", change))[0].skins[0]
+    np.testing.assert_array_equal(skin.palette, [[128, 7, 255]])
+
+
 BAD = {
     "no metadata": (changed("extensions", drop=True), "Export it as VRM"),
     "no head": (

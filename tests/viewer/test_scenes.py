@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from avatars import avatar, avatar_json, packed, picture
-from gltf_files import arm
+from gltf_files import QUARTER_TURN, arm
+from rigs import rig_of
 
 from gesturekit.errors import FormatError
 from gesturekit.formats.gltf.file import Gltf
@@ -129,6 +130,16 @@ def test_bones_are_drawn_between_joints(gesture, tmp_path):
         away = np.linalg.norm(vertices - start - np.outer(along, (end - start) / length), axis=1)
         beside = (along > 0.02 * length) & (along < 0.5 * length) & (away < 0.2 * length)
         assert beside.sum() >= 4, f"a solid bone below {upper}"
+
+
+def test_a_rig_of_more_joints_than_a_byte_counts_keeps_its_bones(tmp_path):
+    chain = {f"j{k}": (f"j{k - 1}" if k else None, (0.0, 0.1, 0.0)) for k in range(258)}
+    rig = rig_of(chain)
+    turns = np.tile([0.0, 0.0, 0.0, 1.0], (2, 258, 1))
+    turns[:, 256] = QUARTER_TURN
+    Motion(rig, turns, np.zeros((2, 3)), 30.0).save(tmp_path / "a.glb")
+    (vertices,) = skinned(tmp_path / "a.glb", 1).values()
+    assert np.linalg.norm(vertices - [-0.1, 25.6, 0.0], axis=1).min() < 1e-4
 
 
 @pytest.mark.parametrize("version", [0, 1])
