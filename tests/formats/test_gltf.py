@@ -319,6 +319,12 @@ def read_the_same_bytes_often(file: GltfFile) -> None:
         file.animate([(0, "rotation", [0, 1], again)])
 
 
+def have_zeros_often(file: GltfFile) -> None:
+    for _ in range(10):
+        file.json["accessors"].append({"type": "VEC4", "componentType": 5126, "count": 20_000})
+        file.animate([(0, "rotation", [0, 1], len(file.json["accessors"]) - 1)])
+
+
 ZEROS = {"type": "VEC4", "componentType": 5126, "count": 10**9}
 FIRST = ("accessors", 0)
 HOSTILE = {
@@ -331,6 +337,7 @@ HOSTILE = {
         change_all(changed("count", 1, *FIRST), changed("byteLength", 2, "bufferViews", 0)),
         "count of rotation is 1; expected 0 to 0",
     ),
+    "zeros often": (have_zeros_often, "count of rotation is 20000; expected"),
     "same bytes": (read_the_same_bytes_often, "several times larger than the file"),
     "sparse count": (changed("sparse", sparse(10**9), *FIRST), "count of indices"),
     "sparse place": (changed("sparse", sparse(8), *FIRST), "beyond its 3 elements"),
@@ -358,6 +365,22 @@ def test_deep_trees_are_counted_not_recursed_into(tmp_path):
     nodes = [{"children": [k + 1]} for k in range(15_000)] + [{}]
     with pytest.raises(FormatError, match="over 1000 nodes above one another"):
         Motion.load(GltfFile(nodes, [[0]]).save(tmp_path / "a.glb"))
+
+
+def test_files_beside_a_gltf_are_too_large_together(tmp_path, monkeypatch):
+    monkeypatch.setattr("gesturekit.formats.gltf.file.MAX_BYTES", 5000)
+    file = arm()
+    names = ["a.bin", "b.bin"]
+    for name in names:
+        (tmp_path / name).write_bytes(file.data + bytes(3000))
+    found = json.loads(file.gltf("a.bin"))
+    found["buffers"].append({"byteLength": 3000, "uri": "b.bin"})
+    (tmp_path / "a.gltf").write_text(json.dumps(found))
+    assert len(Motion.load(tmp_path / "a.gltf").skeleton.names) == 2  # b.bin is not needed
+    found["bufferViews"][1] |= {"buffer": 1}
+    (tmp_path / "a.gltf").write_text(json.dumps(found))
+    with pytest.raises(FormatError, match="its files together have over"):
+        Motion.load(tmp_path / "a.gltf")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")

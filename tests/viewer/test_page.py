@@ -24,6 +24,7 @@ from audio_features import Wave
 from gesturekit.errors import FormatError, GestureKitError, MotionError
 from gesturekit.motion import Motion
 from gesturekit.viewer import write_html
+from gesturekit.viewer.figure import Figure
 
 pytestmark = bundled
 
@@ -169,6 +170,16 @@ def test_every_key_of_the_player_is_in_its_list_of_shortcuts():
     assert len(keys) == 7
     for key in map("".join, keys):
         assert any(key.upper() in words.split(" or ") for words in shown), key
+
+
+def test_a_view_from_the_waist_up_shows_no_legs_of_the_tallest(tmp_path, gesture):
+    adult = gesture(0.2)
+    below = Figure.of(adult).below("waist")
+    for motions in ({"child": adult.scaled(0.5), "adult": adult}, {"adult": adult}):
+        write_html(motions, tmp_path / "a.html", framing="waist")
+        assert data_of(tmp_path / "a.html")["below"] == pytest.approx(
+            Figure.of(adult).below("waist")
+        )
 
 
 def test_no_motion_at_all_is_refused(tmp_path):

@@ -17,6 +17,7 @@ from rigs import rig_of
 from gesturekit.errors import FormatError
 from gesturekit.formats.gltf.file import Gltf
 from gesturekit.formats.gltf.vrm import our_names, read_avatar
+from gesturekit.formats.gltf.writing import Material
 from gesturekit.motion import Motion
 from gesturekit.motion.rotations import matrix_from_quaternion
 from gesturekit.viewer.drawn_body import DrawnBody
@@ -140,6 +141,12 @@ def test_a_rig_of_more_joints_than_a_byte_counts_keeps_its_bones(tmp_path):
     Motion(rig, turns, np.zeros((2, 3)), 30.0).save(tmp_path / "a.glb")
     (vertices,) = skinned(tmp_path / "a.glb", 1).values()
     assert np.linalg.norm(vertices - [-0.1, 25.6, 0.0], axis=1).min() < 1e-4
+
+
+def test_colours_of_materials_are_linear_light():
+    """IEC 61966-2-1: ((128 / 255 + 0.055) / 1.055)^2.4 = 0.2159, 7 / 255 / 12.92 = 0.0021."""
+    surface = Material("coat", (128, 7, 255)).json()["pbrMetallicRoughness"]
+    assert surface["baseColorFactor"] == pytest.approx([0.2159, 0.0021, 1, 1], abs=1e-4)
 
 
 @pytest.mark.parametrize("version", [0, 1])
