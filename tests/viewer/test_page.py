@@ -177,9 +177,7 @@ def test_a_view_from_the_waist_up_shows_no_legs_of_the_tallest(tmp_path, gesture
     below = Figure.of(adult).below("waist")
     for motions in ({"child": adult.scaled(0.5), "adult": adult}, {"adult": adult}):
         write_html(motions, tmp_path / "a.html", framing="waist")
-        assert data_of(tmp_path / "a.html")["below"] == pytest.approx(
-            Figure.of(adult).below("waist")
-        )
+        assert data_of(tmp_path / "a.html")["below"] == pytest.approx(below)
 
 
 def test_no_motion_at_all_is_refused(tmp_path):
