@@ -69,6 +69,12 @@ def test_the_shorter_way_is_turned(tmp_path):
     np.testing.assert_allclose(angle(path, fps=2), [0, 45, 90], atol=1e-4)
 
 
+def test_keys_are_read_in_the_order_of_their_times(tmp_path):
+    turns = [(0, 0, 0, 1), (0, 0, 0, 1), QUARTER_TURN]
+    file = GltfFile(arm().json["nodes"], [[0, 1]]).animate([(0, "rotation", [0, 2, 1], turns)])
+    np.testing.assert_allclose(angle(file.save(tmp_path / "a.glb"), fps=1), [0, 90, 0], atol=1e-4)
+
+
 @pytest.mark.parametrize(
     ("times", "fps"),
     [

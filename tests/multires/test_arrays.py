@@ -29,6 +29,7 @@ from gesturekit.systems import _part, _resolve, make_arrays
 from gesturekit.training.run import plan
 from gesturekit.training.run.session import session
 
+UPPER_BODY = "Hips,Spine,Neck,Head,LeftArm,LeftForeArm,LeftHand,RightArm,RightForeArm,RightHand"
 LONG = {"in_memory": 0.15}
 """Minutes; the corpus of the tests has 8.5 s of recordings and 5 s of unpaired speech."""
 
@@ -254,12 +255,20 @@ def test_a_hostile_array_is_refused(long_config):
     assert load_training_data(config).paired[0].motion[:, :4].isfinite().all()
 
 
-@pytest.mark.parametrize("recipe", ["own_corpus", "diffusion_speech/small"])
-def test_the_plan_gives_the_size_of_the_arrays(long_config, recipe, tmp_path, caplog):
+@pytest.mark.parametrize(
+    ("recipe", "changes"),
+    [
+        # The other joints are kept as they were recorded.
+        ("own_corpus", [f"joints=[{UPPER_BODY}]", "losses.contact=0"]),
+        ("diffusion_speech/small", []),
+    ],
+)
+def test_the_plan_gives_the_size_of_the_arrays(long_config, recipe, changes, tmp_path, caplog):
     """Sizes of both systems are estimated before anything is made."""
     caplog.set_level(logging.INFO)
     config = long_config()
-    settings = [f"corpus={config.corpus}", f"out={tmp_path / 'run'}", "in_memory=0.1", "threads=1"]
+    where = [f"corpus={config.corpus}", f"out={tmp_path / 'run'}"]
+    settings = [*where, "in_memory=0.1", "threads=1", *changes]
     make_arrays(recipe, settings)
     made = sum(path.stat().st_size for path in config.arrays_folder.rglob("*.npy"))
     system, loaded = _resolve(recipe, settings, {}, resume=False)

@@ -234,7 +234,5 @@ def _curve(gltf: Gltf, sampler: dict[str, Any], path: str) -> Curve:
         values = values.reshape(len(times), each, -1)
     elif path == "rotation":
         values = normalize_quaternions(values)
-    if (np.diff(times) < 0).any():
-        order = np.argsort(times, kind="stable")
-        times, values = times[order], values[order]
-    return Curve(times, values, interpolation)
+    order = np.argsort(times, kind="stable")
+    return Curve(times[order], values[order], interpolation)

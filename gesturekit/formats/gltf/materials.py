@@ -49,7 +49,7 @@ class Colours:
         if texture is not None and uv is not None:
             height, width = texture.shape[:2]
             column, row = ((uv % 1.0) * [width, height]).astype(int).T
-            rgba *= texture[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)] / 255
+            rgba *= texture[np.minimum(row, height - 1), np.minimum(column, width - 1)] / 255
         if found.get("alphaMode", "OPAQUE") == "OPAQUE":
             rgba[:, 3] = 1.0
         return rgba
