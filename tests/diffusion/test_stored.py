@@ -105,6 +105,15 @@ def test_windows_from_disk_are_those_from_memory(config_of, start, kind):
         assert np.array_equal(one.condition, other.condition[:])
 
 
+@pytest.mark.parametrize("changes", [ON_DISK, {}])
+def test_prepared_data_is_the_same_when_saved_again(config_of, tmp_path, changes):
+    config, folders = config_of("all", **changes), [tmp_path / "one", tmp_path / "two"]
+    load_training_data(config).save(folders[0])
+    TrainingData.load(folders[0], config).save(folders[1])
+    one, two = ({path.name: path.read_bytes() for path in each.iterdir()} for each in folders)
+    assert one == two and len(one) > 1
+
+
 def test_processes_read_their_own_rows_of_a_batch(config_of):
     config = config_of("all", **ON_DISK)
     batches = Batches(load_training_data(config), config)

@@ -201,6 +201,21 @@ def test_arrays_may_lie_in_the_text_or_beside_it(tmp_path):
         np.testing.assert_allclose(angle(tmp_path / name, fps=1), [0, 90, 0], atol=1e-4)
 
 
+def test_arrays_may_be_interleaved(tmp_path):
+    """Three times (4 bytes) and turns (16) by turns, after 8 bytes of something else."""
+    rows = np.zeros((3, 5), "<f4")
+    rows[:, 0], rows[[0, 2], 4], rows[1, 1:] = [0, 1, 2], 1, QUARTER_TURN
+    file = GltfFile(arm().json["nodes"], [[0, 1]])
+    view = file.view(bytes(8) + rows.tobytes())
+    file.json["bufferViews"][view]["byteStride"] = 20
+    array = {"bufferView": view, "componentType": 5126, "count": 3}
+    for kind, offset in (("SCALAR", 8), ("VEC4", 12)):
+        file.json["accessors"].append({**array, "type": kind, "byteOffset": offset})
+    file.animate([(0, "rotation", [0], 1)])
+    file.json["animations"][0]["samplers"][0]["input"] = 0
+    np.testing.assert_allclose(angle(file.save(tmp_path / "a.glb"), fps=1), [0, 90, 0], atol=1e-4)
+
+
 @pytest.mark.parametrize(
     "uri",
     [
@@ -237,6 +252,10 @@ def test_the_longest_animation_is_read_or_that_which_is_named(tmp_path):
     path = two_animations().save(tmp_path / "a.glb")
     with pytest.warns(UserWarning, match=r"idle, wave, 3.*wave; --animation NAME"):
         assert Motion.load(path).info["animation"] == "wave"
+    two = two_animations()
+    del two.json["animations"][2]
+    with pytest.warns(UserWarning, match=r"\(idle, wave\), the longest is read, wave"):
+        Motion.load(two.save(tmp_path / "b.glb"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for name in ("idle", "1"):
