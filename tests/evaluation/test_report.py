@@ -57,6 +57,14 @@ def test_the_human_body_has_the_colours_of_the_models(evaluation, tmp_path):
         assert figure["ink"] in figure["skin"]["palette"]
 
 
+def test_clips_to_look_at_are_whole(page):
+    """Three seconds at 25 fps, of both models and the recording."""
+    text = page.read_text(encoding="utf-8")
+    clips = json.loads(re.search(r'id="clips">(.*?)</script>', text, re.S)[1])
+    figures = [figure for clip in clips for figure in json.loads(clip["motion"])["figures"]]
+    assert len(figures) == 3 * len(clips) and {one["n_frames"] for one in figures} == {75}
+
+
 def markup(page: Path) -> str:
     return re.sub(r"<script.*?</script>", "", page.read_text(encoding="utf-8"), flags=re.S)
 

@@ -369,6 +369,14 @@ HOSTILE = {
     "few values": (changed("count", 1, *FIRST), "1 values of rotation for 3 times"),
     "interpolation": (changed("interpolation", "x", "animations", 0, "samplers", 0), "not known"),
     "cycle": (changed("children", [0], "nodes", 1), "no tree"),
+    "far away": (
+        change_all(*(changed("translation", [9e5, 0, 0], "nodes", k) for k in (0, 1))),
+        "places of its nodes are beyond 1e",
+    ),
+    "grown": (
+        change_all(*(changed("scale", [5e3] * 3, "nodes", k) for k in (0, 1))),
+        "places of its nodes are beyond 1e",
+    ),
     "version": (changed("asset", {"version": "1.0"}), "version 1.0"),
     "not json": (changed("nodes", [3]), "not an object"),
     "no skin": (changed("skins", [{"joints": [7]}]), "joints is 7; expected 0 to 1"),

@@ -332,7 +332,8 @@ def test_the_plan_adds_loading_reading_and_training(
     """
     caplog.set_level(logging.INFO)
     monkeypatch.setattr(plan.time, "process_time", lambda: 600.0)
-    monkeypatch.setattr(plan, "quickest", lambda work, times: 1200.0)
+    taken = iter([400.0, 1200.0])  # motion alone, and motion with its features
+    monkeypatch.setattr(plan, "quickest", lambda work, times: next(taken))
     monkeypatch.setattr(
         trainer.Trainer, "estimate", lambda self: plan.Estimate(1800.0, 0.0, (0.0, 0.0))
     )
