@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from scipy import stats
+from small_models import small_diffusion
 
 import audio_features as af
 import gesturekit as gk
@@ -168,12 +169,13 @@ def test_liveliness_and_fingers(model, speech):
     assert np.ptp(lively.rotations[:, fingers], axis=0).max() > 0.01, "fingers are recalled too"
 
 
-def test_what_cannot_stream_says_why(model, tmp_path):
+def test_what_cannot_stream_says_why(model, gesture):
     no_ahead = replace(model, library=replace(model.library, ahead=()))
     no_recall = replace(model, library=None)
     for own, options, message in (
         (no_ahead, {}, "no predictions for live speech: gesturekit live --fit corpus.jsonl"),
         (no_recall, {}, "without recall cannot stream"),
+        (small_diffusion(gesture), {}, "a diffusion model generates whole motions only: multires"),
         (model, {"look_ahead": -0.1}, "look_ahead=-0.1: seconds from 0"),
         (model, {"levels": 3}, "levels: a stream takes style, .*smooth only"),
         (model, {"style": "old"}, "style='old': this multires model has no style"),
