@@ -113,7 +113,7 @@ _URGENT = 3
 @click.option(
     "--fit",
     "corpus",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    type=click.Path(path_type=Path),
     metavar="CORPUS.jsonl",
     help="Add what live speech needs to the model, from the corpus of its training, and end.",
 )

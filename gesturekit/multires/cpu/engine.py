@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import Any, TypeVar
+from weakref import WeakSet
 
 import torch
 from torch import Tensor, nn
@@ -39,13 +40,20 @@ _PARTS = {
 """Modules that the engine supports: class to the names of its children and parameters."""
 
 
+_SUPPORTED: WeakSet[nn.Module] = WeakSet()
+"""Networks in evaluation mode that can be computed."""
+
+
 def unsupported(*networks: nn.Module) -> str | None:
     """Return why the engine cannot compute these networks, or None if it can.
 
     Classes must be exactly those that it was written for: it does not call their `forward`, so that
-    a subclass would be trained with the gradients of its base class.
+    a subclass would be trained with the gradients of its base class. Networks in evaluation mode
+    are examined once.
     """
     for network in networks:
+        if not network.training and network in _SUPPORTED:
+            continue
         for name, module in network.named_modules():
             problem = _problem(module)
             if problem:
@@ -55,6 +63,8 @@ def unsupported(*networks: nn.Module) -> str | None:
                 return f"it needs float32 weights on the CPU, not {parameter.dtype} on " + str(
                     parameter.device
                 )
+        if not network.training:
+            _SUPPORTED.add(network)
     return None
 
 

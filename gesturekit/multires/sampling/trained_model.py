@@ -347,7 +347,7 @@ def sample(
             len(noises[0]), network.levels[0].layers[0].shape[1], lengths[0]
         )
     levels = network.levels[first : first + len(lengths)]
-    backend = choose_backend("auto", levels)
+    backend = choose_backend("auto", *levels)
     with backend.threads():
         for i, (level, noise, n_frames) in enumerate(
             zip(levels, noises, lengths, strict=True), first

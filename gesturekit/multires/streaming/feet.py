@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from gesturekit.motion.ik.legs import reach_feet
+from gesturekit.motion.ik.two_bone import two_bone_ik
+from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length
+from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.postprocess.foot import find_feet
 
@@ -36,7 +39,17 @@ class FootHold:
     def __init__(self, skeleton: Skeleton, fps: float) -> None:
         self._fps, self._feet = fps, None
         if find_legs(skeleton) is not None:
-            self._feet = find_feet(skeleton)
+            feet = find_feet(skeleton)
+            legs = {joint for foot in feet for joint in foot.joints}
+            # Only the legs and the joints above them are computed.
+            self._kept = sorted(legs.union(*map(skeleton.ancestors, legs)))
+            index = {joint: k for k, joint in enumerate(self._kept)}
+            self._feet = [foot.renumbered(index) for foot in feet]
+            self._legs = Skeleton(
+                tuple(skeleton.names[joint] for joint in self._kept),
+                tuple(index.get(skeleton.parents[joint], -1) for joint in self._kept),
+                skeleton.offsets[self._kept],
+            )
             self._reach = _FURTHEST * leg_length(skeleton)
         self._shift = np.zeros(3)
         self._moved = np.zeros((2, 3))
@@ -67,13 +80,28 @@ class FootHold:
         """
         if self._feet is None:
             return motion
-        ankles = motion.positions()[:, [foot.ankle for foot in self._feet]]
-        turns = motion.global_rotations()[:, [foot.ankle for foot in self._feet]]
+        legs, rotations = self._legs, motion.rotations[:, self._kept]
+        moving = {n: v for n, v in motion.joint_translations.items() if n in legs.names}
+        positions = forward_kinematics(rotations, motion.translation, legs, moving)
+        world = global_rotations(rotations, legs)
+        ankles = positions[0, [foot.ankle for foot in self._feet]]
         columns = [[k for anchor in foot.anchors for k in anchor.columns] for foot in self._feet]
-        stands = np.array([(contacts[own] > 0.5).any() for own in columns])
-        self._follow(ankles[0], stands)
-        shifted = displaced(motion, self._shift[[0, 2]])
-        return reach_feet(shifted, ankles + self._shift + self._moved, turns)
+        self._follow(ankles, np.array([(contacts[own] > 0.5).any() for own in columns]))
+        for foot, goal in zip(self._feet, ankles + self._shift + self._moved, strict=True):
+            bones = [foot.hip, foot.knee]
+            rotations[:, bones] = two_bone_ik(
+                positions[:, foot.limb] + self._shift,
+                goal[None],
+                rotations[:, bones],
+                world[:, [legs.parents[joint] for joint in bones]],
+            )
+        reached = global_rotations(rotations, legs)
+        for foot in self._feet:
+            back = invert_quaternions(reached[:, legs.parents[foot.ankle]])
+            rotations[:, foot.ankle] = multiply_quaternions(back, world[:, foot.ankle])
+        whole = motion.rotations.copy()
+        whole[:, self._kept] = rotations
+        return replace(displaced(motion, self._shift[[0, 2]]), rotations=whole)
 
     def _follow(self, ankles: np.ndarray, stands: np.ndarray) -> None:
         """Update the corrections for a frame with ankles (2, 3), two of which may stand."""
