@@ -20,7 +20,7 @@ from gesturekit.multires.constraints.keyframes import moved
 from gesturekit.multires.recall.pieces import ChoiceWeights, PieceSearch
 from gesturekit.multires.recall.slow_state import SlowState
 from gesturekit.multires.streaming.feet import FootHold
-from gesturekit.multires.streaming.plan import Forecast
+from gesturekit.multires.streaming.plan import Forecast, LiveChoice, LivePlan
 
 RATE = 16_000
 
@@ -283,3 +283,108 @@ def test_a_body_without_legs_is_left_alone(model, usual):
         [n for n in usual.skeleton.names if "Leg" not in n and "Foot" not in n and "Toe" not in n]
     )[:1]
     assert FootHold(torso.skeleton, 30.0)(torso, np.ones(0), lambda m, by: m) is torso
+
+
+@pytest.fixture(scope="module")
+def ramps(model):
+    """The demo's library with recordings whose every channel counts 1000 times k, plus frames."""
+    library = model.library
+    recordings = []
+    for k, recording in enumerate(library.recordings):
+        n_frames = recording.motion.shape[-1]
+        ramp = 1000.0 * k + torch.arange(n_frames, dtype=torch.float32)
+        profiles = torch.zeros_like(recording.profiles)
+        own = {"motion": ramp.expand(recording.motion.shape), "profiles": profiles}
+        recordings.append(replace(recording, **own))
+    return replace(library, recordings=tuple(recordings))
+
+
+def shown(plan: LivePlan, part: int, *offsets: float) -> np.ndarray:
+    """What a part of a plan on `ramps` shows at motion frames relative to the current one."""
+    columns = plan.library.parts[part].columns
+    return plan.vectors(np.array(offsets))[0, columns[0]].numpy()
+
+
+def test_pieces_play_fade_and_go_on_in_real_time(ramps):
+    """One level frame is 30 / 5.34 motion frames; fades take 2 of an arm's pieces of 5."""
+    plan = LivePlan(ramps, LiveChoice(), past=12, future=12)
+    step, frame = ramps.level_fps / ramps.fps, 60
+    fade = 2
+    # Arms ran twice as fast as recorded, for the last 12 frames.
+    clock = 5.0 + 2 * step * np.arange(-12, 1.0)
+    now, begin = frame * step, 60 * step - 6 * step
+    arm = [(0.0, 0.0, 0, 3.0), (begin, 5.0 - 12 * step, 1, 7.0)]
+    rest = [(0.0, 0.0, 2, 0.0), (now - fade - 0.5, now - fade - 0.5, 3, 10.0)]
+    plan.restore(plan.state() | {"_frame": frame, "_clock": clock, "_pieces": [arm, arm, rest]})
+    # Six frames into the fade the arm is 12 frames of the level's rate into its new piece.
+    part = 6 * step / fade
+    weight = part**3 * (10 - 15 * part + 6 * part**2)
+    expected = weight * (1007 + 12 * step) + (1 - weight) * (3.0 + 5.0)
+    assert shown(plan, 0, 0.0)[0] == pytest.approx(expected, rel=1e-4)
+    # Before its begin, the piece before; long after, the new one, which goes on as recorded.
+    assert shown(plan, 0, -8.0)[0] == pytest.approx(3.0 + 5.0 - 16 * step, rel=1e-4)
+    late = 11.0
+    assert shown(plan, 0, late)[0] == pytest.approx(1007 + (12 + late) * step, rel=1e-4)
+    # The trunk has no tempo, and longer pieces.
+    longer = 5
+    part = (fade + 0.5) / longer
+    weight = min(1.0, part**3 * (10 - 15 * part + 6 * part**2))
+    expected = weight * (3010 + fade + 0.5) + (1 - weight) * (2000 + now)
+    assert shown(plan, 2, 0.0)[0] == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("wanted, tempo", [(0.0, 1.0), (0.3, np.exp(0.3 / 0.5)), (9.0, 3.0)])
+def test_arms_run_as_fast_as_speech_predicts(ramps, wanted, tempo):
+    """Pieces of mean movement: log m/s wanted, divided by its correlation; at most three times."""
+    plan = LivePlan(ramps, LiveChoice(), past=12, future=12)
+    forecast = Forecast(np.zeros(1), np.full(1, wanted), 0.5)
+    clocks = []
+    for _ in range(30):
+        plan.advance(forecast, 0.0)
+        clocks.append(plan.state()["_clock"][-1])
+    step = ramps.level_fps / ramps.fps
+    assert clocks[0] == 0.0
+    assert np.diff(clocks)[-5:] == pytest.approx(tempo * step, rel=1e-3)
+    # Within 50 ms it is most of the way there.
+    assert (np.log(np.diff(clocks)[1] / step)) == pytest.approx(
+        np.log(tempo) * (1 - np.exp(-2 / 30 / 0.05)), abs=1e-6
+    )
+    quiet = Forecast(np.zeros(1), np.full(1, -9.0), 0.5)
+    for _ in range(30):
+        plan.advance(quiet, 0.0)
+    clock = plan.state()["_clock"]
+    assert clock[-1] - clock[-2] == pytest.approx(step / 3, rel=1e-3)
+
+
+def test_a_voice_that_always_sounds_lively_is_not_lively_throughout(ramps):
+    """The mean prediction counts by `mean_counts`, from a mean of 0 that weighs 5 s."""
+    asked = []
+
+    class Recorded(SlowState):
+        def at(self, seed, seconds, predicted):
+            asked.append((seconds, predicted))
+            return super().at(seed, seconds, predicted)
+
+    own = ramps.slow_state
+    fields = {name: getattr(own, name) for name in own.__dataclass_fields__}
+    plan = LivePlan(replace(ramps, slow_state=Recorded(**fields)), LiveChoice(), 12, 12)
+    for _ in range(301):
+        plan.advance(None, 2.0)
+    for seconds, predicted in asked[1:]:
+        n = 30 * seconds + 1
+        mean = 2.0 * n / (n + 150)
+        assert predicted == pytest.approx(2.0 - (1 - ramps.wanted.mean_counts) * mean)
+    assert len(asked) > 15, "pieces are chosen every half second"
+
+
+def test_the_slow_noise_between_takes_lasts_as_long_as_takes():
+    """Alone, its correlation is that of noise smoothed by a Gaussian as long as a take."""
+    state = SlowState(np.zeros(1), 0.0, np.eye(1), np.ones(1), np.array([2.0]), 40.0)
+    times = np.arange(0, 30_000, 90.0)
+    found, later = (
+        np.array([state.at(3, t + lag, None)[0, 0] for t in times]) for lag in (0.0, 30.0)
+    )
+    assert found.std() == pytest.approx(1.0, abs=0.12)
+    assert np.corrcoef(found, later)[0, 1] == pytest.approx(
+        np.exp(-(30.0**2) / (4 * 40.0**2)), abs=0.06
+    )
