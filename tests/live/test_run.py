@@ -22,7 +22,7 @@ from audio_features import Wave
 from gesturekit import systems
 from gesturekit.live import runner, sources
 from gesturekit.live.recording import Recording
-from gesturekit.live.runner import Report, run
+from gesturekit.live.runner import Report, Step, run
 from gesturekit.live.sources import FileSource, PipeSource
 from gesturekit.live.timeline import Block
 from gesturekit.motion import Motion
@@ -274,3 +274,20 @@ def test_a_pipe_without_sound_records_nothing(live, tmp_path, monkeypatch):
     done = live("--from", "-", "--fast", "--to", f"record:{tmp_path / 'a.bvh'}")
     done.fails(1, "a.bvh: nothing to record, as no sound came", "0.0 s, 0 frames")
     assert not list(Path(tmp_path).iterdir())
+
+
+def test_a_recording_keeps_joints_that_move_on_their_own(skeleton, tmp_path):
+    """Rigs such as Bandai-Namco's carry the body by a joint below a still root."""
+    rng = np.random.default_rng(0)
+    turns = rng.standard_normal((7, skeleton.n_joints, 4))
+    turns /= np.linalg.norm(turns, axis=-1, keepdims=True)
+    moving = {name: rng.standard_normal((7, 3)) for name in skeleton.names[1:3]}
+    whole = Motion(skeleton, turns, rng.standard_normal((7, 3)), 30.0, moving)
+    recording = Recording(tmp_path / "take.npz")
+    for first, last in ((0, 2), (2, 3), (3, 7)):
+        recording.put(Step(np.zeros(0, np.float32), whole[first:last], first / 30, None))
+    recording.put(Step(np.zeros(9, np.float32), None, 7 / 30, None))
+    recording.close()
+    found = Motion.load(tmp_path / "take.npz")
+    np.testing.assert_allclose(found.positions(), whole.positions(), atol=1e-6)
+    assert found.joint_translations.keys() == moving.keys()
