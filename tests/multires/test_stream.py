@@ -17,6 +17,7 @@ import gesturekit as gk
 from gesturekit.errors import ModelError
 from gesturekit.motion.concatenation import stacked
 from gesturekit.multires.constraints.keyframes import moved
+from gesturekit.multires.recall.ahead import AheadPrediction, HeardSpeech, last_bins
 from gesturekit.multires.recall.pieces import ChoiceWeights, PieceSearch
 from gesturekit.multires.recall.slow_state import SlowState
 from gesturekit.multires.streaming.features import SpeechStream
@@ -424,3 +425,44 @@ def test_a_row_is_complete_with_the_last_frame_that_it_needs(model):
     assert stream.reach == pytest.approx(0.5 / 30 + 0.032 + 0.01)
     assert stream.rows_ahead(0.2) == 4, "(0.2 - 0.0587) * 30 = 4.2"
     assert stream.rows_ahead(0.0) == -2
+
+
+def test_inputs_of_predictions_are_means_of_bins_that_end_now():
+    """At 12.5 fps a bin of 0.16 s has two rows: four bins, relative to the running mean."""
+    rows = np.arange(20.0).reshape(10, 2)  # rows [0, 1], [2, 3], ... [18, 19]
+    speech = HeardSpeech(rows, np.array([[1.0, 2.0], [50.0, 60.0]]))
+    expected = [[1, 2], [5 - 1, 6 - 2], [9 - 1, 10 - 2], [13 - 1, 14 - 2], [17 - 1, 18 - 2]]
+    np.testing.assert_allclose(last_bins(speech, 12.5), expected)
+    # Half a row of a slow model rounds to one.
+    one = [[1, 2], [12 - 1, 13 - 2], [14 - 1, 15 - 2], [16 - 1, 17 - 2], [18 - 1, 19 - 2]]
+    np.testing.assert_allclose(last_bins(speech, 3.0), one)
+
+
+def test_predictions_ahead_find_what_speech_says(model):
+    """Movement is twice the last bin of column 1; a calm voice is column 0's mean over 8 s."""
+    wanted = replace(model.library.wanted, effort=(), fps=12.5)
+
+    def recording(seed: int):
+        own = np.random.default_rng(seed)
+        speeches, fast, slow = [], [], []
+        for _ in range(150):
+            rows, averages = own.standard_normal((10, 3)), own.standard_normal((2, 3))
+            speeches.append(HeardSpeech(rows, averages))
+            fast.append(2 * rows[-2:, 1].mean() + 0.1 * own.standard_normal())
+            slow.append(averages[1, 0] + 0.1 * own.standard_normal())
+        return speeches, np.array(fast), np.array(slow)
+
+    speeches, fast, slow = zip(*(recording(seed) for seed in range(3)), strict=True)
+    fitted = AheadPrediction.fit(0.2, speeches, fast, slow, "abc", wanted, [(0, 1, 2), (1,)], 5.0)
+    assert fitted.fast_columns.tolist() == [1], "fewer columns that predict as well"
+    assert fitted.slow_columns.tolist() == [0, 1, 2], "one that does not know it is not used"
+    assert fitted.fast.r > 0.95 and fitted.slow.r > 0.95
+    unseen, true_fast, true_slow = recording(9)
+    found = np.array([fitted(one, wanted) for one in unseen])
+    assert np.corrcoef(found[:, 0], true_fast)[0, 1] > 0.9
+    assert np.corrcoef(found[:, 1], true_slow)[0, 1] > 0.9
+    # log m/s: never a larger share of movement than the whole sound predicts
+    limited = replace(fitted, fast=replace(fitted.fast, r=0.5 * wanted.fast.r))
+    half = np.array([limited(one, wanted)[0] for one in unseen])
+    np.testing.assert_allclose(half, 0.5 * found[:, 0])
+    assert np.abs(found[:, 0]).max() <= 2.5 * wanted.spread + 1e-9
