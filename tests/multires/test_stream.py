@@ -239,6 +239,10 @@ def test_the_next_piece_fits_what_is_wanted_and_goes_on_where_nothing_is():
     assert chosen(search(), wanted, allowed=np.array([True, False]))[0] == 0
     nothing = np.full((6, 1), np.nan)
     assert chosen(search(continuity=1.0), nothing, shown=40 + 11) == (1, 11), "it goes on"
+    held = chosen(search(continuity=1.0), nothing, shown=69)
+    ends = [vectors[k][s : s + 2] for k, n in ((0, 35), (1, 25)) for s in range(n)]
+    nearest = np.argmin([np.square(end - vectors[1][-1]).sum() for end in ends])
+    assert held == ((0, nearest) if nearest < 35 else (1, nearest - 35)), "the last frame is held"
     used = np.zeros(search().n_bins)
     assert chosen(search(), wanted, used) == (1, 7)
     assert used.sum() == pytest.approx(1.0)
