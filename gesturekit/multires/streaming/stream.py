@@ -198,11 +198,11 @@ class MultiresStream:
 
     def _features(self, heard: HeardSpeech) -> np.ndarray:
         """Return the speech features (2 around, S) around the current frame."""
-        rows, n = heard.rows, 2 * self._around
-        known = rows[len(rows) - self._ahead - 1 - self._around :] if self._ahead >= 0 else rows
-        known = known[-(self._around + 1 + self._ahead) :][:n]
-        held = rows[-round(_HELD_SECONDS * self.fps) :].mean(axis=0, keepdims=True)
-        return np.concatenate([known, np.repeat(held, n - len(known), axis=0)])
+        known = heard.rows[-(self._around + 1 + self._ahead) :]
+        held = heard.rows[-round(_HELD_SECONDS * self.fps) :].mean(axis=0, keepdims=True)
+        found = np.repeat(held, 2 * self._around, axis=0)
+        found[: len(known)] = known
+        return found
 
     def _placed(self, vector: np.ndarray) -> Motion:
         """Return the frame of a motion vector (D,), which goes on where the last one ended."""
