@@ -111,7 +111,7 @@ def fit_live(model: str | Path, corpus: str | Path) -> None:
     fit = SYSTEMS[loaded.kind].fit_live
     if fit is None:
         raise ModelError(f"{model}: a {loaded.kind} model cannot stream")
-    _part(fit)(loaded.folder, Path(corpus))
+    _part(fit)(loaded, Path(corpus))
 
 
 @gesturekit_errors()

@@ -188,7 +188,7 @@ class SpectrumStream:
         level, pitch = self._speaker()
         gain = 10.0 ** (SPEECH_LEVEL_DBFS / 10.0) / level if level else 0.0
         energy = to_db(loudness * gain / 10.0 ** (SPEECH_LEVEL_DBFS / 10.0))
-        melody = audible_melody(f0, periodicity.copy(), energy, pitch)
+        melody = audible_melody(f0, periodicity, energy, pitch)
         times = (self.n_frames - count + np.arange(count)) / FRAME_RATE
         power = self._power[-count:] * np.float32(gain)
         return _StreamedSpectrum(times, power, melody), energy >= -ACTIVE_RANGE_DB

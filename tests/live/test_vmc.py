@@ -1,4 +1,4 @@
-"""What programs that draw an avatar get, read from the datagrams by a reader of the test's own."""
+"""VMC datagrams as programs that draw an avatar read them, by a reader of the test's own."""
 
 from __future__ import annotations
 

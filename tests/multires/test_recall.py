@@ -880,7 +880,7 @@ def test_training_fits_predictions_for_live_speech_and_so_does_the_command(
     trained = gk.load(folder)
     assert [one.look_ahead for one in trained.library.ahead] == [0.0, 0.1, 0.2, 0.4]
     for one in trained.library.ahead:
-        assert one.slow.r > 0.3, "calm and lively stretches are heard"
+        assert one.slow.r > 0.3, "calm and lively stretches are predicted"
         assert max(one.fast_columns) < 4, "pitch and energy; vocal effort is of no use here"
     other = tmp_path / "model"
     empty = replace(trained, library=replace(trained.library, ahead=()))

@@ -17,7 +17,7 @@ import gesturekit as gk
 from gesturekit.errors import ModelError
 from gesturekit.motion.concatenation import stacked
 from gesturekit.multires.constraints.keyframes import moved
-from gesturekit.multires.recall.ahead import AheadPrediction, HeardSpeech, last_bins
+from gesturekit.multires.recall.ahead import AheadPrediction, FeatureWindow, last_bins
 from gesturekit.multires.recall.pieces import ChoiceWeights, PieceSearch
 from gesturekit.multires.recall.slow_state import SlowState
 from gesturekit.multires.streaming.features import SpeechStream
@@ -306,14 +306,14 @@ def ramps(model):
 
 
 def shown(plan: LivePlan, part: int, *offsets: float) -> np.ndarray:
-    """What a part of a plan on `ramps` shows at motion frames relative to the current one."""
+    """Return what a part of a plan on `ramps` shows at frames relative to the current one."""
     columns = plan.library.parts[part].columns
     return plan.vectors(np.array(offsets))[0, columns[0]].numpy()
 
 
 def test_pieces_play_fade_and_go_on_in_real_time(ramps):
     """One level frame is 30 / 5.34 motion frames; fades take 2 of an arm's pieces of 5."""
-    plan = LivePlan(ramps, LiveChoice(), past=12, future=12)
+    plan = LivePlan(ramps, LiveChoice(), past=12)
     step, frame = ramps.level_fps / ramps.fps, 60
     fade = 2
     # Arms ran twice as fast as recorded, for the last 12 frames.
@@ -342,7 +342,7 @@ def test_pieces_play_fade_and_go_on_in_real_time(ramps):
 @pytest.mark.parametrize("wanted, tempo", [(0.0, 1.0), (0.3, np.exp(0.3 / 0.5)), (9.0, 3.0)])
 def test_arms_run_as_fast_as_speech_predicts(ramps, wanted, tempo):
     """Pieces of mean movement: log m/s wanted, divided by its correlation; at most three times."""
-    plan = LivePlan(ramps, LiveChoice(), past=12, future=12)
+    plan = LivePlan(ramps, LiveChoice(), past=12)
     forecast = Forecast(np.zeros(1), np.full(1, wanted), 0.5)
     clocks = []
     for _ in range(30):
@@ -373,7 +373,7 @@ def test_a_voice_that_always_sounds_lively_is_not_lively_throughout(ramps):
 
     own = ramps.slow_state
     fields = {name: getattr(own, name) for name in own.__dataclass_fields__}
-    plan = LivePlan(replace(ramps, slow_state=Recorded(**fields)), LiveChoice(), 12, 12)
+    plan = LivePlan(replace(ramps, slow_state=Recorded(**fields)), LiveChoice(), 12)
     for _ in range(301):
         plan.advance(None, 2.0)
     for seconds, predicted in asked[1:]:
@@ -397,28 +397,30 @@ def test_the_slow_noise_between_takes_lasts_as_long_as_takes():
 
 
 def test_features_of_a_stream_are_those_of_the_file_where_both_know_as_much(model):
-    """Of voices that go on for seconds, level, pitch and mean are the same in the end."""
+    """Level, pitch and mean of a voice are the same after some seconds of it."""
     conditioner = model.conditions.conditioner
     wave = af.Wave.load(Path(gk.__file__).parent / "models" / "demo" / "speech.wav")
     whole = conditioner(wave)
     stream = SpeechStream(conditioner, wave.sample_rate, rows=40)
-    heard = list(stream.push(wave.samples))
-    assert stream.n_rows == len(heard) == pytest.approx(len(whole), abs=3)
-    last = np.stack([one.rows[-1] for one in heard])[150:]
+    window = list(stream.push(wave.samples))
+    assert stream.n_rows == len(window) == pytest.approx(len(whole), abs=3)
+    last = np.stack([one.rows[-1] for one in window])[150:]
     names = list(conditioner.extractor.names)
     for name in ("mel_3", "mel_12", "voicing", "energy", "onset"):
         column = names.index(name)
-        r = np.corrcoef(last[:, column], whole[150 : len(heard), column])[0, 1]
+        r = np.corrcoef(last[:, column], whole[150 : len(window), column])[0, 1]
         assert r > 0.9, name
-        assert abs(np.mean(last[:, column] - whole[150 : len(heard), column])) < 0.6, name
+        assert abs(np.mean(last[:, column] - whole[150 : len(window), column])) < 0.6, name
     # The window before goes on from row to row, and begins with silence.
-    assert np.abs(heard[200].rows[-2] - heard[199].rows[-1]).mean() < 0.2
-    np.testing.assert_array_equal(heard[9].rows[:30], np.repeat(conditioner.silence(1), 30, axis=0))
+    assert np.abs(window[200].rows[-2] - window[199].rows[-1]).mean() < 0.2
+    np.testing.assert_array_equal(
+        window[9].rows[:30], np.repeat(conditioner.silence(1), 30, axis=0)
+    )
     # Running means over 2 and 8 s.
     slow = conditioner.silence(1)[0].astype(float)
-    for row in [one.rows[-1] for one in heard]:
+    for row in [one.rows[-1] for one in window]:
         slow += (row - slow) / (2.0 * model.fps)
-    np.testing.assert_allclose(heard[-1].averages[0], slow)
+    np.testing.assert_allclose(window[-1].averages[0], slow)
 
 
 def test_a_row_is_complete_with_the_last_frame_that_it_needs(model):
@@ -434,7 +436,7 @@ def test_a_row_is_complete_with_the_last_frame_that_it_needs(model):
 def test_inputs_of_predictions_are_means_of_bins_that_end_now():
     """At 12.5 fps a bin of 0.16 s has two rows: four bins, relative to the running mean."""
     rows = np.arange(20.0).reshape(10, 2)  # rows [0, 1], [2, 3], ... [18, 19]
-    speech = HeardSpeech(rows, np.array([[1.0, 2.0], [50.0, 60.0]]))
+    speech = FeatureWindow(rows, np.array([[1.0, 2.0], [50.0, 60.0]]))
     expected = [[1, 2], [5 - 1, 6 - 2], [9 - 1, 10 - 2], [13 - 1, 14 - 2], [17 - 1, 18 - 2]]
     np.testing.assert_allclose(last_bins(speech, 12.5), expected)
     # Half a row of a slow model rounds to one.
@@ -451,7 +453,7 @@ def test_predictions_ahead_find_what_speech_says(model):
         speeches, fast, slow = [], [], []
         for _ in range(150):
             rows, averages = own.standard_normal((10, 3)), own.standard_normal((2, 3))
-            speeches.append(HeardSpeech(rows, averages))
+            speeches.append(FeatureWindow(rows, averages))
             fast.append(2 * rows[-2:, 1].mean() + 0.1 * own.standard_normal())
             slow.append(averages[1, 0] + 0.1 * own.standard_normal())
         return speeches, np.array(fast), np.array(slow)

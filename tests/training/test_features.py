@@ -126,7 +126,7 @@ def test_own_features_are_a_part_of_what_arrays_and_silence_are_made_of(tmp_path
 def test_arrays_of_quiet_speech_are_those_of_loud_speech(
     tmp_path, write_speech, write_wavlm, normalise
 ):
-    """With `clip`; an encoder notices the level, acoustic features do not."""
+    """Normalise the level with `clip`: encoders depend on it, acoustic features do not."""
     write_wavlm(tmp_path / "weights")
     write_speech(tmp_path / "in" / "loud.wav", 3.0)
     samples, rate = soundfile.read(tmp_path / "in" / "loud.wav")

@@ -6,7 +6,6 @@ would lose much of what they know, so a separate pair is fitted for each look-ah
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -21,8 +20,6 @@ from gesturekit.multires.recall.wanted import (
     usual_voice,
 )
 
-log = logging.getLogger(__name__)
-
 LOOK_AHEADS = (0.0, 0.1, 0.2, 0.4)
 """Seconds of sound after a frame for which predictions are fitted."""
 AVERAGED_SECONDS = (2.0, 8.0)
@@ -32,7 +29,7 @@ _BIN_SECONDS, _BINS = 0.16, 4
 
 
 @dataclass(frozen=True, eq=False)
-class HeardSpeech:
+class FeatureWindow:
     """Speech features up to now.
 
     Attributes:
@@ -44,7 +41,7 @@ class HeardSpeech:
     averages: np.ndarray
 
 
-def last_bins(speech: HeardSpeech, fps: float) -> np.ndarray:
+def last_bins(speech: FeatureWindow, fps: float) -> np.ndarray:
     """Return (5, S): the features' running mean, and their means in bins relative to it."""
     width = max(1, round(_BIN_SECONDS * fps))
     rows = speech.rows[-_BINS * width :].reshape(_BINS, width, -1).mean(axis=1)
@@ -60,7 +57,7 @@ class AheadPrediction:
         fast_columns: of the speech features, for the fast part.
         slow_columns: of the speech features, for the slow part.
         fast: from the values of `last_bins`.
-        slow: from `HeardSpeech.averages`.
+        slow: from `FeatureWindow.averages`.
     """
 
     look_ahead: float
@@ -73,7 +70,7 @@ class AheadPrediction:
     def fit(
         cls,
         look_ahead: float,
-        speeches: Sequence[Sequence[HeardSpeech]],
+        speeches: Sequence[Sequence[FeatureWindow]],
         fast: Sequence[np.ndarray],
         slow: Sequence[np.ndarray],
         takes: Sequence[str],
@@ -115,7 +112,7 @@ class AheadPrediction:
         i, j = nearly_best(of_fast), nearly_best(of_slow)
         return cls(look_ahead, fast_sets[i], slow_sets[j], of_fast[i], of_slow[j])
 
-    def __call__(self, speech: HeardSpeech, wanted: WantedMovement) -> tuple[float, float]:
+    def __call__(self, speech: FeatureWindow, wanted: WantedMovement) -> tuple[float, float]:
         """Return the fast part of movement, log m/s, and the slow part, in standard deviations."""
         fast = self.fast(_flat(last_bins(speech, wanted.fps), self.fast_columns)[None])[0]
         averages = usual_voice(speech.averages.T, wanted.effort, wanted.voices).T

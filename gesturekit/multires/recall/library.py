@@ -43,7 +43,7 @@ _TRUNK_CONTINUITY = 3.0
 _CLEAR = 0.5
 """Correlation from which `ChoiceWeights.movement` has its full weight. A choice among many pieces
 follows any prediction more closely than it deserves, a weak one most of all."""
-_LEAST_R = 0.2
+LEAST_R = 0.2
 """Least correlation by which predicted movement is divided, so that its peaks are as large as those
 of the pieces that are stretched to match it."""
 _TEMPOS = (-1, 0, 1)
@@ -328,7 +328,7 @@ class RecallLibrary:
             curves = [profile[:1] for profile in self._profiles[i]]
             own.append(arm.blend(curves, self.lengths, arm.n_frames).double().numpy())
         # A conditional mean has the right times, but smaller peaks than the pieces have.
-        goals = np.stack([fast / max(self.wanted.fast.r, _LEAST_R)] * len(own))
+        goals = np.stack([fast / max(self.wanted.fast.r, LEAST_R)] * len(own))
         offsets = time_offsets(np.concatenate(own), goals, self.level_fps, self.stretch)
         return [replace(arm, offsets=offsets) for arm in pieces]
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from gesturekit.multires.config import check_stretch
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.recall.ahead import AheadPrediction, HeardSpeech
+from gesturekit.multires.recall.ahead import AheadPrediction, FeatureWindow
 from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary
 from gesturekit.multires.recall.parts import PassiveChannels, motion_parts, slow_rows
 from gesturekit.multires.recall.slow_state import SlowState
@@ -214,7 +214,7 @@ def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> 
     for one in library.ahead:
         _check_range("ahead.look_ahead", one.look_ahead, 0, 1)
         try:
-            one(HeardSpeech(rows, averages), library.wanted)
+            one(FeatureWindow(rows, averages), library.wanted)
         except (AttributeError, IndexError, ValueError) as error:
             raise ValueError(f"recall: live predictions do not fit ({error})") from None
 

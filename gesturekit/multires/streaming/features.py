@@ -11,7 +11,7 @@ import numpy as np
 from audio_features.acoustic.streaming import REACH, SpectrumStream
 from audio_features.track import FeatureTrack
 from gesturekit.corpus.speech import SpeechConditioner, parts_of
-from gesturekit.multires.recall.ahead import AVERAGED_SECONDS, HeardSpeech
+from gesturekit.multires.recall.ahead import AVERAGED_SECONDS, FeatureWindow
 
 _SMOOTHED_SECONDS = 3.0
 """Sound before a window of features, for the extractors that smooth over seconds."""
@@ -66,7 +66,7 @@ class SpeechStream:
         for name in _STATE:
             setattr(self, name, state[name])
 
-    def push(self, samples: np.ndarray) -> Iterator[HeardSpeech]:
+    def push(self, samples: np.ndarray) -> Iterator[FeatureWindow]:
         """Take samples (N,) float32; yield what is known with each row that they complete.
 
         Rows before the stream are silent.
@@ -77,7 +77,7 @@ class SpeechStream:
                 if self.n_rows % self._every == 0:
                     yield self._window()
 
-    def _window(self) -> HeardSpeech:
+    def _window(self) -> FeatureWindow:
         spectrum, active = self._sound.window(self._seconds)
         columns = [part.from_spectrum(spectrum) for part in parts_of(self._conditioner.extractor)]
         count = min(self._rows, self.n_rows)
@@ -95,7 +95,7 @@ class SpeechStream:
             new = rows[-self._every :].mean(axis=0)
             average += (new - average) * min(1.0, self._every / (seconds * self._fps))
         before = np.repeat(self._silence, self._rows - count, axis=0)
-        return HeardSpeech(np.concatenate([before, rows]), self._averages.copy())
+        return FeatureWindow(np.concatenate([before, rows]), self._averages.copy())
 
 
 _STATE = ("n_rows", "_total", "_count", "_averages")

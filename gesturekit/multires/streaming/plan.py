@@ -12,11 +12,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.multires.recall.library import RecallLibrary
+from gesturekit.multires.recall.library import LEAST_R, RecallLibrary
 from gesturekit.multires.recall.pieces import cross_faded
 from gesturekit.training.seeds import rng_for
 
-# Chosen on two ZeroEGGS takes that are reported nowhere, for sync without jumps.
+# Chosen for sync without jumps on the two ZeroEGGS takes of benchmarks/RESULTS.md (bench_live).
 _PIECE, _OVERLAP = 1.0, 0.5
 """Seconds over which pieces are compared, and of the cross-fade into one. After their difference
 the next one is chosen, most often the continuation."""
@@ -29,8 +29,6 @@ _FASTEST = 3.0
 """Arms play at most so much faster, or slower, than recorded."""
 _TEMPO_SECONDS = 0.05
 """Time constant of changes of that speed; hands have mass."""
-_LEAST_R = 0.2
-"""Least correlation by which predicted movement is divided, see `RecallLibrary`."""
 _KEPT = 4
 """Pieces of a part that are remembered, for the frames before the current one."""
 _STEADY_SECONDS = 5.0
@@ -89,12 +87,11 @@ class LivePlan:
         library: recordings.
         choice: of pieces.
         past: motion frames of a window before the current one.
-        future: motion frames of a window from the current one on.
     """
 
-    def __init__(self, library: RecallLibrary, choice: LiveChoice, past: int, future: int) -> None:
+    def __init__(self, library: RecallLibrary, choice: LiveChoice, past: int) -> None:
         self.library, self.choice = library, choice
-        self._past, self._future = past, future
+        self._past = past
         weights = {name: by * getattr(library.weights, name) for name, by in _FACTORS.items()}
         self._searches = library.searches_of(_PIECE, _OVERLAP, replace(library.weights, **weights))
         self._curves = [
@@ -159,7 +156,7 @@ class LivePlan:
         now, spread = np.zeros(1), self.library.spread
         own = np.mean([self._shown(i, now, self.library.fast_movement[i]) for i in arms])
         # A conditional mean has the right times, but smaller peaks than the pieces have.
-        wanted = fast.values[0] / max(fast.r, _LEAST_R)
+        wanted = fast.values[0] / max(fast.r, LEAST_R)
         goal = np.clip(wanted - spread * own, -math.log(_FASTEST), math.log(_FASTEST))
         share = 1 - math.exp(-1 / (_TEMPO_SECONDS * self.library.fps))
         self._log_tempo += share * (float(goal) - self._log_tempo)

@@ -22,7 +22,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.constraints.keyframes import moved
 from gesturekit.multires.controls import MultiresControls
-from gesturekit.multires.recall.ahead import AheadPrediction, HeardSpeech
+from gesturekit.multires.recall.ahead import AheadPrediction, FeatureWindow
 from gesturekit.multires.sampling.conditions import requested_styles
 from gesturekit.multires.sampling.trained_model import Pyramid, RandomNoise, TrainedModel
 from gesturekit.multires.streaming.features import SpeechStream
@@ -100,7 +100,7 @@ class MultiresStream:
         choice = LiveChoice(
             seed, item, controls.speaker, style, controls.liveliness, controls.mood_seed
         )
-        self._plan = LivePlan(model.library, choice, self._around, self._around)
+        self._plan = LivePlan(model.library, choice, self._around)
         own = None if controls.speaker is None else model.speakers[controls.speaker]
         self._own = own
         self.skeleton: Skeleton = model.skeleton if own is None else own
@@ -159,20 +159,20 @@ class MultiresStream:
 
     def _step(self, samples: np.ndarray, most: float) -> Motion | None:
         passive, frames = self.model.library.passive, []
-        for heard in self._speech.push(samples):
+        for window in self._speech.push(samples):
             while self.n_frames < min(most, self._speech.n_rows - self._ahead):
-                frame = self._placed(self._vector(heard))
+                frame = self._placed(self._vector(window))
                 channels = self._plan.passive()
                 frames.append(passive.applied(frame, lambda _, own=channels: own))
                 self.n_frames += 1
         return stacked(frames) if frames else None
 
-    def _vector(self, heard: HeardSpeech) -> np.ndarray:
+    def _vector(self, window: FeatureWindow) -> np.ndarray:
         """Return the motion vector (D,) of the next frame."""
         model, library = self.model, self.model.library
-        self._plan.advance(*self._predicted(heard))
+        self._plan.advance(*self._predicted(window))
         recalled = self._plan.vectors(self._coarse)
-        condition = model.conditions.of_motion(self._features(heard), self._lengths, self._styles)
+        condition = model.conditions.of_motion(self._features(window), self._lengths, self._styles)
         made = Pyramid(
             model, self._lengths, condition, _NO_NOISE, None, recalled, library.level - 1
         )
@@ -187,19 +187,19 @@ class MultiresStream:
             values[:, columns] = smoothed
         return values[len(values) // 2]
 
-    def _predicted(self, heard: HeardSpeech) -> tuple[Forecast | None, float | None]:
+    def _predicted(self, window: FeatureWindow) -> tuple[Forecast | None, float | None]:
         """Return predictions of fast and slow movement; None without."""
         wanted = self.model.library.wanted
         if wanted is None:
             return None, None
-        found = [prediction(heard, wanted) for prediction in self._predictions]
+        found = [prediction(window, wanted) for prediction in self._predictions]
         fast = np.array([fast for fast, _ in found])
         return Forecast(self._horizons, fast, self._predictions[0].fast.r), found[0][1]
 
-    def _features(self, heard: HeardSpeech) -> np.ndarray:
+    def _features(self, window: FeatureWindow) -> np.ndarray:
         """Return the speech features (2 around, S) around the current frame."""
-        known = heard.rows[-(self._around + 1 + self._ahead) :]
-        held = heard.rows[-round(_HELD_SECONDS * self.fps) :].mean(axis=0, keepdims=True)
+        known = window.rows[-(self._around + 1 + self._ahead) :]
+        held = window.rows[-round(_HELD_SECONDS * self.fps) :].mean(axis=0, keepdims=True)
         found = np.repeat(held, 2 * self._around, axis=0)
         found[: len(known)] = known
         return found

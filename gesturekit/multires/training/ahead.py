@@ -17,7 +17,7 @@ from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import ModelError
 from gesturekit.multires.model import MultiresModel
-from gesturekit.multires.recall.ahead import LOOK_AHEADS, AheadPrediction, HeardSpeech
+from gesturekit.multires.recall.ahead import LOOK_AHEADS, AheadPrediction, FeatureWindow
 from gesturekit.multires.recall.library_format import live_rows
 from gesturekit.multires.recall.parts import joint_places, movements, slow_part
 from gesturekit.multires.recall.slow_state import normal_scores
@@ -36,7 +36,7 @@ _EVERY = 3
 _AFTER_SECONDS = 1.0
 """Silence after a recording, as its last frames look ahead."""
 _ROWS_SECONDS = 1.0
-"""Of the features before a frame."""
+"""Length of the window of features up to a frame."""
 
 
 def with_live_predictions(model: MultiresModel, items: Sequence[Item]) -> MultiresModel:
@@ -63,16 +63,18 @@ def with_live_predictions(model: MultiresModel, items: Sequence[Item]) -> Multir
         fast.append(movement)
         slow.append(states)
         stream = SpeechStream(conditioner, SAMPLE_RATE, round(_ROWS_SECONDS * model.fps), _EVERY)
-        speeches.append(_heard(stream, item))
+        speeches.append(_windows(stream, item))
     # Ranks are those of all recordings: a stream begins without knowing whose it is.
     scores = [own.mean(axis=0) for own in normal_scores(slow, [""] * len(slow))]
-    sets = [[i for i in own if i not in conditioner.effort] for own in _columns(model)]
+    # The largest set of columns first; one that predicts hardly worse with fewer is used.
+    columns = (conditioner.acoustic, conditioner.prosody)
+    sets = [[i for i in own if i not in conditioner.effort] for own in columns]
     predictions = []
     for look_ahead in LOOK_AHEADS:
         ahead = stream.rows_ahead(look_ahead)
         pairs = [
-            [(rows, row - ahead) for row, rows in heard if 0 <= row - ahead < len(movement)]
-            for heard, movement in zip(speeches, fast, strict=True)
+            [(rows, row - ahead) for row, rows in window if 0 <= row - ahead < len(movement)]
+            for window, movement in zip(speeches, fast, strict=True)
         ]
         predictions.append(
             AheadPrediction.fit(
@@ -93,14 +95,14 @@ def with_live_predictions(model: MultiresModel, items: Sequence[Item]) -> Multir
     return model
 
 
-def fit_live(folder: Path, corpus: Path) -> None:
-    """Add predictions for live speech to a model folder, from the corpus of its training.
+def fit_live(model: MultiresModel, corpus: Path) -> None:
+    """Add predictions for live speech to the folder of a model, from the corpus of its training.
 
     Raises:
-        ModelError: not such a folder, or a model that cannot stream.
+        ModelError: the model cannot stream.
         CorpusError, AudioError, FormatError: a file cannot be read.
     """
-    model = MultiresModel.load(folder)
+    folder = model.folder
     items = training_items(Manifest.load(corpus), corpus, with_audio=True)
     fitted = with_live_predictions(model, items)
     if fitted is model:
@@ -116,12 +118,6 @@ def fit_live(folder: Path, corpus: Path) -> None:
     save_model(folder, *fitted.parts(), "\n".join(kept) + "\n")
 
 
-def _columns(model: MultiresModel) -> tuple[Sequence[int], Sequence[int]]:
-    """Return the sets of feature columns to choose from, the largest first."""
-    conditioner = model.conditions.conditioner
-    return conditioner.acoustic, conditioner.prosody
-
-
 def _movement(model: MultiresModel, item: Item) -> tuple[np.ndarray, np.ndarray]:
     """Return the fast movement of both hands together (T,), and the slow one of each (H, T)."""
     representation, parts, fps = model.representation, model.library.parts, model.fps
@@ -134,8 +130,8 @@ def _movement(model: MultiresModel, item: Item) -> tuple[np.ndarray, np.ndarray]
     return both - slow_part(both, fps), np.log(slow_part(np.exp(moved), fps))
 
 
-def _heard(stream: SpeechStream, item: Item) -> list[tuple[int, HeardSpeech]]:
+def _windows(stream: SpeechStream, item: Item) -> list[tuple[int, FeatureWindow]]:
     """Return what a stream knows with each of some of its rows, and their numbers."""
     sound = item.load_wave().resample(SAMPLE_RATE).samples
     after = np.zeros(round(_AFTER_SECONDS * SAMPLE_RATE), np.float32)
-    return [(stream.n_rows - 1, heard) for heard in stream.push(np.concatenate([sound, after]))]
+    return [(stream.n_rows - 1, window) for window in stream.push(np.concatenate([sound, after]))]
