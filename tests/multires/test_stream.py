@@ -402,25 +402,25 @@ def test_features_of_a_stream_are_those_of_the_file_where_both_know_as_much(mode
     wave = af.Wave.load(Path(gk.__file__).parent / "models" / "demo" / "speech.wav")
     whole = conditioner(wave)
     stream = SpeechStream(conditioner, wave.sample_rate, rows=40)
-    window = list(stream.push(wave.samples))
-    assert stream.n_rows == len(window) == pytest.approx(len(whole), abs=3)
-    last = np.stack([one.rows[-1] for one in window])[150:]
+    windows = list(stream.push(wave.samples))
+    assert stream.n_rows == len(windows) == pytest.approx(len(whole), abs=3)
+    last = np.stack([one.rows[-1] for one in windows])[150:]
     names = list(conditioner.extractor.names)
     for name in ("mel_3", "mel_12", "voicing", "energy", "onset"):
         column = names.index(name)
-        r = np.corrcoef(last[:, column], whole[150 : len(window), column])[0, 1]
+        r = np.corrcoef(last[:, column], whole[150 : len(windows), column])[0, 1]
         assert r > 0.9, name
-        assert abs(np.mean(last[:, column] - whole[150 : len(window), column])) < 0.6, name
+        assert abs(np.mean(last[:, column] - whole[150 : len(windows), column])) < 0.6, name
     # The window before goes on from row to row, and begins with silence.
-    assert np.abs(window[200].rows[-2] - window[199].rows[-1]).mean() < 0.2
+    assert np.abs(windows[200].rows[-2] - windows[199].rows[-1]).mean() < 0.2
     np.testing.assert_array_equal(
-        window[9].rows[:30], np.repeat(conditioner.silence(1), 30, axis=0)
+        windows[9].rows[:30], np.repeat(conditioner.silence(1), 30, axis=0)
     )
     # Running means over 2 and 8 s.
     slow = conditioner.silence(1)[0].astype(float)
-    for row in [one.rows[-1] for one in window]:
+    for row in [one.rows[-1] for one in windows]:
         slow += (row - slow) / (2.0 * model.fps)
-    np.testing.assert_allclose(window[-1].averages[0], slow)
+    np.testing.assert_allclose(windows[-1].averages[0], slow)
 
 
 def test_a_row_is_complete_with_the_last_frame_that_it_needs(model):

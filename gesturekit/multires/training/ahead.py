@@ -73,8 +73,8 @@ def with_live_predictions(model: MultiresModel, items: Sequence[Item]) -> Multir
     for look_ahead in LOOK_AHEADS:
         ahead = stream.rows_ahead(look_ahead)
         pairs = [
-            [(rows, row - ahead) for row, rows in window if 0 <= row - ahead < len(movement)]
-            for window, movement in zip(speeches, fast, strict=True)
+            [(rows, row - ahead) for row, rows in windows if 0 <= row - ahead < len(movement)]
+            for windows, movement in zip(speeches, fast, strict=True)
         ]
         predictions.append(
             AheadPrediction.fit(
