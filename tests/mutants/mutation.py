@@ -1,246 +1,263 @@
-"""Change one thing in a copy of the code, run the tests that should notice, and list survivors.
+"""Draw small defects of the code at random, run the tests that reach each, and list survivors.
 
-The mutants are kept in the `*.toml` files beside this one. Each names a function, a text in it
-before and after, and the tests that should fail:
-
-    [[mutant]]
-    function = "gesturekit.multires.losses:adversarial"
-    before = "-scores.mean()"
-    after = "scores.mean()"
-    tests = ["tests/multires/test_losses.py"]
-    equivalent = "..."     # only where no test can tell: why
-
-The text must occur in the function exactly once, so that a mutant never goes stale unseen.
+A defect that no test reaches survives; one that makes a test hang is killed. Survivors that no
+input can tell from the code are kept in `equivalent.toml`, with the reason, and do not count.
+Formulas that chance seldom hits have defects of their own in `formulas.toml`.
 """
 
 from __future__ import annotations
 
 import argparse
-import ast
-import itertools
+import multiprocessing
 import os
-import queue
+import random
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 import tomllib
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+from defects import Defect, defects_of
+from reach import PACKAGES, Reach
+from scipy.stats import binomtest
+
 ROOT = Path(__file__).resolve().parents[2]
-COPIED = ("audio_features", "gesturekit", "blender", "tests", "recipes", "benchmarks", "docs")
-COPIED_FILES = (
-    "pyproject.toml",
-    "Makefile",
-    "README.md",
-    "CONTRIBUTING.md",
-    "constraints.txt",
-    "mkdocs.yml",
+SECONDS_PER_DEFECT = 90.0
+HEAVY = (
+    "hypothesis",
+    "librosa",
+    "matplotlib.pyplot",
+    "numba",
+    "scipy.signal",
+    "scipy.stats",
+    "torch",
 )
-SECONDS_PER_MUTANT = 300.0
-_KEYS = {"function", "before", "after", "tests", "equivalent"}
+"""Libraries that are imported once, before the processes of the tests are forked."""
 
 
-class StaleMutantError(Exception):
-    """A mutant whose function or text is not in the code, or not exactly once."""
+def drawn(seed: int, count: int, only: list[str], changed: str | None) -> Iterator[Defect]:
+    """Yield defects in random order, those that are argued equivalent left out.
 
-
-@dataclass(frozen=True)
-class Mutant:
-    """One change: in `function` ("module:qualified.name"), `before` becomes `after`."""
-
-    function: str
-    before: str
-    after: str
-    tests: tuple[str, ...]
-    equivalent: str = ""
-
-    @property
-    def path(self) -> str:
-        """The file, relative to the root of the project."""
-        return self.function.partition(":")[0].replace(".", "/") + ".py"
-
-    def apply(self, source: str) -> str:
-        """Return the file's text with the change made.
-
-        Raises:
-            StaleMutantError: there is no such function, or `before` is not in it exactly once.
-        """
-        lines = source.splitlines(keepends=True)
-        parts = _code_of(ast.parse(source), self.function.partition(":")[2], len(lines))
-        if not parts:
-            raise StaleMutantError(f"{self.path} has no {self.function.partition(':')[2]}")
-        texts = {part: "".join(lines[part.start : part.stop]) for part in parts}
-        holding = [part for part, text in texts.items() if self.before in text]
-        count = sum(text.count(self.before) for text in texts.values())
-        if count != 1:
-            raise StaleMutantError(f"{self.function}: {self.before!r} occurs {count} times")
-        (part,) = holding
-        changed = texts[part].replace(self.before, self.after)
-        return "".join([*lines[: part.start], changed, *lines[part.stop :]])
-
-    def __str__(self) -> str:
-        short = " ".join(f"{self.before} -> {self.after}".split())
-        return f"{self.function}: {short[:90]}"
-
-
-def _code_of(tree: ast.Module, name: str, n_lines: int) -> list[range]:
-    """Return the lines of a function or class by its qualified name, without its docstring.
-
-    They are counted from 0; nothing where there is no such function, the whole file for no name.
+    Args:
+        seed: seed of the draw.
+        count: number of defects.
+        only: beginnings of paths; empty: the whole code.
+        changed: commit; only lines that were added or changed since it are taken.
     """
-    if not name:
-        return [range(n_lines)]
-    node: ast.AST = tree
-    for part in name.split("."):
-        kinds = ast.FunctionDef | ast.ClassDef
-        inside = (n for n in ast.iter_child_nodes(node) if isinstance(n, kinds) and n.name == part)
-        node = next(inside, None)
-        if node is None:
-            return []
-    first = min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)]) - 1
-    if ast.get_docstring(node) is None:
-        return [range(first, node.end_lineno)]
-    docstring = node.body[0]
-    return [range(first, docstring.lineno - 1), range(docstring.end_lineno, node.end_lineno)]
+    lines = _changed_lines(changed) if changed else None
+    pool = [
+        defect
+        for package in PACKAGES
+        for path in sorted((ROOT / package).rglob("*.py"))
+        if not only or path.relative_to(ROOT).as_posix().startswith(tuple(only))
+        for defect in defects_of(ROOT, path)
+        if lines is None or defect.line in lines[defect.path]
+    ]
+    equivalent = {(e["function"], e["change"]) for e in _entries("equivalent.toml")}
+    random.Random(seed).shuffle(pool)
+    print(f"{min(count, len(pool))} of {len(pool)} defects, seed {seed}", flush=True)
+    left = count
+    for defect in pool:
+        if left and key_of(defect) not in equivalent and _compiles(defect):
+            left -= 1
+            yield defect
 
 
-def read_mutants() -> list[Mutant]:
-    """Return the kept mutants of all lists, in the order of the files."""
-    mutants = []
-    for path in sorted(Path(__file__).parent.glob("*.toml")):
-        for entry in tomllib.loads(path.read_text(encoding="utf-8"))["mutant"]:
-            if unknown := set(entry) - _KEYS:
-                raise SystemExit(f"{path.name}: unknown key {', '.join(sorted(unknown))}")
-            mutants.append(Mutant(**entry | {"tests": tuple(entry["tests"])}))
-    return mutants
+def key_of(defect: Defect) -> tuple[str, str]:
+    """Return what names a defect in `equivalent.toml`: its function and its change."""
+    change = " ".join(f"{defect.before} -> {defect.after}".split())
+    module = defect.path.removesuffix(".py").replace("/", ".")
+    return f"{module}:{defect.function}", change
 
 
-def stale(mutants: list[Mutant]) -> list[str]:
-    """Return what is wrong with the mutants that do not apply, or that change nothing."""
-    wrong = []
-    for mutant in mutants:
+def _entries(name: str) -> list[dict[str, str]]:
+    text = (Path(__file__).parent / name).read_text(encoding="utf-8")
+    return tomllib.loads(text).get("defect", [])
+
+
+def _compiles(defect: Defect) -> bool:
+    try:
+        compile(defect.apply((ROOT / defect.path).read_text(encoding="utf-8")), "", "exec")
+    except SyntaxError:
+        return False
+    return True
+
+
+def _changed_lines(base: str) -> dict[str, set[int]]:
+    command = ["git", "diff", "-U0", "--no-prefix", base, "--", *PACKAGES]
+    diff = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    lines: dict[str, set[int]] = defaultdict(set)
+    path = ""
+    for line in diff.splitlines():
+        if line.startswith("+++ "):
+            path = line[4:]
+        elif line.startswith("@@"):
+            first, _, count = line.split("+")[1].split()[0].partition(",")
+            lines[path] |= set(range(int(first), int(first) + int(count or 1)))
+    return lines
+
+
+def formulas() -> list[Defect]:
+    """Return the defects of `formulas.toml`.
+
+    Raises:
+        SystemExit: a text is not in its function, or not exactly once.
+    """
+    found = []
+    for entry in _entries("formulas.toml"):
+        module, _, function = entry["function"].partition(":")
+        path = module.replace(".", "/") + ".py"
+        source = (ROOT / path).read_text(encoding="utf-8")
+        if source.count(entry["before"]) != 1:
+            raise SystemExit(f"{path} does not have this text exactly once: {entry['before']}")
+        start = len(source[: source.index(entry["before"])].encode())
+        line = source.encode()[:start].count(b"\n") + 1
+        compiled = path.endswith("kernels.py")
+        change = entry["before"], entry["after"]
+        found.append(Defect(path, line, function, start, *change, "formula", compiled))
+    return found
+
+
+class Copy:
+    """A copy of the project in which defects are made in turn."""
+
+    def __init__(self, folder: Path) -> None:
+        self.root = folder / "project"
+        ignored = shutil.ignore_patterns(".git", ".venv", "build", "dist", "node_modules", "runs")
+        shutil.copytree(ROOT, self.root, symlinks=True, ignore=ignored)
+        # Tests find the real recordings beside the project.
+        shared = ROOT.parent / "shared"
+        if shared.is_dir():
+            (folder / "shared").symlink_to(shared.resolve())
+        self._log = folder / "log"
+        # Python and numba trust a file's time: no two versions of a file may have the same.
+        self._stamp = int(time.time())
+
+    def judge(self, defect: Defect, tests: list[str]) -> tuple[str, str]:
+        """Return the verdict ("killed", "hangs", "survived", "uncovered") and the test that fails."""
+        if not tests:
+            return "uncovered", ""
+        path = self.root / defect.path
+        source = path.read_text(encoding="utf-8")
+        self._write(path, defect.apply(source))
         try:
-            source = (ROOT / mutant.path).read_text(encoding="utf-8")
-            ast.parse(mutant.apply(source))
-        except (OSError, SyntaxError, StaleMutantError) as error:
-            wrong.append(f"{mutant}: {error}")
-        wrong += [f"{mutant}: no such test: {t}" for t in mutant.tests if not _exists(t)]
-    return wrong
-
-
-def _exists(test: str) -> bool:
-    return (ROOT / test.partition("::")[0]).exists()
-
-
-@dataclass
-class Copies:
-    """Copies of the project, one for each worker, that mutants are applied to in turn."""
-
-    folder: Path
-    free: queue.Queue[Path] = field(default_factory=queue.Queue)
-    # Python and numba trust a file's time: no two versions of a file may have the same.
-    _stamps: itertools.count = field(default_factory=lambda: itertools.count(int(time.time())))
-    _lock: threading.Lock = field(default_factory=threading.Lock)
-
-    def make(self, count: int) -> None:
-        """Copy the project `count` times."""
-        for n in range(count):
-            copy = self.folder / f"copy{n}" / "project"
-            for name in COPIED:
-                ignored = shutil.ignore_patterns("node_modules", "*.toml.bak")
-                shutil.copytree(ROOT / name, copy / name, ignore=ignored)
-            for name in COPIED_FILES:
-                shutil.copy2(ROOT / name, copy / name)
-            # Tests find the real recordings beside the project.
-            shared = ROOT.parent / "shared"
-            if shared.is_dir():
-                (copy.parent / "shared").symlink_to(shared)
-            self.free.put(copy)
-
-    def run(self, tests: tuple[str, ...], mutant: Mutant | None = None) -> str:
-        """Return "passed", "failed" or "timeout" of these tests, with the mutant applied."""
-        copy = self.free.get()
-        path = copy / mutant.path if mutant else None
-        original = path.read_text(encoding="utf-8") if path else ""
-        try:
-            if path:
-                self._write(path, mutant.apply(original))
-            return _tests_in(copy, tests)
+            return self._tests(tests)
         finally:
-            if path:
-                self._write(path, original)
-            self.free.put(copy)
+            self._write(path, source)
 
     def _write(self, path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
-        with self._lock:
-            stamp = next(self._stamps)
-        os.utime(path, (stamp, stamp))
+        self._stamp += 1
+        os.utime(path, (self._stamp, self._stamp))
+
+    def _tests(self, tests: list[str]) -> tuple[str, str]:
+        end = time.monotonic() + SECONDS_PER_DEFECT
+        done = 0
+        while done < len(tests) and time.monotonic() < end:
+            batch = tests[done : done + (30 if done == 0 else 150)]
+            process = multiprocessing.get_context("fork").Process(
+                target=_run_pytest, args=(self.root, batch, self._log)
+            )
+            process.start()
+            process.join(max(60.0, end - time.monotonic()))
+            if process.is_alive():
+                os.killpg(process.pid, signal.SIGKILL)
+                process.join()
+                return ("hangs", batch[0]) if done == 0 else ("survived", f"{done} of {len(tests)}")
+            if process.exitcode != 0:
+                return "killed", _failed(self._log.read_text(errors="replace"))
+            done += len(batch)
+        return "survived", "" if done >= len(tests) else f"{done} of {len(tests)} tests ran"
 
 
-def _tests_in(copy: Path, tests: tuple[str, ...]) -> str:
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
-    environment = {**os.environ, "PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1"}
-    try:
-        done = subprocess.run(
-            command,
-            cwd=copy,
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            timeout=SECONDS_PER_MUTANT,
-        )
-    except subprocess.TimeoutExpired:
-        return "timeout"
-    if done.returncode not in (0, 1):  # 2 and above: pytest itself could not run them
-        return "failed" if done.returncode == 2 else f"pytest exit {done.returncode}"
-    return "failed" if done.returncode else "passed"
+def _run_pytest(root: Path, tests: list[str], log: Path) -> None:
+    """Run tests in this process, which was forked for it."""
+    os.setpgid(0, 0)
+    os.chdir(root)
+    sys.path.insert(0, str(root))
+    os.environ |= {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
+    with log.open("w") as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+    import pytest
+
+    options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:cov", "-p", "no:xdist", "--tb=line"]
+    code = pytest.main([*options, *tests])
+    os._exit(0 if code in (0, 5) else 1)
+
+
+def _failed(log: str) -> str:
+    failed = [line for line in log.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return failed[0][:120] if failed else log[-120:]
+
+
+_copy: list[Copy] = []
+
+
+def _start_worker(folder: str) -> None:
+    _copy.append(Copy(Path(tempfile.mkdtemp(dir=folder))))
+
+
+def _judge(defect: Defect, tests: list[str]) -> tuple[str, str]:
+    return _copy[0].judge(defect, tests)
+
+
+def _share(killed: int, of: int) -> str:
+    interval = binomtest(killed, of).proportion_ci(method="wilson")
+    return f"{killed} of {of} killed: {killed / of:.0%} ({interval.low:.0%} to {interval.high:.0%})"
 
 
 def main() -> int:
-    """Run the kept mutants, print a line for each, and return the exit code."""
+    """Judge the drawn defects, print survivors and shares, and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--only", default="", help="text that a mutant's line must hold")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the draw")
+    parser.add_argument("--count", type=int, default=100, help="number of defects")
+    parser.add_argument("--only", nargs="*", default=[], help="beginnings of paths")
+    parser.add_argument("--changed", metavar="BASE", help="only lines changed since this commit")
+    parser.add_argument("--formulas", action="store_true", help="those of formulas.toml instead")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     arguments = parser.parse_args()
-    mutants = [m for m in read_mutants() if arguments.only in str(m)]
-    if wrong := stale(mutants):
-        print("\n".join(["Mutants that no longer apply:", *wrong]))
-        return 2
-    tests = tuple(sorted({test for mutant in mutants for test in mutant.tests}))
-    with tempfile.TemporaryDirectory() as folder:
-        copies = Copies(Path(folder))
-        copies.make(arguments.jobs)
-        if copies.run(tests) != "passed":
-            print("The tests fail without any mutant.")
-            return 2
-        survivors = _run_all(mutants, copies, arguments.jobs)
-    argued = sum(bool(mutant.equivalent) for mutant in mutants)
-    print(
-        f"{len(mutants)} mutants: {len(mutants) - argued - len(survivors)} killed, "
-        f"{argued} argued equivalent, {len(survivors)} survived"
+    reach = Reach(ROOT, ROOT / "build" / "mutants")
+    reach.update(arguments.jobs)
+    defects = (
+        formulas()
+        if arguments.formulas
+        else drawn(arguments.seed, arguments.count, arguments.only, arguments.changed)
     )
-    return 1 if survivors else 0
-
-
-def _run_all(mutants: list[Mutant], copies: Copies, jobs: int) -> list[Mutant]:
-    """Return the mutants that no test noticed and that nobody argued for."""
-    survivors = []
-    with ThreadPoolExecutor(jobs) as pool:
-        outcomes = pool.map(
-            lambda m: "equivalent" if m.equivalent else copies.run(m.tests, m), mutants
-        )
-        for mutant, outcome in zip(mutants, outcomes, strict=True):
-            words = {"passed": "SURVIVED", "failed": "killed", "timeout": "killed (time)"}
-            print(f"{words.get(outcome, outcome):13} {mutant}", flush=True)
-            if outcome not in ("failed", "timeout", "equivalent"):
-                survivors.append(mutant)
-    return survivors
+    defects = list(defects)
+    for library in HEAVY:
+        __import__(library)
+    totals: dict[str, Counter[str]] = defaultdict(Counter)
+    with (
+        tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder,
+        ProcessPoolExecutor(
+            arguments.jobs,
+            multiprocessing.get_context("fork"),
+            initializer=_start_worker,
+            initargs=(folder,),
+        ) as pool,
+    ):
+        outcomes = pool.map(_judge, defects, map(reach.tests_of, defects))
+        for defect, (verdict, note) in zip(defects, outcomes, strict=True):
+            package = (
+                "/".join(defect.path.split("/")[:2])
+                if "gesturekit/" in defect.path
+                else PACKAGES[0]
+            )
+            totals[package][verdict] += 1
+            if verdict in {"survived", "uncovered"}:
+                print(f"{verdict:9} {defect} {note}", flush=True)
+    dead = {name: counts["killed"] + counts["hangs"] for name, counts in totals.items()}
+    for name in sorted(totals):
+        print(f"{name:28} {_share(dead[name], totals[name].total())}")
+    print(f"{'all':28} {_share(sum(dead.values()), len(defects))}")
+    return 0
 
 
 if __name__ == "__main__":

@@ -1,0 +1,185 @@
+"""The tests that reach each line of the code, as coverage.py records them.
+
+The record outlives changes: only files of tests that changed are run again, and recorded lines are
+found again in the changed code by their text.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import gzip
+import hashlib
+import json
+import os
+from collections import defaultdict
+from pathlib import Path
+
+import coverage
+import pytest
+from defects import Defect
+
+PACKAGES = ("audio_features", "gesturekit")
+
+
+class Reach:
+    """Which tests reach a line, and the seconds that each takes.
+
+    Args:
+        root: folder of the project.
+        folder: where the record is kept.
+    """
+
+    def __init__(self, root: Path, folder: Path) -> None:
+        self.root, self.folder = root, folder
+        self.seconds: dict[str, float] = {}
+        self._tests: dict[str, dict[int, set[str]]] = defaultdict(lambda: defaultdict(set))
+        self._kept: dict[str, dict] = {"files": {}, "texts": {}}
+        if self._file.exists():
+            self._kept = json.loads(gzip.decompress(self._file.read_bytes()))
+
+    @property
+    def _file(self) -> Path:
+        return self.folder / "reach.json.gz"
+
+    def update(self, processes: int) -> None:
+        """Run the files of tests that are new or changed, and read the record."""
+        files = {
+            path.relative_to(self.root).as_posix(): _digest(path.read_text(encoding="utf-8"))
+            for path in sorted((self.root / "tests").rglob("test_*.py"))
+            if path.parent != Path(__file__).parent
+        }
+        kept = self._kept["files"]
+        changed = [name for name in files if kept.get(name, {}).get("digest") != files[name]]
+        self._kept["files"] = {name: kept[name] for name in kept if files.get(name)}
+        if changed:
+            print(f"Recording what the tests of {len(changed)} files reach ...", flush=True)
+            self._record(changed, processes, files)
+            data = json.dumps(self._kept, separators=(",", ":")).encode()
+            self._file.write_bytes(gzip.compress(data, 3))
+        self._translate()
+
+    def _record(self, names: list[str], processes: int, digests: dict[str, str]) -> None:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        settings, data_file = self.folder / "coveragerc", self.folder / "coverage"
+        sources = "\n    ".join(PACKAGES)
+        settings.write_text(f"[run]\nparallel = True\nsource =\n    {sources}\n", encoding="utf-8")
+        os.environ["COVERAGE_FILE"] = str(data_file)
+        durations = _Durations()
+        options = ["--cov", f"--cov-config={settings}", "--cov-context=test", "--cov-report="]
+        parallel = ["-n", str(processes), "--dist", "loadfile"]
+        pytest.main(
+            ["-q", "-p", "no:cacheprovider", *options, *parallel, *names], plugins=[durations]
+        )
+        reached = _reached(data_file, self.root)
+        texts = {path: (self.root / path).read_text(encoding="utf-8") for path in reached}
+        self._kept["texts"] |= {_digest(text): text for text in texts.values()}
+        for name in names:
+            seconds = {t: s for t, s in durations.seconds.items() if t.partition("::")[0] == name}
+            lines = {
+                path: {test: tests[test] for test in seconds if test in tests}
+                for path, tests in reached.items()
+            }
+            self._kept["files"][name] = {
+                "digest": digests[name],
+                "seconds": seconds,
+                "lines": {p: [_digest(texts[p]), tests] for p, tests in lines.items() if tests},
+            }
+
+    def _translate(self) -> None:
+        """Index the record by the lines of today's code."""
+        places: dict[tuple[str, str], dict[int, int]] = {}
+        for record in self._kept["files"].values():
+            self.seconds |= record["seconds"]
+            for path, (digest, tests) in record["lines"].items():
+                if not (self.root / path).exists():
+                    continue
+                if (path, digest) not in places:
+                    today = (self.root / path).read_text(encoding="utf-8")
+                    places[path, digest] = _same_lines(self._kept["texts"][digest], today)
+                for test, lines in tests.items():
+                    for line in lines:
+                        if line in places[path, digest]:
+                            self._tests[path][places[path, digest][line]].add(test)
+
+    def tests_of(self, defect: Defect) -> list[str]:
+        """Return the tests that reach a defect, the quickest first.
+
+        Lines of compiled functions are not recorded: all tests count that reach a module which
+        imports theirs. A statement that is not in the record has the tests of its function.
+        """
+        if defect.compiled:
+            module = defect.path.removesuffix(".py").replace("/", ".")
+            callers = [path for path in self._tests if _imports(self.root / path, module)]
+            found = {t for path in callers for tests in self._tests[path].values() for t in tests}
+        else:
+            tree = ast.parse((self.root / defect.path).read_text(encoding="utf-8"))
+            found = set()
+            for lines in _statements_around(tree, defect.line):
+                found = {t for line in lines for t in self._tests[defect.path].get(line, ())}
+                if found:
+                    break
+        return sorted(found, key=lambda test: self.seconds.get(test, 0.0))
+
+
+class _Durations:
+    """Plugin of pytest: the seconds of each test, its setup included."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self.seconds[report.nodeid] += round(report.duration, 3)
+
+
+def _reached(data_file: Path, root: Path) -> dict[str, dict[str, list[int]]]:
+    """Return the lines that each test reaches, by file of the code and test."""
+    data = coverage.CoverageData(str(data_file))
+    data.read()
+    reached: dict[str, dict[str, list[int]]] = {}
+    for name in data.measured_files():
+        path = os.path.relpath(name, root)
+        tests: dict[str, set[int]] = defaultdict(set)
+        for line, contexts in data.contexts_by_lineno(name).items():
+            for context in filter(None, contexts):
+                tests[context.rpartition("|")[0] or context].add(line)
+        if path.startswith(PACKAGES):
+            reached[path] = {test: sorted(lines) for test, lines in tests.items()}
+    return reached
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _same_lines(before: str, today: str) -> dict[int, int]:
+    """Return today's number of each line, counted from 1, that stayed as it was."""
+    matcher = difflib.SequenceMatcher(None, before.splitlines(), today.splitlines(), autojunk=False)
+    return {
+        block.a + n + 1: block.b + n + 1
+        for block in matcher.get_matching_blocks()
+        for n in range(block.size)
+    }
+
+
+def _statements_around(tree: ast.Module, line: int) -> list[range]:
+    """Return the lines of the statements that hold a line, the innermost first.
+
+    A statement with a body counts up to its body; the function that holds the line comes last.
+    """
+    spans: list[range] = []
+    function = range(line, line + 1)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.stmt) and node.lineno <= line <= node.end_lineno:
+            body = getattr(node, "body", None)
+            last = max(node.lineno, body[0].lineno - 1) if body else node.end_lineno
+            if line <= last:
+                spans.append(range(node.lineno, last + 1))
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                function = range(node.lineno, node.end_lineno + 1)
+    return [*sorted(spans, key=len), function]
+
+
+def _imports(path: Path, module: str) -> bool:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return any(isinstance(n, ast.ImportFrom) and n.module == module for n in ast.walk(tree))
