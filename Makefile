@@ -22,7 +22,9 @@ help:
 	@echo "make demo    set up, then turn a sentence of speech into motion and show where it is"
 	@echo "make test    set up, then check style and run all tests"
 	@echo "make stress  set up, then run the slow tests (all recordings, all scales)"
-	@echo "make mutants set up, then apply each recorded defect and check that a test fails"
+	@echo "make mutants set up, then make COUNT (100) random defects of draw SEED (0), one at a time, and"
+	@echo "             list those that no test notices; ONLY=paths CHANGED=commit limit them, FORMULAS=1"
+	@echo "             takes those of tests/mutants/formulas.toml"
 	@echo "make fuzz    set up, then fuzz every loader for FUZZ_SECONDS (60) each"
 	@echo "make setup   create $(VENV) with gesturekit and its dependencies"
 	@echo "make lint    check style only          make format  fix style"
@@ -49,7 +51,8 @@ stress: setup
 	$(BIN)/python -m pytest -m stress $(PYTEST_ARGS)
 
 mutants: setup
-	$(BIN)/python tests/mutants/mutation.py $(MUTANTS_ARGS)
+	$(BIN)/python tests/mutants/mutation.py --seed $(or $(SEED),0) --count $(or $(COUNT),100) \
+	    $(if $(ONLY),--only $(ONLY)) $(if $(CHANGED),--changed $(CHANGED)) $(if $(FORMULAS),--formulas)
 
 FUZZ_SECONDS ?= 60
 fuzz: setup

@@ -1,4 +1,4 @@
-"""Small changes of the code that a good suite of tests notices: every one that this module can make.
+"""Small changes of the code that a good suite of tests notices.
 
 One change is made at a time, to one expression or statement inside a function. Text, log and error
 messages, annotations and `__repr__` are left alone.

@@ -2,12 +2,14 @@
 
 A defect that no test reaches survives; one that makes a test hang is killed. Survivors that no
 input can tell from the code are kept in `equivalent.toml`, with the reason, and do not count.
-Formulas that chance seldom hits have defects of their own in `formulas.toml`.
+Formulas that chance seldom hits have defects of their own in `formulas.toml`. Run it from the root
+of the project; the record of which test reaches which line is kept in `build/mutants`.
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
 import multiprocessing
 import os
 import random
@@ -22,23 +24,15 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from defects import Defect, defects_of
 from reach import PACKAGES, Reach
 from scipy.stats import binomtest
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path.cwd()
 SECONDS_PER_DEFECT = 90.0
-HEAVY = (
-    "hypothesis",
-    "librosa",
-    "matplotlib.pyplot",
-    "numba",
-    "scipy.signal",
-    "scipy.stats",
-    "torch",
-)
-"""Libraries that are imported once, before the processes of the tests are forked."""
+LIBRARIES = ["hypothesis", "librosa", "matplotlib.pyplot", "numba", "scipy.stats", "torch"]
 
 
 def drawn(seed: int, count: int, only: list[str], changed: str | None) -> Iterator[Defect]:
@@ -59,7 +53,7 @@ def drawn(seed: int, count: int, only: list[str], changed: str | None) -> Iterat
         for defect in defects_of(ROOT, path)
         if lines is None or defect.line in lines[defect.path]
     ]
-    equivalent = {(e["function"], e["change"]) for e in _entries("equivalent.toml")}
+    equivalent = {(e["function"], e["change"]) for e in table("equivalent.toml")["defect"]}
     random.Random(seed).shuffle(pool)
     print(f"{min(count, len(pool))} of {len(pool)} defects, seed {seed}", flush=True)
     left = count
@@ -76,9 +70,8 @@ def key_of(defect: Defect) -> tuple[str, str]:
     return f"{module}:{defect.function}", change
 
 
-def _entries(name: str) -> list[dict[str, str]]:
-    text = (Path(__file__).parent / name).read_text(encoding="utf-8")
-    return tomllib.loads(text).get("defect", [])
+def table(name: str) -> dict[str, Any]:
+    return tomllib.loads((Path(__file__).parent / name).read_text(encoding="utf-8"))
 
 
 def _compiles(defect: Defect) -> bool:
@@ -110,18 +103,31 @@ def formulas() -> list[Defect]:
         SystemExit: a text is not in its function, or not exactly once.
     """
     found = []
-    for entry in _entries("formulas.toml"):
-        module, _, function = entry["function"].partition(":")
+    for function, changes in table("formulas.toml").items():
+        module, _, name = function.partition(":")
         path = module.replace(".", "/") + ".py"
         source = (ROOT / path).read_text(encoding="utf-8")
-        if source.count(entry["before"]) != 1:
-            raise SystemExit(f"{path} does not have this text exactly once: {entry['before']}")
-        start = len(source[: source.index(entry["before"])].encode())
-        line = source.encode()[:start].count(b"\n") + 1
-        compiled = path.endswith("kernels.py")
-        change = entry["before"], entry["after"]
-        found.append(Defect(path, line, function, start, *change, "formula", compiled))
+        start, stop = _span(source, name)
+        for before, after in changes.items():
+            if source.count(before, start, stop) != 1:
+                raise SystemExit(f"formulas.toml: {function} does not have once: {before}")
+            at = len(source[: source.index(before, start)].encode())
+            line = source.encode()[:at].count(b"\n") + 1
+            found.append(Defect(path, line, name, at, before, after, "formula", compiled=False))
     return found
+
+
+def _span(source: str, name: str) -> tuple[int, int]:
+    """Return where the text of a function starts and stops, (0, 0) if there is none."""
+    node: ast.AST = ast.parse(source)
+    for part in name.split("."):
+        kinds = ast.FunctionDef | ast.ClassDef
+        inside = (n for n in ast.iter_child_nodes(node) if isinstance(n, kinds) and n.name == part)
+        node = next(inside, None)
+        if node is None:
+            return 0, 0
+    lines = source.splitlines(keepends=True)
+    return len("".join(lines[: node.lineno - 1])), len("".join(lines[: node.end_lineno]))
 
 
 class Copy:
@@ -140,7 +146,7 @@ class Copy:
         self._stamp = int(time.time())
 
     def judge(self, defect: Defect, tests: list[str]) -> tuple[str, str]:
-        """Return the verdict ("killed", "hangs", "survived", "uncovered") and the test that fails."""
+        """Return "killed", "hangs", "survived" or "uncovered", and the test that fails."""
         if not tests:
             return "uncovered", ""
         path = self.root / defect.path
@@ -222,6 +228,8 @@ def main() -> int:
     parser.add_argument("--changed", metavar="BASE", help="only lines changed since this commit")
     parser.add_argument("--formulas", action="store_true", help="those of formulas.toml instead")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    text = "libraries that all tests import once, before their processes are forked"
+    parser.add_argument("--libraries", nargs="*", default=LIBRARIES, help=text)
     arguments = parser.parse_args()
     reach = Reach(ROOT, ROOT / "build" / "mutants")
     reach.update(arguments.jobs)
@@ -231,7 +239,7 @@ def main() -> int:
         else drawn(arguments.seed, arguments.count, arguments.only, arguments.changed)
     )
     defects = list(defects)
-    for library in HEAVY:
+    for library in arguments.libraries:
         __import__(library)
     totals: dict[str, Counter[str]] = defaultdict(Counter)
     with (
@@ -245,11 +253,8 @@ def main() -> int:
     ):
         outcomes = pool.map(_judge, defects, map(reach.tests_of, defects))
         for defect, (verdict, note) in zip(defects, outcomes, strict=True):
-            package = (
-                "/".join(defect.path.split("/")[:2])
-                if "gesturekit/" in defect.path
-                else PACKAGES[0]
-            )
+            folders = defect.path.split("/")[:-1]
+            package = "/".join(folders[:2]) if folders[0] == "gesturekit" else folders[0]
             totals[package][verdict] += 1
             if verdict in {"survived", "uncovered"}:
                 print(f"{verdict:9} {defect} {note}", flush=True)

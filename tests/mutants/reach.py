@@ -12,6 +12,7 @@ import gzip
 import hashlib
 import json
 import os
+import sys
 from collections import defaultdict
 from pathlib import Path
 
@@ -64,18 +65,27 @@ class Reach:
         settings, data_file = self.folder / "coveragerc", self.folder / "coverage"
         sources = "\n    ".join(PACKAGES)
         settings.write_text(f"[run]\nparallel = True\nsource =\n    {sources}\n", encoding="utf-8")
-        os.environ["COVERAGE_FILE"] = str(data_file)
+        os.environ |= {"COVERAGE_FILE": str(data_file), "PYTHONPATH": str(self.root)}
+        sys.path.insert(0, str(self.root))
         durations = _Durations()
         options = ["--cov", f"--cov-config={settings}", "--cov-context=test", "--cov-report="]
-        parallel = ["-n", str(processes), "--dist", "loadfile"]
-        pytest.main(
+        parallel = ["-n", str(processes), "--dist", "loadfile"] if processes > 1 else []
+        code = pytest.main(
             ["-q", "-p", "no:cacheprovider", *options, *parallel, *names], plugins=[durations]
         )
+        if code not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+            raise SystemExit(f"pytest could not run the tests: exit code {code}")
+        for test in durations.failed:
+            print(f"fails without any defect, left out: {test}", flush=True)
         reached = _reached(data_file, self.root)
         texts = {path: (self.root / path).read_text(encoding="utf-8") for path in reached}
         self._kept["texts"] |= {_digest(text): text for text in texts.values()}
         for name in names:
-            seconds = {t: s for t, s in durations.seconds.items() if t.partition("::")[0] == name}
+            seconds = {
+                test: seconds
+                for test, seconds in durations.seconds.items()
+                if test.partition("::")[0] == name and test not in durations.failed
+            }
             lines = {
                 path: {test: tests[test] for test in seconds if test in tests}
                 for path, tests in reached.items()
@@ -123,13 +133,16 @@ class Reach:
 
 
 class _Durations:
-    """Plugin of pytest: the seconds of each test, its setup included."""
+    """Plugin of pytest: the seconds of each test, its setup included, and the tests that fail."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
+        self.failed: set[str] = set()
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         self.seconds[report.nodeid] += round(report.duration, 3)
+        if report.failed:
+            self.failed.add(report.nodeid)
 
 
 def _reached(data_file: Path, root: Path) -> dict[str, dict[str, list[int]]]:
