@@ -23,6 +23,7 @@ from audio_features import words as word_lists
 from audio_features.weight_files import read_file, read_json
 from gesturekit.corpus import Manifest
 from gesturekit.diffusion.config import DiffusionConfig
+from gesturekit.evaluation.statistics.answers import read_answers
 from gesturekit.formats.gltf.vrm import read_avatar
 from gesturekit.formats.smpl.easymocap import read_easymocap
 from gesturekit.formats.tables.events import load_events
@@ -38,6 +39,7 @@ from gesturekit.motion import Motion
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.rendering.inputs import item_of, read_list
+from gesturekit.study.analysis.votes import Votes
 from gesturekit.systems import model_folder
 from gesturekit.training.config import load_config
 from gesturekit.training.run.checkpoint import Checkpoints
@@ -222,6 +224,22 @@ def http(folder: Path, file: Path) -> None:
     assert str(service().app.state.folder) not in answer.text, "a path of the server"
 
 
+@cache
+def live_model() -> Any:
+    return gk.load("demo")
+
+
+def live(folder: Path, file: Path) -> None:
+    """Samples of 16 bits of a pipe, in blocks of the sizes that the first bytes give."""
+    data = file.read_bytes()
+    sizes, samples = data[:8], np.frombuffer(data[8 : len(data) // 2 * 2], "<i2") / 32768
+    stream = live_model().stream(16_000, foot_lock=False)
+    for size in sizes:
+        block, samples = samples[: 40 * size], samples[40 * size :]
+        if (made := stream.step(block)) is not None:
+            assert np.isfinite(made.positions()).all(), "positions that are not finite"
+
+
 def bodies(folder: Path) -> list[bytes]:
     sounds = seeds.sounds(folder)
     return [b"format=bvh&seed=3\nbytes=0-1\n" + sounds[0], b"format=html\n\n" + sounds[4]]
@@ -358,6 +376,17 @@ TARGETS = {
             text("beat_align\t0.5\t1.0\t0.5\t0.8\thand", "a\t1\t2\t1\t1\tx"),
             lambda _, file: load_semantics(file),
         ),
+        Target(
+            *("answers", "a.csv"),
+            text(
+                "user,input_code,model_a,model_b,winner,is_strong,juiceOptions,juiceOtherReason",
+                'r1,c1,A,B,A,true,"[1]",',
+                "r2,c1,B,A,tie,,,",
+            ),
+            lambda _, file: Votes.of(read_answers([file]).kept),
+            says="PATH|columns",
+        ),
+        Target("live", "sound", lambda _: [bytes(range(8)) + bytes(9000)], live, mutators.ANY),
         Target("http", "request", bodies, http, (*mutators.ANY, mutators.tokens)),
         Target(
             *("metrics", "metrics.jsonl", text('{"step": 3, "loss": 0.5}', '{"step": 4}')),
@@ -369,5 +398,5 @@ TARGETS = {
         ),
     )
 }
-for _name in [name for name in TARGETS if name.startswith(("model_", "config_", "http"))]:
+for _name in [name for name in TARGETS if name.startswith(("model_", "config_", "http", "live"))]:
     TARGETS[_name] = replace(TARGETS[_name], is_slow=True)

@@ -103,6 +103,12 @@ def test_render(recordings, tmp_path):
     assert len(content(tmp_path / "whole")) == 16
 
 
+@pytest.mark.stress
+def test_live(recordings, tmp_path):
+    to = ("--to", f"record:{tmp_path / '{out}' / 'take.bvh'}", "--existing", "replace")
+    compare(tmp_path, killed(KILLS, "live", "--from", recordings / "2.wav", "--fast", *to))
+
+
 def trained(run: Path) -> dict[str, object]:
     """Model and losses of a run, without times and the name of the run."""
     weights = {path.name: path.read_bytes() for path in (run / "model").glob("[!.]*.safetensors")}
@@ -121,3 +127,16 @@ def test_train(corpus, tmp_path, system):
     config.write_text(yaml.safe_dump(values))
     settings = (f"corpus={corpus}", f"out={tmp_path / '{out}'}", "--resume")
     compare(tmp_path, killed(KILLS, "train", config, *settings), trained)
+
+
+@pytest.mark.stress
+def test_arrays(corpus, tmp_path):
+    config = tmp_path / "config.yaml"
+    config.write_text(yaml.safe_dump(MULTIRES))
+    settings = (
+        "in_memory=0.05",
+        f"corpus={corpus}",
+        f"arrays={tmp_path / '{out}'}",
+        f"out={tmp_path / 'run'}",
+    )
+    compare(tmp_path, killed(KILLS, "train", config, *settings, "--arrays"))

@@ -69,7 +69,8 @@ class Reach:
         sys.path.insert(0, str(self.root))
         durations = _Durations()
         options = ["--cov", f"--cov-config={settings}", "--cov-context=test", "--cov-report="]
-        parallel = ["-n", str(processes), "--dist", "loadfile"] if processes > 1 else []
+        # In processes of their own: here the code must not be imported before it is changed.
+        parallel = ["-n", str(processes), "--dist", "loadfile"]
         code = pytest.main(
             ["-q", "-p", "no:cacheprovider", *options, *parallel, *names], plugins=[durations]
         )

@@ -12,6 +12,7 @@ import sys
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 from sounds import wav
@@ -20,8 +21,8 @@ from gesturekit.systems import bundled_speech
 
 
 @pytest.fixture(scope="module")
-def port(tmp_path_factory):
-    """The port of a server of the demo model; the process is ended at the end."""
+def server(tmp_path_factory):
+    """A server of the demo model and its port; the process is ended at the end."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         number = free.getsockname()[1]
@@ -40,7 +41,7 @@ def port(tmp_path_factory):
                 break
             except OSError:
                 time.sleep(0.1)
-        yield number
+        yield process, number
         assert process.poll() is None, "the server ended"
         (own,) = (path for path in folder.iterdir() if path.is_dir())
         assert list(own.iterdir()) == [], "a request left files"
@@ -51,6 +52,12 @@ def port(tmp_path_factory):
     finally:
         process.kill()
         process.wait()
+
+
+@pytest.fixture
+def port(server):
+    """The port of the server."""
+    return server[1]
 
 
 def post(port: int, body: bytes, query: str = "", **headers: str) -> tuple[int, bytes]:
@@ -161,3 +168,34 @@ def test_a_port_in_use_is_one_line_and_exit_2(gesturekit):
         done = gesturekit("serve", "--model", "demo", "--port", used.getsockname()[1])
     assert done.status == 2
     assert ": Address already in use; another --port may be free" in done.err
+
+
+@pytest.mark.stress
+def test_ten_thousand_requests_leave_no_open_file_and_no_memory(server):
+    process, port = server
+    sounds = [wav(seconds=0.3), wav(seconds=0.3)[:1000], b"", b"RIFF" + bytes(3000)]
+    rng = random.Random(0)
+    bodies = [rng.choice(sounds[rng.random() < 0.9 :]) for _ in range(10_000)]
+    with ThreadPoolExecutor(4) as pool:
+
+        def answered(part: list[bytes]) -> Counter[int]:
+            return Counter(status for status, _ in pool.map(lambda body: post(port, body), part))
+
+        counts = answered(bodies[:1000])
+        before = used(process.pid)
+        counts += answered(bodies[1000:])
+        after = used(process.pid)
+    assert counts.keys() <= {200, 400, 422} and counts[200] > 500
+    assert after["files"] <= before["files"] + 4
+    assert after["memory"] < before["memory"] + (60 << 20)
+
+
+def used(pid: int) -> dict[str, int]:
+    """Return the open files and the bytes of memory of a process and its children."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    found = Counter(files=len([*Path(f"/proc/{pid}/fd").iterdir()]))
+    status = Path(f"/proc/{pid}/status").read_text()
+    found["memory"] = 1024 * int(re.search(r"VmRSS:\s+(\d+)", status)[1])
+    for child in children:
+        found += used(int(child))
+    return found
