@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rigs import PERSON, at_rest, rig_of
 from scipy.spatial.transform import Rotation
 
 import gesturekit as gk
@@ -56,6 +57,49 @@ def test_without_blending_poses_are_kept_and_heights_too(moving_person, other):
     # The path goes on for one frame at the speed at which it ended.
     path = made.translation[:, [0, 2]]
     np.testing.assert_allclose(path[60] - path[59], path[59] - path[58], atol=1e-12)
+
+
+def test_the_difference_decays_along_a_cubic_hermite_curve():
+    """From value d and slope v to 0 without slope within n = 9 frames: at 1/3 of the way
+    d (1 - 3/9 + 2/27) + 9 v (1/3 - 2/9 + 1/27) = 20/27 d + 4/3 v, at 2/3 of it 7/27 d + 2/3 v.
+
+    The first motion rises by 0.03 a frame from 0 to 0.06 and would reach 0.09; the second one
+    begins at 0.5 with a slope of 0.01, so that d = -0.41 and v = 0.02. All that moves does so by
+    this law: the height of the root, a joint's place, and a joint's angle.
+    """
+    rig = Skeleton(("root", "arm", "hand"), (-1, 0, 1), [[0, 0, 0], [0, 1, 0], [0, 1, 0]])
+
+    def along(values: np.ndarray) -> Motion:
+        angles = np.zeros((len(values), 3, 3))
+        angles[:, 1, 2] = values
+        turns = Rotation.from_rotvec(angles.reshape(-1, 3)).as_quat().reshape(-1, 3, 4)
+        place = values[:, None] * [0, 1, 0]
+        return Motion(rig, turns, place, 30.0, {"hand": place + [0.2, 0, 0]})
+
+    before, after = 0.03 * np.arange(3.0), 0.5 + 0.01 * np.arange(20.0)
+    made = gk.concatenate([along(before), along(after)], blend=0.3)[3:]
+    left = {0: -0.41, 3: -0.41 * 20 / 27 + 0.08 / 3, 6: -0.41 * 7 / 27 + 0.04 / 3, 9: 0, 19: 0}
+    for frame, difference in left.items():
+        expected = pytest.approx(after[frame] + difference)
+        assert made.translation[frame, 1] == expected
+        assert made.joint_translations["hand"][frame].tolist() == [0.2, expected, 0]
+        turned = Rotation.from_quat(made.rotations[frame, 1]).as_rotvec()
+        assert turned == pytest.approx([0, 0, after[frame] + difference])
+
+
+def test_the_heading_goes_on_from_the_last_frame_and_begins_in_the_first():
+    """The body turns by 0.1 rad a frame in the first motion, and by 0.3 rad in the second."""
+    rig = rig_of(PERSON)
+
+    def turning(step: float, n_frames: int) -> Motion:
+        motion = at_rest(rig, n_frames)
+        angles = step * np.arange(n_frames)[:, None]
+        motion.rotations[:, 0] = Rotation.from_rotvec(angles * [0, 1, 0]).as_quat()
+        return motion
+
+    made = gk.concatenate([turning(0.1, 5), turning(0.3, 4)], blend=0)
+    turned = Rotation.from_quat(made.rotations[:, 0]).as_rotvec()[:, 1]
+    assert turned == pytest.approx([0, 0.1, 0.2, 0.3, 0.4, 0.4, 0.7, 1.0, 1.3])
 
 
 def test_a_rig_that_moves_below_its_root(moving_person, other):

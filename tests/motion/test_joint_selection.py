@@ -59,6 +59,9 @@ def test_another_root_moves_as_it_did(moving_person):
     moving = replace(moving_person, joint_translations={"Spine": moving_person.translation})
     kept = check(moving, [rig.names[j] for j in (spine, *rig.descendants(spine))])
     assert kept.skeleton.names[0] == "Spine" and not kept.joint_translations
+    # Where the root went, and another parent with it.
+    kept = check(moving, ["Spine", "LeftForeArm", "LeftHand"])
+    assert set(kept.joint_translations) == {"LeftForeArm"}
 
 
 def test_joints_that_cannot_be_removed_are_errors(moving_person):

@@ -3,11 +3,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.rotations import matrix_from_quaternion, quaternion_from_sixd, rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.motion.torch_kinematics import ForwardKinematics, sixd_to_matrix
+from gesturekit.motion.torch_kinematics import (
+    ForwardKinematics,
+    rotation_vector_to_matrix,
+    sixd_to_matrix,
+)
 
 
 def joint_by_joint(motion):
@@ -86,6 +91,21 @@ def test_sixd_to_matrix_is_the_rotation_and_never_nan():
     out = sixd_to_matrix(bad)
     out.square().sum().backward()
     assert out.isfinite().all() and bad.grad.isfinite().all()
+
+
+def test_matrices_of_rotation_vectors_are_those_of_scipy_and_never_nan():
+    vectors = np.random.default_rng(0).normal(size=(2, 5, 4, 3))
+    vectors[0, 0] *= 1e-8
+    vectors[0, 1] = 0
+    x = torch.from_numpy(vectors).requires_grad_()
+    found = rotation_vector_to_matrix(x)
+    expected = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix()
+    np.testing.assert_allclose(found.detach().reshape(-1, 3, 3), expected, atol=1e-9)
+    found.sum().backward()
+    assert x.grad.isfinite().all()
+    alone = torch.from_numpy(vectors[0, 2:]).requires_grad_()
+    assert torch.autograd.gradcheck(rotation_vector_to_matrix, alone)
+    assert rotation_vector_to_matrix(torch.ones(3)).dtype == torch.float32
 
 
 def test_global_rotation_of_a_chain_is_the_product(moving_person):

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -24,12 +25,27 @@ from gesturekit.motion.rotations import rotation_angles
         ({"fps": float("nan")}, "fps"),
         ({"joint_translations": {"Hips": np.zeros((60, 3))}}, "'Hips'"),
         ({"joint_translations": {"Hip": np.zeros((60, 3))}}, "did you mean Hips"),
+        ({"joint_translations": {"Head": np.zeros((59, 3))}}, "'Head' has shape (59, 3)"),
+        ({"joint_translations": {"Head": np.full((60, 3), -1.001e9)}}, "'Head' is not finite"),
+        ({"rotations": np.ones((60, 4))}, "(60, 4)"),
+        ({"rotations": np.full((60, 19, 4), np.nan)}, "'Hips' in frame 0"),
+        ({"expressions": np.zeros(60)}, "expressions has shape (60,)"),
+        ({"expressions": np.zeros((59, 3))}, "expressions has shape (59, 3)"),
+        ({"expressions": np.full((60, 3), np.nan)}, "expressions is not finite"),
     ],
 )
 def test_invalid_motions_are_refused(moving_person, change, says):
     with pytest.raises(MotionError) as caught:
         replace(moving_person, **change)
     assert says in str(caught.value)
+
+
+def test_quaternions_of_any_length_are_normalised_and_unit_ones_are_not_touched(moving_person):
+    once = moving_person.rotations
+    factors = np.random.default_rng(0).uniform(0.1, 9, (60, 19, 1))
+    again = replace(moving_person, rotations=once * factors).rotations
+    np.testing.assert_allclose(again, once, atol=1e-14)
+    assert (replace(moving_person, rotations=once).rotations == once).all()
 
 
 def test_a_bad_quaternion_is_named(moving_person):
@@ -103,6 +119,14 @@ def test_number_of_frames_is_exact(moving_person):
     # 49 frames at 30 fps are 24.5 at 15 fps: half a frame counts as one.
     assert moving_person[:49].resample(15).n_frames == 25
     assert moving_person[:47].resample(15).n_frames == 24
+
+
+def test_a_pipe_is_refused_before_it_is_read(tmp_path):
+    os.mkfifo(tmp_path / "a.bvh")
+    with pytest.raises(FormatError, match=r"a\.bvh: not a regular file"):
+        Motion.load(tmp_path / "a.bvh")
+    with pytest.raises(FormatError, match=r"b\.bvh: no such file"):
+        Motion.load(tmp_path / "b.bvh")
 
 
 def test_unknown_suffix_is_refused_by_name(moving_person, tmp_path):

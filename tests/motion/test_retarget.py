@@ -346,6 +346,16 @@ def test_spines_are_matched_along_their_length(person, mixamo):
     assert yaws(made, *names) == pytest.approx([0, 10, 20.9, 50, 50, 30], abs=0.2)
 
 
+def test_a_neck_without_length_turns_as_the_other_one(person, mixamo):
+    for source, target in (
+        (person, with_offsets(mixamo, **{"mixamorig:Head": (0.0, 0.0, 0.0)})),
+        (with_offsets(person, Head=(0.0, 0.0, 0.0)), mixamo),
+    ):
+        made = retarget(looking_aside(source, Chest=10.0, Neck=30.0, Head=20.0), target)
+        names = [f"mixamorig:{name}" for name in ("Spine2", "Neck", "Head")]
+        assert yaws(made, *names) == pytest.approx([10, 40, 60], abs=0.2)
+
+
 def test_a_neck_that_the_source_does_not_have_turns_half_as_far_as_the_head(person, mixamo):
     short = looking_aside(person).keep([n for n in person.names if n != "Neck"]).skeleton
     made = retarget(looking_aside(short, Spine=10.0, Chest=40.0, Head=-20.0), mixamo)

@@ -66,6 +66,13 @@ def test_another_frame_rate_is_the_same_path_at_the_same_times(fps):
     assert made.speeds[: round(19.9 * fps)] == pytest.approx(1.2, rel=0.01)
 
 
+def test_half_a_frame_counts_as_one():
+    """49 and 47 frames at 30 fps are 24.5 and 23.5 at 15 fps; one frame is never none."""
+    path = wandering(49)
+    assert [path.resample(15.0).n_frames, path.slice(0, 47).resample(15.0).n_frames] == [25, 24]
+    assert path.slice(0, 1).resample(10.0).n_frames == 1
+
+
 def test_a_path_that_is_asked_for_longer_stands_at_its_end():
     path = circle(n=10).resample(30.0, 15)
     assert path.n_frames == 15

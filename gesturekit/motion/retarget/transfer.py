@@ -15,6 +15,7 @@ legs, the pelvis moves as the source's, and legs of the target stand straight be
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -25,7 +26,6 @@ from gesturekit.errors import MotionError
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
-from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.retarget.body_frames import BodyFrames, body_frames
 from gesturekit.motion.retarget.feet import HIP_DROP_SECONDS, FootMotion, FootTargets, heading_of
 from gesturekit.motion.retarget.hands import place_hands
@@ -38,8 +38,6 @@ from gesturekit.motion.rotations import (
 )
 from gesturekit.motion.skeleton import Skeleton
 
-_NO_LENGTH = 1e-6
-"""Metres on the reference body; a shorter spine or neck has no length."""
 _FLOOR_MARKER = 0.25
 """Share of the leg length; a root farther from the pelvis is a marker on the floor."""
 
@@ -318,25 +316,19 @@ def _along(
     """
     own = target.chain(segment.rstrip("0123456789"))
     place = _heights(target, own)[own.index(segment)]
-    places = _heights(source, chain)
-    high = int(np.clip(np.searchsorted(places, place - 1e-9), 1, max(len(places) - 1, 1)))
-    if len(places) == 1 or place <= places[0]:
-        return frames[chain[0]]
-    weight = (place - places[high - 1]) / max(places[high] - places[high - 1], 1e-9)
-    return slerp(frames[chain[high - 1]], frames[chain[high]], np.clip(weight, 0, 1))
+    at = float(np.interp(place, _heights(source, chain), np.arange(len(chain))))
+    low, high = (frames[chain[k]] for k in (math.floor(at), math.ceil(at)))
+    return slerp(low, high, np.array(at % 1))
 
 
 def _heights(frames: BodyFrames, chain: list[str]) -> np.ndarray:
     """(N,) middles of the bones of a chain, as shares of the distance to the last one."""
-    skeleton = frames.skeleton
     joints = [frames.joints[segment] for segment in chain]
     end = {"spine": ("neck0", "head"), "neck": ("head",)}[chain[0].rstrip("0123456789")]
     top = next((frames.joints[segment] for segment in end if segment in frames.joints), joints[-1])
     lengths = np.linalg.norm(np.diff(frames.places[[*joints, top]], axis=0), axis=-1)
     middles = np.cumsum(lengths) - lengths / 2
-    if middles[-1] < _NO_LENGTH * body_scale(skeleton):
-        return np.linspace(0, 1, len(chain) + 1)[1:]
-    return middles / middles[-1]
+    return middles / max(middles[-1], 1e-9)
 
 
 def _local_rotations(world: np.ndarray, skeleton: Skeleton) -> np.ndarray:
