@@ -160,9 +160,9 @@ def _on_body(pose: Motion, motion: Motion, root: int) -> Motion:
     still = motion.skeleton.ancestors(root)
     rotations, place = pose.rotations.copy(), pose.positions()[:, root]
     rotations[:, list(still)] = motion.rotations[:1, list(still)]
-    place[:, 1] *= body_scale(motion.skeleton) / body_scale(pose.skeleton)
-    if "floor" in pose.info:
-        place[:, 1] += floor_height(motion) - pose.info["floor"]
+    floor = pose.info.get("floor", 0.0)
+    place[:, 1] = (place[:, 1] - floor) * body_scale(motion.skeleton) / body_scale(pose.skeleton)
+    place[:, 1] += floor_height(motion) if "floor" in pose.info else 0.0
     made = replace(motion[:1], rotations=rotations)
     return with_root(made, root, place, pose.global_rotations()[:, root])
 
@@ -222,7 +222,8 @@ def _begun(motion: Motion, pose: Motion, count: int, may_stay: bool) -> Motion:
         places[:, foot, 1] += 4 * lift * rising * (1 - rising)
         # A foot hardly moves forward before it is lifted.
         weights[:, foot, 0] = weights[:, foot, 2] = rising * rising * (3 - 2 * rising)
-    turn = quaternion_from_rotation_vector(weights * turned)
+    # A foot turns as it moves over the ground; its tilt goes with its height.
+    turn = quaternion_from_rotation_vector(weights[..., [1, 0, 1]] * turned)
     return reach_feet(made, places + weights * apart, multiply_quaternions(turn, turns))
 
 

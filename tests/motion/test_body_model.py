@@ -192,6 +192,25 @@ def test_pickled_notes_are_left_alone_and_pickled_arrays_refused(saved):
         ({"posedirs": np.full((748, 3, 207), np.nan)}, "posedirs holds"),
         ({"weights": np.zeros((748, 24))}, "sum to 1"),
         (NOT_SPARSE, "J_regressor is not a sparse matrix"),
+        ({"v_template": np.zeros(748)}, "v_template has shape (748,)"),
+        ({"v_template": np.zeros((748, 4))}, "v_template has shape (748, 4)"),
+        ({"v_template": np.zeros((0, 3))}, "v_template has shape (0, 3)"),
+        ({"v_template": np.zeros((200_001, 3))}, "v_template has shape (200001, 3)"),
+        ({"v_template": np.full((748, 3), np.inf)}, "v_template holds"),
+        ({"weights": np.ones(748)}, "weights have shape (748,)"),
+        ({"weights": np.ones((748, 0))}, "weights have shape (748, 0)"),
+        ({"weights": np.full((748, 257), 1 / 257)}, "weights have shape (748, 257)"),
+        ({"weights": np.eye(24)[np.zeros(748, int)] * 1.02}, "sum to 1"),
+        ({"weights": np.eye(24)[np.zeros(748, int)] * 2 - np.eye(24)[1]}, "negative"),
+        ({"shapedirs": np.zeros((748, 2, 3))}, "shapedirs"),
+        ({"posedirs": np.zeros((748, 3, 206))}, "posedirs"),
+        ({"kintree_table": np.zeros((2, 23))}, "kintree_table has shape (23,)"),
+        ({"kintree_table": np.array([-1, 0, 2, *range(2, 23)])}, "tree"),
+        ({"kintree_table": np.array([-1, 0, -1, *range(2, 23)])}, "tree"),
+        ({"f": np.array([[0, 1, -1]])}, "among"),
+        ({"f": np.array([[0, 1, 748]])}, "among"),
+        ({"f": np.array([0, 1, 2])}, "f has shape"),
+        ({"f": np.array([[0, 1]])}, "f has shape"),
     ],
 )
 def test_files_that_are_no_body_model(saved, change, says):
@@ -201,14 +220,38 @@ def test_files_that_are_no_body_model(saved, change, says):
     assert str(path) in str(caught.value) and says in str(caught.value)
 
 
+def test_files_that_differ_in_what_does_not_matter_are_the_same_model(saved, body):
+    """A tree of one row, or with a root whose parent is -1 as an unsigned number; no faces; feet
+    at the ends of the list; weights that are rounded.
+    """
+    parents = np.array([body.parents, range(24)])
+    unsigned = (parents % 2**32).astype(np.uint32)
+    rounded = {"weights": 1.009 * np.eye(24)[np.zeros(748, int)], "kintree_table": parents[0]}
+    for change in ({"kintree_table": unsigned}, rounded, {"f": np.zeros((0, 3), int)}):
+        again = BodyModel.load(saved(**change), feet=[0, 1, 2, 3, 4, 747])
+        assert (again.parents, again.feet) == (body.parents, (0, 1, 2, 3, 4, 747))
+        assert again.n_vertices == 748 and again.faces.dtype == np.int64
+    plain = BodyModel.load(saved(shapedirs=None, posedirs=None))
+    assert plain.feet is None and plain.shapes.shape == (748, 3, 0)
+    assert plain.rig(smpl_skeleton(24)).end_sites == {}
+    np.testing.assert_allclose(plain.joints_at_rest([3.0]), body.joints_at_rest(), atol=1e-12)
+    motion = at_rest(smpl_skeleton(24), 2, body.joints_at_rest()[0])
+    np.testing.assert_allclose(plain.vertices(motion)[1], plain.template, atol=1e-6)
+
+
 def test_missing_pickled_and_other_models_are_refused(saved, body, tmp_path):
     with pytest.raises(FormatError, match="no such body model"):
         BodyModel.of(tmp_path / "absent.npz", smpl_skeleton(24))
     (tmp_path / "SMPL.pkl").write_bytes(b"\x80\x04.")
     with pytest.raises(FormatError, match="pickle"):
         BodyModel.load(tmp_path / "SMPL.pkl")
-    with pytest.raises(FormatError, match="not six"):
-        BodyModel.load(saved(), feet=[1, 2])
+    for feet, says in (
+        ([1, 2], "2 foot vertices, not six"),
+        ([0, 1, 2, 3, 4, -1], "not among 748"),
+        ([0, 1, 2, 3, 4, 748], "not among 748"),
+    ):
+        with pytest.raises(FormatError, match=says):
+            BodyModel.load(saved(), feet=feet)
     with pytest.raises(MotionError, match="24 joints and the rig 55"):
         body.vertices(a_motion(55))
 

@@ -1,0 +1,237 @@
+"""Placement worked out by hand, on a person whose `body_scale` is 1.
+
+At 24 fps a pose decays within 12 frames, and the smoothstep 1 - 3 s^2 + 2 s^3 is 27/32, 1/2 and 5/32
+after 3, 6 and 9 of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rigs import PERSON, at_rest, rig_of
+from scipy.spatial.transform import Rotation
+
+from gesturekit.motion import Motion
+from gesturekit.motion.heading import heading
+from gesturekit.motion.ik.legs import reach_feet
+from gesturekit.postprocess import Placement
+
+RIG = rig_of(PERSON).scaled(1.4 / 1.44)
+LEG, DEGREE = 0.84 * 1.4 / 1.44, np.pi / 180
+FEET = [RIG.index("LeftFoot"), RIG.index("RightFoot")]
+STEP = {0: 1.0, 3: (27 / 32) ** 2 * (3 - 54 / 32), 6: 0.5, 9: (5 / 32) ** 2 * (3 - 10 / 32), 12: 0}
+"""Share of a step that is left: the smoothstep of the smoothstep."""
+RELEASED = {0: 1.0, 3: 27 / 32, 6: 0.5, 9: 5 / 32, 12: 0}
+
+
+def about_y(angles: np.ndarray | float) -> np.ndarray:
+    return Rotation.from_rotvec(np.multiply.outer(angles, [0.0, 1.0, 0.0])).as_quat()
+
+
+def standing(n_frames: int = 60) -> Motion:
+    """Knees bent, ankles 0.04 m above the ground below the hips."""
+    motion = at_rest(RIG, n_frames, fps=24.0)
+    for side in ("Left", "Right"):
+        for bone, degrees in (("UpLeg", -20.0), ("Leg", 40.0), ("Foot", -20.0)):
+            turn = Rotation.from_euler("x", degrees, degrees=True).as_quat()
+            motion.rotations[:, RIG.index(side + bone)] = turn
+    motion.translation[:, 1] = 0.04 - motion.positions()[0, FEET[0], 1]
+    return motion
+
+
+def ankles(motion: Motion) -> np.ndarray:
+    """(T, 2, 3) positions of the ankles."""
+    return motion.positions()[:, FEET]
+
+
+def stance(motion: Motion, *moved: tuple[float, float, float], yaw: float = 0.0) -> Motion:
+    """The first frame with both feet moved, and turned outward by `yaw` radians."""
+    turns = about_y(np.array([[yaw, -yaw]]))
+    return reach_feet(motion[:1], ankles(motion)[:1] + np.array(moved), turns)
+
+
+def wide(by: float, **more: float) -> Motion:
+    return stance(standing(), (by, 0, 0), (-by, 0, 0), **more)
+
+
+def yaws(motion: Motion) -> np.ndarray:
+    """(T, 2) radians by which the feet are turned outward."""
+    turns = motion.global_rotations()[:, FEET]
+    return 2 * np.arctan2(turns[..., 1], turns[..., 3]) * [1, -1]
+
+
+@pytest.mark.parametrize("first", ["left", "right"])
+def test_far_feet_step_one_after_the_other_and_a_raised_one_first(first):
+    """Feet 0.15 m too far out are lifted by 0.03 m and a tenth of the way."""
+    up = 0.02 if first == "right" else 0.0
+    pose = stance(standing(), (0.15, 0, 0), (-0.15, up, 0))
+    made = ankles(Placement(start=pose).applied(standing())) - ankles(standing())
+    order = (0, 1) if first == "left" else (1, 0)
+    for foot, begins in zip(order, (0, 12), strict=True):
+        out = (0.15, -0.15)[foot]
+        assert made[: begins + 1, foot, 0] == pytest.approx(out, abs=1e-9)
+        for frame, share in STEP.items():
+            rising = RELEASED[frame]
+            height = 4 * 0.045 * rising * (1 - rising)
+            height += up * rising if begins == 0 else 0
+            expected = [out * share, height, 0]
+            np.testing.assert_allclose(made[begins + frame, foot], expected, atol=1e-9)
+        np.testing.assert_allclose(made[begins + 12 :, foot], 0, atol=1e-9)
+
+
+@pytest.mark.parametrize("fps", [24.0, 48.0])
+def test_a_foot_steps_beyond_a_tenth_of_the_leg(fps):
+    """A turn counts as the way of toes 0.2 m from the ankle."""
+    motion = replace(standing(), fps=fps)
+    for by, yaw, near in (
+        (0.098 * LEG, 0.0, True),
+        (0.102 * LEG, 0.0, False),
+        (0.0, 0.49 * LEG, True),
+        (0.0, 0.51 * LEG, False),
+        (0.05 * LEG, 0.24 * LEG, True),
+        (0.05 * LEG, 0.26 * LEG, False),
+    ):
+        pose = replace(wide(by, yaw=yaw), fps=fps)
+        made = Placement(start=pose).applied(motion)
+        left = (ankles(made) - ankles(motion))[-1, 0, 0], yaws(made)[-1, 0]
+        assert left == pytest.approx((by, yaw) if near else (0, 0), abs=1e-6), (by, yaw)
+        assert ankles(made)[..., 1].max() == pytest.approx(0.04, abs=1e-6) or not near
+
+
+def test_a_turned_foot_turns_while_it_steps_and_its_tilt_goes_at_once():
+    pose = wide(0.15, yaw=0.3)
+    tilted = about_y(np.array([[0.3, -0.3]]))
+    tilt = Rotation.from_euler("x", 0.2).as_quat()
+    tilted[:, 0] = (Rotation.from_quat(tilt) * Rotation.from_quat(tilted[0, 0])).as_quat()
+    both = Placement(start=pose).applied(standing())
+    for foot, begins in enumerate((0, 12)):
+        for frame, share in STEP.items():
+            assert yaws(both)[begins + frame, foot] == pytest.approx(0.3 * share, abs=1e-6)
+    near = reach_feet(pose, ankles(wide(0.02)), np.tile(tilt, (1, 2, 1)))
+    made = Placement(start=near).applied(standing()).global_rotations()[:, FEET]
+    for frame, share in RELEASED.items():
+        angles = Rotation.from_quat(made[frame]).as_rotvec()
+        np.testing.assert_allclose(angles, np.tile([0.2 * share, 0, 0], (2, 1)), atol=1e-6)
+
+
+def walking_off(at: int, n_frames: int = 60) -> Motion:
+    """Stands until a frame, and then goes to +Z, feet and all, at 1.2 m/s."""
+    motion = standing(n_frames)
+    way = 0.05 * np.maximum(np.arange(n_frames) - at, 0)
+    return replace(motion, translation=motion.translation + way[:, None] * [0, 0, 1])
+
+
+def test_a_near_foot_stays_until_the_motion_moves_it():
+    made = ankles(Placement(start=wide(0.05)).applied(walking_off(30)))
+    apart = made - ankles(walking_off(30))
+    np.testing.assert_allclose(
+        apart[:31], np.tile([[0.05, 0, 0], [-0.05, 0, 0]], (31, 1, 1)), atol=1e-9
+    )
+    for frame, share in STEP.items():
+        np.testing.assert_allclose(apart[30 + frame, 0], [0.05 * share, 0, 0], atol=1e-9)
+
+
+def test_the_end_is_the_beginning_seen_backwards():
+    """Without a start pose near feet may be where the end wants them from the first frame on."""
+    made = ankles(Placement(end=wide(0.15)).applied(standing())) - ankles(standing())
+    for foot, begins in enumerate((0, 12)):
+        out = (0.15, -0.15)[foot]
+        for frame, share in STEP.items():
+            assert made[59 - begins - frame, foot, 0] == pytest.approx(out * share, abs=1e-9)
+    alone = ankles(Placement(end=wide(0.05)).applied(standing())) - ankles(standing())
+    np.testing.assert_allclose(alone[:, 0], np.tile([0.05, 0, 0], (60, 1)), atol=1e-9)
+    both = Placement(start=standing()[:1], end=wide(0.05)).applied(standing())
+    left = (ankles(both) - ankles(standing()))[:, 0]
+    assert left[[0, 30, 47, 59], 0] == pytest.approx([0, 0, 0, 0.05], abs=1e-9)
+    # Lifted by 0.03 m and a tenth of the way.
+    assert left[53] == pytest.approx([0.025, 0.035, 0], abs=1e-9)
+
+
+@pytest.mark.parametrize(("n_frames", "count"), [(60, 12), (48, 12), (47, 11), (20, 5), (5, 1)])
+def test_a_pose_decays_within_half_a_second_or_a_quarter_of_the_motion(n_frames, count):
+    pose = standing(1)
+    arm = RIG.index("LeftArm")
+    pose.rotations[:, arm] = Rotation.from_euler("z", 0.8).as_quat()
+    turned = Placement(start=pose).applied(standing(n_frames)).rotations[:, arm]
+    angles = Rotation.from_quat(turned).as_rotvec()[:, 2]
+    s = np.minimum(np.arange(n_frames) / count, 1)
+    np.testing.assert_allclose(angles, 0.8 * (1 - 3 * s**2 + 2 * s**3), atol=1e-9)
+
+
+@pytest.mark.parametrize(("twist", "turned"), [(10.0, 10.0), (-10.0, -10.0), (40.0, 15.0)])
+def test_the_feet_of_a_pose_decide_the_heading_within_fifteen_degrees(twist, turned):
+    """The pelvis of the pose faces 50 degrees, its feet are turned further by `twist`."""
+    pose = standing(1)
+    pose.rotations[:, 0] = about_y(50 * DEGREE)
+    pose = replace(pose, translation=pose.translation + [2.0, 0, -3.0])
+    feet = ankles(pose)
+    middle = feet.mean(axis=1, keepdims=True)
+    round_ = Rotation.from_rotvec([0, twist * DEGREE, 0])
+    places = (round_.apply((feet - middle)[0]) + middle[0])[None]
+    pose = reach_feet(pose, places, about_y(np.full((1, 2), (50 + twist) * DEGREE)))
+    # The motion is elsewhere, and faces the other way.
+    motion = standing()
+    motion.rotations[:, 0] = about_y(190 * DEGREE)
+    motion = replace(motion, translation=motion.translation + [7.0, 0, 7.0])
+    made = Placement(start=pose).applied(motion)
+    np.testing.assert_allclose(made.positions()[0], pose.positions()[0], atol=1e-6)
+    assert heading(made[-1:]) == pytest.approx((50 + turned) * DEGREE)
+    np.testing.assert_allclose(made.positions()[-1, 0, [0, 2]], [2.0, -3.0], atol=1e-6)
+    here = Placement(start=pose, facing=-20 * DEGREE).applied(motion)
+    assert heading(here[:1]) == pytest.approx(-20 * DEGREE)
+    on_path = Placement(start=pose, on_path=True).applied(motion)
+    assert heading(on_path[-1:]) == pytest.approx((190 - 360) * DEGREE)
+    np.testing.assert_allclose(on_path.translation[-1], motion.translation[-1], atol=1e-9)
+
+
+def test_a_pose_of_a_taller_person_is_put_on_the_body_above_its_floor():
+    """Hips of a body twice as tall on a floor at 1 m; without a floor it is assumed at 0."""
+    small = standing(1)
+    tall = small.scaled(2.0)
+    raised = replace(tall, translation=tall.translation + [0, 1, 0], info={"floor": 1.0 + 2 * 0.04})
+    for pose in (tall, raised):
+        made = Placement(start=pose).applied(standing())
+        np.testing.assert_allclose(made.positions(), standing().positions(), atol=1e-6)
+
+
+def wandering(rig_motion: Motion, per_second: float, turn: float) -> Motion:
+    """Goes from (1, -2) to +X, and turns from 0.3 rad on, per second."""
+    times = np.arange(rig_motion.n_frames) / 24.0
+    rotations = rig_motion.rotations.copy()
+    rotations[:, 0] = about_y(0.3 + turn * times)
+    place = rig_motion.translation + [1.0, 0, -2.0] + per_second * times[:, None] * [1, 0, 0]
+    return replace(rig_motion, rotations=rotations, translation=place)
+
+
+@pytest.mark.parametrize("legs", [True, False])
+def test_steady_wandering_is_removed_from_the_first_half_second_on(legs):
+    """A Gaussian of 0.5 s whose first half stands still goes on by 0.5 / sqrt(2 pi) = 0.1995 s.
+
+    The body goes and turns on by so much, and then no more.
+    """
+    free = wandering(standing(240), 0.5, 1.0)
+    if not legs:
+        free = free.keep([n for n in RIG.names if "Leg" not in n and "Foot" not in n])
+    made = Placement(in_place=True, foot_lock=False).applied(free)
+    expected = [1.0 + 0.5 * 0.1995, free.translation[0, 1], -2.0]
+    np.testing.assert_allclose(made.translation[60:180], np.tile(expected, (120, 1)), atol=2e-4)
+    turned = [heading(made[k : k + 1]) for k in (60, 120, 180)]
+    assert turned == pytest.approx([0.3 + 0.1995] * 3, abs=2e-4)
+    still = wandering(standing(60), 0.0, 0.0)
+    for lock in (False, True):
+        same = Placement(in_place=True, foot_lock=lock).applied(still)
+        np.testing.assert_allclose(same.positions(), still.positions(), atol=1e-6)
+    assert Placement().applied(still) is still
+
+
+def test_a_pelvis_that_turns_over_feet_that_stand_is_no_wandering():
+    motion = standing(120)
+    turning = motion.rotations.copy()
+    angles = 0.3 * np.sin(np.arange(120) / 24.0)
+    turning[:, 0] = about_y(angles)
+    feet = motion.global_rotations()[:, FEET]
+    turning = reach_feet(replace(motion, rotations=turning), ankles(motion), feet)
+    made = Placement(in_place=True, foot_lock=False).applied(turning)
+    np.testing.assert_allclose(made.positions(), turning.positions(), atol=1e-6)
