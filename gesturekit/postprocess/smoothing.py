@@ -88,15 +88,13 @@ def _world_of(
 def _beats(turns: np.ndarray, fps: float) -> np.ndarray:
     """(T,) weight 1 around peaks of the summed angular speed of (T, J, 4), 0 between them."""
     keep = np.zeros(len(turns))
-    if len(turns) < 3:
+    if len(turns) < 2:
         return keep
     turns = normalize_quaternions(turns)
-    speed = np.zeros(len(turns))
-    speed[1:] = rotation_angles(turns[1:], turns[:-1]).sum(axis=-1) * fps
-    speed[0] = speed[1]
+    speed = rotation_angles(turns[1:], turns[:-1]).sum(axis=-1) * fps
     peaks, _ = find_peaks(speed, prominence=_PROMINENT * np.quantile(speed, 0.95) + 1e-9)
     around = round(_AROUND * fps)
-    for peak in peaks:
+    for peak in peaks + 1:  # speed k is that from frame k to k + 1
         keep[max(peak - around, 0) : peak + around + 1] = 1
     return gaussian_filter1d(keep, _AROUND / 2 * fps)
 

@@ -1,6 +1,6 @@
 """Placement worked out by hand, on a person whose `body_scale` is 1.
 
-At 24 fps a pose decays within 12 frames, and the smoothstep 1 - 3 s^2 + 2 s^3 is 27/32, 1/2 and 5/32
+At 24 fps a pose decays within 12 frames. The smoothstep 1 - 3 s^2 + 2 s^3 is 27/32, 1/2 and 5/32
 after 3, 6 and 9 of them.
 """
 

@@ -1,0 +1,194 @@
+"""Modelled joints of a rig, and the constant pose of all others, worked out by hand."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rigs import PERSON, at_rest, below_a_root, rig_of, with_offsets
+from scipy.spatial.transform import Rotation
+
+from gesturekit.errors import MotionError
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.model_joints import ModelJoints, first_moving_joint, reference_skeleton
+
+# A still stage and a still lift carry a body of three joints; the flag hangs beside it.
+STAGE = Skeleton(
+    ("stage", "lift", "body", "arm", "hand", "flag"),
+    (-1, 0, 1, 2, 3, 1),
+    np.array([[9, 9, 9], [0, 1, 0], [0, 0, 0.5], [0, 1, 0], [0, 1, 0], [1, 0, 0]], dtype=float),
+)
+TURNS = {"stage": (0.0, 0.5, 0.0), "lift": (0.3, 0.0, 0.0), "flag": (0.0, 0.0, 1.0)}
+
+
+def on_stage(n_frames: int = 5, place: tuple[float, ...] = (4.0, 0.0, -1.0)) -> Motion:
+    """The body swings its arm; what carries it is turned, and stands."""
+    motion = at_rest(STAGE, n_frames, place)
+    for name, turn in TURNS.items():
+        motion.rotations[:, STAGE.index(name)] = Rotation.from_rotvec(turn).as_quat()
+    angles = np.linspace(0, 0.4, n_frames)
+    for name in ("body", "arm"):
+        swing = Rotation.from_rotvec(np.outer(angles, [1.0, 0, 0])).as_quat()
+        motion.rotations[:, STAGE.index(name)] = swing
+    return motion
+
+
+def fitted(*motions: Motion, joints="all") -> ModelJoints:
+    return ModelJoints(**ModelJoints.fit_fields(motions, joints))
+
+
+def test_joints_are_those_at_and_below_the_first_that_moves():
+    assert fitted(on_stage()).joints == ("body", "arm", "hand")
+    assert fitted(on_stage(), joints=["hand", "flag"]).joints == ("body", "hand")
+    assert fitted(on_stage(), joints=[]).joints == ("body",)
+    person = at_rest(below_a_root(rig_of(PERSON), 0.9), 3)
+    person.rotations[1, 1] = [1, 0, 0, 0]
+    body = fitted(person, joints="body")
+    assert body.joints == tuple(PERSON) and (body.root, body.indices[-1]) == (1, len(PERSON))
+    for wrong, says in (("bodies", "'bodies'; expected body, all"), (["head"], "did you mean")):
+        with pytest.raises(MotionError, match=says):
+            fitted(on_stage(), joints=wrong)
+    with pytest.raises(MotionError, match="no motion to learn"):
+        fitted()
+
+
+def test_what_is_not_modelled_has_its_mean_over_all_frames():
+    """A flag that turns about z by 0.2 rad in 4 frames and by 0.8 rad in 12 others, of either sign:
+    the mean quaternion is at 2 a = atan2(sum sin 2a, sum cos 2a), a near 0.65 rad. It hangs at its
+    rest place for 4 frames, and at x = 2 for 12.
+    """
+    still, other = on_stage(4), on_stage(12)
+    for motion, angle in ((still, 0.2), (other, 0.8)):
+        motion.rotations[:, 5] = Rotation.from_rotvec([0, 0, angle]).as_quat()
+    other.rotations[::2, 5] *= -1
+    other = replace(other, joint_translations={"flag": np.tile([2.0, 0, 0], (12, 1))})
+    model = fitted(still, other, joints=["arm"])
+    angle = np.arctan2(4 * np.sin(0.2) + 12 * np.sin(0.8), 4 * np.cos(0.2) + 12 * np.cos(0.8))
+    found = Rotation.from_quat(model.fixed_rotations[5]).as_rotvec()
+    assert found == pytest.approx([0, 0, angle], abs=1e-9)
+    assert model.fixed_translations.keys() == {"flag"}
+    assert model.fixed_translations["flag"] == pytest.approx([(4 * 1 + 12 * 2) / 16, 0, 0])
+    assert (model.fixed_pose(3) == model.fixed_rotations).all() and len(model.fixed_pose(3)) == 3
+
+
+@pytest.mark.parametrize("moved", [{}, {"lift": (0.0, 3.0, 0.2)}])
+def test_a_motion_is_assembled_below_joints_that_stand(moved):
+    """The model's root is where and how it is wanted in the world, and its bones hang on it."""
+    source = on_stage(place=(0.0, 0.0, 0.0))
+    moving = {name: np.tile(place, (5, 1)) for name, place in moved.items()}
+    source = replace(source, joint_translations=moving)
+    model = fitted(source)
+    world = Rotation.from_euler("xyz", np.random.default_rng(0).normal(size=(5, 3)))
+    place = np.random.default_rng(1).normal(size=(5, 3))
+    rotations = model.fixed_pose(5)
+    rotations[:, 2] = world.as_quat()
+    given = rotations.copy()
+    made = model.assemble(rotations, place, 30.0)
+    np.testing.assert_array_equal(rotations, given)
+    np.testing.assert_allclose(made.positions()[:, 2], place, atol=1e-9)
+    np.testing.assert_allclose(made.positions()[:, 3] - place, world.apply([0, 1, 0]), atol=1e-9)
+    for joint in (0, 1, 5):  # those above and beside it are as in the source
+        np.testing.assert_allclose(made.rotations[:, joint], source.rotations[:, joint], atol=1e-9)
+        np.testing.assert_allclose(
+            made.positions()[:, joint], source.positions()[:, joint], atol=1e-9
+        )
+    longer = with_offsets(STAGE, arm=(0.0, 1.5, 0.0))
+    made = model.assemble(rotations, place, 30.0, longer)
+    np.testing.assert_allclose(made.positions()[:, 3] - place, world.apply([0, 1.5, 0]), atol=1e-9)
+    assert made.skeleton is longer and made.fps == 30.0
+
+
+def test_a_model_is_read_as_it_was_written():
+    moving = {"flag": np.tile([2.0, 0, 0], (5, 1))}
+    model = fitted(replace(on_stage(), joint_translations=moving))
+    values = json.loads(json.dumps(model.to_json()))
+    again = ModelJoints(**ModelJoints.fields_from_json(STAGE, values))
+    assert (again.joints, again.scale) == (model.joints, model.scale)
+    np.testing.assert_array_equal(again.fixed_rotations, model.fixed_rotations)
+    assert again.fixed_translations["flag"].tolist() == [2, 0, 0]
+    del values["scale"]
+    assert ModelJoints.fields_from_json(STAGE, values)["scale"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"scale": 0.0}, "scale: 0.0 must be above 0"),
+        ({"scale": -1.0}, "scale: -1.0 must be above 0"),
+        ({"scale": float("nan")}, "scale: nan must be above 0"),
+        ({"scale": float("inf")}, "scale: inf must be above 0"),
+        ({"joints": []}, "joints: none, or one of them twice"),
+        ({"joints": ["body", "arm", "body"]}, "joints: none, or one of them twice"),
+        ({"joints": ["leg"]}, "no joint 'leg'"),
+        ({"fixed_rotations": [[0, 0, 0, 1]] * 5}, r"fixed_rotations: \(5, 4\) .*\(6, 4\)"),
+        ({"fixed_rotations": [[0, 0, 0, float("nan")]] * 6}, "fixed_rotations"),
+        ({"fixed_translations": {"arm": [0, 1]}}, r"fixed_translations: \(2,\)"),
+        ({"fixed_translations": {"leg": [0, 1, 0]}}, "no joint 'leg'"),
+    ],
+)
+def test_models_of_other_rigs_and_wrong_numbers_are_refused(change, says):
+    values = fitted(on_stage()).to_json() | change
+    with pytest.raises(MotionError, match=says):
+        ModelJoints.fields_from_json(STAGE, values)
+
+
+def test_motions_of_other_performers_fit_a_model_and_other_rigs_do_not():
+    model, other = fitted(on_stage()), on_stage()
+    model.check_rig(other.scaled(2.0))
+    for change in ({"names": ("a", *STAGE.names[1:])}, {"parents": (-1, 0, 1, 2, 2, 1)}):
+        with pytest.raises(MotionError, match="joints are not those of the model: 6 joints"):
+            model.check_rig(replace(other, skeleton=replace(STAGE, **change)))
+
+
+def test_performers_are_as_large_as_their_legs_or_else_their_bones():
+    person = rig_of(PERSON)
+    model = ModelJoints(person, ("Hips",), np.zeros((person.n_joints, 4)), {})
+    legs = {
+        f"{side}{bone}": (0.0, -0.63, 0.0) for side in ("Left", "Right") for bone in ("Leg", "Foot")
+    }
+    assert model.size_of(with_offsets(person, **legs)) == pytest.approx(0.63 / 0.42)
+    assert model.size_of(with_offsets(person, Head=(0.0, 0.9, 0.0))) == pytest.approx(1.0)
+    assert model.size_of(None) == 1.0
+    stage = fitted(on_stage())
+    # Bones of 1, 0.5, 1, 1 and 1 m.
+    assert stage.size_of(with_offsets(STAGE, arm=(0.0, 0.0, 3.25))) == pytest.approx(6.75 / 4.5)
+    dot = Skeleton(("dot",), (-1,), np.zeros((1, 3)))
+    assert fitted(at_rest(dot, 2)).size_of(dot) == 1.0
+
+
+def test_the_same_joints_on_the_bones_of_others():
+    model = fitted(on_stage(), joints=["hand"])
+    larger = on_stage().scaled(2.0)
+    made = model.on_bones_of([larger])
+    assert made.joints == ("body", "hand") and made.skeleton is larger.skeleton
+    assert made.scale == pytest.approx(2 * model.scale)
+    old = replace(model, scale=1.0)  # that of a model that did not store it
+    assert old.on_bones_of([larger]).scale == pytest.approx(2.0)
+
+
+def test_the_skeleton_nearest_to_the_median_stands_for_all():
+    rigs = [with_offsets(STAGE, arm=(0.0, 1 + off, 0.0)) for off in (-0.3, 0.02, 0.2, 0.0, -0.1)]
+    assert reference_skeleton([at_rest(rig, 1) for rig in rigs]) is rigs[3]
+
+
+@pytest.mark.parametrize("size", [1.0, 100.0])
+def test_movement_below_a_thousandth_of_a_millimetre_is_none(size):
+    """The longest chain of bones below the first fork is 3.5 m long: the size 3.5 / 1.54 m over
+    that of the reference body, 1.4 m, allows 1.623e-6 m, and 1e-7 from a cosine of half an angle of
+    4.5e-4 rad.
+    """
+    for step, root in ((1.55e-6, "body"), (1.7e-6, "lift")):
+        motion = on_stage()
+        path = np.linspace([0, 1, 0], [0, 1, -step], 5)
+        motion = replace(motion, joint_translations={"lift": path})
+        assert STAGE.names[first_moving_joint([motion.scaled(size)])] == root
+    for angle, root in ((8.5e-4, "body"), (9.4e-4, "lift")):
+        motion = on_stage()
+        turn = Rotation.from_rotvec([0.3 + angle, 0, 0]).as_quat()
+        motion.rotations[3, 1] = -turn  # the sign of a quaternion means nothing
+        assert STAGE.names[first_moving_joint([on_stage(), motion])] == root
+    moved = on_stage()
+    moved.translation[3, 2] += 1.7e-6
+    assert first_moving_joint([moved]) == 0
