@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rigs import PERSON, at_rest, rig_of
 
 from gesturekit.motion import Motion
 from gesturekit.motion.defects import (
@@ -74,20 +75,106 @@ def test_fast_human_movement_is_not_a_pop(moving_person):
     assert find_jumps(turned(moving_person, "Spine", step)).frames == (30,)
 
 
-def test_jitter(moving_person):
-    noise = np.zeros(60)
-    noise[20:40] = 0.02 * (-1.0) ** np.arange(20)
-    share = jitter_share(turned(moving_person, "Spine", noise))
-    assert 0.2 < share < 0.34
-    # Noise too small to be seen is none.
-    assert jitter_share(turned(moving_person, "Spine", noise / 20)) == 0
+REFERENCE = rig_of(PERSON).scaled(1.4 / 1.44)
+"""A person whose `body_scale` is 1."""
 
 
-def test_jitter_is_not_measured_at_low_frame_rates(moving_person):
-    places = moving_person.translation.copy()
-    places[::2] += [0.02, 0.0, 0.0]
-    for fps, found in ((30.0, True), (15.0, True), (5.9, False)):
-        assert (jitter_share(replace(moving_person, translation=places, fps=fps)) > 0.5) == found
+def carried(path: np.ndarray, fps: float = 30.0, size: float = 1.0) -> Motion:
+    """Return the person at rest, carried along x by (T,) metres, scaled."""
+    motion = at_rest(REFERENCE, len(path), path[:, None] * [1.0, 0, 0], fps)
+    return motion.scaled(size)
+
+
+@pytest.mark.parametrize("size", [1.0, 3.0])
+@pytest.mark.parametrize("fps", [30.0, 60.0])
+def test_jumps_are_faster_than_ten_metres_a_second(size, fps):
+    for speed in (9.9, 10.1):
+        step = np.where(np.arange(9) < 4, 0.0, speed / fps)[:, None] * [0.0, 0.6, 0.8]
+        still = carried(np.zeros(9), fps)
+        found = find_jumps(replace(still, joint_translations={"Head": step}).scaled(size))
+        assert (found is None) == (speed < 10)
+    assert (found.frames, found.joint) == ((4,), "Head")
+    assert (found.speed, found.limit) == pytest.approx((10.1 * size, 10.0 * size))
+
+
+@pytest.mark.parametrize(("fps", "least"), [(30.0, 0.35), (60.0, np.radians(5)), (24.0, 0.546875)])
+def test_a_turn_for_one_frame_is_a_pop_above_an_acceleration_and_an_angle(fps, least):
+    """630 rad/s^2 there and back: 630 / 2 / fps^2 rad, and 5 degrees at the least."""
+    for share in (0.99, 1.01):
+        motion = turned(
+            carried(np.zeros(9), fps), "LeftForeArm", share * least * (np.arange(9) == 4)
+        )
+        found = find_pops(motion)
+        assert (found is None) == (share < 1)
+    assert (found.frames, found.joint) == ((4,), "LeftForeArm")
+    assert found.angle == pytest.approx(1.01 * least)
+    assert find_pops(motion[3:6]).frames == (1,) and find_pops(motion[4:]) is None
+
+
+@pytest.mark.parametrize("size", [1.0, 3.0])
+@pytest.mark.parametrize("joint", ["Hips", "Head"])
+def test_a_place_for_one_frame_is_a_pop_above_ten_gravities(size, joint):
+    """98.1 m/s^2 there and back: 98.1 / 2 / 30^2 = 0.0545 m."""
+    for away in (0.054, 0.055):
+        path = np.where(np.arange(9) == 4, away, 0.0)
+        motion = carried(path)
+        if joint == "Head":
+            moving = {"Head": path[:, None] * [0, 0, 1.0]}
+            motion = replace(carried(0 * path), joint_translations=moving)
+        found = find_pops(motion.scaled(size))
+        assert (found is None) == (away < 0.0545)
+    assert (found.frames, found.joint, found.angle) == ((4,), joint, 0.0)
+
+
+def test_what_goes_on_is_no_pop():
+    """It deviates from the mean of its neighbours by less than these differ."""
+    for off, is_pop in ((0.9, False), (1.1, True)):
+        # Neighbours at 0 and 0.8 rad, and the frame between them off their mean.
+        angles = np.array([0, 0, 0, 0, 0.4 + 0.8 * off, 0.8, 0.8, 0.8, 0.8])
+        found = find_pops(turned(carried(np.zeros(9)), "LeftForeArm", angles))
+        assert (found is not None and 4 in found.frames) == is_pop
+        path = np.array([0, 0, 0, 0, 0.1 + 0.2 * off, 0.2, 0.2, 0.2, 0.2])
+        found = find_pops(carried(path))
+        assert (found is not None and 4 in found.frames) == is_pop
+
+
+@pytest.mark.parametrize("size", [1.0, 3.0])
+def test_jitter_is_three_alternating_bends_of_three_millimetres(size):
+    """20 frames to and fro by a: the second differences are a, -3 a, 18 of 4 a, 3 a and a.
+
+    Above 3 mm are none, the 18 or all 20; those that follow two of the other direction are counted.
+    """
+    for metres, frames in ((0.00074, 0), (0.00076, 16), (0.00099, 16), (0.00101, 18)):
+        path = np.zeros(60)
+        path[20:40] = metres * (-1.0) ** np.arange(20)
+        assert jitter_share(carried(path, size=size)) == pytest.approx(frames / 60)
+    assert jitter_share(carried(path, fps=14.9)) == 0.0
+    assert jitter_share(carried(path, fps=15.0)) == pytest.approx(18 / 60)
+    assert jitter_share(carried(path[24:29])) == pytest.approx(1 / 5)
+    assert jitter_share(carried(path[24:28])) == 0.0
+
+
+def test_bends_to_the_side_are_no_jitter():
+    """A square's corners bend by a quarter turn; a point to and fro by more than 120 degrees."""
+    for degrees, trembles in ((90, False), (117, False), (123, True), (180, True)):
+        angles = np.radians(degrees) * np.arange(40)
+        steps = 0.01 * np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=-1)
+        motion = at_rest(REFERENCE, 40, np.cumsum(steps, axis=0))
+        assert (jitter_share(motion) > 0.8) == trembles
+
+
+def test_frozen_runs_last_a_second_in_which_nothing_moves():
+    for frames, expected in ((29, []), (30, [(10, 40)])):
+        path = 0.01 * np.arange(60.0)
+        path[10 : 10 + frames] = path[10]
+        assert frozen_runs(carried(path, fps=30.0)) == expected
+    still, nod = carried(np.zeros(60)), np.zeros((60, 3))
+    nod[20] = [0.0, 0.0, 0.01]
+    for motion in (
+        turned(still, "Head", np.where(np.arange(60) == 20, 1e-4, 0.0)),
+        replace(still, joint_translations={"Head": nod}),
+    ):
+        assert frozen_runs(motion) == [(21, 60)]
 
 
 def test_a_pop_next_to_a_jump_is_counted_once(moving_person):

@@ -70,7 +70,7 @@ def two_bone_ik(
     side = _perpendicular(bend + extra * _perpendicular(pole, along), along)
     swing = shortest_arc(along, toward)
     toward_side = rotate_vectors(swing, side)
-    reach = np.sqrt(np.maximum(a**2 - height**2, 0)) * np.where(new**2 + a**2 < b**2, -1.0, 1.0)
+    reach = np.copysign(np.sqrt(np.maximum(a**2 - height**2, 0)), new**2 + a**2 - b**2)
     new_first = reach * toward + height * toward_side
     new_second = new * toward - new_first
     normal, new_normal = np.cross(along, side), np.cross(toward, toward_side)
