@@ -102,7 +102,7 @@ def contact_labels(motion: Motion, threshold: float = CONTACT_SPEED) -> np.ndarr
     """
     threshold *= body_scale(motion.skeleton)
     feet = foot_positions(motion)
-    speed = np.linalg.norm(np.diff(feet, axis=0), axis=-1) * motion.fps
+    speed = np.linalg.norm(np.diff(feet, axis=0), axis=2) * motion.fps
     labels = (speed < threshold).astype(np.float64)
     first = labels[:1] if len(labels) else np.ones((1, feet.shape[1]))
     return np.concatenate([first, labels])

@@ -84,7 +84,7 @@ def defective_joints(motion: Motion) -> np.ndarray:
 
 def _steps(motion: Motion) -> tuple[np.ndarray, float]:
     """Return the speed (T - 1, J) of each joint since the frame before, and the limit, in m/s."""
-    steps = np.linalg.norm(np.diff(motion.positions(), axis=0), axis=-1) * motion.fps
+    steps = np.linalg.norm(np.diff(motion.positions(), axis=0), axis=2) * motion.fps
     return steps, MAX_SPEED * body_scale(motion.skeleton)
 
 
@@ -137,8 +137,8 @@ def _popping(motion: Motion) -> tuple[np.ndarray, np.ndarray, float]:
     pull = POP_GRAVITIES * body_scale(motion.skeleton)
     names = {motion.skeleton.names[0]: motion.translation, **motion.joint_translations}
     for name, places in names.items():
-        away = np.linalg.norm(places[1:-1] - (places[:-2] + places[2:]) / 2, axis=-1)
-        through = np.linalg.norm(places[2:] - places[:-2], axis=-1)
+        away = np.linalg.norm(places[1:-1] - (places[:-2] + places[2:]) / 2, axis=1)
+        through = np.linalg.norm(places[2:] - places[:-2], axis=1)
         popping[:, motion.skeleton.index(name)] |= (away > pull / 2 * frame**2) & (away > through)
     return popping, off, limit
 
@@ -151,8 +151,8 @@ def jitter_share(motion: Motion) -> float:
     if motion.n_frames < 5 or motion.fps < JITTER_FPS:
         return 0.0
     bend = np.diff(motion.positions(), n=2, axis=0)
-    length = np.linalg.norm(bend, axis=-1)
-    back = (bend[1:] * bend[:-1]).sum(axis=-1) < -0.5 * length[1:] * length[:-1]
+    length = np.linalg.norm(bend, axis=2)
+    back = (bend[1:] * bend[:-1]).sum(axis=2) < -0.5 * length[1:] * length[:-1]
     back &= np.minimum(length[1:], length[:-1]) > JITTER * body_scale(motion.skeleton)
     return float((back[1:] & back[:-1]).any(axis=1).sum() / motion.n_frames)
 

@@ -130,9 +130,9 @@ def _reflections(
     n = skeleton.n_joints
     # mismatch[j, s]: metres between the reflection of joint j's bone by S and its counterpart.
     bones = skeleton.offsets[:, None] * _REFLECTIONS - skeleton.offsets[other][:, None]
-    mismatch = np.linalg.norm(bones, axis=-1)
+    mismatch = np.linalg.norm(bones, axis=2)
     fixed = [j for j in range(1, n) if skeleton.names[j] not in joint_translations]
-    lengths = np.linalg.norm(skeleton.offsets[fixed], axis=-1).sum()
+    lengths = np.linalg.norm(skeleton.offsets[fixed], axis=1).sum()
     total = mismatch[fixed].sum(axis=0)
     if total.min() <= _PARALLEL * max(lengths, 1e-9):
         return np.full(n, total.argmin())

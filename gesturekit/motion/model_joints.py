@@ -184,7 +184,7 @@ class ModelJoints:
             return leg_length(skeleton) / leg_length(self.skeleton)
         except MotionError:
             bones, own = (
-                float(np.linalg.norm(rig.offsets[1:], axis=-1).sum())
+                float(np.linalg.norm(rig.offsets[1:], axis=1).sum())
                 for rig in (skeleton, self.skeleton)
             )
             return bones / own if own else 1.0

@@ -73,7 +73,7 @@ class Motion:
         n_frames = len(rotations)
         if not n_frames:
             raise MotionError("a motion needs at least one frame")
-        length = np.linalg.norm(rotations, axis=-1, keepdims=True)
+        length = np.linalg.norm(rotations, axis=2, keepdims=True)
         if not np.isfinite(length).all() or (length < 1e-6).any():
             bad = np.argwhere(~(np.isfinite(length) & (length >= 1e-6)))[0]
             raise MotionError(

@@ -113,7 +113,7 @@ class RootPath:
         between = angles[1:] - turn / 2
         sine, cosine = np.sin(between), np.cos(between)
         step = np.stack(
-            [forward * sine + lateral * cosine, forward * cosine - lateral * sine], axis=-1
+            [forward * sine + lateral * cosine, forward * cosine - lateral * sine], axis=1
         )
         return cls(np.concatenate([[[x, z]], step]).cumsum(axis=0), angles, fps)
 
@@ -141,7 +141,7 @@ class RootPath:
         """(T,) speed over the ground from each frame to the next, m/s; the last is repeated."""
         if self.n_frames < 2:
             return np.zeros(self.n_frames)
-        steps = np.linalg.norm(np.diff(self.positions, axis=0), axis=-1) * self.fps
+        steps = np.linalg.norm(np.diff(self.positions, axis=0), axis=1) * self.fps
         return np.append(steps, steps[-1])
 
     def deltas(self) -> np.ndarray:
@@ -157,7 +157,7 @@ class RootPath:
         between = self.headings[1:] - turn / 2
         dx, dz = np.diff(self.positions, axis=0).T
         sine, cosine = np.sin(between), np.cos(between)
-        steps = np.stack([turn, dx * sine + dz * cosine, dx * cosine - dz * sine], axis=-1)
+        steps = np.stack([turn, dx * sine + dz * cosine, dx * cosine - dz * sine], axis=1)
         return np.concatenate([steps[:1], steps])
 
     def resample(self, fps: float, n_frames: int | None = None, *, start: float = 0.0) -> RootPath:
@@ -182,7 +182,7 @@ class RootPath:
         x, z, angle = (
             np.interp(place, frames, values) for values in (*self.positions.T, self.headings)
         )
-        return RootPath(np.stack([x, z], axis=-1), angle, fps)
+        return RootPath(np.stack([x, z], axis=1), angle, fps)
 
     def slice(self, start_frame: int, stop_frame: int) -> RootPath:
         """Return frames `start_frame` up to, not including, `stop_frame`.
@@ -224,7 +224,7 @@ class RootPath:
             return np.convolve(wide, weights, mode="valid")
 
         x, z, angle = (smooth(values) for values in (*self.positions.T, self.headings))
-        return replace(self, positions=np.stack([x, z], axis=-1), headings=angle)
+        return replace(self, positions=np.stack([x, z], axis=1), headings=angle)
 
     def scaled(self, factor: float) -> RootPath:
         """Return the path with its positions multiplied by `factor`."""

@@ -28,7 +28,7 @@ SHORTEST = 0.1
 def point_speed(positions: np.ndarray, fps: float) -> np.ndarray:
     """(T,) speed of a point (T, 3) since the previous frame, m/s; frame 0 copies frame 1."""
     speed = np.zeros(len(positions))
-    speed[1:] = np.linalg.norm(np.diff(positions, axis=0), axis=-1) * fps
+    speed[1:] = np.linalg.norm(np.diff(positions, axis=0), axis=1) * fps
     speed[0] = speed[min(1, len(speed) - 1)]
     return speed
 
@@ -123,7 +123,7 @@ def split_at_movement(
     while left:
         start, stop = left.pop()
         inside = shares[start:stop]
-        away = np.linalg.norm(inside - inside.mean(axis=0), axis=-1).max()
+        away = np.linalg.norm(inside - inside.mean(axis=0), axis=2).max()
         if away <= 1 or stop - start < 2 * shortest:
             kept.append((start, stop))
             continue

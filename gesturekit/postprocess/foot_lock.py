@@ -170,7 +170,7 @@ class _FootLock:
         ankle = self.positions[:, foot.ankle] + shift
         places = [place + shift for place in self._places(foot)]
         along = places[-1] - places[0]
-        length = max(float(np.linalg.norm(along, axis=-1).mean()), self.nothing)
+        length = max(float(np.linalg.norm(along, axis=1).mean()), self.nothing)
         max_turn = _MAX_TURN * length
         offsets, holds = self._pinned(places, stands, length, max_turn)
         turn = np.tile(IDENTITY, (len(ankle), 1))
@@ -206,7 +206,7 @@ class _FootLock:
         """
         # Direction of the foot on the ground, also while its heel is lifted.
         level = (places[-1] - places[0]) * [1, 0, 1]
-        level *= length / np.maximum(np.linalg.norm(level, axis=-1, keepdims=True), length / 2)
+        level *= length / np.maximum(np.linalg.norm(level, axis=1, keepdims=True), length / 2)
         offsets, holds, lifts = [], [], 0.0
         # The ball first, because the heel may be lifted while the ball stands.
         for place, (mask, floor) in zip(places[::-1], stands[::-1], strict=True):
@@ -245,8 +245,8 @@ class _FootLock:
         low = np.zeros(len(shift))
         for foot, goal in zip(self.feet, goals, strict=True):
             hip, knee, ankle = (self.positions[:, j] for j in foot.limb)
-            length = np.linalg.norm(knee - hip, axis=-1) + np.linalg.norm(ankle - knee, axis=-1)
-            now = np.linalg.norm(ankle - hip, axis=-1)
+            length = np.linalg.norm(knee - hip, axis=1) + np.linalg.norm(ankle - knee, axis=1)
+            now = np.linalg.norm(ankle - hip, axis=1)
             away = hip + shift - ankle - goal.moved
             most = np.maximum(now, _STRETCH * length)
             reach = np.sqrt(np.maximum(most**2 - away[:, 0] ** 2 - away[:, 2] ** 2, 0))
@@ -259,10 +259,10 @@ class _FootLock:
         """Return the motion with legs solved for the goals and hips moved by `shift` (T, 3)."""
         motion, skeleton = self.motion, self.skeleton
         rotations = motion.rotations.copy()
-        changed = np.linalg.norm(shift, axis=-1) > self.nothing
+        changed = np.linalg.norm(shift, axis=1) > self.nothing
         for goal in goals:
-            changed |= np.linalg.norm(goal.moved, axis=-1) > self.nothing
-            changed |= np.linalg.norm(goal.turn[:, :3], axis=-1) > _NOTHING
+            changed |= np.linalg.norm(goal.moved, axis=1) > self.nothing
+            changed |= np.linalg.norm(goal.turn[:, :3], axis=1) > _NOTHING
         for foot, goal in zip(self.feet, goals, strict=True):
             bones = [foot.hip, foot.knee]
             rotations[:, bones] = two_bone_ik(
@@ -319,7 +319,7 @@ def _yaw(turn: np.ndarray) -> np.ndarray:
 
 
 def _unit(v: np.ndarray) -> np.ndarray:
-    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9)
+    return v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-9)
 
 
 _STEADY = 0.2
@@ -372,7 +372,7 @@ def _common(both: np.ndarray, standing: np.ndarray) -> np.ndarray:
     """
     alone = (both * standing[..., None]).sum(axis=1)
     mean = both.mean(axis=1)
-    direction = mean / np.maximum(np.linalg.norm(mean, axis=-1, keepdims=True), 1e-12)
-    least = (both * direction[:, None]).sum(axis=-1).min(axis=1)
+    direction = mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
+    least = (both * direction[:, None]).sum(axis=2).min(axis=1)
     together = direction * np.maximum(least, 0)[:, None]
     return np.where(standing.all(axis=1)[:, None], together, alone)

@@ -73,7 +73,7 @@ def _rolled(height: np.ndarray, lands: bool, leaves: bool, fps: float) -> np.nda
 
 def soft_clamp(offset: np.ndarray, radius: float) -> np.ndarray:
     """(T, 3) offsets limited to length `radius`; those far below it do not change."""
-    length = np.linalg.norm(offset, axis=-1, keepdims=True)
+    length = np.linalg.norm(offset, axis=1, keepdims=True)
     allowed = reachable(length, np.array(radius), np.array(0.0), _SOFTNESS)
     return offset * (allowed / np.maximum(length, 1e-9))
 

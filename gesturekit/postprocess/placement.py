@@ -152,7 +152,7 @@ def _turn_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """(T,) mean radians about Y from rotations `before` (T, 2, 4) of both feet to `after`."""
     turn = multiply_quaternions(after, invert_quaternions(before))
     angles = 2 * np.arctan2(turn[..., 1], turn[..., 3])
-    return np.arctan2(np.sin(angles).sum(axis=-1), np.cos(angles).sum(axis=-1))
+    return np.arctan2(np.sin(angles).sum(axis=1), np.cos(angles).sum(axis=1))
 
 
 def _on_body(pose: Motion, motion: Motion, root: int) -> Motion:
@@ -206,7 +206,7 @@ def _begun(motion: Motion, pose: Motion, count: int, may_stay: bool) -> Motion:
     scale = body_scale(motion.skeleton)
     length = np.linalg.norm(apart[:, GROUND], axis=1)
     far = length + _FOOT * scale * np.abs(turned[:, 1])
-    speed = np.linalg.norm(np.diff(places, axis=0), axis=-1) * motion.fps
+    speed = np.linalg.norm(np.diff(places, axis=0), axis=2) * motion.fps
     # A raised foot steps first, then the one that is farther away.
     first = int(np.argmax(far + 10 * np.abs(apart[:, 1])))
     weights, now = np.empty((motion.n_frames, 2, 3)), 0

@@ -91,7 +91,7 @@ def _beats(turns: np.ndarray, fps: float) -> np.ndarray:
     if len(turns) < 2:
         return keep
     turns = normalize_quaternions(turns)
-    speed = rotation_angles(turns[1:], turns[:-1]).sum(axis=-1) * fps
+    speed = rotation_angles(turns[1:], turns[:-1]).sum(axis=1) * fps
     peaks, _ = find_peaks(speed, prominence=_PROMINENT * np.quantile(speed, 0.95) + 1e-9)
     around = round(_AROUND * fps)
     for peak in peaks + 1:  # speed k is that from frame k to k + 1
@@ -109,6 +109,6 @@ def _low_pass(turns: np.ndarray, cutoff: float, fps: float) -> np.ndarray:
 
 def _without_sign_flips(q: np.ndarray) -> np.ndarray:
     """(T, J, 4) the same rotations, with signs that make each quaternion near the previous one."""
-    near = (q[1:] * q[:-1]).sum(axis=-1, keepdims=True) >= 0
+    near = (q[1:] * q[:-1]).sum(axis=2, keepdims=True) >= 0
     signs = np.cumprod(np.where(near, 1.0, -1.0), axis=0)
     return np.concatenate([q[:1], q[1:] * signs])

@@ -36,7 +36,7 @@ def real_end_sites(skeleton: Skeleton) -> dict[str, tuple[np.ndarray, ...]]:
     bones = skeleton.offsets[[skeleton.index(name) for name, _ in named]]
     length, bone = np.linalg.norm(sites, axis=1), np.linalg.norm(bones, axis=1)
     off = (sites * bones).sum(axis=1) < _OFF * length * bone
-    alike = np.linalg.norm(sites[:, None] - sites, axis=-1) <= _SAME * length[:, None]
+    alike = np.linalg.norm(sites[:, None] - sites, axis=2) <= _SAME * length[:, None]
     copied = (np.abs(length - bone) <= _SAME * bone) | (alike.sum(axis=1) >= _COPIES)
     too_long = length > np.maximum(_LONGEST * body_size(skeleton), _LONGER * bone)
     real: dict[str, tuple[np.ndarray, ...]] = {}

@@ -124,7 +124,7 @@ class BodyFrames:
         lengths = {}
         for side in SIDES:
             leg = self.places[[self.joints[f"{side}_{part}"] for part in ("hip", "knee", "ankle")]]
-            lengths[side] = float(np.linalg.norm(np.diff(leg, axis=0), axis=-1).sum())
+            lengths[side] = float(np.linalg.norm(np.diff(leg, axis=0), axis=1).sum())
         return lengths
 
     def leg_length(self) -> float:

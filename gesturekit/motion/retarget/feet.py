@@ -66,14 +66,14 @@ class FootMotion:
             hip, knee, ankle = (
                 positions[:, frames.joints[f"{side}_{part}"]] for part in ("hip", "knee", "ankle")
             )
-            bones = [np.linalg.norm(b - a, axis=-1) for a, b in ((hip, knee), (knee, ankle))]
-            stretch[side] = np.linalg.norm(ankle - hip, axis=-1) / sum(bones)
+            bones = [np.linalg.norm(b - a, axis=1) for a, b in ((hip, knee), (knee, ankle))]
+            stretch[side] = np.linalg.norm(ankle - hip, axis=1) / sum(bones)
             ankles[side] = toes[side] = ankle
             if side in frames.toes:
                 joint, offset = frames.toes[side]
                 toes[side] = positions[:, joint] + rotate_vectors(world[:, joint], offset)
             both = np.stack([ankles[side], toes[side]], axis=1)
-            speed = np.linalg.norm(np.diff(both, axis=0, prepend=both[:1]), axis=-1) * motion.fps
+            speed = np.linalg.norm(np.diff(both, axis=0, prepend=both[:1]), axis=2) * motion.fps
             standing[side] = (speed < still).all(axis=1)
         lowest = {side: np.minimum(ankles[side], toes[side])[:, 1] for side in SIDES}
         still = np.concatenate([lowest[side][standing[side]] for side in SIDES])
@@ -192,7 +192,7 @@ class FootTargets:
             reach = np.sqrt(np.maximum(length**2 - away[:, 0] ** 2 - away[:, 2] ** 2, 0))
             low = np.maximum(low, away[:, 1] - reach)
         low = smooth_upper_envelope(low, self.drop_frames)
-        return np.stack([np.zeros_like(low), low, np.zeros_like(low)], axis=-1)
+        return np.stack([np.zeros_like(low), low, np.zeros_like(low)], axis=1)
 
     def ankle(self, side: str, world: np.ndarray) -> np.ndarray:
         """(T, 3) target position of an ankle, metres.
@@ -257,7 +257,7 @@ def heading_of(turns: np.ndarray) -> np.ndarray:
     """(T, 4) rotations about the vertical that face where anatomical frames (T, 4) face."""
     ahead = rotate_vectors(turns, np.broadcast_to(FORWARD, (len(turns), 3)))
     half = np.arctan2(ahead[:, 0], ahead[:, 2]) / 2
-    return np.stack([0 * half, np.sin(half), 0 * half, np.cos(half)], axis=-1)
+    return np.stack([0 * half, np.sin(half), 0 * half, np.cos(half)], axis=1)
 
 
 def smooth_upper_envelope(values: np.ndarray, frames: int) -> np.ndarray:
@@ -268,6 +268,6 @@ def smooth_upper_envelope(values: np.ndarray, frames: int) -> np.ndarray:
     if not values.any():
         return values
     around = np.pad(values, 2 * frames, mode="edge")
-    highest = np.lib.stride_tricks.sliding_window_view(around, 2 * frames + 1).max(axis=-1)
+    highest = np.lib.stride_tricks.sliding_window_view(around, 2 * frames + 1).max(axis=1)
     window = np.hanning(2 * frames + 3)[1:-1]
     return np.convolve(highest, window / window.sum(), mode="valid")

@@ -60,7 +60,7 @@ def place_hands(
         middle = _between_shoulders(source_arms)
         away = source_arms[side][:, 2] - middle
         own = rotate_vectors(invert_quaternions(torso), away)
-        half = np.linalg.norm(source_arms[side][:, 0] - middle, axis=-1)
+        half = np.linalg.norm(source_arms[side][:, 0] - middle, axis=1)
         share = np.clip((outward * own[:, 0] / half - _INSIDE) / (_OUTSIDE - _INSIDE), 0, 1)
         weight = 1 - share * share * (3 - 2 * share)
         by_position = _between_shoulders(arms) + scale * away
@@ -103,8 +103,6 @@ def _between_shoulders(arms: dict[str, np.ndarray]) -> np.ndarray:
 
 def _span(arms: dict[str, np.ndarray]) -> float:
     """Return metres from the shoulders' midpoint to an outstretched hand, mean of both arms."""
-    lengths = sum(
-        np.linalg.norm(np.diff(arm, axis=1), axis=-1).sum(axis=1) for arm in arms.values()
-    )
-    shoulders = np.linalg.norm(arms["left"][:, 0] - arms["right"][:, 0], axis=-1)
+    lengths = sum(np.linalg.norm(np.diff(arm, axis=1), axis=2).sum(axis=1) for arm in arms.values())
+    shoulders = np.linalg.norm(arms["left"][:, 0] - arms["right"][:, 0], axis=1)
     return float(np.median(lengths + shoulders)) / 2

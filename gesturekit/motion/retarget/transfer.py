@@ -326,7 +326,7 @@ def _heights(frames: BodyFrames, chain: list[str]) -> np.ndarray:
     joints = [frames.joints[segment] for segment in chain]
     end = {"spine": ("neck0", "head"), "neck": ("head",)}[chain[0].rstrip("0123456789")]
     top = next((frames.joints[segment] for segment in end if segment in frames.joints), joints[-1])
-    lengths = np.linalg.norm(np.diff(frames.places[[*joints, top]], axis=0), axis=-1)
+    lengths = np.linalg.norm(np.diff(frames.places[[*joints, top]], axis=0), axis=1)
     middles = np.cumsum(lengths) - lengths / 2
     return middles / max(middles[-1], 1e-9)
 
