@@ -59,7 +59,7 @@ def concatenate(motions: Sequence[Motion], blend: float = 0.3) -> Motion:
     for number, motion in enumerate(motions[1:], start=2):
         _check_rig(first, motion, number)
         motion = motion if motion.fps == first.fps else motion.resample(first.fps)
-        parts.append(_continued(parts[-1], replace(motion, skeleton=first.skeleton), blend))
+        parts.append(_continued(parts[-1], motion, blend))
     return stacked(parts)
 
 

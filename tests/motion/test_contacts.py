@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import at_rest
+from rigs import PERSON, at_rest, rig_of
 
 from gesturekit.motion import Motion
-from gesturekit.motion.contacts import contact_labels, foot_points, foot_positions
+from gesturekit.motion.contacts import contact_labels, floor_height, foot_points, foot_positions
 
 
 def still(person, n_frames=10, speed=0.0, fps=30.0):
@@ -28,6 +28,26 @@ def test_a_foot_without_toe_joint_has_its_toe_at_the_end_site(shared_data):
     points = foot_points(motion.skeleton)
     assert [p.joint for p in points] == ["foot.L", "foot.L", "foot.R", "foot.R"]
     assert 0.1 < np.linalg.norm(points[1].offset) < 0.2  # metres: a foot's length
+
+
+def test_the_toe_is_the_farthest_end_of_a_foot_without_toe_joint(person):
+    """A joint or an end site, at least 0.01 m away on a body of 1.4 m; this one has 1.42 m."""
+    bare = at_rest(person, 1).keep([n for n in person.names if "Toe" not in n]).skeleton
+    for lengths, toe in (((0.05, 0.14), 0.14), ((0.14, 0.05), 0.14), ((0.0101,), None), ((), None)):
+        ends = tuple(np.array([0.0, 0.0, length]) for length in lengths)
+        rig = replace(bare, end_sites={"LeftFoot": ends} if ends else {})
+        left = [p.offset[2] for p in foot_points(rig) if p.joint == "LeftFoot"]
+        assert left == ([0.0] if toe is None else [0.0, toe])
+    rig = rig_of(PERSON | {"LeftFlap": ("LeftFoot", (0.0, 0.0, 0.14))})
+    site = {"LeftFoot": (np.array([0.0, 0.0, 0.12]),)}
+    assert foot_points(replace(rig, end_sites=site))[1].offset.tolist() == [0, 0, 0.14]
+
+
+def test_the_floor_is_the_lowest_joint_but_for_the_lowest_twentieth(person):
+    """Toes are 0.88 m below the hips, which rise by a centimetre a frame: 100 steps."""
+    heights = 0.9 + 0.01 * np.arange(101)
+    motion = at_rest(person, 101, heights[:, None] * [0.0, 1.0, 0.0])
+    assert floor_height(motion) == pytest.approx(0.02 + 0.05)
 
 
 @pytest.mark.parametrize("fps", [24.0, 120.0])

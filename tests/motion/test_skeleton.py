@@ -8,6 +8,7 @@ from rigs import at_rest
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Skeleton
+from gesturekit.motion.skeleton import unique_names
 
 
 @pytest.mark.parametrize(
@@ -60,6 +61,22 @@ def test_the_farthest_plausible_offset_is_a_thousand_million_metres():
 def test_unknown_joint_names_the_nearest(person):
     with pytest.raises(MotionError, match="LeftForeArm"):
         person.index("LeftForearm")
+
+
+def test_unknown_joints_like_none_are_answered_by_those_there_are(person):
+    with pytest.raises(MotionError, match="no joint 'zzzz'; it has Hips, Spine, Chest"):
+        person.index("zzzz")
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, float("inf"), float("nan")])
+def test_factors_that_are_no_size_are_refused(person, factor):
+    with pytest.raises(MotionError, match="scaled: factor is"):
+        person.scaled(factor)
+
+
+def test_repeated_names_are_numbered_around_those_that_are_taken():
+    found = unique_names(["a", "a_2", "a", "b", "a", "b", "a_2"])
+    assert found == ["a", "a_2", "a_3", "b", "a_4", "b_2", "a_2_2"]
 
 
 def test_json_round_trip(person):
