@@ -210,6 +210,16 @@ def test_pictures_beside_an_avatar_are_put_into_the_file(gesture, tmp_path):
     assert gltf.view(gltf.json["images"][0]["bufferView"]) == picture()
 
 
+def test_an_avatar_with_numbers_that_json_lacks_is_refused(gesture, tmp_path):
+    """Python reads NaN and Infinity; no other program would read the file that we wrote."""
+    found, data = avatar_json(1)
+    found["extras"] = {"weight": float("inf")}
+    (tmp_path / "me.vrm").write_bytes(packed(found, data))
+    with pytest.raises(FormatError, match=r"me\.vrm: its JSON part holds numbers that are not"):
+        gesture(0.1).save(tmp_path / "a.glb", body=str(tmp_path / "me.vrm"))
+    assert not (tmp_path / "a.glb").exists()
+
+
 def test_three_puts_the_joints_where_we_do(odd_motion, gesture, tmp_path):
     """`make interop` asks Blender and Khronos' validator too, on more files."""
     if not (MODULES / "three").exists():
@@ -234,8 +244,9 @@ def test_fbx_needs_blender_and_says_so(gesture, tmp_path, monkeypatch):
     assert not (tmp_path / "a.fbx").exists()
 
 
-def test_blender_runs_apart_with_our_script(gesture, tmp_path, monkeypatch):
-    """A program that copies the file that it is given, and notes its arguments."""
+@pytest.fixture
+def copying_blender(tmp_path, monkeypatch) -> Path:
+    """A program that copies the file that it is given, and notes its arguments in a file."""
     program = tmp_path / "blender"
     program.write_text(
         f"#!{sys.executable}\nimport shutil, sys\n"
@@ -245,14 +256,39 @@ def test_blender_runs_apart_with_our_script(gesture, tmp_path, monkeypatch):
     )
     program.chmod(0o755)
     monkeypatch.setenv("GESTUREKIT_BLENDER", str(program))
+    return tmp_path / "arguments"
+
+
+def test_blender_runs_apart_with_our_script(gesture, tmp_path, copying_blender):
     motion = replace(gesture(0.5), fps=29.97)
     motion.save(tmp_path / "a.fbx")
-    said = (tmp_path / "arguments").read_text().split()
+    said = copying_blender.read_text().split()
     assert said[:2] == ["--background", "--factory-startup"] and said[-1] == "29.97"
     assert Path(said[said.index("--python") + 1]).name == "fbx.py"
     again = Motion.load(tmp_path / "a.fbx")
     assert again.fps == 25 and again.info["source"] == str(tmp_path / "a.fbx")
     np.testing.assert_allclose(again.positions(), motion.positions(), atol=1e-5)
+
+
+def test_fbx_files_are_read_with_the_options_of_glb_files(tmp_path, copying_blender):
+    """The hand stands at (1, 1, 0) in the file and turns to (0, 2, 0) in one of 25 frames."""
+    file = arm(times=(0, 1 / 30, 2 / 30)).animate([(0, "rotation", [0, 1], [(0, 0, 0, 1)] * 2)])
+    file.json["animations"][0]["name"] = "idle"
+    file.save(tmp_path / "a.fbx")
+    read = {"animation": "idle", "unit": "cm", "up": "z", "forward": "x"}
+    motion = Motion.load(tmp_path / "a.fbx", **read)
+    # X of the file is +Z of the motion, Y is +X, Z is +Y.
+    np.testing.assert_allclose(motion.positions()[0, 1], [0.01, 0, 0.01], atol=1e-8)
+    np.testing.assert_allclose(motion.positions()[1, 1], [0.02, 0, 0], atol=1e-8)
+    facts = {key: motion.info[key] for key in read} | {"source": motion.info["source"]}
+    assert facts == read | {"source": str(tmp_path / "a.fbx")}
+    assert (motion.fps, motion.n_frames) == (25, 3)
+    faster = Motion.load(tmp_path / "a.fbx", fps=50.0, **read)
+    assert (faster.fps, faster.n_frames) == (50, 6)
+    with pytest.warns(UserWarning, match=rf"{tmp_path}/a\.fbx: of its animations"):
+        Motion.load(tmp_path / "a.fbx")
+    with pytest.raises(FormatError, match=rf"^{tmp_path}/a\.fbx: no animation 'run'"):
+        Motion.load(tmp_path / "a.fbx", animation="run")
 
 
 def test_a_folder_reads_each_motion_once_and_passes_over_mere_meshes(gesture, tmp_path, gesturekit):

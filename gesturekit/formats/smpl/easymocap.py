@@ -261,9 +261,9 @@ def _to_motion(
     rotations, places, info["up"] = to_y_up(rotations, places, up)
     # Interpolate the missing frames.
     frames = np.arange(numbers[0], numbers[-1] + 1)
-    low = np.searchsorted(numbers, frames, side="right") - 1
-    high = np.minimum(low + 1, len(numbers) - 1)
-    weight = (frames - numbers[low]) / np.maximum(numbers[high] - numbers[low], 1)
+    place = np.interp(frames, numbers, np.arange(len(numbers)))
+    low, high = np.floor(place).astype(int), np.ceil(place).astype(int)
+    weight = place - low
 
     def between(values: np.ndarray) -> np.ndarray:
         return values[low] + weight[:, None] * (values[high] - values[low])
