@@ -17,6 +17,7 @@ from PIL import Image
 from gesturekit.errors import FormatError
 from gesturekit.formats.gltf.materials import reduce_colours
 from gesturekit.formats.gltf.skin import Skin
+from gesturekit.formats.gltf.vrm import read_avatar
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.viewer import write_picture, write_video
 from gesturekit.viewer.avatars import load_avatar, simplified
@@ -160,6 +161,106 @@ def test_a_fine_pattern_becomes_its_mean_colour(tmp_path):
     (tmp_path / "me.vrm").write_bytes(packed(found, data))
     skin = load_avatar(tmp_path / "me.vrm")[0].skins[0]
     assert np.abs(skin.palette[skin.regions].astype(int) - 127).max() < 20
+
+
+def test_textures_are_read_at_the_pixel_that_a_vertex_is_at_and_repeat(tmp_path):
+    """Four by two pixels of different colours, at their middles; coordinates repeat by whole ones.
+
+    A hair below 0 is the last pixel: float32 rounds its rest to 1.
+    """
+    found, data = avatar_json(1)
+    pixels = np.zeros((2, 4, 4), np.uint8)
+    pixels[..., 0], pixels[..., 1] = [[10, 20, 30, 40]], [[100], [200]]
+    pixels[..., 3] = 255
+    out = io.BytesIO()
+    Image.fromarray(pixels).save(out, "PNG")
+    uv = np.array([(0.125 + 0.25 * k, 0.25 + 0.5 * j) for j in (0, 1) for k in range(4)], "<f4")
+    uv = np.concatenate([uv, uv + [2, -3], [[-1e-9, -1e-9], [0, 0]]]).astype("<f4")
+    view = found["bufferViews"][3]
+    every = np.frombuffer(data, "<f4", view["byteLength"] // 4, view["byteOffset"]).reshape(-1, 2)
+    every = np.concatenate([uv, every[len(uv) :]])
+    for at, content in ((3, every.tobytes()), (6, out.getvalue())):
+        found["bufferViews"][at] |= {"byteOffset": len(data), "byteLength": len(content)}
+        data += content + bytes(-len(content) % 4)
+    found["buffers"][0]["byteLength"] = len(data)
+    found["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [1, 1, 0, 1]
+    (tmp_path / "me.vrm").write_bytes(packed(found, data))
+    skin = read_avatar(tmp_path / "me.vrm")[1]
+    colours = pixels[..., :3].reshape(-1, 3)
+    expected = [*colours, *colours, colours[-1], colours[0]]
+    np.testing.assert_array_equal(skin.palette[skin.regions][: len(uv)], expected)
+
+
+def with_mesh(path: Path, corners: dict[str, Any], node: dict[str, Any], version: int = 1) -> Skin:
+    """Return the skin of an avatar whose only mesh has these attributes, and belongs to a node."""
+    found, data = avatar_json(version)
+    attributes = {}
+    for name, values in corners.items():
+        kind = {3: "VEC3", 4: "VEC4"}[values.shape[1]]
+        component = {"f4": 5126, "u2": 5123}[values.dtype.str[1:]]
+        accessor = {"type": kind, "componentType": component, "count": len(values)}
+        attributes[name] = len(found["accessors"])
+        found["accessors"].append(accessor | {"bufferView": len(found["bufferViews"])})
+        view = {"buffer": 0, "byteOffset": len(data), "byteLength": values.nbytes}
+        found["bufferViews"].append(view)
+        data += values.tobytes()
+    found["buffers"][0]["byteLength"] = len(data)
+    found["meshes"] = [{"primitives": [{"attributes": attributes}]}]
+    found["skins"].append({"joints": [names().index(name) for name in ("rightHand", "head")]})
+    found["nodes"].pop()  # the mesh
+    at = node.get("at", "root")
+    place = len(found["nodes"]) - 1 if at == "root" else names().index(at)
+    found["nodes"][place] |= {"mesh": 0}
+    if "skin" in node:
+        found["nodes"][place] |= {"skin": node["skin"]}
+    path.write_bytes(packed(found, data))
+    return read_avatar(path)[1]
+
+
+def names() -> list[str]:
+    return [*BONES, "hair"]
+
+
+CORNERS = np.array([[100, 0, 0], [0, 100, 0], [0, 0, 100]], "<f4")
+"""Of one face, in the unit of the nodes, centimetres."""
+
+
+@pytest.mark.parametrize("version", [0, 1])
+@pytest.mark.parametrize(
+    ("node", "bone"), [("leftHand", "LeftHand"), ("hair", "Head"), ("root", "Hips")]
+)
+def test_a_mesh_without_a_skin_moves_with_the_bone_that_it_hangs_on(tmp_path, node, bone, version):
+    """Jewellery, eyes and hats; the file of VRM 0.x is turned by half a turn."""
+    skin = with_mesh(tmp_path / "me.vrm", {"POSITION": CORNERS}, {"at": node}, version)
+    place = {"hair": HAIR, "root": (0, 0, 0)}.get(node) or BONES[node][1]
+    turn = [1, 1, 1] if version else [-1, 1, -1]
+    np.testing.assert_allclose(skin.vertices, place + np.eye(3) * turn, atol=1e-5)
+    rig = read_avatar(tmp_path / "me.vrm")[0].skeleton
+    assert set(skin.joints[:, 0]) == {rig.index(bone)}
+    np.testing.assert_array_equal(skin.weights, [[255, 0, 0, 0]] * 3)
+    np.testing.assert_array_equal(skin.faces, [[0, 1, 2]])
+
+
+def test_vertices_are_blended_between_joints_by_weights_of_any_sum(tmp_path):
+    """A skin without matrices rests at its joints: the right hand (-0.67, 1.4, 0), the head.
+
+    The first vertex is at 1/4 of the hand's and 3/4 of the head's, the second without weights at
+    its first joint, the third at its fourth.
+    """
+    weights = np.array([[0.5, 1.5, 0, 0], [0, 0, 0, 0], [0, 0, 0, 2]], "<f4")
+    joints = np.array([[0, 1, 0, 0], [0, 1, 1, 1], [0, 0, 0, 1]], "<u2")
+    corners = {"POSITION": CORNERS, "JOINTS_0": joints, "WEIGHTS_0": weights}
+    skin = with_mesh(tmp_path / "me.vrm", corners, {"skin": 1})
+    hand, head = (np.array(BONES[name][1]) for name in ("rightHand", "head"))
+    expected = [0.25 * hand + 0.75 * head + [1, 0, 0], hand + [0, 1, 0], head + [0, 0, 1]]
+    np.testing.assert_allclose(skin.vertices, expected, atol=1e-5)
+    rig = read_avatar(tmp_path / "me.vrm")[0].skeleton
+    hand, head = rig.index("RightHand"), rig.index("Head")
+    assert [tuple(row) for row in skin.joints[:, :2]] == [
+        (head, hand), (hand, head), (head, hand)
+    ]  # fmt: skip
+    # 255 / 4 is 63.75, 64; 255 * 3 / 4 is 191.25.
+    np.testing.assert_array_equal(skin.weights, [[191, 64, 0, 0], [255, 0, 0, 0], [255, 0, 0, 0]])
 
 
 def test_a_base_colour_is_linear_light(tmp_path):
