@@ -74,7 +74,7 @@ class Rate:
         now = self._clock()
         tokens, at = self._buckets.pop(client, (self._most, now))
         tokens = min(self._most, tokens + (now - at) * self._per_second)
-        seconds = 0.0 if tokens >= 1 else (1 - tokens) / self._per_second
+        seconds = max(0.0, 1 - tokens) / self._per_second
         self._buckets[client] = (tokens if seconds else tokens - 1, now)
         if len(self._buckets) > _MOST_CLIENTS:
             self._buckets.popitem(last=False)

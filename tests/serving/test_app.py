@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import asyncio
+import errno
 import re
 import threading
 import time
+from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import uvicorn
+from fastapi import HTTPException
 from fastapi.responses import FileResponse, HTMLResponse
 from sounds import wav
+from starlette.requests import Request
 from starlette.testclient import TestClient
 
 import gesturekit as gk
-from gesturekit.errors import ConfigError
+from gesturekit.errors import ConfigError, GestureKitError
+from gesturekit.model import Inputs
 from gesturekit.motion import Motion
+from gesturekit.serving.address import address_of, listening_socket
 from gesturekit.serving.app import create_app
 from gesturekit.serving.pages import DROP_PAGE, PAGE_HEADERS
-from gesturekit.serving.requests import Limits, Rate
+from gesturekit.serving.requests import Limits, Rate, receive
+from gesturekit.serving.worker import BusyError, Worker
 from gesturekit.systems import bundled_speech
 
 HOST = "http://127.0.0.1"
@@ -58,11 +67,15 @@ def test_a_wav_gives_the_motion_that_the_model_makes(client, model, tmp_path):
     model.generate(sound, seed=3, item="day/a").save(tmp_path / "named.bvh")
     named = one.post("/motion?format=bvh&seed=3&item=day/a", content=sound.read_bytes())
     assert named.content == (tmp_path / "named.bvh").read_bytes() != answer.content
-    assert 'filename="motion.bvh"' in answer.headers["content-disposition"]
+    assert answer.headers["content-disposition"] == 'attachment; filename="motion.bvh"'
+    assert answer.headers["content-type"].startswith("text/plain")
+    assert answer.headers["x-content-type-options"] == "nosniff"
     (tmp_path / "a.npz").write_bytes(one.post("/motion?format=npz", content=wav()).content)
     assert Motion.load(tmp_path / "a.npz").n_frames == 30
     page = one.post("/motion?format=html", content=wav())
-    assert "<title>motion</title>" in page.text
+    assert "<title>motion</title>" in page.text and re.search(r'"audio": ?\{', page.text)
+    assert page.headers["content-disposition"] == 'inline; filename="motion.html"'
+    assert page.headers["content-type"].startswith("text/html")
     assert page.headers["content-security-policy"] == "sandbox allow-scripts"
     assert list(folder_of(one).iterdir()) == []
 
@@ -78,15 +91,19 @@ def test_a_wav_gives_the_motion_that_the_model_makes(client, model, tmp_path):
         ("", b"\0" * (1 << 20), 413, "larger than 0.5 MB"),
         ("?format=exe", wav(), 422, "format"),
         ("?seed=-1", wav(), 422, "seed"),
+        (f"?seed={2**63}", wav(), 422, "seed"),
+        ("?a=1&b=2&c=3&d=4&e=5&f=6", wav(), 422, "e: "),
         ("?seed=" + "9" * 5000, wav(), 422, "seed"),
         ("?item=" + "a" * 2000, wav(), 422, "item"),
         ("?style=old", wav(), 422, "style"),
         ("?speaker=/etc/passwd", wav(), 422, "speaker"),
         ("?path=/etc/passwd", wav(), 422, "path"),
-        ("?fps=1e9", wav(), 422, "fps"),
+        ("?fps=1e9", wav(), 422, "less than or equal to 1000"),
+        ("?fps=0", wav(), 422, "greater than 0"),
+        ("?facing=-361", wav(), 422, "greater than or equal to -360"),
         ("?smooth=nan", wav(), 422, "smooth"),
+        ("?style=" + "a" * 201, wav(), 422, "at most 200 characters"),
         ("?keep=/etc/passwd", wav(), 422, "keep"),
-        ("?smooth=nan", wav(), 422, "smooth"),
     ],
 )
 def test_invalid_requests_are_refused_with_a_reason(client, query, body, status, says):
@@ -110,8 +127,34 @@ def test_a_body_without_length_is_cut_off_at_the_limit(client):
         for _ in range(100):
             yield b"\0" * 65_536
 
-    answer = client(megabytes=0.5).post("/motion", content=blocks())
-    assert answer.status_code == 413
+    one = client(megabytes=0.5)
+    assert one.post("/motion", content=blocks()).status_code == 413
+    # The limit itself is allowed, with and without a length.
+    most, half = bytes(1 << 19), bytes(1 << 18)
+    for whole, split in ((most, (half, half)), (most + b"\0", (half, half, b"\0"))):
+        answers = [one.post("/motion", content=c).status_code for c in (whole, iter(split))]
+        assert answers == ([422, 422] if whole is most else [413, 413])
+
+
+@pytest.mark.parametrize(
+    ("messages", "status"),
+    [
+        ([{"type": "http.request", "body": b"a", "more_body": True}], 408),
+        ([{"type": "http.disconnect"}], 400),
+    ],
+)
+def test_a_body_that_stops_is_given_up(tmp_path, messages, status):
+    left = list(messages)
+
+    async def next_message():
+        if not left:
+            await asyncio.sleep(60)
+        return left.pop(0)
+
+    request = Request({"type": "http", "headers": []}, next_message)
+    with pytest.raises(HTTPException) as refused:
+        asyncio.run(receive(request, tmp_path / "a", Limits(body_seconds=0.05)))
+    assert refused.value.status_code == status
 
 
 def test_requests_of_other_sites_and_names_are_refused(client):
@@ -136,14 +179,22 @@ def test_the_token_is_required_where_there_is_one(client):
 
 def test_the_rate_is_limited_and_recovers(client):
     one = client(per_minute=2)
-    codes = [one.post("/motion", content=b"x").status_code for _ in range(4)]
-    assert codes == [422, 422, 429, 429]
+    answers = [one.post("/motion", content=b"x") for _ in range(4)]
+    assert [answer.status_code for answer in answers] == [422, 422, 429, 429]
+    # A token in 30 s, of which the requests took less than 9.
+    assert 21 <= int(answers[-1].headers["retry-after"]) <= 30
     now = [0.0]
     rate = Rate(60, lambda: now[0])
     assert [rate.wait("a") for _ in range(60)] == [0.0] * 60
     assert rate.wait("a") == pytest.approx(1.0) and rate.wait("b") == 0.0
     now[0] = 1.01
     assert rate.wait("a") == 0.0
+    now[0] = 1000.0  # no more than a minute's requests are saved
+    assert [rate.wait("a") for _ in range(61)] == [0.0] * 60 + [pytest.approx(1.0)]
+    seldom = Rate(0.5, lambda: now[0])
+    assert [seldom.wait("a"), seldom.wait("a")] == [0.0, pytest.approx(120.0)]
+    now[0] = 1030.0
+    assert seldom.wait("a") == pytest.approx(90.0)
 
 
 def test_more_clients_than_are_remembered_leave_the_newest_one_limited(monkeypatch):
@@ -156,12 +207,55 @@ def test_more_clients_than_are_remembered_leave_the_newest_one_limited(monkeypat
 
 def test_figures_for_prometheus(client):
     one = client()
+    begun = time.perf_counter()
     one.post("/motion", content=wav(2.0))
     one.post("/motion", content=b"x")
+    passed = time.perf_counter() - begun
     page = one.get("/metrics").text
     assert 'gesturekit_requests_total{status="200"} 1.0' in page
     assert 'gesturekit_requests_total{status="422"} 1.0' in page
     assert "gesturekit_sound_seconds_total 2.0" in page and "gesturekit_queue 0.0" in page
+    assert "gesturekit_request_seconds_count 2.0" in page
+    bounds = [float(b) for b in re.findall(r'seconds_bucket\{le="([\d.]+)"\}', page)]
+    assert min(bounds) <= 0.1 and max(bounds) >= 300  # short sounds, and queues of long ones
+    assert 0 < float(re.search(r"gesturekit_request_seconds_sum (\S+)", page)[1]) < passed
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "says"),
+    [
+        (OSError(errno.ENOSPC, "full"), 503, "disk of the service is full"),
+        (OSError(errno.EIO, "broken"), 500, "see the log"),
+        (MemoryError(), 500, "see the log"),
+    ],
+)
+def test_failures_of_the_machine_are_named_and_logged(
+    client, model, monkeypatch, caplog, error, status, says
+):
+    one = client()
+
+    def generate(*_, **__):
+        raise error
+
+    monkeypatch.setattr(model, "generate", generate)
+    answer = one.post("/motion", content=wav())
+    assert (answer.status_code, says in answer.json()["error"]) == (status, True)
+    assert ("a request failed" in caplog.text) == (status == 500)
+    assert f'requests_total{{status="{status}"}} 1.0' in one.get("/metrics").text
+
+
+def test_an_unforeseen_failure_is_counted_as_500(client, model, monkeypatch):
+    one = client()
+    monkeypatch.setattr(model, "generate", lambda *_, **__: {}["no such key"])
+    with pytest.raises(KeyError):
+        one.post("/motion", content=wav())
+    assert 'requests_total{status="500"} 1.0' in one.get("/metrics").text
+
+
+def test_health_names_the_model(client, model):
+    version = gk.__version__
+    state = {"status": "ok", "version": version, "kind": "multires", "fps": 30.0, "styles": []}
+    assert client().get("/health").json() == state | {"styles": list(model.styles)}
 
 
 def test_the_pages_load_nothing_from_elsewhere(client):
@@ -171,8 +265,24 @@ def test_the_pages_load_nothing_from_elsewhere(client):
         assert page.status_code == 200
         assert re.findall(r"""(?:src|href)=["']?(?:https?:)?//[^"'> ]*""", page.text) == []
         assert "default-src 'none'" in page.headers["content-security-policy"]
-    assert "POST /motion" in one.get("/docs").text
+    page = one.get("/docs").text
+    assert "POST /motion" in page and one.get("/redoc").status_code == 404
+    # Choices, types and defaults of the settings, the answers and the limits.
+    for text in (
+        "<th>format</th><td>html is a player with the sound (bvh, npz, html; default bvh)</td>",
+        "(integer; default 0)",
+        "(number, null)",
+        "(boolean; default True)",
+        "<th>403</th><td>sent by a page of another site</td>",
+        "<th>megabytes</th><td>64</td>",
+    ):
+        assert text in page
     schema = one.get("/openapi.json").json()
+    about = {"title": "gesturekit", "summary": "Speech to body motion", "version": gk.__version__}
+    assert schema["info"] == about
+    assert set(schema["paths"]) == {"/motion", "/health", "/metrics"}
+    body = schema["paths"]["/motion"]["post"]["requestBody"]
+    assert body["required"] and "audio/wav" in body["content"]
     names = {parameter["name"] for parameter in schema["paths"]["/motion"]["post"]["parameters"]}
     controls = {"style", "speaker", "facing", "in_place", "foot_lock", "smooth", "vad", "fps"}
     assert names == {"format", "seed", "item"} | controls
@@ -185,6 +295,57 @@ def test_limits_are_positive():
         Limits(megabytes=0)
     with pytest.raises(ConfigError, match="seconds is nan"):
         Limits(seconds=float("nan"))
+    with pytest.raises(ConfigError, match="per_minute is inf"):
+        Limits(per_minute=float("inf"))
+    with pytest.raises(ConfigError, match="queue is -1"):
+        Limits(queue=-1)
+
+
+def test_the_limits_are_those_of_the_documentation():
+    guide = (Path(__file__).parents[2] / "docs" / "serve.md").read_text(encoding="utf-8")
+    table = [
+        float(number) for number in re.findall(r"^\| [a-z ]+, (\d+)[ a-zA-Z]* \|", guide, re.M)
+    ]
+    limits = Limits()
+    assert table == [
+        *(limits.megabytes, limits.seconds, limits.body_seconds),
+        *(limits.per_minute, limits.queue, limits.workers),
+    ]
+    assert Limits(megabytes=0.5).n_bytes == 524_288
+
+
+def test_as_many_requests_are_admitted_as_are_in_work_or_wait(model):
+    worker = Worker(model, Limits(workers=2, queue=1))
+    with ExitStack() as admitted:
+        for number in (1, 2, 3):
+            admitted.enter_context(worker.admit())
+            assert worker.admitted == number
+        with pytest.raises(BusyError), worker.admit():
+            pass
+    assert worker.admitted == 0
+
+
+@pytest.mark.parametrize(
+    ("inputs", "says"),
+    [
+        (Inputs(speech=False), "no speech input"),
+        (Inputs(speech=True, words=True), "a file beside each sound"),
+        (Inputs(speech=True, files=("mine",)), "a file beside each sound"),
+    ],
+)
+def test_a_model_that_a_sound_is_not_enough_for_is_not_served(inputs, says):
+    with pytest.raises(GestureKitError, match=says):
+        create_app(SimpleNamespace(inputs=inputs))
+
+
+def test_a_service_on_ipv6_has_its_address_in_brackets():
+    try:
+        listening = listening_socket("::1", 0)
+    except ConfigError:
+        pytest.skip("no IPv6 on this machine")
+    with listening:
+        port = listening.getsockname()[1]
+        assert address_of(listening, "::1") == f"http://[::1]:{port}/"
 
 
 def test_a_queue_that_is_full_says_so_at_once(client, model, monkeypatch):

@@ -15,8 +15,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+import uvicorn
 from sounds import wav
+from starlette.testclient import TestClient
 
+from gesturekit.serving.requests import Limits
 from gesturekit.systems import bundled_speech
 
 
@@ -141,15 +144,14 @@ def test_answers_do_not_depend_on_other_requests(port):
     assert together == alone * 3
 
 
-def test_a_public_address_answers_nobody_without_its_token(tmp_path):
+def test_a_public_address_answers_nobody_without_its_token(gesturekit, tmp_path, monkeypatch):
     """Refused at the start without a token; with one, a request that lacks it is refused."""
+    monkeypatch.delenv("GESTUREKIT_TOKEN", raising=False)
+    gesturekit("serve", "--model", "demo", "--host", "0.0.0.0").fails(2, "give a token")
     command = [sys.executable, "-m", "gesturekit", "serve", "--model", "demo", "--host", "0.0.0.0"]
-    environment = {name: value for name, value in os.environ.items() if "TOKEN" not in name}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60)
-    assert done.returncode == 2 and "give a token" in done.stderr
     (tmp_path / "token").write_text("0123456789abcdef\n")
     command += ["--port", "0", "--token-file", str(tmp_path / "token")]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     try:
         port = int(re.search(r"http://0\.0\.0\.0:(\d+)/", process.stderr.readline())[1])
         right = {"Authorization": "Bearer 0123456789abcdef"}
@@ -161,6 +163,75 @@ def test_a_public_address_answers_nobody_without_its_token(tmp_path):
         process.terminate()
         process.wait(20)
         process.stderr.close()
+
+
+@pytest.fixture
+def served(gesturekit, monkeypatch):
+    """served(*arguments, **environment): a client of the application that the command serves."""
+    clients, server = [], {}
+
+    def run(self, sockets):
+        server.update(vars(self.config), address=sockets[0].getsockname())
+        clients.append(TestClient(self.config.app))
+        sockets[0].close()
+
+    def serve(*arguments: object, **environment: str):
+        monkeypatch.setattr(uvicorn.Server, "run", run)
+        monkeypatch.delenv("GESTUREKIT_TOKEN", raising=False)
+        for name, value in environment.items():
+            monkeypatch.setenv(name, value)
+        done = gesturekit("serve", "--model", "demo", "--port", 0, *arguments).ok()
+        assert f":{server['address'][1]}/ (end with Ctrl-C)" in done.err
+        return clients[-1]
+
+    return serve
+
+
+TOKEN = "0123456789abcdef"
+
+
+@pytest.mark.parametrize(
+    ("options", "allowed", "refused"),
+    [
+        ([], ["localhost", "127.0.0.1"], ["other.example"]),
+        (["--name", "a.example"], ["localhost", "a.example"], ["other.example"]),
+        (["--host", "0.0.0.0"], ["localhost", "other.example"], []),
+        (["--host", "0.0.0.0", "--name", "a.example"], ["a.example"], ["other.example"]),
+    ],
+)
+def test_the_service_answers_to_its_own_names_only(served, options, allowed, refused):
+    client = served(*options, GESTUREKIT_TOKEN=TOKEN)
+    codes = [client.get("/health", headers={"Host": h}).status_code for h in (*allowed, *refused)]
+    assert codes == [200] * len(allowed) + [400] * len(refused)
+
+
+def test_the_limits_are_those_of_the_command_line(served):
+    options = ("--max-mb", 3, "--max-seconds", 7, "--per-minute", 5, "--queue", 2, "--workers", 4)
+    page = served(*options).get("/docs", headers={"Host": "localhost"}).text
+    limits = {"megabytes": 3.0, "seconds": 7.0, "per_minute": 5.0, "queue": 2, "workers": 4}
+    for name, value in limits.items():
+        assert f"<th>{name}</th><td>{value}</td>" in page
+    page = served().get("/docs", headers={"Host": "localhost"}).text
+    assert all(
+        f"<th>{n}</th><td>{v}</td>" in page for n, v in vars(Limits(64.0, 600.0, 60.0)).items()
+    )
+
+
+@pytest.mark.parametrize(
+    ("token", "is_used"),
+    [(TOKEN, True), (TOKEN[1:], False), (TOKEN + " a", False), (TOKEN + "é", False), ("", False)],
+)
+def test_a_token_is_long_plain_and_without_spaces(served, gesturekit, tmp_path, token, is_used):
+    (tmp_path / "token").write_text(f"{token}\n", encoding="utf-8")
+    if not is_used:
+        wrong = gesturekit("serve", "--model", "demo", "--token-file", tmp_path / "token")
+        wrong.fails(2, "at least 16 printable ASCII characters")
+        return
+    # A file counts more than the environment.
+    client = served("--token-file", tmp_path / "token", GESTUREKIT_TOKEN="f" * 16)
+    for given, status in (("f" * 16, 401), (token, 200)):
+        headers = {"Host": "localhost", "Authorization": f"Bearer {given}"}
+        assert client.get("/metrics", headers=headers).status_code == status
 
 
 def test_a_port_in_use_is_one_line_and_exit_2(gesturekit):
