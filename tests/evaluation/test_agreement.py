@@ -6,6 +6,7 @@ import importlib.util
 import sys
 from itertools import permutations
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from scipy.stats import kendalltau, spearmanr, ttest_1samp
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import read_ratings
-from gesturekit.evaluation.pairs import Pair
+from gesturekit.evaluation.pairs import ItemInterval, Pair
 from gesturekit.evaluation.results import ClipResult, Interval, MetricResult, ModelResult
 from gesturekit.evaluation.statistics.agreement import agreement, chance_range, kendall
 from gesturekit.evaluation.statistics.answers import GENEA_COLUMNS, Answer
@@ -262,14 +263,23 @@ def test_invalid_tables_of_ratings_are_refused_with_their_place(tmp_path, text, 
     assert message in str(refused.value)
 
 
-def clips_of(label: str, values: list[float], recorded: float = 1.0) -> ModelResult:
-    """Return a model with a sync for each of some takes."""
+def said_by(speaker: str | None) -> ItemInterval:
+    return ItemInterval(SimpleNamespace(speaker=speaker, style=None))
+
+
+def clips_of(label: str, values: list[float], speakers: tuple[str | None, ...]) -> ModelResult:
+    """Return a model with a sync for each of some takes, which each speaker numbers from 0."""
     found = model(label, sync=float(np.mean(values)))
+    each = len(values) // len(speakers)
     found.clips = [
         ClipResult(
-            Pair(f"c{k}", f"c{k}", None, Path(), Path()), 1.0, {"sync": v}, {"sync": recorded}, {}
+            Pair(f"c{k}", f"c{k}", None, Path(), said_by(speakers[k // each]), take=f"{k % each}"),
+            1.0,
+            {"sync": value},
+            {"sync": 1.0},
+            {},
         )
-        for k, v in enumerate(values)
+        for k, value in enumerate(values)
     ]
     return found
 
@@ -278,17 +288,26 @@ def test_the_takes_of_the_evaluation_are_drawn_as_well(tmp_path):
     # Two neighbours swap their order with the take: their tau is not certain.
     quality = dict(zip("abcdefgh", (30, 25, 20, 15, 10, 5, 0, -5)))
     ratings = study(tmp_path / "x.csv", quality)
-    steady = [clips_of(name, [v / 50] * 6) for name, v in quality.items()]
     rng = np.random.default_rng(0)
-    noisy = [clips_of(name, list(v / 50 + rng.normal(0, 0.3, 6))) for name, v in quality.items()]
+    noise = rng.normal(0, 0.3, (8, 6))
     shared = rng.normal(0, 0.3, 6)  # takes that are easy or hard for all systems alike
-    alike = [clips_of(name, list(v / 50 + shared)) for name, v in quality.items()]
     intervals = {}
-    for name, models in (("steady", steady), ("noisy", noisy), ("alike", alike)):
+    for name, away, speakers in (
+        ("steady", np.zeros((8, 6)), (None,)),
+        ("alike", np.tile(shared, (8, 1)), (None,)),
+        ("noisy", noise, (None,)),
+        ("two speakers", noise, ("anna", "bert")),
+    ):
+        models = [
+            clips_of(label, list(v / 50 + row), speakers)
+            for (label, v), row in zip(quality.items(), away)
+        ]
         (question,) = agreement(models, ratings).questions
         intervals[name] = (question.metrics[0].low, question.metrics[0].high)
     assert intervals["steady"] == pytest.approx(intervals["alike"])
     assert intervals["noisy"][0] < intervals["steady"][0] - 0.2
+    # Takes of two speakers are different takes, whatever their names.
+    assert intervals["two speakers"] == intervals["noisy"]
 
 
 @pytest.fixture(scope="module")

@@ -227,11 +227,12 @@ def _away(models: Sequence[ModelResult], key: str, seed: int) -> Mapping[str, np
     """
     sides = {m.label: [(clip, clip.metrics) for clip in m.clips] for m in models}
     sides.setdefault(RECORDING, [(clip, clip.recording) for m in models[:1] for clip in m.clips])
-    means: dict[str, dict[str, float]] = {}
+    means: dict[str, dict[tuple[str, str], float]] = {}
     for label, clips in sides.items():
-        takes: dict[str, list[float]] = {}
+        takes: dict[tuple[str, str], list[float]] = {}
         for clip, metrics in clips:
-            takes.setdefault(clip.pair.take, []).append(metrics.get(key, np.nan))
+            take = clip.pair.speaker or "", clip.pair.take
+            takes.setdefault(take, []).append(metrics.get(key, np.nan))
         means[label] = {take: float(np.mean(values)) for take, values in takes.items()}
     if np.isnan(list(means[RECORDING].values())).any():
         del means[RECORDING]
