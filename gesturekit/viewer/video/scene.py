@@ -13,8 +13,18 @@ from scipy.ndimage import gaussian_filter1d
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human.body import TOPS
-from gesturekit.viewer.video import raster
 from gesturekit.viewer.video.mesh import Mannequin, SkinnedBody
+from gesturekit.viewer.video.raster import (
+    SAMPLES,
+    blur,
+    cast,
+    fill,
+    light,
+    paint_floor,
+    place,
+    project,
+    resolve,
+)
 
 _FIELD = np.tan(np.radians(15.0))
 """Half the height of the view at distance 1."""
@@ -116,7 +126,7 @@ class Buffers:
     scratch_colours: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        fine = (raster.SAMPLES * self.height, raster.SAMPLES * self.width)
+        fine = (SAMPLES * self.height, SAMPLES * self.width)
         coarse = (-(-self.height // 2), -(-self.width // 2))
         self.depths, self.samples = np.zeros(fine, np.float32), np.empty((*fine, 3), np.float32)
         self.shadow, self.scratch = np.zeros(coarse, np.float32), np.empty(coarse, np.float32)
@@ -167,17 +177,16 @@ class Scene:
         mesh, camera = self._body.mesh, self._camera.at(time)
         focal = Camera.focal(height)
         vertices, normals, colours, corners = (np.empty_like(mesh.vertices) for _ in range(4))
-        raster.place(
+        place(
             *(mesh.vertices, mesh.normals, mesh.parts, mesh.weights),
             *(self._body.transforms(time), vertices, normals),
         )
-        raster.light(normals, mesh.colours, self._sun, camera[2].astype(np.float32), colours)
+        light(normals, mesh.colours, self._sun, camera[2].astype(np.float32), colours)
         self._draw_floor(time, image, (camera, vertices), buffers)
-        samples = raster.SAMPLES
-        raster.project(vertices, camera, *(samples * n for n in (focal, width, height)), corners)
-        box = raster.fill(corners, colours, mesh.faces, buffers.depths, buffers.samples)
+        project(vertices, camera, *(SAMPLES * n for n in (focal, width, height)), corners)
+        box = fill(corners, colours, mesh.faces, buffers.depths, buffers.samples)
         if box[0] < box[1]:
-            raster.resolve(buffers.depths, buffers.samples, box, image)
+            resolve(buffers.depths, buffers.samples, box, image)
 
     def _draw_floor(
         self, time: float, image: np.ndarray, seen: tuple[np.ndarray, np.ndarray], buffers: Buffers
@@ -187,18 +196,18 @@ class Scene:
         height, width = image.shape[:2]
         focal, floor = Camera.focal(height), self._camera.floor
         fallen, corners = np.empty_like(vertices), np.empty_like(vertices)
-        raster.cast(vertices, self._sun, floor, fallen)
-        raster.project(fallen, camera, focal / 2, width / 2, height / 2, corners)
+        cast(vertices, self._sun, floor, fallen)
+        project(fallen, camera, focal / 2, width / 2, height / 2, corners)
         shadow = buffers.shadow
-        box = raster.fill(corners, fallen, faces, shadow, buffers.scratch_colours)
+        box = fill(corners, fallen, faces, shadow, buffers.scratch_colours)
         if box[0] < box[1]:
-            raster.blur(shadow, box, max(1, round(_SOFTNESS * height / 2)), buffers.scratch)
+            blur(shadow, box, max(1, round(_SOFTNESS * height / 2)), buffers.scratch)
         body = self._figure.height
         metre = 10.0 ** round(np.log10(body / 1.7))
         x, _, z = self._camera.middle(time)
         size = max(_GROUND * body, 0.8 * self._camera.distance)
         ground = np.array([floor, x, z, size, metre])
-        raster.paint_floor(image, camera, focal, ground, shadow, np.float32(_SHADE))
+        paint_floor(image, camera, focal, ground, shadow, np.float32(_SHADE))
         shadow[box[0] : box[1], box[2] : box[3]] = 0
 
 
@@ -223,7 +232,7 @@ class Stills:
             RGBA (H, W, 4) from 0 to 1, cut to the body; left, right, bottom and top (4,), metres
             from the root's place on the floor.
         """
-        mesh, figure, n = self._body.mesh, self._figure, raster.SAMPLES * self._size
+        mesh, figure, n = self._body.mesh, self._figure, SAMPLES * self._size
         cos, sin = np.cos(figure.front), np.sin(figure.front)
         camera = np.array([[cos, 0, -sin], [0, 1, 0], [sin, 0, cos], [0, 0, 0]], float)
         root = figure.points[frame, 0]
@@ -234,18 +243,18 @@ class Stills:
         far = _AWAY * figure.height
         camera[3] = middle + far * camera[2]
         vertices, normals, colours, corners = (np.empty_like(mesh.vertices) for _ in range(4))
-        raster.place(
+        place(
             *(mesh.vertices, mesh.normals, mesh.parts, mesh.weights),
             *(self._body.transforms(frame / figure.fps), vertices, normals),
         )
         sun, towards = (_LIGHT @ camera[:3]).astype(np.float32), camera[2].astype(np.float32)
-        raster.light(normals, mesh.colours, sun, towards, colours)
-        raster.project(vertices, camera, 0.5 * n * far / reach, n, n, corners)
+        light(normals, mesh.colours, sun, towards, colours)
+        project(vertices, camera, 0.5 * n * far / reach, n, n, corners)
         depths, samples = np.zeros((n, n), np.float32), np.zeros((n, n, 3), np.float32)
-        raster.fill(corners, colours, mesh.faces, depths, samples)
+        fill(corners, colours, mesh.faces, depths, samples)
         seen = (depths > 0)[..., None]
         blocks = np.concatenate([samples * seen / 255, seen], axis=-1)
-        blocks = blocks.reshape(self._size, raster.SAMPLES, self._size, raster.SAMPLES, 4)
+        blocks = blocks.reshape(self._size, SAMPLES, self._size, SAMPLES, 4)
         image = blocks.mean(axis=(1, 3))
         image[..., :3] /= np.maximum(image[..., 3:], 1e-6)
         body = image[..., 3] > 0
@@ -254,5 +263,5 @@ class Stills:
         rows, columns = (np.flatnonzero(body.any(axis=axis)) for axis in (1, 0))
         top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
         edges = np.array([left, right, self._size - bottom, self._size - top])
-        place = reach * (2 * edges / self._size - 1)
-        return np.clip(image[top:bottom, left:right], 0, 1), place
+        extent = reach * (2 * edges / self._size - 1)
+        return np.clip(image[top:bottom, left:right], 0, 1), extent

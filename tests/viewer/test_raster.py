@@ -1,0 +1,285 @@
+"""Kernels of the rasteriser, against numpy and scipy, and numbers worked out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import uniform_filter
+from scipy.spatial.transform import Rotation
+
+from gesturekit.viewer.video import raster
+from gesturekit.viewer.video.scene import Buffers, Camera
+
+
+def f32(*values) -> np.ndarray:
+    return np.array(values, np.float32)
+
+
+@pytest.fixture
+def buffers() -> Buffers:
+    """Memory for a picture of 20 by 30 pixels: 40 by 60 samples."""
+    return Buffers(20, 30)
+
+
+@pytest.fixture
+def view() -> tuple[np.ndarray, float]:
+    """A camera that is turned, and its pixels for a slope of 1."""
+    axes = Rotation.from_euler("yxz", [0.7, -0.4, 0.1]).as_matrix().T
+    # Half of a field of 30 degrees is seen at 20 pixels from the middle.
+    focal = Camera.focal(40.0)
+    assert focal == pytest.approx(74.641, abs=1e-3)
+    return np.concatenate([axes, [[1.0, 2.0, 3.0]]]), focal
+
+
+def test_vertices_and_normals_are_skinned():
+    rng = np.random.default_rng(0)
+    matrices = rng.normal(size=(3, 3, 4)).astype(np.float32)
+    vertices, normals = rng.normal(size=(2, 50, 3)).astype(np.float32)
+    parts = rng.integers(0, 3, (50, 4)).astype(np.int32)
+    weights = rng.dirichlet([1, 1, 1, 1], 50).astype(np.float32)
+    weights[::2, 2:] = 0
+    out, out_normals = np.empty_like(vertices), np.empty_like(vertices)
+    raster.place(vertices, normals, parts, weights, matrices, out, out_normals)
+    moved = np.einsum("nij,vj->vni", matrices[..., :3], vertices) + matrices[..., 3]
+    expected = np.einsum("vk,vki->vi", weights, moved[np.arange(50)[:, None], parts])
+    assert out == pytest.approx(expected, abs=1e-5)
+    # Normals stay across surfaces under any linear map: the inverse transposed, by its determinant.
+    turns = [np.linalg.det(m) * np.linalg.inv(m).T for m in matrices[..., :3].astype(float)]
+    moved = np.einsum("nij,vj->vni", turns, normals)
+    expected = np.einsum("vk,vki->vi", weights, moved[np.arange(50)[:, None], parts])
+    assert out_normals == pytest.approx(expected, abs=1e-4)
+    # The list of a vertex ends at its first weight of 0.
+    weights[0], parts[0] = [1, 0, 5, 5], [2, 0, 0, 0]
+    raster.place(vertices, normals, parts, weights, matrices, out, out_normals)
+    assert out[0] == pytest.approx(matrices[2, :, :3] @ vertices[0] + matrices[2, :, 3], abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("normal", "sun", "eye", "strength"),
+    [
+        ((0, 2, 0), (0, 1, 0), (0, 1, 0), 0.68 + 0.10 + 0.38),
+        ((0, 1, 0), (1, 0, 0), (1, 0, 0), (0.68 + 0.10) * 0.78),  # an edge in the shade
+        ((0, -1, 0), (0, 1, 0), (0, 1, 0), (0.68 - 0.10) * 0.78),
+        ((3, 0, 4), (1, 0, 0), (0, 0, 1), (0.68 + 0.38 * 0.6) * (1 - 0.22 * 0.008)),
+        ((0, 0, 1), (0.48, 0.64, 0.6), (0.48, 0.6, 0.64), (0.68 + 0.38 * 0.6) * 0.98974),
+        ((0, 0.6, 0.8), (0, 0.8, 0.6), (0, -0.6, 0.8), (0.74 + 0.38 * 0.96) * 0.91795),
+    ],
+)
+def test_light_comes_from_the_sun_and_the_sky_and_edges_are_darker(normal, sun, eye, strength):
+    colours, out = f32((100, 50, 200), (0, 255, 10)), np.empty((2, 3), np.float32)
+    raster.light(f32(normal, normal), colours, f32(*sun), f32(*eye), out)
+    assert out == pytest.approx(np.minimum(strength * colours, 255), rel=1e-4)
+
+
+def test_places_are_projected_through_a_hole(view):
+    camera, focal = view
+    rng = np.random.default_rng(0)
+    seen = rng.uniform([-1, -1, -9], [1, 1, -2], (20, 3))  # right, up, and away from the camera
+    vertices = (seen @ camera[:3] + camera[3]).astype(np.float32)
+    out = np.empty_like(vertices)
+    raster.project(vertices, camera, focal, 60, 40, out)
+    expected = np.stack(
+        [30 + focal * seen[:, 0] / -seen[:, 2], 20 - focal * seen[:, 1] / -seen[:, 2],
+         1 / -seen[:, 2]], axis=1
+    )  # fmt: skip
+    assert out == pytest.approx(expected, rel=1e-4)
+    # Nothing is drawn of what is nearer than a ten-thousandth of what fills the height.
+    level = np.concatenate([np.eye(3), np.zeros((1, 3))])
+    near = f32((0, 0, 1), (0, 0, -1.8e-4), (0, 0, -1.95e-4))
+    raster.project(near, level, 75.0, 60, 40, out := np.empty_like(near))
+    assert (out[:, 2] > 0).tolist() == [False, False, True]
+    assert out[:, :2] == pytest.approx(np.tile([30.0, 20.0], (3, 1)))
+
+
+def test_faces_are_filled_where_sample_centres_are_inside(buffers):
+    rng = np.random.default_rng(3)
+    corners = rng.uniform([-8, -8, 0.2], [68, 48, 1.0], (36, 3)).astype(np.float32)
+    corners[-1, 2] = 0.0  # behind the camera
+    colours = rng.uniform(0, 255, corners.shape).astype(np.float32)
+    faces = np.arange(36).reshape(12, 3).astype(np.int32)
+    raster_box = raster.fill(corners, colours, faces, buffers.depths, buffers.samples)
+    rows, columns = np.mgrid[:40, :60] + 0.5
+    depths, image = np.zeros((40, 60)), np.zeros((40, 60, 3))
+    drawn = 0
+    for face in faces[:-1]:
+        sides = np.concatenate([corners[face, :2].astype(float).T, np.ones((1, 3))])
+        if np.linalg.det(sides) > 0:  # seen from its back
+            continue
+        drawn += 1
+        shares = np.moveaxis(
+            np.tensordot(np.linalg.inv(sides), [columns, rows, np.ones_like(rows)], 1), 0, -1
+        )
+        depth = shares @ corners[face, 2]
+        wins = (shares >= 0).all(axis=-1) & (depth > depths)
+        depths[wins] = depth[wins]
+        image[wins] = (shares @ colours[face])[wins]
+    assert 3 <= drawn <= 9
+    assert buffers.depths == pytest.approx(depths, abs=1e-4)
+    covered = depths > 0
+    assert 0.2 < covered.mean() < 0.99
+    assert buffers.samples[covered] == pytest.approx(image[covered], abs=0.1)
+    filled = [np.flatnonzero(covered.any(axis=axis)) for axis in (1, 0)]
+    assert raster_box[0] <= filled[0][0] and raster_box[1] >= filled[0][-1] + 1
+    assert raster_box[2] <= filled[1][0] and raster_box[3] >= filled[1][-1] + 1
+
+
+def test_the_box_of_what_is_filled_holds_the_centres_between_the_corners(buffers):
+    corners = f32((10.6, 5.4, 1), (10.6, 8.6, 1), (14.4, 5.4, 1))
+    faces, colours = np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.float32)
+    # Rows 5.5 to 8.5, columns 11.5 to 13.5.
+    box = raster.fill(corners, colours, faces, buffers.depths, buffers.samples)
+    assert box.tolist() == [5, 9, 11, 14]
+    assert np.argwhere(buffers.depths).min(axis=0).tolist() == [5, 11]
+    for back in (faces[:, ::-1].copy(), faces[:0]):
+        assert raster.fill(corners, colours, back, buffers.depths, buffers.samples)[1] == 0
+    # A face of one column on the edge, and those beyond it.
+    for shift, expected in (
+        ((-11, 0), [5, 9, 0, 3]),
+        ((-12, 0), [5, 9, 0, 2]),
+        ((46, 0), [5, 9, 57, 60]),
+        ((48, 0), [5, 9, 59, 60]),
+        ((0, -8), [0, 1, 11, 14]),
+        ((0, 34), [39, 40, 11, 14]),
+        ((60, 0), [40, 0, 60, 0]),
+        ((-20, 0), [40, 0, 60, 0]),
+        ((0, -20), [40, 0, 60, 0]),
+        ((0, 40), [40, 0, 60, 0]),
+    ):
+        moved = corners + f32(*shift, 0)
+        box = raster.fill(moved, colours, faces, buffers.depths, buffers.samples)
+        assert box.tolist() == expected, shift
+
+
+def test_shadows_fall_away_from_the_sun():
+    # 4 m above the floor, under a sun that rises 2 m for each half metre to +x and metre to +z.
+    out = np.empty((1, 3), np.float32)
+    raster.cast(f32((1, 4.5, 2)), f32(0.5, 2, 1), 0.5, out)
+    assert out.tolist() == [[0.0, 0.5, 0.0]]
+
+
+@pytest.mark.parametrize("radius", [1, 3])
+def test_shadows_are_blurred_twice(buffers, radius):
+    mask, scratch = np.zeros((20, 30), np.float32), np.full((20, 30), 7.0, np.float32)
+    mask[0:6, 9:20] = np.random.default_rng(0).uniform(-1, 1, (6, 11))
+    expected = (mask > 0).astype(float)
+    for _ in range(2):
+        expected = uniform_filter(expected, 2 * radius + 1, mode="constant")
+    box = np.array([0, 6, 9, 20])
+    raster.blur(mask, box, radius, scratch)
+    assert box.tolist() == [0, 6 + 2 * radius, 9 - 2 * radius, 20 + 2 * radius]
+    assert mask == pytest.approx(expected, abs=1e-5)
+    box = np.array([18, 20, 1, 29])
+    raster.blur(mask, box, radius, scratch)
+    assert box.tolist() == [18 - 2 * radius, 20, 0, 30]
+
+
+def from_above(metre: float = 1.0, x: float = 0.0, shadow: float = 0.0, size: float = 5.0):
+    """The floor at 0.5 m seen from 5 m above it, 41 by 41 pixels of 5 cm, its middle below."""
+    camera = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0], [x, 5.5 * metre, 0]], float)
+    image = np.zeros((41, 41, 3), np.uint8)
+    mask = np.zeros((21, 21), np.float32)
+    mask[15, 15] = shadow
+    ground = np.array([0.5 * metre, x, 0.0, size * metre, metre])
+    raster.paint_floor(image, camera, 100.0, ground, mask, np.float32(0.3))
+    return image.astype(int)
+
+
+def test_the_floor_has_a_grid_of_metres_and_weaker_half_metres():
+    image = from_above()
+    # The background in the middle row, (242.2, 243.1, 243.6), and 30 % of the way from there to
+    # (128, 140, 153).
+    assert image[20, 20].tolist() == [207, 212, 216]
+    middle = image[25, 25]
+    assert middle.tolist() == [240, 241, 242]
+    red = image[:, 25, 0]
+    # Lines at rows 20 (0 m), 10 and 30 (half a metre), 0 and 40 (a metre).
+    lines = [int(row) for row in np.flatnonzero(red < red[25] - 5)]
+    assert lines == [0, 10, 20, 30, 40]
+    assert (image[25, :, 0] < 235).nonzero()[0].tolist() == [0, 10, 20, 30, 40]
+    assert (red[20] < red[10]) and (red[40] < red[30])
+    # The same places a whole metre, and two thousand, away; and on a floor for giants.
+    for other in (from_above(x=1.0), from_above(x=2000.0), from_above(metre=10.0)):
+        assert np.abs(other - image).max() <= 1
+    half = from_above(x=0.5)[25, :, 0]
+    assert half[20] > half[10] + 10  # now half a metre is in the middle
+
+
+def test_the_grid_fades_out_around_the_middle():
+    image = from_above(size=1.0)
+    # On the line through the middle: whole up to a quarter of the radius, nothing at its end.
+    assert image[20, 20, 0] == 207 and image[20, 24, 0] == 207
+    # At 0.6 m: (0.4 / 0.75) squared of 30 %.
+    assert image[20, 32, 0] == pytest.approx(242 - 0.2844 * 34.2, abs=1)
+    assert image[20, 40, 0] == pytest.approx(242, abs=1)
+
+
+def test_the_shadow_takes_its_share_of_light():
+    plain = from_above()
+    for dark, share in ((0.5, 0.15), (1.0, 0.3), (3.0, 0.3)):
+        image = from_above(shadow=dark)
+        # The mask is of half the size: its cell (15, 15) is of pixels 30 and 31.
+        changed = np.argwhere((image != plain).any(axis=-1))
+        assert changed.min(axis=0).tolist() == [30, 30]
+        assert changed.max(axis=0).tolist() == [31, 31]
+        expected = plain[31, 31] + share * ([48, 60, 76] - plain[31, 31])
+        assert image[31, 31] == pytest.approx(expected, abs=1)
+
+
+def test_lines_lie_where_the_projection_puts_them():
+    """Crossings of the grid's lines are darker than the middles of its cells."""
+    down = Rotation.from_euler("YX", [0.5, -0.5]).as_matrix().T
+    camera = np.concatenate([down, [[0.3, 2.5, 0.2]]])
+    focal, size = Camera.focal(240.0), (240, 320)
+    image, shadow = np.zeros((*size, 3), np.uint8), np.zeros((120, 160), np.float32)
+    ground = np.array([0.2, -1.0, -2.0, 40.0, 1.0])
+    raster.paint_floor(image, camera, focal, ground, shadow, np.float32(0.3))
+    x, z = (axis.ravel() for axis in np.meshgrid(np.arange(-6, 7), np.arange(-9, 1)))
+    found = {}
+    for name, shift in (("metre", 0.0), ("half", 0.5), ("between", 0.25)):
+        points = np.stack([x + shift, np.full(len(x), 0.2), z + shift], axis=1).astype(np.float32)
+        out = np.empty_like(points)
+        raster.project(points, camera, focal, 320, 240, out)
+        inside = (
+            (out[:, 2] > 0.15) & (out[:, :2] > 1).all(axis=1) & (out[:, :2] < (319, 239)).all(1)
+        )
+        assert inside.sum() >= 6
+        columns, rows = out[inside, :2].astype(int).T
+        background = 249 - 14 * rows / 240
+        found[name] = background - image[rows, columns, 0]
+    assert found["between"].max() < 1.5
+    assert found["metre"].min() > 12 and found["half"].min() > 5
+    assert found["metre"].mean() > 1.5 * found["half"].mean()
+
+
+@pytest.mark.parametrize(("eye", "pitch"), [(1.0, 0.6), (-1.0, -0.5)])
+def test_above_the_horizon_and_below_the_floor_is_no_grid(eye, pitch):
+    turn = Rotation.from_euler("x", pitch).as_matrix().T
+    camera = np.concatenate([turn, [[0.0, eye, 0.0]]])
+    image = np.zeros((40, 30, 3), np.uint8)
+    ground = np.array([0.0, 0.0, 0.0, 8.5, 1.0])
+    dark = np.ones((20, 15), np.float32)
+    raster.paint_floor(image, camera, Camera.focal(40.0), ground, dark, np.float32(0.3))
+    way = np.arange(40)[:, None] / 40
+    expected = np.array([249.0, 249.0, 248.0]) - way * [14.0, 12.0, 9.0]
+    assert (image == np.floor(expected + 1e-4).astype(int)[:, None]).all()
+
+
+def test_pixels_are_means_of_their_samples_over_the_background(buffers):
+    image = np.full((20, 30, 3), 100, np.uint8)
+    depths, samples = buffers.depths, buffers.samples
+    samples[:] = np.nan
+    depths[6, 9:11], samples[6, 9], samples[6, 10] = 0.5, (200, 40, 0), (255, 10, 20)
+    depths[7, 10:12], samples[7, 10:12] = 0.1, (255, 10, 20)
+    depths[6, 11], samples[6, 11] = 0.2, (251, 10, 20)
+    raster.resolve(depths, samples, np.array([6, 8, 9, 12]), image)
+    # One of four samples in column 4, all four in column 5.
+    assert image[3, 4].tolist() == [125, 85, 75]
+    assert image[3, 5].tolist() == [254, 10, 20]
+    assert not depths.any()
+    image[3, 4:6] = 100
+    assert (image == 100).all()
+    # Odd boxes are widened to whole pixels; nothing beyond them is touched.
+    depths[:] = 1.0
+    samples[:] = 0.0
+    raster.resolve(depths, samples, np.array([3, 5, 5, 7]), image)
+    assert np.argwhere(image[..., 0] == 0).tolist() == [[r, c] for r in (1, 2) for c in (2, 3)]
