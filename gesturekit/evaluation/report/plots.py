@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import matplotlib
 import matplotlib.figure
@@ -115,7 +115,7 @@ def _ratios(evaluation: Evaluation) -> str | None:
         "generated / recorded (log scale, 0.01× and more); the dashed line is the recording"
     )
     axes.grid(axis="x", color=_LINE, lw=0.8)
-    _legend(figure, models)
+    _legend(figure, {model.label: colour(i) for i, model in enumerate(models)})
     return svg_text(figure, _LINE, _SOFT)
 
 
@@ -185,6 +185,7 @@ def _histograms(evaluation: Evaluation) -> str | None:
 def _patches(evaluation: Evaluation) -> str | None:
     keys = [d.key for d in definitions_of("comparison") if d.group == PATCHES]
     models = [model for model in evaluation.models if model.by_recording]
+    inks = {m.label: colour(i) for i, m in enumerate(evaluation.models) if m.by_recording}
     stems = sorted({stem for model in models for stem in model.by_recording})
     keys = tuple(k for k in keys if any(k in model.metrics for model in models))
     if len(stems) < 2 or not keys:
@@ -199,8 +200,7 @@ def _patches(evaluation: Evaluation) -> str | None:
                 interval = model.by_recording.get(stem, {}).get(key)
                 if interval is not None:
                     y = row + (i - (len(models) - 1) / 2) * step
-                    index = evaluation.models.index(model)
-                    _error_bar(axes, y, interval, colour(index), vertical=False)
+                    _error_bar(axes, y, interval, inks[model.label], vertical=False)
         axes.set_yticks(range(len(stems)), [_short(stem) for stem in stems])
         axes.set_ylim(len(stems) - 0.5, -0.5)
         if DEFINITIONS[key].unit == "%":
@@ -212,7 +212,7 @@ def _patches(evaluation: Evaluation) -> str | None:
             axes.set_xlabel("mean distance of frames")
         axes.grid(axis="both", color=_LINE, lw=0.8)
         _title(axes, DEFINITIONS[key].name)
-    _legend(figure, models)
+    _legend(figure, inks)
     return svg_text(figure, _LINE, _SOFT)
 
 
@@ -226,15 +226,14 @@ def _error_bar(axes: Axes, at: float, interval, ink: str, vertical: bool) -> Non
     axes.plot(*point, "o", color=ink, ms=7)
 
 
-def _legend(figure: matplotlib.figure.Figure, models: Sequence[ModelResult]) -> None:
-    if len(models) < 2:
+def _legend(figure: matplotlib.figure.Figure, inks: Mapping[str, str]) -> None:
+    """Add a legend of several models, {label: colour}."""
+    if len(inks) < 2:
         return
     handles = [
-        matplotlib.lines.Line2D([], [], color=colour(i), marker="o", lw=2)
-        for i in range(len(models))
+        matplotlib.lines.Line2D([], [], color=ink, marker="o", lw=2) for ink in inks.values()
     ]
-    labels = [model.label for model in models]
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
+    figure.legend(handles, [*inks], loc="outside lower center", ncols=4, frameon=False, fontsize=9)
 
 
 def _title(axes: Axes, text: str) -> None:
