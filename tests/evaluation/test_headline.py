@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 
 from gesturekit.evaluation.pairs import ItemInterval, Pair
-from gesturekit.evaluation.results import ClipResult, Interval, MetricResult
+from gesturekit.evaluation.results import ClipResult, Interval, Level, MetricResult
 from gesturekit.evaluation.statistics.groups import groups_of
 from gesturekit.evaluation.statistics.likeness import credits, likeness
 from gesturekit.evaluation.statistics.questions import (
     answers,
+    in_words,
     likeness_by_group,
     likeness_of,
+    verdict,
 )
 
 OWN = {"hand_q50": 0.2, "reach": 0.3, "rest": 20.0, "jerk": 10.0, "foot_skate": 0.02}
@@ -127,3 +129,167 @@ def test_styles_are_groups_where_each_has_three_recordings():
     assert groups_of([*angry, *calm, *other]) == ["a, angry"] * 3 + ["a, calm"] * 3 + ["b"]
     assert groups_of([*angry, *calm[:2]]) == ["a"] * 5
     assert groups_of([Pair("x", "x", None, Path("a"), Path("b"))]) == [""]
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "state", "words"),
+    [
+        (0.6, None, "no", "Not in time"),
+        (0.6, 0.1, "no", "Not in time"),
+        (1.4, -0.1, "no", "Not in time"),  # of 3: not surely above chance
+        (2.1, 0.0, "yes", "As much in time"),
+        (0.9, None, "partly", "Loosely"),
+        (2.1, None, "yes", "As much in time"),
+        (3.9, None, "yes", "As much in time"),
+        (3.91, None, "partly", "more strictly"),
+    ],
+)
+def test_thresholds_of_timing_belong_to_the_better_answer(value, low, state, words):
+    interval = Interval(value, low, None, 3, 3, "takes")
+    found = states(clips(), in_time=MetricResult("in_time", interval, 3.0))["in_time"]
+    assert found[0] == state and words in found[1]
+
+
+def test_a_score_is_placed_between_its_floor_and_its_ceiling():
+    """The floor of .2 ± .2 over four takes is reached up to .3."""
+    floors = (Level("mean pose", 0.0, None, 0), Level("another speaker", 0.2, 0.2, 4))
+    ceiling = Level("the speaker's other takes", 0.9, 0.05, 6)
+    for value, expected in (
+        (0.3, "Does not move like this speaker; no higher than its floor, another speaker "
+              "(0.20 ± 0.20)."),
+        (0.301, "Does not move like this speaker."),
+        (0.54, "Moves somewhat like this speaker."),  # .6 of .9
+        (0.539, "Does not move like this speaker."),
+        (0.85, "Moves like this speaker."),
+        (0.849, "Moves somewhat like this speaker."),
+        (0.95, "Moves like this speaker."),
+        (0.951, "Moves like this speaker; above its ceiling, the speaker's other takes "
+                "(0.90 ± 0.05)."),
+    ):  # fmt: skip
+        like = result("likeness", value, 0.9, floors=floors, ceiling=ceiling)
+        assert states(clips(), likeness=like)["likeness"][1] == expected, value
+    # A speaker whose takes differ is reached at their likeness, not at 0.85.
+    for value, state in ((0.5, "yes"), (0.49, "partly"), (0.3, "partly"), (0.29, "no")):
+        assert states(clips(), likeness=result("likeness", value, 0.5))["likeness"][0] == state
+    high = result("likeness", 0.3, 0.9, informative=False, floors=floors, ceiling=floors[1])
+    state, sentence = states(clips(), likeness=high)["likeness"]
+    assert state == "cannot be answered"
+    assert "the floor, another speaker (0.20 ± 0.20), is not surely below the ceiling" in sentence
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "sentence"),
+    [
+        (0.49, None, "Mostly copied from the recordings."),
+        (0.5, None, "Nearer to the recordings than other recordings are: partly copied, or less "
+                    "lively."),
+        (0.79, None, "Nearer to the recordings than other recordings are: partly copied, or less "
+                     "lively."),
+        (0.8, None, "New: as far from the recordings as other recordings."),
+        (0.8, 0.18, "New: as far from the recordings as other recordings."),
+        (0.8, 0.179, "New, but occasionally copied from the recordings."),
+        (1.1, None, "New: as far from the recordings as other recordings."),
+        (1.11, None, "New: farther from the recordings than other recordings, as odd motion is "
+                     "too."),
+    ],
+)  # fmt: skip
+def test_thresholds_of_novelty(value, low, sentence):
+    ceiling = Level("the speaker's other takes", 1.0, 0.1, 6)
+    metrics = {"novelty": result("novelty", value, 1.0, ceiling=ceiling)}
+    if low is not None:
+        metrics["copying_low"] = result("copying_low", low, 0.3)
+    assert states(clips(), **metrics)["novelty"][1] == sentence
+    seeds = result("inter_diversity", 1.5, 2.0)
+    told = sentence[:-1] + "; two samples of one speech differ 75 % as much as two recordings do."
+    assert states(clips(), **metrics, inter_diversity=seeds)["novelty"][1] == told
+    still = result("inter_diversity", 1.5, 0.0)
+    assert states(clips(), **metrics, inter_diversity=still)["novelty"][1] == sentence
+
+
+def test_aspects_of_groups_are_averaged_by_their_takes():
+    """Reach is right for a's three takes and nothing for b's one: the credit is .75, enough."""
+    for wrong, named in ((1, False), (2, True)):
+        made = [
+            ClipResult(
+                spoken_by("ab"[k >= 4 - wrong], f"{k}"), 9.0,
+                {"reach": 9.0 if k >= 4 - wrong else 0.3}, {"reach": 0.3}, {},
+            )
+            for k in range(4)
+        ]  # fmt: skip
+        sentence = states(made, likeness=result("likeness", 0.7, 0.9))["likeness"][1]
+        assert ("what differs: reach" in sentence) == named
+    # A clip that lacks a measure takes it from its own group alone.
+    made[-1].metrics.clear()
+    assert likeness_by_group(made, 0.6) == {"a": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("ratio", "words"),
+    [
+        (0.069, "next to nothing of"), (0.07, "a tenth of"), (0.2, "a quarter of"),
+        (0.3, "a third of"), (0.4, "a third of"), (0.45, "half of"), (0.6, "two thirds of"),
+        (0.7, "two thirds of"), (0.72, "three quarters of"), (1.4, "one and a half times"),
+        (1.7, "one and a half times"), (1.8, "twice"), (2.4, "twice"), (2.5, "three times"),
+        (3.5, "four times"), (5.0, "four times"), (5.01, "many times"),
+    ],
+)  # fmt: skip
+def test_ratios_have_the_nearest_words(ratio, words):
+    assert in_words(ratio) == words
+
+
+def of(**values: float | tuple[float, float]) -> dict[str, MetricResult]:
+    """Results by key: the value, or value and recording's own."""
+    pairs = {k: v if isinstance(v, tuple) else (v, None) for k, v in values.items()}
+    return {key: result(key, *pair) for key, pair in pairs.items()}
+
+
+@pytest.mark.parametrize(
+    ("metrics", "said"),
+    [
+        (of(near_still=90.0), "The hands hardly move."),
+        (of(near_still=89.9), "Hands frozen in 90 % of the time."),
+        (of(near_still=(15.0, 10.0), rest=(32.0, 32.0)), "At rest as often as the speaker."),
+        (of(near_still=(15.1, 10.0), rest=(32.0, 32.0)), "Hands frozen in 15 % of the time."),
+        (of(rest=(2.0, 2.0)), "At rest as often as the speaker."),
+        (of(rest=(2.0, 1.9)), ""),
+        (of(rest=(3.4, 10.0)), "Hardly ever at rest."),
+        (of(rest=(3.5, 10.0)), "Seldom at rest."),
+        (of(rest=(6.9, 10.0)), "Seldom at rest."),
+        (of(rest=(7.0, 10.0)), "At rest as often as the speaker."),
+        (of(rest=(14.0, 10.0)), "At rest as often as the speaker."),
+        (of(rest=(14.1, 10.0)), "At rest more often than the speaker."),
+        (of(reach=(0.8, 1.0)), "The speaker's reach."),
+        (of(reach=(1.25, 1.0)), "The speaker's reach."),
+        (of(reach=(0.79, 1.0)), "Three quarters of the speaker's reach."),
+        (of(reach=(1.26, 1.0)), "One and a half times the speaker's reach."),
+        (of(reach=(1.0, 0.0)), ""),
+        (of(hand_q90=(2.0, 1.0)), "Fast gestures at twice the speaker's speed."),
+        (of(hand_q90=(1.25, 1.0)), ""),
+        (of(calm_lively_r=0.4), ""),
+        (of(calm_lively_r=0.39), "Calm and lively at other times than the speaker."),
+        (of(sync=0.9), ""),
+        (of(sync=(0.1, 0.1)), "In time with the speech."),
+        (of(sync=(0.7, 1.0)), "In time with the speech."),
+        (of(sync=(0.69, 1.0)), "Loosely in time with the speech."),
+        (of(sync=(0.3, 1.0)), "Loosely in time with the speech."),
+        (of(sync=(0.29, 1.0)), "Not in time with the speech."),
+        (of(copying=(0.49, 1.0)), "Mostly copied from recordings."),
+        (of(copying=(0.5, 1.0)), "Partly copied from recordings."),
+        (of(copying=(0.79, 1.0)), "Partly copied from recordings."),
+        (of(copying=(0.8, 1.0)), ""),
+        (of(copying=(0.79, 1.0), reach=(0.7, 1.0)), "Two thirds of the speaker's reach."),
+        (of(copying=(0.79, 1.0), reach=(0.8, 1.0)),
+         "The speaker's reach, partly copied from recordings."),
+        (of(copying_low=(0.59, 1.0), copying=(0.8, 1.0)), "Occasionally copied from recordings."),
+        (of(copying_low=(0.6, 1.0)), ""),
+    ],
+)  # fmt: skip
+def test_thresholds_of_the_verdict(metrics, said):
+    assert verdict(metrics) == said
+
+
+def test_the_verdict_takes_the_higher_level_of_chance():
+    for levels in ({"chance": 0.5, "mismatched": 0.1}, {"chance": 0.1, "mismatched": 0.5}):
+        # (0.8 - 0.5) of (1 - 0.5)
+        found = {"sync": result("sync", 0.8, 1.0, **levels)}
+        assert verdict(found) == "Loosely in time with the speech."
