@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import gesturekit as gk
+from gesturekit.corpus import Item
 from gesturekit.diffusion.motion_vector import DeltaRepresentation
 from gesturekit.diffusion.training.augmentation import (
     mirror_condition,
     other_side,
+    phase_item,
     phases,
     source_frames,
     stretch,
@@ -199,3 +202,12 @@ def test_every_frame_of_a_fast_recording_is_used(gesture):
     for fps, count in ((120.0, 4), (25.0, 1), (75.0, 1), (60.0 + 1e-9, 2)):
         assert len(phases(replace(motion, fps=fps), 30.0)) == count
     assert len(phases(motion[:1], 30.0)) == 1
+
+
+def test_a_phase_begins_later_in_sound_and_motion_and_ends_with_its_item():
+    starts = {"motion_start": 1.0, "audio_start": 2.5}
+    item = Item(id="a", audio=None, motion=Path("a.bvh"), **starts, duration=4.0)
+    assert phase_item(item, 0, 0.0) is item
+    second = phase_item(item, 1, 0.25)
+    assert (second.id, second.motion_start, second.audio_start) == ("a (phase 2)", 1.25, 2.75)
+    assert second.duration == 3.75

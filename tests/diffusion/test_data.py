@@ -233,6 +233,9 @@ def test_short_recordings_give_short_windows(loaded):
     _, batches = loaded(training={"window": 4.0, "batch": 2})
     lengths = {batches.draw(update, slice(0, 2)).clean.shape[1] for update in range(40)}
     assert lengths == {120, 60}  # of 6 s, and of 2.5 s: 120 frames less a fifth, thrice
+    # A recording of 75 frames is one window of as many.
+    _, batches = loaded(training={"window": 2.5, "batch": 2})
+    assert {batches.draw(update, slice(0, 2)).clean.shape[1] for update in range(40)} == {75}
 
 
 def test_a_resumed_run_reads_the_same_data(make_config, styled, tmp_path):

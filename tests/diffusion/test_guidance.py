@@ -157,6 +157,12 @@ def test_experts_that_do_not_fit_are_refused():
     ):
         with pytest.raises(ModelError, match=told):
             ProductOfExperts([one, other], [0.5, 0.5])
+    # One beta apart, and by no more than float32 rounds.
+    near = NoiseSchedule.of(NoiseConfig(last_beta=0.78 - 1e-4))
+    with pytest.raises(ModelError, match="noise schedules differ"):
+        ProductOfExperts([one, expert(2, schedule=near)], [0.5, 0.5])
+    same = NoiseSchedule.of(NoiseConfig(last_beta=0.78 - 1e-7))
+    ProductOfExperts([one, expert(2, schedule=same)], [0.5, 0.5])
     wrong = Expert(one.network, SCHEDULE, noise("wrong", width=CONDITION + 1))
     with pytest.raises(ModelError, match="4 numbers a frame.*3"):
         ProductOfExperts([wrong], [1]).predict(noise(), 0)

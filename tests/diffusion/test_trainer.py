@@ -89,6 +89,7 @@ def test_the_learning_rate_warms_up_and_decays_every_ten_updates():
     assert learning_rate(paper, 0) == pytest.approx(6e-4 / 3000)
     assert learning_rate(paper, 3000) == pytest.approx(6e-4 * 0.99995**300)
     assert learning_rate(paper, 66_999) == pytest.approx(6e-4 * 0.7153, rel=1e-3)
+    assert learning_rate(TrainingConfig(warm_up=0), 0) == 6e-4
     assert learning_rate(paper, 5019) == learning_rate(paper, 5010) != learning_rate(paper, 5020)
 
 

@@ -132,6 +132,21 @@ def test_a_number_out_of_range_is_refused_by_name(system, key):
         build(CONFIGS[system], values_with(system, key, value))
 
 
+def test_parts_are_joints_of_known_names():
+    for parts, told in (
+        ({"left_elbo": "Joint3"}, "parts: 'left_elbo' is none of .*left_elbow"),
+        ({"left_elbow": 3}, "parts.left_elbow: 3 is not a joint name"),
+    ):
+        with pytest.raises(ConfigError, match=told):
+            build(DiffusionConfig, values_with("diffusion", "parts", parts))
+
+
+def test_a_window_has_two_frames_at_least():
+    for seconds, frames in ((0.01, 2), (0.1, 3), (2.0, 60)):
+        values = values_with("diffusion", "training.window", seconds)
+        assert build(DiffusionConfig, values).window_frames == frames
+
+
 def test_a_stage_without_any_step_is_refused():
     values = small_values("multires", "corpus.jsonl", "run")
     nothing = {"generator_steps": 0, "reconstruction_steps": 0}

@@ -167,7 +167,7 @@ def attend(
             v = values[:, heads, block.first_key : block.last_key]
             if torch.is_grad_enabled():
                 scores = q @ k.transpose(-1, -2) * q.shape[-1] ** -0.5 + bias
-                weights = F.dropout(scores.softmax(-1), dropout, training=dropout > 0)
+                weights = F.dropout(scores.softmax(-1), dropout)
                 parts.append(weights @ v)
             else:
                 mask = bias.to(q.dtype).expand(len(q), -1, -1, -1)

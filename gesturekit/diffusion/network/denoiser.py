@@ -201,9 +201,9 @@ class Denoiser(nn.Module):
         # In double precision: angles reach 1e6 radians, too large for float32.
         turn = 10 ** torch.linspace(0, 4, FREQUENCIES, dtype=torch.float64, device=step.device)
         angle = step.double()[:, None] * turn
-        waves = torch.cat([angle.sin(), angle.cos()], -1).to(self.enter.weight.dtype)
+        waves = torch.cat([angle.sin(), angle.cos()], 1).to(self.enter.weight.dtype)
         projected = self.project_step(self.embed_step(waves))
-        return projected.unflatten(-1, (self.config.blocks, -1)).movedim(-2, 0)
+        return projected.unflatten(1, (self.config.blocks, -1)).movedim(1, 0)
 
     def _bands(self, n_frames: int) -> list[list[list[Band]]]:
         """Return the attention bands of each layer of each block; empty without attention."""

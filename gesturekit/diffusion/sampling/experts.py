@@ -153,14 +153,14 @@ def clip_denoised(predict: Predict, schedule: NoiseSchedule) -> Predict:
 
     This is `clip_denoised` of Ho et al. (2020). At steps of almost pure noise, one step doubles the
     network's error and all of them multiply it by 1e12, and the bounds are more accurate than the
-    network. Where abar is below `NO_SIGNAL`, both bounds equal the noisy motion to 1e-3, and the
-    network is not evaluated.
+    network. Where abar is below `NO_SIGNAL`, both bounds equal the noisy motion to 1e-3: it is
+    returned, and the network is not evaluated.
     """
 
     def clipped(noisy: Tensor, step: int) -> Tensor:
         signal, spread = schedule.scales(step, noisy)
         if schedule.alphas_bar[step] < NO_SIGNAL:
-            return noisy / spread
+            return noisy
         noise = predict(noisy, step)
         reach = signal * MAX_DEVIATION
         return torch.clamp(noise, (noisy - reach) / spread, (noisy + reach) / spread)

@@ -128,6 +128,6 @@ class Batches:
 def _window_length(n_frames: int, window: int) -> int:
     """Return the window length of a recording, one of a few lengths for all recordings."""
     length = window
-    while length > max(n_frames, 1):
+    while length > n_frames:
         length = int(length * _STEP)
-    return max(length, 1)
+    return length

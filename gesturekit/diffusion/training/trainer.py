@@ -209,8 +209,8 @@ class Trainer:
     def _usage(self) -> str:
         """Return how often the training draws each second of the recordings, and how much of them
         at all."""
-        training, (paired, unpaired) = self.config.training, self.data.seconds
-        share = self.config.unpaired.share if self.config.unpaired is not None and unpaired else 0.0
+        training, (paired, _) = self.config.training, self.data.seconds
+        share = self.config.unpaired.share if self.config.unpaired is not None else 0.0
         mean = training.updates * training.batch * training.window * (1 - share) / paired
         return f"a second is drawn about {drawn(mean)}"
 

@@ -103,14 +103,12 @@ class Processes:
             return name
         return f"cuda:{self.local_rank % torch.cuda.device_count()}"
 
-    def average_gradients(
-        self, parameters: Iterable[nn.Parameter], weight: float | None = None
-    ) -> None:
+    def average_gradients(self, parameters: Iterable[nn.Parameter], weight: float) -> None:
         """Replace each gradient by its mean over all processes, in one exchange.
 
         Args:
             parameters: in the same order in every process. A missing gradient counts as zero.
-            weight: this process's share of the batch, if shares differ; weights sum to 1.
+            weight: this process's share of the batch; weights sum to 1.
         """
         if self.count == 1:
             return
@@ -119,7 +117,7 @@ class Processes:
             if parameter.grad is None:
                 parameter.grad = torch.zeros_like(parameter)
         flat = torch.cat([parameter.grad.reshape(-1) for parameter in parameters])
-        flat *= 1 / self.count if weight is None else weight
+        flat *= weight
         distributed.all_reduce(flat)
         for parameter, part in zip(
             parameters, flat.split([p.numel() for p in parameters]), strict=True
