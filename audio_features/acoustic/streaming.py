@@ -8,7 +8,7 @@ pitch, its stretches without voice. The extractors run, unchanged, on the last s
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,7 @@ _KINDS = ("logmel", "mfcc", "prosody", "onset", "prosodic_range", "effort")
 """Extractors that work on a stream."""
 REACH = 0.032
 """Seconds of sound after a frame on which its pitch depends."""
+_REACH_SAMPLES = round(REACH * SAMPLE_RATE)
 _CONTEXT = 4
 """Frames of sound before new frames; more than the 32 ms that these need."""
 _SILENT = 10.0**-6
@@ -121,32 +122,40 @@ class SpectrumStream:
         for name in _STATE:
             setattr(self, name, state[name])
 
-    def push(self, samples: np.ndarray) -> Iterator[None]:
-        """Take the next samples (N,) float32, of any number; yield after each step of them."""
+    def push(self, samples: np.ndarray, wanted: Callable[[], int]) -> Iterator[None]:
+        """Take the next samples (N,) float32, of any number.
+
+        Yields whenever there are as many frames as are `wanted()` then.
+        """
         self._waiting = np.concatenate([self._waiting, samples])
-        step = self._step * self._down // self._up
-        while len(self._waiting) >= self._behind + step + self._ahead:
-            self._add(self._resampled(self._waiting[: self._behind + step + self._ahead]))
-            self._waiting = self._waiting[step:]
+        while True:
+            frames = wanted() - self.n_frames + _CONTEXT - 1
+            missing = frames * HOP + _REACH_SAMPLES - len(self._sound)
+            taken = max(1, -(-missing // self._step)) * (self._step * self._down // self._up)
+            needed = self._behind + taken + self._ahead
+            if len(self._waiting) < needed:
+                return
+            self._add(self._resampled(self._waiting[:needed], taken))
+            self._waiting = self._waiting[taken:]
             yield
 
-    def _resampled(self, samples: np.ndarray) -> np.ndarray:
+    def _resampled(self, samples: np.ndarray, taken: int) -> np.ndarray:
+        """Return the 16 kHz samples of `taken` samples, which have others on both sides."""
         if not self._ahead:
             return samples
         from scipy.signal import resample_poly
 
-        first = self._behind * self._up // self._down
-        return resample_poly(samples, self._up, self._down)[first:][: self._step]
+        first, n = (count * self._up // self._down for count in (self._behind, taken))
+        return resample_poly(samples, self._up, self._down)[first : first + n]
 
     def _add(self, sound: np.ndarray) -> None:
         """Compute the frames that the next 16 kHz samples complete."""
         self._sound = np.concatenate([self._sound, sound])
-        reach = round(REACH * SAMPLE_RATE)
-        count = (len(self._sound) - reach) // HOP - _CONTEXT + 1
+        count = (len(self._sound) - _REACH_SAMPLES) // HOP - _CONTEXT + 1
         if count <= 0:
             return
         # A microphone's offset is no speech: the mean of about the last second.
-        share = max(0.01, 1.0 / (1 + self.n_frames))
+        share = max(count / FRAME_RATE, count / (count + self.n_frames))
         self._offset += share * (float(self._sound.mean()) - self._offset)
         samples = self._sound - np.float32(self._offset)
         n = _CONTEXT + count

@@ -15,8 +15,10 @@ def streamed(samples: np.ndarray, rate: int = 16_000, block: int = 1000, seconds
     """The spectrum and the speech activity of a whole stream."""
     stream = SpectrumStream(rate, seconds)
     for first in range(0, len(samples), block):
-        for _ in stream.push(samples[first : first + block]):
-            pass
+        for _ in stream.push(
+            samples[first : first + block], lambda: 3 * (stream.n_frames // 3) + 3
+        ):
+            assert stream.n_frames % 3 < 2, "computed as soon as they are wanted"
     return stream, *stream.window(seconds)
 
 
@@ -59,7 +61,7 @@ def test_a_frame_waits_for_no_more_sound_than_promised():
         stream = SpectrumStream(rate, 2.0)
         sound = voiced(1.0, rate).astype(np.float32)
         promised = int((0.5 + 0.032 + stream.delay) * rate) + 1
-        list(stream.push(sound[:promised]))
+        list(stream.push(sound[:promised], lambda: 51))
         assert stream.n_frames > 50, "frame 50 is at half a second"
         assert stream.delay < 0.03
 
@@ -86,7 +88,7 @@ def test_memory_is_bounded():
     stream = SpectrumStream(16_000, 1.0)
     sizes = []
     for _ in range(6):
-        list(stream.push(voiced(3.0).astype(np.float32)))
+        list(stream.push(voiced(3.0).astype(np.float32), lambda: stream.n_frames + 1))
         sizes.append(sum(np.asarray(value).nbytes for value in stream.state().values()))
     assert stream.window(60.0)[0].n_frames == 100, "a second"
     assert max(sizes) < 200_000, "a second of frames, and the voiced ones of 15 s"

@@ -17,11 +17,14 @@ import gesturekit as gk
 from gesturekit.errors import ModelError
 from gesturekit.motion.concatenation import stacked
 from gesturekit.multires.constraints.keyframes import moved
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.recall.ahead import AheadPrediction, FeatureWindow, last_bins
 from gesturekit.multires.recall.pieces import ChoiceWeights, PieceSearch
 from gesturekit.multires.recall.slow_state import SlowState
+from gesturekit.multires.sampling.trained_model import Pyramid, RandomNoise
 from gesturekit.multires.streaming.features import SpeechStream
 from gesturekit.multires.streaming.feet import FootHold
+from gesturekit.multires.streaming.levels import FinerLevels
 from gesturekit.multires.streaming.plan import Forecast, LiveChoice, LivePlan
 
 RATE = 16_000
@@ -193,6 +196,39 @@ def test_what_cannot_stream_says_why(model, gesture):
 # Parts.
 
 
+@pytest.mark.parametrize(
+    "film, residual, backend", [("all", False, "auto"), ("input", True, "torch")]
+)
+def test_finer_levels_of_a_frame_are_those_of_the_whole_window(
+    model, film, residual, backend, monkeypatch
+):
+    """Frames 20 to 23 of 64, as sampling without noise makes them, with two styles."""
+    monkeypatch.setenv("GESTUREKIT_BACKEND", backend)
+    torch.manual_seed(0)
+    config = replace(model.network_config, film=film, rectify_embedding=not residual)
+    conditions = replace(model.conditions, styles=("a", "b"), residual=residual)
+    network = MultiresGenerator(model.representation, conditions.width, config).eval()
+    for level in network.levels:
+        for own in level.films:
+            torch.nn.init.normal_(own.gain.weight, std=0.3)
+            torch.nn.init.normal_(own.shift.bias, std=0.3)
+    own = replace(model, network=network, conditions=conditions)
+    lengths = af.level_lengths(64, config.levels)
+    styles = [torch.tensor([[0.25], [0.75]]).expand(1, 2, n) for n in lengths]
+    speech = np.random.default_rng(0).standard_normal((64, model.conditions.conditioner.dim))
+    speech = speech.astype(np.float32)
+    level = model.library.level - 1
+    recalled = torch.randn(1, model.representation.n_features, lengths[level])
+    condition = conditions.of_motion(speech, lengths, styles)
+    quiet = RandomNoise(torch.zeros(0), 0, None)
+    whole = Pyramid(own, lengths, condition, quiet, None, recalled, level).random()
+    finer = FinerLevels(own, lengths, styles, range(20, 24))
+    used = recalled[0, :, finer.recalled.start : finer.recalled.stop]
+    found = own.normaliser.to_values(finer(used, speech)[None])
+    np.testing.assert_allclose(found, whole[20:24], atol=1e-4)
+    assert np.abs(whole[20:24] - whole[24:28]).max() > 0.1, "the test can tell frames apart"
+
+
 def test_slow_noise_without_end_is_distributed_and_smooth_as_drawn_noise():
     """Standard normal at any time, correlated between channels and over four seconds."""
     mixing = np.linalg.cholesky(np.array([[1.0, 0.6], [0.6, 1.0]]))
@@ -308,7 +344,7 @@ def ramps(model):
 def shown(plan: LivePlan, part: int, *offsets: float) -> np.ndarray:
     """Return what a part of a plan on `ramps` shows at frames relative to the current one."""
     columns = plan.library.parts[part].columns
-    return plan.vectors(np.array(offsets))[0, columns[0]].numpy()
+    return plan.vectors(np.array(offsets))[:, columns[0]]
 
 
 def test_pieces_play_fade_and_go_on_in_real_time(ramps):

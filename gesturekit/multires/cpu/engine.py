@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any, TypeVar
 from weakref import WeakSet
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -105,6 +106,10 @@ class NumbaBackend(TorchBackend):
         """Return the output of a chain of convolutions; see `convolve_dense`."""
         if not _computes(layers, x):
             return super().convolve(layers, x, slope, last_slope)
+        if not torch.is_grad_enabled():
+            packing = Packing(len(x), x.shape[-1])
+            slopes = (*(slope for _ in layers[1:]), last_slope)
+            return packing.unpack(_signals(layers, x, slopes, packing, keep=False)[-1])
         weights = (part for layer in layers for part in (layer.weight, layer.bias))
         return _SparseChain.apply(x, layers, slope, last_slope, *weights)
 
@@ -152,6 +157,23 @@ class NumbaBackend(TorchBackend):
         return nullcontext() if torch.is_autocast_enabled("cpu") else threads_for_kernels()
 
 
+def _signals(
+    layers: Sequence[SkeletonConv1d],
+    x: Tensor,
+    slopes: Sequence[float],
+    packing: Packing,
+    *,
+    keep: bool,
+) -> list[np.ndarray]:
+    """Return the packed input of a chain of convolutions and all outputs, or the last one only."""
+    signals = [packing.pack(x.detach(), reflect=True)]
+    for layer, negative in zip(layers, slopes, strict=True):
+        weight, bias = padded_weight(layer), layer.bias.detach().numpy()
+        made = sparse_conv(layer).forward(weight, bias, signals[-1], packing, negative)
+        signals = [*signals, made] if keep else [made]
+    return signals
+
+
 class _SparseChain(torch.autograd.Function):
     """A chain of sparse convolutions; its second derivatives are those of dense convolutions."""
 
@@ -166,11 +188,7 @@ class _SparseChain(torch.autograd.Function):
     ) -> Tensor:
         packing = Packing(len(x), x.shape[-1])
         slopes = (*(slope for _ in layers[1:]), last_slope)
-        signals = [packing.pack(x.detach(), reflect=True)]
-        for layer, negative in zip(layers, slopes, strict=True):
-            weight, bias = padded_weight(layer), layer.bias.detach().numpy()
-            made = sparse_conv(layer).forward(weight, bias, signals[-1], packing, negative)
-            signals = [*signals, made] if any(ctx.needs_input_grad) else [made]
+        signals = _signals(layers, x, slopes, packing, keep=any(ctx.needs_input_grad))
         ctx.layers, ctx.slopes, ctx.packing, ctx.signals = layers, slopes, packing, signals
         ctx.save_for_backward(x, *parameters)
         return packing.unpack(signals[-1])

@@ -138,16 +138,24 @@ def _interpolated(curve: Tensor, at: np.ndarray) -> Tensor:
     """
     # numpy gathers a few frames several times faster than torch.
     frames, low, last = curve.numpy(), at.astype(int), curve.shape[-1] - 1
-    part = (at - low).astype(frames.dtype)
-    weights = (
-        part * ((2 - part) * part - 1),
-        (3 * part - 5) * part**2 + 2,
-        part * ((4 - 3 * part) * part + 1),
-        (part - 1) * part**2,
-    )
-    around = [np.clip(low + i, 0, last) for i in (-1, 0, 1, 2)]
-    found = sum(w * frames[:, i] for w, i in zip(weights, around, strict=True)) / 2
+    weights = spline_weights((at - low).astype(frames.dtype))
+    around = [np.clip(low + i, 0, last) for i in TAPS]
+    found = sum(w * frames[:, i] for w, i in zip(weights, around, strict=True))
     return torch.from_numpy(found)
+
+
+TAPS = (-1, 0, 1, 2)
+"""Frames that a Catmull-Rom spline needs, relative to the one at or before its time."""
+
+
+def spline_weights(part: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the weights (M,) of the `TAPS`, a `part` (M,) of a frame after the second one."""
+    return (
+        part * ((2 - part) * part - 1) / 2,
+        ((3 * part - 5) * part**2 + 2) / 2,
+        part * ((4 - 3 * part) * part + 1) / 2,
+        (part - 1) * part**2 / 2,
+    )
 
 
 @dataclass(frozen=True)

@@ -308,10 +308,14 @@ class Pyramid:
             coarser=coarser,
             constraint=constraint,
         )
-        values = self.model.normaliser.to_values(vectors)
-        if not np.isfinite(values).all():
-            raise ModelError("the model gave NaN; its weights are damaged or its training diverged")
-        return values
+        return finite(self.model.normaliser.to_values(vectors))
+
+
+def finite(values: np.ndarray) -> np.ndarray:
+    """Return the output of a network; raise ModelError if it is not finite."""
+    if not np.isfinite(values).all():
+        raise ModelError("the model gave NaN; its weights are damaged or its training diverged")
+    return values
 
 
 @torch.no_grad()

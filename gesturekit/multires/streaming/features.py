@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from audio_features.acoustic.analysis import FRAME_RATE
 from audio_features.acoustic.streaming import REACH, SpectrumStream
 from audio_features.track import FeatureTrack
 from gesturekit.corpus.speech import SpeechConditioner, parts_of
@@ -71,11 +72,15 @@ class SpeechStream:
 
         Rows before the stream are silent.
         """
-        for _ in self._sound.push(samples):
-            while self._sound.n_frames >= math.ceil((self.n_rows + 0.5) / self._fps * 100):
+        for _ in self._sound.push(samples, self._needed):
+            while self._sound.n_frames >= self._needed():
                 self.n_rows += 1
                 if self.n_rows % self._every == 0:
                     yield self._window()
+
+    def _needed(self) -> int:
+        """Return the number of frames of sound that complete the next row."""
+        return math.ceil((self.n_rows + 0.5) / self._fps * FRAME_RATE)
 
     def _window(self) -> FeatureWindow:
         spectrum, active = self._sound.window(self._seconds)

@@ -87,14 +87,15 @@ class FootHold:
         ankles = positions[0, [foot.ankle for foot in self._feet]]
         columns = [[k for anchor in foot.anchors for k in anchor.columns] for foot in self._feet]
         self._follow(ankles, np.array([(contacts[own] > 0.5).any() for own in columns]))
-        for foot, goal in zip(self._feet, ankles + self._shift + self._moved, strict=True):
-            bones = [foot.hip, foot.knee]
-            rotations[:, bones] = two_bone_ik(
-                positions[:, foot.limb] + self._shift,
-                goal[None],
-                rotations[:, bones],
-                world[:, [legs.parents[joint] for joint in bones]],
-            )
+        limbs = np.array([foot.limb for foot in self._feet])
+        bones, joints = limbs[:, :2], positions[0, limbs] + self._shift
+        rotations[0, bones] = two_bone_ik(
+            joints,
+            ankles + self._shift + self._moved,
+            rotations[0, bones],
+            world[0, np.array(legs.parents)[bones]],
+            pole=joints[:, 1] - joints[:, 0],
+        )
         reached = global_rotations(rotations, legs)
         for foot in self._feet:
             back = invert_quaternions(reached[:, legs.parents[foot.ankle]])

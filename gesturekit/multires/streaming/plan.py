@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from gesturekit.multires.recall.library import LEAST_R, RecallLibrary
-from gesturekit.multires.recall.pieces import cross_faded
+from gesturekit.multires.recall.pieces import TAPS, spline_weights
 from gesturekit.training.seeds import rng_for
 
 # Chosen for sync without jumps on the two ZeroEGGS takes of benchmarks/RESULTS.md (bench_live).
@@ -31,6 +31,7 @@ _TEMPO_SECONDS = 0.05
 """Time constant of changes of that speed; hands have mass."""
 _KEPT = 4
 """Pieces of a part that are remembered, for the frames before the current one."""
+_TAPS = np.array(TAPS)[:, None, None]
 _STEADY_SECONDS = 5.0
 """Weight of a mean of 0 in the running mean of the slow prediction, in seconds of sound."""
 
@@ -94,19 +95,15 @@ class LivePlan:
         self._past = past
         weights = {name: by * getattr(library.weights, name) for name, by in _FACTORS.items()}
         self._searches = library.searches_of(_PIECE, _OVERLAP, replace(library.weights, **weights))
-        self._curves = [
-            [recording.motion[part.columns].contiguous() for recording in library.recordings]
-            for part in library.parts
+        n_vectors, passive = len(library.recordings[0].motion), library.passive
+        self._parts = [
+            _Part.of(library, i, [*part.columns, n_vectors + i], own)
+            for i, (part, own) in enumerate(
+                zip(library.parts, passive.columns(library.parts), strict=True)
+            )
         ]
-        self._profiles = [
-            [recording.profiles[i : i + 1].contiguous() for recording in library.recordings]
-            for i in range(len(library.parts))
-        ]
-        self._directions = [recording.directions[:2] for recording in library.recordings]
-        self._passive = [
-            (own, [recording.passive[own].contiguous() for recording in library.recordings])
-            for own in library.passive.columns(library.parts)
-        ]
+        self._lengths = np.array(library.lengths)
+        self._first = np.cumsum([0, *library.lengths])
         self._frame = -1
         self._step = library.level_fps / library.fps
         self._clock = self._step * np.arange(-past, 1.0)  # of the arms, at the last frames
@@ -153,11 +150,10 @@ class LivePlan:
         arms = [i for i, part in enumerate(self.library.parts) if part.is_arm]
         if fast is None or not arms:
             return 1.0
-        now, spread = np.zeros(1), self.library.spread
-        own = np.mean([self._shown(i, now, self.library.fast_movement[i]) for i in arms])
+        own = np.mean([self._shown(i, np.zeros(1), self._parts[i].fast) for i in arms])
         # A conditional mean has the right times, but smaller peaks than the pieces have.
         wanted = fast.values[0] / max(fast.r, LEAST_R)
-        goal = np.clip(wanted - spread * own, -math.log(_FASTEST), math.log(_FASTEST))
+        goal = np.clip(wanted - self.library.spread * own, -math.log(_FASTEST), math.log(_FASTEST))
         share = 1 - math.exp(-1 / (_TEMPO_SECONDS * self.library.fps))
         self._log_tempo += share * (float(goal) - self._log_tempo)
         return math.exp(self._log_tempo)
@@ -194,8 +190,8 @@ class LivePlan:
             wanted[:, 0] = fast.at((np.arange(search.piece) + 0.5) / library.level_fps)
             wanted /= library.spread
         if i == 1:
-            beside = self._shown(0, ahead, self._directions)
-            wanted = np.concatenate([wanted, beside.T.numpy()], axis=1)
+            beside = self._shown(0, ahead, self._parts[0].directions)
+            wanted = np.concatenate([wanted, beside], axis=1)
         others = [self._numbers(j, ahead) for j in range(i)]
         shown = round(float(self._numbers(i, now)[0])) if pieces else None
         choice = self.choice
@@ -219,35 +215,35 @@ class LivePlan:
 
     def _numbers(self, i: int, offsets: np.ndarray) -> np.ndarray:
         """Return the frames (M,) that a part shows, numbered across all recordings."""
-        (recordings, frames), _, _ = self._at(i, offsets)
-        lengths = np.array(self.library.lengths)
-        frames = np.clip(frames, 0, lengths[recordings] - 1)
-        return np.cumsum([0, *lengths])[recordings] + np.rint(frames)
+        recordings, frames, _ = self._at(i, offsets)
+        frames = np.clip(frames[0], 0, self._lengths[recordings[0]] - 1)
+        return self._first[recordings[0]] + np.rint(frames)
 
-    def _at(
-        self, i: int, offsets: np.ndarray
-    ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray], np.ndarray]:
-        """Return what a part shows, what it is faded over from, and the weight of the former.
+    def _at(self, i: int, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return what a part shows, and what it is faded over from.
 
-        Recordings and frames, (M,) each, as for `cross_faded`, at motion frames (M,) relative to
-        the current one.
+        Recordings, frames and weights, (2, M) each, at motion frames (M,) relative to the current
+        one.
         """
         columns = zip(*self._pieces[i], strict=True)
         begins, clocks, recordings, frames = (np.array(column) for column in columns)
         now, times = (self._frame + offsets) * self._step, self._times(i, offsets)
         latest = np.maximum(np.searchsorted(begins, now, side="right") - 1, 0)
-        before = np.maximum(latest - 1, 0)
+        own = np.stack([latest, np.maximum(latest - 1, 0)])
         # Fades are as long as they are, however fast the arms' clock runs.
         part = np.clip((now - begins[latest]) / self._searches[i].overlap, 0.0, 1.0)
         weight = np.where(latest > 0, part**3 * (10 - 15 * part + 6 * part**2), 1.0)
-        shown, earlier = (
-            (recordings[own], frames[own] + times - clocks[own]) for own in (latest, before)
-        )
-        return shown, earlier, weight
+        return recordings[own], frames[own] + times - clocks[own], np.stack([weight, 1 - weight])
 
-    def _shown(self, i: int, offsets: np.ndarray, curves: Sequence[Tensor]) -> Tensor:
-        """Return curves (C, M) of what a part shows at motion frames (M,) relative to now."""
-        return cross_faded(curves, self.library.lengths, *self._at(i, offsets))
+    def _shown(self, i: int, offsets: np.ndarray, channels: slice) -> np.ndarray:
+        """Return channels (M, C) of what a part shows at motion frames (M,) relative to now."""
+        recordings, frames, weights = self._at(i, offsets)
+        last = self._lengths[recordings] - 1
+        at = np.clip(frames, 0, last)
+        low = at.astype(int)
+        around = self._first[recordings] + np.clip(low + _TAPS, 0, last)  # (taps, 2, M)
+        weights = (np.stack(spline_weights(at - low)) * weights).astype(np.float32)
+        return np.einsum("ijm,ijmc->mc", weights, self._parts[i].curves[:, channels][around])
 
     def _times(self, i: int, offsets: np.ndarray) -> np.ndarray:
         """Return the times of a part at motion frames (M,) relative to the current one."""
@@ -256,26 +252,79 @@ class LivePlan:
         past = np.interp(offsets, np.arange(-self._past, 1.0), self._clock)
         return past + self._step * np.maximum(offsets, 0.0)
 
-    def vectors(self, offsets: np.ndarray) -> Tensor:
-        """Return the recalled motion (1, D, M) at motion frames relative to the current one."""
-        library = self.library
-        result = torch.empty(1, len(library.recordings[0].motion), len(offsets))
-        for i, part in enumerate(library.parts):
-            result[0, part.columns] = self._shown(i, offsets, self._curves[i])
-        return result
+    def vectors(self, offsets: np.ndarray) -> np.ndarray:
+        """Return the recalled motion at motion frames (M,) relative to the current one.
 
-    def profiles(self, offsets: np.ndarray) -> np.ndarray:
-        """Return the movement (P, M) of the parts' pieces there."""
-        shown = [self._shown(i, offsets, curves) for i, curves in enumerate(self._profiles)]
-        return torch.cat(shown).numpy()
+        (M, D + P): normalised motion vectors, and the movement of each part's pieces.
+        """
+        result = np.empty(
+            (len(offsets), sum(len(part.columns) for part in self._parts)), np.float32
+        )
+        for i, part in enumerate(self._parts):
+            result[:, part.columns] = self._shown(i, offsets, part.vectors)
+        return result
 
     def passive(self) -> Tensor:
         """Return the channels (X, 1) that are recalled but not modelled, at the current frame."""
-        result = torch.empty(sum(len(own) for own, _ in self._passive), 1)
-        for i, (own, curves) in enumerate(self._passive):
-            if len(own):
-                result[own] = self._shown(i, np.zeros(1), curves)
-        return result
+        result = np.empty((sum(len(part.own_passive) for part in self._parts), 1), np.float32)
+        for i, part in enumerate(self._parts):
+            if len(part.own_passive):
+                result[part.own_passive, 0] = self._shown(i, np.zeros(1), part.passive)[0]
+        return torch.from_numpy(result)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Recorded channels of a part of the body.
+
+    Attributes:
+        curves: (N, C) channels at all frames of all recordings, one after another.
+        columns: of `LivePlan.vectors`, the part's own.
+        own_passive: the same of `LivePlan.passive`.
+    """
+
+    curves: np.ndarray
+    columns: list[int]
+    own_passive: np.ndarray
+
+    @classmethod
+    def of(
+        cls, library: RecallLibrary, i: int, columns: list[int], own_passive: np.ndarray
+    ) -> _Part:
+        """Return the channels of part `i` of a library."""
+        rows = [
+            torch.cat(
+                [
+                    recording.motion[library.parts[i].columns],
+                    recording.profiles[i : i + 1],
+                    recording.passive[own_passive],
+                    fast,
+                    recording.directions[:2],
+                ]
+            ).T
+            for recording, fast in zip(library.recordings, library.fast_movement[i], strict=True)
+        ]
+        return cls(torch.cat(rows).numpy(), columns, own_passive)
+
+    @property
+    def vectors(self) -> slice:
+        """Channels of the motion vector, and the movement."""
+        return slice(len(self.columns))
+
+    @property
+    def passive(self) -> slice:
+        """Channels that are not modelled."""
+        return slice(len(self.columns), len(self.columns) + len(self.own_passive))
+
+    @property
+    def fast(self) -> slice:
+        """Fast movement."""
+        return slice(self.passive.stop, self.passive.stop + 1)
+
+    @property
+    def directions(self) -> slice:
+        """Directions of the first hand."""
+        return slice(self.fast.stop, self.curves.shape[1])
 
 
 _STATE = ("_frame", "_clock", "_used", "_pieces", "_due", "_slow", "_log_tempo")

@@ -24,9 +24,10 @@ from gesturekit.multires.constraints.keyframes import moved
 from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.recall.ahead import AheadPrediction, FeatureWindow
 from gesturekit.multires.sampling.conditions import requested_styles
-from gesturekit.multires.sampling.trained_model import Pyramid, RandomNoise, TrainedModel
+from gesturekit.multires.sampling.trained_model import TrainedModel, finite
 from gesturekit.multires.streaming.features import SpeechStream
 from gesturekit.multires.streaming.feet import FootHold
+from gesturekit.multires.streaming.levels import FinerLevels
 from gesturekit.multires.streaming.plan import Forecast, LiveChoice, LivePlan
 from gesturekit.training.seeds import checked_item, checked_seed, rng_for
 
@@ -39,8 +40,6 @@ _SMOOTHED_SECONDS = 0.03
 have almost no energy."""
 _HOME_SECONDS = 30.0
 """Time constant with which the body returns to its place: a stream may last for hours."""
-_NO_NOISE = RandomNoise(torch.zeros(0), 0, None)
-"""The levels above the recalled one: what differs between seeds is the choice of pieces."""
 _CONTROLS = ("style", "speaker", "liveliness", "mood_seed", "foot_lock", "smooth")
 """Controls that a stream takes."""
 
@@ -90,13 +89,23 @@ class MultiresStream:
         ahead = [self._speech.rows_ahead(prediction.look_ahead) for prediction in predictions]
         self._predictions, self._ahead = predictions, ahead[0]
         self._horizons = (ahead[0] - np.array(ahead)) / model.fps
-        n, levels, recalled = 2 * self._around, model.network_config.levels, model.library.level - 1
-        self._lengths = af.level_lengths(n, levels)
-        frames = self._lengths[recalled]
-        # Times of the recalled level's frames, relative to the current frame.
-        self._coarse = (np.arange(frames) + 0.5) * (n / frames) - 0.5 - self._around
-        self._near = np.arange(-self._around // 4, self._around // 4 + 1.0)
-        self._styles, style = _styles(model, controls, self._lengths, seed, item)
+        n = 2 * self._around
+        lengths = af.level_lengths(n, model.network_config.levels)
+        styles, style = _styles(model, controls, lengths, seed, item)
+        impulse = np.zeros(2 * self._around + 1, np.float32)
+        impulse[self._around] = 1.0
+        if model.smooth if controls.smooth is None else controls.smooth:
+            impulse = gaussian_filter1d(impulse, _SMOOTHED_SECONDS * model.fps)
+        # Frames around the current one from which it is smoothed.
+        used = np.flatnonzero(impulse)
+        self._kernel = torch.from_numpy(impulse[used])
+        self._levels = FinerLevels(model, lengths, styles, range(used[0], used[-1] + 1))
+        # Times of the recalled level's frames, and of the finest level's, relative to the current.
+        frames = np.array(self._levels.recalled)
+        coarse = (frames + 0.5) * (n / lengths[model.library.level - 1]) - 0.5 - self._around
+        near = np.arange(-self._around // 4, self._around // 4 + 1.0)
+        self._times, self._n_coarse = np.concatenate([coarse, near]), len(coarse)
+        self._shown = used - self._around - int(near[0])
         choice = LiveChoice(
             seed, item, controls.speaker, style, controls.liveliness, controls.mood_seed
         )
@@ -104,7 +113,6 @@ class MultiresStream:
         own = None if controls.speaker is None else model.speakers[controls.speaker]
         self._own = own
         self.skeleton: Skeleton = model.skeleton if own is None else own
-        self._smooth = model.smooth if controls.smooth is None else controls.smooth
         self._feet = FootHold(self.skeleton, model.fps) if controls.foot_lock else None
         self._place = np.zeros(2)
         self.n_frames, self._samples = 0, 0
@@ -171,21 +179,17 @@ class MultiresStream:
         """Return the motion vector (D,) of the next frame."""
         model, library = self.model, self.model.library
         self._plan.advance(*self._predicted(window))
-        recalled = self._plan.vectors(self._coarse)
-        condition = model.conditions.of_motion(self._features(window), self._lengths, self._styles)
-        made = Pyramid(
-            model, self._lengths, condition, _NO_NOISE, None, recalled, library.level - 1
-        )
-        near = slice(self._around + int(self._near[0]), self._around + int(self._near[-1]) + 1)
-        values = made.random()[near]
+        recalled, n = torch.from_numpy(self._plan.vectors(self._times)).T, self._n_coarse
+        movement = model.representation.n_features
+        coarse = recalled[:movement, n:][:, self._shown]
+        fine = self._levels(recalled[:movement, :n], self._features(window))
         # As in offline sampling, finer levels add no detail where a recalled hand rests.
-        coarse = model.normaliser.to_values(self._plan.vectors(self._near))
-        values = coarse + library.detail(self._plan.profiles(self._near)).T * (values - coarse)
-        if self._smooth:
-            columns = model.representation.layout.rotations
-            smoothed = gaussian_filter1d(values[:, columns], _SMOOTHED_SECONDS * self.fps, axis=0)
-            values[:, columns] = smoothed
-        return values[len(values) // 2]
+        share = library.detail(recalled[movement:, n:].numpy())[:, self._shown]
+        made = coarse + torch.from_numpy(share) * (fine - coarse)
+        vector = made[:, [len(self._shown) // 2]]
+        columns = model.representation.layout.rotations
+        vector[columns] = made[columns] @ self._kernel[:, None]
+        return finite(model.normaliser.to_values(vector[None])[0])
 
     def _predicted(self, window: FeatureWindow) -> tuple[Forecast | None, float | None]:
         """Return predictions of fast and slow movement; None without."""
