@@ -42,8 +42,7 @@ class VmcSender:
         self._fitting, rig = fitting, fitting.t_pose_rig
         bones = {ours: f"{bone[0].upper()}{bone[1:]}" for bone, ours in our_names(False).items()}
         self._bones = [(joint, bones[name]) for joint, name in enumerate(rig.names)]
-        self._rest = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (rig.n_joints, 1))
-        self._rest[:, :3] = rig.offsets
+        self._offsets = rig.offsets
         try:
             self._client = UDPClient(host, port)
         except OSError as error:
@@ -54,9 +53,9 @@ class VmcSender:
         if step.motion is None:
             return
         posed = self._fitting.in_t_pose(step.motion)
-        places = np.tile(self._rest, (posed.n_frames, 1, 1))
-        places[:, 0, :3], places[:, :, 3:] = posed.translation, posed.rotations
-        places *= _TO_UNITY
+        places = np.tile(self._offsets, (posed.n_frames, 1, 1))
+        places[:, 0] = posed.translation
+        places = np.concatenate([places, posed.rotations], axis=-1) * _TO_UNITY
         for k, frame in enumerate(places):
             if k and step.lag is not None:
                 time.sleep(1 / posed.fps)

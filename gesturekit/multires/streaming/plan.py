@@ -95,13 +95,8 @@ class LivePlan:
         self._past = past
         weights = {name: by * getattr(library.weights, name) for name, by in _FACTORS.items()}
         self._searches = library.searches_of(_PIECE, _OVERLAP, replace(library.weights, **weights))
-        n_vectors, passive = len(library.recordings[0].motion), library.passive
-        self._parts = [
-            _Part.of(library, i, [*part.columns, n_vectors + i], own)
-            for i, (part, own) in enumerate(
-                zip(library.parts, passive.columns(library.parts), strict=True)
-            )
-        ]
+        self._passive = library.passive.columns(library.parts)
+        self._curves = [_curves(library, i, own) for i, own in enumerate(self._passive)]
         self._lengths = np.array(library.lengths)
         self._first = np.cumsum([0, *library.lengths])
         self._frame = -1
@@ -150,7 +145,7 @@ class LivePlan:
         arms = [i for i, part in enumerate(self.library.parts) if part.is_arm]
         if fast is None or not arms:
             return 1.0
-        own = np.mean([self._shown(i, np.zeros(1), self._parts[i].fast) for i in arms])
+        own = np.mean([self._shown(i, np.zeros(1), "fast") for i in arms])
         # A conditional mean has the right times, but smaller peaks than the pieces have.
         wanted = fast.values[0] / max(fast.r, LEAST_R)
         goal = np.clip(wanted - self.library.spread * own, -math.log(_FASTEST), math.log(_FASTEST))
@@ -190,7 +185,7 @@ class LivePlan:
             wanted[:, 0] = fast.at((np.arange(search.piece) + 0.5) / library.level_fps)
             wanted /= library.spread
         if i == 1:
-            beside = self._shown(0, ahead, self._parts[0].directions)
+            beside = self._shown(0, ahead, "directions")
             wanted = np.concatenate([wanted, beside], axis=1)
         others = [self._numbers(j, ahead) for j in range(i)]
         shown = round(float(self._numbers(i, now)[0])) if pieces else None
@@ -235,15 +230,15 @@ class LivePlan:
         weight = np.where(latest > 0, part**3 * (10 - 15 * part + 6 * part**2), 1.0)
         return recordings[own], frames[own] + times - clocks[own], np.stack([weight, 1 - weight])
 
-    def _shown(self, i: int, offsets: np.ndarray, channels: slice) -> np.ndarray:
-        """Return channels (M, C) of what a part shows at motion frames (M,) relative to now."""
+    def _shown(self, i: int, offsets: np.ndarray, name: str) -> np.ndarray:
+        """Return curves (M, C) of what a part shows at motion frames (M,) relative to now."""
         recordings, frames, weights = self._at(i, offsets)
         last = self._lengths[recordings] - 1
         at = np.clip(frames, 0, last)
         low = at.astype(int)
         around = self._first[recordings] + np.clip(low + _TAPS, 0, last)  # (taps, 2, M)
         weights = (np.stack(spline_weights(at - low)) * weights).astype(np.float32)
-        return np.einsum("ijm,ijmc->mc", weights, self._parts[i].curves[:, channels][around])
+        return np.einsum("ijm,ijmc->mc", weights, self._curves[i][name][around])
 
     def _times(self, i: int, offsets: np.ndarray) -> np.ndarray:
         """Return the times of a part at motion frames (M,) relative to the current one."""
@@ -257,74 +252,35 @@ class LivePlan:
 
         (M, D + P): normalised motion vectors, and the movement of each part's pieces.
         """
-        result = np.empty(
-            (len(offsets), sum(len(part.columns) for part in self._parts)), np.float32
-        )
-        for i, part in enumerate(self._parts):
-            result[:, part.columns] = self._shown(i, offsets, part.vectors)
+        n_parts, n_vectors = len(self._curves), len(self.library.recordings[0].motion)
+        result = np.empty((len(offsets), n_vectors + n_parts), np.float32)
+        for i, part in enumerate(self.library.parts):
+            result[:, [*part.columns, n_vectors + i]] = self._shown(i, offsets, "motion")
         return result
 
     def passive(self) -> Tensor:
         """Return the channels (X, 1) that are recalled but not modelled, at the current frame."""
-        result = np.empty((sum(len(part.own_passive) for part in self._parts), 1), np.float32)
-        for i, part in enumerate(self._parts):
-            if len(part.own_passive):
-                result[part.own_passive, 0] = self._shown(i, np.zeros(1), part.passive)[0]
-        return torch.from_numpy(result)
+        result = torch.empty(sum(map(len, self._passive)), 1)
+        for i, own in enumerate(self._passive):
+            if len(own):
+                result[own] = torch.from_numpy(self._shown(i, np.zeros(1), "passive")).T
+        return result
 
 
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """Recorded channels of a part of the body.
+def _curves(library: RecallLibrary, i: int, passive: np.ndarray) -> dict[str, np.ndarray]:
+    """Return curves (N, C) of part `i` at all frames of all recordings, one after another.
 
-    Attributes:
-        curves: (N, C) channels at all frames of all recordings, one after another.
-        columns: of `LivePlan.vectors`, the part's own.
-        own_passive: the same of `LivePlan.passive`.
+    By name: `motion`, its columns of the motion vector and its movement; `passive`, its channels
+    that are not modelled; for the choice, `fast` movement, and `directions` of the first hand.
     """
-
-    curves: np.ndarray
-    columns: list[int]
-    own_passive: np.ndarray
-
-    @classmethod
-    def of(
-        cls, library: RecallLibrary, i: int, columns: list[int], own_passive: np.ndarray
-    ) -> _Part:
-        """Return the channels of part `i` of a library."""
-        rows = [
-            torch.cat(
-                [
-                    recording.motion[library.parts[i].columns],
-                    recording.profiles[i : i + 1],
-                    recording.passive[own_passive],
-                    fast,
-                    recording.directions[:2],
-                ]
-            ).T
-            for recording, fast in zip(library.recordings, library.fast_movement[i], strict=True)
-        ]
-        return cls(torch.cat(rows).numpy(), columns, own_passive)
-
-    @property
-    def vectors(self) -> slice:
-        """Channels of the motion vector, and the movement."""
-        return slice(len(self.columns))
-
-    @property
-    def passive(self) -> slice:
-        """Channels that are not modelled."""
-        return slice(len(self.columns), len(self.columns) + len(self.own_passive))
-
-    @property
-    def fast(self) -> slice:
-        """Fast movement."""
-        return slice(self.passive.stop, self.passive.stop + 1)
-
-    @property
-    def directions(self) -> slice:
-        """Directions of the first hand."""
-        return slice(self.fast.stop, self.curves.shape[1])
+    columns, recordings = library.parts[i].columns, library.recordings
+    found = {
+        "motion": [torch.cat([own.motion[columns], own.profiles[i : i + 1]]) for own in recordings],
+        "passive": [own.passive[passive] for own in recordings],
+        "fast": library.fast_movement[i],
+        "directions": [own.directions[:2] for own in recordings],
+    }
+    return {name: torch.cat(own, dim=1).T.contiguous().numpy() for name, own in found.items()}
 
 
 _STATE = ("_frame", "_clock", "_used", "_pieces", "_due", "_slow", "_log_tempo")
