@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hinges import bent_backwards
 from recordings import BANDAI, IDLE, ZEGGS
-from rigs import Bones, at_rest, numbered, renamed, rig_of, turned_at_root
+from rigs import Bones, at_rest, below_a_root, numbered, renamed, rig_of, turned_at_root
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.axes import file_axes, rotation_to_y_up, turn_axes
@@ -122,6 +122,24 @@ def test_arms_named_by_hand_are_enough(mixamo):
     found = find_parts(plain, parts)
     assert (found.pelvis, found.legs, len(found.spine)) == ("Joint0", {}, 3)
     assert found.arms["right"].wrist == parts["right_wrist"]
+
+
+@pytest.mark.parametrize(
+    ("names", "pelvis"),
+    [
+        (("Scene", "Hips", "Spine", "Chest"), "Hips"),
+        (("Scene", "Lift", "Pelvis", "Chest"), "Pelvis"),
+        (("Scene", "Hips", "LowerHips", "Chest"), "LowerHips"),
+        (("Scene", "BodyRoot", "Spine", "Chest"), "BodyRoot"),
+        (("Scene", "BodyRoot", "Hips", "Chest"), "Hips"),
+        (("Scene", "Lift", "Spine", "Chest"), "Scene"),
+        (("Hips", "Lift", "Spine", "Chest"), "Hips"),
+    ],
+)
+def test_the_pelvis_of_a_body_without_legs_is_named_or_the_root(person, names, pelvis):
+    rig = below_a_root(bust(person), 0.9)
+    usual = ("Reference", "Hips", "Spine", "Chest")
+    assert find_parts(renamed(rig, dict(zip(usual, names, strict=True)))).pelvis == pelvis
 
 
 def test_arms_on_the_root_are_an_error(mixamo):

@@ -1,0 +1,143 @@
+"""Standing poses: limits of what stands at rest, and the frame or T-pose of what does not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rigs import PERSON, at_rest, rig_of, with_offsets
+from scipy.spatial.transform import Rotation
+
+from gesturekit.errors import MotionError
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.kinematics import forward_kinematics
+from gesturekit.motion.parts import find_parts
+from gesturekit.motion.retarget.standing_pose import body_frame, standing_pose, standing_rig
+
+RIG = rig_of(PERSON).scaled(1.4 / 1.44)
+"""A person whose `body_scale` is 1, with a torso along Y."""
+REST = at_rest(RIG, 1).rotations[0]
+
+
+def leaning(length: float, degrees: float) -> tuple[float, float, float]:
+    """A bone that goes down and forward."""
+    angle = np.radians(degrees)
+    return 0.0, -length * np.cos(angle), length * np.sin(angle)
+
+
+def both(**offsets: tuple[float, float, float]) -> Skeleton:
+    """The person with other offsets on the left, and their mirror images on the right."""
+    left = {f"Left{name}": at for name, at in offsets.items()}
+    right = {f"Right{name}": (-x, y, z) for name, (x, y, z) in offsets.items()}
+    return with_offsets(RIG, **left, **right)
+
+
+def askew(x: float, z: float) -> Skeleton:
+    """The person with hips on a line that is turned about Y."""
+    return with_offsets(RIG, LeftUpLeg=(x, -0.05, z), RightUpLeg=(-x, -0.05, -z))
+
+
+@pytest.mark.parametrize(
+    ("rig", "stands"),
+    [
+        # Thighs and shanks within 45 degrees of the torso, each by itself.
+        (both(Leg=leaning(0.42, 44.5)), True),
+        (both(Leg=leaning(0.42, 45.5)), False),
+        (both(Foot=leaning(0.42, -44.5)), True),
+        (both(Foot=leaning(0.42, -45.5)), False),
+        (with_offsets(RIG, RightLeg=leaning(0.42, 45.5)), False),
+        (with_offsets(RIG, LeftFoot=leaning(0.42, 45.5)), False),
+        # The line of the hips within 30 degrees of the level.
+        (with_offsets(RIG, LeftUpLeg=(0.1, 0.007, 0), RightUpLeg=(-0.1, -0.107, 0)), True),
+        (with_offsets(RIG, LeftUpLeg=(0.1, 0.009, 0), RightUpLeg=(-0.1, -0.109, 0)), False),
+        (with_offsets(RIG, LeftUpLeg=(0.1, -0.109, 0), RightUpLeg=(-0.1, 0.009, 0)), False),
+        # Shoulders within 45 degrees of the hips.
+        (askew(0.1, 0.098), True),
+        (askew(0.1, 0.102), False),
+        # Arms that cross the body by less than half of their length each.
+        (both(ForeArm=(-0.1372, -0.2441, 0.0)), True),
+        (both(ForeArm=(-0.1428, -0.2409, 0.0)), False),
+        (with_offsets(RIG, LeftForeArm=(-0.25, -0.126, 0), RightForeArm=(0, -0.28, 0)), True),
+    ],
+)
+def test_a_rig_stands_at_rest_within_limits(rig, stands):
+    for size in (1.0, 100.0):
+        motion = at_rest(rig.scaled(size), 2)
+        if stands:
+            np.testing.assert_array_equal(standing_pose(motion), REST)
+            np.testing.assert_array_equal(standing_rig(motion.skeleton), REST)
+            continue
+        with pytest.raises(MotionError, match="stands upright neither at rest nor in any frame"):
+            standing_pose(motion)
+
+
+def seated(*frames: dict[str, float]) -> Motion:
+    """Legs point ahead at rest; in each frame joints are turned about x by degrees."""
+    rig = both(Leg=(0.0, 0.0, 0.42), Foot=(0.0, 0.0, 0.42))
+    motion = at_rest(rig, len(frames))
+    for k, turns in enumerate(frames):
+        for name, degrees in turns.items():
+            turn = Rotation.from_euler("z" if "Arm" in name else "x", degrees, degrees=True)
+            motion.rotations[k, rig.index(name)] = turn.as_quat()
+    return motion
+
+
+def legs(degrees: float) -> dict[str, float]:
+    return {"LeftUpLeg": 90 - degrees, "RightUpLeg": 90 - degrees}
+
+
+LOWERED = {"LeftArm": -90.0, "RightArm": 90.0}
+
+
+@pytest.mark.parametrize(("lean", "chosen"), [(25.0, 2), (32.0, 1)])
+def test_the_most_upright_frame_counts_and_lowered_arms_a_quarter_of_a_bone(lean, chosen):
+    """Arms lowered from the level make up for four bones of legs at acos(1 - 0.5 / 4), 29 degrees.
+
+    A frame that stands with raised arms, or half seated with lowered ones, is none.
+    """
+    raised = {"LeftArm": 90.0, "RightArm": -90.0}
+    motion = seated({}, legs(0), legs(lean) | LOWERED, legs(0) | raised, legs(60) | LOWERED)
+    np.testing.assert_array_equal(standing_pose(motion), motion.rotations[chosen])
+
+
+def test_a_body_that_lies_or_never_stands_is_no_standing_one():
+    motion = seated({}, legs(46), legs(46) | LOWERED)
+    with pytest.raises(MotionError, match="stands upright neither at rest nor in any frame.*Hips"):
+        standing_pose(motion)
+    standing = seated({}, legs(44), legs(60))
+    np.testing.assert_array_equal(standing_pose(standing), standing.rotations[1])
+    np.testing.assert_array_equal(standing_pose(at_rest(RIG, 3)), REST)
+
+
+@pytest.mark.parametrize(("apart", "exchanged"), [(0.0009, False), (0.0011, True)])
+def test_clavicles_in_one_point_do_not_tell_left_from_right(apart, exchanged):
+    """Those of a rig that is seated at rest, drawn on the wrong sides by a millimetre or less."""
+    rig = with_offsets(
+        both(Leg=(0.0, 0.0, 0.42), Foot=(0.0, 0.0, 0.42)),
+        LeftShoulder=(-apart / 2, 0.15, 0.0),
+        RightShoulder=(apart / 2, 0.15, 0.0),
+    )
+    for size in (1.0, 100.0):
+        places = forward_kinematics(standing_rig(rig.scaled(size)), np.zeros(3), rig.scaled(size))
+        left, right = (places[rig.index(f"{side}Arm")] for side in ("Left", "Right"))
+        hips = places[rig.index("LeftUpLeg")] - places[rig.index("RightUpLeg")]
+        chest = standing_rig(rig.scaled(size))[rig.index("Chest")]
+        half_turn = Rotation.from_quat(chest).magnitude()
+        assert half_turn == pytest.approx(np.pi if exchanged else 0.0, abs=1e-6)
+        assert (left - right) @ hips > 0
+
+
+@pytest.mark.parametrize("axis", ["x", "-x", "z", "-z"])
+@pytest.mark.parametrize(("degrees", "aligned"), [(19.5, True), (20.5, False)])
+def test_up_is_the_axis_within_twenty_degrees_of_the_torso(axis, degrees, aligned):
+    """Or the torso itself; on the axis of the world that the body lies along, too."""
+    lie = {"x": [0, 0, -90], "-x": [0, 0, 90], "z": [90, 0, 0], "-z": [-90, 0, 0]}[axis]
+    lying = Rotation.from_euler("xyz", lie, degrees=True)
+    # Leaning about the line of the hips keeps that level.
+    hips = Rotation.from_euler("x", degrees, degrees=True)
+    pose = REST.copy()
+    pose[0] = (lying * hips).as_quat()
+    frame = Rotation.from_quat(body_frame(RIG, find_parts(RIG), pose))
+    up = frame.apply([0, 1, 0])
+    torso = (lying * hips).apply([0, 1, 0])
+    expected = lying.apply([0, 1, 0]) if aligned else torso
+    np.testing.assert_allclose(up, expected, atol=1e-6)
