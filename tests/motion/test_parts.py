@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from recordings import AITVIEWER, BANDAI, IDLE, ZEGGS
-from rigs import Bones, below_a_root, numbered, numbered_limbs, renamed, rig_of
+from rigs import PERSON, Bones, below_a_root, numbered, numbered_limbs, renamed, rig_of
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
@@ -19,6 +19,7 @@ from gesturekit.motion.parts import (
     known_part_labels,
     left_right_pairs,
     leg_length,
+    parse_parts,
     part_labels,
     upper_body,
 )
@@ -540,3 +541,108 @@ def test_two_legs_of_a_crab_are_not_those_of_a_person(named):
     for rig in (two_legs, by_hand):
         labels, _ = known_part_labels(rig)
         assert labels[f"Left{hip}"] == "left hip" and labels["RightLeg"] == "right knee"
+
+
+def spider(legs: int, others: float) -> Skeleton:
+    """A body with legs of 0.1 + 0.3 + 0.2 m all round; two are named, others are so much longer."""
+    bones: Bones = {"Body": (None, (0.0, 0.0, 0.0))}
+    for k in range(legs):
+        names = (("Coxa", "Leg", "Tip"), ("Limb_a", "Limb_b", "Limb_c"))[k > 1]
+        names = [f"{('Left', 'Right')[k]}{name}" if k < 2 else f"{name}{k}" for name in names]
+        size = 1.0 if k < 2 else others
+        above = "Body"
+        for name, length in zip(names, (0.1, 0.3, 0.2), strict=True):
+            bones[name] = (above, (0.0, -size * length, 0.0))
+            above = name
+    return rig_of(bones).with_parts({"left_ankle": "LeftTip", "right_ankle": "RightTip"})
+
+
+@pytest.mark.parametrize(
+    ("legs", "others", "person"),
+    [(6, 1.0, False), (5, 1.0, True), (6, 0.81, False), (6, 0.79, True), (9, 0.79, True)],
+)
+def test_six_chains_of_four_fifths_of_a_leg_are_too_many_for_a_person(legs, others, person):
+    for size in (1.0, 100.0):
+        rig = spider(legs, others).scaled(size)
+        assert (find_legs(rig) is not None) == person
+        # The same at the end of a chain without branches, and with the length in end sites.
+        deep = {f"Link{k}": (f"Link{k - 1}" if k else None, (0.0, size, 0.0)) for k in range(3)}
+        rows = {
+            n: (None if p < 0 else rig.names[p], tuple(o))
+            for n, p, o in zip(rig.names, rig.parents, rig.offsets, strict=True)
+        }
+        rows["Body"] = ("Link2", (0.0, size, 0.0))
+        assert (find_legs(rig_of(deep | rows, parts=rig.parts)) is not None) == person
+
+
+def one_armed(*missing: str) -> Skeleton:
+    return rig_of({k: v for k, v in PERSON.items() if not k.startswith(missing)})
+
+
+def test_parts_that_a_rig_lacks_are_named_and_the_others_labelled():
+    arm = ("RightShoulder", "RightArm", "RightForeArm", "RightHand")
+    labels, reason = known_part_labels(one_armed(*arm))
+    usual = part_labels(rig_of(PERSON))
+    assert labels == {name: label for name, label in usual.items() if name not in arm}
+    assert reason.startswith("cannot identify the right arm: ")
+    assert "--part right_shoulder=JOINT" in reason or "--part right_elbow=JOINT" in reason
+    leg = ("LeftUpLeg", "LeftLeg", "LeftFoot")
+    labels, reason = known_part_labels(one_armed(*arm, *leg))
+    assert reason.startswith("cannot identify the right arm and left leg: ")
+    known = {"LeftForeArm": "left elbow", "RightFoot": "right ankle", "Head": "head"}
+    assert {name: labels[name] for name in known} == known
+    # Without two hips there is no pelvis, and so no spine.
+    assert labels["Hips"] == labels["Spine"] == "other" and labels["Neck"] == "neck"
+    legs = one_armed(*arm, *(name.replace("Right", "Left") for name in arm))
+    labels, reason = known_part_labels(legs)
+    assert reason.startswith("cannot identify the arms: ")
+    assert (labels["Hips"], labels["RightLeg"], labels["Chest"]) == (
+        "pelvis",
+        "right knee",
+        "other",
+    )
+    assert known_part_labels(rig_of(PERSON)) == (usual, "")
+
+
+@pytest.mark.parametrize(
+    ("above", "lengths", "legs"),
+    [
+        # Upper arms of 0.28 m: half of both together below the chest, all of both on it.
+        ("Hips", (0.1, 0.179), False),
+        ("Hips", (0.1, 0.181), True),
+        ("Spine", (0.1, 0.1, 0.081), True),
+        ("Chest", (0.3, 0.259), False),
+        ("Chest", (0.3, 0.261), True),
+        ("Hips", (2.0,), False),  # a stick is no chain
+    ],
+)
+def test_long_chains_on_the_trunk_of_a_body_without_legs_may_be_legs(above, lengths, legs):
+    bones: Bones = {k: v for k, v in PERSON.items() if "Leg" not in k and "Foot" not in k}
+    for k, length in enumerate(lengths):
+        bones[f"Chain{k}"] = (above, (0.0, 0.0, -length))
+        above = f"Chain{k}"
+    for size in (1.0, 100.0):
+        rig = rig_of(bones).scaled(size)
+        if not legs:
+            assert find_parts(rig).legs == {}
+            continue
+        with pytest.raises(MotionError, match="identify the legs, which may begin at Chain0"):
+            find_parts(rig)
+    if len(lengths) == 2 and not legs:  # an end site is part of its chain
+        longer = {"Chain1": (np.array([0.0, 0.0, -0.002]),)}
+        with pytest.raises(MotionError, match="which may begin at Chain0"):
+            find_parts(rig_of(bones, end_sites=longer))
+
+
+@pytest.mark.parametrize(
+    ("texts", "says"),
+    [
+        (["left_elbow"], "'left_elbow'; expected"),
+        (["elbow=a"], "'elbow=a'"),
+        (["head="], "'head='"),
+    ],
+)
+def test_parts_on_a_command_line(texts, says):
+    assert parse_parts(["left_elbow=Joint=12", "head=a"]) == {"left_elbow": "Joint=12", "head": "a"}
+    with pytest.raises(MotionError, match=says):
+        parse_parts(texts)

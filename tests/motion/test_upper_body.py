@@ -10,6 +10,7 @@ import pytest
 from hinges import bent_backwards
 from recordings import BANDAI, IDLE, ZEGGS
 from rigs import Bones, at_rest, below_a_root, numbered, renamed, rig_of, turned_at_root
+from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.axes import file_axes, rotation_to_y_up, turn_axes
@@ -223,6 +224,32 @@ def test_retargeting_to_a_whole_body_stands_it_on_the_floor(zeggs):
     for leg in legs.values():  # straight below the hips, whatever the pelvis leans
         bone = places[:, rig.index(leg.ankle)] - places[:, rig.index(leg.hip)]
         assert (-bone[:, 1] / np.linalg.norm(bone, axis=-1)).min() > 0.99
+
+
+def test_an_upper_body_is_scaled_by_the_legs_it_would_have(person):
+    """Arms of 0.29 + 0.25 and 0.28 + 0.25 m: a stature of 2.75 times 0.535 m, 0.57 of it legs.
+
+    The hips of the person are 0.82 m over the ankles, and 0.88 m over the toes.
+    """
+    would = 0.57 * 2.75 * 0.535
+    way = np.stack([np.linspace(0, 1, 31), np.linspace(-0.1, 0.1, 31), np.linspace(0, -2, 31)], 1)
+    source = at_rest(bust(person), 31, [0.3, 1.7, 0.1] + way)
+    turn = Rotation.from_euler("y", 0.8) * Rotation.from_euler("x", 0.3)
+    source.rotations[:, 0] = turn.as_quat()
+    whole = retarget(source, person)
+    expected = [0.3, 0.88, 0.1] + 0.82 / would * way
+    np.testing.assert_allclose(whole.translation, expected, atol=1e-6)
+    # Legs hang straight below a pelvis that leans, and face where it does.
+    for name in ("LeftUpLeg", "RightLeg", "LeftFoot", "RightToeBase"):
+        world = whole.global_rotations()[:, person.index(name)]
+        yaw = Rotation.from_quat(world).as_rotvec()
+        np.testing.assert_allclose(yaw, np.tile([0, 0.8, 0], (31, 1)), atol=1e-6)
+    source = at_rest(person, 31, [0.3, 1.7, 0.1] + way * [1, 0, 1] * 0.1)
+    made = retarget(source, bust(person)).translation
+    floor = 1.7 - 0.88
+    np.testing.assert_allclose(made[:, 1], floor + 0.88 * would / 0.82, atol=1e-6)
+    walked = 0.1 * would / 0.82 * way[:, [0, 2]]
+    np.testing.assert_allclose(made[:, [0, 2]], [0.3, 0.1] + walked, atol=1e-6)
 
 
 def test_retargeting_from_and_to_an_upper_body(zeggs, mixamo):
