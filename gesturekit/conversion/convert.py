@@ -49,8 +49,8 @@ class Converter(Processor):
     formats: Sequence[str]
     changes: Changes
     options: FormatOptions
-    existing: str = "refuse"
-    dry_run: bool = False
+    existing: str
+    dry_run: bool
     settings: dict[str, Any] = field(init=False)
     written: dict[str, dict[str, Any]] = field(init=False)
 

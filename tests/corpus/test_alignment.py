@@ -88,6 +88,17 @@ def test_sound_of_another_recording_says_nothing(talk):
     assert not any(one.is_clear for one in [*each, pooled(each)])
 
 
+def test_a_voice_and_arms_that_rise_and_fall_together_slowly_are_no_shift(talk):
+    """Speaker and microphone: over a minute the voice grows fivefold and fades, and so the arms.
+
+    What is common to both at once says nothing of the shift of the gestures.
+    """
+    motion, wave = talk(90, 1.0), voice(90)
+    times = np.arange(len(wave.samples)) / RATE
+    swell = replace(wave, samples=wave.samples * np.exp(1.6 * np.sin(times / 10)))
+    assert correlate(motion, swell).shift == pytest.approx(1.0, abs=0.06)
+
+
 def test_neither_level_nor_frame_rate_matters(talk):
     motion, wave = talk(90, 1.0), voice(90)
     quiet = replace(wave, samples=0.1 * wave.samples)
@@ -121,6 +132,7 @@ def test_prepare_warns_and_the_option_that_it_names_corrects_it(write, shift):
         return
     named = float(re.search(r"--shift (-?[\d.]+)", lines[0])[1])
     assert named == pytest.approx(shift, abs=0.06) and "a.npz: the motion comes" in lines[0]
+    assert "together" not in lines[0]
     (line,) = [text for text in prepare(folder, shift=0.5).problem_lines() if "--shift" in text]
     assert float(re.search(r"--shift (-?[\d.]+)", line)[1]) == pytest.approx(shift, abs=0.06)
     for option in (named, "auto"):
@@ -134,6 +146,13 @@ def test_prepare_warns_and_the_option_that_it_names_corrects_it(write, shift):
         assert not [line for line in report.problem_lines() if "--shift" in line]
     (line,) = [line for line in report.problem_lines() if "shifted" in line]
     assert re.search(rf"a.npz: shifted: the motion came \{named:+.2f} s after the sound", line)
+
+
+def test_a_pair_of_recordings_says_it_together(write):
+    for number in range(2):
+        folder = write(f"clip{number}", 45, 0.8, seed=number)
+    text = str(prepare(folder))
+    assert re.search(r"in 2 recordings together: --shift 0\.(7[5-9]|8[0-5]) corrects", text)
 
 
 def test_short_recordings_say_it_together(write):

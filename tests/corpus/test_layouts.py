@@ -161,6 +161,12 @@ def test_original_zeggs_is_aligned_trimmed_and_masked(tmp_path, write_bvh, write
     manifest = tmp_path / "corpus.jsonl"
     prepare(tmp_path, manifest, layout="zeggs")
     assert Manifest.load(manifest).items[0].audible == ((2.25, 2.5),)
+    (original / "001_Neutral_0.csv").unlink()
+    report = prepare(tmp_path, layout="zeggs")
+    assert report.manifest.items[0].audible == ()
+    assert "001_Neutral_0.wav: without 001_Neutral_0.csv other voices" in messages(
+        report, "warning"
+    )
 
 
 def test_genea2023(publish):
@@ -191,7 +197,7 @@ def test_genea2023(publish):
 def test_motorica(tmp_path, publish, write_bvh):
     names = DANCES
     publish("motorica")
-    write_bvh(tmp_path / "bvh" / "mine.bvh")
+    write_bvh(tmp_path / "bvh" / "a.bvh")
     report = prepare(tmp_path, layout="motorica", hold_out_pattern="song_001")
     assert summary(report) == {
         (names[0], "train", "d02", "gLO", True, True),
@@ -199,7 +205,12 @@ def test_motorica(tmp_path, publish, write_bvh):
         (names[2], "train", "d02", "gPO", False, True),
     }
     assert f"(motion alone): {names[2]}.wav" in messages(report, "note")
-    assert report.left_over == (tmp_path / "bvh" / "mine.bvh",)
+    assert report.left_over == (tmp_path / "bvh" / "a.bvh",)
+    # A hundredth of the published rate is rounding, more is not.
+    for fps, is_noted in ((119.0, False), (121.0, False), (118.0, True), (122.0, True)):
+        write_bvh(next(tmp_path.rglob(f"{names[0]}.bvh")), 1.0, fps)
+        notes = messages(prepare(tmp_path, layout="motorica"), "note")
+        assert (f"{names[0]}.bvh: {fps:g} fps; published at 120 fps" in notes) == is_noted
     with pytest.raises(CorpusError, match="no recording of Motorica"):
         prepare(tmp_path / "wav", layout="motorica")
 

@@ -98,6 +98,9 @@ def test_saving_elsewhere_keeps_pointing_at_the_same_files(tmp_path):
         ({"motion": 3}, "motion must be a path or null"),
         ({"audio": None, "motion": None}, "neither audio nor motion"),
         ({"conditions": {"path": 1}}, r"conditions\['path'\] must be a path"),
+        ({"audible": [[2, 1]]}, r"audible has \(2.*, 1.*\); expected START, END"),
+        ({"audible": [[0, 1], [-1, 2]]}, r"audible has \(-1.*, 2.*\); expected START, END"),
+        ({"audible": [[0, 1], [0, 1e308, 2]]}, "audible"),
         ({"id": "../../etc/a"}, "cannot be used"),
         ({"id": "a\nb"}, "cannot be used"),
     ],
@@ -165,6 +168,22 @@ def test_an_item_loads_its_own_stretch_of_both_files(tmp_path, write_pair, gestu
     part, whole = item.load_motion(), gesture(4.0)
     assert part.n_frames == 60
     assert abs(part.positions() - whole.positions()[30:90]).max() < 1e-4
+
+
+def test_a_path_begins_where_the_motion_does_or_else_the_sound(tmp_path):
+    """A walk of 1 m/s along +Z and 0.5 m/s to the left: mirrored, it leads to the right."""
+    (tmp_path / "p.csv").write_text("time,x,z\n0,0,0\n10,5,10\n")
+    begins = {"audio_start": 1.0, "motion_start": 3.0, "duration": 2.0}
+    item = Item(
+        id="a", audio=Path("a.wav"), motion=None, conditions={"path": tmp_path / "p.csv"}, **begins
+    )
+    for own, first in ((item, 1.0), (replace(item, motion=Path("a.bvh")), 3.0)):
+        path = own.load_path(10.0, 21)
+        np.testing.assert_allclose(path.positions[0], [first / 2, first], atol=1e-6)
+        np.testing.assert_allclose(path.positions[20], [first / 2 + 1, first + 2], atol=1e-6)
+        turned = replace(own, mirror=True).load_path(10.0, 21)
+        np.testing.assert_allclose(turned.positions, path.positions * [-1, 1], atol=1e-6)
+    assert replace(item, conditions={}).load_path(10.0, 21) is None
 
 
 def test_a_mirrored_item_swaps_left_and_right(tmp_path, write_pair, gesture):

@@ -286,6 +286,11 @@ def test_intervals_outside_every_recording_are_reported(tmp_path, write_pair):
     report = prepare(tmp_path, hold_out_seconds=[(50.0, 60.0)])
     assert report.manifest.items[0].split == "train"
     assert "nothing of it lies in the seconds held out" in texts(report, "warning")[0]
+    report = prepare(tmp_path, hold_out_seconds=[(0.3, 2.0)])
+    assert {(i.split, round(i.duration, 3)) for i in report.manifest} == {
+        ("test", 1.7), ("train", 1.0)
+    }  # fmt: skip
+    assert "0.00 to 0.30 s left out: too short a piece" in texts(report, "note")[0]
 
 
 def test_speech_or_motion_alone_is_left_over_unasked(tmp_path, write_pair, write_speech, gesture):
@@ -331,6 +336,11 @@ def test_labels_come_from_names(tmp_path, write_pair):
         ({"style_pattern": "("}, "not a regular expression"),
         ({"style_pattern": "calm"}, "no group named style"),
         ({"unpaired": ["nowhere"]}, "no such folder"),
+        ({"take_table": "none.csv"}, "table of takes none.csv: no such file"),
+        ({"seed": -1}, "seed is -1"),
+        ({"workers": 0}, "workers is 0"),
+        ({"tolerance": -0.1}, "tolerance is -0.1"),
+        ({"hold_out_seconds": "1-2", "hold_out_pattern": "a"}, "either seconds or names"),
     ],
 )
 def test_invalid_arguments_are_refused_before_anything_is_read(tmp_path, options, message):
@@ -343,7 +353,9 @@ def test_the_report_reads_as_a_table_with_every_problem(tmp_path, write_pair, wr
         write_pair(tmp_path, f"take{i}", 2.0)
     for i in range(5):
         write_speech(tmp_path / "talk" / f"s{i}.wav", 1.0, rate=22050)
-    text = str(prepare(tmp_path, style="calm"))
+    report = prepare(tmp_path, style="calm")
+    assert "takes" not in dict(report.rows()), "each file is a take of its own"
+    text = str(report)
     assert "paired        3 recordings, 6.0 s: train 2 (4.0 s), test 1 (2.0 s)" in text
     assert "frame rates   30 fps (3)" in text
     assert "styles        calm (3)" in text and "speakers      none named" in text

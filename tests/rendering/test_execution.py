@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -266,6 +267,25 @@ def test_files_outside_the_output_folder_in_a_journal_are_not_read(model, sounds
     path.write_text(path.read_text().replace('"d.bvh"', '"../secret.bvh"'))
     write_summary(out, status_of(out), tmp_path / "page.html")
     assert (tmp_path / "page.html").read_text().count("<img") == 1
+
+
+def test_the_page_has_quantiles_of_length_and_speed(model, sounds, tmp_path):
+    """0.3, 0.4, 0.5, 0.8 and 1.2 s of sound in 0.01 s each: 30 to 120 times real time."""
+    from gesturekit.rendering.summary import write_summary
+
+    out = tmp_path / "out"
+    run(model, sounds, out)
+    path = out / STATE / "journal" / "00001-of-00001.jsonl"
+    path.write_text(
+        re.sub(r'"seconds": [\d.e-]+, "sound"', '"seconds": 0.01, "sound"', path.read_text())
+    )
+    write_summary(out, status_of(out), tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    lengths, speeds = page.split("Speed, times real time")
+    said = "<p>{} to {} (logarithmic); 10 % below {}, half below {}, 90 % below {}</p>"
+    # One tenth lies 0.4 of the way from the least to the second, nine 0.6 from the fourth on.
+    assert said.format("0.3", "1.2", "0.34", "0.5", "1") in lengths
+    assert said.format("30", "120", "34", "50", "100") in speeds
 
 
 def command(model, sounds, out, workers: int) -> list[str]:

@@ -21,6 +21,7 @@ from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.postprocess import smooth_motion
 from gesturekit.rendering.batch import iter_render as render
+from gesturekit.rendering.batch import measured_cost, render_batch
 from gesturekit.rendering.inputs import find_tasks, item_of
 from gesturekit.rendering.renderer import RENDERED, Output
 
@@ -42,6 +43,22 @@ def test_an_outcome_is_there_before_the_next_file_is_begun(model, sounds, tmp_pa
     second, third = outcomes
     assert second.files == () and second.error.startswith(str(sounds[1]))
     assert third.files == (out / "c.bvh",) and third.error is None
+
+
+def test_fields_of_both_kinds_of_settings_are_arguments(model, sounds, tmp_path):
+    """A third of three sounds, as npz: `formats` is of the files, `shard` of the work."""
+    (made,) = gk.render(model, sounds, tmp_path / "out", formats="npz", shard=(2, 3), samples=2)
+    assert [file.suffix for file in made.files] == [".npz", ".npz"]
+
+
+def test_the_cost_of_a_batch_is_that_of_its_files(model, sounds, tmp_path, write_speech):
+    """Three sounds of 1.5 s and one of 12 s, as bytes; seconds are those of this machine."""
+    sounds.append(write_speech(tmp_path / "in" / "long.wav", 12.0))
+    batch = render_batch(model, sounds, tmp_path / "out")
+    seconds, size = measured_cost(batch).of(4, 16.5)
+    assert not (tmp_path / "out").exists() and seconds >= 0
+    written = sum(file.stat().st_size for made in batch.run() for file in made.files)
+    assert size == pytest.approx(written, rel=0.05)
 
 
 def test_a_stopped_rendering_goes_on_with_what_is_missing(model, sounds, tmp_path):
@@ -271,6 +288,10 @@ def test_items_of_a_manifest_are_cut_and_named_as_it_says(model, tmp_path, write
             next(render(model, later, out, samples=2))
         plan = write_plan(tmp_path / "plan.jsonl", find_tasks(later, out), 1, "r")
         assert [item_of(task) for task in plan.tasks()] == later
+    heard = [replace(items[0], audible=((0.0, end),)) for end in (1.0, 2.0)]
+    list(render(model, heard[:1], tmp_path / "heard"))
+    with pytest.raises(ConfigError, match="another audible"):
+        next(render(model, heard[1:], tmp_path / "heard"))
 
 
 def test_a_model_without_speech_input_moves_as_long_as_the_items(tmp_path, write_pair, model):
