@@ -125,3 +125,12 @@ def test_named_columns_cover_the_motion_vector_once(walk):
     np.testing.assert_allclose(values[:, layout.root_xz], step, atol=1e-9)
     height = walk.positions()[:, representation.root, 1] / representation.scale
     np.testing.assert_allclose(values[:, layout.root_height], height)
+
+
+def test_the_first_frame_has_the_displacement_of_the_second(walk):
+    representation = MultiresRepresentation.fit([walk])
+    two, one = (representation.encode(walk[k:5])[:, representation.layout.root_xz] for k in (3, 4))
+    np.testing.assert_allclose(
+        two, np.tile([0.5 / 30 / representation.scale, 0], (2, 1)), atol=1e-9
+    )
+    np.testing.assert_array_equal(one, [[0.0, 0.0]])

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
 
 import gesturekit as gk
+from audio_features import level_lengths
 from gesturekit.multires.sampling.trained_model import ZStarPatches
+from gesturekit.multires.training.sequences import PairedSequence, level_sigmas
 from gesturekit.multires.training.trainer import train
 
 
@@ -51,3 +55,42 @@ def test_a_model_shuffles_z_star_as_in_training(styles, make_config, motions):
     np.testing.assert_array_equal(made.rotations, again.rotations)
     plain = replace(model, noise=replace(model.noise, z_star_shuffle=0))
     assert np.abs(plain.generate(seconds=5.0, seed=1).rotations - made.rotations).max() > 1e-4
+
+
+def test_z_star_is_noise_of_the_first_level_for_all_channels_or_each():
+    motion = 0.5 * torch.randn(6, 4000, generator=torch.Generator().manual_seed(0))
+    make = partial(PairedSequence.make, "a", motion, torch.zeros(3, 4000), 4, 0)
+    shared, full = make(), make(full_noise=True)
+    n_coarsest = level_lengths(4000, 4)[0]
+    assert shared.z_star.shape == (n_coarsest,) and full.z_star.shape == (6, n_coarsest)
+    assert float(shared.z_star.std()) == pytest.approx(float(shared.sigma[0]), rel=0.05)
+    assert float(full.z_star.std()) == pytest.approx(1.0, rel=0.05)
+    assert torch.equal(make().z_star, shared.z_star)
+    other = PairedSequence.make("b", motion, torch.zeros(3, 4000), 4, 0)
+    assert not torch.equal(other.z_star, shared.z_star)
+    known = torch.tensor([2.0, 0.0, 0.0, 0.0])
+    assert float(make(sigma=known).z_star.std()) == pytest.approx(2.0, rel=0.05)
+
+
+def test_sigma_is_the_size_of_the_first_level_and_of_what_each_further_one_adds():
+    assert level_sigmas(torch.full((1, 2, 64), -3.0), 4).tolist() == [3.0, 0.0, 0.0, 0.0]
+    # Three and four frames; of 0, 3, 6, 9 the middle is kept, and the ends lie 1 within.
+    ramp = 3 * torch.arange(4.0).reshape(1, 1, 4)
+    coarse = F.interpolate(ramp, 3, mode="linear")
+    missing = ramp - F.interpolate(coarse, 4, mode="linear")
+    expected = [float(part.square().mean().sqrt()) for part in (coarse, missing)]
+    assert level_sigmas(ramp, 2).tolist() == pytest.approx(expected)
+
+
+def test_a_window_has_the_part_of_z_star_at_its_place():
+    motion = torch.zeros(2, 400)
+    sequence = PairedSequence.make("a", motion, motion, 4, 0, sigma=torch.ones(4))
+    whole = sequence.z_star
+    count = len(whole)
+    assert torch.equal(sequence.z_star_window(0, count), whole[None])
+    assert torch.equal(sequence.z_star_window(200, 30)[0], whole[count // 2 :][:30])
+    assert torch.equal(sequence.z_star_window(399, 30)[0], whole[-30:]), "within the recording"
+    part = sequence.cut(100, 180)
+    assert (part.name, part.motion.shape, part.n_frames) == ("a[100:180]", (2, 80), 80)
+    n_coarsest = level_lengths(80, 4)[0]
+    assert torch.equal(part.z_star, whole[round(count / 4) :][:n_coarsest])

@@ -689,6 +689,11 @@ DAMAGED = [
         for name in ("explained", "mixing", "between", "width")
         for v in (float("nan"), float("inf"), -5.0)
     ),
+    *(
+        (f"{name} {v}", damaged_tensor(name, with_last(v)), f"{name} has numbers that are not")
+        for name in ("0.motion", "1.profiles", "0.states", "0.directions", "fast.weights", "voices")
+        for v in (float("nan"), float("inf"))
+    ),
     ("width 0", damaged_tensor("slow_state.width", with_last(0.0)), "width is 0"),
     ("width 1e9", damaged_tensor("slow_state.width", with_last(1e9)), "width is 1"),
     *(

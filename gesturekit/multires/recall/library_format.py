@@ -154,6 +154,9 @@ def load_library(
         ahead=_ahead(tensors, values["ahead"]),
     )
     _check_shapes(library, representation.n_features, speech_size)
+    for name, tensor in tensors.items():
+        if name.startswith("recall.") and not torch.isfinite(tensor).all():
+            raise ValueError(f"{name} has numbers that are not finite")
     for name in library.passive.joints:
         representation.skeleton.index(name)
     return library
