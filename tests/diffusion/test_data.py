@@ -13,15 +13,17 @@ from scipy.spatial.transform import Rotation
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.diffusion.conditions import smooth_path
 from gesturekit.diffusion.model import DiffusionModel
+from gesturekit.diffusion.motion_vector import Normaliser
 from gesturekit.diffusion.training.batches import Batches
-from gesturekit.diffusion.training.data import TrainingData
+from gesturekit.diffusion.training.data import TrainingData, TrainingSequence
 from gesturekit.diffusion.training.loading import load_training_data
-from gesturekit.diffusion.training.trainer import train
+from gesturekit.diffusion.training.trainer import Trainer, train
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.formats.tables.root_path import load_root_path
 from gesturekit.motion import Motion
 from gesturekit.motion.root_path import RootPath
+from gesturekit.training.run.session import session
 
 PLAIN = {"mirror": False, "stretch": 0.0}
 
@@ -117,6 +119,62 @@ def test_a_root_that_stands_is_scaled_by_the_same_speed_at_any_rate(loaded, fps)
     own = made.normaliser.scale[made.representation.root_columns][1:].numpy()
     for forward, lateral in (own, given.conditions.path_scale[1:]):
         assert (forward * fps, lateral * fps) == pytest.approx((0.015, 0.015))
+
+
+@pytest.mark.parametrize("path", [False, True])
+def test_a_body_that_keeps_still_is_scaled_by_small_movement(loaded, gesture, tmp_path, path):
+    """0.01 rad, 2 mm, and 0.03 rad and 15 mm a second."""
+    still = gesture(2.0)
+    still.rotations[:], still.translation[:] = still.rotations[:1], still.translation[:1]
+    (tmp_path / "in").mkdir()
+    still.save(tmp_path / "in" / "still.bvh")
+    prepare([], tmp_path / "c.jsonl", unpaired_motion=[tmp_path / "in"], holdout=0.0)
+    changes = {"corpus": str(tmp_path / "c.jsonl"), "features": None, "path": path}
+    data, _ = loaded(**changes, augmentation=PLAIN)
+    steps = np.array([0.03, 0.015, 0.015]) / 30
+    scale, made = data.normaliser.scale.numpy(), data.representation
+    own = np.concatenate([np.full(made.height_column, 0.01), [0.002], () if path else steps])
+    assert scale == pytest.approx(own)
+    assert data.conditions.path_scale == pytest.approx(steps if path else [1.0, 1.0, 1.0])
+
+
+def test_changes_are_root_mean_squares_and_at_least_a_tenth_of_their_median(loaded):
+    data, _ = loaded(augmentation=PLAIN)
+    # In units of 2: 1.5 and 2, 0.5 and 0.5, 1 and 1; the rest is below a tenth of 0.5.
+    motion = np.array([[9, 0, 0, 5, 0], [12, 1, 2, 5, 0.01], [16, 2, 4, 5, 0.02]], np.float32)
+    normaliser = Normaliser(torch.ones(5), torch.full((5,), 2.0))
+    recordings = (TrainingSequence("a", motion, motion), TrainingSequence("b", 9 - motion, motion))
+    data = replace(data, recordings=recordings, normaliser=normaliser)
+    expected = [np.sqrt((1.5**2 + 2**2) / 2), 0.5, 1.0, 0.05, 0.05]
+    assert data.changes().tolist() == pytest.approx(expected)
+    expected[0] = 2.0
+    assert replace(data, sampled=((1, 1, 3),)).changes().tolist() == pytest.approx(expected)
+    still = replace(data, recordings=(TrainingSequence("a", 0 * motion, motion),))
+    assert still.changes().tolist() == pytest.approx([1e-6] * 5)
+
+
+def test_the_log_names_inputs_recordings_and_variants(make_config, styled, idle, caplog):
+    caplog.set_level("INFO")
+    styled = {"corpus": styled, "styles": {"handed": ["left"]}, "unpaired": {"corpus": idle}}
+    bare = {"features": None, "augmentation": PLAIN}
+    for number, changes in enumerate((styled, bare, {**bare, "path": True})):
+        config = make_config(**changes)
+        config = replace(config, out=config.out / str(number))
+        with session(config, resume=False) as (run, device, processes):
+            Trainer(config, run, device, processes, resume=False)
+    said = [line for line in caplog.messages if not line.startswith("Measured")]
+    # Six updates of four windows of 2 s; half of the first run's are without speech.
+    assert [line.partition("run/")[2] or line for line in said] == [
+        "0: diffusion, from speech and styles, 6 updates.",
+        "Training on 2 recordings, 8 s at 30 fps, 3 s of unpaired motion, 5 sequences with their "
+        "variants, 28 features, 2 styles, 19 of 19 joints modelled.",
+        "Of them, a second is drawn about 2.8 times (94% at least once).",
+        "1: diffusion, no condition, 6 updates.",
+        "Training on 2 recordings, 8 s at 30 fps, 19 of 19 joints modelled.",
+        "Of them, a second is drawn about 5.6 times (100% at least once).",
+        "2: diffusion, from path, 6 updates.",
+        *said[4:6],
+    ]
 
 
 def test_mirrored_recordings_turn_the_other_way_and_handed_styles_have_none(loaded, styled):

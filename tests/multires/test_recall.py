@@ -700,10 +700,6 @@ DAMAGED = [
         (f"directions {n}", damaged_tensor("0.directions", lambda t, n=n: t[:n]), "0.directions")
         for n in range(4)
     ),
-    *(
-        (f"trust {v}", damaged_value("slow_state", "trust", value=v), "trust")
-        for v in (float("nan"), -0.1, 2.0, None)
-    ),
     ("states", damaged_tensor("1.states", lambda t: t[:-1]), "1.states"),
     ("frames", damaged_tensor("1.states", lambda t: t[:, :-1]), "1.states"),
 ]

@@ -40,7 +40,7 @@ def library_values(library: RecallLibrary) -> dict[str, Any]:
         "separate": len(library.parts) > 1,
         "recordings": [[part.speaker, part.style] for part in library.recordings],
         "passive": {"joints": list(library.passive.joints), "face": library.passive.expressions},
-        "slow_state": {name: getattr(library.slow_state, name) for name in ("trust", "take")},
+        "slow_state": {"take": library.slow_state.take},
         "wanted": None
         if wanted is None
         else {"effort": list(wanted.effort), **{name: getattr(wanted, name) for name in _FACTORS}},
@@ -132,6 +132,7 @@ def load_library(
         for i, (speaker, style) in enumerate(values["recordings"])
     )
     _check_values(values, levels)
+    wanted = _wanted(tensors, values["wanted"], fps)
     library = RecallLibrary(
         level=int(values["level"]),
         levels=levels,
@@ -144,9 +145,10 @@ def load_library(
         mean=float(values["mean"]),
         slow_state=SlowState(
             **{name: tensors[f"recall.slow_state.{name}"].numpy() for name in _SLOW_STATE},
-            **{name: float(value) for name, value in values["slow_state"].items()},
+            trust=0.0 if wanted is None else wanted.trust,
+            take=float(values["slow_state"]["take"]),
         ),
-        wanted=_wanted(tensors, values["wanted"], fps),
+        wanted=wanted,
         passive=PassiveChannels(
             tuple(map(str, values["passive"]["joints"])), int(values["passive"]["face"])
         ),
@@ -173,7 +175,6 @@ def _check_values(values: Mapping[str, Any], levels: int) -> None:
     if not values["spread"] >= _LEAST_SPREAD:
         raise ValueError(f"recall: spread is {values['spread']}")
     _check_range("slow_state.take", float(values["slow_state"]["take"]), *_TAKE)
-    _check_range("slow_state.trust", float(values["slow_state"]["trust"]), 0, 1)
     if (wanted := values["wanted"]) is not None:
         _check_range("wanted.mean_counts", float(wanted["mean_counts"]), 0, 1)
         _check_range("wanted.spread", float(wanted["spread"]), 0, _LARGEST)
