@@ -35,7 +35,7 @@ class _Drawing:
         while waiting:
             joint, first, rest = waiting.pop()
             chain, ends, forks = self._limb(joint)
-            pieces = list(self._runs(chain))
+            pieces = list(self._labelled(chain))
             if ends:
                 pieces[-1] += f" + {', '.join(self.skeleton.names[j] for j in ends)} [end]"
             yield from self._wrapped(pieces, _BELOW, first, rest + "   ")
@@ -74,16 +74,13 @@ class _Drawing:
         words += ", ".join(self.skeleton.names[j] for j in heads)
         yield from self._wrapped(words.split(" "), " ", f"{rest}└─ ", f"{rest}      ")
 
-    def _runs(self, chain: Sequence[int]) -> Iterator[str]:
-        """Yield a chain as text, neighbours of the same part together."""
-        names: list[str] = []
-        for place, joint in enumerate(chain):
-            names.append(self.skeleton.names[joint])
-            label = self.labels.get(names[-1])
-            below = self.skeleton.names[chain[place + 1]] if place + 1 < len(chain) else None
-            if below is None or self.labels.get(below) != label:
-                yield _BELOW.join(names) + (f" [{label}]" if label and label != "other" else "")
-                names.clear()
+    def _labelled(self, chain: Sequence[int]) -> Iterator[str]:
+        """Yield the names of a chain, with a label after neighbours of the same part."""
+        names = [self.skeleton.names[joint] for joint in chain]
+        for name, below in zip(names, [*names[1:], None]):
+            label = self.labels.get(name)
+            is_last = below is None or self.labels.get(below) != label
+            yield name + (f" [{label}]" if is_last and label and label != "other" else "")
 
     def _wrapped(self, pieces: Sequence[str], glue: str, first: str, rest: str) -> Iterator[str]:
         line = first + pieces[0]

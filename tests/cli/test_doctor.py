@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
+from pathlib import Path
+
+import pytest
+import torch
 
 from gesturekit.diagnosis import Finding, diagnose, is_usable
 
@@ -29,6 +34,94 @@ def test_a_named_blender_that_is_not_there_is_noted(monkeypatch, tmp_path):
         monkeypatch.setenv("GESTUREKIT_BLENDER", name)
         found = next(finding for finding in diagnose() if finding.name == "Blender")
         assert found.state == state and name in found.text
+
+
+def finding(name: str) -> Finding:
+    return next(found for found in diagnose() if found.name == name)
+
+
+GIGABYTE = 10**9
+
+
+@pytest.mark.parametrize(("free", "state"), [(1.9, "note"), (2.1, "ok")])
+def test_a_disk_that_is_nearly_full_is_noted(monkeypatch, free, state):
+    usage = shutil._ntuple_diskusage(100 * GIGABYTE, 0, round(free * GIGABYTE))
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage)
+    disk, cache = finding("disk"), finding("cache")
+    assert (disk.state, cache.state) == (state, state)
+    assert f"{free} GB free" in disk.text
+    assert ("nearly full" in cache.text) == (cache.advice == "gesturekit cache clear")
+
+
+def test_a_cache_that_cannot_be_written_is_noted(monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    places = {"a": "ok", "new/below/b": "ok", "file/c": "note"}
+    for place, state in places.items():
+        monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / place))
+        cache = finding("cache")
+        assert cache.state == state and f"{tmp_path / place}: 0 entries, 0.000 GB" in cache.text
+        assert ("cannot be written to" in cache.text) == (state == "note")
+
+
+@pytest.mark.parametrize(
+    ("threads", "limit", "state", "advice"),
+    [
+        (4, None, "ok", ""),
+        (2, None, "ok", ""),
+        (2, "2", "note", "OMP_NUM_THREADS=2 says so"),
+        (4, "4", "ok", ""),
+        (5, None, "note", "set OMP_NUM_THREADS=4: more is slower"),
+    ],
+)
+def test_threads_are_compared_with_cores(monkeypatch, threads, limit, state, advice):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 1, 2, 3})
+    monkeypatch.setattr(torch, "get_num_threads", lambda: threads)
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    if limit is not None:
+        monkeypatch.setenv("OMP_NUM_THREADS", limit)
+    text = f"torch uses {threads} of 4 cores"
+    assert finding("threads") == Finding("threads", state, text, advice)
+
+
+def test_wavlm_weights_are_found_in_the_usual_folders(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Path, "home", lambda: tmp_path)
+    for name in ("HF_HUB_CACHE", "HF_HOME", "TORCH_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    none = finding("WavLM")
+    assert none.state == "note" and "--weights" in none.advice
+    snapshot = "models--microsoft--wavlm-base-plus/snapshots/abc"
+    files = (
+        f".cache/huggingface/hub/{snapshot}/model.safetensors",
+        ".cache/huggingface/hub/models--wavlm-empty/snapshots/abc/README.md",
+        f"other/hub/{snapshot}/pytorch_model.bin",
+        f"hub/{snapshot}/pytorch_model.bin",
+        ".cache/torch/hub/checkpoints/wavlm_large.pt",
+        "WavLM-Base.pt",
+    )
+    for name in files:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("")
+    others = [tmp_path / ".cache/torch/hub/checkpoints/wavlm_large.pt", tmp_path / "WavLM-Base.pt"]
+    for variables, hub in (
+        ({}, ".cache/huggingface/hub"),
+        ({"HF_HOME": str(tmp_path / "other")}, "other/hub"),
+        ({"HF_HUB_CACHE": str(tmp_path / "hub"), "HF_HOME": "x"}, "hub"),
+    ):
+        for name, value in variables.items():
+            monkeypatch.setenv(name, value)
+        places = ", ".join(map(str, (tmp_path / hub / snapshot, *others)))
+        assert finding("WavLM") == Finding("WavLM", "ok", f"weights in {places}")
+
+
+def test_a_check_that_breaks_is_a_finding_and_the_next_ones_go_on(monkeypatch):
+    def breaks() -> bool:
+        raise RuntimeError("no   driver\nat all")
+
+    monkeypatch.setattr(torch.cuda, "is_available", breaks)
+    found = {one.name: one for one in diagnose()}
+    assert found["GPU"] == Finding("GPU", "broken", "no driver", "install it again: make setup")
+    assert found["disk"].state != "broken" and not is_usable(list(found.values()))
 
 
 UP_TO_TORCHAUDIO = """

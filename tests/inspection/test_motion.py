@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from avatars import BONES, avatar_json, packed
-from rigs import nameless
+from rigs import PERSON, nameless, rig_of
+from scipy.spatial.transform import Rotation
 
 from gesturekit.conversion.convert import convert
 from gesturekit.corpus import prepare
@@ -18,6 +19,7 @@ from gesturekit.errors import GestureKitError
 from gesturekit.inspection import Summary, inspect
 from gesturekit.inspection.tree import tree
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.systems import model_folder
 
 
 def row(summary: Summary, label: str) -> str:
@@ -32,10 +34,127 @@ def test_a_gesture(gesture, tmp_path):
     assert row(summary, "axes").startswith("cm, Y up, Z forward, the body faces +Z")
     assert "19 joints, 5 end sites" in row(summary, "body")
     assert "nothing changes place" in row(summary, "moves")
-    assert any("T-pose: the first 15 frames" in problem for problem in summary.problems)
+    jump, pose = summary.problems
+    assert jump.endswith(" of RightHand: frame 15 (0.50 s)")
+    assert pose == "rest pose or T-pose: the first 15 frames"
     facts = json.loads(json.dumps(summary.to_json(), allow_nan=False))
     assert facts["parts"]["LeftForeArm"] == "left elbow"
     assert 1.2 < facts["height"] < 2.2 and facts["contact_share"].keys() == {"left", "right"}
+
+
+@pytest.fixture
+def walk():
+    """walk(degrees=0): 41 frames at 20 fps. Half a second of 2 m/s ahead, a quarter back, then the
+    body stands; the left forearm turns by 2 rad/s all the time, its hand on a circle of 0.25 m.
+    """
+    orders = ["ZXY"] * len(PERSON)
+    orders[6] = "XYZ"
+    ends = {"Head": (np.array([0.0, 0.15, 0.0]),)}
+    rig = rig_of(PERSON, end_sites=ends, rotation_orders=tuple(orders))
+
+    def make(degrees: float = 0.0) -> Motion:
+        frames = np.arange(41)
+        rotations = np.tile([0.0, 0.0, 0.0, 1.0], (41, rig.n_joints, 1))
+        turns = {"LeftArm": (2, -1.2), "RightArm": (2, 1.2), "LeftForeArm": (1, 0.1 * frames)}
+        for name, (axis, angle) in turns.items():
+            rotations[:, rig.index(name), [axis, 3]] = np.stack(
+                np.broadcast_arrays(np.sin(np.asarray(angle) / 2), np.cos(np.asarray(angle) / 2)),
+                -1,
+            )
+        turn = Rotation.from_euler("y", degrees, degrees=True)
+        rotations[:, 0] = turn.as_quat()
+        ahead = 0.1 * np.minimum(frames, 10) - 0.1 * np.clip(frames - 10, 0, 5)
+        place = turn.apply(ahead[:, None] * [0.0, 0.0, 1.0]) + [0.0, 0.9, 0.0]
+        return Motion(rig, rotations, place, 20.0)
+
+    return make
+
+
+@pytest.mark.parametrize(("degrees", "side"), [(0, "+Z"), (90, "+X"), (180, "-Z"), (-90, "-X")])
+def test_every_row_of_a_walk_of_known_size(walk, tmp_path, degrees, side):
+    walk(degrees).save(tmp_path / "walk.bvh")
+    summary = inspect(tmp_path / "walk.bvh")
+    height, rows = summary.facts["height"], dict(summary.rows)
+    assert list(rows) == ["time", "axes", "body", "channels", "moves", "hands", "feet"]
+    assert rows["time"] == "2.05 s: 41 frames at 20 fps (Frame Time: 0.0500000000)"
+    shown = round(summary.facts["facing_degrees"])
+    assert (shown - degrees) % 360 == 0
+    about = f"cm, Y up, Z forward, the body faces {side} ({shown}° about Y) on average"
+    assert rows["axes"] == about
+    assert rows["body"] == f"{height:.2f} m from sole to crown, 19 joints, 1 end site"
+    assert rows["channels"] == "angles ZXY, XYZ on 1 joint; positions of Hips"
+    still = "not Hips, Spine, Chest, Neck and 14 more"
+    goes = "Hips changes place; the body goes 1.5 m and ends 0.5 m from where it began"
+    assert rows["moves"] == f"1 of 19 joints turn ({still}); {goes}"
+    hands = "0.50 m/s on average, 0.50 at most (both together, relative to the pelvis)"
+    assert rows["hands"] == hands
+    # 25 or 26 of 41 frames.
+    assert re.fullmatch(r"stand still .*: left 6[13] %, right 6[13] % of the frames", rows["feet"])
+    assert summary.facts["path_length"] == pytest.approx(1.5, abs=1e-6)
+    assert summary.facts["displacement"] == pytest.approx(0.5, abs=1e-6)
+    assert summary.facts["turning_joints"] == ["LeftForeArm"] and summary.problems == ()
+
+
+def test_an_upper_body_is_said_to_be_one(walk, tmp_path):
+    motion = walk()
+    names = motion.skeleton.names
+    motion.keep([n for n in names if "Leg" not in n and "Foot" not in n]).save(tmp_path / "a.npz")
+    rows = dict(inspect(tmp_path / "a.npz").rows)
+    assert " m as a whole person, by its arms, 13 joints, 1 end site" in rows["body"]
+    assert rows["legs"] == "no legs: upper body only; contacts and foot metrics are left out"
+    assert "feet" not in rows and "channels" not in rows
+
+
+def test_fingers_and_faces_are_counted(tmp_path):
+    text = (model_folder("demo") / "skeleton.json").read_text(encoding="utf-8")
+    rig = Skeleton.from_json(json.loads(text)["skeleton"])
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (30, rig.n_joints, 1))
+    Motion(rig, still, np.zeros((30, 3)), 30.0).save(tmp_path / "a.npz")
+    summary = inspect(tmp_path / "a.npz")
+    n_ends = sum(map(len, rig.end_sites.values()))
+    assert f" 52 joints, 30 of fingers, {n_ends} end sites" in row(summary, "body")
+    assert row(summary, "moves") == "0 of 52 joints turn; nothing changes place"
+    assert any("rest pose or a T-pose all the time" in problem for problem in summary.problems)
+    text = "\n".join(summary.drawing(100))
+    assert "└─ 15 joints of fingers: LeftHandThumb1, LeftHandIndex1, LeftHandMiddle1" in text
+
+
+def test_the_tree_of_a_person(walk):
+    labels = {"Hips": "pelvis", "Spine": "spine", "Chest": "spine", "Head": "other"}
+    assert tree(walk().skeleton, labels, width=48) == [
+        "Hips [pelvis]",
+        "├─ Spine > Chest [spine]",
+        "│  ├─ Neck > Head",
+        "│  ├─ LeftShoulder > LeftArm > LeftForeArm",
+        "│  │   > LeftHand",
+        "│  └─ RightShoulder > RightArm > RightForeArm",
+        "│      > RightHand",
+        "├─ LeftUpLeg > LeftLeg > LeftFoot",
+        "└─ RightUpLeg > RightLeg > RightFoot",
+    ]
+
+
+def test_rest_poses_at_both_ends_trembling_and_many_jumps(gesture, tmp_path):
+    motion = gesture(4.0, t_pose=15)
+    rotations = motion.rotations.copy()
+    rotations[-10:] = [0.0, 0.0, 0.0, 1.0]
+    replace(motion, rotations=rotations).save(tmp_path / "a.npz")
+    problems = inspect(tmp_path / "a.npz").problems
+    assert "rest pose or T-pose: the first 15 frames and the last 10 frames" in problems
+    rotations = gesture(4.0).rotations.copy()
+    swing = Rotation.from_rotvec([[0.0, 0.0, 0.06], [0.0, 0.0, -0.06]] * 60)
+    for joint in range(1, motion.skeleton.n_joints):
+        rotations[:, joint] = (Rotation.from_quat(rotations[:, joint]) * swing).as_quat()
+    replace(motion, rotations=rotations).save(tmp_path / "a.npz")
+    trembles = [p for p in inspect(tmp_path / "a.npz").problems if "tremble" in p]
+    share = int(re.search(r"frame to frame in (\d+) % of the time", trembles[0])[1])
+    assert 50 < share <= 100
+    rotations = gesture(4.0).rotations.copy()
+    arm = motion.skeleton.index("LeftArm")
+    rotations[20:110:15, arm] = [1.0, 0.0, 0.0, 0.0]  # 6 frames, each jumped to and from
+    replace(motion, rotations=rotations).save(tmp_path / "a.npz")
+    jumps = next(p for p in inspect(tmp_path / "a.npz").problems if "12 jumps" in p)
+    assert jumps.endswith("frames 20 (0.67 s), 21 (0.70 s), 35 (1.17 s), 36 (1.20 s) and 8 more")
 
 
 def test_the_heading_of_a_rotated_file_is_reported_in_our_axes(gesture, tmp_path):
@@ -52,7 +171,7 @@ def test_suspicious_motion_is_reported_with_its_frame(gesture, tmp_path):
     rotations[20, motion.skeleton.index("Head")] = [0.0, 0.3, 0.0, 0.95]
     replace(motion, rotations=rotations).save(tmp_path / "take.npz")
     problems = " ".join(inspect(tmp_path / "take.npz").problems)
-    assert "nothing moves from 1.00 to 2.33 s" in problems
+    assert "nothing moves from 1.00 to 2.33 s (frames 30 to 69)" in problems
     assert "m/s of LeftHand: frames 100 (3.33 s), 101" in problems
     # The arm's pop is the jump of its hand, as in `prepare`.
     assert "1 pop away and back" in problems and "of Head: frame 20 (0.67 s)" in problems

@@ -19,6 +19,7 @@ import gesturekit.viewer
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import ConfigError, FormatError, GestureKitError, ModelError
 from gesturekit.inspection import Summary, inspect
+from gesturekit.inspection.summary import size, span
 from gesturekit.systems import load, model_folder
 
 
@@ -28,6 +29,48 @@ def row(summary: Summary, label: str) -> str:
 
 def plain(summary: Summary) -> dict:
     return json.loads(json.dumps(summary.to_json(), allow_nan=False))
+
+
+# Text and JSON
+
+
+def test_sizes_and_durations_have_a_fitting_unit():
+    sizes = {999: "999 bytes", 1000: "1.0 kB", 1_500_000: "1.5 MB", 2_500_000_000: "2.5 GB"}
+    assert {n: size(n) for n in sizes} == sizes
+    spans = {119.99: "119.99 s", 120: "2.0 min", 7199: "120.0 min", 7200: "2.0 h"}
+    assert {seconds: span(seconds) for seconds in spans} == spans
+
+
+def test_a_summary_as_lines_and_as_json():
+    problems = tuple(f"problem {k}" for k in range(10))
+    rows = (("a", "x " * 12), ("a label beyond 15 columns", "y"))
+    facts = {"n": np.int64(3), "v": np.array([0.12345678, -np.inf]), "t": (True, None, Path("p"))}
+    summary = Summary("other", "A title", facts, rows, lambda width: ["=" * width], problems)
+    lines = summary.lines(30)
+    assert lines[:5] == [
+        "A title",
+        "  a                x x x x x x",
+        "                   x x x x x x",
+        "  a label beyond 15 columns y",
+        "  problem          problem 0",
+    ]
+    assert lines[-5:] == [
+        "  problem          and 2 more;",
+        "                   --json has",
+        "                   all",
+        "",
+        "=" * 30,
+    ]
+    assert sum("problem " in line[10:] for line in lines) == 8
+    assert summary.to_json() == {
+        "kind": "other",
+        "n": 3,
+        "v": [0.123457, None],
+        "t": [True, None, "p"],
+        "problems": list(problems),
+    }
+    few = Summary("other", "A title", {}, problems=problems[:8]).lines()
+    assert len(few) == 9 and few[1] == "  problem  problem 0"
 
 
 # Sounds
@@ -67,6 +110,54 @@ def test_sounds_with_something_wrong(tmp_path):
         assert facts.get("has_voice", True) == (name not in ("zeros", "noise")), name
 
 
+def test_levels_of_square_waves(tmp_path):
+    """Peaks of 1/2 and 3/8, RMS about the mean of 1/2 and 1/8: -6.0, -8.5 and -18.1 dBFS."""
+    square = np.tile([0.5, -0.5], 4000)
+    path = tmp_path / "a.wav"
+    soundfile.write(path, np.stack([square, square / 4 + 0.25], 1), 8000, subtype="FLOAT")
+    summary = inspect(path)
+    assert summary.rows == (
+        ("time", "1.00 s: 8000 samples at 8000 Hz, all of them decoded"),
+        ("channels", "stereo, channels differ; models use their mean"),
+        ("level", "peak -6.0 / -8.5 dBFS, RMS -6.0 / -18.1 dBFS"),
+    )
+    no_voice = "no voice (noise, hum or whispering): models of speech generate idle motion"
+    assert summary.problems == (no_voice, "DC offset of 0.250 of full scale")
+    np.testing.assert_allclose(summary.facts["mean"], [0.0, 0.25], atol=1e-7)
+    loud = np.where(np.arange(8000) < 7, 1.0, square)
+    soundfile.write(path, np.stack([loud] * 3, 1), 8000, subtype="FLOAT")
+    summary = inspect(path)
+    assert row(summary, "channels") == "3 channels, all channels equal; models use their mean"
+    assert row(summary, "level") == "peak 0.0 dBFS, RMS -6.0 dBFS"
+    assert summary.problems == (no_voice, "clipped: 21 samples at full scale")
+    assert summary.facts["clipped"] == [7, 7, 7]
+
+
+def test_the_rows_and_faults_of_speech(tmp_path):
+    """A voice of a second, half a second after the beginning and a second before the end."""
+    voice = 0.1 * voiced(1.0)
+    quiet = np.concatenate([np.zeros(8000), voice, np.zeros(16_000)])
+    soundfile.write(tmp_path / "a.wav", quiet, 16_000)
+    summary = inspect(tmp_path / "a.wav")
+    facts, rows = summary.facts, dict(summary.rows)
+    share = 100 * facts["active_share"]
+    # The voice sounds for half of its second; its last pause and the second after it are one.
+    assert 20 < share < 32 and 0.9 < facts["longest_pause"] < 1.2
+    pause = f"the longest pause takes {facts['longest_pause']:.2f} s"
+    spoken = f"{share:.0f} % of the time, silence {100 - share:.0f} %; {pause}"
+    assert rows["speech"] == spoken and summary.problems == ()
+    level = 20 * np.log10(np.abs(quiet).max())
+    assert rows["level"].startswith(f"peak {level:.1f} dBFS, RMS ")
+    assert rows["level"].endswith(f", speech {facts['active_level_dbfs']:.1f} dBFS")
+    soundfile.write(tmp_path / "half.wav", np.stack([voice, 0 * voice], 1), 16_000)
+    half = inspect(tmp_path / "half.wav")
+    assert half.problems == ("channel 2 is silent: the mean loses 6 dB or more",)
+    soundfile.write(tmp_path / "silence.wav", np.zeros(16_000), 16_000)
+    silence = inspect(tmp_path / "silence.wav")
+    assert silence.problems == ("silence: no speech above -75 dBFS",)
+    assert "speech" not in dict(silence.rows) and "speech" not in row(silence, "level")
+
+
 def test_a_floating_point_sound_beyond_full_scale_is_not_clipped(tmp_path):
     loud = 3.0 * voiced(1.0)
     soundfile.write(tmp_path / "a.wav", loud, 16_000, subtype="FLOAT")
@@ -93,6 +184,37 @@ def test_features(write_speech, tmp_path):
     assert summary.kind == "features" and row(summary, "columns").startswith("24: mel_0, mel_1")
     spec = {"kind": "logmel", "n_mels": 24, "backend": "numpy"}
     assert plain(summary)["spec"] == spec and plain(summary)["rate"] == pytest.approx(100.0)
+
+
+def test_every_row_of_a_feature_file(tmp_path):
+    values = np.array([[1, 2, 5], [1, 4, 5], [1, 9, 5]], np.float32)
+    af.FeatureTrack(values, [0.1, 0.35, 0.6]).save(tmp_path / "a.npz")
+    summary = inspect(tmp_path / "a.npz")
+    assert summary.rows == (
+        ("time", "0.50 s: 3 frames at 4 a second, centred from 0.1000 to 0.6000 s"),
+        ("columns", "3: 0, 1, 2"),
+        ("values", "1 to 9"),
+        ("made by", "unknown"),
+    )
+    assert summary.problems == ("never change: 0, 2",)
+    facts = plain(summary)
+    assert (facts["first"], facts["last"], facts["rate"]) == (0.1, 0.6, 4.0)
+    np.testing.assert_allclose(facts["mean"], [1, 5, 5])
+    np.testing.assert_allclose(facts["sd"], [0, np.sqrt(26 / 3), 0], rtol=1e-5)
+    af.FeatureTrack(values[:1], [0.1]).save(tmp_path / "one.npz")
+    one = inspect(tmp_path / "one.npz")
+    assert row(one, "time") == "0.00 s: 1 frame, centred from 0.1000 to 0.1000 s"
+    assert one.problems == () and plain(one)["rate"] is None
+    for array, rows, problems in (
+        (np.zeros((3, 0)), "3 rows, 0 columns, float64", ("no values",)),
+        (np.array([1.0, np.inf]), "(2,), float64", ("1 of 2 values are infinite",)),
+        (np.ones((2, 1), np.int8), "2 rows, 1 column, int8", ()),
+    ):
+        np.save(tmp_path / "a.npy", array)
+        summary = inspect(tmp_path / "a.npy")
+        assert (row(summary, "shape"), summary.problems) == (rows, problems)
+        assert ("train with" in dict(summary.rows)) == (array.ndim == 2)
+    assert row(summary, "train with").startswith("{kind: files, dim: 1, suffix: .npy, ")
 
 
 def test_an_array_of_own_features_stays_on_disk(tmp_path):
@@ -155,6 +277,34 @@ def test_a_manifest(corpus):
     assert row(summary, "rig").startswith("19 joints, 30 fps") and not summary.problems
 
 
+def test_every_row_of_a_manifest(write_pair, tmp_path):
+    audio, motion = write_pair(tmp_path, "a", seconds=3.0)
+    pair = {"audio": audio, "motion": motion, "duration": 3.0}
+    items = [
+        Item(id="a", split="train", speaker="Ann", style="old", **pair),
+        Item(id="m", split="train", speaker="Ann", mirror=True, **pair),
+        Item(id="b", split="test", speaker="Bob", reading={"up": "y"}, **pair),
+        Item(id="s", split="train", **pair | {"motion": None, "duration": 130.0}),
+        Item(id="k", split="valid", **pair | {"audio": None}),
+    ]
+    path = tmp_path / "corpus.jsonl"
+    Manifest(items).save(path)
+    summary = inspect(path)
+    pairs, alone = "paired", "speech alone"
+    rows = dict(summary.rows)
+    assert rows[pairs].endswith(", 9.00 s: train 2 (6.00 s), test 1 (3.00 s)")
+    assert rows[alone].endswith(", 2.2 min: train 1 (2.2 min)")
+    assert rows["motion alone"].endswith(", 3.00 s: valid 1 (3.00 s)")
+    assert (rows["speakers"], rows["styles"]) == ("Ann (2), Bob (1)", "old (1)")
+    assert (rows["reading"], rows["mirrored"]) == ("up y (1)", "1 of 5")
+    assert rows["rig"] == "19 joints, 30 fps (of recording a)"
+    assert summary.facts["seconds"] == 142.0 and summary.title.endswith(", 2.4 min")
+    assert summary.facts["splits"]["paired"] == {
+        "train": {"items": 2, "seconds": 6.0},
+        "test": {"items": 1, "seconds": 3.0},
+    }
+
+
 def test_missing_files_and_leaks_between_splits_are_reported(write_pair, tmp_path):
     audio, motion = write_pair(tmp_path, "a")
     about = {"audio": audio, "motion": motion}
@@ -201,11 +351,26 @@ def make_run(folder):
 def test_running_and_finished_runs_are_described(tmp_path):
     run = make_run(tmp_path / "run")
     summary = inspect(run)
-    assert row(summary, "state").startswith("running") and row(summary, "step") == "20"
-    assert row(summary, "metrics") == "rec 0.25" and row(summary, "checkpoints") == "1: steps 20"
+    rows = dict(summary.rows)
+    assert re.fullmatch(r"running, as it seems: last written \d\.\d\d s ago", rows.pop("state"))
+    assert rows == {
+        "step": "20",
+        "metrics": "rec 0.25",
+        "checkpoints": "1: steps 20",
+        "settings": "system multires, fps 25.0, seed 3",
+        "command": "gesturekit train light.yaml",
+        "made with": "torch 2.1",
+    }
     for path in run.rglob("*"):
         os.utime(path, (1e9, 1e9))
-    assert "--resume" in row(inspect(run), "state")
+    old = inspect(run)
+    assert row(old, "state").endswith(f" h ago; gesturekit train --resume {run} goes on")
+    assert f"training run, stopped, {old.facts['bytes']} bytes" in old.title
+    # One new file, whichever it is, is a sign of life.
+    for name in ("metrics.jsonl", "checkpoints/step_00000020.pt"):
+        (run / name).touch()
+        assert plain(inspect(run))["state"] == "running"
+        os.utime(run / name, (1e9, 1e9))
     (run / "model").mkdir()
     (run / "model" / "config.yaml").write_text("kind: multires\n")
     assert plain(inspect(run))["state"] == "finished"
