@@ -146,7 +146,7 @@ class Files:
             if values.dtype.kind not in "fiub":
                 raise FeatureError(f"holds {values.dtype}, not numbers: save plain numbers")
             if values.ndim == 1:
-                values = values.reshape(-1, 1) if self.dim == 1 else values.reshape(1, -1)
+                values = values[None]
             if values.ndim == 2 and values.shape[0] == self.dim != values.shape[1]:
                 values = values.T  # (D, T), as librosa has it
         if values.ndim != 2 or values.shape[1] != self.dim or not len(values):

@@ -40,6 +40,62 @@ def test_rows_of_an_npy_are_at_their_true_times_in_any_part_of_the_sound(talk, r
         assert len(track.times) <= (seconds or 8.0 - begin) * rate + 0.2 * rate + 3
 
 
+def test_a_part_has_the_rows_within_it_and_one_beside_each_end(talk):
+    np.save(talk.with_suffix(".npy"), clock(8, 4))
+    own = af.Files(2, rate=4)
+    for start, duration, first, last in ((1.0, 2.0, 4, 12), (1.1, 2.0, 4, 13), (0.0, 0.5, 0, 2)):
+        track = own.extract(af.Wave.load(talk, start=start, duration=duration))
+        rows = np.arange(first, last + 1)
+        np.testing.assert_allclose(track.times, rows / 4 - start, atol=1e-9)
+        np.testing.assert_array_equal(track.values[:, 1], -rows / 4)
+        assert track.spec == own.spec and track.names == ("files.npy_0", "files.npy_1")
+    np.save(talk.with_suffix(".npy"), with_nan())
+    with pytest.raises(af.FeatureError, match="row 120, column 1 is nan"):
+        af.Files(2, rate=50).extract(af.Wave.load(talk, start=2.0))
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "is_read", "is_warned"),
+    [
+        # Half a second, and two frames of a quarter of a second each: 1 s.
+        (0.0, 7.0, True, False),
+        (0.0, 6.75, False, False),
+        (1.0, 8.0, True, False),
+        (1.25, 8.0, False, False),
+        (0.0, 9.0, True, False),
+        (0.0, 9.25, True, True),
+    ],
+)
+def test_rows_may_miss_a_second_of_the_sound(talk, caplog, first, last, is_read, is_warned):
+    times = np.arange(first, last + 0.1, 0.25)
+    np.savez(talk.with_suffix(".npz"), values=times[:, None], times=times)
+    own, wave = af.Files(1), af.Wave.load(talk)
+    if is_read:
+        assert own.extract(wave).at([4.0]).values == [[4.0]]
+    else:
+        with pytest.raises(af.FeatureError, match="check the rate and the file"):
+            own.extract(wave)
+    assert bool(caplog.text) == is_warned
+
+
+def test_only_silence_needs_no_file():
+    own = af.Files(3, rate=10)
+    silence = own.extract(af.Wave(np.zeros(16_000, np.float32), RATE))
+    np.testing.assert_array_equal(silence.at([0.0, 0.7]).values, np.zeros((2, 3)))
+    with pytest.raises(af.FeatureError, match="the sound is no file"):
+        own.extract(af.Wave(np.ones(16_000, np.float32).cumsum() % 7 / 10, RATE))
+
+
+def test_settings_are_stored_as_far_as_they_are_not_the_usual_ones():
+    own = af.Files(2, rate=50, start=0.5, centred=True)
+    spec = {"kind": "files", "dim": 2, "suffix": ".npy", "rate": 50, "start": 0.5, "centred": True}
+    assert own.spec == spec and own.centred == (True, True)
+    usual = af.Files(65_536, ".hubert.NPZ")
+    assert usual.spec == {"kind": "files", "dim": 65_536, "suffix": ".hubert.NPZ"}
+    assert usual.centred == (False,) * 65_536
+    assert [af.Files(1, rate=rate).rate for rate in (0.001, 1e6)] == [0.001, 1e6]
+
+
 def test_an_npz_has_times_of_its_own(talk):
     times = np.array([0.0, 0.5, 0.75, 3.0, 7.9])
     np.savez(talk.with_suffix(".npz"), values=np.stack([times, 2 * times], axis=1), times=times)
@@ -151,6 +207,13 @@ def test_features_that_go_on_after_the_sound_are_warned_about(talk, caplog):
         ({"dim": 4, "suffix": ".mat"}, "suffix is '.mat'"),
         ({"dim": 4, "rate": float("nan")}, "rate is nan"),
         ({"dim": 4, "rate": 1e-300}, "rate is 1e-300"),
+        ({"dim": 4, "rate": 1.1e6}, "rate is 1100000"),
+        ({"dim": 4, "rate": True}, "rate is True"),
+        ({"dim": 65_537}, "dim is 65537"),
+        ({"dim": 4, "start": float("nan")}, "start is nan"),
+        ({"dim": 4, "centred": 1}, "centred 1"),
+        ({"dim": 4, "suffix": "x.npz"}, "suffix is 'x.npz'"),
+        ({"dim": 4, "suffix": 3}, "suffix is 3"),
         ({"dim": 4, "folder": "nowhere"}, "nowhere: no such folder"),
         ({"dim": 4, "width": 4}, "width"),
     ],

@@ -48,6 +48,43 @@ def test_the_sign_of_residuals_is_the_papers():
     np.testing.assert_allclose(residual[:, 0], [2, 0, 0, -2], atol=1e-12)
 
 
+@given(n=st.integers(1, 200), levels=st.integers(1, 6), data=st.data())
+def test_a_part_of_a_level_is_that_of_the_whole(n, levels, data):
+    values = np.random.default_rng(n).standard_normal((n, 2))
+    lengths = af.level_lengths(n, levels)
+    level = data.draw(st.integers(0, levels - 1))
+    start = data.draw(st.integers(0, lengths[level] - 1))
+    stop = data.draw(st.integers(start + 1, lengths[level]))
+    whole = af.residual_pyramid(values, lengths)[level]
+    part = af.residual_level(values, lengths, level, start, stop)
+    np.testing.assert_allclose(part, whole[start:stop], atol=1e-12)
+    again = af.resample_frames(values, lengths[level])
+    np.testing.assert_array_equal(
+        af.resample_frames(values, lengths[level], start, stop), again[start:stop]
+    )
+
+
+def test_levels_of_other_factors_and_no_frames():
+    # 81 / 3, 81 / 9; 10 / 999 rounds to 0, which is one frame.
+    assert af.level_lengths(81, 3, factor=3) == [9, 27, 81]
+    assert af.level_lengths(10, 2, factor=999) == [1, 10]
+    assert af.level_lengths(1, 1) == [1]
+    for arguments, says in (
+        ((10, 0), "levels=0"),
+        ((10, 2, 1000), "factor=1000"),
+        ((10, 2, 0.5), "factor=0.5"),
+    ):
+        with pytest.raises(af.FeatureError, match=says):
+            af.level_lengths(*arguments)
+    for lengths in ((0, 3), (3, 0)):
+        with pytest.raises(af.FeatureError, match="cannot interpolate from"):
+            af.interpolation_weights(*lengths)
+    with pytest.raises(af.FeatureError, match="dtype int64: give floats"):
+        af.resample_frames(np.arange(3), 2)
+    same = np.arange(3.0)
+    assert af.resample_frames(same, 3) is not same
+
+
 def test_wrong_lengths_are_refused():
     with pytest.raises(af.FeatureError, match="40 frames"):
         af.residual_pyramid(np.zeros((40, 2)), [10, 30])

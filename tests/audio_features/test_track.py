@@ -151,6 +151,23 @@ def test_lists_are_taken_and_no_frames_are_refused():
         track.to_rate(25, n_frames=0)
 
 
+def test_one_frame_holds_for_all_times_and_shapes_must_agree():
+    one = FeatureTrack([[1, 2]], [0.5])
+    np.testing.assert_array_equal(one.at([-1.0, 0.5, 9.0]).values, [[1, 2]] * 3)
+    np.testing.assert_array_equal(one.to_rate(2, 3, method="mean").values, [[1, 2]] * 3)
+    assert len(one.to_rate(2).values) == 2 and one.names == ("0", "1")
+    for values, times, names, says in (
+        ([1, 2], [0, 1], (), r"values \(2,\) and times \(2,\)"),
+        ([[1], [2]], [0], (), r"values \(2, 1\) and times \(1,\)"),
+        (np.zeros((0, 1)), [], (), "T > 0"),
+        ([[1, 2]], [0], ("a",), "1 names for 2 columns"),
+        ([[1], [2]], [0, 0], (), "ascend"),
+        ([[1], [2]], [0, np.inf], (), "finite"),
+    ):
+        with pytest.raises(FeatureError, match=says):
+            FeatureTrack(values, times, {}, names)
+
+
 def test_values_that_are_not_finite_are_refused():
     with pytest.raises(FeatureError, match="'b', frame 1"):
         FeatureTrack(np.array([[0, 0], [0, np.nan]]), np.arange(2.0), {}, ("a", "b"))

@@ -15,6 +15,7 @@ from pathlib import Path
 import imageio_ffmpeg
 import numpy as np
 import pytest
+import soundfile
 
 from gesturekit import Motion
 from gesturekit.cli.options import AXES, UNITS
@@ -146,6 +147,32 @@ def test_view_writes_one_page(gesturekit, takes, tmp_path, write_speech, monkeyp
     ):
         done = gesturekit("view", *arguments)
         assert done.status == 2 and done.err.startswith("Error: ")
+
+
+def test_view_opens_a_browser_where_there_are_windows(gesturekit, takes, monkeypatch):
+    opened = []
+    monkeypatch.setattr("webbrowser.open", lambda address: bool(opened.append(address)) or True)
+    monkeypatch.setenv("DISPLAY", ":0")
+    done = gesturekit("view", takes / "a.bvh").ok()
+    page = Path(done.out.strip())
+    assert done.err == "" and opened == [page.as_uri()]
+    shutil.rmtree(page.parent)
+
+
+def test_view_labels_files_of_one_name_by_their_folders(gesturekit, gesture, tmp_path):
+    for number in range(9):
+        gesture(1.0 + 2.0 * (number == 8)).save(tmp_path / str(number) / "a.npz")
+    files = [tmp_path / str(number) / "a.npz" for number in range(9)]
+    sound = tmp_path / "a.wav"
+    soundfile.write(sound, np.zeros(20_000), 8000)
+    page = tmp_path / "page.HTM"
+    done = gesturekit("view", *files, "--audio", sound, "--out", page, "--framing", "waist").ok()
+    # All that are named are shown, and the longest decides whether the sound fits.
+    assert done.err == ""
+    labels = re.findall('"label":"(.*?)"', page.read_text())
+    assert labels == [str(file) for file in files]
+    picture = ("--out", tmp_path / "a.png", "--framing", "waist")
+    gesturekit("view", files[0], *picture).fails(2, "--framing is an option of html")
 
 
 def test_view_says_when_sound_and_motion_do_not_fit(gesturekit, takes, tmp_path, write_speech):

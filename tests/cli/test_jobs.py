@@ -109,6 +109,46 @@ def test_names_from_a_journal_cannot_write_to_the_terminal(gesturekit, tmp_path)
     assert "in progress when a run was killed: b?" in shown.out
 
 
+def test_the_reasons_of_failures_are_the_most_frequent_first(gesturekit, tmp_path):
+    names = [f"i{number:02d}" for number in range(18)]
+    journal = begun(tmp_path, *names)
+    for number, name in enumerate(names[:16]):
+        reason = "damaged" if number < 3 else f"reason {'abcdefghijklm'[number - 3]}"
+        for _ in range(3 if name == "i05" else 1):
+            journal.finish(Result(Task(name), "failed", error=reason))
+    journal.close()
+    lines = gesturekit("jobs", tmp_path, "--left").out.splitlines()
+    assert lines[0].startswith(f"{tmp_path}: 18 items, ")
+    assert "done 0, failed 16 (1 put aside after three failures), left 2" in lines
+    assert "     3x damaged (first: i00)" in lines
+    assert sum("x reason " in line for line in lines) == 11
+    assert "        and 2 more reasons; --failed lists all" in lines
+    assert lines[-2:] == ["left  i16", "left  i17"]
+    assert "failed 3x  i05: reason c" in gesturekit("jobs", tmp_path, "--failed").out
+    gesturekit("jobs", tmp_path, "--page", tmp_path / "page.txt").fails(2, "name it .html")
+    (tmp_path / "page.htm").write_text("mine")
+    kept = gesturekit("jobs", tmp_path, "--page", tmp_path / "page.htm", "--existing", "skip")
+    assert kept.ok() and (tmp_path / "page.htm").read_text() == "mine"
+
+
+def test_a_dry_run_lists_each_sound_with_its_length(
+    gesturekit, write_speech, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    write_speech(tmp_path / "in" / "a.wav", 1.5)
+    write_speech(tmp_path / "in" / "b.wav", 12.25)
+    (tmp_path / "in" / "c.wav").write_text("Dear diary,")
+    options = ("--model", "demo", "--out", "out", "--format", "bvh,npz", "--workers", 2)
+    done = gesturekit("render", "in", *options, "--dry-run").ok()
+    made, longer, failed = done.out.splitlines()
+    assert made == "make      1.5 s  in/a.wav -> out/a.bvh, out/a.npz"
+    assert longer == "make     12.2 s  in/b.wav -> out/b.bvh, out/b.npz"
+    assert failed.startswith("fail        ? s  in/c.wav -> ") and "cannot be read" in failed
+    sums = r"2 to make, 0 to keep, 1 to fail; 14 s of sound, about \d+\.\d MB and .* with 2 of"
+    assert re.search(sums, done.err)
+    assert not (tmp_path / "out").exists()
+
+
 def test_large_numbers_of_the_page_are_written_out():
     text = "".join(summary._histogram("Speed", [6.25, *[128.0] * 9, 14_400.0]))
     assert "<p>6.2 to 14,000 (logarithmic); 10 % below 130, half below 130" in text

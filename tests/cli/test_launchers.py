@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
@@ -55,6 +57,92 @@ def test_options_that_do_not_fit_are_refused(render, tmp_path, options, says):
     refused = render("out", *options)
     assert (refused.exit_code, says in refused.output) == (2, True), refused.output
     assert not (tmp_path / "out").exists()
+
+
+class LocalRay(ModuleType):
+    """A cluster of ray in this process, of `cpus` processors; `lost` calls fail with a node."""
+
+    def __init__(self, cpus: int, lost: int = 0) -> None:
+        super().__init__("ray")
+        self.cpus, self.lost, self.actors, self.addresses = cpus, lost, [], []
+        self.is_running = False
+        errors = type("exceptions", (), {})
+        errors.RayError = type("RayError", (Exception,), {})
+        errors.RayActorError = type("RayActorError", (errors.RayError,), {})
+        self.exceptions = errors
+
+    def init(self, address=None, **_) -> None:
+        if address == "nowhere":
+            raise ConnectionError("no cluster at nowhere")
+        self.is_running = True
+
+    def shutdown(self) -> None:
+        self.is_running = False
+
+    def cluster_resources(self) -> dict[str, float]:
+        return {"CPU": float(self.cpus)}
+
+    def remote(self, **_):
+        def decorate(actor):
+            def start():
+                made = actor()
+                self.actors.append(made)
+                call = SimpleNamespace(remote=lambda shard: (made, shard))
+                return SimpleNamespace(run=call)
+
+            return SimpleNamespace(remote=start)
+
+        return decorate
+
+    def wait(self, running):
+        return [running[-1]], running[:-1]
+
+    def get(self, call):
+        if self.lost:
+            self.lost -= 1
+            raise self.exceptions.RayActorError
+        actor, shard = call
+        return actor.run(shard)
+
+
+@pytest.mark.parametrize(("cpus", "lost", "actors"), [(1, 0, 1), (2, 1, 2), (8, 0, 3)])
+def test_ray_makes_the_same_files_also_when_a_node_is_lost(
+    render, tmp_path, monkeypatch, cpus, lost, actors
+):
+    ray = LocalRay(cpus, lost)
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    done = render("out", "--launcher", "ray", "--jobs", "3")
+    assert done.exit_code == 0, done.output
+    assert len(results(tmp_path / "out")) == 3 and not ray.is_running
+    assert sorted(n for n, _ in status_of(tmp_path / "out").shards) == [1, 1, 1]
+    assert len(ray.actors) == actors, "no more than there are shards or processors"
+    assert done.output.count("was lost with its node; it starts again") == lost
+    assert "3 shards: gesturekit jobs out shows the result" in done.output
+
+
+def test_a_cluster_that_is_lost_or_absent_is_one_line(render, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", LocalRay(cpus=2, lost=2))
+    lost = render("out", "--launcher", "ray", "--jobs", "3")
+    assert lost.exit_code != 0 and "ray: all nodes were lost" in str(lost.exception)
+    absent = render("out", "--launcher", "ray", "--address", "nowhere")
+    assert "ray: no cluster at nowhere" in str(absent.exception)
+    monkeypatch.setitem(sys.modules, "ray", None)
+    missing = render("out", "--launcher", "ray")
+    assert "not installed; run: pip install 'gesturekit[ray]'" in str(missing.exception)
+    monkeypatch.setitem(sys.modules, "submitit", None)
+    missing = render("out", "--launcher", "slurm")
+    assert "not installed; run: pip install 'gesturekit[slurm]'" in str(missing.exception)
+
+
+def test_the_worst_shard_gives_the_exit_code(render, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", LocalRay(cpus=1))
+    (tmp_path / "speech").mkdir()
+    (tmp_path / "speech" / "broken.wav").write_text("Dear diary,")
+    done = render("out", "--launcher", "ray", "--jobs", "2")
+    assert done.exit_code == 1 and len(results(tmp_path / "out")) == 3
+    # A dry run makes nothing, wherever it is asked for.
+    dry = render("dry", "--launcher", "ray", "--jobs", "2", "--dry-run")
+    assert dry.exit_code == 0 and "3 to make" in dry.output and not (tmp_path / "dry").exists()
 
 
 def child_of(parent: int) -> int:

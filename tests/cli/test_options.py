@@ -1,0 +1,146 @@
+"""Options of the command line: which go together, how they are parsed, what names denote."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import pytest
+
+from gesturekit.cli.evaluate_inputs import folders_of, recordings_of, rendered_baselines
+from gesturekit.cli.options import (
+    RECORDING_OPTIONS,
+    comma_separated,
+    parse_expert,
+    parse_level_files,
+    parse_placed_files,
+    parse_weights,
+)
+from gesturekit.evaluation import Items
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ("", "Give audio files, --corpus, or --seconds"),
+        ("a.wav --seconds 2", "--seconds is for motion without audio"),
+        ("a.wav --split test", "--split requires --corpus."),
+        ("a.wav --corpus c.jsonl", "--corpus sets the sounds"),
+        ("--corpus c.jsonl --seconds 2", "--corpus sets the sounds"),
+        ("--corpus c.jsonl --channel 1", "--corpus sets the sounds"),
+        ("--keyframes k.bvh --like l.bvh", "--keyframes and --like cannot be combined: give one."),
+        ("a.wav --path p.csv --keep k.bvh", "--path and --keep cannot be combined: give one."),
+        ("a.wav --keyframe-level 2", "--keyframe-level requires --keyframes or --like."),
+        ("--path p.csv --keyframe-level 2", "--keyframe-level requires --keyframes or --like."),
+        ("a.wav --change 0.5", "--change requires --like."),
+        ("a.wav --rig-part head=Head", "--rig-part requires --rig."),
+        ("a.wav --weights x --weights y", "with several encoders, give KIND=PATH for each."),
+        ("a.wav --weights hf=x --weights hf=y", "--weights: hf is given twice."),
+        ("a.wav --shard 1/2 --launcher slurm", "give --jobs, not --shard"),
+        # What goes together: the first thing that is missing is the model or the manifest.
+        ("--seconds 2", "none: neither a model folder nor a bundled model"),
+        ("a.wav", "none: neither a model folder nor a bundled model"),
+        ("--like l.bvh --keyframe-level 2", "none: neither a model folder nor a bundled model"),
+        ("--keyframes k.bvh --keyframe-level 2", "none: neither a model folder nor a bundled"),
+        ("--like l.bvh --change 0.5", "none: neither a model folder nor a bundled model"),
+        ("--keep k.bvh --seconds 2", "none: neither a model folder nor a bundled model"),
+        ("--path p.csv --channel 1", "none: neither a model folder nor a bundled model"),
+        ("--corpus c.jsonl --split valid", "c.jsonl"),
+    ],
+)
+def test_options_of_render_that_go_together(gesturekit, tmp_path, monkeypatch, arguments, says):
+    monkeypatch.chdir(tmp_path)
+    done = gesturekit("render", *arguments.split(), "--model", "none", "--out", "out")
+    done.fails(2, says)
+    assert not (tmp_path / "out").exists()
+
+
+def test_weights_name_their_encoders(tmp_path):
+    (tmp_path / "a=b").mkdir()
+    parse = lambda *values: parse_weights(None, None, values)  # noqa: E731
+    assert parse() is None and parse("folder") == Path("folder")
+    assert parse(str(tmp_path / "a=b")) == tmp_path / "a=b", "a folder that exists is no KIND"
+    both = {"wavlm": Path("x"), "files": Path("y=z")}
+    assert parse("wavlm=x", "files=y=z") == both
+
+
+def test_experts_have_a_weight_and_a_style():
+    parse = lambda text: parse_expert(text, str.upper)  # noqa: E731
+    assert parse("runs/a") == ("RUNS/A", None, None)
+    assert parse("a:0.25") == ("A", 0.25, None)
+    assert parse("a:0.25:old") == ("A", 0.25, "old")
+    assert parse("a::old") == ("A", None, "old")
+    assert parse("a:0@0,1@10") == ("A", "0@0,1@10", None)
+    with pytest.raises(click.UsageError, match="'half' is not a weight"):
+        parse("a:half")
+
+
+def test_files_have_times_or_levels():
+    assert comma_separated(" a, b ,,") == ["a", "b"] and comma_separated(None) == []
+    placed = {0.0: Path("a.bvh"), 6.5: Path("b@c.bvh")}
+    assert parse_placed_files("a.bvh, b@c.bvh@6.5") == placed
+    with pytest.raises(click.UsageError, match=r"a.bvh and b.bvh both begin at 0 s"):
+        parse_placed_files("a.bvh,b.bvh@0")
+    assert parse_level_files("1-4=a.wav,7=b=c.wav") == {"1-4": Path("a.wav"), "7": Path("b=c.wav")}
+    with pytest.raises(click.UsageError, match="'7-10' names no file"):
+        parse_level_files("1=a.wav,7-10")
+
+
+RECORDED = {"corpus": None, "split": None, "audio": None, "protocol": None}
+RECORDED |= dict.fromkeys(RECORDING_OPTIONS)
+
+
+def test_recordings_are_a_folder_or_a_manifest(corpus, tmp_path):
+    assert recordings_of(tmp_path, RECORDED) == tmp_path
+    for arguments, says in (
+        ((tmp_path, {"split": "test"}), "--split requires --corpus"),
+        ((None, {}), "name the recordings"),
+        ((None, {"corpus": corpus, "audio": tmp_path}), "leave out --audio"),
+        ((None, {"corpus": corpus, "in_up": "z"}), "leave out --audio"),
+    ):
+        with pytest.raises(click.UsageError, match=says):
+            recordings_of(arguments[0], RECORDED | arguments[1])
+    # All items of this manifest are of its training split.
+    for options in ({"split": "train"}, {"protocol": "multires"}):
+        items = recordings_of(None, RECORDED | {"corpus": corpus} | options)
+        assert isinstance(items, Items) and {item.split for item in items.items} == {"train"}
+
+
+def test_models_are_labelled_by_as_much_of_their_path_as_tells_them_apart(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = ["ours", "b/ours", "c/b/ours", "best=c/ours", "c/one.bvh", "x=y"]
+    for name in (*names[:3], "c/ours", "x=y"):
+        (tmp_path / name).mkdir(parents=True, exist_ok=True)
+    (tmp_path / "c" / "one.bvh").write_text("")
+    folders = folders_of([*names, "absent"], tmp_path, {"protocol": None})
+    assert folders == {
+        "ours": Path("ours"),
+        "b/ours": Path("b/ours"),
+        str(tmp_path / "c/b/ours"): Path("c/b/ours"),
+        "best": Path("c/ours"),
+        "one": Path("c/one.bvh"),
+        "x=y": Path("x=y"),
+        "absent": Path("absent"),
+    }
+    (tmp_path / "ours" / "config.yaml").write_text("kind: multires\n")
+    for name in ("ours", "demo"):
+        with pytest.raises(click.UsageError, match=f"{name} is a model, not motion"):
+            folders_of([name], tmp_path, {"protocol": None})
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"baseline": "median"}, "it is one of mean_pose"),
+        ({"baseline": "speech_blnd"}, "did you mean speech_blind"),
+        ({"baseline": "mean_pose,speech_blind"}, "speech_blind needs --corpus"),
+        ({"baseline": "retrieval", "corpus": "c.jsonl"}, "has the name of a model"),
+        ({"baseline": "speech_blind", "corpus": "c.jsonl"}, "only known for folders written by"),
+    ],
+)
+def test_baselines_that_cannot_be_rendered(tmp_path, options, says):
+    options = {"corpus": None, "split": None, "seed": 0, "weights": None} | options
+    with pytest.raises(click.UsageError, match=says):
+        rendered_baselines(tmp_path, {"retrieval": tmp_path}, tmp_path / "new", options)
+    usual = options | {"baseline": "mean_pose", "corpus": None}
+    assert rendered_baselines(tmp_path, {}, tmp_path / "new", usual) == {}
