@@ -306,6 +306,71 @@ def test_an_array_that_is_no_sound_is_refused(samples, rate, says):
         Wave.from_array(samples, rate, "the talk")
 
 
+def test_the_limits_of_a_sound_are_allowed(tmp_path):
+    for rate in (4_000, 768_000):
+        assert Wave(np.zeros(rate), rate).sample_rate == rate
+    for rate in (3_999, 768_001, 16_000.5, None):
+        with pytest.raises(AudioError, match="sample rate"):
+            Wave(np.zeros(768_001), rate)
+    assert Wave(np.zeros(400), 16_000).duration == 0.025
+    with pytest.raises(AudioError, match=r"399 samples at 16000 Hz are 24.9 ms: give at least 25"):
+        Wave(np.zeros(399), 16_000)
+    soundfile.write(tmp_path / "a.wav", noise(16_000), 16_000)
+    assert Wave.load(tmp_path / "a.wav", max_seconds=1.0).duration == 1.0
+    assert Wave.load(tmp_path / "a.wav", duration=0.5, max_seconds=0.5).duration == 0.5
+    with pytest.raises(AudioError, match="1 s of sound exceed the limit"):
+        Wave.load(tmp_path / "a.wav", max_seconds=0.99)
+
+
+@pytest.mark.parametrize(("level", "is_silent"), [(1.7e-4, True), (1.9e-4, False)])
+def test_silence_is_below_minus_75_dbfs(level, is_silent):
+    """10^(-75/20) is 1.78e-4; a square wave has the level of its height."""
+    wave = Wave(np.resize([level, -level], 16_000), 16_000)
+    assert wave.is_silent == is_silent
+    assert bool(wave.faults()) == is_silent
+
+
+@pytest.mark.parametrize(("second", "n_active"), [(-22, 2), (-24, 1)])
+def test_frames_20_db_below_the_mean_of_active_ones_are_not_active(second, n_active):
+    """Three seconds, of 0, -22 or -24, and -26 dB.
+
+    The mean of all is -4.7 dB: the third second goes. That of the first two is -3 dB: of -22 dB
+    the second stays, of -24 dB it goes.
+    """
+    square = np.resize([0.5, -0.5], 16_000)
+    sound = np.concatenate([square * 10 ** (decibel / 20) for decibel in (0, second, -26)])
+    wave = Wave(sound, 16_000)
+    assert wave.active(0.1)[5::10].tolist() == [True] * n_active + [False] * (3 - n_active)
+    mean = sum(10 ** (decibel / 10) for decibel in (0, second)[:n_active]) / n_active
+    assert wave.active_level() == pytest.approx(10 * np.log10(0.25 * mean), abs=0.1)
+
+
+def test_a_level_is_set_without_the_offset(speech):
+    shifted = Wave(speech.samples + np.float32(0.1), 16_000).at_level(-30)
+    assert abs(shifted.samples.mean(dtype=np.float64)) < 1e-6
+    assert shifted.active_level() == pytest.approx(-30, abs=0.01)
+    for offset, is_named in ((0.0098, False), (0.0102, True), (-0.0102, True)):
+        square = np.resize([0.5, -0.5], 16_000) + offset
+        assert bool(Wave(square, 16_000).faults()) == is_named
+
+
+def test_rms_outside_the_sound_and_of_times_in_disorder():
+    wave = Wave(np.resize([0.5, -0.5], 16_000), 16_000)
+    # Half of the window at the beginning is outside, and left out.
+    values = wave.rms(np.array([-1.0, 0.0, 0.5, 1.0, 1.0, 2.0]), window=0.1)
+    np.testing.assert_allclose(values, [0.0, 0.5, 0.5, 0.5, 0.5, 0.0], atol=1e-6)
+    with pytest.raises(AudioError, match="times must ascend"):
+        wave.rms(np.array([0.5, 0.4]))
+    assert wave.resample(16_000) is wave
+
+
+def test_digests_tell_samples_and_rates_apart():
+    one = Wave(np.zeros(16_000), 16_000)
+    assert one.digest == Wave(np.zeros(16_000), 16_000, source="other").digest
+    others = [Wave(np.zeros(16_000), 8_000), Wave(np.ones(16_000), 16_000)]
+    assert len({one.digest, *(other.digest for other in others)}) == 3
+
+
 def test_half_a_frame_rounds_up():
     assert Wave(np.zeros(16_320, np.float32), 16_000).n_frames(25) == 26  # 25.5 frames
     assert Wave(np.zeros(16_319, np.float32), 16_000).n_frames(25) == 25

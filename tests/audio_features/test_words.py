@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import audio_features as af
+from audio_features.words import words_beside
 
 EXPECTED = [(0.2, 0.5, "so"), (0.5, 1.0, "well"), (2.0, 2.25, "yes")]
 
@@ -69,6 +70,55 @@ def test_utf_16_as_praat_writes_it(tmp_path):
     assert af.load_words(tmp_path / "a.TextGrid")[-1].text == "はい"
 
 
+SEGMENT = {"start": 1, "end": 2.5}
+"""Six letters in 1.5 s: "so" takes half a second and "well" a whole one."""
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"words": LIST[:2], "segments": [{"words": LIST[2:]}]},
+        {"word_segments": [*LIST[:2], {"word": "2024"}]},
+        {"segments": [{"words": LIST[:1]}, {"words": LIST[1:2], "text": "other"}]},
+        {"segments": [{"start": 0.2, "end": 0.5, "text": "so"}, {"words": LIST[1:2]}]},
+        {"metadata:transcript": [{"words": LIST[:2]}]},
+        [{"text": "so", "start": "0.2", "end": 0.5}, LIST[1], {"word": "well"}],
+        [
+            *LIST[:2],
+            {"word": " sil ", "start": 3, "end": 4},
+            {"word": "<EPS>", "start": 4, "end": 5},
+        ],
+    ],
+)
+def test_every_kind_of_json_gives_the_same_words(tmp_path, content):
+    (tmp_path / "a.words.json").write_text(json.dumps(content), encoding="utf-8-sig")
+    assert af.load_words(tmp_path / "a.words.json") == tuple(af.Word(*w) for w in EXPECTED[:2])
+
+
+def test_words_without_times_share_that_of_their_segment(tmp_path):
+    for key, place in (("text", "segments"), ("transcript", "metadata:transcript")):
+        (tmp_path / "a.json").write_text(json.dumps({place: [SEGMENT | {key: "so well"}]}))
+        so, well = af.load_words(tmp_path / "a.json")
+        assert so == af.Word(1.0, 1.5, "so") and well == af.Word(1.5, 2.5, "well")
+
+
+def test_times_of_captions_and_marks_of_laughter(tmp_path):
+    (tmp_path / "a.srt").write_text("1\n01:02:03,500 --> 01:02:04.5\n{x}so\n<b>well</b>\n\nno\n")
+    so, well = af.load_words(tmp_path / "a.srt")
+    assert (so.start, well.end) == (3723.5, 3724.5) and so.end == pytest.approx(3723.5 + 1 / 3)
+    (tmp_path / "a.vtt").write_text("WEBVTT\n")
+    assert af.load_words(tmp_path / "a.vtt") == ()
+    (tmp_path / "a.tsv").write_text("0\t1\t#LAUGHTER\n\n1\t2\tso\tmore\n604800\t604800\tend\n")
+    assert [word.text for word in af.load_words(tmp_path / "a.tsv")] == ["so", "end"]
+
+
+def test_the_list_beside_a_recording(tmp_path):
+    assert words_beside(tmp_path / "a.wav") is None
+    for name in ("a.tsv", "a.VTT", "a.srt", "a.words.json", "a.ctm", "a.textgrid"):
+        (tmp_path / name).write_text("")
+        assert words_beside(tmp_path / "a.wav") == tmp_path / name, "the preferred one"
+
+
 @pytest.mark.parametrize(
     ("name", "text", "complaint"),
     [
@@ -82,6 +132,14 @@ def test_utf_16_as_praat_writes_it(tmp_path):
         ("a.json", "{", "not JSON"),
         ("a.json", "[1]", "not a list of words"),
         ("a.tsv", "1 2 so", "line 1: expected start"),
+        ("a.tsv", "0\t604801\tso", "line 1: time is '604801'"),
+        ("a.tsv", "-1\t1\tso", "line 1: time is '-1'"),
+        ("a.tsv", "2\t1\tso", "line 1: ends at 1.0 s, before 2.0 s"),
+        ("a.ctm", "\nx 1 0.2 0.1 so\nx 1 0.2", "line 3: expected file"),
+        ("a.json", '[{"word": "a", "start": 0, "end": null}]', "word 1: time is 'None'"),
+        ("a.TextGrid", SHORT.replace("IntervalTier", "TextTier"), "no interval tier"),
+        ("a.TextGrid", SHORT.partition('"Int')[0].replace("2\n", "1\n"), "no interval tier"),
+        ("a.TextGrid", SHORT.replace("0 3 3", "0 3 many"), "instead of a number"),
         ("a.doc", "", "not a word list"),
     ],
 )
@@ -110,6 +168,23 @@ def test_words_as_features(tmp_path, write_speech):
     for start in (0.1, 0.3, 1.5):
         part = af.Words().extract(wave.slice(start)).values[:, 0]
         np.testing.assert_array_equal(part, word[round(100 * start) :])
+
+
+def test_values_of_words_by_hand(tmp_path):
+    """A word within another, one without length, and one that begins before the sound."""
+    (tmp_path / "a.ctm").write_text("x 1 1.5 1.0 a\nx 1 3 2 b\nx 1 3.5 0.5 c\nx 1 8 0 d\n")
+    wave = af.Wave(np.ones(160_000, np.float32) / 10, 16_000, offset=2.0, words=tmp_path / "a.ctm")
+    word, onset, gap, rate = af.Words().extract(wave).values.T
+    frames = np.arange(1000)
+    spoken = [*range(50), *range(100, 300), 600]
+    np.testing.assert_array_equal(word, np.isin(frames, spoken))
+    np.testing.assert_array_equal(np.flatnonzero(onset), [100, 150, 600])
+    # Pauses of 1/2, 3 and 4 s.
+    expected = np.log1p(np.where(frames < 100, 0.5, np.where(frames < 600, 3.0, 4.0)))
+    np.testing.assert_allclose(gap, np.where(np.isin(frames, spoken), 0.0, expected), rtol=1e-6)
+    # One word in a bell of 0.5 s: 1 / (0.5 sqrt(2 pi)), and exp(-1/2) of it half a second away.
+    np.testing.assert_allclose(rate[[600, 550, 650]], [0.7979, 0.4839, 0.4839], atol=1e-3)
+    assert rate[300:800].sum() / 100 == pytest.approx(1.0, abs=0.02)
 
 
 def test_new_words_count_at_once_and_missing_ones_are_an_error(tmp_path, write_speech):
