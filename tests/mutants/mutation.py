@@ -53,7 +53,7 @@ def drawn(seed: int, count: int, only: list[str], changed: str | None) -> Iterat
         for defect in defects_of(ROOT, path)
         if lines is None or defect.line in lines[defect.path]
     ]
-    equivalent = {(e["function"], e["change"]) for e in table("equivalent.toml")["defect"]}
+    equivalent = {(e["function"], e["change"]) for e in table("equivalent.toml").get("defect", [])}
     random.Random(seed).shuffle(pool)
     print(f"{min(count, len(pool))} of {len(pool)} defects, seed {seed}", flush=True)
     left = count
