@@ -118,7 +118,7 @@ def _feet(skeleton: Skeleton) -> Iterator[Foot]:
         toe = None if leg.toe is None else skeleton.index(leg.toe)
         own = [k for k, point in enumerate(points) if point.joint in (leg.ankle, leg.toe)]
         front = [k for k in own if points[k].joint == leg.toe]
-        back = [k for k in own if k not in front] or front[:1]
+        back = [k for k in own if k not in front]
         if toe is None and len(back) > 1:
             # All points are fixed to the ankle, so the nearest is the heel.
             back.sort(key=lambda k: float(np.linalg.norm(points[k].offset)))
@@ -140,7 +140,7 @@ def _feet(skeleton: Skeleton) -> Iterator[Foot]:
             knee=skeleton.index(leg.knee),
             ankle=ankle,
             toe=toe,
-            heel=Anchor(ankle, _middle(points, back), tuple(back)),
+            heel=Anchor(ankle, _middle(points, back), tuple(back or front)),
             ball=ball,
             sole=(*sole, *tips),
             n_toes=len(tips),
@@ -148,5 +148,5 @@ def _feet(skeleton: Skeleton) -> Iterator[Foot]:
 
 
 def _middle(points: tuple[FootPoint, ...], which: list[int]) -> np.ndarray:
-    """(3,) mean offset of some of the points, metres."""
-    return np.mean([points[k].offset for k in which], axis=0)
+    """(3,) mean offset of some of the points, metres; zeros for none."""
+    return np.mean([points[k].offset for k in which] or [np.zeros(3)], axis=0)

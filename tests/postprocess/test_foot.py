@@ -66,6 +66,14 @@ CASES = {
         [("Foot", HEEL), ("Foot", HEEL), ("ToeBase", NONE), ("ToeBase", BIG), ("ToeBase", SMALL)],
         3,
     ),
+    "three ends of the toes alone": (
+        {"ToeBase": ("Foot", TOE)},
+        {"ToeBase": [BIG, SMALL, TIP]},
+        ("Foot", NONE, (0, 1, 2)),
+        ("ToeBase", NONE, (0, 1, 2)),
+        [("ToeBase", p) for p in (NONE, BIG, SMALL, TIP)],
+        4,
+    ),
     "vertices of a body model on the foot alone": (
         {},
         {"Foot": [(0.05, -0.05, 0.2), HEEL, (-0.03, -0.05, 0.16)]},

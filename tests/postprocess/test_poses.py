@@ -133,6 +133,32 @@ def test_a_near_foot_stays_until_the_motion_moves_it():
         np.testing.assert_allclose(apart[30 + frame, 0], [0.05 * share, 0, 0], atol=1e-9)
 
 
+@pytest.mark.parametrize("size", [1.0, 5.0])
+def test_a_foot_slower_than_a_standing_one_stays_in_the_pose(size):
+    for speed, left in ((0.19, 0.05), (0.21, 0.0)):
+        motion = standing()
+        way = speed / 24 * np.arange(60)[:, None] * [0, 0, 1]
+        motion = replace(motion, translation=motion.translation + way)
+        motion = motion.scaled(size)
+        made = Placement(start=wide(0.05).scaled(size)).applied(motion)
+        apart = (ankles(made) - ankles(motion)) / size
+        assert apart[-1, 0, 0] == pytest.approx(left, abs=1e-9)
+
+
+@pytest.mark.parametrize("size", [0.1, 5.0])
+def test_poses_and_places_are_the_same_at_any_size(size):
+    wanders = wandering(walking_off(30), 0.1, 0.2)
+    near = stance(standing(), (0.05, 0, 0), (-0.05, 0.01, 0), yaw=0.25)
+    far = stance(standing(), (0.15, 0.01, 0), (-0.15, 0, 0), yaw=0.3)
+    for start, end in ((far, near), (near, far)):
+        for motion in (walking_off(30), wanders):
+            asked = {"in_place": motion is wanders, "foot_lock": False}
+            usual = Placement(start=start, end=end, **asked).applied(motion)
+            large = Placement(start=start.scaled(size), end=end.scaled(size), **asked)
+            made = large.applied(motion.scaled(size)).positions() / size
+            np.testing.assert_allclose(made, usual.positions(), atol=1e-9)
+
+
 def test_the_end_is_the_beginning_seen_backwards():
     """Without a start pose near feet may be where the end wants them from the first frame on."""
     made = ankles(Placement(end=wide(0.15)).applied(standing())) - ankles(standing())
