@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from recordings import RECORDED
-from rigs import numbered, with_offsets
+from rigs import PERSON, at_rest, numbered, rig_of, with_offsets
+from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
@@ -62,6 +63,67 @@ def test_mirrored_bandai_poses_are_poses_of_that_rig(shared_data):
         motion = Motion.load(shared_data / f"motion/bandai/dataset-1_bow_{style}_001.bvh")
         apart = rotation_angles(motion.mirror().rotations, motion.rotations)
         assert np.degrees(np.median(apart, axis=0)).max() < 30
+
+
+def symmetric(n_frames: int = 40) -> Motion:
+    """A person who moves both sides alike, and nods: his own mirror image."""
+    motion, rng = at_rest(rig_of(PERSON), n_frames), np.random.default_rng(0)
+    for j, name in enumerate(motion.skeleton.names):
+        angles = np.cumsum(rng.normal(0, 0.1, (n_frames, 3)), axis=0)
+        if name.startswith("Right"):
+            other = motion.skeleton.index(name.replace("Right", "Left"))
+            motion.rotations[:, j] = motion.rotations[:, other] * [1, -1, -1, 1]
+        else:
+            angles = angles if name.startswith("Left") else angles * [1, 0, 0]
+            motion.rotations[:, j] = Rotation.from_rotvec(angles).as_quat()
+    return motion
+
+
+def reframed(motion: Motion, kinds: list[int], seed: int) -> Motion:
+    """The same motion on a rig whose joints have other axes.
+
+    `kinds` tells for each joint by which reflection of its axes left becomes right: of x, y or z,
+    or of all three.
+    """
+    rig, rng, x = motion.skeleton, np.random.default_rng(seed), np.diag([-1, 1, 1])
+    mirror = np.array([[-1, 1, 1], [1, -1, 1], [1, 1, -1], [-1, -1, -1]])
+    axes = []
+    for name, kind in zip(rig.names, kinds, strict=True):
+        if name.startswith("Right"):
+            left = axes[rig.index(name.replace("Right", "Left"))].as_matrix()
+            axes.append(Rotation.from_matrix(x @ left @ np.diag(mirror[kind])))
+        elif name.startswith("Left"):
+            axes.append(Rotation.random(rng=rng))
+        else:  # the reflected axis lies across the body
+            across = Rotation.from_matrix(np.roll(np.eye(3), -kind, axis=0))
+            axes.append(Rotation.from_euler("x", rng.uniform(0, 6)) * across)
+    offsets, rotations = rig.offsets.copy(), np.empty_like(motion.rotations)
+    for j, parent in enumerate(rig.parents):
+        above = axes[parent] if parent >= 0 else Rotation.identity()
+        offsets[j] = above.inv().apply(rig.offsets[j]) if j else rig.offsets[j]
+        local = Rotation.from_quat(motion.rotations[:, j])
+        rotations[:, j] = (above.inv() * local * axes[j]).as_quat()
+    return replace(motion, skeleton=replace(rig, offsets=offsets), rotations=rotations)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("size", [1.0, 50.0])
+def test_a_body_that_is_its_own_mirror_image_stays_as_it_is_whatever_its_axes(seed, size):
+    """The reflection of a joint's axes shows in the offsets below it; ends have their parent's."""
+    motion = symmetric()
+    rig, rng = motion.skeleton, np.random.default_rng(10 + seed)
+    kinds: list[int] = []
+    for j, name in enumerate(rig.names):
+        if rig.is_leaf(j):
+            kinds.append(kinds[rig.parents[j]])
+        elif name.startswith("Right"):
+            kinds.append(kinds[rig.index(name.replace("Right", "Left"))])
+        else:
+            kinds.append(int(rng.integers(4 if name.startswith("Left") else 3)))
+    other = reframed(motion, kinds, seed)
+    np.testing.assert_allclose(other.positions(), motion.positions(), atol=1e-9)
+    apart = rotation_angles(other.scaled(size).mirror().rotations, other.rotations)
+    assert apart.max() < 1e-6
 
 
 def test_bandai_clips_agree_on_how_left_and_right_relate(shared_data):
