@@ -118,6 +118,8 @@ def test_variants_of_other_writers_are_read(write, change):
         ("JOINT Chest", "JOINT Che\x01st", 6, "cannot be shown"),
         ("\t\tOFFSET 0 50 0\n", "", 6, "no OFFSET"),
         ("CHANNELS 3", "CHANNELS 4", 9, "'4' for 3 names"),
+        ("CHANNELS 3", "CHANNELS", 9, "'Zrotation' for 2 names"),
+        ("CHANNELS 3 Zrotation Xrotation Yrotation", "CHANNELS", 9, "'' for 0 names"),
         ("3 Zrotation", "3 Zscale", 9, "'Zscale'"),
         ("3 Zrotation Xrotation", "3 Zrotation Zrotation", 9, "twice"),
         ("JOINT Chest", "ROOT Chest", 6, "second ROOT"),

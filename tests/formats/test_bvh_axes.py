@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import at_rest, nameless, turned_at_root
+from rigs import at_rest, nameless, rig_of, turned_at_root
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
@@ -131,6 +131,25 @@ def test_a_rig_of_unknown_parts_is_read_as_it_is(facing_z, tmp_path, save_as_oth
     assert motion.info["guessed"] == ("unit", "up", "forward")
     found = motion.positions()[:, motion.skeleton.index("Joint4")]
     np.testing.assert_allclose(found, facing_z.positions()[:, 4], atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("half", "unit"), [(3.9, "m"), (4.1, "cm"), (249.0, "cm"), (251.0, "mm"), (4000.0, "mm")]
+)
+def test_the_unit_of_a_body_without_known_parts_is_that_of_its_reach(
+    tmp_path, half, unit, save_as_others
+):
+    """Two chains that end `half` ahead and behind; the far joint above them holds no bone.
+
+    Up to 8 it is in metres, up to 500 in centimetres.
+    """
+    bones = {"world": (None, (0, 0, 0)), "body": ("world", (0, 9e4, 0))}
+    for name, z in (("fore", half), ("aft", -half)):
+        bones |= {name: ("body", (0, 0, z / 2)), f"{name}_tip": (name, (0, 0, z / 2))}
+    save_as_others(at_rest(rig_of(bones), 2), tmp_path / "a.bvh", unit="m")
+    motion = read_bvh(tmp_path / "a.bvh")
+    assert (motion.info["unit"], "unit" in motion.info["guessed"]) == (unit, True)
+    assert motion.skeleton.offsets[2, 2] == pytest.approx(half / 2 * METRES[unit])
 
 
 def test_axes_that_cannot_be(facing_z, tmp_path, save_as_others):

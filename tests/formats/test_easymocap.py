@@ -84,6 +84,22 @@ def test_the_body_model_places_the_pelvis(tmp_path, capsule_body):
     np.testing.assert_allclose(motion.translation, expected, atol=1e-9)
 
 
+@pytest.mark.parametrize(("recorded_on", "model"), [(55, 24), (24, 55)])
+def test_a_body_model_of_another_family_leaves_the_pelvis_where_it_is(
+    tmp_path, capsule_body, recorded_on, model
+):
+    """The betas of SMPL mean another body in SMPL-X: the pelvis is that of the mean body."""
+    person = recorded(width=3 * recorded_on)
+    np.savez(tmp_path / "BODY.npz", **capsule_body(model))
+    body = BodyModel.load(tmp_path / "BODY.npz")
+    motion = read_easymocap(write(tmp_path, [person]), body_model=body)
+    assert motion.skeleton.n_joints == model
+    plain = read_easymocap(tmp_path)
+    # The rig of the model stands at its own pelvis: the ways are those without a model.
+    ways = [one.translation - one.translation[0] for one in (motion, plain)]
+    np.testing.assert_allclose(*ways, atol=1e-9)
+
+
 def test_one_of_several_people(tmp_path):
     people = [recorded(3, seed=1), recorded(5, seed=2)]
     folder = write(tmp_path, people, missing={(3, 0), (3, 1)})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import struct
 import warnings
 from pathlib import Path
 
@@ -429,6 +430,56 @@ def test_wrong_options_are_refused(tmp_path):
     for options in ({"unit": "miles"}, {"up": "w"}, {"up": "z", "forward": "-z"}, {"fps": 0}):
         with pytest.raises(FormatError, match=r"a\.glb|forward axis"):
             read_gltf(path, **options)
+
+
+def test_the_facts_of_a_reading_are_in_its_info(tmp_path):
+    turns = [(0, 0, 0, 1), QUARTER_TURN]
+    file = GltfFile(arm().json["nodes"], [[0, 1]]).animate(
+        [(0, "rotation", [2, 3], turns)], name="x"
+    )
+    motion = Motion.load(file.save(tmp_path / "a.glb"), unit="cm", up="z", forward="x", fps=1)
+    wanted = {"unit": "cm", "up": "z", "forward": "x", "animation": "x", "start": 2.0}
+    assert {key: motion.info[key] for key in wanted} == wanted
+    assert motion.info["source"] == str(tmp_path / "a.glb") and motion.info["renamed"] == {}
+
+
+def head(size: int = 0, version: int = 2, kind: int = 0x4E4F534A, n_json: int | None = None):
+    """Return the 20 bytes before the JSON part of a binary file, and the shortest JSON."""
+    text = b'{"nodes":[{}],"skins":[{"joints":[0]}]}  '
+    text += b" " * (-len(text) % 4)
+    n_json = len(text) if n_json is None else n_json
+    return struct.pack("<4s4I", b"glTF", version, size or 20 + len(text), n_json, kind) + text
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (head()[:19], "no binary glTF"),
+        (b"glTX" + head()[4:], "no binary glTF"),
+        (head(version=1), "glTF version 1; expected 2"),
+        (head(size=65), "cut short: 64 of 65 bytes"),
+        (head(kind=0x004E4942), "no readable JSON part"),
+        (head(n_json=45), "no readable JSON part"),
+        (head() + struct.pack("<2I", 5, 0x004E4942) + b"1234", "cut short: 4 of 5 bytes of arrays"),
+    ],
+    ids=["short", "mark", "version", "cut", "kind", "json", "arrays"],
+)
+def test_damaged_heads_of_binary_files_are_refused(tmp_path, content, says):
+    assert len(head()) == 64
+    (tmp_path / "a.glb").write_bytes(content)
+    with pytest.raises(FormatError, match=says):
+        Motion.load(tmp_path / "a.glb")
+
+
+@pytest.mark.parametrize(
+    "more",
+    [b"", b"1234567", struct.pack("<2I", 9, 0x12345678), struct.pack("<2I", 0, 0x004E4942)],
+    ids=["nothing", "spare bytes", "another part", "no arrays"],
+)
+def test_a_binary_file_may_lack_arrays_and_have_other_parts(tmp_path, more):
+    (tmp_path / "a.glb").write_bytes(head() + more)
+    with pytest.warns(UserWarning, match="no animation"):
+        assert Motion.load(tmp_path / "a.glb").skeleton.names == ("node_0",)
 
 
 def test_units_of_a_body_are_doubted_and_settable(tmp_path, gesture):

@@ -112,6 +112,8 @@ def test_three_failures_put_an_item_aside_until_it_changes(model, sounds, tmp_pa
         assert "put aside" not in failed.error
         assert sum(bool(outcome.files) for outcome in outcomes) == (4 if attempt == 1 else 0)
     lines = (out / STATE / "journal" / "00001-of-00001.jsonl").read_text()
+    tried = [json.loads(line) for line in lines.splitlines() if '"failed"' in line]
+    assert [line["attempt"] for line in tried] == [1, 2, 3]
     (aside,) = [outcome.error for outcome in run(model, sounds, out) if outcome.error]
     assert "cannot be read as sound" in aside and "put aside after 3 failures" in aside
     again = (out / STATE / "journal" / "00001-of-00001.jsonl").read_text()
