@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from math import inf
+from math import inf, nan
 
 import numpy as np
 import pytest
 
 from gesturekit.corpus.pairing import pair, recording_ids, scan
-from gesturekit.corpus.splits import choose_held_out, cut, parse_intervals
+from gesturekit.corpus.splits import as_intervals, choose_held_out, cut, parse_intervals
 from gesturekit.errors import CorpusError
 
 
@@ -132,6 +132,15 @@ def test_a_fraction_is_held_out_for_test_and_valid_in_turn():
     assert Counter(splits.values()) == {"train": 36, "test": 2, "valid": 2}
 
 
+@pytest.mark.parametrize(
+    ("n", "fraction", "held"),
+    [(10, 0.14, 1), (10, 0.15, 2), (10, 0.04, 0), (10, 0.05, 1), (3, 0.5, 2), (4, 1.0, 3)],
+)
+def test_the_number_held_out_is_rounded_by_halves(n, fraction, held):
+    found = Counter(choose_held_out([f"r{i}" for i in range(n)], fraction, 0).values())
+    assert (found["train"], found["test"]) == (n - held, (held + 1) // 2)
+
+
 def test_the_choice_depends_on_the_seed_and_not_on_the_order():
     ids = [f"r{i}" for i in range(40)]
     assert choose_held_out(ids, 0.2, 0) == choose_held_out(ids[::-1], 0.2, 0)
@@ -151,9 +160,20 @@ def test_at_least_one_is_held_out_where_asked_and_never_all():
 
 def test_intervals_are_read_and_wrong_ones_refused():
     assert parse_intervals("10-20.5, 55-") == [(10.0, 20.5), (55.0, inf)]
-    for text in ("", "10", "20-10", "a-b", "10-20;30-40", "-5"):
+    for text in ("", "10", "20-10", "10-10", "a-b", "10-20;30-40", "-5"):
         with pytest.raises(CorpusError):
             parse_intervals(text)
+
+
+def test_intervals_as_numbers_are_checked_too():
+    assert as_intervals("") == [] and as_intervals("1-2") == [(1.0, 2.0)]
+    assert as_intervals([(0, 2), ("3", inf)]) == [(0.0, 2.0), (3.0, inf)]
+    for wrong in ([(2, 1)], [(2, 2)], [(-1, 2)], [(0, nan)]):
+        with pytest.raises(CorpusError, match="ends before it begins, or before 0"):
+            as_intervals(wrong)
+    for wrong in ([3.0], [(1, 2, 3)], [("a", 2)]):
+        with pytest.raises(CorpusError, match="is not an interval; write"):
+            as_intervals(wrong)
 
 
 def test_cutting_leaves_the_rest_for_training():
@@ -162,5 +182,9 @@ def test_cutting_leaves_the_rest_for_training():
     parts = cut(1.0, 10.0, [(8.0, inf), (0.0, 2.0)])
     assert parts == [("test", (1.0, 2.0)), ("train", (2.0, 8.0)), ("test", (8.0, 10.0))]
     assert cut(0.0, 5.0, [(7.0, 9.0)]) == [("train", (0.0, 5.0))]
+    assert cut(2.0, 5.0, [(0.0, 2.0), (5.0, 6.0)]) == [("train", (2.0, 5.0))]
+    assert cut(0.0, 5.0, [(0.0, 5.0)]) == [("test", (0.0, 5.0))]
+    assert cut(0.0, 5.0, [(1.0, 2.0), (2.0, 5.0)]) == [("train", (0.0, 1.0)), ("test", (1.0, 5.0))]
+    assert cut(0.0, 5.0, [(0.0, 1.0), (0.0, 2.0)]) == [("test", (0.0, 2.0)), ("train", (2.0, 5.0))]
     parts = cut(0.0, 5.0, [(1.0, 3.0), (2.0, 4.0)])
     assert parts == [("train", (0.0, 1.0)), ("test", (1.0, 4.0)), ("train", (4.0, 5.0))]

@@ -1,11 +1,20 @@
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
-from rigs import with_offsets
+from rigs import rig_of, with_offsets
 from scipy.spatial.transform import Rotation
 
-from gesturekit.corpus.checks import reference_pose
+from gesturekit.corpus.checks import (
+    Problem,
+    first_difference,
+    printed,
+    reference_pose,
+    usual_skeleton,
+)
 from gesturekit.corpus.recording import Recording, examine
 from gesturekit.motion import Motion
 
@@ -68,6 +77,69 @@ def test_a_rest_pose_with_hanging_arms_is_trimmed_wherever_it_stands(skeleton):
     moving.rotations[:12] = [0.0, 0.0, 0.0, 1.0]
     moving.translation[:12, 0] = 0.3 * np.arange(12)
     assert reference_pose(moving) == (12, 0)
+
+
+def test_the_first_difference_of_two_rigs_is_described():
+    usual = {"Hips": (None, (0, 0, 0)), "Spine": ("Hips", (0, 1, 0)), "Head": ("Spine", (0, 1, 0))}
+    rig = rig_of(usual)
+    arm = {"Arm": ("Spine", (1, 0, 0))}
+    taller = rig_of({name: (above, (0, 9, 0)) for name, (above, _) in usual.items()})
+    hanging = rig_of(usual | {"Head": ("Hips", (0, 1, 0))})
+    for one, other, says in (
+        (taller, rig, None),
+        (rig_of({**usual, **arm}), rig, "4 joints here and 3 in the others.* more is 'Arm'"),
+        (rig, rig_of({**usual, **arm}), "3 joints here and 4 in the others.* more is 'Arm'"),
+        (hanging, rig, "'Head' is under 'Hips' here and under 'Spine' in the others"),
+        (rig_of({"Root": usual["Hips"]}), rig, "joint 0 is 'Root' here and 'Hips' in"),
+    ):
+        found = first_difference(one, other)
+        assert found is None if says is None else re.search(says, found), found
+    assert usual_skeleton([hanging, rig, taller]) is rig
+    assert usual_skeleton([hanging, rig]) is hanging, "the first of a tie"
+
+
+def test_problems_are_printed_by_severity_and_equal_ones_together():
+    files = [Path(f"{name}.bvh") for name in "abcde"]
+    problems = [Problem("note", None, "two rates"), *(Problem("warning", f, "soft") for f in files)]
+    problems += [Problem("error", f, "broken") for f in files[:2]]
+    problems += [Problem("note", f, "short") for f in files[:3]]
+    problems += [Problem("warning", files[0], "a.bvh, line 2: odd")]
+    assert printed(problems) == [
+        "error: a.bvh: broken",
+        "error: b.bvh: broken",
+        "warning: 5 files: soft: a.bvh, b.bvh, c.bvh and 2 more",
+        "warning: a.bvh, line 2: odd",
+        "note: two rates",
+        "note: 3 files: short: a.bvh, b.bvh, c.bvh",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("sound", "tolerance", "says"),
+    [
+        # 4 s of motion at 30 fps: a frame is 0.0333 s.
+        (4.03, 0.5, None),
+        (4.04, 0.5, "warning: trimmed to the shorter"),
+        (3.96, 0.5, "warning: trimmed to the shorter"),
+        (4.5, 0.5, "warning: trimmed to the shorter"),
+        (4.51, 0.5, "error: differ by 0.51 s, more than 0.5 s.*--tolerance 0.6$"),
+        (3.4, 0.5, "error: differ by 0.60 s, more than 0.5 s.*--tolerance 0.[67]$"),
+    ],
+)
+def test_lengths_may_differ_by_a_frame_or_the_tolerance(
+    tmp_path, gesture, write_speech, sound, tolerance, says
+):
+    gesture(4.0).save(tmp_path / "a.bvh")
+    write_speech(tmp_path / "a.wav", sound)
+    files = {"audio": tmp_path / "a.wav", "motion": tmp_path / "a.bvh"}
+    found, problems = examine(Recording("a", **files), tolerance)
+    said = [f"{p.severity}: {p.message}" for p in problems if "s of motion" in p.message]
+    if says is None:
+        assert not said
+    else:
+        severity, _, text = says.partition(": ")
+        assert len(said) == 1 and re.match(f"{severity}: .*{text}", said[0]), said
+        assert (found is None) == (severity == "error")
 
 
 @pytest.mark.parametrize(("pops", "times"), [(5, "5.00 s;"), (6, "5.00 s and 1 more;")])
