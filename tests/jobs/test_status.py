@@ -1,0 +1,120 @@
+"""The state of the work in a folder, from a plan and journals whose numbers are known."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gesturekit.errors import ConfigError, FormatError
+from gesturekit.jobs.plan import PLAN, write_plan
+from gesturekit.jobs.state import STATE
+from gesturekit.jobs.status import FailedItem, Status, status_of
+from gesturekit.jobs.task import Task
+
+
+def result(status: str, name: str, at: float, seconds=1.0, sound=0.0, key="k", **more) -> str:
+    times = {"time": at, "seconds": seconds, "sound": sound, "key": key}
+    return json.dumps({"status": status, "id": name, **times, **more})
+
+
+@pytest.fixture
+def journals(tmp_path):
+    """journals(first, second): a folder with a plan of six sounds of 10 s and two journals."""
+
+    def write(*each: list[str]) -> Path:
+        (tmp_path / STATE / "journal").mkdir(parents=True, exist_ok=True)
+        tasks = [Task(name, Path(f"/in/{name}.wav"), 10.0) for name in "abcdef"]
+        write_plan(tmp_path / STATE / PLAN, tasks, 2, "r")
+        for number, lines in enumerate(each, start=1):
+            file = tmp_path / STATE / "journal" / f"0000{number}-of-00002.jsonl"
+            file.write_text("".join(f"{line}\n" for line in lines))
+        return tmp_path
+
+    return write
+
+
+def test_counts_and_speed_are_those_of_the_latest_results(journals):
+    """The last ten minutes of work end at 2000 s and begin with c, begun at 1370 s.
+
+    Three items and 60 s of sound in 630 s; 20 of 60 s are left, which take 20 * 630 / 60 s.
+    """
+    out = journals(
+        [
+            result("done", "a", 1000, 20, 10),
+            result("failed", "b", 1100, key="k1", error="b.wav: odd"),
+            result("done", "c", 1400, 30, 12),
+            result("dropped", "f", 1500),
+            '{"started": "e", "time": 1990}',
+        ],
+        [
+            result("failed", "a", 900, error="a.wav: odd"),
+            result("done", "z", 1700, 5, 30),
+            result("failed", "b", 1800, key="k2", error="b.wav: worse"),
+            '{"started": "b", "time": 1900}',
+            result("failed", "b", 1950, key="k2", error="b.wav: worst"),
+            result("done", "d", 2000, 10, 18),
+            "not a line of ours",
+        ],
+    )
+    found = status_of(out)
+    assert (found.items, found.seconds, found.done, found.earlier) == (6, 60, 3, 1)
+    assert found.failed == [FailedItem("b", "b.wav: worst", 2)] and not found.failed[0].is_aside
+    assert (found.left, found.in_hand, found.running) == (["e", "f"], ["e"], [])
+    assert found.sound == 70 and sum(n for _, n in found.shards) == 4
+    assert [n for n, _ in found.shards] == [3, 3]
+    assert found.items_per_minute == pytest.approx(180 / 630)
+    assert found.real_time_factor == pytest.approx(60 / 630)
+    assert found.seconds_left == pytest.approx(210)
+
+
+def test_an_item_fails_anew_after_it_was_done_or_changed(journals):
+    failed = [result("failed", "b", at, error="b.wav: odd") for at in (1, 2, 3)]
+    assert status_of(journals(failed)).failed[0].is_aside
+    done = result("done", "b", 4)
+    again = result("failed", "b", 5, error="b.wav: odd")
+    assert status_of(journals([*failed, done])).failed == []
+    assert status_of(journals([*failed, done, again])).failed[0].attempts == 1
+    dropped = result("dropped", "b", 1.5)
+    assert status_of(journals([failed[0], dropped, failed[1]])).failed[0].attempts == 2
+
+
+@pytest.mark.parametrize(
+    ("values", "left"),
+    [
+        ({}, None),
+        ({"items_per_minute": 2.0}, 90.0),
+        ({"items_per_minute": 2.0, "real_time_factor": 4.0}, 7.5),
+        ({"items_per_minute": 2.0, "real_time_factor": 4.0, "seconds": 0.0}, 90.0),
+    ],
+)
+def test_the_time_left_goes_by_sound_or_else_by_items(values, left):
+    """Three of four items are left, of 40 s of sound together."""
+    status = Status(**{"items": 4, "seconds": 40.0, "left": ["a", "b", "c"], **values})
+    assert status.seconds_left == left
+
+
+def test_reasons_are_counted_without_names_and_differing_numbers():
+    errors = {
+        "x/one": "/in/x/one.wav: 12 samples at 16000 Hz",
+        "x/two": "/in/x/two.wav: 7 samples at 16000 Hz",
+        "y": "disk full near y.bvh",
+        "z": "/in/z.wav: 3,5 samples at 8000 Hz",
+    }
+    status = Status(4, 0.0, failed=[FailedItem(name, error, 1) for name, error in errors.items()])
+    assert status.reasons() == [
+        ("N samples at N Hz", 3, "x/one"),
+        ("disk full near ...", 1, "y"),
+    ]
+    status.failed.pop()
+    assert status.reasons()[0] == ("N samples at 16000 Hz", 2, "x/one")
+
+
+def test_a_folder_without_work_or_with_another_plan_is_refused(journals, tmp_path):
+    with pytest.raises(ConfigError, match="no plan in it"):
+        status_of(tmp_path)
+    plan = journals() / STATE / PLAN
+    plan.write_text(plan.read_text().replace('{"shard": 2', '{"shard": 3'))
+    with pytest.raises(FormatError, match="delete it"):
+        status_of(tmp_path)
