@@ -1,0 +1,233 @@
+"""Headers of sound files, written by hand: what loads, and what contradicts itself."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+from audio_features import AudioError, Wave
+
+RATE = 8_000
+N = 801
+SOUND = bytes(range(28, 229)) * 3 + bytes([128]) * (N - 603)
+"""801 samples of 8 bits, of which 128 is the middle."""
+MEANT = (np.frombuffer(SOUND, np.uint8) - 128.0) / 128
+
+
+def chunk(kind: bytes, body: bytes, length: int | None = None, pad: bool = True) -> bytes:
+    length = len(body) if length is None else length
+    return kind + struct.pack("<I", length) + body + b"\0" * (len(body) % 2 and pad)
+
+
+def fmt(channels=1, rate=RATE, per_second=None, block=None, bits=8, tag=1) -> bytes:
+    usual = channels * -(-bits // 8)
+    block = usual if block is None else block
+    per_second = rate * usual if per_second is None else per_second
+    return chunk(b"fmt ", struct.pack("<HHIIHH", tag, channels, rate, per_second, block, bits))
+
+
+def riff(*chunks: bytes, kind: bytes = b"WAVE", size: int | None = None) -> bytes:
+    body = kind + b"".join(chunks)
+    return b"RIFF" + struct.pack("<I", len(body) if size is None else size) + body
+
+
+DATA, TAGS = chunk(b"data", SOUND), chunk(b"LIST", b"INFOabc")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        riff(fmt(), DATA),
+        riff(chunk(b"note", b"odd"), fmt(), TAGS, DATA),
+        riff(fmt(), DATA, TAGS, chunk(b"more", b"")),
+        riff(fmt(), chunk(b"data", SOUND, pad=False), TAGS),
+        riff(fmt(), DATA) + b"\xff\xfe\xfd what other programs append \x01\x02",
+        riff(fmt(), chunk(b"data", SOUND, pad=False)),
+    ],
+    ids=["plain", "chunks before", "chunks after", "no pad byte", "bytes after", "odd end"],
+)
+def test_chunks_may_stand_anywhere(tmp_path, content):
+    (tmp_path / "a.wav").write_bytes(content)
+    wave = Wave.load(tmp_path / "a.wav")
+    assert wave.sample_rate == RATE
+    np.testing.assert_allclose(wave.samples, MEANT, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (riff(fmt(), DATA, kind=b"AVI "), "a RIFF file that is not a wav"),
+        (riff(fmt()), r"no sound \(`data`\) in the file"),
+        (riff(DATA), "no `fmt ` chunk before the sound"),
+        (riff(chunk(b"fmt ", bytes(14)), DATA), "no `fmt ` chunk before the sound"),
+        (riff(fmt(channels=0), DATA), "declares 0 channels of 8 bits"),
+        (riff(fmt(bits=0), DATA), "declares 1 channels of 0 bits"),
+        (
+            riff(fmt(block=2), DATA),
+            "1 bytes per sample and 8000 per second, it declares 2 and 8000",
+        ),
+        (riff(fmt(per_second=9), DATA), "and 8000 per second, it declares 1 and 9"),
+        (riff(fmt(bits=12, block=1), DATA), "are 2 bytes per sample and 16000 per second"),
+        (riff(fmt(), chunk(b"data", SOUND, N + 2)), "declares 803 bytes of sound, 802 are there"),
+        (riff(fmt(), DATA, b"\x01\x02\x03\x04\0\0\0\0"), r"what follows in the file \(9 bytes\)"),
+        (riff(fmt(), DATA, chunk(b"LIST", b"abcd", 5)), "is not valid in a wav"),
+        (riff(fmt(), DATA, b"LIST"), "is not valid in a wav"),
+        (riff(*[chunk(b"junk", b"")] * 10_001, fmt(), DATA), "more than 10000 chunks"),
+        (b"RIFF\0\0", "truncated|cannot be read"),
+    ],
+)
+def test_wav_headers_that_contradict_themselves(tmp_path, content, says):
+    (tmp_path / "a.wav").write_bytes(content)
+    with pytest.raises(AudioError, match=says):
+        Wave.load(tmp_path / "a.wav")
+
+
+@pytest.mark.parametrize("before", [0, 8_142, 9_000])
+def test_a_sound_of_unknown_length_may_begin_anywhere(tmp_path, before):
+    """Files are read by 8,192 bytes; the length, at byte 48 + before, may lie across two blocks."""
+    junk, data = chunk(b"junk", bytes(before)), b"data" + bytes(4) + SOUND
+    (tmp_path / "a.wav").write_bytes(riff(junk, fmt(), data, size=0))
+    np.testing.assert_allclose(Wave.load(tmp_path / "a.wav").samples, MEANT, atol=1e-6)
+
+
+def big(kind: bytes, body: bytes, length: int | None = None) -> bytes:
+    length = len(body) if length is None else length
+    return kind + struct.pack(">I", length) + body + b"\0" * (len(body) % 2)
+
+
+def aiff(*chunks: bytes, kind: bytes = b"AIFF") -> bytes:
+    body = kind + b"".join(chunks)
+    return b"FORM" + struct.pack(">I", len(body)) + body
+
+
+SIGNED = (np.frombuffer(SOUND, np.uint8).astype(int) - 128).astype(np.int8).tobytes()
+COMM = big(b"COMM", struct.pack(">hIh", 1, N, 8) + bytes.fromhex("400bfa00000000000000"))
+SSND = big(b"SSND", bytes(8) + SIGNED)
+
+
+def au(length: int, offset: int = 24) -> bytes:
+    return b".snd" + struct.pack(">IIIII", offset, length, 2, RATE, 1) + SIGNED
+
+
+def test_headers_of_aiff_and_au(tmp_path):
+    path = tmp_path / "sound"
+    for content in (
+        aiff(COMM, SSND),
+        aiff(big(b"NAME", b"odd"), SSND, COMM),
+        au(N),
+        au(0xFFFFFFFF),
+    ):
+        path.write_bytes(content)
+        np.testing.assert_allclose(Wave.load(path).samples, MEANT, atol=1e-6)
+    for content, says in (
+        (aiff(COMM, SSND, kind=b"8SVX"), "an IFF file that is not AIFF"),
+        (aiff(SSND), "an AIFF file without COMM"),
+        (aiff(big(b"COMM", bytes(16)), SSND), "an AIFF file without COMM"),
+        (aiff(COMM, big(b"SSND", bytes(8) + SIGNED, N + 10)), "811 bytes of sound, 810 are there"),
+        (au(N + 1), "declares 802 bytes of sound, 801 are there"),
+        (au(N, offset=5000), "declares 801 bytes of sound, 0 are there"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(AudioError, match=says):
+            Wave.load(path)
+
+
+def test_a_sphere_header_declares_what_is_there(tmp_path):
+    path = tmp_path / "a.sph"
+    soundfile.write(path, np.stack([MEANT, MEANT], 1) / 2, RATE, format="NIST")
+    whole = path.read_bytes()
+    np.testing.assert_allclose(Wave.load(path).samples, MEANT / 2, atol=1e-4)
+    # Of two channels of two bytes, one sample more is four bytes more.
+    path.write_bytes(whole.replace(b"sample_count -i 801", b"sample_count -i 802"))
+    with pytest.raises(AudioError, match="declares 3208 bytes of sound, 3204 are there"):
+        Wave.load(path)
+    path.write_bytes(whole.replace(b"channel_count", b"channel_kount"))
+    with pytest.raises(AudioError, match="the SPHERE header cannot be read"):
+        Wave.load(path)
+
+
+def flac(path: Path, bits: str = "PCM_16") -> bytearray:
+    soundfile.write(path, MEANT / 2, RATE, format="FLAC", subtype=bits)
+    return bytearray(path.read_bytes())
+
+
+@pytest.mark.parametrize("bits", ["PCM_S8", "PCM_16", "PCM_24"])
+def test_the_md5_of_a_flac_is_that_of_its_sound(tmp_path, bits):
+    path = tmp_path / "a.flac"
+    content = flac(path, bits)
+    np.testing.assert_allclose(Wave.load(path).samples, MEANT / 2, atol=5e-3)
+    # STREAMINFO: after "fLaC" and 4 bytes; its last 16 bytes are the MD5.
+    assert any(content[26:42])
+    content[30] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(AudioError, match="does not match the MD5"):
+        Wave.load(path)
+    assert Wave.load(path, start=0.05).duration == pytest.approx(0.05, abs=0.001), "a part is read"
+    assert Wave.load(path, duration=0.05).duration == 0.05
+    content[26:42] = bytes(16)
+    path.write_bytes(content)
+    assert len(Wave.load(path).samples) == N, "without an MD5 there is nothing to compare"
+
+
+def test_flac_headers_that_contradict_the_sound(tmp_path):
+    path = tmp_path / "a.flac"
+    content = flac(path)
+    other = content.copy()
+    numbers = int.from_bytes(content[18:26], "big")
+    other[18:26] = (numbers & (1 << 44) - 1 | 22_050 << 44).to_bytes(8, "big")
+    path.write_bytes(other)
+    with pytest.raises(AudioError, match="the header says 22050 Hz, the sound 8000 Hz"):
+        Wave.load(path)
+    other[18:26] = (numbers >> 36 << 36).to_bytes(8, "big")
+    path.write_bytes(other)
+    with pytest.raises(AudioError, match="undeclared length"):
+        Wave.load(path)
+    other = content.copy()
+    other[4] |= 1  # the block has another kind
+    path.write_bytes(other)
+    with pytest.raises(AudioError, match="without STREAMINFO"):
+        Wave.load(path)
+
+
+def test_an_mp3_may_begin_with_a_tag_and_is_compared_with_its_length(tmp_path):
+    path = tmp_path / "a.mp3"
+    soundfile.write(path, np.resize(MEANT / 2, 200_000), 44_100, format="MP3")
+    whole = path.read_bytes()
+    plain = Wave.load(path).samples
+    tag = b"ID3\x04\0\0" + bytes([0, 0, 2, 72]) + bytes(2 * 128 + 72)
+    path.write_bytes(tag + whole)
+    np.testing.assert_array_equal(Wave.load(path).samples, plain)
+    path.write_bytes((tag + whole)[: len(whole) // 2])
+    with pytest.raises(AudioError, match="truncated"):
+        Wave.load(path)
+    assert Wave.load(path, duration=0.5).duration == 0.5
+
+
+def test_two_ogg_files_in_one_are_refused(tmp_path):
+    path = tmp_path / "a.ogg"
+    soundfile.write(path, np.resize(MEANT / 2, 20_000), 16_000)
+    whole = path.read_bytes()
+    for content, says in (
+        (whole + whole, "several sounds one after the other"),
+        (whole + b"more", "damaged|truncated"),
+        (whole[:40] + b"\0" + whole[40:], "damaged"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(AudioError, match=says):
+            Wave.load(path)
+
+
+@pytest.mark.parametrize(("count", "is_read"), [(160, True), (161, False)])
+def test_one_sample_in_a_hundred_may_be_interpolated(count, is_read):
+    samples = np.linspace(-0.5, 0.5, 16_000)
+    samples[100 : 100 + 2 * count : 2] = np.nan
+    if is_read:
+        wave = Wave.from_array(samples, 16_000)
+        np.testing.assert_allclose(wave.samples, np.linspace(-0.5, 0.5, 16_000), atol=1e-6)
+    else:
+        with pytest.raises(AudioError, match="sample 100 "):
+            Wave.from_array(samples, 16_000)
