@@ -346,8 +346,7 @@ def _values(words: list[Word], n_frames: int) -> np.ndarray:
     pauses.append((done, n_frames / RATE))
     for start, end in pauses:
         if end > start:
-            inside = slice(max(0, int(np.floor(RATE * start + 0.5))), max(0, int(RATE * end + 1)))
-            values[inside, 2] = np.log1p(end - start)
+            values[frames_of(Word(start, end, ""), RATE), 2] = np.log1p(end - start)
     values[:, 2] *= 1.0 - spoken
     values[:, 3] = gaussian_filter1d(onsets, _RATE_SPREAD * RATE, mode="constant") * RATE
     return values

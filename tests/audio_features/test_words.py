@@ -112,6 +112,15 @@ def test_times_of_captions_and_marks_of_laughter(tmp_path):
     assert [word.text for word in af.load_words(tmp_path / "a.tsv")] == ["so", "end"]
 
 
+def test_a_file_that_is_no_list_for_its_size_alone(tmp_path):
+    with (tmp_path / "a.ctm").open("wb") as file:
+        file.truncate(100_000_000)  # a hole, which takes no disk
+    with pytest.raises(af.FeatureError, match="too large for a word list"):
+        af.load_words(tmp_path / "a.ctm")
+    with pytest.raises(af.FeatureError, match="no such file"):
+        af.load_words(tmp_path / "b.ctm")
+
+
 def test_the_list_beside_a_recording(tmp_path):
     assert words_beside(tmp_path / "a.wav") is None
     for name in ("a.tsv", "a.VTT", "a.srt", "a.words.json", "a.ctm", "a.textgrid"):
@@ -172,7 +181,8 @@ def test_words_as_features(tmp_path, write_speech):
 
 def test_values_of_words_by_hand(tmp_path):
     """A word within another, one without length, and one that begins before the sound."""
-    (tmp_path / "a.ctm").write_text("x 1 1.5 1.0 a\nx 1 3 2 b\nx 1 3.5 0.5 c\nx 1 8 0 d\n")
+    words = "x 1 1.5 1.0 a\nx 1 3 2 b\nx 1 3.5 0.5 c\nx 1 8 0 d\nx 1 12 1 e\n"
+    (tmp_path / "a.ctm").write_text(words)
     wave = af.Wave(np.ones(160_000, np.float32) / 10, 16_000, offset=2.0, words=tmp_path / "a.ctm")
     word, onset, gap, rate = af.Words().extract(wave).values.T
     frames = np.arange(1000)
@@ -184,6 +194,8 @@ def test_values_of_words_by_hand(tmp_path):
     np.testing.assert_allclose(gap, np.where(np.isin(frames, spoken), 0.0, expected), rtol=1e-6)
     # One word in a bell of 0.5 s: 1 / (0.5 sqrt(2 pi)), and exp(-1/2) of it half a second away.
     np.testing.assert_allclose(rate[[600, 550, 650]], [0.7979, 0.4839, 0.4839], atol=1e-3)
+    (tmp_path / "a.ctm").write_text("x 1 2 1 a\n")
+    np.testing.assert_array_equal(np.flatnonzero(af.Words().extract(wave).values[:, 1]), [0])
     assert rate[300:800].sum() / 100 == pytest.approx(1.0, abs=0.02)
 
 
