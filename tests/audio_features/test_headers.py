@@ -35,7 +35,7 @@ def riff(*chunks: bytes, kind: bytes = b"WAVE", size: int | None = None) -> byte
     return b"RIFF" + struct.pack("<I", len(body) if size is None else size) + body
 
 
-DATA, TAGS = chunk(b"data", SOUND), chunk(b"LIST", b"INFOabc")
+DATA, TAGS = chunk(b"data", SOUND), chunk(b"LIST", b"INFOa")
 
 
 @pytest.mark.parametrize(
@@ -76,6 +76,8 @@ def test_chunks_may_stand_anywhere(tmp_path, content):
         (riff(fmt(), DATA, b"\x01\x02\x03\x04\0\0\0\0"), r"what follows in the file \(9 bytes\)"),
         (riff(fmt(), DATA, chunk(b"LIST", b"abcd", 5)), "is not valid in a wav"),
         (riff(fmt(), DATA, b"LIST"), "is not valid in a wav"),
+        (riff(fmt(), chunk(b"data", b""), chunk(b"LIST", bytes(2000))), "0 samples at 8000 Hz"),
+        (riff(fmt(), chunk(b"data", b""), size=0), "0 samples at 8000 Hz"),
         (riff(*[chunk(b"junk", b"")] * 10_001, fmt(), DATA), "more than 10000 chunks"),
         (b"RIFF\0\0", "truncated|cannot be read"),
     ],

@@ -1,0 +1,184 @@
+"""Archives that are read, and files that are whole or absent."""
+
+from __future__ import annotations
+
+import io
+import os
+import stat
+import zipfile
+
+import numpy as np
+import pytest
+
+import audio_features as af
+from audio_features.archive import open_archive
+from audio_features.atomic import atomic_write, remove_unfinished, write_text
+from audio_features.errors import FeatureError
+from audio_features.extractor import folder_in_spec, needs_of, needs_weights
+
+
+def npy(array: np.ndarray, version: tuple[int, int] | None = None) -> bytes:
+    out = io.BytesIO()
+    np.lib.format.write_array(out, np.asarray(array), version=version, allow_pickle=True)
+    return out.getvalue()
+
+
+@pytest.fixture
+def archive(tmp_path):
+    """An archive with an array of each kind, one of which is packed by bzip2."""
+    odd = np.array(["ab"])
+    odd.view(np.uint32)[0] = 0x110000
+    arrays = {
+        "floats": np.array([1.5, 2.5], np.float32),
+        "whole": np.array([3], np.int8),
+        "flags": np.array([True, False]),
+        "text": np.array("speech"),
+        "texts": np.array(["a", "b", "c"]),
+        "bytes": np.array([b"a", b"\xff"]),
+        "odd": odd,
+        "objects": np.array([{}], object),
+        "nothing": np.zeros((0, 3)),
+    }
+    path = tmp_path / "a.npz"
+    with zipfile.ZipFile(path, "w") as file:
+        for name, array in arrays.items():
+            file.writestr(f"{name}.npy", npy(array))
+        file.writestr("packed.npy", npy(np.zeros(3)), zipfile.ZIP_BZIP2)
+        file.writestr("deflated.npy", npy(np.arange(3), (2, 0)), zipfile.ZIP_DEFLATED)
+        file.writestr("new.npy", npy(np.zeros(3), (3, 0)))
+        file.writestr("longer.npy", npy(np.zeros(3)) + b"more")
+        file.writestr("shorter.npy", npy(np.zeros(3))[:-1])
+        file.writestr("notes.txt", "text")
+    with open_archive(path, FeatureError) as opened:
+        yield opened
+
+
+def test_arrays_of_an_archive(archive):
+    assert {"floats", "text"} <= set(archive) and "notes" not in set(archive)
+    assert "floats" in archive and "notes" not in archive and "floats.npy" not in archive
+    np.testing.assert_array_equal(archive["deflated"], [0, 1, 2])
+    assert archive["nothing"].shape == (0, 3)
+    floats = archive.numbers("floats")
+    assert floats.dtype == np.float64 and floats.tolist() == [1.5, 2.5]
+    assert archive.numbers("whole", np.float32).dtype == np.float32
+    assert archive.texts("text") == ["speech"] and archive.texts("floats", 2) == []
+    assert archive.texts("texts", 3) == ["a", "b", "c"]
+    assert archive.texts("bytes", 2) == ["a", "\ufffd"]
+
+
+@pytest.mark.parametrize(
+    ("read", "says"),
+    [
+        (lambda a: a["none"], "no key 'none'"),
+        (lambda a: a["packed"], "packed in a way that numpy never does"),
+        (lambda a: a["objects"], "a pickled Python object"),
+        (lambda a: a["new"], "cannot be read: version"),
+        (lambda a: a["longer"], "24 bytes, and holds 28"),
+        (lambda a: a["shorter"], "24 bytes, and holds 23"),
+        (lambda a: a.numbers("text"), "holds 'speech', not numbers"),
+        (lambda a: a.numbers("flags"), "holds bool, not numbers"),
+        (lambda a: a.texts("texts"), "holds 3 texts, too many"),
+        (lambda a: a.texts("odd"), "characters that do not exist"),
+    ],
+)
+def test_arrays_that_are_refused(archive, read, says):
+    with pytest.raises(FeatureError, match=f"a.npz: .*{says}"):
+        read(archive)
+
+
+def test_files_that_are_no_archives(tmp_path):
+    (tmp_path / "text.npz").write_text("text")
+    os.mkfifo(tmp_path / "pipe.npz")
+    for name, says in (
+        ("none.npz", "no such file"),
+        ("text.npz", "not a zip archive, or is truncated"),
+        ("pipe.npz", "not a regular file"),
+        (".", "not a regular file"),
+    ):
+        with pytest.raises(FeatureError, match=says), open_archive(tmp_path / name, FeatureError):
+            pass
+
+
+def test_a_file_is_whole_or_as_it_was(tmp_path):
+    path = tmp_path / "new" / "a.json"
+    before = os.umask(0o027)
+    try:
+        write_text(path, "é")
+    finally:
+        os.umask(before)
+    assert path.read_bytes() == "é".encode() and stat.S_IMODE(path.stat().st_mode) == 0o640
+    with pytest.raises(RuntimeError), atomic_write(path) as temporary:
+        assert temporary.parent == path.parent and temporary.suffix == ".json"
+        temporary.write_text("half")
+        raise RuntimeError
+    assert path.read_text(encoding="utf-8") == "é"
+    assert [one.name for one in path.parent.iterdir()] == ["a.json"]
+    with atomic_write(path, suffix=".part") as temporary:
+        assert temporary.suffix == ".part"
+    path.with_name("file").write_text("")
+    with pytest.raises(OSError, match="cannot be written|Not a directory|exists"):
+        write_text(path.with_name("file") / "b.json", "")
+
+
+@pytest.mark.parametrize("letter", ["a", "é"])
+def test_the_longest_name_that_a_disk_takes_is_written(tmp_path, letter):
+    name = letter * (250 // len(letter.encode())) + ".json"
+    write_text(tmp_path / name, "whole")
+    assert [one.name for one in tmp_path.iterdir()] == [name]
+
+
+def test_unfinished_files_of_others_are_left(tmp_path):
+    path = tmp_path / "a[1].json"
+    with pytest.raises(KeyboardInterrupt), atomic_write(path) as temporary:
+        left = temporary.with_name(temporary.name)
+        raise KeyboardInterrupt
+    other = tmp_path / left.name.replace("a[1]", "b[1]")
+    for name in (left, other, path):
+        name.write_text("")
+    remove_unfinished(path)
+    assert sorted(tmp_path.iterdir()) == sorted([other, path])
+
+
+@pytest.mark.parametrize(
+    ("spec", "needs"),
+    [
+        (None, []),
+        ({"kind": "mfcc"}, []),
+        ({"kind": "wavlm"}, ["the weights of the encoder: --weights wavlm=PATH"]),
+        (
+            {"kind": "words"},
+            ["a list of words with times beside each sound, such as STEM.TextGrid"],
+        ),
+        (
+            {"kind": "mine", "package": "p"},
+            ["the extractor mine of the package p, which is not ins"],
+        ),
+    ],
+)
+def test_what_an_extractor_needs_beside_the_sound(spec, needs):
+    found = needs_of(spec)
+    assert len(found) == len(needs)
+    assert all(text.startswith(need) for text, need in zip(found, needs, strict=True))
+    stack = {"kind": "stack", "parts": [spec, {"kind": "words", "path": "bert"}]}
+    assert needs_of(stack)[len(needs) :] == [
+        "the weights of the encoder: --weights words=PATH",
+        "a list of words with times beside each sound, such as STEM.TextGrid",
+    ]
+    assert needs_of({"kind": "stack", "parts": "wavlm"}) == []
+    assert needs_weights(spec) == (spec == {"kind": "wavlm"})
+    assert folder_in_spec({"kind": "mfcc"}) is None
+    assert folder_in_spec({"kind": "files", "folder": "own"}) == "own"
+
+
+def test_one_path_for_several_encoders_is_refused(tmp_path):
+    parts = [{"kind": "wavlm"}, {"kind": "hf"}]
+    with pytest.raises(af.WeightsError, match=r"need 2 encoders.*wavlm=PATH --weights hf=PATH"):
+        af.extractor_from_spec({"kind": "stack", "parts": parts}, weights=tmp_path)
+    with pytest.raises(
+        af.WeightsError, match="'mfcc' has no weights or files; expected words, wavlm"
+    ):
+        af.extractor_from_spec({"kind": "wavlm"}, weights={"mfcc": tmp_path})
+    with pytest.raises(FeatureError, match="a stack has 'parts', a list of specs"):
+        af.extractor_from_spec({"kind": "stack", "parts": [{"kind": "mfcc"}], "n": 3})
+    with pytest.raises(FeatureError, match="its package, 'p', if you trust it"):
+        af.extractor_from_spec({"kind": "mine", "package": "p"})
