@@ -7,15 +7,19 @@ import warnings
 from pathlib import Path
 
 import matplotlib.colors
+import matplotlib.figure
 import matplotlib.image
 import numpy as np
+import pytest
 from rigs import rig_of
 from scipy.spatial.transform import Rotation
 
-from audio_features import Wave
+from audio_features import FeatureTrack, LogMel, Wave
 from gesturekit.motion import Motion
 from gesturekit.viewer import write_picture
-from gesturekit.viewer.anatomy import MIDDLE
+from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
+from gesturekit.viewer.feature_picture import draw_features
+from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.pictures import COLOURS
 
 
@@ -91,3 +95,205 @@ def test_silence_and_titles_of_any_kind_are_drawn(tmp_path):
     write_picture(a_swing(0.2), tmp_path / "t.png", title=r"$\frac{unclosed $ \q")
     write_picture(a_swing(0.2), tmp_path / "s.png", audio=silence)
     assert (tmp_path / "s.png").stat().st_size > 1_000
+
+
+@pytest.fixture
+def drawn(tmp_path, monkeypatch):
+    """drawn(motion, **options): the axes of the picture that was written."""
+    kept, save = [], matplotlib.figure.Figure.savefig
+
+    def saved(figure, *arguments, **options):
+        kept.append(figure)
+        save(figure, *arguments, **options)
+
+    monkeypatch.setattr(matplotlib.figure.Figure, "savefig", saved)
+
+    def draw(motion, **options):
+        write_picture(motion, tmp_path / "x.png", **options)
+        return kept[-1].axes
+
+    draw.kept = kept
+    return draw
+
+
+def outlines(axes) -> list[np.ndarray]:
+    """Return the outline (N, 2) of each painted part, seconds and metres."""
+    return [patch.get_xy()[:-1] for patch in axes.patches]
+
+
+def test_limbs_are_upright_at_their_times_and_not_stretched(drawn):
+    bones = {"root": (None, (0.0, 0.0, 0.0)), "tip": ("root", (0.0, 1.0, 0.0))}
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (90, 2, 1))
+    axes, _ = drawn(Motion(rig_of(bones), still, np.zeros((90, 3)), 30.0), frames=4)
+    shapes = outlines(axes)
+    assert len(shapes) == 4
+    for k, limb in enumerate(shapes):
+        assert limb[:, 0].mean() == pytest.approx(0.375 + 0.75 * k)  # 4 times in 3 s
+        # Radii of 0.011 and 0.008 of the height, at 0 and 1 m.
+        low, high = limb[:, 1].min(), limb[:, 1].max()
+        assert (low, high) == pytest.approx((-0.011, 1.008))
+        # In pixels a limb is twice as wide as its round end is high.
+        ends = axes.transData.transform(limb)
+        below = axes.transData.transform([(0, 0), (0, -0.011)])
+        assert np.ptp(ends[:, 0]) == pytest.approx(2 * (below[0, 1] - below[1, 1]), rel=0.02)
+    assert axes.get_xlim() == (0, 3) and axes.get_ylim() == pytest.approx((-0.05, 1.09))
+    assert list(axes.lines[0].get_ydata()) == [0, 0], "the floor"
+
+
+def test_people_are_seen_from_the_front_wherever_they_stand_and_face(drawn, gesture):
+    motion = gesture(1.0, 30.0)
+    before = outlines(drawn(motion, frames=3)[0])
+    yaw = Rotation.from_euler("y", 2.0)
+    rotations = motion.rotations.copy()
+    rotations[:, 0] = (yaw * Rotation.from_quat(rotations[:, 0])).as_quat()
+    path = yaw.apply(motion.translation) + [3.0, 0.5, -2.0]
+    elsewhere = Motion(motion.skeleton, rotations, path, motion.fps)
+    axes = drawn(elsewhere, frames=3)[0]
+    after = outlines(axes)
+    assert len(before) == len(after)
+    for one, other in zip(before, after):
+        assert other == pytest.approx(one, abs=1e-3)
+    colours = [matplotlib.colors.to_hex(patch.get_facecolor()) for patch in axes.patches]
+    middles = np.array([shape[:, 0].mean() for shape in after])
+    first = middles < 1 / 3
+    left, right = (
+        middles[first & (np.array(colours) == COLOURS[side])].mean() for side in (LEFT, RIGHT)
+    )
+    # The first one is drawn at a sixth of the second; its left is at our right.
+    assert right < 1 / 6 < left and left - 1 / 6 == pytest.approx(1 / 6 - right, abs=0.02)
+    # The head is on top, with a nose over it.
+    tops = [shape[:, 1].max() for shape in after]
+    assert COLOURS[MIDDLE] == colours[int(np.argmax(tops))]
+    (nose,) = {colour for colour in colours if colour not in COLOURS.values()}
+    assert colours.count(nose) == 3
+
+
+def test_what_is_nearer_is_painted_over_what_is_farther(drawn, gesture):
+    motion = gesture(0.5, 30.0)
+    raised = motion.rotations.copy()
+    for side in ("Left", "Right"):
+        arm = motion.skeleton.index(f"{side}Arm")
+        raised[:, arm] = Rotation.from_euler("y", -90 if side == "Left" else 90, True).as_quat()
+    both = {}
+    for name, turn in (("front", 0.0), ("back", np.pi)):
+        rotations = raised.copy()
+        head = motion.skeleton.index("Head")
+        rotations[:, head] = Rotation.from_euler("y", turn).as_quat()
+        both[name] = Motion(motion.skeleton, rotations, motion.translation, motion.fps)
+    axes = drawn(both["front"], frames=1)[0]
+    figure = Figure.of(both["front"])
+    depths = figure.points[7] @ [np.sin(figure.front), 0, np.cos(figure.front)]
+    orders = {
+        tuple(np.round(patch.get_xy()[:-1].mean(axis=0), 4)): patch.get_zorder()
+        for patch in axes.patches
+    }
+    assert len(set(orders.values())) == len(axes.patches)
+    colours = [matplotlib.colors.to_hex(patch.get_facecolor()) for patch in axes.patches]
+    order = [patch.get_zorder() for patch in axes.patches]
+    hands = [k for k, colour in enumerate(colours) if colour in (COLOURS[LEFT], COLOURS[RIGHT])]
+    trunk = [k for k, colour in enumerate(colours) if colour == COLOURS[MIDDLE]]
+    hand = figure.hands[0]
+    assert depths[hand] > depths[0] + 0.3, "the arms point at the viewer"
+    assert max(order[k] for k in hands) > max(order[k] for k in trunk)
+
+
+def test_hand_speed_is_shown_over_the_energy_of_speech(drawn):
+    motion = a_swing(1.0)
+    figure = Figure.of(motion)
+    body, speed = drawn({"a": motion, "b": motion[:30]})[1:]
+    (first, second), bodies = speed.lines, drawn.kept[-1].axes
+    assert len(bodies) == 3 and bodies[0].get_title(loc="left").startswith("a: from the front")
+    assert first.get_xdata() == pytest.approx(np.arange(90) / 30)
+    assert first.get_ydata() == pytest.approx(figure.hand_speed)
+    assert second.get_xdata() == pytest.approx(np.arange(30) / 30)
+    top = max(1.08 * Figure.of(m).top_speed for m in (motion, motion[:30]))
+    assert speed.get_ylim() == pytest.approx((0, max(top, 0.06 * figure.height)))
+    assert speed.get_title(loc="left") == "mean speed of all joints, m/s"
+    assert [text.get_text() for text in speed.get_legend().get_texts()] == ["a", "b"]
+    assert first.get_color() != second.get_color() and len(speed.collections) == 2
+    still = drawn(a_swing(0.0))[1]
+    assert still.get_ylim() == pytest.approx((0, 0.06 * figure.height)) and not still.get_legend()
+
+    # Quiet for 2 s, then loud for 2: a step of grey from none to the full height.
+    samples = np.random.default_rng(0).normal(0, 1, 64_000).astype(np.float32)
+    samples *= np.where(np.arange(64_000) < 32_000, 0.001, 0.2)
+    speech, speed, body = drawn(motion, audio=Wave(samples.astype(np.float32), 16_000))
+    assert {axes.get_xlim() for axes in (speech, speed, body)} == {(0, 4)}
+    (grey,) = speed.collections
+    outline = grey.get_paths()[0].vertices
+    top = speed.get_ylim()[1]
+    quiet, loud = (
+        outline[(outline[:, 0] > start) & (outline[:, 0] < start + 1.5), 1].max()
+        for start in (0.2, 2.2)
+    )
+    assert quiet < 0.1 * top and loud == pytest.approx(top, rel=0.01)
+    assert outline[:, 0].max() == pytest.approx(3.98)
+    assert speed.get_title(loc="left") == (
+        "mean speed of all joints, m/s (orange), over the energy of speech (grey)"
+    )
+    (image,) = speech.images
+    assert tuple(image.get_extent()) == (0, 4, 0, 1) and image.get_array().shape[0] == 40
+    # Low bands are below, and the loud half is brighter.
+    values = np.asarray(image.get_array())
+    assert values[:, -50:].mean() > values[:, :50].mean() + 1
+
+
+def test_pictures_are_as_large_as_their_content(drawn):
+    def size(*labels: str, **options) -> tuple[float, float]:
+        axes = drawn({label: a_swing(0.5) for label in labels}, **options)
+        return tuple(axes[0].figure.get_size_inches())
+
+    assert size("a", frames=2)[0] == 6.0
+    assert size("a", frames=8)[0] == pytest.approx(10.4)
+    one, two = size("a")[1], size("a", "b")[1]
+    sound = Wave(np.random.default_rng(0).normal(0, 0.1, 48_000).astype(np.float32), 16_000)
+    assert 2 < two - one < 4 and 3.5 < one < 6
+    assert 0.5 < size("a", audio=sound)[1] - one < 2
+
+
+def test_features_are_drawn_at_their_times(drawn, tmp_path):
+    times = 0.01 + 0.02 * np.arange(100)
+    rng = np.random.default_rng(0)
+    voiced = np.where(np.arange(100) < 50, 0.9, 0.5)
+    columns = {
+        "mfcc_0": 5 + 300 * rng.normal(size=100),
+        "mfcc_1": rng.normal(size=100),
+        "f0": np.linspace(-3, 3, 100),
+        "voicing": voiced,
+        "mel_0": np.full(100, 1.0),
+        "mel_1": np.full(100, 3.0),
+    }
+    values = np.stack(list(columns.values()), axis=1).astype(np.float32)
+    track = FeatureTrack(values, times, names=tuple(columns))
+    wave = Wave(rng.normal(0, 0.1, 32_000).astype(np.float32), 16_000)
+    draw_features(track, tmp_path / "f.png", wave)
+    assert (tmp_path / "f.png").stat().st_size > 1000
+    titles = [axes.get_title(loc="left") for axes in drawn.kept[-1].axes]
+    assert titles == [
+        "the sound, log-mel",
+        "mfcc, 2 columns, each against its own mean and spread",
+        "f0, semitones from the median",
+        "voicing",
+        "mel, 2 columns",
+    ]
+    sound, cepstra, pitch, voicing, mel = drawn.kept[-1].axes
+    spectrum = LogMel(n_mels=40).extract(wave).values.T
+    assert np.asarray(sound.images[0].get_array()) == pytest.approx(spectrum)
+    shown = np.asarray(cepstra.images[0].get_array())
+    assert shown.mean(axis=1) == pytest.approx([0, 0], abs=1e-4)
+    assert shown.std(axis=1) == pytest.approx([1, 1], abs=1e-4)
+    # Frames of 20 ms about their times, one row a column.
+    assert tuple(cepstra.images[0].get_extent()) == pytest.approx((0.0, 2.0, 0, 2))
+    assert cepstra.images[0].get_clim() == pytest.approx(
+        np.quantile(shown, [0.01, 0.995]), rel=1e-4
+    )
+    assert np.asarray(mel.images[0].get_array())[:, 0].tolist() == [1, 3]
+    x, y = pitch.lines[0].get_data()
+    assert x == pytest.approx(times) and np.isnan(y[50:]).all()
+    assert y[:50] == pytest.approx(columns["f0"][:50], abs=1e-5)
+    assert voicing.lines[0].get_ydata() == pytest.approx(voiced)
+    assert {axes.get_xlim() for axes in drawn.kept[-1].axes} == {(0, 2)}
+    assert voicing.figure.get_size_inches()[0] == 8.0
+    long = Wave(np.zeros(16_000 * 20, np.float32), 16_000)
+    draw_features(track, tmp_path / "f.png", long)
+    assert drawn.kept[-1].get_size_inches()[0] == pytest.approx(14.0)
