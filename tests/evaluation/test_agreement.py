@@ -249,7 +249,7 @@ HEAD = "rater,system,clip,value\n"
         (HEAD + "p,a,x,good\n", "line 2: value is 'good'; expected a number"),
         (HEAD + "p,a,x,1\np,a,y,inf\n", "line 3: value is 'inf'"),
         (HEAD + "p,a,x,1_0\n", "value is '1_0'"),
-        (HEAD + "p,a,x,1e300\n", "value is '1e300'"),
+        (HEAD + "p,a,x,1e100\np,b,x,-1e101\n", "line 3: value is '-1e101'"),
         (HEAD + "p,,x,1\n", "line 2: rater, system or clip is empty"),
         (HEAD + "p,a,x,1,5\n", "line 2: 5 cells, but the header has 4"),
         (HEAD + 'p,a,x,"1', "not a CSV file in UTF-8"),

@@ -147,3 +147,9 @@ def test_missing_files_empty_folders_and_other_encodings_are_refused(tmp_path):
 def test_deeply_nested_json_reasons_are_ignored(tmp_path):
     text = HEAD + f"u,c,a,b,model_a,True,{'[' * 100_000},\n"
     assert read_answers([write(tmp_path / "x.csv", text)]).kept[0].reasons == ()
+
+
+def test_files_that_cannot_be_read_are_named(tmp_path):
+    (tmp_path / "loop.csv").symlink_to(tmp_path / "loop.csv")
+    with pytest.raises(EvaluationError, match=r"loop.csv: cannot be read \(Too many levels"):
+        read_answers([tmp_path / "loop.csv"])

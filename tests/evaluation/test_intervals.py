@@ -15,6 +15,8 @@ from gesturekit.evaluation.statistics.intervals import (
     Takes,
     interval_of,
     interval_of_statistic,
+    interval_over_samples,
+    p_value,
     pseudo_values,
     scaled_like,
     standard_error,
@@ -168,3 +170,18 @@ def test_simulated_corpora_are_covered_and_equal_models_do_not_differ(simulation
         assert 0.88 <= found["covered"] <= 0.99, (truth.key, found)
         assert 0.01 <= found["differs"] <= 0.10, (truth.key, found)
         assert found["outside"] == found["none"] == 0.0
+
+
+def test_samples_of_one_recording_have_students_interval():
+    values = [1.0, 2.0, 4.0, 5.0, 8.0]
+    found = interval_over_samples(values)
+    exact = stats.t.interval(0.95, 4, 4.0, stats.sem(values))
+    assert (found.value, found.n, found.units, found.over) == (4.0, 5, 5, "samples")
+    assert (found.low, found.high) == pytest.approx(exact)
+    assert found.count == "5 clips" and found.method == "mean over samples"
+    assert interval_over_samples(values[:4]).low is None
+
+
+def test_p_values_are_two_sided_and_equal_values_do_not_differ():
+    assert p_value(2.0, 1.0, 5) == p_value(-2.0, 1.0, 5) == pytest.approx(2 * stats.t.sf(2.0, 5))
+    assert p_value(0.0, 0.0, 5) == 1.0 and p_value(0.3, 0.0, 5) == 0.0

@@ -20,7 +20,8 @@ from gesturekit.evaluation import (
     max_speed,
     standing_heights,
 )
-from gesturekit.motion import Motion
+from gesturekit.evaluation.metrics.physical import low_passed, wrist_speed
+from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts.body_size import body_scale
 
 
@@ -143,3 +144,39 @@ def test_the_standing_height_is_the_median_while_standing(standing):
     step = np.zeros((standing.n_frames, 3))
     step[80:, 1] = 0.2
     np.testing.assert_allclose(standing_heights(moved(standing, step)), low, atol=1e-9)
+
+
+def test_rates_up_to_a_thousandth_apart_are_one_rate(turning):
+    motion = turning({"LeftArm": np.ones(20)})
+    for rate, same in ((25.02, True), (25.03, False), (24.98, True), (24.97, False)):
+        other = replace(motion, fps=rate)
+        if same:
+            assert jerk_ratio(other, motion) == pytest.approx((rate / 25) ** 3)
+        else:
+            with pytest.raises(MotionError, match="resample"):
+                jerk_ratio(other, motion)
+
+
+def test_wrist_speed_needs_wrists(turning, skeleton):
+    motion = turning({"LeftForeArm": np.full(20, 2.0)})
+    # 2 rad/s at 0.25 m on one side, over frames of 0.08 rad; nothing on the other.
+    step = 2 * 0.25 * np.sin(0.04) * 25
+    assert wrist_speed(motion) == pytest.approx(np.full(19, step / 2))
+    kept = [k for k, name in enumerate(skeleton.names) if not name.endswith("Hand")]
+    parents = [-1 if skeleton.parents[k] < 0 else kept.index(skeleton.parents[k]) for k in kept]
+    names = tuple(skeleton.names[k] for k in kept)
+    rig = Skeleton(names, tuple(parents), skeleton.offsets[kept])
+    cut = Motion(rig, motion.rotations[:, kept], motion.translation, 25.0)
+    with pytest.raises(MotionError, match="no wrist joints"):
+        wrist_speed(cut)
+
+
+def test_low_passed_paths_are_in_time_and_lose_what_is_faster():
+    time = np.arange(200) / 50.0
+    slow, fast = np.sin(2 * np.pi * time), np.sin(2 * np.pi * 20 * time)
+    assert low_passed(slow, 50.0, 6.0)[20:-20] == pytest.approx(slow[20:-20], abs=0.01)
+    assert np.abs(low_passed(fast, 50.0, 6.0)[20:-20]).max() < 0.02
+    assert low_passed(slow, 50.0, 24.9).shape == (200,)
+    for cutoff in (0.0, 25.0, 30.0):
+        with pytest.raises(MotionError, match="between 0 and 25 Hz"):
+            low_passed(slow, 50.0, cutoff)

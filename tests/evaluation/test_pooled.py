@@ -23,6 +23,7 @@ from gesturekit.evaluation import (
     within_reach,
 )
 from gesturekit.evaluation.metrics.diagonals import lower_to_nearest
+from gesturekit.evaluation.metrics.hands import hand_paths
 from gesturekit.evaluation.metrics.two_sample import MotionWindows
 from gesturekit.evaluation.results import MetricResult, ModelResult
 from gesturekit.evaluation.statistics.intervals import whole_set
@@ -439,3 +440,18 @@ def test_copies_are_measured_against_the_training_split(talker, tmp_path):
     own = [motion_windows(motion) for motion in (talker(2), [talker(0), talker(1)])]
     assert found["one_nn"].recording == pytest.approx(two_sample_accuracy(*own), abs=0.05)
     assert "mostly copied" in model.verdict
+
+
+def test_hands_of_a_rig_without_wrists_are_the_ends_of_its_forearms(talker, skeleton):
+    motion = elsewhere(replace(talker(0), joint_translations={}))
+    whole = skeleton.offsets[[skeleton.index(f"{side}Hand") for side in ("Left", "Right")]]
+    kept = [k for k, name in enumerate(skeleton.names) if "Hand" not in name]
+    parents = [-1 if skeleton.parents[k] < 0 else kept.index(skeleton.parents[k]) for k in kept]
+    names = tuple(skeleton.names[k] for k in kept)
+    ends = {f"{side}ForeArm": (offset,) for side, offset in zip(("Left", "Right"), whole)}
+    rig = Skeleton(names, tuple(parents), skeleton.offsets[kept], end_sites=ends)
+    cut = Motion(rig, motion.rotations[:, kept], motion.translation, motion.fps)
+    assert hand_paths(cut) == pytest.approx(hand_paths(motion))
+    bare = replace(cut, skeleton=replace(rig, end_sites={}))
+    with pytest.raises(MotionError, match="no wrist joints"):
+        hand_paths(bare)

@@ -218,3 +218,54 @@ def test_mismatched_videos_keep_the_sound_of_the_segment(tmp_path):
             assert (shown == own) == (not system.endswith("_Mismatched"))
             if shown != own:
                 assert (clips / side["sound"]).read_bytes() == own
+
+
+def test_speech_of_motions_is_found_by_path_then_by_name(tmp_path, gesture, write_speech):
+    for system in ("a", "b"):
+        for name in ("d/x", "d/y", "z"):
+            gesture(0.2).save(tmp_path / system / f"{name}.npz")
+    systems = {name: str(tmp_path / name) for name in ("a", "b")}
+    for name in ("d/x", "y"):
+        write_speech(tmp_path / "sound" / f"{name}.wav", 0.3)
+    config = StudyConfig("T", systems, audio=tmp_path / "sound")
+    with pytest.warns(UserWarning, match="1 clip left out, as .* has no sound of them: z"):
+        found = find_clips(config)
+    sounds = {segment.name: segment.sound for segment in found.segments}
+    sound = tmp_path / "sound"
+    assert sounds == {"d/x": sound / "d" / "x.wav", "d/y": sound / "y.wav"} and not found.videos
+    write_speech(tmp_path / "other" / "w.wav", 0.3)
+    with pytest.raises(ConfigError, match="has no sound named like the clips, such as d/x.wav"):
+        find_clips(StudyConfig("T", systems, audio=tmp_path / "other"))
+    silent = find_clips(StudyConfig("T", systems)).segments
+    assert [segment.sound for segment in silent] == [None] * 3
+    with pytest.raises(ConfigError, match="the design mismatch needs a folder of speech"):
+        find_clips(StudyConfig("T", {"a": systems["a"]}, design="mismatch"))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"lists": 0}, "lists: 0 is below 1"),
+        ({"lists": 1001}, "lists: 1001 is more than 1000"),
+        ({"attention_checks": -1}, "attention_checks: -1 is below 0"),
+        ({"seed": -1}, "seed: -1 is below 0"),
+        ({"answers": ("a", "b", "c", "d", "e", "f")}, "answers: 6 given"),
+        ({"completion_url": "ftp://host/x"}, "completion_url: 'ftp://host/x' is not a web address"),
+        ({"post_url": "https:///x"}, "is not a web address"),
+        ({"post_url": "https://host/a b"}, "is not a web address"),
+        ({"post_url": "https://[host"}, "is not a web address"),
+        ({"styles": {"happy": "happy"}}, "design preference has no styles"),
+    ],
+)
+def test_settings_out_of_range_are_refused(options, message):
+    with pytest.raises(ConfigError) as refused:
+        config_of(2, **options)
+    assert message in str(refused.value)
+
+
+def test_settings_at_the_ends_of_their_ranges_are_accepted():
+    config_of(2, lists=1, attention_checks=0, seed=0, pairs=1, post_url="http://host:1/x?y=1")
+    config_of(1, design="mismatch", lists=1000, answers=tuple("abcde"))
+    for few in (1, 0):
+        with pytest.raises(ConfigError, match=f"systems: {few} given; .* needs {few + 1} or more"):
+            config_of(few, design="preference" if few else "mismatch")

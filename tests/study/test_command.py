@@ -124,3 +124,25 @@ def test_a_page_is_built_and_not_overwritten(tmp_path, run):
     assert code == 2 and "index.html" in err
     run("build", tmp_path / "study.yaml", "--out", tmp_path / "out", "--existing", "replace")
     assert (tmp_path / "out" / "index.html").read_bytes() == before
+
+
+def test_wins_ties_and_losses_are_a_table(tmp_path, run):
+    answers = [
+        Answer(user, clip, *pair, score)
+        for user, clip, pair, score in (
+            ("u", "1", "ab", 2), ("u", "2", "ba", -1), ("v", "1", "ab", 0),
+            ("v", "2", "ab", -1), ("w", "1", "ab", 1), ("w", "2", "bc", 1),
+        )
+    ]  # fmt: skip
+    path = write(tmp_path / "x.csv", answers, {})
+    code, _, err = run("analyse", path, "--out", tmp_path / "x.html", "--rounds", 20)
+    assert code == 0 and "Never compared: a and c." in err
+    table = (tmp_path / "x.html").read_text().partition("Win, tie, loss</h3>")[2]
+    rows = re.findall(r"<tr>(.*?)</tr>", table.partition("</table>")[0], re.DOTALL)
+    cells = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in rows]
+    assert cells == [
+        ["", "a", "b", "c"],
+        ["a", "", "3 · 1 · 1", "not compared"],
+        ["b", "1 · 1 · 3", "", "1 · 0 · 0"],
+        ["c", "not compared", "0 · 0 · 1", ""],
+    ]

@@ -22,7 +22,7 @@ from gesturekit.study.analysis.preference import (
     merit_estimates,
     weighted_wins,
 )
-from gesturekit.study.analysis.result import reservations
+from gesturekit.study.analysis.result import is_significant, p_text, reservations
 from gesturekit.study.analysis.significance import (
     Expected,
     anova,
@@ -204,7 +204,7 @@ def test_alignment_by_hand_and_sides_do_not_matter():
         (found,) = analyse_alignment(given, rounds=50, seed=0).systems
         # (2·1 + 1 + 0.5) / (2 + 1 + 1 + 1)
         assert found.score.value == pytest.approx(3.5 / 5)
-        assert found.counts == (1, 1, 1, 1, 0)
+        assert found.counts == (1, 1, 1, 1, 0) and found.raters == 4
         assert found.win_rate.value == pytest.approx(2 / 3)
 
 
@@ -283,3 +283,15 @@ def test_the_power_is_that_of_the_noncentral_t_distribution(comparisons):
     t = stats.nct(39, d * np.sqrt(40))
     found = power_of(Expected(0.65, ties=0.2, clear=0.4, agreement=0.1), 40, 6, comparisons)
     assert found == pytest.approx(t.sf(critical) + t.cdf(-critical), abs=1e-6)
+
+
+def test_p_values_are_written_as_in_papers():
+    texts = {0.0009: "p < .001", 0.001: "p = .001", 0.0499: "p = .050", 1.0: "p = 1.000"}
+    assert {p: p_text(p) for p in texts} == texts and p_text(float("nan")) == "no test"
+    assert [is_significant(p) for p in (0.0499, 0.05, float("nan"))] == [True, False, False]
+
+
+def test_raters_of_one_system_do_not_count_for_another():
+    answers = [mismatch(k, k, 1, "a") for k in range(5)] + [mismatch(9, 1, -1, "b")]
+    found = {score.name: score for score in analyse_alignment(answers, 20, 0).systems}
+    assert (found["a"].raters, found["b"].raters) == (5, 1)
