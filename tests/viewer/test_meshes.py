@@ -1,0 +1,223 @@
+"""Meshes of the mannequin, where its parts go, and how a scene shows them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rigs import rig_of
+from scipy.spatial.transform import Rotation
+
+from gesturekit.formats.gltf.skin import Skin
+from gesturekit.motion import Motion
+from gesturekit.viewer.avatars import simplified, welded
+from gesturekit.viewer.drawn_body import DrawnBody
+from gesturekit.viewer.figure import Figure
+from gesturekit.viewer.video.mesh import COLOURS, Mannequin
+from gesturekit.viewer.video.scene import Buffers, Camera, Scene
+
+
+def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Return the volume inside a closed surface whose faces look outwards."""
+    a, b, c = np.moveaxis(vertices[faces].astype(float), 1, 0)
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+
+
+def test_limbs_and_head_are_closed_surfaces_with_their_volumes(gesture):
+    figure = Figure.of(gesture(0.2))
+    mesh = Mannequin(figure).mesh
+    assert (mesh.weights[:, 0] == 1).all() and not mesh.weights[:, 1:].any()
+    assert np.linalg.norm(mesh.normals, axis=1) == pytest.approx(1, abs=1e-5)
+    part = mesh.parts[mesh.faces[:, 0], 0]
+    assert (mesh.parts[mesh.faces, 0] == part[:, None]).all()
+    for k, limb in enumerate(figure.limbs):
+        own = mesh.vertices[mesh.parts[:, 0] == k]
+        start, end = limb.radii
+        # From the ball at its start to the ball at its end.
+        assert own[:, 1].min() == pytest.approx(-start, rel=1e-4)
+        assert own[:, 1].max() == pytest.approx(limb.length + end, rel=1e-4)
+        assert np.hypot(own[:, 0], own[:, 2]).max() == pytest.approx(max(limb.radii), rel=0.02)
+        cone = np.pi * limb.length * (start**2 + start * end + end**2) / 3
+        balls = 2 / 3 * np.pi * (start**3 + end**3)
+        found = volume(mesh.vertices, mesh.faces[part == k])
+        assert 0.8 * (cone + balls) < found < 1.02 * (cone + balls), k
+        colour = np.unique(mesh.colours[mesh.parts[:, 0] == k], axis=0)
+        assert colour.tolist() == [[*COLOURS[limb.side]]]
+    # Skull, jaw, nose and two eyes: ellipsoids, with 4/3 pi times their radii.
+    balls = [(0.34, 0.46, 0.41), (0.235, 0.27, 0.26), (0.045, 0.1, 0.07)]
+    balls += [(0.034, 0.045, 0.02)] * 2
+    expected = 4 / 3 * np.pi * figure.head.size**3 * sum(map(np.prod, balls))
+    found = volume(mesh.vertices, mesh.faces[part == len(figure.limbs)])
+    assert found == pytest.approx(expected, rel=0.04)
+    # Normals are those of the surface.
+    corners = mesh.vertices[mesh.faces].astype(float)
+    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(flat, axis=1)
+    mean = mesh.normals[mesh.faces].mean(axis=1)
+    real = size > 1e-4 * np.median(size)
+    cosines = (flat * mean).sum(axis=1)[real] / size[real] / np.linalg.norm(mean, axis=1)[real]
+    assert cosines.min() > 0.5 and np.median(cosines) > 0.98
+
+
+def test_parts_move_with_their_points_between_frames_too(gesture):
+    motion = gesture(0.5, 30.0)
+    figure = Figure.of(motion)
+    body = Mannequin(figure)
+    times = (-1.0, 0.0, 0.25, 99.0)
+    last = len(figure.points) - 1
+    frames = (figure.points[0], figure.points[0], figure.points[7:9].mean(axis=0),
+              figure.points[last])  # fmt: skip
+    right, left = (motion.skeleton.index(f"{side}Arm") for side in ("Right", "Left"))
+    for time, points in zip(times, frames):
+        moves = body.transforms(time).astype(float)
+        assert moves.shape == (len(figure.limbs) + 1, 3, 4)
+        for limb, move in zip(figure.limbs, moves):
+            start, end = points[list(limb.ends)]
+            assert move[:, 3] == pytest.approx(start, abs=1e-5)
+            assert move[:, :3] @ [0, limb.length, 0] == pytest.approx(end - start, abs=1e-5)
+            # Wide along the shoulders, and as deep as round limbs are.
+            wide, depth = move[:, 0], move[:, 2]
+            assert np.linalg.norm(wide) == pytest.approx(limb.width, rel=1e-5)
+            assert np.linalg.norm(depth) == pytest.approx(1, rel=1e-5)
+            assert abs(wide @ (end - start)) < 1e-5 and abs(depth @ wide) < 1e-5
+            assert np.linalg.det(move[:, :3]) > 0
+            if limb.width > 1:
+                across = points[left] - points[right]
+                assert wide @ across > 0.9 * limb.width * np.linalg.norm(across)
+        head, move = figure.head, moves[-1]
+        up, face = points[head.up] - points[head.base], points[head.face] - points[head.base]
+        assert move[:, 3] == pytest.approx(points[head.base], abs=1e-5)
+        assert move[:, 1] * np.linalg.norm(up) == pytest.approx(up, abs=1e-5)
+        assert move[:, 2] @ face > 0.9 * np.linalg.norm(face)
+        assert move[:, :3].T @ move[:, :3] == pytest.approx(np.eye(3), abs=1e-5)
+        assert np.linalg.det(move[:, :3]) == pytest.approx(1)
+
+
+def test_a_limb_without_a_length_for_a_moment_stays_where_it_is():
+    rig = rig_of({"a": (None, (0, 0, 0)), "b": ("a", (0, 1, 0)), "c": ("b", (1, 0, 0))})
+    still = np.tile([0.0, 0, 0, 1], (3, 3, 1))
+    stretched = {"c": np.array([[1.0, 0, 0], [0, 0, 0], [1, 0, 0]])}
+    motion = Motion(rig, still, np.zeros((3, 3)), 30.0, joint_translations=stretched)
+    moves = Mannequin(Figure.of(motion)).transforms(1 / 30)
+    assert np.isfinite(moves).all()
+    assert moves[1, :, 3].tolist() == [0, 1, 0] and not moves[1, :, 1].any()
+
+
+@pytest.fixture
+def standing(gesture) -> Motion:
+    """A person that stands still, and faces another way than +Z."""
+    motion = gesture(0.2, 30.0)
+    rotations = np.repeat(motion.rotations[:1], motion.n_frames, axis=0)
+    turn = Rotation.from_euler("y", 2.0) * Rotation.from_quat(rotations[0, 0])
+    rotations[:, 0] = turn.as_quat()
+    path = np.tile([5.0, motion.translation[0, 1], -3.0], (motion.n_frames, 1))
+    return Motion(motion.skeleton, rotations, path, 30.0)
+
+
+def test_a_scene_shows_the_body_its_shadow_and_the_floor(standing):
+    drawn = DrawnBody.of(standing)
+    figure = drawn.figure
+    image = np.zeros((240, 240, 3), np.uint8)
+    buffers = Buffers(240, 240)
+    scene, camera = Scene(drawn, 1.0), Camera(figure, 1.0)
+    scene.draw(0.0, image, buffers)
+    again = np.zeros_like(image)
+    scene.draw(0.0, again, buffers)
+    assert (image == again).all(), "no trace of one frame is in the next"
+    axes = camera.at(0.0)
+    focal = 120 / np.tan(np.radians(15))
+
+    def pixel(point: np.ndarray) -> tuple[int, int]:
+        right, up, back = axes[:3] @ (point - axes[3])
+        return int(120 - focal * up / -back), int(120 + focal * right / -back)
+
+    shade = image.astype(int).sum(axis=2)
+    spread = np.ptp(image.astype(int), axis=2)
+    for limb in figure.limbs:
+        if max(limb.radii) > 0.02 * figure.height and limb.side:
+            row, column = pixel(figure.points[0, list(limb.ends)].mean(axis=0))
+            assert spread[row, column] > 30, "limbs have the colours of their sides"
+    # The sun is before the body, to its left; each point's shadow falls behind, to its right.
+    cos, sin = np.cos(figure.front), np.sin(figure.front)
+    ahead, left = np.array([sin, 0, cos]), np.array([cos, 0, -sin])
+    trunk = figure.points[0, 0]
+    high = trunk[1] - figure.floor
+    fallen = trunk - [0, high, 0] - high / 2.6 * (ahead + left)
+    lit = trunk - [0, high, 0] + high / 2.6 * (ahead - left)
+    assert shade[pixel(fallen)] < shade[pixel(lit)] - 60
+    # Grey, as the floor is.
+    assert spread[pixel(fallen)] < 40
+    assert (shade[:20, :20] > 720).all() and (shade[:3] > 700).all()
+
+
+def test_the_camera_looks_at_the_body_from_its_left_and_from_above(standing):
+    figure = Figure.of(standing)
+    camera = Camera(figure, 1.0)
+    right, up, back, eye = camera.at(0.0)
+    away = eye - camera.middle(0.0)
+    assert np.linalg.norm(away) == pytest.approx(camera.distance)
+    assert np.arctan2(away[0], away[2]) == pytest.approx(figure.front + 0.32 - 2 * np.pi * (
+        figure.front + 0.32 > np.pi), abs=1e-6)  # fmt: skip
+    assert np.arcsin(away[1] / camera.distance) == pytest.approx(0.16)
+    assert np.stack([right, up, back]) @ np.stack([right, up, back]).T == pytest.approx(
+        np.eye(3), abs=1e-9
+    )
+    assert np.cross(right, up) == pytest.approx(back) and right[1] == 0
+    # Half of the body's height is looked at.
+    top = figure.points[0, :, 1].max()
+    assert camera.middle(0.0)[1] == pytest.approx((figure.floor + top) / 2, abs=0.03)
+    assert Camera.focal(100.0) == pytest.approx(186.6, abs=0.01)
+
+
+def grid(n: int, joints: int = 1) -> Skin:
+    """A flat square of n by n points, 1 m wide, of joints side by side."""
+    x, z = (axis.ravel() / (n - 1) for axis in np.meshgrid(np.arange(n), np.arange(n)))
+    vertices = np.stack([x, np.zeros(n * n), z], axis=1)
+    a = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    faces = np.concatenate([np.stack([a, a + n, a + 1], 1), np.stack([a + 1, a + n, a + n + 1], 1)])
+    owners = np.zeros((n * n, 4), np.uint8)
+    owners[:, 0] = np.minimum(x * joints, joints - 1)
+    weights = np.tile(np.array([255, 0, 0, 0], np.uint8), (n * n, 1))
+    return Skin(
+        vertices, faces.astype(np.uint32), owners, weights, np.zeros((joints, 3)),
+        regions=np.zeros(n * n, np.uint8),
+    )  # fmt: skip
+
+
+def area(skin: Skin) -> float:
+    a, b, c = np.moveaxis(skin.vertices[skin.faces], 1, 0)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
+def test_simplified_meshes_have_no_more_vertices_than_asked_and_keep_their_shape():
+    skin = grid(41, joints=3)
+    assert simplified(skin, 41 * 41, 1.7) is skin
+    for most in (1680, 400, 60):
+        found = simplified(skin, most, 1.7)
+        assert most / 3 < len(found.vertices) <= most
+        assert found.faces.max() == len(found.vertices) - 1
+        assert (np.diff(np.sort(found.faces, axis=1), axis=1) > 0).all(), "no face is a line"
+        assert area(found) > 0.6
+        # The third of each joint is its own; vertices are means of those that they stand for.
+        assert len(np.unique(found.joints[:, 0])) == 3
+        for joint in range(3):
+            x = found.vertices[found.joints[:, 0] == joint, 0]
+            assert joint / 3 - 0.02 <= x.min() and x.max() <= (joint + 1) / 3 + 0.02
+    # A cell for each joint at last.
+    assert len(simplified(skin, 3, 1.7).vertices) == 3
+    middles = simplified(skin, 3, 1.7).vertices
+    assert middles[:, 2] == pytest.approx(0.5) and len(simplified(skin, 1, 1.7).vertices) == 3
+
+
+def test_seams_are_closed_between_vertices_of_one_place_and_colour():
+    skin = grid(3)
+    corners = skin.faces.ravel()
+    split = Skin(
+        skin.vertices[corners], np.arange(len(corners), dtype=np.uint32).reshape(-1, 3),
+        skin.joints[corners], skin.weights[corners], skin.rest,
+        regions=skin.regions[corners],
+    )  # fmt: skip
+    found = welded(split, 1.0)
+    assert len(found.vertices) == 9 and area(found) == pytest.approx(1.0)
+    # A face of another colour keeps two vertices that others use as well, and its corner.
+    split.regions[:3] = 1
+    assert len(welded(split, 1.0).vertices) == 11
