@@ -10,7 +10,7 @@ import pytest
 
 from gesturekit.errors import ConfigError
 from gesturekit.training.run import report as module
-from gesturekit.training.run.folder import Run
+from gesturekit.training.run.folder import Run, has_no_run
 
 
 @pytest.fixture
@@ -101,6 +101,127 @@ def test_a_page_that_cannot_be_written_does_not_end_the_training(run: Run) -> No
     in_the_way.rmdir()
     run.close()
     assert "stopped, step 1" in page_of(run)
+
+
+def places_of(chart: str) -> list[tuple[float, float]]:
+    """Points of a chart's first curve as shares of its width, and of its height from below."""
+    width, height = map(float, re.search(r'viewBox="0 0 (\d+) (\d+)"', chart).groups())
+    points = re.search(r'<polyline points="([^"]*)"', chart)[1].split()
+    pairs = [tuple(map(float, point.split(","))) for point in points]
+    return [(x / width, 1 - y / height) for x, y in pairs]
+
+
+@pytest.mark.parametrize(
+    ("values", "heights", "scale"),
+    [
+        ([1.0, 3.0, 2.0], [0, 1, 0.5], "1 to 3;"),
+        ([1.0, 25.5, 50.0], [0, 0.5, 1], "1 to 50;"),
+        ([1.0, 10.0, 100.0], [0, 0.5, 1], "1 to 100, log scale;"),
+        ([-1.0, 0.0, 99.0], [0, 0.01, 1], "-1 to 99;"),
+        ([0.0, 50.0, 100.0], [0, 0.5, 1], "0 to 100;"),
+        ([7.0, 7.0, 7.0], [0, 0, 0], "7 to 7;"),
+    ],
+)
+def test_a_curve_fills_its_chart_from_the_first_step_to_the_last(run, values, heights, scale):
+    for step, value in zip((10, 20, 50), values, strict=True):
+        run.log(step, {"loss": value})
+    run.close()
+    chart = chart_of(page_of(run), "loss")
+    places = places_of(chart)
+    assert [x for x, _ in places] == pytest.approx([0, 0.25, 1], abs=0.001)
+    margin = 3 / 120
+    expected = [margin + (1 - 2 * margin) * height for height in heights]
+    assert [y for _, y in places] == pytest.approx(expected, abs=0.001)
+    assert f"{scale} steps 10 to 50" in chart
+    assert f"<span>{values[-1]:.4g}</span>" in chart, "the newest value"
+
+
+def test_a_curve_of_one_point_is_a_line_across_its_chart(run: Run) -> None:
+    run.log(5, {"early": 2.0, "late": 1.0}, level=1)
+    run.close()
+    (left, low), (right, high) = places_of(chart_of(page_of(run), "early"))
+    assert (left, right) == (0, 1) and low == high
+    again = Run(run.folder, {}, resume=True)
+    again.log(9, {"late": 3.0}, level=2)
+    again.close()
+    chart = chart_of(page_of(again), "late")
+    assert places_of(chart)[0][0] == 0 and places_of(chart)[-1][0] == 1
+    assert "steps 5 to 9" in chart and "<span>3</span>" in chart
+
+
+def test_the_page_of_a_finished_training_has_sections_and_the_newest_samples_first(run: Run):
+    (run.folder / "samples").mkdir()
+    for step in range(0, 1020, 10):
+        (run.folder / "samples" / f"step_{step:08d}.html").write_text("a page")
+    (run.folder / "model").mkdir()
+    (run.folder / "model" / "config.yaml").write_text("kind: multires")
+    run.log(10, {"loss": 1.0, "learning_rate": 0.1})
+    run.log(20, {"recorded/sync": 0.5, "recorded/sync_recording": 0.25}, kind="recorded")
+    run.log(20, {"jerk": 2.0}, kind="evaluation")
+    run.log(30, {"other": 2.0}, kind="odd")
+    run.close()
+    page = page_of(run)
+    assert "finished, step 30, written 2" in page
+    assert re.findall("<h2>([^<]*)</h2>", page) == [
+        *("Losses", "Samples for training recordings", "On training recordings", "Pace", "Odd"),
+        "Samples, with their motion",
+    ]
+    links = re.findall(r">step (\d+)</a>", page)
+    assert links[:2] == ["1010", "1000"] and links[-1] == "20" and len(links) == 100
+    sync = chart_of(page, "sync")
+    assert re.findall("<title>([^<]*)</title>", sync) == ["model 0.5", "recording 0.25"]
+
+
+def test_logged_lines_are_found_by_step_kind_and_level(run: Run) -> None:
+    assert not run.has(1, "held_out") and run.evaluations(1) == []
+    run.log(1, {"loss": 3.0, "seconds_per_iteration": 0.5}, level=1)
+    run.log(1, {"jerk": 2.0}, kind="evaluation", level=1)
+    run.log(2, {"jerk": 1.0}, kind="evaluation", level=2)
+    run.log(3, {"loss": 2.0, "seconds_per_iteration": 0.5}, level=1)
+    run.log(3, {"held_out/sync": 0.5}, kind="held_out")
+    assert [line["step"] for line in run.evaluations(2)] == [2]
+    assert run.has(3, "held_out") and not run.has(2, "held_out") and not run.has(3, "evaluation")
+    assert run.last_metrics() == {"loss": 2.0}
+    with (run.folder / "metrics.jsonl").open("a") as file:
+        file.write('{"step": 3, "lo')
+    run.forget_metrics_after(1)
+    lines = (run.folder / "metrics.jsonl").read_text().splitlines()
+    assert [json.loads(line)["step"] for line in lines] == [1, 1]
+    assert run.last_metrics() == {"loss": 3.0} and run.evaluations(2) == []
+    run.forget_metrics_after(0)
+    assert run.last_metrics() == {}
+    run.close()
+
+
+@pytest.mark.parametrize(
+    ("names", "is_free"),
+    [
+        ([], True),
+        (["data/", "command.txt", "versions.json", ".half"], True),
+        (["config.yaml"], False),
+        (["command.txt", "holiday.jpg"], False),
+    ],
+)
+def test_a_folder_with_anything_but_a_training_that_never_began_is_in_use(tmp_path, names, is_free):
+    for name in names:
+        place = tmp_path / name
+        place.mkdir() if name.endswith("/") else place.touch()
+    assert has_no_run(tmp_path) == is_free
+    (tmp_path / "file").touch()
+    assert has_no_run(tmp_path / "missing") and not has_no_run(tmp_path / "file")
+
+
+def test_a_run_is_a_folder_and_is_resumed_where_there_is_one(run, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match="a file, not a run folder"):
+        Run(tmp_path / "file", {}, resume=False)
+    with pytest.raises(ConfigError, match="no run to resume here"):
+        Run(tmp_path / "other", {}, resume=True)
+    with pytest.raises(ConfigError, match="holds a run already; add --resume"):
+        Run(run.folder, {}, resume=False)
+    assert run.has_begun and not Run(tmp_path / "other", {}, resume=False).has_begun
+    assert set(json.loads((run.folder / "versions.json").read_text())) >= {"python", "torch"}
+    assert (run.folder / "command.txt").read_text().endswith("\n")
 
 
 SETTINGS = {"seed": 3, "training": {"batch": 4, "window": 8}, "features": None, "log_every": 10}
