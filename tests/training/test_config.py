@@ -78,6 +78,16 @@ def test_a_written_configuration_reads_back_the_same(tmp_path):
         ("window: 3", [], "corpus is missing"),
         ("corpus: c", ["window"], "key=value"),
         ("corpus: c", ["name=3"], "name: 3 is not of type str"),
+        ("corpus: c\ninner: {rate: null}", [], "inner.rate may not be empty"),
+        ("corpus: c\nwindow: true", [], "window: True is not of type float"),
+        ("corpus: c\ninner: {steps: 3}", [], "inner.steps: 3 is not a list"),
+        ("corpus: c\ninner: {steps: [1.5]}", [], r"inner.steps\[\]: 1.5 is not of type int"),
+        ("corpus: c\ninner: {steps: [true]}", [], r"inner.steps\[\]: True is not of type int"),
+        ("corpus: c\nwholly: 1", [], "unknown key wholly; known: corpus, window, name, inner"),
+        ("corpus: c\nbase: 3", [], "base: 3 is not a file name"),
+        ("corpus: c", ["=3"], "key=value"),
+        ("corpus: c", ["window=[1"], "the value is not valid YAML"),
+        (f"corpus: c\nwindow: {'1' * 41}", [], "a number of 41 digits"),
         ("- a list", [], "expected key: value lines"),
         ("corpus: [unclosed", [], "not valid YAML"),
         ("corpus: !!python/object/apply:os.getcwd []", [], "not valid YAML"),
@@ -108,3 +118,33 @@ def test_a_file_may_have_the_dotted_keys_of_the_command_line(tmp_path):
     text = "base: base.yaml\ninner.rate: 0.2\ninner: {mode: input}"
     config = load_config(write(tmp_path, "a.yaml", text), Outer)
     assert config.inner == Inner(rate=0.2, steps=(3,), mode="input")
+
+
+def test_eight_parents_are_read_and_nine_are_too_many(tmp_path):
+    write(tmp_path, "0.yaml", "corpus: c\nname: first")
+    for k in range(1, 10):
+        write(tmp_path, f"{k}.yaml", f"base: {k - 1}.yaml\nwindow: {k}")
+    config = load_config(tmp_path / "8.yaml", Outer)
+    assert (config.name, config.window) == ("first", 8.0)
+    with pytest.raises(ConfigError, match="too many nested base files"):
+        load_config(tmp_path / "9.yaml", Outer)
+
+
+def test_hostile_files_are_refused_before_they_fill_memory(tmp_path):
+    long = "corpus: c\nname: " + "x" * (2 << 20)
+    lists = "a: &a [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]\n"
+    for one, other in zip("abcde", "bcdef", strict=True):
+        lists += f"{other}: &{other} [{', '.join([f'*{one}'] * 10)}]\n"
+    itself = "corpus: &c [*c]"
+    for text, told in ((long, "too large"), (lists, "aliases"), (itself, "aliases")):
+        with pytest.raises(ConfigError, match=told):
+            load_config(write(tmp_path, "a.yaml", text), Outer)
+    few = "corpus: c\ninner: {steps: &s [1, 2]}\nwindow: 40000000000000000000000000000000000000.0"
+    assert load_config(write(tmp_path, "a.yaml", few), Outer).window == 4e37
+    with pytest.raises(ConfigError, match="not a regular file"):
+        load_config(tmp_path, Outer)
+    with pytest.raises(ConfigError, match="no such configuration file"):
+        load_config(tmp_path / "none.yaml", Outer)
+    (tmp_path / "b.yaml").write_bytes(b"corpus: \xff\xfe")
+    with pytest.raises(ConfigError, match="cannot be read as text"):
+        load_config(tmp_path / "b.yaml", Outer)
