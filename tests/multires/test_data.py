@@ -70,16 +70,6 @@ def test_sigma_of_a_pulse_worked_out_by_hand():
     assert sigma.tolist() == pytest.approx([(100 / 27) ** 0.5, ((25 / 16 + 4 / 9) / 4) ** 0.5])
 
 
-def test_a_window_slices_its_sequences_noise():
-    sequence = PairedSequence.make("a", torch.randn(3, 200), torch.zeros(2, 200), 5, seed=0)
-    same = PairedSequence.make("a", torch.randn(3, 200), torch.zeros(2, 200), 5, seed=0)
-    torch.testing.assert_close(sequence.z_star / sequence.sigma[0], same.z_star / same.sigma[0])
-    n_coarsest = level_lengths(80, 5)[0]
-    first, last = (sequence.z_star_window(start, n_coarsest) for start in (0, 120))
-    assert torch.equal(first[0], sequence.z_star[:n_coarsest])
-    assert torch.equal(last[0], sequence.z_star[-n_coarsest:])
-
-
 def test_each_speaker_keeps_a_body(make_config, gesture, write_speech, tmp_path):
     """Ann, and Bob who is a fifth larger."""
     for name, factor in (("ann", 1.0), ("bob", 1.2)):
@@ -235,3 +225,14 @@ def test_every_second_of_unpaired_speech_is_drawn_as_often(make_config):
     data, rng = replace(data, unpaired=clips), torch.Generator().manual_seed(0)
     drawn = [float(data.speech_window(10, 0, rng)[0, 0]) for _ in range(400)]
     assert np.mean(np.equal(drawn, 120)) == pytest.approx(0.75, abs=0.07)
+
+
+def test_the_coarsest_level_of_the_longest_recording_has_two_frames(make_config, motions):
+    """Of 100 frames, three quarters fourteen times are 2, and one more time 1 (rounded down)."""
+    corpus, frames = str(motions(none=[4.0, 1.0])), [level_lengths(100, n)[0] for n in (15, 16)]
+    assert frames == [2, 1]
+    config = make_config(corpus=corpus, features=None, network={"levels": 15})
+    assert max(one.n_frames for one in load_training_data(config).paired) == 100
+    config = make_config(corpus=corpus, features=None, network={"levels": 16})
+    with pytest.raises(ConfigError, match=r"16 levels leave one frame of .* \(4.0 s\)"):
+        load_training_data(config)

@@ -8,12 +8,11 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F
 
 import gesturekit as gk
 from audio_features import level_lengths
 from gesturekit.multires.sampling.trained_model import ZStarPatches
-from gesturekit.multires.training.sequences import PairedSequence, level_sigmas
+from gesturekit.multires.training.sequences import PairedSequence
 from gesturekit.multires.training.trainer import train
 
 
@@ -66,20 +65,12 @@ def test_z_star_is_noise_of_the_first_level_for_all_channels_or_each():
     assert float(shared.z_star.std()) == pytest.approx(float(shared.sigma[0]), rel=0.05)
     assert float(full.z_star.std()) == pytest.approx(1.0, rel=0.05)
     assert torch.equal(make().z_star, shared.z_star)
+    twice = PairedSequence.make("a", 2 * motion, torch.zeros(3, 4000), 4, 0)
+    torch.testing.assert_close(twice.z_star, 2 * shared.z_star)
     other = PairedSequence.make("b", motion, torch.zeros(3, 4000), 4, 0)
     assert not torch.equal(other.z_star, shared.z_star)
     known = torch.tensor([2.0, 0.0, 0.0, 0.0])
     assert float(make(sigma=known).z_star.std()) == pytest.approx(2.0, rel=0.05)
-
-
-def test_sigma_is_the_size_of_the_first_level_and_of_what_each_further_one_adds():
-    assert level_sigmas(torch.full((1, 2, 64), -3.0), 4).tolist() == [3.0, 0.0, 0.0, 0.0]
-    # Three and four frames; of 0, 3, 6, 9 the middle is kept, and the ends lie 1 within.
-    ramp = 3 * torch.arange(4.0).reshape(1, 1, 4)
-    coarse = F.interpolate(ramp, 3, mode="linear")
-    missing = ramp - F.interpolate(coarse, 4, mode="linear")
-    expected = [float(part.square().mean().sqrt()) for part in (coarse, missing)]
-    assert level_sigmas(ramp, 2).tolist() == pytest.approx(expected)
 
 
 def test_a_window_has_the_part_of_z_star_at_its_place():
