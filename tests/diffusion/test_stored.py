@@ -19,8 +19,9 @@ from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.training.batches import Batches
 from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.diffusion.training.loading import load_training_data
-from gesturekit.diffusion.training.trainer import train
+from gesturekit.diffusion.training.trainer import Trainer, train
 from gesturekit.errors import ConfigError
+from gesturekit.training.run.session import session
 
 ON_DISK = {"in_memory": 0.06}
 """A sample of 3.6 s of 13 s."""
@@ -144,6 +145,21 @@ def test_statistics_are_those_of_a_sample(config_of, tmp_path, write_pair):
     disk.save(tmp_path / "data")
     resumed = TrainingData.load(tmp_path / "data", config_of("speech", **changes, in_memory=0.3))
     assert torch.equal(resumed.changes(), disk.changes())
+
+
+@pytest.mark.parametrize("fps", [30.0, 60.0])
+def test_a_plan_knows_the_size_of_the_arrays(config_of, tmp_path, write_pair, fps):
+    write_pair(tmp_path / "long", "l", 8.0, fps=fps, seed=4)
+    prepare([tmp_path / "long"], tmp_path / "long.jsonl", holdout=0.0)
+    changes = {"corpus": str(tmp_path / "long.jsonl"), "unpaired": None, "path": True}
+    config = config_of("speech", **changes, **ON_DISK)
+    with session(config, resume=False) as (run, device, processes):
+        trial = Trainer(config, run, device, processes, resume=False, trial=True)
+        paired, alone = trial.estimate().rates
+    load_training_data(config)
+    files = {file: file.stat().st_size - 128 for file in (tmp_path / "arrays").rglob("*.npy")}
+    assert sum(files.values()) == pytest.approx(8.0 * paired, rel=0.02)
+    assert max(files.values()) == pytest.approx(8.0 * alone, rel=0.02), "without speech"
 
 
 @pytest.mark.parametrize("where", [{}, {"in_memory": 0.2}], ids=["memory", "disk"])

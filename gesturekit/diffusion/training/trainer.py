@@ -220,15 +220,15 @@ class Trainer:
         They change the networks: for a run that is not kept.
         """
         training, data = self.config.training, self.data
-        self._update(0)  # is slower
-        update = quickest(lambda: float(self._update(1)), 3)
-        fps, conditions = self.config.fps, data.conditions
-        variants = max(1, round(data.recorded_fps / fps)) * (1 + self.config.augmentation.mirror)
+        update = quickest(lambda: float(self._update(0)), 4)
+        conditions, phases = data.conditions, max(1, round(data.recorded_fps / self.config.fps))
+        number = 4 * self.config.fps * phases  # bytes a second, float32
+        variants = 1 + self.config.augmentation.mirror
         speech = conditions.columns["speech"].stop
-        own = 4 * fps * variants * (data.representation.n_features + conditions.width - speech)
+        own = number * variants * (data.representation.n_features + conditions.width - speech)
         raw = 0.0
         if conditions.conditioner is not None:
-            raw = 4 * fps * (conditions.conditioner.extractor.dim + 1)
+            raw = number * (conditions.conditioner.extractor.dim + 1)
         return Estimate(training.updates * update, self.held_out.seconds, (own + raw, own))
 
     def run(self) -> Path:
