@@ -65,33 +65,42 @@ def test_mirrored_bandai_poses_are_poses_of_that_rig(shared_data):
         assert np.degrees(np.median(apart, axis=0)).max() < 30
 
 
-def symmetric(n_frames: int = 40) -> Motion:
-    """A person who moves both sides alike, and nods: his own mirror image."""
+def anyhow(alike: bool, n_frames: int = 40) -> Motion:
+    """A person in a pose that no person takes, a little moving; both sides alike, or not at all.
+
+    Ends (hands, feet and head) do not turn.
+    """
     motion, rng = at_rest(rig_of(PERSON), n_frames), np.random.default_rng(0)
-    for j, name in enumerate(motion.skeleton.names):
-        angles = np.cumsum(rng.normal(0, 0.1, (n_frames, 3)), axis=0)
-        if name.startswith("Right"):
-            other = motion.skeleton.index(name.replace("Right", "Left"))
+    rig = motion.skeleton
+    for j, name in enumerate(rig.names):
+        if rig.is_leaf(j):
+            continue
+        angles = rng.normal(0, 2, 3) + rng.normal(0, 0.1, (n_frames, 3))
+        if alike and name.startswith("Right"):
+            other = rig.index(name.replace("Right", "Left"))
             motion.rotations[:, j] = motion.rotations[:, other] * [1, -1, -1, 1]
-        else:
-            angles = angles if name.startswith("Left") else angles * [1, 0, 0]
-            motion.rotations[:, j] = Rotation.from_rotvec(angles).as_quat()
+            continue
+        angles = angles * [1, 0, 0] if alike and not name.startswith("Left") else angles
+        motion.rotations[:, j] = Rotation.from_rotvec(angles).as_quat()
     return motion
 
 
-def reframed(motion: Motion, kinds: list[int], seed: int) -> Motion:
+def reframed(motion: Motion, kinds: list[int], seed: int, along: bool) -> Motion:
     """The same motion on a rig whose joints have other axes.
 
-    `kinds` tells for each joint by which reflection of its axes left becomes right: of x, y or z,
-    or of all three.
+    `kinds` gives for each joint by which reflection of its axes left becomes right: of x, y or z,
+    or of all three. With `along` the x axes of the left side lie along its bones.
     """
     rig, rng, x = motion.skeleton, np.random.default_rng(seed), np.diag([-1, 1, 1])
     mirror = np.array([[-1, 1, 1], [1, -1, 1], [1, 1, -1], [-1, -1, -1]])
     axes = []
-    for name, kind in zip(rig.names, kinds, strict=True):
+    for j, (name, kind) in enumerate(zip(rig.names, kinds, strict=True)):
         if name.startswith("Right"):
             left = axes[rig.index(name.replace("Right", "Left"))].as_matrix()
             axes.append(Rotation.from_matrix(x @ left @ np.diag(mirror[kind])))
+        elif name.startswith("Left") and along and not rig.is_leaf(j):
+            bone = Rotation.align_vectors([rig.offsets[rig.children(j)[0]]], [[1, 0, 0]])[0]
+            axes.append(bone * Rotation.from_euler("x", rng.uniform(0, 6)))
         elif name.startswith("Left"):
             axes.append(Rotation.random(rng=rng))
         else:  # the reflected axis lies across the body
@@ -108,9 +117,12 @@ def reframed(motion: Motion, kinds: list[int], seed: int) -> Motion:
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("size", [1.0, 50.0])
-def test_a_body_that_is_its_own_mirror_image_stays_as_it_is_whatever_its_axes(seed, size):
-    """The reflection of a joint's axes shows in the offsets below it; ends have their parent's."""
-    motion = symmetric()
+@pytest.mark.parametrize("alike", [False, True])
+def test_a_mirrored_motion_is_the_same_whatever_the_axes_of_joints(seed, size, alike):
+    """How left and right relate shows in the offsets below a joint. Where these are of the x axis
+    alone, it shows in a body that does the same on both sides. Ends go with their parent.
+    """
+    motion = anyhow(alike)
     rig, rng = motion.skeleton, np.random.default_rng(10 + seed)
     kinds: list[int] = []
     for j, name in enumerate(rig.names):
@@ -120,10 +132,9 @@ def test_a_body_that_is_its_own_mirror_image_stays_as_it_is_whatever_its_axes(se
             kinds.append(kinds[rig.index(name.replace("Right", "Left"))])
         else:
             kinds.append(int(rng.integers(4 if name.startswith("Left") else 3)))
-    other = reframed(motion, kinds, seed)
+    other, expected = (reframed(m, kinds, seed, alike) for m in (motion, motion.mirror()))
     np.testing.assert_allclose(other.positions(), motion.positions(), atol=1e-9)
-    apart = rotation_angles(other.scaled(size).mirror().rotations, other.rotations)
-    assert apart.max() < 1e-6
+    assert rotation_angles(other.scaled(size).mirror().rotations, expected.rotations).max() < 1e-6
 
 
 def test_bandai_clips_agree_on_how_left_and_right_relate(shared_data):
