@@ -107,6 +107,54 @@ def test_lists_that_are_refused_name_the_line(folder, tmp_path, name, text, says
     assert not (tmp_path / "hacked").exists()
 
 
+@pytest.mark.parametrize(
+    ("options", "seconds"),
+    [
+        ({}, 0.5),
+        ({"start": 0.2}, 0.3),
+        ({"seconds": 0.4}, 0.4),
+        ({"start": 0.2, "seconds": 0.4}, 0.3),
+        ({"start": 0.7}, 0.0),
+        ({"item": {"duration": 0.1}}, 0.1),
+    ],
+)
+def test_a_task_is_as_long_as_the_part_of_the_sound_that_it_uses(folder, options, seconds):
+    """The sound has half a second."""
+    found = measured(Task("a", folder / "a.wav", more=options)).duration
+    assert found == pytest.approx(seconds, abs=1e-9)
+    if set(options) == {"seconds"}:
+        assert measured(Task("a", more=options)).duration == seconds, "without a sound"
+
+
+def test_a_file_that_is_named_twice_is_made_once_and_two_of_a_name_are_refused(
+    folder, tmp_path, write_speech
+):
+    twice = ["in/a.wav", folder / "a.wav", "in/day/../a.wav"]
+    assert [task.id for task in find_tasks(twice, tmp_path / "out")] == ["a"]
+    assert [task.id for task in find_tasks("in/a.wav", tmp_path / "out")] == ["a"]
+    for number in range(3):
+        write_speech(tmp_path / str(number) / "a.wav", 0.5)
+    others = [tmp_path / str(number) / "a.wav" for number in range(3)]
+    with pytest.raises(ConfigError, match=r"0/a.wav and .*1/a.wav would both .*out/a; write them"):
+        find_tasks(others[:2], tmp_path / "out")
+    with pytest.raises(ConfigError, match=r"1/a.wav would both .*out/a \(and 1 more\); write"):
+        find_tasks(others, tmp_path / "out")
+
+
+def test_results_within_the_folder_of_sounds_and_hidden_files_are_no_inputs(
+    folder, tmp_path, write_speech
+):
+    for name in ("day/out/x", ".hidden/y", "day/z"):
+        write_speech(folder / f"{name}.wav", 0.5)
+    names = {"a", "day/b", "day/night/c", "day/z"}
+    assert {task.id for task in find_tasks(folder, folder / "day" / "out")} == names
+    assert {task.id for task in find_tasks(folder, folder)} == names | {"day/out/x"}
+    # A sound that cannot be decoded counts only if none of its name can.
+    for name in ("a.wma", "b.wma"):
+        (folder / name).write_text("x")
+    assert {task.id for task in find_tasks(folder, folder / "day" / "out")} == names | {"b"}
+
+
 def test_a_damaged_header_and_a_pipe_have_no_duration(tmp_path, folder):
     data = bytearray((folder / "a.wav").read_bytes())
     data[24:28] = (1).to_bytes(4, "little")  # a sample rate of 1 Hz

@@ -194,6 +194,9 @@ def test_avatars_with_the_names_of_mixamo_are_bodies(prefix, gesture, tmp_path):
     expected.write_bytes(packed(found, data))
     del found["extensions"]
     (tmp_path / "me.glb").write_bytes(packed(found, data))
+    (rig, skin), (same, other) = (read_avatar(tmp_path / name) for name in ("me.glb", "vrm.vrm"))
+    assert not rig.is_backwards and rig.nodes == same.nodes
+    np.testing.assert_array_equal(skin.vertices, other.vertices)
     gesture(0.2).save(tmp_path / "a.glb", body=str(tmp_path / "me.glb"))
     gesture(0.2).save(tmp_path / "b.glb", body=str(expected))
     places = [Motion.load(tmp_path / f"{name}.glb").positions() for name in "ab"]
