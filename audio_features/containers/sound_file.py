@@ -99,7 +99,7 @@ def one_channel(values: np.ndarray) -> tuple[np.ndarray, int | None]:
     If the channels cancel each other, the loudest one is returned, with its number from 1.
     """
     channels = values.T if values.shape[0] <= values.shape[1] else values
-    mean = channels.mean(axis=1, dtype=np.float32)
+    mean = channels.mean(axis=1)
     levels = ChannelLevels(channels.shape[1])
     levels.add(channels, mean)
     used = levels.instead_of_mean()

@@ -48,8 +48,12 @@ DATA, TAGS = chunk(b"data", SOUND), chunk(b"LIST", b"INFOa")
         riff(fmt(), DATA) + b"\xff\xfe\xfd what other programs append \x01\x02",
         riff(fmt(), chunk(b"data", SOUND, pad=False)),
         riff(fmt(), chunk(b"data", SOUND[:800]), b"\0"),
+        riff(fmt(), chunk(b"data", SOUND, 0xFFFFFFFF, pad=False)),
     ],
-    ids=["plain", "before", "after", "no pad byte", "bytes after", "odd end", "one byte more"],
+    ids=[
+        *("plain", "before", "after", "no pad byte", "bytes after", "odd end", "one byte more"),
+        "no length",
+    ],
 )
 def test_chunks_may_stand_anywhere(tmp_path, content):
     (tmp_path / "a.wav").write_bytes(content)
@@ -77,6 +81,8 @@ def test_chunks_may_stand_anywhere(tmp_path, content):
         (riff(fmt(), DATA, b"\x01\x02\x03\x04\0\0\0\0"), r"what follows in the file \(9 bytes\)"),
         (riff(fmt(), DATA, chunk(b"LIST", b"abcd", 5)), "is not valid in a wav"),
         (riff(fmt(), DATA, b"LIST"), "is not valid in a wav"),
+        (riff(fmt(), DATA, b"\x01\x02\x03\x04\0\0\0\0", size=50), "is not valid in a wav"),
+        (riff(fmt(), DATA, *[chunk(b"more", b"")] * 10_001), "is not valid in a wav"),
         (riff(fmt(), chunk(b"data", b""), chunk(b"LIST", bytes(2000))), "0 samples at 8000 Hz"),
         (riff(fmt(), chunk(b"data", b""), size=0), "0 samples at 8000 Hz"),
         (riff(*[chunk(b"junk", b"")] * 10_001, fmt(), DATA), "more than 10000 chunks"),
@@ -87,6 +93,15 @@ def test_wav_headers_that_contradict_themselves(tmp_path, content, says):
     (tmp_path / "a.wav").write_bytes(content)
     with pytest.raises(AudioError, match=says):
         Wave.load(tmp_path / "a.wav")
+
+
+@pytest.mark.parametrize("kind", ["IMA_ADPCM", "MS_ADPCM", "GSM610", "ALAW", "ULAW"])
+def test_coded_samples_are_not_counted_by_their_bytes(tmp_path, kind):
+    tone = 0.3 * np.sin(np.arange(8_000) * 0.2)
+    soundfile.write(tmp_path / "a.wav", tone, RATE, subtype=kind)
+    samples = Wave.load(tmp_path / "a.wav").samples
+    assert 8_000 <= len(samples) < 9_100  # whole blocks of up to 1,017 samples
+    assert np.corrcoef(samples[:8_000], tone)[0, 1] > 0.9
 
 
 @pytest.mark.parametrize("before", [0, 8_142, 9_000])

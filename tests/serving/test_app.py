@@ -140,7 +140,13 @@ def test_a_body_without_length_is_cut_off_at_the_limit(client):
     ("messages", "status"),
     [
         ([{"type": "http.request", "body": b"a", "more_body": True}], 408),
-        ([{"type": "http.disconnect"}], 400),
+        (
+            [
+                {"type": "http.request", "body": b"a", "more_body": True},
+                {"type": "http.disconnect"},
+            ],
+            400,
+        ),
     ],
 )
 def test_a_body_that_stops_is_given_up(tmp_path, messages, status):
