@@ -146,6 +146,10 @@ def test_headers_of_aiff_and_au(tmp_path):
         (aiff(SSND), "an AIFF file without COMM"),
         (aiff(big(b"COMM", bytes(16)), SSND), "an AIFF file without COMM"),
         (aiff(COMM, big(b"SSND", bytes(8) + SIGNED, N + 10)), "811 bytes of sound, 810 are there"),
+        (
+            aiff(COMM.replace(struct.pack(">I", N), struct.pack(">I", N + 1)), SSND),
+            "damaged: the header declares 802 samples a channel, 801 can be found",
+        ),
         (au(N + 1), "declares 802 bytes of sound, 801 are there"),
         (au(N, offset=5000), "declares 801 bytes of sound, 0 are there"),
     ):

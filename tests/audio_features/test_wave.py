@@ -71,7 +71,7 @@ HOLES = np.where((np.arange(16_000) >= 123) & (np.arange(16_000) < 323), np.nan,
         ("text.wav", b"this is not sound\n" * 100, {}, ["cannot be read as sound"]),
         ("text.raw", b"this is not sound\n" * 100, {}, ["cannot be read as sound"]),
         ("pcm.wav", noise(1000).tobytes(), {}, ["`ffmpeg -f s16le -ar 16000 -ac 1 -i ", "pcm_new"]),
-        ("empty.wav", b"", {}, ["empty"]),
+        ("empty.wav", b"", {}, ["the file is empty (0 bytes)"]),
         ("short.wav", wav(noise(160)), {}, ["10.0 ms", "25 ms"]),
         ("rate.wav", wav(noise(1000), 100), {}, ["100 Hz"]),
         ("nan.wav", wav(HOLES, subtype="FLOAT"), {}, ["sample 123", "nan"]),
@@ -155,6 +155,16 @@ def test_formats_that_libsndfile_cannot_decode_give_the_ffmpeg_command(tmp_path,
     line = shlex.split(str(caught.value).split("`")[1])
     assert line[:3] == ["ffmpeg", "-i", str(tmp_path / name)]
     assert line[3].endswith(".wav") and line[3] != line[2]
+
+
+def test_a_long_sound_of_several_channels_is_read_in_blocks(tmp_path):
+    """A mean of 700,000 samples of three channels, more than is read at a time."""
+    ramp = np.arange(700_000) % 1000 / 2000
+    sound = np.stack([ramp, 0.5 * ramp, 0.0 * ramp], axis=1)
+    soundfile.write(tmp_path / "a.wav", sound, 16_000, subtype="FLOAT")
+    np.testing.assert_allclose(Wave.load(tmp_path / "a.wav").samples, ramp / 2, atol=1e-6)
+    part = Wave.load(tmp_path / "a.wav", start=10.0, duration=30.0, channel=2)
+    np.testing.assert_allclose(part.samples, ramp[160_000:640_000] / 2, atol=1e-6)
 
 
 @pytest.mark.parametrize("channels", [1, 2, 8, 32])
@@ -250,6 +260,16 @@ def test_of_channels_that_cancel_each_other_the_loudest_is_used(tmp_path, noisy)
         axis = int(np.argmin(usual.shape))
         np.testing.assert_allclose(wave.samples, usual.mean(axis=axis), atol=1e-6)
         assert not wave.repairs
+
+
+@pytest.mark.parametrize(("share", "cancels"), [(0.66, False), (0.70, True)])
+def test_channels_cancel_below_a_tenth_of_the_power_of_one_alone(share, cancels):
+    """Of a and -s a the mean has (1 - s)^2 of the power that a has beside silence."""
+    mono = noise(16_000)
+    wave = Wave.from_array(np.stack([mono, np.float32(-share) * mono]), 16_000)
+    assert bool(wave.repairs) == cancels
+    expected = mono if cancels else mono * (1 - share) / 2
+    np.testing.assert_allclose(wave.samples, expected, atol=1e-6)
 
 
 def test_a_few_samples_that_are_not_finite_are_interpolated(tmp_path):
