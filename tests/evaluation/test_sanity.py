@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,12 +11,22 @@ import soundfile
 
 from audio_features import Wave
 from gesturekit.errors import EvaluationError
+from gesturekit.evaluation.definitions import DEFINITIONS
+from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.report.bad_motion import (
     BAD_MOTION,
     BadMotionInputs,
+    Sanity,
     run_sanity,
 )
-from gesturekit.evaluation.report.sanity_table import conclusion, marks, noticed_by
+from gesturekit.evaluation.report.sanity_table import (
+    conclusion,
+    mark,
+    marks,
+    noticed_by,
+    table_lines,
+)
+from gesturekit.evaluation.results import Evaluation, Interval, MetricResult, ModelResult
 from gesturekit.evaluation.statistics.paired import contests
 from gesturekit.motion import Motion, Skeleton
 
@@ -103,3 +114,126 @@ def test_recordings_that_cannot_be_used_are_named(tmp_path, gesture):
     Motion(pole, still, np.zeros((100, 3)), 25.0).save(tmp_path / "pole.npz")
     with pytest.raises(EvaluationError, match=r"broken sound: .*broken sound\.wav.*pole: cannot"):
         run_sanity(tmp_path)
+
+
+def result(key: str, value: float, **more) -> MetricResult:
+    return MetricResult(key, Interval(value, None, None, 1, 1, "takes"), **more)
+
+
+def of_recordings(**values: MetricResult) -> ModelResult:
+    return ModelResult("recording", Path(), metrics=values)
+
+
+@pytest.mark.parametrize(
+    ("key", "own", "bad"),
+    [
+        # A fifth of the recordings' value to either side, where that is the goal.
+        ("reach", result("reach", 1.0), {0.79: "+", 0.81: ".", 1.19: ".", 1.21: "+"}),
+        ("reach", result("reach", 9.0, recording=1.0), {0.79: "+", 0.81: ".", 1.21: "+"}),
+        ("rest", result("rest", 0.0), {0.0: ".", 1e-8: "+"}),
+        # The better direction beyond that.
+        ("foot_skate", result("foot_skate", 1.0), {0.79: "!", 0.81: ".", 1.19: ".", 1.21: "+"}),
+        ("foot_skate", result("foot_skate", 0.0), {0.0: ".", 1e-3: "+"}),
+        ("srgr", result("srgr", 1.0), {0.79: "+", 0.81: ".", 1.19: ".", 1.21: "!"}),
+        # Enough of it is enough.
+        ("coverage", result("coverage", 50.0, recording=40.0), {31.9: "+", 32.1: ".", 60.1: "!"}),
+        ("coverage", result("coverage", 50.0), {1.0: " "}),
+        ("fgd", result("fgd", 1.0, recording=2.0), {2.41: "+", 2.39: ".", 0.79: "!"}),
+        ("likeness", result("likeness", 0.9), {0.849: "+", 0.851: ".", 1.09: "!"}),
+        ("novelty", result("novelty", 1.0), {0.79: "+", 0.81: ".", 1.5: "."}),
+        ("copying", result("copying", 0.5), {0.39: "+", 0.41: ".", 0.9: "."}),
+        ("copying_low", result("copying_low", 0.5), {0.39: "+", 0.41: "."}),
+        ("in_time", result("in_time", 0.4), {0.19: "+", 0.21: ".", 0.8: "."}),
+        ("sync_z", result("sync_z", 4.0), {1.9: "+", 2.1: ".", 4.9: "!"}),
+        ("calm_lively_slope", result("calm_lively_slope", 1.0), {0.1: ".", 9.0: "."}),
+    ],
+)
+def test_metrics_notice_changes_of_a_fifth(key, own, bad):
+    recordings = of_recordings(**{key: own})
+    found = {value: mark(DEFINITIONS[key], result(key, value), recordings) for value in bad}
+    assert found == bad
+
+
+def test_speech_metrics_notice_the_loss_of_half_of_what_is_above_chance():
+    recordings = of_recordings(sync=result("sync", 0.5, chance=0.1))
+    for value, chance, expected in ((0.29, 0.1, "+"), (0.31, 0.1, "."), (0.4, 0.21, "+")):
+        bad = result("sync", value, chance=chance)
+        assert mark(DEFINITIONS["sync"], bad, recordings) == expected
+
+
+def test_nothing_is_said_of_what_was_not_measured():
+    recordings = of_recordings(reach=result("reach", 1.0))
+    reach, bad = DEFINITIONS["reach"], result("reach", 9.0)
+    assert mark(reach, None, recordings) == mark(reach, bad, of_recordings()) == " "
+    assert mark(reach, result("reach", 9.0, informative=False), recordings) == " "
+
+
+def sanity(**informative: bool) -> Sanity:
+    recordings = of_recordings(
+        in_time=result("in_time", 0.4, **informative), likeness=result("likeness", 0.9),
+        reach=result("reach", 1.0),
+    )  # fmt: skip
+    bad = {"frozen": (0.0, 0.1, 0.0), "jitter": (0.4, 0.9, 1.1), "noise": (0.4, 0.2, 9.0)}
+    models = [
+        ModelResult(
+            name,
+            Path(),
+            metrics={
+                "in_time": result("in_time", a, **informative),
+                "likeness": result("likeness", b),
+                "reach": result("reach", c),
+            },
+        )
+        for name, (a, b, c) in bad.items()
+    ]
+    settings = {"variants": {}}
+    histogram, speeds = SpeedHistogram(), np.zeros(0)
+    found = Evaluation([recordings, *models], Path(), 25.0, "", settings, histogram, speeds)
+    return Sanity(found)
+
+
+def test_the_table_has_a_row_for_each_metric_and_a_column_for_each_bad_motion():
+    lines = list(table_lines(sanity()))
+    at = lines.index("Headline:")
+    width = max(len(DEFINITIONS[key].name) for key in ("in_time", "likeness", "reach"))
+    assert lines[1:4] == ["  1  frozen", "  2  jitter", "  3  noise"]
+    assert lines[4] == " " * width + "   1  2  3"
+    names = {key: f"{DEFINITIONS[key].name:{width}}" for key in ("in_time", "likeness", "reach")}
+    assert lines[at + 1 : at + 3] == [
+        f"{names['in_time']}   +  .  .",
+        f"{names['likeness']}   +  .  +",
+    ]
+    assert f"{names['reach']}   +  .  +" in lines
+    assert noticed_by(sanity()) == {
+        "frozen": ["in_time", "likeness"], "jitter": [], "noise": ["likeness"]
+    }  # fmt: skip
+    words = "The three headline figures together notice 2 of 3 bad motions, but not: jitter."
+    assert conclusion(sanity()) == words
+    assert conclusion(sanity(informative=False)) == (
+        f"{words} (In time with the speech: cannot be answered on this corpus.)"
+    )
+
+
+def test_noise_sway_and_half_of_the_reach_have_their_sizes(gesture):
+    recording = gesture(4.0, 25.0)
+    inputs = BadMotionInputs(recording, recording, recording, 3)
+    made = {name: make(inputs) for name, make in BAD_MOTION.items()}
+
+    def angles(one: Motion, other: Motion) -> np.ndarray:
+        return 2 * np.arccos(np.clip(np.abs((one.rotations * other.rotations).sum(-1)), 0, 1))
+
+    # The length of three normal numbers of one sd is sqrt(8 / pi) = 1.596 of it in the mean.
+    assert angles(made["noise"], made["mean pose"]).mean() == pytest.approx(0.3 * 1.596, rel=0.03)
+    assert angles(made["jitter"], recording).mean() == pytest.approx(0.05 * 1.596, rel=0.03)
+    arm = recording.skeleton.index("LeftArm")
+    whole = angles(recording, made["mean pose"])[:, arm]
+    half = angles(made["half reach"], made["mean pose"])[:, arm]
+    assert half == pytest.approx(whole / 2, abs=1e-6)
+    leg = recording.skeleton.index("LeftUpLeg")
+    assert (made["half reach"].rotations[:, leg] == recording.rotations[:, leg]).all()
+    sway = (made["foot slide"].translation - recording.translation)[:, 0]
+    # 0.4 Hz: most after 0.625 s, least after 1.875 s.
+    sway = sway[:62]
+    assert abs(sway.argmax() - 15.6) < 1 and abs(sway.argmin() - 46.9) < 1
+    assert sway.max() == pytest.approx(0.2, rel=0.15)
+    assert (made["frozen"].rotations[0] == recording.rotations[50]).all()
