@@ -132,3 +132,13 @@ def prefixed(motion: Motion, prefix: str = "mixamorig:") -> Motion:
     names = tuple(prefix + name for name in rig.names)
     end_sites = {prefix + name: sites for name, sites in rig.end_sites.items()}
     return replace(motion, skeleton=replace(rig, names=names, end_sites=end_sites))
+
+
+def without_joints(motion: Motion, *words: str) -> Motion:
+    """The motion on its rig without the joints whose names contain one of the words."""
+    rig = motion.skeleton
+    kept = [k for k, name in enumerate(rig.names) if not any(word in name for word in words)]
+    parents = [-1 if rig.parents[k] < 0 else kept.index(rig.parents[k]) for k in kept]
+    names = tuple(rig.names[k] for k in kept)
+    cut = Skeleton(names, tuple(parents), rig.offsets[kept])
+    return Motion(cut, motion.rotations[:, kept], motion.translation, motion.fps)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rigs import without_joints
 from scipy.linalg import sqrtm
 
 from gesturekit.errors import EvaluationError
@@ -252,3 +253,11 @@ def renamed(motion: Motion) -> Motion:
 def test_motions_that_cannot_be_compared(gesture, call, message):
     with pytest.raises(EvaluationError, match=message):
         call(gesture(8.0))
+
+
+def test_geometric_features_need_legs_and_wrists(gesture):
+    motion = gesture(1.0)
+    with pytest.raises(EvaluationError, match="has no legs"):
+        geometric_features(without_joints(motion, "Leg", "Foot", "Toe"))
+    with pytest.raises(EvaluationError, match="has no left wrist"):
+        geometric_features(without_joints(motion, "Hand"))

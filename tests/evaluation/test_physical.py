@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rigs import without_joints
 
 from gesturekit.errors import MotionError
 from gesturekit.evaluation import (
@@ -21,7 +22,7 @@ from gesturekit.evaluation import (
     standing_heights,
 )
 from gesturekit.evaluation.metrics.physical import low_passed, wrist_speed
-from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion import Motion
 from gesturekit.motion.parts.body_size import body_scale
 
 
@@ -157,18 +158,13 @@ def test_rates_up_to_a_thousandth_apart_are_one_rate(turning):
                 jerk_ratio(other, motion)
 
 
-def test_wrist_speed_needs_wrists(turning, skeleton):
+def test_wrist_speed_needs_wrists(turning):
     motion = turning({"LeftForeArm": np.full(20, 2.0)})
     # 2 rad/s at 0.25 m on one side, over frames of 0.08 rad; nothing on the other.
     step = 2 * 0.25 * np.sin(0.04) * 25
     assert wrist_speed(motion) == pytest.approx(np.full(19, step / 2))
-    kept = [k for k, name in enumerate(skeleton.names) if not name.endswith("Hand")]
-    parents = [-1 if skeleton.parents[k] < 0 else kept.index(skeleton.parents[k]) for k in kept]
-    names = tuple(skeleton.names[k] for k in kept)
-    rig = Skeleton(names, tuple(parents), skeleton.offsets[kept])
-    cut = Motion(rig, motion.rotations[:, kept], motion.translation, 25.0)
     with pytest.raises(MotionError, match="no wrist joints"):
-        wrist_speed(cut)
+        wrist_speed(without_joints(motion, "Hand"))
 
 
 def test_low_passed_paths_are_in_time_and_lose_what_is_faster():

@@ -266,8 +266,10 @@ def test_features_are_drawn_at_their_times(drawn, tmp_path):
     values = np.stack(list(columns.values()), axis=1).astype(np.float32)
     track = FeatureTrack(values, times, names=tuple(columns))
     wave = Wave(rng.normal(0, 0.1, 32_000).astype(np.float32), 16_000)
-    draw_features(track, tmp_path / "f.png", wave)
-    assert (tmp_path / "f.png").stat().st_size > 1000
+    path = tmp_path / r"$\frac{a$.png"  # a name, and no formula
+    draw_features(track, path, wave)
+    assert path.stat().st_size > 1000
+    assert drawn.kept[-1].get_suptitle() == r"$\frac{a$"
     titles = [axes.get_title(loc="left") for axes in drawn.kept[-1].axes]
     assert titles == [
         "the sound, log-mel",
