@@ -66,3 +66,6 @@ def test_a_long_motion_has_no_seams_and_its_windows_stay_short(untrained, monkey
     # Each style runs where it has a say: fewer windows than twice as many.
     n_tiles = len(tiles_of(750, 240))
     assert n_tiles * 6 < len(seen) < 2 * n_tiles * 6
+    seen.clear()
+    replace(model, window=749).generate(**asked | {"steps": 1})
+    assert max(seen) <= 749, "two tiles"
