@@ -97,6 +97,21 @@ def test_a_window_equals_the_same_part_of_the_stretched_recording(walk):
     assert (stretch(values, 7.0, 20, 1.0, maps=maps, steps=steps) == values[7:27]).all()
 
 
+@pytest.mark.parametrize(("start", "factor"), [(0, 1.1), (0, 0.9), (0.25, 1.0), (0.4, 0.93)])
+def test_frames_between_recorded_ones_are_interpolated_up_to_both_ends(start, factor):
+    """A straight line stays one; the last frame is the recording's last but for rounding."""
+    line = np.outer(np.arange(20.0), [1.0, -2.0]) + [0.0, 5.0]
+    count = int((19 - start) * factor) + 1
+    at = start + np.arange(count) / factor
+    expected = np.outer(at, [1.0, -2.0]) + [0.0, 5.0]
+    assert stretch(line, start, count, factor) == pytest.approx(expected)
+    assert stretch(line, 19.0, 1, factor) == pytest.approx(line[-1:])
+    with pytest.raises(ValueError, match=r"frames 20 to 20 of a recording of 20"):
+        stretch(line, 20.0, 1, factor)
+    with pytest.raises(ValueError, match=r"frames -0\.5 to"):
+        stretch(line, -0.5, 2, factor)
+
+
 def test_a_glitch_is_not_interpolated_into_an_unrecorded_rotation():
     values = np.zeros((10, 6))
     values[5:, :3] = [0.0, 2.0, 2.6]

@@ -24,6 +24,7 @@ from gesturekit.errors import ConfigError
 from gesturekit.motion.motion import Motion
 
 _WORDS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^A-Za-z]+|[A-Z]")
+_NO_COLUMNS = slice(0, 0)
 _OTHER_SIDE = {"left": "right", "right": "left", "l": "r", "r": "l"}
 
 
@@ -94,9 +95,9 @@ def other_side(name: str) -> str:
 def mirror_condition(
     condition: np.ndarray,
     *,
-    path: slice = slice(0, 0),
+    path: slice = _NO_COLUMNS,
     path_offset: np.ndarray | float = 0.0,
-    events: slice = slice(0, 0),
+    events: slice = _NO_COLUMNS,
     event_names: Sequence[str] = (),
 ) -> np.ndarray:
     """Mirror a condition: negate turn and lateral displacement, and swap left and right events.
@@ -152,10 +153,10 @@ def stretch(
     n_frames: int,
     factor: float,
     *,
-    maps: slice = slice(0, 0),
-    steps: slice = slice(0, 0),
+    maps: slice = _NO_COLUMNS,
+    steps: slice = _NO_COLUMNS,
     steps_offset: np.ndarray | float = 0.0,
-    flags: slice = slice(0, 0),
+    flags: slice = _NO_COLUMNS,
 ) -> np.ndarray:
     """Cut out a window of motion vectors or conditions, slowed down by `factor`.
 
@@ -185,7 +186,7 @@ def stretch(
         raise ValueError(f"frames {at[0]:g} to {at[-1]:g} of a recording of {len(values)}")
     if factor == 1.0 and float(start).is_integer():
         return values[int(start) : int(start) + n_frames].copy()
-    at = np.clip(at, 0, last)
+    at = np.minimum(at, last)
     low = np.minimum(np.floor(at).astype(np.int64), max(last - 1, 0))
     high = np.minimum(low + 1, last)
     weight = (at - low)[:, None]
