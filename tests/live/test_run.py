@@ -89,6 +89,8 @@ def test_a_file_in_real_time_moves_as_it_does_at_once(write_speech, tmp_path):
     for fast in (False, True):
         kept[fast] = Kept()
         report = start(FileSource(speech, 0.04, fast), [kept[fast]])
+        timed = [step.lag is not None for step in kept[fast].steps]
+        assert timed == [step.motion is not None and not fast for step in kept[fast].steps]
         if any(report.sound.values()):
             pytest.skip("this machine is too busy for real time")
     np.testing.assert_array_equal(kept[False].angles, kept[True].angles)
@@ -168,6 +170,39 @@ class Pipe:
             return b""
         time.sleep(max(self.start + self.times.pop() - time.monotonic(), 0))
         return np.full(size // 2, 3000, "<i2").tobytes()
+
+
+class Clock:
+    """Stands in for the module `time`: nothing takes time but sleep."""
+
+    now = 0.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_a_pipe_may_be_a_quarter_of_a_second_ahead_unless_it_is_fast(monkeypatch, fast):
+    """Blocks of 40 ms, all there at once: from the seventh on, each waits for its time."""
+    monkeypatch.setattr(sources, "time", clock := Clock())
+    data, taken = np.arange(-3200, 3200, dtype="<i2").tobytes(), []
+    pipe = PipeSource(io.BytesIO(data + b"odd"), 16_000, 0.04, fast)
+    pipe.run(lambda block: taken.append((clock.now, block)), threading.Event())
+    sound = np.concatenate([block.samples for _, block in taken])
+    np.testing.assert_array_equal(sound[:-1] * 32768, np.arange(-3200, 3200))
+    times = np.array([at for at, _ in taken])
+    expected = (
+        np.zeros(11) if fast else np.maximum([*np.arange(0.04, 0.41, 0.04), 0.4], 0.25) - 0.25
+    )
+    np.testing.assert_allclose(times, expected, atol=1e-3)
+    begun = [block.time for _, block in taken]
+    if fast:
+        assert begun == [None] * 11
+    else:
+        np.testing.assert_allclose(begun[:10], times[:10] - 0.04)
 
 
 def test_a_pipe_is_read_at_the_speed_of_speech_and_its_backlog_is_dropped():

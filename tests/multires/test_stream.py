@@ -288,9 +288,9 @@ def test_the_next_piece_fits_what_is_wanted_and_goes_on_where_nothing_is():
 
 
 def test_a_forecast_holds_a_while():
-    """Linear between the known times, and the last value for 0.3 s more."""
+    """Linear between the known times, and the last value for 0.6 s more."""
     forecast = Forecast(np.array([0.0, 0.1, 0.2]), np.array([1.0, 3.0, 2.0]), 0.4)
-    found = forecast.at(np.array([0.0, 0.05, 0.15, 0.2, 0.49, 0.51, 2.0]))
+    found = forecast.at(np.array([0.0, 0.05, 0.15, 0.2, 0.79, 0.81, 2.0]))
     np.testing.assert_allclose(found, [1.0, 2.0, 2.5, 2.0, 2.0, np.nan, np.nan])
 
 
