@@ -10,7 +10,7 @@ from rigs import at_rest, with_offsets
 from scipy.spatial.transform import Rotation
 
 from gesturekit.motion import Skeleton
-from gesturekit.motion.parts import find_parts
+from gesturekit.motion.parts import SIDES, find_parts
 from gesturekit.motion.retarget.body_frames import BodyFrames, body_frames
 from gesturekit.motion.retarget.feet import FootMotion
 
@@ -30,6 +30,17 @@ def with_soles(rig: Skeleton, bone: tuple[float, float, float]) -> Skeleton:
     kept = at_rest(rig, 1).keep([name for name in rig.names if "Toe" not in name]).skeleton
     ends = dict.fromkeys(("LeftFoot", "RightFoot"), (np.array(bone),))
     return replace(kept, end_sites=ends)
+
+
+def test_a_body_in_a_t_pose_that_faces_z_has_the_axes_of_the_world(person):
+    frames = frames_of(person)
+    assert len(frames.joints) == person.n_joints
+    for segment, turn in frames.world(at_rest(person, 1).rotations[0]).items():
+        np.testing.assert_allclose(turn, [0, 0, 0, 1], atol=1e-9, err_msg=segment)
+    ends = {segment: person.names[joint] for segment, (joint, _) in frames.bones.items()}
+    bones = {"shoulder": "ForeArm", "elbow": "Hand", "hip": "Leg", "knee": "Foot"}
+    expected = {f"{s}_{part}": f"{s.title()}{end}" for s in SIDES for part, end in bones.items()}
+    assert ends == expected
 
 
 @pytest.mark.parametrize("size", [1.0, 30.0])
