@@ -33,7 +33,7 @@ def with_soles(rig: Skeleton, bone: tuple[float, float, float]) -> Skeleton:
 
 
 def test_a_body_in_a_t_pose_that_faces_z_has_the_axes_of_the_world(person):
-    frames = frames_of(person)
+    frames = frames_of(replace(person, end_sites={}))
     assert len(frames.joints) == person.n_joints
     for segment, turn in frames.world(at_rest(person, 1).rotations[0]).items():
         np.testing.assert_allclose(turn, [0, 0, 0, 1], atol=1e-9, err_msg=segment)
