@@ -1,0 +1,115 @@
+"""Work on tasks that only write who did them: what is kept, refused, tried again, and where."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gesturekit.errors import ConfigError
+from gesturekit.jobs.result import Processor, Result
+from gesturekit.jobs.run import Batch, Execution
+from gesturekit.jobs.task import Task
+
+
+@dataclass
+class Notes(Processor):
+    """Writes NAME.txt with the process that wrote it; a task may fail, or sleep first."""
+
+    out: Path
+    existing: str = "refuse"
+    settings: dict[str, Any] = field(default_factory=dict)
+    written: dict[str, dict[str, Any]] = field(default_factory=lambda: {"txt": {}})
+
+    def make(self, result: Result) -> None:
+        if "wrong" in result.task.more:
+            raise ValueError(result.task.more["wrong"])
+        time.sleep(result.task.more.get("sleep", 0.0))
+        for file in self.missing(result, result.task.id):
+            file.write_text(str(os.getpid()))
+
+
+def batch(out: Path, tasks: list[Task], existing: str = "refuse", settings=None, **execution):
+    notes = Notes(out, existing, settings or {})
+    request = [task.id for task in tasks]
+    return Batch(notes, lambda: tasks, request, Execution(**execution))
+
+
+def done(*arguments, **options) -> dict[str, str]:
+    return {result.id: result.status for result in batch(*arguments, **options).run()}
+
+
+TASKS = [Task(name) for name in "abc"]
+
+
+def test_one_worker_works_in_this_process_and_others_in_theirs(tmp_path):
+    """A deadline needs a process that can be ended, even for one worker."""
+    done(tmp_path / "one", TASKS)
+    done(tmp_path / "two", TASKS, workers=2)
+    slow = [Task("a", more={"sleep": 5.0})]
+    (late,) = batch(tmp_path / "late", slow, deadline=0.5).run()
+    assert late.status == "lost" and "stopped after 0.5 s, the deadline" in late.error
+    wrote = {file: file.read_text() for file in tmp_path.glob("*/*.txt")}
+    assert len(wrote) == 6
+    assert all((pid == str(os.getpid())) == (f.parent.name == "one") for f, pid in wrote.items())
+
+
+def test_a_rerun_keeps_what_was_made_with_the_same_settings(tmp_path):
+    assert done(tmp_path, TASKS, settings={"seed": 1}) == dict.fromkeys("abc", "done")
+    (tmp_path / "b.txt").unlink()
+    again = {"a": "kept", "b": "done", "c": "kept"}
+    assert done(tmp_path, TASKS, settings={"seed": 1}) == again
+    (tmp_path / "c.txt").unlink()
+    says = r"made with another seed \(2 refused, 0 kept, 1 to make: nothing was done\)"
+    with pytest.raises(ConfigError, match=says):
+        batch(tmp_path, TASKS, settings={"seed": 2})
+    skipped = {"a": "kept", "b": "kept", "c": "done"}
+    assert done(tmp_path, TASKS, "skip", {"seed": 2}) == skipped
+    replaced = {"a": "done", "b": "done", "c": "kept"}
+    assert done(tmp_path, TASKS, "replace", {"seed": 2}) == replaced
+    with pytest.raises(ConfigError, match="existing is 'keep'; expected"):
+        batch(tmp_path, TASKS, "keep")
+
+
+def test_three_failures_of_the_same_put_a_task_aside(tmp_path):
+    tasks = [Task("a"), Task("b", more={"wrong": "odd\nthing"})]
+    for number in (1, 2, 3):
+        found = {result.id: result for result in batch(tmp_path, tasks).run()}
+        assert found["b"].status == "failed" and found["b"].attempt == number
+        assert "odd thing" in found["b"].error and "put aside" not in found["b"].error
+    known = batch(tmp_path, tasks).known(tasks[1])
+    assert known.status == "failed" and "(put aside after 3 failures; --retry" in known.error
+    assert batch(tmp_path, tasks, retry_failed=True).known(tasks[1]).attempt == 4
+    # With other settings it is another attempt.
+    assert batch(tmp_path, tasks, "skip", {"seed": 2}).known(tasks[1]).status == "left"
+    assert done(tmp_path, [Task("a"), Task("b")], retry_failed=True) == {"a": "kept", "b": "done"}
+
+
+def test_shards_share_the_tasks_and_those_that_cannot_be_planned_are_in_the_first(tmp_path):
+    tasks = [*(Task(name, duration=9.0) for name in "abcd"), Task("e", duration=27.0)]
+    tasks.append(Task("", error="no such folder"))
+    found = [done(tmp_path, tasks, shard=(number, 2)) for number in (1, 2)]
+    assert found[0].pop("") == "failed"
+    assert sorted([*found[0], *found[1]]) == list("abcde")
+    assert {len(one) for one in found} == {1, 4} or {len(one) for one in found} == {2, 3}
+    assert all(status == "done" for one in found for status in one.values())
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"workers": 0}, "workers is 0"),
+        ({"workers": 1025}, "workers is 1025"),
+        ({"shard": (0, 2)}, "shard 0 of 2"),
+        ({"shard": (3, 2)}, "shard 3 of 2"),
+        ({"deadline": 0.0}, "deadline is 0"),
+        ({"deadline": float("nan")}, "deadline is nan"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(settings, says):
+    with pytest.raises(ConfigError, match=says):
+        Execution(**settings)
