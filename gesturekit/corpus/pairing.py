@@ -40,7 +40,7 @@ class Found:
     @property
     def stem(self) -> str:
         """The last part of the key."""
-        return self.key.rsplit("/", 1)[-1]
+        return self.key.rpartition("/")[2]
 
     @property
     def is_speech(self) -> bool:
@@ -123,7 +123,7 @@ def pair(scans: Sequence[Iterable[Found]]) -> Pairing:
     left = _match(left, lambda found: found.key, result)
     left = _match(left, lambda found: found.stem, result)
     n_exact = len(result.pairs)
-    for name_of in (_loose_key, lambda found: _loose_key(found).rsplit("/", 1)[-1]):
+    for name_of in (_loose_key, lambda found: _loose_key(found).rpartition("/")[2]):
         left = _match(left, name_of, result, ambiguous_is_error=False)
     if similar := [f"{a.path.name} with {b.path.name}" for a, b in result.pairs[n_exact:]]:
         text = f"{counted(len(similar), 'pair')} of similar names, not the same: "

@@ -121,7 +121,7 @@ class HoldOut:
             raise CorpusError(f"{path}: cannot read the list of recordings: {error}") from error
         by_name: dict[str, set[str]] = {}
         for name in ids:
-            for key in {name, name.rsplit("/", 1)[-1]}:
+            for key in {name, name.rpartition("/")[2]}:
                 by_name.setdefault(key, set()).add(name)
         found: set[str] = set()
         unknown = []

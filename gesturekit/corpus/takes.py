@@ -84,7 +84,7 @@ def _read(table: Path, ids: Sequence[str]) -> dict[str, str]:
     """
     by_name: dict[str, list[str]] = {}
     for name in ids:
-        for key in {name, name.rsplit("/", 1)[-1]}:
+        for key in {name, name.rpartition("/")[2]}:
             by_name.setdefault(key, []).append(name)
     takes: dict[str, str] = {}
     try:
@@ -115,7 +115,7 @@ def neighbours(items: Iterable[Item], split: str | None = None) -> str:
     beside = [item for item in held_out if item.take in trained]
     if split == "train" or not beside:
         return ""
-    takes = sorted({item.take.rsplit("/", 1)[-1] for item in beside})
+    takes = sorted({item.take.rpartition("/")[2] for item in beside})
     return (
         f"held-out items with neighbours in training, of the same take ({listed(takes, 3)}): "
         f"{len(beside)} of {len(held_out)}. They flatter a model, above all its hand speed, its "
