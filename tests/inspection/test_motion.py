@@ -174,7 +174,9 @@ def test_suspicious_motion_is_reported_with_its_frame(gesture, tmp_path):
     assert "nothing moves from 1.00 to 2.33 s (frames 30 to 69)" in problems
     assert "m/s of LeftHand: frames 100 (3.33 s), 101" in problems
     # The arm's pop is the jump of its hand, as in `prepare`.
-    assert "1 pop away and back" in problems and "of Head: frame 20 (0.67 s)" in problems
+    # Its sine and cosine are .3 and .95: twice 17.5 degrees, and those of the gesture.
+    pop = r"1 pop away and back, the largest (\d+)° of Head: frame 20 \(0\.67 s\)"
+    assert 20 < int(re.search(pop, problems)[1]) < 50
 
 
 def test_parts_can_be_named_by_hand(gesture, tmp_path):
@@ -247,6 +249,30 @@ def test_the_tree_names_every_joint_but_fingers_and_fits(shared_data):
         for name in summary.facts["joints"]:
             assert name in text or parts[name] in ("finger", "end"), name
         assert "[left elbow]" in text and "[right knee]" in text
+
+
+@pytest.mark.parametrize(
+    ("names", "parents", "lines"),
+    [
+        (
+            ["Hand", "Index1", "Index2"],
+            [-1, 0, 1],
+            ["Hand [left wrist] > Index1 > Index2 [finger]"],
+        ),
+        (
+            ["Hand", "Index1", "Index2", "Thumb1"],
+            [-1, 0, 1, 0],
+            ["Hand [left wrist]", "└─ 3 joints of fingers: Index1, Thumb1"],
+        ),
+        (["Arm", "Top", "Hand"], [-1, 0, 0], ["Arm > Hand [left wrist] + Top [end]"]),
+        (["Arm", "Top"], [-1, 0], ["Arm > Top [end]"]),
+    ],
+)
+def test_fingers_and_ends_in_a_tree(names, parents, lines):
+    kinds = {"Hand": "left wrist", "Top": "end", "Arm": None}
+    labels = {name: kinds.get(name, "finger") for name in names if name != "Arm"}
+    rig = Skeleton(tuple(names), tuple(parents), np.zeros((len(names), 3)))
+    assert tree(rig, labels) == lines
 
 
 def test_a_tree_of_one_joint_and_of_no_parts(gesture):
