@@ -33,6 +33,7 @@ def test_a_log_file_gets_whole_lines_with_count_and_time_left():
         "6 of 8 files",
         "8 of 8 files",
     ]
+    assert len(counted(10.0, items=3).splitlines()) == 3
 
 
 def test_a_log_file_gets_no_carriage_return():

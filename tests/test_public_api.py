@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import re
+import shutil
+
 import numpy as np
 import pytest
+import yaml
 
 import audio_features as af
 import gesturekit as gk
 from gesturekit.corpus import Manifest
+from gesturekit.systems import model_folder
+from gesturekit.training.config import read_yaml
 
 
 @pytest.fixture(scope="module")
@@ -132,6 +138,28 @@ def test_a_run_folder_can_be_loaded_as_a_model(demo, tmp_path):
     demo.save(tmp_path / "run" / "model")
     (tmp_path / "run" / "config.yaml").write_text("system: multires\n")
     assert gk.load(tmp_path / "run").folder == (tmp_path / "run" / "model").resolve()
+
+
+def test_a_model_is_loaded_with_its_weights_on_a_device_and_in_a_precision(tmp_path):
+    folder = tmp_path / "model"
+    shutil.copytree(model_folder("demo"), folder)
+    config = read_yaml(folder / "config.yaml")
+    config["features"]["spec"] = {"kind": "wavlm"}
+    (folder / "config.yaml").write_text(yaml.safe_dump(config))
+    for options, says in (
+        ({}, "weights of WavLM are needed"),
+        ({"weights": tmp_path / "none"}, f"{tmp_path / 'none'}: no such folder or file"),
+        ({"device": "abacus"}, "device: 'abacus' cannot be used here"),
+        ({"dtype": "bf16"}, "a multires model, which is fp32 only"),
+    ):
+        with pytest.raises(gk.GestureKitError, match=re.escape(says)):
+            gk.load(folder, **options)
+    (folder / "config.yaml").write_text("kind: other\n")
+    with pytest.raises(gk.GestureKitError, match="kind 'other'; known: multires, diffusion"):
+        gk.load(folder)
+    (folder / "config.yaml").unlink()
+    with pytest.raises(gk.GestureKitError, match="not a model folder: "):
+        gk.load(folder)
 
 
 @pytest.mark.parametrize("control", ["seconds", "smooth", "fps"])
