@@ -295,3 +295,10 @@ def test_raters_of_one_system_do_not_count_for_another():
     answers = [mismatch(k, k, 1, "a") for k in range(5)] + [mismatch(9, 1, -1, "b")]
     found = {score.name: score for score in analyse_alignment(answers, 20, 0).systems}
     assert (found["a"].raters, found["b"].raters) == (5, 1)
+
+
+@pytest.mark.parametrize("losses", [0, 1])
+def test_ratings_without_a_finite_value_are_named(losses):
+    answers = [Answer(f"r{r}", "c", "a", "b", -1 if r < losses else 1) for r in range(5)]
+    text = " ".join(reservations(analyse_study(Answers(tuple(answers)), rounds=20)))
+    assert ("Some systems won, or lost, every comparison" in text) == (losses == 0)
