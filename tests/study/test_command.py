@@ -146,3 +146,25 @@ def test_wins_ties_and_losses_are_a_table(tmp_path, run):
         ["b", "1 · 1 · 3", "", "1 · 0 · 0"],
         ["c", "not compared", "0 · 0 · 1", ""],
     ]
+
+
+def test_the_alignment_of_each_system_is_a_row_in_percent(tmp_path, run):
+    scores = {"a": (2, 1, 0, -1), "b": (1, 1, -1, -1)}
+    answers = [
+        Answer(f"r{k}", f"c{k}", name, f"{name}_Mismatched", score)
+        for name, own in scores.items()
+        for k, score in enumerate(own)
+    ]
+    path = write(tmp_path / "x.csv", answers, {})
+    code, _, _ = run("analyse", path, "--out", tmp_path / "x.html", "--rounds", 20)
+    assert code == 0
+    text = (tmp_path / "x.html").read_text().partition("Alignment with speech")[2]
+    rows = re.findall(r"<tr>(.*?)</tr>", text, re.DOTALL)
+    cells = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in rows]
+    found = {row[0]: row[1:] for row in cells}
+    # (2 + 1 + 0.5) of 5, and 2 of 3 preferences; 2 of 4, and 2 of 4.
+    assert found["a"][:5] == ["1", "1", "1", "1", "0"]
+    assert re.match(r"70\.0\b", found["a"][5]) and re.match(r"67\b", found["a"][6])
+    assert found["b"][:5] == ["0", "2", "0", "2", "0"]
+    assert re.match(r"50\.0\b", found["b"][5]) and re.match(r"50\b", found["b"][6])
+    assert "a : b" in found and len(found["a : b"]) == 2
