@@ -37,7 +37,12 @@ def detail():
     kinds = [(style, seed) for style in (0, 1) for seed in (1, 2)]
     sequences = [replace(recording(style, seed), style=style) for style, seed in kinds]
     target = DetailTarget(sequences, LEVEL, LEVELS, places, 50, 2)
-    return lambda motion, style: target(places(motion), torch.full((len(motion),), style))
+
+    def loss(motion, style):
+        return target(places(motion), torch.full((len(motion),), style))
+
+    loss.of = lambda motion, styles: target(places(motion), torch.tensor(styles))
+    return loss
 
 
 def test_as_much_as_the_recordings_of_the_style_is_best(detail):
@@ -67,6 +72,14 @@ def test_a_style_with_a_single_motion_has_no_detail_loss(detail):
     assert float(loss.detach()) == 0
     loss.backward()
     assert not own.grad.any()
+
+
+@pytest.mark.parametrize("alone", [0, 1])
+def test_styles_count_by_their_shares_and_not_with_a_single_motion(detail, alone):
+    """The one of 17 motions that is alone in its style counts for nothing, whichever is first."""
+    other = windows(1 - alone)
+    together = detail.of(torch.cat([other, windows(alone)[:1]]), [1 - alone] * len(other) + [alone])
+    torch.testing.assert_close(together, 16 / 17 * detail(other, 1 - alone))
 
 
 def test_joints_that_never_move_have_no_detail():
