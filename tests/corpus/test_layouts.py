@@ -236,12 +236,15 @@ def test_100style(tmp_path, publish):
 def test_trinity(tmp_path, publish, write_bvh):
     source = publish("trinity") / "source"
     (source / "audio" / "Recording_009.wav").unlink()
+    write_bvh(source / "bvh" / "A_pose.bvh")
+    write_bvh(source / "bvh" / "Recording_000.bvh")
     report = prepare(tmp_path, layout="trinity")
     assert summary(report) == {
         ("Recording_001", "train", "trinity", None, True, True),
         ("Recording_008", "test", "trinity", None, True, True),
     }
-    assert "Recording_009.wav" in messages(report, "error")
+    assert "Recording_000.wav, Recording_009.wav" in messages(report, "error")
+    assert source / "bvh" / "A_pose.bvh" in report.left_over
     write_bvh(tmp_path / "raw" / "NaturalTalking_001.bvh")
     with pytest.raises(CorpusError, match="raw form"):
         prepare(tmp_path / "raw", layout="trinity")
