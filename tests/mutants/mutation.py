@@ -31,7 +31,7 @@ from reach import PACKAGES, Reach
 from scipy.stats import binomtest
 
 ROOT = Path.cwd()
-SECONDS_PER_DEFECT = 90.0
+SECONDS_PER_DEFECT = 150.0
 LIBRARIES = ["hypothesis", "librosa", "matplotlib.pyplot", "numba", "scipy.stats", "torch"]
 
 

@@ -11,6 +11,7 @@ import difflib
 import gzip
 import hashlib
 import json
+import multiprocessing
 import os
 import sys
 from collections import defaultdict
@@ -55,9 +56,16 @@ class Reach:
         self._kept["files"] = {name: kept[name] for name in kept if files.get(name)}
         if changed:
             print(f"Recording what the tests of {len(changed)} files reach ...", flush=True)
-            self._record(changed, processes, files)
-            data = json.dumps(self._kept, separators=(",", ":")).encode()
-            self._file.write_bytes(gzip.compress(data, 3))
+            # In a process of its own: pytest imports code that forks of this one import changed.
+            arguments = (changed, processes, files)
+            recording = multiprocessing.get_context("fork").Process(
+                target=self._record, args=arguments
+            )
+            recording.start()
+            recording.join()
+            if recording.exitcode:
+                raise SystemExit("pytest could not run the tests")
+            self._kept = json.loads(gzip.decompress(self._file.read_bytes()))
         self._translate()
 
     def _record(self, names: list[str], processes: int, digests: dict[str, str]) -> None:
@@ -69,13 +77,12 @@ class Reach:
         sys.path.insert(0, str(self.root))
         durations = _Durations()
         options = ["--cov", f"--cov-config={settings}", "--cov-context=test", "--cov-report="]
-        # In processes of their own: here the code must not be imported before it is changed.
         parallel = ["-n", str(processes), "--dist", "loadfile"]
         code = pytest.main(
             ["-q", "-p", "no:cacheprovider", *options, *parallel, *names], plugins=[durations]
         )
         if code not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
-            raise SystemExit(f"pytest could not run the tests: exit code {code}")
+            raise SystemExit(code)
         for test in durations.failed:
             print(f"fails without any defect, left out: {test}", flush=True)
         reached = _reached(data_file, self.root)
@@ -88,7 +95,7 @@ class Reach:
                 if test.partition("::")[0] == name and test not in durations.failed
             }
             lines = {
-                path: {test: tests[test] for test in seconds if test in tests}
+                path: {test: tests[test] for test in (*seconds, name) if test in tests}
                 for path, tests in reached.items()
             }
             self._kept["files"][name] = {
@@ -96,6 +103,8 @@ class Reach:
                 "seconds": seconds,
                 "lines": {p: [_digest(texts[p]), tests] for p, tests in lines.items() if tests},
             }
+        data = json.dumps(self._kept, separators=(",", ":")).encode()
+        self._file.write_bytes(gzip.compress(data, 3))
 
     def _translate(self) -> None:
         """Index the record by the lines of today's code."""
@@ -117,7 +126,9 @@ class Reach:
         """Return the tests that reach a defect, the quickest first.
 
         Lines of compiled functions are not recorded: all tests count that reach a module which
-        imports theirs. A statement that is not in the record has the tests of its function.
+        imports theirs. Defaults of arguments are computed once, by the first test that imports
+        them: all tests count that reach the function. A statement that is not in the record has
+        the tests of its function.
         """
         if defect.compiled:
             module = defect.path.removesuffix(".py").replace("/", ".")
@@ -127,10 +138,12 @@ class Reach:
             tree = ast.parse((self.root / defect.path).read_text(encoding="utf-8"))
             found = set()
             for lines in _statements_around(tree, defect.line):
-                found = {t for line in lines for t in self._tests[defect.path].get(line, ())}
-                if found:
+                found |= {t for line in lines for t in self._tests[defect.path].get(line, ())}
+                if any("::" in test for test in found):
                     break
-        return sorted(found, key=lambda test: self.seconds.get(test, 0.0))
+        files = {test for test in found if "::" not in test}
+        found |= {test for test in self.seconds if test.partition("::")[0] in files}
+        return sorted(found - files, key=lambda test: self.seconds.get(test, 0.0))
 
 
 class _Durations:
@@ -147,7 +160,7 @@ class _Durations:
 
 
 def _reached(data_file: Path, root: Path) -> dict[str, dict[str, list[int]]]:
-    """Return the lines that each test reaches, by file of the code and test."""
+    """Return the lines that each test, and the fixtures of a file, reach, by file of the code."""
     data = coverage.CoverageData(str(data_file))
     data.read()
     reached: dict[str, dict[str, list[int]]] = {}
@@ -156,7 +169,9 @@ def _reached(data_file: Path, root: Path) -> dict[str, dict[str, list[int]]]:
         tests: dict[str, set[int]] = defaultdict(set)
         for line, contexts in data.contexts_by_lineno(name).items():
             for context in filter(None, contexts):
-                tests[context.rpartition("|")[0] or context].add(line)
+                test, _, phase = context.rpartition("|")
+                # What a fixture reaches, all tests of its file may use.
+                tests[test.partition("::")[0] if phase == "setup" else test].add(line)
         if path.startswith(PACKAGES):
             reached[path] = {test: sorted(lines) for test, lines in tests.items()}
     return reached
@@ -179,7 +194,8 @@ def _same_lines(before: str, today: str) -> dict[int, int]:
 def _statements_around(tree: ast.Module, line: int) -> list[range]:
     """Return the lines of the statements that hold a line, the innermost first.
 
-    A statement with a body counts up to its body; the function that holds the line comes last.
+    A statement with a body counts up to its body; of a function's defaults, its whole body counts.
+    The function that holds the line comes last.
     """
     spans: list[range] = []
     function = range(line, line + 1)
@@ -187,10 +203,11 @@ def _statements_around(tree: ast.Module, line: int) -> list[range]:
         if isinstance(node, ast.stmt) and node.lineno <= line <= node.end_lineno:
             body = getattr(node, "body", None)
             last = max(node.lineno, body[0].lineno - 1) if body else node.end_lineno
-            if line <= last:
-                spans.append(range(node.lineno, last + 1))
-            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            is_function = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+            if is_function:
                 function = range(node.lineno, node.end_lineno + 1)
+            if line <= last:
+                spans.append(function if is_function else range(node.lineno, last + 1))
     return [*sorted(spans, key=len), function]
 
 
