@@ -146,6 +146,8 @@ def _is_text(node: ast.AST) -> bool:
         return True
     if isinstance(node, ast.JoinedStr | ast.arguments):
         return True
+    if isinstance(node, ast.keyword):
+        return node.arg in LOOKS
     if isinstance(node, ast.Expr):
         node = node.value
     if isinstance(node, ast.Call):

@@ -20,7 +20,7 @@ def share(part: int, whole: int = 100, *, name: str = "x") -> float:
     """Return a share."""
     if part < 0 and not whole:
         raise ValueError(f"{part + 1} is negative")
-    for _ in range(whole):
+    for _ in zip(range(whole), strict=True):
         break
     return round(max(part, 0.5) / whole, ndigits=3)
 
