@@ -77,6 +77,7 @@ class Reach:
         sys.path.insert(0, str(self.root))
         durations = _Durations()
         options = ["--cov", f"--cov-config={settings}", "--cov-context=test", "--cov-report="]
+        options += ["--continue-on-collection-errors"]
         parallel = ["-n", str(processes), "--dist", "loadfile"]
         code = pytest.main(
             ["-q", "-p", "no:cacheprovider", *options, *parallel, *names], plugins=[durations]
