@@ -37,6 +37,11 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ["CUDA_VISIBLE_DEVICES"] = ""
 
 
+def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
+    """Return the argument's name for the bytes of a file, which may hold the time of writing."""
+    return argname if isinstance(val, bytes) and len(val) > 50 else None
+
+
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Fail where continuous integration has a tool and its tests were skipped all the same."""
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
