@@ -9,7 +9,7 @@ from typing import Literal
 from urllib.parse import urlsplit
 
 from gesturekit.errors import ConfigError
-from gesturekit.training.config import load_config
+from gesturekit.training.config import load_config, path_from
 from gesturekit.viewer.drawn_body import BODIES, is_body
 
 _INTRODUCTION = """You will see pairs of short clips of a moving figure. Play both clips of a pair \
@@ -135,6 +135,6 @@ def load_study_config(path: str | os.PathLike[str], overrides: tuple[str, ...] =
     """
     config = load_config(Path(path), StudyConfig, overrides)
     here = Path(path).resolve().parent
-    folders = {name: str(here / Path(f).expanduser()) for name, f in config.systems.items()}
-    body = config.body if config.body in BODIES else str(here / Path(config.body).expanduser())
+    folders = {name: str(path_from(here, name, f)) for name, f in config.systems.items()}
+    body = config.body if config.body in BODIES else str(path_from(here, "body", config.body))
     return replace(config, systems=folders, body=body)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import os
 import re
 import types
 import typing
@@ -193,11 +194,25 @@ def _resolve_paths(values: Any, schema: Any, folder: Path) -> Any:
     for key, value in values.items():
         options = _options(hints.get(key, Any))
         if Path in options and isinstance(value, (str, Path)):
-            value = str((folder / Path(value).expanduser()).resolve())
+            value = str(path_from(folder, key, value))
         for option in options:
             value = _resolve_paths(value, option, folder)
         resolved[key] = value
     return resolved
+
+
+def path_from(folder: Path, key: str, value: str | Path) -> Path:
+    """Return the absolute path of a value that may begin with ~ or be relative to a folder.
+
+    Raises:
+        ConfigError: there is no such user, or the text cannot be a path.
+    """
+    try:
+        path = (folder / Path(value).expanduser()).resolve()
+        os.fsencode(path)
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ConfigError(f"{folder}: {key}: {value!a} is no path: {error}") from None
+    return path
 
 
 def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config") -> Schema:

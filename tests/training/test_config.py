@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -148,3 +149,13 @@ def test_hostile_files_are_refused_before_they_fill_memory(tmp_path):
     (tmp_path / "b.yaml").write_bytes(b"corpus: \xff\xfe")
     with pytest.raises(ConfigError, match="cannot be read as text"):
         load_config(tmp_path / "b.yaml", Outer)
+
+
+@pytest.mark.parametrize(
+    "value", ["~nobody-here/corpus.jsonl", "\udc80", "a\0b"], ids=["user", "surrogate", "zero"]
+)
+def test_what_cannot_be_a_path_is_refused_with_its_key(tmp_path, value):
+    path = tmp_path / "config.yaml"
+    path.write_text(f"corpus: {json.dumps(value)}\n")
+    with pytest.raises(ConfigError, match="corpus: .* is no path"):
+        load_config(path, DiffusionConfig)
