@@ -26,19 +26,19 @@ def steps(run) -> list[int]:
 
 
 def test_killed_and_with_a_damaged_checkpoint_it_resumes_bitwise(make_config, tmp_path):
-    stages = {"first_stage": 60, "further_stages": 60, "renew_every": 20, "window": 2.0}
-    config = make_config(training=stages, checkpoint_every=30, log_every=2)
+    stages = {"first_stage": 40, "further_stages": 40, "renew_every": 14, "window": 2.0}
+    config = make_config(training=stages, checkpoint_every=20, log_every=2)
     config_file = tmp_path / "config.yaml"
     config_file.write_text(yaml.safe_dump(to_dict(config)))
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     runs = {out: launch(*TRAIN, config_file, f"out={out}") for out in (whole, killed)}
     deadline = time.monotonic() + 240
-    while not any(72 <= step <= 108 for step in steps(killed)):
+    while not any(48 <= step <= 72 for step in steps(killed)):
         assert runs[killed].poll() is None and time.monotonic() < deadline
         time.sleep(0.02)
     runs[killed].send_signal(signal.SIGKILL)
     runs[killed].communicate()
-    assert 72 <= steps(killed)[-1] < 120
+    assert 48 <= steps(killed)[-1] < 80
     *_, before, last = sorted((killed / "checkpoints").glob("step_*.pt"))
     last.write_bytes(last.read_bytes()[:1000])
     said = ended(launch(*TRAIN, config_file, f"out={killed}", "--resume"))
