@@ -109,6 +109,21 @@ def find_feet(skeleton: Skeleton) -> tuple[Foot, Foot]:
     return left, right
 
 
+def feet_of_legs(skeleton: Skeleton) -> tuple[list[int], list[Foot]]:
+    """Return the joints of both legs with all above them, in order, and the feet among these.
+
+    The joints of the feet are places in that list, for a rig that has no others.
+
+    Raises:
+        MotionError: as `find_feet`.
+    """
+    feet = find_feet(skeleton)
+    legs = {joint for foot in feet for joint in foot.joints}
+    kept = sorted(legs.union(*map(skeleton.ancestors, legs)))
+    index = {joint: place for place, joint in enumerate(kept)}
+    return kept, [foot.renumbered(index) for foot in feet]
+
+
 def _feet(skeleton: Skeleton) -> Iterator[Foot]:
     legs = require_legs(skeleton)
     points, ends = foot_points(skeleton), real_end_sites(skeleton)

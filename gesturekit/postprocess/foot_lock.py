@@ -43,7 +43,7 @@ from gesturekit.postprocess.contact_spans import (
     include_landing,
     split_at_movement,
 )
-from gesturekit.postprocess.foot import Foot, find_feet
+from gesturekit.postprocess.foot import Foot, feet_of_legs
 from gesturekit.postprocess.pinning import FASTEST, pin, soft_clamp
 
 _MAX_CORRECTION = 0.1
@@ -100,13 +100,10 @@ class _FootLock:
     """
 
     def __init__(self, motion: Motion, contacts: np.ndarray | None) -> None:
-        whole, feet = motion.skeleton, find_feet(motion.skeleton)
-        legs = {joint for foot in feet for joint in foot.joints}
-        self.kept = sorted(legs.union(*map(whole.ancestors, legs)))
+        self.kept, self.feet = feet_of_legs(motion.skeleton)
         self.whole, self.fps = motion, motion.fps
-        self.motion = motion.keep([whole.names[j] for j in self.kept])
+        self.motion = motion.keep([motion.skeleton.names[j] for j in self.kept])
         self.skeleton = self.motion.skeleton
-        self.feet = [foot.renumbered({j: k for k, j in enumerate(self.kept)}) for foot in feet]
         columns = max(k for foot in self.feet for anchor in foot.anchors for k in anchor.columns)
         self.labels = None if contacts is None else np.asarray(contacts, dtype=np.float64)
         if self.labels is not None and self.labels.shape != (motion.n_frames, columns + 1):

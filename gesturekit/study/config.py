@@ -135,6 +135,8 @@ def load_study_config(path: str | os.PathLike[str], overrides: tuple[str, ...] =
     """
     config = load_config(Path(path), StudyConfig, overrides)
     here = Path(path).resolve().parent
-    folders = {name: str(path_from(here, name, f)) for name, f in config.systems.items()}
+    folders = {
+        name: str(path_from(here, f"systems.{name}", f)) for name, f in config.systems.items()
+    }
     body = config.body if config.body in BODIES else str(path_from(here, "body", config.body))
     return replace(config, systems=folders, body=body)

@@ -264,7 +264,7 @@ def test_of_channels_that_cancel_each_other_the_loudest_is_used(tmp_path, noisy)
 
 @pytest.mark.parametrize(("share", "cancels"), [(0.66, False), (0.70, True)])
 def test_channels_cancel_below_a_tenth_of_the_power_of_one_alone(share, cancels):
-    """Of a and -s a the mean has (1 - s)^2 of the power that a has beside silence."""
+    """The mean of a and -s a has (1 - s)^2 of the power of the mean of a and silence."""
     mono = noise(16_000)
     wave = Wave.from_array(np.stack([mono, np.float32(-share) * mono]), 16_000)
     assert bool(wave.repairs) == cancels

@@ -54,8 +54,8 @@ def test_missing_and_dropped_conditions_are_zeros(conditions):
 
 def test_events_past_the_end_are_left_out_and_the_last_frame_is_reached(conditions):
     # 0.05 s is between frames 1 and 2, and 0.045 s nearer to 1; each lasts a frame at least.
-    told = [Event(0.05, "kick"), Event(0.045, "punch", 0.01), Event(0.1, "punch", 0.05)]
-    flags = conditions.encode(6, FPS, events=told)[:, conditions.columns["events"]]
+    events = [Event(0.05, "kick"), Event(0.045, "punch", 0.01), Event(0.1, "punch", 0.05)]
+    flags = conditions.encode(6, FPS, events=events)[:, conditions.columns["events"]]
     assert flags.T.tolist() == [[0, 0, 1, 0, 0, 0], [0, 1, 0, 1, 1, 0]]
     flags = conditions.encode(3, FPS, events=[Event(0.07, "kick", 9.0), Event(5.0, "punch")])
     assert flags[:, conditions.columns["events"]].T.tolist() == [[0, 0, 1], [0, 0, 0]]

@@ -200,8 +200,10 @@ def test_thresholds_of_novelty(value, low, sentence):
         metrics["copying_low"] = result("copying_low", low, 0.3)
     assert states(clips(), **metrics)["novelty"][1] == sentence
     seeds = result("inter_diversity", 1.5, 2.0)
-    told = sentence[:-1] + "; two samples of one speech differ 75 % as much as two recordings do."
-    assert states(clips(), **metrics, inter_diversity=seeds)["novelty"][1] == told
+    expected = (
+        sentence[:-1] + "; two samples of one speech differ 75 % as much as two recordings do."
+    )
+    assert states(clips(), **metrics, inter_diversity=seeds)["novelty"][1] == expected
     still = result("inter_diversity", 1.5, 0.0)
     assert states(clips(), **metrics, inter_diversity=still)["novelty"][1] == sentence
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from figures import kept_figures
 
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.report import plots
@@ -35,13 +36,7 @@ def evaluated(
 @pytest.fixture
 def drawn(monkeypatch):
     """drawn(evaluation): {title: the axes of its figure}; each figure is made into SVG too."""
-    figures, text = [], plots.svg_text
-
-    def kept(figure, *colours):
-        figures.append(figure)
-        return text(figure, *colours)
-
-    monkeypatch.setattr(plots, "svg_text", kept)
+    figures = kept_figures(monkeypatch, plots)
 
     def draw(evaluation: Evaluation) -> dict[str, list]:
         figures.clear()

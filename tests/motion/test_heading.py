@@ -39,7 +39,7 @@ def test_a_body_faces_away_from_the_line_of_its_hips_or_shoulders(kept, degrees)
 
 
 def test_the_heading_of_a_motion_is_that_of_its_mean_side():
-    """Of 0, 0 and 90 degrees: atan(1 / 2)."""
+    """Mean side of 0, 0 and 90 degrees: atan(1 / 2)."""
     motion = turned(at_rest(RIG, 3), about("y", 0), about("y", 0), about("y", 90))
     assert heading(motion) == pytest.approx(np.arctan2(1, 2))
     assert heading(turned(at_rest(POST, 1), about("y", 90))) == 0.0

@@ -119,8 +119,8 @@ def reframed(motion: Motion, kinds: list[int], seed: int, along: bool) -> Motion
 @pytest.mark.parametrize("size", [1.0, 50.0])
 @pytest.mark.parametrize("alike", [False, True])
 def test_a_mirrored_motion_is_the_same_whatever_the_axes_of_joints(seed, size, alike):
-    """How left and right relate shows in the offsets below a joint. Where these are of the x axis
-    alone, it shows in a body that does the same on both sides. Ends go with their parent.
+    """The relation of left and right shows in the offsets below a joint. Where these are along the
+    x axis alone, it shows in a body that does the same on both sides. Ends go with their parent.
     """
     motion = anyhow(alike)
     rig, rng = motion.skeleton, np.random.default_rng(10 + seed)

@@ -228,7 +228,7 @@ def test_every_second_of_unpaired_speech_is_drawn_as_often(make_config):
 
 
 def test_the_coarsest_level_of_the_longest_recording_has_two_frames(make_config, motions):
-    """Of 100 frames, three quarters fourteen times are 2, and one more time 1 (rounded down)."""
+    """Fourteen times three quarters of 100 frames are 2, fifteen times 1 (rounded down)."""
     corpus, frames = str(motions(none=[4.0, 1.0])), [level_lengths(100, n)[0] for n in (15, 16)]
     assert frames == [2, 1]
     config = make_config(corpus=corpus, features=None, network={"levels": 15})

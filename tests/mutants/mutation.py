@@ -239,6 +239,8 @@ def main() -> int:
         else drawn(arguments.seed, arguments.count, arguments.only, arguments.changed)
     )
     defects = list(defects)
+    if not defects:
+        raise SystemExit("no code to change there")
     for library in arguments.libraries:
         __import__(library)
     totals: dict[str, Counter[str]] = defaultdict(Counter)

@@ -25,7 +25,7 @@ PACKAGES = ("audio_features", "gesturekit")
 
 
 class Reach:
-    """Which tests reach a line, and the seconds that each takes.
+    """Tests that reach each line, and the seconds that each test takes.
 
     Args:
         root: folder of the project.
@@ -88,7 +88,7 @@ class Reach:
             print(f"fails without any defect, left out: {test}", flush=True)
         reached = _reached(data_file, self.root)
         texts = {path: (self.root / path).read_text(encoding="utf-8") for path in reached}
-        self._kept["texts"] |= {_digest(text): text for text in texts.values()}
+        known = self._kept["texts"] | {_digest(text): text for text in texts.values()}
         for name in names:
             seconds = {
                 test: seconds
@@ -104,6 +104,9 @@ class Reach:
                 "seconds": seconds,
                 "lines": {p: [_digest(texts[p]), tests] for p, tests in lines.items() if tests},
             }
+        files = self._kept["files"].values()
+        used = {digest for record in files for digest, _ in record["lines"].values()}
+        self._kept["texts"] = {digest: known[digest] for digest in used}
         data = json.dumps(self._kept, separators=(",", ":")).encode()
         self._file.write_bytes(gzip.compress(data, 3))
 

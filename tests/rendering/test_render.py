@@ -288,10 +288,10 @@ def test_items_of_a_manifest_are_cut_and_named_as_it_says(model, tmp_path, write
             next(render(model, later, out, samples=2))
         plan = write_plan(tmp_path / "plan.jsonl", find_tasks(later, out), 1, "r")
         assert [item_of(task) for task in plan.tasks()] == later
-    heard = [replace(items[0], audible=((0.0, end),)) for end in (1.0, 2.0)]
-    list(render(model, heard[:1], tmp_path / "heard"))
+    cut = [replace(items[0], audible=((0.0, end),)) for end in (1.0, 2.0)]
+    list(render(model, cut[:1], tmp_path / "cut"))
     with pytest.raises(ConfigError, match="another audible"):
-        next(render(model, heard[1:], tmp_path / "heard"))
+        next(render(model, cut[1:], tmp_path / "cut"))
 
 
 def test_a_model_without_speech_input_moves_as_long_as_the_items(tmp_path, write_pair, model):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from figures import kept_figures
 
 from gesturekit.evaluation.statistics.answers import Answer, Answers
 from gesturekit.study import analyse_study
@@ -13,13 +14,7 @@ from gesturekit.study.analysis import plots
 @pytest.fixture
 def drawn(monkeypatch):
     """drawn(answers): {title: axes}, and the result of the study."""
-    figures, text = [], plots.svg_text
-
-    def kept(figure, *colours):
-        figures.append(figure)
-        return text(figure, *colours)
-
-    monkeypatch.setattr(plots, "svg_text", kept)
+    figures = kept_figures(monkeypatch, plots)
 
     def draw(answers: list[Answer]):
         figures.clear()

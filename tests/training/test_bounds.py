@@ -124,20 +124,20 @@ CASES = [(system, key) for system, ranges in RANGES.items() for key in ranges]
 @pytest.mark.parametrize(("system", "key"), CASES, ids=map(" ".join, CASES))
 def test_a_number_out_of_range_is_refused_by_name(system, key):
     refused, allowed = RANGES[system][key]
-    told = rf"(?=.*\b{key.rpartition('.')[2]}\b).* (must be|must divide|is above) "
+    message = rf"(?=.*\b{key.rpartition('.')[2]}\b).* (must be|must divide|is above) "
     for value in refused:
-        with pytest.raises(ConfigError, match=told):
+        with pytest.raises(ConfigError, match=message):
             build(CONFIGS[system], values_with(system, key, value))
     for value in allowed:
         build(CONFIGS[system], values_with(system, key, value))
 
 
 def test_parts_are_joints_of_known_names():
-    for parts, told in (
+    for parts, message in (
         ({"left_elbo": "Joint3"}, "parts: 'left_elbo' is none of .*left_elbow"),
         ({"left_elbow": 3}, "parts.left_elbow: 3 is not a joint name"),
     ):
-        with pytest.raises(ConfigError, match=told):
+        with pytest.raises(ConfigError, match=message):
             build(DiffusionConfig, values_with("diffusion", "parts", parts))
 
 

@@ -137,8 +137,8 @@ def test_hostile_files_are_refused_before_they_fill_memory(tmp_path):
     for one, other in zip("abcde", "bcdef", strict=True):
         lists += f"{other}: &{other} [{', '.join([f'*{one}'] * 10)}]\n"
     itself = "corpus: &c [*c]"
-    for text, told in ((long, "too large"), (lists, "aliases"), (itself, "aliases")):
-        with pytest.raises(ConfigError, match=told):
+    for text, message in ((long, "too large"), (lists, "aliases"), (itself, "aliases")):
+        with pytest.raises(ConfigError, match=message):
             load_config(write(tmp_path, "a.yaml", text), Outer)
     few = "corpus: c\ninner: {steps: &s [1, 2]}\nwindow: 40000000000000000000000000000000000000.0"
     assert load_config(write(tmp_path, "a.yaml", few), Outer).window == 4e37

@@ -1,4 +1,4 @@
-"""Which held-out recordings a training measures, how much of each, and how often."""
+"""Held-out recordings that a training measures: the choice, the length of each, the times."""
 
 from __future__ import annotations
 

@@ -99,14 +99,14 @@ def test_without_evaluations_it_measures_when_it_is_time(training):
 
 
 @pytest.mark.parametrize(
-    ("part", "step", "told"),
+    ("part", "step", "message"),
     [
         ("loss", 2, r"step 2: the loss became NaN or infinite \(loss\); there is no checkpoint"),
         ("loss", 7, r"step 7: .* \(loss\); the last checkpoint is of step 5"),
         ("weight", 3, r"step 4: .* \(a weight\); there is no checkpoint"),
     ],
 )
-def test_a_training_that_diverges_stops_before_it_is_saved(training, part, step, told):
+def test_a_training_that_diverges_stops_before_it_is_saved(training, part, step, message):
     training.wrong[part] = step
-    with pytest.raises(ModelError, match=told):
+    with pytest.raises(ModelError, match=message):
         training().go()

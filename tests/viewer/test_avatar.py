@@ -222,7 +222,7 @@ def names() -> list[str]:
 
 
 CORNERS = np.array([[100, 0, 0], [0, 100, 0], [0, 0, 100]], "<f4")
-"""Of one face, in the unit of the nodes, centimetres."""
+"""Corners of one face, in the unit of the nodes, centimetres."""
 
 
 @pytest.mark.parametrize("version", [0, 1])

@@ -15,7 +15,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length
 from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.postprocess.foot import find_feet
+from gesturekit.postprocess.foot import feet_of_legs
 
 _FURTHEST = 0.1
 """A standing foot is kept within this share of the leg length from where it would be."""
@@ -39,12 +39,9 @@ class FootHold:
     def __init__(self, skeleton: Skeleton, fps: float) -> None:
         self._fps, self._feet = fps, None
         if find_legs(skeleton) is not None:
-            feet = find_feet(skeleton)
-            legs = {joint for foot in feet for joint in foot.joints}
             # Only the legs and the joints above them are computed.
-            self._kept = sorted(legs.union(*map(skeleton.ancestors, legs)))
+            self._kept, self._feet = feet_of_legs(skeleton)
             index = {joint: k for k, joint in enumerate(self._kept)}
-            self._feet = [foot.renumbered(index) for foot in feet]
             self._legs = Skeleton(
                 tuple(skeleton.names[joint] for joint in self._kept),
                 tuple(index.get(skeleton.parents[joint], -1) for joint in self._kept),
