@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import os
+import runpy
 import subprocess
 import sys
 import tempfile
@@ -253,10 +254,8 @@ def plain(name: str) -> str:
 
 def find_node() -> tuple[str, list[str]]:
     """Node.js, and the command of its npm."""
-    sys.path.insert(0, str(PLAYER))
-    import bundle
-
-    return bundle.find_node() or sys.exit(f"No Node.js {bundle.OLDEST_NODE} or newer found.")
+    bundle = runpy.run_path(str(PLAYER / "bundle.py"))
+    return bundle["find_node"]() or sys.exit(f"No Node.js {bundle['OLDEST_NODE']} or newer found.")
 
 
 def node() -> str:
