@@ -231,8 +231,7 @@ class _Builder:
         if parts.head is None:
             return
         if parts.neck is not None:
-            chest, head = skeleton.index(parts.spine[-1]), skeleton.index(parts.head)
-            above = [j for j in skeleton.ancestors(head) if j > chest]
+            above = skeleton.ancestors(skeleton.index(parts.head))
             bottom = above.index(skeleton.index(parts.neck))
             for k, joint in enumerate(above[: bottom + 1][::-1]):
                 self._add(f"neck{k}", joint, self.body)

@@ -16,14 +16,16 @@ from gesturekit.multires.recall.library import LEAST_R, RecallLibrary
 from gesturekit.multires.recall.pieces import TAPS, spline_weights
 from gesturekit.training.seeds import rng_for
 
-# Chosen for sync without jumps on two held-out ZeroEGGS takes, 067 and 001; the factor on movement
-# and the time for which a prediction counts on a third, 003 (benchmarks/RESULTS.md, bench_live).
+# Chosen for sync without jumps on held-out ZeroEGGS takes: the weight of continuity, the factor on
+# movement and the time for which a prediction counts on 003 and 067, the others on 067 and 001
+# (benchmarks/RESULTS.md, bench_live).
 _PIECE, _OVERLAP = 1.0, 0.5
 """Seconds over which pieces are compared, and of the cross-fade into one. After their difference
 the next one is chosen, most often the continuation."""
-_FACTORS = {"continuity": 25.0, "movement": 8.0, "chance": 0.1}
+_FACTORS = {"continuity": 100.0, "movement": 8.0, "chance": 0.1}
 """Factors on the library's `ChoiceWeights`. Pieces are shorter than offline: they are chosen more
-often, each by the little movement that is predicted."""
+often, each by the little movement that is predicted, and change no more often than needed: while
+one fades into another, a hand cannot rest."""
 _KNOWN_SECONDS = 0.6
 """The last prediction counts for this long: pieces are chosen for all of their first half."""
 _FASTEST = 3.0
