@@ -460,6 +460,15 @@ def test_features_of_a_stream_are_those_of_the_file_where_both_know_as_much(mode
     np.testing.assert_allclose(windows[-1].averages[0], slow)
 
 
+def test_a_second_without_speech_is_a_pause(model, speech):
+    """The first word is spoken after 1.1 s, the last one until 3 s."""
+    stream = SpeechStream(model.conditions.conditioner, RATE, rows=4)
+    sound = np.concatenate([speech, np.zeros(2 * RATE, np.float32)])
+    paused = np.array([window.paused for window in stream.push(sound)])
+    assert paused[: round(1.0 * model.fps)].all() and paused[round(4.1 * model.fps) :].all()
+    assert not paused[round(1.3 * model.fps) : round(3.9 * model.fps)].any()
+
+
 def test_a_row_is_complete_with_the_last_frame_that_it_needs(model):
     """Row 0 of 30 fps takes frames 0 and 10 ms, which need 32 ms more; samples come by 10 ms."""
     stream = SpeechStream(model.conditions.conditioner, RATE, rows=4)
@@ -504,6 +513,9 @@ def test_predictions_ahead_find_what_speech_says(model):
     found = np.array([fitted(one, wanted) for one in unseen])
     assert np.corrcoef(found[:, 0], true_fast)[0, 1] > 0.9
     assert np.corrcoef(found[:, 1], true_slow)[0, 1] > 0.9
+    # In a pause the body is as calm as two standard deviations below its mean, or calmer.
+    paused = np.array([fitted(replace(one, paused=True), wanted)[1] for one in unseen])
+    np.testing.assert_allclose(paused, np.minimum(found[:, 1], -2.0))
     # log m/s: never a larger share of movement than the whole sound predicts
     limited = replace(fitted, fast=replace(fitted.fast, r=0.5 * wanted.fast.r))
     half = np.array([limited(one, wanted)[0] for one in unseen])

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from gesturekit.multires.recall.slow_state import PAUSE
 from gesturekit.multires.recall.wanted import (
     GAP_SECONDS,
     Regression,
@@ -35,10 +36,12 @@ class FeatureWindow:
     Attributes:
         rows: (W, S) the last rows.
         averages: (2, S) running means, see `AVERAGED_SECONDS`.
+        paused: True after a second without speech.
     """
 
     rows: np.ndarray
     averages: np.ndarray
+    paused: bool = False
 
 
 def last_bins(speech: FeatureWindow, fps: float) -> np.ndarray:
@@ -113,10 +116,14 @@ class AheadPrediction:
         return cls(look_ahead, fast_sets[i], slow_sets[j], of_fast[i], of_slow[j])
 
     def __call__(self, speech: FeatureWindow, wanted: WantedMovement) -> tuple[float, float]:
-        """Return the fast part of movement, log m/s, and the slow part, in standard deviations."""
+        """Return the fast part of movement, log m/s, and the slow part, in standard deviations.
+
+        In pauses the slow part is low at once; running means of features take seconds to follow.
+        """
         fast = self.fast(_flat(last_bins(speech, wanted.fps), self.fast_columns)[None])[0]
         averages = usual_voice(speech.averages.T, wanted.effort, wanted.voices).T
         slow = self.slow(_flat(averages, self.slow_columns)[None])[0]
+        slow = min(slow, PAUSE) if speech.paused else slow
         share = max(self.fast.r, 0.0) / max(wanted.fast.r, 1e-3)
         return float(fast * wanted.spread * min(share, 1.0)), float(slow)
 

@@ -38,8 +38,8 @@ _STEP, _STEPS_OF_TAKE = 0.25, 8
 """Seconds between the points at which noise within takes is drawn; points in each `take`."""
 _TRUNCATED = 4.0
 """Gaussians end at this many standard deviations."""
-_PAUSE = -1.0
-"""Predictions one standard deviation below this one are trusted in full, see `trust_in`."""
+PAUSE = -2.0
+"""Predictions as low as in pauses, in standard deviations, which are trusted in full."""
 _LAGS = 24
 _BLOCK = 256
 """Points of white noise that are drawn at a time in a motion without end."""
@@ -182,7 +182,7 @@ def trust_in(predicted: np.ndarray, trust: float) -> np.ndarray:
     """
     if not trust:
         return np.zeros_like(predicted)
-    return trust + (1 - trust) * np.clip(_PAUSE - predicted, 0.0, 1.0)
+    return trust + (1 - trust) * np.clip(PAUSE + 1 - predicted, 0.0, 1.0)
 
 
 def recorded_quantiles(recorded: Sequence[np.ndarray]) -> np.ndarray:

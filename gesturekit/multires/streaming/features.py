@@ -16,6 +16,8 @@ from gesturekit.multires.recall.ahead import AVERAGED_SECONDS, FeatureWindow
 
 _SMOOTHED_SECONDS = 3.0
 """Sound before a window of features, for the extractors that smooth over seconds."""
+_PAUSE_SECONDS = 1.0
+"""Time without speech after which people rest; between sentences there is less."""
 _CENTRE_SECONDS = 60.0
 """Seconds of speech after which it counts 1/e in the centre of a voice."""
 
@@ -90,7 +92,8 @@ class SpeechStream:
         times = spectrum.times - (self.n_rows - count) / self._fps
         track = FeatureTrack(np.concatenate([part.values for part in columns], axis=1), times, {})
         values = track.to_rate(self._fps, count, self._conditioner.align).values
-        if active[np.abs(times - (count - 1) / self._fps).argmin()]:
+        now = (count - 1) / self._fps
+        if active[np.abs(times - now).argmin()]:
             kept = math.exp(-self._every / (_CENTRE_SECONDS * self._fps))
             self._total = kept * self._total + self._every * values[-1]
             self._count = kept * self._count + self._every
@@ -100,7 +103,8 @@ class SpeechStream:
             new = rows[-self._every :].mean(axis=0)
             average += (new - average) * min(1.0, self._every / (seconds * self._fps))
         before = np.repeat(self._silence, self._rows - count, axis=0)
-        return FeatureWindow(np.concatenate([before, rows]), self._averages.copy())
+        paused = not active[times > now - _PAUSE_SECONDS].any()
+        return FeatureWindow(np.concatenate([before, rows]), self._averages.copy(), paused)
 
 
 _STATE = ("n_rows", "_total", "_count", "_averages")
