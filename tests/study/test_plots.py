@@ -38,10 +38,14 @@ def check_points(axes, estimates, middle: float | None, factor: float = 1.0) -> 
         assert dot.get_xdata() == pytest.approx([factor * found.value])
         assert list(line.get_ydata()) == [row, row] and list(dot.get_ydata()) == [row]
         assert dot.get_marker() == "o"
+        assert 3 < dot.get_markersize() / line.get_linewidth() < 5, "the value stands out"
     (*_, last) = axes.lines
     assert len(axes.lines) == 2 * len(estimates) + (middle is not None)
     if middle is not None:
         assert list(last.get_xdata()) == [middle, middle] and last.get_linestyle() == "--"
+        assert last.get_linewidth() <= lines[0].get_linewidth() / 2
+    assert [line.get_visible() for line in axes.get_xgridlines()[:1]] == [True]
+    assert not any(line.get_visible() for line in axes.get_ygridlines())
     assert axes.get_ylim() == (len(estimates) - 0.5, -0.5)
 
 
@@ -53,7 +57,7 @@ def check_bars(axes, rows: list[list[float]]) -> None:
         assert found[:, 2] == pytest.approx(shares)
         assert found[:, 0] == pytest.approx(np.cumsum([0, *shares[:-1]]))
         assert found[:, 1] + found[:, 3] / 2 == pytest.approx(row)
-        assert (found[:, 3] < 1).all(), "rows do not touch"
+        assert (found[:, 3] > 0.5).all() and (found[:, 3] < 1).all(), "rows do not touch"
     assert len({b.get_facecolor() for b in axes.patches[:5]}) == 5
     assert axes.get_xlim() == (0, 100) and list(axes.lines[0].get_xdata()) == [50, 50]
     assert axes.lines[0].get_linestyle() == "--" and "%" in axes.get_xlabel()
@@ -86,6 +90,14 @@ def test_systems_that_were_never_compared_have_no_rating(drawn):
     answers = [Answer(f"r{r}", "c", *pair, 1) for r in range(3) for pair in ("ab", "xy")]
     axes, _ = drawn(answers)
     assert [title.split()[0] for title in axes] == ["Merit", "Answers"]
+
+
+@pytest.mark.parametrize(("length", "kept"), [(44, 44), (45, 43)])
+def test_names_of_up_to_44_letters_are_whole(drawn, length, kept):
+    name = "n" * length
+    axes, _ = drawn([Answer(f"r{r}", "c", name, "x", 1 - r) for r in range(3)])
+    shown = names(axes["Merit scores with 95 % intervals"])[0]
+    assert shown == name[:kept] + ("…" if kept < length else "")
 
 
 def test_alignment_is_shown_in_percent_beside_chance(drawn):

@@ -10,6 +10,7 @@ import statsmodels.api as sm
 from scipy import stats
 from statsmodels.stats.proportion import proportion_confint
 
+from gesturekit.errors import ConfigError, EvaluationError
 from gesturekit.evaluation.statistics.answers import Answer, Answers
 from gesturekit.evaluation.statistics.intervals import holm
 from gesturekit.study import analyse_study
@@ -24,6 +25,7 @@ from gesturekit.study.analysis.preference import (
 )
 from gesturekit.study.analysis.result import is_significant, p_text, reservations
 from gesturekit.study.analysis.significance import (
+    MOST_RATERS,
     Expected,
     anova,
     power_of,
@@ -32,7 +34,7 @@ from gesturekit.study.analysis.significance import (
     two_proportions,
     wilson,
 )
-from gesturekit.study.analysis.votes import Votes
+from gesturekit.study.analysis.votes import Votes, interval, resampled
 
 BY_HAND = [
     Answer("u", "1", "a", "b", 2),
@@ -111,6 +113,132 @@ def test_the_raters_test_by_hand_leaves_out_raters_without_answers():
     # p = 1 - t / sqrt(2 + t²).
     found = rater_test(np.array([3.0, 0.0, -1.0, 2.0]), np.array([2, 0, 1, 4]))
     assert found == pytest.approx(0.691394, abs=1e-6)
+    # Two raters: t = 0.5 / 0.5 = 1, and with 1 degree of freedom p = 1 - 2 atan(1) / π.
+    assert rater_test(np.array([1.0, 0.0]), np.array([1, 1])) == pytest.approx(0.5)
+    assert np.isnan(rater_test(np.array([2.0, 0.0]), np.array([1, 0]))), "a single rater"
+    # All agree: the sign test, or no preference at all.
+    assert rater_test(np.array([-2.0, -4.0, -2.0]), np.array([1, 2, 1])) == 2 * 0.5**3
+    assert rater_test(np.zeros(3), np.ones(3)) == 1
+
+
+def test_resampled_raters_are_as_many_as_there_are():
+    """Sums of the raters' numbers 1, 10 and 100 give who was drawn how often."""
+    counts = np.array([[1.0], [10.0], [100.0]])
+    for rounds in (1, 500, 1250):
+        found = np.concatenate(list(resampled(counts, rounds, np.random.default_rng(0))))
+        digits = [[int(d) for d in f"{int(total):03d}"] for total in found[:, 0]]
+        assert len(found) == rounds and {sum(d) for d in digits} == {3}
+    assert np.mean(digits, axis=0) == pytest.approx([1, 1, 1], abs=0.1)
+
+
+def test_the_interval_leaves_out_a_fortieth_at_either_end():
+    seen = []
+
+    def statistic(sums: np.ndarray) -> np.ndarray:
+        seen.append(sums)
+        return np.where(sums > 4900, np.nan, sums)
+
+    counts = np.arange(100.0)[:, None]
+    low, high = interval(counts, statistic, 700, np.random.default_rng(0))
+    values = np.concatenate(seen)
+    values = values[values <= 4900]
+    assert np.mean(values < low) == pytest.approx(0.025, abs=0.005)
+    assert np.mean(values > high) == pytest.approx(0.025, abs=0.005)
+    one = interval(counts[:1], statistic, 10, np.random.default_rng(0))
+    assert np.isnan(one).all() and np.shape(one) == (2, 1)
+
+
+# Two raters: a draw of the raters is u alone, v alone, or both, a quarter of all draws or more, so
+# that intervals reach from the figure of the one to that of the other.
+TWO = [Answer("u", str(k), "a", "b", score) for k, score in enumerate((2, -1))]
+TWO += [Answer("v", str(k), "b", "a", score) for k, score in enumerate((-1, 2, 2, 0, 0))]
+
+
+def test_scores_of_two_raters_by_hand():
+    found = analyse_preference(TWO, rounds=60, seed=0)
+    best, other = found.systems
+    assert (best.name, best.n, other.name, other.n) == ("b", 7, "a", 7)
+
+    def figures(estimate) -> list[float]:
+        return pytest.approx([estimate.value, estimate.low, estimate.high], abs=1e-4)
+
+    # Merit of b: u 1 of 2, v 2 + 2 of 5; of a: u 2 of 2, v 1 of 5.
+    assert figures(best.merit) == [5 / 7, 1 / 2, 4 / 5]
+    assert figures(other.merit) == [3 / 7, 1 / 5, 2 / 2]
+    # Weighted wins of b to a: u 2 : 4, v 4 + 4 + 2 : 2 + 2; odds of 10 are 400 points.
+    points = 400 * np.log10([12 / 8, 2 / 4, 10 / 4]) / 2
+    assert list(1000 + points) == figures(best.elo)
+    assert list(1000 - points[[0, 2, 1]]) == figures(other.elo)
+    (pair,) = found.pairs
+    assert (pair.a, pair.b, pair.counts, pair.n, pair.raters) == ("b", "a", (2, 1, 2, 1, 1), 7, 2)
+    assert [pair.win_rate.low, pair.win_rate.high] == pytest.approx(
+        proportion_confint(3, 5, method="wilson")
+    )
+    # Means of b: u (1 - 2) / 2, v (2 + 2 - 1) / 5.
+    assert pair.p == pair.p_holm == pytest.approx(stats.ttest_1samp([-1 / 2, 3 / 5], 0).pvalue)
+    assert not found.not_compared and not found.separate and found.bounded
+
+
+def test_alignment_of_two_raters_by_hand():
+    turn = {"a": "x", "b": "x_Mismatched"}
+    answers = [Answer(a.user, a.clip, turn[a.left], turn[a.right], a.score) for a in TWO]
+    (found,) = analyse_alignment(answers, rounds=60, seed=0).systems
+    assert found.counts == (1, 1, 2, 1, 2) and found.raters == 2
+    # u 2 of 3, v 1 + 2 halves of 1 + 2 + 2 + 2 ties.
+    score = (found.score.value, found.score.low, found.score.high)
+    assert score == pytest.approx((4 / 10, 2 / 7, 2 / 3))
+    assert found.win_rate.value == 2 / 5
+    assert found.p == found.p_holm == pytest.approx(stats.ttest_1samp([1 / 2, -3 / 5], 0).pvalue)
+
+
+def test_alignment_is_best_first_and_equals_by_name():
+    scores = {"c": (1, 1, -1), "b": (1, -1, -1), "a": (1, -1, -1), "d": (2, 1, 1)}
+    answers = [mismatch(r, r, s, name) for name, own in scores.items() for r, s in enumerate(own)]
+    found = analyse_alignment(answers, rounds=5, seed=0)
+    assert [score.name for score in found.systems] == ["d", "c", "a", "b"]
+    p = [two_proportions(one, other) for one, other in
+         itertools.combinations([(3, 0), (2, 1), (1, 2), (1, 2)], 2)]  # fmt: skip
+    assert found.differences == tuple(
+        (*pair, *values)
+        for pair, *values in zip(itertools.combinations("dcab", 2), p, holm(p), strict=True)
+    )
+    d = found.systems[0]
+    assert d.p_holm == pytest.approx(min(1, 4 * d.p))
+
+
+def test_columns_taken_for_raters_and_systems_are_refused():
+    answers = [Answer(f"r{r}", "c", f"a{r}", f"b{r}", 1) for r in range(200)]
+    with pytest.raises(EvaluationError, match="200 raters and 400 systems: more than can be"):
+        Votes.of(answers)
+
+
+def test_systems_are_ordered_by_rating_or_by_merit_and_then_by_name():
+    def order(answers: list[Answer]) -> list[str]:
+        return [s.name for s in analyse_preference(answers, rounds=5, seed=0).systems]
+
+    even = [Answer(f"r{r}", "c", *pair, 1 - 2 * r) for pair in ("ba", "ac", "cb") for r in range(2)]
+    assert order(even) == ["a", "b", "c"]
+    # x is rated best, as it won all but one; z's few wins were clear.
+    mixed = [Answer("r", "c", "x", "y", 1)] * 9 + [Answer("r", "c", "y", "x", 1)]
+    mixed += [Answer("r", "c", "z", "y", s) for s in (2, 2, -2)]
+    assert order(mixed) == ["x", "z", "y"]
+    # Without connection: merits 1, 0 and 2, 0.
+    apart = [Answer("r", "c", "a", "b", 1), Answer("r", "c", "x", "y", 2)]
+    assert order(apart) == ["x", "a", "b", "y"]
+
+
+def test_strengths_of_many_fits_equal_those_one_by_one(simulate):
+    wins = weighted_wins(simulate([2.5, 0.4, -0.1, -3.0], raters=5))
+    together = fit_strengths(wins)
+    assert together.shape == (5, 4) and together.sum(axis=1) == pytest.approx(0, abs=1e-9)
+    for one, found in zip(wins, together, strict=True):
+        assert found == pytest.approx(fit_strengths(one), abs=1e-6)
+    # At the largest likelihood every system wins as much as the fit expects (here far from 0).
+    strengths = fit_strengths(wins.sum(axis=0))
+    p = 1 / (1 + np.exp(strengths[None] - strengths[:, None]))
+    total = wins.sum(axis=0)
+    expected = ((total + total.T) * p).sum(axis=1)
+    assert expected == pytest.approx(total.sum(axis=1), abs=1e-4)
 
 
 def test_holm_by_hand_and_undefined_p_values_stay():
@@ -138,11 +266,17 @@ def test_barnard_equals_the_largest_probability_over_the_common_rate():
     p = stats.binom.pmf(x, n, rates) * stats.binom.pmf(y, m, rates)
     assert two_proportions(a, b) == pytest.approx((p * extreme).sum(axis=(1, 2)).max(), rel=1e-3)
     assert np.isnan(two_proportions((0, 0), (3, 4)))
+    assert two_proportions((1, 0), (0, 1)) == pytest.approx(0.5), "one answer each"
 
 
 def test_thousands_of_answers_are_compared_in_no_time():
     assert two_proportions((5_200, 4_800), (4_800, 5_200)) < 1e-6
     assert two_proportions((5_000, 5_000), (5_000, 5_000)) == pytest.approx(1)
+    assert two_proportions((9_000, 0), (9_000, 0)) == 1, "no variance for the z-test"
+    # z of 700 of 1000 and 660 of 1000, pooled 0.68: 0.04 / sqrt(0.68 · 0.32 · 0.002).
+    z = 0.04 / np.sqrt(0.68 * 0.32 * 0.002)
+    found = two_proportions((700, 300), (660, 340))
+    assert found == pytest.approx(2 * stats.norm.sf(z))
 
 
 @pytest.mark.parametrize("scores", [[0, 0, 0, 0], [0, 0, 2, 2]])
@@ -272,6 +406,41 @@ def test_the_power_is_that_of_simulated_studies():
     scores = rng.choice([2, 1, -1, -2, 0], p=[*shares, 0.2], size=(2000, raters, 3)).mean(axis=2)
     p = stats.ttest_1samp(scores, 0, axis=1).pvalue
     assert (p < 0.05).mean() == pytest.approx(0.8, abs=0.04)
+
+
+def test_the_number_of_raters_at_the_ends():
+    """A rater alone gives no test, and 91,000 raters are within the 100,000 that are tried."""
+    sure = Expected(0.99, ties=0, clear=1, agreement=0)
+    assert raters_needed(sure, answers=6) == 2
+    # With d = 0.8 · 0.011 · 1.4 / sqrt(1.76 - 0.01232²): (1.95996 + 0.84162)² / d², and 2 for t.
+    few = Expected(win_rate=0.5055)
+    assert raters_needed(few, answers=1) == pytest.approx(91_005, abs=2)
+    assert raters_needed(Expected(win_rate=0.505), answers=1) is None
+    limit = power_of(few, MOST_RATERS, 1)
+    assert raters_needed(few, 1, power=limit) == MOST_RATERS
+    assert raters_needed(few, 1, power=limit + 1e-9) is None
+    three = raters_needed(Expected(0.65), 3, comparisons=3)
+    assert power_of(Expected(0.65), three, 3, 3) >= 0.8 > power_of(Expected(0.65), three - 1, 3, 3)
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "right"),
+    [
+        ("win_rate", (0.5, 1.0), (0.501, 0.999)),
+        ("ties", (-0.01, 1.0), (0.0, 0.999)),
+        ("clear", (-0.01, 1.01), (0.0, 1.0)),
+        ("agreement", (-0.01, 1.0), (0.0, 0.999)),
+    ],
+)
+def test_expectations_are_shares(name, wrong, right):
+    for value in right:
+        assert getattr(Expected(**{name: value}), name) == value
+    for value in wrong:
+        with pytest.raises(ConfigError, match=f"{name} is {value}: give a share"):
+            Expected(**{name: value})
+    for power in (0, 1):
+        with pytest.raises(ConfigError, match=f"power is {power}: give a probability"):
+            raters_needed(Expected(), 3, power=power)
 
 
 @pytest.mark.parametrize("comparisons", [1, 3])

@@ -49,12 +49,12 @@ def _points(
     figure = new_figure(0.9 + 0.36 * len(names))
     axes = figure.subplots()
     for row, found in enumerate(estimates):
-        axes.plot([found.low, found.high], [row, row], color=_INK, lw=2.4, solid_capstyle="round")
+        axes.plot([found.low, found.high], [row, row], color=_INK, lw=2.4)
         axes.plot([found.value], [row], "o", color=_INK, ms=8)
     if middle is not None:
-        axes.axvline(middle, color=_GREY, lw=1.2, ls=(0, (4, 3)))
+        axes.axvline(middle, color=_GREY, lw=1.2, ls="--")
     axes.set_xlabel(label)
-    axes.grid(axis="x", color=_GREY, alpha=0.3, lw=0.8)
+    axes.grid(axis="x", color=_GREY, alpha=0.3)
     return _svg(figure, names)
 
 
@@ -62,10 +62,10 @@ def _bars(rows: Sequence[tuple[str, Sequence[int]]]) -> str:
     figure = new_figure(0.9 + 0.36 * len(rows))
     axes = figure.subplots()
     for row, (_, counts) in enumerate(rows):
-        shares = 100 * np.asarray(counts, dtype=float) / max(sum(counts), 1)
+        shares = 100 * np.asarray(counts, dtype=float) / sum(counts)
         left = np.concatenate([[0.0], np.cumsum(shares)[:-1]])
         axes.barh([row] * 5, shares, left=left, color=_ANSWERS, height=0.66)
-    axes.axvline(50, color=_GREY, lw=1.2, ls=(0, (4, 3)))
+    axes.axvline(50, color=_GREY, lw=1.2, ls="--")
     axes.set_xlim(0, 100)
     axes.set_xlabel("share of answers, %")
     return _svg(figure, [name for name, _ in rows])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass
 from typing import Any
 
@@ -110,7 +111,8 @@ def two_proportions(one: tuple[int, int], other: tuple[int, int]) -> float:
         return float("nan")
     if n_one * n_other > _MOST_TABLES:
         test = statsmodels_module("stats.proportion").proportions_ztest
-        p = float(test([one[0], other[0]], [n_one, n_other])[1])
+        with np.errstate(invalid="ignore"):
+            p = float(test([one[0], other[0]], [n_one, n_other])[1])
         return 1.0 if np.isnan(p) else p
     return float(barnard_exact([[one[0], other[0]], [one[1], other[1]]]).pvalue)
 
@@ -213,15 +215,6 @@ def raters_needed(
     """
     if not 0 < power < 1:
         raise ConfigError(f"power is {power}: give a probability between 0 and 1, such as 0.8")
-    low, high = 1, 2
-    while power_of(expected, high, answers, comparisons) < power:
-        low, high = high, 2 * high
-        if high > MOST_RATERS:
-            return None
-    while high - low > 1:
-        middle = (low + high) // 2
-        if power_of(expected, middle, answers, comparisons) < power:
-            low = middle
-        else:
-            high = middle
-    return high
+    tried = range(2, MOST_RATERS + 1)
+    at = bisect_left(tried, power, key=lambda n: power_of(expected, n, answers, comparisons))
+    return tried[at] if at < len(tried) else None
