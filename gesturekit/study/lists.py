@@ -73,8 +73,8 @@ def _balanced(
     for _ in range(n_lists):
         n = min(share, len(segments))
         # Ties are broken at random: the fraction is below 1.
-        chosen = np.argsort(used.sum(axis=1) + rng.random(len(segments)), kind="stable")[:n]
-        order = np.argsort(used.sum(axis=0) + rng.random(len(pairs)), kind="stable")
+        chosen = np.argsort(used.sum(axis=1) + rng.random(len(segments)))[:n]
+        order = np.argsort(used.sum(axis=0) + rng.random(len(pairs)))
         slots = np.resize(order, n)
         cost = used[np.ix_(chosen, slots)] + 0.5 * rng.random((n, n))
         rows, columns = linear_sum_assignment(cost)

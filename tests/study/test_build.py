@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+import gesturekit.study.build as build_module
 from gesturekit.errors import ConfigError
 from gesturekit.evaluation.statistics.answers import GENEA_COLUMNS
 from gesturekit.study import build_study
@@ -16,6 +18,7 @@ from gesturekit.study.build import CODES, REASONS
 from gesturekit.study.clips import Segment, find_clips
 from gesturekit.study.config import StudyConfig, load_study_config
 from gesturekit.study.lists import make_lists, mismatches
+from gesturekit.viewer import html as player_module
 
 
 def segments(n: int, style: str = "", folder: str = "") -> list[Segment]:
@@ -47,7 +50,16 @@ def test_shorter_lists_use_all_segments_equally_often():
     pairs = Counter((c.left, c.right) for one in lists for c in one)
     assert len(pairs) == 6 and max(pairs.values()) - min(pairs.values()) <= 1
     assert make_lists(config_of(3, lists=30, pairs=7, seed=1), segments(20)) != lists
-    assert make_lists(config_of(3, lists=30, pairs=7), segments(20)) == lists
+    assert make_lists(config_of(3, lists=30, pairs=7, seed=0), segments(20)) == lists
+
+
+def test_a_mismatched_segment_needs_another(tmp_path):
+    config = video_study(tmp_path, {"a": ["x.mp4"]}, design="mismatch")
+    with pytest.raises(ConfigError, match="needs at least two segments, found 1"):
+        build_study(config, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    config = video_study(tmp_path, {"a": ["y.mp4"]}, design="mismatch")
+    assert build_study(config, tmp_path / "out").trials == 2
 
 
 def test_styles_come_in_the_order_of_the_configuration():
@@ -81,6 +93,17 @@ def test_mismatched_motion_is_another_clip_of_the_same_folder():
     assert all(other.name != name for name, other in found.items())
     same = [name for name, other in found.items() if other.speaker == name.split("/")[0]]
     assert len(same) >= 8
+    # Alone with others that are alone: among them; the only one alone: in a folder's circle.
+    three = [segment for name in ("x/", "y/", "z/") for segment in segments(1, folder=name)]
+    found = mismatches([*segments(3, folder="anna/"), *three], seed=1)
+    assert sorted(o.speaker for n, o in found.items() if n[0] in "xyz") == ["x", "y", "z"]
+    assert all(other.name != name for name, other in found.items())
+    assert mismatches(three[:2], 0) == {"x/s00": three[1], "y/s00": three[0]}
+    for seed in range(4):
+        found = mismatches(clips, seed)
+        assert sorted(other.name for other in found.values()) == sorted(found)
+        assert {found["eve/s00"].speaker} < {"anna", "ben"}
+    assert len({str(mismatches(clips, seed)) for seed in range(4)}) > 1
     pairs = {(c.left, c.right) for one in make_lists(config_of(1, design="mismatch"), clips)
              for c in one}  # fmt: skip
     assert pairs == {("s0", "s0_Mismatched"), ("s0_Mismatched", "s0")}
@@ -136,12 +159,25 @@ def test_clips_are_matched_by_path_then_by_name_and_others_are_named(tmp_path):
     assert [segment.name for segment in find_clips(flat).segments] == ["x"]
 
 
+def test_names_that_a_folder_has_twice_are_left_out(tmp_path):
+    names = {"a": ["one/x.mp4", "two/x.mp4", "two/y.mp4"], "b": ["x.mp4", "y.mp4"]}
+    with pytest.warns(UserWarning) as seen:
+        found = find_clips(video_study(tmp_path, names))
+    assert [str(w.message) for w in seen] == ["1 clip b: left out, as other systems lack them: x"]
+    (segment,) = found.segments
+    assert segment.clips == {"a": tmp_path / "a" / "two" / "y.mp4", "b": tmp_path / "b" / "y.mp4"}
+
+
 def test_styles_are_found_in_folders_and_file_names(tmp_path):
     names = ["happy/1.mp4", "067_Very_Old_2.mp4", "very happy-3.mp4", "unhappy.mp4"]
     styles = {"happy": "happy", "very happy": "very happy", "old": "an old person"}
     config = video_study(tmp_path, {"a": names, "b": names}, design="style", styles=styles)
     with pytest.warns(UserWarning, match="unhappy"):
         found = {segment.name: segment.style for segment in find_clips(config).segments}
+    (tmp_path / "none").mkdir()
+    with pytest.raises(ConfigError, match="no segment is left for the study"), pytest.warns():
+        names = {"a": ["x.mp4"], "b": ["x.mp4"]}
+        find_clips(video_study(tmp_path / "none", names, design="style", styles=styles))
     expected = {"happy/1": "happy", "067_Very_Old_2": "old", "very happy-3": "very happy"}
     assert found == expected
 
@@ -150,13 +186,16 @@ def test_styles_are_found_in_folders_and_file_names(tmp_path):
     ("clips", "message"),
     [
         ({"a": ["x.mp4"], "b": ["y.mp4"]}, "no clip of the same name"),
-        ({"a": ["x.mp4"], "b": ["x.bvh"]}, "of one kind"),
+        ({"a": ["x.mp4"], "b": ["x.bvh"]}, r"of one kind.*\(a: videos, b: motions\)"),
+        ({"a": ["x.bvh"], "b": ["x.mp4"]}, r"of one kind.*\(a: motions, b: videos\)"),
         ({"a": ["x.mp4"], "b": ["x.txt"]}, "has no mp4, webm, bvh or npz"),
     ],
 )
 def test_folders_that_do_not_fit_are_refused(tmp_path, clips, message):
     with pytest.raises(ConfigError, match=message):
         find_clips(video_study(tmp_path, clips))
+    with pytest.raises(ConfigError, match="systems: a: .*absent is not a folder"):
+        find_clips(StudyConfig("T", {"a": str(tmp_path / "absent"), "b": str(tmp_path / "b")}))
 
 
 def test_a_body_is_of_the_package_or_an_avatar_beside_the_file_and_for_motions(tmp_path):
@@ -167,6 +206,14 @@ def test_a_body_is_of_the_package_or_an_avatar_beside_the_file_and_for_motions(t
     config = video_study(tmp_path, {"a": ["x.mp4"], "b": ["x.mp4"]}, body="human")
     with pytest.raises(ConfigError, match="body: human is for motions; the clips are videos"):
         build_study(config, tmp_path / "out")
+
+
+def test_a_body_of_the_package_is_no_path(tmp_path):
+    (tmp_path / "study.yaml").write_text("title: T\nbody: human\nsystems: {a: a, b: ../b}\n")
+    config = load_study_config(tmp_path / "study.yaml", ("title=U", "seed=3"))
+    assert (config.title, config.body, config.seed) == ("U", "human", 3)
+    assert Path(config.systems["a"]) == tmp_path / "a"
+    assert Path(config.systems["b"]).resolve() == (tmp_path.parent / "b").resolve()
 
 
 def setup_of(page: Path) -> dict:
@@ -189,6 +236,101 @@ def test_clip_names_do_not_reveal_the_system(tmp_path):
     assert "<script>alert" not in text and built.page_bytes < 2_000_000
     assert setup_of(built.page)["title"] == TITLE
     assert "connect-src &#x27;none&#x27;" in text or "connect-src 'none'" in text
+
+
+def test_the_page_has_every_setting_of_a_study(tmp_path):
+    answers = ("1", "2", "3", "4", "5")
+    config = video_study(
+        tmp_path, {"a": ["x.mp4", "y.MP4"], "b": ["x.mp4", "y.mp4"]}, lists=1, pairs=1,
+        question="Which *one*?", answers=answers, reasons="speech", introduction="Hello.",
+        consent="I agree.", attention_checks=3, post_url="https://h/a?b=1", seed=5,
+        completion_url="https://h/end",
+    )  # fmt: skip
+    built = build_study(config, tmp_path / "my study é!")
+    found = setup_of(built.page)
+    ((trial,),) = found.pop("lists")
+    assert found == {
+        "format": 1, "name": "my_study_é_", "title": TITLE, "introduction": "Hello.",
+        "consent": "I agree.", "question": "Which *one*?", "styles": [],
+        "answers": [{"code": c, "text": t} for c, t in zip(CODES, answers, strict=True)],
+        "reasons": [{"code": c, "text": t} for c, t in REASONS["speech"].items()],
+        "checks": 3, "post": "https://h/a?b=1", "completion": "https://h/end", "seed": 5,
+    }  # fmt: skip
+    assert (built.segments, built.clips, built.trials) == (2, 2, 1), "only clips that are shown"
+    assert built.page_bytes == built.page.stat().st_size
+    assert set(trial) == {"clip", "systems", "sides"}, "no style"
+    assert [side["silent"] for side in trial["sides"]] == [False, False]
+    text = built.page.read_text(encoding="utf-8")
+    assert "connect-src https://h/a?b=1" in text and "default-src &#x27;none&#x27;" in text
+    assert sorted({side["video"] for side in trial["sides"]}) == ["c0001.mp4", "c0002.mp4"]
+
+
+@pytest.mark.parametrize(
+    ("options", "question", "first"),
+    [
+        ({}, "matches the speech rhythm", "Clear preference for left"),
+        ({"design": "mismatch"}, "movements match the speech better", "Clear preference for left"),
+        (
+            {"design": "style", "styles": {"x": "a cat"}},
+            "looks most like *{style}*",
+            "Clearly the left one",
+        ),
+    ],
+)
+def test_the_usual_questions_and_answers(tmp_path, options, question, first):
+    clips = {"a": ["x 1.mp4", "x 2.mp4"], "b": ["x 1.mp4", "x 2.mp4"]}
+    found = setup_of(build_study(video_study(tmp_path, clips, **options), tmp_path / "out").page)
+    assert question in found["question"] and found["answers"][0]["text"] == first
+    silent = options.get("design") == "style"
+    assert ("headphones" in found["introduction"]) != silent
+    assert ("The clips have no sound" in found["introduction"]) == silent
+    assert (found["consent"], found["post"], found["completion"]) == ("", "", "")
+    assert found["reasons"] == [] and found["checks"] == 2
+    sides = [side for one in found["lists"] for trial in one for side in trial["sides"]]
+    assert {side["silent"] for side in sides} == {silent}
+    styles = {trial.get("style") for one in found["lists"] for trial in one}
+    if silent:
+        assert styles == {"x"}
+        (style,) = found["styles"]
+        assert style["name"] == "x" and "looks most like *a cat*" in style["question"]
+    else:
+        assert styles == {None} and found["styles"] == []
+
+
+def clip_of(path: Path) -> tuple[str, dict]:
+    """Return the name and the value that the script of a clip gives to the page."""
+    text = re.fullmatch(r'gesturekitClip\("(\w+)",(.*)\);\n', path.read_text(encoding="utf-8"))
+    return text[1], json.loads(text[2])
+
+
+@pytest.mark.skipif(
+    not (build_module._BUNDLE.is_file() and player_module._BUNDLE.is_file()),
+    reason="the pages are not bundled: run `make setup`",
+)
+@pytest.mark.parametrize("spoken", [True, False])
+def test_motions_are_shown_as_long_as_they_and_their_sound_last(
+    tmp_path, gesture, write_speech, spoken
+):
+    for system, seconds in (("a", 0.6), ("b", 0.3)):
+        gesture(seconds, 20.0).save(tmp_path / system / "x.npz")
+    write_speech(tmp_path / "sound" / "x.wav", 0.4501)
+    systems = {name: str(tmp_path / name) for name in "ab"}
+    config = StudyConfig("T", systems, audio=tmp_path / "sound" if spoken else None, lists=2)
+    built = build_study(config, tmp_path / "out")
+    found = setup_of(built.page)
+    assert ("taking into account both" in found["question"]) == spoken
+    assert ("headphones" in found["introduction"]) == spoken
+    for (trial,) in found["lists"]:
+        seconds = {
+            name: side["seconds"]
+            for name, side in zip(trial["systems"], trial["sides"], strict=True)
+        }
+        assert seconds == {"a": 0.45 if spoken else 0.6, "b": 0.3}
+    files = sorted((tmp_path / "out" / "clips").iterdir())
+    assert [path.name for path in files] == ["c0001.js", "c0002.js"] and built.clips == 2
+    for path in files:
+        name, clip = clip_of(path)
+        assert name == path.stem and ("audio" in str(sorted(clip))) == spoken
 
 
 @pytest.mark.parametrize("checks", [0, 1])
@@ -236,6 +378,12 @@ def test_speech_of_motions_is_found_by_path_then_by_name(tmp_path, gesture, writ
     write_speech(tmp_path / "other" / "w.wav", 0.3)
     with pytest.raises(ConfigError, match="has no sound named like the clips, such as d/x.wav"):
         find_clips(StudyConfig("T", systems, audio=tmp_path / "other"))
+    styles = {"d": "dancing", "z": "sleeping"}
+    config = StudyConfig("T", systems, "style", audio=tmp_path / "sound", styles=styles)
+    silent = find_clips(config).segments
+    assert [(s.name, s.sound, s.style) for s in silent] == [
+        ("d/x", None, "d"), ("d/y", None, "d"), ("z", None, "z")
+    ]  # fmt: skip
     silent = find_clips(StudyConfig("T", systems)).segments
     assert [segment.sound for segment in silent] == [None] * 3
     with pytest.raises(ConfigError, match="the design mismatch needs a folder of speech"):
@@ -255,11 +403,16 @@ def test_speech_of_motions_is_found_by_path_then_by_name(tmp_path, gesture, writ
         ({"post_url": "https://host/a b"}, "is not a web address"),
         ({"post_url": "https://[host"}, "is not a web address"),
         ({"styles": {"happy": "happy"}}, "design preference has no styles"),
+        ({"design": "style", "styles": {"happy": 3}}, "'happy': 3; expected NAME: WORDS"),
+        ({"design": "style", "styles": {3: "happy"}}, "3: 'happy'; expected NAME: WORDS"),
+        ({"title": " "}, "title is empty"),
+        ({"systems": {"a": "x", 2: "y"}}, "systems: 2: 'y'; expected NAME: FOLDER"),
+        ({"systems": {"a": "x", " ": "y"}}, "systems: ' ': 'y'; expected NAME: FOLDER"),
     ],
 )
 def test_settings_out_of_range_are_refused(options, message):
     with pytest.raises(ConfigError) as refused:
-        config_of(2, **options)
+        replace(config_of(2), **options)
     assert message in str(refused.value)
 
 

@@ -227,6 +227,13 @@ def test_systems_are_ordered_by_rating_or_by_merit_and_then_by_name():
     assert order(apart) == ["x", "a", "b", "y"]
 
 
+def test_a_pair_never_compared_hides_none_of_the_others():
+    answers = [Answer("r", "c", one, "c", score) for one, score in (("a", 1), ("b", 2), ("d", 0))]
+    found = analyse_preference(answers, rounds=5, seed=0)
+    assert [(p.a, p.b) for p in found.pairs] == [("a", "c"), ("b", "c"), ("c", "d")]
+    assert found.not_compared == (("a", "b"), ("a", "d"), ("b", "d")) and not found.separate
+
+
 def test_strengths_of_many_fits_equal_those_one_by_one(simulate):
     wins = weighted_wins(simulate([2.5, 0.4, -0.1, -3.0], raters=5))
     together = fit_strengths(wins)
