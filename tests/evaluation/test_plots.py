@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -64,6 +65,11 @@ def ticks(axis) -> dict[float, str]:
     }
 
 
+def grids(axes) -> tuple[bool, bool]:
+    """Return whether lines of the grid stand at the ticks of x, and of y."""
+    return axes.get_xgridlines()[0].get_visible(), axes.get_ygridlines()[0].get_visible()
+
+
 def legend(axes) -> list[str]:
     return [text.get_text() for found in axes.figure.legends for text in found.get_texts()]
 
@@ -98,6 +104,7 @@ def test_speech_is_shown_beside_chance_and_the_recordings_own(drawn):
     ]
     for one in axes:
         assert ticks(one.xaxis) == {0: "a", 1: "b"} and one.get_xlim() == (-0.6, 1.6)
+        assert 2 < one.figure.get_size_inches()[1] < 4
     # From 0, or below the lowest value.
     assert sync.get_ylim()[0] == 0.0 and sync.get_ylim()[1] > 0.7
     assert bc.get_ylim()[0] < -0.3
@@ -144,6 +151,8 @@ def test_movement_is_shown_as_ratios_to_the_recording(drawn):
         1: "1×", 2: "2×",
     }  # fmt: skip
     assert legend(axes) == ["a", "b", "c"]
+    assert not len(axes.xaxis.get_minorticklocs()) and grids(axes) == (True, False)
+    assert axes.lines[-1].get_linestyle() == "--"
     colours = [line.get_color() for line in axes.figure.legends[0].get_lines()]
     assert colours == [ONE, OTHER, third]
 
@@ -169,9 +178,25 @@ def test_figures_grow_with_their_rows(drawn):
 
     one_row = model("a", {"jerk": (of(1.0), 1.0)})
     three = model("a", {k: (of(1.0), 1.0) for k in ("jerk", "arm_speed", "wrist_speed")})
+    assert height(*[three] * 2) > height(three), "two models need more room"
     row = (height(three) - height(one_row)) / 2
     assert 0.25 < row < 0.6 and 0.5 < height(one_row) - row < 1.5
     assert height(three, three) - height(three) == pytest.approx(3 * 0.2 * row)
+
+
+def test_patches_grow_with_recordings_and_models(drawn):
+    def height(recordings: int, models: int) -> float:
+        made = {f"r{k}": {"coverage": of(50.0)} for k in range(recordings)}
+        metrics = {"coverage": (of(50.0), 50.0)}
+        shown = [model(name, metrics, by_recording=made) for name in "abcd"[:models]]
+        (axes,) = drawn(evaluated(*shown))["Patches, recording by recording"]
+        assert legend(axes) == (["a", "b", "c", "d"][:models] if models > 1 else [])
+        return axes.figure.get_size_inches()[1]
+
+    one, two, four = ((height(12, n) - height(2, n)) / 10 for n in (1, 2, 4))
+    # Two models have room in a row; of four it is twice as high.
+    assert 0.2 < one < 0.5 and two == pytest.approx(one) and four == pytest.approx(2 * one)
+    assert 0.7 < height(2, 1) - 2 * one < 1.5
 
 
 def test_wrist_speeds_are_shown_with_quartiles(drawn):
@@ -195,7 +220,13 @@ def test_wrist_speeds_are_shown_with_quartiles(drawn):
     ends = [body.get_paths()[0].vertices for body in axes.collections]
     assert [x[:, 1].max() for x in ends] == pytest.approx([0.4, 1.0, 1.99], abs=0.01)
     assert [np.ptp(x[:, 0]) for x in ends] == pytest.approx([0.8] * 3, abs=0.01)
-    assert axes.get_ylabel() == "wrist speed, m/s"
+    assert axes.get_ylabel() == "wrist speed, m/s" and grids(axes) == (False, True)
+    assert 2 < axes.figure.get_size_inches()[1] < 4.5
+    # The bar ends at the quartiles, and the median stands out on it.
+    bar, dot = axes.lines[:2]
+    assert bar.get_solid_capstyle() == "butt"
+    assert bar.get_linewidth() < dot.get_markersize() < 2 * bar.get_linewidth()
+    assert 1.2 < dot.get_markeredgewidth() < 3 and dot.get_markeredgecolor() == dark
     assert axes.collections[1].get_facecolor()[0, :3] == pytest.approx(
         [int(ONE[k : k + 2], 16) / 255 for k in (1, 3, 5)]
     )
@@ -214,6 +245,9 @@ def test_histograms_of_speeds_are_shares_of_values(drawn):
     assert "cm/s" in axes.get_xlabel() and "%" in axes.get_ylabel()
     texts = [text.get_text() for text in axes.get_legend().get_texts()]
     assert texts == ["a", "recording"]
+    assert grids(axes) == (False, True) and 2 < axes.figure.get_size_inches()[1] < 4.5
+    assert all(1.5 < patch.get_linewidth() < 3 for patch in axes.patches)
+    assert not axes.get_legend().get_frame_on()
     # The recording's dashes let the model's line be seen below.
     assert [patch.get_linestyle() for patch in axes.patches][0] == "-"
     assert axes.patches[1].get_linestyle() != "-"
@@ -251,6 +285,8 @@ def test_patches_are_shown_recording_by_recording(drawn):
     assert low < 0 < 2 < high and low == pytest.approx(-0.03 * high)
     assert diversity.get_xlabel() == "mean distance of frames"
     assert [one.get_title(loc="left") for one in axes] == ["Coverage", "Local diversity"]
+    assert coverage.get_shared_y_axes().joined(coverage, diversity), "names stand once"
+    assert grids(coverage) == grids(diversity) == (True, True)
 
 
 def test_the_first_recordings_of_many_are_shown(drawn):
@@ -260,6 +296,35 @@ def test_the_first_recordings_of_many_are_shown(drawn):
     assert list(ticks(axes.yaxis).values()) == [f"r{k:02}" for k in range(24)]
     alone = model("a", {"coverage": (of(50.0), 50.0)}, by_recording={"r00": made["r00"]})
     assert drawn(evaluated(alone)) == {}
+    whole = {"r" * 26: {"coverage": of(50.0)}, "s" * 27: {"coverage": of(50.0)}}
+    a = model("a", {"coverage": (of(50.0), 50.0)}, by_recording=whole)
+    (axes,) = drawn(evaluated(a))["Patches, recording by recording"]
+    assert list(ticks(axes.yaxis).values()) == ["r" * 26, "s" * 25 + "…"]
+
+
+def test_names_are_drawn_as_they_are_on_any_page(drawn):
+    """No mathematics, no white ground, letters as outlines: they need no font of the reader's."""
+    wrists = np.linspace(0.0, 0.4, 101)
+    found = evaluated(model("$x_1$", {}, wrists=wrists), wrists=wrists)
+    (axes,) = drawn(found)["Wrist speed"]
+    assert [text.get_parse_math() for text in axes.get_xticklabels()] == [False, False]
+    assert plots.all_plots(found) == plots.all_plots(found)
+    svg = plots.all_plots(found)["Wrist speed"]
+    assert "<text" not in svg and "dc:date" not in svg
+    assert not re.search(r'id="patch_1">\s*<path[^>]*fill: #fff', svg), "a dark page shows through"
+    shown = {name: axes.spines[name].get_visible() for name in ("top", "right", "left", "bottom")}
+    assert shown == {"top": False, "right": False, "left": True, "bottom": True}
+    assert axes.get_axisbelow() is True
+    for axis in (axes.xaxis, axes.yaxis):
+        text, tick = axis.get_ticklabels()[0], axis.get_major_ticks()[0].tick1line
+        assert 8 <= text.get_fontsize() <= 12 >= axis.label.get_fontsize() >= 9
+        assert 2 < tick.get_markersize() < 3.4
+    assert axes.xaxis.get_ticklabels()[0].get_color() == axes.yaxis.label.get_color() != "black"
+
+
+def test_colours_begin_again_after_the_last():
+    n = len(plots.MODEL_COLOURS)
+    assert [plots.colour(k) for k in range(n + 2)] == [*plots.MODEL_COLOURS, ONE, OTHER]
 
 
 def test_legends_name_the_models_that_are_drawn_in_their_colours(drawn):
@@ -268,6 +333,7 @@ def test_legends_name_the_models_that_are_drawn_in_their_colours(drawn):
     models = [model("empty", {}), *(model(k, metrics, by_recording=made) for k in "ab")]
     (axes,) = drawn(evaluated(*models))["Patches, recording by recording"]
     lines = axes.figure.legends[0].get_lines()
+    assert {line.get_marker() for line in lines} == {"o"}
     assert dict(zip(legend(axes), (line.get_color() for line in lines))) == {
         "a": OTHER, "b": plots.MODEL_COLOURS[2]
     }  # fmt: skip

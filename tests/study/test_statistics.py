@@ -36,6 +36,11 @@ from gesturekit.study.analysis.significance import (
 )
 from gesturekit.study.analysis.votes import Votes, interval, resampled
 
+
+def expect(win_rate=0.6, ties=0.2, clear=0.4, agreement=0.05) -> Expected:
+    return Expected(win_rate, ties, clear, agreement)
+
+
 BY_HAND = [
     Answer("u", "1", "a", "b", 2),
     Answer("u", "2", "b", "a", -1),
@@ -405,7 +410,7 @@ def test_the_same_seed_gives_the_same_intervals(simulate):
 
 
 def test_the_power_is_that_of_simulated_studies():
-    expected = Expected(win_rate=0.65, ties=0.2, clear=0.4, agreement=0.0)
+    expected = expect(win_rate=0.65, ties=0.2, clear=0.4, agreement=0.0)
     raters = raters_needed(expected, answers=3)
     assert power_of(expected, raters, 3) >= 0.8 > power_of(expected, raters - 1, 3)
     shares = np.array([0.65 * 0.4, 0.65 * 0.6, 0.35 * 0.6, 0.35 * 0.4]) * 0.8
@@ -417,17 +422,17 @@ def test_the_power_is_that_of_simulated_studies():
 
 def test_the_number_of_raters_at_the_ends():
     """A rater alone gives no test, and 91,000 raters are within the 100,000 that are tried."""
-    sure = Expected(0.99, ties=0, clear=1, agreement=0)
+    sure = expect(0.99, ties=0, clear=1, agreement=0)
     assert raters_needed(sure, answers=6) == 2
     # With d = 0.8 · 0.011 · 1.4 / sqrt(1.76 - 0.01232²): (1.95996 + 0.84162)² / d², and 2 for t.
-    few = Expected(win_rate=0.5055)
+    few = expect(win_rate=0.5055)
     assert raters_needed(few, answers=1) == pytest.approx(91_005, abs=2)
-    assert raters_needed(Expected(win_rate=0.505), answers=1) is None
+    assert raters_needed(expect(win_rate=0.505), answers=1) is None
     limit = power_of(few, MOST_RATERS, 1)
     assert raters_needed(few, 1, power=limit) == MOST_RATERS
     assert raters_needed(few, 1, power=limit + 1e-9) is None
-    three = raters_needed(Expected(0.65), 3, comparisons=3)
-    assert power_of(Expected(0.65), three, 3, 3) >= 0.8 > power_of(Expected(0.65), three - 1, 3, 3)
+    three = raters_needed(expect(0.65), 3, comparisons=3)
+    assert power_of(expect(0.65), three, 3, 3) >= 0.8 > power_of(expect(0.65), three - 1, 3, 3)
 
 
 @pytest.mark.parametrize(
@@ -441,13 +446,13 @@ def test_the_number_of_raters_at_the_ends():
 )
 def test_expectations_are_shares(name, wrong, right):
     for value in right:
-        assert getattr(Expected(**{name: value}), name) == value
+        assert getattr(expect(**{name: value}), name) == value
     for value in wrong:
         with pytest.raises(ConfigError, match=f"{name} is {value}: give a share"):
-            Expected(**{name: value})
+            expect(**{name: value})
     for power in (0, 1):
         with pytest.raises(ConfigError, match=f"power is {power}: give a probability"):
-            raters_needed(Expected(), 3, power=power)
+            raters_needed(expect(), 3, power=power)
 
 
 @pytest.mark.parametrize("comparisons", [1, 3])
@@ -457,7 +462,7 @@ def test_the_power_is_that_of_the_noncentral_t_distribution(comparisons):
     d = 0.336 / np.sqrt((0.8 * 2.2 - 0.336**2) * 0.25)
     critical = stats.t.isf(0.025 / comparisons, 39)
     t = stats.nct(39, d * np.sqrt(40))
-    found = power_of(Expected(0.65, ties=0.2, clear=0.4, agreement=0.1), 40, 6, comparisons)
+    found = power_of(expect(0.65, ties=0.2, clear=0.4, agreement=0.1), 40, 6, comparisons)
     assert found == pytest.approx(t.sf(critical) + t.cdf(-critical), abs=1e-6)
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import matplotlib
 import matplotlib.figure
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
@@ -16,12 +16,18 @@ from gesturekit.evaluation.definitions import (
     shown_in,
 )
 from gesturekit.evaluation.report.svg import new_figure, svg_text
-from gesturekit.evaluation.results import Evaluation, ModelResult
+from gesturekit.evaluation.results import Evaluation, Interval, ModelResult
 
 MODEL_COLOURS = ("#c8643a", "#3f7fae", "#6c9a48", "#9467a8", "#c49a2c", "#4aa39a")
 RECORDING = "#26303b"
 CHANCE = "#aab4be"
 _SOFT, _LINE = "#6b7785", "#d5dae0"
+
+_DASHED = {"color": RECORDING, "lw": 1.4, "ls": "--"}
+_OF_CHANCE = {"color": CHANCE, "ls": "", "ms": 12, "mew": 2.5}
+_BAR, _DOT = {"lw": 2}, {"ls": "", "marker": "o", "ms": 7}
+_BELOW = {"loc": "outside lower center", "ncols": 4, "frameon": False, "fontsize": 9}
+"""Looks of lines, marks and legends."""
 
 _LEAST_RATIO = 0.01
 _MOST_RECORDINGS = 24
@@ -57,26 +63,26 @@ def _speech(evaluation: Evaluation) -> str | None:
             found = model.metrics.get(key)
             if found is None:
                 continue
-            _error_bar(axes, i, found.interval, colour(i), vertical=True)
+            _error_bar(axes, i, _ends(found.interval), colour(i), vertical=True)
             for value, marker in ((found.chance, "_"), (found.mismatched, "x")):
                 if value is not None:
-                    axes.plot([i], [value], marker, color=CHANCE, markersize=13, mew=2.5)
+                    axes.plot([i], [value], marker=marker, **_OF_CHANCE)
             recordings.append(found.recording)
         known = [value for value in recordings if value is not None]
         if known:
-            axes.axhline(known[0], color=RECORDING, lw=1.4, ls=(0, (4, 3)))
+            axes.axhline(known[0], **_DASHED)
         axes.set_xticks(range(len(labels)), labels)
         axes.set_xlim(-0.6, len(labels) - 0.4)
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
         axes.set_ylabel("Pearson's r" if key == "sync" else "score, 0 to 1")
         _title(axes, DEFINITIONS[key].name)
     handles = [
-        matplotlib.lines.Line2D([], [], color=RECORDING, lw=1.4, ls=(0, (4, 3))),
-        matplotlib.lines.Line2D([], [], color=CHANCE, marker="_", ls="", markersize=12, mew=2.5),
-        matplotlib.lines.Line2D([], [], color=CHANCE, marker="x", ls="", markersize=9, mew=2.5),
+        Line2D([], [], **_DASHED),
+        Line2D([], [], marker="_", **_OF_CHANCE),
+        Line2D([], [], marker="x", **_OF_CHANCE),
     ]
     names = ["the recording's own", "chance: sound shifted", "sound of other recordings"]
-    figure.legend(handles, names, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    figure.legend(handles, names, **_BELOW)
     return svg_text(figure, _LINE, _SOFT)
 
 
@@ -98,10 +104,8 @@ def _ratios(evaluation: Evaluation) -> str | None:
             if ratio is None:
                 continue
             y = row + (i - (len(models) - 1) / 2) * step
-            value, low, high = ratio
-            axes.plot([low, high], [y, y], color=colour(i), lw=2, solid_capstyle="round")
-            axes.plot([value], [y], "o", color=colour(i), ms=7)
-    axes.axvline(1.0, color=RECORDING, lw=1.4, ls=(0, (4, 3)))
+            _error_bar(axes, y, ratio, colour(i), vertical=False)
+    axes.axvline(1.0, **_DASHED)
     axes.set_xscale("log")
     low, high = axes.get_xlim()
     axes.set_xlim(min(low, 0.45), max(high, 2.2))
@@ -114,7 +118,7 @@ def _ratios(evaluation: Evaluation) -> str | None:
     axes.set_xlabel(
         "generated / recorded (log scale, 0.01× and more); the dashed line is the recording"
     )
-    axes.grid(axis="x", color=_LINE, lw=0.8)
+    axes.grid(axis="x", color=_LINE)
     _legend(figure, {model.label: colour(i) for i, model in enumerate(models)})
     return svg_text(figure, _LINE, _SOFT)
 
@@ -123,18 +127,14 @@ def _ratio(model: ModelResult, key: str) -> tuple[float, float, float] | None:
     found = model.metrics.get(key)
     if found is None or not found.recording:
         return None
-    value, low, high = found.interval.value, found.interval.low, found.interval.high
-    ratio = value / found.recording
-    if ratio < _LEAST_RATIO:
-        return None
-    low = ratio if low is None else max(low / found.recording, _LEAST_RATIO)
-    return ratio, low, ratio if high is None else high / found.recording
+    ratio, low, high = (value / found.recording for value in _ends(found.interval))
+    return None if ratio < _LEAST_RATIO else (ratio, max(low, _LEAST_RATIO), high)
 
 
 def _wrists(evaluation: Evaluation) -> str | None:
     sets = [("recording", evaluation.recorded_wrists, RECORDING)]
     sets += [(m.label, m.wrists, colour(i)) for i, m in enumerate(evaluation.models)]
-    sets = [entry for entry in sets if len(entry[1]) > 1 and np.ptp(entry[1]) > 0]
+    sets = [entry for entry in sets if len(entry[1]) and np.ptp(entry[1])]
     if len(sets) < 2:
         return None
     figure = new_figure(3.2)
@@ -145,7 +145,6 @@ def _wrists(evaluation: Evaluation) -> str | None:
         positions=range(len(sets)),
         widths=0.8,
         showextrema=False,
-        points=200,
     )
     for body, (_, _, ink) in zip(parts["bodies"], sets, strict=True):
         body.set(facecolor=ink, edgecolor=ink, alpha=0.35, linewidth=1.2)
@@ -156,14 +155,14 @@ def _wrists(evaluation: Evaluation) -> str | None:
     axes.set_xticks(range(len(sets)), [label for label, _, _ in sets])
     axes.set_ylabel("wrist speed, m/s")
     axes.set_ylim(0, top)
-    axes.grid(axis="y", color=_LINE, lw=0.8)
+    axes.grid(axis="y", color=_LINE)
     return svg_text(figure, _LINE, _SOFT)
 
 
 def _histograms(evaluation: Evaluation) -> str | None:
     sets = [(m.label, m.speeds, colour(i), "-") for i, m in enumerate(evaluation.models)]
     # Last, so that it lies on top of a model that is like it.
-    sets += [("recording", evaluation.recorded_speeds, RECORDING, (0, (3, 3)))]
+    sets += [("recording", evaluation.recorded_speeds, RECORDING, "--")]
     sets = [entry for entry in sets if entry[1].counts.sum()]
     if len(sets) < 2:
         return None
@@ -178,7 +177,7 @@ def _histograms(evaluation: Evaluation) -> str | None:
     axes.set_xlabel("joint speed, cm/s on a body of 1.7 m (bins of 1 cm/s)")
     axes.set_ylabel("share of values, %")
     axes.legend(frameon=False, fontsize=9)
-    axes.grid(axis="y", color=_LINE, lw=0.8)
+    axes.grid(axis="y", color=_LINE)
     return svg_text(figure, _LINE, _SOFT)
 
 
@@ -200,7 +199,7 @@ def _patches(evaluation: Evaluation) -> str | None:
                 interval = model.by_recording.get(stem, {}).get(key)
                 if interval is not None:
                     y = row + (i - (len(models) - 1) / 2) * step
-                    _error_bar(axes, y, interval, inks[model.label], vertical=False)
+                    _error_bar(axes, y, _ends(interval), inks[model.label], vertical=False)
         axes.set_yticks(range(len(stems)), [_short(stem) for stem in stems])
         axes.set_ylim(len(stems) - 0.5, -0.5)
         if DEFINITIONS[key].unit == "%":
@@ -210,34 +209,37 @@ def _patches(evaluation: Evaluation) -> str | None:
             right = 1.05 * axes.get_xlim()[1]
             axes.set_xlim(-0.03 * right, right)
             axes.set_xlabel("mean distance of frames")
-        axes.grid(axis="both", color=_LINE, lw=0.8)
+        axes.grid(color=_LINE)
         _title(axes, DEFINITIONS[key].name)
     _legend(figure, inks)
     return svg_text(figure, _LINE, _SOFT)
 
 
-def _error_bar(axes: Axes, at: float, interval, ink: str, vertical: bool) -> None:
+def _ends(interval: Interval) -> tuple[float, float, float]:
+    """Return value, low and high; the value where there is no interval."""
     low = interval.value if interval.low is None else interval.low
-    high = interval.value if interval.high is None else interval.high
-    line, point = ([at, at], [low, high]), ([at], [interval.value])
-    if not vertical:
-        line, point = line[::-1], point[::-1]
-    axes.plot(*line, color=ink, lw=2, solid_capstyle="round")
-    axes.plot(*point, "o", color=ink, ms=7)
+    return interval.value, low, interval.value if interval.high is None else interval.high
+
+
+def _error_bar(
+    axes: Axes, at: float, ends: tuple[float, float, float], ink: str, vertical: bool
+) -> None:
+    value, *line = ends
+    for along, across, look in ((line, [at, at], _BAR), ([value], [at], _DOT)):
+        points = (across, along) if vertical else (along, across)
+        axes.plot(*points, color=ink, **look)
 
 
 def _legend(figure: matplotlib.figure.Figure, inks: Mapping[str, str]) -> None:
     """Add a legend of several models, {label: colour}."""
     if len(inks) < 2:
         return
-    handles = [
-        matplotlib.lines.Line2D([], [], color=ink, marker="o", lw=2) for ink in inks.values()
-    ]
-    figure.legend(handles, [*inks], loc="outside lower center", ncols=4, frameon=False, fontsize=9)
+    handles = [Line2D([], [], color=ink, marker="o", **_BAR) for ink in inks.values()]
+    figure.legend(handles, [*inks], **_BELOW)
 
 
 def _title(axes: Axes, text: str) -> None:
-    axes.set_title(text, loc="left", fontsize=10.5, color=RECORDING, parse_math=False)
+    axes.set_title(text, loc="left", fontsize=10.5, color=RECORDING)
 
 
 def _short(name: str, most: int = 26) -> str:

@@ -159,10 +159,10 @@ class Expected:
             alone, 1 if each rater always answers the same.
     """
 
-    win_rate: float = 0.6
-    ties: float = 0.2
-    clear: float = 0.4
-    agreement: float = 0.05
+    win_rate: float
+    ties: float
+    clear: float
+    agreement: float
 
     def __post_init__(self) -> None:
         if not 0.5 < self.win_rate < 1:
