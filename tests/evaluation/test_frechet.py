@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 from rigs import without_joints
 from scipy.linalg import sqrtm
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import (
     PoseWindows,
+    div_g,
     div_k,
+    fid_g,
     fid_k,
     frechet_distance,
     frechet_result,
@@ -20,6 +24,7 @@ from gesturekit.evaluation import (
     kinetic_features,
     raw_fgd,
 )
+from gesturekit.evaluation.metrics.frechet.clip_features import clip_features
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts import body_joints
 from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_euler, rotate_vectors
@@ -182,6 +187,226 @@ def standing(skeleton: Skeleton, degrees: dict[str, tuple[float, float, float]],
 HIGH_RIGHT, HIGH_LEFT, BENT_RIGHT, BENT_LEFT = 2, 3, 6, 7
 APART, FAST_RIGHT, FAST_LEFT, KNEE_RIGHT, LIES = 8, 12, 13, 19, 28
 LOW_RIGHT, LOW_LEFT, FAST_ROOT = 29, 30, 31
+
+
+@pytest.fixture(scope="module")
+def wild(skeleton) -> Motion:
+    """Limbs, and the whole body, turn and fly in all directions for ten seconds."""
+    rng, n = np.random.default_rng(0), 300
+    turns = gaussian_filter1d(rng.standard_normal((n, skeleton.n_joints, 3)), 6.0, axis=0)
+    turns *= np.where(np.array(skeleton.names) == "Hips", 3.0, 4.0)[:, None]
+    path = 2.0 * gaussian_filter1d(rng.standard_normal((n, 3)), 6.0, axis=0) + [0.0, 1.0, 0.0]
+    rotations = Rotation.from_rotvec(turns.reshape(-1, 3)).as_quat().reshape(n, -1, 4)
+    return Motion(skeleton, rotations, path, 30.0)
+
+
+def geometric_by_definition(motion: Motion) -> list[float]:
+    """The list of fairmotion's manual features, on this rig, written out frame by frame."""
+    index, places = motion.skeleton.index, motion.positions()
+    ends = motion.end_positions()
+    joint = {
+        "root": "Hips", "belly": "Spine", "chest": "Chest", "neck": "Neck",
+        **{f"{s[0].lower()}{part}": f"{s}{name}" for s in ("Left", "Right") for part, name in (
+            ("shoulder", "Arm"), ("elbow", "ForeArm"), ("wrist", "Hand"), ("hip", "UpLeg"),
+            ("knee", "Leg"), ("ankle", "Foot"))},
+    }  # fmt: skip
+
+    def at(name: str, t: int) -> np.ndarray:
+        if name == "zero":
+            return np.zeros(3)
+        if name in ("up", "down"):
+            return np.array([0.0, 1.0 if name == "up" else -1.0, 0.0])
+        if name in ("ltoes", "rtoes"):
+            return ends["LeftFoot" if name[0] == "l" else "RightFoot"][t, 0]
+        if name == "lowest":
+            toes = [at(f"{side}toes", t)[1] for side in "lr"]
+            return np.array([0.0, min(*places[t, :, 1], *toes), 0.0])
+        return places[t, index(joint[name])]
+
+    def unit(vector: np.ndarray) -> np.ndarray:
+        return vector / np.linalg.norm(vector)
+
+    def step(a: str, t: int) -> np.ndarray:
+        return (at(a, t) - at(a, t - 1)) * 30
+
+    def fast(t, a, theta):
+        return np.linalg.norm(step(a, t)) > theta
+
+    def move(t, a, b, c, theta):  # c moves, seen from a, in the direction from a to b
+        return (step(c, t) - step(a, t)) @ unit(at(b, t) - at(a, t)) > theta
+
+    def normal(t, a, b, c):
+        return unit(np.cross(at(c, t) - at(a, t), at(b, t) - at(a, t)))
+
+    def nmove(t, a, b, c, d, theta):
+        return (step(d, t) - step(a, t)) @ normal(t, a, b, c) > theta
+
+    def plane(t, a, b, c, d, theta):
+        return (at(d, t) - at(a, t)) @ normal(t, a, b, c) > theta
+
+    def nplane(t, a, b, c, d, theta):
+        return (at(d, t) - at(c, t)) @ unit(at(b, t) - at(a, t)) > theta
+
+    def angle(t, a, b, c, d, low, high):
+        cosine = unit(at(b, t) - at(a, t)) @ unit(at(d, t) - at(c, t))
+        return low < np.degrees(np.arccos(np.clip(cosine, -1, 1))) < high
+
+    arm, hips = 0.28, 0.2  # metres on this rig, on which the shoulders move
+    across = places[1:, index("LeftArm")] - places[1:, index("RightArm")]
+    shoulders = np.median(np.linalg.norm(across, axis=-1))
+    relations = [
+        (nmove, "neck", "rhip", "lhip", "rwrist", 1.8 * arm),
+        (nmove, "neck", "lhip", "rhip", "lwrist", 1.8 * arm),
+        (nplane, "chest", "neck", "neck", "rwrist", 0.2 * arm),
+        (nplane, "chest", "neck", "neck", "lwrist", 0.2 * arm),
+        # As released, it takes the chest, which cannot move along its own bone, for the wrist.
+        (move, "belly", "chest", "chest", 1.8 * arm),
+        (move, "belly", "chest", "chest", 1.8 * arm),
+        (angle, "relbow", "rshoulder", "relbow", "rwrist", 0, 110),
+        (angle, "lelbow", "lshoulder", "lelbow", "lwrist", 0, 110),
+        (nplane, "lshoulder", "rshoulder", "lwrist", "rwrist", 2.5 * shoulders),
+        (move, "lwrist", "rwrist", "rwrist", 1.4 * arm),
+        (move, "rwrist", "root", "lwrist", 1.4 * arm),
+        (move, "lwrist", "root", "rwrist", 1.4 * arm),
+        (fast, "rwrist", 2.5 * arm),
+        (fast, "lwrist", 2.5 * arm),
+        (plane, "root", "lhip", "ltoes", "rankle", 0.38 * arm),
+        (plane, "root", "rhip", "rtoes", "lankle", 0.38 * arm),
+        (nplane, "zero", "up", "lowest", "rankle", 1.2 * arm),
+        (nplane, "zero", "up", "lowest", "lankle", 1.2 * arm),
+        (nplane, "lhip", "rhip", "lankle", "rankle", 2.1 * hips),
+        (angle, "rknee", "rhip", "rknee", "rankle", 0, 110),
+        (angle, "lknee", "lhip", "lknee", "lankle", 0, 110),
+        (fast, "rankle", 2.5 * arm),
+        (fast, "lankle", 2.5 * arm),
+        (angle, "neck", "root", "rshoulder", "relbow", 25, 180),
+        (angle, "neck", "root", "lshoulder", "lelbow", 25, 180),
+        (angle, "neck", "root", "rhip", "rknee", 50, 180),
+        (angle, "neck", "root", "lhip", "lknee", 50, 180),
+        (plane, "rankle", "neck", "lankle", "root", 0.5 * arm),
+        (angle, "neck", "root", "zero", "up", 70, 110),
+        (nplane, "zero", "down", "lowest", "rwrist", -1.2 * arm),
+        (nplane, "zero", "down", "lowest", "lwrist", -1.2 * arm),
+        (fast, "root", 2.3 * arm),
+    ]
+    frames = range(1, motion.n_frames)
+    return [np.mean([one(t, *rest) for t in frames]) for one, *rest in relations]
+
+
+def test_geometric_features_equal_their_definition(wild):
+    found, expected = geometric_features(wild), geometric_by_definition(wild)
+    assert found == pytest.approx(expected, abs=1e-9)
+    assert ((found > 0.01) & (found < 0.991)).sum() >= 28, "nearly all hold now and then"
+    # The rig without hands: the wrist is the end of the forearm.
+    bare = without_joints(wild, "Hand")
+    tips = {
+        f"{s}ForeArm": (np.array([x, 0.0, 0.0]),) for s, x in (("Left", 0.25), ("Right", -0.25))
+    }
+    ends = {k: v for k, v in bare.skeleton.end_sites.items() if "Hand" not in k}
+    bare = replace(bare, skeleton=replace(bare.skeleton, end_sites={**ends, **tips}))
+    assert geometric_features(bare) == pytest.approx(expected, abs=1e-9)
+
+
+def test_motions_are_cut_into_whole_clips(wild):
+    """Of 300 frames a clip of 4 s leaves 60; one of 5 s has two, and 5.04 s one."""
+    short = wild[:119]
+    for seconds, starts in ((4.0, (0, 120)), (5.0, (0, 150)), (151 / 30, (0,))):
+        n = round(30 * seconds)
+        kinetic = clip_features([[short, wild]], "kinetic", seconds, ["Hips", "LeftHand"])
+        geometric = clip_features([[short, wild]], "geometric", seconds)
+        ((one,), (other,)) = (*kinetic, *geometric)
+        cut = [wild[k : k + n] for k in starts]
+        assert one == pytest.approx(
+            np.array([kinetic_features(clip, joints=["Hips", "LeftHand"]) for clip in cut])
+        )
+        assert other == pytest.approx(np.array([geometric_features(clip) for clip in cut]))
+    assert clip_features([[wild], [wild]], "kinetic")[1][0].shape == (1, 3 * 19)
+    assert len(clip_features([[wild]], "kinetic", 4 / 30)[0][0]) == 75
+    with pytest.raises(EvaluationError, match="from 0.14"):
+        clip_features([[wild]], "kinetic", 3.9 / 30)
+    with pytest.raises(EvaluationError, match="kind 'x'; expected kinetic or geometric"):
+        clip_features([[wild]], "x")
+
+
+def test_options_of_the_distances_reach_them(gesture):
+    """Ten motions of two clips each have an interval; it depends on the seed of its resamples."""
+    reference = [gesture(2.2, seed=k) for k in range(10)]
+    ours = [gesture(2.2, seed=20 + k) for k in range(10)]
+    hands = ["LeftHand", "RightHand"]
+    windows = PoseWindows.fit(reference, joints=hands)
+    for call in (
+        lambda **more: fid_k(ours, reference, seconds=1.0, joints=hands, **more),
+        lambda **more: fid_g(ours, reference, seconds=1.0, **more),
+        lambda **more: raw_fgd(ours, reference, joints=hands, **{"resamples": 100, **more}),
+    ):
+        found, other = call(), call(seed=1)
+        assert found.low < found.value < found.high and found.value == other.value
+        assert (found.low, found.high) != (other.low, other.high)
+        assert np.isnan(call(resamples=0).high)
+    assert fid_k(ours, reference, seconds=1.0, joints=hands).dimensions == 6
+    whole = fid_k(ours, reference, seconds=1.0, resamples=0)
+    assert (whole.n_generated, whole.dimensions) == (20, 57)
+    found = raw_fgd(ours, reference, joints=hands)
+    assert found == raw_fgd(ours, reference, windows) and found.dimensions == 360
+    assert np.isnan(found.low), "no resamples by default"
+
+
+@pytest.mark.parametrize(
+    ("fid", "div", "features", "joints"),
+    [
+        (fid_k, div_k, kinetic_features, {"joints": ["LeftHand"]}),
+        (fid_g, div_g, geometric_features, {}),
+    ],
+)
+def test_features_are_in_units_of_the_references_spread(wild, gesture, fid, div, features, joints):
+    ours, theirs = [wild[:150]], [wild[150:], gesture(2.0, seed=1)]
+    a = np.array([features(wild[k : k + 60], **joints) for k in (0, 60)])
+    b = [features(clip, **joints) for clip in (wild[150:210], wild[210:270], theirs[1])]
+    spread = np.std(b, axis=0)
+    spread[spread < 1e-9] = 1.0  # constant ones
+    found = fid(ours, theirs, seconds=2.0, resamples=0, **joints)
+    assert found.value == pytest.approx(frechet_distance(a / spread, b / spread))
+    expected = np.linalg.norm((a[0] - a[1]) / spread)
+    assert div(ours, theirs, seconds=2.0, **joints) == pytest.approx(expected)
+    own = np.std(a, axis=0)
+    own[own < 1e-9] = 1.0
+    expected = np.linalg.norm((a[0] - a[1]) / own)
+    assert div(ours, seconds=2.0, **joints) == pytest.approx(expected)
+
+
+def test_the_standard_error_is_that_of_resampled_motions():
+    """Against a bootstrap of its own, of 2000 rounds; motions have 1 to 3 samples."""
+    rng = np.random.default_rng(6)
+    sets = [[shift + rng.normal(size=(1 + k % 3, 2)) for k in range(12)] for shift in (0.0, 3.0)]
+    values = [
+        frechet_distance(
+            *(np.concatenate([one[k] for k in rng.integers(0, 12, 12)]) for one in sets)
+        )
+        for _ in range(2000)
+    ]
+    found = frechet_result(*sets, resamples=1000)
+    error = 1.96 * np.std(values)
+    assert found.high - found.value == pytest.approx(error, rel=0.1)
+    assert found.value - found.low == pytest.approx(found.high - found.value)
+    assert np.isfinite(frechet_result(*sets, resamples=2).low)
+    assert np.isnan(frechet_result(*sets, resamples=1).low), "one resample has no spread"
+    near = frechet_result(sets[0], [x + 0.01 for x in sets[0]])
+    assert near.low == 0 < near.high
+    # Ten motions are enough, nine of either set are not.
+    assert np.isfinite(frechet_result(sets[0][:10], sets[1][:10], resamples=3).low)
+    for few in ([sets[0][:9], sets[1]], [sets[0], sets[1][:9]]):
+        found = frechet_result(*few, resamples=3)
+        assert np.isnan(found.low) and "fewer than 10 motions: no interval" in found.note
+
+
+@pytest.mark.parametrize(("n", "few"), [(20, False), (19, True)])
+def test_ten_samples_a_dimension_are_enough(n, few):
+    rng = np.random.default_rng(7)
+    samples, many = rng.normal(size=(n, 2)), rng.normal(size=(50, 2))
+    for sets in (([samples], [many]), ([many], [samples])):
+        found = frechet_result(*sets, resamples=0)
+        assert ("fewer than 20 samples, 10 a dimension: too high" in found.note) == few
+        assert {found.n_generated, found.n_reference} == {n, 50}
 
 
 def test_features_of_simple_poses(skeleton):

@@ -244,7 +244,7 @@ def test_all_figures_are_written_and_undefined_ones_are_null(tmp_path):
     write_json(found, tmp_path / "x.json")
     text = (tmp_path / "x.json").read_text(encoding="utf-8")
     figures = json.loads(text)
-    assert "é" in text and text.endswith("}\n")
+    assert "é" in text and text.endswith("}\n") and '\n "raters": 8,\n' in text
     pair = {
         "a": "b", "b": "a", "counts": [0, 1, 1, 0, 0], "raters": 2, "p": pytest.approx(0.5),
         "p_holm": pytest.approx(0.5), "p_tukey": pytest.approx(0.42265, abs=1e-4),

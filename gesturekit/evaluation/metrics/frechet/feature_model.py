@@ -36,7 +36,7 @@ class PoseAutoencoder(nn.Module):
 
     Args:
         n_inputs: numbers a frame.
-        n_frames: frames of a window, from 10.
+        n_frames: frames of a window, from 12.
         mean_layer: True to add the last linear layer of Yoon et al.
     """
 
@@ -166,7 +166,7 @@ class FeatureModel:
             drawn = starts[torch.randint(0, len(starts), (size,), generator=rng)]
             batch = frames[drawn[:, None] + torch.arange(windows.n_frames)]
             loss = reconstruction_loss(network(batch)[1], batch)
-            optimiser.zero_grad(set_to_none=True)
+            optimiser.zero_grad()
             loss.backward()
             optimiser.step()
             if progress is not None:

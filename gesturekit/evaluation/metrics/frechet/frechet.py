@@ -154,7 +154,7 @@ def frechet_result(
         notes.append(f"fewer than {_CLIPS} motions: no interval")
     elif resamples:
         error = _standard_error(sets, resamples, seed)
-        low, high = max(0.0, value - 1.96 * error), value + 1.96 * error
+        low, high = float(np.maximum(0.0, value - 1.96 * error)), value + 1.96 * error
     return FrechetResult(value, low, high, n, m, dimensions, "; ".join(notes))
 
 
