@@ -1,11 +1,14 @@
+"""Generated clips find their recordings, sounds and tracks by name."""
+
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
 
+from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import CorpusError
-from gesturekit.evaluation.pairs import find_pairs
+from gesturekit.evaluation.pairs import Items, find_pairs, motion_files
 
 
 @pytest.fixture
@@ -86,3 +89,99 @@ def test_wrong_folders_are_errors_that_name_what_was_found(touch, tmp_path):
         find_pairs(tmp_path / "absent", recordings)
     with pytest.raises(CorpusError, match="no motion file; expected"):
         find_pairs(touch("sounds", "a.wav") / "a.wav", recordings)
+
+
+def manifest(folder: Path, *items: Item) -> Items:
+    Manifest(items).save(folder / "corpus.jsonl")
+    return Items.of_manifest(folder / "corpus.jsonl", "test")
+
+
+def test_clips_of_other_items_of_a_manifest_are_set_aside_and_missing_ones_named(touch, tmp_path):
+    sound = touch("sound", "a.wav") / "a.wav"
+    motion = touch("motion", "a.bvh") / "a.bvh"
+    more = {"motion": motion, "duration": 2.0, "speaker": "ann", "style": "sad"}
+    reference = manifest(
+        tmp_path,
+        Item(id="a", audio=sound, split="test", take="day", **more),
+        Item(id="b", audio=None, split="test", **more),
+        Item(id="c", audio=None, split="test", **more),
+        *(Item(id=f"t{k}", audio=None, split="train", **more) for k in range(4)),
+        Item(id="v", audio=None, split="valid", **more),
+        Item(id="quiet", audio=sound, motion=None, duration=2.0, split="test"),
+    )
+    made = touch(
+        "made", "a_s1.npz", "a_s2.npz", "b.npz", *(f"t{k}.npz" for k in range(4)), "quiet.npz",
+        "x.npz",
+    )  # fmt: skip
+    found = find_pairs(made, reference)
+    assert [(p.name, p.stem, p.take, p.speaker, p.style) for p in found.pairs] == [
+        ("a_s1", "a", "day", "ann", "sad"),
+        ("a_s2", "a", "day", "ann", "sad"),
+        ("b", "b", found.pairs[2].reference.item.take, "ann", "sad"),
+    ]
+    assert [p.audio and p.audio.name for p in found.pairs] == ["a", "a", None]
+    assert [(e.name, e.what) for e in found.excluded] == [("x", "clip"), ("c", "clip")]
+    assert found.excluded[0].reason == "no recording of its name"
+    assert found.excluded[1].reason == f"{made} has no clip of it"
+    path = tmp_path / "corpus.jsonl"
+    assert found.notes == [
+        f"1 clip whose items have no motion in {path}, not measured: quiet",
+        f"4 clips of split train in {path}, not measured: t0, t1, t2 and 1 more",
+    ]
+    assert [item.id for item in reference.training] == ["t0", "t1", "t2", "t3"]
+    assert {item.id for item in reference.others} == {"t0", "t1", "t2", "t3", "v"}
+    assert list(reference.intervals) == ["a", "b", "c"]
+    assert str(reference) == f"split test of {path}"
+    with pytest.raises(CorpusError) as refused:
+        find_pairs(touch("train", "t0.npz", "quiet.npz"), reference)
+    assert str(refused.value) == (
+        f"{tmp_path / 'train'}: nothing to measure: 1 clip whose items have no motion in {path}, "
+        f"not measured: quiet; 1 clip of split train in {path}, not measured: t0"
+    )
+    with pytest.raises(CorpusError, match=r"of 2 clips \(t0, z\) none has a recording"):
+        find_pairs(touch("other", "t0.npz", "z.npz"), reference)
+    none = manifest(tmp_path, Item(id="q", audio=sound, motion=None, duration=2.0, split="test"))
+    with pytest.raises(CorpusError, match="no item has motion to compare with"):
+        find_pairs(made, none)
+
+
+def test_names_of_parts_of_recordings_are_advised_to_give_the_corpus(touch, tmp_path):
+    recordings = touch("recordings", "a.bvh")
+    for name, advised in (("x@1.5-2.25_s1", True), ("x@1-2", True), ("x@1", False)):
+        made = touch(name, f"{name}.npz")
+        with pytest.raises(CorpusError) as refused:
+            find_pairs(made, recordings)
+        assert ("are items of a manifest: --corpus" in str(refused.value)) == advised
+    reference = Items.of_folder(recordings, {})
+    assert str(reference) == str(recordings) and not reference.training
+    (pair,) = find_pairs(touch("made", "a.npz"), reference).pairs
+    assert (pair.take, pair.speaker, pair.audio) == ("a", None, None)
+    with pytest.raises(CorpusError, match="no sound goes with it"):
+        pair.reference.item.load_wave()
+
+
+def test_the_sound_of_a_recording_is_one_file_or_that_of_its_name(touch):
+    recordings = touch("recordings", "p/a.bvh", "q/a.bvh", "b.bvh")
+    made = touch("made", "p/a.npz", "b.npz")
+    sounds = touch("sound", "x/a.wav", "y/a.wav", "b.wav")
+    found = find_pairs(made, recordings, audio=sounds)
+    assert [pair.audio and pair.audio.name for pair in found.pairs] == ["b.wav", None]
+    assert [(e.name, e.what) for e in found.excluded] == [("p/a", "speech")]
+    one = find_pairs(made, recordings, audio=sounds / "b.wav", semantic=touch("t", "b.txt"))
+    assert [pair.audio.name for pair in one.pairs] == ["b.wav", "b.wav"]
+    assert [(e.name, e.what) for e in one.excluded] == [("p/a", "srgr")]
+    assert "no semantic track, or several, of its name" in one.excluded[0].reason
+
+
+def test_names_that_were_found_are_shown_up_to_three(touch):
+    made = touch("made", "a.npz", "b.npz", "c.npz")
+    with pytest.raises(CorpusError, match=r"of 3 clips \(a, b, c\) .*\(w, x, y, \.\.\.\)"):
+        find_pairs(made, touch("recordings", "w.bvh", "x.bvh", "y.bvh", "z.bvh"))
+
+
+def test_files_of_a_folder_that_are_motion_and_hidden_ones_are_told_apart(touch, tmp_path):
+    folder = touch("f", "b/c.NPZ", "a.bvh", "a.npz", "t.txt", ".h.npz")
+    found = motion_files(folder)
+    assert {key: path.name for key, path in found.items()} == {"a": "a.npz", "b/c": "c.NPZ"}
+    assert list(found) == ["a", "b/c"]
+    assert motion_files(folder / "b" / "c.NPZ") == {"c": folder / "b" / "c.NPZ"}
