@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rigs import without_joints
+from scipy import signal
+from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
 from gesturekit.evaluation import (
@@ -21,8 +23,14 @@ from gesturekit.evaluation import (
     max_speed,
     standing_heights,
 )
-from gesturekit.evaluation.metrics.physical import low_passed, wrist_speed
-from gesturekit.motion import Motion
+from gesturekit.evaluation.metrics import physical
+from gesturekit.evaluation.metrics.physical import (
+    LimitsFit,
+    derivative,
+    low_passed,
+    wrist_speed,
+)
+from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts.body_size import body_scale
 
 
@@ -81,6 +89,39 @@ def test_the_first_and_the_last_frame_have_the_step_beside_them(turning):
     assert arm_speed(motion) == pytest.approx([1.0, 1.5, 3.0, 4.0])
 
 
+@pytest.fixture(scope="module")
+def swinging() -> np.ndarray:
+    """(T, 2, 3) at 50 fps: 10 cm to and fro twice a second along x, half as far along z."""
+    wave = 0.1 * np.sin(4 * np.pi * np.arange(200) / 50.0)
+    return np.stack([wave, 0 * wave, 0.5 * wave], axis=-1)[:, None].repeat(2, axis=1)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_derivatives_of_a_swing_are_those_of_its_sine(swinging, order):
+    """At 2 Hz a low-pass of 20 Hz changes nothing."""
+    found = derivative(swinging, 50.0, order, 20.0)
+    assert found.shape == swinging.shape
+    phase = 4 * np.pi * np.arange(200) / 50.0 + order * np.pi / 2
+    expected = 0.1 * (4 * np.pi) ** order * np.sin(phase)
+    middle = slice(40, -40)
+    largest = 0.1 * (4 * np.pi) ** order
+    assert found[middle, 0, 0] == pytest.approx(expected[middle], abs=0.005 * largest)
+    assert found[middle, 1, 2] == pytest.approx(expected[middle] / 2, abs=0.005 * largest)
+
+
+def test_differences_are_per_second_of_their_order(swinging):
+    steps = swinging[1:] - swinging[:-1]
+    assert derivative(swinging, 50.0, 1, None) == pytest.approx(50 * steps)
+    assert derivative(swinging, 50.0, 2, None) == pytest.approx(2500 * (steps[1:] - steps[:-1]))
+
+
+def test_the_fewest_frames_of_derivatives(swinging):
+    for order, cutoff, least in ((1, None, 2), (3, None, 4), (1, 6.0, 6), (3, 6.0, 6)):
+        assert len(derivative(swinging[:least], 50.0, order, cutoff)) > 0
+        with pytest.raises(MotionError, match=f"has {least - 1} frames?; at least {least} are"):
+            derivative(swinging[: least - 1], 50.0, order, cutoff)
+
+
 @pytest.fixture
 def standing(turning) -> Motion:
     """Two seconds of standing still at 50 fps."""
@@ -124,6 +165,13 @@ def test_penetration_is_the_depth_below_the_standing_height(standing):
 def test_one_frame_has_no_speed(standing):
     with pytest.raises(MotionError, match="has 1 frame"):
         foot_skate(standing[:1])
+    assert foot_skate(standing[:2]) == 0.0
+
+
+def test_feet_need_legs(standing):
+    for measure in (foot_skate, floor_penetration, standing_heights):
+        with pytest.raises(MotionError, match="the rig has no legs"):
+            measure(without_joints(standing, "Leg", "Foot"))
 
 
 def test_joints_beyond_recorded_limits_are_counted_per_frame(turning):
@@ -139,12 +187,72 @@ def test_joints_beyond_recorded_limits_are_counted_per_frame(turning):
         JointLimits.fit([], ("LeftForeArm",))
 
 
+def nodding(angles: list[tuple[float, float, float]], skeleton: Skeleton) -> Motion:
+    """The head, and the left hand the other way round, turned by rotation vectors in degrees."""
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(angles), skeleton.n_joints, 1))
+    for name, sign in (("Head", 1.0), ("LeftHand", -1.0)):
+        turns = Rotation.from_rotvec(sign * np.deg2rad(angles))
+        rotations[:, skeleton.index(name)] = turns.as_quat()
+    return Motion(skeleton, rotations, np.tile([0.0, 0.9, 0.0], (len(angles), 1)), 25.0)
+
+
+def test_limits_are_of_each_joint_and_axis_and_5_degrees_wider(skeleton):
+    # About each axis to and fro, so that the mean is no turn at all.
+    axes = np.diag([10.0, 20.0, 30.0])
+    motion = nodding([*axes, *-axes, (0, 0, 0)], skeleton)
+    limits = JointLimits.fit([motion], ("Head", "LeftHand"))
+    assert np.degrees(limits.high) == pytest.approx(np.tile([15, 25, 35], (2, 1)), abs=1e-6)
+    assert np.degrees(limits.low) == pytest.approx(np.tile([-15, -25, -35], (2, 1)), abs=1e-6)
+    lopsided = JointLimits.fit([nodding([(0, 0, 0)] * 2 + [(0, 8, 0), (0, 4, 0)], skeleton)],
+                               ("Head", "LeftHand"))  # fmt: skip
+    # From the mean of 3 degrees.
+    assert np.degrees(lopsided.high)[:, 1] == pytest.approx([10, 8], abs=0.01)
+    assert np.degrees(lopsided.low)[:, 1] == pytest.approx([-8, -10], abs=0.01)
+    hand = lopsided.of_joints(["LeftHand"])
+    assert hand.joints == ("LeftHand",) and np.array_equal(hand.high, lopsided.high[1:])
+    assert np.array_equal(hand.low, lopsided.low[1:])
+    assert np.array_equal(hand.mean, lopsided.mean[1:])
+    # Beyond one axis is beyond; at the limit is not.
+    for turn, share in (((14.9, 24, 0), 0), ((0, 25.1, 0), 1), ((-15.1, 0, 0), 1), ((0, 0, 0), 0)):
+        assert joint_limit_share(nodding([turn], skeleton), limits) == share
+    exact = JointLimits(("Head",), np.array([[0.0, 0, 0, 1]]), np.zeros((1, 3)), np.zeros((1, 3)))
+    assert joint_limit_share(nodding([(0, 0, 0)], skeleton), exact) == 0.0
+
+
+@pytest.mark.parametrize("most", [3, 1000])
+def test_limits_of_many_recordings_are_those_of_all_in_bounded_memory(skeleton, monkeypatch, most):
+    monkeypatch.setattr(physical, "MEAN_FRAMES", most)
+    motions = [nodding([(a, 0, 0), (-a, 0, 0)], skeleton) for a in (5.0, 20.0, 10.0, 25.0)]
+    fit = LimitsFit()
+    for motion in motions:
+        fit.add(motion, ("Head",))
+    found = fit.result()
+    assert np.degrees(found.high[0, 0]) == pytest.approx(30) == -np.degrees(found.low[0, 0])
+    assert np.abs(found.mean[0, 3]) == pytest.approx(1)
+    # The mean is that of the frames up to the first recording beyond the limit.
+    fit = LimitsFit()
+    for angle in (0.0, 8.0, 40.0):
+        fit.add(nodding([(0, angle, 0)] * 2, skeleton), ("Head",))
+    mean = 4 if most == 3 else 16
+    assert np.degrees(fit.result().high[0, 1]) == pytest.approx(45 - mean, abs=0.5)
+    assert np.degrees(fit.result().low[0, 1]) == pytest.approx(-5 - mean, abs=0.5)
+
+
 def test_the_standing_height_is_the_median_while_standing(standing):
     low = standing_heights(standing)
     # A fifth of the time it stands a step higher.
     step = np.zeros((standing.n_frames, 3))
     step[80:, 1] = 0.2
     np.testing.assert_allclose(standing_heights(moved(standing, step)), low, atol=1e-9)
+    # Two of five frames at rest stand higher: the median of those at rest alone.
+    path = np.outer(np.arange(100) // 20, [0.0, 0.1, 0.0]) + np.outer(
+        (np.arange(100) // 20 % 2) * np.arange(100), [1.0, 0.0, 0.0]
+    )
+    np.testing.assert_allclose(standing_heights(moved(standing, path)), low + 0.2, atol=1e-9)
+    # Of a foot that never rests, the height that a tenth of the frames is below.
+    flying = np.outer(standing.times, [1.0, 0.5, 0.0])
+    rises = standing_heights(moved(standing, flying))
+    np.testing.assert_allclose(rises, low + 0.5 * np.quantile(standing.times, 0.1), atol=1e-9)
 
 
 def test_rates_up_to_a_thousandth_apart_are_one_rate(turning):
@@ -173,6 +281,22 @@ def test_low_passed_paths_are_in_time_and_lose_what_is_faster():
     assert low_passed(slow, 50.0, 6.0)[20:-20] == pytest.approx(slow[20:-20], abs=0.01)
     assert np.abs(low_passed(fast, 50.0, 6.0)[20:-20]).max() < 0.02
     assert low_passed(slow, 50.0, 24.9).shape == (200,)
+    # Forwards and backwards: a quarter of the power, twice 3 dB, at the cutoff.
+    edge = np.sin(2 * np.pi * 6 * time + 0.3)
+    assert low_passed(edge, 50.0)[50:-50] == pytest.approx(edge[50:-50] / 2, abs=0.01)
+    # A path that goes straight on stays so to its ends, in each column.
+    line = np.stack([3.0 * time, 1.0 - time], axis=-1)
+    assert low_passed(line, 50.0, 6.0) == pytest.approx(line, abs=1e-4)
+    assert low_passed(line[:6], 50.0, 6.0) == pytest.approx(line[:6], abs=0.02)
+    # Half a second beyond either end is the reflected path, at any rate.
+    for fps in (10.0, 40.0):
+        bend = np.abs(np.arange(round(2 * fps)) / fps - 0.8)
+        pad = round(0.5 * fps)
+        before, after = 2 * bend[0] - bend[pad:0:-1], 2 * bend[-1] - bend[-2 : -2 - pad : -1]
+        whole = np.concatenate([before, bend, after])
+        sos = signal.butter(4, 3.0, fs=fps, output="sos")
+        exact = signal.sosfiltfilt(sos, whole, padtype=None)[pad:-pad]
+        assert low_passed(bend, fps, 3.0) == pytest.approx(exact, abs=1e-9)
     for cutoff in (0.0, 25.0, 30.0):
         with pytest.raises(MotionError, match="between 0 and 25 Hz"):
             low_passed(slow, 50.0, cutoff)

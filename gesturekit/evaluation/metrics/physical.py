@@ -240,11 +240,6 @@ def _mean_derivative(
     return float(np.linalg.norm(values, axis=-1).mean())
 
 
-def _require_frames(motion: Motion, n: int) -> None:
-    if motion.n_frames < n:
-        raise MotionError(f"the motion has {motion.n_frames} frames; at least {n} are needed")
-
-
 def standing_heights(motion: Motion) -> np.ndarray:
     """Return the standing height of each foot point: the median over frames in contact.
 
