@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 from statsmodels.stats.multitest import multipletests
 
 from gesturekit.evaluation.definitions import DEFINITIONS, MOVEMENT, POOLED
@@ -118,6 +119,224 @@ def test_values_better_than_other_recordings_count_as_equal():
     assert distance("coverage", 90.0, 40.0) == 0.0 and distance("coverage", 30.0, 40.0) == 10.0
     assert distance("raw_fgd", 3.0, 5.0) == 0.0 and distance("raw_fgd", 8.0, 5.0) == 3.0
     assert distance("reach", 0.2, 0.3) == pytest.approx(0.1)
+
+
+def judged(values: dict[str, list[float]], key: str = "reach", own: float = 0.5, **more):
+    """The row of a key: a clip of each model, {label: values}, for every recording; None: none."""
+    models = []
+    for label, given in values.items():
+        clips = [
+            clip(f"r{r}", 0, {key: value, **{k: v[r] for k, v in more.items()}}, {key: own})
+            for r, value in enumerate(given)
+            if value is not None
+        ]
+        models.append(model(label, clips))
+    return contests(models).get(key)
+
+
+NEAR, FAR = ([base + 0.01 * (k % 3) for k in range(6)] for base in (0.4, 0.3))
+
+
+def test_the_p_value_is_that_of_the_paired_differences():
+    row = judged({"far": FAR, "near": [0.4, 0.43, 0.41, 0.4, 0.42, 0.41]})
+    p = stats.ttest_rel(FAR, [0.4, 0.43, 0.41, 0.4, 0.42, 0.41]).pvalue
+    assert row.best == "near" and row.p == pytest.approx(p) and row.own == 0.5
+    assert row.distances == pytest.approx({"far": 0.19, "near": 0.5 - 2.47 / 6})
+    assert judged({"alone": NEAR}).p is None
+
+
+def test_the_best_model_differs_from_every_other_one_on_the_recordings_of_both():
+    third = [value - 0.001 for value in NEAR]
+    third[0] += 0.002
+    row = judged({"far": FAR, "near": NEAR, "third": third})
+    assert row.best is None
+    assert row.p == pytest.approx(min(1, stats.ttest_rel(NEAR, third).pvalue))
+    assert judged({"far": FAR, "near": NEAR, "third": [0.2, *FAR[1:]]}).best == "near"
+    # Four takes in common are too few, whatever each has beside them.
+    row = judged({"far": [*FAR[:4], None, None, *FAR], "near": [*NEAR[:4], *NEAR, None]})
+    assert row.best == "near", "the takes of one name are compared"
+    row = judged({"far": [*FAR[:4], None, None], "near": NEAR})
+    assert row.best is None and row.p is None
+
+
+def test_models_as_far_off_on_either_side_are_equal():
+    """They differ surely, and are 0.1 below and 0.104 above; 0.1 and 0.13 is surely nearer."""
+    noise = [0.01, -0.01, 0.02, -0.02, 0.015, -0.015]
+    below = [0.4 + n for n in noise]
+    for above, best in ((0.604, None), (0.63, "below")):
+        row = judged({"above": [above - n for n in noise[::-1]], "below": below})
+        assert row.best == best and (row.p == 1.0) == (best is None), above
+
+
+def test_a_value_must_be_surely_above_the_higher_of_its_chance_levels():
+    good, bad = [0.4, 0.42, 0.41, 0.43, 0.4, 0.42], [0.1, 0.12, 0.1, 0.13, 0.11, 0.1]
+    shaky = [0.39, 0.2, 0.6, 0.3, 0.55, 0.4]
+
+    def row(chance: list[float], mismatched: float):
+        models = []
+        for label, values in (("good", good), ("bad", bad)):
+            clips = [
+                clip(
+                    f"r{r}",
+                    0,
+                    {"sync": v, "sync_chance": chance[r]},
+                    {"sync": 0.6, "sync_chance": 0.1, "sync_z": 5.0},
+                )
+                for r, v in enumerate(values)
+            ]
+            for one in clips:
+                one.mismatched["sync"] = mismatched
+            models.append(model(label, clips))
+        return contests(models)["sync"]
+
+    paired = stats.ttest_rel(good, bad).pvalue
+    assert row([0.1] * 6, 0.2).p == pytest.approx(paired) and row([0.1] * 6, 0.2).best == "good"
+    assert row([0.1] * 6, 0.43).best is None, "no higher than with other recordings"
+    found = row(shaky, 0.0)
+    above = np.array(good) - shaky
+    assert found.p == pytest.approx(stats.ttest_1samp(above, 0, alternative="greater").pvalue)
+    assert found.best is None
+
+
+@pytest.mark.parametrize("key", ["in_time", "sync_z"])
+def test_what_is_above_chance_by_definition_is_compared_with_nothing(key):
+    good, bad = [0.4, 0.2, 0.6, 0.1, 0.5, 0.3], [-0.2, -0.4, 0.0, -0.5, -0.1, -0.2]
+    row = judged({"good": good, "bad": bad}, key, own=9.0)
+    above = stats.ttest_1samp(good, 0, alternative="greater").pvalue
+    assert row.p == pytest.approx(max(above, stats.ttest_rel(good, bad).pvalue))
+
+
+@pytest.mark.parametrize(
+    ("key", "values", "direction"),
+    [
+        ("srgr", (0.3, 0.2), "higher"),
+        ("srgr", (0.3, 0.5 * (1 + 5e-7)), "higher"),
+        ("srgr", (0.3, 0.5 * (1 + 2e-6)), "reference"),
+        ("foot_skate", (0.6, 0.7), "lower"),
+        ("foot_skate", (0.6, 0.5 * (1 - 5e-7)), "lower"),
+        ("foot_skate", (0.6, 0.5 * (1 - 2e-6)), "reference"),
+        ("reach", (0.6, 0.7), "reference"),
+    ],
+)
+def test_an_arrow_holds_as_long_as_no_model_is_beyond_the_recordings(key, values, direction):
+    given = {f"m{k}": [value] * 3 for k, value in enumerate(values)}
+    assert judged(given, key).direction == direction
+
+
+def test_the_distance_of_likeness_is_what_it_lacks():
+    assert distance("likeness", 0.8, 0.9) == pytest.approx(0.2)
+
+
+def test_likeness_is_compared_by_the_takes_of_the_clips():
+    """One model's reach is right, the other's is half of it."""
+    own = [0.3 + 0.01 * k for k in range(6)]
+
+    def reaching(label: str, share: list[float]) -> ModelResult:
+        clips = [clip(f"r{r}", 0, {"reach": s * own[r]}, {"reach": own[r]})
+                 for r, s in enumerate(share)]  # fmt: skip
+        made = model(label, clips)
+        made.metrics["likeness"] = MetricResult("likeness", made.metrics["likeness"].interval, 0.9)
+        return made
+
+    good = reaching("good", [1.0, 0.9, 1.1, 1.0, 0.95, 1.05])
+    bad = reaching("bad", [0.5, 0.52, 0.5, 0.48, 0.5, 0.5])
+    row = contests([bad, good])["likeness"]
+    assert row.distances["good"] == 0.0 and row.best == "good" and row.p < 0.001
+
+
+def test_what_a_clip_lacks_is_compared_on_the_others():
+    rows = {}
+    for label, values in (("near", NEAR), ("far", FAR)):
+        clips = [clip(f"r{r}", 0, {"reach": v, "jerk": 1.0}, {"reach": 0.5, "jerk": 1.0})
+                 for r, v in enumerate(values)]  # fmt: skip
+        clips += [clip("r9", 0, {"jerk": 1.0}, {"jerk": 1.0})]
+        rows[label] = model(label, clips)
+    row = contests([*rows.values()])["reach"]
+    assert row.best == "near" and rows["near"].metrics["reach"].note == "6 of 7 clips"
+
+
+def test_results_are_means_over_takes_beside_chance_and_other_recordings():
+    clips = [clip(f"r{r}", 0, {"bc": v, "bc_chance": c}, {"bc": 0.5 + r, "bc_chance": 0.1,
+             "bc_z": 3.0}) for r, (v, c) in enumerate(((0.4, 0.1), (0.6, 0.2)))]  # fmt: skip
+    clips[0].mismatched["bc"] = 0.3
+    clips.append(clip("r2", 0, {"reach": 1.0}, {}))
+    found = metrics_of(clips)
+    bc = found["bc"]
+    assert (bc.interval.value, bc.recording, bc.chance, bc.mismatched) == pytest.approx(
+        (0.5, 1.0, 0.15, 0.3)
+    )
+    assert bc.note == "2 of 3 clips" and bc.recording_interval.n == 2
+    reach = found["reach"]
+    assert (reach.recording, reach.chance, reach.mismatched) == (None, None, None)
+    assert reach.recording_interval is None
+
+
+def test_measures_of_windows_are_added_to_their_clips_and_ceilings_to_their_rows():
+    clips = [clip(f"r{r}", 0, {"cca": 0.5}, {}) for r in range(2)]
+    own = whole_set(0.9, 2)
+    copying = MetricResult("copying", whole_set(0.3, 2), 0.2, note="windows")
+    novelty = MetricResult("novelty", whole_set(1.5, 2))
+    pooled = {"copying": asdict(copying), "novelty": asdict(novelty)}
+    sets = {
+        "pooled": {"metrics": pooled, "by_clip": [{"one_nn": 0.6}, {"one_nn": 0.8}]},
+        "frechet": {"metrics": {"fid_k": asdict(MetricResult("fid_k", whole_set(7.0, 2)))}},
+    }
+    ceilings = {"cca": (own, "other recordings"), "hellinger": (own, ""), "fid_k": (own, "x")}
+    found = metric_results(clips, sets, ceilings, {})
+    assert found["one_nn"].interval.value == pytest.approx(0.7)
+    cca = found["cca"]
+    assert (cca.recording, cca.recording_interval, cca.note) == (0.9, own, "other recordings")
+    assert found["fid_k"].interval.value == 7.0 and "hellinger" not in found
+    new = found["novelty"]
+    assert (new.recording, new.note, new.informative) == (1.0, "windows", True)
+    assert [(f.name, f.value) for f in new.floors] == [("training motion", 0.0)]
+    assert found["copying"].recording == 0.2
+    # At a CCA of 0.99 and more with another recording, all motion is alike.
+    for value, informs in ((0.99, True), (0.9901, False)):
+        found = metric_results(clips, sets, {"cca": (whole_set(value, 2), "")}, {})
+        assert found["cca"].informative is informs
+
+
+def test_a_pooled_value_has_the_width_of_its_clips_values():
+    values = [0.2, 0.3, 0.25, 0.35, 0.3, 0.28]
+    clips = [clip(f"r{r}", 0, {"reach": v}, {"reach": 2 * v}) for r, v in enumerate(values)]
+    pooled = {"reach": asdict(MetricResult("reach", whole_set(0.56, 6), 1.12))}
+    own, found = metrics_of(clips)["reach"], metrics_of(clips, pooled)["reach"]
+    # Reach is positive: its interval is a ratio to the value.
+    ratio = 0.56 / own.interval.value
+    assert found.interval.value == 0.56 and found.interval.units == 6
+    assert found.interval.low == pytest.approx(ratio * own.interval.low)
+    assert found.interval.high == pytest.approx(ratio * own.interval.high)
+    assert found.recording_interval.low == pytest.approx(ratio * own.recording_interval.low)
+    without = {"reach": asdict(MetricResult("reach", whole_set(0.56, 6)))}
+    assert metrics_of(clips, without)["reach"].recording_interval is None
+
+
+def test_the_standard_deviations_of_recordings_are_pooled():
+    """Of four recordings of 10 s each has 0.2 or more: the sum has 0.4, and three times is 1.2."""
+
+    def given(gap: float, z: float | None = 9.0, **more) -> list[ClipResult]:
+        own = {"sync": 0.1 + gap, "sync_chance": 0.1} | ({} if z is None else {"sync_z": z})
+        return [clip(f"r{r}", s, {}, own) for r in range(4) for s in range(2)]
+
+    assert informative(given(0.301), "sync") and not informative(given(0.299), "sync")
+    # Wider where the shifts say so: 0.301 / 0.3 is more than a deviation of 1.
+    assert not informative(given(0.301, z=0.3), "sync")
+    assert not informative(given(0.301, z=None), "sync")
+    assert informative(given(0.301, z=0.0), "sync"), "no deviation over shifts"
+
+    # Others have that of the shifts alone: four of z are a sum of 2 z.
+    def beats(z: float) -> list[ClipResult]:
+        own = {"bc": 0.6, "bc_chance": 0.5, "bc_z": z}
+        return [clip(f"r{r}", 0, {}, own) for r in range(4)]
+
+    assert informative(beats(1.51), "bc") and not informative(beats(1.49), "bc")
+    assert not informative(beats(0.0), "bc")
+    # Ten-second windows of one recording count each; 2.5 s have twice the deviation.
+    windows = [replace(c, pair=replace(c.pair, stem="r", window=k))
+               for k, c in enumerate(given(0.301)[::2])]  # fmt: skip
+    assert informative(windows, "sync")
+    assert not informative([replace(c, seconds=2.5) for c in given(0.4)], "sync")
 
 
 @pytest.mark.parametrize(("own", "expected"), [(0.5, True), (0.12, False)])
