@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from rigs import without_joints
 from scipy.ndimage import gaussian_filter1d
 
 from audio_features import Wave
@@ -20,7 +21,8 @@ from gesturekit.evaluation import (
     speech_onsets,
     sync,
 )
-from gesturekit.evaluation.metrics.sync import sync_of_moving_arms
+from gesturekit.evaluation.metrics.rhythm import central_speed, consistency, joint_beats
+from gesturekit.evaluation.metrics.sync import hardly_moves, sync_of_moving_arms
 from gesturekit.motion import Motion
 
 ELBOW, SHOULDER = "LeftForeArm", "RightArm"
@@ -221,3 +223,168 @@ def test_onsets_and_pulse_are_where_the_sound_has_them():
     assert np.median(np.diff(pulse)) == pytest.approx(0.5, abs=0.03)
     silence = Wave(np.zeros(16000, dtype=np.float32), 16000)
     assert len(speech_onsets(silence)) == len(music_beats(silence)) == 0
+
+
+@pytest.fixture
+def gliding(skeleton):
+    """gliding(speeds, fps): a body whose central differences have these speeds, m/s."""
+
+    def make(speeds: list[float], fps: float = 30.0) -> Motion:
+        x = [0.0, speeds[0] / fps]
+        for k in range(1, len(speeds) - 1):
+            x.append(x[k - 1] + 2 * speeds[k] / fps)
+        still = np.tile([0.0, 0.0, 0.0, 1.0], (len(x), skeleton.n_joints, 1))
+        return Motion(skeleton, still, np.outer(x, [1.0, 0.0, 0.0]), fps)
+
+    return make
+
+
+def around(lowest: list[float], n: int = 20) -> list[float]:
+    """Speeds that fall, in steps of 1 cm/s, to some values and rise again."""
+    down = [1.0 - 0.01 * k for k in range(n)]
+    return [*down, *lowest, *down[::-1]]
+
+
+@pytest.mark.parametrize(
+    ("lowest", "beats"),
+    [
+        ([0.6, 0.5, 0.6], [21]),
+        # A parabola through 0.7, 0.5 and 0.6: (0.7 - 0.6) / 2 of 0.3 later.
+        ([0.7, 0.5, 0.6], [21 + 1 / 6]),
+        ([0.6, 0.5, 0.5, 0.6], [21.5]),
+        ([0.6, 0.5, 0.5, 0.5, 0.6], []),  # a rest
+        # Of two within 7 frames the lower one, or both if they are farther apart.
+        ([0.5, 0.6, 0.6, 0.6, 0.6, 0.6, 0.6, 0.4, 0.6], [27]),
+        ([0.5, *[0.6] * 8, 0.4, 0.6], [20, 29]),
+        ([0.099, 0.2, 0.2], []),  # below a tenth of the mean speed
+        ([0.101, 0.2, 0.2], [20]),
+    ],
+)
+def test_beats_of_a_joint_are_its_lowest_speeds(gliding, lowest, beats):
+    curve = around(lowest)
+    found = joint_beats(gliding(curve), joints=["Hips"], mean_speed=np.array([1.0]))[0]
+    exact = [at for at in beats if at % 1]
+    assert found[: len(beats)] * 30 == pytest.approx(beats, abs=1e-6 if exact else 0.5)
+    assert len(found) == len(beats)
+
+
+def test_beats_at_the_ends_and_of_a_slow_rate(gliding):
+    """The first and the last frame are no minima; at 2 fps neighbours alone are compared."""
+    rising = [0.3 + 0.01 * k for k in range(40)]
+    assert len(joint_beats(gliding(rising), joints=["Hips"])[0]) == 0
+    found = joint_beats(gliding([1.0, 0.7, 0.9, 0.8, 1.0, 0.6, 1.0, 1.0], 2.0), joints=["Hips"])
+    assert found[0] * 2 == pytest.approx([1, 3, 5], abs=0.4)
+    # The usual speed is the motion's own mean: 0.11 is above a tenth of 0.9, but not of 1.2.
+    curve = around([0.11, 0.2, 0.2])
+    for factor, n in ((1.0, 1), (1.5, 0)):
+        faster = [factor * s if s > 0.5 else s for s in curve]
+        assert len(joint_beats(gliding(faster), joints=["Hips"])[0]) == n
+
+
+def test_motion_beats_are_those_of_the_smoothed_mean_speed(gliding):
+    """A single slow frame of 120 is spread over 5 frames to either side."""
+    speeds = np.ones(120)
+    speeds[60] = 0.2
+    motion = gliding(speeds.tolist(), 60.0)
+    steps = np.linalg.norm(np.diff(motion.translation, axis=0), axis=-1) * 60
+    smooth = gaussian_filter1d(steps, 5.0)
+    low = [k for k in range(1, 118) if smooth[k] < min(smooth[k - 1], smooth[k + 1])]
+    assert motion_beats(motion, variant="bailando", joints=["Hips"]) * 60 == pytest.approx(low)
+
+
+def test_scores_and_chance_equal_their_definition_written_out():
+    """Two joints, and beats of a sound of which some lie outside the motion."""
+    rng = np.random.default_rng(3)
+    for duration in (2.25, 3.05, 7.3):
+        joints = [np.sort(rng.uniform(0, duration, n)) for n in (5, 3)]
+        pulse = np.array([-0.1, 0.0, 0.6, 1.31, 2.2, duration, duration + 1])
+        inside = [b for b in pulse if 0 <= b < duration]
+
+        def score(beats, joints=joints):
+            each = [
+                np.mean([math.exp(-min((b - times) ** 2) / (2 * 0.3**2)) for b in beats])
+                for times in joints
+            ]
+            return np.mean(each)
+
+        shifts = [1.1 + 0.1 * k for k in range(100) if 1.1 + 0.1 * k < duration - 1 - 1e-9]
+        chance = [score([(b + shift) % duration for b in inside]) for shift in shifts]
+        found = consistency(joints, pulse, duration)
+        assert found.score == pytest.approx(score(inside))
+        assert found.chance_mean == pytest.approx(np.mean(chance))
+        assert found.chance_sd == pytest.approx(np.std(chance), abs=1e-12)
+        if len(shifts) > 1:
+            z = (score(inside) - np.mean(chance)) / np.std(chance)
+            assert found.z == pytest.approx(z)
+        assert (found.motion_beats, found.sound_beats, found.note) == (4.0, len(inside), "")
+
+
+def test_a_joint_without_beats_meets_none_and_short_clips_have_no_chance():
+    beats = np.array([0.5, 1.5])
+    found = consistency([beats, np.zeros(0)], beats, 2.1)
+    assert (found.score, found.motion_beats, found.z) == (0.5, 1.0, 0.0)
+    assert found.note == "too short (2.1 s) to shift by more than 1 s: chance unknown"
+    assert consistency([beats], beats, 2.2).note == ""
+    none = consistency([np.zeros(0)], beats, 9.0)
+    assert (none.score, none.sound_beats, none.note) == (0.0, 2, "the motion has no beats")
+    none = consistency([beats], np.array([9.0, -1.0]), 9.0)
+    assert (none.motion_beats, none.sound_beats) == (2.0, 0) and "silence" in none.note
+    # Of a single shift there is no spread to divide by.
+    assert consistency([beats], beats, 2.15).z == 0.0
+
+
+def test_speeds_are_central_differences_of_three_frames_and_more(gliding):
+    speed = central_speed(gliding([1.0, 2.0, 4.0, 3.0]), ["Hips"])
+    assert speed[:3, 0] == pytest.approx([1, 2, 4])
+    with pytest.raises(MotionError, match="has 2 frames; at least 3 are needed"):
+        central_speed(gliding([1.0, 2.0, 4.0])[:2], ["Hips"])
+    assert central_speed(gliding([1.0, 2.0, 4.0]), ["Hips"]).shape == (3, 1)
+
+
+def test_onsets_are_those_of_librosa_at_16_khz():
+    import librosa
+
+    wave = clicks(np.arange(0.5, 4.0, 0.35), 4.0, 22050)
+    sound = wave.resample(16000)
+    expected = librosa.onset.onset_detect(y=sound.samples, sr=16000, hop_length=512, units="time")
+    assert speech_onsets(wave) == pytest.approx(expected)
+    expected = librosa.beat.beat_track(y=wave.samples, sr=22050, units="time")[1]
+    assert music_beats(wave) == pytest.approx(expected)
+
+
+def test_sync_needs_three_frames_beyond_the_lag_and_shifts_of_more_than_a_second(
+    turning, speaking, curve
+):
+    loudness = curve(300, seed=0)
+    wave = speaking(5.0 * loudness)
+
+    def found(n: int, **more):
+        return sync(turning({ELBOW: 4.0 * loudness[:n]}), wave, **more)
+
+    # 0.3 s are 7 frames at 25 fps.
+    assert found(10).note and found(8, max_lag=0.2).note
+    for n, lag in ((9, 0.3), (7, 0.2)):
+        with pytest.raises(MotionError, match=f"there are {n} frames at 25 fps"):
+            found(n, max_lag=lag)
+    assert "too short (2.0 s)" in found(51).note
+    # Of 52 frames one shift, 26, is more than 25 either way; of 53 two are.
+    assert found(52).note == "" and found(52).chance_sd == 0 and found(52).z == 0
+    assert found(53).note == "" and found(53).chance_sd > 0
+    # Sound that ends before the motion: its frames alone count.
+    whole, cut = found(200), sync(turning({ELBOW: 4.0 * loudness}), wave.slice(0, 8.0))
+    assert cut.r == pytest.approx(whole.r, abs=0.02) and cut.lag == whole.lag
+    assert abs(found(200, max_lag=0.0).lag) == 0
+
+
+def test_arms_that_move_a_twentieth_are_informative(turning, speaking, curve):
+    loudness = curve(250, seed=0)
+    recording, wave = turning({ELBOW: 4.0 * loudness}), speaking(5.0 * loudness)
+    for share, moves in ((0.051, True), (0.049, False)):
+        motion = turning({ELBOW: 4.0 * share * loudness})
+        assert hardly_moves(motion, recording) != moves
+        if moves:
+            assert sync_of_moving_arms(motion, recording, wave).r > 0.9
+    still = turning({ELBOW: np.zeros(250)})
+    assert "do not move" in sync_of_moving_arms(still, recording, wave).note
+    legs = without_joints(recording, "Arm", "Hand", "Shoulder")
+    assert hardly_moves(legs, recording) is False
