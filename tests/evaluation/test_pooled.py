@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rigs import without_joints
+from scipy.interpolate import CubicSpline
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
@@ -23,13 +24,27 @@ from gesturekit.evaluation import (
     two_sample_accuracy,
     within_reach,
 )
+from gesturekit.evaluation.metrics import two_sample
 from gesturekit.evaluation.metrics.diagonals import lower_to_nearest
-from gesturekit.evaluation.metrics.hands import hand_paths
-from gesturekit.evaluation.metrics.two_sample import MotionWindows
+from gesturekit.evaluation.metrics.hands import (
+    hand_level,
+    hand_paths,
+    hand_values,
+    window_starts,
+)
+from gesturekit.evaluation.metrics.two_sample import (
+    Copying,
+    MotionWindows,
+    forward_votes,
+    nearest_training,
+    subsample,
+    two_sample_votes,
+)
 from gesturekit.evaluation.results import MetricResult, ModelResult
 from gesturekit.evaluation.statistics.intervals import whole_set
 from gesturekit.evaluation.statistics.questions import verdict
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.parts.body_size import body_scale
 
 FPS = 25.0
 
@@ -452,3 +467,149 @@ def test_hands_of_a_rig_without_wrists_are_the_ends_of_its_forearms(talker, skel
     assert hand_paths(cut) == pytest.approx(hand_paths(motion))
     with pytest.raises(MotionError, match="no wrist joints"):
         hand_paths(bare)
+
+
+@pytest.mark.parametrize(
+    ("frames", "width", "hop", "starts"),
+    [
+        (24, 25, 12.5, []),
+        (25, 25, 12.5, [0]),
+        (37, 25, 12.5, [0]),
+        (38, 25, 12.5, [0, 12]),
+        (50, 25, 12.5, [0, 12, 25]),
+        (4, 2, 1.0, [0, 1, 2]),
+    ],
+)
+def test_windows_start_every_hop_rounded_down(frames, width, hop, starts):
+    assert window_starts(frames, width, hop).tolist() == starts
+
+
+def test_levels_of_clips_are_logarithms_of_their_mean_speed(reaching):
+    path = np.outer(np.arange(50) / FPS, [0.3, 0.4, 0.0])
+    motion = reaching(path, np.zeros_like(path))
+    scale = body_scale(motion.skeleton)
+    # 0.5 m/s of one hand: a mean of 0.25 on this body.
+    assert hand_level(motion) == pytest.approx(np.log(0.25 / scale + 0.01))
+    assert hand_level(motion.scaled(3.0)) == pytest.approx(hand_level(motion))
+
+
+def test_hands_that_change_nothing_or_too_little_cannot_be_compared(reaching):
+    speed = 0.4 + 0.3 * np.sin(np.arange(2500) / 200)
+    lively, level = (reaching(along_x(s), along_x(s)) for s in (speed, 0 * speed))
+    with pytest.raises(MotionError, match="never change their mean speed"):
+        calm_and_lively(level, [lively])
+    # Three windows take 10 s; what one of both lacks is left out.
+    assert calm_and_lively(lively[:250], [lively]).n == 3
+    with pytest.raises(MotionError, match=r"3 windows of 5 s \(hop 2.5 s\); there are 2"):
+        calm_and_lively(lively, [lively[:249]])
+    two = calm_and_lively([lively[:1000], lively[1000:]], [lively[:900], lively[1000:]])
+    assert two.n == 13 + 23 and two.r == pytest.approx(1.0)
+
+
+def test_quantiles_of_the_speed_are_those_of_both_hands(reaching):
+    fast, slow = (reaching(along_x(np.full(300, v)), along_x(np.full(300, v / 2)))
+                  for v in (0.8, 0.02))  # fmt: skip
+    # Speeds of 0.8, 0.4, 0.02 and 0.01 m/s, a quarter each; turns of direction are few.
+    found = hand_movement([fast[:240], slow[:240]])
+    assert (found.q10, found.q50, found.q90) == pytest.approx((0.01, 0.21, 0.8), abs=0.005)
+    assert found.q99 == pytest.approx(0.8, abs=0.005)
+    assert found.rest == 0.5
+    relative = 0.01 / body_scale(fast.skeleton), 0.02 / body_scale(fast.skeleton)
+    assert found.near_still == np.mean([r < 0.02 for r in (*relative, 0.4, 0.8)])
+    values = hand_values([fast[:240], slow[:240]])
+    assert (values["rest"], values["near_still"]) == (50.0, 100 * found.near_still)
+    assert (values["hand_q10"], values["hand_q99"]) == (found.q10, found.q99)
+    assert (values["reach"], values["speed_range"]) == (found.reach, found.range)
+
+
+def of_values(clips: list[list[float]]) -> MotionWindows:
+    """Windows of one number a clip, each of its own clip; their distance is that of the numbers."""
+    frames = tuple(np.full((25, len(values)), np.array(values) / 5) for values in clips)
+    return MotionWindows(frames, np.arange(len(clips)), np.zeros(len(clips), int))
+
+
+def test_windows_are_nearer_to_recordings_or_to_recordings_played_backwards():
+    made = of_values([[0.0], [1.0], [2.0], [10.0]])
+    ahead, back = of_values([[0.1], [3.0], [9.0]]), of_values([[1.2], [1.0], [11.0]])
+    # 0.1 : 1; 0.9 : 0; 1 : 0.8; 1 : 1.
+    assert forward_votes(made, ahead, back).tolist() == [1.0, 0.0, 0.0, 0.5]
+    with pytest.raises(MotionError, match="joints cannot be compared"):
+        forward_votes(made, of_values([[0.0] * 6]), back)
+
+
+def test_votes_say_which_windows_are_told_from_the_other_set():
+    one, other = of_values([[0.0], [0.1], [5.0]]), of_values([[5.1], [9.0], [9.2]])
+    right, drawn = two_sample_votes(one, other)
+    assert right.tolist() == [1, 1, 0, 0, 1, 1] and drawn.tolist() == [1] * 6
+    # Of a larger set as many are drawn twenty times.
+    right, drawn = two_sample_votes(of_values([[0.0], [0.2]]), other)
+    assert drawn[:2].tolist() == [20, 20] and drawn.sum() == 80 and (right <= drawn).all()
+    assert right[:2].tolist() == [20, 20]
+    again = two_sample_votes(of_values([[0.0], [0.2]]), other, seed=1)[1]
+    assert again.tolist() != drawn.tolist()
+
+
+def test_many_windows_are_drawn_at_random(monkeypatch):
+    monkeypatch.setattr(two_sample, "MOST_WINDOWS", 3)
+    many = of_values([[float(k)] for k in range(6)])
+    assert len(subsample(of_values([[0.0]] * 3), np.random.default_rng(0))) == 3
+    kept = {tuple(subsample(many, np.random.default_rng(k)).clips.tolist()) for k in range(20)}
+    assert len(kept) > 5 and all(len(set(k)) == 3 and list(k) == sorted(k) for k in kept)
+    _, drawn = two_sample_votes(many, many, seed=2)
+    assert drawn[:6].sum() == 3 == drawn[6:].sum()
+    found = [within_reach(of_values([[0.0]]), many, seed=k) for k in range(20)]
+    assert len(set(found)) > 1
+
+
+def test_more_generated_windows_come_no_nearer():
+    """Of recorded 0, 1, 3 the nearest are 1, 1 and 2 away; one of ten windows is near."""
+    recorded = of_values([[0.0], [1.0], [3.0]])
+    far = [[100.0 + k] for k in range(9)]
+    found = within_reach(of_values([[0.5], *far]), recorded)
+    # Three of ten are drawn: with the near one, which is near 0 and 1, in 3 of 10 draws.
+    assert 0 < found < 2 / 3 and found * 3 * 20 / 2 == pytest.approx(round(found * 30))
+    assert found == pytest.approx(0.2, abs=0.15)
+    assert within_reach(of_values([[0.5]]), recorded) == 2 / 3
+
+
+def test_ratios_of_copying_are_to_the_held_out_recordings():
+    found = Copying(median=0.1, low=0.06, held_out_median=0.4, held_out_low=0.12)
+    assert (found.median_ratio, found.low_ratio) == pytest.approx((0.25, 0.5))
+
+
+def test_distances_to_training_motion_are_the_least_over_its_copies(reaching):
+    """A hand that stands 0.1 to the left of where it stood in training, or 0.3 to the right."""
+
+    def standing(x: float, seconds: float = 2.0) -> Motion:
+        path = np.tile([x, 0.0, 0.0], (round(seconds * FPS), 1))
+        return reaching(path, -path)
+
+    training = [standing(0.0), standing(0.5, 0.9), standing(0.4)]
+    windows = motion_windows(standing(0.1), ["LeftHand"])
+    found = nearest_training(windows, training, ["LeftHand"])
+    assert found == pytest.approx([0.1] * len(windows))
+    found = copying(standing(0.1), standing(0.3), training, ["LeftHand"])
+    assert (found.median, found.low) == pytest.approx((0.1, 0.1))
+    assert (found.held_out_median, found.held_out_low) == pytest.approx((0.1, 0.1))
+    # The mirrored left hand is the right one: only both together have a mirrored copy.
+    swapped = reaching(np.tile([0.2, 0, 0], (50, 1)), np.tile([-0.1, 0, 0], (50, 1)))
+    other = reaching(np.tile([0.1, 0, 0], (50, 1)), np.tile([-0.2, 0, 0], (50, 1)))
+    both = ["LeftHand", "RightHand"]
+    assert copying(swapped, other, [other], both).median == pytest.approx(0.0, abs=1e-9)
+    one = copying(swapped, other, [other], ["LeftHand"])
+    assert one.median == pytest.approx(0.1) and one.held_out_median == pytest.approx(0.0)
+
+
+def test_copies_of_other_durations_keep_their_ends(talker):
+    training = talker(0, 8.0)
+    whole = body_centred(training, ["LeftHand", "RightHand"])[:, 0]
+    n = len(whole)
+    for stretch in (0.9, 1.1):
+        frames = round((n - 1) * stretch) + 1
+        times = np.linspace(0, n - 1, frames)
+        path = CubicSpline(np.arange(n), whole)(times)
+        copy = MotionWindows(
+            (two_sample._frames(path[:, None]),), np.zeros(1, int), np.array([frames - 25])
+        )
+        found = nearest_training(copy, [training], ["LeftHand"])
+        assert found == pytest.approx([0.0], abs=1e-9)
