@@ -21,7 +21,12 @@ from gesturekit.evaluation import (
     speech_onsets,
     sync,
 )
-from gesturekit.evaluation.metrics.rhythm import central_speed, consistency, joint_beats
+from gesturekit.evaluation.metrics.rhythm import (
+    BeatResult,
+    central_speed,
+    consistency,
+    joint_beats,
+)
 from gesturekit.evaluation.metrics.sync import hardly_moves, sync_of_moving_arms
 from gesturekit.motion import Motion
 
@@ -326,9 +331,9 @@ def test_a_joint_without_beats_meets_none_and_short_clips_have_no_chance():
     assert found.note == "too short (2.1 s) to shift by more than 1 s: chance unknown"
     assert consistency([beats], beats, 2.2).note == ""
     none = consistency([np.zeros(0)], beats, 9.0)
-    assert (none.score, none.sound_beats, none.note) == (0.0, 2, "the motion has no beats")
+    assert none == BeatResult(0.0, 0.0, 0.0, 0.0, 0.0, 2, "the motion has no beats")
     none = consistency([beats], np.array([9.0, -1.0]), 9.0)
-    assert (none.motion_beats, none.sound_beats) == (2.0, 0) and "silence" in none.note
+    assert none == BeatResult(0.0, 0.0, 0.0, 0.0, 2.0, 0, "the sound has no beats (silence?)")
     # Of a single shift there is no spread to divide by.
     assert consistency([beats], beats, 2.15).z == 0.0
 

@@ -289,7 +289,7 @@ def _minima(curve: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
 
     (low,) = argrelextrema(curve, np.less_equal, order=order)
     runs = np.split(low, np.flatnonzero(np.diff(low) > 1) + 1)
-    at = np.array([run[0] for run in runs if 0 < len(run) <= 2], dtype=np.int64)
+    at = np.array([run[0] for run in runs if len(run) <= 2], dtype=np.int64)
     at = at[(at > 0) & (at < len(curve) - 1)]
     before, here, after = curve[at - 1], curve[at], curve[at + 1]
     bend = before - 2 * here + after
