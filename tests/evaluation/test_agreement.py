@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import sys
 import warnings
+from collections.abc import Callable
 from itertools import permutations
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +18,12 @@ from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import read_ratings
 from gesturekit.evaluation.pairs import ItemInterval, Pair
 from gesturekit.evaluation.results import ClipResult, Interval, MetricResult, ModelResult
-from gesturekit.evaluation.statistics.agreement import agreement, chance_range, kendall
+from gesturekit.evaluation.statistics.agreement import (
+    agreement,
+    chance_range,
+    kendall,
+    metric_values,
+)
 from gesturekit.evaluation.statistics.answers import GENEA_COLUMNS, Answer
 from gesturekit.evaluation.statistics.ratings import Ratings
 from gesturekit.evaluation.statistics.scores import scores_of
@@ -161,6 +167,60 @@ def test_kendalls_tau_of_many_rows_equals_that_of_scipy():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert np.isnan(kendall(np.ones((1, 4)), other[:1, :4])).all()
+
+
+def by_take(key: str, takes: int = 6, **values: Callable[[float], float]) -> list[ModelResult]:
+    """Models whose value of each take is a function of the recording's, {label: function}."""
+    own = [1.0 + 0.3 * k for k in range(takes)]
+    models = []
+    for label, change in values.items():
+        clips = [
+            ClipResult(Pair(f"t{k}", f"t{k}", None, Path("a"), Path("b")), 9.0,
+                       {key: change(v)}, {key: v}, {})
+            for k, v in enumerate(own)
+        ]  # fmt: skip
+        found = Interval(float(np.mean([change(v) for v in own])), None, None, 6, 6, "takes")
+        result = MetricResult(key, found, recording=float(np.mean(own)))
+        models.append(ModelResult(label, Path(label), metrics={key: result}, clips=clips))
+    return models
+
+
+def test_values_of_drawn_takes_move_with_those_of_the_recordings():
+    models = by_take("reach", a=lambda v: v + 0.1, b=lambda v: v - 0.2, c=lambda v: 2 * v)
+    found = metric_values(models, "reach", ["a", "b", "c", "recording"], 0)
+    assert set(found) == {"a", "b", "c"}, "the recordings would be first by definition"
+    assert found["a"] == pytest.approx(-0.1) and found["b"] == pytest.approx(-0.2)
+    # Twice the recordings' is as far off as their mean, whose error is that of six takes.
+    assert found["c"][0] == pytest.approx(-1.75)
+    spread = 0.3 * np.std(range(6)) / np.sqrt(6)
+    assert np.std(found["c"][1:]) == pytest.approx(spread, rel=0.1)
+    assert np.mean(found["c"][1:]) == pytest.approx(-1.75, abs=0.02)
+    higher = metric_values(by_take("sync", a=lambda v: v / 2), "sync", ["a", "recording"], 0)
+    assert higher["a"] == pytest.approx(higher["recording"] / 2)
+    assert higher["recording"][0] == pytest.approx(1.75) and np.ptp(higher["recording"]) > 0.3
+    lower = metric_values(by_take("foot_skate", a=lambda v: v / 2), "foot_skate", ["a"], 0)
+    assert set(lower) == {"a"} and lower["a"] == pytest.approx(-higher["a"])
+    other = metric_values(by_take("sync", a=lambda v: v / 2), "sync", ["a"], 1)
+    assert not np.array_equal(other["a"], higher["a"])
+
+
+def test_few_takes_and_clips_without_a_value_are_not_drawn():
+    for models in (by_take("sync", takes=4, a=abs), by_take("sync", a=abs)):
+        if models[0].clips[-1].pair.stem == "t5":
+            models[0].clips[0].metrics.clear()
+        found = metric_values(models, "sync", ["a"], 0)["a"]
+        assert np.ptp(found) == 0 and len(found) > 1
+    # A recording without a value does not matter to the models.
+    models = by_take("sync", a=lambda v: v / 2, b=lambda v: v / 3)
+    for one in models:
+        one.clips[0].recording.clear()
+    found = metric_values(models, "sync", ["a", "b"], 0)
+    assert np.ptp(found["a"]) > 0 and found["b"] == pytest.approx(found["a"] * 2 / 3)
+    # Takes that one model lacks are not drawn for the others.
+    models[1].clips = models[1].clips[1:]
+    fewer = metric_values(models, "sync", ["a", "b"], 0)
+    assert fewer["a"][0] == pytest.approx(found["a"][0])
+    assert np.std(fewer["a"]) < np.std(found["a"])
 
 
 @pytest.mark.parametrize("n", [3, 4, 5, 6, 7])

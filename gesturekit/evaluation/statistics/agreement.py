@@ -11,7 +11,6 @@ one value a clip; a metric of a whole set stays as it is. Systems are compared o
 
 from __future__ import annotations
 
-import warnings
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
@@ -138,9 +137,7 @@ def agreement_of(
     from scipy.stats import kendalltau, spearmanr
 
     people, n = scores.values[kept], len(kept)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        tau, rho = (test(metric, people).statistic for test in (kendalltau, spearmanr))
+    tau, rho = (test(metric, people).statistic for test in (kendalltau, spearmanr))
     low = high = None
     if n >= LEAST_FOR_INTERVAL:
         low, high = _interval(drawn, scores.resampled[:, kept], seed)
@@ -165,7 +162,7 @@ def _interval(
         seed: seed of the draws of systems.
     """
     drawn = np.random.default_rng(seed).integers(0, metric.shape[1], metric.shape)
-    found = kendall(*(np.take_along_axis(values, drawn, axis=1) for values in (metric, people)))
+    found = kendall(*(np.take_along_axis(values, drawn, -1) for values in (metric, people)))
     if np.isnan(found).all():
         return None, None
     low, high = np.nanquantile(found, (0.025, 0.975))
