@@ -1,0 +1,200 @@
+"""Metrics of the set of a model's clips, and of single clips, on motion made by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gesturekit.evaluation.definitions import (
+    DEFINITIONS,
+    FRECHET,
+    GROUPS,
+    MOVEMENT,
+    PATCHES,
+    SIMILARITY,
+    SPEECH,
+    Variants,
+)
+from gesturekit.evaluation.measuring import set_metrics
+from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
+from gesturekit.evaluation.measuring.clips import Clip, RecordedSound
+from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
+from gesturekit.evaluation.measuring.samples import MotionSample
+from gesturekit.evaluation.measuring.set_metrics import SetMetrics, speeds_of
+from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
+from gesturekit.evaluation.metrics.frechet.frechet import div_k, fid_k, raw_fgd
+from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
+from gesturekit.evaluation.metrics.similarity import cca, pose_pair
+from gesturekit.evaluation.metrics.sync import sync
+from gesturekit.evaluation.pairs import Pair
+from gesturekit.motion import Motion
+from gesturekit.motion.parts import body_joints
+
+
+def clip_of(name: str, motion: Motion, recording: Motion, joints=None, audio=None) -> Clip:
+    stem = name.partition("_")[0]
+    pair = Pair(name, stem, None, Path("a"), Path("b"), audio)
+    return Clip(pair, motion, recording, joints or body_joints(recording.skeleton), None, ())
+
+
+def set_of(clips: list[Clip], *groups: str) -> SetMetrics:
+    measure = SimpleNamespace(groups=groups, variants=Variants())
+    found = SetMetrics(measure, 0, SimpleNamespace())
+    for clip in clips:
+        recorded = SpeedHistogram.of([speeds_of(clip.recording, clip.joints)])
+        found.add(clip, recorded)
+    return found
+
+
+@pytest.fixture
+def clips(gesture) -> list[Clip]:
+    """Two samples of two recordings, of 3 s."""
+    return [
+        clip_of(f"{stem}_s{k}", gesture(3.0, 25.0, seed=10 * r + k), gesture(3.0, 25.0, seed=r))
+        for r, stem in enumerate("ab")
+        for k in (1, 2)
+    ]
+
+
+def test_speed_distributions_are_of_all_clips_and_what_is_beyond_is_named(clips):
+    fast = replace(clips[3], generated=replace(clips[3].generated, fps=250.0))
+    found = set_of([*clips[:3], fast]).pooled()
+    speeds = [[speeds_of(side, c.joints) for c in (*clips[:3], fast)
+               for side in [getattr(c, name)]] for name in ("generated", "recording")]  # fmt: skip
+    result = found["hellinger"]
+    assert set(found) == {"hellinger"}
+    assert result.interval.value == pytest.approx(hellinger(*map(SpeedHistogram.of, speeds)))
+    beyond = 100 * np.mean(np.concatenate(speeds[0]) > 0.49)
+    assert result.note == f"{beyond:.1f} % beyond the last bin" and beyond > 5
+    assert (result.interval.units, result.interval.n) == (2, 4)
+
+
+def test_the_canonical_correlation_of_a_set_is_that_of_all_poses(clips, monkeypatch):
+    result = set_of(clips, SIMILARITY).pooled()["cca_global"]
+    both = [pose_pair(c.generated, c.recording, c.joints) for c in clips]
+    expected = cca(*(np.concatenate(side) for side in zip(*both, strict=True)))
+    assert result.interval.value == pytest.approx(expected, abs=1e-6) and result.interval.n == 4
+    # Of clips on other joints than the first there are none; 300 poses are halved, and again.
+    fewer = replace(clips[1], joints=clips[1].joints[:-1])
+    assert set_of([clips[0], fewer], SIMILARITY).pooled()["cca_global"].interval.n == 1
+    monkeypatch.setattr(set_metrics, "_CCA_FRAMES", 160)
+    result = set_of(clips, SIMILARITY).pooled()["cca_global"]
+    # At three clips every second pose is left of each, 114; the fourth has 38 more.
+    thinned = [tuple(side[::2] for side in pair) for pair in both]
+    expected = cca(*(np.concatenate(side) for side in zip(*thinned, strict=True)))
+    assert result.interval.value == pytest.approx(expected, abs=1e-6)
+
+
+def test_samples_of_a_recording_are_compared_up_to_twenty(clips, gesture):
+    features = [patch_features(c.generated, joints=c.joints) for c in clips]
+    found = set_of(clips, PATCHES).pooled()["inter_diversity"]
+    each = [inter_diversity(features[:2]), inter_diversity(features[2:])]
+    assert found.interval.value == pytest.approx(np.mean(each)) and found.interval.n == 2
+    assert "inter_diversity" not in set_of(clips[::2], PATCHES).pooled(), "one sample each"
+    many = [clip_of(f"a_s{k}", gesture(0.8, 25.0, seed=k), clips[0].recording) for k in range(22)]
+    values = [set_of(many[:n], PATCHES).pooled()["inter_diversity"].interval.value
+              for n in (19, 20, 22)]  # fmt: skip
+    assert values[0] != values[1] == values[2]
+    short = [clip_of(f"a_s{k}", gesture(0.3, 25.0), clips[0].recording) for k in range(2)]
+    assert "inter_diversity" not in set_of(short, PATCHES).pooled()
+
+
+def test_distances_of_sets_are_on_the_joints_that_all_clips_have(gesture):
+    made = [gesture(25.0, 30.0, seed=k) for k in range(2)]
+    recorded = [gesture(25.0, 30.0, seed=9 + k) for k in range(3)]
+    joints = body_joints(made[0].skeleton)
+    clips = [clip_of(f"c{k}", made[k], recorded[k], joints[k : len(joints) - 1 + k])
+             for k in range(2)]  # fmt: skip
+    shared = [name for name in joints[1:-1]]
+    full, compared = MotionSample(0), MotionSample(0)
+    for motion in recorded:
+        full.add(motion)
+    for motion in recorded[:2]:
+        compared.add(motion)
+    of_set = set_of(clips, FRECHET)
+    found = of_set.frechet(full, compared, None)
+    assert set(found) == {"raw_fgd", "fid_k", "fid_g", "div_k", "div_g"} and not of_set.problems
+    for key, measure in (("raw_fgd", raw_fgd), ("fid_k", fid_k)):
+        ours, own = (measure(one, recorded, joints=shared) for one in (made, recorded[:2]))
+        assert found[key].interval.value == pytest.approx(ours.value), key
+        assert found[key].recording == pytest.approx(own.value), key
+    assert found["div_k"].interval.value == pytest.approx(div_k(made, recorded, joints=shared))
+    assert found["div_k"].recording == pytest.approx(div_k(recorded[:2], recorded, joints=shared))
+    assert found["div_k"].interval.n == 2
+    whole = set_of(clips, FRECHET).frechet(full, None, None)
+    assert whole["fid_k"].recording is None
+    assert whole["div_k"].recording == pytest.approx(div_k(recorded, joints=shared))
+    short = set_of([clip_of("c", made[0][:200], recorded[0])], FRECHET)
+    few = short.frechet(full, None, None)
+    assert "fid_k" not in few and "raw_fgd" in few
+    assert {key for key, _ in short.problems} == {"fid_k", "fid_g", "div_k", "div_g"}
+
+
+def measured(groups=GROUPS, **more) -> ClipMetrics:
+    return ClipMetrics(ReferenceStatistics(), groups, Variants(), **more)
+
+
+def test_metrics_of_a_clip_are_those_of_the_groups(gesture):
+    clip = clip_of("a", gesture(3.0, 25.0), gesture(3.0, 25.0, seed=1))
+    for groups in ((MOVEMENT,), (PATCHES,), (SIMILARITY,), (MOVEMENT, SIMILARITY)):
+        values, problems = measured(groups).generated(clip)
+        keys = {key for key, d in DEFINITIONS.items() if d.taken_with in groups}
+        assert values and set(values) <= keys and not problems
+    cheap, _ = measured((MOVEMENT,), cheap=True).generated(clip)
+    every, _ = measured((MOVEMENT,)).generated(clip)
+    assert set(cheap) == {key for key in every if DEFINITIONS[key].cheap} < set(every)
+    own, _ = measured((MOVEMENT, SIMILARITY)).recording(clip)
+    assert {DEFINITIONS[key].of for key in own if DEFINITIONS[key].function} == {"motion"}
+    assert own["arm_speed"] != every["arm_speed"]
+    against = measured((MOVEMENT, SIMILARITY, PATCHES)).against(clip)
+    assert {DEFINITIONS[key].of for key in against if DEFINITIONS[key].function} == {"comparison"}
+
+
+def test_another_recording_in_place_of_the_own_one(gesture):
+    clip = clip_of("a", gesture(3.0, 25.0), gesture(3.0, 25.0, seed=1))
+    other = gesture(3.0, 25.0, seed=2)
+    found = measured((SIMILARITY,)).mismatched_motion(clip, other)
+    own = replace(clip, recording=other)
+    assert found == {"cca": pytest.approx(measured((SIMILARITY,)).generated(own)[0]["cca"])}
+    kept = [name for name in other.skeleton.names if name != "Neck"]
+    assert measured((SIMILARITY,)).mismatched_motion(clip, other.keep(kept)) == {}
+
+
+@pytest.fixture
+def spoken(turning, speaking, curve, tmp_path):
+    """A clip whose arms move with its sound, with the sound, and with the curve of its loudness."""
+    loudness = curve(300, seed=0)
+    wave = speaking(5.0 * loudness)
+    motion = turning({"LeftForeArm": 4.0 * loudness})
+    clip = clip_of("a", motion, motion)
+    return clip, RecordedSound(wave), loudness
+
+
+def test_timing_is_sync_above_chance_and_nothing_for_arms_that_hardly_move(
+    spoken, turning, speaking, curve
+):
+    clip, sound, loudness = spoken
+    metrics = measured((SPEECH,))
+    found = metrics.mismatched_sound(clip, [sound])
+    expected = sync(clip.generated, sound.wave)
+    assert found["sync"] == pytest.approx(expected.r)
+    assert found["sync_chance"] == pytest.approx(expected.chance_mean)
+    assert found["sync_z"] == pytest.approx(expected.z)
+    assert found["in_time"] == pytest.approx(expected.r - expected.chance_mean)
+    # The mean over sounds.
+    other = RecordedSound(speaking(5.0 * curve(300, seed=7)))
+    both = metrics.mismatched_sound(clip, [sound, other])
+    alone = metrics.mismatched_sound(clip, [other])
+    assert both["sync"] == pytest.approx((found["sync"] + alone["sync"]) / 2)
+    assert metrics.mismatched_sound(clip, []) == {}
+    slow = replace(clip, generated=turning({"LeftForeArm": 0.1 * loudness}))
+    found = metrics.mismatched_sound(slow, [sound])
+    assert found["in_time"] == 0.0 and "sync" not in found
+    # Too short for a chance level: no timing, but the correlation.
+    short = replace(clip, generated=clip.generated[:40])
+    found = metrics.mismatched_sound(short, [sound])
+    assert "in_time" not in found and found["sync"] > 0.5 and found["sync_z"] == 0.0
