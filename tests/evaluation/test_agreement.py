@@ -158,6 +158,16 @@ def test_pairs_differ_by_the_t_test_of_raters_with_holms_method(tmp_path):
     assert any(expected.values()) and not all(expected.values())
 
 
+def test_two_raters_are_enough_for_a_test_where_they_agree(tmp_path):
+    """Differences of 10 and 10.1: t = 201 with one degree of freedom, p = .003."""
+    lines = [("p", "a", "x", "", 50), ("p", "b", "x", "", 40), ("q", "a", "x", "", 90.1),
+             ("q", "b", "x", "", 80)]  # fmt: skip
+    found = scored(rated(tmp_path / "x.csv", lines), ["a", "b"])
+    assert found.differ.tolist() == [[False, True], [True, False]]
+    one = scored(rated(tmp_path / "y.csv", lines[:2]), ["a", "b"])
+    assert not one.differ.any()
+
+
 def test_kendalls_tau_of_many_rows_equals_that_of_scipy():
     rng = np.random.default_rng(0)
     one, other = rng.integers(0, 5, (2, 50, 8)).astype(float)

@@ -215,6 +215,62 @@ def test_the_multires_protocol_notes_missing_samples(folders):
         evaluate(folders / "samples", folders / "recordings", protocol="genea")
 
 
+def test_clips_unlike_the_protocol_of_windows_are_noted(tmp_path, gesture):
+    """Three samples of ten seconds, to a tenth of a second, are as the protocol says."""
+    gesture(25.0, 10.0).save(tmp_path / "recordings" / "a.npz")
+
+    def notes(*samples: tuple[str, int]) -> list[str]:
+        folder = tmp_path / f"made{len(list(tmp_path.iterdir()))}"
+        for k, (window, frames) in enumerate(samples):
+            gesture(12.0, 10.0, seed=k)[:frames].save(folder / f"a_{window}_s{k}.npz")
+        options = {"protocol": "lda", "cheap": True}
+        (model,) = evaluate(folder, tmp_path / "recordings", **options).models
+        assert "fid_k" not in model.metrics and "arm_speed" in model.metrics
+        assert not model.by_recording and not model.verdict and not model.answers
+        return model.notes
+
+    three = [("w000", n) for n in (100, 101, 99)]
+    assert notes(*three) == []
+    assert notes(*three, ("w001", 100), ("w001", 98)) == [
+        "the protocol takes 3 samples of each window; a: 2",
+        "the protocol takes clips of 10 s; 1 of 5 are of another length and are cut into such "
+        "clips for Fréchet distances",
+    ]
+
+
+def test_takes_are_found_in_names_by_a_pattern(tmp_path, gesture):
+    for k, name in enumerate(("day1_a", "day1_b", "day2_a", "x")):
+        gesture(2.0, 25.0, seed=k).save(tmp_path / "recordings" / f"{name}.npz")
+        gesture(2.0, 25.0, seed=9 + k).save(tmp_path / "made" / f"{name}.npz")
+    options = {"take_pattern": r"(day\d)", "protocol": "multires", "cheap": True}
+    found = evaluate(tmp_path / "made", tmp_path / "recordings", **options)
+    takes = {clip.pair.name: clip.pair.take for clip in found.models[0].clips}
+    assert takes == {"day1_a": "day1", "day1_b": "day1", "day2_a": "day2", "x": "x"}
+    assert found.basis.startswith("Computed over 3 takes (4 clips")
+    assert found.settings["baselines"] == [] and found.settings["split"] is None
+    assert found.protocol == "multires" and found.fps == 25.0
+
+
+def test_options_that_do_not_go_together_are_refused(tmp_path, gesture, write_speech):
+    motion = tmp_path / "a.npz"
+    gesture(2.0, 25.0).save(motion)
+    item = Item(id="a", audio=None, motion=motion, duration=2.0, split="valid")
+    Manifest([item]).save(tmp_path / "corpus.jsonl")
+    with pytest.raises(EvaluationError, match="already gives the sound: leave audio out"):
+        evaluate(motion, tmp_path / "corpus.jsonl", split="valid", audio=motion)
+    with pytest.raises(EvaluationError, match=r"split='test' chooses items of a manifest"):
+        evaluate(motion, motion, split="test")
+    with pytest.raises(GestureKitError, match="test"):
+        evaluate(motion, tmp_path / "corpus.jsonl")
+    found = evaluate(motion, tmp_path / "corpus.jsonl", split="valid", cheap=True)
+    assert found.settings["split"] == "valid" and found.reference == tmp_path / "corpus.jsonl"
+    assert [model.label for model in found.models] == ["generated"]
+    (tmp_path / "made").mkdir()
+    (tmp_path / "made" / "a.npz").write_bytes(b"no motion")
+    with pytest.raises(EvaluationError, match="no generated clip can be read: .*a.npz"):
+        evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", split="valid")
+
+
 def test_the_papers_patch_variant_has_no_coverage_without_a_threshold(folders):
     for threshold, has in ((None, False), (40.0, True)):
         found = evaluate(

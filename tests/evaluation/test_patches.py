@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
-from gesturekit.errors import EvaluationError
+from gesturekit.errors import EvaluationError, MotionError
 from gesturekit.evaluation import (
     coverage,
     global_diversity,
@@ -21,8 +22,11 @@ from gesturekit.evaluation import (
     patch_features,
     patch_scores,
 )
+from gesturekit.evaluation.metrics import patches
+from gesturekit.evaluation.metrics.patches import intra_diversity_of, patch_values
 from gesturekit.motion.contacts import foot_points
 from gesturekit.motion.parts import body_joints
+from gesturekit.motion.parts.body_size import body_scale
 
 
 def window_distances(looked_up, among, window, variant):
@@ -249,3 +253,96 @@ def test_bad_input_gets_one_clear_error(call, message):
 def test_a_motion_is_not_an_array(gesture):
     with pytest.raises(EvaluationError, match="patch_features"):
         coverage(gesture(2.0), OK)
+
+
+@pytest.mark.parametrize("variant", ["ganimator", "paper"])
+def test_values_of_a_clip_are_those_of_its_features(gesture, variant):
+    motion, recording = gesture(3.0), gesture(2.5, seed=1)
+    joints = ["LeftArm", "RightForeArm", "Head"]
+    features = [patch_features(m, variant, joints=joints) for m in (motion, recording)]
+    found = patch_values(motion, recording, joints, patches=variant, threshold=1.1)
+    expected = patch_scores(*features, threshold=1.1, variant=variant)
+    assert found == {
+        "coverage": pytest.approx(100 * expected.coverage),
+        "global_diversity": pytest.approx(expected.global_diversity),
+        "local_diversity": pytest.approx(expected.local_diversity),
+    }
+    usual = patch_values(motion, recording, joints, patches=variant)["coverage"]
+    if variant == "paper":
+        assert np.isnan(usual), "there is no usual threshold"
+    else:
+        assert usual == pytest.approx(100 * patch_scores(*features).coverage)
+    alone = intra_diversity_of(motion, joints, patches=variant)
+    assert alone == pytest.approx(intra_diversity(features[0]))
+
+
+def test_clips_too_long_to_be_compared_are_refused(gesture, monkeypatch):
+    motion, recording = gesture(2.0), gesture(1.5)
+    for most, fits in ((60 * 45, True), (60 * 45 - 1, False)):
+        monkeypatch.setattr(patches, "PATCH_PAIRS", most)
+        if fits:
+            patch_values(motion, recording, ["Head"])
+        else:
+            with pytest.raises(EvaluationError, match="60 × 45 frames are too many"):
+                patch_values(motion, recording, ["Head"])
+            with pytest.raises(EvaluationError, match="60 × 60 frames are too many"):
+                intra_diversity_of(motion, ["Head"])
+    for most, fits in ((1600, True), (1599, False)):
+        monkeypatch.setattr(patches, "_MOST_PAIRS", most)
+        if fits:
+            coverage(OK, OK)
+        else:
+            with pytest.raises(EvaluationError, match="40 frames against 40 would take 0 GB"):
+                coverage(OK, OK)
+
+
+def test_features_are_rotations_and_contacts(gesture, skeleton):
+    motion = gesture(1.0)
+    names = ["LeftArm", "Head"]
+    matrices = np.stack(
+        [Rotation.from_quat(motion.rotations[:, skeleton.index(n)]).as_matrix() for n in names], 1
+    )
+    assert patch_features(motion, "paper", joints=names) == pytest.approx(
+        matrices.reshape(30, -1), abs=1e-9
+    )
+    # The 6D form: two columns of the matrix, one after the other or row by row.
+    features = patch_features(motion, joints=names)[:, :12].reshape(30, 2, 6)
+    by_columns = matrices[..., :2].swapaxes(-1, -2).reshape(30, 2, 6)
+    by_rows = matrices[..., :2].reshape(30, 2, 6)
+    assert np.allclose(features, by_columns) or np.allclose(features, by_rows)
+    every = patch_features(motion, "paper", joints="all")
+    assert every.shape == (30, 9 * skeleton.n_joints)
+    with pytest.raises(MotionError, match="joints: 'x'; expected body, all, or a list"):
+        patch_features(motion, joints="x")
+    with pytest.raises(EvaluationError, match="variant 'x'; expected ganimator or paper"):
+        patch_features(motion, "x")
+    # In contact below 0.54 m/s on the reference body.
+    scale = body_scale(skeleton)
+    still = replace(motion, rotations=np.repeat(motion.rotations[:1], 30, axis=0))
+    for speed, label in ((0.53, 1.0), (0.55, 0.0)):
+        glide = still.translation + np.outer(still.times, [speed * scale, 0, 0])
+        found = patch_features(replace(still, translation=glide), joints=names)
+        contacts = found[:, 12:].reshape(30, -1, 6)[1:, :, 0]
+        assert (contacts == label).all(), speed
+
+
+def test_windows_as_long_as_the_motion(gesture):
+    one, other = OK[:31], OK[5:35]
+    assert coverage(other, one, variant="ganimator") >= 0
+    with pytest.raises(EvaluationError, match="but one has 29"):
+        coverage(other[:29], one)
+    assert global_diversity(one[:30], other) > 0
+    assert inter_diversity([OK, OK + 1], 5) != inter_diversity([OK, OK + 0.01], 5)
+    with pytest.raises(EvaluationError, match="window is 60 frames"):
+        inter_diversity([OK, OK], 60)
+    with pytest.raises(EvaluationError, match="samples have 2 and 3 numbers a frame"):
+        inter_diversity([OK, OK[:, :2]])
+    with pytest.raises(EvaluationError, match="variant 'x'; expected nearest or aligned"):
+        inter_diversity([OK, OK], variant="x")
+    with pytest.raises(EvaluationError, match="0 samples; at least 1 needed"):
+        intra_diversity([])
+    with pytest.raises(EvaluationError, match="window is True"):
+        local_diversity(OK, OK, True)
+    apart = [np.linalg.norm(OK[i : i + 3] - OK[j : j + 3]) / 3
+             for i in range(37) for j in range(37)]  # fmt: skip
+    assert intra_diversity(OK, 3) == pytest.approx(np.mean(apart))
