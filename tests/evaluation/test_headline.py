@@ -2,20 +2,36 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.pairs import ItemInterval, Pair
-from gesturekit.evaluation.results import ClipResult, Interval, Level, MetricResult
+from gesturekit.evaluation.report.headline import headline, headline_lines, interval_warnings
+from gesturekit.evaluation.report.plots import colour
+from gesturekit.evaluation.results import (
+    ClipResult,
+    Evaluation,
+    Finding,
+    Interval,
+    Level,
+    MetricResult,
+    ModelResult,
+)
 from gesturekit.evaluation.statistics.groups import groups_of
+from gesturekit.evaluation.statistics.levels import CEILING
 from gesturekit.evaluation.statistics.likeness import credits, likeness
+from gesturekit.evaluation.statistics.paired import Contest
 from gesturekit.evaluation.statistics.questions import (
     answers,
     in_words,
     likeness_by_group,
     likeness_of,
+    likeness_result,
     verdict,
 )
 
@@ -295,3 +311,122 @@ def test_the_verdict_takes_the_higher_level_of_chance():
         # (0.8 - 0.5) of (1 - 0.5)
         found = {"sync": result("sync", 0.8, 1.0, **levels)}
         assert verdict(found) == "Loosely in time with the speech."
+
+
+def test_likeness_of_several_weightings_is_that_of_each():
+    """Measures that are no ratio: 1-NN of .8 and .7 against the usual .6 have half and 3/4."""
+    made = [
+        ClipResult(Pair(f"r{k}", f"r{k}", None, Path("a"), Path("b")), 9.0, {"one_nn": v}, {}, {})
+        for k, v in enumerate((0.8, 0.7))
+    ]
+    measure = likeness_of(made, 0.6)
+    assert measure(np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.5]])) == pytest.approx(
+        [0.5, 0.75, 0.625]
+    )
+    assert measure(np.array([[1.0, 0.0], [0.5, 0.5]])) == pytest.approx([0.5, 0.625])
+
+
+def test_likeness_without_a_value_of_the_recordings_is_measured_against_one():
+    for value, state in ((0.85, "yes"), (0.84, "partly"), (0.6, "partly"), (0.59, "no")):
+        found = states(clips(), likeness=result("likeness", value, None))
+        assert found["likeness"][0] == state, value
+
+
+@pytest.mark.parametrize(("count", "note"), [(5, True), (4, False)])
+def test_the_likeness_of_a_model_has_the_levels_of_the_recordings(count, note):
+    pairs = [Pair(f"r{r}", f"r{r}", None, Path("a"), Path("b")) for r in range(count)]
+    factors = (1.0, 0.6, 0.5, 0.55, 0.7)
+    made = [ClipResult(p, 9.0, {"reach": 0.3 * f}, {"reach": 0.3}, {})
+            for p, f in zip(pairs, factors)]  # fmt: skip
+    ceiling = Level(CEILING, 0.9, 0.05, 4, pieces=note)
+    floor = Level("another speaker", 0.2, 0.2, 4)
+    found = likeness_result(made, 0.6, {CEILING: ceiling, "another speaker": floor})
+    mean = np.mean(factors[:count]) * 0.3
+    ratio = np.log((0.3 + 0.005) / (mean + 0.005))
+    expected = (np.log(2.5) - ratio) / (np.log(2.5) - np.log(1.25))
+    assert found.interval.value == pytest.approx(expected)
+    assert (found.interval.low is not None) == (count == 5)
+    assert (found.ceiling, found.floors, found.recording) == (ceiling, (floor,), 0.9)
+    what = "piece of one take against the others" if note else "take against the speaker's others"
+    assert found.note == f"recording: each {what}"
+    bare = likeness_result(made, 0.6, {"another speaker": floor})
+    assert (bare.recording, bare.ceiling, bare.note) == (None, None, "")
+    assert likeness_result([replace(one, metrics={}) for one in made], 0.6, {}) is None
+
+
+def shown(*labels: str, informative: bool = True) -> Evaluation:
+    """Models that answer one question each, with a floor and a ceiling."""
+    floors = (Level("mean pose", 0.0, None, 0), Level("another speaker", 0.2, 0.05, 4))
+    ceiling = Level(CEILING, 0.8, 0.1, 1, pieces=True)
+    found = MetricResult("likeness", Interval(0.5, 0.4, 0.6, 6, 6, "takes"), 0.8, ceiling=ceiling,
+                         floors=floors, informative=informative)  # fmt: skip
+    models = []
+    for label in labels:
+        answer = Finding("Moves like this speaker?", "likeness", "partly", "Somewhat <so>.")
+        made = ModelResult(label, Path(label), answers=[answer], metrics={"likeness": found})
+        made.clips = [ClipResult(Pair("c", "c", None, Path("a"), Path("b")), 3.0, {}, {}, {})]
+        models.append(made)
+    return Evaluation(models, Path("r"), 25.0, "", {"variants": {}}, SpeedHistogram(), np.zeros(0))
+
+
+LEVELS = (
+    "floor: mean pose 0, another speaker 0.20 ± 0.05 (4 takes); ceiling: pieces of one take, more "
+    "alike than takes are 0.80 ± 0.10 (1 piece)"
+)
+
+
+def test_a_line_of_a_terminal_has_the_answer_its_interval_and_its_levels():
+    text = f"Moves like this speaker? Somewhat <so>. (0.50; 95 % interval 0.40 to 0.60; {LEVELS})"
+    assert headline_lines(shown("a")) == [text]
+    assert headline_lines(shown("a", "b")) == [f"a: {text}", f"b: {text}"]
+    silent = shown("a", informative=False)
+    assert headline_lines(silent) == ["Moves like this speaker? Somewhat <so>."]
+    silent.models[0].metrics.clear()
+    assert headline_lines(silent) == ["Moves like this speaker? Somewhat <so>."]
+    bare = shown("a")
+    bare.models[0].metrics["likeness"] = result("likeness", 0.5, None)
+    assert headline_lines(bare)[0].endswith("(0.50; no interval)")
+
+
+def test_the_page_shows_the_score_on_its_line_in_the_models_colour():
+    found = shown("a", "b")
+    page = headline(found, {"likeness": Contest("likeness", 0.8, {}, "reference", best="b")})
+    assert page.count("<span class=best>0.50</span>") == 1 and page.count(">0.50</span>") == 2
+    assert page.index(">b<") < page.index("class=best")
+    assert page.count("Somewhat &lt;so&gt;.") == 2
+    assert page.count("<small>95 % interval 0.40 to 0.60</small>") == 2
+    dots = re.findall(r'<circle cx="([\d.]+)" cy="15" r="5" style="fill:(#\w+)"/>', page)
+    # From 0 to the end of the ceiling's band at 0.9, on 248 pixels from 6 on.
+    assert [float(x) for x, _ in dots] == pytest.approx([6 + 248 * 0.5 / 0.9] * 2, abs=0.06)
+    assert [ink for _, ink in dots] == [colour(0), colour(1)]
+    bands = [tuple(map(float, b)) for b in re.findall(r'<rect x="([\d.]+)" width="([\d.]+)"', page)]
+    scale = 248 / 0.9
+    assert bands[:3] == [
+        pytest.approx((6, 0), abs=0.06),
+        pytest.approx((6 + 0.15 * scale, 0.1 * scale), abs=0.06),
+        pytest.approx((6 + 0.7 * scale, 0.2 * scale), abs=0.06),
+    ]
+    assert re.findall(r'<g class="(\w+)">', page)[:3] == ["floor", "floor", "ceiling"]
+    assert 'class="floor">floor: mean pose 0; another speaker 0.20 ± 0.05 (4 takes)</small>' in page
+    silent = headline(shown("a", informative=False), {})
+    assert "<circle" not in silent and "class=best" not in silent and silent.count("<svg") == 1
+    none = shown("a")
+    none.models[0].answers.clear()
+    assert headline(none, {}) == ""
+
+
+def test_takes_that_are_missing_are_asked_for_once_or_by_model():
+    (warning,) = interval_warnings(shown("a", "b"))
+    assert warning.startswith("the clips come from 1 take: no intervals") and "a: " not in warning
+    assert warning.endswith("Hold out 5 or more takes")
+    found = shown("a", "b")
+    found.models[1].clips += [
+        replace(found.models[1].clips[0], pair=Pair("d", "d", None, Path("a"), Path("b")))
+    ]
+    one, two = interval_warnings(found)
+    assert one.startswith("a: the clips come from 1 take:")
+    assert two.startswith("b: the clips come from 2 takes:")
+    for model in found.models:
+        model.clips = [replace(model.clips[0], pair=Pair(c, c, None, Path("a"), Path("b")))
+                       for c in "pqrst"]  # fmt: skip
+    assert list(interval_warnings(found)) == []
