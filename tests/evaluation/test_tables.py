@@ -6,6 +6,7 @@ import csv
 import html
 import io
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,15 +20,17 @@ from gesturekit.evaluation.report.metric_table import (
     note_lines,
     summary_line,
     terminal_lines,
+    write_table,
 )
 from gesturekit.evaluation.results import (
+    Agreement,
     ClipResult,
     Evaluation,
     Interval,
     MetricResult,
     ModelResult,
 )
-from gesturekit.evaluation.statistics.paired import Contest
+from gesturekit.evaluation.statistics.paired import Contest, contests
 
 
 def of(value: float, low: float | None = None, high: float | None = None, n: int = 6) -> Interval:
@@ -218,3 +221,108 @@ def test_files_hold_the_same_table(evaluation):
     assert latex[5] == r"\multicolumn{6}{l}{\textit{Speech}} \\"
     assert latex[6] == r"Sync & $\uparrow$ & 0.50 [0.40, 0.60] & -- & 0.70 & 0.25 \\"
     assert latex[-1] == r"\end{tabular}"
+
+
+@pytest.fixture
+def contested() -> Evaluation:
+    """Two models on six takes: the reach of the second one is surely nearer to the recordings'."""
+    models = []
+    for label, base in (("b|c_d", 0.2), ("語 50%", 0.4)):
+        clips = []
+        for k in range(6):
+            pair = Pair(f"r{k}", f"r{k}", None, Path("a"), Path("b"))
+            value = base + 0.01 * (k % 3)
+            clips.append(ClipResult(pair, 5.0, {"reach": value}, {"reach": 0.5}, {}))
+        metrics = {
+            "reach": MetricResult("reach", of(base + 0.01, base, base + 0.02), 0.5),
+            "jerk": MetricResult("jerk", of(3.0), 4.0, chance=1.0),
+        }
+        models.append(ModelResult(label, Path(label), metrics=metrics, clips=clips))
+    settings = {"variants": {}}
+    return Evaluation(models, Path("r"), 25.0, "", settings, SpeedHistogram(), np.zeros(0))
+
+
+def test_the_bold_value_is_marked_in_every_form(contested, tmp_path):
+    row = contests(contested.models)["reach"]
+    assert row.best == "語 50%" and row.p < 0.05
+    lines = terminal_lines(contested)
+    (reach,) = (line for line in lines if line.startswith("  Reach, m "))
+    assert "*0.41 [0.40, 0.42]" in reach and reach.count("*") == 1 and "0.50" in reach
+    # A wide letter takes two columns: the columns after it stand below its head.
+    head = lines[0]
+    at = len(head[: head.index("recording")].encode("utf-16-le")) // 2 + 1
+    assert reach[at : at + 4] == "0.50"
+    assert lines[-1] == (
+        "No interval, and never bold: Jerk: one value of the whole set of clips, from too few "
+        "takes, or at the bound of its range."
+    )
+    rows = list(csv.DictReader(io.StringIO(WRITERS["csv"](contested))))
+    found = {(r["model"], r["key"]): (r["best"], r["p"], r["chance"]) for r in rows}
+    assert found["語 50%", "reach"] == ("True", str(row.p), "")
+    assert found["b|c_d", "reach"][0] == "False" and found["b|c_d", "jerk"][1:] == ("", "1.0")
+    markdown = WRITERS["markdown"](contested).splitlines()
+    assert markdown[0] == r"| Metric |  | b\|c\_d | 語 50% | Recording | Chance |"
+    (reach,) = (line for line in markdown if line.startswith("| Reach, m |"))
+    assert reach == "| Reach, m |  | 0.21 [0.20, 0.22] | **0.41 [0.40, 0.42]** | 0.50 |  |"
+    latex = WRITERS["latex"](contested)
+    assert r"Metric &  & b|c\_d & 語 50\% & Recording & Chance \\" in latex
+    assert r"Reach, m &  & 0.21 [0.20, 0.22] & \textbf{0.41 [0.40, 0.42]} & 0.50 &  \\" in latex
+    assert latex.startswith(r"% Computed over 6 takes (6 clips, 30 s) at 25 fps. Mean")
+    write_table(contested, tmp_path / "x.md", "markdown")
+    assert (tmp_path / "x.md").read_text(encoding="utf-8") == WRITERS["markdown"](contested)
+
+
+def test_metrics_without_an_interval_are_named_only_beside_others(contested):
+    def last() -> str:
+        return terminal_lines(contested)[-1]
+
+    assert last().startswith("No interval, and never bold: Jerk:")
+    for model in contested.models:
+        model.metrics["jerk"] = MetricResult("jerk", of(3.0), 4.0, informative=False)
+    assert not last().startswith("No interval")
+    for model in contested.models:
+        model.metrics = {"jerk": MetricResult("jerk", of(3.0), 4.0)}
+    assert not last().startswith("No interval"), "none has one"
+    model.metrics["reach"] = MetricResult("reach", of(0.4, 0.3, 0.5), 0.5)
+    assert last().startswith("No interval, and never bold: Jerk:")
+    for model in contested.models:
+        model.clips = model.clips[:2]
+    assert not last().startswith("No interval"), "the warning of few takes says so"
+
+
+def test_notes_of_models_and_studies_are_lines(contested):
+    contested.agreement = Agreement((), ("left out: x",))
+    contested.models[1].notes.append("samples")
+    contested.models[1].excluded += (
+        [Excluded(name, "no feet", what) for name in "abab" for what in ("foot_skate", "srgr")]
+        + [Excluded(name, "no feet", "foot_skate") for name in "cd"]
+        + [Excluded("a", "odd", "x")]
+    )
+    assert list(note_lines(contested)) == [
+        "Note: study: left out: x",
+        "Note: 語 50%: samples",
+        "Left out: 語 50%: a, b, c and 1 more: foot_skate, srgr: no feet",
+        "Left out: 語 50%: a: x: odd",
+    ]
+    for model in contested.models:
+        model.clips = model.clips[:2]
+    assert next(note_lines(contested)).startswith("Warning: the clips come from 2 takes: no int")
+    one = replace(contested, models=contested.models[:1])
+    one.models[0].clips = one.models[0].clips[:1]
+    assert summary_line(one, None).startswith("1 clip measured, 0 left out;")
+
+
+def test_the_chance_is_the_higher_level_of_the_first_model_that_has_the_metric(contested):
+    def chance(first: MetricResult | None, second: MetricResult | None) -> str:
+        for model, result in zip(contested.models, (first, second)):
+            model.metrics = {"bc": result} if result else {}
+        lines = WRITERS["markdown"](contested).splitlines()
+        (*_, row) = (line for line in lines if line.startswith("| "))
+        return row.split("|")[-2].strip()
+
+    def level(low: float | None, other: float | None) -> MetricResult:
+        return MetricResult("bc", of(0.5), 0.6, chance=low, mismatched=other)
+
+    assert chance(level(0.1, 0.3), level(0.9, None)) == "0.30"
+    assert chance(level(0.2, 0.1), None) == "0.20" and chance(None, level(0.4, None)) == "0.40"
+    assert chance(level(None, None), level(0.4, None)) == ""
