@@ -8,7 +8,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rigs import without_joints
 
+from gesturekit.corpus import Item
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
     FRECHET,
@@ -23,14 +25,29 @@ from gesturekit.evaluation.measuring import set_metrics
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import Clip, RecordedSound
 from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
+from gesturekit.evaluation.measuring.pooled import PooledMetrics
 from gesturekit.evaluation.measuring.samples import MotionSample
 from gesturekit.evaluation.measuring.set_metrics import SetMetrics, speeds_of
+from gesturekit.evaluation.measuring.speakers import TrainingMotion, backwards, own_windows
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.frechet.frechet import div_k, fid_k, raw_fgd
+from gesturekit.evaluation.metrics.hands import (
+    HAND_KEYS,
+    calm_and_lively,
+    hand_values,
+    upper_joints,
+)
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
 from gesturekit.evaluation.metrics.similarity import cca, pose_pair
 from gesturekit.evaluation.metrics.sync import sync
-from gesturekit.evaluation.pairs import Pair
+from gesturekit.evaluation.metrics.two_sample import (
+    forward_votes,
+    motion_windows,
+    nearest_training,
+    two_sample_votes,
+    within_reach,
+)
+from gesturekit.evaluation.pairs import ItemInterval, Pair
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
 
@@ -198,3 +215,139 @@ def test_timing_is_sync_above_chance_and_nothing_for_arms_that_hardly_move(
     short = replace(clip, generated=clip.generated[:40])
     found = metrics.mismatched_sound(short, [sound])
     assert "in_time" not in found and found["sync"] > 0.5 and found["sync_z"] == 0.0
+
+
+def pooled_of(clips: list[Clip], training: TrainingMotion | None = None):
+    """Return a set's pooled metrics, and those of each clip."""
+    found = PooledMetrics(training or TrainingMotion(), 0)
+    for clip in clips:
+        found.add(clip)
+    return found.pooled(), found.by_clip(), found.problems
+
+
+@pytest.fixture(scope="module")
+def by_speaker(gesture) -> dict[str, list[Clip]]:
+    """Two samples of each of two takes of two speakers; of 10 to 12 s."""
+    found = {}
+    for s, name in enumerate(("ann", "ben")):
+        for take in (1, 2):
+            item = Item(id=f"{name}{take}", audio=None, motion=Path("a"), duration=4.0,
+                        split="test", speaker=name, take=f"{take}")  # fmt: skip
+            own = gesture(9.0 + s + take, 25.0, seed=10 * s + take)
+            for k in (1, 2):
+                pair = Pair(f"{name}{take}_s{k}", f"{name}{take}", None, Path("a"),
+                            ItemInterval(item))  # fmt: skip
+                made = gesture(9.0 + s + take, 25.0, seed=100 + 10 * s + take + 50 * k)
+                joints = body_joints(own.skeleton)
+                found.setdefault(name, []).append(Clip(pair, made, own, joints, None, ()))
+    return found
+
+
+def sides_of(clips: list[Clip]) -> tuple[list[Motion], list[Motion]]:
+    """Return the generated motions, and each recording once."""
+    return [c.generated for c in clips], [c.recording for c in clips[::2]]
+
+
+def test_windows_are_compared_within_speakers(by_speaker):
+    every = [*by_speaker["ann"], *by_speaker["ben"]]
+    metrics, by_clip, problems = pooled_of(every)
+    joints = upper_joints(every[0].recording.skeleton)
+    right = drawn = 0.0
+    ahead, reach, counts, near, own = [], [], [], [], []
+    for clips in by_speaker.values():
+        made, recorded = sides_of(clips)
+        ours, theirs = (motion_windows(side, joints) for side in (made, recorded))
+        back = motion_windows([backwards(m) for m in recorded], joints)
+        votes = two_sample_votes(ours, theirs)
+        right, drawn = right + votes[0].sum(), drawn + votes[1].sum()
+        ahead.append(100 * forward_votes(ours, theirs, back))
+        reach.append(100 * within_reach(ours, theirs))
+        counts.append(len(theirs))
+        near.append(nearest_training(ours, recorded, joints))
+        own += [own_windows([recorded[i]], [recorded[1 - i]], joints, 0) for i in range(2)]
+    value = {key: found.interval.value for key, found in metrics.items()}
+    recording = {key: found.recording for key, found in metrics.items()}
+    assert value["one_nn"] == pytest.approx(right / drawn)
+    assert value["forward"] == pytest.approx(np.concatenate(ahead).mean())
+    assert value["within_reach"] == pytest.approx(np.average(reach, weights=counts))
+    assert value["copying"] == pytest.approx(np.median(np.concatenate(near)))
+    assert value["copying_low"] == pytest.approx(np.quantile(np.concatenate(near), 0.05))
+    for key in ("one_nn", "forward", "within_reach"):
+        assert recording[key] == pytest.approx(np.mean([one[key] for one in own])), key
+        assert metrics[key].note == "recording: each take against the speaker's others"
+        assert metrics[key].interval.n == 8
+    # Each take against the speaker's other one: medians and quantiles, averaged.
+    quantiles, medians = [], []
+    for clips in by_speaker.values():
+        _, recorded = sides_of(clips)
+        for i in range(2):
+            windows = motion_windows(recorded[i], joints)
+            distances = nearest_training(windows, [recorded[1 - i]], joints)
+            quantiles.append(np.quantile(distances, (0.5, 0.05)))
+            medians.append(np.median(distances))
+    median, low = np.mean(quantiles, axis=0)
+    assert (recording["copying"], recording["copying_low"]) == pytest.approx((median, low))
+    ceiling = metrics["copying"].ceiling
+    assert (ceiling.value, ceiling.n, ceiling.pieces) == (1.0, 4, False)
+    assert ceiling.spread == pytest.approx(np.std(medians, ddof=1) / median)
+    # The measures of the first clip are those of its windows.
+    first = motion_windows(every[0].generated, joints)
+    _, recorded = sides_of(by_speaker["ann"])
+    distances = nearest_training(first, recorded, joints)
+    assert by_clip[0]["copying"] == pytest.approx(np.median(distances))
+    assert by_clip[0]["novelty"] == pytest.approx(np.median(distances) / median)
+    assert by_clip[0]["forward"] == pytest.approx(ahead[0][: len(first)].mean())
+    assert all(set(one) == {"one_nn", "forward", "copying", "novelty"} for one in by_clip)
+    mean = np.mean([one["one_nn"] for one in by_clip])
+    assert mean == pytest.approx(right / drawn, abs=0.15)
+    pairs = [(c.recording, [c.generated, d.generated]) for c, d in zip(every[::2], every[1::2])]
+    calm = calm_and_lively(*map(list, zip(*pairs, strict=True)))
+    assert (value["calm_lively_r"], value["calm_lively_slope"]) == pytest.approx(
+        (calm.r, calm.slope)
+    )
+    assert metrics["calm_lively_r"].note == f"{calm.n} windows" and recording["calm_lively_r"] == 1
+    assert problems == []
+
+
+def test_hands_are_pooled_and_compared_with_training(by_speaker, gesture):
+    clips = by_speaker["ben"]
+    training = TrainingMotion([gesture(8.0, 25.0, seed=5)], ["ben"], note="1 of 2 min of it")
+    metrics, _, _ = pooled_of(clips, training)
+    made, recorded = sides_of(clips)
+    ours, theirs, trained = map(hand_values, (made, recorded, training.motions))
+    for key in HAND_KEYS:
+        if np.isfinite(ours[key]):
+            assert metrics[key].interval.value == pytest.approx(ours[key]), key
+            assert metrics[key].recording == pytest.approx(theirs[key]), key
+            assert metrics[key].note == f"training recordings: {trained[key]:.2f}"
+    note = "recording: against the training split (1 of 2 min of it)"
+    assert metrics["copying"].note == metrics["one_nn"].note == note
+    joints = upper_joints(clips[0].recording.skeleton)
+    distances = nearest_training(motion_windows(made, joints), training.motions, joints)
+    assert metrics["copying"].interval.value == pytest.approx(np.median(distances))
+    own = own_windows(recorded, training.motions, joints, 0)
+    assert metrics["one_nn"].recording == pytest.approx(own["one_nn"])
+
+
+def test_a_single_take_is_compared_by_halves(by_speaker):
+    metrics, _, _ = pooled_of(by_speaker["ben"][2:])
+    assert metrics["one_nn"].note == "recording: one half against the other"
+    ceiling = metrics["copying"].ceiling
+    assert ceiling.pieces and ceiling.n == 2 and ceiling.value == 1.0
+    short = [replace(c, generated=c.generated[:30], recording=c.recording[:30])
+             for c in by_speaker["ben"][2:]]  # fmt: skip
+    metrics, _, problems = pooled_of(short)
+    reasons = dict(problems)
+    assert "one_nn" in reasons and "copying" in reasons and "reach" in metrics
+    assert "speed_range" in reasons and "reach" not in reasons
+
+
+def test_a_rig_without_hands_has_no_pooled_metrics_of_hands(by_speaker):
+    bare = [replace(c, generated=without_joints(replace(c.generated), "Hand"),
+                    recording=without_joints(c.recording, "Hand"),
+                    joints=tuple(n for n in c.joints if "Hand" not in n))
+            for c in by_speaker["ann"]]  # fmt: skip
+    metrics, _, problems = pooled_of(bare)
+    reasons = dict(problems)
+    assert set(HAND_KEYS) <= set(reasons) and "no wrist joints" in reasons["reach"]
+    assert "one_nn" in metrics
