@@ -393,7 +393,7 @@ class _Lookup:
         self.recorded = recorded
         self.by_stem: dict[str, list[str]] = defaultdict(list)
         for key in recorded:
-            self.by_stem[key.rsplit("/", 1)[-1]].append(key)
+            self.by_stem[key.rpartition("/")[2]].append(key)
 
     def __call__(self, name: str) -> tuple[str | None, int | None, str]:
         """Return (key of the recording or None, window, reason why none was found)."""
@@ -405,7 +405,7 @@ class _Lookup:
         for key, index in names:
             if key in self.recorded:
                 return key, index, ""
-            fitting = self.by_stem.get(key.rsplit("/", 1)[-1], [])
+            fitting = self.by_stem.get(key.rpartition("/")[2], [])
             if len(fitting) == 1:
                 return fitting[0], index, ""
             if fitting:
@@ -420,8 +420,8 @@ def file_of(stem: str, files: Mapping[str, Path], given: Path | None) -> Path | 
         return given
     if stem in files:
         return files[stem]
-    last = stem.rsplit("/", 1)[-1]
-    fitting = [path for key, path in files.items() if key.rsplit("/", 1)[-1] == last]
+    last = stem.rpartition("/")[2]
+    fitting = [path for key, path in files.items() if key.rpartition("/")[2] == last]
     return fitting[0] if len(fitting) == 1 else None
 
 
