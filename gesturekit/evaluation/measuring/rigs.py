@@ -80,7 +80,7 @@ def matched(motion: Motion, recording: Motion) -> tuple[tuple[str, ...], Motion,
 
 def without_namespace(name: str) -> str:
     """Return a joint name in lower case without name space: `leftarm` for `mixamorig:LeftArm`."""
-    return name.rsplit(":", 1)[-1].lower()
+    return name.rpartition(":")[2].lower()
 
 
 def _renamed(motion: Motion, renamed: dict[str, str]) -> Motion:
