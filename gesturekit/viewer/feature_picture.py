@@ -6,17 +6,14 @@ import os
 import re
 from pathlib import Path
 
-import matplotlib.figure
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from audio_features import FeatureTrack, LogMel, Wave
 from audio_features.atomic import atomic_write
-from gesturekit.wording import printable
+from gesturekit.viewer.canvas import name_row, new_canvas
 
-_INK, _SOFT, _LINE = "#26303b", "#6b7785", "#c8643a"
-_DPI = 110
+_LINE = "#c8643a"
 _INCHES_PER_SECOND, _WIDEST = 0.7, 40.0
 _ONE_SCALE = ("mel", "chroma")
 """Features whose columns share a scale; others are normalised column by column."""
@@ -47,15 +44,8 @@ def draw_features(track: FeatureTrack, path: str | os.PathLike[str], wave: Wave)
     groups = _groups(track.names)
     heights = [1.2, *(1.0 if len(columns) > 1 else 0.8 for columns in groups.values())]
     width = float(np.clip(_INCHES_PER_SECOND * wave.duration, 8.0, _WIDEST))
-    canvas = matplotlib.figure.Figure(
-        figsize=(width, 1.15 * sum(heights) + 0.8), dpi=_DPI, layout="constrained"
-    )
-    FigureCanvasAgg(canvas)
-    title = printable(Path(path).stem)
-    canvas.suptitle(title, x=0.012, ha="left", fontsize=13, color=_INK, parse_math=False)
-    rows = canvas.subplots(
-        len(heights), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights}
-    )[:, 0]
+    size = (width, 1.15 * sum(heights) + 0.8)
+    canvas, rows = new_canvas(size, Path(path).stem, heights)
     _image(rows[0], LogMel(n_mels=40).extract(wave), list(range(40)), "the sound, log-mel")
     for axes, (name, columns) in zip(rows[1:], groups.items()):
         if len(columns) > 1:
@@ -64,7 +54,6 @@ def draw_features(track: FeatureTrack, path: str | os.PathLike[str], wave: Wave)
         else:
             _line(axes, track, columns[0], name)
     rows[-1].set_xlim(0, wave.duration)
-    rows[-1].set_xlabel("seconds", fontsize=9, color=_SOFT)
     with atomic_write(path) as temporary:
         canvas.savefig(temporary, format="png", metadata={"Software": "gesturekit"})
 
@@ -84,7 +73,8 @@ def _image(
     if own_scale:
         spread = values.std(axis=1, keepdims=True)
         values = (values - values.mean(axis=1, keepdims=True)) / np.maximum(spread, 1e-6)
-    half = (track.times[-1] - track.times[0]) / max(len(track.times) - 1, 1) / 2
+    # A lone frame is drawn 20 ms wide.
+    half = (track.times[-1] - track.times[0]) / max(len(track.times) - 1, 1) / 2 or 0.01
     low, high = np.quantile(values, [0.01, 0.995])
     axes.imshow(
         values,
@@ -94,10 +84,9 @@ def _image(
         cmap="Blues",
         vmin=low,
         vmax=max(high, low + 1e-6),
-        interpolation="antialiased",
     )
     axes.set_yticks([])
-    _style(axes, title)
+    name_row(axes, title)
 
 
 def _line(axes: Axes, track: FeatureTrack, column: int, name: str) -> None:
@@ -105,12 +94,4 @@ def _line(axes: Axes, track: FeatureTrack, column: int, name: str) -> None:
     if name == "f0" and "voicing" in track.names:
         values[track.values[:, track.names.index("voicing")] < 0.6] = np.nan
     axes.plot(track.times, values, color=_LINE, linewidth=1.0)
-    _style(axes, f"{name}, {_UNITS[name]}" if name in _UNITS else name)
-
-
-def _style(axes: Axes, title: str) -> None:
-    axes.tick_params(labelsize=8, colors=_SOFT, length=2)
-    for name, spine in axes.spines.items():
-        spine.set_visible(name == "bottom")
-        spine.set_color("#d5dae0")
-    axes.set_title(title, loc="left", fontsize=9, color=_SOFT, pad=3)
+    name_row(axes, f"{name}, {_UNITS[name]}" if name in _UNITS else name)

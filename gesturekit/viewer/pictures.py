@@ -4,34 +4,31 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib.figure
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.patches import Ellipse, Polygon
 
 from audio_features import LogMel, Wave
 from audio_features.atomic import atomic_write
 from gesturekit.errors import MotionError
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
+from gesturekit.viewer.canvas import SOFT, name_row, new_canvas
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.sound import as_sound
 from gesturekit.viewer.video.scene import Stills
-from gesturekit.wording import printable
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
 
 COLOURS = {MIDDLE: "#d9d2c5", LEFT: "#e88a62", RIGHT: "#5d97bf"}
 """What each side of the body is painted with."""
-_EDGE = "#26303b"
 _NOSE = "#a89d88"
-_SOFT = "#6b7785"
 _SPEEDS = ("#c8643a", "#3d7d5e", "#6a5fae", "#57616c")
 """Colours of the motions' hand speeds, as in the page."""
 _METADATA = {
@@ -43,7 +40,6 @@ _REPRODUCIBLE = {"svg.hashsalt": "gesturekit"}
 """Settings with which the same motion makes the same bytes."""
 _INCHES_PER_FIGURE = 1.3
 _ROW_INCHES = 2.9
-_DPI = 110
 _STILL = 600
 """Pixels of the pictures of a skinned body."""
 
@@ -89,41 +85,25 @@ def write_picture(
     bodies = [_ROW_INCHES] * len(figures)
     heights = [1.1, 1.2, *bodies] if wave else [*bodies, 1.0]
     size = (max(6.0, _INCHES_PER_FIGURE * frames), sum(heights) + 0.9)
-    canvas = _canvas(size, Path(path).stem if title is None else title)
-    rows = list(canvas.subplots(len(heights), 1, gridspec_kw={"height_ratios": heights}))
-    rows[-1].set_xlabel("seconds", fontsize=9, color=_SOFT)
+    canvas, rows = new_canvas(size, Path(path).stem if title is None else title, heights)
+    time_axis = rows[-1]
     if wave:
-        _speech(rows.pop(0), wave, seconds)
-    _speed(rows.pop(0 if wave else -1), figures, wave, seconds)
+        _speech(rows.pop(0), wave)
+    _speed(rows.pop(0 if wave else -1), figures, wave)
+    draws = []
     for k, (axes, (label, drawn)) in enumerate(zip(rows, shown.items(), strict=True)):
         stills = Stills(drawn, _STILL, k) if drawn.skins else None
-        _figures(axes, drawn.figure, label, (frames, seconds), stills)
+        draws.append(_figures(axes, drawn.figure, label, (frames, seconds), stills))
+    # Bodies that reach out of their rows make these smaller, and are drawn again in their sizes.
+    for _ in range(2):
+        canvas.draw_without_rendering()
+        for draw in draws:
+            draw()
+        time_axis.set_xlim(0, seconds)
+    canvas.set_layout_engine("none")
     kind = Path(path).suffix[1:].lower()
     with atomic_write(path) as temporary, matplotlib.rc_context(_REPRODUCIBLE):
         canvas.savefig(temporary, format=kind, metadata=_METADATA[kind])
-
-
-def _canvas(size: tuple[float, float], title: str) -> matplotlib.figure.Figure:
-    """Return an empty figure of this size in inches, with a heading."""
-    canvas = matplotlib.figure.Figure(
-        figsize=size, dpi=_DPI, layout="constrained", facecolor="white"
-    )
-    FigureCanvasAgg(canvas)
-    style = {"ha": "left", "fontsize": 13, "color": _EDGE, "parse_math": False}
-    canvas.suptitle(printable(title), x=0.012, **style)
-    return canvas
-
-
-def _style(axes: Axes, seconds: float) -> None:
-    axes.set_xlim(0, seconds)
-    axes.tick_params(labelsize=8, colors=_SOFT, length=2)
-    for name, spine in axes.spines.items():
-        spine.set_visible(name == "bottom")
-        spine.set_color("#d5dae0")
-
-
-def _label(axes: Axes, text: str) -> None:
-    axes.set_title(text, loc="left", fontsize=9, color=_SOFT, pad=3, parse_math=False)
 
 
 def _plain(label: str) -> str:
@@ -131,7 +111,7 @@ def _plain(label: str) -> str:
     return label.lstrip("_").replace("$", r"\$")
 
 
-def _speech(axes: Axes, wave: Wave, seconds: float) -> None:
+def _speech(axes: Axes, wave: Wave) -> None:
     track = LogMel(n_mels=40).extract(wave)
     axes.imshow(
         track.values.T,
@@ -139,14 +119,12 @@ def _speech(axes: Axes, wave: Wave, seconds: float) -> None:
         aspect="auto",
         extent=(0, wave.duration, 0, 1),
         cmap="Blues",
-        interpolation="antialiased",
     )
-    _style(axes, seconds)
     axes.set_yticks([])
-    _label(axes, "speech, log-mel")
+    name_row(axes, "speech, log-mel")
 
 
-def _speed(axes: Axes, figures: Mapping[str, Figure], wave: Wave | None, seconds: float) -> None:
+def _speed(axes: Axes, figures: Mapping[str, Figure], wave: Wave | None) -> None:
     top = max(max(1.08 * each.top_speed, 0.06 * each.height) for each in figures.values())
     name = next(iter(figures.values())).speed_of
     if wave:
@@ -156,9 +134,9 @@ def _speed(axes: Axes, figures: Mapping[str, Figure], wave: Wave | None, seconds
         shape = np.clip((loudness - low) / max(high - low, 1e-3), 0, 1)
         axes.fill_between(at, 0, shape * top, color="#c9d3dc", linewidth=0)
         colour = " (orange)" if len(figures) == 1 else ""
-        _label(axes, f"{name}, m/s{colour}, over the energy of speech (grey)")
+        name_row(axes, f"{name}, m/s{colour}, over the energy of speech (grey)")
     else:
-        _label(axes, f"{name}, m/s")
+        name_row(axes, f"{name}, m/s")
     # Line styles tell figures of one colour apart.
     inks = itertools.product(("-", "--", ":"), _SPEEDS)
     for (label, figure), (line, ink) in zip(figures.items(), itertools.cycle(inks)):
@@ -168,51 +146,54 @@ def _speed(axes: Axes, figures: Mapping[str, Figure], wave: Wave | None, seconds
         axes.plot(times, figure.hand_speed, line, color=ink, linewidth=1.4, label=_plain(label))
     if len(figures) > 1:
         # Beside the title: within the axes it would lie over the curves.
-        style = {"fontsize": 8, "frameon": False, "labelcolor": _SOFT, "ncols": 4}
+        style = {"fontsize": 8, "frameon": False, "labelcolor": SOFT, "ncols": 4}
         axes.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, **style)
-    _style(axes, seconds)
     axes.set_ylim(0, top)
 
 
 def _figures(
     axes: Axes, figure: Figure, label: str, grid: tuple[int, float], stills: Stills | None
-) -> None:
-    """Draw the figure along the axis, each time centred on its own time.
+) -> Callable[[], None]:
+    """Return what draws the figure along the axis, each time centred on its own time.
 
     `grid` is how many times it is drawn, and the seconds of the axis.
     """
     frames, seconds = grid
     n_frames = len(figure.points)
-    _style(axes, seconds)
     low, high = -0.05 * figure.extent, 1.09 * figure.extent
-    axes.set_ylim(low, high)
     axes.set_yticks([])
     words = "from the front" if stills else "from the front; its left is orange"
-    _label(axes, f"{label}{': ' if label else ''}{words}")
+    name_row(axes, f"{label}{': ' if label else ''}{words}")
     axes.axhline(0, color="#d5dae0", linewidth=1)
-    # The axis counts seconds, the body metres: a metre is this many seconds wide, once the rows
-    # have their final sizes.
-    axes.figure.draw_without_rendering()
-    box = axes.get_window_extent()
-    wide = (seconds / box.width) * (box.height / (high - low))
     times = (np.arange(frames) + 0.5) * seconds / frames
     times = times[times * figure.fps < n_frames]
-    for time in times if len(times) else [n_frames / figure.fps / 2]:
-        frame = int(time * figure.fps)
-        if stills is None:
-            _figure(axes, figure, frame, time, wide)
-            continue
-        image, (left, right, bottom, top) = stills.at(frame)
-        place = (time + wide * left, time + wide * right, bottom, top)
-        axes.imshow(image, extent=place, aspect="auto", zorder=3, clip_on=False)
-    if stills:  # imshow fits the axes to each picture
-        axes.set_xlim(0, seconds)
-        axes.set_ylim(low, high)
+    shown = {
+        float(time): int(time * figure.fps)
+        for time in (times if len(times) else [n_frames / figure.fps / 2])
+    }
+    images = {time: stills.at(frame) for time, frame in shown.items()} if stills else {}
+
+    def draw() -> None:
+        for artist in (*axes.patches, *axes.images):
+            artist.remove()
+        # The axis counts seconds, the body metres: a metre is this many seconds wide.
+        box = axes.get_window_extent()
+        wide = (seconds / box.width) * (box.height / (high - low))
+        for time, frame in shown.items():
+            if stills is None:
+                _figure(axes, figure, frame, time, wide)
+                continue
+            image, (left, right, bottom, top) = images[time]
+            place = (time + wide * left, time + wide * right, bottom, top)
+            axes.imshow(image, extent=place, aspect="auto", zorder=3, clip_on=False)
+        axes.set_ylim(low, high)  # imshow fits the axes to each picture
+
+    return draw
 
 
 def _figure(axes: Axes, figure: Figure, frame: int, time: float, wide: float) -> None:
-    points = figure.points[frame] - [*figure.points[frame, 0, [0]], figure.floor, 0]
-    points[:, 2] -= figure.points[frame, 0, 2]
+    x, _, z = figure.points[frame, 0]
+    points = figure.points[frame] - [x, figure.floor, z]
     # Seen from where the body faces: the viewer's right is the body's left.
     cos, sin = np.cos(figure.front), np.sin(figure.front)
     right = points[:, 0] * cos - points[:, 2] * sin

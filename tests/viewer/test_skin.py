@@ -10,7 +10,7 @@ import pytest
 from pages import bundled, data_of, opened, unpacked
 from scipy.spatial.transform import Rotation
 
-from gesturekit.formats.gltf.skin import steady_turns
+from gesturekit.formats.gltf.skin import Skin, steady_turns, whole_weights
 from gesturekit.formats.smpl.skeleton import fit_body, smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.motion.body_model.model import BodyModel
@@ -75,6 +75,37 @@ def test_the_skin_moves_as_the_body_model_says(tmp_path, body, n_joints):
     uncorrected = replace(body, pose_corrections=None)
     expected = uncorrected.vertices(fit_body(motion, body))
     assert np.abs(moved - expected).max() < 1e-3  # metres; weights are in parts of 255
+
+
+def test_weights_are_255ths_and_the_greatest_takes_what_rounding_gave():
+    """5 of 10 are 127.5, 2 are 51, 1 is 25.5: 128, 51, 51 and 26, which are one too many."""
+    joints, weights = whole_weights(np.array([[7, 3, 9, 1]]), np.array([[1.0, 5.0, 2.0, 2.0]]))
+    assert (joints.dtype, weights.dtype) == (np.uint8, np.uint8)
+    assert joints.tolist() == [[3, 9, 1, 7]] and weights.tolist() == [[127, 51, 51, 26]]
+
+
+def test_a_vertex_keeps_its_four_greatest_weights(body):
+    weights = np.zeros_like(body.weights)
+    weights[:, [2, 3, 5, 7, 8]] = [0.05, 0.3, 0.15, 0.4, 0.1]
+    skin = Skin.of(replace(body, weights=weights))
+    assert (skin.joints == [7, 3, 5, 8]).all()
+    assert (skin.weights == [107, 81, 40, 27]).all(), "shares of 0.95"
+    # Rigs of fewer than four joints.
+    two = replace(body, weights=weights[:, [3, 7]], regressor=body.regressor[:2], parents=(-1, 0))
+    skin = Skin.of(two)
+    assert (skin.joints == [1, 0, 0, 0]).all() and (skin.weights == [146, 109, 0, 0]).all()
+    assert skin.rest.shape == (2, 3)
+
+
+def test_normals_are_means_of_faces_by_area_and_shared_at_one_place():
+    """A face of 2 m² that looks up meets one of half a square metre that looks along X."""
+    vertices = [(0, 0, 0), (2, 0, 0), (0, 0, -2), (0, 0, 0), (0, 1, 0), (0, 0, 1), (5, 5, 5)]
+    faces, none = np.array([[0, 1, 2], [3, 4, 5]], np.uint32), np.zeros((7, 4), np.uint8)
+    skin = Skin(np.array(vertices, float), faces, none, none, np.zeros((1, 3)))
+    corner = np.array([1.0, 4.0, 0.0]) / 17**0.5
+    up, along, lone = (0, 1, 0), (1, 0, 0), (0, 0, 0)
+    expected = [corner, up, up, corner, along, along, lone]
+    np.testing.assert_allclose(skin.normals(), expected, atol=1e-12)
 
 
 def test_turns_of_a_body_that_spins_do_not_change_their_sign():

@@ -69,7 +69,7 @@ class Skin:
         corners = same.reshape(-1)[self.faces]
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         of_faces = np.cross(b - a, c - a)
-        total = np.zeros((int(same.max(initial=-1)) + 1, 3))
+        total = np.zeros(self.vertices.shape)
         for k in range(3):
             np.add.at(total, corners[:, k], of_faces)
         total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
