@@ -146,9 +146,10 @@ def animated_skeleton(
     skeleton = motion.skeleton
     nodes, parents, rest = _rig(skeleton)
     builder.json |= {"scenes": [{"nodes": [0]}], "nodes": nodes}
+    is_bones = skin is None and not extensions
     if extensions:
         builder.json |= {"extensions": extensions, "extensionsUsed": [*extensions]}
-    elif skin is None:
+    if is_bones:
         skin, materials = bones(parents, rest), [Material("bones", _BONE)]
     if skin is not None and len(skin.faces):
         inverse = np.tile(np.eye(4), (len(rest), 1, 1))
@@ -156,7 +157,7 @@ def animated_skeleton(
         matrices = builder.array(inverse.reshape(-1, 16))
         joints = list(range(len(rest)))
         builder.append("skins", {"joints": joints, "inverseBindMatrices": matrices})
-        primitives = _primitives(builder, skin, materials, scale)
+        primitives = _primitives(builder, skin, materials, scale, is_bones)
         mesh = builder.append("meshes", {"name": name, "primitives": primitives})
         body = builder.append("nodes", {"name": f"{name}_mesh", "mesh": mesh, "skin": 0})
         builder.json["scenes"][0]["nodes"].append(body)
@@ -199,7 +200,7 @@ def bones(parents: Sequence[int], rest: np.ndarray) -> Skin:
     corners = []
     for a, b in zip(ring, [*ring[1:], ring[0]]):
         corners += [start, b, a, end, a, b]
-    vertices = np.stack(corners, axis=1).reshape(-1, 3)  # each face has its own, to look flat
+    vertices = np.stack(corners, axis=1).reshape(-1, 3)
     joints = np.zeros((len(vertices), INFLUENCES), np.uint32)
     joints[:, 0] = np.repeat(owners, len(corners))
     weights = np.tile(np.array([255, 0, 0, 0], np.uint8), (len(vertices), 1))
@@ -208,9 +209,12 @@ def bones(parents: Sequence[int], rest: np.ndarray) -> Skin:
 
 
 def _primitives(
-    builder: _Builder, skin: Skin, materials: Sequence[Material], scale: float
+    builder: _Builder, skin: Skin, materials: Sequence[Material], scale: float, is_flat: bool
 ) -> list[dict[str, Any]]:
-    """Add the arrays and the material of each region of a skin; return their primitives."""
+    """Add the arrays and the material of each region of a skin; return their primitives.
+
+    Programs draw flat faces where there are no normals.
+    """
     regions = np.zeros(len(skin.vertices), int) if skin.regions is None else skin.regions
     normals = skin.normals()
     lost = np.linalg.norm(normals, axis=1) < 0.5  # faces that cancel one another
@@ -225,10 +229,11 @@ def _primitives(
         wide = _SHORT if joints.max() > 255 else _BYTE
         attributes = {
             "POSITION": builder.bounded(scale * skin.vertices[used], _VERTICES),
-            "NORMAL": builder.array(normals[used], use=_VERTICES),
             "JOINTS_0": builder.array(joints[used], wide, _VERTICES),
             "WEIGHTS_0": builder.array(skin.weights[used], _BYTE, _VERTICES, normalized=True),
         }
+        if not is_flat:
+            attributes["NORMAL"] = builder.array(normals[used], use=_VERTICES)
         indices = builder.array(corners.reshape(-1, 1), _INT, _INDICES)
         primitive = {"attributes": attributes, "indices": indices}
         primitives.append(primitive | {"material": builder.append("materials", material.json())})
