@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from rigs import rig_of
+from rigs import at_rest, rig_of
 from scipy.spatial.transform import Rotation
 
 from gesturekit.formats.gltf.skin import Skin
@@ -13,7 +15,7 @@ from gesturekit.viewer.avatars import simplified, welded
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.video.mesh import COLOURS, Mannequin
-from gesturekit.viewer.video.scene import Buffers, Camera, Scene
+from gesturekit.viewer.video.scene import Buffers, Camera, Scene, Stills
 
 
 def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
@@ -166,6 +168,191 @@ def test_the_camera_looks_at_the_body_from_its_left_and_from_above(standing):
     top = figure.points[0, :, 1].max()
     assert camera.middle(0.0)[1] == pytest.approx((figure.floor + top) / 2, abs=0.03)
     assert Camera.focal(100.0) == pytest.approx(186.6, abs=0.01)
+
+
+def walking(motion: Motion, path: np.ndarray) -> Motion:
+    """Return a motion with its root moved by a path (T, 3) or (T,), then along X."""
+    path = path if path.ndim == 2 else path[:, None] * [1.0, 0, 0]
+    return replace(motion, translation=motion.translation + path)
+
+
+def test_the_camera_follows_calmly(skeleton):
+    """Its path is smoothed by a Gaussian of half a second: of a standard one, 0.84 lie below 1."""
+    still = at_rest(skeleton, 120, (0, 0.9, 0), 20.0)
+    camera = Camera(Figure.of(walking(still, np.where(still.times < 3.0, 0.0, 2.0))), 1.0)
+    found = [camera.middle(time)[0] for time in (0.0, 2.475, 2.975, 3.475, 5.0)]
+    assert found == pytest.approx([0, 2 * 0.1587, 1, 2 * 0.8413, 2], abs=2e-3)
+    assert camera.at(2.475)[3] - camera.at(0.0)[3] == pytest.approx([0.3173, 0, 0], abs=2e-3)
+    # A walk begins and ends where it stands: 0.5 / sqrt(2 pi) s later than the walker.
+    camera = Camera(Figure.of(walking(still, still.times)), 1.0)
+    assert camera.middle(0.0)[0] == pytest.approx(0.1995, abs=0.02)
+    assert camera.middle(5.95)[0] == pytest.approx(5.95 - 0.1995, abs=0.02)
+    assert camera.middle(2.0)[0] == pytest.approx(2.0, abs=1e-3)
+
+
+def test_the_camera_climbs_with_the_figure_alone(skeleton):
+    """A jump is seen from one height; what rises by more than the body's height is followed."""
+    still = at_rest(skeleton, 120, (0, 0.9, 0))
+    rise = np.linspace(0, 1, 120)[:, None] * [0.0, 1, 0]
+    jump, stair = (Camera(Figure.of(walking(still, n * rise)), 1.0) for n in (0.8, 6.0))
+    times = (0.5, 2.0, 3.5)
+    assert np.ptp([jump.middle(time)[1] for time in times]) == 0
+    assert np.diff([stair.middle(time)[1] for time in times]) == pytest.approx(9 / 4, abs=0.1)
+
+
+def test_a_body_on_the_ground_is_looked_at_from_a_tenth_of_its_height(skeleton):
+    motion = at_rest(skeleton, 10, (0, 0.2, 0))
+    motion.rotations[:, 0] = Rotation.from_euler("x", -90, degrees=True).as_quat()
+    figure = Figure.of(motion, plain=True)
+    assert np.ptp(figure.points[0, :, 1]) < 0.18 * figure.height
+    height = Camera(figure, 1.0).middle(0.0)[1] - figure.floor
+    assert height == pytest.approx(0.1 * figure.height, rel=0.02)
+
+
+def test_a_joint_left_behind_and_a_broken_frame_do_not_move_the_camera(skeleton):
+    motion = at_rest(skeleton, 100, (0, 0.9, 0))
+    usual = Camera(Figure.of(motion), 1.0)
+    broken = motion.translation.copy()
+    broken[50, 1] = 40.0
+    camera = Camera(Figure.of(replace(motion, translation=broken)), 1.0)
+    assert camera.distance == pytest.approx(usual.distance, rel=0.02)
+    behind = {"LeftHand": np.tile([40.0, 0, 0], (100, 1))}
+    camera = Camera(Figure.of(replace(motion, joint_translations=behind)), 1.0)
+    assert camera.middle(1.0)[0] == pytest.approx(usual.middle(1.0)[0], abs=0.02)
+    assert camera.distance > 5 * usual.distance
+
+
+@pytest.mark.parametrize("wide", [0, 1])
+def test_the_view_is_fitted_to_the_first_frame_and_to_the_last(skeleton, wide):
+    """Arms out in one of two frames, and down in the other."""
+    both = at_rest(skeleton, 2, (0, 0.9, 0))
+    out = Camera(Figure.of(both), 0.5).distance
+    for side, angle in (("Left", -80), ("Right", 80)):
+        down = Rotation.from_euler("z", angle, degrees=True).as_quat()
+        both.rotations[1 - wide, skeleton.index(f"{side}Arm")] = down
+    assert Camera(Figure.of(both), 0.5).distance == pytest.approx(out, rel=0.03)
+
+
+def test_memory_of_odd_panels_is_rounded_up():
+    buffers = Buffers(21, 31)
+    assert buffers.depths.shape == (42, 62) and buffers.samples.shape == (42, 62, 3)
+    assert buffers.shadow.shape == buffers.scratch.shape == (11, 16)
+    assert buffers.scratch_colours.shape == (11, 16, 3)
+
+
+def seen(drawn: DrawnBody, time: float = 0.0, size: tuple[int, int] = (200, 300), **options):
+    """Return the picture of a scene, (H, W, 3) integers."""
+    image = np.zeros((*size, 3), np.uint8)
+    Scene(drawn, size[1] / size[0], **options).draw(time, image, Buffers(*size))
+    return image.astype(int)
+
+
+def test_limbs_are_seen_where_the_camera_puts_them(skeleton):
+    """The outermost coloured pixels are those of the outermost vertices of coloured limbs."""
+    motion = at_rest(skeleton, 20, (0.0, 0.9, 0.0))
+    path = np.arange(20)[:, None] / 19 * [0.5, 0, 1.0]
+    drawn = DrawnBody.of(walking(motion, path))
+    body, camera = Mannequin(drawn.figure), Camera(drawn.figure, 1.5)
+    sides = [np.ptp(colour) > 50 for colour in body.mesh.colours]
+    moves = body.transforms(0.5)[body.mesh.parts[:, 0]]
+    places = np.einsum("vij,vj->vi", moves[..., :3], body.mesh.vertices) + moves[..., 3]
+    axes = camera.at(0.5)
+    right, up, back = axes[:3] @ (places[sides] - axes[3]).T
+    focal = 100 / np.tan(np.radians(15))
+    columns, rows = 150 + focal * right / -back, 100 - focal * up / -back
+    found = np.argwhere(np.ptp(seen(drawn, 0.5), axis=2) > 40)
+    assert found.min(axis=0) == pytest.approx([rows.min(), columns.min()], abs=1.5)
+    assert found.max(axis=0) == pytest.approx([rows.max() - 1, columns.max() - 1], abs=1.5)
+
+
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+def test_giants_look_like_people(standing, factor):
+    """With a tenth or ten times the length between the lines of the floor."""
+    one, other = (seen(DrawnBody.of(motion)) for motion in (standing, standing.scaled(factor)))
+    assert np.abs(one - other).mean() < 0.1 and one[150:].std() > 5
+
+
+def box_skin(low: tuple[float, ...], high: tuple[float, ...], joint: int = 0) -> Skin:
+    """A box at rest that moves with one joint of twenty, whose places at rest are the origin."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    vertices = np.where(corners, high, low).astype(float)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([(a, b, c) for q in quads for a, b, c in (q[:3], (q[0], *q[2:]))], np.uint32)
+    vertices, faces = vertices[faces.ravel()], np.arange(36, dtype=np.uint32).reshape(-1, 3)
+    joints, weights = np.zeros((36, 4), np.uint8), np.zeros((36, 4), np.uint8)
+    joints[:, 0], weights[:, 0] = joint, 255
+    return Skin(vertices, faces, joints, weights, np.zeros((19, 3)))
+
+
+def test_stills_are_cut_to_the_body_in_metres_from_its_place_on_the_floor(standing):
+    """A box about the hips: 0.2 m to its right, 0.3 m to its left, 0.5 m down and 0.6 m up."""
+    jump = np.zeros((standing.n_frames, 3))
+    jump[3] = [1.0, 0.25, -2.0]
+    motion = walking(standing, jump)
+    drawn = DrawnBody.of(motion)
+    drawn = replace(drawn, skins=(box_skin((-0.2, -0.5, -0.3), (0.3, 0.6, 0.2)),))
+    # The box is turned with the hips, which is where the figure faces, but for a few degrees.
+    plain = at_rest(motion.skeleton, motion.n_frames, (0, 0.9, 0))
+    straight = replace(DrawnBody.of(walking(plain, jump)), skins=drawn.skins)
+    floor = straight.figure.floor
+    for frame, height in ((0, 0.9), (3, 1.15)):
+        image, extent = Stills(straight, 100).at(frame)
+        edges = [-0.2, 0.3, height - floor - 0.5, height - floor + 0.6]
+        assert extent == pytest.approx(edges, abs=0.04)
+        assert image.shape[1] / image.shape[0] == pytest.approx(0.5 / 1.1, abs=0.03)
+        assert (image[2:-2, 2:-2, 3] == 1).all() and image[..., 3].min() > 0
+        assert image[..., :3].min() > 0.3 and image.max() <= 1
+    # Wherever the body stands and faces it is seen from its front.
+    turned, _ = Stills(drawn, 100).at(3)
+    assert turned.shape[0] == pytest.approx(image.shape[0], abs=4)
+    assert turned.shape[1] == pytest.approx(image.shape[1], abs=10)
+
+
+def test_stills_are_lit_from_above_at_the_right(skeleton):
+    drawn = DrawnBody.of(at_rest(skeleton, 2, (0, 0.9, 0)))
+    ball = Mannequin(drawn.figure).mesh
+    head = ball.parts[:, 0] == len(drawn.figure.limbs)
+    first = np.flatnonzero(head)[: 13 * 20]
+    faces = ball.faces[np.isin(ball.faces, first).all(axis=1)] - first[0]
+    joints, weights = np.zeros((260, 4), np.uint8), np.zeros((260, 4), np.uint8)
+    weights[:, 0] = 255
+    skin = Skin(
+        3.0 * ball.vertices[first], faces.astype(np.uint32), joints, weights, np.zeros((19, 3))
+    )
+    image, _ = Stills(replace(drawn, skins=(skin,)), 120).at(0)
+    height, width = image.shape[:2]
+    shade = image[..., :3].sum(axis=2) / 3
+    left, right = (shade[height // 2, round(share * width)] for share in (0.15, 0.85))
+    top, bottom = (shade[round(share * height), width // 2] for share in (0.12, 0.88))
+    assert right > left + 0.08 and top > bottom + 0.15
+    corner = image[0, 0]
+    assert corner[3] == 0 and image[height // 2, width // 2, 3] == 1
+
+
+def test_a_body_smaller_than_a_pixel_is_a_still_of_nothing(standing):
+    drawn = replace(DrawnBody.of(standing), skins=(box_skin((0, 0, 0), (0, 0, 0)),))
+    image, (left, right, bottom, top) = Stills(drawn, 50).at(0)
+    assert image.shape == (50, 50, 4) and not image[..., 3].any()
+    assert left == -right and bottom == -top and right > 1.1 * drawn.figure.height - 1e-9
+
+
+def test_levels_and_clothes_of_a_scene_can_be_chosen(standing):
+    """The last level is drawn if there are fewer; panels have clothes of their own."""
+    large, small = (
+        replace(box_skin((-s, -s, -s), (s, s, s)), regions=np.full(36, 2, np.uint8))
+        for s in (0.4, 0.2)
+    )
+    drawn = replace(DrawnBody.of(standing), skins=(large, small))
+    pictures = {
+        (level, index): seen(drawn, size=(60, 60), level=level, index=index)
+        for level in (0, 1, 7)
+        for index in (0, 1, 4)
+    }
+    cloth = [(np.ptp(pictures[level, 0], axis=2) > 40).sum() for level in (0, 1, 7)]
+    assert cloth[0] > 3 * cloth[1] > 0 and cloth[1] == cloth[2]
+    assert (pictures[0, 0] == pictures[0, 4]).all(), "there are four"
+    assert (pictures[0, 0] != pictures[0, 1]).any()
+    assert (pictures[0, 0] == seen(drawn, size=(60, 60))).all()
 
 
 def grid(n: int, joints: int = 1) -> Skin:
