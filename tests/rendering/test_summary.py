@@ -1,0 +1,148 @@
+"""The summary page of a folder of results, from journals and files made by hand."""
+
+from __future__ import annotations
+
+import base64
+import html
+import re
+from pathlib import Path
+
+import pytest
+from rigs import at_rest, rig_of
+
+from gesturekit.jobs.journal import Journal
+from gesturekit.jobs.result import Result
+from gesturekit.jobs.state import STATE
+from gesturekit.jobs.status import FailedItem, Status
+from gesturekit.jobs.task import Task
+from gesturekit.rendering import summary
+
+
+@pytest.fixture
+def page(tmp_path, monkeypatch):
+    """page(results, status): the page of these results, with sizes of motions for pictures."""
+    out = tmp_path / "out<1>"
+    (out / STATE).mkdir(parents=True)
+
+    def drawn(motion, path, **options) -> None:
+        assert options["title"] == "", "each picture has a caption"
+        Path(path).write_text(f"{motion.n_frames} frames")
+
+    monkeypatch.setattr(summary, "write_picture", drawn)
+
+    def write(results: list[Result], status: Status | None = None) -> str:
+        journal = Journal(out / STATE, 1, 1, run="r", settings={}, about={})
+        for result in results:
+            journal.finish(result)
+        journal.close()
+        summary.write_summary(out, status or Status(1, 1.0), tmp_path / "page.html")
+        return (tmp_path / "page.html").read_text(encoding="utf-8")
+
+    write.out = out
+    return write
+
+
+def done(name: str, sound: float, seconds: float = 0.0, *files: str) -> Result:
+    digests = {file: {"sha256": "", "size": 1, "mtime_ns": 0} for file in files}
+    return Result(Task(name), "done", sound=sound, seconds=seconds, digests=digests)
+
+
+def saved(out: Path, name: str, n_frames: int) -> str:
+    """Write a motion of a frame a second, and return its name."""
+    at_rest(rig_of({"a": (None, (0, 0, 0)), "b": ("a", (0, 1, 0))}), n_frames, fps=1.0).save(
+        out / name
+    )
+    return name
+
+
+def bars(text: str) -> dict[int, tuple[float, int]]:
+    """Return {left edge: (height, count)} of the bars of a histogram that are seen."""
+    found = re.findall(
+        r'<rect x="(\d+)" y="([\d.]+)" width="9" height="([\d.]+)" .*?<title>(\d+)</title>', text
+    )
+    assert len(found) % 24 == 0 and all(float(y) + float(h) == 100 for _, y, h, _ in found)
+    return {int(x): (float(h), int(count)) for x, _, h, count in found if int(count)}
+
+
+def test_counts_are_those_of_the_state(page):
+    status = Status(
+        12, 7200.0, done=3, failed=[FailedItem("x", "no", 1)], left=["y", "z"],
+        items_per_minute=2.54, real_time_factor=30.26,
+    )  # fmt: skip
+    text = page([], status)
+    assert dict(re.findall("<tr><th>(.*?)</th><td>(.*?)</td></tr>", text)) == {
+        "Items in the plan": "12",
+        "Sound in the plan": "2 h 0 min",
+        "Done": "3",
+        "Failed": "1",
+        "Left": "2",
+        "Speed of the last ten minutes of work": "2.5 items a minute, 30.3 times real time",
+    }
+    assert re.findall("<title>(.*?)</title>", text) == ["out&lt;1&gt;"]
+    assert "svg viewBox" not in text, "nothing to count"
+
+
+def test_histograms_have_classes_of_equal_ratios(page):
+    """From 1 to 100 in 24 classes: 10 s are the first of the second half."""
+    results = [done(f"{k}", sound, 0.5) for k, sound in enumerate((1, 1, 10, 100, 0))]
+    results.append(done("unknown", 5.0))  # of no time: of no speed
+    text = page(results)
+    lengths, speeds = text.split("<h2>Speed, times real time</h2>")
+    assert bars(lengths) == {0: (100, 2), 80: (50, 1), 120: (50, 1), 230: (50, 1)}
+    assert "<p>1 to 100 (logarithmic)" in lengths and "<p>2 to 200 (logarithmic)" in speeds
+    assert bars(speeds) == {0: (100, 2), 120: (50, 1), 230: (50, 1)}
+
+
+@pytest.mark.parametrize(("sounds", "n_bars"), [((2.0, 2.0), 1), ((2.0,), 0), ((0.0, 2.0), 0)])
+def test_a_histogram_needs_two_values(page, sounds, n_bars):
+    text = page([done(f"{k}", sound) for k, sound in enumerate(sounds)])
+    assert len(bars(text)) == n_bars
+    assert ("<p>2 to 2 (logarithmic); 10 % below 2, half below 2" in text) == bool(n_bars)
+
+
+def test_failures_are_listed_by_reason_and_one_by_one(page):
+    failed = [FailedItem("a<b>", "no <sound> in a<b>", 3), FailedItem("c", "no <sound> in c", 2)]
+    failed += [FailedItem(f"{k}", "other", 1) for k in range(999)]
+    text = page(
+        [done("a<b>", 3.0), done("ok", 3.0), done("ok2", 3.0)], Status(1, 1.0, failed=failed)
+    )
+    assert '<td class="n">999</td><td>other</td>' in text
+    assert "<td>a&lt;b&gt;</td><td>no &lt;sound&gt; in a&lt;b&gt; (3x, put aside)</td>" in text
+    assert "<td>c</td><td>no &lt;sound&gt; in c (2x)</td>" in text
+    assert "<td>997</td><td>other (1x)</td>" in text and "<td>998</td>" not in text
+    assert "<p>and 1 more: gesturekit jobs --failed</p>" in text
+    assert "10 % below 3" in text and sum(n for _, n in bars(text).values()) == 2, (
+        "one failed later"
+    )
+    assert "more: gesturekit" not in page([], Status(1, 1.0, failed=failed[:1000]))
+    assert "Failures" not in page([])
+
+
+def test_pictures_are_of_six_results_spread_evenly(page):
+    results = []
+    for k in range(8):
+        name = saved(page.out, f"{k}.{'bvh' if k % 2 else 'npz'}", k + 2)
+        results.append(done(f"{k}&", k + 0.25, 0.0, f"{k}.html", name))
+    results.insert(3, Result(Task("0&"), "failed", error="a later attempt was kept", time=9e9))
+    text = page(results)
+    figures = re.findall(
+        '<figure><img alt="(.*?)" src="data:image/png;base64,(.*?)"><figcaption>(.*?)</figcaption>',
+        text,
+    )
+    shown = [
+        (html.unescape(a), base64.b64decode(b).decode(), html.unescape(c)) for a, b, c in figures
+    ]
+    assert shown == [
+        (f"{k}&", f"{k + 2} frames", f"{k}&, {k + 0.25:.1f} s") for k in (0, 1, 2, 4, 5, 7)
+    ]
+
+
+def test_what_cannot_be_drawn_is_left_out_and_what_is_long_is_cut(page):
+    results = [done("long", 90.0, 0.0, saved(page.out, "long.npz", 90)),
+               done("minute", 60.0, 0.0, saved(page.out, "minute.npz", 60)),
+               done("page", 3.0, 0.0, "page.html"), done("moved", 3.0, 0.0, "moved.npz"),
+               done("edited", 3.0, 0.0, "edited.npz"), done("alone", 3.0)]  # fmt: skip
+    (page.out / "edited.npz").write_text("no motion")
+    pictures = re.findall(r'<img alt="(.*?)" src="data:image/png;base64,(.*?)">', page(results))
+    found = {name: base64.b64decode(data).decode() for name, data in pictures}
+    assert found == {"long": "60 frames", "minute": "60 frames"}
