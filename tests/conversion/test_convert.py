@@ -9,16 +9,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rigs import PERSON, at_rest, rig_of
 
 from gesturekit.conversion.changes import Changes, parse_trim
-from gesturekit.conversion.convert import convert
-from gesturekit.conversion.options import FormatOptions
+from gesturekit.conversion.convert import Conversion, convert
+from gesturekit.conversion.options import FormatOptions, warn_of_losses
 from gesturekit.errors import ConfigError, FormatError, MotionError
 from gesturekit.formats.rig import Rig
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.formats.sources import motions_in, unreadable_media
 from gesturekit.jobs.result import Result
+from gesturekit.jobs.run import Execution
 from gesturekit.jobs.state import STATE
+from gesturekit.jobs.task import Task
 from gesturekit.motion import Motion
 from gesturekit.motion.body_shape import BodyShape
 
@@ -269,6 +272,151 @@ def test_other_trims_are_refused(text):
 def test_trimming_everything_away_is_an_error(take, tmp_path):
     (done,) = outcomes(take, tmp_path / "a.npz", changes=Changes(trim=(5.0, 6.0)))
     assert "it begins at 5 s, the motion lasts 2 s" in done.error and str(take) in done.error
+    (done,) = outcomes(take, tmp_path / "a.npz", changes=Changes(trim=(2.0, 6.0)))
+    assert "it begins at 2 s" in done.error, "nothing begins at the end"
+
+
+def test_fast_movement_is_filtered_out_of_a_lower_rate_on_request(skeleton):
+    """A nod at 12.5 Hz, at 60 fps, is one at 2.5 Hz when each fourth frame alone is taken.
+
+    The largest of its six frames a turn is at 60 degrees: 0.15 times 0.866.
+    """
+    motion = at_rest(skeleton, 240, fps=60.0)
+    angles = 0.3 * np.sin(2 * np.pi * 12.5 * motion.times)
+    motion.rotations[:, skeleton.index("Head"), 0] = np.sin(angles / 2)
+    motion.rotations[:, skeleton.index("Head"), 3] = np.cos(angles / 2)
+    nods = []
+    for antialias in (False, True):
+        lower, said = Changes(fps=15.0, antialias=antialias)(motion)
+        assert said == ["60 to 15 fps"] and lower.fps == 15
+        nods.append(np.abs(lower.rotations[8:-8, skeleton.index("Head"), 0]).max())
+    assert nods[0] == pytest.approx(0.13, abs=0.005) and nods[1] < 0.01
+    same, said = Changes(fps=60.0, antialias=True)(motion)
+    assert same is motion and said == []
+
+
+def test_joints_of_the_body_are_kept_without_fingers():
+    fingers = {"LeftHandIndex1": ("LeftHand", (0.09, 0, 0)), "Tail": ("Hips", (0, 0, -0.3))}
+    motion = at_rest(rig_of(PERSON | fingers), 3)
+    body, said = Changes(joints="body")(motion)
+    assert "LeftHandIndex1" not in body.skeleton.names and "LeftHand" in body.skeleton.names
+    assert said == [f"{body.skeleton.n_joints} of 21 joints"]
+    (every, said), (whole, nothing) = (
+        Changes(joints=joints)(motion) for joints in (motion.skeleton.names, "all")
+    )
+    assert every is whole is motion and said == nothing == []
+
+
+def test_a_motion_is_as_long_as_its_header_says(take, gesture, tmp_path):
+    """Shards are balanced by it; a damaged header is known when its turn comes."""
+    folder = tmp_path / "takes"
+    folder.mkdir()
+    (folder / "a.BVH").write_bytes(take.read_bytes())
+    gesture(1.0).save(folder / "b.npz")
+    text = take.read_text().replace("Frame Time: 0.033333", "Frame Time: 0.0.3", 1)
+    assert "0.0.3" in text
+    (folder / "c.bvh").write_text(text)
+    (folder / "d.bvh").write_text("no header")
+    work = Conversion(folder, tmp_path / "out", formats=["glb"])
+    assert {task.id: task.duration for task in work.tasks} == {
+        "a": pytest.approx(2.0, abs=1e-4), "b": None, "c": None, "d": None
+    }  # fmt: skip
+    # What makes the results another is recorded with them.
+    settings = Conversion(
+        folder, tmp_path / "out", formats=["glb"], changes=Changes(mirror=True),
+        options=FormatOptions(read={"fps": 50.0}, parts={"hips": "Hips"}),
+    )._converter.settings  # fmt: skip
+    assert (settings["mirror"], settings["in-fps"]) == (True, 50.0)
+    assert settings["parts"] == {"hips": "Hips"}
+
+
+def test_names_of_what_is_written_decide_between_a_file_and_a_folder(take, gesture, tmp_path):
+    """With formats, any other name is that of a folder."""
+    other = tmp_path / "other.bvh"
+    gesture(0.2).save(other)
+    outcomes(take, tmp_path / "x.c3d", formats=["npz"])
+    outcomes(take, tmp_path / "a.NPZ", formats=["npz"])
+    assert written(tmp_path) == {"take.bvh", "other.bvh", "x.c3d/take.npz", "a.NPZ"}
+    (tmp_path / "file").write_text("")
+    for sources in (take, [take, other]):
+        with pytest.raises(ConfigError, match=r"file is a file; give a folder to fill"):
+            outcomes(sources, tmp_path / "file", formats=["npz"])
+    with pytest.raises(ConfigError, match=r"b\.npz is a file, which cannot be split into shards"):
+        outcomes(take, tmp_path / "b.npz", execution=Execution(shard=(1, 2)))
+    (made,) = outcomes(
+        [take, other], tmp_path / "out", formats=["npz"], execution=Execution(shard=(2, 2))
+    )
+    assert made.error is None
+
+
+def test_one_file_is_kept_or_replaced_as_asked(take, tmp_path):
+    target = tmp_path / "a.npz"
+    target.write_text("mine")
+    with pytest.raises(ConfigError, match=r"a\.npz exists already"):
+        outcomes(take, target)
+    (done,) = outcomes(take, target, existing="skip")
+    assert (done.status, done.files, done.kept) == ("kept", (), (target,))
+    assert target.read_text() == "mine"
+    (done,) = outcomes(take, target, existing="replace")
+    assert done.files == (target,) and Motion.load(target).n_frames == 60
+
+
+def test_a_folder_that_cannot_be_written_to_is_refused_at_once(take, tmp_path, monkeypatch):
+    (tmp_path / "locked").mkdir()
+    asked = []
+
+    def access(path, mode) -> bool:
+        asked.append((Path(path), mode))
+        return False
+
+    monkeypatch.setattr(os, "access", access)
+    with pytest.raises(ConfigError, match=r"locked cannot be written to; give another place"):
+        outcomes(take, tmp_path / "locked" / "new" / "er", formats=["npz"])
+    assert asked == [(tmp_path / "locked", os.W_OK | os.X_OK)]
+
+
+def test_takes_of_one_name_in_two_folders_are_both_converted(gesture, tmp_path):
+    """Only of two files with the same target one is left out."""
+    for name in ("a/take.bvh", "b/take.npz", "b/other.bvh"):
+        (tmp_path / "in" / name).parent.mkdir(parents=True, exist_ok=True)
+        gesture(0.2).save(tmp_path / "in" / name)
+    outcomes(tmp_path / "in", tmp_path / "out", formats=["npz"])
+    assert written(tmp_path / "out") == {"a/take.npz", "b/take.npz", "b/other.npz"}
+
+
+def test_files_that_are_not_read_are_named_once_for_a_reason(gesture, tmp_path):
+    gesture(0.2).save(tmp_path / "a.bvh")
+    for k in range(5):
+        (tmp_path / f"{k}.fbx").write_bytes(b"x")
+    with pytest.warns(UserWarning, match=r"0\.fbx.*1\.fbx.*2\.fbx and 2 more: fbx is not") as said:
+        outcomes(tmp_path, tmp_path / "out", formats=["npz"])
+    assert len(said) == 1
+
+
+@pytest.mark.parametrize(
+    ("face", "betas", "lost"),
+    [
+        (True, False, "no face expressions"),
+        (False, True, "no body shape (betas)"),
+        (True, True, "no face expressions and no body shape (betas)"),
+        (False, False, None),
+    ],
+)
+def test_what_a_format_cannot_hold_is_named(face, betas, lost, recwarn):
+    motion = smpl_motion(expressions=np.ones((30, 100)) if face else None)
+    rig = replace(motion.skeleton, body_shape=BodyShape((1.0,) if betas else ()))
+    motion = replace(motion, skeleton=rig)
+    names = {".bvh": "BVH", ".GLB": "glTF", ".vrma": "a VRM animation", ".fbx": "FBX"}
+    for suffix in (*names, ".npz", ".html"):
+        warn_of_losses(motion, Path(f"x{suffix}"))
+    expected = [f"x{suffix}: {name} holds {lost}; npz does" for suffix, name in names.items()]
+    assert [str(each.message) for each in recwarn] == (expected if lost else [])
+
+
+def test_a_plan_that_was_damaged_is_named(tmp_path):
+    converter = Conversion([tmp_path / "a.bvh"], tmp_path / "out", formats=["npz"])._converter
+    done = converter(Result(Task("a")))
+    assert done.error == "plan: item 'a' is damaged; delete the plan for a new one"
 
 
 def test_another_rig_of_the_smpl_family_and_its_keys(tmp_path):

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 
+import numpy as np
 import pytest
+import soundfile
 
-from gesturekit.errors import ConfigError
+from gesturekit.corpus.item import Item
+from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.jobs.plan import write_plan
 from gesturekit.jobs.task import Task
-from gesturekit.rendering.inputs import find_tasks, measured
+from gesturekit.rendering.inputs import find_tasks, item_of, measured, task_wave
 
 
 @pytest.fixture
@@ -56,6 +60,66 @@ def test_a_list_of_paths(folder, tmp_path):
     assert found("in/more.lst", tmp_path) == {"in/a": "in/a.wav", "b": "in/day/b.wav"}
 
 
+def test_limits_of_a_list_are_within_them(folder, tmp_path):
+    """A line of 64 KiB, a mark at the start, and the least and greatest numbers."""
+    lines = [{"audio": "in/a.wav", "seed": 0, "start": 0, "channel": 1, "seconds": 0.1}]
+    lines.append({"id": "long", "seconds": 14_400})
+    text = "\ufeff" + "\n\n".join(json.dumps(line) for line in lines)
+    (tmp_path / "l.jsonl").write_text(f"{text}{' ' * (65_536 - len(json.dumps(lines[1])))}")
+    tasks = find_tasks("l.jsonl", tmp_path / "out")
+    assert [(task.id, dict(task.more)) for task in tasks] == [
+        ("in/a", {"seed": 0, "start": 0, "channel": 1, "seconds": 0.1}),
+        ("long", {"seconds": 14_400}),
+    ]
+    assert tasks[0].path.exists() and tasks[1].path is None
+
+
+def test_the_part_and_the_channel_of_a_sound_are_read(tmp_path):
+    """Left is 0.1, right 0.3, but for the first half second, which is 0.8 on both."""
+    sound = np.tile([0.1, 0.3], (16_000, 1))
+    sound[:8000] = 0.8
+    soundfile.write(tmp_path / "a.wav", sound, 16_000, "FLOAT")
+    path = tmp_path / "a.wav"
+
+    def level(usual: int | None = None, **more) -> tuple[float, float]:
+        wave = task_wave(Task("a", path, more=more), usual)
+        return round(wave.duration, 6), round(float(wave.samples[-1]), 4), wave.samples[0] > 0.7
+
+    assert level() == (1.0, 0.2, True) and level(1) == (1.0, 0.1, True)
+    assert level(1, channel=2) == (1.0, 0.3, True)
+    assert level(start=0.5) == (0.5, 0.2, False)
+    assert level(start=0.25, seconds=0.5) == (0.5, 0.2, True)
+    assert task_wave(Task("a"), None) is None
+
+
+def test_an_item_of_a_damaged_plan_is_named(tmp_path):
+    item = Item(id="a", audio=tmp_path / "a.wav", motion=None, duration=1.0, audible=[(0, 1)],
+                conditions={"events": tmp_path / "e.tsv"})  # fmt: skip
+    (task,) = find_tasks(item, tmp_path / "out")
+    assert item_of(task) == replace(item, audible=((0, 1),)) and item_of(Task("a")) is None
+    assert (task.id, task.path, task.source) == ("a", tmp_path / "a.wav", "a")
+    for damaged in ({"id": "a"}, [], task.more["item"] | {"duration": "x"}):
+        with pytest.raises(CorpusError, match="plan: item 'a' is damaged .*delete the plan"):
+            item_of(Task("a", more={"item": damaged}))
+
+
+def test_videos_in_a_folder_are_named_and_an_empty_folder_is_refused(folder, tmp_path, caplog):
+    for k in range(5):
+        (folder / f"{k}.mp4").write_text("x")
+    (folder / "notes.pdf").write_text("x")
+    assert len(find_tasks(folder, tmp_path / "out")) == 3
+    (said,) = (record.getMessage() for record in caplog.records)
+    assert said.startswith(f"{folder}/0.mp4, {folder}/1.mp4, {folder}/2.mp4 and 2 more: left out: ")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ConfigError, match="holds no audio files that can be read"):
+        find_tasks(tmp_path / "empty", tmp_path / "out")
+    for k in (3, 4):
+        (folder / f"{k}.mp4").unlink()
+    caplog.clear()
+    find_tasks(folder, tmp_path / "out")
+    assert "2.mp4: left out" in caplog.text
+
+
 def test_kaldis_wav_scp(folder, tmp_path):
     (tmp_path / "wav.scp").write_text("spk1-utt1 in/a.wav\nspk1-utt2\tin/day/b.wav\n")
     assert found("wav.scp", tmp_path) == {"spk1-utt1": "in/a.wav", "spk1-utt2": "in/day/b.wav"}
@@ -96,6 +160,16 @@ def test_jsonl_has_options_for_each_input(folder, tmp_path):
         ("l.jsonl", '{"seed": 3}', "give audio, or id and seconds"),
         ("l.jsonl", '{"schema": 1}', "--corpus"),
         ("l.jsonl", "[" * 20_000, "not a JSON object"),
+        ("l.jsonl", '\n\n"a.wav"\n', "l.jsonl:3: not a JSON object"),
+        ("l.jsonl", '{"id": "a", "seconds": 0}', "seconds is 0"),
+        ("l.jsonl", '{"id": "a", "seconds": 14401}', "seconds is 14401"),
+        ("l.jsonl", '{"audio": "a.wav", "start": -0.1}', "start is -0.1"),
+        ("l.jsonl", '{"audio": "a.wav", "channel": 0}', "channel is 0"),
+        ("l.jsonl", '{"audio": "a.wav", "channel": 1.5}', "channel is 1.5"),
+        ("l.jsonl", '{"seconds": 3}', "give audio, or id and seconds"),
+        ("l.jsonl", '{"id": "a"}', "give audio, or id and seconds"),
+        ("l.scp", "x | touch hacked\n", "l.scp:1: .*is a command"),
+        ("l.txt", "x" * 65_537, "not a list"),
         ("none.txt", None, "no such list"),
     ],
 )
