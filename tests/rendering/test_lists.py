@@ -75,20 +75,23 @@ def test_limits_of_a_list_are_within_them(folder, tmp_path):
 
 
 def test_the_part_and_the_channel_of_a_sound_are_read(tmp_path):
-    """Left is 0.1, right 0.3, but for the first half second, which is 0.8 on both."""
-    sound = np.tile([0.1, 0.3], (16_000, 1))
-    sound[:8000] = 0.8
-    soundfile.write(tmp_path / "a.wav", sound, 16_000, "FLOAT")
+    """Left is 0.1 of a noise, right 0.3, but for the first half second, which is 0.8 on both."""
+    noise = np.random.default_rng(0).uniform(0.5, 1, 16_000) * np.resize([1, -1], 16_000)
+    shares = np.where(np.arange(16_000)[:, None] < 8000, 0.8, [0.1, 0.3])
     path = tmp_path / "a.wav"
+    soundfile.write(path, noise[:, None] * shares, 16_000, "FLOAT")
 
-    def level(usual: int | None = None, **more) -> tuple[float, float]:
-        wave = task_wave(Task("a", path, more=more), usual)
-        return round(wave.duration, 6), round(float(wave.samples[-1]), 4), wave.samples[0] > 0.7
+    def read(usual: int | None = None, **more) -> tuple[float, float, float]:
+        """Return seconds, and the shares of the noise in the first and in the last sample."""
+        wave, start = task_wave(Task("a", path, more=more), usual), more.get("start", 0)
+        first = round(16_000 * start)
+        ends = (wave.samples[[0, -1]] / noise[[first, first + len(wave.samples) - 1]]).tolist()
+        return wave.duration, *(round(end, 4) for end in ends)
 
-    assert level() == (1.0, 0.2, True) and level(1) == (1.0, 0.1, True)
-    assert level(1, channel=2) == (1.0, 0.3, True)
-    assert level(start=0.5) == (0.5, 0.2, False)
-    assert level(start=0.25, seconds=0.5) == (0.5, 0.2, True)
+    assert read() == (1.0, 0.8, 0.2) and read(1) == (1.0, 0.8, 0.1)
+    assert read(1, channel=2) == (1.0, 0.8, 0.3)
+    assert read(start=0.5) == (0.5, 0.2, 0.2)
+    assert read(start=0.25, seconds=0.5) == (0.5, 0.8, 0.2)
     assert task_wave(Task("a"), None) is None
 
 

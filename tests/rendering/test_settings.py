@@ -1,0 +1,142 @@
+"""What results depend on, and which of a batch's settings reach the files."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import audio_features as af
+from gesturekit.corpus import Item
+from gesturekit.errors import ConfigError, GestureKitError
+from gesturekit.jobs.result import Result
+from gesturekit.jobs.task import Task
+from gesturekit.motion import Motion
+from gesturekit.rendering.features import FeatureExtraction
+from gesturekit.rendering.renderer import Output, Renderer
+
+
+def renderer(model, out, output=None, seconds=None, channel=None, **controls) -> Renderer:
+    return Renderer(model, out, output or Output(), seconds, channel, controls)
+
+
+@pytest.fixture
+def sound(tmp_path, write_speech):
+    return write_speech(tmp_path / "a.wav", 1.5)
+
+
+def test_formats_are_named_in_any_way_and_unknown_ones_are_refused(model, tmp_path):
+    for formats in ("bvh,npz", " .BVH,npz,,bvh", ("bvh", ".npz")):
+        assert list(renderer(model, tmp_path, Output(formats)).written) == ["bvh", "npz"]
+    for formats, says in (
+        ("c3d", "format c3d: known: bvh, npz"),
+        ("", r"format \(none\): known"),
+        ("svg", "format svg: .*; gesturekit convert x.bvh x.svg writes it"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            renderer(model, tmp_path, Output(formats))
+
+
+def test_results_depend_on_what_was_asked_for_and_on_nothing_else(model, tmp_path, sound):
+    plain = renderer(model, tmp_path)
+    assert plain.settings == {"model": model.fingerprint(), "seed": 0}
+    assert renderer(model, tmp_path, seed=0, samples=1, foot_lock=None).settings == plain.settings
+    assert renderer(model, tmp_path, samples=3).settings == plain.settings
+    assert renderer(model, tmp_path, seed=4).settings == plain.settings | {"seed": 4}
+    smplx = renderer(model, tmp_path, Output(rig="smplx")).settings
+    assert smplx.keys() - plain.settings.keys() == {"rig"}
+    digest = hashlib.sha256(sound.read_bytes()).hexdigest()
+    task = Task("a", sound)
+    assert plain.input_of(task) == {"input": digest} and plain.input_of(Task("a")) == {}
+    asked = renderer(model, tmp_path, seconds=2.0, channel=1)
+    assert asked.input_of(task) == {"input": digest, "seconds": 2.0, "channel": 1}
+    own = Task("a", sound, more={"seed": 3, "start": 0.5})
+    assert plain.input_of(own) == {"input": digest, "seed": 3, "start": 0.5}
+    item = Item(id="a", audio=sound, motion=None, duration=1.0, audio_start=0.25, channel=1)
+    of_item = plain.input_of(Task("a", sound, more={"item": vars_of(item)}))
+    assert of_item == {"input": digest, "start": 0.25, "duration": 1.0, "channel": 1}
+
+
+def vars_of(item: Item) -> dict:
+    """Return an item as a plan holds it."""
+    return vars(item) | {"audio": str(item.audio), "conditions": {}, "audible": []}
+
+
+def test_samples_have_numbers_from_one_on(model, tmp_path):
+    assert renderer(model, tmp_path).stems(Task("day/a")) == ["day/a"]
+    assert renderer(model, tmp_path, samples=2).stems(Task("day/a")) == ["day/a_s1", "day/a_s2"]
+
+
+def test_a_speaker_is_known_if_there_is_one_or_one_was_named(model, tmp_path, sound):
+    one = renderer(replace(model, speakers={"anna": model.skeleton}), tmp_path)
+    assert one.has_speaker(Task("a", sound)) and renderer(model, tmp_path).has_speaker(Task("a"))
+    both = replace(model, speakers={"anna": model.skeleton, "ben": model.skeleton})
+    two = renderer(both, tmp_path)
+    item = Item(id="a", audio=sound, motion=None, duration=1.0)
+    for speaker, is_known in (("ben", True), ("carl", False), (None, False)):
+        task = Task("a", sound, more={"speaker": speaker})
+        of_item = Task("a", sound, more={"item": vars_of(replace(item, speaker=speaker))})
+        assert two.has_speaker(task) is two.has_speaker(of_item) is is_known
+    assert renderer(both, tmp_path, speaker="anna").has_speaker(Task("a", sound))
+
+
+def test_a_task_has_its_own_seed_length_and_part_of_the_sound(model, tmp_path, sound):
+    """Lengths of a model without speech input, of two settings, and of a part of a sound."""
+
+    def frames(more: dict, path=sound, **settings) -> tuple[int, float]:
+        (tmp_path / "out").mkdir(exist_ok=True)
+        made = renderer(model, tmp_path / "out", Output("npz"), **settings)(
+            Result(Task("a", path, more=more))
+        )
+        assert made.error is None and made.facts == {"fps": 25.0}
+        return Motion.load(made.files[0]).n_frames, made.sound
+
+    assert frames({}) == (38, 1.5) and frames({"start": 0.5}) == (25, 1.0)
+    assert frames({"seconds": 0.8}) == (20, 0.8)
+    assert frames({"seconds": 0.8}, None) == (20, 0.8) and frames({}, None, seconds=0.4)[0] == 10
+    paths = {}
+    for seed in (0, 5):
+        frames({"seed": seed})
+        paths[seed] = Motion.load(tmp_path / "out" / "a.npz").rotations
+    assert np.array_equal(paths[5], model.generate(sound, item="a", seed=5).rotations)
+    assert not np.array_equal(paths[0], paths[5])
+
+
+class Levels:
+    """An extractor of one feature, the loudness of each tenth of a second."""
+
+    spec = {"kind": "levels"}  # noqa: RUF012
+
+    def extract(self, wave: af.Wave) -> af.FeatureTrack:
+        times = np.arange(0.05, wave.duration, 0.1)
+        return af.FeatureTrack(wave.rms(times)[:, None], times, names=("level",))
+
+
+def test_features_are_those_of_the_part_at_the_rate_that_is_asked_for(tmp_path, sound):
+    task = Task("a", sound, more={"start": 0.5})
+    out = tmp_path / "out"
+    out.mkdir()
+    plain = FeatureExtraction(Levels(), out, cache=None)
+    made = plain(Result(task))
+    assert made.error is None and made.files == (out / "a.npz",)
+    assert made.facts["shape"] == (10, 1) and made.sound == 1.0
+    wanted = Levels().extract(af.Wave.load(sound, start=0.5))
+    assert np.array_equal(af.FeatureTrack.load(out / "a.npz").values, wanted.values)
+    assert made.input["start"] == 0.5 and made.input.keys() == {"input", "start"}
+    faster = FeatureExtraction(Levels(), out, fps=25.0, picture=True, cache=None, channel=1)
+    made = faster(Result(task))
+    assert made.error is None and [file.suffix for file in made.files] == [".npz", ".png"]
+    assert made.facts["shape"] == (25, 1) and made.input["channel"] == 1
+    linear = wanted.to_rate(25.0, 25, method="linear").values
+    assert np.array_equal(af.FeatureTrack.load(out / "a.npz").values, linear)
+    with pytest.raises(GestureKitError, match="no sound, so there are no features"):
+        plain.make(Result(Task("b")))
+    assert plain.settings == {
+        "extractor": {"kind": "levels"}, "fps": None, "align": "linear", "precision": "fp32"
+    }  # fmt: skip
+    half = FeatureExtraction(Levels(), out, align="window", cache="fp16").settings
+    assert (half["align"], half["precision"]) == ("window", "fp16")
+    elsewhere = FeatureExtraction(Levels(), out, fps=25.0, cache="fp16").into(tmp_path)
+    assert (elsewhere.out, elsewhere.cache, elsewhere.fps) == (tmp_path, None, 25.0)
