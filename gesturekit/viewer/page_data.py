@@ -86,7 +86,7 @@ def packed(steps: np.ndarray) -> bytes:
     channels = steps.astype(np.int64).reshape(len(steps), -1).T
     difference = np.diff(channels, axis=1, prepend=0) & 0xFFFF
     planes = np.stack([difference & 0xFF, difference >> 8]).astype(np.uint8)
-    return zlib.compress(planes.tobytes(), 6)
+    return zlib.compress(planes.tobytes())
 
 
 def base64_text(data: bytes) -> str:
@@ -107,7 +107,9 @@ def spectrogram(wave: Wave) -> tuple[np.ndarray, float]:
     """Return a log-mel spectrogram (M, BANDS) from 0 to 1, and its columns a second."""
     values = LogMel(n_mels=BANDS).extract(wave).values
     width = max(_FEWEST, -(-len(values) // _MOST_COLUMNS))
-    means = np.add.reduceat(values, np.arange(0, len(values), width)) / width
+    starts = np.arange(0, len(values), width)
+    counts = np.diff(np.append(starts, len(values)))  # the last column may be narrower
+    means = np.add.reduceat(values, starts) / counts[:, None]
     low, high = np.quantile(values, [0.1, 0.995])
     shares = np.clip((means - low) / max(float(high - low), 1e-3), 0, 1)
     return shares, len(values) / max(wave.duration, 1e-3) / width

@@ -12,16 +12,17 @@ import numpy as np
 import pytest
 
 from audio_features import AudioError, Wave
-from gesturekit.errors import FormatError
+from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.smpl.skeleton import fit_body, smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.viewer import write_html, write_picture, write_video
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
-from gesturekit.viewer.video import raster
+from gesturekit.viewer.video import raster, writer
 from gesturekit.viewer.video.mesh import Mannequin, SkinnedBody
 from gesturekit.viewer.video.scene import Camera
+from gesturekit.viewer.video.writer import text_mask, write_caption
 
 RATE, JUMP = 16_000, 0.5
 
@@ -139,6 +140,141 @@ def test_an_invalid_sound_is_refused_and_leaves_no_file(tmp_path, gesture, write
     with pytest.raises(FormatError, match="720p or 1080p"):
         gesture(0.2).save(tmp_path / "x.mp4", size="huge")
     assert not list(tmp_path.glob("x.*"))
+
+
+def darkest(image: np.ndarray) -> tuple[int, int, int, int]:
+    """Return first and last row and column of what is darker than the rest."""
+    rows, columns = np.nonzero(image.min(axis=2) < 150)
+    return rows.min(), rows.max(), columns.min(), columns.max()
+
+
+def test_captions_lie_where_they_are_put_and_are_cut_off():
+    def written(text: str, at: tuple[float, float], size: float = 20) -> np.ndarray:
+        image = np.full((60, 300, 3), 200, np.uint8)
+        write_caption(image, text, at, size)
+        return image
+
+    mask = text_mask("HHH", 20)
+    height, width = mask.shape
+    assert 14 <= height <= 16 and mask.max() == 1 and mask.min() == 0
+    image = written("HHH", (30, 50))
+    ink = np.array([38, 48, 59])
+    expected = np.full((60, 300, 3), 200.0)
+    top = round(30 - height / 2)
+    part = expected[top : top + height, 50 : 50 + width]
+    part += mask[..., None] * (ink - part)
+    assert np.abs(image - expected).max() <= 1
+    # From the right edge to the text's right edge.
+    assert (written("HHH", (30, -20)) == written("HHH", (30, 300 - 20 - width))).all()
+    first, last, left, right = darkest(written("HHH", (2, 290)))
+    assert first <= 1 and right == 299 and left >= 290 and last < height
+    assert darkest(written("HHH", (58, 10)))[1] == 59
+    assert darkest(written("HHH", (30, -400)))[2] < 4, "never beyond the left edge"
+    # Letters twice as large, letters that the font lacks, and no more than 80 of them.
+    assert abs(text_mask("HHH", 40).shape[0] - 2 * height) <= 1
+    assert (text_mask("a\U0001f9ff", 20) == text_mask("a?", 20)).all()
+    assert (written("i" * 81, (30, 5), 8) == written("i" * 79 + "…", (30, 5), 8)).all()
+    assert (written("i" * 80, (30, 5), 8) != written("i" * 79 + "…", (30, 5), 8)).any()
+
+
+@pytest.fixture
+def encoded(monkeypatch, tmp_path):
+    """encoded(motion, **options): frames, size, rate and sound as they reach the encoder."""
+    kept = []
+
+    def encode(frames, path, size, fps, wave) -> None:
+        kept.append((list(frames), size, fps, wave))
+        path.write_bytes(b"video")
+
+    monkeypatch.setattr(writer, "encode", encode)
+
+    def write(motion, **options):
+        write_video(motion, tmp_path / "film.mp4", **options)
+        return kept[-1]
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("n", "columns", "rows"), [(1, 1, 1), (2, 2, 1), (3, 3, 1), (4, 2, 2), (5, 3, 2), (7, 3, 3)]
+)
+def test_panels_share_the_picture_with_lines_between(encoded, gesture, n, columns, rows):
+    motion = gesture(0.03)
+    shown = {f"take {k}": motion for k in range(n)}
+    (frame,), size, _, wave = encoded(shown if n > 1 else motion)
+    assert size == (1280, 720) and frame.shape == (720, 1280, 3) and wave is None
+    wide, high = 1280 / columns, 720 / rows
+    grey = (frame == 205).all(axis=2)
+    across = [x for x in range(1280) if grey[: int(high) - 30, x].all()]
+    down = [y for y in range(720) if grey[y, : int(wide)].all()]
+    assert across == [int(k * wide) for k in range(1, columns)]
+    assert down == [int(k * high) for k in range(1, rows)]
+    for k in range(rows * columns):
+        row, column = divmod(k, columns)
+        panel = frame[int(row * high) + 1 : int((row + 1) * high),
+                      int(column * wide) + 1 : int((column + 1) * wide)]  # fmt: skip
+        is_empty = k >= n
+        clock = k == rows * columns - 1
+        body = panel[: int(high) - 40] if clock else panel
+        assert (np.ptp(body.astype(int), axis=2).max() < 30) == is_empty
+        if is_empty:
+            assert (body == 245).all()
+        else:  # its label, at the height of 1.3 letters of 0.028 of the picture
+            first, last, left, _ = darkest(panel[:38, :110])
+            assert (first + last) / 2 == pytest.approx(26, abs=4) and 18 <= left <= 24
+
+
+def test_the_clock_counts_minutes(encoded, gesture):
+    still = gesture(0.1)[:1]
+    slow = replace(still, fps=1.0)
+    long = replace(
+        slow,
+        rotations=np.repeat(slow.rotations, 121, axis=0),
+        translation=np.repeat(slow.translation, 121, axis=0),
+    )
+    frames, *_ = encoded(long, title="", fps=0.08)
+    assert len(frames) == 10
+    expected = np.full((720, 1280, 3), 245, np.uint8)
+    letters = 0.028 * 720
+    for k, text in ((0, "0:00.0"), (1, "0:12.5"), (7, "1:27.5")):
+        write_caption(expected, text, (720 - 1.3 * letters, -letters), letters)
+        _, _, left, right = darkest(expected[640:])
+        found = darkest(frames[k][640:, 1100:])
+        assert (found[2] + 1100, found[3] + 1100) == (left, right), text
+        expected[:] = 245
+
+
+@pytest.mark.parametrize(
+    ("fps", "asked", "rate", "n_frames"),
+    [(25.0, None, 25.0, 15), (120.0, None, 30.0, 18), (30.0, 10, 10.0, 6), (30.0, 2.5, 2.5, 2)],
+)
+def test_a_video_has_the_rate_of_the_motion_up_to_thirty(
+    encoded, gesture, fps, asked, rate, n_frames
+):
+    frames, _, found, _ = encoded(gesture(0.6, fps), fps=asked)
+    assert (found, len(frames)) == (rate, n_frames)
+
+
+def test_a_video_lasts_as_long_as_the_longest_and_what_is_over_stands_still(encoded, gesture):
+    fast = gesture(0.2, 10.0)
+    frames, _, fps, wave = encoded({"a": fast, "b": gesture(0.4, 20.0)}, audio=a_clap(0.6))
+    assert (fps, len(frames), wave.duration) == (20.0, 12, 0.6)
+    left, right = (np.array(frames)[:, 60:640, half] for half in (slice(0, 640), slice(641, 1280)))
+    assert (left[0] != left[1]).any() and (left[4] == left[11]).all()
+    assert (right[4] != right[7]).any() and (right[8] == right[11]).all()
+    assert len(encoded(gesture(0.1, 10.0), fps=1.0)[0]) == 1, "at least one frame"
+    with pytest.raises(MotionError, match="no motion to show"):
+        encoded({})
+
+
+def test_the_title_of_one_motion_is_its_files_name_or_what_is_given(encoded, gesture):
+    """The other corner of the picture has no text."""
+    motion = gesture(0.03)
+    (usual,), *_ = encoded(motion)
+    (same,), *_ = encoded(motion, title="film")
+    (other,), *_ = encoded(motion, title="another")
+    assert (usual == same).all() and (usual != other).any()
+    assert np.argwhere((usual != other).any(axis=2)).max(axis=0)[0] < 50
 
 
 def placed(body, time: float) -> np.ndarray:
