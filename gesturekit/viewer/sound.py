@@ -97,7 +97,7 @@ def _encode(wave: Wave, **kind: str) -> bytes:
 
 def outline(wave: Wave) -> np.ndarray:
     """Return the largest |sample| of each 1/OUTLINE_RATE s as (M,) floats, 1 the clip's peak."""
-    n = max(1, int(np.ceil(wave.duration * OUTLINE_RATE)))
+    n = int(np.ceil(wave.duration * OUTLINE_RATE))
     edges = np.arange(n) * len(wave.samples) // n
     peaks = np.maximum.reduceat(np.abs(wave.samples), edges)
     return peaks / max(float(peaks.max()), 1e-9)
