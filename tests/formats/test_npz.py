@@ -340,6 +340,9 @@ def test_the_average_body_is_as_tall_as_people_are():
         assert 1.6 < at["head"][1] - at["left_foot"][1] + 0.17 + 0.02 < 1.8
         assert 1.3 < at["left_wrist"][0] - at["right_wrist"][0] < 1.5
         assert abs(at["left_ankle"][1] - 0.07) < 0.03
+        for name in (name for name in rig.names if name.startswith("left")):
+            left, right = (rig.offsets[rig.index(n)] for n in (name, name.replace("left", "right")))
+            np.testing.assert_array_equal(right, left * [-1, 1, 1], err_msg=name)
 
 
 @pytest.mark.filterwarnings("ignore:.*a model of 10 betas for a body of 300")

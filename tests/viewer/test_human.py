@@ -177,6 +177,34 @@ def test_a_turned_hand_does_not_wring_the_forearm():
 
 
 @baked
+@pytest.mark.parametrize(
+    ("first", "last"), [(-1.0, 1.0), (-3.0, 3.4), (2 * np.pi - 1, 2 * np.pi + 1)]
+)
+def test_twists_are_shared_and_never_jump(first, last):
+    """An upper arm gives half of its twist back at the shoulder, a forearm all to the hand.
+
+    Beyond half a turn the angle goes on, about the whole turn that is nearest in most frames.
+    """
+    rig = Human.load().skeleton
+    angles = np.linspace(first, last, 50)
+    usual = angles - 2 * np.pi * round(np.median(angles) / (2 * np.pi))
+    for bone, below in (("LeftArm", "LeftForeArm"), ("RightForeArm", "RightHand")):
+        arm, end, twist = (rig.index(name) for name in (bone, below, f"{bone}Twist"))
+        axis = rig.offsets[end] / np.linalg.norm(rig.offsets[end])
+        rotations = np.tile([0.0, 0, 0, 1], (50, rig.n_joints, 1))
+        rotations[:, arm] = Rotation.from_rotvec(np.outer(angles, axis)).as_quat()
+        body._share_twist(rig, twist, rotations)
+        is_fore = bone.endswith("ForeArm")
+        shares = {arm: 0 if is_fore else 1, end: int(is_fore), twist: 0.5 if is_fore else -0.5}
+        for joint, share in shares.items():
+            expected = Rotation.from_rotvec(np.outer(share * usual, axis))
+            found = Rotation.from_quat(rotations[:, joint])
+            np.testing.assert_allclose((found.inv() * expected).magnitude(), 0, atol=1e-6)
+        turned = [joint for joint in range(rig.n_joints) if joint not in shares]
+        assert (rotations[:, turned] == [0, 0, 0, 1]).all()
+
+
+@baked
 @bundled
 def test_the_page_holds_the_motion_on_the_body(tmp_path, gesture):
     write_html(gesture(1.0), tmp_path / "plain.html")
