@@ -127,6 +127,17 @@ def test_variants_of_other_writers_are_read(write, change):
         ("\t}\n}\nMOTION", "\t}\nMOTION", 15, "lack"),
         ("MOTION\nFrames: 3", "MOTION", 18, "'Frames:'"),
         ("JOINT Chest", "BONE Chest", 6, "BONE"),
+        ("JOINT Chest", f"JOINT {'x' * 201}", 6, "a joint name of 201 characters"),
+        ("ROOT Hips", "JOINT Hips", 2, "has no parent joint"),
+        ("ROOT Hips\n{", "{\nROOT Hips", 2, "a { that does not follow ROOT"),
+        ("ROOT Hips\n{", "ROOT Hips\nOFFSET 0 0 0\n{", 3, "expected { after the name"),
+        ("HIERARCHY\n", "HIERARCHY\nOFFSET 0 0 0\n", 2, "OFFSET outside any joint"),
+        ("HIERARCHY\n", "HIERARCHY\nCHANNELS 0\n", 2, "CHANNELS outside any joint"),
+        (SMALL[SMALL.index("MOTION") :], "", 15, "stops before MOTION"),
+        (SMALL[10 : SMALL.index("MOTION")], "", 2, "no ROOT before MOTION"),
+        ("Frames: 3", f"Frames: {'9' * 19}", 17, "expected a whole number"),
+        ("OFFSET 0 50 0", "OFFSET 0 0 -1.1e9", 8, "over 1e+09"),
+        ("Frame Time:", "Rate:", 18, "'Frame Time:'"),
     ],
 )
 def test_broken_files_are_named_with_their_line(write, old, new, line, says):
@@ -136,6 +147,36 @@ def test_broken_files_are_named_with_their_line(write, old, new, line, says):
         read_bvh(path)
     assert f"{path}:{line}: " in str(caught.value)
     assert says in str(caught.value)
+
+
+@pytest.mark.filterwarnings("ignore:.*it was probably cut short")
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("OFFSET 0 50 0", "OFFSET 1e9 -1e9 0"),
+        ("5 11 21", "5 1e9 -1e9"),
+        ("Frames: 3", f"Frames: {'9' * 18}"),
+        ("Chest", "x" * 200),
+    ],
+)
+def test_the_largest_numbers_and_names_are_read(write, old, new):
+    read = parse_bvh(write(SMALL.replace(old, new)))
+    assert read.frames.shape == (3, 9) and len(read.joints) == 2
+
+
+def test_a_file_without_channels_and_one_of_too_many_joints_are_refused(write):
+    still = re.sub("CHANNELS.*", "CHANNELS 0", SMALL)
+    with pytest.raises(FormatError, match=r"clip\.bvh:18: no joint has CHANNELS"):
+        read_bvh(write(still))
+    chain = "ROOT a\n{\nOFFSET 0 1 0\nCHANNELS 1 Xrotation\n"
+    for count in (2000, 2001):
+        joints = "JOINT b\n{\nOFFSET 0 1 0\n}\n" * (count - 1)
+        text = f"HIERARCHY\n{chain}{joints}}}\nMOTION\nFrames: 1\nFrame Time: 0.04\n7\n"
+        if count == 2000:
+            assert len(parse_bvh(write(text)).joints) == 2000
+        else:
+            with pytest.raises(FormatError, match="over 2000 joints"):
+                parse_bvh(write(text))
 
 
 @pytest.mark.parametrize("value", ["0", "-0.03", "x", "nan", "inf", ""])

@@ -100,6 +100,15 @@ def test_the_rate_is_that_of_the_keys(tmp_path, times, fps):
     assert motion.n_frames == round(times[-1] * fps) + 1
 
 
+@pytest.mark.parametrize("start", [2.0, -1.0])
+def test_the_rate_does_not_depend_on_the_time_of_the_first_key(tmp_path, start):
+    times = start + np.array([0, 1, 2, 7, 30, 31, 90]) / 30
+    file = GltfFile(arm().json["nodes"])
+    path = file.animate([(0, "rotation", times, [(0, 0, 0, 1)] * 7)]).save(tmp_path / "a.glb")
+    motion = Motion.load(path)
+    assert (motion.fps, motion.n_frames, motion.info["start"]) == (30, 91, start)
+
+
 def test_keys_between_frames_are_sampled_and_said(tmp_path):
     path = arm(times=(0.0, 0.0333, 0.0571)).save(tmp_path / "a.glb")
     with pytest.warns(UserWarning, match="lie between the frames"):
