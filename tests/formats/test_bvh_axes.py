@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import at_rest, nameless, rig_of, turned_at_root
+from rigs import PERSON, at_rest, nameless, rig_of, turned_at_root
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
 from gesturekit.formats import read_bvh
-from gesturekit.formats.axes import AXES, rotation_to_y_up, turn_axes
+from gesturekit.formats.axes import (
+    AXES,
+    FileAxes,
+    file_axes,
+    rotation_to_y_up,
+    standing_axis,
+    turn_axes,
+)
 from gesturekit.formats.plausibility import METRES
+from gesturekit.motion import Motion
 from gesturekit.motion.heading import heading
 from gesturekit.motion.rotations import invert_quaternions
 
@@ -157,3 +166,72 @@ def test_axes_that_cannot_be(facing_z, tmp_path, save_as_others):
     for options in ({"up": "w"}, {"forward": "+z"}, {"up": "z", "forward": "-z"}):
         with pytest.raises(FormatError, match="axis '"):
             read_bvh(tmp_path / "a.bvh", **options)
+
+
+TOES = {f"{side}ToeBase": (f"{side}Foot", (0, -0.05, 0.12)) for side in ("Left", "Right")}
+
+
+@pytest.mark.parametrize(
+    ("up", "forward", "found"),
+    [
+        ("auto", "auto", FileAxes("y", "z")),
+        ("y", "auto", FileAxes("y", "z")),
+        ("z", "auto", FileAxes("z", "-y", guessed=("forward",))),
+        ("-y", "auto", FileAxes("-y", "-z", guessed=("forward",))),
+        ("auto", "x", FileAxes("y", "x")),
+        ("auto", "-y", FileAxes("z", "-y")),
+        ("x", "-z", FileAxes("x", "-z")),
+    ],
+)
+def test_axes_that_are_given_count_more_than_what_is_found(up, forward, found):
+    motion = at_rest(rig_of(PERSON | TOES), 3, (0, 0.94, 0))
+    assert file_axes(motion, up, forward) == found
+
+
+def test_a_rest_pose_with_left_and_right_exchanged_shows_no_forward():
+    """The toes would point backwards."""
+    swap = {"Left": "Right", "Right": "Left"}
+    mirrored = {
+        re.sub("^(Left|Right)", lambda m: swap[m[0]], name): (
+            above and re.sub("^(Left|Right)", lambda m: swap[m[0]], above), offset,
+        )
+        for name, (above, offset) in (PERSON | TOES).items()
+    }  # fmt: skip
+    motion = at_rest(rig_of(mirrored), 3, (0, 0.94, 0))
+    assert file_axes(motion) == FileAxes("y", "z", guessed=("forward",))
+
+
+@pytest.mark.parametrize(
+    ("lying", "height", "axis"), [(4, 0.0, "y"), (5, 0.0, None), (6, 0.0, "z"), (6, 0.32, None)]
+)
+def test_a_body_stands_along_the_axis_of_most_frames_if_its_feet_are_on_the_floor(
+    lying, height, axis
+):
+    """Of ten frames some are turned to Z, with the ankles at a height; legs are 0.84 m long."""
+    motion = at_rest(rig_of(PERSON), 10, (0, 0.89, 0))
+    motion.rotations[:lying, 0] = Rotation.from_euler("x", 90, degrees=True).as_quat()
+    motion.translation[:lying] = [0, 0, 0.89 + height]
+    assert standing_axis(motion) == axis
+    upright = at_rest(rig_of(PERSON), 10, (0, 5.0, 0))
+    assert standing_axis(upright) == "y", "as the rest pose shows, whatever the floor"
+
+
+def test_turned_axes_turn_every_place(skeleton):
+    rng = np.random.default_rng(0)
+    turns = Rotation.random(4 * skeleton.n_joints, random_state=1).as_quat()
+    moving = {"LeftHand": rng.normal(size=(4, 3))}
+    motion = Motion(
+        skeleton, turns.reshape(4, -1, 4), rng.normal(size=(4, 3)), 30.0, joint_translations=moving
+    )
+    world, rest = Rotation.random(2, random_state=2)
+    found = turn_axes(motion, world.as_quat(), rest.as_quat())
+    places = motion.positions()
+    expected = world.apply(places.reshape(-1, 3)).reshape(places.shape)
+    np.testing.assert_allclose(found.positions(), expected, atol=1e-9)
+    for name, ends in motion.end_positions().items():
+        expected = world.apply(ends.reshape(-1, 3)).reshape(ends.shape)
+        np.testing.assert_allclose(found.end_positions()[name], expected, atol=1e-9)
+    np.testing.assert_allclose(found.skeleton.offsets[1:], rest.apply(skeleton.offsets[1:]))
+    still = np.array([0.0, 0, 0, 1])
+    assert turn_axes(motion, still, still) is motion
+    assert turn_axes(motion, world.as_quat(), still) is not motion
