@@ -200,3 +200,78 @@ def test_a_number_that_is_no_frames_is_refused(tmp_path):
     (folder / "000000.json").rename(folder / f"{10**30}.json")
     with pytest.raises(FormatError, match="frame's number of over 9 digits"):
         read_easymocap(folder)
+
+
+def test_of_people_in_equally_many_frames_the_first_id_is_read(tmp_path):
+    people = [recorded(5, n_frames=3), recorded(3, n_frames=3, seed=1), recorded(4, n_frames=2)]
+    folder = write(
+        tmp_path, [{k: v[:3] if k != "id" else v for k, v in p.items()} for p in people[:2]]
+    )
+    with pytest.warns(UserWarning, match="3 is read"):
+        motion = read_easymocap(folder)
+    assert motion.info["people"] == {5: 3, 3: 3} and motion.info["person"] == 3
+
+
+@pytest.mark.parametrize(("missing", "is_right"), [(15, True), (16, False)])
+def test_a_gap_of_half_a_second_is_filled(tmp_path, missing, is_right):
+    """15 frames at 30 fps; positions and faces in between lie on a straight line."""
+    person = recorded(n_frames=30) | {"expression": np.arange(30.0)[:, None] * [[1.0, -2.0]]}
+    folder = write(tmp_path, [person], missing={(0, t) for t in range(5, 5 + missing)}, first=100)
+    if not is_right:
+        with pytest.raises(
+            FormatError, match=r"frames 105 to 120 are missing, 0\.53 s; .*now 0\.5 s"
+        ):
+            read_easymocap(folder)
+        return
+    with pytest.warns(UserWarning, match="15 missing frames filled in"):
+        motion = read_easymocap(folder)
+    assert (motion.n_frames, motion.info["first_frame"]) == (30, 100)
+    np.testing.assert_allclose(motion.expressions, person["expression"], atol=1e-9)
+    line = np.linspace(motion.translation[4], motion.translation[20], 17)
+    np.testing.assert_allclose(motion.translation[4:21], line, atol=1e-9)
+    turned = Rotation.from_quat(motion.rotations[:, 3])
+    halves = (turned[4].inv() * turned[12]).magnitude(), (turned[12].inv() * turned[20]).magnitude()
+    assert halves[0] == pytest.approx(halves[1], rel=1e-6)
+
+
+def entry(**changed) -> dict:
+    return {"id": 0, "Rh": [0, 0, 0], "Th": [1, 2, 3], "poses": [0] * 72} | changed
+
+
+@pytest.mark.parametrize(
+    ("content", "n_joints", "person"),
+    [
+        ([entry()], 24, 0),
+        ({"annots": [entry()]}, 24, 0),
+        ([{k: v for k, v in entry(personID=7).items() if k != "id"}], 24, 7),
+        ([entry(poses=[0] * 66)], 22, 0),
+        ([entry(poses=[0] * 66, handl=[0] * 6)], 52, 0),
+        ([entry(shapes=[0.1] * 1000)], 24, 0),
+    ],
+)
+def test_other_forms_of_a_frame_are_read(tmp_path, content, n_joints, person):
+    (tmp_path / "999999999.json").write_text(json.dumps(content))
+    motion = read_easymocap(tmp_path, up="y")
+    assert (motion.skeleton.n_joints, motion.info["person"], motion.n_frames) == (
+        n_joints,
+        person,
+        1,
+    )
+    assert motion.expressions is None and motion.info["filled_frames"] == 0
+    np.testing.assert_allclose(motion.translation[0], model_pelvis(n_joints) + [1, 2, 3])
+    n_betas = 1000 if "shapes" in str(content) else 0
+    assert len(motion.skeleton.body_shape.betas) == n_betas
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"shapes": [0.1] * 1001}, "'shapes' of person 0 holds no finite numbers, or too many"),
+        ({"id": 1.5}, "entry 0 has id 1.5; expected a whole number"),
+        ({"Th": [0, 0, 0, 0]}, "'Th' of person 0 has 4 numbers; expected 3"),
+    ],
+)
+def test_damaged_people_are_named(tmp_path, changed, says):
+    (tmp_path / "000000.json").write_text(json.dumps([entry(**changed)]))
+    with pytest.raises(FormatError, match=says):
+        read_easymocap(tmp_path)

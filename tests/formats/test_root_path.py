@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gesturekit.errors import FormatError
+from gesturekit.errors import FormatError, ModelError
 from gesturekit.formats.tables import root_path
 from gesturekit.formats.tables.root_path import load_root_path
 from gesturekit.motion.root_path import RootPath
@@ -130,3 +130,38 @@ def test_files_that_are_no_paths(tmp_path, monkeypatch):
     monkeypatch.setattr(root_path, "_MEGABYTES", 1)
     with pytest.raises(FormatError, match="over 1 MB"):
         load_root_path(table(tmp_path, "time,x,z\n" + "0,0,0\n" * 200_000))
+
+
+@pytest.mark.parametrize(
+    ("times", "fps", "n_frames"),
+    [
+        ((0, 1, 1.25, 3), 4.0, 13),
+        ((0, 1, 1.002, 3), 120.0, 361),  # no more than 120 fps
+        ((0, 1, 1.01, 3), 100.0, 301),
+        ((0, 0.5, 1.0 + 0.0099, 1.5), 2.0, 4),  # even, but for a fiftieth of a step
+        ((0, 0.5, 1.0 + 0.0101, 1.5), 1 / 0.4899, 4),
+    ],
+)
+def test_uneven_rows_have_the_rate_of_the_shortest_step(tmp_path, times, fps, n_frames):
+    rows = "\n".join(f"{time},{time},0" for time in times)
+    path = load_root_path(table(tmp_path, f"time,x,z\n{rows}\n"))
+    assert (path.fps, path.n_frames) == (pytest.approx(fps, rel=1e-3), n_frames)
+
+
+def test_paths_are_given_in_any_form(tmp_path, gesture):
+    motion = gesture(1.0)
+    own = RootPath.of(motion)
+    motion.save(tmp_path / "walk.npz")
+    assert root_path.as_root_path(own) is own
+    for given in (motion, tmp_path / "walk.npz", str(tmp_path / "walk.npz")):
+        assert root_path.as_root_path(given).positions == pytest.approx(own.positions)
+    with pytest.raises(ModelError, match="path is a int; give a RootPath, a Motion, or the name"):
+        root_path.as_root_path(3)
+
+
+def test_the_first_row_is_at_zero_and_numbers_are_near_enough(tmp_path):
+    text = "time,x,z\n1e-10,0,0\n1,1e6,-1e6\n"
+    assert load_root_path(table(tmp_path, text)).n_frames == 2
+    for row, said in (("1e-8,0,0", "the first time is 1e-08"), ("0,1.1e9,0", "x is '1.1e9'")):
+        with pytest.raises(FormatError, match=said):
+            load_root_path(table(tmp_path, f"time,x,z\n{row}\n1,0,0\n"))

