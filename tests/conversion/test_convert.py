@@ -24,6 +24,7 @@ from gesturekit.jobs.state import STATE
 from gesturekit.jobs.task import Task
 from gesturekit.motion import Motion
 from gesturekit.motion.body_shape import BodyShape
+from gesturekit.motion.parts.body_size import body_height
 
 
 def outcomes(*arguments, **options) -> list[Result]:
@@ -293,6 +294,16 @@ def test_fast_movement_is_filtered_out_of_a_lower_rate_on_request(skeleton):
     assert nods[0] == pytest.approx(0.13, abs=0.005) and nods[1] < 0.01
     same, said = Changes(fps=60.0, antialias=True)(motion)
     assert same is motion and said == []
+
+
+def test_what_was_read_is_described_with_its_scale(take, tmp_path):
+    """The rig is 1.714 m tall."""
+    height = body_height(Motion.load(take).skeleton)
+    (done,) = outcomes(take, tmp_path / "a.npz", read={"height": 1.0}, dry_run=True)
+    scale = f"scaled by {1 / height:.4g}"
+    assert done.facts["found"].endswith(f", {scale}, 30 fps, 60 frames, 19 joints")
+    (done,) = outcomes(take, tmp_path / "a.npz", dry_run=True)
+    assert "scaled" not in done.facts["found"]
 
 
 def test_joints_of_the_body_are_kept_without_fingers():
