@@ -36,12 +36,12 @@ class FeatureExtraction(Processor):
 
     extractor: Extractor
     out: Path
-    fps: float | None = None
-    align: str | None = None
-    picture: bool = False
-    channel: int | None = None
-    cache: Literal["fp32", "fp16"] | None = "fp32"
-    existing: str = "refuse"
+    fps: float | None
+    align: str | None
+    picture: bool
+    channel: int | None
+    cache: Literal["fp32", "fp16"] | None
+    existing: str
     settings: dict[str, Any] = field(init=False)
     written: dict[str, dict[str, Any]] = field(init=False)
 

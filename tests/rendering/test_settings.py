@@ -114,18 +114,23 @@ class Levels:
         return af.FeatureTrack(wave.rms(times)[:, None], times, names=("level",))
 
 
+def extraction(out, **settings) -> FeatureExtraction:
+    usual = {"fps": None, "align": None, "picture": False, "channel": None, "cache": None}
+    return FeatureExtraction(Levels(), out, **usual | {"existing": "refuse"} | settings)
+
+
 def test_features_are_those_of_the_part_at_the_rate_that_is_asked_for(tmp_path, sound):
     task = Task("a", sound, more={"start": 0.5})
     out = tmp_path / "out"
     out.mkdir()
-    plain = FeatureExtraction(Levels(), out, cache=None)
+    plain = extraction(out)
     made = plain(Result(task))
     assert made.error is None and made.files == (out / "a.npz",)
     assert made.facts["shape"] == (10, 1) and made.sound == 1.0
     wanted = Levels().extract(af.Wave.load(sound, start=0.5))
     assert np.array_equal(af.FeatureTrack.load(out / "a.npz").values, wanted.values)
     assert made.input["start"] == 0.5 and made.input.keys() == {"input", "start"}
-    faster = FeatureExtraction(Levels(), out, fps=25.0, picture=True, cache=None, channel=1)
+    faster = extraction(out, fps=25.0, picture=True, channel=1)
     made = faster(Result(task))
     assert made.error is None and [file.suffix for file in made.files] == [".npz", ".png"]
     assert made.facts["shape"] == (25, 1) and made.input["channel"] == 1
@@ -136,7 +141,7 @@ def test_features_are_those_of_the_part_at_the_rate_that_is_asked_for(tmp_path, 
     assert plain.settings == {
         "extractor": {"kind": "levels"}, "fps": None, "align": "linear", "precision": "fp32"
     }  # fmt: skip
-    half = FeatureExtraction(Levels(), out, align="window", cache="fp16").settings
+    half = extraction(out, align="window", cache="fp16").settings
     assert (half["align"], half["precision"]) == ("window", "fp16")
-    elsewhere = FeatureExtraction(Levels(), out, fps=25.0, cache="fp16").into(tmp_path)
+    elsewhere = extraction(out, fps=25.0, cache="fp16").into(tmp_path)
     assert (elsewhere.out, elsewhere.cache, elsewhere.fps) == (tmp_path, None, 25.0)
