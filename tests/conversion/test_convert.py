@@ -12,7 +12,7 @@ import pytest
 from rigs import PERSON, at_rest, rig_of
 
 from gesturekit.conversion.changes import Changes, parse_trim
-from gesturekit.conversion.convert import Conversion, convert
+from gesturekit.conversion.convert import Conversion, Converter, convert
 from gesturekit.conversion.options import FormatOptions, warn_of_losses
 from gesturekit.errors import ConfigError, FormatError, MotionError
 from gesturekit.formats.rig import Rig
@@ -332,13 +332,20 @@ def test_a_motion_is_as_long_as_its_header_says(take, gesture, tmp_path):
     assert {task.id: task.duration for task in work.tasks} == {
         "a": pytest.approx(2.0, abs=1e-4), "b": None, "c": None, "d": None
     }  # fmt: skip
-    # What makes the results another is recorded with them.
-    settings = Conversion(
-        folder, tmp_path / "out", formats=["glb"], changes=Changes(mirror=True),
-        options=FormatOptions(read={"fps": 50.0}, parts={"hips": "Hips"}),
-    )._converter.settings  # fmt: skip
+
+
+def converter(out: Path, **options) -> Converter:
+    changes = options.pop("changes", Changes())
+    return Converter(out, ["npz"], changes, FormatOptions(**options), "refuse", dry_run=False)
+
+
+def test_what_makes_results_another_is_recorded_with_them(tmp_path):
+    settings = converter(
+        tmp_path, changes=Changes(mirror=True), read={"fps": 50.0}, parts={"hips": "Hips"}
+    ).settings
     assert (settings["mirror"], settings["in-fps"]) == (True, 50.0)
     assert settings["parts"] == {"hips": "Hips"}
+    assert settings.keys() - converter(tmp_path).settings.keys() == {"in-fps"}
 
 
 def test_names_of_what_is_written_decide_between_a_file_and_a_folder(take, gesture, tmp_path):
@@ -425,8 +432,7 @@ def test_what_a_format_cannot_hold_is_named(face, betas, lost, recwarn):
 
 
 def test_a_plan_that_was_damaged_is_named(tmp_path):
-    converter = Conversion([tmp_path / "a.bvh"], tmp_path / "out", formats=["npz"])._converter
-    done = converter(Result(Task("a")))
+    done = converter(tmp_path)(Result(Task("a")))
     assert done.error == "plan: item 'a' is damaged; delete the plan for a new one"
 
 
