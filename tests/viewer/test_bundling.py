@@ -25,6 +25,8 @@ NPM = """#!{python}
 import pathlib, sys
 log = pathlib.Path({log!r})
 log.write_text(log.read_text() + " ".join(["npm", *sys.argv[1:]]) + "\\n")
+pathlib.Path("node_modules").mkdir(exist_ok=True)
+sys.exit("broken" in pathlib.Path("package.json").read_text())
 """
 
 
@@ -64,6 +66,7 @@ def test_scripts_are_bundled_once_and_again_if_a_source_changes(machine, capsys)
     assert not bundle.is_current()
     bundle.main()
     assert "Bundling the HTML pages" in capsys.readouterr().out and bundle.is_current()
+    assert (script.folder / "node_modules").is_dir(), "packages are beside the sources"
     _, npm, node = machine.log.read_text().splitlines()
     assert npm.startswith("npm ci --ignore-scripts") and " a.js --bundle" in node
     first, second = script.bundle.read_text().splitlines()
@@ -106,10 +109,11 @@ def test_the_node_of_the_wheel_is_used_where_there_is_no_other(machine, tmp_path
     assert bundle.find_node() == (node, [node, str(library)])
 
 
-def test_a_failure_leaves_the_bundle_as_it_was(machine):
+@pytest.mark.parametrize(("file", "program"), [("a.js", "esbuild"), ("package.json", "npm ci")])
+def test_a_failure_leaves_the_bundle_as_it_was(machine, file, program):
     script = machine("v20.0.0")
     script.bundle.write_text("of before")
-    (script.folder / "a.js").write_text("broken")
-    with pytest.raises(SystemExit, match="could not be bundled: .*esbuild.* failed, see above"):
+    (script.folder / file).write_text("broken")
+    with pytest.raises(SystemExit, match=f"could not be bundled: .*{program}.* failed, see above"):
         bundle.main()
     assert [path.read_text() for path in script.bundle.parent.iterdir()] == ["of before"]

@@ -150,6 +150,21 @@ def test_the_box_of_what_is_filled_holds_the_centres_between_the_corners(buffers
         assert box.tolist() == expected, shift
 
 
+@pytest.mark.parametrize("first", [0, 1, 2])
+def test_faces_side_by_side_leave_no_gap_and_none_behind_the_camera_is_drawn(buffers, first):
+    """The diagonal of a square goes through the centres of samples, by each corner in turn."""
+    corners = f32((8, 8, 1), (8, 16, 1), (16, 16, 1), (16, 8, 1))
+    faces = np.array([np.roll([0, 1, 2], first), np.roll([0, 2, 3], first)], np.int32)
+    colours = np.zeros((4, 3), np.float32)
+    box = raster.fill(corners, colours, faces, buffers.depths, buffers.samples)
+    assert box.tolist() == [8, 16, 8, 16] and buffers.depths[8:16, 8:16].all()
+    assert np.count_nonzero(buffers.depths) == 64
+    corners[first, 2] = 0
+    buffers.depths[:] = 0
+    box = raster.fill(corners, colours, faces[:1], buffers.depths, buffers.samples)
+    assert box[1] == 0 and not buffers.depths.any()
+
+
 def test_shadows_fall_away_from_the_sun():
     # 4 m above the floor, under a sun that rises 2 m for each half metre to +x and metre to +z.
     out = np.empty((1, 3), np.float32)
@@ -217,6 +232,36 @@ def test_the_grid_fades_out_around_the_middle():
     # At 0.6 m: (0.4 / 0.75) squared of 30 %.
     assert image[20, 32, 0] == pytest.approx(242 - 0.2844 * 34.2, abs=1)
     assert image[20, 40, 0] == pytest.approx(242, abs=1)
+
+
+def test_lines_are_fainter_where_pixels_are_wider():
+    """Seen level from 1 m above, with 100 pixels for a slope of 1, the row k is 100 / k m away.
+
+    A pixel there is 1 / k m wide and 100 / k / (k + 1) m deep. A line gets 0.12 of its ink by the
+    larger of both in cells of half a metre, and never more than all.
+    """
+    image, shadow = np.zeros((80, 41, 3), np.uint8), np.zeros((40, 21), np.float32)
+    camera = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 0]], float)
+    ground = np.array([0.0, 0.0, 0.0, 1e4, 1.0])
+    raster.paint_floor(image, camera, 100.0, ground, shadow, np.float32(0.3))
+    rows = np.arange(42, 80)
+    k = rows - 39.5
+    ink = np.minimum(0.12 * 0.5 / np.maximum(1 / k, 100 / k / (k + 1)), 1)
+    background = 249 - 14 * rows / 80
+    expected = background - 0.30 * ink * (background - 128)
+    assert image[rows, 20, 0] == pytest.approx(expected - 0.5, abs=0.6)
+    assert expected.min() < 210 < 235 < expected.max()
+    # Seen straight down, a pixel a quarter of a metre wide takes 0.24 of the ink.
+    down = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0], [0, 5, 0]], float)
+    raster.paint_floor(image, down, 20.0, ground, shadow, np.float32(0.3))
+    background = 249 - 14 * 40 / 80
+    assert image[40, 20, 0] == pytest.approx(background - 0.3 * 0.24 * 114, abs=2)
+
+
+def test_beyond_the_floor_is_no_shadow():
+    """The shadow lies 0.7 m from the middle."""
+    beyond, plain = from_above(size=0.5, shadow=1.0), from_above(size=0.5)
+    assert (beyond == plain).all() and (from_above(size=1.0, shadow=1.0) != plain).any()
 
 
 def test_the_shadow_takes_its_share_of_light():
