@@ -395,7 +395,7 @@ def test_cloth_is_smoothed_and_its_hems_stay(regions, height):
     """A step goes half of the way to the neighbours, the next one 0.48 back: 0.5 * 1.48 = 0.74."""
     mesh = fan(regions)
     # Skin around it.
-    mesh.vertices = np.concatenate([mesh.vertices, [[9.0, 9, 9]]])
+    mesh.vertices = np.concatenate([mesh.vertices, [[9.0, 9, 9], [0, 0, 0]]])  # one without faces
     around = [[1, 5, 2], [2, 5, 3], [3, 5, 4], [4, 5, 1]]
     mesh.faces = np.concatenate([mesh.faces, around])
     mesh.regions = np.concatenate([mesh.regions, [REGIONS.index("skin")] * 4])

@@ -34,6 +34,8 @@ def test_limbs_and_head_are_closed_surfaces_with_their_volumes(gesture):
     for k, limb in enumerate(figure.limbs):
         own = mesh.vertices[mesh.parts[:, 0] == k]
         start, end = limb.radii
+        # Rings of 16 corners around thick limbs, of 8 around fingers.
+        assert len(own) == (12 * 16 if max(limb.radii) > 0.012 * figure.height else 8 * 8)
         # From the ball at its start to the ball at its end.
         assert own[:, 1].min() == pytest.approx(-start, rel=1e-4)
         assert own[:, 1].max() == pytest.approx(limb.length + end, rel=1e-4)
@@ -58,6 +60,22 @@ def test_limbs_and_head_are_closed_surfaces_with_their_volumes(gesture):
     real = size > 1e-4 * np.median(size)
     cosines = (flat * mean).sum(axis=1)[real] / size[real] / np.linalg.norm(mean, axis=1)[real]
     assert cosines.min() > 0.5 and np.median(cosines) > 0.98
+
+
+@pytest.mark.parametrize("radii", [(0.1, 0.01), (0.01, 0.1)])
+def test_a_ball_that_swallows_the_rest_of_its_limb_is_whole(gesture, radii):
+    """No cone touches both balls: one holds most of the other."""
+    figure = Figure.of(gesture(0.1))
+    limb = replace(figure.limbs[0], radii=radii, width=1.0, across=None, length=0.05)
+    mesh = Mannequin(replace(figure, limbs=(limb,), head=None)).mesh
+    assert np.isfinite(mesh.vertices).all() and np.isfinite(mesh.normals).all()
+    # The large one is cut off at 0.95 of its radius.
+    ends = mesh.vertices[:, 1].min(), mesh.vertices[:, 1].max()
+    assert ends == pytest.approx((-0.1, 0.095) if radii[0] > 0.05 else (-0.045, 0.15))
+    across = np.hypot(mesh.vertices[:, 0], mesh.vertices[:, 2])
+    near = mesh.vertices[across > 0.099, 1] - (0.05 if radii[1] > 0.05 else 0)
+    assert len(near) and np.abs(near).max() < 0.02
+    assert volume(mesh.vertices, mesh.faces) > 0.85 * 4 / 3 * np.pi * 0.1**3
 
 
 def test_parts_move_with_their_points_between_frames_too(gesture):
