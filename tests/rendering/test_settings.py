@@ -14,6 +14,13 @@ from gesturekit.errors import ConfigError, GestureKitError
 from gesturekit.jobs.result import Result
 from gesturekit.jobs.task import Task
 from gesturekit.motion import Motion
+from gesturekit.rendering.batch import (
+    Cost,
+    measured_cost,
+    model_of_results,
+    preview,
+    render_batch,
+)
 from gesturekit.rendering.features import FeatureExtraction
 from gesturekit.rendering.renderer import Output, Renderer
 
@@ -102,6 +109,35 @@ def test_a_task_has_its_own_seed_length_and_part_of_the_sound(model, tmp_path, s
         paths[seed] = Motion.load(tmp_path / "out" / "a.npz").rotations
     assert np.array_equal(paths[5], model.generate(sound, item="a", seed=5).rotations)
     assert not np.array_equal(paths[0], paths[5])
+
+
+def test_a_preview_names_what_cannot_be_read_and_what_is_kept(model, tmp_path, sound):
+    broken = tmp_path / "broken.wav"
+    broken.write_text("no sound")
+    out = tmp_path / "out"
+
+    def outcomes() -> dict[str, tuple[str, bool]]:
+        found = preview(render_batch(model, [sound, broken], out))
+        return {result.id: (result.status, str(broken) in (result.error or "")) for result in found}
+
+    assert outcomes() == {"a": ("left", False), "broken": ("failed", True)}
+    assert not list(out.glob("*.bvh")) and model_of_results(out) is None
+    assert [result.status for result in render_batch(model, [sound, broken], out).run()] == [
+        "done", "failed"
+    ]  # fmt: skip
+    assert outcomes() == {"a": ("kept", False), "broken": ("failed", True)}
+    assert model_of_results(out) == model.folder
+    (idle,) = preview(render_batch(model, [], tmp_path / "idle", seconds=1.0))
+    assert (idle.id, idle.status) == ("motion", "left")
+
+
+def test_work_that_fails_has_no_cost(model, tmp_path):
+    """Costs are those of items and of seconds of sound, in seconds and bytes."""
+    mean = model.normaliser.mean * float("nan")
+    damaged = replace(model, normaliser=replace(model.normaliser, mean=mean))
+    cost = measured_cost(render_batch(damaged, [], tmp_path / "out", seconds=1.0))
+    assert cost == Cost((0.0, 0.0), (0.0, 0.0)) and not (tmp_path / "out").exists()
+    assert Cost((2.0, 100.0), (0.5, 10.0)).of(3, 8.0) == (10.0, 380.0)
 
 
 class Levels:
