@@ -12,6 +12,7 @@ import matplotlib.figure
 import matplotlib.image
 import numpy as np
 import pytest
+from avatars import avatar
 from rigs import PERSON, at_rest, rig_of
 from scipy.spatial.transform import Rotation
 
@@ -19,9 +20,11 @@ from audio_features import FeatureTrack, LogMel, Wave
 from gesturekit.motion import Motion
 from gesturekit.viewer import write_picture
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
+from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.feature_picture import draw_features
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.pictures import COLOURS
+from gesturekit.viewer.video.scene import Stills
 
 
 def a_swing(amplitude: float) -> Motion:
@@ -246,6 +249,26 @@ def test_the_head_leans_and_its_nose_points_as_it_looks(drawn, skeleton, lean):
         assert np.ptp(shape @ upwards) == pytest.approx(high * size, rel=0.02)
         corners = [(shape @ axis).min() + (shape @ axis).max() for axis in (aside, upwards)]
         assert corners == pytest.approx([2 * middle @ aside, 2 * middle @ upwards], abs=0.01 * size)
+
+
+def test_stills_of_a_skin_stand_at_their_times_and_are_not_stretched(drawn, gesture, tmp_path):
+    (tmp_path / "me.vrm").write_bytes(avatar(1))
+    body = str(tmp_path / "me.vrm")
+    motion = gesture(1.0)
+    axes = drawn(motion, frames=2, body=body)[0]
+    stills = Stills(DrawnBody.of(motion, body), 600)
+    assert axes.get_title(loc="left") == "from the front" and len(axes.images) == 2
+    for image, time in zip(axes.images, (0.25, 0.75), strict=True):
+        shown, (left, right, bottom, top) = stills.at(int(30 * time))
+        start, end, *heights = image.get_extent()
+        assert heights == pytest.approx([bottom, top])
+        assert (time - start) / (end - time) == pytest.approx(-left / right)
+        width, height = np.ptp(axes.transData.transform([(start, bottom), (end, top)]), axis=0)
+        assert width / height == pytest.approx((right - left) / (top - bottom), rel=0.01)
+        assert (np.asarray(image.get_array()) == shown).all()
+    assert axes.get_xlim() == (0, 1)
+    extent = DrawnBody.of(motion, body).figure.extent
+    assert axes.get_ylim() == pytest.approx((-0.05 * extent, 1.09 * extent))
 
 
 def test_a_motion_that_ends_at_the_first_time_is_drawn_in_its_middle(drawn):
