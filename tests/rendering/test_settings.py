@@ -111,6 +111,33 @@ def test_a_task_has_its_own_seed_length_and_part_of_the_sound(model, tmp_path, s
     assert not np.array_equal(paths[0], paths[5])
 
 
+def test_each_format_gets_its_settings_and_pictures_the_sound(model, tmp_path, sound, monkeypatch):
+    """The original file, unless only a part or a channel of it was used."""
+    out, given = tmp_path / "out", {}
+    out.mkdir()
+
+    def save(motion: Motion, path, **options) -> None:
+        given[path.suffix] = options
+        path.write_bytes(b"made")
+
+    monkeypatch.setattr(Motion, "save", save)
+    output = Output("bvh,npz,png,html", unit="m", up="z", framing="waist", body="skeleton")
+    own = {".bvh": {"unit": "m"}, ".npz": {"up": "z"}, ".png": {"body": "skeleton"}}
+    own[".html"] = {"body": "skeleton", "framing": "waist"}
+    for path, more, channel, audio in (
+        (sound, {}, None, sound),
+        (sound, {"start": 0.5}, None, 1.0),
+        (sound, {}, 1, 1.5),
+        (None, {"seconds": 0.4}, None, None),
+    ):
+        made = renderer(model, out, output, channel=channel)(Result(Task("a", path, more=more)))
+        assert made.error is None and len(made.files) == 4
+        for kind in (".png", ".html"):
+            found = given[kind].pop("audio", None)
+            assert (found.duration if isinstance(found, af.Wave) else found) == audio
+        assert given == own
+
+
 def test_a_preview_names_what_cannot_be_read_and_what_is_kept(model, tmp_path, sound):
     broken = tmp_path / "broken.wav"
     broken.write_text("no sound")
