@@ -183,12 +183,12 @@ def parse_shard(text: str) -> tuple[int, int]:
     Raises:
         ConfigError: not two whole numbers of which the first is between 1 and the second.
     """
-    number, slash, count = text.partition("/")
+    number, _, count = text.partition("/")
     try:
         shard, shards = int(number), int(count)
     except ValueError:
         shard, shards = 0, 0
-    if not slash or not 1 <= shard <= shards <= 99_999:
+    if not 1 <= shard <= shards <= 99_999:
         raise ConfigError(f"shard {text!r}: expected a number of 1 to N and N, such as 1/8 or 8/8")
     return shard, shards
 

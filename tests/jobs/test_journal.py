@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import os
+from pathlib import Path
 
 import pytest
 
@@ -39,6 +41,128 @@ def test_the_next_run_reads_what_was_done(open_journal, tmp_path):
     assert (result.status, result.sound, result.run) == ("done", 2.5, "b")
     assert history.killed("two b") == history.unfinished("two b") == []
     assert History(tmp_path, {"one a"}).names() == ["one a"]
+    (path,) = (tmp_path / "journal").iterdir()
+    assert all(json.loads(line) for line in path.read_text().splitlines()), "no empty lines"
+    (tmp_path / "any other file").touch()
+    assert path.stat().st_mode == (tmp_path / "any other file").stat().st_mode
+
+
+def test_what_begins_and_what_is_done_is_on_the_disk_at_once(open_journal, monkeypatch):
+    """Files of an item that a loss of power cut short are known by its start."""
+    on_disk = []
+    monkeypatch.setattr(os, "fsync", lambda file: on_disk.append(os.pread(file, 1 << 16, 0)))
+    journal = open_journal()
+    journal.start("one")
+    assert b'"started": "one"' in on_disk[-1]
+    journal.finish(done("one", sound=1.23456789))
+    journal.close()
+    line = json.loads(on_disk[-1].splitlines()[-1])
+    assert (line["status"], line["id"], line["sound"]) == ("done", "one", 1.2346)
+    assert "error" not in line and "input" not in line, "empty fields are left out"
+
+
+def begin(run: str, at: float, **settings) -> dict:
+    return {"run": run, "settings": settings, "format": 1, "time": at}
+
+
+def started(name: str, run: str, at: float) -> dict:
+    return {"started": name, "run": run, "time": at}
+
+
+def ended(status: str, name: str, run: str, at: float, **more) -> dict:
+    return {"status": status, "id": name, "run": run, "time": at, **more}
+
+
+def write(state, *lines: dict, name: str = "1") -> History:
+    """Write a journal, and return what all journals hold."""
+    (state / "journal").mkdir(parents=True, exist_ok=True)
+    text = "".join(f"{json.dumps(line)}\n" for line in lines)
+    (state / "journal" / f"{name}.jsonl").write_text(text)
+    return History(state)
+
+
+def test_starts_count_since_the_last_result_of_their_item(tmp_path):
+    history = write(
+        tmp_path,
+        *(started("x", "a", 8), started("y", "a", 9), ended("lost", "x", "a", 12)),
+        *(started("x", "b", 12), started("z", "b", 12), ended("dropped", "z", "b", 13)),
+        started("y", "c", 14),
+    )
+    assert [history.killed(name) for name in "wxyz"] == [[], ["b"], ["a", "c"], []]
+    assert [history.unfinished(name) for name in "wxyz"] == [[], ["b", "a"], ["a", "c"], ["b"]]
+    # A journal of another shard has a later result.
+    history = write(tmp_path, ended("failed", "y", "d", 20), ended("done", "y", "d", 11), name="2")
+    assert history.killed("y") == [] and [r.time for r in history.results("y")] == [11, 20]
+
+
+def test_the_latest_run_is_found_in_any_journal(tmp_path):
+    assert last_run(tmp_path) is None
+    unusable = [
+        {"run": "f", "settings": [], "format": 1, "time": 90.0},
+        {"run": "g", "settings": {}, "format": 1},
+        {"run": "h", "settings": {}, "format": 0, "time": 90.0},
+        {"run": 3, "settings": {}, "format": 1, "time": 90.0},
+    ]
+    write(tmp_path, begin("a", 1.0), begin("c", 30.0), *unusable)
+    lines = [{**begin("b", 20.0), "model": "m"}, ended("done", "x", "z", 99.0, model="n")]
+    history = write(tmp_path, *lines, name="2")
+    assert set(history.runs) == {"a", "b", "c"}
+    assert last_run(tmp_path)["run"] == "c" and last_run(tmp_path, "model")["run"] == "b"
+
+
+def test_an_existing_file_is_the_same_begun_or_another(tmp_path):
+    """As it was when it was written, or by its content; with the same settings and input."""
+    file, state = tmp_path / "x.bvh", tmp_path / "state"
+    file.write_text("motion")
+    facts = {"size": 6, "mtime_ns": file.stat().st_mtime_ns}
+    about = {"sha256": hashlib.sha256(b"motion").hexdigest(), **facts}
+    run = {**begin("a", 1.0, seed=1), "written": {"bvh": {"unit": "cm"}, "npz": {"up": "z"}}}
+    result = ended("done", "x", "a", 9.0, files={"x.bvh": about}, input={"input": "sound"})
+    later = ended("failed", "x", "a", 10.0, error="x.npz: odd")
+    history = write(state, run, result, later, started("y", "a", 11.0))
+    same = {"seed": 1, "input": "sound", "unit": "cm"}
+    assert history.compare("x", file, same) == "same" and not history.differences("x", file, same)
+    for name in same:
+        other = {**same, name: 9}
+        assert history.compare("x", file, other) == "other"
+        assert history.differences("x", file, other) == [name]
+    assert history.differences("x", file, {**same, "new": 1}) == ["new"]
+    os.utime(file, ns=(0, 0))
+    assert history.compare("x", file, same) == "same", "the content is"
+    file.write_text("motions")
+    os.utime(file, ns=(0, facts["mtime_ns"]))
+    assert history.compare("x", file, same) == "other", "longer, at the same time"
+    file.write_text("notion")
+    os.utime(file, ns=(0, 0))
+    assert history.compare("x", file, same) == "other", "as long, at another time"
+    os.utime(file, ns=(0, facts["mtime_ns"]))
+    assert history.compare("x", file, same) == "same", "it is not read again"
+    # Of an item that a killed run had begun, nothing is known but the settings of the run.
+    mine = {"seed": 1, "unit": "cm"}
+    assert history.compare("y", tmp_path / "y.bvh", mine) == "begun"
+    mine["input"] = "anything"
+    assert history.compare("y", tmp_path / "y.bvh", mine) == "begun"
+    assert history.compare("y", tmp_path / "y.bvh", {**mine, "seed": 2}) == "other"
+    assert history.compare("y", tmp_path / "y.npz", mine) == "other"
+    assert history.differences("y", tmp_path / "y.bvh", mine) == []
+    unknown = write(state, started("y", "a", 11.0))
+    assert unknown.compare("y", tmp_path / "y.bvh", mine) == "other"
+
+
+def test_the_digest_of_an_input_is_known_while_the_file_is_unchanged(tmp_path):
+    sound = tmp_path / "x.wav"
+    sound.write_text("sound")
+    stamp = {"size": 5, "mtime_ns": sound.stat().st_mtime_ns}
+    history = write(
+        tmp_path,
+        ended("done", "x", "a", 1.0, input={"input": "first"}, source=stamp),
+        ended("done", "x", "a", 2.0, input={"input": "second"}, source=stamp),
+        ended("done", "x", "a", 3.0, input={"input": "third"}, source={**stamp, "size": 6}),
+        ended("done", "y", "a", 4.0, input={"input": "of none"}),
+    )
+    assert history.input_digest("x", sound) == "second"
+    assert history.input_digest("y", sound) is None
+    assert history.input_digest("y", tmp_path / "missing.wav") is None
 
 
 def test_items_in_progress_when_a_run_was_killed(open_journal, tmp_path):
@@ -94,6 +218,7 @@ def test_lines_of_anything_are_ignored(open_journal, tmp_path):
         b'{"started": "a", "time": "now", "run": "a"}',
         b"[" * 100_000,
         b"x" * (3 << 20),
+        b'{"started": "cut short',
     ]
     path.write_bytes(path.read_bytes() + b"\n".join(strange) + b"\n")
     journal.finish(done("b"))
@@ -123,6 +248,21 @@ def test_after_a_full_disk_the_next_line_is_whole(open_journal, tmp_path, monkey
         patch.setattr(os, "write", full)
         with pytest.raises(OSError, match="No space"):
             journal.finish(done("a"))
+        with pytest.raises(OSError, match="No space"):
+            open_journal("b", shard=2)
     journal.finish(done("b"))
     history = History(tmp_path)
     assert not history.results("a") and history.results("b")
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="no list of open files")
+def test_no_file_stays_open(open_journal, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    before = len([*Path("/proc/self/fd").iterdir()])
+    open_journal().close()
+    monkeypatch.setattr(os, "write", full)
+    with pytest.raises(OSError, match="No space"):
+        open_journal()
+    assert len([*Path("/proc/self/fd").iterdir()]) == before
