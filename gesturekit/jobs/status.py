@@ -93,7 +93,7 @@ class Status:
         by_items = 60 * len(self.left) / self.items_per_minute
         if not self.real_time_factor or not self.seconds:
             return by_items
-        sound_left = max(0.0, self.seconds * len(self.left) / max(self.items, 1))
+        sound_left = self.seconds * len(self.left) / max(self.items, 1)
         return max(0.0, sound_left / self.real_time_factor)
 
     def reasons(self) -> list[tuple[str, int, str]]:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import logging
 import operator
 import os
+import signal
 import time
+import warnings
 from functools import partial
 
 import pytest
 
 from gesturekit.errors import ConfigError
+from gesturekit.jobs import workers
 from gesturekit.jobs.workers import Failure, Pool
 
 
@@ -36,3 +39,52 @@ def test_log_messages_of_a_worker_arrive(caplog):
 def test_functions_that_cannot_be_pickled_are_refused():
     with pytest.raises(ConfigError, match="use 1 worker"):
         Pool(lambda task: task, 2)
+
+
+def test_cores_are_divided_among_the_workers_unless_the_user_says_otherwise(monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 6)
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    monkeypatch.setenv("MKL_NUM_THREADS", "7")
+    names = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+    before = dict(os.environ)
+    tasks = [partial(_after, 0.5, names) for _ in range(2)]
+    results = [result for _, result in Pool(operator.call, 2).map(tasks, lambda task: None)]
+    assert [values for _, values in results] == [["3", "7", "3"]] * 2
+    assert len({process for process, _ in results} | {os.getpid()}) == 3
+    assert dict(os.environ) == before
+
+
+def _after(seconds: float, names: tuple[str, ...]) -> tuple[int, list[str | None]]:
+    """Sleep, and return the process and its environment."""
+    time.sleep(seconds)
+    return os.getpid(), [os.environ.get(name) for name in names]
+
+
+class OnArrival:
+    """A function that calls another one when a worker opens it."""
+
+    def __init__(self, call, *arguments) -> None:
+        self.call = call, arguments
+
+    def __reduce__(self):
+        return self.call
+
+    def __call__(self, task) -> None: ...
+
+
+def test_workers_that_cannot_start_are_one_clear_error():
+    for function, says in (
+        (OnArrival(int, "x"), "cannot start: invalid literal for int"),
+        (OnArrival(os._exit, 4), r"ended while it started \(exit code 4\)"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            list(Pool(function, 1).map([1], lambda task: None))
+
+
+def test_warnings_of_a_worker_arrive_and_a_signal_that_ended_it_is_named(monkeypatch):
+    monkeypatch.setattr(workers, "ATTEMPTS", 1)
+    tasks = [partial(warnings.warn, "odd sound"), partial(signal.raise_signal, signal.SIGKILL)]
+    with pytest.warns(UserWarning, match="odd sound"):
+        found = dict(Pool(operator.call, 1).map(tasks, lambda task: None))
+    says = "its worker process ended (signal SIGKILL: perhaps memory ran out)"
+    assert found[tasks[0]] is None and str(found[tasks[1]]) == says

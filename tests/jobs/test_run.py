@@ -113,3 +113,58 @@ def test_shards_share_the_tasks_and_those_that_cannot_be_planned_are_in_the_firs
 def test_settings_that_cannot_be_are_refused(settings, says):
     with pytest.raises(ConfigError, match=says):
         Execution(**settings)
+
+
+def test_files_that_would_be_overwritten_are_named_three_at_most(tmp_path):
+    tasks = [Task(name) for name in "abcde"]
+    for count, says in (
+        (
+            1,
+            "{0}/a.txt exists already (1 refused, 0 kept, 4 to make: nothing was done); "
+            "--existing replace overwrites it, --existing skip leaves it",
+        ),
+        (
+            3,
+            "{0}/a.txt, {0}/b.txt, {0}/c.txt exist already (3 refused, 0 kept, 2 to make: "
+            "nothing was done); --existing replace overwrites them, --existing skip leaves them",
+        ),
+        (
+            5,
+            "{0}/a.txt, {0}/b.txt, {0}/c.txt and 2 more exist already (5 refused, 0 kept, 0 to "
+            "make: nothing was done); --existing replace overwrites them, --existing skip leaves "
+            "them",
+        ),
+    ):
+        for task in tasks[:count]:
+            (tmp_path / f"{task.id}.txt").write_text("mine")
+        with pytest.raises(ConfigError) as error:
+            batch(tmp_path, tasks)
+        assert str(error.value) == says.format(tmp_path)
+    assert (tmp_path / "a.txt").read_text() == "mine"
+
+
+def test_settings_that_differ_are_named(tmp_path):
+    done(tmp_path, TASKS, settings={"seed": 1, "speaker": "a", "controls": 1})
+    for settings, says in (
+        ({"seed": 1, "speaker": "b", "controls": 1}, ", made with another speaker "),
+        ({"seed": 2, "speaker": "a", "controls": 2}, ", made with other controls, another seed "),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            batch(tmp_path, TASKS, settings=settings)
+
+
+def test_an_output_folder_that_cannot_be_is_one_clear_error(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(ConfigError, match=r"file/out: cannot be created \(Not a directory\)"):
+        done(tmp_path / "file" / "out", TASKS)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "sub").symlink_to(tmp_path)
+    with pytest.raises(ConfigError, match=r"sub/a.txt lies outside .*/sub is a link"):
+        batch(tmp_path / "out", [Task("sub/a")])
+    (tmp_path / "out" / "sub").unlink()
+    (tmp_path / "linked").symlink_to(tmp_path / "out")
+    assert done(tmp_path / "linked", TASKS) == dict.fromkeys("abc", "done")
+    (tmp_path / "out" / ".gesturekit" / "lock").unlink()
+    (tmp_path / "out" / ".gesturekit" / "lock").mkdir()
+    with pytest.raises(ConfigError, match=".gesturekit: Is a directory"):
+        done(tmp_path / "out", TASKS)

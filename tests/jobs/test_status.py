@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import hashlib
 import json
 from pathlib import Path
 
@@ -62,8 +64,7 @@ def test_counts_and_speed_are_those_of_the_latest_results(journals):
     assert (found.items, found.seconds, found.done, found.earlier) == (6, 60, 3, 1)
     assert found.failed == [FailedItem("b", "b.wav: worst", 2)] and not found.failed[0].is_aside
     assert (found.left, found.in_hand, found.running) == (["e", "f"], ["e"], [])
-    assert found.sound == 70 and sum(n for _, n in found.shards) == 4
-    assert [n for n, _ in found.shards] == [3, 3]
+    assert found.sound == 70 and found.shards == [[3, 2], [3, 2]]
     assert found.items_per_minute == pytest.approx(180 / 630)
     assert found.real_time_factor == pytest.approx(60 / 630)
     assert found.seconds_left == pytest.approx(210)
@@ -78,6 +79,29 @@ def test_an_item_fails_anew_after_it_was_done_or_changed(journals):
     assert status_of(journals([*failed, done, again])).failed[0].attempts == 1
     dropped = result("dropped", "b", 1.5)
     assert status_of(journals([failed[0], dropped, failed[1]])).failed[0].attempts == 2
+    # The time says what was last, and the later line of two at one time.
+    same = result("failed", "b", 4, error="b.wav: worse")
+    assert status_of(journals([done, same])).failed == [FailedItem("b", "b.wav: worse", 1)]
+    assert status_of(journals([same, done])).done == 1
+    assert status_of(journals([again], [done])).failed == [FailedItem("b", "b.wav: odd", 1)]
+
+
+def test_a_result_that_took_no_time_has_a_speed(journals):
+    found = status_of(journals([result("done", "a", 1000, 0, 3)]))
+    assert found.items_per_minute == pytest.approx(60_000)
+    assert found.real_time_factor == pytest.approx(3_000)
+    assert gc.isenabled()
+
+
+def test_journals_longer_than_what_is_read_at_once(journals):
+    """Every line counts, however the file is read; an overlong one is none of ours."""
+    lines = [result("done", "a", 1000 + n, 1, 1, padding="x" * 1000) for n in range(17_000)]
+    lines[9_000] = result("done", "b", 1000, 1, 1, padding="x" * (18 << 20))
+    started = '{"started": "c", "time": 1990}'
+    found = status_of(journals([started, *lines, '{"started": "d", "time": 1990}', started]))
+    assert (found.sound, found.done) == (16_999, 1)
+    # Only the end of a journal is searched for what is in progress.
+    assert found.in_hand == ["d", "c"]
 
 
 @pytest.mark.parametrize(
@@ -87,6 +111,8 @@ def test_an_item_fails_anew_after_it_was_done_or_changed(journals):
         ({"items_per_minute": 2.0}, 90.0),
         ({"items_per_minute": 2.0, "real_time_factor": 4.0}, 7.5),
         ({"items_per_minute": 2.0, "real_time_factor": 4.0, "seconds": 0.0}, 90.0),
+        ({"items_per_minute": 2.0, "real_time_factor": 4.0, "seconds": -40.0}, 0.0),
+        ({"items_per_minute": 2.0, "real_time_factor": 4.0, "items": 0, "left": []}, 0.0),
     ],
 )
 def test_the_time_left_goes_by_sound_or_else_by_items(values, left):
@@ -116,5 +142,12 @@ def test_a_folder_without_work_or_with_another_plan_is_refused(journals, tmp_pat
         status_of(tmp_path)
     plan = journals() / STATE / PLAN
     plan.write_text(plan.read_text().replace('{"shard": 2', '{"shard": 3'))
-    with pytest.raises(FormatError, match="delete it"):
+    with pytest.raises(FormatError, match="its lines were changed; delete it"):
         status_of(tmp_path)
+    for number in (0, 3):
+        line = json.dumps({"shard": number, "id": "a"}).encode() + b"\n"
+        about = {"format": 1, "request": "r", "sha256": hashlib.sha256(line).hexdigest()}
+        about |= {"shards": [[1, 0.0], [0, 0.0]], "made": 0.0}
+        plan.write_bytes(json.dumps(about).encode() + b"\n" + line)
+        with pytest.raises(FormatError, match=f"shard {number} of 2; delete it"):
+            status_of(tmp_path)

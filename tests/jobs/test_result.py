@@ -1,0 +1,151 @@
+"""What a task leaves behind: its result, the digests of settings and files, and reasons."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gesturekit.errors import ConfigError
+from gesturekit.jobs.result import Processor, Result, file_facts, json_of, path_digest
+from gesturekit.jobs.task import Task
+
+
+def sha(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+@dataclass
+class Makes(Processor):
+    """Writes NAME.txt and NAME.csv, or raises `error` between them."""
+
+    out: Path
+    existing: str = "refuse"
+    settings: dict[str, Any] = field(default_factory=lambda: {"seed": 1})
+    written: dict[str, dict[str, Any]] = field(default_factory=lambda: {"txt": {}, "csv": {}})
+    error: Exception | None = None
+
+    def make(self, result: Result) -> None:
+        for file in self.missing(result, result.id):
+            if self.error is not None and file.suffix == ".csv":
+                raise self.error
+            time.sleep(0.02)
+            file.parent.mkdir(exist_ok=True)
+            file.write_text(f"{result.id}{file.suffix}")
+
+
+@pytest.fixture
+def task(tmp_path) -> Task:
+    (tmp_path / "a.wav").write_text("sound")
+    return Task("day/a", tmp_path / "a.wav", source="in/a.wav")
+
+
+def test_a_result_has_what_a_rerun_needs_to_know(task, tmp_path):
+    made = Makes(tmp_path / "out")
+    (tmp_path / "out").mkdir()
+    result = made(Result(task))
+    assert (result.status, result.error, result.is_full) == ("done", None, False)
+    assert result.files == (tmp_path / "out/day/a.txt", tmp_path / "out/day/a.csv")
+    assert result.input == {"input": sha(b"sound")} and result.stamp["size"] == 5
+    assert result.stamp["mtime_ns"] == task.path.stat().st_mtime_ns
+    assert 0.04 <= result.seconds < 2 and result.seconds == round(result.seconds, 4)
+    about = result.digests.pop("day/a.csv")
+    assert about["sha256"] == sha(b"day/a.csv") and about["size"] == 9
+    assert list(result.digests) == ["day/a.txt"]
+    # The key is that of settings, formats and input; the run's name that of the first two.
+    others = [
+        Makes(tmp_path / "out", settings={"seed": 2}),
+        Makes(tmp_path / "out", written={"txt": {}, "csv": {"x": 1}}),
+    ]
+    assert len({made.run, *(other.run for other in others)}) == 3
+    assert len({result.key, *(other.key(result.input) for other in others), made.key({})}) == 4
+    assert Makes(tmp_path / "elsewhere").run == result.run == made.run
+    # What is kept is not made again.
+    again = made(Result(task, kept=(tmp_path / "out/day/a.txt",)))
+    assert again.files == (tmp_path / "out/day/a.csv",) and list(again.digests) == ["day/a.csv"]
+    elsewhere = made.into(tmp_path / "elsewhere")
+    assert elsewhere.targets(task)[0] == tmp_path / "elsewhere/day/a.txt"
+    assert made.out == tmp_path / "out"
+    assert made.targets(Task("", error="no such folder")) == ()
+    assert made.input_of(Task("idle")) == {} and made.input_of(task, "known") == {"input": "known"}
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (ConfigError("in/a.wav: odd\nthing"), "in/a.wav: odd thing"),
+        (ConfigError("the model gives NaN"), "in/a.wav: the model gives NaN"),
+        (MemoryError(), "in/a.wav: not enough memory"),
+        (RuntimeError("CUDA out of memory"), "in/a.wav: CUDA out of memory"),
+        (OSError(errno.EACCES, "Permission denied", "/tmp/.a-x.csv"), "{out}: Permission denied"),
+        (OSError("no number"), "in/a.wav: no number"),
+        (
+            KeyError("b\udcff"),
+            "in/a.wav: unexpected KeyError, please report it: 'b\\udcff'",
+        ),
+    ],
+)
+def test_a_failure_is_one_line_that_names_the_input_or_the_file(task, tmp_path, error, says):
+    result = Makes(tmp_path / "out", error=error)
+    (tmp_path / "out").mkdir()
+    result = result(Result(task))
+    assert (result.status, result.is_full) == ("failed", False)
+    assert result.error == says.format(out=tmp_path / "out/day/a.csv")
+    assert result.files == (tmp_path / "out/day/a.txt",) and list(result.digests) == ["day/a.txt"]
+
+
+def test_a_full_disk_is_no_failure_of_its_input(task, tmp_path):
+    (tmp_path / "out").mkdir()
+    full = Makes(tmp_path / "out", error=OSError(errno.ENOSPC, "No space left on device"))
+    result = full(Result(task))
+    assert (result.status, result.is_full) == ("dropped", True)
+
+
+@dataclass
+class Setting:
+    name: str
+    values: list[int]
+
+
+def test_equal_settings_have_equal_descriptions(tmp_path):
+    for plain in (None, True, 3, 0.5, "text", [1, [2]], {"a": None}):
+        assert json_of(plain) == plain
+    assert json_of({1: (2, "x")}) == {"1": [2, "x"]}
+    file = tmp_path / "a.bvh"
+    file.write_text("motion")
+    assert json_of(file) == f"sha256:{sha(b'motion')}"
+    assert json_of(str(file)) == f"{file} sha256:{sha(b'motion')}"
+    assert json_of("x" * 10_000) == "x" * 10_000
+    numbers = np.arange(6, dtype=np.float32)
+    same = [json_of(values) for values in (numbers, numbers.copy())]
+    others = [numbers + 1, numbers.reshape(2, 3), numbers.reshape(3, 2), numbers.view("i4")]
+    assert len({*same, *map(json_of, others)}) == 5
+    one = json_of(Setting("a", [1]))
+    assert one == json_of(Setting("a", [1])) and one.startswith("sha256:")
+    assert one not in (json_of(Setting("a", [2])), json_of(Setting("b", [1])))
+    assert json_of(1j) == "1j"
+
+
+def test_the_digest_of_a_folder_is_that_of_names_and_contents(tmp_path):
+    def folder(name: str, **files: str) -> Path:
+        (tmp_path / name).mkdir()
+        for file, text in files.items():
+            (tmp_path / name / file).write_text(text)
+        return tmp_path / name
+
+    one, same = folder("one", a="1", b="2"), folder("same", b="2", a="1")
+    others = [folder("x", a="1", b="3"), folder("y", a="2", b="1"), folder("z", a="1", c="2")]
+    assert path_digest(one) == path_digest(same)
+    assert len({path_digest(path) for path in (one, *others)}) == 4
+    (one / "a").write_bytes(b"1" * 3_000_000)
+    assert path_digest(one / "a") == sha(b"1" * 3_000_000)
+    assert path_digest(tmp_path / "missing") == ""
+    assert file_facts(one) is None and file_facts(tmp_path / "missing") is None
+    (tmp_path / "loop").symlink_to("loop")
+    assert path_digest(tmp_path / "loop") == ""
