@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import http.client
 import io
 import json
 import os
+import queue
+import re
 import signal
+import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -17,15 +22,18 @@ import numpy as np
 import pytest
 import soundfile
 from loud import LoudModel
+from pages import bundled
 
 from audio_features import Wave
 from gesturekit import systems
 from gesturekit.live import runner, sources
 from gesturekit.live.recording import Recording
 from gesturekit.live.runner import Report, Step, run
+from gesturekit.live.session import Session
 from gesturekit.live.sources import FileSource, PipeSource
 from gesturekit.live.timeline import Block
 from gesturekit.motion import Motion
+from gesturekit.viewer.human.body import is_baked
 
 MAIN = """
 import sys, loud, gesturekit.systems
@@ -326,3 +334,157 @@ def test_a_recording_keeps_joints_that_move_on_their_own(skeleton, tmp_path):
     found = Motion.load(tmp_path / "take.npz")
     np.testing.assert_allclose(found.positions(), whole.positions(), atol=1e-6)
     assert found.joint_translations.keys() == moving.keys()
+
+
+def test_the_figures_of_a_run_are_those_of_its_steps(monkeypatch):
+    """By hand: steps of 1, 2, 3, 4 and 5 s, of which the first makes no frame."""
+    clock = SimpleNamespace(now=10.0)
+    clock.perf_counter = clock.monotonic = lambda: clock.now
+    monkeypatch.setattr(runner, "time", clock)
+    report = Report(begun=8.0)
+    assert report.figures()["step_p50"] is None and report.figures()["arrival_jitter"] is None
+    assert report.figures()["real_time_factor"] is None and report.line() == "0.0 s, 0 frames"
+    motion = LoudModel().generate(seconds=0.1)
+
+    def work(seconds: float, result: Motion | None) -> Motion | None:
+        clock.now += seconds
+        return result
+
+    for seconds in (1.0, 2.0, 3.0, 4.0, 5.0):
+        result = None if seconds == 1 else motion
+        assert report.timed(lambda: work(seconds, result)) is result  # noqa: B023
+    assert report.arrived(None) is None and not report.lags
+    assert [report.arrived(clock.now - lag) for lag in (0.5, 0.25, 1.25)] == [0.5, 0.25, 1.25]
+    report.seconds, report.latency, report.overflows, report.missed = 7.5, 0.25, 1, 2
+    report.sound = {"bridged": 0.005, "silent": 0.004, "dropped": 1.5, "skipped": 0.0}
+    assert report.figures() == pytest.approx(
+        {
+            **{"sound": 7.5, "frames": 12, "algorithmic_latency": 0.25, "load_to_first_pose": 5.0},
+            **{"real_time_factor": 2.0, "step_p50": 3.0, "step_p95": 4.8, "step_max": 5.0},
+            **{"lag_p50": 0.5, "lag_p95": 1.175, "lag_max": 1.25, "arrival_jitter": 1.175 - 0.275},
+            **{"bridged": 0.005, "silent": 0.004, "dropped": 1.5, "skipped": 0.0},
+            **{"overflows": 1, "steps_missed_by_sinks": 2},
+        }
+    )
+    assert report.line() == (
+        "7.5 s, 12 frames, worst lag 1.25 s, 0.01 s bridged, 1.50 s dropped, 1 overflow, "
+        "2 steps missed by a sink"
+    )
+
+
+def test_a_sink_that_cannot_end_is_a_failure_and_the_others_end(write_speech, tmp_path):
+    class Unending(Kept):
+        def close(self) -> None:
+            raise OSError(28, "No space left on device")
+
+    class Closed(Kept):
+        is_closed = False
+
+        def close(self) -> None:
+            self.is_closed = True
+
+    closed, failing = Closed(), Failing()
+    speech = write_speech(tmp_path / "a.wav", 0.5)
+    report = start(FileSource(speech, 0.04, True), [Unending(), failing, closed])
+    assert report.failures == [
+        "Unending: [Errno 28] No space left on device",
+        "Failing: [Errno 28] No space left on device",
+    ]
+    assert closed.is_closed and report.missed == 0 and not report.lags
+    assert sum(len(step.samples) for step in closed.steps) == 8000
+
+
+def test_a_run_that_is_stopped_ends_with_the_sound_that_it_got(write_speech, tmp_path):
+    stopped, report = threading.Event(), Report(begun=0.0)
+    source = FileSource(write_speech(tmp_path / "a.wav", 2.0), 0.04, False)
+
+    class Stopping(Kept):
+        def put(self, step) -> None:
+            super().put(step)
+            stopped.set()
+
+    kept = Stopping()
+    stream = LoudModel().stream(source.rate)
+    run(stream, source, [kept], report=report, stopped=stopped, warn=print)
+    assert 0.04 <= report.seconds < 1 and report.frames == round(report.seconds * 30 + 1e-6)
+    assert not kept.steps[-1].samples.size and kept.steps[-1].motion is not None
+
+
+def test_an_error_of_the_source_ends_the_run_and_its_recording(tmp_path):
+    class Unplugged(Stalling):
+        def run(self, put, stopped) -> None:
+            for _ in range(10):
+                put(Block(np.zeros(640, np.float32), None))
+            raise OSError("unplugged")
+
+    source = Unplugged()
+    source.fast = True
+    recording = Recording(tmp_path / "new" / "take.npz", 16_000)
+    with pytest.raises(OSError, match="unplugged"):
+        start(source, [recording])
+    assert Motion.load(tmp_path / "new" / "take.npz").n_frames == 7  # 0.4 s, 0.2 s ahead
+    assert soundfile.info(tmp_path / "new" / "take.wav").frames == 6400
+
+
+def test_frames_of_a_recording_lie_beside_it_until_its_end(tmp_path, monkeypatch):
+    """The folder for temporary files may be in memory, which hours of motion would fill."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
+    recording = Recording(tmp_path / "take.npz")
+    motion = LoudModel().generate(seconds=0.1)
+    recording.put(Step(np.zeros(0, np.float32), motion, 0.0, None))
+    recording.close()
+    assert Motion.load(tmp_path / "take.npz").n_frames == 3
+    assert [path.name for path in tmp_path.iterdir()] == ["take.npz"]
+
+
+@pytest.mark.skipif(not is_baked(), reason="the human body is not baked: `make setup`")
+def test_a_program_beside_gets_the_frames_of_a_file(live, write_speech, tmp_path):
+    wav = write_speech(tmp_path / "a.wav", 0.5)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reader:
+        reader.bind(("127.0.0.1", 0))
+        reader.settimeout(5)
+        port = reader.getsockname()[1]
+        live("--from", wav, "--fast", "--to", f"vmc:127.0.0.1:{port}").ok()
+        assert all(reader.recv(1 << 16).startswith(b"#bundle") for _ in range(15))
+    for place in (":39539", "h:0", "h:65536", "h:x", "::"):
+        done = live("--from", wav, "--to", f"vmc:{place}")
+        done.fails(2, f"--to vmc:{place}: expected vmc:HOST:PORT")
+
+
+@bundled
+@pytest.mark.skipif(not is_baked(), reason="the human body is not baked: `make setup`")
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+def test_a_page_is_served_while_sound_comes(host):
+    """On an address of this machine only it is only reached by names of this machine."""
+    said, stopped = queue.Queue(), threading.Event()
+    read, write = os.pipe()
+    about = {"look_ahead": 0.2, "seed": 0, "fast": True, "block": 0.04, "rate": 16_000}
+    about |= {"host": host, "port": 0, "body": "mannequin", "framing": "waist"}
+    session = Session(source="-", sinks=("page",), say=said.put, **about)
+    report = Report(begun=0.0)
+
+    def serve() -> None:
+        with os.fdopen(read, "rb") as pipe, pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "stdin", SimpleNamespace(buffer=pipe))
+            session.run(LoudModel, report, stopped)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    place = re.fullmatch(
+        rf"Page at http://{re.escape(host)}:(\d+)/ \(end with Ctrl-C\)", said.get(timeout=20)
+    )
+    for name, status in (("localhost", 200), ("else.where", 400 if host == "127.0.0.1" else 200)):
+        asked = http.client.HTTPConnection("127.0.0.1", int(place[1]), timeout=5)
+        asked.request("GET", "/", headers={"Host": name})
+        answer = asked.getresponse()
+        assert answer.status == status
+        text = answer.read().decode()
+        asked.close()
+        if name == "localhost":
+            page = json.loads(re.search(r'json" id="motion">(.*?)</script>', text, re.S)[1])
+            assert page["live"]["n_joints"] == LoudModel().skeleton.n_joints
+            assert page["below"] > 0.5  # metres of the legs, which are not shown
+            assert answer.getheader("X-Content-Type-Options") == "nosniff"
+    os.close(write)
+    thread.join(20)
+    assert not thread.is_alive() and report.latency == pytest.approx(0.24)

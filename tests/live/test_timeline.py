@@ -94,3 +94,55 @@ def test_sound_without_a_clock_is_taken_as_it_is():
     given = [placed(line, block) for block in blocks(dict.fromkeys(range(8)))]
     np.testing.assert_array_equal(np.concatenate(given), TONE[: 8 * SIZE])
     assert line.moment(1.0) is None
+
+
+def test_what_fills_a_gap_to_the_last_sample():
+    """Twenty samples a second, of which four are mirrored: 6 5 4 3 times 1, 3/4, 1/2, 1/4."""
+    line = Timeline(20, 0.25)
+    assert not len(line.idle(10.0)) and line.moment(0.0) == 10.0
+    # 0.3 s of sound are due after 0.2 s of patience and 0.25 s of tolerance: at first silence.
+    np.testing.assert_array_equal(line.idle(10.75), np.zeros(6))
+    line = Timeline(20, 0.25)
+    sound = np.arange(1, 7, dtype=np.float32)
+    np.testing.assert_array_equal(line.place(Block(sound, 10.0), 10.3), sound)
+    assert line.seconds == pytest.approx(0.3)
+    np.testing.assert_allclose(line.idle(10.9), [6, 3.75, 2])
+    assert line.counts() == pytest.approx(
+        {"bridged": 0.15, "silent": 0, "dropped": 0, "skipped": 0}
+    )
+    np.testing.assert_allclose(line.idle(11.0), [0.75, 0])
+    assert line.counts() == pytest.approx(
+        {"bridged": 0.2, "silent": 0.05, "dropped": 0, "skipped": 0}
+    )
+    assert line.seconds == pytest.approx(0.55) and line.moment(0.5) == 10.5
+    # What follows is mirrored anew, with what was before it.
+    line.place(Block(sound[:2] * 10, 10.55), 10.65)
+    np.testing.assert_allclose(line.idle(11.5)[:5], [20, 7.5, 3, 1.25, 0])
+
+
+def test_a_difference_up_to_the_tolerance_is_drift():
+    """A clock is followed by a thousandth of the sound at most: of 0.25 s by 0.25 ms."""
+    quarter = np.ones(4000, np.float32)
+    for time, moved in ((0.0, -2.5e-4), (0.5, 2.5e-4), (0.2499, -1e-4), (0.2501, 1e-4)):
+        line = Timeline(RATE, 0.25)
+        line.place(Block(quarter, 0.0), 0.25)
+        assert len(line.place(Block(quarter, time), time + 0.25)) == 4000
+        assert line.moment(0.0) == pytest.approx(moved, abs=1e-9) and counts(line) == [0] * 4
+
+
+def test_of_sound_that_is_late_in_part_the_rest_is_taken():
+    line = Timeline(RATE, 0.02)
+    half = np.arange(8000, dtype=np.float32)
+    line.place(Block(half, 0.0), 0.5)
+    np.testing.assert_array_equal(line.place(Block(half, 0.25), 0.75), half[4000:])
+    assert counts(line) == [0, 0, 0.25, 0] and line.seconds == 0.75
+
+
+@pytest.mark.parametrize(("waited", "filled"), [(0.1, 0.125), (0.3, 0.0)])
+def test_a_long_block_is_behind_only_if_it_waited(waited, filled):
+    """It takes half a second to say half a second, and an eighth is missing before it."""
+    line = Timeline(RATE, 0.02)
+    half = np.ones(8000, np.float32)
+    line.place(Block(half, 0.0), 0.5)
+    assert len(line.place(Block(half, 0.625), 1.125 + waited)) == 8000 + RATE * filled
+    assert counts(line) == [filled, 0, 0, 0.125 - filled]
