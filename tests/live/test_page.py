@@ -9,11 +9,13 @@ import socket
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 import pytest
+from avatars import avatar
 from loud import LoudModel, raised
 from pages import bundled
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -44,7 +46,7 @@ class Served:
     def url(self) -> str:
         return f"ws://127.0.0.1:{self.port}/stream"
 
-    def raise_arm(self, degrees: list[float], time: float, lag: float = 0.25) -> None:
+    def raise_arm(self, degrees: list[float], time: float, lag: float | None = 0.25) -> None:
         motion = raised(self.skeleton, np.deg2rad(degrees), 30.0)
         self.page.put(Step(SILENCE, motion, time, lag))
 
@@ -151,6 +153,38 @@ def test_pages_of_other_sites_get_nothing(serve):
         served.page.close()
         with pytest.raises(ConnectionClosed):
             client.recv(timeout=5)
+
+
+def test_frames_of_an_avatar_are_those_of_its_rig(serve, tmp_path):
+    (tmp_path / "me.vrm").write_bytes(avatar(1))
+    served = serve(str(tmp_path / "me.vrm"))
+    joints = served.joints()
+    assert joints["n_joints"] not in (served.skeleton.n_joints, Human.load().skeleton.n_joints)
+    with connect(served.url) as client:
+        wait_for_client(served, 1)
+        served.page.put(Step(SILENCE, None, 0.0, None))
+        served.raise_arm([0.0], 7.5, None)
+        seconds, lag, _, turns = decoded(client.recv(timeout=5))
+    assert seconds == 7.5 and np.isnan(lag) and len(turns) == joints["n_joints"]
+
+
+def test_a_page_that_many_watch_refuses_more_and_serves_those(serve):
+    served = serve("mannequin")
+    with ExitStack() as opened:
+        clients = [opened.enter_context(connect(served.url)) for _ in range(32)]
+        wait_for_client(served, 32)
+        with pytest.raises(InvalidStatus, match="403"):
+            connect(served.url)
+        served.raise_arm([0.0], 1.0)
+        assert {decoded(client.recv(timeout=5))[0] for client in clients} == {1.0}
+        begun = time.monotonic()
+        served.page.close()
+        for client in clients:
+            with pytest.raises(ConnectionClosed):
+                client.recv(timeout=5)
+    assert time.monotonic() - begun < 4
+    with pytest.raises(OSError, match="refused"):
+        connect(served.url)
 
 
 NEWEST = """(({{ steps, channels, n_frames }}) => {{

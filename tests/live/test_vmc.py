@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import struct
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from loud import raised
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import ConfigError
-from gesturekit.live import Step
+from gesturekit.live import Step, vmc
 from gesturekit.live.vmc import VmcSender
 from gesturekit.viewer.human.body import Fitting, Human, is_baked
 
@@ -122,3 +123,24 @@ def test_each_datagram_is_a_whole_frame_so_that_a_fifth_of_them_may_be_lost(rece
 def test_an_unknown_host_is_one_clear_error(skeleton):
     with pytest.raises(ConfigError, match="vmc:no.such.host.invalid:39539"):
         VmcSender("no.such.host.invalid", 39539, Fitting(Human.load(), raised(skeleton, [0], 30)))
+
+
+def test_frames_of_a_step_are_spread_over_their_time_while_somebody_speaks(skeleton, monkeypatch):
+    """Of a file that is read as fast as possible, they are sent at once."""
+    slept = []
+    monkeypatch.setattr(vmc, "time", SimpleNamespace(sleep=slept.append))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reader:
+        reader.bind(("127.0.0.1", 0))
+        reader.settimeout(5)
+        fitting = Fitting(Human.load(), raised(skeleton, [0.0], 30.0))
+        sender = VmcSender("127.0.0.1", reader.getsockname()[1], fitting)
+        for lag, spread in ((0.1, [1 / 30, 1 / 30]), (None, [])):
+            slept.clear()
+            sender.put(Step(SILENCE, raised(skeleton, [0.0, 0.1, 0.2], 30.0), 1.0, lag))
+            sender.put(Step(SILENCE, None, 2.0, lag))
+            assert slept == spread
+            for k in range(3):
+                times = dict(messages(reader.recv(1 << 16)))["/VMC/Ext/T"]
+                assert times == pytest.approx([1 + k / 30])
+        sender.close()
+        sender.put(Step(SILENCE, raised(skeleton, [0.0], 30.0), 3.0, None))  # no error
