@@ -5,7 +5,10 @@ from __future__ import annotations
 import errno
 import json
 import math
+import os
 import re
+import socket
+import time
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -15,6 +18,7 @@ import soundfile
 
 from gesturekit import Motion
 from gesturekit.jobs.journal import Journal
+from gesturekit.jobs.lease import Lease
 from gesturekit.jobs.plan import write_plan
 from gesturekit.jobs.result import Result
 from gesturekit.jobs.state import STATE
@@ -24,7 +28,7 @@ from gesturekit.rendering import summary
 
 @pytest.fixture
 def sounds(tmp_path, write_speech):
-    for number in range(24):
+    for number in range(20):  # as many as have a summary page
         write_speech(tmp_path / "in" / f"d{number % 2}" / f"{number:02d}.wav", 0.3)
     for number in (3, 5, 7, 9):
         (tmp_path / "in" / "d1" / f"{number:02d}.wav").write_text(f"Dear diary {number},\n")
@@ -42,11 +46,11 @@ def test_the_state_of_a_run_is_shown_at_any_time(gesturekit, model, sounds, tmp_
     for shard in ("1/3", "3/3"):
         gesturekit(*common, "--shard", shard)
     shown = gesturekit("jobs", out, "--failed", "--left")
-    assert "24 items" in shown.out and "done 20, failed 4, left 0" in shown.out
+    assert "20 items" in shown.out and "done 16, failed 4, left 0" in shown.out
     assert re.search(r"^ +4x cannot be read as sound", shown.out, re.M), "reasons are grouped"
     assert shown.out.count("\nfailed 1x  d1/0") == 4 and "left  " not in shown.out
     values = json.loads(gesturekit("jobs", out, "--json").out)
-    assert (values["done"], len(values["failed"]), values["left"]) == (20, 4, [])
+    assert (values["done"], len(values["failed"]), values["left"]) == (16, 4, [])
     page = tmp_path / "page.html"
     assert gesturekit("jobs", out, "--page", page).status == 0
     text = page.read_text()
@@ -68,11 +72,11 @@ def test_a_dry_run_writes_nothing(gesturekit, model, sounds, tmp_path):
     done = gesturekit(*common)
     assert done.status == 0 and not out.exists()
     actions = [line.split()[0] for line in done.out.splitlines()]
-    assert (actions.count("make"), actions.count("fail")) == (20, 4)
-    assert re.search(r"^20 to make, 0 to keep, 4 to fail; .* of sound, about \d", done.err, re.M)
+    assert (actions.count("make"), actions.count("fail")) == (16, 4)
+    assert re.search(r"^16 to make, 0 to keep, 4 to fail; .* of sound, about \d", done.err, re.M)
     assert gesturekit(*common[:-1]).status == 1
     done = gesturekit(*common)
-    assert "0 to make, 20 to keep, 4 to fail" in done.err
+    assert "0 to make, 16 to keep, 4 to fail" in done.err
     assert (out / STATE / "summary.html").is_file()
 
 
@@ -107,6 +111,39 @@ def test_names_from_a_journal_cannot_write_to_the_terminal(gesturekit, tmp_path)
         shown = gesturekit("jobs", tmp_path, *arguments)
         assert shown.status == 0 and "\x1b" not in shown.out and "a?[2J?" in shown.out
     assert "in progress when a run was killed: b?" in shown.out
+
+
+def test_the_state_of_a_run_in_its_lines(gesturekit, tmp_path):
+    """Two items of four take a minute each and last 90 s of sound: half of 360 s is left."""
+    state = tmp_path / STATE
+    (state / "journal").mkdir(parents=True)
+    write_plan(state / "plan.jsonl", [Task(name, duration=90.0) for name in "abcd"], 2, "r")
+    lines = [
+        {"status": "done", "id": name, "time": at, "seconds": 60.0, "sound": 90.0, "key": ""}
+        for name, at in (("a", 1060.0), ("c", 1120.0), ("earlier", 100.0))
+    ]
+    lines += [{"started": name, "time": 2000.0, "run": "r"} for name in "bdefghi"]
+    text = "".join(f"{json.dumps(line)}\n" for line in lines)
+    (state / "journal" / "00001-of-00002.jsonl").write_text(text)
+    shown = [
+        f"{tmp_path}: 4 items, 6 min 0 s of sound",
+        "done 2, failed 0, left 2",
+        "done earlier, not in the current plan: 1",
+        "shards: 1 of 2 finished",
+    ]
+    speed = "speed: 1.0 items a minute, 1.5x real time"
+    killed = "in progress when a run was killed: b, d, e, f, g"
+    assert gesturekit("jobs", tmp_path).ok().out.splitlines() == [*shown, killed, speed]
+    lease = Lease(state, 2, 2, {})
+    beat = time.time() - 30
+    os.utime(lease.path, (beat, beat))
+    running = f"running: process {os.getpid()} on {socket.gethostname()}, 00002-of-00002, last "
+    found = gesturekit("jobs", tmp_path).ok().out.splitlines()
+    assert found[:4] == shown and found[5:] == [f"{speed}; 2 min 0 s left"]
+    assert re.fullmatch(rf"{running}heartbeat (29|3\d) s ago", found[4])
+    (values,) = (json.loads(gesturekit("jobs", tmp_path, "--json").ok().out),)
+    assert values["seconds_left"] == 120 and values["shards"] == [[2, 2], [2, 0]]
+    lease.release()
 
 
 def test_the_reasons_of_failures_are_the_most_frequent_first(gesturekit, tmp_path):
@@ -175,7 +212,7 @@ def test_a_full_disk_ends_a_run_with_its_counts(gesturekit, model, sounds, tmp_p
     assert "summary.html: not written" in done.err
     assert re.match(r"4 rendered, 1 failed in ", done.err.splitlines()[-1])
     again = gesturekit(*common)
-    assert re.match(r"16 rendered, 4 kept, 4 failed in ", again.err.splitlines()[-1])
+    assert re.match(r"12 rendered, 4 kept, 4 failed in ", again.err.splitlines()[-1])
 
 
 class Tags(HTMLParser):

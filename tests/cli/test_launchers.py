@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -72,6 +73,7 @@ class LocalRay(ModuleType):
         self.exceptions = errors
 
     def init(self, address=None, **_) -> None:
+        self.addresses.append(address)
         if address == "nowhere":
             raise ConnectionError("no cluster at nowhere")
         self.is_running = True
@@ -118,6 +120,7 @@ def test_ray_makes_the_same_files_also_when_a_node_is_lost(
     assert len(ray.actors) == actors, "no more than there are shards or processors"
     assert done.output.count("was lost with its node; it starts again") == lost
     assert "3 shards: gesturekit jobs out shows the result" in done.output
+    assert ray.addresses == [None]
 
 
 def test_a_cluster_that_is_lost_or_absent_is_one_line(render, monkeypatch):
@@ -143,6 +146,102 @@ def test_the_worst_shard_gives_the_exit_code(render, tmp_path, monkeypatch):
     # A dry run makes nothing, wherever it is asked for.
     dry = render("dry", "--launcher", "ray", "--jobs", "2", "--dry-run")
     assert dry.exit_code == 0 and "3 to make" in dry.output and not (tmp_path / "dry").exists()
+
+
+class Slurm(ModuleType):
+    """submitit on a cluster that ends each job by a given exit code, or an error."""
+
+    def __init__(self, *outcomes: int | Exception) -> None:
+        super().__init__("submitit")
+        self.outcomes, self.parameters, self.shards = list(outcomes), {}, []
+
+    def AutoExecutor(self, **place):  # noqa: N802
+        self.place = place
+        return self
+
+    def update_parameters(self, **parameters) -> None:
+        if "wrong" in parameters:
+            raise NameError("Unknown argument 'wrong'")
+        self.parameters = parameters
+
+    def batch(self):
+        return nullcontext()
+
+    def submit(self, command, shard):
+        self.shards.append((command, shard))
+        return SimpleNamespace(job_id=70 + len(self.shards), result=self.result)
+
+    def result(self) -> int:
+        outcome = self.outcomes.pop(0)
+        if isinstance(outcome, Exception):
+            raise outcome
+        return outcome
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "code"),
+    [
+        ((0, 0), 0),
+        ((2, 0), 2),
+        ((0, 1), 1),
+        ((2, 1), 1),
+        ((1, 2), 1),
+        ((130, 1), 130),
+        ((RuntimeError("trace\nout of memory\n"), 2), 1),
+    ],
+)
+def test_the_worst_job_gives_the_exit_code(gesturekit, tmp_path, monkeypatch, outcomes, code):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "submitit", slurm := Slurm(*outcomes))
+    jobs = ("--launcher", "slurm", "--jobs", 2, "--launcher-option", "slurm_partition=cpu")
+    done = gesturekit("render", "speech", "--model", "demo", "--out", "out", *jobs)
+    assert done.status == code
+    assert "Submitted 2 jobs; Ctrl-C stops waiting, but not the jobs." in done.err
+    assert "2 shards: gesturekit jobs out shows the result" in done.err
+    failed = "Failed: shard 1/2, job 71: out of memory"
+    assert (failed in done.err.splitlines()) == isinstance(outcomes[0], Exception)
+    assert [shard for _, shard in slurm.shards] == ["1/2", "2/2"]
+    assert slurm.place == {"folder": Path("out/.gesturekit/slurm/%j"), "cluster": None}
+    usual = {"name": "gesturekit", "timeout_min": 1440, "slurm_partition": "cpu"}
+    assert slurm.parameters == usual, "a day"
+    (arguments,) = {command.arguments for command, _ in slurm.shards}
+    assert arguments[:2] == ("render", "speech")
+    assert {command.folder for command, _ in slurm.shards} == {str(tmp_path)}
+
+
+def test_options_of_the_launcher_replace_the_usual_ones(gesturekit, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "submitit", slurm := Slurm(0))
+    slurm_options = ("--launcher", "slurm", "--launcher-option")
+    command = ("render", "speech", "--model", "demo", "--out", "out", *slurm_options)
+    gesturekit(*command, "timeout_min=60", "--launcher-option", "cluster=debug").ok()
+    assert slurm.parameters == {"name": "gesturekit", "timeout_min": 60}
+    assert slurm.place["cluster"] == "debug" and len(slurm.shards) == 1, "one job without --jobs"
+    gesturekit(*command, "wrong=1").fails(2, "slurm: Unknown argument 'wrong'")
+    for text in ("=1", "a b=1"):
+        gesturekit(*command, text).fails(2, f"--launcher-option {text}: expected KEY=VALUE")
+    gesturekit(*command[:-3], "--address", "x").fails(2, "--address require --launcher")
+    gesturekit(*command[:-3], *slurm_options[2:], "a=1").fails(2, "require --launcher")
+
+
+def test_a_shard_works_in_its_folder_and_only_outcomes_are_results(tmp_path, monkeypatch):
+    """How a job ends otherwise, Slurm has to know: it may start it again."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "work").mkdir()
+    called, command = [], ShardCommand(("render", "a.wav"), str(tmp_path / "work"))
+    for code, outcome in ((0, 0), (1, 1), (2, 2), (130, 130), (None, 0)):
+
+        def main(arguments: list[str], code: int | None = code) -> None:
+            called.append((Path.cwd().name, arguments[-4:]))
+            if code is not None:
+                sys.exit(code)
+
+        monkeypatch.setattr("gesturekit.cli.main", main)
+        assert command("2/3") == outcome
+    assert called == [("work", ["--launcher", "local", "--shard", "2/3"])] * 5
+    monkeypatch.setattr("gesturekit.cli.main", lambda _: sys.exit(143))
+    with pytest.raises(SystemExit):
+        command("2/3")
 
 
 def child_of(parent: int) -> int:

@@ -312,6 +312,25 @@ def test_a_recording_that_exists_is_not_overwritten(live, write_speech, tmp_path
     assert out.read_text() == "mine"
 
 
+@pytest.mark.parametrize(("signals", "says"), [(1, "0.0 s, 0 frames"), (2, "0.0 s"), (3, "")])
+def test_the_third_ctrl_c_ends_at_once(
+    gesturekit, monkeypatch, write_speech, tmp_path, signals, says
+):
+    def load(**_) -> LoudModel:
+        for _ in range(signals):
+            signal.raise_signal(signal.SIGTERM)
+        return LoudModel()
+
+    monkeypatch.setattr(systems, "load", load)
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    wav = write_speech(tmp_path / "a.wav", 0.5)
+    done = gesturekit("live", "--from", wav, "--to", f"record:{tmp_path / 'a.bvh'}")
+    assert done.status == 130 and ("Interrupted" in done.err) == (signals == 3)
+    assert says in done.err
+    after = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    assert after == before
+
+
 def test_a_pipe_without_sound_records_nothing(live, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO()))
     done = live("--from", "-", "--fast", "--to", f"record:{tmp_path / 'a.bvh'}")
