@@ -136,7 +136,7 @@ def command(
     from gesturekit.rendering.features import FeatureExtraction
     from gesturekit.rendering.inputs import sound_batch
 
-    logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
+    logging.basicConfig(format="Warning: %(message)s")
     if options["align"] is not None and options["fps"] is None:
         raise click.UsageError("--align requires --fps")
     elsewhere = run_elsewhere(ctx, out, options)
@@ -214,10 +214,8 @@ def _layer(text: str) -> Any:
 
 
 def _number(text: str) -> Any:
-    """Return the text as a number if it is one."""
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text
+    """Return the text as a whole number if it is one."""
+    try:
+        return int(text)
+    except ValueError:
+        return text

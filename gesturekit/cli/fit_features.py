@@ -65,7 +65,7 @@ def command(
     from gesturekit.evaluation import FeatureModel
     from gesturekit.progress import Progress
 
-    logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    logging.basicConfig(format="%(message)s")
     if is_left([out / f"feature_model.{kind}" for kind in ("safetensors", "json")], existing):
         return 0
     sample, failed = _read(reference, seed)

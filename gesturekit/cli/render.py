@@ -227,7 +227,7 @@ def command(
     import logging
 
     summary = _Summary(out, options["samples"])
-    logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
+    logging.basicConfig(format="Warning: %(message)s")
     _check(sources, corpus, split, seconds, options)
 
     from gesturekit.corpus import Manifest

@@ -177,7 +177,7 @@ def test_view_labels_files_of_one_name_by_their_folders(gesturekit, gesture, tmp
 
 def test_view_says_when_sound_and_motion_do_not_fit(gesturekit, takes, tmp_path, write_speech):
     page = tmp_path / "page.html"
-    for seconds, says in ((3.0, "lasts 3.0 s, the motion 1.0 s"), (1.5, "")):
+    for seconds, says in ((3.0, "lasts 3.0 s, the motion 1.0 s"), (2.0, ""), (1.5, "")):
         wav = write_speech(tmp_path / "a.wav", seconds)
         done = gesturekit("view", takes / "a.bvh", "--audio", wav, "--out", page)
         assert done.status == 0 and says in done.err and bool(says) == bool(done.err)
@@ -274,6 +274,27 @@ def test_a_warning_about_the_rig_is_one_line(gesture, tmp_path):
     assert line.startswith("Warning: people: several people")
 
 
+def test_a_long_line_of_what_was_done_is_two(gesturekit, gesture, tmp_path, monkeypatch):
+    """Of 99 characters it is one, of more the written file is on a line of its own."""
+    monkeypatch.chdir(tmp_path)
+    found = "{} (cm, Y up, Z forward, 30 fps, 6 frames, 19 joints)"
+    for length, is_one in ((99, True), (100, False)):
+        name = "x" * (length - len(found.format("")) - len("-> y.npz") - 4) + ".bvh"
+        gesture(0.2).save(tmp_path / name)
+        lines = gesturekit("convert", name, "y.npz", "--existing", "replace").ok().out.splitlines()
+        one, two = found.format(name), "-> y.npz"
+        assert len(one) + len(two) == length
+        assert lines == ([f"{one} {two}"] if is_one else [one, f"    {two}"])
+
+
+def test_a_dry_run_of_convert_says_so(gesturekit, takes, tmp_path):
+    done = gesturekit("convert", takes, tmp_path / "out", "--format", "npz", "--dry-run")
+    assert done.status == 1 and "Dry run: nothing was written." in done.err
+    assert "1 of 3 failed." in done.err and not (tmp_path / "out").exists()
+    done = gesturekit("convert", takes / "broken.bvh", tmp_path / "out" / "b.npz")
+    assert done.status == 1 and "failed." not in done.err and "Dry run" not in done.err
+
+
 def test_antialias_without_a_rate_is_said_to_do_nothing(gesturekit, takes, tmp_path):
     done = gesturekit("convert", takes / "a.bvh", tmp_path / "a.npz", "--antialias")
     assert done.status == 0 and "--antialias has no effect without --fps" in done.err
@@ -288,6 +309,12 @@ def test_a_folder_is_viewed_by_its_motions(gesturekit, gesture, takes, tmp_path)
     (takes / "broken.bvh").unlink()
     for number in range(8):
         shutil.copy(takes / "a.bvh", takes / f"b{number}.bvh")
+    for number in range(6, 8):
+        (takes / f"b{number}.bvh").rename(tmp_path / f"b{number}.bvh")
+    done = gesturekit("view", takes, "--out", page)
+    assert (done.status, done.err) == (0, "")
+    for number in range(6, 8):
+        (tmp_path / f"b{number}.bvh").rename(takes / f"b{number}.bvh")
     done = gesturekit("view", takes, "--out", page)
     assert done.status == 0 and "10 motions; the page shows the first 8" in done.err
     assert page.read_text().count('"label":') == 8

@@ -10,6 +10,7 @@ import pytest
 from gesturekit.cli.evaluate_inputs import folders_of, recordings_of, rendered_baselines
 from gesturekit.cli.options import (
     RECORDING_OPTIONS,
+    Body,
     comma_separated,
     parse_expert,
     parse_level_files,
@@ -122,6 +123,12 @@ def test_models_are_labelled_by_as_much_of_their_path_as_tells_them_apart(tmp_pa
         "x=y": Path("x=y"),
         "absent": Path("absent"),
     }
+    for names, says in (
+        (["ours", "other=./ours"], "ours is given twice"),
+        (["a=ours", "a=b/ours"], "two models are named a"),
+    ):
+        with pytest.raises(click.UsageError, match=says):
+            folders_of(names, tmp_path, {"protocol": None})
     (tmp_path / "ours" / "config.yaml").write_text("kind: multires\n")
     for name in ("ours", "demo"):
         with pytest.raises(click.UsageError, match=f"{name} is a model, not motion"):
@@ -144,3 +151,26 @@ def test_baselines_that_cannot_be_rendered(tmp_path, options, says):
         rendered_baselines(tmp_path, {"retrieval": tmp_path}, tmp_path / "new", options)
     usual = options | {"baseline": "mean_pose", "corpus": None}
     assert rendered_baselines(tmp_path, {}, tmp_path / "new", usual) == {}
+
+
+def test_skip_existing_is_the_same_as_existing_skip_wherever_it_stands(gesturekit, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "motion.bvh").write_text("mine")
+    render = ("render", "--seconds", 0.2, "--model", "demo", "--out", tmp_path / "out")
+    gesturekit(*render).fails(2, "motion.bvh exists already")
+    for options in (["--skip-existing"], ["--existing", "replace", "--skip-existing"]):
+        done = gesturekit(*render, *options).ok()
+        assert "1 kept" in done.err and (tmp_path / "out" / "motion.bvh").read_text() == "mine"
+    gesturekit("demo", "--skip-existing").fails(2, "--skip-existing")
+
+
+@pytest.mark.parametrize(
+    ("body", "is_known"),
+    [("human", True), ("ME.VRM", True), ("me.glb", True), ("robot", False), ("me.vrm.txt", False)],
+)
+def test_a_body_is_a_name_or_the_file_of_an_avatar(body, is_known):
+    if is_known:
+        assert Body()(body) == body
+    else:
+        with pytest.raises(click.BadParameter, match=f"'{body}' is none of mannequin, human"):
+            Body()(body)

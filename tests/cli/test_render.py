@@ -22,7 +22,7 @@ from sounds import voiced
 
 import gesturekit as gk
 from gesturekit import Motion
-from gesturekit.cli.render import GROUPS, command
+from gesturekit.cli.render import CONTROLS, GROUPS, command
 from gesturekit.corpus import Manifest
 from gesturekit.corpus.item import SPLITS
 from gesturekit.multires.network.generator import MultiresGenerator
@@ -472,6 +472,37 @@ def test_help_shows_examples_first_and_every_option_in_one_group(gesturekit):
     assert headings == ["Examples", *GROUPS, "Other options"]
     for option in options:
         assert re.search(rf"^  {option.opts[0]}\b", shown, re.MULTILINE), option.name
+
+
+def test_values_of_controls_are_checked_by_their_ranges():
+    """By the bounds of each control, of all systems; files are paths."""
+    options = {param.name: param for param in command.params}
+    numbers = 0
+    for name, entry in {n: e for of_kind in CONTROLS.values() for n, e in of_kind.items()}.items():
+        parse = options[name].type
+        if entry.kind is Path and name not in ("keep", "level_speech"):
+            assert parse("a.bvh") == Path("a.bvh")
+        if entry.kind not in (int, float) or entry.choices:
+            continue
+        numbers += 1
+        step = 1 if entry.kind is int else 1e-6
+        inside, outside = [], []
+        if entry.above is not None:
+            inside, outside = [entry.above + step], [entry.above]
+        if entry.least is not None:
+            inside, outside = [*inside, entry.least], [*outside, entry.least - step]
+        if entry.most is not None:
+            inside, outside = [*inside, entry.most], [*outside, entry.most + step]
+        for value in inside:
+            found = parse(str(value))
+            assert found == value and type(found) is entry.kind, name
+        for value in outside:
+            with pytest.raises(click.BadParameter):
+                parse(str(value))
+    assert numbers > 10
+    for name in ("hold", "chance"):
+        with pytest.raises(click.BadParameter):
+            options["change"].type(name)
 
 
 def test_the_splits_to_choose_from_are_those_of_a_manifest():

@@ -8,8 +8,10 @@ import re
 import shutil
 
 import pytest
+import yaml
 
 from audio_features.kinds import KINDS
+from gesturekit import systems
 from gesturekit.multires.training.stage import Stage
 from gesturekit.systems import resolved_settings
 from gesturekit.training.config import read_yaml
@@ -232,6 +234,58 @@ def test_a_model_without_speech_is_rendered_for_seconds(gesturekit, corpus, ligh
     assert "gesturekit render --seconds 20 --model" in done.out and ".wav" not in done.out
     lines = (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()
     assert json.loads(lines[-1])["recorded/jerk"] > 0
+
+
+WAVLM = {"kind": "wavlm"}
+
+
+@pytest.mark.parametrize(
+    ("model", "features", "given"),
+    [
+        ({}, None, "--seconds 20 --model {m} --out rendered"),
+        ({"path": True}, None, "--model {m} --path way.csv --out rendered"),
+        ({"styles": ["old", "sad"]}, None, "--seconds 20 --model {m} --style old --out rendered"),
+        ({}, [{"kind": "logmel"}], "speech.wav --model {m} --out rendered"),
+        ({}, [WAVLM], "speech.wav --model {m} --weights w.pt --out rendered"),
+        (
+            {"path": True},
+            [WAVLM, {"kind": "words", "encoder": "bert"}],
+            "speech.wav --model {m} --weights wavlm=w.pt --weights words=bert --path way.csv "
+            "--out rendered",
+        ),
+    ],
+)
+def test_it_ends_with_the_command_that_renders(
+    gesturekit, light, corpus, tmp_path, monkeypatch, model, features, given
+):
+    folder = tmp_path / "run" / "model"
+    folder.mkdir(parents=True)
+    speech = {"spec": {"kind": "stack", "parts": features}} if features else None
+    (folder / "config.yaml").write_text(yaml.safe_dump({**model, "features": speech}))
+    run = {"corpus": str(corpus), "features": {"extractors": features, "weights": "w.pt"}}
+    (folder.parent / "config.yaml").write_text(yaml.safe_dump(run))
+    monkeypatch.setattr(systems, "train", lambda *_, **__: folder)
+    lines = gesturekit("train", light).ok().out.splitlines()
+    render = given.format(m=folder)
+    needed = [line for line in lines if line.startswith("It needs ")]
+    encoders = [one for one in features or () if one["kind"] != "logmel"]
+    assert len(needed) == len(encoders) + any(one["kind"] == "words" for one in encoders)
+    assert [line for line in lines if line not in needed] == [
+        f"Report: {folder.parent / 'report.html'}",
+        f"Losses and metrics: {folder.parent / 'metrics.jsonl'}",
+        f"Curves: tensorboard --logdir {folder.parent / 'events'}",
+        f"Model: {folder}",
+        f"Render with: gesturekit render {render}",
+    ]
+
+
+def test_a_new_run_is_planned_and_its_processes_are_a_setting(gesturekit, light):
+    for option in ("--plan", "--arrays"):
+        done = gesturekit("train", light, "--resume", option)
+        done.fails(2, f"{option} is for a new run; leave out --resume")
+    assert "workers=3  (default: 1)" in gesturekit("train", light, "--show", "--workers", 3).out
+    done = gesturekit("train", light, "--reume")
+    done.fails(2, "Did you mean", "--resume")
 
 
 def test_a_mistyped_configuration_suggests_the_nearest(gesturekit, light, monkeypatch):

@@ -184,6 +184,7 @@ def served(gesturekit, monkeypatch):
         assert f":{server['address'][1]}/ (end with Ctrl-C)" in done.err
         return clients[-1]
 
+    serve.server = server
     return serve
 
 
@@ -211,6 +212,10 @@ def test_the_limits_are_those_of_the_command_line(served):
     limits = {"megabytes": 3.0, "seconds": 7.0, "per_minute": 5.0, "queue": 2, "workers": 4}
     for name, value in limits.items():
         assert f"<th>{name}</th><td>{value}</td>" in page
+    # Each of six motions may have four connections, and 32 are for pages and figures.
+    assert served.server["limit_concurrency"] == 56
+    # Who asks is who connects, whatever he says of himself; nobody is told what serves.
+    assert not served.server["proxy_headers"] and not served.server["server_header"]
     page = served().get("/docs", headers={"Host": "localhost"}).text
     assert all(
         f"<th>{n}</th><td>{v}</td>" in page for n, v in vars(Limits(64.0, 600.0, 60.0)).items()

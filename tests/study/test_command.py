@@ -97,7 +97,9 @@ def test_the_size_of_a_study_is_printed(run):
     code, out, _ = run("power", "--win-rate", "0.65", "--systems", "3")
     assert code == 0
     rows = re.findall(r"^ +(\d+) +(\d+) +(\d+) +([\d,]+)$", out, re.MULTILINE)
-    assert len(rows) == 6
+    assert [int(row[1]) for row in rows] == [1, 2, 3, 6, 12, 24]
+    assert "(3 systems, 3 pairs of systems, Holm's method, agreement 0.05)" in out
+    assert "(5 systems, 10 pairs of systems" in run("power", "--systems", 5)[1]
     needed = [int(row[2]) for row in rows]
     assert needed == sorted(needed, reverse=True)
     for a_rater, of_a_pair, raters, in_all in rows:
