@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from dataclasses import dataclass, field
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 
 from gesturekit.errors import ConfigError
+from gesturekit.jobs import lease
 from gesturekit.jobs.result import Processor, Result
 from gesturekit.jobs.run import Batch, Execution
 from gesturekit.jobs.task import Task
@@ -168,3 +170,98 @@ def test_an_output_folder_that_cannot_be_is_one_clear_error(tmp_path):
     (tmp_path / "out" / ".gesturekit" / "lock").mkdir()
     with pytest.raises(ConfigError, match=".gesturekit: Is a directory"):
         done(tmp_path / "out", TASKS)
+
+
+def shared(out: Path, names: str, number: int) -> Batch:
+    """Shard of two, of the same request whatever is found."""
+    tasks = [Task(name, duration=1.0) for name in names]
+    return Batch(Notes(out), lambda: tasks, "all", Execution(shard=(number, 2)))
+
+
+def test_what_others_did_since_the_start_counts(tmp_path):
+    """A run that looked for its inputs keeps what another one has made meanwhile."""
+    early = batch(tmp_path / "one", TASKS)
+    done(tmp_path / "one", TASKS[:2])
+    assert [result.status for result in early.run()] == ["kept", "kept", "done"]
+    # The plan of another shard, which was written since, decides what is whose.
+    early = shared(tmp_path / "two", "abcd", 1)
+    assert [task.id for task in early.tasks] == ["a", "c"]
+    assert [result.id for result in shared(tmp_path / "two", "ab", 2).run()] == ["b"]
+    assert [result.id for result in early.run()] == ["a"]
+    # One that came after the plan finds another one.
+    late = shared(tmp_path / "two", "", 1)
+    (tmp_path / "two" / ".gesturekit" / "plan.jsonl").unlink()
+    with pytest.raises(ConfigError, match="plan.jsonl was replaced meanwhile; start this shard a"):
+        list(late.run())
+
+
+def take_over(out: Path) -> None:
+    """Write another process into the lease, and wait until the run has noticed."""
+    (lease,) = (out / ".gesturekit" / "leases").glob("*.json")
+    lease.write_text('{"host": "elsewhere"}')
+    time.sleep(0.2)
+
+
+def test_a_run_that_lost_its_lease_writes_no_more(tmp_path, monkeypatch):
+    monkeypatch.setattr(lease, "HEARTBEAT", 0.01)
+    going = batch(tmp_path / "one", TASKS).run()
+    assert next(going).id == "a"
+    take_over(tmp_path / "one")
+    with pytest.raises(ConfigError, match="another one has taken its shard over; stopped"):
+        next(going)
+    assert [path.name for path in (tmp_path / "one").glob("*.txt")] == ["a.txt"]
+
+    # Lost while it was working, the result is not in the journal.
+    make = Notes.make
+
+    def slow(self, result: Result) -> None:
+        make(self, result)
+        take_over(tmp_path / "two")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Notes, "make", slow)
+        with pytest.raises(ConfigError, match="another one has taken its shard over; stopped"):
+            list(batch(tmp_path / "two", TASKS).run())
+    (journal,) = (tmp_path / "two" / ".gesturekit" / "journal").iterdir()
+    assert '"status": "done"' not in journal.read_text()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_partial_files_of_a_stopped_run_are_removed(tmp_path, monkeypatch, workers):
+    """Ctrl-C in the middle: what was being written goes, and the next run makes it."""
+    tasks = [Task("a"), Task("b", more={"sleep": 30.0 if workers == 2 else 0.0})]
+
+    def interrupted(self, result: Result) -> None:
+        (self.out / ".b-12345678.txt").write_text("half")
+        raise KeyboardInterrupt
+
+    going = batch(tmp_path, tasks, workers=workers).run()
+    assert next(going).id == "a"
+    (tmp_path / ".b-12345678.txt").write_text("half")
+    if workers == 1:
+        monkeypatch.setattr(Notes, "make", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            next(going)
+        monkeypatch.undo()
+    else:
+        going.close()
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".gesturekit", "a.txt"]
+    (journal,) = (tmp_path / ".gesturekit" / "journal").iterdir()
+    assert '{"status": "dropped", "id": "b"' in journal.read_text()
+    assert done(tmp_path, [Task("a"), Task("b")]) == {"a": "kept", "b": "done"}
+
+
+def test_an_item_that_killed_its_run_twice_is_last_and_alone(tmp_path):
+    done(tmp_path, [Task("z")])
+    with (tmp_path / ".gesturekit" / "journal" / "00001-of-00001.jsonl").open("a") as journal:
+        for run in ("one", "two"):
+            started = {"started": "a", "run": run, "time": time.time()}
+            journal.write(
+                json.dumps(started) + "\n" + json.dumps({**started, "started": "b"}) + "\n"
+            )
+        journal.write(json.dumps({"status": "failed", "id": "b", "time": time.time()}) + "\n")
+    found = list(batch(tmp_path, TASKS).run())
+    assert [result.id for result in found] == ["b", "c", "a"]
+    assert all(result.status == "done" for result in found)
+    wrote = [(tmp_path / f"{name}.txt").read_text() == str(os.getpid()) for name in "bca"]
+    assert wrote == [True, True, False]
