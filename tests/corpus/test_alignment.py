@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +14,16 @@ from scipy.spatial.transform import Rotation
 
 import audio_features as af
 from gesturekit.corpus import prepare
-from gesturekit.corpus.alignment import LEAD, correlate, pooled
-from gesturekit.errors import CorpusError
+from gesturekit.corpus.alignment import (
+    LEAD,
+    Correlation,
+    arm_speed,
+    corrections,
+    correlate,
+    pooled,
+    shift_problems,
+)
+from gesturekit.errors import CorpusError, MotionError
 from gesturekit.motion import Motion
 
 FPS, RATE = 30, 8000
@@ -199,3 +208,73 @@ def test_a_shift_is_a_number_or_auto(write, gesturekit, tmp_path):
     gesturekit(*command, "-1.5").ok()
     assert '"audio_start": 1.5, "motion_start": 0.0' in (tmp_path / "corpus.jsonl").read_text()
     gesturekit(*command, "auto").ok()
+
+
+def peak(lag: int, height: float, sd: float = 0.125, n_frames: int = 100) -> Correlation:
+    """A correlation with a peak at so many 25ths of a second."""
+    values = np.full(201, 0.01)
+    values[100 + lag] = height
+    return Correlation(values, sd, n_frames)
+
+
+def test_a_peak_says_the_shift_from_the_usual_lead():
+    """Arms are ahead by 0.15 s in recordings that are in time."""
+    assert [peak(lag, 1.0).shift for lag in (-100, 0, 5, 100)] == pytest.approx(
+        [-3.85, 0.15, 0.35, 4.15]
+    )
+    assert peak(0, 0.5625).z == 4.5 and peak(0, 0.5625).is_clear and not peak(0, 0.56).is_clear
+    notable = [peak(lag, 1.0).is_notable for lag in (-11, -10, -9, 2, 3)]
+    assert notable == [True, True, False, False, True]
+    assert not peak(10, 0.5).is_notable, "far, and perhaps chance"
+
+
+def test_recordings_count_by_their_frames_together():
+    """100 and 300 frames: a quarter and three quarters; of errors 100 * 0.04 and 300 * 0.01."""
+    both = pooled([peak(5, 1.0, 0.04, 100), peak(8, 0.5, 0.01, 300)])
+    assert both.values[[105, 108, 0]] == pytest.approx([0.2575, 0.3775, 0.01])
+    assert (both.sd, both.n_frames) == (pytest.approx(5 / 400), 400)
+    assert pooled([]) is None
+
+
+def test_a_recording_is_corrected_by_itself_or_by_all_together():
+    clear, unclear, in_time = peak(25, 1.0), peak(-50, 0.3), peak(-4, 1.0)
+    assert corrections([clear, unclear, None]) == pytest.approx([1.15, 1.15, 1.15])
+    assert corrections([in_time, unclear]) == [0.0, 0.0]
+    assert corrections([in_time, clear, clear]) == pytest.approx([0.0, 1.15, 1.15])
+    assert corrections([unclear, None]) == [0.0, 0.0] and corrections([None]) == [0.0]
+
+
+def test_the_corpus_is_warned_of_and_recordings_that_are_apart_from_it():
+    a, b, c = Path("a.bvh"), Path("b.bvh"), Path("c.bvh")
+    (one,) = shift_problems([(a, peak(25, 1.0))], 0.5)
+    assert (one.severity, one.file) == ("warning", a)
+    assert one.message == (
+        "the motion comes 1.15 s after the sound (a correlation 8.0 standard deviations above "
+        "chance): --shift 1.65 corrects it, --shift auto for each recording"
+    )
+    found = [(a, peak(25, 1.0)), (b, peak(25, 0.9)), (c, peak(-50, 0.9))]
+    every, apart = shift_problems(found)
+    assert every.file is None and " in 3 recordings together: --shift 1.15 cor" in every.message
+    assert (apart.file, apart.severity) == (c, "warning")
+    assert apart.message == (
+        "the motion comes 1.85 s before the sound (a correlation 7.2 standard deviations above "
+        "chance): --shift auto corrects it"
+    )
+    # Alone it would be as far as is notable, and of the corpus it is not.
+    assert [one.file for one in shift_problems([(a, peak(25, 1.0)), (b, peak(21, 0.9))])] == [None]
+    assert shift_problems([]) == [] and shift_problems([(a, peak(-4, 1.0))]) == []
+
+
+def test_the_speed_of_arms_is_that_of_four_joints_halfway_between_steps(skeleton):
+    """Turns of 0.1, 0.3 and 0.2 rad from frame to frame, at 30 frames a second."""
+    turns = np.tile([0.0, 0.0, 0.0, 1.0], (4, skeleton.n_joints, 1))
+    for name, axis, factor in (("LeftArm", 0, 1), ("RightForeArm", 2, 2), ("Head", 1, 9)):
+        half = factor * np.array([0.0, 0.1, 0.4, 0.6]) / 2
+        turns[:, skeleton.index(name), 3] = np.cos(half)
+        turns[:, skeleton.index(name), axis] = np.sin(half)
+    turns[2] *= -1  # the same rotation
+    motion = Motion(skeleton, turns, np.zeros((4, 3)), 30.0)
+    np.testing.assert_allclose(arm_speed(motion), 90 * np.array([0.1, 0.2, 0.25, 0.2]))
+    np.testing.assert_allclose(arm_speed(motion[:2]), [9.0, 9.0])
+    with pytest.raises(MotionError, match="give at least 2 frames"):
+        arm_speed(motion[:1])

@@ -3,12 +3,15 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from rigs import nameless
 
+from audio_features import Wave
 from gesturekit.corpus import Item, Manifest
+from gesturekit.corpus.item import check_id, muted
 from gesturekit.errors import CorpusError, MotionError
 
 RECORD = {
@@ -217,3 +220,106 @@ def test_an_item_is_mirrored_by_the_sides_named_by_hand(tmp_path, gesture):
     np.testing.assert_allclose(mirrored[:, left], plain[:, right] * [-1, 1, 1], atol=1e-9)
     with pytest.raises(MotionError, match="cannot tell left from right"):
         item.load_motion()
+
+
+def test_events_are_those_that_reach_into_the_item(tmp_path):
+    (tmp_path / "e.csv").write_text(
+        "time,name,duration\n0,gone,1.5\n1,ends,1\n1.5,nod,2\n2,kick,\n3.5,long,9\n4,next,1\n"
+    )
+    about = {"duration": 2.0, "motion_start": 2.0, "conditions": {"events": tmp_path / "e.csv"}}
+    item = Item(id="a", audio=Path("a.wav"), motion=Path("a.bvh"), audio_start=0.5, **about)
+    assert [(e.time, e.name, e.duration) for e in item.load_events()] == [
+        *((0.0, "ends", 0.0), (0.0, "nod", 1.5), (0.0, "kick", 0.0), (1.5, "long", 9.0)),
+    ]
+    alone = replace(item, motion=None).load_events()
+    assert [(e.time, e.name, e.duration) for e in alone][:2] == [
+        *((0.0, "gone", 1.0), (0.5, "ends", 1.0)),
+    ]
+
+
+class Model:
+    """A model that takes a path and the event `kick`, of one style and one speaker."""
+
+    fps, styles, speakers = 10.0, ("calm",), ("ann",)
+    inputs = SimpleNamespace(path=True, events=("kick",))
+
+
+def test_a_model_is_controlled_by_what_it_has_of_an_item(tmp_path, gesture):
+    (tmp_path / "e.csv").write_text("time,name,duration\n1,kick,\n1.25,nod,\n1.5,kick,0.25\n")
+    (tmp_path / "p.csv").write_text("time,x,z\n0,0,0\n9,0,9\n")
+    files = {"events": tmp_path / "e.csv", "path": tmp_path / "p.csv"}
+    item = Item(
+        id="a", audio=Path("a.wav"), motion=None, duration=1.26, style="calm", speaker="bob",
+        conditions=files,
+    )  # fmt: skip
+    found = item.controls(Model())
+    assert found.keys() == {"style", "path", "events"} and found["style"] == "calm"
+    assert found["events"] == "kick@1" and found["path"].n_frames == 13
+    later = replace(item, audio_start=0.75, speaker="ann", style="old").controls(Model())
+    assert later["speaker"] == "ann" and "style" not in later
+    assert later["events"] == "kick@0.25,kick@0.75:0.25"
+    short = replace(item, duration=0.04, conditions={"path": tmp_path / "p.csv"})
+    assert short.controls(Model())["path"].n_frames == 1
+    gesture(2.0).save(tmp_path / "a.npz")
+    moves = replace(item, motion=tmp_path / "a.npz", conditions={}, duration=1.0)
+    assert moves.controls(Model())["path"].n_frames == 30, "the motion itself"
+    assert "path" not in replace(item, conditions={}).controls(Model())
+    blind = SimpleNamespace(**vars(Model) | {"inputs": SimpleNamespace(path=False, events=())})
+    assert item.controls(blind).keys() == {"style"}
+
+
+def test_sound_is_muted_outside_of_intervals_of_its_file():
+    """Two seconds of a file, from 2 s on."""
+    wave = Wave(np.linspace(0.1, 0.9, 8000), 4000, None, offset=2.0)
+    heard = muted(wave, [(1.0, 2.25), (2.96, 3.3), (3.9, 9.0), (0.0, 1.0)]).samples
+    kept = np.zeros(8000, bool)
+    for first, last in ((0, 1000), (3840, 5200), (7600, 8000)):
+        kept[first:last] = True
+    np.testing.assert_array_equal(heard, np.where(kept, wave.samples, 0))
+
+
+@pytest.mark.parametrize(("frames", "is_there"), [(59, True), (60, True), (61, True), (62, False)])
+def test_a_frame_may_be_missing_at_the_end_of_a_file(tmp_path, gesture, frames, is_there):
+    gesture(2.0).save(tmp_path / "a.npz")
+    item = Item(id="a", audio=None, motion=tmp_path / "a.npz", duration=frames / 30)
+    if is_there:
+        assert item.load_motion().n_frames == min(frames, 60)
+        return
+    with pytest.raises(CorpusError, match="frames 0 to 62 of .*, which has 60 frames at 30 fps"):
+        item.load_motion()
+
+
+def test_an_interval_begins_and_ends_at_the_nearest_frames(tmp_path, gesture):
+    whole = gesture(2.0)
+    whole.save(tmp_path / "a.npz")
+    item = Item(
+        id="a", audio=None, motion=tmp_path / "a.npz", motion_start=0.45 / 30, duration=10.55 / 30
+    )
+    for start, duration, first, last in ((0.45, 10.55, 0, 11), (0.55, 10.45, 1, 11)):
+        part = replace(item, motion_start=start / 30, duration=duration / 30).load_motion()
+        np.testing.assert_allclose(part.rotations, whole.rotations[first:last], atol=1e-6)
+    with pytest.raises(CorpusError, match="frames 60 to 61 of"):
+        replace(item, motion_start=2.0, duration=1 / 30).load_motion()
+
+
+@pytest.mark.parametrize(
+    ("name", "is_id"),
+    [
+        ("a/b c/é", True),
+        ("x" * 230, True),
+        ("x" * 231, False),
+        ("é" * 116, False),
+        ("a//b", False),
+        ("a/.", False),
+        ("..", False),
+        ("", False),
+        (3, False),
+        ("a\tb", False),
+    ],
+)
+def test_an_id_is_a_relative_path_that_any_system_can_have(name, is_id):
+    if is_id:
+        assert check_id(name) is None
+    else:
+        with pytest.raises(CorpusError, match="of up to 230 bytes each"):
+            check_id(name)

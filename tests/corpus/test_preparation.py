@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import soundfile
-from rigs import nameless
+from rigs import nameless, rig_of
 
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.inspection.corpus import inspect_recordings
+from gesturekit.motion import Motion
 from gesturekit.motion.parts.body_size import body_height
 
 
@@ -521,6 +522,50 @@ def test_bodies_of_very_different_size_are_warned_about(gesture, tmp_path):
     (tmp_path / "c.npz").unlink()
     alike = prepare([], unpaired_motion=tmp_path)
     assert not any("warning" in line for line in alike.problem_lines())
+
+
+def test_sizes_that_spread_are_named_by_their_ends(gesture, tmp_path):
+    """None of 1, 1.3 and 1.7 is far from the usual one, but the first is far from the last."""
+    for name, factor in (("a", 1.0), ("b", 1.3), ("c", 1.7)):
+        gesture(2.0).scaled(factor).save(tmp_path / f"{name}.npz")
+    (line,) = (t for t in prepare([], unpaired_motion=tmp_path).problem_lines() if "heights" in t)
+    assert "body heights differ by a factor of 1.7; " in line and "b.npz" not in line
+    assert re.search(r"but not of \S+a.npz \(\S+ m\), \S+c.npz \(\S+ m\)\. If", line)
+    gesture(2.0).scaled(1.4).save(tmp_path / "c.npz")
+    assert not any(
+        "heights differ" in t for t in prepare([], unpaired_motion=tmp_path).problem_lines()
+    )
+
+
+def test_a_rig_without_legs_is_noted_once(tmp_path):
+    rig = rig_of(
+        {
+            "Spine": (None, (0, 0.9, 0)),
+            "Chest": ("Spine", (0, 0.3, 0)),
+            "Neck": ("Chest", (0, 0.2, 0)),
+            "Head": ("Neck", (0, 0.1, 0)),
+            **{
+                f"{side}{part}": (f"{side}{above}" if above != "Chest" else above, (x * sign, y, 0))
+                for side, sign in (("Left", 1), ("Right", -1))
+                for part, above, x, y in (
+                    ("Shoulder", "Chest", 0.05, 0.15),
+                    ("Arm", "Shoulder", 0.15, 0.0),
+                    ("ForeArm", "Arm", 0.28, 0.0),
+                    ("Hand", "ForeArm", 0.25, 0.0),
+                )
+            },
+        }
+    )
+    rng = np.random.default_rng(0)
+    for name in "ab":
+        turns = np.tile([0.0, 0, 0, 1], (60, rig.n_joints, 1)) + 0.02 * np.cumsum(
+            rng.standard_normal((60, rig.n_joints, 4)), axis=0
+        )
+        turns /= np.linalg.norm(turns, axis=-1, keepdims=True)
+        Motion(rig, turns, np.zeros((60, 3)), 30.0).save(tmp_path / f"{name}.npz")
+    notes = texts(prepare([], unpaired_motion=tmp_path), "note")
+    says = "the rig has no legs: foot contacts, foot locking and foot metrics are left out"
+    assert [note for note in notes if "legs" in note] == [f"{tmp_path / 'a.npz'}: {says}"]
 
 
 def test_a_style_pattern_that_fits_no_file_is_warned_about(gesture, tmp_path):

@@ -71,6 +71,56 @@ def test_a_t_pose_ends_when_the_actor_walks_or_lowers_the_arms(skeleton):
     assert reference_pose(held(skeleton, sinking[::-1])) == (0, 12)
 
 
+def bent(skeleton, **degrees) -> Motion:
+    """A T-pose with joints turned about the vertical (positive: the left arm to the front)."""
+    motion = held(skeleton, np.zeros(20))
+    for name, angle in degrees.items():
+        turn = Rotation.from_euler("y", angle, degrees=True)
+        joint = skeleton.index(name)
+        own = Rotation.from_quat(motion.rotations[:, joint])
+        motion.rotations[:, joint] = (turn * own).as_quat()
+    return motion
+
+
+def test_arms_of_a_t_pose_are_straight_and_opposite(skeleton):
+    """Level arms in front of the body, or bent at an elbow, are gestures."""
+    assert reference_pose(bent(skeleton, LeftArm=-20, RightArm=20)) == (20, 20)
+    for degrees in (
+        {"LeftArm": -30, "RightArm": 30},
+        {"LeftForeArm": -30},
+        {"RightForeArm": 30},
+        {"LeftArm": -90},
+    ):
+        assert reference_pose(bent(skeleton, **degrees)) == (0, 0), degrees
+    assert reference_pose(bent(skeleton, LeftForeArm=-20)) == (20, 20)
+
+
+@pytest.mark.parametrize(("size", "frames"), [(1.0, (12, 18)), (2.0, (30, 30))])
+def test_a_tall_body_may_sway_more(skeleton, size, frames):
+    """By 15 cm: more than 10 cm of the reference body, and less than those of one twice as tall."""
+    motion = held(skeleton, np.zeros(30)).with_height(1.7 * size)
+    motion.translation[12:, 0] += 0.15
+    assert reference_pose(motion) == frames
+
+
+def test_a_rest_pose_is_one_of_every_joint_to_half_a_degree(skeleton):
+    hanging = [f"{side}{joint}" for side in ("Left", "Right") for joint in ("ForeArm", "Hand")]
+    rig = with_offsets(skeleton, **dict.fromkeys(hanging, (0.0, -0.25, 0.0)))
+    for name in ("Spine", "Head", "LeftHand"):
+        for degrees, frames in ((0.45, (20, 20)), (0.55, (0, 0))):
+            motion = held(rig, np.full(20, 10))
+            motion.rotations[:] = [0.0, 0.0, 0.0, 1.0]
+            turn = Rotation.from_euler("x", degrees, degrees=True).as_quat()
+            motion.rotations[:, rig.index(name)] = turn
+            assert reference_pose(motion) == frames, name
+    motion.rotations[:, 0] = [0.0, 1.0, 0.0, 0.0]
+    motion.rotations[:, rig.index(name)] = [0.0, 0.0, 0.0, 1.0]
+    assert reference_pose(motion) == (20, 20), "the root may be turned"
+    point = rig_of({"Root": (None, (0, 0, 0))})
+    still = Motion(point, np.tile([0.0, 0, 0, 1], (5, 1, 1)), np.zeros((5, 3)), 30.0)
+    assert reference_pose(still) == (0, 0)
+
+
 def test_a_rest_pose_with_hanging_arms_is_trimmed_wherever_it_stands(skeleton):
     arms = [f"{side}{joint}" for side in ("Left", "Right") for joint in ("ForeArm", "Hand")]
     moving = held(with_offsets(skeleton, **dict.fromkeys(arms, (0.0, -0.25, 0.0))), np.full(30, 10))
