@@ -6,12 +6,18 @@ import os
 import shutil
 import subprocess
 import sys
+from importlib import util
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
 
+from gesturekit import systems
 from gesturekit.diagnosis import Finding, diagnose, is_usable
+from gesturekit.errors import ConfigError
+from gesturekit.jobs.result import Processor
+from gesturekit.jobs.run import Batch, Execution
 
 
 def test_a_machine_that_works_is_usable(gesturekit, write_wavlm, tmp_path):
@@ -122,6 +128,85 @@ def test_a_check_that_breaks_is_a_finding_and_the_next_ones_go_on(monkeypatch):
     found = {one.name: one for one in diagnose()}
     assert found["GPU"] == Finding("GPU", "broken", "no driver", "install it again: make setup")
     assert found["disk"].state != "broken" and not is_usable(list(found.values()))
+
+
+def test_only_the_beginning_of_a_long_error_is_shown(monkeypatch):
+    def breaks(long: str = "x" * 400) -> bool:
+        raise RuntimeError(f"{long}")
+
+    monkeypatch.setattr(torch.cuda, "is_available", breaks)
+    assert finding("GPU").text == "x" * 300
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: {}["driver"])
+    assert finding("GPU").text == "'driver'"
+
+
+def test_gpus_are_listed_and_what_keeps_torch_from_one_is_explained(monkeypatch):
+    gpus = [
+        SimpleNamespace(name=name, total_memory=n * 10**9) for name, n in (("A", 24), ("B", 80))
+    ]
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.setattr(torch.cuda, "get_device_properties", lambda number: gpus[number])
+    assert finding("GPU") == Finding("GPU", "ok", "A (24 GB), B (80 GB)")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    for cuda, driver, state, says in (
+        ("13.0", None, "note", "torch is built for CUDA but sees no GPU"),
+        (None, "/bin/nvidia-smi", "note", "there may be one, but torch is built for the CPU"),
+        (None, None, "ok", "none; everything runs on the CPU"),
+    ):
+        monkeypatch.setattr(torch.version, "cuda", cuda)
+        monkeypatch.setattr(shutil, "which", lambda name: driver)  # noqa: B023
+        found = finding("GPU")
+        assert (found.state, found.text, bool(found.advice)) == (state, says, state == "note")
+        build = f"built for CUDA {cuda}" if cuda else "built for the CPU"
+        assert finding("torch").text == f"{torch.__version__}, {build}"
+
+
+def test_packages_that_are_missing_are_noted_or_broken(monkeypatch):
+    for name in ("imageio_ffmpeg", "soxr"):
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.setattr(util, "find_spec", lambda name: None)
+    found = {one.name: one for one in diagnose()}
+    assert found["ffmpeg"].state == "note" and "gesturekit[video]" in found["ffmpeg"].advice
+    assert found["transformers"] == Finding(
+        "transformers", "note", "not installed", "pip install transformers"
+    )
+    assert found["libraries"].state == "broken" and found["libraries"].text.startswith("soxr (")
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "state"),
+    [("HTML player", "player.bundle.js", "broken"), ("human body", "human/human.npz", "note")],
+)
+def test_what_the_set_up_makes_is_there_or_named(monkeypatch, tmp_path, name, file, state):
+    monkeypatch.setattr("gesturekit.diagnosis.__file__", str(tmp_path / "diagnosis.py"))
+    missing = finding(name)
+    assert (missing.state, missing.advice) == (state, "make setup")
+    (tmp_path / "viewer" / file).parent.mkdir(parents=True)
+    (tmp_path / "viewer" / file).write_bytes(bytes(2_340_000))
+    assert finding(name).state == "ok" and finding(name).text.endswith(", 2.3 MB")
+
+
+def test_a_folder_of_another_user_is_no_place_for_a_cache(monkeypatch, tmp_path):
+    """The superuser, as who tests may run, can write everywhere."""
+    monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(systems, "load", None)  # the demo model is not what is looked at
+    for right in (os.W_OK, os.X_OK):
+        monkeypatch.setattr(os, "access", lambda place, mode: not mode & right)  # noqa: B023
+        assert finding("cache").state == "note" and "cannot be written to" in finding("cache").text
+        with pytest.raises(ConfigError, match="out: cannot be written to; give another folder"):
+            list(Batch(Nothing(tmp_path / "out"), list, "r", Execution()).run())
+
+
+class Nothing(Processor):
+    """Work on nothing."""
+
+    existing, settings, written = "refuse", {}, {}
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+
+    def make(self, result) -> None: ...
 
 
 UP_TO_TORCHAUDIO = """

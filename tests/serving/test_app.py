@@ -12,12 +12,14 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import torch
 import uvicorn
 from fastapi import HTTPException
 from fastapi.responses import FileResponse, HTMLResponse
 from sounds import wav
 from starlette.requests import Request
 from starlette.testclient import TestClient
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import gesturekit as gk
 from gesturekit.errors import ConfigError, GestureKitError
@@ -258,6 +260,41 @@ def test_an_unforeseen_failure_is_counted_as_500(client, model, monkeypatch):
     assert 'requests_total{status="500"} 1.0' in one.get("/metrics").text
 
 
+def test_motion_is_computed_by_one_thread_for_each_worker(client, model, monkeypatch):
+    """The last bits of matrix products depend on their number, and so would the motion."""
+    used, before = [], torch.get_num_threads()
+    generate = model.generate
+
+    def counted(*arguments, **controls):
+        blas = [lib["num_threads"] for lib in threadpool_info() if lib["user_api"] == "blas"]
+        used.append((torch.get_num_threads(), blas))
+        return generate(*arguments, **controls)
+
+    torch.set_num_threads(2)
+    try:
+        with threadpool_limits(2, user_api="blas"):
+            one = client()
+            monkeypatch.setattr(model, "generate", counted)
+            assert one.post("/motion", content=wav()).status_code == 200
+    finally:
+        torch.set_num_threads(before)
+    ((threads, blas),) = used
+    assert threads == 1 and blas and set(blas) == {1}
+
+
+def test_of_many_wrong_settings_five_are_named(client):
+    query = "&".join(f"wrong{n}={'x' * 9}" for n in range(6))
+    answer = client().post(f"/motion?{query}", content=wav())
+    said = answer.json()["error"]
+    assert answer.status_code == 422 and said.count("wrong") == said.count("; ") + 1 == 5
+    answer = client().post(f"/motion?{'y' * 2000}=1", content=wav())
+    assert len(answer.json()["error"]) == 1000
+    too_long = client().post(f"/motion?style={'z' * 201}", content=wav()).json()["error"]
+    assert "at most 200 characters" in too_long
+    unknown = client().post(f"/motion?style={'z' * 200}", content=wav()).json()["error"]
+    assert "characters" not in unknown
+
+
 def test_health_names_the_model(client, model):
     version = gk.__version__
     state = {"status": "ok", "version": version, "kind": "multires", "fps": 30.0, "styles": []}
@@ -305,6 +342,9 @@ def test_limits_are_positive():
         Limits(per_minute=float("inf"))
     with pytest.raises(ConfigError, match="queue is -1"):
         Limits(queue=-1)
+    with pytest.raises(ConfigError, match=r"seconds is 0.0009"):
+        Limits(seconds=0.0009)
+    assert Limits(seconds=0.001, queue=0).queue == 0
 
 
 def test_the_limits_are_those_of_the_documentation():
