@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +13,16 @@ import yaml
 
 import audio_features as af
 import gesturekit as gk
+from audio_features.errors import AudioError, AudioFeaturesError
 from gesturekit.corpus import Manifest
-from gesturekit.systems import model_folder
+from gesturekit.errors import gesturekit_errors, is_full
+from gesturekit.systems import (
+    SYSTEMS,
+    bundled_models,
+    control_docs,
+    controls_type,
+    model_folder,
+)
 from gesturekit.training.config import read_yaml
 
 
@@ -166,3 +176,41 @@ def test_a_model_is_loaded_with_its_weights_on_a_device_and_in_a_precision(tmp_p
 def test_a_text_in_the_place_of_a_number_is_named(demo, control):
     with pytest.raises(gk.GestureKitError, match="two"):
         demo.generate(**{"seconds": 1.0, control: "two"})
+
+
+def test_controls_are_described_with_their_defaults():
+    docs = control_docs()
+    assert docs["foot_lock"].endswith("  [default: on]")
+    assert docs["in_place"].endswith("  [default: off]")
+    assert docs["liveliness"].endswith("  [default: 1]")
+    assert "[default" not in docs["style"] and "\n" not in "".join(docs.values())
+    for kind in SYSTEMS:
+        assert controls_type(kind).entries().keys() <= docs.keys()
+
+
+@pytest.mark.parametrize(
+    ("number", "is_at_the_end"),
+    [(errno.ENOSPC, True), (errno.EDQUOT, True), (errno.EROFS, True), (errno.EACCES, False)],
+)
+def test_a_disk_that_takes_no_more_is_told_from_other_errors(number, is_at_the_end):
+    assert is_full(OSError(number, "why")) == is_at_the_end
+    assert not is_full(ValueError("why"))
+
+
+def test_errors_of_sounds_are_errors_of_both_packages():
+    class Own(AudioFeaturesError):
+        pass
+
+    for error, ours in ((AudioError("a.wav: odd"), gk.GestureKitError), (Own("odd"), Own)):
+        with pytest.raises(ours, match=str(error)) as raised, gesturekit_errors():
+            raise error
+        assert isinstance(raised.value, type(error))
+
+
+def test_a_bundled_name_goes_before_a_folder_of_that_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "demo").mkdir()
+    assert bundled_models() == ["demo"]
+    assert model_folder("demo").is_absolute() and (model_folder("demo") / "config.yaml").is_file()
+    assert model_folder("./demo") == Path("demo")
+    assert model_folder("other") == Path("other")

@@ -47,6 +47,7 @@ def evaluate(gesturekit, folders):
 
 
 def test_it_prints_a_table_and_writes_report_and_json(evaluate, folders, tmp_path):
+    tmp_path /= "new/folder"
     files = ("--out", tmp_path / "r.html", "--json", tmp_path / "r.json")
     given = ("--audio", folders / "recordings", "--compare", folders / "baseline")
     done = evaluate(*given, *files).ok()

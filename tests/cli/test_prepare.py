@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -91,6 +93,22 @@ def test_a_model_is_written_and_its_fingerprint_printed(gesturekit, motions, tmp
     assert done.out.splitlines()[-1] == f"Fingerprint: {fingerprint}"
 
 
+def test_variants_seeds_and_what_is_kept(gesturekit, motions, tmp_path):
+    fit = ("fit-features", motions, "--steps", 2, "--variant", "yoon", "--out")
+    first = gesturekit(*fit, tmp_path / "one").ok().out
+    assert f"{tmp_path / 'one'}: yoon, 34 frames at 15 fps, " in first
+    assert "Fitted on a random" not in first
+    other = gesturekit(*fit, tmp_path / "two", "--seed", 1).ok().out
+    assert first.splitlines()[-1] != other.splitlines()[-1]
+    kept = gesturekit(*fit, tmp_path / "one", "--existing", "skip").ok()
+    assert kept.out == "" and "skipped, exists already" in kept.err
+    upper = ("--joints", "upper", "--existing", "replace")
+    whole = gesturekit(*fit, tmp_path / "three", "--variant", "genea").ok().out
+    half = gesturekit(*fit, tmp_path / "one", "--variant", "genea", *upper).ok().out
+    bones = [int(re.search(r"(\d+) bones", text)[1]) for text in (whole, half)]
+    assert bones[1] < bones[0]
+
+
 def test_joints_by_name(gesturekit, motions, tmp_path):
     joints = ("--joints", "LeftArm, LeftForeArm,LeftHand")
     done = gesturekit("fit-features", motions, "--out", tmp_path, "--steps", 2, *joints)
@@ -103,6 +121,13 @@ def test_unreadable_files_are_listed_and_left_out(gesturekit, motions, tmp_path)
     done = gesturekit("fit-features", motions, broken, "--out", tmp_path / "m", "--steps", 2)
     assert done.status == 1 and done.err.count("Error: ") == 1 and "broken.bvh" in done.err
     assert FeatureModel.load(tmp_path / "m").training["motions"] == 2
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    shutil.copy(motions / "0.bvh", folder)
+    (folder / "a\tb.bvh").write_text("x")  # a name that is refused
+    (folder / "a.wav").write_bytes(b"x")
+    done = gesturekit("fit-features", folder, "--out", tmp_path / "f", "--steps", 2)
+    assert done.status == 1 and done.err.count("Error: ") == 1 and "rename it" in done.err
     done = gesturekit("fit-features", broken, tmp_path / "none.bvh", "--out", tmp_path / "n")
     assert done.status == 2 and "no motion (bvh, npz) could be read" in done.err
     assert not (tmp_path / "n").exists()

@@ -459,3 +459,45 @@ def test_other_kinds_of_files_are_recognised(gesture, tmp_path):
     ):
         summary = inspect(tmp_path / path)
         assert summary.kind == "other" and re.search(says, summary.title), path
+
+
+def test_lines_are_as_wide_as_the_terminal_within_bounds(gesturekit, monkeypatch):
+    shown = {}
+    for columns in (40, 72, 90, 110, 300):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        shown[columns] = gesturekit("inspect", "demo").ok().out
+    assert shown[40] == shown[72] and shown[110] == shown[300]
+    assert len({shown[72], shown[90], shown[110]}) == 3
+    assert all(len(line) <= 72 for line in shown[40].splitlines() if "/" not in line)
+
+
+def test_what_cannot_be_inspected_is_listed_and_the_others_are_shown(
+    gesturekit, gesture, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    gesture(1.0).save("a.bvh")
+    real = inspect
+
+    def inspected(path: str, **options):
+        if path == "a.bvh":
+            return real(path, **options)
+        raise {
+            "big": MemoryError(),
+            "own": OSError(13, "Permission denied", "own/x"),
+            "odd": OSError("no reason"),
+            "bad": FormatError("bad: damaged"),
+            "mute": FormatError("damaged"),
+        }[path]
+
+    monkeypatch.setattr("gesturekit.inspection.inspect", inspected)
+    done = gesturekit("inspect", "big", "own", "odd", "bad", "mute", "a.bvh")
+    assert done.status == 1 and done.err.splitlines() == [
+        "Failed: big: not enough memory",
+        "Failed: own/x: Permission denied",
+        "Failed: odd: no reason",
+        "Failed: bad: damaged",
+        "Failed: mute: damaged",
+    ]
+    assert "a.bvh" in done.out and done.out.startswith("\n")
+    lines = gesturekit("inspect", "a.bvh", "a.bvh", "--json").ok().out.splitlines()
+    assert [json.loads(line)["kind"] for line in lines] == ["motion", "motion"]

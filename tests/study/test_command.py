@@ -53,6 +53,15 @@ def test_a_study_is_analysed_into_words_figures_and_a_page(simulate, answers_of,
     assert len(found["preference"]["pairs"]) == 3
     code, _, err = run("analyse", path, "--out", report)
     assert code == 2 and "report.html" in err
+    code, out, err = run("analyse", path, "--out", report, "--existing", "skip")
+    assert code == 0 and out == "" and "skipped, exists already" in err
+    code, out, _ = run("analyse", path, "--rounds", 30, "--failed-checks", 0)
+    assert code == 0 and "of 40 raters" in out and "; 0 raters excluded" in out
+    intervals = []
+    for options in (("--rounds", 30), ("--rounds", 31), ("--rounds", 30, "--seed", 1)):
+        code, _, _ = run("analyse", path, "--json", figures, *options, "--existing", "replace")
+        intervals.append(json.dumps(json.loads(figures.read_text())["preference"]))
+    assert code == 0 and len(set(intervals)) == 3
 
 
 def test_random_answers_allow_no_conclusion(simulate, answers_of, tmp_path, run):
@@ -82,6 +91,11 @@ def test_nonsense_is_one_line_and_code_2(tmp_path, run):
         code, out, err = run(*arguments)
         assert code == 2 and out == "" and len(err.strip().splitlines()) <= 3, err
         assert "Traceback" not in err
+
+
+def test_a_folder_is_no_study(tmp_path, run):
+    code, _, err = run("build", tmp_path)
+    assert code == 2 and f"{tmp_path}: a folder; CONFIG is a YAML file" in err
 
 
 def test_without_statsmodels_the_extra_is_named(tmp_path, run, monkeypatch):
