@@ -15,6 +15,7 @@ from published import DANCES, INFO, WORDS, info_row, write
 from audio_features import load_words
 from gesturekit.corpus import Manifest, Report, prepare
 from gesturekit.corpus.layouts import LAYOUTS
+from gesturekit.corpus.layouts.zeggs import read_zeggs
 from gesturekit.errors import CorpusError
 
 
@@ -167,6 +168,52 @@ def test_original_zeggs_is_aligned_trimmed_and_masked(tmp_path, write_bvh, write
     assert "001_Neutral_0.wav: without 001_Neutral_0.csv other voices" in messages(
         report, "warning"
     )
+
+
+def original(folder: Path, times: str, turns: str | None = None):
+    """Read an original recording with these times of audio, anim, acting and its end."""
+    (folder / "original").mkdir(exist_ok=True)
+    for suffix in ("bvh", "wav"):
+        (folder / "original" / f"001_Neutral_0.{suffix}").touch()
+    table = folder / "original" / "001_Neutral_0.csv"
+    table.unlink(missing_ok=True)
+    if turns is not None:
+        write(table, f"#,Start,End\n{turns}\n")
+    audio, anim, acting, end = times.split()
+    row = f"001_Neutral_0.wav,{audio},{anim},Neutral,{acting},{end},001_Neutral_0.bvh,FALSE\n"
+    write(folder / "info.csv", INFO + row)
+    return read_zeggs(folder)
+
+
+def test_time_codes_of_zeggs_have_hours_and_frames(tmp_path):
+    """Sound counts 30 frames a second, motion and acting 60."""
+    times = "01:02:03:15 01:02:04:45 01:02:05:00 01:03:04:30"
+    turns = "R1,01:02.250,01:03.500\nM,00:01.0,00:02.0\nRM,00:00:125,00:00.125"
+    (found,) = original(tmp_path, times, turns).recordings
+    assert found.audio_offset == pytest.approx(4.75 - 3.5)
+    assert found.limits == pytest.approx((0.25, 59.75))
+    assert found.audible == ((62.25, 63.5), (0.125, 0.125))
+    assert (found.speaker, found.style, found.split) == ("zeggs", "Neutral", "train")
+    # Over the hour; acting may begin with the motion.
+    (found,) = original(tmp_path, "00:59:59:00 01:00:00:00 01:00:00:00 01:00:01:00", "").recordings
+    assert (found.audio_offset, found.limits, found.audible) == (1.0, (0.0, 1.0), ())
+
+
+@pytest.mark.parametrize(
+    ("times", "turns", "says"),
+    [
+        ("0:0:0:0 0:0:1:0 0:0:0:59 0:0:2:0", "", "acting from -0.02 to 1.00 s"),
+        ("0:0:0:0 0:0:1:0 0:0:2:0 0:0:2:0", "", "acting from 1.00 to 1.00 s"),
+        ("0:0:0:0 0:0:1 0:0:2:0 0:0:3:0", "", "anim_start_time is '0:0:1'; expected HH:MM"),
+        ("0:0:0:0 0:0:1:0 0:0:1:0 0:0:2:0", "R,00:02.0,00:01.999", "before 2.0 s"),
+        ("0:0:0:0 0:0:1:0 0:0:1:0 0:0:2:0", "R,00:02.0,soon", "end is 'soon'; expected MM:SS"),
+    ],
+)
+def test_wrong_times_of_zeggs_leave_their_recording_out(tmp_path, times, turns, says):
+    listing = original(tmp_path, times, turns)
+    assert listing.recordings == [] and listing.left_over == []
+    (problem,) = [problem for problem in listing.problems if problem.severity == "error"]
+    assert says in problem.text
 
 
 def test_genea2023(publish):
