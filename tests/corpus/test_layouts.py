@@ -188,7 +188,7 @@ def original(folder: Path, times: str, turns: str | None = None):
 def test_time_codes_of_zeggs_have_hours_and_frames(tmp_path):
     """Sound counts 30 frames a second, motion and acting 60."""
     times = "01:02:03:15 01:02:04:45 01:02:05:00 01:03:04:30"
-    turns = "R1,01:02.250,01:03.500\nM,00:01.0,00:02.0\nRM,00:00:125,00:00.125"
+    turns = "R1,01:02.250,01:03.5\nM,00:01.0,00:02.0\nRM,00:00:125,00:00.125"
     (found,) = original(tmp_path, times, turns).recordings
     assert found.audio_offset == pytest.approx(4.75 - 3.5)
     assert found.limits == pytest.approx((0.25, 59.75))

@@ -170,8 +170,8 @@ def _turns(table: Path) -> tuple[tuple[float, float], ...]:
             match = _MINUTES.fullmatch(row[name])
             if match is None:
                 raise CorpusError(f"{where}: {name} is {row[name][:40]!r}; expected MM:SS.mmm")
-            minutes, seconds, thousandths = map(int, match.groups())
-            times.append(60.0 * minutes + seconds + thousandths / 1000)
+            minutes, seconds, fraction = match.groups()
+            times.append(60.0 * int(minutes) + float(f"{seconds}.{fraction}"))
         if not times[0] <= times[1] < math.inf:
             raise CorpusError(f"{where}: ends at {times[1]} s, before {times[0]} s")
         turns.append((times[0], times[1]))
