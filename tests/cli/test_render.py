@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import re
@@ -10,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from fractions import Fraction
 from math import floor
 from pathlib import Path
@@ -21,7 +23,7 @@ import soundfile
 from sounds import voiced
 
 import gesturekit as gk
-from gesturekit import Motion
+from gesturekit import Motion, systems
 from gesturekit.cli.render import CONTROLS, GROUPS, command
 from gesturekit.corpus import Manifest
 from gesturekit.corpus.item import SPLITS
@@ -545,3 +547,23 @@ def test_a_dry_run_says_what_it_did_not_look_at(render, model, wav, tmp_path):
     idle = render("--keyframes", tmp_path / "edit.bvh", "--dry-run")
     assert idle.status == 0 and "1 to make, 0 to keep, 0 to fail" in idle.err
     assert re.search(r"^fail .*text\.wav -> .*cannot be read as sound", done.out, re.MULTILINE)
+
+
+def test_speakers_that_are_not_chosen_are_warned_about(gesturekit, wav, tmp_path, monkeypatch):
+    """If any of the sounds has none: gestures are then those of all speakers."""
+    demo = gk.load("demo")
+    several = replace(demo, speakers=dict.fromkeys(("bob", "ann"), demo.skeleton))
+    monkeypatch.setattr(systems, "load", lambda *_, **__: several)
+    lines = [{"audio": str(wav), "id": "a", "speaker": "ann"}, {"audio": str(wav), "id": "b"}]
+    says = "Warning: the model has 2 speakers and none is chosen: gestures are those of all of them"
+    render = ("render", "--model", "demo", "--out", tmp_path / "out", "--dry-run")
+    for rows, options, is_warned in (
+        (lines, (), True),
+        (lines[:1], (), False),
+        (lines[1:], (), True),
+        (lines, ("--speaker", "bob"), False),
+    ):
+        (tmp_path / "list.jsonl").write_text("".join(f"{json.dumps(row)}\n" for row in rows))
+        done = gesturekit(*render, tmp_path / "list.jsonl", *options).ok()
+        assert (says in done.err) == is_warned
+        assert ("(ann, bob)" in done.err) == is_warned
