@@ -11,6 +11,7 @@ import soundfile
 from rigs import nameless, rig_of
 
 from gesturekit.corpus import Manifest, prepare
+from gesturekit.corpus.preparation import PrepareOptions
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.inspection.corpus import inspect_recordings
 from gesturekit.motion import Motion
@@ -204,7 +205,9 @@ def test_unidentified_parts_are_reported_and_can_be_specified(tmp_path, write_pa
     (note,) = texts(report, "note")
     assert len(report.manifest) == 1
     says = r"a.bvh: cannot identify the arms.*which way is forward.*parts: \{left_elbow:"
-    assert re.search(says, note)
+    assert re.search(says, note) and note.endswith(", and in multires speech moves all joints")
+    (note,) = texts(prepare([], unpaired_motion=tmp_path), "note")
+    assert note.endswith("training leaves out what needs these parts"), "without speech"
     assert not prepare(tmp_path, holdout=0.0, parts=by_hand).problems
     wrong = prepare(tmp_path, holdout=0.0, parts={"left_elbow": "Joint99"})
     assert "Joint99" in texts(wrong, "error")[0]
@@ -251,11 +254,12 @@ def test_the_odd_skeleton_is_left_out_and_its_first_difference_named(tmp_path, w
 
 def test_different_frame_rates_are_noted(tmp_path, write_pair):
     write_pair(tmp_path, "a", fps=30.0)
-    write_pair(tmp_path, "b", fps=24.0)
+    write_pair(tmp_path, "b", fps=120.0)
+    write_pair(tmp_path, "c", fps=120.0)
     report = prepare(tmp_path)
-    assert len(report.manifest) == 2
+    assert len(report.manifest) == 3
     (note,) = texts(report, "note")
-    assert note == "frame rates differ: 24 (1), 30 (1); training resamples them to one"
+    assert note == "frame rates differ: 30 (1), 120 (2); training resamples them to one"
 
 
 def test_the_last_fifth_of_a_single_recording_is_held_out(tmp_path, write_pair):
@@ -340,6 +344,10 @@ def test_labels_come_from_names(tmp_path, write_pair):
         ({"take_table": "none.csv"}, "table of takes none.csv: no such file"),
         ({"seed": -1}, "seed is -1"),
         ({"workers": 0}, "workers is 0"),
+        ({"workers": 1025}, "workers is 1025"),
+        ({"holdout": -0.1}, "holdout is -0.1"),
+        ({"read": {"person": 1}}, "read: unknown option 'person'"),
+        ({"read": {"body_model": "none.npz"}}, "body model none.npz: no such file or folder"),
         ({"tolerance": -0.1}, "tolerance is -0.1"),
         ({"hold_out_seconds": "1-2", "hold_out_pattern": "a"}, "either seconds or names"),
     ],
@@ -347,6 +355,14 @@ def test_labels_come_from_names(tmp_path, write_pair):
 def test_invalid_arguments_are_refused_before_anything_is_read(tmp_path, options, message):
     with pytest.raises(CorpusError, match=message):
         prepare(tmp_path, **options)
+
+
+def test_the_ends_of_the_ranges_of_options_are_inside(tmp_path):
+    ends = {"workers": 1024, "tolerance": 0.0, "holdout": 0.0, "seed": 0, "shift": -1}
+    assert PrepareOptions(**ends).hold_out_seconds == ()
+    assert PrepareOptions(read={"body_model": tmp_path}).read["body_model"] == tmp_path
+    held = PrepareOptions(hold_out_speakers=" ann, ,bob").hold_out()
+    assert held.speakers == ("ann", "bob")
 
 
 def test_the_report_reads_as_a_table_with_every_problem(tmp_path, write_pair, write_speech):
@@ -526,12 +542,12 @@ def test_bodies_of_very_different_size_are_warned_about(gesture, tmp_path):
 
 def test_sizes_that_spread_are_named_by_their_ends(gesture, tmp_path):
     """None of 1, 1.3 and 1.7 is far from the usual one, but the first is far from the last."""
-    for name, factor in (("a", 1.0), ("b", 1.3), ("c", 1.7)):
+    for name, factor in (("a", 1.3), ("b", 1.7), ("c", 1.0)):
         gesture(2.0).scaled(factor).save(tmp_path / f"{name}.npz")
     (line,) = (t for t in prepare([], unpaired_motion=tmp_path).problem_lines() if "heights" in t)
-    assert "body heights differ by a factor of 1.7; " in line and "b.npz" not in line
-    assert re.search(r"but not of \S+a.npz \(\S+ m\), \S+c.npz \(\S+ m\)\. If", line)
-    gesture(2.0).scaled(1.4).save(tmp_path / "c.npz")
+    assert "body heights differ by a factor of 1.7; " in line and "a.npz" not in line
+    assert re.search(r"but not of \S+c.npz \(\S+ m\), \S+b.npz \(\S+ m\)\. If", line)
+    gesture(2.0).scaled(1.4).save(tmp_path / "b.npz")
     assert not any(
         "heights differ" in t for t in prepare([], unpaired_motion=tmp_path).problem_lines()
     )

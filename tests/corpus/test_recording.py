@@ -15,7 +15,8 @@ from gesturekit.corpus.checks import (
     reference_pose,
     usual_skeleton,
 )
-from gesturekit.corpus.recording import Recording, examine
+from gesturekit.corpus.recording import Examination, Recording, examine, examine_each
+from gesturekit.jobs.workers import Failure
 from gesturekit.motion import Motion
 
 
@@ -31,6 +32,7 @@ from gesturekit.motion import Motion
         (-2.0, (0.0, 10.0), (2.0, 4.0)),
         (0.0, (31 / 30, 2.0), (31 / 30, 2.0)),  # frame 31, though 31 / 30 * 30 is above it
         (-0.5, (1.0, 2.0), (1.0, 2.0)),
+        (0.0, (1.0, 1.5), (1.0, 1.5)),  # half a second is enough
         (2.75, (0.0, 10.0), None),  # too little
         (-3.73, (0.0, 10.0), None),
     ],
@@ -201,3 +203,51 @@ def test_the_first_five_times_of_a_defect_are_named(tmp_path, gesture, pops, tim
     found, problems = examine(Recording("a", motion=tmp_path / "a.bvh"), 0.5)
     assert found is not None
     assert f"at 1.00 s, 2.00 s, 3.00 s, 4.00 s, {times}" in problems[-1].text
+
+
+@pytest.mark.parametrize(("runs", "more"), [(5, ""), (6, " and 1 more")])
+def test_the_first_five_frozen_stretches_are_named(tmp_path, gesture, runs, more):
+    motion = gesture(20.0)
+    for number in range(runs):
+        motion.rotations[90 * number + 30 : 90 * number + 75] = motion.rotations[90 * number + 30]
+    motion.save(tmp_path / "a.npz")
+    _, problems = examine(Recording("a", motion=tmp_path / "a.npz"), 0.5)
+    shown = ", ".join(f"{3 * n + 1}.00 s to {3 * n + 2}.50 s" for n in range(5))
+    assert f"frozen (no joint moves at all) from {shown}{more}" in [p.message for p in problems]
+
+
+def test_processes_give_results_in_the_order_of_the_recordings(monkeypatch):
+    """Whichever is ready first; one whose process died is an error of its file."""
+
+    class LastFirst:
+        def __init__(self, function, workers) -> None:
+            assert workers == 3
+
+        def map(self, recordings, begin):
+            for recording in recordings[::-1]:
+                if recording.id == "b":
+                    yield recording, Failure("its worker process ended")
+                else:
+                    yield recording, (recording, [])
+
+    monkeypatch.setattr("gesturekit.corpus.recording.Pool", LastFirst)
+    recordings = [Recording(name, motion=Path(f"{name}.bvh")) for name in "abc"]
+    seen = []
+
+    def progress(items):
+        for item in items:
+            seen.append(item.id)
+            yield item
+        seen.append("end")
+
+    found = examine_each(recordings, Examination(0.5, None, None, {}), 3, progress)
+    assert [one and one.id for one, _ in found] == ["a", None, "c"] and seen == [*"abc", "end"]
+    (problem,) = found[1][1]
+    assert (problem.severity, problem.text) == ("error", "b.bvh: its worker process ended")
+
+
+def test_a_recording_of_one_kind_is_not_shifted():
+    pair = Recording("a", audio=Path("a.wav"), motion=Path("a.bvh"), audio_offset=1.0)
+    assert pair.shifted(0.25).audio_offset == 0.75 and pair.file == Path("a.bvh")
+    for alone in (Recording("a", audio=Path("a.wav")), Recording("a", motion=Path("a.bvh"))):
+        assert alone.shifted(0.25) is alone and alone.file == (alone.audio or alone.motion)
