@@ -338,7 +338,6 @@ class _Shard:
             self._remove_temporary(result.task)
             with suppress(OSError):
                 self._journal.finish(Result(result.task, "dropped"))
-        self._in_progress.clear()
 
     def _remove_temporary(self, task: Task) -> None:
         for file in self._processor.targets(task):

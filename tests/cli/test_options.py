@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import click
 import pytest
 
+from gesturekit import systems
 from gesturekit.cli.evaluate_inputs import folders_of, recordings_of, rendered_baselines
 from gesturekit.cli.options import (
     RECORDING_OPTIONS,
@@ -17,7 +19,9 @@ from gesturekit.cli.options import (
     parse_placed_files,
     parse_weights,
 )
+from gesturekit.corpus import Item
 from gesturekit.evaluation import Items
+from gesturekit.rendering import samples
 
 
 @pytest.mark.parametrize(
@@ -174,3 +178,70 @@ def test_a_body_is_a_name_or_the_file_of_an_avatar(body, is_known):
     else:
         with pytest.raises(click.BadParameter, match=f"'{body}' is none of mannequin, human"):
             Body()(body)
+
+
+@pytest.fixture
+def sampled(monkeypatch, tmp_path):
+    """sampled(protocol, **options): what each model is sampled for, into which folder, and how."""
+    for name in ("a", "b/a"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "config.yaml").write_text("kind: multires\n")
+    monkeypatch.chdir(tmp_path)
+    asked = []
+
+    def of(protocol: str):
+        def sample(model, items, folder, settings):
+            asked.append((protocol, model, items, folder.name, settings))
+            return [folder / "x.npz"]
+
+        return sample
+
+    for protocol in ("lda", "multires"):
+        monkeypatch.setattr(samples, f"sample_{protocol}", of(protocol))
+    monkeypatch.setattr(samples, "sounds_of", lambda audio: ("sounds", audio))
+    monkeypatch.setattr(samples, "sequences_of", lambda *place: ("sequences", *place))
+    monkeypatch.setattr(systems, "load", lambda name, weights: (name, weights))
+    usual = {"samples": None, "seed": 0, "existing": "replace", "postprocess": False}
+    usual |= {"weights": None, "samples_dir": tmp_path / "samples", "audio": Path("sound")}
+
+    def sample(protocol: str, recordings=None, names=("a",), **options):
+        asked.clear()
+        options = RECORDED | usual | {"protocol": protocol} | options
+        folders = folders_of(names, recordings or tmp_path / "real", options)
+        assert set(folders.values()) == {tmp_path / "samples" / call[3] for call in asked}
+        return list(asked)
+
+    return sample
+
+
+def test_models_are_sampled_by_the_protocol_into_folders_of_their_own(sampled, tmp_path):
+    one, two = sampled("lda", names=("a", "b/a"), samples=7, seed=3, postprocess=True, weights="w")
+    assert one[:4] == ("lda", ("a", "w"), ("sounds", Path("sound")), "a")
+    assert two[1] == ("b/a", "w") and two[3] == "b_a"
+    assert one[4] == samples.SamplingOptions(samples=7, seed=3, skip=False, postprocess=True)
+    (one,) = sampled("multires", in_up="z")
+    real = ("sequences", tmp_path / "real", Path("sound"), {"up": "z"})
+    assert (one[0], one[2]) == ("multires", real)
+    assert one[4] == samples.SamplingOptions(samples=None, seed=0, skip=False, postprocess=False)
+    with pytest.raises(click.UsageError, match="--protocol lda samples models for .* give --audio"):
+        sampled("lda", audio=None)
+
+
+def test_of_a_manifest_the_items_with_motion_are_sampled(sampled, tmp_path):
+    moving = Item(id="a", audio=None, motion=tmp_path / "a.bvh", duration=1.0)
+    speech = Item(id="b", audio=tmp_path / "b.wav", motion=None, duration=1.0)
+    items = SimpleNamespace(items=[moving, speech])
+    for protocol in ("lda", "multires"):
+        (one,) = sampled(protocol, items, corpus="c.jsonl")
+        assert one[:3] == (protocol, ("a", None), [moving])
+
+
+def test_samples_of_an_earlier_run_are_not_measured_by_accident(sampled, tmp_path):
+    folder = tmp_path / "samples" / "a"
+    folder.mkdir(parents=True)
+    assert len(sampled("lda")) == 1, "an empty folder"
+    (folder / "x.npz").touch()
+    with pytest.raises(click.UsageError, match="holds samples of an earlier run"):
+        sampled("lda")
+    ((*_, settings),) = sampled("lda", existing="skip")
+    assert settings.skip
