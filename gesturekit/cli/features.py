@@ -214,8 +214,10 @@ def _layer(text: str) -> Any:
 
 
 def _number(text: str) -> Any:
-    """Return the text as a whole number if it is one."""
-    try:
-        return int(text)
-    except ValueError:
-        return text
+    """Return the text as a number if it is one."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text

@@ -140,3 +140,42 @@ def test_a_seed_below_0_is_refused_at_once_everywhere(gesturekit, model, corpus,
         with pytest.raises(gk.GestureKitError, match=r"seed.*-1"):
             call()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_extractors_are_listed_with_their_settings(gesturekit, write_speech, tmp_path):
+    wav = write_speech(tmp_path / "a.wav", 0.5)
+    specs = {}
+    for listed in ("logmel:8", " mfcc:6 ,, prosody:pyin", "effort:0.5,onset"):
+        out = tmp_path / listed.strip()[:3]
+        done = gesturekit("features", wav, "--extractor", listed, "--cache", "off", "--out", out)
+        spec = af.FeatureTrack.load(out / "a.npz").spec
+        specs[listed] = spec if spec["kind"] != "stack" else spec["parts"]
+        width = af.FeatureTrack.load(out / "a.npz").values.shape[1]
+        assert done.ok().out == f"{out / 'a.npz'}: 50 frames × {width}\n"
+    assert (specs["logmel:8"]["kind"], specs["logmel:8"]["n_mels"]) == ("logmel", 8)
+    mfcc, prosody = specs[" mfcc:6 ,, prosody:pyin"]
+    assert 6 in mfcc.values() and "pyin" in prosody.values()
+    effort, onset = specs["effort:0.5,onset"]
+    assert effort == {"kind": "effort", "seconds": 0.5} and onset["kind"] == "onset"
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ("--extractor mel", "--extractor 'mel': one or more of logmel, mfcc"),
+        ("--extractor onset:3", "--extractor 'onset:3': one or more of"),
+        ("--extractor mfcc --layer 6", "--layer requires --extractor wavlm or hf"),
+        ("--extractor mfcc --weights w", "--weights requires --extractor wavlm or hf or files"),
+        ("--extractor wavlm --rate 50", "--rate requires --extractor files"),
+        ("--extractor hf --preset dsg", "--preset requires --extractor wavlm"),
+        ("--extractor mfcc --full-context 3", "--full-context requires --extractor wavlm or hf"),
+        ("--extractor wavlm --layer 6:1,9", "--layer '6:1,9': 6, 6,9, last, mean or 6:1,9:3"),
+        ("--extractor wavlm --layer x:1", "--layer 'x:1': 6, 6,9"),
+        ("--extractor mfcc --align mean", "--align requires --fps"),
+    ],
+)
+def test_options_of_networks_need_one(gesturekit, write_speech, tmp_path, options, says):
+    wav = write_speech(tmp_path / "a.wav", 0.5)
+    done = gesturekit("features", wav, *options.split(), "--out", tmp_path / "out")
+    done.fails(2, says)
+    assert not (tmp_path / "out").exists()
