@@ -107,6 +107,10 @@ def test_the_demo_leaves_every_format_and_its_sound(gesturekit, tmp_path):
     assert again.status == 0 and sorted(again.out.split()) == sorted(done.out.split())
     (tmp_path / "speech.wav").write_text("mine")
     gesturekit("demo", "--out", tmp_path, "--seed", 1).fails(2, "speech.wav exists already")
+    first = (tmp_path / "speech.bvh").read_bytes()
+    kept = gesturekit("demo", "--out", tmp_path, "--seed", 1, "--existing", "skip").ok()
+    assert "speech.wav: skipped" in kept.err and (tmp_path / "speech.wav").read_text() == "mine"
+    assert (tmp_path / "speech.bvh").read_bytes() == first
 
 
 @pytest.mark.parametrize("options", [("convert", "--format", "npz"), ("features",)])
