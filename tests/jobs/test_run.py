@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -199,7 +200,10 @@ def take_over(out: Path) -> None:
     """Write another process into the lease, and wait until the run has noticed."""
     (lease,) = (out / ".gesturekit" / "leases").glob("*.json")
     lease.write_text('{"host": "elsewhere"}')
-    time.sleep(0.2)
+    limit = time.monotonic() + 10
+    while any(thread.name == "heartbeat" for thread in threading.enumerate()):
+        assert time.monotonic() < limit
+        time.sleep(0.01)
 
 
 def test_a_run_that_lost_its_lease_writes_no_more(tmp_path, monkeypatch):
