@@ -12,6 +12,7 @@ from gesturekit.corpus import Item, Manifest, Report
 from gesturekit.corpus.alignment import Correlation
 from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.layouts.listing import Listing, root_with
+from gesturekit.corpus.layouts.listing import rows as rows_of
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import CorpusError
 from gesturekit.motion import Skeleton
@@ -131,3 +132,26 @@ def test_a_corpus_is_found_in_its_folder_or_one_below(tmp_path):
         ("error", tmp_path, "not there: 2 files: a, b"),
         ("note", tmp_path, "odd: 2: a, b"),
     ]
+
+
+def test_a_table_has_its_columns_and_others_only_where_it_may(tmp_path):
+    table = tmp_path / "t.csv"
+    table.write_text("\ufeffID, More ,type\na,x,train\nb,,test\n", encoding="utf-8")
+    assert [dict(row) for _, row in rows_of(table, ("id", "type"), others=True)] == [
+        {"id": "a", "more": "x", "type": "train"},
+        {"id": "b", "more": "", "type": "test"},
+    ]
+    with pytest.raises(CorpusError, match="t.csv.*download it again"):
+        rows_of(table, ("id", "type"))
+    for others in (True, False):
+        with pytest.raises(CorpusError, match="none.csv.*download it again"):
+            rows_of(tmp_path / "none.csv", ("id",), others)
+    table.write_bytes(b"id,type\n\xff,train\n")
+    with pytest.raises(CorpusError, match="t.csv.*download it again"):
+        rows_of(table, ("id", "type"), others=True)
+    table.write_text("type\ntrain\n")
+    with pytest.raises(CorpusError, match="t.csv.*'?id'?.*download it again"):
+        rows_of(table, ("id", "type"), others=True)
+    table.write_text("")
+    with pytest.raises(CorpusError, match="download it again"):
+        rows_of(table, ("id", "type"), others=True)
