@@ -8,7 +8,7 @@ from threadpoolctl import ThreadpoolController
 
 import audio_features as af
 import gesturekit as gk
-from gesturekit.corpus.speech import SpeechConditioner, extract
+from gesturekit.corpus.speech import SpeechConditioner, detects_voice, extract
 
 
 def voice(seconds: float, *, level: float = 0.1, swing: float = 1.0, seed: int = 0) -> af.Wave:
@@ -216,3 +216,56 @@ def test_only_wide_extractors_are_reduced_and_effort_never():
     behind = fitted(heard, af.Stack(parts[::-1]))
     raw = [extract(wave, behind.extractor, 25.0, "mean") for wave in heard]
     assert (behind.effort, behind.reduced(raw, 8).effort) == ((16, 17, 18), (4, 5, 6))
+
+
+def test_features_of_files_are_those_of_training_in_silence():
+    """What own features would be without sound nobody knows."""
+    files = af.Files(dim=2, suffix=".npy", rate=50.0)
+    extractor = af.Stack([Clock(), files])
+    about = np.array([0.0, 3.0, 4.0]), np.array([1.0, 2.0, 2.0]), "none"
+    assert SpeechConditioner(extractor, 25.0, "linear", *about).files == (files,)
+    assert SpeechConditioner(Clock(), 25.0, "linear", np.zeros(1), np.ones(1)).files == ()
+
+
+@pytest.mark.parametrize(
+    ("part", "vad", "expected"),
+    [(af.LogMel(), None, True), (af.Music(), None, False), (af.Music(), True, True)],
+)
+def test_voice_is_looked_for_except_in_music(part, vad, expected):
+    for extractor in (part, af.Stack([af.Prosody(), part])):
+        assert detects_voice(extractor, vad) is expected
+    assert detects_voice(part, False) is False
+
+
+def test_activity_is_that_of_the_nearest_moment():
+    """A second of silence, a second of voice, a second of silence; frames beyond the end."""
+    samples = voice(1.0).samples
+    silence = np.zeros(16_000, np.float32)
+    wave = af.Wave(np.concatenate([silence, samples, silence]), 16_000, None)
+    values, active = extract(wave, Clock(), 10.0, "linear", 40)
+    assert values.shape == (40, 1) and active.shape == (40,)
+    assert not active[:9].any() and active[11:19].sum() >= 3 and not active[23:].any()
+    assert len(extract(wave, Clock(), 10.0, "linear")[0]) == 30
+
+
+def test_silent_sound_and_sound_without_voice_are_warned_about(conditioner, caplog):
+    rng = np.random.default_rng(0)
+    hum = af.Wave((0.05 * rng.standard_normal(64_000)).astype(np.float32), 16_000, None)
+    for wave, vad, says in (
+        (af.Wave(np.zeros(32_000, np.float32), 16_000, None), None, "the speech: silent; the mot"),
+        (hum, None, "the speech: no voice found"),
+        (hum, False, ""),
+        (voice(2.0), None, ""),
+    ):
+        caplog.clear()
+        assert len(conditioner(wave, vad=vad)) == wave.n_frames(25)
+        assert (says in caplog.text) and bool(says) == bool(caplog.text)
+
+
+@pytest.mark.parametrize("length", [4096, 4097, 9000])
+def test_long_clips_are_normalised_as_short_ones(length):
+    about = Encoder(), 25.0, "mean", np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 4.0]), "corpus"
+    values = np.random.default_rng(0).standard_normal((length, 3))
+    expected = (values - [1, 2, 3]) / [1, 2, 4]
+    found = SpeechConditioner(*about).scaled(values, about[3])
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
