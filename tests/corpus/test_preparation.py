@@ -363,6 +363,13 @@ def test_the_ends_of_the_ranges_of_options_are_inside(tmp_path):
     assert PrepareOptions(read={"body_model": tmp_path}).read["body_model"] == tmp_path
     held = PrepareOptions(hold_out_speakers=" ann, ,bob").hold_out()
     assert held.speakers == ("ann", "bob")
+    # What cannot be is an error before any file is looked for.
+    for wrong, says in (
+        ({"take_pattern": "("}, "take pattern"),
+        ({"hold_out_seconds": "x"}, "'x'"),
+    ):
+        with pytest.raises(CorpusError, match=says):
+            PrepareOptions(**wrong)
 
 
 def test_the_report_reads_as_a_table_with_every_problem(tmp_path, write_pair, write_speech):
