@@ -1,0 +1,692 @@
+"""Constraints of one level, worked out by hand: clips, keyframes and paths in motion vectors.
+
+At 25 fps what is beside a clip is blended to it over 0.4 s, 10 frames; after k of them the share
+of the clip is the smoothstep of 1 - k / 10.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from rigs import at_rest, below_a_root, turned_at_root
+
+from audio_features import level_lengths
+from gesturekit import Motion
+from gesturekit.errors import ModelError
+from gesturekit.motion.heading import heading
+from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotate_vectors
+from gesturekit.multires.constraints.constraint import (
+    clamped_steps,
+    fastest_second,
+    turned,
+    turned_plane,
+)
+from gesturekit.multires.constraints.inbetweening import InbetweenClips, InbetweenConstraint
+from gesturekit.multires.constraints.keyframes import (
+    KeyframeConstraint,
+    fit_keyframes,
+    full_frames,
+    ground_positions,
+    keep_unedited,
+    level_motion,
+    motion_level,
+    moved,
+    root_through_keyframes,
+)
+from gesturekit.multires.constraints.path import PathConstraint
+from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
+from gesturekit.multires.network.resampling import resample
+
+FPS = 25.0
+HAND = "LeftHand"
+"""A joint that is not modelled."""
+
+
+@pytest.fixture(scope="module")
+def recorded(gesture) -> Motion:
+    """Four seconds of a tall person, who sways."""
+    motion = gesture(4.0, FPS).scaled(1.25)
+    phase = 2 * np.pi * 0.5 * motion.times[:, None] + [0.0, 0.0, 1.0]
+    return replace(motion, translation=motion.translation + 0.1 * np.sin(phase) * [1, 0, 1])
+
+
+@pytest.fixture(scope="module")
+def representation(recorded) -> MultiresRepresentation:
+    joints = [name for name in recorded.skeleton.names if name != HAND]
+    found = MultiresRepresentation.fit([recorded], joints)
+    assert abs(found.scale - 1) > 0.05
+    return found
+
+
+@pytest.fixture(scope="module")
+def normaliser(recorded, representation) -> Normaliser:
+    return Normaliser.fit([representation.encode(recorded)], representation, FPS)
+
+
+def smoothstep(share: np.ndarray) -> np.ndarray:
+    return np.clip(share, 0, 1) ** 2 * (3 - 2 * np.clip(share, 0, 1))
+
+
+def about_y(angle: float) -> np.ndarray:
+    return quaternion_from_rotation_vector(np.array([0.0, angle, 0.0]))
+
+
+def turned_about(motion: Motion, angle: float) -> Motion:
+    """The whole motion turned about the origin."""
+    place = rotate_vectors(about_y(angle), motion.translation)
+    return replace(turned_at_root(motion, about_y(angle)), translation=place)
+
+
+def posed(representation, n_frames: int, place=(0.0, 1.1, 0.0), rise: float = 0.0) -> Motion:
+    """A person who faces +Z at rest, and rises by so many metres a frame."""
+    motion = at_rest(representation.skeleton, n_frames, place, FPS)
+    motion.translation[:, 1] += rise * np.arange(n_frames)
+    return motion
+
+
+# Vectors.
+
+
+def test_a_quarter_turn_takes_forward_to_the_left():
+    found = turned_plane(np.array([[0.0, 2.0], [3.0, 0.0]]), np.pi / 2)
+    np.testing.assert_allclose(found, [[2, 0], [0, -3]], atol=1e-12)
+    found = turned_plane(np.array([[0.0, 2.0], [3.0, 1.0]]), np.array([-np.pi / 2, np.pi]))
+    np.testing.assert_allclose(found, [[-2, 0], [-3, -1]], atol=1e-12)
+
+
+def test_turned_vectors_are_those_of_the_turned_motion(recorded, representation):
+    values = representation.encode(recorded)
+    before = values.copy()
+    expected = representation.encode(turned_about(recorded, 0.8))
+    for angle in (0.8, np.full(100, 0.8)):
+        found = turned(values, angle, representation.layout)
+        np.testing.assert_allclose(found, expected, atol=1e-9)
+    np.testing.assert_array_equal(values, before)
+
+
+def test_only_steps_of_the_root_are_limited_to_three_standard_deviations(representation):
+    layout = representation.layout
+    vectors = torch.full((1, representation.n_features, 4), -7.0)
+    vectors[..., 2:] = 2.5
+    vectors[:, layout.root_xz[1], 0] = 9.0
+    found = clamped_steps(vectors, layout)
+    x, z = found[0, layout.root_xz].tolist()
+    assert x == [-3, -3, 2.5, 2.5] and z == [3, -3, 2.5, 2.5]
+    others = np.delete(np.arange(representation.n_features), layout.root_xz)
+    torch.testing.assert_close(found[:, others], vectors[:, others])
+    assert vectors.min() == -7
+
+
+@pytest.mark.parametrize(
+    ("steps", "speed"),
+    [
+        ([0.0] * 3 + [0.5] * 4 + [0.1] * 3, 2.0),  # four frames of a second
+        ([0.1] * 2 + [0.5] * 4, 2.0),  # the last second
+        ([0.5] * 4 + [0.1], 2.0),  # the first one
+        ([0.5, 0.5], 2.0),  # half a second
+        ([0.5, -0.5] * 5, 0.0),  # to and fro
+        ([0.5], 2.0),
+        ([], 0.0),
+    ],
+)
+def test_the_fastest_second_is_a_way_over_the_ground(steps, speed):
+    """In steps of 3 : 4 at 4 frames per second."""
+    ways = np.outer(steps, [0.6, -0.8])
+    assert fastest_second(ways.reshape(-1, 2), 4.0) == pytest.approx(speed)
+
+
+# Moved roots.
+
+
+@pytest.mark.parametrize("below", [False, True])
+def test_a_moved_motion_is_elsewhere_and_no_pose_changes(recorded, below):
+    motion = recorded
+    if below:
+        # Hips that move below a reference which faces elsewhere.
+        rig = below_a_root(recorded.skeleton, 0.2)
+        motion = at_rest(rig, recorded.n_frames)
+        motion.rotations[:, 0] = about_y(1.2)
+        motion.rotations[:, 1:] = recorded.rotations
+        motion = replace(motion, joint_translations={"Hips": recorded.translation.copy()})
+    representation = MultiresRepresentation.fit([motion])
+    assert (representation.root > 0) == below
+    start = motion.positions()[:, representation.root][:, [0, 2]]
+    np.testing.assert_allclose(ground_positions(representation, motion), start)
+    steady, changing = np.array([0.3, -0.5]), np.outer(motion.times, [0.1, 0.2])
+    for offset in (steady, changing):
+        found = moved(representation, motion, offset)
+        way = np.broadcast_to(offset, (motion.n_frames, 2))[:, None] @ [[1, 0, 0], [0, 0, 1]]
+        body = motion.positions()[:, representation.root :]
+        np.testing.assert_allclose(
+            found.positions()[:, representation.root :], body + way, atol=1e-9
+        )
+        np.testing.assert_array_equal(found.rotations, motion.rotations)
+
+
+# Keyframes.
+
+
+def vectors_of(motion, representation) -> np.ndarray:
+    return representation.encode(motion)
+
+
+def test_an_edited_frame_is_reached_and_others_stay(representation, normaliser):
+    """The weight beside an edited stretch of 3 frames is that of a Gaussian of one frame."""
+    n = 40
+    values = vectors_of(posed(representation, n), representation)
+    edited = np.zeros(values.shape, bool)
+    edited[20:23, 5] = True
+    constraint = KeyframeConstraint(values, edited, representation, normaliser)
+    # The level is off by the same everywhere: what is missing is known in every frame.
+    output = normaliser.from_values(values) - 0.5
+    share = (constraint(0, output) - output)[0].numpy() / 0.5
+    density = np.exp(-0.5 * np.arange(6) ** 2)
+    density /= density[0] + 2 * density[1:].sum()
+    beside = [density[k : k + 3].sum() for k in (1, 2, 3)]
+    expected = np.zeros(n)
+    expected[20:23] = 1.0
+    expected[23:26], expected[17:20] = beside, beside[::-1]
+    rows = np.delete(np.arange(len(share)), np.r_[representation.layout.contacts])
+    np.testing.assert_allclose(share[rows][:, :17], 0, atol=5e-3)
+    np.testing.assert_allclose(share[rows], np.tile(expected, (len(rows), 1)), atol=5e-3)
+    assert not share[representation.layout.contacts].any(), "edited files have no labels"
+
+
+def test_only_slow_differences_to_keyframes_are_removed(representation, normaliser):
+    """At 4 frames per keyframe a Gaussian of 2 frames keeps exp(-(2 pi f 2)^2 / 2), g, of a sine;
+    what is left is filtered once more: g + g (1 - g) of the difference is removed.
+    """
+    n = 40
+    values = vectors_of(posed(representation, n), representation)
+    constraint = KeyframeConstraint(values, np.ones(values.shape, bool), representation, normaliser)
+    given = resample(normaliser.from_values(values), 4 * n)
+    for period in (8, 12, 40):
+        wave = 0.3 * torch.sin(2 * torch.pi * torch.arange(4 * n) / period)
+        left = (constraint(1, given + wave) - given)[0, 0, 40:120]
+        g = np.exp(-0.5 * (2 * np.pi * 2 / period) ** 2)
+        np.testing.assert_allclose(left, (1 - g) ** 2 * wave[40:120], atol=2e-3)
+
+
+def test_feet_are_free_where_legs_or_the_root_were_edited(representation, normaliser):
+    n, layout = 20, representation.layout
+    values = vectors_of(posed(representation, n), representation)
+    arm, leg = (representation.joint_columns(name).start for name in ("LeftArm", "RightLeg"))
+
+    def free(frames: slice, *columns: int) -> np.ndarray:
+        edited = np.zeros(values.shape, bool)
+        edited[frames, columns] = True
+        constraint = KeyframeConstraint(values, edited, representation, normaliser)
+        return constraint.edited_feet(2 * n)
+
+    assert not free(slice(8, 12), arm).any() and not free(slice(8, 12), layout.contacts.start).any()
+    for column in (leg, *layout.root_xz, layout.root_height, 0):
+        found = free(slice(8, 12), column)
+        # Frames 17 to 22 of 40 lie between the centres of 8 and 11 of 20.
+        assert (found[17:23] == 1).all() and not found[:7].any() and not found[33:].any()
+        assert 0.2 < found[15] < 1 and 0.2 < found[24] < 1
+    assert not free(slice(None), leg).any(), "feet that were edited throughout are locked"
+
+
+def test_a_level_is_a_motion_at_its_own_rate_and_comes_back(representation):
+    """10 frames of 40 at 20 fps: steps are a quarter of what the body moves in a frame."""
+    motion = posed(representation, 10)
+    values = vectors_of(motion, representation)
+    values[:, representation.layout.root_xz] = [0.02, -0.01]
+    made = level_motion(representation, values, 20.0, 40)
+    assert made.fps == 5.0 and made.n_frames == 10
+    way = (made.translation[-1] - made.translation[0])[[0, 2]]
+    np.testing.assert_allclose(way, 9 * 4 * representation.scale * np.array([0.02, -0.01]))
+    again = motion_level(representation, made, 20.0, [10, 20, 40], 0)
+    keep = np.delete(np.arange(values.shape[1]), np.r_[representation.layout.contacts])
+    np.testing.assert_allclose(again[:, keep], values[:, keep], atol=1e-9)
+
+
+def test_a_motion_of_another_rate_is_resampled_to_the_level(recorded, representation):
+    """From 100 frames at 25 fps to level 2 of 3 at 20 fps, 80 frames: 60."""
+    lengths = [45, 60, 80]
+    found = motion_level(representation, recorded, 20.0, lengths, 1)
+    whole = representation.encode(recorded.resample(20.0, 80))
+    expected = resample(torch.from_numpy(whole.T), 60).T
+    np.testing.assert_allclose(found, expected)
+    finest = motion_level(representation, recorded.resample(20.0, 80), 20.0, lengths, 2)
+    np.testing.assert_allclose(finest, whole, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("frames", "rate", "fps", "full"),
+    [(10, 30.0, 25.0, 8), (9, 30.0, 25.0, 8), (8, 30.0, 25.0, 7), (1, 100.0, 25.0, 1)],
+)
+def test_a_motion_lasts_so_many_full_frames(representation, frames, rate, fps, full):
+    """8.33, 7.5, 6.67 and 0.25 frames."""
+    assert full_frames(replace(posed(representation, frames), fps=rate), fps) == full
+
+
+def ending(representation, moving: int, held: int, turns: bool) -> Motion:
+    """Frames that all differ, and the last of them held for so many more."""
+    motion = posed(representation, moving + held)
+    frames = np.minimum(np.arange(moving + held), moving - 1)
+    if turns:
+        angles = 0.01 * frames[:, None] * [0.0, 0.0, 1.0]
+        motion.rotations[:, 5] = quaternion_from_rotation_vector(angles)
+    else:
+        motion.translation[:, 0] += 0.01 * frames
+    return motion
+
+
+@pytest.mark.parametrize("turns", [True, False])
+def test_three_equal_frames_at_the_end_are_padding(representation, turns, caplog):
+    def fitted(moving: int, held: int, n_frames: int | None = None) -> int:
+        caplog.clear()
+        motion = ending(representation, moving, held, turns)
+        motion = replace(motion, fps=12.5)
+        return fit_keyframes(representation, motion, 25.0, 3, 0, n_frames).n_frames
+
+    assert fitted(20, 0) == 20 and fitted(20, 1) == 21 and fitted(20, 2) == 20
+    assert "2 equal frames at the end are left out, 20 remain" in caplog.text
+    assert fitted(1, 30) == 31, "all that there is"
+    # With a length of 40 frames, level 1 has 22.
+    assert level_lengths(40, 3) == [22, 30, 40]
+    assert fitted(20, 10, 40) == 22
+    assert "8 equal frames at the end are left out, 22 remain" in caplog.text
+    assert fitted(25, 10, 40) == 35, "frames that differ are not padding"
+
+
+@pytest.mark.parametrize(
+    ("fps", "said"),
+    [
+        (14.0625 * 0.991, None),
+        (14.0625 * 1.009, None),
+        (14.0625 * 0.989, "13.91 fps, but level 1 has 14.06 fps: no level has this rate"),
+        (14.0625 * 1.011, "14.22 fps, but level 1 has 14.06 fps: no level has this rate"),
+        (18.75 * 1.009, "level 1 has 14.06 fps: it fits level 2; resampled"),
+        (25.0, "level 1 has 14.06 fps: it fits level 3; resampled"),
+    ],
+)
+def test_a_rate_may_differ_from_the_levels_by_one_percent(representation, fps, said, caplog):
+    """Levels of 32 frames at 25 fps have 18 and 24 frames."""
+    assert level_lengths(32, 3) == [18, 24, 32]
+    motion = replace(ending(representation, 18, 0, True), fps=fps)
+    fit_keyframes(representation, motion, 25.0, 3, 0, 32)
+    assert (said in caplog.text) if said else not caplog.text
+
+
+@pytest.mark.parametrize(("frames", "said"), [(17, "held"), (18, None), (19, "left out")])
+def test_a_length_other_than_the_levels_causes_a_warning(representation, frames, said, caplog):
+    motion = replace(ending(representation, frames, 0, True), fps=14.0625)
+    fit_keyframes(representation, motion, 25.0, 3, 0, 32)
+    expected = f"{frames} frames, but level 1 has 18 for this length"
+    assert (expected in caplog.text and said in caplog.text) if said else not caplog.text
+    caplog.clear()
+    fit_keyframes(representation, motion, 25.0, 3, 0, None)
+    assert not caplog.text, "the keyframes decide the length"
+
+
+def test_unedited_values_are_the_networks(representation):
+    """Differences up to 0.01, and 0.1 mm of a step, are rounding."""
+    read = np.zeros((3, representation.n_features))
+    generated = read + 5.0
+    edited = read.copy()
+    x = representation.layout.root_xz[0]
+    edited[0, [3, x]] = 0.009, -0.00009
+    edited[1, [3, x]] = -0.011, 0.00011
+    values, changed = keep_unedited(edited, generated, read, representation)
+    assert np.argwhere(changed).tolist() == [[1, 3], [1, x]]
+    np.testing.assert_array_equal(values, np.where(changed, edited, 5.0))
+    edited[[0, 2], 3] = 1.0
+    values, changed = keep_unedited(edited, generated, read, representation)
+    np.testing.assert_array_equal(values, edited)
+    assert changed.all(), "no frame is as it was"
+
+
+def test_the_root_passes_through_edited_frames(representation):
+    """Keyframes 2 and 6 of 10 are at frames 9.5 and 25.5 of 40."""
+    free = posed(representation, 40)
+    free.translation[:, 0] += 0.01 * np.arange(40)
+    drifted = moved(representation, free, np.outer(np.arange(40), [0.003, -0.002]))
+    wanted = replace(free, fps=FPS / 4)[::4]
+    wanted.translation[:] = [5.0, 1.1, -5.0]
+    wanted.translation[2], wanted.translation[6] = [1.0, 1.1, -0.5], [1.5, 1.1, 0.5]
+
+    def found(*edited: int) -> np.ndarray:
+        frames = np.isin(np.arange(10), edited)
+        made = root_through_keyframes(representation, drifted, free, wanted, frames)
+        return ground_positions(representation, made)
+
+    only = found(2)
+    expected = ground_positions(representation, free) + [1.0 - 0.095, -0.5]
+    np.testing.assert_allclose(only, expected, atol=1e-9)
+    both = found(2, 6) - ground_positions(representation, free)
+    np.testing.assert_allclose(both[:2], [[0.905, -0.5]] * 2, atol=1e-3)
+    np.testing.assert_allclose(both[-4:], [[1.245, 0.5]] * 4, atol=1e-3)
+    # Half way between them, after 17.5 frames, it is half way there.
+    np.testing.assert_allclose(both[17:19].mean(axis=0), [1.075, 0.0], atol=1e-3)
+    assert (np.diff(both, axis=0) > -1e-9).all(), "without overshoot"
+    # Smoothed by a Gaussian of 0.1 s, 2.5 frames, the way begins before the keyframe.
+    assert 1e-3 < both[8, 0] - both[0, 0] < 0.03
+
+
+# Paths.
+
+
+def straight(n_frames: int, step: tuple[float, float], angle: float) -> RootPath:
+    places = np.outer(np.arange(n_frames), step) + [4.0, -3.0]
+    return RootPath(places, np.full(n_frames, angle), FPS)
+
+
+@pytest.mark.parametrize("margin", [0, 7])
+def test_a_level_gets_the_steps_of_the_path_in_its_own_world(representation, normaliser, margin):
+    """The body faces 0.3 rad, the path 1.0 rad: it is turned by 0.7 rad in the end."""
+    path = straight(50, (0.012, -0.004), 1.0)
+    lengths = level_lengths(50 + 2 * margin, 2)
+    constraint = PathConstraint(path, representation, normaliser, lengths, margin)
+    values = vectors_of(turned_about(posed(representation, lengths[1]), 0.3), representation)
+    step = turned_plane(np.array([[0.012, -0.004]]), -0.7)
+    for level, n_frames in enumerate(lengths):
+        output = normaliser.from_values(values[:n_frames])
+        found = normaliser.to_values(constraint(level, output))
+        own = np.tile(step, (n_frames, 1))
+        np.testing.assert_allclose(found[:, representation.layout.root_xz], own, atol=1e-6)
+        others = np.delete(np.arange(values.shape[1]), representation.layout.root_xz)
+        np.testing.assert_allclose(found[:, others], values[:n_frames, others], atol=1e-6)
+    placed = constraint.placed(found)
+    made = representation.decode(placed, FPS)
+    assert heading(made[:1]) == pytest.approx(1.0)
+    way = ground_positions(representation, made)[-1] - ground_positions(representation, made)[0]
+    frames = lengths[1] - 1
+    np.testing.assert_allclose(way, frames * representation.scale * np.array([0.012, -0.004]))
+
+
+def test_steps_that_are_far_too_fast_are_limited_below_the_finest_level(representation, normaliser):
+    path = straight(50, (2.0, 0.0), 0.0)
+    lengths = level_lengths(50, 2)
+    constraint = PathConstraint(path, representation, normaliser, lengths)
+    x = representation.layout.root_xz[0]
+    for level, n_frames in enumerate(lengths):
+        values = vectors_of(posed(representation, n_frames), representation)
+        found = constraint(level, normaliser.from_values(values))[0, x]
+        fast = (2.0 - float(normaliser.mean[x])) / float(normaliser.scale[x])
+        assert fast > 10
+        np.testing.assert_allclose(found, fast if level == 1 else 3.0, rtol=1e-5)
+
+
+def test_margins_of_a_path_go_on_with_its_first_and_last_steps(representation, normaliser):
+    places = np.stack([np.zeros(50), 1e-3 * np.arange(50.0) ** 2], axis=1)
+    path = RootPath(places, np.zeros(50), FPS)
+    constraint = PathConstraint(path, representation, normaliser, [60], margin=5)
+    values = vectors_of(posed(representation, 60), representation)
+    found = normaliser.to_values(constraint(0, normaliser.from_values(values)))
+    steps = found[:, representation.layout.root_xz[1]]
+    smooth = np.diff(path.smoothed().positions[:, 1])
+    np.testing.assert_allclose(steps[6:55], smooth, atol=1e-6)
+    np.testing.assert_allclose(steps[:6], smooth[0], atol=1e-6)
+    np.testing.assert_allclose(steps[55:], smooth[-1], atol=1e-6)
+
+
+@pytest.mark.parametrize(("hertz", "size"), [(1.25, 0.01), (1.25, 0.05), (0.25, 0.05)])
+@pytest.mark.parametrize("stride", [1, 2])
+def test_hips_sway_beside_the_path_by_three_centimetres_at_most(
+    representation, normaliser, hertz, size, stride
+):
+    """Beside what a Gaussian of 0.3 s keeps; x becomes 0.03 tanh(x / 0.03)."""
+    n = 400
+    path = straight(n * stride, (0.0, 0.005), 0.5)
+    lengths = [n] if stride == 1 else [n, n * stride]
+    constraint = PathConstraint(path, representation, normaliser, lengths)
+    values = vectors_of(posed(representation, n), representation)
+    sway = size * np.sin(2 * np.pi * hertz * stride * np.arange(n) / FPS)
+    x = representation.layout.root_xz[0]
+    values[:, x] = np.diff(sway, prepend=sway[0]) / stride
+    found = normaliser.to_values(constraint(0, normaliser.from_values(values)))
+    aside = np.cumsum(found[:, representation.layout.root_xz], axis=0) * stride
+    # In the level's own world the path leads 0.5 rad to the right.
+    way = np.outer(np.arange(n), turned_plane(np.array([[0.0, 0.005]]), -0.5)[0] * stride)
+    aside = (aside - way)[100:300]
+    aside -= aside.mean(axis=0)
+    fast = np.abs(sway).max() * (1 - np.exp(-((2 * np.pi * hertz * 0.3) ** 2) / 2))
+    kept = 0.03 * np.tanh(fast / 0.03)
+    assert np.abs(aside[:, 0]).max() == pytest.approx(kept, rel=0.03)
+    assert np.abs(aside[:, 1]).max() < 1e-3
+    assert np.corrcoef(aside[:, 0], sway[100:300])[0, 1] > 0.9
+
+
+# Clips.
+
+
+def test_clips_begin_at_the_nearest_frame_and_may_touch(representation):
+    """0.5 of a frame is rounded up."""
+    clip = posed(representation, 10)
+    clips = InbetweenClips({0.42: clip, 0.02: clip}, representation, FPS)
+    assert [begin for begin, _ in clips.clips] == [1, 11] and clips.end == 21
+    clips.check_end(21)
+    with pytest.raises(ModelError, match=r"ends at 0.84 s, after the motion's end \(0.8 s\)"):
+        clips.check_end(20)
+    with pytest.raises(ModelError, match=r"at 0.38 s begins before .* ends \(0.44 s\)"):
+        InbetweenClips({0.38: clip, 0.02: clip}, representation, FPS)
+    other = InbetweenClips({0.0: replace(clip, fps=50.0)}, representation, FPS)
+    assert other.end == 5, "0.2 s"
+    for second in (-0.01, float("inf"), float("nan")):
+        with pytest.raises(ModelError, match="expected 0 or later"):
+            InbetweenClips({second: clip}, representation, FPS)
+
+
+def test_the_speed_between_clips_is_that_from_end_to_begin(representation):
+    """From the last frame of one, 49, to the first of the next, 100, are 51 frames."""
+    walks = posed(representation, 50)
+    walks.translation[:, 0] += 0.1 * np.arange(50)
+    there = posed(representation, 50, (4.9 + 0.3, 1.1, 0.4))
+    later = posed(representation, 10, (4.9 + 0.3, 1.1, 0.5))
+    clips = InbetweenClips({0.0: walks, 4.0: there, 8.0: later}, representation, FPS)
+    assert clips.fastest_gap() == pytest.approx(0.5 * FPS / 51)
+    assert InbetweenClips({1.0: walks}, representation, FPS).fastest_gap() == 0.0
+
+
+def test_weights_of_clips_fall_beside_them(representation):
+    """At 10 fps within 4 frames: the smoothstep of 3/4, 1/2 and 1/4 is 27/32, 1/2 and 5/32."""
+    clip = replace(posed(representation, 5), fps=10.0)
+    fall = [27 / 32, 1 / 2, 5 / 32]
+    rise = fall[::-1]
+    one = InbetweenClips({1.0: clip}, representation, 10.0)
+    expected = [0.0] * 7 + rise + [1.0] * 5 + fall + [0.0] * 3
+    assert one.given(21).tolist() == expected
+    # At the ends they are cut, and between two clips the larger one counts.
+    two = InbetweenClips({0.2: clip, 1.1: clip}, representation, 10.0)
+    between = [27 / 32, 1 / 2, 1 / 2, 27 / 32]
+    assert two.given(18).tolist() == [*rise[1:], *[1.0] * 5, *between, *[1.0] * 5, *fall[:2]]
+
+
+def test_what_was_generated_around_a_clip_is_put_where_the_clip_is(recorded, representation):
+    elsewhere = turned_about(recorded, 0.7)
+    elsewhere = replace(elsewhere, translation=elsewhere.translation + [3.0, 0.0, 1.0])
+    clip = elsewhere[30:50]
+    clips = InbetweenClips({1.2: clip}, representation, FPS)
+    values = representation.encode(elsewhere, turn=-clips.heading)
+    placed = clips.placed(values)
+    body = [elsewhere.skeleton.index(name) for name in representation.joints]
+    expected = elsewhere.positions()[:, body]
+    np.testing.assert_allclose(placed.positions()[:, body], expected, atol=1e-6)
+
+
+def hand_at(motion: Motion, angle: float) -> Motion:
+    """The motion with the hand that is not modelled turned about Z."""
+    turn = quaternion_from_rotation_vector(np.array([0.0, 0.0, angle]))
+    motion.rotations[:, motion.skeleton.index(HAND)] = turn
+    return motion
+
+
+def with_face(motion: Motion, level: float) -> Motion:
+    return replace(motion, expressions=np.full((motion.n_frames, 10), level))
+
+
+def test_clips_are_given_back_with_what_is_not_modelled_blended_to_them(representation):
+    """A hand is at 0 rad in the motion and at 0.8 rad in two clips, the face at 1 and at 3."""
+    motion = with_face(hand_at(posed(representation, 60), 0.0), 1.0)
+    arm = motion.skeleton.index("LeftArm")
+    clip = with_face(hand_at(posed(representation, 10, (1.0, 1.2, 0.0)), 0.8), 3.0)
+    clip.rotations[:, arm] = about_y(0.5)
+    made = InbetweenClips({0.6: clip, 1.2: clip}, representation, FPS).restored(motion)
+    inside = np.r_[15:25, 30:40]
+    np.testing.assert_allclose(made.rotations[inside], np.tile(clip.rotations, (2, 1, 1)))
+    np.testing.assert_array_equal(made.translation[inside], np.tile(clip.translation, (2, 1)))
+    outside = np.setdiff1d(np.arange(60), inside)
+    others = np.delete(np.arange(motion.skeleton.n_joints), motion.skeleton.index(HAND))
+    np.testing.assert_array_equal(
+        made.rotations[outside][:, others], motion.rotations[outside][:, others]
+    )
+    np.testing.assert_array_equal(made.translation[outside], motion.translation[outside])
+    q = made.rotations[:, motion.skeleton.index(HAND)]
+    share = 2 * np.arctan2(q[:, 2], q[:, 3]) / 0.8
+    fall = smoothstep(1 - np.arange(1, 10) / 10)
+    alone = np.zeros(60)
+    alone[inside] = 1
+    alone[6:15], alone[40:49] = fall[::-1], fall
+    # Between the clips, after the first one's blend comes that of the second.
+    after, before = fall[:5], fall[:5][::-1]
+    alone[25:30] = after + before * (1 - after)
+    np.testing.assert_allclose(share, alone, atol=1e-6)
+    np.testing.assert_allclose(made.expressions[:, 4], 1 + 2 * alone, atol=1e-6)
+    assert (motion.expressions == 1).all(), "the motion itself does not change"
+
+
+def test_a_face_of_another_size_is_left_alone(representation):
+    motion = with_face(posed(representation, 30), 1.0)
+    other = posed(representation, 5)
+    for clip in (other, replace(other, expressions=np.ones((5, 50)))):
+        made = InbetweenClips({0.4: clip}, representation, FPS).restored(motion)
+        assert (made.expressions == 1).all()
+    bare = posed(representation, 30)
+    made = InbetweenClips({0.4: with_face(other, 3.0)}, representation, FPS).restored(bare)
+    assert made.expressions is None
+
+
+def test_joints_that_slide_are_where_the_clip_has_them(representation):
+    motion, offset = posed(representation, 30), np.array([0.0, 0.3, 0.0])
+    motion = replace(motion, joint_translations={"Spine": np.tile(offset, (30, 1))})
+    plain = posed(representation, 5)
+    own = np.tile([0.1, 0.2, 0.3], (5, 1))
+    sliding = replace(plain, joint_translations={"Spine": own})
+    rest = representation.skeleton.offsets[representation.skeleton.index("Spine")]
+    for clip, expected in ((plain, rest), (sliding, own[0])):
+        made = InbetweenClips({0.4: clip}, representation, FPS).restored(motion)
+        places = made.joint_translations["Spine"]
+        np.testing.assert_allclose(places[10:15], np.tile(expected, (5, 1)))
+        np.testing.assert_allclose(places[np.r_[:10, 15:30]], np.tile(offset, (25, 1)))
+
+
+def constrained(representation, normaliser, clips, n_frames: int, margin: int = 0, level: int = 2):
+    """The values (T_i, D) of a level whose network gave the same pose in every frame."""
+    found = InbetweenClips(clips, representation, FPS)
+    lengths = level_lengths(n_frames + 2 * margin, 3)
+    constraint = InbetweenConstraint(found, normaliser, lengths, margin)
+    values = vectors_of(posed(representation, lengths[level]), representation)
+    return values, normaliser.to_values(constraint(level, normaliser.from_values(values)))
+
+
+def test_beside_a_clip_pose_and_velocity_go_on(representation, normaliser):
+    """A clip that rises by 1 cm a frame and ends 0.2 m higher than the level's own pose."""
+    scale, height = representation.scale, representation.layout.root_height
+    clip = posed(representation, 11, (0.0, 1.2, 0.0), rise=0.01)
+    for margin in (0, 4):
+        own, found = constrained(representation, normaliser, {0.8: clip}, 60, margin)
+        np.testing.assert_allclose(own[:, height], 1.1 / scale)
+        found = found[margin:][:60, height] * scale - 1.1
+        np.testing.assert_allclose(found[20:31], 0.1 + 0.01 * np.arange(11), atol=1e-6)
+        k = np.arange(1, 11)
+        share = smoothstep(1 - k / 10)
+        np.testing.assert_allclose(found[31:41], share * 0.2 + k * share**2 * 0.01, atol=1e-6)
+        np.testing.assert_allclose(found[10:20][::-1], share * 0.1 - k * share**2 * 0.01, atol=1e-6)
+        np.testing.assert_allclose(found[np.r_[:10, 41:60]], 0.0, atol=1e-6)
+
+
+def test_the_turn_of_a_clip_is_that_of_the_world(representation, normaliser):
+    """A clip that faces elsewhere alone is at the level's own heading, +Z."""
+    clip = turned_about(posed(representation, 10), 2.0)
+    own, found = constrained(representation, normaliser, {0.4: clip}, 30)
+    root = representation.layout.root_rotation
+    np.testing.assert_allclose(found[:, root], own[:, root], atol=1e-6)
+
+
+def test_labels_of_contact_and_steps_do_not_go_on_with_their_velocity(representation, normaliser):
+    """A clip stands, and goes by 0.1 m in its last frame: after it steps are blended to 0."""
+    clip = posed(representation, 11)
+    clip.translation[10, 0] = 0.1
+    own, found = constrained(representation, normaliser, {0.0: clip}, 40)
+    x = representation.layout.root_xz[0]
+    steps = found[:, x] * representation.scale
+    np.testing.assert_allclose(steps[10], 0.1, atol=1e-6)
+    share = smoothstep(1 - np.arange(1, 11) / 10)
+    np.testing.assert_allclose(steps[11:21], 0.1 * share, atol=1e-6)
+    labels = found[:, representation.layout.contacts]
+    assert (labels[9] == 1).all() and (np.abs(labels[10]) < 1e-6).all()
+    gap = own[20, representation.layout.contacts] - labels[10]
+    expected = labels[10] + np.outer(1 - share, gap)
+    np.testing.assert_allclose(labels[11:21], expected, atol=1e-6)
+
+
+def test_at_coarse_levels_clips_are_shorter_and_keep_their_pose(representation, normaliser):
+    """At level 1 frame k of 18 is at (k + 0.5) 32 / 18 - 0.5 of 32."""
+    clip = posed(representation, 9, (0.0, 1.3, 0.0))
+    height = representation.layout.root_height
+    _, found = constrained(representation, normaliser, {0.4: clip}, 32, level=0)
+    assert len(found) == 18
+    at = (np.arange(18) + 0.5) * 32 / 18 - 0.5
+    up = found[:, height] * representation.scale - 1.1
+    inside = (at > 9.5) & (at < 18.5)
+    assert inside.sum() == 5
+    np.testing.assert_allclose(up[inside], 0.2, atol=1e-6)
+    # 10 frames are 5.6 of this level, six.
+    last = np.flatnonzero(inside)[-1]
+    share = smoothstep(1 - np.arange(1, 7) / 6)
+    np.testing.assert_allclose(up[last + 1 : last + 7], 0.2 * share, atol=1e-6)
+    pose = posed(representation, 1, (0.0, 1.3, 0.0))
+    for second, frame in ((0.48, 7), (0.0, 0), (31 / FPS, 17)):
+        _, found = constrained(representation, normaliser, {second: pose}, 32, level=0)
+        up = found[:, height] * representation.scale - 1.1
+        assert np.abs(at - second * FPS).argmin() == frame
+        np.testing.assert_allclose(up[frame], 0.2, atol=1e-6)
+        assert (np.delete(up, frame) < 0.199).all()
+
+
+def test_two_clips_beside_each_other_keep_their_own_poses(representation, normaliser):
+    low, high = (posed(representation, 9, (0.0, y, 0.0)) for y in (1.0, 1.3))
+    height = representation.layout.root_height
+    for level, first, second in ((2, 9, 18), (0, 5, 10)):
+        _, found = constrained(
+            representation, normaliser, {0.0: low, 9 / FPS: high}, 32, level=level
+        )
+        up = found[:, height] * representation.scale
+        np.testing.assert_allclose(up[: first - 1], 1.0, atol=1e-6)
+        np.testing.assert_allclose(up[first + 1 : second], 1.3, atol=1e-6)
+
+
+def test_a_gap_shorter_than_the_blends_is_filled_from_end_to_end(representation, normaliser):
+    """Three frames between two clips: each fades within four."""
+    low, high = (posed(representation, 10, (0.0, y, 0.0)) for y in (1.0, 1.3))
+    _, found = constrained(representation, normaliser, {0.0: low, 13 / FPS: high}, 40)
+    up = found[:, representation.layout.root_height] * representation.scale - 1.1
+    share = smoothstep(1 - np.arange(1, 4) / 4)
+    np.testing.assert_allclose(up[10:13], -0.1 * share + 0.2 * share[::-1], atol=1e-6)
+
+
+def test_the_body_goes_from_clip_to_clip_most_in_the_middle(representation, normaliser):
+    first = posed(representation, 10)
+    last = posed(representation, 10, (0.5, 1.1, -1.0))
+    _, found = constrained(representation, normaliser, {0.0: first, 1.2: last}, 40)
+    steps = found[:, representation.layout.root_xz] * representation.scale
+    share = np.sin(np.pi * (np.arange(20) + 0.5) / 20) ** 2
+    np.testing.assert_allclose(steps[10:30], np.outer(share / 10, [0.5, -1.0]), atol=1e-6)
+    np.testing.assert_allclose(steps[np.r_[:10, 30:40]], 0, atol=1e-6)
+
+
+def test_large_steps_between_clips_are_limited_below_the_finest_level(representation, normaliser):
+    first, last = posed(representation, 10), posed(representation, 10, (50.0, 1.1, 0.0))
+    x = representation.layout.root_xz[0]
+    limit = float(normaliser.mean[x] + 3 * normaliser.scale[x])
+    for level in (0, 1, 2):
+        clips = {0.0: first, 1.2: last}
+        _, found = constrained(representation, normaliser, clips, 40, level=level)
+        largest = found[:, x].max()
+        assert largest == pytest.approx(limit) if level < 2 else largest > 10 * limit
