@@ -551,6 +551,15 @@ def test_clips_are_given_back_with_what_is_not_modelled_blended_to_them(represen
     assert (motion.expressions == 1).all(), "the motion itself does not change"
 
 
+def test_blends_beside_a_clip_end_with_the_motion(representation):
+    motion = with_face(hand_at(posed(representation, 14), 0.0), 1.0)
+    clip = with_face(hand_at(posed(representation, 10), 0.8), 3.0)
+    made = InbetweenClips({2 / FPS: clip}, representation, FPS).restored(motion)
+    near = smoothstep(np.array([0.9, 0.8]))
+    expected = np.concatenate([near[::-1], np.ones(10), near])
+    np.testing.assert_allclose(made.expressions[:, 0], 1 + 2 * expected)
+
+
 def test_a_face_of_another_size_is_left_alone(representation):
     motion = with_face(posed(representation, 30), 1.0)
     other = posed(representation, 5)
@@ -660,6 +669,17 @@ def test_two_clips_beside_each_other_keep_their_own_poses(representation, normal
         up = found[:, height] * representation.scale
         np.testing.assert_allclose(up[: first - 1], 1.0, atol=1e-6)
         np.testing.assert_allclose(up[first + 1 : second], 1.3, atol=1e-6)
+
+
+def test_what_is_between_two_clips_has_no_part_in_their_own_frames(representation, normaliser):
+    """At level 1 frames 5 and 11 of 18 lie at 9.28, behind the end of one, and at 19.94."""
+    low, high = (posed(representation, 10, (0.0, y, 0.0)) for y in (1.0, 1.3))
+    clips = {0.0: low, 20 / FPS: high}
+    _, found = constrained(representation, normaliser, clips, 32, level=0)
+    up = found[:, representation.layout.root_height] * representation.scale
+    np.testing.assert_allclose(up[:6], 1.0, atol=1e-6)
+    np.testing.assert_allclose(up[11:17], 1.3, atol=1e-6)
+    assert ((up[6:11] > 1.0) & (up[6:11] < 1.3)).all()
 
 
 def test_a_gap_shorter_than_the_blends_is_filled_from_end_to_end(representation, normaliser):

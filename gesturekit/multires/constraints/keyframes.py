@@ -312,7 +312,7 @@ def full_frames(motion: Motion, fps: float) -> int:
 
 def _smoothed(values: np.ndarray, spread: float) -> np.ndarray:
     """Return (..., T) values convolved with a Gaussian over time."""
-    return gaussian_filter1d(values, spread, axis=-1, mode="nearest")
+    return gaussian_filter1d(values, spread, mode="nearest")
 
 
 def _widened(where: np.ndarray) -> Tensor:
