@@ -125,7 +125,7 @@ class SpectrumStream:
     def push(self, samples: np.ndarray, wanted: Callable[[], int]) -> Iterator[None]:
         """Take the next samples (N,) float32, of any number.
 
-        Yields whenever there are as many frames as are `wanted()` then.
+        Yields whenever there are as many frames as are `wanted()` then, more than `n_frames`.
         """
         self._waiting = np.concatenate([self._waiting, samples])
         while True:
@@ -152,8 +152,6 @@ class SpectrumStream:
         """Compute the frames that the next 16 kHz samples complete."""
         self._sound = np.concatenate([self._sound, sound])
         count = (len(self._sound) - _REACH_SAMPLES) // HOP - _CONTEXT + 1
-        if count <= 0:
-            return
         # A microphone's offset is no speech: the mean of about the last second.
         share = max(count / FRAME_RATE, count / (count + self.n_frames))
         self._offset += share * (float(self._sound.mean()) - self._offset)
