@@ -224,7 +224,7 @@ def test_a_constant_offset_has_no_power():
     _, plain, _ = streamed(sound)
     _, offset, _ = streamed(sound + np.float32(0.3))
     assert 10 * np.log10(offset.power[60:, 0].mean()) < -20, "of 0 Hz"
-    np.testing.assert_allclose(offset.log_mel(8)[:, 2:], plain.log_mel(8)[:, 2:], atol=0.5)
+    np.testing.assert_allclose(offset.log_mel(8)[4:, 2:], plain.log_mel(8)[4:, 2:], atol=0.5)
 
 
 def test_torch_and_other_trackers_do_not_stream():
