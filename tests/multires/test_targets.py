@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
+from scipy.ndimage import gaussian_filter1d
 
+from gesturekit.multires import losses
 from gesturekit.multires.training.sequences import PairedSequence
 from gesturekit.multires.training.targets import ArmTarget, DetailTarget, log_movement
 
@@ -160,3 +163,97 @@ def test_features_that_never_change_leave_the_prediction_as_it_is():
     many = ArmTarget(FRAME).fit([torch.cat([speech, silent])], [movement])
     assert torch.allclose(many(torch.cat([speech, silent])[None]), few, atol=1e-3)
     assert few.std() > 0.1
+
+
+# Against the textbook's formulas.
+
+
+def ridge_inputs(speech: np.ndarray, frame_seconds: float) -> np.ndarray:
+    """Features within 0.2 s of each frame, five times their deviation within 3 s, and ones."""
+    context, spread = round(0.2 / frame_seconds), round(3 / frame_seconds)
+    n = speech.shape[1]
+    wide = np.pad(speech, ((0, 0), (context, context)), mode="reflect")
+    near = [wide[:, k : k + n] for k in range(2 * context + 1)]
+    wide = np.pad(speech, ((0, 0), (spread, spread)), mode="reflect")
+    around = np.stack([wide[:, k : k + n] for k in range(2 * spread + 1)])
+    deviation = np.sqrt(np.maximum(around.var(axis=0), 1e-3))
+    return np.concatenate([*near, 5 * deviation, np.ones((1, n))]).T
+
+
+@pytest.mark.parametrize(
+    ("width", "n_frames", "frame_seconds"), [(2, 50, 0.1), (40, 120, 1.0), (40, 30, 1.0)]
+)
+def test_movement_is_predicted_by_a_ridge_regression(width, n_frames, frame_seconds):
+    """The penalty is 30 sqrt(N), more for more than 32 features; the mean is kept exactly."""
+    rng = np.random.default_rng(0)
+    speeches = [rng.standard_normal((width, n)) * 2 for n in (n_frames, n_frames - 10)]
+    movements = [np.stack([3 * own[0] + 1, 5 - own[1]]) + rng.standard_normal() for own in speeches]
+    inputs = np.concatenate([ridge_inputs(own, frame_seconds) for own in speeches])
+    goal = np.concatenate(movements, axis=1).T
+    penalty = np.full(inputs.shape[1], 30.0 * max(1, width / 32))
+    penalty[-1] = 1e-6
+    system = inputs.T @ inputs + np.diag(penalty * np.sqrt(len(inputs)))
+    weights = np.linalg.solve(system, inputs.T @ (goal - goal.mean(axis=0)))
+    weights[-1] += goal.mean(axis=0) - (inputs @ weights).mean(axis=0)
+    pairs = ([torch.from_numpy(own).float() for own in rows] for rows in (speeches, movements))
+    fit = ArmTarget(frame_seconds).fit(*pairs)
+    new = rng.standard_normal((width, 45)) * 3
+    expected = (ridge_inputs(new, frame_seconds) @ weights).T
+    limits = np.quantile(goal, [0.01, 0.99], axis=0)[..., None]
+    found = fit(torch.from_numpy(new).float()[None])[0]
+    np.testing.assert_allclose(found, np.clip(expected, *limits), atol=2e-3)
+    assert (found.numpy() > limits[0]).any() and found.std() > 0.1
+
+
+def test_log_movement_is_smoothed_over_a_tenth_of_a_second():
+    rng = np.random.default_rng(0)
+    speed, acceleration = 1 + rng.random((2, 1, 40))
+    made = log_movement(torch.from_numpy(speed), torch.from_numpy(acceleration), 0.05, (0.5, 2.0))
+    for own, found, floor in zip((speed, acceleration), made[0], (0.5, 2.0), strict=True):
+        smooth = gaussian_filter1d(own[0], 2.0, truncate=3.0, mode="mirror")
+        np.testing.assert_allclose(found, np.log(smooth + floor))
+
+
+def fast_part(motion: torch.Tensor) -> torch.Tensor:
+    """Mean square (N, 3) of each joint's movement (N, 9, T) above three quarters of the rate."""
+    n = motion.shape[-1]
+    coarse = torch.nn.functional.interpolate(motion, round(0.75 * n), mode="linear")
+    back = torch.nn.functional.interpolate(coarse, n, mode="linear")
+    return (motion - back).square().unflatten(1, (3, 3)).mean(dim=(2, 3))
+
+
+@pytest.mark.parametrize(("level", "size"), [(3, 20), (2, 15)])
+@pytest.mark.parametrize("window", [20, None])
+def test_detail_is_compared_with_every_window_of_the_recordings(level, size, window):
+    """40 frames have 21 windows of 20; at three quarters of the rate 30 frames, 16 of 15."""
+    motions = [recording(0, seed).motion[:, :40] for seed in (1, 2)]
+    own = [PairedSequence.make("a", one, torch.zeros(0, 40), LEVELS, 0) for one in motions]
+    target = DetailTarget(own, level, LEVELS, places, window, 1)
+    size = size if window else 2 * size
+    powers = []
+    for one in own:
+        motion = one.motion[None]
+        if level == 2:
+            motion = torch.nn.functional.interpolate(motion, 30, mode="linear")
+        powers.append(fast_part(motion[0].unfold(-1, size, 1).movedim(1, 0)))
+    floor = 0.01 * torch.cat(powers).mean()
+    made = torch.randn(5, 9, size, generator=torch.Generator().manual_seed(0)) * 0.02
+    both = fast_part(made), torch.cat(powers)
+    expected = losses.detail(*(0.5 * torch.log(power + floor) / 3**0.5 for power in both))
+    found = target(places(made), torch.zeros(5, dtype=torch.long))
+    torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
+
+
+def test_few_windows_of_long_recordings_stand_for_all():
+    """Of 151 windows, 64, evenly spaced."""
+    one = PairedSequence.make("a", recording(0, 1).motion, torch.zeros(0, 200), LEVELS, 0)
+    target = DetailTarget([one], LEVEL, LEVELS, places, 50, 1)
+    power = fast_part(one.motion.unfold(-1, 50, 1).movedim(1, 0))
+    assert len(power) == 151
+    few = np.rint(np.arange(64) * 150 / 63).astype(int)
+    logs = 0.5 * torch.log(power[few] + 0.01 * power.mean())
+    made = windows(0)
+    own = 0.5 * torch.log(fast_part(made) + 0.01 * power.mean())
+    expected = losses.detail(own / 3**0.5, logs / 3**0.5)
+    found = target(places(made), torch.zeros(len(made), dtype=torch.long))
+    torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)

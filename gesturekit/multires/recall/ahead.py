@@ -7,7 +7,7 @@ would lose much of what they know, so a separate pair is fitted for each look-ah
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -51,7 +51,7 @@ def last_bins(speech: FeatureWindow, fps: float) -> np.ndarray:
     return np.concatenate([speech.averages[:1], rows - speech.averages[0]])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class AheadPrediction:
     """Regressions of fast and slow movement for one look-ahead.
 
@@ -64,10 +64,10 @@ class AheadPrediction:
     """
 
     look_ahead: float
-    fast_columns: np.ndarray = field(repr=False)
-    slow_columns: np.ndarray = field(repr=False)
-    fast: Regression = field(repr=False)
-    slow: Regression = field(repr=False)
+    fast_columns: np.ndarray
+    slow_columns: np.ndarray
+    fast: Regression
+    slow: Regression
 
     @classmethod
     def fit(

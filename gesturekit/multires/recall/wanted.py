@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -56,7 +56,7 @@ _HARDLY_BETTER = 0.03
 """A larger set of speech features has to raise the out-of-fold correlation by more than this."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Regression:
     """Ridge regression of one curve, in standard deviations of its out-of-fold predictions.
 
@@ -73,7 +73,7 @@ class Regression:
     weights: np.ndarray
     offset: float
     r: float
-    left_out: np.ndarray | None = field(default=None, repr=False)
+    left_out: np.ndarray | None = None
 
     @classmethod
     def fit(
@@ -170,7 +170,7 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float(a @ b / size) if size > 1e-12 else 0.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class WantedMovement:
     """Regressions from speech features to fast and slow movement.
 
@@ -191,14 +191,14 @@ class WantedMovement:
 
     fps: float
     effort: tuple[int, ...]
-    fast_basis: np.ndarray = field(repr=False)
-    slow_basis: np.ndarray = field(repr=False)
-    fast: Regression = field(repr=False)
-    slow: Regression = field(repr=False)
+    fast_basis: np.ndarray
+    slow_basis: np.ndarray
+    fast: Regression
+    slow: Regression
     mean_counts: float
     spread: float
     across_takes: bool
-    voices: np.ndarray = field(repr=False)
+    voices: np.ndarray
 
     @classmethod
     def fit(
