@@ -128,7 +128,7 @@ def _cepstral_peaks(frames: np.ndarray, wanted: slice) -> tuple[np.ndarray, np.n
     from scipy.fft import irfft, rfft
     from scipy.ndimage import uniform_filter1d
 
-    spectrum = rfft(frames * _window(), axis=1)
+    spectrum = rfft(frames * _window())
     power = 10.0 * np.log10(spectrum.real**2 + spectrum.imag**2 + np.float32(1e-20))
     some = power[::2]  # frames overlap by two thirds
     ordered = [round(share * (len(some) - 1)) for share in (_QUANTILE, _LOUD)]
@@ -138,7 +138,7 @@ def _cepstral_peaks(frames: np.ndarray, wanted: slice) -> tuple[np.ndarray, np.n
     weights = _weights()
     above = (above - (above @ weights)[:, None] / weights.sum()) * weights
     size = _FINER * _FRAME
-    cepstrum = irfft(above, size, axis=1) * (size / (_CHI_DB * np.linalg.norm(weights)))
+    cepstrum = irfft(above, size) * (size / (_CHI_DB * np.linalg.norm(weights)))
     lags = np.arange(*(int(_FINER * _RATE / hertz) for hertz in reversed(_F0_RANGE)))
     cepstrum = uniform_filter1d(cepstrum[:, : lags[-1] + 1], 3, axis=0)
     cepstrum = cepstrum[wanted.start - first :][: wanted.stop - wanted.start]

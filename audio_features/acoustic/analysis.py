@@ -129,9 +129,9 @@ def _normalised_difference(frames: np.ndarray) -> np.ndarray:
     """Return the cumulative mean normalised difference d' (M, P) of frames (M, N) (YIN, eq. 8)."""
     from scipy.fft import irfft, rfft
 
-    spectrum = rfft(frames, 2 * _FRAME, axis=1)
+    spectrum = rfft(frames, 2 * _FRAME)
     power = np.square(spectrum.real) + np.square(spectrum.imag)
-    correlation = irfft(power, 2 * _FRAME, axis=1)[:, : _LONGEST_PERIOD + 1]
+    correlation = irfft(power, 2 * _FRAME)[:, : _LONGEST_PERIOD + 1]
     energy = np.cumsum(np.square(frames[:, :_LONGEST_PERIOD]), axis=1)
     energy[:, 0] = 0.0  # librosa's value, which trained models depend on
     difference = 2 * (correlation[:, :1] - correlation[:, 1:]) - energy
@@ -328,7 +328,7 @@ def short_time_power(samples: np.ndarray, n_frames: int) -> np.ndarray:
     window = hann_window()
     power = np.empty((n_frames, N_FFT // 2 + 1), dtype=np.float32)
     for first, frames in centred_frames(samples, WINDOW, n_frames):
-        spectrum = rfft(frames * window, N_FFT, axis=1, overwrite_x=True)
+        spectrum = rfft(frames * window, N_FFT)
         power[first : first + len(frames)] = spectrum.real**2 + spectrum.imag**2
     return power
 

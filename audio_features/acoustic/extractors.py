@@ -136,7 +136,7 @@ class MFCC(AcousticExtractor):
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
         from scipy.fft import dct
 
-        return dct(spectrum.log_mel(BANDS), norm="ortho", axis=1)[:, : self.n]
+        return dct(spectrum.log_mel(BANDS), norm="ortho")[:, : self.n]
 
 
 class Prosody(AcousticExtractor):
@@ -343,8 +343,7 @@ class Effort(AcousticExtractor):
 
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
         melody = spectrum.melody()
-        pitch = np.zeros(spectrum.n_frames)
-        pitch[melody.voiced] = 12.0 * np.log2(melody.f0[melody.voiced] / F0_RANGE[0])
+        pitch = 12.0 * np.log2(melody.f0 / F0_RANGE[0])
         hertz = np.fft.rfftfreq(N_FFT, 0.5 / 8000.0)
         bands = [(hertz >= low) & (hertz < high) for low, high in (_LOW_BAND, _HIGH_BAND)]
         power = spectrum.power @ np.stack(bands, axis=1).astype(np.float32) + 1e-6

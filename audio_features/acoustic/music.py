@@ -93,7 +93,7 @@ class Music(AcousticExtractor):
         chroma = np.empty((spectrum.n_frames, self.n_chroma), dtype=np.float32)
         for first, frames in centred_frames(spectrum.wave.samples, _WINDOW, spectrum.n_frames):
             for at in range(0, len(frames), 500):  # frames are long here: 500 are 6 MB
-                short = rfft(frames[at : at + 500] * window, axis=1, overwrite_x=True)
+                short = rfft(frames[at : at + 500] * window)
                 power = (short.real**2 + short.imag**2) @ classes
                 total = power.sum(axis=1, keepdims=True)
                 chroma[first + at : first + at + len(power)] = power / (total + 1e-3)

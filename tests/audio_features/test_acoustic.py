@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import soundfile
@@ -201,8 +204,6 @@ def test_other_pitch_trackers_find_the_same_melody(speech, tracker):
 
 
 def test_a_tracker_that_is_not_there_is_named(monkeypatch):
-    import sys
-
     monkeypatch.setitem(sys.modules, "parselmouth", None)
     with pytest.raises(FeatureError, match="pip install praat-parselmouth.*f0='yin'"):
         Prosody("parselmouth")
@@ -339,3 +340,201 @@ def test_pauses_do_not_lower_the_effort():
 def test_a_bad_window_of_effort_is_one_error(seconds):
     with pytest.raises(FeatureError, match="seconds=.*: a number from 0.5 to 120"):
         Effort(seconds=seconds)
+
+
+# Against the formulas.
+
+
+def gaussian_mean(values: np.ndarray, sigma: float) -> np.ndarray:
+    """Sums with Gaussian weights, of 4 deviations, that add up to 1 within a long clip."""
+    reach = round(4 * sigma)
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    return np.convolve(values, weights / weights.sum())[reach : reach + len(values)]
+
+
+@pytest.mark.parametrize("seconds", [0.5, 1.0])
+def test_prosodic_range_is_the_mean_distance_from_the_local_mean(speech, seconds):
+    melody = analysis.ShortTimeSpectrum(speech).melody()
+    voiced, sigma = melody.voiced.astype(float), seconds * 100
+    weight = gaussian_mean(voiced, sigma) + 0.02
+    found = ProsodicRange(seconds).extract(speech)
+    for column, values in enumerate((melody.semitones.clip(-7, 7), melody.energy)):
+        mean = gaussian_mean(voiced * values, sigma) / weight
+        expected = gaussian_mean(voiced * np.abs(values - mean), sigma) / weight
+        np.testing.assert_allclose(found.values[:, column], expected, rtol=1e-4, atol=1e-5)
+    assert ProsodicRange(0.05).spec == {"kind": "prosodic_range", "seconds": 0.05}
+    assert ProsodicRange(60).seconds == 60.0
+    for wrong in (0.049, 60.1, "1", None):
+        with pytest.raises(FeatureError, match="a number from 0.05 to 60"):
+            ProsodicRange(wrong)
+
+
+@pytest.mark.parametrize("seconds", [1.5, 8.0])
+def test_effort_is_a_quantile_with_half_a_second_of_the_clips_own(speech, seconds):
+    """Windows are half a second apart; between them values are interpolated."""
+    spectrum = analysis.ShortTimeSpectrum(speech)
+    melody, power = spectrum.melody(), spectrum.power.astype(float)
+    hertz = np.arange(257) * 31.25
+    low, high = (
+        power[:, (hertz >= a) & (hertz < b)].sum(axis=1) for a, b in ((80, 1000), (1000, 5000))
+    )
+    tilt = 10 * np.log10((high + 1e-6) / (low + 1e-6))
+    pitch = 12 * np.log2(melody.f0 / 60)
+    found = Effort(seconds).extract(speech).values
+    curves = [(pitch, melody.voiced, share) for share in (0.5, 0.9)]
+    curves.append((tilt, melody.energy >= -30, 0.9))
+    half = round(seconds * 50)
+    for column, (values, valid, share) in enumerate(curves):
+        own, expected = np.quantile(values[valid], share), []
+        for centre in range(0, 401, 50):
+            window = slice(max(0, centre - half), centre + half)
+            inside = values[window][valid[window]]
+            near = np.quantile(inside, share) if len(inside) else own
+            expected.append((len(inside) * near + 50 * own) / (len(inside) + 50))
+        np.testing.assert_allclose(found[::50, column], expected[:8], rtol=1e-4, atol=1e-3)
+        middle = (np.array(expected[:-1]) + expected[1:]) / 2
+        np.testing.assert_allclose(found[25::50, column], middle, rtol=1e-4, atol=1e-3)
+
+
+def test_1_khz_belongs_to_the_upper_band_and_5_khz_to_none():
+    """By the spectrum of a Hann window of 400 samples, in bins of 31.25 Hz."""
+    time = np.arange(RATE) / RATE
+    window = np.hanning(401)[:-1]
+
+    def share(hertz: float, *bins: slice) -> list[float]:
+        power = np.abs(np.fft.rfft(np.sin(2 * np.pi * hertz * time[:400]) * window, 512)) ** 2
+        return [power[own].sum() for own in bins]
+
+    low, high = share(1000, slice(3, 32), slice(32, 160))
+    values = effort(0.1 * np.sin(2 * np.pi * 1000 * time))
+    assert values[50, 2] == pytest.approx(10 * np.log10(high / low), abs=0.3)
+    (upper,), (lower,) = share(5000, slice(32, 160)), share(500, slice(3, 32))
+    both = np.sin(2 * np.pi * 5000 * time) + np.sin(2 * np.pi * 500 * time)
+    assert effort(0.1 * both)[50, 2] == pytest.approx(10 * np.log10(upper / lower), abs=0.3)
+
+
+def test_quiet_and_aperiodic_frames_have_no_pitch():
+    """Frames from 30 dB below active speech on are audible, voiced from a periodicity of 0.6 on."""
+    f0 = np.array([100.0, 200.0, 400.0, 300.0, 50.0])
+    voicing = np.array([0.9, 0.6, 0.7, 0.59, 0.9])
+    energy = np.array([-30.0, 0.0, 3.0, 0.0, -30.1])
+    melody = analysis.audible_melody(f0, voicing, energy)
+    assert melody.voiced.tolist() == [True, True, True, False, False]
+    assert melody.voicing.tolist() == [0.9, 0.6, 0.7, 0.59, 0.0]
+    np.testing.assert_allclose(melody.semitones, [-12, 0, 12, 0, 0])
+    other = analysis.audible_melody(f0, voicing, energy, 100.0)
+    np.testing.assert_allclose(other.semitones, [0, 12, 24, 0, 0])
+    assert not analysis.audible_melody(f0, 0 * voicing, energy).semitones.any()
+
+
+@pytest.mark.parametrize("marked", [False, True])
+def test_periodicity_is_the_correlation_with_the_frame_one_period_later(
+    speech, monkeypatch, marked
+):
+    """Of 756 samples: a frame of 64 ms less the longest period, of 60 Hz, and one."""
+    hertz = np.linspace(60, 500, 100)
+    hertz[marked * np.arange(100) % 2 == 1] = 0.0
+    monkeypatch.setitem(analysis.TRACKERS, "mine", lambda samples, n_frames: hertz)
+    sound = speech.samples[: RATE // 100 * 100]
+    f0, found = track_pitch(sound, 100, "mine")
+    padded = np.pad(sound, (512, 1024)).astype(float)
+    for k in range(0, 100, 7):
+        if hertz[k] == 0:
+            assert f0[k] > 0 and found[k] == 0
+            continue
+        frame = padded[160 * k :]
+        now, later = (frame[at : at + 756] for at in (0, round(16_000 / hertz[k])))
+        size = np.sqrt((now @ now) * (later @ later))
+        expected = max(0.0, now @ later / size) if size > 1e-6 else 0.0
+        assert found[k] == pytest.approx(expected, abs=1e-4)
+        assert f0[k] == hertz[k]
+
+
+def test_energy_and_bands_are_relative_to_active_speech(speech):
+    """50 ms of its mean square, and 25 ms in bands; to both, 10^-6 is added."""
+    spectrum = analysis.ShortTimeSpectrum(speech)
+    active = 10 ** (-23 / 10)
+    sound = np.pad(spectrum.wave.samples, 512).astype(float)
+    energy = spectrum.melody().energy
+    for k in (20, 133, 250, 371):
+        middle = 512 + 160 * k
+        loud = np.square(sound[middle - 400 : middle + 400]).mean() / active
+        assert energy[k] == pytest.approx(10 * np.log10(loud + 1e-6), abs=0.05)
+        window = np.hanning(401)[:-1]
+        power = np.abs(np.fft.rfft(sound[middle - 200 : middle + 200] * window, 512)) ** 2
+        power *= 2 / (np.square(window).sum() * 512 * active)
+        np.testing.assert_allclose(spectrum.power[k], power, rtol=1e-3, atol=1e-7)
+        bands = 10 * np.log10(analysis.mel_filters(24) @ power + 1e-6)
+        np.testing.assert_allclose(spectrum.log_mel(24)[k], bands, atol=0.01)
+    rise = np.maximum(spectrum.log_mel(40)[2:] - spectrum.log_mel(40)[:-2], 0).mean(axis=1)
+    np.testing.assert_allclose(spectrum.onset, [0, 0, *rise], atol=1e-5)
+
+
+# Packages of other trackers, by what their documentation says.
+
+
+def test_praats_frames_are_found_by_their_times(monkeypatch):
+    """Its first frame is at `x1` seconds, the others follow by `dx`."""
+    asked = {}
+
+    class Sound:
+        def __init__(self, values, sampling_frequency):
+            self.duration = len(values) / sampling_frequency
+
+        def to_pitch_ac(self, time_step, pitch_floor, pitch_ceiling):
+            asked.update(step=time_step, floor=pitch_floor, ceiling=pitch_ceiling)
+            found = {"frequency": np.array([101.0, 102.0, 0.0, 104.0])}
+            return SimpleNamespace(x1=0.024, dx=0.01, selected_array=found)
+
+    monkeypatch.setitem(sys.modules, "parselmouth", SimpleNamespace(Sound=Sound))
+    f0, voicing = track_pitch(np.ones(1600, np.float32), 10, "parselmouth")
+    assert asked == {"step": 0.01, "floor": 60.0, "ceiling": 500.0}
+    assert f0.tolist() == [60, 60, 101, 102, 60, 104, 60, 60, 60, 60]
+    assert (voicing > 0).tolist() == [k in (2, 3, 5) for k in range(10)]
+    # Praat wants three periods of 60 Hz, 0.05 s.
+    asked.clear()
+    assert (track_pitch(np.ones(799, np.float32), 5, "parselmouth")[1] == 0).all() and not asked
+    track_pitch(np.ones(800, np.float32), 5, "parselmouth")
+    assert asked
+
+
+def test_worlds_frames_are_those_asked_for(monkeypatch):
+    def dio(signal, rate, f0_floor, f0_ceil, frame_period):
+        assert (signal.dtype, rate) == (np.float64, 16_000)
+        assert (f0_floor, f0_ceil, frame_period) == (60.0, 500.0, 10.0)
+        n = 1 + len(signal) // 160
+        return 100.0 + np.arange(n), 0.01 * np.arange(n)
+
+    def stonemask(signal, f0, times, rate):
+        assert rate == 16_000 and len(times) == len(f0)
+        return f0 + 0.5
+
+    both = SimpleNamespace(dio=dio, stonemask=stonemask)
+    monkeypatch.setitem(sys.modules, "pyworld", both)
+    tone = np.sin(np.arange(1600)).astype(np.float32)
+    for n_frames in (10, 11, 13):
+        f0, voicing = track_pitch(tone, n_frames, "pyworld")
+        known = min(n_frames, 11)
+        np.testing.assert_allclose(f0[:known], 100.5 + np.arange(known))
+        assert (f0[known:] == 60).all() and not voicing[known:].any()
+
+
+def test_a_long_sound_is_searched_in_minutes_that_overlap_by_four_seconds(monkeypatch):
+    """Two seconds before and after each minute have a part in its best path."""
+    parts = []
+
+    def pyin(y, fmin, fmax, sr, frame_length, hop_length, fill_na):
+        assert (fmin, fmax, sr) == (60.0, 500.0, 16_000)
+        assert (frame_length, hop_length, fill_na) == (1024, 160, 0.0)
+        parts.append((y[0], len(y) // 160))
+        return (y[::160] + 100.0, None, None)
+
+    librosa = SimpleNamespace(pyin=pyin)
+    monkeypatch.setattr(analysis, "import_librosa", lambda: librosa)
+    n = 13_000
+    ramp = np.repeat(np.arange(n) / 100, 160)
+    f0, _ = track_pitch(ramp, n, "pyin")
+    np.testing.assert_allclose(f0, 100 + np.arange(n) / 100)
+    assert parts == [(0.0, 6200), (58.0, 6400), (118.0, 1200)]
+    f0, _ = track_pitch(ramp[: 160 * 50], 50, "pyin")
+    np.testing.assert_allclose(f0, 100 + np.arange(50) / 100)

@@ -120,6 +120,8 @@ def test_a_foot_that_is_lifted_returns_to_its_path_within_an_eighth_of_a_second(
     for t in range(11, 20):
         np.testing.assert_allclose(away[t, 1], away[10, 1] * kept ** (t - 10), atol=1e-6)
     assert np.linalg.norm(away[10, 1]) > 0.01
+    came = pose().positions()[0, ANKLES[1], GROUND] + ways[20] + shifts[19] + away[19, 1]
+    np.testing.assert_allclose(ankles[20, 1, GROUND], came, atol=1e-6)
     # Where it is put down again, it stays; the other one has stayed all the time.
     np.testing.assert_allclose(
         ankles[20:, 1][:, GROUND], np.tile(ankles[20, 1, GROUND], (10, 1)), atol=1e-6
