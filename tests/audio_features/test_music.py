@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import sys
+import types
 
 import numpy as np
 import pytest
 
 from audio_features import FeatureError, Music, Prosody, Stack, Wave
 from audio_features.acoustic import music as music_module
+from audio_features.acoustic.analysis import ShortTimeSpectrum
 from audio_features.acoustic.music import local_pulse
 from audio_features.librosa_import import import_librosa
 
@@ -83,3 +85,72 @@ def test_madmom_is_optional_and_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "madmom", None)
     with pytest.raises(FeatureError, match="needs the package madmom.*beats='librosa'"):
         Music(beats="madmom")
+
+
+@pytest.mark.parametrize("n_chroma", [12, 5])
+def test_chroma_are_shares_of_the_power_from_100_hz_to_5_khz(n_chroma):
+    """By the spectrum of a Hann window of 3072 samples around each frame."""
+    wave = song(120, 3.0, 16_000)
+    prepared = ShortTimeSpectrum(wave).wave.samples.astype(float)
+    found = Music(n_chroma).extract(wave).values[:, :n_chroma]
+    padded, window = np.pad(prepared, 1536), np.hanning(3073)[:-1]
+    hertz = np.arange(1537) * 16_000 / 3072
+    inside = (hertz >= 100) & (hertz <= 5000)
+    classes = np.rint(n_chroma * np.log2(np.maximum(hertz, 1) / 440)).astype(int) % n_chroma
+    for k in (3, 40, 150, 299):
+        power = np.abs(np.fft.rfft(padded[160 * k : 160 * k + 3072] * window)) ** 2
+        own = np.bincount(classes[inside], power[inside], n_chroma)
+        np.testing.assert_allclose(found[k], own / (own.sum() + 1e-3), atol=1e-3)
+
+
+def clicks(bpm: float, seconds: float = 18.0) -> np.ndarray:
+    """A flux (T,) of bells around each beat, the first of which is half a beat after 0."""
+    beats = np.arange(round(100 * seconds)) / 100 * bpm / 60
+    return np.exp(-0.5 * ((beats % 1 - 0.5) / 0.1) ** 2)
+
+
+@pytest.mark.parametrize(("bpm", "agrees"), [(52.0, True), (196.0, True), (230.0, False)])
+def test_tempos_up_to_200_beats_a_minute_are_searched(bpm, agrees):
+    flux = clicks(bpm)
+    inner = slice(300, 1500)
+    pulse = local_pulse(flux)[inner]
+    assert (np.median(pulse[flux[inner] > 0.99]) > 0.9) == agrees
+    assert pulse[flux[inner] < 0.01].max(initial=0.0) < 0.1 or not agrees
+
+
+def test_a_tempo_below_50_is_answered_by_its_double():
+    flux, pulse = clicks(30.0), local_pulse(clicks(30.0))
+    twice = np.arange(1800) % 100 == 0
+    assert twice.sum() == 18 and (pulse[300:1500][twice[300:1500]] > 0.9).all()
+    assert (flux[twice] > 0.99).sum() == 9
+    assert not local_pulse(np.full(1500, 3.0))[300:-300].any(), "a steady flux has no beat"
+    assert len(local_pulse(flux[:250])) == 250
+
+
+def test_madmoms_networks_hear_44_khz_and_their_beats_are_summed(monkeypatch):
+    heard = {}
+
+    class Signal:
+        def __init__(self, samples, sample_rate, num_channels):
+            heard.update(n=len(samples), rate=sample_rate, channels=num_channels)
+            self.n_frames = len(samples) // 441
+
+    class Processor:
+        def __call__(self, signal):
+            rows = np.arange(signal.n_frames + heard["more"], dtype=float)[:, None]
+            return rows * [0.001, 0.002]
+
+    features = types.SimpleNamespace(RNNDownBeatProcessor=Processor)
+    for name in ("madmom", "madmom.features", "madmom.audio"):
+        monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
+    monkeypatch.setitem(sys.modules, "madmom.features.downbeats", features)
+    monkeypatch.setitem(sys.modules, "madmom.audio.signal", types.SimpleNamespace(Signal=Signal))
+    extractor = Music(n_chroma=1, beats="madmom")
+    assert extractor.worth_caching and not Music(n_chroma=1).worth_caching
+    for more in (-2, 0, 3):
+        heard["more"] = more
+        values = extractor.extract(song(120, 1.0)).values[:, -1]
+        expected = 0.003 * np.arange(100)
+        expected[100 + min(more, 0) :] = 0.0
+        np.testing.assert_allclose(values, expected, rtol=1e-6)
+    assert (heard["n"], heard["rate"], heard["channels"]) == (44_100, 44_100, 1)
