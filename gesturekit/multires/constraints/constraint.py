@@ -70,4 +70,4 @@ def turned_plane(plane: np.ndarray, angle: np.ndarray | float) -> np.ndarray:
     """Return x and z (T, 2) turned about Y; a quarter turn takes +Z to +X."""
     x, z = plane.T
     sine, cosine = np.sin(angle), np.cos(angle)
-    return np.stack([x * cosine + z * sine, z * cosine - x * sine], axis=-1)
+    return np.stack([x * cosine + z * sine, z * cosine - x * sine], axis=1)

@@ -20,7 +20,7 @@ from torch import Tensor
 import audio_features as af
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified, upper_body
-from gesturekit.motion.rotations import rotate_vectors
+from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.resampling import resample
 from gesturekit.training.data.own_rig import on_rig
@@ -273,7 +273,7 @@ def root_through_keyframes(
     missing = [goals[edited, i] - np.interp(at, frames, path[:, i]) for i in range(path.shape[1])]
     offset = path - ground_positions(representation, motion)
     offset += gaussian_filter1d(
-        np.stack([_interpolated(frames, at, values) for values in missing], axis=-1),
+        np.stack([_interpolated(frames, at, values) for values in missing], axis=1),
         _EASE_SECONDS * motion.fps,
         axis=0,
         mode="nearest",
@@ -299,7 +299,7 @@ def moved(representation: MultiresRepresentation, motion: Motion, offset: np.nda
     if representation.root == 0:
         return replace(motion, translation=motion.translation + offset)
     above = motion.skeleton.parents[representation.root]
-    local = rotate_vectors(motion.global_rotations()[:, above] * [-1, -1, -1, 1], offset)
+    local = rotate_vectors(invert_quaternions(motion.global_rotations()[:, above]), offset)
     name = representation.joints[0]
     places = motion.joint_translations[name] + local
     return replace(motion, joint_translations={**motion.joint_translations, name: places})

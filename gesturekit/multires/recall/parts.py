@@ -160,13 +160,13 @@ def movements(
     """
     velocity = _velocities(places, fps, 1.0)
     speed = np.log(np.linalg.norm(velocity, axis=1) + SPEED_FLOOR)
-    smooth = gaussian_filter1d(speed, _SMOOTHING_SECONDS * fps, axis=-1, mode="nearest")
+    smooth = gaussian_filter1d(speed, _SMOOTHING_SECONDS * fps, mode="nearest")
     return [smooth[[joints.index(name) for name in part.moving]].mean(axis=0) for part in parts]
 
 
 def slow_part(curves: np.ndarray, fps: float) -> np.ndarray:
     """Return the slow part (..., T) of curves (..., T)."""
-    return gaussian_filter1d(curves, SLOW_SECONDS * fps, axis=-1, mode="nearest")
+    return gaussian_filter1d(curves, SLOW_SECONDS * fps, mode="nearest")
 
 
 def slow_channels(part: MotionPart) -> tuple[str, ...]:
@@ -250,7 +250,7 @@ def _velocities(places: np.ndarray, fps: float, sigma: float) -> np.ndarray:
     """Return the velocities (..., T) of positions (..., T), smoothed by `sigma` frames."""
     if places.shape[-1] < 2:
         return np.zeros_like(places)
-    return gaussian_filter1d(np.gradient(places, 1 / fps, axis=-1), sigma, axis=-1)
+    return gaussian_filter1d(np.gradient(places, 1 / fps, axis=-1), sigma)
 
 
 @dataclass(frozen=True)
