@@ -359,7 +359,7 @@ class PieceSearch:
             cost += self.weights.continuity * self._differences(np.array([shown]), starts)[0]
         best = int(cost.argmin())
         used *= _FORGETTING ** (self.hop / self.piece)
-        used[self.bins[:, best]] += 0.5
+        np.add.at(used, self.bins[:, best], 0.5)  # both may be the same
         return best
 
     def _distances(self, asked: np.ndarray, slow: np.ndarray) -> np.ndarray:
