@@ -162,8 +162,11 @@ def test_only_movement_near_a_peak_of_speed_is_kept(skeleton, bump, is_beat):
 
 
 @pytest.mark.parametrize("n_frames", [1, 2, 3, 4, 7])
-def test_short_motions(beating, n_frames):
-    assert smooth_motion(beating[:n_frames], 0.3).n_frames == n_frames
+def test_motions_of_four_frames_are_smoothed_and_shorter_ones_are_not(beating, n_frames):
+    short = beating[:n_frames]
+    smooth = smooth_motion(short, 0.3)
+    assert smooth.n_frames == n_frames
+    assert np.array_equal(smooth.rotations, short.rotations) == (n_frames < 4)
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), float("inf")])
