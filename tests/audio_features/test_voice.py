@@ -152,3 +152,62 @@ def test_a_long_sound_is_judged_in_pieces_as_a_short_one():
     np.testing.assert_allclose(found, [[0.0, 20.4], [39.6, 60.0]], atol=0.2)
     part = af.voice_activity(wave(minute[: 30 * RATE]))
     np.testing.assert_allclose(part, [found[0]], atol=0.05)
+
+
+def tone(seconds: float, hertz: float = 150.0, rate: int = RATE) -> np.ndarray:
+    """A steady voice: nine harmonics of a pitch."""
+    time = np.arange(round(seconds * rate)) / rate
+    return 0.1 * sum(np.sin(2 * np.pi * k * hertz * time) for k in range(1, 10))
+
+
+def spoken_at(total: float, *parts: tuple[float, float]) -> np.ndarray:
+    """Noise with voices (begin, end), seconds."""
+    sound = 0.002 * coloured(1.0, total)
+    for begin, end in parts:
+        at = round(begin * RATE)
+        voice = tone(end - begin)
+        sound[at : at + len(voice)] += voice
+    return sound
+
+
+@pytest.mark.parametrize(
+    ("parts", "stretches"),
+    [
+        # Stretches begin half a second before a voice; the first 3 s belong to what follows them.
+        ([(3.35, 4.35)], [(0.0, 4.85)]),
+        ([(3.65, 4.65)], [(3.15, 5.15)]),
+        ([(7.35, 8.35)], [(6.85, 8.85)]),
+        ([(7.65, 8.65)], [(7.15, 12.0)]),
+        # Pauses of less than 3 s between two voices are part of the speech.
+        ([(4.0, 5.0), (7.85, 8.0)], [(3.5, 8.5)]),
+        ([(4.0, 4.8), (8.0, 8.2)], [(3.5, 5.3), (7.5, 8.7)]),
+    ],
+)
+def test_stretches_are_worked_out_from_voices(parts, stretches):
+    """Frames are 20 ms apart and see 64 ms, so that ends are found within 40 ms."""
+    found = af.voice_activity(wave(spoken_at(12.0, *parts)))
+    np.testing.assert_allclose(found, stretches, atol=0.05)
+
+
+@pytest.mark.parametrize(("seconds", "is_voice"), [(0.1, False), (0.2, True)])
+def test_a_voice_lasts_a_seventh_of_a_second(seconds, is_voice):
+    found = af.voice_activity(wave(spoken_at(12.0, (6.0, 6.0 + seconds))))
+    assert (len(found) == 1) == is_voice
+
+
+@pytest.mark.parametrize(("hertz", "is_voice"), [(55.0, False), (75.0, True), (450.0, True)])
+def test_a_voice_is_above_65_hz(hertz, is_voice):
+    sound = 0.002 * coloured(1.0, 12.0)
+    sound[5 * RATE : 7 * RATE] += tone(2.0, hertz)
+    assert (len(af.voice_activity(wave(sound))) == 1) == is_voice
+
+
+@pytest.mark.parametrize(("step", "is_one_voice"), [(0.06, True), (0.3, False)])
+def test_pitch_that_leaps_is_no_voice(step, is_one_voice):
+    """Tones of 0.1 s each, a twelfth or a third apart: links reach over a change of ln 0.12."""
+    sound = 0.002 * coloured(1.0, 12.0)
+    for k in range(12):
+        at = round((5 + 0.1 * k) * RATE)
+        own = tone(0.1, 150 * np.exp(step * (k % 2)))
+        sound[at : at + len(own)] += own
+    assert (len(af.voice_activity(wave(sound))) == 1) == is_one_voice
