@@ -22,6 +22,9 @@ def test_spans_are_cross_faded_and_weights_are_zero_outside_of_them():
     assert (np.diff(found[105:135]) < 0).all() and (np.diff(found[226:254]) > 0).all()
     apart = weight_track("1@0-2,1@6-8", 240, 30.0)
     assert apart[[0, 30, 120, 210]].tolist() == [1, 1, 0, 1]
+    # Spans in any order, one within another: none is outside of all until the tenth second.
+    found = weight_track("1@12-14,0.5@4-6,0.5@0-10,+0.5@5-7", 480, 30.0)
+    assert found[[15, 100, 165, 270, 330, 390, 450]] == pytest.approx([0.5, 0.5, 0.5, 0.5, 0, 1, 0])
 
 
 def test_experts_without_a_weight_share_the_remaining_weight():
@@ -60,6 +63,12 @@ def test_one_mixture_at_all_times(wanted, weights):
     np.testing.assert_allclose(found, np.tile(weights, (40, 1)))
 
 
+def test_a_style_may_be_named_like_a_span_or_a_list():
+    for k, name in enumerate(("b@0-4", "a:0.5", "c,d")):
+        found = style_weights(("b@0-4", "a:0.5", "c,d"), name, 9, 30.0)
+        np.testing.assert_array_equal(found, np.tile(np.eye(3)[k], (9, 1)))
+
+
 def test_mixtures_in_spans_become_one_another():
     found = style_weights(NAMES, "old:-0.5@0-4,angry:1.5@0-4,angry@4-8", 240, 30.0)
     np.testing.assert_allclose(found[:100], np.tile([-0.5, 1.5, 0], (100, 1)), atol=1e-6)
@@ -77,6 +86,8 @@ def test_mixtures_in_spans_become_one_another():
         ("old:0.5,angry", "some styles have a weight and some have none"),
         ("old@0-4,angry", "some styles have a span"),
         ("old,old", "named twice"),
+        ("old,", "style '': unknown"),
+        ("", "style '': unknown"),
         ("old@4-0", "the span ends before it begins"),
         ("old:x,angry:0.5", "unknown; the model has"),
     ],
