@@ -226,6 +226,39 @@ def test_a_body_that_was_moved_is_where_it_was_put(model, speed, tmp_path):
     assert np.linalg.norm(apart) < 0.05
 
 
+def test_feet_are_locked_on_the_held_path_and_less_and_less_beside_given_clips(
+    model, gesture, monkeypatch
+):
+    """Locking that turns a knee by half a radian, and moves the hips by 1 m where it may.
+
+    At 25 fps a clip's share falls within 10 frames: the smoothstep of 0.9, 0.5 and 0.1 is 0.972,
+    0.5 and 0.028.
+    """
+    knee = model.skeleton.index("LeftLeg")
+
+    def lock(motion, labels, *, keep_path):
+        rotations = motion.rotations.copy()
+        turn = quaternion_from_rotation_vector(np.array([0.5, 0.0, 0.0]))
+        rotations[:, knee] = multiply_quaternions(rotations[:, knee], turn)
+        way = [0.0 if keep_path else 1.0, 0.0, 0.0]
+        return replace(motion, rotations=rotations, translation=motion.translation + way)
+
+    monkeypatch.setattr("gesturekit.multires.sampling.sampler.lock_feet", lock)
+    keep = {1.0: swaying(gesture(1.0, seed=1)).resample(25.0)}
+    for asked, moved in (({}, 1.0), ({"path": circle(4.0)}, 0.0), ({"keep": keep}, 0.0)):
+        asked = {"seconds": 4.0, "seed": 1} | asked
+        locked, free = (model.generate(**asked, foot_lock=own) for own in (True, False))
+        way = locked.translation - free.translation
+        np.testing.assert_allclose(way, np.tile([moved, 0.0, 0.0], (100, 1)), atol=1e-6)
+        turned = rotation_angles(locked.rotations[:, knee], free.rotations[:, knee]) / 0.5
+        if "keep" not in asked:
+            np.testing.assert_allclose(turned, 1.0, atol=1e-5)
+            continue
+        frames = [0, 15, 20, 24, 25, 49, 50, 54, 58, 59, 99]
+        expected = [1.0, 1.0, 0.5, 0.028, 0.0, 0.0, 0.028, 0.5, 0.972, 1.0, 1.0]
+        np.testing.assert_allclose(turned[frames], expected, atol=1e-3)
+
+
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
