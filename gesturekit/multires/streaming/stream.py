@@ -160,7 +160,11 @@ class MultiresStream:
         return self._step(samples, math.inf)
 
     def finish(self) -> Motion | None:
-        """Return the remaining frames, as if silence followed: floor(duration · fps + ½) in all."""
+        """Return the remaining frames, as if silence followed: floor(duration · fps + ½) in all.
+
+        With a look-ahead of 0 frames come up to 8 ms before their sound, so that there may be one
+        more.
+        """
         total = math.floor(self._samples * self.fps / self.sample_rate + 0.5)
         silence = math.ceil((self.latency + 2 / self.fps) * self.sample_rate)
         return self._step(np.zeros(max(silence, 0), np.float32), total)
