@@ -224,7 +224,7 @@ class LayerChoice:
         """Compute the features (B, T, D) from the states 0, 1, … that `encoder` yields."""
         import torch
 
-        share = dict.fromkeys(self.indices, 1.0)
+        share = dict.fromkeys(self.indices)
         if self.weights is not None:
             share = {i: w / sum(self.weights) for i, w in zip(self.indices, self.weights)}
         picked: dict[int, torch.Tensor] = {}
