@@ -497,6 +497,15 @@ def test_every_file_that_looks_like_sound_or_motion_is_used_or_named(tmp_path, w
     assert prepare(tmp_path, holdout=0.0).is_complete
 
 
+def test_a_sound_is_missed_although_a_motion_has_its_name(tmp_path, write_pair, gesture):
+    """A file that is not read is replaced by one of its own kind only."""
+    write_pair(tmp_path, "a")
+    gesture(4.0).save(tmp_path / "b.bvh")
+    (tmp_path / "b.m4a").write_bytes(b"x")
+    report = prepare([tmp_path], unpaired_motion=[tmp_path], holdout=0.0)
+    assert [path.name for path in report.left_over] == ["b.m4a"]
+
+
 def test_of_a_bvh_and_an_npz_of_one_name_one_is_used(tmp_path, write_pair, gesture):
     for seed, name in enumerate("ab"):
         write_pair(tmp_path, name, seed=seed)

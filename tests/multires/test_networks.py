@@ -186,3 +186,8 @@ def test_a_score_is_the_mean_of_a_reflect_padded_convolution(representation, n_f
     styled = discriminator.styled(features)[0, 1].mean()
     expected = plain + torch.stack([styled, torch.tensor(0.0)])
     assert torch.allclose(discriminator(motions, style), expected, atol=1e-6)
+
+
+def test_the_margin_is_two_frames_of_the_coarsest_level():
+    """Each of seven levels above has 4/3 of the frames: 2 · (4/3)^7 = 14.98."""
+    assert [NetworkConfig(levels=n).margin for n in (1, 2, 8)] == [2, 3, 15]
