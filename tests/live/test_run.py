@@ -355,6 +355,14 @@ def test_a_recording_keeps_joints_that_move_on_their_own(skeleton, tmp_path):
     assert found.joint_translations.keys() == moving.keys()
 
 
+def test_figures_of_a_run_of_days_take_no_more_memory():
+    report = Report(begun=0.0)
+    for _ in range(200_000):
+        report.timed(lambda: None)
+        report.arrived(0.0)
+    assert len(report.steps) == len(report.lags) < 200_000
+
+
 def test_the_figures_of_a_run_are_those_of_its_steps(monkeypatch):
     """By hand: steps of 1, 2, 3, 4 and 5 s, of which the first makes no frame."""
     clock = SimpleNamespace(now=10.0)

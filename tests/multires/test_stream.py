@@ -178,9 +178,12 @@ def test_liveliness_and_fingers(model, speech):
 def test_what_cannot_stream_says_why(model, gesture):
     no_ahead = replace(model, library=replace(model.library, ahead=()))
     no_recall = replace(model, library=None)
+    conditioner = replace(model.conditions.conditioner, extractor=af.Music())
+    music = replace(model, conditions=replace(model.conditions, conditioner=conditioner))
     for own, options, message in (
         (no_ahead, {}, "no predictions for live speech: gesturekit live --fit corpus.jsonl"),
         (no_recall, {}, "without recall cannot stream"),
+        (music, {}, "cannot stream: music: these features need the whole sound"),
         (small_diffusion(gesture), {}, "a diffusion model generates whole motions only: multires"),
         (model, {"look_ahead": -0.1}, "look_ahead=-0.1: seconds from 0"),
         (model, {"levels": 3}, "levels: a stream takes style, .*smooth only"),

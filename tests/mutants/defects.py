@@ -120,7 +120,7 @@ def _nodes(node: ast.AST, function: str, compiled: bool) -> Iterator[tuple[ast.A
                 jit = any("compiled" in ast.unparse(d) for d in child.decorator_list)
                 yield from _nodes(_Body(child), name, compiled or jit)
             continue
-        if _is_text(child):
+        if _is_text(child) or _is_any_length(node, child):
             continue
         if function and isinstance(child, ast.expr | ast.stmt):
             yield child, function, compiled
@@ -154,6 +154,12 @@ def _is_text(node: ast.AST) -> bool:
         name = _called(node)
         return name in MESSAGES or name.endswith(("Error", "Warning", "Exception"))
     return False
+
+
+def _is_any_length(parent: ast.AST, node: ast.AST) -> bool:
+    """Return whether a node is -1 in an array's new shape; numpy takes any negative number."""
+    is_shape = isinstance(parent, ast.Call) and _called(parent) == "reshape"
+    return is_shape and isinstance(node, ast.UnaryOp)
 
 
 def _called(call: ast.Call) -> str:
