@@ -35,7 +35,7 @@ def plain(summary: Summary) -> dict:
 
 
 def test_sizes_and_durations_have_a_fitting_unit():
-    sizes = {999: "999 bytes", 1000: "1.0 kB", 999_999: "1000.0 kB", 1_500_000: "1.5 MB", 2_500_000_000: "2.5 GB"}
+    sizes = {999: "999 bytes", 1000: "1.0 kB", 1_500_000: "1.5 MB", 2_500_000_000_000: "2500.0 GB"}
     assert {n: size(n) for n in sizes} == sizes
     spans = {119.99: "119.99 s", 120: "2.0 min", 7199: "120.0 min", 7200: "2.0 h"}
     assert {seconds: span(seconds) for seconds in spans} == spans

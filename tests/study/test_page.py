@@ -99,9 +99,7 @@ def downloaded(folder: Path, name: str) -> Path:
     raise AssertionError(f"{name} was not downloaded: {list(folder.iterdir())}")
 
 
-def test_pairs_are_rated_from_a_disk_and_analysed(
-    videos, tmp_path, open_browser, gesturekit
-):
+def test_pairs_are_rated_from_a_disk_and_analysed(videos, tmp_path, open_browser, gesturekit):
     browser, files = open_browser(), []
     for user, pairs, choose in (("p1", 8, attentive), ("Zoë_語", 3, lambda *_: "TheyAreEqual")):
         config = StudyConfig("Study", videos, consent="I *agree*.", pairs=pairs)
