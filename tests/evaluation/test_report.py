@@ -126,6 +126,7 @@ def test_it_plays_the_best_and_the_worst_beside_their_recordings(page):
     clips = json.loads(re.search(r'id="clips">(.*?)</script>', text, re.S)[1])
     titles = [clip["title"].split(":")[0] for clip in clips]
     assert titles == ["Best", "Best, 2", "Worst", "Worst, 2"]
+    assert re.findall(r"<button[^>]*>([^<]+)<small>", markup(page)) == titles
     by_sync = [
         float(re.search(rf"{re.escape(clip['title'].split(': ')[1])}: sync (-?[\d.]+)", text)[1])
         for clip in clips
