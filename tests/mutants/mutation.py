@@ -231,6 +231,7 @@ def main() -> int:
     text = "libraries that all tests import once, before their processes are forked"
     parser.add_argument("--libraries", nargs="*", default=LIBRARIES, help=text)
     arguments = parser.parse_args()
+    os.environ.pop("PYTEST_ADDOPTS", None)  # options of the user's own runs
     reach = Reach(ROOT, ROOT / "build" / "mutants")
     reach.update(arguments.jobs)
     defects = (
