@@ -233,6 +233,21 @@ def test_a_thousand_nodes_may_be_above_another(tmp_path):
                 Nodes(found)
 
 
+def test_a_skin_may_leave_out_joints_of_its_skeleton(tmp_path):
+    """Programs leave out those that no vertex follows, here an elbow that holds a camera."""
+    nodes = [
+        {"name": "shoulder", "children": [1]},
+        {"name": "elbow", "translation": [0, 0.3, 0], "children": [2], "camera": 0},
+        {"name": "wrist", "translation": [0, 0.2, 0], "children": [3]},
+        {"name": "hand", "translation": [0, 0.1, 0]},
+    ]
+    turns = [(0, 0, 0, 1), (0, 0, 1, 0)]
+    file = GltfFile(nodes, [[0, 2, 3]]).animate([(0, "rotation", [0, 1], turns)])
+    found = Motion.load(file.save(tmp_path / "a.glb"))
+    assert found.skeleton.names == ("shoulder", "elbow", "wrist", "hand")
+    assert found.skeleton.parents == (-1, 0, 1, 2)
+
+
 def test_long_animations_are_computed_in_blocks(tmp_path):
     """Two nodes in 70 000 frames: the root turns a quarter a second and goes along Z."""
     tree = Nodes(gltf(tmp_path / "a.glb", nodes=[{"children": [1]}, {"translation": [2, 0, 0]}]))
