@@ -397,7 +397,7 @@ def test_effort_is_a_quantile_with_half_a_second_of_the_clips_own(speech, second
 
 
 def test_1_khz_belongs_to_the_upper_band_and_5_khz_to_none():
-    """By the spectrum of a Hann window of 400 samples, in bins of 31.25 Hz."""
+    """The expected power is that of a Hann window of 400 samples, in bins of 31.25 Hz."""
     time = np.arange(RATE) / RATE
     window = np.hanning(401)[:-1]
 
@@ -431,7 +431,7 @@ def test_quiet_and_aperiodic_frames_have_no_pitch():
 def test_periodicity_is_the_correlation_with_the_frame_one_period_later(
     speech, monkeypatch, marked
 ):
-    """Of 756 samples: a frame of 64 ms less the longest period, of 60 Hz, and one."""
+    """A sum has 756 samples: a frame of 64 ms less the longest period, of 60 Hz, and one."""
     hertz = np.linspace(60, 500, 100)
     hertz[marked * np.arange(100) % 2 == 1] = 0.0
     monkeypatch.setitem(analysis.TRACKERS, "mine", lambda samples, n_frames: hertz)

@@ -89,7 +89,7 @@ def test_madmom_is_optional_and_named(monkeypatch):
 
 @pytest.mark.parametrize("n_chroma", [12, 5])
 def test_chroma_are_shares_of_the_power_from_100_hz_to_5_khz(n_chroma):
-    """By the spectrum of a Hann window of 3072 samples around each frame."""
+    """The expected power is that of a Hann window of 3072 samples around each frame."""
     wave = song(120, 3.0, 16_000)
     prepared = ShortTimeSpectrum(wave).wave.samples.astype(float)
     found = Music(n_chroma).extract(wave).values[:, :n_chroma]
@@ -128,16 +128,16 @@ def test_a_tempo_below_50_is_answered_by_its_double():
 
 
 def test_madmoms_networks_hear_44_khz_and_their_beats_are_summed(monkeypatch):
-    heard = {}
+    received = {}
 
     class Signal:
         def __init__(self, samples, sample_rate, num_channels):
-            heard.update(n=len(samples), rate=sample_rate, channels=num_channels)
+            received.update(n=len(samples), rate=sample_rate, channels=num_channels)
             self.n_frames = len(samples) // 441
 
     class Processor:
         def __call__(self, signal):
-            rows = np.arange(signal.n_frames + heard["more"], dtype=float)[:, None]
+            rows = np.arange(signal.n_frames + received["more"], dtype=float)[:, None]
             return rows * [0.001, 0.002]
 
     features = types.SimpleNamespace(RNNDownBeatProcessor=Processor)
@@ -148,9 +148,9 @@ def test_madmoms_networks_hear_44_khz_and_their_beats_are_summed(monkeypatch):
     extractor = Music(n_chroma=1, beats="madmom")
     assert extractor.worth_caching and not Music(n_chroma=1).worth_caching
     for more in (-2, 0, 3):
-        heard["more"] = more
+        received["more"] = more
         values = extractor.extract(song(120, 1.0)).values[:, -1]
         expected = 0.003 * np.arange(100)
         expected[100 + min(more, 0) :] = 0.0
         np.testing.assert_allclose(values, expected, rtol=1e-6)
-    assert (heard["n"], heard["rate"], heard["channels"]) == (44_100, 44_100, 1)
+    assert (received["n"], received["rate"], received["channels"]) == (44_100, 44_100, 1)

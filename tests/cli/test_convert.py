@@ -275,7 +275,7 @@ def test_a_warning_about_the_rig_is_one_line(gesture, tmp_path):
 
 
 def test_a_long_line_of_what_was_done_is_two(gesturekit, gesture, tmp_path, monkeypatch):
-    """Of 99 characters it is one, of more the written file is on a line of its own."""
+    """The line has up to 99 characters; else the written file is on a line of its own."""
     monkeypatch.chdir(tmp_path)
     found = "{} (cm, Y up, Z forward, 30 fps, 6 frames, 19 joints)"
     for length, is_one in ((99, True), (100, False)):

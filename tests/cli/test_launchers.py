@@ -225,7 +225,7 @@ def test_options_of_the_launcher_replace_the_usual_ones(gesturekit, tmp_path, mo
 
 
 def test_a_shard_works_in_its_folder_and_only_outcomes_are_results(tmp_path, monkeypatch):
-    """How a job ends otherwise, Slurm has to know: it may start it again."""
+    """Slurm has to know how a job ends otherwise: it may start it again."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "work").mkdir()
     called, command = [], ShardCommand(("render", "a.wav"), str(tmp_path / "work"))

@@ -477,7 +477,7 @@ def test_help_shows_examples_first_and_every_option_in_one_group(gesturekit):
 
 
 def test_values_of_controls_are_checked_by_their_ranges():
-    """By the bounds of each control, of all systems; files are paths."""
+    """The bounds of each control of all systems count; files are paths."""
     options = {param.name: param for param in command.params}
     numbers = 0
     for name, entry in {n: e for of_kind in CONTROLS.values() for n, e in of_kind.items()}.items():

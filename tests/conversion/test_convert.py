@@ -349,7 +349,7 @@ def test_what_makes_results_another_is_recorded_with_them(tmp_path):
 
 
 def test_names_of_what_is_written_decide_between_a_file_and_a_folder(take, gesture, tmp_path):
-    """With formats, any other name is that of a folder."""
+    """Any other name, if formats are given, is that of a folder."""
     other = tmp_path / "other.bvh"
     gesture(0.2).save(other)
     outcomes(take, tmp_path / "x.c3d", formats=["npz"])

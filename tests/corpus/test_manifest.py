@@ -271,11 +271,11 @@ def test_a_model_is_controlled_by_what_it_has_of_an_item(tmp_path, gesture):
 def test_sound_is_muted_outside_of_intervals_of_its_file():
     """Two seconds of a file, from 2 s on."""
     wave = Wave(np.linspace(0.1, 0.9, 8000), 4000, None, offset=2.0)
-    heard = muted(wave, [(1.0, 2.25), (2.96, 3.3), (3.9, 9.0), (0.0, 1.0)]).samples
+    kept_sound = muted(wave, [(1.0, 2.25), (2.96, 3.3), (3.9, 9.0), (0.0, 1.0)]).samples
     kept = np.zeros(8000, bool)
     for first, last in ((0, 1000), (3840, 5200), (7600, 8000)):
         kept[first:last] = True
-    np.testing.assert_array_equal(heard, np.where(kept, wave.samples, 0))
+    np.testing.assert_array_equal(kept_sound, np.where(kept, wave.samples, 0))
 
 
 @pytest.mark.parametrize(("frames", "is_there"), [(59, True), (60, True), (61, True), (62, False)])

@@ -99,7 +99,7 @@ def test_arms_of_a_t_pose_are_straight_and_opposite(skeleton):
 
 @pytest.mark.parametrize(("size", "frames"), [(1.0, (12, 18)), (2.0, (30, 30))])
 def test_a_tall_body_may_sway_more(skeleton, size, frames):
-    """By 15 cm: more than 10 cm of the reference body, and less than those of one twice as tall."""
+    """The sway is 15 cm: over 10 cm of the reference body, below those of one twice as tall."""
     motion = held(skeleton, np.zeros(30)).with_height(1.7 * size)
     motion.translation[12:, 0] += 0.15
     assert reference_pose(motion) == frames

@@ -310,7 +310,7 @@ def test_geometric_features_equal_their_definition(wild):
 
 
 def test_motions_are_cut_into_whole_clips(wild):
-    """Of 300 frames a clip of 4 s leaves 60; one of 5 s has two, and 5.04 s one."""
+    """A clip of 4 s leaves 60 of 300 frames; one of 5 s has two, and 5.04 s one."""
     short = wild[:119]
     for seconds, starts in ((4.0, (0, 120)), (5.0, (0, 150)), (151 / 30, (0,))):
         n = round(30 * seconds)

@@ -315,7 +315,7 @@ def test_a_pooled_value_has_the_width_of_its_clips_values():
 
 
 def test_the_standard_deviations_of_recordings_are_pooled():
-    """Of four recordings of 10 s each has 0.2 or more: the sum has 0.4, and three times is 1.2."""
+    """Each of four recordings of 10 s has 0.2 or more: the sum has 0.4, and three times is 1.2."""
 
     def given(gap: float, z: float | None = 9.0, **more) -> list[ClipResult]:
         own = {"sync": 0.1 + gap, "sync_chance": 0.1} | ({} if z is None else {"sync_z": z})

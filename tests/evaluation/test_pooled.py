@@ -562,7 +562,7 @@ def test_many_windows_are_drawn_at_random(monkeypatch):
 
 
 def test_more_generated_windows_come_no_nearer():
-    """Of recorded 0, 1, 3 the nearest are 1, 1 and 2 away; one of ten windows is near."""
+    """The nearest of recorded 0, 1, 3 are 1, 1 and 2 away; one of ten windows is near."""
     recorded = of_values([[0.0], [1.0], [3.0]])
     far = [[100.0 + k] for k in range(9)]
     found = within_reach(of_values([[0.5], *far]), recorded)

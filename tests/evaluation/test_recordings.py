@@ -283,7 +283,7 @@ def test_a_single_take_is_judged_by_its_pieces(levels):
 
 
 def test_some_takes_of_many_are_judged(levels):
-    """Of 7 takes every second one; of more than five speakers the first six."""
+    """Every second one of 7 takes; the first six of more speakers than five."""
     found = levels(7, *((f"a{k}", "ann", f"{k}", k, 1.2) for k in range(7)))
     assert found[CEILING].n == 4
     found = levels(1, *((f"s{k}", f"p{k}", "1", k, 1.2) for k in range(8)))

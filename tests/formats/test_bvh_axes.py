@@ -207,7 +207,7 @@ def test_a_rest_pose_with_left_and_right_exchanged_shows_no_forward():
 def test_a_body_stands_along_the_axis_of_most_frames_if_its_feet_are_on_the_floor(
     lying, height, axis
 ):
-    """Of ten frames some are turned to Z, with the ankles at a height; legs are 0.84 m long."""
+    """Some of ten frames are turned to Z, with the ankles at a height; legs are 0.84 m long."""
     motion = at_rest(rig_of(PERSON), 10, (0, 0.89, 0))
     motion.rotations[:lying, 0] = Rotation.from_euler("x", 90, degrees=True).as_quat()
     motion.translation[:lying] = [0, 0, 0.89 + height]

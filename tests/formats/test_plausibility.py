@@ -126,7 +126,7 @@ def test_the_size_of_a_body_shows_its_unit(metres, unit):
     ],
 )
 def test_sizes_between_units_are_guesses(height, unit):
-    """By ratio to 1.37: 13 is 9.5 times that and 10.5 times less than 137, 500 is nearer 1370."""
+    """The ratio to 1.37 decides: 13 is 9.5 times that and a 10.5th of 137, 500 is nearer 1370."""
     rig = smpl_skeleton(22)
     found = guess_unit(rig.scaled(height / stature(rig)), at_rest(rig, 1).rotations[0])
     assert found == (unit, False)

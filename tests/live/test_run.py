@@ -364,7 +364,7 @@ def test_figures_of_a_run_of_days_take_no_more_memory():
 
 
 def test_the_figures_of_a_run_are_those_of_its_steps(monkeypatch):
-    """By hand: steps of 1, 2, 3, 4 and 5 s, of which the first makes no frame."""
+    """Steps take 1, 2, 3, 4 and 5 s; the first makes no frame."""
     clock = SimpleNamespace(now=10.0)
     clock.perf_counter = clock.monotonic = lambda: clock.now
     monkeypatch.setattr(runner, "time", clock)

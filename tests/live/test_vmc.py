@@ -126,7 +126,7 @@ def test_an_unknown_host_is_one_clear_error(skeleton):
 
 
 def test_frames_of_a_step_are_spread_over_their_time_while_somebody_speaks(skeleton, monkeypatch):
-    """Of a file that is read as fast as possible, they are sent at once."""
+    """Frames of a file that is read as fast as possible are sent at once."""
     slept = []
     monkeypatch.setattr(vmc, "time", SimpleNamespace(sleep=slept.append))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reader:

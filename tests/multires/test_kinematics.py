@@ -187,7 +187,7 @@ def test_smoothing_is_a_gaussian_that_ends_at_three_deviations():
 
 @pytest.mark.parametrize("stride", [1.0, 4.0])
 def test_the_body_moves_its_feet_and_joints_along(kinematics, representation, values, stride):
-    """By 0.02 m and -0.01 m a full-rate frame at 25 fps, and ever faster along z."""
+    """The root moves 0.02 and -0.01 m a full-rate frame at 25 fps, and ever faster along z."""
     still = values[:, :, :1].repeat(1, 1, 12).double()
     still[:, representation.layout.root_xz] = torch.tensor([0.02, -0.01]).double()[:, None]
     for time, factor in (("second", 25.0), ("frame", 1.0)):

@@ -469,7 +469,7 @@ def test_the_latency_is_that_of_the_next_smaller_look_ahead(model, look_ahead, a
 @pytest.mark.parametrize("rate", [RATE, 44_100])
 @pytest.mark.parametrize(("look_ahead", "frames"), [(0.0, 7), (0.1, 6), (0.4, 6)])
 def test_the_last_frames_come_when_the_stream_is_finished(model, rate, look_ahead, frames):
-    """Of 0.2 s at 30 fps; without look-ahead frame 6, at 0.2 s, comes 8 ms before that."""
+    """The sound lasts 0.2 s; without look-ahead frame 6 of 30 fps, at 0.2 s, comes 8 ms before."""
     stream = model.stream(rate, look_ahead)
     parts = [stream.step(np.zeros(rate // 5, np.float32)), stream.finish()]
     assert sum(part.n_frames for part in parts if part is not None) == frames
@@ -500,7 +500,7 @@ def test_detail_is_made_of_what_is_known_and_then_of_its_mean(model, speech, mon
 
 
 def test_smoothed_streams_are_a_gaussian_mean_of_those_that_are_not(model, speech):
-    """Of 0.03 s; compared while arms rest, so that their motion is the recalled one."""
+    """The Gaussian has 0.03 s; arms rest meanwhile, so that their motion is the recalled one."""
     resting = [replace(own, profiles=own.profiles * 0 - 10) for own in model.library.recordings]
     library = replace(model.library, recordings=tuple(resting), wanted=None)
     own = replace(model, library=library)

@@ -145,7 +145,7 @@ def test_uses_of_a_sequence_are_counted_along_it():
 
 @pytest.mark.parametrize("chance", [0.5, 2.0])
 def test_chance_is_gumbel_noise_of_its_scale(chance):
-    """Of two pieces that cost 0 and 1, the dearer is chosen in 1 / (1 + exp(1 / scale))."""
+    """The dearer of two pieces that cost 0 and 1 is chosen in 1 / (1 + exp(1 / scale))."""
     profiles = [np.zeros((4, 1)), np.ones((4, 1))]
     still, flags = [np.zeros((4, 1))] * 2, [np.zeros(4, bool)] * 2
     weights = ChoiceWeights(movement=1.0, chance=chance)
@@ -157,7 +157,7 @@ def test_chance_is_gumbel_noise_of_its_scale(chance):
 
 
 def test_the_first_piece_begins_before_the_motion():
-    """By as many frames as asked for: the motion's first frames are then those after them."""
+    """The motion's first frames are then those after as many frames as asked for."""
     own = Recordings(0)
     search = own.search()
     wanted, states = np.random.default_rng(0).standard_normal((9, 3)), np.zeros((9, 2))

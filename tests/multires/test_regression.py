@@ -39,7 +39,7 @@ def ridge(x: np.ndarray, y: np.ndarray, penalty: float) -> tuple[np.ndarray, flo
 
 @pytest.mark.parametrize("noisy", [0.1, 3.0, 30.0])
 def test_a_regression_is_that_of_the_best_penalty(noisy):
-    """Of few frames and many inputs, a noisy curve needs a larger penalty."""
+    """A noisy curve of few frames and many inputs needs a larger penalty."""
     x = noise(60, 12) * np.geomspace(0.3, 3, 12) + 5.0
     y = 2.0 + x @ noise(12, seed=1) + noisy * noise(60, seed=2)
     folds = folds_of([40, 20], ["a", "b"], gap=2)
@@ -62,7 +62,7 @@ def test_a_regression_is_that_of_the_best_penalty(noisy):
 
 
 def test_of_many_frames_every_third_is_fitted():
-    """Of 60001 the frames 0, 3, 6 ... Between them the curve goes the other way."""
+    """Frames 0, 3, 6 ... of 60001 are used. Between them the curve goes the other way."""
     x = noise(60_001, 1)
     y = np.where(np.arange(60_001) % 3 == 0, 1.0, -4.0) * x[:, 0]
     folds = folds_of([20_000, 20_001, 20_000], ["a", "b", "c"], gap=1)

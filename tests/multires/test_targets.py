@@ -245,7 +245,7 @@ def test_detail_is_compared_with_every_window_of_the_recordings(level, size, win
 
 
 def test_few_windows_of_long_recordings_stand_for_all():
-    """Of 151 windows, 64, evenly spaced."""
+    """64 of 151 windows are used, evenly spaced."""
     one = PairedSequence.make("a", recording(0, 1).motion, torch.zeros(0, 200), LEVELS, 0)
     target = DetailTarget([one], LEVEL, LEVELS, places, 50, 1)
     power = fast_part(one.motion.unfold(-1, 50, 1).movedim(1, 0))

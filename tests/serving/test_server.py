@@ -214,7 +214,8 @@ def test_the_limits_are_those_of_the_command_line(served):
         assert f"<th>{name}</th><td>{value}</td>" in page
     # Each of six motions may have four connections, and 32 are for pages and figures.
     assert served.server["limit_concurrency"] == 56
-    # Who asks is who connects, whatever he says of himself; nobody is told what serves.
+    # A client's address is that of its connection, whatever its headers say; answers do not name
+    # the software of the server.
     assert not served.server["proxy_headers"] and not served.server["server_header"]
     page = served().get("/docs", headers={"Host": "localhost"}).text
     assert all(

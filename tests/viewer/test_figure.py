@@ -275,7 +275,7 @@ def test_one_fast_frame_does_not_flatten_the_curve(skeleton, speeds, top):
 
 
 def test_the_floor_is_below_most_frames(skeleton):
-    """Of five heights the quarter is the second; end sites of the feet are 0.94 m below."""
+    """The quarter of five heights is the second; end sites of the feet are 0.94 m below."""
     motion = at_rest(skeleton, 5)
     motion.translation[:, 1] = [4, 0, 3, 1, 2]
     assert Figure.of(motion).floor == pytest.approx(1 - 0.94)

@@ -285,7 +285,7 @@ def test_limbs_are_seen_where_the_camera_puts_them(skeleton):
 
 @pytest.mark.parametrize("factor", [0.1, 10.0])
 def test_giants_look_like_people(standing, factor):
-    """With a tenth or ten times the length between the lines of the floor."""
+    """The lines of the floor are a tenth or ten times as far apart."""
     one, other = (seen(DrawnBody.of(motion)) for motion in (standing, standing.scaled(factor)))
     assert np.abs(one - other).mean() < 0.1 and one[150:].std() > 5
 

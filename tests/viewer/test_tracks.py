@@ -79,7 +79,7 @@ def test_notebooks_get_the_page_in_a_frame(gesture):
 
 
 def test_the_spectrogram_ends_as_it_goes_on():
-    """Of an odd number of the extractor's frames the last column has one instead of two."""
+    """The last column has one instead of two of the extractor's frames if their number is odd."""
     noise = np.random.default_rng(0).normal(0, 0.1, 16_000).astype(np.float32)
     ends = []
     for n in (15_840, 16_000):

@@ -237,7 +237,7 @@ def elo_estimates(wins: np.ndarray, rounds: int, seed: int) -> list[Estimate]:
         seed: the same seed gives the same intervals.
     """
     if len(connected_groups(wins.sum(axis=0))) > 1:
-        return [Estimate(float("nan"), float("nan"), float("nan"))] * len(wins.T)
+        return [Estimate(float("nan"), float("nan"), float("nan"))] * wins.shape[1]
 
     def rate(sums: np.ndarray) -> np.ndarray:
         return elo(fit_strengths(sums))

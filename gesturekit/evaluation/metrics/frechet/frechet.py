@@ -154,6 +154,7 @@ def frechet_result(
         notes.append(f"fewer than {_CLIPS} motions: no interval")
     elif resamples:
         error = _standard_error(sets, resamples, seed)
+        # An error of NaN leaves both ends NaN: `max` would give 0.
         low, high = float(np.maximum(0.0, value - 1.96 * error)), value + 1.96 * error
     return FrechetResult(value, low, high, n, m, dimensions, "; ".join(notes))
 
