@@ -23,6 +23,7 @@ import tomllib
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,8 @@ from reach import PACKAGES, Reach
 from scipy.stats import binomtest
 
 ROOT = Path.cwd()
-SECONDS_PER_DEFECT = 150.0
+_HANGS = 100.0
+"""Seconds after which tests hang that should take about ten."""
 LIBRARIES = ["hypothesis", "librosa", "matplotlib.pyplot", "numba", "scipy.stats", "torch"]
 
 
@@ -145,15 +147,18 @@ class Copy:
         # Python and numba trust a file's time: no two versions of a file may have the same.
         self._stamp = int(time.time())
 
-    def judge(self, defect: Defect, tests: list[str]) -> tuple[str, str]:
-        """Return "killed", "hangs", "survived" or "uncovered", and the test that fails."""
-        if not tests:
+    def judge(self, defect: Defect, batches: list[list[str]], seconds: float) -> tuple[str, str]:
+        """Return "killed", "hangs", "survived" or "uncovered", and the test that fails.
+
+        After so many seconds no further batch of tests begins, and the defect has survived.
+        """
+        if not batches:
             return "uncovered", ""
         path = self.root / defect.path
         source = path.read_text(encoding="utf-8")
         self._write(path, defect.apply(source))
         try:
-            return self._tests(tests)
+            return self._tests(batches, seconds)
         finally:
             self._write(path, source)
 
@@ -162,24 +167,23 @@ class Copy:
         self._stamp += 1
         os.utime(path, (self._stamp, self._stamp))
 
-    def _tests(self, tests: list[str]) -> tuple[str, str]:
-        end = time.monotonic() + SECONDS_PER_DEFECT
-        done = 0
-        while done < len(tests) and time.monotonic() < end:
-            batch = tests[done : done + (30 if done == 0 else 150)]
+    def _tests(self, batches: list[list[str]], seconds: float) -> tuple[str, str]:
+        end = time.monotonic() + seconds
+        for n, batch in enumerate(batches):
             process = multiprocessing.get_context("fork").Process(
                 target=_run_pytest, args=(self.root, batch, self._log)
             )
             process.start()
-            process.join(max(60.0, end - time.monotonic()))
+            process.join(max(_HANGS, end - time.monotonic()))
             if process.is_alive():
                 os.killpg(process.pid, signal.SIGKILL)
                 process.join()
-                return ("hangs", batch[0]) if done == 0 else ("survived", f"{done} of {len(tests)}")
+                return ("hangs", batch[0]) if n == 0 else ("survived", f"{n} of {len(batches)}")
             if process.exitcode != 0:
                 return "killed", _failed(self._log.read_text(errors="replace"))
-            done += len(batch)
-        return "survived", "" if done >= len(tests) else f"{done} of {len(tests)} tests ran"
+            if time.monotonic() > end and n + 1 < len(batches):
+                return "survived", f"{n + 1} of {len(batches)} batches of tests ran"
+        return "survived", ""
 
 
 def _run_pytest(root: Path, tests: list[str], log: Path) -> None:
@@ -210,8 +214,8 @@ def _start_worker(folder: str) -> None:
     _copy.append(Copy(Path(tempfile.mkdtemp(dir=folder))))
 
 
-def _judge(defect: Defect, tests: list[str]) -> tuple[str, str]:
-    return _copy[0].judge(defect, tests)
+def _judge(seconds: float, defect: Defect, batches: list[list[str]]) -> tuple[str, str]:
+    return _copy[0].judge(defect, batches, seconds)
 
 
 def _share(killed: int, of: int) -> str:
@@ -227,6 +231,8 @@ def main() -> int:
     parser.add_argument("--only", nargs="*", default=[], help="beginnings of paths")
     parser.add_argument("--changed", metavar="BASE", help="only lines changed since this commit")
     parser.add_argument("--formulas", action="store_true", help="those of formulas.toml instead")
+    text = "of tests for one defect; a first look needs fewer"
+    parser.add_argument("--seconds", type=float, default=150.0, help=text)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     text = "libraries that all tests import once, before their processes are forked"
     parser.add_argument("--libraries", nargs="*", default=LIBRARIES, help=text)
@@ -254,7 +260,8 @@ def main() -> int:
             initargs=(folder,),
         ) as pool,
     ):
-        outcomes = pool.map(_judge, defects, map(reach.tests_of, defects))
+        judge = partial(_judge, arguments.seconds)
+        outcomes = pool.map(judge, defects, map(reach.batches_of, defects))
         for defect, (verdict, note) in zip(defects, outcomes, strict=True):
             folders = defect.path.split("/")[:-1]
             package = "/".join(folders[:2]) if folders[0] == "gesturekit" else folders[0]

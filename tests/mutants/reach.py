@@ -14,7 +14,7 @@ import json
 import multiprocessing
 import os
 import sys
-from collections import defaultdict
+from collections import Counter, defaultdict
 from pathlib import Path
 
 import coverage
@@ -22,6 +22,7 @@ import pytest
 from defects import Defect
 
 PACKAGES = ("audio_features", "gesturekit")
+_SECONDS_OF_BATCH = 10.0
 
 
 class Reach:
@@ -36,6 +37,9 @@ class Reach:
         self.root, self.folder = root, folder
         self.seconds: dict[str, float] = {}
         self._tests: dict[str, dict[int, set[str]]] = defaultdict(lambda: defaultdict(set))
+        # Lines that each test, and the fixtures of each file, reach: of a file, and of all.
+        self._n_lines: dict[str, Counter[str]] = defaultdict(Counter)
+        self._n_all: Counter[str] = Counter()
         self._kept: dict[str, dict] = {"files": {}, "texts": {}}
         if self._file.exists():
             self._kept = json.loads(gzip.decompress(self._file.read_bytes()))
@@ -122,12 +126,28 @@ class Reach:
                     today = (self.root / path).read_text(encoding="utf-8")
                     places[path, digest] = _same_lines(self._kept["texts"][digest], today)
                 for test, lines in tests.items():
+                    self._n_lines[path][test] += len(lines)
+                    self._n_all[test] += len(lines)
                     for line in lines:
                         if line in places[path, digest]:
                             self._tests[path][places[path, digest][line]].add(test)
 
+    def batches_of(self, defect: Defect) -> list[list[str]]:
+        """Return the tests that reach a defect, in batches of some seconds; see `tests_of`."""
+        batches: list[list[str]] = []
+        left = 0.0
+        for test in self.tests_of(defect):
+            left -= 0.05 + self.seconds.get(test, 0.0)
+            if left < 0 or not batches:
+                batches.append([])
+                left = _SECONDS_OF_BATCH
+            batches[-1].append(test)
+        return batches
+
     def tests_of(self, defect: Defect) -> list[str]:
-        """Return the tests that reach a defect, the quickest first.
+        """Return the tests that reach a defect; those about its file that are quick come first.
+
+        Tests of one file stay together: they may share what takes long to set up.
 
         Lines of compiled functions are not recorded: all tests count that reach a module which
         imports theirs. Defaults of arguments are computed once, by the first test that imports
@@ -147,7 +167,35 @@ class Reach:
                     break
         files = {test for test in found if "::" not in test}
         found |= {test for test in self.seconds if test.partition("::")[0] in files}
-        return sorted(found - files, key=lambda test: self.seconds.get(test, 0.0))
+        return self._in_order(found - files, defect.path)
+
+    def _in_order(self, tests: set[str], path: str) -> list[str]:
+        by_file: dict[str, list[str]] = defaultdict(list)
+        for test in tests:
+            by_file[test.partition("::")[0]].append(test)
+        longest: Counter[str] = Counter()
+        for test, seconds in self.seconds.items():
+            name = test.partition("::")[0]
+            longest[name] = max(longest[name], seconds)
+
+        def worth(name: str) -> float:
+            """Return the chance that a file's tests notice, by the second."""
+            about = max(map(lambda test: self._share(test, path), by_file[name]))
+            # The longest test of a file may have set up what the others use.
+            own = [self.seconds.get(test, 0.0) for test in by_file[name]]
+            return about / (0.1 + sum(own) + longest[name])
+
+        return [
+            test
+            for name in sorted(by_file, key=worth, reverse=True)
+            for test in sorted(by_file[name], key=lambda test: self.seconds.get(test, 0.0))
+        ]
+
+    def _share(self, test: str, path: str) -> float:
+        """Return the share of lines in a file among all that a test reaches, its fixtures too."""
+        names = {test, test.partition("::")[0]}
+        of = sum(self._n_all[name] for name in names)
+        return sum(self._n_lines[path][name] for name in names) / max(of, 1)
 
 
 class _Durations:
