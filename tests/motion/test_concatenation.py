@@ -63,9 +63,9 @@ def test_the_difference_decays_along_a_cubic_hermite_curve():
     """From value d and slope v to 0 without slope within n = 9 frames: at 1/3 of the way
     d (1 - 3/9 + 2/27) + 9 v (1/3 - 2/9 + 1/27) = 20/27 d + 4/3 v, at 2/3 of it 7/27 d + 2/3 v.
 
-    The first motion rises by 0.03 a frame from 0 to 0.06 and would reach 0.09; the second one
-    begins at 0.5 with a slope of 0.01, so that d = -0.41 and v = 0.02. All that moves does so by
-    this law: the height of the root, a joint's place, and a joint's angle.
+    The first motion ends with a rise by 0.03 to 0.06 and would reach 0.09; the second one begins
+    at 0.5 with a slope of 0.01, so that d = -0.41 and v = 0.02. All that moves does so by this
+    law: the height of the root, a joint's place, and a joint's angle.
     """
     rig = Skeleton(("root", "arm", "hand"), (-1, 0, 1), [[0, 0, 0], [0, 1, 0], [0, 1, 0]])
 
@@ -76,7 +76,7 @@ def test_the_difference_decays_along_a_cubic_hermite_curve():
         place = values[:, None] * [0, 1, 0]
         return Motion(rig, turns, place, 30.0, {"hand": place + [0.2, 0, 0]})
 
-    before, after = 0.03 * np.arange(3.0), 0.5 + 0.01 * np.arange(20.0)
+    before, after = np.array([-0.2, 0.03, 0.06]), 0.5 + 0.01 * np.arange(20.0)
     made = gk.concatenate([along(before), along(after)], blend=0.3)[3:]
     left = {0: -0.41, 3: -0.41 * 20 / 27 + 0.08 / 3, 6: -0.41 * 7 / 27 + 0.04 / 3, 9: 0, 19: 0}
     for frame, difference in left.items():

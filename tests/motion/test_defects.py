@@ -8,6 +8,7 @@ from rigs import PERSON, at_rest, rig_of
 
 from gesturekit.motion import Motion
 from gesturekit.motion.defects import (
+    Jumps,
     defective_joints,
     find_jumps,
     find_pops,
@@ -187,6 +188,13 @@ def test_a_pop_next_to_a_jump_is_counted_once(moving_person):
     jumps = find_jumps(motion)
     assert jumps.frames == (20, 21)
     assert find_pops(motion).frames == (20, 41) and find_pops(motion, jumps).frames == (41,)
+
+
+def test_a_pop_counts_unless_a_jump_arrives_in_its_frame_or_the_next(moving_person):
+    off = np.zeros(60)
+    off[[10, 20, 30, 40]] = 0.6
+    jumps = Jumps((9, 20, 31, 42), "Hips", 30.0, 24.0)
+    assert find_pops(turned(moving_person, "LeftForeArm", off), jumps).frames == (10, 40)
 
 
 def test_real_recordings(shared_data):

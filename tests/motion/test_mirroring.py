@@ -12,6 +12,7 @@ from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import left_right_pairs
 from gesturekit.motion.rotations import rotation_angles
+from gesturekit.motion.skeleton import Skeleton
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 
@@ -170,3 +171,16 @@ def test_sides_named_by_hand(moving_person):
 def test_a_rig_without_sides_is_refused(moving_person):
     with pytest.raises(MotionError, match="cannot tell left from right .* left_elbow: JOINT"):
         nameless(moving_person).mirror()
+
+
+@pytest.mark.parametrize("parents, is_same", [((-1, 0, 1), True), ((-1, 0, 0), False)])
+def test_a_rig_without_limbs_has_no_sides_and_one_with_two_of_unknown_sides_is_refused(
+    parents, is_same
+):
+    offsets = [[0, 0, 0], [0, 1, 0], [0, 1, 0.5]]
+    tail = at_rest(Skeleton(("a", "b", "c"), parents, offsets), 2)
+    if is_same:
+        np.testing.assert_allclose(tail.mirror().positions(), tail.positions(), atol=1e-12)
+    else:
+        with pytest.raises(MotionError, match="cannot tell left from right"):
+            tail.mirror()
