@@ -105,11 +105,11 @@ class SpectrumStream:
         self.n_frames = 0
         self._waiting = np.zeros(self._behind, np.float32)
         self._sound = np.zeros(_CONTEXT * HOP, np.float32)
-        self._power = np.zeros((0, N_FFT // 2 + 1), np.float32)
+        self._power = np.empty((0, N_FFT // 2 + 1), np.float32)
         # Columns: mean square over 50 ms, f0, periodicity.
-        self._curves = np.zeros((0, 3))
+        self._curves = np.empty((0, 3))
         # Of the last voiced frames: mean square over 25 ms, and ln(f0).
-        self._voiced = np.zeros((0, 2))
+        self._voiced = np.empty((0, 2))
         self._last_voiced = -math.inf
         self._offset = 0.0
 

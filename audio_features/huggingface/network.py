@@ -171,7 +171,7 @@ class FilterBank:
         """Prepare a sound; see `FrontEnd`."""
         n_mel = max(0, (len(samples) - _MEL_WINDOW) // _MEL_HOP + 1)
         n_frames = n_mel // self._stacked
-        mel = np.zeros((0, 1), np.float32)
+        mel = np.empty((0, 1), np.float32)
         if n_frames:
             mel = self._extract(
                 samples.cpu().numpy(), sampling_rate=SAMPLE_RATE, pad_to_multiple_of=self._stacked

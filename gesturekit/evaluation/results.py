@@ -246,7 +246,7 @@ class ModelResult:
     notes: list[str] = field(default_factory=list)
     marks: list[str] = field(default_factory=list)
     speeds: SpeedHistogram = field(default_factory=SpeedHistogram)
-    wrists: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    wrists: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     @property
     def heading(self) -> str:

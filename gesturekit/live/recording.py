@@ -40,7 +40,7 @@ class Recording:
             if sample_rate is not None:
                 wav = files.enter_context(atomic_write(path.with_suffix(".wav")))
                 self._sound = files.enter_context(
-                    soundfile.SoundFile(wav, "w", sample_rate, 1, "PCM_16", format="WAV")
+                    soundfile.SoundFile(wav, "w", sample_rate, 1, "PCM_16")
                 )
             self._files = files.pop_all()
 

@@ -24,7 +24,7 @@ _SINK_STEPS = 250
 _PATIENCE = 5.0
 """Seconds that a sink gets to take what waits for it at the end."""
 _POLL = 0.05
-_NOTHING = np.zeros(0, np.float32)
+_NOTHING = np.empty(0, np.float32)
 _KEPT = 100_000
 """Measurements kept for quantiles: those of the last hour or so."""
 

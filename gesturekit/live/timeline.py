@@ -65,7 +65,7 @@ class Timeline:
 
     def place(self, block: Block, now: float) -> np.ndarray:
         """Return the samples that the stream gets for a block, which is taken at time `now`."""
-        samples, filled = block.samples, np.zeros(0, np.float32)
+        samples, filled = block.samples, np.empty(0, np.float32)
         if block.time is not None:
             if self._origin is None:
                 self._origin = block.time

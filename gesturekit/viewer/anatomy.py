@@ -114,7 +114,7 @@ def _trunk(skeleton: Skeleton, pelvis: str, collar: str) -> dict[str, Shape]:
     while top not in (skeleton.index(pelvis), -1):
         joints.insert(0, top)
         top = skeleton.parents[top]
-    lengths = np.linalg.norm(skeleton.offsets[joints], axis=-1) if joints else np.zeros(0)
+    lengths = np.linalg.norm(skeleton.offsets[joints], axis=-1) if joints else np.empty(0)
     way = np.concatenate([[0.0], np.cumsum(lengths)]) / max(float(lengths.sum()), 1e-9)
     radii = np.interp(way, *zip(*TRUNK, strict=True))
     return {

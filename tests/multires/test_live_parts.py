@@ -249,6 +249,14 @@ def test_pieces_follow_after_their_hop(model, asked):
     assert left == right == [0, 17, 34] and rest == [0, 34]
 
 
+def test_a_library_may_be_one_recording(model):
+    plan = LivePlan(
+        replace(model.library, recordings=model.library.recordings[:1]), LiveChoice(), 1
+    )
+    plan.advance(None, None)
+    assert np.isfinite(plan.vectors(np.zeros(1))).all()
+
+
 def test_a_piece_that_goes_on_is_no_new_one_and_few_are_remembered(model, asked):
     library = counted(model.library, 1e-3)
     plan = LivePlan(library, LiveChoice(seed=3), 12)

@@ -298,6 +298,25 @@ def test_a_forecast_holds_a_while():
     np.testing.assert_allclose(found, [1.0, 2.0, 2.5, 2.0, 2.0, np.nan, np.nan])
 
 
+def test_the_newest_sound_says_most_about_now_and_less_about_what_follows(
+    model, speech, monkeypatch
+):
+    """Of a look-ahead of 0.2 s: a prediction for now, one for 0.1 s later and one for 0.2 s."""
+    forecasts = []
+    advance = LivePlan.advance
+
+    def kept(self, fast, slow):
+        forecasts.append(fast)
+        advance(self, fast, slow)
+
+    monkeypatch.setattr(LivePlan, "advance", kept)
+    streamed(model.stream(RATE, 0.2), speech[:RATE])
+    assert len(forecasts) == 30
+    for forecast in forecasts:
+        np.testing.assert_allclose(forecast.seconds, [0, 0.1, 0.2], atol=0.5 / 30)
+        assert [forecast.r] == [p.fast.r for p in model.library.ahead if p.look_ahead == 0.2]
+
+
 def test_a_standing_foot_stays_and_a_lifted_one_returns(model, usual):
     """The body slides by 1 mm a frame; both feet stand, then one is lifted."""
     representation = model.representation

@@ -229,12 +229,12 @@ def wrists_of(motion: Motion) -> np.ndarray:
     try:
         return physical.wrist_speed(motion)
     except GestureKitError:
-        return np.zeros(0)
+        return np.empty(0)
 
 
 def thinned(parts: Sequence[np.ndarray], most: int = _WRISTS) -> np.ndarray:
     """Concatenate arrays (N_i,); keep every k-th value if there are more than `most`."""
-    whole = np.concatenate(parts) if parts else np.zeros(0)
+    whole = np.concatenate(parts) if parts else np.empty(0)
     return whole[:: max(1, -(-len(whole) // most))]
 
 

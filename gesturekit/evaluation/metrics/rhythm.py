@@ -233,7 +233,7 @@ def motion_beats(
         speed = np.linalg.norm(velocity, axis=-1)
     smooth = gaussian_filter1d(speed.mean(axis=1), SMOOTHING * motion.fps)
     if np.ptp(smooth) < _STILL * body_scale(motion.skeleton):
-        return np.zeros(0)
+        return np.empty(0)
     at, between = _minima(smooth, 1)
     return (between if variant == "seconds" else at) / motion.fps
 
@@ -250,7 +250,7 @@ def speech_onsets(wave: Wave) -> np.ndarray:
         [1.0, 2.0]
     """
     if wave.is_silent:
-        return np.zeros(0)
+        return np.empty(0)
     sound = wave.resample(_ONSET_RATE)
     return import_librosa().onset.onset_detect(
         y=sound.samples, sr=_ONSET_RATE, hop_length=_ONSET_HOP, units="time"
@@ -269,7 +269,7 @@ def music_beats(wave: Wave) -> np.ndarray:
         0.5
     """
     if wave.is_silent:
-        return np.zeros(0)
+        return np.empty(0)
     return import_librosa().beat.beat_track(y=wave.samples, sr=wave.sample_rate, units="time")[1]
 
 

@@ -97,7 +97,7 @@ def _by_take(clips: Sequence[ClipResult], key: str) -> np.ndarray:
     """Return the means by take of a metric of the recordings that have it."""
     has = [clip for clip in clips if key in clip.recording]
     if not has:
-        return np.zeros(0)
+        return np.empty(0)
     return Takes.of([clip.pair for clip in has]).means([clip.recording[key] for clip in has])
 
 

@@ -230,7 +230,7 @@ def _mesh(glb: Gltf, world: np.ndarray, owners: np.ndarray) -> Skin:
         ).astype(np.uint32),
         joints=np.concatenate([joints for *_, joints, _ in parts]),
         weights=np.concatenate([weights for *_, weights in parts]),
-        rest=np.zeros((0, 3)),
+        rest=np.empty((0, 3)),
         regions=regions,
         palette=palette,
     )

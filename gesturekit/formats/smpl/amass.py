@@ -133,7 +133,7 @@ def read_shape(archive: Archive, betas_key: str, pelvis: np.ndarray | None) -> B
 
     Betas of each frame (T, B) are averaged. An unknown gender is left out with a warning.
     """
-    betas = archive.numbers(betas_key) if betas_key in archive else np.zeros(0)
+    betas = archive.numbers(betas_key) if betas_key in archive else np.empty(0)
     if betas.ndim == 2:  # one row for each frame, although a body does not change
         betas = betas.mean(axis=0) if len(betas) else betas.ravel()
     if betas.ndim != 1 or len(betas) > MAX_BETAS or not np.isfinite(betas).all():

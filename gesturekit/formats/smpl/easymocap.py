@@ -194,7 +194,7 @@ def _numbers(
     """Return the values (N,) of one key of a person, after checking them."""
     if key not in entry:
         if optional:
-            return np.zeros(0)
+            return np.empty(0)
         raise FormatError(f"{file}: person {person} has no {key!r}")
     try:
         values = np.array(entry[key], dtype=np.float64).ravel()

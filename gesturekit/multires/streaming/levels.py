@@ -77,7 +77,7 @@ class FinerLevels:
             up = resample_part(torch.eye(lengths[i - 1]), lengths[i], begin, end)
             used = np.flatnonzero(up.any(dim=1).numpy())
             part = range(int(used[0]), int(used[-1]) + 1)
-            style = styles[i][0, :, begin:end] if styles else torch.zeros(0, end - begin)
+            style = styles[i][0, :, begin:end] if styles else torch.empty(0, end - begin)
             up, features = up[part.start : part.stop], condition(i, begin, end)[0]
             self._levels.insert(0, _prepared(level, up, features, style, kept))
         self.recalled = part
@@ -116,8 +116,8 @@ def _prepared(
 ) -> _Level:
     """Return a level for its conditions: `features`, see `_Level`, and style (K, T)."""
     if not level.films:
-        nothing = torch.zeros(0, 0), torch.zeros(0, up.shape[1]), False
-        return _Level(level.layers, up, features, *nothing, torch.zeros(0, 0), nothing[0], kept)
+        nothing = torch.empty(0, 0), torch.empty(0, up.shape[1]), False
+        return _Level(level.layers, up, features, *nothing, torch.empty(0, 0), nothing[0], kept)
     weight = level.embed.weight[..., 0]
     speech, own = weight.split([weight.shape[1] - len(style), len(style)], dim=1)
     offset = level.embed.bias[:, None] + own @ style

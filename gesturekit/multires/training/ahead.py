@@ -133,5 +133,5 @@ def _movement(model: MultiresModel, item: Item) -> tuple[np.ndarray, np.ndarray]
 def _windows(stream: SpeechStream, item: Item) -> list[tuple[int, FeatureWindow]]:
     """Return what a stream knows with each of some of its rows, and their numbers."""
     sound = item.load_wave().resample(SAMPLE_RATE).samples
-    after = np.zeros(round(_AFTER_SECONDS * SAMPLE_RATE), np.float32)
-    return [(stream.n_rows - 1, window) for window in stream.push(np.concatenate([sound, after]))]
+    sound = np.pad(sound, (0, round(_AFTER_SECONDS * SAMPLE_RATE)))
+    return [(stream.n_rows - 1, window) for window in stream.push(sound)]

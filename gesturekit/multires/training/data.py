@@ -247,7 +247,7 @@ class TrainingData:
             return reflect(clip[:, :], margin)
         missing = n_frames + 2 * margin
         if not self.n_speech:
-            return torch.zeros(0, missing)
+            return torch.empty(0, missing)
         parts = []
         while missing:
             which = int(torch.multinomial(self._unpaired_frames, 1, generator=rng))

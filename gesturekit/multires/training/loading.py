@@ -158,7 +158,7 @@ def _silence(config: MultiresConfig, read: CorpusData, window: int | None) -> Te
     longest = max(_longest(config, read.paired), *(clip.shape[-1] for clip in read.unpaired), 0)
     n_frames = (window or longest) + 2 * config.random_margin
     if read.conditioner is None:
-        return torch.zeros(0, n_frames)
+        return torch.empty(0, n_frames)
     return _transposed(read.conditioner.silence(n_frames))
 
 
@@ -257,7 +257,7 @@ def _speech(
     start from. Without an extractor: None, (0, T), none.
     """
     if extractor is None or config.features is None:
-        return None, [torch.zeros(0, n_frames) for n_frames in lengths], []
+        return None, [torch.empty(0, n_frames) for n_frames in lengths], []
     conditioner, features = extract_features(
         [*items, *others],
         [*lengths, *[None] * len(others)],

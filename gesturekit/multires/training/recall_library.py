@@ -120,7 +120,7 @@ def _curves(
             _Curves(
                 places,
                 np.stack(movements(parts, joints, fps, places)),
-                np.concatenate(arms) if arms else np.zeros((0, sequence.n_frames)),
+                np.concatenate(arms) if arms else np.empty((0, sequence.n_frames)),
                 defects_of_parts(parts, representation, fps, values),
             )
         )

@@ -78,7 +78,7 @@ class PairedSequence:
             noise = torch.randn(channels, n_coarsest, generator=rng)
         else:
             noise = torch.randn(n_coarsest, generator=rng) * sigma[0]
-        return cls(name, motion, speech, sigma, noise, torch.zeros(0, n_frames))
+        return cls(name, motion, speech, sigma, noise, torch.empty(0, n_frames))
 
     def cut(self, start: int, stop: int) -> PairedSequence:
         """Return frames `start` to `stop` in memory, with their part of z*."""

@@ -138,7 +138,7 @@ class StoredCorpus:
         paired = []
         for i, (name, style, speaker, take) in enumerate(labels):
             n_frames = lengths[i]
-            spoken: Frames = torch.zeros(0, n_frames)
+            spoken: Frames = torch.empty(0, n_frames)
             if self.speech:
                 n_frames = min(n_frames, features[i].shape[1])
                 spoken = features[i].first(n_frames)

@@ -215,7 +215,7 @@ def _joined(pieces: list[_Piece], owners: list[int]) -> Mesh:
     weights = np.zeros(parts.shape, np.float32)
     weights[:, 0] = 1.0
     faces = [piece[2] + first for piece, first in zip(pieces, firsts)]
-    nothing = np.zeros((0, 3))
+    nothing = np.empty((0, 3))
     return Mesh(
         np.concatenate([nothing, *(piece[0] for piece in pieces)]).astype(np.float32),
         np.concatenate([nothing, *(piece[1] for piece in pieces)]).astype(np.float32),
