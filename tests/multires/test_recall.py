@@ -888,9 +888,13 @@ def test_training_fits_predictions_for_live_speech_and_so_does_the_command(
     empty.save(other, notes={"Note": "kept"})
     with pytest.raises(ModelError, match="live --fit corpus.jsonl --model"):
         gk.load(other).stream(RATE)
+    before = (other / "README.md").read_text().splitlines()
     assert gesturekit("live", "--fit", recordings, "--model", other).status == 0
     assert gk.load(other).fingerprint() == trained.fingerprint()
     card = (other / "README.md").read_text()
+    assert [line for line in card.splitlines() if not line.startswith("- **Live")] == before
+    last = max(i for i, line in enumerate(before) if line.startswith("- **"))
+    assert card.splitlines()[last + 1].startswith("- **Live**: "), "after the other facts"
     assert "- **Note**: kept" in card and card.count("- **Live**: with 0, 0.1, 0.2, 0.4 s") == 1
     assert gesturekit("live", "--fit", recordings, "--model", other).status == 0
     assert (other / "README.md").read_text() == card
