@@ -21,6 +21,7 @@ from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.sequences import PairedSequence, level_sigmas
 from gesturekit.multires.training.trainer import train
+from gesturekit.multires.training.window_cache import random_part
 
 
 def test_normalised_motion_does_not_depend_on_the_rigs_size(gesture):
@@ -139,6 +140,13 @@ def test_real_motions_beside_a_whole_clip_have_its_style_and_are_no_longer(make_
         assert (coarse == style).all() and (fine == style).all()
         assert [coarse.shape[-1], fine.shape[-1]] == level_lengths(n_frames, 4)[2:]
     assert {float(batches.reals(40, rng)[0].max()) for _ in range(20)} == {0.0, 1.0}
+
+
+def test_each_part_of_a_motion_is_drawn():
+    rng = torch.Generator().manual_seed(0)
+    parts = [random_part(torch.arange(9.0), 6, rng).tolist() for _ in range(60)]
+    assert {tuple(part) for part in parts} == {tuple(range(i, i + 6)) for i in range(4)}
+    assert random_part(torch.arange(9.0), 9, rng).tolist() == list(range(9))
 
 
 @pytest.mark.parametrize(("window", "share"), [(None, 1 / 2), (3.0, 63 / (150 + 63))])
