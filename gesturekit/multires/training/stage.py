@@ -193,8 +193,6 @@ class Stage:
 
     def _within(self, made: Sequence[Tensor], n_frames: int) -> list[Tensor]:
         """Return the generated levels (B, D, T_i) without margins."""
-        if not self.config.random_margin:
-            return list(made)
         lengths = af.level_lengths(n_frames, self.config.network.levels)
         kept = []
         for level, i in zip(made, self.indices, strict=True):
