@@ -67,7 +67,7 @@ def test_identical_samples_are_reported(make_config, caplog):
     assert metrics["patch_diversity_ratio"] < 0.01
     assert monitor.warn_of_collapse(metrics, 5) and "Step 5: mode collapse" in caplog.text
     recorded = monitor._recorded(0)
-    assert monitor._patch_spread([recorded]) > 0.5
+    assert monitor._patch_spread([recorded]) > 0.5 and monitor._patch_spread([recorded[:, :2]]) == 0
     assert not monitor.warn_of_collapse({"patch_diversity_ratio": 0.9}, 5)
 
 

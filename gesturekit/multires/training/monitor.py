@@ -134,7 +134,7 @@ class Monitor:
         rotations = self.data.representation.layout.rotations
         window = max(1, round(_PATCH_SECONDS * self.config.fps))
         patches = [
-            motion[rotations].unfold(1, min(window, motion.shape[1]), 1).transpose(0, 1)
+            motion[rotations].unfold(1, window, 1).transpose(0, 1)
             for motion in motions
             if motion.shape[1] >= window
         ]
