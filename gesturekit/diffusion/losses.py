@@ -82,10 +82,10 @@ class FootVelocity(nn.Module):
     ) -> None:
         super().__init__()
         self.representation, self.feet, self.fps = representation, feet, fps
-        self.register_buffer("mean", normaliser.mean, persistent=False)
-        self.register_buffer("scale", normaliser.scale, persistent=False)
+        self.register_buffer("mean", normaliser.mean)
+        self.register_buffer("scale", normaliser.scale)
         references = torch.from_numpy(matrix_from_quaternion(representation.references)).float()
-        self.register_buffer("references", references[feet.turned], persistent=False)
+        self.register_buffer("references", references[feet.turned])
 
     def forward(self, motion: Tensor) -> Tensor:
         """Return (B, T - 1, F, 3), m/s of the reference body, for normalised motion (B, T, X)."""

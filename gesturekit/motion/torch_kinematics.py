@@ -79,7 +79,7 @@ class ForwardKinematics(nn.Module):
         # A leaf's own rotation moves nothing: only inner joints are multiplied out, level by
         # level, and stand in that order.
         inner = sorted(set(parents) - {-1}, key=lambda j: depth[j])
-        self.register_buffer("inner", torch.tensor(inner, dtype=torch.long), persistent=False)
+        self.register_buffer("inner", torch.tensor(inner, dtype=torch.long))
         self.level_sizes = []
         above: list[int] = []
         while len(inner) > sum(self.level_sizes):
@@ -87,7 +87,7 @@ class ForwardKinematics(nn.Module):
             rows = [above.index(parents[j]) for j in joints if above]
             # No gather where every joint of the level above carries on one chain, in order.
             gathered = None if rows == list(range(len(above))) else torch.tensor(rows)
-            self.register_buffer(f"rows_{len(self.level_sizes)}", gathered, persistent=False)
+            self.register_buffer(f"rows_{len(self.level_sizes)}", gathered)
             self.level_sizes.append(len(joints))
             above = joints
         reach = torch.zeros(3, len(inner), len(parents), dtype=torch.float64)
@@ -96,7 +96,7 @@ class ForwardKinematics(nn.Module):
             while parents[joint] >= 0:
                 reach[:, inner.index(parents[joint]), i] = offsets[joint]
                 joint = parents[joint]
-        self.register_buffer("reach", reach.float(), persistent=False)
+        self.register_buffer("reach", reach.float())
 
     def forward(self, rotations: Tensor, translation: Tensor) -> Tensor:
         """Positions (..., J, 3), metres.
@@ -184,13 +184,13 @@ class PointKinematics(nn.Module):
         turning = [order[i] for i in self.chain.inner.tolist()]
         held = [joint for joint in turning if joint not in modelled]
         matrices = matrix_from_quaternion(model.fixed_rotations[held])
-        self.register_buffer("fixed", torch.from_numpy(matrices).float(), persistent=False)
+        self.register_buffer("fixed", torch.from_numpy(matrices).float())
         # Index of each joint's rotation: modelled joints first, fixed ones after them.
         turned = [joint for joint in turning if joint in modelled]
         rows = [[*turned, *held].index(joint) for joint in turning]
-        self.register_buffer("rows", torch.tensor(rows, dtype=torch.long), persistent=False)
+        self.register_buffer("rows", torch.tensor(rows, dtype=torch.long))
         turned = torch.tensor([modelled.index(joint) for joint in turned], dtype=torch.long)
-        self.register_buffer("turned", turned, persistent=False)
+        self.register_buffer("turned", turned)
 
     def forward(self, rotations: Tensor, height: Tensor) -> Tensor:
         """Return positions (B, T, P, 3), with the root above the origin.

@@ -37,6 +37,7 @@ def test_parameter_counts_are_the_published_ones(blocks, layers, n_motion, n_con
         network = Denoiser(n_motion, n_condition, config)
     count = sum(p.numel() for p in network.parameters())
     assert count / 1e6 == pytest.approx(millions, abs=0.006)
+    assert network.state_dict().keys() == dict(network.named_parameters()).keys(), "in the file"
 
 
 @pytest.mark.parametrize(("n_in", "n_out"), [(6, 10), (10, 6)])

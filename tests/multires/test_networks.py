@@ -118,6 +118,7 @@ def test_an_untrained_generator_is_the_same_with_and_without_speech(representati
     both = (network(noises, given, lengths=lengths) for given in (speech, None))
     for one, other in zip(*both, strict=True):
         assert torch.equal(one, other)
+    assert network.state_dict().keys() == dict(network.named_parameters()).keys(), "in the file"
 
 
 def test_speech_modulates_the_upper_body_alone(representation):

@@ -191,7 +191,7 @@ class ArmTarget(nn.Module):
             gram.diagonal().add_(penalty)
             weights = torch.linalg.solve(gram, inputs.T @ (goal - mean))
         weights[-1] += mean - (inputs @ weights).mean(dim=0)
-        self.register_buffer("weights", weights.float(), persistent=False)
+        self.register_buffer("weights", weights.float())
         limits = torch.quantile(goal, goal.new_tensor([0.01, 0.99]), dim=0)
         self.register_buffer("range", limits.float()[..., None])
         return self
