@@ -224,6 +224,18 @@ def test_the_floor_under_a_body_that_never_stands_is_near_its_lowest_feet(person
     assert feet.floor == pytest.approx(0.02 + 0.1)
 
 
+def test_heights_of_feet_are_those_on_the_floor_and_not_on_a_box(person):
+    """A second on the floor, then 0.4 s on a box of 0.3 m."""
+    step = np.where(np.arange(42) < 30, 0.0, 0.3)[:, None] * [0.0, 1.0, 0.0]
+    motion = at_rest(person, 42, UPRIGHT + step)
+    frames = body_frames(person, find_parts(person), motion.rotations[0])
+    feet = FootMotion.measure(motion, frames, motion.positions(), motion.global_rotations())
+    assert feet.floor == pytest.approx(0.02)
+    ankle = motion.positions()[0, person.index("LeftFoot"), 1] - 0.02
+    for own, scaled in feet.heights(frames, frames, True, 2.0).values():
+        assert own == pytest.approx((ankle, 0.0)) and scaled == pytest.approx((2 * ankle, 0.0))
+
+
 @pytest.mark.parametrize("fps", [30.0, 60.0])
 def test_hips_come_down_and_up_again_within_four_tenths_of_a_second(person, fps):
     """Knees are bent, but for one frame: it lowers the hips for 0.2 s, smoothed over 0.2 s more."""
