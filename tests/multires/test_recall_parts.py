@@ -201,6 +201,7 @@ def test_passive_channels_come_back_as_they_were(gesture, n_frames):
     assert whole.name == "body" and whole.length == 1.0 and not whole.is_arm
     assert whole.columns.tolist() == list(range(representation.n_features))
     assert [own.length for own in parts] == [1.0, 1.0, 2.0]
+    assert [own.moving for own in parts] == [("LeftHand",), ("RightHand",), ("Head",)]
     assert [own.full_detail for own in parts] == [0.35, 0.35, 1.0]
     only_hands = PassiveChannels(("LeftHand",)).applied(motion, lambda part: values[:6, part])
     assert only_hands.expressions is motion.expressions
