@@ -71,20 +71,28 @@ def test_the_shorter_way_is_turned(tmp_path):
 
 
 def test_keys_are_read_in_the_order_of_their_times(tmp_path):
-    turns = [(0, 0, 0, 1), (0, 0, 0, 1), QUARTER_TURN]
-    file = GltfFile(arm().json["nodes"], [[0, 1]]).animate([(0, "rotation", [0, 2, 1], turns)])
-    np.testing.assert_allclose(angle(file.save(tmp_path / "a.glb"), fps=1), [0, 90, 0], atol=1e-4)
+    """Of two keys at one time the second counts from there on: a jump."""
+    places = [(k, 0, 0) for k in range(40)]
+    times = [*range(20), *range(20)]
+    file = GltfFile([{"name": "hand"}], [[0]]).animate([(0, "translation", times, places)])
+    found = hand(file.save(tmp_path / "a.glb"), fps=2)[:, 0]
+    np.testing.assert_allclose(found[::2], np.arange(20, 40))
+    np.testing.assert_allclose(found[1::2], np.arange(19) + 10.5, atol=1e-5)
 
 
 @pytest.mark.parametrize(
     ("times", "fps"),
     [
         (np.arange(20) / 24, 24),
-        (np.arange(300) * 1.001 / 24, 24 / 1.001),
+        (np.arange(20) * 1.001 / 24, 24 / 1.001),  # 0.019 of a frame from 24
         (np.arange(9) / 30, 30),
-        (np.arange(300) * 1.001 / 30, 30 / 1.001),
+        (np.arange(9) * 1.001 / 30, 30 / 1.001),
         (np.arange(9) / 20, 20),
-        (np.arange(99) / 120, 120),
+        (np.arange(9) / 33, 33),
+        (np.array([0, 1, 2, 3, 5, 6, 7]) / 33, 33),
+        (np.arange(9) / 7, 21),
+        (np.arange(99) / 240, 240),
+        (np.arange(99) * 1.001 / 240, 240 / 1.001),
         (np.round(np.arange(60) / 30, 3), 30),
         (np.array([0, 1, 2, 7, 30, 31, 90]) / 30, 30),
         (np.array([0, 1.5]), 24),
@@ -95,24 +103,37 @@ def test_the_rate_is_that_of_the_keys(tmp_path, times, fps):
     turns = np.tile([0, 0, 0, 1], (len(times), 1))
     nodes = arm().json["nodes"]
     path = GltfFile(nodes).animate([(0, "rotation", times, turns)]).save(tmp_path / "a.glb")
-    motion = Motion.load(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        motion = Motion.load(path)
     assert motion.fps == pytest.approx(fps, rel=1e-9)
     assert motion.n_frames == round(times[-1] * fps) + 1
 
 
-@pytest.mark.parametrize("start", [2.0, -1.0])
+@pytest.mark.parametrize("start", [2.0625, -1.0])  # 68.06 frames
 def test_the_rate_does_not_depend_on_the_time_of_the_first_key(tmp_path, start):
-    times = start + np.array([0, 1, 2, 7, 30, 31, 90]) / 30
+    times = start + np.arange(9) / 33
     file = GltfFile(arm().json["nodes"])
-    path = file.animate([(0, "rotation", times, [(0, 0, 0, 1)] * 7)]).save(tmp_path / "a.glb")
+    path = file.animate([(0, "rotation", times, [(0, 0, 0, 1)] * 9)]).save(tmp_path / "a.glb")
     motion = Motion.load(path)
-    assert (motion.fps, motion.n_frames, motion.info["start"]) == (30, 91, start)
+    assert (motion.n_frames, motion.info["start"]) == (9, start)
+    assert motion.fps == pytest.approx(33, rel=1e-5)
 
 
-def test_keys_between_frames_are_sampled_and_said(tmp_path):
-    path = arm(times=(0.0, 0.0333, 0.0571)).save(tmp_path / "a.glb")
-    with pytest.warns(UserWarning, match="lie between the frames"):
-        assert 30 <= Motion.load(path).fps <= 240
+@pytest.mark.parametrize(
+    ("steps", "fps"),
+    [
+        ([0.0333, 0.0238], 48),  # a tenth of the way from the shorter to the longer: 1/40.4 s
+        ([0.05, 0.051, 0.053, 0.057, 0.063, 0.02, 0.061, 0.02, 0.0471], 50),
+        ([0.001] * 50, 240),
+    ],
+)
+def test_keys_between_frames_are_sampled_about_as_densely_as_they_lie(tmp_path, steps, fps):
+    times = np.cumsum([0, *steps])
+    still = [(0, 0, 0, 1)] * len(times)
+    file = GltfFile(arm().json["nodes"]).animate([(0, "rotation", times, still)])
+    with pytest.warns(UserWarning, match=f"lie between the frames .* read at {fps} fps"):
+        assert Motion.load(file.save(tmp_path / "a.glb")).fps == fps
 
 
 def scaled_rig() -> GltfFile:
@@ -156,6 +177,29 @@ def test_joints_that_move_keep_their_ways(tmp_path):
     file = GltfFile(arm().json["nodes"], [[0, 1]]).animate([(1, "translation", [0, 1], places)])
     motion = Motion.load(file.save(tmp_path / "a.glb"), fps=1)
     np.testing.assert_allclose(motion.joint_translations["hand"], places)
+    np.testing.assert_allclose(motion.skeleton.offsets[1], [1, 0, 0])
+
+
+def test_a_joint_that_stays_elsewhere_than_at_rest_is_there(tmp_path):
+    places = [(2, 0, 0), (2, 0, 0)]
+    file = GltfFile(arm().json["nodes"], [[0, 1]]).animate([(1, "translation", [0, 1], places)])
+    motion = Motion.load(file.save(tmp_path / "a.glb"), fps=1)
+    np.testing.assert_allclose(motion.positions()[:, 1], [[2, 1, 0]] * 2)
+    assert not motion.joint_translations
+
+
+def test_end_sites_are_marked_nodes_that_nothing_hangs_on(tmp_path):
+    """Their offsets are from their joints at rest, here of a root that is a metre high."""
+    nodes = arm().json["nodes"]
+    nodes[1]["extras"] = {"gesturekit_end_site": True}
+    file = GltfFile(nodes, [[0, 1]]).animate([(0, "rotation", [0], [(0, 0, 0, 1)])])
+    rig = Motion.load(file.save(tmp_path / "a.glb")).skeleton
+    assert rig.names == ("shoulder",)
+    np.testing.assert_allclose(rig.end_sites["shoulder"], [[1, 0, 0]])
+    nodes[1]["children"] = [2]
+    nodes.append({"name": "finger"})
+    rig = Motion.load(file.save(tmp_path / "a.glb")).skeleton
+    assert rig.names == ("shoulder", "hand", "finger") and not rig.end_sites
 
 
 def test_animated_scale_moves_what_hangs_below(tmp_path):
@@ -169,6 +213,7 @@ def test_repeated_and_missing_names_are_told_apart(tmp_path):
     path = GltfFile(nodes, [[0, 1, 2]]).save(tmp_path / "a.glb")
     with pytest.warns(UserWarning, match="no animation"):
         motion = Motion.load(path)
+    assert (motion.n_frames, motion.fps, motion.info["start"]) == (1, 30, 0)
     assert motion.skeleton.names == ("a", "a_2", "node_2")
     assert motion.info["renamed"] == {"a_2": "a", "node_2": ""}
 
@@ -259,20 +304,35 @@ def two_animations() -> GltfFile:
 
 
 def test_the_longest_animation_is_read_or_that_which_is_named(tmp_path):
-    path = two_animations().save(tmp_path / "a.glb")
-    with pytest.warns(UserWarning, match=r"idle, wave, 3.*wave; --animation NAME"):
+    """That of 2 s has one curve of 2 s, that of 3 s one of 3 s and one of 1 s."""
+    file = two_animations()
+    turns = file.json["animations"][1]["samplers"]
+    turns.append({"input": file.array([0, 1]), "output": turns[0]["output"]})
+    file.json["animations"][1]["channels"].append(
+        {"sampler": 1, "target": {"node": 1, "path": "rotation"}}
+    )
+    path = file.save(tmp_path / "a.glb")
+    with pytest.warns(UserWarning, match=r"\(idle, wave, 3\).*read, wave; --animation NAME"):
         assert Motion.load(path).info["animation"] == "wave"
-    two = two_animations()
-    del two.json["animations"][2]
-    with pytest.warns(UserWarning, match=r"\(idle, wave\), the longest is read, wave"):
-        Motion.load(two.save(tmp_path / "b.glb"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for name in ("idle", "1"):
             assert Motion.load(path, animation=name).info["animation"] == "idle"
+        del file.json["animations"][0]
+        only = Motion.load(file.save(tmp_path / "b.glb"))
+        assert (only.info["animation"], only.n_frames) == ("wave", 3 * 24 + 1)
     for name in ("run", "0", "4"):
         with pytest.raises(FormatError, match=f"no animation '{name}'; it has idle, wave, 3"):
             Motion.load(path, animation=name)
+
+
+def test_long_names_of_animations_are_shortened_in_messages_alone(tmp_path):
+    file = arm()
+    file.json["animations"][0]["name"] = "a" * 60 + "bc"
+    path = file.save(tmp_path / "a.glb")
+    assert Motion.load(path, animation="a" * 60 + "bc").info["animation"] == "a" * 60 + "bc"
+    with pytest.raises(FormatError, match="it has a{60}$"):
+        Motion.load(path, animation="x")
 
 
 def test_without_a_skin_the_tree_of_animated_nodes_is_read(tmp_path):
@@ -282,9 +342,12 @@ def test_without_a_skin_the_tree_of_animated_nodes_is_read(tmp_path):
         {"name": "left", "children": [4]},
         {"name": "right"},
         {"name": "tip"},
+        {"name": "face"},
     ]
     turns = [(0, 0, 0, 1), QUARTER_TURN]
     file = GltfFile(nodes).animate([(k, "rotation", [0, 1], turns) for k in (2, 3)])
+    file.animate([(5, "weights", [0, 1], [0, 1])])
+    file.json["animations"][0]["channels"].append({"sampler": 0, "target": {"path": "rotation"}})
     assert Motion.load(file.save(tmp_path / "a.glb")).skeleton.names == (
         "root",
         "left",
@@ -293,10 +356,48 @@ def test_without_a_skin_the_tree_of_animated_nodes_is_read(tmp_path):
     )
 
 
-def test_of_two_skeletons_the_larger_is_read(tmp_path):
-    nodes = [{"name": "prop"}, {"name": "body", "children": [2]}, {"name": "head"}]
-    file = GltfFile(nodes, [[0], [1, 2]]).animate([(1, "rotation", [0], [(0, 0, 0, 1)])])
-    with pytest.warns(UserWarning, match="that of body with 2 joints is read, not prop"):
+def tree_of(*parents: int) -> list[dict]:
+    """Return nodes "0", "1", ... with these parents, -1 for roots."""
+    nodes: list[dict] = [{"name": str(k)} for k in range(len(parents))]
+    for k, parent in enumerate(parents):
+        if parent >= 0:
+            nodes[parent].setdefault("children", []).append(k)
+    return nodes
+
+
+@pytest.mark.parametrize(
+    ("parents", "joints", "read", "others"),
+    [
+        # Less than three fifths hang on one joint of their parent: that is their root.
+        ((-1, 0, 1, 0, 3), [1, 2, 3, 4], "01234", ""),
+        ((-1, 0, 1, 2, 0, 4), [1, 2, 3, 4, 5], "123", "4"),
+        # A parent of one tree alone is none.
+        ((-1, 0, 1, -1, -1), [1, 2, 3, 4], "12", "3, 4"),
+        ((-1, -1, 1), [0, 1, 2], "12", "0"),
+        ((-1, 0, -1), [0, 1, 2], "01", "2"),
+        # Nodes between joints are joints; node 0 is, and hangs on the last.
+        ((3, 0, -1, -1), [1, 3], "301", ""),
+        ((-1, 0, 1), [2], "2", ""),
+    ],
+)
+def test_the_largest_tree_of_joints_is_read(tmp_path, parents, joints, read, others):
+    turns = [(0, 0, 0, 1), QUARTER_TURN]
+    file = GltfFile(tree_of(*parents), [joints]).animate(
+        [(int(read[0]), "rotation", [0, 1], turns)]
+    )
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        found = Motion.load(file.save(tmp_path / "a.glb"))
+    assert sorted(found.skeleton.names) == sorted(read) and found.skeleton.names[0] == read[0]
+    assert [str(each.message).rpartition("is read, not ")[2] for each in said] == (
+        [others] if others else []
+    )
+
+
+def test_trees_are_listed_by_their_names(tmp_path):
+    nodes = [{"name": "body", "children": [1]}, {"name": "head"}, {"name": "p" * 61}]
+    file = GltfFile(nodes, [[0, 1, 2]]).animate([(0, "rotation", [0], [(0, 0, 0, 1)])])
+    with pytest.warns(UserWarning, match="that of body with 2 joints is read, not p{60}$"):
         assert Motion.load(file.save(tmp_path / "a.glb")).skeleton.names == ("body", "head")
 
 
@@ -363,7 +464,12 @@ def have_zeros_often(file: GltfFile) -> None:
 ZEROS = {"type": "VEC4", "componentType": 5126, "count": 10**9}
 FIRST = ("accessors", 0)
 HOSTILE = {
-    "frames": (changed("uri", None), "frames; at most"),
+    # 100 060 bytes of arrays count as 12 507 more joints times frames than 800 000.
+    "frames": (changed("uri", None), "frames; at most 406253 are read"),
+    "nothing": (
+        change_all(changed("skins", []), changed("animations", [])),
+        "no skeleton in it: neither a skin nor an animated node",
+    ),
     "no such view": (changed("bufferView", 10**9, *FIRST), "index into bufferViews"),
     "many zeros": (changed("accessors", [ZEROS, ZEROS]), "count of"),
     "count": (changed("count", 10**12, *FIRST), "count of"),
@@ -398,6 +504,8 @@ def test_hostile_files_are_refused_by_name(tmp_path, case):
     change, message = HOSTILE[case]
     file = arm(times=(0, 1, 9e5)) if case == "frames" else arm()
     change(file)
+    if case == "frames":
+        file.data += bytes(99_996)
     path = file.save(tmp_path / "a.glb")
     with pytest.raises(FormatError, match=message) as error:
         Motion.load(path)

@@ -12,7 +12,7 @@ import numpy as np
 from gesturekit.errors import FormatError
 from gesturekit.formats.frame_rate import COMMON_RATES
 from gesturekit.formats.gltf.file import Gltf
-from gesturekit.motion.resampling import checked_fps
+from gesturekit.motion.resampling import HIGHEST_FPS, LOWEST_FPS, checked_fps
 from gesturekit.motion.rotations import normalize_quaternions, slerp
 from gesturekit.wording import listed
 
@@ -50,12 +50,10 @@ class Curve:
     def at(self, times: np.ndarray) -> np.ndarray:
         """Return the values (T, D) at times (T,); before and after all keys those at the ends."""
         last = len(self.times) - 1
-        left = np.clip(np.searchsorted(self.times, times + _EARLY, side="right") - 1, 0, last)
+        left = np.clip(np.searchsorted(self.times, times + _EARLY) - 1, 0, last)
         right = np.minimum(left + 1, last)
         span = self.times[right] - self.times[left]
-        after = times - self.times[left]
-        after[np.abs(after) <= _EARLY] = 0.0  # at the key
-        share = np.clip(after / np.where(span > 0, span, 1.0), 0.0, 1.0)
+        share = np.clip(times - self.times[left], 0.0, span) / np.maximum(span, 1e-9)
         is_rotation = self.values.shape[-1] == 4
         if self.interpolation == "CUBICSPLINE":
             u, dt = share[:, None], span[:, None]
@@ -93,8 +91,8 @@ class Animation:
 
     @property
     def seconds(self) -> float:
-        """Time of the last key; -1 if no node moves."""
-        return max((curve.times[-1] for curve in self.curves.values()), default=-1.0)
+        """Time of the last key; there must be one."""
+        return max(curve.times[-1] for curve in self.curves.values())
 
     def frames(self, fps: float | None, gltf: Gltf, most: int) -> tuple[np.ndarray, float]:
         """Return the times (T,) of frames from the first key to the last, and their rate.
@@ -111,8 +109,8 @@ class Animation:
             FormatError: too many frames.
             MotionError: an invalid rate.
         """
-        keys = [curve.times for curve in self.curves.values()]
-        times = np.unique(np.concatenate(keys)) if keys else np.zeros(1)
+        keys = [curve.times for curve in self.curves.values()] or [[0.0]]
+        times = np.unique(np.concatenate(keys))
         first, last = float(times[0]), float(times[-1])
         if fps is None and self.rate and _fits(times, self.rate):
             fps = self.rate
@@ -136,7 +134,7 @@ class Animation:
 def _fits(times: np.ndarray, rate: float) -> bool:
     """Return whether all times are those of frames."""
     frames = (times - times[0]) * rate
-    return bool((np.abs(frames - np.rint(frames)) <= _NEAR + _EARLY * rate / 10).all())
+    return bool((np.abs(frames - np.rint(frames)) <= _NEAR).all())
 
 
 def _rate(times: np.ndarray) -> tuple[float, bool]:
@@ -149,11 +147,11 @@ def _rate(times: np.ndarray) -> tuple[float, bool]:
     keyed = round(span / step) / span
     if abs(keyed - round(keyed)) < 1e-6 * keyed:  # rounding to float32
         keyed = round(keyed)
-    even = keyed * max(1, np.ceil(_SLOWEST / keyed))
+    even = keyed * np.ceil(_SLOWEST / keyed)
     common = [*COMMON_RATES, *(rate / 1.001 for rate in COMMON_RATES)]
-    likely = [rate for rate in common if abs(rate / even - 1) < _ALIKE]
-    likely.sort(key=lambda rate: abs(rate - even))
-    if np.ptp(steps) < 0.1 * step and even == keyed:
+    near = [rate for rate in common if abs(rate / even - 1) < _ALIKE]
+    likely = sorted(near, key=lambda rate: abs(rate - even))
+    if even == keyed:
         likely.append(even)
     for rate in (*likely, *common, even):
         if rate <= _FASTEST and _fits(times, rate):
@@ -177,8 +175,8 @@ def read_animation(gltf: Gltf, nodes: set[int], name: str | None) -> Animation:
         FormatError: no animation of this name, or a broken one.
     """
     entries = gltf.items("animations")
-    names = [str(entry.get("name", ""))[:60] for entry in entries]
-    shown = listed([one or str(k) for k, one in enumerate(names, start=1)], _SHOWN)
+    names = [str(entry.get("name", "")) for entry in entries]
+    shown = listed([one[:60] or str(k) for k, one in enumerate(names, start=1)], _SHOWN)
     if name is not None:
         if name in names:
             chosen = names.index(name)
@@ -188,12 +186,12 @@ def read_animation(gltf: Gltf, nodes: set[int], name: str | None) -> Animation:
             raise FormatError(f"{gltf.path}: no animation {name!r}; it has {shown or 'none'}")
         return _animation(gltf, entries[chosen], nodes)
     read = [_animation(gltf, entry, nodes) for entry in entries]
-    longest = max(read, key=lambda one: one.seconds, default=None)
-    if longest is not None and longest.curves:
-        if len(read) > 1:
+    if moving := [one for one in read if one.curves]:
+        longest = max(moving, key=lambda one: one.seconds)
+        if len(moving) > 1:
             warnings.warn(
                 f"{gltf.path}: of its animations ({shown}), the longest is read, "
-                f"{longest.name or read.index(longest) + 1}; --animation NAME chooses",
+                f"{longest.name[:60] or read.index(longest) + 1}; --animation NAME chooses",
                 stacklevel=3,
             )
         return longest
@@ -216,7 +214,7 @@ def _animation(gltf: Gltf, entry: dict[str, Any], nodes: set[int]) -> Animation:
             at = gltf.whole(channel.get("sampler"), len(samplers), "sampler")
             curves[node, path] = _curve(gltf, samplers[at], path)
     rate = gltf.object(entry, "extras").get("fps")
-    right = type(rate) in (int, float) and 1e-5 <= rate <= 1e5
+    right = type(rate) in (int, float) and LOWEST_FPS <= rate <= HIGHEST_FPS
     return Animation(str(entry.get("name", "")), curves, float(rate) if right else None)
 
 
@@ -230,7 +228,7 @@ def _curve(gltf: Gltf, sampler: dict[str, Any], path: str) -> Curve:
     if not len(times) or len(values) < each * len(times):
         raise gltf.error(f"{len(values)} values of {path} for {len(times)} times")
     values = values[: each * len(times)]
-    if each > 1:
+    if each == 3:
         values = values.reshape(len(times), each, -1)
     elif path == "rotation":
         values = normalize_quaternions(values)

@@ -16,6 +16,8 @@ from gesturekit.motion.rotations import (
     quaternion_from_matrix,
 )
 
+AT_REST = np.zeros(1)
+"""A time (1,) for the rest pose, which has no curves."""
 _DEEPEST = 1000
 """Largest number of nodes above one another; bodies have about 20."""
 _AT_ONCE = 100_000
@@ -93,7 +95,7 @@ class Nodes:
     def matrices(self) -> np.ndarray:
         """Return the transforms (N, 4, 4) from each node to the world at rest."""
         everything = list(range(len(self.parents)))
-        places, _, linear = self._block(self.order, {}, np.zeros(1))
+        places, _, linear = self._block(self.order, {}, AT_REST)
         back = np.argsort(self.order)
         world = np.tile(np.eye(4), (len(everything), 1, 1))
         world[:, :3, :3], world[:, :3, 3] = linear[0, back], places[0, back]

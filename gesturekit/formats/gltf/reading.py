@@ -17,7 +17,7 @@ from gesturekit.errors import MotionError
 from gesturekit.formats.axes import AXES, USUAL_FORWARD, FileAxes, file_axes, with_y_up
 from gesturekit.formats.gltf.animation import read_animation
 from gesturekit.formats.gltf.file import Gltf
-from gesturekit.formats.gltf.nodes import Nodes
+from gesturekit.formats.gltf.nodes import AT_REST, Nodes
 from gesturekit.formats.plausibility import METRES, guess_unit
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions, rotate_vectors
@@ -108,7 +108,7 @@ def _joints(gltf: Gltf, nodes: Nodes) -> tuple[list[int], list[int]]:
     for node in nodes.order:
         if nodes.parents[node] in inside and not entries[node].keys() & {"mesh", "camera"}:
             inside.add(node)
-    inside |= _between(nodes, inside)
+    inside = _closed(nodes, inside)
     trees = _trees(nodes, inside)
     root = max(trees, key=lambda node: len(trees[node]))
     above = nodes.parents[root]
@@ -118,10 +118,11 @@ def _joints(gltf: Gltf, nodes: Nodes) -> tuple[list[int], list[int]]:
             trees[above] = [above, *(node for one in beside for node in trees.pop(one))]
             root = above
     tree = set(trees.pop(root))
-    if others := [str(entries[node].get("name", node))[:60] for node in trees]:
+    if trees:
+        named = {node: str(entries[node].get("name", node)) for node in (root, *trees)}
         warnings.warn(
-            f"{gltf.path}: several skeletons; that of {str(entries[root].get('name', root))[:60]} "
-            f"with {len(tree)} joints is read, not {listed(others, 4)}",
+            f"{gltf.path}: several skeletons; that of {named.pop(root)[:60]} with {len(tree)} "
+            f"joints is read, not {listed([name[:60] for name in named.values()], 4)}",
             stacklevel=3,
         )
     ends = [
@@ -154,17 +155,13 @@ def _named_joints(gltf: Gltf, nodes: Nodes) -> set[int]:
     return whole
 
 
-def _between(nodes: Nodes, joints: set[int]) -> set[int]:
-    """Return the nodes that lie between two joints."""
-    found: set[int] = set()
-    for node in joints:
-        path, above = [], nodes.parents[node]
-        while above >= 0 and above not in joints and above not in found:
-            path.append(above)
-            above = nodes.parents[above]
-        if above >= 0:
-            found.update(path)
-    return found
+def _closed(nodes: Nodes, joints: set[int]) -> set[int]:
+    """Return joints and the nodes that lie between two of them."""
+    below = set(joints)
+    for node in nodes.order:
+        if nodes.parents[node] in below:
+            below.add(node)
+    return below & set(nodes.with_ancestors(list(joints)))
 
 
 def _trees(nodes: Nodes, joints: set[int]) -> dict[int, list[int]]:
@@ -191,7 +188,7 @@ def _rest(
     nodes: Nodes, joints: list[int], ends: list[int], names: list[str], metres: float
 ) -> tuple[Skeleton, np.ndarray]:
     """Return the rig at rest, and the world rotations (J, 4) of its nodes there."""
-    positions, turns = (each[0] for each in nodes.world(joints + ends, {}, np.zeros(1)))
+    positions, turns = (each[0] for each in nodes.world(joints + ends, {}, AT_REST))
     at = {node: k for k, node in enumerate(joints)}
     above = np.array([at.get(nodes.parents[node], -1) for node in joints + ends], int)
     offsets = metres * (positions - np.where(above[:, None] >= 0, positions[above], 0.0))
@@ -218,7 +215,7 @@ def _moved(
     local = np.concatenate([turns[:, :1], multiply_quaternions(inverse, turns[:, 1:])], axis=1)
     steps = rotate_vectors(inverse, positions[:, 1:] - positions[:, above])
     low, high = steps.min(axis=0), steps.max(axis=0)
-    moves = (high - low > _STILL).any(axis=-1)
+    moves = (high - low > _STILL).any(axis=1)
     offsets = skeleton.offsets.copy()
     offsets[1:][~moves] = ((low + high) / 2)[~moves]
     moving = {skeleton.names[j + 1]: steps[:, j] for j in np.flatnonzero(moves)}
@@ -229,7 +226,7 @@ def _in_our_axes(motion: Motion, up: str, forward: str) -> Motion:
     """Return the motion with Y up and +Z forward; its rest pose stands and faces +Z if it can."""
     found = file_axes(motion)
     forward = USUAL_FORWARD.get(up, "z") if forward == "auto" else forward
-    if not {up, forward} <= set(AXES):
+    if not {up, forward}.issubset(AXES):
         raise MotionError(f"axes {up!r} and {forward!r}; expected {', '.join(AXES)}")
     rest = found.rest or (None if "forward" in found.guessed else (found.up, found.forward))
     motion = with_y_up(motion, FileAxes(up, forward, rest))
