@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import struct
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from avatars import picture
+from avatars import avatar_json, packed, picture
 from gltf_files import GltfFile, arm
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
@@ -341,6 +342,26 @@ def test_animations_without_names_are_numbered(tmp_path):
     file = arm().animate([(0, "rotation", [0, 1], [(0, 0, 0, 1)] * 2)], name="wave")
     facts = avatar_facts(file.save(tmp_path / "a.glb"))
     assert (facts["animations"], facts["meshes"], facts["vrm"]) == (["1", "wave"], 0, None)
+    assert facts["humanoid"] == 0
+
+
+@pytest.mark.parametrize("version", [0, 1])
+def test_who_made_an_avatar_and_under_which_licence(tmp_path, version):
+    """Texts of any length and kind; the warnings of a file are those of its reading."""
+    found, data = avatar_json(version)
+    found["animations"] = [{"name": "a" * 61}]
+    found["extensionsRequired"] = ["KHR_xmp"]
+    one = {"title": "n" * 201, "author": "me", "otherLicenseUrl": "http://a.b"}
+    if version:
+        one = {"name": "n" * 201, "authors": ["me", 3, "you"], "licenseUrl": "http://a.b"}
+    next(iter(found["extensions"].values()))["meta"] = one
+    (tmp_path / "a.vrm").write_bytes(packed(found, data))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        facts = avatar_facts(tmp_path / "a.vrm")
+    assert facts["name"] == "n" * 200 and facts["licence"] == "http://a.b"
+    assert facts["authors"] == ("me, you" if version else "me")
+    assert facts["vrm"] == ("1.0" if version else "0.x") and facts["animations"] == ["a" * 60]
 
 
 def colours(path: Path, material: dict, uv: list, image: bytes = b"") -> np.ndarray:

@@ -17,12 +17,35 @@ from PIL import Image
 from gesturekit.errors import FormatError
 from gesturekit.formats.gltf.materials import reduce_colours
 from gesturekit.formats.gltf.skin import Skin
-from gesturekit.formats.gltf.vrm import read_avatar
+from gesturekit.formats.gltf.vrm import avatar_facts, read_avatar
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.viewer import write_picture, write_video
 from gesturekit.viewer.avatars import load_avatar, simplified
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.video.mesh import SkinnedBody
+
+
+def test_bones_without_a_counterpart_are_passed_over_and_thumbs_are_counted(tmp_path):
+    """VRM 1.0 begins the thumb with the metacarpal, 0.x with the proximal segment."""
+    for version, names in enumerate((("Proximal", "Distal"), ("Metacarpal", "Distal"))):
+        found, data = avatar_json(version)
+        human = next(iter(found["extensions"].values()))["humanoid"]
+        hand = next(node for node in found["nodes"] if node["name"] == "leftHand")
+        more = {f"leftThumb{name}": len(found["nodes"]) + k for k, name in enumerate(names)}
+        hand["children"] += more.values()
+        found["nodes"] += [{"name": name, "translation": [1.0, 0, 4.0]} for name in more]
+        more |= {"jaw": 0, "leftEye": 0}
+        if version:
+            human["humanBones"] |= {name: {"node": node} for name, node in more.items()}
+        else:
+            human["humanBones"] += [{"bone": name, "node": node} for name, node in more.items()]
+            human["humanBones"] += [{"bone": ["hips"], "node": 1}, {"bone": None, "node": 1}]
+        (tmp_path / "me.vrm").write_bytes(packed(found, data))
+        rig = read_avatar(tmp_path / "me.vrm")[0].skeleton
+        thumb = [name for name in rig.names if "Thumb" in name]
+        assert thumb == ["LeftHandThumb1", "LeftHandThumb3"]
+        assert avatar_facts(tmp_path / "me.vrm")["humanoid"] == rig.n_joints == len(BONES) + 2
+
 
 LEFT_ARM = {"Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "HandIndex1": "IndexProximal"}
 
@@ -127,6 +150,20 @@ def changed(*path: Any, value: Any = None, drop: bool = False) -> Callable[[dict
             place[path[-1]] = value
 
     return change
+
+
+def test_meshes_of_several_pieces_are_joined_without_their_lines(tmp_path):
+    def add(found: dict) -> None:
+        pieces = found["meshes"][0]["primitives"]
+        pieces += [{**pieces[0], "mode": 1}, {**pieces[0], "mode": 4}]
+
+    one, two = (
+        read_avatar(with_changes(tmp_path / "me.vrm", *changes))[1] for changes in ((), (add,))
+    )
+    np.testing.assert_array_equal(two.faces, [*one.faces, *(one.faces + len(one.vertices))])
+    for name in ("vertices", "joints", "weights", "regions"):
+        own = getattr(one, name)
+        np.testing.assert_array_equal(getattr(two, name), [*own, *own])
 
 
 def test_faces_of_transparent_texture_are_left_out(tmp_path):
@@ -271,7 +308,25 @@ def test_a_base_colour_is_linear_light(tmp_path):
     np.testing.assert_array_equal(skin.palette, [[128, 7, 255]])
 
 
+def at(name: str) -> int:
+    return names().index(name)
+
+
+HUMAN = ("extensions", "VRMC_vrm", "humanoid", "humanBones")
 BAD = {
+    "a leg on no hips": (
+        lambda found: found["nodes"][0]["children"].remove(at("leftUpperLeg")),
+        "a bone of its humanoid is not below the hips",
+    ),
+    "hips on a spine": (
+        lambda found: found["extensions"]["VRMC_vrm"]["humanoid"]["humanBones"].update(
+            hips={"node": at("spine")}, spine={"node": at("hips")}
+        ),
+        "a bone of its humanoid is not below the hips",
+    ),
+    "twice one node": (changed(*HUMAN, "leftHand", "node", value=0), "two bones .* are one node"),
+    "a giant": (changed("nodes", len(BONES) + 1, "scale", value=[1.0] * 3), "is 1[67].* metres"),
+    "a dwarf": (changed("nodes", len(BONES) + 1, "scale", value=[2e-4] * 3), "is 0.03.* metres"),
     "no metadata": (changed("extensions", drop=True), "Export it as VRM"),
     "no head": (
         changed("extensions", "VRMC_vrm", "humanoid", "humanBones", "head", drop=True),

@@ -93,11 +93,11 @@ def read_avatar(path: str | os.PathLike[str]) -> tuple[Avatar, Skin]:
     nodes = Nodes(gltf)
     world = nodes.matrices()
     if is_backwards:
-        world = np.diag([-1.0, 1.0, -1.0, 1.0]) @ world
+        world[:, [0, 2]] *= -1
     joints = [node for node in nodes.order if node in bones]
     names = [bones[node] for node in joints]
     at = {node: joint for joint, node in enumerate(joints)}
-    owners = np.full(len(nodes.order), -1)
+    owners = np.empty(len(nodes.order), int)
     above = []
     for node in nodes.order:
         parent = nodes.parents[node]
@@ -108,7 +108,7 @@ def read_avatar(path: str | os.PathLike[str]) -> tuple[Avatar, Skin]:
         owners[node] = owner
     if names[0] != "Hips" or above.count(-1) != 1:
         raise gltf.error("a bone of its humanoid is not below the hips")
-    owners[owners < 0] = 0  # what hangs on no bone moves with the hips
+    owners = np.maximum(owners, 0)  # what hangs on no bone moves with the hips
     rest = world[joints, :3, 3]
     mesh = replace(_mesh(gltf, world, owners), rest=rest)
     try:
