@@ -324,6 +324,15 @@ BAD = {
         ),
         "a bone of its humanoid is not below the hips",
     ),
+    "few vertices": (changed("accessors", 0, "count", value=7), "indices are beyond the 7 vert"),
+    "few coordinates": (changed("accessors", 3, "count", value=9), "TEXCOORD_0 has 9 elements"),
+    # Bytes from the second half on are those of 96 to 191, and as signed ones partly negative.
+    "negative indices": (
+        lambda found: found["accessors"][4].update(componentType=5120, byteOffset=864),
+        "indices are beyond the 192 vert",
+    ),
+    "whole weights": (changed("accessors", 2, "componentType", value=5125), "WEIGHTS_0 holds"),
+    "few matrices": (changed("accessors", 5, "count", value=3), "3 inverseBindMatrices for 24"),
     "twice one node": (changed(*HUMAN, "leftHand", "node", value=0), "two bones .* are one node"),
     "a giant": (changed("nodes", len(BONES) + 1, "scale", value=[1.0] * 3), "is 1[67].* metres"),
     "a dwarf": (changed("nodes", len(BONES) + 1, "scale", value=[2e-4] * 3), "is 0.03.* metres"),
@@ -373,12 +382,16 @@ def test_files_that_are_cut_short_are_refused(tmp_path, n_bytes):
         load_avatar(tmp_path / "me.vrm")
 
 
-def test_values_that_are_not_numbers_are_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [(np.nan, "POSITION holds numbers that are not finite"), (2e4, "not finite, or kilometres")],
+)
+def test_values_that_are_not_numbers_or_far_are_refused(tmp_path, value, says):
     found, data = avatar_json(1)
     start = found["bufferViews"][0]["byteOffset"]
-    broken = data[:start] + np.float32(np.nan).tobytes() + data[start + 4 :]
+    broken = data[:start] + np.float32(value).tobytes() + data[start + 4 :]
     (tmp_path / "me.vrm").write_bytes(packed(found, broken))
-    with pytest.raises(FormatError, match="POSITION holds numbers that are not finite"):
+    with pytest.raises(FormatError, match=says):
         load_avatar(tmp_path / "me.vrm")
 
 
