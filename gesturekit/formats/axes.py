@@ -147,7 +147,7 @@ def with_y_up(motion: Motion, axes: FileAxes) -> Motion:
 
 def _vector(axis: str) -> np.ndarray:
     """(3,) unit vector of an axis such as "-y"."""
-    return np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0)
+    return np.concatenate([np.eye(3), -np.eye(3)])[AXES.index(axis)]
 
 
 def _along(vectors: np.ndarray) -> np.ndarray:
@@ -176,7 +176,7 @@ def _evidence(motion: Motion) -> tuple[tuple[str, str] | None, str | None]:
 def _rest_axes(skeleton: Skeleton, parts: BodyParts) -> tuple[str, str] | None:
     """Return (up, forward) of the rest pose; None if it does not stand or is contradictory."""
     rest = np.broadcast_to(IDENTITY, (skeleton.n_joints, 4))
-    places = forward_kinematics(rest, np.zeros(3), skeleton)
+    places = forward_kinematics(rest, skeleton.offsets[0], skeleton)
 
     def between(start: str, end: str) -> np.ndarray:
         return places[skeleton.index(end)] - places[skeleton.index(start)]
@@ -224,8 +224,8 @@ def _upper_body_axes(
     up = ups.pop()
     if ups or up is None or left is None or left[-1] == up[-1]:
         return None
-    upper = [(left_arm, 1.0), (right_arm, -1.0)]
-    if any(sign * between(a.shoulder, a.elbow) @ _vector(left) < 0 for a, sign in upper):
+    outward = [between(arm.shoulder, arm.elbow) @ _vector(left) for arm in (left_arm, right_arm)]
+    if outward[0] < 0 or outward[1] > 0:
         return None  # left and right may be named the wrong way round
     return up, _axis(np.cross(_vector(left), _vector(up)))
 

@@ -85,8 +85,9 @@ def blender_command(path: Path) -> list[str]:
     Raises:
         FormatError: neither program nor module was found.
     """
-    here = Path(__file__).parents[1]
-    script = here / _SCRIPT if (here / _SCRIPT).exists() else here.parent / _SCRIPT
+    # In a wheel it lies in the package, in a checkout beside it.
+    places = (folder / _SCRIPT for folder in Path(__file__).parents)
+    script = next(place for place in places if place.exists())
     program = os.environ.get(PROGRAM) or shutil.which("blender")
     if not program and find_spec("bpy"):
         program = sys.executable
@@ -108,13 +109,12 @@ def _blender(path: Path, *arguments: str | Path) -> None:
         done = subprocess.run(
             [*blender_command(path), *map(str, arguments)],
             capture_output=True,
-            text=True,
             errors="replace",
             timeout=_SECONDS,
             check=False,
         )
-        said = printable((done.stderr.strip() or done.stdout.strip()).rpartition("\n")[2][-300:])
+        said = printable((done.stderr.strip() or done.stdout.strip()).rpartition("\n")[2])
     except (OSError, subprocess.TimeoutExpired) as error:
-        said = str(error)[-300:]
+        said = str(error)
     if not made.exists():
-        raise FormatError(f"{path}: Blender did not convert it: {said}")
+        raise FormatError(f"{path}: Blender did not convert it: {said[-300:]}")

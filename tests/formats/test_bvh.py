@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -179,7 +180,7 @@ def test_a_file_without_channels_and_one_of_too_many_joints_are_refused(write):
                 parse_bvh(write(text))
 
 
-@pytest.mark.parametrize("value", ["0", "-0.03", "x", "nan", "inf", ""])
+@pytest.mark.parametrize("value", ["0", "-0.03", "x", "nan", "inf", "", "0.0000099", "100000.5"])
 def test_an_invalid_frame_time_is_an_error_unless_fps_is_given(write, value):
     path = write(SMALL.replace("0.0333333", value))
     with pytest.raises(FormatError, match="Frame Time.*--in-fps"):
@@ -226,7 +227,11 @@ def test_the_frames_of_a_file_count_more_than_their_number(write, old, new, kept
 
 def test_decimal_commas_are_read_as_points(write):
     points = SMALL.replace("5 11 21", "5.25 -11.5 21e-1").replace("0 50 0", "0 50.5 0")
-    expected = read_bvh(write(points))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        expected = read_bvh(write(points))
+    with pytest.warns(UserWarning, match="clip.bvh: its decimal commas are read as points"):
+        read_bvh(write(SMALL.replace("5 11 21", "5,25 11 21")))
     with pytest.warns(UserWarning, match="clip.bvh: its decimal commas are read as points"):
         motion = read_bvh(write(points.replace(".", ",")))
     assert motion.fps == expected.fps == 30
@@ -248,6 +253,10 @@ def test_files_that_are_not_bvh_are_refused(write, tmp_path):
         read_bvh(write(bytes(range(256)) * 50))
     with pytest.raises(FormatError, match="over 1048576"):
         read_bvh(write(b"x" * (1 << 22)))
+    with pytest.raises(FormatError, match="clip.bvh:20: a line of over 1048576"):
+        read_bvh(write(SMALL.replace("21 31", "1 " * (1 << 21))))
+    with pytest.raises(FormatError, match="clip.bvh:20: '#' is not a number"):
+        read_bvh(write(SMALL.replace("21 31", "21 31 # x")))
     with pytest.raises(FormatError, match="No such file"):
         read_bvh(tmp_path / "absent.bvh")
     with pytest.raises(FormatError, match="directory"):
@@ -355,15 +364,21 @@ def test_fewer_channels(write):
         ("0.0333667", 30000 / 1001),
         ("0.0416667", 24),
         ("0.05", 20),
-        ("0.0123", 1 / 0.0123),
+        ("0.035", 29),  # 30 is 1.7 of the last digit away
+        ("0.039", 26),  # 25 is one whole digit away
+        ("0.0123", 81),
         ("0.5", 2),
         ("3", 1 / 3),
+        ("9.5584477261", 1 / 9.5584477261),
+        ("0.00001", 100_000),
+        ("100000", 0.00001),
     ],
 )
 def test_frame_rates(write, text, fps):
-    assert read_bvh(write(SMALL.replace("0.0333333", text))).fps == pytest.approx(fps, rel=5e-3)
+    found = read_bvh(write(SMALL.replace("0.0333333", text))).fps
+    assert found == pytest.approx(fps, rel=1e-15)
     if fps == int(fps):
-        assert read_bvh(write(SMALL.replace("0.0333333", text))).fps == fps
+        assert found == fps
 
 
 def test_unit_and_axes_can_be_set(write):

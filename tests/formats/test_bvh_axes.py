@@ -216,6 +216,80 @@ def test_a_body_stands_along_the_axis_of_most_frames_if_its_feet_are_on_the_floo
     assert standing_axis(upright) == "y", "as the rest pose shows, whatever the floor"
 
 
+def test_one_foot_on_the_floor_is_enough_and_one_deep_frame_no_matter():
+    """Six of ten frames are turned to Z, the left leg lifted by 60 degrees in all."""
+    motion = at_rest(rig_of(PERSON), 10, (0, 0.89, 0))
+    lifted = Rotation.from_euler("x", -60, degrees=True).as_quat()
+    motion.rotations[:, motion.skeleton.index("LeftUpLeg")] = lifted
+    motion.rotations[:6, 0] = Rotation.from_euler("x", 90, degrees=True).as_quat()
+    motion.translation[:6] = [0, 0, 0.89]
+    motion.translation[0, 2] = -5.0
+    assert standing_axis(motion) == "z"
+
+
+def limb(way: tuple[float, float, float], *names: str) -> dict:
+    """Return the joints of a limb of `PERSON` whose bones all go one way."""
+    return {name: (PERSON[name][0], way) for name in names}
+
+
+@pytest.mark.parametrize(
+    ("changes", "found"),
+    [
+        # A person with hanging arms that leans back is no quadruped, whose trunk is level.
+        (
+            limb((0, -0.28, 0), "LeftForeArm", "LeftHand", "RightForeArm", "RightHand")
+            | {"Spine": ("Hips", (0, 0.1, -0.03)), "Chest": ("Spine", (0, 0.2, -0.06))},
+            FileAxes("y", "z"),
+        ),
+        # Hips that are no axis apart, and legs that stand along none.
+        (
+            {"LeftUpLeg": ("Hips", (0.1, 0, 0.1)), "RightUpLeg": ("Hips", (-0.1, 0, -0.1))},
+            FileAxes("y", "z", guessed=("forward",)),
+        ),
+        (
+            limb((0, -0.3, 0.3), "LeftLeg", "LeftFoot", "RightLeg", "RightFoot"),
+            FileAxes("y", "z", guessed=("up", "forward")),
+        ),
+        # Toes straight down, up to a thousandth of their length.
+        ({f"{side}ToeBase": (f"{side}Foot", (0, -1.0, -0.0005)) for side in ("Left", "Right")},
+         FileAxes("y", "z")),
+        ({"LeftToeBase": ("LeftFoot", (0, -0.1, -0.00015))},
+         FileAxes("y", "z", guessed=("forward",))),
+        ({"LeftToeBase": ("LeftFoot", (0, -10, -0.015))},
+         FileAxes("y", "z", guessed=("forward",))),
+    ],
+)  # fmt: skip
+def test_a_rest_pose_shows_its_axes_if_its_parts_agree(changes, found):
+    assert file_axes(at_rest(rig_of(PERSON | TOES | changes), 3, (0, 0.94, 0))) == found
+
+
+UPPER = {name: bone for name, bone in PERSON.items() if not name.endswith(("Leg", "Foot"))}
+
+
+@pytest.mark.parametrize(("up", "forward"), [("y", "z"), ("-z", "x"), ("x", "-y")])
+def test_a_body_without_legs_shows_its_axes_by_trunk_and_arms(up, forward):
+    hanging = limb((0, -0.28, 0), "LeftForeArm", "LeftHand", "RightForeArm", "RightHand")
+    for bones in (UPPER, UPPER | hanging):
+        motion = at_rest(rig_of(bones), 3, (0, 0.94, 0))
+        assert file_axes(in_axes(motion, up, forward)) == FileAxes(up, forward)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"LeftForeArm": ("LeftArm", (-0.28, 0, 0))},
+        {"RightForeArm": ("RightArm", (0.28, 0, 0))},
+        {"Head": ("Neck", (0, 0, 0.9))},
+        {"LeftArm": ("LeftShoulder", (0.1, 0, 0.3)), "RightArm": ("RightShoulder", (-0.1, 0, 0))},
+        {"LeftArm": ("LeftShoulder", (0, 0.9, 0)), "RightArm": ("RightShoulder", (0, -0.9, 0))},
+    ],
+    ids=["left arm", "right arm", "neck", "shoulders askew", "shoulders upright"],
+)
+def test_a_body_without_legs_whose_parts_disagree_shows_no_forward(changes):
+    motion = at_rest(rig_of(UPPER | changes), 3, (0, 0.94, 0))
+    assert file_axes(motion) == FileAxes("y", "z", guessed=("forward",))
+
+
 def test_turned_axes_turn_every_place(skeleton):
     rng = np.random.default_rng(0)
     turns = Rotation.random(4 * skeleton.n_joints, random_state=1).as_quat()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from inspect import signature
 
 import numpy as np
@@ -58,16 +57,3 @@ def test_no_suffix_has_two_entries():
     suffixes = [entry.suffix for entry in FORMATS]
     assert len(set(suffixes)) == len(suffixes)
     assert all(suffix == FOLDER or suffix.startswith(".") for suffix in suffixes)
-
-
-@pytest.mark.skipif(os.name == "nt", reason="a script of a shell")
-def test_what_blender_says_is_in_the_error(tmp_path, monkeypatch):
-    program = tmp_path / "blender"
-    monkeypatch.setenv("GESTUREKIT_BLENDER", str(program))
-    (tmp_path / "a.fbx").write_bytes(b"x")
-    program.write_text("#!/bin/sh\necho reading >&2\necho no such version: 6100 >&2\nexit 1\n")
-    with pytest.raises(FormatError, match=r"a\.fbx: .*Permission denied"):
-        Motion.load(tmp_path / "a.fbx")
-    program.chmod(0o755)
-    with pytest.raises(FormatError, match=r"a\.fbx: .* convert it: no such version: 6100$"):
-        Motion.load(tmp_path / "a.fbx")

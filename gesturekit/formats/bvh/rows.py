@@ -71,7 +71,7 @@ def parse_rows(lines: Lines, n_frames: int, n_channels: int) -> np.ndarray:
         read = lines.stream.read(_BLOCK)
         text = rest + read
         # The last line is parsed at the end of the file: it may have been cut.
-        end = text.rfind("\n", 0, len(text.rstrip())) + 1 if read else len(text)
+        end = text.rstrip().rfind("\n") + 1 if read else len(text)
         text, rest = text[:end], text[end:]
         if len(rest.rstrip()) >= LONGEST_LINE:
             lines.number += text.count("\n") + 1

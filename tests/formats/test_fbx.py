@@ -1,0 +1,112 @@
+"""FBX files, with a script in the place of Blender."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+from gltf_files import GltfFile, arm
+
+from gesturekit.errors import FormatError
+from gesturekit.formats.fbx import blender_command
+from gesturekit.motion import Motion
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="scripts of a shell")
+# Copies the .glb file that it takes for the other, says a rate, and keeps its arguments.
+COPIES = """#!/bin/sh
+echo "$@" > {log}
+while [ "$1" != -- ]; do shift; done
+cp "$2" "$3"
+case "$3" in *.glb) printf 25.0 > "${{3%.glb}}.txt";; esac
+"""
+
+
+@pytest.fixture
+def blender(tmp_path, monkeypatch):
+    """Return a function that makes a text the program."""
+    program = tmp_path / "bin" / "blender"
+    program.parent.mkdir()
+    monkeypatch.delenv("GESTUREKIT_BLENDER", raising=False)
+    monkeypatch.setenv("PATH", f"{program.parent}:/bin:/usr/bin")
+
+    def become(text: str) -> Path:
+        program.write_text(text)
+        program.chmod(0o755)
+        return program
+
+    return become
+
+
+def test_a_motion_passes_blender_at_30_frames_a_second_and_keeps_its_own_rate(
+    tmp_path, blender, gesture
+):
+    """Its script counts frames; the rate is passed beside the file."""
+    blender(COPIES.format(log=tmp_path / "log"))
+    motion = gesture(0.4).resample(25.0)
+    motion.save(tmp_path / "a.fbx")
+    *options, script, end, source, target, fps = (tmp_path / "log").read_text().split()
+    assert options == ["--background", "--factory-startup", "--python-exit-code", "1", "--python"]
+    assert (Path(source).name, Path(target).name, end, fps) == ("a.glb", "a.fbx", "--", "25.0")
+    assert Path(script).is_file() and Path(script).parts[-2:] == ("blender", "fbx.py")
+    shutil.copy(tmp_path / "a.fbx", tmp_path / "b.glb")
+    copied = Motion.load(tmp_path / "b.glb")
+    assert (copied.fps, copied.n_frames) == (30, motion.n_frames)
+    again = Motion.load(tmp_path / "a.fbx")
+    assert (again.fps, again.n_frames) == (25, motion.n_frames)
+    assert again.info["source"] == str(tmp_path / "a.fbx")
+    assert Motion.load(tmp_path / "a.fbx", fps=50).n_frames == 2 * motion.n_frames
+
+
+def test_warnings_and_errors_name_the_users_file(tmp_path, blender):
+    blender(COPIES.format(log=tmp_path / "log"))
+    path = GltfFile([{}], [[0]]).save(tmp_path / "a.fbx")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(UserWarning, match=rf"^{path}: no animation of its skeleton"):
+            Motion.load(path)
+    path.write_bytes(b"x")
+    with pytest.raises(FormatError, match=rf"^{path}: no binary glTF"):
+        Motion.load(path)
+    arm().save(path)
+    with pytest.raises(FormatError, match=rf"^{path}: unit 'miles'"):
+        Motion.load(path, unit="miles")
+    with pytest.raises(FormatError, match=rf"^{path}: no animation 'x'"):
+        Motion.load(path, animation="x")
+
+
+def test_what_blender_says_is_in_the_error(tmp_path, blender):
+    (tmp_path / "a.fbx").write_bytes(b"x")
+    program = blender("#!/bin/sh\necho reading >&2\necho no such version: 6100 >&2\nexit 1\n")
+    with pytest.raises(FormatError, match=r"a\.fbx: .* convert it: no such version: 6100$"):
+        Motion.load(tmp_path / "a.fbx")
+    blender(f"#!/bin/sh\nprintf '\\377{'x' * 400}\n'")
+    with pytest.raises(FormatError, match=r"a\.fbx: .* convert it: x{300}$"):
+        Motion.load(tmp_path / "a.fbx")
+    program.chmod(0o644)
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(FormatError) as error:
+        patch.setenv("GESTUREKIT_BLENDER", str(program))
+        Motion.load(tmp_path / "a.fbx")
+    assert "Permission denied" in str(error.value)
+
+
+def test_blender_is_stopped_after_a_while(tmp_path, blender, monkeypatch):
+    monkeypatch.setattr("gesturekit.formats.fbx._SECONDS", 0.05)
+    blender("#!/bin/sh\nexec sleep 9\n")
+    (tmp_path / "a.fbx").write_bytes(b"x")
+    with pytest.raises(FormatError, match=r"a\.fbx: Blender did not convert it: .*timed out"):
+        Motion.load(tmp_path / "a.fbx")
+
+
+def test_a_python_with_the_module_takes_the_place_of_the_program(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("GESTUREKIT_BLENDER", raising=False)
+    with pytest.raises(FormatError, match=r"a\.fbx: FBX needs Blender"):
+        blender_command(Path("a.fbx"))
+    (tmp_path / "bpy.py").write_text("")
+    monkeypatch.syspath_prepend(tmp_path)
+    program, script = blender_command(Path("a.fbx"))
+    assert program == sys.executable and Path(script).name == "fbx.py"
