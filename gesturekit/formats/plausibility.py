@@ -89,7 +89,7 @@ def _rate(motion: Motion) -> str:
         question = "is its rate right"
     nearest = min(COMMON_RATES, key=lambda rate: abs(rate - likely))
     likely = nearest if abs(nearest - likely) < 0.01 * likely else likely
-    rate = f"{likely:.4g}" if SLOWEST <= likely <= FASTEST else "RATE"
+    rate = f"{likely:.4g}" if likely >= SLOWEST else "RATE"
     here = f"{motion.fps:.2g}" if motion.fps < SLOWEST else f"{motion.fps:.0f}"
     return f"{here} fps: {question}? --in-fps {rate} sets the rate"
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
 from gesturekit.formats import read_npz, write_npz
-from gesturekit.formats.smpl.skeleton import fit_body, model_pelvis, smpl_skeleton
+from gesturekit.formats.smpl.skeleton import as_smpl, fit_body, model_pelvis, smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.motion.body_shape import BodyShape
@@ -93,6 +93,10 @@ def test_amass_and_beat2_files_are_read_whichever_axis_is_up(tmp_path, up):
     assert again.info["up"] == up and again.fps == 30
     np.testing.assert_allclose(again.positions(), motion.positions(), atol=1e-9)
     assert read_npz(tmp_path / "a.npz", up=up).info["up"] == up
+    foreign(tmp_path / "a.npz", motion, up, times=np.arange(20), spec="x")
+    assert read_npz(tmp_path / "a.npz").n_frames == 20, "keys of speech features do not matter"
+    with pytest.raises(FormatError, match="up axis 'x'; expected auto, y, z, -y"):
+        read_npz(tmp_path / "a.npz", up="x")
 
 
 def test_real_amass_style_file(shared_data, tmp_path):
@@ -208,6 +212,7 @@ def test_expressions_follow_the_frames(tmp_path):
     part = motion[3:9]
     np.testing.assert_array_equal(part.expressions, values["expressions"][3:9])
     assert part.mirror().expressions.shape == (6, 100)
+    assert as_smpl(motion, 52).expressions is None, "only SMPL-X has them"
     half = motion.resample(15.0)
     np.testing.assert_allclose(half.expressions, values["expressions"][::2], atol=1e-12)
 
@@ -340,6 +345,13 @@ def test_the_average_body_is_as_tall_as_people_are():
         assert 1.6 < at["head"][1] - at["left_foot"][1] + 0.17 + 0.02 < 1.8
         assert 1.3 < at["left_wrist"][0] - at["right_wrist"][0] < 1.5
         assert abs(at["left_ankle"][1] - 0.07) < 0.03
+        # A finger's bones lie along the arm, two or three centimetres each after its first joint.
+        for finger in ("index", "middle", "pinky", "ring", "thumb") if n_joints > 24 else ():
+            bones = [rig.offsets[rig.index(f"left_{finger}{k}")] for k in (1, 2, 3)]
+            reach = np.linalg.norm(bones[0])
+            assert (0.04 if finger == "thumb" else 0.09) < reach < 0.12, finger
+            for along, *across in bones[1:]:
+                assert 0.015 < along < 0.035 and across == [0, 0], finger
         for name in (name for name in rig.names if name.startswith("left")):
             left, right = (rig.offsets[rig.index(n)] for n in (name, name.replace("left", "right")))
             np.testing.assert_array_equal(right, left * [-1, 1, 1], err_msg=name)
@@ -378,7 +390,9 @@ def test_a_body_model_gives_the_rig_its_bones(tmp_path, capsule_body):
     [
         ({"poses": np.zeros((20, 99))}, "(20, 99)"),
         ({"poses": np.zeros(165)}, "(165,)"),
-        ({"trans": np.zeros((19, 3))}, "(19, 3)"),
+        ({"poses": np.zeros((20, 166))}, "(20, 166)"),
+        ({"poses": np.array(1.0)}, "()"),
+        ({"trans": np.zeros((19, 3))}, "key 'trans' has shape (19, 3); expected (20, 3)"),
         ({"mocap_framerate": None}, "mocap_frame_rate"),
         ({"trans": None}, "'trans'"),
         ({"poses": np.full((20, 165), np.nan)}, "frame 0"),
@@ -458,7 +472,8 @@ def test_nothing_pickled_is_ever_loaded(tmp_path):
 def test_parts_named_by_hand_are_kept(tmp_path, gesture):
     motion = gesture(0.5).with_parts({"head": "Neck", "left_elbow": "LeftForeArm"})
     motion.save(tmp_path / "a.npz")
-    assert read_npz(tmp_path / "a.npz").skeleton.parts == motion.skeleton.parts
+    again = read_npz(tmp_path / "a.npz").skeleton
+    assert again.parts == motion.skeleton.parts and again.body_shape == BodyShape()
 
 
 @pytest.mark.parametrize("n_joints", [22, 55])

@@ -45,24 +45,24 @@ def from_amass(archive: Archive, up: str) -> Motion:
         FormatError: a key is missing, pickled, or of a wrong shape.
     """
     if lacking := [key for key in ("poses", "trans") if key not in archive]:
-        held = [ascii(key)[1:-1][:40] for key in archive]
+        held = [ascii(key)[1:-1] for key in archive]
         raise FormatError(
             f"{archive.path}: not a motion: there is no key {lacking[0]!r}. An npz of motion is in "
             "gesturekit's own format or has the keys poses, trans and mocap_frame_rate of AMASS "
-            f"and BEAT2; this one has {listed(held, 8) or 'none'}"
+            f"and BEAT2; this one has {listed([key[:40] for key in held], 8) or 'none'}"
         )
     poses = archive.numbers("poses")
     if poses.ndim == 3:  # some keep the joints apart: (T, J, 3)
         poses = poses.reshape(len(poses), -1)
     trans = archive.numbers("trans")
-    n_joints = poses.shape[1] // 3 if poses.ndim == 2 else 0
-    if n_joints not in N_JOINTS or poses.shape[1] % 3:
+    if poses.ndim != 2 or poses.shape[1] not in [3 * n for n in N_JOINTS]:
         raise FormatError(
             f"key 'poses' has shape {poses.shape}; expected (frames, 3 x joints) with "
             f"{', '.join(map(str, N_JOINTS))} joints of an SMPL rig"
         )
     if trans.shape != (len(poses), 3):
         raise FormatError(f"key 'trans' has shape {trans.shape}; expected ({len(poses)}, 3)")
+    n_joints = poses.shape[1] // 3
     rotations = quaternion_from_rotation_vector(poses.reshape(len(poses), n_joints, 3))
     rest = model_pelvis(n_joints)
     rotations, pelvis, up = to_y_up(rotations, trans + rest, up)
@@ -101,7 +101,7 @@ def to_amass(motion: Motion, up: str) -> dict[str, Any]:
         "mocap_framerate": rate,
     }
     if n_joints == 55:
-        face = np.zeros((n_frames, 0)) if motion.expressions is None else motion.expressions
+        face = np.empty((n_frames, 0)) if motion.expressions is None else motion.expressions
         lacking = max(0, _N_EXPRESSIONS - face.shape[1])
         values["expressions"] = np.pad(face, ((0, 0), (0, lacking)))
         values["model"] = shape.version or "smplx2020"
