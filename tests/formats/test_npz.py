@@ -212,7 +212,10 @@ def test_expressions_follow_the_frames(tmp_path):
     part = motion[3:9]
     np.testing.assert_array_equal(part.expressions, values["expressions"][3:9])
     assert part.mirror().expressions.shape == (6, 100)
-    assert as_smpl(motion, 52).expressions is None, "only SMPL-X has them"
+    other = as_smpl(motion, 52)
+    assert other.expressions is None, "only SMPL-X has them"
+    other.info["source"] = "other"
+    assert motion.info["source"] == str(tmp_path / "beat2.npz")
     half = motion.resample(15.0)
     np.testing.assert_allclose(half.expressions, values["expressions"][::2], atol=1e-12)
 

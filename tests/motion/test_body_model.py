@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -279,16 +280,23 @@ def test_the_mean_body_of_recordings_has_the_bones_of_the_mean_betas(body):
         shape = BodyShape(betas, gender=gender)
         return body.rig(replace(smpl_skeleton(24), body_shape=shape))
 
-    mean = mean_body([rig((1.0,)), rig((3.0, 2.0)), rig((9.0,), "female")])
-    assert mean.body_shape.betas == (2.0, 1.0) and mean.body_shape.gender == "male"
-    joints = body.joints_at_rest([2.0, 1.0])
+    mean = mean_body([rig((1.0,)), rig((3.0, 2.0)), rig((8.0, 1.0)), rig((9.0,), "female")])
+    assert mean.body_shape.betas == (4.0, 1.0) and mean.body_shape.gender == "male"
+    joints = body.joints_at_rest([4.0, 1.0])
     np.testing.assert_allclose(mean.body_shape.pelvis, joints[0], atol=1e-12)
     bones = joints[1:] - joints[list(mean.parents[1:])]
     np.testing.assert_allclose(mean.offsets[1:], bones, atol=1e-12)
-    feet = body.vertices_at_rest([2.0, 1.0], body.feet)
+    feet = body.vertices_at_rest([4.0, 1.0], body.feet)
     for name, first in (("left_foot", 0), ("right_ankle", 5)):
         place = joints[mean.index(name)] + mean.end_sites[name][0]
         np.testing.assert_allclose(place, feet[first], atol=1e-12)
+    np.testing.assert_array_equal(mean_body([mean]).offsets, mean.offsets)
+
+
+def test_a_model_whose_joints_hang_together_otherwise_is_refused(body):
+    other = replace(body, parents=(*body.parents[:-1], 20))
+    with pytest.raises(FormatError, match="a model of 24 joints, not of the SMPL family"):
+        fit_body(a_motion(), other)
 
 
 def test_a_model_with_fewer_betas_than_the_body_warns(body):
@@ -296,6 +304,9 @@ def test_a_model_with_fewer_betas_than_the_body_warns(body):
     with pytest.warns(UserWarning, match="a model of 20 betas for a body of 21; the others are"):
         fitted = fit_body(motion, body)
     known = body.rig(a_motion(betas=np.ones(20)).skeleton)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        fit_body(a_motion(betas=np.ones(20)), body)
     np.testing.assert_array_equal(fitted.skeleton.offsets, known.offsets)
     assert len(fitted.skeleton.body_shape.betas) == 21  # and are written again
 
