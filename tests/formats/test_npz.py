@@ -484,3 +484,41 @@ def test_the_face_is_kept_on_the_body_alone(tmp_path, n_joints):
     face = np.random.default_rng(0).normal(size=(20, 100))
     write_npz(replace(smpl_motion(n_joints), expressions=face), tmp_path / "a.npz")
     np.testing.assert_array_equal(read_npz(tmp_path / "a.npz").expressions, face)
+
+
+def seamless(path, motion, **change):
+    """Write a motion of SMPL-H in the axes of a camera, Y down, with the keys of Seamless."""
+    half = Rotation.from_euler("x", 180, degrees=True)
+    turns = Rotation.from_quat(motion.rotations.reshape(-1, 4)).as_rotvec().reshape(-1, 52, 3)
+    turns[:, 0] = (half * Rotation.from_rotvec(turns[:, 0])).as_rotvec()
+    parts = np.split(turns, [1, 22, 37], axis=1)
+    names = ("global_orient", "body_pose", "left_hand_pose", "right_hand_pose")
+    values = dict(zip(names, parts)) | {"global_orient": turns[:, 0]}
+    values["translation"] = half.apply(motion.translation) - model_pelvis(52)
+    values |= change
+    np.savez(path, **{f"smplh:{key}": value for key, value in values.items() if value is not None})
+    return path
+
+
+def test_files_of_seamless_interaction_are_stood_up(tmp_path):
+    motion = smpl_motion(52)
+    again = read_npz(seamless(tmp_path / "a.npz", motion))
+    assert (again.fps, again.info["up"]) == (30, "-y")
+    assert again.skeleton.body_shape.pelvis == tuple(model_pelvis(52))
+    np.testing.assert_allclose(again.positions(), motion.positions(), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"translation": None}, "no key 'smplh:translation' in the archive"),
+        ({"body_pose": np.zeros((20, 22, 3))}, r"body_pose' has shape \(20, 22, 3\); .*21, 3\)"),
+        ({"left_hand_pose": np.zeros((19, 45))}, "differ in their numbers of frames"),
+        ({"translation": np.zeros((19, 3))}, "differ in their numbers of frames"),
+        ({"translation": np.full((20, 3), np.nan)}, "keys 'smplh:…': .*frame 0"),
+    ],
+)
+def test_files_of_seamless_interaction_that_are_broken(tmp_path, change, says):
+    path = seamless(tmp_path / "a.npz", smpl_motion(52), **change)
+    with pytest.raises(FormatError, match=rf"^{path}: .*{says}"):
+        read_npz(path)
