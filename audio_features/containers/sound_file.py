@@ -70,8 +70,8 @@ def numbers(samples: ArrayLike, name: str) -> np.ndarray:
     if values.ndim == 0:
         kind = type(samples).__name__
         raise AudioError(f"{name}: {kind}, expected an array of samples, or the path of a file")
-    if values.ndim > 2:  # a batch of one sound
-        values = values.reshape([n for n in values.shape if n != 1] or [1])
+    # A batch of one sound.
+    values = values.reshape([n for n in values.shape if n != 1] or [1])
     if values.ndim not in (1, 2) or not values.size:
         raise AudioError(
             f"{name}: shape {values.shape}, expected samples (N,), or channels (C, N) or (N, C)"

@@ -46,7 +46,7 @@ class Family:
     prefixes: tuple[str, ...]
     inputs: Literal["waveform", "filter bank", "log-mel", "tokens"]
     settings: tuple[str, ...]
-    pools: bool = False
+    pools: bool
 
 
 def _family(
@@ -111,6 +111,7 @@ FAMILIES = {
         ("model.encoder.", "encoder."),
         "log-mel",
         ("activation_function", "encoder_attention_heads", "scale_embedding"),
+        False,
     ),
 }
 """Supported speech encoders by model_type."""

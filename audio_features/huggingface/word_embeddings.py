@@ -194,14 +194,14 @@ def _tokeniser(folder: Path, vocabulary: int) -> Any:
         tokeniser = AutoTokenizer.from_pretrained(
             str(folder), local_files_only=True, trust_remote_code=False
         )
-        largest = max(tokeniser.get_vocab().values(), default=-1)
+        largest = max(tokeniser.get_vocab().values())
     except Exception as error:  # transformers and tokenizers raise several classes
         reason = " ".join(str(error).split())[:200]
         raise WeightsError(
             f"{folder}: the tokeniser cannot be read ({reason}): download tokenizer.json and "
             "tokenizer_config.json (or the vocabulary) with the weights"
         ) from error
-    if not 0 <= largest < vocabulary:
+    if largest >= vocabulary:
         raise WeightsError(
             f"{folder}: the tokeniser's vocabulary reaches token {largest}, the encoder has "
             f"{vocabulary}: tokeniser and weights must come from the same model"

@@ -262,6 +262,18 @@ def test_of_channels_that_cancel_each_other_the_loudest_is_used(tmp_path, noisy)
         assert not wave.repairs
 
 
+def test_offsets_of_silent_channels_and_faulty_samples_have_no_power(tmp_path):
+    both = np.tile(np.array([0.25, -0.25], np.float32), (400, 1))
+    soundfile.write(tmp_path / "a.wav", both, 16_000, "FLOAT")
+    wave = Wave.load(tmp_path / "a.wav")
+    assert wave.repairs == () and not wave.samples.any()
+    small = 0.01 * np.sin(np.arange(400))
+    both = np.stack([small, -small], 1).astype(np.float32)
+    both[7, 0] = np.nan
+    soundfile.write(tmp_path / "a.wav", both, 16_000, "FLOAT")
+    assert "the channels cancel" in Wave.load(tmp_path / "a.wav").repairs[-1]
+
+
 @pytest.mark.parametrize(("share", "cancels"), [(0.66, False), (0.70, True)])
 def test_channels_cancel_below_a_tenth_of_the_power_of_one_alone(share, cancels):
     """The mean of a and -s a has (1 - s)^2 of the power of the mean of a and silence."""
