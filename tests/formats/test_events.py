@@ -16,6 +16,12 @@ def test_events_come_in_order_of_time_whatever_the_order_of_rows_and_columns(tmp
     assert load_events(file) == (Event(0.0, "nod"),)
     file.write_text("time,name\n")
     assert load_events(file) == ()
+    names = ["a" * 80, *(f"e{k}" for k in range(999))]
+    file.write_text("time,name\n" + "".join(f"604800,{name}\n" for name in names))
+    assert sorted(event.name for event in load_events(file)) == sorted(names)
+    blank = b" " * 131_071 + b"\n"
+    file.write_bytes((b"time,name\n0,nod\n" + 64 * blank)[: 8 << 20])
+    assert load_events(file) == (Event(0.0, "nod"),), "of 8 MB"
 
 
 @pytest.mark.parametrize(

@@ -51,10 +51,11 @@ def read_table(
 def _text(path: Path, megabytes: int) -> str:
     if path.exists() and not path.is_file():
         raise FormatError(f"{path}: not a regular file")
+    most = megabytes << 20
     try:
         with path.open("rb") as file:
-            data = file.read((megabytes << 20) + 1)
-        if len(data) > megabytes << 20:
+            data = file.read(most + 1)
+        if len(data) > most:
             raise FormatError(f"{path}: over {megabytes} MB, too large for such a table")
         return data.decode("utf-8-sig")
     except FileNotFoundError:
