@@ -94,16 +94,17 @@ def _levels(file: soundfile.SoundFile) -> _Levels:
     frames, differ = 0, False
     peak, total, square = np.zeros(n), np.zeros(n), np.zeros(n)
     clipped = np.zeros(n, dtype=np.int64)
-    while len(block := file.read(max(1, _BLOCK // n), dtype="float32", always_2d=True)):
-        values = np.nan_to_num(block, posinf=0.0, neginf=0.0).astype(np.float64)
+    while len(block := file.read(_BLOCK // n, always_2d=True)):
+        values = np.where(np.isfinite(block), block, 0.0)
         frames += len(block)
         peak = np.maximum(peak, np.abs(values).max(axis=0))
         total += values.sum(axis=0)
         square += np.square(values).sum(axis=0)
         clipped += (np.abs(values) >= _FULL_SCALE).sum(axis=0)
         differ |= bool((values != values[:, :1]).any())
-    mean = total / max(frames, 1)
-    rms = np.sqrt(np.maximum(square / max(frames, 1) - mean**2, 0.0))
+    count = max(frames, 1)
+    mean = total / count
+    rms = np.sqrt(np.maximum(square / count - mean**2, 0.0))
     return _Levels(frames, peak, rms, mean, clipped, differ)
 
 
@@ -118,7 +119,7 @@ def _speech(wave: af.Wave) -> dict[str, Any]:
         "active_level_dbfs": speech.active_level(),
         "is_silent": wave.is_silent,
         "has_voice": not speech.is_silent,
-        "active_share": float(active.mean()) if len(active) else 0.0,
+        "active_share": float(active.mean()),
         "longest_pause": float(pauses.max(initial=0) * hop),
     }
 
@@ -134,7 +135,7 @@ def _rows(facts: dict[str, Any], levels: _Levels) -> list[tuple[str, str]]:
     rows = [
         (
             "time",
-            f"{span(facts['seconds'])}: {facts['frames']} samples at {facts['sample_rate']} Hz, "
+            f"{span(facts['seconds'])}: {counted(facts['frames'], 'sample')} at {facts['sample_rate']} Hz, "
             f"{decoded}",
         ),
         ("channels", channels),

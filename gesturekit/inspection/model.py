@@ -40,7 +40,7 @@ def inspect_model(folder: Path) -> Summary:
     """
     try:
         config = read_yaml(folder / "config.yaml")
-        rig = json.loads((folder / "skeleton.json").read_text(encoding="utf-8"))
+        rig = json.loads((folder / "skeleton.json").read_bytes())
         skeleton = Skeleton.from_json(rig["skeleton"])
         shapes = _tensors(folder / "model.safetensors")
         fps, joints, features = float(config["fps"]), list(config["joints"]), config["features"]

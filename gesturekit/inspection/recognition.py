@@ -119,7 +119,7 @@ def kind_of(path: str | Path) -> str:
 
 def _recognised(path: Path) -> str:
     """Describe a path of kind "other"."""
-    if path.is_dir() and is_copy(path):
+    if is_copy(path):
         return f"a recipe; gesturekit train {path} trains it"
     if path.is_dir():
         return "a feature model of fit-features; give it to evaluate"

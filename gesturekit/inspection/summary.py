@@ -34,14 +34,14 @@ class Summary:
     drawing: Callable[[int], Sequence[str]] | None = None
     problems: tuple[str, ...] = ()
 
-    def lines(self, width: int = 100) -> list[str]:
+    def lines(self, width: int) -> list[str]:
         """Return the summary as lines of at most `width` columns."""
         shown = [("problem", problem) for problem in self.problems[:_PROBLEMS]]
         if len(self.problems) > _PROBLEMS:
             shown.append(("problem", f"and {len(self.problems) - _PROBLEMS} more; --json has all"))
         rows = [*self.rows, *shown]
         column = 4 + min(_LABEL, max((len(label) for label, _ in rows), default=0))
-        lines = textwrap.wrap(self.title, width) or [""]
+        lines = textwrap.wrap(self.title, width)
         for label, text in rows:
             lines += textwrap.wrap(
                 text,

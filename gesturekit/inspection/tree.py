@@ -10,7 +10,7 @@ from gesturekit.motion.skeleton import Skeleton
 _BELOW = " > "
 
 
-def tree(skeleton: Skeleton, labels: Mapping[str, str], width: int = 100) -> list[str]:
+def tree(skeleton: Skeleton, labels: Mapping[str, str], width: int) -> list[str]:
     """Return the lines of the tree: each joint follows its parent, parts are in brackets.
 
     End joints come last on their line, and the fingers of a hand share one line.

@@ -272,13 +272,13 @@ def test_fingers_and_ends_in_a_tree(names, parents, lines):
     kinds = {"Hand": "left wrist", "Top": "end", "Arm": None}
     labels = {name: kinds.get(name, "finger") for name in names if name != "Arm"}
     rig = Skeleton(tuple(names), tuple(parents), np.zeros((len(names), 3)))
-    assert tree(rig, labels) == lines
+    assert tree(rig, labels, 100) == lines
 
 
 def test_a_tree_of_one_joint_and_of_no_parts(gesture):
     motion = gesture(0.5)
-    assert tree(motion.keep(["Hips"]).skeleton, {}) == ["Hips"]
-    assert "LeftHand" in "\n".join(tree(motion.skeleton, {}))
+    assert tree(motion.keep(["Hips"]).skeleton, {}, 100) == ["Hips"]
+    assert "LeftHand" in "\n".join(tree(motion.skeleton, {}, 100))
 
 
 def test_a_rig_as_deep_as_a_file_may_be():
@@ -288,7 +288,7 @@ def test_a_rig_as_deep_as_a_file_may_be():
         names += [f"j{depth + 1}", f"tooth{depth}"]
         parents += [0 if depth == 0 else 2 * depth - 1] * 2
     comb = Skeleton(tuple(names), tuple(parents), np.zeros((len(names), 3)))
-    assert len(tree(comb, {})) == 3001
+    assert len(tree(comb, {}, 100)) == 3001
 
 
 def test_warnings_of_a_reader_are_listed_as_problems(tmp_path):

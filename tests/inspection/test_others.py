@@ -69,8 +69,11 @@ def test_a_summary_as_lines_and_as_json():
         "t": [True, None, "p"],
         "problems": list(problems),
     }
-    few = Summary("other", "A title", {}, problems=problems[:8]).lines()
+    few = Summary("other", "A title", {}, problems=problems[:8]).lines(100)
     assert len(few) == 9 and few[1] == "  problem  problem 0"
+    assert Summary("other", "A title", {}).lines(100) == ["A title"]
+    hyphens = Summary("other", "A title", {}, (("a", "non-fatal well-known"),)).lines(18)
+    assert hyphens[1:] == ["  a  non-fatal", "     well-known"]
 
 
 # Sounds
@@ -106,7 +109,7 @@ def test_sounds_with_something_wrong(tmp_path):
         summary = inspect(path)
         assert any(says in problem for problem in summary.problems), (name, summary.problems)
         facts = plain(summary)
-        assert facts["channels"] == 2 and "\n".join(summary.lines())
+        assert facts["channels"] == 2 and "\n".join(summary.lines(100))
         assert facts.get("has_voice", True) == (name not in ("zeros", "noise")), name
 
 
@@ -124,13 +127,44 @@ def test_levels_of_square_waves(tmp_path):
     no_voice = "no voice (noise, hum or whispering): models of speech generate idle motion"
     assert summary.problems == (no_voice, "DC offset of 0.250 of full scale")
     np.testing.assert_allclose(summary.facts["mean"], [0.0, 0.25], atol=1e-7)
-    loud = np.where(np.arange(8000) < 7, 1.0, square)
-    soundfile.write(path, np.stack([loud] * 3, 1), 8000, subtype="FLOAT")
+    loud = np.where(np.arange(8000) < 7, 0.999, square)
+    soundfile.write(path, np.stack([loud] * 3, 1), 8000, subtype="DOUBLE")
     summary = inspect(path)
     assert row(summary, "channels") == "3 channels, all channels equal; models use their mean"
-    assert row(summary, "level") == "peak 0.0 dBFS, RMS -6.0 dBFS"
+    assert row(summary, "level") == "peak -0.0 dBFS, RMS -6.0 dBFS"
     assert summary.problems == (no_voice, "clipped: 21 samples at full scale")
     assert summary.facts["clipped"] == [7, 7, 7]
+    square[[3, 5, 8]] = np.inf, -np.inf, np.nan  # taken as 0
+    soundfile.write(path, square, 8000, subtype="DOUBLE")
+    facts = inspect(path).facts
+    assert (facts["peak_dbfs"], facts["clipped"]) == ([20 * np.log10(0.5)], [0])
+    assert facts["mean"] == [0.5 / 8000]  # two of -1/2 and one of 1/2 are gone
+
+
+def test_faults_at_their_bounds(tmp_path):
+    """Clipping counts above one sample in 100,000, an offset above 1 % of full scale, or of the
+    peak of a file whose full scale is not 1, and silence of a channel below -75 dBFS.
+    """
+
+    def problems(samples: np.ndarray, rate: int = 8000) -> tuple[str, ...]:
+        soundfile.write(tmp_path / "a.wav", samples, rate, subtype="DOUBLE")
+        return inspect(tmp_path / "a.wav").problems
+
+    short = problems(np.array([0.01]))
+    assert len(short) == 1 and "1 samples" in short[0]
+    assert inspect(tmp_path / "a.wav").facts["mean"] == [0.01]
+    assert row(inspect(tmp_path / "a.wav"), "time").startswith("0.00 s: 1 sample at 8000 Hz")
+    square = np.tile([0.5, -0.5], 50_000)
+    square[9] = 1.0
+    assert not any("clipped" in problem for problem in problems(square))
+    square[7] = 1.0
+    assert problems(square)[1:] == ("clipped: 2 samples at full scale",)
+    # One loud channel says that full scale is not 1; of 10,500 its offset is 4.8 %.
+    large = np.stack([np.tile([0.5, -0.5], 4000), np.tile([1e4, -1e4], 4000) + 500], 1)
+    assert problems(large)[1:] == ("DC offset of 0.048 of full scale",)
+    voice = voiced(1.0) / np.abs(voiced(1.0)).max()
+    channels = np.stack([0.5 * voice, 10 ** (-75.5 / 20) * voice, 10 ** (-74.5 / 20) * voice], 1)
+    assert problems(channels, 16_000) == ("channel 2 is silent: the mean loses 6 dB or more",)
 
 
 def test_the_rows_and_faults_of_speech(tmp_path):
@@ -149,6 +183,14 @@ def test_the_rows_and_faults_of_speech(tmp_path):
     level = 20 * np.log10(np.abs(quiet).max())
     assert rows["level"].startswith(f"peak {level:.1f} dBFS, RMS ")
     assert rows["level"].endswith(f", speech {facts['active_level_dbfs']:.1f} dBFS")
+    # Two thirds of the voice's own second, and of its first tenth all.
+    for sound, says in (
+        (voice, "66 % of the time, silence 34 %; the longest pause takes 0.17 s"),
+        (voice[::-1], "66 % of the time, silence 34 %; the longest pause takes 0.17 s"),
+        (voice[:1600], "100 % of the time, silence 0 %; the longest pause takes 0.00 s"),
+    ):
+        soundfile.write(tmp_path / "b.wav", sound, 16_000)
+        assert row(inspect(tmp_path / "b.wav"), "speech") == says
     soundfile.write(tmp_path / "half.wav", np.stack([voice, 0 * voice], 1), 16_000)
     half = inspect(tmp_path / "half.wav")
     assert half.problems == ("channel 2 is silent: the mean loses 6 dB or more",)
