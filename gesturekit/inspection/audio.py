@@ -135,8 +135,8 @@ def _rows(facts: dict[str, Any], levels: _Levels) -> list[tuple[str, str]]:
     rows = [
         (
             "time",
-            f"{span(facts['seconds'])}: {counted(facts['frames'], 'sample')} at {facts['sample_rate']} Hz, "
-            f"{decoded}",
+            f"{span(facts['seconds'])}: {counted(facts['frames'], 'sample')} at "
+            f"{facts['sample_rate']} Hz, {decoded}",
         ),
         ("channels", channels),
         (

@@ -19,6 +19,7 @@ from gesturekit.errors import GestureKitError
 from gesturekit.inspection import Summary, inspect
 from gesturekit.inspection.tree import tree
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.systems import model_folder
 
 
@@ -39,6 +40,7 @@ def test_a_gesture(gesture, tmp_path):
     assert pose == "rest pose or T-pose: the first 15 frames"
     facts = json.loads(json.dumps(summary.to_json(), allow_nan=False))
     assert facts["parts"]["LeftForeArm"] == "left elbow"
+    assert 0 < facts["hand_speed_mean"] < 0.5 * facts["hand_speed_max"]
     assert 1.2 < facts["height"] < 2.2 and facts["contact_share"].keys() == {"left", "right"}
 
 
@@ -70,7 +72,7 @@ def walk():
     return make
 
 
-@pytest.mark.parametrize(("degrees", "side"), [(0, "+Z"), (90, "+X"), (180, "-Z"), (-90, "-X")])
+@pytest.mark.parametrize(("degrees", "side"), [(0, "+Z"), (90, "+X"), (136, "-Z"), (-90, "-X")])
 def test_every_row_of_a_walk_of_known_size(walk, tmp_path, degrees, side):
     walk(degrees).save(tmp_path / "walk.bvh")
     summary = inspect(tmp_path / "walk.bvh")
@@ -93,6 +95,57 @@ def test_every_row_of_a_walk_of_known_size(walk, tmp_path, degrees, side):
     assert summary.facts["path_length"] == pytest.approx(1.5, abs=1e-6)
     assert summary.facts["displacement"] == pytest.approx(0.5, abs=1e-6)
     assert summary.facts["turning_joints"] == ["LeftForeArm"] and summary.problems == ()
+
+
+def test_the_body_goes_where_its_pelvis_goes(walk, tmp_path):
+    """A pelvis below a root that moves too, and a rope whose tail alone moves."""
+    motion = walk()
+    old = motion.skeleton
+    rig = replace(
+        old,
+        names=("Root", *old.names),
+        parents=(-1, *(parent + 1 for parent in old.parents)),
+        offsets=np.concatenate([np.zeros((1, 3)), old.offsets]),
+        rotation_orders=("ZXY", *old.rotation_orders),
+    )
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (41, 1, 1))
+    steps = np.linspace(0.0, 1.0, 41)[:, None]
+    rotations = np.concatenate([still, motion.rotations], axis=1)
+    moved = {"Hips": steps * [0.0, 0.0, 1.0]}
+    both = Motion(rig, rotations, steps * [0.0, 0.0, 1.0], 20.0, joint_translations=moved)
+    both.save(tmp_path / "a.npz")
+    facts = inspect(tmp_path / "a.npz").facts
+    assert facts["travelling_joints"] == ["Root", "Hips"]
+    assert facts["path_length"] == pytest.approx(2.0) == facts["displacement"]
+    rope = Skeleton(("rope", "tail"), (-1, 0), [[0, 0, 0], [0, 0.5, 0]])
+    tail = {"tail": steps * [0.0, 0.0, 0.7]}
+    Motion(rope, still.repeat(2, 1), np.zeros((41, 3)), 20.0, joint_translations=tail).save(
+        tmp_path / "a.npz"
+    )
+    facts = inspect(tmp_path / "a.npz").facts
+    assert facts["travelling_joints"] == ["tail"]
+    assert facts["path_length"] == pytest.approx(0.7)
+
+
+def test_a_child_stands_and_travels_by_its_size(walk, tmp_path):
+    """Half the size: a tenth of a millimetre is 0.05 mm, and 0.2 m/s of a still foot is 0.1."""
+    motion = walk()
+    offsets = 0.5 / body_scale(motion.skeleton) * motion.skeleton.offsets
+    rig = replace(motion.skeleton, offsets=offsets, end_sites={})
+    still = np.tile([0.0, 0.9, 0.0], (41, 1))
+    for far, says in ((0.7e-4, "Hips changes place"), (0.3e-4, "nothing changes place")):
+        place = still + np.linspace(0.0, far, 41)[:, None] * [0.0, 0.0, 1.0]
+        replace(motion, skeleton=rig, translation=place).save(tmp_path / "a.npz")
+        rows = dict(inspect(tmp_path / "a.npz").rows)
+        assert says in rows["moves"] and "(heel or toe below 0.1 m/s)" in rows["feet"]
+
+
+def test_names_that_repeat_in_a_file_are_listed(walk, tmp_path):
+    walk().save(tmp_path / "a.bvh")
+    text = (tmp_path / "a.bvh").read_text().replace("JOINT RightHand", "JOINT LeftHand")
+    (tmp_path / "a.bvh").write_text(text)
+    renamed = row(inspect(tmp_path / "a.bvh"), "renamed")
+    assert renamed == "names that repeat: LeftHand_2 (was LeftHand)"
 
 
 def test_an_upper_body_is_said_to_be_one(walk, tmp_path):
@@ -132,6 +185,9 @@ def test_the_tree_of_a_person(walk):
         "├─ LeftUpLeg > LeftLeg > LeftFoot",
         "└─ RightUpLeg > RightLeg > RightFoot",
     ]
+    longest = "│  └─ RightShoulder > RightArm > RightForeArm > RightHand"
+    for width, fits in ((len(longest), True), (len(longest) - 1, False)):
+        assert (longest in tree(walk().skeleton, labels, width)) == fits
 
 
 def test_rest_poses_at_both_ends_trembling_and_many_jumps(gesture, tmp_path):
@@ -155,6 +211,10 @@ def test_rest_poses_at_both_ends_trembling_and_many_jumps(gesture, tmp_path):
     replace(motion, rotations=rotations).save(tmp_path / "a.npz")
     jumps = next(p for p in inspect(tmp_path / "a.npz").problems if "12 jumps" in p)
     assert jumps.endswith("frames 20 (0.67 s), 21 (0.70 s), 35 (1.17 s), 36 (1.20 s) and 8 more")
+    rotations[45:, arm] = gesture(4.0).rotations[45:, arm]
+    replace(motion, rotations=rotations).save(tmp_path / "a.npz")
+    jumps = next(p for p in inspect(tmp_path / "a.npz").problems if "4 jumps" in p)
+    assert jumps.endswith("frames 20 (0.67 s), 21 (0.70 s), 35 (1.17 s), 36 (1.20 s)")
 
 
 def test_the_heading_of_a_rotated_file_is_reported_in_our_axes(gesture, tmp_path):
@@ -221,6 +281,9 @@ def test_an_avatar(version, meta, named, tmp_path, recwarn):
     assert row(summary, "avatar") == vrm and row(summary, "licence") == "vrm.dev/1.0"
     assert row(summary, "contents") == "1 mesh, 0 animations" and summary.problems == ()
     assert f"{len(BONES) + 1} joints" in row(summary, "body")  # and one of the hair
+    del meta["licenseUrl" if version else "licenseName"]
+    (tmp_path / "me.vrm").write_bytes(packed(found, data))
+    assert row(inspect(tmp_path / "me.vrm"), "licence") == "none named"
 
 
 def test_the_contents_of_a_glb(gesture, tmp_path):
@@ -234,6 +297,15 @@ def test_one_frame_is_enough(gesture, tmp_path):
     gesture(1.0)[3:4].save(tmp_path / "one.bvh")
     summary = inspect(tmp_path / "one.bvh")
     assert "1 frame at 30 fps" in row(summary, "time") and summary.problems == ()
+    rests = gesture(1.0, t_pose=3)
+    rests[:1].save(tmp_path / "one.bvh")
+    assert "hands" not in dict(summary.rows) and inspect(tmp_path / "one.bvh").problems == ()
+    rests[:2].save(tmp_path / "two.bvh")
+    summary = inspect(tmp_path / "two.bvh")
+    assert "it is in its rest pose or a T-pose all the time" in summary.problems
+    assert row(summary, "hands").startswith("0.00 m/s on average")
+    rests[2:4].save(tmp_path / "two.bvh")
+    assert "rest pose or T-pose: the first 1 frame" in inspect(tmp_path / "two.bvh").problems
 
 
 def test_the_tree_names_every_joint_but_fingers_and_fits(shared_data):

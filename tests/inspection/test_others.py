@@ -7,11 +7,14 @@ import os
 import re
 import shutil
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
+import yaml
+from safetensors.numpy import save_file
 from sounds import voiced
 
 import audio_features as af
@@ -239,6 +242,14 @@ def test_every_row_of_a_feature_file(tmp_path):
         ("made by", "unknown"),
     )
     assert summary.problems == ("never change: 0, 2",)
+    uneven = [0.1, 0.35, 0.6, 1.6]
+    for n in (4, 2):
+        four = af.FeatureTrack(values[[0, 1, 2, 2]][:n], uneven[:n], {"kind": "Bär"})
+        four.save(tmp_path / "b.npz")
+        rows = dict(inspect(tmp_path / "b.npz").rows)
+        assert f": {n} frames at 4 a second, " in rows["time"]
+        assert rows["made by"] == '{"kind": "Bär"}'
+        assert inspect(tmp_path / "b.npz").problems == summary.problems
     facts = plain(summary)
     assert (facts["first"], facts["last"], facts["rate"]) == (0.1, 0.6, 4.0)
     np.testing.assert_allclose(facts["mean"], [1, 5, 5])
@@ -309,6 +320,62 @@ def test_a_damaged_model_names_what_is_wrong(tmp_path):
                 read(copy)
 
 
+def test_every_row_of_a_model_that_is_not_the_bundled_one(tmp_path):
+    """Styles, reduced features, a network of another kind, no recall and no speech."""
+    shutil.copytree(model_folder("demo"), copy := tmp_path / "model")
+    path = copy / "config.yaml"
+    config = yaml.safe_load(path.read_text(encoding="utf-8"))
+    names = [f"s{k}" for k in range(14)]
+    about = {"architecture": "diffwave", "heads": 4, "dilations": [1, 2], "blocks": 3}
+    changes = {"styles": names, "network": about, "recorded_fps": 60.0, "recall": None}
+    spec = {"kind": "stack", "parts": [{"kind": "mfcc"}, {"kind": "music", "hop": 2}]}
+    path.write_text(yaml.safe_dump(config | changes | {"features": {"spec": spec}}))
+    rig = json.loads((copy / "skeleton.json").read_bytes())
+    rig["speakers"] = dict.fromkeys(names[::-1], 0.0)
+    (copy / "skeleton.json").write_text(json.dumps(rig), encoding="utf-8")
+    tensors = {"features.components": np.ones((3, 2), "f4"), "network.a": np.ones((5, 7), "f4")}
+    save_file(tensors | {"other": np.ones(9, "f4")}, copy / "model.safetensors")
+    notes = "# A\n- **Kind**: x\n- **Styles**: s0\n- **Data**: *mine*\nelse\n"
+    (copy / "README.md").write_text(notes, encoding="utf-8")
+    summary = inspect(copy)
+    fingers = "LeftHandThumb1, LeftHandThumb2, LeftHandThumb3, LeftHandIndex1 and 26 more"
+    listed = ", ".join(names[:12]) + " and 2 more"
+    speakers = ", ".join(sorted(names)[:12]) + " and 2 more"
+    assert summary.rows == (
+        ("moves", f"22 of 52 joints at 30 fps, resampled to 60 fps; not {fingers}"),
+        ("speech features", "mfcc, music (hop 2)"),
+        ("reduced features", "3 features reduced to 2 components"),
+        ("network", "architecture diffwave, blocks 3, dilations 1-2"),
+        ("parameters", "35"),
+        ("styles", listed),
+        ("speakers", speakers),
+        ("data", "*mine*"),
+    )
+    n_bytes = sum(file.stat().st_size for file in copy.iterdir())
+    assert summary.title == f"{copy}: model, multires, format 1, {size(n_bytes)}"
+    for features, text in ((None, "none"), ({}, "none"), ({"spec": "own"}, "own")):
+        path.write_text(yaml.safe_dump(config | {"features": features, "network": "small"}))
+        rows = dict(inspect(copy).rows)
+        assert (rows["speech features"], rows["network"]) == (text, "small")
+    (copy / "README.md").unlink()
+    assert list(dict(inspect(copy).rows))[-1] == "speakers"
+    path.write_text(yaml.safe_dump(config | {"features": "mfcc"}))
+    with pytest.raises(ModelError, match="features is 'mfcc', expected a mapping"):
+        inspect(copy)
+
+
+def test_a_model_that_lacks_a_part_names_it(tmp_path):
+    shutil.copytree(model_folder("demo"), copy := tmp_path / "model")
+    weights = copy / "model.safetensors"
+    weights.write_bytes(weights.read_bytes()[:1000])
+    with pytest.raises(ModelError, match="model: model.safetensors is damaged: "):
+        inspect(copy)
+    for name in ("model.safetensors", "skeleton.json"):
+        (copy / name).unlink()
+        with pytest.raises(ModelError, match=f"model: the model lacks {name}$"):
+            inspect(copy)
+
+
 # Corpora
 
 
@@ -322,12 +389,13 @@ def test_a_manifest(corpus):
 def test_every_row_of_a_manifest(write_pair, tmp_path):
     audio, motion = write_pair(tmp_path, "a", seconds=3.0)
     pair = {"audio": audio, "motion": motion, "duration": 3.0}
+    styles = iter("nmlkjihgfedcba")
     items = [
-        Item(id="a", split="train", speaker="Ann", style="old", **pair),
-        Item(id="m", split="train", speaker="Ann", mirror=True, **pair),
-        Item(id="b", split="test", speaker="Bob", reading={"up": "y"}, **pair),
+        Item(id="a", split="train", speaker="Zoe", style=next(styles), **pair),
+        Item(id="m", split="train", speaker="Zoe", mirror=True, **pair),
+        Item(id="b", split="test", speaker="Bob", reading={"up": "y", "parts": {}}, **pair),
         Item(id="s", split="train", **pair | {"motion": None, "duration": 130.0}),
-        Item(id="k", split="valid", **pair | {"audio": None}),
+        Item(id="k", split="valid", speaker="Al", **pair | {"audio": None}),
     ]
     path = tmp_path / "corpus.jsonl"
     Manifest(items).save(path)
@@ -337,7 +405,7 @@ def test_every_row_of_a_manifest(write_pair, tmp_path):
     assert rows[pairs].endswith(", 9.00 s: train 2 (6.00 s), test 1 (3.00 s)")
     assert rows[alone].endswith(", 2.2 min: train 1 (2.2 min)")
     assert rows["motion alone"].endswith(", 3.00 s: valid 1 (3.00 s)")
-    assert (rows["speakers"], rows["styles"]) == ("Ann (2), Bob (1)", "old (1)")
+    assert (rows["speakers"], rows["styles"]) == ("Zoe (2), Al (1), Bob (1)", "n (1)")
     assert (rows["reading"], rows["mirrored"]) == ("up y (1)", "1 of 5")
     assert rows["rig"] == "19 joints, 30 fps (of recording a)"
     assert summary.facts["seconds"] == 142.0 and summary.title.endswith(", 2.4 min")
@@ -345,21 +413,39 @@ def test_every_row_of_a_manifest(write_pair, tmp_path):
         "train": {"items": 2, "seconds": 6.0},
         "test": {"items": 1, "seconds": 3.0},
     }
+    alone = [
+        Item(id=f"{k}", style=style, **pair | {"motion": None, "audio_start": float(k)})
+        for k, style in enumerate(styles)
+    ]
+    Manifest(alone).save(path)
+    rows = dict(inspect(path).rows)
+    assert rows["speakers"] == "none named" and "rig" not in rows and "mirrored" not in rows
+    assert rows["styles"].startswith("a (1), b (1), c") and rows["styles"].endswith(" and 1 more")
 
 
 def test_missing_files_and_leaks_between_splits_are_reported(write_pair, tmp_path):
     audio, motion = write_pair(tmp_path, "a")
     about = {"audio": audio, "motion": motion}
     items = [
-        Item(id="a", duration=3.0, split="train", **about | {"motion": None}),
         Item(id="b", duration=1.0, split="test", audio_start=2.5, **about),
+        Item(id="a", duration=3.0, split="train", **about | {"motion": None}),
         Item(id="c", duration=1.0, audio=None, motion=tmp_path / "gone.bvh"),
     ]
     path = tmp_path / "corpus.jsonl"
     Manifest(items).save(path)
-    problems = inspect(path).problems
-    assert any("1 file missing" in p and "gone.bvh" in p for p in problems)
-    assert any("is in train (a) and in test (b) at 2.50 s" in p for p in problems)
+    missing, leak = inspect(path).problems
+    assert missing == f"1 file missing: {tmp_path / 'gone.bvh'}"
+    assert leak == f"{audio} is in train (a) and in test (b) at 2.50 s"
+    # Pieces may overlap by a millisecond.
+    for start, split, n in ((2.999, "test", 0), (2.9985, "test", 1), (1.0, "train", 0)):
+        items[0] = replace(items[0], audio_start=start, split=split, motion=None)
+        Manifest(items[:2]).save(path)
+        assert len(inspect(path).problems) == n, (start, split)
+    Manifest([items[2], Item(id="d", duration=1.0, audio=None, motion=motion)]).save(path)
+    assert row(inspect(path), "rig") == "19 joints, 30 fps (of recording d)"
+    motion.write_text("Dear diary,\n")
+    summary = inspect(path)
+    assert "rig" not in dict(summary.rows) and "a.bvh:1" in summary.problems[-1]
 
 
 def test_a_folder_of_recordings(write_pair, write_speech, gesture, tmp_path):
@@ -371,8 +457,28 @@ def test_a_folder_of_recordings(write_pair, write_speech, gesture, tmp_path):
     assert row(summary, "paired") == "1 recording, 4.0 s"
     assert row(summary, "speech alone") == "1 recording, 3.0 s"
     assert row(summary, "motion alone") == "1 recording, 2.0 s"
-    assert any("broken.bvh:1" in problem for problem in summary.problems)
-    assert plain(summary)["paired"] == 1
+    assert sum("broken.bvh:1" in problem for problem in summary.problems) == 1
+    assert not {"speakers", "styles"} & dict(summary.rows).keys()
+    facts = plain(summary)
+    assert [facts[key] for key in ("items", "paired", "speech_alone", "motion_alone")] == [
+        3,
+        1,
+        1,
+        1,
+    ]
+    assert (facts["seconds"], summary.title) == (9.0, f"{tmp_path}: 3 recordings, 9.00 s")
+    assert (facts["joints"], facts["frame_rates"]) == ({"19": 2}, {"30.0": 2})
+    assert facts["sample_rates"] == {"16000": 2}
+    read: list[object] = []
+    inspect(tmp_path, read={"height": 1.2}, progress=lambda tasks: read.extend(tasks) or tasks)
+    assert len(read) == 4
+    heights = row(inspect(tmp_path, read={"height": 1.2}), "body heights")
+    assert heights == "1.2 m" != row(summary, "body heights")
+    named = inspect(tmp_path, parts={"left_elbow": "Elbow"})
+    assert any("no joint 'Elbow'" in problem for problem in named.problems)
+    (tmp_path / "none").mkdir()
+    (tmp_path / "none" / "a.bvh").write_text("Dear diary,\n")
+    assert any("a.bvh:1" in problem for problem in inspect(tmp_path / "none").problems)
 
 
 # Runs
@@ -384,7 +490,7 @@ def make_run(folder):
     (folder / "command.txt").write_text("gesturekit train light.yaml\n")
     (folder / "versions.json").write_text('{"torch": "2.1", "platform": "x"}')
     (folder / "metrics.jsonl").write_text(
-        '{"step": 10, "rec": 0.5}\n{"step": 20, "rec": 0.25}\n{"st'
+        '{"step": 10, "rec": 0.5}\n3\n{"st\n{"step": 20, "rec": 0.25, "note": "x"}\n{"st'
     )
     (folder / "checkpoints" / "step_00000020.pt").touch()
     return folder
@@ -405,6 +511,9 @@ def test_running_and_finished_runs_are_described(tmp_path):
     }
     for path in run.rglob("*"):
         os.utime(path, (1e9, 1e9))
+    os.utime(run / "metrics.jsonl", (1e10, 1e10))  # by a machine whose clock is ahead
+    assert inspect(run).facts["silent_seconds"] == 0.0
+    os.utime(run / "metrics.jsonl", (1e9, 1e9))
     old = inspect(run)
     assert row(old, "state").endswith(f" h ago; gesturekit train --resume {run} goes on")
     assert f"training run, stopped, {old.facts['bytes']} bytes" in old.title
@@ -413,6 +522,10 @@ def test_running_and_finished_runs_are_described(tmp_path):
         (run / name).touch()
         assert plain(inspect(run))["state"] == "running"
         os.utime(run / name, (1e9, 1e9))
+    (run / "versions.json").write_text("[1]")
+    (run / "metrics.jsonl").write_text("")
+    new = inspect(run)
+    assert row(new, "step") == "none logged yet" and "made with" not in dict(new.rows)
     (run / "model").mkdir()
     (run / "model" / "config.yaml").write_text("kind: multires\n")
     assert plain(inspect(run))["state"] == "finished"
@@ -434,8 +547,12 @@ def test_unknown_files_are_reported_in_one_line(gesture, tmp_path):
         with pytest.raises(FormatError, match=says) as told:
             inspect(tmp_path / name)
         assert "\n" not in str(told.value)
-    with pytest.raises(ConfigError, match="only motion has parts"):
-        inspect("demo", parts={"head": "Head"})
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(FormatError, match="pipe: not a regular file"):
+        inspect(tmp_path / "pipe")
+    for options in ({"parts": {"head": "Head"}}, {"read": {"up": "z"}}):
+        with pytest.raises(ConfigError, match="only motion has parts"):
+            inspect("demo", **options)
     run = make_run(tmp_path / "run")
     assert "inspect its folder" in inspect(run / "config.yaml").title
     (run / "config.yaml").write_text("- a\n")
@@ -453,9 +570,16 @@ def test_other_kinds_of_files_are_recognised(gesture, tmp_path):
     (tmp_path / "other.html").write_text("<html></html>")
     gesture(0.2).save(tmp_path / "still.png")
     (tmp_path / "skin.obj").write_text("v 0.0 0.0 0.0\n")
+    (tmp_path / "words.obj").write_text("Dear diary,\n")
+    (tmp_path / "words.xyz").write_text("v 0.0 0.0 0.0\n")
     (tmp_path / "kick.events.csv").write_text("time,name\n1.0,kick\n")
     (tmp_path / "walk.path.csv").write_text("time,x,z\n0,0,0\n")
     (tmp_path / "light.yaml").write_text("system: multires\n")
+    (tmp_path / "dark.yml").write_text("system: multires\n")
+    (tmp_path / "events.out.tfevents.1").write_bytes(b"\0")
+    (tmp_path / "step.pt").write_bytes(b"\0")
+    gesture(0.2).save(tmp_path / "motion.bvh")
+    shutil.copy(tmp_path / "motion.bvh", tmp_path / "b.txt")
     (tmp_path / "raters.yaml").write_text("systems:\n  ours: clips\n")
     (tmp_path / "my_recipe").mkdir()
     (tmp_path / "my_recipe" / "config.yaml").write_text("system: multires\n")
@@ -472,6 +596,9 @@ def test_other_kinds_of_files_are_recognised(gesture, tmp_path):
     shutil.copy(tmp_path / "feature_model.json", tmp_path / "features")
     shutil.copy(tmp_path / "still.png", tmp_path / "a.txt")
     for path, says in (
+        ("step.pt", "not recognised"),
+        ("words.obj", "not recognised"),
+        ("words.xyz", "not recognised"),
         ("foreign.npz", "no key 'poses'.*AMASS and BEAT2; this one has clips, rate$"),
         ("settings.json", "a JSON object with the keys colour; of JSON, motion is read"),
     ):
@@ -491,6 +618,9 @@ def test_other_kinds_of_files_are_recognised(gesture, tmp_path):
         ("kick.events.csv", "a table of events"),
         ("walk.path.csv", "a path of the root"),
         ("light.yaml", "gesturekit train .*light.yaml"),
+        ("dark.yml", "gesturekit train .*dark.yml"),
+        ("events.out.tfevents.1", f"the log of a run, .* --logdir {tmp_path}$"),
+        ("b.txt", "looks like .*BVH.* inside; give it the suffix of one$"),
         ("raters.yaml", "a user study; gesturekit study build .*raters.yaml makes its page$"),
         ("my_recipe", "a recipe; gesturekit train .*my_recipe trains it$"),
         ("feature_model.json", "part of a feature model"),
