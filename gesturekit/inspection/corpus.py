@@ -75,9 +75,9 @@ def inspect_manifest(path: Path) -> Summary:
 def inspect_recordings(
     folder: Path,
     *,
-    parts: Mapping[str, str] | None = None,
-    read: Mapping[str, Any] | None = None,
-    progress: Callable[[list[Any]], Iterable[Any]] = iter,
+    parts: Mapping[str, str] | None,
+    read: Mapping[str, Any] | None,
+    progress: Callable[[list[Any]], Iterable[Any]],
 ) -> Summary:
     """Summarise a folder of recordings as `gesturekit prepare` would find it; reads all of them.
 

@@ -40,9 +40,7 @@ _STANDS = 1e-4
 """Range up to which a root counts as not travelling, metres on the reference body."""
 
 
-def inspect_motion(
-    path: Path, *, parts: Mapping[str, str] | None = None, **options: Any
-) -> Summary:
+def inspect_motion(path: Path, *, parts: Mapping[str, str] | None, **options: Any) -> Summary:
     """Summarise a motion file, or a folder with one file per frame.
 
     Args:
@@ -160,10 +158,9 @@ def _defects(motion: Motion) -> list[str]:
     return found
 
 
-def _at(frames: Sequence[int], fps: float, most: int = 4) -> str:
-    more = f" and {len(frames) - most} more" if len(frames) > most else ""
-    shown = ", ".join(f"{frame} ({frame / fps:.2f} s)" for frame in frames[:most])
-    return f"frame{'s' * (len(frames) > 1)} {shown}{more}"
+def _at(frames: Sequence[int], fps: float) -> str:
+    shown = listed([f"{frame} ({frame / fps:.2f} s)" for frame in frames], 4)
+    return f"frame{'s' * (len(frames) > 1)} {shown}"
 
 
 def _rows(

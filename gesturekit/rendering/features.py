@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -42,8 +42,6 @@ class FeatureExtraction(Processor):
     channel: int | None
     cache: Literal["fp32", "fp16"] | None
     existing: str
-    settings: dict[str, Any] = field(init=False)
-    written: dict[str, dict[str, Any]] = field(init=False)
 
     def __post_init__(self) -> None:
         settings = {"extractor": self.extractor.spec, "fps": self.fps}

@@ -6,7 +6,7 @@ import dataclasses
 import logging
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -97,8 +97,6 @@ class Renderer(Processor):
     seconds: float | None
     channel: int | None
     controls: dict[str, Any]
-    settings: dict[str, Any] = field(init=False)
-    written: dict[str, dict[str, Any]] = field(init=False)
 
     def __post_init__(self) -> None:
         output = self.output

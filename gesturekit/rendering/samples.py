@@ -153,7 +153,7 @@ def sounds_of(folder: Path) -> list[Item]:
     ]
 
 
-def train_retrieval(corpus: Path, folder: Path, *, seed: int = 0) -> Path:
+def train_retrieval(corpus: Path, folder: Path, *, seed: int) -> Path:
     """Return the folder of a model that moves in recorded pieces, chosen by the speech.
 
     The pieces are those of the training split; no network is used.
@@ -200,7 +200,7 @@ def other_sounds(corpus: Path, split: str) -> dict[str, af.Wave]:
 
 
 def render_baseline(
-    model: Model, sounds: Mapping[str, af.Wave], out: Path, *, seed: int = 0
+    model: Model, sounds: Mapping[str, af.Wave], out: Path, *, seed: int
 ) -> Iterator[Path]:
     """Write ID.npz for each sound to `out`, and yield its path."""
     for name, wave in sounds.items():

@@ -325,6 +325,7 @@ def test_the_pages_load_nothing_from_elsewhere(client):
         "(boolean; default True)",
         "<th>403</th><td>sent by a page of another site</td>",
         "<th>megabytes</th><td>64</td>",
+        '<a href="openapi.json">',
     ):
         assert text in page
     schema = one.get("/openapi.json").json()

@@ -5,7 +5,7 @@ Stills show a skinned body from the front, without perspective, on nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -113,21 +113,12 @@ _GROUND = 5.0
 """Radius of the floor in body heights."""
 
 
-@dataclass
 class Buffers:
     """Memory for drawing one frame of a panel; threads do not share it."""
 
-    height: int
-    width: int
-    depths: np.ndarray = field(init=False)
-    samples: np.ndarray = field(init=False)
-    shadow: np.ndarray = field(init=False)
-    scratch: np.ndarray = field(init=False)
-    scratch_colours: np.ndarray = field(init=False)
-
-    def __post_init__(self) -> None:
-        fine = (SAMPLES * self.height, SAMPLES * self.width)
-        coarse = (-(-self.height // 2), -(-self.width // 2))
+    def __init__(self, height: int, width: int) -> None:
+        fine = (SAMPLES * height, SAMPLES * width)
+        coarse = (-(-height // 2), -(-width // 2))
         self.depths, self.samples = np.zeros(fine, np.float32), np.empty((*fine, 3), np.float32)
         self.shadow, self.scratch = np.zeros(coarse, np.float32), np.empty(coarse, np.float32)
         self.scratch_colours = np.empty((*coarse, 3), np.float32)
