@@ -131,7 +131,7 @@ async def receive(request: Request, file: Path, limits: Limits) -> None:
         )
     too_large = HTTPException(413, f"the sound is larger than {limits.megabytes:g} MB")
     declared = request.headers.get("content-length", "0")
-    if not declared.isascii() or not declared.isdecimal() or int(declared[:20]) > limits.n_bytes:
+    if not declared.isdecimal() or int(declared[:20]) > limits.n_bytes:
         raise too_large
     size = 0
     try:

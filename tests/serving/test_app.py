@@ -166,6 +166,18 @@ def test_a_body_that_stops_is_given_up(tmp_path, messages, status):
     assert refused.value.status_code == status
 
 
+@pytest.mark.parametrize("length", ["-5", "1e3", "\xb2", "9" * 30, "1048577"])
+def test_a_body_that_says_to_be_too_large_is_not_read(tmp_path, length):
+    async def next_message():
+        raise AssertionError("the body is read")
+
+    headers = [(b"content-length", length.encode("latin-1"))]
+    request = Request({"type": "http", "headers": headers}, next_message)
+    with pytest.raises(HTTPException) as refused:
+        asyncio.run(receive(request, tmp_path / "a", Limits(megabytes=1)))
+    assert refused.value.status_code == 413 and not list(tmp_path.iterdir())
+
+
 def test_requests_of_other_sites_and_names_are_refused(client):
     one = client()
     for origin in ("https://evil.example", "null", "http://127.0.0.1:1"):
