@@ -10,7 +10,7 @@ from array import array
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,7 @@ class FailedItem:
         return self.attempts >= ATTEMPTS
 
 
-@dataclass
+@dataclass(frozen=True)
 class Status:
     """State of the work in a folder.
 
@@ -74,16 +74,16 @@ class Status:
 
     items: int
     seconds: float
-    done: int = 0
-    sound: float = 0.0
-    failed: list[FailedItem] = field(default_factory=list)
-    left: list[str] = field(default_factory=list)
-    earlier: int = 0
-    shards: list[list[int]] = field(default_factory=list)
-    running: list[dict[str, Any]] = field(default_factory=list)
-    in_hand: list[str] = field(default_factory=list)
-    items_per_minute: float = 0.0
-    real_time_factor: float = 0.0
+    done: int
+    sound: float
+    failed: list[FailedItem]
+    left: list[str]
+    earlier: int
+    shards: list[list[int]]
+    running: list[dict[str, Any]]
+    in_hand: list[str]
+    items_per_minute: float
+    real_time_factor: float
 
     @property
     def seconds_left(self) -> float | None:
@@ -140,29 +140,39 @@ def _counted(plan: Plan, state: Path) -> Status:
     results = _Results()
     for path in journal_files(state):
         results.read(path)
-    status = Status(plan.n_items, plan.seconds, shards=[[n, 0] for n, _ in plan.shards])
+    done, failed, left = 0, [], []
+    shards = [[n, 0] for n, _ in plan.shards]
     for line in (line for lines in _blocks(plan.path) for line in lines):
         match = _PLANNED.match(line)
         if match is None:
             continue
         shard, name = int(match[1]), match[2]
-        if not 1 <= shard <= len(status.shards):
-            raise FormatError(f"{plan.path}: shard {shard} of {len(status.shards)}; delete it")
+        if not 1 <= shard <= len(shards):
+            raise FormatError(f"{plan.path}: shard {shard} of {len(shards)}; delete it")
         result = results.last.pop(name, None)
         if result is None or result[1] == b"dropped":
-            status.left.append(json.loads(name))
+            left.append(json.loads(name))
             continue
-        status.shards[shard - 1][1] += 1
+        shards[shard - 1][1] += 1
         if result[1] == b"done":
-            status.done += 1
+            done += 1
         else:
-            status.failed.append(results.failed(name, result[2]))
-    status.earlier = sum(kind == b"done" for _, kind, _ in results.last.values())
-    status.sound = sum(results.sounds)
-    status.running = live_leases(state)
-    status.in_hand = [json.loads(name) for name in results.begun]
-    status.items_per_minute, status.real_time_factor = results.speed()
-    return status
+            failed.append(results.failed(name, result[2]))
+    speed, factor = results.speed()
+    return Status(
+        items=plan.n_items,
+        seconds=plan.seconds,
+        done=done,
+        sound=sum(results.sounds),
+        failed=failed,
+        left=left,
+        earlier=sum(kind == b"done" for _, kind, _ in results.last.values()),
+        shards=shards,
+        running=live_leases(state),
+        in_hand=[json.loads(name) for name in results.begun],
+        items_per_minute=speed,
+        real_time_factor=factor,
+    )
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gesturekit.jobs.state import STATE
+from gesturekit.jobs.status import Status
 
 
 def results(out: Path) -> dict[str, bytes]:
@@ -21,3 +22,11 @@ def finished(out: Path) -> list[dict[str, Any]]:
     journals = [path.read_text() for path in (out / STATE / "journal").iterdir()]
     lines = [line for text in journals for line in text.splitlines() if line.endswith("}")]
     return [one for line in lines if (one := json.loads(line)).get("status") == "done"]
+
+
+def status(**values: Any) -> Status:
+    """Return the state of work on one second of sound that has not begun, with other values."""
+    counts = {"items": 1, "seconds": 1.0, "done": 0, "sound": 0.0, "earlier": 0}
+    lists = {name: [] for name in ("failed", "left", "shards", "running", "in_hand")}
+    speeds = {"items_per_minute": 0.0, "real_time_factor": 0.0}
+    return Status(**{**counts, **lists, **speeds, **values})

@@ -8,11 +8,12 @@ import json
 from pathlib import Path
 
 import pytest
+from outputs import status
 
 from gesturekit.errors import ConfigError, FormatError
 from gesturekit.jobs.plan import PLAN, write_plan
 from gesturekit.jobs.state import STATE
-from gesturekit.jobs.status import FailedItem, Status, status_of
+from gesturekit.jobs.status import FailedItem, status_of
 from gesturekit.jobs.task import Task
 
 
@@ -117,8 +118,8 @@ def test_journals_longer_than_what_is_read_at_once(journals):
 )
 def test_the_time_left_goes_by_sound_or_else_by_items(values, left):
     """Three of four items are left, of 40 s of sound together."""
-    status = Status(**{"items": 4, "seconds": 40.0, "left": ["a", "b", "c"], **values})
-    assert status.seconds_left == left
+    found = status(**{"items": 4, "seconds": 40.0, "left": ["a", "b", "c"], **values})
+    assert found.seconds_left == left
 
 
 def test_reasons_are_counted_without_names_and_differing_numbers():
@@ -128,13 +129,13 @@ def test_reasons_are_counted_without_names_and_differing_numbers():
         "y": "disk full near y.bvh",
         "z": "/in/z.wav: 3,5 samples at 8000 Hz",
     }
-    status = Status(4, 0.0, failed=[FailedItem(name, error, 1) for name, error in errors.items()])
-    assert status.reasons() == [
+    found = status(failed=[FailedItem(name, error, 1) for name, error in errors.items()])
+    assert found.reasons() == [
         ("N samples at N Hz", 3, "x/one"),
         ("disk full near ...", 1, "y"),
     ]
-    status.failed.pop()
-    assert status.reasons()[0] == ("N samples at 16000 Hz", 2, "x/one")
+    found.failed.pop()
+    assert found.reasons()[0] == ("N samples at 16000 Hz", 2, "x/one")
 
 
 def test_a_folder_without_work_or_with_another_plan_is_refused(journals, tmp_path):

@@ -8,12 +8,13 @@ import re
 from pathlib import Path
 
 import pytest
+from outputs import status
 from rigs import at_rest, rig_of
 
 from gesturekit.jobs.journal import Journal
 from gesturekit.jobs.result import Result
 from gesturekit.jobs.state import STATE
-from gesturekit.jobs.status import FailedItem, Status
+from gesturekit.jobs.status import FailedItem
 from gesturekit.jobs.task import Task
 from gesturekit.rendering import summary
 
@@ -30,12 +31,12 @@ def page(tmp_path, monkeypatch):
 
     monkeypatch.setattr(summary, "write_picture", drawn)
 
-    def write(results: list[Result], status: Status | None = None) -> str:
+    def write(results: list[Result], **state: object) -> str:
         journal = Journal(out / STATE, 1, 1, run="r", settings={}, about={})
         for result in results:
             journal.finish(result)
         journal.close()
-        summary.write_summary(out, status or Status(1, 1.0), tmp_path / "page.html")
+        summary.write_summary(out, status(**state), tmp_path / "page.html")
         return (tmp_path / "page.html").read_text(encoding="utf-8")
 
     write.out = out
@@ -65,11 +66,10 @@ def bars(text: str) -> dict[int, tuple[float, int]]:
 
 
 def test_counts_are_those_of_the_state(page):
-    status = Status(
-        12, 7200.0, done=3, failed=[FailedItem("x", "no", 1)], left=["y", "z"],
+    text = page(
+        [], items=12, seconds=7200.0, done=3, failed=[FailedItem("x", "no", 1)], left=["y", "z"],
         items_per_minute=2.54, real_time_factor=30.26,
     )  # fmt: skip
-    text = page([], status)
     assert dict(re.findall("<tr><th>(.*?)</th><td>(.*?)</td></tr>", text)) == {
         "Items in the plan": "12",
         "Sound in the plan": "2 h 0 min",
@@ -103,9 +103,7 @@ def test_a_histogram_needs_two_values(page, sounds, n_bars):
 def test_failures_are_listed_by_reason_and_one_by_one(page):
     failed = [FailedItem("a<b>", "no <sound> in a<b>", 3), FailedItem("c", "no <sound> in c", 2)]
     failed += [FailedItem(f"{k}", "other", 1) for k in range(999)]
-    text = page(
-        [done("a<b>", 3.0), done("ok", 3.0), done("ok2", 3.0)], Status(1, 1.0, failed=failed)
-    )
+    text = page([done("a<b>", 3.0), done("ok", 3.0), done("ok2", 3.0)], failed=failed)
     assert '<td class="n">999</td><td>other</td>' in text
     assert "<td>a&lt;b&gt;</td><td>no &lt;sound&gt; in a&lt;b&gt; (3x, put aside)</td>" in text
     assert "<td>c</td><td>no &lt;sound&gt; in c (2x)</td>" in text
@@ -114,7 +112,7 @@ def test_failures_are_listed_by_reason_and_one_by_one(page):
     assert "10 % below 3" in text and sum(n for _, n in bars(text).values()) == 2, (
         "one failed later"
     )
-    assert "more: gesturekit" not in page([], Status(1, 1.0, failed=failed[:1000]))
+    assert "more: gesturekit" not in page([], failed=failed[:1000])
     assert "Failures" not in page([])
 
 
