@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gesturekit.cli.launchers import launcher_options
+from gesturekit.cli.launchers import LAUNCHER_OPTIONS
 from gesturekit.cli.options import resumable, workers_option
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _OPTIONS = (
         help="Process part K of N, such as 1/8. Parts have about the same total duration, and may "
         "be processed in any order, or in parallel on several machines, into one output folder.",
     ),
-    launcher_options,
+    *LAUNCHER_OPTIONS,
     click.option(
         "--replan",
         is_flag=True,

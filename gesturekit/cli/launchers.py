@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,35 +18,30 @@ _MINUTES = 24 * 60
 _OUTCOMES = (0, 1, 2, 130)  # exit codes of the command line
 
 
-def launcher_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of launchers."""
-    options = (
-        click.option(
-            "--launcher",
-            type=click.Choice(["local", "slurm", "ray"]),
-            default="local",
-            show_default=True,
-            help="Where to run the shards: on this machine, as Slurm jobs (submitit), or on a Ray "
-            "cluster.",
-        ),
-        click.option(
-            "--jobs", type=click.IntRange(1, 10_000), help="Number of shards for slurm or ray."
-        ),
-        click.option(
-            "--launcher-option",
-            "launcher_options",
-            multiple=True,
-            metavar="KEY=VALUE",
-            help="For slurm, a parameter of submitit, such as slurm_partition=cpu, "
-            "timeout_min=600, cpus_per_task=4 or cluster=local. May be repeated.",
-        ),
-        click.option(
-            "--address", help="Address of a Ray cluster; by default one is started on this machine."
-        ),
-    )
-    for option in reversed(options):
-        command = option(command)
-    return command
+LAUNCHER_OPTIONS = (
+    click.option(
+        "--launcher",
+        type=click.Choice(["local", "slurm", "ray"]),
+        default="local",
+        show_default=True,
+        help="Where to run the shards: on this machine, as Slurm jobs (submitit), or on a Ray "
+        "cluster.",
+    ),
+    click.option(
+        "--jobs", type=click.IntRange(1, 10_000), help="Number of shards for slurm or ray."
+    ),
+    click.option(
+        "--launcher-option",
+        "launcher_options",
+        multiple=True,
+        metavar="KEY=VALUE",
+        help="For slurm, a parameter of submitit, such as slurm_partition=cpu, timeout_min=600, "
+        "cpus_per_task=4 or cluster=local. May be repeated.",
+    ),
+    click.option(
+        "--address", help="Address of a Ray cluster; by default one is started on this machine."
+    ),
+)
 
 
 @dataclass(frozen=True)

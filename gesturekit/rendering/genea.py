@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from audio_features import Wave
+from audio_features import AudioError, Wave
 from gesturekit.corpus.layouts import read_layout
 from gesturekit.errors import CorpusError, GestureKitError
 from gesturekit.jobs.result import Result
@@ -91,7 +91,7 @@ def export(
 def check(out: str | Path, sounds: Mapping[str, Path], rig: str, samples: int) -> list[str]:
     """Return what is wrong with a submission, one line a fault; [] if nothing is.
 
-    Checked are: a file for each sample, joints of the rig, frame rate, finite values, the number of
+    Checked are: that the sound can be read, a file for each sample, joints of the rig, frame rate, finite values, the number of
     frames of the whole sound, and samples that differ.
 
     Args:
@@ -102,7 +102,11 @@ def check(out: str | Path, sounds: Mapping[str, Path], rig: str, samples: int) -
     """
     faults = []
     for stem, sound in sounds.items():
-        wanted = Wave.load(sound).n_frames(FPS)
+        try:
+            wanted = Wave.load(sound).n_frames(FPS)
+        except AudioError as error:
+            faults.append(str(error))
+            continue
         seen: list[np.ndarray] = []
         for k in range(samples):
             name = f"{stem}.npz" if samples == 1 else f"{stem}_s{k + 1}.npz"

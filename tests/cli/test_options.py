@@ -14,6 +14,7 @@ from gesturekit.cli.options import (
     RECORDING_OPTIONS,
     Body,
     comma_separated,
+    existing_option,
     parse_expert,
     parse_level_files,
     parse_placed_files,
@@ -166,6 +167,22 @@ def test_skip_existing_is_the_same_as_existing_skip_wherever_it_stands(gestureki
         done = gesturekit(*render, *options).ok()
         assert "1 kept" in done.err and (tmp_path / "out" / "motion.bvh").read_text() == "mine"
     gesturekit("demo", "--skip-existing").fails(2, "--skip-existing")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "existing"),
+    [
+        ([], "replace"),
+        (["--skip-existing"], "skip"),
+        (["--existing", "refuse", "--skip-existing"], "skip"),
+        (["--skip-existing", "--existing", "refuse"], "skip"),
+        (["--existing", "refuse"], "refuse"),
+    ],
+)
+def test_what_happens_to_existing_files_is_one_value(arguments, existing):
+    option = existing_option("replace", alias=True)
+    command = click.command()(option(lambda **options: options))
+    assert command.main(arguments, standalone_mode=False) == {"existing": existing}
 
 
 @pytest.mark.parametrize(

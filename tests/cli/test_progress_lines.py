@@ -31,6 +31,7 @@ def log_file(monkeypatch):
         ("convert in {out} --format npz", "Converting: 100%, 2 of 2 files"),
         ("prepare in --out {out}/c.jsonl", "checking: 100%, 2 of 2 files"),
         ("fit-features in --out {out} --steps 3 --frames 20", "Fitting: 100%, 3 of 3 steps"),
+        ("evaluate in in --workers 1", "measuring: 100%, 4 of 4 recordings"),
     ],
 )
 def test_progress_has_a_total_and_a_unit(
