@@ -91,8 +91,8 @@ def export(
 def check(out: str | Path, sounds: Mapping[str, Path], rig: str, samples: int) -> list[str]:
     """Return what is wrong with a submission, one line a fault; [] if nothing is.
 
-    Checked are: that the sound can be read, a file for each sample, joints of the rig, frame rate, finite values, the number of
-    frames of the whole sound, and samples that differ.
+    Checked are: a sound that can be read, a file for each sample, joints of the rig, frame rate,
+    finite values, the number of frames of the whole sound, and samples that differ.
 
     Args:
         out: folder of the submission.
