@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import locale
 import os
 import re
 import shutil
@@ -162,6 +163,15 @@ def gesturekit(capsys) -> Callable[..., Done]:
         return Done(left.value.code, *capsys.readouterr())
 
     return run
+
+
+@pytest.fixture
+def ascii_locale() -> Iterator[None]:
+    """A machine whose own encoding of text is ASCII: ours is UTF-8 everywhere."""
+    before = locale.setlocale(locale.LC_CTYPE)
+    locale.setlocale(locale.LC_CTYPE, "C")
+    yield
+    locale.setlocale(locale.LC_CTYPE, before)
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -153,17 +153,13 @@ class Figure:
         )
 
 
-@dataclass
 class _Points:
     """A motion's joints, and the points added to them."""
 
-    motion: Motion
-    added: list[np.ndarray] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.skeleton = self.motion.skeleton
-        self.joints = self.motion.positions()
-        self.turns = self.motion.global_rotations()
+    def __init__(self, motion: Motion) -> None:
+        self.motion, self.skeleton = motion, motion.skeleton
+        self.joints, self.turns = motion.positions(), motion.global_rotations()
+        self.added: list[np.ndarray] = []
 
     def at(self, joint: str) -> np.ndarray:
         """Return the world positions (T, 3) of a joint."""

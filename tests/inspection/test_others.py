@@ -320,7 +320,7 @@ def test_a_damaged_model_names_what_is_wrong(tmp_path):
                 read(copy)
 
 
-def test_every_row_of_a_model_that_is_not_the_bundled_one(tmp_path):
+def test_every_row_of_a_model_that_is_not_the_bundled_one(tmp_path, ascii_locale):
     """Styles, reduced features, a network of another kind, no recall and no speech."""
     shutil.copytree(model_folder("demo"), copy := tmp_path / "model")
     path = copy / "config.yaml"
@@ -335,7 +335,7 @@ def test_every_row_of_a_model_that_is_not_the_bundled_one(tmp_path):
     (copy / "skeleton.json").write_text(json.dumps(rig), encoding="utf-8")
     tensors = {"features.components": np.ones((3, 2), "f4"), "network.a": np.ones((5, 7), "f4")}
     save_file(tensors | {"other": np.ones(9, "f4")}, copy / "model.safetensors")
-    notes = "# A\n- **Kind**: x\n- **Styles**: s0\n- **Data**: *mine*\nelse\n"
+    notes = "# A\n- **Kind**: x\n- **Styles**: s0\n- **Data**: *für mich*\nelse\n"
     (copy / "README.md").write_text(notes, encoding="utf-8")
     summary = inspect(copy)
     fingers = "LeftHandThumb1, LeftHandThumb2, LeftHandThumb3, LeftHandIndex1 and 26 more"
@@ -349,7 +349,7 @@ def test_every_row_of_a_model_that_is_not_the_bundled_one(tmp_path):
         ("parameters", "35"),
         ("styles", listed),
         ("speakers", speakers),
-        ("data", "*mine*"),
+        ("data", "*für mich*"),
     )
     n_bytes = sum(file.stat().st_size for file in copy.iterdir())
     assert summary.title == f"{copy}: model, multires, format 1, {size(n_bytes)}"
@@ -487,7 +487,7 @@ def test_a_folder_of_recordings(write_pair, write_speech, gesture, tmp_path):
 def make_run(folder):
     (folder / "checkpoints").mkdir(parents=True)
     (folder / "config.yaml").write_text("system: multires\nfps: 25.0\nseed: 3\n")
-    (folder / "command.txt").write_text("gesturekit train light.yaml\n")
+    (folder / "command.txt").write_text("gesturekit train hell_für_mich.yaml\n", encoding="utf-8")
     (folder / "versions.json").write_text('{"torch": "2.1", "platform": "x"}')
     (folder / "metrics.jsonl").write_text(
         '{"step": 10, "rec": 0.5}\n3\n{"st\n{"step": 20, "rec": 0.25, "note": "x"}\n{"st'
@@ -496,7 +496,7 @@ def make_run(folder):
     return folder
 
 
-def test_running_and_finished_runs_are_described(tmp_path):
+def test_running_and_finished_runs_are_described(tmp_path, ascii_locale):
     run = make_run(tmp_path / "run")
     summary = inspect(run)
     rows = dict(summary.rows)
@@ -506,7 +506,7 @@ def test_running_and_finished_runs_are_described(tmp_path):
         "metrics": "rec 0.25",
         "checkpoints": "1: steps 20",
         "settings": "system multires, fps 25.0, seed 3",
-        "command": "gesturekit train light.yaml",
+        "command": "gesturekit train hell_für_mich.yaml",
         "made with": "torch 2.1",
     }
     for path in run.rglob("*"):

