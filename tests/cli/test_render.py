@@ -24,7 +24,7 @@ from sounds import voiced
 
 import gesturekit as gk
 from gesturekit import Motion, systems
-from gesturekit.cli.render import CONTROLS, GROUPS, command
+from gesturekit.cli.render import CONTROLS, GROUPS, command, control_options
 from gesturekit.corpus import Manifest
 from gesturekit.corpus.item import SPLITS
 from gesturekit.multires.network.generator import MultiresGenerator
@@ -478,7 +478,15 @@ def test_help_shows_examples_first_and_every_option_in_one_group(gesturekit):
 
 def test_values_of_controls_are_checked_by_their_ranges():
     """The bounds of each control of all systems count; files are paths."""
-    options = {param.name: param for param in command.params}
+    options = {param.name: param for param in control_options()}
+    assert options["foot_lock"].opts == ["--foot-lock"]
+    assert options["foot_lock"].secondary_opts == ["--no-foot-lock"]
+    assert options["experts"].opts == ["--expert"] and options["experts"].multiple
+    assert options["style"].type("3") == "3" and not options["style"].multiple
+    assert options["solver"].type("ddim") == "ddim" and options["keep"].type("a") == {0: Path("a")}
+    assert {option.default for option in options.values()} == {None}
+    with pytest.raises(click.BadParameter):
+        options["solver"].type("euler")
     numbers = 0
     for name, entry in {n: e for of_kind in CONTROLS.values() for n, e in of_kind.items()}.items():
         parse = options[name].type
