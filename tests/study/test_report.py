@@ -87,6 +87,30 @@ def test_conclusions_on_alignment_word_by_word():
     assert len(conclusions(study(mismatch("a", [1, 1])))) == 2, "a single system differs from none"
 
 
+@pytest.mark.parametrize("answers", [5, 8])
+def test_one_rater_with_many_answers_turns_no_conclusion_around(answers):
+    """Ten raters slightly prefer the first one; one clearly prefers the other, again and again.
+
+    Their means are 1 and -2: t = (8 / 11) / (3 / 11) = 2.667, p = .024 with 10 degrees of freedom.
+    """
+    scores = {**dict.fromkeys(range(10), [1]), 10: [-2] * answers}
+
+    def said(other: str) -> str:
+        lines = conclusions(
+            study(
+                [
+                    Answer(f"r{r}", f"c{k}", "a", other, score)
+                    for r, own in scores.items()
+                    for k, score in enumerate(own)
+                ]
+            )
+        )
+        return next(line for line in lines if "p = .024" in line)  # fmt: skip
+
+    assert "fits its speech better" in said("a_Mismatched")
+    assert said("b").startswith("a is preferred to b: ")
+
+
 def test_a_pair_of_nothing_but_ties_has_no_win_rate():
     (*_, last) = conclusions(study([Answer(f"r{r}", "c", "a", "b", 0) for r in range(3)]))
     assert "between a and b (only ties, p = 1.000)" in last
@@ -246,7 +270,7 @@ def test_all_figures_are_written_and_undefined_ones_are_null(tmp_path):
     figures = json.loads(text)
     assert "é" in text and text.endswith("}\n") and '\n "raters": 8,\n' in text
     pair = {
-        "a": "b", "b": "a", "counts": [0, 1, 1, 0, 0], "raters": 2, "p": pytest.approx(0.5),
+        "a": "b", "b": "a", "counts": [0, 1, 1, 0, 0], "raters": 2, "mean": 0.5, "p": pytest.approx(0.5),
         "p_holm": pytest.approx(0.5), "p_tukey": pytest.approx(0.42265, abs=1e-4),
         "win_rate": {"value": 1, "low": pytest.approx(0.20654, abs=1e-4), "high": 1},
     }  # fmt: skip

@@ -16,6 +16,7 @@ from gesturekit.evaluation.statistics.answers import MISMATCHED, Answer
 from gesturekit.evaluation.statistics.intervals import holm
 from gesturekit.study.analysis.significance import (
     Estimate,
+    rater_means,
     rater_test,
     two_proportions,
     wilson,
@@ -33,6 +34,7 @@ class AlignmentScore:
         raters: raters who judged it.
         score: alignment score, 0 to 1; interval by bootstrap over raters.
         win_rate: share of preferences for the matched motion, ties excluded; Wilson interval.
+        mean: mean of the raters' mean scores, 2 to -2; below 0 if raters prefer other speech.
         p: t-test of the raters' mean scores against chance; `p_holm` for all systems.
     """
 
@@ -41,6 +43,7 @@ class AlignmentScore:
     raters: int
     score: Estimate
     win_rate: Estimate
+    mean: float
     p: float
     p_holm: float
 
@@ -107,12 +110,14 @@ def _score(name: str, votes: Votes, rounds: int, seed: int) -> AlignmentScore:
 
     low, high = interval(counts, share, rounds, np.random.default_rng(seed))
     total = counts.sum(axis=0)
+    answers = counts @ np.array([2.0, 1.0, 0.0, -1.0, -2.0]), counts.sum(axis=1)
     return AlignmentScore(
         name=name,
         counts=tuple(int(n) for n in total),
         raters=int((counts.sum(axis=1) > 0).sum()),
         score=Estimate(float(share(total[None])[0, 0]), float(low[0]), float(high[0])),
         win_rate=wilson(total[0] + total[1], total.sum() - total[2]),
-        p=rater_test(counts @ np.array([2.0, 1.0, 0.0, -1.0, -2.0]), counts.sum(axis=1)),
+        mean=float(rater_means(*answers).mean()),
+        p=rater_test(*answers),
         p_holm=float("nan"),
     )

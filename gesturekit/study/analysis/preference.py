@@ -15,7 +15,14 @@ from scipy.sparse.csgraph import connected_components
 
 from gesturekit.evaluation.statistics.answers import Answer
 from gesturekit.evaluation.statistics.intervals import holm
-from gesturekit.study.analysis.significance import Anova, Estimate, anova, rater_test, wilson
+from gesturekit.study.analysis.significance import (
+    Anova,
+    Estimate,
+    anova,
+    rater_means,
+    rater_test,
+    wilson,
+)
 from gesturekit.study.analysis.votes import Votes, interval
 
 WEIGHTS = {"clear": 4.0, "slight": 2.0, "tie": 1.0}
@@ -113,6 +120,7 @@ class PairScore:
         counts: a clearly, a slightly, equal, b slightly, b clearly.
         raters: raters who compared them.
         win_rate: share of preferences for `a`, ties excluded; Wilson interval.
+        mean: mean of the raters' mean scores, 2 to -2; below 0 if raters prefer `b`.
         p: t-test of the raters' mean scores; `p_holm` is adjusted for the number of pairs.
         p_tukey: Tukey's test of merit scores.
     """
@@ -122,6 +130,7 @@ class PairScore:
     counts: tuple[int, int, int, int, int]
     raters: int
     win_rate: Estimate
+    mean: float
     p: float
     p_holm: float
     p_tukey: float
@@ -267,6 +276,7 @@ def _pairs(votes: Votes, variance: Anova | None) -> list[PairScore]:
                     tuple(map(int, counts)),
                     int((n > 0).sum()),
                     wilson(counts[0] + counts[1], sum(counts) - counts[2]),
+                    float(rater_means(scores, n).mean()),
                     rater_test(scores, n),
                     float("nan"),
                     tukey.get((i, j), float("nan")),

@@ -161,9 +161,9 @@ def _on_preference(preference: Preference, prefix: str) -> Iterator[str]:
 
 
 def _found(pair: PairScore) -> str:
-    mean = sum(n * s for n, s in zip(pair.counts, (2, 1, 0, -1, -2))) / pair.n
-    # The mean score and the number of wins can disagree, if one side won more clearly.
-    better, worse = (pair.a, pair.b) if mean > 0 else (pair.b, pair.a)
+    # The raters' mean scores, which are tested, and the number of wins can disagree: one side may
+    # win more clearly, or by the answers of a rater who gave many.
+    better, worse = (pair.a, pair.b) if pair.mean > 0 else (pair.b, pair.a)
     rate = pair.win_rate
     if better != pair.a:
         rate = Estimate(1 - rate.value, 1 - rate.high, 1 - rate.low)
@@ -189,7 +189,7 @@ def _alignment_sentence(score: AlignmentScore) -> str:
             f"{score.name}: raters did not tell its motion from that of other speech "
             f"(alignment {rate}; chance 50 %)."
         )
-    above = "fits its speech better" if score.score.value > 0.5 else "fits its speech worse"
+    above = "fits its speech better" if score.mean > 0 else "fits its speech worse"
     return f"{score.name}: its motion {above} than its motion of other speech (alignment {rate})."
 
 

@@ -58,6 +58,11 @@ def statsmodels_module(name: str) -> Any:
         ) from None
 
 
+def rater_means(scores: np.ndarray, n: np.ndarray) -> np.ndarray:
+    """Return the mean score of each rater with answers; arguments as for `rater_test`."""
+    return scores[n > 0] / n[n > 0]
+
+
 def rater_test(scores: np.ndarray, n: np.ndarray) -> float:
     """Return the p-value of "raters prefer neither side": a t-test of the raters' means.
 
@@ -72,7 +77,7 @@ def rater_test(scores: np.ndarray, n: np.ndarray) -> float:
     """
     from scipy.stats import ttest_1samp
 
-    means = scores[n > 0] / n[n > 0]
+    means = rater_means(scores, n)
     if len(means) < 2:
         return float("nan")
     if np.ptp(means) == 0:
