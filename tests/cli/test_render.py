@@ -110,7 +110,8 @@ def test_every_sound_becomes_motion_of_its_own_length(render, tmp_path):
         assert frames_in(out / f"{Path(name).stem}.bvh") == n_frames, name
 
 
-def test_every_format_holds_the_same_motion(render, wav, tmp_path):
+def test_every_format_holds_the_same_motion(render, tmp_path):
+    wav = make_sound(tmp_path / "in" / "speech.wav", 8_000, 16_000)
     out = tmp_path / "a folder" / "ausgabe für später"
     done = render(wav, "--format", "bvh,npz, html ,png,mp4", out=out)
     assert (done.status, problems(done.err)) == (0, [])
@@ -376,7 +377,7 @@ def test_bytes_changed_at_random_never_end_in_a_traceback(gesturekit, model, tmp
     rng = random.Random(0)
     copy = tmp_path / "model"
     refused = 0
-    for _ in range(60):
+    for _ in range(40):
         shutil.copytree(model, copy, dirs_exist_ok=True)
         path = copy / rng.choice(["config.yaml", "skeleton.json", "model.safetensors"])
         data = bytearray(path.read_bytes())
@@ -395,7 +396,7 @@ def test_bytes_changed_at_random_never_end_in_a_traceback(gesturekit, model, tmp
         if done.status < 2:
             assert (problems(done.err) == []) == (done.status == 0)
         refused += done.status == 2
-    assert refused > 20
+    assert refused > 13
 
 
 def test_ctrl_c_leaves_whole_files_only(model, wav, tmp_path):
