@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import os
 import re
 import types
 import typing
@@ -208,11 +207,9 @@ def path_from(folder: Path, key: str, value: str | Path) -> Path:
         ConfigError: there is no such user, or the text cannot be a path.
     """
     try:
-        path = (folder / Path(value).expanduser()).resolve()
-        os.fsencode(path)
+        return (folder / Path(value).expanduser()).resolve()
     except (OSError, RuntimeError, ValueError) as error:
         raise ConfigError(f"{folder}: {key}: {value!a} is no path: {error}") from None
-    return path
 
 
 def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config") -> Schema:
@@ -225,8 +222,8 @@ def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config"
         return _build(schema, values, where, "")
     except _UnknownKey as error:
         full = f"{error.key}{error.inner}"
-        leaf = full.rsplit(".", 1)[-1]
-        same = [name for name in _settings(schema) if name.rsplit(".", 1)[-1] == leaf]
+        leaf = full.rpartition(".")[2]
+        same = [name for name in _settings(schema) if name.rpartition(".")[2] == leaf]
         # A section's name may be misspelt; a setting that another section has is in the wrong one.
         # A plural of the given name is the best match; the same name in other sections comes next.
         plural = [name for name in error.near if name == f"{full}s"]
@@ -311,7 +308,7 @@ def _options(hint: Any) -> tuple[Any, ...]:
 def _convert(value: Any, hint: Any, where: str, key: str) -> Any:
     options = _options(hint)
     if value is None:
-        if type(None) in options or hint is Any:
+        if type(None) in options:
             return None
         raise ConfigError(f"{where}: {key} may not be empty")
     problems = []
@@ -327,8 +324,6 @@ def _convert(value: Any, hint: Any, where: str, key: str) -> Any:
 
 def _convert_one(value: Any, hint: Any, where: str, key: str) -> Any:
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if hint is Any:
-        return value
     if origin is typing.Literal:
         if value in arguments:
             return value

@@ -349,7 +349,7 @@ def _with_one_body_each(
             who,
             len(shapes),
             among,
-            f", as {body.body_shape.gender}" if among else "",
+            f", as {body.body_shape.gender or 'neutral'}" if among else "",
         )
         for k in numbers:
             found[k] = on_body(motions[k], body)

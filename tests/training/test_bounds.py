@@ -136,6 +136,7 @@ def test_parts_are_joints_of_known_names():
     for parts, message in (
         ({"left_elbo": "Joint3"}, "parts: 'left_elbo' is none of .*left_elbow"),
         ({"left_elbow": 3}, "parts.left_elbow: 3 is not a joint name"),
+        ("left_elbow", "parts: 'left_elbow' is not a mapping"),
     ):
         with pytest.raises(ConfigError, match=message):
             build(DiffusionConfig, values_with("diffusion", "parts", parts))

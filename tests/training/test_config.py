@@ -11,7 +11,8 @@ import pytest
 
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.errors import ConfigError
-from gesturekit.training.config import build, load_config, to_dict
+from gesturekit.multires.config import MultiresConfig
+from gesturekit.training.config import build, dump_yaml, load_config, read_yaml, to_dict
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,10 @@ def test_settings_are_python_values_by_name(tmp_path, monkeypatch):
 def test_a_written_configuration_reads_back_the_same(tmp_path):
     config = load_config(write(tmp_path, "a.yaml", "corpus: c\ninner: {mode: [Hips]}"), Outer)
     assert build(Outer, to_dict(config)) == config
+    assert to_dict(config)["inner"] == {"rate": 1e-4, "steps": [1, 2], "mode": ["Hips"]}
+    assert dump_yaml({"name": "Jürgen", "at": [1, {"b": None, "a": 2}]}) == (
+        "name: Jürgen\nat:\n- 1\n- b: null\n  a: 2\n"
+    )
 
 
 @pytest.mark.parametrize(
@@ -89,15 +94,23 @@ def test_a_written_configuration_reads_back_the_same(tmp_path):
         ("corpus: c", ["=3"], "key=value"),
         ("corpus: c", ["window=[1"], "the value is not valid YAML"),
         (f"corpus: c\nwindow: {'1' * 41}", [], "a number of 41 digits"),
+        (f"corpus: c\nname: {'1' * 40}", [], "name: 1{40} is not of type str"),
         ("- a list", [], "expected key: value lines"),
         ("corpus: [unclosed", [], "not valid YAML"),
         ("corpus: !!python/object/apply:os.getcwd []", [], "not valid YAML"),
         ("base: a.yaml", [], "include itself"),
+        ("base: gone/a.yaml", [], r"gone/a\.yaml: no such configuration file"),
+        ("corpus: c\n3: 4", [], "unknown key 3; known: corpus"),
+        ("corpus: c\ninner: {stps: [3]}", [], r"did you mean inner\.steps\?$"),
+        # Neither half a name nor one of two alike is left to guess.
+        ("corpus: c\ninner.ratio: 3", [], r"unknown key inner\.ratio; did you mean inner\.rate\?$"),
+        ("corpus: c\nnames: 3", [], "unknown key names; did you mean name\\?$"),
         # An error in an override does not blame the file.
         ("corpus: c", ["inner.rat=1"], "^unknown key inner.rat"),
         ("corpus: c", ["inner.rate=fast"], "^inner.rate: 'fast'"),
         ("corpus: c", ["iner.rate=1"], "^unknown key iner"),
         ("corpus: c\ninner: {rate: fast}", ["corpus=d"], r"a\.yaml: inner\.rate: 'fast'"),
+        ("corpus: c", ["corpus=d", "inner.rate=fast"], "^inner.rate: 'fast'"),
     ],
 )
 def test_mistakes_are_named(tmp_path, text, overrides, says):
@@ -112,6 +125,12 @@ def test_a_setting_in_the_wrong_section_is_refused_with_the_right_one():
             build(DiffusionConfig, values)
     with pytest.raises(ConfigError, match=r"unknown key netwrk; did you mean network\?"):
         build(DiffusionConfig, {"netwrk": {"blocks": 3}})
+    # Both network.levels and recall.level are settings.
+    with pytest.raises(ConfigError, match=r"key network\.level; did you mean network\.levels\?$"):
+        build(MultiresConfig, {"network": {"level": 3}})
+    # Below 0.6, the usual least likeness: 8 of 14 letters of both names are the same.
+    with pytest.raises(ConfigError, match=r"did you mean training\.clip\?$"):
+        build(DiffusionConfig, {"training": {"clip_value": 3}})
 
 
 def test_a_file_may_have_the_dotted_keys_of_the_command_line(tmp_path):
@@ -149,6 +168,18 @@ def test_hostile_files_are_refused_before_they_fill_memory(tmp_path):
     (tmp_path / "b.yaml").write_bytes(b"corpus: \xff\xfe")
     with pytest.raises(ConfigError, match="cannot be read as text"):
         load_config(tmp_path / "b.yaml", Outer)
+
+
+@pytest.mark.parametrize(("zeros", "is_read"), [(797, True), (798, False)])
+def test_an_alias_counts_as_many_values_as_it_stands_for(tmp_path, zeros, is_read):
+    """199 times 1001 values of a list, and four around them: 797 are left of 200,000."""
+    text = f"a: &a [{'0, ' * 999}0]\nb: [{'*a, ' * 198}{'0, ' * zeros}]\n"
+    path = write(tmp_path, "a.yaml", text)
+    if is_read:
+        assert read_yaml(path)["b"] == [[0] * 1000] * 198 + [0] * zeros
+    else:
+        with pytest.raises(ConfigError, match="aliases make it more than 200000 values"):
+            read_yaml(path)
 
 
 @pytest.mark.parametrize(
