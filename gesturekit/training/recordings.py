@@ -6,10 +6,10 @@ Both systems load their corpus by `load_recordings`; each adds its own to what t
 from __future__ import annotations
 
 import logging
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import mode
 from typing import Any
 
 from gesturekit.corpus.checks import first_difference
@@ -76,7 +76,7 @@ class Recordings:
     @property
     def recorded_fps(self) -> float:
         """Most common frame rate of the files."""
-        return Counter(self.rates).most_common(1)[0][0]
+        return mode(self.rates)
 
     @property
     def lengths(self) -> tuple[float, float]:

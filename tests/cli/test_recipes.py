@@ -80,6 +80,14 @@ def test_a_copy_can_be_edited_and_is_trained_by_its_folder(gesturekit, tmp_path)
     assert "training.updates=7" in shown and "network.architecture=diffwave" in shown
 
 
+def test_a_copy_begins_anew_where_one_was_interrupted(gesturekit, tmp_path):
+    (tmp_path / ".ganimator.partial").mkdir()
+    (tmp_path / ".ganimator.partial" / "half.yaml").touch()
+    gesturekit("recipes", "cp", "ganimator").ok()
+    assert not (tmp_path / "ganimator" / "half.yaml").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["ganimator"]
+
+
 def test_a_copy_replaces_nothing(gesturekit, tmp_path):
     assert gesturekit("recipes", "cp", "ganimator").status == 0
     (tmp_path / "ganimator" / "config.yaml").write_text("mine")

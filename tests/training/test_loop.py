@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +14,7 @@ from small_runs import small_diffusion
 
 from gesturekit.errors import ModelError
 from gesturekit.training.config import to_dict
+from gesturekit.training.run import loop as module
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.loop import Loop, StageCallbacks, last_losses
 from gesturekit.training.run.processes import Processes
@@ -74,6 +76,16 @@ def test_means_are_logged_and_states_saved_every_so_often_and_at_the_end_of_a_st
     # Not at the end of a stage: the next line of the log would say the same.
     assert did.measured == [4, 7, 8]
     assert last_losses(did.run) == "odd 4, loss 8"
+
+
+def test_the_pace_is_the_mean_time_of_the_steps_since_the_last_line(training, monkeypatch):
+    """Each step takes as many seconds as its number."""
+    did = training(eval_every=0, due=())
+    monkeypatch.setattr(module.time, "monotonic", lambda: 100.0 + sum(did.steps))
+    did.go()
+    lines = map(json.loads, (did.run.folder / "metrics.jsonl").read_text().splitlines())
+    paces = [line["seconds_per_iteration"] for line in lines]
+    assert paces == [(1 + 2 + 3) / 3, (4 + 5) / 2, 6.0, (7 + 8 + 9) / 3]
 
 
 @pytest.mark.parametrize(

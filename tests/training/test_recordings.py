@@ -235,6 +235,21 @@ def test_each_speaker_has_one_body_and_recordings_of_nobody_are_of_one_person(sh
     assert nobody.endswith("is used, as neutral")
 
 
+def test_motion_is_read_again_on_the_body_of_its_speaker(shaped, tmp_path):
+    Manifest(shaped(("ann", None, 1.0), ("bob", None, 5.0), ("ann", None, 2.0))).save(
+        tmp_path / "c.jsonl"
+    )
+    config = RunConfig(corpus=tmp_path / "c.jsonl", out=tmp_path, fps=10, checkpoint_every=1)
+    found = read(config, speech=False)
+    rig = found.rig(config, {})
+    for item, beta in zip(found.items, (1.5, 5.0, 1.5), strict=True):
+        assert rig.load(item).skeleton.body_shape.betas == (beta,)
+        assert rig.origin(item)["body"] == [beta]
+    unknown = replace(found.items[0], speaker="cy")
+    assert rig.load(unknown).skeleton.body_shape.betas == (1.0,)
+    assert rig.origin(unknown)["body"] is None
+
+
 def test_a_speaker_of_two_genders_is_of_that_of_most_recordings(shaped, caplog):
     people = [("ann", "female", 1.0), ("ann", "male", 9.0), ("ann", "female", 2.0)]
     motions = load_motions(shaped(*people), Path("c.jsonl"), 10.0, {})

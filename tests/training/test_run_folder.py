@@ -83,14 +83,43 @@ def test_a_resumed_run_goes_on_with_its_curves(run: Run) -> None:
     assert "1.5 to 3; steps 1 to 3" in chart_of(page_of(run), "loss")
 
 
-def test_long_runs_keep_the_page_small(run: Run) -> None:
+@pytest.mark.parametrize(("last", "kept"), [(999, range(1000)), (1000, range(0, 1001, 2))])
+def test_of_more_than_a_thousand_points_every_other_one_is_shown(run: Run, last, kept) -> None:
     with (run.folder / "metrics.jsonl").open("w") as file:
-        for step in range(50_000):
-            file.write(json.dumps({"step": step, "loss": 1.0 + step % 7}) + "\n")
-    run.log(50_000, {"loss": 1.0})
+        for step in range(last):
+            file.write(json.dumps({"step": step, "loss": 1.0 + step}) + "\n")
+    run.log(last, {"loss": 1.0 + last})
     run.close()
-    assert len(page_of(run)) < 50_000
-    assert "steps 0 to 50000" in chart_of(page_of(run), "loss")
+    places = places_of(chart_of(page_of(run), "loss"))
+    assert [x for x, _ in places] == pytest.approx([k / last for k in kept], abs=2e-4)
+
+
+def test_a_run_that_has_logged_nothing_has_no_page(run: Run) -> None:
+    run.close()
+    assert not (run.folder / module.PAGE).exists()
+
+
+def test_curves_of_a_chart_have_colours_as_far_apart_as_they_can_be(run: Run) -> None:
+    """Hues of three levels are a third of the circle apart, in their order."""
+    for level in range(3):
+        run.log(1, {"loss": 1.0}, level=level)
+    run.close()
+    hues = [int(hue) for hue in re.findall(r"stroke: hsl\((\d+) ", page_of(run))]
+    assert [(after - hues[0]) % 360 for after in hues] == [0, 120, 240]
+    assert all(0 <= hue < 360 for hue in hues)
+
+
+def test_values_that_are_no_numbers_are_not_drawn(run: Run) -> None:
+    with (run.folder / "metrics.jsonl").open("w") as file:
+        file.write(
+            '{"step": 1, "loss": 2.0, "note": "x", "at": Infinity, "seconds_per_iteration": 1}\n'
+        )
+    run.log(2, {"loss": 4.0, "learning_rate": 0.5})
+    run.close()
+    page = page_of(run)
+    titles = re.findall("<figcaption><b>([^<]*)</b>", page)
+    assert titles == ["loss", "seconds per iteration", "learning rate"]
+    assert "level" not in chart_of(page, "loss"), "a training of one stage has no levels"
 
 
 def test_a_page_that_cannot_be_written_does_not_end_the_training(run: Run) -> None:

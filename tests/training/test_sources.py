@@ -13,6 +13,8 @@ from gesturekit.training.data.sources import (
     describe_recordings,
     file_fingerprint,
     is_trained_on,
+    load_sources,
+    save_sources,
     unused_labels,
 )
 
@@ -30,6 +32,16 @@ def test_frame_rates_have_one_order_whatever_the_hashes_of_the_files():
 
 def labelled(*labels: tuple[str | None, str | None]) -> list[TrainedSegment]:
     return [TrainedSegment("r", "m", None, 0.0, 5.0, 30.0, style, name) for style, name in labels]
+
+
+def test_the_record_in_a_model_folder_is_read_again_and_a_damaged_one_is_none(tmp_path):
+    one = TrainedSegment("a", "m", "s", 1.0, 5.0, 30.0, "old", "ann")
+    save_sources(tmp_path, [one, TrainedSegment("b", "m", None, 0.0, 2.5, 24.0)])
+    assert load_sources(tmp_path) == (one, TrainedSegment("b", "m", None, 0.0, 2.5, 24.0))
+    for text in ("{", "3", '[{"id": "a"}]'):
+        (tmp_path / "trained_on.json").write_text(text)
+        assert load_sources(tmp_path) == ()
+    assert load_sources(tmp_path / "missing") == ()
 
 
 def test_one_style_or_speaker_is_no_choice():
