@@ -351,13 +351,17 @@ def test_a_setting_written_as_an_option_is_shown_as_a_setting(gesturekit, light,
 def test_show_prints_every_setting(gesturekit, monkeypatch, tmp_path):
     monkeypatch.setenv("COLUMNS", "60")
     config = tmp_path / "mine.yaml"
-    config.write_text("system: multires\nstyles: {}\nfeatures: null\n")
+    notes = f"notes={{who: Jürgen, about: {'a long story ' * 9}told}}"
+    config.write_text(
+        f"system: multires\nstyles: {{}}\nfeatures: null\n{notes.replace('=', ': ')}\n", "utf-8"
+    )
     done = gesturekit("train", config, "training.batch=8", "--show")
     assert not done.status, done.err
     lines = done.out.splitlines()
     assert all(len(line) <= 60 for line in lines if line[:4] == "    ")
     assert "training.batch=8  (default: 4)" in lines
     assert "training.betas=[0.9, 0.999]" in lines
+    assert f"{notes}  (default: {{}})" in lines
     assert "corpus=null  (required)" in lines
     assert lines[lines.index("corpus=null  (required)") + 1].startswith("    Manifest")
     assert "[training]" in lines

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import soundfile
 
-from gesturekit.corpus import Manifest, prepare
+from gesturekit.corpus import Item, Manifest, prepare
 from gesturekit.errors import ConfigError
 from gesturekit.training.data.arrays import array_key
 from gesturekit.training.data.features import (
@@ -120,6 +121,32 @@ def test_own_features_are_a_part_of_what_arrays_and_silence_are_made_of(tmp_path
     assert abs(speech[:, :2]).max() > 1.0
     np.save(own, np.load(own) + 1)
     assert array_key(arrays, item) != key
+
+
+def test_an_array_of_speech_is_made_anew_where_what_it_depends_on_changes(tmp_path, write_speech):
+    audio, words = write_speech(tmp_path / "a.wav", 1.0), tmp_path / "a.tsv"
+    words.write_text("0.1\t0.4\thello\n")
+    item = Item(id="a", audio=audio, motion=None, duration=1.0, conditions={"words": words})
+    plain = FeatureConfig(({"kind": "prosody"},))
+
+    def key(config: FeatureConfig = plain, fps: float = 25.0, **changes: Any) -> str:
+        return array_key(SpeechArrays.open(config, fps, "cpu"), replace(item, **changes))
+
+    known = key()
+    assert key(id="b", speaker="ann", motion_start=0.5, conditions={}) == known
+    assert key(replace(plain, components=3)) == key(replace(plain, normalise="clip")) == known
+    others = [
+        *(key(audio_start=0.1), key(duration=0.9), key(channel=1), key(audible=[(0.0, 0.5)])),
+        *(key(fps=30.0), key(replace(plain, align="linear")), key(replace(plain, vad=False))),
+        *(key(replace(plain, normalise="corpus")), key(FeatureConfig(({"kind": "effort"},)))),
+        *(key(FeatureConfig(({"kind": "words"},))), key(audio=words)),
+    ]
+    assert len({known, *others}) == len(others) + 1
+    spoken = FeatureConfig(({"kind": "words"},))
+    told = key(spoken)
+    assert key(spoken, conditions={}) != told
+    words.write_text("0.1\t0.4\tthere\n")
+    assert key(spoken) != told and key() == known
 
 
 @pytest.mark.parametrize("normalise", ["clip", "corpus"])

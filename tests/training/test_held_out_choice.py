@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +12,9 @@ import pytest
 from small_runs import small_diffusion
 
 from gesturekit.corpus import Item, Manifest
+from gesturekit.motion import Motion
 from gesturekit.training.run import held_out as module
+from gesturekit.training.run.folder import Run
 from gesturekit.training.run.held_out import HeldOutMetrics
 
 
@@ -92,6 +96,56 @@ def test_a_corpus_that_cannot_be_read_is_warned_about(metrics, caplog):
     made.config.corpus.unlink()
     assert made.items == () and "No metrics on held-out recordings: " in caplog.text
     assert made.measure(3, None) == ""
+
+
+class Talker:
+    """A model that writes down what it is asked for, and answers with a gesture."""
+
+    fps, styles, speakers = 30.0, ("wild",), ()
+    inputs = SimpleNamespace(path=False, events=())
+
+    def __init__(self, gesture: Callable[..., Motion]) -> None:
+        self.gesture, self.asked = gesture, []
+
+    def generate(self, speech: Any, **controls: Any) -> Motion:
+        self.asked.append({"speech": speech, **controls})
+        return self.gesture(4.0, seed=9)
+
+
+@pytest.mark.parametrize("speech", [True, False])
+def test_a_measurement_is_logged_once_and_its_clips_are_kept_if_asked_for(
+    tmp_path, write_pair, gesture, caplog, speech
+):
+    caplog.set_level("INFO")
+    items = []
+    for split in ("train", "test"):
+        audio, motion = write_pair(tmp_path / "in", split, 4.0)
+        labels = {"style": "wild", "duration": 4.0, "split": split}
+        items.append(Item(id=f"{split}/a", audio=audio, motion=motion, **labels))
+    Manifest(items).save(tmp_path / "c.jsonl")
+    config = small_diffusion(tmp_path / "c.jsonl", tmp_path / "run")
+    run = Run(config.out, {}, resume=False)
+    made, model = HeldOutMetrics(config, run, speech=speech), Talker(gesture)
+    said = made.measure(7, model, " of 9", steps=4)
+    what, _, verdict = said.partition(": ")
+    assert what == "on 1 held-out recording (4 s)" and verdict.endswith(".")
+    (asked,) = model.asked
+    assert (asked.pop("speech") is not None) == speech
+    seconds = None if speech else 4.0
+    wanted = {"seconds": seconds, "seed": 0, "item": "test/a", "style": "wild", "steps": 4}
+    assert asked == wanted
+    assert f"Step 7 of 9: {said}" in caplog.text and not (config.out / "held_out").exists()
+    assert made.measure(7, model, keep=True) == said
+    assert caplog.text.count(said) == 1, "the last verdict is that of the training"
+    assert f"All metrics on 1 held-out recording (4 s): {made.command}" in caplog.text
+    run.close()
+    (line,) = map(json.loads, (config.out / "metrics.jsonl").read_text().splitlines())
+    assert (line["step"], line["kind"]) == (7, "held_out")
+    assert {"held_out/reach", "held_out/reach_recording"} <= line.keys()
+    kept = Manifest.load(made.folder / "corpus.jsonl")
+    assert [(item.id, item.split) for item in kept] == [("test/a", "test"), ("train/a", "train")]
+    assert Motion.load(made.folder / "test" / "a.npz").n_frames == 120
+    assert not list(config.out.glob(".held_out*"))
 
 
 def test_measurements_take_a_twentieth_of_the_time_at_most(metrics, monkeypatch):

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 
-from gesturekit.errors import ConfigError
-from gesturekit.training.data.arrays import ArrayFolder, StoredFrames
+from gesturekit.corpus import Item
+from gesturekit.errors import ConfigError, CorpusError, FormatError, OutputError
+from gesturekit.training.data.arrays import ArrayFolder, StoredFrames, array_key, stored_arrays
 
 KEY = "3fab"
 ROWS = np.arange(30.0).reshape(10, 3)
@@ -30,6 +34,71 @@ def test_the_frames_of_an_array_are_read_from_its_file(folder, tmp_path):
         assert rows.dtype == np.float32 and rows.shape[1] == 3
         np.testing.assert_array_equal(rows, ROWS[start:stop])
     assert folder.find_all([KEY, KEY]) == [array, array]
+
+
+class Maker:
+    """Makes (3, 2) of a number, and writes down the items."""
+
+    def __init__(self, value: float) -> None:
+        self.value, self.made = value, []
+
+    def origin(self, item: Item) -> dict[str, Any]:
+        return {"value": self.value, "motion": item.motion, "id": item.id}
+
+    def make(self, item: Item) -> tuple[np.ndarray, dict[str, Any]]:
+        self.made.append(item.id)
+        if item.id == "bad":
+            raise FormatError("bad.bvh: no HIERARCHY")
+        return np.full((3, 2), self.value), {"id": item.id}
+
+
+class OtherMaker(Maker):
+    """Makes arrays of another kind."""
+
+
+def items(*names: str) -> list[Item]:
+    return [Item(id=n, audio=None, motion=Path(f"/{n}.bvh"), duration=1.0) for n in names]
+
+
+def test_arrays_of_each_maker_are_made_once_and_come_in_order(tmp_path, caplog):
+    caplog.set_level("INFO")
+    one, other = Maker(1.0), Maker(2.0)
+    wanted = [(one, items("a", "b")), (other, items("b")), (Maker(3.0), [])]
+    found = stored_arrays(tmp_path, wanted, 1)
+    assert [[(x.facts["id"], *x.rows(2, 3)[0]) for x in arrays] for arrays in found] == [
+        *([("a", 1.0, 1.0), ("b", 1.0, 1.0)], [("b", 2.0, 2.0)], [])
+    ]
+    assert f"3 arrays of the corpus are made in {tmp_path}." in caplog.text
+    caplog.clear()
+    (again,) = stored_arrays(tmp_path, [(one, items("b", "c"))], 1)
+    assert one.made == ["a", "b", "c"] and again[0] == found[0][1]
+    assert "1 array of the corpus" in caplog.text
+    caplog.clear()
+    stored_arrays(tmp_path, wanted, 1)
+    assert one.made == ["a", "b", "c"] and not caplog.messages
+
+
+def test_an_item_without_its_array_is_named_and_the_others_are_kept(tmp_path):
+    maker = Maker(1.0)
+    with pytest.raises(CorpusError, match=r"^item bad: bad\.bvh: .*; arrays made so far are kept$"):
+        stored_arrays(tmp_path, [(maker, items("a", "bad", "c"))], 1)
+    assert maker.made == ["a", "bad"]
+    stored_arrays(tmp_path, [(maker, items("a", "c"))], 1)
+    assert maker.made == ["a", "bad", "c"]
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="file: .*; arrays=FOLDER names another folder; arrays"):
+        stored_arrays(tmp_path / "file", [(maker, items("a"))], 1)
+
+
+def test_the_name_of_an_array_follows_kind_and_origin_whatever_their_order():
+    (item, other), maker = items("a", "b"), Maker(1.0)
+    key = array_key(maker, item)
+    assert len(key) == 32 and set(key) <= set("0123456789abcdef")
+    turned = Maker(1.0)
+    turned.origin = lambda item: dict(reversed(maker.origin(item).items()))
+    assert array_key(turned, item) == key
+    names = {key, array_key(maker, other), array_key(Maker(2.0), item)}
+    assert len(names | {array_key(OtherMaker(1.0), item)}) == 4
 
 
 def test_channels_of_frames_are_converted_as_they_are_read(folder):
