@@ -48,6 +48,9 @@ def test_slopes_are_those_of_the_published_sizes():
     slopes = PositionBias(NetworkConfig()).slopes
     published = [7.37, 5.00, 3.40, 2.31, 1.57, 1.06, 0.72, 0.49]
     assert slopes.tolist() == pytest.approx(published, abs=0.006)
+    # Views of 5, 7.4, 10.8, 16.0, 23.5, 34.6, 50.9 and 75 frames.
+    assert PositionBias(NetworkConfig()).reaches == [5, 8, 11, 16, 24, 35, 51, 75]
+    assert PositionBias(NetworkConfig(heads=1, channels=8)).reaches == [5]
     assert not slopes.requires_grad
 
 
@@ -80,6 +83,17 @@ def test_blocks_cover_every_frame_once_and_see_the_reach(n_frames):
         assert block.last_key - block.first_key <= 64 + 2 * 75
 
 
+def test_a_clip_as_long_as_a_block_and_its_reach_is_one_block():
+    assert len(blocks_of(64 + 2 * 75, reach=75, size=64)) == 1
+    assert [b.last - b.first for b in blocks_of(64 + 2 * 75 + 1, 75, 64)] == [64, 64, 64, 23]
+
+
+@pytest.mark.parametrize(("farthest", "found"), [(16, [(0, 1), (1, 2)]), (15, [(0, 2)])])
+def test_heads_of_less_than_four_times_the_reach_share_a_band(farthest, found):
+    bias = PositionBias(NetworkConfig(heads=2, nearest_view=4, farthest_view=farthest))
+    assert [(band.first, band.last) for band in bands(bias, 300)] == found
+
+
 @pytest.mark.parametrize("gradients", [False, True])
 def test_blocks_equal_the_full_computation(gradients):
     config, n_frames = NetworkConfig(kernels=4), 300
@@ -92,6 +106,7 @@ def test_blocks_equal_the_full_computation(gradients):
         made = bands(bias, n_frames)
         found = [(band.first, band.last, len(band.blocks)) for band in made]
         assert found == [(0, 4, 7), (4, 8, 3)]
+        assert [band.blocks[0].last for band in made] == [48, 100]
         ours = attend(q, k, v, made, 0.0)
     torch.testing.assert_close(ours.double(), exact, atol=1e-5, rtol=1e-5)
 

@@ -158,11 +158,14 @@ def test_stretching_does_not_make_feet_slide(shared_data):
 
 
 def test_a_share_of_the_windows_is_stretched():
-    factors = np.array([stretch_factor(rng_for("test", k), 0.2) for k in range(2000)])
+    factors = np.array([stretch_factor(rng_for("test", k), 0.2, 0.1) for k in range(2000)])
     assert np.mean(factors != 1.0) == pytest.approx(0.2, abs=0.03)
     assert factors.min() < 0.91 < 1.09 < factors.max()
     assert 0.9 <= factors.min() <= factors.max() <= 1.1
-    assert stretch_factor(rng_for("a"), 1.0) == stretch_factor(rng_for("a"), 1.0)
+    assert stretch_factor(rng_for("a"), 1.0, 0.1) == stretch_factor(rng_for("a"), 1.0, 0.1)
+    wide = np.array([stretch_factor(rng_for("test", k), 1.0, 0.4) for k in range(500)])
+    # Uniform between 0.6 and 1.4: quarters are at 0.8, 1 and 1.2.
+    assert np.quantile(wide, [0.25, 0.5, 0.75]) == pytest.approx([0.8, 1.0, 1.2], abs=0.04)
 
 
 @pytest.mark.parametrize(
@@ -200,7 +203,10 @@ def test_conditions_are_mirrored_with_the_motion():
 
 @pytest.mark.parametrize(
     ("name", "other"),
-    [("left hook", "right hook"), ("Kick-R", "Kick-L"), ("upright", "upright"), ("roll", "roll")],
+    [
+        *(("left hook", "right hook"), ("Kick-R", "Kick-L"), ("upright", "upright")),
+        *(("roll", "roll"), ("LEFT hook", "RIGHT hook"), ("Left", "Right"), ("punch_l", "punch_r")),
+    ],
 )
 def test_names_change_sides_by_whole_words(name, other):
     assert other_side(name) == other

@@ -336,11 +336,19 @@ def test_models_that_do_not_go_together_are_refused(model, untrained):
         values = vars(other.representation) | changes
         return replace(other, representation=type(other.representation)(**values))
 
-    scaled = replace(other, normaliser=replace(own, scale=own.scale * 1.5))
+    factors = torch.linspace(1.0, 1.5, len(own.scale)).flip(0)
+    scaled = replace(other, normaliser=replace(own, scale=own.scale * factors))
+    shrunk = replace(other, normaliser=replace(own, scale=own.scale / factors))
     joints, means = other.representation.joints, other.representation.references
+    side, rig = other.representation.side, other.skeleton
+    renamed = replace(rig, names=("Root", *rig.names[1:]))
     dance = replace(other.noise_config, steps=150, first_beta=0.01, last_beta=0.7)
     for wrong, told in (
         (scaled, r"expert 1: .*another scale \(by up to a factor of 1\.5\).*moves_like"),
+        (shrunk, r"by up to a factor of 0\.667"),
+        (represented(scale=1.01 * other.representation.scale), "relative to another body size"),
+        (represented(side=-side), "other mean rotations"),
+        (represented(skeleton=renamed), "expert 1: another rig: .*Root"),
         (replace(other, fps=20.0), "expert 1: moves at 20 fps, this model at 30"),
         (represented(references=means[::-1]), "other mean rotations"),
         (represented(joints=(*joints[:-1], "Nobody")), "of a product need the same joints"),
@@ -350,6 +358,18 @@ def test_models_that_do_not_go_together_are_refused(model, untrained):
     ):
         with pytest.raises(ModelError, match=told):
             model.generate(**QUICK, experts=[(wrong, 0.5)])
+    for wrong in ((other, 0.5, None, 3), ()):
+        with pytest.raises(ModelError, match=r"expert 1: expected \(model, weight\)"):
+            model.generate(**QUICK, experts=[wrong])
+    styled = untrained(seed=2, styles=("old",))
+    with pytest.raises(ModelError, match="unconditional: that model needs a style too"):
+        model.check_controls(guidance=1.5, unconditional=styled)
+    for droppable in ("styles", "all"):
+        without = untrained(seed=2, styles=("old",), droppable=(droppable,))
+        model.check_controls(guidance=1.5, unconditional=without)
+        without.check_controls(guidance=1.5)
+    with pytest.raises(ModelError, match="expert 1: .*; only diffusion"):
+        model.check_controls(guidance=1.5, unconditional=other, experts=[(gk.load("demo"), 0.5)])
     # Another mean is no hindrance.
     moved = replace(other, normaliser=replace(own, mean=own.mean + 0.1))
     alone = moved.generate(**QUICK, foot_lock=False)

@@ -167,6 +167,37 @@ def test_no_condition_at_all(shaken):
     assert network.for_condition(noisy[..., :0], [2])(noisy, 2).shape == noisy.shape
 
 
+def test_a_new_network_predicts_zero_and_its_layers_keep_the_size_of_what_passes():
+    """Kaiming's normal distribution has the variance 2 / n; torch's uniform one of convolutions
+    is up to 1 / sqrt(n), of the three frames times 60 channels that come in.
+    """
+    torch.manual_seed(0)
+    network = Denoiser(50, 5, NetworkConfig(blocks=1, layers=1, channels=64, dilations=(1,)))
+    noisy, condition = torch.randn(1, 9, 50), torch.randn(1, 9, 5)
+    assert not network(noisy, condition, torch.tensor([3])).any()
+    for layer, n_in in ((network.enter, 50), (network.split[0], 64), (network.gather, 64)):
+        assert float(layer.weight.detach().std()) == pytest.approx((2 / n_in) ** 0.5, rel=0.05)
+    for n_out in (90, 30):
+        layer = DilatedConv(60, n_out, dilation=2, bias=True)
+        for value in (layer.weight.detach(), layer.bias.detach()):
+            assert float(value.abs().max()) == pytest.approx(180**-0.5, rel=0.1)
+            assert float(value.abs().max()) <= 180**-0.5 and float(value.min()) < 0
+    assert DilatedConv(3, 4, dilation=1).bias is None
+
+
+def test_dropout_is_of_training_alone(shaken):
+    config = NetworkConfig(blocks=1, layers=1, channels=16, heads=2, feedforward=16, dropout=0.5)
+    network, (noisy, condition) = shaken(config), inputs(30)
+    asked = noisy, condition, torch.tensor([3, 3])
+    assert torch.equal(network(*asked), network(*asked))
+    network.train()
+    assert not torch.equal(network(*asked), network(*asked))
+    attention_alone = network.stacks[0].layers[0].attention
+    x, bands = torch.randn(2, 30, 16), network._bands(30)[0][0]
+    assert not torch.equal(attention_alone(x, bands), attention_alone(x, bands))
+    assert torch.equal(*(attention_alone.eval()(x, bands) for _ in range(2)))
+
+
 def test_invalid_arguments_are_refused():
     with pytest.raises(ModelError, match="6 numbers a frame, but the network was made for 5"):
         Denoiser(7, 5, DIFFWAVE).for_condition(torch.zeros(1, 4, 6), [0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -164,6 +165,21 @@ def test_few_steps_skip_pure_noise_and_repeat_none(schedule):
         assert steps[-1] == 0 or count == 1
         assert count > 45 or schedule.alphas_bar[steps[0]] > 1e-6
     assert chosen_steps(schedule, 8, start=30)[0] == 30
+
+
+@pytest.mark.parametrize(("count", "start"), [(10, None), (50, None), (98, None), (12, 16), (1, 9)])
+def test_few_steps_are_those_nearest_to_even_levels_of_noise(count, start):
+    """Of the steps that are left, the one whose log signal-to-noise ratio is the nearest."""
+    level = GESTURE.log_snr().numpy()
+    found = chosen_steps(GESTURE, count, start=start)
+    if start is None:
+        # abar is above 1e-5 in steps 0 to 46.
+        assert found[0] == max(46, count - 1)
+    wanted, before = np.linspace(level[found[0]], level[0], count), found[0] + 1
+    for k, step in enumerate(found):
+        free = range(count - 1 - k, before)
+        assert step == min(free, key=lambda n, k=k: abs(level[n] - wanted[k]))
+        before = step
 
 
 @pytest.mark.parametrize("predict", ["velocity", "clean"])

@@ -56,7 +56,7 @@ def phases(motion: Motion, fps: float) -> tuple[Phase, ...]:
     speech, path and events.
     """
     ratio = motion.fps / fps
-    n = round(ratio) if abs(ratio - round(ratio)) < 1e-6 * ratio else 1
+    n = round(ratio) if abs(ratio - round(ratio)) < 1e-6 else 1
     return (
         Phase(motion.resample(fps), 0.0),
         *(
@@ -133,7 +133,7 @@ def mirror_condition(
     return mirrored
 
 
-def stretch_factor(rng: torch.Generator, share: float, spread: float = 0.1) -> float:
+def stretch_factor(rng: torch.Generator, share: float, spread: float) -> float:
     """Draw a time-stretching factor: 1 + U[-spread, spread] for a share of windows, else 1.
 
     Two numbers are drawn in either case.
@@ -187,7 +187,7 @@ def stretch(
     if factor == 1.0 and float(start).is_integer():
         return values[int(start) : int(start) + n_frames].copy()
     at = np.minimum(at, last)
-    low = np.minimum(np.floor(at).astype(np.int64), max(last - 1, 0))
+    low = np.floor(at).astype(np.int64)
     high = np.minimum(low + 1, last)
     weight = (at - low)[:, None]
     # Displacements before the window are read too, see `_scaled_steps`.
