@@ -166,6 +166,11 @@ def test_the_root_goes_forward_and_turns_left(gesture):
     assert np.abs(lateral).max() < 1e-9
     height = values[:, representation.height_column] * representation.scale
     assert height == pytest.approx(0.9)
+    # Decoded, it begins at the origin and faces +Z, or where and as it is asked to.
+    for start, more in (((0.0, 0.0, 0.0), {}), ((3.0, -1.0, 0.4), {"start": (3.0, -1.0, 0.4)})):
+        path = representation.path_of(representation.decode(values, 30.0, **more))
+        assert (*path.positions[0], path.headings[0]) == pytest.approx(start, abs=1e-9)
+        assert path.headings[-1] - start[2] == pytest.approx(0.5 * 59 / 30)
 
 
 @pytest.mark.parametrize("kind", [DeltaRepresentation, MultiresRepresentation])

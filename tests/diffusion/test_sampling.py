@@ -173,8 +173,8 @@ def test_few_steps_are_those_nearest_to_even_levels_of_noise(count, start):
     level = GESTURE.log_snr().numpy()
     found = chosen_steps(GESTURE, count, start=start)
     if start is None:
-        # abar is above 1e-5 in steps 0 to 46.
-        assert found[0] == max(46, count - 1)
+        # abar is above 1e-5 in steps 0 to 48.
+        assert found[0] == max(48, count - 1)
     wanted, before = np.linspace(level[found[0]], level[0], count), found[0] + 1
     for k, step in enumerate(found):
         free = range(count - 1 - k, before)
