@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from rigs import prefixed
+from rigs import nameless, prefixed
 from scipy.spatial.transform import Rotation
 
 from gesturekit.corpus import Manifest, prepare
@@ -89,6 +89,47 @@ def test_rows_are_windows_of_recordings_with_their_conditions(loaded):
         ]
         ((recording, start),) = found
         assert np.array_equal(recording.condition[start : start + 60], batch.condition[row])
+
+
+def flat(name: str, n_frames: int, data: TrainingData, is_paired: bool = True) -> TrainingSequence:
+    """A recording whose every number is its length."""
+    made = np.full((n_frames, data.representation.n_features), float(n_frames), np.float32)
+    condition = np.zeros((n_frames, data.conditions.width), np.float32)
+    return TrainingSequence(name, made, condition, is_paired)
+
+
+@pytest.mark.parametrize(
+    ("n_frames", "window"), [(61, 60), (60, 60), (59, 48), (48, 48), (47, 38), (2, 2)]
+)
+def test_short_recordings_have_windows_shortened_by_a_fifth(loaded, make_config, n_frames, window):
+    """Of 60 frames, 48, 38, 30, 24, 19, 15, 12, 9, 7, 5, 4, 3 and 2, however they are stretched."""
+    changes = {"augmentation": {"mirror": False, "stretch": 1.0, "stretch_range": 0.5}}
+    data, _ = loaded(**changes)
+    data = replace(data, recordings=(flat("a", n_frames, data),))
+    batch = Batches(data, make_config(**changes)).draw(0, slice(0, 4))
+    assert batch.clean.shape[:2] == batch.condition.shape[:2] == (4, window)
+
+
+def test_all_frames_are_drawn_alike_and_motion_alone_for_its_share(loaded, make_config, idle):
+    """A quarter of the windows are without speech; of the others, as many as there are frames.
+
+    Recordings of 180, 60 and 40 frames, the last in windows of its own: 9/28, 3/28 and 2/28 times
+    3/2.
+    """
+    changes = {"unpaired": {"corpus": idle, "share": 0.25}, "augmentation": PLAIN}
+    data, _ = loaded(**changes)
+    lengths = {180: True, 60: True, 40: True, 90: False}
+    recordings = tuple(flat(f"r{n}", n, data, paired) for n, paired in lengths.items())
+    normaliser = Normaliser(torch.zeros(1), torch.ones(1))
+    data = replace(data, recordings=recordings, normaliser=normaliser)
+    batches = Batches(data, make_config(**changes))
+    drawn = [batches.draw(update, slice(0, 2)).clean for update in range(600)]
+    found = np.array([[float(row[0, 0]) for row in clean] for clean in drawn])
+    shares = [float(np.mean(found == n)) for n in lengths]
+    wanted = [0.75 * n / 280 for n in (180, 60, 40)] + [0.25]
+    assert shares == pytest.approx(wanted, abs=0.04)
+    assert {clean.shape[1] for clean in drawn} == {60, 38}
+    assert all(len(set(row)) == 1 for row in found if 40 in row), "a batch has one length"
 
 
 def test_a_row_depends_on_neither_its_neighbours_nor_what_was_drawn_before(loaded):
@@ -175,6 +216,30 @@ def test_the_log_names_inputs_recordings_and_variants(make_config, styled, idle,
         "2: diffusion, from path, 6 updates.",
         *said[4:6],
     ]
+
+
+def test_one_line_says_what_a_rig_without_known_parts_costs(make_config, gesture, tmp_path, caplog):
+    caplog.set_level("INFO")
+    (tmp_path / "in").mkdir()
+    nameless(gesture(3.0))[0].save(tmp_path / "in" / "a.bvh")
+    prepare([], tmp_path / "c.jsonl", unpaired_motion=[tmp_path / "in"], holdout=0.0)
+    told = {"corpus": str(tmp_path / "c.jsonl"), "features": None}
+    sliding = {"noise": {"predict": "clean"}, "training": {"foot_sliding": 0.5}}
+    for number, (changes, follows) in enumerate(
+        [
+            (sliding, "no mirrored recordings, no loss on foot sliding, all joints are modelled"),
+            ({"joints": "all"}, "no mirrored recordings"),
+            ({"augmentation": PLAIN, "joints": "all"}, None),
+        ]
+    ):
+        caplog.clear()
+        config = make_config(**told, **changes, out=str(tmp_path / str(number)))
+        with session(config, resume=False) as (run, device, processes):
+            Trainer(config, run, device, processes, resume=False)
+        lines = [text for text in caplog.messages if "cannot be identified" in text]
+        assert len(lines) == (follows is not None)
+        assert not lines or f" of the rig cannot be identified: {follows}. If it" in lines[0]
+        assert not lines or lines[0][0].isupper()
 
 
 def test_mirrored_recordings_turn_the_other_way_and_handed_styles_have_none(loaded, styled):
@@ -285,15 +350,6 @@ def test_both_halves_of_a_recording_at_twice_the_frame_rate(loaded, recorded):
     n = min(one.n_frames, other.n_frames)
     assert not np.array_equal(one.condition[:n], other.condition[:n])
     assert np.corrcoef(one.condition[:n].ravel(), other.condition[:n].ravel())[0, 1] > 0.8
-
-
-def test_short_recordings_give_short_windows(loaded):
-    _, batches = loaded(training={"window": 4.0, "batch": 2})
-    lengths = {batches.draw(update, slice(0, 2)).clean.shape[1] for update in range(40)}
-    assert lengths == {120, 60}  # of 6 s, and of 2.5 s: 120 frames less a fifth, thrice
-    # A recording of 75 frames is one window of as many.
-    _, batches = loaded(training={"window": 2.5, "batch": 2})
-    assert {batches.draw(update, slice(0, 2)).clean.shape[1] for update in range(40)} == {75}
 
 
 def test_a_resumed_run_reads_the_same_data(make_config, styled, tmp_path):

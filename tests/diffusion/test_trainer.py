@@ -20,8 +20,20 @@ from gesturekit.training.run.checkpoint import Checkpoints
 
 
 def test_a_run_leaves_metrics_checkpoints_and_a_model_that_moves(make_config):
-    config = make_config(eval_every=4, fps=15.0, clip_denoised=False)
+    notes = {"Licence": "CC BY 4.0", "Year": 2026}
+    config = make_config(eval_every=4, fps=15.0, clip_denoised=False, notes=notes)
     folder = train(config)
+    card = (folder / "README.md").read_text()
+    for row in (
+        *(
+            "Recordings**: 2 recordings, 8 s at 30 fps, trained at 15 fps",
+            "Unpaired motion**: none",
+        ),
+        *("Began with**: random weights", "Training steps**: 6", "Last losses**: loss "),
+        *("Licence**: CC BY 4.0", "Year**: 2026"),
+    ):
+        assert f"- **{row}" in card
+    assert "Not used" not in card and "Guidance" not in card
     assert [line["step"] for line in logged(config.out)] == [2, 4, 6]
     assert [line["step"] for line in logged(config.out, "evaluation")] == [4, 6]
     assert {"arm_speed_ratio", "jerk_ratio"} <= logged(config.out, "evaluation")[-1].keys()
@@ -143,6 +155,16 @@ def test_variants_train(make_config, changes):
     config = make_config(**changes)
     assert (train(config) / "config.yaml").is_file()
     assert all(0 < line["loss"] < 3 for line in logged(config.out))
+
+
+def test_conditions_that_are_dropped_are_those_that_guidance_may_leave_out(make_config, tmp_path):
+    for name, shares, droppable in (
+        ("all", {"dropout_condition": 0.1}, ("all",)),
+        ("both", {"dropout_condition": 0.1, "dropout_style": 0.1}, ("all", "styles")),
+    ):
+        training = {"updates": 1, **shares}
+        model = train(make_config(out=str(tmp_path / name), training=training))
+        assert gk.load(model).droppable == droppable
 
 
 @pytest.mark.parametrize(
