@@ -423,6 +423,26 @@ def test_heel_and_ball_of_a_flat_foot_stay_while_it_turns(with_toes, degrees, he
     assert np.degrees(rotation_angles(toe, np.array([0.0, 0.0, 0.0, 1.0]))).max() < 0.2 * degrees
 
 
+@pytest.mark.parametrize(("degrees", "turns_back"), [(20.0, False), (14.0, True)])
+def test_a_foot_that_has_turned_stands_in_its_new_direction(with_toes, degrees, turns_back):
+    """It turns within half a second. Its tip is sin(10 degrees) = 0.174 of the foot's length from
+    the middle at either end, more than the 0.15 that a pin turns it; sin(7 degrees) is 0.122.
+    """
+    motion = standing(with_toes)
+    share = np.clip((motion.times - 2.75) / 0.5, 0, 1)
+    yaw = np.radians(degrees) * share**2 * (3 - 2 * share)
+    world = quaternion_from_rotation_vector(yaw[:, None] * [0.0, 1.0, 0.0])
+    rotations = motion.rotations.copy()
+    foot = motion.skeleton.index("LeftFoot")
+    rotations[:, foot] = multiply_quaternions(world, motion.rotations[:, foot])
+    # About the vertical: the leg above it leans by nothing in sum.
+    feet = foot_positions(lock_feet(replace(motion, rotations=rotations), keep_path=True))
+    pointing = np.degrees(np.arctan2(*(feet[:, 1] - feet[:, 0])[:, [0, 2]].T))
+    apart = pointing[-60:].mean() - pointing[:60].mean()
+    assert np.ptp(pointing[:60]) < 0.01 and np.ptp(pointing[-60:]) < 0.01
+    assert (apart < 3.0) if turns_back else (apart > 19.0), apart
+
+
 def test_feet_and_toes_keep_their_orientation_in_the_world(with_toes):
     motion = swaying(standing(with_toes))
     locked = lock_feet(motion)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -48,9 +49,9 @@ def pose_on_rig(
     """
     whole, frame = read(default)
     # Retargeting finds out how a rig stands, for which a minute before and after is enough.
-    around = round(_AROUND_SECONDS * whole.fps)
+    around = math.ceil(_AROUND_SECONDS * whole.fps)
     first = max(0, frame - around)
-    motion, frame = whole[first : frame + around + 1], frame - first
+    motion, frame = whole[first : frame + around], frame - first
     own = on_rig(model, motion)
     pose, given = (m[frame : frame + 1] for m in (own, motion))
     if own is motion:
