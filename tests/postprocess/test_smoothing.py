@@ -125,6 +125,9 @@ def test_beats_pass_only_the_filter_of_six_hertz(skeleton):
 
 def test_frame_rates_too_low_for_a_filter_change_nothing(skeleton):
     """6 Hz is beyond what 12 fps holds, 0.5 Hz is not; 2 Hz beside 0.5 Hz is removed."""
+    motion, _ = swinging(skeleton, "Hips", 3.0, 10.0)
+    same = smooth_motion(motion, 1 / 9).rotations  # 4.5 Hz, 0.45 of the frame rate
+    np.testing.assert_allclose(same, motion.rotations, rtol=0, atol=1e-9)
     for fps, seconds, expected in ((12.0, 0.01, 1.0), (12.0, 1.0, 0.0028), (1.1, 1.0, 1.0)):
         hertz = min(2.0, 0.1 * fps * 2)
         motion, angles = swinging(skeleton, "Hips", hertz, fps)
