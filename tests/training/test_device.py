@@ -9,6 +9,17 @@ from gesturekit.errors import ConfigError
 from gesturekit.training.run.device import prepare_device, warn_of_slow_bfloat16
 
 
+def test_a_run_has_the_threads_that_it_asks_for():
+    before = torch.get_num_threads()
+    try:
+        assert prepare_device("cpu", before + 1).type == "cpu"
+        assert torch.get_num_threads() == before + 1
+        prepare_device("auto")
+        assert torch.get_num_threads() == before + 1
+    finally:
+        torch.set_num_threads(before)
+
+
 def test_a_gpu_computes_deterministically_and_in_full_precision(gpu):
     assert prepare_device("cuda").type == "cuda"
     assert torch.are_deterministic_algorithms_enabled()

@@ -7,9 +7,11 @@ import re
 from pathlib import Path
 
 import pytest
+import torch
 
-from gesturekit.errors import ConfigError
+from gesturekit.errors import ConfigError, ModelError
 from gesturekit.training.run import report as module
+from gesturekit.training.run.checkpoint import Checkpoints
 from gesturekit.training.run.folder import Run, has_no_run
 
 
@@ -220,6 +222,23 @@ def test_logged_lines_are_found_by_step_kind_and_level(run: Run) -> None:
     run.forget_metrics_after(0)
     assert run.last_metrics() == {}
     run.close()
+
+
+def test_the_last_two_checkpoints_are_kept_and_the_newest_whole_one_is_read(tmp_path, caplog):
+    kept = Checkpoints(tmp_path / "checkpoints")
+    assert kept.steps() == [] and kept.latest() is None
+    for step in (5, 150, 20_000, 1_000_000_000):
+        kept.save(step, {"step": step, "values": torch.ones(3)})
+    assert kept.steps() == [20_000, 1_000_000_000]
+    step, state = kept.latest()
+    assert step == state["step"] == 1_000_000_000 and state["values"].tolist() == [1.0] * 3
+    kept.path(step).write_bytes(b"half")
+    assert kept.latest()[0] == 20_000
+    assert f"{kept.path(step)} cannot be read" in caplog.text
+    kept.path(20_000).write_bytes(b"")
+    (tmp_path / "checkpoints" / "step_3.txt").touch()
+    with pytest.raises(ModelError, match="none of its 2 checkpoints can be read"):
+        kept.latest()
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,191 @@
+"""A model's folder, whatever the system: what is written is read, and what is wrong is named."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+from rigs import nameless, without_joints
+
+import audio_features as af
+from gesturekit.errors import ConfigError, ModelError
+from gesturekit.training.data.start_model import (
+    check_conditions,
+    check_settings,
+    model_of,
+    read_start,
+    start_tensors,
+)
+from gesturekit.training.model_folder import (
+    ModelParts,
+    load_model,
+    model_digest,
+    model_readme,
+    save_model,
+)
+
+CONFIG = {"kind": "puppet", "fps": 25, "styles": ["a", "b"]}
+RIG = {"names": ["Hips"], "height": 1.5}
+TENSORS = {"net.weight": torch.arange(6.0).reshape(2, 3), "mean": torch.ones(2)}
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    save_model(tmp_path / "model", CONFIG, RIG, TENSORS, "A puppet.\n")
+    return tmp_path / "model"
+
+
+@pytest.fixture
+def load(folder, skeleton) -> Callable[..., Any]:
+    """load(assemble=None): the parts of the folder, or what is made of them."""
+
+    def read(assemble: Callable[[ModelParts], Any] | None = None, rig: Any = skeleton) -> Any:
+        return load_model(
+            folder, "puppet", assemble or (lambda parts: SimpleNamespace(skeleton=rig, parts=parts))
+        )
+
+    return read
+
+
+def test_what_is_written_is_read(folder, load, caplog):
+    parts = load().parts
+    assert parts.folder == folder and parts.config == {"format": 1, **CONFIG} and parts.rig == RIG
+    assert (
+        set(parts.tensors) == set(TENSORS) and (folder / "README.md").read_text() == "A puppet.\n"
+    )
+    (weight,) = parts.tensors_under("net.").items()
+    assert weight[0] == "weight" and torch.equal(weight[1], TENSORS["net.weight"])
+    assert not caplog.messages
+
+
+def edit(file: Path, **changes: Any) -> None:
+    values = json.loads(file.read_text()) if file.suffix == ".json" else {"format": 1, **CONFIG}
+    file.write_text(json.dumps(values | changes))
+
+
+@pytest.mark.parametrize(
+    ("harm", "says"),
+    [
+        (lambda f: (f / "config.yaml").unlink(), "^not a model folder: .*no such configuration"),
+        (lambda f: (f / "skeleton.json").unlink(), "model: the model lacks skeleton.json$"),
+        (lambda f: (f / "model.safetensors").unlink(), "model: the model lacks model.safetensors$"),
+        (lambda f: (f / "skeleton.json").write_text("{"), r"skeleton\.json is damaged \(Expecting"),
+        (lambda f: (f / "model.safetensors").write_bytes(b"1"), r"model\.safetensors is damaged"),
+        (lambda f: edit(f / "config.yaml", format=2), "format 2; this gesturekit reads format 1"),
+        (lambda f: edit(f / "config.yaml", kind="x"), "config.yaml: kind 'x', not puppet"),
+        (lambda f: edit(f / "config.yaml", fps=0), r"the model is damaged \(fps is 0\.0\)"),
+        (lambda f: edit(f / "config.yaml", fps=1e999), r"the model is damaged \(fps is inf\)"),
+        (lambda f: edit(f / "config.yaml", fps=[1]), "the model is damaged "),
+    ],
+)
+def test_damage_is_named(folder, load, harm, says):
+    harm(folder)
+    with pytest.raises(ModelError, match=says):
+        load()
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (af.FeatureError("no kind"), r"model/config\.yaml: features: no kind$"),
+        (af.WeightsError("no weights"), "^no weights$"),
+        (ModelError("as it is"), "^as it is$"),
+        (KeyError("noise"), r"the model is damaged \('noise'\)$"),
+        (RuntimeError("one\n\ttwo\n\tthree"), r"the model is damaged \(one  two\)$"),
+        (PermissionError(13, "Permission denied", "/a/b.npz"), r"b\.npz cannot be read \(Permi"),
+        (OSError("odd"), r"model\.safetensors cannot be read \(odd\)$"),
+        (ImportError("no module"), r"the model cannot be loaded \(ImportError: no module\)$"),
+        (MemoryError(), r"the model cannot be loaded \(MemoryError\)$"),
+        (
+            torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to get 2 GiB. GPU 0 has. More"),
+            r"the GPU's memory ran out \(CUDA out of memory\. Tried to get 2 GiB\); free it, or",
+        ),
+    ],
+)
+def test_what_fails_while_a_model_is_made_is_one_line(load, error, says):
+    def fail(parts: ModelParts) -> None:
+        raise error
+
+    with pytest.raises((ModelError, af.WeightsError), match=says) as caught:
+        load(fail)
+    assert "\n" not in str(caught.value)
+
+
+def test_parts_that_are_not_known_are_warned_about(load, gesture, skeleton, caplog):
+    load(rig=nameless(gesture(1.0))[0].skeleton)
+    assert "of the rig cannot be identified: feet are not locked, and the upper" in caplog.text
+    caplog.clear()
+    load(rig=without_joints(gesture(1.0), "Leg", "Foot").skeleton)
+    assert "feet are not locked" not in caplog.text
+
+
+def test_a_digest_follows_all_that_is_written_but_the_readme():
+    known = model_digest(CONFIG, RIG, TENSORS)
+    turned = dict(reversed(TENSORS.items()))
+    assert model_digest(CONFIG, RIG, turned) == known and len(known) == 64
+    weight = TENSORS["net.weight"]
+    others = [
+        model_digest(CONFIG | {"fps": 30}, RIG, TENSORS),
+        model_digest(CONFIG, RIG | {"height": 1.6}, TENSORS),
+        *(
+            model_digest(CONFIG, RIG, TENSORS | {"net.weight": changed})
+            for changed in (weight + 1, weight.reshape(3, 2), weight.view(torch.int32), weight.T)
+        ),
+        model_digest(CONFIG, RIG, {"net.bias": weight, "mean": TENSORS["mean"]}),
+    ]
+    assert len({known, *others}) == len(others) + 1
+
+
+def test_the_readme_has_facts_and_an_example():
+    assert model_readme({"Kind": "puppet", "Steps": "3"}, "seconds=10") == (
+        "# A gesturekit model\n\n- **Kind**: puppet\n- **Steps**: 3\n\n```python\n"
+        'import gesturekit as gk\n\nmodel = gk.load("THIS FOLDER")\n'
+        'model.generate(seconds=10, seed=0).save("motion.bvh")\n```\n'
+    )
+
+
+def test_a_model_to_start_from_is_found_by_its_run_too(folder):
+    assert model_of(folder) == folder and model_of(folder.parent) == folder
+
+
+def test_a_run_has_the_settings_of_the_model_that_it_starts_from():
+    check_settings("start_from", Path("m"), {"fps": 30}, {"fps": 30, "seed": 1})
+    with pytest.raises(ConfigError, match="^start_from: m has fps 30, this run 25; set it to what"):
+        check_settings("start_from", Path("m"), {"fps": 30}, {"fps": 25})
+
+
+@pytest.mark.parametrize(
+    ("wanted", "fits"),
+    [
+        ({"styles": ["a"]}, True),
+        ({"styles": ["b", "a"]}, True),
+        ({"styles": ["a", "c"]}, False),
+        ({"styles": []}, False),
+        ({"events": []}, True),
+        ({"events": ["kick"]}, False),
+        ({"path": False}, True),
+        ({"path": True}, False),
+        ({"features": [{"kind": "mfcc"}]}, False),
+    ],
+)
+def test_a_corpus_may_lack_some_of_a_models_styles_and_events_but_not_all(wanted, fits):
+    known = {"styles": ["a", "b"], "events": [], "path": False, "features": None, "more": 1}
+    if fits:
+        check_conditions(Path("m"), known, wanted)
+        return
+    (name,) = wanted
+    with pytest.raises(ConfigError, match=f"start_from: m has {name} .*, this run .*; a model's"):
+        check_conditions(Path("m"), known, wanted)
+
+
+def test_weights_to_start_from_stand_beside_the_data_of_a_run():
+    tensors = start_tensors({"a": torch.ones(2, 3).T, "start.b": torch.zeros(1)})
+    assert all(value.is_contiguous() for value in tensors.values())
+    found = read_start({**tensors, "motion.mean": torch.ones(1)})
+    assert {name: value.shape for name, value in found.items()} == {"a": (3, 2), "start.b": (1,)}
+    assert read_start({"motion.mean": torch.ones(1)}) == {}
