@@ -270,14 +270,23 @@ def test_all_figures_are_written_and_undefined_ones_are_null(tmp_path):
     figures = json.loads(text)
     assert "é" in text and text.endswith("}\n") and '\n "raters": 8,\n' in text
     pair = {
-        "a": "b", "b": "a", "counts": [0, 1, 1, 0, 0], "raters": 2, "mean": 0.5, "p": pytest.approx(0.5),
-        "p_holm": pytest.approx(0.5), "p_tukey": pytest.approx(0.42265, abs=1e-4),
+        "a": "b",
+        "b": "a",
+        "counts": [0, 1, 1, 0, 0],
+        "raters": 2,
+        "mean": 0.5,
+        "p": pytest.approx(0.5),
+        "p_holm": pytest.approx(0.5),
+        "p_tukey": pytest.approx(0.42265, abs=1e-4),
         "win_rate": {"value": 1, "low": pytest.approx(0.20654, abs=1e-4), "high": 1},
-    }  # fmt: skip
+    }
     sad = figures["by_style"]["sad"]
     # Scores 1 and 0 against 0 and 0: F = 0.25 / 0.25 with 1 and 2 degrees of freedom.
-    assert sad["anova"] == {"f": pytest.approx(1), "p": pytest.approx(0.42265, abs=1e-5),
-                            "df": [1, 2]}  # fmt: skip
+    assert sad["anova"] == {
+        "f": pytest.approx(1),
+        "p": pytest.approx(0.42265, abs=1e-5),
+        "df": [1, 2],
+    }
     assert sad["pairs"] == [pair] and sad["not_compared"] == []
     assert sad["systems"][0]["merit"] == {"value": 0.5, "low": 0, "high": 1}
     assert len(figures["preference"]["pairs"]) == len(figures["by_style"]["old"]["pairs"]) == 3
