@@ -211,7 +211,8 @@ def test_a_plan_warns_of_held_out_neighbours_once(train, one_recording, caplog):
 def test_frequent_evaluation_does_not_change_weights(train, one_recording, tmp_path, monkeypatch):
     corpus = f"corpus={one_recording}"
     assert train(corpus).status == 0
-    monkeypatch.setattr(HeldOutMetrics, "is_due", lambda self: True)
+    due = iter([False, True, True])
+    monkeypatch.setattr(HeldOutMetrics, "is_due", lambda self: next(due, False))
     assert train(corpus, f"out={tmp_path / 'other'}").status == 0
     assert '"kind": "held_out"' in (tmp_path / "other" / "metrics.jsonl").read_text()
     weights = [tmp_path / run / "model" / "model.safetensors" for run in ("run", "other")]

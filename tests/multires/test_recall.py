@@ -577,7 +577,8 @@ def test_both_arms_are_stretched_alike(model, speech):
 
 def test_joins_differ_between_seeds(model, speech):
     """Else the pieces that fit would be much the same in all of them."""
-    made = (recalled(model, speech, 0.0, seed)[1] for seed in (*range(100), 7))
+    features = features_of(model, speech)
+    made = (model.library.recall(features, seeded(seed)) for seed in (*range(100), 7))
     *firsts, again = ([pieces.first for pieces in motion.pieces] for motion in made)
     for first, search in zip(np.transpose(firsts), model.library.searches, strict=True):
         assert first.min() == 0 and first.max() == search.hop - 1
