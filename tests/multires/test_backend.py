@@ -107,6 +107,8 @@ def test_numba_refuses_unsupported_modules(engine, networks, change, named):
     change(*networks)
     with pytest.raises(ModelError, match=named):
         choose_backend("numba", *networks)
+    for network in networks:
+        network.eval()
     backend = choose_backend("auto", *networks)
     assert backend.name == "torch" and "slower than numba" in backend.reason
 

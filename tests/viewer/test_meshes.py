@@ -426,3 +426,5 @@ def test_seams_are_closed_between_vertices_of_one_place_and_colour():
     # A face of another colour keeps two vertices that others use as well, and its corner.
     split.regions[:3] = 1
     assert len(welded(split, 1.0).vertices) == 11
+    # A place is a hundred-thousandth of the height: 0.5, the distance of neighbours, from 5e4 on.
+    assert [len(welded(split, height).vertices) for height in (0.1, 2e4, 4e5)] == [11, 11, 2]

@@ -35,6 +35,8 @@ _TEMPO_SECONDS = 0.05
 _KEPT = 4
 """Pieces of a part that are remembered, for the frames before the current one."""
 _TAPS = np.array(TAPS)[:, None, None]
+_NOW = np.zeros(1)
+"""The current motion frame (M = 1), relative to itself."""
 _STEADY_SECONDS = 5.0
 """Weight of a mean of 0 in the running mean of the slow prediction, in seconds of sound."""
 
@@ -148,7 +150,7 @@ class LivePlan:
         arms = [i for i, part in enumerate(self.library.parts) if part.is_arm]
         if fast is None or not arms:
             return 1.0
-        own = np.mean([self._shown(i, np.zeros(1), "fast") for i in arms])
+        own = np.mean([self._shown(i, _NOW, "fast") for i in arms])
         # A conditional mean has the right times, but smaller peaks than the pieces have.
         wanted = fast.values[0] / max(fast.r, LEAST_R)
         goal = np.clip(wanted - self.library.spread * own, -math.log(_FASTEST), math.log(_FASTEST))
@@ -182,7 +184,7 @@ class LivePlan:
         allowed = library.allowed(search.piece, 1, self.choice.speaker, self._styles)
         states = library.drawn_states(scores, i, allowed)[0]
         states[0] += math.log(self.choice.liveliness)
-        now, ahead = np.zeros(1), np.arange(search.piece) / self._step
+        ahead = np.arange(search.piece) / self._step
         wanted = np.full((search.piece, 1), np.nan)
         if fast is not None:
             wanted[:, 0] = fast.at((np.arange(search.piece) + 0.5) / library.level_fps)
@@ -191,7 +193,7 @@ class LivePlan:
             beside = self._shown(0, ahead, "directions")
             wanted = np.concatenate([wanted, beside], axis=1)
         others = [self._numbers(j, ahead) for j in range(i)]
-        shown = round(float(self._numbers(i, now)[0])) if pieces else None
+        shown = round(float(self._numbers(i, _NOW)[0])) if pieces else None
         choice = self.choice
         best = search.following(
             rng_for(choice.seed, choice.item, "live", library.parts[i].name, self._frame),
@@ -203,7 +205,7 @@ class LivePlan:
             shown=shown,
         )
         if shown != search.frame[best]:
-            begin = self._frame * self._step, float(self._times(i, now)[0])
+            begin = self._frame * self._step, float(self._times(i, _NOW)[0])
             pieces.append((*begin, int(search.recording[best]), float(search.start[best])))
             del pieces[:-_KEPT]
 
@@ -266,7 +268,7 @@ class LivePlan:
         result = torch.empty(sum(map(len, self._passive)), 1)
         for i, own in enumerate(self._passive):
             if len(own):
-                result[own] = torch.from_numpy(self._shown(i, np.zeros(1), "passive")).T
+                result[own] = torch.from_numpy(self._shown(i, _NOW, "passive")).T
         return result
 
 
