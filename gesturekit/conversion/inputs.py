@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -18,7 +19,6 @@ from gesturekit.formats.sources import (
     unreadable_media,
     visible_folders,
 )
-from gesturekit.jobs.run import refuse_leaving
 from gesturekit.jobs.task import Task
 from gesturekit.wording import listed
 
@@ -37,7 +37,7 @@ def find_tasks(sources: Sequence[Path], out: Path, formats: Sequence[str] = ()) 
 
     Raises:
         ConfigError: nothing to read, an unknown format, two sources for one target, a target that
-            is a source or outside `out`, or a folder without write permission.
+            is a source, or a folder without write permission.
     """
     if not sources:
         raise ConfigError("nothing to convert; name a motion file or a folder of them")
@@ -61,7 +61,6 @@ def find_tasks(sources: Sequence[Path], out: Path, formats: Sequence[str] = ()) 
             if task.error is None
             for kind in formats
         ]
-        refuse_leaving([target for target, _ in targets], out)
     _refuse_clashes(targets, {os.path.realpath(task.path) for task in found})
     _refuse_locked([target for target, _ in targets], out)
     return tasks
@@ -149,15 +148,13 @@ def _keyed(source: Path, out: Path) -> Iterator[tuple[Path | OSError, str]]:
 
 
 def _without_copies(tasks: list[Task]) -> list[Task]:
-    by_id: dict[str, list[Path]] = {}
-    for task in tasks:
-        by_id.setdefault(task.id, []).append(task.path)
+    counts = Counter(task.id for task in tasks)
     # Only those with the same targets: each duplicate can still be converted by its name.
-    rivals = [path for paths in by_id.values() if len(paths) > 1 for path in paths]
+    rivals = [task.path for task in tasks if counts[task.id] > 1]
     copies, lines = one_of_two_formats(rivals)
     for line in lines:
         warnings.warn(line, stacklevel=2)
-    return [task for task in tasks if len(by_id[task.id]) == 1 or task.path not in copies]
+    return [task for task in tasks if counts[task.id] == 1 or task.path not in copies]
 
 
 def _refuse_clashes(targets: Sequence[tuple[Path, Task]], sources: set[str]) -> None:

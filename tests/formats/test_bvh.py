@@ -51,6 +51,7 @@ def write(tmp_path):
 
 def test_written_text(write, tmp_path):
     motion = read_bvh(write(SMALL))
+    assert motion.info["source"] == str(tmp_path / "clip.bvh")
     write_bvh(motion, tmp_path / "out.bvh")
     text = (tmp_path / "out.bvh").read_text()
     assert "Frame Time: 0.03333333333333333\n" in text and "Frames: 3\n" in text
@@ -103,7 +104,7 @@ def test_variants_of_other_writers_are_read(write, change):
         ("HIERARCHY", "WAVE", 1, "HIERARCHY"),
         ("HIERARCHY\n", "HIERARCHY ", 1, "that of a BVH file is HIERARCHY"),
         ("Frames: 3", "Frames: -3", 17, "-3"),
-        ("Frames: 3", "Frames: 0", 18, "no frames"),
+        (SMALL[SMALL.index("0 90 0 0 0") :], "", 18, "declares 3 frames and holds none"),
         ("12 22 32\n", "12 22 32\n5 5\n", 22, "frame 4 of 3 has 2 values"),
         ("5 11 21", "5 11,5, 21", 20, "'11.5,' is not a number"),
         ("5 11 21", "5 nan 21", 20, "is nan; expected a finite number up to 1e+09; fill"),
@@ -217,6 +218,7 @@ def test_a_file_that_is_cut_later_keeps_its_whole_frames(write):
     [
         ("Frames: 3", "Frames: 99999999999999", 3, "declares 99999999999999 frames and holds 3: "),
         ("Frames: 3", "Frames: 2", 3, "declares 2 frames; all 3 that it holds are read"),
+        ("Frames: 3", "Frames: 0", 3, "declares 0 frames; all 3 that it holds are read"),
         ("12 22 32\n", "12 22\n\n \n", 2, "holds 2, and its last line is incomplete: it was"),
     ],
 )
@@ -266,7 +268,10 @@ def test_files_that_are_not_bvh_are_refused(write, tmp_path):
 def test_names_in_another_encoding(write):
     text = SMALL.replace("Chest", "Brustkörbchen")
     assert read_bvh(write(text)).skeleton.names[1] == "Brustkörbchen"
-    assert read_bvh(write(text.encode("latin-1"))).skeleton.names[1] == "Brustkörbchen"
+    for encoding in ("latin-1", "utf-8-sig", "utf-16"):
+        assert read_bvh(write(text.encode(encoding))).skeleton.names[1] == "Brustkörbchen"
+    big = text.encode("utf-16-be")
+    assert read_bvh(write(b"\xfe\xff" + big)).skeleton.names[1] == "Brustkörbchen"
 
 
 def test_repeated_names_are_told_apart_and_reported(write):

@@ -428,6 +428,10 @@ def test_compressed_files_are_refused_by_name(tmp_path):
     file.json["extensionsRequired"] = ["KHR_draco_mesh_compression"]
     del file.json["bufferViews"][1]["extensions"]
     np.testing.assert_allclose(angle(file.save(tmp_path / "b.glb"), fps=1), [0, 90, 0], atol=1e-4)
+    file.json["extensionsRequired"] = ["KHR_texture_transform", "KHR_materials_unlit", "VRMC_vrm"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Motion.load(file.save(tmp_path / "b.glb"))
     file.json["extensionsRequired"] = ["KHR_xmp"]
     with pytest.warns(UserWarning, match="'KHR_xmp', which is left out"):
         Motion.load(file.save(tmp_path / "c.glb"))
@@ -469,6 +473,12 @@ HOSTILE = {
     "nothing": (
         change_all(changed("skins", []), changed("animations", [])),
         "no skeleton in it: neither a skin nor an animated node",
+    ),
+    "one byte too many": (
+        change_all(
+            changed("byteLength", 61, "bufferViews", 0), changed("byteOffset", 0, "bufferViews", 0)
+        ),
+        "byteLength is 61; expected 0 to 60",
     ),
     "no such view": (changed("bufferView", 10**9, *FIRST), "index into bufferViews"),
     "many zeros": (changed("accessors", [ZEROS, ZEROS]), "count of"),

@@ -37,6 +37,9 @@ def test_the_skin_of_a_frame(tmp_path, body_file, n_joints):
     body = BodyModel.load(body_file)
     assert faces.min() == 1 and faces.max() == len(skin) == body.n_vertices
     assert 0.9 < np.ptp(skin, axis=0).max() < 2.0
+    motion[:1].save(tmp_path / "b.obj", body_model=body_file)
+    motion.save(tmp_path / "c.obj", body_model=body_file, frame=-5)
+    assert (tmp_path / "b.obj").read_text() == (tmp_path / "c.obj").read_text()
     if n_joints == 24:
         np.testing.assert_allclose(skin, body.vertices(motion[3:4])[0], atol=1e-6)
 

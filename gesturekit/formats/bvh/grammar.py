@@ -235,7 +235,7 @@ def _three_numbers(text: str, lines: Lines) -> tuple[float, float, float]:
         x, y, z = (float(word) for word in lines.with_points(text).split())
     except ValueError:
         raise lines.error(f"OFFSET {text[:60]!r}; expected three numbers") from None
-    if not max(abs(x), abs(y), abs(z)) <= LARGEST or x != x or y != y or z != z:
+    if not all(abs(value) <= LARGEST for value in (x, y, z)):
         raise lines.error(f"OFFSET {text[:60]!r} is not finite, or over {LARGEST:g}")
     return x, y, z
 
@@ -279,6 +279,4 @@ def _parse_timing(lines: Lines, fps: float | None) -> tuple[int, str, float]:
         else:
             missing = "Frames:" if n_frames is None else "Frame Time:"
             raise lines.error(f"expected {missing!r} after MOTION, found {line[:40]!r}")
-    if n_frames == 0:
-        raise lines.error("the file has no frames (Frames: 0)")
     return n_frames, frame_time, fps
