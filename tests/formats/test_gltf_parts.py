@@ -394,6 +394,9 @@ def test_colours_are_srgb_of_the_base_colour_times_the_texture(tmp_path):
         np.testing.assert_allclose(colours(path, plain, uv)[:, :3], [factor] * 4, atol=2e-4)
     bright = {"pbrMetallicRoughness": {"baseColorFactor": [5, -1, 0.0031, 1]}}
     np.testing.assert_allclose(colours(path, bright, uv)[0], [1, 0, 12.92 * 0.0031, 1], atol=1e-6)
+    dark = {"pbrMetallicRoughness": {"baseColorFactor": [0.005, 0, 0, 1]}}
+    np.testing.assert_allclose(colours(path, dark, uv)[0], [0.0610, 0, 0, 1], atol=1e-4)
+    np.testing.assert_array_equal(Colours(Gltf(path)).at(None, None, 2), [[0.8, 0.8, 0.8, 1]] * 2)
     with pytest.warns(UserWarning, match=r"a\.glb: a texture cannot be read .*base colour"):
         found = colours(path, material, uv, b"no picture")
     np.testing.assert_allclose(found[:, :3], [factor] * 4, atol=2e-4)

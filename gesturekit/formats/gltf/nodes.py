@@ -58,7 +58,7 @@ class Nodes:
                 heappush(waiting, child)
         if len(self.order) < len(nodes):
             raise gltf.error("its nodes form no tree")
-        if max(self.depth, default=0) > _DEEPEST:
+        if any(depth > _DEEPEST for depth in self.depth):
             raise gltf.error(f"over {_DEEPEST} nodes above one another")
         self._gltf = gltf
         found = [np.concatenate(self._local(node)) for node in nodes]
@@ -73,9 +73,11 @@ class Nodes:
         gltf = self._gltf
         if "matrix" in node:
             matrix = gltf.numbers(node, "matrix", [0.0] * 16).reshape(4, 4).T
-            scale = np.linalg.norm(matrix[:3, :3], axis=0)
-            scale[0] *= -1.0 if np.linalg.det(matrix[:3, :3]) < 0 else 1.0
-            turn = quaternion_from_matrix(matrix[:3, :3] / np.where(scale == 0, 1.0, scale))
+            linear = matrix[:3, :3]
+            scale = np.linalg.norm(linear, axis=0)
+            if np.linalg.det(linear) < 0:
+                scale[0] *= -1
+            turn = quaternion_from_matrix(linear / np.where(scale == 0, 1.0, scale))
             return matrix[:3, 3], turn, scale
         turn = normalize_quaternions(gltf.numbers(node, "rotation", [0.0, 0.0, 0.0, 1.0]))
         return (
