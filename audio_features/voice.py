@@ -89,7 +89,7 @@ def speech_only(wave: Wave) -> Wave:
     if stretches == [[0, n]]:
         return wave
     samples = np.zeros_like(wave.samples)
-    rise = np.linspace(0.0, 1.0, round(_FADE * wave.sample_rate), dtype=np.float32) ** 3
+    rise = np.linspace(0.0, 1.0, round(_FADE * wave.sample_rate)) ** 3
     for start, stop in stretches:
         samples[start:stop] = wave.samples[start:stop]
         if start > 0:
@@ -111,7 +111,7 @@ def _pitch_salience(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     n_frames = len(samples) // _HOP
     # Shorter sounds are judged between silence, or their only word would be the stationary sound.
     window = _BLOCK + 2 * _CONTEXT
-    padded = np.pad(samples, (_FRAME // 2, _FRAME // 2 + _HOP * window))
+    padded = np.pad(samples, (_FRAME // 2, _FRAME + _HOP * window))
     frames = np.lib.stride_tricks.sliding_window_view(padded, _FRAME)[::_HOP]
     last = max(0, n_frames - window)
     salience, f0 = np.empty(n_frames), np.empty(n_frames)
