@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import pytest
 import soundfile
 
 from audio_features import AudioError, Wave
+from audio_features.containers.compressed import read_flac, read_mpeg, read_ogg
+from audio_features.containers.header import Header
 
 RATE = 8_000
 N = 801
@@ -43,7 +46,7 @@ DATA, TAGS = chunk(b"data", SOUND), chunk(b"LIST", b"INFOa")
     [
         riff(fmt(), DATA),
         riff(chunk(b"note", b"odd"), fmt(), TAGS, DATA),
-        riff(fmt(), DATA, TAGS, chunk(b"more", b"")),
+        riff(fmt(), DATA, TAGS, chunk(b" a~ ", b"")),
         riff(fmt(), chunk(b"data", SOUND, pad=False), TAGS),
         riff(fmt(), DATA) + b"\xff\xfe\xfd what other programs append \x01\x02",
         riff(fmt(), chunk(b"data", SOUND, pad=False)),
@@ -81,6 +84,7 @@ def test_chunks_may_stand_anywhere(tmp_path, content):
         (riff(fmt(), DATA, b"\x01\x02\x03\x04\0\0\0\0"), r"what follows in the file \(9 bytes\)"),
         (riff(fmt(), DATA, chunk(b"LIST", b"abcd", 5)), "is not valid in a wav"),
         (riff(fmt(), DATA, b"LIST"), "is not valid in a wav"),
+        (riff(fmt(), DATA, chunk(b"abc\x7f", b"")), "is not valid in a wav"),
         (riff(fmt(), DATA, b"\x01\x02\x03\x04\0\0\0\0", size=50), "is not valid in a wav"),
         (riff(fmt(), DATA, *[chunk(b"more", b"")] * 10_001), "is not valid in a wav"),
         (riff(fmt(), chunk(b"data", b""), chunk(b"LIST", bytes(2000))), "0 samples at 8000 Hz"),
@@ -253,3 +257,123 @@ def test_one_sample_in_a_hundred_may_be_interpolated(count, is_read):
     else:
         with pytest.raises(AudioError, match="sample 100 "):
             Wave.from_array(samples, 16_000)
+
+
+def mpeg(version=0xFB, mark=b"Xing", at=36, flags=1, frames=100, tag=b"", first=0xFF) -> bytes:
+    """Return the beginning of an MP3 file whose first frame holds a Xing header."""
+    head = bytes([first, version, 0x90, 0]) + bytes(at - 4)
+    return tag + head + mark + struct.pack(">II", flags, frames)
+
+
+def least(content: bytes) -> int:
+    return read_mpeg(io.BytesIO(content), "a.mp3", len(content)).least
+
+
+def test_the_first_frame_of_an_mp3_declares_the_number_of_frames():
+    """Frames have 1152 samples in MPEG-1, 576 in MPEG-2; four of the former may be lacking."""
+    for more in ({}, {"mark": b"Info"}, {"at": 4}, {"at": 60}, {"flags": 0xF}):
+        assert least(mpeg(**more)) == 96 * 1152, more
+        assert least(mpeg(**more, version=0xF3)) == 100 * 576 - 4 * 1152, more
+    assert least(mpeg(frames=4)) == least(mpeg(frames=1)) == 0
+    assert least(mpeg(frames=5)) == 1152
+    for more in ({"at": 61}, {"flags": 0xE}, {"mark": b"Lame"}, {"first": 0xFE}):
+        assert least(mpeg(**more)) == 0, more
+    assert least(mpeg()[:-1]) == 0, "cut within the header"
+    # Four times seven bits.
+    size = (1 << 21) + (2 << 14) + (3 << 7) + 4
+    tag = b"ID3\4\0\0" + bytes([0x81, 0x82, 0x83, 0x84]) + bytes(size)
+    assert least(mpeg(tag=tag)) == 96 * 1152
+
+
+def flac_head(rate=8_000, bits=16, frames=801, code=4, last=0x80, more=b"", sync=0xF8) -> bytes:
+    """Return the beginning of a FLAC file, up to the head of its first frame."""
+    numbers = (rate << 44 | 1 << 41 | bits - 1 << 36 | frames).to_bytes(8, "big")
+    info = bytes([last, 0, 0, 34]) + bytes(10) + numbers + b"0123456789abcdef"
+    return b"fLaC" + info + more + bytes([0xFF, sync, 0x90 | code, 0])
+
+
+def test_the_head_of_a_flac_declares_length_rate_and_digest():
+    def read(**more):
+        return read_flac(io.BytesIO(flac_head(**more)), "a.flac", 99)
+
+    rates = (88_200, 176_400, 192_000, 8_000, 16_000, 22_050, 24_000, 32_000, 44_100, 48_000)
+    for code, rate in enumerate((*rates, 96_000), start=1):
+        assert read(rate=rate, code=code).frames == 801
+        with pytest.raises(AudioError, match=f"says 11025 Hz, the sound {rate} Hz"):
+            read(rate=11_025, code=code)
+    for code in (0, 12, 15):
+        assert read(rate=11_025, code=code).frames == 801, "the head of a frame does not say"
+    assert read(rate=11_025, code=4, sync=0xF0).frames == 801, "no head of a frame"
+    assert read(frames=(1 << 36) - 1).frames == (1 << 36) - 1
+    for bits in (8, 16, 24):
+        assert read(bits=bits).md5 == (b"0123456789abcdef", bits)
+    assert read(bits=12).md5 is read(bits=20).md5 is None
+    # Blocks of padding (kind 1) and comments (kind 4), the last of which says so.
+    blocks = b"\x01\0\0\2ab\x84\0\1\0" + bytes(256)
+    for code in (4, 5):
+        head = {"last": 0, "more": blocks, "code": code}
+        if code == 4:
+            assert read(**head).frames == 801
+        else:
+            with pytest.raises(AudioError, match="says 8000 Hz, the sound 16000 Hz"):
+                read(**head)
+
+
+def ogg(number: int, flags: int = 0, serial: int = 7, size: int = 300) -> bytes:
+    """Return a page of Ogg with its checksum, bit by bit as in RFC 3533."""
+    table = bytes([255] * (size // 255) + [size % 255])
+    head = b"OggS\0" + bytes([flags]) + bytes(8) + struct.pack("<II", serial, number)
+    page = head + bytes(4) + bytes([len(table)]) + table + bytes(k % 251 for k in range(size))
+    crc = 0
+    for byte in page:
+        crc ^= byte << 24
+        for _ in range(8):
+            crc = crc << 1 & 0xFFFFFFFF ^ (0x04C11DB7 if crc >> 31 else 0)
+    return page[:22] + struct.pack("<I", crc) + page[26:]
+
+
+@pytest.mark.parametrize(
+    ("pages", "says"),
+    [
+        ([ogg(0, 2), ogg(1), ogg(2, 4)], None),
+        ([ogg(5, 6)], None),
+        ([ogg(0xFFFFFFFF, 2), ogg(0, 4)], None),
+        # Two streams at a time.
+        ([ogg(0, 2), ogg(9, 2, 8), ogg(10, 4, 8), ogg(1, 4)], None),
+        ([ogg(0, 2), ogg(2, 4)], "Ogg page 1 is missing before byte 329"),
+        ([ogg(1), ogg(2, 4)], "Ogg page 0 is missing before byte 0"),
+        ([ogg(0, 2), ogg(1)], "the last Ogg page is not marked as the end"),
+        ([ogg(0, 2), ogg(9, 2, 8), ogg(1, 4)], "the last Ogg page is not marked as the end"),
+        ([ogg(0, 6), ogg(0, 6, 8)], r"several sounds one after the other .*byte 329\)"),
+        ([ogg(0, 2), ogg(1, 4)[:-1] + b"x"], "checksum of the Ogg page at byte 329 is wrong"),
+        ([ogg(0, 6), b"OggT" + bytes(23)], "no Ogg page at byte 329"),
+        ([ogg(0, 6), b"OggS"], "the header itself ends"),
+    ],
+)
+def test_pages_of_an_ogg_file_follow_one_another(pages, says):
+    """A page of 300 bytes has 329: 27 of the head, 2 of the table."""
+    content = b"".join(pages)
+    if says is None:
+        assert read_ogg(io.BytesIO(content), "a.ogg", len(content)) == Header()
+    else:
+        with pytest.raises(AudioError, match=says):
+            read_ogg(io.BytesIO(content), "a.ogg", len(content))
+
+
+def test_wav_files_of_the_other_byte_order_and_of_over_four_gigabytes(tmp_path):
+    path = tmp_path / "a.wav"
+    body = (
+        b"WAVE" + big(b"fmt ", struct.pack(">HHIIHH", 1, 1, RATE, RATE, 1, 8)) + big(b"data", SOUND)
+    )
+    path.write_bytes(b"RIFX" + struct.pack(">I", len(body)) + body)
+    np.testing.assert_allclose(Wave.load(path).samples, MEANT, atol=1e-6)
+    data = chunk(b"data", SOUND, 0xFFFFFFFF)
+    for tags, length in ((TAGS, N), (b"", N), (TAGS, N + 20)):
+        sizes = struct.pack("<QQQI", 4 + 36 + 24 + len(data) + len(tags), length, length, 0)
+        body = b"WAVE" + chunk(b"ds64", sizes) + fmt() + data + tags
+        path.write_bytes(b"RF64\xff\xff\xff\xff" + body)
+        if length == N:
+            np.testing.assert_allclose(Wave.load(path).samples, MEANT, atol=1e-6)
+        else:
+            with pytest.raises(AudioError, match="declares 821 bytes of sound, 816 are there"):
+                Wave.load(path)
