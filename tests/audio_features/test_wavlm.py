@@ -12,6 +12,7 @@ from sounds import distance, swelling
 from wavlm_layouts import microsoft
 
 import audio_features as af
+from audio_features.speech_encoders import chunk_slices
 
 torch = pytest.importorskip("torch")
 transformers = pytest.importorskip("transformers")
@@ -81,6 +82,36 @@ def test_values_are_those_of_transformers(network, seconds):
         assert distance(ours, theirs) < 1e-5, index
     below = len(states) // 2
     assert distance(af.WavLM(folder, layer=below).extract(wave).values, states[below]) < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("n_frames", "longest", "context", "chunks"),
+    [
+        (10, 20, 2, [((0, 10), (0, 10))]),
+        (10, 20, 6, [((0, 10), (0, 10))]),
+        (10, 6, 1, [((0, 6), (0, 5)), ((4, 10), (5, 10))]),
+        (11, 6, 1, [((0, 5), (0, 4)), ((3, 8), (4, 7)), ((6, 11), (7, 11))]),
+        (9, 3, 0, [((0, 3), (0, 3)), ((3, 6), (3, 6)), ((6, 9), (6, 9))]),
+    ],
+)
+def test_chunks_are_few_of_one_length_and_overlap_by_their_contexts(
+    n_frames, longest, context, chunks
+):
+    found = list(chunk_slices(n_frames, longest, context))
+    assert [((a.start, a.stop), (b.start, b.stop)) for a, b in found] == chunks
+
+
+def test_kernels_may_be_longer_than_two_strides(tmp_path):
+    """Their window is that of the published models, 400 samples."""
+    sizes = {"hidden_size": 32, "num_hidden_layers": 1, "num_attention_heads": 4}
+    sizes |= {"conv_dim": [8] * 7, "conv_kernel": [10, 5, 2, 3, 3, 2, 2], "intermediate_size": 32}
+    sizes |= {"num_conv_pos_embeddings": 16, "num_conv_pos_embedding_groups": 4}
+    model = transformers.WavLMModel(transformers.WavLMConfig(**sizes)).eval()
+    make_lively(model)
+    model.save_pretrained(tmp_path)
+    samples = swelling(0.3)
+    last, _ = of_transformers(model, samples, normalize=False)
+    assert distance(af.WavLM(tmp_path).extract(af.Wave(samples, 16_000)).values, last) < 1e-5
 
 
 def test_both_implementations_agree(network, tmp_path):
@@ -155,8 +186,6 @@ def test_inputs_of_the_transformer_are_exact_in_chunks(network):
 
 
 def test_chunks_follow_each_other_and_see_their_context():
-    from audio_features.speech_encoders import chunk_slices
-
     rng = np.random.default_rng(0)
     for _ in range(500):
         context = int(rng.integers(0, 20))
