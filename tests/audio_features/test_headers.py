@@ -80,6 +80,7 @@ def test_chunks_may_stand_anywhere(tmp_path, content):
         ),
         (riff(fmt(per_second=9), DATA), "and 8000 per second, it declares 1 and 9"),
         (riff(fmt(bits=12, block=1), DATA), "are 2 bytes per sample and 16000 per second"),
+        (riff(fmt(bits=18, block=2), DATA), "are 3 bytes per sample and 24000 per second"),
         (riff(fmt(), chunk(b"data", SOUND, N + 2)), "declares 803 bytes of sound, 802 are there"),
         (riff(fmt(), DATA, b"\x01\x02\x03\x04\0\0\0\0"), r"what follows in the file \(9 bytes\)"),
         (riff(fmt(), DATA, chunk(b"LIST", b"abcd", 5)), "is not valid in a wav"),

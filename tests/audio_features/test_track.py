@@ -173,3 +173,9 @@ def test_values_that_are_not_finite_are_refused():
         FeatureTrack(np.array([[0, 0], [0, np.nan]]), np.arange(2.0), {}, ("a", "b"))
     with pytest.raises(FeatureError, match="ascend"):
         FeatureTrack(np.zeros((2, 1)), np.array([1.0, 0.0]))
+
+
+def test_a_setting_that_json_cannot_hold_is_not_written(tmp_path):
+    with pytest.raises(ValueError, match="JSON"):
+        FeatureTrack([[0.0]], [0.0], {"kind": float("nan")}).save(tmp_path / "a.npz")
+    assert not list(tmp_path.iterdir())
