@@ -266,9 +266,8 @@ def _read(
         file.seek(first)
     done = 0
     while done < count:
-        block = file.read(
-            min(count - done, max(1, _BLOCK // file.channels)), dtype="float32", always_2d=True
-        )
+        n = min(count - done, _BLOCK // file.channels)
+        block = file.read(n, dtype="float32", always_2d=True)
         if len(block) == 0:
             break
         here = samples[done : done + len(block)]

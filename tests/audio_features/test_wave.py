@@ -293,6 +293,9 @@ def test_a_few_samples_that_are_not_finite_are_interpolated(tmp_path):
         np.testing.assert_allclose(wave.samples, samples, atol=1e-4)
         (repair,) = wave.repairs
         assert "3 of 16000 samples" in repair and "0.006 s" in repair
+    first = np.concatenate([[np.nan], samples[1:]])
+    (repair,) = Wave.from_array(first, 16_000).repairs
+    assert "1 of 16000 samples, the first at 0.000 s" in repair
 
 
 def test_the_offset_of_a_sound_with_another_full_scale_is_relative_to_its_peak(speech):
