@@ -18,6 +18,7 @@ ALLOWANCE = 32 << 20
 MAX_RATIO = 20
 """Beyond the allowance, how many times larger than the file they may be. Real recordings deflate
 to a half or a third; zeros, to a thousandth."""
+_TAIL = 1 << 17  # the end of an archive: 22 bytes, and a comment of up to 64 KiB
 _MAX_DIRECTORY = 1 << 20  # bytes of the list of members: ten thousand of them
 _END = struct.Struct("<12xI6x")  # end record of a zip: the size of the list of members
 
@@ -157,7 +158,7 @@ def _check_directory(path: Path, error: type[Exception]) -> None:
     """Refuse a list of members that zipfile would need gigabytes to read."""
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
-        file.seek(max(0, size - (1 << 16) - 64))
+        file.seek(max(0, size - _TAIL))
         tail = file.read()
     at = tail.rfind(b"PK\5\6")
     if at < 0 or len(tail) - at < _END.size:

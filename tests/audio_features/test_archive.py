@@ -86,6 +86,14 @@ def test_arrays_that_are_refused(archive, read, says):
         read(archive)
 
 
+def test_an_archive_may_end_with_a_comment(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:
+        file.writestr("whole.npy", npy(np.array([3])))
+        file.comment = b"x" * 65_535
+    with open_archive(tmp_path / "a.npz", FeatureError) as found:
+        assert found.numbers("whole").tolist() == [3]
+
+
 def test_files_that_are_no_archives(tmp_path):
     (tmp_path / "text.npz").write_text("text")
     os.mkfifo(tmp_path / "pipe.npz")
