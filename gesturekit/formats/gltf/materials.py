@@ -77,7 +77,6 @@ class Colours:
                 with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as opened:
                     if opened.width * opened.height > _MOST_PIXELS:
                         raise ValueError(f"{opened.width} by {opened.height} pixels")
-                    opened.draft("RGB", (_SIDE, _SIDE))
                     opened.thumbnail((_SIDE, _SIDE))
                     return np.asarray(opened.convert("RGBA"))
         except Exception as error:  # Pillow's decoders raise anything
