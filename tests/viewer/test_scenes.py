@@ -264,8 +264,11 @@ def test_colours_of_materials_are_linear_light():
 
 @pytest.mark.parametrize("version", [0, 1])
 def test_an_avatar_keeps_its_file_and_moves(version, gesture, tmp_path):
+    """Its hips hang on a node that is scaled, and stands elsewhere."""
     me = tmp_path / "me.vrm"
-    me.write_bytes(avatar(version))
+    content, data = avatar_json(version)
+    content["nodes"][-2]["translation"] = [0.3, 0.1, -0.2]
+    me.write_bytes(packed(content, data))
     gesture(0.5).save(tmp_path / "a.glb", body=str(me))
     found, _ = read_avatar(me)
     drawn = DrawnBody.of(gesture(0.5), str(me)).motion

@@ -53,7 +53,9 @@ class Curve:
         left = np.clip(np.searchsorted(self.times, times + _EARLY) - 1, 0, last)
         right = np.minimum(left + 1, last)
         span = self.times[right] - self.times[left]
-        share = np.clip(times - self.times[left], 0.0, span) / np.maximum(span, 1e-9)
+        after = times - self.times[left]
+        after[after <= _EARLY] = 0.0  # at the key, or before all
+        share = np.minimum(after, span) / np.maximum(span, 1e-9)
         is_rotation = self.values.shape[-1] == 4
         if self.interpolation == "CUBICSPLINE":
             u, dt = share[:, None], span[:, None]
