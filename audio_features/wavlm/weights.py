@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -101,7 +101,7 @@ def read_weights(path: str | os.PathLike[str]) -> tuple[Weights, dict[str, torch
             shape = Architecture.from_microsoft(content["cfg"], str(path))
             tensors = from_microsoft(plain_tensors(path, content["model"]))
             normalize = MICROSOFT_EPS if content["cfg"].get("normalize", False) else None
-        elif isinstance(content, dict) and is_torchaudio({str(key): 0 for key in content}):
+        elif isinstance(content, dict) and is_torchaudio(map(str, content)):
             layout = "torchaudio state dict"
             tensors = from_torchaudio(plain_tensors(path, content))
             shape = Architecture.from_tensors(tensors, str(path))
@@ -264,7 +264,7 @@ def from_torchaudio(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tens
     return _weight_norm(found)
 
 
-def is_torchaudio(names: Mapping[str, object]) -> bool:
+def is_torchaudio(names: Iterable[str]) -> bool:
     """Return true for torchaudio's names, the only layout with `encoder.transformer`."""
     return any(name.removeprefix("model.").startswith("encoder.transformer.") for name in names)
 

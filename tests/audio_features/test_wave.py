@@ -199,7 +199,7 @@ def test_clipped_samples_are_counted_over_the_whole_sound():
     samples[[10, 11, 20_000, 20_001]] = 1.0  # peaks of two samples
     samples[20_003:20_005] = -1.0
     assert Wave(samples, 16_000).faults() == []
-    samples[1_300_000:1_300_004] = -1.0
+    samples[1_300_000:1_300_004] = -0.999
     samples[n - 3 :] = 1.0
     (fault,) = Wave(samples, 16_000).faults()
     assert fault.startswith("clipped: 3 samples at full scale, the first at 81.25 s")
