@@ -1,15 +1,17 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import shlex
+from fractions import Fraction
 
 import numpy as np
 import pytest
 import soundfile
 import torch
 
-from audio_features import AudioError, Wave
+from audio_features import AudioError, Wave, exact_rate
 
 
 def noise(n: int, level: float = 0.1) -> np.ndarray:
@@ -493,3 +495,11 @@ def test_text_is_not_offered_to_ffmpeg(tmp_path, text):
     with pytest.raises(AudioError, match="cannot be read as sound") as caught:
         Wave.load(tmp_path / "a.bvh")
     assert "ffmpeg" not in str(caught.value)
+
+
+def test_slow_rates_are_rates_too():
+    assert exact_rate(1.0) == 1 and exact_rate(0.5) == Fraction(1, 2)
+    assert exact_rate(1 / 1001) == Fraction(1, 1001)
+    for fps in (0, -25.0, math.nan, math.inf):
+        with pytest.raises(AudioError, match=f"fps is {fps!r}: give a positive number"):
+            exact_rate(fps)
