@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from gesturekit.evaluation import evaluate
 from gesturekit.evaluation.measuring import work
 from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
 from gesturekit.evaluation.measuring.measurer import Measurer
+from gesturekit.evaluation.metrics.physical import JointLimits
 from gesturekit.evaluation.metrics.rhythm import central_speed
 from gesturekit.motion import Motion
 
@@ -113,6 +115,19 @@ def test_worker_processes_give_the_same_figures(folders, tmp_path, monkeypatch):
     # Three recordings of two models, three of the baseline, and a chain of sets of each kind: two
     # workers never hold the motion of two sets at a time.
     assert seen == [("measuring", 8)] * 8
+
+
+def test_a_digest_of_statistics_follows_every_number_and_name_in_them():
+    limits = JointLimits(("a", "b"), np.zeros((2, 4)), np.ones((2, 3)), np.full((2, 3), 2.0))
+    known = ReferenceStatistics(["r"], limits, {"a": 1.0, "b": 2.0})
+    same = ReferenceStatistics(["other"], replace(limits), {"b": 2.0, "a": 1.0})
+    assert same.digest() == known.digest(), "files and the order of joints do not count"
+    others = [replace(known, limits=None), replace(known, mean_speed={"a": 1.0, "b": 2.5})]
+    others += [replace(known, mean_speed={"a": 1.0, "c": 2.0})]
+    for changes in ({"joints": ("b", "a")}, {"mean": limits.mean + 0.1}, {"low": -limits.low}):
+        others.append(replace(known, limits=replace(limits, **changes)))
+    others.append(replace(known, limits=replace(limits, high=limits.high.copy() * 1.01)))
+    assert len({one.digest() for one in (known, *others)}) == len(others) + 1
 
 
 def test_statistics_are_those_of_recordings_on_one_rig(folders, quadruped):

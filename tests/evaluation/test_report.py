@@ -131,6 +131,11 @@ def test_it_plays_the_best_and_the_worst_beside_their_recordings(page):
         float(re.search(rf"{re.escape(clip['title'].split(': ')[1])}: sync (-?[\d.]+)", text)[1])
         for clip in clips
     ]
+    shown = html.unescape(markup(page))
+    assert re.search(
+        "(?i)model, ranked by [^;]*sync[^;]*; generated and recorded side by side", shown
+    )
+    assert re.findall('aria-pressed="([a-z]+)"', shown).count("false") >= 4
     best, second, worst, next_worst = by_sync  # a higher sync is better
     assert best >= second >= next_worst >= worst and best > worst
     labels = [figure["label"] for figure in json.loads(clips[0]["motion"])["figures"]]
