@@ -58,7 +58,7 @@ def test_training_learns_to_predict_noise(make_config):
 
 
 def test_the_seed_decides_the_weights_and_evaluation_does_not(make_config, tmp_path):
-    kinds = {"plain": {}, "watched": {"eval_every": 1}, "other": {"seed": 1}}
+    kinds = {"plain": {}, "watched": {"eval_every": 3}, "other": {"seed": 1}}
     plain, watched, other = (
         train(make_config(out=str(tmp_path / name), **changes)) for name, changes in kinds.items()
     )
@@ -147,24 +147,16 @@ def test_nan_stops_the_run_and_the_last_good_checkpoint_stays(make_config, monke
         {"training": {"min_snr": 5.0}, "noise": {"predict": "velocity"}},
         {"training": {"changes": 0.3, "foot_sliding": 0.3}, "noise": {"predict": "clean"}},
         {"network": {"architecture": "diffwave", "dilations": [1, 2]}},
-        {"joints": "all"},
+        {"joints": "all", "training": {"dropout_condition": 0.1, "dropout_style": 0.1}},
     ],
     ids=str,
 )
 def test_variants_train(make_config, changes):
     config = make_config(**changes)
-    assert (train(config) / "config.yaml").is_file()
+    made = DiffusionModel.load(train(config))
+    # What guidance may leave out is what windows were trained without.
+    assert made.droppable == (("all", "styles") if config.training.dropout_style else ())
     assert all(0 < line["loss"] < 3 for line in logged(config.out))
-
-
-def test_conditions_that_are_dropped_are_those_that_guidance_may_leave_out(make_config, tmp_path):
-    for name, shares, droppable in (
-        ("all", {"dropout_condition": 0.1}, ("all",)),
-        ("both", {"dropout_condition": 0.1, "dropout_style": 0.1}, ("all", "styles")),
-    ):
-        training = {"updates": 1, **shares}
-        model = train(make_config(out=str(tmp_path / name), training=training))
-        assert gk.load(model).droppable == droppable
 
 
 @pytest.mark.parametrize(
