@@ -122,6 +122,14 @@ def test_a_limb_without_a_length_for_a_moment_stays_where_it_is():
     assert moves[1, :, 3].tolist() == [0, 1, 0] and not moves[1, :, 1].any()
 
 
+def test_a_flat_limb_along_the_shoulders_is_wide_in_some_direction(gesture):
+    figure = Figure.of(gesture(0.1))
+    limb = next(limb for limb in figure.limbs if limb.across)
+    along = replace(limb, ends=limb.across, width=2.0)
+    (move, _) = Mannequin(replace(figure, limbs=(along,))).transforms(0.0)
+    assert move[:, 0].tolist() == [2, 0, 0] and np.isfinite(move).all()
+
+
 @pytest.fixture
 def standing(gesture) -> Motion:
     """A person that stands still, and faces another way than +Z."""

@@ -125,9 +125,14 @@ def test_the_same_motion_makes_the_same_bytes(tmp_path, gesture):
 
 
 def test_without_the_extra_the_error_names_it(tmp_path, gesture, monkeypatch):
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(FormatError, match=r"gesturekit\[video\]"):
-        gesture(0.2).save(tmp_path / "x.mp4")
+    def absent() -> str:
+        raise RuntimeError("No ffmpeg exe could be found")
+
+    monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", absent)
+    for says in (r"gesturekit\[video\].* \(No ffmpeg exe could be found\)", r"gesturekit\[video\]"):
+        with pytest.raises(FormatError, match=says):
+            gesture(0.2).save(tmp_path / "x.mp4")
+        monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     assert not list(tmp_path.iterdir())
 
 

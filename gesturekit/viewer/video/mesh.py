@@ -83,7 +83,8 @@ class Mannequin:
         aside = np.where(np.abs(along[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
         line = points[self._across[:, 1]] - points[self._across[:, 0]]
         aside = np.where(self._is_flat[:, None], line, aside)
-        aside, _ = _unit(aside - (aside * along).sum(axis=1, keepdims=True) * along)
+        aside -= (aside * along).sum(axis=1, keepdims=True) * along
+        aside, _ = _unit(aside, (1.0, 0.0, 0.0))
         depth = np.cross(aside, along)
         stretch = real / self._lengths
         columns = [aside * self._widths[:, None], along * stretch[:, None], depth, start]
@@ -144,9 +145,7 @@ def _between(values: np.ndarray, frame: float) -> np.ndarray:
     return values[before] + (at - before) * (values[after] - values[before])
 
 
-def _unit(
-    vectors: np.ndarray, otherwise: tuple[float, ...] = (1.0, 0.0, 0.0)
-) -> tuple[np.ndarray, np.ndarray]:
+def _unit(vectors: np.ndarray, otherwise: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Return unit vectors (N, 3), `otherwise` for those without a direction, and lengths (N,)."""
     lengths = np.linalg.norm(vectors, axis=-1)
     unit = vectors / np.maximum(lengths, 1e-9)[:, None]
@@ -186,7 +185,8 @@ def _ball(
 ) -> _Piece:
     angles = np.linspace(-np.pi / 2, np.pi / 2, 13)
     sphere, _, faces = _turned(np.stack([np.cos(angles), np.sin(angles)], axis=1), angles, 20)
-    normals, _ = _unit(sphere / radii)
+    normals = sphere / radii
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return (sphere * radii + centre) * size, normals, faces, colour
 
 
