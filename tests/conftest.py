@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import locale
+import io
 import os
 import re
 import shutil
 import socket
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
@@ -71,6 +72,23 @@ def _own_cache(tmp_path_factory) -> Iterator[None]:
     """Tests, and the processes they start, keep out of the user's cache."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("GESTUREKIT_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_usual_encoding() -> Iterator[None]:
+    """Text of ours is UTF-8, as on systems on which it is not the usual encoding."""
+    usual, root = io.text_encoding, Path(__file__).resolve().parents[1]
+    ours = (str(root / "gesturekit"), str(root / "audio_features"))
+
+    def checked(encoding: str | None, stacklevel: int = 2) -> str:
+        # Above this one: the function of pathlib, and who called it.
+        caller = sys._getframe(2).f_code.co_filename
+        assert encoding is not None or not caller.startswith(ours), f"{caller}: no encoding"
+        return usual(encoding, stacklevel)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(io, "text_encoding", checked)
         yield
 
 
@@ -163,15 +181,6 @@ def gesturekit(capsys) -> Callable[..., Done]:
         return Done(left.value.code, *capsys.readouterr())
 
     return run
-
-
-@pytest.fixture
-def ascii_locale() -> Iterator[None]:
-    """A machine whose own encoding of text is ASCII: ours is UTF-8 everywhere."""
-    before = locale.setlocale(locale.LC_CTYPE)
-    locale.setlocale(locale.LC_CTYPE, "C")
-    yield
-    locale.setlocale(locale.LC_CTYPE, before)
 
 
 @pytest.fixture(scope="session")

@@ -20,6 +20,7 @@ from gesturekit.evaluation.statistics.intervals import (
     pseudo_values,
     scaled_like,
     standard_error,
+    whole_set,
 )
 from gesturekit.evaluation.statistics.paired import p_of_difference
 
@@ -180,6 +181,12 @@ def test_samples_of_one_recording_have_students_interval():
     assert (found.low, found.high) == pytest.approx(exact)
     assert found.count == "5 clips" and found.method == "mean over samples"
     assert interval_over_samples(values[:4]).low is None
+
+
+def test_a_value_of_a_whole_set_has_no_interval():
+    found = whole_set(2.5, 7)
+    assert (found.value, found.low, found.high) == (2.5, None, None)
+    assert (found.n, found.units, found.over) == (7, 1, "the whole set")
 
 
 def test_p_values_are_two_sided_and_equal_values_do_not_differ():

@@ -320,7 +320,7 @@ def test_a_damaged_model_names_what_is_wrong(tmp_path):
                 read(copy)
 
 
-def test_every_row_of_a_model_that_is_not_the_bundled_one(tmp_path, ascii_locale):
+def test_every_row_of_a_model_that_is_not_the_bundled_one(tmp_path):
     """Styles, reduced features, a network of another kind, no recall and no speech."""
     shutil.copytree(model_folder("demo"), copy := tmp_path / "model")
     path = copy / "config.yaml"
@@ -496,7 +496,7 @@ def make_run(folder):
     return folder
 
 
-def test_running_and_finished_runs_are_described(tmp_path, ascii_locale):
+def test_running_and_finished_runs_are_described(tmp_path):
     run = make_run(tmp_path / "run")
     summary = inspect(run)
     rows = dict(summary.rows)

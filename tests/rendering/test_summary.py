@@ -100,7 +100,7 @@ def test_a_histogram_needs_two_values(page, sounds, n_bars):
     assert ("<p>2 to 2 (logarithmic); 10 % below 2, half below 2" in text) == bool(n_bars)
 
 
-def test_failures_are_listed_by_reason_and_one_by_one(page, ascii_locale):
+def test_failures_are_listed_by_reason_and_one_by_one(page):
     failed = [FailedItem("a<b>", "no <sound> in a<b>", 3), FailedItem("ç", "no <sound> in ç", 2)]
     failed += [FailedItem(f"{k}", "other", 1) for k in range(999)]
     text = page([done("a<b>", 3.0), done("ok", 3.0), done("ok2", 3.0)], failed=failed)

@@ -350,7 +350,7 @@ def test_a_body_of_known_measures_is_baked(wheel, monkeypatch):
 
 
 def test_the_wheel_is_downloaded_once_and_baked_again_if_anything_changes(
-    wheel, tmp_path, monkeypatch, capsys, ascii_locale
+    wheel, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))

@@ -89,7 +89,7 @@ def test_a_giant_is_stored_in_as_few_steps_as_its_original(tmp_path):
     assert np.abs(apart).max() < 2 * found[0]["step"]
 
 
-def test_a_page_needs_nothing_from_outside(tmp_path, ascii_locale):
+def test_a_page_needs_nothing_from_outside(tmp_path):
     write_html(a_chain(), tmp_path / "swing.html", audio=a_voice())
     text = (tmp_path / "swing.html").read_text(encoding="utf-8")
     markup = re.sub(r"<script.*?</script>", "", text, flags=re.S)
