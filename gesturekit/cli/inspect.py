@@ -44,7 +44,7 @@ def command(
 
     width = min(max(shutil.get_terminal_size((100, 24)).columns, _NARROWEST), _WIDEST)
     named = parse_parts(parts)
-    failed = 0
+    failed = False
     for number, path in enumerate(paths):
         try:
             summary = inspect(
@@ -57,12 +57,12 @@ def command(
                 ),
             )
         except (GestureKitError, AudioFeaturesError, MemoryError) as error:
-            failed += 1
+            failed = True
             reason = str(error) or "not enough memory"
             click.echo(f"Failed: {reason if path in reason else f'{path}: {reason}'}", err=True)
             continue
         except OSError as error:
-            failed += 1
+            failed = True
             click.echo(f"Failed: {error.filename or path}: {error.strerror or error}", err=True)
             continue
         if as_json:

@@ -209,6 +209,19 @@ def test_the_worst_job_gives_the_exit_code(gesturekit, tmp_path, monkeypatch, ou
     assert {command.folder for command, _ in slurm.shards} == {str(tmp_path)}
 
 
+@pytest.mark.parametrize("command", ["convert in out --format npz", "features in --out out"])
+def test_other_commands_are_repeated_elsewhere_and_do_nothing_here(
+    gesturekit, tmp_path, monkeypatch, command
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "submitit", slurm := Slurm(0, 1))
+    jobs = ("--launcher", "slurm", "--jobs", 2)
+    done = gesturekit(*command.split(), *jobs)
+    assert done.status == 1 and "2 shards: gesturekit jobs out shows the result" in done.err
+    (arguments,) = {shard.arguments for shard, _ in slurm.shards}
+    assert list(arguments[:3]) == command.split()[:3] and not (tmp_path / "in").exists()
+
+
 def test_options_of_the_launcher_replace_the_usual_ones(gesturekit, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "submitit", slurm := Slurm(0))

@@ -592,6 +592,9 @@ def test_other_kinds_of_files_are_recognised(gesture, tmp_path):
     for name in ("data/data.json", "trained_on.json"):
         (run / name).write_text("{}")
     shutil.copy(run / "trained_on.json", tmp_path)
+    shutil.copy(tmp_path / "light.yaml", run / "other.yaml")
+    (tmp_path / "alone").mkdir()
+    shutil.copy(tmp_path / "light.yaml", tmp_path / "alone" / "config.yaml")
     (tmp_path / "features").mkdir()
     shutil.copy(tmp_path / "feature_model.json", tmp_path / "features")
     shutil.copy(tmp_path / "still.png", tmp_path / "a.txt")
@@ -619,6 +622,8 @@ def test_other_kinds_of_files_are_recognised(gesture, tmp_path):
         ("walk.path.csv", "a path of the root"),
         ("light.yaml", "gesturekit train .*light.yaml"),
         ("dark.yml", "gesturekit train .*dark.yml"),
+        ("alone/config.yaml", "a configuration; gesturekit train .*config.yaml trains with"),
+        (run / "other.yaml", "a configuration; gesturekit train .*other.yaml trains with it$"),
         ("events.out.tfevents.1", f"the log of a run, .* --logdir {tmp_path}$"),
         ("b.txt", "looks like .*BVH.* inside; give it the suffix of one$"),
         ("raters.yaml", "a user study; gesturekit study build .*raters.yaml makes its page$"),
