@@ -68,7 +68,7 @@ def command(
     logging.basicConfig(format="%(message)s")
     if is_left([out / f"feature_model.{kind}" for kind in ("safetensors", "json")], existing):
         return 0
-    sample, failed = _read(reference, seed)
+    sample, is_complete = _read(reference, seed)
     names: str | list[str] | None = joints
     if joints is not None and joints not in ("body", "upper"):
         names = [name.strip() for name in joints.split(",") if name.strip()]
@@ -92,36 +92,35 @@ def command(
         f"{100 * (1 - model.training['unexplained']):.0f} % reconstructed"
     )
     click.echo(f"Fingerprint: {model.fingerprint}")
-    return 1 if failed else 0
+    return 0 if is_complete else 1
 
 
-def _read(paths: tuple[Path, ...], seed: int) -> tuple[MotionSample, int]:
-    """Return motions of files and of folders, and how many could not be read."""
+def _read(paths: tuple[Path, ...], seed: int) -> tuple[MotionSample, bool]:
+    """Return motions of files and folders, and whether all could be read; print what is wrong."""
     from gesturekit.corpus.pairing import scan
     from gesturekit.errors import EvaluationError, GestureKitError
     from gesturekit.evaluation.measuring.samples import MotionSample
     from gesturekit.motion import Motion
 
     files: list[Path] = []
-    failed = 0
+    errors: list[object] = []
     for path in paths:
         if not path.is_dir():
             files.append(path)
             continue
         found, problems = scan(path)
-        failed += len(problems)
-        for problem in problems:
-            click.echo(f"Error: {problem}", err=True)
+        errors += problems
         files += [one.path for one in found if not one.is_speech]
     sample = MotionSample(seed)
     for file in files:
         try:
             sample.add(Motion.load(file))
         except (GestureKitError, OSError) as error:
-            failed += 1
-            click.echo(f"Error: {error}", err=True)
+            errors.append(error)
+    for error in errors:
+        click.echo(f"Error: {error}", err=True)
     if not sample.count:
         raise EvaluationError(
             f"no motion (bvh, npz) could be read from {', '.join(map(str, paths))}"
         )
-    return sample, failed
+    return sample, not errors

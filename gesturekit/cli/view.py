@@ -81,7 +81,7 @@ def command(
         return
     reading = read_from(options)
     found = _found(clips)
-    motions, n_failed = _loaded(found, clips, reading, parts)
+    motions, has_failed = _loaded(found, clips, reading, parts)
     if not motions:
         raise ConfigError("no motion to show")
     if out is None:
@@ -95,7 +95,7 @@ def command(
     click.echo(click.format_filename(page))
     if out is None and not _opened(page):
         click.echo("No browser found: open this file in a browser.", err=True)
-    ctx.exit(1 if n_failed else 0)
+    ctx.exit(1 if has_failed else 0)
 
 
 def _writer(
@@ -150,8 +150,8 @@ def _found(clips: tuple[Path, ...]) -> list[Path]:
 
 def _loaded(
     found: list[Path], clips: tuple[Path, ...], options: Mapping[str, Any], parts: tuple[str, ...]
-) -> tuple[dict[str, Motion], int]:
-    """Load motions; return {label: motion} and how many files not named in `clips` failed."""
+) -> tuple[dict[str, Motion], bool]:
+    """Load motions; return {label: motion} and whether a file not named in `clips` failed."""
     from gesturekit.errors import GestureKitError
     from gesturekit.formats.conversion import load_with_warnings
     from gesturekit.formats.plausibility import plausibility_warnings
@@ -160,7 +160,7 @@ def _loaded(
     named = parse_parts(parts)
     # Files of the same name come from different folders.
     repeated = len({clip.stem for clip in found}) < len(found)
-    motions, n_failed = {}, 0
+    motions, has_failed = {}, False
     for clip in found:
         try:
             motion, warnings = load_with_warnings(clip, options, named)
@@ -168,13 +168,13 @@ def _loaded(
             if clip in clips:
                 raise
             click.echo(f"Failed: {error}", err=True)
-            n_failed += 1
+            has_failed = True
             continue
         doubts = plausibility_warnings(motion, options)
         for line in [*warnings, *(f"{clip}: {doubt}" for doubt in doubts)]:
             click.echo(f"Warning: {line}", err=True)
         motions[str(clip) if repeated else clip.stem] = motion
-    return motions, n_failed
+    return motions, has_failed
 
 
 def _opened(page: Path) -> bool:

@@ -46,7 +46,8 @@ def evaluate(gesturekit, folders):
     return lambda *more: gesturekit("evaluate", folders / "ours", folders / "recordings", *more)
 
 
-def test_it_prints_a_table_and_writes_report_and_json(evaluate, folders, tmp_path):
+def test_it_prints_a_table_and_writes_report_and_json(evaluate, folders, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["/bin/gesturekit", "evaluate", "my clips"])
     tmp_path /= "new/folder"
     files = ("--out", tmp_path / "r.html", "--json", tmp_path / "r.json")
     given = ("--audio", folders / "recordings", "--compare", folders / "baseline")
@@ -62,6 +63,7 @@ def test_it_prints_a_table_and_writes_report_and_json(evaluate, folders, tmp_pat
     assert [model["label"] for model in found["models"]] == ["ours", "baseline"]
     page = (tmp_path / "r.html").read_text()
     assert "ours, baseline against recordings" in page
+    assert "gesturekit evaluate &#x27;my clips&#x27;" in page, "the command that made it"
     for line, model in zip(lines, found["models"]):
         assert line == f"{model['label']}: {model['verdict']}"
         assert html.escape(line) in page
