@@ -21,6 +21,8 @@ from scipy.spatial.transform import Rotation
 from tqdm.utils import disp_len
 
 from gesturekit.corpus import Item, Manifest, prepare
+from gesturekit.errors import EvaluationError
+from gesturekit.evaluation import Variants
 from gesturekit.motion import Motion
 from gesturekit.motion.rotations import (
     quaternion_from_rotation_vector,
@@ -68,6 +70,26 @@ def test_it_prints_a_table_and_writes_report_and_json(evaluate, folders, tmp_pat
         assert line == f"{model['label']}: {model['verdict']}"
         assert html.escape(line) in page
     assert lines[-3:-1] == [f"written  {tmp_path / name}" for name in ("r.json", "r.html")]
+
+
+def test_every_option_reaches_the_evaluation(evaluate, folders, monkeypatch):
+    asked = {}
+
+    def started(models, recordings, **options):
+        asked.update(options)
+        raise EvaluationError("that is enough")
+
+    monkeypatch.setattr("gesturekit.evaluation.evaluate", started)
+    sound, words = folders / "recordings", folders / "words"
+    chosen = ("--audio", sound, "--semantic", words, "--take-pattern", "(.*)", "--seed", 3)
+    variants = ("--variant", "paper", "--threshold", 3, "--bas", "bailando", "--workers", 2)
+    evaluate(*chosen, *variants, "--baseline", "mean_pose").fails(2, "that is enough")
+    assert (asked["audio"], asked["semantic"], asked["take_pattern"]) == (sound, words, "(.*)")
+    assert asked["variants"] == Variants("paper", 3.0, "bailando")
+    assert (asked["seed"], asked["workers"], asked["baselines"]) == (3, 2, ["mean_pose"])
+    assert (asked["protocol"], asked["features"]) == ("", None)
+    evaluate("--protocol", "lda", "--audio", sound).fails(2, "that is enough")
+    assert (asked["protocol"], asked["workers"]) == ("lda", os.cpu_count())
 
 
 def test_baselines_are_columns_of_the_table(evaluate):
@@ -132,6 +154,7 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
         (["ours", "recordings", "--features", "ours"], "ours"),
         (["demo", "recordings"], "demo is a model"),
         (["made", "recordings", "--out", "recordings/clip0.bvh/r.html"], "cannot be written"),
+        (["ours", "recordings", "--json", "/proc/r.json"], "/proc/r.json cannot be written"),
         (["demo", "recordings", "--protocol", "lda"], "give --audio"),
         (["--sanity", "recordings", "ours"], "only a folder of recordings"),
         (["--sanity", "empty"], "empty: no motion files"),

@@ -63,7 +63,7 @@ def test_options_that_do_not_fit_are_refused(render, tmp_path, options, says):
 class LocalRay(ModuleType):
     """A cluster of ray in this process, of `cpus` processors; `lost` calls fail with a node."""
 
-    def __init__(self, cpus: int, lost: int = 0) -> None:
+    def __init__(self, cpus: int | None, lost: int = 0) -> None:
         super().__init__("ray")
         self.cpus, self.lost, self.actors, self.addresses = cpus, lost, [], []
         self.is_running = False
@@ -72,8 +72,9 @@ class LocalRay(ModuleType):
         errors.RayActorError = type("RayActorError", (errors.RayError,), {})
         self.exceptions = errors
 
-    def init(self, address=None, **_) -> None:
+    def init(self, address=None, **options) -> None:
         self.addresses.append(address)
+        self.options = options
         if address == "nowhere":
             raise ConnectionError("no cluster at nowhere")
         self.is_running = True
@@ -82,7 +83,7 @@ class LocalRay(ModuleType):
         self.is_running = False
 
     def cluster_resources(self) -> dict[str, float]:
-        return {"CPU": float(self.cpus)}
+        return {} if self.cpus is None else {"CPU": float(self.cpus)}
 
     def remote(self, **_):
         def decorate(actor):
@@ -107,7 +108,9 @@ class LocalRay(ModuleType):
         return actor.run(shard)
 
 
-@pytest.mark.parametrize(("cpus", "lost", "actors"), [(1, 0, 1), (2, 1, 2), (8, 0, 3)])
+@pytest.mark.parametrize(
+    ("cpus", "lost", "actors"), [(None, 0, 1), (2, 1, 2), (8, 0, 3)]
+)
 def test_ray_makes_the_same_files_also_when_a_node_is_lost(
     render, tmp_path, monkeypatch, cpus, lost, actors
 ):
@@ -121,6 +124,8 @@ def test_ray_makes_the_same_files_also_when_a_node_is_lost(
     assert done.output.count("was lost with its node; it starts again") == lost
     assert "3 shards: gesturekit jobs out shows the result" in done.output
     assert ray.addresses == [None]
+    # The lines of workers are those of their own logs, and a page of the cluster is not asked for.
+    assert ray.options == {"include_dashboard": False, "log_to_driver": False}
 
 
 def test_a_cluster_that_is_lost_or_absent_is_one_line(render, monkeypatch):

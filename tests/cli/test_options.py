@@ -183,6 +183,11 @@ def test_what_happens_to_existing_files_is_one_value(arguments, existing):
     option = existing_option("replace", alias=True)
     command = click.command()(option(lambda **options: options))
     assert command.main(arguments, standalone_mode=False) == {"existing": existing}
+    with pytest.raises(click.BadParameter):
+        command.main(["--existing", "keep"], standalone_mode=False)
+    plain = click.command()(existing_option("replace")(lambda **options: options))
+    with pytest.raises(click.NoSuchOption):
+        plain.main(["--skip-existing"], standalone_mode=False)
 
 
 @pytest.mark.parametrize(
