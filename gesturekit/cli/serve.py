@@ -98,7 +98,6 @@ def command(
         app,
         log_level="warning",
         limit_concurrency=connections,
-        timeout_keep_alive=5,
         timeout_graceful_shutdown=10,
         server_header=False,
         proxy_headers=False,

@@ -108,9 +108,7 @@ class LocalRay(ModuleType):
         return actor.run(shard)
 
 
-@pytest.mark.parametrize(
-    ("cpus", "lost", "actors"), [(None, 0, 1), (2, 1, 2), (8, 0, 3)]
-)
+@pytest.mark.parametrize(("cpus", "lost", "actors"), [(None, 0, 1), (2, 1, 2), (8, 0, 3)])
 def test_ray_makes_the_same_files_also_when_a_node_is_lost(
     render, tmp_path, monkeypatch, cpus, lost, actors
 ):

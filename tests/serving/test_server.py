@@ -217,6 +217,9 @@ def test_the_limits_are_those_of_the_command_line(served):
     # A client's address is that of its connection, whatever its headers say; answers do not name
     # the software of the server.
     assert not served.server["proxy_headers"] and not served.server["server_header"]
+    # The end waits for motions in work, but not for ever; requests that went well are not logged.
+    assert 0 < served.server["timeout_graceful_shutdown"] < 60
+    assert served.server["log_level"] == "warning"
     page = served().get("/docs", headers={"Host": "localhost"}).text
     assert all(
         f"<th>{n}</th><td>{v}</td>" in page for n, v in vars(Limits(64.0, 600.0, 60.0)).items()
@@ -240,6 +243,10 @@ def test_a_token_is_long_plain_and_without_spaces(
     for given, status in (("f" * 16, 401), (token, 200)):
         headers = {"Host": "localhost", "Authorization": f"Bearer {given}"}
         assert client.get("/metrics", headers=headers).status_code == status
+
+
+def test_a_device_that_is_not_there_is_one_line_and_exit_2(gesturekit):
+    gesturekit("serve", "--model", "demo", "--port", 0, "--device", "cuda:7").fails(2, "'cuda:7'")
 
 
 def test_a_port_in_use_is_one_line_and_exit_2(gesturekit):
