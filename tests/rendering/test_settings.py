@@ -12,6 +12,7 @@ import audio_features as af
 from gesturekit.corpus import Item
 from gesturekit.errors import ConfigError, GestureKitError
 from gesturekit.jobs.result import Result
+from gesturekit.jobs.run import Execution
 from gesturekit.jobs.task import Task
 from gesturekit.motion import Motion
 from gesturekit.rendering.batch import (
@@ -22,6 +23,7 @@ from gesturekit.rendering.batch import (
     render_batch,
 )
 from gesturekit.rendering.features import FeatureExtraction
+from gesturekit.rendering.inputs import sound_batch
 from gesturekit.rendering.renderer import Output, Renderer
 
 
@@ -155,7 +157,7 @@ def test_a_preview_names_what_cannot_be_read_and_what_is_kept(model, tmp_path, s
     assert outcomes() == {"a": ("kept", False), "broken": ("failed", True)}
     assert model_of_results(out) == model.folder
     (idle,) = preview(render_batch(model, [], tmp_path / "idle", seconds=1.0))
-    assert (idle.id, idle.status) == ("motion", "left")
+    assert (idle.id, idle.status, idle.task.duration) == ("motion", "left", 1.0)
 
 
 def test_work_that_fails_has_no_cost(model, tmp_path):
@@ -165,6 +167,14 @@ def test_work_that_fails_has_no_cost(model, tmp_path):
     cost = measured_cost(render_batch(damaged, [], tmp_path / "out", seconds=1.0))
     assert cost == Cost((0.0, 0.0), (0.0, 0.0)) and not (tmp_path / "out").exists()
     assert Cost((2.0, 100.0), (0.5, 10.0)).of(3, 8.0) == (10.0, 380.0)
+
+
+def test_the_cost_of_work_is_that_of_its_files(tmp_path, sound):
+    """Ten rows a second, of a value of 4 bytes and a time of 8, and the rest of an npz."""
+    batch = sound_batch("features", extraction(tmp_path / "out"), sound, Execution())
+    (seconds, size), (rate, per_second) = vars(measured_cost(batch)).values()
+    assert per_second == pytest.approx(120, rel=0.1) and 500 < size < 3000
+    assert seconds >= 0 and rate >= 0 and not (tmp_path / "out").exists()
 
 
 class Levels:
@@ -206,5 +216,10 @@ def test_features_are_those_of_the_part_at_the_rate_that_is_asked_for(tmp_path, 
     }  # fmt: skip
     half = extraction(out, align="window", cache="fp16").settings
     assert (half["align"], half["precision"]) == ("window", "fp16")
+    own = sound.with_name("a.own.npy")
+    np.save(own, np.zeros((15, 2)))
+    files = replace(plain, extractor=af.Files(2, suffix=".own.npy", rate=10.0))
+    assert files.input_of(task)["features"] == [hashlib.sha256(own.read_bytes()).hexdigest()]
+    assert files.input_of(Task("b")) == {}
     elsewhere = extraction(out, fps=25.0, cache="fp16").into(tmp_path)
     assert (elsewhere.out, elsewhere.cache, elsewhere.fps) == (tmp_path, None, 25.0)
