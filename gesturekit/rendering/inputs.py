@@ -218,7 +218,7 @@ def _tasks_of(source: SoundSource, out: Path) -> Iterator[Task]:
     elif _is_list(source):
         yield from read_list(Path(source))
     else:
-        yield Task(Path(source).stem, Path(source), source=str(source))
+        yield Task(Path(source).stem, Path(source))
 
 
 def _below(folder: Path, out: Path) -> Iterator[Task]:
