@@ -10,13 +10,14 @@ import pytest
 
 import audio_features as af
 from gesturekit.corpus import Item
-from gesturekit.errors import ConfigError, GestureKitError
+from gesturekit.errors import ConfigError, FormatError, GestureKitError
 from gesturekit.jobs.result import Result
 from gesturekit.jobs.run import Execution
 from gesturekit.jobs.task import Task
 from gesturekit.motion import Motion
 from gesturekit.rendering.batch import (
     Cost,
+    iter_render,
     measured_cost,
     model_of_results,
     preview,
@@ -173,8 +174,27 @@ def test_the_cost_of_work_is_that_of_its_files(tmp_path, sound):
     """Ten rows a second, of a value of 4 bytes and a time of 8, and the rest of an npz."""
     batch = sound_batch("features", extraction(tmp_path / "out"), sound, Execution())
     (seconds, size), (rate, per_second) = vars(measured_cost(batch)).values()
-    assert per_second == pytest.approx(120, rel=0.1) and 500 < size < 3000
-    assert seconds >= 0 and rate >= 0 and not (tmp_path / "out").exists()
+    assert per_second == pytest.approx(120, rel=0.1) and not (tmp_path / "out").exists()
+    af.FeatureTrack(np.zeros((10, 1)), np.arange(10), names=("level",)).save(tmp_path / "ten.npz")
+    assert size == pytest.approx((tmp_path / "ten.npz").stat().st_size - 120, abs=20)
+    assert 0 <= seconds < 0.9 and 0 <= rate < 0.9
+
+
+def test_progress_goes_on_with_each_result(model, tmp_path, sound):
+    begun, sounds = [], [sound, sound.with_name("b.wav")]
+    sounds[1].write_bytes(sound.read_bytes())
+    results = iter_render(
+        model, sounds, tmp_path / "out", progress=lambda tasks: (begun.append(t) for t in tasks)
+    )
+    for count in (1, 2):
+        next(results)
+        assert len(begun) == count
+    assert not list(results) and len(begun) == 2
+
+
+def test_an_avatar_that_is_not_there_is_refused_before_any_work():
+    with pytest.raises(FormatError, match=r"none\.vrm"):
+        Output(body="none.vrm")
 
 
 class Levels:
