@@ -84,7 +84,7 @@ def _level(skin: Skin) -> dict[str, Any]:
 def packed(steps: np.ndarray) -> bytes:
     """Deflate whole numbers (T, ...) of 16 bits: see `unpack` in player/data.js."""
     channels = steps.astype(np.int64).reshape(len(steps), -1).T
-    difference = np.diff(channels, axis=1, prepend=0) & 0xFFFF
+    difference = np.diff(channels, prepend=0) & 0xFFFF
     planes = np.stack([difference & 0xFF, difference >> 8]).astype(np.uint8)
     return zlib.compress(planes.tobytes())
 
