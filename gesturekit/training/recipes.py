@@ -171,7 +171,7 @@ def _near(path: Path) -> str:
     same = [name for name in same if Path(name).is_file()] or same
     if same:
         return f"; did you mean {' or '.join(same[:3])}?"
-    near = difflib.get_close_matches(str(path), known, n=1, cutoff=0.6)
+    near = difflib.get_close_matches(str(path), known)
     if near:
         return f"; did you mean {known[near[0]]}?"
     return f"; there are {', '.join(main_configs())} (gesturekit recipes ls)"

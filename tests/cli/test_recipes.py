@@ -69,9 +69,9 @@ def test_the_list_names_recipes_and_configurations(gesturekit):
 
 def test_a_copy_can_be_edited_and_is_trained_by_its_folder(gesturekit, tmp_path):
     """Parents in other recipes are found from the copy too."""
-    done = gesturekit("recipes", "cp", "diffusion_styles", "new/my styles")
+    done = gesturekit("recipes", "cp", "diffusion_styles", "new/folder/my styles")
     assert done.status == 0 and "gesturekit train" in done.out
-    copy = tmp_path / "new" / "my styles"
+    copy = tmp_path / "new" / "folder" / "my styles"
     files = (ROOT / "recipes" / "diffusion_styles").glob("*.*")
     assert {path.name for path in copy.iterdir()} == {path.name for path in files}
     text = (copy / "config.yaml").read_text()
@@ -86,6 +86,17 @@ def test_a_copy_begins_anew_where_one_was_interrupted(gesturekit, tmp_path):
     gesturekit("recipes", "cp", "ganimator").ok()
     assert not (tmp_path / "ganimator" / "half.yaml").exists()
     assert [path.name for path in tmp_path.iterdir()] == ["ganimator"]
+
+
+def test_a_copy_holds_what_was_written_by_hand(tmp_path, monkeypatch):
+    for file in ("mine/config.yaml", "mine/data/a.csv", "mine/__pycache__/prepare.pyc"):
+        (tmp_path / "shipped" / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "shipped" / file).touch()
+    (tmp_path / "shipped" / "recipes.toml").write_text('[recipe.mine]\nabout = "Mine."\n')
+    monkeypatch.setattr(by_name, "_PLACES", (tmp_path / "shipped",))
+    copy = by_name.copy_recipe("mine", tmp_path / "copy")
+    files = sorted(path.relative_to(copy).as_posix() for path in copy.rglob("*.*"))
+    assert files == ["config.yaml", "data/a.csv"]
 
 
 def test_a_copy_replaces_nothing(gesturekit, tmp_path):

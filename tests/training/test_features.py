@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 import soundfile
 
+import audio_features as af
 from gesturekit.corpus import Item, Manifest, prepare
+from gesturekit.corpus.speech import extract
 from gesturekit.errors import ConfigError
-from gesturekit.training.data.arrays import array_key
+from gesturekit.training.data.arrays import array_key, stored_arrays
 from gesturekit.training.data.features import (
     FeatureConfig,
     SpeechArrays,
@@ -21,6 +23,8 @@ from gesturekit.training.data.features import (
     extract_features,
     feature_values,
     load_conditioner,
+    raw_speech,
+    stored_speech,
 )
 
 EXTRACTORS = ({"kind": "logmel", "n_mels": 12}, {"kind": "effort"})
@@ -121,6 +125,35 @@ def test_own_features_are_a_part_of_what_arrays_and_silence_are_made_of(tmp_path
     assert abs(speech[:, :2]).max() > 1.0
     np.save(own, np.load(own) + 1)
     assert array_key(arrays, item) != key
+
+
+@pytest.mark.parametrize("most", [None, 60])
+def test_features_on_disk_are_those_in_memory(tmp_path, write_speech, most, caplog):
+    """Two sounds, one with a pause and one of noise, whole or as long as their motion."""
+    voice, _ = soundfile.read(write_speech(tmp_path / "in" / "a.wav", 3.0))
+    voice[16_000:24_000] = 0.0
+    soundfile.write(tmp_path / "in" / "a.wav", voice, 16_000)
+    noise = 0.01 * np.random.default_rng(0).standard_normal(48_000)
+    soundfile.write(tmp_path / "in" / "b.wav", noise, 16_000)
+    items = prepare([], unpaired=[tmp_path / "in"], holdout=0.0).manifest.items
+    config = FeatureConfig(EXTRACTORS)
+    maker = SpeechArrays.open(config, 25.0, "cpu")
+    ((one, other),) = stored_arrays(tmp_path / "arrays", [(maker, items)], 1)
+    conditioner, speeches = extract_features(items, [most] * 2, maker.extractor, 25.0, config)
+    caplog.clear()
+    stored = stored_speech([one, other], conditioner, most and [most, 70])
+    assert "1 of 2 sounds have no voice" in caplog.text and f"({items[1].id})" in caplog.text
+    assert stored[0].shape == (conditioner.dim, most or 75)
+    assert stored[1].shape == (conditioner.dim, 70 if most else 75)
+    np.testing.assert_allclose(stored[0][:, :].numpy().T, speeches[0], atol=1e-5)
+    values, active = raw_speech(one, 20, 40)
+    whole, spoken = extract(af.speech_only(items[0].load_wave()), maker.extractor, 25.0, "mean")
+    np.testing.assert_allclose(values, whole[20:40], atol=1e-5)
+    np.testing.assert_array_equal(active, spoken[20:40])
+    assert 0 < active.sum() < 20
+    assert one.facts["spoken"] == spoken.sum()
+    exact = whole[spoken].astype(np.float64).sum(axis=0)
+    np.testing.assert_allclose(one.facts["total"], exact, rtol=1e-12)
 
 
 def test_an_array_of_speech_is_made_anew_where_what_it_depends_on_changes(tmp_path, write_speech):

@@ -27,11 +27,13 @@ with Processes.from_environment("cpu") as processes:
     parameters = [*net.parameters(), *unused.parameters()]
     weight = (mine.stop - mine.start) / len(batch)
     processes.average_gradients(parameters, weight)
+    own = torch.tensor(float(processes.rank))
     told = {
         "gradient": net.weight.grad[0].tolist(),
         "whole": whole[0].tolist(),
         "unused": unused.weight.grad[0].tolist(),
-        "mean": float(processes.mean(torch.tensor(float(processes.rank)))),
+        "mean": float(processes.mean(own)),
+        "own": float(own),
         "first": processes.is_first,
     }
     processes.wait()
@@ -47,6 +49,7 @@ def test_two_processes_find_the_gradient_of_one(tmp_path):
         assert told["gradient"] == pytest.approx(told["whole"], abs=1e-6)
         assert told["unused"] == [0.0] * 4
         assert told["mean"] == 0.5
+    assert [told["own"] for told in two] == [0.0, 1.0], "a mean changes nothing in place"
     assert two[0]["gradient"] == two[1]["gradient"]
     assert [told["first"] for told in two] == [True, False]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -181,7 +181,7 @@ class SpeechArrays:
     settings: FeatureConfig
     fps: float
     device: str
-    extractor: Any = field(repr=False)
+    extractor: Any
 
     @classmethod
     def open(cls, settings: FeatureConfig, fps: float, device: str) -> SpeechArrays:
