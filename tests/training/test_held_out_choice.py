@@ -105,11 +105,11 @@ class Talker:
     inputs = SimpleNamespace(path=False, events=())
 
     def __init__(self, gesture: Callable[..., Motion]) -> None:
-        self.gesture, self.asked = gesture, []
+        self.gesture, self.asked, self.seed = gesture, [], 9
 
     def generate(self, speech: Any, **controls: Any) -> Motion:
         self.asked.append({"speech": speech, **controls})
-        return self.gesture(4.0, seed=9)
+        return self.gesture(4.0, seed=self.seed)
 
 
 @pytest.mark.parametrize("speech", [True, False])
@@ -142,13 +142,18 @@ def test_a_measurement_is_logged_once_and_its_clips_are_kept_if_asked_for(
         assert made.measure(7, model, keep=True) == said
     assert caplog.text.count(said) == 1, "the last verdict is that of the training"
     assert f"All metrics on 1 held-out recording (4 s): {made.command}" in caplog.text
-    run.close()
-    (line,) = map(json.loads, (config.out / "metrics.jsonl").read_text().splitlines())
-    assert (line["step"], line["kind"]) == (7, "held_out")
-    assert {"held_out/reach", "held_out/reach_recording"} <= line.keys()
     kept = Manifest.load(made.folder / "corpus.jsonl")
     assert [(item.id, item.split) for item in kept] == [("test/a", "test"), ("train/a", "train")]
     assert Motion.load(made.folder / "test" / "a.npz").n_frames == 120
+    model.seed = 3
+    made.measure(8, model)
+    run.close()
+    line, later = map(json.loads, (config.out / "metrics.jsonl").read_text().splitlines())
+    assert [(one["step"], one["kind"]) for one in (line, later)] == [
+        *((7, "held_out"), (8, "held_out"))
+    ]
+    assert later["held_out/reach"] != line["held_out/reach"], "clips of one name, made anew"
+    assert {"held_out/reach", "held_out/reach_recording"} <= line.keys()
     assert not list(config.out.glob(".held_out*")) and "held_out/coverage" not in line
 
 
