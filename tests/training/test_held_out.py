@@ -19,7 +19,6 @@ from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.evaluation.statistics.questions import answers, verdict
 from gesturekit.motion import Skeleton
-from gesturekit.training.run import held_out as module
 
 SETTINGS = {
     "multires": {"backend": "torch", "network": {"levels": 2}},
@@ -162,33 +161,6 @@ def test_without_held_out_items_training_items_are_measured(
     done = gesturekit("evaluate", folder, "--corpus", folder / "corpus.jsonl", "--split", "train")
     assert done.out.splitlines()[0] == said.partition(": ")[2]
     assert not (run / "held_out").exists()
-
-
-def test_the_measured_clips_are_cut_and_the_training_items_stand_beside_them(
-    talks, train, monkeypatch
-):
-    monkeypatch.setattr(module, "MOST_SECONDS", 3.0)
-    monkeypatch.setattr(module, "MOST_CLIPS", 1)
-    run, said = train("multires", talks)
-    assert said.startswith("Measured on 1 of 2 held-out recordings (3 s of 15 s): ")
-    kept = Manifest.load(run / "held_out" / "corpus.jsonl")
-    assert [(item.id, item.split, item.duration) for item in kept] == [
-        *(("test/3", "test", 3.0), ("train/0", "train", 4.0), ("train/1", "train", 5.0)),
-    ]
-    assert gk.Motion.load(run / "held_out" / "test" / "3.npz").duration == pytest.approx(3.0, 0.02)
-
-
-def test_a_measurement_that_fails_does_not_fail_the_training(
-    talks, train, tmp_path, monkeypatch, caplog
-):
-    def fail(*_: Any, **__: Any) -> None:
-        raise RuntimeError("out of luck")
-
-    monkeypatch.setattr(module, "evaluate", fail)
-    run, said = train("multires", talks)
-    assert "no metrics on 2 held-out recordings (15 s): out of luck" in caplog.text
-    assert "Measured" not in said and (run / "model" / "config.yaml").is_file()
-    assert not (run / "held_out").exists() and not list(run.glob(".*"))
 
 
 class Asked(dict):

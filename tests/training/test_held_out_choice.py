@@ -12,6 +12,7 @@ import pytest
 from small_runs import small_diffusion
 
 from gesturekit.corpus import Item, Manifest
+from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.motion import Motion
 from gesturekit.training.run import held_out as module
 from gesturekit.training.run.folder import Run
@@ -112,19 +113,35 @@ class Talker:
         return self.gesture(4.0, seed=self.seed)
 
 
-@pytest.mark.parametrize("speech", [True, False])
-def test_a_measurement_is_logged_once_and_its_clips_are_kept_if_asked_for(
-    tmp_path, write_pair, gesture, caplog, speech
-):
-    caplog.set_level("INFO")
+@pytest.fixture
+def talks(tmp_path, write_pair) -> DiffusionConfig:
+    """A run on four seconds to train on and four that are held out, of longer recordings."""
     items = []
     for split in ("train", "test"):
-        audio, motion = write_pair(tmp_path / "in", split, 4.0)
+        audio, motion = write_pair(tmp_path / "in", split, 5.0)
         labels = {"style": "wild", "duration": 4.0, "split": split}
         items.append(Item(id=f"{split}/a", audio=audio, motion=motion, **labels))
     Manifest(items).save(tmp_path / "c.jsonl")
-    config = small_diffusion(tmp_path / "c.jsonl", tmp_path / "run")
-    run = Run(config.out, {}, resume=False)
+    return small_diffusion(tmp_path / "c.jsonl", tmp_path / "run")
+
+
+def test_a_measurement_that_fails_is_a_warning(talks, gesture, monkeypatch, caplog):
+    def fail(*_: Any, **__: Any) -> None:
+        raise RuntimeError("out of luck")
+
+    monkeypatch.setattr(module, "evaluate", fail)
+    made = HeldOutMetrics(talks, Run(talks.out, {}, resume=False), speech=True)
+    assert made.measure(7, Talker(gesture), keep=True) == ""
+    assert "Step 7: no metrics on 1 held-out recording (4 s): out of luck" in caplog.text
+    assert not list(talks.out.glob("*held_out*")) and not (talks.out / "metrics.jsonl").exists()
+
+
+@pytest.mark.parametrize("speech", [True, False])
+def test_a_measurement_is_logged_once_and_its_clips_are_kept_if_asked_for(
+    talks, gesture, caplog, speech
+):
+    caplog.set_level("INFO")
+    config, run = talks, Run(talks.out, {}, resume=False)
     made, model = HeldOutMetrics(config, run, speech=speech), Talker(gesture)
     left = config.out / ".held_out" / "left.txt"  # of a training that was killed
     left.parent.mkdir(parents=True)
@@ -133,7 +150,8 @@ def test_a_measurement_is_logged_once_and_its_clips_are_kept_if_asked_for(
     what, _, verdict = said.partition(": ")
     assert what == "on 1 held-out recording (4 s)" and verdict.endswith(".")
     (asked,) = model.asked
-    assert (asked.pop("speech") is not None) == speech
+    heard = asked.pop("speech")
+    assert (heard is not None and len(heard.samples) == 4 * 16_000) == speech
     seconds = None if speech else 4.0
     wanted = {"seconds": seconds, "seed": 0, "item": "test/a", "style": "wild", "steps": 4}
     assert asked == wanted
