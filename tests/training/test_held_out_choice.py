@@ -143,9 +143,6 @@ def test_a_measurement_is_logged_once_and_its_clips_are_kept_if_asked_for(
     caplog.set_level("INFO")
     config, run = talks, Run(talks.out, {}, resume=False)
     made, model = HeldOutMetrics(config, run, speech=speech), Talker(gesture)
-    left = config.out / ".held_out" / "left.txt"  # of a training that was killed
-    left.parent.mkdir(parents=True)
-    left.touch()
     said = made.measure(7, model, " of 9", steps=4)
     what, _, verdict = said.partition(": ")
     assert what == "on 1 held-out recording (4 s)" and verdict.endswith(".")
@@ -157,9 +154,12 @@ def test_a_measurement_is_logged_once_and_its_clips_are_kept_if_asked_for(
     assert asked == wanted
     assert f"Step 7 of 9: {said}" in caplog.text and not list(config.out.glob("*held_out*"))
     for _ in range(2):
+        (config.out / ".held_out").mkdir()
+        (config.out / ".held_out" / "left.txt").touch()  # of a training that was killed
         assert made.measure(7, model, keep=True) == said
     assert caplog.text.count(said) == 1, "the last verdict is that of the training"
     assert f"All metrics on 1 held-out recording (4 s): {made.command}" in caplog.text
+    assert not (made.folder / "left.txt").exists()
     kept = Manifest.load(made.folder / "corpus.jsonl")
     assert [(item.id, item.split) for item in kept] == [("test/a", "test"), ("train/a", "train")]
     assert Motion.load(made.folder / "test" / "a.npz").n_frames == 120
