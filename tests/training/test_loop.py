@@ -13,6 +13,7 @@ import torch
 from runs import logged
 from small_runs import small_diffusion
 
+from gesturekit import progress
 from gesturekit.errors import ModelError
 from gesturekit.training.config import to_dict
 from gesturekit.training.run import loop as module
@@ -50,6 +51,7 @@ def training(tmp_path) -> Callable[..., SimpleNamespace]:
                 measure=did.measured.append,
                 also=lambda step: {"learning_rate": step / 10},
                 labels={"level": 2 * index + 1},
+                name=f"stage {index + 1}: ",
             )
 
         held_out = SimpleNamespace(is_due=lambda: did.steps[-1] in due)
@@ -142,6 +144,14 @@ def test_the_first_process_says_what_is_trained_on(tmp_path, caplog):
         "Measured at the end and every few minutes: 2 held-out recordings (9 s).",
     ]
     assert [record.levelname for record in caplog.records].count("WARNING") == 2
+
+
+def test_the_line_of_progress_has_steps_stage_and_losses(training, monkeypatch, capsys):
+    monkeypatch.setattr(progress, "SECONDS_BETWEEN_LINES", 0.0)
+    training().go()
+    lines = [line for line in capsys.readouterr().err.splitlines() if "stage" in line]
+    assert "3 of 9 steps" in lines[0] and "stage 1: odd 4, loss 2" in lines[0]
+    assert "9 of 9 steps" in lines[-1] and "stage 2: odd 4, loss 8" in lines[-1]
 
 
 def test_the_pace_is_the_mean_time_of_the_steps_since_the_last_line(training, monkeypatch, caplog):
