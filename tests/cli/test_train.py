@@ -352,7 +352,7 @@ def test_a_setting_written_as_an_option_is_shown_as_a_setting(gesturekit, light,
 def test_show_prints_every_setting(gesturekit, monkeypatch, tmp_path):
     monkeypatch.setenv("COLUMNS", "60")
     config = tmp_path / "mine.yaml"
-    notes = f"notes={{who: Jürgen, about: {'a long story ' * 9}told}}"
+    notes = f"notes={{who: Jürgen, about: {'a long story ' * 9}again}}"
     config.write_text(
         f"system: multires\nstyles: {{}}\nfeatures: null\n{notes.replace('=', ': ')}\n", "utf-8"
     )

@@ -102,7 +102,7 @@ def flat(name: str, n_frames: int, data: TrainingData, is_paired: bool = True) -
     ("n_frames", "window"), [(61, 60), (60, 60), (59, 48), (48, 48), (47, 38), (2, 2)]
 )
 def test_short_recordings_have_windows_shortened_by_a_fifth(loaded, make_config, n_frames, window):
-    """Of 60 frames, 48, 38, 30, 24, 19, 15, 12, 9, 7, 5, 4, 3 and 2, however they are stretched."""
+    """They are 48, 38, 30, 24, 19, 15, 12, 9, 7, 5, 4, 3 and 2 frames of 60, however stretched."""
     changes = {"augmentation": {"mirror": False, "stretch": 1.0, "stretch_range": 0.5}}
     data, _ = loaded(**changes)
     data = replace(data, recordings=(flat("a", n_frames, data),))
@@ -223,7 +223,7 @@ def test_one_line_says_what_a_rig_without_known_parts_costs(make_config, gesture
     (tmp_path / "in").mkdir()
     nameless(gesture(3.0))[0].save(tmp_path / "in" / "a.bvh")
     prepare([], tmp_path / "c.jsonl", unpaired_motion=[tmp_path / "in"], holdout=0.0)
-    told = {"corpus": str(tmp_path / "c.jsonl"), "features": None}
+    common = {"corpus": str(tmp_path / "c.jsonl"), "features": None}
     sliding = {"noise": {"predict": "clean"}, "training": {"foot_sliding": 0.5}}
     for number, (changes, follows) in enumerate(
         [
@@ -233,7 +233,7 @@ def test_one_line_says_what_a_rig_without_known_parts_costs(make_config, gesture
         ]
     ):
         caplog.clear()
-        config = make_config(**told, **changes, out=str(tmp_path / str(number)))
+        config = make_config(**common, **changes, out=str(tmp_path / str(number)))
         with session(config, resume=False) as (run, device, processes):
             Trainer(config, run, device, processes, resume=False)
         lines = [text for text in caplog.messages if "cannot be identified" in text]

@@ -169,7 +169,7 @@ def test_few_steps_skip_pure_noise_and_repeat_none(schedule):
 
 @pytest.mark.parametrize(("count", "start"), [(10, None), (50, None), (98, None), (12, 16), (1, 9)])
 def test_few_steps_are_those_nearest_to_even_levels_of_noise(count, start):
-    """Of the steps that are left, the one whose log signal-to-noise ratio is the nearest."""
+    """The nearest log signal-to-noise ratio among the steps that are left."""
     level = GESTURE.log_snr().numpy()
     found = chosen_steps(GESTURE, count, start=start)
     if start is None:

@@ -176,10 +176,10 @@ def test_an_array_of_speech_is_made_anew_where_what_it_depends_on_changes(tmp_pa
     ]
     assert len({known, *others}) == len(others) + 1
     spoken = FeatureConfig(({"kind": "words"},))
-    told = key(spoken)
-    assert key(spoken, conditions={}) != told
+    with_words = key(spoken)
+    assert key(spoken, conditions={}) != with_words
     words.write_text("0.1\t0.4\tthere\n")
-    assert key(spoken) != told and key() == known
+    assert key(spoken) != with_words and key() == known
 
 
 @pytest.mark.parametrize("normalise", ["clip", "corpus"])

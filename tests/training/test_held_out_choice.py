@@ -143,21 +143,21 @@ def test_a_measurement_is_logged_once_and_its_clips_are_kept_if_asked_for(
     caplog.set_level("INFO")
     config, run = talks, Run(talks.out, {}, resume=False)
     made, model = HeldOutMetrics(config, run, speech=speech), Talker(gesture)
-    said = made.measure(7, model, " of 9", steps=4)
-    what, _, verdict = said.partition(": ")
+    found = made.measure(7, model, " of 9", steps=4)
+    what, _, verdict = found.partition(": ")
     assert what == "on 1 held-out recording (4 s)" and verdict.endswith(".")
     (asked,) = model.asked
-    heard = asked.pop("speech")
-    assert (heard is not None and len(heard.samples) == 4 * 16_000) == speech
+    sound = asked.pop("speech")
+    assert (sound is not None and len(sound.samples) == 4 * 16_000) == speech
     seconds = None if speech else 4.0
     wanted = {"seconds": seconds, "seed": 0, "item": "test/a", "style": "wild", "steps": 4}
     assert asked == wanted
-    assert f"Step 7 of 9: {said}" in caplog.text and not list(config.out.glob("*held_out*"))
+    assert f"Step 7 of 9: {found}" in caplog.text and not list(config.out.glob("*held_out*"))
     for _ in range(2):
         (config.out / ".held_out").mkdir()
         (config.out / ".held_out" / "left.txt").touch()  # of a training that was killed
-        assert made.measure(7, model, keep=True) == said
-    assert caplog.text.count(said) == 1, "the last verdict is that of the training"
+        assert made.measure(7, model, keep=True) == found
+    assert caplog.text.count(found) == 1, "the last verdict is that of the training"
     assert f"All metrics on 1 held-out recording (4 s): {made.command}" in caplog.text
     assert not (made.folder / "left.txt").exists()
     kept = Manifest.load(made.folder / "corpus.jsonl")

@@ -83,8 +83,8 @@ def test_of_a_long_corpus_a_sample_is_read_and_arrays_are_made(plan, tmp_path):
     In training a minute of two and a half is read: 2.4 s instead of 6 s.
     """
     folder = tmp_path / "arrays"
-    said = plan(True, in_memory=1.0, workers=2, arrays=str(folder))
-    assert said == [
+    messages = plan(True, in_memory=1.0, workers=2, arrays=str(folder))
+    assert messages == [
         "of all",
         f"Arrays of 2.5 GB in {folder}; making those that are missing takes about 3 s.",
         "Time: about 36 s on this machine while it is idle, 29 s to 73 s beside other programs. "

@@ -55,17 +55,17 @@ def test_a_model_of_speech_reads_pairs_and_one_of_motion_all_that_moves(corpus):
         {"id": "talk", "moves": False, "seconds": 7.0},
         {"id": "test", "split": "test"},
     )
-    heard, moved = read(config), read(config, speech=False)
-    assert [[item.id for item in found.items] for found in (heard, moved)] == [
+    paired, moved = read(config), read(config, speech=False)
+    assert [[item.id for item in found.items] for found in (paired, moved)] == [
         *(["pair"], ["alone", "pair"])
     ]
-    assert [item.id for item in heard.unpaired] == ["talk"] and moved.unpaired == ()
-    assert heard.lengths == (2.0, 7.0) and moved.lengths == (4.0, 0.0)
-    assert heard.excerpts is None and heard.read == heard.items
+    assert [item.id for item in paired.unpaired] == ["talk"] and moved.unpaired == ()
+    assert paired.lengths == (2.0, 7.0) and moved.lengths == (4.0, 0.0)
+    assert paired.excerpts is None and paired.read == paired.items
     assert [motion.n_frames for motion in moved.motions] == [20, 20]
     other = read(config, others=lambda manifest: manifest.in_split("test"))
     assert [item.id for item in other.unpaired] == ["test"] and other.lengths == (2.0, 2.0)
-    assert heard.styles == () and heard.style_of == [0] and moved.style_of == [0, 0]
+    assert paired.styles == () and paired.style_of == [0] and moved.style_of == [0, 0]
 
 
 def test_held_out_parts_of_a_training_take_are_warned_about(corpus, caplog):
@@ -143,7 +143,7 @@ def test_the_record_of_a_training_has_every_recording_with_its_rate(corpus):
 
 
 def test_a_trial_reads_half_a_minute_and_knows_the_whole(corpus, tmp_path):
-    """In a trial, the record of the whole corpus is made without reading its files."""
+    """The record of the whole corpus is made without reading its files."""
     talk = {"id": "talk", "moves": False, "seconds": 50.0}
     styles = ("old", "wild", "wild")
     long = [{"id": f"r{k}", "seconds": 40.0, "style": style} for k, style in enumerate(styles)]

@@ -37,12 +37,12 @@ def test_time_left_weighs_steps_by_their_cost_and_leaves_out_the_first(clock):
 def test_after_three_seconds_the_time_left_is_logged_once(clock, caplog):
     """After four of 40 steps of a second, of which the first does not count: 36 s times 3 / 3."""
     caplog.set_level("INFO")
-    progress, said = Steps([(40, 1.0)], 0, quiet=False), []
+    progress, counts = Steps([(40, 1.0)], 0, quiet=False), []
     for _ in range(9):
         progress.step(1.0)
-        said.append(len(caplog.messages))
+        counts.append(len(caplog.messages))
         clock[0] += 1.0
-    assert said == [0, 0, 0, 1, 1, 1, 1, 1, 1]
+    assert counts == [0, 0, 0, 1, 1, 1, 1, 1, 1]
     assert caplog.messages == ["Time left: about 36 s."]
     # The bar divides the steps that are left by a rate.
     assert progress.format_dict["rate"] == pytest.approx(31 / progress.seconds_left)
