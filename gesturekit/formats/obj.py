@@ -41,6 +41,6 @@ def write_obj(
     frame %= motion.n_frames
     body = BodyModel.of(body_model, motion.skeleton)
     (skin,) = body.vertices(fit_body(motion[frame : frame + 1], body))
-    with atomic_write(path) as temporary, temporary.open("w") as out:
+    with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8") as out:
         np.savetxt(out, skin, fmt="v %.6f %.6f %.6f")
         np.savetxt(out, body.faces + 1, fmt="f %d %d %d")
