@@ -153,6 +153,7 @@ HUGE = of_rows(np.zeros((1, 2))).replace(b"(1, 2), }           ", b"(99999999999
         (of_rows(np.zeros(400)), r"shape \(400,\): expected \(T, 2\)"),
         (of_rows(np.zeros((0, 2))), "T > 0"),
         (of_rows(with_nan()), "row 120, column 1 is nan"),
+        (of_rows(np.full((400, 2), 1e300)), "row 0, column 0 is inf: not a finite number"),
         (
             of_rows(clock(8, 25)),
             r"200 rows are from 0.00 to 3.98 s, the sound is from 0.00 to 8.00",
