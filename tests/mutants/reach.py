@@ -151,8 +151,9 @@ class Reach:
 
         Lines of compiled functions are not recorded: all tests count that reach a module which
         imports theirs. Defaults of arguments are computed once, by the first test that imports
-        them: all tests count that reach the function. A statement that is not in the record has
-        the tests of its function.
+        them: all tests count that reach the function. So are constants and defaults of classes:
+        all tests count that reach their file. A statement that is not in the record has the tests
+        of its function.
         """
         if defect.compiled:
             module = defect.path.removesuffix(".py").replace("/", ".")
@@ -160,8 +161,11 @@ class Reach:
             found = {t for path in callers for tests in self._tests[path].values() for t in tests}
         else:
             tree = ast.parse((self.root / defect.path).read_text(encoding="utf-8"))
+            statements = _statements_around(tree, defect.line)
             found = set()
-            for lines in _statements_around(tree, defect.line):
+            if not statements[-1]:
+                found = {t for tests in self._tests[defect.path].values() for t in tests}
+            for lines in statements:
                 found |= {t for line in lines for t in self._tests[defect.path].get(line, ())}
                 if any("::" in test for test in found):
                     break
@@ -247,10 +251,10 @@ def _statements_around(tree: ast.Module, line: int) -> list[range]:
     """Return the lines of the statements that hold a line, the innermost first.
 
     A statement with a body counts up to its body; of a function's defaults, its whole body counts.
-    The function that holds the line comes last.
+    The function that holds the line comes last; it is empty if there is none.
     """
     spans: list[range] = []
-    function = range(line, line + 1)
+    function = range(0)
     for node in ast.walk(tree):
         if isinstance(node, ast.stmt) and node.lineno <= line <= node.end_lineno:
             body = getattr(node, "body", None)
