@@ -47,6 +47,7 @@ DATA, TAGS = chunk(b"data", SOUND), chunk(b"LIST", b"INFOa")
         riff(fmt(), DATA),
         riff(chunk(b"note", b"odd"), fmt(), TAGS, DATA),
         riff(fmt(), DATA, TAGS, chunk(b" a~ ", b"")),
+        riff(fmt(), chunk(b"note", b"ab"), DATA, TAGS),
         riff(fmt(), chunk(b"data", SOUND, pad=False), TAGS),
         riff(fmt(), DATA) + b"\xff\xfe\xfd what other programs append \x01\x02",
         riff(fmt(), chunk(b"data", SOUND, pad=False)),
@@ -54,7 +55,16 @@ DATA, TAGS = chunk(b"data", SOUND), chunk(b"LIST", b"INFOa")
         riff(fmt(), chunk(b"data", SOUND, 0xFFFFFFFF, pad=False)),
     ],
     ids=[
-        *("plain", "before", "after", "no pad byte", "bytes after", "odd end", "one byte more"),
+        *(
+            "plain",
+            "before",
+            "after",
+            "both",
+            "no pad byte",
+            "bytes after",
+            "odd end",
+            "one byte more",
+        ),
         "no length",
     ],
 )
