@@ -6,12 +6,14 @@ import json
 import logging
 import re
 import shutil
+from dataclasses import replace
 
 import pytest
 import yaml
 
 from audio_features.kinds import KINDS
 from gesturekit import systems
+from gesturekit.corpus import Manifest
 from gesturekit.multires.training.stage import Stage
 from gesturekit.systems import resolved_settings
 from gesturekit.training.config import read_yaml
@@ -278,6 +280,27 @@ def test_it_ends_with_the_command_that_renders(
         f"Model: {folder}",
         f"Render with: gesturekit render {render}",
     ]
+
+
+def test_it_ends_with_held_out_speech_while_the_manifest_is_there(
+    gesturekit, light, corpus, tmp_path, monkeypatch
+):
+    folder = tmp_path / "run" / "model"
+    folder.mkdir(parents=True)
+    features = [{"kind": "logmel"}]
+    (folder / "config.yaml").write_text(yaml.safe_dump({"features": {"spec": features[0]}}))
+    items = Manifest.load(corpus).paired()
+    Manifest([replace(items[0], split="test")]).save(manifest := tmp_path / "c.jsonl")
+    run = {"corpus": str(manifest), "features": {"extractors": features}}
+    (folder.parent / "config.yaml").write_text(yaml.safe_dump(run))
+    monkeypatch.setattr(systems, "train", lambda *_, **__: folder)
+    held_out = f"--corpus {manifest} --split test"
+    assert gesturekit("train", light).ok().out.splitlines()[-2:] == [
+        f"Held-out speech: gesturekit render {held_out} --model {folder} --out rendered",
+        f"Evaluate with: gesturekit evaluate rendered {held_out}",
+    ]
+    manifest.unlink()
+    assert "Held-out" not in gesturekit("train", light).ok().out
 
 
 def test_a_new_run_is_planned_and_its_processes_are_a_setting(gesturekit, light):
