@@ -13,9 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import (
+    FeatureModel,
     PoseWindows,
     div_g,
     div_k,
+    fgd,
     fid_g,
     fid_k,
     frechet_distance,
@@ -336,7 +338,9 @@ def test_options_of_the_distances_reach_them(gesture):
     ours = [gesture(2.2, seed=20 + k) for k in range(10)]
     hands = ["LeftHand", "RightHand"]
     windows = PoseWindows.fit(reference, joints=hands)
+    model = FeatureModel.fit(reference, n_frames=30, joints="upper", steps=1)
     for call in (
+        lambda **more: fgd(ours, reference, model, **more),
         lambda **more: fid_k(ours, reference, seconds=1.0, joints=hands, **more),
         lambda **more: fid_g(ours, reference, seconds=1.0, **more),
         lambda **more: raw_fgd(ours, reference, joints=hands, **{"resamples": 100, **more}),
