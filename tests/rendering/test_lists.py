@@ -221,11 +221,14 @@ def test_a_file_that_is_named_twice_is_made_once_and_two_of_a_name_are_refused(
 def test_results_within_the_folder_of_sounds_and_hidden_files_are_no_inputs(
     folder, tmp_path, write_speech
 ):
-    for name in ("day/out/x", ".hidden/y", "day/z"):
+    for name in ("day/out/x", "day/out/sub/x", ".hidden/y", "day/z"):
         write_speech(folder / f"{name}.wav", 0.5)
     names = {"a", "day/b", "day/night/c", "day/z"}
     assert {task.id for task in find_tasks(folder, folder / "day" / "out")} == names
-    assert {task.id for task in find_tasks(folder, folder)} == names | {"day/out/x"}
+    assert {task.id for task in find_tasks(folder, folder)} == names | {
+        "day/out/x",
+        "day/out/sub/x",
+    }
     # A sound that cannot be decoded counts only if none of its name can.
     for name in ("a.wma", "b.wma"):
         (folder / name).write_text("x")
