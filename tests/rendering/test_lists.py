@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import soundfile
 
+from audio_features.wave import SAMPLE_RATES
 from gesturekit.corpus.item import Item
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.jobs.plan import write_plan
@@ -240,5 +241,8 @@ def test_a_damaged_header_and_a_pipe_have_no_duration(tmp_path, folder):
     data[24:28] = (1).to_bytes(4, "little")  # a sample rate of 1 Hz
     (folder / "a.wav").write_bytes(data)
     assert measured(Task("a", folder / "a.wav")).duration is None
+    for rate in SAMPLE_RATES:  # the slowest and the fastest that are read
+        soundfile.write(folder / "a.wav", np.zeros(rate), rate)
+        assert measured(Task("a", folder / "a.wav")).duration == 1.0
     os.mkfifo(folder / "pipe.wav")
     assert measured(Task("p", folder / "pipe.wav")).duration is None
