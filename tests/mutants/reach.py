@@ -150,7 +150,7 @@ class Reach:
         Tests of one file stay together: they may share what takes long to set up.
 
         Lines of compiled functions are not recorded: all tests count that reach a module which
-        imports theirs. Defaults of arguments are computed once, by the first test that imports
+        imports theirs, those of files that import it themselves first. Defaults of arguments are computed once, by the first test that imports
         them: all tests count that reach the function. So are constants and defaults of classes:
         all tests count that reach their file. A statement that is not in the record has the tests
         of its function.
@@ -159,7 +159,11 @@ class Reach:
             module = defect.path.removesuffix(".py").replace("/", ".")
             callers = [path for path in self._tests if _imports(self.root / path, module)]
             found = {t for path in callers for tests in self._tests[path].values() for t in tests}
+            names = {test.partition("::")[0] for test in self.seconds}
+            direct = {name for name in names if _imports(self.root / name, module)}
+            found |= {test for test in self.seconds if test.partition("::")[0] in direct}
         else:
+            direct = set()
             tree = ast.parse((self.root / defect.path).read_text(encoding="utf-8"))
             statements = _statements_around(tree, defect.line)
             found = set()
@@ -171,7 +175,8 @@ class Reach:
                     break
         files = {test for test in found if "::" not in test}
         found |= {test for test in self.seconds if test.partition("::")[0] in files}
-        return self._in_order(found - files, defect.path)
+        ordered = self._in_order(found - files, defect.path)
+        return sorted(ordered, key=lambda test: test.partition("::")[0] not in direct)
 
     def _in_order(self, tests: set[str], path: str) -> list[str]:
         by_file: dict[str, list[str]] = defaultdict(list)
@@ -269,4 +274,9 @@ def _statements_around(tree: ast.Module, line: int) -> list[range]:
 
 def _imports(path: Path, module: str) -> bool:
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    return any(isinstance(n, ast.ImportFrom) and n.module == module for n in ast.walk(tree))
+    package, _, name = module.rpartition(".")
+    return any(
+        n.module == module or (n.module == package and name in {alias.name for alias in n.names})
+        for n in ast.walk(tree)
+        if isinstance(n, ast.ImportFrom)
+    )
