@@ -150,10 +150,11 @@ class Reach:
         Tests of one file stay together: they may share what takes long to set up.
 
         Lines of compiled functions are not recorded: all tests count that reach a module which
-        imports theirs, those of files that import it themselves first. Defaults of arguments are computed once, by the first test that imports
-        them: all tests count that reach the function. So are constants and defaults of classes:
-        all tests count that reach their file. A statement that is not in the record has the tests
-        of its function.
+        imports theirs, those of files that import it themselves first.
+
+        Defaults of arguments are computed once, by the first test that imports them: all tests
+        count that reach the function. So are constants and defaults of classes: all tests count
+        that reach their file. A statement that is not in the record has the tests of its function.
         """
         if defect.compiled:
             module = defect.path.removesuffix(".py").replace("/", ".")
