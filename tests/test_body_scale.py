@@ -67,7 +67,7 @@ def judged(motion: Motion, path: Path, **options: str) -> dict[str, object]:
         text = re.sub(r"[\d.]+ m(/s)?\b", "#", text.replace(str(path), ""))
         return text.replace(", # on a body of #", "")
 
-    problems = inspect_motion(path, **read).problems
+    problems = inspect_motion(path, parts=None, **read).problems
     # "makes the body ..." depends on the unit option, not on the motion.
     found = {"inspect": [unsized(text) for text in problems if "makes the body" not in text]}
     if not read:

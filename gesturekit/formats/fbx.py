@@ -57,7 +57,7 @@ def read_fbx(
                 raise FormatError(str(error).replace(str(glb), str(path))) from None
         for warning in caught:
             warnings.warn(str(warning.message).replace(str(glb), str(path)), stacklevel=2)
-        rate = float(glb.with_suffix(".txt").read_text())
+        rate = float(glb.with_suffix(".txt").read_text("utf-8"))
     motion = replace(motion, fps=rate, info=motion.info | {"source": str(path)})
     return motion if fps is None else motion.resample(fps)
 

@@ -519,7 +519,7 @@ def test_of_a_bvh_and_an_npz_of_one_name_one_is_used(tmp_path, write_pair, gestu
         path.unlink()
     alone = prepare([], unpaired_motion=[tmp_path], holdout=0.5)
     assert [item.motion.name for item in alone.manifest] == ["a.npz", "b.npz"]
-    summary = inspect_recordings(tmp_path)
+    summary = inspect_recordings(tmp_path, parts=None, read=None, progress=iter)
     assert summary.facts["items"] == 2 and len(summary.problems) == 1
 
 

@@ -230,9 +230,7 @@ def test_the_limits_are_those_of_the_command_line(served):
     ("token", "is_used"),
     [(TOKEN, True), (TOKEN[1:], False), (TOKEN + " a", False), (TOKEN + "é", False), ("", False)],
 )
-def test_a_token_is_long_plain_and_without_spaces(
-    served, gesturekit, tmp_path, ascii_locale, token, is_used
-):
+def test_a_token_is_long_plain_and_without_spaces(served, gesturekit, tmp_path, token, is_used):
     (tmp_path / "token").write_text(f"{token}\n", encoding="utf-8")
     if not is_used:
         wrong = gesturekit("serve", "--model", "demo", "--token-file", tmp_path / "token")
