@@ -24,11 +24,11 @@ def frame_rate(text: str) -> float:
     common = min(COMMON_RATES, key=lambda rate: abs(1 / Decimal(rate) - seconds))
     # The most likely rate whose frame time differs by less than the last digit written.
     digit = Decimal(1).scaleb(seconds.as_tuple().exponent)
-    exactly = Decimal("1e-20")
+    exact = (1 / seconds).quantize(Decimal("0.01"))  # such as 12.5
     rates = (
-        (whole, exactly),
+        (whole, digit / 1000),
         (common, digit),
-        ((1 / seconds).quantize(Decimal("0.01")), exactly),  # such as 12.5
+        (exact, Decimal("1e-20")),
         (whole, digit),
         (whole / _NTSC, digit),
     )
@@ -37,7 +37,7 @@ def frame_rate(text: str) -> float:
             return float(rate)
     # All digits of a float64: several rates may have this quotient, so take the most likely, or
     # else the one with the fewest digits.
-    shorter = (float(f"{1 / seconds:.{digits}g}") for digits in range(17))
+    shorter = (float(f"{1 / seconds:.{digits}g}") for digits in range(1, 17))
     for rate in (*(float(rate) for rate, _ in rates if rate), *shorter):
         if 1 / rate == float(seconds):
             return rate

@@ -15,6 +15,7 @@ import multiprocessing
 import os
 import sys
 from collections import Counter, defaultdict
+from functools import cache
 from pathlib import Path
 
 import coverage
@@ -40,6 +41,7 @@ class Reach:
         # Lines that each test, and the fixtures of each file, reach: of a file, and of all.
         self._n_lines: dict[str, Counter[str]] = defaultdict(Counter)
         self._n_all: Counter[str] = Counter()
+        self._longest: Counter[str] = Counter()  # seconds of the longest test of each file
         self._kept: dict[str, dict] = {"files": {}, "texts": {}}
         if self._file.exists():
             self._kept = json.loads(gzip.decompress(self._file.read_bytes()))
@@ -119,6 +121,9 @@ class Reach:
         places: dict[tuple[str, str], dict[int, int]] = {}
         for record in self._kept["files"].values():
             self.seconds |= record["seconds"]
+            for test, seconds in record["seconds"].items():
+                name = test.partition("::")[0]
+                self._longest[name] = max(self._longest[name], seconds)
             for path, (digest, tests) in record["lines"].items():
                 if not (self.root / path).exists():
                     continue
@@ -183,17 +188,13 @@ class Reach:
         by_file: dict[str, list[str]] = defaultdict(list)
         for test in tests:
             by_file[test.partition("::")[0]].append(test)
-        longest: Counter[str] = Counter()
-        for test, seconds in self.seconds.items():
-            name = test.partition("::")[0]
-            longest[name] = max(longest[name], seconds)
 
         def worth(name: str) -> float:
             """Return the chance that a file's tests notice, by the second."""
-            about = max(map(lambda test: self._share(test, path), by_file[name]))
+            about = max(self._share(test, path) for test in by_file[name])
             # The longest test of a file may have set up what the others use.
             own = [self.seconds.get(test, 0.0) for test in by_file[name]]
-            return about / (0.1 + sum(own) + longest[name])
+            return about / (0.1 + sum(own) + self._longest[name])
 
         return [
             test
@@ -273,6 +274,7 @@ def _statements_around(tree: ast.Module, line: int) -> list[range]:
     return [*sorted(spans, key=len), function]
 
 
+@cache
 def _imports(path: Path, module: str) -> bool:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     package, _, name = module.rpartition(".")
