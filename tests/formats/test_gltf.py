@@ -71,7 +71,7 @@ def test_the_shorter_way_is_turned(tmp_path):
 
 
 def test_keys_are_read_in_the_order_of_their_times(tmp_path):
-    """Of two keys at one time the second counts from there on: a jump."""
+    """Two keys at one time are a jump: the second counts from there on."""
     places = [(k, 0, 0) for k in range(40)]
     times = [*range(20), *range(20)]
     file = GltfFile([{"name": "hand"}], [[0]]).animate([(0, "translation", times, places)])
@@ -304,7 +304,7 @@ def two_animations() -> GltfFile:
 
 
 def test_the_longest_animation_is_read_or_that_which_is_named(tmp_path):
-    """That of 2 s has one curve of 2 s, that of 3 s one of 3 s and one of 1 s."""
+    """The animation of 2 s has one curve of 2 s, that of 3 s one of 3 s and one of 1 s."""
     file = two_animations()
     turns = file.json["animations"][1]["samplers"]
     turns.append({"input": file.array([0, 1]), "output": turns[0]["output"]})

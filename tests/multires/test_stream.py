@@ -301,7 +301,7 @@ def test_a_forecast_holds_a_while():
 def test_the_newest_sound_says_most_about_now_and_less_about_what_follows(
     model, speech, monkeypatch
 ):
-    """Of a look-ahead of 0.2 s: a prediction for now, one for 0.1 s later and one for 0.2 s."""
+    """A look-ahead of 0.2 s gives a prediction for now, one for 0.1 s later and one for 0.2 s."""
     forecasts = []
     advance = LivePlan.advance
 

@@ -28,7 +28,7 @@ with Processes.from_environment("cpu") as processes:
     weight = (mine.stop - mine.start) / len(batch)
     processes.average_gradients(parameters, weight)
     own = torch.tensor(float(processes.rank))
-    told = {
+    result = {
         "gradient": net.weight.grad[0].tolist(),
         "whole": whole[0].tolist(),
         "unused": unused.weight.grad[0].tolist(),
@@ -37,7 +37,7 @@ with Processes.from_environment("cpu") as processes:
         "first": processes.is_first,
     }
     processes.wait()
-    Path(sys.argv[1], f"{processes.rank}.json").write_text(json.dumps(told))
+    Path(sys.argv[1], f"{processes.rank}.json").write_text(json.dumps(result))
 """
 
 
@@ -45,13 +45,13 @@ def test_two_processes_find_the_gradient_of_one(tmp_path):
     (tmp_path / "script.py").write_text(SCRIPT)
     ended(launch(tmp_path / "script.py", tmp_path, processes=2))
     two = [json.loads((tmp_path / f"{rank}.json").read_text()) for rank in range(2)]
-    for told in two:
-        assert told["gradient"] == pytest.approx(told["whole"], abs=1e-6)
-        assert told["unused"] == [0.0] * 4
-        assert told["mean"] == 0.5
-    assert [told["own"] for told in two] == [0.0, 1.0], "a mean changes nothing in place"
+    for result in two:
+        assert result["gradient"] == pytest.approx(result["whole"], abs=1e-6)
+        assert result["unused"] == [0.0] * 4
+        assert result["mean"] == 0.5
+    assert [result["own"] for result in two] == [0.0, 1.0], "a mean changes nothing in place"
     assert two[0]["gradient"] == two[1]["gradient"]
-    assert [told["first"] for told in two] == [True, False]
+    assert [result["first"] for result in two] == [True, False]
 
 
 def test_shares_make_up_the_whole():
@@ -95,16 +95,18 @@ def test_processes_share_gpus_if_there_are_too_few(
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "told"),
+    ("name", "value", "result"),
     [
         ("WORLD_SIZE", "two", "LOCAL_WORLD_SIZE.*'two'.*torchrun"),
         ("LOCAL_WORLD_SIZE", "two", "LOCAL_WORLD_SIZE.*'two'.*torchrun"),
         ("RANK", None, "'RANK'"),  # all names are listed; the missing one stands in quotes
     ],
 )
-def test_a_wrong_or_missing_variable_of_torchrun_is_refused_by_name(monkeypatch, name, value, told):
+def test_a_wrong_or_missing_variable_of_torchrun_is_refused_by_name(
+    monkeypatch, name, value, result
+):
     for other in ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE"):
         monkeypatch.setenv(other, "1")
     monkeypatch.setenv(name, value) if value else monkeypatch.delenv(name)
-    with pytest.raises(ConfigError, match=told), Processes.from_environment("cpu"):
+    with pytest.raises(ConfigError, match=result), Processes.from_environment("cpu"):
         pass
