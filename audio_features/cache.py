@@ -304,7 +304,7 @@ class FeatureCache(DiskCache):
         from safetensors.numpy import save
 
         kind = np.float16 if self.precision == "fp16" else np.float32
-        values = track.values.astype(kind)
+        values = track.values.astype(kind, copy=False)
         if values.nbytes + track.times.nbytes > self.max_bytes:
             return
         about = {"spec": json.dumps(track.spec), "checksum": _checksum(values, track.times)}

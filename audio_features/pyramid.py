@@ -159,4 +159,4 @@ def from_residual_pyramid(levels: Sequence[np.ndarray]) -> np.ndarray:
     values = np.asarray(levels[0], dtype=np.float64)
     for residual in levels[1:]:
         values = resample_frames(values, len(residual)) - residual
-    return values.astype(np.asarray(levels[-1]).dtype)
+    return values.astype(np.asarray(levels[-1]).dtype, copy=False)

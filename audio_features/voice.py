@@ -111,7 +111,7 @@ def _pitch_salience(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     n_frames = len(samples) // _HOP
     # Shorter sounds are judged between silence, or their only word would be the stationary sound.
     window = _BLOCK + 2 * _CONTEXT
-    padded = np.pad(samples, (_FRAME // 2, _FRAME + _HOP * window))
+    padded = np.pad(samples, (_FRAME // 2, _FRAME // 2 + _HOP * window))
     frames = np.lib.stride_tricks.sliding_window_view(padded, _FRAME)[::_HOP]
     last = max(0, n_frames - window)
     salience, f0 = np.empty(n_frames), np.empty(n_frames)

@@ -103,24 +103,25 @@ def _read(paths: tuple[Path, ...], seed: int) -> tuple[MotionSample, bool]:
     from gesturekit.motion import Motion
 
     files: list[Path] = []
-    errors: list[object] = []
+    is_complete = True
     for path in paths:
         if not path.is_dir():
             files.append(path)
             continue
         found, problems = scan(path)
-        errors += problems
+        is_complete &= not problems
+        for problem in problems:
+            click.echo(f"Error: {problem}", err=True)
         files += [one.path for one in found if not one.is_speech]
     sample = MotionSample(seed)
     for file in files:
         try:
             sample.add(Motion.load(file))
         except (GestureKitError, OSError) as error:
-            errors.append(error)
-    for error in errors:
-        click.echo(f"Error: {error}", err=True)
+            is_complete = False
+            click.echo(f"Error: {error}", err=True)
     if not sample.count:
         raise EvaluationError(
             f"no motion (bvh, npz) could be read from {', '.join(map(str, paths))}"
         )
-    return sample, not errors
+    return sample, is_complete

@@ -98,6 +98,7 @@ def command(
         app,
         log_level="warning",
         limit_concurrency=connections,
+        timeout_keep_alive=5,
         timeout_graceful_shutdown=10,
         server_header=False,
         proxy_headers=False,

@@ -147,7 +147,7 @@ def with_y_up(motion: Motion, axes: FileAxes) -> Motion:
 
 def _vector(axis: str) -> np.ndarray:
     """(3,) unit vector of an axis such as "-y"."""
-    return np.concatenate([np.eye(3), -np.eye(3)])[AXES.index(axis)]
+    return np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0)
 
 
 def _along(vectors: np.ndarray) -> np.ndarray:
@@ -176,7 +176,7 @@ def _evidence(motion: Motion) -> tuple[tuple[str, str] | None, str | None]:
 def _rest_axes(skeleton: Skeleton, parts: BodyParts) -> tuple[str, str] | None:
     """Return (up, forward) of the rest pose; None if it does not stand or is contradictory."""
     rest = np.broadcast_to(IDENTITY, (skeleton.n_joints, 4))
-    places = forward_kinematics(rest, skeleton.offsets[0], skeleton)
+    places = forward_kinematics(rest, np.zeros(3), skeleton)
 
     def between(start: str, end: str) -> np.ndarray:
         return places[skeleton.index(end)] - places[skeleton.index(start)]

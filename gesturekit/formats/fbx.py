@@ -86,8 +86,8 @@ def blender_command(path: Path) -> list[str]:
         FormatError: neither program nor module was found.
     """
     # In a wheel it lies in the package, in a checkout beside it.
-    places = (folder / _SCRIPT for folder in Path(__file__).parents)
-    script = next(place for place in places if place.exists())
+    here = Path(__file__).parents[1]
+    script = here / _SCRIPT if (here / _SCRIPT).exists() else here.parent / _SCRIPT
     program = os.environ.get(PROGRAM) or shutil.which("blender")
     if not program and find_spec("bpy"):
         program = sys.executable

@@ -56,7 +56,7 @@ def phases(motion: Motion, fps: float) -> tuple[Phase, ...]:
     speech, path and events.
     """
     ratio = motion.fps / fps
-    n = round(ratio) if abs(ratio - round(ratio)) < 1e-6 else 1
+    n = round(ratio) if abs(ratio - round(ratio)) < 1e-6 * ratio else 1
     return (
         Phase(motion.resample(fps), 0.0),
         *(

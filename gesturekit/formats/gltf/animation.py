@@ -136,7 +136,7 @@ class Animation:
 def _fits(times: np.ndarray, rate: float) -> bool:
     """Return whether all times are those of frames."""
     frames = (times - times[0]) * rate
-    return bool((np.abs(frames - np.rint(frames)) <= _NEAR).all())
+    return bool((np.abs(frames - np.rint(frames)) <= _NEAR + _EARLY * rate / 10).all())
 
 
 def _rate(times: np.ndarray) -> tuple[float, bool]:
@@ -153,7 +153,7 @@ def _rate(times: np.ndarray) -> tuple[float, bool]:
     common = [*COMMON_RATES, *(rate / 1.001 for rate in COMMON_RATES)]
     near = [rate for rate in common if abs(rate / even - 1) < _ALIKE]
     likely = sorted(near, key=lambda rate: abs(rate - even))
-    if even == keyed:
+    if np.ptp(steps) < 0.1 * step and even == keyed:
         likely.append(even)
     for rate in (*likely, *common, even):
         if rate <= _FASTEST and _fits(times, rate):

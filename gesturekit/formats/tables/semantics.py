@@ -24,7 +24,7 @@ def load_semantics(path: Path) -> list[tuple[float, float, float]]:
     if path.is_file() and path.stat().st_size > _MAX_BYTES:
         raise FormatError(f"{path}: over {_MAX_BYTES >> 20} MB, too large for such a table")
     try:
-        with path.open(encoding="utf-8", errors="replace") as file:
+        with path.open(encoding="utf-8", errors="replace", newline="") as file:
             for number, row in enumerate(csv.reader(file, delimiter="\t"), start=1):
                 if row:
                     intervals.append(_interval(path, number, row))

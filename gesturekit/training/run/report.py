@@ -98,6 +98,8 @@ class RunReport:
         with (self._folder / "metrics.jsonl").open("rb") as file:
             file.seek(self._read)
             for line in file:
+                if not line.endswith(b"\n"):
+                    return
                 self._read += len(line)
                 with suppress(ValueError):
                     yield json.loads(line)
