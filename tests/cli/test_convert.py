@@ -340,6 +340,13 @@ def test_view_writes_videos_and_pictures(tmp_path, clip, gesturekit):
     assert "<svg" in (tmp_path / "v.svg").read_text(encoding="utf-8")
 
 
+def test_a_file_that_cannot_be_shown_is_named_and_the_exit_code_is_1(tmp_path, clip, gesturekit):
+    clip.with_name("b.bvh").write_text("HIERARCHY")
+    done = gesturekit("view", tmp_path, "--out", tmp_path / "v.html")
+    assert done.status == 1 and "b.bvh" in done.err
+    assert (tmp_path / "v.html").read_text(encoding="utf-8").count('"label":') == 1
+
+
 def test_options_of_videos_are_refused_for_pages(tmp_path, clip, gesturekit):
     view = ("view", clip, "-o", tmp_path / "v.html", "--size", "720p")
     gesturekit(*view).fails(2, "--size is an option of mp4")

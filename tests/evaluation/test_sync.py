@@ -295,6 +295,7 @@ def test_motion_beats_are_those_of_the_smoothed_mean_speed(gliding):
     smooth = gaussian_filter1d(steps, 5.0)
     low = [k for k in range(1, 118) if smooth[k] < min(smooth[k - 1], smooth[k + 1])]
     assert motion_beats(motion, variant="bailando", joints=["Hips"]) * 60 == pytest.approx(low)
+    assert len(motion_beats(gliding([0.0] * 120, 60.0))) == 0, "a body at rest"
 
 
 def test_scores_and_chance_equal_their_definition_written_out():

@@ -351,6 +351,8 @@ def test_alignment_by_hand_and_sides_do_not_matter():
         # (2·1 + 1 + 0.5) / (2 + 1 + 1 + 1)
         assert found.score.value == pytest.approx(3.5 / 5)
         assert found.counts == (1, 1, 1, 1, 0) and found.raters == 4
+        assert found.mean == pytest.approx((2 + 1 + 0 - 1) / 4)
+        assert found.p == pytest.approx(stats.ttest_1samp(scores, 0).pvalue)
         assert found.win_rate.value == pytest.approx(2 / 3)
 
 
