@@ -291,6 +291,9 @@ def test_a_dry_run_of_convert_says_so(gesturekit, takes, tmp_path):
     done = gesturekit("convert", takes, tmp_path / "out", "--format", "npz", "--dry-run")
     assert done.status == 1 and "Dry run: nothing was written." in done.err
     assert "1 of 3 failed." in done.err and not (tmp_path / "out").exists()
+    (takes / "a.bvh").unlink()
+    two = gesturekit("convert", takes, tmp_path / "out", "--format", "npz", "--dry-run").fails(1)
+    assert "1 of 2 failed." in two.err
     done = gesturekit("convert", takes / "broken.bvh", tmp_path / "out" / "b.npz")
     assert done.status == 1 and "failed." not in done.err and "Dry run" not in done.err
 

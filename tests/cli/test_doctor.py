@@ -26,6 +26,7 @@ def test_a_machine_that_works_is_usable(gesturekit, write_wavlm, tmp_path):
     for name in ("torch", "GPU", "threads", "torchaudio", "transformers", "ffmpeg", "disk"):
         assert f" {name} " in done.out
     assert "makes motion: 30 frames" in done.out and "3 layers of 32" in done.out
+    assert not [line for line in done.out.splitlines() if line.strip() == "→"], "advice is empty"
 
 
 def test_a_broken_requirement_gives_exit_code_1(gesturekit, tmp_path):

@@ -316,6 +316,7 @@ def test_evaluating_on_training_recordings_is_warned_about(gesturekit, held_out,
     train = ("evaluate", root / "rendered", "--corpus", root / "corpus.jsonl", "--split", "train")
     done = gesturekit(*train).ok()
     assert f"trained on 1 of 1 recording, or on a part of each ({items['train'].id})" in done.err
+    assert "rendered (trained on these)" in done.out
     # A folder of whole recordings, rendered by a model that says what it was trained on.
     model, rendered = tmp_path / "model", tmp_path / "rendered"
     model.mkdir()

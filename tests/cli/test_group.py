@@ -12,9 +12,9 @@ from pages import data_of
 
 import audio_features as af
 import gesturekit as gk
+from gesturekit import systems
 from gesturekit.cli import VERBS, cli
 from gesturekit.jobs.run import EXISTING
-from gesturekit.systems import bundled_speech
 from gesturekit.viewer.human.body import is_baked
 
 
@@ -93,7 +93,7 @@ def test_the_demo_leaves_every_format_and_its_sound(gesturekit, tmp_path):
     done = gesturekit("demo", "--out", tmp_path).ok()
     names = ["speech.bvh", "speech.html", "speech.npz", "speech.png", "speech.wav"]
     assert sorted(path.name for path in tmp_path.glob("speech.*")) == names
-    assert (tmp_path / "speech.wav").read_bytes() == bundled_speech().read_bytes()
+    assert (tmp_path / "speech.wav").read_bytes() == systems.bundled_speech().read_bytes()
     assert all(f"{tmp_path / name}\n" in done.out for name in names)
     page = data_of(tmp_path / "speech.html")
     assert 0.4 < page["below"] / page["height"] < 0.5  # from the waist up
@@ -111,6 +111,19 @@ def test_the_demo_leaves_every_format_and_its_sound(gesturekit, tmp_path):
     kept = gesturekit("demo", "--out", tmp_path, "--seed", 1, "--existing", "skip").ok()
     assert "speech.wav: skipped" in kept.err and (tmp_path / "speech.wav").read_text() == "mine"
     assert (tmp_path / "speech.bvh").read_bytes() == first
+
+
+def test_the_demo_takes_a_seed_and_reports_a_failure(
+    gesturekit, write_speech, tmp_path, monkeypatch
+):
+    speech = write_speech(tmp_path / "speech.wav", 0.5)
+    monkeypatch.setattr(systems, "bundled_speech", lambda: speech)
+    for seed in (0, 1):
+        gesturekit("demo", "--out", tmp_path / f"{seed}", "--seed", seed).ok()
+    one, two = ((tmp_path / name / "speech.bvh").read_bytes() for name in "01")
+    assert one != two
+    speech.write_bytes(b"no sound")
+    gesturekit("demo", "--out", tmp_path / "2").fails(1, "Failed: ", "speech.wav")
 
 
 @pytest.mark.parametrize("options", [("convert", "--format", "npz"), ("features",)])
