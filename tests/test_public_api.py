@@ -104,6 +104,16 @@ def test_evaluate_takes_texts_and_a_manifest(write_pair, gesture, tmp_path):
         gk.evaluate(*folders, split="train")
 
 
+@pytest.mark.parametrize(
+    ("option", "hint"),
+    [("unpared", "did you mean unpaired[?]"), ("xyz", "it has .*holdout, .*style")],
+)
+def test_an_option_that_prepare_does_not_have_is_named(tmp_path, option, hint):
+    with pytest.raises(TypeError, match=f"prepare has no option {option}; {hint}") as caught:
+        gk.prepare(tmp_path, **{option: 1})
+    assert isinstance(caught.value, gk.GestureKitError)
+
+
 def test_one_class_catches_every_expected_error(demo, tmp_path):
     (tmp_path / "x.wav").write_text("no sound")
     motion = demo.generate(seconds=1.0)
