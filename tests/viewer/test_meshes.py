@@ -60,6 +60,7 @@ def test_limbs_and_head_are_closed_surfaces_with_their_volumes(gesture):
     real = size > 1e-4 * np.median(size)
     cosines = (flat * mean).sum(axis=1)[real] / size[real] / np.linalg.norm(mean, axis=1)[real]
     assert cosines.min() > 0.5 and np.median(cosines) > 0.98
+    assert cosines[part[real] == len(figure.limbs)].min() > 0.98, "ellipsoids have no edges"
 
 
 @pytest.mark.parametrize("radii", [(0.1, 0.01), (0.01, 0.1)])
