@@ -293,6 +293,7 @@ def test_three_equal_frames_at_the_end_are_padding(representation, turns, caplog
     assert fitted(20, 10, 40) == 22
     assert "8 equal frames at the end are left out, 22 remain" in caplog.text
     assert fitted(25, 10, 40) == 35, "frames that differ are not padding"
+    assert fitted(20, 2, 40) == 22 and "left out" not in caplog.text, "as many as are wanted"
 
 
 @pytest.mark.parametrize(
@@ -424,6 +425,16 @@ def test_margins_of_a_path_go_on_with_its_first_and_last_steps(representation, n
     np.testing.assert_allclose(steps[6:55], smooth, atol=1e-6)
     np.testing.assert_allclose(steps[:6], smooth[0], atol=1e-6)
     np.testing.assert_allclose(steps[55:], smooth[-1], atol=1e-6)
+
+
+def test_a_path_of_two_frames_has_one_step(representation, normaliser):
+    path = straight(2, (0.012, 0.0), 0.0)
+    step = np.diff(path.smoothed().positions, axis=0)[0]
+    constraint = PathConstraint(path, representation, normaliser, [2])
+    output = normaliser.from_values(vectors_of(posed(representation, 2), representation))
+    found = normaliser.to_values(constraint(0, output))[:, representation.layout.root_xz]
+    assert abs(step[0]) > 1e-3
+    np.testing.assert_allclose(found, np.tile(step, (2, 1)), atol=1e-6)
 
 
 @pytest.mark.parametrize(("hertz", "size"), [(1.25, 0.01), (1.25, 0.05), (0.25, 0.05)])
@@ -699,6 +710,22 @@ def test_the_body_goes_from_clip_to_clip_most_in_the_middle(representation, norm
     share = np.sin(np.pi * (np.arange(20) + 0.5) / 20) ** 2
     np.testing.assert_allclose(steps[10:30], np.outer(share / 10, [0.5, -1.0]), atol=1e-6)
     np.testing.assert_allclose(steps[np.r_[:10, 30:40]], 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7])
+def test_a_walk_goes_on_from_the_end_of_a_clip_to_the_first_frame_of_the_next(
+    representation, normaliser, angle
+):
+    """The first frame of a clip has the step of its second one, in whichever way the clips face."""
+    first, last = posed(representation, 10), posed(representation, 10, (0.5, 1.1, -1.0))
+    first.translation[:, 0] += 0.02 * np.arange(10)
+    last.translation[:, 2] += 0.03 * np.arange(10)
+    clips = {0.0: turned_about(first, angle), 1.2: turned_about(last, angle)}
+    _, found = constrained(representation, normaliser, clips, 40)
+    steps = found[:, representation.layout.root_xz] * representation.scale
+    np.testing.assert_allclose(steps[:10], np.tile([0.02, 0.0], (10, 1)), atol=1e-6)
+    np.testing.assert_allclose(steps[30:], np.tile([0.0, 0.03], (10, 1)), atol=1e-6)
+    np.testing.assert_allclose(steps[10:31].sum(axis=0), [0.5 - 0.18, -1.0], atol=1e-6)
 
 
 def test_large_steps_between_clips_are_limited_below_the_finest_level(representation, normaliser):
