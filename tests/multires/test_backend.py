@@ -113,6 +113,19 @@ def test_numba_refuses_unsupported_modules(engine, networks, change, named):
     assert backend.name == "torch" and "slower than numba" in backend.reason
 
 
+@pytest.mark.parametrize("modes", [("train", "eval"), ("eval", "train")])
+def test_networks_that_train_are_examined_each_time(engine, networks, modes):
+    before, after = modes
+    for network in networks:
+        getattr(network, before)()
+    assert choose_backend("numba", *networks).name == "numba"
+    networks[1].register_forward_hook(print)
+    for network in networks:
+        getattr(network, after)()
+    with pytest.raises(ModelError, match="LevelDiscriminator has a hook"):
+        choose_backend("numba", *networks)
+
+
 def test_a_kernel_that_is_too_wide_is_refused(engine, gesture):
     representation = MultiresRepresentation.fit([gesture(1.0)])
     network = MultiresGenerator(representation, 0, NetworkConfig(levels=1, kernel=7))

@@ -14,7 +14,11 @@ from gesturekit.motion import Motion
 from gesturekit.multires.config import LossConfig, NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.discriminator import LevelDiscriminator
-from gesturekit.multires.network.skeleton_conv import SkeletonConv1d, block_neighbours
+from gesturekit.multires.network.skeleton_conv import (
+    SkeletonConv1d,
+    block_neighbours,
+    convolve_dense,
+)
 from gesturekit.multires.network.torch_backend import TorchBackend
 
 engine = pytest.importorskip("gesturekit.multires.cpu.engine", reason="the CPU engine is absent")
@@ -57,6 +61,32 @@ def test_layer_and_gradients_agree_with_dense_convolution(representation, n_fram
     with torch.no_grad():
         conv.weight.mul_(2)
     assert close(convolve(conv, x), conv(x), 1e-5)
+
+
+@pytest.mark.parametrize("last_slope", [1.0, 0.4])
+@pytest.mark.parametrize("wanted", [(0,), (0, 1, 2, 3, 4, 5, 6), (1, 6), (2, 3), (4,)])
+def test_gradients_of_a_chain_are_those_of_dense_convolutions(representation, last_slope, wanted):
+    """Of some of the input (0), weights (1, 3, 5) and biases (2, 4, 6) alone too, twice if need
+    be."""
+    torch.manual_seed(0)
+    near = block_neighbours(representation, 2)
+    sizes = [representation.block_sizes, *((n,) * len(near) for n in (3, 2, 4))]
+    layers = [SkeletonConv1d(near, *sizes[i : i + 2], kernel=3) for i in range(3)]
+    x = torch.randn(2, layers[0].shape[1], 12)
+    every = [x, *(part for layer in layers for part in (layer.weight, layer.bias))]
+    for number, part in enumerate(every):
+        part.requires_grad_(number in wanted)
+    inputs = [every[number] for number in wanted]
+    found = []
+    for convolve in (NUMBA.convolve, convolve_dense):
+        made = convolve(layers, x, 0.2, last_slope)
+        plain = torch.autograd.grad(made.square().sum(), inputs, retain_graph=True)
+        graph = torch.autograd.grad(made.square().sum(), inputs, create_graph=True)
+        bent = sum(part.square().sum() for part in graph)
+        found.append([made, *plain, *graph, *torch.autograd.grad(bent, inputs)])
+    for ours, theirs in zip(*found, strict=True):
+        assert close(ours, theirs, 1e-4)
+        assert float(theirs.detach().norm()) > 0
 
 
 def test_results_do_not_depend_on_the_batch_nor_on_threads(representation, monkeypatch):

@@ -359,12 +359,21 @@ def test_arms_that_move_already_need_not_run_faster(model, r, divided):
     fast = [[torch.full((1, n), x) for n in library.lengths] for x in (0.3, -0.1, 5.0)]
     library.__dict__["fast_movement"] = tuple(fast)
     plan = LivePlan(library, LiveChoice(), 12)
-    for _ in range(40):
-        plan.advance(forecast(0.1, r=r), 0.0)
-    clock = plan.state()["_clock"]
-    tempo = (clock[-1] - clock[-2]) / (library.level_fps / library.fps)
-    assert np.log(tempo) == pytest.approx(0.1 / divided - 0.1 * library.spread, abs=1e-4)
-    assert len(clock) == 13
+    clocks = []
+
+    def log_tempos(advances: int, value: float) -> np.ndarray:
+        for _ in range(advances):
+            plan.advance(forecast(value, r=r), 0.0)
+            clocks.append(plan.state()["_clock"][-1])
+        return np.log(np.diff(clocks[-advances:]) / (library.level_fps / library.fps))
+
+    # A hand has mass: from frame to frame, exp(-1 / (0.05 fps)) of the difference is left.
+    goal = 0.1 / divided - 0.1 * library.spread
+    reached = 1 - np.exp(-np.arange(1, 40) / (0.05 * library.fps))
+    np.testing.assert_allclose(log_tempos(40, 0.1), goal * reached, atol=1e-6)
+    assert len(plan.state()["_clock"]) == 13
+    for value, limit in ((50.0, np.log(3)), (-50.0, -np.log(3))):
+        assert log_tempos(20, value)[-1] == pytest.approx(limit, abs=1e-4), "thrice as fast"
     plan.advance(None, 0.0)
     clock = plan.state()["_clock"]
     assert clock[-1] - clock[-2] == pytest.approx(library.level_fps / library.fps)
