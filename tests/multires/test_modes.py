@@ -326,6 +326,13 @@ def test_styles_and_keyframes_from_the_command_line(make_config, motions, tmp_pa
     done = render(folder, "--seconds", 4, "--style", "sad")
     assert done.status == 2 and "unknown; the model has angry, old" in done.err
     assert render(folder, "--keyframes", edit, "--like", edit).status == 2
+    model = gk.load(folder)
+    made, sequences = model.reconstruct("old_0"), model.noise.sequences
+    assert made.n_frames == 75
+    relabelled = {**sequences, "old_0": replace(sequences["old_0"], style="angry")}
+    other = replace(model, noise=replace(model.noise, sequences=relabelled))
+    apart = np.abs(other.reconstruct("old_0").rotations - made.rotations)
+    assert apart.max() > 1e-6, "in its own style"
 
 
 def test_a_style_is_agreed_on_up_to_a_level():

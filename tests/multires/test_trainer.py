@@ -9,6 +9,7 @@ import pytest
 import torch
 from runs import logged, same_weights, weights
 
+import audio_features as af
 import gesturekit as gk
 from audio_features import WeightsError
 from gesturekit.corpus import prepare
@@ -50,7 +51,15 @@ def test_a_model_keeps_the_rate_of_its_recordings(make_config, corpus, tmp_path)
     motion = model.generate(seconds=2.0)
     assert (motion.fps, motion.n_frames) == (30.0, 60)
     speech = corpus.parent / "paired" / "b.wav"
-    assert model.reconstruct("b", speech).fps == 20.0
+    made = model.reconstruct("b", speech)
+    assert (made.fps, made.n_frames) == (20.0, model.noise.sequences["b"].frames)
+    wave = af.Wave.load(speech)
+    longer = af.Wave(np.pad(wave.samples, (0, wave.sample_rate)), wave.sample_rate)
+    assert model.reconstruct("b", longer).n_frames == made.n_frames, "the rest is left out"
+    with pytest.raises(ModelError, match="'b': the model has speech input; give"):
+        model.reconstruct("b")
+    with pytest.raises(ModelError, match=f"'b': it has {made.n_frames} frames, its speech 20"):
+        model.reconstruct("b", af.Wave.load(speech, duration=1.0))
 
 
 def test_levels_side_by_side_train_as_one_after_the_other(make_config, monkeypatch):
