@@ -178,7 +178,7 @@ def test_the_embedding_is_rectified_or_linear(representation, rectified):
 @pytest.mark.parametrize("n_frames", [1, 2, 21])
 def test_a_score_is_the_mean_of_a_reflect_padded_convolution(representation, n_frames):
     torch.manual_seed(0)
-    discriminator = LevelDiscriminator(representation, NetworkConfig(channels=(3, 4)), 2)
+    discriminator = LevelDiscriminator(representation, NetworkConfig(channels=(3, 4, 5)), 2)
     motions = torch.randn(2, representation.n_features, n_frames)
     style = torch.tensor([[0.0, 1.0], [0.0, 0.0]])
     features = motions
