@@ -9,8 +9,11 @@ import pytest
 import torch
 
 from gesturekit.multires import losses
+from gesturekit.multires.config import RecallConfig
 from gesturekit.multires.kinematics import CAPTURE_SECONDS, VectorKinematics
+from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.training.stage import Stage
+from gesturekit.multires.training.targets import log_movement
 from gesturekit.multires.training.trainer import Trainer, train
 from gesturekit.multires.training.window_cache import random_windows
 from gesturekit.training.run.session import session
@@ -162,6 +165,103 @@ def test_gradient_penalty_and_discriminator_scale_take_effect(stage_of):
     more = gradient(gradient_penalty=3.0)
     torch.testing.assert_close(more - gap, 3 * (both - gap), rtol=1e-3, atol=1e-5)
     torch.testing.assert_close(gradient(gradient_penalty=0.0, discriminator_scale=0.5), 0.5 * gap)
+
+
+def movement_of(stage: Stage, motion: torch.Tensor, stride: float) -> torch.Tensor:
+    """Return the log arm movement (B, 2, T) of normalised motion, with the default floors."""
+    values, floors = stage.normaliser.inverse(motion), stage.config.losses.arm_floors
+    speed = stage.kinematics.arm_speed(values, stride)
+    acceleration = stage.kinematics.arm_acceleration(values, stride)
+    return log_movement(speed, acceleration, stride / 25.0, floors)
+
+
+@pytest.mark.parametrize("first", [0, 2])
+def test_losses_of_a_random_step_are_those_of_the_middle_of_each_level(
+    stage_of, monkeypatch, first
+):
+    """Windows of 50 frames have margins of 5 at both ends; levels have 25, 34, 45 and 60 frames
+    with them, and 21, 28, 38 and 50 without. A quarter of the arms' aim is the recalled motion's.
+    """
+    alone = {**ALONE, **dict.fromkeys(("adversarial", "contact", "smoothness", "coarse"), 1.0)}
+    alone |= dict.fromkeys(("arm_speed", "arm_acceleration", "detail"), 1.0)
+    stage = stage_of(first, losses=alone, training={"margins": True, "window": 2.0})
+    stage.config = replace(stage.config, recall=RecallConfig(level=2, own_movement=0.25))
+    drawn, made, asked = [], [], []
+    draw, generate, total = stage._draw, stage._generate, losses.losses
+
+    def drawing(*arguments):
+        windows = draw(*arguments)
+        rng = rng_for("recalled")
+        recalled = tuple(torch.randn(own.shape, generator=rng) for own in recalled_like(windows))
+        drawn.append(replace(windows, recalled=recalled))
+        return drawn[-1]
+
+    def recalled_like(windows):
+        width = stage.discriminators[0].layers[0].shape[1]
+        return [own.new_empty(len(own), width, own.shape[-1]) for own in windows.conditions]
+
+    def generating(windows):
+        made.extend(generate(windows))
+        return made
+
+    def counting(inputs, config):
+        asked.append(inputs)
+        return total(inputs, config)
+
+    monkeypatch.setattr(stage, "_draw", drawing)
+    monkeypatch.setattr(stage, "_generate", generating)
+    monkeypatch.setattr("gesturekit.multires.training.stage.losses", counting)
+    report = stage._random_step(50, rng_for("step"))
+    (windows,), measure = drawn, stage.kinematics
+    for i, (inputs, n, margin) in enumerate(
+        zip(asked, [21, 28, 38, 50][first:], [2, 3, 3, 5][first:], strict=False)
+    ):
+        motion, stride = made[i][..., margin : margin + n], 50 / n
+        assert made[i].shape[-1] == [25, 34, 45, 60][first + i]
+        values = stage.normaliser.inverse(motion)
+        places = measure.places(values)
+        expected = {
+            "scores": stage.discriminators[i](motion),
+            "foot_velocity": measure.foot_velocity(values, stride),
+            "contact_labels": measure.contact_labels(values),
+            "bend": measure.bend(values, places, stride) if stride < 2.05 else None,
+            "coarser": windows.coarser if i == 0 else made[0].detach(),
+            "arms": movement_of(stage, motion, stride),
+        }
+        own = movement_of(stage, windows.recalled[i][..., margin : margin + n], stride)
+        aim = stage.targets[i](windows.speech[i])[..., margin : margin + n]
+        expected["arm_target"] = 0.25 * own + 0.75 * aim
+        if first + i:
+            size = windows.coarser.shape[-1] if i == 0 else made[0].shape[-1]
+            expected["downsampled"] = resample(made[i], size)
+            styles = torch.zeros(len(motion), dtype=torch.long)
+            expected["detail"] = stage.details[first + i](places, styles)
+        else:
+            expected["coarser"] = None
+        found = {name: getattr(inputs, name) for name in expected}
+        torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-4)
+    assert len(asked) == 2
+    sums = [total(inputs, stage.config.losses) for inputs in asked]
+    for name, value in report.items():
+        parts = [float(own[name].detach()) for own in sums if name in own]
+        assert value == pytest.approx(sum(parts)), "of both levels"
+
+
+def test_an_iteration_has_as_many_steps_of_each_kind_as_are_set(stage_of, monkeypatch):
+    counts = {"discriminator_steps": 3, "generator_steps": 2, "reconstruction_steps": 4}
+    stage, made = stage_of(training=counts), []
+    for name in ("_discriminator_step", "_random_step", "_reconstruction_step"):
+        step = getattr(stage, name)
+
+        def counted(*arguments, name=name, step=step):
+            made.append(name)
+            return step(*arguments)
+
+        monkeypatch.setattr(stage, name, counted)
+    report = stage.iterate(0)
+    steps = ["_discriminator_step"] * 3 + ["_random_step"] * 2 + ["_reconstruction_step"] * 4
+    assert made == steps
+    assert {"discriminator", "adversarial", "reconstruction"} <= set(report)
 
 
 def scores_of(stage: Stage) -> tuple[float, float]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -64,6 +66,20 @@ def test_paired_windows_are_parts_of_a_recording(cache, source):
         below = cache.network([star, None], given[:2], lengths=lengths[:2])[-1]
         below = resample(motion, lengths[1]) if source == "real" else below
         torch.testing.assert_close(windows.coarser[k], below[0], atol=1e-4, rtol=1e-4)
+
+
+def test_as_many_windows_as_there_are_are_all_of_them(cache):
+    """A recording of 66 frames has four windows of 63, one of 63 has one."""
+    cache = cache()
+    long, short = cache.data.paired
+    both = [long.cut(10, 76), short]
+    windows = cache.paired(both, 63, FIRST, 5, rng_for("paired"))
+    assert starts_of(windows.targets[1][:4], long.motion) == [10, 11, 12, 13]
+    assert torch.equal(windows.targets[1][4], short.motion)
+    assert len(cache.paired(both, 63, FIRST, 9, rng_for("paired"))) == 5
+    drawn = [cache.paired(both, 63, FIRST, 4, rng_for("paired", k)) for k in range(6)]
+    parts = [[bool((own == short.motion).all()) for own in each.targets[1]] for each in drawn]
+    assert {len(each) for each in drawn} == {4} and 0 < sum(map(sum, parts)) < 15
 
 
 def test_random_windows_continue_what_the_finished_levels_make_of_their_noise(cache):
@@ -130,3 +146,30 @@ def test_styles_of_windows_are_conditions_of_their_level(make_config, cache_of, 
         _, fine = cache.reals(cache.data.paired, 50, FIRST, 3, rng_for("reals"), asked)
         for style, motion in zip(asked, fine, strict=True):
             assert starts_of(motion[None], motion_of[style])
+
+
+@pytest.mark.parametrize("first", [0, 2])
+def test_recall_is_asked_for_the_style_of_the_recalled_level(make_config, cache_of, motions, first):
+    """Level 2 of four is recalled, where windows of 50 frames have 28."""
+    corpus = str(motions(old=[4.0], angry=[4.0]))
+    about = {"features": None, "training": {"window": 2.0}, "styles": {"mixing": 1.0}}
+    cache, asked = cache_of(make_config(corpus=corpus, **about)), []
+    width = cache.data.representation.n_features
+
+    def vectors(number: int, motions, n_frames: int) -> torch.Tensor:
+        return torch.full((width, n_frames), float(number))
+
+    def recall(speech, rng_of, styles):
+        asked.append(styles)
+        return SimpleNamespace(vectors=partial(vectors, len(asked)))
+
+    cache.library = SimpleNamespace(level=2, recordings=(), recall=recall)
+    windows = cache.random(cache.data.paired, 50, first, 12, rng_for("recalled"))
+    if first == 0:
+        assert not asked and windows.recalled is None
+        return
+    assert (windows.styles[:, 0] != windows.styles[:, 3]).any()
+    assert [own.tolist() for own in asked] == [[n] * 28 for n in windows.styles[:, 1].tolist()]
+    numbers = torch.arange(1.0, 13.0)[:, None, None]
+    for own, n in zip((windows.coarser, *windows.recalled), (28, 38, 50), strict=True):
+        assert torch.equal(own, numbers.expand(-1, width, n))
