@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from runs import logged, same_weights
 
 import gesturekit as gk
+from audio_features import residual_pyramid
 from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.training.trainer import train
@@ -71,7 +75,70 @@ def test_identical_samples_are_reported(make_config, caplog):
     assert not monitor.warn_of_collapse({"patch_diversity_ratio": 0.9}, 5)
 
 
+class Echo:
+    """A network that gives the recordings, as far as its levels can hold them."""
+
+    def __init__(self, data) -> None:
+        self.recordings, self.asked = [sequence.motion[None] for sequence in data.paired], []
+
+    def parameters(self):
+        return iter([torch.zeros(1)])
+
+    def __call__(self, noises, conditions, *, lengths, convolve):
+        recorded = self.recordings[len(self.asked)][..., :50]
+        self.asked.append((noises, conditions, lengths))
+        return [None, resample(recorded, lengths[-1])]
+
+
+def test_beginnings_of_four_recordings_are_compared(make_config, monkeypatch):
+    """Of two seconds each here, 50 frames; what a level cannot hold is missing on both sides."""
+    monkeypatch.setattr("gesturekit.multires.training.monitor.MAX_SECONDS", 2.0)
+    config = make_config()
+    data = load_training_data(config)
+    data = replace(data, paired=data.paired * 3)
+    monitor = Monitor(data, config)
+    for levels, lengths in ((2, [21, 28]), (4, [21, 28, 38, 50])):
+        network = Echo(data)
+        metrics = monitor.metrics(network, levels)
+        assert metrics["patch_diversity_ratio"] == pytest.approx(1.0, abs=1e-6)
+        assert len(network.asked) == len(monitor.samples) == 4
+        assert {sample.n_frames for sample in monitor.samples} == {50}
+        for (noises, conditions, asked), own in zip(network.asked, data.paired[:4], strict=True):
+            speech = np.ascontiguousarray(own.speech[:, :50].T.numpy())
+            expected = residual_pyramid(speech, [21, 28, 38, 50])[:levels]
+            assert asked == lengths and len(noises) == levels
+            for found, given in zip(conditions, expected, strict=True):
+                np.testing.assert_allclose(found[0].T, given, atol=1e-5)
+    ratios = {name: value for name, value in metrics.items() if name.endswith("_ratio")}
+    assert len(ratios) > 3
+    assert ratios == pytest.approx(dict.fromkeys(ratios, 1.0), abs=1e-3)
+    motions = [own.motion[:, :n] for own, n in zip(data.paired, (40, 63, 24), strict=False)]
+    layout = data.representation.layout
+    windows = [np.lib.stride_tricks.sliding_window_view(m, 25, axis=1) for m in motions[:2]]
+    patches = np.concatenate([own[layout.rotations] for own in windows], axis=1)
+    assert patches.shape[1] == 16 + 39, "a patch of a second is longer than the third motion"
+    spread = np.sqrt(patches.astype(float).var(axis=1).mean())
+    assert monitor._patch_spread(motions) == pytest.approx(spread, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("metrics", "collapsed"),
+    [({"patch_diversity_ratio": 0.39}, True), ({"patch_diversity_ratio": 0.4}, False), ({}, False)],
+)
+def test_a_collapse_is_less_than_two_fifths_of_the_diversity(
+    make_config, caplog, metrics, collapsed
+):
+    config = make_config()
+    monitor = Monitor(load_training_data(config), config)
+    assert monitor.warn_of_collapse(metrics, 7) == collapsed
+    assert ("0.39 times as much" in caplog.text) == collapsed
+
+
 def test_the_best_model_is_nearest_to_the_recordings():
+    assert distance_from_recordings({"foot_skate": 7.0}) == np.inf
+    ratios = {"jerk_ratio": 1.5, "arm_speed_ratio": 0.25, "foot_skate": 7.0}
+    expected = (np.log(1.5) + np.log(4.0)) / 2
+    assert distance_from_recordings(ratios) == pytest.approx(expected)
     near = {"jerk_ratio": 1.1, "arm_speed_ratio": 0.9, "foot_skate": 7.0}
     assert distance_from_recordings(near) < distance_from_recordings({"jerk_ratio": 0.5})
     twice, half = ({"jerk_ratio": ratio} for ratio in (2.0, 0.5))
