@@ -332,6 +332,12 @@ class MultiresConfig(RunConfig):
             raise ConfigError(
                 f"recall.level: {self.recall.level} is above network.levels {self.network.levels}"
             )
+        kinds = {spec.get("kind") for spec in self.features.extractors} if self.features else ()
+        if self.recall is not None and kinds == {"effort"}:
+            raise ConfigError(
+                "features.extractors: effort alone; with recall it is not an input of the network: "
+                "add another kind, such as {kind: prosody}"
+            )
 
     @property
     def uses_arm_speed(self) -> bool:

@@ -76,6 +76,14 @@ def test_frames_on_disk_are_those_of_memory(long_config):
     assert [source.motion for source in read.sources] == [source.motion for source in kept.sources]
 
 
+def test_recordings_on_disk_may_have_no_speech(long_config):
+    data = load_training_data(long_config(features=None, in_memory=0.1))
+    assert data.stored is not None and data.conditioner is None
+    assert [own.n_frames for own in data.paired] == [150, 63]
+    for own in data.paired:
+        assert own.speech.shape == (0, own.n_frames) and own.motion[:, 9:11].shape[1] == 2
+
+
 def test_fingers_and_face_are_read_with_their_recording(long_config):
     changes = {"joints": ["Hips", "Spine", "Neck", "Head", "LeftArm", "RightArm"]}
     recall = {"recall": {"level": 4}, "losses": {"arm_speed": 0.0}}

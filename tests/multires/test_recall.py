@@ -803,6 +803,14 @@ def test_bad_settings_name_their_key(recall, message, tmp_path):
         settings(tmp_path / "none.jsonl", tmp_path, recall=recall)
 
 
+def test_vocal_effort_alone_is_no_input_beside_recall(tmp_path):
+    """Recall keeps it from the network, which would have no speech."""
+    alone = {"features": {"extractors": [{"kind": "effort"}]}}
+    with pytest.raises(ConfigError, match=r"features.extractors: effort alone; .* prosody"):
+        settings(tmp_path / "none.jsonl", tmp_path, **alone)
+    assert settings(tmp_path / "none.jsonl", tmp_path, **alone, recall=None).recall is None
+
+
 def test_windows_start_from_recalled_and_from_recorded_motion(data, config, library, cache_of):
     cache = cache_of(config, data)
     cache.library = library

@@ -115,9 +115,6 @@ def _prepared(
     level: LevelGenerator, up: Tensor, features: Tensor, style: Tensor, kept: slice
 ) -> _Level:
     """Return a level for its conditions: `features`, see `_Level`, and style (K, T)."""
-    if not level.films:
-        nothing = torch.empty(0, 0), torch.empty(0, up.shape[1]), False
-        return _Level(level.layers, up, features, *nothing, torch.empty(0, 0), nothing[0], kept)
     weight = level.embed.weight[..., 0]
     speech, own = weight.split([weight.shape[1] - len(style), len(style)], dim=1)
     offset = level.embed.bias[:, None] + own @ style
