@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -70,37 +69,6 @@ def test_sigma_of_a_pulse_worked_out_by_hand():
     sigma = level_sigmas(torch.tensor([[[0.0, 0.0, 0.0, 4.0]]]), levels=2)
     # Back at 0, 5/8, 11/8 and 2 of the three, it is (0, 0, 5/4, 10/3).
     assert sigma.tolist() == pytest.approx([(100 / 27) ** 0.5, ((25 / 16 + 4 / 9) / 4) ** 0.5])
-
-
-def test_noise_of_a_sequence_is_that_of_its_name_and_is_cut_with_it():
-    """64 frames have 27 at the first of four levels, and 16 frames have 7."""
-    motion, speech = torch.randn(3, 64), torch.randn(2, 64)
-    make = partial(PairedSequence.make, levels=4)
-    one, again, other, reseeded = (
-        make(name, motion, speech, seed=seed)
-        for name, seed in (("a", 0), ("a", 0), ("b", 0), ("a", 1))
-    )
-    assert torch.equal(one.z_star, again.z_star) and one.passive.shape == (0, 64)
-    for changed in (other, reseeded):
-        assert not torch.equal(one.z_star, changed.z_star)
-    whole = make("a", motion, speech, seed=0, full_noise=True)
-    assert one.z_star.shape == (27,) and whole.z_star.shape == (3, 27)
-    sigma = torch.tensor([5.0, 1.0, 1.0, 1.0])
-    scaled = make("a", motion, speech, seed=0, sigma=sigma)
-    torch.testing.assert_close(scaled.z_star / 5, one.z_star / one.sigma[0])
-    torch.testing.assert_close(
-        make("a", motion, speech, seed=0, sigma=sigma, full_noise=True).z_star, whole.z_star
-    )
-    for sequence, width in ((one, 1), (whole, 3)):
-        stars = sequence.z_star.reshape(width, 27)
-        # Frame 20 lies at 8.4 of 27 frames, and frame 60 at 25.3; the last seven begin at 20.
-        for start, first in ((0, 0), (20, 8), (22, 9), (60, 20)):
-            assert torch.equal(sequence.z_star_window(start, 7), stars[:, first : first + 7])
-        cut = sequence.cut(20, 36)
-        assert cut.name == "a[20:36]" and torch.equal(cut.motion, motion[:, 20:36])
-        assert torch.equal(cut.speech, speech[:, 20:36]) and cut.passive.shape == (0, 16)
-        assert torch.equal(cut.z_star.reshape(width, 7), stars[:, 8:15])
-        assert cut.z_star.ndim == sequence.z_star.ndim
 
 
 def test_each_speaker_keeps_a_body(make_config, gesture, write_speech, tmp_path):

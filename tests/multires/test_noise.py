@@ -85,3 +85,9 @@ def test_a_window_has_the_part_of_z_star_at_its_place():
     assert (part.name, part.motion.shape, part.n_frames) == ("a[100:180]", (2, 80), 80)
     n_coarsest = level_lengths(80, 4)[0]
     assert torch.equal(part.z_star, whole[round(count / 4) :][:n_coarsest])
+    assert sequence.passive.shape == (0, 400) and part.passive.shape == (0, 80)
+    full = PairedSequence.make("a", motion, motion, 4, 0, full_noise=True)
+    expected = full.z_star[:, round(count / 4) :][:, :n_coarsest]
+    assert torch.equal(full.cut(100, 180).z_star, expected) and expected.shape[0] == 2
+    reseeded = PairedSequence.make("a", motion, motion, 4, 1, full_noise=True)
+    assert not torch.equal(full.z_star, reseeded.z_star)
