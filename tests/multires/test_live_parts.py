@@ -20,7 +20,6 @@ from gesturekit.motion.kinematics import GROUND
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
 from gesturekit.multires.recall.pieces import PieceSearch
 from gesturekit.multires.recall.slow_state import SlowState
-from gesturekit.multires.sampling.conditions import condition_levels
 from gesturekit.multires.streaming.features import SpeechStream
 from gesturekit.multires.streaming.feet import FootHold
 from gesturekit.multires.streaming.levels import FinerLevels
@@ -398,21 +397,6 @@ def test_finer_levels_at_the_ends_of_a_window(model, part):
     own = recalled[:, finer.recalled.start : finer.recalled.stop]
     found, expected = finer(own, speech), whole(recalled, speech)
     torch.testing.assert_close(found, expected[:, part.start : part.stop], atol=1e-4, rtol=0)
-
-
-def test_finer_levels_are_those_of_the_pyramid_without_noise(model):
-    lengths, first = af.level_lengths(120, len(model.network.levels)), model.library.level
-    rng, conditions = torch.Generator().manual_seed(0), model.conditions
-    recalled = torch.randn(1, model.representation.n_features, lengths[first - 1], generator=rng)
-    speech = torch.randn(1, conditions.conditioner.dim, 120, generator=rng)
-    given = condition_levels(speech[:, conditions.columns], lengths, conditions.residual)
-    finer = FinerLevels(model, lengths, [], range(40, 80))
-    with torch.no_grad():
-        about = {"first": first, "coarser": recalled, "lengths": lengths[first:]}
-        made = model.network([None] * len(lengths[first:]), given[first:], **about)[-1]
-    part = slice(finer.recalled.start, finer.recalled.stop)
-    found = finer(recalled[0, :, part], speech[0].T.numpy())
-    torch.testing.assert_close(found, made[0, :, 40:80], atol=1e-4, rtol=1e-4)
 
 
 # Features.
