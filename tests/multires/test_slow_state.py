@@ -310,6 +310,77 @@ def test_the_generator_decides_what_is_drawn():
     assert abs(np.corrcoef(within, take)[0, 1]) < 0.2
 
 
+def bell(times: np.ndarray, middle: float, width: float, step: float) -> np.ndarray:
+    """Return what one number of white noise at a point in time adds to smooth noise.
+
+    A Gaussian at points `step` seconds apart, whose squares sum to 1, with lines between them.
+    """
+    grid = step * np.arange(-20, 2000)
+    values = np.exp(-0.5 * ((grid - middle) / width) ** 2)
+    values[np.abs(grid - middle) > 4 * width + step / 2] = 0
+    return np.interp(times, grid, values / np.linalg.norm(values))
+
+
+@pytest.mark.parametrize("n_frames", [100, 83])
+def test_drawn_noise_is_white_noise_smoothed_by_a_gaussian(monkeypatch, n_frames):
+    """One number of the first channel's noise is 1, in the middle, and all others are 0.
+
+    There is one every quarter of a second, and of the noise between takes eight in a take.
+    """
+    state = SlowState(
+        explained=np.zeros(2),
+        trust=1.0,
+        mixing=np.array([[1.0, 0.0], [0.6, 0.8]]),
+        between=np.array([0.2, 0.5]),
+        width=np.array([1.5, 2.4]),
+        take=6.0,
+    )
+    counts = []
+
+    def impulse(shape):
+        white = np.zeros(shape)
+        white[shape[0] // 2, 0] = 1.0
+        counts.append(shape[0])
+        return white
+
+    drawn = rng(3)
+    monkeypatch.setattr(
+        np.random, "default_rng", lambda seed: SimpleNamespace(standard_normal=impulse)
+    )
+    found = state.draw(drawn, n_frames, FPS, None)
+    times, seconds = (np.arange(n_frames) + 0.5) / FPS, n_frames / FPS
+    middles = [step * ((np.ceil(seconds / step) + 1) // 2) for step in (0.75, 0.25)]
+    for row, own, between, width in zip(found, (1, 0.6), (0.2, 0.5), (1.5, 2.4), strict=True):
+        expected = np.sqrt(between) * bell(times, middles[0], 6.0, 0.75)
+        expected += np.sqrt(1 - between) * bell(times, middles[1], width, 0.25)
+        np.testing.assert_allclose(row, own * expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(("seed", "width", "step"), [(12345, 1.5, 0.25), (12344, 6.0, 0.75)])
+def test_noise_without_end_is_white_noise_smoothed_by_a_gaussian(monkeypatch, seed, width, step):
+    """A single number is 1, near the end of the first 256: that of a seed, or of the next one."""
+
+    def blocks(key):
+        def impulse(shape):
+            white = np.zeros(shape)
+            white[-3, 0] = key == (12345, 0)
+            return white
+
+        return SimpleNamespace(standard_normal=impulse)
+
+    state = simple(between=0.36, width=1.5, take=6.0)
+    monkeypatch.setattr(np.random, "default_rng", blocks)
+    times = np.arange(0, 260 * step, 0.05)
+    found = np.array([state.at(seed, t, None)[0, 0] for t in times])
+    middle = step * round(times[found.argmax()] / step)
+    share = 0.6 if width == 6.0 else 0.8
+    np.testing.assert_allclose(found, share * bell(times, middle, width, step), atol=1e-9)
+    # The number is the 254th, and noise at 0 s has so many before it that no frame lacks any.
+    assert 0 < middle < 254 * step - 4 * width
+    again = state.at(seed, float(middle), 2.0)
+    np.testing.assert_array_equal(again, found[found.argmax()])
+
+
 def test_an_hour_is_drawn_in_a_moment():
     state = simple(between=0.4, mixing=np.eye(9), width=24.0, take=5.0)
     assert state.draw(rng(), 16_000, 4.4, None).shape == (9, 16_000)
