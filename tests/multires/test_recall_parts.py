@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
 import gesturekit as gk
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
 from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.recall.parts import (
     MotionPart,
     PassiveChannels,
@@ -20,6 +22,7 @@ from gesturekit.multires.recall.parts import (
     movements,
     slow_rows,
 )
+from gesturekit.multires.sampling.sampler import Sampler
 
 FPS = 20.0
 NONE = np.zeros(0, int)
@@ -205,3 +208,67 @@ def test_passive_channels_come_back_as_they_were(gesture, n_frames):
     assert [own.full_detail for own in parts] == [0.35, 0.35, 1.0]
     only_hands = PassiveChannels(("LeftHand",)).applied(motion, lambda part: values[:6, part])
     assert only_hands.expressions is motion.expressions
+
+
+# Generation.
+
+
+@pytest.fixture
+def generated(monkeypatch):
+    """generated(model, detail): the motion vectors (T, D) that are decoded, and the recalled
+    level (1, D, T_l), where `detail(T)` says how much finer levels may add."""
+    found, decoded, recalled = {}, Sampler._decoded, Sampler._recalled_level
+
+    def decoding(self, values):
+        found["values"] = values.copy()
+        return decoded(self, values)
+
+    def recalling(self, choice):
+        found["recalled"] = recalled(self, choice)
+        return found["recalled"]
+
+    monkeypatch.setattr(Sampler, "_decoded", decoding)
+    monkeypatch.setattr(Sampler, "_recalled_level", recalling)
+
+    def make(model, detail):
+        monkeypatch.setattr(RecallLibrary, "detail", lambda _, profiles: detail(profiles.shape[1]))
+        model.generate(seconds=2.0, seed=1, foot_lock=False)
+        return found["values"], found["recalled"]
+
+    return make
+
+
+def test_where_a_hand_rests_finer_levels_add_no_detail(generated):
+    """Motion is then that of the recalled level, on a smooth curve, and in between elsewhere."""
+    model = gk.load("demo")
+    width, margin = model.representation.n_features, model.network_config.margin
+
+    def some(n_frames: int) -> np.ndarray:
+        rng = np.random.default_rng(0)
+        return rng.random((width, n_frames)).astype(np.float32)
+
+    whole, _ = generated(model, lambda n: np.ones((width, n), np.float32))
+    none, recalled = generated(model, lambda n: np.zeros((width, n), np.float32))
+    n_frames = len(whole) + 2 * margin
+    times = (np.arange(n_frames) + 0.5) * recalled.shape[-1] / n_frames - 0.5
+    curve = make_interp_spline(np.arange(recalled.shape[-1]), recalled[0].numpy(), axis=1)
+    smooth = torch.from_numpy(curve(np.clip(times, 0, recalled.shape[-1] - 1)))[None]
+    expected = model.normaliser.to_values(smooth.float())[margin:-margin]
+    np.testing.assert_allclose(none, expected, atol=1e-4)
+    assert np.abs(whole - none).max() > 0.02
+    mixed, _ = generated(model, some)
+    share = some(n_frames).T[margin:-margin]
+    np.testing.assert_allclose(mixed, none + share * (whole - none), atol=1e-6)
+
+
+def test_recall_needs_no_joints_beside_those_of_the_network(generated):
+    model = gk.load("demo")
+    width = model.representation.n_features
+    bare = [replace(own, passive=own.passive[:0]) for own in model.library.recordings]
+    library = replace(model.library, passive=PassiveChannels(), recordings=tuple(bare))
+
+    def ones(n_frames: int) -> np.ndarray:
+        return np.ones((width, n_frames), np.float32)
+
+    found = [generated(own, ones)[0] for own in (model, replace(model, library=library))]
+    np.testing.assert_array_equal(*found)
