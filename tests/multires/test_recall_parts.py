@@ -14,6 +14,7 @@ import gesturekit as gk
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.recall.library import RecallLibrary
+from gesturekit.multires.recall.library_format import library_row, live_rows
 from gesturekit.multires.recall.parts import (
     MotionPart,
     PassiveChannels,
@@ -272,3 +273,35 @@ def test_recall_needs_no_joints_beside_those_of_the_network(generated):
 
     found = [generated(own, ones)[0] for own in (model, replace(model, library=library))]
     np.testing.assert_array_equal(*found)
+
+
+# README.
+
+
+def test_a_readme_says_how_much_can_be_recalled(library):
+    two = library.recordings[:2]
+    values = [own.motion.numel() + own.passive.numel() + own.profiles.numel() for own in two]
+    values = [n + own.states.numel() + own.directions.numel() for n, own in zip(values, two)]
+    # Numbers have four bytes, flags one, and nine channels of the slow state eight each.
+    size = 4 * sum(values) + sum(own.defective.numel() for own in two) + 8 * (3 * 9 + 81)
+    plain = replace(library, recordings=two, wanted=None, ahead=(), stretch=0.0)
+    words = f"2 recordings at level 2 (5.3 fps), {size / 1e6:.1f} MB of model.safetensors"
+    assert library_row(plain) == words
+    stretched = library_row(replace(plain, stretch=0.125))
+    assert stretched == f"{words}, arms up to 12.5 % faster or slower"
+    assert library_row(replace(plain, recordings=two[:1])).startswith("1 recording at level 2")
+    assert float(words.split(", ")[1].split()[0]) > 0
+
+
+def test_a_readme_gives_the_correlations_of_each_look_ahead(library):
+    def row(look_ahead: float, fast: float, slow: float):
+        one = library.ahead[0]
+        parts = {
+            name: replace(getattr(one, name), r=r) for name, r in [("fast", fast), ("slow", slow)]
+        }
+        return replace(one, look_ahead=look_ahead, **parts)
+
+    two = replace(library, ahead=(row(0.0, 0.123, 0.456), row(0.2, 0.2, 0.5)))
+    words = "with 0, 0.2 s of look-ahead, r = 0.12, 0.20 (calm or lively 0.46, 0.50)"
+    assert live_rows(two) == {"Live": words}
+    assert live_rows(replace(library, ahead=())) == {}
