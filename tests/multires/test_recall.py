@@ -703,6 +703,38 @@ DAMAGED = [
     ),
     ("states", damaged_tensor("1.states", lambda t: t[:-1]), "1.states"),
     ("frames", damaged_tensor("1.states", lambda t: t[:, :-1]), "1.states"),
+    ("level 0", damaged_value("level", value=0), "recall: level 0 of 4"),
+    ("level 5", damaged_value("level", value=5), "recall: level 5 of 4"),
+    *(
+        (f"{name} {v}", damaged_value(name, value=v), f"recall: {name} is {v}")
+        for name, v in (("mean", 10001.0), ("mean", -10001.0), ("piece", "2"), ("spread", 9e-7))
+    ),
+    *(
+        (f"{name} {v}", damaged_value("wanted", name, value=v), f"wanted.{name} is {v}, not from 0")
+        for name, v in (("mean_counts", 1.001), ("mean_counts", -0.001), ("spread", -0.001))
+    ),
+    *(
+        (f"{name} {v}", damaged_tensor(f"slow_state.{name}", with_last(v)), f"{name} is {v}, not")
+        for name, v in (
+            *(("explained", -2.5), ("explained", 2.5), ("mixing", -2.5), ("mixing", 2.5)),
+            *(("between", -0.25), ("between", 1.25), ("width", 0.0625), ("width", 100.5)),
+        )
+    ),
+    *(
+        (f"ahead {name}", damaged_value("ahead", 1, name, value=v), named)
+        for name, v, named in (
+            ("look_ahead", 1.001, "ahead.look_ahead is 1.001, not from 0 to 1"),
+            ("look_ahead", -0.001, "ahead.look_ahead is -0.001"),
+            ("fast_columns", [99], "live predictions do not fit"),
+            ("slow_columns", [0, 1, 2, 3, 4], "live predictions do not fit"),
+        )
+    ),
+    *(
+        (f"{name} rows", damaged_tensor(name, lambda t: t[:-1]), f"recall.{name} has the shape")
+        for name in ("0.motion", "1.passive", "0.profiles", "1.defective")
+    ),
+    ("flags", damaged_tensor("1.defective", torch.Tensor.float), "defective is torch.float32, not"),
+    ("weights", damaged_tensor("slow.weights", lambda t: t[:-1]), "no 7 speech features fit"),
 ]
 
 
