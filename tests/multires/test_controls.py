@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import audio_features as af
 import gesturekit as gk
+from gesturekit.errors import ModelError
 
 
 @pytest.fixture(scope="module")
@@ -80,3 +82,88 @@ def test_level_speech_from_the_command_line(two_voices, tmp_path, render):
     np.testing.assert_array_equal(*made)
     done = render("demo", "--seconds", 4, "--level-speech", "7-8")
     assert done.status == 2 and "names no file: 7-10=b.wav" in done.err
+
+
+# Controls that a model does not take, or not together.
+
+
+@pytest.fixture(scope="module")
+def models():
+    """The bundled model with two speakers, and the same without speakers and without recall."""
+    model = gk.load("demo")
+    known = replace(model, speakers={"bob": model.skeleton, "ann": model.skeleton.scaled(0.9)})
+    return {"known": known, "plain": replace(model, library=None, speakers={})}
+
+
+@pytest.mark.parametrize(
+    ("kind", "asked", "message"),
+    [
+        ("known", {"samples": 0}, "samples=0: ask for at least 1"),
+        ("known", {"levels": 0}, r"levels=0: the model has levels 1 \(coarse\) to 8"),
+        ("known", {"levels": 9}, r"levels=9: the model has levels 1 \(coarse\) to 8"),
+        ("known", {"keyframe_level": 0}, "keyframe_level=0: the model has levels"),
+        ("known", {"keyframe_level": 9}, "keyframe_level=9: the model has levels"),
+        ("known", {"speaker": "eve"}, r"speaker='eve': the model does not know them \(ann, bob\)"),
+        ("plain", {"speaker": "eve"}, r"does not know them \(its corpus named none\)"),
+        ("known", {"style": "sad"}, "style='sad': this multires model has no style"),
+        ("known", {"level_style": "1=sad"}, "level_style='1=sad': this multires model has no"),
+        ("plain", {"recall": True}, "recall=True: this model was not trained with recall"),
+        ("plain", {"liveliness": 2.0}, "liveliness=2.0: only models trained with recall take it"),
+        ("known", {"liveliness": 2.0, "recall": False}, "liveliness=2.0: without recall"),
+        ("known", {"liveliness": 0.5, "like": __file__}, "liveliness=0.5: like sets the movement"),
+        ("known", {"fps": 24.0, "levels": 7}, "fps=24: with levels=7 a motion has that level's"),
+    ],
+)
+def test_controls_that_a_model_does_not_take_are_refused(models, kind, asked, message):
+    model = models[kind]
+    with pytest.raises(ModelError, match=message):
+        model.generate(seconds=1.0, **asked) if "fps" in asked else model.check_controls(**asked)
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"samples": 1, "levels": 1, "keyframe_level": 1, "speaker": "ann"},
+        {"levels": 8, "keyframe_level": 8, "recall": True, "liveliness": 2.0, "mood_seed": 0},
+        {"recall": False, "liveliness": 1.0, "like": __file__},
+    ],
+)
+def test_controls_at_their_limits_are_taken(models, asked):
+    found = models["known"].check_controls(**asked)
+    assert all(getattr(found, name) == value for name, value in asked.items() if name != "samples")
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"path": 1, "like": 1}, "path and like: give one of them"),
+        ({"keyframes": 1, "like": 1, "keep": 1}, "keyframes and like and keep: give one of them"),
+        ({"like": 1, "levels": 7}, "like goes with all levels: leave levels away"),
+        ({"keep": 1, "levels": 1}, "keep goes with all levels"),
+        ({"speaker": "ann", "levels": 7}, "speaker goes with all levels"),
+        ({"speaker": "ann", "keep": 1}, "keep cannot be combined with speaker"),
+    ],
+)
+def test_controls_that_exclude_each_other_are_refused(models, gesture, asked, message):
+    model, clip = models["known"], gesture(1.0)
+    given = {"path": clip, "keyframes": clip, "like": clip, "keep": {0.0: clip}}
+    asked = {name: given.get(name, value) for name, value in asked.items()}
+    with pytest.raises(ModelError, match=message):
+        model.generate(**asked)
+
+
+def test_lengths_of_motions_are_those_of_their_controls(models, gesture):
+    """Without speech and seconds; a second at 30 fps, which is 30 frames of the model."""
+    model, clip = models["plain"], gesture(1.0)
+    for asked, frames in (
+        ({"like": clip}, 30),
+        ({"keep": {0.5: clip}}, 45),
+        ({"path": clip}, 30),
+        ({"like": clip, "speaker": "ann"}, 30),
+        ({"path": clip, "levels": 8}, 30),
+    ):
+        own = models["known"] if "speaker" in asked else model
+        made = own.generate(**asked, foot_lock=False, fps=own.fps)
+        assert (made.n_frames, made.fps) == (frames, 30.0)
+    small = models["known"].generate(seconds=0.5, speaker="ann", foot_lock=False)
+    assert small.skeleton.offsets[1:] == pytest.approx(0.9 * model.skeleton.offsets[1:])
