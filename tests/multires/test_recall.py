@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -13,6 +14,7 @@ import torch
 import yaml
 from runs import same_weights, weights
 from safetensors.torch import save_file
+from scipy.stats import norm, rankdata
 from small_runs import small_config
 
 import audio_features as af
@@ -24,6 +26,7 @@ from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import quaternion_from_rotation_vector
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.recall.ahead import AheadPrediction
 from gesturekit.multires.recall.library import averaged
 from gesturekit.multires.recall.parts import (
     hand_directions,
@@ -32,9 +35,11 @@ from gesturekit.multires.recall.parts import (
     slow_part,
 )
 from gesturekit.multires.recall.pieces import ChoiceWeights
+from gesturekit.multires.training.ahead import with_live_predictions
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.recall_library import build_library
 from gesturekit.multires.training.trainer import train
+from gesturekit.training.recordings import training_items
 from gesturekit.training.run.checkpoint import Checkpoints
 
 RATE = 16_000
@@ -941,6 +946,48 @@ def test_training_fits_predictions_for_live_speech_and_so_does_the_command(
     assert (other / "README.md").read_text() == card
     sound = voice(1.0).samples
     assert gk.load(other).stream(RATE).step(sound).n_frames > 15
+
+
+def test_live_predictions_are_fitted_to_what_was_known_before_each_frame(
+    recordings, model, monkeypatch
+):
+    """Every third row of features, 2, 5, 8 ..., belongs to a frame as many rows earlier as are
+    complete after the look-ahead; movement is that of both hands together, over both takes."""
+    asked = []
+
+    def fit(look_ahead, *arguments):
+        asked.append((look_ahead, *arguments))
+        return model.library.ahead[0]
+
+    monkeypatch.setattr(AheadPrediction, "fit", fit)
+    items = training_items(Manifest.load(recordings), recordings, with_audio=True)
+    with_live_predictions(model, items)
+    assert [own[0] for own in asked] == [0.0, 0.1, 0.2, 0.4]
+    parts, joints, fps = model.library.parts, model.representation.joints, model.fps
+    curves = []
+    for name in "ab":
+        motion = gk.Motion.load(recordings.parent / f"{name}.npz").resample(fps)
+        values = torch.from_numpy(model.representation.encode(motion).T).float()
+        places = joint_places(model.representation, fps, values)
+        curves.append(np.stack(movements(parts, joints, fps, places)[:2]))
+    both = [own.mean(axis=0) for own in curves]
+    fast = [own - slow_part(own, fps) for own in both]
+    slow = np.concatenate([np.log(slow_part(np.exp(own), fps)) for own in curves], axis=1)
+    shares = (rankdata(slow, axis=1) - 0.5) / slow.shape[1]
+    scores = np.split(norm.ppf(shares).mean(axis=0), [len(both[0])])
+    for look_ahead, windows, own_fast, own_slow, takes, wanted, columns, rate in asked:
+        # Row k is complete 0.5 / 25 + 0.032 + 0.01 s after frame k.
+        ahead = math.floor((look_ahead - 0.062) * 25 + 1e-6)
+        assert takes == [item.take for item in items] and wanted is model.library.wanted
+        assert rate == pytest.approx(25 / 3) and all(set(own) == {0, 1, 2, 3} for own in columns)
+        for known, found, states, moved, level in zip(
+            windows, own_fast, own_slow, fast, scores, strict=True
+        ):
+            frames = [k - ahead for k in range(2, len(moved) + 30, 3)]
+            frames = [frame for frame in frames if 0 <= frame < len(moved)]
+            assert len(known) == len(frames) and {own.rows.shape for own in known} == {(25, 7)}
+            np.testing.assert_allclose(found, moved[frames], atol=1e-4)
+            np.testing.assert_allclose(states, level[frames], atol=1e-3)
 
 
 def test_a_model_without_recall_gets_no_live_predictions(plain, recordings, gesturekit, tmp_path):
