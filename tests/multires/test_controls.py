@@ -99,9 +99,9 @@ def models():
     ("kind", "asked", "message"),
     [
         ("known", {"samples": 0}, "samples=0: ask for at least 1"),
-        ("known", {"levels": 0}, r"levels=0: the model has levels 1 \(coarse\) to 8"),
+        ("known", {"levels": 0}, "levels=0: expected an integer at least 1"),
         ("known", {"levels": 9}, r"levels=9: the model has levels 1 \(coarse\) to 8"),
-        ("known", {"keyframe_level": 0}, "keyframe_level=0: the model has levels"),
+        ("known", {"keyframe_level": 0}, "keyframe_level=0: expected an integer"),
         ("known", {"keyframe_level": 9}, "keyframe_level=9: the model has levels"),
         ("known", {"speaker": "eve"}, r"speaker='eve': the model does not know them \(ann, bob\)"),
         ("plain", {"speaker": "eve"}, r"does not know them \(its corpus named none\)"),
