@@ -164,6 +164,59 @@ def test_recordings_of_one_take_share_what_is_between_takes():
     np.testing.assert_allclose(as_clips.between, as_takes.between, atol=0.12)
 
 
+def variogram_fit(curves: list[np.ndarray], lags: list[int], fps: float) -> tuple[float, float]:
+    """Return the share of the variance within takes, and its width in seconds, of one channel.
+
+    The share (from 0 to 1) and the width of least squared error, weighted by the pairs of frames.
+    """
+    pairs = [[(own[lag:], own[:-lag]) for own in curves if len(own) > lag] for lag in lags]
+    counts = np.array([sum(len(a) for a, _ in own) for own in pairs])
+    halves = np.array([np.concatenate([a - b for a, b in own]).var() for own in pairs])
+    halves += np.array([np.concatenate([a - b for a, b in own]).mean() ** 2 for own in pairs])
+    best = (np.inf, 0.0, 0.0)
+    for width in 1.5 * 16 ** (np.arange(13) / 12):
+        shape = 1 - np.exp(-((np.array(lags) / fps / width) ** 2) / 4)
+        weights = np.sqrt(counts)
+        share = np.linalg.lstsq((weights * shape)[:, None], weights * halves / 2, rcond=None)[0][0]
+        share = min(max(share, 0.0), 1.0)
+        error = (counts * (halves / 2 - share * shape) ** 2).sum()
+        best = min(best, (error, share, width))
+    return best[1:]
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    ("lengths", "fps", "lags"),
+    [
+        # 24 lags from half a second to half of the longest recording, rounded down.
+        ((50, 23, 31), 5.0, [*range(2, 14), 15, 16, 18, 20, 22, 25]),
+        ((8, 3, 5), 5.0, [2, 3, 4]),
+        ((3, 2, 3), 1.0, [1, 2]),
+    ],
+)
+def test_smoothness_is_fitted_to_differences_at_all_lags(seed, lengths, fps, lags):
+    own = np.random.default_rng(seed)
+    scores = [
+        gaussian_filter1d(own.standard_normal((3, n)), width, axis=1) + own.normal(size=(3, 1))
+        for n, width in zip(lengths, (0.5, 4.0, 9.0), strict=True)
+    ]
+    fit = SlowState.fit(scores, None, names(3), fps)
+    sizes = np.concatenate(scores, axis=1).std(axis=1)
+    for channel in range(3):
+        curves = [part[channel] / sizes[channel] for part in scores]
+        within, width = variogram_fit(curves, lags, fps)
+        expected = (2 * (1 - within) + _PRIOR_TAKES * _BETWEEN_TAKES) / (2 + _PRIOR_TAKES)
+        assert fit.between[channel] == pytest.approx(expected)
+        assert within == 0 or fit.width[channel] == pytest.approx(width)
+
+
+def test_recordings_too_short_for_a_lag_have_half_of_the_variance_within():
+    fit = SlowState.fit([np.random.default_rng(0).normal(size=(2, 2))] * 2, None, names(2), FPS)
+    expected = (0.5 + _PRIOR_TAKES * _BETWEEN_TAKES) / (1 + _PRIOR_TAKES)
+    np.testing.assert_allclose(fit.between, expected)
+    np.testing.assert_array_equal(fit.width, 1.5)
+
+
 def test_what_speech_explains_is_no_part_of_the_noise():
     """Within takes, scores follow the prediction with r = 0.8; all else is constant in a take."""
     own, n, count = np.random.default_rng(0), 600, 40
