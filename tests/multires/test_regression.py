@@ -187,13 +187,19 @@ def test_the_mean_of_an_utterance_counts_as_it_did_on_left_out_takes(between, co
 
 
 def test_a_mean_that_counts_in_part_is_found_by_least_squares():
+    """Takes differ in length, so that the mean of their means is not that of all frames."""
     speeches, movements, slow, takes = takes_of(1.0)
+    lengths = [150, 600, 300, 450, 600, 200]
+    speeches = [own[:, :n] for own, n in zip(speeches, lengths, strict=True)]
+    movements, slow = (
+        [own[:n] for own, n in zip(rows, lengths, strict=True)] for rows in (movements, slow)
+    )
     slow = [own - 0.6 * own.mean() + shift for own, shift in zip(slow, 0.2 * noise(6), strict=True)]
     wanted = WantedMovement.fit(speeches, movements, slow, FPS, (2,), takes=takes)
     x = [slow_inputs(speech, wanted.slow_basis, FPS) for speech in speeches]
-    folds = folds_of([600] * 6, takes, 1)
+    folds = folds_of(lengths, takes, 1)
     fitted = Regression.fit(x, slow, folds)
-    predicted = np.split(fitted.left_out, 6)
+    predicted = np.split(fitted.left_out, np.cumsum(lengths)[:-1])
     means = np.polyfit([own.mean() for own in predicted], [own.mean() for own in slow], 1)[0]
     changes = [np.concatenate([own - own.mean() for own in rows]) for rows in (predicted, slow)]
     share = means / np.polyfit(*changes, 1)[0]

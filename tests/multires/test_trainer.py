@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from rigs import nameless
 from runs import logged, same_weights, weights
 
 import audio_features as af
@@ -14,6 +16,7 @@ import gesturekit as gk
 from audio_features import WeightsError
 from gesturekit.corpus import prepare
 from gesturekit.errors import ConfigError, ModelError
+from gesturekit.multires.config import LossConfig
 from gesturekit.multires.network.discriminator import LevelDiscriminator
 from gesturekit.multires.network.generator import LevelGenerator
 from gesturekit.multires.network.resampling import resample
@@ -23,6 +26,7 @@ from gesturekit.multires.training.stage import Stage
 from gesturekit.multires.training.trainer import train
 from gesturekit.training.config import dump_yaml, to_dict
 from gesturekit.training.run.checkpoint import Checkpoints
+from gesturekit.training.run.session import session
 
 RANDOM = {"discriminator", "adversarial", "contact", "smoothness", "arm_speed"}
 ALL = RANDOM | {"reconstruction"}
@@ -60,6 +64,62 @@ def test_a_model_keeps_the_rate_of_its_recordings(make_config, corpus, tmp_path)
         model.reconstruct("b")
     with pytest.raises(ModelError, match=f"'b': it has {made.n_frames} frames, its speech 20"):
         model.reconstruct("b", af.Wave.load(speech, duration=1.0))
+
+
+@pytest.fixture
+def announced(make_config, tmp_path, caplog):
+    """announced(**changes): what a run logs before its first step, and its losses."""
+    caplog.set_level(logging.INFO)
+
+    def make(**changes) -> tuple[str, LossConfig]:
+        config = make_config(**changes, out=str(tmp_path / f"{len(caplog.text)}"))
+        caplog.clear()
+        with session(config, resume=False) as (run, device, processes):
+            made = trainer.Trainer(config, run, device, processes, resume=False)
+        return caplog.text, made.config.losses
+
+    return make
+
+
+def test_a_run_says_what_it_trains_and_on_what(announced, motions):
+    corpus = str(motions(old=[3.0], angry=[3.0]))
+    two = "2 recordings, 8 s at 30 fps, trained at 25 fps, "
+    for changes, mode, content in (
+        ({}, "speech mode", f"{two}5 s of unpaired speech, 28 features, 19 of 19 joints modelled"),
+        ({"features": None}, "no condition", f"{two}19 of 19 joints modelled"),
+        (
+            {"features": None, "styles": {}, "corpus": corpus, "joints": ["Hips", "Head", "Neck"]},
+            "labels mode",
+            "2 recordings, 6 s at 30 fps, trained at 25 fps, 2 styles, 3 of 19 joints modelled",
+        ),
+        (
+            {"recall": {"level": 2, "minutes": 0.1}, "network": {"levels": 3}},
+            "speech mode",
+            "94% at least once); 6 s of 8 s can be recalled",
+        ),
+    ):
+        said, _ = announced(**changes)
+        levels = 3 if "network" in changes else 4
+        assert f": multires, {mode}, {levels} levels, 10 iterations." in said
+        assert content in said
+        assert ("can be recalled" in said) == ("recall" in changes)
+
+
+def test_losses_on_parts_that_a_rig_lacks_are_left_out(announced, gesture, write_speech, tmp_path):
+    motion, parts = nameless(gesture(3.0))
+    write_speech(tmp_path / "in" / "a.wav", 3.0)
+    motion.save(tmp_path / "in" / "a.bvh")
+    prepare([tmp_path / "in"], tmp_path / "in.jsonl", holdout=0.0)
+    corpus, losses = str(tmp_path / "in.jsonl"), {"arm_speed": 2.0, "contact": 3.0}
+    said, found = announced(corpus=corpus, losses=losses)
+    assert (found.arm_speed, found.arm_acceleration, found.contact) == (0.0, 0.0, 0.0)
+    assert (
+        "cannot be identified: no losses on the arms, no contact labels or loss, recordings keep "
+        "their heading, all joints are modelled. If it has them, name them by hand"
+    ) in said
+    assert "no losses on the arms" not in announced(corpus=corpus, losses={"arm_speed": 0.0})[0]
+    said, found = announced(corpus=corpus, losses=losses, parts=parts)
+    assert (found.arm_speed, found.contact) == (2.0, 3.0) and "identified" not in said
 
 
 def test_levels_side_by_side_train_as_one_after_the_other(make_config, monkeypatch):
