@@ -158,6 +158,39 @@ def test_recordings_are_drawn_equally_but_windows_by_frames(make_config, batches
     assert drawn.count(63) / 600 == pytest.approx(share, abs=0.06)
 
 
+def test_a_window_cache_is_shared_among_lengths_and_renewed_in_time(make_config, batches_of):
+    """Of five windows, each of two lengths gets two; a resumed run gets those of its renewal."""
+    training, rng = {"window_cache": 5, "renew_every": 3}, torch.Generator().manual_seed(0)
+    batches, resumed = (batches_of(make_config(training=training)) for _ in range(2))
+    batches.renew(0)
+    first, chosen = batches.windows("random", 75, rng, 40)
+    assert chosen.shape == (40, 2) and chosen.unique().tolist() == [0, 1]
+    assert len(first) == len(batches.windows("random", 63, rng)[0]) == 2
+    assert len(batches.windows("paired", 75, rng)[0]) == 2
+    assert len(batches.windows("paired", 63, rng)[0]) == 1, "all that it has"
+    batches.renew(2)
+    assert batches.windows("random", 75, rng)[0] is first
+    batches.renew(3)
+    resumed.renew(5)
+    later, same = (own.windows("random", 75, rng)[0].noise[0] for own in (batches, resumed))
+    assert torch.equal(later, same) and not torch.equal(later, first.noise[0])
+    few = batches_of(make_config(training={"window_cache": 1, "reconstruction_steps": 0}))
+    few.renew(0)
+    assert len(few.windows("random", 63, rng)[0]) == 1
+    with pytest.raises(KeyError):
+        few.windows("paired", 63, rng)
+
+
+def test_without_a_cache_each_batch_has_windows_of_its_own(make_config, batches_of):
+    batches = batches_of(make_config(training={"window_cache": None}))
+    rng = torch.Generator().manual_seed(0)
+    batches.renew(0)
+    windows, chosen = batches.windows("random", 75, rng, 3)
+    assert len(windows) == 6 and chosen.tolist() == [[0, 1], [2, 3], [4, 5]]
+    windows, chosen = batches.windows("paired", 63, rng, 3)
+    assert len(windows) == 1 and chosen.tolist() == [[0, 0]] * 3
+
+
 def test_a_style_of_whole_recordings_is_drawn_as_often_as_it_was_recorded(make_config, motions):
     corpus = str(motions(old=[2.0, 2.0, 2.0], angry=[6.0]))
     for window, wanted in ((None, [1.0, 3.0]), (3.0, [150.0, 150.0])):
