@@ -12,9 +12,10 @@ from rigs import nameless
 
 import gesturekit as gk
 from audio_features import level_lengths
-from gesturekit.corpus import prepare
+from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.motion import Skeleton
+from gesturekit.motion.heading import heading
 from gesturekit.motion.parts import upper_body
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.training.data import TrainingData
@@ -69,6 +70,30 @@ def test_sigma_of_a_pulse_worked_out_by_hand():
     sigma = level_sigmas(torch.tensor([[[0.0, 0.0, 0.0, 4.0]]]), levels=2)
     # Back at 0, 5/8, 11/8 and 2 of the three, it is (0, 0, 5/4, 10/3).
     assert sigma.tolist() == pytest.approx([(100 / 27) ** 0.5, ((25 / 16 + 4 / 9) / 4) ** 0.5])
+
+
+def test_data_are_as_the_settings_say(make_config, corpus, tmp_path):
+    """A window of 2.5 frames has as many as there are levels; silence is as long, with margins."""
+    config = make_config(training={"window": 0.1, "margins": True}, normalise=False)
+    data = load_training_data(config)
+    assert data.window == 4 and data.silence.shape == (28, 4 + 2 * 5)
+    assert (data.spoken, data.recorded_fps) == ((pytest.approx(5.0), 1), 30.0)
+    assert not data.unpaired_is_paired and [own.shape for own in data.unpaired] == [(28, 125)]
+    assert [item.take for item in Manifest.load(corpus) if item.is_paired] == [
+        own.take for own in data.paired
+    ]
+    assert not data.normaliser.mean.any() and (data.normaliser.scale == 1).all()
+    motion = gk.Motion.load(corpus.parent / "paired" / "b.bvh").resample(25.0)
+    vectors = data.representation.encode(motion, turn=-heading(motion))
+    np.testing.assert_allclose(data.paired[1].motion.T, vectors[:63], atol=1e-5)
+    whole = load_training_data(make_config(training={"window": None}))
+    assert whole.window is None and whole.silence.shape == (28, 150), "of the longest recording"
+    prepare([corpus.parent / "paired"], tmp_path / "alone.jsonl", holdout=0.0)
+    alone = load_training_data(make_config(corpus=str(tmp_path / "alone.jsonl")))
+    assert alone.unpaired_is_paired and alone.spoken == (0, 0)
+    assert all(one is own.speech for one, own in zip(alone.unpaired, alone.paired, strict=True))
+    none = load_training_data(make_config(features=None))
+    assert not none.unpaired_is_paired and none.silence.shape == (0, 75)
 
 
 def test_each_speaker_keeps_a_body(make_config, gesture, write_speech, tmp_path):
