@@ -33,8 +33,24 @@ ALL = RANDOM | {"reconstruction"}
 
 
 def test_a_run_leaves_metrics_checkpoints_and_a_model(make_config):
-    config = make_config(losses={"arm_acceleration": 3})
+    config = make_config(losses={"arm_acceleration": 3}, notes={"Licence": "CC0"})
     folder = train(config)
+    card = (folder / "README.md").read_text("utf-8")
+    for words in (
+        "**Kind**: multires, 4 levels\n",
+        "**Motion**: 25 fps, resampled to 30 fps, 19 of 19 joints modelled\n",
+        "**Recordings**: 2 recordings, 8 s at 30 fps, trained at 25 fps\n",
+        "**Unpaired speech**: 5 s in 1 file\n",
+        "**Use of the recordings**: each stage draws a second as real motion about 2.8 times",
+        "**Began with**: random weights\n",
+        "**Training steps**: 10\n",
+        "**Last losses**: discriminator ",
+        "**Measured**: on 2 training recordings (8 s): ",
+        "**Licence**: CC0\n",
+        'model.generate("speech.wav", seed=0)',
+    ):
+        assert words in card
+    assert [line["level"] for line in logged(config.out)] == [1, 1, 1, 3, 3]
     lines = logged(config.out)
     assert [line["step"] for line in lines] == [2, 4, 6, 8, 10]
     assert ALL | {"arm_acceleration"} <= set(lines[-1])
