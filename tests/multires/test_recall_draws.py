@@ -357,6 +357,30 @@ def test_both_arms_are_stretched_alike():
         assert r > before
 
 
+@pytest.mark.parametrize(("r", "divided"), [(0.5, 0.5), (0.1, 0.2)])
+def test_arms_are_stretched_to_peaks_as_high_as_recorded_ones(monkeypatch, r, divided):
+    """A conditional mean is r times as high, but hardly any correlation is not overrated."""
+    library = made_of(4, r_energy=0.5, from_speech=True, stretch=0.25)
+    wanted = replace(library.wanted, fast=replace(library.wanted.fast, r=r))
+    speech, asked = talk(100, together=0.0, r_energy=0.5).speech[:, :300], []
+
+    def offsets(*arguments) -> np.ndarray:
+        asked.append(arguments)
+        return np.arange(300.0)
+
+    monkeypatch.setattr("gesturekit.multires.recall.library.time_offsets", offsets)
+    left, right, _ = replace(library, wanted=wanted).recall(speech, rng_of()).pieces
+    ((own, goals, fps, stretch),) = asked
+    expected = wanted(speech)[0] / SPREAD / divided
+    np.testing.assert_allclose(goals, [expected, expected], rtol=1e-6)
+    assert (fps, stretch) == (FPS, 0.25)
+    for row, k, pieces in zip(own, (0, 1), (left, right), strict=True):
+        plain = replace(pieces, offsets=None)
+        moved = plain.blend(library.fast_movement[k], library.lengths, 300)
+        np.testing.assert_allclose(row, moved[0], atol=1e-5)
+        np.testing.assert_array_equal(pieces.offsets, np.arange(300.0))
+
+
 def test_arms_without_a_prediction_are_not_stretched():
     unheard = made_of(4, stretch=0.25)
     assert [p.offsets for p in unheard.recall(silence(10), rng_of()).pieces] == [None] * 3
