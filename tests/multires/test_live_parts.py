@@ -186,6 +186,9 @@ def asked(monkeypatch) -> list[SimpleNamespace]:
     return calls
 
 
+CURVES = ("motion", "passive", "profiles", "states", "directions", "defective")
+
+
 def counted(library, unit: float = 1.0):
     """A library whose every channel counts its frames across all recordings, at rest."""
     recordings, first = [], 0
@@ -247,6 +250,46 @@ def test_pieces_follow_after_their_hop(model, asked):
     # 3 / 0.178 = 16.9 motion frames; the next is due 3 after that in which it was chosen.
     assert step == pytest.approx(0.178, abs=1e-4)
     assert left == right == [0, 17, 34] and rest == [0, 34]
+
+
+def test_after_its_end_a_recording_shows_its_last_frame(model, asked):
+    """Of twelve frames; the trunk's piece has eleven, and begins beside arms that end earlier."""
+    short = [
+        replace(own, **{name: getattr(own, name)[:, :12] for name in CURVES})
+        for own in model.library.recordings[:2]
+    ]
+    library = replace(counted(replace(model.library, recordings=tuple(short))), wanted=None)
+    ended = 0
+    for seed in range(4):
+        asked.clear()
+        LivePlan(library, LiveChoice(seed=seed), 12).advance(None, None)
+        left, right, rest = asked
+        for column, arm in enumerate((left, right)):
+            last = 12 * (arm.frame // 12) + 11
+            expected = np.minimum(arm.frame + np.arange(11), last)
+            np.testing.assert_array_equal(rest.others[:, column], expected)
+            ended += int(arm.frame + 10 > last)
+    assert ended > 2
+
+
+def test_what_is_said_of_liveliness_so_far_counts_less_and_less(model, monkeypatch):
+    """The mean so far, with five seconds of 0, is reduced as that of a whole sound is."""
+    asked, at = [], SlowState.at
+
+    def spied(self, seed, seconds, predicted):
+        asked.append((seconds, predicted))
+        return at(self, seed, seconds, predicted)
+
+    monkeypatch.setattr(SlowState, "at", spied)
+    wanted = replace(model.library.wanted, mean_counts=0.25)
+    plan = LivePlan(replace(model.library, wanted=wanted), LiveChoice(seed=3), 12)
+    for frame in range(35):
+        plan.advance(forecast(0.0), 1.0 + frame)
+    expected = []
+    for frame in (0, 17, 34):
+        mean = sum(1.0 + k for k in range(frame + 1)) / (frame + 1 + 5 * 30)
+        expected.append((frame / 30, 1.0 + frame - 0.75 * mean))
+    assert asked == [pytest.approx(own) for own in expected]
 
 
 def test_a_library_may_be_one_recording(model):
