@@ -18,6 +18,7 @@ from gesturekit.errors import ModelError
 from gesturekit.motion.concatenation import stacked
 from gesturekit.motion.kinematics import GROUND
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.recall.pieces import PieceSearch
 from gesturekit.multires.recall.slow_state import SlowState
 from gesturekit.multires.streaming.features import SpeechStream
@@ -387,6 +388,45 @@ def test_speakers_styles_and_liveliness_are_asked_for(model, asked):
         assert np.flatnonzero(own.allowed).tolist() == [1, 3]
         at = np.searchsorted(np.cumsum(library.lengths), own.frame, side="right")
         assert at in (1, 3)
+
+
+@pytest.fixture(scope="module")
+def styled(model):
+    """An untrained network with two styles, of which every second recording has the second."""
+    conditions = replace(model.conditions, styles=("calm", "glad"))
+    network = MultiresGenerator(model.representation, conditions.width, model.network_config)
+    own = [replace(one, style=k % 2) for k, one in enumerate(model.library.recordings)]
+    library = replace(model.library, recordings=tuple(own))
+    return replace(model, network=network.eval(), conditions=conditions, library=library)
+
+
+def test_a_stream_has_one_style(styled, asked):
+    """That which is asked for, or one drawn by the seed and the stream's name."""
+
+    def style_of(**choice) -> int:
+        asked.clear()
+        assert styled.stream(RATE, **choice).step(np.zeros(4000, np.float32)) is not None
+        allowed = [set(np.flatnonzero(own.allowed) % 2) for own in asked]
+        assert allowed == [allowed[0]] * 3 and len(allowed[0]) == 1
+        return int(allowed[0].pop())
+
+    assert [style_of(style=name) for name in ("calm", "glad")] == [0, 1]
+    drawn = [style_of(seed=seed, item=item) for seed in range(2) for item in "ab"]
+    assert set(drawn) == {0, 1} and style_of(seed=1, item="b") == drawn[-1]
+    with pytest.raises(ModelError, match="a stream takes one style, without times"):
+        styled.stream(RATE, style="calm@0-1,glad@1-2")
+    with pytest.raises(ModelError, match="sad"):
+        styled.stream(RATE, style="sad")
+
+
+@pytest.mark.parametrize("samples", [[[0.0], [0.0]], [0.0, np.nan], [np.inf, 0.0]])
+def test_samples_are_finite_and_of_one_channel(model, samples):
+    stream = model.stream(RATE)
+    with pytest.raises(
+        ModelError, match=r"samples of shape \(2.*finite samples \(N,\), one channel"
+    ):
+        stream.step(np.array(samples))
+    assert stream.step(np.zeros(0, np.float32)) is None
 
 
 def begun_with(library, asked, **choice):

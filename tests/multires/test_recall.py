@@ -33,8 +33,11 @@ from gesturekit.multires.recall.parts import (
     joint_places,
     movements,
     slow_part,
+    slow_states,
 )
 from gesturekit.multires.recall.pieces import ChoiceWeights
+from gesturekit.multires.recall.slow_state import normal_scores
+from gesturekit.multires.recall.wanted import WantedMovement
 from gesturekit.multires.training.ahead import with_live_predictions
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.recall_library import build_library
@@ -333,6 +336,60 @@ def test_the_second_arm_is_chosen_to_match_the_first(library, model, speech):
             apart.append(float((left - right).square().mean()))
         differences.append(np.mean(apart))
     assert differences[1] < 0.7 * differences[0], differences
+
+
+def test_a_library_has_the_curves_of_its_recordings(data, config, library, monkeypatch):
+    """Movement relative to that of both hands; that of the trunk by the quantiles of theirs."""
+    parts, joints, fps = library.parts, data.representation.joints, config.fps
+    values = [data.normaliser.inverse(own.motion[None])[0] for own in data.paired]
+    places = [joint_places(data.representation, fps, own) for own in values]
+    moved = [np.stack(movements(parts, joints, fps, own)) for own in places]
+    hands, trunk = (np.concatenate([own[k].mean(axis=0) for own in moved]) for k in ([0, 1], [2]))
+    assert library.mean == pytest.approx(hands.mean())
+    assert library.spread == pytest.approx(hands.std())
+    shares = np.linspace(0, 1, 101)
+    factors, every = [], []
+    for own, at, curves in zip(library.recordings, places, moved, strict=True):
+        n = own.motion.shape[1]
+        curves[2] = np.interp(curves[2], np.quantile(trunk, shares), np.quantile(hands, shares))
+        expected = averaged((curves - hands.mean()) / hands.std(), n)
+        np.testing.assert_allclose(own.profiles, expected, atol=1e-4)
+        states = [slow_states(part, joints, fps, at, row) for part, row in zip(parts, curves)]
+        every.append(np.concatenate(states))
+        np.testing.assert_allclose(own.states, averaged(every[-1], n), atol=1e-4)
+        directions = [hand_directions(part, joints, fps, at) for part in parts[:2]]
+        directions = averaged(np.concatenate(directions), n)
+        found = own.directions.numpy()
+        factors.append((found * directions).sum(axis=1) / (directions**2).sum(axis=1))
+        np.testing.assert_allclose(found, factors[-1][:, None] * directions, atol=1e-4)
+    np.testing.assert_allclose(*factors, rtol=1e-4)
+    assert (np.array(factors)[:, [1, 3]] > 0.1).all(), "hands go away from the body together"
+    assert library.slow_state.take == pytest.approx((16.0 + 12.0) / 2)
+    whole = build_library(data, replace(config, recall=replace(config.recall, parts="body")))
+    assert whole.mean == pytest.approx(library.mean)
+    assert whole.spread == pytest.approx(library.spread)
+    assert [own.profiles.shape[0] for own in whole.recordings] == [1, 1]
+    assert whole.recordings[0].directions.shape[0] == 0
+    assert build_library(data, replace(config, recall=None)) is None
+    # What speech is to predict: both hands, and ranks of their slow part for each speaker.
+    asked = []
+    monkeypatch.setattr(
+        WantedMovement,
+        "fit",
+        lambda *given, **about: asked.append((given, about)) or library.wanted,
+    )
+    build_library(data, config)
+    (((speeches, movement, slow, rate, effort, smaller), about),) = asked
+    assert (rate, tuple(effort)) == (25.0, (4, 5, 6))
+    assert smaller == (data.conditioner.acoustic, data.conditioner.prosody)
+    assert about == {"takes": [own.take for own in data.paired]}
+    scores = normal_scores(every, ["Ann", "Bo"])
+    for own, speech, curves, hand, score, level in zip(
+        data.paired, speeches, moved, movement, scores, slow, strict=True
+    ):
+        np.testing.assert_array_equal(speech, own.speech)
+        np.testing.assert_allclose(hand, curves[:2].mean(axis=0))
+        np.testing.assert_allclose(level, score[[0, 4]].mean(axis=0))
 
 
 def test_profiles_of_all_parts_have_one_distribution(library):
