@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,6 +23,7 @@ from gesturekit.multires.network.resampling import (
     resample_smoothly,
 )
 from gesturekit.multires.network.skeleton_conv import SLOPE, SkeletonConv1d, block_neighbours
+from gesturekit.training.seeds import rng_for
 
 CONFIG = NetworkConfig(levels=3, channels=(3, 3), embedding=8)
 
@@ -127,6 +129,32 @@ def test_speech_modulates_the_upper_body_alone(representation):
     assert set(joints) == set(upper_body(representation.skeleton)) & set(representation.joints)
     assert "LeftLeg" not in joints and "Hips" not in joints and "LeftArm" in joints
     assert not blocks[len(representation.joints) :].any(), "contacts and root displacement"
+
+
+def test_speech_modulates_all_or_the_joints_that_are_named(representation):
+    every = modulated_blocks(representation, replace(CONFIG, modulate="all"))
+    assert every.all() and len(every) == len(representation.block_sizes)
+    named = modulated_blocks(representation, replace(CONFIG, modulate=("Head", "LeftLeg")))
+    found = [representation.joints[i] for i in np.flatnonzero(named)]
+    assert sorted(found) == ["Head", "LeftLeg"] and len(named) == len(every)
+
+
+def test_all_layers_or_the_input_are_modulated(representation):
+    """Each layer takes what is before it, rectified and then modulated."""
+    speech = torch.randn(1, 2, 9, generator=torch.Generator().manual_seed(0))
+    up = torch.randn(1, representation.n_features, 9, generator=torch.Generator().manual_seed(1))
+    for film, count in (("input", 1), ("all", 3)):
+        level = MultiresGenerator(representation, 2, replace(CONFIG, film=film)).levels[0]
+        assert len(level.films) == count
+        for name, weight in level.films.named_parameters():
+            weight.data = 0.3 * torch.randn(weight.shape, generator=rng_for(name))
+        y = torch.nn.functional.leaky_relu(level.embed(speech), SLOPE)
+        x = up + 0.5
+        for i, layer in enumerate(level.layers):
+            x = x if i == 0 else torch.nn.functional.leaky_relu(x, SLOPE)
+            x = layer(level.films[i](x, y) if i < count else x)
+        found = level(up, torch.full((1, 1, 9), 0.5), speech)
+        torch.testing.assert_close(found, x + up, atol=1e-5, rtol=1e-5)
 
 
 def test_gradients_stay_within_their_level(representation):

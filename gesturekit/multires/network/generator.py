@@ -120,9 +120,7 @@ class LevelGenerator(nn.Module):
         for i, layer in enumerate(self.layers):
             if i:
                 x = F.leaky_relu(x, SLOPE)
-            if i < modulated:
-                x = self.films[i](x, y)
-            x = convolve([layer], x, 1.0, 1.0)
+            x = convolve([layer], self.films[i](x, y), 1.0, 1.0)
         return x + up
 
 
