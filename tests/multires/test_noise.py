@@ -11,7 +11,11 @@ import torch
 
 import gesturekit as gk
 from audio_features import level_lengths
-from gesturekit.multires.sampling.trained_model import ZStarPatches
+from gesturekit.multires.sampling.trained_model import (
+    TrainedNoise,
+    TrainedSequence,
+    ZStarPatches,
+)
 from gesturekit.multires.training.sequences import PairedSequence
 from gesturekit.multires.training.trainer import train
 
@@ -40,6 +44,35 @@ def test_patches_have_the_style_of_their_first_frame():
     assert (drawn[45:] == 0).all(), "a patch is not cut off"
     channels = ZStarPatches([torch.zeros(6, 30)], [0], 5).draw([0] * 12, torch.Generator())
     assert channels.shape == (1, 6, 12)
+
+
+def test_patches_of_a_model_have_the_styles_of_its_recordings():
+    stars = {"b": torch.ones(5), "a": torch.zeros(5)}
+    noise = TrainedNoise(
+        sigma=torch.tensor([[1.0, 2.0], [3.0, 6.0]]),
+        z_star=stars,
+        sequences={"a": TrainedSequence(8, "old"), "b": TrainedSequence(9, "angry")},
+        z_star_shuffle=3,
+        noise_levels=2,
+    )
+    found, single = noise.random(("angry", "old")), noise.random(())
+    assert found.sigma.tolist() == [2.0, 4.0]
+    assert (found.levels, found.patches.longest) == (2, 3)
+    for style, value in ((0, 1.0), (1, 0.0)):
+        (own,) = found.patches.by_style[style]
+        assert own.tolist() == [[value] * 5]
+    assert [float(own.mean()) for own in single.patches.by_style[0]] == [0.0, 1.0], "by name"
+    plain = replace(noise, z_star_shuffle=0).random(())
+    gaussian = torch.randn(2, 1, 5)
+    assert plain.patches is None and plain.shuffled(gaussian, [[0] * 5] * 2, None) is gaussian
+    rng = torch.Generator().manual_seed(0)
+    drawn = found.shuffled(gaussian, [[0] * 5, [1] * 5], rng)
+    assert drawn[:, 0].tolist() == [[1.0] * 5, [0.0] * 5]
+    made = plain.gaussian([4000, 9, 7], lambda _: rng, first=0, count=2)
+    assert made[0].shape == (2, 1, 4000) and made[1].shape == (2, 1, 9) and made[2] is None
+    assert float(made[0].std()) == pytest.approx(2.0, rel=0.05)
+    (finer,) = plain.gaussian([4000], lambda _: rng, first=1)
+    assert float(finer.std()) == pytest.approx(4.0, rel=0.05)
 
 
 @pytest.mark.parametrize("styles", [None, {}], ids=["single", "labels"])
