@@ -26,6 +26,7 @@ from gesturekit.multires.training.stage import Stage
 from gesturekit.multires.training.trainer import train
 from gesturekit.training.config import dump_yaml, to_dict
 from gesturekit.training.run.checkpoint import Checkpoints
+from gesturekit.training.run.held_out import HeldOutMetrics
 from gesturekit.training.run.session import session
 
 RANDOM = {"discriminator", "adversarial", "contact", "smoothness", "arm_speed"}
@@ -136,6 +137,30 @@ def test_losses_on_parts_that_a_rig_lacks_are_left_out(announced, gesture, write
     assert "no losses on the arms" not in announced(corpus=corpus, losses={"arm_speed": 0.0})[0]
     said, found = announced(corpus=corpus, losses=losses, parts=parts)
     assert (found.arm_speed, found.contact) == (2.0, 3.0) and "identified" not in said
+
+
+def test_a_verdict_on_unfinished_levels_says_which_they_are(make_config, monkeypatch, caplog):
+    asked = []
+
+    def measure(self, step, model, what, **about):
+        asked.append((step, what, about))
+        return "verdict"
+
+    monkeypatch.setattr(HeldOutMetrics, "measure", measure)
+    config = make_config()
+    with session(config, resume=False) as (run, device, processes):
+        made = trainer.Trainer(config, run, device, processes, resume=False)
+    assert made.stages() == [(0, 6), (2, 4)]
+    assert [made.measure(5, 2), made.measure(9, 4, keep=True)] == ["verdict"] * 2
+    assert asked == [
+        (5, ", levels 1-2 of 4", {"keep": False, "levels": 2}),
+        (9, "", {"keep": True}),
+    ]
+    # A corpus that is gone at the end costs the model its use for live speech only.
+    made.config = replace(config, corpus=config.corpus.with_name("gone.jsonl"))
+    assert made._live_predictions(None) == ()
+    assert "The model cannot stream, without predictions for live speech: " in caplog.text
+    assert "gone.jsonl" in caplog.text
 
 
 def test_levels_side_by_side_train_as_one_after_the_other(make_config, monkeypatch):
