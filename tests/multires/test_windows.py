@@ -164,12 +164,13 @@ def test_recall_is_asked_for_the_style_of_the_recalled_level(make_config, cache_
         return SimpleNamespace(vectors=partial(vectors, len(asked)))
 
     cache.library = SimpleNamespace(level=2, recordings=(), recall=recall)
-    windows = cache.random(cache.data.paired, 50, first, 12, rng_for("recalled"))
+    windows = cache.random(cache.data.paired, 50, first, 40, rng_for("recalled"))
     if first == 0:
         assert not asked and windows.recalled is None
         return
-    assert (windows.styles[:, 0] != windows.styles[:, 3]).any()
+    for other in (0, 2, 3):
+        assert (windows.styles[:, 1] != windows.styles[:, other]).any()
     assert [own.tolist() for own in asked] == [[n] * 28 for n in windows.styles[:, 1].tolist()]
-    numbers = torch.arange(1.0, 13.0)[:, None, None]
+    numbers = torch.arange(1.0, 41.0)[:, None, None]
     for own, n in zip((windows.coarser, *windows.recalled), (28, 38, 50), strict=True):
         assert torch.equal(own, numbers.expand(-1, width, n))
