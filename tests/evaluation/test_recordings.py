@@ -329,7 +329,10 @@ def written(monkeypatch, gesture):
         manifest = Manifest.load(corpus)
         seen["items"] = {item.id: item for item in manifest}
         seen["models"] = {
-            name: {path.stem: Motion.load(path) for path in sorted(folder.glob("*.npz"))}
+            name: {
+                path.relative_to(folder).with_suffix("").as_posix(): Motion.load(path)
+                for path in sorted(folder.rglob("*.npz"))
+            }
             for name, folder in models.items()
         }
         seen["options"] = {"split": split, **options}
@@ -388,12 +391,15 @@ def test_a_single_recording_is_cut_into_training_and_pieces(written, gesture, tm
     # The second half, 20 s, in pieces of 8 s and more.
     assert spans(found.items, "test") == {"a_end_1": (20, 10), "a_end_2": (30, 10)}
     assert spans(found.items, "train") == {"a_start": (0, 20)}
-    gesture(9.0, 10.0, seed=1).save(tmp_path / "s" / "a.npz")
+    gesture(9.0, 10.0, seed=1).save(tmp_path / "s" / "day" / "a.npz")
     gesture(9.0, 10.0, seed=2).save(tmp_path / "s" / "b.npz")
     found = written(tmp_path / "s")
-    assert spans(found.items, "test") == {"a_1": (0, 9)} and spans(found.items, "train") == {
-        "b": (0, 9)
-    }
+    assert spans(found.items, "test") == {"b_1": (0, 9)}
+    assert spans(found.items, "train") == {"day/a": (0, 9)}
+    (tmp_path / "s" / "b.npz").rename(tmp_path / "s" / "day" / "b.npz")
+    found = written(tmp_path / "s")
+    assert spans(found.items, "test") == {"day/a_1": (0, 9)}
+    assert {name for clips in found.models.values() for name in clips} == {"day/a_1"}
 
 
 def test_a_minute_of_a_recording_and_two_of_all_are_used(written, gesture, tmp_path):

@@ -289,7 +289,5 @@ def _write(
         inputs = BadMotionInputs(motion, other, trained[n % len(trained)], seed + n)
         for name, folder in models.items():
             made = motion if name == RECORDING else BAD_MOTION[name](inputs)
-            path = folder / f"{item.id}.npz"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            made.save(path)
+            made.save(folder / f"{item.id}.npz")
     return models
