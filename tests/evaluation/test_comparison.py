@@ -265,6 +265,13 @@ def test_options_that_do_not_go_together_are_refused(tmp_path, gesture, write_sp
     found = evaluate(motion, tmp_path / "corpus.jsonl", split="valid", cheap=True)
     assert found.settings["split"] == "valid" and found.reference == tmp_path / "corpus.jsonl"
     assert [model.label for model in found.models] == ["generated"]
+    # A file that has changed since the last evaluation is read again.
+    speeds = []
+    for seed in (1, 2):
+        gesture(2.0, 25.0, seed=seed).save(motion)
+        speeds.append(evaluate(motion, motion, cheap=True).models[0].metrics["arm_speed"])
+    assert all(speed.recording == pytest.approx(speed.interval.value) for speed in speeds)
+    assert speeds[0].recording != pytest.approx(speeds[1].recording)
     (tmp_path / "made").mkdir()
     (tmp_path / "made" / "a.npz").write_bytes(b"no motion")
     with pytest.raises(EvaluationError, match="no generated clip can be read: .*a.npz"):
