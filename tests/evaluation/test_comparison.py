@@ -218,13 +218,18 @@ def test_the_multires_protocol_notes_missing_samples(folders):
 def test_clips_unlike_the_protocol_of_windows_are_noted(tmp_path, gesture):
     """Three samples of ten seconds, to a tenth of a second, are as the protocol says."""
     gesture(25.0, 10.0).save(tmp_path / "recordings" / "a.npz")
+    (tmp_path / "sound").mkdir()
+    (tmp_path / "sound" / "a.wav").write_bytes(b"no sound")
 
     def notes(*samples: tuple[str, int]) -> list[str]:
         folder = tmp_path / f"made{len(list(tmp_path.iterdir()))}"
         for k, (window, frames) in enumerate(samples):
             gesture(12.0, 10.0, seed=k)[:frames].save(folder / f"a_{window}_s{k}.npz")
-        options = {"protocol": "lda", "cheap": True}
+        options = {"protocol": "lda", "cheap": True, "audio": tmp_path / "sound"}
         (model,) = evaluate(folder, tmp_path / "recordings", **options).models
+        named = [item.name for item in model.excluded if item.what == "speech"]
+        first = [f"a_{window}_s{k}" for k, (window, _) in enumerate(samples)][:3]
+        assert named == [", ".join(first) + (" and 2 more" if len(samples) > 3 else "")]
         assert "fid_k" not in model.metrics and "arm_speed" in model.metrics
         assert not model.by_recording and not model.verdict and not model.answers
         return model.notes
