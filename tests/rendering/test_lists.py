@@ -246,3 +246,15 @@ def test_a_damaged_header_and_a_pipe_have_no_duration(tmp_path, folder):
         assert measured(Task("a", folder / "a.wav")).duration == 1.0
     os.mkfifo(folder / "pipe.wav")
     assert measured(Task("p", folder / "pipe.wav")).duration is None
+
+
+@pytest.mark.parametrize("seconds", [14_400, 14_401])
+def test_a_header_of_more_than_four_hours_has_no_duration(tmp_path, seconds):
+    """The file is as long as its header says, of zeros that take no place on disk."""
+    path, n = tmp_path / "a.wav", 4000 * seconds
+    soundfile.write(path, np.zeros(4000), 4000, "PCM_U8")
+    header = bytearray(path.read_bytes()[:44])
+    header[4:8], header[40:44] = (36 + n).to_bytes(4, "little"), n.to_bytes(4, "little")
+    path.write_bytes(header)
+    os.truncate(path, 44 + n)
+    assert measured(Task("a", path)).duration == (seconds if seconds == 14_400 else None)
