@@ -10,7 +10,7 @@ import pytest
 from published import INFO
 
 from gesturekit.corpus.layouts import read_layout
-from gesturekit.corpus.layouts.listing import Listing, root_with
+from gesturekit.corpus.layouts.listing import Listing
 from gesturekit.corpus.layouts.zeggs import read_zeggs
 from gesturekit.errors import CorpusError
 
@@ -243,20 +243,6 @@ def test_cleaned_files_of_zeggs_come_before_the_original_ones(tmp_path, touch):
     found = read_zeggs(tmp_path)
     assert (found.recordings[0].style, found.recordings[0].split) == ("Sad", None)
     assert problems(found)[-1][0] == "note" and "no published split" in problems(found)[-1][2]
-
-
-def test_a_corpus_is_found_in_the_only_folder_that_has_its_files(tmp_path, touch):
-    touch("one/bvh/a two/x")
-    assert root_with(tmp_path, ["bvh", "wav"], "Any") == tmp_path / "one"
-    touch("two/wav/a")
-    with pytest.raises(CorpusError, match="bvh or wav: several folders have one; .* the Any corp"):
-        root_with(tmp_path, ["bvh", "wav"], "Any")
-    with pytest.raises(CorpusError, match="bvh or sem: not found"):
-        root_with(tmp_path / "two", ["bvh", "sem"], "Any")
-    touch("wav")
-    assert root_with(tmp_path, ["bvh", "wav"], "Any") == tmp_path, "before folders inside"
-    with pytest.raises(CorpusError, match="wav: is a file, not a folder; give"):
-        root_with(tmp_path / "wav", ["bvh"], "Any")
 
 
 def test_twenty_files_are_named_and_the_rest_is_counted(tmp_path):

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from pathlib import Path
+
 import pytest
 
-from gesturekit.corpus import Manifest, prepare
-from gesturekit.corpus.takes import take_in
+from gesturekit.corpus import Item, Manifest, prepare
+from gesturekit.corpus.recording import Recording
+from gesturekit.corpus.splits import split_items
+from gesturekit.corpus.takes import name_takes, neighbours, take_in
 from gesturekit.errors import CorpusError
 
 PARTS = r"(.*)_part\d+"
@@ -20,21 +25,32 @@ def sessions(tmp_path, write_pair):
     return tmp_path / "in"
 
 
-def takes_by_split(manifest) -> dict[str, set[str]]:
-    splits = {item.split for item in manifest}
-    return {split: {i.take for i in manifest if i.split == split} for split in splits}
+def takes_by_split(items: Iterable[Item]) -> dict[str, set[str]]:
+    splits = {item.split for item in items}
+    return {split: {i.take for i in items if i.split == split} for split in splits}
 
 
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("holdout", [0.1, 0.5])
-def test_the_files_of_a_take_have_one_split(sessions, tmp_path, seed, holdout):
-    report = prepare(
-        sessions, tmp_path / "corpus.jsonl", take_pattern=PARTS, holdout=holdout, seed=seed
-    )
+def parts(*names: str, **about) -> list[Recording]:
+    """Three files of each of four days, or files of these names, without being on disk."""
+    names = names or tuple(f"{day}_part{part}" for day in "abcd" for part in range(3))
+    files = {"audio": Path("/in/a.wav"), "motion": Path("/in/a.bvh"), "fps": 30.0, "stop": 1.0}
+    return [Recording(name, **files | about) for name in names]
+
+
+@pytest.mark.parametrize(("holdout", "n_trained"), [(0.1, 3), (0.5, 2)])
+def test_the_files_of_a_take_have_one_split(holdout, n_trained):
+    for seed in range(4):
+        items, _ = split_items(name_takes(parts(), PARTS, None)[0], holdout, [], seed)
+        found = takes_by_split(items)
+        assert set().union(*found.values()) == set("abcd")
+        assert sum(map(len, found.values())) == 4, "no take is in two splits"
+        assert len(found["train"]) == n_trained and neighbours(items) == ""
+
+
+def test_takes_are_counted_in_the_report_and_kept_in_the_manifest(sessions, tmp_path):
+    report = prepare(sessions, tmp_path / "corpus.jsonl", take_pattern=PARTS)
     found = takes_by_split(Manifest.load(tmp_path / "corpus.jsonl"))
-    assert set().union(*found.values()) == set("abcd")
-    assert sum(map(len, found.values())) == 4, "no take is in two splits"
-    assert len(found["train"]) == (3 if holdout == 0.1 else 2)
+    assert set().union(*found.values()) == set("abcd") and len(found["train"]) == 3
     assert "neighbours" not in str(report) and "takes         4" in str(report)
 
 
@@ -48,24 +64,56 @@ def test_a_table_names_takes_before_a_pattern(sessions, tmp_path):
     assert "name does not match take pattern ^c" in str(report)
 
 
+def test_takes_come_from_the_table_the_pattern_the_layout_or_the_recording(tmp_path):
+    table = tmp_path / "takes.csv"
+    table.write_text("id,take\nday2/b,monday\na1,tuesday\n")
+    files = parts("day1/a1", "day1/b", "day2/b") + parts("day2/c", take="session 3")
+    named, notes = name_takes(files, r"a\d", table)
+    assert [one.take for one in named] == ["tuesday", "day1/b", "monday", "session 3"]
+    text = "name does not match take pattern a\\d: a take of its own"
+    assert [(one.severity, one.file, one.message) for one in notes] == [
+        ("note", Path("/in/a.bvh"), text)
+    ] * 2, "the third is named by the table"
+    named, notes = name_takes(files, None, None)
+    assert [one.take for one in named] == ["day1/a1", "day1/b", "day2/b", "session 3"] and not notes
+    assert name_takes([], "x", None) == ([], [])
+
+
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("table", "pattern", "says"),
     [
-        ({"take_table": None}, "none.csv: no such file"),
-        ({"take_pattern": "("}, r"take pattern \( is not a regular expression"),
-        ({"take_pattern": "xyz"}, "matches none of 12 recordings, such as a_part0"),
-        ({"take_table": "id,take\na_prt0,x\n"}, "'a_prt0' is no usable recording; did you mean"),
-        ({"take_table": "id,take\na_part0,\n"}, "takes.csv.*2: no take of a_part0"),
-        ({"take_table": "id,session\na_part0,x\n"}, "takes.csv"),
+        (None, "(", r"take pattern \( is not a regular expression"),
+        (None, "xyz", "matches none of 12 recordings, such as a_part0"),
+        ("none", None, "none.csv: no such file"),
+        ("id,take\na_prt0,x\n", None, "'a_prt0' is no usable recording; did you mean a_part0"),
+        ("id,take\na_part0,\n", None, "takes.csv.*2: no take of a_part0"),
+        ("id,session\na_part0,x\n", None, "takes.csv"),
+        ("id,take\nb_part1,x\nsame,x\n", None, "line 3: id 'same' is several recordings"),
     ],
 )
-def test_wrong_takes_are_one_clear_error(sessions, tmp_path, options, says):
-    if table := options.get("take_table", ""):
-        (tmp_path / "takes.csv").write_text(table)
-    if "take_table" in options:
-        options = {"take_table": tmp_path / ("takes.csv" if table else "none.csv")}
+def test_wrong_takes_are_one_clear_error(tmp_path, table, pattern, says):
+    file = tmp_path / ("none.csv" if table == "none" else "takes.csv")
+    if table != "none":
+        file.write_text(table or "id,take\n")
+    more = parts("x/same", "y/same") if table and "same" in table else []
     with pytest.raises(CorpusError, match=says):
-        prepare(sessions, **options)
+        name_takes(parts() + more, pattern, None if table is None else file)
+
+
+def test_neighbours_are_counted_by_the_takes_of_the_training_split():
+    def item(name: str, split: str, take: str, motion: Path | None = Path("/in/a.bvh")) -> Item:
+        return Item(id=name, take=take, split=split, audio=Path("/in/a.wav"), motion=motion,
+                    duration=1.0)  # fmt: skip
+
+    items = [
+        *(item("a", "train", "in/t1"), item("b", "train", "t2"), item("c", "test", "in/t1")),
+        *(item("d", "test", "t3"), item("e", "valid", "t2"), item("f", "test", "t2", None)),
+        item("g", "train", "t3", None),
+    ]
+    assert "of the same take (t1, t2): 2 of 3. They flatter" in neighbours(items)
+    assert "of the same take (t1): 1 of 2. They" in neighbours(items, "test")
+    assert "of the same take (t2): 1 of 1. They" in neighbours(items, "valid")
+    assert neighbours(items, "train") == neighbours(items[3:4]) == neighbours([]) == ""
 
 
 @pytest.mark.parametrize(
