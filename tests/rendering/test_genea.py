@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,11 +59,14 @@ def test_every_fault_is_named(beat2, submission, tmp_path):
     good.save(tmp_path / "2_scott_0_1_1_s2.npz")
     good[:44].save(tmp_path / "2_scott_0_1_1_s3.npz")
     (tmp_path / "1_wayne_0_86_87_s1.npz").write_bytes(b"no npz")
+    with pytest.warns(UserWarning, match="refuses 25 fps"):
+        replace(good, fps=25.0).save(tmp_path / "1_wayne_0_86_87_s3.npz")
     faults = check(tmp_path, sounds, "smplx", 3)
     assert len(faults) == 5
     text = "\n".join(faults)
     assert "2_scott_0_1_1_s2.npz: the same motion as another sample" in text
     assert "2_scott_0_1_1_s3.npz: 44 frames; the sound has 45 at 30 fps" in text
+    assert "1_wayne_0_86_87_s3.npz: 25 fps; 30 are asked for" in text
     assert "1_wayne_0_86_87_s2.npz: missing" in text and "1_wayne_0_86_87_s1.npz: " in text
     (fault,) = check(submission, {"2_scott_0_1_1": sounds["2_scott_0_1_1"]}, "smplh", 2)[:1]
     assert "55 joints; smplh has 52" in fault

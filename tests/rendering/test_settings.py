@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import soundfile
 
 import audio_features as af
 from gesturekit.corpus import Item
@@ -195,6 +196,29 @@ def test_progress_goes_on_with_each_result(model, tmp_path, sound):
 def test_an_avatar_that_is_not_there_is_refused_before_any_work():
     with pytest.raises(FormatError, match=r"none\.vrm"):
         Output(body="none.vrm")
+
+
+def test_faults_of_a_sound_are_warned_about_but_for_silence_which_the_model_names(
+    model, tmp_path, caplog
+):
+    samples = np.full(8000, 0.3)
+    samples[2000:2100] = 1.0  # at a constant level, off zero, and clipped
+    out = tmp_path / "out"
+    out.mkdir()
+    for name, values in {"loud": samples, "silent": np.zeros(8000)}.items():
+        soundfile.write(tmp_path / f"{name}.wav", values, 16_000)
+        assert extraction(out)(Result(Task(name, tmp_path / f"{name}.wav"))).error is None
+    texts = [record.getMessage().replace(str(tmp_path), "") for record in caplog.records]
+    clipped, offset, silent = (text.partition(": ") for text in texts)
+    assert clipped[0] == offset[0] == "/loud.wav" and silent[0] == "/silent.wav"
+    assert clipped[2].startswith("clipped: ") and "the first at 0.12 s" in clipped[2]
+    assert offset[2].startswith("DC offset of +30") and silent[2].startswith("silence: ")
+    caplog.clear()
+    for name in ("loud", "silent"):
+        made = renderer(model, out, Output("npz"))(Result(Task(name, tmp_path / f"{name}.wav")))
+        assert made.error is None
+    again = [record.getMessage().replace(str(tmp_path), "") for record in caplog.records]
+    assert [text for text in again if text in texts] == texts[:2]
 
 
 class Levels:
