@@ -145,7 +145,8 @@ def test_original_zeggs_is_aligned_trimmed_and_masked(tmp_path, write_bvh, write
     for take in ("001_Neutral_0", "002_Neutral_1", "003_Neutral_2"):
         write_bvh(original / f"{take}.bvh", 3.0, 60.0)
         write_speech(original / f"{take}.wav", 5.0)
-        write(original / f"{take}.csv", "#,Start,End\nR1,00:02.250,00:02.500\nM1,00:03.0,00:09.0\n")
+        turns = "R1,00:02.250,00:02.500,yes\nM1,00:03.0,00:09.0,no\n"
+        write(original / f"{take}.csv", f"#,Start,End,Text\n{turns}")
     rows = info_row("001_Neutral_0", "Neutral", "FALSE") + info_row("003_Neutral_2", "Sad", "TRUE")
     write(tmp_path / "info.csv", INFO + rows)
     write(original / "003_Neutral_2.csv", "#,Start,End\nR1,soon,00:02.500\n")

@@ -56,8 +56,8 @@ def test_emotions_of_beat2_follow_the_number_of_the_first_sentence(tmp_path, tou
 
 
 def test_files_that_beat2_lacks_are_errors_and_words_that_it_lacks_are_not(tmp_path, touch):
-    rows = "1_ann_0_1_1,train\n1_ann_0_2_2,test\n1_ann_0_3_3,test\n1_ann_0_4_4,val\nodd,train\n"
-    touch("train_test_split.csv", f"id,type\n{rows}1_ann_0_5_5,additional\n")
+    rows = "1_ann_0_1_1,train\nodd,train\n1_ann_0_5_5,additional\n1_ann_0_2_2,test\n"
+    touch("train_test_split.csv", f"id,type\n{rows}1_ann_0_3_3,test\n1_ann_0_4_4,val\n")
     touch("smplxflame_30/1_ann_0_3_3.npz smplxflame_30/1_ann_0_4_4.npz smplxflame_30/z.npz")
     touch("smplxflame_30/1_ann_0_5_5.npz wave16k/b.wav wave16k/1_ann_0_1_1.wav")
     touch("wave16k/1_ann_0_2_2.wav wave16k/1_ann_0_4_4.wav sem/1_ann_0_4_4.txt")
@@ -71,7 +71,7 @@ def test_files_that_beat2_lacks_are_errors_and_words_that_it_lacks_are_not(tmp_p
     assert [set(one.conditions) for one in found.recordings] == [{"words"}, {"semantics"}]
     index = "train_test_split.csv"
     odd, *rest = problems(found)
-    assert odd[:2] == ("error", index) and "line 6: id 'odd' is no SPEAKER_NAME" in odd[2]
+    assert odd[:2] == ("error", index) and "line 3: id 'odd' is no SPEAKER_NAME" in odd[2]
     lost = "1_ann_0_1_1.{0}, 1_ann_0_{1}.{0}"
     assert rest == [
         ("error", index, f"not there: 2 npz files: {lost.format('npz', '2_2')}"),
@@ -218,16 +218,17 @@ def test_runs_of_valid_frames_of_a_second_are_recordings_of_their_own(tmp_path, 
 
 
 def test_cleaned_files_of_zeggs_come_before_the_original_ones(tmp_path, touch):
-    touch("clean/001_Sad_0_x_1_0.bvh clean/001_Sad_0_x_1_0.wav original/002_Sad_1.bvh")
-    touch("clean/001_Sad_0_mirror_x_1_0.bvh clean/001_Sad_0_mirror_x_1_0.wav clean/z.bvh")
-    touch("clean/001_Sad_0_x_1_1.bvh clean/003_Old_0_x_1_0.bvh clean/y.wav")
+    touch("z/clean/001_Sad_0_x_1_0.bvh z/clean/001_Sad_0_x_1_0.wav z/original/002_Sad_1.bvh")
+    touch("z/clean/001_Sad_0_mirror_x_1_0.bvh z/clean/001_Sad_0_mirror_x_1_0.wav z/clean/z.bvh")
+    touch("z/clean/001_Sad_0_x_1_1.bvh z/clean/003_Old_0_x_1_0.bvh z/clean/y.wav")
     rows = "".join(
         f"a,0:0:0:0,0:0:0:0,{style},0:0:0:0,0:0:1:0,{take}.bvh,{valid}\n"
         for take, style, valid in (("001_Sad_0", "Grief", "true"), ("004_Old_1", "Old", "False"),
                                    ("005_Old_1_mirror", "Old", "False"))
     )  # fmt: skip
-    touch("info.csv", INFO + rows)
-    for folder in (tmp_path, tmp_path / "clean"):  # with the table above it
+    touch("z/info.csv", INFO + rows)
+    # The folder that holds it, its own, and the one below the table.
+    for folder in (tmp_path, tmp_path / "z", tmp_path / "z" / "clean"):
         found = read_layout("zeggs", folder)
         (one,) = found.recordings
         assert (one.id, one.style, one.split) == ("001_Sad_0_x_1_0", "Grief", "valid")
@@ -239,7 +240,7 @@ def test_cleaned_files_of_zeggs_come_before_the_original_ones(tmp_path, touch):
             ("error", "info.csv", "not there: 1 take of info.csv: 004_Old_1"),
         ]  # fmt: skip
         assert names(found.left_over) == ["z.bvh", "y.wav"] and found.fps == 60
-    (tmp_path / "info.csv").unlink()
+    (tmp_path / "z" / "info.csv").unlink()
     found = read_zeggs(tmp_path)
     assert (found.recordings[0].style, found.recordings[0].split) == ("Sad", None)
     assert problems(found)[-1][0] == "note" and "no published split" in problems(found)[-1][2]
