@@ -61,8 +61,10 @@ def test_every_fault_is_named(beat2, submission, tmp_path):
     (tmp_path / "1_wayne_0_86_87_s1.npz").write_bytes(b"no npz")
     with pytest.warns(UserWarning, match="refuses 25 fps"):
         replace(good, fps=25.0).save(tmp_path / "1_wayne_0_86_87_s3.npz")
-    faults = check(tmp_path, sounds, "smplx", 3)
-    assert len(faults) == 5
+    broken = tmp_path / "broken.wav"
+    broken.write_text("no sound")
+    unreadable, *faults = check(tmp_path, {"broken": broken, **sounds}, "smplx", 3)
+    assert str(broken) in unreadable and len(faults) == 5
     text = "\n".join(faults)
     assert "2_scott_0_1_1_s2.npz: the same motion as another sample" in text
     assert "2_scott_0_1_1_s3.npz: 44 frames; the sound has 45 at 30 fps" in text
