@@ -151,7 +151,7 @@ class MetricAgreement:
         key: key of `definitions`.
         kendall: Kendall's tau-b over systems; 1 is the order of people.
         low, high: 95 % interval of Kendall's tau over systems, raters and clips; None with fewer
-            than 5 systems.
+            than 6 systems.
         spearman: Spearman's rho.
         accuracy: share of the pairs of systems whose scores differ significantly that the metric
             orders as people do; ties count half. 0.5 by chance; None without such a pair.

@@ -6,6 +6,7 @@ import importlib.util
 import sys
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,8 +17,20 @@ from scipy.stats import kendalltau, spearmanr, ttest_1samp
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import read_ratings
+from gesturekit.evaluation.definitions import DEFINITIONS
+from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.pairs import ItemInterval, Pair
-from gesturekit.evaluation.results import ClipResult, Interval, MetricResult, ModelResult
+from gesturekit.evaluation.report.agreement_table import agreement_lines
+from gesturekit.evaluation.results import (
+    Agreement,
+    ClipResult,
+    Evaluation,
+    Interval,
+    MetricAgreement,
+    MetricResult,
+    ModelResult,
+    QuestionAgreement,
+)
 from gesturekit.evaluation.statistics.agreement import (
     agreement,
     chance_range,
@@ -27,6 +40,7 @@ from gesturekit.evaluation.statistics.agreement import (
 from gesturekit.evaluation.statistics.answers import GENEA_COLUMNS, Answer
 from gesturekit.evaluation.statistics.ratings import Ratings
 from gesturekit.evaluation.statistics.scores import scores_of
+from gesturekit.wording import printable
 
 
 def model(label: str, **values: float) -> ModelResult:
@@ -281,6 +295,66 @@ def test_several_questions_and_systems_that_one_side_lacks(tmp_path):
         "left out, as they were in the study and not evaluated: x",
         "question 'third' left out: ratings of fewer than 3 systems",
     )
+
+
+def test_six_systems_have_an_interval_and_five_have_none(tmp_path):
+    quality = dict(zip("abcdef", (9.0, 6.0, 4.0, 2.0, 0.0, -3.0)))
+    models = [model(name, sync=level) for name, level in quality.items()]
+    for count in (6, 5):
+        rated_by_people = study(tmp_path / "x.csv", dict([*quality.items()][:count]))
+        (metric,) = agreement(models[:count], rated_by_people).questions[0].metrics
+        assert (metric.n, metric.low is None, metric.high is None) == (count, *[count < 6] * 2)
+
+
+@pytest.mark.parametrize("question", ["human-like", ""])
+def test_notes_on_ratings_name_their_question(tmp_path, question):
+    """Raters of one system each, whose means cannot be removed."""
+    lines = [(f"{s}{k}", s, k % 4, question, v + k) for s, v in (("a", 9), ("b", 5), ("c", 1))
+             for k in range(4)]  # fmt: skip
+    models = [model(name, sync=0.1 * k) for k, name in enumerate("abc")]
+    note = "raters do not connect the systems: rater means were not removed"
+    found = agreement(models, rated(tmp_path / "x.csv", lines)).notes
+    assert found == ((f"{question}: {note}",) if question else (note,))
+
+
+def test_the_table_of_a_question_has_its_chance_and_a_row_for_each_metric():
+    sync = MetricAgreement("sync", 0.8, 0.1, 0.95, 0.9, 0.75, 8, 6, 0.733)
+    reach = MetricAgreement("reach", -0.5, None, None, -0.25, None, 0, 4, 1.0)
+    asked = QuestionAgreement("human\n-like", {"b": -1.5, "a\n": 12.345}, 1, 2, 30, (sync, reach))
+    alone = QuestionAgreement("", {"a": 1.0}, 3, 1, 1, (replace(reach, n=3),))
+    nothing = replace(alone, metrics=())
+
+    def lines(*questions: QuestionAgreement) -> list[str]:
+        found = Agreement(questions)
+        return agreement_lines(
+            Evaluation([], Path(), 25.0, "", {}, SpeedHistogram(), np.zeros(0), agreement=found)
+        )
+
+    names = [DEFINITIONS[key].name for key in ("sync", "reach")]
+    width = max(map(len, [*names, "Metric"]))
+    empty, title, people, *chance, outside, head, first, second = lines(asked)
+    question, name = printable("human\n-like"), printable("a\n")
+    assert empty == "" and people == f"People's scores: {name} +12.3, b -1.5."
+    assert title == f"Agreement with people on {question}: 1 rater, 2 clips, 30 ratings."
+    assert chance == [
+        "Chance, 6 systems: 95 % of random orders have a tau between -0.73 and +0.73; pairwise "
+        "accuracy 50 %.",
+        "Chance, 4 systems: 95 % of random orders have a tau between -1.00 and +1.00; pairwise "
+        "accuracy 50 %. These are too few systems: any order may be chance.",
+    ]
+    assert outside == "One metric in 20 is outside that range by chance alone."
+    cells = ("Kendall's tau [95 %]", "Spearman's rho", "pairs in order", "systems")
+    assert head == f"  {'Metric':<{width}}  " + "  ".join(cells)
+    assert first == (
+        f"  {names[0]:<{width}}  +0.80 [+0.10, +0.95]  +0.90           75% of 8        6"
+    )
+    assert second == f"  {names[1]:<{width}}  -0.50{'':15}  -0.25           none differ     4"
+    _, title, _, chance, head, row, _, _, _, none = lines(alone, nothing)
+    assert title == "Agreement with people: 3 raters, 1 clip, 1 rating."
+    assert "One metric" not in chance and head.startswith("  Metric") and row.endswith("3")
+    assert none == "No metric can be compared: the values, or people's scores, are all equal."
+    nobody = Evaluation([], Path(), 25.0, "", {}, SpeedHistogram(), np.zeros(0))
+    assert agreement_lines(nobody) == []
 
 
 def test_other_names_of_columns_are_read(tmp_path):
