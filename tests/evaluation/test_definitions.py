@@ -9,7 +9,7 @@ import re
 
 import pytest
 
-from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, definitions_of
+from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, Variants, definitions_of
 from gesturekit.evaluation.measuring.clips import RecordedSound
 from gesturekit.evaluation.measuring.inputs import ClipInputs, SetInputs
 
@@ -44,3 +44,22 @@ def test_entries_are_consistent():
         assert definition.enough in ("", "at least", "at most"), definition.key
         assert set(definition.shown) <= {"clips", "ratios", "ranking"}, definition.key
         assert not definition.mismatched or definition.of == "comparison", definition.key
+
+
+def test_definitions_are_filled_with_frames_seconds_and_the_variant():
+    coverage, bas = DEFINITIONS["coverage"], DEFINITIONS["bas"]
+    usual, paper = coverage.at(25, Variants()), coverage.at(30, Variants("paper", 2.5))
+    assert usual.variant == "ganimator: 30 frames (1.20 s), 2"
+    assert usual.text == (
+        "Share of the recording's windows of 30 frames (1.20 s) whose nearest window of the "
+        "generated motion is less than 2 away (mean L2 norm per frame of 6D rotations and "
+        "contacts)."
+    )
+    assert paper.variant == "paper: 30 frames (1.00 s), 2.5"
+    assert "windows of 30 frames (1.00 s) whose" in paper.text and "Frobenius" in paper.text
+    assert "less than 2.5 away" in paper.text
+    assert [bas.at(25, Variants(bas=name)).fps_bound for name in ("seconds", "bailando")] == [
+        False, True
+    ]  # fmt: skip
+    assert (usual.key, usual.unit, usual.title) == ("coverage", "%", "Coverage, %")
+    assert DEFINITIONS["sync"].at(25, Variants("paper")).title == "Sync"
