@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import re
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -22,9 +23,10 @@ from gesturekit.evaluation.measuring.rigs import RETARGETED
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.metrics.physical import acceleration, jerk
 from gesturekit.evaluation.pairs import Excluded, Pair, Pairs
-from gesturekit.evaluation.report.page import without_folders
+from gesturekit.evaluation.report.page import without_folders, write_report
 from gesturekit.evaluation.report.showcase import best_and_worst
 from gesturekit.evaluation.results import (
+    Agreement,
     ClipResult,
     Evaluation,
     Finding,
@@ -32,6 +34,7 @@ from gesturekit.evaluation.results import (
     Level,
     MetricResult,
     ModelResult,
+    QuestionAgreement,
 )
 
 
@@ -301,3 +304,44 @@ def test_a_clip_is_shown_for_twenty_seconds_beside_other_models_and_the_recordin
     for one, seconds in zip(values, (20.0, 12.0), strict=True):
         sound, _ = soundfile.read(io.BytesIO(base64.b64decode(one["audio"]["data"])))
         assert len(sound) / 16000 == pytest.approx(seconds, abs=0.01)
+
+
+def test_the_page_has_its_facts_its_warnings_and_the_study(tmp_path):
+    """Two models of one name in two folders, without any metric."""
+    clips = [result_of(f"x_s{k}", "x", 1.4) for k in range(2)]
+    lost = [Excluded("y", "damaged"), Excluded("z", "no feet", "foot_skate")]
+    models = [
+        ModelResult("/runs/one/ours", Path("a"), clips=clips, excluded=lost, notes=["odd", "late"]),
+        ModelResult("/runs/two/ours", Path("b"), clips=clips[:1], notes=["odd"]),
+    ]
+    asked = QuestionAgreement("like?", {"a": 1.0}, 3, 2, 6, ())
+    found = replace(
+        evaluation(*models, versions={"numpy": "1", "scipy": "2"}),
+        protocol="lda", reference=Path("recorded"),
+        agreement=Agreement((asked,), ("left out <b>",)),
+    )  # fmt: skip
+
+    def shown(**options) -> str:
+        write_report(found, tmp_path / "page.html", **options)
+        text = (tmp_path / "page.html").read_text(encoding="utf-8")
+        return re.sub(r"<(style|script).*?</\1>", "", text, flags=re.S)
+
+    text = shown()
+    assert "<title>ours (1), ours (2) against recorded<" in text
+    facts = ("protocol lda", "1 recording", found.basis.rstrip("."), "seed 0")
+    assert "".join(f"<span>{fact}</span>" for fact in facts) in text
+    warnings = re.findall('<p class="warning">(.*?)</p>', text)
+    assert warnings[-3:] == [
+        "ours (1): left out: 1 clip; the reasons are below.",
+        "ours (1), ours (2): odd.",
+        "ours (1): late.",
+    ]
+    assert "numpy 1, scipy 2" in text and "Made by" not in text and "/runs" not in text
+    assert "left out &lt;b&gt;." in text and "<pre>Agreement with people on like?: 3 rat" in text
+    assert "Best and worst clips" not in text
+    found = replace(found, models=found.models[:1], protocol="", agreement=None)
+    text = shown(title="<T> /a/b/c", command="gesturekit evaluate <x>")
+    assert "<title>&lt;T&gt; c<" in text and "<span>protocol" not in text
+    assert "Made by <code>gesturekit evaluate &lt;x&gt;</code>" in text
+    assert '<p class="warning">odd.</p><p class="warning">late.</p>' in text
+    assert "Agreement" not in text and "ours" in text and "ours (1)" not in text
