@@ -110,6 +110,16 @@ def test_a_voice_and_arms_that_rise_and_fall_together_slowly_are_no_shift(talk):
 
 def test_neither_level_nor_frame_rate_matters(talk):
     motion, wave = talk(90, 1.0), voice(90)
+    usual = correlate(motion, wave)
+    flat = (
+        0.02
+        * np.exp(0.5 * level(90, RATE, 0))
+        * np.random.default_rng(0).standard_normal(len(wave.samples))
+    )
+    # Half the contrast of loud and soft has the same correlation, and the same one by chance.
+    even = correlate(motion, replace(wave, samples=flat))
+    np.testing.assert_allclose(even.values, usual.values, atol=0.05)
+    assert usual.values.max() > 0.5 and even.sd == pytest.approx(usual.sd, rel=0.05)
     quiet = replace(wave, samples=0.1 * wave.samples)
     for found in (correlate(motion, quiet), correlate(motion.resample(60), wave)):
         assert found.shift == pytest.approx(1.0, abs=0.06) and found.is_clear

@@ -142,6 +142,7 @@ def test_the_first_difference_of_two_rigs_is_described():
         (rig_of({**usual, **arm}), rig, "4 joints here and 3 in the others.* more is 'Arm'"),
         (rig, rig_of({**usual, **arm}), "3 joints here and 4 in the others.* more is 'Arm'"),
         (hanging, rig, "'Head' is under 'Hips' here and under 'Spine' in the others"),
+        (rig, hanging, "'Head' is under 'Spine' here and under 'Hips' in the others"),
         (rig_of({"Root": usual["Hips"]}), rig, "joint 0 is 'Root' here and 'Hips' in"),
     ):
         found = first_difference(one, other)
