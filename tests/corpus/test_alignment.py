@@ -272,6 +272,10 @@ def test_the_corpus_is_warned_of_and_recordings_that_are_apart_from_it():
     )
     # Alone it would be as far as is notable, and of the corpus it is not.
     assert [one.file for one in shift_problems([(a, peak(25, 1.0)), (b, peak(21, 0.9))])] == [None]
+    # A quarter of a second before is notable; the many frames of the other say nothing.
+    silent = peak(0, 0.1, sd=1.0, n_frames=9000)
+    (one,) = shift_problems([(a, peak(-10, 1.0)), (b, silent)])
+    assert one.file == a and one.message.startswith("the motion comes 0.25 s before the sound")
     assert shift_problems([]) == [] and shift_problems([(a, peak(-4, 1.0))]) == []
 
 

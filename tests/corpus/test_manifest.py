@@ -103,7 +103,10 @@ def test_saving_elsewhere_keeps_pointing_at_the_same_files(tmp_path):
         ({"conditions": {"path": 1}}, r"conditions\['path'\] must be a path"),
         ({"audible": [[2, 1]]}, r"audible has \(2.*, 1.*\); expected START, END"),
         ({"audible": [[0, 1], [-1, 2]]}, r"audible has \(-1.*, 2.*\); expected START, END"),
-        ({"audible": [[0, 1], [0, 1e308, 2]]}, "audible"),
+        ({"audible": [[0, 1], [0, 1e308, 2]]}, r"audible must be a list of \[start, end\]"),
+        ({"audible": [[0, 10**400]]}, r"audible must be a list of \[start, end\] in seconds"),
+        ({"audible": [["a", 2]]}, r"audible must be a list of \[start, end\] in seconds"),
+        ({"audible": [3]}, r"audible must be a list of \[start, end\] in seconds"),
         ({"id": "../../etc/a"}, "cannot be used"),
         ({"id": "a\nb"}, "cannot be used"),
     ],
@@ -139,6 +142,8 @@ def test_an_id_used_twice_names_both_lines(tmp_path):
         (b'{"schema": 1}\n{"id": 1, "id": 2}\n', "m.jsonl:2: .*'id' is given twice"),
         (b'{"schema": 1}\n' + b"[" * 100_000 + b"\n", "m.jsonl:2: not a line of JSON"),
         (b'{"schema": 1}\n' + b" " * 3_000_000, "m.jsonl:2: line longer"),
+        (b'{"schema": 1}\n' + b" " * (1 << 20) + b"\n", "m.jsonl:2: line longer"),
+        (b'{"schema": 1}\n' + b" " * ((1 << 20) - 1) + b"\n[1]\n", "m.jsonl:3: expected a JSON"),
     ],
 )
 def test_files_that_are_not_manifests_are_refused(tmp_path, content, message):
@@ -160,6 +165,8 @@ def test_items_are_found_by_kind_and_split(tmp_path):
     assert [item.id for item in manifest.motion_alone()] == ["dance"]
     with pytest.raises(CorpusError, match="speech alone"):
         manifest.unpaired()[0].load_motion()
+    with pytest.raises(CorpusError, match="'dance' has no audio: it is motion alone"):
+        manifest.motion_alone()[0].load_wave()
     with pytest.raises(CorpusError, match="'dev'"):
         manifest.paired("dev")
 
@@ -295,7 +302,9 @@ def test_an_interval_begins_and_ends_at_the_nearest_frames(tmp_path, gesture):
     item = Item(
         id="a", audio=None, motion=tmp_path / "a.npz", motion_start=0.45 / 30, duration=10.55 / 30
     )
-    for start, duration, first, last in ((0.45, 10.55, 0, 11), (0.55, 10.45, 1, 11)):
+    for start, duration, first, last in (
+        (0.45, 10.55, 0, 11), (0.55, 10.45, 1, 11), (1.0, 59.0, 1, 60), (0.0, 59.0, 0, 59)
+    ):  # fmt: skip
         part = replace(item, motion_start=start / 30, duration=duration / 30).load_motion()
         np.testing.assert_allclose(part.rotations, whole.rotations[first:last], atol=1e-6)
     with pytest.raises(CorpusError, match="frames 60 to 61 of"):

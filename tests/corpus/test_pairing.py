@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from math import inf, nan
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gesturekit.corpus.pairing import pair, recording_ids, scan
+from gesturekit.corpus.pairing import Found, pair, recording_ids, scan
 from gesturekit.corpus.splits import as_intervals, choose_held_out, cut, parse_intervals
 from gesturekit.errors import CorpusError
 
@@ -92,6 +93,19 @@ def test_takes_of_equal_names_in_two_folders_stay_apart_and_get_ids_of_their_own
     result, _ = paired(tmp_path / "one", tmp_path / "two")
     assert [a.path.parent == b.path.parent for a, b in result.pairs] == [True, True]
     assert sorted(recording_ids([a for a, _ in result.pairs])) == ["one/a", "two/a"]
+
+
+def test_ids_of_folders_of_one_name_are_numbered():
+    folders = [Path(f"/{n}/day") for n in "abc"]
+    found = [Found("x", folder / "x.wav", folder) for folder in folders]
+    assert recording_ids(found) == ["day/x", "day/x_2", "day/x_3"]
+    # Names that are there already are passed over; the root has no name.
+    more = [
+        Found("day/x_2", Path("/day/x_2.wav"), Path("/")),
+        Found("x", Path("/x.wav"), Path("/")),
+    ]
+    assert recording_ids(more + found[:2]) == ["day/x_2", "root/x", "day/x", "day/x_3"]
+    assert recording_ids(more) == ["day/x_2", "x"] and recording_ids([]) == []
 
 
 def test_features_and_body_models_are_not_taken_for_motion(tmp_path, capsule_body):

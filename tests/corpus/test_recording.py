@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs import rig_of, with_offsets
+from rigs import rig_of, with_offsets, without_joints
 from scipy.spatial.transform import Rotation
 
 from gesturekit.corpus.checks import (
@@ -95,6 +95,16 @@ def test_arms_of_a_t_pose_are_straight_and_opposite(skeleton):
     ):
         assert reference_pose(bent(skeleton, **degrees)) == (0, 0), degrees
     assert reference_pose(bent(skeleton, LeftForeArm=-20)) == (20, 20)
+    # Arms that hang by 20 degrees, one forearm by some more: straight, but not level.
+    for more, frames in ((4, (20, 20)), (10, (0, 0))):
+        motion = held(skeleton, np.full(20, 20))
+        joint = skeleton.index("LeftForeArm")
+        turn = Rotation.from_euler("z", -more, degrees=True)
+        own = Rotation.from_quat(motion.rotations[:, joint])
+        motion.rotations[:, joint] = (turn * own).as_quat()
+        assert reference_pose(motion) == frames, more
+    # Without hands the upper arms alone are looked at.
+    assert reference_pose(without_joints(held(skeleton, np.zeros(30), step=0.4), "Hand")) == (12, 1)
 
 
 @pytest.mark.parametrize(("size", "frames"), [(1.0, (12, 18)), (2.0, (30, 30))])
