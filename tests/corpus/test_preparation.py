@@ -161,13 +161,13 @@ def test_a_motion_that_is_t_pose_throughout_is_warned_about_and_not_trimmed(tmp_
 def test_frozen_motion_is_warned_about(tmp_path, write_pairs, gesture):
     motion = gesture(4.0)
     rotations = motion.rotations.copy()
-    rotations[30:75] = rotations[30]
+    rotations[40:80] = rotations[40]
     still = np.broadcast_to(rotations[:1], rotations.shape).copy()
     write_pairs(part=replace(motion, rotations=rotations), whole=replace(motion, rotations=still))
     report = prepare(tmp_path, holdout=0.0)
     assert [item.id for item in report.manifest] == ["part", "whole"] and report.is_complete
     part, whole = texts(report, "warning")
-    assert part == f"{tmp_path / 'part.bvh'}: frozen (no joint moves at all) from 1.00 s to 2.50 s"
+    assert part == f"{tmp_path / 'part.bvh'}: frozen (no joint moves at all) from 1.33 s to 2.67 s"
     assert "all 120 frames hold one and the same pose" in whole
 
 
