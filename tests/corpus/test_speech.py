@@ -8,7 +8,15 @@ from threadpoolctl import ThreadpoolController
 
 import audio_features as af
 import gesturekit as gk
-from gesturekit.corpus.speech import SpeechConditioner, detects_voice, extract
+from gesturekit.corpus.speech import (
+    SpeechConditioner,
+    as_speech,
+    detects_voice,
+    extract,
+    speech_features,
+    to_output_rate,
+)
+from gesturekit.errors import ModelError
 
 
 def voice(seconds: float, *, level: float = 0.1, swing: float = 1.0, seed: int = 0) -> af.Wave:
@@ -269,3 +277,52 @@ def test_long_clips_are_normalised_as_short_ones(length):
     expected = (values - [1, 2, 3]) / [1, 2, 4]
     found = SpeechConditioner(*about).scaled(values, about[3])
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
+
+
+def test_speech_or_seconds_are_asked_for_and_not_both(conditioner):
+    wave = voice(1.0)
+    for given, says in (
+        ((None, wave, None), "takes no speech; give seconds instead"),
+        ((conditioner, wave, 1.0), "cannot be combined with speech"),
+        ((conditioner, None, None), "give speech, or seconds for idle motion"),
+        ((None, None, None), "nothing to generate from: give seconds$"),
+        ((None, None, "2"), "seconds='2': give a number"),
+        *(
+            ((model, None, seconds), rf"seconds={seconds}: must be at least one frame \(0.04 s\)")
+            for seconds in (0.0199, 0, -1.0, np.nan, np.inf)
+            for model in (None, conditioner)
+        ),
+        ((None, None, 86_401), "seconds=86401: at most 86400"),
+    ):
+        with pytest.raises(ModelError, match=says):
+            speech_features(*given, fps=25.0)
+    assert speech_features(None, None, 0.02, 25.0).shape == (1, 0)
+    assert speech_features(None, None, 86_400, 0.01).shape == (864, 0)
+    silent = speech_features(conditioner, None, 0.42, 25.0)
+    assert np.array_equal(silent, conditioner.silence(11))
+    assert np.array_equal(speech_features(conditioner, wave, None, 25.0), conditioner(wave, 25))
+    assert len(speech_features(conditioner, wave.slice(0.0, 0.05), None, 10.0)) == 1
+    with pytest.raises(ModelError, match="the speech: 0.049 s is shorter than half a frame at 10"):
+        speech_features(conditioner, wave.slice(0.0, 0.049), None, 10.0)
+
+
+def test_an_array_needs_a_rate_and_nothing_else_has_one():
+    samples, wave = np.zeros(8000), voice(0.1)
+    for given in ((samples, 4000), ((samples, 4000), None), (np.zeros((8000, 2)), 4000)):
+        assert as_speech(*given).duration == 2.0
+    assert as_speech(wave, None) is wave and as_speech("a.wav", None) == "a.wav"
+    assert as_speech(None, None) is None
+    for speech, says in ((wave, "a file or a Wave has its own"), ("a.wav", "its own rate"),
+                         (None, "sample_rate=4000 .*: no speech is given")):  # fmt: skip
+        with pytest.raises(ModelError, match=says):
+            as_speech(speech, 4000)
+
+
+def test_motion_at_another_rate_is_as_long_as_was_asked_for(gesture):
+    motion = gesture(1.0, 25.0)
+    assert to_output_rate(motion, 25.0, None, 9.0) is motion
+    wave = voice(1.01)
+    for given, frames in (((wave, None), 51), ((None, 0.99), 50), ((None, 0.989), 49),
+                          ((None, 0.001), 1), ((None, None), 50)):  # fmt: skip
+        found = to_output_rate(motion, 50.0, *given)
+        assert (found.fps, found.n_frames) == (50.0, frames)

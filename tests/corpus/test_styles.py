@@ -16,6 +16,7 @@ NAMES = ("angry", "old", "sad")
         ("angry@0-3,old@3-10", "aaaooooooo"),  # the frame at 3 s is the first of `old`
         ("old@3-10,angry@0-3", "aaaooooooo"),
         ("angry@0-2,old@8-10", "aaaaaooooo"),  # between the spans the nearest one applies
+        ("angry@0-2,old@7-10", "aaaaaooooo"),  # at 4 s the last frame, at 1 s, is as far as 7 s
         ("old@4-5", "oooooooooo"),
         ("angry@0-5,old@4-10", "aaaa?ooooo"),  # both, in equal parts
     ],
