@@ -267,3 +267,16 @@ def test_features_are_those_of_the_part_at_the_rate_that_is_asked_for(tmp_path, 
     assert files.input_of(Task("b")) == {}
     elsewhere = extraction(out, fps=25.0, cache="fp16").into(tmp_path)
     assert (elsewhere.out, elsewhere.cache, elsewhere.fps) == (tmp_path, None, 25.0)
+
+
+def test_features_of_words_depend_on_the_words_beside_the_sound(tmp_path, sound):
+    words, task = replace(extraction(tmp_path), extractor=af.Words()), Task("a", sound)
+    plain = {"input": hashlib.sha256(sound.read_bytes()).hexdigest()}
+    assert words.input_of(task) == plain | {"words": None}
+    beside = sound.with_suffix(".ctm")
+    beside.write_text("a 1 0.5 0.3 so\n")
+    digest = words.input_of(task)["words"]
+    assert digest is not None and extraction(tmp_path).input_of(task) == plain
+    beside.write_text("a 1 0.5 0.3 well\n")
+    assert digest != words.input_of(task)["words"] is not None
+    assert words.input_of(Task("b")) == {}
