@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import pytest
+
+from gesturekit.evaluation.definitions import GROUPS, Variants
 from gesturekit.evaluation.measuring import work
-from gesturekit.evaluation.measuring.measurer import ClipGroup, SetPart
+from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
+from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
+from gesturekit.evaluation.measuring.measurer import ClipGroup, Measurer, SetPart
 from gesturekit.evaluation.measuring.work import measure_all
 from gesturekit.evaluation.pairs import Pair
 
@@ -120,3 +126,86 @@ def test_what_two_processes_take_is_what_is_left_after_some_seconds(monkeypatch)
     monkeypatch.setattr(work, "IN_PROCESS_SECONDS", 60.0)
     found, done, _ = measured(set(), workers=2)
     assert handed == [] and len(done) == 5
+
+
+@pytest.fixture
+def measurer(tmp_path, gesture):
+    """measurer(**fields): three clips of three recordings, with their sounds; files of any kind."""
+    for k, name in enumerate("abc"):
+        for folder in ("made", "recorded"):
+            gesture(0.4, 10.0, seed=k).save(tmp_path / folder / f"{name}.npz")
+        (tmp_path / f"{name}.wav").write_text(f"sound {name}")
+    recorded = {name: tmp_path / "recorded" / f"{name}.npz" for name in "abc"}
+    pairs = [
+        Pair(name, name, None, tmp_path / "made" / path.name, path, path.parents[1] / f"{name}.wav")
+        for name, path in recorded.items()
+    ]
+    measure = ClipMetrics(ReferenceStatistics(), GROUPS, Variants())
+    usual = {"measure": measure, "pairs": {"ours": pairs}, "recordings": recorded, "fps": 10.0}
+    usual |= {"reference": tmp_path / "recorded", "length": 1.0, "features": None, "seed": 0}
+    return lambda **fields: Measurer(**usual | fields)
+
+
+def keys_of(one: Measurer, label: str = "ours") -> list[str | None]:
+    """Return the keys of all clips, and of both parts of the set."""
+    clips = [one.clip_key(label, k) for k in range(len(one.pairs[label]))]
+    return clips + [one.set_key(SetPart(label, part)) for part in ("frechet", "pooled")]
+
+
+def test_measurements_are_kept_by_all_that_they_depend_on(measurer):
+    usual = keys_of(measurer())
+    assert None not in usual and len(set(usual)) == 5 and keys_of(measurer()) == usual
+    measure = measurer().measure
+    known = ReferenceStatistics(mean_speed={"head": 1.0})
+    seen = [usual]
+    for change in (
+        {"fps": 11.0}, {"length": 2.0}, {"without": frozenset({"neck"})},
+        {"measure": replace(measure, groups=GROUPS[1:])}, {"measure": replace(measure, cheap=True)},
+        {"measure": replace(measure, variants=Variants("paper"))},
+        {"measure": replace(measure, statistics=known)},
+    ):  # fmt: skip
+        seen.append(keys_of(measurer(**change)))
+    assert len({key for keys in seen for key in keys}) == 5 * len(seen)
+    # A seed, and an extractor of features, matter to sets alone; a name to nothing.
+    for change in ({"seed": 1}, {"features": SimpleNamespace(fingerprint="x")}):
+        keys = keys_of(measurer(**change))
+        assert keys[:3] == usual[:3] and not set(keys[3:]) & set(usual)
+    pairs = measurer().pairs["ours"]
+    named = [replace(one, name=f"{one.name}_s1", stem=f"x{one.stem}", take=one.take)
+             for one in pairs]  # fmt: skip
+    recorded = {f"x{name}": path for name, path in measurer().recordings.items()}
+    assert keys_of(measurer(pairs={"other": named}, recordings=recorded), "other") == usual
+
+
+def test_a_change_of_a_file_changes_what_is_measured_with_it(measurer, tmp_path, gesture):
+    usual = keys_of(measurer())
+
+    def changed() -> str:
+        """Return a digit for each key: 1 for one that is another now, ? for none."""
+        keys = keys_of(measurer())
+        return "".join("?" if k is None else str(int(k != u)) for k, u in zip(keys, usual))
+
+    for path, digits in (
+        ("made/a.npz", "10011"),  # its clip, and the sets
+        ("recorded/a.npz", "10111"),  # and the clip that it is the next recording of
+        ("a.wav", "11111"),  # all clips are measured with the sounds of the others
+    ):
+        before = (tmp_path / path).read_bytes()
+        gesture(0.5, 10.0, seed=9).save(tmp_path / "new.npz")
+        (tmp_path / path).write_bytes((tmp_path / "new.npz").read_bytes())
+        assert changed() == digits, path
+        (tmp_path / path).unlink()
+        assert changed() == digits.replace("1", "?"), path
+        (tmp_path / path).write_bytes(before)
+    assert changed() == "00000"
+
+
+def test_windows_sounds_and_the_order_of_clips_are_parts_of_a_key(measurer):
+    usual, (a, b, c) = keys_of(measurer()), measurer().pairs["ours"]
+    for other in (replace(a, window=0), replace(a, audio=None), replace(a, semantic=a.audio)):
+        keys = keys_of(measurer(pairs={"ours": [other, b, c]}))
+        assert keys[0] != usual[0] and not set(keys[3:]) & set(usual[3:])
+    # A take of two clips, and clips of two recordings instead of one, are other sets.
+    same = keys_of(measurer(pairs={"ours": [a, replace(b, take=a.take), c]}))
+    assert same[:3] == usual[:3] and not set(same[3:]) & set(usual[3:])
+    assert not set(keys_of(measurer(pairs={"ours": [b, a, c]}))[3:]) & set(usual[3:])
