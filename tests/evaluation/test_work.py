@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+from gesturekit.corpus import Item
 from gesturekit.evaluation.definitions import GROUPS, Variants
 from gesturekit.evaluation.measuring import work
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
+from gesturekit.evaluation.measuring.content import content_of
 from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
 from gesturekit.evaluation.measuring.measurer import ClipGroup, Measurer, SetPart
 from gesturekit.evaluation.measuring.work import measure_all
-from gesturekit.evaluation.pairs import Pair
+from gesturekit.evaluation.pairs import ItemInterval, Pair
 
 
 class Stand:
@@ -209,3 +212,42 @@ def test_windows_sounds_and_the_order_of_clips_are_parts_of_a_key(measurer):
     same = keys_of(measurer(pairs={"ours": [a, replace(b, take=a.take), c]}))
     assert same[:3] == usual[:3] and not set(same[3:]) & set(usual[3:])
     assert not set(keys_of(measurer(pairs={"ours": [b, a, c]}))[3:]) & set(usual[3:])
+
+
+def test_the_content_of_an_item_is_that_of_its_files_and_how_they_are_read(tmp_path):
+    for name in ("a.wav", "a.bvh", "b.bvh"):
+        (tmp_path / name).write_text(name)
+    item = Item(id="a", take="t", audio=tmp_path / "a.wav", motion=tmp_path / "a.bvh", duration=1.0)
+
+    def content(**changes) -> str | None:
+        return content_of(ItemInterval(replace(item, **changes)))
+
+    usual = content()
+    labels = {"id": "b", "speaker": "ann", "style": "sad", "split": "test", "text": "so"}
+    assert content(**labels) == usual is not None
+    others = [
+        content(**change)
+        for change in (
+            {"duration": 2.0}, {"motion_start": 1.0}, {"audio_start": 1.0}, {"mirror": True},
+            {"channel": 1}, {"reading": {"height": 1.7}}, {"audible": ((0.0, 1.0),)},
+            {"conditions": {"words": tmp_path / "w"}}, {"audio": None}, {"motion": None},
+            {"motion": tmp_path / "b.bvh"},
+        )
+    ]  # fmt: skip
+    assert None not in others and len({usual, *others}) == len(others) + 1
+    assert content(motion=tmp_path / "none.bvh") is None
+    assert content_of(tmp_path / "none.bvh") is None
+    assert content_of(ItemInterval(_Made())) is None, "motion that is made in memory"
+    assert content_of(tmp_path / "a.bvh") != content_of(tmp_path / "b.bvh")
+    (tmp_path / "b.bvh").write_text("a.bvh")
+    assert content_of(tmp_path / "a.bvh") == content_of(tmp_path / "b.bvh")
+    (tmp_path / "a.wav").write_text("another sound")
+    assert content() not in (usual, None)
+
+
+@dataclass(frozen=True)
+class _Made:
+    id: str = "a"
+    audio: Path | None = None
+    motion: Path | None = None
+    load_motion: Callable[[], None] = print
