@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+from importlib import import_module
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from small_runs import small_diffusion
+from small_runs import small_config, small_diffusion
 
+from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import ConfigError
 from gesturekit.training.run import plan as module
 from gesturekit.training.run.folder import Run
@@ -120,3 +122,30 @@ def test_arrays_are_named_or_said_to_be_of_no_use(tmp_path, caplog):
         f"The arrays of {tmp_path / 'c.jsonl'} are ready in {tmp_path / 'c.arrays'}.",
         f"{tmp_path / 'c.jsonl'} is held in memory: it needs no arrays (see in_memory).",
     ]
+
+
+@pytest.mark.parametrize("system", ["diffusion", "multires"])
+def test_the_plan_of_a_long_corpus_is_made_from_half_a_minute_of_it(
+    tmp_path, gesture, monkeypatch, system
+):
+    """Eighty seconds of motion, of 5 frames a second."""
+    trainer = import_module(f"gesturekit.{system}.training.trainer")
+    read = {}
+
+    def log_plan(config: Any, data: Any, recordings: Any, trained_by: type) -> None:
+        read.update(data=data(), recordings=recordings(), trained_by=trained_by)
+
+    monkeypatch.setattr(trainer, "log_plan", log_plan)
+    gesture(80.0, 5.0).save(tmp_path / "a.npz")
+    Manifest([Item(id="a", audio=None, motion=tmp_path / "a.npz", duration=80.0)]).save(
+        tmp_path / "c.jsonl"
+    )
+    small = {"diffusion": small_diffusion, "multires": small_config}[system]
+    config = small(tmp_path / "c.jsonl", tmp_path / "run", {"features": None, "fps": 5})
+    trainer.plan_training(config)
+    found = read["recordings"]
+    assert sum(item.duration for item in found.items) == pytest.approx(30, abs=5)
+    assert found.lengths == (80.0, 0.0) and read["trained_by"] is trainer.Trainer
+    every = read["data"].recordings if system == "diffusion" else read["data"].paired
+    frames = sum(one.n_frames for one in every if "mirrored" not in one.name)
+    assert frames == pytest.approx(5 * 30, abs=25)
