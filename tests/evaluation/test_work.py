@@ -10,14 +10,16 @@ from types import SimpleNamespace
 import pytest
 
 from gesturekit.corpus import Item
-from gesturekit.evaluation.definitions import GROUPS, Variants
+from gesturekit.evaluation.definitions import FRECHET, GROUPS, Variants
 from gesturekit.evaluation.measuring import work
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.content import content_of
 from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
 from gesturekit.evaluation.measuring.measurer import ClipGroup, Measurer, SetPart
 from gesturekit.evaluation.measuring.work import measure_all
+from gesturekit.evaluation.metrics.frechet.frechet import raw_fgd
 from gesturekit.evaluation.pairs import ItemInterval, Pair
+from gesturekit.motion.parts import body_joints
 
 
 class Stand:
@@ -251,3 +253,41 @@ class _Made:
     audio: Path | None = None
     motion: Path | None = None
     load_motion: Callable[[], None] = print
+
+
+def test_recordings_have_a_distance_to_all_of_them_where_some_have_no_clip(
+    tmp_path, gesture, monkeypatch
+):
+    monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "cache"))
+    made, recorded = ([gesture(3.0, 30.0, seed=10 * k + s) for k in range(3)] for s in (0, 5))
+    paths = {}
+    for name, one, own in zip("abc", made, recorded, strict=True):
+        one.save(tmp_path / "made" / f"{name}.npz")
+        own.save(tmp_path / "recorded" / f"{name}.npz")
+        paths[name] = tmp_path / "recorded" / f"{name}.npz"
+    pairs = [Pair(name, name, None, tmp_path / "made" / path.name, path)
+             for name, path in paths.items()]  # fmt: skip
+    measure = ClipMetrics(ReferenceStatistics(), (FRECHET,), Variants())
+
+    def measured(pairs: list[Pair], part: str) -> dict:
+        one = Measurer(measure, {"ours": pairs}, paths, tmp_path / "recorded", 30.0, 1.0, None, 0)
+        return one.set(SetPart("ours", part))
+
+    whole = measured(pairs, "frechet")
+    distance = whole["metrics"]["raw_fgd"]
+    assert distance["recording"] is None
+    assert distance["interval"]["value"] == pytest.approx(raw_fgd(made, recorded).value)
+    some = measured([replace(pairs[0], name="a_s2"), *pairs[:2]], "frechet")["metrics"]["raw_fgd"]
+    assert some["recording"] == pytest.approx(raw_fgd(recorded[:2], recorded).value)
+    ours = raw_fgd([made[0], *made[:2]], recorded).value
+    assert some["interval"]["value"] == pytest.approx(ours)
+    # Clips of less than ten seconds have no features; each has 89 speeds of a joint.
+    assert {key for key, _ in whole["problems"]} == {"fid_k", "fid_g", "div_k", "div_g"}
+    n_joints = len(body_joints(made[0].skeleton))
+    for name in ("speeds", "recorded_speeds"):
+        assert sum(whole[name]["counts"]) + whole[name]["beyond"] == 3 * 89 * n_joints, name
+    assert whole["by_clip"] == whole["training_excluded"] == []
+    nothing = measured(pairs, "pooled")
+    assert nothing["metrics"] == {} and nothing["by_clip"] == [] and nothing["wrists"] == []
+    lost = measured([replace(pairs[0], generated=tmp_path / "none.npz")], "frechet")
+    assert lost["metrics"] == {} and lost["problems"] == []
