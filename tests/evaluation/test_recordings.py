@@ -12,7 +12,7 @@ import pytest
 
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import EvaluationError, MotionError
-from gesturekit.evaluation.definitions import MOVEMENT, PATCHES, POOLED, Variants
+from gesturekit.evaluation.definitions import MOVEMENT, PATCHES, POOLED, SIMILARITY, Variants
 from gesturekit.evaluation.measuring import speakers
 from gesturekit.evaluation.measuring.baselines import held, mean_pose
 from gesturekit.evaluation.measuring.ceilings import HALVES, OTHERS, PIECES, ceilings
@@ -20,18 +20,22 @@ from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import forget_files
 from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
 from gesturekit.evaluation.measuring.levels import likeness_levels
-from gesturekit.evaluation.measuring.set_metrics import thinned
+from gesturekit.evaluation.measuring.set_metrics import speeds_of, thinned
 from gesturekit.evaluation.measuring.speakers import (
     SpeakerClips,
     TrainingMotion,
     backwards,
     own_windows,
 )
+from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
+from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
+from gesturekit.evaluation.metrics.similarity import cca, pose_pair
 from gesturekit.evaluation.pairs import ItemInterval, Items, Pair
 from gesturekit.evaluation.report import bad_motion
 from gesturekit.evaluation.report.bad_motion import run_sanity
 from gesturekit.evaluation.statistics.levels import CEILING, MEAN_POSE, OTHER_SPEAKER
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.parts import body_joints
 
 RIG = Skeleton(("hips", "head"), (-1, 0), [[0, 1, 0], [0, 0.5, 0]])
 
@@ -226,6 +230,22 @@ def test_diversity_of_recordings_is_that_of_twenty(tmp_path, gesture):
     distance, note = values[()]["hellinger"]
     assert (distance.n, note) == (22, HALVES) and 0 < distance.value < 0.5
     assert set(values[PATCHES,]) == {"hellinger", "inter_diversity"}
+    recorded = [gesture(0.8, 25.0, seed=k) for k in range(22)]
+    joints = body_joints(recorded[0].skeleton)
+    sides = [SpeedHistogram.of([speeds_of(m, joints) for m in recorded[k::2]]) for k in (0, 1)]
+    assert distance.value == pytest.approx(hellinger(*sides))
+    for name in ("ganimator", "paper"):
+        measure.variants = Variants(name)
+        features = [patch_features(motion, name, joints=joints) for motion in recorded[:20]]
+        found = ceilings(sources, 25.0, measure, None, 0)["inter_diversity"][0].value
+        assert found == pytest.approx(inter_diversity(features)), name
+    measure.variants = Variants()
+    both = SimpleNamespace(against=measure.against, groups=(SIMILARITY,), variants=Variants())
+    # Each with the next of another take, the last with the first.
+    poses = [pose_pair(recorded[(k + 1) % 22], motion, joints) for k, motion in enumerate(recorded)]
+    expected = cca(*(np.concatenate(side) for side in zip(*poses, strict=True)))
+    found = ceilings(sources, 25.0, both, None, 0)["cca_global"][0].value
+    assert found == pytest.approx(expected, abs=1e-6)
     for name in ("20", "21"):
         sources.pop(name)
     forget_files()

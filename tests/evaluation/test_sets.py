@@ -111,6 +111,18 @@ def test_samples_of_a_recording_are_compared_up_to_twenty(clips, gesture):
     found = set_of(clips, PATCHES).pooled()["inter_diversity"]
     each = [inter_diversity(features[:2]), inter_diversity(features[2:])]
     assert found.interval.value == pytest.approx(np.mean(each)) and found.interval.n == 2
+    # On the joints of the clips alone.
+    fewer = [replace(c, joints=c.joints[:-3]) for c in clips[:2]]
+    features = [patch_features(c.generated, joints=c.joints) for c in fewer]
+    value = set_of(fewer, PATCHES).pooled()["inter_diversity"].interval.value
+    assert value == pytest.approx(inter_diversity(features)) != pytest.approx(each[0])
+    measure = SimpleNamespace(groups=(PATCHES,), variants=Variants("paper"))
+    paper = SetMetrics(measure, 0, SimpleNamespace())
+    for c in clips[:2]:
+        paper.add(c, SpeedHistogram())
+    features = [patch_features(c.generated, "paper", joints=c.joints) for c in clips[:2]]
+    value = paper.pooled()["inter_diversity"].interval.value
+    assert value == pytest.approx(inter_diversity(features)) != pytest.approx(each[0])
     assert "inter_diversity" not in set_of(clips[::2], PATCHES).pooled(), "one sample each"
     many = [clip_of(f"a_s{k}", gesture(0.8, 25.0, seed=k), clips[0].recording) for k in range(22)]
     values = [set_of(many[:n], PATCHES).pooled()["inter_diversity"].interval.value
