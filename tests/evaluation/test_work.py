@@ -10,7 +10,8 @@ from types import SimpleNamespace
 import pytest
 
 from gesturekit.corpus import Item
-from gesturekit.evaluation.definitions import FRECHET, GROUPS, Variants
+from gesturekit.evaluation.definitions import FRECHET, GROUPS, POOLED, Variants
+from gesturekit.evaluation.measuring import measurer as module
 from gesturekit.evaluation.measuring import work
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.content import content_of
@@ -138,7 +139,7 @@ def measurer(tmp_path, gesture):
     """measurer(**fields): three clips of three recordings, with their sounds; files of any kind."""
     for k, name in enumerate("abc"):
         for folder in ("made", "recorded"):
-            gesture(0.4, 10.0, seed=k).save(tmp_path / folder / f"{name}.npz")
+            gesture(0.4 + 0.1 * k, 10.0, seed=k).save(tmp_path / folder / f"{name}.npz")
         (tmp_path / f"{name}.wav").write_text(f"sound {name}")
     recorded = {name: tmp_path / "recorded" / f"{name}.npz" for name in "abc"}
     pairs = [
@@ -291,3 +292,58 @@ def test_recordings_have_a_distance_to_all_of_them_where_some_have_no_clip(
     assert nothing["metrics"] == {} and nothing["by_clip"] == [] and nothing["wrists"] == []
     lost = measured([replace(pairs[0], generated=tmp_path / "none.npz")], "frechet")
     assert lost["metrics"] == {} and lost["problems"] == []
+
+
+def test_a_clip_is_measured_beside_its_recording_and_with_sounds_and_motion_of_others(
+    measurer, tmp_path, monkeypatch
+):
+    """Recordings of 4, 5 and 6 frames, of which the sounds are known by their names."""
+    monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(module, "load_sound", lambda path, window: f"{path.stem} {window}")
+    measured = []
+
+    def recording(clip) -> tuple[dict[str, float], list]:
+        measured.append(clip.pair.name)
+        return {"reach": 2.0}, []
+
+    def mismatched_sound(clip, sounds: list[str]) -> dict[str, float]:
+        return {"in_time": float(clip.generated is clip.recording), **dict.fromkeys(sounds, 0.5)}
+
+    measure = SimpleNamespace(
+        groups=GROUPS, cheap=False, variants=Variants(), statistics=ReferenceStatistics(),
+        generated=lambda clip: ({"reach": 1.0}, [("sync", "why")]), recording=recording,
+        mismatched_sound=mismatched_sound,
+        mismatched_motion=lambda clip, other: {"frames": other.n_frames},
+    )  # fmt: skip
+    a, b, c = measurer().pairs["ours"]
+    pairs = [a, replace(a, name="a_s2"), b, c, replace(b, name="b_s2", audio=None),
+             replace(c, name="lost", generated=tmp_path / "none.npz")]  # fmt: skip
+    one = measurer(measure=measure, length=2.0, pairs={"ours": pairs})
+    first, _, _, third, silent, lost = (one.clip("ours", k) for k in range(6))
+    assert first == {
+        "seconds": 0.4,
+        "metrics": {"reach": 1.0},
+        "recording": {"reach": 2.0, "in_time_mismatched": 1.0},
+        "mismatched": {"in_time": 0.0, "b None": 0.5, "c None": 0.5, "frames": 5},
+        "notes": ["0.40 s shorter than 2 times its recording"],
+        "problems": [("sync", "why")],
+    }
+    assert measured == ["a", "b", "c"], "each recording once"
+    assert third["mismatched"] == {"in_time": 0.0, "a None": 0.5, "b None": 0.5, "frames": 4}
+    assert silent["mismatched"] == {"frames": 6}
+    assert lost.keys() == {"reason"} and "none.npz" in lost["reason"]
+    stored = one.store.read(one.clip_key("ours", 0))
+    assert stored == first | {"problems": [["sync", "why"]]}
+    # Without metrics of speech no sound is needed; clips of one recording are a portion.
+    one = measurer(measure=replace_in(measure, groups=(POOLED,)), pairs={"ours": pairs})
+    measured.clear()
+    found = one(ClipGroup({"ours": [1, 0]}))
+    assert [(label, index) for label, index, _ in found] == [("ours", 1), ("ours", 0)]
+    assert found[0][2]["mismatched"] == {"frames": 5} and measured == ["a_s2"]
+    assert found[0][2]["recording"] == {"reach": 2.0}
+    one(ClipGroup({"ours": [0]}))
+    assert measured == ["a_s2", "a"], "a portion keeps nothing of the one before"
+
+
+def replace_in(values: SimpleNamespace, **changes) -> SimpleNamespace:
+    return SimpleNamespace(**vars(values) | changes)
