@@ -363,3 +363,44 @@ def test_a_rig_without_hands_has_no_pooled_metrics_of_hands(by_speaker):
     reasons = dict(problems)
     assert set(HAND_KEYS) <= set(reasons) and "no wrist joints" in reasons["reach"]
     assert "one_nn" in metrics
+
+
+def test_speakers_of_whom_a_sample_has_no_recording_or_no_clip_are_left_out(
+    by_speaker, monkeypatch
+):
+    """With room for three takes, the first take of Ben is kept, and one clip of each speaker."""
+    every = [*by_speaker["ann"], *by_speaker["ben"]]
+    motion = every[0].generated
+    room = int(35 * motion.rotations.nbytes / motion.duration)
+    monkeypatch.setattr(MotionSample.__init__, "__defaults__", (room,))
+    metrics, by_clip, problems = pooled_of(every)
+    joints = upper_joints(motion.skeleton)
+    made, recorded = by_speaker["ben"][3].generated, by_speaker["ben"][0].recording
+    ours, theirs = motion_windows(made, joints), motion_windows(recorded, joints)
+    right, drawn = two_sample_votes(ours, theirs)
+    assert metrics["one_nn"].interval.value == pytest.approx(right.sum() / drawn.sum())
+    distances = nearest_training(ours, [recorded], joints)
+    assert metrics["copying"].interval.value == pytest.approx(np.median(distances))
+    assert [k for k, values in enumerate(by_clip) if "copying" in values] == [7]
+    assert metrics["one_nn"].interval.n == 8 and not problems
+    # Hands, of which little is kept, are those of all clips.
+    hands = hand_values([clip.generated for clip in every])
+    assert metrics["reach"].interval.value == pytest.approx(hands["reach"])
+
+
+def test_windows_are_drawn_by_the_seed(by_speaker):
+    clips = by_speaker["ann"]
+    made, recorded = sides_of(clips)
+    joints = upper_joints(clips[0].recording.skeleton)
+    ours, theirs = (motion_windows(side, joints) for side in (made, recorded))
+    found = PooledMetrics(TrainingMotion(), 5)
+    for clip in clips:
+        found.add(clip)
+    metrics = found.pooled()
+    usual, drawn = (two_sample_votes(ours, theirs, seed=seed) for seed in (0, 5))
+    value = metrics["one_nn"].interval.value
+    assert value == pytest.approx(drawn[0].sum() / drawn[1].sum())
+    assert value != pytest.approx(usual[0].sum() / usual[1].sum())
+    sides = recorded, recorded[::-1]
+    own = [own_windows([one], [other], joints, 5)["one_nn"] for one, other in zip(*sides)]
+    assert metrics["one_nn"].recording == pytest.approx(np.mean(own))
