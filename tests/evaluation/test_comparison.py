@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,9 @@ from audio_features import Wave
 from gesturekit.corpus import Manifest
 from gesturekit.corpus.item import Item
 from gesturekit.errors import EvaluationError, GestureKitError
-from gesturekit.evaluation import Variants, evaluate
+from gesturekit.evaluation import Variants, comparison, evaluate
+from gesturekit.evaluation.definitions import GROUPS, MOVEMENT
+from gesturekit.evaluation.measuring.measurer import Measurer
 from gesturekit.evaluation.metrics.rhythm import beat_alignment, music_beats
 from gesturekit.evaluation.report.headline import interval_warnings
 from gesturekit.motion import Motion, Skeleton
@@ -403,3 +406,48 @@ def test_fgd_of_a_few_windows_is_not_informative(gesture, tmp_path, seconds, eno
     gesture(seconds, 30.0, seed=1).save(tmp_path / "made" / "clip.npz")
     (model,) = evaluate(tmp_path / "made", tmp_path / "recordings").models
     assert model.metrics["raw_fgd"].informative == enough
+
+
+def test_all_options_reach_the_measurement(tmp_path, gesture, monkeypatch):
+    """Of three recordings one is damaged, and one of two models has no neck."""
+    for k, name in enumerate("abc"):
+        motion = gesture(1.0, 25.0, seed=k)
+        for folder in ("recordings", "whole"):
+            motion.save(tmp_path / folder / f"{name}.npz")
+        kept = [name for name in motion.skeleton.names if name != "Neck"]
+        motion.keep(kept).save(tmp_path / "cut" / f"{name}.npz")
+    (tmp_path / "recordings" / "c.npz").write_bytes(b"damaged")
+    seen = {}
+
+    def measure_all(measurer, workers, progress):
+        seen.update(measurer=measurer, workers=workers, progress=progress)
+        raise EvaluationError("measured")
+
+    monkeypatch.setattr(comparison, "measure_all", measure_all)
+
+    def measured(*models: str, **options) -> Measurer:
+        folders = {name: tmp_path / name for name in models}
+        with pytest.raises(EvaluationError, match="measured"):
+            evaluate(folders, tmp_path / "recordings", **options)
+        return seen["measurer"]
+
+    usual = measured("whole")
+    assert (usual.seed, usual.length, usual.fps, usual.features) == (0, 1.0, 25.0, None)
+    assert usual.without == usual.local == frozenset() and usual.take_pattern is None
+    assert usual.measure.groups == GROUPS and not usual.measure.cheap and seen["workers"] == 1
+    assert usual.measure.variants == Variants() and usual.reference == tmp_path / "recordings"
+    assert list(usual.recordings) == usual.measure.statistics.recordings == ["a", "b"]
+    assert list(seen["progress"]([1, 2], 2, "x")) == [1, 2]
+    features = SimpleNamespace(fingerprint="x")
+    asked = {"seed": 7, "workers": 3, "progress": iter, "protocol": "multires", "cheap": True,
+             "variants": Variants("paper", 3.0), "features": features,
+             "baselines": ["other_utterance"], "take_pattern": "[ab]"}  # fmt: skip
+    found = measured("whole", "cut", **asked)
+    assert (found.seed, found.length, found.features) == (7, 2.0, features)
+    assert (seen["workers"], seen["progress"], found.take_pattern) == (3, iter, "[ab]")
+    assert found.without == {"neck"} and found.local == {"other_utterance"}
+    assert found.measure.groups == (MOVEMENT,) and found.measure.cheap
+    assert found.measure.variants == asked["variants"]
+    assert list(found.pairs) == ["whole", "cut", "other_utterance"]
+    assert [pair.take for pair in found.pairs["cut"]] == ["a", "b", "c"]
+    assert measured("whole", protocol="lda").length == 1.0
