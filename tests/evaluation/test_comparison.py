@@ -15,8 +15,10 @@ from gesturekit.corpus import Manifest
 from gesturekit.corpus.item import Item
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation import Variants, comparison, evaluate
-from gesturekit.evaluation.definitions import GROUPS, MOVEMENT
+from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, MOVEMENT
 from gesturekit.evaluation.measuring.measurer import Measurer
+from gesturekit.evaluation.measuring.work import Measured
+from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.metrics.rhythm import beat_alignment, music_beats
 from gesturekit.evaluation.report.headline import interval_warnings
 from gesturekit.motion import Motion, Skeleton
@@ -451,3 +453,59 @@ def test_all_options_reach_the_measurement(tmp_path, gesture, monkeypatch):
     assert list(found.pairs) == ["whole", "cut", "other_utterance"]
     assert [pair.take for pair in found.pairs["cut"]] == ["a", "b", "c"]
     assert measured("whole", protocol="lda").length == 1.0
+
+
+def test_results_are_made_of_what_was_measured(tmp_path, gesture, monkeypatch):
+    """Two samples of one recording, a damaged clip of another, and a recording that is damaged."""
+    for name in "ab":
+        gesture(1.0, 25.0).save(tmp_path / "recordings" / f"{name}.npz")
+    for name in ("a_s1", "a_s2", "b_s1"):
+        gesture(1.0, 25.0, seed=1).save(tmp_path / "made" / f"{name}.npz")
+    (tmp_path / "recordings" / "c.npz").write_bytes(b"damaged")
+    histograms = [SpeedHistogram.of([np.full(n, 0.005)]) for n in (2, 3)]
+    clip = {"seconds": 1.0, "recording": {"arm_speed": 2.0}, "mismatched": {}, "notes": ["odd"]}
+    clips = [
+        {**clip, "metrics": {"arm_speed": v, "coverage": 100 * v}, "problems": [("srgr", "none")]}
+        for v in (0.25, 0.75)
+    ]
+    sets = {
+        "frechet": {"metrics": {}, "problems": [("fgd", "few"), ("other", "few")]},
+        "pooled": {
+            "metrics": {}, "problems": [("srgr", "none")], "by_clip": [{"forward": 40.0}],
+            "speeds": histograms[0].to_json(), "recorded_speeds": histograms[1].to_json(),
+            "wrists": [1.0, 2.0], "recorded_wrists": [3.0],
+            "training_excluded": [{"name": "t", "reason": "lost", "what": "the training split"}],
+        },
+    }  # fmt: skip
+    done = {"generated": [*clips, {"reason": "cut off"}]}
+    monkeypatch.setattr(
+        comparison, "measure_all", lambda *_: Measured(dict(done), {"generated": sets})
+    )
+    monkeypatch.setattr(Measurer, "ceilings", lambda self: {})
+    monkeypatch.setattr(Measurer, "likeness_levels", lambda self: {})
+    found = evaluate(tmp_path / "made", tmp_path / "recordings")
+    (model,) = found.models
+    assert [(c.pair.name, c.seconds, list(c.notes)) for c in model.clips] == [
+        ("a_s1", 1.0, ["odd"]), ("a_s2", 1.0, ["odd"])
+    ]  # fmt: skip
+    speed = model.metrics["arm_speed"]
+    assert (speed.interval.value, speed.recording) == (0.5, 2.0) and model.verdict == ""
+    assert model.clips[0].metrics["forward"] == 40.0
+    means = {stem: {k: i.value for k, i in own.items()} for stem, own in model.by_recording.items()}
+    assert means == {"a": {"coverage": 50.0}}
+    assert [model.speeds.counts[0], found.recorded_speeds.counts[0]] == [2, 3]
+    assert model.wrists.tolist() == [1.0, 2.0] and found.recorded_wrists.tolist() == [3.0]
+    srgr, fgd = (DEFINITIONS[key].name for key in ("srgr", "fgd"))
+    *known, damaged, lost = [(one.name, one.reason, one.what) for one in model.excluded]
+    assert known == [
+        ("b_s1", "cut off", "clip"),
+        ("a_s1, a_s2, the whole set", "none", srgr),
+        ("the whole set", "few", fgd),
+        ("the whole set", "few", "other"),
+    ]
+    assert damaged[0::2] == ("c", "the set of recordings") and "not a zip" in damaged[1]
+    assert lost == ("t", "lost", "the training split") and not found.is_complete
+    assert (model.path, found.reference) == (tmp_path / "made", tmp_path / "recordings")
+    done["generated"] = [{"reason": f"reason {k}"} for k in range(3)]
+    with pytest.raises(EvaluationError, match="made: no clip .*: reason 0; reason 1; reason 2$"):
+        evaluate(tmp_path / "made", tmp_path / "recordings")
