@@ -509,3 +509,38 @@ def test_results_are_made_of_what_was_measured(tmp_path, gesture, monkeypatch):
     done["generated"] = [{"reason": f"reason {k}"} for k in range(3)]
     with pytest.raises(EvaluationError, match="made: no clip .*: reason 0; reason 1; reason 2$"):
         evaluate(tmp_path / "made", tmp_path / "recordings")
+
+
+def test_neighbours_in_training_are_noted_once_and_questions_answered_with_pooled_metrics(
+    tmp_path, gesture, monkeypatch
+):
+    items = []
+    for name, split in (("a", "test"), ("b", "train"), ("c", "valid")):
+        motion = tmp_path / f"{name}.npz"
+        gesture(1.0, 25.0).save(motion)
+        items.append(Item(id=name, take="day" if name < "c" else "c", audio=None, motion=motion,
+                          duration=1.0, split=split))  # fmt: skip
+    Manifest(items).save(tmp_path / "corpus.jsonl")
+    for folder in ("one", "two"):
+        gesture(1.0, 25.0, seed=1).save(tmp_path / folder / "a.npz")
+    clip = {"seconds": 1.0, "recording": {}, "mismatched": {}, "notes": [], "problems": []}
+    clip["metrics"] = {"arm_speed": 0.5}
+    sets = {part: {"metrics": {}, "problems": []} for part in ("frechet", "pooled")}
+    measured = Measured({"one": [clip], "two": [clip]}, {"one": sets, "two": sets})
+    monkeypatch.setattr(comparison, "measure_all", lambda *_: measured)
+    monkeypatch.setattr(Measurer, "ceilings", lambda self: {})
+    monkeypatch.setattr(Measurer, "likeness_levels", lambda self: {})
+    folders = {name: tmp_path / name for name in ("one", "two")}
+    found = evaluate(folders, tmp_path / "corpus.jsonl")
+    (note,) = found.models[0].notes
+    assert note.startswith("held-out items with neighbours in training, of the same take (day): 1")
+    assert found.models[1].notes == [] and [len(m.answers) for m in found.models] == [3, 3]
+    assert (found.settings["split"], found.settings["mismatched"]) == ("test", 3)
+    assert found.reference == tmp_path / "corpus.jsonl"
+    for folder in folders.values():
+        (folder / "a.npz").rename(folder / "c.npz")
+    alone = evaluate(folders, tmp_path / "corpus.jsonl", split="valid", protocol="multires")
+    assert alone.settings["split"] == "valid"
+    assert [model.answers for model in alone.models] == [[], []]
+    assert all("takes 200 samples of each recording; c: 1" in m.notes[0] for m in alone.models)
+    assert all(len(model.notes) == 1 for model in alone.models)
