@@ -24,7 +24,7 @@ from gesturekit.evaluation.definitions import (
 from gesturekit.evaluation.measuring import set_metrics
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import Clip, RecordedSound
-from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
+from gesturekit.evaluation.measuring.inputs import ReferenceStatistics, compute
 from gesturekit.evaluation.measuring.pooled import PooledMetrics
 from gesturekit.evaluation.measuring.samples import MotionSample
 from gesturekit.evaluation.measuring.set_metrics import SetMetrics, speeds_of
@@ -404,3 +404,18 @@ def test_windows_are_drawn_by_the_seed(by_speaker):
     sides = recorded, recorded[::-1]
     own = [own_windows([one], [other], joints, 5)["one_nn"] for one, other in zip(*sides)]
     assert metrics["one_nn"].recording == pytest.approx(np.mean(own))
+
+
+def test_functions_get_inputs_arguments_and_constants_by_their_names():
+    def metric(motion, needed, x=1, resamples=7, other=5):
+        return motion, needed, x, resamples, other
+
+    definition = SimpleNamespace(load_function=lambda: metric, arguments={"x": 2})
+    first, second = SimpleNamespace(motion="m"), SimpleNamespace(motion="n", needed=3)
+    # The first source that has an input gives it; the rest are constants and defaults.
+    assert compute(definition, first, second) == ("m", 3, 2, 7, 5)
+    assert compute(definition, second, first, resamples=0, unknown=9) == ("n", 3, 2, 0, 5)
+    assert compute(definition, second, x=8) == ("n", 3, 2, 7, 5), "the table goes before"
+    assert compute(definition, first, SimpleNamespace(needed=None)) is None
+    optional = SimpleNamespace(other=None)
+    assert compute(definition, second, optional) == ("n", 3, 2, 7, None)
