@@ -7,14 +7,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+import audio_features
 from gesturekit.corpus import Item
 from gesturekit.evaluation.definitions import FRECHET, GROUPS, POOLED, Variants
 from gesturekit.evaluation.measuring import measurer as module
 from gesturekit.evaluation.measuring import work
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
-from gesturekit.evaluation.measuring.content import content_of
+from gesturekit.evaluation.measuring.content import content_of, metric_version
 from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
 from gesturekit.evaluation.measuring.measurer import ClipGroup, Measurer, SetPart
 from gesturekit.evaluation.measuring.work import measure_all
@@ -347,3 +349,13 @@ def test_a_clip_is_measured_beside_its_recording_and_with_sounds_and_motion_of_o
 
 def replace_in(values: SimpleNamespace, **changes) -> SimpleNamespace:
     return SimpleNamespace(**vars(values) | changes)
+
+
+def test_other_code_and_other_libraries_measure_anew(tmp_path, monkeypatch):
+    usual = metric_version()
+    assert metric_version() == usual and usual["versions"]["numpy"] == np.__version__
+    (tmp_path / "wave.py").write_text("RATE = 1\n")
+    with monkeypatch.context() as patch:
+        patch.setattr(audio_features, "__file__", str(tmp_path / "__init__.py"))
+        assert metric_version() != usual
+    assert metric_version() == usual
