@@ -517,6 +517,11 @@ def test_quantiles_of_the_speed_are_those_of_both_hands(reaching):
     assert found.rest == 0.5
     relative = 0.01 / body_scale(fast.skeleton), 0.02 / body_scale(fast.skeleton)
     assert found.near_still == np.mean([r < 0.02 for r in (*relative, 0.4, 0.8)])
+    # Of speeds that rise evenly from 0 to 1 m/s a quantile is its share.
+    even = along_x(np.linspace(0.0, 1.0, 2000))
+    rising = hand_movement(reaching(even, even))
+    shares = (rising.q10, rising.q50, rising.q90, rising.q99)
+    assert shares == pytest.approx((0.1, 0.5, 0.9, 0.99), abs=0.015)
     values = hand_values([fast[:240], slow[:240]])
     assert (values["rest"], values["near_still"]) == (50.0, 100 * found.near_still)
     assert (values["hand_q10"], values["hand_q99"]) == (found.q10, found.q99)
