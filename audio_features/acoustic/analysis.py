@@ -34,7 +34,7 @@ def centred_frames(
         count = min(_BLOCK_FRAMES, n_frames - first)
         start = first * HOP - length // 2
         stop = start + (count - 1) * HOP + length
-        block = samples[max(start, 0) : max(stop, 0)]
+        block = samples[max(start, 0) : stop]
         block = np.pad(block, (max(-start, 0), stop - max(start, 0) - len(block)))
         yield first, np.lib.stride_tricks.sliding_window_view(block, length)[::HOP]
 

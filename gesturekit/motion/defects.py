@@ -77,8 +77,7 @@ def defective_joints(motion: Motion) -> np.ndarray:
     found = np.zeros((motion.n_frames, motion.skeleton.n_joints), bool)
     steps, limit = _steps(motion)
     found[1:] |= steps > limit
-    if motion.n_frames > 2:
-        found[1:-1] |= _popping(motion)[0]
+    found[1:-1] |= _popping(motion)[0]
     return found
 
 
@@ -109,8 +108,6 @@ def find_pops(motion: Motion, jumps: Jumps | None = None) -> Pops | None:
         motion: any rig.
         jumps: result of `find_jumps`; pops next to a jump are not counted.
     """
-    if motion.n_frames < 3:
-        return None
     popping, off, limit = _popping(motion)
     if jumps is not None:
         beside = np.array([frame + near for frame in jumps.frames for near in (-1, 0)]) - 1
@@ -125,7 +122,7 @@ def find_pops(motion: Motion, jumps: Jumps | None = None) -> Pops | None:
 
 
 def _popping(motion: Motion) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return where joints pop between the first and the last frame, (T - 2, J) bool.
+    """Return where joints pop between the first and the last frame, (T - 2, J) bool; none of two.
 
     Also the angles (T - 2, J) between a rotation and the mean of its neighbours, and the least
     angle of a pop, in radians.
@@ -148,7 +145,7 @@ def jitter_share(motion: Motion) -> float:
     longer in turns, three times running and each time by more than `JITTER`, which is faster than
     anything a frame rate can hold. 0 for fewer than 5 frames, or fewer than `JITTER_FPS` a second.
     """
-    if motion.n_frames < 5 or motion.fps < JITTER_FPS:
+    if motion.fps < JITTER_FPS:
         return 0.0
     bend = np.diff(motion.positions(), n=2, axis=0)
     length = np.linalg.norm(bend, axis=2)

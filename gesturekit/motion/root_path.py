@@ -47,7 +47,7 @@ class RootPath:
     def __post_init__(self) -> None:
         positions = np.array(self.positions, dtype=np.float64)
         angles = np.array(self.headings, dtype=np.float64)
-        if positions.ndim != 2 or positions.shape[1:] != (2,) or not len(positions):
+        if positions.shape[1:] != (2,) or not len(positions):
             raise MotionError(f"a path's positions have shape {positions.shape}; expected (T, 2)")
         if angles.shape != (len(positions),):
             raise MotionError(

@@ -388,3 +388,13 @@ def test_wav_files_of_the_other_byte_order_and_of_over_four_gigabytes(tmp_path):
         else:
             with pytest.raises(AudioError, match="declares 821 bytes of sound, 816 are there"):
                 Wave.load(path)
+
+
+def test_a_wav_that_ends_within_a_sample_has_the_ones_before(tmp_path):
+    """801 bytes are 400 samples of two channels."""
+    path = tmp_path / "a.wav"
+    path.write_bytes(riff(fmt(channels=2), DATA))
+    expected = MEANT[:800].reshape(-1, 2)
+    for channel in (1, 2):
+        found = Wave.load(path, channel=channel).samples
+        np.testing.assert_allclose(found, expected[:, channel - 1], atol=1e-6)

@@ -148,6 +148,11 @@ def test_a_header_that_contradicts_itself_is_refused(tmp_path):
         ("a.webm", b"\x1a\x45\xdf\xa3" + bytes(20)),
         ("a.wma", b"\x30\x26\xb2\x75" + bytes(20)),
         ("a.aac", b"\xff\xf1" + bytes(20)),
+        ("a.aac", b"\xff\xf9" + bytes(20)),
+        ("a.aac", b"ADIF" + bytes(20)),
+        ("a.amr", b"#!AMR\n" + bytes(20)),
+        ("a.caf", b"caff" + bytes(20)),
+        ("a.w64", b"riff\x2e\x91\xcf\x11" + bytes(20)),
     ],
 )
 def test_formats_that_libsndfile_cannot_decode_give_the_ffmpeg_command(tmp_path, name, head):
@@ -243,6 +248,9 @@ def test_any_usual_array_of_samples_makes_the_same_wave():
     listed = Wave.from_array(whole.tolist(), 16_000).samples
     np.testing.assert_array_equal(listed, whole.astype(np.float32) / 32_768)
     np.testing.assert_array_equal(Wave.from_array(mono[None, None], 16_000).samples, mono)
+    # As many channels as samples: channels come first.
+    square = np.tile(mono[:400], (400, 1))
+    np.testing.assert_allclose(Wave.from_array(square, 16_000).samples, mono[:400], rtol=1e-5)
 
 
 @pytest.mark.parametrize("noisy", [0.0, 1e-3])
@@ -323,6 +331,7 @@ def test_a_file_name_that_is_not_unicode_is_read(tmp_path):
         (np.zeros((2, 0)), 16_000, r"shape \(2, 0\)"),
         (np.zeros((2, 3, 800)), 16_000, r"shape \(2, 3, 800\)"),
         (np.zeros(100), 16_000, "give at least 25 ms"),
+        (np.zeros((1, 1, 1)), 16_000, "1 samples at 16000 Hz are 0.1 ms"),
         (np.full(800, 1 << 40), 16_000, "dtype int64"),
         (b"RIFF", 16_000, "bytes, expected an array of samples, or the path"),
         (io.BytesIO(b"RIFF"), 16_000, "BytesIO, expected"),

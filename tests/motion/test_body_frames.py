@@ -43,6 +43,24 @@ def test_a_body_in_a_t_pose_that_faces_z_has_the_axes_of_the_world(person):
     assert ends == expected
 
 
+def test_joints_of_spine_and_neck_are_numbered_from_below(person):
+    names = [*person.names, "UpperNeck"]
+    neck, head = person.index("Neck"), person.index("Head")
+    parents = [*person.parents, neck]
+    parents[head] = len(names) - 1
+    order = [*range(head), len(names) - 1, *range(head, len(names) - 1)]
+    rig = Skeleton(
+        tuple(names[j] for j in order),
+        tuple(-1 if parents[j] < 0 else order.index(parents[j]) for j in order),
+        np.concatenate([person.offsets, [[0.0, 0.05, 0.0]]])[order],
+    )
+    frames = frames_of(rig)
+    found = {name: rig.names[frames.joints[name]] for name in frames.chain("spine")}
+    assert found == {"spine0": "Spine", "spine1": "Chest"}
+    found = {name: rig.names[frames.joints[name]] for name in frames.chain("neck")}
+    assert found == {"neck0": "Neck", "neck1": "UpperNeck"}
+
+
 @pytest.mark.parametrize("size", [1.0, 30.0])
 @pytest.mark.parametrize("build", [with_feet, with_soles])
 @pytest.mark.parametrize(

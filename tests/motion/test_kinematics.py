@@ -6,10 +6,17 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
-from gesturekit.motion.rotations import matrix_from_quaternion, quaternion_from_sixd, rotate_vectors
+from gesturekit.motion.model_joints import ModelJoints
+from gesturekit.motion.rotations import (
+    matrix_from_quaternion,
+    normalize_quaternions,
+    quaternion_from_sixd,
+    rotate_vectors,
+)
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.motion.torch_kinematics import (
     ForwardKinematics,
+    PointKinematics,
     rotation_vector_to_matrix,
     sixd_to_matrix,
 )
@@ -116,3 +123,33 @@ def test_global_rotation_of_a_chain_is_the_product(moving_person):
     for name in ("Spine", "Chest", "LeftArm"):
         chain = chain @ local[:, skeleton.index(name)]
     np.testing.assert_allclose(turned[:, skeleton.index("LeftArm")], chain, atol=1e-12)
+
+
+@pytest.mark.parametrize("points", [None, np.array([[0.1, 0.2, 0.3], [0.0, 0.0, -0.4]])])
+@pytest.mark.parametrize(
+    "joints", [["LeftHand", "Head"], ["Hips", "Spine"], ["Chest", "Hips"], ["Hips", "Hips"]]
+)
+def test_torch_places_points_of_some_joints_as_numpy_does(moving_person, joints, points):
+    """Neck and left forearm are not modelled; lengths are those of a body half as large."""
+    skeleton = moving_person.skeleton
+    fixed = normalize_quaternions(np.random.default_rng(2).normal(size=(skeleton.n_joints, 4)))
+    moved = {"LeftForeArm": np.array([0.2, 0.1, 0.0])}
+    names = tuple(name for name in skeleton.names if name not in ("Neck", "LeftForeArm"))
+    model = ModelJoints(skeleton, names, fixed, moved, scale=2.0)
+    pose = moving_person.rotations[:6].copy()
+    for name in ("Neck", "LeftForeArm"):
+        pose[:, skeleton.index(name)] = fixed[skeleton.index(name)]
+    at = [skeleton.index(name) for name in joints]
+    kinematics = PointKinematics(model, at, points)
+    height = 0.5 + 0.1 * np.arange(6)
+    root = np.stack([0 * height, 2 * height, 0 * height], axis=1)
+    moved = {name: np.tile(place, (6, 1)) for name, place in moved.items()}
+    expected = forward_kinematics(pose, root, skeleton, moved)[:, at]
+    if points is not None:
+        expected = expected + rotate_vectors(global_rotations(pose, skeleton)[:, at], points)
+    turned = pose[:, [model.indices[k] for k in kinematics.turned]]
+    matrices = torch.from_numpy(matrix_from_quaternion(turned)).float()
+    found = kinematics(
+        matrices.reshape(2, 3, -1, 3, 3), torch.from_numpy(height).float().reshape(2, 3)
+    )
+    np.testing.assert_allclose(found.reshape(6, 2, 3).numpy(), expected / 2, atol=1e-5)

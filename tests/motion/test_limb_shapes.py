@@ -119,6 +119,7 @@ def without(*names: str, **more: tuple[str, tuple[float, float, float]]) -> Skel
         (replace(without("n1", "n2", "m1", "m2"), end_sites=TIPS | SHANKS), "legs have no ankles"),
         (without("n1", "n2"), "its feet do not show"),
         (without(*(f"{c}1" for c in "klmn")), "1 pair of limbs"),
+        (without(prop=("c1", (0.05, 0, 0))), "1 pair of limbs"),
         (without(a3=("chest", (0, 0, 0.15)), b3=("a3", (0, 0, 0.29)), c3=("b3", (0, 0, 0.25))),
          "more than two limbs of equal length on 'chest'"),
     ],

@@ -513,6 +513,11 @@ def test_accessories_are_not_the_head(mixamo):
     found = find_parts(renamed(mixamo, {f"mixamorig:{usual}": name for usual, name in odd.items()}))
     assert found.head == "skull"
     assert [found.arms[side].wrist for side in ("left", "right")] == ["PalmL", "PalmR"]
+    # A lamp on the chest, whose head is farther along than the person's and stands before it.
+    lamp = {f"Lamp{k}": (f"Lamp{k - 1}" if k else "Chest", (0.0, 0.1, 0.1)) for k in range(3)}
+    lamp["LampHead"] = ("Lamp2", (0.0, 0.1, 0.1))
+    trunk = {name: PERSON[name] for name in ("Hips", "Spine", "Chest")}
+    assert find_parts(rig_of(trunk | lamp | PERSON)).head == "Head"
 
 
 def animal(legs: int, named: tuple[str, ...]) -> Skeleton:
@@ -609,6 +614,7 @@ def test_parts_that_a_rig_lacks_are_named_and_the_others_labelled():
     [
         # Upper arms of 0.28 m: half of both together below the chest, all of both on it.
         ("Hips", (0.1, 0.179), False),
+        ("Hips", (0.14, 0.14), True),
         ("Hips", (0.1, 0.181), True),
         ("Spine", (0.1, 0.1, 0.081), True),
         ("Chest", (0.3, 0.259), False),

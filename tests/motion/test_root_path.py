@@ -10,7 +10,11 @@ from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
 from gesturekit.motion.heading import headings_of_sides
 from gesturekit.motion.root_path import RootPath
-from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
+from gesturekit.motion.rotations import (
+    multiply_quaternions,
+    quaternion_from_rotation_vector,
+    rotate_vectors,
+)
 
 
 def wandering(n_frames: int = 600, fps: float = 30.0) -> RootPath:
@@ -226,3 +230,87 @@ def test_a_path_ends_at_its_last_place(frames, own_fps, fps, expected):
     walked = path.resample(fps, expected).positions[-1, 1]
     assert walked <= along[-1, 1] + 1e-9
     assert walked > along[-1, 1] - 1.001 / fps
+
+
+def test_a_part_of_a_path_is_some_of_its_frames():
+    path = wandering(5)
+    for start, stop in ((0, 5), (1, 3), (4, 5)):
+        part = path.slice(start, stop)
+        np.testing.assert_array_equal(part.positions, path.positions[start:stop])
+        np.testing.assert_allclose(part.headings, path.headings[start:stop])
+        assert part.fps == path.fps and part.duration == (stop - start) / 30
+    for start, stop in ((-1, 3), (2, 2), (3, 2), (0, 6)):
+        with pytest.raises(MotionError, match=f"frames {start} to {stop} of a path of 5 frames"):
+            path.slice(start, stop)
+
+
+def test_steps_of_one_and_two_frames():
+    path = RootPath(np.array([[1.0, 2.0], [1.3, 2.4]]), np.array([0.0, 0.2]), 10.0)
+    assert path.speeds == pytest.approx([5.0, 5.0])
+    one = path.slice(0, 1)
+    assert one.speeds.tolist() == [0.0] and one.deltas().tolist() == [[0.0, 0.0, 0.0]]
+    assert RootPath.looking_ahead(one.positions, 10.0).headings.tolist() == [0.0]
+    start = (1.0, 2.0, 0.5)
+    again = RootPath.from_deltas(np.array([[9.0, 9.0, 9.0], [np.pi, 0.4, 0.3]]), 10.0, start)
+    # Half of the turn, and 0.5: forward is (cos 0.5, -sin 0.5), to the left (-sin 0.5, -cos 0.5).
+    sine, cosine = np.sin(0.5), np.cos(0.5)
+    end = [1.0 + 0.4 * cosine - 0.3 * sine, 2.0 - 0.4 * sine - 0.3 * cosine]
+    np.testing.assert_allclose(again.positions, [[1.0, 2.0], end])
+    np.testing.assert_allclose(again.headings, [0.5, 0.5 + np.pi])
+    origin = RootPath.from_deltas(np.zeros((1, 3)), 10.0)
+    assert (origin.positions.tolist(), origin.headings.tolist()) == ([[0.0, 0.0]], [0.0])
+
+
+@pytest.mark.parametrize(
+    ("frames", "weights"),
+    [(1, [1]), (2, [1, 2, 1]), (3, [1, 1, 1]), (4, [1, 2, 2, 2, 1]), (None, [1, 1, 1])],
+)
+def test_smoothing_is_an_average_over_its_window(frames, weights):
+    """A third of a second at 9 fps is three frames; the ends of an even window count half."""
+    pulse = np.zeros((11, 2))
+    pulse[5] = 1.0, 2.0
+    smooth = RootPath(pulse, 0.1 * pulse[:, 1], 9.0).smoothed(frames)
+    expected = np.zeros(11)
+    half = len(weights) // 2
+    expected[5 - half : 6 + half] = np.array(weights) / sum(weights)
+    np.testing.assert_allclose(smooth.positions, np.outer(expected, [1.0, 2.0]), atol=1e-12)
+    np.testing.assert_allclose(smooth.headings, 0.2 * expected, atol=1e-12)
+
+
+def test_a_path_of_one_frame_a_second_is_not_smoothed():
+    path = wandering(9, fps=1.0)
+    np.testing.assert_allclose(path.smoothed().positions, path.positions)
+
+
+def test_a_larger_body_goes_farther():
+    path = wandering(5)
+    larger = path.scaled(1.5)
+    np.testing.assert_allclose(larger.positions, 1.5 * path.positions)
+    np.testing.assert_allclose(larger.headings, path.headings)
+    np.testing.assert_allclose(path.mirror().positions, path.positions * [-1.0, 1.0])
+
+
+@pytest.mark.parametrize("n_frames", [0, -1, 10**9])
+def test_a_path_has_one_frame_and_no_more_than_memory_holds(n_frames):
+    with pytest.raises(MotionError, match=f"{n_frames} frames of a path; expected 1 to "):
+        wandering(5).resample(30.0, n_frames)
+    assert wandering(5).resample(30.0, 1).n_frames == 1
+
+
+def test_a_path_starts_late_and_may_be_over():
+    path = RootPath(np.outer(np.arange(6), [1.0, -2.0]), np.zeros(6), 2.0)
+    late = path.resample(4.0, start=1.0)
+    assert late.n_frames == 8, "two seconds of three"
+    np.testing.assert_allclose(late.positions[:, 0], [2, 2.5, 3, 3.5, 4, 4.5, 5, 5])
+    assert path.resample(4.0, start=5.0).positions.tolist() == [[5.0, -10.0]]
+
+
+def test_the_path_of_another_joint_and_side(gesture):
+    motion = gesture(1.0)
+    joint = motion.skeleton.index("Head")
+    path = RootPath.of(motion, joint, np.array([0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(path.positions, motion.positions()[:, joint][:, [0, 2]])
+    left = rotate_vectors(motion.global_rotations()[:, joint], np.tile([0.0, 0.0, 1.0], (30, 1)))
+    # The left of a body that faces +Z is +X; of one that faces +X it is -Z.
+    expected = np.unwrap(np.arctan2(-left[:, 2], left[:, 0]))
+    np.testing.assert_allclose(path.headings, expected)

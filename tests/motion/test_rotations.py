@@ -71,6 +71,9 @@ def test_slerp_takes_the_shorter_arc_at_an_even_pace():
             between = r.slerp(Q, end, weight)
             np.testing.assert_allclose(r.rotation_angles(Q, between), weight * angle, atol=1e-7)
     same(r.slerp(Q, Q, 0.5), Q)
+    # Rotations by less than a millionth of a radian, here about x: the angle is twice q's x.
+    near = np.array([4e-8, 0.0, 0.0, 1.0])
+    np.testing.assert_allclose(r.slerp(r.IDENTITY, near, 0.25), [1e-8, 0, 0, 1], rtol=1e-6)
 
 
 def test_mean_ignores_signs():

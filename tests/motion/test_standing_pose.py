@@ -11,7 +11,12 @@ from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.kinematics import forward_kinematics
 from gesturekit.motion.parts import find_parts
-from gesturekit.motion.retarget.standing_pose import body_frame, standing_pose, standing_rig
+from gesturekit.motion.retarget.standing_pose import (
+    body_frame,
+    frame,
+    standing_pose,
+    standing_rig,
+)
 
 RIG = rig_of(PERSON).scaled(1.4 / 1.44)
 """A person whose `body_scale` is 1, with a torso along Y."""
@@ -136,8 +141,17 @@ def test_up_is_the_axis_within_twenty_degrees_of_the_torso(axis, degrees, aligne
     hips = Rotation.from_euler("x", degrees, degrees=True)
     pose = REST.copy()
     pose[0] = (lying * hips).as_quat()
-    frame = Rotation.from_quat(body_frame(RIG, find_parts(RIG), pose))
-    up = frame.apply([0, 1, 0])
+    body = Rotation.from_quat(body_frame(RIG, find_parts(RIG), pose))
+    up = body.apply([0, 1, 0])
     torso = (lying * hips).apply([0, 1, 0])
     expected = lying.apply([0, 1, 0]) if aligned else torso
     np.testing.assert_allclose(up, expected, atol=1e-6)
+
+
+def test_frames_of_several_directions_are_those_of_each():
+    """Directions of any length; up is kept, and left is the nearest one at a right angle to it."""
+    up = np.array([[0.0, 2.0, 0.0], [0.0, 0.0, -0.5]])
+    across = np.array([[0.0, 7.0, 3.0], [-0.1, 0.0, 4.0]])
+    body = Rotation.from_quat(frame(up, across))
+    np.testing.assert_allclose(body.apply([1, 0, 0]), [[0, 0, 1], [-1, 0, 0]], atol=1e-9)
+    np.testing.assert_allclose(body.apply([0, 1, 0]), [[0, 1, 0], [0, 0, -1]], atol=1e-9)

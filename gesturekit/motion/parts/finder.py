@@ -226,7 +226,7 @@ class PartFinder:
 
     def _lowest_of_trunk(self, chest: int) -> int:
         """Return the pelvis of a rig without legs: by name, or the root."""
-        below = [0, *self._way_down(0, chest)[1:-1]]
+        below = self._way_down(0, chest)[:-1]
         for endings in (_PELVIS, ("root",)):
             named = [j for j in below if self.bare[j].endswith(endings)]
             if named:

@@ -105,7 +105,7 @@ class _Shape:
                 joints |= {f"{side}_{part}": j for part, j in zip(parts, chain[start:])}
                 if parts[0] == "shoulder" and start:
                     joints[f"{side}_clavicle"] = chain[start - 1]
-        pairs = [pair for chains in (leg_chains, arm_chains) for pair in self._mirrored(*chains)]
+        pairs = [pair for a, b in (leg_chains, arm_chains) for pair in self._mirrored(a[0], b[0])]
         return Limbs(joints, self._head(chest, arms), tuple(sorted(pairs)))
 
     def _pairs_of_limbs(self) -> list[tuple[int, tuple[int, int]]]:
@@ -139,10 +139,8 @@ class _Shape:
         children = self.skeleton.children(joint)
         return sorted(children, key=lambda j: (self.reach[j] + self.bone[j], self.bone[j]))
 
-    def _mirrored(self, a: int | list[int], b: int | list[int]) -> list[tuple[int, int]]:
+    def _mirrored(self, a: int, b: int) -> list[tuple[int, int]]:
         """Return pairs of corresponding joints of two limbs of equal shape."""
-        if isinstance(a, list) and isinstance(b, list):
-            a, b = a[0], b[0]
         pairs = [(a, b)]
         for below in zip(*(self._sorted(joint) for joint in (a, b))):
             pairs += self._mirrored(*below)
