@@ -172,7 +172,6 @@ class Files:
         """Return the rows within the wave and the ones beside it, in the wave's own time."""
         first = max(0, int(np.searchsorted(times, wave.offset, side="right")) - 1)
         last = int(np.searchsorted(times, wave.offset + wave.duration)) + 1
-        first = min(first, len(times) - 1)
         part = np.asarray(values[first:last], dtype=np.float32)
         if not np.isfinite(part).all():
             row, column = np.argwhere(~np.isfinite(part))[0]

@@ -144,6 +144,7 @@ def test_long_sound_does_not_depend_on_blocks(speech, monkeypatch):
 
 
 def test_settings_out_of_range_are_refused():
+    assert (LogMel(80).n_mels, LogMel(1).n_mels, MFCC(40).n, MFCC(1).n) == (80, 1, 40, 1)
     for make in (lambda: LogMel(0), lambda: LogMel(81), lambda: MFCC(41), lambda: MFCC(2.5)):
         with pytest.raises(FeatureError, match="whole number"):
             make()

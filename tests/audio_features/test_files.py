@@ -84,6 +84,7 @@ def test_only_silence_needs_no_file():
     own = af.Files(3, rate=10)
     silence = own.extract(af.Wave(np.zeros(16_000, np.float32), RATE))
     np.testing.assert_array_equal(silence.at([0.0, 0.7]).values, np.zeros((2, 3)))
+    assert silence.times.tolist() == [0.0]
     with pytest.raises(af.FeatureError, match="the sound is no file"):
         own.extract(af.Wave(np.ones(16_000, np.float32).cumsum() % 7 / 10, RATE))
 

@@ -87,6 +87,18 @@ def test_the_difference_decays_along_a_cubic_hermite_curve():
         assert turned == pytest.approx([0, 0, after[frame] + difference])
 
 
+@pytest.mark.parametrize(("frames", "blended"), [(0.4, 0), (0.6, 1), (1.0, 1), (1.4, 1), (2.0, 2)])
+def test_a_blend_is_rounded_to_frames(frames, blended):
+    """The first of n frames has the pose before, the second of two the one halfway."""
+    rig = rig_of(PERSON)
+    before, after, arm = at_rest(rig, 5), at_rest(rig, 5), rig.index("LeftArm")
+    after.rotations[:, arm] = Rotation.from_rotvec([0, 0, 0.8]).as_quat()
+    made = gk.concatenate([before, after], blend=frames / 30)
+    angles = Rotation.from_quat(made.rotations[5:, arm]).magnitude()
+    expected = {0: [0.8, 0.8, 0.8], 1: [0.0, 0.8, 0.8], 2: [0.0, 0.4, 0.8]}[blended]
+    np.testing.assert_allclose(angles[:3], expected, atol=1e-9)
+
+
 def test_the_heading_goes_on_from_the_last_frame_and_begins_in_the_first():
     """The body turns by 0.1 rad a frame in the first motion, and by 0.3 rad in the second."""
     rig = rig_of(PERSON)

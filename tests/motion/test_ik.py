@@ -176,3 +176,23 @@ def test_reachable_is_smooth_and_bounded():
     assert np.abs(np.diff(got, 2)).max() < 1e-4
     # What is straight already is not bent.
     assert reachable(np.array(0.995), np.array(1.0), np.array(0.995)) == 0.995
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0, 3.0])
+def test_a_limb_bends_the_more_along_the_pole_the_straighter_it_was(share):
+    """Bones of 1 m, bent by a share of 0.1 m to +Z and then to 0.5 m, with the pole at +X.
+
+    Of the 0.5 m less those before, 1 / (1 + share^2) is added along the pole.
+    """
+    old = 0.1 * share
+    down = np.sqrt(1 - old**2)
+    joints = np.array([[0, 0, 0], [0, -down, old], [0, -2 * down, 0.0]])
+    target, pole = np.array([0, -np.sqrt(3), 0]), np.array([1.0, 0, 0])
+    rest = np.tile([0.0, 0, 0, 1], (2, 1))
+    solved = two_bone_ik(joints, target, rest, rest, pole=pole, softness=0.0)
+    extra = (0.5 - old) / (1 + share**2)
+    side = np.array([extra, 0.0, old]) / np.hypot(extra, old)
+    knee = rotate_vectors(solved[0], joints[1])
+    np.testing.assert_allclose(knee, 0.5 * side - [0, np.sqrt(3) / 2, 0], atol=1e-6)
+    shank = rotate_vectors(multiply_quaternions(solved[0], solved[1]), joints[2] - joints[1])
+    np.testing.assert_allclose(knee + shank, target, atol=1e-6)

@@ -29,6 +29,12 @@ from gesturekit.motion.rotations import rotation_angles
         ({"joint_translations": {"Head": np.full((60, 3), -1.001e9)}}, "'Head' is not finite"),
         ({"rotations": np.ones((60, 4))}, "(60, 4)"),
         ({"rotations": np.full((60, 19, 4), np.nan)}, "'Hips' in frame 0"),
+        (
+            {"translation": np.zeros((60, 2))},
+            "translation has shape (60, 2); 60 frames need (60, 3)",
+        ),
+        ({"joint_translations": {"Head": np.zeros((60, 4))}}, "'Head' has shape (60, 4)"),
+        ({"translation": np.eye(60, 3, -7) * 2e9}, "over 1e+09, in frame 7"),
         ({"expressions": np.zeros(60)}, "expressions has shape (60,)"),
         ({"expressions": np.zeros((59, 3))}, "expressions has shape (59, 3)"),
         ({"expressions": np.full((60, 3), np.nan)}, "expressions is not finite"),

@@ -125,6 +125,9 @@ def test_size_scales_steps_and_heights(moving_person):
     np.testing.assert_allclose(large.rotations, moving_person.rotations, atol=1e-6)
     walked = np.diff(moving_person.translation, axis=0)
     np.testing.assert_allclose(np.diff(large.translation, axis=0), 1.3 * walked, atol=1e-6)
+    hips = [moving_person.skeleton.index(f"{side}UpLeg") for side in ("Left", "Right")]
+    first, own = (motion.positions()[0, hips].mean(axis=0) for motion in (large, moving_person))
+    np.testing.assert_allclose(first[[0, 2]], own[[0, 2]], atol=1e-6)
 
 
 def test_parts_of_a_stream_go_on_from_one_another(moving_person, mixamo):

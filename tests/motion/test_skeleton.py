@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from rigs import at_rest
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Skeleton
+from gesturekit.motion.body_shape import BodyShape
 from gesturekit.motion.skeleton import unique_names
 
 
@@ -85,15 +87,36 @@ def test_json_round_trip(person):
     assert again.rotation_orders == person.rotation_orders
     np.testing.assert_array_equal(again.offsets, person.offsets)
     np.testing.assert_array_equal(again.end_sites["Head"], person.end_sites["Head"])
+    shape = BodyShape((0.5, -1.0), "female")
+    whole = replace(person, parts={"head": "Neck"}, body_shape=shape, rotation_orders=())
+    again = Skeleton.from_json(json.loads(json.dumps(whole.to_json())))
+    assert (again.parts, again.body_shape.to_json()) == ({"head": "Neck"}, shape.to_json())
+    fields = ("format", "names", "parents", "offsets")
+    least = Skeleton.from_json({name: person.to_json()[name] for name in fields})
+    assert (least.end_sites, least.parts, least.body_shape.to_json()) == ({}, {}, {})
+    np.testing.assert_array_equal(least.offsets, person.offsets)
 
 
 @pytest.mark.parametrize(
-    "broken",
-    [{"format": 2}, {"names": None}, {"offsets": "x"}, {"end_sites": 3}, {"parents": [0.5]}],
+    ("broken", "says"),
+    [
+        ({"format": 2}, "^skeleton format 2; this version of gesturekit reads 1$"),
+        ({"names": None}, "^the skeleton cannot be read: "),
+        ({"offsets": "x"}, "^the skeleton cannot be read: "),
+        ({"end_sites": 3}, "^the skeleton cannot be read: "),
+        ({"parents": [0.5]}, "parents"),
+        ({"names": ["a"] * 19}, "^two joints are called 'a'; names must be unique$"),
+    ],
 )
-def test_json_that_is_no_skeleton(person, broken):
-    with pytest.raises(MotionError):
+def test_json_that_is_no_skeleton(person, broken, says):
+    with pytest.raises(MotionError, match=says):
         Skeleton.from_json(person.to_json() | broken)
+    for field in ("names", "parents", "offsets"):
+        values = {k: v for k, v in person.to_json().items() if k != field}
+        with pytest.raises(MotionError, match=f"^the skeleton lacks the field '{field}'$"):
+            Skeleton.from_json(values)
+    with pytest.raises(MotionError, match="^a skeleton is a mapping of fields, not list$"):
+        Skeleton.from_json([])
 
 
 def test_tree(person):

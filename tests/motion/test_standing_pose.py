@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rigs import PERSON, at_rest, rig_of, with_offsets
@@ -9,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.kinematics import forward_kinematics
+from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.retarget.standing_pose import (
     body_frame,
@@ -155,3 +157,95 @@ def test_frames_of_several_directions_are_those_of_each():
     body = Rotation.from_quat(frame(up, across))
     np.testing.assert_allclose(body.apply([1, 0, 0]), [[0, 0, 1], [-1, 0, 0]], atol=1e-9)
     np.testing.assert_allclose(body.apply([0, 1, 0]), [[0, 1, 0], [0, 0, -1]], atol=1e-9)
+
+
+TOES = {f"{side}ToeBase": (f"{side}Foot", (0.0, -0.05, 0.14)) for side in ("Left", "Right")}
+BONES = [("Spine", "Chest"), ("Chest", "Neck"), ("Neck", "Head")]
+DRAWN = {bone: (0.0, 1.0, 0.0) for bone in BONES}
+for _side, _x in (("Left", 1.0), ("Right", -1.0)):
+    for _bone in (("Shoulder", "Arm"), ("Arm", "ForeArm"), ("ForeArm", "Hand")):
+        DRAWN[tuple(_side + end for end in _bone)] = (_x, 0.0, 0.0)
+    for _bone in (("UpLeg", "Leg"), ("Leg", "Foot")):
+        DRAWN[tuple(_side + end for end in _bone)] = (0.0, -1.0, 0.0)
+    DRAWN[f"{_side}Foot", f"{_side}ToeBase"] = (0.0, -np.sqrt(0.2), np.sqrt(0.8))
+"""Directions of bones in a T-pose; toes go forward twice as far as down."""
+
+
+def t_pose(rig: Skeleton) -> np.ndarray:
+    """(J, 3) places of the joints of a rig that does not stand at rest."""
+    pose = standing_rig(rig)
+    assert np.abs(pose[:, 3]).min() < 0.9, "it is no rest pose"
+    return forward_kinematics(pose, np.zeros(3), rig)
+
+
+@pytest.mark.parametrize("size", [1.0, 100.0])
+@pytest.mark.parametrize("clavicles", ["both", "left", "none"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_heap_of_bones_stands_in_a_t_pose(seed, clavicles, size):
+    """All bones point anywhere at rest; arms hang on the chest where there are no clavicles.
+
+    The line from hips to chest is upright in the frame of the hips, the one between them is not.
+    """
+    rows = PERSON | TOES
+    gone = {"both": (), "left": ("Right",), "none": ("Left", "Right")}[clavicles]
+    for side in gone:
+        rows = {name: bone for name, bone in rows.items() if name != f"{side}Shoulder"}
+        rows[f"{side}Arm"] = ("Chest", (0.17 if side == "Left" else -0.17, 0.15, 0.0))
+    turns = Rotation.random(len(rows), random_state=seed)
+    by_hand = {"left_clavicle": "LeftShoulder"} if clavicles == "left" else {}
+    heap = rig_of(rows, parts=by_hand)
+    heap = replace(heap, offsets=size * turns.apply(heap.offsets))
+    places = t_pose(heap)
+    for (start, end), drawn in DRAWN.items():
+        if start not in rows:
+            continue
+        bone = places[heap.index(end)] - places[heap.index(start)]
+        np.testing.assert_allclose(
+            bone / np.linalg.norm(bone), drawn, atol=1e-6, err_msg=f"{start} to {end}"
+        )
+    for joints in ("UpLeg", "Shoulder" if clavicles == "both" else "Arm"):
+        left, right = (places[heap.index(f"{side}{joints}")] for side in ("Left", "Right"))
+        if joints != "Arm":
+            assert (left - right)[0] > 0 and abs((left - right)[2]) < 1e-6 * size
+
+
+def test_the_spine_of_a_body_without_a_head_goes_on_above_its_chest():
+    """Spine and chest are bent by 40 degrees at rest, and the legs point ahead."""
+    rows = {name: bone for name, bone in PERSON.items() if name not in ("Neck", "Head")}
+    rig = with_offsets(
+        rig_of(rows),
+        Chest=(0.0, 0.2 * np.cos(np.radians(40)), 0.2 * np.sin(np.radians(40))),
+        **{
+            f"{side}{bone}": (0.0, 0.0, 0.4)
+            for side in ("Left", "Right")
+            for bone in ("Leg", "Foot")
+        },
+    )
+    turns = global_rotations(standing_rig(rig), rig)
+    line = forward_kinematics(REST[: rig.n_joints], np.zeros(3), rig)[rig.index("Chest")]
+    for name in ("Hips", "Chest"):
+        up = Rotation.from_quat(turns[rig.index(name)]).apply(line / np.linalg.norm(line))
+        np.testing.assert_allclose(up, [0.0, 1.0, 0.0], atol=1e-6, err_msg=name)
+
+
+def test_bones_that_point_the_opposite_way_turn_about_the_axis_of_their_joint():
+    """Legs straight up swing about the left axis, arms across the chest about the one ahead."""
+    rig = with_offsets(
+        rig_of(PERSON | TOES),
+        **{
+            f"{side}{bone}": (0.0, 0.4, 0.0)
+            for side in ("Left", "Right")
+            for bone in ("Leg", "Foot")
+        },
+        LeftForeArm=(-0.28, 0.0, 0.0),
+        RightForeArm=(0.28, 0.0, 0.0),
+        LeftHand=(-0.25, 0.0, 0.0),
+        RightHand=(0.25, 0.0, 0.0),
+        LeftToeBase=(0.0, 0.0, 0.14),
+        RightToeBase=(0.0, 0.0, 0.14),
+    )
+    pose = standing_rig(rig)
+    for side in ("Left", "Right"):
+        for joint, axis in ((f"{side}UpLeg", [1, 0, 0]), (f"{side}Arm", [0, 0, 1])):
+            turn = Rotation.from_quat(pose[rig.index(joint)])
+            np.testing.assert_allclose(np.abs(turn.as_rotvec()), np.pi * np.array(axis), atol=1e-6)
