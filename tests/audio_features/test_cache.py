@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import audio_features as af
-from audio_features.cache import KINDS, DiskCache
+from audio_features.cache import KINDS, DiskCache, default_folder
 
 
 class Slow:
@@ -156,6 +156,86 @@ def test_a_large_entry_removes_as_many_small_ones_as_it_needs(tmp_path):
     assert kept == ["c3", "d4", "e5"] and cache.contents().size == 940
 
 
+def write(cache: DiskCache, name: str, size: int, kind: str = KINDS[0]) -> Path:
+    path = cache.path(kind, name, ".bin")
+    cache.write(path, bytes(size))
+    return path
+
+
+def test_the_size_is_measured_after_a_sixteenth_of_the_limit(tmp_path):
+    """A new cache measures at its first entry; what others wrote since then is not known before."""
+    cache, other = (DiskCache(tmp_path, max_bytes=1600) for _ in range(2))
+    assert write(cache, "a0", 1600).exists() and not write(cache, "a1", 1601).exists()
+    large = tmp_path / KINDS[1] / "b0" / "b0.bin"
+    large.parent.mkdir(parents=True)
+    large.write_bytes(bytes(1600))
+    os.utime(large, (1, 1))
+    for name, is_there in (("c0", True), ("c1", True), ("c2", False)):
+        write(cache, name, 50 if name != "c2" else 1)
+        assert large.exists() == is_there, name
+    assert other.contents().size == 101, "a0 is older than the entries after it"
+    write(other, "d0", 1499)
+    assert cache.contents().size == 1600, "as much as the limit"
+    cache = DiskCache(tmp_path, max_bytes=0)
+    assert write(cache, "e0", 0).exists()
+
+
+@pytest.mark.parametrize(("age", "stays"), [(3500, True), (3700, False)])
+def test_what_a_killed_run_left_is_removed_after_an_hour(tmp_path, age, stays):
+    left = tmp_path / KINDS[0] / "ab" / ".x.part"
+    left.parent.mkdir(parents=True)
+    left.write_bytes(b"half")
+    os.utime(left, (time.time() - age,) * 2)
+    cache = DiskCache(tmp_path)
+    assert (cache.contents().entries, cache.contents().oldest) == (0, None)
+    write(cache, "cd", 10)
+    assert left.exists() == stays
+
+
+@pytest.mark.parametrize(
+    ("platform", "variables", "place"),
+    [
+        ("linux", {}, ".cache/gesturekit"),
+        ("linux", {"XDG_CACHE_HOME": ""}, ".cache/gesturekit"),
+        ("linux", {"XDG_CACHE_HOME": "~/xdg"}, "xdg/gesturekit"),
+        ("darwin", {"XDG_CACHE_HOME": "~/xdg"}, "Library/Caches/gesturekit"),
+        ("win32", {"XDG_CACHE_HOME": "~/xdg"}, "AppData/Local/gesturekit"),
+        ("win32", {"LOCALAPPDATA": "~/local"}, "local/gesturekit"),
+        ("win32", {"GESTUREKIT_CACHE": "mine", "LOCALAPPDATA": "~/local"}, None),
+    ],
+)
+def test_the_usual_folder_is_that_of_the_platform(
+    tmp_path, monkeypatch, platform, variables, place
+):
+    for name in ("GESTUREKIT_CACHE", "XDG_CACHE_HOME", "LOCALAPPDATA"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in ({"HOME": str(tmp_path)} | variables).items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(sys, "platform", platform)
+    assert default_folder() == (Path("mine") if place is None else tmp_path / place)
+
+
+@pytest.mark.parametrize(("value", "fits"), [(65504.0, True), (-65504.0, True), (-65520.0, False)])
+def test_values_that_fp16_does_not_hold_are_refused(tmp_path, wave, value, fits):
+    class Large(Slow):
+        def extract(self, wave: af.Wave) -> af.FeatureTrack:
+            return af.FeatureTrack(np.full((2, 3), value), [0.0, 1.0], self.spec, self.names)
+
+    cache = af.FeatureCache(tmp_path, precision="fp16")
+    if fits:
+        assert (cache.extract(Large(), wave).values == value).all()
+        return
+    with pytest.raises(af.FeatureError, match="6.55e\\+04 does not fit into fp16: cache as fp32"):
+        cache.extract(Large(), wave)
+    assert (af.FeatureCache(tmp_path).extract(Large(), wave).values == value).all()
+
+
+def test_a_limit_below_zero_is_refused(tmp_path):
+    assert af.FeatureCache(tmp_path, max_bytes=0).max_bytes == 0
+    with pytest.raises(af.FeatureError, match="max_bytes=-1: 0 or more"):
+        af.FeatureCache(tmp_path, max_bytes=-1)
+
+
 def test_clearing_removes_entries_and_nothing_else(tmp_path, wave):
     cache = af.FeatureCache(tmp_path)
     cache.extract(Slow(), wave)
@@ -203,7 +283,11 @@ def test_the_environment_names_folder_and_size(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
     if sys.platform == "linux":
         assert af.cache_from_environment().folder == tmp_path / "xdg" / "gesturekit"
-    for wrong in ("much", "-1", "nan"):
+    monkeypatch.setenv("GESTUREKIT_CACHE_GB", "0")
+    assert af.cache_from_environment().max_bytes == 0
+    monkeypatch.delenv("GESTUREKIT_CACHE_GB")
+    assert af.cache_from_environment().max_bytes == 20 * 10**9, "as its description says"
+    for wrong in ("much", "-1", "nan", "inf"):
         monkeypatch.setenv("GESTUREKIT_CACHE_GB", wrong)
         with pytest.raises(af.AudioFeaturesError, match="GESTUREKIT_CACHE_GB"):
             af.cache_from_environment()

@@ -227,6 +227,48 @@ def test_the_floor_under_a_body_that_never_stands_is_near_its_lowest_feet(person
     assert feet.floor == pytest.approx(0.02 + 0.1)
 
 
+@pytest.mark.parametrize(("stands", "floor"), [(6, 0.02), (5, 0.57)])
+def test_the_floor_is_that_of_feet_which_stand_in_eleven_frames(person, stands, floor):
+    """The right foot stands for 5 frames; then all rises by 0.05 m a frame, 0.5 m in the 15th."""
+    rise = 0.05 * np.maximum(np.arange(301) - stands + 1, 0)[:, None] * [0.0, 1.0, 0.0]
+    motion = at_rest(person, 301, UPRIGHT + rise)
+    bent = quaternion_from_rotation_vector(np.array([1.0, 0.0, 0.0]))
+    motion.rotations[5:, person.index("RightLeg")] = bent
+    frames = body_frames(person, find_parts(person), at_rest(person, 1).rotations[0])
+    feet = FootMotion.measure(motion, frames, motion.positions(), motion.global_rotations())
+    assert (feet.standing["left"].sum(), feet.standing["right"].sum()) == (stands, 5)
+    lowest = motion.positions()[15, person.index("LeftToeBase"), 1]
+    assert feet.floor == pytest.approx(floor) and lowest == pytest.approx(
+        0.57 - 0.05 * (stands - 5)
+    )
+    # Thigh and shank of 0.42 and 0.4 m at an angle of 1 rad.
+    stretch = np.sqrt(0.42**2 + 0.4**2 + 2 * 0.42 * 0.4 * np.cos(1.0)) / 0.82
+    np.testing.assert_allclose(feet.stretch["right"][[0, 9, 300]], [1.0, stretch, stretch])
+    assert feet.stretch["left"] == pytest.approx(1.0)
+    np.testing.assert_allclose(feet.hips, motion.translation)
+
+
+@pytest.mark.parametrize("feet", [True, False])
+def test_hips_stand_on_the_legs_and_ankles_of_the_other_rig(person, feet):
+    """Legs are half as long again, and ankles 0.1 m above the balls of feet as long as before.
+
+    The balls are 0.21 m ahead of where the hips were, ankles and hips 0.07 m.
+    """
+    other = renamed(person, {"Hips": "Pelvis"})
+    for side, x in (("Left", 0.15), ("Right", -0.15)):
+        legs = {"UpLeg": (x, 0, 0), "Leg": (0, -0.63, 0), "Foot": (0, -0.6, 0)}
+        legs["ToeBase"] = (0.0, -0.1, 0.14)
+        other = with_offsets(other, **{f"{side}{bone}": place for bone, place in legs.items()})
+    motion = at_rest(person, 30, [0.3, 0.9, 0.1])
+    angles = np.linspace(0.5, 2, 30)
+    motion.rotations[:, 0] = quaternion_from_rotation_vector(np.outer(angles, [0.0, 1.0, 0.0]))
+    made = retarget(motion, other, feet=feet)
+    ahead = 0.07 * np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=-1)
+    np.testing.assert_allclose(made.positions()[:, 0], ahead + [0.3, 1.35, 0.1], atol=1e-5)
+    for name, height in (("LeftFoot", 0.12), ("RightFoot", 0.12), ("LeftToeBase", 0.02)):
+        assert made.positions()[:, other.index(name), 1] == pytest.approx(height, abs=1e-5)
+
+
 def test_heights_of_feet_are_those_on_the_floor_and_not_on_a_box(person):
     """A second on the floor, then 0.4 s on a box of 0.3 m."""
     step = np.where(np.arange(42) < 30, 0.0, 0.3)[:, None] * [0.0, 1.0, 0.0]
