@@ -215,6 +215,7 @@ def test_the_usual_folder_is_that_of_the_platform(
     assert default_folder() == (Path("mine") if place is None else tmp_path / place)
 
 
+@pytest.mark.filterwarnings("ignore:overflow encountered in cast")
 @pytest.mark.parametrize(("value", "fits"), [(65504.0, True), (-65504.0, True), (-65520.0, False)])
 def test_values_that_fp16_does_not_hold_are_refused(tmp_path, wave, value, fits):
     class Large(Slow):
