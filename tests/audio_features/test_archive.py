@@ -190,3 +190,91 @@ def test_one_path_for_several_encoders_is_refused(tmp_path):
         af.extractor_from_spec({"kind": "stack", "parts": [{"kind": "mfcc"}], "n": 3})
     with pytest.raises(FeatureError, match="its package, 'p', if you trust it"):
         af.extractor_from_spec({"kind": "mine", "package": "p"})
+
+
+def zipped(path, *, stored: bytes = b"", **members: bytes):
+    """Write an archive of deflated members, and one that is not."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, content in members.items():
+            file.writestr(f"{name}.npy", content)
+        file.writestr("stored.bin", stored, zipfile.ZIP_STORED)
+    return path
+
+
+def zeros(n_bytes: int) -> bytes:
+    return npy(np.zeros(n_bytes, np.int8))
+
+
+@pytest.mark.parametrize(("n_bytes", "is_read"), [(32 << 20, True), ((32 << 20) + 1, False)])
+def test_arrays_of_a_small_file_take_32_mib(tmp_path, n_bytes, is_read):
+    parts = {"a": zeros(n_bytes - (1 << 20)), "b": zeros(1 << 20)}
+    with open_archive(zipped(tmp_path / "a.npz", **parts), FeatureError) as found:
+        assert len(found["a"]) == n_bytes - (1 << 20)
+        if is_read:
+            assert len(found["b"]) == 1 << 20
+        else:
+            with pytest.raises(FeatureError, match="'b' unpacks to 1 MiB, far more than its file"):
+                found["b"]
+
+
+@pytest.mark.parametrize(("share", "is_read"), [(19.9, True), (20.1, False)])
+def test_arrays_of_a_large_file_take_twenty_times_its_size(tmp_path, share, is_read):
+    noise = np.random.default_rng(0).bytes(2 << 20)
+    part = zeros(round(share * ((2 << 20) + 45_000)))
+    path = zipped(tmp_path / "a.npz", stored=noise, a=part)
+    assert path.stat().st_size == pytest.approx((2 << 20) + 41_500, abs=2_000)
+    with open_archive(path, FeatureError) as found:
+        if is_read:
+            assert not found["a"].any()
+        else:
+            with pytest.raises(FeatureError, match="'a' unpacks to 41 MiB"):
+                found["a"]
+
+
+@pytest.mark.parametrize(("members", "is_read"), [(17, True), (18, False)])
+def test_the_list_of_members_takes_a_mib(tmp_path, members, is_read):
+    """An entry of it has 46 bytes, a name and a comment; 2^20 bytes are 17.5 of these."""
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:
+        for k in range(members):
+            info = zipfile.ZipInfo(f"{k:02d}.npy")
+            info.comment = bytes(59_948)
+            file.writestr(info, npy(np.array([k])))
+    if is_read:
+        with open_archive(tmp_path / "a.npz", FeatureError) as found:
+            assert found["16"].tolist() == [16]
+        return
+    says = "its list of members takes 1080000 bytes"
+    with pytest.raises(FeatureError, match=says), open_archive(tmp_path / "a.npz", FeatureError):
+        pass
+
+
+def test_archives_of_over_four_gigabytes_are_named(tmp_path):
+    """A second end record stands before the usual one, and 20 bytes that lead to it."""
+    path = zipped(tmp_path / "a.npz", a=npy(np.array([1])))
+    content = path.read_bytes()
+    at = content.rindex(b"PK\5\6")
+    path.write_bytes(content[:at] + b"PK\6\7" + bytes(16) + content[at:])
+    says = "an archive of more than 4 GiB; cut the recording"
+    with pytest.raises(FeatureError, match=says), open_archive(path, FeatureError):
+        pass
+    path.write_bytes(content[: at + 21])
+    with pytest.raises(FeatureError, match="is truncated"), open_archive(path, FeatureError):
+        pass
+
+
+@pytest.mark.parametrize("descr", ["|S0", "<U0"])
+def test_values_of_no_bytes_are_at_most_one(tmp_path, descr):
+    """Otherwise a header of a few bytes would declare any number of them."""
+
+    def member(shape: tuple[int, ...]) -> bytes:
+        out = io.BytesIO()
+        header = {"descr": descr, "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(out, header)
+        return out.getvalue()
+
+    path = zipped(tmp_path / "a.npz", one=member(()), two=member((2,)), large=member((10**12,)))
+    with open_archive(path, FeatureError) as found:
+        assert found["one"].shape == () and found.texts("one") in ([], [""])
+        for name in ("two", "large"):
+            with pytest.raises(FeatureError, match=f"'{name}' declares shape"):
+                found[name]
