@@ -14,6 +14,7 @@ from sounds import distance, swelling
 from wavlm_layouts import old_norm
 
 import audio_features as af
+from audio_features.huggingface.weights import is_encoder_folder
 
 torch = pytest.importorskip("torch")
 transformers = pytest.importorskip("transformers")
@@ -255,3 +256,120 @@ def test_random_numbers_of_the_caller_stay_as_they_are(encoder):
     torch.manual_seed(7)
     af.HuggingFace(encoder[1])
     assert torch.equal(torch.rand(3), expected)
+
+
+# Settings of folders without weights, which is the error of those whose settings are fine.
+
+TAKEN = "no model.safetensors and no pytorch_model.bin"
+
+
+@pytest.fixture
+def says(tmp_path):
+    """A function of settings and a preprocessor's settings that checks the error of the folder."""
+
+    def check(expected: str, settings: dict, preprocessor: dict | None = None) -> None:
+        (tmp_path / "config.json").write_text(json.dumps(settings))
+        file = tmp_path / "preprocessor_config.json"
+        file.unlink(missing_ok=True)
+        if preprocessor is not None:
+            file.write_text(json.dumps(preprocessor))
+        with pytest.raises(af.WeightsError, match=expected):
+            af.HuggingFace(tmp_path)
+
+    return check
+
+
+@pytest.mark.parametrize(
+    ("preprocessor", "columns", "expected"),
+    [
+        (None, 160, TAKEN),
+        (None, 80, "80 mel bins in stacks of 2 at 16000 Hz, expected 80 columns at 16000 Hz: take"),
+        ({}, 160, TAKEN),
+        ({"sampling_rate": 16_000, "stride": 2, "num_mel_bins": 80}, 160, TAKEN),
+        ({"stride": 1}, 80, TAKEN),
+        ({"stride": 4, "num_mel_bins": 40}, 160, TAKEN),
+        ({"num_mel_bins": 40}, 160, "json: 40 mel bins in stacks of 2 at 16000 Hz, expected 160"),
+        ({"sampling_rate": 8_000}, 160, "80 mel bins in stacks of 2 at 8000 Hz, expected 160"),
+        ({"stride": 2.0}, 160, "in stacks of 2.0 at"),
+        ({"stride": -2, "num_mel_bins": -80}, 160, "-80 mel bins in stacks of -2 at"),
+    ],
+)
+def test_frames_of_a_filter_bank_are_stacked_to_the_columns_of_the_network(
+    says, preprocessor, columns, expected
+):
+    config = {"model_type": "wav2vec2-bert", "feature_projection_input_dim": columns}
+    says(expected, config, preprocessor)
+
+
+@pytest.mark.parametrize(
+    ("preprocessor", "expected"),
+    [
+        (None, TAKEN),
+        ({}, TAKEN),
+        (
+            {
+                "feature_size": 80,
+                "sampling_rate": 16_000,
+                "n_fft": 400,
+                "hop_length": 160,
+                "dither": 0.0,
+            },
+            TAKEN,
+        ),
+        ({"feature_size": 128}, "json: feature_size is 128, expected 80: take the file"),
+        ({"sampling_rate": 8_000}, "sampling_rate is 8000, expected 16000"),
+        ({"n_fft": 512}, "n_fft is 512, expected 400"),
+        ({"hop_length": 320}, "hop_length is 320, expected 160"),
+        ({"dither": 1.0}, "dither is 1.0, expected 0.0"),
+    ],
+)
+def test_whispers_spectrogram_is_the_usual_one(says, preprocessor, expected):
+    says(expected, {"model_type": "whisper", "num_mel_bins": 80}, preprocessor)
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"hidden_size": 65_536}, TAKEN),
+        ({"hidden_size": 65_537}, "config.json: hidden_size is 65537: not an encoder's size"),
+        ({"hidden_size": -65_537}, "hidden_size is -65537: not an encoder's size"),
+        ({"initializer_range": 1e6}, "initializer_range is 1000000.0: not an encoder's size"),
+        ({"conv_dim": [512] * 6 + [65_537]}, r"conv_dim is \[512, .*65537\]: not an encoder's"),
+        ({"vocab_size": 10**6, "pad_token_id": 10**6}, TAKEN),
+        ({"num_hidden_layers": 256}, TAKEN),
+        ({"num_hidden_layers": 257}, "num_hidden_layers is 257, at most 256 are read"),
+        ({"model_type": None}, "model_type is None, expected one of hubert, .*of a speech encoder"),
+    ],
+)
+def test_absurd_sizes_are_refused(says, settings, expected):
+    says(expected, {"model_type": "hubert"} | settings)
+
+
+def test_six_files_with_code_are_listed(says, tmp_path):
+    for k in range(7):
+        (tmp_path / f"code{k}.py").write_text("")
+    listed = ", ".join(f"code{k}.py" for k in range(6))
+    says(f"brings code of its own .{listed}., which", {"model_type": "hubert"})
+    for k in range(1, 7):
+        (tmp_path / f"code{k}.py").unlink()
+    (tmp_path / "tokenizer_config.json").write_text('{"auto_map": {}}')
+    says(
+        "code0.py, auto_map in preprocessor_config.json, auto_map in tokenizer_config.json",
+        {"model_type": "hubert"},
+        {"auto_map": {}},
+    )
+
+
+def test_a_folder_is_named_by_its_encoder(tmp_path):
+    assert not is_encoder_folder(tmp_path)
+    for model_type, is_other in (
+        ("hubert", True),
+        ("whisper", True),
+        ("wavlm", False),
+        ("", False),
+    ):
+        (tmp_path / "config.json").write_text(json.dumps({"model_type": model_type}))
+        assert is_encoder_folder(tmp_path) == is_other
+    for place, problem in (("config.json", "not a folder"), ("none", "no such folder")):
+        with pytest.raises(af.WeightsError, match=f"{place}: {problem}: give a local Hugging"):
+            af.HuggingFace(Path(tmp_path) / place)
