@@ -59,6 +59,7 @@ def test_another_root_moves_as_it_did(moving_person):
     moving = replace(moving_person, joint_translations={"Spine": moving_person.translation})
     kept = check(moving, [rig.names[j] for j in (spine, *rig.descendants(spine))])
     assert kept.skeleton.names[0] == "Spine" and not kept.joint_translations
+    np.testing.assert_allclose(kept.skeleton.offsets[0], [0.0, 0.9 + 0.2, 0.0])
     # Where the root went, and another parent with it.
     kept = check(moving, ["Spine", "LeftForeArm", "LeftHand"])
     assert set(kept.joint_translations) == {"LeftForeArm"}
