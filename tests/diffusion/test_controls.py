@@ -8,6 +8,7 @@ import pytest
 
 import gesturekit as gk
 from gesturekit.diffusion.controls import DiffusionControlArguments, DiffusionControls
+from gesturekit.errors import ModelError
 from gesturekit.field_docs import field_docs
 from gesturekit.model import UnknownControlError
 from gesturekit.multires.controls import MultiresControlArguments, MultiresControls
@@ -35,3 +36,23 @@ def test_unknown_controls_are_refused_with_the_nearest_name(untrained, system, n
         with pytest.raises(UnknownControlError, match=f"{system} models have no control {other}"):
             call(**{other: 2})
     model.check_controls(**{other: None, "style": None})
+
+
+@pytest.mark.parametrize(
+    ("name", "allowed", "refused", "says"),
+    [
+        ("steps", (1, 20), (0, -1, 1.0, True), "an integer at least 1"),
+        ("batch", (1, 8), (0, 2.5), "an integer at least 1"),
+        ("change", (1e-6, 1), (0, -0.1, 1.01), "a number above 0 and at most 1"),
+        ("guidance", (-1, 0.0, 9), ("1", float("nan")), "a number"),
+        ("clip_denoised", (True, False), (1, "no"), "True or False"),
+        ("solver", ("ddim", "dpm"), ("euler", 2), "one of ancestral, ddim, dpm"),
+    ],
+)
+def test_controls_of_diffusion_are_checked(name, allowed, refused, says):
+    assert (DiffusionControls().change, DiffusionControls().batch) == (0.5, 1)
+    for value in allowed:
+        assert getattr(DiffusionControls.build({name: value}, "diffusion"), name) == value
+    for value in refused:
+        with pytest.raises(ModelError, match=f"^{name}={value!r}: expected {says}$"):
+            DiffusionControls.build({name: value}, "diffusion")

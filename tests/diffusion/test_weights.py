@@ -75,6 +75,10 @@ def test_mixtures_in_spans_become_one_another():
     np.testing.assert_allclose(found[140:], np.tile([0, 1, 0], (100, 1)), atol=1e-6)
     assert (np.diff(found[104:136, 0]) > 0).all()
     np.testing.assert_allclose(found.sum(axis=1), 1, atol=1e-6)
+    # The name of the third style ends as a weight does.
+    found = style_weights(NAMES, "calm:1@0-4,old:0.5@4-8,calm:1:0.5@4-8", 240, 30.0)
+    np.testing.assert_allclose(found[:100], np.tile([0, 0, 1], (100, 1)), atol=1e-6)
+    np.testing.assert_allclose(found[140:], np.tile([0.5, 0, 0.5], (100, 1)), atol=1e-6)
 
 
 @pytest.mark.parametrize(
