@@ -171,6 +171,27 @@ def test_the_same_joints_on_the_bones_of_others():
 def test_the_skeleton_nearest_to_the_median_stands_for_all():
     rigs = [with_offsets(STAGE, arm=(0.0, 1 + off, 0.0)) for off in (-0.3, 0.02, 0.2, 0.0, -0.1)]
     assert reference_skeleton([at_rest(rig, 1) for rig in rigs]) is rigs[3]
+    # One that is far off does not count more: the median of five is 1.2, the mean 2.92.
+    rigs = [with_offsets(STAGE, arm=(0, length, 0)) for length in (1.0, 1.3, 1.2, 10.0, 1.1)]
+    assert reference_skeleton([at_rest(rig, 1) for rig in rigs]) is rigs[2]
+
+
+@pytest.mark.parametrize(
+    ("moving", "root"),
+    [
+        (["hand"], "hand"),
+        (["arm", "hand"], "arm"),
+        (["hand", "flag"], "lift"),
+        (["flag"], "flag"),
+        ([], "stage"),
+    ],
+)
+def test_the_root_is_the_lowest_joint_above_all_that_move(moving, root):
+    motion = at_rest(STAGE, 4)
+    for name in moving:
+        swing = Rotation.from_rotvec(np.outer(np.arange(4), [0.1, 0, 0])).as_quat()
+        motion.rotations[:, STAGE.index(name)] = swing
+    assert STAGE.names[first_moving_joint([at_rest(STAGE, 2), motion])] == root
 
 
 @pytest.mark.parametrize("size", [1.0, 100.0])

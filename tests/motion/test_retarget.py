@@ -329,7 +329,8 @@ def test_a_root_above_the_hips_turns_with_the_body(moving_person):
 
 @pytest.mark.parametrize(
     ("inward", "weight"),
-    [(0.6, 1.0), (0.15, 0.5), (-0.6, 0.0)],  # to 0, 0.75 and 2 half shoulder widths
+    # To 0, 0.575, 0.75 and 2 half shoulder widths; a quarter of the way, 3 / 4^2 - 2 / 4^3 count.
+    [(0.6, 1.0), (0.255, 1 - 0.15625), (0.15, 0.5), (-0.6, 0.0)],
 )
 def test_hands_in_front_of_the_body_are_placed_and_hands_aside_are_not(person, inward, weight):
     """Upper arms hang, forearms point ahead and inward; the target's shoulders are 0.4 m apart.
