@@ -189,11 +189,13 @@ def on_wide_hips(person: Skeleton) -> Skeleton:
     return with_offsets(person, LeftUpLeg=(0.2, 0.0, 0.0), RightUpLeg=(-0.2, 0.0, 0.0))
 
 
-def test_hips_come_down_where_legs_have_to_reach_aside(person):
+@pytest.mark.parametrize("yaw", [0.0, 1.0, np.pi / 2])
+def test_hips_come_down_where_legs_have_to_reach_aside(person, yaw):
     """Feet 0.1 m to either side, hips 0.2 m, straight legs of 0.82 m: sqrt(0.82^2 - 0.1^2) =
     0.81388 m of them is upright, 0.00612 m less than on the source.
     """
     motion = at_rest(person, 30, [0.3, 0.9, 0.1])
+    motion.rotations[:, 0] = quaternion_from_rotation_vector(np.array([0.0, yaw, 0.0]))
     made = retarget(motion, on_wide_hips(person))
     lowered = motion.positions()[:, 0] - made.positions()[:, 0]
     np.testing.assert_allclose(lowered, np.tile([0, 0.00612, 0], (30, 1)), atol=1e-5)
@@ -267,6 +269,19 @@ def test_hips_stand_on_the_legs_and_ankles_of_the_other_rig(person, feet):
     np.testing.assert_allclose(made.positions()[:, 0], ahead + [0.3, 1.35, 0.1], atol=1e-5)
     for name, height in (("LeftFoot", 0.12), ("RightFoot", 0.12), ("LeftToeBase", 0.02)):
         assert made.positions()[:, other.index(name), 1] == pytest.approx(height, abs=1e-5)
+
+
+@pytest.mark.parametrize("size", [1.0, 20.0])
+def test_a_foot_stands_up_to_a_speed_of_its_size(person, size):
+    """0.2 m/s on the reference body of 1.4 m from ankle to head; the person has 1.42 m."""
+    limit = 0.2 * 1.42 / 1.4
+    for share, stands in ((0.99, True), (1.01, False)):
+        creeps = share * limit / 30 * np.arange(6)[:, None] * [0.0, 0.6, 0.8]
+        motion = at_rest(person, 6, UPRIGHT + creeps).scaled(size)
+        pose = at_rest(motion.skeleton, 1).rotations[0]
+        frames = body_frames(motion.skeleton, find_parts(motion.skeleton), pose)
+        feet = FootMotion.measure(motion, frames, motion.positions(), motion.global_rotations())
+        assert feet.standing["left"][1:].all() == feet.standing["left"][1:].any() == stands
 
 
 def test_heights_of_feet_are_those_on_the_floor_and_not_on_a_box(person):

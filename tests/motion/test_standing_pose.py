@@ -160,7 +160,7 @@ def test_frames_of_several_directions_are_those_of_each():
 
 
 TOES = {f"{side}ToeBase": (f"{side}Foot", (0.0, -0.05, 0.14)) for side in ("Left", "Right")}
-BONES = [("Spine", "Chest"), ("Chest", "Neck"), ("Neck", "Head")]
+BONES = [("Spine", "Waist"), ("Waist", "Chest"), ("Chest", "Neck"), ("Neck", "Head")]
 DRAWN = {bone: (0.0, 1.0, 0.0) for bone in BONES}
 for _side, _x in (("Left", 1.0), ("Right", -1.0)):
     for _bone in (("Shoulder", "Arm"), ("Arm", "ForeArm"), ("ForeArm", "Hand")):
@@ -186,7 +186,9 @@ def test_a_heap_of_bones_stands_in_a_t_pose(seed, clavicles, size):
 
     The line from hips to chest is upright in the frame of the hips, the one between them is not.
     """
-    rows = PERSON | TOES
+    rows = {name: PERSON[name] for name in ("Hips", "Spine")}
+    rows |= {"Waist": ("Spine", (0.0, 0.1, 0.0)), "Chest": ("Waist", (0.0, 0.1, 0.0))}
+    rows |= {name: bone for name, bone in (PERSON | TOES).items() if name not in rows}
     gone = {"both": (), "left": ("Right",), "none": ("Left", "Right")}[clavicles]
     for side in gone:
         rows = {name: bone for name, bone in rows.items() if name != f"{side}Shoulder"}
