@@ -62,6 +62,10 @@ def test_another_sound_setting_or_rate_is_another_entry(tmp_path, wave):
         cache.extract(other, wave)
         assert other.asked == 1
     assert cache.contents().entries == 5
+    same, again = Slow(a=1, b={"c": 2, "d": 3}), Slow(b={"d": 3, "c": 2}, a=1)
+    cache.extract(same, wave)
+    cache.extract(again, wave)
+    assert (same.asked, again.asked) == (1, 0), "the order of settings means nothing"
 
 
 def test_another_version_of_the_package_is_another_entry(tmp_path, wave, monkeypatch):

@@ -494,3 +494,26 @@ def test_features_of_a_long_silence_and_few_frames_are_drawn(drawn, tmp_path):
         assert pitch.lines[0].get_ydata().tolist() == [5.0, 7.0][:frames]
         low, high = sound.images[0].get_clim()
         assert 0 < high - low < 1e-3
+
+
+def test_lines_of_features_are_named_with_their_units(drawn, tmp_path):
+    """A minute would be 42 inches wide; columns of one scale are shown as they are."""
+    units = {
+        "energy": "dB of active speech",
+        "onset": "dB",
+        "onset_strength": "dB",
+        "spectral_flux": "dB",
+        "f0_range": "semitones",
+        "energy_range": "dB",
+        "voicing": None,
+    }
+    names = (*units, "chroma_0", "chroma_1", "chroma_2", "chroma_10")
+    values = np.arange(3)[:, None] + np.arange(len(names), dtype=np.float32)
+    track = FeatureTrack(values, [0.0, 30.0, 60.0], names=names)
+    draw_features(track, tmp_path / "f.png", Wave(np.zeros(240_000, np.float32), 4_000))
+    rows = drawn.kept[-1].axes[1:]
+    titles = [name if unit is None else f"{name}, {unit}" for name, unit in units.items()]
+    assert [axes.get_title(loc="left") for axes in rows] == [*titles, "chroma, 4 columns"]
+    assert drawn.kept[-1].get_size_inches()[0] == 40.0
+    np.testing.assert_array_equal(rows[-1].images[0].get_array(), values[:, -4:].T)
+    assert rows[1].lines[0].get_ydata().tolist() == [1, 2, 3]
