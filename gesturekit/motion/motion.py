@@ -74,8 +74,8 @@ class Motion:
         if not n_frames:
             raise MotionError("a motion needs at least one frame")
         length = np.linalg.norm(rotations, axis=2, keepdims=True)
-        if not np.isfinite(length).all() or (length < 1e-6).any():
-            bad = np.argwhere(~(np.isfinite(length) & (length >= 1e-6)))[0]
+        if not (valid := np.isfinite(length) & (length >= 1e-6)).all():
+            bad = np.argwhere(~valid)[0]
             raise MotionError(
                 f"the rotation of joint {self.skeleton.names[bad[1]]!r} in frame {bad[0]} is "
                 f"{rotations[bad[0], bad[1]].tolist()}, not a quaternion"

@@ -237,7 +237,6 @@ def unique_names(names: Sequence[str]) -> list[str]:
         if times[name] > 1:
             while (new := f"{name}_{times[name]}") in taken:
                 times[name] += 1
-            taken.add(new)
         unique.append(new)
     return unique
 

@@ -55,10 +55,21 @@ def test_quaternions_of_any_length_are_normalised_and_unit_ones_are_not_touched(
 
 
 def test_a_bad_quaternion_is_named(moving_person):
+    """A length from 1e-6 on gives a direction."""
     rotations = moving_person.rotations.copy()
-    rotations[7, 2] = 0
-    with pytest.raises(MotionError, match=r"'Chest' in frame 7"):
-        replace(moving_person, rotations=rotations)
+    rotations[7, 2] = [0.0, 0.0, 1e-6, 0.0]
+    assert replace(moving_person, rotations=rotations).rotations[7, 2].tolist() == [0, 0, 1, 0]
+    for bad in (0.0, [0.0, 9e-7, 0.0, 0.0], [0, 0, np.nan, 1], [1, 0, -np.inf, 0]):
+        rotations[7, 2] = bad
+        with pytest.raises(MotionError, match=r"'Chest' in frame 7 is \[.*\], not a quaternion"):
+            replace(moving_person, rotations=rotations)
+
+
+def test_notes_of_a_changed_motion_are_its_own(moving_person):
+    motion = replace(moving_person, info={"source": "a"})
+    for made in (motion.mirror(), motion.keep(["Hips", "Spine"])):
+        made.info["more"] = 1
+        assert made.info["source"] == "a" and motion.info == {"source": "a"}
 
 
 def test_frames_are_cut_like_those_of_an_array(moving_person):

@@ -88,9 +88,11 @@ def test_json_round_trip(person):
     np.testing.assert_array_equal(again.offsets, person.offsets)
     np.testing.assert_array_equal(again.end_sites["Head"], person.end_sites["Head"])
     shape = BodyShape((0.5, -1.0), "female")
-    whole = replace(person, parts={"head": "Neck"}, body_shape=shape, rotation_orders=())
+    orders = ("XYZ", *("YZX",) * (person.n_joints - 1))
+    whole = replace(person, parts={"head": "Neck"}, body_shape=shape, rotation_orders=orders)
     again = Skeleton.from_json(json.loads(json.dumps(whole.to_json())))
     assert (again.parts, again.body_shape.to_json()) == ({"head": "Neck"}, shape.to_json())
+    assert again.rotation_orders == orders
     fields = ("format", "names", "parents", "offsets")
     least = Skeleton.from_json({name: person.to_json()[name] for name in fields})
     assert (least.end_sites, least.parts, least.body_shape.to_json()) == ({}, {}, {})
