@@ -155,7 +155,7 @@ def _placed_behind(last: Motion, after: Motion) -> Motion:
     root = first_moving_joint([last, after])
     angle = heading(last[-1:]) - heading(after[:1])
     ended, begins = last.positions()[:, root], after[:1].positions()[0, root]
-    move = 2 * ended[-1] - ended[0] if len(ended) > 1 else ended[0]
+    move = 2 * ended[-1] - ended[0]  # a step on, which a single frame does not have
     return carried(after, root, angle, begins[GROUND], move[GROUND])
 
 

@@ -196,3 +196,19 @@ def test_a_limb_bends_the_more_along_the_pole_the_straighter_it_was(share):
     np.testing.assert_allclose(knee, 0.5 * side - [0, np.sqrt(3) / 2, 0], atol=1e-6)
     shank = rotate_vectors(multiply_quaternions(solved[0], solved[1]), joints[2] - joints[1])
     np.testing.assert_allclose(knee + shank, target, atol=1e-6)
+
+
+@pytest.mark.parametrize("place", [(0.0, 1.0, 0.0), (3.0, -2.0, 0.5)])
+def test_the_place_of_a_limb_does_not_matter(place):
+    """A straight limb of 2 m reaches for 2.5 m, and for what it has; the middle of one is at 0."""
+    joints = np.array([[0, 0, 0], [0, -1.0, 0], [0, -2.0, 0]])
+    rest = np.tile([0.0, 0, 0, 1], (2, 1))
+    pole = np.array([0.0, 0, 1.0])
+    for target in ([0, -2.0, 0], [0.3, -1.99, 0], [1.5, -2.0, 0.0]):
+        here, there = (
+            two_bone_ik(joints + at, target + at, rest, rest, pole=pole)
+            for at in (np.zeros(3), np.array(place))
+        )
+        np.testing.assert_allclose(there, here, atol=1e-7)
+    straight = two_bone_ik(joints + place, joints[2] + place, rest, rest, pole=pole)
+    np.testing.assert_allclose(np.abs(straight[:, 3]), 1.0, atol=1e-9)
