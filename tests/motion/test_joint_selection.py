@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from recordings import BANDAI, ZEGGS
 from rigs import at_rest
+from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.body_shape import BodyShape
 from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.parts import body_joints
 from gesturekit.multires.kinematics import VectorKinematics
@@ -65,9 +67,40 @@ def test_another_root_moves_as_it_did(moving_person):
     assert set(kept.joint_translations) == {"LeftForeArm"}
 
 
+def test_what_is_known_of_kept_joints_is_kept(person):
+    orders = tuple(("ZXY", "XYZ", "YZX")[j % 3] for j in range(person.n_joints))
+    parts, shape = {"head": "Neck", "left_wrist": "LeftHand"}, BodyShape((0.5,), "female")
+    rig = replace(person, rotation_orders=orders, parts=parts, body_shape=shape)
+    names = [name for name in rig.names if name not in ("Chest", "LeftHand")]
+    kept = at_rest(rig, 3).keep(names[::-1])
+    assert kept.skeleton.names == tuple(names) and not kept.joint_translations
+    assert kept.skeleton.rotation_orders == tuple(orders[rig.index(name)] for name in names)
+    assert kept.skeleton.parts == {"head": "Neck"}
+    assert kept.skeleton.body_shape.to_json() == shape.to_json()
+    for name in ("Neck", "RightArm"):
+        expected = rig.offsets[rig.index(name)] + rig.offsets[rig.index("Chest")]
+        np.testing.assert_allclose(kept.skeleton.offsets[kept.skeleton.index(name)], expected)
+
+
+@pytest.mark.parametrize("size", [1.0, 50.0])
+@pytest.mark.parametrize(("angle", "moves"), [(1.6e-5, set()), (1.8e-5, {"LeftArm", "RightArm"})])
+def test_what_varies_by_a_rounding_step_is_constant(person, angle, moves, size):
+    """2.5e-6 m on a body of 1.4 m from ankle to head; the person has 1.42 m.
+
+    Arms 0.15 m beside a chest that turns go up and down by 0.15 of the angle.
+    """
+    motion = at_rest(person, 4)
+    turn = Rotation.from_rotvec(np.outer([0, 1, 0, 1], [0, 0, angle]))
+    motion.rotations[:, person.index("Chest")] = turn.as_quat()
+    kept = motion.scaled(size).keep([name for name in person.names if name != "Chest"])
+    assert set(kept.joint_translations) == moves
+
+
 def test_joints_that_cannot_be_removed_are_errors(moving_person):
     with pytest.raises(MotionError, match="keep 'Chest' too"):
         moving_person.keep(["LeftArm", "RightArm"])
+    with pytest.raises(MotionError, match="keep '.*' too"):
+        moving_person.keep(["LeftArm", "RightArm", "LeftFoot", "RightFoot"])
     with pytest.raises(MotionError, match="did you mean LeftArm"):
         moving_person.keep(["Leftarm"])
     with pytest.raises(MotionError, match="at least one"):

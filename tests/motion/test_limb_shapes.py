@@ -65,6 +65,9 @@ def test_sides_limbs_and_head_of_a_figure():
     assert tuple(FIGURE)[found.head] == "head"
     pairs = {(tuple(FIGURE)[a], tuple(FIGURE)[b]) for a, b in found.pairs}
     assert {frozenset(pair) for pair in pairs} == {frozenset((f"{c}1", f"{c}2")) for c in "abcklmn"}
+    # A sole that goes back from the ball of the foot, but not as far as the ankle, points ahead.
+    soles = {f"o{n}": (f"n{n}", (0.0, 0.0, -0.1)) for n in "12"}
+    assert find_limbs(without(**soles)).joints == found.joints
     # Feet that point to -Z exchange left and right.
     turned = find_limbs(figure(n=(0.0, -0.05, -0.14))).joints
     assert {tuple(FIGURE)[turned[f"left_{part}"]] for part in limbs} == {
@@ -143,6 +146,7 @@ def head_of(rig: Skeleton) -> str | None:
 
 def test_the_head_is_below_its_face_or_its_top():
     assert head_of(without("neck", "head")) is None
+    assert head_of(without(prop=("chest", (0.0, 0.05, 0.05)))) == "head"  # not on the longest way
     assert head_of(figure({"head": ()})) == "head"  # no farther from the neck than that from chest
     # The last joint is farther from the one before it than that from its own, and ends in a point.
     top = figure(head=(0.0, 0.11, 0.0), tips={"head": ()})
