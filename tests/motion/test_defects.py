@@ -150,6 +150,9 @@ def test_jitter_is_three_alternating_bends_of_three_millimetres(size):
         path = np.zeros(60)
         path[20:40] = metres * (-1.0) ** np.arange(20)
         assert jitter_share(carried(path, size=size)) == pytest.approx(frames / 60)
+    nods = {"Head": path[:, None] * [0, 0, 1.0]}  # a single joint trembles
+    nodding = replace(carried(0 * path), joint_translations=nods).scaled(size)
+    assert jitter_share(nodding) == pytest.approx(18 / 60)
     assert jitter_share(carried(path, fps=14.9)) == 0.0
     assert jitter_share(carried(path, fps=15.0)) == pytest.approx(18 / 60)
     assert jitter_share(carried(path[24:29])) == pytest.approx(1 / 5)
@@ -163,6 +166,9 @@ def test_bends_to_the_side_are_no_jitter():
         steps = 0.01 * np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=-1)
         motion = at_rest(REFERENCE, 40, np.cumsum(steps, axis=0))
         assert (jitter_share(motion) > 0.8) == trembles
+        steps[:3] = 0.0  # after a rest, too
+        motion = at_rest(REFERENCE, 40, np.cumsum(steps, axis=0))
+        assert (jitter_share(motion) > 0.7) == trembles
 
 
 def test_frozen_runs_last_a_second_in_which_nothing_moves():
