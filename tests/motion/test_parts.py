@@ -518,6 +518,24 @@ def test_accessories_are_not_the_head(mixamo):
     lamp["LampHead"] = ("Lamp2", (0.0, 0.1, 0.1))
     trunk = {name: PERSON[name] for name in ("Hips", "Spine", "Chest")}
     assert find_parts(rig_of(trunk | lamp | PERSON)).head == "Head"
+    arm = ("RightShoulder", "RightArm", "RightForeArm", "RightHand")
+    bones = {name: bone for name, bone in (trunk | lamp | PERSON).items() if name not in arm}
+    labels, _ = known_part_labels(rig_of(bones))
+    assert (labels["Head"], labels["LampHead"]) == ("head", "other")
+
+
+def test_arms_on_a_neck_leave_a_spine_below_it():
+    """Or the neck is the spine, where nothing else is between it and the hips."""
+    for between in ([], ["Spine"], ["Spine", "Waist"]):
+        way = ["Hips", *between, "Neck", "Head"]
+        bones: Bones = {"Hips": PERSON["Hips"]}
+        bones |= {name: (above, (0.0, 0.2, 0.0)) for above, name in zip(way, way[1:])}
+        for name, (above, offset) in PERSON.items():
+            if name not in ("Hips", "Spine", "Chest", "Neck", "Head"):
+                bones[name] = ("Neck" if above == "Chest" else above, offset)
+        found = find_parts(rig_of(bones))
+        assert found.spine == (tuple(between) or ("Neck",))
+        assert found.neck == ("Neck" if between else None) and found.head == "Head"
 
 
 def animal(legs: int, named: tuple[str, ...]) -> Skeleton:

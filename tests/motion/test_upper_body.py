@@ -135,6 +135,7 @@ def test_arms_named_by_hand_are_enough(mixamo):
         (("Scene", "BodyRoot", "Hips", "Chest"), "Hips"),
         (("Scene", "Lift", "Spine", "Chest"), "Scene"),
         (("Hips", "Lift", "Spine", "Chest"), "Hips"),
+        (("Hips", "BodyRoot", "Spine", "Chest"), "Hips"),
     ],
 )
 def test_the_pelvis_of_a_body_without_legs_is_named_or_the_root(person, names, pelvis):
