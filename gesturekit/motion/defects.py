@@ -122,7 +122,7 @@ def find_pops(motion: Motion, jumps: Jumps | None = None) -> Pops | None:
 
 
 def _popping(motion: Motion) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return where joints pop between the first and the last frame, (T - 2, J) bool; none of two.
+    """Return where joints pop between the first and the last frame, (max(T - 2, 0), J) bool.
 
     Also the angles (T - 2, J) between a rotation and the mean of its neighbours, and the least
     angle of a pop, in radians.
