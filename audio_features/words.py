@@ -290,7 +290,7 @@ class Words:
 
         Raises FeatureError if there is no word list, or it cannot be read.
         """
-        n_frames = max(1, wave.n_frames(RATE))
+        n_frames = wave.n_frames(RATE)
         values = _values(words_of(wave), n_frames)
         return FeatureTrack(values, np.arange(n_frames) / RATE, self.spec, self.names)
 

@@ -150,7 +150,7 @@ class WordEmbeddings:
 
         Raises FeatureError if there is no word list, or it cannot be read.
         """
-        n_frames = max(1, wave.n_frames(RATE))
+        n_frames = wave.n_frames(RATE)
         values = np.zeros((n_frames, self.dim), np.float32)
         for word in words_of(wave):
             frames = frames_of(word, RATE)

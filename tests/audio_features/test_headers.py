@@ -320,7 +320,7 @@ def test_the_head_of_a_flac_declares_length_rate_and_digest():
         assert read(bits=bits).md5 == (b"0123456789abcdef", bits)
     assert read(bits=12).md5 is read(bits=20).md5 is None
     # Blocks of padding (kind 1) and comments (kind 4), the last of which says so.
-    blocks = b"\x01\0\0\2ab\x84\0\1\0" + bytes(256)
+    blocks = b"\x01\0\0\2ab\x84\1\1\2" + bytes((1 << 16) + (1 << 8) + 2)
     for code in (4, 5):
         head = {"last": 0, "more": blocks, "code": code}
         if code == 4:

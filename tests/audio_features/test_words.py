@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import audio_features as af
-from audio_features.words import words_beside
+from audio_features.words import takes_words, words_beside
 
 EXPECTED = [(0.2, 0.5, "so"), (0.5, 1.0, "well"), (2.0, 2.25, "yes")]
 
@@ -158,6 +158,19 @@ def test_a_broken_word_list_is_an_error_that_names_the_file(tmp_path, name, text
         af.load_words(tmp_path / name)
 
 
+@pytest.mark.parametrize("content", [b"x 1 0 1 caf\xe9", b"\xff\xfex\0 "])
+def test_a_list_in_another_encoding_is_refused(tmp_path, content):
+    (tmp_path / "a.ctm").write_bytes(content)
+    with pytest.raises(af.FeatureError, match=r"a.ctm: not text \(.+\): save it as UTF-8"):
+        af.load_words(tmp_path / "a.ctm")
+
+
+def test_words_are_read_if_any_part_of_the_features_needs_them():
+    mel, words = af.LogMel(), af.Words()
+    assert takes_words(words) and takes_words(af.Stack([mel, words]))
+    assert not takes_words(mel) and not takes_words(af.Stack([mel]))
+
+
 def test_words_as_features(tmp_path, write_speech):
     wav = write_speech(tmp_path / "talk.wav", 3.0)
     (tmp_path / "talk.TextGrid").write_text(LONG)
@@ -195,7 +208,12 @@ def test_values_of_words_by_hand(tmp_path):
     # One word in a bell of 0.5 s: 1 / (0.5 sqrt(2 pi)), and exp(-1/2) of it half a second away.
     np.testing.assert_allclose(rate[[600, 550, 650]], [0.7979, 0.4839, 0.4839], atol=1e-3)
     (tmp_path / "a.ctm").write_text("x 1 2 1 a\n")
-    np.testing.assert_array_equal(np.flatnonzero(af.Words().extract(wave).values[:, 1]), [0])
+    early = af.Words().extract(wave).values
+    np.testing.assert_array_equal(np.flatnonzero(early[:, 1]), [0])
+    # Before the sound there are no words.
+    np.testing.assert_allclose(early[[0, 50], 3], [0.7979, 0.4839], atol=1e-3)
+    short = af.Wave(np.zeros(400), 16_000)
+    assert af.Words().extract(short).times.tolist() == [0.0, 0.01, 0.02], "25 ms"
     assert rate[300:800].sum() / 100 == pytest.approx(1.0, abs=0.02)
 
 
