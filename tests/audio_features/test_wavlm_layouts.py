@@ -231,7 +231,13 @@ def test_settings_that_a_file_leaves_out_are_those_of_transformers():
 
 
 @pytest.mark.parametrize(
-    ("settings", "size"), [({}, "Base or Base+"), (LARGE, "Large"), (ODD, "of a custom size")]
+    ("settings", "size"),
+    [
+        ({}, "Base or Base+"),
+        (LARGE, "Large"),
+        (ODD, "of a custom size"),
+        (ODD | {"num_conv_pos_embedding_groups": 48}, "of a custom size"),
+    ],
 )
 def test_tensors_are_those_of_transformers(settings, size):
     """Networks on the device "meta", which have shapes and no numbers."""
