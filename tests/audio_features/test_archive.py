@@ -264,7 +264,7 @@ def test_archives_of_over_four_gigabytes_are_named(tmp_path):
 
 @pytest.mark.parametrize("descr", ["|S0", "<U0"])
 def test_values_of_no_bytes_are_at_most_one(tmp_path, descr):
-    """Otherwise a header of a few bytes would declare any number of them."""
+    """A header of a few bytes would declare any number of them."""
 
     def member(shape: tuple[int, ...]) -> bytes:
         out = io.BytesIO()

@@ -525,7 +525,7 @@ def test_accessories_are_not_the_head(mixamo):
 
 
 def test_arms_on_a_neck_leave_a_spine_below_it():
-    """Or the neck is the spine, where nothing else is between it and the hips."""
+    """The neck is the spine where nothing else is between it and the hips."""
     for between in ([], ["Spine"], ["Spine", "Waist"]):
         way = ["Hips", *between, "Neck", "Head"]
         bones: Bones = {"Hips": PERSON["Hips"]}

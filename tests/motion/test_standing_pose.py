@@ -110,6 +110,13 @@ def test_a_body_that_lies_or_never_stands_is_no_standing_one():
     motion = seated({}, legs(46), legs(46) | LOWERED)
     with pytest.raises(MotionError, match="stands upright neither at rest nor in any frame.*Hips"):
         standing_pose(motion)
+    parts = "Pelvis 'Hips', left knee 'LeftLeg', left elbow 'LeftForeArm'; if not, name them"
+    with pytest.raises(MotionError, match=parts):
+        standing_pose(motion)
+    bust = {name: bone for name, bone in PERSON.items() if "Leg" not in name and "Foot" not in name}
+    hanging = at_rest(with_offsets(rig_of(bust), Head=(0.0, -0.9, 0.0)), 2)
+    with pytest.raises(MotionError, match="Pelvis 'Hips', left elbow 'LeftForeArm'; if not"):
+        standing_pose(hanging)
     standing = seated({}, legs(44), legs(60))
     np.testing.assert_array_equal(standing_pose(standing), standing.rotations[1])
     np.testing.assert_array_equal(standing_pose(at_rest(RIG, 3)), REST)
