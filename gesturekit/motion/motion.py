@@ -65,7 +65,7 @@ class Motion:
 
     def __post_init__(self) -> None:
         rotations = np.asarray(self.rotations, dtype=np.float64)
-        if rotations.ndim != 3 or rotations.shape[1:] != (self.skeleton.n_joints, 4):
+        if rotations.shape[1:] != (self.skeleton.n_joints, 4):
             raise MotionError(
                 f"rotations have shape {rotations.shape}; a rig of {self.skeleton.n_joints} "
                 f"joints needs (frames, {self.skeleton.n_joints}, 4)"

@@ -63,6 +63,8 @@ def test_the_farthest_plausible_offset_is_a_thousand_million_metres():
 def test_unknown_joint_names_the_nearest(person):
     with pytest.raises(MotionError, match="LeftForeArm"):
         person.index("LeftForearm")
+    with pytest.raises(MotionError, match=r"did you mean LeftArm, \w+, \w+\?$"):
+        person.index("LeftArn")
 
 
 def test_unknown_joints_like_none_are_answered_by_those_there_are(person):
