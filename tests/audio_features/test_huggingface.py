@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from sounds import distance, swelling
 from wavlm_layouts import old_norm
 
 import audio_features as af
-from audio_features.huggingface.weights import is_encoder_folder
+from audio_features.huggingface.weights import EncoderWeights, is_encoder_folder
 
 torch = pytest.importorskip("torch")
 transformers = pytest.importorskip("transformers")
@@ -373,3 +374,20 @@ def test_a_folder_is_named_by_its_encoder(tmp_path):
     for place, problem in (("config.json", "not a folder"), ("none", "no such folder")):
         with pytest.raises(af.WeightsError, match=f"{place}: {problem}: give a local Hugging"):
             af.HuggingFace(Path(tmp_path) / place)
+
+
+@pytest.mark.parametrize(
+    ("model_type", "normalize", "takes"),
+    [
+        ("hubert", None, "waveform not normalised"),
+        ("wav2vec2", 1e-7, "waveform normalised to mean 0 and variance 1 (eps 1e-07)"),
+        ("wav2vec2-bert", None, "takes a filter bank"),
+        ("whisper", None, "takes a log-mel"),
+    ],
+)
+def test_an_encoder_is_described_in_a_line(model_type, normalize, takes):
+    layers = {"encoder_layers" if model_type == "whisper" else "num_hidden_layers": 3}
+    config = SimpleNamespace(hidden_size=32, **layers)
+    text = EncoderWeights("here", model_type, config, normalize, 2, "abc").describe()
+    assert text.startswith("here: ")
+    assert text.endswith(f"Hugging Face folder: 3 layers of 32; {takes}; fingerprint abc")
