@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -69,6 +71,14 @@ def test_experts_that_are_alike_are_the_single_model_to_the_last_bit():
     varying = np.linspace(-1, 2, FRAMES)
     mixed = ProductOfExperts(alike[:2], [varying, 1 - varying])
     assert torch.equal(mixed.predict(noise(), 12), alone.predict(noise(), 12))
+
+
+def test_equal_weights_with_other_dilations_are_another_expert():
+    alone = expert(1)
+    other = Denoiser(MOTION, CONDITION, replace(CONFIG, dilations=(0, 2))).eval()
+    other.load_state_dict(alone.network.state_dict())
+    mixed = ProductOfExperts([alone, Expert(other, SCHEDULE, alone.condition)], [0, 1])
+    assert not torch.allclose(mixed.predict(noise(), 12), alone.predict(noise(), 12))
 
 
 def test_equal_experts_that_are_not_merged_give_the_single_model():
