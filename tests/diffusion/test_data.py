@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from gesturekit.diffusion.conditions import smooth_path
 from gesturekit.diffusion.model import DiffusionModel
 from gesturekit.diffusion.motion_vector import Normaliser
 from gesturekit.diffusion.training.batches import Batches
+from gesturekit.diffusion.training.corpus import UnpairedRig
 from gesturekit.diffusion.training.data import TrainingData, TrainingSequence
 from gesturekit.diffusion.training.loading import load_training_data
 from gesturekit.diffusion.training.trainer import Trainer, train
@@ -284,6 +286,23 @@ def test_unpaired_motion_on_another_rig_is_retargeted(loaded, idle):
     assert 30 < untold.sum() < 70
     with pytest.raises(CorpusError, match=r"no item .* is motion alone; name a manifest"):
         loaded(unpaired={})
+
+
+def test_arrays_of_unpaired_motion_depend_on_the_recording_whose_rig_they_are_on(
+    tmp_path, gesture, idle
+):
+    (item,) = Manifest.load(idle)
+    usual = gesture(1.0)
+    rig = UnpairedRig(tmp_path / "c.jsonl", Path(idle), {}, usual)
+    taller = replace(usual.skeleton, offsets=1.1 * usual.skeleton.offsets)
+    for changed in (
+        replace(usual, skeleton=taller),
+        replace(usual, translation=usual.translation + [0.0, 0.1, 0.0]),
+        gesture(1.0, seed=9),
+    ):
+        assert replace(rig, usual=changed).origin(item) != rig.origin(item)
+    assert replace(rig, usual=gesture(1.0)).origin(item) == rig.origin(item)
+    assert rig.origin(replace(item, motion_start=0.5)) != rig.origin(item)
 
 
 def test_a_path_is_a_condition_and_is_followed(loaded, recorded):
