@@ -159,8 +159,9 @@ def test_the_paired_test_is_the_one_of_scipy():
     one, other = np.random.default_rng(2).normal(size=(2, 9))
     zero = np.zeros(9, int)
     assert p_of_difference(one, other, zero) == pytest.approx(stats.ttest_rel(one, other).pvalue)
-    above = stats.ttest_rel(one, other, alternative="greater").pvalue
-    assert p_of_difference(one, other, zero, above=True) == pytest.approx(above)
+    for a, b in ((one, other), (other, one)):
+        above = stats.ttest_rel(a, b, alternative="greater").pvalue
+        assert p_of_difference(a, b, zero, above=True) == pytest.approx(above)
     assert p_of_difference(one[:4], other[:4], zero[:4]) is None
 
 

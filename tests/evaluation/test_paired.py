@@ -98,8 +98,8 @@ def test_with_four_takes_nothing_is_bold_however_many_samples():
 
 
 def test_holm_agrees_with_statsmodels():
-    p = [0.001, 0.04, 0.03, 0.5, 0.005]
-    assert holm(p) == pytest.approx(multipletests(p, method="holm")[1])
+    for p in ([0.001, 0.04, 0.03, 0.5, 0.005], [0.9, 0.7, 0.8]):
+        assert holm(p) == pytest.approx(multipletests(p, method="holm")[1])
 
 
 def test_the_recordings_own_value_is_the_goal():
