@@ -186,15 +186,13 @@ def _configuration(path: Path, family: Family, settings: Mapping[str, Any]) -> A
             raise WeightsError(f"{path}: {name} is {value!r}: not an encoder's size")
         if name.endswith("layers") and isinstance(value, int) and value > _MOST_LAYERS:
             raise WeightsError(f"{path}: {name} is {value}, at most {_MOST_LAYERS} are read")
+    transformers = _module("transformers")
     try:
-        kind = getattr(_module("transformers"), family.config)
-        config = kind.from_dict(dict(settings))
+        config = getattr(transformers, family.config).from_dict(dict(settings))
         for name, value in _OFF.items():
             if hasattr(config, name):
                 setattr(config, name, value)
         return config
-    except WeightsError:
-        raise
     except Exception as error:  # transformers' checks of settings raise several classes
         reason = " ".join(str(error).split())[:200]
         raise WeightsError(f"{path}: not the settings of {family.title}: {reason}") from error

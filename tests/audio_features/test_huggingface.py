@@ -220,6 +220,21 @@ def test_broken_folders_are_errors_that_name_the_file(copy, tmp_path):
         af.HuggingFace(copy)
 
 
+def test_a_broken_transformers_is_named(tmp_path, monkeypatch):
+    """The import fails with more than one line, of which the first says why."""
+    settings = {"model_type": "hubert", "hidden_size": 32, "num_hidden_layers": 2}
+    (tmp_path / "config.json").write_text(json.dumps(settings))
+
+    def broken(name: str) -> None:
+        raise OSError("libx.so: cannot open\nfile")
+
+    monkeypatch.setattr("audio_features.huggingface.weights.import_module", broken)
+    with pytest.raises(
+        af.WeightsError, match=r"^transformers cannot be imported \(libx.so: cannot open\): run"
+    ):
+        af.HuggingFace(tmp_path)
+
+
 def test_a_pickle_is_not_loaded(copy):
     class Evil:
         def __reduce__(self):
