@@ -23,7 +23,7 @@ from gesturekit.jobs.plan import write_plan
 from gesturekit.jobs.result import Result
 from gesturekit.jobs.state import STATE
 from gesturekit.jobs.task import Task
-from gesturekit.rendering import summary
+from gesturekit.rendering import batch, summary
 
 
 @pytest.fixture
@@ -183,6 +183,11 @@ def test_a_dry_run_lists_each_sound_with_its_length(
     assert failed.startswith("fail        ? s  in/c.wav -> ") and "cannot be read" in failed
     sums = r"2 to make, 0 to keep, 1 to fail; 14 s of sound, about \d+\.\d MB and .* with 2 of"
     assert re.search(sums, done.err)
+    # Two sounds of 13.75 s take 2 x 2 s + 13.75 x 0.5 s of one worker and 2 x 1 MB + 13.75 x 2 MB.
+    cost = batch.Cost((2.0, 1e6), (0.5, 2e6))
+    monkeypatch.setattr(batch, "measured_cost", lambda _: cost)
+    done = gesturekit("render", "in", *options, "--dry-run").ok()
+    assert "14 s of sound, about 29.5 MB and 5.4 s with 2 of --workers" in done.err
     assert not (tmp_path / "out").exists()
 
 
