@@ -498,15 +498,7 @@ def test_features_of_a_long_silence_and_few_frames_are_drawn(drawn, tmp_path):
 
 def test_lines_of_features_are_named_with_their_units(drawn, tmp_path):
     """A minute would be 42 inches wide; columns of one scale are shown as they are."""
-    units = {
-        "energy": "dB of active speech",
-        "onset": "dB",
-        "onset_strength": "dB",
-        "spectral_flux": "dB",
-        "f0_range": "semitones",
-        "energy_range": "dB",
-        "voicing": None,
-    }
+    units = {"energy": "dB of active speech", "f0_range": "semitones", "voicing": None}
     names = (*units, "chroma_0", "chroma_1", "chroma_2", "chroma_10")
     values = np.arange(3)[:, None] + np.arange(len(names), dtype=np.float32)
     track = FeatureTrack(values, [0.0, 30.0, 60.0], names=names)
