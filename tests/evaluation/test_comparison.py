@@ -411,7 +411,7 @@ def test_fgd_of_a_few_windows_is_not_informative(gesture, tmp_path, seconds, eno
 
 
 def test_all_options_reach_the_measurement(tmp_path, gesture, monkeypatch):
-    """Of three recordings one is damaged, and one of two models has no neck."""
+    """One of three recordings is damaged, and one of two models has no neck."""
     for k, name in enumerate("abc"):
         motion = gesture(1.0, 25.0, seed=k)
         for folder in ("recordings", "whole"):

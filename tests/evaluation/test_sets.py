@@ -368,7 +368,7 @@ def test_a_rig_without_hands_has_no_pooled_metrics_of_hands(by_speaker):
 def test_speakers_of_whom_a_sample_has_no_recording_or_no_clip_are_left_out(
     by_speaker, monkeypatch
 ):
-    """With room for three takes, the first take of Ben is kept, and one clip of each speaker."""
+    """There is room for three takes: the first one of Ben, and one clip of each speaker."""
     every = [*by_speaker["ann"], *by_speaker["ben"]]
     motion = every[0].generated
     room = int(35 * motion.rotations.nbytes / motion.duration)

@@ -66,8 +66,7 @@ def test_layer_and_gradients_agree_with_dense_convolution(representation, n_fram
 @pytest.mark.parametrize("last_slope", [1.0, 0.4])
 @pytest.mark.parametrize("wanted", [(0,), (0, 1, 2, 3, 4, 5, 6), (1, 6), (2, 3), (4,)])
 def test_gradients_of_a_chain_are_those_of_dense_convolutions(representation, last_slope, wanted):
-    """Of some of the input (0), weights (1, 3, 5) and biases (2, 4, 6) alone too, twice if need
-    be."""
+    """First and second derivatives by the input (0), weights (1, 3, 5) and biases (2, 4, 6)."""
     torch.manual_seed(0)
     near = block_neighbours(representation, 2)
     sizes = [representation.block_sizes, *((n,) * len(near) for n in (3, 2, 4))]

@@ -184,7 +184,7 @@ def test_recordings_are_drawn_equally_but_windows_by_frames(make_config, batches
 
 
 def test_a_window_cache_is_shared_among_lengths_and_renewed_in_time(make_config, batches_of):
-    """Of five windows, each of two lengths gets two; a resumed run gets those of its renewal."""
+    """Each of two lengths gets two of five windows; a resumed run gets those of its renewal."""
     training, rng = {"window_cache": 5, "renew_every": 3}, torch.Generator().manual_seed(0)
     batches, resumed = (batches_of(make_config(training=training)) for _ in range(2))
     batches.renew(0)

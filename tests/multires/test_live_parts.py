@@ -254,7 +254,7 @@ def test_pieces_follow_after_their_hop(model, asked):
 
 
 def test_after_its_end_a_recording_shows_its_last_frame(model, asked):
-    """Of twelve frames; the trunk's piece has eleven, and begins beside arms that end earlier."""
+    """Twelve frames; the trunk's piece has eleven, and begins beside arms that end earlier."""
     short = [
         replace(own, **{name: getattr(own, name)[:, :12] for name in CURVES})
         for own in model.library.recordings[:2]
@@ -273,7 +273,7 @@ def test_after_its_end_a_recording_shows_its_last_frame(model, asked):
     assert ended > 2
 
 
-def test_what_is_said_of_liveliness_so_far_counts_less_and_less(model, monkeypatch):
+def test_liveliness_so_far_counts_less_and_less(model, monkeypatch):
     """The mean so far, with five seconds of 0, is reduced as that of a whole sound is."""
     asked, at = [], SlowState.at
 
@@ -401,7 +401,7 @@ def styled(model):
 
 
 def test_a_stream_has_one_style(styled, asked):
-    """That which is asked for, or one drawn by the seed and the stream's name."""
+    """The one that is asked for, or one drawn by the seed and the stream's name."""
 
     def style_of(**choice) -> int:
         asked.clear()

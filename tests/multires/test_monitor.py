@@ -91,7 +91,7 @@ class Echo:
 
 
 def test_beginnings_of_four_recordings_are_compared(make_config, monkeypatch):
-    """Of two seconds each here, 50 frames; what a level cannot hold is missing on both sides."""
+    """Two seconds each, 50 frames; what a level cannot hold is missing on both sides."""
     monkeypatch.setattr("gesturekit.multires.training.monitor.MAX_SECONDS", 2.0)
     config = make_config()
     data = load_training_data(config)
