@@ -24,6 +24,8 @@ from defects import Defect
 
 PACKAGES = ("audio_features", "gesturekit")
 _SECONDS_OF_BATCH = 10.0
+_IMPORT = ""
+"""Stands for a test where a line is reached while a file of tests is imported."""
 
 
 class Reach:
@@ -102,7 +104,7 @@ class Reach:
                 if test.partition("::")[0] == name and test not in durations.failed
             }
             lines = {
-                path: {test: tests[test] for test in (*seconds, name) if test in tests}
+                path: {test: tests[test] for test in (*seconds, name, _IMPORT) if test in tests}
                 for path, tests in reached.items()
             }
             is_whole = not any(test.partition("::")[0] == name for test in durations.failed)
@@ -160,8 +162,9 @@ class Reach:
         imports theirs, those of files that import it themselves first.
 
         Defaults of arguments are computed once, by the first test that imports them: all tests
-        count that reach the function. So are constants and defaults of classes: all tests count
-        that reach their file. A statement that is not in the record has the tests of its function.
+        count that reach the function. So are constants, defaults of classes and what functions
+        return while a module is imported: all tests count that reach their file. A statement that
+        is not in the record has the tests of its function.
         """
         if defect.compiled:
             module = defect.path.removesuffix(".py").replace("/", ".")
@@ -179,8 +182,10 @@ class Reach:
                 found = {t for tests in self._tests[defect.path].values() for t in tests}
             for lines in statements:
                 found |= {t for line in lines for t in self._tests[defect.path].get(line, ())}
-                if any("::" in test for test in found):
+                if any("::" in test or test == _IMPORT for test in found):
                     break
+            if _IMPORT in found:
+                found |= {t for tests in self._tests[defect.path].values() for t in tests}
         files = {test for test in found if "::" not in test}
         found |= {test for test in self.seconds if test.partition("::")[0] in files}
         ordered = self._in_order(found - files, defect.path)
@@ -233,7 +238,7 @@ def _reached(data_file: Path, root: Path) -> dict[str, dict[str, list[int]]]:
         path = os.path.relpath(name, root)
         tests: dict[str, set[int]] = defaultdict(set)
         for line, contexts in data.contexts_by_lineno(name).items():
-            for context in filter(None, contexts):
+            for context in contexts:
                 test, _, phase = context.rpartition("|")
                 # What a fixture reaches, all tests of its file may use.
                 tests[test.partition("::")[0] if phase == "setup" else test].add(line)
@@ -270,7 +275,7 @@ def _statements_around(tree: ast.Module, line: int) -> list[range]:
             last = max(node.lineno, body[0].lineno - 1) if body else node.end_lineno
             is_function = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
             if is_function:
-                function = range(node.lineno, node.end_lineno + 1)
+                function = range(body[0].lineno, node.end_lineno + 1)
             if line <= last:
                 spans.append(function if is_function else range(node.lineno, last + 1))
     return [*sorted(spans, key=len), function]
