@@ -45,14 +45,14 @@ def project(tmp_path):
     (tmp_path / "tests").mkdir()
     (tmp_path / "gesturekit" / "__init__.py").write_text("")
     (tmp_path / "gesturekit" / "shares.py").write_text(
-        "def double(n):\n    return n * 2\n\n\ndef half(n):\n    return n / 2\n\n\n"
-        "def third(n):\n    return n / 3\n\n\n"
-        "def quarter(n):\n    return n / 4\n\n\nSIZE = quarter(8)\n"
+        "def double(n):\n    return n * 2\n\n\ndef opposite(n):\n    return -n\n\n\n"
+        "def unused(n):\n    return -n\n\n\n"
+        "def at_import(n):\n    return -n\n\n\nSIZE = at_import(-4)\n"
     )
     (tmp_path / "tests" / "test_shares.py").write_text(
-        "from gesturekit.shares import SIZE, double, half\n\n\n"
-        "def test_double():\n    assert double(SIZE) == 4\n\n\n"
-        "def test_half():\n    assert half(0) == 0\n"
+        "from gesturekit.shares import SIZE, double, opposite\n\n\n"
+        "def test_double():\n    assert double(SIZE) == 8\n\n\n"
+        "def test_opposite():\n    assert opposite(0) == 0\n"
     )
     return tmp_path
 
@@ -99,11 +99,11 @@ def test_each_expression_is_changed_in_one_way_and_text_never(tmp_path):
 
 def test_it_says_which_defects_no_test_notices_also_after_lines_moved(project):
     lines = run(project, "--count", "10")
-    # Those of `double` die, and of `quarter`, which runs while the module is imported; those of
-    # `half` survive with 0; no test reaches `third`.
+    # Those of `double` die, and that of `at_import`, which runs while the module is imported; that
+    # of `opposite` survives with 0; no test reaches `unused`.
     survivors = sorted(line.split(": ")[0].split()[::2] for line in lines[:-2])
-    assert survivors == [["survived", "half"]] * 2 + [["uncovered", "third"]] * 2
-    assert lines[-1].split(maxsplit=1)[1] == "4 of 8 killed: 50% (22% to 78%)"
+    assert survivors == [["survived", "opposite"], ["uncovered", "unused"]]
+    assert lines[-1].split(maxsplit=1)[1] == "3 of 5 killed: 60% (23% to 88%)"
     code = project / "gesturekit/shares.py"
     code.write_text("import math\n\n\n" + code.read_text())
     again = run(project)
