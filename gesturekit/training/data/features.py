@@ -6,7 +6,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from torch import Tensor
 import audio_features as af
 from audio_features.extractor import folder_in_spec, needs_weights
 from audio_features.files import own_files
+from audio_features.track import ALIGNMENTS
 from audio_features.weight_files import WeightPlaces
 from audio_features.words import takes_words
 from gesturekit.corpus.item import Item
@@ -315,8 +316,13 @@ def load_conditioner(
     The extractor's spec holds the fingerprint of its weights.
 
     Raises:
+        FeatureError: an unknown extractor, alignment or normalisation.
         WeightsError: the weights are missing, or differ from those of training.
     """
+    for name, known in (("align", ALIGNMENTS), ("normalise", get_args(Normalisation))):
+        if values[name] not in known:
+            given = str(values[name])[:40]
+            raise af.FeatureError(f"{name} is {given!r}: expected one of {', '.join(known)}")
     reduced = values["components"] is not None
     return SpeechConditioner(
         af.extractor_from_spec(values["spec"], weights=weights, device=device),
