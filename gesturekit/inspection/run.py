@@ -64,7 +64,7 @@ def _rows(folder: Path, facts: dict[str, Any]) -> list[tuple[str, str]]:
         "stopped": f"stopped: {ago}; gesturekit train --resume {folder} goes on",
     }[facts["state"]]
     numbers = {
-        key: value
+        key: value if isinstance(value, int) else f"{value:.3g}"
         for key, value in facts["metrics"].items()
         if key != "step" and isinstance(value, int | float)
     }
@@ -74,7 +74,7 @@ def _rows(folder: Path, facts: dict[str, Any]) -> list[tuple[str, str]]:
     shown = [
         ("state", state),
         ("step", "none logged yet" if facts["step"] is None else str(facts["step"])),
-        ("metrics", ", ".join(f"{key} {value:.3g}" for key, value in numbers.items())),
+        ("metrics", ", ".join(f"{key} {value}" for key, value in numbers.items())),
         (
             "checkpoints",
             f"{len(facts['checkpoints'])}: steps {listed(list(map(str, facts['checkpoints'])))}"

@@ -25,6 +25,9 @@ from gesturekit.motion.rotations import (
 )
 from gesturekit.motion.skeleton import Skeleton
 
+_LARGEST = 1e6
+"""Largest plausible size of a body, in reference bodies."""
+
 
 @dataclass(frozen=True, eq=False)
 class ModelJoints:
@@ -129,8 +132,8 @@ class ModelJoints:
             MotionError: values of a wrong shape, or of joints that the skeleton does not have.
         """
         scale = float(values.get("scale", 1.0))
-        if not 0 < scale < np.inf:
-            raise MotionError(f"scale: {scale} must be above 0")
+        if not 0 < scale <= _LARGEST:
+            raise MotionError(f"scale: {scale:g} must be above 0 and at most {_LARGEST:g}")
         joints = tuple(skeleton.names[skeleton.index(name)] for name in values["joints"])
         if not joints or len(set(joints)) < len(joints):
             raise MotionError("joints: none, or one of them twice")

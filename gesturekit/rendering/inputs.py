@@ -117,7 +117,7 @@ def item_of(task: Task) -> Item | None:
         conditions = {name: Path(path) for name, path in values["conditions"].items()}
         audible = tuple(map(tuple, values["audible"]))
         return Item(**{**values, **paths, "conditions": conditions, "audible": audible})
-    except (LookupError, TypeError, AttributeError, ValueError) as error:
+    except (LookupError, TypeError, AttributeError, ValueError, OverflowError) as error:
         raise CorpusError(
             f"plan: item {task.id!r} is damaged ({error}); delete the plan for a new one"
         ) from None

@@ -115,8 +115,9 @@ def test_a_model_is_read_as_it_was_written():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"scale": 0.0}, "scale: 0.0 must be above 0"),
-        ({"scale": -1.0}, "scale: -1.0 must be above 0"),
+        ({"scale": 0.0}, "scale: 0 must be above 0"),
+        ({"scale": 1.1e6}, r"scale: 1.1e\+06 must be above 0 and at most 1e\+06"),
+        ({"scale": -1.0}, "scale: -1 must be above 0"),
         ({"scale": float("nan")}, "scale: nan must be above 0"),
         ({"scale": float("inf")}, "scale: inf must be above 0"),
         ({"joints": []}, "joints: none, or one of them twice"),
