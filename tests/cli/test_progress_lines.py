@@ -83,6 +83,7 @@ def test_warnings_of_the_work_are_plain_lines(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(logging.root, "handlers", [])
     monkeypatch.setattr(logging.root, "level", logging.WARNING)
+    logging.getLogger("gesturekit").setLevel(logging.NOTSET)  # clears what loggers remember
     monkeypatch.setattr(systems, "plan_training", lambda *_: None)
     write_pair(tmp_path / "in", "a", 1.0)
     gesturekit(*command.split()).ok()
