@@ -178,14 +178,12 @@ class Reach:
             tree = ast.parse((self.root / defect.path).read_text(encoding="utf-8"))
             statements = _statements_around(tree, defect.line)
             found = set()
-            if not statements[-1]:
-                found = {t for tests in self._tests[defect.path].values() for t in tests}
             for lines in statements:
                 found |= {t for line in lines for t in self._tests[defect.path].get(line, ())}
                 if any("::" in test or test == _IMPORT for test in found):
                     break
-            if _IMPORT in found:
-                found |= {t for tests in self._tests[defect.path].values() for t in tests}
+            if _IMPORT in found or not statements[-1]:
+                found = {t for tests in self._tests[defect.path].values() for t in tests}
         files = {test for test in found if "::" not in test}
         found |= {test for test in self.seconds if test.partition("::")[0] in files}
         ordered = self._in_order(found - files, defect.path)
