@@ -343,8 +343,6 @@ def hann_window() -> np.ndarray:
 @lru_cache
 def mel_filters(n_mels: int) -> np.ndarray:
     """Return (n_mels, 257) float32 triangles of height 1 on Slaney's scale, 50 Hz to 8 kHz."""
-    if not 1 <= n_mels <= MAX_MELS:
-        raise FeatureError(f"n_mels={n_mels}: from 1 to {MAX_MELS}")
     # Bit-identical to librosa.filters.mel(norm=None). Importing librosa takes 20 seconds of
     # compilation when numba's cache is empty.
     lowest, highest = 50.0 / _MEL_HZ, 15.0 + np.log(SAMPLE_RATE / 2 / 1000.0) / _MEL_LOG_STEP

@@ -210,6 +210,8 @@ def test_a_tracker_that_is_not_there_is_named(monkeypatch):
         Prosody("parselmouth")
     with pytest.raises(FeatureError, match="'crepe': one of yin, pyin"):
         Prosody("crepe")
+    with pytest.raises(FeatureError, match="backend='librosa': one of numpy, torchaudio"):
+        LogMel(backend="librosa")
 
 
 def test_onsets_are_where_syllables_begin(speech):

@@ -92,6 +92,10 @@ def test_chunks_may_stand_anywhere(tmp_path, content):
         (riff(fmt(bits=12, block=1), DATA), "are 2 bytes per sample and 16000 per second"),
         (riff(fmt(bits=18, block=2), DATA), "are 3 bytes per sample and 24000 per second"),
         (riff(fmt(), chunk(b"data", SOUND, N + 2)), "declares 803 bytes of sound, 802 are there"),
+        (
+            riff(fmt(), chunk(b"data", SOUND, 0xFFFFFFFF, pad=False), size=4 + 24 + 8 + 901),
+            "declares 901 bytes of sound, 801 are there",
+        ),
         (riff(fmt(), DATA, b"\x01\x02\x03\x04\0\0\0\0"), r"what follows in the file \(9 bytes\)"),
         (riff(fmt(), DATA, chunk(b"LIST", b"abcd", 5)), "is not valid in a wav"),
         (riff(fmt(), DATA, b"LIST"), "is not valid in a wav"),

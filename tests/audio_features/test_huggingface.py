@@ -207,8 +207,17 @@ def test_broken_folders_are_errors_that_name_the_file(copy, tmp_path):
     (copy / "x").replace(copy / "model.safetensors")
     with pytest.raises(af.WeightsError, match="1 tensors are missing .*layers.1"):
         af.HuggingFace(copy)
+    wide = torch.cat([tensors[name], tensors[name]])
+    for value, complaint in (
+        (wide, "1 tensors are of another shape .*layers.1.* must come from the same model"),
+        (tensors[name] * float("nan"), "tensor .*layers.1.* is not finite"),
+    ):
+        save_file({**tensors, name: value}, copy / "model.safetensors")
+        with pytest.raises(af.WeightsError, match=complaint):
+            af.HuggingFace(copy)
     config = json.loads((copy / "config.json").read_text())
     for changes, complaint in (
+        ({"hidden_act": "none", "activation_function": "none"}, "json: not the settings of "),
         ({"model_type": "bert"}, "model_type is 'bert', expected one of hubert"),
         ({"hidden_size": 10**8, "d_model": 10**8}, "not an encoder's size"),
     ):
@@ -218,6 +227,15 @@ def test_broken_folders_are_errors_that_name_the_file(copy, tmp_path):
     (copy / "config.json").write_text("{")
     with pytest.raises(af.WeightsError, match="config.json: not a configuration file"):
         af.HuggingFace(copy)
+
+
+def test_a_waveform_that_the_encoder_does_not_take_cannot_be_normalised(encoder):
+    name, folder, _ = encoder
+    if name in ("wav2vec2-bert", "whisper"):
+        with pytest.raises(af.FeatureError, match="normalize=1e-05: .* takes no waveform"):
+            af.HuggingFace(folder, normalize=1e-5)
+    else:
+        assert af.HuggingFace(folder, normalize=1e-5).normalize == 1e-5
 
 
 def test_a_broken_transformers_is_named(tmp_path, monkeypatch):

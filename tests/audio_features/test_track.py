@@ -133,6 +133,7 @@ def test_files_that_are_none_are_refused_by_name(ramp, tmp_path):
         (lambda: np.savez(path, values=objects, **about), "not a feature file"),
         (lambda: np.savez(path, values=values[:1], **about), "expected"),
         (lambda: np.savez(path, values=values, **about | {"spec": '{"format": 2}'}), "format 2"),
+        (lambda: np.savez(path, values=values, **about | {"spec": "[]"}), "spec is list"),
         (lambda: ramp.save(path), ""),
         (lambda: path.write_bytes(path.read_bytes()[:-2000]), "not a feature file"),
     ):

@@ -486,3 +486,17 @@ def test_results_are_written_whoever_reads_the_output(gesturekit, folders, tmp_p
         options = [text for name in names for text in (flags[name[2:]], tmp_path / name)]
         gesturekit(*command, *options)
         assert all((tmp_path / name).stat().st_size > 0 for name in names)
+
+
+def test_sanity_prints_its_table_and_names_what_it_left_out(gesturekit, write_pair, tmp_path):
+    recordings, page = tmp_path / "talks", tmp_path / "report.html"
+    for i in range(2):
+        write_pair(recordings, f"clip{i}", 3.0, fps=25.0, seed=i)
+    done = gesturekit("evaluate", "--sanity", recordings, "--out", page).ok()
+    assert "In time with the speech?" in done.out and "half reach" in done.out
+    assert f"written  {page}" in done.out
+    assert "<title>Known-bad motion made from talks" in page.read_text()
+    write_pair(recordings, "mute", 3.0, fps=25.0)
+    (recordings / "mute.wav").write_bytes(b"RIFF")
+    done = gesturekit("evaluate", "--sanity", recordings).fails(1, "Left out: mute: ")
+    assert "In time with the speech?" in done.out

@@ -321,10 +321,19 @@ def test_errors_in_long_files_name_their_line(write):
     n_rows = 60_000  # 2.8 MB, more than is parsed at a time
     head = head.replace("Frames: 3", f"Frames: {n_rows + 1}")
     assert len(read_bvh(write(head + row * n_rows)).rotations) == n_rows + 1
-    for bad, says in (("1.5 x", "'x' is not a number"), ("1.5 2.5", "frame 50002 of 60001 has 2")):
-        text = head + row * 50_000 + bad + "\n" + row * 9999
-        with pytest.raises(FormatError, match=f"clip.bvh:{head.count(chr(10)) + 50_001}: {says}"):
-            read_bvh(write(text))
+    for bad, says in (
+        ("1.5 x", "'x' is not a number"),
+        ("1.5 2.5", "frame 50002 of 60001 has 2"),
+        ("1.5 " * 8 + "nan", "value 9 of frame 50002 is nan; expected .* up to 1e.09; fill"),
+        (
+            "1.5 2e9" + " 1.5" * 7,
+            "value 2 of frame 50002 is 2000000000.0; expected .* up to 1e.09$",
+        ),
+    ):
+        for before in ("", "\n \n"):  # blank lines count as lines of the file
+            at = head.count("\n") + 50_001 + before.count("\n")
+            with pytest.raises(FormatError, match=f"clip.bvh:{at}: {says}"):
+                read_bvh(write(head + row * 50_000 + before + bad + "\n" + row * 9999))
     with pytest.warns(UserWarning, match=r"clip.bvh: the file declares 60001 frames; all 60006 "):
         assert read_bvh(write(head + row * (n_rows + 5))).n_frames == n_rows + 6
 
@@ -427,6 +436,8 @@ def test_a_name_that_would_break_the_file_is_refused(write, tmp_path):
     bad = replace(motion, skeleton=replace(motion.skeleton, names=("Hips", "a } b"), end_sites={}))
     with pytest.raises(FormatError, match="a } b"):
         write_bvh(bad, tmp_path / "out.bvh")
+    with pytest.raises(FormatError, match="unit 'furlong'; expected "):
+        write_bvh(motion, tmp_path / "out.bvh", unit="furlong")
     assert not (tmp_path / "out.bvh").exists()
 
 

@@ -184,6 +184,11 @@ def test_other_folders_and_settings_are_refused(tmp_path):
         Motion.load(tmp_path)
     with pytest.raises(FormatError, match="no such file"):
         read_easymocap(tmp_path / "absent")
+    (tmp_path / "large").mkdir()
+    with (tmp_path / "large" / "000000.json").open("wb") as file:
+        file.truncate((16 << 20) + 1)
+    with pytest.raises(FormatError, match=r"000000\.json: larger than 16 MiB"):
+        read_easymocap(tmp_path / "large")
     folder = write(tmp_path, [recorded(n_frames=2)])
     for options in ({"fps": 0.0}, {"fps": float("nan")}, {"up": "x"}):
         with pytest.raises(FormatError):

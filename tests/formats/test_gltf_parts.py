@@ -64,6 +64,28 @@ def test_normalised_whole_numbers_are_shares_of_the_greatest(
     assert numbers(tmp_path / "a.glb", values, dtype, component, normalized=1).tolist() == values
 
 
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ({"extensionsRequired": ["EXT_meshopt_compression"]}, "export it without compression"),
+        ([{"asset": {"version": "2.0"}}], "its JSON part is not an object"),
+        ({"nodes": 4_000_001 * [0]}, "its JSON part has over 4000000 values"),
+    ],
+)
+def test_files_that_cannot_be_read_at_all_say_why(tmp_path, content, says):
+    (tmp_path / "a.gltf").write_text(json.dumps(content))
+    with pytest.raises(FormatError, match=rf"a\.gltf: .*{says}"):
+        Gltf(tmp_path / "a.gltf")
+
+
+def test_a_file_of_over_256_mebibytes_is_not_opened(tmp_path):
+    with (tmp_path / "a.glb").open("wb") as file:
+        file.write(b"glTF")
+        file.truncate((256 << 20) + 1)
+    with pytest.raises(FormatError, match=r"a\.glb: 256 MiB; files of up to 256 are read"):
+        Gltf(tmp_path / "a.glb")
+
+
 def test_numbers_up_to_a_million_are_read(tmp_path):
     for value in (1e6, -1e6):
         assert numbers(tmp_path / "a.glb", [value], "<f4", 5126).tolist() == [value]

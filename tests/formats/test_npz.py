@@ -419,6 +419,7 @@ def test_amass_files_that_are_broken(tmp_path, change, says):
     [
         {"gk_version": 2},
         {"names": np.array(["a"])},
+        {"names": np.repeat("a", 55)},
         {"parents": np.zeros(55)},
         {"rotations": np.zeros((20, 55, 4))},
         {"rotations": np.zeros((3, 3))},
@@ -434,6 +435,18 @@ def test_native_files_that_are_broken(tmp_path, change):
     np.savez(tmp_path / "a.npz", **values)
     with pytest.raises(FormatError, match=r"a\.npz"):
         read_npz(tmp_path / "a.npz")
+
+
+def test_other_npz_files_are_called_by_their_name(tmp_path):
+    path = tmp_path / "a.npz"
+    np.savez(path, v_template=np.zeros((9, 3)), kintree_table=np.zeros((2, 24), int))
+    with pytest.raises(FormatError, match=r"a\.npz: a body model of the SMPL family.*--body-model"):
+        read_npz(path)
+    np.savez(path, values=np.zeros((9, 3)), times=np.arange(9.0), spec="{}")
+    with pytest.raises(FormatError, match=r"a\.npz: speech features .*, not a motion"):
+        read_npz(path)
+    with pytest.raises(FormatError, match="up axis 'x'; expected y or z"):
+        write_npz(smpl_motion(24), path, up="x")
 
 
 def test_files_that_are_no_npz(tmp_path):
