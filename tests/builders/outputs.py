@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,16 @@ def results(out: Path) -> dict[str, bytes]:
     files = [path for path in out.rglob("*") if path.is_file() and STATE not in path.parts]
     assert not [path for path in files if path.name.startswith(".")]
     return {path.relative_to(out).as_posix(): path.read_bytes() for path in files}
+
+
+def bury(folder: Path) -> None:
+    """Make folders in a folder until the path of the last is too long for anybody to open it."""
+    here = Path.cwd()
+    os.chdir(folder)
+    for _ in range(17):
+        Path("x" * 250).mkdir()
+        os.chdir("x" * 250)
+    os.chdir(here)
 
 
 def finished(out: Path) -> list[dict[str, Any]]:

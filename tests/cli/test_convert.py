@@ -147,6 +147,10 @@ def test_view_writes_one_page(gesturekit, takes, tmp_path, write_speech, monkeyp
     ):
         done = gesturekit("view", *arguments)
         assert done.status == 2 and done.err.startswith("Error: ")
+    (tmp_path / "all broken").mkdir()
+    (takes / "broken.bvh").rename(tmp_path / "all broken" / "broken.bvh")
+    done = gesturekit("view", tmp_path / "all broken", "--out", page)
+    done.fails(2, "Failed: ", "broken.bvh:1: ", "Error: no motion to show")
 
 
 def test_view_opens_a_browser_where_there_are_windows(gesturekit, takes, monkeypatch):

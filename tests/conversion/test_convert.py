@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from outputs import bury
 from rigs import PERSON, at_rest, rig_of
 
 from gesturekit.conversion.changes import Changes, parse_trim
@@ -229,6 +230,17 @@ def test_pipes_and_missing_files_are_reported(tmp_path):
     ):
         (done,) = outcomes(tmp_path / name, tmp_path / "x.html")
         assert says in done.error and not done.files
+
+
+def test_folders_that_cannot_be_opened_are_reported_and_the_others_converted(gesture, tmp_path):
+    for name in ("a", "y"):
+        gesture(0.5).save(tmp_path / "in" / name / "take.bvh")
+    bury(tmp_path / "in")
+    found = outcomes(tmp_path / "in", tmp_path / "out", formats=["npz"])
+    (failed,) = (one for one in found if one.error)
+    assert failed.error.startswith(str(tmp_path / "in" / "xxx"))
+    assert failed.error.endswith("x: File name too long")
+    assert written(tmp_path / "out") == {"a/take.npz", "y/take.npz"}
 
 
 def test_changes_are_made_in_order(take, tmp_path):

@@ -155,6 +155,12 @@ def test_files_that_are_not_manifests_are_refused(tmp_path, content, message):
         Manifest.load(path)
 
 
+def test_two_items_of_one_id_are_refused(tmp_path):
+    one = Item(id="a", take="a", audio=tmp_path / "a.wav", motion=None, duration=1.0, split="train")
+    with pytest.raises(CorpusError, match="more than one item is called 'a'"):
+        Manifest([one, replace(one, id="b"), replace(one, duration=2.0)])
+
+
 def test_items_are_found_by_kind_and_split(tmp_path):
     pair = Item(id="pair", audio=tmp_path / "a.wav", motion=tmp_path / "a.bvh", duration=1.0)
     held, speech = replace(pair, id="held", split="test"), replace(pair, id="speech", motion=None)

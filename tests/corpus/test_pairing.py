@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from outputs import bury
 
 from gesturekit.corpus.pairing import Found, pair, recording_ids, scan
 from gesturekit.corpus.splits import as_intervals, choose_held_out, cut, parse_intervals
@@ -37,6 +38,16 @@ def test_same_path_in_two_folders_is_a_pair(tmp_path):
     touch(tmp_path, "wav/p1/a.wav", "wav/p2/a.wav", "bvh/p1/a.bvh", "bvh/p2/a.bvh")
     result, names = paired(tmp_path / "wav", tmp_path / "bvh")
     assert [(a.key, b.key) for a, b in result.pairs] == [("p1/a", "p1/a"), ("p2/a", "p2/a")]
+
+
+def test_a_folder_that_cannot_be_opened_is_reported_and_the_others_read(tmp_path):
+    touch(tmp_path, "a/a.wav", "y/y.wav")
+    bury(tmp_path)
+    found, problems = scan(tmp_path)
+    assert [one.path.name for one in found] == ["a.wav", "y.wav"]
+    (problem,) = problems
+    assert problem.severity == "error" and str(problem.file).startswith(f"{tmp_path}/xxx")
+    assert problem.message == "cannot open folder: File name too long"
 
 
 def test_a_unique_stem_is_a_pair(tmp_path):

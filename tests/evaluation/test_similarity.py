@@ -70,6 +70,8 @@ def test_cca_refuses_other_lengths_and_motion_that_does_not_move():
         cca(moving, moving[:8])
     with pytest.raises(MotionError, match="the generated motion does not move"):
         cca(np.ones((9, 2)), moving)
+    with pytest.raises(MotionError, match="at least 3 frames; there are 2"):
+        cca(moving[:2], moving[:2])
 
 
 def test_srgr_by_hand():

@@ -107,6 +107,7 @@ def test_a_motion_file_is_a_path_too(tmp_path, gesture):
         ("time,x,z\n0,1,1\n1e8,2,2\n", "seconds"),
         ("time,x,z\n0,1,1\n1e-320,2,2\n", "seconds"),
         ("time,x,z\n0,1,1\n0.001,2,2\n9e8,3,3\n", "are the times seconds"),
+        ("time,x,z\n0,1,1\n0.001,2,2\n1.9e5,3,3\n", "at 120 fps are 22800001 frames of a path"),
         ('time,x,z\n0,"1,1\n1,2,2\n', "not a CSV table"),
         (b"time,x,z\n\xff\xfe,1,1\n", "cannot be read as text"),
         (b"time,x,z\n0,1,1\n1,\x002,2\n", "line 3"),

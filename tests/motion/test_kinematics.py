@@ -81,6 +81,12 @@ def test_torch_on_trees_of_any_shape(parents):
     np.testing.assert_allclose(places.detach().numpy(), expected, atol=1e-6)
 
 
+@pytest.mark.parametrize("parents", [[0, 0, 1], [-1, 2, 0], [-1, 0, -1], [-1, 1, 0]])
+def test_torch_refuses_trees_whose_children_come_first(parents):
+    with pytest.raises(ValueError, match="parents before children"):
+        ForwardKinematics(parents, np.zeros((3, 3)))
+
+
 def test_torch_gradients_are_those_of_finite_differences(person):
     chain = ForwardKinematics(person.parents, person.offsets).double()
     x = torch.randn(2, person.n_joints, 6, dtype=torch.float64, requires_grad=True)

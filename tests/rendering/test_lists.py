@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import soundfile
+from outputs import bury
 
 from audio_features.wave import SAMPLE_RATES
 from gesturekit.corpus.item import Item
@@ -122,6 +123,15 @@ def test_videos_in_a_folder_are_named_and_an_empty_folder_is_refused(folder, tmp
     caplog.clear()
     find_tasks(folder, tmp_path / "out")
     assert "2.mp4: left out" in caplog.text
+
+
+def test_a_folder_that_cannot_be_opened_is_an_input_that_failed(folder, tmp_path):
+    bury(folder)
+    tasks = {task.id: task for task in find_tasks(folder, tmp_path / "out")}
+    assert set(tasks) == {"", "a", "day/b", "day/night/c"}
+    failed = tasks[""]
+    assert str(failed.source).startswith(f"{folder}/xxx") and failed.path is None
+    assert failed.error == f"{failed.source}: File name too long"
 
 
 def test_kaldis_wav_scp(folder, tmp_path):

@@ -17,6 +17,7 @@ from rigs import PERSON, at_rest, rig_of
 from scipy.spatial.transform import Rotation
 
 from audio_features import FeatureTrack, LogMel, Wave
+from gesturekit.errors import FormatError, MotionError
 from gesturekit.motion import Motion
 from gesturekit.viewer import write_picture
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
@@ -49,6 +50,13 @@ def widths(path: Path, n: int) -> list[int]:
         across = np.flatnonzero(part.any(axis=0))
         found.append(int(across[-1] - across[0]))
     return found
+
+
+def test_nothing_and_two_bodies_at_once_are_refused(tmp_path):
+    with pytest.raises(MotionError, match="no motion to draw"):
+        write_picture({}, tmp_path / "a.png")
+    with pytest.raises(FormatError, match="either a body or a body model, not both"):
+        DrawnBody.of(a_swing(0.5), "human", tmp_path / "SMPL_NEUTRAL.npz")
 
 
 def test_each_figure_shows_its_own_moment(tmp_path):
