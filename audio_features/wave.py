@@ -314,7 +314,7 @@ class Wave:
         count, first = 0, 0
         if np.abs(self.samples).max() > _UNLIMITED:
             return count, first
-        for at in range(0, len(self.samples) - 2, _BLOCK):
+        for at in range(0, len(self.samples), _BLOCK):
             full = np.abs(self.samples[at : at + _BLOCK + 2]) >= _FULL_SCALE
             flat = full[2:] & full[1:-1] & full[:-2]
             if count == 0 and flat.any():

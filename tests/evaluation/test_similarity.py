@@ -50,6 +50,7 @@ def test_cca_by_hand():
     assert cca(x, y) == pytest.approx(0.8)
     # A column that stands still, and the sign and unit of one that moves, are no matter.
     assert cca(np.hstack([x, np.full((4, 1), 7.0)]), -100.0 * y) == pytest.approx(0.8)
+    assert cca(1e-7 * x, 1e7 * y) == pytest.approx(0.8)
 
 
 def test_cca_finds_what_two_sequences_share():

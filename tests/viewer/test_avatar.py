@@ -362,6 +362,15 @@ BAD = {
         changed("extensionsRequired", value=["KHR_draco_mesh_compression"]),
         "without compression",
     ),
+    "whole places": (changed("accessors", 0, "componentType", value=5125), "POSITION holds no fl"),
+    "split indices": (
+        lambda found: found["accessors"][4].update(componentType=5126, count=432),
+        "indices are not whole numbers",
+    ),
+    "many pieces": (
+        lambda found: found["meshes"][0].update(primitives=found["meshes"][0]["primitives"] * 4097),
+        "over 600000 triangles or 4096 pieces of mesh",
+    ),
     "no mesh": (changed("meshes", 0, "primitives", value=[]), "no mesh"),
     "no list": (changed("nodes", value={}), "nodes is not a list"),
 }
