@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import soundfile
 import torch
+from safetensors.torch import load_file, save_file
 
 import audio_features as af
 import gesturekit as gk
@@ -412,9 +415,24 @@ def _edit_config(folder: Path, old: str, new: str) -> None:
     (folder / "config.yaml").write_text(text.replace(old, new))
 
 
+def _edit_tensor(folder: Path, name: str, change: Callable[[torch.Tensor], torch.Tensor]) -> None:
+    tensors = load_file(folder / "model.safetensors")
+    tensors[name] = change(tensors[name]).contiguous()
+    save_file(tensors, folder / "model.safetensors")
+
+
+def _edit_skeleton(folder: Path, name: str, value: Any) -> None:
+    found = json.loads((folder / "skeleton.json").read_text())
+    found["motion"][name] = value
+    (folder / "skeleton.json").write_text(json.dumps(found))
+
+
 @pytest.mark.parametrize(
     "harm",
     [
+        lambda f: _edit_tensor(f, "motion.mean", lambda mean: mean[1:]),
+        lambda f: _edit_tensor(f, "motion.scale", lambda scale: scale * float("inf")),
+        lambda f: _edit_skeleton(f, "makes_root", False),
         lambda f: (f / "model.safetensors").unlink(),
         lambda f: (f / "model.safetensors").write_bytes(b"\x80\x04pickle"),
         lambda f: (f / "skeleton.json").write_text("[1, 2"),

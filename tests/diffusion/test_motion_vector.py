@@ -222,6 +222,8 @@ def test_a_path_that_does_not_fit_is_refused(gesture):
         made.decode(driven.encode(motion), 30.0)
     with pytest.raises(MotionError, match="40 frames"):
         driven.encode(motion, path.slice(0, 40))
+    with pytest.raises(MotionError, match="displacement columns, so no path"):
+        made.encode(motion, path)
 
 
 def test_a_representation_survives_json(gesture):

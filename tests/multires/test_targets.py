@@ -244,6 +244,24 @@ def test_detail_is_compared_with_every_window_of_the_recordings(level, size, win
     torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
 
 
+def test_of_very_long_recordings_windows_are_taken_evenly(monkeypatch):
+    """40 windows of 200 + 100 frames: 27 of the 151 of the first, 14 of the 51 of the second."""
+    monkeypatch.setattr("gesturekit.multires.training.targets.MOST_WINDOWS", 40)
+    both = [recording(0, 1).motion, recording(0, 2).motion[:, :100]]
+    own = [PairedSequence.make("a", one, torch.zeros(0, one.shape[1]), LEVELS, 0) for one in both]
+    target = DetailTarget(own, LEVEL, LEVELS, places, 50, 1)
+    first, second = (fast_part(one.unfold(-1, 50, 1).movedim(1, 0)) for one in both)
+    few = [np.rint(np.linspace(0, *ends)).astype(int) for ends in ((150, 27), (50, 14))]
+    power = torch.cat([first[few[0]], second[few[1]]])
+    logs = 0.5 * torch.log(power + 0.01 * power.mean())
+    made = windows(0)
+    expected = losses.detail(
+        0.5 * torch.log(fast_part(made) + 0.01 * power.mean()) / 3**0.5, logs / 3**0.5
+    )
+    found = target(places(made), torch.zeros(len(made), dtype=torch.long))
+    torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
+
+
 def test_few_windows_of_long_recordings_stand_for_all():
     """64 of 151 windows are used, evenly spaced."""
     one = PairedSequence.make("a", recording(0, 1).motion, torch.zeros(0, 200), LEVELS, 0)
