@@ -152,6 +152,9 @@ def test_zeros_with_few_values_may_take_a_mebibyte(tmp_path):
     empty = gltf(tmp_path / "b.glb", accessors=[zeros | {"count": 65_537}])
     with pytest.raises(FormatError, match="count of x is 65537; expected 0 to 65536"):
         empty.array(0, "x", 4)
+    few["count"] = 2
+    with pytest.raises(FormatError, match="indices of x are beyond its 2 elements"):
+        Gltf(file.save(path)).array(0, "x", 1)
 
 
 def test_values_of_the_json_part_are_checked(tmp_path):
