@@ -111,7 +111,7 @@ class SlowState:
         pooled = np.concatenate(noise, axis=1)
         sizes = np.maximum(pooled.std(axis=1), 1e-6)
         correlation = (pooled @ pooled.T) / pooled.shape[1] / np.outer(sizes, sizes)
-        values, vectors = np.linalg.eigh((correlation + correlation.T) / 2)
+        values, vectors = np.linalg.eigh(correlation)
         correlation = (vectors * np.maximum(values, 1e-6)) @ vectors.T
         scale = np.sqrt(np.diag(correlation))
         names = list(dict.fromkeys(takes))
