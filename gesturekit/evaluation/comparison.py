@@ -214,8 +214,7 @@ def _pairs(
         label: find_pairs(folder, reference, audio=audio, semantic=semantic)
         for label, folder in folders.items()
     }
-    if len(found) > 1:
-        keep_common_recordings(found)
+    keep_common_recordings(found)
     if options.take_pattern is not None:
         for pairs in found.values():
             pairs.pairs = [
