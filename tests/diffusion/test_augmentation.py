@@ -220,7 +220,8 @@ def test_every_frame_of_a_fast_recording_is_used(gesture):
     assert first.motion.fps == second.motion.fps == 30.0
     assert first.motion.rotations == pytest.approx(motion.rotations[::2])
     assert second.motion.rotations == pytest.approx(motion.rotations[1::2])
-    for fps, count in ((120.0, 4), (25.0, 1), (75.0, 1), (60.0 + 1e-9, 2)):
+    for fps, count in ((120.0, 4), (25.0, 1), (75.0, 1), (60.0 + 1e-9, 2),
+                       (300.00024, 10), (300.0004, 1)):  # fmt: skip
         assert len(phases(replace(motion, fps=fps), 30.0)) == count
     assert len(phases(motion[:1], 30.0)) == 1
 

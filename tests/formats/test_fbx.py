@@ -12,6 +12,7 @@ import pytest
 from gltf_files import GltfFile, arm
 
 from gesturekit.errors import FormatError
+from gesturekit.formats import fbx
 from gesturekit.formats.fbx import blender_command
 from gesturekit.motion import Motion
 
@@ -99,6 +100,21 @@ def test_blender_is_stopped_after_a_while(tmp_path, blender, monkeypatch):
     (tmp_path / "a.fbx").write_bytes(b"x")
     with pytest.raises(FormatError, match=r"a\.fbx: Blender did not convert it: .*timed out"):
         Motion.load(tmp_path / "a.fbx")
+
+
+def test_the_script_lies_in_an_installed_package_or_beside_that_of_a_checkout(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setenv("GESTUREKIT_BLENDER", "/opt/blender")
+    assert Path(blender_command(Path("a.fbx"))[-2]).is_file()
+    package = tmp_path / "lib" / "gesturekit"
+    monkeypatch.setattr(fbx, "__file__", str(package / "formats" / "fbx.py"))
+    beside = tmp_path / "lib" / "blender" / "fbx.py"
+    assert blender_command(Path("a.fbx"))[-2] == str(beside)
+    inside = package / "blender" / "fbx.py"
+    inside.parent.mkdir(parents=True)
+    inside.touch()
+    assert blender_command(Path("a.fbx"))[-2] == str(inside)
 
 
 def test_a_python_with_the_module_takes_the_place_of_the_program(tmp_path, monkeypatch):

@@ -95,6 +95,9 @@ def test_keys_are_read_in_the_order_of_their_times(tmp_path):
         (np.arange(99) * 1.001 / 240, 240 / 1.001),
         (np.round(np.arange(60) / 30, 3), 30),
         (np.array([0, 1, 2, 7, 30, 31, 90]) / 30, 30),
+        (np.array([0, 1, 2, 3, 4, 7, 30, 31, 90]) / 40, 120),  # keys at every frame would tell 40
+        (np.arange(9) / 40, 40),
+        (np.array([0, 1, 2.0223, 3, 4, 90]) / 240, 240),
         (np.array([0, 1.5]), 24),
         (np.array([0.0]), 30),
     ],
@@ -126,6 +129,7 @@ def test_the_rate_does_not_depend_on_the_time_of_the_first_key(tmp_path, start):
         ([0.0333, 0.0238], 48),  # a tenth of the way from the shorter to the longer: 1/40.4 s
         ([0.05, 0.051, 0.053, 0.057, 0.063, 0.02, 0.061, 0.02, 0.0471], 50),
         ([0.001] * 50, 240),
+        (np.diff([0, 1, 2.0226, 3, 4, 90]) / 240, 240),
     ],
 )
 def test_keys_between_frames_are_sampled_about_as_densely_as_they_lie(tmp_path, steps, fps):

@@ -98,8 +98,8 @@ class Run:
         if self._events is None:
             from torch.utils.tensorboard import SummaryWriter
 
+            # It makes the folder of the run too.
             self._events = SummaryWriter(str(self.folder / "events"), purge_step=step)
-        self.folder.mkdir(parents=True, exist_ok=True)
         with self._metrics.open("a", encoding="utf-8") as file:
             file.write(json.dumps({"step": step, **labels, **values}) + "\n")
         for name, value in values.items():
