@@ -201,7 +201,7 @@ def _tokeniser(folder: Path, vocabulary: int) -> Any:
             f"{folder}: the tokeniser cannot be read ({reason}): download tokenizer.json and "
             "tokenizer_config.json (or the vocabulary) with the weights"
         ) from error
-    if largest >= vocabulary:
+    if not 0 <= largest < vocabulary:
         raise WeightsError(
             f"{folder}: the tokeniser's vocabulary reaches token {largest}, the encoder has "
             f"{vocabulary}: tokeniser and weights must come from the same model"

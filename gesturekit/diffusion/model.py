@@ -216,6 +216,8 @@ def _arguments(parts: ModelParts, weights: WeightPlaces | None, device: str) -> 
     for name, values in vars(normaliser).items():
         if values.shape != (n_motion,) or not torch.isfinite(values).all():
             raise ValueError(f"motion.{name} is not {n_motion} finite numbers")
+    if representation.makes_root == conditions.path:
+        raise ValueError("config.yaml and skeleton.json differ in whether there is a path")
     network = Denoiser(n_motion, conditions.width, network_config)
     network.load_state_dict(parts.tensors_under("network."))
     return {

@@ -409,6 +409,18 @@ def test_what_a_model_cannot_do_is_one_clear_error(model, untrained):
             other.generate(**asked)
 
 
+def test_a_folder_whose_files_differ_in_whether_there_is_a_path_is_refused(untrained, tmp_path):
+    made, driven = untrained(), untrained(path=True)
+    for one, other in ((made, driven), (driven, made)):
+        n_motion, config = one.representation.n_features, one.network.config
+        network = Denoiser(n_motion, other.conditions.width, config)
+        mixed = replace(one, conditions=other.conditions, network=network)
+        folder = tmp_path / str(n_motion)
+        mixed.save(folder)
+        with pytest.raises(ModelError, match="differ in whether there is a path"):
+            gk.load(folder)
+
+
 def _edit_config(folder: Path, old: str, new: str) -> None:
     text = (folder / "config.yaml").read_text()
     assert old in text

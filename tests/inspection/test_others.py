@@ -555,8 +555,6 @@ def test_unknown_files_are_reported_in_one_line(gesture, tmp_path):
             inspect("demo", **options)
     run = make_run(tmp_path / "run")
     assert "inspect its folder" in inspect(run / "config.yaml").title
-    (tmp_path / "notes").mkdir()
-    (tmp_path / "notes" / "a.txt").write_text("no recording")
     (run / "config.yaml").write_text("- a\n")
     with pytest.raises(GestureKitError, match="expected key: value"):
         inspect(run)

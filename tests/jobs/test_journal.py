@@ -226,11 +226,14 @@ def test_lines_of_anything_are_ignored(open_journal, tmp_path):
     assert [len(history.results(name)) for name in "ab"] == [1, 1] and not history.killed("a")
 
 
-def test_a_newer_journal_is_refused(tmp_path):
+def test_a_folder_in_the_place_of_a_journal_is_refused(tmp_path):
     (tmp_path / "journal" / "2.jsonl").mkdir(parents=True)
     with pytest.raises(FormatError, match=r"2\.jsonl: not a regular file"):
         History(tmp_path)
-    (tmp_path / "journal" / "2.jsonl").rmdir()
+
+
+def test_a_newer_journal_is_refused(tmp_path):
+    (tmp_path / "journal").mkdir()
     line = {"run": "a", "settings": {}, "format": 2, "time": 0}
     (tmp_path / "journal" / "1.jsonl").write_text(json.dumps(line) + "\n")
     with pytest.raises(FormatError, match="format 2 is newer"):
