@@ -98,14 +98,15 @@ def write_npz(
         motion: the motion to write.
         path: the file, written atomically.
         rig: rig to retarget to: "smplx", "smplh" or "smpl". By default the rig is kept, and
-            the pose vectors of an SMPL rig are in the layout of SMPL-X.
+            the pose vectors of an SMPL rig are in the layout of its own model; 22 joints are
+            written as SMPL, with its hand joints at rest.
         up: axis that points up in the SMPL keys: "y" as in BEAT2, "z" as in AMASS. Native keys are
             always Y up.
         fps: rate to resample to; by default the motion's own.
 
     Warns:
-        UserWarning: the SMPL-X add-on of Blender would refuse or misplay the frame rate, or betas
-            of SMPL or SMPL-H are left out of the layout of SMPL-X.
+        UserWarning: the SMPL-X add-on of Blender would refuse or misplay the frame rate of a
+            motion of SMPL-X, or the body's betas mean nothing in the rig (`as_smpl`).
 
     Raises:
         FormatError: an unknown rig or axis.
@@ -121,14 +122,8 @@ def write_npz(
         motion = motion.resample(fps)
     values = _native(motion)
     if is_smpl(motion.skeleton):
-        posed = motion if rig else as_smpl(motion, RIGS["smplx"])
+        posed = as_smpl(motion, RIGS["smpl"]) if motion.skeleton.n_joints == 22 else motion
         values |= to_amass(posed, up)
-        if motion.skeleton.body_shape.betas and not posed.skeleton.body_shape.betas:
-            warnings.warn(
-                f"{path}: pose vectors are written for SMPL-X, in which the body's betas mean "
-                "nothing: its readers see an average body; --rig smplh (or smpl) keeps them",
-                stacklevel=2,
-            )
         if posed.skeleton.n_joints == RIGS["smplx"] and motion.fps % 30:
             effect = "refuses" if motion.fps < 30 else "plays at the wrong speed"
             warnings.warn(

@@ -62,16 +62,20 @@ def test_beat2_keys(tmp_path):
         np.testing.assert_allclose(file["trans"][:, 1], motion.translation[:, 1] + 0.35)
 
 
-@pytest.mark.parametrize("n_joints", [22, 24, 52, 55])
-def test_smaller_rigs_fill_the_same_165_numbers(tmp_path, n_joints):
+@pytest.mark.parametrize(
+    ("n_joints", "model", "numbers"),
+    [(22, "smpl", 72), (24, "smpl", 72), (52, "smplh", 156), (55, "smplx", 165)],
+)
+def test_pose_vectors_are_those_of_the_rigs_own_model(tmp_path, n_joints, model, numbers):
     motion = smpl_motion(n_joints)
-    write_npz(motion, tmp_path / "a.npz")
+    shape = BodyShape(tuple(np.arange(1.0, 11.0)))
+    motion = replace(motion, skeleton=replace(motion.skeleton, body_shape=shape))
+    motion.save(tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz") as file:
-        turned = quaternion_from_rotation_vector(file["poses"].reshape(20, 55, 3))
-    whole = smpl_skeleton(55)
-    for name in ("left_hip", "right_wrist", "left_index2" if n_joints > 24 else "head"):
-        a = motion.rotations[:, motion.skeleton.index(name)]
-        assert rotation_angles(a, turned[:, whole.index(name)]).max() < 1e-6
+        assert str(file["surface_model_type"]) == model and file["poses"].shape == (20, numbers)
+        np.testing.assert_array_equal(file["betas"][:10], np.arange(1.0, 11.0))
+        turned = quaternion_from_rotation_vector(file["poses"].reshape(20, -1, 3))
+    assert rotation_angles(turned[:, :n_joints], motion.rotations).max() < 1e-6
 
 
 def foreign(path, motion, up, rig=None, **change):
@@ -141,9 +145,9 @@ def add_on_accepts(path, target_fps=30):
 
 @pytest.mark.parametrize("n_joints", [22, 24, 52, 55])
 def test_the_blender_add_on_accepts_every_rig_of_the_family(tmp_path, n_joints):
-    write_npz(smpl_motion(n_joints), tmp_path / "a.npz")
+    write_npz(smpl_motion(n_joints), tmp_path / "a.npz", rig="smplx")
     assert add_on_accepts(tmp_path / "a.npz")
-    write_npz(smpl_motion(n_joints, 60.0), tmp_path / "a.npz")
+    write_npz(smpl_motion(n_joints, 60.0), tmp_path / "a.npz", rig="smplx")
     assert add_on_accepts(tmp_path / "a.npz")
 
 
@@ -308,9 +312,9 @@ def test_shapes_are_kept_within_their_space_and_dropped_outside(tmp_path):
     shape = BodyShape(tuple(betas), gender="male")
     motion = replace(motion, skeleton=replace(motion.skeleton, body_shape=shape))
     write_npz(motion, tmp_path / "h.npz", rig="smplh")
-    write_npz(motion, tmp_path / "x.npz", rig="smplx")
-    with pytest.warns(UserWarning, match="an average body; --rig smplh"):
-        write_npz(motion, tmp_path / "own.npz")
+    with pytest.warns(UserWarning, match="betas .* left out.*--rig smpl"):
+        write_npz(motion, tmp_path / "x.npz", rig="smplx")
+    write_npz(motion, tmp_path / "own.npz")
     with np.load(tmp_path / "h.npz") as h, np.load(tmp_path / "x.npz") as x:
         np.testing.assert_array_equal(h["betas"], [*betas, 0, 0, 0, 0, 0, 0])
         assert h["dmpls"].shape == (20, 8)

@@ -32,8 +32,8 @@ from gesturekit.wording import listed
 
 RATES = ("mocap_frame_rate", "mocap_framerate", "fps")
 """Keys of the frame rate."""
-_MODELS = {22: "smpl", 24: "smpl", 52: "smplh", 55: "smplx"}
-_N_BETAS = {22: 10, 24: 10, 52: 16, 55: 300}
+_MODELS = {24: "smpl", 52: "smplh", 55: "smplx"}
+_N_BETAS = {24: 10, 52: 16, 55: 300}
 _N_EXPRESSIONS = 100
 _MAX_EXPRESSIONS = 1000
 
@@ -77,7 +77,7 @@ def from_amass(archive: Archive, up: str) -> Motion:
 
 
 def to_amass(motion: Motion, up: str) -> dict[str, Any]:
-    """Return the keys of AMASS and BEAT2 and their values, for a motion on an SMPL rig.
+    """Return the keys of AMASS and BEAT2 and their values, for a motion on a rig of `RIGS`.
 
     `up` is the axis that points up in `poses` and `trans`, "y" or "z".
     """

@@ -130,6 +130,9 @@ def as_smpl(motion: Motion, n_joints: int) -> Motion:
     one shape space; SMPL-X has another, so `betas` are dropped on conversion to or from it. Any
     other rig is retargeted.
 
+    Warns:
+        UserWarning: betas are dropped.
+
     Raises:
         MotionError: a rig that cannot be retargeted.
     """
@@ -149,6 +152,13 @@ def as_smpl(motion: Motion, n_joints: int) -> Motion:
     # Only SMPL-X has expressions; other rigs keep them for a conversion back.
     expressions = None if old.n_joints == 55 else motion.expressions
     if (old.n_joints == 55) != (n_joints == 55):
+        if shape.betas:
+            warnings.warn(
+                "betas of SMPL and SMPL-H mean nothing in SMPL-X, nor its betas in theirs: they are "
+                "left out, and readers see an average body; keep the rig, or choose one of its kind "
+                "(--rig smpl, smplh or smplx)",
+                stacklevel=2,
+            )
         shape = BodyShape(gender=shape.gender)
     rig = replace(rig, body_shape=shape)
     info = dict(motion.info)
