@@ -40,7 +40,7 @@ GROUPS = {
         *("formats", "rig", "rig_parts", "fps", "antialias", "trim", "mirror", "joints", "up"),
         *("unit", "frame", "body", "framing", "size", "existing"),
     ),
-    "Input": (*RECORDING_OPTIONS, "person", "animation", "parts"),
+    "Input": (*RECORDING_OPTIONS, "animation", "parts"),
     **BATCH_GROUPS,
 }
 WIDTH = 100

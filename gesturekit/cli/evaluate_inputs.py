@@ -214,8 +214,7 @@ def trained_on(model: ModelResult, name: str) -> str:
         if isinstance(pair.reference, ItemInterval):
             item = pair.reference.item
             stretch = {"start": item.motion_start, "duration": item.duration}
-            known = item.split == "train"
-            known = known or is_trained_on(sources, item.motion, item.audio, **stretch)
+            known = is_trained_on(sources, item.motion, item.audio, **stretch)
         else:
             known = is_trained_on(sources, pair.reference, pair.audio)
         seen += [stem] if known else []

@@ -41,12 +41,12 @@ _RECORDING = (
         "chosen by gender): gives SMPL files their bones and foot points, and html, glb and obj a "
         "body mesh.",
     ),
+    click.option("--person", type=int, metavar="ID", help="Person to read (EasyMocap)."),
 )
-RECORDING_OPTIONS = ("in_unit", "in_up", "in_forward", "in_fps", "height", "body_model")
+RECORDING_OPTIONS = ("in_unit", "in_up", "in_forward", "in_fps", "height", "body_model", "person")
 """Names of the parameters that `recording_options` adds."""
 _OPTIONS = (
     *_RECORDING,
-    click.option("--person", type=int, metavar="ID", help="Person to read (EasyMocap)."),
     click.option(
         "--animation",
         metavar="NAME",
@@ -158,7 +158,7 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the `reading_options` that apply to recordings of a corpus (BVH and npz)."""
+    """Add the `reading_options` that apply to recordings of a corpus."""
     for option in reversed(_RECORDING):
         command = option(command)
     return command

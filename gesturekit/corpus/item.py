@@ -25,6 +25,7 @@ CONDITIONS = ("events", "path")
 READING: dict[str, type | tuple[type, ...]] = {
     **dict.fromkeys(("unit", "up", "forward"), str),
     **dict.fromkeys(("fps", "height"), (int, float)),
+    "person": int,
     "parts": Mapping,
     "body_model": (str, os.PathLike),
 }
@@ -56,7 +57,7 @@ class Item:
         take: recording session. Items of one take are not independent: splits, intervals and tests
             go by takes. By default the motion file, or the sound file of unpaired speech.
         audio: the sound file, absolute; None for motion alone.
-        motion: the motion file (BVH or npz), absolute; None for unpaired speech.
+        motion: the motion file or EasyMocap folder, absolute; None for unpaired speech.
         audio_start: start of the item in the sound file, seconds.
         channel: channel of the sound file to use, counted from 1; None for their mean.
         motion_start: start of the item in the motion file, seconds.
@@ -72,8 +73,9 @@ class Item:
             (`audio_features.load_words`), `semantics` BEAT's table of gestures with their semantic
             scores; `partner_audio`, `partner_motion` and `partner_words` are the interlocutor's.
         reading: options for reading the motion file that replace detection: `unit`, the axes `up`
-            and `forward`, the true `fps`, the `height` in metres to scale the body to, and the
-            body `parts` assigned by hand that the height depends on.
+            and `forward`, the true `fps`, the `height` in metres to scale the body to, the
+            `person` of an EasyMocap folder, and the body `parts` assigned by hand that the height
+            depends on.
         audible: intervals (start, end) of the sound file, seconds, in which the recorded person
             speaks; the rest is muted. Empty where all of the sound is used.
 

@@ -203,7 +203,7 @@ _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
     "mirror": ((bool,), "true or false"),
     "conditions": ((dict,), "an object {name: path}"),
     "channel": ((int, type(None)), "a whole number or null"),
-    "reading": ((dict,), "an object {unit, up, forward, fps, height, body_model}"),
+    "reading": ((dict,), "an object {unit, up, forward, fps, height, person, body_model}"),
     "audible": ((list, tuple), "a list of [start, end] in seconds"),
 }
 

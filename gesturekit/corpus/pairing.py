@@ -12,10 +12,11 @@ from pathlib import Path
 
 from gesturekit.corpus.checks import Problem
 from gesturekit.errors import CorpusError
-from gesturekit.formats.registry import MOTION_SUFFIXES
+from gesturekit.formats.smpl.easymocap import SUBFOLDERS
 from gesturekit.formats.sources import (
     SPEECH_SUFFIXES,
     is_motion,
+    is_sequence,
     one_of_two_formats,
     unreadable_media,
     visible_folders,
@@ -45,7 +46,11 @@ class Found:
     @property
     def is_speech(self) -> bool:
         """True for a sound file, False for a motion file."""
-        return self.path.suffix.lower() in SPEECH_SUFFIXES
+        return _is_speech(self.path)
+
+
+def _is_speech(path: Path) -> bool:
+    return path.suffix.lower() in SPEECH_SUFFIXES
 
 
 @dataclass
@@ -61,8 +66,9 @@ class Pairing:
 def scan(folder: str | os.PathLike[str]) -> tuple[list[Found], list[Problem]]:
     """Find all speech (`SPEECH_SUFFIXES`) and motion (bvh, npz) files below a folder, sorted.
 
-    Hidden files and folders, and npz files of features and body models are skipped. If a motion
-    exists as STEM.bvh and STEM.npz, one of them is found. Links to folders are followed once.
+    A folder that is an EasyMocap sequence counts as one motion file. Hidden files and folders, and
+    npz files of features and body models are skipped. If a motion exists as STEM.bvh and STEM.npz,
+    one of them is found. Links to folders are followed once.
 
     Raises:
         CorpusError: there is no such folder.
@@ -79,13 +85,14 @@ def scan(folder: str | os.PathLike[str]) -> tuple[list[Found], list[Problem]]:
             Problem("error", Path(error.filename), f"cannot open folder: {error.strerror}")
         )
 
-    for _, _, files in visible_folders(folder, unreadable):
-        for path in files:
-            suffix = path.suffix.lower()
-            is_speech = suffix in SPEECH_SUFFIXES
-            if not (is_speech or suffix in MOTION_SUFFIXES):
-                continue
-            key = path.relative_to(folder).with_suffix("").as_posix()
+    for here, folders, files in visible_folders(folder, unreadable):
+        media = [path for path in files if _is_speech(path) or is_motion(path)]
+        if is_sequence(here):
+            media.append(here)
+            folders[:] = [name for name in folders if name not in SUBFOLDERS]
+        for path in media:
+            named = path if path is here else path.with_suffix("")
+            key = folder.name if path == folder else named.relative_to(folder).as_posix()
             if not key.isprintable():
                 # Also names that are not UTF-8: Python holds their bytes as lone surrogates.
                 problems.append(
@@ -95,7 +102,7 @@ def scan(folder: str | os.PathLike[str]) -> tuple[list[Found], list[Problem]]:
                         "the file name is not printable text; rename it",
                     )
                 )
-            elif is_speech or is_motion(path):
+            else:
                 found.append(Found(key, path, folder))
     copies, lines = one_of_two_formats(file.path for file in found if not file.is_speech)
     problems += [Problem("note", None, line) for line in lines]

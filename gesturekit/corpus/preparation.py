@@ -26,7 +26,7 @@ from gesturekit.corpus.takes import name_takes, neighbours, take_in
 from gesturekit.errors import CorpusError, MotionError, gesturekit_errors
 from gesturekit.field_docs import build_options
 from gesturekit.formats.conversion import refuse_unused_read_options
-from gesturekit.formats.registry import MOTION_SUFFIXES
+from gesturekit.formats.registry import MOTION_SUFFIXES, format_of
 from gesturekit.formats.sources import OTHER_SPEECH_SUFFIXES, SPEECH_SUFFIXES
 from gesturekit.motion.parts import find_parts
 from gesturekit.wording import counted, listed
@@ -227,9 +227,7 @@ def _examined(
 ) -> tuple[list[Recording], list[Problem]]:
     """Load, check and label the recordings; return the usable ones and all problems."""
     read = options.read or {}
-    refuse_unused_read_options(
-        read, {task.motion.suffix.lower() for task, _ in tasks if task.motion}
-    )
+    refuse_unused_read_options(read, {format_of(task.motion) for task, _ in tasks if task.motion})
     recordings: list[Recording] = []
     problems: list[Problem] = []
     unmatched = 0

@@ -27,8 +27,15 @@ OTHER_SPEECH_SUFFIXES = (
 OTHER_MOTION_SUFFIXES = (
     *(".fbx", ".c3d", ".trc", ".mot", ".asf", ".amc", ".vmd"),
     *(".usd", ".usda", ".usdc", ".usdz", ".dae", ".blend"),
+    ".pkl",
 )
 """Motion files that are not searched for; Blender and other programs convert most to BVH."""
+_PICKLE = (
+    "pkl is a pickle, which can run code, and is never read; of a file that you trust make an npz "
+    "of its pose vectors, such as AIST++'s: python -c \"import pickle, numpy; "
+    "d = pickle.load(open('x.pkl', 'rb')); numpy.savez('x.npz', poses=d['smpl_poses'], "
+    "trans=d['smpl_trans'] / d['smpl_scaling'], mocap_frame_rate=60)\""
+)
 NO_MOTION = f"no motion in it; looked for {', '.join(MOTION_SUFFIXES)} and EasyMocap folders"
 _GLTF = (".gltf", ".vrma", ".glb")
 _SHOWN = 3
@@ -103,6 +110,8 @@ def unreadable_media(path: Path) -> str | None:
     kind = path.suffix.lower()[1:]
     if path.suffix.lower() in OTHER_SPEECH_SUFFIXES:
         return f"{kind} is not read; make a wav of it: ffmpeg -i x.{kind} x.wav"
+    if kind == "pkl":
+        return _PICKLE
     if path.suffix.lower() in OTHER_MOTION_SUFFIXES:
         how = "from Blender" if kind != "fbx" else "by gesturekit convert x.fbx x.bvh, with Blender"
         return f"{kind} is not read; export it as bvh, for example {how}"

@@ -171,7 +171,7 @@ def _files(item: Item) -> Iterator[Path]:
 
 
 def _missing(manifest: Manifest) -> Iterator[str]:
-    gone = sorted({str(path) for item in manifest for path in _files(item) if not path.is_file()})
+    gone = sorted({str(path) for item in manifest for path in _files(item) if not path.exists()})
     if gone:
         yield f"{counted(len(gone), 'file')} missing: {listed(gone, _SHOWN)}"
 

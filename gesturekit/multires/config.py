@@ -27,7 +27,10 @@ class NetworkConfig:
     levels: int = 10
     """Number of levels L; each level has 3/4 as many frames as the next finer one."""
     channels: tuple[int, ...] = (6, 9, 9)
-    """Channels per joint after each hidden layer; an output layer follows."""
+    """Channels of each hidden layer, see `channels_per`; an output layer follows."""
+    channels_per: Literal["block", "layer"] = "block"
+    """Whether `channels` are those of each block (joint, contact label, root displacement) or of
+    the whole layer; a block then has ceil(channels / blocks) of them (GANimator: 128, 256, 256)."""
     kernel: int = 5
     """Kernel size of the convolutions over time, in frames; odd."""
     neighbour_distance: int = 2
@@ -53,6 +56,11 @@ class NetworkConfig:
             raise ConfigError(f"kernel: {self.kernel} must be odd")
         if not self.channels or min(self.channels) <= 0:
             raise ConfigError(f"channels: {list(self.channels)} must be numbers above 0")
+
+    @property
+    def n_frames_of_patch(self) -> int:
+        """Return how many frames of a level one score of its discriminator depends on."""
+        return 1 + (self.kernel - 1) * (len(self.channels) + 1)
 
     @property
     def margin(self) -> int:

@@ -57,8 +57,8 @@ def sample_multires(
 ) -> Iterator[Path]:
     """Sample for Table 1 of Moreno-Villamarín et al. 2024, twice as long as training sequences.
 
-    A model with speech input gets each sound twice in a row. Noise is given to level 1 only, as in
-    `generate`.
+    A model with speech input gets each sound twice in a row. Noise enters at the model's
+    `noise_levels`, as in `generate`.
 
     Args:
         model: model from `gesturekit.load`.

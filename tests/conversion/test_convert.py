@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
+import re
+import shlex
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -541,6 +546,20 @@ def test_parts_of_a_rig_that_is_known_are_refused():
 def test_media_that_is_not_read_is_named_with_what_to_do(name, what_to_do):
     reason = unreadable_media(Path(name))
     assert (reason and what_to_do in reason) or reason is what_to_do is None
+
+
+def test_a_pickle_is_refused_with_the_command_that_makes_an_npz_of_it(gesturekit, tmp_path):
+    """The keys are those of AIST++; its lengths are scaled."""
+    poses, trans = np.full((9, 72), 0.1), np.full((9, 3), 50.0)
+    values = {"smpl_poses": poses, "smpl_trans": trans, "smpl_scaling": np.array([100.0])}
+    (tmp_path / "x.pkl").write_bytes(pickle.dumps(values))
+    done = gesturekit("convert", tmp_path / "x.pkl", tmp_path / "x.bvh")
+    assert done.status == 1 and "x.pkl: pkl is a pickle" in done.err
+    command = shlex.split(re.search(r'python -c ".*"', done.err).group())
+    subprocess.run([sys.executable, *command[1:]], cwd=tmp_path, check=True, timeout=60)
+    motion = Motion.load(tmp_path / "x.npz", up="y")
+    assert (motion.n_frames, motion.fps, motion.skeleton.n_joints) == (9, 60, 24)
+    assert motion.translation[0, 0] == pytest.approx(0.5, abs=0.05)
 
 
 def test_spaces_in_joint_names_are_warned_about_once(gesture, tmp_path):

@@ -16,6 +16,7 @@ from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.inspection.corpus import inspect_recordings
 from gesturekit.motion import Motion
 from gesturekit.motion.parts.body_size import body_height
+from gesturekit.training.data.sources import TrainedSegment, is_trained_on
 
 
 def errors(report):
@@ -49,6 +50,31 @@ def test_pairs_become_items_of_a_manifest_that_loads(tmp_path, write_pair):
     assert len(manifest.paired("train")) == 3 and len(manifest.paired("test")) == 1
     for item in manifest:
         assert item.load_wave().n_frames(30) == item.load_motion().n_frames == 120
+
+
+def test_an_easymocap_folder_is_a_recording(tmp_path, write_speech, gesturekit):
+    """It pairs with a sound of its name; --person chooses, and the manifest keeps it."""
+    folder = tmp_path / "in" / "take.1" / "smpl"
+    folder.mkdir(parents=True)
+    for t in range(60):
+        turns = [[0.2 + 0.01 * t * person] * 72 for person in (1, 2)]
+        people = [
+            {"id": i, "Rh": [[1.5, 0, 0]], "Th": [[0, 0, 1]], "poses": [turn], "shapes": [[0] * 10]}
+            for i, turn in enumerate(turns)
+        ]
+        (folder / f"{t:06d}.json").write_text(json.dumps(people))
+    write_speech(tmp_path / "in" / "take.1.wav", 2.0)
+    prepared = ("prepare", tmp_path / "in", "--out", tmp_path / "c.jsonl", "--person", 1)
+    gesturekit(*prepared, "--in-fps", 30).ok()
+    (item,) = Manifest.load(tmp_path / "c.jsonl").paired()
+    assert item.motion == folder.parent and item.reading == {"person": 1, "fps": 30.0}
+    read, want = item.load_motion(), Motion.load(folder.parent, person=1, fps=30.0)
+    first = round(item.motion_start * 30)  # a rest pose is trimmed
+    np.testing.assert_array_equal(read.rotations, want.rotations[first : first + read.n_frames])
+    segment = TrainedSegment.of(item, 30.0)
+    assert is_trained_on([segment], item.motion)
+    (folder / "000000.json").write_text("[]")
+    assert not is_trained_on([segment], item.motion)
 
 
 def test_words_beside_a_recording_become_features_on_motion_frames(tmp_path, write_pair):
@@ -346,7 +372,7 @@ def test_labels_come_from_names(tmp_path, write_pair):
         ({"workers": 0}, "workers is 0"),
         ({"workers": 1025}, "workers is 1025"),
         ({"holdout": -0.1}, "holdout is -0.1"),
-        ({"read": {"person": 1}}, "read: unknown option 'person'"),
+        ({"read": {"animation": 1}}, "read: unknown option 'animation'"),
         ({"read": {"body_model": "none.npz"}}, "body model none.npz: no such file or folder"),
         ({"tolerance": -0.1}, "tolerance is -0.1"),
         ({"hold_out_seconds": "1-2", "hold_out_pattern": "a"}, "either seconds or names"),

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from audio_features import level_lengths
-from gesturekit.motion import Skeleton
+from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts import upper_body
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
@@ -68,6 +68,23 @@ def test_reflection_equals_torchs_and_also_pads_short_signals():
     assert torch.equal(reflect(x, 2), torch.nn.functional.pad(x, (2, 2), mode="reflect"))
     assert reflect(x[..., :1], 2).shape[-1] == 5
     assert reflect(x[..., :2], 4)[0, 0].tolist() == (x[0, 0, :2].tolist() * 5)
+
+
+@pytest.mark.parametrize(
+    ("n_joints", "widths"),
+    # Of GANimator's rigs: Mixamo's 24 joints, Xia's 31 and the crab's 56, with 4, 2 and 6 contacts.
+    [(24 + 4, (5, 9, 9)), (31 + 2, (4, 8, 8)), (56 + 6, (3, 5, 5)), (2, (43, 86, 86))],
+)
+def test_widths_of_a_layer_are_split_over_the_blocks_of_the_rig(n_joints, widths):
+    """GANimator's rule: 128, 256 and 256, each rounded up to a multiple of the blocks."""
+    parents = (-1, *range(n_joints - 1))
+    rig = Skeleton(tuple(f"j{i}" for i in range(n_joints)), parents, np.ones((n_joints, 3)))
+    still = Motion(rig, np.tile([0.0, 0, 0, 1], (9, n_joints, 1)), np.zeros((9, 3)), 30.0)
+    config = NetworkConfig(levels=1, channels=(128, 256, 256), channels_per="layer")
+    representation = MultiresRepresentation.fit([still], "all")
+    assert len(representation.block_sizes) == n_joints + 1  # no feet in a chain of joints
+    layers = MultiresGenerator(representation, 0, config).levels[0].layers
+    assert [layer.sizes[1] for layer in layers[:-1]] == [(w,) * (n_joints + 1) for w in widths]
 
 
 def test_a_joint_depends_only_on_its_neighbours(representation):

@@ -227,6 +227,19 @@ def test_random_steps_take_unpaired_clips_whole_and_read_no_target(make_config, 
     assert all(np.isfinite(value) for line in logged(config.out) for value in line.values())
 
 
+@pytest.mark.parametrize(
+    ("levels", "window", "warned"), [(10, None, True), (9, None, False), (10, 3.0, False)]
+)
+def test_clips_shorter_than_a_patch_at_level_1_are_warned_about(
+    make_config, caplog, levels, window, warned
+):
+    """The clip has 125 frames: 9.4 of them at level 1 of 10, and 12.5 of 9; a patch has 13."""
+    network = {"levels": levels, "kernel": 5, "channels": [2, 2]}
+    trainer.plan_training(make_config(network=network, training={"window": window}))
+    assert ("1 of 1 clips of unpaired speech" in caplog.text) is warned
+    assert ("13 frames" in caplog.text and "clips of 6.7 s or more" in caplog.text) is warned
+
+
 def test_silence_is_as_long_as_the_longest_unpaired_clip(
     make_config, cache_of, write_pair, write_speech, tmp_path
 ):

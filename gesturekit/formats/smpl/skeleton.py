@@ -154,9 +154,9 @@ def as_smpl(motion: Motion, n_joints: int) -> Motion:
     if (old.n_joints == 55) != (n_joints == 55):
         if shape.betas:
             warnings.warn(
-                "betas of SMPL and SMPL-H mean nothing in SMPL-X, nor its betas in theirs: they are "
-                "left out, and readers see an average body; keep the rig, or choose one of its kind "
-                "(--rig smpl, smplh or smplx)",
+                "betas of SMPL and SMPL-H mean nothing in SMPL-X, nor its betas in theirs: they "
+                "are left out, and readers see an average body; keep the rig, or choose one of its "
+                "kind (--rig smpl, smplh or smplx)",
                 stacklevel=2,
             )
         shape = BodyShape(gender=shape.gender)

@@ -114,9 +114,11 @@ def skeleton_layers(
     """
     near = block_neighbours(representation, config.neighbour_distance, config.contact_reach)
     motion = representation.block_sizes
-    sizes = [motion, *((width,) * len(near) for width in config.channels), *[motion] * output]
+    parts = len(near) if config.channels_per == "layer" else 1
+    widths = [math.ceil(channels / parts) for channels in config.channels]
+    sizes = [motion, *((width,) * len(near) for width in widths), *[motion] * output]
     return nn.ModuleList(
-        SkeletonConv1d(near, *widths, config.kernel) for widths in itertools.pairwise(sizes)
+        SkeletonConv1d(near, *pair, config.kernel) for pair in itertools.pairwise(sizes)
     )
 
 

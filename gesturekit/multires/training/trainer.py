@@ -126,6 +126,7 @@ class Trainer:
         self.config = config = self._adapted(config)
         if self.data.unpaired_is_paired and processes.is_first:
             log.warning("The corpus has no unpaired speech: random steps take the paired speech.")
+        self._warn_of_short_clips()
         self.seconds = sum(source.duration for source in self.data.sources)
         self.held_out = HeldOutMetrics(
             config, run, speech=self.data.conditioner is not None, styles=self.data.styles
@@ -179,6 +180,20 @@ class Trainer:
         if follows and self.processes.is_first:
             log.info(UNIDENTIFIED, missing.capitalize(), ", ".join(follows))
         return replace(config, losses=replace(config.losses, **off))
+
+    def _warn_of_short_clips(self) -> None:
+        """Warn about clips that are shorter at level 1 than the patches of the discriminator."""
+        network, lengths = self.config.network, [clip.shape[-1] for clip in self.data.unpaired]
+        least = network.n_frames_of_patch
+        short = [n for n in lengths if af.level_lengths(n, network.levels)[0] < least]
+        if self.data.own_lengths and short and self.processes.is_first:
+            log.warning(
+                "%d of %d clips of unpaired speech have fewer than the %d frames of a "
+                "discriminator's patch at level 1, which sees them reflected: of %d levels, clips "
+                "of %.1f s or more have enough.",
+                *(len(short), len(lengths), least, network.levels),
+                math.ceil((least - 0.5) * (4 / 3) ** (network.levels - 1)) / self.config.fps,
+            )
 
     def _contents(self) -> list[str]:
         """Return descriptions of the training data."""

@@ -63,7 +63,13 @@ class TrainedSegment:
 
 
 def file_fingerprint(path: Path) -> str:
-    """Return the first 16 hexadecimal digits of the SHA-256 of a file's content."""
+    """Return the first 16 hexadecimal digits of the SHA-256 of a file's content.
+
+    That of a folder, an EasyMocap sequence, is made from those of its files.
+    """
+    if path.is_dir():
+        files = sorted(file for file in path.rglob("*") if file.is_file())
+        return hashlib.sha256("".join(map(file_fingerprint, files)).encode()).hexdigest()[:16]
     found = path.stat()
     # A file that is written again has another time of change, whatever its other times are set to.
     return _fingerprint(path, found.st_size, found.st_mtime_ns, found.st_ctime_ns)
