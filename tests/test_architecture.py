@@ -229,7 +229,7 @@ def test_nothing_names_a_path_of_one_machine():
     assert not wrong, "\n".join(wrong)
 
 
-MAX_MODULES, MAX_LINES, MAX_FUNCTION_LINES, MAX_PARAMETERS = 16, 300, 60, 8
+MAX_FUNCTION_LINES, MAX_PARAMETERS = 60, 8
 MIN_MODULES, MIN_LINES = 4, 40
 # Folders that are a unit with fewer modules, or that hold assets.
 SMALL_FOLDERS = {
@@ -275,19 +275,11 @@ def test_lines_of_code_leave_out_what_only_explains():
     assert lines_of_code(source) == 3
 
 
-def test_folders_files_functions_and_signatures_are_small():
-    """The verbs in `cli` may be many; the options of a click command are not its parameters."""
-    files = [*sources("audio_features"), *sources("gesturekit")]
-    modules = Counter(path.parent for path in files if path.stem != "__init__")
-    wrong = [
-        f"{folder.relative_to(ROOT)}: {n} modules"
-        for folder, n in modules.items()
-        if n > MAX_MODULES and folder.name != "cli"
-    ]
-    for path in files:
+def test_functions_and_signatures_are_small():
+    """The options of a click command are not its parameters."""
+    wrong = []
+    for path in [*sources("audio_features"), *sources("gesturekit")]:
         text, where = path.read_text(encoding="utf-8"), path.relative_to(ROOT)
-        if (n := lines_of_code(text)) > MAX_LINES:
-            wrong.append(f"{where}: {n} lines of code")
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.FunctionDef):
                 if (n := node.end_lineno - node.lineno + 1) > MAX_FUNCTION_LINES:
