@@ -178,10 +178,10 @@ def _from_native(archive: Archive) -> Motion:
             f"{NPZ_FORMAT}"
         )
     names = tuple(archive.texts("names", _MAX_JOINTS))
-    ends: dict[str, tuple[np.ndarray, ...]] = {}
+    ends: dict[str, list[np.ndarray]] = {}
     sites = archive.numbers("end_site_offsets")
     for name, site in _by_joint(archive, "end_site_joints", "end_site_offsets", sites, names):
-        ends[name] = (*ends.get(name, ()), site)
+        ends.setdefault(name, []).append(site)
     parts: dict[str, str] = {}
     if "parts_by_hand" in archive:
         by_hand = archive.texts("parts_by_hand", _MAX_JOINTS)

@@ -39,6 +39,15 @@ SHANKS = dict.fromkeys(("l1", "l2"), (np.array([0.0, -0.4, 0.0]),))
 TIPS = {"head": (np.array([0.0, 0.15, 0.0]),)}
 
 
+def test_limbs_of_a_thousand_bones_are_compared_without_recursion():
+    """Two chains of one shape, which begin at the root: a pair of limbs, but not of a person's."""
+    parents = [-1, 0, 0, *(j - 2 for j in range(3, 1999))]
+    offsets = [[0, 0, 0], [0.1, 0, 0], [-0.1, 0, 0], *[[0, -0.1, 0]] * 1996]
+    names = tuple(f"n{j}" for j in range(len(parents)))
+    with pytest.raises(MotionError, match="1 pair of limbs of equal length, not 2"):
+        find_limbs(Skeleton(names, tuple(parents), np.array(offsets)))
+
+
 def figure(tips: dict | None = None, **offsets: tuple[float, float, float]) -> Skeleton:
     """The figure with other offsets; those of a name without a number are mirrored."""
     both = {}

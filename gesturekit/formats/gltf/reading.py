@@ -192,9 +192,9 @@ def _rest(
     at = {node: k for k, node in enumerate(joints)}
     above = np.array([at.get(nodes.parents[node], -1) for node in joints + ends], int)
     offsets = metres * (positions - np.where(above[:, None] >= 0, positions[above], 0.0))
-    sites: dict[str, tuple[np.ndarray, ...]] = {}
+    sites: dict[str, list[np.ndarray]] = {}
     for parent, site in zip(above[len(joints) :], offsets[len(joints) :]):
-        sites[names[parent]] = (*sites.get(names[parent], ()), site)
+        sites.setdefault(names[parent], []).append(site)
     n_joints = len(joints)
     parents = (-1, *above[1:n_joints])
     return Skeleton(names, parents, offsets[:n_joints], end_sites=sites), turns[:n_joints]

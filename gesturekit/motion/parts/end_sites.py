@@ -36,13 +36,23 @@ def real_end_sites(skeleton: Skeleton) -> dict[str, tuple[np.ndarray, ...]]:
     bones = skeleton.offsets[[skeleton.index(name) for name, _ in named]]
     length, bone = np.linalg.norm(sites, axis=1), np.linalg.norm(bones, axis=1)
     off = (sites * bones).sum(axis=1) < _OFF * length * bone
-    alike = np.linalg.norm(sites[:, None] - sites, axis=2) <= _SAME * length[:, None]
-    copied = (np.abs(length - bone) <= _SAME * bone) | (alike.sum(axis=1) >= _COPIES)
+    copied = (np.abs(length - bone) <= _SAME * bone) | (_n_alike(sites) >= _COPIES)
     too_long = length > np.maximum(_LONGEST * body_size(skeleton), _LONGER * bone)
-    real: dict[str, tuple[np.ndarray, ...]] = {}
+    real: dict[str, list[np.ndarray]] = {}
     for (name, site), made_up in zip(named, (off & copied) | too_long):
         joint = skeleton.index(name)
         marks_end = skeleton.is_leaf(joint) and bare_name(name, "").endswith(_MARKERS)
         if joint == 0 or not (made_up or marks_end):
-            real[name] = (*real.get(name, ()), site)
-    return real
+            real.setdefault(name, []).append(site)
+    return {name: tuple(sites) for name, sites in real.items()}
+
+
+def _n_alike(sites: np.ndarray) -> np.ndarray:
+    """Return how many of `sites` (N, 3) equal each one, itself included; counted up to _COPIES."""
+    from scipy.spatial import KDTree
+
+    kinds, of_kind, counts = np.unique(sites, axis=0, return_inverse=True, return_counts=True)
+    nearest = np.arange(1, min(_COPIES, len(kinds)) + 1)
+    away, which = KDTree(kinds).query(kinds, nearest)
+    alike = away <= _SAME * np.linalg.norm(kinds, axis=1, keepdims=True)
+    return (alike * counts[which]).sum(axis=1)[of_kind]

@@ -261,10 +261,12 @@ class PartFinder:
         self._find(f"{side}_wrist", self._below(elbow), _WRIST, required=False)
 
     def _leg(self, side: str) -> None:
-        of_side = [j for j, s in enumerate(self.side) if s == side]
-        of_limbs = set(of_side)
         # A "leg" without a joint of its side above it is a thigh.
-        below_hip = [j for j in of_side if of_limbs & set(self.skeleton.ancestors(j))]
+        below_hip: set[int] = set()
+        for j, above in enumerate(self.skeleton.parents):
+            if above in below_hip or (above >= 0 and self.side[above] == side):
+                below_hip.add(j)
+        below_hip = [j for j in sorted(below_hip) if self.side[j] == side]
         knee = self._find(f"{side}_knee", below_hip, _KNEE, but=_NOT_KNEE)
         self._above(f"{side}_hip", knee, side)
         ankle = self._find(f"{side}_ankle", self._below(knee), _ANKLE)

@@ -8,6 +8,7 @@ left. If any of this is not clear, an error is raised, because a wrong guess is 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -24,6 +25,8 @@ _LONG = 0.25
 _ROUNDING, _POINT, _FORWARD = 0.007, 0.007, 0.035
 """Shares of the rig's reach from its root (1.4 m on an adult): difference allowed between short
 bones, length below which an end site is a point, and least length of a foot that points forward."""
+_MOST_LIMBS = 32
+"""Long limbs of one joint that are compared with one another; more are no person's."""
 _CLEARLY = 1.3
 """Least ratio of a limb's two long bones to all its others, and square root of the largest ratio
 between the two."""
@@ -105,7 +108,7 @@ class _Shape:
                 joints |= {f"{side}_{part}": j for part, j in zip(parts, chain[start:])}
                 if parts[0] == "shoulder" and start:
                     joints[f"{side}_clavicle"] = chain[start - 1]
-        pairs = [pair for a, b in (leg_chains, arm_chains) for pair in self._mirrored(a[0], b[0])]
+        pairs = [pair for a, b in (leg_chains, arm_chains) for pair in self._corresponding(a[0], b[0])]
         return Limbs(joints, self._head(chest, arms), tuple(sorted(pairs)))
 
     def _pairs_of_limbs(self) -> list[tuple[int, tuple[int, int]]]:
@@ -120,31 +123,34 @@ class _Shape:
                 for j in self.skeleton.children(fork)
                 if self.bone[j] + self.reach[j] > _LONG * whole
             ]
-            alike = [pair for pair in combinations(long, 2) if self._alike(*pair)]
-            if len(alike) > 1:
+            few = len(long) <= _MOST_LIMBS
+            alike = [pair for pair in combinations(long, 2) if self._alike(*pair)] if few else []
+            if not few or len(alike) > 1:
                 raise MotionError(f"more than two limbs of equal length on {self._name(fork)!r}")
             found += [(fork, pair) for pair in alike]
         return found
 
     def _alike(self, a: int, b: int) -> bool:
         """Return whether two limbs have equal numbers of bones of equal lengths."""
-        near = _ALIKE * max(self.bone[a], self.bone[b]) + _ROUNDING * self.reach[0]
-        if abs(self.bone[a] - self.bone[b]) > near:
-            return False
-        below = [self._sorted(joint) for joint in (a, b)]
-        return len(below[0]) == len(below[1]) and all(map(self._alike, *below))
+        for one, other in self._corresponding(a, b):
+            bones = self.bone[one], self.bone[other]
+            if abs(bones[0] - bones[1]) > _ALIKE * max(bones) + _ROUNDING * self.reach[0]:
+                return False
+            if len(self.skeleton.children(one)) != len(self.skeleton.children(other)):
+                return False
+        return True
 
     def _sorted(self, joint: int) -> list[int]:
         """Return the children of a joint, ordered by lengths, which are equal on both sides."""
         children = self.skeleton.children(joint)
         return sorted(children, key=lambda j: (self.reach[j] + self.bone[j], self.bone[j]))
 
-    def _mirrored(self, a: int, b: int) -> list[tuple[int, int]]:
-        """Return pairs of corresponding joints of two limbs of equal shape."""
+    def _corresponding(self, a: int, b: int) -> Iterator[tuple[int, int]]:
+        """Yield the pairs of corresponding joints of two limbs, a joint before those below it."""
         pairs = [(a, b)]
-        for below in zip(*(self._sorted(joint) for joint in (a, b))):
-            pairs += self._mirrored(*below)
-        return pairs
+        for pair in pairs:
+            yield pair
+            pairs += zip(*map(self._sorted, pair))
 
     def _chain(self, joint: int) -> list[int]:
         """Return the joints of a limb along its longest path."""
