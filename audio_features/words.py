@@ -23,7 +23,7 @@ from audio_features.wave import Wave
 SUFFIXES = (".TextGrid", ".ctm", ".words.json", ".srt", ".vtt", ".tsv")
 """Suffixes of the word lists that `words_beside` finds, in order of preference."""
 
-_MAX_BYTES = 32 << 20
+_MAX_BYTES = 4 << 20  # more than a day of speech
 _LONGEST = 7 * 24 * 3600.0
 _TOKEN = re.compile(r'"(?:[^"]|"")*"|(?<!\S)(?:-?\d[\d.eE+-]*|<exists>)(?!\S)')
 _CUE = re.compile(r"\s*([\d:.,]+)\s+-->\s+([\d:.,]+)")
@@ -190,10 +190,10 @@ def _captions(path: Path, text: str) -> Entries:
         where = f"line {number}"
         start, end = (_clock(path, where, time) for time in cue.groups())
         said = []
-        for following in lines[number:]:
-            if not following.strip():
+        for following in range(number, len(lines)):
+            if not lines[following].strip() or _CUE.match(lines[following]):
                 break
-            said += re.sub(r"<[^<>]*>|\{[^{}]*\}", " ", following).split()
+            said += re.sub(r"<[^<>]*>|\{[^{}]*\}", " ", lines[following]).split()
         for word in _shared(said, start, end):
             yield where, *word
     if not found and text.strip() not in ("", "WEBVTT"):
