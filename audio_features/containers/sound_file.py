@@ -139,6 +139,12 @@ _READERS = {
 
 _BLOCK = 1 << 20  # values (samples times channels) processed at a time, which bounds the memory
 
+_UNCHECKED = 256 << 20
+"""Bytes of samples that a file of any size may hold."""
+_EXPANSION = {"OGG": 256, "MP3": 64, "MPEG": 64}
+"""Largest ratio of the bytes of more samples to the size of the file: what Opus at 6 kbit/s and MP3
+at 24 kbit/s have at 48 kHz. Other formats keep every sample, for which 20 is plenty."""
+
 Segment = Callable[[int, int], tuple[int, int]]
 """Function from (samples per channel, rate) to (first sample, number of samples) to read."""
 
@@ -167,6 +173,7 @@ def read_sound(
         with _opened(name, header) as file:
             _check_length(file, name, header)
             first, count = segment(file.frames, file.samplerate)
+            _check_memory(name, file.format, count)
             samples, levels = _read(file, name, header, first, count, channel)
             if channel is None and (channel := levels.instead_of_mean()) is not None:
                 file.seek(0)
@@ -246,6 +253,16 @@ def _check_length(file: soundfile.SoundFile, name: str, header: Header) -> None:
         raise AudioError(
             f"{name}: damaged: the header declares {header.frames} samples a channel, "
             f"{file.frames} can be found: copy or export the file again"
+        )
+
+
+def _check_memory(name: str, form: str, count: int) -> None:
+    size, times = Path(name).stat().st_size, _EXPANSION.get(form, 20)
+    if 4 * count > max(_UNCHECKED, times * size):
+        raise AudioError(
+            f"{name}: {count} samples from a file of {size} bytes: over {_UNCHECKED >> 20} MB, and "
+            f"over {times} times the file: if it is sound, give start and duration, or make a wav "
+            f"of it: {ffmpeg_line(name)}"
         )
 
 

@@ -93,3 +93,13 @@ def test_damage_is_refused_or_harmless(name, tmp_path):
         else:
             assert differing == 0, case
     print(f"{name}: {read} of {case + 1} mutated files were read")
+
+
+def test_a_small_file_cannot_take_gigabytes_of_samples(tmp_path):
+    """65 blocks of 2^20 zeros are 260 MB of samples; FLAC holds them in 250 kB."""
+    with soundfile.SoundFile(tmp_path / "a.flac", "w", 655350, 1, "PCM_16") as file:
+        for _ in range(65):
+            file.write(np.zeros(1 << 20, np.int16))
+    with pytest.raises(AudioError, match=r"a\.flac: 68157440 samples .*over 20 times the file"):
+        Wave.load(tmp_path / "a.flac")
+    assert len(Wave.load(tmp_path / "a.flac", start=3, duration=2).samples) == 2 * 655350
