@@ -113,13 +113,13 @@ class TrainingConfig:
     window: float = 5.0
     """Length of a training window in seconds."""
     learning_rate: float = 6e-4
-    """Learning rate of Adam after warm-up."""
+    """Learning rate of Adam at the end of the warm-up, its peak."""
     warm_up: int = 3000
     """Number of updates of linear learning-rate warm-up."""
     decay: float = 0.99995
-    """Factor applied to the learning rate every ten updates, as in the released code; the paper has
-    1 - 0.5e-5. After 67,000 updates, the learning rate has fallen to 0.72 (paper: 0.97) of its
-    initial value."""
+    """Factor applied to the learning rate every ten updates after the warm-up, as in the released
+    code; the paper has 1 - 0.5e-5. After 67,000 updates, the learning rate has fallen to 0.73
+    (paper: 0.97) of its peak."""
     clip: float = 25.0
     """Maximum gradient norm; 0 for no clipping."""
     ema: float = 0.0
