@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from gesturekit.corpus.layouts import HANDED
 from gesturekit.errors import ConfigError
 from gesturekit.training.data.features import FeatureConfig
 from gesturekit.training.run_config import RunConfig, check_positive, check_share
@@ -188,7 +189,12 @@ class StyleConfig:
     """Style condition: the `style` of each recording in the manifest."""
 
     handed: tuple[str, ...] = ()
-    """Styles that distinguish left from right; their recordings are not mirrored."""
+    """Styles that distinguish left from right; their recordings are not mirrored. `100style` stands
+    for those of that corpus, and may name styles that the recordings lack."""
+
+    def is_handed(self, style: str | None) -> bool:
+        """Return whether recordings of a style are not mirrored."""
+        return any(style in HANDED.get(name, (name,)) for name in self.handed)
 
 
 @dataclass(frozen=True)
