@@ -72,6 +72,12 @@ def bundled_speech() -> Path:
     return _BUNDLED / "demo" / "speech.wav"
 
 
+def drawing_options(model: Model) -> dict[str, str]:
+    """Return options of pages, pictures and videos of a model's motion: bundled ones are human."""
+    is_bundled = model.folder is not None and model.folder.parent == _BUNDLED
+    return {"body": "human"} if is_bundled else {}
+
+
 def model_folder(model: str | Path) -> Path:
     """Return the folder of a model, given by a bundled name or a path.
 

@@ -58,7 +58,11 @@ _APPLY_TO = {
     help="Rows per second of the npy files of own features (files); without it they are npz files.",
 )
 @click.option(
-    "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Output folder."
+    "-o",
+    "--out",
+    required=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Output folder.",
 )
 @click.option(
     "--fps",

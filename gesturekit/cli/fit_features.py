@@ -20,7 +20,11 @@ if TYPE_CHECKING:
     "reference", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="REFERENCE..."
 )
 @click.option(
-    "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Output folder."
+    "-o",
+    "--out",
+    required=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Output folder.",
 )
 @click.option(
     "--variant",

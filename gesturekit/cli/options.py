@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -123,7 +124,55 @@ size_option = click.option(
 framing_option = click.option(
     "--framing",
     type=click.Choice(["whole", "waist"]),
-    help="First view of pages: the whole body, or from the waist up.  [default: whole]",
+    help="View of videos and first view of pages: the whole body, or from the waist up.  "
+    "[default: whole]",
+)
+
+
+def models_to_choose() -> str:
+    """Return a request for --model, with the bundled one and those of the newest runs."""
+    files = Path("runs").glob("*/model/config.yaml")
+    newest = sorted(files, key=lambda file: file.stat().st_mtime, reverse=True)
+    runs = [click.format_filename(file.parent) for file in newest[:3]]
+    return f"Give a bundled model or a model folder: --model {', --model '.join(['demo', *runs])}"
+
+
+class ModelName(click.ParamType):
+    """The name of a bundled model, or a model folder."""
+
+    name = "model"
+
+    def get_missing_message(self, param: click.Parameter, ctx: click.Context | None) -> str:
+        """Return which models there are."""
+        return models_to_choose()
+
+
+model_option = click.option(
+    "--model", required=True, type=ModelName(), help="A bundled name (demo) or a model folder."
+)
+
+
+def _output_folder(ctx: click.Context, _: click.Parameter, out: Path) -> Path:
+    """Return the output folder; a file is refused, and so is the name of one."""
+    from gesturekit.formats.registry import WRITABLE
+
+    kind = out.suffix[1:].lower()
+    if out.is_file() or (kind in WRITABLE and not out.exists()):
+        folder = click.format_filename(out.with_suffix(""))
+        raise click.UsageError(
+            f"--out {click.format_filename(out)}: results go into a folder, named as their sounds: "
+            f"--out {folder} --format {kind or 'bvh'}"
+        )
+    return out
+
+
+output_folder_option = click.option(
+    "-o",
+    "--out",
+    required=True,
+    type=click.Path(path_type=Path),
+    callback=_output_folder,
+    help="Output folder.",
 )
 
 
@@ -146,7 +195,7 @@ body_option = click.option(
     metavar="[mannequin|human|skeleton|FILE.vrm|FILE.glb]",
     help="Body in glb files (and the fbx of convert), pages, videos and pictures; the motion is "
     "retargeted to human and to your own avatar: a VRM file, or a glb with Mixamo's names of "
-    "bones.  [default: mannequin]",
+    "bones.  [default: mannequin; human in drawings of the demo model]",
 )
 
 
@@ -299,16 +348,43 @@ ARGUMENTS = "gesturekit: arguments"
 """Key of a context's `meta`: the arguments of the command as they were given."""
 
 
+ALL_OPTIONS = "gesturekit: all options"
+"""Key of a context's `meta`: whether the help shows all options."""
+_MOST_OPTIONS = 20
+"""Options that the help shows at most, unless all are asked for."""
+
+
+def _show_all(ctx: click.Context, _: click.Parameter, is_given: bool) -> None:
+    if is_given:
+        ctx.meta[ALL_OPTIONS] = True
+        click.echo(ctx.get_help())
+        ctx.exit()
+
+
 class GroupedCommand(click.Command):
-    """A command whose help shows its examples first, and its options in groups.
+    """A command whose help shows its examples first, its options in groups, and not too many.
+
+    A command with more than 20 options gets --help-all, which shows all of them.
 
     Args:
-        groups: names of its parameters by heading; all others come last.
+        groups: names of its parameters by heading; all others come last. Without groups, the help
+            is laid out as that of any command.
+        usual: names of the parameters that --help shows; by default the first ones.
     """
 
-    def __init__(self, *args: Any, groups: Mapping[str, Sequence[str]], **options: Any) -> None:
+    def __init__(
+        self,
+        *args: Any,
+        groups: Mapping[str, Sequence[str]] = MappingProxyType({}),
+        usual: Sequence[str] = (),
+        **options: Any,
+    ) -> None:
         super().__init__(*args, **options)
-        self.groups = groups
+        self.groups, self._usual = groups, usual
+        if (count := sum(isinstance(p, click.Option) for p in self.params)) >= _MOST_OPTIONS:
+            about = {"is_flag": True, "is_eager": True, "expose_value": False}
+            note = f"Show all {count + 2} options."
+            self.params.append(click.Option(["--help-all"], callback=_show_all, help=note, **about))
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments, and keep them for launchers, which repeat the command elsewhere."""
@@ -317,17 +393,25 @@ class GroupedCommand(click.Command):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the examples, then each group under its heading."""
-        with formatter.section("Examples"):
-            for line in (self.epilog or "").splitlines():
-                formatter.write(f"{'':{formatter.current_indent}}{line}\n")
-        named = {name for names in self.groups.values() for name in names}
+        if self.groups:
+            with formatter.section("Examples"):
+                for line in (self.epilog or "").splitlines():
+                    formatter.write(f"{'':{formatter.current_indent}}{line}\n")
+        named = [name for names in self.groups.values() for name in names]
         params = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]
         rest = [param.name for param in params if param.name not in named]
-        for heading, names in {**self.groups, "Other options": rest}.items():
+        if len(params) > _MOST_OPTIONS and not ctx.meta.get(ALL_OPTIONS):
+            usual = self._usual or [*named, *rest]
+            shown = {*usual[: _MOST_OPTIONS - 2], params[-1].name, "help_all"}  # the last is --help
+            params = [param for param in params if param.name in shown]
+        last = "Other options" if self.groups else "Options"
+        for heading, names in {**self.groups, last: rest}.items():
             records = [param.get_help_record(ctx) for param in params if param.name in names]
             if rows := [record for record in records if record is not None]:
                 with formatter.section(heading):
                     formatter.write_dl(rows)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write nothing: the examples stand before the options."""
+        """Write nothing if the examples stand before the options."""
+        if not self.groups:
+            super().format_epilog(ctx, formatter)

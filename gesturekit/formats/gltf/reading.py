@@ -48,7 +48,7 @@ def read_gltf(
     """Read an animation of a .glb or .gltf file; without one, its rest pose as a single frame.
 
     Joints are the nodes of all skins, the bones of a VRM avatar, and what hangs on them without a
-    mesh; in a file without these, the trees of animated nodes. Of several skeletons the largest is read.
+    mesh; without these, the trees of animated nodes. Of several skeletons the largest is read.
 
     Args:
         path: the file. Arrays may lie in it, in data URIs, or in files of its folder.
