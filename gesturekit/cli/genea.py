@@ -6,13 +6,7 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import (
-    SEED,
-    existing_option,
-    models_to_choose,
-    weights_option,
-    workers_option,
-)
+from gesturekit.cli.options import SEED, existing_option, model_hint, weights_option, workers_option
 
 
 @click.command(
@@ -73,7 +67,7 @@ def command(
     sounds = published_sounds(folder, layout)
     if action == "export":
         if model is None:
-            raise click.UsageError(f"export: {models_to_choose()}")
+            raise click.UsageError(f"export: {model_hint()}")
         results = export(
             load(model, weights=options.pop("weights")),
             folder,

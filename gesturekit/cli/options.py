@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -129,7 +128,7 @@ framing_option = click.option(
 )
 
 
-def models_to_choose() -> str:
+def model_hint() -> str:
     """Return a request for --model, with the bundled one and those of the newest runs."""
     files = Path("runs").glob("*/model/config.yaml")
     newest = sorted(files, key=lambda file: file.stat().st_mtime, reverse=True)
@@ -144,7 +143,7 @@ class ModelName(click.ParamType):
 
     def get_missing_message(self, param: click.Parameter, ctx: click.Context | None) -> str:
         """Return which models there are."""
-        return models_to_choose()
+        return model_hint()
 
 
 model_option = click.option(
@@ -153,22 +152,19 @@ model_option = click.option(
 
 
 def _output_folder(ctx: click.Context, _: click.Parameter, out: Path) -> Path:
-    """Return the output folder; a file is refused, and so is the name of one."""
+    """Return the output folder; a file is refused, and so is the name of a motion file."""
     from gesturekit.formats.registry import WRITABLE
 
     kind = out.suffix[1:].lower()
     if out.is_file() or (kind in WRITABLE and not out.exists()):
-        folder = click.format_filename(out.with_suffix(""))
-        raise click.UsageError(
-            f"--out {click.format_filename(out)}: results go into a folder, named as their sounds: "
-            f"--out {folder} --format {kind or 'bvh'}"
-        )
+        has_formats = kind and any(param.name == "formats" for param in ctx.command.params)
+        instead = f"{out.with_suffix('')}{f' --format {kind}' if has_formats else ''}"
+        raise click.UsageError(f"--out {out}: results go into a folder: --out {instead}")
     return out
 
 
 output_folder_option = click.option(
-    "-o",
-    "--out",
+    *("-o", "--out"),
     required=True,
     type=click.Path(path_type=Path),
     callback=_output_folder,
@@ -375,12 +371,12 @@ class GroupedCommand(click.Command):
     def __init__(
         self,
         *args: Any,
-        groups: Mapping[str, Sequence[str]] = MappingProxyType({}),
+        groups: Mapping[str, Sequence[str]] | None = None,
         usual: Sequence[str] = (),
         **options: Any,
     ) -> None:
         super().__init__(*args, **options)
-        self.groups, self._usual = groups, usual
+        self.groups, self._usual = groups or {}, usual
         if (count := sum(isinstance(p, click.Option) for p in self.params)) >= _MOST_OPTIONS:
             about = {"is_flag": True, "is_eager": True, "expose_value": False}
             note = f"Show all {count + 2} options."
