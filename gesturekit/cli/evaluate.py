@@ -54,7 +54,8 @@ _USED_BY_SANITY = (
 @click.command(
     "evaluate",
     cls=GroupedCommand,
-    epilog="Example: gesturekit evaluate rendered recordings --audio recordings --out report.html "
+    groups={},
+    epilog="gesturekit evaluate rendered recordings --audio recordings --out report.html "
     "--compare rendered_without_film --compare other=baseline/rendered",
 )
 @click.argument("generated")

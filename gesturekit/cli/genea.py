@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import SEED, existing_option, model_hint, weights_option, workers_option
+from gesturekit.cli.options import SEED, ModelName, existing_option, weights_option, workers_option
 
 
 @click.command(
@@ -67,7 +67,7 @@ def command(
     sounds = published_sounds(folder, layout)
     if action == "export":
         if model is None:
-            raise click.UsageError(f"export: {model_hint()}")
+            raise click.UsageError(f"export: {ModelName().get_missing_message()}")
         results = export(
             load(model, weights=options.pop("weights")),
             folder,

@@ -128,22 +128,17 @@ framing_option = click.option(
 )
 
 
-def model_hint() -> str:
-    """Return a request for --model, with the bundled one and those of the newest runs."""
-    files = Path("runs").glob("*/model/config.yaml")
-    newest = sorted(files, key=lambda file: file.stat().st_mtime, reverse=True)
-    runs = [click.format_filename(file.parent) for file in newest[:3]]
-    return f"Give a bundled model or a model folder: --model {', --model '.join(['demo', *runs])}"
-
-
 class ModelName(click.ParamType):
     """The name of a bundled model, or a model folder."""
 
     name = "model"
 
-    def get_missing_message(self, param: click.Parameter, ctx: click.Context | None) -> str:
-        """Return which models there are."""
-        return model_hint()
+    def get_missing_message(self, param: Any = None, ctx: Any = None) -> str:
+        """Return which models there are: the bundled one, and those of the newest runs."""
+        files = Path("runs").glob("*/model/config.yaml")
+        newest = sorted(files, key=lambda file: file.stat().st_mtime, reverse=True)
+        names = ", --model ".join(["demo", *(click.format_filename(f.parent) for f in newest[:3])])
+        return f"Give a bundled model or a model folder: --model {names}"
 
 
 model_option = click.option(
@@ -358,25 +353,20 @@ def _show_all(ctx: click.Context, _: click.Parameter, is_given: bool) -> None:
 
 
 class GroupedCommand(click.Command):
-    """A command whose help shows its examples first, its options in groups, and not too many.
+    """A command whose help shows its examples first, and its options in groups.
 
-    A command with more than 20 options gets --help-all, which shows all of them.
+    If there are more than 20, --help-all shows all of them.
 
     Args:
-        groups: names of its parameters by heading; all others come last. Without groups, the help
-            is laid out as that of any command.
+        groups: names of its parameters by heading; all others come last.
         usual: names of the parameters that --help shows; by default the first ones.
     """
 
     def __init__(
-        self,
-        *args: Any,
-        groups: Mapping[str, Sequence[str]] | None = None,
-        usual: Sequence[str] = (),
-        **options: Any,
+        self, *args: Any, groups: Mapping[str, Sequence[str]], usual: Sequence[str] = (), **kw: Any
     ) -> None:
-        super().__init__(*args, **options)
-        self.groups, self._usual = groups or {}, usual
+        super().__init__(*args, **kw)
+        self.groups, self._usual = groups, usual
         if (count := sum(isinstance(p, click.Option) for p in self.params)) >= _MOST_OPTIONS:
             about = {"is_flag": True, "is_eager": True, "expose_value": False}
             note = f"Show all {count + 2} options."
@@ -389,10 +379,9 @@ class GroupedCommand(click.Command):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the examples, then each group under its heading."""
-        if self.groups:
-            with formatter.section("Examples"):
-                for line in (self.epilog or "").splitlines():
-                    formatter.write(f"{'':{formatter.current_indent}}{line}\n")
+        with formatter.section("Examples"):
+            for line in (self.epilog or "").splitlines():
+                formatter.write(f"{'':{formatter.current_indent}}{line}\n")
         named = [name for names in self.groups.values() for name in names]
         params = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]
         rest = [param.name for param in params if param.name not in named]
@@ -400,7 +389,7 @@ class GroupedCommand(click.Command):
             usual = self._usual or [*named, *rest]
             shown = {*usual[: _MOST_OPTIONS - 2], params[-1].name, "help_all"}  # the last is --help
             params = [param for param in params if param.name in shown]
-        last = "Other options" if self.groups else "Options"
+        last = "Other options" if named else "Options"
         for heading, names in {**self.groups, last: rest}.items():
             records = [param.get_help_record(ctx) for param in params if param.name in names]
             if rows := [record for record in records if record is not None]:
@@ -408,6 +397,4 @@ class GroupedCommand(click.Command):
                     formatter.write_dl(rows)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write nothing if the examples stand before the options."""
-        if not self.groups:
-            super().format_epilog(ctx, formatter)
+        """Write nothing: the examples stand before the options."""

@@ -21,6 +21,8 @@ from gesturekit.cli.options import (
 )
 from gesturekit.corpus.layouts import LAYOUTS
 
+_FILE = click.Path(path_type=Path, dir_okay=False)
+
 
 def _seconds(text: str) -> float:
     try:
@@ -31,16 +33,11 @@ def _seconds(text: str) -> float:
 
 @click.command(
     cls=GroupedCommand,
-    epilog="Example: gesturekit prepare recordings/ --unpaired speech/ --out corpus.jsonl",
+    groups={},
+    epilog="gesturekit prepare recordings/ --unpaired speech/ --out corpus.jsonl",
 )
 @click.argument("folders", nargs=-1, type=click.Path(path_type=Path), metavar="FOLDER...")
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="The manifest.",
-)
+@click.option("-o", "--out", required=True, type=_FILE, help="The manifest.")
 @click.option(
     "--layout",
     metavar="NAME",

@@ -13,7 +13,6 @@ from gesturekit.formats.gltf.file import Gltf
 from gesturekit.wording import printable
 
 _FORMATS = ("PNG", "JPEG", "WEBP")
-_WEBP = "EXT_texture_webp"
 _MOST_PIXELS = 1 << 26
 _SIDE = 512
 """Textures are reduced to this many pixels: vertices are far apart."""
@@ -64,7 +63,7 @@ class Colours:
         glb = self._glb
         texture = glb.item("textures", index := reference["index"])
         extensions = glb.object(texture, "extensions")
-        source = texture.get("source", glb.object(extensions, _WEBP).get("source"))
+        source = texture.get("source", glb.object(extensions, "EXT_texture_webp").get("source"))
         image = {} if source is None else glb.item("images", source)
         at = ~index if source is None else source
         if at not in self._images:

@@ -138,10 +138,7 @@ def _joints(gltf: Gltf, nodes: Nodes) -> tuple[list[int], list[int]]:
 
 
 def _named_joints(gltf: Gltf, nodes: Nodes) -> set[int]:
-    """Return the joints of all skins and the bones of a VRM avatar.
-
-    Without any, return the nodes that an animation moves, and those above.
-    """
+    """Return joints of all skins and bones of an avatar, or nodes that are animated, and above."""
     entries = gltf.items("nodes")
     n_nodes = len(entries)
     found = {j for skin in gltf.items("skins") for j in gltf.wholes(skin, "joints", n_nodes)}
