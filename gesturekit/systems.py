@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from gesturekit.errors import ConfigError, ModelError, gesturekit_errors
 from gesturekit.field_docs import field_docs
-from gesturekit.formats.registry import READABLE
 from gesturekit.model import Controls, Model
 from gesturekit.training.config import load_config, read_chain, read_yaml
 from gesturekit.training.recipes import find_config, main_configs, named_config
@@ -158,7 +157,7 @@ def load(
     if not _is_model(folder) and _is_model(folder / "model"):
         folder /= "model"  # the model of a run folder
     if not folder.is_dir():
-        if folder.suffix.lower() in READABLE:
+        if folder.suffix.lower() in (".bvh", ".npz", ".glb", ".fbx"):
             raise ModelError(f"{model}: a motion, not a model: gesturekit.Motion.load reads it")
         raise ModelError(
             f"{model}: neither a model folder nor a bundled model "

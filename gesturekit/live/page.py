@@ -88,7 +88,7 @@ class Page:
 
     @property
     def is_open(self) -> bool:
-        """Whether a client is connected."""
+        """True if a client is connected."""
         return bool(self._clients)
 
     def put(self, step: Step) -> None:
