@@ -16,6 +16,7 @@ from typing import (
     Literal,
     Protocol,
     TypedDict,
+    TypeVar,
     overload,
     runtime_checkable,
 )
@@ -23,6 +24,7 @@ from typing import (
 import numpy as np
 
 from gesturekit.errors import FormatError, ModelError
+from gesturekit.field_docs import field_docs
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.wording import counted, did_you_mean
@@ -165,6 +167,7 @@ class PoseSource:
         return motion, min(int(self.seconds * motion.fps + 0.5), motion.n_frames - 1)
 
 
+Generate = TypeVar("Generate", bound=Callable[..., Any])
 PLACING = ("start_pose", "end_pose", "facing", "in_place")
 """Controls that place the body."""
 
@@ -227,6 +230,13 @@ class Controls:
     def entries(cls) -> dict[str, ControlEntry]:
         """Return the entry of each control, by name."""
         return {f.name: f.metadata[ControlEntry] for f in dataclasses.fields(cls)}
+
+    @classmethod
+    def document(cls, generate: Generate) -> Generate:
+        """Add the controls and their docstrings to the docstring of a function."""
+        lines = (f"            {name}: {text}\n" for name, text in field_docs(cls).items())
+        generate.__doc__ = f"{generate.__doc__}\n        Controls:\n{''.join(lines)}"
+        return generate
 
     @classmethod
     def build(cls, keywords: Mapping[str, Any], kind: str) -> Controls:

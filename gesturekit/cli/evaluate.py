@@ -22,6 +22,7 @@ from gesturekit.cli.evaluate_inputs import (
 )
 from gesturekit.cli.options import (
     SEED,
+    GroupedCommand,
     body_option,
     comma_separated,
     existing_option,
@@ -52,7 +53,9 @@ _USED_BY_SANITY = (
 
 @click.command(
     "evaluate",
-    epilog="Example: gesturekit evaluate rendered recordings --audio recordings --out report.html "
+    cls=GroupedCommand,
+    groups={},
+    epilog="gesturekit evaluate rendered recordings --audio recordings --out report.html "
     "--compare rendered_without_film --compare other=baseline/rendered",
 )
 @click.argument("generated")
@@ -104,7 +107,7 @@ _USED_BY_SANITY = (
     "well each metric agrees with people's ranking of the models.",
 )
 @take_option("Intervals and tests are over takes.")
-@click.option("--out", type=_FILE, help="Write an HTML report.")
+@click.option("-o", "--out", type=_FILE, help="Write an HTML report.")
 @click.option("--json", "json_out", type=_FILE, help="Write all results as JSON.")
 @click.option("--against", type=_FILE, help="Print the differences from an earlier --json file.")
 @click.option("--csv", type=_FILE, help="Write the table of all metrics as CSV.")

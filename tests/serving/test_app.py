@@ -32,6 +32,7 @@ from gesturekit.serving.pages import DROP_PAGE, PAGE_HEADERS
 from gesturekit.serving.requests import Limits, Rate, receive
 from gesturekit.serving.worker import BusyError, Worker
 from gesturekit.systems import bundled_speech
+from gesturekit.viewer.human.body import is_baked
 
 HOST = "http://127.0.0.1"
 
@@ -77,6 +78,7 @@ def test_a_wav_gives_the_motion_that_the_model_makes(client, model, tmp_path):
     assert Motion.load(tmp_path / "a.npz").n_frames == 30
     page = one.post("/motion?format=html", content=wav())
     assert "<title>motion</title>" in page.text and re.search(r'"audio": ?\{', page.text)
+    assert ('"skin":' in page.text) == is_baked(), "the demo's motion is drawn with the human body"
     assert page.headers["content-disposition"] == 'inline; filename="motion.html"'
     assert page.headers["content-type"].startswith("text/html")
     assert page.headers["content-security-policy"] == "sandbox allow-scripts"
