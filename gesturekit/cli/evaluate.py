@@ -157,8 +157,8 @@ _USED_BY_SANITY = (
     default="seconds",
     show_default=True,
     help="Definition of beat alignment (BAS). seconds: speed low-passed at 6 Hz, beats between "
-    "frames, the same at any frame rate. bailando: frame differences, beats on frames, as in the "
-    "code of the papers.",
+    "frames, the same at any frame rate. bailando: frame differences, beats on frames, kernels of 5 "
+    "and 3 frames at any rate, as in the code of the papers.",
 )
 @click.option(
     "--sanity",

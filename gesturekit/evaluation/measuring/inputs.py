@@ -140,6 +140,11 @@ class ClipInputs:
         """Standing heights (F,) of the foot points, metres: the recording's, of the same body."""
         return standing_heights(self.clip.recording if self.clip.same_body else self.motion)
 
+    @property
+    def frame_rate(self) -> float | None:
+        """Frames per second, for the variant of beat alignment that counts frames."""
+        return self.motion.fps if self.variants.bas == "bailando" else None
+
     @functools.cached_property
     def beats(self) -> np.ndarray:
         """Beats (M,) of the motion, seconds."""
