@@ -44,6 +44,7 @@ _USED_BY_SANITY = (
     "variant",
     "threshold",
     "bas",
+    "kinetic",
     "seed",
     "workers",
 )
@@ -157,8 +158,16 @@ _USED_BY_SANITY = (
     default="seconds",
     show_default=True,
     help="Definition of beat alignment (BAS). seconds: speed low-passed at 6 Hz, beats between "
-    "frames, the same at any frame rate. bailando: frame differences, beats on frames, kernels of 5 "
-    "and 3 frames at any rate, as in the code of the papers.",
+    "frames, the same at any frame rate. bailando: frame differences, beats on frames, kernels of "
+    "5 and 3 frames at any rate, as in the code of the papers.",
+)
+@click.option(
+    "--kinetic",
+    type=click.Choice(["corrected", "released"]),
+    default="corrected",
+    show_default=True,
+    help="Kinetic features of FID_k and Div_k. released: as in the code of the papers, with its "
+    "slip in the acceleration, which published values contain.",
 )
 @click.option(
     "--sanity",
@@ -346,7 +355,9 @@ def _measuring(options: Mapping[str, Any], unit: str) -> dict[str, Any]:
     from gesturekit.progress import Progress
 
     return {
-        "variants": Variants(options["variant"], options["threshold"], options["bas"]),
+        "variants": Variants(
+            *(options[name] for name in ("variant", "threshold", "bas", "kinetic"))
+        ),
         "seed": options["seed"],
         "workers": options["workers"] or os.cpu_count() or 1,
         "progress": lambda portions, total, label: Progress(

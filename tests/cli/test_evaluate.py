@@ -83,9 +83,10 @@ def test_every_option_reaches_the_evaluation(evaluate, folders, monkeypatch):
     sound, words = folders / "recordings", folders / "words"
     chosen = ("--audio", sound, "--semantic", words, "--take-pattern", "(.*)", "--seed", 3)
     variants = ("--variant", "paper", "--threshold", 3, "--bas", "bailando", "--workers", 2)
+    variants += ("--kinetic", "released")
     evaluate(*chosen, *variants, "--baseline", "mean_pose").fails(2, "that is enough")
     assert (asked["audio"], asked["semantic"], asked["take_pattern"]) == (sound, words, "(.*)")
-    assert asked["variants"] == Variants("paper", 3.0, "bailando")
+    assert asked["variants"] == Variants("paper", 3.0, "bailando", "released")
     assert (asked["seed"], asked["workers"], asked["baselines"]) == (3, 2, ["mean_pose"])
     assert (asked["protocol"], asked["features"]) == ("", None)
     evaluate("--protocol", "lda", "--audio", sound).fails(2, "that is enough")
