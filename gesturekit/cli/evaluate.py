@@ -18,6 +18,7 @@ from gesturekit.cli.evaluate_inputs import (
     place_of,
     recordings_of,
     rendered_baselines,
+    sampling_options,
     trained_on,
 )
 from gesturekit.cli.options import (
@@ -118,7 +119,8 @@ _USED_BY_SANITY = (
     "samples of twice its length. lda: Fréchet distances of 10 s windows, 3 samples each, against "
     "all of REFERENCE or of --corpus. With a protocol, GENERATED and --compare may be model "
     "folders: motion is sampled first, each recording in its own style; models with styles need "
-    "--corpus, which states them.",
+    "--corpus, which states them. All controls of gesturekit render but --fps apply, such as "
+    "--guidance; --raw is the default, and --no-raw samples as render does.",
 )
 @click.option(
     "--samples",
@@ -131,12 +133,6 @@ _USED_BY_SANITY = (
     default=Path("evaluation_samples"),
     show_default=True,
     help="Folder for motion sampled from model folders.",
-)
-@click.option(
-    "--postprocess",
-    is_flag=True,
-    help="Lock feet and smooth in motion sampled from model folders, as gesturekit render does. "
-    "[default: the network's raw output, as in the papers]",
 )
 @weights_option
 @click.option(
@@ -190,6 +186,7 @@ _USED_BY_SANITY = (
 @body_option
 @existing_option("replace", note="; samples of an earlier run are only skipped or refused")
 @recording_options
+@sampling_options
 @click.pass_context
 def command(
     ctx: click.Context,
