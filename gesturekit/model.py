@@ -215,8 +215,7 @@ class Controls:
     weight and steps. A walk becomes a walk on the spot."""
     raw: bool = control(False, kind=bool)
     """Sample as the papers do: without `foot_lock`, `smooth`, `vad` and, in diffusion models,
-    `clip_denoised`; one of these that is given still counts. All denoising steps then call the
-    network, and motion between the recordings' frames is still resampled to `fps`."""
+    `clip_denoised`; one of these that is given still counts. The frame rate is still `fps`."""
     foot_lock: bool = control(True, kind=bool, raw=False)
     """Lock planted feet in place; without it, feet stay as the model generated them."""
     smooth: float | None = control(kind=float, least=0, most=2, metavar="SECONDS", raw=0.0)
