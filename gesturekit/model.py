@@ -52,6 +52,7 @@ class ControlEntry:
         option: name of the option if it is not that of the control; it may then be repeated.
         excludes: controls that cannot be combined with this one.
         convert: function of a value that returns what `generate` uses.
+        raw: value under the control `raw`; None if that does not change it.
     """
 
     kind: type | None = str
@@ -64,6 +65,7 @@ class ControlEntry:
     option: str | None = None
     excludes: tuple[str, ...] = ()
     convert: Callable[[Any], Any] | None = None
+    raw: Any = None
 
     def check(self, name: str, value: Any) -> None:
         """Check a value that was given.
@@ -214,12 +216,15 @@ class Controls:
     in_place: bool = control(False, kind=bool)
     """Keep the feet about where they begin: the body neither wanders nor turns away, but shifts its
     weight and steps. A walk becomes a walk on the spot."""
-    foot_lock: bool = control(True, kind=bool)
+    raw: bool = control(False, kind=bool)
+    """Sample as the papers do: without `foot_lock`, `smooth`, `vad` and, in diffusion models,
+    `clip_denoised`; one of these that is given still counts. The frame rate is still `fps`."""
+    foot_lock: bool = control(True, kind=bool, raw=False)
     """Lock planted feet in place; without it, feet stay as the model generated them."""
-    smooth: float | None = control(kind=float, least=0, most=2, metavar="SECONDS")
+    smooth: float | None = control(kind=float, least=0, most=2, metavar="SECONDS", raw=0.0)
     """Smooth upper-body movements shorter than this many seconds, but keep the time and size of
     beat gestures. 0 turns smoothing off; the default is stored with the model."""
-    vad: bool | None = control(kind=bool)
+    vad: bool | None = control(kind=bool, raw=False)
     """Voice activity detection: stretches of at least 3 s of the sound without voice, such as a
     noise floor, hum or typing, give idle motion. By default as in training; off, everything in the
     sound moves the body, for example a whisper."""
@@ -253,6 +258,8 @@ class Controls:
         """
         entries = cls.entries()
         given = {name: value for name, value in keywords.items() if value is not None}
+        if given.get("raw") is True:
+            given = {n: e.raw for n, e in entries.items() if e.raw is not None} | given
         for name, value in given.items():
             if name not in entries:
                 hint = did_you_mean(name, entries, "; did you mean {}?", cutoff=0.75)
@@ -287,6 +294,7 @@ class ControlArguments(TypedDict, total=False):
     end_pose: str | Path | Motion | PoseSource | None
     facing: float | None
     in_place: bool
+    raw: bool
     foot_lock: bool
     smooth: float | None
     vad: bool | None

@@ -67,6 +67,23 @@ def test_each_item_is_a_draw_of_its_own(model, wave):
     assert not same(model.generate(wave, item=odd), unnamed[0])
 
 
+def test_raw_turns_off_all_that_the_papers_do_not_do(model):
+    """Alike what each control does by itself; one that is given with it counts."""
+    noise = 0.05 * np.random.default_rng(0).standard_normal(5 * 16_000)
+    model, on = replace(model, smooth=0.3), {"foot_lock": True, "smooth": 0.3, "vad": True}
+    off = {"foot_lock": False, "smooth": 0.0, "vad": False}
+    if model.kind == "diffusion":
+        on["clip_denoised"], off["clip_denoised"] = True, False
+        torch.nn.init.normal_(model.network.leave.weight, std=0.1)  # 0 until it is trained
+        noise_config = replace(model.noise_config, first_beta=0.999, last_beta=0.999)
+        model = replace(model, noise_config=noise_config)  # its last step has no signal
+    raw = model.generate(noise, 16_000, raw=True)
+    assert same(raw, model.generate(noise, 16_000, **off))
+    assert same(model.generate(noise, 16_000, raw=False), model.generate(noise, 16_000))
+    for name, value in on.items():
+        assert not same(model.generate(noise, 16_000, raw=True, **{name: value}), raw), name
+
+
 @pytest.mark.parametrize("item", [3, None, b"a", ["a"]])
 def test_an_item_is_text(model, wave, item):
     with pytest.raises(ModelError, match="item=.*name of the utterance as text"):

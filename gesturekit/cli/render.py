@@ -262,7 +262,7 @@ def command(
         execution=execution,
         seconds=seconds,
         channel=options.pop("channel"),
-        **_controls(options, open_model),
+        **chosen_controls(options, open_model),
     )
     if not all(map(batch.processor.has_speaker, batch.tasks)):
         _warn_of_speakers(loaded)
@@ -415,7 +415,7 @@ def _output(options: dict[str, Any]) -> Output:
     )
 
 
-def _controls(options: dict[str, Any], open_model: Callable[[str], Model]) -> dict[str, Any]:
+def chosen_controls(options: dict[str, Any], open_model: Callable[[str], Model]) -> dict[str, Any]:
     """Return the arguments of `generate` from the options that were given."""
     experts, unconditional = options.pop("experts"), options.pop("unconditional")
     return given(

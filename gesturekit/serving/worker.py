@@ -75,7 +75,8 @@ class Worker:
 
     def _render(self, sound: Path, asked: MotionRequest) -> tuple[bytes, float]:
         wave = af.Wave.load(sound, max_seconds=self._limits.seconds)
-        controls = asked.model_dump(exclude={"format"})
+        # Those that were given: a default would count as given with `raw`.
+        controls = asked.model_dump(exclude={"format"}, exclude_unset=True)
         motion = self.model.generate(wave, **controls)
         out = sound.with_name(f"motion.{asked.format}")
         extra = {"audio": sound, "title": "motion"} | drawing_options(self.model)

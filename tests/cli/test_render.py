@@ -171,6 +171,7 @@ def test_feet_may_be_left_and_the_arms_smoothed(render, model, wav, tmp_path):
         ("locked", ["--foot-lock"], {}),
         ("as-is", ["--no-foot-lock"], {"foot_lock": False}),
         ("smooth", ["--smooth", 0.2], {"smooth": 0.2}),
+        ("raw", ["--raw"], {"raw": True}),
     ):
         render(wav, "--format", "npz", *flags, out=name).ok()
         made = Motion.load(tmp_path / name / "speech.npz")

@@ -280,7 +280,18 @@ def test_the_page_has_every_setting_of_a_study(tmp_path):
     ("options", "question", "first"),
     [
         ({}, "matches the speech rhythm", "Clear preference for left"),
+        (
+            {"sound": "music"},
+            "Which character's dancing motion do you prefer, taking into account both how "
+            "natural-looking the motion is and how well it matches the music?",
+            "Clear preference for left",
+        ),
         ({"design": "mismatch"}, "movements match the speech better", "Clear preference for left"),
+        (
+            {"design": "mismatch", "sound": "music"},
+            "movements match the music better",
+            "Clear preference for left",
+        ),
         (
             {"design": "style", "styles": {"x": "a cat"}},
             "looks most like *{style}*",
