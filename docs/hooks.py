@@ -97,17 +97,20 @@ def commands_page() -> str:
     import click
 
     from gesturekit.cli import VERBS, cli
+    from gesturekit.cli.options import ALL_OPTIONS
 
     lines = [
         "# Commands",
         "",
-        "The help of each command, as `gesturekit VERB --help` prints it.",
+        "The help of each command with all its options; `gesturekit VERB --help` prints the usual",
+        "ones, `--help-all` all of them.",
         "",
     ]
     for verb in VERBS:
         context = click.Context(cli, info_name="gesturekit", **cli.context_settings)
         command = cli.get_command(context, verb)
         inner = click.Context(command, info_name=verb, parent=context, max_content_width=96)
+        inner.meta[ALL_OPTIONS] = True
         lines += [f"## {verb}", "", "```text", command.get_help(inner), "```", ""]
     return "\n".join(lines)
 

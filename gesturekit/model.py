@@ -16,6 +16,7 @@ from typing import (
     Literal,
     Protocol,
     TypedDict,
+    TypeVar,
     overload,
     runtime_checkable,
 )
@@ -23,6 +24,7 @@ from typing import (
 import numpy as np
 
 from gesturekit.errors import FormatError, ModelError
+from gesturekit.field_docs import field_docs
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.wording import counted, did_you_mean
@@ -50,6 +52,7 @@ class ControlEntry:
         option: name of the option if it is not that of the control; it may then be repeated.
         excludes: controls that cannot be combined with this one.
         convert: function of a value that returns what `generate` uses.
+        raw: value under the control `raw`; None if that does not change it.
     """
 
     kind: type | None = str
@@ -62,6 +65,7 @@ class ControlEntry:
     option: str | None = None
     excludes: tuple[str, ...] = ()
     convert: Callable[[Any], Any] | None = None
+    raw: Any = None
 
     def check(self, name: str, value: Any) -> None:
         """Check a value that was given.
@@ -165,6 +169,7 @@ class PoseSource:
         return motion, min(int(self.seconds * motion.fps + 0.5), motion.n_frames - 1)
 
 
+Generate = TypeVar("Generate", bound=Callable[..., Any])
 PLACING = ("start_pose", "end_pose", "facing", "in_place")
 """Controls that place the body."""
 
@@ -211,12 +216,15 @@ class Controls:
     in_place: bool = control(False, kind=bool)
     """Keep the feet about where they begin: the body neither wanders nor turns away, but shifts its
     weight and steps. A walk becomes a walk on the spot."""
-    foot_lock: bool = control(True, kind=bool)
+    raw: bool = control(False, kind=bool)
+    """Sample as the papers do: without `foot_lock`, `smooth`, `vad` and, in diffusion models,
+    `clip_denoised`; one of these that is given still counts. The frame rate is still `fps`."""
+    foot_lock: bool = control(True, kind=bool, raw=False)
     """Lock planted feet in place; without it, feet stay as the model generated them."""
-    smooth: float | None = control(kind=float, least=0, most=2, metavar="SECONDS")
+    smooth: float | None = control(kind=float, least=0, most=2, metavar="SECONDS", raw=0.0)
     """Smooth upper-body movements shorter than this many seconds, but keep the time and size of
     beat gestures. 0 turns smoothing off; the default is stored with the model."""
-    vad: bool | None = control(kind=bool)
+    vad: bool | None = control(kind=bool, raw=False)
     """Voice activity detection: stretches of at least 3 s of the sound without voice, such as a
     noise floor, hum or typing, give idle motion. By default as in training; off, everything in the
     sound moves the body, for example a whisper."""
@@ -227,6 +235,13 @@ class Controls:
     def entries(cls) -> dict[str, ControlEntry]:
         """Return the entry of each control, by name."""
         return {f.name: f.metadata[ControlEntry] for f in dataclasses.fields(cls)}
+
+    @classmethod
+    def document(cls, generate: Generate) -> Generate:
+        """Add the controls and their docstrings to the docstring of a function."""
+        lines = (f"            {name}: {text}\n" for name, text in field_docs(cls).items())
+        generate.__doc__ = f"{generate.__doc__}\n        Controls:\n{''.join(lines)}"
+        return generate
 
     @classmethod
     def build(cls, keywords: Mapping[str, Any], kind: str) -> Controls:
@@ -243,6 +258,8 @@ class Controls:
         """
         entries = cls.entries()
         given = {name: value for name, value in keywords.items() if value is not None}
+        if given.get("raw") is True:
+            given = {n: e.raw for n, e in entries.items() if e.raw is not None} | given
         for name, value in given.items():
             if name not in entries:
                 hint = did_you_mean(name, entries, "; did you mean {}?", cutoff=0.75)
@@ -277,6 +294,7 @@ class ControlArguments(TypedDict, total=False):
     end_pose: str | Path | Motion | PoseSource | None
     facing: float | None
     in_place: bool
+    raw: bool
     foot_lock: bool
     smooth: float | None
     vad: bool | None

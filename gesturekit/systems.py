@@ -72,6 +72,12 @@ def bundled_speech() -> Path:
     return _BUNDLED / "demo" / "speech.wav"
 
 
+def drawing_options(model: Model) -> dict[str, str]:
+    """Return options of pages, pictures and videos of a model's motion: bundled ones are human."""
+    is_bundled = model.folder is not None and model.folder.parent == _BUNDLED
+    return {"body": "human"} if is_bundled else {}
+
+
 def model_folder(model: str | Path) -> Path:
     """Return the folder of a model, given by a bundled name or a path.
 
@@ -151,6 +157,8 @@ def load(
     if not _is_model(folder) and _is_model(folder / "model"):
         folder /= "model"  # the model of a run folder
     if not folder.is_dir():
+        if folder.suffix.lower() in (".bvh", ".npz", ".glb", ".fbx"):
+            raise ModelError(f"{model}: a motion, not a model: gesturekit.Motion.load reads it")
         raise ModelError(
             f"{model}: neither a model folder nor a bundled model "
             f"({', '.join(bundled_models()) or 'none is bundled'})"

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from pages import bundled, data_of
 
 import audio_features as af
 import gesturekit as gk
@@ -17,6 +18,7 @@ from gesturekit.evaluation import arm_speed, max_speed
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.rotations import IDENTITY, rotation_angles
 from gesturekit.systems import bundled_speech
+from gesturekit.viewer.human.body import is_baked
 
 RECIPE = Path(__file__).resolve().parents[1] / "recipes" / "demo"
 
@@ -29,6 +31,25 @@ def model():
 @pytest.fixture(scope="module")
 def speech() -> af.Wave:
     return af.Wave.load(bundled_speech())
+
+
+@bundled
+@pytest.mark.skipif(not is_baked(), reason="the human body is not baked (make setup)")
+def test_the_demo_is_drawn_as_a_human_unless_a_rig_or_body_is_given(model, tmp_path):
+    model.generate(seconds=0.2).save(tmp_path / "rig.bvh")
+    pictures, has_skin = {}, {}
+    for name, options in {
+        "default": {},
+        "human": {"body": "human"},
+        "mannequin": {"body": "mannequin"},
+        "rig": {"rig": tmp_path / "rig.bvh"},
+    }.items():
+        files = gk.render("demo", (), tmp_path / name, seconds=0.2, formats="html,png", **options)
+        page, picture = files[0].files
+        has_skin[name] = "skin" in data_of(page)["figures"][0]
+        pictures[name] = picture.read_bytes()
+    assert has_skin == {"default": True, "human": True, "mannequin": False, "rig": False}
+    assert pictures["default"] == pictures["human"] != pictures["mannequin"]
 
 
 @pytest.fixture(scope="module")

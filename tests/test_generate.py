@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import os
-from dataclasses import replace
+import re
+from dataclasses import fields, replace
 from importlib import import_module
 from itertools import combinations
 
@@ -15,8 +17,9 @@ from small_models import small_diffusion
 import audio_features as af
 import gesturekit as gk
 from gesturekit.errors import ModelError
+from gesturekit.field_docs import field_docs
 from gesturekit.motion.rotations import rotation_angles
-from gesturekit.systems import bundled_speech
+from gesturekit.systems import bundled_speech, controls_type
 from gesturekit.training.seeds import rng_for
 
 
@@ -64,6 +67,23 @@ def test_each_item_is_a_draw_of_its_own(model, wave):
     assert not same(model.generate(wave, item=odd), unnamed[0])
 
 
+def test_raw_turns_off_all_that_the_papers_do_not_do(model):
+    """Alike what each control does by itself; one that is given with it counts."""
+    noise = 0.05 * np.random.default_rng(0).standard_normal(5 * 16_000)
+    model, on = replace(model, smooth=0.3), {"foot_lock": True, "smooth": 0.3, "vad": True}
+    off = {"foot_lock": False, "smooth": 0.0, "vad": False}
+    if model.kind == "diffusion":
+        on["clip_denoised"], off["clip_denoised"] = True, False
+        torch.nn.init.normal_(model.network.leave.weight, std=0.1)  # 0 until it is trained
+        noise_config = replace(model.noise_config, first_beta=0.999, last_beta=0.999)
+        model = replace(model, noise_config=noise_config)  # its last step has no signal
+    raw = model.generate(noise, 16_000, raw=True)
+    assert same(raw, model.generate(noise, 16_000, **off))
+    assert same(model.generate(noise, 16_000, raw=False), model.generate(noise, 16_000))
+    for name, value in on.items():
+        assert not same(model.generate(noise, 16_000, raw=True, **{name: value}), raw), name
+
+
 @pytest.mark.parametrize("item", [3, None, b"a", ["a"]])
 def test_an_item_is_text(model, wave, item):
     with pytest.raises(ModelError, match="item=.*name of the utterance as text"):
@@ -86,6 +106,19 @@ def test_every_random_number_is_keyed_by_seed_item_and_sample(model, wave, monke
     assert all(map(same, model.generate(wave, samples=2, seed=5, item="day/a"), motions))
 
 
+def test_the_help_of_generate_has_each_control_and_its_docstring(model):
+    shown = " ".join(inspect.getdoc(model.generate).split())
+    docs = field_docs(controls_type(model.kind))
+    assert set(docs) == {field.name for field in fields(controls_type(model.kind))}
+    assert all(f" {name}: {text}" in shown for name, text in docs.items())
+
+
+def test_a_motion_is_no_model(tmp_path):
+    for name in ("o.bvh", tmp_path / "O.NPZ"):
+        with pytest.raises(ModelError, match=rf"{re.escape(str(name))}: .*Motion\.load"):
+            gk.load(name)
+
+
 def test_speech_can_be_an_array(model, wave):
     assert isinstance(model, gk.Model)
     of_wave, rate = model.generate(wave), wave.sample_rate
@@ -100,6 +133,9 @@ def test_speech_can_be_an_array(model, wave):
         (bundled_speech(), rate, "a file or a Wave has its own rate"),
         (wave, rate, "a file or a Wave has its own rate"),
         (None, rate, "no speech is given"),
+        (["a.wav", "b.wav"], None, "2 sounds: call generate for each, or gesturekit.render"),
+        ([wave.samples] * 3, rate, "3 sounds"),
+        ((wave, wave), None, "2 sounds"),
     ):
         with pytest.raises(ValueError, match=says) as caught:
             model.generate(speech, sample_rate, seconds=None if speech is not None else 1.0)

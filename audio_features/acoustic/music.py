@@ -13,13 +13,10 @@ from audio_features.acoustic.analysis import (
     centred_frames,
 )
 from audio_features.acoustic.extractors import AcousticExtractor, whole_number
-from audio_features.errors import FeatureError
 from audio_features.librosa_import import import_librosa
 
 BEATS_PER_MINUTE = (50.0, 200.0)
 """Slowest and fastest tempo that is searched for."""
-
-BEAT_TRACKERS = ("librosa", "madmom")
 
 _WINDOW = 3072  # 192 ms (madmom: 186 ms): long enough for semitones, short enough for chords
 _LOWEST, _HIGHEST = 100.0, 5000.0  # Hz, madmom's range for pitch classes
@@ -34,22 +31,19 @@ class Music(AcousticExtractor):
       192 ms, 100 Hz to 5 kHz. The shares sum to 1, and to 0 in silence. With `n_chroma=1` the
       single column is the total loudness in dB, as `Prosody`'s energy.
     - `spectral_flux`: the mean rise of 40 log-mel bands over 20 ms in dB.
-    - `beat_activation`: 0 to 1, highest on the beats.
+    - `beat_activation`: 0 to 1, highest on the beats; the predominant local pulse (Grosche and
+      Müller 2011) of the flux, 50 to 200 beats per minute. Steady beats reach 1, uncertain ones
+      stay lower.
 
     Listen, Denoise, Action (Alexanderson et al. 2023) uses three columns of the same names,
     computed by madmom: one chroma, an unnormalised spectral flux, and the activation of its
     RNNDownBeatProcessor (Böck et al. 2016). Their code is not published. `Music(n_chroma=1)` has
-    the same columns on another scale.
+    the same columns on another scale. Beats of another tracker are read from files: `Files`.
 
     Args:
         n_chroma: pitch classes per octave, 1 to 36; 12 gives semitones.
-        beats: "librosa" is the predominant local pulse (Grosche and Müller 2011) of the flux,
-            50 to 200 beats per minute; steady beats reach 1, uncertain ones stay lower.
-            "madmom" is the beat or downbeat probability of its recurrent networks. It needs the
-            package madmom, whose models may not be used commercially. It is slow, so the
-            feature cache stores the result.
 
-    Raises FeatureError for other settings, or if madmom is requested and cannot be imported.
+    Raises FeatureError for a number out of range.
 
     Examples:
         The note A, 440 Hz, is the first of 12 pitch classes:
@@ -61,27 +55,17 @@ class Music(AcousticExtractor):
         ((100, 14), 'chroma_0')
     """
 
-    def __init__(self, n_chroma: int = 12, beats: str = "librosa") -> None:
+    def __init__(self, n_chroma: int = 12) -> None:
         self.n_chroma = whole_number("n_chroma", n_chroma, 36)
-        if beats not in BEAT_TRACKERS:
-            raise FeatureError(f"beats={beats!r}: one of {', '.join(BEAT_TRACKERS)}")
-        if beats == "madmom":
-            _madmom()
-        self.beats = beats
-        self.spec = {"kind": "music", "n_chroma": self.n_chroma, "beats": beats}
+        self.spec = {"kind": "music", "n_chroma": self.n_chroma}
         chroma = tuple(f"chroma_{i}" for i in range(self.n_chroma))
         self.names = (*chroma, "spectral_flux", "beat_activation")
         # The means of chroma (key) and activation (beat strength) are properties of the music.
         self.centred = (False,) * self.n_chroma + (True, False)
-        self.worth_caching = beats == "madmom"
 
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
-        if self.beats == "madmom":
-            beats = _madmom_activation(spectrum)
-        else:
-            beats = local_pulse(spectrum.onset)
-        flux = spectrum.onset[:, None]
-        return np.concatenate([self._chroma(spectrum), flux, beats[:, None]], axis=1)
+        flux, beats = spectrum.onset[:, None], local_pulse(spectrum.onset)[:, None]
+        return np.concatenate([self._chroma(spectrum), flux, beats], axis=1)
 
     def _chroma(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
         if self.n_chroma == 1:
@@ -152,28 +136,3 @@ def _pitch_classes(n: int) -> np.ndarray:
     classes = np.zeros((len(frequencies), n), dtype=np.float32)
     classes[np.arange(len(frequencies))[inside], nearest[inside]] = 1.0
     return classes
-
-
-def _madmom() -> type:
-    """Return madmom's processor of beats and downbeats."""
-    try:
-        from madmom.features.downbeats import RNNDownBeatProcessor
-    except (
-        ImportError,
-        AttributeError,
-    ) as error:  # AttributeError: names numpy removed
-        raise FeatureError(
-            f"beats='madmom' needs the package madmom, which cannot be imported ({error}): "
-            "its last release, 0.16.1, needs Python 3.9 or older; or use beats='librosa'"
-        ) from error
-    return RNNDownBeatProcessor
-
-
-def _madmom_activation(spectrum: ShortTimeSpectrum) -> np.ndarray:
-    """Return (T,) the probability of a beat or downbeat; madmom has 100 frames per second too."""
-    from madmom.audio.signal import Signal
-
-    wave = spectrum.wave.resample(44_100)
-    found = _madmom()()(Signal(wave.samples, sample_rate=44_100, num_channels=1)).sum(axis=1)
-    n = spectrum.n_frames
-    return np.pad(found[:n], (0, max(0, n - len(found))))

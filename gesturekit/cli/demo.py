@@ -11,6 +11,7 @@ from gesturekit.cli.options import SEED, existing_option, is_left, resumable
 
 @click.command("demo", epilog="Example: gesturekit demo --out gesturekit-demo")
 @click.option(
+    "-o",
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("gesturekit-demo"),

@@ -18,10 +18,12 @@ from gesturekit.cli.evaluate_inputs import (
     place_of,
     recordings_of,
     rendered_baselines,
+    sampling_options,
     trained_on,
 )
 from gesturekit.cli.options import (
     SEED,
+    GroupedCommand,
     body_option,
     comma_separated,
     existing_option,
@@ -44,6 +46,7 @@ _USED_BY_SANITY = (
     "variant",
     "threshold",
     "bas",
+    "kinetic",
     "seed",
     "workers",
 )
@@ -52,7 +55,9 @@ _USED_BY_SANITY = (
 
 @click.command(
     "evaluate",
-    epilog="Example: gesturekit evaluate rendered recordings --audio recordings --out report.html "
+    cls=GroupedCommand,
+    groups={},
+    epilog="gesturekit evaluate rendered recordings --audio recordings --out report.html "
     "--compare rendered_without_film --compare other=baseline/rendered",
 )
 @click.argument("generated")
@@ -104,7 +109,7 @@ _USED_BY_SANITY = (
     "well each metric agrees with people's ranking of the models.",
 )
 @take_option("Intervals and tests are over takes.")
-@click.option("--out", type=_FILE, help="Write an HTML report.")
+@click.option("-o", "--out", type=_FILE, help="Write an HTML report.")
 @click.option("--json", "json_out", type=_FILE, help="Write all results as JSON.")
 @click.option("--against", type=_FILE, help="Print the differences from an earlier --json file.")
 @click.option("--csv", type=_FILE, help="Write the table of all metrics as CSV.")
@@ -117,7 +122,8 @@ _USED_BY_SANITY = (
     "samples of twice its length. lda: Fréchet distances of 10 s windows, 3 samples each, against "
     "all of REFERENCE or of --corpus. With a protocol, GENERATED and --compare may be model "
     "folders: motion is sampled first, each recording in its own style; models with styles need "
-    "--corpus, which states them.",
+    "--corpus, which states them. All controls of gesturekit render but --fps apply, such as "
+    "--guidance; --raw is the default, and --no-raw samples as render does.",
 )
 @click.option(
     "--samples",
@@ -130,12 +136,6 @@ _USED_BY_SANITY = (
     default=Path("evaluation_samples"),
     show_default=True,
     help="Folder for motion sampled from model folders.",
-)
-@click.option(
-    "--postprocess",
-    is_flag=True,
-    help="Lock feet and smooth in motion sampled from model folders, as gesturekit render does. "
-    "[default: the network's raw output, as in the papers]",
 )
 @weights_option
 @click.option(
@@ -157,8 +157,16 @@ _USED_BY_SANITY = (
     default="seconds",
     show_default=True,
     help="Definition of beat alignment (BAS). seconds: speed low-passed at 6 Hz, beats between "
-    "frames, the same at any frame rate. bailando: frame differences, beats on frames, as in the "
-    "code of the papers.",
+    "frames, the same at any frame rate. bailando: frame differences, beats on frames, kernels of "
+    "5 and 3 frames at any rate, as in the code of the papers.",
+)
+@click.option(
+    "--kinetic",
+    type=click.Choice(["corrected", "released"]),
+    default="corrected",
+    show_default=True,
+    help="Kinetic features of FID_k and Div_k. released: as in the code of the papers, with its "
+    "slip in the acceleration, which published values contain.",
 )
 @click.option(
     "--sanity",
@@ -181,6 +189,7 @@ _USED_BY_SANITY = (
 @body_option
 @existing_option("replace", note="; samples of an earlier run are only skipped or refused")
 @recording_options
+@sampling_options
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -346,7 +355,9 @@ def _measuring(options: Mapping[str, Any], unit: str) -> dict[str, Any]:
     from gesturekit.progress import Progress
 
     return {
-        "variants": Variants(options["variant"], options["threshold"], options["bas"]),
+        "variants": Variants(
+            *(options[name] for name in ("variant", "threshold", "bas", "kinetic"))
+        ),
         "seed": options["seed"],
         "workers": options["workers"] or os.cpu_count() or 1,
         "progress": lambda portions, total, label: Progress(

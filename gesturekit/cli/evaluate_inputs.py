@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from gesturekit.cli.options import RECORDING_OPTIONS, comma_separated, read_from, resumable
+from gesturekit.cli.render import chosen_controls, control_options
 from gesturekit.wording import counted, did_you_mean, listed
 
 if TYPE_CHECKING:
     from gesturekit.corpus.item import Item
     from gesturekit.evaluation import Items
     from gesturekit.evaluation.results import ModelResult
+
+
+_CONTROLS = {option.name: option for option in control_options() if option.name != "fps"}
+
+
+def sampling_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of the controls with which `--protocol` samples models."""
+    for option in reversed(_CONTROLS.values()):
+        command = click.option(cls=lambda _, option=option: option)(command)
+    return command
 
 
 def _named(text: str) -> tuple[str | None, str]:
@@ -58,6 +70,7 @@ def folders_of(
     from gesturekit.systems import bundled_models
 
     folders: dict[str, Path] = {}
+    sampled = False
     places = [Path(place_of(name)).resolve() for name in names]
     for text, place in zip(names, places):
         if places.count(place) > 1:
@@ -84,6 +97,13 @@ def folders_of(
             )
         folders[label] = options["samples_dir"] / label.replace("/", "_")
         _sample(name, label, folders[label], recordings, options)
+        sampled = True
+    asked = [name for name in _CONTROLS if options.get(name) not in (None, ())]
+    if asked and not sampled:
+        raise click.UsageError(
+            f"{_CONTROLS[asked[0]].opts[0]} is for models that --protocol samples, and only motion is named: give a "
+            "model folder, or render the motion with it (gesturekit render)"
+        )
     return folders
 
 
@@ -102,12 +122,13 @@ def _sample(
             "give another --samples-dir, measure that folder instead of the model, or continue "
             "the sampling with --existing skip"
         )
-    model = load(name, weights=options["weights"])
+    open_model = partial(load, weights=options["weights"])
+    model = open_model(name)
     settings = samples.SamplingOptions(
         samples=options["samples"],
         seed=options["seed"],
         skip=skip,
-        postprocess=options["postprocess"],
+        controls=chosen_controls({name: options[name] for name in _CONTROLS}, open_model),
     )
     sample = samples.sample_lda if options["protocol"] == "lda" else samples.sample_multires
     files = sample(model, _items(recordings, options), folder, settings)

@@ -11,7 +11,13 @@ from audio_features.kinds import KINDS
 from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
 from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show_and_count
 from gesturekit.cli.launchers import run_elsewhere
-from gesturekit.cli.options import GroupedCommand, channel_option, existing_option, weights_option
+from gesturekit.cli.options import (
+    GroupedCommand,
+    channel_option,
+    existing_option,
+    output_folder_option,
+    weights_option,
+)
 from gesturekit.wording import counted
 
 if TYPE_CHECKING:
@@ -57,9 +63,7 @@ _APPLY_TO = {
     type=float,
     help="Rows per second of the npy files of own features (files); without it they are npz files.",
 )
-@click.option(
-    "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Output folder."
-)
+@output_folder_option
 @click.option(
     "--fps",
     type=click.FloatRange(min=0, min_open=True, max=1000),

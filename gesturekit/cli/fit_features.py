@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from gesturekit.cli.options import SEED, existing_option, is_left
+from gesturekit.cli.options import SEED, existing_option, is_left, output_folder_option
 
 if TYPE_CHECKING:
     from gesturekit.evaluation.measuring.samples import MotionSample
@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 @click.argument(
     "reference", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="REFERENCE..."
 )
-@click.option(
-    "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Output folder."
-)
+@output_folder_option
 @click.option(
     "--variant",
     type=click.Choice(["genea", "yoon"]),

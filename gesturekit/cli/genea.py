@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import SEED, existing_option, weights_option, workers_option
+from gesturekit.cli.options import SEED, ModelName, existing_option, weights_option, workers_option
 
 
 @click.command(
@@ -17,6 +17,7 @@ from gesturekit.cli.options import SEED, existing_option, weights_option, worker
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--model", help="For export: a bundled name (demo) or a model folder.")
 @click.option(
+    "-o",
     "--out",
     required=True,
     type=click.Path(path_type=Path, file_okay=False),
@@ -66,7 +67,7 @@ def command(
     sounds = published_sounds(folder, layout)
     if action == "export":
         if model is None:
-            raise click.UsageError("export: give --model")
+            raise click.UsageError(f"export: {ModelName().get_missing_message()}")
         results = export(
             load(model, weights=options.pop("weights")),
             folder,

@@ -123,7 +123,47 @@ size_option = click.option(
 framing_option = click.option(
     "--framing",
     type=click.Choice(["whole", "waist"]),
-    help="First view of pages: the whole body, or from the waist up.  [default: whole]",
+    help="View of videos and first view of pages: the whole body, or from the waist up.  "
+    "[default: whole]",
+)
+
+
+class ModelName(click.ParamType):
+    """The name of a bundled model, or a model folder."""
+
+    name = "model"
+
+    def get_missing_message(self, param: Any = None, ctx: Any = None) -> str:
+        """Return which models there are: the bundled one, and those of the newest runs."""
+        files = Path("runs").glob("*/model/config.yaml")
+        newest = sorted(files, key=lambda file: file.stat().st_mtime, reverse=True)
+        names = ", --model ".join(["demo", *(click.format_filename(f.parent) for f in newest[:3])])
+        return f"Give a bundled model or a model folder: --model {names}"
+
+
+model_option = click.option(
+    "--model", required=True, type=ModelName(), help="A bundled name (demo) or a model folder."
+)
+
+
+def _output_folder(ctx: click.Context, _: click.Parameter, out: Path) -> Path:
+    """Return the output folder; a file is refused, and so is the name of a motion file."""
+    from gesturekit.formats.registry import WRITABLE
+
+    kind = out.suffix[1:].lower()
+    if out.is_file() or (kind in WRITABLE and not out.exists()):
+        has_formats = kind and any(param.name == "formats" for param in ctx.command.params)
+        instead = f"{out.with_suffix('')}{f' --format {kind}' if has_formats else ''}"
+        raise click.UsageError(f"--out {out}: results go into a folder: --out {instead}")
+    return out
+
+
+output_folder_option = click.option(
+    *("-o", "--out"),
+    required=True,
+    type=click.Path(path_type=Path),
+    callback=_output_folder,
+    help="Output folder.",
 )
 
 
@@ -146,7 +186,7 @@ body_option = click.option(
     metavar="[mannequin|human|skeleton|FILE.vrm|FILE.glb]",
     help="Body in glb files (and the fbx of convert), pages, videos and pictures; the motion is "
     "retargeted to human and to your own avatar: a VRM file, or a glb with Mixamo's names of "
-    "bones.  [default: mannequin]",
+    "bones.  [default: mannequin; human in drawings of the demo model]",
 )
 
 
@@ -299,16 +339,38 @@ ARGUMENTS = "gesturekit: arguments"
 """Key of a context's `meta`: the arguments of the command as they were given."""
 
 
+ALL_OPTIONS = "gesturekit: all options"
+"""Key of a context's `meta`: whether the help shows all options."""
+_MOST_OPTIONS = 20
+"""Options that the help shows at most, unless all are asked for."""
+
+
+def _show_all(ctx: click.Context, _: click.Parameter, is_given: bool) -> None:
+    if is_given:
+        ctx.meta[ALL_OPTIONS] = True
+        click.echo(ctx.get_help())
+        ctx.exit()
+
+
 class GroupedCommand(click.Command):
     """A command whose help shows its examples first, and its options in groups.
 
+    If there are more than 20, --help-all shows all of them.
+
     Args:
         groups: names of its parameters by heading; all others come last.
+        usual: names of the parameters that --help shows; by default the first ones.
     """
 
-    def __init__(self, *args: Any, groups: Mapping[str, Sequence[str]], **options: Any) -> None:
-        super().__init__(*args, **options)
-        self.groups = groups
+    def __init__(
+        self, *args: Any, groups: Mapping[str, Sequence[str]], usual: Sequence[str] = (), **kw: Any
+    ) -> None:
+        super().__init__(*args, **kw)
+        self.groups, self._usual = groups, usual
+        if (count := sum(isinstance(p, click.Option) for p in self.params)) >= _MOST_OPTIONS:
+            about = {"is_flag": True, "is_eager": True, "expose_value": False}
+            note = f"Show all {count + 2} options."
+            self.params.append(click.Option(["--help-all"], callback=_show_all, help=note, **about))
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments, and keep them for launchers, which repeat the command elsewhere."""
@@ -320,10 +382,15 @@ class GroupedCommand(click.Command):
         with formatter.section("Examples"):
             for line in (self.epilog or "").splitlines():
                 formatter.write(f"{'':{formatter.current_indent}}{line}\n")
-        named = {name for names in self.groups.values() for name in names}
+        named = [name for names in self.groups.values() for name in names]
         params = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]
         rest = [param.name for param in params if param.name not in named]
-        for heading, names in {**self.groups, "Other options": rest}.items():
+        if len(params) > _MOST_OPTIONS and not ctx.meta.get(ALL_OPTIONS):
+            usual = self._usual or [*named, *rest]
+            shown = {*usual[: _MOST_OPTIONS - 2], params[-1].name, "help_all"}  # the last is --help
+            params = [param for param in params if param.name in shown]
+        last = "Other options" if named else "Options"
+        for heading, names in {**self.groups, last: rest}.items():
             records = [param.get_help_record(ctx) for param in params if param.name in names]
             if rows := [record for record in records if record is not None]:
                 with formatter.section(heading):

@@ -9,6 +9,7 @@ import click
 from gesturekit.cli.options import (
     RECORDING_OPTIONS,
     SEED,
+    GroupedCommand,
     channel_option,
     existing_option,
     is_left,
@@ -20,6 +21,8 @@ from gesturekit.cli.options import (
 )
 from gesturekit.corpus.layouts import LAYOUTS
 
+_FILE = click.Path(path_type=Path, dir_okay=False)
+
 
 def _seconds(text: str) -> float:
     try:
@@ -29,12 +32,12 @@ def _seconds(text: str) -> float:
 
 
 @click.command(
-    epilog="Example: gesturekit prepare recordings/ --unpaired speech/ --out corpus.jsonl"
+    cls=GroupedCommand,
+    groups={},
+    epilog="gesturekit prepare recordings/ --unpaired speech/ --out corpus.jsonl",
 )
 @click.argument("folders", nargs=-1, type=click.Path(path_type=Path), metavar="FOLDER...")
-@click.option(
-    "--out", required=True, type=click.Path(path_type=Path, dir_okay=False), help="The manifest."
-)
+@click.option("-o", "--out", required=True, type=_FILE, help="The manifest.")
 @click.option(
     "--layout",
     metavar="NAME",

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     epilog="Example: gesturekit recipes ls\n\nExample: gesturekit recipes ls own_corpus\n\n"
     "Example: gesturekit recipes cp own_corpus my_recipe"
 )
-@click.argument("action", type=click.Choice(["ls", "cp"]))
+@click.argument("action", type=click.Choice(["ls", "cp"]), default="ls")
 @click.argument("name", required=False)
 @click.argument("destination", required=False, type=click.Path(path_type=Path), metavar="[DEST]")
 def command(action: str, name: str | None, destination: Path | None) -> None:
-    """List the recipes (ls), the configurations of one (ls NAME), or copy one to the folder DEST,
-    by default ./NAME (cp NAME DEST).
+    """List the recipes (ls, the default), the configurations of one (ls NAME), or copy one to the
+    folder DEST, by default ./NAME (cp NAME DEST).
 
     `gesturekit train NAME` trains a recipe as it is, `gesturekit train NAME/VARIANT` another of its
     configurations, `gesturekit train DEST` an edited copy.

@@ -23,6 +23,8 @@ from gesturekit.cli.options import (
     existing_option,
     framing_option,
     given,
+    model_option,
+    output_folder_option,
     parse_expert,
     parse_level_files,
     parse_placed_files,
@@ -72,6 +74,11 @@ GROUPS = {
     },
     "Computing": ("device", "dtype"),
 }
+USUAL = (
+    *("model", "corpus", "seconds", "samples", "seed", "out", "formats", "fps", "body", "rig"),
+    *("existing", "workers", "dry_run", "speaker", "style", "start_pose", "in_place", "device"),
+)
+"""Options that `--help` shows."""
 
 
 class ControlOption(click.Option):
@@ -121,10 +128,15 @@ def control_options() -> list[click.Parameter]:
 
 
 @click.command(
-    "render", cls=GroupedCommand, groups=GROUPS, params=control_options(), epilog=EXAMPLES
+    "render",
+    cls=GroupedCommand,
+    groups=GROUPS,
+    usual=USUAL,
+    params=control_options(),
+    epilog=EXAMPLES,
 )
 @click.argument("sources", nargs=-1, type=click.Path(path_type=Path), metavar="[WAV]...")
-@click.option("--model", required=True, help="A bundled name (demo) or a model folder.")
+@model_option
 @click.option(
     "--corpus",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -136,9 +148,7 @@ def control_options() -> list[click.Parameter]:
     type=click.Choice(["train", "valid", "test"]),
     help="Split of --corpus to render.  [default: test]",
 )
-@click.option(
-    "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Output folder."
-)
+@output_folder_option
 @click.option(
     "--format",
     "formats",
@@ -252,7 +262,7 @@ def command(
         execution=execution,
         seconds=seconds,
         channel=options.pop("channel"),
-        **_controls(options, open_model),
+        **chosen_controls(options, open_model),
     )
     if not all(map(batch.processor.has_speaker, batch.tasks)):
         _warn_of_speakers(loaded)
@@ -405,7 +415,7 @@ def _output(options: dict[str, Any]) -> Output:
     )
 
 
-def _controls(options: dict[str, Any], open_model: Callable[[str], Model]) -> dict[str, Any]:
+def chosen_controls(options: dict[str, Any], open_model: Callable[[str], Model]) -> dict[str, Any]:
     """Return the arguments of `generate` from the options that were given."""
     experts, unconditional = options.pop("experts"), options.pop("unconditional")
     return given(

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import weights_option
+from gesturekit.cli.options import model_option, weights_option
 from gesturekit.errors import ConfigError
 
 TOKEN = "GESTUREKIT_TOKEN"
 
 
 @click.command("serve", epilog="Example: gesturekit serve --model demo")
-@click.option("--model", required=True, help="A bundled name (demo) or a model folder.")
+@model_option
 @click.option(
     "--host",
     default="127.0.0.1",

@@ -28,6 +28,7 @@ def command() -> None:
 @click.argument("config", type=click.Path(path_type=Path))
 @click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
 @click.option(
+    "-o",
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("study"),
@@ -124,6 +125,7 @@ def power(
     "answers", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="CSV..."
 )
 @click.option(
+    "-o",
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="HTML",

@@ -75,8 +75,9 @@ def command(
 
     from gesturekit.errors import ConfigError
 
-    body, framing = options.pop("body"), given(framing=options.pop("framing"))
-    write = _writer(out, given(**{name: options.pop(name) for name in ("size", "fps")}), framing)
+    body = options.pop("body")
+    names = ("framing", "size", "fps")
+    write = _writer(out, given(**{name: options.pop(name) for name in names}))
     if out is not None and is_left([out], existing):
         return
     reading = read_from(options)
@@ -98,29 +99,23 @@ def command(
     ctx.exit(1 if has_failed else 0)
 
 
-def _writer(
-    out: Path | None, of_videos: Mapping[str, Any], of_pages: Mapping[str, Any]
-) -> Callable[..., None]:
-    """Return the function that writes a file of this name, by default a page.
+def _writer(out: Path | None, options: Mapping[str, Any]) -> Callable[..., None]:
+    """Return the function that writes a file of this name, by default a page, with options.
 
     Raises:
-        ConfigError: an unknown format, or `of_videos` or `of_pages` has options of another one.
+        ConfigError: an unknown format, or an option of another one.
     """
     from gesturekit.errors import ConfigError
+    from gesturekit.formats.conversion import writer_options
     from gesturekit.viewer import write_html, write_picture, write_video
 
-    kind = ".html" if out is None else out.suffix.lower()
-    if of_pages and kind not in (".html", ".htm"):
-        raise ConfigError("--framing is an option of html; give --out NAME.html")
-    if kind == ".mp4":
-        return partial(write_video, **of_videos)
-    if of_videos:
-        raise ConfigError(f"--{next(iter(of_videos))} is an option of mp4; give --out NAME.mp4")
-    if kind in (".html", ".htm"):
-        return partial(write_html, **of_pages)
-    if kind in (".png", ".svg", ".pdf"):
-        return write_picture
-    raise ConfigError(f"{out}: give a name ending in .html, .mp4, .png, .svg or .pdf")
+    writers = {"html": write_html, "mp4": write_video}
+    writers |= dict.fromkeys(("png", "svg", "pdf"), write_picture)
+    kind = "html" if out is None else out.suffix.lower()[1:]
+    kind = "html" if kind == "htm" else kind
+    if kind not in writers:
+        raise ConfigError(f"{out}: give a name ending in .html, .mp4, .png, .svg or .pdf")
+    return partial(writers[kind], **writer_options([kind], options)[kind])
 
 
 def _compare_lengths(audio: Path, longest: float) -> None:

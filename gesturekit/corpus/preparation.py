@@ -189,7 +189,7 @@ def prepare(
     recordings, unnamed = name_takes(recordings, chosen.take_pattern, chosen.take_table)
     problems += unnamed
     if hold_out := chosen.hold_out():
-        recordings = hold_out.apply(recordings)
+        recordings = hold_out.apply(recordings, listing.copies if listing else "")
     items, cut = splits.split_items(
         recordings, chosen.holdout, splits.as_intervals(chosen.hold_out_seconds), chosen.seed
     )

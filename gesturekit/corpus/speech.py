@@ -345,12 +345,16 @@ def as_speech(speech: Speech | None, sample_rate: int | None) -> str | Path | af
         sample_rate: Hz; only with an array.
 
     Raises:
-        ModelError: a rate with speech that has its own, or without speech.
+        ModelError: several sounds, a rate with speech that has its own, or without speech.
         AudioError: an array without rate, or one that is not sound.
     """
     is_pair = isinstance(speech, tuple) and len(speech) == 2 and np.ndim(speech[1]) == 0
     if is_pair and np.ndim(speech[0]) > 0 and sample_rate is None:
         speech, sample_rate = speech
+    sounds = (str, os.PathLike, af.Wave, np.ndarray)
+    if isinstance(speech, list | tuple) and any(isinstance(each, sounds) for each in speech):
+        ways = "call generate for each, or gesturekit.render for all"
+        raise ModelError(f"speech is a list of {len(speech)} sounds: {ways}")
     if speech is not None and not isinstance(speech, (str, os.PathLike, af.Wave)):
         return af.Wave.from_array(speech, sample_rate, "speech")
     if sample_rate is not None:

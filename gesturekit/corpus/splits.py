@@ -71,8 +71,12 @@ class HoldOut:
     def __bool__(self) -> bool:
         return bool(self.pattern or self.file or self.speakers)
 
-    def apply(self, recordings: Sequence[Recording]) -> list[Recording]:
+    def apply(self, recordings: Sequence[Recording], copies: str = "") -> list[Recording]:
         """Return the recordings with their splits.
+
+        Args:
+            recordings: all of them.
+            copies: see `layouts.listing.Listing`; a copy in `file` stands for its recording.
 
         Raises:
             CorpusError: a pattern, a name or a speaker that fits no recording, or all of them.
@@ -82,7 +86,7 @@ class HoldOut:
         if self.pattern:
             wanted |= self._matching(ids)
         if self.file:
-            wanted |= self._listed(ids)
+            wanted |= self._listed(ids, copies)
         known = {recording.speaker for recording in recordings}
         if unknown := sorted(set(self.speakers) - known):
             there = listed(sorted(filter(None, known))) or "none is named"
@@ -111,7 +115,7 @@ class HoldOut:
             )
         return found
 
-    def _listed(self, ids: list[str]) -> set[str]:
+    def _listed(self, ids: list[str], copies: str) -> set[str]:
         path = Path(self.file)
         try:
             if path.stat().st_size > _MOST_BYTES:
@@ -126,8 +130,10 @@ class HoldOut:
         found: set[str] = set()
         unknown = []
         for line in filter(None, map(str.strip, lines)):
-            names = by_name.get(line) or by_name.get(str(Path(line).with_suffix("").as_posix()))
-            found |= names or set()
+            stem = (Path(line).parent / Path(line).stem).as_posix()
+            keys = (line, stem, re.sub(f"({copies})$", "", stem))
+            names = next(filter(None, map(by_name.get, keys)), set())
+            found |= names
             if not names:
                 unknown.append(line)
         if unknown:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from gesturekit.corpus.layouts import HANDED
 from gesturekit.errors import ConfigError
 from gesturekit.training.data.features import FeatureConfig
 from gesturekit.training.run_config import RunConfig, check_positive, check_share
@@ -113,13 +114,13 @@ class TrainingConfig:
     window: float = 5.0
     """Length of a training window in seconds."""
     learning_rate: float = 6e-4
-    """Learning rate of Adam after warm-up."""
+    """Learning rate of Adam at the end of the warm-up, its peak."""
     warm_up: int = 3000
     """Number of updates of linear learning-rate warm-up."""
     decay: float = 0.99995
-    """Factor applied to the learning rate every ten updates, as in the released code; the paper has
-    1 - 0.5e-5. After 67,000 updates, the learning rate has fallen to 0.72 (paper: 0.97) of its
-    initial value."""
+    """Factor applied to the learning rate every ten updates after the warm-up, as in the released
+    code; the paper has 1 - 0.5e-5. After 67,000 updates, the learning rate has fallen to 0.73
+    (paper: 0.97) of its peak."""
     clip: float = 25.0
     """Maximum gradient norm; 0 for no clipping."""
     ema: float = 0.0
@@ -188,7 +189,12 @@ class StyleConfig:
     """Style condition: the `style` of each recording in the manifest."""
 
     handed: tuple[str, ...] = ()
-    """Styles that distinguish left from right; their recordings are not mirrored."""
+    """Styles that distinguish left from right; their recordings are not mirrored. `100style` stands
+    for those of that corpus, and may name styles that the recordings lack."""
+
+    def is_handed(self, style: str | None) -> bool:
+        """Return whether recordings of a style are not mirrored."""
+        return any(style in HANDED.get(name, (name,)) for name in self.handed)
 
 
 @dataclass(frozen=True)

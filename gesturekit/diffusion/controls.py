@@ -47,7 +47,7 @@ class DiffusionControls(Controls):
     default is ancestral if all steps are used, and dpm otherwise."""
     steps: int | None = control(kind=int, least=1, metavar="N", note="10 to 20 are fast.")
     """Number of denoising steps; by default all that the model was trained with."""
-    clip_denoised: bool | None = control(kind=bool)
+    clip_denoised: bool | None = control(kind=bool, raw=False)
     """Clip the predicted clean motion to 10 standard deviations, and skip the network at steps of
     almost pure noise (--no-clip-denoised: neither, as in the released code). The default is stored
     with the model."""

@@ -42,6 +42,7 @@ class DiffusionModel(TrainedModel):
     """Model that generates motion by denoising diffusion, from speech or music, a style, a path,
     events, or nothing."""
 
+    @DiffusionControls.document
     @gesturekit_errors()
     def generate(
         self,

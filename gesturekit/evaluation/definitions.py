@@ -40,6 +40,8 @@ class Variants:
         threshold: coverage threshold; None for the default of `patches`.
         bas: of beat alignment (`gesturekit.evaluation.metrics.rhythm.beat_alignment`): "seconds"
             or "bailando".
+        kinetic: of the features of FID_k and Div_k (`gesturekit.evaluation.kinetic_features`):
+            "corrected" or "released".
 
     Examples:
         What coverage is in the variant of the paper:
@@ -52,6 +54,7 @@ class Variants:
     patches: str = "ganimator"
     threshold: float | None = None
     bas: Literal["seconds", "bailando"] = "seconds"
+    kinetic: Literal["corrected", "released"] = "corrected"
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,7 @@ class Definition:
 
         `{30}` becomes "30 frames (1.20 s)", `{threshold}` the threshold of coverage.
         """
-        chosen = {variants.patches, variants.bas}
+        chosen = {variants.patches, variants.bas, variants.kinetic}
         changed = next((new for name, new in _CHANGES[self.key].items() if name in chosen), {})
         threshold = THRESHOLD if variants.threshold is None else variants.threshold
 

@@ -89,7 +89,7 @@ FORMATS = (
     Format(
         ".mp4",
         writer="gesturekit.viewer:write_video",
-        writes=frozenset({"body", "body_model", "size"}),
+        writes=frozenset({"body", "body_model", "framing", "size", "fps"}),
     ),
     *(
         Format(suffix, writer="gesturekit.viewer:write_picture", writes=frozenset({"body"}))

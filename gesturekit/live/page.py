@@ -9,6 +9,7 @@ import struct
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,7 @@ class Page:
         human: function that returns what puts motion on the human body.
         body: body to draw; see `DrawnBody`.
         framing: first view, "whole" or "waist".
+        sound: file that the page plays with its frames; None for the sound of a microphone.
 
     Raises:
         GestureKitError: the player was not bundled, or the body cannot be read.
@@ -64,10 +66,11 @@ class Page:
         *,
         body: str = "human",
         framing: str = "whole",
+        sound: Path | None = None,
     ) -> None:
         drawn = DrawnBody.of(example, body)
         self._fitting = human() if drawn.fitting and body == "human" else drawn.fitting
-        page = json.loads(player_data(example, body=body, framing=framing))
+        page = json.loads(player_data(example, sound, body=body, framing=framing))
         page["live"] = _joints(drawn)
         places = {"title": "Live", "motion": script_json(page)}
         self._html = insert(player_shell(), places)
@@ -82,6 +85,11 @@ class Page:
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._serve, args=(listening,), daemon=True)
         self._thread.start()
+
+    @property
+    def is_open(self) -> bool:
+        """True if a client is connected."""
+        return bool(self._clients)
 
     def put(self, step: Step) -> None:
         """Send the frames of a step to all clients; none of them is waited for."""

@@ -128,7 +128,7 @@ class Report:
         """Return a summary of one line."""
         parts = [f"{self.seconds:.1f} s", counted(self.frames, "frame")]
         parts += [f"worst lag {max(self.lags):.2f} s"] if self.lags else []
-        parts += [f"{value:.2f} s {name}" for name, value in self.sound.items() if value >= 0.005]
+        parts += [f"{n:.2f} s of sound {name}" for name, n in self.sound.items() if n >= 0.005]
         parts += [counted(self.overflows, "overflow")] if self.overflows else []
         parts += [f"{counted(self.missed, 'step')} missed by a sink"] if self.missed else []
         return ", ".join(parts)
@@ -223,5 +223,5 @@ def _next(intake: Intake, timeline: Timeline) -> np.ndarray | None:
     try:
         block = intake.get(_POLL)
     except queue.Empty:
-        return _NOTHING if intake.source.fast else timeline.idle(time.monotonic())
+        return _NOTHING if intake.waits else timeline.idle(time.monotonic())
     return None if block is None else timeline.place(block, time.monotonic())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -27,6 +28,8 @@ Maker = Callable[[Callable[[], Motion], Callable[[], Fitting]], Sink]
 """Function that opens a sink, of an example of the motion and what puts it on the human body."""
 SINKS = "page, vmc:HOST:PORT or record:FILE"
 _EXAMPLE_SECONDS = 2.0
+_PAGE_SECONDS, _POLL = 10, 0.02
+"""Seconds for which a file waits until a page is open, and between looks at it."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,10 @@ class Session:
         human = cache(lambda: Fitting(Human.load(), example()))
         opened = [make(example, human) for make in makers]
         report.latency = stream.latency + self.block
+        latest = time.monotonic() + (0 if source.is_live else _PAGE_SECONDS)
+        while not all(getattr(sink, "is_open", True) for sink in opened):
+            if time.monotonic() >= latest or stopped.wait(_POLL):
+                break
         run(stream, source, opened, report=report, stopped=stopped, warn=self._warn)
 
     def _stream(self, model: Model, source: Source) -> MotionStream:
@@ -113,7 +120,7 @@ class Session:
         kind, _, place = sink.partition(":")
         try:
             if sink == "page":
-                return self._page_maker()
+                return self._page_maker(source)
             if kind == "vmc":
                 from gesturekit.live.vmc import PORT, VmcSender
 
@@ -132,7 +139,7 @@ class Session:
         rate = source.rate if source.is_live else None
         return lambda *_: Recording(Path(place), rate)
 
-    def _page_maker(self) -> Maker:
+    def _page_maker(self, source: Source) -> Maker:
         from gesturekit.live.page import Page
         from gesturekit.serving.address import LOOPBACK, address_of, listening_socket
 
@@ -140,9 +147,11 @@ class Session:
         hosts = (*LOOPBACK, self.host) if self.host in LOOPBACK else ("*",)
 
         def make(example: Callable[[], Motion], human: Callable[[], Fitting]) -> Sink:
-            shown = {"body": self.body, "framing": self.framing}
+            sound = None if source.is_live or self.fast else source.path
+            shown = {"body": self.body, "framing": self.framing, "sound": sound}
             page = Page(listening, hosts, example(), human, **shown)
-            self.say(f"Page at {address_of(listening, self.host)} (end with Ctrl-C)")
+            start = "" if source.is_live else f"; starts when it is open, or in {_PAGE_SECONDS} s"
+            self.say(f"Page at {address_of(listening, self.host)} (end with Ctrl-C){start}")
             return page
 
         return make

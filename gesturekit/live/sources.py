@@ -64,7 +64,7 @@ class FileSource:
     tolerance, is_live, overflows = 0.02, False, 0
 
     def __init__(self, path: Path, block: float, fast: bool) -> None:
-        self._wave, self.block, self.fast = Wave.load(path), block, fast
+        self.path, self._wave, self.block, self.fast = path, Wave.load(path), block, fast
         self.rate = self._wave.sample_rate
         self._size = max(round(block * self.rate), 1)
 
@@ -185,18 +185,20 @@ def _portaudio() -> ModuleType:
 class Intake:
     """A source in a thread of its own, and the bounded queue of its blocks.
 
-    While the queue is full, a fast source waits; any other loses the oldest block.
+    While the queue is full, a fast source or a file waits; any other loses the oldest block.
 
     Args:
         source: origin of the sound, of which `QUEUE_SECONDS` may wait.
 
     Attributes:
         dropped: seconds of sound that had to go.
+        waits: whether the source waits, so that all of its sound is used.
     """
 
     def __init__(self, source: Source) -> None:
         self.source, size = source, max(round(QUEUE_SECONDS / source.block), 2)
         self._queue: queue.Queue[Block | None] = queue.Queue(size)
+        self.waits = source.fast or not source.is_live
         self._stopped, self._error, self.dropped = threading.Event(), None, 0.0
         self._thread = threading.Thread(target=self._run, name="sound", daemon=True)
 
@@ -227,7 +229,7 @@ class Intake:
         self._put(None)
 
     def _put(self, block: Block | None) -> None:
-        wait = self._stopped if self.source.fast or block is None else None
+        wait = self._stopped if self.waits or block is None else None
         for gone in put_newest(self._queue, block, wait):
             self.dropped += len(gone.samples) / self.source.rate
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import os
 import stat
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +110,15 @@ class Motion:
             f"{self.skeleton.n_joints} joints from {self.skeleton.names[0]!r})"
         )
 
+    def __array__(self, *_: Any, **__: Any) -> np.ndarray:
+        ways = "motion.positions(), motion.euler() or motion.rotations (quaternions)"
+        raise MotionError(f"a motion is not one array: take {ways}")
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the J joints, in the order of the arrays."""
+        return self.skeleton.names
+
     @property
     def n_frames(self) -> int:
         """Number of frames T."""
@@ -156,11 +167,16 @@ class Motion:
         """(T,) frame times k / fps, seconds."""
         return np.arange(self.n_frames) / self.fps
 
-    def positions(self) -> np.ndarray:
-        """(T, J, 3) world positions of the joints, metres."""
+    def positions(self, joint: str | None = None) -> np.ndarray:
+        """(T, J, 3) world positions of the joints, metres; (T, 3) of one joint if it is named.
+
+        Raises:
+            MotionError: no such joint.
+        """
+        which = slice(None) if joint is None else self.skeleton.index(joint)
         return kinematics.forward_kinematics(
             self.rotations, self.translation, self.skeleton, self.joint_translations
-        )
+        )[:, which]
 
     def end_positions(self) -> dict[str, np.ndarray]:
         """Return, for each joint with E end sites, their (T, E, 3) world positions, metres."""
@@ -370,6 +386,17 @@ class Motion:
                 `gesturekit.viewer.display`.
         """
         return import_module("gesturekit.viewer").display(self, audio, **options)
+
+    def plot(self, audio: Any = None, **options: Any) -> Any:
+        """Return the picture that `save` writes as .png: a PIL image, which a notebook displays.
+
+        The arguments are those of `gesturekit.viewer.write_picture`; without a title by default.
+        """
+        from PIL import Image
+
+        with tempfile.TemporaryDirectory(prefix="gesturekit-") as folder:
+            self.save(file := Path(folder, "a.png"), audio=audio, **{"title": "", **options})
+            return Image.open(BytesIO(file.read_bytes()))
 
 
 def _refuse_special(path: Path) -> None:

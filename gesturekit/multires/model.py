@@ -62,6 +62,7 @@ class MultiresModel(TrainedModel):
     """Model that generates motion by a pyramid of small GANs, from speech, a style, both or
     nothing."""
 
+    @MultiresControls.document
     @gesturekit_errors()
     def generate(
         self,

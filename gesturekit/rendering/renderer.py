@@ -21,12 +21,14 @@ from gesturekit.jobs.task import Task
 from gesturekit.model import Model
 from gesturekit.motion.motion import Motion
 from gesturekit.rendering.inputs import item_of, task_wave, task_words
+from gesturekit.systems import drawing_options
 from gesturekit.viewer.avatars import load_avatar
 from gesturekit.viewer.drawn_body import AVATARS
 from gesturekit.viewer.video.writer import require_encoder
 
 log = logging.getLogger(__name__)
 RENDERED = ("bvh", "npz", "glb", "html", "mp4", "png")
+_DRAWINGS = {"html", "mp4", "png"}
 
 
 @dataclass(frozen=True)
@@ -43,8 +45,9 @@ class Output:
         unit: unit of BVH files; None for cm.
         up: up axis of SMPL npz files, "y" or "z"; None for y.
         body: in glb files, pages, videos and pictures: "mannequin", "human", "skeleton" or the path
-            of an avatar (.vrm, or .glb with Mixamo's names); None for mannequin.
-        framing: of pages, "whole" or "waist"; None for whole.
+            of an avatar (.vrm, or .glb with Mixamo's names); None for mannequin, and for human in
+            drawings of a bundled model without a rig.
+        framing: of pages and videos, "whole" or "waist"; None for whole.
         size: of videos, "720p" or "1080p"; None for 720p.
 
     Raises:
@@ -119,6 +122,9 @@ class Renderer(Processor):
         self.written = writer_options(
             output.formats, {name: value for name, value in written.items() if value is not None}
         )
+        if rig is None:
+            for kind in _DRAWINGS & self.written.keys():
+                self.written[kind] = drawing_options(self.model) | self.written[kind]
         settings = {k: v for k, v in self.controls.items() if k != "samples"}
         self.settings = {"model": self.model.fingerprint(), "seed": 0} | json_of(
             {name: _without_models(value) for name, value in settings.items()}
@@ -224,7 +230,7 @@ class Renderer(Processor):
         options = dict(self.written[file.suffix[1:]])
         if self.body is not None:
             options |= self.body.options.get(file.suffix, {})
-        if file.suffix in (".html", ".mp4", ".png") and sound is not None:
+        if file.suffix[1:] in _DRAWINGS and sound is not None:
             options["audio"] = sound
         motion.save(file, **options)
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +29,6 @@ from gesturekit.formats.sources import SPEECH_SUFFIXES
 from gesturekit.model import Model
 from gesturekit.wording import listed
 
-RAW = {"foot_lock": False, "smooth": 0.0}
-"""Controls that leave motion as the network generates it, as both papers measure it."""
 RETRIEVAL = "multires_speech/retrieval"
 """Recipe of the model that only chooses recorded pieces by the speech."""
 
@@ -43,13 +41,14 @@ class SamplingOptions:
         samples: number of samples for each sequence or window; None for that of the paper.
         seed: of `generate`, whose `item` is the name of the clip.
         skip: keep existing samples, to continue an interrupted run.
-        postprocess: lock feet and smooth as `generate` does.
+        controls: of `generate`, beside each recording's own style and speaker; `raw` unless it is
+            given as False, as both papers measure what the network generates.
     """
 
     samples: int | None = None
     seed: int = 0
     skip: bool = False
-    postprocess: bool = False
+    controls: Mapping[str, Any] = field(default_factory=dict)
 
 
 def sample_multires(
@@ -228,7 +227,7 @@ def _check_styles(model: Model, items: Sequence[Item]) -> None:
 
 def _controls(model: Model, item: Item, options: SamplingOptions, repeats: int) -> dict[str, Any]:
     """Return the arguments of `generate` for an item, several times as long as the item."""
-    found = item.controls(model) | ({} if options.postprocess else RAW)
+    found = item.controls(model) | {"raw": True} | options.controls
     if item.audio is None or not model.inputs.speech:
         return found | {"seconds": repeats * item.duration}
     wave = item.load_wave()

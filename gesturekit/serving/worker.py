@@ -16,7 +16,7 @@ import audio_features as af
 from gesturekit.errors import GestureKitError
 from gesturekit.model import Model
 from gesturekit.serving.requests import Limits, MotionRequest
-from gesturekit.systems import bundled_speech
+from gesturekit.systems import bundled_speech, drawing_options
 
 
 class BusyError(Exception):
@@ -75,11 +75,12 @@ class Worker:
 
     def _render(self, sound: Path, asked: MotionRequest) -> tuple[bytes, float]:
         wave = af.Wave.load(sound, max_seconds=self._limits.seconds)
-        controls = asked.model_dump(exclude={"format"})
+        # Those that were given: a default would count as given with `raw`.
+        controls = asked.model_dump(exclude={"format"}, exclude_unset=True)
         motion = self.model.generate(wave, **controls)
         out = sound.with_name(f"motion.{asked.format}")
-        extra = {"audio": sound, "title": "motion"} if asked.format == "html" else {}
-        motion.save(out, **extra)
+        extra = {"audio": sound, "title": "motion"} | drawing_options(self.model)
+        motion.save(out, **(extra if asked.format == "html" else {}))
         return out.read_bytes(), wave.duration
 
     def warm_up(self) -> None:

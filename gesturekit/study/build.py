@@ -50,13 +50,17 @@ _STYLE = (
     "Clearly the right one",
 )
 _QUESTIONS = {
-    "preference": "Which character's motion do you prefer, taking into account both how "
+    "preference speech": "Which character's motion do you prefer, taking into account both how "
     "natural-looking the motion is and how well it matches the speech rhythm and intonation?",
-    "style": "Based on the body movements alone (disregarding the face), which of the two clips "
-    "looks most like *{style}*?",
-    "mismatch": "In which of the two clips do the movements match the speech better?",
-    "silent": "Which character's motion do you prefer?",
+    "preference music": "Which character's dancing motion do you prefer, taking into account both "
+    "how natural-looking the motion is and how well it matches the music?",
+    "preference silent": "Which character's motion do you prefer?",
+    "style silent": "Based on the body movements alone (disregarding the face), which of the two "
+    "clips looks most like *{style}*?",
+    "mismatch speech": "In which of the two clips do the movements match the speech better?",
+    "mismatch music": "In which of the two clips do the movements match the music better?",
 }
+"""Question by design and sound: the diffusion paper's and, for mismatched motion, GENEA's."""
 REASONS = {
     "none": {},
     "realism": {
@@ -233,7 +237,7 @@ def _setup(
     config: StudyConfig, material: Material, lists: Sequence[Any], out: Path
 ) -> dict[str, Any]:
     silent = config.design == "style" or not (material.videos or material.segments[0].sound)
-    usual = _QUESTIONS["silent" if silent and config.design == "preference" else config.design]
+    usual = _QUESTIONS[f"{config.design} {'silent' if silent else config.sound}"]
     question = config.question or usual
     texts = config.answers or (_STYLE if config.design == "style" else _PREFERENCE)
     return {

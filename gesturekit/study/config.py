@@ -47,6 +47,8 @@ class StudyConfig:
     style, without sound. `mismatch`: a system's motion against its own motion of other speech."""
     audio: Path | None = None
     """Folder of the speech of motions, under the same paths; videos have their own sound."""
+    sound: Literal["speech", "music"] = "speech"
+    """What is heard, for the question: whether motion matches the speech, or a dance the music."""
     body: str = "mannequin"
     """Body of motions: mannequin, human, skeleton, or the file of a VRM avatar."""
     styles: dict[str, str] = field(default_factory=dict)
@@ -54,7 +56,7 @@ class StudyConfig:
     a folder or a part of its file name (`style`)."""
     question: str | None = None
     """Question below the clips; `*words*` are bold, `{style}` is the style's words.
-    By default those of the diffusion paper and of GENEA."""
+    By default those of the diffusion paper, on gestures or dance (`sound`), and of GENEA."""
     answers: tuple[str, ...] | None = None
     """The five answers, from left clearly to right clearly."""
     reasons: Literal["none", "realism", "speech"] = "none"

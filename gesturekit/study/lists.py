@@ -2,7 +2,8 @@
 
 Within a list all ordered pairs of systems occur equally often (the diffusion paper's design: with
 four systems and 36 segments, each of the 12 ordered pairs three times), and a segment at most once.
-Over the lists, segments, and pairs of each segment, are used equally often.
+That holds over all styles together, and within each style up to one. Over the lists, segments, and
+pairs of each segment, are used equally often, or nearly so.
 """
 
 from __future__ import annotations
@@ -50,39 +51,51 @@ def make_lists(config: StudyConfig, segments: Sequence[Segment]) -> list[list[Co
     for segment in segments:
         groups[segment.style].append(segment)
     groups = {style: group for style, group in groups.items() if group}
-    made: list[list[Comparison]] = [[] for _ in range(config.lists)]
     wanted = config.pairs if config.pairs is not None else len(segments)
-    for number, style in enumerate(groups):
-        share = (wanted + number) // len(groups)
-        rng = np.random.default_rng([config.seed, number])
-        found = _balanced(ordered_pairs(config), groups[style], config.lists, share, rng)
-        for whole, part in zip(made, found, strict=True):
-            whole += part
-    return made
-
-
-def _balanced(
-    pairs: list[tuple[str, str]],
-    segments: list[Segment],
-    n_lists: int,
-    share: int,
-    rng: np.random.Generator,
-) -> list[list[Comparison]]:
-    used = np.zeros((len(segments), len(pairs)))
+    pairs = ordered_pairs(config)
+    # Of each style: its segments, their number in a list, random numbers, uses of each pair.
+    styles = [
+        (
+            group,
+            min((wanted + number) // len(groups), len(group)),
+            np.random.default_rng([config.seed, number]),
+            np.zeros((len(group), len(pairs))),
+        )
+        for number, group in enumerate(groups.values())
+    ]
     lists = []
-    for _ in range(n_lists):
-        n = min(share, len(segments))
-        # Ties are broken at random: the fraction is below 1.
-        chosen = np.argsort(used.sum(axis=1) + rng.random(len(segments)))[:n]
-        order = np.argsort(used.sum(axis=0) + rng.random(len(pairs)))
-        slots = np.resize(order, n)
-        cost = used[np.ix_(chosen, slots)] + 0.5 * rng.random((n, n))
-        rows, columns = linear_sum_assignment(cost)
-        places = [(int(chosen[r]), int(slots[c])) for r, c in zip(rows, columns, strict=True)]
-        for place in places:
-            used[place] += 1
-        lists.append([Comparison(segments[s], *pairs[p]) for s, p in places])
+    for _ in range(config.lists):
+        in_list = np.zeros(len(pairs), int)
+        comparisons = []
+        for group, n, rng, used in styles:
+            for segment, pair in _places(used, n, in_list, rng):
+                used[segment, pair] += 1
+                in_list[pair] += 1
+                comparisons.append(Comparison(group[segment], *pairs[pair]))
+        lists.append(comparisons)
     return lists
+
+
+def _places(
+    used: np.ndarray, n: int, in_list: np.ndarray, rng: np.random.Generator
+) -> list[tuple[int, int]]:
+    """Choose the segments and pairs of one style in one list, n (segment, pair).
+
+    Args:
+        used: (segments, pairs) number of uses in earlier lists.
+        n: number of places, at most that of the segments.
+        in_list: (pairs,) number of uses in this list, by its other styles.
+        rng: breaks ties.
+    """
+    # Ties are broken at random: the fraction is below 1.
+    chosen = np.argsort(used.sum(axis=1) + rng.random(len(used)))[:n]
+    preference = used.sum(axis=0) + rng.random(len(in_list))
+    # The first, second, ... use of each pair: those that even out the list come first.
+    nth, pair = np.divmod(np.arange(n * len(in_list)), len(in_list))
+    slots = pair[np.lexsort((preference[pair], nth, in_list[pair] + nth))[:n]]
+    cost = used[np.ix_(chosen, slots)] + 0.5 * rng.random((n, n))
+    rows, columns = linear_sum_assignment(cost)
+    return [(int(chosen[r]), int(slots[c])) for r, c in zip(rows, columns, strict=True)]
 
 
 def mismatches(segments: Sequence[Segment], seed: int) -> dict[str, Segment]:

@@ -39,8 +39,8 @@ WHY_NOT = {
     "lda": (
         "FGD: the paper's extractor is Yoon et al.'s, bound to a rig of ten upper-body joints; "
         "ours is fitted on your recordings (--features), and its scale is its own.",
-        "FID and Div: measured on dance; constants of the released code (frame time, bone "
-        "lengths) differ from its text, see gesturekit/evaluation/metrics/frechet.",
+        "FID and Div: measured on dance. FID_g and Div_g: constants of the released code (frame "
+        "time, bone lengths) differ from its text, see gesturekit/evaluation/metrics/frechet.",
         "BAS: on music. Librosa finds beats in speech too, which mean less.",
         "What can be compared on any corpus is the order of GT and the models, and each value's "
         "ratio to the recordings'.",
@@ -56,7 +56,8 @@ def main(argv: list[str] | None = None) -> None:
     is_manifest = Path(options.recordings).suffix == ".jsonl"
     command = [sys.executable, "-m", "gesturekit", "evaluate", options.model]
     command += ["--corpus", options.recordings] if is_manifest else [options.recordings]
-    command += ["--bas", "bailando"] if options.protocol == "lda" else []
+    if options.protocol == "lda":
+        command += ["--bas", "bailando", "--kinetic", "released"]
     command += ["--protocol", options.protocol, "--samples", str(options.samples)]
     command += ["--samples-dir", str(out / "samples"), "--existing", "replace", "--json", str(path)]
     for name in ("audio", "features"):

@@ -176,7 +176,7 @@ def test_view_labels_files_of_one_name_by_their_folders(gesturekit, gesture, tmp
     labels = re.findall('"label":"(.*?)"', page.read_text())
     assert labels == [str(file) for file in files]
     picture = ("--out", tmp_path / "a.png", "--framing", "waist")
-    gesturekit("view", files[0], *picture).fails(2, "--framing is an option of html")
+    gesturekit("view", files[0], *picture).fails(2, "--framing is an option of .html, .mp4;")
 
 
 def test_view_says_when_sound_and_motion_do_not_fit(gesturekit, takes, tmp_path, write_speech):
@@ -356,7 +356,7 @@ def test_a_file_that_cannot_be_shown_is_named_and_the_exit_code_is_1(tmp_path, c
 
 def test_options_of_videos_are_refused_for_pages(tmp_path, clip, gesturekit):
     view = ("view", clip, "-o", tmp_path / "v.html", "--size", "720p")
-    gesturekit(*view).fails(2, "--size is an option of mp4")
+    gesturekit(*view).fails(2, "--size is an option of .mp4;")
     gesturekit("view", clip, "-o", tmp_path / "v.avi").fails(2, ".mp4")
 
 

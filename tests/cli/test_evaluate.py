@@ -16,8 +16,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+import torch
 from rigs import rig_of
 from scipy.spatial.transform import Rotation
+from small_models import small_diffusion
 from tqdm.utils import disp_len
 
 from gesturekit.corpus import Item, Manifest, prepare
@@ -83,9 +85,10 @@ def test_every_option_reaches_the_evaluation(evaluate, folders, monkeypatch):
     sound, words = folders / "recordings", folders / "words"
     chosen = ("--audio", sound, "--semantic", words, "--take-pattern", "(.*)", "--seed", 3)
     variants = ("--variant", "paper", "--threshold", 3, "--bas", "bailando", "--workers", 2)
+    variants += ("--kinetic", "released")
     evaluate(*chosen, *variants, "--baseline", "mean_pose").fails(2, "that is enough")
     assert (asked["audio"], asked["semantic"], asked["take_pattern"]) == (sound, words, "(.*)")
-    assert asked["variants"] == Variants("paper", 3.0, "bailando")
+    assert asked["variants"] == Variants("paper", 3.0, "bailando", "released")
     assert (asked["seed"], asked["workers"], asked["baselines"]) == (3, 2, ["mean_pose"])
     assert (asked["protocol"], asked["features"]) == ("", None)
     evaluate("--protocol", "lda", "--audio", sound).fails(2, "that is enough")
@@ -211,6 +214,32 @@ def test_a_protocol_samples_the_items_of_a_manifest(gesturekit, model, write_pai
         assert found["settings"]["variants"]["bas"] == ("bailando" if more else "seconds")
         if protocol == "multires":  # it has no Fréchet distances that could be left out
             assert "Left out" not in done.err
+
+
+def test_a_protocol_takes_the_controls_of_the_models_that_it_samples(
+    gesturekit, gesture, write_pair, tmp_path
+):
+    model = replace(small_diffusion(gesture), droppable=("all",))
+    torch.nn.init.normal_(model.network.leave.weight, std=0.1)  # 0 until it is trained
+    model.save(tmp_path / "lda")
+    audio, motion = write_pair(tmp_path / "real", "talk", 10.0, fps=30.0)
+    about = [tmp_path / "real", "--protocol", "lda", "--audio", tmp_path / "real", "--samples", 1]
+    for name, flags, controls in (
+        ("raw", [], {"raw": True}),
+        ("guided", ["--guidance", 1.5], {"raw": True, "guidance": 1.5}),
+        ("usual", ["--no-raw", "--expert", f"{tmp_path / 'lda'}:0.3"], {"experts": [(model, 0.3)]}),
+    ):
+        out = tmp_path / name
+        gesturekit("evaluate", tmp_path / "lda", *about, "--samples-dir", out, *flags).ok()
+        made = Motion.load(out / "lda" / "talk_w000_s1.npz")
+        wanted = model.generate(audio, item="talk_w000_s1", **controls)
+        assert made.positions() == pytest.approx(wanted.positions(), abs=1e-6), name
+    for rest in (about, about[:1]):
+        done = gesturekit("evaluate", tmp_path / "raw" / "lda", *rest, "--guidance", 1.5)
+        done.fails(2, "--guidance", "--protocol", "gesturekit render")
+    done = gesturekit("evaluate", "demo", *about, "--guidance", 1.5).fails(
+        2, "multires models have"
+    )
 
 
 def test_a_model_with_styles_is_not_sampled_for_recordings_of_unknown_style(

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import re
 import subprocess
 import sys
+from collections.abc import Iterator
+from pathlib import Path
 
 import click
 import numpy as np
@@ -23,6 +27,46 @@ def test_help_and_version(gesturekit):
     for arguments in (["--help"], ["-h"], *([verb, "--help"] for verb in VERBS)):
         done = gesturekit(*arguments)
         assert done.status == 0 and done.out.startswith("Usage: gesturekit") and done.err == ""
+
+
+def commands(group: click.Group, *above: str) -> Iterator[tuple[tuple[str, ...], click.Command]]:
+    """Yield the arguments of each command, and the command."""
+    for name in group.list_commands(click.Context(group)):
+        command = group.get_command(click.Context(group), name)
+        if isinstance(command, click.Group):
+            yield from commands(command, *above, name)
+        else:
+            yield (*above, name), command
+
+
+def test_help_shows_20_options_and_all_on_request(gesturekit):
+    """And -o stands for --out everywhere."""
+    for words, command in commands(cli):
+        options = {opt for param in command.params for opt in param.opts} & {"-o", "--out"}
+        assert options in (set(), {"-o", "--out"}), words
+        every = {param.opts[0] for param in command.params if isinstance(param, click.Option)}
+        every |= {"-h"}
+        asked = {len(every): "--help"} if len(every) <= 20 else {20: "--help", -1: "--help-all"}
+        for most, flag in asked.items():
+            text = re.split(r"^\S.*:\n", gesturekit(*words, flag).ok().out, flags=re.MULTILINE)
+            shown = re.findall(r"^  (-[\w-]+)[ ,\n]", "\n".join(text[1:]), re.MULTILINE)
+            assert set(shown) <= every and len(shown) == (len(every) if most < 0 else most), words
+            assert {"-o"} & every <= set(shown)
+
+
+def test_a_missing_model_is_answered_by_those_that_there_are(gesturekit, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for age, run in enumerate("dcba"):
+        (config := tmp_path / "runs" / run / "model" / "config.yaml").parent.mkdir(parents=True)
+        config.touch()
+        os.utime(config, (0, age))
+    newest = (f"--model {Path('runs', run, 'model')}" for run in "abc")
+    done = gesturekit("render", "a.wav", "-o", "out").fails(2, ", ".join(["--model demo", *newest]))
+    assert str(Path("runs", "d")) not in done.err
+    (tmp_path / "result.bvh").touch()
+    for name in ("result.bvh", "other.bvh"):
+        wrong = ("render", "a.wav", "--model", "demo", "-o", name)
+        gesturekit(*wrong).fails(2, f"--out {name[:-4]} --format bvh")
 
 
 @pytest.mark.parametrize(

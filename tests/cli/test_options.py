@@ -20,6 +20,7 @@ from gesturekit.cli.options import (
     parse_placed_files,
     parse_weights,
 )
+from gesturekit.cli.render import control_options
 from gesturekit.corpus import Item
 from gesturekit.evaluation import Items
 from gesturekit.rendering import samples
@@ -223,7 +224,8 @@ def sampled(monkeypatch, tmp_path):
     monkeypatch.setattr(samples, "sounds_of", lambda audio: ("sounds", audio))
     monkeypatch.setattr(samples, "sequences_of", lambda *place: ("sequences", *place))
     monkeypatch.setattr(systems, "load", lambda name, weights: (name, weights))
-    usual = {"samples": None, "seed": 0, "existing": "replace", "postprocess": False}
+    usual = {option.name: None for option in control_options()}
+    usual |= {"experts": (), "samples": None, "seed": 0, "existing": "replace"}
     usual |= {"weights": None, "samples_dir": tmp_path / "samples", "audio": Path("sound")}
 
     def sample(protocol: str, recordings=None, names=("a",), **options):
@@ -237,14 +239,14 @@ def sampled(monkeypatch, tmp_path):
 
 
 def test_models_are_sampled_by_the_protocol_into_folders_of_their_own(sampled, tmp_path):
-    one, two = sampled("lda", names=("a", "b/a"), samples=7, seed=3, postprocess=True, weights="w")
+    one, two = sampled("lda", names=("a", "b/a"), samples=7, seed=3, guidance=1.5, weights="w")
     assert one[:4] == ("lda", ("a", "w"), ("sounds", Path("sound")), "a")
     assert two[1] == ("b/a", "w") and two[3] == "b_a"
-    assert one[4] == samples.SamplingOptions(samples=7, seed=3, skip=False, postprocess=True)
+    assert one[4] == samples.SamplingOptions(samples=7, seed=3, controls={"guidance": 1.5})
     (one,) = sampled("multires", in_up="z")
     real = ("sequences", tmp_path / "real", Path("sound"), {"up": "z"})
     assert (one[0], one[2]) == ("multires", real)
-    assert one[4] == samples.SamplingOptions(samples=None, seed=0, skip=False, postprocess=False)
+    assert one[4] == samples.SamplingOptions(samples=None, seed=0, skip=False, controls={})
     with pytest.raises(click.UsageError, match="--protocol lda samples models for .* give --audio"):
         sampled("lda", audio=None)
 

@@ -116,6 +116,23 @@ def test_without_the_package_the_model_says_what_to_install(
     assert "own-features 1.2" in shown and "which is not installed here" in shown
 
 
+def test_a_dance_follows_beats_of_another_tracker(gesturekit, write_pair, write_speech, tmp_path):
+    """As docs/encoders.md says; beside music, no voice is looked for."""
+    folder, music = tmp_path / "corpus", tmp_path / "song.wav"
+    for sound, rows in ((write_pair(folder, "a", 6.0)[0], 600), (write_speech(music, 2.0), 200)):
+        np.save(sound.with_suffix(".beats.npy"), np.arange(rows) % 50 == 0)
+    prepare(folder, tmp_path / "corpus.jsonl", holdout=0.0)
+    tracks = "[{kind: music, n_chroma: 1}, {kind: files, dim: 1, suffix: .beats.npy, rate: 100}]"
+    given = (f"corpus={tmp_path / 'corpus.jsonl'}", f"out={tmp_path / 'run'}")
+    small = ("network.blocks=1", "network.channels=8", "training.updates=2", "training.batch=1")
+    gesturekit("train", "diffusion_dance", *given, *small, f"features.extractors={tracks}").ok()
+    model = gk.load(tmp_path / "run" / "model")
+    assert not model.conditions.conditioner.vad
+    on_time = model.generate(music)
+    np.save(music.with_suffix(".beats.npy"), np.arange(200) % 50 == 25)
+    assert not np.array_equal(model.generate(music).rotations, on_time.rotations)
+
+
 def test_training_names_the_item_without_features(gesturekit, own_corpus, light, tiny, tmp_path):
     (tmp_path / "corpus" / "b.own.npy").unlink()
     given = (f"corpus={own_corpus}", f"out={tmp_path / 'run'}")

@@ -59,7 +59,7 @@ def test_a_folder_of_data_does_not_hide_the_recipe_of_its_name(gesturekit, tmp_p
 
 
 def test_the_list_names_recipes_and_configurations(gesturekit):
-    listed = gesturekit("recipes", "ls")
+    listed = gesturekit("recipes")
     folders = {path.parent.name for path in ROOT.glob("recipes/*/config.yaml")}
     assert {line.split()[0] for line in listed.out.splitlines()} == folders
     one = gesturekit("recipes", "ls", "experts").out

@@ -171,6 +171,7 @@ def test_feet_may_be_left_and_the_arms_smoothed(render, model, wav, tmp_path):
         ("locked", ["--foot-lock"], {}),
         ("as-is", ["--no-foot-lock"], {"foot_lock": False}),
         ("smooth", ["--smooth", 0.2], {"smooth": 0.2}),
+        ("raw", ["--raw"], {"raw": True}),
     ):
         render(wav, "--format", "npz", *flags, out=name).ok()
         made = Motion.load(tmp_path / name / "speech.npz")
@@ -467,10 +468,10 @@ def test_an_output_rate_other_than_the_models_is_reported_once(render, wav, tmp_
 
 
 def test_help_shows_examples_first_and_every_option_in_one_group(gesturekit):
-    shown = gesturekit("render", "--help").out
+    shown = gesturekit("render", "--help-all").out
     options = [param for param in command.params if isinstance(param, click.Option)]
     grouped = [name for names in GROUPS.values() for name in names]
-    assert sorted(grouped) == sorted(option.name for option in options)
+    assert sorted([*grouped, "help_all"]) == sorted(option.name for option in options)
     headings = re.findall(r"^(\S.*):$", shown, re.MULTILINE)
     assert headings == ["Examples", *GROUPS, "Other options"]
     for option in options:

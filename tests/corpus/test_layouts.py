@@ -254,6 +254,14 @@ def test_motorica(tmp_path, publish, write_bvh):
     }
     assert f"(motion alone): {names[2]}.wav" in messages(report, "note")
     assert report.left_over == (tmp_path / "bvh" / "a.bvh",)
+    # The released list of test files names copies of a dance; a number of its own is no copy.
+    released = tmp_path / "dance_test_files.txt"
+    released.write_text(f"{names[0]}_00\n{names[0]}_01\n{names[2]}_00_mirrored\n")
+    held = prepare(tmp_path, layout="motorica", hold_out_list=released).manifest
+    assert [item.id for item in held if item.split == "test"] == [names[0], names[2]]
+    released.write_text(f"{names[0].replace('_000', '')}_00\n")
+    with pytest.raises(CorpusError, match="1 name without a usable recording: .*_song_00"):
+        prepare(tmp_path, layout="motorica", hold_out_list=released)
     # A hundredth of the published rate is rounding, more is not.
     for fps, is_noted in ((119.0, False), (121.0, False), (118.0, True), (122.0, True)):
         write_bvh(next(tmp_path.rglob(f"{names[0]}.bvh")), 1.0, fps)
@@ -367,9 +375,9 @@ def test_hold_outs_by_name(tmp_path, write_pair):
     assert held(hold_out_speakers="ann") == {"ann/a1", "ann/a2"}
     assert held(hold_out_pattern=r"2$") == {"ann/a2", "bob/b2"}
     assert held(hold_out_pattern=r"1$", hold_out_speakers=["bob"]) == {"ann/a1", "bob/b1", "bob/b2"}
-    names.write_text("a1\nc9\n")
+    names.write_text("a1\nc9\n.\n")
     for options, complaint in (
-        ({"hold_out_list": names}, "1 name without a usable recording: c9"),
+        ({"hold_out_list": names}, r"2 names without a usable recording: c9, \."),
         ({"hold_out_list": tmp_path / "none"}, "none: cannot read"),
         ({"hold_out_speakers": "carl"}, "no .* speaker 'carl'; the speakers are ann, bob"),
         ({"hold_out_speakers": "ann,bob"}, "all 4 recordings would be held out"),

@@ -117,6 +117,21 @@ def test_tables_of_genea_may_have_fewer_columns_or_be_absent(tmp_path, touch):
     assert fingers == ["fingers were not recorded (metadata.csv): 1: a_main-agent"]
 
 
+def test_dances_with_every_form_of_the_released_names_are_read(tmp_path, touch):
+    forms = {
+        "kthjazz_gCH_sFM_cAll_d02_mCH_ch01_royalgardenblues_002": ("gCH", "d02"),
+        "kthjazz_gTP_sFM_sngl_d02_015": ("gTP", "d02"),
+        "kthmisc_gTP_sFM_sngl_d07_012": ("gTP", "d07"),
+        "kthmisc_gCA_sFM_cAll_d01_mCA_ch24": ("gCA", "d01"),
+        "kthstreet_gKR_sFM_cAll_d01_mKR1_ch01": ("gKR", "d01"),
+        "kthstreet_gLH_sFM_cAll_d01_mLH_ch01_danstrams": ("gLH", "d01"),
+    }
+    touch(" ".join(f"{name}.bvh" for name in forms))
+    found = read_layout("motorica", tmp_path)
+    assert {one.id: (one.style, one.speaker) for one in found.recordings} == forms
+    assert not found.left_over
+
+
 def test_dances_that_have_no_name_of_motorica_are_left_over(tmp_path, touch):
     name = "kthmisc_gCH_sFM_cAll_d{}_mCH_ch{}_x"
     touch(f"a/{name.format('02', 1)}.bvh {name.format('11', 2)}.bvh z.bvh b/{name.format('02', 1)}")

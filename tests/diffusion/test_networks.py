@@ -185,6 +185,17 @@ def test_a_new_network_predicts_zero_and_its_layers_keep_the_size_of_what_passes
     assert DilatedConv(3, 4, dilation=1).bias is None
 
 
+def test_convolutions_of_lda_dw_alone_begin_with_the_normal_distribution_of_the_released_code():
+    """There, `Conv1dLayer` has Kaiming's normal distribution: sqrt(2 / (3 * 256)) = 0.051."""
+    config = {"blocks": 1, "layers": 1, "dilations": (1,)}
+    diffwave = Denoiser(7, 5, NetworkConfig(architecture="diffwave", **config)).stacks[0]
+    assert float(diffwave.weight.detach().std()) == pytest.approx(0.051, rel=0.01)
+    assert float(diffwave.weight.detach().abs().max()) > 4 * 0.051
+    assert 0.03 < float(diffwave.bias.detach().abs().max()) <= 768**-0.5
+    conformer = Denoiser(7, 5, NetworkConfig(**config)).stacks[0].layers[0]
+    assert float(conformer.widen.weight.detach().abs().max()) <= 768**-0.5
+
+
 def test_dropout_is_of_training_alone(shaken):
     config = NetworkConfig(blocks=1, layers=1, channels=16, heads=2, feedforward=16, dropout=0.5)
     network, (noisy, condition) = shaken(config), inputs(30)

@@ -96,13 +96,26 @@ def test_two_processes_train_the_model_of_one(make_config, tmp_path, device):
     assert apart.quantile(0.99) < 1e-5 and apart.max() < 0.01
 
 
-def test_the_learning_rate_warms_up_and_decays_every_ten_updates():
+@pytest.mark.parametrize("warm_up", [0, 1, 95, 100, 3000])
+def test_the_learning_rate_is_that_of_the_released_scheduler(warm_up):
+    """There, `StepLR` of ten steps runs from the start; warm-up overwrites its rates."""
+    config = TrainingConfig(warm_up=warm_up)
+    optimiser = torch.optim.Adam([torch.nn.Parameter(torch.zeros(1))], lr=6e-4)
+    scheduler = torch.optim.lr_scheduler.StepLR(optimiser, step_size=10, gamma=config.decay)
+    for update in range(warm_up + 45):
+        (group,) = optimiser.param_groups
+        if update < warm_up:
+            group["lr"] = 6e-4 * (update + 1) / warm_up
+        assert learning_rate(config, update) == pytest.approx(group["lr"], rel=1e-9), update
+        optimiser.step()
+        scheduler.step()
+
+
+def test_the_learning_rate_reaches_its_peak_and_decays_from_there():
     paper = TrainingConfig()
     assert learning_rate(paper, 0) == pytest.approx(6e-4 / 3000)
-    assert learning_rate(paper, 3000) == pytest.approx(6e-4 * 0.99995**300)
-    assert learning_rate(paper, 66_999) == pytest.approx(6e-4 * 0.7153, rel=1e-3)
-    assert learning_rate(TrainingConfig(warm_up=0), 0) == 6e-4
-    assert learning_rate(paper, 5019) == learning_rate(paper, 5010) != learning_rate(paper, 5020)
+    assert learning_rate(paper, 2999) == 6e-4 == learning_rate(TrainingConfig(warm_up=0), 0)
+    assert learning_rate(paper, 66_999) == pytest.approx(6e-4 * 0.99995**6400)
 
 
 def test_the_model_is_the_average_of_the_weights(make_config, monkeypatch):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -145,8 +146,11 @@ def test_wide_windows_are_bounded_from_below_and_close(gesture):
     assert raw_fgd(reference, reference, windows).value == pytest.approx(0.0, abs=1e-9 * exact)
 
 
-def kinetic_by_definition(places: np.ndarray, dt: float) -> np.ndarray:
-    """Three energies of one joint at places (T, 3), written as fairmotion's loops."""
+def kinetic_by_definition(places: np.ndarray, dt: float, slip: bool = False) -> np.ndarray:
+    """Three energies of one joint at places (T, 3), written as fairmotion's loops.
+
+    With its slip, the earlier velocity of an acceleration is p(t) - p(t - 1) / dt.
+    """
     n = len(places)
     horizontal, vertical, expenditure = [], [], []
     for i in range(1, n):
@@ -157,7 +161,8 @@ def kinetic_by_definition(places: np.ndarray, dt: float) -> np.ndarray:
         horizontal.append(velocity[0] ** 2 + velocity[2] ** 2)
         vertical.append(velocity[1] ** 2)
         turns = [
-            (places[i + j + 1] - 2 * places[i + j] + places[i + j - 1]) / dt**2
+            (places[i + j + 1] - places[i + j]) / dt**2
+            - (places[i + j] / (dt if slip else dt**2) - places[i + j - 1] / dt**2)
             for j in range(-2, 3)
             if i + j - 1 >= 0 and i + j + 1 < n
         ]
@@ -174,6 +179,13 @@ def test_kinetic_features_equal_their_definition(gesture, skeleton, n_frames):
     for name, found in zip(joints, features):
         expected = kinetic_by_definition(positions[:, skeleton.index(name)], 1 / 30)
         assert found == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    # Bailando's code: frames of 1/60 s at any rate, positions from where the root begins.
+    released = kinetic_features(motion, variant="released").reshape(len(joints), 3)
+    for name, found in zip(joints, released):
+        places = positions[:, skeleton.index(name)] - positions[0, skeleton.index("Hips")]
+        assert found == pytest.approx(kinetic_by_definition(places, 1 / 60, slip=True), rel=1e-9)
+    with pytest.raises(EvaluationError, match="'bailando'; expected corrected or released"):
+        kinetic_features(motion, variant="bailando")
 
 
 def standing(skeleton: Skeleton, degrees: dict[str, tuple[float, float, float]], n=12) -> Motion:
@@ -361,6 +373,12 @@ def test_options_of_the_distances_reach_them(gesture):
     ("fid", "div", "features", "joints"),
     [
         (fid_k, div_k, kinetic_features, {"joints": ["LeftHand"]}),
+        (
+            partial(fid_k, kinetic="released"),
+            partial(div_k, kinetic="released"),
+            partial(kinetic_features, variant="released"),
+            {"joints": ["LeftHand"]},
+        ),
         (fid_g, div_g, geometric_features, {}),
     ],
 )

@@ -58,8 +58,8 @@ def clip_of(name: str, motion: Motion, recording: Motion, joints=None, audio=Non
     return Clip(pair, motion, recording, joints or body_joints(recording.skeleton), None, ())
 
 
-def set_of(clips: list[Clip], *groups: str) -> SetMetrics:
-    measure = SimpleNamespace(groups=groups, variants=Variants())
+def set_of(clips: list[Clip], *groups: str, **variants: str) -> SetMetrics:
+    measure = SimpleNamespace(groups=groups, variants=Variants(**variants))
     found = SetMetrics(measure, 0, SimpleNamespace())
     for clip in clips:
         recorded = SpeedHistogram.of([speeds_of(clip.recording, clip.joints)])
@@ -159,6 +159,13 @@ def test_distances_of_sets_are_on_the_joints_that_all_clips_have(gesture):
     assert whole["div_k"].recording == pytest.approx(div_k(recorded, joints=shared))
     short = set_of([clip_of("c", made[0][:200], recorded[0])], FRECHET)
     few = short.frechet(full, None, None)
+    released = set_of(clips, FRECHET, kinetic="released").frechet(full, None, None)
+    for key, expected in (
+        ("fid_k", fid_k(made, recorded, joints=shared, kinetic="released").value),
+        ("div_k", div_k(made, recorded, joints=shared, kinetic="released")),
+    ):
+        assert released[key].interval.value == pytest.approx(expected), key
+        assert whole[key].interval.value != pytest.approx(expected, rel=1e-3), key
     assert "fid_k" not in few and "raw_fgd" in few
     assert {key for key, _ in short.problems} == {"fid_k", "fid_g", "div_k", "div_g"}
 

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 from rigs import without_joints
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
+from scipy.signal import argrelextrema
 
 from audio_features import Wave
 from gesturekit.errors import EvaluationError, MotionError
@@ -165,6 +166,21 @@ def test_the_published_variant_places_beats_at_the_first_frame_of_the_slowest_st
         motion_beats(motion, variant="frames")
 
 
+@pytest.mark.parametrize("fps", [25.0, 30.0, 60.0])
+def test_the_published_variant_counts_frames_at_every_rate(gliding, fps):
+    """σ of 5 frames over the speed and of 3 over the distances, strict minima, as Bailando's code;
+    beats of the sound at the last frame or later do not count."""
+    speeds = 1 + gaussian_filter(np.random.default_rng(4).standard_normal(300), 3)
+    motion = gliding(speeds.tolist(), fps)
+    curve = gaussian_filter(np.linalg.norm(np.diff(motion.translation, axis=0), axis=-1), 5)
+    (low,) = argrelextrema(curve, np.less)
+    pulse = np.array([3, 17, 40, 111, 170, 240, len(curve) - 1, len(curve), len(curve) + 1])
+    met = [np.exp(-np.min((low - beat) ** 2) / 2 / 9) for beat in pulse if beat < len(curve)]
+    found = beat_alignment(motion, pulse / fps, variant="bailando", joints=["Hips"])
+    assert found.score == pytest.approx(np.mean(met), abs=1e-9) and 0.1 < found.score < 0.9
+    assert (found.motion_beats, found.sound_beats) == (len(low), len(met))
+
+
 def test_beat_consistency_by_hand(pulsing):
     # Every joint is slowest at 0.5, 1.5 ... s, at 0.5 m/s of its mean 1: above a tenth of it.
     # σ = 0.3 s: onsets at 0.5 and 1.8 s are 0 and σ away: (1 + e^-0.5) / 2 = 0.80327.
@@ -286,16 +302,9 @@ def test_beats_at_the_ends_and_of_a_slow_rate(gliding):
         assert len(joint_beats(gliding(faster), joints=["Hips"])[0]) == n
 
 
-def test_motion_beats_are_those_of_the_smoothed_mean_speed(gliding):
-    """A single slow frame of 120 is spread over 5 frames to either side."""
-    speeds = np.ones(120)
-    speeds[60] = 0.2
-    motion = gliding(speeds.tolist(), 60.0)
-    steps = np.linalg.norm(np.diff(motion.translation, axis=0), axis=-1) * 60
-    smooth = gaussian_filter1d(steps, 5.0)
-    low = [k for k in range(1, 118) if smooth[k] < min(smooth[k - 1], smooth[k + 1])]
-    assert motion_beats(motion, variant="bailando", joints=["Hips"]) * 60 == pytest.approx(low)
-    assert len(motion_beats(gliding([0.0] * 120, 60.0))) == 0, "a body at rest"
+def test_a_body_at_rest_has_no_beats(gliding):
+    for variant in ("seconds", "bailando"):
+        assert len(motion_beats(gliding([0.0] * 120, 60.0), variant=variant)) == 0
 
 
 def test_scores_and_chance_equal_their_definition_written_out():

@@ -427,7 +427,7 @@ def test_a_body_that_faces_backwards_rests_forwards_and_stays_where_it_is(tmp_pa
 def test_compressed_files_are_refused_by_name(tmp_path):
     file = arm()
     file.json["bufferViews"][1]["extensions"] = {"EXT_meshopt_compression": {}}
-    with pytest.raises(FormatError, match="EXT_meshopt_compression.*without compression"):
+    with pytest.raises(FormatError, match="EXT_meshopt.*npx @gltf-transform/cli copy a.glb"):
         Motion.load(file.save(tmp_path / "a.glb"))
     file.json["extensionsRequired"] = ["KHR_draco_mesh_compression"]
     del file.json["bufferViews"][1]["extensions"]

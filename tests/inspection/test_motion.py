@@ -279,6 +279,11 @@ def test_an_avatar(version, meta, named, tmp_path, recwarn):
     assert summary.title.startswith(f"{tmp_path / 'me.vrm'}: avatar, vrm, ") and not recwarn.list
     vrm = f"VRM {'1.0' if version else '0.x'}, {len(BONES)} humanoid bones, {named}"
     assert row(summary, "avatar") == vrm and row(summary, "licence") == "vrm.dev/1.0"
+    # A mesh without a skin hangs on its bones, which are still the joints.
+    plain = {name: value for name, value in found.items() if name != "skins"}
+    plain["nodes"] = [{k: v for k, v in node.items() if k != "skin"} for node in found["nodes"]]
+    (tmp_path / "plain.vrm").write_bytes(packed(plain, data))
+    assert inspect(tmp_path / "plain.vrm").facts["joints"] == summary.facts["joints"]
     assert row(summary, "contents") == "1 mesh, 0 animations" and summary.problems == ()
     assert f"{len(BONES) + 1} joints" in row(summary, "body")  # and one of the hair
     del meta["licenseUrl" if version else "licenseName"]

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -60,12 +61,12 @@ class Served:
 def serve() -> Iterator[Callable[..., Served]]:
     opened = []
 
-    def start(body: str = "human", raised_by: float = 0.0) -> Served:
+    def start(body: str = "human", raised_by: float = 0.0, sound: Path | None = None) -> Served:
         listening = socket.create_server(("127.0.0.1", 0))
         skeleton = LoudModel().skeleton
         example = raised(skeleton, np.full(30, raised_by), 30.0)
         human = partial(Fitting, Human.load(), example)
-        page = Page(listening, ("127.0.0.1",), example, human, body=body)
+        page = Page(listening, ("127.0.0.1",), example, human, body=body, sound=sound)
         opened.append(page)
         return Served(page, listening.getsockname()[1], skeleton)
 
@@ -233,3 +234,23 @@ def test_a_browser_shows_frames_steadily_and_follows_the_senders_clock(serve, op
     served.page.close()
     browser.wait("facts.textContent.startsWith('The stream has ended')")
     assert not [line for line in browser.lines if "Content Security Policy" in line]
+
+
+def test_a_browser_plays_the_sound_of_a_file_with_its_frames(
+    serve, open_browser, write_speech, tmp_path
+):
+    served, browser = (
+        serve("mannequin", sound=write_speech(tmp_path / "a.wav", 9.0)),
+        open_browser(),
+    )
+    browser.open(f"http://127.0.0.1:{served.port}/", width=480, height=400)
+    wait_for_client(served, 1)
+    assert browser.run("live.sound.paused")
+    served.raise_arm([0.0] * 30, 5.0)
+    browser.wait("live.sound.currentTime > 4.8")
+    # Frames that are late stop the sound too.
+    browser.wait("live.sound.paused && live.sound.currentTime < 7")
+    served.raise_arm([0.0] * 30, 6.0)
+    browser.wait("!live.sound.paused")
+    served.page.close()
+    browser.wait("live.sound.paused")

@@ -15,6 +15,7 @@ import sys
 import tempfile
 import threading
 import time
+import urllib.request
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -23,10 +24,12 @@ import pytest
 import soundfile
 from loud import LoudModel
 from pages import bundled
+from websockets.sync.client import connect
 
 from audio_features import Wave
 from gesturekit import systems
 from gesturekit.live import runner, sources
+from gesturekit.live import session as session_module
 from gesturekit.live.recording import Recording
 from gesturekit.live.runner import Report, Step, run
 from gesturekit.live.session import Session
@@ -232,14 +235,24 @@ def test_a_pipe_is_read_at_the_speed_of_speech_and_its_backlog_is_dropped():
 def test_a_model_that_is_too_slow_drops_sound_and_stays_near_the_present(
     write_speech, tmp_path, monkeypatch
 ):
+    """But it makes every frame of a file."""
     monkeypatch.setattr(sources, "QUEUE_SECONDS", 0.32)
-    speech, stream = write_speech(tmp_path / "a.wav", 1.2), LoudModel().stream(16_000)
-    step = stream.step
-    stream.step = lambda samples: (time.sleep(2 * len(samples) / 16_000), step(samples))[1]
-    report = start(FileSource(speech, 0.04, False), [], stream)
+
+    def slow(source, sinks) -> Report:
+        stream = LoudModel().stream(16_000)
+        step = stream.step
+        stream.step = lambda samples: (time.sleep(2 * len(samples) / 16_000), step(samples))[1]
+        return start(source, sinks, stream)
+
+    report = slow(PipeSource(Pipe(np.arange(0.04, 1.21, 0.04).tolist()), 16_000, 0.04, False), [])
     assert report.sound["dropped"] > 0.2
+    assert f"{report.sound['dropped']:.2f} s of sound dropped" in report.line()
     # The look-ahead, and what waits, at half the speed; all sound would be 1.4 s late at the end.
     assert max(report.lags) < 0.2 + 2 * 0.32 + 0.3
+    recording = Recording(tmp_path / "take.npz")
+    report = slow(FileSource(write_speech(tmp_path / "a.wav", 1.2), 0.04, False), [recording])
+    assert not any(report.sound.values()) and "dropped" not in report.line()
+    assert report.frames == 36 == Motion.load(tmp_path / "take.npz").n_frames
 
 
 def test_ctrl_c_leaves_a_whole_recording(tmp_path):
@@ -515,7 +528,34 @@ def test_a_page_is_served_while_sound_comes(host):
             page = json.loads(re.search(r'json" id="motion">(.*?)</script>', text, re.S)[1])
             assert page["live"]["n_joints"] == LoudModel().skeleton.n_joints
             assert page["below"] > 0.5  # metres of the legs, which are not shown
+            assert "audio" not in page, "a microphone would hear itself"
             assert answer.getheader("X-Content-Type-Options") == "nosniff"
     os.close(write)
     thread.join(20)
     assert not thread.is_alive() and report.latency == pytest.approx(0.24)
+
+
+@bundled
+@pytest.mark.parametrize("is_opened", [True, False])
+def test_a_file_starts_when_its_page_is_open_or_after_a_while(
+    write_speech, tmp_path, monkeypatch, is_opened
+):
+    speech, said = write_speech(tmp_path / "a.wav", 0.5), queue.Queue()
+    monkeypatch.setattr(session_module, "_PAGE_SECONDS", 30 if is_opened else 1)
+    about = {"look_ahead": 0.2, "seed": 0, "fast": False, "block": 0.04, "rate": 16_000}
+    about |= {"host": "127.0.0.1", "port": 0, "body": "mannequin", "say": said.put}
+    session = Session(source=str(speech), sinks=("page",), **about)
+    report = Report(begun=0.0)
+    thread = threading.Thread(target=session.run, args=(LoudModel, report, threading.Event()))
+    thread.start()
+    port = re.search(r":(\d+)/ .*starts when it is open", said.get(timeout=20))[1]
+    time.sleep(0.4)
+    assert report.frames == 0
+    if is_opened:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/") as answer:
+            assert '"audio":' in answer.read().decode()
+        with connect(f"ws://127.0.0.1:{port}/stream") as client:
+            times = [np.frombuffer(message[:8])[0] for message in client]
+        np.testing.assert_allclose(times, np.arange(15) / 30, atol=1e-9)
+    thread.join(20)
+    assert not thread.is_alive() and report.frames == 15

@@ -101,6 +101,19 @@ def test_euler_angles_are_those_of_scipy(moving_person):
         moving_person.euler("XZ")
 
 
+def test_joints_by_name_and_what_to_take_in_place_of_an_array(moving_person):
+    names = moving_person.joint_names
+    assert names == moving_person.skeleton.names
+    for joint in (names[0], names[-1]):
+        expected = moving_person.positions()[:, names.index(joint)]
+        np.testing.assert_array_equal(moving_person.positions(joint), expected)
+    with pytest.raises(MotionError, match="'Hip'; did you mean Hips"):
+        moving_person.positions("Hip")
+    for value in (moving_person, [moving_person, moving_person]):
+        with pytest.raises(MotionError, match=r"motion\.positions\(\).*motion\.rotations"):
+            np.asarray(value)
+
+
 def test_trim(moving_person):
     part = moving_person.trim(0.5, 1.25)
     np.testing.assert_array_equal(part.translation, moving_person.translation[15:38])

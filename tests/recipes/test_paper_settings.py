@@ -119,7 +119,7 @@ DIFFUSION = {
     },
     "locomotion.yaml": ZEROEGGS | MUSIC_AND_MOVES | NO_AUDIO | {
         "path": (True, "4.1, 4.6: root motion is an input"),
-        "styles.handed": ((), "A.1: the user names them"),
+        "styles.handed": (("100style",), "A.1 lists none: ours, by their names"),
         "training.updates": (292_000, "Table 1"),
     },
 }  # fmt: skip

@@ -35,3 +35,20 @@ def test_from_the_published_folder_to_a_model(recipe, gesturekit, gesture, write
     train = ("train", recipe, f"corpus={corpus}", f"out={tmp_path / 'run'}", *flags)
     assert gesturekit(*train).status == 0
     assert (tmp_path / "run" / "model" / "model.safetensors").is_file()
+
+
+@pytest.mark.parametrize(
+    "recipe", ["path_100style", "path_100style/small", "diffusion_speech/locomotion"]
+)
+def test_no_recipe_for_100style_mirrors_what_tells_left_from_right(
+    recipe, gesturekit, gesture, tmp_path, caplog
+):
+    caplog.set_level("INFO")
+    for style in ("LeftHop", "Old"):
+        gesture(4.0, 30.0).save(tmp_path / "walks" / f"{style}.bvh")
+    corpus = tmp_path / "corpus.jsonl"
+    names = ("--style-pattern", "(?P<style>.+)", "--holdout", 0, "--out", corpus)
+    assert gesturekit("prepare", "--unpaired-motion", tmp_path / "walks", *names).status == 0
+    flags = recipe_table()["debug"]["diffusion"]
+    train = ("train", recipe, f"corpus={corpus}", f"out={tmp_path / 'run'}", "--plan", *flags)
+    assert gesturekit(*train).status == 0 and "3 sequences with their variants" in caplog.text

@@ -62,21 +62,22 @@ def test_sequences_are_sampled_at_twice_their_length_as_often_as_in_the_paper(
     wave = item.load_wave()
     for number, asked in enumerate(model.asked, start=1):
         speech = asked.pop("speech")
-        assert asked == {"seed": 7, "item": f"day/long_s{number}", "fps": 10.0,
-                         "foot_lock": False, "smooth": 0.0}  # fmt: skip
+        assert asked == {"seed": 7, "item": f"day/long_s{number}", "fps": 10.0, "raw": True}
         assert np.array_equal(speech.samples, [*wave.samples, *wave.samples])
     assert Motion.load(files[-1]).n_frames == 500
 
 
 def test_windows_are_ten_seconds_each_as_often_as_in_the_paper(item, tmp_path):
     model, out = Scribe(), tmp_path / "out"
-    files = list(sample_lda(model, [item], out, SamplingOptions(postprocess=True)))
+    files = list(
+        sample_lda(model, [item], out, SamplingOptions(controls={"raw": False, "smooth": 1}))
+    )
     count = samples.LDA_SAMPLES
     names = [f"day/long_w{window:03d}_s{k + 1}" for window in (0, 1) for k in range(count)]
     assert made(files, out) == [f"{name}.npz" for name in names]
     assert [asked["item"] for asked in model.asked] == names
     for asked, window in zip(model.asked, np.repeat([0, 1], count), strict=True):
-        assert asked["seed"] == 0 and not asked.keys() & {"foot_lock", "smooth"}
+        assert (asked["seed"], asked["raw"], asked["smooth"]) == (0, False, 1)
         speech = asked["speech"]
         ends = np.round(30 * speech.samples[[0, -1]]).tolist()
         assert ends == [1 + 10 * window, 10 + 10 * window] and speech.duration == 10.0

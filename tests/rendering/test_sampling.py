@@ -131,9 +131,9 @@ def test_styles_that_are_not_known_are_refused_before_sampling(styled, corpus, t
 
 
 def both_ways(model, item: Item, out: Path) -> list[Motion]:
-    """Return a sample of a model as it is by default, and one with post-processing."""
-    options = (SamplingOptions(samples=1, postprocess=asked) for asked in (False, True))
-    files = (next(sample_multires(model, [item], out / str(o.postprocess), o)) for o in options)
+    """Return a sample of a model as it is by default, and one as `generate` makes it."""
+    options = [SamplingOptions(samples=1, controls=given) for given in ({}, {"raw": False})]
+    files = [next(sample_multires(model, [item], out / str(k), options[k])) for k in range(2)]
     return [Motion.load(file) for file in files]
 
 

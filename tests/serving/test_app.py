@@ -32,6 +32,7 @@ from gesturekit.serving.pages import DROP_PAGE, PAGE_HEADERS
 from gesturekit.serving.requests import Limits, Rate, receive
 from gesturekit.serving.worker import BusyError, Worker
 from gesturekit.systems import bundled_speech
+from gesturekit.viewer.human.body import is_baked
 
 HOST = "http://127.0.0.1"
 
@@ -70,6 +71,9 @@ def test_a_wav_gives_the_motion_that_the_model_makes(client, model, tmp_path):
     model.generate(sound, seed=3, item="day/a").save(tmp_path / "named.bvh")
     named = one.post("/motion?format=bvh&seed=3&item=day/a", content=sound.read_bytes())
     assert named.content == (tmp_path / "named.bvh").read_bytes() != answer.content
+    model.generate(sound, seed=3, raw=True).save(tmp_path / "raw.bvh")
+    raw = one.post("/motion?format=bvh&seed=3&raw=true", content=sound.read_bytes())
+    assert raw.content == (tmp_path / "raw.bvh").read_bytes() != answer.content
     assert answer.headers["content-disposition"] == 'attachment; filename="motion.bvh"'
     assert answer.headers["content-type"].startswith("text/plain")
     assert answer.headers["x-content-type-options"] == "nosniff"
@@ -77,6 +81,7 @@ def test_a_wav_gives_the_motion_that_the_model_makes(client, model, tmp_path):
     assert Motion.load(tmp_path / "a.npz").n_frames == 30
     page = one.post("/motion?format=html", content=wav())
     assert "<title>motion</title>" in page.text and re.search(r'"audio": ?\{', page.text)
+    assert ('"skin":' in page.text) == is_baked(), "the demo's motion is drawn with the human body"
     assert page.headers["content-disposition"] == 'inline; filename="motion.html"'
     assert page.headers["content-type"].startswith("text/html")
     assert page.headers["content-security-policy"] == "sandbox allow-scripts"
@@ -348,8 +353,8 @@ def test_the_pages_load_nothing_from_elsewhere(client):
     body = schema["paths"]["/motion"]["post"]["requestBody"]
     assert body["required"] and "audio/wav" in body["content"]
     names = {parameter["name"] for parameter in schema["paths"]["/motion"]["post"]["parameters"]}
-    controls = {"style", "speaker", "facing", "in_place", "foot_lock", "smooth", "vad", "fps"}
-    assert names == {"format", "seed", "item"} | controls
+    controls = {"style", "speaker", "facing", "in_place", "raw", "foot_lock", "smooth", "vad"}
+    assert names == {"format", "seed", "item", "fps"} | controls
     table = (Path(__file__).parents[2] / "docs" / "serve.md").read_text(encoding="utf-8")
     assert all(f"`{name}" in table for name in names)
 

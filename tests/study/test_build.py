@@ -29,17 +29,28 @@ def config_of(n_systems: int, **options) -> StudyConfig:
     return StudyConfig("Title", {f"s{k}": "unused" for k in range(n_systems)}, **options)
 
 
-def test_four_systems_and_36_segments_give_the_design_of_the_paper():
-    config = config_of(4, lists=24)
-    lists = make_lists(config, segments(36))
-    over_all = Counter()
+@pytest.mark.parametrize(
+    ("styles", "each", "seed"), [(("",), 36, 0), *(("abcd", 18, seed) for seed in range(4))]
+)
+def test_four_systems_give_the_designs_of_the_paper(styles, each, seed):
+    """36 segments, or four styles of 18: 12 ordered pairs, seen equally often within each list."""
+    of_style = {"design": "style", "styles": dict.fromkeys(styles, "x")} if styles[0] else {}
+    config = config_of(4, lists=24, seed=seed, **of_style)
+    lists = make_lists(config, [one for style in styles for one in segments(each, style)])
+    over_all, over_styles = Counter(), Counter()
     for one in lists:
         pairs = Counter((c.left, c.right) for c in one)
-        assert len(pairs) == 12 and set(pairs.values()) == {3}
-        assert len({c.segment.name for c in one}) == 36
+        assert len(pairs) == 12 and set(pairs.values()) == {each * len(styles) / 12}
+        assert len({c.segment.name for c in one}) == each * len(styles)
+        within = Counter((c.segment.style, c.left, c.right) for c in one)
+        assert max(within.values()) - min(within.values()) <= 1
+        over_styles += within
         over_all.update((c.segment.name, c.left, c.right) for c in one)
-    # 24 lists and 12 ordered pairs: each pair of each segment twice.
-    assert set(over_all.values()) == {2}
+    assert set(over_styles.values()) == {2 * each}
+    # 24 lists and 12 ordered pairs: each pair of each segment twice, or nearly so where the 18 of
+    # a style are no multiple of 12.
+    uses = Counter(over_all.values())
+    assert set(uses) == {2} if each == 36 else set(uses) <= {1, 2, 3} and uses[2] >= 850
 
 
 def test_shorter_lists_use_all_segments_equally_often():
@@ -269,7 +280,18 @@ def test_the_page_has_every_setting_of_a_study(tmp_path):
     ("options", "question", "first"),
     [
         ({}, "matches the speech rhythm", "Clear preference for left"),
+        (
+            {"sound": "music"},
+            "Which character's dancing motion do you prefer, taking into account both how "
+            "natural-looking the motion is and how well it matches the music?",
+            "Clear preference for left",
+        ),
         ({"design": "mismatch"}, "movements match the speech better", "Clear preference for left"),
+        (
+            {"design": "mismatch", "sound": "music"},
+            "movements match the music better",
+            "Clear preference for left",
+        ),
         (
             {"design": "style", "styles": {"x": "a cat"}},
             "looks most like *{style}*",

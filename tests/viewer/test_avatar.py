@@ -10,11 +10,12 @@ from typing import Any
 import matplotlib.image
 import numpy as np
 import pytest
-from avatars import BONES, HAIR, avatar, avatar_json, packed
+from avatars import BONES, HAIR, avatar, avatar_json, packed, picture
 from pages import bundled, opened
 from PIL import Image
 
 from gesturekit.errors import FormatError
+from gesturekit.formats.gltf.file import Gltf
 from gesturekit.formats.gltf.materials import reduce_colours
 from gesturekit.formats.gltf.skin import Skin
 from gesturekit.formats.gltf.vrm import avatar_facts, read_avatar
@@ -173,15 +174,41 @@ def test_faces_of_transparent_texture_are_left_out(tmp_path):
     np.testing.assert_array_equal(np.unique(skin.palette[skin.regions], axis=0), [[200, 30, 30]])
 
 
-@pytest.mark.parametrize("change", ["no picture", "too large"])
-def test_a_texture_that_cannot_be_read_leaves_the_base_colour(tmp_path, change, monkeypatch):
+def test_webp_textures_are_read_and_written(tmp_path, gesture):
+    with Image.open(io.BytesIO(picture())) as opened:
+        opened.save(tmp_path / "skin.webp", lossless=True, exact=True)
+    webp = {"extensions": {"EXT_texture_webp": {"source": 0}}}
+    changes = (
+        changed("images", value=[{"uri": "skin.webp"}]),
+        changed("textures", value=[webp]),
+        changed("extensionsRequired", value=["EXT_texture_webp"]),
+    )
+    skin = load_avatar(with_changes(tmp_path / "me.vrm", *changes))[0].skins[0]
+    palette = np.unique(skin.palette[skin.regions], axis=0)
+    np.testing.assert_array_equal(palette, [[30, 200, 30], [200, 30, 30]])
+    gesture(0.1).save(tmp_path / "a.glb", body=str(tmp_path / "me.vrm"))
+    assert Gltf(tmp_path / "a.glb").json["images"][0]["mimeType"] == "image/webp"
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ("no picture", "texture skin .*image/png is none of PNG, JPEG, WEBP"),
+        ("too large", "texture skin .*8 by 8 pixels"),
+        ("other format", "texture 0 .*EXT_texture_avif is none"),
+    ],
+)
+def test_a_texture_that_cannot_be_read_leaves_the_base_colour(tmp_path, change, says, monkeypatch):
     colour = ("materials", 0, "pbrMetallicRoughness", "baseColorFactor")
-    changes = [changed(*colour, value=[0, 0, 1, 1])]
+    changes = [changed(*colour, value=[0, 0, 1, 1]), changed("images", 0, "name", value="skin")]
     if change == "no picture":
         changes.append(changed("images", 0, "bufferView", value=0))
+    elif change == "other format":
+        avif = {"extensions": {"EXT_texture_avif": {"source": 0}}}
+        changes.append(changed("textures", value=[avif]))
     else:
         monkeypatch.setattr("gesturekit.formats.gltf.materials._MOST_PIXELS", 63)
-    with pytest.warns(UserWarning, match="texture cannot be read"):
+    with pytest.warns(UserWarning, match=f"{says}.*base colour"):
         skin = load_avatar(with_changes(tmp_path / "me.vrm", *changes))[0].skins[0]
     np.testing.assert_array_equal(skin.palette, [[0, 0, 255]])
 
@@ -360,7 +387,7 @@ BAD = {
     "few joints": (changed("skins", 0, "joints", value=[0]), "JOINTS_0 is beyond"),
     "compressed": (
         changed("extensionsRequired", value=["KHR_draco_mesh_compression"]),
-        "without compression",
+        "export it again without compression",
     ),
     "whole places": (changed("accessors", 0, "componentType", value=5125), "POSITION holds no fl"),
     "split indices": (

@@ -13,6 +13,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 from avatars import avatar
+from PIL import Image
 from rigs import PERSON, at_rest, rig_of
 from scipy.spatial.transform import Rotation
 
@@ -64,6 +65,16 @@ def test_each_figure_shows_its_own_moment(tmp_path):
     write_picture(a_swing(1.2), tmp_path / "moving.png", frames=4)
     assert np.ptp(widths(tmp_path / "still.png", 4)) <= 2
     assert np.ptp(widths(tmp_path / "moving.png", 4)) > 20
+
+
+def test_a_plot_is_the_picture_of_the_file(tmp_path):
+    sound = Wave(np.zeros(48_000, np.float32), 16_000)
+    options = {"audio": sound, "frames": 3, "title": "swing", "body": "skeleton"}
+    a_swing(1.2).save(tmp_path / "a.png", **options)
+    plot = a_swing(1.2).plot(**options)
+    np.testing.assert_array_equal(plot, Image.open(tmp_path / "a.png"))
+    write_picture(a_swing(1.2), tmp_path / "b.png", title="")
+    np.testing.assert_array_equal(a_swing(1.2).plot(), Image.open(tmp_path / "b.png"))
 
 
 def test_a_motion_too_short_for_the_first_time_is_drawn_in_its_middle(tmp_path):

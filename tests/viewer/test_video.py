@@ -72,6 +72,16 @@ def test_a_jump_and_a_clap_are_at_the_same_time(tmp_path, gesture):
     assert len(sound) / RATE == pytest.approx(1.0, abs=1 / 30)
 
 
+def test_a_video_shows_the_body_from_the_waist_up(tmp_path, gesture, gesturekit):
+    gesture(0.1).save(tmp_path / "a.bvh")
+    wide = {}
+    for framing in ("whole", "waist"):
+        out = tmp_path / f"{framing}.mp4"
+        gesturekit("convert", tmp_path / "a.bvh", out, "--framing", framing).ok()
+        wide[framing] = np.ptp(np.argwhere(coloured(read(out)[0])[0])[:, 1])
+    assert wide["waist"] > 1.5 * wide["whole"]
+
+
 def test_the_whole_figure_is_framed_whatever_its_size_and_path(tmp_path, gesture):
     motion = gesture(2.0, 4.0)
     walk = np.linspace(0, 3, motion.n_frames)[:, None] * [1.0, 0, 0]
@@ -237,7 +247,7 @@ def test_the_clock_counts_minutes(encoded, gesture):
         rotations=np.repeat(slow.rotations, 121, axis=0),
         translation=np.repeat(slow.translation, 121, axis=0),
     )
-    frames, *_ = encoded(long, title="", fps=0.08)
+    frames, *_ = encoded({"": long}, fps=0.08)
     assert len(frames) == 10
     expected = np.full((720, 1280, 3), 245, np.uint8)
     letters = 0.028 * 720
@@ -276,8 +286,8 @@ def test_the_title_of_one_motion_is_its_files_name_or_what_is_given(encoded, ges
     """The other corner of the picture has no text."""
     motion = gesture(0.03)
     (usual,), *_ = encoded(motion)
-    (same,), *_ = encoded(motion, title="film")
-    (other,), *_ = encoded(motion, title="another")
+    (same,), *_ = encoded({"film": motion})
+    (other,), *_ = encoded({"another": motion})
     assert (usual == same).all() and (usual != other).any()
     assert np.argwhere((usual != other).any(axis=2)).max(axis=0)[0] < 50
 

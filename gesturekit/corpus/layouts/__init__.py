@@ -27,6 +27,16 @@ The function takes the folder and returns a `listing.Listing`. It raises CorpusE
 is not in the corpus's form.
 """
 
+HANDED = {
+    "100style": (
+        "BouncyLeft", "BouncyRight", "DragLeftLeg", "DragRightLeg", "LeanLeft", "LeanRight",
+        "LeftHop", "LimpLeft", "LimpRight", "OnPhoneLeft", "OnPhoneRight", "RaisedLeftArm",
+        "RaisedRightArm", "RightHop", "ShieldedLeft", "ShieldedRight", "SpinAntiClock",
+        "SpinClock", "WalkingStickLeft", "WalkingStickRight",
+    )
+}  # fmt: skip
+"""Styles of a corpus that distinguish left from right, by the name of its layout."""
+
 
 def read_layout(name: str, folder: Path) -> Listing:
     """Read a public corpus by the name of its layout.

@@ -22,12 +22,15 @@ class Listing:
 
     Attributes:
         fps: published frame rate of the motion.
+        copies: regular expression of the endings of names in published lists that stand for copies
+            of a recording; "" for none.
         recordings: with files, published split, speaker, style and side files.
         problems: missing files, and files that the published rules leave out.
         left_over: sound and motion files without a recording.
     """
 
     fps: float
+    copies: str = ""
     recordings: list[Recording] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
     left_over: list[Path] = field(default_factory=list)

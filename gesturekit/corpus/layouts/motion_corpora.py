@@ -11,7 +11,7 @@ from gesturekit.corpus.layouts.listing import Listing, root_with, rows
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import CorpusError
 
-_DANCE = re.compile(r".+_(?P<style>g[A-Za-z]+)_s[^_]+_c[^_]+_(?P<dancer>d\d+)_.+")
+_DANCE = re.compile(r".+_(?P<style>g[A-Za-z]+)_s[^_]+_[^_]+_(?P<dancer>d\d+)_.+")
 _GAITS = ("BR", "BW", "FR", "FW", "ID", "SR", "SW", "TR1", "TR2", "TR3")
 _STYLE_FPS = 60
 _TRINITY = re.compile(r"Recording_\d+")
@@ -21,15 +21,16 @@ _TRINITY_TEST = "Recording_008"
 def read_motorica(folder: Path) -> Listing:
     """Read Motorica's dances: style is the genre (gLO …), speaker the dancer (d02 …).
 
-    Sounds of some dances are not published; these dances are motion alone. There is no published
-    split.
+    Sounds of some dances are not published; these dances are motion alone. The corpus has no split;
+    the released code of Alexanderson et al. 2023 lists its test files, for `hold_out_list`. They
+    are shifted copies of a dance, NAME_00 and NAME_01, which stand for NAME.
 
     Raises:
         CorpusError: no file has a name of this corpus.
     """
     if not folder.is_dir():
         root_with(folder, (), "Motorica")
-    listing = Listing(fps=120.0)
+    listing = Listing(fps=120.0, copies=r"_\d\d(_mirrored)?")
     sounds = {file.stem: file for file in sorted(folder.rglob("*.wav"))}
     silent = []
     for motion in sorted(folder.rglob("*.bvh")):

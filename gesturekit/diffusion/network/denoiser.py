@@ -133,6 +133,8 @@ class Denoiser(nn.Module):
             self.stacks = nn.ModuleList(
                 DilatedConv(width, 2 * width, d, bias=True) for d in dilations
             )
+            for stack in self.stacks:
+                nn.init.kaiming_normal_(stack.weight)
         self.split = nn.ModuleList(kaiming(width, 2 * width) for _ in dilations)
         self.gather = kaiming(width, width)
         self.leave = nn.Linear(width, n_motion)

@@ -13,6 +13,7 @@ import numpy as np
 
 from gesturekit.corpus.checks import first_difference
 from gesturekit.corpus.item import Item
+from gesturekit.corpus.layouts import HANDED
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.training.augmentation import phase_item, phases
@@ -157,7 +158,7 @@ def read_corpus(config: DiffusionConfig, *, speech: bool, trial: bool = False) -
 
 def _check_handed(config: DiffusionConfig, styles: Sequence[str]) -> None:
     for name in config.styles.handed if config.styles is not None else ():
-        if name not in styles:
+        if name not in styles and name not in HANDED:
             raise ConfigError(
                 f"styles.handed: {name!r} is not a style of {config.corpus}, which has "
                 f"{', '.join(styles)}"

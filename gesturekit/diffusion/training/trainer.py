@@ -88,9 +88,15 @@ def make_arrays(config: DiffusionConfig) -> None:
 
 
 def learning_rate(training: TrainingConfig, update: int) -> float:
-    """Return the learning rate of an update, counted from 0 (appendix A.1)."""
-    warm = min(1.0, (update + 1) / max(training.warm_up, 1))
-    return training.learning_rate * warm * training.decay ** (update // 10)
+    """Return the learning rate of an update, counted from 0 (appendix A.1).
+
+    As in the released code, it reaches its peak at the last update of the warm-up, and is then
+    multiplied by `decay` at every update whose number is a multiple of ten.
+    """
+    last_of_warm_up = max(training.warm_up, 1) - 1
+    warm = min(1.0, (update + 1) / (last_of_warm_up + 1))
+    decays = max(0, update // 10 - last_of_warm_up // 10)
+    return training.learning_rate * warm * training.decay**decays
 
 
 class Trainer:

@@ -124,8 +124,9 @@ class VariantArrays:
 
     def is_mirrored(self, style: str | None) -> bool:
         """Return whether recordings of a style have mirrored copies."""
-        handed = () if self.config.styles is None else self.config.styles.handed
-        wanted = self.config.augmentation.mirror and style not in handed
+        styles = self.config.styles
+        handed = styles is not None and styles.is_handed(style)
+        wanted = self.config.augmentation.mirror and not handed
         return wanted and can_be_mirrored(self.representation.skeleton)
 
     def origin(self, item: Item) -> dict[str, Any]:

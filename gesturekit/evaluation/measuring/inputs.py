@@ -140,6 +140,11 @@ class ClipInputs:
         """Standing heights (F,) of the foot points, metres: the recording's, of the same body."""
         return standing_heights(self.clip.recording if self.clip.same_body else self.motion)
 
+    @property
+    def frame_rate(self) -> float | None:
+        """Frames per second, for the variant of beat alignment that counts frames."""
+        return self.motion.fps if self.variants.bas == "bailando" else None
+
     @functools.cached_property
     def beats(self) -> np.ndarray:
         """Beats (M,) of the motion, seconds."""
@@ -166,6 +171,7 @@ class SetInputs:
         model: the feature extractor of FGD, or None.
         joints: names of the joints that all of them have; None for all body joints.
         seed: of intervals.
+        variants: of the metrics.
     """
 
     generated: Sequence[Motion]
@@ -173,11 +179,17 @@ class SetInputs:
     model: FeatureModel | None
     joints: tuple[str, ...] | None
     seed: int
+    variants: Variants
 
     @property
     def motions(self) -> Sequence[Motion]:
         """The motion whose diversity is measured: `generated`."""
         return self.generated
+
+    @property
+    def kinetic(self) -> str:
+        """Variant of the kinetic features."""
+        return self.variants.kinetic
 
     @property
     def windows(self) -> PoseWindows | None:

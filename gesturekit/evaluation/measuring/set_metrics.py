@@ -155,8 +155,9 @@ class SetMetrics:
         """Return one metric of `frechet`; None if it needs a feature extractor."""
 
         def taken(sample: MotionSample) -> Any | None:
-            sides = sample.motions, full.motions
-            return compute(definition, SetInputs(*sides, model, self._shared, self.seed))
+            sides, variants = (sample.motions, full.motions), self.measure.variants
+            inputs = SetInputs(*sides, model, self._shared, self.seed, variants)
+            return compute(definition, inputs)
 
         ours = taken(self.sample)
         if ours is None:

@@ -1,7 +1,8 @@
 """Rhythm: alignment of motion beats with beats or onsets of the sound.
 
 Two published metrics, each with its chance level. Kernels and windows are in seconds, where the
-published code counts frames, so that they do not depend on the frame rate.
+published code counts frames, so that they do not depend on the frame rate; beat alignment has a
+variant in frames.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ SMOOTHING = 5 / 60
 """Seconds; σ of the Gaussian over the speed curve in beat alignment: 5 frames at 60 fps."""
 KERNEL = 3 / 60
 """Seconds; σ of beat alignment: 3 frames at 60 fps."""
+SMOOTHING_FRAMES, KERNEL_FRAMES = 5, 3
+"""The same in frames of any rate, for the variant "bailando"."""
 CONSISTENCY_KERNEL = 0.3
 """Seconds; σ of beat consistency."""
 CONSISTENCY_ORDER = 7 / 30
@@ -84,7 +87,7 @@ def beat_alignment(
     variant: Literal["seconds", "bailando"] = "seconds",
     joints: Sequence[str] | None = None,
 ) -> BeatResult:
-    """Return BAS: 1/|B| Σ over beats b of the sound of exp(-min_m (b - m)² / 2σ²), σ = 50 ms.
+    """Return BAS: 1/|B| Σ over beats b of the sound of exp(-min_m (b - m)² / 2σ²).
 
     The form of AIST++ and Bailando (utils/beat_align_score.py), for one clip; published values are
     means over clips.
@@ -92,10 +95,11 @@ def beat_alignment(
     Args:
         motion: the motion; beats after its end do not count.
         beats: (B,) seconds of the sound's beats, such as `music_beats` gives.
-        variant: "seconds" takes the speed of the motion low-passed at 6 Hz (`derivative`) and
-            places beats between frames by a parabola through three of them. "bailando" takes
-            frame differences and places a beat at the first frame of the step, as its code does:
-            up to half a frame early, and dependent on the frame rate.
+        variant: "seconds" takes the speed of the motion low-passed at 6 Hz (`derivative`), places
+            beats between frames by a parabola through three of them, and has σ = 50 ms.
+            "bailando" is its code: frame differences, a beat at the first frame of its step, σ of 5
+            frames for the speed and of 3 here, and no beats of the sound from the last frame on.
+            The same motion has another score at another frame rate.
         joints: names; None for the body joints.
 
     Raises:
@@ -112,7 +116,8 @@ def beat_alignment(
         1.0
     """
     found = motion_beats(motion, variant=variant, joints=joints)
-    return alignment(found, beats, motion.duration)
+    rate = motion.fps if variant == "bailando" else None
+    return alignment(found, beats, motion.duration, rate)
 
 
 def beat_consistency(
@@ -151,13 +156,16 @@ def beat_consistency(
     return consistency(found, onsets, motion.duration)
 
 
-def alignment(beats: np.ndarray, pulse: np.ndarray, duration: float) -> BeatResult:
+def alignment(
+    beats: np.ndarray, pulse: np.ndarray, duration: float, frame_rate: float | None = None
+) -> BeatResult:
     """Return the beat alignment of beats that are known, see `beat_alignment`.
 
     Args:
         beats: (M,) beats of the motion, seconds.
         pulse: (B,) beats of the sound, seconds.
         duration: of the motion, seconds.
+        frame_rate: of the motion, for the variant "bailando"; None for "seconds".
 
     Examples:
         All beats of the motion are 50 ms late, exp(-1/2):
@@ -165,7 +173,10 @@ def alignment(beats: np.ndarray, pulse: np.ndarray, duration: float) -> BeatResu
         >>> round(alignment(np.array([1.05, 2.05]), np.array([1.0, 2.0]), 10).score, 3)
         0.607
     """
-    return beat_result([beats], pulse, duration, KERNEL)
+    if frame_rate is None:
+        return beat_result([beats], pulse, duration, KERNEL)
+    steps = round(duration * frame_rate) - 1
+    return beat_result([beats], pulse, steps / frame_rate, KERNEL_FRAMES / frame_rate)
 
 
 def consistency(
@@ -208,7 +219,7 @@ def motion_beats(
     variant: Literal["seconds", "bailando"] = "seconds",
     joints: Sequence[str] | None = None,
 ) -> np.ndarray:
-    """Return the local minima of the mean joint speed, smoothed with σ = 83 ms.
+    """Return the local minima of the mean joint speed, smoothed with σ = 83 ms, or 5 frames.
 
     Returns:
         (M,) seconds; see `beat_alignment` for the variants.
@@ -223,19 +234,21 @@ def motion_beats(
         [0.5, 1.5, 2.5, 3.5]
     """
     from scipy.ndimage import gaussian_filter1d
+    from scipy.signal import argrelextrema
 
     if variant not in ("seconds", "bailando"):
         raise MotionError(f"beat alignment variant {variant!r}; expected seconds or bailando")
     if variant == "bailando":
-        speed = joint_speed(motion, joints)
+        speed, sigma = joint_speed(motion, joints), SMOOTHING_FRAMES
     else:
         velocity = derivative(joint_paths(motion, joints), motion.fps, 1, CUTOFF)
-        speed = np.linalg.norm(velocity, axis=-1)
-    smooth = gaussian_filter1d(speed.mean(axis=1), SMOOTHING * motion.fps)
+        speed, sigma = np.linalg.norm(velocity, axis=-1), SMOOTHING * motion.fps
+    smooth = gaussian_filter1d(speed.mean(axis=1), sigma)
     if np.ptp(smooth) < _STILL * body_scale(motion.skeleton):
         return np.empty(0)
-    at, between = _minima(smooth, 1)
-    return (between if variant == "seconds" else at) / motion.fps
+    if variant == "bailando":
+        return argrelextrema(smooth, np.less)[0] / motion.fps
+    return _minima(smooth, 1)[1] / motion.fps
 
 
 def speech_onsets(wave: Wave) -> np.ndarray:

@@ -12,6 +12,7 @@ import os
 import struct
 import warnings
 from pathlib import Path
+from shlex import quote
 from typing import Any
 from urllib.parse import unquote
 
@@ -34,9 +35,9 @@ _TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _DRACO = "KHR_draco_mesh_compression"
 _COMPRESSED = ("EXT_meshopt_compression", "KHR_meshopt_compression")
-_READ = {"VRM", "EXT_texture_webp", "KHR_mesh_quantization", "KHR_texture_transform", _DRACO}
-"""Extensions that are read, or change meshes and colours alone."""
-_HARMLESS = ("VRMC_", "KHR_materials_", "KHR_lights_")
+_READ = {"KHR_mesh_quantization", _DRACO}
+_HARMLESS = ("VRM", "KHR_materials_", "KHR_lights_", "KHR_texture_", "EXT_texture_")
+"""Extensions that are read, or change meshes and colours alone, and how the names of more begin."""
 
 
 class Gltf:
@@ -77,10 +78,10 @@ class Gltf:
             raise self._unread(_DRACO)
 
     def _unread(self, extension: str) -> FormatError:
-        return self.error(
-            f"needs the extension {extension[:60]!r}, which is not read; "
-            "export it without compression"
-        )
+        way = f"decompress it: npx @gltf-transform/cli copy {quote(self.path.name)} out.glb"
+        if any(name.startswith("VRM") for name in self.object(self.json, "extensions")):
+            way = "export it again without compression (gltf-transform would drop the data of VRM)"
+        return self.error(f"needs the extension {extension[:60]!r}, which is not read; {way}")
 
     def error(self, problem: str) -> FormatError:
         """Return an error that names the file."""

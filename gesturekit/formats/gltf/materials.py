@@ -7,10 +7,12 @@ import warnings
 from typing import Any
 
 import numpy as np
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from gesturekit.formats.gltf.file import Gltf
+from gesturekit.wording import printable
 
+_FORMATS = ("PNG", "JPEG", "WEBP")
 _MOST_PIXELS = 1 << 26
 _SIDE = 512
 """Textures are reduced to this many pixels: vertices are far apart."""
@@ -58,15 +60,19 @@ class Colours:
         """Return the RGBA image (H, W, 4) uint8 of a texture."""
         if "index" not in reference:
             return None
-        source = self._glb.item("textures", reference["index"]).get("source")
-        if source is None:  # an extension's format
-            return None
-        at = self._glb.whole(source, len(self._glb.items("images")), "index into images")
+        glb = self._glb
+        texture = glb.item("textures", index := reference["index"])
+        extensions = glb.object(texture, "extensions")
+        source = texture.get("source", glb.object(extensions, "EXT_texture_webp").get("source"))
+        image = {} if source is None else glb.item("images", source)
+        at = ~index if source is None else source
         if at not in self._images:
-            self._images[at] = self._image(self._glb.item("images", at))
+            name = image.get("name") or texture.get("name") or index
+            self._images[at] = self._image(image, str(name)[:60], ", ".join(extensions))
         return self._images[at]
 
-    def _image(self, image: dict[str, Any]) -> np.ndarray | None:
+    def _image(self, image: dict[str, Any], name: str, extensions: str) -> np.ndarray | None:
+        """Return the image of a texture; None, with a warning, if it cannot be read."""
         try:
             if "bufferView" in image:
                 data = self._glb.view(image["bufferView"])
@@ -74,15 +80,19 @@ class Colours:
                 data = self._glb.resource(image.get("uri"))
             with warnings.catch_warnings():
                 warnings.simplefilter("error", Image.DecompressionBombWarning)
-                with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as opened:
+                with Image.open(io.BytesIO(data), formats=_FORMATS) as opened:
                     if opened.width * opened.height > _MOST_PIXELS:
                         raise ValueError(f"{opened.width} by {opened.height} pixels")
                     opened.thumbnail((_SIDE, _SIDE))
                     return np.asarray(opened.convert("RGBA"))
         except Exception as error:  # Pillow's decoders raise anything
+            reason = str(error)[:120]
+            if isinstance(error, UnidentifiedImageError) or not image:
+                kind = image.get("mimeType") or extensions or "its image"
+                reason = f"{str(kind)[:60]} is none of {', '.join(_FORMATS)}"
             warnings.warn(
-                f"{self._glb.path}: a texture cannot be read ({str(error)[:120]}): the base colour "
-                "of its material is used",
+                f"{self._glb.path}: texture {printable(name)} cannot be read ({reason}): the base "
+                "colour of its material is used",
                 stacklevel=2,
             )
             return None

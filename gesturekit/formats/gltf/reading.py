@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import os
 import warnings
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from gesturekit.errors import MotionError
+from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.axes import AXES, USUAL_FORWARD, FileAxes, file_axes, with_y_up
 from gesturekit.formats.gltf.animation import read_animation
 from gesturekit.formats.gltf.file import Gltf
 from gesturekit.formats.gltf.nodes import AT_REST, Nodes
+from gesturekit.formats.gltf.vrm import avatar_bones
 from gesturekit.formats.plausibility import METRES, guess_unit
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions, rotate_vectors
@@ -45,8 +47,8 @@ def read_gltf(
 ) -> Motion:
     """Read an animation of a .glb or .gltf file; without one, its rest pose as a single frame.
 
-    Joints are the nodes of all skins and what hangs on them without a mesh; in a file without
-    skins, the trees of animated nodes. Of several skeletons the largest is read.
+    Joints are the nodes of all skins, the bones of a VRM avatar, and what hangs on them without a
+    mesh; without these, the trees of animated nodes. Of several skeletons the largest is read.
 
     Args:
         path: the file. Arrays may lie in it, in data URIs, or in files of its folder.
@@ -136,10 +138,13 @@ def _joints(gltf: Gltf, nodes: Nodes) -> tuple[list[int], list[int]]:
 
 
 def _named_joints(gltf: Gltf, nodes: Nodes) -> set[int]:
-    """Return the joints of all skins, or else nodes that an animation moves, and those above."""
+    """Return joints of all skins and bones of an avatar, or nodes that are animated, and above."""
     entries = gltf.items("nodes")
     n_nodes = len(entries)
     found = {j for skin in gltf.items("skins") for j in gltf.wholes(skin, "joints", n_nodes)}
+    if gltf.object(gltf.json, "extensions").keys() & {"VRM", "VRMC_vrm"}:
+        with suppress(FormatError):  # a humanoid with missing bones has joints all the same
+            found |= set(avatar_bones(gltf)[0])
     if found:
         return found
     for animation in gltf.items("animations"):

@@ -89,7 +89,7 @@ def read_avatar(path: str | os.PathLike[str]) -> tuple[Avatar, Skin]:
         FormatError: no VRM file, damaged, or without a bone that every VRM avatar has.
     """
     gltf = Gltf(path)
-    bones, is_backwards = _bones(gltf)
+    bones, is_backwards = avatar_bones(gltf)
     nodes = Nodes(gltf)
     world = nodes.matrices()
     if is_backwards:
@@ -139,7 +139,7 @@ def avatar_facts(path: str | os.PathLike[str]) -> dict[str, Any]:
     key, vrm = ("VRMC_vrm", "1.0") if "VRMC_vrm" in extensions else ("VRM", "0.x")
     meta = gltf.object(gltf.object(extensions, key), "meta")
     try:
-        n_bones = len(_bones(gltf)[0])
+        n_bones = len(avatar_bones(gltf)[0])
     except GestureKitError:
         n_bones = 0
 
@@ -160,8 +160,12 @@ def avatar_facts(path: str | os.PathLike[str]) -> dict[str, Any]:
     }
 
 
-def _bones(glb: Gltf) -> tuple[dict[int, str], bool]:
-    """Return {node: our bone}, and whether the avatar looks along -Z, as in VRM 0.x."""
+def avatar_bones(glb: Gltf) -> tuple[dict[int, str], bool]:
+    """Return {node: our bone}, and whether the avatar looks along -Z, as in VRM 0.x.
+
+    Raises:
+        FormatError: no avatar, or one without a bone that every avatar has.
+    """
     extensions = glb.object(glb.json, "extensions")
     is_new = "VRMC_vrm" in extensions
     if not is_new and "VRM" not in extensions:

@@ -318,6 +318,7 @@ def _embedded(gltf: Gltf) -> _Builder:
         if "uri" in image:
             data = gltf.resource(image.pop("uri"))
             kind = "png" if data.startswith(b"\x89PNG") else "jpeg"
+            kind = "webp" if data[8:12] == b"WEBP" else kind
             image |= {"bufferView": builder.view(data, {}), "mimeType": f"image/{kind}"}
     for holder in (found, *found["nodes"]):
         extensions = gltf.object(holder, "extensions")

@@ -10,6 +10,7 @@ const SHORTER = 0.05; // and how fast it shrinks, which no one sees
 const JUMP = 1; // a longer way, in seconds, is not gone slowly: the sender was stopped
 const RETRY = 2000; // milliseconds
 const BEFORE = new Quaternion();
+const IN_SYNC = 0.15; // seconds by which sound may be off its motion
 const CALM = 0.02; // share of the way that the camera follows in a drawn frame
 
 // Time at which a frame is shown: a delay after its own, as long as the frame that came latest needs.
@@ -92,6 +93,9 @@ export function live(page, body, stage, facts) {
   const middle = [0, 0, 0];
   let newest = null;
   let lag = NaN;
+  const sound = page.audio && new Audio(URL.createObjectURL(new Blob([page.audio.data], page.audio)));
+  let isSilent = !sound; // browsers may want a click before they play sound
+  window.addEventListener("pointerdown", () => { isSilent = !sound; });
   body.visible = false;
 
   function connect(isFirst) {
@@ -103,6 +107,7 @@ export function live(page, body, stage, facts) {
     if (!isFirst) socket.onopen = () => location.reload();
     socket.onclose = () => {
       newest = null;
+      sound?.pause();
       facts.textContent = "The stream has ended; waiting for another one.";
       setTimeout(connect, RETRY);
     };
@@ -127,6 +132,11 @@ export function live(page, body, stage, facts) {
     const shown = Math.min(playout.at(now), newest);
     const time = shown - first;
     body.place(pose(figure, time, body.points), time);
+    if (!isSilent && !sound.ended) {
+      if (sound.currentTime < shown - IN_SYNC) sound.currentTime = shown;
+      if (sound.currentTime > shown + IN_SYNC) sound.pause(); // frames are late
+      else if (sound.paused) sound.play().catch(() => { isSilent = true; });
+    }
     const isStart = !body.visible;
     body.visible = true;
     for (const axis of [0, 2]) middle[axis] += (body.points[axis] - middle[axis]) * (isStart ? 1 : CALM);
@@ -134,10 +144,10 @@ export function live(page, body, stage, facts) {
     if (isStart) stage.frontView();
     // What the fastest frame needed on its way is not known; it is next to nothing on one machine.
     const after = lag + now - shown - playout.fastest;
-    facts.textContent = `${shown.toFixed(1)} s${Number.isNaN(after) ? "" : `, shown ${after.toFixed(2)} s after the sound`}`;
+    facts.textContent = `${shown.toFixed(1)} s${Number.isNaN(after) ? "" : `, shown ${after.toFixed(2)} s after the sound`}${sound && isSilent ? "; click for the sound" : ""}`;
   }
 
   connect(true);
-  window.live = { Playout, figure };
+  window.live = { Playout, figure, sound };
   return show;
 }

@@ -153,9 +153,9 @@ def write_video(
     path: str | os.PathLike[str],
     *,
     audio: str | os.PathLike[str] | Wave | None = None,
-    title: str | None = None,
     body: str | None = None,
     body_model: BodyModel | str | os.PathLike[str] | None = None,
+    framing: str = "whole",
     size: str = "720p",
     fps: float | None = None,
 ) -> None:
@@ -166,18 +166,19 @@ def write_video(
 
     Args:
         motion: what to show; or {label: motion} for several side by side, each in its own panel.
+            A single one is labelled by the file's stem.
         path: the .mp4 file to write.
         audio: the speech that belongs to it, a file or a `Wave`; it starts with the motion.
-        title: written in the corner of a single motion; the file's stem by default.
         body: "mannequin" (by default), "human", "skeleton" or the path of a VRM avatar; see
             `gesturekit.viewer.drawn_body`.
         body_model: shows the skin of this body in place of limbs: a `BodyModel`, its .npz file or a
             folder of models.
+        framing: the view, "whole" or "waist" (from there up, without the legs).
         size: "720p" or "1080p".
         fps: frames per second; by default the fastest motion's, at most 30.
 
     Raises:
-        FormatError: imageio-ffmpeg (the extra `video`) is not installed, or `size` or
+        FormatError: imageio-ffmpeg (the extra `video`) is not installed, or `framing`, `size` or
             `body_model` cannot be used.
         AudioError: `audio` is not sound.
         MotionError: no motion, or an invalid rate.
@@ -193,13 +194,13 @@ def write_video(
     fps = usual if fps is None else checked_fps(fps)
     path = Path(path)
     if not isinstance(motion, Mapping):
-        motions = {path.stem if title is None else title: motion}
+        motions = {path.stem: motion}
     wave = None
     if audio is not None:
         audio = as_sound(audio)
         wave = audio if isinstance(audio, Wave) else Wave.load(audio)
     drawn = {label: DrawnBody.of(motion, body, body_model) for label, motion in motions.items()}
-    picture = _Picture(drawn, SIZES[size])
+    picture = _Picture(drawn, SIZES[size], framing)
     seconds = max(picture.duration, wave.duration if wave else 0.0)
     n_frames = max(1, int(seconds * fps + 0.5))
     with atomic_write(path) as temporary:
@@ -221,7 +222,7 @@ class _Picture:
         duration: of the longest motion, seconds.
     """
 
-    def __init__(self, shown: Mapping[str, DrawnBody], size: tuple[int, int]) -> None:
+    def __init__(self, shown: Mapping[str, DrawnBody], size: tuple[int, int], framing: str) -> None:
         self.size = size
         n_columns = min(len(shown), 3 if len(shown) != 4 else 2)
         n_rows = -(-len(shown) // n_columns)
@@ -235,7 +236,7 @@ class _Picture:
             row, column = divmod(k, n_columns)
             area = (slice(rows[row], rows[row + 1]), slice(columns[column], columns[column + 1]))
             aspect = (area[1].stop - area[1].start) / (area[0].stop - area[0].start)
-            self._panels.append(_Panel(label, Scene(drawn, aspect, level, k), area))
+            self._panels.append(_Panel(label, Scene(drawn, aspect, level, k, framing), area))
         self.duration = max(panel.scene.duration for panel in self._panels)
         # An empty panel is like the background.
         self._blank = np.full((size[1], size[0], 3), 245, np.uint8)

@@ -2,12 +2,12 @@
 
 They follow fairmotion (Onuma et al. 2008; Müller et al. 2005), as AIST++, Bailando and Alexanderson
 et al. 2023 use it. Their constants disagree (frame times of 1/60 and 1/120 s for any data, bone
-lengths of one dancer), so that their values cannot be reproduced exactly. Here:
+lengths of one dancer). Only kinetic features can have their values (variant "released"). Here:
 
 - 30 fps: motions at other rates are resampled (`frame_rate`), dt = 1/30 s.
 - Kinetic: means over each frame and two on either side; frames outside the clip are skipped. For
   the earlier velocity of an acceleration, the released code divides only one of the two positions
-  by dt; here both are divided.
+  by dt; here both are divided, unless the variant is "released".
 - Geometric: thresholds are in units of the clip's own upper arm, shoulder width and hip width.
 """
 
@@ -28,6 +28,9 @@ FPS = 30.0
 CLIP_SECONDS = 10.0
 """Length of a clip in Alexanderson et al. 2023."""
 KINDS = ("kinetic", "geometric")
+KINETIC = ("corrected", "released")
+"""Variants of the kinetic features."""
+_RELEASED_FPS = 60.0  # frames per second in Bailando's code, whatever the rate of the motion
 _AROUND = 2  # frames on either side in a running mean
 
 # Relation, joints, threshold and its unit of length (angles: lower and upper limit, degrees). As in
@@ -68,7 +71,9 @@ _GEOMETRIC = (
 )
 
 
-def kinetic_features(motion: Motion, *, joints: Sequence[str] | None = None) -> np.ndarray:
+def kinetic_features(
+    motion: Motion, *, joints: Sequence[str] | None = None, variant: str = "corrected"
+) -> np.ndarray:
     """Return (3 J,) energies of each joint: horizontal, vertical, and expenditure.
 
     With v(i) the mean velocity around frame i and a(i) the mean acceleration, over frames
@@ -78,9 +83,13 @@ def kinetic_features(motion: Motion, *, joints: Sequence[str] | None = None) -> 
     Args:
         motion: at least 4 frames at 30 fps.
         joints: names; by default the body's (no fingers, face, end joints).
+        variant: "corrected", or "released" for the values of Bailando's code
+            (utils/features/kinetic.py), which published numbers rest on: dt = 1/60 s for the same
+            frames, and v(t) = p(t) - p(t - 1) / dt as the earlier velocity of an acceleration, so
+            that it depends on positions; these are relative to where the first joint begins.
 
     Raises:
-        EvaluationError: fewer frames.
+        EvaluationError: fewer frames, or no such variant.
         MotionError: no such joint, or body parts that cannot be identified.
 
     Examples:
@@ -92,11 +101,17 @@ def kinetic_features(motion: Motion, *, joints: Sequence[str] | None = None) -> 
         >>> kinetic_features(gk.Motion(rig, still, path, 30), joints=["hips"]).round(6).tolist()
         [4.0, 0.0, 0.0]
     """
+    if variant not in KINETIC:
+        raise EvaluationError(f"kinetic variant {variant!r}; expected {' or '.join(KINETIC)}")
     motion = _long_enough(motion)
     names = body_joints(motion.skeleton) if joints is None else joints
     positions = motion.positions()[:, [motion.skeleton.index(name) for name in names]]
-    velocity = _mean_around(np.diff(positions, axis=0) * FPS)
-    acceleration = _mean_around(np.diff(positions, n=2, axis=0) * FPS**2, ahead=1)
+    fps, turns = FPS, np.diff(positions, n=2, axis=0)
+    if variant == "released":
+        fps, here = _RELEASED_FPS, (positions - positions[0, 0])[1:-1]
+        turns += here - here / fps  # p(t) / dt in place of p(t) / dt²
+    velocity = _mean_around(np.diff(positions, axis=0) * fps)
+    acceleration = _mean_around(turns * fps**2, ahead=1)
     energies = (
         (velocity[..., [0, 2]] ** 2).sum(axis=-1),
         velocity[..., 1] ** 2,
@@ -169,6 +184,7 @@ def clip_features(
     kind: str,
     seconds: float = CLIP_SECONDS,
     joints: Sequence[str] | None = None,
+    variant: str = "corrected",
 ) -> list[list[np.ndarray]]:
     """Return the clip features of sets of motions: an array (clips, D) for each set and motion.
 
@@ -181,6 +197,7 @@ def clip_features(
         seconds: length of a clip.
         joints: names of joints of all motions, for kinetic features; by default the body joints
             of the first motion of the last set.
+        variant: of kinetic features.
 
     Raises:
         EvaluationError: no such kind, an empty set, rigs that differ, or no clip in a set.
@@ -208,7 +225,7 @@ def clip_features(
                 of_set.append(
                     np.stack(
                         [
-                            kinetic_features(clip, joints=joints)
+                            kinetic_features(clip, joints=joints, variant=variant)
                             if kind == "kinetic"
                             else geometric_features(clip)
                             for clip in clips

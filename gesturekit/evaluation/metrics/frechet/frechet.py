@@ -16,8 +16,9 @@ and read the note.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -239,6 +240,7 @@ def fid_k(
     *,
     seconds: float = CLIP_SECONDS,
     joints: Sequence[str] | None = None,
+    kinetic: str = "corrected",
     resamples: int = 100,
     seed: int = 0,
 ) -> FrechetResult:
@@ -249,6 +251,7 @@ def fid_k(
         reference: motions of the same rig.
         seconds: length of a clip.
         joints: names of joints of both sets; by default the body joints of the reference.
+        kinetic: variant of the features.
         resamples: see `frechet_result`.
         seed: see `frechet_result`.
 
@@ -264,7 +267,8 @@ def fid_k(
         >>> fid_k([recordings[0].scaled(10)], recordings, seconds=1).value > 100
         True
     """
-    return _fid("kinetic", generated, reference, seconds, joints, resamples, seed)
+    features = partial(clip_features, kind="kinetic", joints=joints, variant=kinetic)
+    return _fid(features, generated, reference, seconds, resamples, seed)
 
 
 def fid_g(
@@ -284,7 +288,8 @@ def fid_g(
         >>> round(fid_g([recordings[0].scaled(2)], recordings, seconds=1).value, 6)
         0.0
     """
-    return _fid("geometric", generated, reference, seconds, None, resamples, seed)
+    features = partial(clip_features, kind="geometric")
+    return _fid(features, generated, reference, seconds, resamples, seed)
 
 
 def div_k(
@@ -293,6 +298,7 @@ def div_k(
     *,
     seconds: float = CLIP_SECONDS,
     joints: Sequence[str] | None = None,
+    kinetic: str = "corrected",
 ) -> float:
     """Mean distance of two clips of `motions` in the kinetic features of `fid_k`.
 
@@ -301,6 +307,7 @@ def div_k(
         reference: whose standard deviations are the units; by default `motions` themselves.
         seconds: length of a clip.
         joints: see `fid_k`.
+        kinetic: see `fid_k`.
 
     Raises:
         EvaluationError: see `fid_k`.
@@ -312,7 +319,8 @@ def div_k(
         >>> div_k([motion, motion], seconds=2)
         0.0
     """
-    return _diversity("kinetic", motions, reference, seconds, joints)
+    features = partial(clip_features, kind="kinetic", joints=joints, variant=kinetic)
+    return _diversity(features, motions, reference, seconds)
 
 
 def div_g(
@@ -330,19 +338,18 @@ def div_g(
         >>> div_g([motion, motion], seconds=2)
         0.0
     """
-    return _diversity("geometric", motions, reference, seconds, None)
+    return _diversity(partial(clip_features, kind="geometric"), motions, reference, seconds)
 
 
 def _fid(
-    kind: str,
+    features: Callable[..., list[list[np.ndarray]]],
     generated: Sequence[Motion],
     reference: Sequence[Motion],
     seconds: float,
-    joints: Sequence[str] | None,
     resamples: int,
     seed: int,
 ) -> FrechetResult:
-    ours, theirs = clip_features([generated, reference], kind, seconds, joints)
+    ours, theirs = features([generated, reference], seconds=seconds)
     spread = _spread(np.concatenate(theirs))
     return frechet_result(
         [clips / spread for clips in ours],
@@ -353,16 +360,15 @@ def _fid(
 
 
 def _diversity(
-    kind: str,
+    features: Callable[..., list[list[np.ndarray]]],
     motions: Sequence[Motion],
     reference: Sequence[Motion] | None,
     seconds: float,
-    joints: Sequence[str] | None,
 ) -> float:
     from scipy.spatial.distance import pdist
 
     sets = [motions, motions if reference is None else reference]
-    ours, theirs = clip_features(sets, kind, seconds, joints)
+    ours, theirs = features(sets, seconds=seconds)
     clips = np.concatenate(ours)
     if len(clips) < 2:
         raise EvaluationError(f"diversity needs two clips of {seconds:g} s; there is one")
