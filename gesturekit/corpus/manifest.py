@@ -129,6 +129,8 @@ def absolute(path: Path) -> Path:
 def _records(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
     """Yield (line number, JSON object) of each line; skip blank lines."""
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise OSError(0, "not a regular file")
         file = path.open("rb")
     except OSError as error:
         reason = error.strerror

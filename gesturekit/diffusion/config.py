@@ -10,7 +10,7 @@ from typing import Literal
 from gesturekit.corpus.layouts import HANDED
 from gesturekit.errors import ConfigError
 from gesturekit.training.data.features import FeatureConfig
-from gesturekit.training.run_config import RunConfig, check_positive, check_share
+from gesturekit.training.run_config import RunConfig, check_at_most, check_positive, check_share
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,9 @@ class NetworkConfig:
             kernels=self.kernels,
             nearest_view=self.nearest_view,
         )
+        check_at_most(1000, blocks=self.blocks, layers=self.layers, kernels=self.kernels)
+        widths = {"channels": self.channels, "feedforward": self.feedforward}
+        check_at_most(16384, **widths, embedding=self.embedding)
         if self.channels % self.heads:
             raise ConfigError(f"heads: {self.heads} must divide channels, which is {self.channels}")
         if self.farthest_view < self.nearest_view:
@@ -91,6 +94,7 @@ class NoiseConfig:
 
     def __post_init__(self) -> None:
         check_positive(steps=self.steps)
+        check_at_most(10_000, steps=self.steps)
         for name in ("first_beta", "last_beta"):
             if not 0 < getattr(self, name) < 1:
                 raise ConfigError(f"{name}: {getattr(self, name)!r} must be between 0 and 1")

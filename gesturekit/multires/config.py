@@ -11,7 +11,12 @@ from typing import Literal
 
 from gesturekit.errors import ConfigError
 from gesturekit.training.data.features import FeatureConfig
-from gesturekit.training.run_config import RunConfig, check_not_negative, check_positive
+from gesturekit.training.run_config import (
+    RunConfig,
+    check_at_most,
+    check_not_negative,
+    check_positive,
+)
 
 BackendName = Literal["auto", "torch", "numba"]
 
@@ -51,6 +56,10 @@ class NetworkConfig:
 
     def __post_init__(self) -> None:
         check_positive(levels=self.levels, embedding=self.embedding, kernel=self.kernel)
+        check_at_most(64, levels=self.levels, layers=len(self.channels))
+        check_at_most(255, kernel=self.kernel)
+        check_at_most(4096, embedding=self.embedding)
+        check_at_most(4096, channels=max(self.channels, default=0))
         check_not_negative(neighbour_distance=self.neighbour_distance)
         if self.kernel % 2 == 0:
             raise ConfigError(f"kernel: {self.kernel} must be odd")

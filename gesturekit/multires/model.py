@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -21,6 +22,7 @@ from gesturekit.multires.controls import MultiresControlArguments, MultiresContr
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.network.skeleton_conv import n_weights
 from gesturekit.multires.recall.library_format import (
     library_row,
     library_tensors,
@@ -56,6 +58,8 @@ from gesturekit.training.model_folder import (
 )
 from gesturekit.training.run.device import prepare_device
 from gesturekit.training.seeds import checked_item, checked_seed
+
+_CONVOLUTION = re.compile(r"layers\.\d+\.weight")
 
 
 class MultiresModel(TrainedModel):
@@ -314,8 +318,12 @@ class MultiresModel(TrainedModel):
             bool(features and features["residual"]),
             config["recall"] is not None,
         )
+        trained = parts.tensors_under("network.")
+        given = sum(t.numel() for name, t in trained.items() if _CONVOLUTION.search(name))
+        if (needed := n_weights(representation, network_config)) != given:
+            raise ValueError(f"{needed} weights by config.yaml, {given} in model.safetensors")
         network = MultiresGenerator(representation, conditions.width, network_config)
-        network.load_state_dict(parts.tensors_under("network."))
+        network.load_state_dict(trained)
         noise = TrainedNoise(
             sigma=tensors["sigma"],
             z_star=parts.tensors_under("z_star."),

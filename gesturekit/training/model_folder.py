@@ -24,8 +24,10 @@ from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.run.device import memory_ran_out
+from gesturekit.training.run_config import MOST_SMOOTH
 
 FORMAT = 1
+_MOST_HEADER = 4 << 20  # some 40,000 tensors; the largest of our models have 2,000
 
 Model = TypeVar("Model")
 
@@ -113,6 +115,7 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
         fps = float(config["fps"])
         if not 0 < fps < math.inf:
             raise ValueError(f"fps is {fps}")
+        _check_files(folder)
         rig = json.loads((folder / "skeleton.json").read_text(encoding="utf-8"))
         model = assemble(ModelParts(folder, config, rig, load_file(folder / "model.safetensors")))
     except af.FeatureError as error:
@@ -151,6 +154,21 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
             locked,
         )
     return model
+
+
+def _check_files(folder: Path) -> None:
+    """Refuse what is no regular file, whose reading may never end, and a million tensors.
+
+    Raises:
+        ModelError: see above.
+    """
+    for name in ("skeleton.json", "model.safetensors"):
+        if (folder / name).exists() and not (folder / name).is_file():
+            raise ModelError(f"{folder / name}: not a regular file")
+    with (folder / "model.safetensors").open("rb") as file:
+        header = int.from_bytes(file.read(8), "little")  # bytes of JSON about the tensors
+    if header > _MOST_HEADER:
+        raise ModelError(f"{folder}: model.safetensors has {header} bytes of names; it is no model")
 
 
 def _read_config(folder: Path, kind: str) -> dict[str, Any]:
@@ -193,6 +211,8 @@ def model_readme(rows: Mapping[str, str], call: str) -> str:
 def common_arguments(parts: ModelParts) -> dict[str, Any]:
     """Return the fields of `BaseModel` from a model folder, without those of each system."""
     smooth = parts.config["smooth"]
+    if smooth is not None and not 0 <= smooth <= MOST_SMOOTH:
+        raise ValueError(f"smooth is {smooth}, not 0 to {MOST_SMOOTH} s")
     return {
         "fps": float(parts.config["fps"]),
         "speakers": read_speakers(parts.rig),

@@ -19,6 +19,9 @@ UNIDENTIFIED = (
 LEGLESS = "The rig has no legs: no contact labels or loss, and no feet to lock."
 """Log message for a rig of an upper body alone."""
 
+MOST_SMOOTH = 2.0
+"""Seconds up to which motion is smoothed, as by the control `smooth`."""
+
 
 def check_positive(**values: float) -> None:
     """Raise ConfigError for a value that is not above 0 and finite."""
@@ -32,6 +35,13 @@ def check_not_negative(**values: float) -> None:
     for name, value in values.items():
         if not 0 <= value < math.inf:
             raise ConfigError(f"{name}: {value!r} must be at least 0")
+
+
+def check_at_most(most: float, **values: float) -> None:
+    """Raise ConfigError for a value above `most`, which bounds memory and time."""
+    for name, value in values.items():
+        if value > most:
+            raise ConfigError(f"{name}: {value!r} must be at most {most}")
 
 
 def check_share(**values: float) -> None:
@@ -108,6 +118,7 @@ class RunConfig:
         check_not_negative(eval_every=self.eval_every, seed=self.seed)
         if self.smooth is not None:
             check_positive(smooth=self.smooth)
+            check_at_most(MOST_SMOOTH, smooth=self.smooth)
         for part, joint in self.parts.items():
             if part not in KNOWN_PARTS:
                 raise ConfigError(f"parts: {part!r} is none of {', '.join(KNOWN_PARTS)}")

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
+import yaml
 
+import gesturekit as gk
 from audio_features import level_lengths
+from gesturekit.errors import ModelError
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts import upper_body
 from gesturekit.multires.config import NetworkConfig
@@ -23,6 +27,7 @@ from gesturekit.multires.network.resampling import (
     resample_smoothly,
 )
 from gesturekit.multires.network.skeleton_conv import SLOPE, SkeletonConv1d, block_neighbours
+from gesturekit.systems import model_folder
 from gesturekit.training.seeds import rng_for
 
 CONFIG = NetworkConfig(levels=3, channels=(3, 3), embedding=8)
@@ -85,6 +90,20 @@ def test_widths_of_a_layer_are_split_over_the_blocks_of_the_rig(n_joints, widths
     assert len(representation.block_sizes) == n_joints + 1  # no feet in a chain of joints
     layers = MultiresGenerator(representation, 0, config).levels[0].layers
     assert [layer.sizes[1] for layer in layers[:-1]] == [(w,) * (n_joints + 1) for w in widths]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [("levels", 60, "model.safetensors"), ("channels", [64, 64, 64], "model.safetensors"),
+     ("channels", [4096] * 3, "134217728 weights"), ("levels", 10**9, "levels: 1000000000")],
+)  # fmt: skip
+def test_a_model_folder_makes_no_larger_network_than_it_has_weights(tmp_path, key, value, says):
+    shutil.copytree(model_folder("demo"), tmp_path / "m")
+    config = yaml.safe_load((tmp_path / "m" / "config.yaml").read_text())
+    config["network"][key] = value
+    (tmp_path / "m" / "config.yaml").write_text(yaml.safe_dump(config))
+    with pytest.raises(ModelError, match=says):
+        gk.load(tmp_path / "m")
 
 
 def test_a_joint_depends_only_on_its_neighbours(representation):

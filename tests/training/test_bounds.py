@@ -16,6 +16,7 @@ from gesturekit.training.config import build
 CONFIGS = {"diffusion": DiffusionConfig, "multires": MultiresConfig}
 
 WHOLE = ([0, -1], [1])
+WIDTH = ([0, -1, 10**9], [1, 4096])
 ABOVE_0 = ([0.0, -1.0, math.inf, math.nan], [1e-6])
 FROM_0 = ([-0.1, math.inf, math.nan], [0.0])
 COUNT_FROM_0 = ([-1], [0])
@@ -28,7 +29,7 @@ BOTH = {
     "log_every": WHOLE,
     "eval_every": COUNT_FROM_0,
     "seed": COUNT_FROM_0,
-    "smooth": ABOVE_0,
+    "smooth": ([0.0, -1.0, 2.1, math.inf, math.nan], [1e-6, 2.0]),
     "in_memory": ABOVE_0,
     "workers": WHOLE,
     "threads": WHOLE,
@@ -37,18 +38,18 @@ BOTH = {
 RANGES: dict[str, dict[str, tuple[list[Any], list[Any]]]] = {
     "diffusion": BOTH
     | {
-        "network.blocks": WHOLE,
-        "network.layers": WHOLE,
+        "network.blocks": ([0, -1, 10**9], [1, 1000]),
+        "network.layers": ([0, -1, 10**9], [1, 1000]),
         "network.channels": ([0, -16, 15], [2, 16]),  # of two heads
         "network.heads": ([0, -1, 3], [1, 16]),  # of 16 channels
-        "network.feedforward": WHOLE,
-        "network.embedding": WHOLE,
+        "network.feedforward": WIDTH,
+        "network.embedding": WIDTH,
         "network.kernels": WHOLE,
         "network.nearest_view": ([0, -1], [1, 75]),  # of 75 frames for the widest
         "network.farthest_view": ([4], [5]),
         "network.dilations": ([[], [2, -1]], [[0]]),
         "network.dropout": BELOW_1,
-        "noise.steps": WHOLE,
+        "noise.steps": ([0, -1, 10**9], [1, 10_000]),
         "noise.first_beta": ([0.0, 1.0, 0.51], [0.5]),  # of 0.5 for the last
         "noise.last_beta": ([0.0, 1.0, 0.007], [0.0074, 0.99]),
         "training.updates": WHOLE,
@@ -71,11 +72,11 @@ RANGES: dict[str, dict[str, tuple[list[Any], list[Any]]]] = {
         "contact_threshold": ABOVE_0,
         "z_star_shuffle": COUNT_FROM_0,
         "noise_levels": WHOLE,
-        "network.levels": WHOLE,
-        "network.channels": ([[], [3, 0]], [[1]]),
-        "network.kernel": ([0, -1, 4], [1, 7]),
+        "network.levels": ([0, -1, 10**9], [2, 64]),
+        "network.channels": ([[], [3, 0], [10**9]], [[1]]),
+        "network.kernel": ([0, -1, 4, 257], [1, 7, 255]),
         "network.neighbour_distance": COUNT_FROM_0,
-        "network.embedding": WHOLE,
+        "network.embedding": WIDTH,
         **{
             f"losses.{name}": FROM_0
             for name in (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -63,6 +64,11 @@ def test_what_is_written_is_read(folder, load, caplog):
     assert not caplog.messages
 
 
+def pipe(file: Path) -> None:
+    file.unlink()
+    os.mkfifo(file)
+
+
 def edit(file: Path, **changes: Any) -> None:
     values = json.loads(file.read_text()) if file.suffix == ".json" else {"format": 1, **CONFIG}
     file.write_text(json.dumps(values | changes))
@@ -81,6 +87,12 @@ def edit(file: Path, **changes: Any) -> None:
         (lambda f: edit(f / "config.yaml", fps=0), r"the model is damaged \(fps is 0\.0\)"),
         (lambda f: edit(f / "config.yaml", fps=1e999), r"the model is damaged \(fps is inf\)"),
         (lambda f: edit(f / "config.yaml", fps=[1]), "the model is damaged "),
+        (lambda f: pipe(f / "skeleton.json"), "skeleton.json: not a regular file"),
+        (lambda f: pipe(f / "model.safetensors"), "model.safetensors: not a regular file"),
+        (
+            lambda f: (f / "model.safetensors").write_bytes((5 << 20).to_bytes(8, "little")),
+            "model.safetensors has 5242880 bytes of names",
+        ),
     ],
 )
 def test_damage_is_named(folder, load, harm, says):

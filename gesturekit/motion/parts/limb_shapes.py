@@ -108,7 +108,9 @@ class _Shape:
                 joints |= {f"{side}_{part}": j for part, j in zip(parts, chain[start:])}
                 if parts[0] == "shoulder" and start:
                     joints[f"{side}_clavicle"] = chain[start - 1]
-        pairs = [pair for a, b in (leg_chains, arm_chains) for pair in self._corresponding(a[0], b[0])]
+        pairs = [
+            pair for a, b in (leg_chains, arm_chains) for pair in self._corresponding(a[0], b[0])
+        ]
         return Limbs(joints, self._head(chest, arms), tuple(sorted(pairs)))
 
     def _pairs_of_limbs(self) -> list[tuple[int, tuple[int, int]]]:

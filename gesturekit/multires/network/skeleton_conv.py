@@ -17,10 +17,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import shortest_path
 from torch import Tensor, nn
 
+from gesturekit.errors import ConfigError
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.resampling import reflect
 
+_MOST_WEIGHTS = 1 << 27  # of a dense kernel; GANimator's have 0.3 million
 SLOPE = 0.2
 """Negative slope of the leaky rectifiers, as in GANimator."""
 
@@ -112,14 +114,38 @@ def skeleton_layers(
         config: widths, kernel and neighbours.
         output: add a last layer, back to motion vectors.
     """
+    near, sizes = _sizes(representation, config, output)
+    return nn.ModuleList(
+        SkeletonConv1d(near, *pair, config.kernel) for pair in itertools.pairwise(sizes)
+    )
+
+
+def n_weights(representation: MultiresRepresentation, config: NetworkConfig) -> int:
+    """Return the number of weights of all generators' skeleton convolutions, without making any."""
+    near, sizes = _sizes(representation, config, output=True)
+    connected = sum(np.array(b) @ near @ np.array(a) for a, b in itertools.pairwise(sizes))
+    return config.levels * config.kernel * int(connected)
+
+
+def _sizes(
+    representation: MultiresRepresentation, config: NetworkConfig, output: bool
+) -> tuple[np.ndarray, list[tuple[int, ...]]]:
+    """Return the neighbours of blocks, and the channels of each block before and after each layer.
+
+    Raises:
+        ConfigError: the dense kernel of a layer would take too much memory.
+    """
     near = block_neighbours(representation, config.neighbour_distance, config.contact_reach)
     motion = representation.block_sizes
     parts = len(near) if config.channels_per == "layer" else 1
     widths = [math.ceil(channels / parts) for channels in config.channels]
     sizes = [motion, *((width,) * len(near) for width in widths), *[motion] * output]
-    return nn.ModuleList(
-        SkeletonConv1d(near, *pair, config.kernel) for pair in itertools.pairwise(sizes)
-    )
+    if max(sum(a) * sum(b) for a, b in itertools.pairwise(sizes)) * config.kernel > _MOST_WEIGHTS:
+        raise ConfigError(
+            f"channels: {list(config.channels)} and kernel {config.kernel} on {len(near)} blocks: "
+            f"a dense layer would have over {_MOST_WEIGHTS} weights"
+        )
+    return near, sizes
 
 
 def convolve_dense(
