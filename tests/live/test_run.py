@@ -411,7 +411,8 @@ def test_the_figures_of_a_run_are_those_of_its_steps(monkeypatch):
         }
     )
     assert report.line() == (
-        "7.5 s, 12 frames, worst lag 1.25 s, 0.01 s bridged, 1.50 s dropped, 1 overflow, "
+        "7.5 s, 12 frames, worst lag 1.25 s, 0.01 s of sound bridged, "
+        "1.50 s of sound dropped, 1 overflow, "
         "2 steps missed by a sink"
     )
 

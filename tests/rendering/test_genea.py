@@ -83,7 +83,7 @@ def test_the_command_makes_what_is_missing_and_says_what_is_wrong(beat2, tmp_pat
     assert run("check") == 1
     assert "2 of 2 files are wrong" in capsys.readouterr().out
     assert run("export") == 2
-    assert "give --model" in capsys.readouterr().err
+    assert "--model demo" in capsys.readouterr().err
     assert run("export", "--model", "demo") == 0
     said = capsys.readouterr()
     assert "2 sounds, all 2 files are right" in said.out and "Failed" not in said.err
