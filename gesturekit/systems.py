@@ -15,6 +15,7 @@ from gesturekit.field_docs import field_docs
 from gesturekit.model import Controls, Model
 from gesturekit.training.config import load_config, read_chain, read_yaml
 from gesturekit.training.recipes import find_config, main_configs, named_config
+from gesturekit.training.run.state import unfinished
 from gesturekit.training.run_config import RunConfig
 from gesturekit.training.settings import Setting, list_settings
 
@@ -150,6 +151,8 @@ def load(
     folder = model_folder(model)
     if not _is_model(folder) and _is_model(folder / "model"):
         folder /= "model"  # the model of a run folder
+    if not _is_model(folder) and (why := unfinished(folder)):
+        raise ModelError(why)
     if not folder.is_dir():
         raise ModelError(
             f"{model}: neither a model folder nor a bundled model "

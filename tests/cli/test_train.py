@@ -14,6 +14,8 @@ import yaml
 from audio_features.kinds import KINDS
 from gesturekit import systems
 from gesturekit.corpus import Manifest
+from gesturekit.errors import ConfigError, ModelError
+from gesturekit.inspection import inspect
 from gesturekit.multires.training.stage import Stage
 from gesturekit.systems import resolved_settings
 from gesturekit.training.config import read_yaml
@@ -153,19 +155,36 @@ def test_the_run_folder_is_enough_to_resume(gesturekit, train, tmp_path):
 
 
 def test_an_interrupted_run_says_how_to_go_on(gesturekit, train, tmp_path, monkeypatch, caplog):
-    iterate = Stage.iterate
+    iterate, run, during = Stage.iterate, tmp_path / "run", {}
+    command = f"gesturekit train --resume {run}"
 
     def interrupted(self, iteration):
         if self.first == 2:
+            during.update(state=inspect(run).facts["state"], model=opened(run))
+            with pytest.raises(ConfigError, match="it is in use, by process"):
+                systems.train(run, resume=True)
             raise KeyboardInterrupt
         return iterate(self, iteration)
 
+    def opened(path):
+        with pytest.raises(ModelError) as caught:
+            systems.load(path)
+        return str(caught.value)
+
     monkeypatch.setattr(Stage, "iterate", interrupted)
     assert train().status == 130
-    command = f"gesturekit train --resume {tmp_path / 'run'}"
     assert f"Continue with: {command}" in caplog.text
     monkeypatch.undo()
+    assert during["state"] == "running" and "still running" in during["model"]
+    assert inspect(run).facts["state"] == "stopped" and command in dict(inspect(run).rows)["state"]
+    for path in (run, run / "model"):
+        assert opened(path).endswith(f"{run}: this training is not finished; {command}")
+        gesturekit("render", "--seconds", 2, "--out", "o", "--model", path).fails(2, command)
+        gesturekit("evaluate", path, tmp_path).fails(2, command)
+    gesturekit("inspect", run / "model").fails(1, command)
+    assert command in train(f"out={tmp_path / 'next'}", f"start_from={run}").fails(2).err
     assert gesturekit(*command.split()[1:]).status == 0
+    assert inspect(run).facts["state"] == "finished" and systems.load(run)
 
 
 def test_before_the_first_step_it_says_what_it_will_do(train, tmp_path, caplog):
