@@ -55,6 +55,10 @@ def error_line(done) -> str:
         ("training.window=.nan", "window"),
         ("training.discriminator_steps=-1", "discriminator_steps: -1"),
         ("losses.contact=-5", "contact: -5"),
+        ("longer=0", "longer: 0.0 must be above 0"),
+        ("steps=9", "mean longer or training.first_stage or training.further_stages?"),
+        ("training.epochs=9", "unknown key training.epochs; did you mean longer or"),
+        ("training.lr=1", "unknown key training.lr; did you mean training.learning_rate?"),
         ("threads=0", "threads: 0"),
         ("network.levels=40", "use fewer levels"),
         ("corpus=", "corpus may not be empty"),
@@ -199,6 +203,18 @@ def test_before_the_first_step_it_says_what_it_will_do(train, tmp_path, caplog):
     assert train().status == 0
     train("--plan").ok()
     assert "holds a run already; add --resume to continue it, or out=OTHER" in caplog.text
+
+
+def test_one_setting_makes_a_training_twice_as_long(gesturekit, recipe, corpus, tmp_path, caplog):
+    """Three stages of two iterations, and six updates."""
+    caplog.set_level(logging.INFO)
+    given = (*recipe, f"corpus={corpus}", f"out={tmp_path / 'run'}", "longer=2")
+    gesturekit("train", *given, "--plan").ok()
+    gesturekit("train", *given).ok()
+    assert len(re.findall(r" 12 (?:iterations|updates) \(longer=2\)\.", caplog.text)) == 2
+    assert "drawn" not in caplog.text and "draws" not in caplog.text
+    lines = (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()
+    assert max(json.loads(line)["step"] for line in lines) == 12
 
 
 @pytest.fixture
