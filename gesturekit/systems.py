@@ -331,15 +331,13 @@ def _is_model(folder: Path) -> bool:
 def _not_a_config(path: Path) -> str:
     """Return the end of a message about a file that is not a configuration."""
     if path.suffix.lower() == ".jsonl":
-        what = f"a manifest, not a configuration; give it as corpus={path} beside one of"
-    elif path.suffix.lower() in (".bvh", ".npz", ".wav"):
-        what = (
-            "a recording, not a configuration; run gesturekit prepare on its folder, then train "
-            "one of"
+        return f"a manifest, not a configuration; gesturekit train own_corpus corpus={path}"
+    if path.suffix.lower() in (".bvh", ".npz", ".wav"):
+        return (
+            "a recording, not a configuration; run gesturekit prepare on its folder, then "
+            "gesturekit train own_corpus"
         )
-    else:
-        what = "not a configuration, which is a .yaml file such as"
-    return f"{what} {', '.join(main_configs())}"
+    return f"not a configuration, which is a .yaml file such as {', '.join(main_configs())}"
 
 
 def _part(where: str) -> Any:

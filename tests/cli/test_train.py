@@ -231,6 +231,7 @@ def test_it_ends_with_a_verdict_on_held_out_speech(train, one_recording, tmp_pat
     done = train(f"corpus={one_recording}").ok()
     assert "Training on 1 recording, 32 s at 30 fps" in caplog.text
     said = re.search(r"Measured (on 1 held-out recording \(8 s\): [A-Z].*\.)\n\Z", done.out)[1]
+    assert "Warning: held-out items with neighbours in training, of the same take" in said
     assert said in (tmp_path / "run" / "model" / "README.md").read_text()
     assert said not in caplog.text  # a terminal shows both
     lines = [json.loads(x) for x in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
@@ -360,8 +361,13 @@ def test_a_mistyped_configuration_suggests_the_nearest(gesturekit, light, monkey
     ("arguments", "says"),
     [
         (["--resume", "runs/none"], "runs/none: no such run"),
-        (["c.jsonl"], "c.jsonl: a manifest, not a configuration; give it as corpus=c.jsonl"),
-        (["a.bvh"], "run gesturekit prepare on its folder, then train one of rec"),
+        (
+            ["c.jsonl"],
+            "c.jsonl: a manifest, not a configuration; gesturekit train own_corpus corpus=c.jsonl",
+        ),
+        ([], "gesturekit train own_corpus corpus=CORPUS.jsonl"),
+        (["corpus=c.jsonl", "seed=1"], "gesturekit train own_corpus corpus=c.jsonl seed=1"),
+        (["a.bvh"], "prepare on its folder, then gesturekit train own_corpus"),
         (["light.yaml"], "did you mean recipes/speech/light.yaml?"),
         (["folder"], "run gesturekit prepare on it"),
         (["recipes/speech/light.yaml", "corpus=folder"], "it is a folder; run gesturekit prepare"),

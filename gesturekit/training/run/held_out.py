@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import Manifest
+from gesturekit.corpus.takes import neighbours
 from gesturekit.errors import GestureKitError
 from gesturekit.evaluation import evaluate
 from gesturekit.evaluation.measuring.clips import forget_files
@@ -125,6 +126,11 @@ class HeldOutMetrics:
         return replace(item, reading={**item.reading, "parts": parts})
 
     @property
+    def _training(self) -> list[Item]:
+        """Return the training items beside those to measure."""
+        return [item for item in self._corpus if item.split == "train" and self.is_held_out]
+
+    @property
     def is_held_out(self) -> bool:
         """Return True if no item is of split train."""
         return all(item.split != "train" for item in self.items)
@@ -184,6 +190,9 @@ class HeldOutMetrics:
         if found is None:
             return ""
         said = f"on {self.what}: {found.verdict or NO_VERDICT}"
+        beside = neighbours([*self.items, *self._training], self.items[0].split)
+        if keep and beside:
+            said += f" Warning: {beside}."
         if keep:  # the training ends with the verdict, in the model's README
             log.info("All metrics on %s: %s", self.what, self.command)
         else:
@@ -200,8 +209,7 @@ class HeldOutMetrics:
         try:
             for item in self.items:
                 self._generated(model, item, controls).save(folder / f"{item.id}.npz")
-            training = [item for item in self._corpus if item.split == "train"]
-            manifest = Manifest([*self.items, *(training if self.is_held_out else ())])
+            manifest = Manifest([*self.items, *self._training])
             manifest.save(folder / "corpus.jsonl")
             split = self.items[0].split
             found = evaluate(folder, folder / "corpus.jsonl", split=split, cheap=True)
