@@ -21,7 +21,7 @@ def join_copies(recordings: Sequence[Recording]) -> tuple[list[Recording], list[
     """
     files = {path for one in recordings for path in (one.audio, one.motion) if path}
     original = _originals(sorted(files))
-    contents = [[original.get(p, p) for p in (r.audio, r.motion) if p] for r in recordings]
+    contents = [[original[p] for p in (r.audio, r.motion) if p in original] for r in recordings]
     takes = _joined([one.take or one.id for one in recordings], contents)
     firsts = _joined([one.id for one in recordings], contents)
     joined = [
@@ -52,17 +52,11 @@ def _originals(files: Sequence[Path]) -> dict[Path, Path]:
 
 
 def _joined(names: Sequence[str], contents: Sequence[Sequence[Path]]) -> list[str]:
-    """Return the first name that each name is connected with by files that they share."""
-    root: dict[str | Path, str | Path] = {}
-
-    def find(node: str | Path) -> str | Path:
-        while node in root:
-            node = root[node]
-        return node
-
-    for name, files in zip(names, contents, strict=True):
-        for file in files:
-            if (one := find(file)) != (other := find(name)):
-                root[one] = other
-    first: dict[str | Path, str] = {}
-    return [first.setdefault(find(name), name) for name in names]
+    """Return the first name that each name is connected with by contents that they share."""
+    labels, holders = list(names), {}
+    for k, shared in enumerate(contents):
+        for content in shared:
+            first, own = labels[holders.setdefault(content, k)], labels[k]
+            if first != own:
+                labels = [first if label == own else label for label in labels]
+    return labels

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import logging
 import re
@@ -234,6 +235,7 @@ def test_it_ends_with_a_verdict_on_held_out_speech(train, one_recording, tmp_pat
     assert "Warning: held-out items with neighbours in training, of the same take" in said
     assert said in (tmp_path / "run" / "model" / "README.md").read_text()
     assert said not in caplog.text  # a terminal shows both
+    assert html.escape(f"Measured {said}") in (tmp_path / "run" / "report.html").read_text()
     lines = [json.loads(x) for x in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
     (figures,) = (line for line in lines if line.get("kind") == "held_out")
     assert {"held_out/sync", "held_out/sync_chance", "held_out/arm_speed"} <= figures.keys()

@@ -12,10 +12,11 @@ from typing import Any
 
 from audio_features.atomic import atomic_write
 from gesturekit.errors import ConfigError
+from gesturekit.jobs.lease import Lease
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.run.checkpoint import Checkpoints
 from gesturekit.training.run.report import RunReport
-from gesturekit.training.run.state import hold
+from gesturekit.training.run.state import LEASE
 
 _VERSIONS_OF = ("gesturekit", "torch", "numpy", "scipy", "librosa", "soxr", "transformers")
 
@@ -88,7 +89,8 @@ class Run:
         Raises:
             ConfigError: another process trains it.
         """
-        self._lease = hold(self.folder)
+        (self.folder / LEASE).mkdir(exist_ok=True)
+        self._lease = Lease(self.folder / LEASE, 1, 1, {})
 
     def _write(self, name: str, text: str) -> None:
         with atomic_write(self.folder / name) as temporary:

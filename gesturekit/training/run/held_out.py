@@ -126,11 +126,6 @@ class HeldOutMetrics:
         return replace(item, reading={**item.reading, "parts": parts})
 
     @property
-    def _training(self) -> list[Item]:
-        """Return the training items beside those to measure."""
-        return [item for item in self._corpus if item.split == "train" and self.is_held_out]
-
-    @property
     def is_held_out(self) -> bool:
         """Return True if no item is of split train."""
         return all(item.split != "train" for item in self.items)
@@ -190,16 +185,15 @@ class HeldOutMetrics:
         if found is None:
             return ""
         said = f"on {self.what}: {found.verdict or NO_VERDICT}"
-        beside = neighbours([*self.items, *self._training], self.items[0].split)
-        if keep and beside:
-            said += f" Warning: {beside}."
         if keep:  # the training ends with the verdict, in the model's README
+            beside = neighbours(self._corpus, self._fitting[0].split)
+            said += f" Warning: {beside}." if beside else ""
             log.info("All metrics on %s: %s", self.what, self.command)
         else:
             log.info("Step %d%s: %s", step, so_far, said)
         kind = self.folder.name
         if not self.run.has(step, kind):
-            self.run.log(step, dict(_logged(found, kind)), kind=kind)
+            self.run.log(step, dict(_logged(found, kind)), kind=kind, verdict=said)
         return said
 
     def _evaluated(self, model: _Model, controls: dict[str, Any], *, keep: bool) -> ModelResult:
@@ -209,7 +203,8 @@ class HeldOutMetrics:
         try:
             for item in self.items:
                 self._generated(model, item, controls).save(folder / f"{item.id}.npz")
-            manifest = Manifest([*self.items, *self._training])
+            training = [item for item in self._corpus if item.split == "train"]
+            manifest = Manifest([*self.items, *(training if self.is_held_out else ())])
             manifest.save(folder / "corpus.jsonl")
             split = self.items[0].split
             found = evaluate(folder, folder / "corpus.jsonl", split=split, cheap=True)

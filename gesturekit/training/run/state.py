@@ -5,24 +5,15 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
-from gesturekit.jobs.lease import Lease, live_leases
+from gesturekit.jobs.lease import live_leases
 
-_LEASE = ".lease"
-
-
-def hold(folder: Path) -> Lease:
-    """Return a lease that marks a run as running while this process lives, until `release`.
-
-    Raises:
-        ConfigError: another process trains it.
-    """
-    (folder / _LEASE).mkdir(exist_ok=True)
-    return Lease(folder / _LEASE, 1, 1, {})
+LEASE = ".lease"
+"""Folder within a run of the lease of the process that trains it."""
 
 
 def is_running(folder: Path) -> bool:
     """Return whether a living process trains a run."""
-    return bool(live_leases(folder / _LEASE))
+    return bool(live_leases(folder / LEASE))
 
 
 def unfinished(folder: Path) -> str:
