@@ -104,8 +104,8 @@ def folders_of(
     asked = [name for name in _CONTROLS if options.get(name) not in (None, ())]
     if asked and not sampled:
         raise click.UsageError(
-            f"{_CONTROLS[asked[0]].opts[0]} is for models that --protocol samples, and only motion is named: give a "
-            "model folder, or render the motion with it (gesturekit render)"
+            f"{_CONTROLS[asked[0]].opts[0]} is for models that --protocol samples, and only motion "
+            "is named: give a model folder, or render the motion with it (gesturekit render)"
         )
     return folders
 
