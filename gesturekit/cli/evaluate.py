@@ -355,9 +355,7 @@ def _measuring(options: Mapping[str, Any], unit: str) -> dict[str, Any]:
     from gesturekit.progress import Progress
 
     return {
-        "variants": Variants(
-            *(options[name] for name in ("variant", "threshold", "bas", "kinetic"))
-        ),
+        "variants": Variants(*(options[n] for n in ("variant", "threshold", "bas", "kinetic"))),
         "seed": options["seed"],
         "workers": options["workers"] or os.cpu_count() or 1,
         "progress": lambda portions, total, label: Progress(

@@ -68,6 +68,7 @@ def folders_of(
 ) -> dict[str, Path]:
     """Return {label: folder of motion}; sample model folders first."""
     from gesturekit.systems import bundled_models
+    from gesturekit.training.run.state import unfinished
 
     folders: dict[str, Path] = {}
     sampled = False
@@ -86,6 +87,8 @@ def folders_of(
             if label in folders:
                 label = str(place)
         folders[label] = path
+        if why := unfinished(path):
+            raise click.UsageError(why)
         if path.exists() and not (path / "config.yaml").is_file():
             continue
         if not path.exists() and name not in bundled_models():
@@ -101,8 +104,8 @@ def folders_of(
     asked = [name for name in _CONTROLS if options.get(name) not in (None, ())]
     if asked and not sampled:
         raise click.UsageError(
-            f"{_CONTROLS[asked[0]].opts[0]} is for models that --protocol samples, and only motion is named: give a "
-            "model folder, or render the motion with it (gesturekit render)"
+            f"{_CONTROLS[asked[0]].opts[0]} is for models that --protocol samples, and only motion "
+            "is named: give a model folder, or render the motion with it (gesturekit render)"
         )
     return folders
 

@@ -117,6 +117,13 @@ def _seconds(text: str) -> float:
     "one is trimmed.",
 )
 @click.option(
+    "--trim",
+    default="",
+    metavar="ID,...",
+    help="Recordings whose sound and motion may differ in length by more; the longer one is "
+    "trimmed.",
+)
+@click.option(
     "--shift",
     default="0",
     metavar="SECONDS|auto",

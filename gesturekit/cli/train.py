@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     context_settings={"ignore_unknown_options": True},  # refused below
     epilog="Example: gesturekit train own_corpus corpus=corpus.jsonl out=runs/mine",
 )
-@click.argument("config", type=click.Path(path_type=Path))
+@click.argument("config", type=click.Path(path_type=Path), required=False)
 @click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
 @click.option(
     "--resume",
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     help="Print every setting with its value, default and description, and exit.",
 )
 def command(
-    config: Path,
+    config: Path | None,
     overrides: tuple[str, ...],
     resume: bool,
     only_plan: bool,
@@ -72,6 +72,12 @@ def command(
     if resume and (only_plan or only_arrays):
         option = "--plan" if only_plan else "--arrays"
         raise click.UsageError(f"{option} is for a new run; leave out --resume")
+    if config is None or ("=" in str(config) and not config.exists()):
+        given = shlex.join([str(config), *overrides]) if config else "corpus=CORPUS.jsonl"
+        raise click.UsageError(
+            "name a recipe or a configuration first (gesturekit recipes ls); for your own "
+            f"recordings: gesturekit train own_corpus {given}"
+        )
     _refuse_options([str(config), *overrides])
     if workers is not None:
         overrides = (*overrides, f"workers={workers}")

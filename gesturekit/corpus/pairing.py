@@ -6,7 +6,7 @@ import os
 import re
 import unicodedata
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,6 +28,9 @@ _KINDS = (
     *("audio", "sound", "speech", "voice", "mic", "wav"),
     *("motion", "mocap", "skeleton", "body", "anim", "animation", "bvh"),
 )
+
+
+_MOST_COMPARED = 1_000_000  # pairs of unpaired files whose names are compared
 
 
 @dataclass(frozen=True, order=True)
@@ -138,6 +141,11 @@ def pair(scans: Sequence[Iterable[Found]]) -> Pairing:
     result.pairs.sort()
     result.speech = sorted(found for found in left if found.is_speech)
     result.motion = sorted(found for found in left if not found.is_speech)
+    if len(result.speech) * len(result.motion) <= _MOST_COMPARED and (
+        near := list(_near_names(result))
+    ):
+        text = f"not paired, but of near names: {listed(near, 4)}; rename one of each"
+        result.problems.append(Problem("warning", None, text))
     return result
 
 
@@ -157,6 +165,16 @@ def recording_ids(found: Sequence[Found]) -> list[str]:
             ids[i] = f"{name}_{n}"
         used.add(ids[i])
     return ids
+
+
+def _near_names(result: Pairing) -> Iterator[str]:
+    """Yield unpaired sound and motion of which one name has all words of the other, and more."""
+    moves = [(motion, set(_loose(motion.stem).split())) for motion in result.motion]
+    for sound in result.speech:
+        words = set(_loose(sound.stem).split())
+        for motion, others in moves:
+            if words <= others or others <= words:
+                yield f"{sound.path.name} and {motion.path.name}"
 
 
 def _loose_key(found: Found) -> str:

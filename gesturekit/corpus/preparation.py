@@ -15,6 +15,7 @@ from typing import Any
 from gesturekit.corpus import checks, splits
 from gesturekit.corpus.alignment import corrections, shift_problems
 from gesturekit.corpus.checks import Problem
+from gesturekit.corpus.copies import join_copies
 from gesturekit.corpus.item import READING
 from gesturekit.corpus.layouts import read_layout
 from gesturekit.corpus.layouts.listing import Listing
@@ -29,7 +30,7 @@ from gesturekit.formats.conversion import refuse_unused_read_options
 from gesturekit.formats.registry import MOTION_SUFFIXES, format_of
 from gesturekit.formats.sources import OTHER_SPEECH_SUFFIXES, SPEECH_SUFFIXES
 from gesturekit.motion.parts import find_parts
-from gesturekit.wording import counted, listed
+from gesturekit.wording import counted, did_you_mean, listed
 
 MAX_SIZE_RATIO = 1.5
 """Largest ratio of body heights in a corpus without a warning."""
@@ -87,6 +88,9 @@ class PrepareOptions:
     tolerance: float = 1.0
     """Largest difference in length between the sound and the motion of a pair, seconds. The longer
     one is trimmed; a larger difference is an error."""
+    trim: str | Sequence[str] = ()
+    """Ids of pairs, `"day1/003,004"` or a list, whose sound and motion may differ by any length;
+    the longer one is trimmed."""
     shift: float | str = 0.0
     """Seconds by which the motion of every pair comes later than its sound in the files (negative:
     earlier), which are taken back; "auto" estimates them, and reads the recordings twice. See
@@ -182,12 +186,11 @@ def prepare(
     recordings, found = _in_time(tasks, chosen, label)
     recordings, odd = _of_one_skeleton(recordings)
     left_out = {problem.file for problem in odd}
-    problems = [
-        one for one in problems + found if one.file not in left_out or one.severity == "error"
-    ]
+    problems = [p for p in problems + found if p.file not in left_out or p.severity == "error"]
     problems += odd + _corpus_notes(recordings) + _other_rates(recordings, listing)
     recordings, unnamed = name_takes(recordings, chosen.take_pattern, chosen.take_table)
-    problems += unnamed
+    recordings, copies = join_copies(recordings)
+    problems += unnamed + copies
     if hold_out := chosen.hold_out():
         recordings = hold_out.apply(recordings, listing.copies if listing else "")
     items, cut = splits.split_items(
@@ -231,8 +234,13 @@ def _examined(
     recordings: list[Recording] = []
     problems: list[Problem] = []
     unmatched = 0
-    examination = Examination(options.tolerance, options.channel, options.parts, read)
     named = [recording for recording, _ in tasks]
+    trim = options.trim.split(",") if isinstance(options.trim, str) else options.trim
+    trim = {name.strip() for name in trim if name.strip()}
+    if unknown := sorted(trim - {one.id for one in named}):
+        hint = did_you_mean(unknown[0], (one.id for one in named), "; did you mean {}?")
+        raise CorpusError(f"trim: no recording {unknown[0]!r}{hint}")
+    examination = Examination(options.tolerance, trim, options.channel, options.parts, read)
     each = examine_each(named, examination, options.workers, options.progress)
     for (_, is_alone), (checked, found) in zip(tasks, each, strict=True):
         if checked is not None:

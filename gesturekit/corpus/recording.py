@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -43,6 +43,7 @@ class Recording:
 
     Attributes:
         take: recording session; None if it is not known to be that of other recordings.
+        original: id of the first recording with the same sound or motion; its own without copies.
         split: published split, or None.
         limits: interval to use, in the seconds of `start`.
         audio_offset: time in the sound file at which the motion file begins.
@@ -62,6 +63,7 @@ class Recording:
     speaker: str | None = None
     style: str | None = None
     take: str | None = None
+    original: str | None = None
     conditions: Mapping[str, Path] = field(default_factory=dict)
     reading: Mapping[str, Any] = field(default_factory=dict)
     split: str | None = None
@@ -127,7 +129,7 @@ def examine(
         if wave is not None and recording.limits == (0.0, math.inf):
             sounds = (wave.duration, wave.duration - recording.audio_offset)
             sound = min(sounds, key=lambda seconds: abs(seconds - motion.duration))
-            _check_lengths(sound, motion, recording.motion, tolerance, problems)
+            _check_lengths(sound, motion, recording, tolerance, problems)
         stop = min(stop, motion.duration)
         if any(problem.severity == "error" for problem in problems):
             return None, problems
@@ -230,8 +232,9 @@ _TABLES: dict[str, tuple[Callable[[Path], Any], str]] = {
 
 
 def _check_lengths(
-    sound: float, motion: Motion, file: Path, tolerance: float, problems: list[Problem]
+    sound: float, motion: Motion, recording: Recording, tolerance: float, problems: list[Problem]
 ) -> None:
+    file = recording.motion
     apart = abs(sound - motion.duration)
     lengths = f"{sound:.2f} s of sound and {motion.duration:.2f} s of motion"
     if apart > tolerance:
@@ -240,8 +243,7 @@ def _check_lengths(
                 "error",
                 file,
                 f"{lengths} differ by {apart:.2f} s, more than {tolerance:g} s: cut both files to "
-                f"the same stretch, or use what they share with --tolerance "
-                f"{math.ceil(10 * apart) / 10:g}",
+                f"the same stretch, or use what they share with --trim {recording.id}",
             )
         )
     elif apart > 1.0 / motion.fps:
@@ -317,6 +319,7 @@ class Examination:
     """Examination of one recording with the options of a corpus; see `PrepareOptions`."""
 
     tolerance: float
+    trim: Collection[str]
     channel: int | None
     parts: Mapping[str, str] | None
     read: Mapping[str, Any]
@@ -329,7 +332,8 @@ class Examination:
             if self.parts and "height" in reading:  # the height depends on the parts
                 reading["parts"] = dict(self.parts)
             recording = replace(recording, reading=reading)
-        return examine(recording, self.tolerance, self.parts)
+        tolerance = math.inf if recording.id in self.trim else self.tolerance
+        return examine(recording, tolerance, self.parts)
 
 
 def examine_each(

@@ -62,6 +62,7 @@ class Report:
             ("sample rates", _counted(f"{r.sample_rate} Hz" for r in self.recordings if r.audio)),
             ("speakers", _labels([r.speaker for r in self.recordings])),
             ("styles", _labels([r.style for r in self.recordings])),
+            ("side files", self._side_files()),
             ("shift", self._shift()),
             ("left out", self._left_out()),
         ]
@@ -97,6 +98,11 @@ class Report:
                 f"left out: {what} in {folder}: {names} (to use it alone: {option} {folder})"
             )
         return lines
+
+    def _side_files(self) -> str:
+        """Return the kinds of tables beside the recordings: "words from .TextGrid (3)"."""
+        beside = (table for one in self.recordings for table in one.conditions.items())
+        return _counted(f"{name} from {file.suffix}" for name, file in beside)
 
     def _heights(self) -> str:
         heights = sorted(one.height for one in self.recordings if one.height is not None)

@@ -94,6 +94,8 @@ class HoldOut:
                 f"hold-out: no recording of speaker {unknown[0]!r}; the speakers are {there}"
             )
         wanted |= {one.id for one in recordings if one.speaker in self.speakers}
+        originals = {_original(one) for one in recordings if one.id in wanted}
+        wanted |= {one.id for one in recordings if _original(one) in originals}
         if recordings and len(wanted) == len(recordings):
             raise CorpusError(
                 f"all {counted(len(recordings), 'recording')} would be held out, which would "
@@ -234,7 +236,8 @@ def split_items(
     """
     paired = [recording for recording in recordings if recording.audio and recording.motion]
     alone = [recording for recording in recordings if not (recording.audio and recording.motion)]
-    if holdout > 0 and not intervals and len(paired) == 1 and paired[0].split is None:
+    is_single = len({_original(one) for one in paired}) == 1
+    if holdout > 0 and not intervals and is_single and paired[0].split is None:
         only = paired[0]
         intervals = [(only.stop - TAIL * (only.stop - only.start), math.inf)]
     items: list[Item] = []
@@ -272,9 +275,14 @@ def _whole(
     """Return the items of whole recordings; takes without a published split are kept together."""
     free = [one for one in recordings if not one.split]
     are_takes = len({one.take for one in free}) > 1
-    unit = attrgetter("take" if are_takes else "id")
+    unit = attrgetter("take") if are_takes else _original
     chosen = choose_held_out(map(unit, free), holdout, seed, at_least=at_least)
     return [_item(one, one.split or chosen[unit(one)]) for one in recordings]
+
+
+def _original(recording: Recording) -> str:
+    """Return the id of a recording, or of the one that it is a copy of."""
+    return recording.original or recording.id
 
 
 def _parts(recording: Recording, intervals: Sequence[Interval]) -> list[tuple[str, Interval]]:

@@ -219,6 +219,7 @@ class UnpairedConfig:
 class DiffusionConfig(RunConfig):
     """A diffusion training run, with any combination of speech, path, events and styles."""
 
+    noun = "update"
     system: Literal["diffusion"]
     """Name of the system; always `diffusion` here."""
     out: Path = field(default_factory=lambda: Path("runs/diffusion"))
@@ -267,6 +268,11 @@ class DiffusionConfig(RunConfig):
                 f"training.foot_sliding: {self.training.foot_sliding} is for models that move the "
                 "root themselves; with path: true, set it to 0"
             )
+
+    @property
+    def updates(self) -> int:
+        """Return the number of updates."""
+        return self.lengthened(self.training.updates)
 
     @property
     def window_frames(self) -> int:

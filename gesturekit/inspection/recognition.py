@@ -16,6 +16,7 @@ from gesturekit.inspection.summary import Summary
 from gesturekit.systems import bundled_models, model_folder
 from gesturekit.training.config import read_yaml
 from gesturekit.training.recipes import is_copy
+from gesturekit.training.run.state import unfinished
 
 _JSON = {".json": "motion", ".jsonl": "corpus"}
 _KNOWN = (
@@ -92,6 +93,8 @@ def kind_of(path: str | Path) -> str:
     if path.is_dir():
         return _kind_of_folder(path)
     if not path.exists():
+        if why := unfinished(path):
+            raise FormatError(why)
         raise FormatError(
             f"{path}: no such file or folder, and no bundled model ({', '.join(bundled_models())})"
         )

@@ -11,10 +11,9 @@ from gesturekit.errors import ConfigError, ModelError
 from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.training.config import read_yaml
 from gesturekit.training.run.checkpoint import Checkpoints
+from gesturekit.training.run.state import is_running, resume_command
 from gesturekit.wording import listed
 
-_ALIVE = 120.0
-"""A run that has written within this many seconds may still be running."""
 _SETTINGS = ("system", "corpus", "fps", "joints", "seed", "device", "precision")
 
 
@@ -38,7 +37,7 @@ def inspect_run(folder: Path) -> Summary:
     is_done = (folder / "model" / "config.yaml").is_file()
     facts: dict[str, Any] = {
         "path": str(folder),
-        "state": "finished" if is_done else "running" if silent < _ALIVE else "stopped",
+        "state": "finished" if is_done else "running" if is_running(folder) else "stopped",
         "silent_seconds": silent,
         "step": last.get("step"),
         "metrics": last,
@@ -60,8 +59,8 @@ def _rows(folder: Path, facts: dict[str, Any]) -> list[tuple[str, str]]:
     ago = f"last written {span(facts['silent_seconds'])} ago"
     state = {
         "finished": f"finished; its model is {folder / 'model'}",
-        "running": f"running, as it seems: {ago}",
-        "stopped": f"stopped: {ago}; gesturekit train --resume {folder} goes on",
+        "running": f"running: {ago}",
+        "stopped": f"not finished and not running, {ago}; {resume_command(folder)}",
     }[facts["state"]]
     numbers = {
         key: value if isinstance(value, int) else f"{value:.3g}"

@@ -44,6 +44,7 @@ class Lease:
 
     def __init__(self, state: Path, shard: int, shards: int, run: dict[str, Any]) -> None:
         folder = state / "leases"
+        use = f"shard {shard} of {shards} is being processed" if shards > 1 else "it is in use"
         folder.mkdir(exist_ok=True)
         self.path = folder / f"{shard_name(shard, shards)}.json"
         self._lock = _lock_of(self.path)
@@ -55,15 +56,12 @@ class Lease:
                 )
             if other["file"] == self.path.name:
                 raise ConfigError(
-                    f"{state.parent}: shard {shard} of {shards} is being processed, "
-                    f"{_owner(other)}; wait for it, or end that process"
+                    f"{state.parent}: {use}, {_owner(other)}; wait for it, or end that process"
                 )
         try:
             self._lock.acquire(blocking=False)
         except Timeout:
-            raise ConfigError(
-                f"{state.parent}: shard {shard} of {shards} is being processed"
-            ) from None
+            raise ConfigError(f"{state.parent}: {use}") from None
         about = {"host": socket.gethostname(), "pid": os.getpid(), "since": time.time()}
         self._about = {**about, "run": run}
         try:

@@ -25,6 +25,14 @@ from gesturekit.training.recipes import recipe_config
 Schema = TypeVar("Schema")
 
 
+_LENGTH = ("longer", "training.updates", "training.first_stage", "training.further_stages")
+_SYNONYMS = {
+    **dict.fromkeys(("steps", "max_steps", "num_steps", "epoch", "epochs"), _LENGTH),
+    **dict.fromkeys(("max_epochs", "num_epochs", "iters", "iterations", "n_iter"), _LENGTH),
+    "lr": ("training.learning_rate",),
+    "batch_size": ("training.batch",),
+}
+"""Names of settings in other programs, and the settings here that are meant."""
 _MAX_BYTES = 2 << 20
 _MAX_VALUES = 200_000  # in a file; an alias counts as many as the value that it refers to
 _MAX_DIGITS = 40
@@ -224,10 +232,12 @@ def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config"
         full = f"{error.key}{error.inner}"
         leaf = full.rpartition(".")[2]
         same = [name for name in _settings(schema) if name.rpartition(".")[2] == leaf]
+        usual = [name for name in _SYNONYMS.get(leaf, ()) if name in _settings(schema)]
         # A section's name may be misspelt; a setting that another section has is in the wrong one.
         # A plural of the given name is the best match; the same name in other sections comes next.
         plural = [name for name in error.near if name == f"{full}s"]
         meant = (error.near or same) if error.inner else (plural or same or error.near)
+        meant = usual or meant
         hint = (
             f"did you mean {' or '.join(meant)}?" if meant else f"known: {', '.join(error.known)}"
         )

@@ -24,6 +24,7 @@ from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.run.device import memory_ran_out
+from gesturekit.training.run.state import unfinished
 from gesturekit.training.run_config import MOST_SMOOTH
 
 FORMAT = 1
@@ -175,9 +176,11 @@ def _read_config(folder: Path, kind: str) -> dict[str, Any]:
     """Read the settings of a model of this kind.
 
     Raises:
-        ModelError: there are none, or those of another kind or format.
+        ModelError: there are none, or those of another kind or format, or of an unfinished run.
     """
     path = folder / "config.yaml"
+    if why := unfinished(folder):
+        raise ModelError(why)
     try:
         config = read_yaml(path)
     except ConfigError as error:

@@ -13,6 +13,7 @@ from statistics import mode
 from typing import Any
 
 from gesturekit.corpus.checks import first_difference
+from gesturekit.corpus.copies import file_fingerprint
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.corpus.takes import neighbours
@@ -23,7 +24,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.data.excerpts import Excerpt, systematic_sample
-from gesturekit.training.data.sources import TrainedSegment, file_fingerprint
+from gesturekit.training.data.sources import TrainedSegment
 from gesturekit.training.run_config import RunConfig
 from gesturekit.wording import counted, listed
 

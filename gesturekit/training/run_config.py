@@ -55,10 +55,15 @@ def check_share(**values: float) -> None:
 class RunConfig:
     """Settings that both systems share; each system adds its own and may change defaults."""
 
+    noun = "iteration"
+    """Name of a training step in the log."""
     corpus: Path
     """Manifest written by `gesturekit prepare`."""
     out: Path
     """Run folder."""
+    longer: float = 1.0
+    """Factor on the length of the training: 2 doubles the iterations of every stage (multires) or
+    the updates (diffusion)."""
     seed: int = 0
     """Seed of initial weights, noise and batches; the same seed gives the same model."""
     fps: float
@@ -111,10 +116,15 @@ class RunConfig:
         """Return the origin of the first weights, for the model's README."""
         return str(self.start_from or "random weights")
 
+    def lengthened(self, steps: int) -> int:
+        """Return a number of training steps times `longer`, at least 1."""
+        return max(1, round(steps * self.longer))
+
     def __post_init__(self) -> None:
         check_positive(
             fps=self.fps, checkpoint_every=self.checkpoint_every, log_every=self.log_every
         )
+        check_positive(longer=self.longer)
         check_not_negative(eval_every=self.eval_every, seed=self.seed)
         if self.smooth is not None:
             check_positive(smooth=self.smooth)

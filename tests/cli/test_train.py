@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import logging
 import re
@@ -14,6 +15,8 @@ import yaml
 from audio_features.kinds import KINDS
 from gesturekit import systems
 from gesturekit.corpus import Manifest
+from gesturekit.errors import ConfigError, ModelError
+from gesturekit.inspection import inspect
 from gesturekit.multires.training.stage import Stage
 from gesturekit.systems import resolved_settings
 from gesturekit.training.config import read_yaml
@@ -53,6 +56,10 @@ def error_line(done) -> str:
         ("training.window=.nan", "window"),
         ("training.discriminator_steps=-1", "discriminator_steps: -1"),
         ("losses.contact=-5", "contact: -5"),
+        ("longer=0", "longer: 0.0 must be above 0"),
+        ("steps=9", "mean longer or training.first_stage or training.further_stages?"),
+        ("training.epochs=9", "unknown key training.epochs; did you mean longer or"),
+        ("training.lr=1", "unknown key training.lr; did you mean training.learning_rate?"),
         ("threads=0", "threads: 0"),
         ("network.levels=40", "use fewer levels"),
         ("corpus=", "corpus may not be empty"),
@@ -153,19 +160,36 @@ def test_the_run_folder_is_enough_to_resume(gesturekit, train, tmp_path):
 
 
 def test_an_interrupted_run_says_how_to_go_on(gesturekit, train, tmp_path, monkeypatch, caplog):
-    iterate = Stage.iterate
+    iterate, run, during = Stage.iterate, tmp_path / "run", {}
+    command = f"gesturekit train --resume {run}"
 
     def interrupted(self, iteration):
         if self.first == 2:
+            during.update(state=inspect(run).facts["state"], model=opened(run))
+            with pytest.raises(ConfigError, match="it is in use, by process"):
+                systems.train(run, resume=True)
             raise KeyboardInterrupt
         return iterate(self, iteration)
 
+    def opened(path):
+        with pytest.raises(ModelError) as caught:
+            systems.load(path)
+        return str(caught.value)
+
     monkeypatch.setattr(Stage, "iterate", interrupted)
     assert train().status == 130
-    command = f"gesturekit train --resume {tmp_path / 'run'}"
     assert f"Continue with: {command}" in caplog.text
     monkeypatch.undo()
+    assert during["state"] == "running" and "still running" in during["model"]
+    assert inspect(run).facts["state"] == "stopped" and command in dict(inspect(run).rows)["state"]
+    for path in (run, run / "model"):
+        assert opened(path).endswith(f"{run}: this training is not finished; {command}")
+        gesturekit("render", "--seconds", 2, "--out", "o", "--model", path).fails(2, command)
+        gesturekit("evaluate", path, tmp_path).fails(2, command)
+    gesturekit("inspect", run / "model").fails(1, command)
+    assert command in train(f"out={tmp_path / 'next'}", f"start_from={run}").fails(2).err
     assert gesturekit(*command.split()[1:]).status == 0
+    assert inspect(run).facts["state"] == "finished" and systems.load(run)
 
 
 def test_before_the_first_step_it_says_what_it_will_do(train, tmp_path, caplog):
@@ -182,6 +206,18 @@ def test_before_the_first_step_it_says_what_it_will_do(train, tmp_path, caplog):
     assert "holds a run already; add --resume to continue it, or out=OTHER" in caplog.text
 
 
+def test_one_setting_makes_a_training_twice_as_long(gesturekit, recipe, corpus, tmp_path, caplog):
+    """Three stages of two iterations, and six updates."""
+    caplog.set_level(logging.INFO)
+    given = (*recipe, f"corpus={corpus}", f"out={tmp_path / 'run'}", "longer=2")
+    gesturekit("train", *given, "--plan").ok()
+    gesturekit("train", *given).ok()
+    assert len(re.findall(r" 12 (?:iterations|updates) \(longer=2\)\.", caplog.text)) == 2
+    assert "drawn" not in caplog.text and "draws" not in caplog.text
+    lines = (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()
+    assert max(json.loads(line)["step"] for line in lines) == 12
+
+
 @pytest.fixture
 def one_recording(gesturekit, write_pair, tmp_path):
     """A manifest whose only recording is cut: its end is held out."""
@@ -196,8 +232,10 @@ def test_it_ends_with_a_verdict_on_held_out_speech(train, one_recording, tmp_pat
     done = train(f"corpus={one_recording}").ok()
     assert "Training on 1 recording, 32 s at 30 fps" in caplog.text
     said = re.search(r"Measured (on 1 held-out recording \(8 s\): [A-Z].*\.)\n\Z", done.out)[1]
+    assert "Warning: held-out items with neighbours in training, of the same take" in said
     assert said in (tmp_path / "run" / "model" / "README.md").read_text()
     assert said not in caplog.text  # a terminal shows both
+    assert html.escape(f"Measured {said}") in (tmp_path / "run" / "report.html").read_text()
     lines = [json.loads(x) for x in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
     (figures,) = (line for line in lines if line.get("kind") == "held_out")
     assert {"held_out/sync", "held_out/sync_chance", "held_out/arm_speed"} <= figures.keys()
@@ -325,8 +363,13 @@ def test_a_mistyped_configuration_suggests_the_nearest(gesturekit, light, monkey
     ("arguments", "says"),
     [
         (["--resume", "runs/none"], "runs/none: no such run"),
-        (["c.jsonl"], "c.jsonl: a manifest, not a configuration; give it as corpus=c.jsonl"),
-        (["a.bvh"], "run gesturekit prepare on its folder, then train one of rec"),
+        (
+            ["c.jsonl"],
+            "c.jsonl: a manifest, not a configuration; gesturekit train own_corpus corpus=c.jsonl",
+        ),
+        ([], "gesturekit train own_corpus corpus=CORPUS.jsonl"),
+        (["corpus=c.jsonl", "seed=1"], "gesturekit train own_corpus corpus=c.jsonl seed=1"),
+        (["a.bvh"], "prepare on its folder, then gesturekit train own_corpus"),
         (["light.yaml"], "did you mean recipes/speech/light.yaml?"),
         (["folder"], "run gesturekit prepare on it"),
         (["recipes/speech/light.yaml", "corpus=folder"], "it is a folder; run gesturekit prepare"),

@@ -3,6 +3,8 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -71,6 +73,10 @@ def test_an_easymocap_folder_is_a_recording(tmp_path, write_speech, gesturekit):
     read, want = item.load_motion(), Motion.load(folder.parent, person=1, fps=30.0)
     first = round(item.motion_start * 30)  # a rest pose is trimmed
     np.testing.assert_array_equal(read.rotations, want.rotations[first : first + read.n_frames])
+    shutil.copytree(folder.parent, tmp_path / "in" / "copy")
+    write_speech(tmp_path / "in" / "copy.wav", 2.0)
+    named = f"{folder.parent} (of {tmp_path / 'in' / 'copy'})"
+    assert named in gesturekit(*prepared, "--in-fps", 30).ok().err
     segment = TrainedSegment.of(item, 30.0)
     assert is_trained_on([segment], item.motion)
     (folder / "000000.json").write_text("[]")
@@ -84,7 +90,7 @@ def test_words_beside_a_recording_become_features_on_motion_frames(tmp_path, wri
     write_pair(tmp_path / "in", "take", 4.0)
     (tmp_path / "in" / "take.ctm").write_text("take 1 0.5 0.3 so\ntake 1 2.5 0.2 well\n")
     report = prepare(tmp_path / "in", tmp_path / "corpus.jsonl", hold_out_seconds="2-")
-    assert report.is_complete
+    assert report.is_complete and "side files    words from .ctm (1)" in report.table()
     for item, onset in zip(Manifest.load(tmp_path / "corpus.jsonl"), (15, 15), strict=True):
         assert item.conditions["words"] == tmp_path / "in" / "take.ctm"
         values, _ = extract(item.load_wave(), af.Words(), 30.0, "mean")
@@ -105,7 +111,7 @@ def test_bad_files_are_reported_once_and_others_used(tmp_path, write_pair, write
         write_pair(tmp_path, name)
     (tmp_path / "text.wav").write_text("this is no sound\n" * 100)
     (tmp_path / "empty.wav").write_bytes(b"")
-    rows = (tmp_path / "cut.bvh").read_text().splitlines()
+    rows = (tmp_path / "cut.bvh").read_text().rstrip().splitlines()
     (tmp_path / "cut.bvh").write_text("\n".join([*rows[:-1], rows[-1][:40]]) + "\n")
     write_speech(tmp_path / "apart.wav", 6.0)
     write_speech(tmp_path / "twice.flac", 4.0)
@@ -142,15 +148,50 @@ def test_a_file_that_was_shortened_after_prepare_is_named(tmp_path, write_pair, 
         item.load_wave()
 
 
-def test_a_larger_difference_in_length_names_the_tolerance_that_lets_it_through(
-    tmp_path, write_pair, write_speech
+def test_a_cut_file_is_let_through_by_its_name_alone(
+    gesturekit, tmp_path, write_pair, write_speech
 ):
-    write_pair(tmp_path, "a", 4.0)
-    write_speech(tmp_path / "a.wav", 5.23)
-    (problem,) = errors(prepare(tmp_path, holdout=0.0))
-    tolerance = float(re.search(r"--tolerance (\S+)$", problem.message)[1])
-    assert tolerance == 1.3
-    assert not errors(prepare(tmp_path, holdout=0.0, tolerance=tolerance))
+    for name in "ab":
+        write_pair(tmp_path / "in", name, 4.0)
+        write_speech(tmp_path / "in" / f"{name}.wav", 5.23)
+    command = ("prepare", tmp_path / "in", "--out", tmp_path / "c.jsonl", "--holdout", 0)
+    advice = re.findall("--trim [ab]$", gesturekit(*command).fails(2).err, re.MULTILINE)
+    assert advice == ["--trim a", "--trim b"]
+    done = gesturekit(*command, *advice[1].split()).fails(1, "--trim a")
+    assert "paired        1 recording, 4.0 s" in done.out and "--trim b" not in done.err
+    gesturekit(*command, "--trim", "a, b").ok()
+    gesturekit(*command, "--existing", "replace", "--trim", "c").fails(2, "no recording 'c'")
+
+
+@pytest.fixture
+def copied(tmp_path, write_pair):
+    """A folder of five recordings: b is a copy of a, and e has the sound of d."""
+    for name in "acde":
+        write_pair(tmp_path / "in", name, 4.0)
+    for new, old in (("b.wav", "a.wav"), ("b.bvh", "a.bvh"), ("e.wav", "d.wav")):
+        shutil.copy(tmp_path / "in" / old, tmp_path / "in" / new)
+    return tmp_path / "in"
+
+
+def test_copies_are_named_and_stay_in_one_split(copied):
+    for seed in range(8):
+        report = prepare(copied, seed=seed, holdout=0.4, unpaired=copied)
+        splits = {item.id: item.split for item in report.manifest}
+        assert splits["a"] == splits["b"] and splits["d"] == splits["e"], seed
+        assert {"train", "test"} <= set(splits.values())
+    (text,) = texts(report, "warning")
+    assert text.startswith("3 files with the content of another: ")
+    assert all(
+        f"{copied / f'b.{kind}'} (of {copied / f'a.{kind}'})" in text for kind in ("wav", "bvh")
+    )
+    assert prepare(copied, hold_out_pattern="^b$").manifest.paired("test")[0].id == "a"
+
+
+def test_of_copies_alone_the_same_end_is_held_out(copied):
+    for name in "cde":
+        (copied / f"{name}.bvh").unlink()
+    alike = [(item.split, item.duration) for item in prepare(copied).manifest]
+    assert alike == [("train", 3.2), ("test", 0.8)] * 2
 
 
 def test_a_leading_t_pose_is_trimmed_from_sound_and_motion(tmp_path, write_pair, gesture):
@@ -628,7 +669,7 @@ def test_a_rig_without_legs_is_noted_once(tmp_path):
 
 def test_a_style_pattern_that_fits_no_file_is_warned_about(gesture, tmp_path):
     for name in ("calm_1", "lively_1"):
-        gesture(2.0).save(tmp_path / f"{name}.npz")
+        gesture(2.0, seed=len(name)).save(tmp_path / f"{name}.npz")
 
     def warnings(pattern: str) -> list[str]:
         report = prepare([], unpaired_motion=tmp_path, style_pattern=pattern)

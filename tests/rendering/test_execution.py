@@ -80,7 +80,7 @@ def test_a_live_run_is_never_mixed_with_another(model, sounds, tmp_path):
     going = iter_render(model, sounds, out)
     next(going)
     before = results(out)
-    with pytest.raises(ConfigError, match="shard 1 of 1 is being processed, by process"):
+    with pytest.raises(ConfigError, match="it is in use, by process"):
         list(iter_render(model, sounds, out))
     with pytest.raises(ConfigError, match="another run, with other inputs or settings"):
         run(model, sounds / "day", out)

@@ -119,7 +119,7 @@ def test_mistakes_are_named(tmp_path, text, overrides, says):
     assert "a.yaml" in str(caught.value) or overrides
 
 
-def test_a_setting_in_the_wrong_section_is_refused_with_the_right_one():
+def test_a_setting_in_the_wrong_section_is_refused_with_the_right_one(tmp_path):
     for values in ({"schedule": {"updates": 3}}, {"updates": 3}, {"network": {"updates": 3}}):
         with pytest.raises(ConfigError, match=r"did you mean training\.updates\?"):
             build(DiffusionConfig, values)
@@ -128,6 +128,11 @@ def test_a_setting_in_the_wrong_section_is_refused_with_the_right_one():
     # Both network.levels and recall.level are settings.
     with pytest.raises(ConfigError, match=r"key network\.level; did you mean network\.levels\?$"):
         build(MultiresConfig, {"network": {"level": 3}})
+    for name in ("steps", "epochs", "training.iterations"):
+        with pytest.raises(ConfigError, match=r"did you mean longer or training\.updates\?$"):
+            load_config(write(tmp_path, "a.yaml", f"{name}: 9"), DiffusionConfig)
+    with pytest.raises(ConfigError, match=r"unknown key optim\.lr; .* training\.learning_rate\?$"):
+        build(DiffusionConfig, {"optim": {"lr": 3}})
     # Below 0.6, the usual least likeness: 8 of 14 letters of both names are the same.
     with pytest.raises(ConfigError, match=r"did you mean training\.clip\?$"):
         build(DiffusionConfig, {"training": {"clip_value": 3}})

@@ -133,13 +133,10 @@ def test_the_first_process_says_what_is_trained_on(tmp_path, caplog):
     for rank in (1, 0):
         loop = Loop(config, Run(config.out, {}, resume=False), Processes(rank=rank), held_out)
         assert not caplog.messages
-        loop.announce(
-            ["a system", "6 updates"], ["1 recording", "5 s"], "none is drawn", ["a", "b"]
-        )
+        loop.announce(["a system", "a mode"], 6, ["1 recording", "5 s"], ["a", "b"])
     assert caplog.messages == [
-        f"Run folder {config.out}: a system, 6 updates.",
+        f"Run folder {config.out}: a system, a mode, 6 updates (longer=1).",
         "Training on 1 recording, 5 s.",
-        "Of them, none is drawn.",
         *("a.", "b."),
         "Measured at the end and every few minutes: 2 held-out recordings (9 s).",
     ]
@@ -150,8 +147,8 @@ def test_the_line_of_progress_has_steps_stage_and_losses(training, monkeypatch, 
     monkeypatch.setattr(progress, "SECONDS_BETWEEN_LINES", 0.0)
     training().go()
     lines = [line for line in capsys.readouterr().err.splitlines() if "stage" in line]
-    assert "3 of 9 steps" in lines[0] and "stage 1: odd 4, loss 2" in lines[0]
-    assert "9 of 9 steps" in lines[-1] and "stage 2: odd 4, loss 8" in lines[-1]
+    assert "3 of 9 updates" in lines[0] and "stage 1: odd 4, loss 2" in lines[0]
+    assert "9 of 9 updates" in lines[-1] and "stage 2: odd 4, loss 8" in lines[-1]
 
 
 def test_the_pace_is_the_mean_time_of_the_steps_since_the_last_line(training, monkeypatch, caplog):
@@ -164,7 +161,7 @@ def test_the_pace_is_the_mean_time_of_the_steps_since_the_last_line(training, mo
     paces = [line["seconds_per_iteration"] for line in lines]
     assert paces == [(1 + 2 + 3) / 3, (4 + 5) / 2, 6.0, (7 + 8 + 9) / 3]
     # After step 3, two of its cost have taken 5 s: 2 more, and 4 of twice the cost, take 25 s.
-    assert caplog.messages == ["Time left: about 25 s."]
+    assert caplog.messages == ["Time left: about 25 s for 6 of 9 updates."]
 
 
 @pytest.mark.parametrize(

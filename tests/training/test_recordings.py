@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from gesturekit.corpus import Item, Manifest
+from gesturekit.corpus.copies import file_fingerprint
 from gesturekit.errors import ConfigError, CorpusError
-from gesturekit.training.data.sources import TrainedSegment, file_fingerprint
+from gesturekit.training.data.sources import TrainedSegment
 from gesturekit.training.recordings import Recordings, load_motions, load_recordings
 from gesturekit.training.run_config import RunConfig
 

@@ -34,16 +34,18 @@ def test_it_shows_losses_by_level_metrics_by_step_and_samples(run: Run) -> None:
     (run.folder / "samples").mkdir()
     (run.folder / "samples" / "step_00000020.html").write_text("a page")
     run.log(10, {"contact": 0.5, "seconds_per_iteration": 0.1}, level=1)
-    run.log(20, {"contact": 0.25, "smoothness": 0.1}, level=3)
-    run.log(20, {"held_out/sync": 0.3, "held_out/sync_chance": 0.05}, kind="held_out")
+    for step in (11, 20):
+        run.log(step, {"contact": 0.75}, level=1)
+        run.log(step, {"contact": 0.25, "smoothness": 0.1}, level=3)
+        run.log(step, {"held_out/sync": 0.3, "held_out/sync_chance": 0.05}, kind="held_out")
     run.close()
     page = page_of(run)
-    contact, smoothness = chart_of(page, "contact"), chart_of(page, "smoothness")
+    contact, smoothness = chart_of(page, "Contact"), chart_of(page, "Smoothness")
     assert contact.count("<polyline") == 2
-    assert "level 1" in contact and "level 3" in contact and "0.25 to 0.5" in contact
+    assert "level 1" in contact and "level 3" in contact and "0.25 to 0.75" in contact
     colours = [re.findall(r'<b style="color: ([^"]*)">level 3', x) for x in (contact, smoothness)]
     assert colours[0] == colours[1] != [], "a level has one colour in all charts"
-    sync = chart_of(page, "sync")
+    sync = chart_of(page, "Sync")
     assert sync.count("<polyline") == 2 and "chance" in sync
     assert 'href="samples/step_00000020.html"' in page
     assert "a &lt;b&gt; run" in page and "<b> run" not in page
@@ -82,7 +84,7 @@ def test_a_resumed_run_goes_on_with_its_curves(run: Run) -> None:
     again = Run(run.folder, {}, resume=True)
     again.log(3, {"loss": 1.5})
     again.close()
-    assert "1.5 to 3; steps 1 to 3" in chart_of(page_of(run), "loss")
+    assert "1.5 to 3; steps 1 to 3" in chart_of(page_of(run), "Loss")
 
 
 @pytest.mark.parametrize(("last", "kept"), [(999, range(1000)), (1000, range(0, 1001, 2))])
@@ -92,7 +94,7 @@ def test_of_more_than_a_thousand_points_every_other_one_is_shown(run: Run, last,
             file.write(json.dumps({"step": step, "loss": 1.0 + step}) + "\n")
     run.log(last, {"loss": 1.0 + last})
     run.close()
-    places = places_of(chart_of(page_of(run), "loss"))
+    places = places_of(chart_of(page_of(run), "Loss"))
     assert [x for x, _ in places] == pytest.approx([k / last for k in kept], abs=2e-4)
 
 
@@ -103,8 +105,8 @@ def test_a_run_that_has_logged_nothing_has_no_page(run: Run) -> None:
 
 def test_curves_of_a_chart_have_colours_as_far_apart_as_they_can_be(run: Run) -> None:
     """Hues of three levels are a third of the circle apart, in their order."""
-    for level in range(3):
-        run.log(1, {"loss": 1.0}, level=level)
+    for step in range(6):
+        run.log(step, {"loss": 1.0}, level=step % 3)
     run.close()
     hues = [int(hue) for hue in re.findall(r"stroke: hsl\((\d+) ", page_of(run))]
     assert [(after - hues[0]) % 360 for after in hues] == [0, 120, 240]
@@ -120,8 +122,8 @@ def test_values_that_are_no_numbers_are_not_drawn(run: Run) -> None:
     run.close()
     page = page_of(run)
     titles = re.findall("<figcaption><b>([^<]*)</b>", page)
-    assert titles == ["loss", "seconds per iteration", "learning rate"]
-    assert "level" not in chart_of(page, "loss"), "a training of one stage has no levels"
+    assert titles == ["Loss", "Seconds per iteration", "Learning rate"]
+    assert "level" not in chart_of(page, "Loss"), "a training of one stage has no levels"
 
 
 def test_a_page_that_cannot_be_written_does_not_end_the_training(run: Run) -> None:
@@ -157,7 +159,7 @@ def test_a_curve_fills_its_chart_from_the_first_step_to_the_last(run, values, he
     for step, value in zip((10, 20, 50), values, strict=True):
         run.log(step, {"loss": value})
     run.close()
-    chart = chart_of(page_of(run), "loss")
+    chart = chart_of(page_of(run), "Loss")
     places = places_of(chart)
     assert [x for x, _ in places] == pytest.approx([0, 0.25, 1], abs=0.001)
     margin = 3 / 120
@@ -167,17 +169,32 @@ def test_a_curve_fills_its_chart_from_the_first_step_to_the_last(run, values, he
     assert f"<span>{values[-1]:.4g}</span>" in chart, "the newest value"
 
 
-def test_a_curve_of_one_point_is_a_line_across_its_chart(run: Run) -> None:
-    run.log(5, {"early": 2.0, "late": 1.0}, level=1)
+def test_a_page_opens_with_the_verdict_and_has_no_charts_of_one_point(run: Run) -> None:
+    run.log(5, {"late": 1.0, "early": 2.0}, level=1)
+    run.log(6, {"held_out/hand_q50": 0.25, "held_out/hand_q50_recording": 0.5}, kind="held_out")
+    run.log(6, {"jerk_ratio": 1.5, "sync": 0.5}, kind="evaluation")
     run.close()
-    (left, low), (right, high) = places_of(chart_of(page_of(run), "early"))
-    assert (left, right) == (0, 1) and low == high
+    assert "<svg" not in page_of(run) and "Measured" not in page_of(run)
     again = Run(run.folder, {}, resume=True)
-    again.log(9, {"late": 3.0}, level=2)
+    again.log(
+        7, {"held_out/reach": 0.5}, kind="held_out", verdict="on 1 recording: In time & calm."
+    )
+    again.log(9, {"late": 4.0}, level=2)
+    again.log(11, {"late": 3.0}, level=2)
     again.close()
-    chart = chart_of(page_of(again), "late")
-    assert places_of(chart)[0][0] == 0 and places_of(chart)[-1][0] == 1
-    assert "steps 5 to 9" in chart and "<span>3</span>" in chart
+    page = page_of(run)
+    opening = page.partition("</h1>")[2].partition("step 11")[0]
+    assert "Measured on 1 recording: In time &amp; calm.</b>" in opening
+    assert page.count("<svg") == page.count("<polyline") == 1
+    chart = chart_of(page, "Late")
+    assert places_of(chart) == [pytest.approx((0, 0.975)), pytest.approx((1, 0.025))]
+    assert "3 to 4; steps 9 to 11" in chart and "<span>3</span>" in chart
+    assert re.search("level 1</b> 1; .*level 2</b><", chart)
+    words = re.sub("<[^>]*>", " ", chart_of(page, "Hand speed, median, m/s"))
+    assert words.split()[-7:] == ["0.25", "step", "6;", "model", "0.25;", "recording", "0.5"]
+    assert chart_of(page, "Jerk / the recording's".replace("'", "&#x27;")) and chart_of(
+        page, "Sync"
+    )
 
 
 def test_the_page_of_a_finished_training_has_sections_and_the_newest_samples_first(run: Run):
@@ -199,8 +216,9 @@ def test_the_page_of_a_finished_training_has_sections_and_the_newest_samples_fir
     ]
     links = re.findall(r">step (\d+)</a>", page)
     assert links[:2] == ["1010", "1000"] and links[-1] == "20" and len(links) == 100
-    sync = chart_of(page, "sync")
-    assert re.findall("<title>([^<]*)</title>", sync) == ["model 0.5", "recording 0.25"]
+    assert re.findall(r"(\w+)</b> (0\.\d+)", chart_of(page, "Sync")) == [
+        *(("model", "0.5"), ("recording", "0.25")),
+    ]
 
 
 def test_logged_lines_are_found_by_step_kind_and_level(run: Run) -> None:

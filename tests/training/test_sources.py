@@ -7,11 +7,11 @@ import os
 
 import pytest
 
+from gesturekit.corpus.copies import file_fingerprint
 from gesturekit.training.data.sources import (
     TrainedSegment,
     describe_rates,
     describe_recordings,
-    file_fingerprint,
     is_trained_on,
     load_sources,
     save_sources,

@@ -43,7 +43,7 @@ def test_after_three_seconds_the_time_left_is_logged_once(clock, caplog):
         counts.append(len(caplog.messages))
         clock[0] += 1.0
     assert counts == [0, 0, 0, 1, 1, 1, 1, 1, 1]
-    assert caplog.messages == ["Time left: about 36 s."]
+    assert caplog.messages == ["Time left: about 36 s for 36 of 40 steps."]
     # The bar divides the steps that are left by a rate.
     assert progress.format_dict["rate"] == pytest.approx(31 / progress.seconds_left)
     assert progress.seconds_left == pytest.approx(31 * 9 / 8)

@@ -136,10 +136,9 @@ class Trainer:
         self.loop = Loop(config, run, processes, self.held_out)
         if processes.is_first:
             self._log_missing_parts()
-        updates = counted(config.training.updates, "update")
         self.unused = unused_labels(self.data.sources, self.data.conditions.styles)
-        kind = ["diffusion", self._mode(), updates]
-        self.loop.announce(kind, self._contents(), self._usage(), self.unused)
+        kind = ["diffusion", self._mode()]
+        self.loop.announce(kind, config.updates, self._contents(), self.unused)
         self.network = self._network().to(device)
         # The weights of the final model.
         self.average = copy.deepcopy(self.network).eval() if config.training.ema else self.network
@@ -217,7 +216,7 @@ class Trainer:
         at all."""
         training, (paired, _) = self.config.training, self.data.seconds
         share = self.config.unpaired.share if self.config.unpaired is not None else 0.0
-        mean = training.updates * training.batch * training.window * (1 - share) / paired
+        mean = self.config.updates * training.batch * training.window * (1 - share) / paired
         return f"a second is drawn about {drawn(mean)}"
 
     def estimate(self) -> Estimate:
@@ -225,7 +224,7 @@ class Trainer:
 
         They change the networks: for a run that is not kept.
         """
-        training, data = self.config.training, self.data
+        data = self.data
         update = quickest(lambda: float(self._update(0)), 4)
         conditions, phases = data.conditions, max(1, round(data.recorded_fps / self.config.fps))
         number = 4 * self.config.fps * phases  # bytes a second, float32
@@ -235,7 +234,7 @@ class Trainer:
         raw = 0.0
         if conditions.conditioner is not None:
             raw = number * (conditions.conditioner.extractor.dim + 1)
-        return Estimate(training.updates * update, self.held_out.seconds, (own + raw, own))
+        return Estimate(self.config.updates * update, self.held_out.seconds, (own + raw, own))
 
     def run(self) -> Path:
         """Train all updates, or those that are left, and write the model."""
@@ -251,7 +250,7 @@ class Trainer:
             measure=self._measure,
             also=lambda step: {"learning_rate": learning_rate(training, step - 1)},
         )
-        self.loop.train([(training.updates, 1.0)], done, lambda index: stage)
+        self.loop.train([(self.config.updates, 1.0)], done, lambda index: stage)
         if self.processes.is_first:
             self._finish()
         self.processes.wait()
@@ -354,9 +353,9 @@ class Trainer:
         )
 
     def _finish(self) -> None:
-        training = self.config.training
+        updates = self.config.updates
         model = self._model(self.average)
-        measured = self.held_out.measure(training.updates, model, keep=True)
+        measured = self.held_out.measure(updates, model, keep=True)
         model = self._model(self.average.cpu())
         paired, unpaired = self.data.seconds
         model.save(
@@ -367,7 +366,7 @@ class Trainer:
                 **({"Not used": "; ".join(self.unused)} if self.unused else {}),
                 "Use of the recordings": self._usage(),
                 "Began with": self.config.began_with,
-                "Training steps": str(training.updates),
+                "Training steps": str(updates),
                 "Last losses": last_losses(self.folder),
                 **({"Measured": measured} if measured else {}),
                 **{str(key): str(value) for key, value in self.config.notes.items()},

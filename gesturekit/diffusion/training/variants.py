@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from gesturekit.corpus.copies import file_fingerprint
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.styles import style_track
 from gesturekit.diffusion.conditions import Conditions, smooth_path
@@ -23,7 +24,6 @@ from gesturekit.formats.tables.events import Event
 from gesturekit.motion.mirroring import can_be_mirrored
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath, follow_path
-from gesturekit.training.data.sources import file_fingerprint
 from gesturekit.training.recordings import Rig
 
 

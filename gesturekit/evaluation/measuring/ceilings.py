@@ -165,7 +165,7 @@ def _set_metrics(
             ]
         )
     if FRECHET in measure.groups:
-        inputs = SetInputs(one, other, features, joints, seed, measure.variants)
+        inputs = SetInputs(one, other, features, joints, seed, measure.variants.kinetic)
         for definition in definitions_of("distance"):
             metrics[definition.key] = lambda definition=definition: _distance(definition, inputs)
     return metrics

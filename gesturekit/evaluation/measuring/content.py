@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import hashlib
 import json
 import logging
@@ -14,6 +13,7 @@ from typing import Any
 import audio_features
 from audio_features.cache import DiskCache, default_folder, size_limit
 from audio_features.installed import digest_of_sources, installed_versions
+from gesturekit.corpus.copies import file_fingerprint
 from gesturekit.evaluation.pairs import ItemInterval
 
 _KIND = "measurements-1"
@@ -71,13 +71,13 @@ def content_of(source: Path | ItemInterval) -> str | None:
     """
     try:
         if isinstance(source, Path):
-            return _file_digest(source)
+            return file_fingerprint(source)
         item = source.item
         fields = {f.name: getattr(item, f.name) for f in dataclasses.fields(item)}
         if any(callable(value) for value in fields.values()):
             return None
         how = {name: value for name, value in fields.items() if name not in _DESCRIPTIVE}
-        files = [item.motion and _file_digest(item.motion), item.audio and _file_digest(item.audio)]
+        files = [path and file_fingerprint(path) for path in (item.motion, item.audio)]
         return digest_of({"files": files, "how": how})
     except OSError:
         return None
@@ -103,15 +103,3 @@ def _plain(value: Any) -> Any:
 
 def _checksum(values: Any) -> str:
     return hashlib.sha256(json.dumps(values).encode()).hexdigest()
-
-
-def _file_digest(path: Path) -> str:
-    about = path.stat()
-    return _digest_once(path, about.st_size, about.st_mtime_ns)
-
-
-@functools.cache
-def _digest_once(path: Path, size: int, modified: int) -> str:
-    """Return the digest of a file that has not been changed since the last call."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

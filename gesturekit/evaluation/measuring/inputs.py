@@ -171,7 +171,7 @@ class SetInputs:
         model: the feature extractor of FGD, or None.
         joints: names of the joints that all of them have; None for all body joints.
         seed: of intervals.
-        variants: of the metrics.
+        kinetic: variant of the kinetic features.
     """
 
     generated: Sequence[Motion]
@@ -179,17 +179,12 @@ class SetInputs:
     model: FeatureModel | None
     joints: tuple[str, ...] | None
     seed: int
-    variants: Variants
+    kinetic: str
 
     @property
     def motions(self) -> Sequence[Motion]:
         """The motion whose diversity is measured: `generated`."""
         return self.generated
-
-    @property
-    def kinetic(self) -> str:
-        """Variant of the kinetic features."""
-        return self.variants.kinetic
 
     @property
     def windows(self) -> PoseWindows | None:

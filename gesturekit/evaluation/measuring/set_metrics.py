@@ -155,9 +155,8 @@ class SetMetrics:
         """Return one metric of `frechet`; None if it needs a feature extractor."""
 
         def taken(sample: MotionSample) -> Any | None:
-            sides, variants = (sample.motions, full.motions), self.measure.variants
-            inputs = SetInputs(*sides, model, self._shared, self.seed, variants)
-            return compute(definition, inputs)
+            sides, kinetic = (sample.motions, full.motions), self.measure.variants.kinetic
+            return compute(definition, SetInputs(*sides, model, self._shared, self.seed, kinetic))
 
         ours = taken(self.sample)
         if ours is None:

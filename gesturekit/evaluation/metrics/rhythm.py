@@ -1,8 +1,7 @@
 """Rhythm: alignment of motion beats with beats or onsets of the sound.
 
 Two published metrics, each with its chance level. Kernels and windows are in seconds, where the
-published code counts frames, so that they do not depend on the frame rate; beat alignment has a
-variant in frames.
+published code (variant "bailando") counts frames: they do not depend on the frame rate.
 """
 
 from __future__ import annotations
@@ -87,7 +86,7 @@ def beat_alignment(
     variant: Literal["seconds", "bailando"] = "seconds",
     joints: Sequence[str] | None = None,
 ) -> BeatResult:
-    """Return BAS: 1/|B| Σ over beats b of the sound of exp(-min_m (b - m)² / 2σ²).
+    """Return BAS: 1/|B| Σ over beats b of the sound of exp(-min_m (b - m)² / 2σ²), σ = 50 ms.
 
     The form of AIST++ and Bailando (utils/beat_align_score.py), for one clip; published values are
     means over clips.
@@ -95,11 +94,11 @@ def beat_alignment(
     Args:
         motion: the motion; beats after its end do not count.
         beats: (B,) seconds of the sound's beats, such as `music_beats` gives.
-        variant: "seconds" takes the speed of the motion low-passed at 6 Hz (`derivative`), places
-            beats between frames by a parabola through three of them, and has σ = 50 ms.
-            "bailando" is its code: frame differences, a beat at the first frame of its step, σ of 5
-            frames for the speed and of 3 here, and no beats of the sound from the last frame on.
-            The same motion has another score at another frame rate.
+        variant: "seconds" takes the speed of the motion low-passed at 6 Hz (`derivative`) and
+            places beats between frames by a parabola through three of them. "bailando" takes
+            frame differences, beats at the first frame of their step, σ of 5 frames for the speed
+            and of 3 frames here, and no beats of the sound from the last frame on, as its code
+            does: the score depends on the frame rate.
         joints: names; None for the body joints.
 
     Raises:

@@ -133,12 +133,11 @@ class Trainer:
         )
         self.loop = Loop(config, run, processes, self.held_out)
         levels, steps = config.network.levels, sum(count for _, count in self.stages())
-        length = [f"{levels} levels", counted(steps, "iteration")]
         self.unused = unused_labels(
             self.data.sources, self.data.styles, recalls=config.recall is not None
         )
-        kind = ["multires", self._mode(), *length]
-        self.loop.announce(kind, self._contents(), self._usage(), self.unused)
+        kind = ["multires", self._mode(), f"{levels} levels"]
+        self.loop.announce(kind, steps, self._contents(), self.unused)
         self.network = seeded(
             (config.seed, "generator"),
             lambda: MultiresGenerator(
@@ -258,10 +257,9 @@ class Trainer:
     def stages(self) -> list[tuple[int, int]]:
         """Return (first level, iterations) of each stage."""
         training, levels = self.config.training, self.config.network.levels
-        return [
-            (first, training.first_stage if first == 0 else training.further_stages)
-            for first in range(0, levels, 2)
-        ]
+        first = self.config.lengthened(training.first_stage)
+        further = self.config.lengthened(training.further_stages)
+        return [(level, further if level else first) for level in range(0, levels, 2)]
 
     def stage(self, first: int, iterations: int) -> Stage:
         """Return the stage that begins with this level, its networks untrained."""

@@ -18,6 +18,7 @@ from audio_features.files import own_files
 from audio_features.track import ALIGNMENTS
 from audio_features.weight_files import WeightPlaces
 from audio_features.words import takes_words
+from gesturekit.corpus.copies import file_fingerprint
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.speech import (
     Normalisation,
@@ -29,7 +30,6 @@ from gesturekit.corpus.speech import (
 )
 from gesturekit.progress import Progress
 from gesturekit.training.data.arrays import StoredArray, StoredFrames
-from gesturekit.training.data.sources import file_fingerprint
 from gesturekit.training.run_config import check_positive
 
 log = logging.getLogger(__name__)

@@ -12,9 +12,11 @@ from typing import Any
 
 from audio_features.atomic import atomic_write
 from gesturekit.errors import ConfigError
+from gesturekit.jobs.lease import Lease
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.run.checkpoint import Checkpoints
 from gesturekit.training.run.report import RunReport
+from gesturekit.training.run.state import LEASE
 
 _VERSIONS_OF = ("gesturekit", "torch", "numpy", "scipy", "librosa", "soxr", "transformers")
 
@@ -43,6 +45,7 @@ class Run:
         self.checkpoints = Checkpoints(folder / "checkpoints")
         self._metrics = folder / "metrics.jsonl"
         self._events: Any = None
+        self._lease: Any = None
         self._report = RunReport(folder)
         config_file = folder / "config.yaml"
         if folder.exists() and not folder.is_dir():
@@ -69,11 +72,25 @@ class Run:
         return (self.folder / "config.yaml").is_file()
 
     def begin(self) -> None:
-        """Write the files that mark the folder as a run, once the training data is read."""
+        """Write the files that mark the folder as a run, once the training data is read.
+
+        Raises:
+            ConfigError: another process trains in the folder.
+        """
         self._write("command.txt", shlex.join(sys.argv) + "\n")
         self._write("versions.json", json.dumps(_versions(), indent=1) + "\n")
         # Last: a folder with a config.yaml holds a run.
         self._write("config.yaml", dump_yaml(self._config))
+        self.hold()
+
+    def hold(self) -> None:
+        """Mark the run as running until `close`.
+
+        Raises:
+            ConfigError: another process trains it.
+        """
+        (self.folder / LEASE).mkdir(exist_ok=True)
+        self._lease = Lease(self.folder / LEASE, 1, 1, {})
 
     def _write(self, name: str, text: str) -> None:
         with atomic_write(self.folder / name) as temporary:
@@ -136,10 +153,12 @@ class Run:
         return any(line.get("kind") == kind and line["step"] == step for line in lines)
 
     def close(self) -> None:
-        """Finish writing TensorBoard events and the report."""
+        """Finish writing TensorBoard events and the report, and give the folder back."""
         self._report.close()
         if self._events is not None:
             self._events.close()
+        if self._lease is not None:
+            self._lease.release()
 
 
 def has_no_run(folder: Path) -> bool:

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import Manifest
+from gesturekit.corpus.takes import neighbours
 from gesturekit.errors import GestureKitError
 from gesturekit.evaluation import evaluate
 from gesturekit.evaluation.measuring.clips import forget_files
@@ -185,12 +186,14 @@ class HeldOutMetrics:
             return ""
         said = f"on {self.what}: {found.verdict or NO_VERDICT}"
         if keep:  # the training ends with the verdict, in the model's README
+            beside = neighbours(self._corpus, self._fitting[0].split)
+            said += f" Warning: {beside}." if beside else ""
             log.info("All metrics on %s: %s", self.what, self.command)
         else:
             log.info("Step %d%s: %s", step, so_far, said)
         kind = self.folder.name
         if not self.run.has(step, kind):
-            self.run.log(step, dict(_logged(found, kind)), kind=kind)
+            self.run.log(step, dict(_logged(found, kind)), kind=kind, verdict=said)
         return said
 
     def _evaluated(self, model: _Model, controls: dict[str, Any], *, keep: bool) -> ModelResult:

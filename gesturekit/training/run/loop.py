@@ -19,6 +19,7 @@ from gesturekit.training.run.held_out import HeldOutMetrics
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.run.steps import Steps
 from gesturekit.training.run_config import RunConfig
+from gesturekit.wording import counted
 
 log = logging.getLogger(__name__)
 
@@ -105,20 +106,20 @@ class Loop:
         self.held_out = held_out
 
     def announce(
-        self, kind: Sequence[str], contents: Sequence[str], usage: str, unused: Sequence[str]
+        self, kind: Sequence[str], steps: int, contents: Sequence[str], unused: Sequence[str]
     ) -> None:
         """Log the run folder, kind of training, data and held-out recordings, on one process.
 
         Args:
-            kind: system, mode and length of the training.
+            kind: system and mode of the training.
+            steps: its length.
             contents: training data.
-            usage: how often the training draws it.
             unused: sentences about labels of the corpus, see `unused_labels`.
         """
         if self.processes.is_first:
-            log.info("Run folder %s: %s.", self.config.out, ", ".join(kind))
+            length = f"{counted(steps, self.config.noun)} (longer={self.config.longer:g})"
+            log.info("Run folder %s: %s.", self.config.out, ", ".join([*kind, length]))
             log.info("Training on %s.", ", ".join(contents))
-            log.info("Of them, %s.", usage)
             for line in unused:
                 log.warning("%s.", line)
             log.info("Measured at the end and every few minutes: %s.", self.held_out.what)
@@ -148,7 +149,8 @@ class Loop:
             ModelError: the loss or a weight became NaN or infinite.
         """
         end = 0
-        with Steps(plan, done, quiet=not self.processes.is_first) as progress:
+        quiet = not self.processes.is_first
+        with Steps(plan, done, quiet=quiet, noun=self.config.noun) as progress:
             for index, (count, cost) in enumerate(plan):
                 begin, end = max(done, end), end + count
                 if begin < end:

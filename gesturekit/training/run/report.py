@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from audio_features.atomic import atomic_write
+from gesturekit.evaluation.definitions import DEFINITIONS
 
 PAGE = "report.html"
 REFRESH = 10
@@ -32,6 +33,7 @@ _TITLES = {
     "held_out": "On held-out recordings",
     "recorded": "On training recordings",
 }
+_OF_METRICS = ("evaluation", "held_out", "recorded")
 _NO_LOSSES = ("seconds_per_iteration", "learning_rate")
 _STYLE = """
 :root { color-scheme: light dark; --ink: #26303b; --soft: #6b7785; --line: #d5dae0; --room: #f6f7f8;
@@ -41,7 +43,7 @@ _STYLE = """
 body { margin: 0 auto; padding: 16px 22px 40px; max-width: 1100px; background: var(--room); }
 h1 { font-size: 20px; margin: 0; overflow-wrap: anywhere; }
 h2 { font-size: 16px; margin: 26px 0 8px; }
-p { color: var(--soft); margin: 4px 0; } a { color: inherit; }
+p { color: var(--soft); margin: 4px 0; } p b { color: var(--ink); } a { color: inherit; }
 .charts { display: grid; grid-template-columns: repeat(auto-fill, minmax(260px, 1fr)); gap: 12px; }
 figure { margin: 0; padding: 8px 12px; background: var(--panel); border: 1px solid var(--line);
   border-radius: 10px; }
@@ -69,7 +71,7 @@ class RunReport:
         self._curves: dict[str, dict[str, dict[str, Curve]]] = defaultdict(
             lambda: defaultdict(lambda: defaultdict(list))
         )
-        self._step, self._due = 0, 0.0
+        self._step, self._due, self._verdict = 0, 0.0, ""
 
     def update(self) -> None:
         """Write the page, unless that would take more than SHARE of the time."""
@@ -108,6 +110,8 @@ class RunReport:
         step, level = int(line.pop("step")), line.pop("level", None)
         section = line.pop("kind", "loss")
         self._step = max(self._step, step)
+        if verdict := line.pop("verdict", ""):
+            self._verdict = f"Measured {verdict}"
         for name, value in line.items():
             if not isinstance(value, int | float) or not math.isfinite(value):
                 continue
@@ -129,20 +133,23 @@ class RunReport:
         clock = time.strftime("%Y-%m-%d %H:%M:%S")
         sections = [*_TITLES, *(part for part in self._curves if part not in _TITLES)]
         body = "".join(self._section(part) for part in sections if part in self._curves)
+        verdict = f"<p><b>{html.escape(self._verdict)}</b></p>\n" if self._verdict else ""
         return (
             '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
             '<meta name="viewport" content="width=device-width, initial-scale=1">'
             '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
             f"style-src 'unsafe-inline'\">{reload}<title>{name}: step {self._step}</title>"
             f"<style>{_STYLE}</style></head>\n<body><h1>{name}</h1>"
-            f"<p>{state}, step {self._step}, written {clock}</p>\n"
+            f"{verdict}<p>{state}, step {self._step}, written {clock}</p>\n"
             f"{body}{self._samples()}</body></html>\n"
         )
 
     def _section(self, part: str) -> str:
         shown = self._curves[part]
         labels = list(dict.fromkeys(label for curves in shown.values() for label in curves))
-        charts = "".join(_chart(title, curves, labels) for title, curves in shown.items())
+        charts = "".join(
+            _chart(_in_words(name, part), curves, labels) for name, curves in shown.items()
+        )
         title = html.escape(_TITLES.get(part, part.capitalize()))
         return f'<h2>{title}</h2><div class="charts">{charts}</div>\n'
 
@@ -167,32 +174,48 @@ def _metric_and_whose(name: str) -> tuple[str, str]:
     return name, "model"
 
 
+def _in_words(name: str, part: str) -> str:
+    """Return the title of a chart: the name and unit of a metric, or the words of another value."""
+    known = DEFINITIONS.get(name.removesuffix("_ratio")) if part in _OF_METRICS else None
+    if known is None:
+        return name.replace("_", " ").capitalize()
+    return f"{known.name} / the recording's" if name.endswith("_ratio") else known.title
+
+
 def _chart(title: str, curves: dict[str, Curve], known: list[str]) -> str:
-    """Return one chart with a line for each label, in the colour of its place in `known`."""
-    values = [value for curve in curves.values() for _, value in curve]
+    """Return one chart with a line for each label, in the colour of its place in `known`.
+
+    A curve of one point has its value as text, not a line.
+    """
+    drawn = {label: curve for label, curve in curves.items() if len(curve) > 1}
+    values = [value for curve in drawn.values() for _, value in curve] or [0.0]
     low, high = min(values), max(values)
     is_log = low > 0 and high / low > _LOG_SCALE
-    last_step = max(curve[-1][0] for curve in curves.values())
-    first_step = min(curve[0][0] for curve in curves.values())
+    steps = [point[0] for curve in (drawn or curves).values() for point in (curve[0], curve[-1])]
     lines, labels = [], []
     for label, curve in curves.items():
         hue = round(205 + 360 * known.index(label) / len(known)) % 360
-        places = _places(curve, (first_step, last_step), (low, high), is_log)
         colour = f"hsl({hue} 60% var(--light))"
         named = html.escape(f"{label} {curve[-1][1]:.4g}".strip())
-        labels.append(f'; <b style="color: {colour}">{html.escape(label)}</b>' if label else "")
+        value = "" if label in drawn else f" {curve[-1][1]:.4g}"
+        labels += [f'; <b style="color: {colour}">{html.escape(label)}</b>{value}'] if label else []
+        if label not in drawn:
+            continue
+        places = _places(curve, (min(steps), max(steps)), (low, high), is_log)
         lines.append(
             f'<polyline points="{places}" style="stroke: {colour}">'
             f"<title>{named}</title></polyline>"
         )
     newest = max(curves.values(), key=lambda curve: curve[-1][0])[-1][1]
-    name = html.escape(title.replace("_", " "))
-    scale = ", log scale" if is_log else ""
+    scale, picture = f"step {max(steps)}", ""
+    if lines:
+        log_scale = ", log scale" if is_log else ""
+        scale = f"{low:.3g} to {high:.3g}{log_scale}; steps {min(steps)} to {max(steps)}"
+        view = f'viewBox="0 0 {_WIDTH} {_HEIGHT}" preserveAspectRatio="none"'
+        picture = f"<svg {view}>{''.join(lines)}</svg>"
     return (
-        f"<figure><figcaption><b>{name}</b><span>{newest:.4g}</span></figcaption>"
-        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" preserveAspectRatio="none">{"".join(lines)}</svg>'
-        f"<small>{low:.3g} to {high:.3g}{scale}; steps {first_step} to {last_step}"
-        f"{''.join(labels)}</small></figure>"
+        f"<figure><figcaption><b>{html.escape(title)}</b><span>{newest:.4g}</span></figcaption>"
+        f"{picture}<small>{scale}{''.join(labels)}</small></figure>"
     )
 
 
@@ -203,13 +226,10 @@ def _places(
     is_log: bool,
 ) -> str:
     """Return a curve as the points of a polyline."""
-    points = curve if len(curve) > 1 else [(steps[0], curve[0][1]), (steps[1], curve[0][1])]
     low, high = (math.log(limit) for limit in limits) if is_log else limits
-    span, width = (high - low) or 1.0, (steps[1] - steps[0]) or 1
-    if points is not curve and steps[0] == steps[1]:
-        points = [(steps[0], curve[0][1]), (steps[0] + 1, curve[0][1])]
+    span, width = (high - low) or 1.0, steps[1] - steps[0]
     found = []
-    for step, value in points:
+    for step, value in curve:
         share = ((math.log(value) if is_log else value) - low) / span
         x = (step - steps[0]) / width * _WIDTH
         found.append(f"{x:.1f},{_HEIGHT - 3 - share * (_HEIGHT - 6):.1f}")

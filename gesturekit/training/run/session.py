@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import shlex
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -18,6 +17,7 @@ from gesturekit.training.config import to_dict
 from gesturekit.training.run.device import memory_ran_out, prepare_device
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.processes import Processes
+from gesturekit.training.run.state import resume_command
 from gesturekit.training.run_config import RunConfig
 
 log = logging.getLogger(__name__)
@@ -37,7 +37,8 @@ def session(
         folder: replaces `config.out` for a temporary run.
 
     Raises:
-        ConfigError: `config.out` holds a run already (or none to resume), or no such device.
+        ConfigError: `config.out` holds a run already (or none to resume), is being trained by
+            another process, or no such device.
         ModelError: a GPU's memory ran out.
         OutputError: the disk of the run folder is full.
     """
@@ -52,10 +53,14 @@ def session(
         processes.wait()
         try:
             with closing(run):
+                if resume and processes.is_first:
+                    run.hold()
                 yield run, device, processes
         except KeyboardInterrupt:
             if processes.is_first and folder is None and run.has_begun:
-                log.warning("Stopped. Continue with: %s", resume_command(run.folder, processes))
+                log.warning(
+                    "Stopped. Continue with: %s", resume_command(run.folder, processes.count)
+                )
             raise
         except torch.cuda.OutOfMemoryError as error:
             raise ModelError(
@@ -67,7 +72,7 @@ def session(
                 raise
             again = "start again"
             if run.has_begun:
-                command = resume_command(run.folder, processes)
+                command = resume_command(run.folder, processes.count)
                 again = f"continue from the last checkpoint: {command}"
             raise OutputError(f"{run.folder}: {error.strerror}; make room, then {again}") from error
 
@@ -84,13 +89,3 @@ def _quiet_threads() -> Iterator[None]:
         yield
     finally:
         threading.excepthook = usual
-
-
-def resume_command(folder: Path, processes: Processes) -> str:
-    """Return the command line that resumes a run."""
-    program = (
-        ["gesturekit"]
-        if processes.count == 1
-        else ["torchrun", "--nproc_per_node", str(processes.count), "-m", "gesturekit"]
-    )
-    return shlex.join([*program, "train", "--resume", str(folder)])

@@ -26,9 +26,12 @@ class Steps(Progress):
         stages: (number of steps, relative cost of a step) in order.
         done: steps before the training was resumed.
         quiet: print nothing.
+        noun: name of a step.
     """
 
-    def __init__(self, stages: Sequence[tuple[int, float]], done: int, *, quiet: bool) -> None:
+    def __init__(
+        self, stages: Sequence[tuple[int, float]], done: int, *, quiet: bool, noun: str = "step"
+    ) -> None:
         self._cost_left, skipped = 0.0, done
         for steps, cost in stages:
             self._cost_left += max(steps - skipped, 0) * cost
@@ -39,9 +42,9 @@ class Steps(Progress):
         super().__init__(
             total=sum(steps for steps, _ in stages),
             initial=done,
-            unit="step",
+            unit=noun,
             disable=quiet,
-            bar_format="{l_bar}{bar}| {n_fmt} of {total_fmt} steps, {elapsed} passed, "
+            bar_format=f"{{l_bar}}{{bar}}| {{n_fmt}} of {{total_fmt}} {noun}s, {{elapsed}} passed, "
             "{remaining} left{postfix}",
         )
 
@@ -56,7 +59,10 @@ class Steps(Progress):
         passed = time.monotonic() - self._since
         if not self._is_said and passed >= _SAID_AFTER and self._paid:
             self._is_said = True
-            log.info("Time left: about %s.", roughly(self.seconds_left))
+            left, time_left = self.total - self.n, roughly(self.seconds_left)
+            log.info(
+                "Time left: about %s for %d of %d %ss.", time_left, left, self.total, self.unit
+            )
 
     @property
     def seconds_left(self) -> float:

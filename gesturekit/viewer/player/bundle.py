@@ -120,7 +120,8 @@ def main() -> None:
             f"The HTML pages need Node.js {OLDEST_NODE} or newer (with npm) to be bundled, and "
             f"there is none on the PATH. Install it, or run: pip install {NODE_FROM_PYPI}"
         )
-    print("Bundling the HTML pages (three.js and jsPsych from npm) ...", flush=True)
+    what = "three.js, jsPsych and esbuild from npm, 50 MB unpacked"
+    print(f"Bundling the HTML pages ({what}) ...", flush=True)
     try:
         for script in wanted:
             bundle(script, *found)

@@ -28,8 +28,7 @@ FPS = 30.0
 CLIP_SECONDS = 10.0
 """Length of a clip in Alexanderson et al. 2023."""
 KINDS = ("kinetic", "geometric")
-KINETIC = ("corrected", "released")
-"""Variants of the kinetic features."""
+_VARIANTS = ("corrected", "released")
 _RELEASED_FPS = 60.0  # frames per second in Bailando's code, whatever the rate of the motion
 _AROUND = 2  # frames on either side in a running mean
 
@@ -101,8 +100,8 @@ def kinetic_features(
         >>> kinetic_features(gk.Motion(rig, still, path, 30), joints=["hips"]).round(6).tolist()
         [4.0, 0.0, 0.0]
     """
-    if variant not in KINETIC:
-        raise EvaluationError(f"kinetic variant {variant!r}; expected {' or '.join(KINETIC)}")
+    if variant not in _VARIANTS:
+        raise EvaluationError(f"kinetic variant {variant!r}; expected {' or '.join(_VARIANTS)}")
     motion = _long_enough(motion)
     names = body_joints(motion.skeleton) if joints is None else joints
     positions = motion.positions()[:, [motion.skeleton.index(name) for name in names]]

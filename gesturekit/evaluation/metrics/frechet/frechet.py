@@ -16,9 +16,8 @@ and read the note.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -267,8 +266,7 @@ def fid_k(
         >>> fid_k([recordings[0].scaled(10)], recordings, seconds=1).value > 100
         True
     """
-    features = partial(clip_features, kind="kinetic", joints=joints, variant=kinetic)
-    return _fid(features, generated, reference, seconds, resamples, seed)
+    return _fid("kinetic", generated, reference, seconds, joints, resamples, seed, kinetic)
 
 
 def fid_g(
@@ -288,8 +286,7 @@ def fid_g(
         >>> round(fid_g([recordings[0].scaled(2)], recordings, seconds=1).value, 6)
         0.0
     """
-    features = partial(clip_features, kind="geometric")
-    return _fid(features, generated, reference, seconds, resamples, seed)
+    return _fid("geometric", generated, reference, seconds, None, resamples, seed)
 
 
 def div_k(
@@ -319,8 +316,7 @@ def div_k(
         >>> div_k([motion, motion], seconds=2)
         0.0
     """
-    features = partial(clip_features, kind="kinetic", joints=joints, variant=kinetic)
-    return _diversity(features, motions, reference, seconds)
+    return _diversity("kinetic", motions, reference, seconds, joints, kinetic)
 
 
 def div_g(
@@ -338,18 +334,20 @@ def div_g(
         >>> div_g([motion, motion], seconds=2)
         0.0
     """
-    return _diversity(partial(clip_features, kind="geometric"), motions, reference, seconds)
+    return _diversity("geometric", motions, reference, seconds, None)
 
 
 def _fid(
-    features: Callable[..., list[list[np.ndarray]]],
+    kind: str,
     generated: Sequence[Motion],
     reference: Sequence[Motion],
     seconds: float,
+    joints: Sequence[str] | None,
     resamples: int,
     seed: int,
+    kinetic: str = "corrected",
 ) -> FrechetResult:
-    ours, theirs = features([generated, reference], seconds=seconds)
+    ours, theirs = clip_features([generated, reference], kind, seconds, joints, kinetic)
     spread = _spread(np.concatenate(theirs))
     return frechet_result(
         [clips / spread for clips in ours],
@@ -360,15 +358,17 @@ def _fid(
 
 
 def _diversity(
-    features: Callable[..., list[list[np.ndarray]]],
+    kind: str,
     motions: Sequence[Motion],
     reference: Sequence[Motion] | None,
     seconds: float,
+    joints: Sequence[str] | None,
+    kinetic: str = "corrected",
 ) -> float:
     from scipy.spatial.distance import pdist
 
     sets = [motions, motions if reference is None else reference]
-    ours, theirs = features(sets, seconds=seconds)
+    ours, theirs = clip_features(sets, kind, seconds, joints, kinetic)
     clips = np.concatenate(ours)
     if len(clips) < 2:
         raise EvaluationError(f"diversity needs two clips of {seconds:g} s; there is one")
