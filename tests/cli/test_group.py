@@ -33,7 +33,7 @@ def test_help_and_version(gesturekit):
         (["xyz"], "it is one of demo, features, prepare"),
         (["--nonsense"], "--nonsense"),
         (["render"], "Missing"),
-        (["train"], "Missing"),
+        (["train"], "gesturekit train own_corpus corpus=CORPUS.jsonl"),
         ([], "Usage: gesturekit"),
     ],
 )
