@@ -258,8 +258,6 @@ class Controls:
         """
         entries = cls.entries()
         given = {name: value for name, value in keywords.items() if value is not None}
-        if given.get("raw") is True:
-            given = {n: e.raw for n, e in entries.items() if e.raw is not None} | given
         for name, value in given.items():
             if name not in entries:
                 hint = did_you_mean(name, entries, "; did you mean {}?", cutoff=0.75)
@@ -271,6 +269,8 @@ class Controls:
                     given[name] = convert(value)
                 except (FormatError, ModelError) as error:
                     raise type(error)(f"{name}: {error}") from None
+        if given.get("raw"):
+            given = {n: e.raw for n, e in entries.items() if e.raw is not None} | given
         defaults = cls.__dataclass_fields__
         for name in given:
             for other in entries[name].excludes:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -46,6 +48,26 @@ class _Model(Protocol):
     styles: Collection[str]
     speakers: Collection[str]
     inputs: _Inputs
+
+
+def file_fingerprint(path: Path) -> str:
+    """Return the first 16 hexadecimal digits of the SHA-256 of a file's content.
+
+    That of a folder, an EasyMocap sequence, is made from those of its files.
+    """
+    if path.is_dir():
+        files = sorted(file for file in path.rglob("*") if file.is_file())
+        return hashlib.sha256("".join(map(file_fingerprint, files)).encode()).hexdigest()[:16]
+    found = path.stat()
+    # A file that is written again has another time of change, whatever its other times are set to.
+    return _fingerprint(path, found.st_size, found.st_mtime_ns, found.st_ctime_ns)
+
+
+@lru_cache(maxsize=2**16)
+def _fingerprint(path: Path, *state: int) -> str:
+    """Return the fingerprint of a file in this state."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,13 +15,12 @@ from typing import Any
 from gesturekit.corpus import checks, splits
 from gesturekit.corpus.alignment import corrections, shift_problems
 from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.copies import join_copies
 from gesturekit.corpus.item import READING
 from gesturekit.corpus.layouts import read_layout
 from gesturekit.corpus.layouts.listing import Listing
 from gesturekit.corpus.manifest import Manifest, absolute
 from gesturekit.corpus.pairing import Found, pair, recording_ids, scan, unread
-from gesturekit.corpus.recording import Examination, Recording, examine_each
+from gesturekit.corpus.recording import Examination, Recording, examine_each, ids_in
 from gesturekit.corpus.report import Report
 from gesturekit.corpus.takes import name_takes, neighbours, take_in
 from gesturekit.errors import CorpusError, MotionError, gesturekit_errors
@@ -30,7 +29,7 @@ from gesturekit.formats.conversion import refuse_unused_read_options
 from gesturekit.formats.registry import MOTION_SUFFIXES, format_of
 from gesturekit.formats.sources import OTHER_SPEECH_SUFFIXES, SPEECH_SUFFIXES
 from gesturekit.motion.parts import find_parts
-from gesturekit.wording import counted, did_you_mean, listed
+from gesturekit.wording import counted, listed
 
 MAX_SIZE_RATIO = 1.5
 """Largest ratio of body heights in a corpus without a warning."""
@@ -189,8 +188,7 @@ def prepare(
     problems = [p for p in problems + found if p.file not in left_out or p.severity == "error"]
     problems += odd + _corpus_notes(recordings) + _other_rates(recordings, listing)
     recordings, unnamed = name_takes(recordings, chosen.take_pattern, chosen.take_table)
-    recordings, copies = join_copies(recordings)
-    problems += unnamed + copies
+    problems += unnamed
     if hold_out := chosen.hold_out():
         recordings = hold_out.apply(recordings, listing.copies if listing else "")
     items, cut = splits.split_items(
@@ -235,11 +233,7 @@ def _examined(
     problems: list[Problem] = []
     unmatched = 0
     named = [recording for recording, _ in tasks]
-    trim = options.trim.split(",") if isinstance(options.trim, str) else options.trim
-    trim = {name.strip() for name in trim if name.strip()}
-    if unknown := sorted(trim - {one.id for one in named}):
-        hint = did_you_mean(unknown[0], (one.id for one in named), "; did you mean {}?")
-        raise CorpusError(f"trim: no recording {unknown[0]!r}{hint}")
+    trim = ids_in(options.trim, [one.id for one in named])
     examination = Examination(options.tolerance, trim, options.channel, options.parts, read)
     each = examine_each(named, examination, options.workers, options.progress)
     for (_, is_alone), (checked, found) in zip(tasks, each, strict=True):

@@ -17,7 +17,7 @@ from gesturekit.corpus import checks
 from gesturekit.corpus.alignment import Correlation, correlate
 from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.item import CONDITIONS, muted
-from gesturekit.errors import FormatError, GestureKitError, MotionError
+from gesturekit.errors import CorpusError, FormatError, GestureKitError, MotionError
 from gesturekit.formats.conversion import applicable_read_options, load_with_warnings
 from gesturekit.formats.plausibility import plausibility_warnings
 from gesturekit.formats.tables.events import load_events
@@ -26,7 +26,7 @@ from gesturekit.formats.tables.semantics import load_semantics
 from gesturekit.jobs.workers import Failure, Pool
 from gesturekit.motion import Motion, Skeleton, defects
 from gesturekit.motion.parts.body_size import body_height
-from gesturekit.wording import counted
+from gesturekit.wording import counted, did_you_mean
 
 MIN_DURATION = 0.5
 """Least length of a recording, seconds."""
@@ -334,6 +334,19 @@ class Examination:
             recording = replace(recording, reading=reading)
         tolerance = math.inf if recording.id in self.trim else self.tolerance
         return examine(recording, tolerance, self.parts)
+
+
+def ids_in(given: str | Sequence[str], known: Sequence[str]) -> set[str]:
+    """Return ids separated by commas, or in a list.
+
+    Raises:
+        CorpusError: no recording has one of them.
+    """
+    ids = {name.strip() for name in (given.split(",") if isinstance(given, str) else given)} - {""}
+    if unknown := sorted(ids - set(known)):
+        hint = did_you_mean(unknown[0], known, "; did you mean {}?")
+        raise CorpusError(f"trim: no recording {unknown[0]!r}{hint}")
+    return ids
 
 
 def examine_each(

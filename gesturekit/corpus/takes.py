@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import re
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.item import Item
+from gesturekit.corpus.item import Item, file_fingerprint
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import CorpusError, FormatError
 from gesturekit.formats.tables.table import read_table
@@ -22,7 +23,8 @@ def name_takes(
     """Return the recordings with their takes, and notes of those that the pattern does not match.
 
     A take is named by the table, else by the pattern, else by the layout of a public corpus; by
-    default each recording is a take of its own.
+    default each recording is a take of its own. Recordings with the same sound or motion are of one
+    take, with a warning.
 
     Args:
         recordings: examined recordings.
@@ -52,7 +54,56 @@ def name_takes(
         Problem("note", one.file, f"name does not match take pattern {pattern}: a take of its own")
         for one in unmatched
     ]
-    return named, notes
+    joined, copies = _join_copies(named)
+    return joined, notes + copies
+
+
+def _join_copies(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Problem]]:
+    """Give recordings with the same sound or motion, byte for byte, one take and one `original`.
+
+    Returns:
+        the recordings, and a warning that names the copies.
+    """
+    files = {path for one in recordings for path in (one.audio, one.motion) if path}
+    original = _originals(sorted(path for path in files if path.is_file()))
+    contents = [[original[p] for p in (r.audio, r.motion) if p in original] for r in recordings]
+    takes = _joined([one.take for one in recordings], contents)
+    firsts = _joined([one.id for one in recordings], contents)
+    joined = [
+        replace(one, take=take, original=first)
+        for one, take, first in zip(recordings, takes, firsts, strict=True)
+    ]
+    copies = [f"{path} (of {first})" for path, first in original.items() if path != first]
+    if not copies:
+        return joined, []
+    text = (
+        f"{counted(len(copies), 'file')} with the content of another: {listed(copies, 4)}. They "
+        "count as one take, so that no copy of a held-out recording is trained on; delete those "
+        "that are not meant to be there"
+    )
+    return joined, [Problem("warning", None, text)]
+
+
+def _originals(files: Sequence[Path]) -> dict[Path, Path]:
+    """Return the first file with the same content, for each of several with one content."""
+    by_size: dict[int, list[Path]] = defaultdict(list)
+    for path in files:
+        by_size[path.stat().st_size].append(path)
+    by_content: dict[str, list[Path]] = defaultdict(list)
+    for path in (path for alike in by_size.values() if len(alike) > 1 for path in alike):
+        by_content[file_fingerprint(path)].append(path)
+    return {path: same[0] for same in by_content.values() if len(same) > 1 for path in same}
+
+
+def _joined(names: Sequence[str], contents: Sequence[Sequence[Path]]) -> list[str]:
+    """Return the first name that each name is connected with by contents that they share."""
+    labels, holders = list(names), {}
+    for k, shared in enumerate(contents):
+        for content in shared:
+            first, own = labels[holders.setdefault(content, k)], labels[k]
+            if first != own:
+                labels = [first if label == own else label for label in labels]
+    return labels
 
 
 def take_in(name: str, pattern: str) -> str:

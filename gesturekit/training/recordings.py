@@ -13,8 +13,7 @@ from statistics import mode
 from typing import Any
 
 from gesturekit.corpus.checks import first_difference
-from gesturekit.corpus.copies import file_fingerprint
-from gesturekit.corpus.item import Item
+from gesturekit.corpus.item import Item, file_fingerprint
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.corpus.takes import neighbours
 from gesturekit.errors import ConfigError, CorpusError, MotionError

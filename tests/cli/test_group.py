@@ -79,7 +79,7 @@ def test_a_missing_model_is_answered_by_those_that_there_are(gesturekit, tmp_pat
         (["xyz"], "it is one of demo, features, prepare"),
         (["--nonsense"], "--nonsense"),
         (["render"], "Missing"),
-        (["train"], "Missing"),
+        (["train"], "gesturekit train own_corpus corpus=CORPUS.jsonl"),
         ([], "Usage: gesturekit"),
     ],
 )

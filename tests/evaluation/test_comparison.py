@@ -298,7 +298,7 @@ def test_the_papers_patch_variant_has_no_coverage_without_a_threshold(folders):
         )
         assert ("coverage" in found.models[0].metrics) is has
         assert found.settings["variants"] == {
-            "patches": "paper", "threshold": threshold, "bas": "seconds"
+            "patches": "paper", "threshold": threshold, "bas": "seconds", "kinetic": "corrected"
         }  # fmt: skip
         said = {d.key: d.variant for d in found.definitions()}
         assert said["local_diversity"] == "paper: 15 frames (0.60 s)"

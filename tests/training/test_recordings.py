@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from gesturekit.corpus import Item, Manifest
-from gesturekit.corpus.copies import file_fingerprint
+from gesturekit.corpus.item import file_fingerprint
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.training.data.sources import TrainedSegment
 from gesturekit.training.recordings import Recordings, load_motions, load_recordings

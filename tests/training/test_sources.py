@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from gesturekit.corpus.copies import file_fingerprint
+from gesturekit.corpus.item import file_fingerprint
 from gesturekit.training.data.sources import (
     TrainedSegment,
     describe_rates,

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gesturekit.corpus.copies import file_fingerprint
-from gesturekit.corpus.item import Item
+from gesturekit.corpus.item import Item, file_fingerprint
 from gesturekit.corpus.styles import style_track
 from gesturekit.diffusion.conditions import Conditions, smooth_path
 from gesturekit.diffusion.config import DiffusionConfig

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from audio_features.atomic import atomic_write
-from gesturekit.corpus.copies import file_fingerprint
-from gesturekit.corpus.item import Item
+from gesturekit.corpus.item import Item, file_fingerprint
 from gesturekit.wording import counted, roughly
 
 FILE = "trained_on.json"

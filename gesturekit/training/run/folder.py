@@ -6,6 +6,7 @@ import importlib.metadata
 import json
 import platform
 import shlex
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -159,6 +160,7 @@ class Run:
             self._events.close()
         if self._lease is not None:
             self._lease.release()
+            shutil.rmtree(self.folder / LEASE, ignore_errors=True)
 
 
 def has_no_run(folder: Path) -> bool:
