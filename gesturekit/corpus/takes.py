@@ -65,7 +65,7 @@ def _join_copies(recordings: Sequence[Recording]) -> tuple[list[Recording], list
         the recordings, and a warning that names the copies.
     """
     files = {path for one in recordings for path in (one.audio, one.motion) if path}
-    original = _originals(sorted(path for path in files if path.is_file()))
+    original = _originals(sorted(path for path in files if path.exists()))
     contents = [[original[p] for p in (r.audio, r.motion) if p in original] for r in recordings]
     takes = _joined([one.take for one in recordings], contents)
     firsts = _joined([one.id for one in recordings], contents)
