@@ -7,6 +7,9 @@ import json
 import logging
 import re
 import shutil
+import socket
+import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
@@ -129,6 +132,35 @@ def test_a_finished_run_is_kept(train, tmp_path):
     assert train("--resume").status == 0
     assert (model / "model.safetensors").read_bytes() == before
     assert read_yaml(tmp_path / "run" / "config.yaml")["network"]["levels"] == 6
+
+
+OWNER = """
+import sys, time
+from pathlib import Path
+from gesturekit.training.run.folder import Run
+Run(Path(sys.argv[1]), {}, resume=False).hold()
+print("held", flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_run_folder_has_one_owner_until_it_dies(train, tmp_path):
+    out = str(tmp_path / "run")
+    with subprocess.Popen([sys.executable, "-c", OWNER, out], stdout=subprocess.PIPE) as owner:
+        assert owner.stdout.readline() == b"held\n"
+        error = error_line(train())
+        assert f"process {owner.pid} on {socket.gethostname()}" in error and out in error
+        owner.kill()
+    assert train().status == 0
+
+
+def test_a_checkpoint_of_another_run_is_refused_by_name(gesturekit, train, tmp_path):
+    train("seed=1", f"out={tmp_path / 'other'}").ok()
+    train().ok()
+    (foreign,) = sorted((tmp_path / "other" / "checkpoints").iterdir())[-1:]
+    shutil.copy(foreign, tmp_path / "run" / "checkpoints" / foreign.name)
+    done = gesturekit("train", "--resume", tmp_path / "run")
+    assert done.status == 2 and f"{foreign.name}: a checkpoint of another run" in done.err
 
 
 @pytest.mark.parametrize("left", [None, ".", "data"])

@@ -22,10 +22,17 @@ class Checkpoints:
 
     The state consists of tensors, numbers, strings, lists and dicts only, so that it can be
     read back with `torch.load(weights_only=True)`.
+
+    Args:
+        folder: where they lie.
+        settings: digest of the run's settings, which each of them holds; None reads those of any
+            run.
+        keep: number of checkpoints that are kept.
     """
 
-    def __init__(self, folder: Path, keep: int = 2) -> None:
+    def __init__(self, folder: Path, settings: str | None = None, keep: int = 2) -> None:
         self.folder = folder
+        self.settings = settings
         self.keep = keep
 
     def steps(self) -> list[int]:
@@ -45,7 +52,7 @@ class Checkpoints:
         with atomic_write(self.path(step)) as temporary:
             # In memory first: torch raises a RuntimeError without a reason on a full disk.
             content = io.BytesIO()
-            torch.save(state, content)
+            torch.save({**state, "settings": self.settings}, content)
             temporary.write_bytes(content.getbuffer())
         for old in self.steps()[: -self.keep]:
             self.path(old).unlink()
@@ -56,14 +63,22 @@ class Checkpoints:
         A damaged one is logged, and the one before it is tried.
 
         Raises:
-            ModelError: there are checkpoints, and none can be read.
+            ModelError: there are checkpoints, and none can be read, or one is of another run.
         """
         steps = self.steps()
         for step in reversed(steps):
             try:
-                return step, torch.load(self.path(step), weights_only=True, map_location="cpu")
+                state = torch.load(self.path(step), weights_only=True, map_location="cpu")
+                settings = state.pop("settings")
+                if self.settings in (settings, None):
+                    return step, state
             except Exception as error:  # torch raises half a dozen kinds for a damaged file
                 log.warning("%s cannot be read (%s); trying the one before", self.path(step), error)
+                continue
+            raise ModelError(
+                f"{self.path(step)}: a checkpoint of another run (its settings have the digest "
+                f"{str(settings)[:12]}, not {self.settings[:12]}); move it away, and resume again"
+            )
         if steps:
             raise ModelError(f"{self.folder}: none of its {len(steps)} checkpoints can be read")
         return None

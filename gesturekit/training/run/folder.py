@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.metadata
 import json
 import platform
 import shlex
 import shutil
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -43,18 +45,23 @@ class Run:
     def __init__(self, folder: Path, config: dict[str, Any], *, resume: bool) -> None:
         self.folder = folder
         self._config = config
-        self.checkpoints = Checkpoints(folder / "checkpoints")
+        self._resume = resume
+        self.checkpoints = Checkpoints(folder / "checkpoints", _digest(config))
         self._metrics = folder / "metrics.jsonl"
         self._events: Any = None
         self._lease: Any = None
         self._report = RunReport(folder)
-        config_file = folder / "config.yaml"
+        self._check()
+
+    def _check(self) -> None:
+        """Compare the folder with what is to be done in it; see the class for the errors."""
+        folder, config_file = self.folder, self.folder / "config.yaml"
         if folder.exists() and not folder.is_dir():
             raise ConfigError(f"{folder}: a file, not a run folder; name a folder by out=OTHER")
-        if resume:
+        if self._resume:
             if not config_file.is_file():
                 raise ConfigError(f"{folder}: no run to resume here; start it without --resume")
-            before, config = _dotted(read_yaml(config_file)), _dotted(config)
+            before, config = _dotted(read_yaml(config_file)), _dotted(self._config)
             for key in sorted(set(before) | set(config)):
                 if key not in _REPORTING and before.get(key) != config.get(key):
                     raise ConfigError(
@@ -73,25 +80,21 @@ class Run:
         return (self.folder / "config.yaml").is_file()
 
     def begin(self) -> None:
-        """Write the files that mark the folder as a run, once the training data is read.
-
-        Raises:
-            ConfigError: another process trains in the folder.
-        """
+        """Write the files that mark the folder as a run, once the training data is read."""
         self._write("command.txt", shlex.join(sys.argv) + "\n")
         self._write("versions.json", json.dumps(_versions(), indent=1) + "\n")
         # Last: a folder with a config.yaml holds a run.
         self._write("config.yaml", dump_yaml(self._config))
-        self.hold()
 
     def hold(self) -> None:
-        """Mark the run as running until `close`.
+        """Keep other processes out of the folder until `close`, before anything is written.
 
         Raises:
-            ConfigError: another process trains it.
+            ConfigError: another process trains in the folder, or has done so meanwhile.
         """
-        (self.folder / LEASE).mkdir(exist_ok=True)
+        (self.folder / LEASE).mkdir(parents=True, exist_ok=True)
         self._lease = Lease(self.folder / LEASE, 1, 1, {})
+        self._check()
 
     def _write(self, name: str, text: str) -> None:
         with atomic_write(self.folder / name) as temporary:
@@ -161,6 +164,8 @@ class Run:
         if self._lease is not None:
             self._lease.release()
             shutil.rmtree(self.folder / LEASE, ignore_errors=True)
+            with suppress(OSError):
+                self.folder.rmdir()  # of a training that did not begin
 
 
 def has_no_run(folder: Path) -> bool:
@@ -174,6 +179,12 @@ def has_no_run(folder: Path) -> bool:
         return False
     names = [path.name for path in folder.iterdir()]
     return all(name in _BEFORE_CONFIG or name.startswith(".") for name in names)
+
+
+def _digest(config: dict[str, Any]) -> str:
+    """Return a digest of the settings on which the results of a run depend."""
+    values = {key: value for key, value in _dotted(config).items() if key not in _REPORTING}
+    return hashlib.sha256(json.dumps(values, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def _dotted(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -53,7 +53,7 @@ def session(
         processes.wait()
         try:
             with closing(run):
-                if resume and processes.is_first:
+                if processes.is_first and folder is None:
                     run.hold()
                 yield run, device, processes
         except KeyboardInterrupt:
