@@ -72,13 +72,13 @@ def command(
     if resume and (only_plan or only_arrays):
         option = "--plan" if only_plan else "--arrays"
         raise click.UsageError(f"{option} is for a new run; leave out --resume")
+    _refuse_options([str(config or ""), *overrides])
     if config is None or ("=" in str(config) and not config.exists()):
         given = shlex.join([str(config), *overrides]) if config else "corpus=CORPUS.jsonl"
         raise click.UsageError(
             "name a recipe or a configuration first (gesturekit recipes ls); for your own "
             f"recordings: gesturekit train own_corpus {given}"
         )
-    _refuse_options([str(config), *overrides])
     if workers is not None:
         overrides = (*overrides, f"workers={workers}")
     if show:

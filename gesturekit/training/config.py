@@ -236,8 +236,7 @@ def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config"
         # A section's name may be misspelt; a setting that another section has is in the wrong one.
         # A plural of the given name is the best match; the same name in other sections comes next.
         plural = [name for name in error.near if name == f"{full}s"]
-        near = error.near or same if error.inner else plural or same or error.near
-        meant = usual or near
+        meant = usual or (error.near or same if error.inner else plural or same or error.near)
         hint = (
             f"did you mean {' or '.join(meant)}?" if meant else f"known: {', '.join(error.known)}"
         )
