@@ -98,6 +98,8 @@ class Item:
             and `forward`, the true `fps`, the `height` in metres to scale the body to, the
             `person` of an EasyMocap folder, and the body `parts` assigned by hand that the height
             depends on.
+        digests: fingerprints of the files `audio` and `motion` when the corpus was prepared, see
+            `file_fingerprint`; empty where they are not known.
         audible: intervals (start, end) of the sound file, seconds, in which the recorded person
             speaks; the rest is muted. Empty where all of the sound is used.
 
@@ -120,6 +122,7 @@ class Item:
     conditions: Mapping[str, Path] = field(default_factory=dict)
     channel: int | None = None
     reading: Mapping[str, Any] = field(default_factory=dict)
+    digests: Mapping[str, str] = field(default_factory=dict)
     audible: Sequence[tuple[float, float]] = ()
 
     def __post_init__(self) -> None:
@@ -153,6 +156,18 @@ class Item:
     def file_take(self) -> str:
         """The take of an item that names none: its motion or sound file without extension."""
         return (self.motion or self.audio).with_suffix("").as_posix()
+
+    @property
+    def changed_files(self) -> list[Path]:
+        """Files whose content is not that of `digests`, and is there."""
+        files = {name: getattr(self, name) for name in self.digests if name in ("audio", "motion")}
+        return [
+            file
+            for name, file in files.items()
+            if file
+            and (file.is_file() or file.is_dir())
+            and file_fingerprint(file) != self.digests[name]
+        ]
 
     @property
     def is_paired(self) -> bool:

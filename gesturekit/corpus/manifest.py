@@ -189,7 +189,7 @@ def _check_header(record: dict[str, Any], where: str) -> None:
 
 _FIELDS = tuple(f.name for f in fields(Item))
 # Left out of the lines of recordings that do not need them.
-_OPTIONAL = ("take", "channel", "reading", "audible")
+_OPTIONAL = ("take", "channel", "reading", "digests", "audible")
 _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
     "id": ((str,), "a string"),
     "take": ((str,), "a string"),
@@ -206,6 +206,7 @@ _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
     "conditions": ((dict,), "an object {name: path}"),
     "channel": ((int, type(None)), "a whole number or null"),
     "reading": ((dict,), "an object {unit, up, forward, fps, height, person, body_model}"),
+    "digests": ((dict,), "an object {audio, motion}"),
     "audible": ((list, tuple), "a list of [start, end] in seconds"),
 }
 

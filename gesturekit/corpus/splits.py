@@ -18,7 +18,7 @@ from operator import attrgetter
 from pathlib import Path
 
 from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.item import Item
+from gesturekit.corpus.item import Item, file_fingerprint
 from gesturekit.corpus.manifest import absolute
 from gesturekit.corpus.recording import MIN_DURATION, Recording
 from gesturekit.errors import CorpusError
@@ -314,5 +314,10 @@ def _item(recording: Recording, split: str) -> Item:
         channel=recording.channel if recording.audio else None,
         conditions={name: absolute(file) for name, file in recording.conditions.items()},
         reading=recording.reading,
+        digests={
+            name: file_fingerprint(file)
+            for name in ("audio", "motion")
+            if (file := getattr(recording, name)) and file.exists()
+        },
         audible=recording.audible,
     )

@@ -195,6 +195,12 @@ def load_recordings(
     if beside := neighbours(manifest):
         log.warning("%s: %s.", config.corpus, beside)
     items = training_items(manifest, config.corpus, with_audio=speech)
+    if changed := sorted({str(file) for item in items for file in item.changed_files}):
+        log.warning(
+            "%s: %s changed since gesturekit prepare, and may not be what it checked: %s; run it "
+            "again",
+            *(config.corpus, counted(len(changed), "file"), listed(changed, 4)),
+        )
     names, style_of = item_styles(items, config.corpus) if styles else ((), [0] * len(items))
     check_styles(names)
     if others is not None:

@@ -280,6 +280,17 @@ def test_a_plan_warns_of_held_out_neighbours_once(train, one_recording, caplog):
     assert caplog.text.count("held-out items with neighbours in training") == 1
 
 
+def test_a_file_that_was_swapped_after_prepare_is_named(
+    train, one_recording, write_speech, tmp_path, caplog
+):
+    train(f"corpus={one_recording}", "--plan").ok()
+    assert "changed since" not in caplog.text
+    swapped = write_speech(tmp_path / "one" / "speech.wav", 40.0, level=0.1)
+    train(f"corpus={one_recording}", "--plan").ok()
+    assert "1 file changed since gesturekit prepare" in caplog.text
+    assert str(swapped) in caplog.text and "speech.bvh" not in caplog.text
+
+
 def test_frequent_evaluation_does_not_change_weights(train, one_recording, tmp_path, monkeypatch):
     corpus = f"corpus={one_recording}"
     assert train(corpus).status == 0

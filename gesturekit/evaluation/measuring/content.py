@@ -20,7 +20,7 @@ _KIND = "measurements-1"
 _NUMERICAL = ("numpy", "scipy", "librosa", "soxr", "torch", "scikit-learn", "soundfile")
 _CODE = ("evaluation", "motion", "formats", "corpus")
 """Packages of gesturekit of which an edit may change a measurement."""
-_DESCRIPTIVE = frozenset({"id", "speaker", "style", "split", "text", "audio", "motion"})
+_DESCRIPTIVE = frozenset({"id", "speaker", "style", "split", "text", "audio", "motion", "digests"})
 _LARGEST = 200_000_000  # bytes of an entry
 
 log = logging.getLogger(__name__)
