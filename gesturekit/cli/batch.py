@@ -135,12 +135,15 @@ def print_preview(batch: Batch) -> None:
     """Print what would be done about each sound of a batch, and the sums."""
     from gesturekit.progress import time_in_words
     from gesturekit.rendering.batch import measured_cost, preview
+    from gesturekit.wording import listed
 
     words = {"left": "make", "kept": "keep", "failed": "fail"}
     counts, sound = dict.fromkeys(words.values(), 0), 0.0
     for result in preview(batch):
         action, length = words[result.status], result.task.duration
-        where = result.error or ", ".join(map(str, batch.processor.targets(result.task)))
+        where = result.error or listed(
+            [str(path) for path in batch.processor.targets(result.task)], 4
+        )
         shown = "      ? s" if length is None else f"{length:7.1f} s"
         click.echo(f"{action}  {shown}  {click.format_filename(result.source)} -> {where}")
         counts[action] += 1

@@ -84,12 +84,14 @@ class Processor(ABC):
 
     Attributes:
         out: output folder.
+        samples: motions that are made of each task.
         existing: one of `gesturekit.jobs.run.EXISTING`.
         settings: what all results depend on, as JSON values.
         written: settings of the files of each format (suffix), as JSON values.
     """
 
     out: Path
+    samples = 1
     existing: str
     settings: dict[str, Any]
     written: dict[str, dict[str, Any]]

@@ -137,6 +137,10 @@ class Renderer(Processor):
         """Folder of the model, where it has one."""
         return {"model_folder": str(self.model.folder)} if self.model.folder else {}
 
+    def single(self) -> Renderer:
+        """Return the same renderer, which makes one sample of each task."""
+        return dataclasses.replace(self, controls=self.controls | {"samples": 1})
+
     def stems(self, task: Task) -> list[str]:
         """Return the paths of the samples below the output folder, without suffix."""
         if self.samples == 1:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-from urllib.parse import urlsplit
 
 from starlette.requests import HTTPConnection
 
@@ -38,4 +37,5 @@ def address_of(listening: socket.socket, host: str) -> str:
 def is_foreign(request: HTTPConnection) -> bool:
     """Return whether a page of another site sends a request, or opens a WebSocket."""
     origin = request.headers.get("origin")
-    return origin is not None and urlsplit(origin).netloc != request.headers.get("host")
+    # An origin is scheme://host[:port], or no address at all ("null", "http://[::1").
+    return origin is not None and origin.partition("://")[2] != request.headers.get("host")

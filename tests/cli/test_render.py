@@ -557,6 +557,10 @@ def test_a_dry_run_says_what_it_did_not_look_at(render, model, wav, tmp_path):
     idle = render("--keyframes", tmp_path / "edit.bvh", "--dry-run")
     assert idle.status == 0 and "1 to make, 0 to keep, 0 to fail" in idle.err
     assert re.search(r"^fail .*text\.wav -> .*cannot be read as sound", done.out, re.MULTILINE)
+    many = render(wav, "--dry-run", "--samples", 200)
+    assert len(many.out) < 1000 and "196 more" in many.out
+    of_one, of_many = (re.search(r"about ([\d.]+) MB", each.err)[1] for each in (done, many))
+    assert float(of_many) / 200 == pytest.approx(float(of_one), abs=0.06)
 
 
 def test_speakers_that_are_not_chosen_are_warned_about(gesturekit, wav, tmp_path, monkeypatch):

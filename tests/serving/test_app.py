@@ -185,7 +185,7 @@ def test_a_body_that_says_to_be_too_large_is_not_read(tmp_path, length):
 
 def test_requests_of_other_sites_and_names_are_refused(client):
     one = client()
-    for origin in ("https://evil.example", "null", "http://127.0.0.1:1"):
+    for origin in ("https://evil.example", "null", "http://127.0.0.1:1", "http://[::1"):
         answer = one.post("/motion", content=wav(), headers={"Origin": origin})
         assert answer.status_code == 403
     assert one.post("/motion", content=wav(), headers={"Origin": HOST}).status_code == 200
