@@ -16,6 +16,8 @@ from gesturekit.wording import did_you_mean, listed
 
 SKELETON_FORMAT = 1
 ROTATION_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
+LONGEST_NAME = 200
+"""Characters of a joint's name."""
 FARTHEST = 1e9
 """Largest plausible coordinate, metres; sums of larger ones could overflow."""
 
@@ -251,6 +253,11 @@ def _check_tree(names: Sequence[str], parents: Sequence[int]) -> None:
     for name in names:
         if not name.strip() or not name.isprintable():
             raise MotionError(f"{name!r} is not a joint name")
+        if len(name) > LONGEST_NAME:
+            raise MotionError(
+                f"the joint name {name[:40]!r}… has {len(name)} characters; files hold "
+                f"{LONGEST_NAME} at most: rename it"
+            )
         if name in seen:
             raise MotionError(f"two joints are called {name!r}; names must be unique")
         seen.add(name)

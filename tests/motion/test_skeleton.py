@@ -26,6 +26,7 @@ from gesturekit.motion.skeleton import unique_names
         ({"rotation_orders": ("ZXY", "ZXY", "ZXZ")}, "'ZXZ'"),
         ({"names": ("a", "b\n", "c")}, "b\\n"),
         ({"names": ("a", " ", "c")}, "' ' is not a joint name"),
+        ({"names": ("a", "b" * 201, "c")}, "201 characters; files hold 200 at most"),
         ({"names": (), "parents": (), "offsets": np.zeros((0, 3))}, "at least one joint"),
         ({"parents": (-1, 0)}, "3 joint names but 2 parents"),
         ({"parents": (-1, 1, 1)}, "joint 'b' (index 1) has parent 1"),

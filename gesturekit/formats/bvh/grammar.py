@@ -15,10 +15,9 @@ from gesturekit.formats.bvh.mark import marked_unit
 from gesturekit.formats.bvh.rows import LARGEST, Lines, parse_rows
 from gesturekit.formats.frame_rate import frame_rate
 from gesturekit.formats.signatures import kind_by_content
-from gesturekit.motion.skeleton import unique_names
+from gesturekit.motion.skeleton import LONGEST_NAME, unique_names
 
 _MOST_JOINTS = 2000
-_LONGEST_NAME = 200
 _NOTHING = -2  # value of `opening` if the next { opens no joint
 _BYTE_ORDER_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 
@@ -186,9 +185,9 @@ def _block(
         raise lines.error(f"{keyword} {rest[:40]!r} has no parent joint")
     if len(blocks) >= _MOST_JOINTS:
         raise lines.error(f"over {_MOST_JOINTS} joints")
-    if len(rest) > _LONGEST_NAME:
+    if len(rest) > LONGEST_NAME:
         raise lines.error(
-            f"a joint name of {len(rest)} characters; over {_LONGEST_NAME} means that the file is "
+            f"a joint name of {len(rest)} characters; over {LONGEST_NAME} means that the file is "
             "damaged"
         )
     if not rest.isprintable():
