@@ -49,7 +49,10 @@ def raw_line(name: str) -> str:
 
 def copy_again(name: str) -> str:
     """Return what to do about a truncated file."""
-    return f"copy or export the file again, or keep what is there by {ffmpeg_line(name)}"
+    return (
+        f"copy or export the file again, or keep what is there by {ffmpeg_line(name)}, and put the "
+        "result in the place of the file"
+    )
 
 
 def exactly(file: BinaryIO, count: int, name: str) -> bytes:

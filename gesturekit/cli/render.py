@@ -117,6 +117,8 @@ def _click_type(name: str, entry: ControlEntry) -> Any:
     if entry.kind in (int, float):
         kind = click.IntRange if entry.kind is int else click.FloatRange
         low = entry.least if entry.above is None else entry.above
+        if low is None and entry.most is None:
+            return entry.kind
         return kind(low, entry.most, min_open=entry.above is not None)
     return {Path: click.Path(path_type=Path), bool: bool}.get(entry.kind, str)
 

@@ -128,7 +128,7 @@ def write_npz(
             effect = "refuses" if motion.fps < 30 else "plays at the wrong speed"
             warnings.warn(
                 f"{path}: the SMPL-X add-on of Blender {effect} {motion.fps:g} fps; write a "
-                "multiple of 30 (--fps 30)",
+                "multiple of 30 (--fps 30, or gesturekit convert --fps 30)",
                 stacklevel=2,
             )
     with atomic_write(path) as temporary, temporary.open("wb") as out:

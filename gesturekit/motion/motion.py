@@ -171,8 +171,13 @@ class Motion:
         """(T, J, 3) world positions of the joints, metres; (T, 3) of one joint if it is named.
 
         Raises:
-            MotionError: no such joint.
+            MotionError: no such joint, or not the name of one.
         """
+        if not isinstance(joint, str | None):
+            raise MotionError(
+                f"positions({joint!r}): give the name of one joint; positions() has all of them, "
+                "in the order of joint_names"
+            )
         which = slice(None) if joint is None else self.skeleton.index(joint)
         return kinematics.forward_kinematics(
             self.rotations, self.translation, self.skeleton, self.joint_translations

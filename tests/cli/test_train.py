@@ -235,7 +235,7 @@ def test_before_the_first_step_it_says_what_it_will_do(train, tmp_path, caplog):
     assert re.search(r"Time: about \d+ ", caplog.text)
     assert train().status == 0
     train("--plan").ok()
-    assert "holds a run already; add --resume to continue it, or out=OTHER" in caplog.text
+    assert "holds a finished training already; a new one goes to another folder" in caplog.text
 
 
 def test_one_setting_makes_a_training_twice_as_long(gesturekit, recipe, corpus, tmp_path, caplog):

@@ -177,6 +177,12 @@ def test_options_that_a_format_does_not_have_are_refused_by_name(moving_person, 
         Motion.load(tmp_path / "a.npz", units="cm")
 
 
+@pytest.mark.parametrize("wrong", [3, ["head"]])
+def test_positions_of_what_is_no_name_are_refused(moving_person, wrong):
+    with pytest.raises(MotionError, match=r"give the name of one joint; positions\(\) has all"):
+        moving_person.positions(wrong)
+
+
 def test_importing_motion_is_light():
     code = (
         "import sys, gesturekit.motion, gesturekit.formats, gesturekit.motion.contacts\n"

@@ -283,7 +283,8 @@ def test_a_run_is_a_folder_and_is_resumed_where_there_is_one(run, tmp_path):
         Run(tmp_path / "file", {}, resume=False)
     with pytest.raises(ConfigError, match="no run to resume here"):
         Run(tmp_path / "other", {}, resume=True)
-    with pytest.raises(ConfigError, match="holds a run already; add --resume"):
+    resume = f"not finished; gesturekit train --resume '{run.folder}'"
+    with pytest.raises(ConfigError, match=f"{re.escape(resume)}.*out=OTHER"):
         Run(run.folder, {}, resume=False)
     assert run.has_begun and not Run(tmp_path / "other", {}, resume=False).has_begun
     assert set(json.loads((run.folder / "versions.json").read_text())) >= {"python", "torch"}

@@ -19,7 +19,7 @@ from gesturekit.jobs.lease import Lease
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.run.checkpoint import Checkpoints
 from gesturekit.training.run.report import RunReport
-from gesturekit.training.run.state import LEASE
+from gesturekit.training.run.state import LEASE, unfinished
 
 _VERSIONS_OF = ("gesturekit", "torch", "numpy", "scipy", "librosa", "soxr", "transformers")
 
@@ -70,9 +70,8 @@ class Run:
                     )
             return
         if config_file.exists():
-            raise ConfigError(
-                f"{folder}: holds a run already; add --resume to continue it, or out=OTHER"
-            )
+            state = unfinished(folder) or f"{folder}: holds a finished training already"
+            raise ConfigError(f"{state}; a new one goes to another folder, out=OTHER")
 
     @property
     def has_begun(self) -> bool:
