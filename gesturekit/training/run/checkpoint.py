@@ -69,7 +69,7 @@ class Checkpoints:
         for step in reversed(steps):
             try:
                 state = torch.load(self.path(step), weights_only=True, map_location="cpu")
-                settings = state.pop("settings")
+                settings = state.pop("settings", None)
                 if self.settings in (settings, None):
                     return step, state
             except Exception as error:  # torch raises half a dozen kinds for a damaged file
