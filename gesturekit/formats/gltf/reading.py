@@ -77,9 +77,10 @@ def read_gltf(
     nodes = Nodes(gltf)
     joints, ends = _joints(gltf, nodes)
     names, renamed = _names(gltf, joints)
-    found = read_animation(gltf, set(nodes.with_ancestors(joints)), animation)
+    moving = nodes.with_ancestors(joints)
+    found = read_animation(gltf, set(moving), animation)
     try:
-        times, rate = found.frames(fps, gltf, (_MOST + gltf.size // 8) // len(joints))
+        times, rate = found.frames(fps, gltf, (_MOST + gltf.size // 8) // len(moving))
         rig = _rest(nodes, joints, ends, names, METRES[unit])
         motion = _moved(rig, nodes.world(joints, found.curves, times), METRES[unit], rate)
         motion = _in_our_axes(motion, up, forward)
@@ -127,14 +128,11 @@ def _joints(gltf: Gltf, nodes: Nodes) -> tuple[list[int], list[int]]:
             f"joints is read, not {listed([name[:60] for name in named.values()], 4)}",
             stacklevel=3,
         )
-    ends = [
-        node
-        for node in nodes.order
-        if node in tree and node != root and END_SITE in gltf.object(entries[node], "extras")
-    ]
-    if any(nodes.parents[node] in ends for node in tree):
-        ends = []
-    return [node for node in nodes.order if node in tree and node not in set(ends)], ends
+    marked = {node for node in tree if END_SITE in gltf.object(entries[node], "extras")} - {root}
+    if any(nodes.parents[node] in marked for node in tree):
+        marked = set()
+    joints, ends = ([n for n in nodes.order if n in some] for some in (tree - marked, marked))
+    return joints, ends
 
 
 def _named_joints(gltf: Gltf, nodes: Nodes) -> set[int]:
