@@ -64,7 +64,7 @@ class Gltf:
         self._decoded, self._work, self.size = _DECODED, _WORK, 0
         self._resources: dict[str | Path | None, bytes] = {}
         self._arrays: dict[int, np.ndarray] = {}
-        self._checked: dict[int, list[Any]] = {}
+        self._checked: set[str] = set()
         self.json = self._parsed(self._content(self.path))
         for name in map(str, self.values(self.json, "extensionsRequired")):
             if "compression" in name and name != _DRACO:
@@ -206,10 +206,12 @@ class Gltf:
     def items(self, key: str, parent: dict[str, Any] | None = None) -> list[dict[str, Any]]:
         """Return a list of objects of the file, or of one of its objects."""
         found = self.values(self.json if parent is None else parent, key)
-        if found and self._checked.get(id(found)) is not found:
-            if not all(isinstance(item, dict) for item in found):
-                raise self.error(f"{key} holds something that is not an object")
-            self._checked[id(found)] = found
+        if parent is None and key in self._checked:
+            return found
+        if not all(isinstance(item, dict) for item in found):
+            raise self.error(f"{key} holds something that is not an object")
+        if parent is None:
+            self._checked.add(key)
         return found
 
     def item(self, key: str, index: object) -> dict[str, Any]:
@@ -294,7 +296,7 @@ class Gltf:
             found = self._elements(accessor, dtype, width, count, what)
         else:
             count = self.whole(accessor.get("count"), MAX_BYTES, f"count of {what}")
-            self._spend_array(count * width, dtype, what)
+            self._spend(count * width, dtype, what)
             found = np.zeros((count, width), dtype)
         if "sparse" in accessor:
             sparse = self.object(accessor, "sparse")
@@ -306,12 +308,12 @@ class Gltf:
                 raise self.error(f"indices of {what} are beyond its {len(found)} elements")
             found[at] = self._elements(values, dtype, width, n, f"values of {what}")
         if accessor.get("normalized") is True and dtype.kind in "iu":
-            self._spend_array(found.size, np.dtype(float), what)
+            self._spend(found.size, np.dtype(float), what)
             found = found / np.iinfo(dtype).max
             return np.maximum(found, -1.0, out=found)
         return found
 
-    def _spend_array(self, size: int, dtype: np.dtype, what: str) -> None:
+    def _spend(self, size: int, dtype: np.dtype, what: str) -> None:
         self.spend(what, decoded=size * dtype.itemsize, work=size // 4)
 
     def _dtype(self, component: object, what: str) -> np.dtype:
@@ -332,5 +334,5 @@ class Gltf:
         offset = self.whole(place.get("byteOffset", 0), size + 1, f"byteOffset of {what}")
         most = (size - offset - each) // stride + 1  # 0 if not one fits
         n = self.whole(count, most + 1, f"count of {what}")
-        self._spend_array(n * width, dtype, what)
+        self._spend(n * width, dtype, what)
         return np.ndarray((n, width), dtype, data, start + offset, (stride, dtype.itemsize)).copy()

@@ -31,7 +31,7 @@ END_SITE = "gesturekit_end_site"
 _STILL = 1e-5
 """Positions within a parent that vary by no more than this, metres, are a constant offset."""
 _MOST = 800_000
-"""Joints times frames that even the smallest file may have; larger files may have more."""
+"""Nodes times frames that even the smallest file may have; larger files may have more."""
 _BODY = 0.6
 """Least share of the joints in one tree, if a node above several trees is not their root."""
 
@@ -128,7 +128,8 @@ def _joints(gltf: Gltf, nodes: Nodes) -> tuple[list[int], list[int]]:
             f"joints is read, not {listed([name[:60] for name in named.values()], 4)}",
             stacklevel=3,
         )
-    marked = {node for node in tree if END_SITE in gltf.object(entries[node], "extras")} - {root}
+    extras = {node: gltf.object(entries[node], "extras") for node in tree - {root}}
+    marked = {node for node, extra in extras.items() if END_SITE in extra}
     if any(nodes.parents[node] in marked for node in tree):
         marked = set()
     joints, ends = ([n for n in nodes.order if n in some] for some in (tree - marked, marked))
