@@ -127,7 +127,7 @@ ATTACKS = {
     "nodes": ("read", lambda: animated(20_000, 2, seconds=1.3)),
     "end sites": ("read", lambda: named([*map(str, range(19_999))], extras=ENDS)),
     "long name": ("view", lambda: named(["x" * 200_000] * 2)),
-    "invisible": ("view", lambda: changed(meshes, alpha=0)),
+    "invisible": ("view", lambda: changed(meshes, 200, alpha=0)),
     "lines": ("view", lambda: changed(meshes, 15_000, 20_000, mode=1)),
     "skins": ("view", lambda: changed(skins)),
     "scattered": ("view", lambda: changed(meshes, nodes=38, pieces=1)),
@@ -141,7 +141,7 @@ def cost(folder, attack):
     """Return the size of the file, memory over that before (MB), seconds, and the error."""
     way, make = ATTACKS[attack]
     harmless, path = folder / "harmless.glb", folder / "a.glb"
-    harmless.write_bytes((avatar(1) if way == "view" else animated(4, 4)) + bytes(5 << 20))
+    harmless.write_bytes((animated(4, 4) if way == "read" else avatar(1)) + bytes(5 << 20))
     path.write_bytes(make())
     command = [sys.executable, "-c", READER, way, harmless, path, folder / "out.glb"]
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
