@@ -15,7 +15,7 @@ from gesturekit.wording import printable
 
 _FORMATS = ("PNG", "JPEG", "WEBP")
 _MOST_PIXELS, _USUAL_PIXELS = 1 << 26, 1 << 24
-"""Most pixels of a texture, and those that a file may have whose bytes are fewer than pixels."""
+"""Most pixels of a texture, and of one in a small file; each byte of a file allows two more."""
 _SIDE = 512
 """Textures are reduced to this many pixels: vertices are far apart."""
 _PALETTE = 128
@@ -85,7 +85,7 @@ class Colours:
                 warnings.simplefilter("error", Image.DecompressionBombWarning)
                 with Image.open(io.BytesIO(data), formats=_FORMATS) as opened:
                     n_pixels = opened.width * opened.height
-                    if n_pixels > min(_MOST_PIXELS, max(_USUAL_PIXELS, glb.size)):
+                    if n_pixels > min(_MOST_PIXELS, _USUAL_PIXELS + 2 * glb.size):
                         raise ValueError(f"{opened.width} by {opened.height} pixels")
                     kept = 4 * min(n_pixels, _SIDE * _SIDE)
                     glb.spend("its images", decoded=kept, work=n_pixels // 6)
