@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from bisect import bisect_left
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from gesturekit.formats.gltf.skin import Skin
+from gesturekit.formats.gltf.skin import Skin, unique_rows
 from gesturekit.formats.gltf.vrm import Avatar, read_avatar
 from gesturekit.viewer.human.body import Human
 
@@ -45,7 +46,7 @@ def _loaded(path: Path, version: tuple[int, int]) -> tuple[Human, Avatar]:
 
 _FIRST, _GROWTH = 1 / 800, 1.25
 """Size of the first grid's cells by the body's height, and by which each next one is larger."""
-_ROUNDS = 30
+_ROUNDS = 100
 _SAME = 1e-5
 """Distance of vertices at one place, by the body's height."""
 
@@ -63,21 +64,21 @@ def simplified(skin: Skin, most: int, height: float) -> Skin:
     """
     if len(skin.vertices) <= most:
         return skin
-    cell, found = _FIRST * height, skin
-    for _ in range(_ROUNDS):
-        found = _clustered(skin, cell, skin.joints[:, :1])
-        if len(found.vertices) <= most:
-            break
-        cell *= _GROWTH
-    return found
+    cells = _FIRST * height * _GROWTH ** np.arange(_ROUNDS)
+    apart = skin.joints[:, :1]
+    k = bisect_left(cells[:-1], True, key=lambda cell: len(_groups(skin, cell, apart)[0]) <= most)
+    return _clustered(skin, cells[k], apart)
+
+
+def _groups(skin: Skin, cell: float, apart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first vertex of each cell with the same numbers `apart`, and groups (V,)."""
+    keys = np.floor(skin.vertices / cell).astype(np.int64)
+    return unique_rows(np.concatenate([keys, apart], axis=1))
 
 
 def _clustered(skin: Skin, cell: float, apart: np.ndarray) -> Skin:
     """Return the mesh with one vertex for those of a cell with the same numbers `apart` (V, N)."""
-    keys = np.floor(skin.vertices / cell).astype(np.int64)
-    keys = np.concatenate([keys, apart], axis=1)
-    _, first, groups = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    groups = groups.reshape(-1)
+    first, groups = _groups(skin, cell, apart)
     counts = np.bincount(groups)
     vertices = np.stack(
         [np.bincount(groups, skin.vertices[:, axis]) / counts for axis in range(3)], axis=1

@@ -135,7 +135,7 @@ def test_elements_are_a_stride_apart(tmp_path, stride, is_right):
             found.array(0, "x", 1)
 
 
-def test_zeros_with_few_values_may_take_a_mebibyte(tmp_path):
+def test_zeros_with_few_values_may_take_32_mebibytes(tmp_path):
     """An accessor without a buffer view is of zeros; the file itself has 12 bytes of arrays."""
     file = GltfFile([{}])
     places, values = (
@@ -145,12 +145,12 @@ def test_zeros_with_few_values_may_take_a_mebibyte(tmp_path):
               "values": {"bufferView": values}}  # fmt: skip
     zeros = {"type": "VEC4", "componentType": 5126}
     few = {"type": "SCALAR", "componentType": 5126, "count": 4, "sparse": sparse}
-    file.json["accessors"] = [few, zeros | {"count": 65_536}]
+    file.json["accessors"] = [few, zeros | {"count": 2_097_152}]
     path = file.save(tmp_path / "a.glb")
     assert Gltf(path).array(0, "x", 1)[:, 0].tolist() == [0, 0, 7, 0]
-    assert Gltf(path).array(1, "x", 4).shape == (65_536, 4)
-    empty = gltf(tmp_path / "b.glb", accessors=[zeros | {"count": 65_537}])
-    with pytest.raises(FormatError, match="count of x is 65537; expected 0 to 65536"):
+    assert Gltf(path).array(1, "x", 4).shape == (2_097_152, 4)
+    empty = gltf(tmp_path / "b.glb", accessors=[zeros | {"count": 2_099_000}])
+    with pytest.raises(FormatError, match="x would take more memory or time than a file of 0 KiB"):
         empty.array(0, "x", 4)
     few["count"] = 2
     with pytest.raises(FormatError, match="indices of x are beyond its 2 elements"):
@@ -181,7 +181,7 @@ def test_values_of_the_json_part_are_checked(tmp_path):
         assert str(error.value).startswith(f"{tmp_path / 'a.glb'}: ")
     assert found.numbers({"s": [1e6, -1e6]}, "s", [0.0] * 2).tolist() == [1e6, -1e6]
     assert found.numbers({}, "s", [3.0]).tolist() == [3.0]
-    assert found.resource("data:;base64,YWI=") == b"ab" and found.size == 2
+    assert found.resource("data:;base64,YWI=") == b"ab"
 
 
 @pytest.mark.parametrize("version", ["2.0", "2.1"])
@@ -360,7 +360,7 @@ def test_curves_of_other_nodes_and_properties_are_passed_over(tmp_path):
         {"sampler": 0, "target": {"node": 1, "path": 3}},
     ]
     found = read_animation(Gltf(file.save(tmp_path / "a.glb")), {1}, "2")
-    assert list(found.curves) == [(1, "rotation")] and found.seconds == 3.0
+    assert list(found.curves) == [(1, "rotation")] and found.curves[1, "rotation"].times[-1] == 3.0
 
 
 def test_animations_without_names_are_numbered(tmp_path):

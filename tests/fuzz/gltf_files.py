@@ -43,7 +43,7 @@ class GltfFile:
         values = np.asarray(values, dtype)
         values = values.reshape(len(values), -1)
         kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[values.shape[1]]
-        component = {"<f4": 5126, "<i2": 5122, "<u2": 5123}[dtype]
+        component = {"<f4": 5126, "i1": 5120, "<i2": 5122, "<u2": 5123}[dtype]
         accessor = {"type": kind, "componentType": component, "count": len(values), **more}
         self.json["accessors"].append({"bufferView": self.view(values.tobytes()), **accessor})
         return len(self.json["accessors"]) - 1

@@ -396,7 +396,7 @@ BAD = {
     ),
     "many pieces": (
         lambda found: found["meshes"][0].update(primitives=found["meshes"][0]["primitives"] * 4097),
-        "over 600000 triangles or 4096 pieces of mesh",
+        "its triangles would take more memory or time than a file of",
     ),
     "no mesh": (changed("meshes", 0, "primitives", value=[]), "no mesh"),
     "no list": (changed("nodes", value={}), "nodes is not a list"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,11 +91,6 @@ class Animation:
     curves: Mapping[tuple[int, str], Curve]
     rate: float | None = None
 
-    @property
-    def seconds(self) -> float:
-        """Time of the last key; there must be one."""
-        return max(curve.times[-1] for curve in self.curves.values())
-
     def frames(self, fps: float | None, gltf: Gltf, most: int) -> tuple[np.ndarray, float]:
         """Return the times (T,) of frames from the first key to the last, and their rate.
 
@@ -111,8 +106,8 @@ class Animation:
             FormatError: too many frames.
             MotionError: an invalid rate.
         """
-        keys = [curve.times for curve in self.curves.values()] or [[0.0]]
-        times = np.unique(np.concatenate(keys))
+        keys = {id(curve.times): curve.times for curve in self.curves.values()} or {0: [0.0]}
+        times = np.unique(np.concatenate([*keys.values()]))
         first, last = float(times[0]), float(times[-1])
         if fps is None and self.rate and _fits(times, self.rate):
             fps = self.rate
@@ -176,7 +171,7 @@ def read_animation(gltf: Gltf, nodes: set[int], name: str | None) -> Animation:
     Raises:
         FormatError: no animation of this name, or a broken one.
     """
-    entries = gltf.items("animations")
+    entries, keys = gltf.items("animations"), _Keys(gltf)
     names = [str(entry.get("name", "")) for entry in entries]
     shown = listed([one[:60] or str(k) for k, one in enumerate(names, start=1)], _SHOWN)
     if name is not None:
@@ -186,53 +181,91 @@ def read_animation(gltf: Gltf, nodes: set[int], name: str | None) -> Animation:
             chosen = int(name) - 1
         else:
             raise FormatError(f"{gltf.path}: no animation {name!r}; it has {shown or 'none'}")
-        return _animation(gltf, entries[chosen], nodes)
-    read = [_animation(gltf, entry, nodes) for entry in entries]
-    if moving := [one for one in read if one.curves]:
-        longest = max(moving, key=lambda one: one.seconds)
+        return keys.animation(entries[chosen], nodes)
+    seconds = {k: keys.seconds(entry, nodes) for k, entry in enumerate(entries)}
+    if moving := {k: end for k, end in seconds.items() if end is not None}:
+        longest = max(moving, key=moving.__getitem__)
         if len(moving) > 1:
             warnings.warn(
                 f"{gltf.path}: of its animations ({shown}), the longest is read, "
-                f"{longest.name[:60] or read.index(longest) + 1}; --animation NAME chooses",
+                f"{names[longest][:60] or longest + 1}; --animation NAME chooses",
                 stacklevel=3,
             )
-        return longest
+        return keys.animation(entries[longest], nodes)
     if gltf.path.suffix.lower() != ".vrm":  # avatars have none
         said = f"{gltf.path}: no animation of its skeleton: one frame, at rest"
         warnings.warn(said, NoAnimationWarning, stacklevel=3)
     return Animation("", {})
 
 
-def _animation(gltf: Gltf, entry: dict[str, Any], nodes: set[int]) -> Animation:
-    samplers, curves = gltf.items("samplers", entry), {}
-    n_nodes = len(gltf.items("nodes"))
-    for channel in gltf.items("channels", entry):
-        target = gltf.object(channel, "target")
-        path = target.get("path")
-        if "node" not in target or not isinstance(path, str) or path not in _WIDTHS:
-            continue  # morph targets, pointers of extensions
-        node = gltf.whole(target["node"], n_nodes, "node of a channel")
-        if node in nodes:
-            at = gltf.whole(channel.get("sampler"), len(samplers), "sampler")
-            curves[node, path] = _curve(gltf, samplers[at], path)
-    rate = gltf.object(entry, "extras").get("fps")
-    right = type(rate) in (int, float) and LOWEST_FPS <= rate <= HIGHEST_FPS
-    return Animation(str(entry.get("name", "")), curves, float(rate) if right else None)
+class _Keys:
+    """Keys of the animations of a file; those that several channels share are decoded once."""
 
+    def __init__(self, gltf: Gltf) -> None:
+        self._gltf = gltf
+        self._times: dict[int, tuple[np.ndarray, np.ndarray | None]] = {}
+        self._curves: dict[tuple[int, int, str, str], Curve] = {}
 
-def _curve(gltf: Gltf, sampler: dict[str, Any], path: str) -> Curve:
-    interpolation = sampler.get("interpolation", "LINEAR")
-    if interpolation not in ("LINEAR", "STEP", "CUBICSPLINE"):
-        raise gltf.error(f"the interpolation {str(interpolation)[:40]!r} is not known")
-    times = gltf.array(sampler.get("input"), "times", 1)[:, 0].astype(float)
-    values = gltf.array(sampler.get("output"), path, _WIDTHS[path]).astype(float)
-    each = 3 if interpolation == "CUBICSPLINE" else 1
-    if not len(times) or len(values) < each * len(times):
-        raise gltf.error(f"{len(values)} values of {path} for {len(times)} times")
-    values = values[: each * len(times)]
-    if each == 3:
-        values = values.reshape(len(times), each, -1)
-    elif path == "rotation":
-        values = normalize_quaternions(values)
-    order = np.argsort(times, kind="stable")
-    return Curve(times[order], values[order], interpolation)
+    def animation(self, entry: dict[str, Any], nodes: set[int]) -> Animation:
+        """Return an animation with the curves of some nodes."""
+        curves = {key: self._curve(one, key[1]) for key, one in self._samplers(entry, nodes)}
+        rate = self._gltf.object(entry, "extras").get("fps")
+        right = type(rate) in (int, float) and LOWEST_FPS <= rate <= HIGHEST_FPS
+        return Animation(str(entry.get("name", "")), curves, float(rate) if right else None)
+
+    def seconds(self, entry: dict[str, Any], nodes: set[int]) -> float | None:
+        """Return the time of the last key of an animation; None if it moves none of the nodes."""
+        ends = (self._at(sampler)[0][-1] for _, sampler in self._samplers(entry, nodes))
+        return max(ends, default=None)
+
+    def _samplers(
+        self, entry: dict[str, Any], nodes: set[int]
+    ) -> Iterator[tuple[tuple[int, str], dict[str, Any]]]:
+        """Yield the node and the property of each channel of some nodes, and its sampler."""
+        gltf, samplers = self._gltf, self._gltf.items("samplers", entry)
+        n_nodes = len(gltf.items("nodes"))
+        for channel in gltf.items("channels", entry):
+            target = gltf.object(channel, "target")
+            path = target.get("path")
+            if "node" not in target or not isinstance(path, str) or path not in _WIDTHS:
+                continue  # morph targets, pointers of extensions
+            node = gltf.whole(target["node"], n_nodes, "node of a channel")
+            if node in nodes:
+                at = gltf.whole(channel.get("sampler"), len(samplers), "sampler")
+                yield (node, path), samplers[at]
+
+    def _at(self, sampler: dict[str, Any]) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return the times (K,) of a sampler in order, and the order unless it is that in file."""
+        index = sampler.get("input")
+        found = self._gltf.array(index, "times", 1)[:, 0]
+        if index not in self._times:
+            if not len(found):
+                raise self._gltf.error("an animation has 0 times")
+            self._gltf.spend("times", decoded=8 * len(found), work=len(found))
+            times, order = found.astype(float), None
+            if (np.diff(times) < 0).any():
+                order = np.argsort(times, kind="stable")
+                times = times[order]
+            self._times[index] = times, order
+        return self._times[index]
+
+    def _curve(self, sampler: dict[str, Any], path: str) -> Curve:
+        gltf, how = self._gltf, sampler.get("interpolation", "LINEAR")
+        if how not in ("LINEAR", "STEP", "CUBICSPLINE"):
+            raise gltf.error(f"the interpolation {str(how)[:40]!r} is not known")
+        times, order = self._at(sampler)
+        found = gltf.array(sampler.get("output"), path, _WIDTHS[path])
+        key = sampler["input"], sampler["output"], path, how
+        if key not in self._curves:
+            each = 3 if how == "CUBICSPLINE" else 1
+            if len(found) < each * len(times):
+                raise gltf.error(f"{len(found)} values of {path} for {len(times)} times")
+            values = found[: each * len(times)]
+            gltf.spend(f"keys of {path}", decoded=8 * values.size, work=values.size)
+            values = values.astype(float, copy=False)
+            if each == 3:
+                values = values.reshape(len(times), each, -1)
+            elif path == "rotation":
+                values = normalize_quaternions(values)
+            self._curves[key] = Curve(times, values if order is None else values[order], how)
+        return self._curves[key]

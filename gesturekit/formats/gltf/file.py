@@ -28,8 +28,10 @@ _MAX_ITEMS = 20_000
 """Largest number of nodes, accessors or other objects of a kind."""
 FARTHEST = 1e6
 """Largest coordinate or factor, in the file's unit."""
-_SPARE = 1 << 20
-"""Bytes of arrays that even the smallest file may stand for."""
+_DECODED, _DECODED_PER_BYTE = 32 << 20, 10
+"""Bytes of decoded arrays and images that any file may have, and more for each of its bytes."""
+_WORK, _WORK_PER_BYTE = 20_000_000, 5
+"""Steps of about 100 ns that reading any file may take, and more for each of its bytes."""
 JSON, BIN = 0x4E4F534A, 0x004E4942
 _TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -46,7 +48,7 @@ class Gltf:
     Attributes:
         path: of the file.
         json: its JSON object.
-        size: bytes of the arrays that were read.
+        size: bytes of the files that were read.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -59,9 +61,10 @@ class Gltf:
             UserWarning: an extension that the file needs is not read.
         """
         self.path = Path(path)
-        self._left, self.size = _SPARE, 0
-        self._resources: dict[str | None, bytes] = {}
+        self._decoded, self._work, self.size = _DECODED, _WORK, 0
+        self._resources: dict[str | Path | None, bytes] = {}
         self._arrays: dict[int, np.ndarray] = {}
+        self._checked: set[str] = set()
         self.json = self._parsed(self._content(self.path))
         for name in map(str, self.values(self.json, "extensionsRequired")):
             if "compression" in name and name != _DRACO:
@@ -87,6 +90,25 @@ class Gltf:
         """Return an error that names the file."""
         return FormatError(f"{self.path}: {problem}")
 
+    def spend(self, what: str, *, decoded: int = 0, work: int = 0) -> None:
+        """Take what is about to be decoded from the budget of the file, which grows with its size.
+
+        Args:
+            what: is decoded, for the message.
+            decoded: bytes that are kept.
+            work: steps of about 100 ns.
+
+        Raises:
+            FormatError: less is left.
+        """
+        if decoded > self._decoded or work > self._work:
+            raise self.error(
+                f"{what} would take more memory or time than a file of {self.size >> 10} KiB "
+                "may: it uses the same data many times, or claims more than it has"
+            )
+        self._decoded -= decoded
+        self._work -= work
+
     def _content(self, path: Path) -> bytes:
         which = "" if path == self.path else f"{str(path)[-120:]!r} "
         try:
@@ -96,6 +118,11 @@ class Gltf:
                 raise self.error(
                     f"{which}{size >> 20} MiB; files of up to {MAX_BYTES >> 20} are read"
                 )
+            if self.size + size > MAX_BYTES:
+                raise self.error(f"its files together have over {MAX_BYTES >> 20} MiB")
+            self.size += size
+            self._decoded += _DECODED_PER_BYTE * size
+            self._work += _WORK_PER_BYTE * size
             return path.read_bytes()
         except FileNotFoundError:
             raise self.error(f"{which}no such file") from None
@@ -134,20 +161,10 @@ class Gltf:
         if len(content) >= start + 8:
             n_data, kind = struct.unpack_from("<2I", content, start)
             if kind == BIN:
-                data = content[start + 8 : start + 8 + n_data]
+                self._resources[None] = data = content[start + 8 : start + 8 + n_data]
                 if len(data) < n_data:
                     raise self.error(f"cut short: {len(data)} of {n_data} bytes of arrays")
-                self._keep(None, data)
         return content[20:start]
-
-    def _keep(self, uri: str | None, data: bytes) -> bytes:
-        self.size += len(data)
-        if self.size > MAX_BYTES:
-            raise self.error(f"its files together have over {MAX_BYTES >> 20} MiB")
-        # Arrays of a sound file overlap little.
-        self._left += 4 * len(data)
-        self._resources[uri] = data
-        return data
 
     def resource(self, uri: object) -> bytes:
         """Return the bytes of a data URI, or of a file in the folder of this one.
@@ -164,7 +181,7 @@ class Gltf:
             try:
                 if not head.endswith(";base64"):
                     raise ValueError
-                return self._keep(uri, base64.b64decode(text))
+                return self._resources.setdefault(uri, base64.b64decode(text))
             except ValueError:
                 raise self.error(f"the data URI {uri[:40]!r} is not base64") from None
         try:
@@ -175,7 +192,9 @@ class Gltf:
             is_inside = False
         if not is_inside:
             raise self.error(f"{uri[:100]!r} is not a file in its folder, and is not opened")
-        return self._keep(uri, self._content(file))
+        if file not in self._resources:
+            self._resources[file] = self._content(file)
+        return self._resources.setdefault(uri, self._resources[file])
 
     def values(self, parent: dict[str, Any], key: str) -> list[Any]:
         """Return the list at a key of an object; an empty one if there is none."""
@@ -187,8 +206,12 @@ class Gltf:
     def items(self, key: str, parent: dict[str, Any] | None = None) -> list[dict[str, Any]]:
         """Return a list of objects of the file, or of one of its objects."""
         found = self.values(self.json if parent is None else parent, key)
+        if parent is None and key in self._checked:
+            return found
         if not all(isinstance(item, dict) for item in found):
             raise self.error(f"{key} holds something that is not an object")
+        if parent is None:
+            self._checked.add(key)
         return found
 
     def item(self, key: str, index: object) -> dict[str, Any]:
@@ -254,12 +277,13 @@ class Gltf:
         accessors = self.items("accessors")
         at = self.whole(index, len(accessors), f"accessor of {what}")
         if at not in self._arrays:
-            self._arrays[at] = self._read(accessors[at], what)
+            found = self._read(accessors[at], what)
+            if found.dtype.kind == "f" and not (np.abs(found) <= FARTHEST).all():
+                raise self.error(f"{what} holds numbers that are not finite, or over {FARTHEST:g}")
+            self._arrays[at] = found
         found = self._arrays[at]
         if found.shape[1] != width:
             raise self.error(f"{what} has {found.shape[1]} numbers an element; expected {width}")
-        if found.dtype.kind == "f" and not (np.abs(found) <= FARTHEST).all():
-            raise self.error(f"{what} holds numbers that are not finite, or over {FARTHEST:g}")
         return found
 
     def _read(self, accessor: dict[str, Any], what: str) -> np.ndarray:
@@ -271,9 +295,8 @@ class Gltf:
             count = accessor.get("count")
             found = self._elements(accessor, dtype, width, count, what)
         else:
-            most = self._left // (dtype.itemsize * width)
-            count = self.whole(accessor.get("count"), most + 1, f"count of {what}")
-            self._left -= count * dtype.itemsize * width
+            count = self.whole(accessor.get("count"), MAX_BYTES, f"count of {what}")
+            self._spend(count * width, dtype, what)
             found = np.zeros((count, width), dtype)
         if "sparse" in accessor:
             sparse = self.object(accessor, "sparse")
@@ -285,8 +308,13 @@ class Gltf:
                 raise self.error(f"indices of {what} are beyond its {len(found)} elements")
             found[at] = self._elements(values, dtype, width, n, f"values of {what}")
         if accessor.get("normalized") is True and dtype.kind in "iu":
-            return np.maximum(found / np.iinfo(dtype).max, -1.0)
+            self._spend(found.size, np.dtype(float), what)
+            found = found / np.iinfo(dtype).max
+            return np.maximum(found, -1.0, out=found)
         return found
+
+    def _spend(self, size: int, dtype: np.dtype, what: str) -> None:
+        self.spend(what, decoded=size * dtype.itemsize, work=size // 4)
 
     def _dtype(self, component: object, what: str) -> np.dtype:
         if type(component) is not int or component not in _COMPONENTS:
@@ -306,7 +334,5 @@ class Gltf:
         offset = self.whole(place.get("byteOffset", 0), size + 1, f"byteOffset of {what}")
         most = (size - offset - each) // stride + 1  # 0 if not one fits
         n = self.whole(count, most + 1, f"count of {what}")
-        self._left -= n * each
-        if self._left < 0:
-            raise self.error("its arrays together are several times larger than the file")
+        self._spend(n * width, dtype, what)
         return np.ndarray((n, width), dtype, data, start + offset, (stride, dtype.itemsize)).copy()

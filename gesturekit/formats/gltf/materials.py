@@ -10,10 +10,12 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from gesturekit.formats.gltf.file import Gltf
+from gesturekit.formats.gltf.skin import unique_rows
 from gesturekit.wording import printable
 
 _FORMATS = ("PNG", "JPEG", "WEBP")
-_MOST_PIXELS = 1 << 26
+_MOST_PIXELS, _USUAL_PIXELS = 1 << 26, 1 << 24
+"""Most pixels of a texture, and of one in a small file; each byte of a file allows two more."""
 _SIDE = 512
 """Textures are reduced to this many pixels: vertices are far apart."""
 _PALETTE = 128
@@ -73,16 +75,20 @@ class Colours:
 
     def _image(self, image: dict[str, Any], name: str, extensions: str) -> np.ndarray | None:
         """Return the image of a texture; None, with a warning, if it cannot be read."""
+        glb = self._glb
         try:
             if "bufferView" in image:
-                data = self._glb.view(image["bufferView"])
+                data = glb.view(image["bufferView"])
             else:
-                data = self._glb.resource(image.get("uri"))
+                data = glb.resource(image.get("uri"))
             with warnings.catch_warnings():
                 warnings.simplefilter("error", Image.DecompressionBombWarning)
                 with Image.open(io.BytesIO(data), formats=_FORMATS) as opened:
-                    if opened.width * opened.height > _MOST_PIXELS:
+                    n_pixels = opened.width * opened.height
+                    if n_pixels > min(_MOST_PIXELS, _USUAL_PIXELS + 2 * glb.size):
                         raise ValueError(f"{opened.width} by {opened.height} pixels")
+                    kept = 4 * min(n_pixels, _SIDE * _SIDE)
+                    glb.spend("its images", decoded=kept, work=n_pixels // 6)
                     opened.thumbnail((_SIDE, _SIDE))
                     return np.asarray(opened.convert("RGBA"))
         except Exception as error:  # Pillow's decoders raise anything
@@ -91,7 +97,7 @@ class Colours:
                 kind = image.get("mimeType") or extensions or "its image"
                 reason = f"{str(kind)[:60]} is none of {', '.join(_FORMATS)}"
             warnings.warn(
-                f"{self._glb.path}: texture {printable(name)} cannot be read ({reason}): the base "
+                f"{glb.path}: texture {printable(name)} cannot be read ({reason}): the base "
                 "colour of its material is used",
                 stacklevel=2,
             )
@@ -106,9 +112,10 @@ def is_seen(alpha: np.ndarray) -> np.ndarray:
 def reduce_colours(colours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return few colours, (R, 3) uint8, and the indices (V,) of those of vertices (V, 3)."""
     pixels = np.rint(np.clip(colours, 0, 1) * 255).astype(np.uint8)
-    palette, regions = np.unique(pixels, axis=0, return_inverse=True)
+    first, regions = unique_rows(pixels)
+    palette = pixels[first]
     if len(palette) > _PALETTE:
         image = Image.fromarray(pixels[None]).quantize(_PALETTE, dither=Image.Dither.NONE)
         regions = np.asarray(image)[0]
         palette = np.array(image.getpalette()[: 3 * _PALETTE], np.uint8).reshape(-1, 3)
-    return palette, regions.reshape(-1).astype(np.uint8)
+    return palette, regions.astype(np.uint8)

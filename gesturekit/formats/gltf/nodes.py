@@ -20,8 +20,8 @@ AT_REST = np.zeros(1)
 """A time (1,) for the rest pose, which has no curves."""
 _DEEPEST = 1000
 """Largest number of nodes above one another; bodies have about 20."""
-_AT_ONCE = 100_000
-"""Nodes times frames that are computed in one block, which bounds memory."""
+_AT_ONCE, _FEWEST = 100_000, 20
+"""Nodes times frames that are computed in one block, which bounds memory, and its least frames."""
 
 
 class Nodes:
@@ -124,7 +124,7 @@ class Nodes:
         wanted = [at[node] for node in nodes]
         positions = np.empty((len(times), len(nodes), 3))
         rotations = np.empty((len(times), len(nodes), 4))
-        size = max(1, _AT_ONCE // len(needed))
+        size = max(_FEWEST, _AT_ONCE // len(needed))
         for start in range(0, len(times), size):
             part = slice(start, start + size)
             places, turns, _ = self._block(needed, curves, times[part])

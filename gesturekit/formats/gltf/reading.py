@@ -31,7 +31,7 @@ END_SITE = "gesturekit_end_site"
 _STILL = 1e-5
 """Positions within a parent that vary by no more than this, metres, are a constant offset."""
 _MOST = 800_000
-"""Joints times frames that even the smallest file may have; larger files may have more."""
+"""Nodes times frames that even the smallest file may have; larger files may have more."""
 _BODY = 0.6
 """Least share of the joints in one tree, if a node above several trees is not their root."""
 
@@ -77,9 +77,10 @@ def read_gltf(
     nodes = Nodes(gltf)
     joints, ends = _joints(gltf, nodes)
     names, renamed = _names(gltf, joints)
-    found = read_animation(gltf, set(nodes.with_ancestors(joints)), animation)
+    moving = nodes.with_ancestors(joints)
+    found = read_animation(gltf, set(moving), animation)
     try:
-        times, rate = found.frames(fps, gltf, (_MOST + gltf.size // 8) // len(joints))
+        times, rate = found.frames(fps, gltf, (_MOST + gltf.size // 8) // len(moving))
         rig = _rest(nodes, joints, ends, names, METRES[unit])
         motion = _moved(rig, nodes.world(joints, found.curves, times), METRES[unit], rate)
         motion = _in_our_axes(motion, up, forward)
@@ -127,14 +128,12 @@ def _joints(gltf: Gltf, nodes: Nodes) -> tuple[list[int], list[int]]:
             f"joints is read, not {listed([name[:60] for name in named.values()], 4)}",
             stacklevel=3,
         )
-    ends = [
-        node
-        for node in nodes.order
-        if node in tree and node != root and END_SITE in gltf.object(entries[node], "extras")
-    ]
-    if any(nodes.parents[node] in ends for node in tree):
-        ends = []
-    return [node for node in nodes.order if node in tree and node not in set(ends)], ends
+    extras = {node: gltf.object(entries[node], "extras") for node in tree - {root}}
+    marked = {node for node, extra in extras.items() if END_SITE in extra}
+    if any(nodes.parents[node] in marked for node in tree):
+        marked = set()
+    joints, ends = ([n for n in nodes.order if n in some] for some in (tree - marked, marked))
+    return joints, ends
 
 
 def _named_joints(gltf: Gltf, nodes: Nodes) -> set[int]:

@@ -24,9 +24,11 @@ from gesturekit.motion.parts.body_size import body_height
 from gesturekit.wording import printable
 
 _MAX_FACES = 600_000
-_MAX_PARTS = 4096
-"""Largest number of pieces of mesh."""
 _TRIANGLES = 4
+_STEPS = 3000
+"""Work of a piece of mesh."""
+_CORNER, _VERTEX, _SKINNED = 24, 100, 200
+"""Bytes that a corner of a triangle, a vertex and a joint of a skin take."""
 _HEIGHTS = (0.05, 100.0)
 """Plausible body heights, metres."""
 
@@ -37,7 +39,7 @@ _LIMBS = {"Shoulder": "Shoulder", "UpperArm": "Arm", "LowerArm": "ForeArm", "Han
 _FINGERS = {"Thumb": "Thumb", "Index": "Index", "Middle": "Middle", "Ring": "Ring",
             "Little": "Pinky"}  # fmt: skip
 _SEGMENTS = ("Proximal", "Intermediate", "Distal")
-_PREFIX = re.compile(r"mixamorig\d*[:_]?|.*[:|]")
+_PREFIX = re.compile(r"^(?:.*[:|])?(?:mixamorig\d*_?)?")
 _THUMB_1 = ("Metacarpal", "Proximal", "Distal")
 """Segments of the thumb in VRM 1.0; 0.x names them as it does those of the other fingers."""
 _NEEDED = ("hips", "spine", "head", *(
@@ -195,7 +197,7 @@ def _bones_by_name(glb: Gltf) -> dict[int, str]:
     """Return {node: our bone} of Mixamo's and Ready Player Me's rigs, which have our names."""
     ours, found = our_names(True), {}
     for node, entry in enumerate(glb.items("nodes")):
-        name = _PREFIX.sub("", str(entry.get("name", "")))
+        name = _PREFIX.sub("", str(entry.get("name", "")), count=1)
         if name in ours.values():
             found.setdefault(name, node)
     if not found.keys() >= {ours[bone] for bone in _NEEDED}:
@@ -209,20 +211,21 @@ def _bones_by_name(glb: Gltf) -> dict[int, str]:
 def _mesh(glb: Gltf, world: np.ndarray, owners: np.ndarray) -> Skin:
     """Return all meshes at rest in the world, on the joints of the rig; `rest` is still empty."""
     glb.refuse_compressed_meshes()
-    colours, parts, n_faces = Colours(glb), [], 0
+    colours, skins, parts, n_faces = Colours(glb), _Skins(glb, world), [], 0
     for node, entry in enumerate(glb.items("nodes")):
         if "mesh" not in entry:
             continue
         for primitive in glb.items("primitives", glb.item("meshes", entry["mesh"])):
+            glb.spend("its pieces of mesh", work=_STEPS)
             if primitive.get("mode", _TRIANGLES) != _TRIANGLES:
                 continue  # points and lines; exporters write no strips
             part = _Part(glb, primitive, colours)
             n_faces += len(part.faces)
-            if n_faces > _MAX_FACES or len(parts) >= _MAX_PARTS:
-                raise glb.error(f"over {_MAX_FACES} triangles or {_MAX_PARTS} pieces of mesh")
+            if n_faces > _MAX_FACES:
+                raise glb.error(f"over {_MAX_FACES} triangles")
             if len(part.faces):
                 skin = entry.get("skin")
-                parts.append((part, *part.placed(node, skin, world, owners)))
+                parts.append((part, *part.placed(node, skin, skins, owners)))
     if not parts:
         raise glb.error("it has no mesh of triangles")
     firsts = np.cumsum([0, *(len(vertices) for _, vertices, _, _ in parts)])
@@ -238,6 +241,35 @@ def _mesh(glb: Gltf, world: np.ndarray, owners: np.ndarray) -> Skin:
         regions=regions,
         palette=palette,
     )
+
+
+class _Skins:
+    """Skins of a file, each read once.
+
+    Attributes:
+        world: (N, 4, 4) transforms of the nodes.
+    """
+
+    def __init__(self, glb: Gltf, world: np.ndarray) -> None:
+        self._glb, self.world = glb, world
+        self._read: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+
+    def at(self, index: object) -> tuple[np.ndarray, np.ndarray]:
+        """Return the nodes (J,) of a skin's joints, and the transforms (J, 4, 4) of vertices."""
+        glb = self._glb
+        found = glb.item("skins", index)
+        if index not in self._read:
+            nodes = np.array(glb.wholes(found, "joints", len(self.world)), int)
+            glb.spend("its skins", decoded=_SKINNED * len(nodes), work=len(nodes))
+            moves = self.world[nodes]
+            if "inverseBindMatrices" in found:
+                inverse = glb.array(found["inverseBindMatrices"], "inverseBindMatrices", 16)
+                if len(inverse) < len(nodes):
+                    raise glb.error(f"{len(inverse)} inverseBindMatrices for {len(nodes)} joints")
+                inverse = inverse[: len(nodes)].astype(float).reshape(-1, 4, 4)
+                moves = moves @ inverse.swapaxes(1, 2)
+            self._read[index] = nodes, moves
+        return self._read[index]
 
 
 class _Part:
@@ -259,11 +291,14 @@ class _Part:
             corners = np.arange(len(places))
         if corners.dtype.kind not in "iu" or len(corners) > 3 * _MAX_FACES:
             raise glb.error("indices are not whole numbers, or too many")
-        corners = corners[: len(corners) // 3 * 3].astype(np.int64)
+        size = len(corners)
+        glb.spend("its triangles", decoded=_CORNER * size, work=2 * size)
+        corners = corners[: size // 3 * 3].astype(np.int64)
         if len(corners) and not 0 <= corners.min() <= corners.max() < len(places):
             raise glb.error(f"indices are beyond the {len(places)} vertices of their mesh")
         used, faces = np.unique(corners, return_inverse=True)
         faces = faces.reshape(-1, 3)
+        glb.spend("its vertices", decoded=_VERTEX * len(used), work=len(used))
         uv = self._rows("TEXCOORD_0", used, 2)
         rgba = colours.at(primitive.get("material"), uv, len(used))
         faces = faces[is_seen(rgba[:, 3][faces])]
@@ -281,29 +316,23 @@ class _Part:
         return found[rows]
 
     def placed(
-        self, node: int, skin: object, world: np.ndarray, owners: np.ndarray
+        self, node: int, skin: object, skins: _Skins, owners: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return vertices (V, 3) in the world, joints and weights (V, 4) as in `Skin`."""
         glb = self._glb
         names = ("JOINTS_0", "WEIGHTS_0")
         joints, weights = (self._rows(name, self._used, INFLUENCES) for name in names)
         if skin is None or joints is None or weights is None:
-            moved = self._places @ world[node][:3, :3].T + world[node][:3, 3]
+            world = skins.world[node]
+            moved = self._places @ world[:3, :3].T + world[:3, 3]
             alone = np.zeros((len(moved), INFLUENCES))
             alone[:, 0] = 1.0
             return moved, *whole_weights(np.full(alone.shape, owners[node]), alone)
-        found = glb.item("skins", skin)
-        nodes = np.array(glb.wholes(found, "joints", len(world)), int)
+        nodes, moves = skins.at(skin)
         if joints.dtype.kind not in "iu" or joints.min() < 0 or joints.max() >= len(nodes):
             raise glb.error(f"JOINTS_0 is beyond the {len(nodes)} joints of its skin")
         if weights.dtype.kind != "f" or weights.min() < 0:
             raise glb.error("WEIGHTS_0 holds negative or whole numbers")
-        moves = world[nodes]
-        if "inverseBindMatrices" in found:
-            inverse = glb.array(found["inverseBindMatrices"], "inverseBindMatrices", 16)
-            if len(inverse) < len(nodes):
-                raise glb.error(f"{len(inverse)} inverseBindMatrices for {len(nodes)} joints")
-            moves = moves @ inverse[: len(nodes)].astype(float).reshape(-1, 4, 4).swapaxes(1, 2)
         total = weights.sum(axis=1, keepdims=True)
         weights = np.where(total > 1e-6, weights / np.maximum(total, 1e-6), [[1.0, 0, 0, 0]])
         moved = np.zeros(self._places.shape)
@@ -313,7 +342,7 @@ class _Part:
             moved += weights[:, k, None] * place
         if not (np.abs(moved) < 1e4).all():
             raise glb.error("its mesh at rest is not finite, or kilometres wide")
-        return moved, *whole_weights(owners[nodes][joints], weights)
+        return moved, *whole_weights(owners[nodes[joints]], weights)
 
 
 def _skeleton(names: list[str], parents: list[int], joints: np.ndarray, mesh: Skin) -> Skeleton:

@@ -309,17 +309,21 @@ def _embedded(gltf: Gltf) -> _Builder:
     builder = _Builder(copy.deepcopy(gltf.json))
     found = builder.json
     found.pop("animations", None)
-    starts = [builder.place(gltf.buffer(k)) for k in range(len(gltf.items("buffers")))]
+    buffers = [gltf.buffer(k) for k in range(len(gltf.items("buffers")))]
+    starts = {data: builder.place(data) for data in dict.fromkeys(buffers)}
+    images: dict[bytes, int] = {}
     for view in gltf.items("bufferViews", found):
-        buffer = gltf.whole(view.get("buffer"), len(starts), "buffer")
+        buffer = gltf.whole(view.get("buffer"), len(buffers), "buffer")
         offset = gltf.whole(view.get("byteOffset", 0), MAX_BYTES, "byteOffset")
-        view |= {"buffer": 0, "byteOffset": offset + starts[buffer]}
+        view |= {"buffer": 0, "byteOffset": offset + starts[buffers[buffer]]}
     for image in gltf.items("images", found):
         if "uri" in image:
             data = gltf.resource(image.pop("uri"))
             kind = "png" if data.startswith(b"\x89PNG") else "jpeg"
             kind = "webp" if data[8:12] == b"WEBP" else kind
-            image |= {"bufferView": builder.view(data, {}), "mimeType": f"image/{kind}"}
+            if data not in images:
+                images[data] = builder.view(data, {})
+            image |= {"bufferView": images[data], "mimeType": f"image/{kind}"}
     for holder in (found, *found["nodes"]):
         extensions = gltf.object(holder, "extensions")
         for name in _VRM:
