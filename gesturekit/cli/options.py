@@ -152,9 +152,10 @@ def _output_folder(ctx: click.Context, _: click.Parameter, out: Path) -> Path:
 
     kind = out.suffix[1:].lower()
     if out.is_file() or (kind in WRITABLE and not out.exists()):
-        has_formats = kind and any(param.name == "formats" for param in ctx.command.params)
-        instead = f"{out.with_suffix('')}{f' --format {kind}' if has_formats else ''}"
-        raise click.UsageError(f"--out {out}: results go into a folder: --out {instead}")
+        named = kind in WRITABLE and any(param.name == "formats" for param in ctx.command.params)
+        instead = f"{out.with_suffix('')}{f' --format {kind}' if named else ''}"
+        what = "is a file; " if out.is_file() else ""
+        raise click.UsageError(f"--out {out}: {what}results go into a folder: --out {instead}")
     return out
 
 

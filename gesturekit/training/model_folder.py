@@ -169,7 +169,9 @@ def _check_files(folder: Path) -> None:
     with (folder / "model.safetensors").open("rb") as file:
         header = int.from_bytes(file.read(8), "little")  # bytes of JSON about the tensors
     if header > _MOST_HEADER:
-        raise ModelError(f"{folder}: model.safetensors has {header} bytes of names; it is no model")
+        raise ModelError(
+            f"{folder}: model.safetensors is damaged, or none of a model ({header} bytes of names)"
+        )
 
 
 def _read_config(folder: Path, kind: str) -> dict[str, Any]:
