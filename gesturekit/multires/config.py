@@ -34,8 +34,8 @@ class NetworkConfig:
     channels: tuple[int, ...] = (6, 9, 9)
     """Channels of each hidden layer, see `channels_per`; an output layer follows."""
     channels_per: Literal["block", "layer"] = "block"
-    """Whether `channels` are those of each block (joint, contact label, root displacement) or of
-    the whole layer; a block then has ceil(channels / blocks) of them (GANimator: 128, 256, 256)."""
+    """Unit of `channels`: each block (joint, contact label, root displacement), or the whole layer,
+    of which a block then has ceil(channels / blocks) channels (GANimator: 128, 256, 256)."""
     kernel: int = 5
     """Kernel size of the convolutions over time, in frames; odd."""
     neighbour_distance: int = 2

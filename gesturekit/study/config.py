@@ -48,7 +48,7 @@ class StudyConfig:
     audio: Path | None = None
     """Folder of the speech of motions, under the same paths; videos have their own sound."""
     sound: Literal["speech", "music"] = "speech"
-    """What is heard, for the question: whether motion matches the speech, or a dance the music."""
+    """Kind of sound, for the question: whether motion matches the speech, or a dance the music."""
     body: str = "mannequin"
     """Body of motions: mannequin, human, skeleton, or the file of a VRM avatar."""
     styles: dict[str, str] = field(default_factory=dict)

@@ -245,7 +245,7 @@ def test_a_browser_plays_the_sound_of_a_file_with_its_frames(
     )
     browser.open(f"http://127.0.0.1:{served.port}/", width=480, height=400)
     wait_for_client(served, 1)
-    # Browsers play sound only after a click, unless they are told otherwise.
+    # Browsers play sound only after a click, unless they are started with a flag.
     browser.run("live.sound.play = () => Promise.reject(new Error())")
     served.raise_arm([0.0] * 30, 5.0)
     browser.wait("facts.textContent.endsWith('click for the sound')")
