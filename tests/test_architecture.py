@@ -242,7 +242,8 @@ SMALL_FOLDERS = {
 # Files that stand alone although they are short and a single module imports them.
 SMALL_FILES = {
     "gesturekit.diffusion.losses",
-    "gesturekit.formats.obj",  # a file for each format
+    "gesturekit.formats.frames",  # a file for each format
+    "gesturekit.formats.obj",
 }
 NO_CODE = {
     tokenize.COMMENT,

@@ -19,6 +19,7 @@ from gesturekit.cli.options import (
     SEED,
     Body,
     GroupedCommand,
+    access_options,
     comma_separated,
     existing_option,
     framing_option,
@@ -38,7 +39,7 @@ gesturekit live --fit corpus.jsonl --model runs/mine/model   # a model without l
 _CONTROLS = ("style", "speaker", "liveliness")
 GROUPS = {
     "What to generate": ("model", "source", "rate", "look_ahead", "seed", *_CONTROLS, "weights"),
-    "Output": ("sinks", "existing", "host", "port", "body", "framing"),
+    "Output": ("sinks", "existing", "host", "port", "names", "token_file", "body", "framing"),
 }
 _RECORD = "record:"
 _URGENT = 3
@@ -95,9 +96,10 @@ _URGENT = 3
     "--host",
     default="127.0.0.1",
     show_default=True,
-    help="Address of the page. Others than this machine's show it to everybody who reaches them.",
+    help="Address of the page. Addresses other than this machine require a token.",
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=8010, show_default=True)
+@access_options
 @click.option(
     "--body",
     type=Body(),
@@ -136,6 +138,7 @@ def command(ctx: click.Context, **options: Any) -> None:
     Ctrl-C ends it; a recording is then whole. Multires speech models with recall can do it.
     """
     begun = time.perf_counter()
+    from gesturekit.live.recording import partial_of
     from gesturekit.live.runner import Report
     from gesturekit.live.session import Session
     from gesturekit.live.sources import devices
@@ -151,7 +154,7 @@ def command(ctx: click.Context, **options: Any) -> None:
     options["sinks"] = tuple(comma_separated(options["sinks"] or ("" if measure else "page")))
     options["source"] = options["source"] or (str(bundled_speech()) if measure else "mic")
     files = [Path(sink[len(_RECORD) :]) for sink in options["sinks"] if sink.startswith(_RECORD)]
-    if is_left(files, options.pop("existing")):
+    if is_left([*files, *map(partial_of, files)], options.pop("existing")):
         return
     model = {name: options.pop(name) for name in ("model", "weights", "device")}
     controls = given(**{name: options.pop(name) for name in _CONTROLS})

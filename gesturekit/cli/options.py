@@ -107,6 +107,24 @@ weights_option = click.option(
     "--weights wavlm=PATH --weights files=FOLDER.",
 )
 
+
+def access_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of who may use a service: `names` and `token_file`."""
+    name = click.option(
+        "--name",
+        "names",
+        multiple=True,
+        metavar="NAME",
+        help="Additional host name of the service, such as that of a proxy. May be repeated.",
+    )
+    token = click.option(
+        "--token-file",
+        type=click.Path(path_type=Path, dir_okay=False, exists=True),
+        help="File with the token that requests must send.  [default: $GESTUREKIT_TOKEN]",
+    )
+    return name(token(command))
+
+
 workers_option = click.option(
     "--workers",
     type=click.IntRange(1, 1024),

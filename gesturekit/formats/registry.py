@@ -79,6 +79,7 @@ FORMATS = (
         reads=_CURVES,
         writes=_BODY,
     ),
+    Format(".frames", "gesturekit.formats.frames:read_frames"),
     Format(".json", "gesturekit.formats.smpl.easymocap:read_easymocap", reads=_SEQUENCE),
     Format(FOLDER, "gesturekit.formats.smpl.easymocap:read_easymocap", reads=_SEQUENCE),
     Format(

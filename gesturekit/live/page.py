@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import hmac
 import json
 import socket
 import struct
@@ -26,6 +27,8 @@ from gesturekit.live.runner import Step
 from gesturekit.motion import Motion
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 from gesturekit.serving.address import is_foreign
+from gesturekit.serving.connections import server_config
+from gesturekit.serving.requests import Limits
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.html import player_data, player_shell
 from gesturekit.viewer.human.body import Fitting
@@ -35,6 +38,9 @@ _MOST_CLIENTS = 32
 _MESSAGES = 64
 """Frames that may wait for a slow client, a second or two; of more, the oldest is dropped."""
 _END_SECONDS = 2
+_COOKIE = "gesturekit_token"
+_HEADERS = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
+_ASK = "<!doctype html><title>Live</title><form>Token <input name=token type=password></form>"
 
 
 class Page:
@@ -52,6 +58,8 @@ class Page:
         body: body to draw; see `DrawnBody`.
         framing: first view, "whole" or "waist".
         sound: file that the page plays with its frames; None for the sound of a microphone.
+        token: what a client must send, as `?token=`, as `Authorization: Bearer`, or in the cookie
+            that it gets with the page; None for no token.
 
     Raises:
         GestureKitError: the player was not bundled, or the body cannot be read.
@@ -67,7 +75,9 @@ class Page:
         body: str = "human",
         framing: str = "whole",
         sound: Path | None = None,
+        token: str | None = None,
     ) -> None:
+        self._token = token
         drawn = DrawnBody.of(example, body)
         self._fitting = human() if drawn.fitting and body == "human" else drawn.fitting
         page = json.loads(player_data(example, sound, body=body, framing=framing))
@@ -80,8 +90,9 @@ class Page:
             middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=list(hosts))],
         )
         ways = {"log_level": "critical", "ws_per_message_deflate": False}
-        config = uvicorn.Config(app, timeout_graceful_shutdown=_END_SECONDS, **ways)
-        self._server = uvicorn.Server(config)
+        ways |= {"timeout_graceful_shutdown": _END_SECONDS}
+        limits = Limits(connections=2 * _MOST_CLIENTS)
+        self._server = uvicorn.Server(server_config(app, limits, **ways))
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._serve, args=(listening,), daemon=True)
         self._thread.start()
@@ -121,10 +132,25 @@ class Page:
             waiting.put_nowait(message)
 
     async def _page(self, request: HTTPConnection) -> HTMLResponse:
-        return HTMLResponse(self._html, headers={"X-Content-Type-Options": "nosniff"})
+        if not self._is_known(request):
+            return HTMLResponse(_ASK, 401, _HEADERS)
+        page = HTMLResponse(self._html, headers=_HEADERS)
+        if self._token is not None:  # its WebSocket sends the cookie
+            page.set_cookie(_COOKIE, self._token, httponly=True, samesite="strict")
+        return page
+
+    def _is_known(self, client: HTTPConnection) -> bool:
+        """Return whether a client has the token, if there is one."""
+        bearer = client.headers.get("authorization", "").removeprefix("Bearer ")
+        given = (client.query_params.get("token", ""), client.cookies.get(_COOKIE, ""), bearer)
+        token = self._token
+        return token is None or any(
+            hmac.compare_digest(each.encode(), token.encode()) for each in given
+        )
 
     async def _stream(self, client: WebSocket) -> None:
-        if is_foreign(client) or len(self._clients) >= _MOST_CLIENTS:
+        known = self._is_known(client) and not is_foreign(client)
+        if not known or len(self._clients) >= _MOST_CLIENTS:
             return await client.close()
         await client.accept()
         waiting: asyncio.Queue[bytes] = asyncio.Queue(_MESSAGES)

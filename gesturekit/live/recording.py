@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+import struct
 import tempfile
-from contextlib import ExitStack
+import wave
+from contextlib import suppress
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
-import soundfile
 
-from audio_features.atomic import atomic_write
-from gesturekit.errors import ConfigError
+from gesturekit.errors import ConfigError, GestureKitError
+from gesturekit.formats.frames import frames_header, frames_rows, read_frames
 from gesturekit.formats.registry import writer_of
 from gesturekit.live.runner import Step
-from gesturekit.motion import Motion
+
+
+def partial_of(path: Path) -> Path:
+    """Return the file that holds the frames of a recording until it is whole, beside a .wav."""
+    return path.with_name(f"{path.stem}_{path.suffix[1:]}_partial.frames")
 
 
 class Recording:
     """Sink that writes a file of all motion at the end.
 
-    Until then frames lie in a temporary file beside it, so that hours take no memory.
+    Until then frames and sound are in the files of `partial_of`, as they came. They stay if the
+    disk is full or the process is killed, and both can be read.
 
     Args:
         path: file to write.
@@ -33,50 +40,74 @@ class Recording:
     def __init__(self, path: Path, sample_rate: int | None = None) -> None:
         writer_of(path, ())
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._path, self._first = path, None
-        with ExitStack() as files:
-            self._frames = files.enter_context(tempfile.TemporaryFile(dir=path.parent))
-            self._sound = None
-            if sample_rate is not None:
-                wav = files.enter_context(atomic_write(path.with_suffix(".wav")))
-                self._sound = files.enter_context(
-                    soundfile.SoundFile(wav, "w", sample_rate, 1, "PCM_16")
-                )
-            self._files = files.pop_all()
+        tempfile.TemporaryFile(dir=path.parent).close()
+        self._path, self._rate, self._partial = path, sample_rate, partial_of(path)
+        self._frames: BinaryIO | None = None
+        self._sound: wave.Wave_write | None = None
+        self._is_cut = False
 
     def put(self, step: Step) -> None:
-        """Append a step."""
-        if self._sound is not None:
-            self._sound.write(step.samples)
-        if step.motion is not None:
-            self._first = self._first or step.motion[:1]
-            _rows(step.motion).tofile(self._frames)
-
-    def close(self) -> None:
-        """Write the files; the sound is whole even if the motion cannot be written.
+        """Append a step.
 
         Raises:
-            ConfigError: there was no motion.
-            OSError: the disk is full.
+            ConfigError: the disk is full; the message names what was kept.
         """
-        with self._files:
-            if self._first is None:
-                raise ConfigError(f"{self._path}: nothing to record, as no sound came")
-            motion = self._recorded(self._first)
-        motion.save(self._path)
+        try:
+            if self._rate is not None and len(step.samples):
+                self._append_sound(step.samples, self._rate)
+            if step.motion is not None:
+                if self._frames is None:
+                    self._frames = self._partial.open("wb")
+                    self._frames.write(frames_header(step.motion))
+                self._frames.write(frames_rows(step.motion))
+                self._frames.flush()
+        except (OSError, struct.error) as error:  # struct's: a .wav of 4 GiB
+            raise self._cut(error) from None
 
-    def _recorded(self, first: Motion) -> Motion:
-        """Return all motion, whose numbers stay on disk; `first` is its first frame."""
-        rows = np.memmap(self._frames, np.float64, "r").reshape(-1, _rows(first).shape[1])
-        n_joints = first.skeleton.n_joints
-        ends = 3 + 4 * n_joints
-        turns = rows[:, 3:ends].reshape(len(rows), n_joints, 4)
-        starts = range(ends, rows.shape[1], 3)
-        moving = {name: rows[:, at : at + 3] for name, at in zip(first.joint_translations, starts)}
-        return Motion(first.skeleton, turns, rows[:, :3], first.fps, moving)
+    def close(self) -> None:
+        """Write the files.
 
+        Raises:
+            ConfigError: there was no motion, or the files cannot be written; in that case the
+                message names what was kept.
+        """
+        if self._is_cut:
+            return
+        for file in self._files():
+            file.close()
+        sound = self._partial.with_suffix(".wav")
+        if self._frames is None:
+            sound.unlink(missing_ok=True)
+            raise ConfigError(f"{self._path}: nothing to record, as no sound came")
+        try:
+            read_frames(self._partial).save(self._path)
+            if self._sound is not None:
+                sound.replace(self._path.with_suffix(".wav"))
+        except (OSError, GestureKitError) as error:
+            raise self._cut(error) from None
+        self._partial.unlink()
 
-def _rows(motion: Motion) -> np.ndarray:
-    """Return a motion's numbers as rows (T, D), one a frame."""
-    turns = motion.rotations.reshape(motion.n_frames, -1)
-    return np.concatenate([motion.translation, turns, *motion.joint_translations.values()], axis=1)
+    def _append_sound(self, samples: np.ndarray, rate: int) -> None:
+        """Write samples as 16 bits; the header counts them at once, so that the file is whole."""
+        if self._sound is None:
+            self._sound = wave.open(str(self._partial.with_suffix(".wav")), "wb")  # noqa: SIM115
+            self._sound.setparams((1, 2, rate, 0, "NONE", ""))
+        whole = np.clip(np.rint(samples * 32768), -32768, 32767)
+        self._sound.writeframes(whole.astype("<i2").tobytes())
+
+    def _files(self) -> list[BinaryIO | wave.Wave_write]:
+        return [file for file in (self._frames, self._sound) if file is not None]
+
+    def _cut(self, error: Exception) -> ConfigError:
+        """End the recording, and return an error that names what there is of it."""
+        self._is_cut = True
+        for file in self._files():
+            with suppress(OSError, struct.error):  # of what it could not write
+                file.close()
+        kept = [self._partial, self._partial.with_suffix(".wav")]
+        names = " and ".join(str(file) for file in kept if file.exists())
+        reason = error.strerror if isinstance(error, OSError) else error
+        return ConfigError(
+            f"{self._path}: {reason}; {names} hold what came until then: "
+            f"gesturekit convert {self._partial} {self._path.name}"
+        )

@@ -182,7 +182,7 @@ def run(
     stopped: threading.Event,
     warn: Callable[[str], None],
 ) -> None:
-    """Generate motion until the sound ends.
+    """Generate motion until the sound ends, or all sinks have failed.
 
     Args:
         stream: at the rate of `source`.
@@ -205,6 +205,8 @@ def run(
     try:
         with intake:
             while not stopped.is_set() and (samples := _next(intake, timeline)) is not None:
+                if feeds and all(feed.failure for feed in feeds):
+                    break
                 if len(samples):
                     deliver(samples, partial(stream.step, samples))
         deliver(_NOTHING, stream.finish)

@@ -46,6 +46,8 @@ class Session:
         rate: samples per second of standard input.
         host: address of the page.
         port: of the page; 0 takes a free one.
+        names: additional host names of the page.
+        token_file: file with the token of the page; None for that of the environment.
         say: called with lines for the user.
         body: body on the page.
         framing: first view of the page.
@@ -64,6 +66,8 @@ class Session:
     say: Callable[[str], None]
     body: str = "human"
     framing: str = "whole"
+    names: tuple[str, ...] = ()
+    token_file: Path | None = None
     controls: Mapping[str, Any] = field(default_factory=dict)
 
     def run(self, load: Callable[[], Model], report: Report, stopped: threading.Event) -> None:
@@ -141,16 +145,17 @@ class Session:
 
     def _page_maker(self, source: Source) -> Maker:
         from gesturekit.live.page import Page
-        from gesturekit.serving.address import LOOPBACK, address_of, listening_socket
+        from gesturekit.serving.address import address_of, listening_socket, names_of, token_of
 
+        token, hosts = token_of(self.host, self.token_file), names_of(self.host, self.names)
         listening = listening_socket(self.host, self.port)
-        hosts = (*LOOPBACK, self.host) if self.host in LOOPBACK else ("*",)
 
         def make(example: Callable[[], Motion], human: Callable[[], Fitting]) -> Sink:
             sound = None if source.is_live or self.fast else source.path
-            shown = {"body": self.body, "framing": self.framing, "sound": sound}
+            shown = {"body": self.body, "framing": self.framing, "sound": sound, "token": token}
             page = Page(listening, hosts, example(), human, **shown)
             start = "" if source.is_live else f"; starts when it is open, or in {_PAGE_SECONDS} s"
+            start += "" if token is None else "; asks for the token, or takes it as /?token=TOKEN"
             self.say(f"Page at {address_of(listening, self.host)} (end with Ctrl-C){start}")
             return page
 

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import socket
-
-from starlette.requests import HTTPConnection
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gesturekit.errors import ConfigError
 
+if TYPE_CHECKING:
+    from starlette.requests import HTTPConnection
+
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]", "::1")
+TOKEN = "GESTUREKIT_TOKEN"
+"""Environment variable of the token."""
+_ALL_INTERFACES = ("0.0.0.0", "::")
 
 
 def listening_socket(host: str, port: int) -> socket.socket:
@@ -32,6 +39,41 @@ def address_of(listening: socket.socket, host: str) -> str:
     """Return the URL of a socket that listens on this host."""
     shown = f"[{host}]" if ":" in host else host
     return f"http://{shown}:{listening.getsockname()[1]}/"
+
+
+def names_of(host: str, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names under which a service is reached.
+
+    Args:
+        host: address on which it listens. One of all interfaces has many names; there, any name is
+            taken unless `names` are given, and the token protects.
+        names: additional names.
+    """
+    if host in _ALL_INTERFACES and not names:
+        return ("*",)
+    return (*LOOPBACK, host, f"[{host}]", *names)
+
+
+def token_of(host: str, file: Path | None) -> str | None:
+    """Return the token of a file, or of the environment; None without one on this machine.
+
+    Raises:
+        ConfigError: it is short or more than one line, or `host` needs one.
+    """
+    if file is None and TOKEN not in os.environ:
+        if host in LOOPBACK:
+            return None
+        raise ConfigError(
+            f"--host {host} is reached from other machines: give a token by --token-file or "
+            f"${TOKEN}"
+        )
+    token = os.environ[TOKEN] if file is None else file.read_text(encoding="utf-8").strip()
+    if len(token) < 16 or not token.isascii() or not token.isprintable() or " " in token:
+        raise ConfigError(
+            "the token must be at least 16 printable ASCII characters without spaces, such as "
+            "those of: openssl rand -hex 16"
+        )
+    return token
 
 
 def is_foreign(request: HTTPConnection) -> bool:

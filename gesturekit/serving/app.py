@@ -81,7 +81,7 @@ _ERRORS = {
     408: "the sound arrived too slowly",
     413: "the sound is too large",
     422: "the sound or a setting cannot be used",
-    429: "too many requests of this client",
+    429: "too many requests or connections of this client",
     503: "the queue is full, or the disk",
 }
 

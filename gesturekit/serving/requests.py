@@ -33,7 +33,12 @@ class Limits:
         per_minute: requests for motion of each client address in a minute.
         queue: requests that are received or wait while all workers are busy.
         workers: number of motions that are generated at once.
-        body_seconds: time in which a sound must have arrived.
+        body_seconds: time in which a sound must have arrived, and a client must take at least a
+            part of an answer.
+        frames: longest motion: seconds of the sound times frames per second.
+        connections: open connections of each client address. With fewer than `workers` and `queue`
+            together, no client alone can fill the queue.
+        header_seconds: time in which the header of a request must have arrived.
     """
 
     megabytes: float = 64
@@ -42,6 +47,9 @@ class Limits:
     queue: int = 16
     workers: int = 1
     body_seconds: float = 30
+    frames: float = 36_000
+    connections: int = 12
+    header_seconds: float = 10
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():

@@ -75,6 +75,12 @@ class Worker:
 
     def _render(self, sound: Path, asked: MotionRequest) -> tuple[bytes, float]:
         wave = af.Wave.load(sound, max_seconds=self._limits.seconds)
+        rate = asked.fps or self.model.recorded_fps
+        if (n_frames := wave.n_frames(rate)) > self._limits.frames:
+            raise GestureKitError(
+                f"{wave.duration:g} s at {rate:g} frames per second are {n_frames} frames; this "
+                f"service makes at most {self._limits.frames:g}: give a lower fps, or less sound"
+            )
         # Those that were given: a default would count as given with `raw`.
         controls = asked.model_dump(exclude={"format"}, exclude_unset=True)
         motion = self.model.generate(wave, **controls)

@@ -16,6 +16,7 @@ from safetensors.numpy import save
 
 import audio_features as af
 from gesturekit.formats import write_bvh, write_npz
+from gesturekit.formats.frames import frames_header
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.jobs.journal import Journal
 from gesturekit.jobs.result import Result
@@ -59,6 +60,10 @@ def base_files(folder: Path) -> dict[str, list[bytes]]:
         write(folder / "base.npz", **foreign)
         files["npz"].append((folder / "base.npz").read_bytes())
     return files
+
+
+def frames(folder: Path) -> list[bytes]:
+    return [frames_header(base_motions()[1]).strip()]
 
 
 def body_model(folder: Path) -> list[bytes]:

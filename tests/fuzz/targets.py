@@ -24,6 +24,7 @@ from audio_features.weight_files import read_file, read_json
 from gesturekit.corpus import Manifest
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.evaluation.statistics.answers import read_answers
+from gesturekit.formats.frames import frames_rows
 from gesturekit.formats.gltf.vrm import read_avatar
 from gesturekit.formats.smpl.easymocap import read_easymocap
 from gesturekit.formats.tables.events import load_events
@@ -277,6 +278,11 @@ TARGETS = {
             *("npz", "a.npz", bvh_and_npz("npz"), motion, mutators.NPZ),
             says=r"PATH.*(\bkeys? '\w*'|: not a readable npz file|list of members|rates differ, '"
             r"|more than 4 GiB)",
+        ),
+        Target(
+            *("frames", "a.frames", seeds.frames, motion, mutators.JSON),
+            says="PATH",
+            wrap=lambda header: header + b"\n" + frames_rows(seeds.base_motions()[1]),
         ),
         Target(
             *("body_model", "a.npz", seeds.body_model),

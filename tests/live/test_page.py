@@ -13,6 +13,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 import pytest
@@ -61,12 +62,15 @@ class Served:
 def serve() -> Iterator[Callable[..., Served]]:
     opened = []
 
-    def start(body: str = "human", raised_by: float = 0.0, sound: Path | None = None) -> Served:
+    def start(
+        body: str = "human", raised_by: float = 0.0, sound: Path | None = None, **access
+    ) -> Served:
         listening = socket.create_server(("127.0.0.1", 0))
         skeleton = LoudModel().skeleton
         example = raised(skeleton, np.full(30, raised_by), 30.0)
         human = partial(Fitting, Human.load(), example)
-        page = Page(listening, ("127.0.0.1",), example, human, body=body, sound=sound)
+        hosts = access.pop("hosts", ("127.0.0.1",))
+        page = Page(listening, hosts, example, human, body=body, sound=sound, **access)
         opened.append(page)
         return Served(page, listening.getsockname()[1], skeleton)
 
@@ -154,6 +158,41 @@ def test_pages_of_other_sites_get_nothing(serve):
         served.page.close()
         with pytest.raises(ConnectionClosed):
             client.recv(timeout=5)
+
+
+def test_a_page_for_other_machines_asks_for_its_token(serve):
+    """A page elsewhere that gave itself this address has Host and Origin of its own name."""
+    served = serve("mannequin", hosts=("*",), token="0123456789abcdef")
+    asked = http.client.HTTPConnection("127.0.0.1", served.port, timeout=5)
+    for query, status in (("", 401), ("?token=0123456789abcdee", 401), ("?token=é", 401)):
+        asked.request("GET", f"/{quote(query, safe='?=')}")
+        answer = asked.getresponse()
+        assert (answer.status, b"live" in answer.read()) == (status, False)
+    asked.request("GET", "/?token=0123456789abcdef")
+    answer = asked.getresponse()
+    assert answer.status == 200 and b'id="motion"' in answer.read()
+    cookie = answer.getheader("Set-Cookie")
+    assert "HttpOnly" in cookie and "SameSite=strict" in cookie
+    asked.close()
+    own = {"Cookie": cookie.split(";")[0]}
+    rebound = f"http://rebound.example:{served.port}"
+    for headers, origin in (({}, rebound), (own, rebound), ({"Authorization": "Bearer x"}, None)):
+        with (
+            socket.create_connection(("127.0.0.1", served.port)) as line,
+            pytest.raises(InvalidStatus, match="403"),
+        ):
+            name = "127.0.0.1" if headers else "rebound.example"
+            connect(
+                f"ws://{name}:{served.port}/stream",
+                sock=line,
+                origin=origin,
+                additional_headers=headers,
+            )
+    for headers in (own, {"Authorization": "Bearer 0123456789abcdef"}):
+        with connect(served.url, additional_headers=headers) as client:
+            wait_for_client(served, 1)
+            served.raise_arm([0.0], 1.0)
+            assert decoded(client.recv(timeout=5))[0] == 1.0
 
 
 def test_frames_of_an_avatar_are_those_of_its_rig(serve, tmp_path):

@@ -8,6 +8,7 @@ import json
 import os
 import queue
 import re
+import resource
 import signal
 import socket
 import subprocess
@@ -82,17 +83,19 @@ class Kept:
 def test_a_file_and_standard_input_give_the_same_bytes(live, write_speech, tmp_path, monkeypatch):
     speech = write_speech(tmp_path / "a.wav", 2.03)
     wave = Wave.load(speech)
-    live("--from", speech, "--fast", "--to", f"record:{tmp_path / 'file.bvh'}").ok()
+    both = f"record:{tmp_path / 'file.bvh'},record:{tmp_path / 'file.npz'}"
+    live("--from", speech, "--fast", "--to", both).ok()
     data = (wave.samples * 32768).astype("<i2").tobytes()
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(data)))
     done = live("--from", "-", "--fast", "--to", f"record:{tmp_path / 'pipe.bvh'}").ok()
     assert "2.0 s, 61 frames" in done.err  # 2.03 s * 30 + 1/2
     assert (tmp_path / "file.bvh").read_bytes() == (tmp_path / "pipe.bvh").read_bytes()
-    assert Motion.load(tmp_path / "file.bvh").n_frames == wave.n_frames(30)
+    for name in ("file.bvh", "file.npz"):
+        assert Motion.load(tmp_path / name).n_frames == wave.n_frames(30)
     # Piped sound may be nowhere else, a file is.
     piped, _ = soundfile.read(tmp_path / "pipe.wav", dtype="int16")
     assert piped.tobytes() == data
-    assert not (tmp_path / "file.wav").exists() and len(list(tmp_path.iterdir())) == 4
+    assert not (tmp_path / "file.wav").exists() and len(list(tmp_path.iterdir())) == 5
 
 
 def test_a_file_in_real_time_moves_as_it_does_at_once(write_speech, tmp_path):
@@ -255,7 +258,8 @@ def test_a_model_that_is_too_slow_drops_sound_and_stays_near_the_present(
     assert report.frames == 36 == Motion.load(tmp_path / "take.npz").n_frames
 
 
-def test_ctrl_c_leaves_a_whole_recording(tmp_path):
+@pytest.mark.parametrize("ended_by", [signal.SIGINT, signal.SIGKILL])
+def test_ctrl_c_leaves_a_whole_recording_and_a_kill_a_partial_one(gesturekit, tmp_path, ended_by):
     out = tmp_path / "out.bvh"
     arguments = ["live", "--from", "-", "--to", f"record:{out}", "--seed", "3"]
     process = subprocess.Popen(
@@ -266,18 +270,50 @@ def test_ctrl_c_leaves_a_whole_recording(tmp_path):
     )
     sound = np.full(1600, 3000, "<i2").tobytes()
     deadline = time.monotonic() + 30
-    while not any(file.stat().st_size > 20_000 for file in tmp_path.glob(".out-*.wav")):
+    while not any(file.stat().st_size > 20_000 for file in tmp_path.glob("out_bvh_partial.wav")):
         assert time.monotonic() < deadline and process.poll() is None, process.stderr.read()
         process.stdin.write(sound)
         process.stdin.flush()
         time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(ended_by)
     _, said = process.communicate(timeout=30)
+    if ended_by == signal.SIGKILL:
+        partial = tmp_path / "out_bvh_partial.frames"
+        assert {file.name for file in tmp_path.iterdir()} == {partial.name, "out_bvh_partial.wav"}
+        gesturekit("live", *arguments[1:]).fails(2, "out_bvh_partial.frames exists already")
+        gesturekit("convert", partial, out).ok()
+        seconds = Wave.load(tmp_path / "out_bvh_partial.wav").duration
+        assert Motion.load(out).duration == pytest.approx(seconds - 0.2, abs=0.2)
+        return
     assert process.returncode == 130, said
     wave = Wave.load(tmp_path / "out.wav")
     assert Motion.load(out).n_frames == wave.n_frames(30) > 15
     assert f"{wave.n_frames(30)} frames" in said.decode() and b"Traceback" not in said
     assert sorted(file.name for file in tmp_path.iterdir()) == ["out.bvh", "out.wav"]
+
+
+def test_a_full_disk_ends_the_run_and_leaves_what_came_until_then(gesturekit, tmp_path):
+    """A limit on the size of files fails as a full disk does; the sound goes on for ever."""
+    out = tmp_path / "take.npz"
+    arguments = ["live", "--from", "-", "--fast", "--to", f"record:{out}"]
+    with Path("/dev/zero").open("rb") as silence:
+        done = subprocess.run(
+            [sys.executable, "-c", MAIN, *arguments],
+            stdin=silence,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000)),
+        )
+    partial, sound = tmp_path / "take_npz_partial.frames", tmp_path / "take_npz_partial.wav"
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert f"take.npz: File too large; {partial} and {sound} hold" in done.stderr
+    assert {file.name for file in tmp_path.iterdir()} == {partial.name, sound.name}
+    gesturekit("convert", partial, out).ok()
+    motion = Motion.load(out)
+    assert 290_000 < motion.n_frames * 8 * (3 + 4 * motion.skeleton.n_joints) < 300_000
+    assert Wave.load(sound).duration == pytest.approx(motion.duration + 0.2, abs=0.1)
 
 
 def test_figures_of_a_run_are_a_table_and_json(live, write_speech, tmp_path):
@@ -307,7 +343,10 @@ def test_figures_of_a_run_are_a_table_and_json(live, write_speech, tmp_path):
             ["--from", "{wav}", "--to", "record:{wav}.bvh", "--block", "9"],
             "9.0 is not in the range",
         ),
-        (["--from", "{wav}", "--to", "page", "--host", "192.0.2.1"], "--host 192.0.2.1"),
+        (
+            ["--from", "{wav}", "--to", "page", "--host", "192.0.2.1"],
+            "give a token",
+        ),
         (
             ["--from", "-", "--to", "record:{wav}.bvh,vmc:no.such.host.invalid:39539"],
             "no.such.host",
@@ -499,12 +538,15 @@ def test_a_program_beside_gets_the_frames_of_a_file(live, write_speech, tmp_path
 @bundled
 @pytest.mark.skipif(not is_baked(), reason="the human body is not baked: `make setup`")
 @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
-def test_a_page_is_served_while_sound_comes(host):
+def test_a_page_is_served_while_sound_comes(host, tmp_path):
     """On an address of this machine only it is only reached by names of this machine."""
+    token = tmp_path / "token"
+    token.write_text("0123456789abcdef")
     said, stopped = queue.Queue(), threading.Event()
     read, write = os.pipe()
     about = {"look_ahead": 0.2, "seed": 0, "fast": True, "block": 0.04, "rate": 16_000}
     about |= {"host": host, "port": 0, "body": "mannequin", "framing": "waist"}
+    about |= {"token_file": None if host == "127.0.0.1" else token}
     session = Session(source="-", sinks=("page",), say=said.put, **about)
     report = Report(begun=0.0)
 
@@ -516,11 +558,13 @@ def test_a_page_is_served_while_sound_comes(host):
     thread = threading.Thread(target=serve)
     thread.start()
     place = re.fullmatch(
-        rf"Page at http://{re.escape(host)}:(\d+)/ \(end with Ctrl-C\)", said.get(timeout=20)
+        rf"Page at http://{re.escape(host)}:(\d+)/ \(end with Ctrl-C\)(; asks for the token.*)?",
+        said.get(timeout=20),
     )
+    assert (place[2] is None) == (host == "127.0.0.1")
     for name, status in (("localhost", 200), ("else.where", 400 if host == "127.0.0.1" else 200)):
         asked = http.client.HTTPConnection("127.0.0.1", int(place[1]), timeout=5)
-        asked.request("GET", "/", headers={"Host": name})
+        asked.request("GET", "/?token=0123456789abcdef", headers={"Host": name})
         answer = asked.getresponse()
         assert answer.status == status
         text = answer.read().decode()

@@ -107,6 +107,7 @@ def test_a_wav_gives_the_motion_that_the_model_makes(client, model, tmp_path):
         ("?speaker=/etc/passwd", wav(), 422, "speaker"),
         ("?path=/etc/passwd", wav(), 422, "path"),
         ("?fps=1e9", wav(), 422, "less than or equal to 1000"),
+        ("?fps=801&format=html", wav(5.0), 422, "4005 frames; this service makes at most 4000"),
         ("?fps=0", wav(), 422, "greater than 0"),
         ("?facing=-361", wav(), 422, "greater than or equal to -360"),
         ("?smooth=nan", wav(), 422, "smooth"),
@@ -115,7 +116,7 @@ def test_a_wav_gives_the_motion_that_the_model_makes(client, model, tmp_path):
     ],
 )
 def test_invalid_requests_are_refused_with_a_reason(client, query, body, status, says):
-    one = client(megabytes=0.5, seconds=10)
+    one = client(megabytes=0.5, seconds=10, frames=4000)
     answer = one.post(f"/motion{query}", content=body)
     assert (answer.status_code, says in answer.json()["error"]) == (status, True), answer.text
     assert str(folder_of(one)) not in answer.text
@@ -380,7 +381,8 @@ def test_the_limits_are_those_of_the_documentation():
     ]
     limits = Limits()
     assert table == [
-        *(limits.megabytes, limits.seconds, limits.body_seconds),
+        *(limits.megabytes, limits.seconds, limits.frames, limits.body_seconds),
+        *(limits.header_seconds, limits.connections),
         *(limits.per_minute, limits.queue, limits.workers),
     ]
     assert Limits(megabytes=0.5).n_bytes == 524_288

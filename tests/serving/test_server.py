@@ -32,7 +32,7 @@ def server(tmp_path_factory):
     folder = tmp_path_factory.mktemp("serve")
     command = [sys.executable, "-m", "gesturekit", "serve", "--model", "demo"]
     command += ["--port", str(number), "--max-mb", "2", "--max-seconds", "30", "--queue", "60"]
-    command += ["--per-minute", "100000", "--workers", "2"]
+    command += ["--per-minute", "100000", "--workers", "2", "--connections", "60"]
     environment = {**os.environ, "TMPDIR": str(folder)}
     with (folder / "log.txt").open("wb") as log:
         process = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
@@ -208,8 +208,10 @@ def test_the_service_answers_to_its_own_names_only(served, options, allowed, ref
 
 def test_the_limits_are_those_of_the_command_line(served):
     options = ("--max-mb", 3, "--max-seconds", 7, "--per-minute", 5, "--queue", 2, "--workers", 4)
+    options += ("--max-frames", 900, "--connections", 3)
     page = served(*options).get("/docs", headers={"Host": "localhost"}).text
     limits = {"megabytes": 3.0, "seconds": 7.0, "per_minute": 5.0, "queue": 2, "workers": 4}
+    limits |= {"frames": 900.0, "connections": 3}
     for name, value in limits.items():
         assert f"<th>{name}</th><td>{value}</td>" in page
     # Each of six motions may have four connections, and 32 are for pages and figures.
@@ -221,9 +223,8 @@ def test_the_limits_are_those_of_the_command_line(served):
     assert 0 < served.server["timeout_graceful_shutdown"] < 60
     assert served.server["log_level"] == "warning"
     page = served().get("/docs", headers={"Host": "localhost"}).text
-    assert all(
-        f"<th>{n}</th><td>{v}</td>" in page for n, v in vars(Limits(64.0, 600.0, 60.0)).items()
-    )
+    defaults = Limits(64.0, 600.0, 60.0, frames=36e3)
+    assert all(f"<th>{n}</th><td>{v}</td>" in page for n, v in vars(defaults).items())
 
 
 @pytest.mark.parametrize(
