@@ -125,7 +125,7 @@ def test_a_finished_run_is_kept(train, tmp_path):
     assert first.status == 0 and f"Model: {model}" in first.out, first.err
     before = (model / "model.safetensors").read_bytes()
     again = train()
-    assert again.status == 2 and "--resume" in error_line(again)
+    assert again.status == 2 and "finished training" in error_line(again)
     other = train("--resume", "seed=7")
     assert other.status == 2 and "seed: 0" in error_line(other)
     shutil.rmtree(model)

@@ -78,7 +78,7 @@ def test_a_resumed_run_is_the_same_to_the_last_bit(make_config, tmp_path):
     assert [line["step"] for line in logged(cut.out)] == [2, 4, 6]
     with pytest.raises(ConfigError, match="the run was started with seed: 0"):
         train(make_config(seed=5, **options), resume=True)
-    with pytest.raises(ConfigError, match="--resume"):
+    with pytest.raises(ConfigError, match="finished training"):
         train(cut)
 
 
