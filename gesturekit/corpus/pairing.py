@@ -12,11 +12,9 @@ from pathlib import Path
 
 from gesturekit.corpus.checks import Problem
 from gesturekit.errors import CorpusError
-from gesturekit.formats.smpl.easymocap import SUBFOLDERS
 from gesturekit.formats.sources import (
     SPEECH_SUFFIXES,
-    is_motion,
-    is_sequence,
+    motions_here,
     one_of_two_formats,
     unreadable_media,
     visible_folders,
@@ -89,11 +87,7 @@ def scan(folder: str | os.PathLike[str]) -> tuple[list[Found], list[Problem]]:
         )
 
     for here, folders, files in visible_folders(folder, unreadable):
-        media = [path for path in files if _is_speech(path) or is_motion(path)]
-        if is_sequence(here):
-            media.append(here)
-            folders[:] = [name for name in folders if name not in SUBFOLDERS]
-        for path in media:
+        for path in (*filter(_is_speech, files), *motions_here(here, folders, files)):
             named = path if path is here else path.with_suffix("")
             key = folder.name if path == folder else named.relative_to(folder).as_posix()
             if not key.isprintable():

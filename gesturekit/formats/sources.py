@@ -55,11 +55,20 @@ def motions_in(folder: Path, *, but: Path | None = None) -> Iterator[Path | OSEr
         if but is not None and os.path.realpath(here) == os.path.realpath(but):
             folders.clear()
             continue
-        if is_sequence(here):
-            yield here
-            folders[:] = [name for name in folders if name not in SUBFOLDERS]
-        yield from filter(is_motion, files)
+        yield from motions_here(here, folders, files)
     yield from trouble
+
+
+def motions_here(here: Path, folders: list[str], files: Iterable[Path]) -> list[Path]:
+    """Return the motions of one step of `visible_folders`: a folder that is a sequence, and files.
+
+    The subfolders of a sequence that are parts of it are removed from `folders`.
+    """
+    found = list(filter(is_motion, files))
+    if is_sequence(here):
+        found.insert(0, here)
+        folders[:] = [name for name in folders if name not in SUBFOLDERS]
+    return found
 
 
 def motions_of(source: Path) -> list[Path]:

@@ -195,12 +195,6 @@ def load_recordings(
     if beside := neighbours(manifest):
         log.warning("%s: %s.", config.corpus, beside)
     items = training_items(manifest, config.corpus, with_audio=speech)
-    if changed := sorted({str(file) for item in items for file in item.changed_files}):
-        log.warning(
-            "%s: %s changed since gesturekit prepare, and may not be what it checked: %s; run it "
-            "again",
-            *(config.corpus, counted(len(changed), "file"), listed(changed, 4)),
-        )
     names, style_of = item_styles(items, config.corpus) if styles else ((), [0] * len(items))
     check_styles(names)
     if others is not None:
@@ -219,6 +213,13 @@ def load_recordings(
     elif found.is_long(config):
         sample = systematic_sample(items, 60 * config.in_memory)
         found = replace(found, excerpts=tuple(sample))
+    checked = found.read if trial else items  # a plan does not read hours of files
+    if changed := sorted({str(file) for item in checked for file in item.changed_files}):
+        log.warning(
+            "%s: %s changed since gesturekit prepare, and may not be what it checked: %s; run it "
+            "again",
+            *(config.corpus, counted(len(changed), "file"), listed(changed, 4)),
+        )
     motions = load_motions(found.read, config.corpus, config.fps, parts)
     return replace(found, motions=motions)
 
