@@ -504,7 +504,7 @@ def test_stopped_and_finished_runs_are_described(tmp_path):
     assert re.fullmatch(rf"not .* last written \d\.\d\d s ago; {again}", rows.pop("state"))
     assert rows == {
         "step": "20",
-        "metrics": "rec 0.25",
+        "losses": "rec 0.25",
         "checkpoints": "1: steps 20",
         "settings": "system multires, fps 25.0, seed 3",
         "command": "gesturekit train hell_für_mich.yaml",
@@ -529,7 +529,16 @@ def test_stopped_and_finished_runs_are_described(tmp_path):
     assert row(new, "step") == "none logged yet" and "made with" not in dict(new.rows)
     (run / "model").mkdir()
     (run / "model" / "config.yaml").write_text("kind: multires\n")
-    assert plain(inspect(run))["state"] == "finished"
+    (run / "model" / "README.md").write_text("- **Recordings**: 7 recordings, 70 s\n")
+    line = '{"step": 20, "held_out/likeness": 0.5, "held_out/likeness_recording": 0.75, '
+    line += '"held_out/jerk": 31.0, "kind": "held_out", "verdict": "Half of the reach."}'
+    (run / "metrics.jsonl").write_text('{"step": 20, "rec": 0.25}\n' + line)
+    done = inspect(run)
+    assert plain(done)["state"] == "finished" and plain(done)["metrics"]["held_out/jerk"] == 31
+    assert row(done, "verdict") == "Half of the reach." and row(done, "losses") == "rec 0.25"
+    assert row(done, "metrics").startswith("likeness 0.5 (recordings 0.75); all of them: ")
+    assert str(run / "report.html") in row(done, "metrics")
+    assert row(done, "recordings") == "7 recordings, 70 s"
 
 
 # Everything else
