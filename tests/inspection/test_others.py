@@ -452,12 +452,14 @@ def test_a_folder_of_recordings(write_pair, write_speech, gesture, tmp_path):
     write_pair(tmp_path, "a")
     write_speech(tmp_path / "more" / "b.wav", 3.0)
     gesture(2.0).save(tmp_path / "more" / "c.bvh")
+    (tmp_path / "more" / "c.mp4").write_bytes(b"video of c")
     (tmp_path / "broken.bvh").write_text("Dear diary,\n")
     summary = inspect(tmp_path)
     assert row(summary, "paired") == "1 recording, 4.0 s"
     assert row(summary, "speech alone") == "1 recording, 3.0 s"
     assert row(summary, "motion alone") == "1 recording, 2.0 s"
     assert sum("broken.bvh:1" in problem for problem in summary.problems) == 1
+    assert row(summary, "videos") == "c.mp4, not read" and "mp4" not in str(summary.problems)
     assert not {"speakers", "styles"} & dict(summary.rows).keys()
     facts = plain(summary)
     assert [facts[key] for key in ("items", "paired", "speech_alone", "motion_alone")] == [
@@ -501,7 +503,7 @@ def test_stopped_and_finished_runs_are_described(tmp_path):
     summary = inspect(run)
     rows = dict(summary.rows)
     again = f"gesturekit train --resume {run}"
-    assert re.fullmatch(rf"not .* last written \d\.\d\d s ago; {again}", rows.pop("state"))
+    assert re.fullmatch(rf"not .* last written \d+\.\d\d s ago; {again}", rows.pop("state"))
     assert rows == {
         "step": "20",
         "losses": "rec 0.25",
@@ -595,7 +597,7 @@ def test_other_kinds_of_files_are_recognised(gesture, tmp_path):
     (tmp_path / "my_recipe" / "config.yaml").write_text("system: multires\n")
     (tmp_path / "my_recipe" / "README.md").write_text("Mine\n")
     (tmp_path / "feature_model.json").write_text("{}")
-    for name in ("talk.m4a", "take.fbx", "film.mp4"):
+    for name in ("talk.m4a", "take.fbx", "film.mp4", "take.pkl"):
         (tmp_path / name).write_bytes(b"\0\1\2\3")
     run = make_run(tmp_path / "run")
     (run / "data").mkdir()
@@ -614,6 +616,10 @@ def test_other_kinds_of_files_are_recognised(gesture, tmp_path):
         ("words.xyz", "not recognised"),
         ("foreign.npz", "no key 'poses'.*AMASS and BEAT2; this one has clips, rate$"),
         ("settings.json", "a JSON object with the keys colour; of JSON, motion is read"),
+        ("talk.m4a", "m4a is not read; make a wav of it: ffmpeg -i x.m4a x.wav$"),
+        ("take.fbx", "fbx is not read; export it as bvh"),
+        ("film.mp4", "mp4 is not read; make a wav"),
+        ("take.pkl", "pkl is a pickle"),
     ):
         with pytest.raises(FormatError, match=says):
             inspect(tmp_path / path)
@@ -639,13 +645,19 @@ def test_other_kinds_of_files_are_recognised(gesture, tmp_path):
         ("raters.yaml", "a user study; gesturekit study build .*raters.yaml makes its page$"),
         ("my_recipe", "a recipe; gesturekit train .*my_recipe trains it$"),
         ("feature_model.json", "part of a feature model"),
-        ("talk.m4a", "m4a is not read; make a wav of it: ffmpeg -i x.m4a x.wav$"),
-        ("take.fbx", "fbx is not read; export it as bvh"),
-        ("film.mp4", "mp4 is not read; make a wav"),
         (run / "checkpoints/step_00000020.pt", f"a checkpoint of a run; inspect its folder, {run}"),
     ):
         summary = inspect(tmp_path / path)
         assert summary.kind == "other" and re.search(says, summary.title), path
+
+
+def test_a_folder_of_features_is_one(gesturekit, write_speech, tmp_path):
+    for name in ("a", "more/b"):
+        write_speech(tmp_path / "speech" / f"{name}.wav", 1.0)
+    gesturekit("features", tmp_path / "speech", "--extractor", "prosody", "--out", tmp_path / "f")
+    shown = gesturekit("inspect", tmp_path / "f").ok().out
+    assert "features of 2 sounds" in shown and "a.npz, more/b.npz" in shown
+    assert '"kind": "prosody"' in shown
 
 
 def test_lines_are_as_wide_as_the_terminal_within_bounds(gesturekit, monkeypatch):
