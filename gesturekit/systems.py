@@ -221,9 +221,8 @@ def train(
 
     if resume and _is_model(model := loaded.out / "model"):
         Run(loaded.out, to_dict(loaded), resume=True)  # refuses other settings
-        longer = f"{loaded.out / 'config.yaml'} longer={2 * loaded.longer:g} out=OTHER"
-        log.info("%s: finished; nothing to resume.", loaded.out)
-        log.info("A longer training is a new one: gesturekit train %s", longer)
+        longer = f"gesturekit train {loaded.out}/config.yaml longer={2 * loaded.longer:g} out=OTHER"
+        log.info("%s: finished; nothing to resume. To train longer: %s", loaded.out, longer)
         return model
     if resume and has_no_run(loaded.out):
         log.info("%s: no run to resume yet; starting a new one.", loaded.out)

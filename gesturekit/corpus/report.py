@@ -115,8 +115,7 @@ class Report:
         count = len({one.skeleton.body_shape for one in self._moving})
         unnamed = any(one.speaker is None for one in self._moving)
         who = " (recordings without a speaker count as one person's)" if unnamed else ""
-        use = f"training uses the mean of each speaker's{who}"
-        return f"{count}; {use}" if count > 1 else ""
+        return f"{count}; training uses the mean of each speaker's{who}" if count > 1 else ""
 
     def _shift(self) -> str:
         """Return the shift between sound and motion, or "" if they say nothing."""

@@ -144,12 +144,11 @@ def inspect_feature_folder(folder: Path) -> Summary:
     files = feature_files(folder)
     first = inspect_features(files[0])
     names = [path.relative_to(folder).as_posix() for path in files]
-    same = [row for row in first.rows if row[0] in ("columns", "made by")]
     return Summary(
         kind="features",
         title=f"{folder}: features of {counted(len(files), 'sound')}",
         facts={"path": str(folder), "files": names, "first": first.facts},
-        rows=(("files", listed(names, _SHOWN)), *same),
+        rows=(("files", listed(names, _SHOWN)), *first.rows[1::2]),  # columns, made by
     )
 
 

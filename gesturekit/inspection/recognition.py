@@ -17,7 +17,13 @@ from gesturekit.formats.sources import (
     is_sequence,
     unreadable_media,
 )
-from gesturekit.inspection.others import feature_files, what_it_is
+from gesturekit.inspection.others import (
+    feature_files,
+    inspect_array,
+    inspect_feature_folder,
+    inspect_features,
+    what_it_is,
+)
 from gesturekit.inspection.summary import Summary
 from gesturekit.systems import bundled_models, model_folder
 from gesturekit.training.config import read_yaml
@@ -79,12 +85,6 @@ def inspect(
 
         return inspect_audio(Path(path))
     if kind == "features":
-        from gesturekit.inspection.others import (
-            inspect_array,
-            inspect_feature_folder,
-            inspect_features,
-        )
-
         if Path(path).is_dir():
             return inspect_feature_folder(Path(path))
         is_npy = Path(path).suffix.lower() == ".npy"

@@ -220,11 +220,14 @@ def load_recordings(
             "again",
             *(config.corpus, counted(len(changed), "file"), listed(changed, 4)),
         )
-    corpus = str(config.corpus)
-    if trial and len(found.read) < len(items):
-        corpus += f" (an excerpt of it, {len(found.read)} of {counted(len(items), 'recording')})"
-    motions = load_motions(found.read, corpus, config.fps, parts)
+    name = _named(config.corpus, len(found.read), len(items)) if trial else config.corpus
+    motions = load_motions(found.read, name, config.fps, parts)
     return replace(found, motions=motions)
+
+
+def _named(corpus: Path, read: int, total: int) -> str:
+    part = f" (an excerpt of it, {read} of {counted(total, 'recording')})"
+    return f"{corpus}{part if read < total else ''}"
 
 
 def _trial(items: Sequence[Item]) -> list[Excerpt]:
