@@ -86,8 +86,7 @@ def main(arguments: list[str] | None = None) -> None:
         error.show()
         status = 2
     except (click.Abort, KeyboardInterrupt) as error:
-        hint = error.__cause__ or error  # click's Abort is raised from the KeyboardInterrupt
-        click.echo(f"Interrupted. {hint}".rstrip(), err=True)
+        click.echo(f"Interrupted. {error.__cause__ or error}".rstrip(), err=True)
         status = 130
     except (GestureKitError, AudioFeaturesError) as error:
         click.echo(f"Error: {error}", err=True)

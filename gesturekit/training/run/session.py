@@ -55,8 +55,8 @@ def session(
                 yield run, device, processes
         except KeyboardInterrupt:
             if processes.is_first and folder is None and run.has_begun:
-                command = resume_command(run.folder, processes.count)
-                raise KeyboardInterrupt(f"Continue with: {command}") from None
+                hint = f"Continue with: {resume_command(run.folder, processes.count)}"
+                raise KeyboardInterrupt(hint) from None
             raise
         except torch.cuda.OutOfMemoryError as error:
             raise ModelError(
