@@ -195,7 +195,7 @@ def train(
             recipe (`multires_speech/light`). To resume, the run folder is enough.
         overrides: single settings, as `key=value` strings, or by dotted name.
         resume: continue from the last checkpoint of the run folder; a run that was stopped before
-            it had a folder begins.
+            it had a folder begins, and a finished one stays as it is.
         settings: further settings by name; a mapping changes single settings of a section.
 
     Returns:
@@ -216,8 +216,14 @@ def train(
     if isinstance(overrides, Mapping):
         overrides, settings = (), {**overrides, **settings}
     system, loaded = _resolve(config, overrides, settings, resume=resume)
-    from gesturekit.training.run.folder import has_no_run  # imports torch
+    from gesturekit.training.config import to_dict
+    from gesturekit.training.run.folder import Run, has_no_run  # imports torch
 
+    if resume and _is_model(model := loaded.out / "model"):
+        Run(loaded.out, to_dict(loaded), resume=True)  # refuses other settings
+        longer = f"gesturekit train {loaded.out}/config.yaml longer={2 * loaded.longer:g} out=OTHER"
+        log.info("%s: finished; nothing to resume. To train longer: %s", loaded.out, longer)
+        return model
     if resume and has_no_run(loaded.out):
         log.info("%s: no run to resume yet; starting a new one.", loaded.out)
         resume = False

@@ -72,7 +72,9 @@ def numbers(samples: ArrayLike, name: str) -> np.ndarray:
         raise AudioError(f"{name}: {kind}, expected an array of samples, or the path of a file")
     # A batch of one sound.
     values = values.reshape([n for n in values.shape if n != 1] or [1])
-    if values.ndim not in (1, 2) or not values.size:
+    if not values.size:
+        raise AudioError(f"{name}: no samples, an array of shape {np.shape(samples)}")
+    if values.ndim not in (1, 2):
         raise AudioError(
             f"{name}: shape {values.shape}, expected samples (N,), or channels (C, N) or (N, C)"
         )
@@ -208,6 +210,8 @@ def read_header(name: str) -> Header:
         if head[:3] == b"ID3" or (len(head) > 1 and head[0] == 0xFF and head[1] & 0xE0 == 0xE0):
             file.seek(0)
             return read_mpeg(file, name, size)
+    if head[:1] == b"\x80" and head[1:2] <= b"\x05":
+        raise AudioError(f"{name}: a Python pickle, not sound; it could run code and is not read")
     is_text = all(byte in b"\t\r\n" or 32 <= byte < 127 for byte in head)
     raise AudioError(
         f"{name}: cannot be read as sound (it begins with {head[:8]!r}): give a wav, flac, ogg, "

@@ -85,8 +85,8 @@ def main(arguments: list[str] | None = None) -> None:
     except click.ClickException as error:
         error.show()
         status = 2
-    except (click.Abort, KeyboardInterrupt):
-        click.echo("Interrupted.", err=True)
+    except (click.Abort, KeyboardInterrupt) as error:
+        click.echo(f"Interrupted. {error.__cause__ or error}".rstrip(), err=True)
         status = 130
     except (GestureKitError, AudioFeaturesError) as error:
         click.echo(f"Error: {error}", err=True)

@@ -204,7 +204,7 @@ def rendered_baselines(
     found = {}
     for name in wanted:
         if name == "retrieval":
-            click.echo("Making the baseline retrieval from the training recordings ...", err=True)
+            click.echo("Training the baseline retrieval ...", err=True)
             model = samples.train_retrieval(corpus, folder / "run", seed=options["seed"])
             sounds = samples.split_sounds(corpus, split)
         else:

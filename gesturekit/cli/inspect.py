@@ -30,7 +30,7 @@ def command(
 
     A motion is shown with its unit, axes and frame rate, its rig as a tree with body parts in
     brackets, statistics of its movement, and probable defects. The exit code is 1 if a PATH
-    cannot be identified.
+    cannot be identified or read.
     """
     import json
     import shutil

@@ -47,6 +47,7 @@ _URGENT = 3
 
 
 @click.command("live", cls=GroupedCommand, groups=GROUPS, epilog=EXAMPLES)
+@click.argument("words", nargs=-1, metavar="")
 @click.option(
     "--model", default="demo", show_default=True, help="A bundled name or a model folder."
 )
@@ -103,7 +104,7 @@ _URGENT = 3
 @click.option(
     "--body",
     type=Body(),
-    metavar="[mannequin|human|skeleton|FILE.vrm]",
+    metavar="[mannequin|human|skeleton|FILE.vrm|FILE.glb]",
     default="human",
     show_default=True,
     help="Body on the page.",
@@ -144,6 +145,11 @@ def command(ctx: click.Context, **options: Any) -> None:
     from gesturekit.live.sources import devices
     from gesturekit.systems import bundled_speech, fit_live, load
 
+    if words := options.pop("words"):
+        raise click.UsageError(
+            f"{words[0]!r}: sound is given by --from, and outputs by --to: gesturekit live --from "
+            "speech.wav --to page,record:take.bvh"
+        )
     if (corpus := options.pop("corpus")) is not None:
         fit_live(options["model"], corpus)
         return

@@ -58,6 +58,7 @@ class Report:
             ("takes", self._takes()),
             ("frame rates", _counted(f"{r.fps:.6g} fps" for r in self._moving)),
             ("body heights", self._heights()),
+            ("body shapes", self._shapes()),
             ("joints", _counted(str(r.skeleton.n_joints) for r in self._moving)),
             ("sample rates", _counted(f"{r.sample_rate} Hz" for r in self.recordings if r.audio)),
             ("speakers", _labels([r.speaker for r in self.recordings])),
@@ -108,6 +109,13 @@ class Report:
         heights = sorted(one.height for one in self.recordings if one.height is not None)
         ends = dict.fromkeys(f"{height:.3g}" for height in [*heights[:1], *heights[-1:]])
         return f"{' to '.join(ends)} m" if ends else ""
+
+    def _shapes(self) -> str:
+        """Return the number of body shapes if there are several, and what training does."""
+        count = len({one.skeleton.body_shape for one in self._moving})
+        unnamed = any(one.speaker is None for one in self._moving)
+        who = " (recordings without a speaker count as one person's)" if unnamed else ""
+        return f"{count}; training uses the mean of each speaker's{who}" if count > 1 else ""
 
     def _shift(self) -> str:
         """Return the shift between sound and motion, or "" if they say nothing."""

@@ -1,4 +1,4 @@
-"""Plausibility of a motion that was read without error: its frame rate, unit, size and axes."""
+"""Plausibility of a motion that was read without error: frame rate, unit, size, axes, fingers."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs
 from gesturekit.motion.parts.body_size import body_height, first_fork, stature
 from gesturekit.motion.skeleton import Skeleton
+from gesturekit.wording import listed
 
 SLOWEST, FASTEST = 1.0, 1000.0
 """Range of plausible frame rates, frames per second."""
@@ -32,6 +33,13 @@ def plausibility_warnings(motion: Motion, reading: Mapping[str, Any]) -> list[st
     found = []
     if "fps" not in reading and not SLOWEST <= motion.fps <= FASTEST:
         found.append(_rate(motion))
+    if keys := motion.info.get("unread_hands"):
+        found.append(
+            f"fingers are still: {listed(keys, 4)} are not read; write them into 'poses' of SMPL-X "
+            "as rotation vectors: PCA coefficients (T, N) of the left hand are poses[:, 75:120] = "
+            "pca @ hands_componentsl[:N] + hands_meanl, with arrays of the SMPL-X model file; the "
+            "right hand is poses[:, 120:165]"
+        )
     bones = motion.skeleton.offsets[1:]
     if len(bones) and not bones.any():
         return [*found, "all bones have length 0: there is no body to see or to measure"]

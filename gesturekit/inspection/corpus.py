@@ -14,6 +14,7 @@ from gesturekit.corpus.preparation import prepare
 from gesturekit.corpus.report import amount
 from gesturekit.errors import CorpusError, GestureKitError
 from gesturekit.formats.conversion import load
+from gesturekit.formats.sources import VIDEO_SUFFIXES
 from gesturekit.inspection.summary import Summary, span
 from gesturekit.wording import counted, listed
 
@@ -99,7 +100,12 @@ def inspect_recordings(
         read=read,
         progress=progress,
     )
-    report = replace(report, problems=tuple(dict.fromkeys(report.problems)))
+    videos = [path for path in report.left_over if path.suffix.lower() in VIDEO_SUFFIXES]
+    report = replace(
+        report,
+        problems=tuple(dict.fromkeys(report.problems)),
+        left_over=tuple(path for path in report.left_over if path not in videos),
+    )
     if report.is_complete and not report.manifest.items:
         raise CorpusError(f"{folder}: no recordings in it, neither motion nor sound")
     manifest = report.manifest
@@ -118,6 +124,8 @@ def inspect_recordings(
     # Splits and labels are assigned by `prepare` only.
     rows = [(name, text.split(": train")[0]) for name, text in report.rows()]
     rows = [row for row in rows if row[0] not in ("speakers", "styles")]
+    if videos:
+        rows.append(("videos", f"{listed([video.name for video in videos], _SHOWN)}, not read"))
     return Summary(
         kind="corpus",
         title=f"{folder}: {amount(manifest.items)}, {span(seconds)}",

@@ -70,6 +70,7 @@ def inspect_motion(path: Path, *, parts: Mapping[str, str] | None, **options: An
         },
         "facing_degrees": np.rad2deg(figure.front),
         "height": figure.height,
+        "floor": figure.floor,
         "joints": list(skeleton.names),
         "parts": labels,
         **_movement(motion, figure, labels),
@@ -193,6 +194,7 @@ def _rows(
         shares = ", ".join(f"{k} {100 * v:.0f} %" for k, v in facts["contact_share"].items())
         slow = format_speed(CONTACT_SPEED * body_scale(skeleton))
         rows.append(("feet", f"stand still (heel or toe below {slow}): {shares} of the frames"))
+        rows.append(("floor", f"the soles of standing feet are at Y = {facts['floor']:.2f} m"))
     if facts["upper_body_only"]:
         rows.append(("legs", "no legs: upper body only; contacts and foot metrics are left out"))
     if "meshes" in facts:

@@ -10,7 +10,7 @@ import numpy as np
 import audio_features as af
 from audio_features.files import open_npy
 from gesturekit.formats.signatures import A_JSON_FILE, REPORT_IN_WORDS, is_report, kind_by_content
-from gesturekit.formats.sources import unreadable_media
+from gesturekit.formats.sources import is_feature_file, visible_folders
 from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.training.config import read_yaml
 from gesturekit.wording import counted, listed
@@ -36,8 +36,6 @@ def what_it_is(path: Path) -> str | None:
         OSError: it cannot be read.
         ConfigError: a configuration that is no YAML.
     """
-    if reason := unreadable_media(path):
-        return reason
     if whole := _part_of(path):
         return whole
     with path.open("rb") as file:
@@ -128,6 +126,29 @@ def inspect_features(path: Path) -> Summary:
         facts=facts,
         rows=tuple(rows),
         problems=problems,
+    )
+
+
+def feature_files(folder: Path) -> list[Path]:
+    """Return the npz files of speech features below a folder."""
+    every = (path for _, _, files in visible_folders(folder) for path in files)
+    return [path for path in every if path.suffix.lower() == ".npz" and is_feature_file(path)]
+
+
+def inspect_feature_folder(folder: Path) -> Summary:
+    """Summarise a folder of feature files, of which the first is read.
+
+    Raises:
+        FeatureError: the first cannot be read.
+    """
+    files = feature_files(folder)
+    first = inspect_features(files[0])
+    names = [path.relative_to(folder).as_posix() for path in files]
+    return Summary(
+        kind="features",
+        title=f"{folder}: features of {counted(len(files), 'sound')}",
+        facts={"path": str(folder), "files": names, "first": first.facts},
+        rows=(("files", listed(names, _SHOWN)), *first.rows[1::2]),  # columns, made by
     )
 
 

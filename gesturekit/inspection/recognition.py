@@ -10,8 +10,20 @@ from gesturekit.corpus.pairing import scan
 from gesturekit.errors import ConfigError, FormatError
 from gesturekit.formats.registry import MOTION_SUFFIXES
 from gesturekit.formats.signatures import A_JSON_FILE
-from gesturekit.formats.sources import SPEECH_SUFFIXES, is_body_model, is_feature_file, is_sequence
-from gesturekit.inspection.others import what_it_is
+from gesturekit.formats.sources import (
+    SPEECH_SUFFIXES,
+    is_body_model,
+    is_feature_file,
+    is_sequence,
+    unreadable_media,
+)
+from gesturekit.inspection.others import (
+    feature_files,
+    inspect_array,
+    inspect_feature_folder,
+    inspect_features,
+    what_it_is,
+)
 from gesturekit.inspection.summary import Summary
 from gesturekit.systems import bundled_models, model_folder
 from gesturekit.training.config import read_yaml
@@ -21,7 +33,8 @@ from gesturekit.training.run.state import unfinished
 _JSON = {".json": "motion", ".jsonl": "corpus"}
 _KNOWN = (
     "motion (.bvh, .npz, .glb, EasyMocap folders), avatars (.vrm), sound (.wav, .flac, ...), "
-    "feature files (.npz, .npy), manifests (.jsonl), model, run and corpus folders"
+    "feature files (.npz, .npy) and folders of them, manifests (.jsonl), model, run and corpus "
+    "folders"
 )
 
 
@@ -72,8 +85,8 @@ def inspect(
 
         return inspect_audio(Path(path))
     if kind == "features":
-        from gesturekit.inspection.others import inspect_array, inspect_features
-
+        if Path(path).is_dir():
+            return inspect_feature_folder(Path(path))
         is_npy = Path(path).suffix.lower() == ".npy"
         return (inspect_array if is_npy else inspect_features)(Path(path))
     from gesturekit.inspection.corpus import inspect_manifest
@@ -109,6 +122,8 @@ def kind_of(path: str | Path) -> str:
         return "motion"
     if suffix in SPEECH_SUFFIXES:
         return "audio"
+    if reason := unreadable_media(path):
+        raise FormatError(f"{path}: {reason}")
     try:
         what = what_it_is(path)
     except OSError as error:
@@ -143,4 +158,6 @@ def _kind_of_folder(folder: Path) -> str:
     found, _ = scan(folder)
     if found:
         return "corpus"
+    if feature_files(folder):
+        return "features"
     raise FormatError(f"{folder}: not a folder that gesturekit recognises; it inspects {_KNOWN}")

@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from gesturekit.errors import ConfigError, ModelError
+from gesturekit.evaluation.definitions import DEFINITIONS
+from gesturekit.inspection.model import readme_notes
 from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.training.config import read_yaml
 from gesturekit.training.run.checkpoint import Checkpoints
 from gesturekit.training.run.state import is_running, resume_command
 from gesturekit.wording import listed
 
-_SETTINGS = ("system", "corpus", "fps", "joints", "seed", "device", "precision")
+_SETTINGS = ("system", "corpus", "longer", "fps", "joints", "seed", "device", "precision")
 
 
 def inspect_run(folder: Path) -> Summary:
@@ -40,7 +42,9 @@ def inspect_run(folder: Path) -> Summary:
         "state": "finished" if is_done else "running" if is_running(folder) else "stopped",
         "silent_seconds": silent,
         "step": last.get("step"),
-        "metrics": last,
+        "losses": next((line for line in reversed(logged) if "kind" not in line), {}),
+        "metrics": next((line for line in reversed(logged) if "verdict" in line), {}),
+        "notes": readme_notes(folder / "model" / "README.md"),
         "checkpoints": steps,
         "config": config,
         "command": _text(folder / "command.txt"),
@@ -62,18 +66,21 @@ def _rows(folder: Path, facts: dict[str, Any]) -> list[tuple[str, str]]:
         "running": f"running: {ago}",
         "stopped": f"not finished and not running, {ago}; {resume_command(folder)}",
     }[facts["state"]]
-    numbers = {
-        key: value if isinstance(value, int) else f"{value:.3g}"
-        for key, value in facts["metrics"].items()
+    losses = [
+        f"{key} {value if isinstance(value, int) else f'{value:.3g}'}"
+        for key, value in facts["losses"].items()
         if key != "step" and isinstance(value, int | float)
-    }
+    ]
     settings = [
         f"{key} {facts['config'][key]}" for key in _SETTINGS if facts["config"].get(key) is not None
     ]
     shown = [
         ("state", state),
+        ("verdict", str(facts["metrics"].get("verdict", ""))),
         ("step", "none logged yet" if facts["step"] is None else str(facts["step"])),
-        ("metrics", ", ".join(f"{key} {value}" for key, value in numbers.items())),
+        ("recordings", facts["notes"].get("Recordings")),
+        ("losses", ", ".join(losses)),
+        ("metrics", _headline(folder, facts["metrics"])),
         (
             "checkpoints",
             f"{len(facts['checkpoints'])}: steps {listed(list(map(str, facts['checkpoints'])))}"
@@ -85,6 +92,19 @@ def _rows(folder: Path, facts: dict[str, Any]) -> list[tuple[str, str]]:
         ("made with", ", ".join(f"{key} {value}" for key, value in facts["versions"].items())),
     ]
     return [(label, text) for label, text in shown if text]
+
+
+def _headline(folder: Path, metrics: dict[str, Any]) -> str:
+    """Return the metrics at the head of a report, and where the others are."""
+    shown = []
+    for key in (key for key, entry in DEFINITIONS.items() if entry.group == "Headline"):
+        names = [f"{metrics.get('kind')}/{key}{of}" for of in ("", "_recording")]
+        value, recording = (metrics.get(name) for name in names)
+        if isinstance(value, int | float):
+            of = f" (recordings {recording:.3g})" if isinstance(recording, int | float) else ""
+            shown.append(f"{key} {value:.3g}{of}")
+    where = f"all of them: {folder / 'report.html'}, {folder / 'metrics.jsonl'}"
+    return f"{', '.join(shown)}; {where}" if shown else ""
 
 
 def _metrics(path: Path) -> list[dict[str, Any]]:

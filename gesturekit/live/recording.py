@@ -12,6 +12,7 @@ from typing import BinaryIO
 import numpy as np
 
 from gesturekit.errors import ConfigError, GestureKitError
+from gesturekit.formats.fbx import blender_command
 from gesturekit.formats.frames import frames_header, frames_rows, read_frames
 from gesturekit.formats.registry import writer_of
 from gesturekit.live.runner import Step
@@ -33,12 +34,14 @@ class Recording:
         sample_rate: of the sound, which is written as a .wav of the same name; None without.
 
     Raises:
-        FormatError: no motion is written to such a file.
+        FormatError: no motion is written to such a file, or it needs Blender, which is not found.
         OSError: the folder cannot be written to.
     """
 
     def __init__(self, path: Path, sample_rate: int | None = None) -> None:
         writer_of(path, ())
+        if path.suffix.lower() == ".fbx":
+            blender_command(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=path.parent).close()
         self._path, self._rate, self._partial = path, sample_rate, partial_of(path)

@@ -10,6 +10,7 @@ recordings alone.
 
 from __future__ import annotations
 
+import logging
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -166,8 +167,10 @@ def train_retrieval(corpus: Path, folder: Path, *, seed: int) -> Path:
         ConfigError: see `gesturekit.train`, such as a corpus without training recordings.
     """
     from gesturekit.systems import train
+    from gesturekit.training.run.plan import silently
 
-    return train(RETRIEVAL, corpus=str(corpus), out=str(folder), seed=seed)
+    own = {"corpus": str(corpus), "out": str(folder), "seed": seed}
+    return silently(lambda: train(RETRIEVAL, **own), logging.WARNING)
 
 
 def split_sounds(corpus: Path, split: str) -> dict[str, af.Wave]:

@@ -220,8 +220,14 @@ def load_recordings(
             "again",
             *(config.corpus, counted(len(changed), "file"), listed(changed, 4)),
         )
-    motions = load_motions(found.read, config.corpus, config.fps, parts)
+    name = _named(config.corpus, len(found.read), len(items)) if trial else config.corpus
+    motions = load_motions(found.read, name, config.fps, parts)
     return replace(found, motions=motions)
+
+
+def _named(corpus: Path, read: int, total: int) -> str:
+    part = f" (an excerpt of it, {read} of {counted(total, 'recording')})"
+    return f"{corpus}{part if read < total else ''}"
 
 
 def _trial(items: Sequence[Item]) -> list[Excerpt]:
@@ -274,7 +280,7 @@ def item_styles(items: Sequence[Item], corpus: Path) -> tuple[tuple[str, ...], l
 
 
 def load_motions(
-    items: Sequence[Item], corpus: Path, fps: float, parts: Mapping[str, str]
+    items: Sequence[Item], corpus: Path | str, fps: float, parts: Mapping[str, str]
 ) -> list[Motion]:
     """Return the motion of each item at its file's frame rate, `info["recorded_fps"]`.
 
@@ -283,7 +289,7 @@ def load_motions(
 
     Args:
         items: with motion.
-        corpus: the manifest, for messages.
+        corpus: name of the manifest in messages.
         fps: frame rate of the training; one that is far above all files' gets a warning.
         parts: joints of body parts, see `Skeleton.parts`.
 
@@ -322,14 +328,14 @@ def _load(item: Item, parts: Mapping[str, str]) -> Motion:
     return motion
 
 
-def _check_same_rig(item: Item, motion: Motion, usual: Skeleton, corpus: Path) -> None:
+def _check_same_rig(item: Item, motion: Motion, usual: Skeleton, corpus: Path | str) -> None:
     """Raise CorpusError for a motion on another rig than the corpus's usual one."""
     if different := first_difference(motion.skeleton, usual):
         raise CorpusError(f"{corpus}: item {item.id}: another skeleton: {different}")
 
 
 def _with_one_body_each(
-    items: Sequence[Item], motions: Sequence[Motion], corpus: Path
+    items: Sequence[Item], motions: Sequence[Motion], corpus: Path | str
 ) -> list[Motion]:
     """Return the motions with one body shape for each speaker, the mean of the recorded ones.
 

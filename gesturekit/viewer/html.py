@@ -127,7 +127,8 @@ def player_data(
     shown = {label: DrawnBody.of(motion, body, body_model) for label, motion in motions.items()}
     page = _page(shown, None if audio is None else as_sound(audio))
     page["below"] = max(drawn.figure.below(framing) for drawn in shown.values())
-    for figure in page["figures"]:
+    for figure, own in zip(page["figures"], motions.values()):
+        figure["file_joints"] = own.skeleton.n_joints  # a human body has more
         if colours is not None and figure["label"] in colours:
             figure["ink"] = colours[figure["label"]]
             if body == "human" and "skin" in figure:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import math
 import os
+import pickle
 import shlex
 from fractions import Fraction
 
@@ -162,6 +163,15 @@ def test_formats_that_libsndfile_cannot_decode_give_the_ffmpeg_command(tmp_path,
     line = shlex.split(str(caught.value).split("`")[1])
     assert line[:3] == ["ffmpeg", "-i", str(tmp_path / name)]
     assert line[3].endswith(".wav") and line[3] != line[2]
+
+
+def test_pickles_and_arrays_without_samples_are_named(tmp_path):
+    (tmp_path / "a.pkl").write_bytes(pickle.dumps({"poses": [0.0] * 99}))
+    with pytest.raises(AudioError, match=r"a\.pkl: a Python pickle, not sound") as caught:
+        Wave.load(tmp_path / "a.pkl")
+    assert "ffmpeg" not in str(caught.value)
+    with pytest.raises(AudioError, match=r"no samples, an array of shape \(0, 2\)"):
+        Wave.from_array(np.zeros((0, 2)), 16_000)
 
 
 def test_a_long_sound_of_several_channels_is_read_in_blocks(tmp_path):

@@ -115,7 +115,8 @@ def test_a_run_folder_that_cannot_be_made(train, tmp_path):
     assert "Errno" not in error_line(done)
 
 
-def test_a_finished_run_is_kept(train, tmp_path):
+def test_a_finished_run_is_kept(train, tmp_path, caplog):
+    caplog.set_level("INFO")
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "notes.txt").write_text("mine")
     nothing = train("--resume")
@@ -128,6 +129,11 @@ def test_a_finished_run_is_kept(train, tmp_path):
     assert again.status == 2 and "finished training" in error_line(again)
     other = train("--resume", "seed=7")
     assert other.status == 2 and "seed: 0" in error_line(other)
+    caplog.clear()
+    assert "gesturekit render speech.wav" in train("--resume").ok().out
+    assert "All metrics on" not in caplog.text  # nothing is measured again
+    assert f"{tmp_path / 'run'}: finished; nothing to resume" in caplog.text
+    assert f"train {tmp_path / 'run' / 'config.yaml'} longer=" in caplog.text
     shutil.rmtree(model)
     assert train("--resume").status == 0
     assert (model / "model.safetensors").read_bytes() == before
@@ -159,6 +165,7 @@ def test_a_checkpoint_of_another_run_is_refused_by_name(gesturekit, train, tmp_p
     train().ok()
     (foreign,) = sorted((tmp_path / "other" / "checkpoints").iterdir())[-1:]
     shutil.copy(foreign, tmp_path / "run" / "checkpoints" / foreign.name)
+    shutil.rmtree(tmp_path / "run" / "model")
     done = gesturekit("train", "--resume", tmp_path / "run")
     assert done.status == 2 and f"{foreign.name}: a checkpoint of another run" in done.err
 
@@ -209,8 +216,8 @@ def test_an_interrupted_run_says_how_to_go_on(gesturekit, train, tmp_path, monke
         return str(caught.value)
 
     monkeypatch.setattr(Stage, "iterate", interrupted)
-    assert train().status == 130
-    assert f"Continue with: {command}" in caplog.text
+    assert train().fails(130).err.splitlines()[-1] == f"Interrupted. Continue with: {command}"
+    assert "Continue" not in caplog.text
     monkeypatch.undo()
     assert during["state"] == "running" and "still running" in during["model"]
     assert inspect(run).facts["state"] == "stopped" and command in dict(inspect(run).rows)["state"]

@@ -622,6 +622,19 @@ def test_bodies_of_very_different_size_are_warned_about(gesture, tmp_path):
     assert not any("warning" in line for line in alike.problem_lines())
 
 
+def test_bodies_of_several_shapes_are_counted(tmp_path):
+    for k, beta in enumerate((1.0, 2.0, 2.0)):
+        values = {"poses": np.zeros((40, 72)), "trans": np.zeros((40, 3)), "betas": [beta]}
+        np.savez(tmp_path / f"{k}.npz", mocap_framerate=20, **values)
+    shapes = dict(prepare([], unpaired_motion=tmp_path).rows())["body shapes"]
+    assert shapes.startswith("2; training uses the mean of each speaker's (recordings without a")
+    named = prepare([], unpaired_motion=tmp_path, style_pattern="(?P<speaker>.)")
+    own = dict(named.rows())["body shapes"]
+    assert own == "2; training uses the mean of each speaker's"
+    (tmp_path / "0.npz").unlink()
+    assert "body shapes" not in dict(prepare([], unpaired_motion=tmp_path).rows())
+
+
 def test_sizes_that_spread_are_named_by_their_ends(gesture, tmp_path):
     """None of 1, 1.3 and 1.7 is far from the usual one, but the first is far from the last."""
     for name, factor in (("a", 1.3), ("b", 1.7), ("c", 1.0)):

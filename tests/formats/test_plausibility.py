@@ -9,6 +9,7 @@ import pytest
 from rigs import PERSON, at_rest, rig_of
 from scipy.spatial.transform import Rotation
 
+from gesturekit.formats.npz import read_npz
 from gesturekit.formats.plausibility import guess_unit, plausibility_warnings
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion import Motion
@@ -150,3 +151,19 @@ def test_rigs_of_no_known_parts_are_measured_as_they_stand(reach, unit):
     places = motion.positions()[0, 1:]
     assert np.ptp(places, axis=0).max() == pytest.approx(reach)
     assert guess_unit(motion.skeleton, pose) == (unit, False)
+
+
+@pytest.mark.parametrize(
+    ("width", "column", "names"), [(165, None, True), (165, 80, False), (72, None, True)]
+)
+def test_hands_under_other_keys_are_named_while_fingers_are_still(tmp_path, width, column, names):
+    poses = np.full((20, width), 0.1)
+    poses[5, [] if column is None else column] = 0.5
+    hands = dict.fromkeys(("left_hand_pca12", "right_hand_pose"), np.ones((20, 12)))
+    np.savez(tmp_path / "a.npz", poses=poses, trans=np.zeros((20, 3)), mocap_frame_rate=30, **hands)
+    said = [
+        line for line in plausibility_warnings(read_npz(tmp_path / "a.npz"), {}) if "hand" in line
+    ]
+    assert len(said) == names
+    for line in said:
+        assert "left_hand_pca12, right_hand_pose" in line and "hands_componentsl" in line

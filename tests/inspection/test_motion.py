@@ -77,7 +77,7 @@ def test_every_row_of_a_walk_of_known_size(walk, tmp_path, degrees, side):
     walk(degrees).save(tmp_path / "walk.bvh")
     summary = inspect(tmp_path / "walk.bvh")
     height, rows = summary.facts["height"], dict(summary.rows)
-    assert list(rows) == ["time", "axes", "body", "channels", "moves", "hands", "feet"]
+    assert list(rows) == ["time", "axes", "body", "channels", "moves", "hands", "feet", "floor"]
     assert rows["time"] == "2.05 s: 41 frames at 20 fps (Frame Time: 0.0500000000)"
     shown = round(summary.facts["facing_degrees"])
     assert (shown - degrees) % 360 == 0
@@ -92,6 +92,11 @@ def test_every_row_of_a_walk_of_known_size(walk, tmp_path, degrees, side):
     assert rows["hands"] == hands
     # 25 or 26 of 41 frames.
     assert re.fullmatch(r"stand still .*: left 6[13] %, right 6[13] % of the frames", rows["feet"])
+    assert rows["floor"].endswith(f" at Y = {summary.facts['floor']:.2f} m")
+    low = walk(degrees)
+    replace(low, translation=low.translation - [0.0, 0.4, 0.0]).save(tmp_path / "low.bvh")
+    sunk = inspect(tmp_path / "low.bvh").facts["floor"]
+    assert sunk == pytest.approx(summary.facts["floor"] - 0.4, abs=1e-6)
     assert summary.facts["path_length"] == pytest.approx(1.5, abs=1e-6)
     assert summary.facts["displacement"] == pytest.approx(0.5, abs=1e-6)
     assert summary.facts["turning_joints"] == ["LeftForeArm"] and summary.problems == ()

@@ -452,12 +452,14 @@ def test_a_folder_of_recordings(write_pair, write_speech, gesture, tmp_path):
     write_pair(tmp_path, "a")
     write_speech(tmp_path / "more" / "b.wav", 3.0)
     gesture(2.0).save(tmp_path / "more" / "c.bvh")
+    (tmp_path / "more" / "c.mp4").write_bytes(b"video of c")
     (tmp_path / "broken.bvh").write_text("Dear diary,\n")
     summary = inspect(tmp_path)
     assert row(summary, "paired") == "1 recording, 4.0 s"
     assert row(summary, "speech alone") == "1 recording, 3.0 s"
     assert row(summary, "motion alone") == "1 recording, 2.0 s"
     assert sum("broken.bvh:1" in problem for problem in summary.problems) == 1
+    assert row(summary, "videos") == "c.mp4, not read" and "mp4" not in str(summary.problems)
     assert not {"speakers", "styles"} & dict(summary.rows).keys()
     facts = plain(summary)
     assert [facts[key] for key in ("items", "paired", "speech_alone", "motion_alone")] == [
@@ -501,10 +503,10 @@ def test_stopped_and_finished_runs_are_described(tmp_path):
     summary = inspect(run)
     rows = dict(summary.rows)
     again = f"gesturekit train --resume {run}"
-    assert re.fullmatch(rf"not .* last written \d\.\d\d s ago; {again}", rows.pop("state"))
+    assert re.fullmatch(rf"not .* last written \d+\.\d\d s ago; {again}", rows.pop("state"))
     assert rows == {
         "step": "20",
-        "metrics": "rec 0.25",
+        "losses": "rec 0.25",
         "checkpoints": "1: steps 20",
         "settings": "system multires, fps 25.0, seed 3",
         "command": "gesturekit train hell_für_mich.yaml",
@@ -529,7 +531,16 @@ def test_stopped_and_finished_runs_are_described(tmp_path):
     assert row(new, "step") == "none logged yet" and "made with" not in dict(new.rows)
     (run / "model").mkdir()
     (run / "model" / "config.yaml").write_text("kind: multires\n")
-    assert plain(inspect(run))["state"] == "finished"
+    (run / "model" / "README.md").write_text("- **Recordings**: 7 recordings, 70 s\n")
+    line = '{"step": 20, "held_out/likeness": 0.5, "held_out/likeness_recording": 0.75, '
+    line += '"held_out/jerk": 31.0, "kind": "held_out", "verdict": "Half of the reach."}'
+    (run / "metrics.jsonl").write_text('{"step": 20, "rec": 0.25}\n' + line)
+    done = inspect(run)
+    assert plain(done)["state"] == "finished" and plain(done)["metrics"]["held_out/jerk"] == 31
+    assert row(done, "verdict") == "Half of the reach." and row(done, "losses") == "rec 0.25"
+    assert row(done, "metrics").startswith("likeness 0.5 (recordings 0.75); all of them: ")
+    assert str(run / "report.html") in row(done, "metrics")
+    assert row(done, "recordings") == "7 recordings, 70 s"
 
 
 # Everything else
@@ -586,7 +597,7 @@ def test_other_kinds_of_files_are_recognised(gesture, tmp_path):
     (tmp_path / "my_recipe" / "config.yaml").write_text("system: multires\n")
     (tmp_path / "my_recipe" / "README.md").write_text("Mine\n")
     (tmp_path / "feature_model.json").write_text("{}")
-    for name in ("talk.m4a", "take.fbx", "film.mp4"):
+    for name in ("talk.m4a", "take.fbx", "film.mp4", "take.pkl"):
         (tmp_path / name).write_bytes(b"\0\1\2\3")
     run = make_run(tmp_path / "run")
     (run / "data").mkdir()
@@ -605,6 +616,10 @@ def test_other_kinds_of_files_are_recognised(gesture, tmp_path):
         ("words.xyz", "not recognised"),
         ("foreign.npz", "no key 'poses'.*AMASS and BEAT2; this one has clips, rate$"),
         ("settings.json", "a JSON object with the keys colour; of JSON, motion is read"),
+        ("talk.m4a", "m4a is not read; make a wav of it: ffmpeg -i x.m4a x.wav$"),
+        ("take.fbx", "fbx is not read; export it as bvh"),
+        ("film.mp4", "mp4 is not read; make a wav"),
+        ("take.pkl", "pkl is a pickle"),
     ):
         with pytest.raises(FormatError, match=says):
             inspect(tmp_path / path)
@@ -630,13 +645,19 @@ def test_other_kinds_of_files_are_recognised(gesture, tmp_path):
         ("raters.yaml", "a user study; gesturekit study build .*raters.yaml makes its page$"),
         ("my_recipe", "a recipe; gesturekit train .*my_recipe trains it$"),
         ("feature_model.json", "part of a feature model"),
-        ("talk.m4a", "m4a is not read; make a wav of it: ffmpeg -i x.m4a x.wav$"),
-        ("take.fbx", "fbx is not read; export it as bvh"),
-        ("film.mp4", "mp4 is not read; make a wav"),
         (run / "checkpoints/step_00000020.pt", f"a checkpoint of a run; inspect its folder, {run}"),
     ):
         summary = inspect(tmp_path / path)
         assert summary.kind == "other" and re.search(says, summary.title), path
+
+
+def test_a_folder_of_features_is_one(gesturekit, write_speech, tmp_path):
+    for name in ("a", "more/b"):
+        write_speech(tmp_path / "speech" / f"{name}.wav", 1.0)
+    gesturekit("features", tmp_path / "speech", "--extractor", "prosody", "--out", tmp_path / "f")
+    shown = gesturekit("inspect", tmp_path / "f").ok().out
+    assert "features of 2 sounds" in shown and "a.npz, more/b.npz" in shown
+    assert '"kind": "prosody"' in shown
 
 
 def test_lines_are_as_wide_as_the_terminal_within_bounds(gesturekit, monkeypatch):

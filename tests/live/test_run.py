@@ -339,6 +339,8 @@ def test_figures_of_a_run_are_a_table_and_json(live, write_speech, tmp_path):
         (["--from", "{wav}", "--to", "vmc:here"], "--to vmc:here: expected vmc:HOST:PORT"),
         (["--from", "{wav}", "--to", "vmc:1.2.3.4:99999"], "expected vmc:HOST:PORT"),
         (["--from", "{wav}", "--to", "record:a.xyz"], "a.xyz: cannot write motion as .xyz"),
+        (["--from", "{wav}", "--to", "record:a.fbx"], "a.fbx: FBX needs Blender"),
+        (["{wav}", "record:a.bvh"], "sound is given by --from, and outputs by --to"),
         (
             ["--from", "{wav}", "--to", "record:{wav}.bvh", "--block", "9"],
             "9.0 is not in the range",
@@ -354,7 +356,10 @@ def test_figures_of_a_run_are_a_table_and_json(live, write_speech, tmp_path):
         (["--fast"], "--fast is for files and pipes"),
     ],
 )
-def test_wrong_arguments_are_one_clear_error(live, write_speech, tmp_path, arguments, says):
+def test_wrong_arguments_are_one_clear_error(
+    live, write_speech, tmp_path, monkeypatch, arguments, says
+):
+    monkeypatch.setenv("PATH", "")  # no Blender
     wav = write_speech(tmp_path / "a.wav", 0.1)
     done = live(*(str(each).replace("{wav}", str(wav)) for each in arguments))
     done.fails(2, says)

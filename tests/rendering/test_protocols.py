@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -163,15 +164,16 @@ def test_the_sound_of_another_has_the_rate_and_length_of_ones_own(tmp_path):
     np.testing.assert_allclose(other["noise"].samples[500:-500], expected[500:-500], atol=2e-3)
 
 
-def test_retrieval_is_trained_from_its_recipe(tmp_path, monkeypatch):
+def test_retrieval_is_trained_from_its_recipe_without_a_word(tmp_path, monkeypatch, caplog):
     given = []
 
     def train(recipe: str, **settings: Any) -> Path:
         given.append((recipe, settings))
+        logging.getLogger("gesturekit").warning("Run folder %s", settings["out"])
         return tmp_path / "run"
 
     monkeypatch.setattr("gesturekit.systems.train", train)
     found = samples.train_retrieval(tmp_path / "corpus.jsonl", tmp_path / "run", seed=3)
     assert found == tmp_path / "run"
     settings = {"corpus": str(tmp_path / "corpus.jsonl"), "out": str(tmp_path / "run"), "seed": 3}
-    assert given == [("multires_speech/retrieval", settings)]
+    assert given == [("multires_speech/retrieval", settings)] and not caplog.messages

@@ -267,3 +267,14 @@ def test_a_speaker_of_two_genders_is_of_that_of_most_recordings(shaped, caplog):
     motions = load_motions(shaped(*people), Path("c.jsonl"), 10.0, {})
     assert {motion.skeleton.body_shape.gender for motion in motions} == {"female"}
     assert "genders female, male; the mean of their betas is used, as female" in caplog.text
+
+
+def test_a_plan_says_that_it_counts_the_bodies_of_an_excerpt(shaped, tmp_path, caplog):
+    """Of 40 s in recordings of 2 s, a plan reads 30 s."""
+    Manifest(shaped(*((None, None, float(k)) for k in range(20)))).save(tmp_path / "c.jsonl")
+    config = RunConfig(corpus=tmp_path / "c.jsonl", out=tmp_path, fps=10, checkpoint_every=1)
+    read(config, speech=False, trial=True)
+    assert "c.jsonl (an excerpt of it, 15 of 20 recordings): 15 recordings of an" in caplog.text
+    caplog.clear()
+    read(config, speech=False)
+    assert "excerpt" not in caplog.text and "20 recordings of an unnamed" in caplog.text

@@ -215,6 +215,7 @@ def test_the_page_holds_the_motion_on_the_body(tmp_path, gesture):
     steps = unpacked(figure["points"], frames).view(np.int16).reshape(frames, -1, 3)
     root = np.frombuffer(base64.b64decode(figure["root"]), "<f4").reshape(frames, 1, 3)
     drawn = DrawnBody.of(gesture(1.0), "human")
+    assert figure["file_joints"] == 19 < figure["n_joints"] == drawn.motion.skeleton.n_joints
     expected = drawn.motion.positions()
     points = (root + steps * figure["step"])[:, : figure["n_joints"]]
     assert np.abs(points - expected).max() <= 1e-4

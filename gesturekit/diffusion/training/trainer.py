@@ -191,7 +191,7 @@ class Trainer:
         if variants > len(data.sources):
             parts.append(f"{counted(variants, 'sequence')} with their variants")
         if conditions.conditioner is not None:
-            parts.append(counted(conditions.conditioner.dim, "feature"))
+            parts.append(counted(conditions.conditioner.dim, "speech feature"))
         for known, noun in ((conditions.events, "event"), (conditions.styles, "style")):
             if known:
                 parts.append(counted(len(known), noun))

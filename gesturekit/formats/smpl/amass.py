@@ -8,6 +8,7 @@ BEAT2 that add the model's mean hand curl them a little more.
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import replace
 from operator import itemgetter
@@ -33,6 +34,9 @@ from gesturekit.wording import listed
 RATES = ("mocap_frame_rate", "mocap_framerate", "fps")
 """Keys of the frame rate."""
 _MODELS = {24: "smpl", 52: "smplh", 55: "smplx"}
+_FINGERS = {24: 72, 52: 66, 55: 75}
+"""First column of the fingers in `poses`, by the number of joints."""
+_OF_HANDS = re.compile("(left|right)_?hand", re.IGNORECASE)
 _N_BETAS = {24: 10, 52: 16, 55: 300}
 _N_EXPRESSIONS = 100
 _MAX_EXPRESSIONS = 1000
@@ -40,6 +44,8 @@ _MAX_EXPRESSIONS = 1000
 
 def from_amass(archive: Archive, up: str) -> Motion:
     """Return the motion in the keys of AMASS or BEAT2; `up` is "y", "z", "-y" or "auto".
+
+    If the fingers are still, `info["unread_hands"]` has the other keys of the file on hands.
 
     Raises:
         FormatError: a key is missing, pickled, or of a wrong shape.
@@ -71,6 +77,9 @@ def from_amass(archive: Archive, up: str) -> Motion:
         motion = Motion(skeleton, rotations, pelvis, _rate(archive), info={"up": up})
     except MotionError as error:
         raise FormatError(f"keys 'poses', 'trans', 'mocap_frame_rate': {error}") from None
+    fingers = poses[:, _FINGERS.get(n_joints, poses.shape[1]) :]
+    if not (fingers != fingers[:1]).any():
+        motion.info["unread_hands"] = list(filter(_OF_HANDS.match, archive))
     if "expressions" in archive:
         return with_expressions(motion, archive)
     return motion

@@ -199,11 +199,9 @@ class Trainer:
         data = self.data
         parts = [describe_recordings(data.sources, self.seconds, self.config.fps)]
         if data.conditioner is not None:
-            spoken = (
-                "the same" if data.unpaired_is_paired else f"{roughly(data.spoken[0])} of unpaired"
-            )
-            parts.append(f"{spoken} speech")
-            parts.append(counted(data.conditioner.dim, "feature"))
+            if not data.unpaired_is_paired:
+                parts.append(f"{roughly(data.spoken[0])} of unpaired speech")
+            parts.append(counted(data.conditioner.dim, "speech feature"))
         if data.styles:
             parts.append(counted(len(data.styles), "style"))
         representation = data.representation

@@ -80,15 +80,15 @@ def log_plan(
         session(config, resume=False, folder=Path(folder)) as (run, device, processes),
     ):
         trial = trainer(config, run, device, processes, resume=False, trial=True)
-        estimate = _silently(trial.estimate)
+        estimate = silently(trial.estimate)
         if not processes.is_first:
             return
-        excerpt = _silently(recordings, logging.WARNING)
+        excerpt = silently(recordings, logging.WARNING)
         motion = quickest(lambda: [item.load_motion(config.parts) for item in excerpt.items], 1)
         # A motion file is read whole, however short the excerpt is.
         reading = motion * len(excerpt.whole[0]) / len(excerpt.items)
         # The first reading loaded libraries too.
-        features = max(0.0, quickest(partial(_silently, read, logging.WARNING), 1) - motion)
+        features = max(0.0, quickest(partial(silently, read, logging.WARNING), 1) - motion)
         reading += features * excerpt.lengths[0] / sum(item.duration for item in excerpt.items)
         if excerpt.is_long(config):
             size = np.dot(estimate.rates, excerpt.lengths)
@@ -107,7 +107,7 @@ def log_plan(
         )
 
 
-def _silently(work: Callable[[], _T], level: int = logging.INFO) -> _T:
+def silently(work: Callable[[], _T], level: int = logging.INFO) -> _T:
     """Return what a function returns, without its messages of up to a level.
 
     Information on an excerpt is not true of the whole corpus; warnings of a second reading are

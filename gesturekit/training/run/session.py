@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -20,8 +19,6 @@ from gesturekit.training.run.processes import Processes
 from gesturekit.training.run.state import resume_command
 from gesturekit.training.run_config import RunConfig
 
-log = logging.getLogger(__name__)
-
 
 @contextmanager
 def session(
@@ -29,7 +26,7 @@ def session(
 ) -> Iterator[tuple[Run, torch.device, Processes]]:
     """Join torchrun's processes, if any, and open the run folder.
 
-    After Ctrl-C it logs the command that resumes the run; on a full disk the error names it.
+    On Ctrl-C and on a full disk the error names the command that resumes the run.
 
     Args:
         config: of the run.
@@ -58,9 +55,8 @@ def session(
                 yield run, device, processes
         except KeyboardInterrupt:
             if processes.is_first and folder is None and run.has_begun:
-                log.warning(
-                    "Stopped. Continue with: %s", resume_command(run.folder, processes.count)
-                )
+                hint = f"Continue with: {resume_command(run.folder, processes.count)}"
+                raise KeyboardInterrupt(hint) from None
             raise
         except torch.cuda.OutOfMemoryError as error:
             raise ModelError(

@@ -28,7 +28,7 @@ function clockText(seconds) {
 function showFacts(page) {
   for (const figure of page.figures) {
     const line = document.createElement("span");
-    line.textContent = `${figure.n_frames} frames at ${+figure.fps.toFixed(3)} fps, ${figure.n_joints} joints`;
+    line.textContent = `${figure.n_frames} frames at ${+figure.fps.toFixed(3)} fps, ${figure.file_joints} joints`;
     if (page.figures.length > 1) {
       const label = document.createElement("b");
       label.textContent = `${figure.label} `;
