@@ -31,8 +31,7 @@ _SHORT, _LONG = 0.5, 5.0  # seconds of sound whose cost is measured
 
 @gesturekit_errors()
 def render(
-    model: Model | str | Path | None = None,
-    /,
+    model: Model | str | Path,
     sources: SoundSource | Sequence[SoundSource] = (),
     out: str | Path = "rendered",
     *,
@@ -76,9 +75,6 @@ def render(
         >>> [file.name for result in results for file in result.files]
         ['motion.npz']
     """
-    if (model is None) != ("model" in options):
-        raise TypeError("the model comes first: render(model, 'speech.wav', 'rendered')")
-    model = options.pop("model", model)
     if isinstance(model, str | os.PathLike):
         from gesturekit.systems import load
 

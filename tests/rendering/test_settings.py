@@ -22,7 +22,6 @@ from gesturekit.rendering.batch import (
     measured_cost,
     model_of_results,
     preview,
-    render,
     render_batch,
 )
 from gesturekit.rendering.features import FeatureExtraction
@@ -161,14 +160,6 @@ def test_a_preview_names_what_cannot_be_read_and_what_is_kept(model, tmp_path, s
     assert model_of_results(out) == model.folder
     (idle,) = preview(render_batch(model, [], tmp_path / "idle", seconds=1.0))
     assert (idle.id, idle.status, idle.task.duration) == ("motion", "left", 1.0)
-
-
-def test_a_model_that_is_not_first_is_told_its_place_and_one_may_be_named(model, tmp_path, sound):
-    for given, named in (((sound,), {"model": model}), ((), {})):
-        with pytest.raises(TypeError, match=r"render\(model, 'speech.wav'"):
-            render(*given, **named)
-    named = {"model": model, "sources": sound, "out": tmp_path / "named"}
-    assert all(result.error is None for result in render(**named))
 
 
 def test_work_that_fails_has_no_cost(model, tmp_path):
