@@ -198,7 +198,9 @@ def pipe(name):
 
 POST = b"POST /motion HTTP/1.1\r\nHost: localhost\r\n"
 BODY = POST + b"Content-Length: 99\r\n\r\nx"
-LONG = b"POST /motion?format=html&fps=1000 HTTP/1.1\r\nHost: localhost\r\nContent-Length: %d\r\n\r\n%s"
+LONG = (
+    b"POST /motion?format=html&fps=1000 HTTP/1.1\r\nHost: localhost\r\nContent-Length: %d\r\n\r\n%s"
+)
 BESIDE = {"uri": "harmless.glb"}
 ENDS = {"gesturekit_end_site": 1}
 ATTACKS = {
