@@ -12,7 +12,7 @@ import numpy as np
 import soundfile
 
 from audio_features.errors import FeatureError, WeightsError
-from audio_features.track import FeatureTrack
+from audio_features.track import NO_NUMBER, FeatureTrack, bad_value
 from audio_features.wave import Wave
 
 SLACK = 0.5
@@ -172,13 +172,10 @@ class Files:
         """Return the rows within the wave and the ones beside it, in the wave's own time."""
         first = max(0, int(np.searchsorted(times, wave.offset, side="right")) - 1)
         last = int(np.searchsorted(times, wave.offset + wave.duration)) + 1
-        part = np.asarray(values[first:last], dtype=np.float32)
-        if not np.isfinite(part).all():
-            row, column = np.argwhere(~np.isfinite(part))[0]
-            value = part[row, column]
-            raise FeatureError(
-                f"row {first + row}, column {column} is {value}: not a finite number"
-            )
+        part = values[first:last]
+        if (bad := bad_value(part)) is not None:
+            row, column = bad
+            raise FeatureError(f"row {first + row}, column {column}: {part[bad]:g} {NO_NUMBER}")
         return FeatureTrack(part, times[first:last] - wave.offset, self.spec, self.names)
 
     def __repr__(self) -> str:

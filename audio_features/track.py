@@ -17,6 +17,9 @@ from audio_features.errors import FeatureError
 from audio_features.wave import exact_rate
 
 FORMAT = 1
+LARGEST = 1e18
+"""Largest magnitude of a value; the squares of larger ones are no float32 numbers."""
+NO_NUMBER = f"is not finite, or beyond {LARGEST:g}"
 ALIGNMENTS = ("linear", "mean", "gaussian", "length_ratio")
 """Methods of `to_rate` for aligning features with motion frames."""
 
@@ -26,12 +29,12 @@ class FeatureTrack:
     """Features of a sound over time.
 
     Args:
-        values: (T, D) float32, finite.
+        values: (T, D) float32, of magnitude `LARGEST` at most.
         times: (T,) float64 seconds, ascending; centres of the frames.
         spec: JSON-serialisable settings of the extractor, as for `extractor_from_spec`.
         names: names of the D columns; by default "0", "1", …
 
-    Raises FeatureError if shapes disagree or a value is not finite.
+    Raises FeatureError if shapes disagree or a value is not finite, or too large.
 
     Examples:
         A value that rises by 10 within a second, at 4 frames per second:
@@ -47,7 +50,8 @@ class FeatureTrack:
     names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        values = np.ascontiguousarray(self.values, dtype=np.float32)
+        with np.errstate(over="ignore"):
+            values = np.ascontiguousarray(self.values, dtype=np.float32)
         times = np.ascontiguousarray(self.times, dtype=np.float64)
         if values.ndim != 2 or times.shape != values.shape[:1] or len(times) == 0:
             raise FeatureError(
@@ -56,11 +60,10 @@ class FeatureTrack:
         names = tuple(self.names) or tuple(str(i) for i in range(values.shape[1]))
         if len(names) != values.shape[1]:
             raise FeatureError(f"{len(names)} names for {values.shape[1]} columns")
-        if not np.isfinite(values).all():
-            row, column = np.argwhere(~np.isfinite(values))[0]
-            raise FeatureError(
-                f"column {names[column]!r}, frame {row}: value {values[row, column]} is not finite"
-            )
+        if (bad := bad_value(values)) is not None:
+            row, column = bad
+            value = np.asarray(self.values)[row, column]
+            raise FeatureError(f"column {names[column]!r}, frame {row}: {value:g} {NO_NUMBER}")
         if not np.isfinite(times).all() or np.any(np.diff(times) <= 0):
             raise FeatureError("times must be finite and ascend")
         object.__setattr__(self, "values", values)
@@ -182,3 +185,9 @@ class FeatureTrack:
 
     def _with(self, values: np.ndarray, times: np.ndarray) -> FeatureTrack:
         return FeatureTrack(values, times, self.spec, self.names)
+
+
+def bad_value(values: np.ndarray) -> tuple[int, int] | None:
+    """Return row and column of the first value that is not finite, or beyond `LARGEST`."""
+    near = np.abs(values) <= np.float64(LARGEST)  # float16 has no such number
+    return None if near.all() else tuple(np.argwhere(~near)[0])

@@ -7,8 +7,16 @@ start (bad usage, bad config); 130 on Ctrl-C.
 from __future__ import annotations
 
 import importlib
+import os
+import re
+import signal
 import sys
+import threading
+import time
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from typing import Any, TextIO
 
 import click
 
@@ -70,8 +78,66 @@ def cli() -> None:
     """Generate body motion from speech: train on your WAV + BVH, render WAVs to BVH, npz, HTML."""
 
 
+class _Visible:
+    """Text stream that writes control characters of names, such as U+202E, as escapes.
+
+    It lets pass those of progress bars: carriage return, and cursor up.
+    """
+
+    _CONTROL = re.compile(
+        r"[\0-\x08\x0b\x0c\x0e-\x1a\x1c-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]"
+        r"|\x1b(?!\[A)"
+    )
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write a text."""
+        escaped = self._CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
+        return self._stream.write(escaped)
+
+
+_CLEAN_UP = 5.0
+"""Seconds after Ctrl-C in which another one does not disturb the clean-up."""
+
+
+@contextmanager
+def _one_interrupt() -> Iterator[None]:
+    """Raise KeyboardInterrupt at the first Ctrl-C alone; one after `_CLEAN_UP` ends the process."""
+    first: list[float] = []
+
+    def interrupt(*_: Any) -> None:
+        first.append(time.monotonic())
+        if len(first) == 1:
+            raise KeyboardInterrupt
+        if first[-1] - first[0] > _CLEAN_UP:
+            os._exit(130)
+
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield
+    finally:
+        # The process ends; another Ctrl-C while Python does so would change its exit code.
+        signal.signal(signal.SIGINT, signal.SIG_IGN if first else signal.default_int_handler)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with the codes listed at the top of this file."""
+    out, err = _Visible(sys.stdout), _Visible(sys.stderr)
+    with _one_interrupt(), redirect_stdout(out), redirect_stderr(err):
+        status = _status(arguments)
+    sys.exit(status)
+
+
+def _status(arguments: list[str] | None) -> int:
     from audio_features.errors import AudioFeaturesError
     from gesturekit.errors import GestureKitError
 
@@ -96,4 +162,4 @@ def main(arguments: list[str] | None = None) -> None:
         where = f"{error.filename}: " if error.filename else ""
         click.echo(f"Error: {where}{error.strerror or error}", err=True)
         status = 2
-    sys.exit(status or 0)
+    return status or 0

@@ -13,6 +13,7 @@ which a killed process or a full disk may leave, are ignored.
 from __future__ import annotations
 
 import json
+import math
 import os
 import time
 from collections.abc import Container, Iterator, Mapping
@@ -28,6 +29,7 @@ ATTEMPTS = 3
 """Failures with the same input and settings after which an item is skipped."""
 FIRST_FIELDS = ("status", "id", "time", "seconds", "sound", "key")
 """Fields with which the line of a result begins, in this order."""
+_LAST_TIME = 1e11  # later times, in the year 5138, are damage
 _STARTED, _STATUS = b'{"started"', b'{"status"'
 
 
@@ -40,6 +42,8 @@ class Journal:
         settings: what all results of this process have in common, as JSON values.
         run: name of these settings.
         about: further fields of the first line.
+        after: time of the latest line so far (`History.latest`); a clock that was set back since
+            is corrected by the difference, as results are ordered by time.
 
     Raises:
         OSError: the file cannot be written.
@@ -54,7 +58,9 @@ class Journal:
         run: str,
         settings: dict[str, Any],
         about: dict[str, Any],
+        after: float = 0.0,
     ) -> None:
+        self._begun = max(time.time(), math.nextafter(after, math.inf)) - time.monotonic()
         path = state / "journal" / f"{shard_name(shard, shards)}.jsonl"
         path.parent.mkdir(exist_ok=True)
         flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0)
@@ -63,7 +69,7 @@ class Journal:
             size = os.fstat(self._file).st_size
             # Begin a new line after one that a killed process left unfinished.
             self._begin = b"\n" if size and os.pread(self._file, 1, size - 1) != b"\n" else b""
-            about = {"format": FORMAT, "time": time.time(), **about}
+            about = {"format": FORMAT, "time": self._time(), **about}
             self._append({"run": run, "settings": settings, **about})
         except BaseException:
             os.close(self._file)
@@ -71,13 +77,13 @@ class Journal:
 
     def start(self, name: str) -> None:
         """Record that an item is in progress, before any of its files is written."""
-        self._append({"started": name, "run": self.run, "time": time.time()})
+        self._append({"started": name, "run": self.run, "time": self._time()})
         os.fsync(self._file)
 
     def finish(self, result: Result) -> None:
         """Record the result of an attempt."""
         values = {name: getattr(result, _FIELDS.get(name, name)) for name in _TYPES}
-        values |= {"run": self.run, "time": time.time(), "sound": round(result.sound, 4)}
+        values |= {"run": self.run, "time": self._time(), "sound": round(result.sound, 4)}
         # `jobs` finds what it needs at the beginning of a line, without parsing the whole.
         first = {name: values[name] for name in FIRST_FIELDS}
         self._append(first | {name: value for name, value in values.items() if value})
@@ -86,6 +92,9 @@ class Journal:
         """Write everything to the disk, and close the file."""
         os.fsync(self._file)
         os.close(self._file)
+
+    def _time(self) -> float:
+        return self._begun + time.monotonic()
 
     def _append(self, values: dict[str, Any]) -> None:
         line = self._begin + json.dumps(values).encode() + b"\n"
@@ -103,6 +112,9 @@ class History:
         state: folder of state; it need not exist.
         wanted: ids of the items to remember; None for all.
 
+    Attributes:
+        latest: the latest time in the journals, seconds since 1970; 0 without one.
+
     Raises:
         FormatError: a journal cannot be opened, or was written by a newer version.
     """
@@ -112,8 +124,11 @@ class History:
         self.runs: dict[str, dict[str, Any]] = {}
         self._results: dict[str, list[bytes]] = {}
         self._started: dict[str, list[tuple[float, str]]] = {}
+        self.latest = 0.0
         for path in journal_files(state):
             for kind, values, line in _read(path):
+                if isinstance(values.get("time"), int | float):
+                    self.latest = max(self.latest, min(values["time"], _LAST_TIME))
                 if kind == "run":
                     self.runs[values["run"]] = values
                 elif wanted is None or values["id"] in wanted:

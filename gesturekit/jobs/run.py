@@ -112,11 +112,9 @@ class Batch:
             processor = self.processor
             about = {**processor.about, "written": processor.written}
             about |= {"shard": shard, "shards": shards}
-            settings, run = processor.settings, processor.run
+            given = {"run": processor.run, "settings": processor.settings, "about": about}
             with _journaling(self.out):
-                journal = Journal(
-                    self.state, shard, shards, run=run, settings=settings, about=about
-                )
+                journal = Journal(self.state, shard, shards, **given, after=self.history.latest)
             try:
                 yield from self._results(_Shard(self, journal, lease))
             finally:

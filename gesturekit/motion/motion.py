@@ -432,6 +432,7 @@ def _finite_frames(values: np.ndarray, n_frames: int, name: str) -> np.ndarray:
     if values.ndim != 2 or len(values) != n_frames:
         raise MotionError(f"{name} has shape {values.shape}; {n_frames} frames need as many rows")
     if not (near := np.abs(values) <= FARTHEST).all():
-        frame = int(np.argwhere(~near)[0, 0])
-        raise MotionError(f"{name} is not finite, or over {FARTHEST:g}, in frame {frame}")
+        frame, column = np.argwhere(~near)[0]
+        value = f"{values[frame, column]:g} in column {column}"
+        raise MotionError(f"{name} is not finite, or over {FARTHEST:g}, in frame {frame}: {value}")
     return values

@@ -172,6 +172,8 @@ def test_one_frame_holds_for_all_times_and_shapes_must_agree():
 def test_values_that_are_not_finite_are_refused():
     with pytest.raises(FeatureError, match="'b', frame 1"):
         FeatureTrack(np.array([[0, 0], [0, np.nan]]), np.arange(2.0), {}, ("a", "b"))
+    with pytest.raises(FeatureError, match=r"'1', frame 0: -3e\+39 .*beyond 1e\+18"):
+        FeatureTrack([[0, -3e39]], [0])
     with pytest.raises(FeatureError, match="ascend"):
         FeatureTrack(np.zeros((2, 1)), np.array([1.0, 0.0]))
 

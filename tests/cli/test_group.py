@@ -113,6 +113,15 @@ def test_a_reader_that_closes_the_pipe_early_is_not_an_error(model, write_speech
     assert "Traceback" not in told and "Exception" not in told
 
 
+def test_control_characters_in_names_are_shown_as_escapes(gesturekit, gesture, tmp_path):
+    """Names that would reverse the text or clear the screen; joiners of letters are text."""
+    gesture(0.2).save(tmp_path / "a\u202ehvb\u200d.bvh")
+    (tmp_path / "c\x07.bvh").write_text("HIERARCHY\n")
+    done = gesturekit("convert", tmp_path, tmp_path / "out", "--format", "npz")
+    assert "a\\u202ehvb\u200d.bvh" in done.out and "c\\x07.bvh" in done.err
+    assert not re.search("[\u202e\x07]", done.out + done.err)
+
+
 def test_every_verb_that_writes_takes_one_option_for_what_exists():
     for verb in ("render", "convert", "features", "demo", "view", "evaluate", "prepare"):
         command = cli.get_command(click.Context(cli), verb)

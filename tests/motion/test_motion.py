@@ -34,7 +34,7 @@ from gesturekit.motion.rotations import rotation_angles
             "translation has shape (60, 2); 60 frames need (60, 3)",
         ),
         ({"joint_translations": {"Head": np.zeros((60, 4))}}, "'Head' has shape (60, 4)"),
-        ({"translation": np.eye(60, 3, -7) * 2e9}, "over 1e+09, in frame 7"),
+        ({"translation": np.eye(60, 3, -7) * 3e38}, "over 1e+09, in frame 7: 3e+38"),
         ({"expressions": np.zeros(60)}, "expressions has shape (60,)"),
         ({"expressions": np.zeros((59, 3))}, "expressions has shape (59, 3)"),
         ({"expressions": np.full((60, 3), np.nan)}, "expressions is not finite"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import subprocess
 import sys
 from dataclasses import replace
@@ -70,6 +71,18 @@ def test_a_jump_and_a_clap_are_at_the_same_time(tmp_path, gesture):
     sound = sound_of(tmp_path / "jump.mp4")
     assert np.argmax(np.abs(sound) > 0.1) / RATE == pytest.approx(JUMP, abs=0.02)
     assert len(sound) / RATE == pytest.approx(1.0, abs=1 / 30)
+
+
+def test_a_video_that_the_disk_has_no_room_for_is_none(tmp_path, gesture):
+    """In a process whose files may not grow over 20 kB."""
+    gesture(0.5).save(tmp_path / "a.bvh")
+    limit = {"preexec_fn": lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))}
+    command = [sys.executable, "-m", "gesturekit", "convert", tmp_path / "a.bvh"]
+    done = subprocess.run(
+        [*command, out := tmp_path / "a.mp4"], text=True, capture_output=True, **limit
+    )
+    assert done.returncode == 1 and f"{out}: File too large" in done.stderr
+    assert not [path for path in tmp_path.iterdir() if path.suffix == ".mp4"]
 
 
 def test_a_video_shows_the_body_from_the_waist_up(tmp_path, gesture, gesturekit):

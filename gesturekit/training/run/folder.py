@@ -197,7 +197,10 @@ def _dotted(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _versions() -> dict[str, str]:
+    import torch
+
     versions = {"python": platform.python_version(), "platform": platform.platform()}
+    versions["cpu threads"] = str(torch.get_num_threads())
     for name in _VERSIONS_OF:
         try:
             versions[name] = importlib.metadata.version(name)

@@ -103,7 +103,8 @@ def encode(
         wave: sound that starts with the first frame.
 
     Raises:
-        OutputError: ffmpeg failed, such as on a full disk.
+        OSError: the disk is full.
+        OutputError: ffmpeg failed otherwise.
     """
     import imageio_ffmpeg
 
@@ -131,12 +132,18 @@ def encode(
             writer.send(None)
             for frame in frames:
                 writer.send(frame)
+            reason = "it wrote no complete file"
         except OSError as error:
-            raise OutputError(f"{path}: ffmpeg failed: {str(error).splitlines()[0]}") from None
+            reason = str(error).splitlines()[0]
         finally:
             writer.close()
-    if not path.stat().st_size:
-        raise OutputError(f"{path}: ffmpeg wrote nothing; is the disk full?")
+    with path.open("rb+") as written:
+        # The table of frames, which ffmpeg moves to the front when all else is written.
+        if b"moov" in written.read(64):
+            return
+        written.seek(0, os.SEEK_END)
+        written.write(bytes(1 << 20))  # raises what ffmpeg met and only prints: a full disk
+    raise OutputError(f"{path}: ffmpeg failed: {reason}")
 
 
 SIZES = {"720p": (1280, 720), "1080p": (1920, 1080)}
