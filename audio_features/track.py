@@ -7,7 +7,7 @@ import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -17,7 +17,8 @@ from audio_features.errors import FeatureError
 from audio_features.wave import exact_rate
 
 FORMAT = 1
-ALIGNMENTS = ("linear", "mean", "gaussian", "length_ratio")
+Method = Literal["linear", "mean", "gaussian", "length_ratio"]
+ALIGNMENTS = get_args(Method)
 """Methods of `to_rate` for aligning features with motion frames."""
 
 
@@ -89,7 +90,7 @@ class FeatureTrack:
         self,
         fps: float,
         n_frames: int | None = None,
-        method: Literal["linear", "mean", "gaussian", "length_ratio"] = "linear",
+        method: Method = "linear",
     ) -> FeatureTrack:
         """Align the track with motion frames: frame k is at k/fps.
 

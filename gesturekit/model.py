@@ -86,7 +86,7 @@ class ControlEntry:
             # No NumPy bool is a bool; everything else of another type is a mistake, such as "no".
             is_right = isinstance(value, (str,) if self.kind is str else (bool, np.bool_))
             return is_right and (not self.choices or value in self.choices)
-        number = Integral if self.kind is int else Real
+        number: type = Integral if self.kind is int else Real
         return (
             isinstance(value, number)
             and not isinstance(value, bool)

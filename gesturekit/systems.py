@@ -214,7 +214,7 @@ def train(
         True
     """
     if isinstance(overrides, Mapping):
-        overrides, settings = (), {**overrides, **settings}
+        settings, overrides = {**overrides, **settings}, ()
     system, loaded = _resolve(config, overrides, settings, resume=resume)
     from gesturekit.training.run.folder import has_no_run  # imports torch
 

@@ -58,7 +58,7 @@ class Report:
             ("takes", self._takes()),
             ("frame rates", _counted(f"{r.fps:.6g} fps" for r in self._moving)),
             ("body heights", self._heights()),
-            ("joints", _counted(str(r.skeleton.n_joints) for r in self._moving)),
+            ("joints", _counted(str(r.skeleton.n_joints) for r in self._moving if r.skeleton)),
             ("sample rates", _counted(f"{r.sample_rate} Hz" for r in self.recordings if r.audio)),
             ("speakers", _labels([r.speaker for r in self.recordings])),
             ("styles", _labels([r.style for r in self.recordings])),

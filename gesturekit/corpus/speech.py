@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import ThreadpoolController
 
 import audio_features as af
+from audio_features.track import Method
 from audio_features.words import takes_words
 from gesturekit.errors import ModelError
 from gesturekit.motion.motion import Motion
@@ -85,7 +86,7 @@ class SpeechConditioner:
 
     extractor: Any
     fps: float
-    align: str
+    align: Method
     centre: np.ndarray
     scale: np.ndarray
     normalisation: Normalisation = "clip"
@@ -98,7 +99,7 @@ class SpeechConditioner:
         clips: Iterable[RawFeatures],
         extractor: Any,
         fps: float,
-        align: str,
+        align: Method,
         normalisation: Normalisation = "clip",
     ) -> SpeechConditioner:
         """Learn centre and scale from training speech, paired and unpaired alike.
@@ -249,7 +250,7 @@ class SpeechConditioner:
             values, self.clip_centre(values[active].sum(axis=0, dtype=np.float64), active.sum())
         )
 
-    def clip_centre(self, total: ArrayLike, count: int) -> np.ndarray:
+    def clip_centre(self, total: ArrayLike, count: float) -> np.ndarray:
         """Return the centre (D,) of a clip.
 
         Args:
@@ -320,7 +321,7 @@ def extract(
     wave: af.Wave,
     extractor: Any,
     fps: float,
-    align: str,
+    align: Method,
     n_frames: int | None = None,
     *,
     level: bool = True,

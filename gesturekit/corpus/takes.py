@@ -8,9 +8,10 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.item import Item, file_fingerprint
+from gesturekit.corpus.item import file_fingerprint
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import CorpusError, FormatError
 from gesturekit.formats.tables.table import read_table
@@ -67,7 +68,7 @@ def _join_copies(recordings: Sequence[Recording]) -> tuple[list[Recording], list
     files = {path for one in recordings for path in (one.audio, one.motion) if path}
     original = _originals(sorted(path for path in files if path.exists()))
     contents = [[original[p] for p in (r.audio, r.motion) if p in original] for r in recordings]
-    takes = _joined([one.take for one in recordings], contents)
+    takes = _joined([one.take or "" for one in recordings], contents)
     firsts = _joined([one.id for one in recordings], contents)
     joined = [
         replace(one, take=take, original=first)
@@ -153,7 +154,16 @@ def _read(table: Path, ids: Sequence[str]) -> dict[str, str]:
     return takes
 
 
-def neighbours(items: Iterable[Item], split: str | None = None) -> str:
+class _OfTake(Protocol):
+    @property
+    def motion(self) -> Path | None: ...
+    @property
+    def take(self) -> str: ...
+    @property
+    def split(self) -> str: ...
+
+
+def neighbours(items: Iterable[_OfTake], split: str | None = None) -> str:
     """Return a sentence on held-out items that are of a take in training; "" if there are none.
 
     Args:

@@ -196,7 +196,7 @@ def _readme(model: TrainedModel, notes: Mapping[str, str]) -> str:
         parts = " and ".join(names[name] for name in model.droppable)
         rows["Guidance"] = f"trained with dropout of {parts}"
         call.append("guidance=1.5")
-    return model_readme(rows | notes, ", ".join(call))
+    return model_readme({**rows, **notes}, ", ".join(call))
 
 
 def _arguments(parts: ModelParts, weights: WeightPlaces | None, device: str) -> dict[str, Any]:

@@ -224,10 +224,10 @@ class Batch:
                 new.unlink()  # only its hash is wanted, to compare it with that of the live run
         run = {"plan": plan.sha256, "shards": count, "settings": self.processor.run}
         lease = Lease(self.state, number, count, run)
-        is_new = planned is not None and planned != self.tasks
-        if is_new or _journal_sizes(self.state) != self._seen:
+        new = None if planned == self.tasks else planned
+        if new is not None or _journal_sizes(self.state) != self._seen:
             try:
-                self.tasks = planned if is_new else self.tasks
+                self.tasks = self.tasks if new is None else new
                 self._settle()
             except BaseException:
                 lease.release()

@@ -80,7 +80,7 @@ class ForwardKinematics(nn.Module):
         # level, and stand in that order.
         inner = sorted(set(parents) - {-1}, key=lambda j: depth[j])
         self.register_buffer("inner", torch.tensor(inner, dtype=torch.long))
-        self.level_sizes = []
+        self.level_sizes: list[int] = []
         above: list[int] = []
         while len(inner) > sum(self.level_sizes):
             joints = [j for j in inner if depth[j] == len(self.level_sizes)]

@@ -227,7 +227,7 @@ def _check_styles(model: Model, items: Sequence[Item]) -> None:
 
 def _controls(model: Model, item: Item, options: SamplingOptions, repeats: int) -> dict[str, Any]:
     """Return the arguments of `generate` for an item, several times as long as the item."""
-    found = item.controls(model) | {"raw": True} | options.controls
+    found = item.controls(model) | {"raw": True} | dict(options.controls)
     if item.audio is None or not model.inputs.speech:
         return found | {"seconds": repeats * item.duration}
     wave = item.load_wave()

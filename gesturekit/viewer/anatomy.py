@@ -116,7 +116,8 @@ def _trunk(skeleton: Skeleton, pelvis: str, collar: str) -> dict[str, Shape]:
         top = skeleton.parents[top]
     lengths = np.linalg.norm(skeleton.offsets[joints], axis=-1) if joints else np.empty(0)
     way = np.concatenate([[0.0], np.cumsum(lengths)]) / max(float(lengths.sum()), 1e-9)
-    radii = np.interp(way, *zip(*TRUNK, strict=True))
+    places, thickness = np.array(TRUNK).T
+    radii = np.interp(way, places, thickness)
     return {
         skeleton.names[joint]: Shape(float(radii[k]), float(radii[k + 1]), width=TRUNK_WIDTH)
         for k, joint in enumerate(joints)

@@ -130,11 +130,10 @@ class Denoiser(nn.Module):
         if config.architecture == "conformer":
             self.stacks = nn.ModuleList(ConformerStack(config, d) for d in dilations)
         else:
-            self.stacks = nn.ModuleList(
-                DilatedConv(width, 2 * width, d, bias=True) for d in dilations
-            )
-            for stack in self.stacks:
+            stacks = [DilatedConv(width, 2 * width, d, bias=True) for d in dilations]
+            for stack in stacks:
                 nn.init.kaiming_normal_(stack.weight)
+            self.stacks = nn.ModuleList(stacks)
         self.split = nn.ModuleList(kaiming(width, 2 * width) for _ in dilations)
         self.gather = kaiming(width, width)
         self.leave = nn.Linear(width, n_motion)
@@ -209,11 +208,10 @@ class Denoiser(nn.Module):
 
     def _bands(self, n_frames: int) -> list[list[list[Band]]]:
         """Return the attention bands of each layer of each block; empty without attention."""
-        if self.config.architecture == "diffwave":
-            return []
         return [
             [bands(layer.attention.bias, n_frames) for layer in stack.layers]
             for stack in self.stacks
+            if isinstance(stack, ConformerStack)
         ]
 
     def _run(

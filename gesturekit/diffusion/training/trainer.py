@@ -290,7 +290,8 @@ class Trainer:
             predicted = self.network(noisy, batch.condition, batch.step)
         predicted = predicted.float()
         errors = denoising_error(predicted, target)
-        if weight := self.config.training.changes:
+        weight = self.config.training.changes
+        if self.changes is not None:
             errors = errors + weight * change_error(predicted, target, self.changes)
         if self.foot_velocity is not None:
             velocities = self.foot_velocity(predicted), self.foot_velocity(target)

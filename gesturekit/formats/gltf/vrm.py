@@ -252,7 +252,7 @@ class _Skins:
 
     def __init__(self, glb: Gltf, world: np.ndarray) -> None:
         self._glb, self.world = glb, world
-        self._read: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self._read: dict[object, tuple[np.ndarray, np.ndarray]] = {}
 
     def at(self, index: object) -> tuple[np.ndarray, np.ndarray]:
         """Return the nodes (J,) of a skin's joints, and the transforms (J, 4, 4) of vertices."""

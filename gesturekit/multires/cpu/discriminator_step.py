@@ -102,6 +102,7 @@ class DiscriminatorStep:
         )
         kernels_by_window = torch.from_numpy(of_score + of_penalty)
         score = self.discriminator.score
+        assert score.bias is not None
         score.weight.grad = kernels_by_window.sum(dim=0, keepdim=True)
         score.bias.grad = torch.zeros_like(score.bias)
         if self.style is not None:

@@ -92,20 +92,19 @@ class Request:
             clips = InbetweenClips(controls.keep, model.representation, fps)
         if controls.path is not None:
             path = as_root_path(controls.path, model.representation.scale)
-        fitted = partial(
-            fit_keyframes, model.representation, start, fps, n_levels, controls.keyframe_level - 1
-        )
+        edited, level = None if controls.keyframes is None else start, controls.keyframe_level - 1
         length_given = speech is not None or seconds is not None
         if not length_given:
-            start = start if controls.keyframes is None else fitted(None)
+            if edited is not None:
+                start = fit_keyframes(model.representation, edited, fps, n_levels, level, None)
             seconds = _own_seconds(fps, start, clips, path)
         if conditioner is not None and not isinstance(speech, (af.Wave, NoneType)):
             speech = af.Wave.load(speech)
         features = speech_features(conditioner, speech, seconds, fps, controls.vad)
         n_frames = len(features)
-        if controls.keyframes is not None and length_given:
-            start = fitted(n_frames)
-        if controls.like is not None:
+        if edited is not None and length_given:
+            start = fit_keyframes(model.representation, edited, fps, n_levels, level, n_frames)
+        if controls.like is not None and start is not None:
             _warn_of_held_pose(start, n_frames / fps)
         if clips is not None:
             clips.check_end(n_frames)
@@ -144,7 +143,8 @@ def _level_speech(
     found, conditioner = [], model.conditions.conditioner
     for levels, speech in _level_speech_ranges(controls, model.network_config.levels):
         features = speech_features(conditioner, speech, None, model.fps, controls.vad)[:n_frames]
-        if missing := n_frames - len(features):
+        missing = n_frames - len(features)
+        if missing and conditioner is not None:
             features = np.concatenate([features, conditioner.silence(missing)])
         found.append((levels, _with_margins(features, margin)))
     return tuple(found)

@@ -38,8 +38,11 @@ NO_VERDICT = "No verdict: the clips are too short, or the rig's arms and legs ar
 
 
 class _Model(Protocol):
-    fps: float
-    inputs: Any
+    @property
+    def fps(self) -> float: ...
+
+    @property
+    def inputs(self) -> Any: ...
 
     @property
     def styles(self) -> Collection[str]: ...
