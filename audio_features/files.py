@@ -210,7 +210,7 @@ def _given(name: str, value: Any) -> str:
     return f"no {name} is given" if value is None else f"{name} is {value!r}"
 
 
-def _is_number(value: object) -> TypeGuard[float]:
+def _is_number(value: Any) -> TypeGuard[float]:
     is_real = isinstance(value, int | float) and not isinstance(value, bool)
     return is_real and math.isfinite(value)
 

@@ -264,7 +264,9 @@ def resolved_settings(config: str | Path, overrides: Sequence[str] = ()) -> list
     has_corpus = "corpus" in read_chain(file) or any(o.startswith("corpus=") for o in overrides)
     missing = {} if has_corpus else {"corpus": "corpus.jsonl"}
     _, loaded = _resolve(config, overrides, missing, resume=resume)
-    return list(list_settings(loaded if has_corpus else replace(loaded, corpus=None)))
+    if not has_corpus:
+        loaded = replace(loaded, corpus=None)  # type: ignore[arg-type]  # shown as null
+    return list(list_settings(loaded))
 
 
 def _resolve(

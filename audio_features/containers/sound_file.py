@@ -65,7 +65,7 @@ def numbers(samples: ArrayLike, name: str) -> np.ndarray:
         tensor = samples.detach().cpu()
         samples = tensor.float() if tensor.is_floating_point() else tensor
     try:
-        values = np.asarray(samples)
+        values: np.ndarray = np.asarray(samples)
     except (TypeError, ValueError) as error:
         raise AudioError(f"{name}: not an array of samples ({error})") from None
     if values.ndim == 0:

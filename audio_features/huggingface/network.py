@@ -217,10 +217,7 @@ class LogMelFrames:
         padded = np.zeros(n_padded * self.hop, np.float32)
         padded[: len(samples)] = samples.cpu().numpy()
         mel = self._extract(
-            padded,
-            sampling_rate=SAMPLE_RATE,
-            truncation=False,
-            padding=False,  # type: ignore[arg-type]  # None would raise
+            padded, sampling_rate=SAMPLE_RATE, truncation=False, padding=False
         ).input_features[0]
         tensor = torch.from_numpy(np.asarray(mel, np.float32)).to(samples.device)
         return _LogMel(tensor, n_frames, self.longest)
@@ -251,9 +248,9 @@ class Layers:
     reach = (0, 0)
     """Frames beside a window that must be given with it."""
 
-    def __init__(self, network: torch.nn.Module, top: int) -> None:
+    def __init__(self, network: Any, top: int) -> None:
         self._whisper = hasattr(network, "conv1")
-        self._encoder: Any = network if self._whisper else network.encoder
+        self._encoder = network if self._whisper else network.encoder
         layers = self._encoder.layers
         self._depth = len(layers)
         # State 0 is the input of the first layer, so that one layer always remains.

@@ -338,11 +338,12 @@ def extract(
     return values, activity[np.minimum(nearest, len(activity) - 1)]
 
 
-def as_speech(speech: Speech | None, sample_rate: int | None) -> str | Path | af.Wave | None:
+def as_speech(speech: Any, sample_rate: int | None) -> str | os.PathLike[str] | af.Wave | None:
     """Return the speech given to a model, with an array of samples as a `Wave`; reads no file.
 
     Args:
-        speech: a file, a `Wave`, samples (N,) or (N, channels), (samples, rate in Hz), or None.
+        speech: a `Speech`: a file, a `Wave`, samples (N,) or (N, channels), (samples, rate in Hz),
+            or None.
         sample_rate: Hz; only with an array.
 
     Raises:

@@ -98,7 +98,7 @@ def _originals(files: Sequence[Path]) -> dict[Path, Path]:
 
 def _joined(names: Sequence[str], contents: Sequence[Sequence[Path]]) -> list[str]:
     """Return the first name that each name is connected with by contents that they share."""
-    labels, holders = list(names), {}
+    labels, holders = list(names), dict[Path, int]()
     for k, shared in enumerate(contents):
         for content in shared:
             first, own = labels[holders.setdefault(content, k)], labels[k]

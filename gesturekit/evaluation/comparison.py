@@ -270,7 +270,7 @@ def _compared(reference: Path | Items, protocol: str) -> dict[str, Path | ItemIn
 
     In Table 4 of Alexanderson et al. 2023 this is the full dataset: all splits of a manifest.
     """
-    every = recordings(reference)
+    every = {**recordings(reference)}
     if protocol == "lda" and isinstance(reference, Items):
         every |= {item.id: ItemInterval(item) for item in reference.others}
     return every

@@ -122,7 +122,7 @@ class ForwardKinematics(nn.Module):
         # Entries of the matrices first, joints last, (3, 3, ..., joints): the products are then
         # a few operations on long arrays, not thousands of tiny ones.
         local = rotations.movedim((-2, -1), (0, 1))
-        turned = []
+        turned: list[Tensor] = []
         for level, matrices in enumerate(local.split(self.level_sizes, dim=-1)):
             if level:
                 rows = getattr(self, f"rows_{level}")

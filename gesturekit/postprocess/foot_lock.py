@@ -204,7 +204,7 @@ class _FootLock:
         # Direction of the foot on the ground, also while its heel is lifted.
         level = (places[-1] - places[0]) * [1, 0, 1]
         level *= length / np.maximum(np.linalg.norm(level, axis=1, keepdims=True), length / 2)
-        offsets, holds, lifts = [], [], 0.0
+        offsets, holds, lifts = list[np.ndarray](), list[np.ndarray](), 0.0
         # The ball first, because the heel may be lifted while the ball stands.
         for place, (mask, floor) in zip(places[::-1], stands[::-1], strict=True):
             if self.labels is None:

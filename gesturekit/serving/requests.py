@@ -9,7 +9,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from fastapi import HTTPException, Query, Request
 from pydantic import BaseModel, create_model
@@ -121,7 +121,14 @@ _CONTROLS: dict[str, Any] = {
     for name, entry in Controls.entries().items()
     if entry.kind not in (Path, None)
 }
-MotionRequest = create_model("MotionRequest", __base__=_Settings, **_CONTROLS)
+if TYPE_CHECKING:
+
+    class MotionRequest(_Settings):
+        """Settings and controls of a motion."""
+
+        fps: float | None
+else:
+    MotionRequest = create_model("MotionRequest", __base__=_Settings, **_CONTROLS)
 
 
 async def receive(request: Request, file: Path, limits: Limits) -> None:

@@ -115,7 +115,7 @@ def mismatches(segments: Sequence[Segment], seed: int) -> dict[str, Segment]:
             groups[next(iter(groups))].append(rest[0])
         else:
             groups["/"] = rest
-    found = {}
+    found = dict[str, Segment]()
     for group in groups.values():
         order = [group[i] for i in rng.permutation(len(group))]
         found |= {a.name: b for a, b in zip(order, [*order[1:], order[0]], strict=True)}

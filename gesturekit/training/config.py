@@ -158,7 +158,7 @@ def load_config(
 
 
 def _with_parents(path: Path, schema: type | None, depth: int = 8) -> dict[str, Any]:
-    values = {}
+    values: dict[str, Any] = {}
     for key, value in read_yaml(path).items():
         values = _merge(values, _nested(key, value))
     base = values.pop("base", None)

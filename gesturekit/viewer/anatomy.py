@@ -110,7 +110,7 @@ def shapes(skeleton: Skeleton, parts: BodyParts | None) -> dict[str, Shape | Non
 
 def _trunk(skeleton: Skeleton, pelvis: str, collar: str) -> dict[str, Shape]:
     """Shapes from the pelvis up, each as thick at its start as the one below at its end."""
-    top, joints = skeleton.index(collar), []
+    top, joints = skeleton.index(collar), list[int]()
     while top not in (skeleton.index(pelvis), -1):
         joints.insert(0, top)
         top = skeleton.parents[top]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -80,7 +81,8 @@ class ConformerStack(nn.Module):
     def __init__(self, config: NetworkConfig, dilation: int) -> None:
         super().__init__()
         self.enter = nn.Linear(config.channels, config.channels)
-        self.layers = nn.ModuleList(Conformer(config, dilation) for _ in range(config.layers))
+        layers: Any = nn.ModuleList(Conformer(config, dilation) for _ in range(config.layers))
+        self.layers: Sequence[Conformer] = layers  # torch's list lacks their type
         self.leave = nn.Linear(config.channels, 2 * config.channels)
 
     def forward(self, x: Tensor, bands: list[list[Band]]) -> Tensor:

@@ -99,7 +99,7 @@ class _Table:
 
     def ratings(self, notes: Sequence[str] = (), *, paired: bool = False) -> Ratings:
         """Return what was added; of equal lines, one is kept, unless they are votes."""
-        indices = [np.frombuffer(column, np.int32) for column in self.indices]
+        indices: list[np.ndarray] = [np.frombuffer(column, np.int32) for column in self.indices]
         values = np.frombuffer(self.values, np.float64)
         if not paired:
             order = np.lexsort([values, *indices])

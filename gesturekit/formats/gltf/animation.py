@@ -203,7 +203,7 @@ class _Keys:
 
     def __init__(self, gltf: Gltf) -> None:
         self._gltf = gltf
-        self._times: dict[int, tuple[np.ndarray, np.ndarray | None]] = {}
+        self._times: dict[object, tuple[np.ndarray, np.ndarray | None]] = {}
         self._curves: dict[tuple[int, int, str, str], Curve] = {}
 
     def animation(self, entry: dict[str, Any], nodes: set[int]) -> Animation:

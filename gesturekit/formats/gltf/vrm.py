@@ -195,7 +195,7 @@ def avatar_bones(glb: Gltf) -> tuple[dict[int, str], bool]:
 
 def _bones_by_name(glb: Gltf) -> dict[int, str]:
     """Return {node: our bone} of Mixamo's and Ready Player Me's rigs, which have our names."""
-    ours, found = our_names(True), {}
+    ours, found = our_names(True), dict[str, int]()
     for node, entry in enumerate(glb.items("nodes")):
         name = _PREFIX.sub("", str(entry.get("name", "")), count=1)
         if name in ours.values():

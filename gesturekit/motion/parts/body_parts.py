@@ -135,6 +135,7 @@ def _named(skeleton: Skeleton, found: PartFinder) -> BodyParts:
         joints = {part: found.limbs[f"{side}_{part}"] for part in parts}
         return {part: None if j is None else skeleton.names[j] for part, j in joints.items()}
 
+    assert found.pelvis is not None
     below_head = () if found.head is None else skeleton.descendants(found.head)
     return BodyParts(
         pelvis=skeleton.names[found.pelvis],

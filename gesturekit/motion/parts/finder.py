@@ -174,7 +174,7 @@ class PartFinder:
         chest = self._meeting(self._joint("left_shoulder"), self._joint("right_shoulder"))
         if self.has_legs:
             pelvis = self._meeting(self._joint("left_hip"), self._joint("right_hip"))
-            self.pelvis = self._meeting(pelvis, chest)
+            self.pelvis: int | None = self._meeting(pelvis, chest)
         else:
             self.pelvis = self._lowest_of_trunk(chest)
         self.spine = [j for j in self._way_down(self.pelvis, chest) if j != self.pelvis]
@@ -264,11 +264,11 @@ class PartFinder:
 
     def _leg(self, side: str) -> None:
         # A "leg" without a joint of its side above it is a thigh.
-        below_hip: set[int] = set()
+        below = set[int]()
         for j, above in enumerate(self.skeleton.parents):
-            if above in below_hip or (above >= 0 and self.side[above] == side):
-                below_hip.add(j)
-        below_hip = [j for j in sorted(below_hip) if self.side[j] == side]
+            if above in below or (above >= 0 and self.side[above] == side):
+                below.add(j)
+        below_hip = [j for j in sorted(below) if self.side[j] == side]
         knee = self._find(f"{side}_knee", below_hip, _KNEE, but=_NOT_KNEE)
         self._above(f"{side}_hip", knee, side)
         ankle = self._find(f"{side}_ankle", self._below(knee), _ANKLE)

@@ -136,7 +136,7 @@ class DiscriminatorStep:
             weights = np.concatenate([weights, weights])
         slope = np.float32(SLOPE)
         scores = kernels.score(signals[-1], weights, score_gradients, slope, gradient)
-        by_weight, by_bias = [], []
+        by_weight, by_bias = list[Tensor](), list[np.ndarray]()
         for i in reversed(range(len(self.convs))):
             conv, weight = self.convs[i], self.weights[i]
             by_weight.insert(0, conv.weight_gradient(signals[i], gradient, packing))

@@ -82,7 +82,7 @@ class LevelGenerator(nn.Module):
         super().__init__()
         self.layers = skeleton_layers(representation, config, output=True)
         if not n_condition:
-            self.films = module_list([])
+            self.films: Sequence[Film] = module_list([])
             return
         blocks = modulated_blocks(representation, config)
         self.embed = nn.Conv1d(n_condition, config.embedding, 1)

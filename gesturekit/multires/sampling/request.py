@@ -6,7 +6,6 @@ import logging
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import NoneType
 
 import numpy as np
 
@@ -98,7 +97,7 @@ class Request:
             if edited is not None:
                 start = fit_keyframes(model.representation, edited, fps, n_levels, level, None)
             seconds = _own_seconds(fps, start, clips, path)
-        if conditioner is not None and not isinstance(speech, (af.Wave, NoneType)):
+        if conditioner is not None and speech is not None and not isinstance(speech, af.Wave):
             speech = af.Wave.load(speech)
         features = speech_features(conditioner, speech, seconds, fps, controls.vad)
         n_frames = len(features)
@@ -112,7 +111,7 @@ class Request:
         margin = model.network_config.margin if start is None and not fewer_levels else 0
         return cls(
             controls=controls,
-            wave=speech,
+            wave=speech if isinstance(speech, af.Wave) else None,
             features=_with_margins(features, margin),
             margin=margin,
             lengths=af.level_lengths(n_frames + 2 * margin, n_levels),

@@ -175,8 +175,7 @@ class MultiresStream:
         for window in self._speech.push(samples):
             while self.n_frames < min(most, self._speech.n_rows - self._ahead):
                 frame = self._placed(self._vector(window))
-                channels = self._plan.passive()
-                frames.append(passive.applied(frame, lambda _, own=channels: own))
+                frames.append(passive.applied(frame, partial(_same, self._plan.passive())))
                 self.n_frames += 1
         return stacked(frames) if frames else None
 
@@ -276,3 +275,7 @@ def _styles(
 
 _STATE = ("n_frames", "_samples", "_place")
 _PARTS = ("_speech", "_plan", "_feet")
+
+
+def _same(channels: Tensor, _: slice) -> Tensor:
+    return channels

@@ -142,7 +142,7 @@ class TrainingData:
             WeightsError: the WavLM weights differ from those at the start of the run.
         """
 
-        def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
+        def assemble(about: dict[str, Any], tensors: dict[str, Any]) -> TrainingData:
             joints, expressions = about["passive"]
             skeleton = Skeleton.from_json(about["skeleton"])
             representation = MultiresRepresentation.from_json(skeleton, about["motion"])

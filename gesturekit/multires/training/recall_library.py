@@ -162,12 +162,14 @@ def _recalled(
     """Return a recording with its curves (C, T) at the recalled level."""
     n = af.level_lengths(sequence.n_frames, levels)[level - 1]
     return RecalledRecording(
-        resample(sequence.motion[:, :][None], n)[0].contiguous(),
-        resample(sequence.passive[:, :][None], n)[0].contiguous(),
-        *(torch.from_numpy(averaged(rows, n)).float() for rows in (profiles, states, directions)),
-        sequence.speaker,
-        sequence.style,
-        torch.from_numpy(_any_near(defects, n)),
+        motion=resample(sequence.motion[:, :][None], n)[0].contiguous(),
+        passive=resample(sequence.passive[:, :][None], n)[0].contiguous(),
+        profiles=torch.from_numpy(averaged(profiles, n)).float(),
+        states=torch.from_numpy(averaged(states, n)).float(),
+        directions=torch.from_numpy(averaged(directions, n)).float(),
+        speaker=sequence.speaker,
+        style=sequence.style,
+        defective=torch.from_numpy(_any_near(defects, n)),
     )
 
 
