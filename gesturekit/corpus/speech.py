@@ -338,7 +338,7 @@ def extract(
     return values, activity[np.minimum(nearest, len(activity) - 1)]
 
 
-def as_speech(speech: Any, sample_rate: int | None) -> str | os.PathLike[str] | af.Wave | None:
+def as_speech(speech: Any, sample_rate: int | None) -> str | Path | af.Wave | None:
     """Return the speech given to a model, with an array of samples as a `Wave`; reads no file.
 
     Args:
@@ -357,7 +357,8 @@ def as_speech(speech: Any, sample_rate: int | None) -> str | os.PathLike[str] | 
     if isinstance(speech, list | tuple) and any(isinstance(each, sounds) for each in speech):
         ways = "call generate for each, or gesturekit.render for all"
         raise ModelError(f"speech is a list of {len(speech)} sounds: {ways}")
-    if speech is not None and not isinstance(speech, (str, os.PathLike, af.Wave)):
+    is_samples = speech is not None and not isinstance(speech, (str, os.PathLike, af.Wave))
+    if is_samples:
         return af.Wave.from_array(speech, sample_rate, "speech")
     if sample_rate is not None:
         reason = "no speech is given" if speech is None else "a file or a Wave has its own rate"
