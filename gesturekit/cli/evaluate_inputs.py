@@ -25,12 +25,8 @@ _CONTROLS = {option.name: option for option in control_options() if option.name 
 def sampling_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of the controls with which `--protocol` samples models."""
     for option in reversed(_CONTROLS.values()):
-        command = click.option(cls=partial(_made, option))(command)  # type: ignore[arg-type]  # click calls it
+        command = click.option(cls=lambda _, option=option: option)(command)  # type: ignore[arg-type]  # click calls it
     return command
-
-
-def _made(option: click.Parameter, _: Any) -> click.Parameter:
-    return option
 
 
 def _named(text: str) -> tuple[str | None, str]:

@@ -147,12 +147,8 @@ def write_plan(path: Path, tasks: Sequence[Task], shards: int, request: str) -> 
                     line = _line(task, number)
                     digest.update(line)
                     file.write(line)
-            header: dict[str, Any] = {
-                "format": FORMAT,
-                "request": request,
-                "sha256": digest.hexdigest(),
-            }
-            header |= {"shards": totals, "made": time.time()}
+            header: dict[str, Any] = {"format": FORMAT, "request": request}
+            header |= {"sha256": digest.hexdigest(), "shards": totals, "made": time.time()}
             with temporary.open("wb") as file, body.open("rb") as lines:
                 file.write(json.dumps(header).encode() + b"\n")
                 while block := lines.read(1 << 20):

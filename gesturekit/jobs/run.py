@@ -224,10 +224,10 @@ class Batch:
                 new.unlink()  # only its hash is wanted, to compare it with that of the live run
         run = {"plan": plan.sha256, "shards": count, "settings": self.processor.run}
         lease = Lease(self.state, number, count, run)
-        new = None if planned == self.tasks else planned
-        if new is not None or _journal_sizes(self.state) != self._seen:
+        changed = None if planned == self.tasks else planned
+        if changed is not None or _journal_sizes(self.state) != self._seen:
             try:
-                self.tasks = self.tasks if new is None else new
+                self.tasks = self.tasks if changed is None else changed
                 self._settle()
             except BaseException:
                 lease.release()

@@ -214,7 +214,8 @@ def measured_cost(batch: Batch) -> Cost:
         # Samples cost the same each: one is measured.
         n_samples = batch.processor.samples
         one = batch.processor
-        processor = (one.single() if isinstance(one, Renderer) else one).into(Path(folder))
+        one = one.single() if n_samples > 1 and isinstance(one, Renderer) else one
+        processor = one.into(Path(folder))
         for seconds in (_LONG, _SHORT, _LONG):  # the first includes compilation
             wav = Path(folder) / f"{seconds:g}.wav"
             part = speech.slice(1.0, seconds)  # it begins with silence

@@ -28,12 +28,7 @@ _DASHED: dict[str, Any] = {"color": RECORDING, "lw": 1.4, "ls": "--"}
 _OF_CHANCE: dict[str, Any] = {"color": CHANCE, "ls": "", "ms": 12, "mew": 2.5}
 _BAR: dict[str, Any] = {"lw": 2}
 _DOT: dict[str, Any] = {"ls": "", "marker": "o", "ms": 7}
-_BELOW: dict[str, Any] = {
-    "loc": "outside lower center",
-    "ncols": 4,
-    "frameon": False,
-    "fontsize": 9,
-}
+_BELOW: dict[str, Any] = dict(loc="outside lower center", ncols=4, frameon=False, fontsize=9)
 """Looks of lines, marks and legends."""
 
 _LEAST_RATIO = 0.01
