@@ -335,5 +335,5 @@ def _checksum(values: np.ndarray, times: np.ndarray) -> str:
     digest = hashlib.sha256()
     for array in (values, times):
         digest.update(f"{array.dtype} {array.shape}".encode())
-        digest.update(np.ascontiguousarray(array))
+        digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()

@@ -227,7 +227,7 @@ def needs_of(spec: Any) -> list[str]:
 
 def folder_in_spec(spec: Mapping[str, Any]) -> str | None:
     """Return the folder of the weights or files that a spec names itself."""
-    name = _PLACES.get(spec.get("kind"))
+    name = _PLACES.get(spec.get("kind", ""))
     return spec.get(name) if name else None
 
 

@@ -6,7 +6,7 @@ import logging
 import math
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import soundfile
@@ -112,7 +112,7 @@ class Files:
         damaged, has another number of columns, or ends before the sound.
         """
         if wave.source is None and wave.is_silent:
-            return FeatureTrack(np.zeros((1, self.dim)), [0.0], self.spec, self.names)
+            return FeatureTrack(np.zeros((1, self.dim)), np.zeros(1), self.spec, self.names)
         path = None if wave.source is None else self.find(wave.source)
         if path is None:
             if wave.source is None:
@@ -141,7 +141,7 @@ class Files:
             track = FeatureTrack.load(path)
             values, times, shape = track.values, track.times, track.values.shape
         else:
-            values, times = open_npy(path), None
+            values, times = open_npy(path), np.empty(0)
             shape = values.shape
             if values.dtype.kind not in "fiub":
                 raise FeatureError(f"holds {values.dtype}, not numbers: save plain numbers")
@@ -151,7 +151,9 @@ class Files:
                 values = values.T  # (D, T), as librosa has it
         if values.ndim != 2 or values.shape[1] != self.dim or not len(values):
             raise FeatureError(f"shape {shape}: expected (T, {self.dim}), T > 0")
-        return values, self.start + np.arange(len(values)) / self.rate if times is None else times
+        if self._is_npy and self.rate is not None:
+            times = self.start + np.arange(len(values)) / self.rate
+        return values, times
 
     def _check(self, path: Path, times: np.ndarray, wave: Wave) -> None:
         """Compare the last time with the end of the sound: a wrong rate must not pass."""
@@ -205,7 +207,7 @@ def _given(name: str, value: Any) -> str:
     return f"no {name} is given" if value is None else f"{name} is {value!r}"
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: Any) -> TypeGuard[float]:
     is_real = isinstance(value, int | float) and not isinstance(value, bool)
     return is_real and math.isfinite(value)
 

@@ -89,7 +89,7 @@ class Installed:
 def _code_of(entry: EntryPoint) -> str:
     """Return 8 digits that change with the source code of an entry point's package."""
     package, module = sys.modules[entry.module.partition(".")[0]], sys.modules[entry.module]
-    file = Path(getattr(package, "__file__", None) or module.__file__)
+    file = Path(getattr(package, "__file__", None) or str(module.__file__))
     return digest_of_sources(file.parent if file.stem == "__init__" else file)[:8]
 
 

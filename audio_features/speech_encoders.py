@@ -130,14 +130,15 @@ _SECONDS = ("full_context", "chunk", "context")
 class Encoder(Protocol):
     """Network whose hidden states become features."""
 
-    ends_in_norm: bool
-    """A final normalisation follows the topmost layer and is not in its state."""
+    @property
+    def ends_in_norm(self) -> bool:
+        """True if a final normalisation follows the topmost layer and is not in its state."""
 
     def final_norm(self, x: torch.Tensor) -> torch.Tensor:
         """Apply the final normalisation to the topmost state (B, T, width)."""
 
 
-Layer = int | str | Sequence[int] | Mapping[int | str, float]
+Layer = int | str | list[int] | tuple[int, ...] | Mapping[int | str, float]
 """Argument of `WavLM`: a number, "last", "mean", several numbers, or {number: weight}."""
 
 
@@ -185,16 +186,15 @@ class LayerChoice:
         """Selected indices into transformers' `hidden_states`."""
         if self.layer == "last":
             return (self.top,)
+        layer: Any = self.layer  # until `__post_init__` has checked it
         if self.layer == "mean":
             return tuple(range(self.top + 1))
-        if isinstance(self.layer, Mapping):
+        if isinstance(layer, Mapping):
             # JSON turns the keys of a spec into strings.
             return tuple(
-                int(key) if isinstance(key, str) and key.isdecimal() else key for key in self.layer
+                int(key) if isinstance(key, str) and key.isdecimal() else key for key in layer
             )
-        if isinstance(self.layer, list | tuple):
-            return tuple(self.layer)
-        return (self.layer,)
+        return tuple(layer) if isinstance(layer, list | tuple) else (layer,)
 
     @property
     def weights(self) -> tuple[float, ...] | None:
@@ -212,7 +212,7 @@ class LayerChoice:
     def spec(self) -> int | str | list[int] | dict[str, float]:
         """Selection as a JSON-serialisable value."""
         if isinstance(self.layer, Mapping):
-            return {str(i): weight for i, weight in zip(self.indices, self.weights)}
+            return {str(i): weight for i, weight in zip(self.indices, self.weights or ())}
         return list(self.layer) if isinstance(self.layer, tuple) else self.layer
 
     @property
@@ -224,7 +224,7 @@ class LayerChoice:
         """Compute the features (B, T, D) from the states 0, 1, … that `encoder` yields."""
         import torch
 
-        share = dict.fromkeys(self.indices)
+        share = dict.fromkeys(self.indices, 1.0)
         if self.weights is not None:
             share = {i: w / sum(self.weights) for i, w in zip(self.indices, self.weights)}
         picked: dict[int, torch.Tensor] = {}
@@ -268,6 +268,11 @@ class HiddenStateExtractor:
     def centred(self) -> tuple[bool, ...]:
         """D flags, all true: a clip's mean depends on voice and recording conditions."""
         return (True,) * self.dim
+
+    @property
+    def spec(self) -> dict[str, Any]:
+        """Settings from which the extractor can be built again, as a JSON-serialisable value."""
+        raise NotImplementedError
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -20,7 +20,8 @@ FORMAT = 1
 LARGEST = 1e18
 """Largest magnitude of a value; the squares of larger ones are no float32 numbers."""
 NO_NUMBER = f"is not finite, or beyond {LARGEST:g}"
-ALIGNMENTS = ("linear", "mean", "gaussian", "length_ratio")
+Method = Literal["linear", "mean", "gaussian", "length_ratio"]
+ALIGNMENTS = get_args(Method)
 """Methods of `to_rate` for aligning features with motion frames."""
 
 
@@ -92,7 +93,7 @@ class FeatureTrack:
         self,
         fps: float,
         n_frames: int | None = None,
-        method: Literal["linear", "mean", "gaussian", "length_ratio"] = "linear",
+        method: Method = "linear",
     ) -> FeatureTrack:
         """Align the track with motion frames: frame k is at k/fps.
 

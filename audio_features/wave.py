@@ -302,7 +302,7 @@ class Wave:
     def digest(self) -> str:
         """Hexadecimal sha256 of the sample rate and the samples."""
         found = hashlib.sha256(f"{self.sample_rate} ".encode())
-        found.update(self.samples)
+        found.update(self.samples.data)
         return found.hexdigest()
 
     @cached_property

@@ -176,7 +176,7 @@ def _tsv(path: Path, text: str) -> Entries:
                     f"{path}, line {number}: expected start, end and word, with tabs"
                 )
             if not cells[2].strip().startswith("#"):  # laughter, in GENEA's transcripts
-                yield f"line {number}", *cells[:3]
+                yield f"line {number}", cells[0], cells[1], cells[2]
 
 
 def _captions(path: Path, text: str) -> Entries:

@@ -39,7 +39,7 @@ __all__ = [
 ]
 
 # `gesturekit --help` needs none of them.
-_, __getattr__, _ = attach(
+__getattr__ = attach(
     __name__,
     {
         "GestureKitError": "errors",
@@ -53,7 +53,7 @@ _, __getattr__, _ = attach(
         "render": "rendering.batch",
         "train": "systems",
     },
-)
+)[1]
 
 
 def __dir__() -> list[str]:

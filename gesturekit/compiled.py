@@ -16,7 +16,7 @@ def compiled(*, fastmath: Set[str] = frozenset()) -> Callable[[Callable[..., Any
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        options = {"nogil": True, "fastmath": set(fastmath)}
+        options: dict[str, Any] = {"nogil": True, "fastmath": set(fastmath)}
         try:
             return njit(cache=True, **options)(function)
         except RuntimeError:  # no folder that a compiled function could be kept in

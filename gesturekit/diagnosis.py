@@ -99,7 +99,8 @@ def _gpu() -> Finding:
 def _threads() -> Finding:
     import torch
 
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    has_affinity = hasattr(os, "sched_getaffinity")
+    cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
     threads = torch.get_num_threads()
     text = f"torch uses {threads} of {cores} cores"
     if threads > cores:
@@ -137,7 +138,7 @@ def _torchaudio() -> Finding:
         "nothing of gesturekit needs it, but transformers fails while it is there: "
         "pip uninstall torchaudio, or install the build that matches torch"
     )
-    return Finding("torchaudio", "note", problem, advice)
+    return Finding("torchaudio", "note", problem or "", advice)
 
 
 def _transformers() -> Finding:
@@ -254,8 +255,8 @@ def _weights(weights: str | os.PathLike[str] | None) -> Finding:
 def _usual_places() -> Iterator[Path]:
     """Yield WavLM weights in the download folders of Hugging Face and torch."""
     home = Path.home() / ".cache"
-    hub = os.environ.get("HF_HUB_CACHE") or Path(os.environ.get("HF_HOME", home / "huggingface"))
-    hub = Path(hub) if os.environ.get("HF_HUB_CACHE") else hub / "hub"
+    of_home = Path(os.environ.get("HF_HOME", home / "huggingface")) / "hub"
+    hub = Path(os.environ.get("HF_HUB_CACHE") or of_home)
     for folder in sorted(hub.glob("models--*wavlm*/snapshots/*")):
         if any((folder / name).exists() for name in ("model.safetensors", "pytorch_model.bin")):
             yield folder

@@ -58,7 +58,7 @@ class OutputError(GestureKitError, OSError):
     """An output folder that can no longer be written to, such as on a full disk."""
 
 
-def is_full(error: Exception) -> bool:
+def is_full(error: BaseException | None) -> bool:
     """Return whether an error says that nothing more can be written, such as to a full disk."""
     return isinstance(error, OSError) and error.errno in _FULL
 

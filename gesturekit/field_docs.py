@@ -8,12 +8,15 @@ import inspect
 import textwrap
 from collections.abc import Mapping
 from functools import cache
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from gesturekit.errors import GestureKitError
 from gesturekit.wording import did_you_mean
 
-Options = TypeVar("Options")
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Options = TypeVar("Options", bound="DataclassInstance")
 
 
 class UnknownOptionError(GestureKitError, TypeError):
@@ -39,7 +42,6 @@ def build_options(schema: type[Options], keywords: Mapping[str, Any], function: 
     return schema(**keywords)
 
 
-@cache
 def field_docs(schema: type) -> dict[str, str]:
     """Return the docstring of each documented field, those of base classes included.
 
@@ -51,10 +53,18 @@ def field_docs(schema: type) -> dict[str, str]:
     """
     docs: dict[str, str] = {}
     for base in reversed(schema.__mro__[:-1]):
-        (body,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
-        assert isinstance(body, ast.ClassDef)
-        for field, doc in zip(body.body, body.body[1:], strict=False):
-            if isinstance(field, ast.AnnAssign) and isinstance(doc, ast.Expr):
-                text = ast.literal_eval(doc.value)
-                docs[ast.unparse(field.target)] = " ".join(text.split())
+        docs |= _docs_of_class(base)
+    return docs
+
+
+@cache
+def _docs_of_class(schema: type) -> dict[str, str]:
+    """Return the docstrings of the fields that a class itself declares."""
+    docs = {}
+    (body,) = ast.parse(textwrap.dedent(inspect.getsource(schema))).body
+    assert isinstance(body, ast.ClassDef)
+    for field, doc in zip(body.body, body.body[1:], strict=False):
+        if isinstance(field, ast.AnnAssign) and isinstance(doc, ast.Expr):
+            text = ast.literal_eval(doc.value)
+            docs[ast.unparse(field.target)] = " ".join(text.split())
     return docs

@@ -15,6 +15,7 @@ from typing import (
     ClassVar,
     Literal,
     Protocol,
+    Self,
     TypedDict,
     TypeVar,
     overload,
@@ -86,9 +87,9 @@ class ControlEntry:
             # No NumPy bool is a bool; everything else of another type is a mistake, such as "no".
             is_right = isinstance(value, (str,) if self.kind is str else (bool, np.bool_))
             return is_right and (not self.choices or value in self.choices)
-        number = Integral if self.kind is int else Real
+        is_number = isinstance(value, Integral if self.kind is int else Real)
         return (
-            isinstance(value, number)
+            is_number
             and not isinstance(value, bool)
             and math.isfinite(value)
             and (self.above is None or value > self.above)
@@ -244,7 +245,7 @@ class Controls:
         return generate
 
     @classmethod
-    def build(cls, keywords: Mapping[str, Any], kind: str) -> Controls:
+    def build(cls, keywords: Mapping[str, Any], kind: str) -> Self:
         """Build the controls of one call.
 
         Args:
@@ -414,24 +415,6 @@ class BaseModel:
         """Return the rates and joints of the motion, for the README of the model folder."""
         joints = f"{len(self.representation.joints)} of {self.skeleton.n_joints} joints modelled"
         return f"{rate_text(self.fps, self.recorded_fps)}, {joints}"
-
-    def stream(
-        self,
-        sample_rate: int,
-        look_ahead: float = 0.2,
-        seed: int = 0,
-        item: str = "",
-        **controls: Any,
-    ) -> MotionStream:
-        """Return a stream that generates motion while sound comes in.
-
-        Raises:
-            ModelError: the model cannot stream.
-        """
-        raise ModelError(
-            f"a {self.kind} model generates whole motions only: multires models with acoustic "
-            "features and recall can stream, such as own_corpus"
-        )
 
     def speech_rows(self) -> dict[str, str]:
         """Return the speech features, for the README; empty without speech input."""

@@ -214,7 +214,7 @@ def train(
         True
     """
     if isinstance(overrides, Mapping):
-        overrides, settings = (), {**overrides, **settings}
+        settings, overrides = {**overrides, **settings}, ()
     system, loaded = _resolve(config, overrides, settings, resume=resume)
     from gesturekit.training.config import to_dict
     from gesturekit.training.run.folder import Run, has_no_run  # imports torch
@@ -270,7 +270,9 @@ def resolved_settings(config: str | Path, overrides: Sequence[str] = ()) -> list
     has_corpus = "corpus" in read_chain(file) or any(o.startswith("corpus=") for o in overrides)
     missing = {} if has_corpus else {"corpus": "corpus.jsonl"}
     _, loaded = _resolve(config, overrides, missing, resume=resume)
-    return list(list_settings(loaded if has_corpus else replace(loaded, corpus=None)))
+    if not has_corpus:
+        loaded = replace(loaded, corpus=None)  # type: ignore[arg-type]  # shown as null
+    return list(list_settings(loaded))
 
 
 def _resolve(

@@ -46,8 +46,8 @@ def import_torchaudio() -> tuple[ModuleType | None, str | None]:
     return torchaudio, None
 
 
-def check_device(device: str) -> None:
-    """Raise FeatureError if torchaudio or the device cannot be used."""
+def check_device(device: str) -> ModuleType:
+    """Return torchaudio; raise FeatureError if it or the device cannot be used."""
     import torch
 
     module, problem = import_torchaudio()
@@ -60,6 +60,7 @@ def check_device(device: str) -> None:
         torch.zeros(1, device=device)
     except (RuntimeError, AssertionError) as error:
         raise FeatureError(f"device={device!r}: {str(error).splitlines()[0]}") from error
+    return module
 
 
 class TorchaudioSpectrum(ShortTimeSpectrum):
@@ -74,8 +75,7 @@ class TorchaudioSpectrum(ShortTimeSpectrum):
     def __init__(self, wave: Wave, device: str = "cpu") -> None:
         import torch
 
-        check_device(device)
-        self._functional = import_torchaudio()[0].functional
+        self._functional = check_device(device).functional
         self._device = torch.device(device)
         super().__init__(wave)
 

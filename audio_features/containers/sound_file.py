@@ -7,6 +7,7 @@ import io
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import soundfile
@@ -61,10 +62,10 @@ def numbers(samples: ArrayLike, name: str) -> np.ndarray:
     """Convert to (N,) or two-dimensional float32 with full scale ±1."""
     if hasattr(samples, "detach") and hasattr(samples, "cpu"):
         # A torch tensor: numpy knows neither bfloat16 nor GPUs.
-        samples = samples.detach().cpu()
-        samples = samples.float() if samples.is_floating_point() else samples
+        tensor = samples.detach().cpu()
+        samples = tensor.float() if tensor.is_floating_point() else tensor
     try:
-        values = np.asarray(samples)
+        values: np.ndarray = np.asarray(samples)
     except (TypeError, ValueError) as error:
         raise AudioError(f"{name}: not an array of samples ({error})") from None
     if values.ndim == 0:
@@ -237,7 +238,7 @@ class _Unsized(io.FileIO):
         super().__init__(name)
         self._at = at
 
-    def readinto(self, buffer: bytearray | memoryview) -> int:
+    def readinto(self, buffer: Any) -> int:
         """Fill the buffer, replacing the four bytes of the length."""
         start = self.tell()
         count = super().readinto(buffer)
@@ -281,7 +282,7 @@ def _read(
     if channel is not None and not 1 <= channel <= file.channels:
         raise AudioError(f"{name}: channel {channel}: the file has {file.channels}, counted from 1")
     whole = first == 0 and count == file.frames
-    digest = hashlib.md5(usedforsecurity=False) if whole and header.md5 else None
+    md5, digest = header.md5 if whole else None, hashlib.md5(usedforsecurity=False)
     samples, levels = np.empty(count, dtype=np.float32), ChannelLevels(file.channels)
     if first:
         file.seek(first)
@@ -298,8 +299,8 @@ def _read(
                 levels.add(block, here)
         else:
             here[:] = block[:, channel - 1]
-        if digest is not None:
-            digest.update(_integers(block, header.md5[1]))
+        if md5 is not None:
+            digest.update(_integers(block, md5[1]))
         done += len(block)
     if file.format in ("MP3", "MPEG"):  # these formats only estimate their length
         least = header.least if whole else 0
@@ -310,7 +311,7 @@ def _read(
             f"{name}: truncated: the header declares {first + least} samples a channel, "
             f"only {first + done} can be read: {copy_again(name)}"
         )
-    if digest is not None and digest.digest() != header.md5[0]:
+    if md5 is not None and digest.digest() != md5[0]:
         raise AudioError(
             f"{name}: damaged: the sound does not match the MD5 in its header: "
             "copy or export the file again"

@@ -81,7 +81,7 @@ class HuggingFace(HiddenStateExtractor):
         *,
         fingerprint: str | None = None,
         device: str = "cpu",
-        **options: bool | float | None,
+        **options: Any,
     ) -> None:
         from audio_features.huggingface.network import Layers, front_end
         from audio_features.huggingface.weights import read_encoder

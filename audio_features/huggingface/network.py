@@ -46,8 +46,10 @@ class FrontEnd(Protocol):
 
     first: float
     hop: int
-    longest: int | None
-    """Most frames that the encoder takes at once; None without a limit."""
+
+    @property
+    def longest(self) -> int | None:
+        """Most frames that the encoder takes at once; None without a limit."""
 
     def sound(self, samples: torch.Tensor) -> FramedSound:
         """Prepare a sound: (N,) float32 at 16 kHz, normalised as the encoder expects.
@@ -79,7 +81,8 @@ class Convolutions:
     longest = None
 
     def __init__(self, config: Any, network: torch.nn.Module) -> None:
-        self._network, self._grouped = network, front_norm(config) == "group"
+        self._network: Any = network
+        self._grouped = front_norm(config) == "group"
         self.window, self.hop = 1, 1
         for kernel, stride in zip(config.conv_kernel, config.conv_stride):
             self.window += (kernel - 1) * self.hop
@@ -181,7 +184,8 @@ class FilterBank:
 
 class _Mel:
     def __init__(self, network: torch.nn.Module, mel: torch.Tensor) -> None:
-        self._network, self._mel, self.n_frames = network, mel, len(mel)
+        self._network: Any = network
+        self._mel, self.n_frames = mel, len(mel)
 
     def window(self, start: int, stop: int) -> torch.Tensor:
         return self._network.feature_projection(self._mel[None, start:stop])[0][0]
@@ -244,14 +248,14 @@ class Layers:
     reach = (0, 0)
     """Frames beside a window that must be given with it."""
 
-    def __init__(self, network: torch.nn.Module, top: int) -> None:
+    def __init__(self, network: Any, top: int) -> None:
         self._whisper = hasattr(network, "conv1")
         self._encoder = network if self._whisper else network.encoder
         layers = self._encoder.layers
         self._depth = len(layers)
         # State 0 is the input of the first layer, so that one layer always remains.
         self._encoder.layers = layers[: max(1, top)]
-        self._norm = getattr(self._encoder, "layer_norm", None)
+        self._norm: Any = getattr(self._encoder, "layer_norm", None)
 
     @property
     def ends_in_norm(self) -> bool:

@@ -156,7 +156,7 @@ def read_configuration(folder: Path, families: Mapping[str, Family], what: str) 
     _refuse_code(folder, families)
     settings = read_json(folder / "config.json")
     model_type = settings.get("model_type")
-    if model_type not in families:
+    if not isinstance(model_type, str) or model_type not in families:
         raise WeightsError(
             f"{folder / 'config.json'}: model_type is {model_type!r}, expected one of "
             f"{', '.join(families)}: give the folder of a {what} encoder"
@@ -329,5 +329,5 @@ def fingerprint_of(
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
     for name in sorted(tensors):
         digest.update(f"{name} {list(tensors[name].shape)}\n".encode())
-        digest.update(tensors[name].reshape(-1).numpy())
+        digest.update(tensors[name].reshape(-1).numpy().data)
     return digest.hexdigest()

@@ -120,7 +120,7 @@ class Encoder:
         x = self._normalised(x + self._attention(layer, x, bias), layer["attention_norm"])
         return self._normalised(x + self._feed_forward(layer, x), layer["output_norm"])
 
-    def _normalised(self, x: torch.Tensor, norm: tuple) -> torch.Tensor:
+    def _normalised(self, x: torch.Tensor, norm: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
         return F.layer_norm(x, x.shape[-1:], *norm, self._shape.eps)
 
     def _feed_forward(self, layer: dict[str, tuple], x: torch.Tensor) -> torch.Tensor:

@@ -110,7 +110,7 @@ class WavLM(HiddenStateExtractor):
         preset: str | None = None,
         fingerprint: str | None = None,
         device: str = "cpu",
-        **options: bool | float | None,
+        **options: Any,
     ) -> None:
         import torch
 
@@ -145,6 +145,8 @@ class WavLM(HiddenStateExtractor):
         tensors = {name: tensor.to(self._device) for name, tensor in tensors.items()}
         top = max(self._choice.indices)
         if implementation == "transformers":
+            self._front: FrontEnd | Convolutions
+            self._encoder: Encoder | Layers
             self._front, self._encoder = _reference(shape, tensors, top)
         else:
             self._front = FrontEnd(shape, tensors, kinds[dtype])

@@ -35,7 +35,7 @@ class FrontEnd:
     ) -> None:
         self._shape, self._dtype = shape, dtype
         self._convs: list[tuple[torch.Tensor, torch.Tensor | None]] = []
-        self._norms: list[tuple[torch.Tensor, torch.Tensor] | None] = []
+        self._norms: dict[int, tuple[torch.Tensor, torch.Tensor]] = {}
         for i in range(len(shape.kernels)):
             conv = f"feature_extractor.conv_layers.{i}."
             weight, bias = tensors[f"{conv}conv.weight"], tensors.get(f"{conv}conv.bias")
@@ -43,10 +43,9 @@ class FrontEnd:
             weight = weight.permute(2, 1, 0).reshape(-1, weight.shape[0])
             kind = dtype if i else torch.float32
             self._convs.append((weight.to(kind), None if bias is None else bias.to(kind)))
-            norm = None
             if f"{conv}layer_norm.weight" in tensors:
                 norm = (tensors[f"{conv}layer_norm.weight"], tensors[f"{conv}layer_norm.bias"])
-            self._norms.append(norm)
+                self._norms[i] = norm
         name = "feature_projection."
         self._norm = tensors[f"{name}layer_norm.weight"], tensors[f"{name}layer_norm.bias"]
         self._projection = (

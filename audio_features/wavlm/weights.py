@@ -186,7 +186,7 @@ def _fingerprint(tensors: dict[str, torch.Tensor], shape: Architecture) -> str:
     digest = hashlib.sha256()
     for name in sorted(tensors):
         digest.update(f"{name} {list(tensors[name].shape)}\n".encode())
-        digest.update(tensors[name].numpy())
+        digest.update(tensors[name].numpy().data)
     if shape.unpublished:
         digest.update(json.dumps(shape.unpublished, sort_keys=True).encode())
     return digest.hexdigest()

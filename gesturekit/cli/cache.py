@@ -32,6 +32,6 @@ def command(action: str) -> None:
     if contents.entries:
         oldest, newest = (
             datetime.fromtimestamp(used).strftime("%Y-%m-%d %H:%M")
-            for used in (contents.oldest, contents.newest)
+            for used in (contents.oldest or 0.0, contents.newest or 0.0)
         )
         click.echo(f"{'used':<8} {oldest} to {newest}")

@@ -25,7 +25,7 @@ _CONTROLS = {option.name: option for option in control_options() if option.name 
 def sampling_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of the controls with which `--protocol` samples models."""
     for option in reversed(_CONTROLS.values()):
-        command = click.option(cls=lambda _, option=option: option)(command)
+        command = click.option(cls=lambda _, option=option: option)(command)  # type: ignore[arg-type]  # click calls it
     return command
 
 
@@ -149,7 +149,7 @@ def _items(recordings: Path | Items, options: Mapping[str, Any]) -> Sequence[Ite
     from gesturekit.rendering.samples import sequences_of, sounds_of
 
     audio = options["audio"]
-    if options["corpus"] is not None:
+    if options["corpus"] is not None and not isinstance(recordings, Path):
         return [item for item in recordings.items if item.motion is not None]
     if options["protocol"] == "multires":
         reading = read_from({name: options[name] for name in RECORDING_OPTIONS})
@@ -208,13 +208,13 @@ def rendered_baselines(
             model = samples.train_retrieval(corpus, folder / "run", seed=options["seed"])
             sounds = samples.split_sounds(corpus, split)
         else:
-            model = model_of_results(generated) if generated.is_dir() else None
-            if model is None:
+            rendered = model_of_results(generated) if generated.is_dir() else None
+            if rendered is None:
                 raise click.UsageError(
                     f"--baseline {name} renders the model of {generated} again, which is only "
                     "known for folders written by gesturekit render"
                 )
-            sounds = samples.other_sounds(corpus, split)
+            model, sounds = rendered, samples.other_sounds(corpus, split)
         found[name] = folder / name
         files = samples.render_baseline(
             load(model, weights=options["weights"]), sounds, found[name], seed=options["seed"]
@@ -240,7 +240,8 @@ def trained_on(model: ModelResult, name: str) -> str:
             stretch = {"start": item.motion_start, "duration": item.duration}
             known = is_trained_on(sources, item.motion, item.audio, **stretch)
         else:
-            known = is_trained_on(sources, pair.reference, pair.audio)
+            audio = pair.audio if isinstance(pair.audio, Path) else None
+            known = is_trained_on(sources, pair.reference, audio)
         seen += [stem] if known else []
     if not seen:
         return ""

@@ -189,11 +189,12 @@ def _extractor(kinds: str, options: dict[str, Any]) -> Extractor:
         kinds_here = [*KINDS, *installed_kinds()]
         if kind not in kinds_here or (value and (kind not in KINDS or not KINDS[kind].argument)):
             raise click.UsageError(f"--extractor {item!r}: one or more of {', '.join(kinds_here)}")
-        specs.append({"kind": kind} | ({KINDS[kind].argument: _number(value)} if value else {}))
-        specs[-1] |= {name: given[name] for name in given if kind in _APPLY_TO.get(name, ())}
-    kinds = {spec["kind"] for spec in specs}
+        argument = {KINDS[kind].argument or "": _number(value)} if value else {}
+        own = {name: given[name] for name in given if kind in _APPLY_TO.get(name, ())}
+        specs.append({"kind": kind, **argument, **own})
+    named = {spec["kind"] for spec in specs}
     for name in [*(["weights"] if weights is not None else []), *given]:
-        if kinds.isdisjoint(_APPLY_TO[name]):
+        if named.isdisjoint(_APPLY_TO[name]):
             option, network = name.replace("_", "-"), " or ".join(_APPLY_TO[name])
             raise click.UsageError(f"--{option} requires --extractor {network}")
     spec = specs[0] if len(specs) == 1 else {"kind": "stack", "parts": specs}

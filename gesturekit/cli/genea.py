@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -49,7 +50,7 @@ def command(
     out: Path,
     layout: str,
     samples: int,
-    **options: object,
+    **options: Any,
 ) -> int:
     """Render the test split in FOLDER for the GENEA leaderboard (export), or check a submission.
 

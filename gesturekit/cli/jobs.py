@@ -84,7 +84,8 @@ def _print(status: Status, out: Path) -> None:
         click.echo(printable(f"in progress when a run was killed: {names}"))
     if status.items_per_minute:
         rest = status.seconds_left
-        until = f"; {time_in_words(rest)} left" if status.left and status.running else ""
+        runs = status.left and status.running and rest is not None
+        until = f"; {time_in_words(rest or 0.0)} left" if runs else ""
         click.echo(
             f"speed: {status.items_per_minute:.1f} items a minute, "
             f"{status.real_time_factor:.1f}x real time{until}"

@@ -123,7 +123,7 @@ def _run_slurm(
         raise _missing("slurm") from None
     from gesturekit.jobs.state import state_folder
 
-    values = dict(map(_setting, settings))
+    values: dict[str, Any] = dict(map(_setting, settings))
     folder = state_folder(out) / "slurm"
     try:
         executor = submitit.AutoExecutor(folder=folder / "%j", cluster=values.pop("cluster", None))
@@ -167,7 +167,8 @@ def _run_ray(command: ShardCommand, shards: Sequence[str], address: str | None) 
         raise ConfigError(f"ray: {error}") from None
     try:
         count = max(1, min(len(shards), int(ray.cluster_resources().get("CPU", 1))))
-        return _share(shards, [Actor.remote() for _ in range(count)])
+        actor: Any = Actor
+        return _share(shards, [actor.remote() for _ in range(count)])
     except ray.exceptions.RayError as error:
         raise ConfigError(f"ray: {' '.join(str(error).split())}") from None
     finally:

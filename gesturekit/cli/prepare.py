@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -143,7 +144,7 @@ def command(
     hold_out_seconds: str | None,
     hold_out_speakers: str | None,
     parts: tuple[str, ...],
-    **options: object,
+    **options: Any,
 ) -> int:
     """Pair speech (wav, flac, mp3, ogg, opus, aiff) with motion (bvh, npz) and write a manifest.
 

@@ -115,12 +115,13 @@ def _click_type(name: str, entry: ControlEntry) -> Any:
     if entry.choices:
         return click.Choice(entry.choices)
     if entry.kind in (int, float):
-        kind = click.IntRange if entry.kind is int else click.FloatRange
+        kind: Any = click.IntRange if entry.kind is int else click.FloatRange
         low = entry.least if entry.above is None else entry.above
         if low is None and entry.most is None:
             return entry.kind
         return kind(low, entry.most, min_open=entry.above is not None)
-    return {Path: click.Path(path_type=Path), bool: bool}.get(entry.kind, str)
+    kinds: dict[Any, Any] = {Path: click.Path(path_type=Path), bool: bool}
+    return kinds.get(entry.kind, str)
 
 
 def control_options() -> list[click.Parameter]:
@@ -252,7 +253,7 @@ def command(
         ctx.exit(elsewhere)
     output = _output(options)  # before the model, which takes seconds to load
     names = ("weights", "device", "dtype")
-    open_model = partial(load, **{name: options.pop(name) for name in names})
+    open_model: Callable[..., Model] = partial(load, **{name: options.pop(name) for name in names})
     loaded = open_model(model)
     execution, is_dry = pop_execution(options), options.pop("dry_run")
     is_rate_chosen = options["levels"] is not None or options["fps"] is not None
@@ -266,8 +267,7 @@ def command(
         channel=options.pop("channel"),
         **chosen_controls(options, open_model),
     )
-    if not all(map(batch.processor.has_speaker, batch.tasks)):
-        _warn_of_speakers(loaded)
+    _warn_of_speakers(loaded, batch)
     if is_dry:
         print_preview(batch)
         return
@@ -350,7 +350,7 @@ class _Summary:
         for file in result.files:
             click.echo(click.format_filename(file))
         fps = result.facts.get("fps")
-        differs = None not in (rate, fps) and abs(fps - rate) > 0.01 * rate
+        differs = fps is not None and rate is not None and abs(fps - rate) > 0.01 * rate
         if differs and not self._has_named_rate:
             click.echo(
                 f"Written at {fps:g} fps; the model's own rate is {rate:g} fps "
@@ -374,9 +374,14 @@ class _Summary:
         return f"{', '.join(parts)} in {time_in_words(time.monotonic() - self._begin)}: {self._out}"
 
 
-def _warn_of_speakers(model: Model) -> None:
+def _warn_of_speakers(model: Model, batch: Batch) -> None:
     """Print whose gestures a model of several speakers makes if none of them is chosen."""
+    from gesturekit.rendering.renderer import Renderer
     from gesturekit.wording import listed
+
+    renderer = batch.processor
+    if isinstance(renderer, Renderer) and all(map(renderer.has_speaker, batch.tasks)):
+        return
 
     click.echo(
         f"Warning: the model has {len(model.speakers)} speakers and none is chosen: gestures are "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -80,8 +81,9 @@ def command(
     from gesturekit.systems import load
 
     renamed = {"max_mb": "megabytes", "max_seconds": "seconds", "max_frames": "frames"}
-    bounds = Limits(**{renamed.get(name, name): value for name, value in limits.items()})
-    about = {"token": token_of(host, token_file), "hosts": names_of(host, names)}
+    given: dict[str, Any] = {renamed.get(name, name): value for name, value in limits.items()}
+    bounds = Limits(**given)
+    about: dict[str, Any] = {"token": token_of(host, token_file), "hosts": names_of(host, names)}
     listening = listening_socket(host, port)
     app = create_app(load(model, weights=weights, device=device), bounds, **about)
     click.echo(f"Serving {model} at {address_of(listening, host)} (end with Ctrl-C)", err=True)

@@ -141,8 +141,9 @@ class Conversion:
     tasks: list[Task] = field(init=False)
 
     def __post_init__(self) -> None:
-        is_one = isinstance(self.sources, str | os.PathLike)
-        self._sources = [Path(self.sources)] if is_one else [Path(one) for one in self.sources]
+        sources = self.sources
+        paths = [sources] if isinstance(sources, str | os.PathLike) else sources
+        self._sources = [Path(path) for path in paths]
         self._out = Path(self.out)
         if self.options.body_model is None:
             self.formats = without_mesh(self.formats, self._out)
@@ -196,11 +197,11 @@ class Conversion:
 
     def _find(self) -> list[Task]:
         tasks = find_tasks(self._sources, self._out, self.formats)
-        paths = [task.path for task in tasks if task.error is None]
+        paths = [task.file for task in tasks if task.error is None]
         names = [self._out] if self._is_one else [Path(f"x.{kind}") for kind in self.formats]
         options, targets = self.options, names if paths else []
         refuse_unused_options(options.read, options.write, options.body_model, paths, targets)
-        return [replace(task, duration=_length(task.path)) for task in tasks]
+        return [replace(task, duration=_length(task.file)) for task in tasks]
 
 
 def convert(

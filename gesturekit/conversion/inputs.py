@@ -61,7 +61,7 @@ def find_tasks(sources: Sequence[Path], out: Path, formats: Sequence[str] = ()) 
             if task.error is None
             for kind in formats
         ]
-    _refuse_clashes(targets, {os.path.realpath(task.path) for task in found})
+    _refuse_clashes(targets, {os.path.realpath(task.file) for task in found})
     _refuse_locked([target for target, _ in targets], out)
     return tasks
 
@@ -115,7 +115,7 @@ def _into_folder(sources: Sequence[Path], out: Path, formats: Sequence[str]) -> 
 
 
 def _warn_of_unread(sources: Sequence[Path], tasks: Iterable[Task]) -> None:
-    read = {task.path.with_suffix("") for task in tasks}
+    read = {task.file.with_suffix("") for task in tasks}
     unread: dict[str, list[str]] = {}
     for folder in filter(Path.is_dir, sources):
         for _, _, files in visible_folders(folder, lambda error: None):  # named already
@@ -150,7 +150,7 @@ def _keyed(source: Path, out: Path) -> Iterator[tuple[Path | OSError, str]]:
 def _without_copies(tasks: list[Task]) -> list[Task]:
     counts = Counter(task.id for task in tasks)
     # Only those with the same targets: each duplicate can still be converted by its name.
-    rivals = [task.path for task in tasks if counts[task.id] > 1]
+    rivals = [task.file for task in tasks if counts[task.id] > 1]
     copies, lines = one_of_two_formats(rivals)
     for line in lines:
         warnings.warn(line, stacklevel=2)

@@ -39,15 +39,21 @@ _LONGEST_NAME = 230  # bytes; file systems take 255, of which suffixes are a par
 
 
 class _Inputs(Protocol):
-    path: bool
-    events: Collection[str]
+    @property
+    def path(self) -> bool: ...
+    @property
+    def events(self) -> Collection[str]: ...
 
 
 class _Model(Protocol):
-    fps: float
-    styles: Collection[str]
-    speakers: Collection[str]
-    inputs: _Inputs
+    @property
+    def fps(self) -> float: ...
+    @property
+    def styles(self) -> Collection[str]: ...
+    @property
+    def speakers(self) -> Collection[str]: ...
+    @property
+    def inputs(self) -> _Inputs: ...
 
 
 def file_fingerprint(path: Path) -> str:
@@ -155,7 +161,7 @@ class Item:
     @property
     def file_take(self) -> str:
         """The take of an item that names none: its motion or sound file without extension."""
-        return (self.motion or self.audio).with_suffix("").as_posix()
+        return (self.motion or self.audio or Path(self.id)).with_suffix("").as_posix()
 
     @property
     def changed_files(self) -> list[Path]:

@@ -205,7 +205,7 @@ def _in_time(
     tasks: list[tuple[Recording, bool]], options: PrepareOptions, label: Labeller
 ) -> tuple[list[Recording], list[Problem]]:
     """Examine the recordings, with the shift between their sound and motion taken back."""
-    if options.shift != "auto":
+    if not isinstance(options.shift, str):
         tasks = [(one.shifted(options.shift), alone) for one, alone in tasks]
     recordings, problems = _examined(tasks, options, label)
     if options.shift == "auto":
@@ -218,8 +218,8 @@ def _in_time(
             if one.id in shifts:
                 text = f"shifted: the motion came {shifts[one.id]:+.2f} s after the sound"
                 problems.append(Problem("note", one.motion, text))
-    known = [(one.motion, one.correlation) for one in recordings if one.correlation is not None]
-    taken_back = 0.0 if options.shift == "auto" else options.shift
+    known = [(one.file, one.correlation) for one in recordings if one.correlation is not None]
+    taken_back = 0.0 if isinstance(options.shift, str) else options.shift
     return recordings, problems + shift_problems(known, taken_back)
 
 
@@ -405,11 +405,12 @@ def _corpus_notes(recordings: list[Recording]) -> list[Problem]:
 
 def _missing_parts(recordings: list[Recording]) -> list[Problem]:
     """Note once that body parts cannot be identified or are not there, and the consequences."""
-    first = next((one for one in recordings if one.skeleton is not None), None)
-    if first is None:
+    rigs = ((one, one.skeleton) for one in recordings if one.skeleton is not None)
+    first, skeleton = next(rigs, (None, None))
+    if first is None or skeleton is None:
         return []
     try:
-        parts = find_parts(first.skeleton)
+        parts = find_parts(skeleton)
     except MotionError as error:
         what = "training leaves out what needs these parts"
         if any(one.audio and one.motion for one in recordings):
@@ -423,7 +424,7 @@ def _missing_parts(recordings: list[Recording]) -> list[Problem]:
 
 def _differing_sizes(recordings: list[Recording]) -> list[Problem]:
     """Warn if bodies differ so much in height that the unit of a file is probably wrong."""
-    heights = {one.motion: one.height for one in recordings if one.height is not None}
+    heights = {one.file: one.height for one in recordings if one.height is not None}
     if not heights or max(heights.values()) <= MAX_SIZE_RATIO * min(heights.values()):
         return []
     usual = statistics.median_low(heights.values())
@@ -433,7 +434,7 @@ def _differing_sizes(recordings: list[Recording]) -> list[Problem]:
         if max(height / usual, usual / height) > MAX_SIZE_RATIO
     ]
     if not odd:
-        ends = min(heights, key=heights.get), max(heights, key=heights.get)
+        ends = min(heights, key=heights.__getitem__), max(heights, key=heights.__getitem__)
         odd = [f"{file} ({heights[file]:.3g} m)" for file in ends]
     text = (
         f"body heights differ by a factor of {max(heights.values()) / min(heights.values()):.3g}; "

@@ -81,7 +81,9 @@ class Recording:
     @property
     def file(self) -> Path:
         """The file to report problems with."""
-        return self.motion or self.audio
+        file = self.motion or self.audio
+        assert file is not None, self.id
+        return file
 
     @cached_property
     def height(self) -> float | None:
@@ -136,7 +138,7 @@ def examine(
     if stop < MIN_DURATION:
         return None, [*problems, _too_short(recording, stop)]
     if motion is not None:
-        first, end = _check_motion(motion, recording.motion, problems)
+        first, end = _check_motion(motion, recording.file, problems)
         start, motion_stop = first / motion.fps, end / motion.fps
         stop = min(stop, motion_stop)
     start, stop = _limited(recording, start, stop)

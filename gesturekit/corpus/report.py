@@ -59,7 +59,7 @@ class Report:
             ("frame rates", _counted(f"{r.fps:.6g} fps" for r in self._moving)),
             ("body heights", self._heights()),
             ("body shapes", self._shapes()),
-            ("joints", _counted(str(r.skeleton.n_joints) for r in self._moving)),
+            ("joints", _counted(str(r.skeleton.n_joints) for r in self._moving if r.skeleton)),
             ("sample rates", _counted(f"{r.sample_rate} Hz" for r in self.recordings if r.audio)),
             ("speakers", _labels([r.speaker for r in self.recordings])),
             ("styles", _labels([r.style for r in self.recordings])),
@@ -112,7 +112,7 @@ class Report:
 
     def _shapes(self) -> str:
         """Return the number of body shapes if there are several, and what training does."""
-        count = len({one.skeleton.body_shape for one in self._moving})
+        count = len({one.skeleton.body_shape for one in self._moving if one.skeleton})
         unnamed = any(one.speaker is None for one in self._moving)
         who = " (recordings without a speaker count as one person's)" if unnamed else ""
         return f"{count}; training uses the mean of each speaker's{who}" if count > 1 else ""

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import ThreadpoolController
 
 import audio_features as af
+from audio_features.track import Method
 from audio_features.words import takes_words
 from gesturekit.errors import ModelError
 from gesturekit.motion.motion import Motion
@@ -85,7 +86,7 @@ class SpeechConditioner:
 
     extractor: Any
     fps: float
-    align: str
+    align: Method
     centre: np.ndarray
     scale: np.ndarray
     normalisation: Normalisation = "clip"
@@ -98,7 +99,7 @@ class SpeechConditioner:
         clips: Iterable[RawFeatures],
         extractor: Any,
         fps: float,
-        align: str,
+        align: Method,
         normalisation: Normalisation = "clip",
     ) -> SpeechConditioner:
         """Learn centre and scale from training speech, paired and unpaired alike.
@@ -249,7 +250,7 @@ class SpeechConditioner:
             values, self.clip_centre(values[active].sum(axis=0, dtype=np.float64), active.sum())
         )
 
-    def clip_centre(self, total: ArrayLike, count: int) -> np.ndarray:
+    def clip_centre(self, total: ArrayLike, count: float) -> np.ndarray:
         """Return the centre (D,) of a clip.
 
         Args:
@@ -320,7 +321,7 @@ def extract(
     wave: af.Wave,
     extractor: Any,
     fps: float,
-    align: str,
+    align: Method,
     n_frames: int | None = None,
     *,
     level: bool = True,
@@ -337,11 +338,12 @@ def extract(
     return values, activity[np.minimum(nearest, len(activity) - 1)]
 
 
-def as_speech(speech: Speech | None, sample_rate: int | None) -> str | Path | af.Wave | None:
+def as_speech(speech: Any, sample_rate: int | None) -> str | Path | af.Wave | None:
     """Return the speech given to a model, with an array of samples as a `Wave`; reads no file.
 
     Args:
-        speech: a file, a `Wave`, samples (N,) or (N, channels), (samples, rate in Hz), or None.
+        speech: a `Speech`: a file, a `Wave`, samples (N,) or (N, channels), (samples, rate in Hz),
+            or None.
         sample_rate: Hz; only with an array.
 
     Raises:
@@ -355,7 +357,8 @@ def as_speech(speech: Speech | None, sample_rate: int | None) -> str | Path | af
     if isinstance(speech, list | tuple) and any(isinstance(each, sounds) for each in speech):
         ways = "call generate for each, or gesturekit.render for all"
         raise ModelError(f"speech is a list of {len(speech)} sounds: {ways}")
-    if speech is not None and not isinstance(speech, (str, os.PathLike, af.Wave)):
+    is_samples = speech is not None and not isinstance(speech, (str, os.PathLike, af.Wave))
+    if is_samples:
         return af.Wave.from_array(speech, sample_rate, "speech")
     if sample_rate is not None:
         reason = "no speech is given" if speech is None else "a file or a Wave has its own rate"

@@ -105,7 +105,7 @@ class HoldOut:
 
     def _matching(self, ids: list[str]) -> set[str]:
         try:
-            found = {name for name in ids if re.search(self.pattern, name)}
+            found = {name for name in ids if re.search(self.pattern or "", name)}
         except re.error as error:
             raise CorpusError(
                 f"hold-out pattern {self.pattern} is not a regular expression: {error}"
@@ -118,7 +118,7 @@ class HoldOut:
         return found
 
     def _listed(self, ids: list[str], copies: str) -> set[str]:
-        path = Path(self.file)
+        path = Path(self.file or "")
         try:
             if path.stat().st_size > _MOST_BYTES:
                 raise CorpusError(f"{path}: too large for a list of names")
@@ -259,7 +259,7 @@ def split_items(
                 items.append(_item(part, split))
     else:
         items += _whole(paired, holdout, seed, at_least=1)
-    of_take = {item.take: item.split for item in items}
+    of_take: dict[str | None, str | None] = {item.take: item.split for item in items}
     for group in (
         [recording for recording in alone if recording.audio],
         [recording for recording in alone if recording.motion],
@@ -289,7 +289,7 @@ def _parts(recording: Recording, intervals: Sequence[Interval]) -> list[tuple[st
     """Cut a recording at motion frames, so that sound and motion of a part begin together."""
 
     def on_frame(seconds: float) -> float:
-        if math.isinf(seconds):
+        if math.isinf(seconds) or recording.fps is None:
             return seconds
         return math.floor(seconds * recording.fps + 0.5) / recording.fps
 
@@ -301,7 +301,7 @@ def _item(recording: Recording, split: str) -> Item:
     start = round(recording.start, 6)
     return Item(
         id=recording.id,
-        take=recording.take,
+        take=recording.take or "",
         audio=recording.audio and absolute(recording.audio),
         motion=recording.motion and absolute(recording.motion),
         audio_start=round(start + recording.audio_offset, 6) if recording.audio else 0.0,

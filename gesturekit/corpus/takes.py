@@ -8,9 +8,10 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.item import Item, file_fingerprint
+from gesturekit.corpus.item import file_fingerprint
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import CorpusError, FormatError
 from gesturekit.formats.tables.table import read_table
@@ -67,7 +68,7 @@ def _join_copies(recordings: Sequence[Recording]) -> tuple[list[Recording], list
     files = {path for one in recordings for path in (one.audio, one.motion) if path}
     original = _originals(sorted(path for path in files if path.exists()))
     contents = [[original[p] for p in (r.audio, r.motion) if p in original] for r in recordings]
-    takes = _joined([one.take for one in recordings], contents)
+    takes = _joined([one.take or "" for one in recordings], contents)
     firsts = _joined([one.id for one in recordings], contents)
     joined = [
         replace(one, take=take, original=first)
@@ -97,7 +98,7 @@ def _originals(files: Sequence[Path]) -> dict[Path, Path]:
 
 def _joined(names: Sequence[str], contents: Sequence[Sequence[Path]]) -> list[str]:
     """Return the first name that each name is connected with by contents that they share."""
-    labels, holders = list(names), {}
+    labels, holders = list(names), dict[Path, int]()
     for k, shared in enumerate(contents):
         for content in shared:
             first, own = labels[holders.setdefault(content, k)], labels[k]
@@ -153,7 +154,16 @@ def _read(table: Path, ids: Sequence[str]) -> dict[str, str]:
     return takes
 
 
-def neighbours(items: Iterable[Item], split: str | None = None) -> str:
+class _OfTake(Protocol):
+    @property
+    def motion(self) -> Path | None: ...
+    @property
+    def take(self) -> str: ...
+    @property
+    def split(self) -> str: ...
+
+
+def neighbours(items: Iterable[_OfTake], split: str | None = None) -> str:
     """Return a sentence on held-out items that are of a take in training; "" if there are none.
 
     Args:

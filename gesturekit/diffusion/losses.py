@@ -71,6 +71,8 @@ class FootVelocity(nn.Module):
         fps: frames per second.
     """
 
+    mean: Tensor
+    scale: Tensor
     references: Tensor
 
     def __init__(

@@ -20,6 +20,7 @@ from gesturekit.diffusion.sampling.request import Request
 from gesturekit.diffusion.sampling.sampler import Sampler, check_controls
 from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError, gesturekit_errors
+from gesturekit.model import MotionStream
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import build, to_dict
@@ -99,6 +100,20 @@ class DiffusionModel(TrainedModel):
         asked = DiffusionControls.build(controls, self.kind)
         check_controls(self, asked, samples)
         return asked
+
+    def stream(
+        self,
+        sample_rate: int,
+        look_ahead: float = 0.2,
+        seed: int = 0,
+        item: str = "",
+        **controls: Unpack[DiffusionControlArguments],
+    ) -> MotionStream:
+        """Raise ModelError: the model cannot stream."""
+        raise ModelError(
+            f"a {self.kind} model generates whole motions only: multires models with acoustic "
+            "features and recall can stream, such as own_corpus"
+        )
 
     def fingerprint(self) -> str:
         """Return the SHA-256 of what `save` writes, its README apart."""
@@ -196,7 +211,7 @@ def _readme(model: TrainedModel, notes: Mapping[str, str]) -> str:
         parts = " and ".join(names[name] for name in model.droppable)
         rows["Guidance"] = f"trained with dropout of {parts}"
         call.append("guidance=1.5")
-    return model_readme(rows | notes, ", ".join(call))
+    return model_readme({**rows, **notes}, ", ".join(call))
 
 
 def _arguments(parts: ModelParts, weights: WeightPlaces | None, device: str) -> dict[str, Any]:

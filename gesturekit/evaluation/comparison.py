@@ -168,7 +168,7 @@ def evaluate(
     folders = {label: Path(folder) for label, folder in generated.items()}
     reference = _recordings(reference, chosen.split)
     split = reference.split or None if isinstance(reference, Items) else None
-    if split and chosen.audio is not None:
+    if isinstance(reference, Items) and split and chosen.audio is not None:
         raise EvaluationError(f"{reference.path} already gives the sound: leave audio out")
     found = _pairs(folders, reference, chosen)
     fps = _frame_rate(next(iter(found.values())))
@@ -270,7 +270,7 @@ def _compared(reference: Path | Items, protocol: str) -> dict[str, Path | ItemIn
 
     In Table 4 of Alexanderson et al. 2023 this is the full dataset: all splits of a manifest.
     """
-    every = recordings(reference)
+    every = {**recordings(reference)}
     if protocol == "lda" and isinstance(reference, Items):
         every |= {item.id: ItemInterval(item) for item in reference.others}
     return every
@@ -297,7 +297,8 @@ def _frame_rate(pairs: Pairs) -> float:
     reasons = []
     for pair in pairs.pairs:
         try:
-            return Motion.load(pair.generated).fps
+            if isinstance(pair.generated, Path):
+                return Motion.load(pair.generated).fps
         except GestureKitError as error:
             reasons.append(str(error))
     raise EvaluationError(f"no generated clip can be read: {reasons[0]}")

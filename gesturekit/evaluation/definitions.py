@@ -90,7 +90,9 @@ class Definition:
         `{30}` becomes "30 frames (1.20 s)", `{threshold}` the threshold of coverage.
         """
         chosen = {variants.patches, variants.bas, variants.kinetic}
-        changed = next((new for name, new in _CHANGES[self.key].items() if name in chosen), {})
+        changed: dict[str, Any] = next(
+            (new for name, new in _CHANGES[self.key].items() if name in chosen), {}
+        )
         threshold = THRESHOLD if variants.threshold is None else variants.threshold
 
         def filled(text: str) -> str:

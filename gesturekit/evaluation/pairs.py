@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import CorpusError
@@ -35,20 +35,30 @@ WINDOW_SECONDS = 10.0
 _SAMPLE = re.compile(r"_s\d+$")
 _CUT = re.compile(r"@\d+(\.\d+)?-\d+(\.\d+)?(_s\d+)?$")
 _WINDOW = re.compile(r"_w(\d{3,})$")
+Source = TypeVar("Source")
 
 
-class ManifestItem(Protocol):
+class _ManifestItem(Protocol):
     """Interface of a manifest item, `gesturekit.corpus.Item`: an interval of a recording."""
 
-    id: str
-    take: str
-    speaker: str | None
-    style: str | None
-    audio: Path | None
-    motion: Path | None
-    split: str
-    motion_start: float
-    duration: float
+    @property
+    def id(self) -> str: ...
+    @property
+    def take(self) -> str: ...
+    @property
+    def speaker(self) -> str | None: ...
+    @property
+    def style(self) -> str | None: ...
+    @property
+    def audio(self) -> Path | None: ...
+    @property
+    def motion(self) -> Path | None: ...
+    @property
+    def split(self) -> str: ...
+    @property
+    def motion_start(self) -> float: ...
+    @property
+    def duration(self) -> float: ...
 
     def load_motion(self) -> Motion:
         """Read the interval of motion."""
@@ -61,7 +71,7 @@ class ManifestItem(Protocol):
 class ItemInterval:
     """An interval of a recording, given by a manifest item instead of a file."""
 
-    item: ManifestItem
+    item: _ManifestItem
 
     @property
     def name(self) -> str:
@@ -93,9 +103,9 @@ class Items:
 
     path: Path
     split: str
-    items: tuple[ManifestItem, ...]
+    items: tuple[_ManifestItem, ...]
     aside: Mapping[str, str] = field(default_factory=dict)
-    others: tuple[ManifestItem, ...] = ()
+    others: tuple[_ManifestItem, ...] = ()
 
     @classmethod
     def of_folder(cls, path: Path, reading: Mapping[str, Any]) -> Items:
@@ -126,7 +136,7 @@ class Items:
         return cls(path, split, items, aside, tuple(others))
 
     @property
-    def training(self) -> tuple[ManifestItem, ...]:
+    def training(self) -> tuple[_ManifestItem, ...]:
         """Items with motion of the manifest's training split, if `split` is another one."""
         return tuple(item for item in self.others if item.split == "train")
 
@@ -249,8 +259,10 @@ def find_pairs(
     """
     made = motion_files(generated)
     recorded = recordings(reference)
+    sounds: Mapping[str, Path | ItemInterval]
     if isinstance(reference, Items) and audio is None:
-        sounds = {key: s for key, s in recorded.items() if s.item.audio is not None}
+        items = {key: s for key, s in recorded.items() if isinstance(s, ItemInterval)}
+        sounds = {key: s for key, s in items.items() if s.item.audio is not None}
     else:
         sounds = files_by_key(audio, SPEECH_SUFFIXES, "sound") if audio else {}
     tracks = files_by_key(semantic, SEMANTIC_SUFFIXES, "semantic track") if semantic else {}
@@ -335,7 +347,7 @@ def _matched(
         )
 
 
-def recordings(reference: Path | Items) -> dict[str, Path | ItemInterval]:
+def recordings(reference: Path | Items) -> Mapping[str, Path | ItemInterval]:
     """Return {key: motion} of all recordings of a folder, a file or a manifest.
 
     Raises:
@@ -399,7 +411,7 @@ class _Lookup:
         """Return (key of the recording or None, window, reason why none was found)."""
         sample = _SAMPLE.sub("", name)
         window = _WINDOW.search(sample)
-        names = [(name, None), (sample, None)]
+        names: list[tuple[str, int | None]] = [(name, None), (sample, None)]
         if window:
             names.append((sample[: window.start()], int(window[1])))
         for key, index in names:
@@ -414,7 +426,7 @@ class _Lookup:
         return None, None, f"no recording of its name{hint}"
 
 
-def file_of(stem: str, files: Mapping[str, Path], given: Path | None) -> Path | None:
+def file_of(stem: str, files: Mapping[str, Source], given: Path | None) -> Source | Path | None:
     """Return the file of a recording by its key, else by its stem; None if there is none."""
     if given is not None and given.is_file():
         return given
@@ -425,6 +437,6 @@ def file_of(stem: str, files: Mapping[str, Path], given: Path | None) -> Path | 
     return fitting[0] if len(fitting) == 1 else None
 
 
-def _some(names: Mapping[str, Path], most: int = 3) -> str:
+def _some(names: Collection[str], most: int = 3) -> str:
     shown = ", ".join(list(names)[:most])
     return shown if len(names) <= most else f"{shown}, ..."

@@ -191,7 +191,7 @@ def _rest_axes(skeleton: Skeleton, parts: BodyParts) -> tuple[str, str] | None:
     # If all four limbs point the same way, perpendicular to the trunk, it is a quadruped.
     trunk = between(parts.pelvis, parts.spine[-1])
     fore = [-between(arm.shoulder, arm.wrist or arm.elbow) for arm in arms]
-    risen = _axis(sum(down))
+    risen = _axis(down[0] + down[1])
     if risen and all(_vector(risen) @ limb > 0.8 * np.linalg.norm(limb) for limb in down + fore):
         forward = _axis(trunk - (trunk @ _vector(risen)) * _vector(risen))
         steep = abs(trunk @ _vector(risen)) > _STEEP * np.linalg.norm(trunk)
@@ -204,7 +204,7 @@ def _rest_axes(skeleton: Skeleton, parts: BodyParts) -> tuple[str, str] | None:
         return None
     forward = _axis(np.cross(_vector(left), _vector(up)))
     toes = [between(leg.ankle, leg.toe) for leg in legs if leg.toe]
-    if any(_vector(forward) @ toe < -1e-3 * np.linalg.norm(toe) for toe in toes):
+    if forward is None or any(_vector(forward) @ toe < -1e-3 * np.linalg.norm(toe) for toe in toes):
         return None  # left and right may be named the wrong way round
     return up, forward
 
@@ -227,7 +227,8 @@ def _upper_body_axes(
     outward = [between(arm.shoulder, arm.elbow) @ _vector(left) for arm in (left_arm, right_arm)]
     if outward[0] < 0 or outward[1] > 0:
         return None  # left and right may be named the wrong way round
-    return up, _axis(np.cross(_vector(left), _vector(up)))
+    forward = _axis(np.cross(_vector(left), _vector(up)))
+    return None if forward is None else (up, forward)
 
 
 def _standing(motion: Motion, parts: BodyParts, rest_up: str | None) -> str | None:

@@ -23,7 +23,7 @@ def frame_rate(text: str) -> float:
     whole = round(1 / seconds)
     common = min(COMMON_RATES, key=lambda rate: abs(1 / Decimal(rate) - seconds))
     # The most likely rate whose frame time differs by less than the last digit written.
-    digit = Decimal(1).scaleb(seconds.as_tuple().exponent)
+    digit = Decimal(1).scaleb(int(seconds.as_tuple().exponent))
     exact = (1 / seconds).quantize(Decimal("0.01"))  # such as 12.5
     rates = (
         (whole, digit / 1000),

@@ -66,7 +66,7 @@ def _toes_point_backwards(motion: Motion) -> bool:
         return False
     positions = motion.positions()
     place = {
-        side: [positions[:, motion.skeleton.index(j)] for j in (leg.hip, leg.ankle, leg.toe)]
+        side: [positions[:, motion.skeleton.index(j)] for j in (leg.hip, leg.ankle, leg.toe) if j]
         for side, leg in legs.items()
     }
     across = place["left"][0] - place["right"][0]

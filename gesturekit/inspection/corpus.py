@@ -163,7 +163,7 @@ def _counts(values: Iterable[Any]) -> dict[str, int]:
 def _rig(manifest: Manifest) -> tuple[dict[str, Any], list[str]]:
     """Return the rig of the first motion, and the error if it cannot be read."""
     item = next((item for item in manifest if item.motion and item.motion.is_file()), None)
-    if item is None:
+    if item is None or item.motion is None:
         return {}, []
     try:
         motion = load(item.motion, item.reading)

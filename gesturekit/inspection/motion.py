@@ -56,7 +56,7 @@ def inspect_motion(path: Path, *, parts: Mapping[str, str] | None, **options: An
     skeleton = motion.skeleton
     labels, unknown = known_part_labels(skeleton)
     figure = Figure.of(motion)
-    facts = {
+    facts: dict[str, Any] = {
         "path": str(path),
         "format": "EasyMocap" if path.is_dir() else path.suffix.lower()[1:],
         "bytes": _bytes(path),

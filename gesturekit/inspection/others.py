@@ -167,7 +167,8 @@ def inspect_array(path: Path) -> Summary:
     except af.FeatureError as error:
         raise af.FeatureError(f"{path}: {error}") from None
     shape, dtype = values.shape, str(values.dtype)
-    facts = {"path": str(path), "bytes": path.stat().st_size, "shape": list(shape), "dtype": dtype}
+    n_bytes = path.stat().st_size
+    facts = {"path": str(path), "bytes": n_bytes, "shape": list(shape), "dtype": dtype}
     rows = [("shape", f"{shape}, {dtype}")]
     if values.ndim == 2:
         n_rows, n_columns = counted(shape[0], "row"), counted(shape[1], "column")
@@ -180,7 +181,7 @@ def inspect_array(path: Path) -> Summary:
         problems += [f"{n} of {values.size} values are {name}" for name, n in counts.items() if n]
     else:
         problems.append(f"{dtype} is no number: save plain numbers")
-    title = f"{path}: an array without times, {size(facts['bytes'])}"
+    title = f"{path}: an array without times, {size(n_bytes)}"
     return Summary("features", title, facts, tuple(rows), problems=tuple(problems))
 
 

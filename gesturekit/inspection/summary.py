@@ -57,7 +57,7 @@ class Summary:
         return _plain({"kind": self.kind, **self.facts, "problems": list(self.problems)})
 
 
-def size(n_bytes: int) -> str:
+def size(n_bytes: float) -> str:
     """Format a size: "3.7 MB"."""
     for unit in ("bytes", "kB", "MB"):
         if n_bytes < 1000:

@@ -48,7 +48,7 @@ class _Drawing:
 
     def _limb(self, joint: int) -> tuple[list[int], list[int], list[int]]:
         """Return the chain from a joint, the end joints beside it, and the joints it forks into."""
-        chain, ends = [joint], []
+        chain, ends = [joint], list[int]()
         while True:
             children = list(self.skeleton.children(chain[-1]))
             marks = [j for j in children if self._is_mark(j)] if len(children) > 1 else []

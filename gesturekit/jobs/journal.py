@@ -292,7 +292,7 @@ def _checked_run(
         yield "run", values, line
 
 
-_TYPES = {
+_TYPES: dict[str, Any] = {
     **dict.fromkeys(("status", "id", "key", "run"), str),
     "attempt": int,
     **dict.fromkeys(("seconds", "sound", "time"), (int, float)),

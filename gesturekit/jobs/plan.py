@@ -115,7 +115,7 @@ class Plan:
         return Task(**{**fields, "path": None if path is None else Path(path)})
 
 
-_TYPES = {
+_TYPES: dict[str, Any] = {
     "shard": int,
     "id": str,
     "path": (str, type(None)),
@@ -135,28 +135,27 @@ def write_plan(path: Path, tasks: Sequence[Task], shards: int, request: str) -> 
         OSError: the file cannot be written.
     """
     numbers = balanced([task.duration or 0.0 for task in tasks], shards)
-    totals = [[0, 0.0] for _ in range(shards)]
+    totals = [(0, 0.0)] * shards
     digest = hashlib.sha256()
     with atomic_write(path) as temporary:
         body = temporary.with_suffix(".body")
         try:
             with body.open("wb") as file:
                 for task, number in zip(tasks, numbers, strict=True):
-                    totals[number - 1][0] += 1
-                    totals[number - 1][1] += task.duration or 0.0
+                    count, seconds = totals[number - 1]
+                    totals[number - 1] = count + 1, seconds + (task.duration or 0.0)
                     line = _line(task, number)
                     digest.update(line)
                     file.write(line)
-            header = {"format": FORMAT, "request": request, "sha256": digest.hexdigest()}
-            header |= {"shards": totals, "made": time.time()}
+            header: dict[str, Any] = {"format": FORMAT, "request": request}
+            header |= {"sha256": digest.hexdigest(), "shards": totals, "made": time.time()}
             with temporary.open("wb") as file, body.open("rb") as lines:
                 file.write(json.dumps(header).encode() + b"\n")
                 while block := lines.read(1 << 20):
                     file.write(block)
         finally:
             body.unlink(missing_ok=True)
-    sums = tuple((count, seconds) for count, seconds in totals)
-    return Plan(path, request, header["sha256"], sums, header["made"])
+    return Plan(path, request, header["sha256"], tuple(totals), header["made"])
 
 
 def balanced(durations: Sequence[float], shards: int) -> list[int]:

@@ -112,9 +112,16 @@ class Batch:
             processor = self.processor
             about = {**processor.about, "written": processor.written}
             about |= {"shard": shard, "shards": shards}
-            given = {"run": processor.run, "settings": processor.settings, "about": about}
             with _journaling(self.out):
-                journal = Journal(self.state, shard, shards, **given, after=self.history.latest)
+                journal = Journal(
+                    self.state,
+                    shard,
+                    shards,
+                    run=processor.run,
+                    settings=processor.settings,
+                    about=about,
+                    after=self.history.latest,
+                )
             try:
                 yield from self._results(_Shard(self, journal, lease))
             finally:
@@ -222,10 +229,10 @@ class Batch:
                 new.unlink()  # only its hash is wanted, to compare it with that of the live run
         run = {"plan": plan.sha256, "shards": count, "settings": self.processor.run}
         lease = Lease(self.state, number, count, run)
-        is_new = planned is not None and planned != self.tasks
-        if is_new or _journal_sizes(self.state) != self._seen:
+        changed = None if planned == self.tasks else planned
+        if changed is not None or _journal_sizes(self.state) != self._seen:
             try:
-                self.tasks = planned if is_new else self.tasks
+                self.tasks = self.tasks if changed is None else changed
                 self._settle()
             except BaseException:
                 lease.release()

@@ -8,7 +8,7 @@ import os
 import re
 from array import array
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -114,8 +114,8 @@ class Status:
             numbers[reason] = [one if one == other else "N" for one, other in shared]
         found = []
         for reason, count in counts.most_common():
-            (text, name), shown = first[reason], iter(numbers[reason])
-            found.append((_DIGITS.sub(lambda _, shown=shown: next(shown), text), count, name))
+            text, name = first[reason]
+            found.append((_with_numbers(text, numbers[reason]), count, name))
         return found
 
 
@@ -278,3 +278,9 @@ def _without_name(item: FailedItem) -> str:
     is_path = (f"{name}.", f"/{name}")
     words = ("..." if any(part in word for part in is_path) else word for word in text.split())
     return " ".join(words) or item.error
+
+
+def _with_numbers(text: str, numbers: Iterable[str]) -> str:
+    """Return a text with other numbers in place of its own."""
+    given = iter(numbers)
+    return _DIGITS.sub(lambda _: next(given), text)

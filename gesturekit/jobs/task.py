@@ -31,3 +31,9 @@ class Task:
     def __post_init__(self) -> None:
         if not self.source:
             object.__setattr__(self, "source", str(self.path or self.id))
+
+    @property
+    def file(self) -> Path:
+        """The `path` of a task that has one."""
+        assert self.path is not None, self.id
+        return self.path

@@ -120,14 +120,15 @@ class Pool:
     def _ready(self, busy: list[_Worker]) -> list[_Worker]:
         """Return workers with a message, and those that died or are past the deadline."""
         while True:
-            limit = min(worker.begun for worker in busy) + (self._deadline or float("inf"))
+            deadline = self._deadline or float("inf")
+            limit = min(worker.begun for worker in busy) + deadline
             timeout = None if limit == float("inf") else max(0.0, limit - time.monotonic())
             ready = wait([worker.pipe for worker in busy], timeout)
             if found := [worker for worker in busy if worker.pipe in ready]:
                 return found
-            late = [w for w in busy if w.begun + self._deadline <= time.monotonic()]
+            late = [w for w in busy if w.begun + deadline <= time.monotonic()]
             for worker in late:
-                worker.stop_late(self._deadline)
+                worker.stop_late(deadline)
             if late:
                 return late
 
@@ -234,6 +235,7 @@ def _serve(pipe: Connection, function: bytes) -> None:
     """Call the function with what comes through the pipe, until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what Ctrl-C ends
     parent = multiprocessing.parent_process()
+    assert parent is not None
 
     def end_with_parent() -> None:
         parent.join()

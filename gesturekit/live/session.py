@@ -151,9 +151,9 @@ class Session:
         listening = listening_socket(self.host, self.port)
 
         def make(example: Callable[[], Motion], human: Callable[[], Fitting]) -> Sink:
-            sound = None if source.is_live or self.fast else source.path
-            shown = {"body": self.body, "framing": self.framing, "sound": sound, "token": token}
-            page = Page(listening, hosts, example(), human, **shown)
+            sound = source.path if isinstance(source, FileSource) and not self.fast else None
+            shown: dict[str, Any] = {"body": self.body, "framing": self.framing, "token": token}
+            page = Page(listening, hosts, example(), human, sound=sound, **shown)
             start = "" if source.is_live else f"; starts when it is open, or in {_PAGE_SECONDS} s"
             start += "" if token is None else "; asks for the token, or takes it as /?token=TOKEN"
             self.say(f"Page at {address_of(listening, self.host)} (end with Ctrl-C){start}")

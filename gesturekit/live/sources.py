@@ -199,7 +199,8 @@ class Intake:
         self.source, size = source, max(round(QUEUE_SECONDS / source.block), 2)
         self._queue: queue.Queue[Block | None] = queue.Queue(size)
         self.waits = source.fast or not source.is_live
-        self._stopped, self._error, self.dropped = threading.Event(), None, 0.0
+        self._stopped, self.dropped = threading.Event(), 0.0
+        self._error: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="sound", daemon=True)
 
     def __enter__(self) -> Intake:

@@ -67,9 +67,8 @@ class Timeline:
         """Return the samples that the stream gets for a block, which is taken at time `now`."""
         samples, filled = block.samples, np.empty(0, np.float32)
         if block.time is not None:
-            if self._origin is None:
-                self._origin = block.time
-            ahead = self._origin + self.seconds - block.time
+            origin = self._origin = block.time if self._origin is None else self._origin
+            ahead = origin + self.seconds - block.time
             if ahead > self._tolerance:
                 late = min(round(ahead * self._rate), len(samples))
                 self._dropped += late / self._rate
@@ -78,10 +77,10 @@ class Timeline:
                 is_behind = now - block.time - len(samples) / self._rate > BRIDGE
                 bridged = 0.0 if is_behind else min(-ahead, BRIDGE)
                 filled = self._filled(round(bridged * self._rate))
-                self._skip(-ahead - bridged)
+                self._skip(origin, -ahead - bridged)
             else:
                 drift = _DRIFT * len(samples) / self._rate
-                self._origin -= float(np.clip(ahead, -drift, drift))
+                self._origin = origin - float(np.clip(ahead, -drift, drift))
         if len(samples):
             self._given += len(samples)
             self._missing = 0
@@ -90,14 +89,13 @@ class Timeline:
 
     def idle(self, now: float) -> np.ndarray:
         """Return the samples with which the stream goes on while no block comes."""
-        if self._origin is None:
-            self._origin = now
-        due = now - self._origin - self.seconds - self._tolerance - BRIDGE
-        self._skip(due - _MOST_IDLE)
+        origin = self._origin = now if self._origin is None else self._origin
+        due = now - origin - self.seconds - self._tolerance - BRIDGE
+        self._skip(origin, due - _MOST_IDLE)
         return self._filled(max(round(min(due, _MOST_IDLE) * self._rate), 0))
 
-    def _skip(self, seconds: float) -> None:
-        self._origin += max(seconds, 0.0)
+    def _skip(self, origin: float, seconds: float) -> None:
+        self._origin = origin + max(seconds, 0.0)
         self._skipped += max(seconds, 0.0)
 
     def _filled(self, count: int) -> np.ndarray:

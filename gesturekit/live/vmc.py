@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 from pythonosc.osc_bundle import OscBundle
@@ -69,7 +70,7 @@ class VmcSender:
     def _bundle(self, seconds: float, frame: np.ndarray) -> OscBundle:
         bundle = OscBundleBuilder(IMMEDIATELY)
         root = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
-        messages = [
+        messages: list[tuple[str, list[Any]]] = [
             ("/VMC/Ext/OK", [1]),
             ("/VMC/Ext/T", [seconds]),
             ("/VMC/Ext/Root/Pos", ["root", *root]),

@@ -51,6 +51,7 @@ def foot_points(skeleton: Skeleton) -> tuple[FootPoint, ...]:
         soles = [
             FootPoint(joint, site)
             for joint in (legs[side].toe, legs[side].ankle)
+            if joint is not None
             for site in ends.get(joint, ())
         ]
         if len(soles) >= 3:

@@ -41,8 +41,8 @@ def side_axis(motions: Sequence[Motion], root: int) -> np.ndarray:
     """
     # Copies, because a view would keep the rotations of all joints in memory.
     world = np.concatenate([motion.global_rotations()[:, root].copy() for motion in motions])
-    hips = [_across(motion) for motion in motions]
-    if any(vectors is None for vectors in hips):
+    hips = [vectors for motion in motions if (vectors := _across(motion)) is not None]
+    if len(hips) < len(motions):
         flat = [np.hypot(*rotate_vectors(world, axis)[:, GROUND].T).mean() for axis in np.eye(3)]
         # If z points forward, the side is x.
         return np.eye(3)[0 if flat[2] > 0.5 and flat[0] > 0.5 else int(np.argmax(flat))]

@@ -51,7 +51,7 @@ class Skeleton:
     names: tuple[str, ...]
     parents: tuple[int, ...]
     offsets: np.ndarray
-    end_sites: Mapping[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
+    end_sites: Mapping[str, Sequence[np.ndarray]] = field(default_factory=dict)
     rotation_orders: tuple[str, ...] = ()
     parts: Mapping[str, str] = field(default_factory=dict)
     body_shape: BodyShape = BodyShape()

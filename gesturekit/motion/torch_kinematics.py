@@ -80,7 +80,7 @@ class ForwardKinematics(nn.Module):
         # level, and stand in that order.
         inner = sorted(set(parents) - {-1}, key=lambda j: depth[j])
         self.register_buffer("inner", torch.tensor(inner, dtype=torch.long))
-        self.level_sizes = []
+        self.level_sizes: list[int] = []
         above: list[int] = []
         while len(inner) > sum(self.level_sizes):
             joints = [j for j in inner if depth[j] == len(self.level_sizes)]
@@ -122,7 +122,7 @@ class ForwardKinematics(nn.Module):
         # Entries of the matrices first, joints last, (3, 3, ..., joints): the products are then
         # a few operations on long arrays, not thousands of tiny ones.
         local = rotations.movedim((-2, -1), (0, 1))
-        turned = []
+        turned: list[Tensor] = []
         for level, matrices in enumerate(local.split(self.level_sizes, dim=-1)):
             if level:
                 rows = getattr(self, f"rows_{level}")

@@ -22,10 +22,11 @@ def requested_backend(configured: BackendName = "auto") -> BackendName:
         ConfigError: the variable names no backend.
     """
     name = os.environ.get(VARIABLE) or configured
-    if name not in get_args(BackendName):
-        known = ", ".join(get_args(BackendName))
-        raise ConfigError(f"{VARIABLE}: {name!r} is not one of {known}; correct or unset it")
-    return name
+    for known in get_args(BackendName):
+        if name == known:
+            return known
+    names = ", ".join(get_args(BackendName))
+    raise ConfigError(f"{VARIABLE}: {name!r} is not one of {names}; correct or unset it")
 
 
 def choose_backend(configured: BackendName, *networks: nn.Module) -> TorchBackend:

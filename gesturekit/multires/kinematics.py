@@ -71,6 +71,7 @@ class VectorKinematics(nn.Module):
     def foot_velocity(self, values: Tensor, stride: float, time: str = "second") -> Tensor:
         """Return the velocity (B, T - 1, F, 3) of the foot points in the world; see
         `LossConfig.contact_time`."""
+        assert self.feet is not None
         feet = self._positions(self.feet, values)
         change, drift = feet[:, 1:] - feet[:, :-1], self._root_displacement(values)[:, 1:, None]
         return change + drift if time == "frame" else (change / stride + drift) * self.fps

@@ -58,7 +58,7 @@ def losses(inputs: LossInputs, weights: LossConfig) -> dict[str, Tensor]:
     values: dict[str, Tensor] = {}
     if inputs.scores is not None:
         values["adversarial"] = adversarial(inputs.scores)
-    if inputs.foot_velocity is not None:
+    if inputs.foot_velocity is not None and inputs.contact_labels is not None:
         values["contact"] = contact(
             inputs.foot_velocity,
             inputs.contact_labels,
@@ -67,17 +67,17 @@ def losses(inputs: LossInputs, weights: LossConfig) -> dict[str, Tensor]:
         )
     if inputs.bend is not None:
         values["smoothness"] = smoothness(inputs.bend)
-    if inputs.coarser is not None:
+    if inputs.coarser is not None and inputs.downsampled is not None:
         values["coarse"] = coarse(inputs.downsampled, inputs.coarser)
     if inputs.detail is not None:
         values["detail"] = inputs.detail
-    if inputs.arms is not None:
+    if inputs.arms is not None and inputs.arm_target is not None:
         speed, acceleration = movement(inputs.arms, inputs.arm_target)
         if weights.arm_speed:
             values["arm_speed"] = speed
         if weights.arm_acceleration:
             values["arm_acceleration"] = acceleration
-    if inputs.generated is not None:
+    if inputs.generated is not None and inputs.recorded is not None:
         values["reconstruction"] = reconstruction(inputs.generated, inputs.recorded)
     return {name: getattr(weights, name) * value for name, value in values.items()}
 

@@ -267,7 +267,7 @@ class MultiresModel(TrainedModel):
         if self.styles:
             lines["Styles"] = ", ".join(self.styles)
             call += f', style="{self.styles[0]}"'
-        return model_readme(lines | notes, call)
+        return model_readme({**lines, **notes}, call)
 
     @classmethod
     def load(

@@ -138,6 +138,7 @@ def _feet(skeleton: Skeleton) -> Iterator[Foot]:
             # All points are fixed to the ankle, so the nearest is the heel.
             back.sort(key=lambda k: float(np.linalg.norm(points[k].offset)))
             back, front = back[:1], back[1:]
+        ball: Anchor | None
         if toe is not None:
             ball = Anchor(toe, np.zeros(3), tuple(front or back))
         else:

@@ -204,7 +204,7 @@ class _FootLock:
         # Direction of the foot on the ground, also while its heel is lifted.
         level = (places[-1] - places[0]) * [1, 0, 1]
         level *= length / np.maximum(np.linalg.norm(level, axis=1, keepdims=True), length / 2)
-        offsets, holds, lifts = [], [], 0.0
+        offsets, holds, lifts = list[np.ndarray](), list[np.ndarray](), 0.0
         # The ball first, because the heel may be lifted while the ball stands.
         for place, (mask, floor) in zip(places[::-1], stands[::-1], strict=True):
             if self.labels is None:
@@ -217,7 +217,8 @@ class _FootLock:
             )
             fastest = FASTEST * self.scale
             offset, hold = pin(place, spans, floor, self.fps, self.radius, fastest, lifts)
-            offsets.insert(0, offset), holds.insert(0, hold[:, None])
+            offsets.insert(0, offset)
+            holds.insert(0, hold[:, None])
             heel_height = places[0][:, 1] + offset[:, 1] - stands[0][1]
             lifts = hold * _above_noise(heel_height, _LIFT * self.scale)
         return offsets, holds
@@ -372,4 +373,4 @@ def _common(both: np.ndarray, standing: np.ndarray) -> np.ndarray:
     direction = mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
     least = (both * direction[:, None]).sum(axis=2).min(axis=1)
     together = direction * np.maximum(least, 0)[:, None]
-    return np.where(standing.all(axis=1)[:, None], together, alone)
+    return np.where(standing.all(axis=1, keepdims=True), together, alone)

@@ -178,7 +178,7 @@ def _onto(motion: Motion, pose: Motion, root: int) -> Motion:
     first = motion[:1]
     angle = heading(pose) - heading(first)
     own, turns = _foot_turns(first), _foot_turns(pose)
-    if own is not None:
+    if own is not None and turns is not None:
         # The pelvis may be twisted on feet that stand alike, but a foot in the air is no stance.
         twist = (_turn_between(own, turns)[0] - angle + np.pi) % (2 * np.pi) - np.pi
         angle += np.clip(twist, -_TWIST, _TWIST)

@@ -81,10 +81,8 @@ def render(
         model = load(model)
     output = Output(**_fields(Output, options))
     execution = Execution(**_fields(Execution, options))
-    inputs = {"seconds": seconds, "channel": channel, "progress": progress}
-    return list(
-        iter_render(model, sources, out, output=output, execution=execution, **inputs, **options)
-    )
+    options |= {"seconds": seconds, "channel": channel, "progress": progress}
+    return list(iter_render(model, sources, out, output=output, execution=execution, **options))
 
 
 def iter_render(
@@ -175,7 +173,8 @@ class Cost:
 
     def of(self, items: int, sound: float) -> tuple[float, float]:
         """Return the (seconds, bytes) of a number of items with so many seconds of sound."""
-        return tuple(items * a + sound * b for a, b in zip(self.item, self.sound, strict=True))
+        seconds, size = (items * a + sound * b for a, b in zip(self.item, self.sound, strict=True))
+        return seconds, size
 
 
 def preview(batch: Batch) -> Iterator[Result]:
@@ -214,7 +213,8 @@ def measured_cost(batch: Batch) -> Cost:
     with tempfile.TemporaryDirectory(prefix="gesturekit-") as folder:
         # Samples cost the same each: one is measured.
         n_samples = batch.processor.samples
-        one = batch.processor.single() if n_samples > 1 else batch.processor
+        one = batch.processor
+        one = one.single() if n_samples > 1 and isinstance(one, Renderer) else one
         processor = one.into(Path(folder))
         for seconds in (_LONG, _SHORT, _LONG):  # the first includes compilation
             wav = Path(folder) / f"{seconds:g}.wav"

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from audio_features.track import Method
 from gesturekit.errors import SpeechError
 from gesturekit.jobs.result import Processor, Result, json_of, path_digest
 from gesturekit.jobs.task import Task
@@ -37,14 +38,14 @@ class FeatureExtraction(Processor):
     extractor: Extractor
     out: Path
     fps: float | None
-    align: str | None
+    align: Method | None
     picture: bool
     channel: int | None
     cache: Literal["fp32", "fp16"] | None
     existing: str
 
     def __post_init__(self) -> None:
-        settings = {"extractor": self.extractor.spec, "fps": self.fps}
+        settings: dict[str, Any] = {"extractor": self.extractor.spec, "fps": self.fps}
         settings |= {"align": self.align or "linear", "precision": self.cache or "fp32"}
         self.settings = json_of(settings)
         self.written = {"npz": {}, "png": {}} if self.picture else {"npz": {}}

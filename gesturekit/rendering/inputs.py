@@ -170,8 +170,8 @@ def find_tasks(sources: SoundSource | Sequence[SoundSource], out: Path) -> list[
     for source in sources:
         for task in _tasks_of(source, out):
             # A file that is named twice is rendered once.
-            is_file = task.path is not None and "item" not in task.more and task.error is None
-            same = os.path.realpath(task.path) if is_file else task.source
+            is_file = "item" not in task.more and task.error is None
+            same = os.path.realpath(task.path) if task.path and is_file else task.source
             tasks.setdefault((same, task.id), task)
     _refuse_clashes(list(tasks.values()), out)
     return list(tasks.values())
@@ -321,7 +321,7 @@ def read_list(path: Path) -> Iterator[Task]:
             continue
         audio, name, options = parse(line, where)
         try:
-            name = name if name is not None else _name_of(audio)
+            name = name if name is not None else _name_of(audio or "")
             check_id(name)
         except CorpusError as error:
             raise ConfigError(f"{where}: {error}") from None

@@ -173,8 +173,8 @@ class Renderer(Processor):
             found |= {"channel": item.channel} if item.channel is not None else {}
             found |= {"audible": json_of(item.audible)} if item.audible else {}
             found |= json_of(self._item_controls(item))
-        own = {name: value for name, value in task.more.items() if name != "item"}
-        return found | json_of(own)
+        more = {name: value for name, value in task.more.items() if name != "item"}
+        return found | json_of(more)
 
     def _item_controls(self, item: Item) -> dict[str, Any]:
         """Return the controls of a manifest's item that were not given for all inputs."""

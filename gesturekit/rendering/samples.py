@@ -169,8 +169,10 @@ def train_retrieval(corpus: Path, folder: Path, *, seed: int) -> Path:
     from gesturekit.systems import train
     from gesturekit.training.run.plan import silently
 
-    own = {"corpus": str(corpus), "out": str(folder), "seed": seed}
-    return silently(lambda: train(RETRIEVAL, **own), logging.WARNING)
+    def run() -> Path:
+        return train(RETRIEVAL, corpus=str(corpus), out=str(folder), seed=seed)
+
+    return silently(run, logging.WARNING)
 
 
 def split_sounds(corpus: Path, split: str) -> dict[str, af.Wave]:
@@ -230,7 +232,7 @@ def _check_styles(model: Model, items: Sequence[Item]) -> None:
 
 def _controls(model: Model, item: Item, options: SamplingOptions, repeats: int) -> dict[str, Any]:
     """Return the arguments of `generate` for an item, several times as long as the item."""
-    found = item.controls(model) | {"raw": True} | options.controls
+    found = item.controls(model) | {"raw": True} | dict(options.controls)
     if item.audio is None or not model.inputs.speech:
         return found | {"seconds": repeats * item.duration}
     wave = item.load_wave()

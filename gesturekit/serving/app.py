@@ -47,7 +47,7 @@ class Metrics:
 
     def __init__(self, admitted: Callable[[], int]) -> None:
         self._registry = CollectorRegistry()
-        args = {"registry": self._registry, "namespace": "gesturekit"}
+        args: dict[str, Any] = {"registry": self._registry, "namespace": "gesturekit"}
         self.requests = Counter("requests", "Requests, by HTTP status.", ["status"], **args)
         self.sound = Counter("sound_seconds", "Seconds of sound in answers.", **args)
         self.seconds = Histogram(

@@ -36,12 +36,12 @@ class Connection(H11Protocol):
         self._awaited: asyncio.TimerHandle | None = None
         self._unsent: asyncio.TimerHandle | None = None
 
-    def connection_made(self, transport: asyncio.Transport) -> None:
+    def connection_made(self, transport: Any) -> None:
         """Refuse the connection if its client has too many, or await its first request."""
         super().connection_made(transport)
         address = self.client[:1] if self.client else None
-        same = (each for each in self.connections if each.client and each.client[:1] == address)
-        if sum(1 for _ in same) > self._limits.connections:
+        clients = [getattr(each, "client", None) for each in self.connections]
+        if sum(1 for each in clients if each and each[:1] == address) > self._limits.connections:
             transport.write(_REFUSAL)
             transport.close()
         self._await_request()
@@ -100,7 +100,7 @@ def server_config(app: Any, limits: Limits, **more: Any) -> uvicorn.Config:
     """
     return uvicorn.Config(
         app,
-        http=partial(Connection, limits),
+        http=partial(Connection, limits),  # type: ignore[arg-type]  # uvicorn calls what it gets
         limit_concurrency=4 * (limits.workers + limits.queue) + 32,
         timeout_keep_alive=5,
         server_header=False,

@@ -9,7 +9,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from fastapi import HTTPException, Query, Request
 from pydantic import BaseModel, create_model
@@ -91,11 +91,11 @@ class Rate:
 
 def _query(name: str, entry: ControlEntry, default: Any) -> tuple[Any, Any]:
     """Return the type and default of the query parameter of a control."""
-    limits = {"gt": entry.above, "ge": entry.least, "le": entry.most}
+    limits: dict[str, Any] = {"gt": entry.above, "ge": entry.least, "le": entry.most}
     if entry.kind is str:
         limits = {"max_length": 200}
     query = Query(description=field_docs(Controls)[name], **limits)
-    kind = Literal[entry.choices] if entry.choices else entry.kind
+    kind: Any = Literal[entry.choices] if entry.choices else entry.kind
     return Annotated[kind if default is not None else kind | None, query], default
 
 
@@ -116,15 +116,19 @@ class _Settings(BaseModel, extra="forbid"):
 
 
 # Settings of a motion, from the query of a URL: the controls of every system that are no file.
-MotionRequest = create_model(
-    "MotionRequest",
-    __base__=_Settings,
-    **{
-        name: _query(name, entry, getattr(Controls, name))
-        for name, entry in Controls.entries().items()
-        if entry.kind not in (Path, None)
-    },
-)
+_CONTROLS: dict[str, Any] = {
+    name: _query(name, entry, getattr(Controls, name))
+    for name, entry in Controls.entries().items()
+    if entry.kind not in (Path, None)
+}
+if TYPE_CHECKING:
+
+    class MotionRequest(_Settings):
+        """Settings and controls of a motion."""
+
+        fps: float | None
+else:
+    MotionRequest = create_model("MotionRequest", __base__=_Settings, **_CONTROLS)
 
 
 async def receive(request: Request, file: Path, limits: Limits) -> None:

@@ -68,10 +68,10 @@ def make_lists(config: StudyConfig, segments: Sequence[Segment]) -> list[list[Co
         in_list = np.zeros(len(pairs), int)
         comparisons = []
         for group, n, rng, used in styles:
-            for segment, pair in _places(used, n, in_list, rng):
-                used[segment, pair] += 1
+            for place, pair in _places(used, n, in_list, rng):
+                used[place, pair] += 1
                 in_list[pair] += 1
-                comparisons.append(Comparison(group[segment], *pairs[pair]))
+                comparisons.append(Comparison(group[place], *pairs[pair]))
         lists.append(comparisons)
     return lists
 
@@ -115,7 +115,7 @@ def mismatches(segments: Sequence[Segment], seed: int) -> dict[str, Segment]:
             groups[next(iter(groups))].append(rest[0])
         else:
             groups["/"] = rest
-    found = {}
+    found = dict[str, Segment]()
     for group in groups.values():
         order = [group[i] for i in rng.permutation(len(group))]
         found |= {a.name: b for a, b in zip(order, [*order[1:], order[0]], strict=True)}

@@ -151,14 +151,14 @@ def load_config(
         return build(schema, merged, where=str(path))
     except ConfigError as error:
         problem = str(error).removeprefix(f"{path}: ")
-        key = re.match(r"(?:unknown key )?([\w.]*)", problem)[1]
+        key = re.findall(r"(?:unknown key )?([\w.]*)", problem)[0]
         if any(f"{one}.".startswith(f".{key}.") for one in _dotted(given)):
             raise ConfigError(problem) from None  # an override is wrong, not the file
         raise
 
 
 def _with_parents(path: Path, schema: type | None, depth: int = 8) -> dict[str, Any]:
-    values = {}
+    values: dict[str, Any] = {}
     for key, value in read_yaml(path).items():
         values = _merge(values, _nested(key, value))
     base = values.pop("base", None)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import torch
 from safetensors import SafetensorError
@@ -30,7 +30,13 @@ from gesturekit.training.run_config import MOST_SMOOTH
 FORMAT = 1
 _MOST_HEADER = 4 << 20  # some 40,000 tensors; the largest of our models have 2,000
 
-Model = TypeVar("Model")
+
+class _HasSkeleton(Protocol):
+    @property
+    def skeleton(self) -> Skeleton: ...
+
+
+Model = TypeVar("Model", bound=_HasSkeleton)
 
 log = logging.getLogger(__name__)
 
@@ -94,7 +100,7 @@ def model_digest(
     for name, tensor in sorted(tensors.items()):
         values = tensor.detach().cpu().contiguous()
         digest.update(f"{name} {values.dtype} {tuple(values.shape)}".encode())
-        digest.update(values.reshape(-1).view(torch.uint8).numpy())
+        digest.update(values.reshape(-1).view(torch.uint8).numpy().data)
     return digest.hexdigest()
 
 

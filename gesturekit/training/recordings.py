@@ -117,6 +117,7 @@ class Recordings:
 
 def motion_origin(item: Item) -> dict[str, Any]:
     """Return all that `Item.load_motion` depends on beside body parts, as plain values."""
+    assert item.motion is not None
     return {
         "motion": file_fingerprint(item.motion),
         "interval": [item.motion_start, item.duration],

@@ -64,7 +64,8 @@ def _yaml(value: Any) -> str:
     """Return a value as YAML on one line."""
 
     def plain(value: Any) -> Any:
-        return dataclasses.asdict(value) if dataclasses.is_dataclass(value) else str(value)
+        is_one = dataclasses.is_dataclass(value) and not isinstance(value, type)
+        return dataclasses.asdict(value) if is_one else str(value)
 
     text = yaml.safe_dump(
         json.loads(json.dumps(value, default=plain)),

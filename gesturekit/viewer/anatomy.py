@@ -110,13 +110,14 @@ def shapes(skeleton: Skeleton, parts: BodyParts | None) -> dict[str, Shape | Non
 
 def _trunk(skeleton: Skeleton, pelvis: str, collar: str) -> dict[str, Shape]:
     """Shapes from the pelvis up, each as thick at its start as the one below at its end."""
-    top, joints = skeleton.index(collar), []
+    top, joints = skeleton.index(collar), list[int]()
     while top not in (skeleton.index(pelvis), -1):
         joints.insert(0, top)
         top = skeleton.parents[top]
     lengths = np.linalg.norm(skeleton.offsets[joints], axis=-1) if joints else np.empty(0)
     way = np.concatenate([[0.0], np.cumsum(lengths)]) / max(float(lengths.sum()), 1e-9)
-    radii = np.interp(way, *zip(*TRUNK, strict=True))
+    places, thickness = np.array(TRUNK).T
+    radii = np.interp(way, places, thickness)
     return {
         skeleton.names[joint]: Shape(float(radii[k]), float(radii[k + 1]), width=TRUNK_WIDTH)
         for k, joint in enumerate(joints)

@@ -53,6 +53,7 @@ _SAME = 1e-5
 
 def welded(skin: Skin, height: float) -> Skin:
     """Return the mesh with vertices of one place and colour made one, so that no seam is seen."""
+    assert skin.regions is not None
     return _clustered(skin, _SAME * height, skin.regions[:, None])
 
 
@@ -91,5 +92,5 @@ def _clustered(skin: Skin, cell: float, apart: np.ndarray) -> Skin:
         faces=faces[whole].astype(np.uint32),
         joints=skin.joints[first],
         weights=skin.weights[first],
-        regions=skin.regions[first],
+        regions=None if skin.regions is None else skin.regions[first],
     )

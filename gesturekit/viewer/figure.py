@@ -134,10 +134,12 @@ class Figure:
         ends = real_end_sites(motion.skeleton)
         motion = replace(motion, skeleton=replace(motion.skeleton, end_sites=ends))
         points = _Points(motion)
-        head = _head(points, parts, height) if parts and parts.head and not plain else None
+        head = (
+            _head(points, parts, parts.head, height) if parts and parts.head and not plain else None
+        )
         limbs = _limbs(points, None if plain else parts, height)
         hands = _hands(points, parts)
-        drawn, is_bust = points.stacked(), parts is not None and not parts.legs
+        drawn, bust = points.stacked(), None if parts is None or parts.legs else parts
         return cls(
             points=drawn,
             fps=motion.fps,
@@ -147,8 +149,8 @@ class Figure:
             hand_speed=_hand_speed(points, hands, parts),
             speed_of="hand speed" if parts else "mean speed of all joints",
             height=height,
-            extent=_BUST * height if is_bust else height,
-            floor=_seat(points, parts, height) if is_bust else _floor(drawn),
+            extent=_BUST * height if bust else height,
+            floor=_seat(points, bust, height) if bust else _floor(drawn),
             front=_front(points, parts) if parts else 0.0,
         )
 
@@ -236,12 +238,12 @@ def _front(points: _Points, parts: BodyParts) -> float:
     return float(np.arctan2(x, z))
 
 
-def _head(points: _Points, parts: BodyParts, height: float) -> Head:
+def _head(points: _Points, parts: BodyParts, joint: str, height: float) -> Head:
     size = anatomy.HEAD_HEIGHT * height
-    place = points.at(parts.head)
-    up, forward = (points.fixed(parts.head, axis) for axis in _axes(points, parts))
+    place = points.at(joint)
+    up, forward = (points.fixed(joint, axis) for axis in _axes(points, parts))
     return Head(
-        base=points.skeleton.index(parts.head),
+        base=points.skeleton.index(joint),
         up=points.add(place + size * up),
         face=points.add(place + size * forward),
         size=size,
@@ -276,7 +278,8 @@ def _limbs(points: _Points, parts: BodyParts | None, height: float) -> tuple[Lim
                 pairs.append((wrist, tip, anatomy.HAND.on(side)))
     across = None
     if parts:
-        across = tuple(skeleton.index(parts.arms[side].shoulder) for side in ("right", "left"))
+        right, left = (skeleton.index(parts.arms[side].shoulder) for side in ("right", "left"))
+        across = right, left
     places = points.stacked()
     limbs = []
     for start, end, shape in pairs:

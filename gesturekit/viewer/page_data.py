@@ -57,15 +57,16 @@ def add_skins(page: dict[str, Any], shown: Sequence[DrawnBody]) -> None:
         if skin.regions is None:
             figure["skin"]["vertices"] = base64_text(skin.vertices.astype("<f4").tobytes())
         else:
-            colours = skin.palette
-            if colours is None:
-                colours = palette_of(TOPS[k % len(TOPS)]).values()
+            colours = (
+                palette_of(TOPS[k % len(TOPS)]).values() if skin.palette is None else skin.palette
+            )
             palette = ["#{:02x}{:02x}{:02x}".format(*colour) for colour in colours]
             figure["skin"] |= {"scale": drawn.scale, "palette": palette}
 
 
 def _level(skin: Skin) -> dict[str, Any]:
     """Return a mesh at rest as steps from its middle."""
+    assert skin.regions is not None
     low, high = skin.vertices.min(axis=0), skin.vertices.max(axis=0)
     middle, step = (low + high) / 2, float((high - low).max()) / 2 / _FULL
     return {
@@ -138,4 +139,4 @@ def contact_track(motion: Motion) -> np.ndarray | None:
         return None
     labels = contact_labels(motion) > 0.5
     left, right = labels[:, : n_points // 2], labels[:, n_points // 2 :]
-    return (left.any(axis=1) + 2 * right.any(axis=1)).astype(np.uint8)
+    return np.asarray(left.any(axis=1) + 2 * right.any(axis=1)).astype(np.uint8)

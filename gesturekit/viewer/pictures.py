@@ -6,7 +6,7 @@ import itertools
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
@@ -36,7 +36,7 @@ _METADATA = {
     "svg": {"Creator": "gesturekit", "Date": None},
     "pdf": {"Creator": "gesturekit", "CreationDate": None},
 }
-_REPRODUCIBLE = {"svg.hashsalt": "gesturekit"}
+_REPRODUCIBLE: dict[Any, Any] = {"svg.hashsalt": "gesturekit"}
 """Settings with which the same motion makes the same bytes."""
 _INCHES_PER_FIGURE = 1.3
 _ROW_INCHES = 2.9
@@ -213,10 +213,10 @@ def _figure(axes: Axes, figure: Figure, frame: int, time: float, wide: float) ->
         centre = flat[head.base] + 0.4 * up
         angle = np.degrees(np.arctan2(-up[0], up[1]))
         skull = Ellipse(centre, 0.68 * head.size, 0.92 * head.size, angle=angle).get_verts()
-        shapes.append((2 * depth[head.base], skull, COLOURS[MIDDLE], 0.6))
+        shapes.append((2 * depth[head.base], np.asarray(skull), COLOURS[MIDDLE], 0.6))
         if depth[head.face] > depth[head.base]:
             nose = Ellipse(centre + 0.36 * looks, 0.12 * head.size, 0.26 * head.size, angle=angle)
-            shapes.append((np.inf, nose.get_verts(), _NOSE, 0.0))
+            shapes.append((np.inf, np.asarray(nose.get_verts()), _NOSE, 0.0))
     # The farthest first, as a painter does.
     for order, (_, outline, colour, border) in enumerate(sorted(shapes, key=lambda s: s[0])):
         patch = Polygon(outline * place + [time, 0], facecolor=colour, clip_on=False)

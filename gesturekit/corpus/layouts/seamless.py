@@ -83,7 +83,7 @@ def _read_split(root: Path, kind: str, name: str, split: str, listing: Listing) 
 def _valid_runs(recording: Recording, listing: Listing) -> list[Recording]:
     """Return a recording for each run of valid frames."""
     try:
-        with open_archive(recording.motion, FormatError) as archive:
+        with open_archive(recording.file, FormatError) as archive:
             if "smplh:is_valid" not in archive:
                 return [recording]
             valid = archive["smplh:is_valid"].reshape(-1) != 0

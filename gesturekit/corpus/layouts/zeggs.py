@@ -137,6 +137,7 @@ def _trimmed(
     )
     if not motion - 1e-6 <= first < last:
         raise CorpusError(f"{where}: acting from {first - motion:.2f} to {last - motion:.2f} s")
+    assert recording.audio is not None
     table, audible = recording.audio.with_suffix(".csv"), ()
     if table.is_file():
         audible = _turns(table)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -80,7 +81,8 @@ class ConformerStack(nn.Module):
     def __init__(self, config: NetworkConfig, dilation: int) -> None:
         super().__init__()
         self.enter = nn.Linear(config.channels, config.channels)
-        self.layers = nn.ModuleList(Conformer(config, dilation) for _ in range(config.layers))
+        layers: Any = nn.ModuleList(Conformer(config, dilation) for _ in range(config.layers))
+        self.layers: Sequence[Conformer] = layers  # torch's list lacks their type
         self.leave = nn.Linear(config.channels, 2 * config.channels)
 
     def forward(self, x: Tensor, bands: list[list[Band]]) -> Tensor:
@@ -130,11 +132,10 @@ class Denoiser(nn.Module):
         if config.architecture == "conformer":
             self.stacks = nn.ModuleList(ConformerStack(config, d) for d in dilations)
         else:
-            self.stacks = nn.ModuleList(
-                DilatedConv(width, 2 * width, d, bias=True) for d in dilations
-            )
-            for stack in self.stacks:
+            stacks = [DilatedConv(width, 2 * width, d, bias=True) for d in dilations]
+            for stack in stacks:
                 nn.init.kaiming_normal_(stack.weight)
+            self.stacks = nn.ModuleList(stacks)
         self.split = nn.ModuleList(kaiming(width, 2 * width) for _ in dilations)
         self.gather = kaiming(width, width)
         self.leave = nn.Linear(width, n_motion)
@@ -209,11 +210,10 @@ class Denoiser(nn.Module):
 
     def _bands(self, n_frames: int) -> list[list[list[Band]]]:
         """Return the attention bands of each layer of each block; empty without attention."""
-        if self.config.architecture == "diffwave":
-            return []
         return [
             [bands(layer.attention.bias, n_frames) for layer in stack.layers]
             for stack in self.stacks
+            if isinstance(stack, ConformerStack)
         ]
 
     def _run(

@@ -58,10 +58,10 @@ class Expert:
 
     def equals(self, other: Expert) -> bool:
         """Return whether both have the same weights and condition, hence the same predictions."""
+        shifts = [shift for shift in (self.shift, other.shift) if shift is not None]
         return (
             torch.equal(self.condition, other.condition)
-            and (self.shift is None) == (other.shift is None)
-            and (self.shift is None or torch.equal(self.shift, other.shift))
+            and (not shifts or (len(shifts) == 2 and torch.equal(*shifts)))
             and self.schedule.predicts == other.schedule.predicts
             and _same_weights(self.network, other.network)
         )

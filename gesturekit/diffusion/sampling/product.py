@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -120,7 +121,7 @@ class ModelProduct:
         if unconditional is not None:
             if controls.guidance is None:
                 raise ModelError("unconditional: only used with guidance; give guidance too")
-            _check_compatible(first, unconditional, "unconditional")
+            unconditional = _check_compatible(first, unconditional, "unconditional")
         _check_guidance(first, controls.guidance, unconditional)
         experts = [(*expert, None, None)[:3] for expert in controls.experts]
         models = (first, *(model for model, _, _ in experts))
@@ -215,8 +216,9 @@ def _check_guidance(
         )
 
 
-def _check_compatible(first: TrainedModel, other: TrainedModel, who: str) -> None:
-    """Raise ModelError if the numbers of two models' motion vectors differ in meaning."""
+def _check_compatible(first: TrainedModel, other: Any, who: str) -> TrainedModel:
+    """Return the other model; raise ModelError if the numbers of their motion vectors differ in
+    meaning."""
     kind = getattr(other, "kind", type(other).__name__)
     if kind != first.kind:
         raise ModelError(f"{who}: a {kind} model; only diffusion models can be combined")
@@ -251,6 +253,7 @@ def _check_compatible(first: TrainedModel, other: TrainedModel, who: str) -> Non
             f"{who}: its motion is normalised with another scale (by up to a factor of "
             f"{worst:.3g}); {advice}"
         )
+    return other
 
 
 def _shift(first: TrainedModel, model: TrainedModel) -> Tensor | None:

@@ -138,7 +138,9 @@ class Request:
         events = None
         if self.events is not None:
             events = [event for event in self.events if event.name in conditions.events]
-        path = self.path.scaled(1 / self.scale) if conditions.path else None
+        path = None
+        if conditions.path and self.path is not None:
+            path = self.path.scaled(1 / self.scale)
         return conditions.encode(self.n_frames, self.fps, speech=speech, path=path, events=events)
 
 
@@ -170,7 +172,7 @@ def check_events(events: str | Path, models: Sequence[Conditions]) -> None:
     """
     if not any(model.events for model in models):
         raise ModelError(f"events={str(events)!r}: this model has no events")
-    if wants_beats(events):
+    if isinstance(events, str) and wants_beats(events):
         events = re.sub(r"@beats\b", "@0", events)
     known = tuple(dict.fromkeys(name for model in models for name in model.events))
     for event in asked_events(events, None):

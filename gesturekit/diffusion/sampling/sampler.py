@@ -81,9 +81,8 @@ class Sampler:
         """Yield normalised motion vectors (B, T, X), batch by batch."""
         model, request, start = self.model, self.request, self.request.start
         controls, terms, begin = request.controls, self.product.terms(request), None
-        solver, steps = controls.solver, controls.steps
-        if solver is None:
-            solver = "ancestral" if steps is None else "dpm"
+        steps = controls.steps
+        solver = controls.solver or ("ancestral" if steps is None else "dpm")
         if start is not None:
             begin = (start.clean(request.n_frames), start.step)
             steps = None if steps is None else min(steps, start.step + 1)

@@ -55,7 +55,7 @@ def chosen_steps(schedule: NoiseSchedule, count: int | None, start: int | None =
     # Evenly in log signal-to-noise ratio, without repeated steps.
     level = schedule.log_snr()[: last + 1]
     wanted = torch.linspace(float(level[-1]), float(level[0]), count, dtype=torch.float64)
-    steps = []
+    steps: list[int] = []
     for k, value in enumerate(wanted):
         nearest = int((level - value).abs().argmin())
         highest = steps[-1] - 1 if steps else last

@@ -118,10 +118,10 @@ def _conditions(
 ) -> Conditions:
     """Return the conditions of the model to start from, or new ones that nothing is fitted to."""
     new = Conditions(None, config.path, corpus.events, corpus.recordings.styles)
-    if start is None:
+    if start is None or config.start_from is None:
         return new
     wanted = new.to_values()
-    if speech is not None:
+    if speech is not None and config.features is not None:
         wanted["features"] = feature_values(speech.extractor, config.features)
     check_conditions(config.start_from, start.conditions.to_values(), wanted)
     return start.conditions
@@ -153,7 +153,7 @@ def _in_memory(
     if fits and config.path:
         conditions = _with_path_scale(conditions, [take.path for take in takes], paired)
     speeches: list[np.ndarray | None] = [None] * len(takes)
-    if speech is not None:
+    if speech is not None and config.features is not None:
         lengths = [motion.n_frames for motion in corpus.motions]
         conditioner, speeches[:n_paired] = extract_features(
             corpus.items,
@@ -209,14 +209,14 @@ def _on_disk(
     motion, unpaired = stored_arrays(config.arrays_folder, wanted, config.workers)
     spoken: list[StoredArray] = []
     if speech is not None:
-        phases = [
+        pieces = [
             phase_item(item, number, start)
             for item, array in zip(items, motion, strict=True)
             for number, start in enumerate(array.facts["starts"])
         ]
-        (spoken,) = stored_arrays(config.arrays_folder, [(speech, phases)], config.workers)
+        (spoken,) = stored_arrays(config.arrays_folder, [(speech, pieces)], config.workers)
     sample: dict[int, list[Excerpt]] = {}
-    for excerpt in corpus.recordings.excerpts:
+    for excerpt in corpus.recordings.excerpts or ():
         sample.setdefault(excerpt.index, []).append(excerpt)
     if speech is not None and conditions.conditioner is None:
         conditions = replace(conditions, conditioner=_fitted(speech, motion, spoken, sample))
@@ -312,10 +312,10 @@ def _floors(representation: DeltaRepresentation, fps: float) -> np.ndarray:
 
 
 def _with_path_scale(
-    conditions: Conditions, paths: Sequence[RootPath], maker: VariantArrays
+    conditions: Conditions, paths: Sequence[RootPath | None], maker: VariantArrays
 ) -> Conditions:
     """Return the conditions with mean and scale of the displacements of these paths."""
     size = 1 / maker.representation.scale
-    deltas = np.concatenate([path.scaled(size).deltas() for path in paths])
+    deltas = np.concatenate([path.scaled(size).deltas() for path in paths if path is not None])
     scale = np.maximum(deltas.std(axis=0), _STEP_FLOORS / maker.config.fps)
     return replace(conditions, path_mean=deltas.mean(axis=0), path_scale=scale)

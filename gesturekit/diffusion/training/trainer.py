@@ -290,7 +290,8 @@ class Trainer:
             predicted = self.network(noisy, batch.condition, batch.step)
         predicted = predicted.float()
         errors = denoising_error(predicted, target)
-        if weight := self.config.training.changes:
+        weight = self.config.training.changes
+        if self.changes is not None:
             errors = errors + weight * change_error(predicted, target, self.changes)
         if self.foot_velocity is not None:
             velocities = self.foot_velocity(predicted), self.foot_velocity(target)
@@ -412,8 +413,11 @@ class Monitor:
             expert = Expert(network, self.schedule, torch.from_numpy(condition)[None].to(device))
             rng = rng_for(self.config.seed, "monitor", number)
             noise = torch.randn((1, *motion.shape), generator=rng).to(device)
-            made = sample(
-                expert.predict, lambda k, n=noise: n, self.schedule, solver="dpm", steps=count
-            )
+            same = partial(_same, noise)
+            made = sample(expert.predict, same, self.schedule, solver="dpm", steps=count)
             values = self.data.normaliser.inverse(made[0].cpu()).double().numpy()
             yield self.data.decode(values, condition, self.config.fps)
+
+
+def _same(noise: Tensor, _: int) -> Tensor:
+    return noise

@@ -67,7 +67,7 @@ def baseline_pairs(
 
 @dataclass(frozen=True, eq=False)
 class _BaselineItem:
-    """A baseline's clip, made when it is needed; a `ManifestItem` without files."""
+    """A baseline's clip, made when it is needed; a manifest item without files."""
 
     id: str
     load_motion: Callable[[], Motion]

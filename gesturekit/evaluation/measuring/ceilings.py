@@ -9,6 +9,7 @@ speaker comes to about these values: it cannot know what was recorded.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -167,7 +168,7 @@ def _set_metrics(
     if FRECHET in measure.groups:
         inputs = SetInputs(one, other, features, joints, seed, measure.variants.kinetic)
         for definition in definitions_of("distance"):
-            metrics[definition.key] = lambda definition=definition: _distance(definition, inputs)
+            metrics[definition.key] = partial(_distance, definition, inputs)
     return metrics
 
 

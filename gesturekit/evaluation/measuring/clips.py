@@ -89,14 +89,14 @@ class Clip:
     @functools.cached_property
     def same_body(self) -> bool:
         """True if the bone lengths of both bodies agree to 1 %."""
-        bones = [
+        own, other = (
             np.linalg.norm(
                 [m.skeleton.offsets[m.skeleton.index(name)] for name in self.joints[1:]], axis=-1
             )
             for m in (self.generated, self.recording)
-        ]
+        )
         rounding = 1e-3 * body_scale(self.recording.skeleton)
-        return bool(np.allclose(*bones, rtol=0.01, atol=rounding))
+        return bool(np.allclose(own, other, rtol=0.01, atol=rounding))
 
 
 def load_clip(pair: Pair, fps: float | None = None, without: frozenset[str] = frozenset()) -> Clip:

@@ -72,7 +72,7 @@ def content_of(source: Path | ItemInterval) -> str | None:
     try:
         if isinstance(source, Path):
             return file_fingerprint(source)
-        item = source.item
+        item: Any = source.item  # a dataclass
         fields = {f.name: getattr(item, f.name) for f in dataclasses.fields(item)}
         if any(callable(value) for value in fields.values()):
             return None

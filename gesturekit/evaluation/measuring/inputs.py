@@ -80,7 +80,7 @@ class ReferenceStatistics:
         if self.limits is not None:
             found.update(repr(self.limits.joints).encode())
             for values in (self.limits.mean, self.limits.low, self.limits.high):
-                found.update(np.ascontiguousarray(values))
+                found.update(np.ascontiguousarray(values).data)
         return found.hexdigest()
 
 
@@ -189,7 +189,7 @@ class SetInputs:
     @property
     def windows(self) -> PoseWindows | None:
         """The windows of the feature extractor, or None."""
-        return self.model and self.model.windows
+        return None if self.model is None else self.model.windows
 
 
 def compute(

@@ -202,8 +202,8 @@ class _Judge:
     def _windows(self, ours: Sequence[_Recorded], theirs: Sequence[_Recorded]) -> dict[str, float]:
         try:
             joints = upper_joints(theirs[0].motion.skeleton)
-            sides = [[one.motion for one in side] for side in (ours, theirs)]
-            return own_windows(*sides, joints, self.seed, reach=False)
+            held, others = ([one.motion for one in side] for side in (ours, theirs))
+            return own_windows(held, others, joints, self.seed, reach=False)
         except GestureKitError:
             return {}
 

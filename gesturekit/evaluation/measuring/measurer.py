@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -292,7 +293,7 @@ class Measurer:
         return self._contents[pair]
 
     def _frechet(
-        self, clip_set: SetMetrics, recorded: MotionSample, seen: set[Window]
+        self, clip_set: SetMetrics, recorded: MotionSample, seen: AbstractSet[Window]
     ) -> dict[str, MetricResult]:
         """Compute the Fréchet distances of clips; `recorded` are the recordings of the clips."""
         if seen == {(key, None) for key in self.recordings}:

@@ -87,7 +87,7 @@ class PooledMetrics:
         if key not in self._of_window:
             motion = at_rate(clip.recording, FPS)
             self._recorded.add(motion)
-            self._digest.update(np.ascontiguousarray(motion.rotations))
+            self._digest.update(np.ascontiguousarray(motion.rotations).data)
             self._of_window[key] = _Window(
                 len(self._of_window),
                 clip.pair,

@@ -108,9 +108,9 @@ def _same_bones(motion: Motion, recording: Motion, joints: tuple[str, ...]) -> b
         above = next((a for a in other.ancestors(j) if a in known), None)
         if above is not None and other.names[j] not in moving:
             pairs.append((other.names[above], other.names[j]))
-    lengths = [_distances(rig, pairs) for rig in (one, other)]
+    own, wanted = _distances(one, pairs), _distances(other, pairs)
     rounding = _SHORTEST * body_scale(other)
-    return bool(np.allclose(*lengths, rtol=SAME_BONES, atol=rounding))
+    return bool(np.allclose(own, wanted, rtol=SAME_BONES, atol=rounding))
 
 
 def _distances(rig: Skeleton, pairs: list[tuple[str, str]]) -> np.ndarray:

@@ -76,7 +76,7 @@ class MotionSample:
         kept = []
         for owner, _, motion in whole:
             count = max(1, int(motion.duration / PIECE_SECONDS))
-            ends = np.arange(count + 1) * motion.n_frames // count
+            ends = [i * motion.n_frames // count for i in range(count + 1)]
             draws = np.random.default_rng([self._seed, owner]).random(count)
             kept += [
                 (owner, draw, copied(motion, start, stop))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -141,7 +142,7 @@ class SetMetrics:
             self._try(
                 metrics,
                 definition.key,
-                lambda definition=definition: self._of_sets(definition, full, compared, model),
+                partial(self._of_sets, definition, full, compared, model),
             )
         return metrics
 
@@ -201,11 +202,11 @@ class SetMetrics:
         """Keep every k-th pose of all clips; k is doubled when there are too many."""
         # Copies: a view would keep the poses that are dropped.
         step = self._pose_stride
-        both = similarity.pose_pair(clip.generated, clip.recording, clip.joints)
-        self._poses.append(tuple(side[::step].copy() for side in both))
+        ours, theirs = similarity.pose_pair(clip.generated, clip.recording, clip.joints)
+        self._poses.append((ours[::step].copy(), theirs[::step].copy()))
         while sum(len(ours) for ours, _ in self._poses) > _CCA_FRAMES:
             self._pose_stride *= 2
-            self._poses = [tuple(side[::2].copy() for side in pair) for pair in self._poses]
+            self._poses = [(one[::2].copy(), other[::2].copy()) for one, other in self._poses]
 
     def _compare_samples(self, clip: Clip) -> None:
         if len(self._samples) >= INTER_SAMPLES:

@@ -188,4 +188,4 @@ def segmentation_cost(distances: np.ndarray, shortest: int) -> float:
             along[column] = cost
             least = min(least, cost)
         best[start + shortest] = least
-    return best[n_rows]
+    return float(best[n_rows])

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -70,6 +71,7 @@ class Hands:
         return np.linalg.norm(velocities(self.paths), axis=-1)
 
 
+Moving = TypeVar("Moving", bound="Motion | Hands")
 HandMotions = Motions | Hands | Sequence[Hands]
 """Motions, or their hands alone."""
 LEAST_SEEDS = 9
@@ -208,8 +210,8 @@ def hand_paths(motion: Motion) -> np.ndarray:
         [[[0.71, 0.46, 0.0], [-0.71, 0.46, 0.0]]]
     """
     arms = find_parts(motion.skeleton).arms
-    wrists = [arms[side].wrist for side in SIDES]
-    if None not in wrists:
+    wrists = [wrist for side in SIDES if (wrist := arms[side].wrist) is not None]
+    if len(wrists) == len(SIDES):
         return body_centred(motion, wrists)
     elbows = [arms[side].elbow for side in SIDES]
     if not set(elbows) <= motion.skeleton.end_sites.keys():
@@ -333,7 +335,7 @@ def calm_and_lively(recorded: HandMotions, generated: Sequence[HandMotions]) -> 
     return CalmAndLively(r, slope, len(x))
 
 
-def as_list(motions: HandMotions) -> list[Motion | Hands]:
+def as_list(motions: Moving | Sequence[Moving]) -> list[Moving]:
     """Return one or several motions as a list.
 
     Raises:

@@ -332,10 +332,8 @@ def intra_diversity(samples: np.ndarray | Sequence[np.ndarray], window: int = 15
         >>> intra_diversity(np.array([[0.0], [3.0], [0.0], [3.0], [9.0]]), window=1)
         1.5
     """
-    if isinstance(samples, np.ndarray) and samples.ndim == 2:
-        samples = [samples]
-    values = []
-    for frames in _samples(samples, least=1):
+    is_one, values = isinstance(samples, np.ndarray) and samples.ndim == 2, []
+    for frames in _samples([np.asarray(samples)] if is_one else list(samples), least=1):
         _check_window(window, frames, frames, "ganimator", "sample")
         apart = np.sqrt(window_sums(frame_distances(frames, frames, squared=True), window))
         values.append(apart[:-1, :-1].mean() / window)

@@ -73,8 +73,8 @@ def wrist_speed(motion: Motion) -> np.ndarray:
         1.0
     """
     arms = find_parts(motion.skeleton).arms
-    wrists = [arms[side].wrist for side in SIDES]
-    if None in wrists:
+    wrists = [wrist for side in SIDES if (wrist := arms[side].wrist) is not None]
+    if len(wrists) < len(SIDES):
         raise MotionError("the rig has no wrist joints whose speed could be taken")
     return joint_speed(motion, wrists).mean(axis=1)
 

@@ -237,6 +237,7 @@ def motion_beats(
 
     if variant not in ("seconds", "bailando"):
         raise MotionError(f"beat alignment variant {variant!r}; expected seconds or bailando")
+    sigma: float
     if variant == "bailando":
         speed, sigma = joint_speed(motion, joints), SMOOTHING_FRAMES
     else:

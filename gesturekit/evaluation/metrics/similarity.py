@@ -111,7 +111,8 @@ def pose_pair(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the poses (T, 3 (J - 1)) of both motions over their common frames, metres."""
     n = min(motion.n_frames, recording.n_frames)
-    return tuple(root_relative(m, joints)[:n].reshape(n, -1) for m in (motion, recording))
+    ours, theirs = (root_relative(m, joints)[:n].reshape(n, -1) for m in (motion, recording))
+    return ours, theirs
 
 
 def pose_cca(motion: Motion, recording: Motion, joints: Sequence[str]) -> float:

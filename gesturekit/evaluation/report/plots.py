@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import matplotlib.figure
 import numpy as np
@@ -23,10 +24,11 @@ RECORDING = "#26303b"
 CHANCE = "#aab4be"
 _SOFT, _LINE = "#6b7785", "#d5dae0"
 
-_DASHED = {"color": RECORDING, "lw": 1.4, "ls": "--"}
-_OF_CHANCE = {"color": CHANCE, "ls": "", "ms": 12, "mew": 2.5}
-_BAR, _DOT = {"lw": 2}, {"ls": "", "marker": "o", "ms": 7}
-_BELOW = {"loc": "outside lower center", "ncols": 4, "frameon": False, "fontsize": 9}
+_DASHED: dict[str, Any] = {"color": RECORDING, "lw": 1.4, "ls": "--"}
+_OF_CHANCE: dict[str, Any] = {"color": CHANCE, "ls": "", "ms": 12, "mew": 2.5}
+_BAR: dict[str, Any] = {"lw": 2}
+_DOT: dict[str, Any] = {"ls": "", "marker": "o", "ms": 7}
+_BELOW: dict[str, Any] = dict(loc="outside lower center", ncols=4, frameon=False, fontsize=9)
 """Looks of lines, marks and legends."""
 
 _LEAST_RATIO = 0.01
@@ -140,7 +142,7 @@ def _wrists(evaluation: Evaluation) -> str | None:
     figure = new_figure(3.2)
     axes = figure.subplots()
     top = max(float(np.quantile(values, 0.995)) for _, values, _ in sets)
-    parts = axes.violinplot(
+    parts: dict[str, Any] = axes.violinplot(
         [values[values <= top] for _, values, _ in sets],
         positions=range(len(sets)),
         widths=0.8,

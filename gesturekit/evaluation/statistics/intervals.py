@@ -170,10 +170,10 @@ def bounds_of(
 
 def scaled_like(interval: Interval, value: float, within: tuple[float, float]) -> Interval:
     """Return an interval that is as wide about another value, on the scale of the metric."""
-    known = interval.low is not None and interval.high is not None
-    if not known or not within[0] < value < within[1]:
+    low, high = interval.low, interval.high
+    if low is None or high is None or not within[0] < value < within[1]:
         return replace(interval, value=value, low=None, high=None)
-    low, high = (_scale(bound, within) for bound in (interval.low, interval.high))
+    low, high = _scale(low, within), _scale(high, within)
     shift = _scale(value, within) - _scale(interval.value, within)
     return replace(
         interval,
@@ -291,7 +291,7 @@ def p_value(difference: float, error: float, free: int) -> float:
     return float(2.0 * t.sf(abs(difference) / error, free))
 
 
-def holm(p: Sequence[float]) -> np.ndarray:
+def holm(p: Sequence[float] | np.ndarray) -> np.ndarray:
     """Return p-values (K,) adjusted for K tests by Holm's step-down procedure (1979).
 
     NaN stays NaN and is not counted.

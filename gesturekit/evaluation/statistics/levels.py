@@ -31,10 +31,10 @@ OTHER_SOUND = "in_time_mismatched"
 """Key, among a recording's metrics, of its timing with the sounds of other recordings."""
 _BLIND = {"in_time": ("speech_blind", "other_utterance"), "likeness": ("speech_blind",)}
 """Labels of models that ignore the speech, and are floors of a metric."""
-ByTake = Callable[[ModelResult], Sequence[float]]
+ByTake = Callable[[ModelResult], Sequence[float] | np.ndarray]
 
 
-def level_of(name: str, values: Sequence[float], *, pieces: bool = False) -> Level:
+def level_of(name: str, values: Sequence[float] | np.ndarray, *, pieces: bool = False) -> Level:
     """Return the mean and the spread of one value a take."""
     spread = float(np.std(values, ddof=1)) if len(values) > 1 else None
     return Level(name, float(np.mean(values)), spread, len(values), pieces)
@@ -75,11 +75,12 @@ def _differ(ceiling: Level, floor: Level) -> bool:
     from scipy.stats import t
 
     gap = ceiling.value - floor.value
-    sides = [level for level in (ceiling, floor) if level.spread is not None]
-    free = sum(level.n - 1 for level in sides)
+    levels = (ceiling, floor)
+    sides = [(level.n - 1, level.spread) for level in levels if level.spread is not None]
+    free = sum(n for n, _ in sides)
     if not free:
         return gap > 0.0
-    variance = sum((level.n - 1) * level.spread**2 for level in sides) / free
+    variance = sum(n * spread**2 for n, spread in sides) / free
     means = sum(1.0 / level.n for level in (ceiling, floor) if level.n)
     return bool(gap > t.ppf(LEVEL, free) * np.sqrt(variance * means))
 

@@ -11,7 +11,7 @@ the recordings' own.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,7 +90,7 @@ def distance(key: str, value: np.ndarray | float, own: np.ndarray | float) -> np
     return np.maximum(0.0, gap) if enough == "at most" else np.abs(gap)
 
 
-def _direction(key: str, own: float, values: Sequence[float]) -> str:
+def _direction(key: str, own: float, values: Collection[float]) -> str:
     better = DEFINITIONS[key].better
     margin = 1e-6 * max(abs(own), 1e-6)
     if better == "higher" and all(value <= own + margin for value in values):
@@ -107,8 +107,8 @@ def _tested(
     if len(models) < 2 or not DEFINITIONS[key].tested or not models[0].metrics[key].informative:
         return None
     first, *others = sorted(models, key=lambda model: distances[model.label])
-    found = [_difference(key, first, other) for other in others]
-    if None in found:
+    found = [p for other in others if (p := _difference(key, first, other)) is not None]
+    if len(found) < len(others):
         return None
     return max(*found, _chance(key, first))
 
@@ -134,7 +134,7 @@ def _difference(key: str, one: ModelResult, other: ModelResult) -> float | None:
     if p is None:
         return None
     farther = p_of_difference(their_distances, our_distances, takes.speakers, above=True)
-    return p if farther <= 1.0 - NEARER else 1.0
+    return p if farther is not None and farther <= 1.0 - NEARER else 1.0
 
 
 def p_of_difference(

@@ -82,7 +82,7 @@ def _on_its_line(finding: Finding, result: MetricResult | None) -> Finding:
     floor, ceiling, value = on_its_floor(result), result.ceiling, result.interval.value
     if floor is not None:
         text = f"no higher than its floor, {level_text(floor)}"
-    elif finding.key != "novelty" and _is_above(value, ceiling):
+    elif finding.key != "novelty" and ceiling is not None and _is_above(value, ceiling):
         text = f"above its ceiling, {level_text(ceiling)}"
     else:
         return finding
@@ -101,7 +101,7 @@ def _cannot_be_answered(question: str, key: str, why: str) -> Finding:
 def _no_room(result: MetricResult) -> str:
     """Return in words that a floor reaches the ceiling; "" if none does."""
     floor = reached_floor(result)
-    if floor is None:
+    if floor is None or result.ceiling is None:
         return ""
     ceiling = level_text(result.ceiling)
     return f"the floor, {level_text(floor)}, is not surely below the ceiling, {ceiling}."
@@ -139,8 +139,8 @@ def likeness_result(
 def own_one_nn(metrics: Results) -> float:
     """Return the 1-NN accuracy of the recordings among each other, or its usual value."""
     result = metrics.get("one_nn")
-    known = result is not None and result.recording is not None
-    return result.recording if known else thresholds.USUAL_ONE_NN
+    known = None if result is None else result.recording
+    return thresholds.USUAL_ONE_NN if known is None else known
 
 
 def likeness_of(
@@ -185,7 +185,7 @@ def _means(
         clips: n clips.
         weights: (B, n) their weights. A measure that a clip with a weight lacks is left out.
     """
-    counts = weights.any(axis=0)
+    counts = np.asarray(weights.any(axis=0))
     total = np.maximum(weights.sum(axis=1), 1e-12)
 
     def means(sides: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
@@ -231,7 +231,7 @@ def _likeness(clips: Sequence[ClipResult], metrics: Results) -> Finding:
         return _cannot_be_answered(LIKE, "likeness", _no_room(result))
     found = _aspects(clips, own_one_nn(metrics))
     missed = [a for a in ASPECTS if a in found and found[a] < thresholds.NAMED_ASPECT]
-    missed.sort(key=found.get)
+    missed.sort(key=found.__getitem__)
     differs = f"; what differs: {listed(missed, len(ASPECTS))}" if missed else ""
     differs += _speakers(clips, own_one_nn(metrics))
     value = result.interval.value
@@ -362,7 +362,7 @@ def _rest_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
     rest, still = metrics.get("rest"), metrics.get("near_still")
     if still is not None and still.interval.value > (still.recording or 0.0) + thresholds.FROZEN:
         yield f"hands frozen in {still.interval.value:.0f} % of the time"
-    elif rest is not None and (rest.recording or 0.0) >= thresholds.FEW_RESTS:
+    elif rest is not None and rest.recording and rest.recording >= thresholds.FEW_RESTS:
         ratio = rest.interval.value / rest.recording
         if ratio < thresholds.HARDLY_EVER:
             yield "hardly ever at rest"

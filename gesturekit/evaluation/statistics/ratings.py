@@ -99,10 +99,10 @@ class _Table:
 
     def ratings(self, notes: Sequence[str] = (), *, paired: bool = False) -> Ratings:
         """Return what was added; of equal lines, one is kept, unless they are votes."""
-        indices = [np.frombuffer(column, np.int32) for column in self.indices]
+        indices: list[np.ndarray] = [np.frombuffer(column, np.int32) for column in self.indices]
         values = np.frombuffer(self.values, np.float64)
         if not paired:
-            order = np.lexsort((values, *indices))
+            order = np.lexsort([values, *indices])
             table = np.stack([*indices, values])[:, order]
             new = np.append(True, (np.diff(table) != 0.0).any(axis=0))
             if repeated := np.count_nonzero(~new):
@@ -163,9 +163,14 @@ def read_ratings(paths: Sequence[str | os.PathLike[str]]) -> Ratings:
 
 def _has_votes(path: Path) -> bool:
     """Return whether the header of a file is that of pairwise votes."""
-    headers: list[str] = []
-    next(csv_rows(path, lambda _, header: headers.extend(header) or header), None)
-    return "model_a" in headers or "model_b" in headers
+    headers: list[list[str]] = []
+
+    def keep(_: Path, header: list[str]) -> list[str]:
+        headers.append(header)
+        return header
+
+    next(csv_rows(path, keep), None)
+    return any({"model_a", "model_b"} & {*header} for header in headers)
 
 
 def _columns(path: Path, header: Sequence[str]) -> list[str]:

@@ -204,7 +204,7 @@ def _fold_ends(blocks: list[ParsedJoint]) -> list[ParsedJoint]:
     index: dict[int, int] = {-1: -1}
     for number, block in enumerate(blocks):
         block.parent = index[block.parent]
-        if block.is_end and not block.channels and number not in bears:
+        if block.is_end and block.offset and not block.channels and number not in bears:
             joints[block.parent].ends.append(block.offset)
         else:
             index[number] = len(joints)
@@ -262,9 +262,9 @@ def _parse_channels(text: str, lines: Lines) -> list[str]:
 
 def _parse_timing(lines: Lines, fps: float | None) -> tuple[int, str, float]:
     n_frames = frame_time = None
-    while n_frames is None or frame_time is None:
+    while n_frames is None or frame_time is None or fps is None:
         line = lines.next()
-        key, value = re.match(r"(?i)(frames|frame\s+time|)\s*:?\s*(.*)", line).groups()
+        key, value = re.findall(r"(?i)(frames|frame\s+time|)\s*:?\s*(.*)", line)[0]
         if key.upper() == "FRAMES":
             if not value.isdecimal() or len(value) > 18:
                 raise lines.error(f"Frames: {value[:40]!r}; expected a whole number")

@@ -134,7 +134,7 @@ def _line_by_line(
     text: str, lines: Lines, n_before: int, n_frames: int, n_channels: int
 ) -> np.ndarray:
     """(R, C) rows like those of `_bulk`; raise FormatError with the line of a wrong one."""
-    rows = []
+    rows: list[list[float]] = []
     for index, line in enumerate(text.split("\n")):
         words = line.split()
         if not words:

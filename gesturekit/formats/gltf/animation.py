@@ -106,7 +106,7 @@ class Animation:
             FormatError: too many frames.
             MotionError: an invalid rate.
         """
-        keys = {id(curve.times): curve.times for curve in self.curves.values()} or {0: [0.0]}
+        keys = {id(curve.times): curve.times for curve in self.curves.values()} or {0: np.zeros(1)}
         times = np.unique(np.concatenate([*keys.values()]))
         first, last = float(times[0]), float(times[-1])
         if fps is None and self.rate and _fits(times, self.rate):
@@ -203,13 +203,13 @@ class _Keys:
 
     def __init__(self, gltf: Gltf) -> None:
         self._gltf = gltf
-        self._times: dict[int, tuple[np.ndarray, np.ndarray | None]] = {}
+        self._times: dict[object, tuple[np.ndarray, np.ndarray | None]] = {}
         self._curves: dict[tuple[int, int, str, str], Curve] = {}
 
     def animation(self, entry: dict[str, Any], nodes: set[int]) -> Animation:
         """Return an animation with the curves of some nodes."""
         curves = {key: self._curve(one, key[1]) for key, one in self._samplers(entry, nodes)}
-        rate = self._gltf.object(entry, "extras").get("fps")
+        rate = self._gltf.object(entry, "extras").get("fps", 0)
         right = type(rate) in (int, float) and LOWEST_FPS <= rate <= HIGHEST_FPS
         return Animation(str(entry.get("name", "")), curves, float(rate) if right else None)
 

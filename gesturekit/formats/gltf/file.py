@@ -166,7 +166,7 @@ class Gltf:
                     raise self.error(f"cut short: {len(data)} of {n_data} bytes of arrays")
         return content[20:start]
 
-    def resource(self, uri: object) -> bytes:
+    def resource(self, uri: Any) -> bytes:
         """Return the bytes of a data URI, or of a file in the folder of this one.
 
         Raises:
@@ -214,7 +214,7 @@ class Gltf:
             self._checked.add(key)
         return found
 
-    def item(self, key: str, index: object) -> dict[str, Any]:
+    def item(self, key: str, index: Any) -> dict[str, Any]:
         """Return the object at an index of a list of the file."""
         items = self.items(key)
         return items[self.whole(index, len(items), f"index into {key}")]
@@ -226,7 +226,7 @@ class Gltf:
             raise self.error(f"{key} is not an object")
         return found
 
-    def whole(self, value: object, below: int, what: str) -> int:
+    def whole(self, value: Any, below: int, what: str) -> int:
         """Return a number that must be whole, at least 0, and below another."""
         if type(value) is not int or not 0 <= value < below:
             raise self.error(f"{what} is {str(value)[:40]}; expected 0 to {below - 1}")
@@ -246,14 +246,14 @@ class Gltf:
             )
         return np.array(found, float)
 
-    def buffer(self, index: object) -> bytes:
+    def buffer(self, index: Any) -> bytes:
         """Return the bytes of a buffer; without a uri it is the array part of a binary file."""
         buffer = self.item("buffers", index)
         if "uri" in buffer:
             return self.resource(buffer["uri"])
         return self._resources.get(None, b"") if index == 0 else b""
 
-    def view(self, index: object) -> bytes:
+    def view(self, index: Any) -> bytes:
         """Return the bytes of a buffer view."""
         data, start, size = self._span(self.item("bufferViews", index))
         return data[start : start + size]
@@ -268,7 +268,7 @@ class Gltf:
         start = self.whole(view.get("byteOffset", 0), len(data) - size + 1, "byteOffset")
         return data, start, size
 
-    def array(self, index: object, what: str, width: int) -> np.ndarray:
+    def array(self, index: Any, what: str, width: int) -> np.ndarray:
         """Return the numbers (N, width) of an accessor; normalised ones as floats.
 
         Raises:
@@ -316,13 +316,13 @@ class Gltf:
     def _spend(self, size: int, dtype: np.dtype, what: str) -> None:
         self.spend(what, decoded=size * dtype.itemsize, work=size // 4)
 
-    def _dtype(self, component: object, what: str) -> np.dtype:
+    def _dtype(self, component: Any, what: str) -> np.dtype:
         if type(component) is not int or component not in _COMPONENTS:
             raise self.error(f"{what} has components of type {str(component)[:40]!r}")
         return np.dtype(_COMPONENTS[component])
 
     def _elements(
-        self, place: dict[str, Any], dtype: np.dtype, width: int, count: object, what: str
+        self, place: dict[str, Any], dtype: np.dtype, width: int, count: Any, what: str
     ) -> np.ndarray:
         """Return a copy of `count` elements (N, width) that begin at a place in a buffer view."""
         view = self.item("bufferViews", place.get("bufferView"))

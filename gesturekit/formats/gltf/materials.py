@@ -117,5 +117,5 @@ def reduce_colours(colours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if len(palette) > _PALETTE:
         image = Image.fromarray(pixels[None]).quantize(_PALETTE, dither=Image.Dither.NONE)
         regions = np.asarray(image)[0]
-        palette = np.array(image.getpalette()[: 3 * _PALETTE], np.uint8).reshape(-1, 3)
+        palette = np.array((image.getpalette() or [])[: 3 * _PALETTE], np.uint8).reshape(-1, 3)
     return palette, regions.astype(np.uint8)

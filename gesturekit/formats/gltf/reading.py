@@ -201,7 +201,7 @@ def _rest(
         sites.setdefault(names[parent], []).append(site)
     n_joints = len(joints)
     parents = (-1, *above[1:n_joints])
-    return Skeleton(names, parents, offsets[:n_joints], end_sites=sites), turns[:n_joints]
+    return Skeleton(tuple(names), parents, offsets[:n_joints], end_sites=sites), turns[:n_joints]
 
 
 def _moved(

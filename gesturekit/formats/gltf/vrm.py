@@ -195,7 +195,7 @@ def avatar_bones(glb: Gltf) -> tuple[dict[int, str], bool]:
 
 def _bones_by_name(glb: Gltf) -> dict[int, str]:
     """Return {node: our bone} of Mixamo's and Ready Player Me's rigs, which have our names."""
-    ours, found = our_names(True), {}
+    ours, found = our_names(True), dict[str, int]()
     for node, entry in enumerate(glb.items("nodes")):
         name = _PREFIX.sub("", str(entry.get("name", "")), count=1)
         if name in ours.values():
@@ -252,7 +252,7 @@ class _Skins:
 
     def __init__(self, glb: Gltf, world: np.ndarray) -> None:
         self._glb, self.world = glb, world
-        self._read: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self._read: dict[object, tuple[np.ndarray, np.ndarray]] = {}
 
     def at(self, index: object) -> tuple[np.ndarray, np.ndarray]:
         """Return the nodes (J,) of a skin's joints, and the transforms (J, 4, 4) of vertices."""

@@ -250,7 +250,7 @@ def _animate(
     """Add an animation of nodes; what stands still has one key, but the first translation all."""
     n_frames = len(next(iter(rotations.values())))
     times = {n_frames: builder.bounded(np.arange(n_frames)[:, None] / fps)}
-    channels, samplers = [], []
+    channels, samplers = list[dict[str, Any]](), list[dict[str, Any]]()
     for path, curves in (("translation", translations), ("rotation", rotations)):
         for node, values in curves.items():
             keys = (steady_signs(values) if path == "rotation" else values).astype("<f4")

@@ -132,7 +132,7 @@ class BodyModel:
             return _read(archive, feet)
 
     def vertices_at_rest(
-        self, betas: ArrayLike = (), indices: Sequence[int] | None = None
+        self, betas: ArrayLike = (), indices: Sequence[int] | np.ndarray | None = None
     ) -> np.ndarray:
         """(N, 3) vertices of the unmoved body, all of them or those named, metres."""
         at = slice(None) if indices is None else list(indices)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -130,10 +131,11 @@ def _named(skeleton: Skeleton, found: PartFinder) -> BodyParts:
     def names(joints: list[int]) -> tuple[str, ...]:
         return tuple(skeleton.names[j] for j in joints)
 
-    def limb(side: str, parts: tuple[str, ...]) -> dict[str, str | None]:
+    def limb(side: str, parts: tuple[str, ...]) -> dict[str, Any]:
         joints = {part: found.limbs[f"{side}_{part}"] for part in parts}
         return {part: None if j is None else skeleton.names[j] for part, j in joints.items()}
 
+    assert found.pelvis is not None
     below_head = () if found.head is None else skeleton.descendants(found.head)
     return BodyParts(
         pelvis=skeleton.names[found.pelvis],
@@ -159,8 +161,10 @@ def find_legs(skeleton: Skeleton) -> Mapping[str, Leg] | None:
         found = find_leg_joints(skeleton)
     if found is None:
         return None
-    names = {part: None if j is None else skeleton.names[j] for part, j in found.items()}
-    return {side: Leg(**{part: names[f"{side}_{part}"] for part in LEG}) for side in SIDES}
+    joints: dict[str, Any] = {
+        part: j if j is None else skeleton.names[j] for part, j in found.items()
+    }
+    return {side: Leg(**{part: joints[f"{side}_{part}"] for part in LEG}) for side in SIDES}
 
 
 def leg_joints(skeleton: Skeleton, legs: Mapping[str, Leg]) -> set[str]:

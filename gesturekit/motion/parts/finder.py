@@ -79,7 +79,7 @@ class PartFinder:
             self._leg(side)
         self.has_legs = not self._is_legless()
         if not self.has_legs:
-            self.missing = []
+            self.missing.clear()
         guessed = bool(by_hand or self.missing)
         shape = self._limbs_by_shape() if self.missing else None
         check_limbs(skeleton, self.limbs, guessed)
@@ -170,11 +170,11 @@ class PartFinder:
 
     def _trunk(self, shape: Limbs | None) -> None:
         """Find pelvis, spine, neck and head from the limbs."""
-        limbs, name = self.limbs, self.skeleton.names
-        chest = self._meeting(limbs["left_shoulder"], limbs["right_shoulder"])
+        name = self.skeleton.names
+        chest = self._meeting(self._joint("left_shoulder"), self._joint("right_shoulder"))
         if self.has_legs:
-            pelvis = self._meeting(limbs["left_hip"], limbs["right_hip"])
-            self.pelvis = self._meeting(pelvis, chest)
+            pelvis = self._meeting(self._joint("left_hip"), self._joint("right_hip"))
+            self.pelvis: int | None = self._meeting(pelvis, chest)
         else:
             self.pelvis = self._lowest_of_trunk(chest)
         self.spine = [j for j in self._way_down(self.pelvis, chest) if j != self.pelvis]
@@ -202,13 +202,15 @@ class PartFinder:
         chest itself, where neck and head are too and a spine may lead downwards, if they are longer
         than an arm.
         """
-        skeleton, limbs = self.skeleton, self.limbs
-        chest = self._meeting(limbs["left_shoulder"], limbs["right_shoulder"])
+        skeleton = self.skeleton
+        shoulders = [self._joint(f"{side}_shoulder") for side in SIDES]
+        elbows = [self._joint(f"{side}_elbow") for side in SIDES]
+        chest = self._meeting(*shoulders)
         trunk = {chest, *skeleton.ancestors(chest)}
         # Forearms are about as long as upper arms, but may lack a wrist.
-        arm = sum(bone_length(skeleton, limbs[f"{s}_shoulder"], limbs[f"{s}_elbow"]) for s in SIDES)
+        arm = sum(bone_length(skeleton, *bone) for bone in zip(shoulders, elbows))
         heads = [j for j, b in enumerate(self.bare) if not self.side[j] and b.endswith(_HEAD)]
-        others = {limbs["left_elbow"], limbs["right_elbow"], *heads, self.by_hand.get("head")}
+        others = {*elbows, *heads, self.by_hand.get("head")}
         found = []
         for above in trunk:
             for j in set(skeleton.children(above)) - trunk:
@@ -243,14 +245,14 @@ class PartFinder:
             for j in arms
             if j is not None
         ]
-        self.pelvis = self._meeting(*hips) if len(hips) == 2 else None
+        pelvis = self._meeting(*hips) if len(hips) == 2 else None
         chest = self._meeting(hanging[0], hanging[-1]) if hanging else None
-        way = [] if None in (self.pelvis, chest) else self._way_down(self.pelvis, chest)
-        self.spine, self.neck = way[1:], []
+        way = [] if pelvis is None or chest is None else self._way_down(pelvis, chest)
+        self.pelvis, self.spine, self.neck = pelvis, way[1:], []
         named = [j for j, bare in enumerate(self.bare) if not side[j] and bare.endswith(_HEAD)]
         nearest = min(named, key=lambda j: self.skeleton.depth[j], default=None)
         self.head = self.by_hand.get("head", nearest)
-        if None not in (self.head, chest):
+        if self.head is not None and chest is not None:
             self.neck = self._way_down(chest, self.head)[1:-1]
 
     def _arm(self, side: str) -> None:
@@ -262,15 +264,21 @@ class PartFinder:
 
     def _leg(self, side: str) -> None:
         # A "leg" without a joint of its side above it is a thigh.
-        below_hip: set[int] = set()
+        below = set[int]()
         for j, above in enumerate(self.skeleton.parents):
-            if above in below_hip or (above >= 0 and self.side[above] == side):
-                below_hip.add(j)
-        below_hip = [j for j in sorted(below_hip) if self.side[j] == side]
+            if above in below or (above >= 0 and self.side[above] == side):
+                below.add(j)
+        below_hip = [j for j in sorted(below) if self.side[j] == side]
         knee = self._find(f"{side}_knee", below_hip, _KNEE, but=_NOT_KNEE)
         self._above(f"{side}_hip", knee, side)
         ankle = self._find(f"{side}_ankle", self._below(knee), _ANKLE)
         self._find(f"{side}_toe", self._below(ankle), _TOE, required=False)
+
+    def _joint(self, part: str) -> int:
+        """Return a joint of a limb that `check_limbs` requires."""
+        joint = self.limbs[part]
+        assert joint is not None
+        return joint
 
     def _below(self, joint: int | None) -> Iterable[int]:
         return () if joint is None else self.skeleton.descendants(joint)

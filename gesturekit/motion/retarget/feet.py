@@ -78,12 +78,12 @@ class FootMotion:
         lowest = {side: np.minimum(ankles[side], toes[side])[:, 1] for side in SIDES}
         still = np.concatenate([lowest[side][standing[side]] for side in SIDES])
         fallback = np.quantile(np.minimum(lowest["left"], lowest["right"]), 0.05)
-        hips = sum(positions[:, frames.joints[f"{side}_hip"]] for side in SIDES) / 2
+        left_hip, right_hip = (positions[:, frames.joints[f"{side}_hip"]] for side in SIDES)
         return cls(
             ankles,
             toes,
             standing,
-            hips,
+            (left_hip + right_hip) / 2,
             stretch,
             float(np.median(still) if len(still) > 10 else fallback),
         )
@@ -107,10 +107,11 @@ class FootMotion:
             own = source.foot_heights(side)
             if self.standing[side].sum() >= _FEWEST_STANDING:
                 still = self.standing[side]
-                own = tuple(
+                ankle, toe = (
                     float(np.median(points[side][still, 1])) - self.floor
                     for points in (self.ankles, self.toes)
                 )
+                own = ankle, toe
             scaled = own[0] * scale, own[1] * scale
             found[side] = own, scaled if same else target.foot_heights(side)
         return found
@@ -140,7 +141,8 @@ class FootTargets:
 
     def hip_centre(self, positions: np.ndarray) -> np.ndarray:
         """(T, 3) midpoint between the target's hips, from joint positions (T, J, 3), metres."""
-        return sum(positions[:, self.target.joints[f"{side}_hip"]] for side in SIDES) / 2
+        left, right = (positions[:, self.target.joints[f"{side}_hip"]] for side in SIDES)
+        return (left + right) / 2
 
     def hips(self, world: np.ndarray) -> np.ndarray:
         """(T, 3) target midpoint between the hips, metres.
@@ -148,8 +150,9 @@ class FootTargets:
         Args:
             world: (T, J, 4) world rotations of the target's joints.
         """
-        ankle = [np.mean([self.heights[side][i][0] for side in SIDES]) for i in (0, 1)]
-        hips = self._scaled(self.source.hips, *ankle)
+        before, after = [np.mean([self.heights[side][i][0] for side in SIDES]) for i in (0, 1)]
+        assert self.shift is not None
+        hips = self._scaled(self.source.hips, float(before), float(after))
         return hips + rotate_vectors(self._heading(world), np.broadcast_to(self.shift, hips.shape))
 
     def mean_shift(self, world: np.ndarray) -> np.ndarray:

@@ -98,7 +98,7 @@ def _arms(frames: BodyFrames, positions: np.ndarray, world: np.ndarray) -> dict[
 
 def _between_shoulders(arms: dict[str, np.ndarray]) -> np.ndarray:
     """(T, 3) midpoint of the shoulders, metres."""
-    return sum(arm[:, 0] for arm in arms.values()) / 2
+    return (arms["left"][:, 0] + arms["right"][:, 0]) / 2
 
 
 def _span(arms: dict[str, np.ndarray]) -> float:

@@ -94,7 +94,7 @@ class Transfer:
         self._skeleton, self._parts, self._target_parts = skeleton, parts, target_parts
         self._feet, self._pose = feet, pose
         self._source: BodyFrames | None = None
-        self._targets: FootTargets | None = None
+        self._targets: FootTargets
         self._path: tuple[np.ndarray, float] | None = None
 
     def __call__(self, motion: Motion) -> Motion:
@@ -102,7 +102,7 @@ class Transfer:
         skeleton = self._skeleton
         source, same = self._source, _is_one_rig(skeleton, motion.skeleton)
         is_first = source is None
-        if is_first:
+        if source is None:
             source_parts = find_parts(motion.skeleton, self._parts)
             source = body_frames(motion.skeleton, source_parts, standing_pose(motion, source_parts))
         own = _Posed(motion, motion.positions(), motion.global_rotations())
@@ -158,6 +158,7 @@ class Transfer:
         rotations = _local_rotations(world, skeleton)
         origin = np.zeros((len(world), 3))
         positions = forward_kinematics(rotations, origin, skeleton, moving)
+        assert self._source is not None
         rotations = place_hands(self._source, self._target, *own[1:], positions, rotations)
         return rotations, positions
 
@@ -196,6 +197,7 @@ class Transfer:
         """
         skeleton, target = self._skeleton, self._target
         rotations, positions = self._arms(own, world, moving)
+        assert self._source is not None
         pelvis = own.positions[:, self._source.joints["pelvis"]]
         body = positions[:, target.joints["pelvis"]]
         if self._path is None:
@@ -245,7 +247,8 @@ def _world_rotations(
     rests = motion.rotations if same else np.tile(target.pose, (motion.n_frames, 1, 1))
     pelvis, carrier = target.joints["pelvis"], _carrier(target)
     world = np.empty((motion.n_frames, skeleton.n_joints, 4))
-    back = invert_quaternions([target.from_anatomical[each] for each in segment_of.values()])
+    anatomical = [target.from_anatomical[each] for each in segment_of.values()]
+    back = invert_quaternions(np.stack(anatomical))
     own = np.stack([frames[segment] for segment in segment_of.values()], axis=1)
     world[:, list(segment_of)] = multiply_quaternions(own, back)
     for j, parent in enumerate(skeleton.parents):

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -25,6 +26,7 @@ from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.resampling import resample
 from gesturekit.training.data.own_rig import on_rig
 
+Share = TypeVar("Share", float, np.ndarray)
 _BLEND = 0.4
 """Seconds over which generated motion is blended to the end of a clip."""
 
@@ -131,10 +133,10 @@ class InbetweenClips:
         for begin, clip in self.clips:
             stop = begin + clip.n_frames
             rotations[begin:stop], translation[begin:stop] = clip.rotations, clip.translation
-            faces = [values for values in (face, clip.expressions) if values is not None]
-            has_face = len(faces) == 2 and faces[0].shape[1] == faces[1].shape[1]
-            if has_face:
-                face[begin:stop] = clip.expressions
+            shown, faces = clip.expressions, None
+            if face is not None and shown is not None and face.shape[1] == shown.shape[1]:
+                faces = face
+                faces[begin:stop] = shown
             for name, values in moving.items():
                 still = clip.skeleton.offsets[skeleton.index(name)]
                 values[begin:stop] = clip.joint_translations.get(name, still)
@@ -143,8 +145,8 @@ class InbetweenClips:
                     frame = edge + step * k
                     if not self._is_free(frame, motion.n_frames):
                         break
-                    if has_face:
-                        face[frame] += _ease(1 - fraction) * (face[edge] - face[frame])
+                    if faces is not None:
+                        faces[frame] += _ease(1 - fraction) * (faces[edge] - faces[frame])
                     rotations[frame, others] = slerp(
                         rotations[frame, others],
                         rotations[edge, others],
@@ -296,6 +298,6 @@ def _fractions(count: int) -> np.ndarray:
     return np.arange(1, count) / count
 
 
-def _ease(share: np.ndarray | float) -> np.ndarray | float:
+def _ease(share: Share) -> Share:
     """Return the smoothstep 3 s^2 - 2 s^3."""
     return share * share * (3 - 2 * share)

@@ -61,7 +61,7 @@ class KeyframeConstraint:
         normaliser: Normaliser,
     ) -> None:
         self.given = normaliser.from_values(given)
-        self.weight = _widened(edited.any(axis=1)).to(self.given.dtype)
+        self.weight = _widened(np.asarray(edited.any(axis=1))).to(self.given.dtype)
         self.channels = torch.ones(given.shape[1], 1)
         self.channels[representation.layout.contacts] = 0
         legs = np.ones(given.shape[1], bool)
@@ -71,7 +71,7 @@ class KeyframeConstraint:
         for name in set(representation.joints) & set(upper):
             legs[representation.joint_columns(name)] = False
         # If every frame was edited, the foot positions were not chosen on purpose: lock them.
-        feet = edited[:, legs].any(axis=1)
+        feet = np.asarray(edited[:, legs].any(axis=1))
         self._feet = _widened(feet & ~feet.all())
 
     def __call__(self, level: int, output: Tensor) -> Tensor:

@@ -102,6 +102,7 @@ class DiscriminatorStep:
         )
         kernels_by_window = torch.from_numpy(of_score + of_penalty)
         score = self.discriminator.score
+        assert score.bias is not None
         score.weight.grad = kernels_by_window.sum(dim=0, keepdim=True)
         score.bias.grad = torch.zeros_like(score.bias)
         if self.style is not None:
@@ -135,7 +136,7 @@ class DiscriminatorStep:
             weights = np.concatenate([weights, weights])
         slope = np.float32(SLOPE)
         scores = kernels.score(signals[-1], weights, score_gradients, slope, gradient)
-        by_weight, by_bias = [], []
+        by_weight, by_bias = list[Tensor](), list[np.ndarray]()
         for i in reversed(range(len(self.convs))):
             conv, weight = self.convs[i], self.weights[i]
             by_weight.insert(0, conv.weight_gradient(signals[i], gradient, packing))

@@ -201,8 +201,8 @@ class _SparseChain(torch.autograd.Function):
         if torch.is_grad_enabled():
             inputs = [part for part, want in zip((x, *parameters), wanted, strict=True) if want]
             made = convolve_dense(layers, x, slopes[0], slopes[-1])
-            found = iter(torch.autograd.grad(made, inputs, gradient, create_graph=True))
-            by_input, *by_parameters = (next(found) if want else None for want in wanted)
+            derivatives = iter(torch.autograd.grad(made, inputs, gradient, create_graph=True))
+            by_input, *by_parameters = (next(derivatives) if want else None for want in wanted)
             return by_input, None, None, None, *by_parameters
         gradient = packing.pack(gradient, reflect=False)
         if slopes[-1] != 1:

@@ -64,7 +64,7 @@ class Rectifier(NamedTuple):
         gate: (C, width), scale by the slope where it is not above 0; (0, width) to use the output.
     """
 
-    slope: float
+    slope: float | np.floating
     gate: np.ndarray
 
 

@@ -70,10 +70,11 @@ def run_tasks(*tasks: Callable[[], T]) -> list[T]:
     torch's default modes (gradients, autocast) and sets those it needs. The kernels it calls share
     the threads that are left. Outside of that context tasks run one after another.
     """
-    count = min(_local.kernel_threads or 1, len(tasks))
+    threads = _local.kernel_threads or 1
+    count = min(threads, len(tasks))
     if count == 1:
         return [task() for task in tasks]
-    own_threads = _local.kernel_threads // count
+    own_threads = threads // count
     left, made = deque(enumerate(tasks)), {}
 
     def work() -> None:

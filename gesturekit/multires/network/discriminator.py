@@ -61,6 +61,7 @@ class LevelDiscriminator(nn.Module):
             style: (B, K) one-hot; zeros for a motion without a style.
             convolve: implementation of the convolutions.
         """
+        assert self.score.bias is not None
         x = convolve(self.layers, x, SLOPE, SLOPE)
         # Scores are means over time with small differences: too fine for half precision.
         with torch.autocast(x.device.type, enabled=False):

@@ -17,6 +17,7 @@ from gesturekit.multires.network.skeleton_conv import (
     SLOPE,
     Convolve,
     convolve_dense,
+    module_list,
     skeleton_layers,
 )
 
@@ -42,9 +43,8 @@ class Film(nn.Module):
         self.register_buffer("index", index, persistent=False)
         self.gain = nn.Conv1d(embedding, int(channels.sum()), 1)
         self.shift = nn.Conv1d(embedding, int(channels.sum()), 1)
-        for layer in (self.gain, self.shift):
-            nn.init.zeros_(layer.weight)
-            nn.init.zeros_(layer.bias)
+        for parameter in (*self.gain.parameters(), *self.shift.parameters()):
+            nn.init.zeros_(parameter)
 
     def forward(self, x: Tensor, y: Tensor) -> Tensor:
         """Return x (B, C, T) modulated by y (B, embedding, T)."""
@@ -82,13 +82,13 @@ class LevelGenerator(nn.Module):
         super().__init__()
         self.layers = skeleton_layers(representation, config, output=True)
         if not n_condition:
-            self.films = nn.ModuleList()
+            self.films: Sequence[Film] = module_list([])
             return
         blocks = modulated_blocks(representation, config)
         self.embed = nn.Conv1d(n_condition, config.embedding, 1)
         self.rectify_embedding = config.rectify_embedding
         modulated = self.layers[:1] if config.film == "input" else self.layers
-        self.films = nn.ModuleList(
+        self.films = module_list(
             Film(config.embedding, np.repeat(blocks, layer.sizes[0])) for layer in modulated
         )
 
@@ -131,7 +131,7 @@ class MultiresGenerator(nn.Module):
         self, representation: MultiresRepresentation, n_condition: int, config: NetworkConfig
     ) -> None:
         super().__init__()
-        self.levels = nn.ModuleList(
+        self.levels = module_list(
             LevelGenerator(representation, n_condition, config) for _ in range(config.levels)
         )
 
@@ -161,6 +161,7 @@ class MultiresGenerator(nn.Module):
         for i, (noise, n_frames) in enumerate(zip(noises, lengths, strict=True)):
             level = self.levels[first + i]
             if coarser is None:
+                assert noise is not None
                 up = noise.new_zeros(len(noise), level.layers[0].shape[1], n_frames)
             else:
                 up = resample(coarser.detach(), n_frames)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -22,6 +23,7 @@ from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.resampling import reflect
 
+Modules = TypeVar("Modules", bound=nn.Module)
 _MOST_WEIGHTS = 1 << 27  # of a dense kernel; GANimator's have 0.3 million
 SLOPE = 0.2
 """Negative slope of the leaky rectifiers, as in GANimator."""
@@ -104,9 +106,15 @@ class SkeletonConv1d(nn.Module):
         return F.conv1d(reflect(x, self.padding), self.dense_weight(), self.bias)
 
 
+def module_list(modules: Iterable[Modules]) -> Sequence[Modules]:
+    """Return torch's list of these modules, with their type, which torch's own lacks."""
+    found: Any = nn.ModuleList(modules)
+    return found
+
+
 def skeleton_layers(
     representation: MultiresRepresentation, config: NetworkConfig, *, output: bool
-) -> nn.ModuleList:
+) -> Sequence[SkeletonConv1d]:
     """Return the skeleton convolutions of one level, from motion vectors to hidden features.
 
     Args:
@@ -115,7 +123,7 @@ def skeleton_layers(
         output: add a last layer, back to motion vectors.
     """
     near, sizes = _sizes(representation, config, output)
-    return nn.ModuleList(
+    return module_list(
         SkeletonConv1d(near, *pair, config.kernel) for pair in itertools.pairwise(sizes)
     )
 

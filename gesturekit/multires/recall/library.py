@@ -328,6 +328,7 @@ class RecallLibrary:
             curves = [profile[:1] for profile in self._profiles[i]]
             own.append(arm.blend(curves, self.lengths, arm.n_frames).double().numpy())
         # A conditional mean has the right times, but smaller peaks than the pieces have.
+        assert self.wanted is not None
         goals = np.stack([fast / max(self.wanted.fast.r, LEAST_R)] * len(own))
         offsets = time_offsets(np.concatenate(own), goals, self.level_fps, self.stretch)
         return [replace(arm, offsets=offsets) for arm in pieces]

@@ -25,8 +25,7 @@ _LEAST_SPREAD = 1e-6
 _CURVES = ("motion", "passive", "profiles", "states", "directions", "defective")
 _REGRESSION = ("mean", "weights", "offset", "r")
 _FACTORS = ("mean_counts", "spread", "across_takes")
-_BASES = ("fast_basis", "slow_basis")
-_PREDICTION = (*_BASES, "voices")
+_PREDICTION = ("fast_basis", "slow_basis", "voices")
 _SLOW_STATE = {"explained": (-2, 2), "mixing": (-2, 2), "between": (0, 1), "width": (0.1, 100)}
 """Ranges of the slow state's tensors."""
 _TAKE = (0.1, 1e7)  # seconds; a single take may have hours
@@ -99,7 +98,7 @@ def library_tensors(library: RecallLibrary) -> dict[str, Tensor]:
         return tensors
     for name in _PREDICTION:
         tensors[f"recall.{name}"] = _tensor(getattr(wanted, name))
-    predictions = {"recall": wanted}
+    predictions: dict[str, Any] = {"recall": wanted}
     predictions |= {f"recall.ahead.{i}": one for i, one in enumerate(library.ahead)}
     for where, prediction in predictions.items():
         for part in ("fast", "slow"):
@@ -218,6 +217,8 @@ def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> 
     for one in library.ahead:
         _check_range("ahead.look_ahead", one.look_ahead, 0, 1)
         try:
+            if library.wanted is None:
+                raise ValueError("those of the whole sound are missing")
             one(FeatureWindow(rows, averages), library.wanted)
         except (AttributeError, IndexError, ValueError) as error:
             raise ValueError(f"recall: live predictions do not fit ({error})") from None
@@ -232,7 +233,8 @@ def _wanted(
     return WantedMovement(
         fps,
         tuple(map(int, speech["effort"])),
-        *(tensors[f"recall.{name}"].numpy() for name in _BASES),
+        tensors["recall.fast_basis"].numpy(),
+        tensors["recall.slow_basis"].numpy(),
         _regression(tensors, "recall.fast"),
         _regression(tensors, "recall.slow"),
         float(speech["mean_counts"]),
@@ -258,7 +260,7 @@ def _ahead(
 
 
 def _regression(tensors: Mapping[str, Tensor], where: str) -> Regression:
-    arrays = {name: tensors[f"{where}.{name}"].numpy() for name in _REGRESSION}
+    arrays: dict[str, Any] = {name: tensors[f"{where}.{name}"].numpy() for name in _REGRESSION}
     return Regression(**{**arrays, "offset": float(arrays["offset"]), "r": float(arrays["r"])})
 
 

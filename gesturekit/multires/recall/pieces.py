@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -275,7 +276,9 @@ class PieceSearch:
         if first is None:
             first = int(torch.randint(self.hop, (), generator=rng))
         earlier = ((first, 0), (0, 0))
-        wider = [None if row is None else np.pad(row, earlier, mode="edge") for row in rows]
+        wider: list[Any] = [
+            None if row is None else np.pad(row, earlier, mode="edge") for row in rows
+        ]
         return self.choose(rng, *wider).beginning_at(first)
 
     def choose(

@@ -100,7 +100,7 @@ class SlowState:
             fps: frames per second.
         """
         explained, trust, noise = np.zeros(len(scores[0])), 0.0, scores
-        if wanted is not None:
+        if wanted is not None and wanted.slow.left_out is not None:
             predicted, trust = wanted.slow.left_out, wanted.trust
             explained = np.concatenate(scores, axis=1) @ predicted / len(predicted)
             ends = np.cumsum([own.shape[1] for own in scores])[:-1]

@@ -377,6 +377,7 @@ def _steadied(
         slow: (T_k,) recorded slow part.
         takes: take of each recording.
     """
+    assert regression.left_out is not None
     ends = np.cumsum([len(own) for own in slow])[:-1]
     predicted = np.split(regression.left_out, ends)
     names, counts = list(dict.fromkeys(takes)), _MEAN_COUNTS

@@ -6,7 +6,6 @@ import logging
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import NoneType
 
 import numpy as np
 
@@ -92,20 +91,19 @@ class Request:
             clips = InbetweenClips(controls.keep, model.representation, fps)
         if controls.path is not None:
             path = as_root_path(controls.path, model.representation.scale)
-        fitted = partial(
-            fit_keyframes, model.representation, start, fps, n_levels, controls.keyframe_level - 1
-        )
+        edited, level = None if controls.keyframes is None else start, controls.keyframe_level - 1
         length_given = speech is not None or seconds is not None
         if not length_given:
-            start = start if controls.keyframes is None else fitted(None)
+            if edited is not None:
+                start = fit_keyframes(model.representation, edited, fps, n_levels, level, None)
             seconds = _own_seconds(fps, start, clips, path)
-        if conditioner is not None and not isinstance(speech, (af.Wave, NoneType)):
+        if conditioner is not None and speech is not None and not isinstance(speech, af.Wave):
             speech = af.Wave.load(speech)
         features = speech_features(conditioner, speech, seconds, fps, controls.vad)
         n_frames = len(features)
-        if controls.keyframes is not None and length_given:
-            start = fitted(n_frames)
-        if controls.like is not None:
+        if edited is not None and length_given:
+            start = fit_keyframes(model.representation, edited, fps, n_levels, level, n_frames)
+        if controls.like is not None and start is not None:
             _warn_of_held_pose(start, n_frames / fps)
         if clips is not None:
             clips.check_end(n_frames)
@@ -113,7 +111,7 @@ class Request:
         margin = model.network_config.margin if start is None and not fewer_levels else 0
         return cls(
             controls=controls,
-            wave=speech,
+            wave=speech if isinstance(speech, af.Wave) else None,
             features=_with_margins(features, margin),
             margin=margin,
             lengths=af.level_lengths(n_frames + 2 * margin, n_levels),
@@ -144,7 +142,8 @@ def _level_speech(
     found, conditioner = [], model.conditions.conditioner
     for levels, speech in _level_speech_ranges(controls, model.network_config.levels):
         features = speech_features(conditioner, speech, None, model.fps, controls.vad)[:n_frames]
-        if missing := n_frames - len(features):
+        missing = n_frames - len(features)
+        if missing and conditioner is not None:
             features = np.concatenate([features, conditioner.silence(missing)])
         found.append((levels, _with_margins(features, margin)))
     return tuple(found)

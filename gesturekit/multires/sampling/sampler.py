@@ -22,7 +22,7 @@ from gesturekit.multires.constraints.keyframes import (
 )
 from gesturekit.multires.constraints.path import PathConstraint
 from gesturekit.multires.network.resampling import resample_smoothly
-from gesturekit.multires.recall.library import RecalledMotion
+from gesturekit.multires.recall.library import RecalledMotion, RecallLibrary
 from gesturekit.multires.sampling.conditions import requested_styles
 from gesturekit.multires.sampling.request import Request
 from gesturekit.multires.sampling.trained_model import Pyramid, TrainedModel
@@ -78,7 +78,7 @@ class Sampler:
             motion = self._along_path(pyramid)
         else:
             output = pyramid.random()
-            if choice is not None:
+            if choice is not None and pyramid.recalled is not None:
                 output = self._at_rest(output, choice, pyramid.recalled)
             values = self._cropped(output)
             motion = self._finished(self._decoded(values), values)
@@ -151,10 +151,16 @@ class Sampler:
             styles=styles[library.level - 1][0].argmax(dim=0).numpy() if styles else None,
         )
 
+    @property
+    def _library(self) -> RecallLibrary:
+        """The library of a request with recalled motion."""
+        assert self.request.library is not None
+        return self.request.library
+
     def _recalled_level(self, choice: RecalledMotion) -> Tensor:
         """Return the recalled motion (1, D, T_i) of its level, normalised."""
-        motions = [recording.motion for recording in self.request.library.recordings]
-        return choice.vectors(motions, self.request.lengths[self.request.library.level - 1])[None]
+        motions = [recording.motion for recording in self._library.recordings]
+        return choice.vectors(motions, self.request.lengths[self._library.level - 1])[None]
 
     def _at_rest(self, values: np.ndarray, choice: RecalledMotion, recalled: Tensor) -> np.ndarray:
         """Return vectors (T, D) without the detail of finer levels where a recalled hand rests.
@@ -163,14 +169,14 @@ class Sampler:
         """
         # Linear interpolation would leave a corner at every frame of the recalled level.
         coarse = self.model.normaliser.to_values(resample_smoothly(recalled, len(values)))
-        library = self.request.library
+        library = self._library
         profiles = choice.profiles(library.recordings, len(values))
         return coarse + library.detail(profiles).T * (values - coarse)
 
     def _with_passive(self, motion: Motion, choice: RecalledMotion | None) -> Motion:
         """Return the motion with the fingers and the face of the recalled pieces, if any."""
         library = self.request.library
-        if choice is None or library.passive.is_empty:
+        if choice is None or library is None or library.passive.is_empty:
             return motion
         curves = [recording.passive for recording in library.recordings]
         columns = library.passive.columns(library.parts)
@@ -184,16 +190,16 @@ class Sampler:
 
     def _along_path(self, pyramid: Pyramid) -> Motion:
         """Generate a motion whose root follows the path."""
-        output = pyramid.random(constraint=self.constraint)
-        values = self._cropped(self.constraint.placed(output))
-        motion = moved(
-            self.model.representation, self._decoded(values), self.request.path.positions[0]
-        )
+        constraint, path = self.constraint, self.request.path
+        assert isinstance(constraint, PathConstraint) and path is not None
+        values = self._cropped(constraint.placed(pyramid.random(constraint=constraint)))
+        motion = moved(self.model.representation, self._decoded(values), path.positions[0])
         return self._finished(motion, values, keep_path=True)
 
     def _between_clips(self, pyramid: Pyramid, choice: RecalledMotion | None) -> Motion:
         """Generate the motion before, between and after the given clips."""
         clips = self.request.clips
+        assert clips is not None
         values = self._cropped(pyramid.random(constraint=self.constraint))
         given = clips.given(self.request.n_frames)
         motion = self._finished(clips.placed(values), values, given=given, keep_path=True)
@@ -213,7 +219,7 @@ class Sampler:
         given = constraint.edited_feet(n_frames)
         free = self._smoothed(self._decoded(values))
         locked = self._locked(free, values, given=given)
-        frames = edited.any(axis=1)
+        frames = np.asarray(edited.any(axis=1))
         if not frames.any():
             return locked
         # Foot locking moves the root, so its drift is known only now. Feet are locked again on the
@@ -226,6 +232,7 @@ class Sampler:
         """Return the vectors (T_i, D) that replace a level, and (T_i, D) bool where edited."""
         representation, fps = self.model.representation, self.model.fps
         start, lengths = self.request.start, pyramid.lengths
+        assert start is not None
         values = motion_level(representation, start, fps, lengths, level)
         if start.n_frames != lengths[level]:
             return values, np.ones(values.shape, bool)

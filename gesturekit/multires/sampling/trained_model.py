@@ -115,7 +115,7 @@ class RandomNoise:
         ]
 
     def shuffled(
-        self, gaussian: Tensor, styles: Sequence[Sequence[int]], rng: torch.Generator
+        self, gaussian: Tensor | None, styles: Sequence[Sequence[int]], rng: torch.Generator
     ) -> Tensor:
         """Return the noise (B, 1 or D, T_1) of the first level: z* patches if there are any.
 
@@ -125,6 +125,7 @@ class RandomNoise:
             rng: random generator of the patches.
         """
         if self.patches is None:
+            assert gaussian is not None
             return gaussian
         return torch.cat([self.patches.draw(row, rng) for row in styles])
 
@@ -197,6 +198,12 @@ class TrainedModel(BaseModel):
     fastest: float
 
     @property
+    def recall_library(self) -> RecallLibrary:
+        """The library of a model with recall."""
+        assert self.library is not None
+        return self.library
+
+    @property
     def inputs(self) -> Inputs:
         """Inputs besides style and speaker."""
         speech = self.conditions.conditioner
@@ -247,9 +254,10 @@ class Pyramid:
         """
         lengths, level, recalled = self.lengths[:levels], self.recalled_level, self.recalled
         if recalled is None:
-            noises = self.noise.gaussian(lengths, self.rng_of)
-            noises[0] = self.noise.shuffled(noises[0], [self._coarsest_styles()], self.rng_of(0))
-            return self._sampled(noises, lengths, constraint)
+            assert self.noise is not None and self.rng_of is not None
+            first, *finer = self.noise.gaussian(lengths, self.rng_of)
+            first = self.noise.shuffled(first, [self._coarsest_styles()], self.rng_of(0))
+            return self._sampled([first, *finer], lengths, constraint)
         if len(lengths) <= level:
             return self.model.normaliser.to_values(resample(recalled, lengths[-1]))
         coarser = recalled if constraint is None else constraint(level, recalled)
@@ -280,6 +288,7 @@ class Pyramid:
     ) -> np.ndarray:
         """Return the output (T, D) of the last of the levels with these lengths, given `level`."""
         first, lengths = level + 1, lengths[level + 1 :]
+        assert self.noise is not None and self.rng_of is not None
         noises = self.noise.gaussian(lengths, self.rng_of, first=first)
         return self._sampled(noises, lengths, constraint, first=first, coarser=coarser)
 
@@ -347,9 +356,9 @@ def sample(
         (B, D, T); `tile` changes it by the rounding of sums only.
     """
     if coarser is None:
-        coarser = noises[0].new_zeros(
-            len(noises[0]), network.levels[0].layers[0].shape[1], lengths[0]
-        )
+        assert noises[0] is not None
+        n_columns = network.levels[0].layers[0].shape[1]
+        coarser = noises[0].new_zeros(len(noises[0]), n_columns, lengths[0])
     levels = network.levels[first : first + len(lengths)]
     backend = choose_backend("auto", *levels)
     with backend.threads():

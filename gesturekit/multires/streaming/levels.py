@@ -64,12 +64,13 @@ class FinerLevels:
     def __init__(
         self, model: TrainedModel, lengths: Sequence[int], styles: Sequence[Tensor], part: range
     ) -> None:
-        networks, self._levels = model.network.levels[model.library.level :], []
+        first, self._levels = model.recall_library.level, list[_Level]()
+        networks = model.network.levels[first:]
         self._backend = choose_backend("auto", *networks)
         self._columns = model.conditions.columns
         identity = np.eye(lengths[-1], dtype=np.float32)
         condition = LevelConditions([identity] * len(lengths), lengths, model.conditions.residual)
-        for i in reversed(range(model.library.level, len(lengths))):
+        for i in reversed(range(first, len(lengths))):
             level = model.network.levels[i]
             begin = max(0, part.start - halo(level))
             end = min(lengths[i], part.stop + halo(level))
@@ -115,6 +116,7 @@ def _prepared(
     level: LevelGenerator, up: Tensor, features: Tensor, style: Tensor, kept: slice
 ) -> _Level:
     """Return a level for its conditions: `features`, see `_Level`, and style (K, T)."""
+    assert level.embed.bias is not None
     weight = level.embed.weight[..., 0]
     speech, own = weight.split([weight.shape[1] - len(style), len(style)], dim=1)
     offset = level.embed.bias[:, None] + own @ style
@@ -127,8 +129,11 @@ def _padded(film: Film) -> list[tuple[Tensor, Tensor]]:
     """Return weights (C, E) and biases (C,) of gain and shift; 1 and 0 where a channel has none."""
     return [
         (
-            F.pad(conv.weight[..., 0], (0, 0, 1, 0))[film.index],
-            F.pad(conv.bias, (1, 0))[film.index] + usual,
+            F.pad(weight[..., 0], (0, 0, 1, 0))[film.index],
+            F.pad(bias, (1, 0))[film.index] + usual,
         )
-        for conv, usual in ((film.gain, 1.0), (film.shift, 0.0))
+        for (weight, bias), usual in (
+            (film.gain.parameters(), 1.0),
+            (film.shift.parameters(), 0.0),
+        )
     ]

@@ -160,11 +160,12 @@ class LivePlan:
 
     def _steadied(self, slow: float | None) -> float | None:
         """Return the slow prediction, its mean so far reduced as in `WantedMovement`."""
-        if slow is None:
+        wanted = self.library.wanted
+        if slow is None or wanted is None:
             return None
         self._slow += slow, 1.0
         mean = self._slow[0] / (self._slow[1] + _STEADY_SECONDS * self.library.fps)
-        return slow - (1 - self.library.wanted.mean_counts) * mean
+        return slow - (1 - wanted.mean_counts) * mean
 
     @cached_property
     def _mood_seed(self) -> int:

@@ -85,6 +85,7 @@ class MultiresStream:
         self.model, self.sample_rate, self.fps = model, sample_rate, model.fps
         self._around = round(_AROUND_SECONDS * model.fps)
         most = self._around + 1 + math.ceil(predictions[0].look_ahead * model.fps)
+        assert model.conditions.conditioner is not None
         self._speech = SpeechStream(model.conditions.conditioner, sample_rate, most)
         ahead = [self._speech.rows_ahead(prediction.look_ahead) for prediction in predictions]
         self._predictions, self._ahead = predictions, ahead[0]
@@ -102,14 +103,14 @@ class MultiresStream:
         self._levels = FinerLevels(model, lengths, styles, range(used[0], used[-1] + 1))
         # Times of the recalled level's frames, and of the finest level's, relative to the current.
         frames = np.array(self._levels.recalled)
-        coarse = (frames + 0.5) * (n / lengths[model.library.level - 1]) - 0.5 - self._around
+        coarse = (frames + 0.5) * (n / lengths[model.recall_library.level - 1]) - 0.5 - self._around
         near = np.arange(-self._around // 4, self._around // 4 + 1.0)
         self._times, self._n_coarse = np.concatenate([coarse, near]), len(coarse)
         self._shown = used - self._around - int(near[0])
         choice = LiveChoice(
             seed, item, controls.speaker, style, controls.liveliness, controls.mood_seed
         )
-        self._plan = LivePlan(model.library, choice, self._around)
+        self._plan = LivePlan(model.recall_library, choice, self._around)
         own = None if controls.speaker is None else model.speakers[controls.speaker]
         self._own = own
         self.skeleton: Skeleton = model.skeleton if own is None else own
@@ -170,18 +171,17 @@ class MultiresStream:
         return self._step(np.zeros(max(silence, 0), np.float32), total)
 
     def _step(self, samples: np.ndarray, most: float) -> Motion | None:
-        passive, frames = self.model.library.passive, []
+        passive, frames = self.model.recall_library.passive, []
         for window in self._speech.push(samples):
             while self.n_frames < min(most, self._speech.n_rows - self._ahead):
                 frame = self._placed(self._vector(window))
-                channels = self._plan.passive()
-                frames.append(passive.applied(frame, lambda _, own=channels: own))
+                frames.append(passive.applied(frame, partial(_same, self._plan.passive())))
                 self.n_frames += 1
         return stacked(frames) if frames else None
 
     def _vector(self, window: FeatureWindow) -> np.ndarray:
         """Return the motion vector (D,) of the next frame."""
-        model, library = self.model, self.model.library
+        model, library = self.model, self.model.recall_library
         self._plan.advance(*self._predicted(window))
         recalled, n = torch.from_numpy(self._plan.vectors(self._times)).T, self._n_coarse
         movement = model.representation.n_features
@@ -197,7 +197,7 @@ class MultiresStream:
 
     def _predicted(self, window: FeatureWindow) -> tuple[Forecast | None, float | None]:
         """Return predictions of fast and slow movement; None without."""
-        wanted = self.model.library.wanted
+        wanted = self.model.recall_library.wanted
         if wanted is None:
             return None, None
         found = [prediction(window, wanted) for prediction in self._predictions]
@@ -270,8 +270,12 @@ def _styles(
     styles = requested_styles(model.styles, controls, lengths, fps=model.fps, rng=rng)
     if any((own != own[..., :1]).any() for own in styles):
         raise ModelError(f"style={controls.style!r}: a stream takes one style, without times")
-    return styles, int(styles[model.library.level - 1][0, :, 0].argmax())
+    return styles, int(styles[model.recall_library.level - 1][0, :, 0].argmax())
 
 
 _STATE = ("n_frames", "_samples", "_place")
 _PARTS = ("_speech", "_plan", "_feet")
+
+
+def _same(channels: Tensor, _: slice) -> Tensor:
+    return channels

@@ -76,14 +76,13 @@ def with_live_predictions(model: MultiresModel, items: Sequence[Item]) -> Multir
             [(rows, row - ahead) for row, rows in windows if 0 <= row - ahead < len(movement)]
             for windows, movement in zip(speeches, fast, strict=True)
         ]
+        frames = [[frame for _, frame in own] for own in pairs]
         predictions.append(
             AheadPrediction.fit(
                 look_ahead,
                 [[rows for rows, _ in own] for own in pairs],
-                *(
-                    [curve[[frame for _, frame in own]] for curve, own in zip(curves, pairs)]
-                    for curves in (fast, scores)
-                ),
+                [curve[own] for curve, own in zip(fast, frames)],
+                [curve[own] for curve, own in zip(scores, frames)],
                 [item.take for item in chosen],
                 library.wanted,
                 sets,
@@ -91,7 +90,7 @@ def with_live_predictions(model: MultiresModel, items: Sequence[Item]) -> Multir
             )
         )
     model = replace(model, library=replace(library, ahead=tuple(predictions)))
-    log.info("Live: %s.", *live_rows(model.library).values())
+    log.info("Live: %s.", *live_rows(model.recall_library).values())
     return model
 
 
@@ -105,7 +104,7 @@ def fit_live(model: MultiresModel, corpus: Path) -> None:
     folder = model.folder
     items = training_items(Manifest.load(corpus), corpus, with_audio=True)
     fitted = with_live_predictions(model, items)
-    if fitted is model:
+    if fitted is model or folder is None:
         raise ModelError(
             f"{folder}: the model cannot stream: it needs recall, acoustic features, and speech "
             "that predicted movement in training"
@@ -113,14 +112,14 @@ def fit_live(model: MultiresModel, corpus: Path) -> None:
     readme = (folder / "README.md").read_text(encoding="utf-8").splitlines()
     kept = [line for line in readme if not line.startswith("- **Live**")]
     last = max((i for i, line in enumerate(kept) if line.startswith("- **")), default=-1)
-    rows = [f"- **{name}**: {text}" for name, text in live_rows(fitted.library).items()]
+    rows = [f"- **{name}**: {text}" for name, text in live_rows(fitted.recall_library).items()]
     kept[last + 1 : last + 1] = rows
     save_model(folder, *fitted.parts(), "\n".join(kept) + "\n")
 
 
 def _movement(model: MultiresModel, item: Item) -> tuple[np.ndarray, np.ndarray]:
     """Return the fast movement of both hands together (T,), and the slow one of each (H, T)."""
-    representation, parts, fps = model.representation, model.library.parts, model.fps
+    representation, parts, fps = model.representation, model.recall_library.parts, model.fps
     hands = [i for i, part in enumerate(parts) if part.is_arm] or [0]
     motion = item.load_motion(model.skeleton.parts).resample(fps)
     values = torch.from_numpy(representation.encode(motion).T).float()

@@ -98,7 +98,7 @@ class TrainingData:
 
     def save(self, folder: Path) -> None:
         """Write the data into a folder, from which a resumed run loads it."""
-        tensors = {
+        tensors: dict[str, Any] = {
             "silence": self.silence,
             "motion.mean": self.normaliser.mean,
             "motion.scale": self.normaliser.scale,
@@ -142,7 +142,7 @@ class TrainingData:
             WeightsError: the WavLM weights differ from those at the start of the run.
         """
 
-        def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
+        def assemble(about: dict[str, Any], tensors: dict[str, Any]) -> TrainingData:
             joints, expressions = about["passive"]
             skeleton = Skeleton.from_json(about["skeleton"])
             representation = MultiresRepresentation.from_json(skeleton, about["motion"])
@@ -159,7 +159,7 @@ class TrainingData:
                 paired = tuple(
                     PairedSequence(
                         name,
-                        *(tensors[f"paired.{i}.{part}"] for part in PairedSequence.TENSORS),
+                        *[tensors[f"paired.{i}.{part}"] for part in PairedSequence.TENSORS],
                         *others,
                     )
                     for i, (name, *others) in enumerate(labels)

@@ -37,6 +37,7 @@ def chosen_parts(data: TrainingData, config: MultiresConfig) -> tuple[Cut, ...] 
         data: of the run.
         config: of the run; `recall.minutes` is the length of the library.
     """
+    assert config.recall is not None
     wanted = round(60 * config.recall.minutes * config.fps)
     total = sum(sequence.n_frames for sequence in data.paired)
     if total <= wanted:

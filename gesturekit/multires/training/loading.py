@@ -72,7 +72,7 @@ def load_training_data(
         maker = MotionArrays(rig, representation, passive, config.fps, config.face_forward)
         del motions, vectors  # the sample is read again, from the arrays
         speech_maker = None
-        if extractor is not None:
+        if extractor is not None and config.features is not None:
             speech_maker = SpeechArrays(config.features, config.fps, device, extractor)
         read = read_on_disk(config, recordings, maker, normaliser, speech_maker, fitted)
     window = config.training.window
@@ -219,8 +219,8 @@ def _paired(
             config.seed,
             full_noise=config.z_star == "full",
         )
-        about = {"style": style, "speaker": item.speaker, "take": item.take}
-        paired.append(replace(sequence, **about))
+        about = replace(sequence, style=style, speaker=item.speaker, take=item.take)
+        paired.append(about)
     return paired
 
 

@@ -113,7 +113,7 @@ def _curves(
     representation, found = data.representation, []
     joints = representation.joints
     for sequence in sequences:
-        values = data.normaliser.inverse(sequence.motion[None])[0]
+        values = data.normaliser.inverse(sequence.motion[:, :][None])[0]
         places = joint_places(representation, fps, values)
         arms = [hand_directions(part, joints, fps, places) for part in parts[:2] if part.is_arm]
         found.append(
@@ -133,7 +133,7 @@ def _wanted(
     """Return the prediction of movement from speech; None if there is no speech or it fails."""
     if data.conditioner is None:
         return None
-    speeches = [sequence.speech.numpy() for sequence in data.sample]
+    speeches = [sequence.speech[:, :].numpy() for sequence in data.sample]
     smaller = (data.conditioner.acoustic, data.conditioner.prosody)
     wanted = WantedMovement.fit(
         speeches,
@@ -162,12 +162,14 @@ def _recalled(
     """Return a recording with its curves (C, T) at the recalled level."""
     n = af.level_lengths(sequence.n_frames, levels)[level - 1]
     return RecalledRecording(
-        resample(sequence.motion[None], n)[0].contiguous(),
-        resample(sequence.passive[None], n)[0].contiguous(),
-        *(torch.from_numpy(averaged(rows, n)).float() for rows in (profiles, states, directions)),
-        sequence.speaker,
-        sequence.style,
-        torch.from_numpy(_any_near(defects, n)),
+        motion=resample(sequence.motion[:, :][None], n)[0].contiguous(),
+        passive=resample(sequence.passive[:, :][None], n)[0].contiguous(),
+        profiles=torch.from_numpy(averaged(profiles, n)).float(),
+        states=torch.from_numpy(averaged(states, n)).float(),
+        directions=torch.from_numpy(averaged(directions, n)).float(),
+        speaker=sequence.speaker,
+        style=sequence.style,
+        defective=torch.from_numpy(_any_near(defects, n)),
     )
 
 

@@ -76,9 +76,9 @@ class Stage:
         ).to(self.device)
         self.backend = choose_backend(config.backend, self.generators, self.discriminators)
         self.batches = Batches(data, config, network, first, self.backend.convolve, library)
-        rate, betas = config.training.learning_rate, config.training.betas
+        rate, (beta, decay) = config.training.learning_rate, config.training.betas
         self.optimisers = {
-            name: torch.optim.Adam(networks.parameters(), lr=rate, betas=betas, fused=True)
+            name: torch.optim.Adam(networks.parameters(), lr=rate, betas=(beta, decay), fused=True)
             for name, networks in (
                 ("generator", self.generators),
                 ("discriminator", self.discriminators),
@@ -268,7 +268,7 @@ class Stage:
         mixes = [torch.rand(batch, 1, 1, generator=rng).to(self.device) for _ in reals]
         with self._precision():
             gaps = self.backend.discriminator_gradients(
-                self.discriminators,
+                [own for own in self.discriminators if isinstance(own, LevelDiscriminator)],
                 [real[share] for real in reals],
                 fakes,
                 [mix[share] for mix in mixes],
@@ -287,9 +287,9 @@ class Stage:
         conditions = self._style_conditions(windows.styles)
         aims: list[Tensor] = []
         if self.targets:
-            pairs = zip(self.targets, windows.speech, strict=True)
+            pairs = zip(self.targets, windows.speech or (), strict=True)
             aims = self._within([target(speech) for target, speech in pairs], n_frames)
-            if windows.recalled is not None:
+            if windows.recalled is not None and self.config.recall is not None:
                 share = self.config.recall.own_movement
                 for i, motion in enumerate(self._within(windows.recalled, n_frames)):
                     values, stride = self.normaliser.inverse(motion), n_frames / motion.shape[-1]
@@ -314,11 +314,12 @@ class Stage:
                 )
                 parts["contact_labels"] = kinematics.contact_labels(values)
             places = kinematics.places(values) if smooth or detailed else None
-            if smooth:
+            if smooth and places is not None:
                 parts["bend"] = kinematics.bend(values, places, stride)
-            if weights.coarse and level:
-                parts["coarser"] = windows.coarser if i == 0 else made[i - 1].detach()
-                parts["downsampled"] = resample(made[i], parts["coarser"].shape[-1])
+            coarser = made[i - 1].detach() if i else windows.coarser
+            if weights.coarse and coarser is not None:
+                parts["coarser"] = coarser
+                parts["downsampled"] = resample(made[i], coarser.shape[-1])
             if detailed:
                 parts["detail"] = self.details[level](places, windows.styles[:, level])
             if aims and moves:
@@ -349,9 +350,10 @@ class Stage:
     def _reconstruction_step(self, n_frames: int, rng: torch.Generator) -> float:
         """Make a generator step on recordings reconstructed from z* and their speech (eq. 15)."""
         windows = self._draw("paired", n_frames, rng)
+        targets = windows.targets or ()
         if self.config.losses.rec_input == "real":
             # Both levels upsample recorded motion.
-            below = (windows.coarser, *windows.targets)
+            below = (windows.coarser, *targets)
             with self._precision():
                 made = [
                     self.network(
@@ -362,11 +364,11 @@ class Stage:
                         lengths=[target.shape[-1]],
                         convolve=self.backend.convolve,
                     )[0].float()
-                    for i, target in enumerate(windows.targets)
+                    for i, target in enumerate(targets)
                 ]
         else:
             made = self._generate(windows)
-        self._descend(lambda i: LossInputs(generated=made[i], recorded=windows.targets[i]))
-        pairs = zip(made, windows.targets, strict=True)
+        self._descend(lambda i: LossInputs(generated=made[i], recorded=targets[i]))
+        pairs = zip(made, targets, strict=True)
         errors = [reconstruction(level.detach(), recorded) for level, recorded in pairs]
         return float(torch.stack(errors).mean())

@@ -88,7 +88,7 @@ def check_styles(
     Raises:
         ConfigError: a style that the model does not know, or only one of them has styles.
     """
-    if start is not None:
+    if start is not None and config.start_from is not None:
         known, wanted = {"styles": list(start.styles)}, {"styles": list(styles)}
         check_conditions(config.start_from, known, wanted)
 
@@ -102,6 +102,7 @@ def representation_on_bones_of(
         ConfigError: the recordings have another rig, or other parts of the body are identified.
     """
     folder, known = config.start_from, start.representation
+    assert folder is not None
     check_rig("start_from", folder, known.skeleton, motions[0].skeleton, config.corpus)
     own = known.on_bones_of(motions)
     for what, joints in (("feet", _feet), ("upper body", _modulated)):

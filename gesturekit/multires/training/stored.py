@@ -152,8 +152,8 @@ class StoredCorpus:
                 full_noise=config.z_star == "full",
                 sigma=sigma,
             )
-            about = {"style": style, "speaker": speaker, "take": take}
-            paired.append(replace(made, passive=passive, **about))
+            about = replace(made, passive=passive, style=style, speaker=speaker, take=take)
+            paired.append(about)
         return tuple(paired), tuple(unpaired)
 
 
@@ -203,10 +203,10 @@ def read_on_disk(
         lengths = [min(n, array.shape[0]) for n, array in zip(lengths, speech, strict=True)]
     cuts = tuple(
         (excerpt.index, *excerpt.frames(fps, lengths[excerpt.index]))
-        for excerpt in recordings.excerpts
+        for excerpt in recordings.excerpts or ()
     )
     conditioner = fitted
-    if conditioner is None and speech_maker is not None:
+    if conditioner is None and speech_maker is not None and config.features is not None:
         spoken = [(speech[i], start, stop) for i, start, stop in cuts]
         for excerpt in systematic_sample(others, 60 * config.in_memory):
             array = alone[excerpt.index]

@@ -128,9 +128,9 @@ def arm_targets(
             if n < 2:
                 continue  # a single frame has no speed
             stride = sequence.n_frames / n
-            values = values_of(resample(sequence.motion[None].to(device), n))
+            values = values_of(resample(sequence.motion[:, :][None].to(device), n))
             movements.append(recorded_movement(kinematics, values, stride, floors)[0])
-            speeches.append(resample(sequence.speech.to(device), n))
+            speeches.append(resample(sequence.speech[:, :].to(device), n))
         target = ArmTarget(stride / kinematics.fps).to(device)
         targets.append(target.fit(speeches, movements))
     return targets
@@ -146,6 +146,9 @@ class ArmTarget(nn.Module):
     Args:
         frame_seconds: time between two frames of the level.
     """
+
+    weights: Tensor
+    range: Tensor
 
     def __init__(self, frame_seconds: float) -> None:
         super().__init__()
@@ -227,6 +230,8 @@ class DetailTarget(nn.Module):
         styles: number of styles; 1 without styles.
     """
 
+    floor: Tensor
+
     def __init__(
         self,
         sequences: Sequence[PairedSequence],
@@ -241,7 +246,7 @@ class DetailTarget(nn.Module):
         share = MOST_WINDOWS / sum(sequence.n_frames for sequence in sequences)
         for sequence in sequences:
             whole = af.level_lengths(sequence.n_frames, levels)[level]
-            motion = resample(sequence.motion[None], whole)
+            motion = resample(sequence.motion[:, :][None], whole)
             size = whole
             if window is not None and window < sequence.n_frames:
                 size = max(2, round(whole * window / sequence.n_frames))

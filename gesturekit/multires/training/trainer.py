@@ -9,6 +9,7 @@ import time
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -168,7 +169,8 @@ class Trainer:
             return replace(config, losses=replace(config.losses, contact=0.0))
         if not missing:
             return config
-        off, follows = {"arm_speed": 0.0, "arm_acceleration": 0.0}, []
+        off: dict[str, Any] = {"arm_speed": 0.0, "arm_acceleration": 0.0}
+        follows = []
         if config.uses_arm_speed:
             follows.append("no losses on the arms")
         if find_legs(skeleton) is None:
@@ -376,7 +378,7 @@ class Trainer:
         corpus = self.config.corpus
         try:
             items = training_items(Manifest.load(corpus), corpus, with_audio=True)
-            return with_live_predictions(model, items).library.ahead
+            return with_live_predictions(model, items).recall_library.ahead
         except (GestureKitError, af.AudioFeaturesError) as error:
             # A trained model is worth more than its use for live speech.
             log.warning("The model cannot stream, without predictions for live speech: %s", error)
@@ -410,7 +412,7 @@ class Trainer:
             fastest=self.data.representation.scale
             * max(
                 fastest_second(
-                    self.data.normaliser.to_values(sequence.motion[None])[:, root_xz],
+                    self.data.normaliser.to_values(sequence.motion[:, :][None])[:, root_xz],
                     self.config.fps,
                 )
                 for sequence in self.data.sample

@@ -133,13 +133,13 @@ class WindowCache:
         self, speech: Tensor, styles: Tensor, rng: torch.Generator
     ) -> list[RecalledMotion]:
         """Return the recalled pieces for windows of speech (N, S, T) with styles (N, L)."""
-        level = self.library.level
-        wanted = [None] * len(speech)
+        library, wanted = self.library, [None] * len(speech)
+        assert library is not None
         if self.data.styles:
-            n = af.level_lengths(speech.shape[-1], self.config.network.levels)[level - 1]
-            wanted = styles[:, level - 1, None].expand(-1, n).numpy()
+            n = af.level_lengths(speech.shape[-1], self.config.network.levels)[library.level - 1]
+            wanted = styles[:, library.level - 1, None].expand(-1, n).numpy()
         return [
-            self.library.recall(window.numpy(), lambda _: rng, styles=own)
+            library.recall(window.numpy(), lambda _: rng, styles=own)
             for window, own in zip(speech, wanted, strict=True)
         ]
 
@@ -280,14 +280,14 @@ class WindowCache:
         if motion is not None:
             return level, resample(motion.to(self.device), lengths[level - 1])
         recordings = [recording.motion for recording in self.library.recordings]
-        vectors = [choice.vectors(recordings, lengths[level - 1]) for choice in recalled]
+        vectors = [choice.vectors(recordings, lengths[level - 1]) for choice in recalled or ()]
         return level, torch.stack(vectors).to(self.device)
 
     def _recorded(
         self, recalled: Sequence[RecalledMotion], lengths: Sequence[int]
     ) -> tuple[Tensor, ...]:
         """Return recalled pieces as recorded, (N, D, T_i) for each length."""
-        motions = [sequence.motion for sequence in self.data.recalled]
+        motions = [sequence.motion[:, :] for sequence in self.data.recalled]
         return tuple(
             torch.stack([choice.vectors(motions, n) for choice in recalled]).to(self.device)
             for n in lengths

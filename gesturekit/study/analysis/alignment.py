@@ -39,7 +39,7 @@ class AlignmentScore:
     """
 
     name: str
-    counts: tuple[int, int, int, int, int]
+    counts: tuple[int, ...]
     raters: int
     score: Estimate
     win_rate: Estimate

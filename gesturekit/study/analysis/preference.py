@@ -127,7 +127,7 @@ class PairScore:
 
     a: str
     b: str
-    counts: tuple[int, int, int, int, int]
+    counts: tuple[int, ...]
     raters: int
     win_rate: Estimate
     mean: float

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from audio_features.atomic import write_text
+from gesturekit.study.analysis.alignment import Alignment
 from gesturekit.study.analysis.plots import all_plots
 from gesturekit.study.analysis.preference import Preference
 from gesturekit.study.analysis.result import (
@@ -55,7 +56,7 @@ def write_study_report(
         section("What may be concluded", "", _list(conclusions(found)) + _notes(found)),
         *(_preference_sections(found.preference, "") if found.preference else ()),
         *(s for name, one in found.by_style.items() for s in _preference_sections(one, name)),
-        *([_alignment_section(found)] if found.alignment else ()),
+        *([_alignment_section(found.alignment)] if found.alignment else ()),
         plots_section(all_plots(found)),
         _reasons(found),
         _excluded(found),
@@ -201,7 +202,7 @@ def _matrix(preference: Preference) -> str:
     return _table(("", *names), rows)
 
 
-def _alignment_section(found: StudyResult) -> str:
+def _alignment_section(alignment: Alignment) -> str:
     systems = _table(
         (
             "System",
@@ -222,15 +223,15 @@ def _alignment_section(found: StudyResult) -> str:
                 _estimate(s.win_rate, 0, 100.0),
                 _p(s.p_holm),
             )
-            for s in found.alignment.systems
+            for s in alignment.systems
         ),
     )
     pairs = _table(
         ("Difference between", "p (Barnard)", "p (Holm)"),
-        ((f"{a} : {b}", p_text(p), _p(q)) for a, b, p, q in found.alignment.differences),
+        ((f"{a} : {b}", p_text(p), _p(q)) for a, b, p, q in alignment.differences),
     )
     lead = "Matched against mismatched motion of the same system; chance is 50 %."
-    body = systems + (pairs if found.alignment.differences else "")
+    body = systems + (pairs if alignment.differences else "")
     return section("Alignment with speech", lead, body)
 
 

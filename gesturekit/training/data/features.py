@@ -202,6 +202,7 @@ class SpeechArrays:
     def origin(self, item: Item) -> dict[str, Any]:
         """Return all that the features of an item depend on."""
         words = item.conditions.get("words") if takes_words(self.extractor) else None
+        assert item.audio is not None
         own = [path and file_fingerprint(path) for path in own_files(self.extractor, item.audio)]
         return ({"features": own} if own else {}) | {
             "audio": file_fingerprint(item.audio),

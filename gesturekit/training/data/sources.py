@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -47,7 +47,8 @@ class TrainedSegment:
 
         Without `read`, paths replace the fingerprints of its files.
         """
-        content = file_fingerprint if read else str
+        content: Callable[[Path], str] = file_fingerprint if read else str
+        assert item.motion is not None
         return cls(
             id=item.id,
             motion=content(item.motion),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+from typing import Any
 
 import torch
 
@@ -37,7 +38,7 @@ def prepare_device(name: str, threads: int | None = None) -> torch.device:
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         torch.use_deterministic_algorithms(True, warn_only=True)
         # It would fill every new tensor, for programs that read memory before they write it.
-        torch.utils.deterministic.fill_uninitialized_memory = False
+        torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]  # made at run time
         # By default a GPU rounds the inputs of float32 convolutions to TF32, 10 bits, but not those
         # of matrix products. bfloat16 is the setting for speed.
         torch.backends.cudnn.allow_tf32 = False
@@ -52,7 +53,9 @@ def memory_ran_out(error: torch.cuda.OutOfMemoryError) -> str:
 
 def warn_of_slow_bfloat16(device: torch.device) -> None:
     """Warn if the processor has no bfloat16 arithmetic, and single precision is faster."""
-    known = getattr(torch.cpu, "get_capabilities", dict)()  # newer torch alone has it
+    known: dict[str, Any] = getattr(
+        torch.cpu, "get_capabilities", dict
+    )()  # newer torch alone has it
     has_bfloat16 = known.get("avx512_bf16") or known.get("amx_bf16")
     if device.type == "cpu" and known.get("avx2") and not has_bfloat16:
         log.warning(

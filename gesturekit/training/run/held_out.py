@@ -6,7 +6,7 @@ import logging
 import shlex
 import shutil
 import time
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -38,8 +38,11 @@ NO_VERDICT = "No verdict: the clips are too short, or the rig's arms and legs ar
 
 
 class _Model(Protocol):
-    fps: float
-    inputs: Any
+    @property
+    def fps(self) -> float: ...
+
+    @property
+    def inputs(self) -> Any: ...
 
     @property
     def styles(self) -> Collection[str]: ...
@@ -47,7 +50,8 @@ class _Model(Protocol):
     @property
     def speakers(self) -> Collection[str]: ...
 
-    def generate(self, *args: Any, **controls: Any) -> Motion: ...
+    @property
+    def generate(self) -> Callable[..., Any]: ...
 
 
 class HeldOutMetrics:

@@ -21,6 +21,7 @@ import sys
 import tempfile
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -111,7 +112,8 @@ def bake(wheel: Path) -> None:
     with atomic_write(LICENCE) as temporary:
         temporary.write_text(licence, encoding="utf-8")
     with atomic_write(BAKED) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, made_by=_digest(), **arrays)
+        everything: dict[str, Any] = {"made_by": _digest(), **arrays}
+        np.savez_compressed(file, **everything)
 
 
 def _digest() -> str:

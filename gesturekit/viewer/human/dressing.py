@@ -70,14 +70,18 @@ def _hems(bones: list[str], heads: np.ndarray) -> Iterator[_Hem]:
         "top",
     )
     yield lambda p: _hair(p - head), {"Head"}, "hair", "skin"
-    for side in ("Left", "Right"):
+
+    def of_side(side: str) -> Iterator[_Hem]:
         elbow, wrist = at(f"{side}ForeArm"), at(f"{side}Hand")
         arm = {f"{side}Arm", f"{side}ForeArm", *(b for b in bones if b.startswith(f"{side}Hand"))}
         along = (wrist - elbow) / ((wrist - elbow) @ (wrist - elbow))
-        yield lambda p, a=along, e=elbow: (p - e) @ a - _SLEEVE, arm, "skin", "top"
+        yield lambda p: (p - elbow) @ along - _SLEEVE, arm, "skin", "top"
         foot = {f"{side}{bone}" for bone in ("UpLeg", "Leg", "Foot", "ToeBase")}
         ankle = at(f"{side}Foot")[1] + _CUFF
-        yield lambda p, a=ankle: a - p[:, 1], foot, "shoes", "trousers"
+        yield lambda p: ankle - p[:, 1], foot, "shoes", "trousers"
+
+    yield from of_side("Left")
+    yield from of_side("Right")
 
 
 def _hair(places: np.ndarray) -> np.ndarray:

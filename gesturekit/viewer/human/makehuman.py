@@ -42,7 +42,8 @@ class Wheel:
 
     def obj(self, name: str) -> tuple[np.ndarray, dict[str, list[list[int]]]]:
         """Return vertices (V, 3) and faces by group, indices from 0."""
-        vertices, groups, faces = [], {}, []
+        vertices, faces = [], list[list[int]]()
+        groups: dict[str, list[list[int]]] = {}
         for line in self.text(name).splitlines():
             kind, *words = line.split() or [""]
             if kind == "v":

@@ -14,6 +14,7 @@ lengths of one dancer). Only kinetic features can have their values (variant "re
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,7 @@ _AROUND = 2  # frames on either side in a running mean
 
 # Relation, joints, threshold and its unit of length (angles: lower and upper limit, degrees). As in
 # the released code, "move" does not use its fourth joint.
-_GEOMETRIC = (
+_GEOMETRIC: tuple[tuple[Any, ...], ...] = (
     ("nmove", "neck", "rhip", "lhip", "rwrist", 1.8, "arm"),
     ("nmove", "neck", "lhip", "rhip", "lwrist", 1.8, "arm"),
     ("nplane", "chest", "neck", "neck", "rwrist", 0.2, "arm"),

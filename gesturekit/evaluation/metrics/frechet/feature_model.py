@@ -80,7 +80,7 @@ def reconstruction_loss(made: Tensor, windows: Tensor) -> Tensor:
     return (error + steps).sum()
 
 
-def _block(convolution: nn.Module) -> tuple[nn.Module, ...]:
+def _block(convolution: nn.Conv1d | nn.ConvTranspose1d) -> tuple[nn.Module, ...]:
     return convolution, nn.BatchNorm1d(convolution.out_channels), nn.LeakyReLU(0.2)
 
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -153,9 +153,9 @@ def frechet_result(
     if resamples and min(map(len, sets)) < _CLIPS:
         notes.append(f"fewer than {_CLIPS} motions: no interval")
     elif resamples:
-        error = _standard_error(sets, resamples, seed)
-        # An error of NaN leaves both ends NaN: `max` would give 0.
-        low, high = float(np.maximum(0.0, value - 1.96 * error)), value + 1.96 * error
+        spread = _standard_error(sets, resamples, seed)
+        # A spread of NaN leaves both ends NaN: `max` would give 0.
+        low, high = float(np.maximum(0.0, value - 1.96 * spread)), value + 1.96 * spread
     return FrechetResult(value, low, high, n, m, dimensions, "; ".join(notes))
 
 
@@ -385,7 +385,7 @@ def _distance(generated: np.ndarray, reference: np.ndarray) -> float:
     from scipy.linalg import svdvals
 
     means = [x.mean(axis=0) for x in (generated, reference)]
-    roots = [
+    roots: list[Any] = [
         np.linalg.qr((x - mean) / np.sqrt(len(x) - 1), mode="r")
         for x, mean in zip((generated, reference), means)
     ]

@@ -249,7 +249,9 @@ def _to_front(motion: Motion, positions: np.ndarray) -> np.ndarray:
 
     Shoulders stand in for the hips of a rig without legs.
     """
-    left, right = (motion.skeleton.index(name) for name in heading_joints(motion.skeleton))
+    names = heading_joints(motion.skeleton)
+    assert names is not None
+    left, right = map(motion.skeleton.index, names)
     across = positions[:, left] - positions[:, right]
     turn = np.zeros((len(across), 3))
     turn[:, 1] = np.arctan2(across[:, 2], across[:, 0])
