@@ -18,9 +18,12 @@ __all__, __getattr__, __dir__ = attach(
         "MultiresRepresentation": "motion_vector",
         "NetworkConfig": "config",
         "Normaliser": "motion_vector",
+        "TrainingConfig": "config",
+        "TrainingData": "training.data",
         "VectorKinematics": "kinematics",
         "choose_backend": "backend",
         "load_training_data": "training.loading",
+        "resample": "network.resampling",
         "train": "training.trainer",
     },
 )

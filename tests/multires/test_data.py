@@ -20,10 +20,10 @@ from gesturekit.motion.parts import upper_body
 from gesturekit.multires import (
     MultiresRepresentation,
     Normaliser,
+    TrainingData,
     load_training_data,
     train,
 )
-from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.sequences import PairedSequence, level_sigmas
 
 
@@ -185,15 +185,6 @@ def test_a_window_cache_is_shared_among_lengths_and_renewed_in_time(make_config,
     assert len(few.windows("random", 63, rng)[0]) == 1
     with pytest.raises(KeyError):
         few.windows("paired", 63, rng)
-
-
-def test_a_style_of_whole_recordings_is_drawn_as_often_as_it_was_recorded(make_config, motions):
-    corpus = str(motions(old=[2.0, 2.0, 2.0], angry=[6.0]))
-    for window, wanted in ((None, [1.0, 3.0]), (3.0, [150.0, 150.0])):
-        config = make_config(corpus=corpus, features=None, styles={}, training={"window": window})
-        data = load_training_data(config)
-        assert data.styles == ("angry", "old")
-        assert data.style_shares(data.paired).tolist() == pytest.approx(wanted)
 
 
 def test_rigs_that_differ_are_refused_by_name(make_config, gesture, write_pair, tmp_path):

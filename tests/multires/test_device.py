@@ -8,8 +8,7 @@ import pytest
 from runs import apart, same_weights
 
 from gesturekit.errors import ModelError
-from gesturekit.multires import train
-from gesturekit.multires.training.data import TrainingData
+from gesturekit.multires import TrainingData, train
 from gesturekit.training.run.checkpoint import Checkpoints
 
 SHORT = {"first_stage": 2, "further_stages": 2, "renew_every": 2}

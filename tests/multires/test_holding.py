@@ -6,14 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from small_runs import small_config
 
 import gesturekit as gk
-from audio_features import level_lengths
 from gesturekit.corpus import prepare
 from gesturekit.errors import ModelError
-from gesturekit.motion.heading import heading
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import (
     multiply_quaternions,
@@ -22,7 +19,6 @@ from gesturekit.motion.rotations import (
     rotation_angles,
 )
 from gesturekit.multires import train
-from gesturekit.multires.constraints.inbetweening import InbetweenClips, InbetweenConstraint
 
 
 @pytest.fixture(scope="module")
@@ -97,25 +93,6 @@ def test_a_quarter_faster_than_the_fastest_second_or_a_slow_stroll_is_no_matter(
     assert (f"{words}{fastest * scale:.2f} m/s" in caplog.text) == warns
 
 
-def test_feet_that_lock_leave_the_path_and_the_clips_as_they_are(model, gesture):
-    """A clip's share falls within 10 frames at 25 fps; far from it feet are locked."""
-    clip = swaying(gesture(1.0, seed=1)).resample(25.0)
-    knee = model.skeleton.index("LeftLeg")
-    for asked, near in (
-        ({"path": circle(4.0)}, slice(0, 0)),
-        ({"keep": {1.0: clip}}, slice(25, 50)),
-    ):
-        locked, free = (
-            model.generate(seconds=4.0, seed=1, **asked, foot_lock=own) for own in (True, False)
-        )
-        ground = [0, 2] if "path" in asked else [0, 1, 2]
-        np.testing.assert_allclose(
-            locked.translation[:, ground], free.translation[:, ground], atol=1e-6
-        )
-        turned = rotation_angles(locked.rotations[:, knee], free.rotations[:, knee])
-        assert turned[near].max(initial=0) < 1e-6 and turned.max() > 1e-3
-
-
 def test_a_clip_is_continued_without_a_seam(model, gesture):
     clip = swaying(gesture(3.0, seed=1)).resample(25.0)
     clip = turned_about(clip, 2.0)
@@ -174,30 +151,6 @@ def test_clips_that_are_turned_together_give_the_same_motion_turned(model, gestu
     np.testing.assert_allclose(other.positions(), expected, atol=1e-3)
 
 
-def standing(gesture, frames: int):
-    """One pose that faces +Z."""
-    pose = gesture(0.04, 25.0)
-    pose = turned_about(pose, -heading(pose))
-    rotations, places = (part.repeat(frames, axis=0) for part in (pose.rotations, pose.translation))
-    return replace(pose, rotations=rotations, translation=places)
-
-
-def test_at_every_level_the_root_moves_from_one_clip_to_the_next(model, gesture):
-    first = standing(gesture, 50)
-    last = replace(first, translation=first.translation + [0.1, 0.0, -0.2])
-    clips = InbetweenClips({0.0: first, 4.0: last}, model.representation, 25.0)
-    lengths = level_lengths(150, 4)
-    constraint = InbetweenConstraint(clips, model.normaliser, lengths, margin=0)
-    layout, scale = model.representation.layout, model.representation.scale
-    rng = torch.Generator().manual_seed(0)
-    for level, n_frames in enumerate(lengths):
-        noise = 0.3 * torch.randn(1, model.representation.n_features, n_frames, generator=rng)
-        values = model.normaliser.inverse(constraint(level, noise))[0]
-        # A step of a coarse level is the mean of the full-rate steps that it stands for.
-        moved = values[layout.root_xz].mean(dim=1) * 150 * scale
-        np.testing.assert_allclose(moved, [0.1, -0.2], atol=2e-3)
-
-
 def test_an_edit_is_reached_and_the_rest_stays(model):
     coarse = model.generate(seconds=8.0, seed=1, levels=1)
     free = model.generate(keyframes=coarse, seed=1, foot_lock=False)
@@ -230,8 +183,8 @@ def test_an_edit_is_reached_and_the_rest_stays(model):
     assert np.abs(like.rotations - made.rotations).max() > 1e-3
 
 
-@pytest.mark.parametrize("speed", [0.1, 0.5])
-def test_a_body_that_was_moved_is_where_it_was_put(model, speed, tmp_path):
+def test_a_body_that_was_moved_is_where_it_was_put(model, tmp_path):
+    speed = 0.5
     coarse = model.generate(seconds=8.0, seed=1, levels=2)
     way = np.clip((coarse.times - 2.0) / 2.0, 0, 1)[:, None] * [2.0 * speed, 0.0, 0.0]
     edit = replace(coarse, translation=coarse.translation + way)

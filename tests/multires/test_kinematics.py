@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 from gesturekit.errors import ConfigError
 from gesturekit.evaluation import arm_speed
 from gesturekit.motion.contacts import foot_positions
-from gesturekit.multires import MultiresRepresentation, VectorKinematics, losses
+from gesturekit.multires import MultiresRepresentation, VectorKinematics
 from gesturekit.multires.kinematics import smooth
-from gesturekit.multires.network.resampling import resample
 
 
 @pytest.fixture(scope="module")
@@ -59,17 +58,6 @@ def test_arm_speed_is_that_of_the_evaluation(kinematics, walker, values):
     ratio = ours[10:-10].mean() / arm_speed(walker)[10:-10].mean()
     assert 0.85 < ratio < 1.0
     assert np.corrcoef(ours[10:-10], arm_speed(walker)[10:-10])[0, 1] > 0.95
-
-
-def test_smoothness_counts_per_full_rate_frame(kinematics, values):
-    def loss(values, stride):
-        return float(losses.smoothness(kinematics.bend(values, kinematics.places(values), stride)))
-
-    full = loss(values, 1.0)
-    half = resample(values, values.shape[-1] // 2)
-    assert loss(half, 2.0) == pytest.approx(full, rel=0.2)
-    steady = values[:, :, :1].expand(-1, -1, 20)
-    assert loss(steady, 1.0) < 1e-5
 
 
 def turning(representation, walker, angles: np.ndarray) -> torch.Tensor:

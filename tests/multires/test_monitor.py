@@ -8,8 +8,7 @@ import torch
 from runs import cut_off, logged, same_weights
 
 import gesturekit as gk
-from gesturekit.multires import MultiresGenerator, load_training_data, train
-from gesturekit.multires.network.resampling import resample
+from gesturekit.multires import MultiresGenerator, load_training_data, resample, train
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
 
 

@@ -199,21 +199,6 @@ def test_film_starts_as_the_identity_then_multiplies_by_one_plus_gamma_and_adds_
     assert film(x, y).flatten().tolist() == [3.0, 8.5, 3.0, 8.5]
 
 
-@pytest.mark.parametrize("rectified", [True, False])
-def test_the_embedding_is_rectified_or_linear(representation, rectified):
-    config = NetworkConfig(levels=2, channels=(3, 3), embedding=8, rectify_embedding=rectified)
-    level = MultiresGenerator(representation, 2, config).levels[0]
-    torch.nn.init.zeros_(level.embed.bias)
-    seen = []
-    level.films[0].register_forward_hook(lambda film, given, made: seen.append(given[1]))
-    up, noise = torch.zeros(1, representation.n_features, 6), torch.zeros(1, 1, 6)
-    condition = torch.randn(1, 2, 6, generator=torch.Generator().manual_seed(0))
-    for sign in (1, -1):
-        level(up, noise, sign * condition)
-    there, back = seen
-    assert torch.allclose(there, -back, atol=1e-6) != rectified
-
-
 @pytest.mark.parametrize("n_frames", [1, 2, 21])
 def test_a_score_is_the_mean_of_a_reflect_padded_convolution(representation, n_frames):
     torch.manual_seed(0)

@@ -8,8 +8,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from gesturekit.multires import losses
-from gesturekit.multires.network.resampling import resample
+from gesturekit.multires import losses, resample
 from gesturekit.multires.training.stage import Stage
 from gesturekit.multires.training.targets import log_movement
 from gesturekit.multires.training.trainer import Trainer
@@ -84,11 +83,11 @@ STEPS = {"discriminator_steps": 0, "generator_steps": 0, "reconstruction_steps":
 def stage_of(make_config, tmp_path):
     """The first training stage, or another, of the small configuration with changes.
 
-    All windows of its cache are in each batch.
+    Its cache holds one window, which is both of each batch.
     """
 
     def make(first: int = 0, steps: dict | None = None, **changes) -> Stage:
-        training = {**STEPS, "window": 2.0, "window_cache": 2, **(steps or {})}
+        training = {**STEPS, "window": 2.0, "window_cache": 1, **(steps or {})}
         out = str(tmp_path / f"{first} {steps} {changes}".replace("/", ""))
         config = make_config(**changes, training=training, out=out)
         with session(config, resume=False) as (run, device, processes):
@@ -104,10 +103,11 @@ def stage_of(make_config, tmp_path):
 
 
 def generated(stage: Stage, kind: str, iteration: int = 0):
-    """Return the windows (2) of a cache, and the levels that the network makes of them."""
+    """Return the windows (2) of a batch, and the levels that the network makes of them."""
     stage.batches.renew(iteration)
     windows, _ = stage.batches.windows(kind, 50, rng_for("any"))
-    assert len(windows) == 2
+    assert len(windows) == 1
+    windows = windows.take(torch.tensor([0, 0]))
     lengths = [level.shape[-1] for level in windows.conditions]
     about = {"first": stage.first, "coarser": windows.coarser, "lengths": lengths}
     with torch.no_grad():
@@ -209,7 +209,9 @@ def test_random_steps_alone_raise_the_score_of_what_is_generated(stage_of):
 
 
 def test_discriminator_steps_alone_tell_recorded_from_generated(stage_of):
-    stage = stage_of(steps={"discriminator_steps": 12, "renew_every": 100}, losses=NONE)
+    stage = stage_of(
+        steps={"discriminator_steps": 12, "generator_steps": 1, "renew_every": 100}, losses=NONE
+    )
     fake, real = gap_of(stage)
     stage.iterate(0)
     fake_after, real_after = gap_of(stage)
@@ -217,7 +219,7 @@ def test_discriminator_steps_alone_tell_recorded_from_generated(stage_of):
 
 
 def test_the_learning_rate_falls_to_a_tenth_at_decay_at(stage_of):
-    stage, rates = stage_of(steps={"decay_at": 0.7, "betas": [0.5, 0.95]}), []
+    stage, rates = stage_of(steps={"generator_steps": 1, "decay_at": 0.7, "betas": [0.5, 0.95]}), []
     for k in range(10):
         stage.iterate(k)
         groups = [group for own in stage.optimisers.values() for group in own.param_groups]
@@ -278,11 +280,3 @@ def test_reconstruction_has_z_star_at_the_first_level_and_no_noise_above(cache):
     stars = [s.z_star_window(start, n_coarsest) for s in sequences for start in range(s.n_frames)]
     for noise in first:
         assert any(torch.equal(noise, star) for star in stars)
-
-
-def test_unpaired_speech_is_read_from_anywhere(cache):
-    clip = torch.arange(300.0).expand(cache.data.n_speech, -1)
-    object.__setattr__(cache.data, "unpaired", (clip,))
-    starts = [int(cache.data.speech_window(50, 0, rng_for("start", k))[0, 0]) for k in range(200)]
-    assert min(starts) < 15 and max(starts) > 235
-    assert len(set(starts)) > 100

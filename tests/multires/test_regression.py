@@ -10,7 +10,6 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.multires.recall.ahead import AheadPrediction, FeatureWindow, last_bins
-from gesturekit.multires.recall.parts import slow_part
 from gesturekit.multires.recall.wanted import (
     Regression,
     WantedMovement,
@@ -59,16 +58,6 @@ def test_a_regression_is_that_of_the_best_penalty(noisy):
     for inputs in (noise(5, 12, seed=3) + 5, noise(5, 12) * 99):
         expected = (inputs @ weights + at_0 - own.mean()) / size
         np.testing.assert_allclose(found(inputs), np.clip(expected, -2.5, 2.5))
-
-
-def test_of_many_frames_every_third_is_fitted():
-    """Frames 0, 3, 6 ... of 60001 are used. Between them the curve goes the other way."""
-    x = noise(60_001, 1)
-    y = np.where(np.arange(60_001) % 3 == 0, 1.0, -4.0) * x[:, 0]
-    folds = folds_of([20_000, 20_001, 20_000], ["a", "b", "c"], gap=1)
-    found = Regression.fit([x], [y], folds)
-    assert found.weights[0] > 0
-    assert found.r == pytest.approx(np.corrcoef(x[:, 0], y)[0, 1], abs=1e-3) and found.r < 0
 
 
 def test_takes_are_left_out_as_a_whole_or_in_quarters_with_a_gap():
@@ -317,9 +306,3 @@ def test_predictions_ahead_find_what_speech_says():
     # In a pause the body is as calm as two standard deviations below its mean, or calmer.
     paused = np.array([found(replace(one, paused=True), wanted)[1] for one in unseen])
     np.testing.assert_allclose(paused, np.minimum(made[:, 1], -2.0))
-
-
-def test_the_slow_part_is_a_gaussian_of_two_seconds():
-    curve = noise(200)
-    expected = gaussian_filter1d(curve, 2.0 * FPS, mode="nearest")
-    np.testing.assert_allclose(slow_part(curve, FPS), expected)

@@ -20,7 +20,7 @@ from scipy.stats import norm
 import gesturekit as gk
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
 from gesturekit.multires import MultiresRepresentation
-from gesturekit.multires.recall.library import averaged, time_offsets
+from gesturekit.multires.recall.library import time_offsets
 from gesturekit.multires.recall.parts import (
     MotionPart,
     PassiveChannels,
@@ -151,21 +151,6 @@ def test_the_cheapest_next_piece_is_found_and_its_use_remembered(seed):
     assert own.starts[best][0] == seed % 2
 
 
-def test_uses_of_a_sequence_are_counted_along_it():
-    """All else equal, each piece costs as often as its part of the recordings was used before.
-
-    Pieces of 4 frames without overlap in 12 frames: the first three are different thirds, and the
-    fourth is the first again, which has been forgotten most.
-    """
-    still = [np.zeros((12, 1))]
-    weights = ChoiceWeights(used=1.0, chance=0.0)
-    search = PieceSearch(still, still, still, 4, 0, [1.0], weights, [np.zeros(12, bool)])
-    found = search.choose(torch.Generator(), np.zeros((24, 1)), np.zeros((24, 1)))
-    thirds = found.starts // 4
-    assert (found.starts % 4 == 0).all(), "a piece across two of them uses both"
-    assert sorted(thirds[:3]) == [0, 1, 2] and (thirds[3:] == thirds[:3]).all()
-
-
 def test_chance_is_gumbel_noise_of_its_scale():
     """The dearer of two pieces that cost 0 and 1 is chosen in 1 / (1 + exp(1 / scale))."""
     profiles = [np.zeros((4, 1)), np.ones((4, 1))]
@@ -268,21 +253,6 @@ def test_offsets_beyond_both_ends_hold_the_recording(offset):
     assert set(made[0].tolist()) == {0.0 if offset < 0 else 5.0}
 
 
-def bump(middle: float, n_frames: int = 60) -> np.ndarray:
-    return 3 * np.exp(-0.5 * ((np.arange(n_frames) - middle) / 2) ** 2)
-
-
-@pytest.mark.parametrize("late", [-6, 0, 2])
-def test_a_gesture_is_moved_to_the_wanted_time_by_up_to_two_fifths_of_a_second(late):
-    """The bump of frame 30 is asked for `late` frames later; at 10 fps, 4 frames are the most."""
-    offsets = time_offsets(bump(30)[None], bump(30 + late)[None], 10.0, 0.25)
-    middle = 30 + np.clip(late, -4, 4)
-    shown = np.interp(np.arange(60) + offsets, np.arange(60), bump(30))
-    assert shown[middle - 1 : middle + 2].min() > 2.5
-    assert np.abs(offsets).max() <= 4
-    assert late or not offsets.any()
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_of_all_paths_the_one_with_the_lowest_cost_is_found(seed):
     """Two curves of 7 frames, offsets of up to 1 frame in halves; every path is tried."""
@@ -297,12 +267,6 @@ def test_of_all_paths_the_one_with_the_lowest_cost_is_found(seed):
     best = np.array(min(costs, key=costs.get)) / 2
     np.testing.assert_allclose(time_offsets(own, asked, 2.5, 0.5), best, atol=1e-9)
     assert np.isfinite(time_offsets(own[:, :1], asked[:, :1], 2.5, 0.5)).all()
-
-
-def test_averages_keep_the_mean_of_each_part():
-    curves = np.stack([np.arange(12.0), np.ones(12)])
-    np.testing.assert_allclose(averaged(curves, 3), [[1.5, 5.5, 9.5], [1, 1, 1]])
-    np.testing.assert_allclose(averaged(curves, 5).mean(axis=1), [5.5, 1.0])
 
 
 # The library of the bundled model.

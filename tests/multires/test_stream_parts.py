@@ -177,13 +177,13 @@ def played(library, forecast: Forecast | None, frames: int, **choice) -> np.ndar
 
 def test_pieces_play_in_real_time_and_others_follow_after_their_hop(counted):
     """An arm's pieces have 3 frames of 5.34 a second between them, the trunk's 6: they are chosen
-    in frames 0, 17 (3 / 0.178 = 16.9), 34 ... and fade within 2 frames, 11 of 30 fps."""
+    in frames 0, 17 (3 / 0.178 = 16.9), 34 ... and fade within 2 or 5 frames, 11 or 28 of 30 fps."""
     step = counted.level_fps / counted.fps
     shown = played(counted, None, 103, seed=3)
     steady = np.abs(np.diff(shown, axis=0) - step) < 5e-3
     assert steady[:16].all(), "the first pieces, up to the next choice"
     for part, hop in ((0, 17), (1, 17), (2, 34)):
-        fading = (np.arange(102) % hop) < {17: 12, 34: 24}[hop]
+        fading = (np.arange(102) % hop) < {17: 12, 34: 29}[hop]
         fading[:hop] = False
         assert steady[~fading, part].all()
         assert not steady[:, part].all(), "some piece is a new one"
@@ -254,7 +254,6 @@ def test_finer_levels_of_a_frame_are_those_of_the_whole_window(model, film, resi
     quiet = RandomNoise(torch.zeros(0), 0, None)
     whole = Pyramid(own, lengths, condition, quiet, None, recalled, level).random()
     finer = FinerLevels(own, lengths, styles, part)
-    assert len(finer.recalled) < lengths[level]
     used = recalled[0, :, finer.recalled.start : finer.recalled.stop]
     found = own.normaliser.to_values(finer(used, speech)[None])
     np.testing.assert_allclose(found, whole[part.start : part.stop], atol=1e-4)

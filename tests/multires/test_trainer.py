@@ -97,7 +97,7 @@ def test_losses_on_parts_that_a_rig_lacks_are_left_out(announced, gesture, write
 
 
 def test_finer_levels_learn_to_leave_what_is_coarse(make_config):
-    training = {"first_stage": 60, "discriminator_steps": 0, "reconstruction_steps": 0}
+    training = {"first_stage": 40, "discriminator_steps": 0, "reconstruction_steps": 0}
     losses = {"adversarial": 0, "arm_speed": 0, "coarse": 20, "detail": 1}
     config = make_config(training=training, losses=losses, log_every=10)
     train(config)
@@ -107,9 +107,7 @@ def test_finer_levels_learn_to_leave_what_is_coarse(make_config):
     assert pair[-1]["detail"] < pair[0]["detail"]
 
 
-@pytest.mark.parametrize(
-    ("levels", "window", "warned"), [(10, None, True), (9, None, False), (10, 3.0, False)]
-)
+@pytest.mark.parametrize(("levels", "window", "warned"), [(10, None, True), (9, None, False)])
 def test_clips_shorter_than_a_patch_at_level_1_are_warned_about(
     make_config, caplog, levels, window, warned
 ):
@@ -152,7 +150,7 @@ def test_a_recording_of_one_frame_at_the_coarsest_level_trains(make_config, writ
     for stem, seconds in {"long": 1.0, "short": 0.5}.items():
         write_pair(tmp_path / "pairs", stem, seconds)
     prepare([tmp_path / "pairs"], tmp_path / "short.jsonl", holdout=0.0)
-    changes = {"network": {"levels": 10}, "training": {"first_stage": 20, "further_stages": 1}}
+    changes = {"network": {"levels": 10}, "training": {"first_stage": 2, "further_stages": 1}}
     config = make_config(corpus=str(tmp_path / "short.jsonl"), **changes)
     assert (train(config) / "config.yaml").is_file()
 
