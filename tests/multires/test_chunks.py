@@ -115,14 +115,13 @@ print(json.dumps([motion.nbytes, *marks]))
     assert whole - idle > 10 * motion, "else the figure above says nothing"
 
 
+@pytest.mark.stress
 def test_the_ends_move_as_the_middle_does():
     """Idle, where no speech makes one second differ from another."""
     model = gk.load("demo")
     ten = round(0.1 * model.fps)
-    speeds = np.array(
-        [arm_speed(model.generate(seconds=4.0, foot_lock=False, seed=seed)) for seed in range(14)]
-    )
+    speeds = np.array([arm_speed(model.generate(seconds=4.0, seed=seed)) for seed in range(40)])
     middle = speeds[:, 10 * ten : -10 * ten].mean()
     # The middle alone has cross-fades between recalled pieces, which move a little.
     for end in (speeds[:, 1 : 1 + 2 * ten], speeds[:, -2 * ten :]):
-        assert 0.6 * middle < end.mean() < 1.4 * middle
+        assert 0.7 * middle < end.mean() < 1.25 * middle

@@ -151,18 +151,6 @@ def test_the_cheapest_next_piece_is_found_and_its_use_remembered(seed):
     assert own.starts[best][0] == seed % 2
 
 
-def test_chance_is_gumbel_noise_of_its_scale():
-    """The dearer of two pieces that cost 0 and 1 is chosen in 1 / (1 + exp(1 / scale))."""
-    profiles = [np.zeros((4, 1)), np.ones((4, 1))]
-    still, flags = [np.zeros((4, 1))] * 2, [np.zeros(4, bool)] * 2
-    weights = ChoiceWeights(movement=1.0, chance=2.0)
-    search = PieceSearch(still, profiles, still, 4, 0, [1.0], weights, flags)
-    rng = torch.Generator().manual_seed(0)
-    asked = np.zeros((4, 1)), np.zeros((4, 1))
-    dearer = np.mean([search.choose(rng, *asked).recordings[0] for _ in range(1000)])
-    assert dearer == pytest.approx(1 / (1 + np.exp(1 / 2.0)), abs=0.05)
-
-
 def test_the_first_piece_begins_before_the_motion():
     """The motion's first frames are then those after as many frames as asked for."""
     search = Recordings(0).search()

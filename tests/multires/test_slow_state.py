@@ -137,7 +137,7 @@ def test_what_speech_explains_is_no_part_of_the_noise():
     assert unheard.between[0] + 0.1 < halved.between[0] < fit.between[0] - 0.1
 
 
-@pytest.mark.parametrize("n_frames", [1, 3, 20])
+@pytest.mark.parametrize("n_frames", [1, 20])
 def test_short_and_still_recordings_give_a_process_too(n_frames):
     for scores in ([np.zeros((2, n_frames))] * 2, [np.random.default_rng(0).normal(size=(2, 1))]):
         fit = SlowState.fit(scores, None, names(len(scores)), FPS)
