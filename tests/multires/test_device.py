@@ -53,6 +53,7 @@ def test_a_gpu_trains_the_same_model_as_the_cpu_and_again_after_a_kill(gpu, run,
     assert same_weights(run(kind, "cuda", **changes, resume=True), kept)
 
 
+@pytest.mark.stress
 def test_bfloat16_is_near_single_precision(gpu, run):
     half = apart(run("speech", "cuda", precision="bfloat16"), run("speech", "cpu"))
     assert 0 < half[-1] < 0.03
@@ -61,7 +62,7 @@ def test_bfloat16_is_near_single_precision(gpu, run):
 def test_features_are_extracted_on_the_gpu(gpu, make_config, write_wavlm, tmp_path, wavlm_devices):
     write_wavlm(tmp_path / "wavlm", seed=11)  # features of other tests' weights are in the cache
     encoder = {"extractors": [{"kind": "wavlm"}], "weights": str(tmp_path / "wavlm")}
-    config = make_config(features=encoder, device="cuda")
+    config = make_config(features=encoder, device="cuda", training=SHORT)
     train(config)
     assert wavlm_devices == {"cuda"}
     data = TrainingData.load(config.out / "data", config, "cuda")

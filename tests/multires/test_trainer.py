@@ -30,7 +30,9 @@ def test_a_model_keeps_the_rate_of_its_recordings(make_config, corpus, tmp_path)
     config = make_config(fps=20.0)
     recipe = tmp_path / "recipe.yaml"
     recipe.write_text(dump_yaml(to_dict(config) | {"corpus": "elsewhere", "fps": 10.0}))
-    folder = gk.train(recipe, {"fps": 20.0}, corpus=corpus, training={"further_stages": 2})
+    folder = gk.train(
+        recipe, {"fps": 20.0}, corpus=corpus, training={"first_stage": 1, "further_stages": 1}
+    )
     model = gk.load(folder)
     assert (model.fps, model.recorded_fps) == (20.0, 30.0)
     motion = model.generate(seconds=2.0)
