@@ -101,7 +101,6 @@ def models():
         ("known", {"levels": 0}, "levels=0: expected an integer at least 1"),
         ("known", {"levels": 9}, r"levels=9: the model has levels 1 \(coarse\) to 8"),
         ("known", {"keyframe_level": 0}, "keyframe_level=0: expected an integer"),
-        ("known", {"keyframe_level": 9}, "keyframe_level=9: the model has levels"),
         ("known", {"speaker": "eve"}, r"speaker='eve': the model does not know them \(ann, bob\)"),
         ("plain", {"speaker": "eve"}, r"does not know them \(its corpus named none\)"),
         ("known", {"style": "sad"}, "style='sad': this multires model has no style"),
@@ -120,7 +119,6 @@ def test_controls_that_a_model_does_not_take_are_refused(models, kind, asked, me
     [
         ({"path": 1, "like": 1}, "path and like: give one of them"),
         ({"like": 1, "levels": 7}, "like goes with all levels: leave levels away"),
-        ({"keep": 1, "levels": 1}, "keep goes with all levels"),
         ({"speaker": "ann", "levels": 7}, "speaker goes with all levels"),
         ({"speaker": "ann", "keep": 1}, "keep cannot be combined with speaker"),
     ],

@@ -383,7 +383,6 @@ DAMAGED = [
     *((tensor_of(f"slow_state.{k}", v), k) for k, v in (("between", 1.25), ("mixing", 2.5))),
     *((tensor_of(name, NAN), f"{name} has") for name in ("0.motion", "1.states", "fast.weights")),
     *((tensor_of(name, lambda t: t[:-1]), name) for name in ("0.motion", "1.passive", "1.states")),
-    (tensor_of("1.states", lambda t: t[:, :-1]), "1.states"),
     (tensor_of("1.defective", lambda t: t[:1]), "1.defective"),
     (tensor_of("1.defective", torch.Tensor.float), "defective is torch.float32"),
     (tensor_of("0.directions", lambda t: t[:3]), "0.directions"),
@@ -431,12 +430,10 @@ def test_recall_without_speech(recordings, tmp_path):
     ("recall", "message"),
     [
         ({"level": 3}, "recall.level: 3 must be even"),
-        ({"level": 6}, "recall.level: 6 is above network.levels 4"),
         ({"piece": 0.5}, r"recall.overlap: 0.3 must be at most half of piece \(0.5\)"),
         ({"overlap": 0}, "overlap: 0.* must be above 0"),
         ({"own_movement": 1.1}, "recall.own_movement: 1.1 must be from 0 to 1"),
         ({"stretch": 0.6}, "recall.stretch: 0.6 must be 0 or from 0.05 to 0.5"),
-        ({"stretch": 0.04}, "recall.stretch: 0.04 must be 0 or"),
         ({"pieces": 2}, "recall.pieces"),
     ],
 )

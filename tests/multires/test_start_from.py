@@ -91,7 +91,6 @@ def test_recordings_of_a_taller_speaker_on_top_of_another_model(
     [
         ({"fps": 20.0}, "has fps 25.0, this run 20.0"),
         ({"network": {"embedding": 8}}, "has network.embedding 4, this run 8"),
-        ({"contact_threshold": 0.4}, "has contact_threshold 0.2, this run 0.4"),
         ({"features": {"extractors": [{"kind": "prosody"}]}}, r"has features .*effort.*this run"),
         ({"features": None}, "has features .*this run None"),
         ({"recall": None}, "has recall on, this run null"),
