@@ -29,6 +29,7 @@ PACKAGES = (
     "gesturekit.study",
     "gesturekit.postprocess",
     "gesturekit.viewer",
+    "gesturekit.multires",
     "gesturekit.inspection",
     "gesturekit.live",
 )

@@ -6,12 +6,9 @@ import pytest
 from small_runs import small_config
 
 from gesturekit.corpus import Item, Manifest
-from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires import MultiresConfig, MultiresGenerator, TrainingData, load_training_data
 from gesturekit.multires.network.skeleton_conv import convolve_dense
 from gesturekit.multires.training.batches import Batches
-from gesturekit.multires.training.data import TrainingData
-from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.window_cache import WindowCache
 
 

@@ -15,10 +15,8 @@ from hypothesis import strategies as st
 import audio_features as af
 import gesturekit as gk
 from gesturekit.evaluation import arm_speed
+from gesturekit.multires import MultiresGenerator, MultiresRepresentation, NetworkConfig
 from gesturekit.multires.backend import VARIABLE
-from gesturekit.multires.config import NetworkConfig
-from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.sampling.conditions import LevelConditions, condition_levels
 from gesturekit.multires.sampling.trained_model import sample
 
@@ -48,7 +46,7 @@ def draw(n_frames: int, seed: int) -> tuple[np.ndarray, list[int], list[torch.Te
     return rng.normal(size=(n_frames, FEATURES)).astype(np.float32), lengths, noises
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     n_frames=st.integers(1, 200),
     tile=st.integers(1, 120),
@@ -84,6 +82,7 @@ def test_changed_weights_take_effect(network):
     assert torch.equal(sample(network, noises, lengths, None), before)
 
 
+@pytest.mark.stress
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_a_long_motion_takes_little_more_memory_than_itself():
     """In a process of its own, as the high-water mark of memory never falls."""
@@ -116,6 +115,7 @@ print(json.dumps([motion.nbytes, *marks]))
     assert whole - idle > 10 * motion, "else the figure above says nothing"
 
 
+@pytest.mark.stress
 def test_the_ends_move_as_the_middle_does():
     """Idle, where no speech makes one second differ from another."""
     model = gk.load("demo")

@@ -98,19 +98,13 @@ def models():
 @pytest.mark.parametrize(
     ("kind", "asked", "message"),
     [
-        ("known", {"samples": 0}, "samples=0: ask for at least 1"),
         ("known", {"levels": 0}, "levels=0: expected an integer at least 1"),
         ("known", {"levels": 9}, r"levels=9: the model has levels 1 \(coarse\) to 8"),
         ("known", {"keyframe_level": 0}, "keyframe_level=0: expected an integer"),
-        ("known", {"keyframe_level": 9}, "keyframe_level=9: the model has levels"),
         ("known", {"speaker": "eve"}, r"speaker='eve': the model does not know them \(ann, bob\)"),
         ("plain", {"speaker": "eve"}, r"does not know them \(its corpus named none\)"),
         ("known", {"style": "sad"}, "style='sad': this multires model has no style"),
         ("known", {"level_style": "1=sad"}, "level_style='1=sad': this multires model has no"),
-        ("plain", {"recall": True}, "recall=True: this model was not trained with recall"),
-        ("plain", {"liveliness": 2.0}, "liveliness=2.0: only models trained with recall take it"),
-        ("known", {"liveliness": 2.0, "recall": False}, "liveliness=2.0: without recall"),
-        ("known", {"liveliness": 0.5, "like": __file__}, "liveliness=0.5: like sets the movement"),
         ("known", {"fps": 24.0, "levels": 7}, "fps=24: with levels=7 a motion has that level's"),
     ],
 )
@@ -121,25 +115,10 @@ def test_controls_that_a_model_does_not_take_are_refused(models, kind, asked, me
 
 
 @pytest.mark.parametrize(
-    "asked",
-    [
-        {"samples": 1, "levels": 1, "keyframe_level": 1, "speaker": "ann"},
-        {"levels": 8, "keyframe_level": 8, "recall": True, "liveliness": 2.0, "mood_seed": 0},
-        {"recall": False, "liveliness": 1.0, "like": __file__},
-    ],
-)
-def test_controls_at_their_limits_are_taken(models, asked):
-    found = models["known"].check_controls(**asked)
-    assert all(getattr(found, name) == value for name, value in asked.items() if name != "samples")
-
-
-@pytest.mark.parametrize(
     ("asked", "message"),
     [
         ({"path": 1, "like": 1}, "path and like: give one of them"),
-        ({"keyframes": 1, "like": 1, "keep": 1}, "keyframes and like and keep: give one of them"),
         ({"like": 1, "levels": 7}, "like goes with all levels: leave levels away"),
-        ({"keep": 1, "levels": 1}, "keep goes with all levels"),
         ({"speaker": "ann", "levels": 7}, "speaker goes with all levels"),
         ({"speaker": "ann", "keep": 1}, "keep cannot be combined with speaker"),
     ],

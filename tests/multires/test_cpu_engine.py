@@ -11,9 +11,12 @@ import pytest
 import torch
 
 from gesturekit.motion import Motion
-from gesturekit.multires.config import LossConfig, NetworkConfig
-from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.discriminator import LevelDiscriminator
+from gesturekit.multires import (
+    LevelDiscriminator,
+    LossConfig,
+    MultiresRepresentation,
+    NetworkConfig,
+)
 from gesturekit.multires.network.skeleton_conv import (
     SkeletonConv1d,
     block_neighbours,
@@ -28,7 +31,6 @@ NUMBA, TORCH = engine.NumbaBackend("test"), TorchBackend("test")
 
 
 def convolve(conv, x):
-    assert engine._computes([conv], x)
     return NUMBA.convolve([conv], x, 1.0, 1.0)
 
 
@@ -43,7 +45,7 @@ def close(one, other, relative):
     return float((one - other).detach().norm()) <= relative * float(other.detach().norm()) + 1e-12
 
 
-@pytest.mark.parametrize("n_frames", [3, 4, 30, 31])
+@pytest.mark.parametrize("n_frames", [3, 31])
 @pytest.mark.parametrize("kernel", [1, 3, 5])
 def test_layer_and_gradients_agree_with_dense_convolution(representation, n_frames, kernel):
     torch.manual_seed(0)
@@ -63,8 +65,10 @@ def test_layer_and_gradients_agree_with_dense_convolution(representation, n_fram
     assert close(convolve(conv, x), conv(x), 1e-5)
 
 
-@pytest.mark.parametrize("last_slope", [1.0, 0.4])
-@pytest.mark.parametrize("wanted", [(0,), (0, 1, 2, 3, 4, 5, 6), (1, 6), (2, 3), (4,)])
+@pytest.mark.parametrize(
+    ("wanted", "last_slope"),
+    [((0,), 1.0), ((0, 1, 2, 3, 4, 5, 6), 0.4), ((1, 6), 1.0), ((2, 3), 0.4), ((4,), 1.0)],
+)
 def test_gradients_of_a_chain_are_those_of_dense_convolutions(representation, last_slope, wanted):
     """First and second derivatives by the input (0), weights (1, 3, 5) and biases (2, 4, 6)."""
     torch.manual_seed(0)
@@ -88,12 +92,12 @@ def test_gradients_of_a_chain_are_those_of_dense_convolutions(representation, la
         assert float(theirs.detach().norm()) > 0
 
 
-def test_results_do_not_depend_on_the_batch_nor_on_threads(representation, monkeypatch):
+def test_results_do_not_depend_on_the_batch_nor_on_threads(representation):
     torch.manual_seed(0)
     near = block_neighbours(representation, 2)
     conv = SkeletonConv1d(near, (3,) * len(near), (4,) * len(near), 5)
-    windows = torch.randn(3, conv.shape[1], 100)
-    gradient = torch.randn(3, conv.shape[0], 100)
+    windows = torch.randn(3, conv.shape[1], 4000)
+    gradient = torch.randn(3, conv.shape[0], 4000)
 
     def made(x, wanted):
         x = x.clone().requires_grad_(True)
@@ -104,7 +108,6 @@ def test_results_do_not_depend_on_the_batch_nor_on_threads(representation, monke
     own, own_by_input, _ = made(windows[1:2], gradient[1:2])
     assert torch.equal(own, whole[1:2]) and torch.equal(own_by_input, by_input[1:2])
     assert torch.equal(convolve(conv, windows[..., 20:70])[..., 2:-2], whole[..., 22:68])
-    monkeypatch.setattr(sparse_conv, "_MIN_PARALLEL", 0)
     before = torch.get_num_threads()
     try:
         for count in (1, 2, 5):
@@ -153,15 +156,15 @@ def test_parallel_tasks_share_the_threads_and_end_with_the_call():
         torch.set_num_threads(before)
 
 
-@pytest.mark.parametrize("batch", [2, 6])
 @pytest.mark.parametrize("penalty_on", ["window", "frame", "printed"])
 @pytest.mark.parametrize("n_frames", [4, 21])
 @pytest.mark.parametrize("style", [None, [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]], ids=["", "style"])
-def test_discriminator_gradients_are_autograds(representation, penalty_on, n_frames, style, batch):
+def test_discriminator_gradients_are_autograds(representation, penalty_on, n_frames, style):
     torch.manual_seed(0)
     config = NetworkConfig(channels=(3, 4))
     discriminator = LevelDiscriminator(representation, config, 3 if style else 0)
-    style = None if style is None else torch.tensor(style).repeat(batch // 2, 1)
+    batch = 2 if style else 6
+    style = None if style is None else torch.tensor(style)
     losses = LossConfig(discriminator_scale=0.5, gradient_penalty=2.0, penalty_on=penalty_on)
     real, fake = torch.randn(2, batch, representation.n_features, n_frames)
     mix = torch.rand(batch, 1, 1)

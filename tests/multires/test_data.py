@@ -17,12 +17,14 @@ from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.motion import Skeleton
 from gesturekit.motion.heading import heading
 from gesturekit.motion.parts import upper_body
-from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
-from gesturekit.multires.training.data import TrainingData
-from gesturekit.multires.training.loading import load_training_data
+from gesturekit.multires import (
+    MultiresRepresentation,
+    Normaliser,
+    TrainingData,
+    load_training_data,
+    train,
+)
 from gesturekit.multires.training.sequences import PairedSequence, level_sigmas
-from gesturekit.multires.training.trainer import train
-from gesturekit.multires.training.window_cache import random_part
 
 
 def test_normalised_motion_does_not_depend_on_the_rigs_size(gesture):
@@ -55,16 +57,6 @@ def test_a_root_that_stands_is_scaled_by_the_same_speed_at_any_rate(gesture, fps
     assert speed.tolist() == pytest.approx([0.025, 0.025])
 
 
-def test_sigma_is_what_each_level_adds():
-    steps = torch.linspace(0, 1, 40).expand(1, 2, -1)
-    sigma = level_sigmas(steps, levels=4)
-    assert float(sigma[0]) == pytest.approx(float(steps.square().mean().sqrt()), rel=0.1)
-    # A straight line is the same at every rate, but for its ends.
-    assert sigma[1:].max() < 0.02
-    noise = level_sigmas(torch.randn(1, 2, 400), levels=4)
-    assert noise[1:].min() > 0.3
-
-
 def test_sigma_of_a_pulse_worked_out_by_hand():
     """Four frames at three quarters: at 1/6, 3/2 and 17/6, so that (0, 0, 0, 4) is (0, 0, 10/3)."""
     sigma = level_sigmas(torch.tensor([[[0.0, 0.0, 0.0, 4.0]]]), levels=2)
@@ -86,6 +78,8 @@ def test_data_are_as_the_settings_say(make_config, corpus, tmp_path):
     motion = gk.Motion.load(corpus.parent / "paired" / "b.bvh").resample(25.0)
     vectors = data.representation.encode(motion, turn=-heading(motion))
     np.testing.assert_allclose(data.paired[1].motion.T, vectors[:63], atol=1e-5)
+    usual = load_training_data(make_config())
+    assert usual.window_lengths() == {75: [0], 63: [1]}, "shorter ones at their own length"
     whole = load_training_data(make_config(training={"window": None}))
     assert whole.window is None and whole.silence.shape == (28, 150), "of the longest recording"
     prepare([corpus.parent / "paired"], tmp_path / "alone.jsonl", holdout=0.0)
@@ -131,12 +125,6 @@ def test_prepared_data_reads_back_bit_for_bit(make_config, tmp_path):
     assert all(torch.equal(a, b) for a, b in zip(data.unpaired, again.unpaired, strict=True))
 
 
-def test_sequences_shorter_than_the_window_train_at_their_own_length(make_config):
-    data = load_training_data(make_config())
-    assert data.window == 75
-    assert data.window_lengths() == {75: [0], 63: [1]}  # 2.5 s at 25 fps, rounded up
-
-
 def test_a_window_longer_than_its_clip_continues_with_another(make_config):
     data = load_training_data(make_config())
     lengths = (20, 30, 40)
@@ -165,13 +153,6 @@ def test_real_motions_beside_a_whole_clip_have_its_style_and_are_no_longer(make_
         assert (coarse == style).all() and (fine == style).all()
         assert [coarse.shape[-1], fine.shape[-1]] == level_lengths(n_frames, 4)[2:]
     assert {float(batches.reals(40, rng)[0].max()) for _ in range(20)} == {0.0, 1.0}
-
-
-def test_each_part_of_a_motion_is_drawn():
-    rng = torch.Generator().manual_seed(0)
-    parts = [random_part(torch.arange(9.0), 6, rng).tolist() for _ in range(60)]
-    assert {tuple(part) for part in parts} == {tuple(range(i, i + 6)) for i in range(4)}
-    assert random_part(torch.arange(9.0), 9, rng).tolist() == list(range(9))
 
 
 @pytest.mark.parametrize(("window", "share"), [(None, 1 / 2), (3.0, 63 / (150 + 63))])
@@ -204,39 +185,6 @@ def test_a_window_cache_is_shared_among_lengths_and_renewed_in_time(make_config,
     assert len(few.windows("random", 63, rng)[0]) == 1
     with pytest.raises(KeyError):
         few.windows("paired", 63, rng)
-
-
-def test_without_a_cache_each_batch_has_windows_of_its_own(make_config, batches_of):
-    batches = batches_of(make_config(training={"window_cache": None}))
-    rng = torch.Generator().manual_seed(0)
-    batches.renew(0)
-    windows, chosen = batches.windows("random", 75, rng, 3)
-    assert len(windows) == 6 and chosen.tolist() == [[0, 1], [2, 3], [4, 5]]
-    windows, chosen = batches.windows("paired", 63, rng, 3)
-    assert len(windows) == 1 and chosen.tolist() == [[0, 0]] * 3
-
-
-def test_a_style_of_whole_recordings_is_drawn_as_often_as_it_was_recorded(make_config, motions):
-    corpus = str(motions(old=[2.0, 2.0, 2.0], angry=[6.0]))
-    for window, wanted in ((None, [1.0, 3.0]), (3.0, [150.0, 150.0])):
-        config = make_config(corpus=corpus, features=None, styles={}, training={"window": window})
-        data = load_training_data(config)
-        assert data.styles == ("angry", "old")
-        assert data.style_shares(data.paired).tolist() == pytest.approx(wanted)
-
-
-@pytest.mark.parametrize("cached", [None, 8])
-def test_motions_without_speech_are_as_long_as_their_style(
-    make_config, batches_of, motions, cached
-):
-    corpus = str(motions(old=[2.0], angry=[6.0]))
-    training = {"window": None, "window_cache": cached}
-    config = make_config(corpus=corpus, features=None, styles={"mixing": 0.0}, training=training)
-    batches = batches_of(config)
-    batches.renew(0)
-    for n_frames, style in ((150, 0), (50, 1)):
-        windows, _ = batches.windows("random", n_frames, torch.Generator().manual_seed(0), 6)
-        assert (windows.styles == style).all()  # of angry, old
 
 
 def test_rigs_that_differ_are_refused_by_name(make_config, gesture, write_pair, tmp_path):
@@ -282,15 +230,6 @@ def test_parts_named_by_hand_reach_the_model(make_config, tmp_path, gesture, wri
         make_config(parts={"left_elbo": "Joint7"})
     with pytest.raises(ConfigError, match=r"parts.*'Joint99'"):
         load_training_data(make_config(corpus=corpus, parts={"left_elbow": "Joint99"}))
-
-
-def test_every_second_of_unpaired_speech_is_drawn_as_often(make_config):
-    """Clips of 40 and 120 frames: a quarter and three quarters of the windows."""
-    data = load_training_data(make_config())
-    clips = tuple(torch.full((data.n_speech, n), float(n)) for n in (40, 120))
-    data, rng = replace(data, unpaired=clips), torch.Generator().manual_seed(0)
-    drawn = [float(data.speech_window(10, 0, rng)[0, 0]) for _ in range(400)]
-    assert np.mean(np.equal(drawn, 120)) == pytest.approx(0.75, abs=0.07)
 
 
 def test_the_coarsest_level_of_the_longest_recording_has_two_frames(make_config, motions):

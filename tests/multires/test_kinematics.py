@@ -13,10 +13,8 @@ from scipy.spatial.transform import Rotation
 from gesturekit.errors import ConfigError
 from gesturekit.evaluation import arm_speed
 from gesturekit.motion.contacts import foot_positions
-from gesturekit.multires import losses
-from gesturekit.multires.kinematics import VectorKinematics, smooth
-from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.resampling import resample
+from gesturekit.multires import MultiresRepresentation, VectorKinematics
+from gesturekit.multires.kinematics import smooth
 
 
 @pytest.fixture(scope="module")
@@ -44,12 +42,14 @@ def kinematics(representation, walker):
 
 def test_feet_and_joints_have_the_positions_of_motion(representation, kinematics, walker, values):
     joints = kinematics.places(values).permute(0, 3, 1, 2)
-    feet = kinematics._positions(kinematics.feet, values)
     index = [walker.skeleton.index(name) for name in representation.joints]
     root = walker.translation[:, None] * [1, 0, 1]
     scale = representation.scale
     np.testing.assert_allclose(joints[0] * scale, walker.positions()[:, index] - root, atol=1e-5)
-    np.testing.assert_allclose(feet[0] * scale, foot_positions(walker) - root, atol=1e-5)
+    # Feet move along with the root too, half as far between frames' middles as over both.
+    feet = np.diff(foot_positions(walker), axis=0) * walker.fps / scale
+    velocity = kinematics.foot_velocity(values, 1.0)[0]
+    np.testing.assert_allclose(velocity[5:], feet[5:], atol=2e-2)
 
 
 def test_arm_speed_is_that_of_the_evaluation(kinematics, walker, values):
@@ -58,90 +58,6 @@ def test_arm_speed_is_that_of_the_evaluation(kinematics, walker, values):
     ratio = ours[10:-10].mean() / arm_speed(walker)[10:-10].mean()
     assert 0.85 < ratio < 1.0
     assert np.corrcoef(ours[10:-10], arm_speed(walker)[10:-10])[0, 1] > 0.95
-
-
-@pytest.fixture(scope="module")
-def shaken(walker):
-    """The walker with a left arm that trembles by 4 degrees from frame to frame."""
-    rotations = walker.rotations.copy()
-    arm = walker.skeleton.index("LeftArm")
-    angles = 4 * (-1.0) ** np.arange(walker.n_frames)
-    turn = Rotation.from_euler("z", angles[:, None], degrees=True)
-    rotations[:, arm] = (turn * Rotation.from_quat(rotations[:, arm])).as_quat()
-    return replace(walker, rotations=rotations)
-
-
-@pytest.fixture(scope="module")
-def shaken_values(representation, shaken):
-    return torch.from_numpy(representation.encode(shaken).T).float()[None]
-
-
-def test_trembling_does_not_count_as_arm_speed(kinematics, walker, values, shaken, shaken_values):
-    assert arm_speed(shaken).mean() > 1.8 * arm_speed(walker).mean()
-    calm, shaky = (kinematics.arm_speed(v, stride=1.0).mean() for v in (values, shaken_values))
-    assert shaky < 1.1 * calm
-
-
-def test_trembling_and_swinging_are_arm_acceleration(kinematics, walker, values, shaken_values):
-    swing = kinematics.arm_acceleration(values, stride=1.0)
-    assert swing.shape == (1, walker.n_frames)
-    # +-4 degrees at 12.5 Hz: 16 degrees a frame squared.
-    trembling = kinematics.arm_acceleration(shaken_values, stride=1.0).mean()
-    assert trembling == pytest.approx(np.deg2rad(16) * walker.fps**2, rel=0.1)
-    coarse = kinematics.arm_acceleration(resample(values, walker.n_frames // 2), stride=2.0)
-    assert coarse.mean() == pytest.approx(float(swing.mean()), rel=0.1)
-    assert (kinematics.arm_acceleration(values[..., :2], stride=1.0) == 0).all()
-
-
-def test_a_foot_that_should_stand_costs_its_squared_speed(representation, kinematics, values):
-    still = values[:, :, :1].repeat(1, 1, 50)
-    still[:, representation.layout.root] = torch.tensor([0.02, 0.9, 0.0])[:, None]
-    still[:, representation.layout.contacts] = 1.0
-
-    def contact(stride):
-        velocity = kinematics.foot_velocity(still, stride)
-        return float(losses.contact(velocity, kinematics.contact_labels(still)))
-
-    standing = contact(1.0)
-    # 0.02 m a frame at 25 fps is 0.5 m/s; the label 1 weighs 1 / (1 + exp(5 - 10)).
-    assert standing == pytest.approx(0.25 / (1 + np.exp(-5)), rel=1e-3)
-    assert contact(4.0) == pytest.approx(standing, rel=1e-3)
-    still[:, representation.layout.contacts] = 0.0
-    assert contact(1.0) < 0.01 * standing
-
-
-def test_ganimators_foot_speed_counts_from_frame_to_frame(representation, kinematics, values):
-    still = values[:, :, :1].repeat(1, 1, 50)
-    still[:, representation.layout.root_xz] = 0.0
-    still[:, representation.layout.root_height] += 0.03 * torch.arange(50)
-    for stride in (1.0, 4.0):
-        rising = kinematics.foot_velocity(still, stride, "frame").norm(dim=-1)
-        torch.testing.assert_close(rising, torch.full_like(rising, 0.03), rtol=1e-3, atol=0)
-    per_second = kinematics.foot_velocity(still, 4.0).norm(dim=-1)
-    torch.testing.assert_close(per_second, 0.03 * 25 / 4 * torch.ones_like(per_second))
-
-
-def test_smoothness_counts_per_full_rate_frame(kinematics, values):
-    def loss(values, stride):
-        return float(losses.smoothness(kinematics.bend(values, kinematics.places(values), stride)))
-
-    full = loss(values, 1.0)
-    half = resample(values, values.shape[-1] // 2)
-    assert loss(half, 2.0) == pytest.approx(full, rel=0.2)
-    steady = values[:, :, :1].expand(-1, -1, 20)
-    assert loss(steady, 1.0) < 1e-5
-
-
-def test_speeds_count_per_second_at_every_level(representation, kinematics, values):
-    standing = values.clone()
-    standing[:, representation.layout.root] = 0.0  # what is left is the swing of legs and arms
-    half = resample(standing, standing.shape[-1] // 2)
-    for measure in (
-        lambda v, stride: kinematics.foot_velocity(v, stride).norm(dim=-1).mean(),
-        lambda v, stride: kinematics.arm_speed(v, stride, smoothing=0.0).mean(),
-    ):
-        full, coarse = float(measure(standing, 1.0)), float(measure(half, 2.0))
-        assert full > 0.01 and coarse == pytest.approx(full, rel=0.15)
 
 
 def turning(representation, walker, angles: np.ndarray) -> torch.Tensor:

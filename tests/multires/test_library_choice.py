@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
+from gesturekit.multires import load_training_data
 from gesturekit.multires.training.library_choice import chosen_parts
-from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.sequences import PairedSequence
 
 FPS = 25
@@ -47,67 +47,6 @@ def swinging(width: int, seconds: float, size: float, seed: int, pose: float = 0
     return pose + size * smooth / smooth.std()
 
 
-def seconds_of(parts, recordings, of) -> dict:
-    """Return the seconds of the parts by what `of` returns for the index of a recording."""
-    found: dict = {}
-    for i, start, stop in parts:
-        assert 0 <= start < stop <= recordings[i][0].shape[1]
-        found[of(i)] = found.get(of(i), 0.0) + (stop - start) / FPS
-    return found
-
-
-def test_a_corpus_that_fits_is_recalled_whole(choose):
-    assert choose([(swinging(choose.width, 60, 1.0, 0), None)], minutes=1.0) is None
-
-
-@pytest.mark.parametrize("length", [9.0, 45.0, 400.0])
-def test_a_library_is_as_long_as_it_may_be_and_no_longer(choose, length):
-    recordings = [(swinging(choose.width, length, 1.0, i), None) for i in range(int(800 / length))]
-    parts = choose(recordings, minutes=3.0)
-    total = sum(seconds_of(parts, recordings, lambda i: i).values())
-    assert 160 <= total <= 180
-    assert len(set(parts)) == len(parts)
-    assert parts == choose(recordings, minutes=3.0)
-
-
-@pytest.mark.parametrize("calm", [0.0, 0.5])
-def test_calm_and_lively_recordings_have_their_shares(choose, calm):
-    """A third of the corpus is lively, and so is a third of the library."""
-    recordings = [
-        (swinging(choose.width, 40, 3.0 if i % 3 == 0 else calm, i), None) for i in range(18)
-    ]
-    found = seconds_of(choose(recordings, 4.0), recordings, lambda i: i % 3 == 0)
-    assert found[True] / (found[True] + found[False]) == pytest.approx(1 / 3, abs=0.07)
-
-
-@pytest.mark.parametrize("minutes", [6.0, 1.0])
-def test_each_speaker_has_a_share_and_a_few_seconds_at_least(choose, minutes):
-    speakers = ["ann"] * 12 + ["bob"] * 6 + ["cid"]
-    recordings = [
-        (swinging(choose.width, 40 if who != "cid" else 12, 1.0, i), who)
-        for i, who in enumerate(speakers)
-    ]
-    found = seconds_of(choose(recordings, minutes), recordings, lambda i: speakers[i])
-    assert set(found) == {"ann", "bob", "cid"}
-    assert found["ann"] / found["bob"] == pytest.approx(2.0, rel=0.35)
-
-
-def test_takes_are_spread(choose):
-    recordings = [(swinging(choose.width, 300, 1.0, i), None) for i in range(5)]
-    found = seconds_of(choose(recordings, 4.0), recordings, lambda i: i)
-    assert set(found) == set(range(5))
-
-
-def test_a_rare_pose_is_recalled_beside_usual_ones(choose):
-    """One recording in twenty is in another pose; as many at random would miss it mostly."""
-    recordings = [
-        (swinging(choose.width, 30, 1.0, i, 6.0 if i == 7 else 0.0), None) for i in range(20)
-    ]
-    hits = [i for i, _, _ in choose(recordings, 2.0)]
-    assert 7 in hits and len(hits) <= 5
-    assert np.bincount(hits).max() == 1
-
-
 def greedy(movement, poses, takes, count: int) -> list[int]:
     """Choose parts one after another, as the module says, by loops over all parts."""
     levels = np.array_split(sorted(range(len(movement)), key=lambda k: movement[k]), count)
@@ -126,7 +65,7 @@ def greedy(movement, poses, takes, count: int) -> list[int]:
     return chosen
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(("minutes", "seconds"), [(2.4, 30.0), (0.5, 15.0), (0.15, 6.0)])
 def test_parts_are_chosen_by_greedy_facility_location(choose, minutes, seconds, seed):
     """Two speakers share the library: parts are half of it, from 6 to 30 seconds.
@@ -159,5 +98,5 @@ def test_parts_are_chosen_by_greedy_facility_location(choose, minutes, seconds, 
         best = greedy(movement, poses, [takes[k] for k, _, _ in cuts], count)
         expected += [cuts[k] for k in best]
     share = min(1.0, wanted / sum(b - a for _, a, b in expected))
-    assert len(expected) > 1
+    assert len(expected) > 1 and choose(recordings, sum(lengths) / 60, takes) is None
     assert list(found) == [(k, a, a + int(share * (b - a))) for k, a, b in sorted(expected)]

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 import gesturekit as gk
 from gesturekit.errors import MotionError
 from gesturekit.motion.heading import heading
-from gesturekit.motion.model_joints import reference_skeleton
-from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires import MultiresRepresentation
 
 
 @pytest.fixture
@@ -79,14 +76,6 @@ def test_a_motion_is_turned_as_it_is_encoded(gesture, angle):
     assert heading(turned) - heading(plain) == pytest.approx(angle)
     walked = turned.translation[-1] - turned.translation[0]
     assert np.arctan2(walked[0], walked[2]) == pytest.approx(angle, abs=1e-6)
-
-
-def test_the_reference_skeleton_is_the_commonest_one(gesture):
-    motion = gesture(1.0)
-    offsets = motion.skeleton.offsets.copy()
-    offsets[1] += [0.0, 0.0, -4.5]
-    odd = replace(motion, skeleton=replace(motion.skeleton, offsets=offsets))
-    assert reference_skeleton([odd, motion, motion]) is motion.skeleton
 
 
 def test_the_contact_threshold_is_stored_with_the_model(gesture):

@@ -8,13 +8,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from gesturekit.multires import losses
-from gesturekit.multires.config import RecallConfig
-from gesturekit.multires.kinematics import CAPTURE_SECONDS, VectorKinematics
-from gesturekit.multires.network.resampling import resample
+from gesturekit.multires import losses, resample
 from gesturekit.multires.training.stage import Stage
 from gesturekit.multires.training.targets import log_movement
-from gesturekit.multires.training.trainer import Trainer, train
+from gesturekit.multires.training.trainer import Trainer
 from gesturekit.multires.training.window_cache import random_windows
 from gesturekit.training.run.session import session
 from gesturekit.training.seeds import rng_for
@@ -74,16 +71,25 @@ def test_detail_is_the_energy_distance():
     assert float(losses.detail(made, recorded)) == pytest.approx(2.0 - 0.5 * 2.0, abs=2e-3)
 
 
-ALONE = dict.fromkeys(("adversarial", "contact", "smoothness", "arm_speed", "reconstruction"), 0)
-ALONE |= {"gradient_penalty": 1, "arm_acceleration": 0, "detail": 0, "coarse": 0}
+WEIGHTS = {
+    **{"adversarial": 0.5, "contact": 2.0, "smoothness": 3.0, "arm_speed": 4.0},
+    **{"arm_acceleration": 5.0, "detail": 6.0, "coarse": 7.0, "reconstruction": 8.0},
+}
+NONE = dict.fromkeys(WEIGHTS, 0.0)
+STEPS = {"discriminator_steps": 0, "generator_steps": 0, "reconstruction_steps": 0}
 
 
 @pytest.fixture
 def stage_of(make_config, tmp_path):
-    """The first training stage, or another, of the small configuration with changes."""
+    """The first training stage, or another, of the small configuration with changes.
 
-    def make(first: int = 0, **changes) -> Stage:
-        config = make_config(**changes, out=str(tmp_path / f"{first} {changes}"))
+    Its cache holds one window, which is both of each batch.
+    """
+
+    def make(first: int = 0, steps: dict | None = None, **changes) -> Stage:
+        training = {**STEPS, "window": 2.0, "window_cache": 1, **(steps or {})}
+        out = str(tmp_path / f"{first} {steps} {changes}".replace("/", ""))
+        config = make_config(**changes, training=training, out=out)
         with session(config, resume=False) as (run, device, processes):
             trainer = Trainer(config, run, device, processes, resume=False)
         for number, level in enumerate(trainer.network.levels):
@@ -91,80 +97,21 @@ def stage_of(make_config, tmp_path):
             for name, weight in level.named_parameters():
                 rng = rng_for("shaken", number, name)
                 weight.data += 0.05 * torch.randn(weight.shape, generator=rng)
-        stage = trainer.stage(first, iterations=10)
-        stage.batches.renew(0)
-        return stage
+        return trainer.stage(first, iterations=10)
 
     return make
 
 
-def steps_of(stage: Stage, kind: str):
-    """One step's gradients by the generators' parameters, and what it reports."""
-    stage._update = lambda name: None
-    n_frames = max(stage.batches.sequences)
-    step = {"random": stage._random_step, "paired": stage._reconstruction_step}[kind]
-    report = step(n_frames, rng_for("step"))
-    gradients = [p.grad.clone() for p in stage.generators.parameters() if p.grad is not None]
-    return torch.cat([gradient.flatten() for gradient in gradients]), report
-
-
-@pytest.mark.parametrize(
-    ("name", "kind", "first"),
-    [
-        ("adversarial", "random", 0),
-        ("contact", "random", 0),
-        ("smoothness", "random", 2),
-        ("arm_speed", "random", 0),
-        ("arm_acceleration", "random", 0),
-        ("detail", "random", 2),
-        ("coarse", "random", 2),
-        ("reconstruction", "paired", 0),
-    ],
-)
-def test_every_weight_scales_its_gradient(stage_of, name, kind, first):
-    once, _ = steps_of(stage_of(first, losses={**ALONE, name: 1.0}), kind)
-    thrice, _ = steps_of(stage_of(first, losses={**ALONE, name: 3.0}), kind)
-    assert float(once.norm()) > 0
-    torch.testing.assert_close(thrice, 3 * once, rtol=1e-3, atol=1e-6 * float(once.norm()))
-
-
-def test_smoothness_counts_from_half_the_full_rate_on(stage_of):
-    # Levels of 32, 42, 56 and 75 frames: the second has 0.56 of the full rate, the first 0.43.
-    stage = stage_of(0, losses={**ALONE, "smoothness": 1.0})
-    steps_of(stage, "random")
-    coarse, finer = stage.generators
-    assert all(p.grad is None or not p.grad.any() for p in coarse.parameters())
-    assert any(p.grad is not None and p.grad.any() for p in finer.parameters())
-
-
-def test_recorded_arms_are_read_raw_for_speed_and_smoothed_for_jerks(stage_of, monkeypatch):
-    read = {"arm_speed": [], "arm_acceleration": []}
-    for name, seen in read.items():
-        measure = getattr(VectorKinematics, name)
-
-        def record(self, values, stride, smoothing, seen=seen, measure=measure):
-            seen.append(smoothing)
-            return measure(self, values, stride, smoothing)
-
-        monkeypatch.setattr(VectorKinematics, name, record)
-    stage_of(losses={**ALONE, "arm_speed": 1.0})
-    assert set(read["arm_speed"]) == {0.0}
-    assert set(read["arm_acceleration"]) == {CAPTURE_SECONDS}
-
-
-def test_gradient_penalty_and_discriminator_scale_take_effect(stage_of):
-    def gradient(**changes):
-        stage = stage_of(losses={**ALONE, **changes})
-        n_frames = max(stage.batches.sequences)
-        stage._update = lambda name: None
-        stage._discriminator_steps([n_frames], rng_for("step"))
-        return torch.cat([p.grad.flatten() for p in stage.discriminators.parameters()])
-
-    gap = gradient(gradient_penalty=0.0)
-    both = gradient(gradient_penalty=1.0)
-    more = gradient(gradient_penalty=3.0)
-    torch.testing.assert_close(more - gap, 3 * (both - gap), rtol=1e-3, atol=1e-5)
-    torch.testing.assert_close(gradient(gradient_penalty=0.0, discriminator_scale=0.5), 0.5 * gap)
+def generated(stage: Stage, kind: str, iteration: int = 0):
+    """Return the windows (2) of a batch, and the levels that the network makes of them."""
+    stage.batches.renew(iteration)
+    windows, _ = stage.batches.windows(kind, 50, rng_for("any"))
+    assert len(windows) == 1
+    windows = windows.take(torch.tensor([0, 0]))
+    lengths = [level.shape[-1] for level in windows.conditions]
+    about = {"first": stage.first, "coarser": windows.coarser, "lengths": lengths}
+    with torch.no_grad():
+        return windows, stage.network(windows.noise, windows.conditions, **about)
 
 
 def movement_of(stage: Stage, motion: torch.Tensor, stride: float) -> torch.Tensor:
@@ -176,134 +123,109 @@ def movement_of(stage: Stage, motion: torch.Tensor, stride: float) -> torch.Tens
 
 
 @pytest.mark.parametrize("first", [0, 2])
-def test_losses_of_a_random_step_are_those_of_the_middle_of_each_level(
-    stage_of, monkeypatch, first
-):
+def test_losses_of_a_random_step_are_those_of_the_middle_of_each_level(stage_of, first):
     """Windows of 50 frames have margins of 5 at both ends; levels have 25, 34, 45 and 60 frames
-    with them, and 21, 28, 38 and 50 without. A quarter of the arms' aim is the recalled motion's.
+    with them, and 21, 28, 38 and 50 without. Smoothness counts from half the full rate on.
     """
-    alone = {**ALONE, **dict.fromkeys(("adversarial", "contact", "smoothness", "coarse"), 1.0)}
-    alone |= dict.fromkeys(("arm_speed", "arm_acceleration", "detail"), 1.0)
-    stage = stage_of(first, losses=alone, training={"margins": True, "window": 2.0})
-    stage.config = replace(stage.config, recall=RecallConfig(level=2, own_movement=0.25))
-    drawn, made, asked = [], [], []
-    draw, generate, total = stage._draw, stage._generate, losses.losses
-
-    def drawing(*arguments):
-        windows = draw(*arguments)
-        rng = rng_for("recalled")
-        recalled = tuple(torch.randn(own.shape, generator=rng) for own in recalled_like(windows))
-        drawn.append(replace(windows, recalled=recalled))
-        return drawn[-1]
-
-    def recalled_like(windows):
-        width = stage.discriminators[0].layers[0].shape[1]
-        return [own.new_empty(len(own), width, own.shape[-1]) for own in windows.conditions]
-
-    def generating(windows):
-        made.extend(generate(windows))
-        return made
-
-    def counting(inputs, config):
-        asked.append(inputs)
-        return total(inputs, config)
-
-    monkeypatch.setattr(stage, "_draw", drawing)
-    monkeypatch.setattr(stage, "_generate", generating)
-    monkeypatch.setattr("gesturekit.multires.training.stage.losses", counting)
-    report = stage._random_step(50, rng_for("step"))
-    (windows,), measure = drawn, stage.kinematics
-    for i, (inputs, n, margin) in enumerate(
-        zip(asked, [21, 28, 38, 50][first:], [2, 3, 3, 5][first:], strict=False)
-    ):
-        motion, stride = made[i][..., margin : margin + n], 50 / n
-        assert made[i].shape[-1] == [25, 34, 45, 60][first + i]
+    steps = {"generator_steps": 1, "margins": True, "silence": 0.0}
+    stage = stage_of(first, steps, losses=WEIGHTS)
+    windows, made = generated(stage, "random")
+    expected, measure = dict.fromkeys(WEIGHTS, 0.0), stage.kinematics
+    sizes = zip(made, [21, 28, 38, 50][first:], [2, 3, 3, 5][first:], strict=False)
+    for i, (level, n, margin) in enumerate(sizes):
+        assert level.shape[-1] == [25, 34, 45, 60][first + i]
+        motion, stride = level[..., margin : margin + n], 50 / n
         values = stage.normaliser.inverse(motion)
         places = measure.places(values)
-        expected = {
-            "scores": stage.discriminators[i](motion),
-            "foot_velocity": measure.foot_velocity(values, stride),
-            "contact_labels": measure.contact_labels(values),
-            "bend": measure.bend(values, places, stride) if stride < 2.05 else None,
-            "coarser": windows.coarser if i == 0 else made[0].detach(),
-            "arms": movement_of(stage, motion, stride),
+        own = {
+            "adversarial": -stage.discriminators[i](motion).mean(),
+            "contact": losses.contact(
+                measure.foot_velocity(values, stride), measure.contact_labels(values)
+            ),
         }
-        own = movement_of(stage, windows.recalled[i][..., margin : margin + n], stride)
+        if stride < 2.05:
+            own["smoothness"] = losses.smoothness(measure.bend(values, places, stride))
         aim = stage.targets[i](windows.speech[i])[..., margin : margin + n]
-        expected["arm_target"] = 0.25 * own + 0.75 * aim
+        apart = (movement_of(stage, motion, stride) - aim).abs().mean(dim=(0, 2))
+        own["arm_speed"], own["arm_acceleration"] = apart
         if first + i:
-            size = windows.coarser.shape[-1] if i == 0 else made[0].shape[-1]
-            expected["downsampled"] = resample(made[i], size)
+            below = windows.coarser if i == 0 else made[0]
+            own["coarse"] = (resample(level, below.shape[-1]) - below).abs().mean()
             styles = torch.zeros(len(motion), dtype=torch.long)
-            expected["detail"] = stage.details[first + i](places, styles)
-        else:
-            expected["coarser"] = None
-        found = {name: getattr(inputs, name) for name in expected}
-        torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-4)
-    assert len(asked) == 2
-    sums = [total(inputs, stage.config.losses) for inputs in asked]
-    for name, value in report.items():
-        parts = [float(own[name].detach()) for own in sums if name in own]
-        assert value == pytest.approx(sum(parts)), "of both levels"
-
-
-def test_an_iteration_has_as_many_steps_of_each_kind_as_are_set(stage_of, monkeypatch):
-    counts = {"discriminator_steps": 3, "generator_steps": 2, "reconstruction_steps": 4}
-    stage, made = stage_of(training=counts), []
-    for name in ("_discriminator_step", "_random_step", "_reconstruction_step"):
-        step = getattr(stage, name)
-
-        def counted(*arguments, name=name, step=step):
-            made.append(name)
-            return step(*arguments)
-
-        monkeypatch.setattr(stage, name, counted)
+            own["detail"] = stage.details[first + i](places, styles)
+        for name, value in own.items():
+            expected[name] += WEIGHTS[name] * float(value.detach())
     report = stage.iterate(0)
-    steps = ["_discriminator_step"] * 3 + ["_random_step"] * 2 + ["_reconstruction_step"] * 4
-    assert made == steps
-    assert {"discriminator", "adversarial", "reconstruction"} <= set(report)
+    del expected["reconstruction"]
+    assert report == pytest.approx(expected, rel=1e-3, abs=1e-5)
 
 
-def scores_of(stage: Stage) -> tuple[float, float]:
+@pytest.mark.parametrize("source", ["generated", "real"])
+def test_a_reconstruction_step_counts_the_errors_of_both_levels(stage_of, source):
+    losses_of = {**NONE, "reconstruction": 8.0, "rec_input": source}
+    stage = stage_of(2, {"reconstruction_steps": 1}, losses=losses_of)
+    windows, made = generated(stage, "paired")
+    if source == "real":  # both levels continue recorded motion
+        about = {"first": 3, "coarser": windows.targets[0], "lengths": [50]}
+        with torch.no_grad():
+            made[1] = stage.network(windows.noise[1:], windows.conditions[1:], **about)[0]
+    errors = [(a - b).abs().mean() for a, b in zip(made, windows.targets, strict=True)]
+    before = [p.detach().clone() for p in stage.generators.parameters()]
+    report = stage.iterate(0)
+    assert report == pytest.approx({"reconstruction": float(sum(errors) / 2)}, rel=1e-3)
+    after = list(stage.generators.parameters())
+    assert sum(not torch.equal(*pair) for pair in zip(before, after, strict=True)) > 4
+    first = report["reconstruction"]
+    for k in range(1, 12):
+        report = stage.iterate(k)
+    assert report["reconstruction"] < first
+
+
+def test_an_iteration_has_as_many_steps_of_each_kind_as_are_set(stage_of):
+    counts = {"discriminator_steps": 3, "generator_steps": 2, "reconstruction_steps": 4}
+    stage = stage_of(steps=counts)
+    assert {"discriminator", "adversarial", "reconstruction"} <= set(stage.iterate(0))
+    for name, count in (("discriminator", 3), ("generator", 2 + 4)):
+        made = {int(own["step"]) for own in stage.optimisers[name].state.values()}
+        assert made == {count}
+
+
+def gap_of(stage: Stage) -> tuple[float, float]:
     """Mean scores of generated and of recorded windows, by the finer level's discriminator."""
-    n_frames = max(stage.batches.sequences)
+    _, made = generated(stage, "random")
+    reals = stage.batches.reals(50, rng_for("judged"))
     with torch.no_grad():
-        made = stage._generate(stage._draw("random", n_frames, rng_for("judged")))
-        reals = stage.batches.reals(n_frames, rng_for("judged"))
-        discriminator = stage.discriminators[-1]
-        return float(discriminator(made[-1]).mean()), float(discriminator(reals[-1]).mean())
+        own = stage.discriminators[-1]
+        return float(own(made[-1]).mean()), float(own(reals[-1]).mean())
 
 
 def test_random_steps_alone_raise_the_score_of_what_is_generated(stage_of):
-    stage = stage_of(losses={**ALONE, "adversarial": 1.0})
-    n_frames = max(stage.batches.sequences)
-    before = scores_of(stage)[0]
+    steps = {"generator_steps": 1, "renew_every": 100}
+    stage = stage_of(steps=steps, losses={**NONE, "adversarial": 1.0})
+    before = gap_of(stage)[0]
     for k in range(8):
-        stage._random_step(n_frames, rng_for("random", k))
-    assert scores_of(stage)[0] > before + 0.01
+        stage.iterate(k)
+    assert gap_of(stage)[0] > before + 0.01
 
 
 def test_discriminator_steps_alone_tell_recorded_from_generated(stage_of):
-    stage = stage_of(losses=ALONE)
-    n_frames = max(stage.batches.sequences)
-    fake, real = scores_of(stage)
-    stage._discriminator_steps([n_frames] * 12, rng_for("discriminator"))
-    fake_after, real_after = scores_of(stage)
+    stage = stage_of(
+        steps={"discriminator_steps": 12, "generator_steps": 1, "renew_every": 100}, losses=NONE
+    )
+    fake, real = gap_of(stage)
+    stage.iterate(0)
+    fake_after, real_after = gap_of(stage)
     assert real_after - fake_after > real - fake + 0.01
 
 
-def test_the_learning_rate_falls_to_a_tenth_at_decay_at(make_config, monkeypatch):
-    rates = []
-    iterate = Stage._iterate
-
-    def record(self, iteration):
-        groups = [o.param_groups for o in self.optimisers.values()]
-        rates.append({group["lr"] for members in groups for group in members})
-        return iterate(self, iteration)
-
-    monkeypatch.setattr(Stage, "_iterate", record)
-    train(make_config(training={"decay_at": 0.7, "first_stage": 10, "further_stages": 10}))
-    assert rates == 2 * (7 * [{1e-3}] + 3 * [{1e-4}])
+def test_the_learning_rate_falls_to_a_tenth_at_decay_at(stage_of):
+    stage, rates = stage_of(steps={"generator_steps": 1, "decay_at": 0.7, "betas": [0.5, 0.95]}), []
+    for k in range(10):
+        stage.iterate(k)
+        groups = [group for own in stage.optimisers.values() for group in own.param_groups]
+        rates.append({group["lr"] for group in groups})
+    assert rates == 7 * [{1e-3}] + 3 * [{1e-4}]
+    assert {tuple(group["betas"]) for group in groups} == {(0.5, 0.95)}
 
 
 @pytest.fixture
@@ -358,11 +280,3 @@ def test_reconstruction_has_z_star_at_the_first_level_and_no_noise_above(cache):
     stars = [s.z_star_window(start, n_coarsest) for s in sequences for start in range(s.n_frames)]
     for noise in first:
         assert any(torch.equal(noise, star) for star in stars)
-
-
-def test_unpaired_speech_is_read_from_anywhere(cache):
-    clip = torch.arange(300.0).expand(cache.data.n_speech, -1)
-    object.__setattr__(cache.data, "unpaired", (clip,))
-    starts = [int(cache.data.speech_window(50, 0, rng_for("start", k))[0, 0]) for k in range(200)]
-    assert min(starts) < 15 and max(starts) > 235
-    assert len(set(starts)) > 100

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import signal
 import time
-from contextlib import nullcontext
 
 import pytest
 import yaml
 from runs import apart, ended, launch, logged, same_weights
 
-from gesturekit.errors import ConfigError
-from gesturekit.multires.training.trainer import train
+from gesturekit.multires import train
 from gesturekit.training.config import to_dict
-from gesturekit.training.run.processes import Processes
 
 TRAIN = ("-m", "gesturekit", "train")
 
@@ -25,6 +22,7 @@ def steps(run) -> list[int]:
         return []
 
 
+@pytest.mark.stress
 def test_killed_and_with_a_damaged_checkpoint_it_resumes_bitwise(make_config, tmp_path):
     stages = {"first_stage": 40, "further_stages": 40, "renew_every": 14, "window": 2.0}
     config = make_config(training=stages, checkpoint_every=20, log_every=2)
@@ -51,6 +49,7 @@ def test_killed_and_with_a_damaged_checkpoint_it_resumes_bitwise(make_config, tm
 STEPS = {"first_stage": 2, "further_stages": 2, "discriminator_steps": 2}
 
 
+@pytest.mark.stress
 def test_two_processes_train_the_same_model_as_one(make_config, tmp_path, device):
     config = make_config(training=STEPS, out=str(tmp_path / "two"), device=device)
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(to_dict(config)))
@@ -58,11 +57,3 @@ def test_two_processes_train_the_same_model_as_one(make_config, tmp_path, device
     one = train(make_config(training=STEPS, out=str(tmp_path / "one"), device=device))
     # Adam makes whole steps of what rounding leaves of a gradient that is nearly zero.
     assert max(apart(config.out / "model", one)) < 2e-3
-
-
-def test_more_processes_than_windows_are_refused(make_config, monkeypatch):
-    three = nullcontext(Processes(count=3))
-    monkeypatch.setattr(Processes, "from_environment", lambda device: three)
-    monkeypatch.setattr(Processes, "wait", lambda self: None)
-    with pytest.raises(ConfigError, match="training.batch: 2 "):
-        train(make_config())

@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from gesturekit.multires.recall.ahead import AheadPrediction, FeatureWindow
+from gesturekit.multires.recall.ahead import AheadPrediction, FeatureWindow, last_bins
 from gesturekit.multires.recall.wanted import (
     Regression,
     WantedMovement,
-    correlation,
     fast_inputs,
     folds_of,
-    nearly_best,
     slow_inputs,
+    usual_voice,
 )
 
 FPS = 12.5
@@ -56,87 +55,40 @@ def test_a_regression_is_that_of_the_best_penalty(noisy):
     np.testing.assert_allclose(found.left_out, np.clip((own - own.mean()) / size, -2.5, 2.5))
     weights, at_0 = ridge(x, y, PENALTIES[best])
     np.testing.assert_allclose(found.weights, weights / size)
-    for inputs, limit in ((noise(5, 12, seed=3) + 5, 2.5), (noise(5, 12) * 99, 2.5)):
+    for inputs in (noise(5, 12, seed=3) + 5, noise(5, 12) * 99):
         expected = (inputs @ weights + at_0 - own.mean()) / size
-        np.testing.assert_allclose(found(inputs), np.clip(expected, -limit, limit))
+        np.testing.assert_allclose(found(inputs), np.clip(expected, -2.5, 2.5))
 
 
-def test_of_many_frames_every_third_is_fitted():
-    """Frames 0, 3, 6 ... of 60001 are used. Between them the curve goes the other way."""
-    x = noise(60_001, 1)
-    y = np.where(np.arange(60_001) % 3 == 0, 1.0, -4.0) * x[:, 0]
-    folds = folds_of([20_000, 20_001, 20_000], ["a", "b", "c"], gap=1)
-    found = Regression.fit([x], [y], folds)
-    assert found.weights[0] > 0
-    assert found.r == pytest.approx(np.corrcoef(x[:, 0], y)[0, 1], abs=1e-3) and found.r < 0
-    few = Regression.fit([x[:30_000]], [y[:30_000]], folds_of([30_000], ["a"], gap=1))
-    assert few.weights[0] < 0, "of 30000, all"
-
-
-def test_a_fold_that_leaves_a_single_frame_is_fitted_to_all():
-    x, y = noise(3, 2), noise(3)
-    every, one = np.ones(3, bool), np.array([True, False, False])
-    found = Regression.fit([x], [y], [(every, one)])
-    expected = Regression.fit([x], [y], [(every, every)])
-    np.testing.assert_allclose(found.left_out, expected.left_out)
-    two = Regression.fit([x], [y], [(every, np.array([True, True, False]))])
-    assert np.abs(two.left_out - expected.left_out).max() > 1e-3
-
-
-@pytest.mark.parametrize("gap", [5, 100])
-def test_the_gap_beside_a_part_is_half_a_part_at_most(gap):
-    """Quarters of 40 frames have 10."""
-    found = folds_of([40], ["a"], gap)
-    assert [np.flatnonzero(~kept).tolist() for _, kept in found] == [
-        list(range(*part)) for part in ((0, 15), (5, 25), (15, 35), (25, 40))
-    ]
-
-
-def test_correlation_is_pearsons():
-    a, b = noise(2, 50)
-    assert correlation(a + 3, 2 * b + a) == pytest.approx(np.corrcoef(a, 2 * b + a)[0, 1])
-    assert correlation(a, -a) == pytest.approx(-1.0)
-    assert correlation(a, np.full(50, 7.0)) == correlation(np.ones(50), a) == 0.0
-    assert correlation(1e-5 * a, 1e-5 * a) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize(
-    ("r", "used"),
-    [((0.5, 0.48, 0.46), 1), ((0.5, 0.46, 0.48), 2), ((0.5, 0.46), 0), ((0.3, 0.5, 0.2), 1)],
-)
-def test_the_last_that_predicts_nearly_as_well_is_used(r, used):
-    assert nearly_best([SimpleNamespace(r=own) for own in r]) == used
-
-
-# Inputs.
+def test_takes_are_left_out_as_a_whole_or_in_quarters_with_a_gap():
+    """Recordings of 3, 2, 4 and 1 frames, of which the first and the last are of one take; then 12
+    frames of two takes in quarters of 3, and 40 in quarters of 10."""
+    found = folds_of([3, 2, 4, 1], ["x", "y", "z", "x"], gap=1)
+    whole = [[0, 1, 2, 9], [3, 4], [5, 6, 7, 8]]
+    assert [np.flatnonzero(out).tolist() for out, _ in found] == whole
+    assert all((kept == ~out).all() for out, kept in found)
+    many = folds_of([1] * 40, [f"{k}" for k in range(40)], gap=1)
+    assert len(many) == 8 and sum(out for out, _ in many).tolist() == [1] * 40
+    quarters = [((0, 2), (0, 3)), ((2, 5), (1, 6)), ((5, 8), (4, 8)), ((8, 12), (8, 12))]
+    for (out, kept), (left_out, near) in zip(folds_of([8, 4], "ab", gap=1), quarters, strict=True):
+        assert np.flatnonzero(out).tolist() == list(range(*left_out))
+        assert np.flatnonzero(~kept).tolist() == list(range(*near))
+    far = [np.flatnonzero(~kept).tolist() for _, kept in folds_of([40], ["a"], gap=100)]
+    assert far == [list(range(*part)) for part in ((0, 15), (5, 25), (15, 35), (25, 40))]
 
 
 def test_fast_inputs_are_means_of_five_bins_without_the_slow_part():
     """At 12.5 fps a bin of 0.16 s has two frames: the one before and the frame itself."""
     speech = noise(3, 40) + np.linspace(0, 9, 40)
-    basis = np.eye(3)[:, [2, 0]]
     own = speech[[2, 0]]
     own = own - gaussian_filter1d(own, 2.0 * FPS, axis=1, mode="nearest")
-    found = fast_inputs(speech, basis, FPS)
-    assert found.shape == (40, 10)
     at = np.arange(40)
     means = (own[:, np.maximum(at - 1, 0)] + own[:, at]) / 2
     expected = [means[row, np.clip(at + 2 * k, 0, 39)] for k in range(-2, 3) for row in (0, 1)]
+    found = fast_inputs(speech, np.eye(3)[:, [2, 0]], FPS)
     np.testing.assert_allclose(found, np.transpose(expected))
-    # Slower than three frames a second, a bin is a single frame.
-    own = speech[[2, 0]]
-    own = own - gaussian_filter1d(own, 2.0 * 3, axis=1, mode="nearest")
-    expected = [own[row, np.clip(at + k, 0, 39)] for k in range(-2, 3) for row in (0, 1)]
-    np.testing.assert_allclose(fast_inputs(speech, basis, 3.0), np.transpose(expected))
-
-
-def test_slow_inputs_are_smoothed_over_two_seconds():
-    speech = noise(3, 60)
     expected = gaussian_filter1d(speech[[1]], 2.0 * FPS, axis=1, mode="nearest")
     np.testing.assert_allclose(slow_inputs(speech, np.eye(3)[:, [1]], FPS), expected.T)
-
-
-# Both parts.
 
 
 def takes_of(between: float, n_takes: int = 6, n_columns: int = 3):
@@ -155,35 +107,27 @@ def takes_of(between: float, n_takes: int = 6, n_columns: int = 3):
         speech[2] += mood + level
         speeches.append(speech)
         slow.append(mood + between * level)
-        movements.append(0.5 * gaussian_filter1d(fast, 1.0) + 0.0 * mood)
+        movements.append(0.5 * gaussian_filter1d(fast, 1.0))
     return speeches, movements, slow, [f"take {k}" for k in range(n_takes)]
 
 
-@pytest.mark.parametrize(
-    ("between", "counts"),
-    [
-        (1.0, (5 * 1.0 + 4 * 0.3) / 9),
-        (0.0, 4 * 0.3 / 9),
-        (-0.3, 4 * 0.3 / 9),
-        (3.0, (5 * 1.0 + 4 * 0.3) / 9),
-    ],
-)
-def test_the_mean_of_an_utterance_counts_as_it_did_on_left_out_takes(between, counts):
+def fitted(pairs, effort=(2,), smaller=()) -> WantedMovement:
+    return WantedMovement.fit(*pairs[:3], FPS, effort, smaller, takes=pairs[3])
+
+
+@pytest.mark.parametrize(("between", "share"), [(1.0, 1.0), (0.0, 0.0), (-0.3, 0.0), (3.0, 1.0)])
+def test_the_mean_of_an_utterance_counts_as_it_did_on_left_out_takes(between, share):
     """Its slope relative to that within takes, from 0 to 1; six takes against four of 0.3."""
-    speeches, movements, slow, takes = takes_of(1.0)
-    slow = [own + (between - 1.0) * own.mean() for own in slow]
-    wanted = WantedMovement.fit(speeches, movements, slow, FPS, (2,), takes=takes)
+    pairs = takes_of(between)
+    wanted = fitted(takes_of(1.0)[:2] + pairs[2:])
     tolerance = 0.04 if 0 <= between <= 1 else 1e-6
-    assert wanted.mean_counts == pytest.approx(counts, abs=tolerance)
-    assert wanted.across_takes and wanted.trust == 1.0 and wanted.predicts
+    assert wanted.mean_counts == pytest.approx((5 * share + 4 * 0.3) / 9, abs=tolerance)
     # The mean of a prediction is reduced by it, and everything else is not.
     speech = takes_of(1.0, 7)[0][6]
     raw = wanted.slow(slow_inputs(speech, wanted.slow_basis, FPS))
-    whole = replace(wanted, voices=np.array([[-99.0], [0.0], [99.0]]))
-    found = whole(speech)[1]
+    found = replace(wanted, voices=np.array([[-99.0], [0.0], [99.0]]))(speech)[1]
     np.testing.assert_allclose(found - found.mean(), raw - raw.mean(), atol=1e-9)
     assert found.mean() == pytest.approx(wanted.mean_counts * raw.mean())
-    assert wanted.slow.left_out.std() == pytest.approx(1.0)
 
 
 def test_a_mean_that_counts_in_part_is_found_by_least_squares():
@@ -195,11 +139,10 @@ def test_a_mean_that_counts_in_part_is_found_by_least_squares():
         [own[:n] for own, n in zip(rows, lengths, strict=True)] for rows in (movements, slow)
     )
     slow = [own - 0.6 * own.mean() + shift for own, shift in zip(slow, 0.2 * noise(6), strict=True)]
-    wanted = WantedMovement.fit(speeches, movements, slow, FPS, (2,), takes=takes)
+    wanted = fitted((speeches, movements, slow, takes))
     x = [slow_inputs(speech, wanted.slow_basis, FPS) for speech in speeches]
-    folds = folds_of(lengths, takes, 1)
-    fitted = Regression.fit(x, slow, folds)
-    predicted = np.split(fitted.left_out, np.cumsum(lengths)[:-1])
+    whole = Regression.fit(x, slow, folds_of(lengths, takes, 1))
+    predicted = np.split(whole.left_out, np.cumsum(lengths)[:-1])
     means = np.polyfit([own.mean() for own in predicted], [own.mean() for own in slow], 1)[0]
     changes = [np.concatenate([own - own.mean() for own in rows]) for rows in (predicted, slow)]
     share = means / np.polyfit(*changes, 1)[0]
@@ -208,31 +151,30 @@ def test_a_mean_that_counts_in_part_is_found_by_least_squares():
     steady = np.concatenate([own - (1 - wanted.mean_counts) * own.mean() for own in predicted])
     np.testing.assert_allclose(wanted.slow.left_out, steady / steady.std())
     assert wanted.slow.r == pytest.approx(np.corrcoef(steady, np.concatenate(slow))[0, 1])
-    np.testing.assert_allclose(wanted.slow.weights, fitted.weights / steady.std())
-    assert wanted.slow.offset == pytest.approx(fitted.offset / steady.std())
+    np.testing.assert_allclose(wanted.slow.weights, whole.weights / steady.std())
+    assert wanted.slow.offset == pytest.approx(whole.offset / steady.std())
 
 
 @pytest.mark.parametrize(("n_takes", "trust"), [(1, 0.5), (2, 0.5), (3, 1.0)])
 def test_parts_of_few_takes_are_trusted_half(n_takes, trust):
-    speeches, movements, slow, takes = takes_of(0.0, n_takes)
-    wanted = WantedMovement.fit(speeches, movements, slow, FPS, (2,), takes=takes)
+    """A correlation within takes is no promise: mood, day and voice do not change in it."""
+    wanted = fitted(takes_of(0.0, n_takes))
     assert wanted.trust == trust and wanted.across_takes == (n_takes > 2)
     if n_takes < 3:
         assert wanted.mean_counts == pytest.approx(0.3)
-    nothing = replace(wanted, slow=replace(wanted.slow, r=0.0))
-    assert nothing.trust == 0.0 and nothing.predicts
-    assert not replace(nothing, spread=0.0).predicts
+    wrong = replace(wanted, slow=replace(wanted.slow, r=-0.4))
+    assert wrong.trust == 0.0 and wrong.predicts and not replace(wrong, spread=0.0).predicts
     assert replace(wanted, spread=0.0).predicts
     words = wanted.summary()
-    assert f"r = {wanted.fast.r:.2f} with 2 features" in words
-    other = f"(taken as {0.5 * wanted.slow.r:.2f} on other takes); found on left-out parts"
-    assert (other in words) == (n_takes < 3)
-    assert words.endswith("takes" if n_takes > 2 else "parts of recordings")
+    assert f"r = {wanted.fast.r:.2f}" in words and f"r = {wanted.slow.r:.2f}" in words
+    assert ("left-out takes" in words) == (n_takes > 2)
+    assert (f"taken as {0.5 * wanted.slow.r:.2f}" in words) == (n_takes < 3)
+    assert "-0.00" not in wrong.summary()
 
 
 def test_the_spread_is_that_of_the_conditional_mean_and_voices_are_those_of_training():
     speeches, movements, slow, takes = takes_of(1.0)
-    wanted = WantedMovement.fit(speeches, movements, slow, FPS, (2,), takes=takes)
+    wanted = fitted((speeches, movements, slow, takes))
     fast = [own - gaussian_filter1d(own, 2.0 * FPS, mode="nearest") for own in movements]
     assert 0.9 < wanted.fast.r < 1.0
     assert wanted.spread == pytest.approx(wanted.fast.r * np.concatenate(fast).std())
@@ -241,39 +183,50 @@ def test_the_spread_is_that_of_the_conditional_mean_and_voices_are_those_of_trai
     expected = [effort[round(0.02 * n)], effort.mean(), effort[round(0.98 * n)]]
     np.testing.assert_allclose(wanted.voices[:, 0], expected, atol=0.02)
     np.testing.assert_array_equal(wanted.fast_basis[2], 0.0)  # effort is slow
-    found = wanted(speeches[0])[0]
     inputs = fast_inputs(speeches[0], wanted.fast_basis, FPS)
-    np.testing.assert_allclose(found, wanted.spread * wanted.fast(inputs))
-    against = [-own for own in movements]
-    mirrored = WantedMovement.fit(speeches, against, slow, FPS, (2,), takes=takes)
-    assert mirrored.spread == pytest.approx(wanted.spread)
+    np.testing.assert_allclose(wanted(speeches[0])[0], wanted.spread * wanted.fast(inputs))
+    # A level or a slow change of it says nothing of when hands move.
+    np.testing.assert_allclose(wanted(speeches[0] + 3)[0], wanted(speeches[0])[0], atol=1e-9)
+
+
+def test_uninformative_speech_predicts_hardly_anything():
+    """Nor does speech whose meaning on other takes is the opposite."""
+    speeches, movements, slow, takes = takes_of(1.0)
+    shuffled = fitted((speeches[1:] + speeches[:1], movements, slow, takes))
+    assert abs(shuffled.fast.r) < 0.2 and shuffled.spread < 0.1
+    signs = (1, 1, 1, -1, -1, -1)
+    turned = [[sign * own for sign, own in zip(signs, rows)] for rows in (movements, slow)]
+    wrong = fitted((speeches, *turned, takes))
+    assert wrong.fast.r < 0
+    np.testing.assert_array_equal(wrong(speeches[0])[0], 0.0)
+    still = [np.zeros_like(own) for own in movements]
+    nothing = fitted(([0 * own for own in speeches], still, still, takes))
+    np.testing.assert_array_equal(nothing(speeches[0]), 0.0)
 
 
 def test_a_smaller_set_of_columns_is_used_where_it_predicts_as_well():
     """Column 0 says everything of fast movement, the last ones of nothing."""
-    speeches, movements, slow, takes = takes_of(1.0, n_columns=6)
-
-    def fitted(*smaller):
-        return WantedMovement.fit(speeches, movements, slow, FPS, (2,), smaller, takes)
+    pairs = takes_of(1.0, n_columns=6)
 
     def columns(basis: np.ndarray) -> list[int]:
         return np.flatnonzero(basis.any(axis=1)).tolist()
 
-    assert columns(fitted().fast_basis) == [0, 1, 3, 4, 5]
-    assert columns(fitted([0, 1, 2], [0]).fast_basis) == [0]
-    assert columns(fitted([0, 1, 2], [3]).fast_basis) == [0, 1]
-    assert columns(fitted([0, 1], []).fast_basis) == [0, 1], "no set is empty"
-    assert columns(fitted([0, 1]).slow_basis) == [2], "vocal effort alone says how lively"
-    plain = WantedMovement.fit(speeches, movements, slow, FPS, (), [[2]], takes)
-    assert columns(plain.slow_basis) == [2]
+    for smaller, used in (
+        ((), [0, 1, 3, 4, 5]),
+        (([0, 1, 2], [0]), [0]),
+        (([0, 1, 2], [3]), [0, 1]),
+        (([0, 1], []), [0, 1]),
+    ):
+        found = fitted(pairs, smaller=smaller)
+        assert columns(found.fast_basis) == used
+    assert columns(found.slow_basis) == [2], "vocal effort alone says how lively"
+    assert columns(fitted(pairs, (), [[2]]).slow_basis) == [2]
 
 
 def test_many_columns_are_reduced_to_their_64_largest_components():
     base = noise(64, 400)
-    mixing = noise(70, 64, seed=1)
-    speeches = [mixing @ base + 1e-6 * noise(70, 400, seed=2)]
+    speeches = [noise(70, 64, seed=1) @ base + 1e-6 * noise(70, 400, seed=2)]
     wanted = WantedMovement.fit(speeches, [base[0]], [base[1]], FPS, ())
-    assert wanted.fast_basis.shape == (70, 64)
     # Orthonormal, and all of the speech lies in them.
     np.testing.assert_allclose(wanted.fast_basis.T @ wanted.fast_basis, np.eye(64), atol=1e-9)
     back = wanted.fast_basis @ (wanted.fast_basis.T @ speeches[0])
@@ -282,15 +235,39 @@ def test_many_columns_are_reduced_to_their_64_largest_components():
     np.testing.assert_array_equal(few.fast_basis, np.eye(64))
 
 
+def test_an_unusual_voice_is_centred_and_a_usual_one_unchanged():
+    """Half way at 1.5 half ranges outside of those of training, -1 to 1 about 0."""
+    voices = np.array([[-1.0], [0.0], [1.0]])
+    for level, expected in ((-1.9, -1.9), (0.7, 0.7), (2.5, 1.25), (-8.0, 0.0), (3.0, 0.0)):
+        own = 0.1 * noise(50)
+        speech = np.stack([noise(50, seed=1), level + own - own.mean()])
+        kept = usual_voice(speech, (1,), voices)
+        np.testing.assert_array_equal(kept[0], speech[0])
+        np.testing.assert_allclose(kept[1] - kept[1].mean(), speech[1] - level, atol=1e-9)
+        assert kept[1].mean() == pytest.approx(expected, abs=1e-9)
+
+
+# Predictions for live speech.
+
+
+def test_inputs_of_predictions_are_means_of_bins_that_end_now():
+    """At 12.5 fps a bin of 0.16 s has two rows: four bins, relative to the running mean."""
+    rows = np.arange(20.0).reshape(10, 2)  # rows [0, 1], [2, 3], ... [18, 19]
+    speech = FeatureWindow(rows, np.array([[1.0, 2.0], [50.0, 60.0]]))
+    expected = [[1, 2], [5 - 1, 6 - 2], [9 - 1, 10 - 2], [13 - 1, 14 - 2], [17 - 1, 18 - 2]]
+    np.testing.assert_allclose(last_bins(speech, 12.5), expected)
+    # Half a row of a slow model rounds to one.
+    one = [[1, 2], [12 - 1, 13 - 2], [14 - 1, 15 - 2], [16 - 1, 17 - 2], [18 - 1, 19 - 2]]
+    np.testing.assert_allclose(last_bins(speech, 3.0), one)
+
+
 def test_predictions_ahead_of_a_calm_voice_are_those_of_the_usual_one():
     """Vocal effort far outside of the training's range is moved to its mean."""
     regression = Regression(np.zeros(2), np.array([1.0, 0.5]), 0.0, 0.6)
     fast = Regression(np.zeros(5), np.array([0.0, 0.0, 0.0, 0.0, 2.0]), 0.1, 0.3)
     one = AheadPrediction(0.2, np.array([0]), np.array([1]), fast, regression)
-    voices = np.array([[-1.0], [0.5], [1.0]])
-    wanted = SimpleNamespace(
-        fps=FPS, effort=(1,), voices=voices, spread=0.4, fast=SimpleNamespace(r=0.6)
-    )
+    voices, whole = np.array([[-1.0], [0.5], [1.0]]), SimpleNamespace(r=0.6)
+    wanted = SimpleNamespace(fps=FPS, effort=(1,), voices=voices, spread=0.4, fast=whole)
     rows = np.zeros((8, 2))
     rows[-2:, 0] = 0.2, 0.4  # the last bin: 0.3 above the mean of 0
     usual = one(FeatureWindow(rows, np.array([[0.0, 0.4], [0.0, 0.8]])), wanted)
@@ -298,7 +275,34 @@ def test_predictions_ahead_of_a_calm_voice_are_those_of_the_usual_one():
     # The mean of both averages is 11: ten too far; it is moved to 0.5.
     far = one(FeatureWindow(rows, np.array([[0.0, 10.8], [0.0, 11.2]])), wanted)
     assert far == pytest.approx((usual[0], 0.3 + 0.7 / 2))
-    better = replace(one, fast=replace(fast, r=0.9))
-    assert better(FeatureWindow(rows, np.zeros((2, 2))), wanted)[0] == pytest.approx(0.7 * 0.4)
-    wrong = replace(one, fast=replace(fast, r=-0.2))
-    assert wrong(FeatureWindow(rows, np.zeros((2, 2))), wanted)[0] == 0.0
+    for r, expected in ((0.9, 0.7 * 0.4), (-0.2, 0.0)):
+        other = replace(one, fast=replace(fast, r=r))
+        assert other(FeatureWindow(rows, np.zeros((2, 2))), wanted)[0] == pytest.approx(expected)
+
+
+def test_predictions_ahead_find_what_speech_says():
+    """Movement is twice the last bin of column 1; a calm voice is column 0's mean over 8 s."""
+    wanted = replace(fitted(takes_of(1.0)), effort=())
+
+    def recording(seed: int):
+        own = np.random.default_rng(seed)
+        speeches, fast, slow = [], [], []
+        for _ in range(150):
+            rows, averages = own.standard_normal((10, 3)), own.standard_normal((2, 3))
+            speeches.append(FeatureWindow(rows, averages))
+            fast.append(2 * rows[-2:, 1].mean() + 0.1 * own.standard_normal())
+            slow.append(averages[1, 0] + 0.1 * own.standard_normal())
+        return speeches, np.array(fast), np.array(slow)
+
+    speeches, fast, slow = zip(*(recording(seed) for seed in range(3)), strict=True)
+    found = AheadPrediction.fit(0.2, speeches, fast, slow, "abc", wanted, [(0, 1, 2), (1,)], 5.0)
+    assert found.fast_columns.tolist() == [1], "fewer columns that predict as well"
+    assert found.slow_columns.tolist() == [0, 1, 2], "one that does not know it is not used"
+    assert found.fast.r > 0.95 and found.slow.r > 0.95
+    unseen, true_fast, true_slow = recording(9)
+    made = np.array([found(one, wanted) for one in unseen])
+    assert np.corrcoef(made[:, 0], true_fast)[0, 1] > 0.9
+    assert np.corrcoef(made[:, 1], true_slow)[0, 1] > 0.9
+    # In a pause the body is as calm as two standard deviations below its mean, or calmer.
+    paused = np.array([found(replace(one, paused=True), wanted)[1] for one in unseen])
+    np.testing.assert_allclose(paused, np.minimum(made[:, 1], -2.0))

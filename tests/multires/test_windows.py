@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
 from audio_features import level_lengths, residual_pyramid
-from gesturekit.multires.network.resampling import resample
+from gesturekit.multires import resample
 from gesturekit.training.seeds import rng_for
 
 FIRST = 2
@@ -146,31 +144,3 @@ def test_styles_of_windows_are_conditions_of_their_level(make_config, cache_of, 
         _, fine = cache.reals(cache.data.paired, 50, FIRST, 3, rng_for("reals"), asked)
         for style, motion in zip(asked, fine, strict=True):
             assert starts_of(motion[None], motion_of[style])
-
-
-@pytest.mark.parametrize("first", [0, 2])
-def test_recall_is_asked_for_the_style_of_the_recalled_level(make_config, cache_of, motions, first):
-    """Level 2 of four is recalled, where windows of 50 frames have 28."""
-    corpus = str(motions(old=[4.0], angry=[4.0]))
-    about = {"features": None, "training": {"window": 2.0}, "styles": {"mixing": 1.0}}
-    cache, asked = cache_of(make_config(corpus=corpus, **about)), []
-    width = cache.data.representation.n_features
-
-    def vectors(number: int, motions, n_frames: int) -> torch.Tensor:
-        return torch.full((width, n_frames), float(number))
-
-    def recall(speech, rng_of, styles):
-        asked.append(styles)
-        return SimpleNamespace(vectors=partial(vectors, len(asked)))
-
-    cache.library = SimpleNamespace(level=2, recordings=(), recall=recall)
-    windows = cache.random(cache.data.paired, 50, first, 40, rng_for("recalled"))
-    if first == 0:
-        assert not asked and windows.recalled is None
-        return
-    for other in (0, 2, 3):
-        assert (windows.styles[:, 1] != windows.styles[:, other]).any()
-    assert [own.tolist() for own in asked] == [[n] * 28 for n in windows.styles[:, 1].tolist()]
-    numbers = torch.arange(1.0, 41.0)[:, None, None]
-    for own, n in zip((windows.coarser, *windows.recalled), (28, 38, 50), strict=True):
-        assert torch.equal(own, numbers.expand(-1, width, n))
