@@ -288,8 +288,8 @@ class Pyramid:
     ) -> np.ndarray:
         """Return the output (T, D) of the last of the levels with these lengths, given `level`."""
         first, lengths = level + 1, lengths[level + 1 :]
-        assert self.noise is not None and self.rng_of is not None
-        noises = self.noise.gaussian(lengths, self.rng_of, first=first)
+        assert self.noise is not None
+        noises = self.noise.gaussian(lengths, self.rng_of or _no_rng, first=first)
         return self._sampled(noises, lengths, constraint, first=first, coarser=coarser)
 
     def _coarsest_styles(self) -> list[int]:
@@ -318,6 +318,10 @@ class Pyramid:
             constraint=constraint,
         )
         return finite(self.model.normaliser.to_values(vectors))
+
+
+def _no_rng(level: int) -> torch.Generator:
+    raise ValueError(f"level {level} draws noise, and no random generator is given")
 
 
 def finite(values: np.ndarray) -> np.ndarray:
