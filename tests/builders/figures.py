@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from types import ModuleType
-
+import matplotlib.figure
 import pytest
 
 
-def kept_figures(monkeypatch: pytest.MonkeyPatch, plots: ModuleType) -> list:
-    """Return a list to which each figure is appended that a module makes into SVG from now on."""
-    figures, text = [], plots.svg_text
+def kept_figures(monkeypatch: pytest.MonkeyPatch) -> list:
+    """Return a list to which each figure is appended that matplotlib writes from now on."""
+    figures, save = [], matplotlib.figure.Figure.savefig
 
-    def kept(figure, *colours):
+    def kept(figure, *args, **options):
         figures.append(figure)
-        return text(figure, *colours)
+        return save(figure, *args, **options)
 
-    monkeypatch.setattr(plots, "svg_text", kept)
+    monkeypatch.setattr(matplotlib.figure.Figure, "savefig", kept)
     return figures
+
+
+def points(axes) -> list[tuple[list[float], list[float]]]:
+    """Return x and y of all lines and marks that were drawn, rounded."""
+    return [
+        tuple([round(float(v), 9) for v in values] for values in line.get_data())
+        for line in axes.lines
+    ]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from rigs import without_joints
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation import evaluate
-from gesturekit.evaluation.report.page import write_report
+from gesturekit.evaluation import evaluate, write_report
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.retarget import retarget
 
@@ -76,6 +76,24 @@ def test_clips_that_another_model_lacks_are_set_apart(recordings, gesture, tmp_p
     three = saved(tmp_path / "three", {"clip1": motions["clip1"]})
     with pytest.raises(EvaluationError, match="no recording.* has clips of all models"):
         evaluate({"two": two, "three": three}, recordings)
+
+
+@pytest.mark.parametrize(
+    ("missing", "note", "lacks"),
+    [
+        (("Leg", "Foot"), "the generated rig has no legs", {"foot_skate"}),
+        (("Hand",), "2 of 19 body joints are not in the generated rig", {"reach", "rest"}),
+    ],
+)
+def test_rigs_without_legs_or_hands_are_measured_as_far_as_they_go(
+    recordings, gesture, tmp_path, missing, note, lacks
+):
+    """They lack the ends of the recordings' feet, too."""
+    cut = {f"clip{i}": without_joints(gesture(4.0, 25.0, seed=9), *missing) for i in range(3)}
+    (model,) = evaluate(saved(tmp_path / "cut", cut), recordings).models
+    assert all(note in "; ".join(clip.notes) for clip in model.clips)
+    assert {"arm_speed", "hellinger", "one_nn"} <= set(model.metrics)
+    assert not lacks & set(model.metrics)
 
 
 def test_models_of_other_lengths_are_marked(recordings, gesture, tmp_path):

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from gesturekit.corpus import Item, Manifest
-from gesturekit.errors import EvaluationError, MotionError
+from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import evaluate, hand_movement
-from gesturekit.evaluation.measuring.baselines import baseline_pairs
 from gesturekit.evaluation.measuring.clips import load_clip
-from gesturekit.evaluation.pairs import Items, Pair, Pairs
 from gesturekit.motion import Motion
 from gesturekit.motion.rotations import mean_quaternion
 
@@ -102,64 +100,3 @@ def test_a_mean_pose_of_two_rigs_is_refused(folders, tmp_path, gesture):
         one.save(tmp_path / "made" / f"{name}.npz")
     with pytest.raises(EvaluationError, match="mean_pose needs recordings of one rig"):
         evaluate(tmp_path / "made", tmp_path / "recordings", baselines=["mean_pose"])
-
-
-def test_a_baseline_has_a_clip_for_each_recording_and_window(tmp_path, gesture):
-    """Recordings of 5, 6 and 12 s; windows are of 10 s."""
-    places = {f"clip{i}": tmp_path / "recordings" / f"clip{i}.npz" for i in range(3)}
-    recorded = [gesture(seconds, 10.0, seed=i) for i, seconds in enumerate((5.0, 6.0, 12.0))]
-    for motion, path in zip(recorded, places.values(), strict=True):
-        motion.save(path)
-    wanted = [("clip2", 1), ("clip2", 1), ("clip0", None), ("clip1", 1), ("clip2", 0)]
-    first = Pairs([Pair(f"{stem}_s{k}", stem, window, tmp_path / "a", places[stem])
-                   for k, (stem, window) in enumerate(wanted)])  # fmt: skip
-    models = {"ours": first, "other": Pairs()}
-    made = baseline_pairs(BOTH, models, tmp_path / "recordings", 10.0)
-    assert list(made) == list(BOTH) and baseline_pairs([], models, tmp_path, 10.0) == {}
-    for pairs in made.values():
-        assert [(p.name, p.stem, p.window) for p in pairs.pairs] == [
-            ("clip2_w001", "clip2", 1), ("clip0", "clip0", None), ("clip1_w001", "clip1", 1),
-            ("clip2_w000", "clip2", 0),
-        ]  # fmt: skip
-        with pytest.raises(EvaluationError, match="clip2_w001: a baseline has no sound"):
-            pairs.pairs[0].generated.item.load_wave()
-        with pytest.raises(MotionError, match="clip1 ends before its window 1 begins"):
-            pairs.pairs[2].generated.item.load_motion()
-    still, other = (
-        [made[name].pairs[k].generated.item.load_motion() for k in (0, 3, 1)] for name in BOTH
-    )
-    assert [motion.n_frames for motion in still] == [20, 100, 50]
-    assert all(np.ptp(motion.rotations, axis=0).max() == 0 for motion in still)
-    # The next recording, cyclically, from its start: clip0 has 50 frames.
-    assert [motion.n_frames for motion in other] == [20, 50, 50]
-    assert np.allclose(other[0].rotations, recorded[0].rotations[:20])
-    assert np.allclose(other[2].rotations, recorded[1].rotations[:50])
-    with pytest.raises(EvaluationError, match="baseline 'x'; expected one of mean_pose, other_utt"):
-        baseline_pairs(["mean_pose", "x"], models, tmp_path, 10.0)
-
-
-def test_the_only_recording_is_compared_with_the_first_of_training_and_keeps_its_body(
-    tmp_path, gesture
-):
-    small, large = gesture(2.0, 10.0), gesture(3.0, 10.0, seed=1).scaled(1.5)
-    small.save(tmp_path / "a.npz")
-    large.save(tmp_path / "b.npz")
-    about = {"audio": None, "duration": 2.0}
-    items = [Item(id=n, motion=tmp_path / f"{n}.npz", split=split, **about)
-             for n, split in (("a", "test"), ("b", "train"))]  # fmt: skip
-    Manifest(items).save(tmp_path / "corpus.jsonl")
-    reference = Items.of_manifest(tmp_path / "corpus.jsonl", "test")
-    pair = Pair("a", "a", None, tmp_path / "made", reference.intervals["a"])
-    made = baseline_pairs(BOTH, {"ours": Pairs([pair])}, reference, 10.0)
-    still, other = (made[name].pairs[0].generated.item.load_motion() for name in BOTH)
-    # The pose is that of training, on the recording's own body.
-    assert np.allclose(still.skeleton.offsets, small.skeleton.offsets) and still.n_frames == 20
-    joint = small.skeleton.index("LeftArm")
-    assert np.allclose(still.rotations[0, joint], mean_quaternion(large.rotations[:20, joint]))
-    assert np.allclose(other.rotations, large.rotations[:20])
-    names = tuple(name.replace("Neck", "Throat") for name in small.skeleton.names)
-    replace(small, skeleton=replace(small.skeleton, names=names)).save(tmp_path / "c.npz")
-    odd = Pairs([Pair("c", "c", None, tmp_path / "made", tmp_path / "c.npz")])
-    made = baseline_pairs(["mean_pose"], {"ours": odd}, reference, 10.0)
-    with pytest.raises(MotionError, match="c: its rig differs from that of the mean pose"):
-        made["mean_pose"].pairs[0].generated.item.load_motion()

@@ -5,21 +5,13 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from audio_features import Wave
-from gesturekit.corpus import Manifest
-from gesturekit.corpus.item import Item
+from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import EvaluationError, GestureKitError
-from gesturekit.evaluation import Variants, comparison, evaluate
-from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, MOVEMENT
-from gesturekit.evaluation.measuring.measurer import Measurer
-from gesturekit.evaluation.measuring.work import Measured
-from gesturekit.evaluation.metrics.distributions import SpeedHistogram
-from gesturekit.evaluation.metrics.rhythm import beat_alignment, music_beats
+from gesturekit.evaluation import Variants, evaluate
 from gesturekit.evaluation.report.headline import interval_warnings
 from gesturekit.motion import Motion, Skeleton
 
@@ -86,21 +78,6 @@ def test_samples_of_one_recording_count_as_one_draw(folders):
     assert "inter_diversity" in model.metrics
     sync = model.metrics["sync"]
     assert None not in (sync.recording, sync.chance, sync.mismatched)
-
-
-def test_one_recording_has_no_intervals_however_many_samples(folders, tmp_path):
-    for sample in (1, 2):
-        motion = Motion.load(folders / "samples" / f"clip0_s{sample}.npz")
-        motion.save(tmp_path / "made" / f"clip0_s{sample}.npz")
-    found = evaluate(tmp_path / "made", folders / "recordings" / "clip0.bvh")
-    (model,) = found.models
-    intervals = [
-        result.interval for result in model.metrics.values() if result.interval.over == "takes"
-    ]
-    assert len(intervals) > 20 and all(i.low is None and i.units == 1 for i in intervals)
-    (warning,) = interval_warnings(found)
-    assert "from 1 take: no intervals, and nothing is bold" in warning
-    assert "Hold out 5 or more takes" in warning
 
 
 @pytest.mark.parametrize("files", [1, 6])
@@ -187,26 +164,6 @@ def test_windows_of_a_manifest_are_compared_with_all_of_its_splits(tmp_path, ges
         assert ours.interval.value == pytest.approx(theirs.interval.value), key
         assert ours.recording == pytest.approx(theirs.recording), key
     assert one.metrics["fid_k"].recording > 0  # the windows' own distance to the full dataset
-
-
-def test_beat_alignment_is_that_of_the_chosen_variant(folders):
-    found = {}
-    for name in ("seconds", "bailando"):
-        result = evaluate(
-            folders / "samples",
-            folders / "recordings",
-            audio=folders / "sound",
-            protocol="lda",
-            variants=Variants(bas=name),
-        )
-        (clip, *_) = result.models[0].clips
-        pulse = music_beats(Wave.load(folders / "sound" / f"{clip.pair.stem}.wav"))
-        expected = beat_alignment(Motion.load(clip.pair.generated), pulse, variant=name)
-        assert clip.metrics["bas"] == pytest.approx(expected.score)
-        (bas,) = (d for d in result.definitions() if d.key == "bas")
-        assert bas.fps_bound == (name == "bailando") == ("first frame" in bas.variant)
-        found[name] = clip.metrics["bas"]
-    assert found["seconds"] != pytest.approx(found["bailando"], rel=1e-3)
 
 
 def test_the_multires_protocol_notes_missing_samples(folders):
@@ -408,139 +365,3 @@ def test_fgd_of_a_few_windows_is_not_informative(gesture, tmp_path, seconds, eno
     gesture(seconds, 30.0, seed=1).save(tmp_path / "made" / "clip.npz")
     (model,) = evaluate(tmp_path / "made", tmp_path / "recordings").models
     assert model.metrics["raw_fgd"].informative == enough
-
-
-def test_all_options_reach_the_measurement(tmp_path, gesture, monkeypatch):
-    """One of three recordings is damaged, and one of two models has no neck."""
-    for k, name in enumerate("abc"):
-        motion = gesture(1.0, 25.0, seed=k)
-        for folder in ("recordings", "whole"):
-            motion.save(tmp_path / folder / f"{name}.npz")
-        kept = [name for name in motion.skeleton.names if name != "Neck"]
-        motion.keep(kept).save(tmp_path / "cut" / f"{name}.npz")
-    (tmp_path / "recordings" / "c.npz").write_bytes(b"damaged")
-    seen = {}
-
-    def measure_all(measurer, workers, progress):
-        seen.update(measurer=measurer, workers=workers, progress=progress)
-        raise EvaluationError("measured")
-
-    monkeypatch.setattr(comparison, "measure_all", measure_all)
-
-    def measured(*models: str, **options) -> Measurer:
-        folders = {name: tmp_path / name for name in models}
-        with pytest.raises(EvaluationError, match="measured"):
-            evaluate(folders, tmp_path / "recordings", **options)
-        return seen["measurer"]
-
-    usual = measured("whole")
-    assert (usual.seed, usual.length, usual.fps, usual.features) == (0, 1.0, 25.0, None)
-    assert usual.without == usual.local == frozenset() and usual.take_pattern is None
-    assert usual.measure.groups == GROUPS and not usual.measure.cheap and seen["workers"] == 1
-    assert usual.measure.variants == Variants() and usual.reference == tmp_path / "recordings"
-    assert list(usual.recordings) == usual.measure.statistics.recordings == ["a", "b"]
-    assert list(seen["progress"]([1, 2], 2, "x")) == [1, 2]
-    features = SimpleNamespace(fingerprint="x")
-    asked = {"seed": 7, "workers": 3, "progress": iter, "protocol": "multires", "cheap": True,
-             "variants": Variants("paper", 3.0), "features": features,
-             "baselines": ["other_utterance"], "take_pattern": "[ab]"}  # fmt: skip
-    found = measured("whole", "cut", **asked)
-    assert (found.seed, found.length, found.features) == (7, 2.0, features)
-    assert (seen["workers"], seen["progress"], found.take_pattern) == (3, iter, "[ab]")
-    assert found.without == {"neck"} and found.local == {"other_utterance"}
-    assert found.measure.groups == (MOVEMENT,) and found.measure.cheap
-    assert found.measure.variants == asked["variants"]
-    assert list(found.pairs) == ["whole", "cut", "other_utterance"]
-    assert [pair.take for pair in found.pairs["cut"]] == ["a", "b", "c"]
-    assert measured("whole", protocol="lda").length == 1.0
-
-
-def test_results_are_made_of_what_was_measured(tmp_path, gesture, monkeypatch):
-    """Two samples of one recording, a damaged clip of another, and a recording that is damaged."""
-    for name in "ab":
-        gesture(1.0, 25.0).save(tmp_path / "recordings" / f"{name}.npz")
-    for name in ("a_s1", "a_s2", "b_s1"):
-        gesture(1.0, 25.0, seed=1).save(tmp_path / "made" / f"{name}.npz")
-    (tmp_path / "recordings" / "c.npz").write_bytes(b"damaged")
-    histograms = [SpeedHistogram.of([np.full(n, 0.005)]) for n in (2, 3)]
-    clip = {"seconds": 1.0, "recording": {"arm_speed": 2.0}, "mismatched": {}, "notes": ["odd"]}
-    clips = [
-        {**clip, "metrics": {"arm_speed": v, "coverage": 100 * v}, "problems": [("srgr", "none")]}
-        for v in (0.25, 0.75)
-    ]
-    sets = {
-        "frechet": {"metrics": {}, "problems": [("fgd", "few"), ("other", "few")]},
-        "pooled": {
-            "metrics": {}, "problems": [("srgr", "none")], "by_clip": [{"forward": 40.0}],
-            "speeds": histograms[0].to_json(), "recorded_speeds": histograms[1].to_json(),
-            "wrists": [1.0, 2.0], "recorded_wrists": [3.0],
-            "training_excluded": [{"name": "t", "reason": "lost", "what": "the training split"}],
-        },
-    }  # fmt: skip
-    done = {"generated": [*clips, {"reason": "cut off"}]}
-    monkeypatch.setattr(
-        comparison, "measure_all", lambda *_: Measured(dict(done), {"generated": sets})
-    )
-    monkeypatch.setattr(Measurer, "ceilings", lambda self: {})
-    monkeypatch.setattr(Measurer, "likeness_levels", lambda self: {})
-    found = evaluate(tmp_path / "made", tmp_path / "recordings")
-    (model,) = found.models
-    assert [(c.pair.name, c.seconds, list(c.notes)) for c in model.clips] == [
-        ("a_s1", 1.0, ["odd"]), ("a_s2", 1.0, ["odd"])
-    ]  # fmt: skip
-    speed = model.metrics["arm_speed"]
-    assert (speed.interval.value, speed.recording) == (0.5, 2.0) and model.verdict == ""
-    assert model.clips[0].metrics["forward"] == 40.0
-    means = {stem: {k: i.value for k, i in own.items()} for stem, own in model.by_recording.items()}
-    assert means == {"a": {"coverage": 50.0}}
-    assert [model.speeds.counts[0], found.recorded_speeds.counts[0]] == [2, 3]
-    assert model.wrists.tolist() == [1.0, 2.0] and found.recorded_wrists.tolist() == [3.0]
-    srgr, fgd = (DEFINITIONS[key].name for key in ("srgr", "fgd"))
-    *known, damaged, lost = [(one.name, one.reason, one.what) for one in model.excluded]
-    assert known == [
-        ("b_s1", "cut off", "clip"),
-        ("a_s1, a_s2, the whole set", "none", srgr),
-        ("the whole set", "few", fgd),
-        ("the whole set", "few", "other"),
-    ]
-    assert damaged[0::2] == ("c", "the set of recordings") and "not a zip" in damaged[1]
-    assert lost == ("t", "lost", "the training split") and not found.is_complete
-    assert (model.path, found.reference) == (tmp_path / "made", tmp_path / "recordings")
-    done["generated"] = [{"reason": f"reason {k}"} for k in range(3)]
-    with pytest.raises(EvaluationError, match="made: no clip .*: reason 0; reason 1; reason 2$"):
-        evaluate(tmp_path / "made", tmp_path / "recordings")
-
-
-def test_neighbours_in_training_are_noted_once_and_questions_answered_with_pooled_metrics(
-    tmp_path, gesture, monkeypatch
-):
-    items = []
-    for name, split in (("a", "test"), ("b", "train"), ("c", "valid")):
-        motion = tmp_path / f"{name}.npz"
-        gesture(1.0, 25.0).save(motion)
-        items.append(Item(id=name, take="day" if name < "c" else "c", audio=None, motion=motion,
-                          duration=1.0, split=split))  # fmt: skip
-    Manifest(items).save(tmp_path / "corpus.jsonl")
-    for folder in ("one", "two"):
-        gesture(1.0, 25.0, seed=1).save(tmp_path / folder / "a.npz")
-    clip = {"seconds": 1.0, "recording": {}, "mismatched": {}, "notes": [], "problems": []}
-    clip["metrics"] = {"arm_speed": 0.5}
-    sets = {part: {"metrics": {}, "problems": []} for part in ("frechet", "pooled")}
-    measured = Measured({"one": [clip], "two": [clip]}, {"one": sets, "two": sets})
-    monkeypatch.setattr(comparison, "measure_all", lambda *_: measured)
-    monkeypatch.setattr(Measurer, "ceilings", lambda self: {})
-    monkeypatch.setattr(Measurer, "likeness_levels", lambda self: {})
-    folders = {name: tmp_path / name for name in ("one", "two")}
-    found = evaluate(folders, tmp_path / "corpus.jsonl")
-    (note,) = found.models[0].notes
-    assert note.startswith("held-out items with neighbours in training, of the same take (day): 1")
-    assert found.models[1].notes == [] and [len(m.answers) for m in found.models] == [3, 3]
-    assert (found.settings["split"], found.settings["mismatched"]) == ("test", 3)
-    assert found.reference == tmp_path / "corpus.jsonl"
-    for folder in folders.values():
-        (folder / "a.npz").rename(folder / "c.npz")
-    alone = evaluate(folders, tmp_path / "corpus.jsonl", split="valid", protocol="multires")
-    assert alone.settings["split"] == "valid"
-    assert [model.answers for model in alone.models] == [[], []]
-    assert all("takes 200 samples of each recording; c: 1" in m.notes[0] for m in alone.models)
-    assert all(len(model.notes) == 1 for model in alone.models)

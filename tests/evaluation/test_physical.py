@@ -22,14 +22,9 @@ from gesturekit.evaluation import (
     joint_limit_share,
     max_speed,
     standing_heights,
-)
-from gesturekit.evaluation.metrics import physical
-from gesturekit.evaluation.metrics.physical import (
-    LimitsFit,
-    derivative,
-    low_passed,
     wrist_speed,
 )
+from gesturekit.evaluation.metrics.physical import derivative, low_passed
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts.body_size import body_scale
 
@@ -107,19 +102,6 @@ def test_derivatives_of_a_swing_are_those_of_its_sine(swinging, order):
     largest = 0.1 * (4 * np.pi) ** order
     assert found[middle, 0, 0] == pytest.approx(expected[middle], abs=0.005 * largest)
     assert found[middle, 1, 2] == pytest.approx(expected[middle] / 2, abs=0.005 * largest)
-
-
-def test_differences_are_per_second_of_their_order(swinging):
-    steps = swinging[1:] - swinging[:-1]
-    assert derivative(swinging, 50.0, 1, None) == pytest.approx(50 * steps)
-    assert derivative(swinging, 50.0, 2, None) == pytest.approx(2500 * (steps[1:] - steps[:-1]))
-
-
-def test_the_fewest_frames_of_derivatives(swinging):
-    for order, cutoff, least in ((1, None, 2), (3, None, 4), (1, 6.0, 6), (3, 6.0, 6)):
-        assert len(derivative(swinging[:least], 50.0, order, cutoff)) > 0
-        with pytest.raises(MotionError, match=f"has {least - 1} frames?; at least {least} are"):
-            derivative(swinging[: least - 1], 50.0, order, cutoff)
 
 
 @pytest.fixture
@@ -219,25 +201,6 @@ def test_limits_are_of_each_joint_and_axis_and_5_degrees_wider(skeleton):
     assert joint_limit_share(nodding([(0, 0, 0)], skeleton), exact) == 0.0
 
 
-@pytest.mark.parametrize("most", [3, 1000])
-def test_limits_of_many_recordings_are_those_of_all_in_bounded_memory(skeleton, monkeypatch, most):
-    monkeypatch.setattr(physical, "MEAN_FRAMES", most)
-    motions = [nodding([(a, 0, 0), (-a, 0, 0)], skeleton) for a in (5.0, 20.0, 10.0, 25.0)]
-    fit = LimitsFit()
-    for motion in motions:
-        fit.add(motion, ("Head",))
-    found = fit.result()
-    assert np.degrees(found.high[0, 0]) == pytest.approx(30) == -np.degrees(found.low[0, 0])
-    assert np.abs(found.mean[0, 3]) == pytest.approx(1)
-    # The mean is that of the frames up to the first recording beyond the limit.
-    fit = LimitsFit()
-    for angle in (0.0, 8.0, 40.0):
-        fit.add(nodding([(0, angle, 0)] * 2, skeleton), ("Head",))
-    mean = 4 if most == 3 else 16
-    assert np.degrees(fit.result().high[0, 1]) == pytest.approx(45 - mean, abs=0.5)
-    assert np.degrees(fit.result().low[0, 1]) == pytest.approx(-5 - mean, abs=0.5)
-
-
 def test_the_standing_height_is_the_median_while_standing(standing):
     low = standing_heights(standing)
     # A fifth of the time it stands a step higher.
@@ -255,17 +218,6 @@ def test_the_standing_height_is_the_median_while_standing(standing):
     np.testing.assert_allclose(rises, low + 0.5 * np.quantile(standing.times, 0.1), atol=1e-9)
 
 
-def test_rates_up_to_a_thousandth_apart_are_one_rate(turning):
-    motion = turning({"LeftArm": np.ones(20)})
-    for rate, same in ((25.02, True), (25.03, False), (24.98, True), (24.97, False)):
-        other = replace(motion, fps=rate)
-        if same:
-            assert jerk_ratio(other, motion) == pytest.approx((rate / 25) ** 3)
-        else:
-            with pytest.raises(MotionError, match="resample"):
-                jerk_ratio(other, motion)
-
-
 def test_wrist_speed_needs_wrists(turning):
     motion = turning({"LeftForeArm": np.full(20, 2.0)})
     # 2 rad/s at 0.25 m on one side, over frames of 0.08 rad; nothing on the other.
@@ -280,14 +232,9 @@ def test_low_passed_paths_are_in_time_and_lose_what_is_faster():
     slow, fast = np.sin(2 * np.pi * time), np.sin(2 * np.pi * 20 * time)
     assert low_passed(slow, 50.0, 6.0)[20:-20] == pytest.approx(slow[20:-20], abs=0.01)
     assert np.abs(low_passed(fast, 50.0, 6.0)[20:-20]).max() < 0.02
-    assert low_passed(slow, 50.0, 24.9).shape == (200,)
     # Forwards and backwards: a quarter of the power, twice 3 dB, at the cutoff.
     edge = np.sin(2 * np.pi * 6 * time + 0.3)
     assert low_passed(edge, 50.0)[50:-50] == pytest.approx(edge[50:-50] / 2, abs=0.01)
-    # A path that goes straight on stays so to its ends, in each column.
-    line = np.stack([3.0 * time, 1.0 - time], axis=-1)
-    assert low_passed(line, 50.0, 6.0) == pytest.approx(line, abs=1e-4)
-    assert low_passed(line[:6], 50.0, 6.0) == pytest.approx(line[:6], abs=0.02)
     # Half a second beyond either end is the reflected path, at any rate.
     for fps in (10.0, 40.0):
         bend = np.abs(np.arange(round(2 * fps)) / fps - 0.8)
@@ -297,6 +244,5 @@ def test_low_passed_paths_are_in_time_and_lose_what_is_faster():
         sos = signal.butter(4, 3.0, fs=fps, output="sos")
         exact = signal.sosfiltfilt(sos, whole, padtype=None)[pad:-pad]
         assert low_passed(bend, fps, 3.0) == pytest.approx(exact, abs=1e-9)
-    for cutoff in (0.0, 25.0, 30.0):
-        with pytest.raises(MotionError, match="between 0 and 25 Hz"):
-            low_passed(slow, 50.0, cutoff)
+    with pytest.raises(MotionError, match="between 0 and 25 Hz"):
+        low_passed(slow, 50.0, 25.0)

@@ -12,11 +12,9 @@ import soundfile
 from audio_features import Wave
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.report.bad_motion import (
     BAD_MOTION,
     BadMotionInputs,
-    Sanity,
     run_sanity,
 )
 from gesturekit.evaluation.report.sanity_table import (
@@ -26,7 +24,7 @@ from gesturekit.evaluation.report.sanity_table import (
     noticed_by,
     table_lines,
 )
-from gesturekit.evaluation.results import Evaluation, Interval, MetricResult, ModelResult
+from gesturekit.evaluation.results import Interval, MetricResult, ModelResult
 from gesturekit.evaluation.statistics.paired import contests
 from gesturekit.motion import Motion, Skeleton
 
@@ -44,6 +42,7 @@ def spoken(shared_data, tmp_path_factory):
     return run_sanity(folder)
 
 
+@pytest.mark.stress
 def test_all_bad_motion_is_detected(spoken):
     found = noticed_by(spoken)
     assert set(found) == ALL and all(found.values()), found
@@ -52,6 +51,7 @@ def test_all_bad_motion_is_detected(spoken):
     assert found["foot slide"] == ["likeness"] and "novelty" in found["training recording"]
 
 
+@pytest.mark.stress
 def test_no_bad_motion_is_bold_against_the_recording(spoken):
     recording, *bad = spoken.evaluation.models
     for model in bad:
@@ -60,6 +60,7 @@ def test_no_bad_motion_is_bold_against_the_recording(spoken):
         assert not crowned, (model.label, crowned)
 
 
+@pytest.mark.stress
 def test_pieces_of_one_recording_have_no_interval(spoken):
     for model in spoken.evaluation.models:
         for key in ("in_time", "likeness", "novelty", "reach", "sync", "foot_skate"):
@@ -67,6 +68,7 @@ def test_pieces_of_one_recording_have_no_interval(spoken):
             assert (interval.low, interval.high) == (None, None), (model.label, key)
 
 
+@pytest.mark.stress
 def test_the_table_says_what_metrics_are_blind_to(spoken):
     found = marks(spoken)
     assert found["foot_skate"]["foot slide"] == "+"
@@ -88,6 +90,21 @@ def test_with_mismatched_speech_only_another_utterance_passes(shared_data, tmp_p
     assert {key for key, by in found.items() if not by} == {"another utterance"}
     assert "novelty" in found["training recording"]
     assert "cannot be answered on this corpus" in conclusion(done)
+
+
+def test_held_out_recordings_are_spoiled_and_judged_beside_training(tmp_path, gesture):
+    for k, (name, seconds) in enumerate((("a", 8.0), ("b", 5.0))):
+        gesture(seconds, 10.0, seed=k).save(tmp_path / f"{name}.npz")
+    gesture(2.0, 10.0).save(tmp_path / "short.npz")
+    done = run_sanity(tmp_path)
+    recording, *bad = done.evaluation.models
+    assert recording.label == "recording" and {model.label for model in bad} == ALL
+    assert all(len(model.clips) == len(recording.clips) for model in bad)
+    assert "at least 3 s" in done.left_out["short"] and done.evaluation.reference == tmp_path
+    (frozen,) = (model for model in bad if model.label == "frozen")
+    assert frozen.metrics["near_still"].interval.value == 100.0
+    lines = "\n".join(table_lines(done))
+    assert all(name in lines for name in ALL) and "bad motions" in conclusion(done)
 
 
 def test_bad_motions_match_their_names(gesture):
@@ -129,22 +146,15 @@ def of_recordings(**values: MetricResult) -> ModelResult:
     [
         # A fifth of the recordings' value to either side, where that is the goal.
         ("reach", result("reach", 1.0), {0.79: "+", 0.81: ".", 1.19: ".", 1.21: "+"}),
-        ("reach", result("reach", 9.0, recording=1.0), {0.79: "+", 0.81: ".", 1.21: "+"}),
-        ("rest", result("rest", 0.0), {0.0: ".", 1e-8: "+"}),
         # The better direction beyond that.
         ("foot_skate", result("foot_skate", 1.0), {0.79: "!", 0.81: ".", 1.19: ".", 1.21: "+"}),
-        ("foot_skate", result("foot_skate", 0.0), {0.0: ".", 1e-3: "+"}),
-        ("srgr", result("srgr", 1.0), {0.79: "+", 0.81: ".", 1.19: ".", 1.21: "!"}),
         # Enough of it is enough.
         ("coverage", result("coverage", 50.0, recording=40.0), {31.9: "+", 32.1: ".", 60.1: "!"}),
         ("coverage", result("coverage", 50.0), {1.0: " "}),
         ("fgd", result("fgd", 1.0, recording=2.0), {2.41: "+", 2.39: ".", 0.79: "!"}),
         ("likeness", result("likeness", 0.9), {0.849: "+", 0.851: ".", 1.09: "!"}),
         ("novelty", result("novelty", 1.0), {0.79: "+", 0.81: ".", 1.5: "."}),
-        ("copying", result("copying", 0.5), {0.39: "+", 0.41: ".", 0.9: "."}),
-        ("copying_low", result("copying_low", 0.5), {0.39: "+", 0.41: "."}),
         ("in_time", result("in_time", 0.4), {0.19: "+", 0.21: ".", 0.8: "."}),
-        ("sync_z", result("sync_z", 4.0), {1.9: "+", 2.1: ".", 4.9: "!"}),
         ("calm_lively_slope", result("calm_lively_slope", 1.0), {0.1: ".", 9.0: "."}),
     ],
 )
@@ -166,74 +176,3 @@ def test_nothing_is_said_of_what_was_not_measured():
     reach, bad = DEFINITIONS["reach"], result("reach", 9.0)
     assert mark(reach, None, recordings) == mark(reach, bad, of_recordings()) == " "
     assert mark(reach, result("reach", 9.0, informative=False), recordings) == " "
-
-
-def sanity(**informative: bool) -> Sanity:
-    recordings = of_recordings(
-        in_time=result("in_time", 0.4, **informative), likeness=result("likeness", 0.9),
-        reach=result("reach", 1.0),
-    )  # fmt: skip
-    bad = {"frozen": (0.0, 0.1, 0.0), "jitter": (0.4, 0.9, 1.1), "noise": (0.4, 0.2, 9.0)}
-    models = [
-        ModelResult(
-            name,
-            Path(),
-            metrics={
-                "in_time": result("in_time", a, **informative),
-                "likeness": result("likeness", b),
-                "reach": result("reach", c),
-            },
-        )
-        for name, (a, b, c) in bad.items()
-    ]
-    settings = {"variants": {}}
-    histogram, speeds = SpeedHistogram(), np.zeros(0)
-    found = Evaluation([recordings, *models], Path(), 25.0, "", settings, histogram, speeds)
-    return Sanity(found)
-
-
-def test_the_table_has_a_row_for_each_metric_and_a_column_for_each_bad_motion():
-    lines = list(table_lines(sanity()))
-    at = lines.index("Headline:")
-    width = max(len(DEFINITIONS[key].name) for key in ("in_time", "likeness", "reach"))
-    assert lines[1:4] == ["  1  frozen", "  2  jitter", "  3  noise"]
-    assert lines[4] == " " * width + "   1  2  3"
-    names = {key: f"{DEFINITIONS[key].name:{width}}" for key in ("in_time", "likeness", "reach")}
-    assert lines[at + 1 : at + 3] == [
-        f"{names['in_time']}   +  .  .",
-        f"{names['likeness']}   +  .  +",
-    ]
-    assert f"{names['reach']}   +  .  +" in lines
-    assert noticed_by(sanity()) == {
-        "frozen": ["in_time", "likeness"], "jitter": [], "noise": ["likeness"]
-    }  # fmt: skip
-    words = "The three headline figures together notice 2 of 3 bad motions, but not: jitter."
-    assert conclusion(sanity()) == words
-    assert conclusion(sanity(informative=False)) == (
-        f"{words} (In time with the speech: cannot be answered on this corpus.)"
-    )
-
-
-def test_noise_sway_and_half_of_the_reach_have_their_sizes(gesture):
-    recording = gesture(4.0, 25.0)
-    inputs = BadMotionInputs(recording, recording, recording, 3)
-    made = {name: make(inputs) for name, make in BAD_MOTION.items()}
-
-    def angles(one: Motion, other: Motion) -> np.ndarray:
-        return 2 * np.arccos(np.clip(np.abs((one.rotations * other.rotations).sum(-1)), 0, 1))
-
-    # The length of three normal numbers of one sd is sqrt(8 / pi) = 1.596 of it in the mean.
-    assert angles(made["noise"], made["mean pose"]).mean() == pytest.approx(0.3 * 1.596, rel=0.03)
-    assert angles(made["jitter"], recording).mean() == pytest.approx(0.05 * 1.596, rel=0.03)
-    arm = recording.skeleton.index("LeftArm")
-    whole = angles(recording, made["mean pose"])[:, arm]
-    half = angles(made["half reach"], made["mean pose"])[:, arm]
-    assert half == pytest.approx(whole / 2, abs=1e-6)
-    leg = recording.skeleton.index("LeftUpLeg")
-    assert (made["half reach"].rotations[:, leg] == recording.rotations[:, leg]).all()
-    sway = (made["foot slide"].translation - recording.translation)[:, 0]
-    # 0.4 Hz: most after 0.625 s, least after 1.875 s.
-    sway = sway[:62]
-    assert abs(sway.argmax() - 15.6) < 1 and abs(sway.argmin() - 46.9) < 1
-    assert sway.max() == pytest.approx(0.2, rel=0.15)
-    assert (made["frozen"].rotations[0] == recording.rotations[50]).all()

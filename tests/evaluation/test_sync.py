@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from rigs import without_joints
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 from scipy.signal import argrelextrema
 
@@ -23,12 +22,10 @@ from gesturekit.evaluation import (
     sync,
 )
 from gesturekit.evaluation.metrics.rhythm import (
-    BeatResult,
-    central_speed,
     consistency,
     joint_beats,
 )
-from gesturekit.evaluation.metrics.sync import hardly_moves, sync_of_moving_arms
+from gesturekit.evaluation.metrics.sync import sync_of_moving_arms
 from gesturekit.motion import Motion
 
 ELBOW, SHOULDER = "LeftForeArm", "RightArm"
@@ -289,24 +286,6 @@ def test_beats_of_a_joint_are_its_lowest_speeds(gliding, lowest, beats):
     assert len(found) == len(beats)
 
 
-def test_beats_at_the_ends_and_of_a_slow_rate(gliding):
-    """The first and the last frame are no minima; at 2 fps neighbours alone are compared."""
-    rising = [0.3 + 0.01 * k for k in range(40)]
-    assert len(joint_beats(gliding(rising), joints=["Hips"])[0]) == 0
-    found = joint_beats(gliding([1.0, 0.7, 0.9, 0.8, 1.0, 0.6, 1.0, 1.0], 2.0), joints=["Hips"])
-    assert found[0] * 2 == pytest.approx([1, 3, 5], abs=0.4)
-    # The usual speed is the motion's own mean: 0.11 is above a tenth of 0.9, but not of 1.2.
-    curve = around([0.11, 0.2, 0.2])
-    for factor, n in ((1.0, 1), (1.5, 0)):
-        faster = [factor * s if s > 0.5 else s for s in curve]
-        assert len(joint_beats(gliding(faster), joints=["Hips"])[0]) == n
-
-
-def test_a_body_at_rest_has_no_beats(gliding):
-    for variant in ("seconds", "bailando"):
-        assert len(motion_beats(gliding([0.0] * 120, 60.0), variant=variant)) == 0
-
-
 def test_scores_and_chance_equal_their_definition_written_out():
     """Two joints, and beats of a sound of which some lie outside the motion."""
     rng = np.random.default_rng(3)
@@ -334,28 +313,6 @@ def test_scores_and_chance_equal_their_definition_written_out():
         assert (found.motion_beats, found.sound_beats, found.note) == (4.0, len(inside), "")
 
 
-def test_a_joint_without_beats_meets_none_and_short_clips_have_no_chance():
-    beats = np.array([0.5, 1.5])
-    found = consistency([beats, np.zeros(0)], beats, 2.1)
-    assert (found.score, found.motion_beats, found.z) == (0.5, 1.0, 0.0)
-    assert found.note == "too short (2.1 s) to shift by more than 1 s: chance unknown"
-    assert consistency([beats], beats, 2.2).note == ""
-    none = consistency([np.zeros(0)], beats, 9.0)
-    assert none == BeatResult(0.0, 0.0, 0.0, 0.0, 0.0, 2, "the motion has no beats")
-    none = consistency([beats], np.array([9.0, -1.0]), 9.0)
-    assert none == BeatResult(0.0, 0.0, 0.0, 0.0, 2.0, 0, "the sound has no beats (silence?)")
-    # Of a single shift there is no spread to divide by.
-    assert consistency([beats], beats, 2.15).z == 0.0
-
-
-def test_speeds_are_central_differences_of_three_frames_and_more(gliding):
-    speed = central_speed(gliding([1.0, 2.0, 4.0, 3.0]), ["Hips"])
-    assert speed[:3, 0] == pytest.approx([1, 2, 4])
-    with pytest.raises(MotionError, match="has 2 frames; at least 3 are needed"):
-        central_speed(gliding([1.0, 2.0, 4.0])[:2], ["Hips"])
-    assert central_speed(gliding([1.0, 2.0, 4.0]), ["Hips"]).shape == (3, 1)
-
-
 def test_onsets_are_those_of_librosa_at_16_khz():
     import librosa
 
@@ -376,30 +333,12 @@ def test_sync_needs_three_frames_beyond_the_lag_and_shifts_of_more_than_a_second
     def found(n: int, **more):
         return sync(turning({ELBOW: 4.0 * loudness[:n]}), wave, **more)
 
-    # 0.3 s are 7 frames at 25 fps.
-    assert found(10).note and found(8, max_lag=0.2).note
-    for n, lag in ((9, 0.3), (7, 0.2)):
-        with pytest.raises(MotionError, match=f"there are {n} frames at 25 fps"):
-            found(n, max_lag=lag)
-    assert "too short (2.0 s)" in found(51).note
+    with pytest.raises(MotionError, match="there are 7 frames at 25 fps"):
+        found(7, max_lag=0.2)
     # Of 52 frames one shift, 26, is more than 25 either way; of 53 two are.
-    assert found(52).note == "" and found(52).chance_sd == 0 and found(52).z == 0
-    assert found(53).note == "" and found(53).chance_sd > 0
+    assert "too short (2.0 s)" in found(51).note and found(52).note == ""
+    assert found(52).chance_sd == 0 < found(53).chance_sd
     # Sound that ends before the motion: its frames alone count.
     whole, cut = found(200), sync(turning({ELBOW: 4.0 * loudness}), wave.slice(0, 8.0))
     assert cut.r == pytest.approx(whole.r, abs=0.02) and cut.lag == whole.lag
     assert abs(found(200, max_lag=0.0).lag) == 0
-
-
-def test_arms_that_move_a_twentieth_are_informative(turning, speaking, curve):
-    loudness = curve(250, seed=0)
-    recording, wave = turning({ELBOW: 4.0 * loudness}), speaking(5.0 * loudness)
-    for share, moves in ((0.051, True), (0.049, False)):
-        motion = turning({ELBOW: 4.0 * share * loudness})
-        assert hardly_moves(motion, recording) != moves
-        if moves:
-            assert sync_of_moving_arms(motion, recording, wave).r > 0.9
-    still = turning({ELBOW: np.zeros(250)})
-    assert "do not move" in sync_of_moving_arms(still, recording, wave).note
-    legs = without_joints(recording, "Arm", "Hand", "Shoulder")
-    assert hardly_moves(legs, recording) is False

@@ -6,13 +6,12 @@ import csv
 import html
 import io
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gesturekit.evaluation.metrics.distributions import SpeedHistogram
+from gesturekit.evaluation import Evaluation, SpeedHistogram
 from gesturekit.evaluation.pairs import Excluded, Pair
 from gesturekit.evaluation.report import tables
 from gesturekit.evaluation.report.metric_table import (
@@ -22,14 +21,7 @@ from gesturekit.evaluation.report.metric_table import (
     terminal_lines,
     write_table,
 )
-from gesturekit.evaluation.results import (
-    Agreement,
-    ClipResult,
-    Evaluation,
-    Interval,
-    MetricResult,
-    ModelResult,
-)
+from gesturekit.evaluation.results import ClipResult, Interval, MetricResult, ModelResult
 from gesturekit.evaluation.statistics.paired import Contest, contests
 
 
@@ -122,43 +114,6 @@ def test_all_metrics_of_all_models_are_beside_those_of_the_recordings(evaluation
     assert opened == [(" open", "Speech"), ("", "Movement"), (" open", "Patches")]
 
 
-def test_recordings_are_shown_where_they_have_samples(evaluation):
-    text = tables.recordings(evaluation)
-    assert rows_of(text)[-2:] == [
-        ["r0", "a&b", "60.0|no interval; 6 takes, 6 clips"],
-        ["r1", "a&b", "40.0|30.0 … 50.0; 6 takes, 2 clips"],
-    ]
-    assert "2 rows" in text and "<details open>" in text and "Coverage, %" in text
-    for found in evaluation.models[0].by_recording.values():
-        found["coverage"] = of(1.0, n=1)
-    assert tables.recordings(evaluation) == ""
-    evaluation.protocol = "multires"
-    assert tables.recordings(evaluation) != ""
-    evaluation.models[0].by_recording = {f"r{k:02}": {"coverage": of(1.0)} for k in range(24)}
-    assert "<details open>" in tables.recordings(evaluation)
-    evaluation.models[0].by_recording["z"] = {}
-    assert "<details><summary>25 rows" in tables.recordings(evaluation)
-
-
-def test_clips_are_shown_beside_their_recordings(evaluation):
-    text = tables.per_clip(evaluation)
-    head, first, second, third = rows_of(text)
-    columns = [cell.split("|")[0] for cell in head]
-    assert first[:2] == ["r0", "12.3 s"] and second[:2] == ["r1|too short; jumps", "12.3 s"]
-    assert dict(zip(columns, first))["Sync"] == "0.50|0.75 rec."
-    assert dict(zip(columns, first))["Arm speed"] == "2.00"
-    assert dict(zip(columns, second))["Sync"] == "-0.25"
-    assert dict(zip(columns, second))["Arm speed"] == "" and head[-1] == "Coverage|%"
-    assert dict(zip(columns, third))["Jerk"] == "0.02" and third[0] == "r0"
-    assert "<details open><summary>3 clips" in text
-    evaluation.models[0].clips += evaluation.models[0].clips * 4 + evaluation.models[1].clips
-    assert "<details open><summary>12 clips" in tables.per_clip(evaluation)
-    evaluation.models[1].clips *= 2
-    assert "<details><summary>13 clips" in tables.per_clip(evaluation)
-    evaluation.models[0].clips = evaluation.models[0].clips[:1] * 301
-    assert "<summary>302 clips" in tables.per_clip(evaluation)
-
-
 def test_what_is_left_out_is_named(evaluation):
     assert rows_of(tables.excluded(evaluation)) == [
         ["Clip", "Model", "What", "Reason"],
@@ -179,20 +134,6 @@ def test_what_is_left_out_is_named(evaluation):
     assert "Nothing: every metric" in tables.excluded(evaluation) and evaluation.is_complete
 
 
-def test_the_terminal_has_the_same_table_in_columns(evaluation):
-    lines = terminal_lines(evaluation)
-    head, *table = lines[: lines.index(next(line for line in lines if line[:8] == "Computed"))]
-    assert head.split() == ["a&b", "(retargeted)", "b", "recording", "chance"]
-    found = {re.split(r"  +", row.strip())[0]: row for row in table}
-    at = [head.index(name) for name in ("a&b", "b  ", "recording", "chance")]
-    at[1] = head.index(" b ") + 1
-    cells = [found["Sync"][start:].split("  ")[0].strip() for start in at]
-    assert cells == ["0.50 [0.40, 0.60]", "–", "0.70", "0.25"]
-    assert found["Coverage, %"][at[0] :].startswith("50.0 (not informative)")
-    assert [row for row in table if row[0] != " "] == ["Speech:", "Movement:", "Patches:"]
-    assert "Computed over 2 takes (2 clips, 25 s) at 25 fps." in lines
-
-
 def test_files_hold_the_same_table(evaluation):
     rows = list(csv.DictReader(io.StringIO(WRITERS["csv"](evaluation))))
     assert [(row["model"], row["key"], row["value"]) for row in rows] == [
@@ -208,19 +149,10 @@ def test_files_hold_the_same_table(evaluation):
     }  # fmt: skip
     assert {key: sync[key] for key in expected} == expected
     assert rows[1]["recording_low"] == "" and rows[3]["informative"] == "False"
-    lines = WRITERS["markdown"](evaluation).splitlines()
-    assert lines[:4] == [
-        "| Metric |  | a&b (retargeted) | b | Recording | Chance |",
-        "|---|---|---:|---:|---:|---:|",
-        "| **Speech** | | | | | |",
-        f"| Sync | {'↑'} | 0.50 \\[0.40, 0.60\\] | – | 0.70 | 0.25 |".replace("\\", ""),
-    ]
-    latex = WRITERS["latex"](evaluation).splitlines()
-    assert latex[1] == r"\begin{tabular}{llrrrr}"
-    assert latex[3] == r"Metric &  & a\&b (retargeted) & b & Recording & Chance \\"
-    assert latex[5] == r"\multicolumn{6}{l}{\textit{Speech}} \\"
-    assert latex[6] == r"Sync & $\uparrow$ & 0.50 [0.40, 0.60] & -- & 0.70 & 0.25 \\"
-    assert latex[-1] == r"\end{tabular}"
+    assert "| Sync | ↑ | 0.50 [0.40, 0.60] | – | 0.70 | 0.25 |" in WRITERS["markdown"](evaluation)
+    latex = WRITERS["latex"](evaluation)
+    assert r"Metric &  & a\&b (retargeted) & b & Recording & Chance \\" in latex
+    assert r"Sync & $\uparrow$ & 0.50 [0.40, 0.60] & -- & 0.70 & 0.25 \\" in latex
 
 
 @pytest.fixture
@@ -270,59 +202,3 @@ def test_the_bold_value_is_marked_in_every_form(contested, tmp_path):
     assert latex.startswith(r"% Computed over 6 takes (6 clips, 30 s) at 25 fps. Mean")
     write_table(contested, tmp_path / "x.md", "markdown")
     assert (tmp_path / "x.md").read_text(encoding="utf-8") == WRITERS["markdown"](contested)
-
-
-def test_metrics_without_an_interval_are_named_only_beside_others(contested):
-    def last() -> str:
-        return terminal_lines(contested)[-1]
-
-    assert last().startswith("No interval, and never bold: Jerk:")
-    for model in contested.models:
-        model.metrics["jerk"] = MetricResult("jerk", of(3.0), 4.0, informative=False)
-    assert not last().startswith("No interval")
-    for model in contested.models:
-        model.metrics = {"jerk": MetricResult("jerk", of(3.0), 4.0)}
-    assert not last().startswith("No interval"), "none has one"
-    model.metrics["reach"] = MetricResult("reach", of(0.4, 0.3, 0.5), 0.5)
-    assert last().startswith("No interval, and never bold: Jerk:")
-    for model in contested.models:
-        model.clips = model.clips[:2]
-    assert not last().startswith("No interval"), "the warning of few takes says so"
-
-
-def test_notes_of_models_and_studies_are_lines(contested):
-    contested.agreement = Agreement((), ("left out: x",))
-    contested.models[1].notes.append("samples")
-    contested.models[1].excluded += (
-        [Excluded(name, "no feet", what) for name in "abab" for what in ("foot_skate", "srgr")]
-        + [Excluded(name, "no feet", "foot_skate") for name in "cd"]
-        + [Excluded("a", "odd", "x")]
-    )
-    assert list(note_lines(contested)) == [
-        "Note: study: left out: x",
-        "Note: 語 50%: samples",
-        "Left out: 語 50%: a, b, c and 1 more: foot_skate, srgr: no feet",
-        "Left out: 語 50%: a: x: odd",
-    ]
-    for model in contested.models:
-        model.clips = model.clips[:2]
-    assert next(note_lines(contested)).startswith("Warning: the clips come from 2 takes: no int")
-    one = replace(contested, models=contested.models[:1])
-    one.models[0].clips = one.models[0].clips[:1]
-    assert summary_line(one, None).startswith("1 clip measured, 0 left out;")
-
-
-def test_the_chance_is_the_higher_level_of_the_first_model_that_has_the_metric(contested):
-    def chance(first: MetricResult | None, second: MetricResult | None) -> str:
-        for model, result in zip(contested.models, (first, second)):
-            model.metrics = {"bc": result} if result else {}
-        lines = WRITERS["markdown"](contested).splitlines()
-        (*_, row) = (line for line in lines if line.startswith("| "))
-        return row.split("|")[-2].strip()
-
-    def level(low: float | None, other: float | None) -> MetricResult:
-        return MetricResult("bc", of(0.5), 0.6, chance=low, mismatched=other)
-
-    assert chance(level(0.1, 0.3), level(0.9, None)) == "0.30"
-    assert chance(level(0.2, 0.1), None) == "0.20" and chance(None, level(0.4, None)) == "0.40"
-    assert chance(level(None, None), level(0.4, None)) == ""

@@ -20,6 +20,7 @@ from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.physical import JointLimits, LimitsFit, standing_heights
 from gesturekit.evaluation.pairs import Excluded, ItemInterval
 from gesturekit.motion import Motion
+from gesturekit.motion.contacts import foot_points
 from gesturekit.motion.parts import body_joints
 
 if TYPE_CHECKING:
@@ -137,8 +138,13 @@ class ClipInputs:
 
     @functools.cached_property
     def heights(self) -> np.ndarray:
-        """Standing heights (F,) of the foot points, metres: the recording's, of the same body."""
-        return standing_heights(self.clip.recording if self.clip.same_body else self.motion)
+        """Standing heights (F,) of the foot points, metres: the recording's, of the same body.
+
+        A rig without the ends of the recording's feet has fewer points: it takes its own heights.
+        """
+        rigs = (self.motion.skeleton, self.clip.recording.skeleton)
+        alike = self.clip.same_body and len({len(foot_points(rig)) for rig in rigs}) == 1
+        return standing_heights(self.clip.recording if alike else self.motion)
 
     @property
     def frame_rate(self) -> float | None:

@@ -1,0 +1,153 @@
+"""The figures of a report are those of the public functions, and are pooled as the docs say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gesturekit.evaluation as ev
+from audio_features import Wave
+from gesturekit.corpus import Item, Manifest
+from gesturekit.motion import Motion
+from gesturekit.motion.parts import body_joints
+from gesturekit.motion.parts.body_size import body_scale
+
+
+def values(model) -> dict[str, float]:
+    return {key: result.interval.value for key, result in model.metrics.items()}
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory, gesture, write_speech) -> Path:
+    """Two samples of each of three recordings of 12 s with sound."""
+    root = tmp_path_factory.mktemp("figures")
+    for r in range(3):
+        gesture(12.0, 25.0, seed=r).save(root / "recordings" / f"c{r}.npz")
+        write_speech(root / "sound" / f"c{r}.wav", 12.0)
+        for k in (1, 2):
+            gesture(12.0, 25.0, seed=10 * r + 10 + k).save(root / "made" / f"c{r}_s{k}.npz")
+    return root
+
+
+@pytest.fixture(scope="module")
+def model(folders):
+    (found,) = ev.evaluate(
+        folders / "made", folders / "recordings", audio=folders / "sound", seed=4
+    ).models
+    return found
+
+
+@pytest.fixture(scope="module")
+def motions(model) -> tuple[list[Motion], list[Motion]]:
+    """The clips in the order of the report, and the recording of each."""
+    pairs = [clip.pair for clip in model.clips]
+    return [Motion.load(p.generated) for p in pairs], [Motion.load(p.reference) for p in pairs]
+
+
+def test_figures_of_clips(model, motions, folders):
+    made, recorded = motions
+    joints = body_joints(recorded[0].skeleton)
+    limits = ev.JointLimits.fit(recorded[::2], joints[1:])
+    for clip, motion, own in zip(model.clips, made, recorded, strict=True):
+        wave = Wave.load(folders / "sound" / f"{clip.pair.stem}.wav")
+        timing = ev.sync(motion, wave)
+        poses = [ev.root_relative(m, joints).reshape(m.n_frames, -1) for m in (motion, own)]
+        speeds = [ev.joint_speed(m, joints) / body_scale(own.skeleton) for m in (motion, own)]
+        histograms = [ev.SpeedHistogram.of([speed.ravel()]) for speed in speeds]
+        expected = {
+            "arm_speed": ev.arm_speed(motion).mean(),
+            "wrist_speed": ev.wrist_speed(motion).mean(),
+            "foot_skate": ev.foot_skate(motion, ev.standing_heights(own)),
+            "joint_limits": 100 * ev.joint_limit_share(motion, limits),
+            "sync": timing.r, "sync_chance": timing.chance_mean, "sync_z": timing.z,
+            "in_time": timing.r - timing.chance_mean,
+            "bas": ev.beat_alignment(motion, ev.music_beats(wave)).score,
+            "hellinger": ev.hellinger(*histograms), "cca": ev.cca(*poses),
+            "l1_diversity": ev.l1_diversity(motion, joints),
+        }  # fmt: skip
+        for key, value in expected.items():
+            assert clip.metrics[key] == pytest.approx(value, rel=1e-4, abs=1e-6), key
+
+
+def test_figures_of_sets(model, motions):
+    made, recorded = motions
+    found, own = values(model), recorded[::2]
+    joints = ev.upper_joints(own[0].skeleton)
+    for key, measure in (("raw_fgd", ev.raw_fgd), ("fid_k", ev.fid_k), ("fid_g", ev.fid_g)):
+        assert found[key] == pytest.approx(measure(made, own, resamples=0).value, rel=1e-4), key
+    assert found["div_k"] == pytest.approx(ev.div_k(made, own), rel=1e-4)
+    assert model.metrics["div_k"].recording == pytest.approx(ev.div_k(own), rel=1e-4)
+    ours, theirs = ev.motion_windows(made, joints), ev.motion_windows(own, joints)
+    assert found["one_nn"] == pytest.approx(ev.two_sample_accuracy(ours, theirs, seed=4))
+    assert found["within_reach"] == pytest.approx(100 * ev.within_reach(ours, theirs, seed=4))
+    hands, recorded_hands = ev.hand_movement(made), ev.hand_movement(own)
+    for key, name, factor in (
+        ("hand_q10", "q10", 1), ("hand_q50", "q50", 1), ("hand_q90", "q90", 1),
+        ("rest", "rest", 100), ("near_still", "near_still", 100), ("reach", "reach", 1),
+        ("speed_range", "range", 1),
+    ):  # fmt: skip
+        assert found[key] == pytest.approx(factor * getattr(hands, name)), key
+        theirs = factor * getattr(recorded_hands, name)
+        assert model.metrics[key].recording == pytest.approx(theirs), key
+    calm = ev.calm_and_lively(own, [made[k : k + 2] for k in (0, 2, 4)])
+    assert (found["calm_lively_r"], found["calm_lively_slope"]) == pytest.approx(
+        (calm.r, calm.slope)
+    )
+    assert model.metrics["calm_lively_r"].note == f"{calm.n} windows"
+    samples = [ev.patch_features(m, joints=body_joints(m.skeleton)) for m in made]
+    apart = [ev.inter_diversity(samples[k : k + 2]) for k in (0, 2, 4)]
+    assert found["inter_diversity"] == pytest.approx(np.mean(apart), rel=1e-4)
+    poses = [np.concatenate([ev.root_relative(m, body_joints(m.skeleton)) for m in side])
+             for side in (made, recorded)]  # fmt: skip
+    whole = ev.cca(*(side.reshape(len(side), -1) for side in poses))
+    assert found["cca_global"] == pytest.approx(whole, abs=1e-4)
+
+
+def test_each_speaker_is_compared_with_own_recordings(tmp_path, gesture):
+    items, sides = [], {}
+    for s, name in enumerate(("ann", "ben")):
+        for take in range(2):
+            own = gesture(8.0, 25.0, seed=10 * s + take)
+            made = gesture(8.0, 25.0, seed=50 + 10 * s + take)
+            stem = f"{name}{take}"
+            own.save(tmp_path / f"{stem}.npz")
+            made.save(tmp_path / "made" / f"{stem}.npz")
+            items.append(
+                Item(id=stem, audio=None, motion=tmp_path / f"{stem}.npz", duration=8.0,
+                     split="test", speaker=name)
+            )  # fmt: skip
+            sides.setdefault(name, ([], []))[0].append(made)
+            sides[name][1].append(own)
+    Manifest(items).save(tmp_path / "corpus.jsonl")
+    (model,) = ev.evaluate(tmp_path / "made", tmp_path / "corpus.jsonl").models
+    joints = ev.upper_joints(own.skeleton)
+    windows = [[ev.motion_windows(side, joints) for side in both] for both in sides.values()]
+    found = values(model)
+    for key, expected in (
+        ("one_nn", [ev.two_sample_accuracy(*both) for both in windows]),
+        ("within_reach", [100 * ev.within_reach(*both) for both in windows]),
+    ):
+        assert found[key] == pytest.approx(np.mean(expected)), key
+        note = "recording: each take against the speaker's others"
+        assert model.metrics[key].note == note
+    # A recording against the speaker's other take.
+    own = [ev.two_sample_accuracy(*(ev.motion_windows(m, joints) for m in pair))
+           for _, (a, b) in sides.values() for pair in ((a, b), (b, a))]  # fmt: skip
+    assert model.metrics["one_nn"].recording == pytest.approx(np.mean(own))
+    likeness = model.metrics["likeness"]
+    assert model.metrics["novelty"].ceiling.n == likeness.ceiling.n == 4
+    assert {level.name for level in likeness.floors} == {"another speaker", "mean pose"}
+
+
+def test_arms_that_do_not_move_are_not_in_time(folders, tmp_path):
+    for path in sorted((folders / "recordings").glob("*.npz")):
+        own = Motion.load(path)
+        still = replace(own, rotations=own.rotations[:1].repeat(own.n_frames, axis=0))
+        still.save(tmp_path / "still" / path.name)
+    found = ev.evaluate(tmp_path / "still", folders / "recordings", audio=folders / "sound")
+    (still,) = found.models
+    assert values(still)["in_time"] == values(still)["sync"] == 0.0
+    assert any("arms do not move" in item.reason for item in still.excluded)
