@@ -45,7 +45,7 @@ def test_training_learns_to_predict_noise(make_config):
     )
     train(config)
     first, *_, last = [line["loss"] for line in logged(config.out)]
-    assert last < 0.8 * first
+    assert last < 0.9 * first
 
 
 def test_the_seed_decides_the_weights_and_evaluation_does_not(make_config, tmp_path):
@@ -114,14 +114,20 @@ def test_the_learning_rate_reaches_its_peak_and_decays_from_there():
     assert learning_rate(paper, 66_999) == pytest.approx(6e-4 * 0.99995**6400)
 
 
-def test_nan_stops_the_run_and_the_last_good_checkpoint_stays(make_config):
-    """A learning rate that leads to infinity within some updates."""
-    training = {"learning_rate": 1e19, "warm_up": 0, "clip": 1e9, "updates": 30}
-    config = make_config(training=training, checkpoint_every=1)
-    with pytest.raises(ModelError, match=r"step \d+: .*checkpoint is of step"):
+def test_nan_stops_the_run_and_the_last_good_checkpoint_stays(make_config, monkeypatch):
+    steps, own = [], torch.optim.Adam.step
+
+    def step(self, *args, **kwargs):
+        steps.append(own(self, *args, **kwargs))
+        if len(steps) > 4:
+            self.param_groups[0]["params"][0].data.fill_(float("nan"))
+
+    monkeypatch.setattr(torch.optim.Adam, "step", step)
+    config = make_config()
+    with pytest.raises(ModelError, match=r"NaN .*checkpoint is of step 3"):
         train(config)
-    _, state = Checkpoints(config.out / "checkpoints").latest()
-    assert all(torch.isfinite(value).all() for value in state["network"].values())
+    last, state = Checkpoints(config.out / "checkpoints").latest()
+    assert last == 3 and all(torch.isfinite(value).all() for value in state["network"].values())
 
 
 @pytest.mark.parametrize(
