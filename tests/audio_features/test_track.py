@@ -43,14 +43,6 @@ def test_frames_are_placed_by_true_time(ramp, fps):
     assert track.times[-1] <= ramp.times[-1] < track.times[-1] + 1 / fps
 
 
-def test_ends_are_held_and_the_count_is_the_callers(ramp):
-    track = ramp.to_rate(25.0, n_frames=260)
-    assert track.values.shape == (260, 2)
-    assert track.values[0, 0] == np.float32(ramp.times[0])
-    assert (track.values[251:, 0] == np.float32(ramp.times[-1])).all()
-    assert (track.spec, track.names) == (ramp.spec, ramp.names)
-
-
 def test_mean_averages_what_lies_within_each_motion_frame(ramp):
     track = ramp.to_rate(10.0, n_frames=100, method="mean")
     for k in (0, 1, 50, 99):

@@ -9,7 +9,6 @@ import shutil
 import zipfile
 from pathlib import Path
 
-import numpy as np
 import pytest
 import soundfile
 from wavlm_layouts import microsoft, torchaudio_state

@@ -59,15 +59,6 @@ def test_a_stretched_walk_goes_the_same_way_in_another_time(walk, factor):
     assert there.speeds.mean() == pytest.approx(here.speeds.mean() / factor, rel=1e-2)
 
 
-def test_a_glitch_is_not_interpolated_into_an_unrecorded_rotation():
-    values = np.zeros((10, 6))
-    values[5:, :3] = [0.0, 2.0, 2.6]
-    values[5:, 3:] = [0.0, 1.0, 0.0]
-    made = stretch(values, 0.0, 10, 1.1, maps=slice(0, 6))
-    assert set(map(tuple, made[:, :3])) == {(0.0, 0.0, 0.0), (0.0, 2.0, 2.6)}
-    assert ((made[:, 4] > 0) & (made[:, 4] < 1)).any()
-
-
 @pytest.mark.parametrize(
     ("factor", "start"), [(0.9, 0.0), (0.9, 0.2), (0.93, 3.7), (1.0, 0.5), (1.1, 0.4)]
 )

@@ -168,19 +168,6 @@ def test_events_keep_their_frames_however_windows_are_stretched(loaded, recorded
         loaded(events=True)
 
 
-def test_a_resumed_run_reads_the_same_data(make_config, styled, tmp_path):
-    config = make_config(corpus=styled, styles={}, path=True)
-    data = load_training_data(config)
-    data.save(tmp_path / "data")
-    back = TrainingData.load(tmp_path / "data", config)
-    one, other = (Batches(d, config).draw(0, slice(0, 4)) for d in (data, back))
-    assert all(torch.equal(value, getattr(other, name)) for name, value in vars(one).items())
-    assert back.seconds == data.seconds and back.conditions.width == data.conditions.width
-    (tmp_path / "data" / "data.safetensors").write_bytes(b"none")
-    with pytest.raises(ConfigError, match="training data cannot be read"):
-        TrainingData.load(tmp_path / "data", config)
-
-
 def test_a_run_goes_on_from_a_model_with_its_rig_and_normalisation(make_config, idle, tmp_path):
     model = train(make_config(unpaired={"corpus": idle}, out=str(tmp_path / "before")))
     config = make_config(start_from=str(model), training={"updates": 1, "learning_rate": 1e-9})

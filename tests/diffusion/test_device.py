@@ -11,7 +11,6 @@ from runs import apart, same_weights
 
 import gesturekit as gk
 from gesturekit.diffusion.training.trainer import train
-from gesturekit.errors import ModelError
 from gesturekit.training.run.checkpoint import Checkpoints
 
 EVERYTHING = {
@@ -94,9 +93,3 @@ def test_a_gpu_makes_the_motion_of_the_cpu(gpu, models, name):
     here, there = (REQUESTS[name](models(device)).positions() for device in ("cpu", "cuda"))
     # A tenth of a millimetre is less than any motion capture resolves.
     assert np.abs(here - there).max() < 1e-4
-
-
-def test_models_on_two_devices_cannot_be_multiplied(gpu, models):
-    experts = [(models("cuda")["other"], 0.5)]
-    with pytest.raises(ModelError, match="expert 1: is on cuda:0, this model on cpu; load both"):
-        models("cpu")["styled"].generate(**FEW, experts=experts)

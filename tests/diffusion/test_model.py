@@ -19,7 +19,6 @@ from gesturekit.diffusion.conditions import smooth_path
 from gesturekit.diffusion.events import asked_events
 from gesturekit.errors import ModelError
 from gesturekit.motion.root_path import RootPath
-from gesturekit.postprocess import smooth_motion
 
 QUICK = {"seconds": 1.5, "steps": 4}
 STYLES = {"styles": ("old", "angry"), "droppable": ("styles",)}
@@ -118,13 +117,6 @@ def test_experts_are_other_models_with_conditions_of_their_own(model, untrained,
     assert not same(half, alone)
 
 
-def test_a_path_places_the_body(untrained):
-    walker = untrained(path=True)
-    for asked in ({"facing": 0.0}, {"in_place": True}):
-        with pytest.raises(ModelError, match="the model follows a path, which places the body"):
-            walker.check_controls(**asked)
-
-
 def test_a_path_is_followed_to_the_millimetre(untrained, tmp_path):
     walker = untrained(path=True)
     time = np.arange(0, 4.01, 0.1)
@@ -208,15 +200,6 @@ def test_a_saved_model_is_the_model(untrained, ears, tmp_path):
         assert ("path.csv" in readme) == bool(number)
         files = {"README.md", "config.yaml", "model.safetensors", "skeleton.json"}
         assert {file.name for file in folder.iterdir()} == files
-
-
-def test_smoothing_defaults_to_the_models_setting(untrained, tmp_path):
-    model = replace(untrained(), smooth=0.3)
-    model.save(tmp_path / "model")
-    asked = QUICK | {"foot_lock": False}
-    plain = model.generate(**asked, smooth=0)
-    made = gk.load(tmp_path / "model").generate(**asked)
-    assert same(made, smooth_motion(plain, 0.3)) and not same(made, plain)
 
 
 def test_half_precision_moves_alike_and_keeps_the_weights(model, tmp_path):

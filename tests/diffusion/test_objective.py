@@ -99,15 +99,3 @@ def test_second_order_steps_are_those_of_dpm_solver_plus_plus():
         lambda noisy, step: clip(noises[step]), lambda k: clip(1.0), schedule, solver="dpm"
     )
     assert made.item() == pytest.approx(clean_0, rel=1e-9)
-
-
-def test_a_given_start_is_noised_to_its_step():
-    seen = []
-
-    def predict(noisy, step):
-        seen.append((noisy.item(), step))
-        return clip(0.0)
-
-    sample(predict, lambda k: clip(-1.0), of_two_steps(), start=(clip(2.0), 1))
-    first, step = seen[0]
-    assert step == 1 and first == pytest.approx(2 * math.sqrt(0.4) - math.sqrt(0.6))

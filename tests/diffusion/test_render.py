@@ -92,14 +92,6 @@ def test_events_of_a_manifest_keep_their_durations(render, folders, untrained, g
     np.testing.assert_allclose(motion.rotations, expected.rotations, atol=1e-6)
 
 
-def test_a_path_gives_the_length(render, folders, tmp_path):
-    (tmp_path / "way.csv").write_text("time,x,z\n0,0,0\n1,0,1\n2,1,1\n")
-    status, motion, _ = render(folders["walker"], "--path", tmp_path / "way.csv", "--steps", 2)
-    assert status == 0
-    assert abs(motion.duration - 2) <= 1.01  # as long as the table's rows hold
-    np.testing.assert_allclose(motion.positions()[-1, 0, [0, 2]], [1, 1], atol=0.02)
-
-
 @pytest.mark.parametrize(
     ("name", "options", "told"),
     [

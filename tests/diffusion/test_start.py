@@ -57,14 +57,6 @@ def test_a_motion_on_another_rig_is_retargeted_and_stands_on_the_floor(model, gi
     assert abs((made.positions() - given.positions())[..., 1].mean()) < 0.02
 
 
-def test_a_model_that_follows_a_path_takes_that_of_the_motion(untrained, gesture):
-    walk = gesture(2.0)
-    way = np.stack([np.zeros(60), np.full(60, 0.9), np.arange(60) / 30], axis=1)
-    walk = replace(walk, translation=way)
-    made = untrained(path=True).generate(like=walk, change=0.05, **ASKED)
-    assert apart(made, walk) < 0.1
-
-
 def test_motions_that_cannot_be_a_start_are_errors(model, given, tmp_path):
     for change in (0.0, 1.5, float("nan")):
         with pytest.raises(ModelError, match="change="):

@@ -175,14 +175,3 @@ def test_experts_with_speech_and_events_can_be_combined(make_config, gesture, tm
     motion = leader.generate(seconds=1.0, events="kick@0.5", experts=[(like, 0.5)], steps=3)
     alone = leader.generate(seconds=1.0, steps=3)
     assert motion.n_frames == 30 and np.abs(motion.rotations - alone.rotations).max() > 1e-3
-
-
-def test_an_incompatible_moves_like_is_refused(make_config):
-    model = str(train(make_config()))
-    for wrong, told in (
-        ({"fps": 25.0}, "moves_like: .* has fps 30.0, this run 25.0"),
-        ({"path": True}, "moves_like: this run follows a path and .* does not"),
-        ({"start_from": model}, "leave out one of them"),
-    ):
-        with pytest.raises(ConfigError, match=told):
-            train(make_config(out=model + "-next", moves_like=model, **wrong))

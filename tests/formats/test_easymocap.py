@@ -70,6 +70,8 @@ def test_the_folder_above_and_a_single_frame_are_read_too(tmp_path):
     one = Motion.load(folder / "000007.json")
     assert (whole.n_frames, one.n_frames) == (FRAMES, 1)
     np.testing.assert_allclose(one.rotations[0], whole.rotations[7], atol=1e-12)
+    bare = {key: value for key, value in recorded().items() if key != "shapes"}
+    assert not Motion.load(write(tmp_path / "bare", [bare])).skeleton.body_shape.betas
 
 
 def test_the_body_model_places_the_pelvis(tmp_path, capsule_body):

@@ -38,9 +38,3 @@ def test_an_invalid_table_of_events_is_one_clear_error(tmp_path, text, says):
         load_events(file)
     assert says in str(caught.value) and str(file) in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_a_file_that_is_not_there(tmp_path):
-    for path, says in ((tmp_path / "none.csv", "no such file"), (tmp_path, "not a regular file")):
-        with pytest.raises(FormatError, match=says):
-            load_events(path)

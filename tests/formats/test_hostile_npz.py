@@ -1,8 +1,4 @@
-"""Broken and hostile npz files: one error of ours, quickly, in little memory.
-
-GESTUREKIT_MUTATIONS=10000 python -m pytest -s tests/formats/test_hostile_npz.py makes that many and
-prints the slowest and the largest.
-"""
+"""Hostile npz files: one error of ours, in little memory."""
 
 from __future__ import annotations
 
