@@ -80,5 +80,7 @@ def test_levels_of_other_factors_and_no_frames():
     ):
         with pytest.raises(af.FeatureError, match=says):
             af.level_lengths(*arguments)
+    with pytest.raises(af.FeatureError, match="40 frames"):
+        af.residual_pyramid(np.zeros((40, 2)), [10, 30])
     same = np.arange(3.0)
     assert af.resample_frames(same, 3) is not same
