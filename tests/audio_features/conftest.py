@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import shutil
-import sys
-import types
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from audio_features import Wave
-from audio_features.acoustic import torchaudio_backend
 
 
 @pytest.fixture
@@ -40,29 +37,3 @@ def wavlm_copy(wavlm_folder, tmp_path) -> Path:
     """The folder again, to be changed."""
     shutil.copytree(wavlm_folder, tmp_path / "copy")
     return tmp_path / "copy"
-
-
-@pytest.fixture
-def torchaudio(monkeypatch):
-    """torchaudio, with a stub in place of the extension where that is built for another torch.
-
-    The functions compared here are plain torch; on a CPU-only torch the registry's torchaudio
-    fails in nothing but loading its CUDA extension.
-    """
-    from importlib.util import find_spec
-
-    if find_spec("torchaudio") is None:
-        pytest.skip("torchaudio is not installed")
-    torchaudio_backend.import_torchaudio.cache_clear()
-    if torchaudio_backend.import_torchaudio()[0] is None:
-        stub = types.ModuleType("torchaudio._extension")
-        stub._IS_TORCHAUDIO_EXT_AVAILABLE = stub._IS_ALIGN_AVAILABLE = False
-        stub.fail_if_no_align = lambda function: function
-        for name in [name for name in sys.modules if name.partition(".")[0] == "torchaudio"]:
-            monkeypatch.delitem(sys.modules, name)
-        monkeypatch.setitem(sys.modules, "torchaudio._extension", stub)
-        torchaudio_backend.import_torchaudio.cache_clear()
-    yield torchaudio_backend.import_torchaudio()[0]
-    for name in [name for name in sys.modules if name.partition(".")[0] == "torchaudio"]:
-        monkeypatch.delitem(sys.modules, name)
-    torchaudio_backend.import_torchaudio.cache_clear()

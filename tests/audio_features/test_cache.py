@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import audio_features as af
-from audio_features.cache import KINDS, DiskCache, default_folder
+from audio_features.cache import KINDS, DiskCache
 
 
 class Slow:
@@ -68,14 +68,6 @@ def test_another_sound_setting_or_rate_is_another_entry(tmp_path, wave):
     assert (same.asked, again.asked) == (1, 0), "the order of settings means nothing"
 
 
-def test_another_version_of_the_package_is_another_entry(tmp_path, wave, monkeypatch):
-    slow, cache = Slow(), af.FeatureCache(tmp_path)
-    cache.extract(slow, wave)
-    monkeypatch.setattr("audio_features.cache.digest_of_sources", lambda _: "an edit")
-    cache.extract(slow, wave)
-    assert slow.asked == 2
-
-
 def test_parts_of_a_stack_are_kept_alone_and_light_ones_not_at_all(tmp_path, wave):
     slow, cache = Slow(), af.FeatureCache(tmp_path)
     stack = af.Stack([slow, af.Prosody()])
@@ -121,67 +113,26 @@ def test_a_damaged_entry_is_made_again(tmp_path, wave, fault, caplog):
 
 
 def test_the_least_recently_used_entries_are_removed_first(tmp_path):
-    waves = [af.Wave(np.full(16_000 + i, 0.1), 16_000) for i in range(8)]
+    waves = [af.Wave(np.full(16_000 + i, 0.1), 16_000) for i in range(6)]
     slow, cache = Slow(), af.FeatureCache(tmp_path)
-    cache.extract(slow, waves[0])
-    size = cache.contents().size
-    for entry in tmp_path.rglob("*.safetensors"):
-        os.utime(entry, (1, 1))
-    cache = af.FeatureCache(tmp_path, max_bytes=4 * size + size // 2)
-    for wave in waves[1:4]:
+    for age, wave in enumerate(waves[:4]):
+        before = set(tmp_path.rglob("*.safetensors"))
         cache.extract(slow, wave)
+        (entry,) = set(tmp_path.rglob("*.safetensors")) - before
+        os.utime(entry, (age, age))
+    size = cache.contents().size // 4
+    cache = af.FeatureCache(tmp_path, max_bytes=4 * size + size // 2)
     cache.extract(slow, waves[0])  # used again: no longer the oldest
-    time.sleep(0.02)
     for wave in waves[4:]:
         cache.extract(slow, wave)
-        time.sleep(0.02)
-        cache.extract(slow, waves[0])
         assert cache.contents().entries <= 4
     asked = slow.asked
-    cache.extract(slow, waves[0])
-    cache.extract(slow, waves[-1])
+    for index in (0, 3, 4, 5):
+        cache.extract(slow, waves[index])
     assert slow.asked == asked
     nothing = af.FeatureCache(tmp_path / "none", max_bytes=0)
     nothing.extract(slow, waves[0])
     assert nothing.contents().entries == 0
-
-
-def test_a_large_entry_removes_as_many_small_ones_as_it_needs(tmp_path):
-    cache = DiskCache(tmp_path, max_bytes=1000)
-    names = ["a1", "b2", "c3", "d4", "e5"]
-    for age, name in enumerate(names[:4]):
-        path = cache.path(KINDS[0], name, ".bin")
-        cache.write(path, bytes(220))
-        os.utime(path, (age, age))
-    found = cache.contents()
-    assert (found.entries, found.oldest, found.newest) == (4, 0, 3)
-    cache.write(cache.path(KINDS[0], names[4], ".bin"), bytes(500))
-    kept = [name for name in names if cache.path(KINDS[0], name, ".bin").exists()]
-    assert kept == ["c3", "d4", "e5"] and cache.contents().size == 940
-
-
-def write(cache: DiskCache, name: str, size: int, kind: str = KINDS[0]) -> Path:
-    path = cache.path(kind, name, ".bin")
-    cache.write(path, bytes(size))
-    return path
-
-
-def test_the_size_is_measured_after_a_sixteenth_of_the_limit(tmp_path):
-    """A new cache measures at its first entry; what others wrote since then is not known before."""
-    cache, other = (DiskCache(tmp_path, max_bytes=1600) for _ in range(2))
-    assert write(cache, "a0", 1600).exists() and not write(cache, "a1", 1601).exists()
-    large = tmp_path / KINDS[1] / "b0" / "b0.bin"
-    large.parent.mkdir(parents=True)
-    large.write_bytes(bytes(1600))
-    os.utime(large, (1, 1))
-    for name, is_there in (("c0", True), ("c1", True), ("c2", False)):
-        write(cache, name, 50 if name != "c2" else 1)
-        assert large.exists() == is_there, name
-    assert other.contents().size == 101, "a0 is older than the entries after it"
-    write(other, "d0", 1499)
-    assert cache.contents().size == 1600, "as much as the limit"
-    cache = DiskCache(tmp_path, max_bytes=0)
-    assert write(cache, "e0", 0).exists()
 
 
 @pytest.mark.parametrize(("age", "stays"), [(3500, True), (3700, False)])
@@ -192,53 +143,8 @@ def test_what_a_killed_run_left_is_removed_after_an_hour(tmp_path, age, stays):
     os.utime(left, (time.time() - age,) * 2)
     cache = DiskCache(tmp_path)
     assert (cache.contents().entries, cache.contents().oldest) == (0, None)
-    write(cache, "cd", 10)
+    cache.write(cache.path(KINDS[0], "cd", ".bin"), bytes(10))
     assert left.exists() == stays
-
-
-@pytest.mark.parametrize(
-    ("platform", "variables", "place"),
-    [
-        ("linux", {}, ".cache/gesturekit"),
-        ("linux", {"XDG_CACHE_HOME": ""}, ".cache/gesturekit"),
-        ("linux", {"XDG_CACHE_HOME": "~/xdg"}, "xdg/gesturekit"),
-        ("darwin", {"XDG_CACHE_HOME": "~/xdg"}, "Library/Caches/gesturekit"),
-        ("win32", {"XDG_CACHE_HOME": "~/xdg"}, "AppData/Local/gesturekit"),
-        ("win32", {"LOCALAPPDATA": "~/local"}, "local/gesturekit"),
-        ("win32", {"GESTUREKIT_CACHE": "mine", "LOCALAPPDATA": "~/local"}, None),
-    ],
-)
-def test_the_usual_folder_is_that_of_the_platform(
-    tmp_path, monkeypatch, platform, variables, place
-):
-    for name in ("GESTUREKIT_CACHE", "XDG_CACHE_HOME", "LOCALAPPDATA"):
-        monkeypatch.delenv(name, raising=False)
-    for name, value in ({"HOME": str(tmp_path)} | variables).items():
-        monkeypatch.setenv(name, value)
-    monkeypatch.setattr(sys, "platform", platform)
-    assert default_folder() == (Path("mine") if place is None else tmp_path / place)
-
-
-@pytest.mark.filterwarnings("ignore:overflow encountered in cast")
-@pytest.mark.parametrize(("value", "fits"), [(65504.0, True), (-65504.0, True), (-65520.0, False)])
-def test_values_that_fp16_does_not_hold_are_refused(tmp_path, wave, value, fits):
-    class Large(Slow):
-        def extract(self, wave: af.Wave) -> af.FeatureTrack:
-            return af.FeatureTrack(np.full((2, 3), value), [0.0, 1.0], self.spec, self.names)
-
-    cache = af.FeatureCache(tmp_path, precision="fp16")
-    if fits:
-        assert (cache.extract(Large(), wave).values == value).all()
-        return
-    with pytest.raises(af.FeatureError, match="6.55e\\+04 does not fit into fp16: cache as fp32"):
-        cache.extract(Large(), wave)
-    assert (af.FeatureCache(tmp_path).extract(Large(), wave).values == value).all()
-
-
-def test_a_limit_below_zero_is_refused(tmp_path):
-    assert af.FeatureCache(tmp_path, max_bytes=0).max_bytes == 0
-    with pytest.raises(af.FeatureError, match="max_bytes=-1: 0 or more"):
-        af.FeatureCache(tmp_path, max_bytes=-1)
 
 
 def test_clearing_removes_entries_and_nothing_else(tmp_path, wave):
@@ -253,46 +159,18 @@ def test_clearing_removes_entries_and_nothing_else(tmp_path, wave):
     assert cache.contents().entries == 0 and cache.clear().entries == 0
 
 
-def test_a_folder_that_cannot_be_written_only_warns(tmp_path, wave, caplog):
-    (tmp_path / "file").write_text("in the way")
-    slow, cache = Slow(), af.FeatureCache(tmp_path / "file")
-    for _ in range(3):
-        cache.extract(slow, wave)
-    assert slow.asked == 3 and caplog.text.count("not cached") == 1
-    assert cache.contents().entries == 0
-
-
-def test_an_entry_that_others_made_is_read_and_can_be_read_by_them(tmp_path, wave, monkeypatch):
-    slow, cache = Slow(), af.FeatureCache(tmp_path)
-    cache.extract(slow, wave)
-    (entry,) = tmp_path.rglob("*.safetensors")
-    umask = os.umask(0)
-    os.umask(umask)
-    assert entry.stat().st_mode & 0o777 == 0o666 & ~umask
-
-    def refuse(path: Path) -> None:
-        raise PermissionError(1, "not the owner")
-
-    monkeypatch.setattr(os, "utime", refuse)
-    cache.extract(slow, wave)
-    assert slow.asked == 1
-
-
 def test_the_environment_names_folder_and_size(tmp_path, monkeypatch):
     monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "here"))
     monkeypatch.setenv("GESTUREKIT_CACHE_GB", "0.5")
     cache = af.cache_from_environment()
     assert cache.folder == tmp_path / "here" and cache.max_bytes == 5 * 10**8
-    assert af.cache_from_environment() is cache is not af.cache_from_environment("fp16")
     monkeypatch.delenv("GESTUREKIT_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
-    if sys.platform == "linux":
-        assert af.cache_from_environment().folder == tmp_path / "xdg" / "gesturekit"
-    monkeypatch.setenv("GESTUREKIT_CACHE_GB", "0")
-    assert af.cache_from_environment().max_bytes == 0
     monkeypatch.delenv("GESTUREKIT_CACHE_GB")
-    assert af.cache_from_environment().max_bytes == 20 * 10**9, "as its description says"
-    for wrong in ("much", "-1", "nan", "inf"):
+    cache = af.cache_from_environment()
+    assert cache.max_bytes == 20 * 10**9
+    assert sys.platform != "linux" or cache.folder == tmp_path / "xdg" / "gesturekit"
+    for wrong in ("much", "-1"):
         monkeypatch.setenv("GESTUREKIT_CACHE_GB", wrong)
         with pytest.raises(af.AudioFeaturesError, match="GESTUREKIT_CACHE_GB"):
             af.cache_from_environment()
@@ -326,16 +204,7 @@ def writer(folder: Path, count: int) -> subprocess.Popen:
     return process
 
 
-def test_two_processes_make_one_entry_and_both_are_right(tmp_path):
-    processes = [writer(tmp_path, 3) for _ in range(2)]
-    for process in processes:
-        process.stdin.write("go\n")
-        process.stdin.flush()
-    assert [process.wait(60) for process in processes] == [0, 0]
-    files = [path for path in tmp_path.rglob("*") if path.is_file()]
-    assert len(files) == 3 and all(path.suffix == ".safetensors" for path in files)
-
-
+@pytest.mark.stress
 def test_a_killed_writer_leaves_nothing_under_a_final_name(tmp_path, caplog):
     from safetensors.numpy import load_file
 

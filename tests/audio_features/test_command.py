@@ -84,22 +84,6 @@ def test_sizes_methods_and_a_channel(folder, speech):
     assert tracks[0].values.shape == (400, 16 + 2 + 3)
     assert not np.allclose(tracks[1].values, tracks[2].values, atol=1)
     np.testing.assert_allclose(tracks[1].values[100:150, 3], tracks[2].values[150:200, 3], atol=1)
-    assert "the file has 2" in run("two.wav", "--channel", "3", "--out", "new").output
-    for wrong in ("mfcc:many", "mfcc:99", "prosody:praat"):
-        failed = run("a.wav", "--extractor", wrong, "--out", "o").exception
-        assert wrong.partition(":")[2] in str(failed)
-
-
-def test_alignments_and_faults(folder, speech):
-    soundfile.write(folder / "loud.wav", np.clip(speech.samples * 10, -1, 1), 16_000)
-    rows = []
-    for align in ("linear", "mean", "length_ratio"):
-        replaced = ("--out", "out", "--existing", "replace")
-        result = run("loud.wav", "--fps", "30", "--align", align, *replaced)
-        assert result.return_value == 0 and "loud.wav: clipped" in result.output
-        rows.append(FeatureTrack.load(folder / "out" / "loud.npz").values)
-    assert {values.shape for values in rows} == {(120, 28)}
-    assert not np.array_equal(rows[0], rows[1]) and not np.array_equal(rows[0], rows[2])
 
 
 def test_a_picture_shows_every_feature(folder):

@@ -14,7 +14,6 @@ import audio_features as af
         af.LogMel(16),
         af.MFCC(13),
         af.Prosody(),
-        af.Prosody("pyin"),
         af.Onset(),
         af.Music(1),
         af.Stack([af.MFCC(), af.Prosody()]),

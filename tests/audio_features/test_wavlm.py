@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-import warnings
 
 import numpy as np
 import pytest
 from sounds import distance, swelling
-from wavlm_layouts import microsoft
 
 import audio_features as af
 from audio_features.speech_encoders import chunk_slices
@@ -21,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("no_network")
 
 # With GESTUREKIT_FULL_SIZE=1 the same comparison runs on networks of the published sizes.
 FULL_SIZE = bool(os.environ.get("GESTUREKIT_FULL_SIZE"))
-SECONDS = (0.1, 1.0, 10.0, 30.0, 60.0) if FULL_SIZE else (0.1, 1.0, 10.0)
+SECONDS = (0.1, 10.0, 60.0) if FULL_SIZE else (0.1, 3.0)
 
 
 @pytest.fixture(scope="module", params=["group", "layer"])
@@ -84,54 +82,17 @@ def test_values_are_those_of_transformers(network, seconds):
     assert distance(af.WavLM(folder, layer=below).extract(wave).values, states[below]) < 1e-5
 
 
-@pytest.mark.parametrize(
-    ("n_frames", "longest", "context", "chunks"),
-    [
-        (10, 20, 2, [((0, 10), (0, 10))]),
-        (10, 20, 6, [((0, 10), (0, 10))]),
-        (10, 6, 1, [((0, 6), (0, 5)), ((4, 10), (5, 10))]),
-        (11, 6, 1, [((0, 5), (0, 4)), ((3, 8), (4, 7)), ((6, 11), (7, 11))]),
-        (9, 3, 0, [((0, 3), (0, 3)), ((3, 6), (3, 6)), ((6, 9), (6, 9))]),
-    ],
-)
-def test_chunks_are_few_of_one_length_and_overlap_by_their_contexts(
-    n_frames, longest, context, chunks
-):
-    found = list(chunk_slices(n_frames, longest, context))
-    assert [((a.start, a.stop), (b.start, b.stop)) for a, b in found] == chunks
-
-
-def test_kernels_may_be_longer_than_two_strides(tmp_path):
-    """Their window is that of the published models, 400 samples."""
-    sizes = {"hidden_size": 32, "num_hidden_layers": 1, "num_attention_heads": 4}
-    sizes |= {"conv_dim": [8] * 7, "conv_kernel": [10, 5, 2, 3, 3, 2, 2], "intermediate_size": 32}
-    sizes |= {"num_conv_pos_embeddings": 16, "num_conv_pos_embedding_groups": 4}
-    model = transformers.WavLMModel(transformers.WavLMConfig(**sizes)).eval()
-    make_lively(model)
-    model.save_pretrained(tmp_path)
-    samples = swelling(0.3)
-    last, _ = of_transformers(model, samples, normalize=False)
-    assert distance(af.WavLM(tmp_path).extract(af.Wave(samples, 16_000)).values, last) < 1e-5
-
-
-def test_both_implementations_agree(network, tmp_path):
+def test_both_implementations_agree(network):
     wave = af.Wave(swelling(3.0), 16_000)
-    for settings in ({}, {"layer": [0, 2], "final_norm": False}, {"layer": "mean"}):
+    long = {"full_context": 0.5, "chunk": 2.5, "context": 1.0}
+    for settings in ({"layer": [0, 2], "final_norm": False}, long):
         ours = af.WavLM(network[0], **settings)
         theirs = af.WavLM(network[0], **settings, implementation="transformers")
-        assert distance(ours.extract(wave).values, theirs.extract(wave).values) < 1e-5
+        bound = 0.05 if "chunk" in settings else 1e-5
+        assert distance(ours.extract(wave).values, theirs.extract(wave).values) < bound
         assert ours.fingerprint == theirs.fingerprint and ours.names == theirs.names
-    spec = theirs.spec
-    assert spec.pop("implementation") == "transformers" and spec == ours.spec
     again = af.extractor_from_spec(theirs.spec, weights=network[0])
     assert again.implementation == "transformers"
-    long = {"full_context": 0.5, "chunk": 2.5, "context": 1.0}
-    ours = af.WavLM(network[0], **long).extract(wave).values
-    theirs = af.WavLM(network[0], **long, implementation="transformers").extract(wave).values
-    assert distance(ours, theirs) < 0.05
-    torch.save(microsoft(network[0]), tmp_path / "WavLM-Tiny.pt")
-    of_microsoft = af.WavLM(tmp_path / "WavLM-Tiny.pt", implementation="transformers")
-    assert of_microsoft.fingerprint == again.fingerprint
     for wrong in ({"implementation": "slow"}, {"implementation": "transformers", "dtype": "bf16"}):
         with pytest.raises(af.FeatureError, match="transformers"):
             af.WavLM(network[0], **wrong)
@@ -143,36 +104,6 @@ def test_the_shortest_sounds_and_the_edges_between_frame_counts(network, n):
     samples = swelling(1.1)[:n]
     ours = af.WavLM(folder).extract(af.Wave(samples, 16_000)).values
     assert distance(ours, of_transformers(model, samples, normalize=large)[0]) < 1e-5
-
-
-def test_sound_of_another_rate_and_silence(network):
-    extractor = af.WavLM(network[0])
-    for rate in (8_000, 11_025, 44_100, 48_000):
-        short = af.Wave(swelling(0.1)[: -(-rate // 40)], rate)  # 25 ms
-        assert extractor.extract(short).values.shape == (1, extractor.dim)
-    with pytest.raises(af.AudioError, match="at least 25 ms"):
-        extractor.extract(af.Wave(np.zeros(399, np.float32), 16_000))
-    silence = np.zeros(16_000, np.float32)
-    ours = extractor.extract(af.Wave(silence, 16_000)).values
-    theirs = of_transformers(network[1], silence, normalize=network[2])[0]
-    assert distance(ours, theirs) < 1e-5
-
-
-@pytest.mark.parametrize("block", [1, 7, 64, 10_000])
-def test_the_front_end_gives_the_same_in_blocks_of_any_size(network, block):
-    from audio_features.wavlm.front_end import FrontEnd
-    from audio_features.wavlm.weights import read_weights
-
-    folder, model, _ = network
-    weights, tensors = read_weights(folder)
-    front = FrontEnd(weights.architecture, tensors, torch.float32)
-    samples = torch.from_numpy(swelling(1.5))
-    with torch.no_grad():
-        n_frames = (len(samples) - 400) // 320 + 1
-        ours = front.frames(samples, 0, n_frames, front.for_sound(samples), block)
-        features = model.feature_extractor(samples[None]).transpose(1, 2)
-        theirs = model.feature_projection(features)[0][0]
-    assert distance(ours.numpy(), theirs.numpy()) < 1e-5
 
 
 def test_inputs_of_the_transformer_are_exact_in_chunks(network):
@@ -200,81 +131,6 @@ def test_chunks_follow_each_other_and_see_their_context():
             assert seen.stop == n or seen.stop - keep.stop >= context
 
 
-def test_chunked_values_come_near_the_whole_as_chunks_grow(network):
-    folder, _, _ = network
-    wave = af.Wave(swelling(12.0), 16_000)
-    whole = af.WavLM(folder).extract(wave).values
-    errors = []
-    for chunk, context in ((1.0, 0.1), (6.0, 2.0), (12.0, 5.0)):
-        chunked = af.WavLM(folder, full_context=0.0, chunk=chunk, context=context)
-        errors.append(distance(chunked.extract(wave).values, whole))
-    assert errors[0] > errors[1] > errors[2]
-    assert errors[2] < 1e-5  # one chunk holds everything
-
-
-def test_chunks_in_a_batch_equal_single_chunks(network):
-    from audio_features.wavlm.encoder import Encoder
-    from audio_features.wavlm.weights import read_weights
-
-    weights, tensors = read_weights(network[0])
-    encoder = Encoder(weights.architecture, tensors, weights.architecture.layers, torch.float32)
-    windows = torch.randn(3, 60 + sum(encoder.reach), weights.architecture.width)
-    with torch.no_grad():
-        *_, together = encoder.states(windows)
-        for window, expected in zip(windows, together):
-            *_, alone = encoder.states(window[None])
-            assert distance(alone[0].numpy(), expected.numpy()) < 1e-5
-
-
-def test_layers_side_by_side_and_averaged(network):
-    folder, model, large = network
-    samples = swelling(1.0)
-    last, states = of_transformers(model, samples, normalize=large)
-    wave = af.Wave(samples, 16_000)
-    top = len(states) - 1
-    pair = af.WavLM(folder, layer=[top, 1])
-    assert distance(pair.extract(wave).values, np.concatenate([states[top], states[1]], 1)) < 1e-5
-    assert len(set(pair.names)) == pair.dim == 2 * last.shape[1]
-    mean = af.WavLM(folder, layer="mean")
-    assert distance(mean.extract(wave).values, np.mean(states, axis=0)) < 1e-5
-    weighted = af.WavLM(folder, layer={1: 1.0, top: 3.0}).extract(wave).values
-    assert distance(weighted, 0.25 * states[1] + 0.75 * states[top]) < 1e-5
-    # Large ends in a normalisation that its topmost layer has not had.
-    assert large == (distance(states[top], last) > 0.01)
-    named = af.WavLM(folder, layer=top, final_norm=True).extract(wave).values
-    raw = af.WavLM(folder, final_norm=False).extract(wave).values
-    assert distance(named, last) < 1e-5 and distance(raw, states[top]) < 1e-5
-
-
-@pytest.mark.parametrize(
-    ("settings", "complaint"),
-    [
-        ({"layer": 4}, "from 0 to 3"),
-        ({"layer": -1}, "from 0 to 3"),
-        ({"layer": 1.0}, "from 0 to 3"),
-        ({"layer": "first"}, "from 0 to 3"),
-        ({"layer": []}, "at least one"),
-        ({"layer": [1, 1]}, "once"),
-        ({"layer": {1: "x"}}, "not a number"),
-        ({"layer": {1: 1.0, 2: -1.0}}, "sum to 0"),
-        ({"layer": 1, "final_norm": True}, "layer 3 alone"),
-        ({"dtype": "fp16"}, "bf16"),
-        ({"chunk": 2.0, "context": 1.0}, "longer than twice"),
-        ({"full_context": float("inf")}, "seconds"),
-        ({"normalize": True}, "between 0 and 1"),
-        ({"preset": "dsg++"}, "dsg"),
-        ({"preset": "dsg", "layer": 1}, "leave them out"),
-        ({"device": "abacus"}, "device='abacus'"),
-        ({"layers": 2}, "unknown setting .layers."),
-    ],
-    ids=str,
-)
-def test_settings_that_make_no_sense_are_refused(tmp_path, write_wavlm, settings, complaint):
-    write_wavlm(tmp_path)
-    with pytest.raises(af.FeatureError, match=complaint):
-        af.WavLM(tmp_path, **settings)
-
-
 def test_bf16_is_close_and_changes_the_spec(network):
     wave = af.Wave(swelling(2.0), 16_000)
     exact, quick = (af.WavLM(network[0], dtype=dtype) for dtype in ("fp32", "bf16"))
@@ -282,40 +138,14 @@ def test_bf16_is_close_and_changes_the_spec(network):
     assert quick.spec != exact.spec
 
 
-def test_bf16_convolves_in_single_precision(network, speech, monkeypatch):
-    # oneDNN's convolution in bfloat16 gives garbage for few channels a group on CPUs with AMX.
-    own, kinds = torch.nn.functional.conv1d, set()
-
-    def convolve(x, weight, *args, **options):
-        kinds.update((x.dtype, weight.dtype))
-        return own(x, weight, *args, **options)
-
-    monkeypatch.setattr(torch.nn.functional, "conv1d", convolve)
-    af.WavLM(network[0], dtype="bf16").extract(speech)
-    assert kinds == {torch.float32}
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {},
-        {"layer": (0, 2), "dtype": "bf16"},
-        {"layer": {1: 1, 3: 2.5}, "final_norm": True},
-        {"full_context": 0.5, "chunk": 0.6, "context": 0.1, "normalize": 1e-5},
-        {"preset": "dsg+"},
-    ],
-    ids=str,
-)
-def test_a_spec_makes_the_same_features_again(network, speech, settings):
-    extractor = af.WavLM(network[0], **settings)
-    spec = json.loads(json.dumps(extractor.spec))
-    again = af.extractor_from_spec(spec, weights=network[0])
-    assert again.spec == extractor.spec
-    np.testing.assert_array_equal(again.extract(speech).values, extractor.extract(speech).values)
-
-
 def test_a_spec_requires_the_weights_of_its_fingerprint(network, tmp_path, speech, write_wavlm):
     extractor = af.WavLM(network[0], layer=2)
+    odd = {"layer": {1: 1, 3: 2.5}, "final_norm": True, "dtype": "bf16", "normalize": 1e-5}
+    for settings in (odd, {"full_context": 0.5, "chunk": 0.6, "context": 0.1}, {"preset": "dsg+"}):
+        first = af.WavLM(network[0], **settings)
+        again = af.extractor_from_spec(json.loads(json.dumps(first.spec)), weights=network[0])
+        assert again.spec == first.spec
+        np.testing.assert_array_equal(again.extract(speech).values, first.extract(speech).values)
     # Other settings have their defaults.
     spec = {"kind": "wavlm", "layer": 2, "fingerprint": extractor.fingerprint}
     short = af.extractor_from_spec(spec, weights=network[0])
@@ -329,21 +159,6 @@ def test_a_spec_requires_the_weights_of_its_fingerprint(network, tmp_path, speec
         af.extractor_from_spec(spec, weights=tmp_path / "other")
     assert extractor.fingerprint in str(caught.value)
     assert af.WavLM(tmp_path / "other").fingerprint in str(caught.value)
-
-
-def test_a_stack_puts_wavlm_on_the_acoustic_frames(network, speech):
-    wavlm = af.WavLM(network[0])
-    track = af.Stack([wavlm, af.Prosody()]).extract(speech)
-    assert track.values.shape == (400, wavlm.dim + 4)
-    alone = wavlm.extract(speech).at(track.times).values
-    np.testing.assert_array_equal(track.values[:, : wavlm.dim], alone)
-
-
-def test_nothing_is_printed_or_warned_about(network, speech, capfd):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        af.WavLM(network[0]).extract(speech)
-    assert capfd.readouterr() == ("", "")
 
 
 # Presets, against DiffuseStyleGesture's pipelines, written down here as published.

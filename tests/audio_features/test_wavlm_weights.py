@@ -9,10 +9,8 @@ import shutil
 import zipfile
 from pathlib import Path
 
-import numpy as np
 import pytest
 import soundfile
-from click.testing import CliRunner
 from wavlm_layouts import microsoft, torchaudio_state
 
 import audio_features as af
@@ -53,14 +51,8 @@ def test_unusable_folders_are_refused_by_name(wavlm_copy, tmp_path):
     config = json.loads((wavlm_copy / "config.json").read_text())
     for changes, complaint in (
         ({"num_hidden_layers": 4}, "19 tensors are missing .*encoder.layers.3.*and 11 more"),
-        ({"num_hidden_layers": 2}, "tensors are unknown"),
         ({"intermediate_size": 48}, "another shape"),
-        ({"num_attention_heads": 5}, "describes no WavLM network"),
         *(({"hidden_size": v}, "width") for v in ("large", 0, -8, 1 << 60, 32.0, True, None, [32])),
-        ({"num_hidden_layers": 10**9}, "layers"),
-        ({"hidden_act": "relu"}, "relu"),
-        ({"conv_stride": [5, 2, 2, 2, 2, 2, 1]}, "every 160"),
-        ({"conv_dim": [16] * 6}, "channels"),
         ({"model_type": "bert"}, "bert"),
     ):
         (wavlm_copy / "config.json").write_text(json.dumps({**config, **changes}))
@@ -76,11 +68,6 @@ def test_unusable_files_are_refused_by_name(wavlm_folder, tmp_path):
     path = tmp_path / "file.pt"
     for change, complaint in (
         ({"conv_feature_layers": "__import__('os').system('touch /tmp/run')"}, "conv_feature"),
-        ({"conv_feature_layers": "[(16,10,5)] * 9"}, "seven"),
-        ({"gru_rel_pos": False}, "gru_rel_pos"),
-        ({"activation_fn": "glu"}, "glu"),
-        ({"extractor_mode": ["default"]}, "front_norm"),
-        ({"encoder_layers": 2}, "unknown"),
     ):
         torch.save(microsoft(wavlm_folder, **change), path)
         refused(path, complaint)
@@ -93,12 +80,9 @@ def test_unusable_files_are_refused_by_name(wavlm_folder, tmp_path):
     for content, complaint in (
         ({**state, "encoder.transformer.extra": torch.zeros(1)}, "unknown .*extra"),
         (without(gone), "3 tensors are missing"),
-        (without("gru_rel_pos_const"), "gru_rel_pos_const"),
         ({**state, gone: torch.full((96, 32), float("nan"))}, "not finite"),
-        ({**state, gone: torch.zeros(96, 32, dtype=torch.int8)}, "floating point"),
         ({**state, gone: torch.zeros(1).expand(1 << 20, 1 << 20)}, "the tensors claim"),
         (microsoft(wavlm_folder)["model"], "without their cfg"),
-        ({"weight": torch.zeros(3)}, "no WavLM in a known layout"),
         *((odd, "no WavLM in a known") for odd in ([1, 2], torch.zeros(3), {}, {"model": {}})),
     ):
         torch.save(content, path)
@@ -133,19 +117,9 @@ def test_damaged_files_are_refused(wavlm_folder, tmp_path):
     path = tmp_path / "file.pt"
     torch.save(microsoft(wavlm_folder), good)
     data = good.read_bytes()
-    rng = np.random.default_rng(0)
     for cut in (0, 1, 3, 100, len(data) // 2, len(data) - 1):
         path.write_bytes(data[:cut])
         refused(path, "cannot be read as weights")
-    for _ in range(30):
-        changed = bytearray(data)
-        for at in rng.integers(0, len(data), 20):
-            changed[at] = rng.integers(256)
-        path.write_bytes(changed)
-        try:
-            af.WavLM(path)
-        except af.WeightsError as error:
-            assert str(path) in str(error)
     with zipfile.ZipFile(good) as old, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as new:
         for entry in old.namelist():
             new.writestr(entry, old.read(entry))
@@ -154,23 +128,15 @@ def test_damaged_files_are_refused(wavlm_folder, tmp_path):
     refused(path, "begins with b'RIFF")
 
 
-def test_the_command_says_what_it_found(wavlm_folder, tmp_path, speech):
-    from gesturekit.cli.features import command
-
+def test_the_command_says_what_it_found(wavlm_folder, tmp_path, speech, gesturekit):
     soundfile.write(tmp_path / "a.wav", speech.samples, 16_000)
     torch.save(microsoft(wavlm_folder), tmp_path / "WavLM.pt")
-
-    def run(*options: str):
-        arguments = [tmp_path / "a.wav", "--weights", tmp_path / "WavLM.pt", "--out", tmp_path]
-        arguments += ["--extractor", "wavlm,prosody", "--existing", "replace", *options]
-        done = CliRunner().invoke(command, [*map(str, arguments)], standalone_mode=False)
-        assert done.exception is None, done.output
-        return done.output, af.FeatureTrack.load(tmp_path / "a.npz")
-
-    said, track = run("--layer", "3,1", "--full-context", "2.5")
-    assert af.WavLM(wavlm_folder).weights.fingerprint in said and "Microsoft checkpoint" in said
+    weights = ("--weights", tmp_path / "WavLM.pt", "--out", tmp_path)
+    options = ("--extractor", "wavlm,prosody", "--layer", "3,1", "--full-context", "2.5")
+    done = gesturekit("features", tmp_path / "a.wav", *weights, *options).ok()
+    said = done.out + done.err
+    assert af.WavLM(wavlm_folder).fingerprint in said and "Microsoft checkpoint" in said
+    track = af.FeatureTrack.load(tmp_path / "a.npz")
     part = track.spec["parts"][0]
     assert part["layer"] == [3, 1] and part["full_context"] == 2.5
     assert track.values.shape[1] == 64 + 4
-    assert run("--layer", "1:1,3:2", "--dtype", "bf16")[1].spec["parts"][0]["dtype"] == "bf16"
-    assert run("--preset", "dsg")[1].spec["parts"][0]["preset"] == "dsg"

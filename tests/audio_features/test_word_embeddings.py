@@ -100,18 +100,3 @@ def test_folders_that_cannot_be_used_are_named(talk, tmp_path, write_text_encode
         af.WordEmbeddings(folder)
     with pytest.raises(af.WeightsError, match="no such folder"):
         af.WordEmbeddings(tmp_path / "none")
-
-
-def test_a_tokeniser_of_another_model_is_refused(tmp_path, write_text_encoder):
-    write_text_encoder(tmp_path)
-    tokeniser = tmp_path / "tokenizer.json"
-    content = json.loads(tokeniser.read_text())
-    last = json.loads((tmp_path / "config.json").read_text())["vocab_size"]
-    content["model"]["vocab"]["beyond"] = last
-    tokeniser.write_text(json.dumps(content))
-    with pytest.raises(af.WeightsError, match=f"reaches token {last}, the encoder has {last}: "):
-        af.WordEmbeddings(tmp_path)
-    with tokeniser.open("r+b") as file:
-        file.truncate((128 << 20) + 1)
-    with pytest.raises(af.WeightsError, match="tokenizer.json: 134217729 bytes: too large"):
-        af.WordEmbeddings(tmp_path)

@@ -72,56 +72,20 @@ def test_table_is_the_kernel_sum_at_every_pair_of_frames():
     torch.testing.assert_close(whole.double(), explicit(bias, config, 90), atol=1e-5, rtol=1e-6)
 
 
-@pytest.mark.parametrize("n_frames", [1, 40, 151, 301, 470])
-def test_blocks_cover_every_frame_once_and_see_the_reach(n_frames):
-    blocks = blocks_of(n_frames, reach=75, size=64)
-    covered = [t for b in blocks for t in range(b.first, b.last)]
-    assert covered == list(range(n_frames))
-    for block in blocks:
-        assert block.first_key <= max(block.first - 75, 0)
-        assert block.last_key >= min(block.last + 75, n_frames)
-        assert block.last_key - block.first_key <= 64 + 2 * 75
-
-
-def test_a_clip_as_long_as_a_block_and_its_reach_is_one_block():
-    assert len(blocks_of(64 + 2 * 75, reach=75, size=64)) == 1
-    assert [b.last - b.first for b in blocks_of(64 + 2 * 75 + 1, 75, 64)] == [64, 64, 64, 23]
-
-
-@pytest.mark.parametrize(("farthest", "found"), [(16, [(0, 1), (1, 2)]), (15, [(0, 2)])])
-def test_heads_of_less_than_four_times_the_reach_share_a_band(farthest, found):
-    bias = PositionBias(NetworkConfig(heads=2, nearest_view=4, farthest_view=farthest))
-    assert [(band.first, band.last) for band in bands(bias, 300)] == found
-
-
-@pytest.mark.parametrize("gradients", [False, True])
-def test_blocks_equal_the_full_computation(gradients):
+def test_blocks_equal_the_full_computation():
     config, n_frames = NetworkConfig(kernels=4), 300
     bias = bent_bias(config)
     rng = rng_for("qkv")
     q, k, v = torch.randn(3, 1, 8, n_frames, 32, generator=rng) * 2
     scores = q.double() @ k.double().transpose(-1, -2) / math.sqrt(32)
     exact = torch.softmax(scores + explicit(bias, config, n_frames), -1) @ v.double()
-    with torch.set_grad_enabled(gradients):
+    with torch.no_grad():
         made = bands(bias, n_frames)
         found = [(band.first, band.last, len(band.blocks)) for band in made]
         assert found == [(0, 4, 7), (4, 8, 3)]
         assert [band.blocks[0].last for band in made] == [48, 100]
         ours = attend(q, k, v, made, 0.0)
     torch.testing.assert_close(ours.double(), exact, atol=1e-5, rtol=1e-5)
-
-
-def test_on_a_gpu_all_heads_share_a_few_large_blocks(gpu):
-    config, n_frames = NetworkConfig(kernels=4), 600
-    bias = bent_bias(config)
-    q, k, v = torch.randn(3, 1, 8, n_frames, 32, generator=rng_for("qkv")) * 2
-    scores = q.double() @ k.double().transpose(-1, -2) / math.sqrt(32)
-    exact = torch.softmax(scores + explicit(bias, config, n_frames), -1) @ v.double()
-    with torch.no_grad():
-        made = bands(bias.to("cuda"), n_frames)
-        assert [(band.first, band.last, len(band.blocks)) for band in made] == [(0, 8, 3)]
-        ours = attend(*(part.to("cuda") for part in (q, k, v)), made, 0.0).cpu()
-    torch.testing.assert_close(ours.double(), exact, atol=5e-5, rtol=1e-5)
 
 
 def test_gradients_of_blocks_equal_those_of_the_full_computation():

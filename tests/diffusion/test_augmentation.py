@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-import gesturekit as gk
-from gesturekit.corpus import Item
 from gesturekit.diffusion.motion_vector import DeltaRepresentation
 from gesturekit.diffusion.training.augmentation import (
     mirror_condition,
-    other_side,
-    phase_item,
     phases,
-    source_frames,
     stretch,
     stretch_factor,
 )
 from gesturekit.errors import ConfigError
-from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
 from gesturekit.training.seeds import rng_for
@@ -66,61 +59,6 @@ def test_a_stretched_walk_goes_the_same_way_in_another_time(walk, factor):
     assert there.speeds.mean() == pytest.approx(here.speeds.mean() / factor, rel=1e-2)
 
 
-@pytest.mark.parametrize("factor", [0.9, 1.1])
-def test_normalised_columns_stretch_as_raw_ones_do(walk, factor):
-    representation = DeltaRepresentation.fit([walk])
-    steps = representation.encode(walk)[:, representation.root_columns]
-    mean, scale = np.array([0.1, 0.05, -0.2]), np.array([0.01, 0.02, 0.5])
-    n_frames = int((len(steps) - 1) * factor) + 1
-    how = (0.0, n_frames, factor)
-    raw = stretch(steps, *how, steps=slice(0, 3))
-    made = stretch((steps - mean) / scale, *how, steps=slice(0, 3), steps_offset=mean / scale)
-    assert made * scale + mean == pytest.approx(raw)
-
-
-def test_a_window_equals_the_same_part_of_the_stretched_recording(walk):
-    representation = DeltaRepresentation.fit([walk])
-    values = representation.encode(walk)
-    maps, steps = slice(0, representation.height_column), representation.root_columns
-    for factor in (0.9, 1.1):
-        whole = stretch(values, 0.0, 260, factor, maps=maps, steps=steps)
-        # Frame 109 of the stretched motion is between frames of the recording.
-        window = stretch(values, 109 / factor, 50, factor, maps=maps, steps=steps)
-        assert window == pytest.approx(whole[109:159])
-        even = stretch(np.ones((50, 3)), 0.0, 40, factor, steps=slice(0, 3))
-        assert even == pytest.approx(np.full((40, 3), 1 / factor)), "as fast from frame 0 on"
-    for factor, n_frames in ((0.9, 150), (1.0, 150), (1.1, 150), (0.9, 1)):
-        needed = source_frames(n_frames, factor)
-        assert stretch(values[:needed], 0.0, n_frames, factor).shape == (n_frames, values.shape[1])
-        with pytest.raises(ValueError, match="frames"):
-            stretch(values[: max(needed - 2, 0)], 1.0, n_frames, factor)
-    assert (stretch(values, 7.0, 20, 1.0, maps=maps, steps=steps) == values[7:27]).all()
-
-
-@pytest.mark.parametrize(("start", "factor"), [(0, 1.1), (0, 0.9), (0.25, 1.0), (0.4, 0.93)])
-def test_frames_between_recorded_ones_are_interpolated_up_to_both_ends(start, factor):
-    """A straight line stays one; the last frame is the recording's last but for rounding."""
-    line = np.outer(np.arange(20.0), [1.0, -2.0]) + [0.0, 5.0]
-    count = int((19 - start) * factor) + 1
-    at = start + np.arange(count) / factor
-    expected = np.outer(at, [1.0, -2.0]) + [0.0, 5.0]
-    assert stretch(line, start, count, factor) == pytest.approx(expected)
-    assert stretch(line, 19.0, 1, factor) == pytest.approx(line[-1:])
-    with pytest.raises(ValueError, match=r"frames 20 to 20 of a recording of 20"):
-        stretch(line, 20.0, 1, factor)
-    with pytest.raises(ValueError, match=r"frames -0\.5 to"):
-        stretch(line, -0.5, 2, factor)
-
-
-def test_a_glitch_is_not_interpolated_into_an_unrecorded_rotation():
-    values = np.zeros((10, 6))
-    values[5:, :3] = [0.0, 2.0, 2.6]
-    values[5:, 3:] = [0.0, 1.0, 0.0]
-    made = stretch(values, 0.0, 10, 1.1, maps=slice(0, 6))
-    assert set(map(tuple, made[:, :3])) == {(0.0, 0.0, 0.0), (0.0, 2.0, 2.6)}
-    assert ((made[:, 4] > 0) & (made[:, 4] < 1)).any()
-
-
 @pytest.mark.parametrize(
     ("factor", "start"), [(0.9, 0.0), (0.9, 0.2), (0.93, 3.7), (1.0, 0.5), (1.1, 0.4)]
 )
@@ -140,23 +78,6 @@ def test_an_event_of_one_frame_is_never_lost_or_blurred(factor, start):
         np.testing.assert_array_equal(made[:, 1], made[:, 0] * (frame % 2))
 
 
-def test_events_that_end_up_in_one_frame_are_one_event():
-    flags = np.zeros((60, 1), np.float32)
-    flags[10:20] = 1.0  # ten frames, of which one is skipped
-    made = stretch(flags, 0.0, 50, 0.9, flags=slice(0, 1))
-    assert made.sum() == 9 and (np.diff(np.flatnonzero(made)) == 1).all()
-
-
-def test_stretching_does_not_make_feet_slide(shared_data):
-    motion = gk.Motion.load(shared_data / "motion/bandai/dataset-1_bow_active_001.bvh")
-    representation = DeltaRepresentation.fit([motion])
-    values = representation.encode(motion)
-    plain = foot_skate(representation.decode(values, motion.fps))
-    for factor in (0.9, 1.1):
-        made = representation.decode(slower(representation, values, factor), motion.fps)
-        assert foot_skate(made) < 1.1 * plain / factor
-
-
 def test_a_share_of_the_windows_is_stretched():
     factors = np.array([stretch_factor(rng_for("test", k), 0.2, 0.1) for k in range(2000)])
     assert np.mean(factors != 1.0) == pytest.approx(0.2, abs=0.03)
@@ -166,23 +87,6 @@ def test_a_share_of_the_windows_is_stretched():
     wide = np.array([stretch_factor(rng_for("test", k), 1.0, 0.4) for k in range(500)])
     # Uniform between 0.6 and 1.4: quarters are at 0.8, 1 and 1.2.
     assert np.quantile(wide, [0.25, 0.5, 0.75]) == pytest.approx([0.8, 1.0, 1.2], abs=0.04)
-
-
-@pytest.mark.parametrize(
-    "file", ["motion/bandai/dataset-2_wave-left-hand_normal_001.bvh", "motion/aitviewer/sample.bvh"]
-)
-def test_mirrored_motion_has_the_mirrored_vector(shared_data, file):
-    motion = gk.Motion.load(shared_data / file)
-    motion = motion[:300]
-    representation = DeltaRepresentation.fit([motion, motion.mirror()])
-    values, mirrored = (representation.encode(m) for m in (motion, motion.mirror()))
-    steps = representation.root_columns
-    told = mirror_condition(values, path=steps)
-    assert told[:, steps] == pytest.approx(mirrored[:, steps], abs=1e-9)
-    height = representation.height_column
-    assert mirrored[:, height] == pytest.approx(values[:, height])
-    twice = representation.encode(motion.mirror().mirror())
-    assert np.abs(twice - values).max() < 1e-9
 
 
 def test_conditions_are_mirrored_with_the_motion():
@@ -201,18 +105,6 @@ def test_conditions_are_mirrored_with_the_motion():
         mirror_condition(condition, events=slice(4, 5), event_names=("kickLeft",))
 
 
-@pytest.mark.parametrize(
-    ("name", "other"),
-    [
-        *(("left hook", "right hook"), ("Kick-R", "Kick-L"), ("upright", "upright")),
-        *(("roll", "roll"), ("LEFT hook", "RIGHT hook"), ("Left", "Right"), ("punch_l", "punch_r")),
-    ],
-)
-def test_names_change_sides_by_whole_words(name, other):
-    assert other_side(name) == other
-    assert other_side(other) == name
-
-
 def test_every_frame_of_a_fast_recording_is_used(gesture):
     motion = gesture(3.0, 60.0)
     first, second = phases(motion, 30.0)
@@ -224,12 +116,3 @@ def test_every_frame_of_a_fast_recording_is_used(gesture):
                        (300.00024, 10), (300.0004, 1)):  # fmt: skip
         assert len(phases(replace(motion, fps=fps), 30.0)) == count
     assert len(phases(motion[:1], 30.0)) == 1
-
-
-def test_a_phase_begins_later_in_sound_and_motion_and_ends_with_its_item():
-    starts = {"motion_start": 1.0, "audio_start": 2.5}
-    item = Item(id="a", audio=None, motion=Path("a.bvh"), **starts, duration=4.0)
-    assert phase_item(item, 0, 0.0) is item
-    second = phase_item(item, 1, 0.25)
-    assert (second.id, second.motion_start, second.audio_start) == ("a (phase 2)", 1.25, 2.75)
-    assert second.duration == 3.75

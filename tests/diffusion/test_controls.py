@@ -42,10 +42,7 @@ def test_unknown_controls_are_refused_with_the_nearest_name(untrained, system, n
     ("name", "allowed", "refused", "says"),
     [
         ("steps", (1, 20), (0, -1, 1.0, True), "an integer at least 1"),
-        ("batch", (1, 8), (0, 2.5), "an integer at least 1"),
         ("change", (1e-6, 1), (0, -0.1, 1.01), "a number above 0 and at most 1"),
-        ("guidance", (-1, 0.0, 9), ("1", float("nan")), "a number"),
-        ("clip_denoised", (True, False), (1, "no"), "True or False"),
         ("solver", ("ddim", "dpm"), ("euler", 2), "one of ancestral, ddim, dpm"),
     ],
 )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import audio_features as af
-from gesturekit.diffusion.events import asked_events, check_event, wants_beats
+from gesturekit.diffusion.events import asked_events, wants_beats
 from gesturekit.errors import ModelError
 from gesturekit.formats.tables.events import Event
 
@@ -33,16 +33,6 @@ def test_what_does_not_look_like_events_is_refused_with_an_example(text):
         asked_events(text, None)
 
 
-def test_a_table_is_read_by_its_ending(tmp_path):
-    rows = "time,name,duration\n2,b,0.5\n1,a,0\n"
-    for name in ("a.csv", "A.CSV", "plain"):
-        (tmp_path / name).write_text(rows)
-    expected = asked_events("a@1,b@2:0.5", None)
-    assert asked_events(str(tmp_path / "a.csv"), None) == expected
-    assert asked_events(str(tmp_path / "A.CSV"), None) == expected
-    assert asked_events(tmp_path / "plain", None) == expected
-
-
 def test_beats_need_a_sound_that_has_them():
     for events in ("kick@beats", "a@1, kick@beats:0.2"):
         assert wants_beats(events)
@@ -53,11 +43,3 @@ def test_beats_need_a_sound_that_has_them():
     silence = af.Wave(np.zeros(32_000, np.float32), 16_000, "still.wav")
     with pytest.raises(ModelError, match=r"no beat was found in still\.wav; give seconds"):
         asked_events("kick@beats", silence)
-
-
-def test_an_unknown_event_is_refused_with_what_the_model_has():
-    check_event(Event(1.0, "kick"), ("punch", "kick"))
-    with pytest.raises(ModelError, match="event 'kik': did you mean kick. the model has kick, b$"):
-        check_event(Event(1.0, "kik"), ("kick", "b"))
-    with pytest.raises(ModelError, match="event 'kick': the model has none"):
-        check_event(Event(1.0, "kick"), ())

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,14 +16,9 @@ import audio_features as af
 import gesturekit as gk
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.conditions import smooth_path
-from gesturekit.diffusion.config import NoiseConfig
 from gesturekit.diffusion.events import asked_events
-from gesturekit.diffusion.network.denoiser import Denoiser
-from gesturekit.errors import ConfigError, FormatError, ModelError
-from gesturekit.inspection import inspect
+from gesturekit.errors import ModelError
 from gesturekit.motion.root_path import RootPath
-from gesturekit.motion.rotations import rotation_angles
-from gesturekit.postprocess import smooth_motion
 
 QUICK = {"seconds": 1.5, "steps": 4}
 STYLES = {"styles": ("old", "angry"), "droppable": ("styles",)}
@@ -84,18 +77,6 @@ def test_styles_are_followed_mixed_and_changed_over_time(model):
     assert np.abs(changing.rotations[180:, 1:] - old.rotations[180:, 1:]).max() > 1e-3
 
 
-def test_without_a_style_each_sample_draws_its_own(model):
-    """The same noise with either style, so that the motion of a sample shows its style."""
-    drawn = set()
-    for draw in ({"seed": 0}, {"seed": 1}, {"item": "a"}):
-        asked = QUICK | {"samples": 6} | draw
-        free, *styled = (model.generate(**asked, style=name) for name in (None, *model.styles))
-        chosen = [[same(made, one[k]) for one in styled] for k, made in enumerate(free)]
-        assert all(sum(found) == 1 for found in chosen)
-        drawn.add(tuple(found.index(True) for found in chosen))
-    assert len(drawn) == 3 and all(set(styles) == {0, 1} for styles in drawn)
-
-
 def test_guidance_leads_from_the_unconditional_to_the_conditional_and_beyond(model, untrained):
     asked = QUICK | {"style": "old", "foot_lock": False}
     plain = model.generate(**asked)
@@ -136,19 +117,6 @@ def test_experts_are_other_models_with_conditions_of_their_own(model, untrained,
     assert not same(half, alone)
 
 
-def test_a_path_places_the_body(untrained, gesture):
-    walker, path = untrained(path=True), RootPath(np.zeros((60, 2)), np.zeros(60), 30.0)
-    for asked in ({"facing": 0.0}, {"in_place": True}):
-        with pytest.raises(ModelError, match="the model follows a path, which places the body"):
-            walker.check_controls(**asked)
-    pose = gesture(1.0)[20:21]
-    pose = replace(pose, translation=pose.translation + [3.0, 0.0, 1.0])
-    made = walker.generate(path=path, steps=2, start_pose=pose)
-    assert rotation_angles(made.rotations[0, 1:], pose.rotations[0, 1:]).max() < 1e-6
-    assert np.linalg.norm(made.positions()[:, 0, [0, 2]], axis=1).max() < 0.3, "not at (3, 1)"
-    np.testing.assert_allclose(made.positions()[15:, 0, [0, 2]], 0, atol=1e-3)
-
-
 def test_a_path_is_followed_to_the_millimetre(untrained, tmp_path):
     walker = untrained(path=True)
     time = np.arange(0, 4.01, 0.1)
@@ -161,16 +129,10 @@ def test_a_path_is_followed_to_the_millimetre(untrained, tmp_path):
         assert motion.n_frames == 121  # of 4 s, with both ends
         root = motion.positions()[:, walker.representation.root]
         np.testing.assert_allclose(root[:, [0, 2]], wanted.positions, atol=1e-3)
-    straight = RootPath(np.zeros((60, 2)), np.zeros(60), 30.0)
-    assert walker.generate(path=straight, seconds=1.0, steps=2).n_frames == 30
     with pytest.raises(ModelError, match="follows a path and needs one"):
         walker.generate(seconds=1.0)
-    with pytest.raises(ModelError, match="give a RootPath"):
-        walker.generate(path=np.zeros((3, 2)))
-    with pytest.raises(FormatError, match="no such file"):
-        walker.generate(path=tmp_path / "none.csv")
     with pytest.raises(ModelError, match="cannot follow a path"):
-        untrained().generate(path=straight)
+        untrained().generate(path=RootPath(np.zeros((60, 2)), np.zeros(60), 30.0))
 
 
 def test_events_happen_when_they_are_asked_for(untrained, tmp_path):
@@ -187,21 +149,13 @@ def test_events_happen_when_they_are_asked_for(untrained, tmp_path):
     early = slice(0, 5)
     np.testing.assert_allclose(kick.rotations[early], still.rotations[early], atol=1e-5)
     assert np.abs(kick.rotations[28:33] - still.rotations[28:33]).max() > 1e-4
-    (tmp_path / "events.csv").write_text("time,name,duration\n1.0,kick,0\n")
-    assert same(fighter.generate(**asked, events=tmp_path / "events.csv"), kick)
     dance = fighter.generate(clicks, steps=2, events="kick@beats,punch@0.5:0.25")
     assert dance.n_frames == 240
     found = asked_events("kick@beats,punch@0.5:0.25", af.Wave.load(clicks))
     times = np.array([event.time for event in found if event.name == "kick"])
-    assert len(times) >= 10
-    assert np.abs(times * 2 - np.round(times * 2)).max() / 2 < 0.05
-    for events, told in {
-        "kcik@1.0": "event 'kcik': did you mean kick",
-        "kick@soon": "events look like",
-        "kick@beats": "no sound to find beats in",
-    }.items():
-        with pytest.raises(ModelError, match=told):
-            fighter.generate(**asked, events=events)
+    assert len(times) >= 10 and np.abs(times * 2 - np.round(times * 2)).max() / 2 < 0.05
+    with pytest.raises(ModelError, match="event 'kcik': did you mean kick"):
+        fighter.generate(**asked, events="kcik@1.0")
     with pytest.raises(ModelError, match="has no events"):
         untrained().generate(seconds=1.0, events="kick@1.0")
 
@@ -225,11 +179,6 @@ def test_sound_without_voice_is_silence_to_a_model_and_its_experts(untrained, ea
     idle, still = model.generate(seconds=2.0, **asked), np.zeros_like(noise)
     assert same(model.generate(still, 16_000, **asked), idle)
     assert same(model.generate(noise, 16_000, **asked), idle)
-    # Each of the two, alone.
-    assert not same(model.generate(noise, 16_000, style="old", steps=4, vad=False), idle)
-    own = model.generate(seconds=2.0, **asked | {"experts": [(expert, 1.0)]})
-    loud = model.generate(noise, 16_000, **asked | {"experts": [(expert, 1.0)]}, vad=False)
-    assert not same(loud, own)
 
 
 def test_a_saved_model_is_the_model(untrained, ears, tmp_path):
@@ -253,41 +202,6 @@ def test_a_saved_model_is_the_model(untrained, ears, tmp_path):
         assert {file.name for file in folder.iterdir()} == files
 
 
-def test_smoothing_defaults_to_the_models_setting(untrained, tmp_path):
-    model = replace(untrained(), smooth=0.3)
-    model.save(tmp_path / "model")
-    asked = QUICK | {"foot_lock": False}
-    plain = model.generate(**asked, smooth=0)
-    made = gk.load(tmp_path / "model").generate(**asked)
-    assert same(made, smooth_motion(plain, 0.3)) and not same(made, plain)
-
-
-def test_clipping_defaults_to_the_models_setting(untrained, tmp_path):
-    """A network that predicts no noise diverges unless its prediction is clipped."""
-    clipped = replace(untrained(), noise_config=NoiseConfig())
-    torch.nn.init.zeros_(clipped.network.leave.weight)
-    made = clipped.generate(seconds=0.5)
-    with pytest.raises(ModelError, match="out of range"):
-        clipped.generate(seconds=0.5, clip_denoised=False)
-    replace(clipped, clip_denoised=False).save(tmp_path / "model")
-    plain = gk.load(tmp_path / "model")
-    with pytest.raises(ModelError, match="out of range"):
-        plain.generate(seconds=0.5)
-    assert same(plain.generate(seconds=0.5, clip_denoised=True), made)
-
-
-def test_only_with_clipping_are_steps_of_almost_pure_noise_not_predicted(untrained):
-    """A beta of 0.999 leaves 1e-3, 1e-6, 1e-9, ... of the motion: the third step is below 1e-8."""
-    noise = NoiseConfig(steps=6, first_beta=0.999, last_beta=0.999, predict="velocity")
-    model = replace(untrained(), noise_config=noise)
-    calls = []
-    model.network.leave.register_forward_hook(lambda *call: calls.append(call))
-    for clip, predicted in ((True, 2), (False, 6)):
-        calls.clear()
-        model.generate(seconds=0.5, clip_denoised=clip)
-        assert len(calls) == predicted
-
-
 def test_half_precision_moves_alike_and_keeps_the_weights(model, tmp_path):
     model.save(tmp_path / "model")
     short = gk.load(tmp_path / "model", dtype="bf16")
@@ -299,10 +213,6 @@ def test_half_precision_moves_alike_and_keeps_the_weights(model, tmp_path):
     assert 0 < apart < 0.1 * usual
     with pytest.raises(ModelError, match="dtype='fp16': choose one of fp32, bf16"):
         gk.load(tmp_path / "model", dtype="fp16")
-    with pytest.raises(ConfigError, match="device: 'gpu' cannot be used here"):
-        gk.load(tmp_path / "model", device="gpu")
-    with pytest.raises(ModelError, match="a multires model, which is fp32 only"):
-        gk.load("demo", dtype="bf16")
 
 
 def test_a_speaker_has_a_body_and_steps_of_their_own(untrained, skeleton, tmp_path):
@@ -319,60 +229,25 @@ def test_a_speaker_has_a_body_and_steps_of_their_own(untrained, skeleton, tmp_pa
         model.generate(**QUICK, speaker="bob")
 
 
-def test_settings_that_the_architecture_does_not_use_are_not_shown(untrained, tmp_path):
-    for kind, used in (("conformer", True), ("diffwave", False)):
-        model = untrained()
-        config = replace(model.network.config, architecture=kind, dilations=(1, 2))
-        model = replace(model, network=Denoiser(model.network.n_motion, 0, config))
-        model.save(tmp_path / kind)
-        summary = inspect(tmp_path / kind)
-        network = dict(summary.rows)["network"]
-        assert "blocks 2" in network and "embedding 16" in network
-        assert ("heads" in network) == ("heads" in summary.facts["network"]) == used
-        assert ("2 blocks of 1 layers" in (tmp_path / kind / "README.md").read_text()) == used
-
-
 def test_models_that_do_not_go_together_are_refused(model, untrained):
     other, own = untrained(seed=9), model.normaliser
-
-    def represented(**changes):
-        values = vars(other.representation) | changes
-        return replace(other, representation=type(other.representation)(**values))
-
-    factors = torch.linspace(1.0, 1.5, len(own.scale)).flip(0)
-    scaled = replace(other, normaliser=replace(own, scale=own.scale * factors))
-    shrunk = replace(other, normaliser=replace(own, scale=own.scale / factors))
-    joints, means = other.representation.joints, other.representation.references
-    side, rig = other.representation.side, other.skeleton
+    scaled = replace(other, normaliser=replace(own, scale=own.scale * 1.5))
+    made, rig = other.representation, other.skeleton
     renamed = replace(rig, names=("Root", *rig.names[1:]))
     dance = replace(other.noise_config, steps=150, first_beta=0.01, last_beta=0.7)
     for wrong, told in (
         (scaled, r"expert 1: .*another scale \(by up to a factor of 1\.5\).*moves_like"),
-        (shrunk, r"by up to a factor of 0\.667"),
-        (represented(scale=1.01 * other.representation.scale), "relative to another body size"),
-        (represented(side=-side), "other mean rotations"),
-        (represented(skeleton=renamed), "expert 1: another rig: .*Root"),
+        (replace(other, representation=replace(made, skeleton=renamed)), "another rig: .*Root"),
         (replace(other, fps=20.0), "expert 1: moves at 20 fps, this model at 30"),
-        (represented(references=means[::-1]), "other mean rotations"),
-        (represented(joints=(*joints[:-1], "Nobody")), "of a product need the same joints"),
         (untrained(path=True), "only one of the two follows a path"),
         (replace(other, noise_config=dance), "noise schedules differ"),
         (gk.load("demo"), "a multires model; only diffusion"),
     ):
         with pytest.raises(ModelError, match=told):
             model.generate(**QUICK, experts=[(wrong, 0.5)])
-    for wrong in ((other, 0.5, None, 3), ()):
-        with pytest.raises(ModelError, match=r"expert 1: expected \(model, weight\)"):
-            model.generate(**QUICK, experts=[wrong])
     styled = untrained(seed=2, styles=("old",))
     with pytest.raises(ModelError, match="unconditional: that model needs a style too"):
         model.check_controls(guidance=1.5, unconditional=styled)
-    for droppable in ("styles", "all"):
-        without = untrained(seed=2, styles=("old",), droppable=(droppable,))
-        model.check_controls(guidance=1.5, unconditional=without)
-        without.check_controls(guidance=1.5)
-    with pytest.raises(ModelError, match="expert 1: .*; only diffusion"):
-        model.check_controls(guidance=1.5, unconditional=other, experts=[(gk.load("demo"), 0.5)])
     # Another mean is no hindrance.
     moved = replace(other, normaliser=replace(own, mean=own.mean + 0.1))
     alone = moved.generate(**QUICK, foot_lock=False)
@@ -384,14 +259,9 @@ def test_what_a_model_cannot_do_is_one_clear_error(model, untrained):
     plain = untrained()
     for asked, told in [
         ({"style": "odl"}, "style 'odl': unknown; the model has old, angry"),
-        ({"samples": 0}, "samples=0"),
-        ({"batch": 0}, "batch=0"),
         ({"speaker": "ann"}, "its corpus named none"),
         ({"guidance": float("nan")}, "guidance=nan: expected a number"),
-        ({"solver": "euler"}, "solver='euler': expected one of ancestral, ddim, dpm"),
-        ({"steps": 1000}, "steps: 1000 must be between 1 and 100"),
         ({"unconditional": plain}, "only used with guidance"),
-        ({"experts": [()]}, r"expected \(model, weight\)"),
     ]:
         with pytest.raises(ModelError, match=told):
             model.generate(**QUICK | asked)
@@ -401,24 +271,11 @@ def test_what_a_model_cannot_do_is_one_clear_error(model, untrained):
         (plain, QUICK | {"style": "old"}, "has no styles"),
         (plain, QUICK | {"guidance": 1.5}, "no conditions to guide on"),
         (untrained(styles=("old",)), QUICK | {"guidance": 1.5}, "without style dropout"),
-        (plain, {"speech": "speech.wav"}, "takes no speech; give seconds instead"),
         (plain, {}, "nothing to generate from"),
         (broken, QUICK, "the model gave NaN"),
     ]:
         with pytest.raises(ModelError, match=told):
             other.generate(**asked)
-
-
-def test_a_folder_whose_files_differ_in_whether_there_is_a_path_is_refused(untrained, tmp_path):
-    made, driven = untrained(), untrained(path=True)
-    for one, other in ((made, driven), (driven, made)):
-        n_motion, config = one.representation.n_features, one.network.config
-        network = Denoiser(n_motion, other.conditions.width, config)
-        mixed = replace(one, conditions=other.conditions, network=network)
-        folder = tmp_path / str(n_motion)
-        mixed.save(folder)
-        with pytest.raises(ModelError, match="differ in whether there is a path"):
-            gk.load(folder)
 
 
 def _edit_config(folder: Path, old: str, new: str) -> None:
@@ -433,31 +290,16 @@ def _edit_tensor(folder: Path, name: str, change: Callable[[torch.Tensor], torch
     save_file(tensors, folder / "model.safetensors")
 
 
-def _edit_skeleton(folder: Path, name: str, value: Any) -> None:
-    found = json.loads((folder / "skeleton.json").read_text())
-    found["motion"][name] = value
-    (folder / "skeleton.json").write_text(json.dumps(found))
-
-
 @pytest.mark.parametrize(
     "harm",
     [
-        lambda f: _edit_tensor(f, "motion.mean", lambda mean: mean[1:]),
         lambda f: _edit_tensor(f, "motion.scale", lambda scale: scale * float("inf")),
-        lambda f: _edit_skeleton(f, "makes_root", False),
         lambda f: (f / "model.safetensors").unlink(),
         lambda f: (f / "model.safetensors").write_bytes(b"\x80\x04pickle"),
-        lambda f: (f / "skeleton.json").write_text("[1, 2"),
-        lambda f: (f / "skeleton.json").write_text(json.dumps({"skeleton": []})),
         lambda f: _edit_config(f, "channels: 16", "channels: 32"),
-        lambda f: _edit_config(f, "channels: 16", "chanels: 16"),
-        lambda f: _edit_config(f, "path: false", "path: true"),
         lambda f: _edit_config(f, "- angry", "- angry\n- sad"),
         lambda f: _edit_config(f, "fps: 30.0", "fps: .nan"),
         lambda f: _edit_config(f, "format: 1", "format: 2"),
-        lambda f: _edit_config(f, "window: 9000", "window: many"),
-        lambda f: _edit_config(f, "last_beta: 0.78", "last_beta: 1.78"),
-        lambda f: _edit_config(f, "noise:", "nose:"),
     ],
 )
 def test_a_damaged_folder_is_refused_by_name(model, tmp_path, harm):

@@ -10,8 +10,7 @@ import pytest
 
 import gesturekit as gk
 from gesturekit.diffusion.motion_vector import DeltaRepresentation, continuous_maps
-from gesturekit.errors import MotionError
-from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import (
     multiply_quaternions,
@@ -61,52 +60,6 @@ def test_a_round_trip_of_real_rigs_is_exact(shared_data, file, fps):
     assert representation.n_features == 3 * len(representation.joints) + 4
 
 
-@pytest.mark.parametrize("n_frames", [1, 2, 3])
-def test_very_short_motions(gesture, n_frames):
-    motion = gesture(2.0)
-    representation = DeltaRepresentation.fit([motion])
-    assert representation.encode(motion[5 : 5 + n_frames]).shape == (n_frames, 61)
-    assert max(errors(representation, motion[5 : 5 + n_frames])) < 1e-9
-    alone = motion[5 : 5 + n_frames]
-    assert max(errors(DeltaRepresentation.fit([alone]), alone)) < 1e-9
-
-
-def odd_rig(n_frames: int = 120) -> Motion:
-    """Bones along their own axes, orders of all kinds, a still joint above a root that somersaults,
-    and a wheel that spins."""
-    rng = np.random.default_rng(5)
-    names = ("World", "Body", "Wheel", "Neck", "Head")
-    rig = Skeleton(
-        names=names,
-        parents=(-1, 0, 1, 1, 3),
-        offsets=np.array([[0.2, 0.1, 0], [0.5, 0, 0.2], [0, 0, 0.3], [0.3, 0, 0], [0.1, 0.1, 0]]),
-        rotation_orders=("YZX", "XYZ", "ZYX", "XZY", "YXZ"),
-    )
-    t = np.linspace(0, 4 * np.pi, n_frames)
-    vectors = 0.4 * np.sin(t[:, None, None] / 2 + rng.uniform(0, 6, (5, 3)))
-    vectors[:, 0] = [0.3, 1.0, -0.5]
-    vectors[:, 1] += np.outer(t, [0.9, 0.2, 0.1])
-    vectors[:, 2] = np.outer(t, [0.0, 0.0, 1.0])
-    moving = {"Body": 0.3 * np.sin(t[:, None] + np.arange(3))}
-    quaternions = quaternion_from_rotation_vector(vectors)
-    return Motion(rig, quaternions, np.tile([1.0, 0.4, 2.0], (n_frames, 1)), 50.0, moving)
-
-
-def test_a_rig_without_legs_and_with_odd_frames(tmp_path):
-    motion = odd_rig()
-    representation = DeltaRepresentation.fit([motion], "all")
-    assert representation.joints == ("Body", "Wheel", "Neck", "Head")
-    assert max(errors(representation, motion)) < 1e-9
-    motion.save(tmp_path / "odd.bvh")
-    read = gk.Motion.load(tmp_path / "odd.bvh")
-    assert max(errors(DeltaRepresentation.fit([read], "all"), read)) < 1e-9
-    plain, larger = (
-        representation.decode(representation.encode(motion), 50.0, skeleton=skeleton).positions()
-        for skeleton in (None, motion.skeleton.scaled(2.0))
-    )
-    assert np.ptp(larger[:, 1], axis=0) == pytest.approx(2 * np.ptp(plain[:, 1], axis=0))
-
-
 @pytest.mark.parametrize("axis", [(0.6, 0.0, 0.8), (0.48, 0.6, 0.64)])
 def test_an_exponential_map_is_continuous_where_its_angle_passes_pi(axis):
     angles = np.concatenate([np.linspace(0, 9, 90), np.linspace(9, -5, 140)])
@@ -118,26 +71,6 @@ def test_an_exponential_map_is_continuous_where_its_angle_passes_pi(axis):
     made = continuous_maps(wrapped)
     assert np.linalg.norm(np.diff(made, axis=0), axis=-1).max() < 0.3
     assert rotation_angles(quaternion_from_rotation_vector(made), rotations).max() < 1e-9
-
-
-def test_the_same_pose_has_the_same_map_wherever_a_recording_begins():
-    angles = np.concatenate([np.linspace(0, 4.2, 40), np.linspace(4.2, -2, 60)])
-    rotations = quaternion_from_rotation_vector(np.outer(angles, [0.6, 0.0, 0.8]))[:, None]
-    maps = rotation_vector_from_quaternion(rotations)
-    assert continuous_maps(maps[40:]) == pytest.approx(continuous_maps(maps)[40:])
-
-
-def test_maps_of_a_recording_are_small_and_jump_only_where_it_does(shared_data):
-    motion = gk.Motion.load(shared_data / REAL[0])
-    representation = DeltaRepresentation.fit([motion])
-    maps = representation.encode(motion)[:, : representation.height_column]
-    maps = maps.reshape(len(maps), -1, 3)
-    assert np.quantile(np.linalg.norm(maps, axis=-1), 0.999) < np.pi
-    rotations = motion.rotations[:, representation.indices]
-    turns = rotation_angles(rotations[1:], rotations[:-1])
-    steps = np.linalg.norm(np.diff(maps, axis=0), axis=-1)
-    assert steps[turns < 0.5].max() < 0.75
-    assert turns.max() > 3, "its hands flip over in single frames"
 
 
 def test_vectors_do_not_depend_on_position_and_heading(gesture):
@@ -206,24 +139,6 @@ def test_on_a_path_the_root_is_where_the_path_is(shared_data, gesture, file):
     elsewhere = RootPath(path.positions[::-1] + 5.0, path.headings + 1.0, path.fps)
     moved = representation.decode(values, motion.fps, path=elsewhere)
     assert np.abs(moved.positions()[:, root][:, [0, 2]] - elsewhere.positions).max() < 1e-6
-
-
-def test_a_path_that_does_not_fit_is_refused(gesture):
-    motion = gesture(2.0)
-    made, driven = (DeltaRepresentation.fit([motion], root=root) for root in (True, False))
-    path = RootPath.of(motion)
-    with pytest.raises(MotionError, match="cannot follow a path"):
-        made.decode(made.encode(motion), 30.0, path=path)
-    with pytest.raises(MotionError, match="none was given"):
-        driven.decode(driven.encode(motion), 30.0)
-    with pytest.raises(MotionError, match="60 frames at 30 fps; the motion has 60 at 60"):
-        driven.decode(driven.encode(motion), 60.0, path=path)
-    with pytest.raises(MotionError, match=r"\(60, 58\); expected \(T, 61\)"):
-        made.decode(driven.encode(motion), 30.0)
-    with pytest.raises(MotionError, match="40 frames"):
-        driven.encode(motion, path.slice(0, 40))
-    with pytest.raises(MotionError, match="displacement columns, so no path"):
-        made.encode(motion, path)
 
 
 def test_a_representation_survives_json(gesture):

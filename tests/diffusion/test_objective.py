@@ -8,11 +8,9 @@ import pytest
 import torch
 
 from gesturekit.diffusion.config import NoiseConfig
-from gesturekit.diffusion.losses import change_error, denoising_error, foot_sliding
+from gesturekit.diffusion.losses import change_error, denoising_error
 from gesturekit.diffusion.noise_schedule import NoiseSchedule
 from gesturekit.diffusion.sampling.solvers import sample
-from gesturekit.diffusion.training.trainer import Trainer
-from gesturekit.training.run.session import session
 
 
 def of_two_steps(predict="noise"):
@@ -101,84 +99,3 @@ def test_second_order_steps_are_those_of_dpm_solver_plus_plus():
         lambda noisy, step: clip(noises[step]), lambda k: clip(1.0), schedule, solver="dpm"
     )
     assert made.item() == pytest.approx(clean_0, rel=1e-9)
-
-
-def test_a_given_start_is_noised_to_its_step():
-    seen = []
-
-    def predict(noisy, step):
-        seen.append((noisy.item(), step))
-        return clip(0.0)
-
-    sample(predict, lambda k: clip(-1.0), of_two_steps(), start=(clip(2.0), 1))
-    first, step = seen[0]
-    assert step == 1 and first == pytest.approx(2 * math.sqrt(0.4) - math.sqrt(0.6))
-
-
-@pytest.fixture
-def trainer_of(make_config, tmp_path):
-    """A trainer of the small configuration with changes, its network replaced by zeros."""
-
-    def make(says_zero: bool = True, **changes):
-        config = make_config(**changes, out=str(tmp_path / str(changes)))
-        with session(config, resume=False) as (run, device, processes):
-            trainer = Trainer(config, run, device, processes, resume=False)
-        if says_zero:
-            trainer.network.forward = lambda noisy, condition, step: torch.zeros_like(noisy)
-        return trainer
-
-    return make
-
-
-def test_gradients_are_clipped_to_their_norm(trainer_of):
-    trainer = trainer_of(says_zero=False, training={"clip": 1e-3})
-    trainer._update(0)
-    norms = [p.grad.norm() for p in trainer.network.parameters() if p.grad is not None]
-    assert float(torch.stack(norms).norm()) == pytest.approx(1e-3, rel=1e-3)
-
-
-def test_the_loss_of_a_batch_is_the_mean_over_clips(trainer_of):
-    trainer = trainer_of()
-    batch = trainer.batches.draw(0, slice(0, 2))
-    # A network that predicts nothing errs by the noise itself.
-    expected = float(batch.noise.square().mean())
-    assert float(trainer._loss(batch)) == pytest.approx(expected, rel=1e-5)
-    assert 0.7 < expected < 1.3  # standard normal
-
-
-@pytest.mark.parametrize("name", ["changes", "foot_sliding"])
-def test_the_weight_of_a_loss_on_motion_counts(trainer_of, name):
-    clean = {"noise": {"predict": "clean"}}
-    plain, weighted = trainer_of(**clean), trainer_of(**clean, training={name: 0.5})
-    batch = plain.batches.draw(0, slice(0, 2))
-    made = torch.randn(batch.clean.shape, generator=torch.Generator().manual_seed(0))
-    for trainer in (plain, weighted):
-        trainer.network.forward = lambda noisy, condition, step: made
-    apart = float(weighted._loss(batch)) - float(plain._loss(batch))
-    if name == "changes":
-        error = change_error(made, batch.clean, weighted.changes)
-    else:
-        error = foot_sliding(weighted.foot_velocity(made), weighted.foot_velocity(batch.clean))
-    assert apart == pytest.approx(0.5 * float(error.mean()), rel=1e-3)
-    assert error.min() > 0.1
-
-
-def test_steps_and_noise_are_drawn_anew_for_every_row_and_update(trainer_of):
-    trainer = trainer_of()
-    one, other = (trainer.batches.draw(update, slice(0, 2)) for update in (0, 1))
-    assert not torch.equal(one.noise[0], one.noise[1])
-    assert not torch.equal(one.noise[0], other.noise[0])
-    steps = torch.cat([trainer.batches.draw(u, slice(0, 2)).step for u in range(200)])
-    # Uniform over the schedule: both ends and everything between.
-    quarter = trainer.config.noise.steps // 4
-    shares = [(steps // quarter == q).float().mean().item() for q in range(4)]
-    assert all(0.17 < share < 0.33 for share in shares)
-
-
-def test_windows_begin_anywhere_in_a_recording(trainer_of):
-    trainer = trainer_of(augmentation={"stretch": 0.0, "mirror": False})
-    firsts = {
-        tuple(trainer.batches.draw(update, slice(0, 1)).clean[0, 0].tolist())
-        for update in range(60)
-    }
-    assert len(firsts) > 30

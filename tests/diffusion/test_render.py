@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from gesturekit import Motion
 from gesturekit.corpus import Manifest
 from gesturekit.corpus.item import Item
-from gesturekit.diffusion.config import NoiseConfig
 
 STYLED = {"styles": ("old", "angry"), "events": ("kick",), "droppable": ("styles",)}
 
@@ -66,31 +63,6 @@ def test_options_reach_the_model(render, folders, untrained):
     assert not np.array_equal(motion.rotations, expected.rotations)
 
 
-def test_clipping_is_turned_off_by_its_option(render, untrained, tmp_path):
-    """A network that predicts no noise diverges unless its prediction is clipped."""
-    model = replace(untrained(), noise_config=NoiseConfig())
-    torch.nn.init.zeros_(model.network.leave.weight)
-    model.save(tmp_path / "model")
-    assert render(tmp_path / "model", "--seconds", 0.5, "--clip-denoised")[0] == 0
-    status, motion, said = render(tmp_path / "model", "--seconds", 0.5, "--no-clip-denoised")
-    assert status == 1 and motion is None and "out of range" in said
-
-
-def test_experts_weights_over_time(render, folders):
-    def rendered(weight: str) -> Motion:
-        options = ["--seconds", 6, "--steps", 2, "--no-foot-lock", "--style", "old"]
-        expert = f"{folders['plain']}{weight}"
-        return render(folders["styled"], *options, "--expert", expert)[1]
-
-    always, never = rendered(":0.5"), rendered(":0")
-    np.testing.assert_array_equal(rendered(":0.5@0-6").rotations, always.rotations)
-    np.testing.assert_array_equal(rendered(":0.5@0-3,0.5@3-6").rotations, always.rotations)
-    late = rendered(":0.5@3-6")  # and no part before
-    np.testing.assert_allclose(late.rotations[:45], never.rotations[:45], atol=1e-4)
-    np.testing.assert_allclose(late.rotations[135:, 1:], always.rotations[135:, 1:], atol=1e-4)
-    assert np.abs(always.rotations[:45] - never.rotations[:45]).max() > 1e-3
-
-
 def test_a_motion_to_begin_from(render, folders, untrained, gesture, tmp_path):
     gesture(1.5).save(tmp_path / "given.npz")
     options = ["--like", tmp_path / "given.npz", "--style", "old", "--steps", 3]
@@ -100,14 +72,8 @@ def test_a_motion_to_begin_from(render, folders, untrained, gesture, tmp_path):
         _, motion, _ = render(folders["styled"], *options, *told)
         expected = model.generate(**asked, change=change, item="motion")
         np.testing.assert_allclose(motion.rotations, expected.rotations, atol=1e-6)
-    for name, wrong, told in (
-        ("styled", ["--change", 0.1, "--seconds", 1], "--change requires --like"),
-        ("demo", [*options[:2], "--change", 0.1], "multires models have no control change"),
-        ("styled", ["--like", tmp_path / "none.bvh"], "none.bvh: no such file"),
-    ):
-        status, motion, err = render(folders.get(name, name), *wrong)
-        assert status in (1, 2) and motion is None
-        assert told in err and "Traceback" not in err
+    status, motion, err = render(folders["styled"], "--change", 0.1, "--seconds", 1)
+    assert status == 2 and motion is None and "--change requires --like" in err
 
 
 def test_events_of_a_manifest_keep_their_durations(render, folders, untrained, gesture, tmp_path):
@@ -126,30 +92,12 @@ def test_events_of_a_manifest_keep_their_durations(render, folders, untrained, g
     np.testing.assert_allclose(motion.rotations, expected.rotations, atol=1e-6)
 
 
-def test_a_path_gives_the_length(render, folders, tmp_path):
-    (tmp_path / "way.csv").write_text("time,x,z\n0,0,0\n1,0,1\n2,1,1\n")
-    status, motion, _ = render(folders["walker"], "--path", tmp_path / "way.csv", "--steps", 2)
-    assert status == 0
-    assert abs(motion.duration - 2) <= 1.01  # as long as the table's rows hold
-    np.testing.assert_allclose(motion.positions()[-1, 0, [0, 2]], [1, 1], atol=0.02)
-
-
 @pytest.mark.parametrize(
     ("name", "options", "told"),
     [
         ("plain", ["--levels", "2"], "diffusion models have no control levels"),
-        ("styled", ["--steps", "100000"], "steps: 100000 must be between"),
-        ("styled", ["--style", "young"], "unknown; the model has old, angry"),
-        ("styled", ["--events", "kik@beats"], "did you mean kick?"),
-        ("plain", ["--events", "kick@1.0"], "this model has no events"),
-        ("styled", ["--expert", "{plain}:much"], "'much' is not a weight"),
         ("styled", ["--expert", "{plain}:0.5@4"], "weights over time look like 0.2@0-10"),
-        ("styled", ["--expert", "{plain}:0.5@4-2"], "'0.5@4-2': the span ends before it begins"),
-        ("styled", ["--expert", "nowhere"], "nowhere: neither a model folder"),
-        ("demo", ["--steps", "5"], "multires models have no control steps"),
-        ("demo", ["--dtype", "bf16"], "a multires model, which is fp32 only"),
         ("plain", ["--device", "tpu"], "device: 'tpu' cannot be used here"),
-        ("demo", ["--solver", "dpm"], "multires models have no control solver"),
         ("demo", ["--expert", "{plain}"], "multires models have no control experts"),
     ],
 )

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 import torch
 
 from gesturekit.diffusion.config import NoiseConfig
 from gesturekit.diffusion.noise_schedule import NoiseSchedule
-from gesturekit.diffusion.sampling.experts import clip_denoised
-from gesturekit.diffusion.sampling.solvers import chosen_steps, sample
-from gesturekit.errors import ConfigError, ModelError
+from gesturekit.diffusion.sampling.solvers import sample
 from gesturekit.training.seeds import rng_for
 
 GESTURE = NoiseSchedule.of(NoiseConfig())
@@ -82,18 +79,6 @@ def test_all_steps_reach_the_mean_and_the_spread(schedule, solver):
 
 
 @SCHEDULES
-def test_steps_of_pure_noise_need_no_network(schedule):
-    data = Gaussian(schedule)
-    whole, asked = data.reached("ancestral", None), len(data.asked)
-    ask, data.asked = data.predict, []
-    data.predict = clip_denoised(ask, schedule)
-    fewer = data.reached("ancestral", None)
-    assert len(data.asked) <= 0.61 * asked
-    for one, other in zip(fewer, whole, strict=True):
-        torch.testing.assert_close(one, other, atol=2e-4, rtol=0)
-
-
-@SCHEDULES
 @pytest.mark.parametrize("steps", [10, 20])
 def test_few_steps_of_second_order_are_nearer_than_ddim(schedule, steps):
     data = Gaussian(schedule)
@@ -101,85 +86,6 @@ def test_few_steps_of_second_order_are_nearer_than_ddim(schedule, steps):
     assert len(data.asked) == 2 * steps
     assert second < 0.7 * first
     assert second < (0.08 if steps == 20 else 0.12)
-
-
-def test_noise_comes_from_the_caller_alone():
-    data, asked = Gaussian(GESTURE), []
-
-    def noise_at(k: int) -> torch.Tensor:
-        asked.append(k)
-        return torch.randn(3, D, generator=rng_for("noise", k), dtype=torch.float64)
-
-    torch.manual_seed(1)
-    one = sample(data.predict, noise_at, GESTURE)
-    assert asked == list(range(100))
-    torch.manual_seed(2)
-    assert torch.equal(one, sample(data.predict, noise_at, GESTURE))
-    asked.clear()
-    sample(data.predict, noise_at, GESTURE, solver="dpm", steps=12)
-    assert asked == [0]
-
-
-@pytest.mark.parametrize("solver", ["ancestral", "ddim", "dpm"])
-def test_a_truncated_start_keeps_what_noise_has_not_hidden(solver):
-    data = Gaussian(GESTURE)
-    away = torch.full((D,), 1.5, dtype=torch.float64)
-    chosen = data.mean + torch.linalg.cholesky(data.covariance) @ away
-
-    def made(step: int) -> torch.Tensor:
-        def noise_at(k: int) -> torch.Tensor:
-            return torch.randn(400, D, generator=rng_for("start", k), dtype=torch.float64)
-
-        start = (chosen.expand(400, D), step)
-        return sample(data.predict, noise_at, GESTURE, solver=solver, start=start)
-
-    away = [float((made(step) - chosen).norm(dim=1).mean()) for step in (0, 5, 20, 60)]
-    assert away == sorted(away)
-    assert away[0] < 0.35
-    data.asked.clear()
-    made(20)
-    assert data.asked == list(range(20, -1, -1))
-
-
-def test_single_precision_survives_the_end_of_the_schedule():
-    data = Gaussian(GESTURE)
-
-    def predict(noisy: torch.Tensor, step: int) -> torch.Tensor:
-        return data.predict(noisy.double(), step).float()
-
-    noise = [torch.randn(2, D, generator=rng_for("noise", k)) for k in range(100)]
-    for solver, steps in (("ancestral", None), ("dpm", None), ("ddim", None), ("dpm", 20)):
-        ours = sample(predict, lambda k: noise[k], GESTURE, solver=solver, steps=steps)
-        exact = sample(
-            data.predict, lambda k: noise[k].double(), GESTURE, solver=solver, steps=steps
-        )
-        torch.testing.assert_close(ours.double(), exact, atol=2e-3, rtol=0)
-
-
-@SCHEDULES
-def test_few_steps_skip_pure_noise_and_repeat_none(schedule):
-    for count in range(1, schedule.steps + 1):
-        steps = chosen_steps(schedule, count)
-        assert len(steps) == len(set(steps)) == count
-        assert steps == sorted(steps, reverse=True)
-        assert steps[-1] == 0 or count == 1
-        assert count > 45 or schedule.alphas_bar[steps[0]] > 1e-6
-    assert chosen_steps(schedule, 8, start=30)[0] == 30
-
-
-@pytest.mark.parametrize(("count", "start"), [(10, None), (50, None), (98, None), (12, 16), (1, 9)])
-def test_few_steps_are_those_nearest_to_even_levels_of_noise(count, start):
-    """The nearest log signal-to-noise ratio among the steps that are left."""
-    level = GESTURE.log_snr().numpy()
-    found = chosen_steps(GESTURE, count, start=start)
-    if start is None:
-        # abar is above 1e-5 in steps 0 to 48.
-        assert found[0] == max(48, count - 1)
-    wanted, before = np.linspace(level[found[0]], level[0], count), found[0] + 1
-    for k, step in enumerate(found):
-        free = range(count - 1 - k, before)
-        assert step == min(free, key=lambda n, k=k: abs(level[n] - wanted[k]))
-        before = step
 
 
 @pytest.mark.parametrize("predict", ["velocity", "clean"])
@@ -211,20 +117,3 @@ def test_min_snr_weighs_the_error_of_the_clean_motion_by_the_clipped_ratio(predi
     weighed = schedule.loss_weight(step, 5.0) * wrong.square().mean((1, 2))
     torch.testing.assert_close(weighed, ratio * (guess - clean).square().mean((1, 2)))
     assert schedule.loss_weight(step, None).tolist() == [1, 1, 1]
-
-
-def test_invalid_arguments_are_refused():
-    def noise_at(k: int) -> torch.Tensor:
-        return torch.zeros(1, D, dtype=torch.float64)
-
-    data = Gaussian(GESTURE)
-    with pytest.raises(ModelError, match="solver: 'euler' is unknown"):
-        sample(data.predict, noise_at, GESTURE, solver="euler")
-    with pytest.raises(ModelError, match="steps: 101 must be between 1 and 100"):
-        sample(data.predict, noise_at, GESTURE, steps=101)
-    with pytest.raises(ModelError, match="start: step 100 is not within the noise schedule"):
-        sample(data.predict, noise_at, GESTURE, start=(noise_at(0), 100))
-    with pytest.raises(ModelError, match="step: 100 is not within"):
-        GESTURE.add_noise(noise_at(0), noise_at(0), 100)
-    with pytest.raises(ConfigError, match="last_beta: 0.001 must be at least first_beta"):
-        NoiseConfig(last_beta=0.001)

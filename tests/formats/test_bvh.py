@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
 from gesturekit.formats import read_bvh, write_bvh
-from gesturekit.formats.bvh import rows
 from gesturekit.formats.bvh.grammar import parse_bvh
 from gesturekit.motion import Motion, Skeleton
 
@@ -49,17 +47,6 @@ def write(tmp_path):
     return to_file
 
 
-def test_written_text(write, tmp_path):
-    motion = read_bvh(write(SMALL))
-    assert motion.info["source"] == str(tmp_path / "clip.bvh")
-    write_bvh(motion, tmp_path / "out.bvh")
-    text = (tmp_path / "out.bvh").read_text()
-    assert "Frame Time: 0.03333333333333333\n" in text and "Frames: 3\n" in text
-    assert text.count("OFFSET 0.000000 0.00000000 0.0000000") == 1  # the mark of centimetres
-    assert text.count("position") == 3  # the root's; the other joint does not move
-    assert text.split("OFFSET")[1].strip().startswith("0.000000 0.00000000 0.0000000")
-
-
 def test_curves_do_not_jump(tmp_path):
     turn = np.radians(np.linspace(0, 900, 100))
     rotations = np.zeros((100, 1, 4))
@@ -74,22 +61,14 @@ def test_curves_do_not_jump(tmp_path):
 @pytest.mark.parametrize(
     "change",
     [
-        lambda text: text.replace("\n", "\r\n"),
         lambda text: text.replace("\n", "\r"),
         lambda text: "\ufeff" + text.replace(" ", "\t"),
-        lambda text: text.replace("End Site", "End site"),
         lambda text: text.replace("End Site", "END SITE").replace("JOINT", "Joint"),
-        lambda text: text.replace("\n", "\n\n") + "\n\n",
         lambda text: text.replace("Hips\n{", "Hips {").replace("\n\t\t}\n\t}", "}}"),
-        lambda text: text.replace("Xposition", "XPOSITION").replace("MOTION", "Motion"),
         lambda text: text.replace("1 91 0 0", "1e0 9.1E+1 -0 0.0"),
-        lambda text: text.replace("Frames: 3", "Frames:\t3").rstrip("\n"),
         lambda text: text.replace("Frames: 3", "Frames 3").replace("Time:", "Time  :"),
-        lambda text: text.replace("End Site", "End Site Chest_end"),
-        lambda text: text.replace("End Site", "EndSite"),
         lambda text: text.replace("OFFSET 0 30 0", "OFFSET 0 30 0\nCHANNELS 0"),
         lambda text: text.encode("utf-16"),
-        lambda text: text.replace("5 11 21", "5\u00a011 21"),
     ],
 )
 def test_variants_of_other_writers_are_read(write, change):
@@ -102,44 +81,19 @@ def test_variants_of_other_writers_are_read(write, change):
     ("old", "new", "line", "says"),
     [
         ("HIERARCHY", "WAVE", 1, "HIERARCHY"),
-        ("HIERARCHY\n", "HIERARCHY ", 1, "that of a BVH file is HIERARCHY"),
         ("Frames: 3", "Frames: -3", 17, "-3"),
         (SMALL[SMALL.index("0 90 0 0 0") :], "", 18, "declares 3 frames and holds none"),
         ("12 22 32\n", "12 22 32\n5 5\n", 22, "frame 4 of 3 has 2 values"),
         ("5 11 21", "5 11,5, 21", 20, "'11.5,' is not a number"),
         ("5 11 21", "5 nan 21", 20, "is nan; expected a finite number up to 1e+09; fill"),
-        ("5 11 21", "5 1e999 21", 20, "inf"),
-        ("5 11 21", "5 1_1 21", 20, "number"),
-        ("5 11 21", "5 11.0.5 21", 20, "'11.0.5' is not a number"),
-        ("5 11 21", "5 11-3 21", 20, "'11-3' is not a number"),
-        ("5 11 21", "5 1e10 21", 20, "value 7 of frame 2 is 10000000000"),
         ("11 21 31\n", "11 21\n31 ", 20, "has 8 values"),
         ("OFFSET 0 50 0", "OFFSET 0 50", 8, "three numbers"),
-        ("OFFSET 0 50 0", "OFFSET 0 nan 0", 8, "finite"),
-        ("OFFSET 0 50 0", "OFFSET 0 1e300 0", 8, "over 1e+09"),
-        ("JOINT Chest", "JOINT Che\x01st", 6, "cannot be shown"),
-        ("\t\tOFFSET 0 50 0\n", "", 6, "no OFFSET"),
         ("CHANNELS 3", "CHANNELS 4", 9, "'4' for 3 names"),
         ("CHANNELS 3", "CHANNELS", 9, "'Zrotation' for 2 names"),
         ("CHANNELS 3 Zrotation Xrotation Yrotation", "CHANNELS", 9, "'' for 0 names"),
-        ("3 Zrotation", "3 Zscale", 9, "'Zscale'"),
         ("3 Zrotation Xrotation", "3 Zrotation Zrotation", 9, "twice"),
         ("JOINT Chest", "ROOT Chest", 6, "second ROOT"),
-        ("MOTION", "}\nMOTION", 16, "a } without its {"),
-        ("\t}\n}\nMOTION", "\t}\nMOTION", 15, "lack"),
-        ("MOTION\nFrames: 3", "MOTION", 18, "'Frames:'"),
         ("JOINT Chest", "BONE Chest", 6, "BONE"),
-        ("JOINT Chest", f"JOINT {'x' * 201}", 6, "a joint name of 201 characters"),
-        ("ROOT Hips", "JOINT Hips", 2, "has no parent joint"),
-        ("ROOT Hips\n{", "{\nROOT Hips", 2, "a { that does not follow ROOT"),
-        ("ROOT Hips\n{", "ROOT Hips\nOFFSET 0 0 0\n{", 3, "expected { after the name"),
-        ("HIERARCHY\n", "HIERARCHY\nOFFSET 0 0 0\n", 2, "OFFSET outside any joint"),
-        ("HIERARCHY\n", "HIERARCHY\nCHANNELS 0\n", 2, "CHANNELS outside any joint"),
-        (SMALL[SMALL.index("MOTION") :], "", 15, "stops before MOTION"),
-        (SMALL[10 : SMALL.index("MOTION")], "", 2, "no ROOT before MOTION"),
-        ("Frames: 3", f"Frames: {'9' * 19}", 17, "expected a whole number"),
-        ("OFFSET 0 50 0", "OFFSET 0 0 -1.1e9", 8, "over 1e+09"),
-        ("Frame Time:", "Rate:", 18, "'Frame Time:'"),
     ],
 )
 def test_broken_files_are_named_with_their_line(write, old, new, line, says):
@@ -151,56 +105,13 @@ def test_broken_files_are_named_with_their_line(write, old, new, line, says):
     assert says in str(caught.value)
 
 
-@pytest.mark.filterwarnings("ignore:.*it was probably cut short")
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("OFFSET 0 50 0", "OFFSET 1e9 -1e9 0"),
-        ("5 11 21", "5 1e9 -1e9"),
-        ("Frames: 3", f"Frames: {'9' * 18}"),
-        ("Chest", "x" * 200),
-    ],
-)
-def test_the_largest_numbers_and_names_are_read(write, old, new):
-    read = parse_bvh(write(SMALL.replace(old, new)))
-    assert read.frames.shape == (3, 9) and len(read.joints) == 2
-
-
-def test_a_file_without_channels_and_one_of_too_many_joints_are_refused(write):
-    still = re.sub("CHANNELS.*", "CHANNELS 0", SMALL)
-    with pytest.raises(FormatError, match=r"clip\.bvh:18: no joint has CHANNELS"):
-        read_bvh(write(still))
-    chain = "ROOT a\n{\nOFFSET 0 1 0\nCHANNELS 1 Xrotation\n"
-    for count in (2000, 2001):
-        joints = "JOINT b\n{\nOFFSET 0 1 0\n}\n" * (count - 1)
-        text = f"HIERARCHY\n{chain}{joints}}}\nMOTION\nFrames: 1\nFrame Time: 0.04\n7\n"
-        if count == 2000:
-            assert len(parse_bvh(write(text)).joints) == 2000
-        else:
-            with pytest.raises(FormatError, match="over 2000 joints"):
-                parse_bvh(write(text))
-
-
-@pytest.mark.parametrize("value", ["0", "-0.03", "x", "nan", "inf", "", "0.0000099", "100000.5"])
+@pytest.mark.parametrize("value", ["0", "x", "", "100000.5"])
 def test_an_invalid_frame_time_is_an_error_unless_fps_is_given(write, value):
     path = write(SMALL.replace("0.0333333", value))
     with pytest.raises(FormatError, match="Frame Time.*--in-fps"):
         read_bvh(path)
     motion = read_bvh(path, fps=50)
     assert motion.fps == 50 and motion.info["frame_time"] == value
-
-
-def test_several_skeletons_in_a_file_are_refused(write):
-    head, motion = SMALL.split("MOTION")
-    second = head.replace("HIERARCHY\n", "").replace("Hips", "Other")
-    with pytest.raises(FormatError, match="second ROOT, 'Other'"):
-        read_bvh(write(head + second + "MOTION" + motion))
-
-
-def test_a_file_that_is_cut_before_its_second_frame_is_a_format_error(write):
-    for cut in range(0, SMALL.index("20 30\n"), 3):
-        with pytest.raises(FormatError):
-            read_bvh(write(SMALL[:cut]))
 
 
 def test_a_file_that_is_cut_later_keeps_its_whole_frames(write):
@@ -241,15 +152,6 @@ def test_decimal_commas_are_read_as_points(write):
     np.testing.assert_array_equal(motion.skeleton.offsets, expected.skeleton.offsets)
 
 
-def test_long_files_are_read_in_blocks_as_if_at_once(write, monkeypatch):
-    whole = read_bvh(write(SMALL))
-    for size in range(1, 40):
-        monkeypatch.setattr(rows, "_BLOCK", size)
-        np.testing.assert_array_equal(read_bvh(write(SMALL + "\n" * 50)).rotations, whole.rotations)
-        with pytest.raises(FormatError, match=r":20: 'x' is not a number"):
-            read_bvh(write(SMALL.replace("5 11 21", "5 x 21")))
-
-
 def test_files_that_are_not_bvh_are_refused(write, tmp_path):
     with pytest.raises(FormatError, match="HIERARCHY"):
         read_bvh(write(bytes(range(256)) * 50))
@@ -274,31 +176,6 @@ def test_names_in_another_encoding(write):
     assert read_bvh(write(b"\xfe\xff" + big)).skeleton.names[1] == "Brustkörbchen"
 
 
-def test_repeated_names_are_told_apart_and_reported(write):
-    motion = read_bvh(write(SMALL.replace("JOINT Chest", "JOINT Hips")))
-    assert motion.skeleton.names == ("Hips", "Hips_2")
-    assert motion.info["renamed"] == {"Hips_2": "Hips"}
-
-
-def test_a_renamed_joint_gets_an_unused_name(write):
-    end = "End Site\n\t\t{\n\t\t\tOFFSET 0 30 0\n\t\t}"
-    body = "{0} Hips{1}\n{{\nOFFSET 0 9 0\nCHANNELS 1 Xrotation\n"
-    text = SMALL.replace(end, body.format("JOINT", "") + body.format("JOINT", "_2") + "}}")
-    motion = read_bvh(write(re.sub(r"(3[012])\n", r"\1 4 5\n", text)))
-    assert motion.skeleton.names == ("Hips", "Chest", "Hips_3", "Hips_2")
-    assert motion.info["renamed"] == {"Hips_3": "Hips"}
-
-
-def test_end_sites_that_are_joints(write):
-    """Some exporters give them channels, or hang joints on them."""
-    text = SMALL.replace("OFFSET 0 30 0", "OFFSET 0 30 0\nCHANNELS 1 Yrotation")
-    motion = read_bvh(write(re.sub(r"(3[012])\n", r"\1 4\n", text)))
-    assert motion.skeleton.names == ("Hips", "Chest", "Chest_End")
-    np.testing.assert_allclose(motion.skeleton.offsets[2], [0, 0.3, 0])
-    bare = read_bvh(write(SMALL.replace("OFFSET 0 30 0", "")))
-    np.testing.assert_array_equal(bare.skeleton.end_sites["Chest"], [[0, 0, 0]])
-
-
 @pytest.mark.parametrize("long_ones", [0.0, 0.05, 0.5])
 @pytest.mark.parametrize("no_point", [False, True])
 def test_numbers_are_parsed_as_by_python(write, long_ones, no_point):
@@ -321,19 +198,10 @@ def test_errors_in_long_files_name_their_line(write):
     n_rows = 60_000  # 2.8 MB, more than is parsed at a time
     head = head.replace("Frames: 3", f"Frames: {n_rows + 1}")
     assert len(read_bvh(write(head + row * n_rows)).rotations) == n_rows + 1
-    for bad, says in (
-        ("1.5 x", "'x' is not a number"),
-        ("1.5 2.5", "frame 50002 of 60001 has 2"),
-        ("1.5 " * 8 + "nan", "value 9 of frame 50002 is nan; expected .* up to 1e.09; fill"),
-        (
-            "1.5 2e9" + " 1.5" * 7,
-            "value 2 of frame 50002 is 2000000000.0; expected .* up to 1e.09$",
-        ),
-    ):
-        for before in ("", "\n \n"):  # blank lines count as lines of the file
-            at = head.count("\n") + 50_001 + before.count("\n")
-            with pytest.raises(FormatError, match=f"clip.bvh:{at}: {says}"):
-                read_bvh(write(head + row * 50_000 + before + bad + "\n" + row * 9999))
+    for before in ("", "\n \n"):  # blank lines count as lines of the file
+        at = head.count("\n") + 50_001 + before.count("\n")
+        with pytest.raises(FormatError, match=f"clip.bvh:{at}: 'x' is not a number"):
+            read_bvh(write(head + row * 50_000 + before + "1.5 x\n" + row * 9999))
     with pytest.warns(UserWarning, match=r"clip.bvh: the file declares 60001 frames; all 60006 "):
         assert read_bvh(write(head + row * (n_rows + 5))).n_frames == n_rows + 6
 
@@ -362,30 +230,13 @@ def test_fewer_channels(write):
     ("text", "fps"),
     [
         ("0.0333333", 30),
-        ("0.033333", 30),
         ("0.033", 30),
         ("0.041667", 24),
-        ("0.04166", 24),
-        ("0.025", 40),
-        ("0.04", 25),
-        ("0.08", 12.5),
-        ("0.16", 6.25),
-        ("0.0083333", 120),
         ("0.00833", 120),
-        ("8.333333E-3", 120),
-        ("0.0166667", 60),
         ("0.017", 60),
         ("0.0333667", 30000 / 1001),
-        ("0.0416667", 24),
-        ("0.05", 20),
         ("0.035", 29),  # 30 is 1.7 of the last digit away
         ("0.039", 26),  # 25 is one whole digit away
-        ("0.0123", 81),
-        ("0.5", 2),
-        ("3", 1 / 3),
-        ("9.5584477261", 1 / 9.5584477261),
-        ("0.00001", 100_000),
-        ("100000", 0.00001),
     ],
 )
 def test_frame_rates(write, text, fps):
@@ -406,29 +257,6 @@ def test_unit_and_axes_can_be_set(write):
         read_bvh(path, up="w")
     with pytest.raises(FormatError, match="'-y' along the up axis 'y'"):
         read_bvh(path, up="y", forward="-y")
-
-
-def test_z_up_files_are_stood_up(shared_data, tmp_path, save_as_others):
-    motion = read_bvh(shared_data / "motion/aitviewer/sample.bvh")[:50]
-    skeleton, quarter = motion.skeleton, Rotation.from_euler("x", 90, degrees=True)
-    lying = replace(
-        motion,
-        skeleton=replace(skeleton, offsets=quarter.apply(skeleton.offsets), end_sites={}),
-        rotations=np.stack(
-            [(quarter * Rotation.from_quat(r) * quarter.inv()).as_quat() for r in motion.rotations]
-        ),
-        translation=quarter.apply(motion.translation),
-    )
-    np.testing.assert_allclose(lying.positions()[..., 2], motion.positions()[..., 1], atol=1e-9)
-    save_as_others(lying, tmp_path / "z.bvh")
-    again = read_bvh(tmp_path / "z.bvh")
-    assert again.info["up"] == "z"
-    order = [again.skeleton.index(name) for name in skeleton.names]
-    np.testing.assert_allclose(again.positions()[:, order], motion.positions(), atol=1e-6)
-    # As it is written, the rig now stands upright at rest.
-    assert again.skeleton.offsets[again.skeleton.index("Chest"), 1] > 0.1
-    left = read_bvh(tmp_path / "z.bvh", up="y")
-    np.testing.assert_allclose(left.positions()[..., 2], again.positions()[..., 1], atol=1e-6)
 
 
 def test_a_name_that_would_break_the_file_is_refused(write, tmp_path):
@@ -453,26 +281,3 @@ def test_joints_in_any_order_are_written_as_a_tree(tmp_path):
     again = read_bvh(tmp_path / "a.bvh", unit="cm")
     order = [again.skeleton.index(name) for name in names]
     np.testing.assert_allclose(again.positions()[:, order], motion.positions(), atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("start", "kind"), [(b"RIFF$}\0\0WAVEfmt \x10\0", "a wav"), (b"PK\3\4-\0\0\0", "a zip or npz")]
-)
-def test_another_kind_of_file_is_called_by_its_name(tmp_path, start, kind):
-    path = tmp_path / "a.bvh"
-    path.write_bytes(start * 20)
-    with pytest.raises(FormatError, match=f"a.bvh:1: the file looks like {kind} file") as raised:
-        read_bvh(path)
-    assert str(raised.value).isprintable()
-    path.write_bytes(bytes(range(128, 160)) * 9)
-    with pytest.raises(FormatError, match="the first line is") as raised:
-        read_bvh(path)
-    assert str(raised.value).isprintable()
-
-
-@pytest.mark.parametrize("text", ["", " \n\n\t\n", "\ufeff"])
-def test_an_empty_file_is_called_so(write, text):
-    path = write(text)
-    with pytest.raises(FormatError) as caught:
-        read_bvh(path)
-    assert str(caught.value).startswith(f"{path}: the file is empty; ")

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +13,6 @@ from gesturekit.formats import read_bvh, write_bvh
 from gesturekit.formats.plausibility import METRES
 from gesturekit.motion import Motion
 
-THREE = Path(__file__).resolve().parents[2] / "gesturekit/viewer/player/node_modules/three"
 RATES = (23.976, 59.94, 1 / 3, 30.0, 30000 / 1001, 60000 / 1001, 7.1234567, 119.88, 100000.0)
 
 
@@ -46,23 +42,6 @@ def test_any_frame_rate_is_read_back_exactly(gesture, tmp_path):
     for fps in rates:
         write_bvh(replace(gesture(0.1), fps=fps), tmp_path / "a.bvh")
         assert read_bvh(tmp_path / "a.bvh").fps == fps
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda text: text.replace("\n", "\r\n"),
-        lambda text: "\n".join(line.strip() for line in text.split("\n")),
-        lambda text: text.replace("\t", "    "),
-        lambda text: text.replace("{\n", "{\n\n   "),
-    ],
-)
-def test_the_mark_survives_other_line_ends_and_blanks(gesture, tmp_path, change):
-    motion = of_height(gesture(0.3), 0.34)
-    write_bvh(motion, tmp_path / "a.bvh")
-    text = (tmp_path / "a.bvh").read_text()
-    (tmp_path / "a.bvh").write_bytes(change(text).encode())
-    same(motion, read_bvh(tmp_path / "a.bvh"), 0.34)
 
 
 def test_a_file_that_another_program_wrote_anew_is_detected_again(gesture, tmp_path):
@@ -110,18 +89,3 @@ def test_other_readers_see_an_offset_of_zero_and_the_frame_time(gesture, tmp_pat
     places, frame_time, n_rows = blender_places(tmp_path / "a.bvh")
     assert places["Hips"] == [0, 0, 0] and frame_time == 1 / 23.976 and n_rows == motion.n_frames
     assert list(places) == [joint.Name for joint, _, _ in bvh.Root.layout()]
-
-
-@pytest.mark.skipif(not (THREE.exists() and shutil.which("node")), reason="needs three.js and node")
-def test_three_js_loads_it_without_a_word(gesture, tmp_path):
-    motion = replace(gesture(0.3), fps=23.976)
-    write_bvh(motion, tmp_path / "a.bvh")
-    script = Path(__file__).resolve().parents[1] / "interop/three_positions.mjs"
-    done = subprocess.run(
-        ["node", script, THREE, tmp_path / "a.bvh"], capture_output=True, text=True, check=True
-    )
-    assert (done.stdout, done.stderr) == ("", "")
-    found = json.loads((tmp_path / "a.bvh.three.json").read_text())
-    assert found["fps"] == pytest.approx(23.976, rel=1e-6)
-    again = read_bvh(tmp_path / "a.bvh")
-    np.testing.assert_allclose(np.array(found["frames"]) / 100, again.positions(), atol=1e-5)

@@ -15,7 +15,6 @@ from gltf_files import HALF, QUARTER_TURN, GltfFile, arm
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
-from gesturekit.formats.gltf.reading import read_gltf
 from gesturekit.formats.rig import Rig
 from gesturekit.motion import Motion
 
@@ -43,63 +42,15 @@ def test_steps_hold_each_key_until_the_next(tmp_path):
     np.testing.assert_allclose(angle(path, fps=20), [0, 0, 90, 90, 0], atol=1e-4)
 
 
-def test_splines_start_and_stop_gently(tmp_path):
-    """Tangents of 0 give 3 u^2 - 2 u^3 of the change, 5/32 at u = 1/4."""
-    path = arm("CUBICSPLINE").save(tmp_path / "a.glb")
-    z, w = 5 / 32 * HALF, 1 - 5 / 32 + 5 / 32 * HALF
-    quarter = np.degrees(2 * np.arctan2(z, w))
-    np.testing.assert_allclose(angle(path, fps=4)[[0, 1, 2, 4]], [0, quarter, 45, 90], atol=1e-4)
-
-
-def test_tangents_of_splines_are_used(tmp_path):
-    """Tangents of 1 a second between 0 and 2, in 2 s, give a straight line."""
-    values = [(0, 0, 0), (0, 0, 0), (1, 0, 0), (1, 0, 0), (2, 0, 0), (0, 0, 0)]
-    nodes = [{"name": "hand"}]
-    file = GltfFile(nodes, [[0]]).animate([(0, "translation", [1, 3], values)], "CUBICSPLINE")
-    path = file.save(tmp_path / "a.glb")
-    np.testing.assert_allclose(hand(path, fps=2)[:, 0], [0, 0.5, 1, 1.5, 2], atol=1e-6)
-
-
-def test_the_shorter_way_is_turned(tmp_path):
-    """q and -q are one rotation."""
-    nodes = arm().json["nodes"]
-    turns = [(0, 0, 0, 1), tuple(-x for x in QUARTER_TURN)]
-    path = (
-        GltfFile(nodes, [[0, 1]]).animate([(0, "rotation", [0, 1], turns)]).save(tmp_path / "a.glb")
-    )
-    np.testing.assert_allclose(angle(path, fps=2), [0, 45, 90], atol=1e-4)
-
-
-def test_keys_are_read_in_the_order_of_their_times(tmp_path):
-    """Two keys at one time are a jump: the second counts from there on."""
-    places = [(k, 0, 0) for k in range(40)]
-    times = [*range(20), *range(20)]
-    file = GltfFile([{"name": "hand"}], [[0]]).animate([(0, "translation", times, places)])
-    found = hand(file.save(tmp_path / "a.glb"), fps=2)[:, 0]
-    np.testing.assert_allclose(found[::2], np.arange(20, 40))
-    np.testing.assert_allclose(found[1::2], np.arange(19) + 10.5, atol=1e-5)
-
-
 @pytest.mark.parametrize(
     ("times", "fps"),
     [
         (np.arange(20) / 24, 24),
-        (np.arange(20) * 1.001 / 24, 24 / 1.001),  # 0.019 of a frame from 24
-        (np.arange(9) / 30, 30),
-        (np.arange(9) * 1.001 / 30, 30 / 1.001),
-        (np.arange(9) / 20, 20),
         (np.arange(9) / 33, 33),
-        (np.array([0, 1, 2, 3, 5, 6, 7]) / 33, 33),
-        (np.arange(9) / 7, 21),
-        (np.arange(99) / 240, 240),
         (np.arange(99) * 1.001 / 240, 240 / 1.001),
         (np.round(np.arange(60) / 30, 3), 30),
-        (np.array([0, 1, 2, 7, 30, 31, 90]) / 30, 30),
         (np.array([0, 1, 2, 3, 4, 7, 30, 31, 90]) / 40, 120),  # keys at every frame would tell 40
-        (np.arange(9) / 40, 40),
-        (np.array([0, 1, 2.0223, 3, 4, 90]) / 240, 240),
         (np.array([0, 1.5]), 24),
-        (np.array([0.0]), 30),
     ],
 )
 def test_the_rate_is_that_of_the_keys(tmp_path, times, fps):
@@ -111,33 +62,6 @@ def test_the_rate_is_that_of_the_keys(tmp_path, times, fps):
         motion = Motion.load(path)
     assert motion.fps == pytest.approx(fps, rel=1e-9)
     assert motion.n_frames == round(times[-1] * fps) + 1
-
-
-@pytest.mark.parametrize("start", [2.0625, -1.0])  # 68.06 frames
-def test_the_rate_does_not_depend_on_the_time_of_the_first_key(tmp_path, start):
-    times = start + np.arange(9) / 33
-    file = GltfFile(arm().json["nodes"])
-    path = file.animate([(0, "rotation", times, [(0, 0, 0, 1)] * 9)]).save(tmp_path / "a.glb")
-    motion = Motion.load(path)
-    assert (motion.n_frames, motion.info["start"]) == (9, start)
-    assert motion.fps == pytest.approx(33, rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("steps", "fps"),
-    [
-        ([0.0333, 0.0238], 48),  # a tenth of the way from the shorter to the longer: 1/40.4 s
-        ([0.05, 0.051, 0.053, 0.057, 0.063, 0.02, 0.061, 0.02, 0.0471], 50),
-        ([0.001] * 50, 240),
-        (np.diff([0, 1, 2.0226, 3, 4, 90]) / 240, 240),
-    ],
-)
-def test_keys_between_frames_are_sampled_about_as_densely_as_they_lie(tmp_path, steps, fps):
-    times = np.cumsum([0, *steps])
-    still = [(0, 0, 0, 1)] * len(times)
-    file = GltfFile(arm().json["nodes"]).animate([(0, "rotation", times, still)])
-    with pytest.warns(UserWarning, match=f"lie between the frames .* read at {fps} fps"):
-        assert Motion.load(file.save(tmp_path / "a.glb")).fps == fps
 
 
 def scaled_rig() -> GltfFile:
@@ -184,42 +108,10 @@ def test_joints_that_move_keep_their_ways(tmp_path):
     np.testing.assert_allclose(motion.skeleton.offsets[1], [1, 0, 0])
 
 
-def test_a_joint_that_stays_elsewhere_than_at_rest_is_there(tmp_path):
-    places = [(2, 0, 0), (2, 0, 0)]
-    file = GltfFile(arm().json["nodes"], [[0, 1]]).animate([(1, "translation", [0, 1], places)])
-    motion = Motion.load(file.save(tmp_path / "a.glb"), fps=1)
-    np.testing.assert_allclose(motion.positions()[:, 1], [[2, 1, 0]] * 2)
-    assert not motion.joint_translations
-
-
-def test_end_sites_are_marked_nodes_that_nothing_hangs_on(tmp_path):
-    """Their offsets are from their joints at rest, here of a root that is a metre high."""
-    nodes = arm().json["nodes"]
-    nodes[1]["extras"] = {"gesturekit_end_site": True}
-    file = GltfFile(nodes, [[0, 1]]).animate([(0, "rotation", [0], [(0, 0, 0, 1)])])
-    rig = Motion.load(file.save(tmp_path / "a.glb")).skeleton
-    assert rig.names == ("shoulder",)
-    np.testing.assert_allclose(rig.end_sites["shoulder"], [[1, 0, 0]])
-    nodes[1]["children"] = [2]
-    nodes.append({"name": "finger"})
-    rig = Motion.load(file.save(tmp_path / "a.glb")).skeleton
-    assert rig.names == ("shoulder", "hand", "finger") and not rig.end_sites
-
-
 def test_animated_scale_moves_what_hangs_below(tmp_path):
     curves = [(0, "scale", [0, 1], [(1, 1, 1), (2, 2, 2)])]
     path = GltfFile(arm().json["nodes"], [[0, 1]]).animate(curves).save(tmp_path / "a.glb")
     np.testing.assert_allclose(hand(path, fps=1), [[1, 1, 0], [2, 1, 0]], atol=1e-6)
-
-
-def test_repeated_and_missing_names_are_told_apart(tmp_path):
-    nodes = [{"name": "a", "children": [1, 2]}, {"name": "a"}, {}]
-    path = GltfFile(nodes, [[0, 1, 2]]).save(tmp_path / "a.glb")
-    with pytest.warns(UserWarning, match="no animation"):
-        motion = Motion.load(path)
-    assert (motion.n_frames, motion.fps, motion.info["start"]) == (1, 30, 0)
-    assert motion.skeleton.names == ("a", "a_2", "node_2")
-    assert motion.info["renamed"] == {"a_2": "a", "node_2": ""}
 
 
 def test_a_rest_pose_is_enough_for_a_rig(tmp_path, recwarn):
@@ -279,14 +171,10 @@ def test_arrays_may_be_interleaved(tmp_path):
     "uri",
     [
         "../secret.bin",
-        "%2e%2e/secret.bin",
         "{folder}/secret.bin",
         "link.bin",
         "http://a.b/secret.bin",
-        "file:///etc/passwd",
-        ".",
         "a\0b",
-        "x" * 5000,
     ],
 )
 def test_no_file_of_another_folder_is_opened(tmp_path, uri):
@@ -330,15 +218,6 @@ def test_the_longest_animation_is_read_or_that_which_is_named(tmp_path):
             Motion.load(path, animation=name)
 
 
-def test_long_names_of_animations_are_shortened_in_messages_alone(tmp_path):
-    file = arm()
-    file.json["animations"][0]["name"] = "a" * 60 + "bc"
-    path = file.save(tmp_path / "a.glb")
-    assert Motion.load(path, animation="a" * 60 + "bc").info["animation"] == "a" * 60 + "bc"
-    with pytest.raises(FormatError, match="it has a{60}$"):
-        Motion.load(path, animation="x")
-
-
 def test_without_a_skin_the_tree_of_animated_nodes_is_read(tmp_path):
     nodes = [
         {"name": "scene", "children": [1]},
@@ -358,51 +237,6 @@ def test_without_a_skin_the_tree_of_animated_nodes_is_read(tmp_path):
         "right",
         "tip",
     )
-
-
-def tree_of(*parents: int) -> list[dict]:
-    """Return nodes "0", "1", ... with these parents, -1 for roots."""
-    nodes: list[dict] = [{"name": str(k)} for k in range(len(parents))]
-    for k, parent in enumerate(parents):
-        if parent >= 0:
-            nodes[parent].setdefault("children", []).append(k)
-    return nodes
-
-
-@pytest.mark.parametrize(
-    ("parents", "joints", "read", "others"),
-    [
-        # Less than three fifths hang on one joint of their parent: that is their root.
-        ((-1, 0, 1, 0, 3), [1, 2, 3, 4], "01234", ""),
-        ((-1, 0, 1, 2, 0, 4), [1, 2, 3, 4, 5], "123", "4"),
-        # A parent of one tree alone is none.
-        ((-1, 0, 1, -1, -1), [1, 2, 3, 4], "12", "3, 4"),
-        ((-1, -1, 1), [0, 1, 2], "12", "0"),
-        ((-1, 0, -1), [0, 1, 2], "01", "2"),
-        # Nodes between joints are joints; node 0 is, and hangs on the last.
-        ((3, 0, -1, -1), [1, 3], "301", ""),
-        ((-1, 0, 1), [2], "2", ""),
-    ],
-)
-def test_the_largest_tree_of_joints_is_read(tmp_path, parents, joints, read, others):
-    turns = [(0, 0, 0, 1), QUARTER_TURN]
-    file = GltfFile(tree_of(*parents), [joints]).animate(
-        [(int(read[0]), "rotation", [0, 1], turns)]
-    )
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
-        found = Motion.load(file.save(tmp_path / "a.glb"))
-    assert sorted(found.skeleton.names) == sorted(read) and found.skeleton.names[0] == read[0]
-    assert [str(each.message).rpartition("is read, not ")[2] for each in said] == (
-        [others] if others else []
-    )
-
-
-def test_trees_are_listed_by_their_names(tmp_path):
-    nodes = [{"name": "body", "children": [1]}, {"name": "head"}, {"name": "p" * 61}]
-    file = GltfFile(nodes, [[0, 1, 2]]).animate([(0, "rotation", [0], [(0, 0, 0, 1)])])
-    with pytest.warns(UserWarning, match="that of body with 2 joints is read, not p{60}$"):
-        assert Motion.load(file.save(tmp_path / "a.glb")).skeleton.names == ("body", "head")
 
 
 def test_a_body_that_faces_backwards_rests_forwards_and_stays_where_it_is(tmp_path, gesture):
@@ -472,7 +306,6 @@ def repeat(file: GltfFile, accessor: dict) -> None:
     file.animate([(0, "rotation", [0, 1], first + k) for k in range(40)])
 
 
-ZEROS = {"type": "VEC4", "componentType": 5126, "count": 10**9}
 FIRST = ("accessors", 0)
 HOSTILE = {
     # Its 100 796 bytes count as 12 599 more joints times frames than 800 000.
@@ -481,38 +314,17 @@ HOSTILE = {
         change_all(changed("skins", []), changed("animations", [])),
         "no skeleton in it: neither a skin nor an animated node",
     ),
-    "one byte too many": (
-        change_all(
-            changed("byteLength", 61, "bufferViews", 0), changed("byteOffset", 0, "bufferViews", 0)
-        ),
-        "byteLength is 61; expected 0 to 60",
-    ),
     "no such view": (changed("bufferView", 10**9, *FIRST), "index into bufferViews"),
-    "many zeros": (changed("accessors", [ZEROS, ZEROS]), "count of"),
     "count": (changed("count", 10**12, *FIRST), "count of"),
-    "one too many": (changed("count", 4, *FIRST), "count of"),
-    "not one fits": (
-        change_all(changed("count", 1, *FIRST), changed("byteLength", 2, "bufferViews", 0)),
-        "count of rotation is 1; expected 0 to 0",
-    ),
     "zeros often": (have_zeros_often, "rotation would take more memory or time than a file of"),
     "same bytes": (read_the_same_bytes_often, "uses the same data many times"),
     "sparse count": (changed("sparse", sparse(10**9), *FIRST), "count of indices"),
-    "sparse place": (changed("sparse", sparse(8), *FIRST), "beyond its 3 elements"),
-    "few values": (changed("count", 1, *FIRST), "1 values of rotation for 3 times"),
-    "interpolation": (changed("interpolation", "x", "animations", 0, "samplers", 0), "not known"),
     "cycle": (changed("children", [0], "nodes", 1), "no tree"),
     "far away": (
         change_all(*(changed("translation", [9e5, 0, 0], "nodes", k) for k in (0, 1))),
         "places of its nodes are beyond 1e",
     ),
-    "grown": (
-        change_all(*(changed("scale", [5e3] * 3, "nodes", k) for k in (0, 1))),
-        "places of its nodes are beyond 1e",
-    ),
-    "version": (changed("asset", {"version": "1.0"}), "version 1.0"),
     "not json": (changed("nodes", [3]), "not an object"),
-    "no skin": (changed("skins", [{"joints": [7]}]), "joints is 7; expected 0 to 1"),
 }
 
 
@@ -535,46 +347,12 @@ def test_deep_trees_are_counted_not_recursed_into(tmp_path):
         Motion.load(GltfFile(nodes, [[0]]).save(tmp_path / "a.glb"))
 
 
-def test_files_beside_a_gltf_are_too_large_together(tmp_path, monkeypatch):
-    monkeypatch.setattr("gesturekit.formats.gltf.file.MAX_BYTES", 5000)
-    file = arm()
-    names = ["a.bin", "b.bin"]
-    for name in names:
-        (tmp_path / name).write_bytes(file.data + bytes(3000))
-    found = json.loads(file.gltf("a.bin"))
-    found["buffers"].append({"byteLength": 3000, "uri": "b.bin"})
-    (tmp_path / "a.gltf").write_text(json.dumps(found))
-    assert len(Motion.load(tmp_path / "a.gltf").skeleton.names) == 2  # b.bin is not needed
-    found["bufferViews"][1] |= {"buffer": 1}
-    (tmp_path / "a.gltf").write_text(json.dumps(found))
-    with pytest.raises(FormatError, match="its files together have over"):
-        Motion.load(tmp_path / "a.gltf")
-
-
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
 def test_a_pipe_beside_the_file_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "a.bin")
     (tmp_path / "a.gltf").write_bytes(arm().gltf("a.bin"))
     with pytest.raises(FormatError, match="not a regular file"):
         Motion.load(tmp_path / "a.gltf")
-
-
-def test_wrong_options_are_refused(tmp_path):
-    path = arm().save(tmp_path / "a.glb")
-    for options in ({"unit": "miles"}, {"up": "w"}, {"up": "z", "forward": "-z"}, {"fps": 0}):
-        with pytest.raises(FormatError, match=r"a\.glb|forward axis"):
-            read_gltf(path, **options)
-
-
-def test_the_facts_of_a_reading_are_in_its_info(tmp_path):
-    turns = [(0, 0, 0, 1), QUARTER_TURN]
-    file = GltfFile(arm().json["nodes"], [[0, 1]]).animate(
-        [(0, "rotation", [2, 3], turns)], name="x"
-    )
-    motion = Motion.load(file.save(tmp_path / "a.glb"), unit="cm", up="z", forward="x", fps=1)
-    wanted = {"unit": "cm", "up": "z", "forward": "x", "animation": "x", "start": 2.0}
-    assert {key: motion.info[key] for key in wanted} == wanted
-    assert motion.info["source"] == str(tmp_path / "a.glb") and motion.info["renamed"] == {}
 
 
 def head(size: int = 0, version: int = 2, kind: int = 0x4E4F534A, n_json: int | None = None):
@@ -589,36 +367,13 @@ def head(size: int = 0, version: int = 2, kind: int = 0x4E4F534A, n_json: int | 
     ("content", "says"),
     [
         (head()[:19], "no binary glTF"),
-        (b"glTX" + head()[4:], "no binary glTF"),
         (head(version=1), "glTF version 1; expected 2"),
         (head(size=65), "cut short: 64 of 65 bytes"),
-        (head(kind=0x004E4942), "no readable JSON part"),
-        (head(n_json=45), "no readable JSON part"),
         (head() + struct.pack("<2I", 5, 0x004E4942) + b"1234", "cut short: 4 of 5 bytes of arrays"),
     ],
-    ids=["short", "mark", "version", "cut", "kind", "json", "arrays"],
 )
 def test_damaged_heads_of_binary_files_are_refused(tmp_path, content, says):
     assert len(head()) == 64
     (tmp_path / "a.glb").write_bytes(content)
     with pytest.raises(FormatError, match=says):
         Motion.load(tmp_path / "a.glb")
-
-
-@pytest.mark.parametrize(
-    "more",
-    [b"", b"1234567", struct.pack("<2I", 9, 0x12345678), struct.pack("<2I", 0, 0x004E4942)],
-    ids=["nothing", "spare bytes", "another part", "no arrays"],
-)
-def test_a_binary_file_may_lack_arrays_and_have_other_parts(tmp_path, more):
-    (tmp_path / "a.glb").write_bytes(head() + more)
-    with pytest.warns(UserWarning, match="no animation"):
-        assert Motion.load(tmp_path / "a.glb").skeleton.names == ("node_0",)
-
-
-def test_units_of_a_body_are_doubted_and_settable(tmp_path, gesture):
-    gesture(0.2).scaled(100).save(tmp_path / "a.glb")
-    with pytest.warns(UserWarning, match="--in-unit cm"):
-        Motion.load(tmp_path / "a.glb")
-    places = Motion.load(tmp_path / "a.glb", unit="cm").positions()
-    np.testing.assert_allclose(places, gesture(0.2).positions(), atol=1e-5)

@@ -16,9 +16,9 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from gesturekit.errors import FormatError
-from gesturekit.formats.gltf.animation import Curve, read_animation
+from gesturekit.formats.gltf.animation import Curve
 from gesturekit.formats.gltf.file import Gltf
-from gesturekit.formats.gltf.materials import Colours, is_seen, reduce_colours
+from gesturekit.formats.gltf.materials import Colours
 from gesturekit.formats.gltf.nodes import Nodes
 from gesturekit.formats.gltf.vrm import avatar_facts
 from gesturekit.motion import Motion
@@ -46,11 +46,9 @@ def numbers(path: Path, values: list, dtype: str, component: int, **more: Any) -
 @pytest.mark.parametrize(
     ("dtype", "component", "values", "shares"),
     [
-        ("i1", 5120, [-128, -127, 0, 127], [-1, -1, 0, 1]),
         ("u1", 5121, [0, 51, 255], [0, 0.2, 1]),
         ("<i2", 5122, [-32768, 0, 32767], [-1, 0, 1]),
         ("<u2", 5123, [13107, 65535], [0.2, 1]),
-        ("<u4", 5125, [0, 2**32 - 1], [0, 1]),
         ("<f4", 5126, [0.5, -2.0], [0.5, -2.0]),
     ],
 )
@@ -64,20 +62,6 @@ def test_normalised_whole_numbers_are_shares_of_the_greatest(
     assert numbers(tmp_path / "a.glb", values, dtype, component, normalized=1).tolist() == values
 
 
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        ({"extensionsRequired": ["EXT_meshopt_compression"]}, "cli copy a.gltf out.glb"),
-        ([{"asset": {"version": "2.0"}}], "its JSON part is not an object"),
-        ({"nodes": 4_000_001 * [0]}, "its JSON part has over 4000000 values"),
-    ],
-)
-def test_files_that_cannot_be_read_at_all_say_why(tmp_path, content, says):
-    (tmp_path / "a.gltf").write_text(json.dumps(content))
-    with pytest.raises(FormatError, match=rf"a\.gltf: .*{says}"):
-        Gltf(tmp_path / "a.gltf")
-
-
 def test_a_file_of_over_256_mebibytes_is_not_opened(tmp_path):
     with (tmp_path / "a.glb").open("wb") as file:
         file.write(b"glTF")
@@ -86,110 +70,22 @@ def test_a_file_of_over_256_mebibytes_is_not_opened(tmp_path):
         Gltf(tmp_path / "a.glb")
 
 
-def test_numbers_up_to_a_million_are_read(tmp_path):
-    for value in (1e6, -1e6):
-        assert numbers(tmp_path / "a.glb", [value], "<f4", 5126).tolist() == [value]
-    for value in (1.001e6, -1.001e6, np.nan, np.inf):
-        with pytest.raises(FormatError, match="not finite, or over 1e"):
-            numbers(tmp_path / "a.glb", [value], "<f4", 5126)
-
-
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
         ({"type": "MAT3"}, "of type 'MAT3'"),
-        ({"type": 3}, "of type '3'"),
         ({"type": "VEC3", "count": 1}, "has 3 numbers an element; expected 1"),
-        ({"componentType": 5124}, "components of type '5124'"),
-        ({"componentType": True}, "components of type 'True'"),
         ({"count": -1}, "count of numbers is -1; expected 0 to 3"),
-        ({"count": True}, "count of numbers is True"),
         ({"byteOffset": 13}, "byteOffset of numbers is 13; expected 0 to 12"),
-        ({"byteOffset": 8, "count": 2}, "count of numbers is 2; expected 0 to 1"),
         ({"bufferView": 99}, "index into bufferViews is 99"),
         ({"sparse": {"count": 1, "indices": {"bufferView": 0, "componentType": 5126},
                      "values": {"bufferView": 0}}}, "indices of numbers are beyond"),
-        ({"sparse": 3}, "sparse is not an object"),
+
     ],
 )  # fmt: skip
 def test_damaged_accessors_are_named(tmp_path, changes, says):
     with pytest.raises(FormatError, match=says):
         numbers(tmp_path / "a.glb", [1, 2, 3], "<f4", 5126, **changes)
-
-
-@pytest.mark.parametrize(("stride", "is_right"), [(4, True), (252, True), (3, False), (256, False)])
-def test_elements_are_a_stride_apart(tmp_path, stride, is_right):
-    file = arm()
-    data = np.zeros(600, np.uint8)
-    data[:4].view("<f4")[:], data[stride : stride + 4] = 1.5, np.array([2.5], "<f4").view("u1")
-    view = file.view(data.tobytes())
-    file.json["bufferViews"][view]["byteStride"] = stride
-    file.json["accessors"] = [
-        {"bufferView": view, "type": "SCALAR", "componentType": 5126, "count": 2}
-    ]
-    found = Gltf(file.save(tmp_path / "a.glb"))
-    if is_right:
-        assert found.array(0, "x", 1)[1, 0] == 2.5
-    else:
-        with pytest.raises(FormatError, match=f"byteStride of {stride}"):
-            found.array(0, "x", 1)
-
-
-def test_zeros_with_few_values_may_take_32_mebibytes(tmp_path):
-    """An accessor without a buffer view is of zeros; the file itself has 12 bytes of arrays."""
-    file = GltfFile([{}])
-    places, values = (
-        file.view(np.array([k], dtype).tobytes()) for k, dtype in ((2, "u1"), (7, "<f4"))
-    )
-    sparse = {"count": 1, "indices": {"bufferView": places, "componentType": 5121},
-              "values": {"bufferView": values}}  # fmt: skip
-    zeros = {"type": "VEC4", "componentType": 5126}
-    few = {"type": "SCALAR", "componentType": 5126, "count": 4, "sparse": sparse}
-    file.json["accessors"] = [few, zeros | {"count": 2_097_152}]
-    path = file.save(tmp_path / "a.glb")
-    assert Gltf(path).array(0, "x", 1)[:, 0].tolist() == [0, 0, 7, 0]
-    assert Gltf(path).array(1, "x", 4).shape == (2_097_152, 4)
-    empty = gltf(tmp_path / "b.glb", accessors=[zeros | {"count": 2_099_000}])
-    with pytest.raises(FormatError, match="x would take more memory or time than a file of 0 KiB"):
-        empty.array(0, "x", 4)
-    few["count"] = 2
-    with pytest.raises(FormatError, match="indices of x are beyond its 2 elements"):
-        Gltf(file.save(path)).array(0, "x", 1)
-
-
-def test_values_of_the_json_part_are_checked(tmp_path):
-    found = gltf(tmp_path / "a.glb", many=[0] * 20_000, more=[0] * 20_001, odd=[3], one={"v": 2})
-    assert len(found.values(found.json, "many")) == 20_000 and found.values(found.json, "x") == []
-    for call, says in (
-        (lambda: found.values(found.json, "more"), "more is not a list of at most 20000"),
-        (lambda: found.values(found.json, "one"), "one is not a list"),
-        (lambda: found.items("odd"), "odd holds something that is not an object"),
-        (lambda: found.object(found.json, "odd"), "odd is not an object"),
-        (lambda: found.item("nodes", 1), "index into nodes is 1; expected 0 to 0"),
-        (lambda: found.item("nodes", -1), "index into nodes is -1"),
-        (lambda: found.item("nodes", None), "index into nodes is None"),
-        (lambda: found.numbers({"s": [1, 2]}, "s", [1.0] * 3), "expected 3 numbers up to 1e"),
-        (lambda: found.numbers({"s": [True]}, "s", [1.0]), "s is"),
-        (lambda: found.numbers({"s": [1.1e6]}, "s", [1.0]), "s is"),
-        (lambda: found.numbers({"s": "ab"}, "s", [1.0, 2.0]), "s is ab"),
-        (lambda: found.resource(3), "the uri '3' is not text"),
-        (lambda: found.resource("data:text/plain,abc"), "is not base64"),
-        (lambda: found.resource("data:;base64,a"), "is not base64"),
-    ):
-        with pytest.raises(FormatError, match=says) as error:
-            call()
-        assert str(error.value).startswith(f"{tmp_path / 'a.glb'}: ")
-    assert found.numbers({"s": [1e6, -1e6]}, "s", [0.0] * 2).tolist() == [1e6, -1e6]
-    assert found.numbers({}, "s", [3.0]).tolist() == [3.0]
-    assert found.resource("data:;base64,YWI=") == b"ab"
-
-
-@pytest.mark.parametrize("version", ["2.0", "2.1"])
-def test_versions_of_the_standard_from_two_on_are_read(tmp_path, version):
-    assert gltf(tmp_path / "a.glb", asset={"version": version}).json["asset"]
-    for other in ("1.0", 3, "20"):
-        with pytest.raises(FormatError, match=f"glTF version {other}; expected 2.0"):
-            gltf(tmp_path / "a.glb", asset={"version": other})
 
 
 def rest(node: dict) -> np.ndarray:
@@ -228,37 +124,6 @@ def test_nodes_stand_where_the_matrices_put_them(tmp_path):
     assert tree.with_ancestors([4]) == [2, 3, 1, 4] and tree.with_ancestors([5]) == [5]
 
 
-def test_a_flat_matrix_has_a_scale_of_zero(tmp_path):
-    flat = [1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
-    tree = Nodes(gltf(tmp_path / "a.glb", nodes=[{"matrix": flat}]))
-    assert np.isfinite(tree.matrices()).all() and tree.rest["scale"].tolist() == [[1, 0, 1]]
-
-
-@pytest.mark.parametrize(
-    ("nodes", "says"),
-    [
-        ([{"children": [1]}, {"children": [1]}], "node 1 has two parents"),
-        ([{"children": [2]}, {"children": [2]}, {}], "node 2 has two parents"),
-        ([{"children": [1]}, {"children": [0]}], "its nodes form no tree"),
-        ([{"children": [5]}], "children is 5; expected 0 to 0"),
-    ],
-)
-def test_nodes_that_form_no_tree_are_refused(tmp_path, nodes, says):
-    with pytest.raises(FormatError, match=says):
-        Nodes(gltf(tmp_path / "a.glb", nodes=nodes))
-
-
-def test_a_thousand_nodes_may_be_above_another(tmp_path):
-    for count in (1000, 1001):
-        chain = [{"children": [k + 1]} for k in range(count)] + [{}]
-        found = gltf(tmp_path / "a.glb", nodes=chain)
-        if count == 1000:
-            assert max(Nodes(found).depth) == 1000
-        else:
-            with pytest.raises(FormatError, match="over 1000 nodes"):
-                Nodes(found)
-
-
 def test_a_skin_may_leave_out_joints_of_its_skeleton(tmp_path):
     """Programs leave out those that no vertex follows, here an elbow that holds a camera."""
     nodes = [
@@ -272,25 +137,6 @@ def test_a_skin_may_leave_out_joints_of_its_skeleton(tmp_path):
     found = Motion.load(file.save(tmp_path / "a.glb"))
     assert found.skeleton.names == ("shoulder", "elbow", "wrist", "hand")
     assert found.skeleton.parents == (-1, 0, 1, 2)
-
-
-def test_long_animations_are_computed_in_blocks(tmp_path):
-    """Two nodes in 70 000 frames: the root turns a quarter a second and goes along Z."""
-    tree = Nodes(gltf(tmp_path / "a.glb", nodes=[{"children": [1]}, {"translation": [2, 0, 0]}]))
-    way = Curve(np.array([0.0, 700.0]), np.array([[0.0, 0, 0], [0, 0, 700.0]]), "LINEAR")
-    seconds = np.arange(701.0)
-    turns = Rotation.from_euler("y", seconds[:, None] * np.pi / 2).as_quat()
-    curves = {(0, "translation"): way, (0, "rotation"): Curve(seconds, turns, "LINEAR")}
-    times = np.arange(70_000) / 100
-    places, found = tree.world([1, 0], curves, times)
-    angle = times * np.pi / 2
-    np.testing.assert_allclose(
-        places[:, 0],
-        np.stack([2 * np.cos(angle), 0 * angle, times - 2 * np.sin(angle)], 1),
-        atol=1e-6,
-    )
-    np.testing.assert_allclose(places[:, 1, 2], times, atol=1e-9)
-    assert found.shape == (70_000, 2, 4)
 
 
 TIMES = np.array([0.5, 1.0, 2.5, 3.0])
@@ -343,33 +189,6 @@ def test_the_rate_that_a_file_declares_counts_if_its_keys_are_at_frames(tmp_path
     assert Motion.load(file.save(tmp_path / "a.glb")).fps == pytest.approx(fps)
 
 
-def test_the_rate_that_a_file_declares_is_one_that_a_motion_can_have(tmp_path):
-    """A single key is at a frame of any rate."""
-    file = GltfFile(arm().json["nodes"]).animate([(0, "rotation", [0], [(0, 0, 0, 1)])])
-    for declared, fps in ((1e-5, 1e-5), (1e5, 1e5), (9e-6, 30), (1.1e5, 30), (0, 30)):
-        file.json["animations"][0]["extras"] = {"fps": declared}
-        assert Motion.load(file.save(tmp_path / "a.glb")).fps == fps
-
-
-def test_curves_of_other_nodes_and_properties_are_passed_over(tmp_path):
-    still = [(0, 0, 0, 1)] * 2
-    file = arm().animate([(0, "rotation", [0, 9], still), (1, "rotation", [0, 3], still)])
-    file.json["animations"][1]["channels"][:0] = [
-        {"sampler": 0, "target": {"path": "rotation"}},
-        {"sampler": 0, "target": {"node": 1, "path": "weights"}},
-        {"sampler": 0, "target": {"node": 1, "path": 3}},
-    ]
-    found = read_animation(Gltf(file.save(tmp_path / "a.glb")), {1}, "2")
-    assert list(found.curves) == [(1, "rotation")] and found.curves[1, "rotation"].times[-1] == 3.0
-
-
-def test_animations_without_names_are_numbered(tmp_path):
-    file = arm().animate([(0, "rotation", [0, 1], [(0, 0, 0, 1)] * 2)], name="wave")
-    facts = avatar_facts(file.save(tmp_path / "a.glb"))
-    assert (facts["animations"], facts["meshes"], facts["vrm"]) == (["1", "wave"], 0, None)
-    assert facts["humanoid"] == 0
-
-
 @pytest.mark.parametrize("version", [0, 1])
 def test_who_made_an_avatar_and_under_which_licence(tmp_path, version):
     """Texts of any length and kind; the warnings of a file are those of its reading."""
@@ -414,35 +233,6 @@ def test_colours_are_srgb_of_the_base_colour_times_the_texture(tmp_path):
     found = colours(path, material | {"alphaMode": "MASK"}, uv)
     np.testing.assert_allclose(found[:, 3], [0.8, 0, 0.8, 0.8], atol=1e-6)
     np.testing.assert_allclose(colours(path, material, None)[:, :3], [factor] * 3, atol=2e-4)
-    for texture in ({"index": 1}, {}):
-        plain = {"pbrMetallicRoughness": surface | {"baseColorTexture": texture}}
-        np.testing.assert_allclose(colours(path, plain, uv)[:, :3], [factor] * 4, atol=2e-4)
-    bright = {"pbrMetallicRoughness": {"baseColorFactor": [5, -1, 0.0031, 1]}}
-    np.testing.assert_allclose(colours(path, bright, uv)[0], [1, 0, 12.92 * 0.0031, 1], atol=1e-6)
-    dark = {"pbrMetallicRoughness": {"baseColorFactor": [0.005, 0, 0, 1]}}
-    np.testing.assert_allclose(colours(path, dark, uv)[0], [0.0610, 0, 0, 1], atol=1e-4)
-    np.testing.assert_array_equal(Colours(Gltf(path)).at(None, None, 2), [[0.8, 0.8, 0.8, 1]] * 2)
     with pytest.warns(UserWarning, match=r"a\.glb: texture 0 cannot be read .*base colour"):
         found = colours(path, material, uv, b"no picture")
     np.testing.assert_allclose(found[:, :3], [factor] * 4, atol=2e-4)
-
-
-def test_faces_are_seen_from_half_on():
-    assert is_seen(np.array([[0.5, 0.5, 0.5], [1, 0, 0.49], [1, 1, 0]])).tolist() == [
-        True,
-        False,
-        True,
-    ]
-
-
-def test_many_colours_are_reduced_to_near_ones():
-    few = np.array([[0, 0, 0], [1, 0.5, 0], [0, 0, 0], [2, -1, 0.0019]])
-    palette, regions = reduce_colours(few)
-    assert palette[regions].tolist() == [[0, 0, 0], [255, 128, 0], [0, 0, 0], [255, 0, 0]]
-    assert len(palette) == 3 and regions.dtype == np.uint8
-    shades = np.stack(np.meshgrid(*[np.linspace(0, 1, 6)] * 3), -1).reshape(-1, 3)  # 216
-    palette, regions = reduce_colours(shades)
-    assert len(palette) == 128 and regions.max() < 128
-    assert np.abs(palette[regions] / 255 - shades).max() < 0.25
-    exact, _ = reduce_colours(shades[:128])
-    assert len(exact) == 128 and np.isin(np.rint(shades[:128] * 255), exact).all()

@@ -1,13 +1,8 @@
-"""Broken and hostile npz files: one error of ours, quickly, in little memory.
-
-GESTUREKIT_MUTATIONS=10000 python -m pytest -s tests/formats/test_hostile_npz.py makes that many and
-prints the slowest and the largest.
-"""
+"""Hostile npz files: one error of ours, in little memory."""
 
 from __future__ import annotations
 
 import io
-import os
 import struct
 import time
 import tracemalloc
@@ -23,7 +18,6 @@ from gesturekit.formats import read_npz, write_npz
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion.body_model.model import BodyModel
 
-N_MUTATIONS = int(os.environ.get("GESTUREKIT_MUTATIONS", "300"))
 MEGABYTE = 1 << 20
 
 
@@ -111,17 +105,10 @@ def test_members_within_the_limit_need_bounded_memory(tmp_path):
     ("key", "content", "says"),
     [
         ("poses", promise("(10**9,72)"), "'poses'"),
-        ("poses", promise("(9999999999,72)"), "72)"),
-        ("poses", promise("(-5,72)"), "'poses'"),
         ("poses", promise("(99999999999,)", "<U0"), "poses"),
         ("poses", header("(" * 5000 + "\n"), "'poses' cannot be read"),
-        ("poses", header("[" * 9000 + "]" * 900 + "\n"), "'poses' cannot be read"),
         ("poses", promise("(1,)", "|O") + b"c", "pickled"),
-        ("poses", b"\x93NUMPY\x09\x00", "'poses' cannot be read"),
-        ("poses", b"", "'poses' cannot be read"),
         ("poses", zeros((0, 72)), "'trans' has shape"),
-        ("betas", zeros((500_000,)), "'betas' has shape"),
-        ("mocap_framerate", zeros((2,)), "'mocap_framerate' has shape"),
         ("trans", npy(np.array([2**31], "<u4").view("<U1")), "characters that do not exist"),
     ],
 )
@@ -137,44 +124,18 @@ def test_headers_that_promise_too_much(tmp_path, key, content, says):
     [
         ("names", zeros((100_000,), "<U8"), "100000 texts, too many"),
         ("names", npy(np.full(24, 2**31, "<u4").view("<U1")), "characters that do not exist"),
-        ("end_site_joints", zeros((1_000_000,), "<i8"), "'end_site_joints' has shape"),
         ("parents", zeros((2_000_000,), "<i8"), "'parents' has shape"),
         ("parents", npy(np.full(24, 2**62)), "'parents' holds a joint index outside -1 to 23"),
-        ("gk_version", npy(10**9), "'gk_version' is 1000000000"),
-        ("gk_version", npy([1, 1]), "'gk_version' is an array of shape (2,)"),
-        ("body_pelvis", npy([0.1, 0.2]), "'body_pelvis' has shape (2,)"),
         ("body_pelvis", npy([0.1, 0.2, np.nan]), "'body_pelvis' has shape (3,)"),
         ("end_site_joints", npy([24]), "'end_site_joints' holds a joint index outside 0 to 23"),
-        ("moving_joints", npy([-1, 3]), "'moving_joints' holds a joint index outside 0 to 23"),
-        ("moving_joints", npy([3, 3, 3]), "has 0 entries, but 'moving_joints' has 3"),
-        ("joint_translations", npy(0.5), "has one number, but 'moving_joints' has 0"),
-        ("end_site_joints", npy([-1]), "'end_site_joints' holds a joint index"),
-        ("parents", npy(np.linspace(0, 1, 24)), "'parents' has shape (24,) of float64"),
         ("rotations", npy(np.full((5, 24, 4), np.nan)), "frame 0"),
         ("fps", npy(np.nan), "'fps': fps is nan; expected 1e-05 to 100000"),
-        ("fps", npy(1e-300), "'fps': fps is 1e-300"),
     ],
 )
 def test_native_files_that_promise_too_much(tmp_path, key, content, says):
     path = pack(tmp_path / "a.npz", native_members(tmp_path) | {key: content})
     error, _, _ = peak_of(path)
     assert says in error
-
-
-def test_lists_of_members_that_are_no_list_of_arrays(tmp_path):
-    path = tmp_path / "many.npz"
-    with zipfile.ZipFile(path, "w") as archive:
-        for n in range(25_000):
-            archive.writestr(f"{n}.npy", b"")
-    error, peak, _ = peak_of(path)
-    assert "list of members" in error and peak < 10 * MEGABYTE
-    # The same behind the end record of larger archives, which zipfile would follow.
-    end = path.read_bytes()[-22:]
-    locator = b"PK\6\7" + bytes(16)
-    path.write_bytes(path.read_bytes()[:-22] + locator + end[:12] + bytes(4) + end[16:])
-    assert "4 GiB" in peak_of(path)[0]
-    for method in (zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA):
-        assert "numpy never does" in peak_of(pack(path, amass_members(), method))[0]
 
 
 def test_hostile_body_models(tmp_path, capsule_body):
@@ -189,50 +150,3 @@ def test_hostile_body_models(tmp_path, capsule_body):
     ):
         path = pack(tmp_path / "a.npz", members | {key: content}, zipfile.ZIP_DEFLATED)
         assert peak_of(path, BodyModel.load)[0]
-
-
-def mutated(content: bytes, rng: np.random.Generator) -> bytes:
-    data = bytearray(content)
-    kind = rng.integers(5)
-    if kind == 0:
-        for at in rng.integers(0, len(data), rng.integers(1, 20)):
-            data[at] ^= 1 << rng.integers(8)
-    elif kind == 1:
-        del data[rng.integers(0, len(data)) :]
-    elif kind == 2:
-        at = rng.integers(0, len(data))
-        data[at : at + rng.integers(1, 64)] = rng.bytes(rng.integers(0, 64))
-    elif kind == 3:  # numbers of the header grow
-        for digit in b"123456789":
-            if rng.random() < 0.3:
-                data = data.replace(bytes([digit]), b"9" * int(rng.integers(1, 12)), 1)
-    else:
-        word = [b"\xff" * 8, b"\x00\x00\x00\x00\x00\x00\xf8\x7f", b"\x7f" * 8][rng.integers(3)]
-        at = rng.integers(0, max(1, len(data) - 8))
-        data[at : at + 8] = word
-    return bytes(data)
-
-
-def test_mutated_files(tmp_path):
-    rng = np.random.default_rng(0)
-    kinds = [amass_members(), native_members(tmp_path)]
-    worst = {"seconds": (0.0, None), "peak": (0, None)}
-    read = 0
-    for n in range(N_MUTATIONS):
-        members = dict(kinds[n % 2])
-        method = zipfile.ZIP_DEFLATED if n % 3 == 0 else zipfile.ZIP_STORED
-        path = tmp_path / "a.npz"
-        if n % 4 < 2:  # within an array, the archive around it sound
-            for key in rng.choice(list(members), rng.integers(1, 4)):
-                members[key] = mutated(members[key], rng)
-            pack(path, members, method)
-        else:
-            pack(path, members, method)
-            path.write_bytes(mutated(path.read_bytes(), rng))
-        error, peak, seconds = peak_of(path)
-        read += error is None
-        for key, value in (("seconds", seconds), ("peak", peak)):
-            if value > worst[key][0]:
-                worst[key] = (value, n)
-    print(f"{N_MUTATIONS} files, {read} of them still readable; worst {worst}")
-    assert 0 < read < N_MUTATIONS

@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import PERSON, at_rest, rig_of
+from rigs import at_rest, rig_of
 from scipy.spatial.transform import Rotation
 
 from gesturekit.formats.npz import read_npz
 from gesturekit.formats.plausibility import guess_unit, plausibility_warnings
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
-from gesturekit.motion import Motion
 from gesturekit.motion.parts.body_size import body_height, stature
 
 
@@ -22,15 +21,9 @@ from gesturekit.motion.parts.body_size import body_height, stature
         (1.0, True, None),
         (1000.0, True, None),
         (1500.0, True, "1500 fps: is Frame Time 1000 times too small? --in-fps 1.5 sets the rate"),
-        (30_200.0, True, "30200 fps: is Frame Time 1000 times too small? --in-fps 30 sets"),
-        (30_400.0, True, "30400 fps: is Frame Time 1000 times too small? --in-fps 30.4 sets"),
         (0.04, True, "0.04 fps: does Frame Time hold the rate? --in-fps 25 sets the rate"),
-        (0.0399, True, "0.04 fps: is Frame Time in milliseconds? --in-fps 39.9 sets the rate"),
         (0.5, True, "0.5 fps: is Frame Time in milliseconds? --in-fps 500 sets the rate"),
-        (0.001, True, "0.001 fps: is Frame Time in milliseconds? --in-fps 1 sets the rate"),
-        (0.0005, True, "0.0005 fps: is Frame Time in milliseconds? --in-fps RATE sets the rate"),
         (0.04, False, "0.04 fps: is its rate right? --in-fps 25 sets the rate"),
-        (0.999, False, "1 fps: is its rate right? --in-fps 999 sets the rate"),
     ],
 )
 def test_rates_that_nobody_records_at_are_questioned(skeleton, fps, frame_time, says):
@@ -46,11 +39,8 @@ def test_rates_that_nobody_records_at_are_questioned(skeleton, fps, frame_time, 
     [
         ({"unit": "m"}, 0.31, None),
         ({"unit": "m"}, 0.29, "--in-unit m makes the body 0.29 m tall"),
-        ({"unit": "cm"}, 4.99, None),
         ({"unit": "cm"}, 5.02, "--in-unit cm makes the body 5.02 m tall"),
-        ({"height": 6}, 6.0, "--height 6 makes the body 6.00 m tall"),
         ({"unit": "cm", "height": 6}, 6.0, "--height 6 makes the body 6.00 m tall"),
-        ({"fps": 30}, 6.0, None),
     ],
 )
 def test_sizes_that_no_body_has_are_named_with_the_option_that_made_them(
@@ -68,28 +58,6 @@ def test_bones_without_length_are_no_body(length, n_joints):
     is_flat = n_joints > 1 and not length
     assert ["length 0" in line for line in found] == [False] + [True] * is_flat
     assert found[0].startswith("0.5 fps")
-
-
-@pytest.mark.parametrize(
-    ("yaws", "is_told"),
-    [
-        ((0, 0), False),
-        ((180, 180), True),
-        ((118, -118), False),
-        ((122, -122), True),
-        ((180, 0), False),
-    ],
-)
-def test_toes_that_point_backwards_on_both_sides_are_doubted(yaws, is_told):
-    """From 120 degrees on; the walk of the body and one strange foot do not matter."""
-    toes = {f"{side}ToeBase": (f"{side}Foot", (0, -0.05, 0.12)) for side in ("Left", "Right")}
-    motion = at_rest(rig_of(PERSON | toes), 4, (0, 0.9, 0))
-    motion.rotations[:, 0] = Rotation.from_euler("y", 77, degrees=True).as_quat()
-    for side, yaw in zip(("Left", "Right"), yaws, strict=True):
-        turn = Rotation.from_euler("y", yaw, degrees=True).as_quat()
-        motion.rotations[:, motion.skeleton.index(f"{side}Foot")] = turn
-    found = plausibility_warnings(motion, {})
-    assert ["toes point backwards" in line for line in found] == [True] * is_told
 
 
 def test_an_axis_that_lays_the_body_down_is_named(skeleton):
@@ -112,45 +80,6 @@ def test_the_size_of_a_body_shows_its_unit(metres, unit):
     for share in (0.95, 2.0):  # from 0.9 m to 2.1 m from the ankles to the head
         other = rig.scaled(share / stature(rig) / 0.01)
         assert guess_unit(other, still) == ("cm", True)
-
-
-@pytest.mark.parametrize(
-    ("height", "unit"),
-    [
-        (0.2, "m"),
-        (0.85, "m"),
-        (4.2, "m"),
-        (13.0, "m"),
-        (14.5, "cm"),
-        (400.0, "cm"),
-        (500.0, "mm"),
-        (5e3, "mm"),
-    ],
-)
-def test_sizes_between_units_are_guesses(height, unit):
-    """The ratio to 1.37 decides: 13 is 9.5 times that and a 10.5th of 137, 500 is nearer 1370."""
-    rig = smpl_skeleton(22)
-    found = guess_unit(rig.scaled(height / stature(rig)), at_rest(rig, 1).rotations[0])
-    assert found == (unit, False)
-
-
-@pytest.mark.parametrize(("reach", "unit"), [(7.9, "m"), (8.1, "cm"), (499.0, "cm"), (501.0, "mm")])
-def test_rigs_of_no_known_parts_are_measured_as_they_stand(reach, unit):
-    """From the first fork on; the bone above it may lie anywhere."""
-    bones = {
-        "a": (None, (0, 0, 0)),
-        "b": ("a", (3000.0, 0, 0)),
-        "c": ("b", (0, 0, reach / 2)),
-        "d": ("b", (0, 0, -reach / 4)),
-        "e": ("d", (0, -reach / 4, 0)),
-    }
-    pose = at_rest(rig_of(bones), 1).rotations[0]
-    turn = Rotation.from_euler("x", 90, degrees=True).as_quat()
-    pose[3] = turn  # the last bone lies along Z too
-    motion = Motion(rig_of(bones), pose[None], np.zeros((1, 3)), 30.0)
-    places = motion.positions()[0, 1:]
-    assert np.ptp(places, axis=0).max() == pytest.approx(reach)
-    assert guess_unit(motion.skeleton, pose) == (unit, False)
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,7 @@ from __future__ import annotations
 import os
 
 import numpy as np
-import pytest
 
-from gesturekit.errors import FormatError
-from gesturekit.formats.conversion import load
 from gesturekit.formats.sources import motions_in, visible_folders
 
 
@@ -48,9 +45,3 @@ def test_npz_files_of_features_and_sequences_of_keypoints_are_no_motions(tmp_pat
         for number, text in zip(("000000", "000001"), frames):
             (tmp_path / name / f"{number}.json").write_text(text)
     assert list(motions_in(tmp_path)) == [tmp_path / "motion.npz", tmp_path / "sequence"]
-
-
-def test_other_formats_are_refused_with_what_to_do(tmp_path):
-    (tmp_path / "a.c3d").write_bytes(b"x")
-    with pytest.raises(FormatError, match=r"a\.c3d: c3d is not read; export it as bvh"):
-        load(tmp_path / "a.c3d", {})
