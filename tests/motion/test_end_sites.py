@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 from rigs import PERSON, rig_of
 
+from gesturekit.motion import Skeleton
 from gesturekit.motion.contacts import foot_points
 from gesturekit.motion.parts.end_sites import real_end_sites
-from gesturekit.motion.skeleton import Skeleton
 from gesturekit.postprocess.foot import find_feet
 
 

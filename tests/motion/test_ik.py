@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from rigs import at_rest
 
+from gesturekit.motion import Skeleton
 from gesturekit.motion.ik.two_bone import two_bone_ik
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.rotations import (
@@ -11,7 +12,6 @@ from gesturekit.motion.rotations import (
     quaternion_from_rotation_vector,
     rotation_angles,
 )
-from gesturekit.motion.skeleton import Skeleton
 
 # A leg on a pelvis, with a helper joint between hip and knee.
 LEG = Skeleton(

@@ -16,7 +16,7 @@ from gesturekit.errors import ConfigError
 from gesturekit.jobs.run import Execution
 from gesturekit.jobs.state import STATE
 from gesturekit.jobs.status import status_of
-from gesturekit.motion.motion import Motion
+from gesturekit.motion import Motion
 from gesturekit.rendering.batch import iter_render
 from gesturekit.rendering.renderer import Output
 

@@ -12,7 +12,7 @@ import soundfile
 from rigs import at_rest, rig_of
 
 import audio_features as af
-from gesturekit.corpus.item import Item
+from gesturekit.corpus import Item
 from gesturekit.errors import ConfigError
 from gesturekit.model import Inputs
 from gesturekit.motion import Motion

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import gesturekit as gk
 from gesturekit import Motion
-from gesturekit.corpus import Manifest
-from gesturekit.corpus.item import Item
+from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import ConfigError
 from gesturekit.rendering.samples import (
     SamplingOptions,

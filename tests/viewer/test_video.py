@@ -80,7 +80,7 @@ def test_a_video_shows_the_body_from_the_waist_up(tmp_path, gesture, gesturekit)
 
 
 def test_the_whole_figure_is_framed_whatever_its_size_and_path(tmp_path, gesture):
-    motion = gesture(1.0, 4.0)
+    motion = gesture(2.0, 4.0)
     walk = np.linspace(0, 3, motion.n_frames)[:, None] * [1.0, 0, 0]
     motion = replace(motion, translation=motion.translation + walk)
     write_video({"giant": motion.scaled(50), "dwarf": motion.scaled(0.01)}, tmp_path / "two.mp4")
