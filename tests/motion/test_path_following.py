@@ -9,7 +9,6 @@ import pytest
 
 import gesturekit as gk
 from gesturekit.diffusion.motion_vector import DeltaRepresentation
-from gesturekit.errors import MotionError
 from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.motion.contacts import foot_positions
 from gesturekit.motion.root_path import follow_path
@@ -37,10 +36,3 @@ def test_a_motion_comes_onto_its_path_and_stays_as_it_is_on_its_own(gesture, asi
     path = DeltaRepresentation.fit([motion]).path_of(motion)
     made = follow_path(motion, replace(path, positions=path.positions + [aside, 0.0]))
     np.testing.assert_allclose(made.translation, motion.translation + [aside, 0, 0], atol=1e-6)
-
-
-def test_a_path_of_another_length_is_refused(gesture):
-    motion = gesture(2.0)
-    path = DeltaRepresentation.fit([motion]).path_of(motion)
-    with pytest.raises(MotionError, match="30 frames at 30 fps; the motion has 60"):
-        follow_path(motion, path.slice(0, 30))

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 import gesturekit.viewer.html as page_module
 from audio_features import Wave
-from gesturekit.errors import FormatError, MotionError
+from gesturekit.errors import FormatError
 from gesturekit.motion import Motion
 from gesturekit.viewer import write_html
 
@@ -128,11 +128,6 @@ def test_the_bundle_was_made_from_the_sources_beside_it():
     sources = Path(page_module.__file__).parent / "player" / "bundle.py"
     script = runpy.run_path(str(sources))
     assert script["is_current"](), "player.bundle.js is out of date: run `make setup`"
-
-
-def test_no_motion_at_all_is_refused(tmp_path):
-    with pytest.raises(MotionError):
-        write_html({}, tmp_path / "p.html")
 
 
 def test_the_page_opens_in_a_browser(tmp_path, open_browser):

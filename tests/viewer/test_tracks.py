@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import PERSON, at_rest, rig_of
 
 from audio_features import AudioError, Wave
 from gesturekit.viewer import display, page_data, sound
@@ -56,13 +55,6 @@ def test_contacts_tell_the_feet_apart(gesture, skeleton):
     found = page_data.contact_track(replace(motion, rotations=rotations))
     assert (found & 2 == 2).all()
     assert (found & 1).mean() < 0.3
-
-
-def test_a_body_without_legs_has_no_contacts(skeleton):
-    """One that stands has both feet on the ground."""
-    trunk = {name: bone for name, bone in PERSON.items() if not name.endswith(("Leg", "Foot"))}
-    assert page_data.contact_track(at_rest(rig_of(trunk), 5)) is None
-    assert page_data.contact_track(at_rest(skeleton, 5, (0, 0.94, 0))).tolist() == [3] * 5
 
 
 def test_notebooks_get_the_page_in_a_frame(gesture):
