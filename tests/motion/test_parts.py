@@ -15,6 +15,7 @@ from gesturekit.motion.parts import (
     BodyParts,
     arm_joints,
     body_joints,
+    find_legs,
     find_parts,
     known_part_labels,
     left_right_pairs,
@@ -325,6 +326,20 @@ def test_labels(mixamo):
     genea = part_labels(rig("genea"))
     assert (genea["body_world"], genea["b_l_arm_twist"]) == ("root", "twist")
     assert genea["p_navel"] == "other"
+
+
+def test_what_else_hangs_on_a_rig_is_neither_head_nor_legs():
+    """A lamp on the chest before the neck, and a crab of ten legs, two of which are named."""
+    trunk = {name: PERSON[name] for name in ("Hips", "Spine", "Chest")}
+    lamp = {f"Lamp{k}": (f"Lamp{k - 1}" if k else "Chest", (0.0, 0.1, 0.1)) for k in range(3)}
+    lamp["LampHead"] = ("Lamp2", (0.0, 0.1, 0.1))
+    assert find_parts(rig_of(trunk | lamp | PERSON)).head == "Head"
+    crab = {"Body": (None, (0.0, 0.0, 0.0))}
+    for k in range(10):
+        above, side = "Body", ("Left", "Right")[k] if k < 2 else f"Limb{k}"
+        for part in ("UpLeg", "Leg", "Foot"):
+            crab[side + part], above = (above, (0.1, -0.1, 0.1 * k)), side + part
+    assert find_legs(rig_of(crab)) is None
 
 
 def one_armed(*missing: str) -> Skeleton:

@@ -73,12 +73,6 @@ def test_smoothing_keeps_both_ends_and_a_straight_walk(n_frames):
     assert rough.smoothed().positions[[0, -1]] == pytest.approx(rough.positions[[0, -1]])
 
 
-def test_headings_that_jump_by_a_turn_are_unwrapped():
-    angles = np.linspace(0, 6 * np.pi, 300)
-    wrapped = (angles + np.pi) % (2 * np.pi) - np.pi
-    assert RootPath(np.zeros((300, 2)), wrapped, 30.0).headings == pytest.approx(angles)
-
-
 def test_a_path_looks_where_it_goes_and_turns_while_it_stands():
     path = circle()
     found = RootPath.looking_ahead(path.positions, 30.0).headings
@@ -140,14 +134,6 @@ def test_smoothing_is_an_average_over_its_window(frames, weights):
     expected[5 - half : 6 + half] = np.array(weights) / sum(weights)
     np.testing.assert_allclose(smooth.positions, np.outer(expected, [1.0, 2.0]), atol=1e-12)
     np.testing.assert_allclose(smooth.headings, 0.2 * expected, atol=1e-12)
-
-
-def test_a_larger_body_goes_farther():
-    path = wandering(5)
-    larger = path.scaled(1.5)
-    np.testing.assert_allclose(larger.positions, 1.5 * path.positions)
-    np.testing.assert_allclose(larger.headings, path.headings)
-    np.testing.assert_allclose(path.mirror().positions, path.positions * [-1.0, 1.0])
 
 
 @pytest.mark.parametrize("n_frames", [0, -1, 10**9])

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import gesturekit as gk
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import ConfigError
-from gesturekit.rendering.samples import other_sounds, split_sounds
+from gesturekit.rendering.samples import other_sounds, render_baseline, split_sounds
 
 
 def test_each_item_gets_the_sound_of_the_next_as_long_as_its_own(write_pair, tmp_path):
@@ -36,3 +37,14 @@ def test_one_held_out_item_gets_training_speech_and_a_single_item_is_refused(wri
     prepare([tmp_path / "r"], tmp_path / "whole.jsonl", holdout=0.0)
     with pytest.raises(ConfigError, match="another recording"):
         other_sounds(tmp_path / "whole.jsonl", "train")
+
+
+def test_each_rendered_item_is_a_draw_of_its_own(model, write_pair, tmp_path):
+    write_pair(tmp_path / "r", "take", 2.0)
+    prepare([tmp_path / "r"], tmp_path / "corpus.jsonl", holdout=0.0)
+    (wave,) = split_sounds(tmp_path / "corpus.jsonl", "train").values()
+    names = ("one", "day/two")
+    files = render_baseline(model, dict.fromkeys(names, wave), tmp_path / "out", seed=2)
+    for name, file in zip(names, files, strict=True):
+        wanted = model.generate(wave, seed=2, item=name)
+        np.testing.assert_array_equal(gk.Motion.load(file).rotations, wanted.rotations)

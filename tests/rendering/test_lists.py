@@ -49,8 +49,8 @@ def test_a_file_with_the_name_of_a_pattern_is_that_file(folder, tmp_path, write_
 
 
 def test_a_list_of_paths(folder, tmp_path):
-    lines = ("# day 1", f"#{300 * '-'}", "a.wav\r\n", "./day/b.wav", f"{folder}/day/night/c.wav")
-    (folder / "night.txt").write_text("\n".join(lines))
+    lines = ("a.wav\r", "# day 1", f"#{300 * '-'}", "./day/b.wav", f"{folder}/day/night/c.wav")
+    (folder / "night.txt").write_text("\ufeff" + "\n".join(lines))  # as Notepad begins it
     names = {"a": "in/a.wav", "day/b": "in/day/b.wav", "c": "in/day/night/c.wav"}
     assert found("in/night.txt", tmp_path) == names
     # Where there is no such file beside the list, paths are those of the working folder.
@@ -114,6 +114,7 @@ def test_jsonl_has_options_for_each_input(folder, tmp_path):
         ("l.jsonl", '{"id": "a", "seconds": NaN}', "seconds is NaN"),
         ("l.jsonl", '{"audio": "a.wav", "seed": -1}', "l.jsonl:1: seed is -1"),
         ("l.jsonl", '{"seed": 3}', "give audio, or id and seconds"),
+        ("l.jsonl", '{"id": "a"}', "give audio, or id and seconds"),
         ("l.jsonl", '{"schema": 1}', "--corpus"),
         ("l.jsonl", "[" * 20_000, "not a JSON object"),
         ("l.jsonl", '{"id": "a", "seconds": 0}', "seconds is 0"),

@@ -15,6 +15,7 @@ from gesturekit.errors import ConfigError, FormatError
 from gesturekit.jobs.state import STATE
 from gesturekit.postprocess import smooth_motion
 from gesturekit.rendering.batch import iter_render as render
+from gesturekit.rendering.batch import measured_cost, render_batch
 from gesturekit.rendering.renderer import Output
 
 JOURNAL = f"{STATE}/journal/00001-of-00001.jsonl"
@@ -41,6 +42,16 @@ def test_fields_of_both_kinds_of_settings_are_arguments(model, sounds, tmp_path)
     """A third of three sounds, as npz: `formats` is of the files, `shard` of the work."""
     (made,) = gk.render(model, sounds, tmp_path / "out", formats="npz", shard=(2, 3), samples=2)
     assert [file.suffix for file in made.files] == [".npz", ".npz"]
+
+
+def test_the_cost_of_a_batch_is_that_of_its_files(model, sounds, tmp_path, write_speech):
+    """Three sounds of 1.5 s and one of 12 s, as bytes; seconds are those of this machine."""
+    sounds.append(write_speech(tmp_path / "in" / "long.wav", 12.0))
+    batch = render_batch(model, sounds, tmp_path / "out")
+    seconds, size = measured_cost(batch).of(4, 16.5)
+    assert not (tmp_path / "out").exists() and seconds >= 0
+    written = sum(file.stat().st_size for made in batch.run() for file in made.files)
+    assert size == pytest.approx(written, rel=0.05)
 
 
 def test_smoothing_defaults_to_the_models_setting(model, sounds, tmp_path):
