@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import MotionError
+from gesturekit.motion import Skeleton
 from gesturekit.motion.parts.body_size import REFERENCE_SIZE, body_height, body_scale, body_size
-from gesturekit.motion.skeleton import Skeleton
 
 
 def tree(parents, lengths):

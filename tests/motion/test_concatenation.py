@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import PERSON, at_rest, rig_of
 from scipy.spatial.transform import Rotation
 
 import gesturekit as gk
@@ -50,15 +49,6 @@ def test_place_and_heading_of_the_second_do_not_matter(moving_person, other, deg
     np.testing.assert_allclose(moved, made, atol=1e-9)
 
 
-def test_without_blending_poses_are_kept_and_heights_too(moving_person, other):
-    made = gk.concatenate([moving_person, elsewhere(other, 40.0)], blend=0)
-    np.testing.assert_allclose(made.rotations[60:, 1:], other.rotations[:, 1:], atol=1e-12)
-    np.testing.assert_allclose(made.translation[60:, 1], other.translation[:, 1])
-    # The path goes on for one frame at the speed at which it ended.
-    path = made.translation[:, [0, 2]]
-    np.testing.assert_allclose(path[60] - path[59], path[59] - path[58], atol=1e-12)
-
-
 def test_the_difference_decays_along_a_cubic_hermite_curve():
     """From value d and slope v to 0 without slope within n = 9 frames: at 1/3 of the way
     d (1 - 3/9 + 2/27) + 9 v (1/3 - 2/9 + 1/27) = 20/27 d + 4/3 v, at 2/3 of it 7/27 d + 2/3 v.
@@ -85,53 +75,6 @@ def test_the_difference_decays_along_a_cubic_hermite_curve():
         assert made.joint_translations["hand"][frame].tolist() == [0.2, expected, 0]
         turned = Rotation.from_quat(made.rotations[frame, 1]).as_rotvec()
         assert turned == pytest.approx([0, 0, after[frame] + difference])
-
-
-@pytest.mark.parametrize(("frames", "blended"), [(0.4, 0), (0.6, 1), (1.0, 1), (1.4, 1), (2.0, 2)])
-def test_a_blend_is_rounded_to_frames(frames, blended):
-    """The first of n frames has the pose before, the second of two the one halfway."""
-    rig = rig_of(PERSON)
-    before, after, arm = at_rest(rig, 5), at_rest(rig, 5), rig.index("LeftArm")
-    after.rotations[:, arm] = Rotation.from_rotvec([0, 0, 0.8]).as_quat()
-    made = gk.concatenate([before, after], blend=frames / 30)
-    angles = Rotation.from_quat(made.rotations[5:, arm]).magnitude()
-    expected = {0: [0.8, 0.8, 0.8], 1: [0.0, 0.8, 0.8], 2: [0.0, 0.4, 0.8]}[blended]
-    np.testing.assert_allclose(angles[:3], expected, atol=1e-9)
-
-
-def test_the_heading_goes_on_from_the_last_frame_and_begins_in_the_first():
-    """The body turns by 0.1 rad a frame in the first motion, and by 0.3 rad in the second."""
-    rig = rig_of(PERSON)
-
-    def turning(step: float, n_frames: int) -> Motion:
-        motion = at_rest(rig, n_frames)
-        angles = step * np.arange(n_frames)[:, None]
-        motion.rotations[:, 0] = Rotation.from_rotvec(angles * [0, 1, 0]).as_quat()
-        return motion
-
-    made = gk.concatenate([turning(0.1, 5), turning(0.3, 4)], blend=0)
-    turned = Rotation.from_quat(made.rotations[:, 0]).as_rotvec()[:, 1]
-    assert turned == pytest.approx([0, 0.1, 0.2, 0.3, 0.4, 0.4, 0.7, 1.0, 1.3])
-
-
-def test_a_rig_that_moves_below_its_root(moving_person, other):
-    """The hips walk below a root that stands, turned, as in corpora of game studios."""
-
-    def below(motion: Motion) -> Motion:
-        rig = motion.skeleton
-        skeleton = Skeleton(
-            ("Stage", *rig.names), (-1, *(p + 1 for p in rig.parents)), [[0, 0, 0], *rig.offsets]
-        )
-        stage = Rotation.from_euler("X", 90, degrees=True)
-        rotations = np.insert(motion.rotations, 0, stage.as_quat(), axis=1)
-        rotations[:, 1] = (stage.inv() * Rotation.from_quat(rotations[:, 1])).as_quat()
-        hips = {rig.names[0]: stage.inv().apply(motion.translation)}
-        return Motion(skeleton, rotations, 0 * motion.translation, motion.fps, hips)
-
-    made = gk.concatenate([moving_person, elsewhere(other, 75.0)])
-    apart = gk.concatenate([below(moving_person), below(elsewhere(other, 75.0))])
-    np.testing.assert_allclose(apart.positions()[:, 1:], made.positions(), atol=1e-9)
-    assert not apart.positions()[:, 0].any()
 
 
 def test_short_motions_other_rates_and_faces(moving_person, other):

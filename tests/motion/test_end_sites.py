@@ -3,12 +3,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from rigs import PERSON, rig_of
 
+from gesturekit.motion import Skeleton
 from gesturekit.motion.contacts import foot_points
 from gesturekit.motion.parts.end_sites import real_end_sites
-from gesturekit.motion.skeleton import Skeleton
 from gesturekit.postprocess.foot import find_feet
 
 
@@ -41,14 +40,6 @@ def test_ends_as_long_as_a_shin_and_beyond_an_end_joint_are_made_up(skeleton):
     assert real_end_sites(with_ends(skeleton, RightHand=(-0.5, 0.0, 0.0))) == {}
     rig = rig_of(PERSON | {"HeadTop_End": ("Head", (0.0, 0.2, 0.0))})
     assert real_end_sites(with_ends(rig, HeadTop_End=(0.0, 0.05, 0.0))) == {}
-
-
-@pytest.mark.parametrize("factor", [0.1, 0.5, 2.0, 10.0])
-def test_the_same_ends_are_real_at_any_size(skeleton, factor):
-    hands = {"LeftHand": (0.0, 0.25, 0.0), "RightHand": (-0.34, 0.0, 0.0)}
-    rig = with_ends(skeleton, **hands, Head=(0.0, 0.4, 0.0))
-    assert real_end_sites(rig).keys() == {"RightHand"}
-    assert real_end_sites(rig.scaled(factor)).keys() == {"RightHand"}
 
 
 def test_made_up_ends_are_no_points_of_a_foot(skeleton):

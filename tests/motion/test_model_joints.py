@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.model_joints import ModelJoints, first_moving_joint, reference_skeleton
+from gesturekit.motion.model_joints import ModelJoints, first_moving_joint
 
 # A still stage and a still lift carry a body of three joints; the flag hangs beside it.
 STAGE = Skeleton(
@@ -117,16 +117,10 @@ def test_a_model_is_read_as_it_was_written():
     ("change", "says"),
     [
         ({"scale": 0.0}, "scale: 0 must be above 0"),
-        ({"scale": 1.1e6}, r"scale: 1.1e\+06 must be above 0 and at most 1e\+06"),
-        ({"scale": -1.0}, "scale: -1 must be above 0"),
-        ({"scale": float("nan")}, "scale: nan must be above 0"),
-        ({"scale": float("inf")}, "scale: inf must be above 0"),
-        ({"joints": []}, "joints: none, or one of them twice"),
         ({"joints": ["body", "arm", "body"]}, "joints: none, or one of them twice"),
         ({"joints": ["leg"]}, "no joint 'leg'"),
         ({"fixed_rotations": [[0, 0, 0, 1]] * 5}, r"fixed_rotations: \(5, 4\) .*\(6, 4\)"),
         ({"fixed_rotations": [[0, 0, 0, float("nan")]] * 6}, "fixed_rotations"),
-        ({"fixed_translations": {"arm": [0, 1]}}, r"fixed_translations: \(2,\)"),
         ({"fixed_translations": {"leg": [0, 1, 0]}}, "no joint 'leg'"),
     ],
 )
@@ -134,48 +128,6 @@ def test_models_of_other_rigs_and_wrong_numbers_are_refused(change, says):
     values = fitted(on_stage()).to_json() | change
     with pytest.raises(MotionError, match=says):
         ModelJoints.fields_from_json(STAGE, values)
-
-
-def test_motions_of_other_performers_fit_a_model_and_other_rigs_do_not():
-    model, other = fitted(on_stage()), on_stage()
-    model.check_rig(other.scaled(2.0))
-    for change in ({"names": ("a", *STAGE.names[1:])}, {"parents": (-1, 0, 1, 2, 2, 1)}):
-        with pytest.raises(MotionError, match="joints are not those of the model: 6 joints"):
-            model.check_rig(replace(other, skeleton=replace(STAGE, **change)))
-
-
-def test_performers_are_as_large_as_their_legs_or_else_their_bones():
-    person = rig_of(PERSON)
-    model = ModelJoints(person, ("Hips",), np.zeros((person.n_joints, 4)), {})
-    legs = {
-        f"{side}{bone}": (0.0, -0.63, 0.0) for side in ("Left", "Right") for bone in ("Leg", "Foot")
-    }
-    assert model.size_of(with_offsets(person, **legs)) == pytest.approx(0.63 / 0.42)
-    assert model.size_of(with_offsets(person, Head=(0.0, 0.9, 0.0))) == pytest.approx(1.0)
-    assert model.size_of(None) == 1.0
-    stage = fitted(on_stage())
-    # Bones of 1, 0.5, 1, 1 and 1 m.
-    assert stage.size_of(with_offsets(STAGE, arm=(0.0, 0.0, 3.25))) == pytest.approx(6.75 / 4.5)
-    dot = Skeleton(("dot",), (-1,), np.zeros((1, 3)))
-    assert fitted(at_rest(dot, 2)).size_of(dot) == 1.0
-
-
-def test_the_same_joints_on_the_bones_of_others():
-    model = fitted(on_stage(), joints=["hand"])
-    larger = on_stage().scaled(2.0)
-    made = model.on_bones_of([larger])
-    assert made.joints == ("body", "hand") and made.skeleton is larger.skeleton
-    assert made.scale == pytest.approx(2 * model.scale)
-    old = replace(model, scale=1.0)  # that of a model that did not store it
-    assert old.on_bones_of([larger]).scale == pytest.approx(2.0)
-
-
-def test_the_skeleton_nearest_to_the_median_stands_for_all():
-    rigs = [with_offsets(STAGE, arm=(0.0, 1 + off, 0.0)) for off in (-0.3, 0.02, 0.2, 0.0, -0.1)]
-    assert reference_skeleton([at_rest(rig, 1) for rig in rigs]) is rigs[3]
-    # One that is far off does not count more: the median of five is 1.2, the mean 2.92.
-    rigs = [with_offsets(STAGE, arm=(0, length, 0)) for length in (1.0, 1.3, 1.2, 10.0, 1.1)]
-    assert reference_skeleton([at_rest(rig, 1) for rig in rigs]) is rigs[2]
 
 
 @pytest.mark.parametrize(
@@ -194,24 +146,3 @@ def test_the_root_is_the_lowest_joint_above_all_that_move(moving, root):
         swing = Rotation.from_rotvec(np.outer(np.arange(4), [0.1, 0, 0])).as_quat()
         motion.rotations[:, STAGE.index(name)] = swing
     assert STAGE.names[first_moving_joint([at_rest(STAGE, 2), motion])] == root
-
-
-@pytest.mark.parametrize("size", [1.0, 100.0])
-def test_movement_below_a_thousandth_of_a_millimetre_is_none(size):
-    """The longest chain of bones below the first fork is 3.5 m long: the size 3.5 / 1.54 m over
-    that of the reference body, 1.4 m, allows 1.623e-6 m, and 1e-7 from a cosine of half an angle of
-    4.5e-4 rad.
-    """
-    for step, root in ((1.55e-6, "body"), (1.7e-6, "lift")):
-        motion = on_stage()
-        path = np.linspace([0, 1, 0], [0, 1, -step], 5)
-        motion = replace(motion, joint_translations={"lift": path})
-        assert STAGE.names[first_moving_joint([motion.scaled(size)])] == root
-    for angle, root in ((8.5e-4, "body"), (9.4e-4, "lift")):
-        motion = on_stage()
-        turn = Rotation.from_rotvec([0.3 + angle, 0, 0]).as_quat()
-        motion.rotations[3, 1] = -turn  # the sign of a quaternion means nothing
-        assert STAGE.names[first_moving_joint([on_stage(), motion])] == root
-    moved = on_stage()
-    moved.translation[3, 2] += 1.7e-6
-    assert first_moving_joint([moved]) == 0

@@ -6,20 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import PERSON, at_rest, below_a_root, rig_of
 
 import gesturekit as gk
 from gesturekit.diffusion.motion_vector import DeltaRepresentation
-from gesturekit.errors import MotionError
 from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.motion.contacts import foot_positions
-from gesturekit.motion.root_path import RootPath, follow_path
-from gesturekit.motion.rotations import quaternion_from_rotation_vector
+from gesturekit.motion.root_path import follow_path
 
 
-@pytest.mark.parametrize(
-    "name", ["bow_active_001", "bow_angry_001", "bow_happy_001", "bye_feminine_001"]
-)
+@pytest.mark.parametrize("name", ["bow_active_001", "bye_feminine_001"])
 def test_feet_stay_where_they_stood(shared_data, name):
     motion = gk.Motion.load(shared_data / f"motion/bandai/dataset-1_{name}.bvh")
     representation = DeltaRepresentation.fit([motion], root=False)
@@ -41,23 +36,3 @@ def test_a_motion_comes_onto_its_path_and_stays_as_it_is_on_its_own(gesture, asi
     path = DeltaRepresentation.fit([motion]).path_of(motion)
     made = follow_path(motion, replace(path, positions=path.positions + [aside, 0.0]))
     np.testing.assert_allclose(made.translation, motion.translation + [aside, 0, 0], atol=1e-6)
-
-
-def test_a_path_of_another_length_is_refused(gesture):
-    motion = gesture(2.0)
-    path = DeltaRepresentation.fit([motion]).path_of(motion)
-    with pytest.raises(MotionError, match="30 frames at 30 fps; the motion has 60"):
-        follow_path(motion, path.slice(0, 30))
-
-
-def test_hips_below_a_turned_root_come_onto_their_path():
-    """The root stands; in its axes, turned to the left by 90 degrees, -X is ahead in the world."""
-    rig = below_a_root(rig_of(PERSON), 0.9)
-    motion = at_rest(rig, 5, (1.0, 0.0, 2.0))
-    motion.rotations[:, 0] = quaternion_from_rotation_vector(np.array([0.0, np.pi / 2, 0.0]))
-    path = RootPath.of(motion, 1)
-    made = follow_path(motion, replace(path, positions=path.positions + [0.03, 0.05]), 1)
-    np.testing.assert_array_equal(made.translation, motion.translation)
-    expected = motion.positions()[:, 1] + [0.03, 0.0, 0.05]
-    np.testing.assert_allclose(made.positions()[:, 1], expected, atol=1e-9)
-    np.testing.assert_allclose(made.joint_translations["Hips"][0], [-0.05, 0.9, 0.03], atol=1e-9)

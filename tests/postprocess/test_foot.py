@@ -7,7 +7,7 @@ import pytest
 from rigs import PERSON, rig_of
 
 from gesturekit import Skeleton
-from gesturekit.postprocess.foot import Anchor, Foot, find_feet
+from gesturekit.postprocess.foot import Anchor, find_feet
 
 TOE, TIP = (0.0, -0.05, 0.14), (0.0, 0.0, 0.06)
 HEEL, BIG, SMALL = (0.0, -0.06, -0.05), (0.02, -0.01, 0.05), (-0.03, -0.01, 0.04)
@@ -42,14 +42,6 @@ CASES = {
         [("Foot", NONE), ("Foot", TOE)],
         0,
     ),
-    "toe joints and their tips": (
-        {"ToeBase": ("Foot", TOE), "Toe_End": ("ToeBase", TIP)},
-        {},
-        ("Foot", NONE, (0,)),
-        ("ToeBase", NONE, (1,)),
-        [("Foot", NONE), ("ToeBase", NONE), ("Toe_End", NONE)],
-        2,
-    ),
     "toe joints with end sites, and a joint at the heel": (
         {"ToeBase": ("Foot", TOE), "HeelPad": ("Foot", HEEL)},
         {"ToeBase": [TIP]},
@@ -65,14 +57,6 @@ CASES = {
         ("ToeBase", NONE, (0, 1)),
         [("Foot", HEEL), ("Foot", HEEL), ("ToeBase", NONE), ("ToeBase", BIG), ("ToeBase", SMALL)],
         3,
-    ),
-    "three ends of the toes alone": (
-        {"ToeBase": ("Foot", TOE)},
-        {"ToeBase": [BIG, SMALL, TIP]},
-        ("Foot", NONE, (0, 1, 2)),
-        ("ToeBase", NONE, (0, 1, 2)),
-        [("ToeBase", p) for p in (NONE, BIG, SMALL, TIP)],
-        4,
     ),
     "vertices of a body model on the foot alone": (
         {},
@@ -103,17 +87,3 @@ def test_heel_ball_and_sole(case):
         assert limb == [f"{side}{part}" for part in ("UpLeg", "Leg", "Foot")]
         below = {f"{side}{name}" for name in joints}
         assert {rig.names[j] for j in foot.joints} == {*limb, *below}
-
-
-def test_points_turn_with_their_joint():
-    """A quarter turn about Y takes an offset along +Z to +X."""
-    quarter = np.array([0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)])
-    world = np.tile([[0.0, 0.0, 0.0, 1.0], quarter], (3, 1, 1))
-    positions = np.tile([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]], (3, 1, 1))
-    ahead = np.array([0.0, 0.0, 0.1])
-    point = Anchor(1, ahead, (0,))
-    expected = np.tile([1.1, 2.0, 3.0], (3, 1))
-    np.testing.assert_allclose(point.positions(positions, world), expected, atol=1e-12)
-    foot = Foot(0, 0, 0, None, point, None, ((0, ahead), (1, ahead)), 0)
-    sole = foot.sole_positions(positions, world)[2]
-    np.testing.assert_allclose(sole, [[0, 0, 0.1], [1.1, 2.0, 3.0]], atol=1e-12)

@@ -42,11 +42,6 @@ def test_a_point_stays_at_its_mean_place_on_the_floor():
     assert (hold == 1).all()
 
 
-def test_without_spans_nothing_is_corrected():
-    offset, hold = pinned(np.ones((60, 3)))
-    assert not offset.any() and not hold.any()
-
-
 @pytest.mark.parametrize(
     ("length", "kept"),
     [
@@ -69,10 +64,6 @@ def test_large_corrections_are_compressed_to_the_radius(length, kept):
     np.testing.assert_allclose(corrected[:, 0], np.repeat([-kept, kept], 30), atol=1e-5)
 
 
-def test_no_correction_stays_none():
-    assert not soft_clamp(np.zeros((3, 3)), 0.1).any()
-
-
 @pytest.mark.parametrize(
     ("height", "frames"),
     [(SMALL, 15), (0.06, 30), (0.12, 60)],  # 1.5 * 0.06 m / 0.3 m/s = 0.3 s
@@ -93,87 +84,6 @@ def test_corrections_fade_in_a_smoothstep_of_limited_speed(height, frames):
     assert way == pytest.approx([27 / 32, 1 / 2, 5 / 32], abs=0.004)
     assert speeds(offset).max() < 0.3
     assert speeds(offset).max() > 0.28 or height == SMALL
-
-
-def test_fades_begin_at_the_first_and_last_correction_of_a_contact():
-    """A point slides at 0.4 m/s: the first and last of 20 frames are 0.038 m off their mean.
-
-    1.5 * 0.038 m / 0.3 m/s are 19 frames; the middle one has half of that.
-    """
-    places = np.zeros((100, 3))
-    places[:, 0] = 0.004 * np.arange(100)
-    offset, _ = pinned(places, (40, 60))
-    assert offset[[40, 59], 0] == pytest.approx([0.038, -0.038])
-    assert offset[[30, 69], 0] == pytest.approx([0.019, -0.019])
-    assert offset[[20, 79], 0] == pytest.approx([0.0, 0.0], abs=1e-12)
-
-
-def test_a_point_above_the_floor_is_lowered_only_while_it_stands():
-    """A point in flight would be pulled to the floor, and slide there."""
-    offset, hold = pinned(at_heights(120, (0, 120, SMALL)), (40, 80))
-    assert not offset[:40].any() and not offset[80:].any()
-    np.testing.assert_allclose(offset[:, 1], offset[::-1, 1], atol=1e-12)
-    assert offset[55:65, 1] == pytest.approx(-SMALL)
-    # Frame k of the span has the share (k + 1) / 16 of 15 frames behind it: 1/16, 1/2, 15/16.
-    shares = [(3 - 2 / 16) / 16**2, 1 / 2, 1 - (3 - 2 / 16) / 16**2]
-    assert offset[[40, 47, 54], 1] == pytest.approx(-SMALL * np.array(shares))
-    expected = [0, shares[0], 1 / 2, 1, 1, 1 / 2, 0]
-    assert hold[[24, 25, 32, 40, 79, 87, 95]] == pytest.approx(expected, abs=1e-12)
-
-
-def test_a_short_contact_is_lowered_by_its_middle():
-    """A contact of 10 frames leaves 5 for either side: 1/6, 2/6, ... of the way down."""
-    offset, _ = pinned(at_heights(120, (0, 120, SMALL)), (50, 60))
-    way = np.arange(1, 6) / 6
-    expected = -SMALL * way**2 * (3 - 2 * way)
-    np.testing.assert_allclose(offset[50:60, 1], [*expected, *expected[::-1]], atol=1e-12)
-
-
-def test_a_foot_that_is_put_down_and_lifted_keeps_its_height():
-    """It is on its way for 0.15 s on either side: at first 3 cm above the floor, at last 2 cm."""
-    places = at_heights(160)
-    places[30:45, 1] = np.linspace(0.03, 0.0, 15)
-    places[115:130, 1] = np.linspace(0.0, 0.02, 15)
-    offset, _ = pinned(places, (30, 130))
-    np.testing.assert_allclose(offset, 0, atol=1e-12)
-    offset, _ = pinned(places[29:131], (1, 101))
-    np.testing.assert_allclose(offset, 0, atol=1e-12)
-    # A contact that lasts from the first to the last frame has no landing and no leaving.
-    offset, _ = pinned(places[30:130], (0, 100))
-    np.testing.assert_allclose(offset[:, 1], -places[30:130, 1], atol=1e-12)
-
-
-def test_what_is_above_the_floor_in_the_middle_of_a_contact_is_no_landing():
-    places = at_heights(160, (70, 80, 0.02))
-    offset, _ = pinned(places, (30, 130))
-    np.testing.assert_allclose(offset[:, 1], -places[:, 1], atol=1e-12)
-
-
-def test_a_landing_that_lasts_is_cut_short():
-    """From 0.15 to 0.3 s: at 0.21 s the share is 0.4, whose smoothstep is 0.352."""
-    places = at_heights(200, (20, 55, SMALL), (145, 180, SMALL))
-    offset, _ = pinned(places, (20, 180))
-    height = (places + offset)[:, 1]
-    assert height[20:36] == pytest.approx(SMALL)
-    assert height[20 + 21] == pytest.approx(SMALL * (1 - 0.352))
-    assert height[50:150] == pytest.approx(0.0)
-    np.testing.assert_allclose(height[20:180], height[20:180][::-1], atol=1e-12)
-
-
-def test_a_lifted_heel_stays_lifted():
-    lifts = np.where(np.arange(80) >= 40, 0.03, 0.0)
-    offset, _ = pinned(np.zeros((80, 3)), (10, 70), lifts=lifts)
-    assert offset[10:70, 1] == pytest.approx(lifts[10:70])
-
-
-def test_a_gap_long_enough_for_both_fades_returns_to_the_motion():
-    """Two fades of 15 frames need a gap of 30; in one of 29 the pin goes straight across."""
-    for gap, straight in ((30, False), (29, True)):
-        places = at_heights(100 + gap, (0, 100 + gap, -SMALL))
-        offset, hold = pinned(places, (10, 50), (50 + gap, 90 + gap))
-        assert (hold[50 : 50 + gap] == 1).all() == straight
-        middle = offset[50 + gap // 2, 1]
-        assert middle == pytest.approx(SMALL) if straight else middle < 0.02 * SMALL
 
 
 def test_across_a_short_gap_the_correction_goes_from_one_to_the_other():
@@ -206,17 +116,3 @@ def test_a_gap_too_short_for_its_correction_is_extended_into_contacts(gap, lengt
     share = np.arange(1, stop - start + 1) / (stop - start + 1)
     expected = -0.02 + 0.04 * share**2 * (3 - 2 * share)
     np.testing.assert_allclose(offset[start:stop, 1], expected, atol=1e-12)
-
-
-def test_the_correction_goes_on_to_the_ends_if_they_are_near():
-    """15 frames would be needed to fade."""
-    offset, hold = pinned(at_heights(80, (0, 80, -SMALL)), (14, 66))
-    assert offset[:, 1] == pytest.approx(SMALL) and (hold == 1).all()
-    offset, hold = pinned(at_heights(82, (0, 82, -SMALL)), (15, 67))
-    assert offset[0, 1] < 0.02 * SMALL and offset[-1, 1] < 0.02 * SMALL
-
-
-def test_fades_take_a_frame_at_the_least():
-    offset, hold = pinned(at_heights(9, (0, 9, -SMALL)), (3, 6), fps=3.0)
-    assert hold.tolist() == [0, 0, 0.5, 1, 1, 1, 0.5, 0, 0]
-    np.testing.assert_allclose(offset[:, 1], SMALL * hold, atol=1e-12)

@@ -56,12 +56,6 @@ def wide(by: float, **more: float) -> Motion:
     return stance(standing(), (by, 0, 0), (-by, 0, 0), **more)
 
 
-def yaws(motion: Motion) -> np.ndarray:
-    """(T, 2) radians by which the feet are turned outward."""
-    turns = motion.global_rotations()[:, FEET]
-    return 2 * np.arctan2(turns[..., 1], turns[..., 3]) * [1, -1]
-
-
 @pytest.mark.parametrize("first", ["left", "right"])
 def test_far_feet_step_one_after_the_other_and_a_raised_one_first(first):
     """Feet 0.15 m too far out are lifted by 0.03 m and a tenth of the way."""
@@ -79,84 +73,6 @@ def test_far_feet_step_one_after_the_other_and_a_raised_one_first(first):
             expected = [out * share, height, 0]
             np.testing.assert_allclose(made[begins + frame, foot], expected, atol=1e-9)
         np.testing.assert_allclose(made[begins + 12 :, foot], 0, atol=1e-9)
-
-
-@pytest.mark.parametrize("fps", [24.0, 48.0])
-def test_a_foot_steps_beyond_a_tenth_of_the_leg(fps):
-    """A turn counts as the way of toes 0.2 m from the ankle."""
-    motion = replace(standing(), fps=fps)
-    for by, yaw, near in (
-        (0.098 * LEG, 0.0, True),
-        (0.102 * LEG, 0.0, False),
-        (0.0, 0.49 * LEG, True),
-        (0.0, 0.51 * LEG, False),
-        (0.05 * LEG, 0.24 * LEG, True),
-        (0.05 * LEG, 0.26 * LEG, False),
-    ):
-        pose = replace(wide(by, yaw=yaw), fps=fps)
-        made = Placement(start=pose).applied(motion)
-        left = (ankles(made) - ankles(motion))[-1, 0, 0], yaws(made)[-1, 0]
-        assert left == pytest.approx((by, yaw) if near else (0, 0), abs=1e-6), (by, yaw)
-        assert ankles(made)[..., 1].max() == pytest.approx(0.04, abs=1e-6) or not near
-
-
-def test_a_turned_foot_turns_while_it_steps_and_its_tilt_goes_at_once():
-    pose = wide(0.15, yaw=0.3)
-    tilted = about_y(np.array([[0.3, -0.3]]))
-    tilt = Rotation.from_euler("x", 0.2).as_quat()
-    tilted[:, 0] = (Rotation.from_quat(tilt) * Rotation.from_quat(tilted[0, 0])).as_quat()
-    both = Placement(start=pose).applied(standing())
-    for foot, begins in enumerate((0, 12)):
-        for frame, share in STEP.items():
-            assert yaws(both)[begins + frame, foot] == pytest.approx(0.3 * share, abs=1e-6)
-    near = reach_feet(pose, ankles(wide(0.02)), np.tile(tilt, (1, 2, 1)))
-    made = Placement(start=near).applied(standing()).global_rotations()[:, FEET]
-    for frame, share in RELEASED.items():
-        angles = Rotation.from_quat(made[frame]).as_rotvec()
-        np.testing.assert_allclose(angles, np.tile([0.2 * share, 0, 0], (2, 1)), atol=1e-6)
-
-
-def walking_off(at: int, n_frames: int = 60) -> Motion:
-    """Stands until a frame, and then goes to +Z, feet and all, at 1.2 m/s."""
-    motion = standing(n_frames)
-    way = 0.05 * np.maximum(np.arange(n_frames) - at, 0)
-    return replace(motion, translation=motion.translation + way[:, None] * [0, 0, 1])
-
-
-def test_a_near_foot_stays_until_the_motion_moves_it():
-    made = ankles(Placement(start=wide(0.05)).applied(walking_off(30)))
-    apart = made - ankles(walking_off(30))
-    np.testing.assert_allclose(
-        apart[:31], np.tile([[0.05, 0, 0], [-0.05, 0, 0]], (31, 1, 1)), atol=1e-9
-    )
-    for frame, share in STEP.items():
-        np.testing.assert_allclose(apart[30 + frame, 0], [0.05 * share, 0, 0], atol=1e-9)
-
-
-@pytest.mark.parametrize("size", [1.0, 5.0])
-def test_a_foot_slower_than_a_standing_one_stays_in_the_pose(size):
-    for speed, left in ((0.19, 0.05), (0.21, 0.0)):
-        motion = standing()
-        way = speed / 24 * np.arange(60)[:, None] * [0, 0, 1]
-        motion = replace(motion, translation=motion.translation + way)
-        motion = motion.scaled(size)
-        made = Placement(start=wide(0.05).scaled(size)).applied(motion)
-        apart = (ankles(made) - ankles(motion)) / size
-        assert apart[-1, 0, 0] == pytest.approx(left, abs=1e-9)
-
-
-@pytest.mark.parametrize("size", [0.1, 5.0])
-def test_poses_and_places_are_the_same_at_any_size(size):
-    wanders = wandering(walking_off(30), 0.1, 0.2)
-    near = stance(standing(), (0.05, 0, 0), (-0.05, 0.01, 0), yaw=0.25)
-    far = stance(standing(), (0.15, 0.01, 0), (-0.15, 0, 0), yaw=0.3)
-    for start, end in ((far, near), (near, far)):
-        for motion in (walking_off(30), wanders):
-            asked = {"in_place": motion is wanders, "foot_lock": False}
-            usual = Placement(start=start, end=end, **asked).applied(motion)
-            large = Placement(start=start.scaled(size), end=end.scaled(size), **asked)
-            made = large.applied(motion.scaled(size)).positions() / size
-            np.testing.assert_allclose(made, usual.positions(), atol=1e-9)
 
 
 def test_the_end_is_the_beginning_seen_backwards():
@@ -250,14 +166,3 @@ def test_steady_wandering_is_removed_from_the_first_half_second_on(legs):
         same = Placement(in_place=True, foot_lock=lock).applied(still)
         np.testing.assert_allclose(same.positions(), still.positions(), atol=1e-6)
     assert Placement().applied(still) is still
-
-
-def test_a_pelvis_that_turns_over_feet_that_stand_is_no_wandering():
-    motion = standing(120)
-    turning = motion.rotations.copy()
-    angles = 0.3 * np.sin(np.arange(120) / 24.0)
-    turning[:, 0] = about_y(angles)
-    feet = motion.global_rotations()[:, FEET]
-    turning = reach_feet(replace(motion, rotations=turning), ankles(motion), feet)
-    made = Placement(in_place=True, foot_lock=False).applied(turning)
-    np.testing.assert_allclose(made.positions(), turning.positions(), atol=1e-6)

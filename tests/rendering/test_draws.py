@@ -50,17 +50,22 @@ def test_files_of_the_same_sound_get_different_motions(model, sounds, tmp_path):
         assert len({made[f"{name}.{kind}"] for name in "abc"}) == 3, kind
 
 
-def test_a_file_does_not_depend_on_the_others_their_order_or_the_processes(model, sounds, tmp_path):
+def test_a_file_does_not_depend_on_the_others_or_their_order(model, sounds, tmp_path):
     whole = run(model, sounds, tmp_path / "whole")
     assert run(model, sounds[::-1], tmp_path / "reversed") == whole
     assert run(model, sounds[0].parent, tmp_path / "folder") == whole
     assert run(model, sounds, tmp_path / "sharded", shards=2) == whole
-    assert run(model, sounds, tmp_path / "workers", workers=2) == whole
     for sound in sounds:
         assert run(model, [sound], tmp_path / sound.stem) == of(sound.stem, whole)
     sampled = run(model, sounds[1:], tmp_path / "sampled", samples=2)
     for name in "bc":
         assert sampled[f"{name}_s1.bvh"] == whole[f"{name}.bvh"] != sampled[f"{name}_s2.bvh"]
+
+
+@pytest.mark.stress
+def test_processes_give_the_same_bytes(model, sounds, tmp_path):
+    whole = run(model, sounds, tmp_path / "whole")
+    assert run(model, sounds, tmp_path / "workers", workers=2) == whole
 
 
 def test_the_name_is_the_item_of_generate(model, sounds, tmp_path):
@@ -92,24 +97,3 @@ def test_a_quieter_file_of_the_same_name_keeps_its_motion(tmp_path):
         run(demo, tmp_path / name, tmp_path / f"of {name}")
     loud, quiet = (Motion.load(tmp_path / f"of {name}" / "a.npz") for name in ("loud", "quiet"))
     np.testing.assert_allclose(quiet.rotations, loud.rotations, atol=1e-4)
-
-
-@pytest.mark.parametrize("is_spoken", [True, False], ids=["speech", "seconds"])
-def test_unedited_keyframes_give_the_motion_of_their_file(model, sounds, tmp_path, is_spoken):
-    """A coarse level and its keyframes are rendered under one name, and so are one draw."""
-    sources, name = (sounds[1:2], "b") if is_spoken else ([], "motion")
-    made = []
-    for level in (1, 2):
-        length = {} if is_spoken else {"seconds": 1.0}
-        run(model, sources, tmp_path / f"coarse{level}", levels=level, **length)
-        keys = {"keyframes": tmp_path / f"coarse{level}/{name}.npz", "keyframe_level": level}
-        run(model, sources, tmp_path / f"fine{level}", **keys)
-        made.append(Motion.load(tmp_path / f"fine{level}/{name}.npz").positions())
-    np.testing.assert_allclose(made[0], made[1], atol=1e-5)
-    other = model.generate(*sources, item="other", **keys).positions()
-    assert np.abs(other - made[0]).max() > 1e-4
-
-
-def test_an_item_is_no_control_of_a_batch(model, sounds, tmp_path):
-    with pytest.raises(gk.GestureKitError, match="no control item"):
-        run(model, sounds, tmp_path / "out", item="a")

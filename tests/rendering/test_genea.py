@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import pytest
 from published import write_smplx
 
 from gesturekit.cli import main
-from gesturekit.errors import CorpusError
 from gesturekit.motion import Motion
 from gesturekit.rendering.genea import check, export, published_sounds
 
@@ -96,22 +94,3 @@ def test_the_command_makes_what_is_missing_and_says_what_is_wrong(beat2, tmp_pat
     assert run(*again) == 2 and "--existing replace" in capsys.readouterr().err
     assert run(*again, "--existing", "replace") == 0
     assert (tmp_path / "1_wayne_0_86_87.npz").stat().st_mtime_ns > kept
-
-
-def test_the_sounds_alone_are_enough_and_a_broken_one_fails_alone(beat2, gesturekit, tmp_path):
-    shutil.copytree(beat2, tmp_path / "sounds", ignore=shutil.ignore_patterns("smplx*"))
-    assert published_sounds(tmp_path / "sounds").keys() == published_sounds(beat2).keys()
-    broken = tmp_path / "sounds" / "wave16k" / "2_scott_0_1_1.wav"
-    broken.write_text("Dear diary,\n")
-    command = ("genea", "export", tmp_path / "sounds", "--out", tmp_path / "out")
-    done = gesturekit(*command, "--samples", 1, "--model", "demo")
-    assert done.status == 1 and done.err.startswith(f"Failed: {broken}: ")
-    assert "1 of 2 files are wrong" in done.out
-
-
-def test_other_corpora_are_refused(beat2, tmp_path):
-    with pytest.raises(CorpusError, match="a submission is for beat2 or seamless"):
-        published_sounds(beat2, "zeggs")
-    (tmp_path / "train_test_split.csv").write_text("id,type\n")
-    with pytest.raises(CorpusError, match="no sound in the test split"):
-        published_sounds(tmp_path)

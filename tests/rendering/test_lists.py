@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import soundfile
-from outputs import bury
 
-from audio_features.wave import SAMPLE_RATES
-from gesturekit.corpus.item import Item
-from gesturekit.errors import ConfigError, CorpusError
+from gesturekit.errors import ConfigError
 from gesturekit.jobs.plan import write_plan
 from gesturekit.jobs.task import Task
-from gesturekit.rendering.inputs import find_tasks, item_of, measured, task_wave
+from gesturekit.rendering.inputs import find_tasks, measured, task_wave
 
 
 @pytest.fixture
@@ -53,27 +49,13 @@ def test_a_file_with_the_name_of_a_pattern_is_that_file(folder, tmp_path, write_
 
 
 def test_a_list_of_paths(folder, tmp_path):
-    lines = ("# day 1", f"#{300 * '-'}", "a.wav\r\n", "./day/b.wav", f"{folder}/day/night/c.wav")
-    (folder / "night.txt").write_text("\n".join(lines))
+    lines = ("a.wav\r", "# day 1", f"#{300 * '-'}", "./day/b.wav", f"{folder}/day/night/c.wav")
+    (folder / "night.txt").write_text("\ufeff" + "\n".join(lines))  # as Notepad begins it
     names = {"a": "in/a.wav", "day/b": "in/day/b.wav", "c": "in/day/night/c.wav"}
     assert found("in/night.txt", tmp_path) == names
     # Where there is no such file beside the list, paths are those of the working folder.
     (folder / "more.lst").write_text("in/a.wav\n../in/day/b.wav\n")
     assert found("in/more.lst", tmp_path) == {"in/a": "in/a.wav", "b": "in/day/b.wav"}
-
-
-def test_limits_of_a_list_are_within_them(folder, tmp_path):
-    """A line of 64 KiB, a mark at the start, and the least and greatest numbers."""
-    lines = [{"audio": "in/a.wav", "seed": 0, "start": 0, "channel": 1, "seconds": 0.1}]
-    lines.append({"id": "long", "seconds": 14_400})
-    text = "\ufeff" + "\n\n".join(json.dumps(line) for line in lines)
-    (tmp_path / "l.jsonl").write_text(f"{text}{' ' * (65_536 - len(json.dumps(lines[1])))}")
-    tasks = find_tasks("l.jsonl", tmp_path / "out")
-    assert [(task.id, dict(task.more)) for task in tasks] == [
-        ("in/a", {"seed": 0, "start": 0, "channel": 1, "seconds": 0.1}),
-        ("long", {"seconds": 14_400}),
-    ]
-    assert tasks[0].path.exists() and tasks[1].path is None
 
 
 def test_the_part_and_the_channel_of_a_sound_are_read(tmp_path):
@@ -95,43 +77,6 @@ def test_the_part_and_the_channel_of_a_sound_are_read(tmp_path):
     assert read(start=0.5) == (0.5, 0.2, 0.2)
     assert read(start=0.25, seconds=0.5) == (0.5, 0.8, 0.2)
     assert task_wave(Task("a"), None) is None
-
-
-def test_an_item_of_a_damaged_plan_is_named(tmp_path):
-    item = Item(id="a", audio=tmp_path / "a.wav", motion=None, duration=1.0, audible=[(0, 1)],
-                conditions={"events": tmp_path / "e.tsv"})  # fmt: skip
-    (task,) = find_tasks(item, tmp_path / "out")
-    assert item_of(task) == replace(item, audible=((0, 1),)) and item_of(Task("a")) is None
-    assert (task.id, task.path, task.source) == ("a", tmp_path / "a.wav", "a")
-    for damaged in ({"id": "a"}, [], task.more["item"] | {"duration": "x"}):
-        with pytest.raises(CorpusError, match="plan: item 'a' is damaged .*delete the plan"):
-            item_of(Task("a", more={"item": damaged}))
-
-
-def test_videos_in_a_folder_are_named_and_an_empty_folder_is_refused(folder, tmp_path, caplog):
-    for k in range(5):
-        (folder / f"{k}.mp4").write_text("x")
-    (folder / "notes.pdf").write_text("x")
-    assert len(find_tasks(folder, tmp_path / "out")) == 3
-    (said,) = (record.getMessage() for record in caplog.records)
-    assert said.startswith(f"{folder}/0.mp4, {folder}/1.mp4, {folder}/2.mp4 and 2 more: left out: ")
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(ConfigError, match="holds no audio files that can be read"):
-        find_tasks(tmp_path / "empty", tmp_path / "out")
-    for k in (3, 4):
-        (folder / f"{k}.mp4").unlink()
-    caplog.clear()
-    find_tasks(folder, tmp_path / "out")
-    assert "2.mp4: left out" in caplog.text
-
-
-def test_a_folder_that_cannot_be_opened_is_an_input_that_failed(folder, tmp_path):
-    bury(folder)
-    tasks = {task.id: task for task in find_tasks(folder, tmp_path / "out")}
-    assert set(tasks) == {"", "a", "day/b", "day/night/c"}
-    failed = tasks[""]
-    assert str(failed.source).startswith(f"{folder}/xxx") and failed.path is None
-    assert failed.error == f"{failed.source}: File name too long"
 
 
 def test_kaldis_wav_scp(folder, tmp_path):
@@ -157,8 +102,6 @@ def test_jsonl_has_options_for_each_input(folder, tmp_path):
     [
         ("l.scp", "x touch hacked |\n", "l.scp:1: .*is a command, and commands .* never run"),
         ("l.scp", "../../x in/a.wav\n", r"l.scp:1: id '\.\./\.\./x' cannot be used"),
-        ("l.scp", "/etc/x in/a.wav\n", "cannot be used"),
-        ("l.scp", "alone\n", "expected an id and a path"),
         ("l.scp", ".gesturekit/plan in/a.wav\n", "holds the journal"),
         ("l.txt", "\n\n", "the list is empty"),
         ("l.txt", "a\0b\n", "l.txt:1: this is not a list"),
@@ -169,21 +112,14 @@ def test_jsonl_has_options_for_each_input(folder, tmp_path):
         ("l.jsonl", '{"audio": "a.wav", "id": "../a"}', "cannot be used"),
         ("l.jsonl", '{"id": "a", "seconds": 1e99}', "seconds is 1e"),
         ("l.jsonl", '{"id": "a", "seconds": NaN}', "seconds is NaN"),
-        ("l.jsonl", '{"audio": "a.wav", "seed": true}', "seed is true"),
         ("l.jsonl", '{"audio": "a.wav", "seed": -1}', "l.jsonl:1: seed is -1"),
         ("l.jsonl", '{"seed": 3}', "give audio, or id and seconds"),
+        ("l.jsonl", '{"id": "a"}', "give audio, or id and seconds"),
         ("l.jsonl", '{"schema": 1}', "--corpus"),
         ("l.jsonl", "[" * 20_000, "not a JSON object"),
-        ("l.jsonl", '\n\n"a.wav"\n', "l.jsonl:3: not a JSON object"),
         ("l.jsonl", '{"id": "a", "seconds": 0}', "seconds is 0"),
-        ("l.jsonl", '{"id": "a", "seconds": 14401}', "seconds is 14401"),
         ("l.jsonl", '{"audio": "a.wav", "start": -0.1}', "start is -0.1"),
         ("l.jsonl", '{"audio": "a.wav", "channel": 0}', "channel is 0"),
-        ("l.jsonl", '{"audio": "a.wav", "channel": 1.5}', "channel is 1.5"),
-        ("l.jsonl", '{"seconds": 3}', "give audio, or id and seconds"),
-        ("l.jsonl", '{"id": "a"}', "give audio, or id and seconds"),
-        ("l.scp", "x | touch hacked\n", "l.scp:1: .*is a command"),
-        ("l.txt", "x" * 65_537, "not a list"),
         ("none.txt", None, "no such list"),
     ],
 )
@@ -244,27 +180,3 @@ def test_results_within_the_folder_of_sounds_and_hidden_files_are_no_inputs(
     for name in ("a.wma", "b.wma"):
         (folder / name).write_text("x")
     assert {task.id for task in find_tasks(folder, folder / "day" / "out")} == names | {"b"}
-
-
-def test_a_damaged_header_and_a_pipe_have_no_duration(tmp_path, folder):
-    data = bytearray((folder / "a.wav").read_bytes())
-    data[24:28] = (1).to_bytes(4, "little")  # a sample rate of 1 Hz
-    (folder / "a.wav").write_bytes(data)
-    assert measured(Task("a", folder / "a.wav")).duration is None
-    for rate in SAMPLE_RATES:  # the slowest and the fastest that are read
-        soundfile.write(folder / "a.wav", np.zeros(rate), rate)
-        assert measured(Task("a", folder / "a.wav")).duration == 1.0
-    os.mkfifo(folder / "pipe.wav")
-    assert measured(Task("p", folder / "pipe.wav")).duration is None
-
-
-@pytest.mark.parametrize("seconds", [14_400, 14_401])
-def test_a_header_of_more_than_four_hours_has_no_duration(tmp_path, seconds):
-    """The file is as long as its header says, of zeros that take no place on disk."""
-    path, n = tmp_path / "a.wav", 4000 * seconds
-    soundfile.write(path, np.zeros(4000), 4000, "PCM_U8")
-    header = bytearray(path.read_bytes()[:44])
-    header[4:8], header[40:44] = (36 + n).to_bytes(4, "little"), n.to_bytes(4, "little")
-    path.write_bytes(header)
-    os.truncate(path, 44 + n)
-    assert measured(Task("a", path)).duration == (seconds if seconds == 14_400 else None)

@@ -6,24 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import at_rest
 
 import audio_features as af
 import gesturekit as gk
-from gesturekit import Motion, Skeleton
+from gesturekit import Motion
 from gesturekit.corpus import Item
-from gesturekit.errors import ConfigError, FormatError, ModelError
-from gesturekit.jobs.plan import write_plan
-from gesturekit.jobs.result import json_of
+from gesturekit.errors import ConfigError, FormatError
 from gesturekit.jobs.state import STATE
-from gesturekit.motion.kinematics import global_rotations
-from gesturekit.motion.root_path import RootPath
-from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.postprocess import smooth_motion
 from gesturekit.rendering.batch import iter_render as render
 from gesturekit.rendering.batch import measured_cost, render_batch
-from gesturekit.rendering.inputs import find_tasks, item_of
-from gesturekit.rendering.renderer import RENDERED, Output
+from gesturekit.rendering.renderer import Output
 
 JOURNAL = f"{STATE}/journal/00001-of-00001.jsonl"
 
@@ -61,17 +54,6 @@ def test_the_cost_of_a_batch_is_that_of_its_files(model, sounds, tmp_path, write
     assert size == pytest.approx(written, rel=0.05)
 
 
-def test_a_stopped_rendering_goes_on_with_what_is_missing(model, sounds, tmp_path):
-    asked = {"output": Output(("bvh", "npz"), existing="skip"), "samples": 2}
-    made = [outcome.files for outcome in render(model, sounds, tmp_path, **asked)]
-    assert [len(files) for files in made] == [4, 4, 4]
-    before = {path: path.stat().st_mtime_ns for files in made for path in files}
-    made[1][2].unlink()
-    again = [outcome.files for outcome in render(model, sounds, tmp_path, **asked)]
-    assert again == [(), (made[1][2],), ()]
-    assert [before[path] == path.stat().st_mtime_ns for path in made[0] + made[2]] == [True] * 8
-
-
 def test_smoothing_defaults_to_the_models_setting(model, sounds, tmp_path):
     plain = model.generate(sounds[0], item="a")
     replace(model, smooth=0.3).save(tmp_path / "model")
@@ -91,62 +73,11 @@ def test_no_name_leads_out_of_the_folder(model, sounds, tmp_path):
     assert outcome.files[0].is_file() and len(list((tmp_path / "here").iterdir())) == 1
 
 
-def test_a_file_that_cannot_be_written_is_reported_and_the_others_are_kept(model, sounds, tmp_path):
-    out = tmp_path / "out"
-    (out / "b.npz").mkdir(parents=True)
-    one, two, three = render(model, sounds, out, output=Output(formats=("bvh", "npz")))
-    assert one.error is None and three.error is None
-    assert two.files == (out / "b.bvh",)
-    assert str(sounds[1]) in two.error and "b.npz" in two.error
-    made = [f"{stem}.{kind}" for stem in "abc" for kind in ("bvh", "npz")]
-    assert sorted(path.name for path in out.iterdir()) == [STATE, *made]
-
-
 def test_a_model_that_gives_nan_fails_each_file_by_name(model, sounds, tmp_path):
     mean = model.normaliser.mean * float("nan")
     damaged = replace(model, normaliser=replace(model.normaliser, mean=mean))
     for sound, outcome in zip(sounds, render(damaged, sounds, tmp_path), strict=True):
         assert outcome.error.startswith(f"{sound}: ") and "NaN" in outcome.error
-
-
-def test_sound_that_no_file_can_be_made_of_leaves_nothing(model, tmp_path):
-    every = Output(formats=RENDERED)
-    (outcome,) = render(model, [tmp_path / "none.wav"], tmp_path / "out", output=every)
-    assert outcome.files == () and "none.wav: no such file" in outcome.error
-    assert [path.name for path in (tmp_path / "out").iterdir()] == [STATE]
-
-
-def avatar(path, motion, scale):
-    """A file of one frame: a larger body of other names, its arms lowered at rest."""
-    rig = motion.skeleton
-    pose = at_rest(rig, 1).rotations[0]
-    for side, angle in (("Left", -0.6), ("Right", 0.6)):
-        pose[rig.index(f"{side}Arm")] = [0.0, 0.0, np.sin(angle), np.cos(angle)]
-    turned = global_rotations(pose, rig)
-    offsets = rotate_vectors(turned[[max(p, 0) for p in rig.parents]], rig.offsets)
-    names = tuple(f"avatar:{name}" for name in rig.names)
-    body = Skeleton(names, rig.parents, offsets * scale)
-    at_rest(body, 1, [0.0, 0.9 * scale, 0.0]).save(path)
-    return path
-
-
-def test_another_body_moves_as_the_models_own(model, sounds, tmp_path, gesture):
-    rig = avatar(tmp_path / "avatar.bvh", gesture(1.0), 1.2)
-    (own,) = render(model, sounds[:1], tmp_path / "own")
-    (outcome,) = render(model, sounds[:1], tmp_path / "out", output=Output(rig=rig))
-    assert outcome.error is None
-    usual, made = (Motion.load(done.files[0]) for done in (own, outcome))
-    assert made.skeleton.names == tuple(f"avatar:{name}" for name in usual.skeleton.names)
-    assert (made.n_frames, made.fps) == (usual.n_frames, usual.fps)
-    for start, end in (("LeftArm", "LeftForeArm"), ("RightForeArm", "RightHand")):
-        bones = []
-        for motion, prefix in ((usual, ""), (made, "avatar:")):
-            i, j = (motion.skeleton.index(prefix + name) for name in (start, end))
-            bone = motion.positions()[:, j] - motion.positions()[:, i]
-            bones.append(bone / np.linalg.norm(bone, axis=1, keepdims=True))
-        assert ((bones[0] * bones[1]).sum(axis=1) > 0.999).all()
-    legs = [motion.positions()[:, 0, 1].mean() for motion in (usual, made)]
-    assert legs[1] > 1.1 * legs[0]
 
 
 def test_an_smpl_body_by_its_name(model, sounds, tmp_path):
@@ -252,18 +183,6 @@ def test_a_killed_run_goes_on_whatever_it_left_of_its_record(model, sounds, tmp_
     assert counted(render(model, sounds, tmp_path)) == [(0, 1)] * 3
 
 
-def test_settings_are_compared_by_content(tmp_path):
-    for name in ("one", "same", "other"):
-        (tmp_path / name).write_text("other" if name == "other" else "one")
-    one, same, other = (json_of(tmp_path / name) for name in ("one", "same", "other"))
-    assert one == same != other
-    path = RootPath(np.zeros((3, 2)), np.zeros(3), 25.0)
-    assert json_of(path) == json_of(RootPath(np.zeros((3, 2)), np.zeros(3), 25.0))
-    assert json_of(path) != json_of(RootPath(np.ones((3, 2)), np.zeros(3), 25.0))
-    assert json_of({0.5: "old", "x": (1, None)}) == {"0.5": "old", "x": [1, None]}
-    assert json_of(str(tmp_path / "one")) != json_of(str(tmp_path / "other"))
-
-
 def test_items_of_a_manifest_are_cut_and_named_as_it_says(model, tmp_path, write_pair):
     audio, motion = write_pair(tmp_path / "in" / "day", "a", 4.0)
     items = [
@@ -286,24 +205,6 @@ def test_items_of_a_manifest_are_cut_and_named_as_it_says(model, tmp_path, write
         later = [replace(items[0], **changed)]
         with pytest.raises(ConfigError, match=says):
             next(render(model, later, out, samples=2))
-        plan = write_plan(tmp_path / "plan.jsonl", find_tasks(later, out), 1, "r")
-        assert [item_of(task) for task in plan.tasks()] == later
-    cut = [replace(items[0], audible=((0.0, end),)) for end in (1.0, 2.0)]
-    list(render(model, cut[:1], tmp_path / "cut"))
-    with pytest.raises(ConfigError, match="another audible"):
-        next(render(model, cut[1:], tmp_path / "cut"))
-
-
-def test_a_model_without_speech_input_moves_as_long_as_the_items(tmp_path, write_pair, model):
-    audio, motion = write_pair(tmp_path / "in", "a", 3.0)
-    deaf = replace(model, conditions=replace(model.conditions, conditioner=None))
-    deaf.save = model.save
-    deaf.generate = lambda speech=None, *, seconds=None, item="": (
-        model.generate(seconds=seconds) if speech is None else None
-    )
-    items = [Item(id="a", audio=audio, motion=motion, duration=2.0)]
-    (outcome,) = render(deaf, items, tmp_path / "out")
-    assert outcome.error is None and Motion.load(outcome.files[0]).n_frames == 50
 
 
 def test_bvh_in_another_unit(model, sounds, tmp_path):
@@ -314,44 +215,3 @@ def test_bvh_in_another_unit(model, sounds, tmp_path):
     np.testing.assert_allclose(ratio[metres.skeleton.offsets[1:] > 1e-3], 100, rtol=1e-3)
     with pytest.raises(ConfigError, match=r"up is an option of \.npz"):
         next(render(model, sounds[:1], tmp_path, output=Output(up="z")))
-
-
-def test_temporaries_of_a_killed_run_are_removed_by_the_next(model, sounds, tmp_path, monkeypatch):
-    def killed(self, path, **options):
-        (path.parent / f".{path.stem}-a1b2_c3d{path.suffix}").write_text("half")
-        (path.parent / f".{path.stem}-of-mine{path.suffix}.keep").write_text("mine")
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(Motion, "save", killed)
-        list(render(model, sounds[:1], tmp_path / "out"))
-    (outcome,) = render(model, sounds[:1], tmp_path / "out")
-    assert outcome.error is None
-    left = {path.name for path in (tmp_path / "out").iterdir()}
-    assert left == {STATE, "a.bvh", ".a-of-mine.bvh.keep"}
-
-
-@pytest.mark.parametrize(
-    ("control", "says"),
-    [
-        ({"levels": 40}, "levels=40: the model has levels 1"),
-        ({"style": "angry"}, "has no style"),
-        ({"seed": 1.5}, "whole number"),
-        ({"samples": 0}, "at least 1"),
-    ],
-)
-def test_a_mistake_about_the_model_is_one_early_error(model, sounds, tmp_path, control, says):
-    list(render(model, sounds, tmp_path))
-    sounds[0].write_text("changed")
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    with pytest.raises(ModelError, match=says):
-        list(render(model, sounds, tmp_path, **control))
-    assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-
-
-def test_words_about_existing_results_name_other_settings(model, sounds, tmp_path):
-    list(render(model, sounds[:1], tmp_path))
-    with pytest.raises(ConfigError, match=r"made with other seconds \("):
-        list(render(model, sounds[:1], tmp_path, seconds=2.0))
-    with pytest.raises(ConfigError, match=r"made with another seed \("):
-        list(render(model, sounds[:1], tmp_path, seed=4))

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import base64
-import html
 import re
-from pathlib import Path
 
 import pytest
 from outputs import status
-from rigs import at_rest, rig_of
 
 from gesturekit.jobs.journal import Journal
 from gesturekit.jobs.result import Result
@@ -20,16 +16,10 @@ from gesturekit.rendering import summary
 
 
 @pytest.fixture
-def page(tmp_path, monkeypatch):
-    """page(results, status): the page of these results, with sizes of motions for pictures."""
+def page(tmp_path):
+    """page(results, status): the page of these results."""
     out = tmp_path / "out<1>"
     (out / STATE).mkdir(parents=True)
-
-    def drawn(motion, path, **options) -> None:
-        assert options["title"] == "", "each picture has a caption"
-        Path(path).write_text(f"{motion.n_frames} frames")
-
-    monkeypatch.setattr(summary, "write_picture", drawn)
 
     def write(results: list[Result], **state: object) -> str:
         journal = Journal(out / STATE, 1, 1, run="r", settings={}, about={})
@@ -46,14 +36,6 @@ def page(tmp_path, monkeypatch):
 def done(name: str, sound: float, seconds: float = 0.0, *files: str) -> Result:
     digests = {file: {"sha256": "", "size": 1, "mtime_ns": 0} for file in files}
     return Result(Task(name), "done", sound=sound, seconds=seconds, digests=digests)
-
-
-def saved(out: Path, name: str, n_frames: int) -> str:
-    """Write a motion of a frame a second, and return its name."""
-    at_rest(rig_of({"a": (None, (0, 0, 0)), "b": ("a", (0, 1, 0))}), n_frames, fps=1.0).save(
-        out / name
-    )
-    return name
 
 
 def bars(text: str) -> dict[int, tuple[float, int]]:
@@ -93,13 +75,6 @@ def test_histograms_have_classes_of_equal_ratios(page):
     assert bars(speeds) == {0: (100, 2), 120: (50, 1), 230: (50, 1)}
 
 
-@pytest.mark.parametrize(("sounds", "n_bars"), [((2.0, 2.0), 1), ((2.0,), 0), ((0.0, 2.0), 0)])
-def test_a_histogram_needs_two_values(page, sounds, n_bars):
-    text = page([done(f"{k}", sound) for k, sound in enumerate(sounds)])
-    assert len(bars(text)) == n_bars
-    assert ("<p>2 to 2 (logarithmic); 10 % below 2, half below 2" in text) == bool(n_bars)
-
-
 def test_failures_are_listed_by_reason_and_one_by_one(page):
     failed = [FailedItem("a<b>", "no <sound> in a<b>", 3), FailedItem("ç", "no <sound> in ç", 2)]
     failed += [FailedItem(f"{k}", "other", 1) for k in range(999)]
@@ -114,33 +89,3 @@ def test_failures_are_listed_by_reason_and_one_by_one(page):
     )
     assert "more: gesturekit" not in page([], failed=failed[:1000])
     assert "Failures" not in page([])
-
-
-def test_pictures_are_of_six_results_spread_evenly(page):
-    results = []
-    for k in range(8):
-        name = saved(page.out, f"{k}.{'bvh' if k % 2 else 'npz'}", k + 2)
-        results.append(done(f"{k}&", k + 0.25, 0.0, f"{k}.html", name))
-    results.insert(3, Result(Task("0&"), "failed", error="a later attempt was kept", time=9e9))
-    text = page(results)
-    figures = re.findall(
-        '<figure><img alt="(.*?)" src="data:image/png;base64,(.*?)"><figcaption>(.*?)</figcaption>',
-        text,
-    )
-    shown = [
-        (html.unescape(a), base64.b64decode(b).decode(), html.unescape(c)) for a, b, c in figures
-    ]
-    assert shown == [
-        (f"{k}&", f"{k + 2} frames", f"{k}&, {k + 0.25:.1f} s") for k in (0, 1, 2, 4, 5, 7)
-    ]
-
-
-def test_what_cannot_be_drawn_is_left_out_and_what_is_long_is_cut(page):
-    results = [done("page", 3.0, 0.0, "page.html"), done("alone", 3.0),
-               done("long", 90.0, 0.0, saved(page.out, "long.npz", 90)),
-               done("moved", 3.0, 0.0, "moved.npz"), done("edited", 3.0, 0.0, "edited.npz"),
-               done("minute", 60.0, 0.0, saved(page.out, "minute.npz", 60))]  # fmt: skip
-    (page.out / "edited.npz").write_text("no motion")
-    pictures = re.findall(r'<img alt="(.*?)" src="data:image/png;base64,(.*?)">', page(results))
-    found = {name: base64.b64decode(data).decode() for name, data in pictures}
-    assert found == {"long": "60 frames", "minute": "60 frames"}

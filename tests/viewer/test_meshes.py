@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import at_rest, rig_of
+from rigs import at_rest
 from scipy.spatial.transform import Rotation
 
 from gesturekit.formats.gltf.skin import Skin
 from gesturekit.motion import Motion
-from gesturekit.viewer.avatars import simplified, welded
+from gesturekit.viewer.avatars import simplified
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.video.mesh import COLOURS, Mannequin
-from gesturekit.viewer.video.scene import Buffers, Camera, Scene, Stills
+from gesturekit.viewer.video.scene import Buffers, Camera, Scene
 
 
 def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
@@ -63,22 +63,6 @@ def test_limbs_and_head_are_closed_surfaces_with_their_volumes(gesture):
     assert cosines[part[real] == len(figure.limbs)].min() > 0.98, "ellipsoids have no edges"
 
 
-@pytest.mark.parametrize("radii", [(0.1, 0.01), (0.01, 0.1)])
-def test_a_ball_that_swallows_the_rest_of_its_limb_is_whole(gesture, radii):
-    """No cone touches both balls: one holds most of the other."""
-    figure = Figure.of(gesture(0.1))
-    limb = replace(figure.limbs[0], radii=radii, width=1.0, across=None, length=0.05)
-    mesh = Mannequin(replace(figure, limbs=(limb,), head=None)).mesh
-    assert np.isfinite(mesh.vertices).all() and np.isfinite(mesh.normals).all()
-    # The large one is cut off at 0.95 of its radius.
-    ends = mesh.vertices[:, 1].min(), mesh.vertices[:, 1].max()
-    assert ends == pytest.approx((-0.1, 0.095) if radii[0] > 0.05 else (-0.045, 0.15))
-    across = np.hypot(mesh.vertices[:, 0], mesh.vertices[:, 2])
-    near = mesh.vertices[across > 0.099, 1] - (0.05 if radii[1] > 0.05 else 0)
-    assert len(near) and np.abs(near).max() < 0.02
-    assert volume(mesh.vertices, mesh.faces) > 0.85 * 4 / 3 * np.pi * 0.1**3
-
-
 def test_parts_move_with_their_points_between_frames_too(gesture):
     motion = gesture(0.5, 30.0)
     figure = Figure.of(motion)
@@ -111,24 +95,6 @@ def test_parts_move_with_their_points_between_frames_too(gesture):
         assert move[:, 2] @ face > 0.9 * np.linalg.norm(face)
         assert move[:, :3].T @ move[:, :3] == pytest.approx(np.eye(3), abs=1e-5)
         assert np.linalg.det(move[:, :3]) == pytest.approx(1)
-
-
-def test_a_limb_without_a_length_for_a_moment_stays_where_it_is():
-    rig = rig_of({"a": (None, (0, 0, 0)), "b": ("a", (0, 1, 0)), "c": ("b", (1, 0, 0))})
-    still = np.tile([0.0, 0, 0, 1], (3, 3, 1))
-    stretched = {"c": np.array([[1.0, 0, 0], [0, 0, 0], [1, 0, 0]])}
-    motion = Motion(rig, still, np.zeros((3, 3)), 30.0, joint_translations=stretched)
-    moves = Mannequin(Figure.of(motion)).transforms(1 / 30)
-    assert np.isfinite(moves).all()
-    assert moves[1, :, 3].tolist() == [0, 1, 0] and not moves[1, :, 1].any()
-
-
-def test_a_flat_limb_along_the_shoulders_is_wide_in_some_direction(gesture):
-    figure = Figure.of(gesture(0.1))
-    limb = next(limb for limb in figure.limbs if limb.across)
-    along = replace(limb, ends=limb.across, width=2.0)
-    (move, _) = Mannequin(replace(figure, limbs=(along,))).transforms(0.0)
-    assert move[:, 0].tolist() == [2, 0, 0] and np.isfinite(move).all()
 
 
 @pytest.fixture
@@ -178,25 +144,6 @@ def test_a_scene_shows_the_body_its_shadow_and_the_floor(standing):
     assert (shade[:20, :20] > 720).all() and (shade[:3] > 700).all()
 
 
-def test_the_camera_looks_at_the_body_from_its_left_and_from_above(standing):
-    figure = Figure.of(standing)
-    camera = Camera(figure, 1.0)
-    right, up, back, eye = camera.at(0.0)
-    away = eye - camera.middle(0.0)
-    assert np.linalg.norm(away) == pytest.approx(camera.distance)
-    assert np.arctan2(away[0], away[2]) == pytest.approx(figure.front + 0.32 - 2 * np.pi * (
-        figure.front + 0.32 > np.pi), abs=1e-6)  # fmt: skip
-    assert np.arcsin(away[1] / camera.distance) == pytest.approx(0.16)
-    assert np.stack([right, up, back]) @ np.stack([right, up, back]).T == pytest.approx(
-        np.eye(3), abs=1e-9
-    )
-    assert np.cross(right, up) == pytest.approx(back) and right[1] == 0
-    # Half of the body's height is looked at.
-    top = figure.points[0, :, 1].max()
-    assert camera.middle(0.0)[1] == pytest.approx((figure.floor + top) / 2, abs=0.03)
-    assert Camera.focal(100.0) == pytest.approx(186.6, abs=0.01)
-
-
 def walking(motion: Motion, path: np.ndarray) -> Motion:
     """Return a motion with its root moved by a path (T, 3) or (T,), then along X."""
     path = path if path.ndim == 2 else path[:, None] * [1.0, 0, 0]
@@ -215,56 +162,6 @@ def test_the_camera_follows_calmly(skeleton):
     assert camera.middle(0.0)[0] == pytest.approx(0.1995, abs=0.02)
     assert camera.middle(5.95)[0] == pytest.approx(5.95 - 0.1995, abs=0.02)
     assert camera.middle(2.0)[0] == pytest.approx(2.0, abs=1e-3)
-
-
-def test_the_camera_climbs_with_the_figure_alone(skeleton):
-    """A jump is seen from one height; what rises by more than the body's height is followed."""
-    still = at_rest(skeleton, 120, (0, 0.9, 0))
-    rise = np.linspace(0, 1, 120)[:, None] * [0.0, 1, 0]
-    jump, stair = (Camera(Figure.of(walking(still, n * rise)), 1.0) for n in (0.8, 6.0))
-    times = (0.5, 2.0, 3.5)
-    assert np.ptp([jump.middle(time)[1] for time in times]) == 0
-    assert np.diff([stair.middle(time)[1] for time in times]) == pytest.approx(9 / 4, abs=0.1)
-
-
-def test_a_body_on_the_ground_is_looked_at_from_a_tenth_of_its_height(skeleton):
-    motion = at_rest(skeleton, 10, (0, 0.2, 0))
-    motion.rotations[:, 0] = Rotation.from_euler("x", -90, degrees=True).as_quat()
-    figure = Figure.of(motion, plain=True)
-    assert np.ptp(figure.points[0, :, 1]) < 0.18 * figure.height
-    height = Camera(figure, 1.0).middle(0.0)[1] - figure.floor
-    assert height == pytest.approx(0.1 * figure.height, rel=0.02)
-
-
-def test_a_joint_left_behind_and_a_broken_frame_do_not_move_the_camera(skeleton):
-    motion = at_rest(skeleton, 100, (0, 0.9, 0))
-    usual = Camera(Figure.of(motion), 1.0)
-    broken = motion.translation.copy()
-    broken[50, 1] = 40.0
-    camera = Camera(Figure.of(replace(motion, translation=broken)), 1.0)
-    assert camera.distance == pytest.approx(usual.distance, rel=0.02)
-    behind = {"LeftHand": np.tile([40.0, 0, 0], (100, 1))}
-    camera = Camera(Figure.of(replace(motion, joint_translations=behind)), 1.0)
-    assert camera.middle(1.0)[0] == pytest.approx(usual.middle(1.0)[0], abs=0.02)
-    assert camera.distance > 5 * usual.distance
-
-
-@pytest.mark.parametrize("wide", [0, 1])
-def test_the_view_is_fitted_to_the_first_frame_and_to_the_last(skeleton, wide):
-    """Arms out in one of two frames, and down in the other."""
-    both = at_rest(skeleton, 2, (0, 0.9, 0))
-    out = Camera(Figure.of(both), 0.5).distance
-    for side, angle in (("Left", -80), ("Right", 80)):
-        down = Rotation.from_euler("z", angle, degrees=True).as_quat()
-        both.rotations[1 - wide, skeleton.index(f"{side}Arm")] = down
-    assert Camera(Figure.of(both), 0.5).distance == pytest.approx(out, rel=0.03)
-
-
-def test_memory_of_odd_panels_is_rounded_up():
-    buffers = Buffers(21, 31)
-    assert buffers.depths.shape == (42, 62) and buffers.samples.shape == (42, 62, 3)
-    assert buffers.shadow.shape == buffers.scratch.shape == (11, 16)
-    assert buffers.scratch_colours.shape == (11, 16, 3)
 
 
 def seen(drawn: DrawnBody, time: float = 0.0, size: tuple[int, int] = (200, 300), **options):
@@ -297,89 +194,6 @@ def test_giants_look_like_people(standing, factor):
     """The lines of the floor are a tenth or ten times as far apart."""
     one, other = (seen(DrawnBody.of(motion)) for motion in (standing, standing.scaled(factor)))
     assert np.abs(one - other).mean() < 0.1 and one[150:].std() > 5
-
-
-def box_skin(low: tuple[float, ...], high: tuple[float, ...], joint: int = 0) -> Skin:
-    """A box at rest that moves with one joint of twenty, whose places at rest are the origin."""
-    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-    vertices = np.where(corners, high, low).astype(float)
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    faces = np.array([(a, b, c) for q in quads for a, b, c in (q[:3], (q[0], *q[2:]))], np.uint32)
-    vertices, faces = vertices[faces.ravel()], np.arange(36, dtype=np.uint32).reshape(-1, 3)
-    joints, weights = np.zeros((36, 4), np.uint8), np.zeros((36, 4), np.uint8)
-    joints[:, 0], weights[:, 0] = joint, 255
-    return Skin(vertices, faces, joints, weights, np.zeros((19, 3)))
-
-
-def test_stills_are_cut_to_the_body_in_metres_from_its_place_on_the_floor(standing):
-    """A box about the hips: 0.2 m to its right, 0.3 m to its left, 0.5 m down and 0.6 m up."""
-    jump = np.zeros((standing.n_frames, 3))
-    jump[3] = [1.0, 0.25, -2.0]
-    motion = walking(standing, jump)
-    drawn = DrawnBody.of(motion)
-    drawn = replace(drawn, skins=(box_skin((-0.2, -0.5, -0.3), (0.3, 0.6, 0.2)),))
-    # The box is turned with the hips, which is where the figure faces, but for a few degrees.
-    plain = at_rest(motion.skeleton, motion.n_frames, (0, 0.9, 0))
-    straight = replace(DrawnBody.of(walking(plain, jump)), skins=drawn.skins)
-    floor = straight.figure.floor
-    for frame, height in ((0, 0.9), (3, 1.15)):
-        image, extent = Stills(straight, 100).at(frame)
-        edges = [-0.2, 0.3, height - floor - 0.5, height - floor + 0.6]
-        assert extent == pytest.approx(edges, abs=0.04)
-        assert image.shape[1] / image.shape[0] == pytest.approx(0.5 / 1.1, abs=0.03)
-        assert (image[2:-2, 2:-2, 3] == 1).all() and image[..., 3].min() > 0
-        assert image[..., :3].min() > 0.3 and image.max() <= 1
-    # Wherever the body stands and faces it is seen from its front.
-    turned, _ = Stills(drawn, 100).at(3)
-    assert turned.shape[0] == pytest.approx(image.shape[0], abs=4)
-    assert turned.shape[1] == pytest.approx(image.shape[1], abs=10)
-
-
-def test_stills_are_lit_from_above_at_the_right(skeleton):
-    drawn = DrawnBody.of(at_rest(skeleton, 2, (0, 0.9, 0)))
-    ball = Mannequin(drawn.figure).mesh
-    head = ball.parts[:, 0] == len(drawn.figure.limbs)
-    first = np.flatnonzero(head)[: 13 * 20]
-    faces = ball.faces[np.isin(ball.faces, first).all(axis=1)] - first[0]
-    joints, weights = np.zeros((260, 4), np.uint8), np.zeros((260, 4), np.uint8)
-    weights[:, 0] = 255
-    skin = Skin(
-        3.0 * ball.vertices[first], faces.astype(np.uint32), joints, weights, np.zeros((19, 3))
-    )
-    image, _ = Stills(replace(drawn, skins=(skin,)), 120).at(0)
-    height, width = image.shape[:2]
-    shade = image[..., :3].sum(axis=2) / 3
-    left, right = (shade[height // 2, round(share * width)] for share in (0.15, 0.85))
-    top, bottom = (shade[round(share * height), width // 2] for share in (0.12, 0.88))
-    assert right > left + 0.08 and top > bottom + 0.15
-    corner = image[0, 0]
-    assert corner[3] == 0 and image[height // 2, width // 2, 3] == 1
-
-
-def test_a_body_smaller_than_a_pixel_is_a_still_of_nothing(standing):
-    drawn = replace(DrawnBody.of(standing), skins=(box_skin((0, 0, 0), (0, 0, 0)),))
-    image, (left, right, bottom, top) = Stills(drawn, 50).at(0)
-    assert image.shape == (50, 50, 4) and not image[..., 3].any()
-    assert left == -right and bottom == -top and right > 1.1 * drawn.figure.height - 1e-9
-
-
-def test_levels_and_clothes_of_a_scene_can_be_chosen(standing):
-    """The last level is drawn if there are fewer; panels have clothes of their own."""
-    large, small = (
-        replace(box_skin((-s, -s, -s), (s, s, s)), regions=np.full(36, 2, np.uint8))
-        for s in (0.4, 0.2)
-    )
-    drawn = replace(DrawnBody.of(standing), skins=(large, small))
-    pictures = {
-        (level, index): seen(drawn, size=(60, 60), level=level, index=index)
-        for level in (0, 1, 7)
-        for index in (0, 1, 4)
-    }
-    cloth = [(np.ptp(pictures[level, 0], axis=2) > 40).sum() for level in (0, 1, 7)]
-    assert cloth[0] > 3 * cloth[1] > 0 and cloth[1] == cloth[2]
-    assert (pictures[0, 0] == pictures[0, 4]).all(), "there are four"
-    assert (pictures[0, 0] != pictures[0, 1]).any()
-    assert (pictures[0, 0] == seen(drawn, size=(60, 60))).all()
 
 
 def grid(n: int, joints: int = 1) -> Skin:
@@ -420,20 +234,3 @@ def test_simplified_meshes_have_no_more_vertices_than_asked_and_keep_their_shape
     assert len(simplified(skin, 3, 1.7).vertices) == 3
     middles = simplified(skin, 3, 1.7).vertices
     assert middles[:, 2] == pytest.approx(0.5) and len(simplified(skin, 1, 1.7).vertices) == 3
-
-
-def test_seams_are_closed_between_vertices_of_one_place_and_colour():
-    skin = grid(3)
-    corners = skin.faces.ravel()
-    split = Skin(
-        skin.vertices[corners], np.arange(len(corners), dtype=np.uint32).reshape(-1, 3),
-        skin.joints[corners], skin.weights[corners], skin.rest,
-        regions=skin.regions[corners],
-    )  # fmt: skip
-    found = welded(split, 1.0)
-    assert len(found.vertices) == 9 and area(found) == pytest.approx(1.0)
-    # A face of another colour keeps two vertices that others use as well, and its corner.
-    split.regions[:3] = 1
-    assert len(welded(split, 1.0).vertices) == 11
-    # A place is a hundred-thousandth of the height: 0.5, the distance of neighbours, from 5e4 on.
-    assert [len(welded(split, height).vertices) for height in (0.1, 2e4, 4e5)] == [11, 11, 2]

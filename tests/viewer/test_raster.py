@@ -123,33 +123,6 @@ def test_faces_are_filled_where_sample_centres_are_inside(buffers):
     assert raster_box[2] <= filled[1][0] and raster_box[3] >= filled[1][-1] + 1
 
 
-def test_the_box_of_what_is_filled_holds_the_centres_between_the_corners(buffers):
-    corners = f32((10.6, 5.4, 1), (10.6, 8.6, 1), (14.4, 5.4, 1))
-    faces, colours = np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.float32)
-    # Rows 5.5 to 8.5, columns 11.5 to 13.5.
-    box = raster.fill(corners, colours, faces, buffers.depths, buffers.samples)
-    assert box.tolist() == [5, 9, 11, 14]
-    assert np.argwhere(buffers.depths).min(axis=0).tolist() == [5, 11]
-    for back in (faces[:, ::-1].copy(), faces[:0]):
-        assert raster.fill(corners, colours, back, buffers.depths, buffers.samples)[1] == 0
-    # A face of one column on the edge, and those beyond it.
-    for shift, expected in (
-        ((-11, 0), [5, 9, 0, 3]),
-        ((-12, 0), [5, 9, 0, 2]),
-        ((46, 0), [5, 9, 57, 60]),
-        ((48, 0), [5, 9, 59, 60]),
-        ((0, -8), [0, 1, 11, 14]),
-        ((0, 34), [39, 40, 11, 14]),
-        ((60, 0), [40, 0, 60, 0]),
-        ((-20, 0), [40, 0, 60, 0]),
-        ((0, -20), [40, 0, 60, 0]),
-        ((0, 40), [40, 0, 60, 0]),
-    ):
-        moved = corners + f32(*shift, 0)
-        box = raster.fill(moved, colours, faces, buffers.depths, buffers.samples)
-        assert box.tolist() == expected, shift
-
-
 @pytest.mark.parametrize("first", [0, 1, 2])
 def test_faces_side_by_side_leave_no_gap_and_none_behind_the_camera_is_drawn(buffers, first):
     """The diagonal of a square goes through the centres of samples, by each corner in turn."""
@@ -225,45 +198,6 @@ def test_the_floor_has_a_grid_of_metres_and_weaker_half_metres():
     assert half[20] > half[10] + 10  # now half a metre is in the middle
 
 
-def test_the_grid_fades_out_around_the_middle():
-    image = from_above(size=1.0)
-    # On the line through the middle: whole up to a quarter of the radius, nothing at its end.
-    assert image[20, 20, 0] == 207 and image[20, 24, 0] == 207
-    # At 0.6 m: (0.4 / 0.75) squared of 30 %.
-    assert image[20, 32, 0] == pytest.approx(242 - 0.2844 * 34.2, abs=1)
-    assert image[20, 40, 0] == pytest.approx(242, abs=1)
-
-
-def test_lines_are_fainter_where_pixels_are_wider():
-    """Seen level from 1 m above, with 100 pixels for a slope of 1, the row k is 100 / k m away.
-
-    A pixel there is 1 / k m wide and 100 / k / (k + 1) m deep. A line gets 0.12 of its ink by the
-    larger of both in cells of half a metre, and never more than all.
-    """
-    image, shadow = np.zeros((80, 41, 3), np.uint8), np.zeros((40, 21), np.float32)
-    camera = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 0]], float)
-    ground = np.array([0.0, 0.0, 0.0, 1e4, 1.0])
-    raster.paint_floor(image, camera, 100.0, ground, shadow, np.float32(0.3))
-    rows = np.arange(42, 80)
-    k = rows - 39.5
-    ink = np.minimum(0.12 * 0.5 / np.maximum(1 / k, 100 / k / (k + 1)), 1)
-    background = 249 - 14 * rows / 80
-    expected = background - 0.30 * ink * (background - 128)
-    assert image[rows, 20, 0] == pytest.approx(expected - 0.5, abs=0.6)
-    assert expected.min() < 210 < 235 < expected.max()
-    # Seen straight down, a pixel a quarter of a metre wide takes 0.24 of the ink.
-    down = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0], [0, 5, 0]], float)
-    raster.paint_floor(image, down, 20.0, ground, shadow, np.float32(0.3))
-    background = 249 - 14 * 40 / 80
-    assert image[40, 20, 0] == pytest.approx(background - 0.3 * 0.24 * 114, abs=2)
-
-
-def test_beyond_the_floor_is_no_shadow():
-    """The shadow lies 0.7 m from the middle."""
-    beyond, plain = from_above(size=0.5, shadow=1.0), from_above(size=0.5)
-    assert (beyond == plain).all() and (from_above(size=1.0, shadow=1.0) != plain).any()
-
-
 def test_the_shadow_takes_its_share_of_light():
     plain = from_above()
     for dark, share in ((0.5, 0.15), (1.0, 0.3), (3.0, 0.3)):
@@ -274,45 +208,6 @@ def test_the_shadow_takes_its_share_of_light():
         assert changed.max(axis=0).tolist() == [31, 31]
         expected = plain[31, 31] + share * ([48, 60, 76] - plain[31, 31])
         assert image[31, 31] == pytest.approx(expected, abs=1)
-
-
-def test_lines_lie_where_the_projection_puts_them():
-    """Crossings of the grid's lines are darker than the middles of its cells."""
-    down = Rotation.from_euler("YX", [0.5, -0.5]).as_matrix().T
-    camera = np.concatenate([down, [[0.3, 2.5, 0.2]]])
-    focal, size = Camera.focal(240.0), (240, 320)
-    image, shadow = np.zeros((*size, 3), np.uint8), np.zeros((120, 160), np.float32)
-    ground = np.array([0.2, -1.0, -2.0, 40.0, 1.0])
-    raster.paint_floor(image, camera, focal, ground, shadow, np.float32(0.3))
-    x, z = (axis.ravel() for axis in np.meshgrid(np.arange(-6, 7), np.arange(-9, 1)))
-    found = {}
-    for name, shift in (("metre", 0.0), ("half", 0.5), ("between", 0.25)):
-        points = np.stack([x + shift, np.full(len(x), 0.2), z + shift], axis=1).astype(np.float32)
-        out = np.empty_like(points)
-        raster.project(points, camera, focal, 320, 240, out)
-        inside = (
-            (out[:, 2] > 0.15) & (out[:, :2] > 1).all(axis=1) & (out[:, :2] < (319, 239)).all(1)
-        )
-        assert inside.sum() >= 6
-        columns, rows = out[inside, :2].astype(int).T
-        background = 249 - 14 * rows / 240
-        found[name] = background - image[rows, columns, 0]
-    assert found["between"].max() < 1.5
-    assert found["metre"].min() > 12 and found["half"].min() > 5
-    assert found["metre"].mean() > 1.5 * found["half"].mean()
-
-
-@pytest.mark.parametrize(("eye", "pitch"), [(1.0, 0.6), (-1.0, -0.5)])
-def test_above_the_horizon_and_below_the_floor_is_no_grid(eye, pitch):
-    turn = Rotation.from_euler("x", pitch).as_matrix().T
-    camera = np.concatenate([turn, [[0.0, eye, 0.0]]])
-    image = np.zeros((40, 30, 3), np.uint8)
-    ground = np.array([0.0, 0.0, 0.0, 8.5, 1.0])
-    dark = np.ones((20, 15), np.float32)
-    raster.paint_floor(image, camera, Camera.focal(40.0), ground, dark, np.float32(0.3))
-    way = np.arange(40)[:, None] / 40
-    expected = np.array([249.0, 249.0, 248.0]) - way * [14.0, 12.0, 9.0]
-    assert (image == np.floor(expected + 1e-4).astype(int)[:, None]).all()
 
 
 def test_pixels_are_means_of_their_samples_over_the_background(buffers):

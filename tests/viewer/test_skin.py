@@ -10,7 +10,7 @@ import pytest
 from pages import bundled, data_of, opened, unpacked
 from scipy.spatial.transform import Rotation
 
-from gesturekit.formats.gltf.skin import Skin, steady_turns, whole_weights
+from gesturekit.formats.gltf.skin import Skin, whole_weights
 from gesturekit.formats.smpl.skeleton import fit_body, smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.motion.body_model.model import BodyModel
@@ -97,36 +97,7 @@ def test_a_vertex_keeps_its_four_greatest_weights(body):
     assert skin.rest.shape == (2, 3)
 
 
-def test_normals_are_means_of_faces_by_area_and_shared_at_one_place():
-    """A face of 2 m² that looks up meets one of half a square metre that looks along X."""
-    vertices = [(0, 0, 0), (2, 0, 0), (0, 0, -2), (0, 0, 0), (0, 1, 0), (0, 0, 1), (5, 5, 5)]
-    faces, none = np.array([[0, 1, 2], [3, 4, 5]], np.uint32), np.zeros((7, 4), np.uint8)
-    skin = Skin(np.array(vertices, float), faces, none, none, np.zeros((1, 3)))
-    corner = np.array([1.0, 4.0, 0.0]) / 17**0.5
-    up, along, lone = (0, 1, 0), (1, 0, 0), (0, 0, 0)
-    expected = [corner, up, up, corner, along, along, lone]
-    np.testing.assert_allclose(skin.normals(), expected, atol=1e-12)
-
-
-def test_turns_of_a_body_that_spins_do_not_change_their_sign():
-    """Halfway between q and -q lies nothing; two turns about Y go through all signs."""
-    motion = turning()
-    flipped = motion.rotations.copy()
-    flipped[20:40, 0] *= -1
-    turns = steady_turns(replace(motion, rotations=flipped))
-    assert (turns[1:] * turns[:-1]).sum(axis=-1).min() > 0.9
-    for joint in (0, 5, 20):
-        own = Rotation.from_quat(turns[:, joint]).as_matrix()
-        chain = [joint]
-        while (parent := motion.skeleton.parents[chain[0]]) >= 0:
-            chain.insert(0, parent)
-        expected = np.eye(3)
-        for j in chain:
-            expected = expected @ Rotation.from_quat(motion.rotations[:, j]).as_matrix()
-        np.testing.assert_allclose(own, expected, atol=1e-9)
-    np.testing.assert_allclose(np.linalg.norm(turns, axis=-1), 1, atol=1e-9)
-
-
+@pytest.mark.stress
 def test_a_page_with_skins_opens_in_a_browser(tmp_path, body, open_browser):
     pair = {"left": turning(), "right": turning(22)}
     write_html(pair, tmp_path / "pair.html", body_model=body)
