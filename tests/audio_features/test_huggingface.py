@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -236,6 +237,16 @@ def test_a_waveform_that_the_encoder_does_not_take_cannot_be_normalised(encoder)
             af.HuggingFace(folder, normalize=1e-5)
     else:
         assert af.HuggingFace(folder, normalize=1e-5).normalize == 1e-5
+
+
+def test_without_transformers_the_extra_is_named(tmp_path, wavlm_folder, monkeypatch):
+    (tmp_path / "config.json").write_text('{"model_type": "hubert"}')
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    with pytest.raises(af.WeightsError, match=r"pip install 'gesturekit\[encoders\]'"):
+        af.HuggingFace(tmp_path)
+    with pytest.raises(af.WeightsError, match=r"pip install 'gesturekit\[encoders\]'"):
+        af.WavLM(wavlm_folder, implementation="transformers")
+    af.WavLM(wavlm_folder)  # ours needs none
 
 
 def test_a_broken_transformers_is_named(tmp_path, monkeypatch):
