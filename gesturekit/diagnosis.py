@@ -143,7 +143,9 @@ def _torchaudio() -> Finding:
 
 def _transformers() -> Finding:
     if util.find_spec("transformers") is None:
-        return Finding("transformers", "note", "not installed", "pip install transformers")
+        return Finding(
+            "transformers", "note", "not installed", "pip install 'gesturekit[encoders]'"
+        )
     version = metadata.version("transformers")
     try:
         from transformers import WavLMModel  # noqa: F401

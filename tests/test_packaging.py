@@ -7,6 +7,7 @@ import subprocess
 import sys
 import sysconfig
 import tarfile
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -62,6 +63,16 @@ def test_the_citation_names_this_version_and_both_papers():
     assert cited["version"] == gesturekit.__version__
     authors = [paper["authors"][0]["family-names"] for paper in cited["references"]]
     assert authors == ["Moreno-Villamarín", "Alexanderson"]
+
+
+def test_workflow_and_hooks_use_the_versions_of_the_package():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    versions = [c.rpartition(":: ")[2] for c in project["classifiers"] if ":: 3." in c]
+    workflow = yaml.safe_load((ROOT / ".github/workflows/tests.yml").read_text(encoding="utf-8"))
+    assert workflow["jobs"]["test"]["strategy"]["matrix"]["python"] == versions
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
+    pins = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    assert "ruff==" + hooks["repos"][0]["rev"].removeprefix("v") in pins
 
 
 @pytest.mark.stress

@@ -186,7 +186,7 @@ def _configuration(path: Path, family: Family, settings: Mapping[str, Any]) -> A
             raise WeightsError(f"{path}: {name} is {value!r}: not an encoder's size")
         if name.endswith("layers") and isinstance(value, int) and value > _MOST_LAYERS:
             raise WeightsError(f"{path}: {name} is {value}, at most {_MOST_LAYERS} are read")
-    transformers = _module("transformers")
+    transformers = transformers_module()
     try:
         config = getattr(transformers, family.config).from_dict(dict(settings))
         for name, value in _OFF.items():
@@ -198,14 +198,20 @@ def _configuration(path: Path, family: Family, settings: Mapping[str, Any]) -> A
         raise WeightsError(f"{path}: not the settings of {family.title}: {reason}") from error
 
 
-def _module(name: str) -> Any:
+def transformers_module(name: str = "transformers") -> Any:
+    """Import a module of transformers, which the extra `encoders` installs.
+
+    Raises:
+        WeightsError: it cannot be imported; the message says what to do.
+    """
     try:
         return import_module(name)
     except Exception as error:  # a broken torchaudio makes it fail with any exception
         reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise WeightsError(
-            f"transformers cannot be imported ({reason}): run `gesturekit doctor`"
-        ) from error
+        absent = isinstance(error, ModuleNotFoundError) and error.name == "transformers"
+        remedy = "pip install 'gesturekit[encoders]'" if absent else "gesturekit doctor"
+        message = f"transformers cannot be imported ({reason}): run `{remedy}`"
+        raise WeightsError(message) from error
 
 
 def _preprocessor(folder: Path) -> dict[str, Any]:
@@ -251,7 +257,7 @@ def read_network(
     """Build the network with the folder's tensors, without using the caller's random numbers."""
     import torch
 
-    kind = getattr(_module(family.module), family.model)
+    kind = getattr(transformers_module(family.module), family.model)
     if family.pools:
         kind = partial(kind, add_pooling_layer=False)
     found = _encoder_names(read_folder(folder), family)

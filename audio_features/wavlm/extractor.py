@@ -326,11 +326,12 @@ def _reference(
         top: highest hidden state that is needed.
     """
     import torch
-    from transformers import WavLMConfig, WavLMModel
 
     from audio_features.huggingface.network import Convolutions, Layers
+    from audio_features.huggingface.weights import transformers_module
 
-    config = WavLMConfig(
+    transformers = transformers_module()
+    config = transformers.WavLMConfig(
         hidden_size=shape.width,
         num_hidden_layers=shape.layers,
         num_attention_heads=shape.heads,
@@ -350,7 +351,7 @@ def _reference(
         mask_feature_prob=0.0,
     )
     with torch.random.fork_rng(devices=[]), torch.device("meta"):
-        network = WavLMModel(config)
+        network = transformers.WavLMModel(config)
     network.load_state_dict(tensors, assign=True)
     network.eval().requires_grad_(False)
     return Convolutions(config, network), Layers(network, top)

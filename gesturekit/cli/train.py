@@ -95,7 +95,10 @@ def command(
     run = model.parent
     click.echo(f"Report: {run / 'report.html'}")
     click.echo(f"Losses and metrics: {run / 'metrics.jsonl'}")
-    click.echo(f"Curves: {shlex.join(['tensorboard', '--logdir', str(run / 'events')])}")
+    curves = "in the report; for TensorBoard: pip install 'gesturekit[tensorboard]'"
+    if (run / "events").is_dir():
+        curves = shlex.join(["tensorboard", "--logdir", str(run / "events")])
+    click.echo(f"Curves: {curves}")
     click.echo(f"Model: {model}")
     for line in (*_next_steps(model), *_verdict(model)):
         click.echo(line)

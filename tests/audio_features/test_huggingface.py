@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -180,6 +181,16 @@ def test_broken_folders_are_errors_that_name_the_file(copy, tmp_path):
     (copy / "config.json").write_text("{")
     with pytest.raises(af.WeightsError, match="config.json: not a configuration file"):
         af.HuggingFace(copy)
+
+
+def test_without_transformers_the_extra_is_named(tmp_path, wavlm_folder, monkeypatch):
+    (tmp_path / "config.json").write_text('{"model_type": "hubert"}')
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    with pytest.raises(af.WeightsError, match=r"pip install 'gesturekit\[encoders\]'"):
+        af.HuggingFace(tmp_path)
+    with pytest.raises(af.WeightsError, match=r"pip install 'gesturekit\[encoders\]'"):
+        af.WavLM(wavlm_folder, implementation="transformers")
+    af.WavLM(wavlm_folder)  # ours needs none
 
 
 def test_a_pickle_is_not_loaded(copy):

@@ -170,7 +170,7 @@ def test_packages_that_are_missing_are_noted_or_broken(monkeypatch):
     found = {one.name: one for one in diagnose()}
     assert found["ffmpeg"].state == "note" and "gesturekit[video]" in found["ffmpeg"].advice
     assert found["transformers"] == Finding(
-        "transformers", "note", "not installed", "pip install transformers"
+        "transformers", "note", "not installed", "pip install 'gesturekit[encoders]'"
     )
     assert found["libraries"].state == "broken" and found["libraries"].text.startswith("soxr (")
 

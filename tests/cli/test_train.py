@@ -351,6 +351,7 @@ def test_it_ends_with_the_command_that_renders(
 ):
     folder = tmp_path / "run" / "model"
     folder.mkdir(parents=True)
+    (folder.parent / "events").mkdir()
     speech = {"spec": {"kind": "stack", "parts": features}} if features else None
     (folder / "config.yaml").write_text(yaml.safe_dump({**model, "features": speech}))
     run = {"corpus": str(corpus), "features": {"extractors": features, "weights": "w.pt"}}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,18 @@ def page_of(run: Run) -> str:
 
 def chart_of(page: str, title: str) -> str:
     return re.search(rf"<figure><figcaption><b>{title}</b>.*?</figure>", page)[0]
+
+
+def test_without_tensorboard_metrics_and_report_are_written(run, monkeypatch):
+    for name in [
+        *(n for n in sys.modules if n.startswith("torch.utils.tensorboard")),
+        "tensorboard",
+    ]:
+        monkeypatch.setitem(sys.modules, name, None)
+    run.log(10, {"contact": 0.5})
+    run.close()
+    assert "Contact" in page_of(run) and run.last_metrics() == {"contact": 0.5}
+    assert not (run.folder / "events").exists()
 
 
 def test_it_shows_losses_by_level_metrics_by_step_and_samples(run: Run) -> None:

@@ -114,16 +114,21 @@ class Run:
             temporary.write_text("".join(kept), encoding="utf-8")
 
     def log(self, step: int, values: dict[str, float], **labels: int | str) -> None:
-        """Add a line to `metrics.jsonl`, the same numbers to TensorBoard, and renew the report."""
-        if self._events is None:
-            from torch.utils.tensorboard import SummaryWriter
+        """Add a line to `metrics.jsonl`, and renew the report.
 
-            # It makes the folder of the run too.
-            self._events = SummaryWriter(str(self.folder / "events"), purge_step=step)
+        TensorBoard gets the same numbers if the extra `tensorboard` is installed.
+        """
+        if self._events is None:
+            with suppress(ImportError):
+                from torch.utils.tensorboard import SummaryWriter
+
+                self._events = SummaryWriter(str(self.folder / "events"), purge_step=step)
+        self.folder.mkdir(parents=True, exist_ok=True)
         with self._metrics.open("a", encoding="utf-8") as file:
             file.write(json.dumps({"step": step, **labels, **values}) + "\n")
-        for name, value in values.items():
-            self._events.add_scalar(name, value, step)
+        if self._events is not None:
+            for name, value in values.items():
+                self._events.add_scalar(name, value, step)
         self._report.update()
 
     def last_metrics(self) -> dict[str, float]:

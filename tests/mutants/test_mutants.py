@@ -1,0 +1,35 @@
+"""`make mutants` prints the defects that no test notices, here in a project of one module."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+CODE = """
+def guarded(n):
+    return n * 2
+
+
+def unguarded(n: int) -> int:
+    return -n
+"""
+TESTS = """from gesturekit.numbers import guarded, unguarded
+
+
+def test_numbers():
+    assert guarded(4) == 8
+    assert unguarded(0) == 0
+"""
+
+
+def test_it_prints_the_defects_that_no_test_notices(tmp_path):
+    files = {"gesturekit/__init__.py": "", "gesturekit/numbers.py": CODE, "tests/test_n.py": TESTS}
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    tool = Path(__file__).with_name("mutants.py")
+    command = [sys.executable, tool, "--seed", "3", "--only", "gesturekit", "--jobs", "1"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    lines = done.stdout.splitlines()
+    assert lines[0] == "3 of 3 defects, seed 3" and lines[-1] == "2 killed, 1 survived"
+    assert lines[2:-1] == ["survived  gesturekit/numbers.py:7 -n -> (n)"]
+    assert (tmp_path / "gesturekit/numbers.py").read_text() == CODE
