@@ -60,6 +60,18 @@ def test_the_seed_decides_the_weights_and_evaluation_does_not(make_config, tmp_p
     assert same_weights(plain, watched) and not same_weights(plain, other)
 
 
+def test_the_model_is_the_moving_average_of_the_weights(make_config, tmp_path):
+    """Of two updates, the second keeps 2 of 11 parts of the average before it."""
+    runs = {"one": (1, 0.6), "two": (2, 0.6), "last": (2, 0.0)}
+    one, two, last = (
+        weights(train(make_config(out=str(tmp_path / name), training={"updates": n, "ema": ema})))
+        for name, (n, ema) in runs.items()
+    )
+    for name, value in two.items():
+        if value.is_floating_point():
+            torch.testing.assert_close(value, (2 * one[name] + 9 * last[name]) / 11)
+
+
 def test_a_resumed_run_is_the_same_to_the_last_bit(make_config, tmp_path):
     options = {"training": {"ema": 0.5, "dropout_condition": 0.3}}
     whole = make_config(out=str(tmp_path / "whole"), **options)
