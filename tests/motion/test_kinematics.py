@@ -60,8 +60,8 @@ def test_torch_agrees_with_numpy(moving_person):
 
 
 def test_torch_gradients_are_those_of_finite_differences(person):
-    chain = ForwardKinematics(person.parents[:7], person.offsets[:7]).double()
-    x = torch.randn(1, 7, 6, dtype=torch.float64, requires_grad=True)
+    chain = ForwardKinematics(person.parents[:4], person.offsets[:4]).double()
+    x = torch.randn(1, 4, 6, dtype=torch.float64, requires_grad=True)
     root = torch.randn(1, 3, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda x, root: chain(sixd_to_matrix(x), root), (x, root))
 

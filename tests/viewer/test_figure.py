@@ -97,16 +97,6 @@ def test_a_quadruped_faces_where_its_head_is(quadruped, front):
     assert head @ [np.sin(front), 0, np.cos(front)] > 0.9 * figure.head.size
 
 
-@pytest.mark.parametrize("factor", [0.1, 2.0, 10.0])
-def test_a_figure_is_drawn_alike_at_any_size(skeleton, factor):
-    motion = at_rest(skeleton, 5, 0.9)
-    one, other = Figure.of(motion), Figure.of(motion.scaled(factor))
-    assert np.allclose(other.points, factor * one.points)
-    assert [limb.ends for limb in other.limbs] == [limb.ends for limb in one.limbs]
-    radii = [[limb.radii for limb in figure.limbs] for figure in (one, other)]
-    assert np.allclose(radii[1], factor * np.array(radii[0]))
-
-
 @pytest.mark.parametrize("factor", [0.1, 1.0, 2.0])
 def test_a_view_from_the_waist_up_has_the_hips_and_not_the_knees(skeleton, factor):
     motion = at_rest(skeleton, 5, 0.9).scaled(factor)
