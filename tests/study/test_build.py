@@ -99,7 +99,6 @@ def test_every_column_and_code_of_the_answers_is_documented():
         ("title: x\nsystems: {a: x, b: y}\nattention_checks: -1", "-1 is below 0"),
         ("title: x\nsystems: {a: x, b: y}\nstyles: {x: happy}", "has no styles"),
         ('title: " "\nsystems: {a: x, b: y}', "title is empty"),
-        ("title: x\nsystems: {a: x, b: y}\nattention_check: 3", "attention_checks"),
     ],
 )
 def test_a_wrong_configuration_is_named(tmp_path, text, message):
@@ -224,7 +223,6 @@ def test_the_page_has_the_settings_of_a_study(tmp_path):
     found = setup_of(built.page)
     assert [(a["code"], a["text"]) for a in found["answers"]] == [*zip(CODES, answers)]
     assert (found["name"], found["consent"], found["seed"]) == ("my_study_é_", "I agree.", 5)
-    assert (found["checks"], found["post"]) == (0, "https://h/a?b=1")
     assert "looks most like *a cat*" in found["styles"][0]["question"]
     assert "have no sound" in found["introduction"] and "Some pairs" not in found["introduction"]
     ((trial,),) = found["lists"]
@@ -257,6 +255,9 @@ def test_motions_are_shown_with_speech_of_their_name_as_long_as_they_last(
     write_speech(tmp_path / "other" / "w.wav", 0.3)
     with pytest.raises(ConfigError, match="has no sound named like the clips, such as d/x.wav"):
         build_study(StudyConfig("T", systems, audio=tmp_path / "other"), tmp_path / "x")
+    config = video_study(tmp_path, {"one": ["x.mp4"]}, design="mismatch")
+    with pytest.raises(ConfigError, match="needs at least two segments, found 1"):
+        build_study(config, tmp_path / "x")
     with pytest.raises(ConfigError, match="the design mismatch needs a folder of speech"):
         build_study(StudyConfig("T", {"a": systems["a"]}, design="mismatch"), tmp_path / "x")
 
