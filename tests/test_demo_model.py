@@ -81,6 +81,7 @@ def test_sound_without_voice_gives_idle_motion_and_a_warning(model, speech, capl
         assert arm_speed(unjudged).mean() > 5 * arm_speed(motion).mean()
 
 
+@pytest.mark.stress
 def test_bytes_do_not_depend_on_caches(tmp_path):
     speech = af.Wave.load(bundled_speech(), duration=10.0)
     soundfile.write(tmp_path / "speech.wav", speech.samples, speech.sample_rate, subtype="FLOAT")
