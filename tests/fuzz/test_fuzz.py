@@ -17,7 +17,7 @@ from targets import TARGETS
 import audio_features as af
 
 FUZZ = Path(__file__).with_name("fuzz.py")
-EXECUTIONS = 20
+EXECUTIONS = 10
 """Number for each target, and a tenth of it for those that load a model."""
 
 pytestmark = pytest.mark.skipif(

@@ -62,6 +62,7 @@ def test_standing_feet_neither_slide_nor_sink(walks):
         assert np.quantile(speed.min(axis=1), 0.98) < 0.06
 
 
+@pytest.mark.stress
 def test_dancers_meet_the_beats_of_their_track(dances):
     for file in sorted(dances.glob("*.bvh")):
         motion, wave = Motion.load(file), af.Wave.load(file.with_suffix(".wav"))
