@@ -16,7 +16,6 @@ from gesturekit.inspection.motion import inspect_motion
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.contacts import contact_labels
 from gesturekit.motion.parts import find_parts
-from gesturekit.postprocess import lock_feet
 
 SCALES = (0.1, 0.5, 2.0, 10.0)
 UNITS = ("m", "cm", "mm", "inch")
@@ -98,54 +97,6 @@ def test_rigs_of_any_kind_are_checked_alike_at_any_size(name, tmp_path):
     said = " ".join(judged(motion, tmp_path / "clip.npz")["inspect"])
     defects = ("jump", "pop", "tremble", "nothing moves", "rest pose or T-pose")
     assert name != "person" or all(defect in said for defect in defects)
-
-
-def test_limbs_are_found_by_shape_at_any_size(skeleton):
-    names = tuple(f"Joint{j}" for j in range(skeleton.n_joints))
-    ends = {names[skeleton.index(name)]: sites for name, sites in skeleton.end_sites.items()}
-    # Feet of 9 cm, and collar bones that differ by 3 cm.
-    offsets = skeleton.offsets.copy()
-    offsets[skeleton.index("LeftShoulder"), 1] += 0.033
-    for side in ("Left", "Right"):
-        ends[names[skeleton.index(f"{side}Foot")]] = (np.array([0.0, -0.02, 0.06]),)
-    nameless = Skeleton(names, skeleton.parents, offsets, ends)
-    parts = find_parts(nameless)
-    assert parts.legs["left"].knee == names[skeleton.index("LeftLeg")]
-    for scale in SCALES:
-        assert find_parts(nameless.scaled(scale)) == parts
-
-
-@pytest.mark.parametrize("scale", SCALES)
-def test_feet_are_locked_alike_at_any_size(gesture, scale):
-    motion = gesture(3.0)
-    path = motion.translation + np.outer(0.05 * motion.times, [1.0, 0.0, 0.3])
-    sliding = Motion(motion.skeleton, motion.rotations, path, motion.fps)
-    locked, other = lock_feet(sliding), lock_feet(sliding.scaled(scale))
-    assert np.abs(locked.rotations - sliding.rotations).max() > 1e-4
-    assert np.allclose(other.rotations, locked.rotations, atol=1e-7)
-    assert np.allclose(other.translation, scale * locked.translation, atol=1e-8 * scale)
-
-
-def test_suspicious_motion_names_the_speed_that_applied_to_the_body(skeleton, tmp_path):
-    motion = flawed(skeleton).scaled(2.4)
-    motion.save(tmp_path / "giant.npz")
-    _, problems = examine(Recording(id="giant", motion=tmp_path / "giant.npz"), 0.5)
-    (jump,) = (p.text for p in problems if "frames jump" in p.text)
-    assert "(over 25 m/s, 10 m/s on a body of 1.7 m)" in jump
-    assert {p.severity for p in problems} == {"warning"}
-
-
-SOME = (
-    "motion/bandai/dataset-1_bye_angry_001.bvh",
-    "motion/aitviewer/sample.bvh",
-    "smpl/glamr_running_smpl.npz",
-)
-
-
-@pytest.mark.parametrize("name", SOME)
-def test_recordings_are_checked_alike_at_any_size(name, shared_data, tmp_path):
-    motion = Motion.load(shared_data / name)
-    assert_judged_alike(motion[:300], tmp_path)
 
 
 @pytest.mark.stress

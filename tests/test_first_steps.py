@@ -16,6 +16,7 @@ NOTEBOOK = Path(__file__).resolve().parents[1] / "docs" / "first_steps.ipynb"
 
 
 @bundled
+@pytest.mark.stress
 def test_the_notebook_shows_motion_plots_and_a_verdict(tmp_path, monkeypatch):
     monkeypatch.setenv("JUPYTER_DATA_DIR", str(tmp_path))  # no kernels of the user
     notebook = nbformat.read(NOTEBOOK, 4)

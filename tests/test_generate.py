@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 import re
-from dataclasses import fields, replace
-from importlib import import_module
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -17,10 +15,8 @@ from small_models import small_diffusion
 import audio_features as af
 import gesturekit as gk
 from gesturekit.errors import ModelError
-from gesturekit.field_docs import field_docs
 from gesturekit.motion.rotations import rotation_angles
-from gesturekit.systems import bundled_speech, controls_type
-from gesturekit.training.seeds import rng_for
+from gesturekit.systems import bundled_speech
 
 
 @pytest.fixture(params=["multires", "diffusion"])
@@ -84,35 +80,6 @@ def test_raw_turns_off_all_that_the_papers_do_not_do(model):
         assert not same(model.generate(noise, 16_000, raw=True, **{name: value}), raw), name
 
 
-@pytest.mark.parametrize("item", [3, None, b"a", ["a"]])
-def test_an_item_is_text(model, wave, item):
-    with pytest.raises(ModelError, match="item=.*name of the utterance as text"):
-        model.generate(wave, item=item)
-
-
-def test_every_random_number_is_keyed_by_seed_item_and_sample(model, wave, monkeypatch):
-    sampling = import_module(f"gesturekit.{model.kind}.sampling.sampler")
-    keys = []
-
-    def spy(*given):
-        keys.append(given)
-        return rng_for(*given)
-
-    monkeypatch.setattr(sampling, "rng_for", spy)
-    motions = model.generate(wave, samples=2, seed=5, item="day/a")
-    assert {key[:4] for key in keys} == {(5, "day/a", "sample", number) for number in (0, 1)}
-    # No random number comes from elsewhere.
-    torch.manual_seed(99)
-    assert all(map(same, model.generate(wave, samples=2, seed=5, item="day/a"), motions))
-
-
-def test_the_help_of_generate_has_each_control_and_its_docstring(model):
-    shown = " ".join(inspect.getdoc(model.generate).split())
-    docs = field_docs(controls_type(model.kind))
-    assert set(docs) == {field.name for field in fields(controls_type(model.kind))}
-    assert all(f" {name}: {text}" in shown for name, text in docs.items())
-
-
 def test_a_motion_is_no_model(tmp_path):
     for name in ("o.bvh", tmp_path / "O.NPZ"):
         with pytest.raises(ModelError, match=rf"{re.escape(str(name))}: .*Motion\.load"):
@@ -174,12 +141,3 @@ def test_levels_and_keyframes_stay_at_the_models_rate(wave):
     assert model.generate(wave, like=own, keyframe_level=2).fps == 60
     with pytest.raises(ModelError, match="fps=24: with levels=2"):
         model.generate(wave, levels=2, fps=24)
-
-
-def test_feet_stay_locked_at_another_rate():
-    model = gk.load("demo")
-    for fps in (24.0, 60.0):
-        motion = model.generate(bundled_speech(), fps=fps)
-        toes = motion.positions()[:, motion.skeleton.index("LeftToeBase")]
-        speed = np.linalg.norm(np.diff(toes, axis=0), axis=1) * fps
-        assert np.quantile(speed, 0.9) < 0.002

@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 import gesturekit as gk
 from gesturekit.corpus import prepare
-from gesturekit.errors import EvaluationError, MotionError
 from gesturekit.evaluation import evaluate
-from gesturekit.evaluation.measuring.rigs import RETARGETED, matched
-from gesturekit.evaluation.metrics.frechet.clip_features import geometric_features
-from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
-from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.inspection import inspect
 from gesturekit.motion import Motion
 from gesturekit.multires.recall.parts import motion_parts
 from gesturekit.training.recipes import recipe_table
-from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
-from gesturekit.viewer.figure import Figure
-from gesturekit.viewer.human.body import Human
 
 DEBUG = recipe_table()["debug"]
 FEATURES = "features.extractors=[{kind: prosody}, {kind: effort, seconds: 2}]"
@@ -94,32 +84,6 @@ def test_its_arms_are_measured_and_its_feet_said_to_be_missing(recordings, gestu
     assert missing["Foot skate"] == missing["Floor penetration"] == "the rig has no legs"
 
 
-def test_legs_of_recordings_are_not_compared_with_it(gesture):
-    recording = gesture(2.0)
-    joints, same, notes = matched(upper(recording), recording)
-    legs = ("UpLeg", "Leg", "Foot")
-    expected = tuple(n for n in recording.skeleton.names if not n.endswith(legs))
-    assert joints == expected and notes == ["the generated rig has no legs"]
-    assert same.skeleton.names == expected
-    longer = replace(same, skeleton=same.skeleton.scaled(1.2))  # another body: retargeted
-    joints, other, notes = matched(longer, recording)
-    assert joints == expected and notes == [RETARGETED, "the generated rig has no legs"]
-    with pytest.raises(MotionError, match="the rig has no legs"):
-        foot_skate(other)
-
-
-def test_poses_are_turned_by_its_shoulders_and_geometric_features_say_what_they_lack(gesture):
-    motion = upper(gesture(4.0))
-    turn = Rotation.from_euler("y", 1.0)
-    rotations = motion.rotations.copy()
-    rotations[:, 0] = (turn * Rotation.from_quat(rotations[:, 0])).as_quat()
-    turned = replace(motion, rotations=rotations)
-    windows = PoseWindows.fit([motion])
-    np.testing.assert_allclose(windows.frames(turned), windows.frames(motion), atol=1e-6)
-    with pytest.raises(EvaluationError, match="has no legs, which geometric features need"):
-        geometric_features(motion)
-
-
 def test_inspect_reports_missing_legs_as_information(recordings):
     summary = inspect(recordings / "a.bvh")
     assert summary.problems == ()
@@ -127,25 +91,3 @@ def test_inspect_reports_missing_legs_as_information(recordings):
     assert rows["legs"].startswith("no legs: upper body only")
     assert "as a whole person, by its arms" in rows["body"] and "hands" in rows
     assert summary.facts["parts"]["LeftForeArm"] == "left elbow"
-
-
-def test_it_is_drawn_as_a_bust(gesture):
-    motion = gesture(1.0)
-    whole, bust = Figure.of(motion), Figure.of(upper(motion))
-    assert {limb.side for limb in bust.limbs} == {LEFT, MIDDLE, RIGHT} and bust.head is not None
-    radii = {limb.ends: limb.radii for limb in whole.limbs}
-    shared = [limb for limb in bust.limbs if max(limb.ends) < 13]
-    assert len(shared) == 12
-    for limb in shared:
-        assert limb.radii == pytest.approx(radii[limb.ends], rel=0.1)
-    assert bust.floor == pytest.approx(motion.translation[0, 1], abs=0.12)
-    assert bust.extent < bust.height == pytest.approx(whole.height, rel=0.1)
-    assert whole.extent == whole.height
-
-
-def test_a_human_body_stands_below_it(gesture):
-    drawn, _ = Human.load().retargeted(upper(gesture(1.0)))
-    feet = [drawn.skeleton.index(f"{side}Foot") for side in ("Left", "Right")]
-    heights = drawn.positions()[:, [0, *feet], 1]
-    assert (heights[:, 0] - heights[:, 1:].mean(axis=1)).min() > 0.7
-    assert np.ptp(heights[:, 1:]) < 0.1

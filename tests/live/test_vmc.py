@@ -5,15 +5,13 @@ from __future__ import annotations
 import socket
 import struct
 from collections.abc import Iterator
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from loud import raised
 from scipy.spatial.transform import Rotation
 
-from gesturekit.errors import ConfigError
-from gesturekit.live import Step, vmc
+from gesturekit.live import Step
 from gesturekit.live.vmc import VmcSender
 from gesturekit.viewer.human.body import Fitting, Human, is_baked
 
@@ -108,39 +106,3 @@ def test_a_right_arm_is_raised_to_unitys_right(received):
         turn = turn * Rotation.from_quat(found[name][3:])
     np.testing.assert_allclose(turn.apply([1, 0, 0]), [0.5, np.sqrt(0.75), 0], atol=0.02)
     np.testing.assert_allclose(np.abs(found["LeftUpperArm"][6]), 1, atol=2e-3)
-
-
-def test_each_datagram_is_a_whole_frame_so_that_a_fifth_of_them_may_be_lost(received):
-    frames = received(list(range(40)), 2.0)
-    kept = [frame for k, frame in enumerate(frames) if k % 5]
-    assert len(kept) == 32
-    times = [frame[1][1][0] for frame in kept]
-    np.testing.assert_allclose(times, [2 + k / 30 for k in range(40) if k % 5], atol=1e-5)
-    heights = [bones(frame)["RightUpperArm"][5] for frame in kept]
-    assert (np.diff(heights) > 0).all() and {len(frame) for frame in kept} == {len(frames[0])}
-
-
-def test_an_unknown_host_is_one_clear_error(skeleton):
-    with pytest.raises(ConfigError, match="vmc:no.such.host.invalid:39539"):
-        VmcSender("no.such.host.invalid", 39539, Fitting(Human.load(), raised(skeleton, [0], 30)))
-
-
-def test_frames_of_a_step_are_spread_over_their_time_while_somebody_speaks(skeleton, monkeypatch):
-    """Frames of a file that is read as fast as possible are sent at once."""
-    slept = []
-    monkeypatch.setattr(vmc, "time", SimpleNamespace(sleep=slept.append))
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reader:
-        reader.bind(("127.0.0.1", 0))
-        reader.settimeout(5)
-        fitting = Fitting(Human.load(), raised(skeleton, [0.0], 30.0))
-        sender = VmcSender("127.0.0.1", reader.getsockname()[1], fitting)
-        for lag, spread in ((0.1, [1 / 30, 1 / 30]), (None, [])):
-            slept.clear()
-            sender.put(Step(SILENCE, raised(skeleton, [0.0, 0.1, 0.2], 30.0), 1.0, lag))
-            sender.put(Step(SILENCE, None, 2.0, lag))
-            assert slept == spread
-            for k in range(3):
-                times = dict(messages(reader.recv(1 << 16)))["/VMC/Ext/T"]
-                assert times == pytest.approx([1 + k / 30])
-        sender.close()
-        sender.put(Step(SILENCE, raised(skeleton, [0.0], 30.0), 3.0, None))  # no error

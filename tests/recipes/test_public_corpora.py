@@ -18,7 +18,12 @@ CORPORA = {
 }
 
 
-@pytest.mark.parametrize("recipe", CORPORA)
+QUICK = ("beat2", "path_100style")
+
+
+@pytest.mark.parametrize(
+    "recipe", [r if r in QUICK else pytest.param(r, marks=pytest.mark.stress) for r in CORPORA]
+)
 def test_from_the_published_folder_to_a_model(recipe, gesturekit, gesture, write_speech, tmp_path):
     layout, make = CORPORA[recipe]
 

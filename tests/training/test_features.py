@@ -13,7 +13,6 @@ import soundfile
 import audio_features as af
 from gesturekit.corpus import Item, Manifest, prepare
 from gesturekit.corpus.speech import extract
-from gesturekit.errors import ConfigError
 from gesturekit.training.data.arrays import array_key, stored_arrays
 from gesturekit.training.data.features import (
     FeatureConfig,
@@ -21,7 +20,6 @@ from gesturekit.training.data.features import (
     conditioner_tensors,
     conditioner_values,
     extract_features,
-    feature_values,
     load_conditioner,
     raw_speech,
     stored_speech,
@@ -59,22 +57,6 @@ def test_stored_settings_give_the_features_of_training(heard, normalise, compone
         assert set(tensors) == {"features.centre", "features.scale"}
     np.testing.assert_array_equal(again(wave), conditioner(wave))
     np.testing.assert_allclose(again(wave, len(speeches[0])), speeches[0], atol=1e-4)
-    for name, wrong, shown in (
-        ("align", "m" * 9999, "'m{40}'"),
-        ("normalise", ["clip"], r'"\[\'clip\'\]"'),
-    ):
-        with pytest.raises(af.FeatureError, match=f"^{name} is {shown}: expected one of .*, "):
-            load_conditioner(values | {name: wrong}, tensors, 25.0, None)
-
-
-@pytest.mark.parametrize("count, stored", [(None, None), (5, 5), (12, None)])
-def test_settings_are_compared_with_those_of_a_model_before_training(heard, count, stored):
-    config = FeatureConfig(EXTRACTORS, components=count)
-    values = feature_values(config.extractor(), config)
-    assert values == conditioner_values(heard(config)[0])
-    assert values["components"] == stored
-    with pytest.raises(ConfigError, match="components: 0 must be above 0"):
-        FeatureConfig(components=0)
 
 
 def test_sound_without_voice_counts_as_silence_in_training_too(tmp_path, write_speech, caplog):
@@ -101,36 +83,6 @@ def test_sound_without_voice_counts_as_silence_in_training_too(tmp_path, write_s
     values, tensors = conditioner_values(conditioner), conditioner_tensors(conditioner)
     again = load_conditioner(values, tensors, 25.0, None)
     np.testing.assert_allclose(again(items[0].load_wave()), floor, atol=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("kinds", "is_on"),
-    [(["logmel", "prosody"], True), (["music"], False), (["logmel", "music"], False)],
-)
-def test_models_of_music_do_without_voice_activity(kinds, is_on):
-    config = FeatureConfig(tuple({"kind": kind} for kind in kinds))
-    assert feature_values(config.extractor(), config)["vad"] is is_on
-    for vad in (True, False):
-        chosen = replace(config, vad=vad)
-        assert feature_values(config.extractor(), chosen)["vad"] is vad
-
-
-def test_own_features_are_a_part_of_what_arrays_and_silence_are_made_of(tmp_path, write_pair):
-    wav, _ = write_pair(tmp_path, "a", 4.0)
-    own = wav.with_suffix(".npy")
-    np.save(own, 7.0 + np.arange(80)[:, None] * [0.01, -0.02])
-    (item,) = prepare(tmp_path, holdout=0.0).manifest
-    config = FeatureConfig(({"kind": "files", "dim": 2, "rate": 20}, {"kind": "prosody"}))
-    arrays = SpeechArrays.open(config, 25.0, "cpu")
-    key = array_key(arrays, item)
-    values, _ = arrays.make(item)
-    assert values[25, 0] == pytest.approx(7.2, abs=0.02)  # after one second
-    conditioner, (speech,) = extract_features([item], [None], arrays.extractor, 25.0, config)
-    # A file is never silent: the mean of training stands for it, far from zeros.
-    np.testing.assert_allclose(conditioner.silence(50)[:, :2], 0.0, atol=1e-6)
-    assert abs(speech[:, :2]).max() > 1.0
-    np.save(own, np.load(own) + 1)
-    assert array_key(arrays, item) != key
 
 
 @pytest.mark.parametrize("most", [None, 60])
@@ -186,19 +138,3 @@ def test_an_array_of_speech_is_made_anew_where_what_it_depends_on_changes(tmp_pa
     assert key(spoken, conditions={}) != with_words
     words.write_text("0.1\t0.4\tthere\n")
     assert key(spoken) != with_words and key() == known
-
-
-@pytest.mark.parametrize("normalise", ["clip", "corpus"])
-def test_arrays_of_quiet_speech_are_those_of_loud_speech(
-    tmp_path, write_speech, write_wavlm, normalise
-):
-    """Normalise the level with `clip`: encoders depend on it, acoustic features do not."""
-    write_wavlm(tmp_path / "weights")
-    write_speech(tmp_path / "in" / "loud.wav", 3.0)
-    samples, rate = soundfile.read(tmp_path / "in" / "loud.wav")
-    soundfile.write(tmp_path / "in" / "quiet.wav", 0.1 * samples, rate, subtype="FLOAT")
-    items = prepare([], unpaired=[tmp_path / "in"], holdout=0.0).manifest
-    config = FeatureConfig(({"kind": "wavlm"},), tmp_path / "weights", normalise=normalise)
-    arrays = SpeechArrays.open(config, 25.0, "cpu")
-    (loud, _), (quiet, _) = (arrays.make(item) for item in items)
-    assert np.allclose(loud, quiet, atol=0.02) == (normalise == "clip")

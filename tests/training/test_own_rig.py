@@ -16,22 +16,6 @@ from gesturekit.motion.retarget import retarget
 from gesturekit.training.data.own_rig import on_rig, pose_on_rig
 
 
-def test_its_own_rig_is_left_alone(gesture):
-    motion = gesture(1.0)
-    assert on_rig(DeltaRepresentation.fit([gesture(1.0, seed=1)]), motion) is motion
-
-
-def test_a_frame_of_its_own_rig_is_the_pose(gesture):
-    """A recording of three minutes, of which two minutes around the frame are looked at."""
-    motion = gesture(180.0, 2.0)
-    model = DeltaRepresentation.fit([gesture(1.0)])
-    for frame, default in ((0, 0), (5, -1), (200, 0), (359, -1)):
-        asked = []
-        pose = pose_on_rig(model, lambda d: asked.append(d) or (motion, frame), default)  # noqa: B023
-        assert asked == [default] and pose.n_frames == 1
-        np.testing.assert_array_equal(pose.rotations[0], motion.rotations[frame])
-
-
 def test_a_pose_of_another_rig_keeps_its_place_and_names_its_floor(gesture):
     """Half as tall, on a floor at 1 m, 3 m to the side; hands are not driven by the model."""
     own = gesture(8.0, seed=3)

@@ -54,12 +54,6 @@ def test_two_processes_find_the_gradient_of_one(tmp_path):
     assert [result["first"] for result in two] == [True, False]
 
 
-def test_shares_make_up_the_whole():
-    for n in (0, 1, 7, 8):
-        shares = [Processes(rank, 3).share(n) for rank in range(3)]
-        assert [i for share in shares for i in range(n)[share]] == list(range(n))
-
-
 @pytest.mark.parametrize(
     ("gpus", "device", "backend", "places"),
     [
@@ -94,19 +88,16 @@ def test_processes_share_gpus_if_there_are_too_few(
     assert ("2 processes share 1 GPU" in caplog.text) == (gpus == 1)
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "result"),
-    [
-        ("WORLD_SIZE", "two", "LOCAL_WORLD_SIZE.*'two'.*torchrun"),
-        ("LOCAL_WORLD_SIZE", "two", "LOCAL_WORLD_SIZE.*'two'.*torchrun"),
-        ("RANK", None, "'RANK'"),  # all names are listed; the missing one stands in quotes
-    ],
-)
-def test_a_wrong_or_missing_variable_of_torchrun_is_refused_by_name(
-    monkeypatch, name, value, result
-):
+def test_shares_make_up_the_whole():
+    for n in (0, 1, 7, 8):
+        shares = [Processes(rank, 3).share(n) for rank in range(3)]
+        assert [i for share in shares for i in range(n)[share]] == list(range(n))
+
+
+@pytest.mark.parametrize(("name", "value"), [("WORLD_SIZE", "two"), ("RANK", None)])
+def test_a_wrong_or_missing_variable_of_torchrun_is_refused_by_name(monkeypatch, name, value):
     for other in ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE"):
         monkeypatch.setenv(other, "1")
     monkeypatch.setenv(name, value) if value else monkeypatch.delenv(name)
-    with pytest.raises(ConfigError, match=result), Processes.from_environment("cpu"):
+    with pytest.raises(ConfigError, match=name), Processes.from_environment("cpu"):
         pass

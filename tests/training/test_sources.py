@@ -3,31 +3,17 @@
 from __future__ import annotations
 
 import math
-import os
 
 import pytest
 
 from gesturekit.corpus.item import file_fingerprint
 from gesturekit.training.data.sources import (
     TrainedSegment,
-    describe_rates,
-    describe_recordings,
     is_trained_on,
     load_sources,
     save_sources,
     unused_labels,
 )
-
-
-def test_frame_rates_have_one_order_whatever_the_hashes_of_the_files():
-    recordings = [
-        TrainedSegment(f"r{i}", f"file {i}", None, 0.0, 5.0, fps)
-        for i, fps in enumerate((120.0, 30.0, 24.0, 30.0, 30000 / 1001, 60.0, 90.0))
-    ]
-    assert describe_rates(recordings, 25.0) == (
-        "(2 at 30 fps, 1 at 24 fps, 1 at 29.97 fps, 1 at 60 fps, 1 at 90 fps, 1 at 120 fps), "
-        "trained at 25 fps"
-    )
 
 
 def labelled(*labels: tuple[str | None, str | None]) -> list[TrainedSegment]:
@@ -54,27 +40,12 @@ def test_one_style_or_speaker_is_no_choice():
     assert unused_labels(two, (), recalls=True) == [styles]
 
 
-def test_recordings_are_files_and_their_parts_are_counted():
-    parts = [TrainedSegment(f"p{k}", f"file {k // 2}", None, 0.0, 5.0, 30.0) for k in range(4)]
-    assert describe_recordings(parts[:1], 14 * 60.0, 25.0) == (
-        "1 recording, 14 min at 30 fps, trained at 25 fps"
-    )
-    assert (
-        describe_recordings(parts, 14 * 60.0, 30.0) == "2 recordings in 4 parts, 14 min at 30 fps"
-    )
-    assert describe_rates([], 30.0) == "at 30 fps"
-
-
 @pytest.mark.parametrize(
     ("start", "duration", "is_known"),
     [
         (0.0, math.inf, True),
         (0.0, 10.0, False),
-        (0.0, 10.04, False),  # a frame
-        (0.0, 10.06, True),
-        (12.0, 1.0, True),
-        (14.94, 5.0, True),
-        (14.96, 5.0, False),
+        (14.8, 5.0, True),
         (15.0, math.inf, False),
     ],
 )
@@ -92,14 +63,3 @@ def test_a_recording_is_known_where_it_overlaps_a_trained_segment(
     assert is_trained_on(known, other, audio, **when) == is_known
     assert is_trained_on(known, None, audio, **when) == is_known
     assert not is_trained_on(known, other, other, **when) and not is_trained_on([], motion)
-
-
-def test_a_fingerprint_follows_the_content_of_a_file_written_again(tmp_path):
-    path = tmp_path / "a"
-    path.write_text("one")
-    before, state = file_fingerprint(path), path.stat()
-    path.write_text("two")
-    os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
-    after = file_fingerprint(path)
-    # The first 16 digits of sha256sum.
-    assert (before, after) == ("7692c3ad3540bb80", "3fc4ccfe745870e2")

@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from gesturekit.corpus import Item
 from gesturekit.errors import ConfigError, CorpusError, FormatError, OutputError
-from gesturekit.training.data.arrays import ArrayFolder, StoredFrames, array_key, stored_arrays
+from gesturekit.training.data.arrays import ArrayFolder, array_key, stored_arrays
 
 KEY = "3fab"
 ROWS = np.arange(30.0).reshape(10, 3)
@@ -99,16 +98,6 @@ def test_the_name_of_an_array_follows_kind_and_origin_whatever_their_order():
     assert array_key(turned, item) == key
     names = {key, array_key(maker, other), array_key(Maker(2.0), item)}
     assert len(names | {array_key(OtherMaker(1.0), item)}) == 4
-
-
-def test_channels_of_frames_are_converted_as_they_are_read(folder):
-    frames = StoredFrames(folder.find(KEY), (3, 10), lambda rows: -torch.from_numpy(rows.T))
-    np.testing.assert_array_equal(frames[:, 4:6], -ROWS[4:6].T)
-    np.testing.assert_array_equal(frames[1:, -2:], -ROWS[-2:, 1:].T)
-    few = frames.first(4)
-    assert few.shape == (3, 4)
-    np.testing.assert_array_equal(few[:, :], -ROWS[:4].T)
-    np.testing.assert_array_equal(few[:, 2:9], -ROWS[2:4].T)
 
 
 def test_an_array_that_is_not_whole_is_missing(folder, tmp_path):
