@@ -16,15 +16,15 @@ export PIP_CONSTRAINT := constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test stress mutants fuzz lint format bench blender interop picture docs gallery dist clean
+.PHONY: help setup demo test stress mutants floors fuzz lint format bench blender interop picture docs gallery dist clean
 
 help:
 	@echo "make demo    set up, then turn a sentence of speech into motion and show where it is"
 	@echo "make test    set up, then check style and run all tests"
 	@echo "make stress  set up, then run the slow tests (all recordings, all scales)"
-	@echo "make mutants set up, then make COUNT (100) random defects of draw SEED (0), one at a time, and"
-	@echo "             list those that no test notices; ONLY=paths CHANGED=commit limit them, FORMULAS=1"
-	@echo "             takes those of tests/mutants/formulas.toml"
+	@echo "make mutants set up, then make COUNT (100) random defects of draw SEED (0), one at a time, and list"
+	@echo "             those that no test notices; ONLY=paths CHANGED=commit limit them, TESTS=paths the tests"
+	@echo "make floors  run tests with the lowest versions that pyproject.toml allows, in $(VENV)/floors"
 	@echo "make fuzz    set up, then fuzz every loader for FUZZ_SECONDS (60) each"
 	@echo "make setup   create $(VENV) with gesturekit and its dependencies"
 	@echo "make lint    check style and types make format  fix style"
@@ -53,8 +53,11 @@ stress: setup
 	$(BIN)/python -m pytest -m stress $(PYTEST_ARGS)
 
 mutants: setup
-	$(BIN)/python tests/mutants/mutation.py --seed $(or $(SEED),0) --count $(or $(COUNT),100) \
-	    $(if $(ONLY),--only $(ONLY)) $(if $(CHANGED),--changed $(CHANGED)) $(if $(FORMULAS),--formulas)
+	$(BIN)/python tests/mutants/mutants.py --seed $(or $(SEED),0) --count $(or $(COUNT),100) \
+	    $(if $(ONLY),--only $(ONLY)) $(if $(CHANGED),--changed $(CHANGED)) $(if $(TESTS),--tests $(TESTS))
+
+floors: $(BUNDLES)
+	$(PYTHON) tests/floors.py $(VENV)/floors $(TESTS)
 
 FUZZ_SECONDS ?= 60
 fuzz: setup
