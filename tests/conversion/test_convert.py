@@ -227,15 +227,12 @@ def test_changes_are_made_in_order(take, tmp_path):
     assert "it begins at 2 s, the motion lasts 2 s" in done.error and str(take) in done.error
 
 
-@pytest.mark.parametrize(("text", "seconds"), [("2:10.5", (2, 10.5)), (":3", (0, 3)), ("1:", None)])
-def test_trim_is_written_in_seconds(text, seconds):
-    assert parse_trim(text) == (seconds or (1.0, float("inf")))
-
-
-@pytest.mark.parametrize("text", ["", "3", "2:2", "-1:4", "a:b"])
-def test_other_trims_are_refused(text):
-    with pytest.raises(ConfigError, match="trim"):
-        parse_trim(text)
+def test_trim_is_written_in_seconds():
+    for text, seconds in (("2:10.5", (2, 10.5)), (":3", (0, 3)), ("1:", (1, float("inf")))):
+        assert parse_trim(text) == seconds
+    for text in ("", "3", "2:2", "-1:4", "a:b"):
+        with pytest.raises(ConfigError, match="trim"):
+            parse_trim(text)
 
 
 def test_fast_movement_is_filtered_out_of_a_lower_rate_on_request(skeleton):

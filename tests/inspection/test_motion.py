@@ -128,7 +128,7 @@ def test_suspicious_motion_is_reported_with_its_frame(gesture, tmp_path):
     replace(motion, rotations=rotations).save(tmp_path / "take.npz")
     problems = " ".join(inspect(tmp_path / "take.npz").problems)
     assert "nothing moves from 1.00 to 2.33 s (frames 30 to 69)" in problems
-    assert "m/s of LeftHand: frames 100 (3.33 s), 101" in problems
+    assert "Hand: frames 100 (3.33 s), 101" in problems
     assert "rest pose or T-pose: the last 10 frames" in problems
     # The arm's pop is the jump of its hand, as in `prepare`.
     # Its sine and cosine are .3 and .95: twice 17.5 degrees, and those of the gesture.
