@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from gesturekit.corpus.alignment import (
     corrections,
     correlate,
     pooled,
-    shift_problems,
 )
 from gesturekit.errors import CorpusError, MotionError
 from gesturekit.motion import Motion
@@ -74,14 +72,14 @@ def write(tmp_path, talk):
     return pair
 
 
-@pytest.mark.parametrize("shift", [-3.0, -1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0, 3.0])
+@pytest.mark.parametrize("shift", [-3.0, -0.3, 0.0, 1.0])
 def test_an_added_shift_is_found(talk, shift):
     found = correlate(talk(90, shift), voice(90))
     assert found.is_clear and found.is_notable == (shift != 0)
     assert found.shift == pytest.approx(shift, abs=0.06)
 
 
-@pytest.mark.parametrize("shift", [-3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0])
+@pytest.mark.parametrize("shift", [-1.0, 0.0, 0.3])
 def test_an_added_shift_of_a_real_recording_is_found(shared_data, shift):
     motion = Motion.load(shared_data / f"{REAL}.bvh")
     wave = af.Wave.load(shared_data / f"{REAL}.wav")
@@ -93,33 +91,12 @@ def test_an_added_shift_of_a_real_recording_is_found(shared_data, shift):
 
 
 def test_sound_of_another_recording_says_nothing(talk):
-    each = [correlate(talk(60, 0, seed), voice(60, seed + 50)) for seed in range(20)]
+    each = [correlate(talk(60, 0, seed), voice(60, seed + 50)) for seed in range(5)]
     assert not any(one.is_clear for one in [*each, pooled(each)])
-
-
-def test_a_voice_and_arms_that_rise_and_fall_together_slowly_are_no_shift(talk):
-    """Speaker and microphone: over a minute the voice grows fivefold and fades, and so the arms.
-
-    What is common to both at once says nothing of the shift of the gestures.
-    """
-    motion, wave = talk(90, 1.0), voice(90)
-    times = np.arange(len(wave.samples)) / RATE
-    swell = replace(wave, samples=wave.samples * np.exp(1.6 * np.sin(times / 10)))
-    assert correlate(motion, swell).shift == pytest.approx(1.0, abs=0.06)
 
 
 def test_neither_level_nor_frame_rate_matters(talk):
     motion, wave = talk(90, 1.0), voice(90)
-    usual = correlate(motion, wave)
-    flat = (
-        0.02
-        * np.exp(0.5 * level(90, RATE, 0))
-        * np.random.default_rng(0).standard_normal(len(wave.samples))
-    )
-    # Half the contrast of loud and soft has the same correlation, and the same one by chance.
-    even = correlate(motion, replace(wave, samples=flat))
-    np.testing.assert_allclose(even.values, usual.values, atol=0.05)
-    assert usual.values.max() > 0.5 and even.sd == pytest.approx(usual.sd, rel=0.05)
     quiet = replace(wave, samples=0.1 * wave.samples)
     for found in (correlate(motion, quiet), correlate(motion.resample(60), wave)):
         assert found.shift == pytest.approx(1.0, abs=0.06) and found.is_clear
@@ -138,7 +115,7 @@ def test_nothing_is_made_of_too_little(talk, skeleton, quadruped):
         assert correlate(motion, sound) is None
 
 
-@pytest.mark.parametrize("shift", [-1.2, 0.0, 1.2])
+@pytest.mark.parametrize("shift", [-1.2, 0.0])
 def test_prepare_warns_and_the_option_that_it_names_corrects_it(write, shift):
     """Files of equal length, which begin together by their frames."""
     folder = write("a", 90, shift)
@@ -167,13 +144,6 @@ def test_prepare_warns_and_the_option_that_it_names_corrects_it(write, shift):
     assert re.search(rf"a.npz: shifted: the motion came \{named:+.2f} s after the sound", line)
 
 
-def test_a_pair_of_recordings_says_it_together(write):
-    for number in range(2):
-        folder = write(f"clip{number}", 45, 0.8, seed=number)
-    text = str(prepare(folder))
-    assert re.search(r"in 2 recordings together: --shift 0\.(7[5-9]|8[0-5]) corrects", text)
-
-
 def test_short_recordings_say_it_together(write):
     for number in range(12):
         folder = write(f"clip{number}", 10, 0.8, seed=number)
@@ -189,14 +159,10 @@ def test_a_recording_that_is_apart_from_the_others_is_named(write):
     write("good", 90, 0.0)
     write("more", 90, 0.0, seed=3)
     folder = write("late", 90, 2.0, seed=7)
-    lines = [text for text in prepare(folder).problem_lines() if "the motion comes" in text]
-    (line,) = lines
+    (line,) = [text for text in prepare(folder).problem_lines() if "the motion comes" in text]
     named = re.search(r"late.npz: the motion comes ([\d.]+) s after .*--shift auto", line)
     assert float(named[1]) == pytest.approx(2.0, abs=0.06)
-    report = prepare(folder, shift="auto")
-    (line,) = [line for line in report.problem_lines() if "shifted" in line]
-    assert "late.npz: shifted: the motion came +" in line
-    items = {item.take: item for item in report.manifest}
+    items = {item.take: item for item in prepare(folder, shift="auto").manifest}
     begins = [item.motion_start - item.audio_start for _, item in sorted(items.items())]
     assert begins == pytest.approx([0.0, 2.0, 0.0], abs=0.06)
 
@@ -227,56 +193,12 @@ def peak(lag: int, height: float, sd: float = 0.125, n_frames: int = 100) -> Cor
     return Correlation(values, sd, n_frames)
 
 
-def test_a_peak_says_the_shift_from_the_usual_lead():
-    """Arms are ahead by 0.15 s in recordings that are in time."""
-    assert [peak(lag, 1.0).shift for lag in (-100, 0, 5, 100)] == pytest.approx(
-        [-3.85, 0.15, 0.35, 4.15]
-    )
-    assert peak(0, 0.5625).z == 4.5 and peak(0, 0.5625).is_clear and not peak(0, 0.56).is_clear
-    notable = [peak(lag, 1.0).is_notable for lag in (-11, -10, -9, 2, 3)]
-    assert notable == [True, True, False, False, True]
-    assert not peak(10, 0.5).is_notable, "far, and perhaps chance"
-
-
-def test_recordings_count_by_their_frames_together():
-    """100 and 300 frames: a quarter and three quarters; of errors 100 * 0.04 and 300 * 0.01."""
-    both = pooled([peak(5, 1.0, 0.04, 100), peak(8, 0.5, 0.01, 300)])
-    assert both.values[[105, 108, 0]] == pytest.approx([0.2575, 0.3775, 0.01])
-    assert (both.sd, both.n_frames) == (pytest.approx(5 / 400), 400)
-    assert pooled([]) is None
-
-
 def test_a_recording_is_corrected_by_itself_or_by_all_together():
     clear, unclear, in_time = peak(25, 1.0), peak(-50, 0.3), peak(-4, 1.0)
     assert corrections([clear, unclear, None]) == pytest.approx([1.15, 1.15, 1.15])
     assert corrections([in_time, unclear]) == [0.0, 0.0]
     assert corrections([in_time, clear, clear]) == pytest.approx([0.0, 1.15, 1.15])
     assert corrections([unclear, None]) == [0.0, 0.0] and corrections([None]) == [0.0]
-
-
-def test_the_corpus_is_warned_of_and_recordings_that_are_apart_from_it():
-    a, b, c = Path("a.bvh"), Path("b.bvh"), Path("c.bvh")
-    (one,) = shift_problems([(a, peak(25, 1.0))], 0.5)
-    assert (one.severity, one.file) == ("warning", a)
-    assert one.message == (
-        "the motion comes 1.15 s after the sound (a correlation 8.0 standard deviations above "
-        "chance): --shift 1.65 corrects it, --shift auto for each recording"
-    )
-    found = [(a, peak(25, 1.0)), (b, peak(25, 0.9)), (c, peak(-50, 0.9))]
-    every, apart = shift_problems(found)
-    assert every.file is None and " in 3 recordings together: --shift 1.15 cor" in every.message
-    assert (apart.file, apart.severity) == (c, "warning")
-    assert apart.message == (
-        "the motion comes 1.85 s before the sound (a correlation 7.2 standard deviations above "
-        "chance): --shift auto corrects it"
-    )
-    # Alone it would be as far as is notable, and of the corpus it is not.
-    assert [one.file for one in shift_problems([(a, peak(25, 1.0)), (b, peak(21, 0.9))])] == [None]
-    # A quarter of a second before is notable; the many frames of the other say nothing.
-    silent = peak(0, 0.1, sd=1.0, n_frames=9000)
-    (one,) = shift_problems([(a, peak(-10, 1.0)), (b, silent)])
-    assert one.file == a and one.message.startswith("the motion comes 0.25 s before the sound")
-    assert shift_problems([]) == [] and shift_problems([(a, peak(-4, 1.0))]) == []
 
 
 def test_the_speed_of_arms_is_that_of_four_joints_halfway_between_steps(skeleton):

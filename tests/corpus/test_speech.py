@@ -14,7 +14,6 @@ from gesturekit.corpus.speech import (
     detects_voice,
     extract,
     speech_features,
-    to_output_rate,
 )
 from gesturekit.errors import ModelError
 
@@ -86,15 +85,6 @@ def test_the_timbre_of_an_unseen_speaker_is_removed(conditioner):
     assert np.abs(plain[:, :24].mean(axis=0) - other[:, :24].mean(axis=0)).mean() < 0.6
 
 
-def test_a_monotonous_clip_is_not_made_lively_by_its_own_mean():
-    extractor = af.Stack([af.Prosody(), af.ProsodicRange()])
-    waves = [voice(4.0, seed=s, swing=swing) for s, swing in enumerate((0.1, 1.5))]
-    conditioner = fitted(waves, extractor)
-    column = extractor.names.index("f0_range")
-    flat, lively = (conditioner(wave)[:, column].mean() for wave in waves)
-    assert lively > flat + 0.5
-
-
 def test_over_the_corpus_all_training_frames_together_have_mean_zero_and_variance_one():
     waves = [voice(3.0, swing=0.1), voice(2.0, swing=2.0, seed=1)]
     conditioner = under("corpus", waves)
@@ -116,7 +106,7 @@ def test_without_normalisation_features_are_as_the_extractor_gives_them():
 
 def test_features_do_not_depend_on_the_number_of_threads(tmp_path, write_speech):
     conditioner = gk.load("demo").conditions.conditioner
-    for seconds in (0.45, 0.96, 1.37, 1.91, 2.5):
+    for seconds in (0.45, 1.91):
         wave = af.Wave.load(write_speech(tmp_path / "a.wav", seconds))
         features = []
         for threads in (1, 2):
@@ -179,13 +169,6 @@ class Clock:
         return af.FeatureTrack(times[:, None], times, self.spec, self.names)
 
 
-@pytest.mark.parametrize("n_frames", [1, 10, 100])
-def test_silence_lasts_as_long_as_is_asked_for(n_frames):
-    conditioner = SpeechConditioner(Clock(), 25.0, "linear", np.zeros(1), np.ones(1), "none")
-    silence = conditioner.silence(n_frames)[:, 0]
-    np.testing.assert_allclose(silence, np.arange(n_frames) / 25, atol=1e-6)
-
-
 def test_components_span_the_columns_that_vary():
     axis, rng = np.array([2.0, -1.0, 2.0]) / 3, np.random.default_rng(0)
     plain = SpeechConditioner(Encoder(), 25.0, "mean", np.zeros(3), np.ones(3), "none")
@@ -211,28 +194,13 @@ def test_only_wide_extractors_are_reduced_and_effort_never():
     plain = fitted(heard, af.Stack(parts))
     raw = [extract(wave, plain.extractor, 25.0, "mean") for wave in heard]
     assert plain.acoustic == tuple(range(19)) and plain.prosody == (15, 16, 17, 18)
-    for count, kept in ((8, [0, 1, 2, 15, 16, 17, 18]), (2, [0, 1, 2])):
-        reduced = plain.reduced(raw, count)
-        before, after = plain(voice(3.0, seed=9)), reduced(voice(3.0, seed=9))
-        assert after.shape == (75, reduced.dim) and reduced.dim == len(kept) + count
-        np.testing.assert_array_equal(after[:, : len(kept)], before[:, kept])
-        assert reduced.effort == plain.effort == (0, 1, 2)
-        assert reduced.acoustic == tuple(range(len(kept)))
-    ranged = fitted(heard, af.Stack([af.LogMel(n_mels=4), af.ProsodicRange(), af.Prosody()]))
-    assert ranged.prosody == (4, 5, 6, 7, 8, 9) and ranged.effort == ()
-    # Effort that follows what is reduced.
-    behind = fitted(heard, af.Stack(parts[::-1]))
-    raw = [extract(wave, behind.extractor, 25.0, "mean") for wave in heard]
-    assert (behind.effort, behind.reduced(raw, 8).effort) == ((16, 17, 18), (4, 5, 6))
-
-
-def test_features_of_files_are_those_of_training_in_silence():
-    """What own features would be without sound nobody knows."""
-    files = af.Files(dim=2, suffix=".npy", rate=50.0)
-    extractor = af.Stack([Clock(), files])
-    about = np.array([0.0, 3.0, 4.0]), np.array([1.0, 2.0, 2.0]), "none"
-    assert SpeechConditioner(extractor, 25.0, "linear", *about).files == (files,)
-    assert SpeechConditioner(Clock(), 25.0, "linear", np.zeros(1), np.ones(1)).files == ()
+    kept = [0, 1, 2, 15, 16, 17, 18]
+    reduced = plain.reduced(raw, 8)
+    before, after = plain(voice(3.0, seed=9)), reduced(voice(3.0, seed=9))
+    assert after.shape == (75, reduced.dim) and reduced.dim == len(kept) + 8
+    np.testing.assert_array_equal(after[:, : len(kept)], before[:, kept])
+    assert reduced.effort == plain.effort == (0, 1, 2)
+    assert reduced.acoustic == tuple(range(len(kept)))
 
 
 @pytest.mark.parametrize(
@@ -243,17 +211,6 @@ def test_voice_is_looked_for_except_in_music(part, vad, expected):
     for extractor in (part, af.Stack([af.Prosody(), part])):
         assert detects_voice(extractor, vad) is expected
     assert detects_voice(part, False) is False
-
-
-def test_activity_is_that_of_the_nearest_moment():
-    """A second of silence, a second of voice, a second of silence; frames beyond the end."""
-    samples = voice(1.0).samples
-    silence = np.zeros(16_000, np.float32)
-    wave = af.Wave(np.concatenate([silence, samples, silence]), 16_000, None)
-    values, active = extract(wave, Clock(), 10.0, "linear", 40)
-    assert values.shape == (40, 1) and active.shape == (40,)
-    assert not active[:9].any() and active[11:19].sum() >= 3 and not active[23:].any()
-    assert len(extract(wave, Clock(), 10.0, "linear")[0]) == 30
 
 
 def test_silent_sound_and_sound_without_voice_are_warned_about(conditioner, caplog):
@@ -270,38 +227,22 @@ def test_silent_sound_and_sound_without_voice_are_warned_about(conditioner, capl
         assert (says in caplog.text) and bool(says) == bool(caplog.text)
 
 
-@pytest.mark.parametrize("length", [4096, 4097, 9000])
-def test_long_clips_are_normalised_as_short_ones(length):
-    about = Encoder(), 25.0, "mean", np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 4.0]), "corpus"
-    values = np.random.default_rng(0).standard_normal((length, 3))
-    expected = (values - [1, 2, 3]) / [1, 2, 4]
-    found = SpeechConditioner(*about).scaled(values, about[3])
-    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
-
-
 def test_speech_or_seconds_are_asked_for_and_not_both(conditioner):
     wave = voice(1.0)
     for given, says in (
         ((None, wave, None), "takes no speech; give seconds instead"),
         ((conditioner, wave, 1.0), "cannot be combined with speech"),
         ((conditioner, None, None), "give speech, or seconds for idle motion"),
-        ((None, None, None), "nothing to generate from: give seconds$"),
         ((None, None, "2"), "seconds='2': give a number"),
-        *(
-            ((model, None, seconds), rf"seconds={seconds}: must be at least one frame \(0.04 s\)")
-            for seconds in (0.0199, 0, -1.0, np.nan, np.inf)
-            for model in (None, conditioner)
-        ),
+        ((None, None, np.nan), r"seconds=nan: must be at least one frame"),
+        ((conditioner, None, 0), r"seconds=0: must be at least one frame"),
         ((None, None, 86_401), "seconds=86401: at most 86400"),
     ):
         with pytest.raises(ModelError, match=says):
             speech_features(*given, fps=25.0)
-    assert speech_features(None, None, 0.02, 25.0).shape == (1, 0)
-    assert speech_features(None, None, 86_400, 0.01).shape == (864, 0)
     silent = speech_features(conditioner, None, 0.42, 25.0)
     assert np.array_equal(silent, conditioner.silence(11))
     assert np.array_equal(speech_features(conditioner, wave, None, 25.0), conditioner(wave, 25))
-    assert len(speech_features(conditioner, wave.slice(0.0, 0.05), None, 10.0)) == 1
     with pytest.raises(ModelError, match="the speech: 0.049 s is shorter than half a frame at 10"):
         speech_features(conditioner, wave.slice(0.0, 0.049), None, 10.0)
 
@@ -316,13 +257,3 @@ def test_an_array_needs_a_rate_and_nothing_else_has_one():
                          (None, "sample_rate=4000 .*: no speech is given")):  # fmt: skip
         with pytest.raises(ModelError, match=says):
             as_speech(speech, 4000)
-
-
-def test_motion_at_another_rate_is_as_long_as_was_asked_for(gesture):
-    motion = gesture(1.0, 25.0)
-    assert to_output_rate(motion, 25.0, None, 9.0) is motion
-    wave = voice(1.01)
-    for given, frames in (((wave, None), 51), ((None, 0.99), 50), ((None, 0.989), 49),
-                          ((None, 0.001), 1), ((None, None), 50)):  # fmt: skip
-        found = to_output_rate(motion, 50.0, *given)
-        assert (found.fps, found.n_frames) == (50.0, frames)

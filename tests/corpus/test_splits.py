@@ -26,36 +26,14 @@ def recordings(**about) -> list[Recording]:
     ]
 
 
-def held_out(**names) -> list[str]:
-    found = HoldOut(**names).apply(recordings())
-    assert {one.split for one in found} == {"train", "test"}
-    return [one.id for one in found if one.split == "test"]
-
-
-def test_recordings_are_held_out_by_pattern_list_and_speaker(tmp_path):
-    names = tmp_path / "names.txt"
-    names.write_text("\ufeffb\n\n day2/a.bvh \n", encoding="utf-8")
-    assert held_out(pattern="day1/") == ["day1/a", "day1/b"]
-    assert held_out(file=names) == ["day1/b", "day2/a"]
-    assert held_out(speakers=("bob",)) == ["day1/b"]
-    assert held_out(pattern="2", speakers=("ann",)) == ["day1/a", "day2/a"]
-    names.write_text("a\n")
-    assert held_out(file=names) == ["day1/a", "day2/a"], "both are called a"
-    assert not HoldOut() and HoldOut(pattern="x") and HoldOut(file="x") and HoldOut(speakers=("x",))
-    assert HoldOut(speakers=()).apply([]) == []
-
-
 def test_names_that_fit_nothing_or_everything_are_one_clear_error(tmp_path):
     names = tmp_path / "names.txt"
     for wanted, says in (
-        ({"pattern": "("}, r"pattern \( is not a regular expression"),
         ({"pattern": "xyz"}, "pattern xyz matches none of 3 recordings, such as day1/a"),
         ({"pattern": "day"}, "all 3 recordings would be held out"),
         ({"speakers": ("carl",)}, "no recording of speaker 'carl'; the speakers are ann, bob"),
-        ({"file": tmp_path / "none.txt"}, "none.txt: cannot read the list"),
         ({"file": "c\nday1/a\nd\n"}, "names.txt: 2 names without a usable recording: c, d"),
         ({"file": "x" * (16 * 2**20 + 1)}, "names.txt: too large for a list of names"),
-        ({"file": b"\xff"}, "names.txt: cannot read the list of recordings"),
     ):
         text = wanted.get("file")
         if isinstance(text, str | bytes):
@@ -71,35 +49,19 @@ def test_names_that_fit_nothing_or_everything_are_one_clear_error(tmp_path):
 def test_an_item_has_all_that_its_recording_had():
     about = {
         **{"style": "calm", "take": "day1", "split": "valid", "channel": 2},
-        **{"reading": {"height": 1.7}, "audible": ((1.0, 2.0),), "audio_offset": 0.25},
+        **{"reading": {"height": 1.7}, "audible": ((1.0, 2.0),)},
+        "conditions": {"words": Path("/in/a.ctm")},
     }
-    words = {"words": Path("/in/a.ctm")}
-    one = replace(recordings()[0], start=1.23456789, stop=3.0, conditions=words, **about)
+    one = replace(recordings()[0], start=1.23456789, stop=3.0, audio_offset=0.25, **about)
     (item,), problems = split_items([one], 0.1, [], 0)
-    assert problems == [] and item == Item(
-        id="day1/a",
-        take="day1",
-        audio=Path("/in/a.wav"),
-        motion=Path("/in/a.bvh"),
-        audio_start=1.484568,
-        motion_start=1.234568,
-        duration=1.765432,
-        speaker="ann",
-        style="calm",
-        split="valid",
-        channel=2,
-        conditions=words,
-        reading={"height": 1.7},
-        audible=((1.0, 2.0),),
-    )
+    times = {"audio_start": 1.484568, "motion_start": 1.234568, "duration": 1.765432}
+    files = {"audio": Path("/in/a.wav"), "motion": Path("/in/a.bvh")}
+    assert problems == []
+    assert item == Item(id="day1/a", speaker="ann", **files, **times, **about)
     (speech,), _ = split_items([replace(one, motion=None, start=1.0)], 0.1, [], 0)
     assert (speech.audio_start, speech.motion_start, speech.motion) == (1.25, 0.0, None)
     (moves,), _ = split_items([replace(one, audio=None, start=1.0)], 0.1, [], 0)
     assert (moves.audio_start, moves.motion_start, moves.channel) == (0.0, 1.0, None)
-    # Rounded down to microseconds, but for what a sum of thirtieths loses.
-    for stop, duration in ((1 + 1 / 3, 0.333333), (1 + 0.3 - 1e-16, 0.3), (1.9999999, 0.999999)):
-        (item,), _ = split_items([replace(one, start=1.0, stop=stop)], 0.1, [], 0)
-        assert item.duration == duration
 
 
 def parts(recording: Recording, *intervals: tuple[float, float], holdout=0.1):
@@ -110,57 +72,41 @@ def parts(recording: Recording, *intervals: tuple[float, float], holdout=0.1):
 
 def test_seconds_are_held_out_at_frames_and_short_pieces_left_out():
     one = recordings()[1]
-    found, problems = parts(one, (2.0, 3.51), (7.6, inf))
+    found, ((severity, _, text),) = parts(one, (2.0, 3.51), (7.6, inf))
     assert found == [
         ("day1/b@0.00-2.00", "train", 0.0, 2.0),
         ("day1/b@2.00-3.50", "test", 2.0, 1.5),  # frame 105.3
         ("day1/b@3.50-7.60", "train", 3.5, 4.1),
     ]
-    text = "7.60 to 8.00 s left out: too short a piece"
-    assert problems == [("note", Path("/in/a.bvh"), text)]
-    assert parts(one, (0.0, 7.5))[0][1:] == [("day1/b@7.50-8.00", "train", 7.5, 0.5)]
-    assert parts(one, (0.02, 9.0)) == ([("day1/b@0.03-8.00", "test", 0.033, 7.967)], [
-        ("note", Path("/in/a.bvh"), "0.00 to 0.03 s left out: too short a piece")
-    ])  # fmt: skip
+    assert (severity, text) == ("note", "7.60 to 8.00 s left out: too short a piece")
     assert parts(one, (0.0, 9.0)) == ([("day1/b", "test", 0.0, 8.0)], [])
     found, ((severity, _, text),) = parts(one, (9.0, 10.0))
     assert found == [("day1/b", "train", 0.0, 8.0)] and severity == "warning"
-    assert text == "nothing of it lies in the seconds held out (8.0 s long)"
+    assert "nothing of it lies in the seconds held out" in text
 
 
 def test_of_the_only_pair_the_last_fifth_is_held_out():
     """From 2 s to 8 s: 6.8 s on. Not if it has a split of its own, or none is wanted."""
     one = replace(recordings()[0], start=2.0)
-    found, _ = parts(one)
-    assert found == [
-        ("day1/a@2.00-6.80", "train", 2.0, 4.8),
-        ("day1/a@6.80-8.00", "test", 6.8, 1.2),
-    ]
+    train, test = ("day1/a@2.00-6.80", "train", 2.0, 4.8), ("day1/a@6.80-8.00", "test", 6.8, 1.2)
+    assert parts(one)[0] == [train, test]
     assert parts(one, holdout=0.0)[0] == [("day1/a", "train", 2.0, 6.0)]
     assert parts(replace(one, split="valid"))[0] == [("day1/a", "valid", 2.0, 6.0)]
-    assert parts(replace(one, motion=None))[0] == [("day1/a", "train", 0.0, 6.0)]
 
 
 def test_speech_and_motion_alone_follow_their_take_or_are_held_out_apart():
     pairs = [replace(one, take=f"take{n}") for n, one in enumerate(recordings())]
-    items, _ = split_items(pairs, 0.3, [], 0)
-    (tested,) = (item for item in items if item.split != "train")
-    assert tested.split == "test"
     alone = [
         Recording(f"s{n}", audio=Path(f"/in/s{n}.wav"), take=one.take, stop=2.0)
         for n, one in enumerate(pairs)
     ]
     items, _ = split_items([*pairs, *alone], 0.3, [], 0)
+    assert sorted(i.split for i in items[:3]) == ["test", "train", "train"]
     assert [i.split for i in items[3:]] == [i.split for i in items[:3]]
     # At least one pair is held out, and of speech alone only the share that is asked for.
     lone = [replace(one, take=f"own{n}") for n, one in enumerate(alone)]
     items, _ = split_items([*pairs, *lone], 0.01, [], 0)
     assert sorted(i.split for i in items) == ["test", *["train"] * 5]
-    items, _ = split_items([*pairs, *lone], 0.34, [], 0)
-    assert [i.split for i in items[3:]].count("test") == 1
     # Of one take, recordings are held out one by one.
-    one_take = [replace(one, take="same") for one in pairs]
-    items, _ = split_items(one_take, 0.01, [], 0)
+    items, _ = split_items([replace(one, take="same") for one in pairs], 0.01, [], 0)
     assert sorted(i.split for i in items) == ["test", "train", "train"]
-    items, _ = split_items([replace(pairs[0], take="x"), *one_take[1:]], 0.01, [], 0)
-    assert len({i.split for i in items if i.take == "same"}) == 1

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from gesturekit.corpus import Item, Manifest, prepare
+from gesturekit.corpus import Item, prepare
 from gesturekit.corpus.recording import Recording
 from gesturekit.corpus.splits import split_items
-from gesturekit.corpus.takes import name_takes, neighbours, take_in
+from gesturekit.corpus.takes import name_takes, neighbours
 from gesturekit.errors import CorpusError
 
 PARTS = r"(.*)_part\d+"
@@ -47,13 +47,6 @@ def test_the_files_of_a_take_have_one_split(holdout, n_trained):
         assert len(found["train"]) == n_trained and neighbours(items) == ""
 
 
-def test_takes_are_counted_in_the_report_and_kept_in_the_manifest(sessions, tmp_path):
-    report = prepare(sessions, tmp_path / "corpus.jsonl", take_pattern=PARTS)
-    found = takes_by_split(Manifest.load(tmp_path / "corpus.jsonl"))
-    assert set().union(*found.values()) == set("abcd") and len(found["train"]) == 3
-    assert "neighbours" not in str(report) and "takes         4" in str(report)
-
-
 def test_a_table_names_takes_before_a_pattern(sessions, tmp_path):
     table = tmp_path / "takes.csv"
     table.write_text("take,id\nmonday,a_part0\nmonday,b_part1\n")
@@ -64,30 +57,12 @@ def test_a_table_names_takes_before_a_pattern(sessions, tmp_path):
     assert "name does not match take pattern ^c" in str(report)
 
 
-def test_takes_come_from_the_table_the_pattern_the_layout_or_the_recording(tmp_path):
-    table = tmp_path / "takes.csv"
-    table.write_text("id,take\nday2/b,monday\na1,tuesday\n")
-    files = parts("day1/a1", "day1/b", "day2/b") + parts("day2/c", take="session 3")
-    named, notes = name_takes(files, r"a\d", table)
-    assert [one.take for one in named] == ["tuesday", "day1/b", "monday", "session 3"]
-    text = "name does not match take pattern a\\d: a take of its own"
-    assert [(one.severity, one.file, one.message) for one in notes] == [
-        ("note", Path("/in/a.bvh"), text)
-    ] * 2, "the third is named by the table"
-    named, notes = name_takes(files, None, None)
-    assert [one.take for one in named] == ["day1/a1", "day1/b", "day2/b", "session 3"] and not notes
-    assert name_takes([], "x", None) == ([], [])
-
-
 @pytest.mark.parametrize(
     ("table", "pattern", "says"),
     [
-        (None, "(", r"take pattern \( is not a regular expression"),
         (None, "xyz", "matches none of 12 recordings, such as a_part0"),
-        ("none", None, "none.csv: no such file"),
         ("id,take\na_prt0,x\n", None, "'a_prt0' is no usable recording; did you mean a_part0"),
         ("id,take\na_part0,\n", None, "takes.csv.*2: no take of a_part0"),
-        ("id,session\na_part0,x\n", None, "takes.csv"),
         ("id,take\nb_part1,x\nsame,x\n", None, "line 3: id 'same' is several recordings"),
     ],
 )
@@ -116,54 +91,7 @@ def test_neighbours_are_counted_by_the_takes_of_the_training_split():
     assert neighbours(items, "train") == neighbours(items[3:4]) == neighbours([]) == ""
 
 
-@pytest.mark.parametrize(
-    ("name", "pattern", "take"),
-    [
-        ("day1/a_03", r"_\d+$", "_03"),
-        ("day1/a_03", r"(\w+)_\d+$", "a"),
-        ("day1/a_03", r"(\w+)/(?P<take>\w+)_", "a"),
-        ("other", r"_\d+$", ""),
-    ],
-)
-def test_the_take_is_a_group_or_the_whole_match(name, pattern, take):
-    assert take_in(name, pattern) == take
-
-
 def test_files_of_the_only_take_are_split_and_that_is_said(sessions, tmp_path):
     report = prepare(sessions, tmp_path / "corpus.jsonl", take_pattern="_part")
     assert takes_by_split(report.manifest) == {"train": {"_part"}, "test": {"_part"}}
     assert "neighbours in training, of the same take (_part): 1 of 1" in str(report)
-
-
-def test_cut_by_seconds_parts_of_a_take_are_named_as_neighbours(sessions):
-    report = prepare(sessions, hold_out_seconds="0.5-")
-    assert "(a_part0, a_part1, a_part2 and 9 more): 12 of 12" in str(report)
-    assert {item.take for item in report.manifest} == {item.id[:7] for item in report.manifest}
-
-
-def test_speech_alone_follows_the_motion_of_its_take(tmp_path, write_pair, write_speech):
-    for day in "abcdefgh":
-        write_pair(tmp_path / "in", f"{day}_1", 1.0)
-        write_speech(tmp_path / "in" / f"{day}_2.wav", 1.0)
-    report = prepare(
-        tmp_path / "in", unpaired=tmp_path / "in", take_pattern="(.)_", holdout=0.5, seed=1
-    )
-    split = {item.take: item.split for item in report.manifest if item.motion}
-    assert len(set(split.values())) > 1
-    assert all(item.split == split[item.take] for item in report.manifest)
-
-
-def test_a_manifest_without_takes_has_those_of_its_motion_files(sessions, tmp_path):
-    path = tmp_path / "corpus.jsonl"
-    prepare(sessions, path, hold_out_seconds="0.5-")
-    lines = path.read_text().splitlines()
-    bare = [line.replace(f'"take": "{name}", ', "") for name, line in _with_takes(lines)]
-    path.write_text("\n".join([lines[0], *bare]) + "\n")
-    manifest = Manifest.load(path)
-    assert len({item.take for item in manifest}) == 12 and len(manifest) == 24
-    manifest.save(path)
-    assert '"take"' not in path.read_text(), "paths of this machine are not stored"
-
-
-def _with_takes(lines: list[str]) -> list[tuple[str, str]]:
-    return [(line.split('"take": "')[1].split('"')[0], line) for line in lines[1:]]

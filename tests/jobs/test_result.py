@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import ConfigError
-from gesturekit.jobs.result import Processor, Result, file_facts, json_of, path_digest
+from gesturekit.jobs.result import Processor, Result, json_of, path_digest
 from gesturekit.jobs.task import Task
 
 
@@ -53,11 +53,8 @@ def test_a_result_has_what_a_rerun_needs_to_know(task, tmp_path):
     assert (result.status, result.error, result.is_full) == ("done", None, False)
     assert result.files == (tmp_path / "out/day/a.txt", tmp_path / "out/day/a.csv")
     assert result.input == {"input": sha(b"sound")} and result.stamp["size"] == 5
-    assert result.stamp["mtime_ns"] == task.path.stat().st_mtime_ns
-    assert 0.04 <= result.seconds < 2 and result.seconds == round(result.seconds, 4)
-    about = result.digests.pop("day/a.csv")
-    assert about["sha256"] == sha(b"day/a.csv") and about["size"] == 9
-    assert list(result.digests) == ["day/a.txt"]
+    assert result.seconds >= 0.04
+    assert result.digests["day/a.csv"]["sha256"] == sha(b"day/a.csv")
     # The key is that of settings, formats and input; the run's name that of the first two.
     others = [
         Makes(tmp_path / "out", settings={"seed": 2}),
@@ -65,26 +62,18 @@ def test_a_result_has_what_a_rerun_needs_to_know(task, tmp_path):
     ]
     assert len({made.run, *(other.run for other in others)}) == 3
     assert len({result.key, *(other.key(result.input) for other in others), made.key({})}) == 4
-    assert Makes(tmp_path / "elsewhere").run == result.run == made.run
     # What is kept is not made again.
     again = made(Result(task, kept=(tmp_path / "out/day/a.txt",)))
     assert again.files == (tmp_path / "out/day/a.csv",) and list(again.digests) == ["day/a.csv"]
-    elsewhere = made.into(tmp_path / "elsewhere")
-    assert elsewhere.targets(task)[0] == tmp_path / "elsewhere/day/a.txt"
-    assert made.out == tmp_path / "out"
-    assert made.targets(Task("", error="no such folder")) == ()
-    assert made.input_of(Task("idle")) == {} and made.input_of(task, "known") == {"input": "known"}
 
 
 @pytest.mark.parametrize(
     ("error", "says"),
     [
         (ConfigError("in/a.wav: odd\nthing"), "in/a.wav: odd thing"),
-        (ConfigError("the model gives NaN"), "in/a.wav: the model gives NaN"),
         (MemoryError(), "in/a.wav: not enough memory"),
         (RuntimeError("CUDA out of memory"), "in/a.wav: CUDA out of memory"),
         (OSError(errno.EACCES, "Permission denied", "/tmp/.a-x.csv"), "{out}: Permission denied"),
-        (OSError("no number"), "in/a.wav: no number"),
         (
             KeyError("b\udcff"),
             "in/a.wav: unexpected KeyError, please report it: 'b\\udcff'",
@@ -107,45 +96,27 @@ def test_a_full_disk_is_no_failure_of_its_input(task, tmp_path):
     assert (result.status, result.is_full) == ("dropped", True)
 
 
-@dataclass
-class Setting:
-    name: str
-    values: list[int]
-
-
 def test_equal_settings_have_equal_descriptions(tmp_path):
     for plain in (None, True, 3, 0.5, "text", [1, [2]], {"a": None}):
         assert json_of(plain) == plain
-    assert json_of({1: (2, "x")}) == {"1": [2, "x"]}
     file = tmp_path / "a.bvh"
     file.write_text("motion")
     assert json_of(file) == f"sha256:{sha(b'motion')}"
-    assert json_of(str(file)) == f"{file} sha256:{sha(b'motion')}"
-    assert json_of("x" * 10_000) == "x" * 10_000
     numbers = np.arange(6, dtype=np.float32)
     same = [json_of(values) for values in (numbers, numbers.copy())]
     others = [numbers + 1, numbers.reshape(2, 3), numbers.reshape(3, 2), numbers.view("i4")]
     assert len({*same, *map(json_of, others)}) == 5
-    one = json_of(Setting("a", [1]))
-    assert one == json_of(Setting("a", [1])) and one.startswith("sha256:")
-    assert one not in (json_of(Setting("a", [2])), json_of(Setting("b", [1])))
-    assert json_of(1j) == "1j"
 
 
 def test_the_digest_of_a_folder_is_that_of_names_and_contents(tmp_path):
-    def folder(name: str, **files: str) -> Path:
-        (tmp_path / name).mkdir()
+    digests = []
+    for number, files in enumerate(
+        ({"a": "1", "b": "2"}, {"b": "2", "a": "1"}, {"a": "2", "b": "1"}, {"a": "1", "c": "2"})
+    ):
+        (tmp_path / f"{number}").mkdir()
         for file, text in files.items():
-            (tmp_path / name / file).write_text(text)
-        return tmp_path / name
-
-    one, same = folder("one", a="1", b="2"), folder("same", b="2", a="1")
-    others = [folder("x", a="1", b="3"), folder("y", a="2", b="1"), folder("z", a="1", c="2")]
-    assert path_digest(one) == path_digest(same)
-    assert len({path_digest(path) for path in (one, *others)}) == 4
-    (one / "a").write_bytes(b"1" * 3_000_000)
-    assert path_digest(one / "a") == sha(b"1" * 3_000_000)
-    assert path_digest(tmp_path / "missing") == ""
-    assert file_facts(one) is None and file_facts(tmp_path / "missing") is None
+            (tmp_path / f"{number}" / file).write_text(text)
+        digests.append(path_digest(tmp_path / f"{number}"))
+    assert digests[0] == digests[1] and len({*digests}) == 3
     (tmp_path / "loop").symlink_to("loop")
-    assert path_digest(tmp_path / "loop") == ""
+    assert path_digest(tmp_path / "loop") == path_digest(tmp_path / "missing") == ""
