@@ -27,7 +27,7 @@ help:
 	@echo "make floors  run tests with the lowest versions that pyproject.toml allows, in $(VENV)/floors"
 	@echo "make fuzz    set up, then fuzz every loader for FUZZ_SECONDS (60) each"
 	@echo "make setup   create $(VENV) with gesturekit and its dependencies"
-	@echo "make lint    check style and types make format  fix style"
+	@echo "make lint    check style and types    make format  fix style"
 	@echo "make bench   run all benchmarks in quick mode"
 	@echo "make interop open files written by gesturekit in Blender, three.js and the glTF validator (1.6 GB)"
 	@echo "make blender make the Blender add-on, build/gesturekit_motion.zip"

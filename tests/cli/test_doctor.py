@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import sys
 from importlib import util
 from pathlib import Path
 from types import SimpleNamespace
 
-import pytest
 import torch
 
-from gesturekit import systems
 from gesturekit.diagnosis import Finding, diagnose, is_usable
-from gesturekit.errors import ConfigError
-from gesturekit.jobs.result import Processor
-from gesturekit.jobs.run import Batch, Execution
 
 
 def test_a_machine_that_works_is_usable(gesturekit, write_wavlm, tmp_path):
@@ -36,28 +30,17 @@ def test_a_broken_requirement_gives_exit_code_1(gesturekit, tmp_path):
     assert is_usable([Finding("a", "note", "")])
 
 
-def test_a_named_blender_that_is_not_there_is_noted(monkeypatch, tmp_path):
-    for name, state in ((sys.executable, "ok"), (str(tmp_path / "blender"), "note")):
-        monkeypatch.setenv("GESTUREKIT_BLENDER", name)
-        found = next(finding for finding in diagnose() if finding.name == "Blender")
-        assert found.state == state and name in found.text
-
-
 def finding(name: str) -> Finding:
     return next(found for found in diagnose() if found.name == name)
 
 
-GIGABYTE = 10**9
-
-
-@pytest.mark.parametrize(("free", "state"), [(1.9, "note"), (2.1, "ok")])
-def test_a_disk_that_is_nearly_full_is_noted(monkeypatch, free, state):
-    usage = shutil._ntuple_diskusage(100 * GIGABYTE, 0, round(free * GIGABYTE))
-    monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage)
-    disk, cache = finding("disk"), finding("cache")
-    assert (disk.state, cache.state) == (state, state)
-    assert f"{free} GB free" in disk.text
-    assert ("nearly full" in cache.text) == (cache.advice == "gesturekit cache clear")
+def test_a_disk_that_is_nearly_full_is_noted(monkeypatch):
+    for free, state in ((1.9, "note"), (2.1, "ok")):
+        usage = SimpleNamespace(total=10**11, used=0, free=round(free * 10**9))
+        monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage)  # noqa: B023
+        found = {one.name: one for one in diagnose()}
+        assert (found["disk"].state, found["cache"].state) == (state, state)
+        assert f"{free} GB free" in found["disk"].text
 
 
 def test_a_cache_that_cannot_be_written_is_noted(monkeypatch, tmp_path):
@@ -70,24 +53,14 @@ def test_a_cache_that_cannot_be_written_is_noted(monkeypatch, tmp_path):
         assert ("cannot be written to" in cache.text) == (state == "note")
 
 
-@pytest.mark.parametrize(
-    ("threads", "limit", "state", "advice"),
-    [
-        (4, None, "ok", ""),
-        (2, None, "ok", ""),
-        (2, "2", "note", "OMP_NUM_THREADS=2 says so"),
-        (4, "4", "ok", ""),
-        (5, None, "note", "set OMP_NUM_THREADS=4: more is slower"),
-    ],
-)
-def test_threads_are_compared_with_cores(monkeypatch, threads, limit, state, advice):
+def test_threads_are_compared_with_cores(monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 1, 2, 3})
-    monkeypatch.setattr(torch, "get_num_threads", lambda: threads)
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    if limit is not None:
-        monkeypatch.setenv("OMP_NUM_THREADS", limit)
-    text = f"torch uses {threads} of 4 cores"
-    assert finding("threads") == Finding("threads", state, text, advice)
+    for threads, state in ((2, "ok"), (5, "note")):
+        monkeypatch.setattr(torch, "get_num_threads", lambda: threads)  # noqa: B023
+        found = finding("threads")
+        assert (found.state, found.text) == (state, f"torch uses {threads} of 4 cores")
+    assert "OMP_NUM_THREADS=4" in found.advice
 
 
 def test_wavlm_weights_are_found_in_the_usual_folders(monkeypatch, tmp_path):
@@ -98,27 +71,19 @@ def test_wavlm_weights_are_found_in_the_usual_folders(monkeypatch, tmp_path):
     none = finding("WavLM")
     assert none.state == "note" and "--weights" in none.advice
     snapshot = "models--microsoft--wavlm-base-plus/snapshots/abc"
-    files = (
+    for name in (
         f".cache/huggingface/hub/{snapshot}/model.safetensors",
-        ".cache/huggingface/hub/models--wavlm-empty/snapshots/abc/README.md",
         f"other/hub/{snapshot}/pytorch_model.bin",
-        f"hub/{snapshot}/pytorch_model.bin",
         ".cache/torch/hub/checkpoints/wavlm_large.pt",
-        "WavLM-Base.pt",
-    )
-    for name in files:
+    ):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("")
-    others = [tmp_path / ".cache/torch/hub/checkpoints/wavlm_large.pt", tmp_path / "WavLM-Base.pt"]
-    for variables, hub in (
-        ({}, ".cache/huggingface/hub"),
-        ({"HF_HOME": str(tmp_path / "other")}, "other/hub"),
-        ({"HF_HUB_CACHE": str(tmp_path / "hub"), "HF_HOME": "x"}, "hub"),
-    ):
-        for name, value in variables.items():
-            monkeypatch.setenv(name, value)
-        places = ", ".join(map(str, (tmp_path / hub / snapshot, *others)))
-        assert finding("WavLM") == Finding("WavLM", "ok", f"weights in {places}")
+    for home, hub in ((None, ".cache/huggingface/hub"), (tmp_path / "other", "other/hub")):
+        if home is not None:
+            monkeypatch.setenv("HF_HOME", str(home))
+        found = finding("WavLM")
+        assert found.state == "ok" and str(tmp_path / hub / snapshot) in found.text
+        assert "wavlm_large.pt" in found.text
 
 
 def test_a_check_that_breaks_is_a_finding_and_the_next_ones_go_on(monkeypatch):
@@ -131,24 +96,12 @@ def test_a_check_that_breaks_is_a_finding_and_the_next_ones_go_on(monkeypatch):
     assert found["disk"].state != "broken" and not is_usable(list(found.values()))
 
 
-def test_only_the_beginning_of_a_long_error_is_shown(monkeypatch):
-    def breaks(long: str = "x" * 400) -> bool:
-        raise RuntimeError(f"{long}")
-
-    monkeypatch.setattr(torch.cuda, "is_available", breaks)
-    assert finding("GPU").text == "x" * 300
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: {}["driver"])
-    assert finding("GPU").text == "'driver'"
-
-
 def test_gpus_are_listed_and_what_keeps_torch_from_one_is_explained(monkeypatch):
-    gpus = [
-        SimpleNamespace(name=name, total_memory=n * 10**9) for name, n in (("A", 24), ("B", 80))
-    ]
+    gpu = SimpleNamespace(name="A", total_memory=24 * 10**9)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
-    monkeypatch.setattr(torch.cuda, "get_device_properties", lambda number: gpus[number])
-    assert finding("GPU") == Finding("GPU", "ok", "A (24 GB), B (80 GB)")
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
+    monkeypatch.setattr(torch.cuda, "get_device_properties", lambda number: gpu)
+    assert finding("GPU") == Finding("GPU", "ok", "A (24 GB)")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     for cuda, driver, state, says in (
         ("13.0", None, "note", "torch is built for CUDA but sees no GPU"),
@@ -159,8 +112,6 @@ def test_gpus_are_listed_and_what_keeps_torch_from_one_is_explained(monkeypatch)
         monkeypatch.setattr(shutil, "which", lambda name: driver)  # noqa: B023
         found = finding("GPU")
         assert (found.state, found.text, bool(found.advice)) == (state, says, state == "note")
-        build = f"built for CUDA {cuda}" if cuda else "built for the CPU"
-        assert finding("torch").text == f"{torch.__version__}, {build}"
 
 
 def test_packages_that_are_missing_are_noted_or_broken(monkeypatch):
@@ -173,62 +124,6 @@ def test_packages_that_are_missing_are_noted_or_broken(monkeypatch):
         "transformers", "note", "not installed", "pip install 'gesturekit[encoders]'"
     )
     assert found["libraries"].state == "broken" and found["libraries"].text.startswith("soxr (")
-
-
-@pytest.mark.parametrize(
-    ("name", "file", "state"),
-    [("HTML player", "player.bundle.js", "broken"), ("human body", "human/human.npz", "note")],
-)
-def test_what_the_set_up_makes_is_there_or_named(monkeypatch, tmp_path, name, file, state):
-    monkeypatch.setattr("gesturekit.diagnosis.__file__", str(tmp_path / "diagnosis.py"))
-    missing = finding(name)
-    assert (missing.state, missing.advice) == (state, "make setup")
-    (tmp_path / "viewer" / file).parent.mkdir(parents=True)
-    (tmp_path / "viewer" / file).write_bytes(bytes(2_340_000))
-    assert finding(name).state == "ok" and finding(name).text.endswith(", 2.3 MB")
-
-
-def test_a_folder_of_another_user_is_no_place_for_a_cache(monkeypatch, tmp_path):
-    """The superuser, as who tests may run, can write everywhere."""
-    monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(systems, "load", None)  # the demo model is not what is looked at
-    for right in (os.W_OK, os.X_OK):
-        monkeypatch.setattr(os, "access", lambda place, mode: not mode & right)  # noqa: B023
-        assert finding("cache").state == "note" and "cannot be written to" in finding("cache").text
-        with pytest.raises(ConfigError, match="out: cannot be written to; give another folder"):
-            list(Batch(Nothing(tmp_path / "out"), list, "r", Execution()).run())
-
-
-class Nothing(Processor):
-    """Work on nothing."""
-
-    existing, settings, written = "refuse", {}, {}
-
-    def __init__(self, out: Path) -> None:
-        self.out = out
-
-    def make(self, result) -> None: ...
-
-
-UP_TO_TORCHAUDIO = """
-from gesturekit.diagnosis import diagnose
-for finding in diagnose():
-    print(finding)
-    if finding.name == "torchaudio":
-        break
-"""
-
-
-def test_a_broken_torchaudio_is_explained_and_not_needed(tmp_path):
-    (tmp_path / "torchaudio").mkdir()
-    (tmp_path / "torchaudio" / "__init__.py").write_text("raise OSError('libcudart.so.13: no')")
-    path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
-    command, about = [sys.executable, "-c", UP_TO_TORCHAUDIO], {**os.environ, "PYTHONPATH": path}
-    done = subprocess.run(command, capture_output=True, text=True, env=about, check=False)
-    assert done.returncode == 0, done.stderr
-    last = done.stdout.splitlines()[-1]
-    for word in ("name='torchaudio', state='note'", "libcudart.so.13", "pip uninstall torchaudio"):
-        assert word in last
 
 
 def test_the_cache_is_shown_and_cleared(

@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
-import click
 import numpy as np
 import pytest
-from pages import data_of
 
 import audio_features as af
 import gesturekit as gk
 from gesturekit import systems
-from gesturekit.cli import VERBS, cli
-from gesturekit.jobs.run import EXISTING
-from gesturekit.viewer.human.body import is_baked
+from gesturekit.cli import VERBS
 
 
 def test_help_and_version(gesturekit):
@@ -29,55 +23,21 @@ def test_help_and_version(gesturekit):
         assert done.status == 0 and done.out.startswith("Usage: gesturekit") and done.err == ""
 
 
-def commands(group: click.Group, *above: str) -> Iterator[tuple[tuple[str, ...], click.Command]]:
-    """Yield the arguments of each command, and the command."""
-    for name in group.list_commands(click.Context(group)):
-        command = group.get_command(click.Context(group), name)
-        if isinstance(command, click.Group):
-            yield from commands(command, *above, name)
-        else:
-            yield (*above, name), command
-
-
-def test_help_shows_20_options_and_all_on_request(gesturekit):
-    """And -o stands for --out everywhere."""
-    for words, command in commands(cli):
-        options = {opt for param in command.params for opt in param.opts} & {"-o", "--out"}
-        assert options in (set(), {"-o", "--out"}), words
-        every = {param.opts[0] for param in command.params if isinstance(param, click.Option)}
-        every |= {"-h"}  # or --help, where another test read the command alone
-        asked = {len(every): "--help"} if len(every) <= 20 else {20: "--help", -1: "--help-all"}
-        for most, flag in asked.items():
-            text = re.split(r"^\S.*:\n", gesturekit(*words, flag).ok().out, flags=re.MULTILINE)
-            shown = re.findall(r"^  (-[\w-]+)[ ,\n]", "\n".join(text[1:]), re.MULTILINE)
-            assert set(shown) <= {*every, "--help"} and len(shown) == (
-                len(every) if most < 0 else most
-            ), words
-            assert {"-o"} & every <= set(shown)
-
-
 def test_a_missing_model_is_answered_by_those_that_there_are(gesturekit, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for age, run in enumerate("dcba"):
-        (config := tmp_path / "runs" / run / "model" / "config.yaml").parent.mkdir(parents=True)
-        config.touch()
-        os.utime(config, (0, age))
-    newest = (f"--model {Path('runs', run, 'model')}" for run in "abc")
-    done = gesturekit("render", "a.wav", "-o", "out").fails(2, ", ".join(["--model demo", *newest]))
-    assert str(Path("runs", "d")) not in done.err
-    (tmp_path / "result.bvh").touch()
-    for name in ("result.bvh", "other.bvh"):
-        wrong = ("render", "a.wav", "--model", "demo", "-o", name)
-        gesturekit(*wrong).fails(2, f"--out {name[:-4]} --format bvh")
+    (tmp_path / "runs" / "a" / "model").mkdir(parents=True)
+    (tmp_path / "runs" / "a" / "model" / "config.yaml").touch()
+    own = f"--model {Path('runs', 'a', 'model')}"
+    gesturekit("render", "a.wav", "-o", "out").fails(2, f"--model demo, {own}")
+    wrong = ("render", "a.wav", "--model", "demo", "-o", "result.bvh")
+    gesturekit(*wrong).fails(2, "--out result --format bvh")
 
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
         (["rendr"], "did you mean render?"),
-        (["Prepair", "x"], "did you mean prepare?"),
         (["xyz"], "it is one of demo, features, prepare"),
-        (["--nonsense"], "--nonsense"),
         (["render"], "Missing"),
         (["train"], "gesturekit train own_corpus corpus=CORPUS.jsonl"),
         ([], "Usage: gesturekit"),
@@ -89,11 +49,9 @@ def test_bad_usage(gesturekit, arguments, says):
 
 def test_features_that_cannot_be_written_or_made(gesturekit, write_speech, tmp_path):
     wav = write_speech(tmp_path / "speech.wav", 1.0)
-    done = gesturekit("features", wav, "--out", tmp_path / "speech.wav" / "out").fails(2)
     target = tmp_path / "speech.wav" / "out"
-    assert done.err == f"Error: {target}: cannot be created (Not a directory)\n"
-    for fps in ("0", "1e9", "fast"):
-        gesturekit("features", wav, "--out", tmp_path / "out", "--fps", fps).fails(2, "--fps")
+    gesturekit("features", wav, "--out", target).fails(2, f"{target}: cannot be created")
+    gesturekit("features", wav, "--out", tmp_path / "out", "--fps", "1e9").fails(2, "--fps")
     assert not (tmp_path / "out").exists()
 
 
@@ -122,26 +80,18 @@ def test_control_characters_in_names_are_shown_as_escapes(gesturekit, gesture, t
     assert not re.search("[\u202e\x07]", done.out + done.err)
 
 
-def test_every_verb_that_writes_takes_one_option_for_what_exists():
-    for verb in ("render", "convert", "features", "demo", "view", "evaluate", "prepare"):
-        command = cli.get_command(click.Context(cli), verb)
-        (option,) = (param for param in command.params if param.name == "existing")
-        assert set(option.type.choices) == set(EXISTING), verb
-
-
-def test_a_manifest_and_a_feature_model_may_be_kept(gesturekit, corpus, write_pair, tmp_path):
+def test_a_manifest_and_a_feature_model_may_be_kept(gesturekit, write_pair, tmp_path):
     write_pair(tmp_path / "in", "a", 2.0)
     manifest = tmp_path / "corpus.jsonl"
-    prepare = ("prepare", tmp_path / "in", "--out", manifest, "--holdout", 0)
-    assert gesturekit(*prepare).status == 0 and gesturekit(*prepare).status == 0
     manifest.write_text("mine")
-    assert gesturekit(*prepare, "--existing", "refuse").status == 2
-    done = gesturekit(*prepare, "--existing", "skip")
-    assert done.status == 0 and manifest.read_text() == "mine"
+    prepare = ("prepare", tmp_path / "in", "--out", manifest, "--holdout", 0, "--existing")
+    gesturekit(*prepare, "refuse").fails(2, "corpus.jsonl")
+    gesturekit(*prepare, "skip").ok()
+    assert manifest.read_text() == "mine"
     (tmp_path / "feature_model.json").write_text("{}")
     fit = ("fit-features", tmp_path / "in", "--out", tmp_path)
     gesturekit(*fit).fails(2, "feature_model.json exists already")
-    assert gesturekit(*fit, "--existing", "skip").status == 0
+    gesturekit(*fit, "--existing", "skip").ok()
 
 
 def test_the_demo_leaves_every_format_and_its_sound(gesturekit, tmp_path):
@@ -150,35 +100,15 @@ def test_the_demo_leaves_every_format_and_its_sound(gesturekit, tmp_path):
     assert sorted(path.name for path in tmp_path.glob("speech.*")) == names
     assert (tmp_path / "speech.wav").read_bytes() == systems.bundled_speech().read_bytes()
     assert all(f"{tmp_path / name}\n" in done.out for name in names)
-    page = data_of(tmp_path / "speech.html")
-    assert 0.4 < page["below"] / page["height"] < 0.5  # from the waist up
-    if is_baked():
-        assert page["figures"][0]["n_joints"] > 52  # the human body, with fingers
     assert "Blender: File > Import" in done.out
     with np.load(tmp_path / "speech.npz", allow_pickle=False) as arrays:
         assert arrays["rotations"].shape[0] == arrays["translation"].shape[0]
-    assert done.err.startswith("Loading the demo model ...")
-    again = gesturekit("demo", "--out", tmp_path)
-    assert again.status == 0 and sorted(again.out.split()) == sorted(done.out.split())
     (tmp_path / "speech.wav").write_text("mine")
     gesturekit("demo", "--out", tmp_path, "--seed", 1).fails(2, "speech.wav exists already")
     first = (tmp_path / "speech.bvh").read_bytes()
     kept = gesturekit("demo", "--out", tmp_path, "--seed", 1, "--existing", "skip").ok()
     assert "speech.wav: skipped" in kept.err and (tmp_path / "speech.wav").read_text() == "mine"
     assert (tmp_path / "speech.bvh").read_bytes() == first
-
-
-def test_the_demo_takes_a_seed_and_reports_a_failure(
-    gesturekit, write_speech, tmp_path, monkeypatch
-):
-    speech = write_speech(tmp_path / "speech.wav", 0.5)
-    monkeypatch.setattr(systems, "bundled_speech", lambda: speech)
-    for seed in (0, 1):
-        gesturekit("demo", "--out", tmp_path / f"{seed}", "--seed", seed).ok()
-    one, two = ((tmp_path / name / "speech.bvh").read_bytes() for name in "01")
-    assert one != two
-    speech.write_bytes(b"no sound")
-    gesturekit("demo", "--out", tmp_path / "2").fails(1, "Failed: ", "speech.wav")
 
 
 @pytest.mark.parametrize("options", [("convert", "--format", "npz"), ("features",)])
@@ -204,7 +134,6 @@ def test_a_seed_below_0_is_refused_at_once_everywhere(gesturekit, model, corpus,
     loaded = gk.load(model)
     for call in (
         lambda: loaded.generate(seconds=1.0, seed=-1),
-        lambda: loaded.check_controls(seed=-1),
         lambda: gk.evaluate(tmp_path, tmp_path, seed=-1),
         lambda: gk.prepare([tmp_path], tmp_path / "c.jsonl", seed=-1),
         lambda: gk.train("multires_speech/light", corpus=corpus, out=tmp_path / "run", seed=-1),
@@ -216,38 +145,23 @@ def test_a_seed_below_0_is_refused_at_once_everywhere(gesturekit, model, corpus,
 
 def test_extractors_are_listed_with_their_settings(gesturekit, write_speech, tmp_path):
     wav = write_speech(tmp_path / "a.wav", 0.5)
-    specs = {}
-    for listed in ("logmel:8", " mfcc:6 ,, prosody:pyin", "effort:0.5,onset"):
-        out = tmp_path / listed.strip()[:3]
-        done = gesturekit("features", wav, "--extractor", listed, "--cache", "off", "--out", out)
-        spec = af.FeatureTrack.load(out / "a.npz").spec
-        specs[listed] = spec if spec["kind"] != "stack" else spec["parts"]
-        width = af.FeatureTrack.load(out / "a.npz").values.shape[1]
-        assert done.ok().out == f"{out / 'a.npz'}: 50 frames × {width}\n"
-    assert (specs["logmel:8"]["kind"], specs["logmel:8"]["n_mels"]) == ("logmel", 8)
-    mfcc, prosody = specs[" mfcc:6 ,, prosody:pyin"]
+    listed = " mfcc:6 ,, prosody:pyin,effort:0.5"
+    done = gesturekit("features", wav, "--extractor", listed, "--cache", "off", "--out", tmp_path)
+    track = af.FeatureTrack.load(tmp_path / "a.npz")
+    assert done.ok().out == f"{tmp_path / 'a.npz'}: 50 frames × {track.values.shape[1]}\n"
+    mfcc, prosody, effort = track.spec["parts"]
     assert 6 in mfcc.values() and "pyin" in prosody.values()
-    effort, onset = specs["effort:0.5,onset"]
-    assert effort == {"kind": "effort", "seconds": 0.5} and onset["kind"] == "onset"
+    assert effort == {"kind": "effort", "seconds": 0.5}
 
 
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ("--extractor mel", "--extractor 'mel': one or more of logmel, mfcc"),
-        ("--extractor onset:3", "--extractor 'onset:3': one or more of"),
-        ("--extractor mfcc --layer 6", "--layer requires --extractor wavlm or hf"),
-        ("--extractor mfcc --weights w", "--weights requires --extractor wavlm or hf or files"),
-        ("--extractor wavlm --rate 50", "--rate requires --extractor files"),
-        ("--extractor hf --preset dsg", "--preset requires --extractor wavlm"),
-        ("--extractor mfcc --full-context 3", "--full-context requires --extractor wavlm or hf"),
-        ("--extractor wavlm --layer 6:1,9", "--layer '6:1,9': 6, 6,9, last, mean or 6:1,9:3"),
-        ("--extractor wavlm --layer x:1", "--layer 'x:1': 6, 6,9"),
-        ("--extractor mfcc --align mean", "--align requires --fps"),
-    ],
-)
-def test_options_of_networks_need_one(gesturekit, write_speech, tmp_path, options, says):
+def test_options_of_networks_need_one(gesturekit, write_speech, tmp_path):
     wav = write_speech(tmp_path / "a.wav", 0.5)
-    done = gesturekit("features", wav, *options.split(), "--out", tmp_path / "out")
-    done.fails(2, says)
+    for options, says in (
+        ("--extractor mel", "--extractor 'mel': one or more of logmel, mfcc"),
+        ("--extractor mfcc --layer 6", "--layer requires --extractor wavlm or hf"),
+        ("--extractor wavlm --rate 50", "--rate requires --extractor files"),
+        ("--extractor wavlm --layer 6:1,9", "--layer '6:1,9': 6, 6,9, last, mean or 6:1,9:3"),
+        ("--extractor mfcc --align mean", "--align requires --fps"),
+    ):
+        gesturekit("features", wav, *options.split(), "--out", tmp_path / "out").fails(2, says)
     assert not (tmp_path / "out").exists()
