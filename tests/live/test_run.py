@@ -353,11 +353,11 @@ def test_an_error_of_the_source_ends_the_run_and_its_recording(tmp_path):
 
     source = Unplugged()
     source.fast = True
-    recording = Recording(tmp_path / "new" / "take.npz", 16_000)
+    recording = Recording(tmp_path / "new" / "deep" / "take.npz", 16_000)
     with pytest.raises(OSError, match="unplugged"):
         start(source, [recording])
-    assert Motion.load(tmp_path / "new" / "take.npz").n_frames == 7  # 0.4 s, 0.2 s ahead
-    assert soundfile.info(tmp_path / "new" / "take.wav").frames == 6400
+    assert Motion.load(tmp_path / "new" / "deep" / "take.npz").n_frames == 7  # 0.4 s, 0.2 s ahead
+    assert soundfile.info(tmp_path / "new" / "deep" / "take.wav").frames == 6400
 
 
 @pytest.mark.skipif(not is_baked(), reason="the human body is not baked: `make setup`")

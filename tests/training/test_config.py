@@ -103,9 +103,9 @@ def test_mistakes_are_named(tmp_path, text, overrides, says):
 @pytest.mark.parametrize(
     ("values", "meant"),
     [
-        ({"schedule": {"updates": 3}}, "training.updates"),
+        ({"schedule": {"updates": 3}}, "key schedule.updates; did you mean training.updates"),
         ({"updates": 3}, "training.updates"),
-        ({"netwrk": {"blocks": 3}}, "network"),
+        ({"netwrk": {"blocks": 3}}, "key netwrk; did you mean network"),
         ({"epochs": 3}, "longer or training.updates"),
         ({"optim": {"lr": 3}}, "training.learning_rate"),
         ({"training": {"clip_value": 3}}, "training.clip"),
