@@ -60,7 +60,7 @@ def of_transformers(name: str, model: Any, samples: np.ndarray) -> tuple[np.ndar
 
 def test_values_are_those_of_transformers(encoder):
     name, folder, model = encoder
-    samples = swelling(1.73 if name == "whisper" else 11.2)  # convolutions are of blocks of 10 s
+    samples = swelling(11.2 if name == "data2vec-audio" else 1.73)  # blocks of convolutions: 10 s
     last, states = of_transformers(name, model, samples)
     wave = af.Wave(samples, 16_000)
     track = af.HuggingFace(folder, layer="last").extract(wave)

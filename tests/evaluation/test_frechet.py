@@ -97,6 +97,7 @@ def test_bad_input_gets_one_clear_error(call, message):
         call()
 
 
+@pytest.mark.stress
 def test_wide_windows_are_bounded_from_below_and_close(gesture):
     reference = [gesture(40.0, 30.0, seed=i) for i in range(12)]
     generated = [gesture(40.0, 30.0, seed=20 + i) for i in range(12)]

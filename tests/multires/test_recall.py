@@ -416,6 +416,7 @@ def test_retrieval_gives_recorded_frames(recordings, speech, tmp_path):
     np.testing.assert_array_equal(unknown.rotations, made.rotations)
 
 
+@pytest.mark.stress
 def test_recall_without_speech(recordings, tmp_path):
     model = gk.load(train(settings(recordings, tmp_path / "run", features=None, training=SHORT)))
     assert model.library.wanted is None
@@ -450,6 +451,7 @@ def test_vocal_effort_alone_is_no_input_beside_recall(tmp_path):
     assert settings(tmp_path / "none.jsonl", tmp_path, **alone, recall=None).recall is None
 
 
+@pytest.mark.stress
 def test_training_depends_on_the_recalled_motion(recordings, folder, tmp_path):
     """Levels up to the recalled one are trained as without it, the finer ones are not."""
     changed = train(settings(recordings, tmp_path / "other", recall={"piece": 1.5}))
@@ -460,12 +462,14 @@ def test_training_depends_on_the_recalled_motion(recordings, folder, tmp_path):
     assert [not own for own in same.values()] == fine
 
 
+@pytest.mark.stress
 def test_a_run_with_recall_resumes_bitwise(config, folder):
     whole = (folder / "model.safetensors").read_bytes()
     cut_off(config.out, 6)
     assert (train(config, resume=True) / "model.safetensors").read_bytes() == whole
 
 
+@pytest.mark.stress
 def test_training_fits_predictions_for_live_speech_and_so_does_the_command(
     folder, plain, recordings, gesturekit, tmp_path
 ):

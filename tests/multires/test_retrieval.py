@@ -183,6 +183,7 @@ def test_short_recordings_and_short_speech(lengths, n_frames):
     assert len(jumps) == 0 or jumps.max() <= 1 / max(1, found.overlap) + 1e-6
 
 
+@pytest.mark.stress
 def test_minutes_of_speech_take_seconds_and_little_memory():
     """In twenty minutes of recordings at 4.4 frames per second; so does their timing."""
     rows = [[noise(5300, width)] for width in (4, 1, 1)]

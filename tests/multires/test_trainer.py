@@ -68,7 +68,11 @@ def test_a_run_says_what_it_trains_and_on_what(announced, motions):
     corpus = str(motions(old=[3.0], angry=[3.0]))
     two = "2 recordings, 8 s at 30 fps, trained at 25 fps, "
     for changes, mode, content in (
-        ({}, "speech mode", f"{two}5 s of unpaired speech, 28 features, 19 of 19 joints modelled"),
+        (
+            {},
+            "speech mode",
+            f"{two}5 s of unpaired speech, 28 speech features, 19 of 19 joints modelled",
+        ),
         ({"features": None}, "no condition", f"{two}19 of 19 joints modelled"),
         (
             {"features": None, "styles": {}, "corpus": corpus, "joints": ["Hips", "Head", "Neck"]},
