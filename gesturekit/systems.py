@@ -293,9 +293,12 @@ def _config_file(
     Raises:
         ConfigError: there is none, or a run folder is given without `resume`.
     """
-    if resume and not path.exists():
-        raise ConfigError(f"{path}: no such run")
     path = named_config(path) or path
+    if resume and not path.exists():
+        raise ConfigError(
+            f"{path}: no such run; a training that was interrupted before its first step left "
+            "none: begin it again"
+        )
     if path.is_dir():
         if _is_model(path) and (path.parent / "config.yaml").is_file():
             path = path.parent  # the run of a model folder

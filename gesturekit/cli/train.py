@@ -91,7 +91,12 @@ def command(
     if only_arrays:
         make_arrays(config, overrides)
         return
-    model = train(config, overrides, resume=resume)
+    try:
+        model = train(config, overrides, resume=resume)
+    except KeyboardInterrupt as error:
+        if error.args:  # how to continue
+            raise
+        raise KeyboardInterrupt("Nothing was trained yet; begin with the same command.") from None
     run = model.parent
     click.echo(f"Report: {run / 'report.html'}")
     click.echo(f"Losses and metrics: {run / 'metrics.jsonl'}")

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from gesturekit import systems
+from gesturekit.corpus import Manifest
 from gesturekit.errors import ConfigError
 from gesturekit.inspection import inspect
 from gesturekit.multires.training.stage import Stage
@@ -124,6 +125,14 @@ def test_a_run_that_was_stopped_before_its_folder_begins(train, tmp_path, caplog
     caplog.set_level("INFO")
     train("--resume").ok()
     assert f"{tmp_path / 'run'}: no run to resume yet; starting a new one." in caplog.text
+
+
+def test_ctrl_c_before_the_first_step_says_that_nothing_is_kept(train, monkeypatch):
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Manifest, "load", interrupted)
+    assert "Nothing was trained yet" in train().fails(130).err
 
 
 def test_an_interrupted_run_says_how_to_go_on(gesturekit, train, tmp_path, monkeypatch):
@@ -241,6 +250,7 @@ def test_a_new_run_is_planned_and_its_processes_are_a_setting(gesturekit, light)
     ("arguments", "says"),
     [
         (["--resume", "runs/none"], "runs/none: no such run"),
+        (["--resume", "own_corpus", "corpus=none.jsonl", "out=runs/none"], "none.jsonl"),
         (
             ["c.jsonl"],
             "c.jsonl: a manifest, not a configuration; gesturekit train own_corpus corpus=c.jsonl",

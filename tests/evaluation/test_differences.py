@@ -73,8 +73,8 @@ def test_each_change_is_a_line_and_models_go_by_label(found, before):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("{", "cannot read the results"),
-        ("[" * 100_000, "cannot read the results"),
+        ("{", "not a file of evaluate --json"),
+        ("[" * 100_000, "not a file of evaluate --json"),
         ("[1]", "not a file of evaluate --json"),
         ('{"format": 1, "models": [{"figures": {"a": {}}}]}', "not a file of evaluate --json"),
         ('{"format": 1, "models": [{"label": "a", "figures": [1]}]}', "not a file of evaluate"),

@@ -35,7 +35,7 @@ def read_results(path: Path) -> dict[str, Any]:
                 float(figure["value"])
             str(model["label"])
     except (OSError, ValueError, RecursionError) as error:
-        raise EvaluationError(f"{path}: cannot read the results: {error}") from error
+        raise EvaluationError(f"{path}: not a file of evaluate --json: {error}") from error
     except (KeyError, TypeError, AttributeError) as error:
         raise EvaluationError(f"{path}: not a file of evaluate --json ({error})") from error
     return values
