@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-import gesturekit.viewer.html as page_module
+import gesturekit.viewer
 
 bundled = pytest.mark.skipif(
-    not page_module._BUNDLE.is_file(), reason="the player is not bundled: run `make setup`"
+    not Path(gesturekit.viewer.__file__).with_name("player.bundle.js").is_file(),
+    reason="the player is not bundled: run `make setup`",
 )
 
 
