@@ -1,4 +1,4 @@
-"""What a user reads while a command works: bars, durations, counts and lists."""
+"""The output that a user reads while a command works: bars, durations, counts and lists."""
 
 from __future__ import annotations
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -129,10 +130,10 @@ def inspect_features(path: Path) -> Summary:
     )
 
 
-def feature_files(folder: Path) -> list[Path]:
-    """Return the npz files of speech features below a folder."""
+def feature_files(folder: Path) -> Iterator[Path]:
+    """Yield the npz files of speech features below a folder."""
     every = (path for _, _, files in visible_folders(folder) for path in files)
-    return [path for path in every if path.suffix.lower() == ".npz" and is_feature_file(path)]
+    yield from (path for path in every if path.suffix.lower() == ".npz" and is_feature_file(path))
 
 
 def inspect_feature_folder(folder: Path) -> Summary:
@@ -141,7 +142,7 @@ def inspect_feature_folder(folder: Path) -> Summary:
     Raises:
         FeatureError: the first cannot be read.
     """
-    files = feature_files(folder)
+    files = list(feature_files(folder))
     first = inspect_features(files[0])
     names = [path.relative_to(folder).as_posix() for path in files]
     return Summary(

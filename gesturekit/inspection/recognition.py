@@ -158,6 +158,6 @@ def _kind_of_folder(folder: Path) -> str:
     found, _ = scan(folder)
     if found:
         return "corpus"
-    if feature_files(folder):
+    if any(feature_files(folder)):  # reads no more than the first
         return "features"
     raise FormatError(f"{folder}: not a folder that gesturekit recognises; it inspects {_KNOWN}")

@@ -163,11 +163,11 @@ def test_a_broken_file_never_stops_the_others(model, wav, broken, tmp_path):
     command += ["--model", model, "--out", out, "--format", ",".join(kinds)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 1
-    told = problems(done.stderr)
-    assert len(told) == len(broken) + 1, done.stderr
-    for (reason, path), line in zip(broken.items(), told, strict=False):
+    output = problems(done.stderr)
+    assert len(output) == len(broken) + 1, done.stderr
+    for (reason, path), line in zip(broken.items(), output, strict=False):
         assert line.startswith(f"Failed: {path}") and reason in line
-    assert told[-1].startswith(f"Warning: {silent}: silent")
+    assert output[-1].startswith(f"Warning: {silent}: silent")
     made = [f"{stem}.{kind}" for stem in ("silent", "speech") for kind in kinds]
     assert names(out) == sorted(made)
     assert done.stdout.split() == [str(out / name) for name in made]
@@ -305,9 +305,11 @@ def test_ctrl_c_leaves_whole_files_only(model, wav, tmp_path):
     for pause in (0.1, 0.02, 0.3):  # of somebody in a hurry
         running.send_signal(signal.SIGINT)
         time.sleep(pause)
-    told = running.communicate(timeout=60)[1]
-    assert running.returncode == 130 and "Traceback" not in told
-    assert re.search(r"^Interrupted\. \d+ rendered in .*; the same command continues$", told, re.M)
+    output = running.communicate(timeout=60)[1]
+    assert running.returncode == 130 and "Traceback" not in output
+    assert re.search(
+        r"^Interrupted\. \d+ rendered in .*; the same command continues$", output, re.M
+    )
     assert 2 <= len(names(out)) < 600
     for path in map(out.joinpath, names(out)):
         assert re.fullmatch(r"\d{3}\.(npz|html)", path.name), "nothing temporary is left"

@@ -101,12 +101,12 @@ def test_bad_files_are_reported_once_and_others_used(tmp_path, write_pair, write
     assert not report.is_complete
     (warning,) = [text for text in texts(report, "warning") if "cut" in text]
     assert "declares 120 frames and holds 119" in warning
-    told = "\n".join(problem.text for problem in errors(report))
+    output = "\n".join(problem.text for problem in errors(report))
     assert len(errors(report)) == 4
     for name in ("text.wav", "apart.bvh", "twice.wav", "twice.flac"):
-        assert str(tmp_path / name) in told
-    assert "6.00 s of sound and 4.00 s of motion differ by 2.00 s" in told
-    assert "too short: 0.33 s can be used; at least 0.5 s" in told
+        assert str(tmp_path / name) in output
+    assert "6.00 s of sound and 4.00 s of motion differ by 2.00 s" in output
+    assert "too short: 0.33 s can be used; at least 0.5 s" in output
 
 
 def test_a_small_difference_in_length_is_trimmed_and_a_later_one_named(

@@ -61,7 +61,7 @@ def test_the_seed_decides_the_weights_and_evaluation_does_not(make_config, tmp_p
 
 
 def test_the_model_is_the_moving_average_of_the_weights(make_config, tmp_path):
-    """Of two updates, the second keeps 2 of 11 parts of the average before it."""
+    """The second of two updates keeps 2 of 11 parts of the average before it."""
     runs = {"one": (1, 0.6), "two": (2, 0.6), "last": (2, 0.0)}
     one, two, last = (
         weights(train(make_config(out=str(tmp_path / name), training={"updates": n, "ema": ema})))

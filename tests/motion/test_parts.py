@@ -276,7 +276,7 @@ def test_nameless_rigs_of_real_files(shared_data, kind):
 
 
 def test_parts_named_by_hand():
-    plain = rig("mixamo")  # all in one point: nothing is told by shape
+    plain = rig("mixamo")  # all in one point: the shape identifies no part
     skeleton = numbered(plain)
     with pytest.raises(MotionError, match=r"arms and legs.*left_elbow=JOINT"):
         find_parts(skeleton)

@@ -134,12 +134,12 @@ def test_one_clip_without_any_condition(single, tmp_path):
     np.testing.assert_array_equal(motion.rotations, again.rotations)
     other = single.generate(seconds=6.0, seed=2)
     assert np.abs(motion.rotations - other.rotations).max() > 1e-3
-    for asked, told in (
+    for asked, expected in (
         ({"speech": "speech.wav"}, "takes no speech; give seconds instead"),
         ({"seconds": 2.0, "level_speech": {"1": tmp_path / "a.wav"}}, "level_speech: this model"),
         ({"seconds": 2.0, "style": "happy"}, "style"),
     ):
-        with pytest.raises(ModelError, match=told):
+        with pytest.raises(ModelError, match=expected):
             single.generate(**asked)
 
 

@@ -55,7 +55,7 @@ class Echo:
 
 
 def test_recordings_are_as_they_should_be_and_identical_samples_are_reported(make_config, caplog):
-    """What a level cannot hold is missing on both sides."""
+    """The part of a motion that a level cannot hold is missing on both sides."""
     config = make_config(eval_every=5)
     data = load_training_data(config)
     monitor = Monitor(data, config)

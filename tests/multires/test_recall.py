@@ -205,7 +205,7 @@ def test_recall_can_be_turned_off(model, plain, speech):
 
 
 @pytest.mark.parametrize(
-    ("kind", "asked", "told"),
+    ("kind", "asked", "expected"),
     [
         ("plain", {"recall": True}, "recall=True: .* not trained with recall"),
         ("plain", {"liveliness": 1.5}, "liveliness=1.5: only models trained with recall"),
@@ -223,9 +223,11 @@ def test_recall_can_be_turned_off(model, plain, speech):
         ),
     ],
 )
-def test_controls_of_recall_that_make_no_sense_are_one_error(request, kind, asked, told, speech):
+def test_controls_of_recall_that_make_no_sense_are_one_error(
+    request, kind, asked, expected, speech
+):
     asked = asked | ({"like": recording(1.0, 0)} if "like" in asked else {})
-    with pytest.raises(ModelError, match=told):
+    with pytest.raises(ModelError, match=expected):
         request.getfixturevalue(kind).generate(speech, **asked)
 
 

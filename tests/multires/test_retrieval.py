@@ -65,7 +65,7 @@ class Recordings:
         return sum(LENGTHS[: piece[0]]) + piece[1]
 
     def cost(self, piece, wanted, states, others=None, weights=WEIGHTS) -> float:
-        """What a piece costs, its neighbours apart; `wanted` and `states` are of its frames."""
+        """The cost of a piece, its neighbours apart; `wanted` and `states` are of its frames."""
         recording, start = piece
         own = slice(start, start + PIECE)
         profile = self.profiles[recording][own]
@@ -81,7 +81,7 @@ class Recordings:
         return found
 
     def join(self, before: int, piece: tuple[int, int], weights=WEIGHTS) -> float:
-        """What it costs that a piece follows where frame `before`, of all, would be shown."""
+        """The cost of a piece that follows where frame `before`, of all, would be."""
         every = np.concatenate(self.vectors)
         ahead = every[np.minimum(before + np.arange(OVERLAP), len(every) - 1)]
         first = self.frame(piece)
