@@ -17,9 +17,7 @@ from small_runs import small_values
 
 import gesturekit as gk
 from gesturekit.corpus import Item, Manifest, prepare
-from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.parts import unidentified
-from gesturekit.motion.root_path import RootPath
+from gesturekit.motion import Motion, RootPath, Skeleton, unidentified
 
 SYSTEMS = ("multires", "diffusion")
 SECONDS = {  # a training of seconds

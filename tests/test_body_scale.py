@@ -10,12 +10,10 @@ import pytest
 from rigs import PERSON, QUADRUPED, Bones, rig_of
 from scipy.spatial.transform import Rotation
 
-from gesturekit.corpus.recording import Recording, examine
+from gesturekit.corpus import Recording, examine
 from gesturekit.errors import MotionError
 from gesturekit.inspection.motion import inspect_motion
-from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.contacts import contact_labels
-from gesturekit.motion.parts import find_parts
+from gesturekit.motion import Motion, Skeleton, contact_labels, find_parts
 
 SCALES = (0.1, 0.5, 2.0, 10.0)
 UNITS = ("m", "cm", "mm", "inch")

@@ -19,10 +19,10 @@ from PIL import Image
 import audio_features as af
 import gesturekit as gk
 from gesturekit.cli import VERBS, cli
-from gesturekit.diffusion.config import DiffusionConfig
-from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.multires.config import MultiresConfig
-from gesturekit.training.config import load_config, read_chain
+from gesturekit.diffusion import DiffusionConfig
+from gesturekit.evaluation import DEFINITIONS
+from gesturekit.multires import MultiresConfig
+from gesturekit.training import load_config, read_chain
 from gesturekit.training.recipes import find_config
 
 ROOT = Path(__file__).resolve().parents[1]

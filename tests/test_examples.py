@@ -15,8 +15,7 @@ import pytest
 
 import audio_features as af
 import gesturekit as gk
-from gesturekit.evaluation import metrics
-from gesturekit.evaluation.definitions import DEFINITIONS
+from gesturekit.evaluation import DEFINITIONS, metrics
 
 # Packages of which every public name has an example.
 COMPLETE = ("audio_features", "gesturekit", "gesturekit.evaluation")

@@ -17,7 +17,7 @@ from gesturekit.systems import (
     bundled_models,
     model_folder,
 )
-from gesturekit.training.config import read_yaml
+from gesturekit.training import read_yaml
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from gesturekit.corpus import prepare
 from gesturekit.evaluation import evaluate
 from gesturekit.inspection import inspect
 from gesturekit.motion import Motion
-from gesturekit.multires.recall.parts import motion_parts
+from gesturekit.multires import motion_parts
 from gesturekit.training.recipes import recipe_table
 
 DEBUG = recipe_table()["debug"]

@@ -3,3 +3,35 @@
 Alexanderson, Nagy, Beskow and Henter: Listen, Denoise, Action! Audio-Driven Motion Synthesis with
 Diffusion Models, SIGGRAPH 2023.
 """
+
+from gesturekit.lazy import attach
+
+__all__, __getattr__, __dir__ = attach(
+    __name__,
+    {
+        "Batches": "training.batches",
+        "Conditions": "conditions",
+        "DeltaRepresentation": "motion_vector",
+        "Denoiser": "network.denoiser",
+        "DiffusionConfig": "config",
+        "DiffusionModel": "model",
+        "DilatedConv": "network.denoiser",
+        "FootVelocity": "losses",
+        "NetworkConfig": "config",
+        "NoiseConfig": "config",
+        "NoiseSchedule": "noise_schedule",
+        "Normaliser": "motion_vector",
+        "TrainingConfig": "config",
+        "asked_events": "events",
+        "change_error": "losses",
+        "continuous_maps": "motion_vector",
+        "denoising_error": "losses",
+        "foot_sliding": "losses",
+        "learning_rate": "training.trainer",
+        "load_training_data": "training.loading",
+        "sample": "sampling.solvers",
+        "smooth_path": "conditions",
+        "train": "training.trainer",
+        "wants_beats": "events",
+    },
+)

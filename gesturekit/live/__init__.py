@@ -2,6 +2,18 @@
 
 from gesturekit.live.recording import Recording
 from gesturekit.live.runner import Report, Sink, Step, run
-from gesturekit.live.sources import FileSource
+from gesturekit.live.sources import FileSource, Microphone, PipeSource
+from gesturekit.live.timeline import Block, Timeline
 
-__all__ = ["FileSource", "Recording", "Report", "Sink", "Step", "run"]
+__all__ = [
+    "Block",
+    "FileSource",
+    "Microphone",
+    "PipeSource",
+    "Recording",
+    "Report",
+    "Sink",
+    "Step",
+    "Timeline",
+    "run",
+]

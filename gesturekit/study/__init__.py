@@ -8,10 +8,13 @@ from gesturekit.lazy import attach
 __all__, __getattr__, __dir__ = attach(
     __name__,
     {
+        "CODES": "build",
+        "REASONS": "build",
         "StudyConfig": "config",
-        "build_study": "build",
+        "Votes": "analysis.votes",
         "analyse_study": "analysis.result",
-        "write_study_report": "analysis.report",
+        "build_study": "build",
         "raters_needed": "analysis.significance",
+        "write_study_report": "analysis.report",
     },
 )

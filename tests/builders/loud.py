@@ -9,8 +9,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.kinematics import forward_kinematics
+from gesturekit.motion import Motion, Skeleton, forward_kinematics
 from gesturekit.systems import model_folder
 
 WINDOW = 0.1

@@ -7,8 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from gesturekit.jobs.state import STATE
-from gesturekit.jobs.status import Status
+from gesturekit.jobs import STATE, Status
 
 
 def results(out: Path) -> dict[str, bytes]:

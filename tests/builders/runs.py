@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from safetensors.torch import load_file
 
-from gesturekit.training.run.checkpoint import Checkpoints
+from gesturekit.training import Checkpoints
 
 
 def weights(folder: Path) -> dict[str, torch.Tensor]:

@@ -7,14 +7,18 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 import audio_features as af
-from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.diffusion.conditions import Conditions
-from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
-from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
-from gesturekit.diffusion.network.denoiser import Denoiser
+from gesturekit.corpus import SpeechConditioner
+from gesturekit.diffusion import (
+    Conditions,
+    DeltaRepresentation,
+    Denoiser,
+    DiffusionModel,
+    NetworkConfig,
+    NoiseConfig,
+    Normaliser,
+)
 from gesturekit.motion import Motion
-from gesturekit.training.seeds import seeded
+from gesturekit.training import seeded
 
 
 def small_diffusion(

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from gesturekit.diffusion.config import DiffusionConfig
-from gesturekit.multires.config import MultiresConfig
-from gesturekit.training.config import build
+from gesturekit.diffusion import DiffusionConfig
+from gesturekit.multires import MultiresConfig
+from gesturekit.training import build
 
 SMALL: dict[str, dict[str, Any]] = {
     "multires": {

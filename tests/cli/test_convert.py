@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from gesturekit import Motion
-from gesturekit.jobs.state import STATE
+from gesturekit.jobs import STATE
 
 TRIES = int(os.environ.get("GESTUREKIT_FUZZ", "120"))
 

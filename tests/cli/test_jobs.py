@@ -10,12 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gesturekit.jobs.journal import Journal
-from gesturekit.jobs.lease import Lease
-from gesturekit.jobs.plan import write_plan
-from gesturekit.jobs.result import Result
-from gesturekit.jobs.state import STATE
-from gesturekit.jobs.task import Task
+from gesturekit.jobs import STATE, Journal, Lease, Result, Task, write_plan
 
 
 @pytest.fixture

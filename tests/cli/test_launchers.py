@@ -16,7 +16,7 @@ from outputs import finished, results
 
 from gesturekit.cli import cli
 from gesturekit.cli.launchers import ShardCommand
-from gesturekit.jobs.status import status_of
+from gesturekit.jobs import status_of
 
 
 @pytest.fixture

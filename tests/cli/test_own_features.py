@@ -13,7 +13,7 @@ from gesturekit.corpus import prepare
 from gesturekit.errors import GestureKitError
 from gesturekit.inspection import inspect
 from gesturekit.motion import Motion
-from gesturekit.serving.app import create_app
+from gesturekit.serving import create_app
 
 WIDTH, RATE = 3, 20
 EXTRACTORS = (

@@ -18,9 +18,9 @@ from gesturekit import systems
 from gesturekit.corpus import Manifest
 from gesturekit.errors import ConfigError
 from gesturekit.inspection import inspect
-from gesturekit.multires.training.stage import Stage
+from gesturekit.multires import Stage
 from gesturekit.systems import resolved_settings
-from gesturekit.training.run.held_out import HeldOutMetrics
+from gesturekit.training import HeldOutMetrics
 
 
 @pytest.fixture

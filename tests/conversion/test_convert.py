@@ -20,14 +20,9 @@ from gesturekit.conversion.changes import Changes, parse_trim
 from gesturekit.conversion.convert import Conversion, convert
 from gesturekit.conversion.options import FormatOptions
 from gesturekit.errors import ConfigError
-from gesturekit.formats.rig import Rig
-from gesturekit.formats.smpl.skeleton import smpl_skeleton
-from gesturekit.formats.sources import motions_in
-from gesturekit.jobs.result import Result
-from gesturekit.jobs.run import Execution
-from gesturekit.jobs.state import STATE
-from gesturekit.motion import Motion
-from gesturekit.motion.body_shape import BodyShape
+from gesturekit.formats import Rig, motions_in, smpl_skeleton
+from gesturekit.jobs import STATE, Execution, Result
+from gesturekit.motion import BodyShape, Motion
 
 
 def outcomes(*arguments, **options) -> list[Result]:

@@ -12,15 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 import audio_features as af
-from gesturekit.corpus import prepare
-from gesturekit.corpus.alignment import (
-    LEAD,
-    Correlation,
-    arm_speed,
-    corrections,
-    correlate,
-    pooled,
-)
+from gesturekit.corpus import LEAD, Correlation, arm_speed, corrections, correlate, pooled, prepare
 from gesturekit.errors import CorpusError, MotionError
 from gesturekit.motion import Motion
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from audio_features import Wave
-from gesturekit.corpus import Item, Manifest
-from gesturekit.corpus.item import check_id, muted
+from gesturekit.corpus import Item, Manifest, check_id, muted
 from gesturekit.errors import CorpusError
 
 RECORD = {

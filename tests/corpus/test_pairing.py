@@ -8,8 +8,8 @@ from math import inf
 import numpy as np
 import pytest
 
+from gesturekit.corpus import choose_held_out, cut, parse_intervals
 from gesturekit.corpus.pairing import pair, recording_ids, scan
-from gesturekit.corpus.splits import choose_held_out, cut, parse_intervals
 from gesturekit.errors import CorpusError
 
 

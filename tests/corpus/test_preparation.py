@@ -12,8 +12,7 @@ from rigs import nameless
 
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import CorpusError
-from gesturekit.motion import Motion
-from gesturekit.motion.parts.body_size import body_height
+from gesturekit.motion import Motion, body_height
 
 
 def errors(report):
@@ -76,7 +75,7 @@ def test_an_easymocap_folder_is_a_recording(tmp_path, write_speech, gesturekit):
 
 def test_words_beside_a_recording_become_features_on_motion_frames(tmp_path, write_pair):
     import audio_features as af
-    from gesturekit.corpus.speech import extract
+    from gesturekit.corpus import extract
 
     write_pair(tmp_path / "in", "take", 4.0)
     (tmp_path / "in" / "take.ctm").write_text("take 1 0.5 0.3 so\ntake 1 2.5 0.2 well\n")

@@ -7,11 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gesturekit.corpus import Item, Manifest, Report
-from gesturekit.corpus.alignment import Correlation
-from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.layouts.listing import root_with
-from gesturekit.corpus.recording import Recording
+from gesturekit.corpus import Correlation, Item, Manifest, Problem, Recording, Report, root_with
 from gesturekit.errors import CorpusError
 from gesturekit.motion import Skeleton
 

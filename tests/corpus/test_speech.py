@@ -8,13 +8,7 @@ from threadpoolctl import ThreadpoolController
 
 import audio_features as af
 import gesturekit as gk
-from gesturekit.corpus.speech import (
-    SpeechConditioner,
-    as_speech,
-    detects_voice,
-    extract,
-    speech_features,
-)
+from gesturekit.corpus import SpeechConditioner, as_speech, detects_voice, extract, speech_features
 from gesturekit.errors import ModelError
 
 

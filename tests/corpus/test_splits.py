@@ -8,9 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gesturekit.corpus import Item
-from gesturekit.corpus.recording import Recording
-from gesturekit.corpus.splits import HoldOut, split_items
+from gesturekit.corpus import HoldOut, Item, Recording, split_items
 from gesturekit.errors import CorpusError
 
 NAMES = ("day1/a", "day1/b", "day2/a")

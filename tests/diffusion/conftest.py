@@ -8,12 +8,17 @@ import pytest
 import torch
 from small_runs import small_diffusion
 
-from gesturekit.diffusion.conditions import Conditions
-from gesturekit.diffusion.config import DiffusionConfig, NetworkConfig, NoiseConfig
-from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
-from gesturekit.diffusion.network.denoiser import Denoiser
-from gesturekit.training.seeds import rng_for, seeded
+from gesturekit.diffusion import (
+    Conditions,
+    DeltaRepresentation,
+    Denoiser,
+    DiffusionConfig,
+    DiffusionModel,
+    NetworkConfig,
+    NoiseConfig,
+    Normaliser,
+)
+from gesturekit.training import rng_for, seeded
 
 SMALL = NetworkConfig(blocks=3, layers=2, channels=32, heads=4, feedforward=48, embedding=24)
 

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from gesturekit.diffusion.config import NetworkConfig
+from gesturekit.diffusion import NetworkConfig
 from gesturekit.diffusion.network.attention import (
     Band,
     PositionBias,
@@ -16,7 +16,7 @@ from gesturekit.diffusion.network.attention import (
     bias_of_blocks,
     blocks_of,
 )
-from gesturekit.training.seeds import rng_for
+from gesturekit.training import rng_for
 
 
 def bent_bias(config: NetworkConfig) -> PositionBias:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gesturekit.diffusion.motion_vector import DeltaRepresentation
+from gesturekit.diffusion import DeltaRepresentation
 from gesturekit.diffusion.training.augmentation import (
     mirror_condition,
     phases,
@@ -15,9 +15,8 @@ from gesturekit.diffusion.training.augmentation import (
     stretch_factor,
 )
 from gesturekit.errors import ConfigError
-from gesturekit.motion.root_path import RootPath
-from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
-from gesturekit.training.seeds import rng_for
+from gesturekit.motion import RootPath, multiply_quaternions, quaternion_from_rotation_vector
+from gesturekit.training import rng_for
 
 
 @pytest.fixture

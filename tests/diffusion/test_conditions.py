@@ -7,10 +7,10 @@ import pytest
 import torch
 
 import audio_features as af
-from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.diffusion.conditions import Conditions, smooth_path
-from gesturekit.formats.tables.events import Event
-from gesturekit.motion.root_path import RootPath
+from gesturekit.corpus import SpeechConditioner
+from gesturekit.diffusion import Conditions, smooth_path
+from gesturekit.formats import Event
+from gesturekit.motion import RootPath
 
 FPS = 30.0
 

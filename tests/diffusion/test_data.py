@@ -10,14 +10,10 @@ import torch
 from rigs import prefixed
 
 from gesturekit.corpus import Manifest, prepare
-from gesturekit.diffusion.conditions import smooth_path
-from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.training.batches import Batches
+from gesturekit.diffusion import Batches, DiffusionModel, load_training_data, smooth_path, train
 from gesturekit.diffusion.training.data import TrainingData
-from gesturekit.diffusion.training.loading import load_training_data
-from gesturekit.diffusion.training.trainer import train
 from gesturekit.errors import ConfigError, CorpusError
-from gesturekit.motion.root_path import RootPath
+from gesturekit.motion import RootPath
 
 PLAIN = {"mirror": False, "stretch": 0.0}
 

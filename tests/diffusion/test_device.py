@@ -10,8 +10,8 @@ import pytest
 from runs import apart, same_weights
 
 import gesturekit as gk
-from gesturekit.diffusion.training.trainer import train
-from gesturekit.training.run.checkpoint import Checkpoints
+from gesturekit.diffusion import train
+from gesturekit.training import Checkpoints
 
 EVERYTHING = {
     "eval_every": 3,

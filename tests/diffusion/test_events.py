@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import audio_features as af
-from gesturekit.diffusion.events import asked_events, wants_beats
+from gesturekit.diffusion import asked_events, wants_beats
 from gesturekit.errors import ModelError
-from gesturekit.formats.tables.events import Event
+from gesturekit.formats import Event
 
 
 @pytest.mark.parametrize(

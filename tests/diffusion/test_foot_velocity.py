@@ -7,10 +7,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from gesturekit.diffusion.losses import FootVelocity, foot_sliding
-from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
-from gesturekit.motion.contacts import foot_positions
-from gesturekit.motion.torch_kinematics import foot_kinematics
+from gesturekit.diffusion import DeltaRepresentation, FootVelocity, Normaliser, foot_sliding
+from gesturekit.motion import foot_kinematics, foot_positions
 
 
 @pytest.fixture(scope="module")

@@ -6,18 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
-from gesturekit.diffusion.network.denoiser import Denoiser
-from gesturekit.diffusion.noise_schedule import NoiseSchedule
+from gesturekit.diffusion import Denoiser, NetworkConfig, NoiseConfig, NoiseSchedule, sample
 from gesturekit.diffusion.sampling.experts import (
     MAX_DEVIATION,
     Expert,
     ProductOfExperts,
     clip_denoised,
 )
-from gesturekit.diffusion.sampling.solvers import sample
 from gesturekit.errors import ModelError
-from gesturekit.training.seeds import rng_for, seeded
+from gesturekit.training import rng_for, seeded
 
 FRAMES, MOTION, CONDITION = 40, 5, 3
 CONFIG = NetworkConfig(blocks=2, layers=1, channels=16, heads=2, feedforward=32, embedding=16)

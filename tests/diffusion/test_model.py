@@ -14,11 +14,10 @@ from safetensors.torch import load_file, save_file
 
 import audio_features as af
 import gesturekit as gk
-from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.diffusion.conditions import smooth_path
-from gesturekit.diffusion.events import asked_events
+from gesturekit.corpus import SpeechConditioner
+from gesturekit.diffusion import asked_events, smooth_path
 from gesturekit.errors import ModelError
-from gesturekit.motion.root_path import RootPath
+from gesturekit.motion import RootPath
 
 QUICK = {"seconds": 1.5, "steps": 4}
 STYLES = {"styles": ("old", "angry"), "droppable": ("styles",)}

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import gesturekit as gk
-from gesturekit.diffusion.motion_vector import DeltaRepresentation, continuous_maps
-from gesturekit.motion import Motion
-from gesturekit.motion.root_path import RootPath
-from gesturekit.motion.rotations import (
+from gesturekit.diffusion import DeltaRepresentation, continuous_maps
+from gesturekit.motion import (
+    Motion,
+    RootPath,
     multiply_quaternions,
     quaternion_from_rotation_vector,
     rotate_vectors,

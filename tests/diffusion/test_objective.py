@@ -7,10 +7,7 @@ import math
 import pytest
 import torch
 
-from gesturekit.diffusion.config import NoiseConfig
-from gesturekit.diffusion.losses import change_error, denoising_error
-from gesturekit.diffusion.noise_schedule import NoiseSchedule
-from gesturekit.diffusion.sampling.solvers import sample
+from gesturekit.diffusion import NoiseConfig, NoiseSchedule, change_error, denoising_error, sample
 
 
 def of_two_steps(predict="noise"):

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from gesturekit import Motion
-from gesturekit.corpus import Manifest
-from gesturekit.corpus.item import Item
+from gesturekit.corpus import Item, Manifest
 
 STYLED = {"styles": ("old", "angry"), "events": ("kick",), "droppable": ("styles",)}
 

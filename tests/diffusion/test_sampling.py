@@ -7,10 +7,8 @@ import math
 import pytest
 import torch
 
-from gesturekit.diffusion.config import NoiseConfig
-from gesturekit.diffusion.noise_schedule import NoiseSchedule
-from gesturekit.diffusion.sampling.solvers import sample
-from gesturekit.training.seeds import rng_for
+from gesturekit.diffusion import NoiseConfig, NoiseSchedule, sample
+from gesturekit.training import rng_for
 
 GESTURE = NoiseSchedule.of(NoiseConfig())
 DANCE = NoiseSchedule.of(NoiseConfig(steps=150, first_beta=0.01, last_beta=0.7))

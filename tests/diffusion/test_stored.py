@@ -13,12 +13,8 @@ import torch
 from runs import cut_off, same_weights
 from small_runs import small_diffusion
 
-from gesturekit.corpus import Manifest, prepare
-from gesturekit.corpus.speech import one_blas_thread
-from gesturekit.diffusion.config import DiffusionConfig
-from gesturekit.diffusion.training.batches import Batches
-from gesturekit.diffusion.training.loading import load_training_data
-from gesturekit.diffusion.training.trainer import train
+from gesturekit.corpus import Manifest, one_blas_thread, prepare
+from gesturekit.diffusion import Batches, DiffusionConfig, load_training_data, train
 from gesturekit.errors import ConfigError
 
 ON_DISK = {"in_memory": 0.06}

@@ -10,12 +10,9 @@ from runs import cut_off, ended, launch, logged, same_weights, weights
 
 import gesturekit as gk
 from gesturekit.corpus import prepare
-from gesturekit.diffusion.config import TrainingConfig
-from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.training.trainer import learning_rate, train
+from gesturekit.diffusion import DiffusionModel, TrainingConfig, learning_rate, train
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.training.config import to_dict
-from gesturekit.training.run.checkpoint import Checkpoints
+from gesturekit.training import Checkpoints, to_dict
 
 
 def test_a_run_leaves_metrics_checkpoints_and_a_model_that_moves(make_config):

@@ -11,19 +11,21 @@ import pytest
 from scipy.stats import kendalltau, spearmanr, ttest_1samp
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation import read_ratings
-from gesturekit.evaluation.pairs import ItemInterval, Pair
-from gesturekit.evaluation.results import (
+from gesturekit.evaluation import (
+    GENEA_COLUMNS,
+    Answer,
     ClipResult,
     Interval,
+    ItemInterval,
     MetricResult,
     ModelResult,
+    Pair,
+    read_ratings,
 )
 from gesturekit.evaluation.statistics.agreement import (
     agreement,
     chance_range,
 )
-from gesturekit.evaluation.statistics.answers import GENEA_COLUMNS, Answer
 from gesturekit.evaluation.statistics.ratings import Ratings
 from gesturekit.evaluation.statistics.scores import scores_of
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation import read_answers
-from gesturekit.evaluation.statistics.answers import GENEA_COLUMNS
+from gesturekit.evaluation import GENEA_COLUMNS, read_answers
 
 # Lines as in battles_elo.csv and battles_mismatch.csv of GENEA's public analysis.
 GENEA = (

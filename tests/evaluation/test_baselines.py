@@ -10,10 +10,8 @@ import pytest
 
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation import evaluate, hand_movement
-from gesturekit.evaluation.measuring.clips import load_clip
-from gesturekit.motion import Motion
-from gesturekit.motion.rotations import mean_quaternion
+from gesturekit.evaluation import evaluate, hand_movement, load_clip
+from gesturekit.motion import Motion, mean_quaternion
 
 BOTH = ("mean_pose", "other_utterance")
 

@@ -11,8 +11,7 @@ import pytest
 
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import EvaluationError, GestureKitError
-from gesturekit.evaluation import Variants, evaluate
-from gesturekit.evaluation.report.headline import interval_warnings
+from gesturekit.evaluation import Variants, evaluate, interval_warnings
 from gesturekit.motion import Motion, Skeleton
 
 

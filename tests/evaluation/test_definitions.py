@@ -5,8 +5,7 @@ from __future__ import annotations
 import pkgutil
 import re
 
-from gesturekit.evaluation import Variants
-from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS
+from gesturekit.evaluation import DEFINITIONS, GROUPS, Variants
 
 
 def test_entries_are_consistent():

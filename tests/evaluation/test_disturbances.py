@@ -11,13 +11,18 @@ import soundfile
 
 from audio_features import Wave
 from gesturekit.evaluation import (
+    GROUPS,
+    Clip,
+    ClipMetrics,
     FeatureModel,
+    Pair,
     Variants,
     acceleration,
     arm_speed,
     beat_alignment,
     beat_consistency,
     coverage,
+    definitions_of,
     div_g,
     div_k,
     fgd,
@@ -33,18 +38,18 @@ from gesturekit.evaluation import (
     music_beats,
     patch_features,
     raw_fgd,
+    read_semantic,
     speech_onsets,
     sync,
 )
 from gesturekit.evaluation import wrist_speed as wrist_speeds
-from gesturekit.evaluation.definitions import GROUPS, definitions_of
-from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
-from gesturekit.evaluation.measuring.clips import Clip, read_semantic
 from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
-from gesturekit.evaluation.pairs import Pair
-from gesturekit.motion import Motion
-from gesturekit.motion.parts import body_joints
-from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
+from gesturekit.motion import (
+    Motion,
+    body_joints,
+    multiply_quaternions,
+    quaternion_from_rotation_vector,
+)
 
 SECONDS = 30
 

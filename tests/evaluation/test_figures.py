@@ -11,9 +11,7 @@ import pytest
 import gesturekit.evaluation as ev
 from audio_features import Wave
 from gesturekit.corpus import Item, Manifest
-from gesturekit.motion import Motion
-from gesturekit.motion.parts import body_joints
-from gesturekit.motion.parts.body_size import body_scale
+from gesturekit.motion import Motion, body_joints, body_scale
 
 
 def values(model) -> dict[str, float]:

@@ -7,21 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gesturekit.evaluation.pairs import ItemInterval, Pair
-from gesturekit.evaluation.results import (
+from gesturekit.evaluation import (
     ClipResult,
     Interval,
+    ItemInterval,
     Level,
     MetricResult,
-)
-from gesturekit.evaluation.statistics.groups import groups_of
-from gesturekit.evaluation.statistics.likeness import credits, likeness
-from gesturekit.evaluation.statistics.questions import (
+    Pair,
     answers,
     likeness_by_group,
     likeness_of,
     verdict,
 )
+from gesturekit.evaluation.statistics.groups import groups_of
+from gesturekit.evaluation.statistics.likeness import credits, likeness
 
 OWN = {"hand_q50": 0.2, "reach": 0.3, "rest": 20.0, "jerk": 10.0, "foot_skate": 0.02}
 

@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gesturekit.evaluation.statistics.intervals import (
+from gesturekit.evaluation import (
     Takes,
     interval_of,
     interval_of_statistic,
     interval_over_samples,
+    p_of_difference,
     p_value,
     pseudo_values,
     scaled_like,
     standard_error,
     whole_set,
 )
-from gesturekit.evaluation.statistics.paired import p_of_difference
 
 SPEEDS, SHARES, CORRELATIONS = (0.0, np.inf), (0.0, 100.0), (-1.0, 1.0)
 SIX = ["a", "b", "c", "d", "e", "f"]

@@ -8,15 +8,18 @@ from pathlib import Path
 import pytest
 
 from gesturekit.corpus import Item, Manifest
-from gesturekit.evaluation import Evaluation, evaluate
-from gesturekit.evaluation.pairs import Pair
-from gesturekit.evaluation.report.headline import headline_lines
-from gesturekit.evaluation.results import (
+from gesturekit.evaluation import (
     ClipResult,
+    Evaluation,
     Interval,
     Level,
     MetricResult,
     ModelResult,
+    Pair,
+    answer,
+    evaluate,
+    headline_lines,
+    metric_results,
 )
 from gesturekit.evaluation.statistics.levels import (
     CEILING,
@@ -24,8 +27,6 @@ from gesturekit.evaluation.statistics.levels import (
     OTHER_SPEAKER,
     reached_floor,
 )
-from gesturekit.evaluation.statistics.model_metrics import metric_results
-from gesturekit.evaluation.statistics.questions import answer
 
 
 def show(shared_data: Path, speaker: str) -> list[Item]:

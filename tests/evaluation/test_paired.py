@@ -10,12 +10,21 @@ import pytest
 from scipy import stats
 from statsmodels.stats.multitest import multipletests
 
-from gesturekit.evaluation.definitions import DEFINITIONS, MOVEMENT, POOLED
-from gesturekit.evaluation.pairs import Pair
-from gesturekit.evaluation.results import ClipResult, MetricResult, ModelResult
-from gesturekit.evaluation.statistics.intervals import holm, whole_set
-from gesturekit.evaluation.statistics.model_metrics import informative, metric_results
-from gesturekit.evaluation.statistics.paired import contests, distance
+from gesturekit.evaluation import (
+    DEFINITIONS,
+    MOVEMENT,
+    POOLED,
+    ClipResult,
+    MetricResult,
+    ModelResult,
+    Pair,
+    contests,
+    distance,
+    holm,
+    informative,
+    metric_results,
+    whole_set,
+)
 
 KEYS = [
     key

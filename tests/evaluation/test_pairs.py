@@ -8,8 +8,7 @@ import pytest
 
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import CorpusError
-from gesturekit.evaluation import Items
-from gesturekit.evaluation.pairs import find_pairs
+from gesturekit.evaluation import Items, find_pairs
 
 
 @pytest.fixture

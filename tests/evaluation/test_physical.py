@@ -15,18 +15,18 @@ from gesturekit.evaluation import (
     JointLimits,
     arm_speed,
     arm_speed_ratio,
+    derivative,
     floor_penetration,
     foot_skate,
     jerk,
     jerk_ratio,
     joint_limit_share,
+    low_passed,
     max_speed,
     standing_heights,
     wrist_speed,
 )
-from gesturekit.evaluation.metrics.physical import derivative, low_passed
-from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.parts.body_size import body_scale
+from gesturekit.motion import Motion, Skeleton, body_scale
 
 
 def test_arm_speed_sums_shoulders_and_elbows_and_nothing_else(turning):

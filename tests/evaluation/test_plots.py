@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from figures import kept_figures, points
 
-from gesturekit.evaluation import Evaluation, SpeedHistogram
+from gesturekit.evaluation import Evaluation, Interval, MetricResult, ModelResult, SpeedHistogram
 from gesturekit.evaluation.report import plots
-from gesturekit.evaluation.results import Interval, MetricResult, ModelResult
 
 
 def of(value: float, low: float | None = None, high: float | None = None) -> Interval:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import MotionError
 from gesturekit.evaluation import (
+    ModelResult,
     MotionWindows,
     body_centred,
     calm_and_lively,
@@ -25,7 +26,6 @@ from gesturekit.evaluation import (
     within_reach,
 )
 from gesturekit.evaluation.metrics.two_sample import nearest_training
-from gesturekit.evaluation.results import ModelResult
 from gesturekit.motion import Motion, Skeleton
 
 FPS = 25.0

@@ -10,19 +10,22 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation import Evaluation, SpeedHistogram, jerk
-from gesturekit.evaluation.comparison import EvaluationOptions
-from gesturekit.evaluation.measuring.clip_metrics import quick_metrics
-from gesturekit.evaluation.pairs import Excluded, Pair
-from gesturekit.evaluation.report.page import without_folders
-from gesturekit.evaluation.results import (
+from gesturekit.evaluation import (
     ClipResult,
+    Evaluation,
+    Excluded,
     Finding,
     Interval,
     Level,
     MetricResult,
     ModelResult,
+    Pair,
+    SpeedHistogram,
+    jerk,
+    quick_metrics,
 )
+from gesturekit.evaluation.comparison import EvaluationOptions
+from gesturekit.evaluation.report.page import without_folders
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import soundfile
 
 from audio_features import Wave
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.definitions import DEFINITIONS
+from gesturekit.evaluation import DEFINITIONS, Interval, MetricResult, ModelResult, contests
 from gesturekit.evaluation.report.bad_motion import (
     BAD_MOTION,
     BadMotionInputs,
@@ -24,8 +24,6 @@ from gesturekit.evaluation.report.sanity_table import (
     noticed_by,
     table_lines,
 )
-from gesturekit.evaluation.results import Interval, MetricResult, ModelResult
-from gesturekit.evaluation.statistics.paired import contests
 from gesturekit.motion import Motion, Skeleton
 
 ALL = set(BAD_MOTION)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.evaluation import SpeedHistogram, cca, hellinger, l1_diversity, srgr
-from gesturekit.evaluation.measuring.clips import read_semantic
+from gesturekit.evaluation import SpeedHistogram, cca, hellinger, l1_diversity, read_semantic, srgr
 
 
 def test_hellinger_by_hand():

@@ -11,8 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gesturekit.evaluation import Evaluation, SpeedHistogram
-from gesturekit.evaluation.pairs import Excluded, Pair
+from gesturekit.evaluation import (
+    ClipResult,
+    Contest,
+    Evaluation,
+    Excluded,
+    Interval,
+    MetricResult,
+    ModelResult,
+    Pair,
+    SpeedHistogram,
+    contests,
+)
 from gesturekit.evaluation.report import tables
 from gesturekit.evaluation.report.metric_table import (
     WRITERS,
@@ -21,8 +31,6 @@ from gesturekit.evaluation.report.metric_table import (
     terminal_lines,
     write_table,
 )
-from gesturekit.evaluation.results import ClipResult, Interval, MetricResult, ModelResult
-from gesturekit.evaluation.statistics.paired import Contest, contests
 
 
 def of(value: float, low: float | None = None, high: float | None = None, n: int = 6) -> Interval:

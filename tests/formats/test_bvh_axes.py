@@ -9,7 +9,7 @@ import pytest
 from rigs import PERSON, at_rest, rig_of, turned_at_root
 from scipy.spatial.transform import Rotation
 
-from gesturekit.formats import read_bvh
+from gesturekit.formats import METRES, read_bvh
 from gesturekit.formats.axes import (
     AXES,
     FileAxes,
@@ -18,9 +18,8 @@ from gesturekit.formats.axes import (
     standing_axis,
     turn_axes,
 )
-from gesturekit.formats.plausibility import METRES
+from gesturekit.motion import invert_quaternions
 from gesturekit.motion.heading import heading
-from gesturekit.motion.rotations import invert_quaternions
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from gltf_files import HALF, QUARTER_TURN, GltfFile, arm
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
-from gesturekit.formats.rig import Rig
+from gesturekit.formats import Rig
 from gesturekit.motion import Motion
 
 

@@ -16,11 +16,10 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from gesturekit.errors import FormatError
+from gesturekit.formats import Gltf, avatar_facts
 from gesturekit.formats.gltf.animation import Curve
-from gesturekit.formats.gltf.file import Gltf
 from gesturekit.formats.gltf.materials import Colours
 from gesturekit.formats.gltf.nodes import Nodes
-from gesturekit.formats.gltf.vrm import avatar_facts
 from gesturekit.motion import Motion
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import FormatError, ModelError
+from gesturekit.formats import load_root_path
 from gesturekit.formats.tables import root_path
-from gesturekit.formats.tables.root_path import load_root_path
-from gesturekit.motion.root_path import RootPath
+from gesturekit.motion import RootPath
 
 
 def table(folder: Path, text: str | bytes) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gesturekit.errors import FormatError
-from gesturekit.formats.tables.semantics import load_semantics
+from gesturekit.formats import load_semantics
 
 
 def test_intervals_come_in_the_order_of_the_file(tmp_path):

@@ -15,14 +15,10 @@ from gltf_files import GltfFile, arm
 from safetensors.numpy import save
 
 import audio_features as af
-from gesturekit.formats import write_bvh, write_npz
-from gesturekit.formats.frames import frames_header
-from gesturekit.formats.smpl.skeleton import smpl_skeleton
-from gesturekit.jobs.journal import Journal
-from gesturekit.jobs.result import Result
-from gesturekit.jobs.task import Task
+from gesturekit.formats import frames_header, smpl_skeleton, write_bvh, write_npz
+from gesturekit.jobs import Journal, Result, Task
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.training.config import dump_yaml
+from gesturekit.training import dump_yaml
 
 
 def base_motions() -> list[Motion]:

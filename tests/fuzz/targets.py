@@ -22,28 +22,18 @@ import gesturekit as gk
 from audio_features import words as word_lists
 from audio_features.weight_files import read_file, read_json
 from gesturekit.corpus import Manifest
-from gesturekit.diffusion.config import DiffusionConfig
-from gesturekit.evaluation.statistics.answers import read_answers
-from gesturekit.formats.frames import frames_rows
-from gesturekit.formats.gltf.vrm import read_avatar
+from gesturekit.diffusion import DiffusionConfig
+from gesturekit.evaluation import read_answers
+from gesturekit.formats import frames_rows, load_events, load_root_path, load_semantics, read_avatar
 from gesturekit.formats.smpl.easymocap import read_easymocap
-from gesturekit.formats.tables.events import load_events
-from gesturekit.formats.tables.root_path import load_root_path
-from gesturekit.formats.tables.semantics import load_semantics
 from gesturekit.inspection import inspect
-from gesturekit.jobs.journal import History, last_run
-from gesturekit.jobs.lease import live_leases
-from gesturekit.jobs.plan import PLAN, Plan
-from gesturekit.jobs.state import STATE
-from gesturekit.jobs.status import status_of
-from gesturekit.motion import Motion
-from gesturekit.motion.body_model.model import BodyModel
-from gesturekit.multires.config import MultiresConfig
-from gesturekit.rendering.inputs import item_of, read_list
-from gesturekit.study.analysis.votes import Votes
+from gesturekit.jobs import PLAN, STATE, History, Plan, last_run, live_leases, status_of
+from gesturekit.motion import BodyModel, Motion
+from gesturekit.multires import MultiresConfig
+from gesturekit.rendering import item_of, read_list
+from gesturekit.study import Votes
 from gesturekit.systems import model_folder
-from gesturekit.training.config import load_config
-from gesturekit.training.run.checkpoint import Checkpoints
+from gesturekit.training import Checkpoints, load_config
 
 Seeds = Callable[[Path], list[bytes]]
 
@@ -209,8 +199,7 @@ def service() -> Any:
     """A client of the service, for the life of this process."""
     from starlette.testclient import TestClient
 
-    from gesturekit.serving.app import create_app
-    from gesturekit.serving.requests import Limits
+    from gesturekit.serving import Limits, create_app
 
     app = create_app(gk.load("demo"), Limits(per_minute=1e9, seconds=5, megabytes=1))
     return TestClient(app, base_url="http://localhost").__enter__()

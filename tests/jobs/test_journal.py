@@ -10,9 +10,7 @@ import os
 import pytest
 
 from gesturekit.errors import FormatError
-from gesturekit.jobs.journal import History, Journal, last_run
-from gesturekit.jobs.result import Result
-from gesturekit.jobs.task import Task
+from gesturekit.jobs import History, Journal, Result, Task, last_run
 
 
 @pytest.fixture

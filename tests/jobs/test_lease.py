@@ -14,8 +14,8 @@ import pytest
 from filelock import FileLock
 
 from gesturekit.errors import ConfigError
+from gesturekit.jobs import Lease, live_leases
 from gesturekit.jobs import lease as module
-from gesturekit.jobs.lease import Lease, live_leases
 
 RUN = {"plan": "p"}
 HOLD = """

@@ -11,11 +11,18 @@ from pathlib import Path
 import pytest
 
 from gesturekit.errors import ConfigError, FormatError
-from gesturekit.jobs.journal import Journal
-from gesturekit.jobs.plan import PLAN, Plan, balanced, parse_shard, write_plan
-from gesturekit.jobs.result import Result
-from gesturekit.jobs.state import STATE, shard_name
-from gesturekit.jobs.task import Task
+from gesturekit.jobs import (
+    PLAN,
+    STATE,
+    Journal,
+    Plan,
+    Result,
+    Task,
+    balanced,
+    parse_shard,
+    shard_name,
+    write_plan,
+)
 
 ITEMS = [Task(f"day/{i}", Path(f"/in/{i}.wav"), float(1 + i % 7), {"seed": i}) for i in range(50)]
 

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import ConfigError
-from gesturekit.jobs.result import Processor, Result, json_of, path_digest
-from gesturekit.jobs.task import Task
+from gesturekit.jobs import Processor, Result, Task, json_of, path_digest
 
 
 def sha(data: bytes) -> str:

@@ -13,10 +13,7 @@ from typing import Any
 import pytest
 
 from gesturekit.errors import ConfigError
-from gesturekit.jobs import lease
-from gesturekit.jobs.result import Processor, Result
-from gesturekit.jobs.run import Batch, Execution
-from gesturekit.jobs.task import Task
+from gesturekit.jobs import Batch, Execution, Processor, Result, Task, lease
 
 
 @dataclass

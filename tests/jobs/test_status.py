@@ -8,10 +8,7 @@ from pathlib import Path
 import pytest
 from outputs import status
 
-from gesturekit.jobs.plan import PLAN, write_plan
-from gesturekit.jobs.state import STATE
-from gesturekit.jobs.status import FailedItem, status_of
-from gesturekit.jobs.task import Task
+from gesturekit.jobs import PLAN, STATE, FailedItem, Task, status_of, write_plan
 
 
 def result(status: str, name: str, at: float, seconds=1.0, sound=0.0, key="k", **more) -> str:

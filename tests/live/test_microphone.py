@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import ConfigError
-from gesturekit.live.sources import Microphone
-from gesturekit.live.timeline import Block
+from gesturekit.live import Block, Microphone
 
 
 class SoundCard:

@@ -25,7 +25,7 @@ from websockets.sync.client import connect
 from gesturekit.live import Step
 from gesturekit.live.page import Page
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.viewer.human.body import Fitting, Human, is_baked
+from gesturekit.viewer import Fitting, Human, is_baked
 
 pytestmark = [
     bundled,

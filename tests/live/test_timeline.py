@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gesturekit.live.timeline import Block, Timeline
+from gesturekit.live import Block, Timeline
 
 RATE, SIZE = 16_000, 640
 TONE = np.sin(np.arange(40 * SIZE) / 9).astype(np.float32)

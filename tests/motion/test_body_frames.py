@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from rigs import at_rest, with_offsets
 
-from gesturekit.motion import Skeleton
-from gesturekit.motion.parts import find_parts
-from gesturekit.motion.retarget.body_frames import BodyFrames, body_frames
+from gesturekit.motion import BodyFrames, Skeleton, body_frames, find_parts
 
 FOOT = 0.15
 

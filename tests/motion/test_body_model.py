@@ -9,11 +9,12 @@ from scipy.sparse import csc_array, csr_array
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.smpl.skeleton import fit_body, mean_body, smpl_skeleton
-from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.body_model.model import BodyModel
-from gesturekit.motion.body_shape import BodyShape
-from gesturekit.motion.rotations import (
+from gesturekit.formats import fit_body, mean_body, smpl_skeleton
+from gesturekit.motion import (
+    BodyModel,
+    BodyShape,
+    Motion,
+    Skeleton,
     quaternion_from_rotation_vector,
 )
 

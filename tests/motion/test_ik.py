@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from rigs import at_rest
 
-from gesturekit.motion import Skeleton
-from gesturekit.motion.ik.two_bone import two_bone_ik
-from gesturekit.motion.kinematics import forward_kinematics, global_rotations
-from gesturekit.motion.rotations import (
+from gesturekit.motion import (
+    Skeleton,
+    forward_kinematics,
+    global_rotations,
     normalize_quaternions,
     quaternion_from_rotation_vector,
     rotation_angles,
+    two_bone_ik,
 )
 
 # A leg on a pelvis, with a helper joint between hip and knee.

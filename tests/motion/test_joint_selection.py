@@ -8,9 +8,7 @@ from recordings import BANDAI, ZEGGS
 from rigs import at_rest
 
 from gesturekit.errors import MotionError
-from gesturekit.motion import Motion
-from gesturekit.motion.body_shape import BodyShape
-from gesturekit.motion.parts import body_joints
+from gesturekit.motion import BodyShape, Motion, body_joints
 
 
 def check(motion: Motion, names: list[str]) -> Motion:

@@ -5,17 +5,16 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from gesturekit.motion.kinematics import forward_kinematics, global_rotations
-from gesturekit.motion.model_joints import ModelJoints
-from gesturekit.motion.rotations import (
+from gesturekit.motion import (
+    ForwardKinematics,
+    ModelJoints,
+    PointKinematics,
+    forward_kinematics,
+    global_rotations,
     matrix_from_quaternion,
     normalize_quaternions,
     quaternion_from_sixd,
     rotate_vectors,
-)
-from gesturekit.motion.torch_kinematics import (
-    ForwardKinematics,
-    PointKinematics,
     rotation_vector_to_matrix,
     sixd_to_matrix,
 )

@@ -9,10 +9,11 @@ from recordings import AITVIEWER, BANDAI, IDLE, ZEGGS
 from rigs import PERSON, numbered, numbered_limbs, renamed, rig_of
 
 from gesturekit.errors import MotionError
-from gesturekit.formats.smpl.skeleton import smpl_skeleton
-from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.parts import (
+from gesturekit.formats import smpl_skeleton
+from gesturekit.motion import (
     BodyParts,
+    Motion,
+    Skeleton,
     arm_joints,
     body_joints,
     find_legs,

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import gesturekit as gk
-from gesturekit.diffusion.motion_vector import DeltaRepresentation
-from gesturekit.evaluation.metrics.physical import foot_skate
-from gesturekit.motion.contacts import foot_positions
-from gesturekit.motion.root_path import follow_path
+from gesturekit.diffusion import DeltaRepresentation
+from gesturekit.evaluation import foot_skate
+from gesturekit.motion import follow_path, foot_positions
 
 
 @pytest.mark.parametrize("name", ["bow_active_001", "bye_feminine_001"])

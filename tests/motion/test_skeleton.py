@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import MotionError
-from gesturekit.motion import Skeleton
-from gesturekit.motion.body_shape import BodyShape
+from gesturekit.motion import BodyShape, Skeleton
 
 
 @pytest.mark.parametrize(

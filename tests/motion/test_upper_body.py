@@ -12,19 +12,21 @@ from rigs import Bones, at_rest, rig_of
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
-from gesturekit.formats.smpl.skeleton import smpl_skeleton
-from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.contacts import contact_labels, foot_points
-from gesturekit.motion.parts import (
+from gesturekit.formats import smpl_skeleton
+from gesturekit.motion import (
+    Motion,
+    Skeleton,
+    body_height,
     body_joints,
+    contact_labels,
     find_legs,
     find_parts,
+    foot_points,
     leg_length,
     part_labels,
     unidentified,
     upper_body,
 )
-from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.retarget import retarget
 from gesturekit.postprocess import lock_feet
 

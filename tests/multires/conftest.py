@@ -6,10 +6,15 @@ import pytest
 from small_runs import small_config
 
 from gesturekit.corpus import Item, Manifest
-from gesturekit.multires import MultiresConfig, MultiresGenerator, TrainingData, load_training_data
-from gesturekit.multires.network.skeleton_conv import convolve_dense
-from gesturekit.multires.training.batches import Batches
-from gesturekit.multires.training.window_cache import WindowCache
+from gesturekit.multires import (
+    Batches,
+    MultiresConfig,
+    MultiresGenerator,
+    TrainingData,
+    WindowCache,
+    convolve_dense,
+    load_training_data,
+)
 
 
 @pytest.fixture

@@ -20,10 +20,8 @@ from runs import cut_off
 import gesturekit as gk
 from gesturekit.corpus import Manifest
 from gesturekit.errors import ConfigError, CorpusError
-from gesturekit.multires import TrainingData, load_training_data, train
-from gesturekit.multires.training.trainer import Trainer
-from gesturekit.training.config import dump_yaml, to_dict
-from gesturekit.training.run.session import session
+from gesturekit.multires import Trainer, TrainingData, load_training_data, train
+from gesturekit.training import dump_yaml, session, to_dict
 
 LONG = {"in_memory": 0.15}
 """Minutes; the corpus of the tests has 8.5 s of recordings and 5 s of unpaired speech."""

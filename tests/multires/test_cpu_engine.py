@@ -16,8 +16,6 @@ from gesturekit.multires import (
     LossConfig,
     MultiresRepresentation,
     NetworkConfig,
-)
-from gesturekit.multires.network.skeleton_conv import (
     SkeletonConv1d,
     block_neighbours,
     convolve_dense,

@@ -14,17 +14,17 @@ import gesturekit as gk
 from audio_features import level_lengths
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import ConfigError, CorpusError
-from gesturekit.motion import Skeleton
+from gesturekit.motion import Skeleton, upper_body
 from gesturekit.motion.heading import heading
-from gesturekit.motion.parts import upper_body
 from gesturekit.multires import (
     MultiresRepresentation,
     Normaliser,
+    PairedSequence,
     TrainingData,
+    level_sigmas,
     load_training_data,
     train,
 )
-from gesturekit.multires.training.sequences import PairedSequence, level_sigmas
 
 
 def test_normalised_motion_does_not_depend_on_the_rigs_size(gesture):

@@ -11,8 +11,8 @@ from small_runs import small_config
 import gesturekit as gk
 from gesturekit.corpus import prepare
 from gesturekit.errors import ModelError
-from gesturekit.motion.root_path import RootPath
-from gesturekit.motion.rotations import (
+from gesturekit.motion import (
+    RootPath,
     multiply_quaternions,
     quaternion_from_rotation_vector,
     rotate_vectors,

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from gesturekit.multires import load_training_data
+from gesturekit.multires import PairedSequence, load_training_data
 from gesturekit.multires.training.library_choice import chosen_parts
-from gesturekit.multires.training.sequences import PairedSequence
 
 FPS = 25
 

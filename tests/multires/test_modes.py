@@ -16,13 +16,14 @@ import gesturekit as gk
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import CorpusError, ModelError
 from gesturekit.inspection import inspect
-from gesturekit.motion.rotations import multiply_quaternions
-from gesturekit.multires import MultiresControls, train
-from gesturekit.multires.sampling.conditions import (
+from gesturekit.motion import multiply_quaternions
+from gesturekit.multires import (
+    MultiresControls,
     agreed_style,
     level_track,
     mixed_styles,
     requested_styles,
+    train,
 )
 
 SINGLE = {"features": None, "training": {"window": None}}

@@ -14,13 +14,15 @@ import yaml
 import gesturekit as gk
 from audio_features import level_lengths
 from gesturekit.errors import ModelError
-from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.parts import upper_body
+from gesturekit.motion import Motion, Skeleton, upper_body
 from gesturekit.multires import (
+    SLOPE,
     LevelDiscriminator,
     MultiresGenerator,
     MultiresRepresentation,
     NetworkConfig,
+    SkeletonConv1d,
+    block_neighbours,
 )
 from gesturekit.multires.network.generator import Film, modulated_blocks
 from gesturekit.multires.network.resampling import (
@@ -29,9 +31,8 @@ from gesturekit.multires.network.resampling import (
     resample_part,
     resample_smoothly,
 )
-from gesturekit.multires.network.skeleton_conv import SLOPE, SkeletonConv1d, block_neighbours
 from gesturekit.systems import model_folder
-from gesturekit.training.seeds import rng_for
+from gesturekit.training import rng_for
 
 CONFIG = NetworkConfig(levels=3, channels=(3, 3), embedding=8)
 

@@ -11,13 +11,7 @@ import torch
 
 import gesturekit as gk
 from audio_features import level_lengths
-from gesturekit.multires import train
-from gesturekit.multires.sampling.trained_model import (
-    TrainedNoise,
-    TrainedSequence,
-    ZStarPatches,
-)
-from gesturekit.multires.training.sequences import PairedSequence
+from gesturekit.multires import PairedSequence, TrainedNoise, TrainedSequence, ZStarPatches, train
 
 
 def test_every_frame_comes_up_once_before_any_comes_again():

@@ -8,13 +8,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from gesturekit.multires import losses, resample
-from gesturekit.multires.training.stage import Stage
-from gesturekit.multires.training.targets import log_movement
-from gesturekit.multires.training.trainer import Trainer
-from gesturekit.multires.training.window_cache import random_windows
-from gesturekit.training.run.session import session
-from gesturekit.training.seeds import rng_for
+from gesturekit.multires import Stage, Trainer, log_movement, losses, random_windows, resample
+from gesturekit.training import rng_for, session
 
 
 def test_generators_want_high_scores_and_discriminators_a_gap():

@@ -18,9 +18,8 @@ import audio_features as af
 import gesturekit as gk
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.formats.smpl.skeleton import smpl_skeleton
-from gesturekit.motion.root_path import RootPath
-from gesturekit.motion.rotations import quaternion_from_rotation_vector
+from gesturekit.formats import smpl_skeleton
+from gesturekit.motion import RootPath, quaternion_from_rotation_vector
 from gesturekit.multires import MultiresConfig, train
 
 RATE = 16_000

@@ -18,11 +18,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
 import gesturekit as gk
-from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
-from gesturekit.multires import MultiresRepresentation
-from gesturekit.multires.recall.library import time_offsets
-from gesturekit.multires.recall.parts import (
+from gesturekit.motion import quaternion_from_rotation_vector, rotation_angles
+from gesturekit.multires import (
     MotionPart,
+    MultiresRepresentation,
     PassiveChannels,
     defects_of_parts,
     hand_directions,
@@ -30,6 +29,7 @@ from gesturekit.multires.recall.parts import (
     movements,
     slow_states,
 )
+from gesturekit.multires.recall.library import time_offsets
 from gesturekit.multires.recall.pieces import ChoiceWeights, Pieces, PieceSearch
 
 LENGTHS, PIECE, OVERLAP = (12, 10), 4, 2

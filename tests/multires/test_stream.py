@@ -15,8 +15,8 @@ from small_models import small_diffusion
 import audio_features as af
 import gesturekit as gk
 from gesturekit.errors import ModelError
+from gesturekit.motion import rotation_angles
 from gesturekit.motion.concatenation import stacked
-from gesturekit.motion.rotations import rotation_angles
 from gesturekit.multires import MultiresGenerator
 
 RATE = 16_000

@@ -13,10 +13,8 @@ from rigs import PERSON, at_rest, rig_of
 
 import audio_features as af
 import gesturekit as gk
-from gesturekit.motion.kinematics import GROUND
-from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
-from gesturekit.multires import MultiresGenerator
-from gesturekit.multires.sampling.trained_model import Pyramid, RandomNoise
+from gesturekit.motion import GROUND, quaternion_from_rotation_vector, rotation_angles
+from gesturekit.multires import MultiresGenerator, Pyramid, RandomNoise
 from gesturekit.multires.streaming.features import SpeechStream
 from gesturekit.multires.streaming.feet import FootHold
 from gesturekit.multires.streaming.levels import FinerLevels

@@ -9,9 +9,7 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter1d
 
-from gesturekit.multires import losses
-from gesturekit.multires.training.sequences import PairedSequence
-from gesturekit.multires.training.targets import ArmTarget, DetailTarget, log_movement
+from gesturekit.multires import ArmTarget, DetailTarget, PairedSequence, log_movement, losses
 
 LEVELS, LEVEL = 4, 3
 

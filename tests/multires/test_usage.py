@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from gesturekit.multires import TrainingConfig
-from gesturekit.multires.training.batches import usage
+from gesturekit.multires import TrainingConfig, usage
 
 STEPS = TrainingConfig(batch=2, window=10.0, discriminator_steps=1, window_cache=32, renew_every=50)
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from gesturekit.diffusion.config import DiffusionConfig
-from gesturekit.multires.config import MultiresConfig
-from gesturekit.training.config import load_config
+from gesturekit.diffusion import DiffusionConfig
+from gesturekit.multires import MultiresConfig
+from gesturekit.training import load_config
 
 RECIPES = Path(__file__).resolve().parents[2] / "recipes"
 

@@ -11,11 +11,8 @@ import pytest
 
 import audio_features as af
 from gesturekit.evaluation import beat_alignment, foot_skate, music_beats
-from gesturekit.formats.tables.events import load_events
-from gesturekit.formats.tables.root_path import load_root_path
-from gesturekit.motion import Motion
-from gesturekit.motion.contacts import foot_positions
-from gesturekit.motion.root_path import RootPath
+from gesturekit.formats import load_events, load_root_path
+from gesturekit.motion import Motion, RootPath, foot_positions
 
 RECIPES = Path(__file__).resolve().parents[2] / "recipes"
 sys.path[:0] = [str(RECIPES / name) for name in ("diffusion_locomotion", "diffusion_events")]

@@ -7,7 +7,7 @@ from small_runs import small_config
 
 import gesturekit as gk
 from gesturekit.corpus import prepare
-from gesturekit.multires.training.trainer import train
+from gesturekit.multires import train
 
 
 @pytest.fixture(scope="session")

@@ -14,9 +14,8 @@ import audio_features as af
 import gesturekit as gk
 from gesturekit import Motion
 from gesturekit.corpus import Item
-from gesturekit.jobs.run import Execution
-from gesturekit.rendering.batch import iter_render
-from gesturekit.rendering.renderer import Output
+from gesturekit.jobs import Execution
+from gesturekit.rendering import Output, iter_render
 from gesturekit.systems import bundled_speech
 
 KINDS = ("bvh", "npz")

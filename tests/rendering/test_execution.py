@@ -13,12 +13,9 @@ import pytest
 from outputs import results
 
 from gesturekit.errors import ConfigError
-from gesturekit.jobs.run import Execution
-from gesturekit.jobs.state import STATE
-from gesturekit.jobs.status import status_of
+from gesturekit.jobs import STATE, Execution, status_of
 from gesturekit.motion import Motion
-from gesturekit.rendering.batch import iter_render
-from gesturekit.rendering.renderer import Output
+from gesturekit.rendering import Output, iter_render
 
 
 @pytest.fixture

@@ -10,9 +10,8 @@ import pytest
 import soundfile
 
 from gesturekit.errors import ConfigError
-from gesturekit.jobs.plan import write_plan
-from gesturekit.jobs.task import Task
-from gesturekit.rendering.inputs import find_tasks, measured, task_wave
+from gesturekit.jobs import Task, write_plan
+from gesturekit.rendering import find_tasks, measured, task_wave
 
 
 @pytest.fixture

@@ -12,11 +12,10 @@ import gesturekit as gk
 from gesturekit import Motion
 from gesturekit.corpus import Item
 from gesturekit.errors import ConfigError, FormatError
-from gesturekit.jobs.state import STATE
+from gesturekit.jobs import STATE
 from gesturekit.postprocess import smooth_motion
-from gesturekit.rendering.batch import iter_render as render
-from gesturekit.rendering.batch import measured_cost, render_batch
-from gesturekit.rendering.renderer import Output
+from gesturekit.rendering import Output, measured_cost, render_batch
+from gesturekit.rendering import iter_render as render
 
 JOURNAL = f"{STATE}/journal/00001-of-00001.jsonl"
 

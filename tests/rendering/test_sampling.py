@@ -14,13 +14,8 @@ import gesturekit as gk
 from gesturekit import Motion
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import ConfigError
-from gesturekit.rendering.samples import (
-    SamplingOptions,
-    sample_lda,
-    sample_multires,
-    sounds_of,
-)
-from gesturekit.training.config import build
+from gesturekit.rendering import SamplingOptions, sample_lda, sample_multires, sounds_of
+from gesturekit.training import build
 
 RAISED = 2.0  # radians by which the arms of style b are higher
 FEW = {"first_stage": 30, "further_stages": 10, "discriminator_steps": 1, "batch": 4}
@@ -71,11 +66,11 @@ def styled(request, corpus, tmp_path_factory):
     values = {"corpus": str(corpus), "out": str(run), "fps": 25, "threads": 1, "features": None}
     values |= {"system": request.param, "styles": {}, **SETTINGS[request.param]}
     if request.param == "multires":
-        from gesturekit.multires.config import MultiresConfig as Config
-        from gesturekit.multires.training.trainer import train
+        from gesturekit.multires import MultiresConfig as Config
+        from gesturekit.multires import train
     else:
-        from gesturekit.diffusion.config import DiffusionConfig as Config
-        from gesturekit.diffusion.training.trainer import train
+        from gesturekit.diffusion import DiffusionConfig as Config
+        from gesturekit.diffusion import train
     return gk.load(train(build(Config, values)))
 
 

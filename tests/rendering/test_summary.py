@@ -7,11 +7,7 @@ import re
 import pytest
 from outputs import status
 
-from gesturekit.jobs.journal import Journal
-from gesturekit.jobs.result import Result
-from gesturekit.jobs.state import STATE
-from gesturekit.jobs.status import FailedItem
-from gesturekit.jobs.task import Task
+from gesturekit.jobs import STATE, FailedItem, Journal, Result, Task
 from gesturekit.rendering import summary
 
 

@@ -19,9 +19,8 @@ import gesturekit as gk
 from gesturekit.errors import ConfigError, GestureKitError
 from gesturekit.model import Inputs
 from gesturekit.motion import Motion
-from gesturekit.serving.app import create_app
+from gesturekit.serving import Limits, Rate, create_app
 from gesturekit.serving.pages import DROP_PAGE, PAGE_HEADERS
-from gesturekit.serving.requests import Limits, Rate
 from gesturekit.systems import bundled_speech
 
 HOST = "http://127.0.0.1"

@@ -14,8 +14,8 @@ from starlette.applications import Starlette
 from starlette.responses import Response
 from starlette.routing import Route
 
+from gesturekit.serving import Limits
 from gesturekit.serving.connections import server_config
-from gesturekit.serving.requests import Limits
 
 LARGE = 64 << 20
 HEAD = b"POST / HTTP/1.1\r\nHost: a\r\n"

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from gesturekit.evaluation.statistics.answers import Answer
-from gesturekit.study.analysis.votes import Votes
+from gesturekit.evaluation import Answer
+from gesturekit.study import Votes
 
 ANSWER_BOUNDS = (0.3, 1.2)  # of a preference's size: below equal, slight, clear
 

@@ -11,9 +11,8 @@ import pytest
 from pages import bundled
 
 from gesturekit.errors import ConfigError
-from gesturekit.evaluation.statistics.answers import GENEA_COLUMNS
-from gesturekit.study import StudyConfig, build_study
-from gesturekit.study.build import CODES, REASONS
+from gesturekit.evaluation import GENEA_COLUMNS
+from gesturekit.study import CODES, REASONS, StudyConfig, build_study
 from gesturekit.study.clips import Segment, find_clips
 from gesturekit.study.config import load_study_config
 from gesturekit.study.lists import make_lists, mismatches

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gesturekit.evaluation.statistics.answers import GENEA_COLUMNS, Answer
+from gesturekit.evaluation import GENEA_COLUMNS, Answer
 
 
 @pytest.fixture

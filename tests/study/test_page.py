@@ -14,10 +14,8 @@ from urllib.parse import quote
 import pytest
 from pages import bundled
 
-from gesturekit.evaluation import read_answers
-from gesturekit.evaluation.statistics.answers import GENEA_COLUMNS
-from gesturekit.study import StudyConfig, build_study
-from gesturekit.study.build import CODES
+from gesturekit.evaluation import GENEA_COLUMNS, read_answers
+from gesturekit.study import CODES, StudyConfig, build_study
 
 pytestmark = bundled
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from figures import kept_figures, points
 
-from gesturekit.evaluation.statistics.answers import Answer, Answers
+from gesturekit.evaluation import Answer, Answers
 from gesturekit.study import analyse_study
 from gesturekit.study.analysis import plots
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gesturekit.evaluation.statistics.answers import Answer, Answers
+from gesturekit.evaluation import Answer, Answers
 from gesturekit.study import analyse_study, write_study_report
 from gesturekit.study.analysis.report import write_json
 from gesturekit.study.analysis.result import conclusions, reservations

@@ -11,8 +11,8 @@ from scipy import stats
 from statsmodels.stats.proportion import proportion_confint
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.statistics.answers import Answer, Answers
-from gesturekit.study import analyse_study, raters_needed
+from gesturekit.evaluation import Answer, Answers
+from gesturekit.study import Votes, analyse_study, raters_needed
 from gesturekit.study.analysis.alignment import analyse_alignment
 from gesturekit.study.analysis.preference import (
     analyse_preference,
@@ -23,7 +23,6 @@ from gesturekit.study.analysis.preference import (
     weighted_wins,
 )
 from gesturekit.study.analysis.significance import Expected, power_of, rater_test, two_proportions
-from gesturekit.study.analysis.votes import Votes
 
 
 def expect(win_rate=0.6, ties=0.2, clear=0.4, agreement=0.05) -> Expected:

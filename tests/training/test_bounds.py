@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 from small_runs import SMALL, small_values
 
-from gesturekit.diffusion.config import DiffusionConfig
+from gesturekit.diffusion import DiffusionConfig
 from gesturekit.errors import ConfigError
-from gesturekit.multires.config import MultiresConfig
-from gesturekit.training.config import build, to_dict
+from gesturekit.multires import MultiresConfig
+from gesturekit.training import build, to_dict
 
 CONFIGS = {"diffusion": DiffusionConfig, "multires": MultiresConfig}
 BESIDE = {"recall": {"level": 2}, "unpaired": {"corpus": "more.jsonl"}}

@@ -10,9 +10,9 @@ from typing import Literal
 
 import pytest
 
-from gesturekit.diffusion.config import DiffusionConfig
+from gesturekit.diffusion import DiffusionConfig
 from gesturekit.errors import ConfigError
-from gesturekit.training.config import build, dump_yaml, load_config, to_dict
+from gesturekit.training import build, dump_yaml, load_config, to_dict
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,8 @@ from runs import logged
 from small_runs import small_diffusion
 
 from gesturekit.errors import ModelError
-from gesturekit.training.config import to_dict
-from gesturekit.training.run.folder import Run
+from gesturekit.training import Processes, Run, to_dict
 from gesturekit.training.run.loop import Loop, StageCallbacks
-from gesturekit.training.run.processes import Processes
 
 PLAN = [(5, 1.0), (4, 2.0)]
 EVERY = {"log_every": 3, "checkpoint_every": 4, "eval_every": 4}

@@ -9,9 +9,9 @@ import pytest
 from rigs import prefixed
 
 from gesturekit import Motion
-from gesturekit.diffusion.motion_vector import DeltaRepresentation
+from gesturekit.diffusion import DeltaRepresentation
 from gesturekit.errors import ModelError
-from gesturekit.motion.contacts import floor_height
+from gesturekit.motion import floor_height
 from gesturekit.motion.retarget import retarget
 from gesturekit.training.data.own_rig import on_rig, pose_on_rig
 

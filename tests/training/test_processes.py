@@ -10,7 +10,7 @@ import torch
 from runs import ended, launch
 
 from gesturekit.errors import ConfigError
-from gesturekit.training.run.processes import Processes
+from gesturekit.training import Processes
 
 SCRIPT = """
 import json, sys, torch

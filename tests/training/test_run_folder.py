@@ -12,8 +12,7 @@ import pytest
 import torch
 
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.training.run.checkpoint import Checkpoints
-from gesturekit.training.run.folder import Run, has_no_run
+from gesturekit.training import Checkpoints, Run, has_no_run
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from gesturekit.corpus.item import file_fingerprint
-from gesturekit.training.data.sources import (
+from gesturekit.corpus import file_fingerprint
+from gesturekit.training import (
     TrainedSegment,
     is_trained_on,
     load_sources,

@@ -13,11 +13,8 @@ from avatars import BONES, HAIR, avatar, avatar_json, packed
 from pages import bundled, opened
 
 from gesturekit.errors import FormatError
-from gesturekit.motion.parts.body_size import body_height
-from gesturekit.viewer import write_picture, write_video
-from gesturekit.viewer.avatars import load_avatar
-from gesturekit.viewer.drawn_body import DrawnBody
-from gesturekit.viewer.video.mesh import SkinnedBody
+from gesturekit.motion import body_height
+from gesturekit.viewer import DrawnBody, SkinnedBody, load_avatar, write_picture, write_video
 
 LEFT_ARM = {"Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "HandIndex1": "IndexProximal"}
 

@@ -12,9 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.viewer import anatomy
-from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
-from gesturekit.viewer.figure import Figure
+from gesturekit.viewer import LEFT, MIDDLE, RIGHT, Figure, anatomy
 
 RECORDINGS = {
     "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh": (1.5, 1.95),

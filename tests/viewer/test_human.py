@@ -16,15 +16,10 @@ from scipy.spatial.transform import Rotation
 
 import gesturekit as gk
 from gesturekit.errors import FormatError
-from gesturekit.formats.smpl.skeleton import smpl_skeleton
-from gesturekit.motion import Motion
-from gesturekit.motion.ik.two_bone import two_bone_ik
-from gesturekit.motion.parts import find_parts
-from gesturekit.motion.parts.body_size import body_height
-from gesturekit.viewer import write_html, write_picture, write_video
-from gesturekit.viewer.drawn_body import DrawnBody
+from gesturekit.formats import smpl_skeleton
+from gesturekit.motion import Motion, body_height, find_parts, two_bone_ik
+from gesturekit.viewer import DrawnBody, SkinnedBody, write_html, write_picture, write_video
 from gesturekit.viewer.human import bake, body, makehuman
-from gesturekit.viewer.video.mesh import SkinnedBody
 
 baked = pytest.mark.skipif(not body.is_baked(), reason="the human body is not baked (make setup)")
 NEAR = 0.09

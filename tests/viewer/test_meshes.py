@@ -9,13 +9,18 @@ import pytest
 from rigs import at_rest
 from scipy.spatial.transform import Rotation
 
-from gesturekit.formats.gltf.skin import Skin
+from gesturekit.formats import Skin
 from gesturekit.motion import Motion
-from gesturekit.viewer.avatars import simplified
-from gesturekit.viewer.drawn_body import DrawnBody
-from gesturekit.viewer.figure import Figure
-from gesturekit.viewer.video.mesh import COLOURS, Mannequin
-from gesturekit.viewer.video.scene import Buffers, Camera, Scene
+from gesturekit.viewer import (
+    COLOURS,
+    Buffers,
+    Camera,
+    DrawnBody,
+    Figure,
+    Mannequin,
+    Scene,
+    simplified,
+)
 
 
 def volume(vertices: np.ndarray, faces: np.ndarray) -> float:

@@ -17,11 +17,8 @@ from scipy.spatial.transform import Rotation
 from audio_features import FeatureTrack, LogMel, Wave
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.motion import Motion
-from gesturekit.viewer import write_picture
-from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
-from gesturekit.viewer.drawn_body import DrawnBody
+from gesturekit.viewer import LEFT, MIDDLE, RIGHT, DrawnBody, Figure, write_picture
 from gesturekit.viewer.feature_picture import draw_features
-from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.pictures import COLOURS
 
 

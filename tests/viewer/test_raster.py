@@ -7,8 +7,8 @@ import pytest
 from scipy.ndimage import uniform_filter
 from scipy.spatial.transform import Rotation
 
+from gesturekit.viewer import Buffers, Camera
 from gesturekit.viewer.video import raster
-from gesturekit.viewer.video.scene import Buffers, Camera
 
 
 def f32(*values) -> np.ndarray:

@@ -10,11 +10,8 @@ import pytest
 from pages import bundled, data_of, opened, unpacked
 from scipy.spatial.transform import Rotation
 
-from gesturekit.formats.gltf.skin import Skin, whole_weights
-from gesturekit.formats.smpl.skeleton import fit_body, smpl_skeleton
-from gesturekit.motion import Motion
-from gesturekit.motion.body_model.model import BodyModel
-from gesturekit.motion.body_shape import BodyShape
+from gesturekit.formats import Skin, fit_body, smpl_skeleton, whole_weights
+from gesturekit.motion import BodyModel, BodyShape, Motion
 from gesturekit.viewer import write_html
 
 pytestmark = bundled

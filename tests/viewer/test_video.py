@@ -14,13 +14,10 @@ import pytest
 
 from audio_features import AudioError, Wave
 from gesturekit.errors import FormatError
-from gesturekit.formats.smpl.skeleton import fit_body, smpl_skeleton
-from gesturekit.motion import Motion
-from gesturekit.motion.body_model.model import BodyModel
-from gesturekit.viewer import write_html, write_picture, write_video
-from gesturekit.viewer.drawn_body import DrawnBody
+from gesturekit.formats import fit_body, smpl_skeleton
+from gesturekit.motion import BodyModel, Motion
+from gesturekit.viewer import DrawnBody, SkinnedBody, write_html, write_picture, write_video
 from gesturekit.viewer.video import raster
-from gesturekit.viewer.video.mesh import SkinnedBody
 
 RATE, JUMP = 16_000, 0.2
 
