@@ -115,6 +115,10 @@ class LossConfig:
     coarse: float = 0.0
     """L1 distance between a level's input and its output, resampled to the frame rate of the next
     coarser level, on random steps, so that finer levels only add detail. Not in the paper."""
+    state: float = 0.0
+    """L1 distance between the state of movement that a generated motion shows and the state that it
+    was given, in standard deviations, on random steps; for models with `state`. Not in the
+    paper."""
     rec_input: Literal["generated", "real"] = "generated"
     """Input of each level on reconstruction steps: the output of the next coarser level, generated
     from z*, or the recorded motion at the coarser level, as eq. 15 is printed."""
@@ -320,6 +324,11 @@ class MultiresConfig(RunConfig):
     """Style condition; null trains a model without styles."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
     """Generators and discriminators."""
+    state: bool = False
+    """Condition every level on the state of movement: how much each hand and the trunk move, where
+    the hands are held, and when they move. It is measured in the recordings, and drawn in
+    generation and for random steps. The noise of level 1 then runs in the time of the hands'
+    movement, and finer levels get none. Not in the papers."""
     recall: RecallConfig | None = None
     """Recall by speech; null generates all levels, as in the papers. With recall, the model folder
     contains the training motion at the frame rate of `recall.level`."""
@@ -349,6 +358,12 @@ class MultiresConfig(RunConfig):
             raise ConfigError(
                 f"recall.level: {self.recall.level} is above network.levels {self.network.levels}"
             )
+        if self.state and (self.recall or self.z_star_shuffle or self.z_star != "shared"):
+            raise ConfigError(
+                "state: true cannot be combined with recall, z_star_shuffle or z_star: full"
+            )
+        if self.losses.state and not self.state:
+            raise ConfigError(f"losses.state: {self.losses.state:g} needs state: true")
         kinds = {spec.get("kind") for spec in self.features.extractors} if self.features else ()
         if self.recall is not None and kinds == {"effort"}:
             raise ConfigError(

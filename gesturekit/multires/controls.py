@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 from gesturekit.model import PLACING, ControlArguments, Controls, control
 
 if TYPE_CHECKING:
+    import numpy as np
+
     import audio_features as af
     from gesturekit.motion.motion import Motion
 
@@ -54,6 +56,9 @@ class MultiresControls(Controls):
     recall: bool | None = control(kind=bool)
     """Recall pieces of the training recordings, chosen by the speech (--no-recall: generate all
     levels from noise). By default a model uses recall if it was trained with it."""
+    state: str | Path | np.ndarray | None = control(kind=Path, metavar="FILE.npy")
+    """State of movement in place of a drawn one, as `MultiresModel.state` returns it; cut to the
+    motion, or held to its end."""
     liveliness: float = control(1.0, kind=float, above=0, metavar="AMOUNT")
     """Factor on the hand speed that is drawn for the speech, about 0.5 (calmer) to 1.5 (livelier).
     For models with recall."""
@@ -73,5 +78,6 @@ class MultiresControlArguments(ControlArguments, total=False):
     keyframe_level: int
     keep: Mapping[float, str | Path | Motion] | None
     recall: bool | None
+    state: str | Path | np.ndarray | None
     liveliness: float
     mood_seed: int | None

@@ -31,6 +31,7 @@ class LossInputs:
         downsampled: (B, D, T') generated motion, resampled to the frames of the next coarser level.
         coarser: (B, D, T') motion of the next coarser level.
         detail: () energy distance between generated and recorded detail, see `DetailTarget`.
+        state: () distance from the state of movement that was given, see `StateTarget`.
         generated: (B, D, T) normalised motion of a reconstruction step.
         recorded: (B, D, T) the recording that it should reproduce.
     """
@@ -44,6 +45,7 @@ class LossInputs:
     downsampled: Tensor | None = None
     coarser: Tensor | None = None
     detail: Tensor | None = None
+    state: Tensor | None = None
     generated: Tensor | None = None
     recorded: Tensor | None = None
 
@@ -71,6 +73,8 @@ def losses(inputs: LossInputs, weights: LossConfig) -> dict[str, Tensor]:
         values["coarse"] = coarse(inputs.downsampled, inputs.coarser)
     if inputs.detail is not None:
         values["detail"] = inputs.detail
+    if inputs.state is not None:
+        values["state"] = inputs.state
     if inputs.arms is not None and inputs.arm_target is not None:
         speed, acceleration = movement(inputs.arms, inputs.arm_target)
         if weights.arm_speed:
@@ -190,3 +194,16 @@ def detail(generated: Tensor, recorded: Tensor) -> Tensor:
     # The 1e-6 keeps the gradient of the norm finite on the diagonal, where differences are zero.
     among = ((generated[:, None] - generated).square().sum(dim=-1) + 1e-6).sqrt()
     return apart - 0.5 * (among.sum() / (n * (n - 1)))
+
+
+def state(shown: Tensor, given: Tensor, weight: Tensor) -> Tensor:
+    """Return the distance () of the state of movement that is shown from the one that was given.
+
+    Not in the paper.
+
+    Args:
+        shown: (B, C, T) channels, measured from generated motion.
+        given: (B, C, T) channels that this level should show.
+        weight: (C, 1).
+    """
+    return (weight * (shown - given)).abs().mean()

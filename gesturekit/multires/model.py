@@ -8,6 +8,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal, Unpack
 
+import numpy as np
+import torch
 from torch import Tensor
 
 import audio_features as af
@@ -19,6 +21,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.backend import requested_backend
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.controls import MultiresControlArguments, MultiresControls
+from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
@@ -41,12 +44,15 @@ from gesturekit.multires.sampling.trained_model import (
     TrainedSequence,
 )
 from gesturekit.multires.streaming.stream import MultiresStream
+from gesturekit.state.channels import StateChannels
+from gesturekit.state.format import load_state, state_tensors, state_values
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.data.features import (
     conditioner_tensors,
     conditioner_values,
     load_conditioner,
 )
+from gesturekit.training.data.own_rig import on_rig
 from gesturekit.training.model_folder import (
     ModelParts,
     common_arguments,
@@ -214,6 +220,30 @@ class MultiresModel(TrainedModel):
         values = Pyramid(self, lengths, condition).from_noise(noise)
         return self.representation.decode(values, self.fps)
 
+    @gesturekit_errors()
+    def state(self, motion: str | Path | Motion) -> np.ndarray:
+        """Measure the state of movement of a motion: what `generate` takes as `state`.
+
+        Args:
+            motion: a motion or its file; one on another rig is retargeted.
+
+        Returns:
+            (T, C) at the model's frame rate; `state_process.channels.names` names the channels.
+
+        Raises:
+            ModelError: a model without a state of movement.
+            FormatError: the file cannot be read.
+            MotionError: a rig that cannot be retargeted.
+        """
+        if self.state_process is None:
+            raise ModelError("state: this model was trained without the state of movement")
+        motion = motion if isinstance(motion, Motion) else Motion.load(motion)
+        motion = on_rig(self.representation, motion.resample(self.fps))
+        values = torch.from_numpy(self.representation.encode(motion).T[None]).float()
+        with torch.no_grad():
+            places = VectorKinematics(self.representation, self.fps, arms=False).places(values)
+            return self.state_process.channels(places, self.fps)[0].T.double().numpy()
+
     def fingerprint(self) -> str:
         """Return the SHA-256 of what `save` writes, its README apart."""
         return model_digest(*self.parts())
@@ -237,6 +267,7 @@ class MultiresModel(TrainedModel):
             "network": to_dict(self.network_config),
             "sequences": {name: asdict(sequence) for name, sequence in noise.sequences.items()},
             "recall": None if self.library is None else library_values(self.library),
+            "state": None if self.state_process is None else state_values(self.state_process),
             "fastest": self.fastest,
             "smooth": self.smooth,
         }
@@ -248,6 +279,7 @@ class MultiresModel(TrainedModel):
             "motion.scale": self.normaliser.scale,
             **conditioner_tensors(conditioner),
             **({} if self.library is None else library_tensors(self.library)),
+            **({} if self.state_process is None else state_tensors(self.state_process)),
         }
         return config, rig_values(self.representation, self.speakers), tensors
 
@@ -264,6 +296,10 @@ class MultiresModel(TrainedModel):
         if self.library is not None:
             lines["Recalled motion"] = library_row(self.library)
             lines |= prediction_rows(self.library) | live_rows(self.library)
+        if (process := self.state_process) is not None:
+            lines["State of movement"] = ", ".join(process.channels.names)
+            if process.wanted is not None:
+                lines["Hand movement from speech"] = process.wanted.summary()
         if self.styles:
             lines["Styles"] = ", ".join(self.styles)
             call += f', style="{self.styles[0]}"'
@@ -312,11 +348,15 @@ class MultiresModel(TrainedModel):
         if features is not None:
             fps = common["fps"]
             conditioner = load_conditioner(features, tensors, fps, weights, device)
+        n_speech = 0 if conditioner is None else conditioner.dim
+        channels = StateChannels.find(skeleton, representation.joints)
+        state = load_state(config["state"], tensors, channels, common["fps"], n_speech)
         conditions = Conditions(
             conditioner,
             tuple(map(str, config["styles"])),
             bool(features and features["residual"]),
             config["recall"] is not None,
+            None if state is None else channels,
         )
         trained = parts.tensors_under("network.")
         given = sum(t.numel() for name, t in trained.items() if _CONVOLUTION.search(name))
@@ -342,11 +382,7 @@ class MultiresModel(TrainedModel):
             network_config=network_config,
             network=network.eval(),
             noise=noise,
-            library=load_library(
-                parts,
-                representation,
-                network_config.levels,
-                0 if conditioner is None else conditioner.dim,
-            ),
+            library=load_library(parts, representation, network_config.levels, n_speech),
+            state_process=state,
             fastest=float(config["fastest"]),
         )

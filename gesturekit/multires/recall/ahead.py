@@ -1,7 +1,7 @@
 """Prediction of movement from speech while it is spoken: the future is unknown.
 
-The regressions of `wanted.py` use features on both sides of a frame. Without the later ones they
-would lose much of what they know, so a separate pair is fitted for each look-ahead.
+The regressions of `WantedMovement` use features on both sides of a frame. Without the later ones
+they would lose much of what they know, so a separate pair is fitted for each look-ahead.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gesturekit.multires.recall.slow_state import PAUSE
-from gesturekit.multires.recall.wanted import (
+from gesturekit.state.prediction import (
     GAP_SECONDS,
     Regression,
     WantedMovement,

@@ -19,12 +19,11 @@ from gesturekit.multires.recall.parts import (
     SPEED_FLOOR,
     MotionPart,
     PassiveChannels,
-    slow_part,
     slow_rows,
 )
 from gesturekit.multires.recall.pieces import ChoiceWeights, Pieces, PieceSearch
 from gesturekit.multires.recall.slow_state import SlowState, recorded_quantiles, recorded_values
-from gesturekit.multires.recall.wanted import WantedMovement
+from gesturekit.state.prediction import WantedMovement, slow_part
 
 _REST = 0.1
 """Speed below which a part of the body rests, m/s on the reference body."""

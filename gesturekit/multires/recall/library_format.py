@@ -15,7 +15,7 @@ from gesturekit.multires.recall.ahead import AheadPrediction, FeatureWindow
 from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary
 from gesturekit.multires.recall.parts import PassiveChannels, motion_parts, slow_rows
 from gesturekit.multires.recall.slow_state import SlowState
-from gesturekit.multires.recall.wanted import Regression, WantedMovement
+from gesturekit.state.prediction import Regression, WantedMovement
 from gesturekit.training.model_folder import ModelParts
 from gesturekit.wording import counted
 
@@ -23,9 +23,6 @@ _VALUES = ("level", "piece", "overlap", "mean", "spread", "stretch")
 _LARGEST = 1e4  # of `_VALUES`: levels, seconds and log m/s
 _LEAST_SPREAD = 1e-6
 _CURVES = ("motion", "passive", "profiles", "states", "directions", "defective")
-_REGRESSION = ("mean", "weights", "offset", "r")
-_FACTORS = ("mean_counts", "spread", "across_takes")
-_PREDICTION = ("fast_basis", "slow_basis", "voices")
 _SLOW_STATE = {"explained": (-2, 2), "mixing": (-2, 2), "between": (0, 1), "width": (0.1, 100)}
 """Ranges of the slow state's tensors."""
 _TAKE = (0.1, 1e7)  # seconds; a single take may have hours
@@ -40,9 +37,7 @@ def library_values(library: RecallLibrary) -> dict[str, Any]:
         "recordings": [[part.speaker, part.style] for part in library.recordings],
         "passive": {"joints": list(library.passive.joints), "face": library.passive.expressions},
         "slow_state": {"take": library.slow_state.take},
-        "wanted": None
-        if wanted is None
-        else {"effort": list(wanted.effort), **{name: getattr(wanted, name) for name in _FACTORS}},
+        "wanted": None if wanted is None else wanted.values(),
         "ahead": [
             {
                 "look_ahead": one.look_ahead,
@@ -93,18 +88,11 @@ def library_tensors(library: RecallLibrary) -> dict[str, Tensor]:
     for i, recording in enumerate(library.recordings):
         for name in _CURVES:
             tensors[f"recall.{i}.{name}"] = getattr(recording, name).contiguous()
-    wanted = library.wanted
-    if wanted is None:
-        return tensors
-    for name in _PREDICTION:
-        tensors[f"recall.{name}"] = _tensor(getattr(wanted, name))
-    predictions: dict[str, Any] = {"recall": wanted}
-    predictions |= {f"recall.ahead.{i}": one for i, one in enumerate(library.ahead)}
-    for where, prediction in predictions.items():
-        for part in ("fast", "slow"):
-            for name in _REGRESSION:
-                value = getattr(getattr(prediction, part), name)
-                tensors[f"{where}.{part}.{name}"] = _tensor(value)
+    if library.wanted is not None:
+        tensors |= library.wanted.tensors("recall")
+    for i, one in enumerate(library.ahead):
+        tensors |= one.fast.tensors(f"recall.ahead.{i}.fast")
+        tensors |= one.slow.tensors(f"recall.ahead.{i}.slow")
     return tensors
 
 
@@ -131,7 +119,9 @@ def load_library(
         for i, (speaker, style) in enumerate(values["recordings"])
     )
     _check_values(values, levels)
-    wanted = _wanted(tensors, values["wanted"], fps)
+    wanted = None
+    if values["wanted"] is not None:
+        wanted = WantedMovement.load(values["wanted"], tensors, "recall", fps)
     library = RecallLibrary(
         level=int(values["level"]),
         levels=levels,
@@ -174,9 +164,6 @@ def _check_values(values: Mapping[str, Any], levels: int) -> None:
     if not values["spread"] >= _LEAST_SPREAD:
         raise ValueError(f"recall: spread is {values['spread']}")
     _check_range("slow_state.take", float(values["slow_state"]["take"]), *_TAKE)
-    if (wanted := values["wanted"]) is not None:
-        _check_range("wanted.mean_counts", float(wanted["mean_counts"]), 0, 1)
-        _check_range("wanted.spread", float(wanted["spread"]), 0, _LARGEST)
 
 
 def _check_range(name: str, values: float | np.ndarray, low: float, high: float) -> None:
@@ -224,26 +211,6 @@ def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> 
             raise ValueError(f"recall: live predictions do not fit ({error})") from None
 
 
-def _wanted(
-    tensors: Mapping[str, Tensor], speech: Mapping[str, Any] | None, fps: float
-) -> WantedMovement | None:
-    """Return the prediction of movement from its plain values; None without."""
-    if speech is None:
-        return None
-    return WantedMovement(
-        fps,
-        tuple(map(int, speech["effort"])),
-        tensors["recall.fast_basis"].numpy(),
-        tensors["recall.slow_basis"].numpy(),
-        _regression(tensors, "recall.fast"),
-        _regression(tensors, "recall.slow"),
-        float(speech["mean_counts"]),
-        float(speech["spread"]),
-        bool(speech["across_takes"]),
-        tensors["recall.voices"].numpy(),
-    )
-
-
 def _ahead(
     tensors: Mapping[str, Tensor], rows: Sequence[Mapping[str, Any]]
 ) -> tuple[AheadPrediction, ...]:
@@ -253,15 +220,10 @@ def _ahead(
             float(row["look_ahead"]),
             np.array(row["fast_columns"], int),
             np.array(row["slow_columns"], int),
-            *(_regression(tensors, f"recall.ahead.{i}.{part}") for part in ("fast", "slow")),
+            *(Regression.load(tensors, f"recall.ahead.{i}.{part}") for part in ("fast", "slow")),
         )
         for i, row in enumerate(rows)
     )
-
-
-def _regression(tensors: Mapping[str, Tensor], where: str) -> Regression:
-    arrays: dict[str, Any] = {name: tensors[f"{where}.{name}"].numpy() for name in _REGRESSION}
-    return Regression(**{**arrays, "offset": float(arrays["offset"]), "r": float(arrays["r"])})
 
 
 def _tensor(value: Any) -> Tensor:

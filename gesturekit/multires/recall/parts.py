@@ -19,6 +19,7 @@ from gesturekit.motion.rotations import quaternion_from_sixd, sixd_from_quaterni
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.state.prediction import slow_part
 
 SPEED_FLOOR = 0.05
 """Added to speeds before the logarithm, m/s on the reference body."""
@@ -32,8 +33,6 @@ _REST_LENGTH = 2.0
 """`MotionPart.length` of all parts but the arms. They are longer because feet slide at the joins of
 pieces with different stances, and only arms have to follow every word."""
 
-SLOW_SECONDS = 2.0
-"""Standard deviation of the Gaussian that separates slow from fast movement."""
 _WIDTH_FLOOR = 0.01
 """Added to widths before the logarithm, m on the reference body."""
 
@@ -162,11 +161,6 @@ def movements(
     speed = np.log(np.linalg.norm(velocity, axis=1) + SPEED_FLOOR)
     smooth = gaussian_filter1d(speed, _SMOOTHING_SECONDS * fps, mode="nearest")
     return [smooth[[joints.index(name) for name in part.moving]].mean(axis=0) for part in parts]
-
-
-def slow_part(curves: np.ndarray, fps: float) -> np.ndarray:
-    """Return the slow part (..., T) of curves (..., T)."""
-    return gaussian_filter1d(curves, SLOW_SECONDS * fps, mode="nearest")
 
 
 def slow_channels(part: MotionPart) -> tuple[str, ...]:

@@ -22,45 +22,21 @@ from itertools import repeat
 import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter1d
-from scipy.special import ndtr, ndtri
-from scipy.stats import rankdata
+from scipy.special import ndtr
 
-from gesturekit.multires.recall.wanted import WantedMovement
+from gesturekit.state.prediction import WantedMovement
+from gesturekit.state.process import share_between_takes, within_takes
 
-_BETWEEN_TAKES = 1 / 3
-"""Share of the variance between takes that is expected before any recording is seen ..."""
-_PRIOR_TAKES = 3.0
-"""... and the number of takes that count as much as that expectation."""
-_WIDTHS = np.geomspace(1.5, 24.0, 13)
-"""Smoothness of the component within takes to choose from: seconds of standard deviation of the
-Gaussian that smooths white noise. Its correlation at lag t is exp(-t^2 / (4 width^2))."""
 _STEP, _STEPS_OF_TAKE = 0.25, 8
 """Seconds between the points at which noise within takes is drawn; points in each `take`."""
 _TRUNCATED = 4.0
 """Gaussians end at this many standard deviations."""
 PAUSE = -2.0
 """Predictions as low as in pauses, in standard deviations, which are trusted in full."""
-_LAGS = 24
 _BLOCK = 256
 """Points of white noise that are drawn at a time in a motion without end."""
 _SHARES = (np.arange(201) + 0.5) / 201
 """Shares of the quantiles between which recorded values are interpolated."""
-
-
-def normal_scores(curves: Sequence[np.ndarray], groups: Sequence[object]) -> list[np.ndarray]:
-    """Return standard normal scores of curves (C, T_k), by rank in each channel.
-
-    Ranks are those among the curves of the same group.
-    """
-    result: list[np.ndarray] = [np.empty(0)] * len(curves)
-    for group in dict.fromkeys(groups):
-        own = [k for k, other in enumerate(groups) if other == group]
-        pooled = np.concatenate([curves[k] for k in own], axis=1)
-        scores = ndtri((rankdata(pooled, axis=1) - 0.5) / pooled.shape[1])
-        edges = np.cumsum([curves[k].shape[1] for k in own])[:-1]
-        for k, part in zip(own, np.split(scores, edges, axis=1), strict=True):
-            result[k] = part
-    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +48,7 @@ class SlowState:
         trust: factor on these correlations, see `trust_in`.
         mixing: (C, C) Cholesky factor of the noise's correlation between channels.
         between: (C,) share of the noise's variance between takes.
-        width: (C,) smoothness of the noise within takes, seconds, see `_WIDTHS`.
+        width: (C,) smoothness of the noise within takes, seconds, see `StateProcess`.
         take: smoothness of the noise between takes, seconds.
     """
 
@@ -116,9 +92,8 @@ class SlowState:
         scale = np.sqrt(np.diag(correlation))
         names = list(dict.fromkeys(takes))
         noise = [own / sizes[:, None] for own in noise]
-        within, width = _within_takes(noise, fps)
-        count = len(names) - 1
-        between = (count * (1 - within) + _PRIOR_TAKES * _BETWEEN_TAKES) / (count + _PRIOR_TAKES)
+        within, width = within_takes(noise, fps)
+        between = share_between_takes(within, len(names))
         return cls(
             explained,
             trust,
@@ -256,42 +231,3 @@ def _kernel(width: float, margin: int) -> np.ndarray:
     impulse = np.zeros(2 * margin + 1)
     impulse[margin] = 1.0
     return gaussian_filter1d(impulse, width, truncate=_TRUNCATED)
-
-
-def _within_takes(scores: Sequence[np.ndarray], fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the share of the variance within takes, and its smoothness in seconds, both (C,).
-
-    They are fitted to half the mean squared difference of frames of a recording, at lags up to half
-    of the longest recording (a variogram). It does not depend on the recordings' means, which are
-    known badly.
-
-    Args:
-        scores: (C, T_k) of variance 1 in all recordings together.
-        fps: frames per second.
-    """
-    longest = max(own.shape[1] for own in scores)
-    lags = np.unique(np.geomspace(max(1, fps / 2), max(2, longest / 2), _LAGS).astype(int))
-    lags = lags[lags < longest]
-    if not len(lags):
-        return np.full(len(scores[0]), 0.5), np.full(len(scores[0]), _WIDTHS[0])
-    counts = np.array(
-        [sum(own.shape[1] - lag for own in scores if own.shape[1] > lag) for lag in lags]
-    )
-    halves = np.stack(
-        [
-            sum(
-                np.square(own[:, lag:] - own[:, :-lag]).sum(axis=1)
-                for own in scores
-                if own.shape[1] > lag
-            )
-            / (2 * count)
-            for lag, count in zip(lags, counts, strict=True)
-        ]
-    )  # (lags, C)
-    shapes = 1 - np.exp(-np.square(lags[:, None] / fps / _WIDTHS) / 4)  # (lags, widths)
-    weights = counts[:, None]
-    shares = ((weights * shapes).T @ halves) / (weights * np.square(shapes)).sum(axis=0)[:, None]
-    shares = np.clip(shares, 0.0, 1.0)  # (widths, C)
-    errors = np.square(halves[:, None] - shapes[:, :, None] * shares).transpose(1, 2, 0) @ counts
-    best = errors.argmin(axis=0)
-    return shares[best, np.arange(len(best))], _WIDTHS[best]

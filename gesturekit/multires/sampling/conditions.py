@@ -22,6 +22,7 @@ from gesturekit.corpus.styles import style_track
 from gesturekit.errors import ModelError
 from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.network.resampling import resample
+from gesturekit.state.channels import StateChannels, averaged
 
 _LEVELS = re.compile(r"(\d+)(?:-(\d+))?")
 _LEVEL_STYLE = "1-4=describe,5-8=angry"
@@ -35,25 +36,31 @@ class Conditions:
         conditioner: turns waves into speech features; None for a model without speech input.
         styles: names of the K styles; empty for a model without styles.
         residual: give finer levels only the detail that coarser ones lack (section 5).
-        recalls: columns of vocal effort are for recall only, and not for the network.
+        recalls: a model with recall.
+        state: channels of the state of movement; None for a model without it.
     """
 
     conditioner: SpeechConditioner | None = None
     styles: tuple[str, ...] = ()
     residual: bool = False
     recalls: bool = False
+    state: StateChannels | None = None
 
     @property
     def width(self) -> int:
-        """S + K, the channels of a condition."""
-        return len(self.styles) + len(self.columns)
+        """S + K + C, the channels of a condition."""
+        n_state = 0 if self.state is None else self.state.width
+        return len(self.styles) + len(self.columns) + n_state
 
     @property
     def columns(self) -> list[int]:
-        """Columns of the speech features that the network gets."""
+        """Columns of the speech features that the network gets.
+
+        Those of vocal effort only predict what is recalled or drawn.
+        """
         if self.conditioner is None:
             return []
-        hidden = self.conditioner.effort if self.recalls else ()
+        hidden = self.conditioner.effort if self.recalls or self.state else ()
         return [i for i in range(self.conditioner.dim) if i not in hidden]
 
     def of_motion(
@@ -62,14 +69,16 @@ class Conditions:
         lengths: Sequence[int],
         styles: Sequence[Tensor],
         level_speech: Sequence[tuple[range, np.ndarray]] = (),
+        state: np.ndarray | None = None,
     ) -> LevelConditions | None:
         """Return the `LevelConditions` of one motion, or None for a model without conditions."""
-        if not speech.shape[1] and not styles:
+        if not speech.shape[1] and not styles and state is None:
             return None
         speeches = [speech[:, self.columns]] * len(lengths)
         for levels, own in level_speech:
             speeches[levels.start : levels.stop] = [own[:, self.columns]] * len(levels)
-        return LevelConditions(speeches, lengths, self.residual, styles)
+        n_carriers = 0 if self.state is None else self.state.n_carriers
+        return LevelConditions(speeches, lengths, self.residual, styles, state, n_carriers)
 
 
 def level_range(text: str, n_levels: int, name: str, example: str) -> range:
@@ -109,6 +118,21 @@ def condition_levels(
     return [torch.cat(parts, dim=1) for parts in zip(features, styles, strict=True)]
 
 
+def state_level(
+    state: np.ndarray, n_carriers: int, n_frames: int, start: int = 0, stop: int | None = None
+) -> np.ndarray:
+    """Return frames `start` to `stop` of a state (..., C, T) at a level of `n_frames`.
+
+    Channels are averaged over the duration of each frame, as fast ones would be aliased; the last
+    ones, the carriers, are interpolated, as motion is. The state is no residual: a slow channel has
+    none above level 1.
+    """
+    rows = averaged(state[..., : state.shape[-2] - n_carriers, :], n_frames, start, stop)
+    carriers = np.moveaxis(state[..., state.shape[-2] - n_carriers :, :], -1, 0)
+    carriers = af.resample_frames(carriers, n_frames, start, stop)
+    return np.concatenate([rows, np.moveaxis(carriers, 0, -1)], axis=-2)
+
+
 @dataclass(frozen=True, eq=False)
 class LevelConditions:
     """Conditions of any frames of any level, without a pyramid of the whole speech in memory.
@@ -119,15 +143,19 @@ class LevelConditions:
         lengths: T_i, frames of each level.
         residual: give finer levels only the detail that coarser ones lack.
         styles: (1, K, T_i) for each level, or empty.
+        state: (C, T) at the finest level, see `StateProcess.condition`; None without.
+        n_carriers: the number of its carriers.
     """
 
     speeches: Sequence[np.ndarray]
     lengths: Sequence[int]
     residual: bool
     styles: Sequence[Tensor] = ()
+    state: np.ndarray | None = None
+    n_carriers: int = 0
 
     def __call__(self, level: int, start: int, stop: int) -> Tensor:
-        """Return (1, S + K, stop - start): these frames of the condition of a level."""
+        """Return (1, S + K + C, stop - start): these frames of the condition of a level."""
         parts, speech = [], self.speeches[level]
         if speech.shape[1]:
             if self.residual:
@@ -137,6 +165,10 @@ class LevelConditions:
             parts.append(torch.from_numpy(np.ascontiguousarray(features.T))[None])
         if self.styles:
             parts.append(self.styles[level][..., start:stop])
+        if self.state is not None:
+            n_frames = self.lengths[level]
+            rows = state_level(self.state, self.n_carriers, n_frames, start, stop)
+            parts.append(torch.from_numpy(np.ascontiguousarray(rows))[None])
         return torch.cat(parts, dim=1)
 
 

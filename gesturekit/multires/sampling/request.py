@@ -11,7 +11,7 @@ import numpy as np
 
 import audio_features as af
 from gesturekit.corpus.speech import speech_features
-from gesturekit.errors import ModelError
+from gesturekit.errors import FormatError, ModelError
 from gesturekit.formats.tables.root_path import as_root_path
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
@@ -49,6 +49,7 @@ class Request:
         level_speech: levels with speech of their own, and its features, shaped as `features`.
         library: recordings to recall; None to generate all levels.
         placement: where and how the motion begins and ends.
+        state: (T, C) state of movement, or None to draw it.
     """
 
     controls: MultiresControls
@@ -63,6 +64,7 @@ class Request:
     level_speech: tuple[tuple[range, np.ndarray], ...]
     library: RecallLibrary | None
     placement: Placement
+    state: np.ndarray | None
 
     @classmethod
     def build(
@@ -122,6 +124,7 @@ class Request:
             level_speech=_level_speech(model, controls, n_frames, margin),
             library=None if controls.recall is False else model.library,
             placement=Placement.of(controls, read_pose, on_path=path is not None),
+            state=_given_state(model, controls, n_frames),
         )
 
     @property
@@ -133,6 +136,35 @@ class Request:
 def _with_margins(features: np.ndarray, margin: int) -> np.ndarray:
     """Return features (T + 2 margin, S), which continue as at their ends: active or silent."""
     return np.pad(features, ((margin, margin), (0, 0)), mode="reflect")
+
+
+def _given_state(
+    model: TrainedModel, controls: MultiresControls, n_frames: int
+) -> np.ndarray | None:
+    """Return the state (T, C) that is given, cut to the motion or held to its end; None without.
+
+    Raises:
+        ModelError: a state of another width, empty, or not finite.
+        FormatError: its file cannot be read.
+    """
+    if controls.state is None or model.state_process is None:
+        return None
+    state = controls.state
+    if not isinstance(state, np.ndarray):
+        try:
+            state = np.load(state, mmap_mode="r", allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise FormatError(f"{controls.state}: not a .npy file of numbers ({error})") from error
+    if state.dtype.kind not in "fiu":
+        raise ModelError(f"state: its type is {state.dtype}, not a number")
+    state, width = state[:n_frames].astype(float), len(model.state_process.channels.names)
+    if state.ndim != 2 or state.shape[1] != width or not len(state):
+        raise ModelError(
+            f"state: shape {state.shape}, not (frames, {width}); as model.state returns it"
+        )
+    if not np.isfinite(state).all():
+        raise ModelError("state: not all of its values are finite")
+    return np.pad(state, ((0, max(0, n_frames - len(state))), (0, 0)), mode="edge")[:n_frames]
 
 
 def _level_speech(
@@ -199,23 +231,28 @@ def check_controls(model: TrainedModel, controls: MultiresControls, samples: int
         level = getattr(controls, name)
         if level is not None and not 1 <= level <= levels:
             raise ModelError(f"{name}={level}: the model has levels 1 (coarse) to {levels}")
-    _check_recall(controls, model.library is not None)
+    if controls.state is not None and model.state_process is None:
+        raise ModelError("state: this model was trained without the state of movement")
+    _check_drawn(controls, model)
 
 
-def _check_recall(controls: MultiresControls, recalls: bool) -> None:
-    """Raise ModelError for recall controls that have no effect."""
+def _check_drawn(controls: MultiresControls, model: TrainedModel) -> None:
+    """Raise ModelError for controls of recall and of drawn movement that have no effect."""
+    recalls = model.library is not None
     if controls.recall and not recalls:
         raise ModelError("recall=True: this model was not trained with recall; leave recall away")
     for name, unset in (("liveliness", 1), ("mood_seed", None)):
         value = getattr(controls, name)
         if value == unset:
             continue
-        if not recalls:
-            raise ModelError(f"{name}={value}: only models trained with recall take it")
-        if controls.recall is False:
+        if not recalls and model.state_process is None:
+            raise ModelError(f"{name}={value}: only models that draw how lively they are take it")
+        if recalls and controls.recall is False:
             raise ModelError(f"{name}={value}: without recall it has no effect; give one of them")
         if controls.like is not None:
             raise ModelError(f"{name}={value}: like sets the movement; give one of them")
+        if controls.state is not None:
+            raise ModelError(f"{name}={value}: state sets the movement; give one of them")
 
 
 def _check_combination(controls: MultiresControls, fewer_levels: bool) -> None:

@@ -25,7 +25,7 @@ from gesturekit.multires.network.resampling import resample_smoothly
 from gesturekit.multires.recall.library import RecalledMotion, RecallLibrary
 from gesturekit.multires.sampling.conditions import requested_styles
 from gesturekit.multires.sampling.request import Request
-from gesturekit.multires.sampling.trained_model import Pyramid, TrainedModel
+from gesturekit.multires.sampling.trained_model import Pyramid, TrainedModel, clocked_noise
 from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.training.seeds import rng_for
 
@@ -55,16 +55,18 @@ class Sampler:
         request = self.request
         styles = self._styles(seed, item, number)
         choice = self._recalled(seed, item, number, styles)
+        state = self._state(seed, item, number, styles)
         pyramid = Pyramid(
             self.model,
             request.lengths,
             self.model.conditions.of_motion(
-                request.features, request.lengths, styles, request.level_speech
+                request.features, request.lengths, styles, request.level_speech, state
             ),
             self.noise,
             lambda level: rng_for(seed, item, "sample", number, "level", level + 1),
             None if choice is None else self._recalled_level(choice),
             0 if self.request.library is None else self.request.library.level - 1,
+            None if state is None else self._clocked(state),
         )
         if request.start is not None:
             return self._with_passive(self._from_level(pyramid), choice)
@@ -128,19 +130,49 @@ class Sampler:
             margin=request.margin,
         )
 
+    def _state(self, seed: int, item: str, number: int, styles: list[Tensor]) -> np.ndarray | None:
+        """Return the condition (C, T + 2 margin) of the state of movement; None without."""
+        process, request = self.model.state_process, self.request
+        if process is None:
+            return None
+        controls, margin = request.controls, request.margin
+        own = rng_for(self._mood_seed(seed), item, "sample", number, "mood").initial_seed() >> 1
+        if request.state is None:
+            style = int(styles[0][0].mean(dim=-1).argmax()) if styles else None
+            values = process.draw(
+                own,
+                request.features.T,
+                (controls.speaker, style),
+                first=-margin,
+                liveliness=controls.liveliness,
+            )
+        else:
+            values = np.pad(request.state.T, ((0, 0), (margin, margin)), mode="edge")
+        carriers = rng_for(seed, item, "sample", number, "carriers").initial_seed() >> 1
+        return process.condition(carriers, values)
+
+    def _clocked(self, state: np.ndarray) -> Tensor:
+        """Return the noise of level 1 of a state (C, T + 2 margin)."""
+        assert self.model.state_process is not None
+        n_carriers, n_frames = self.model.state_process.channels.n_carriers, self.request.lengths[0]
+        return clocked_noise(state[None], n_carriers, n_frames, self.noise.sigma[0])
+
+    def _mood_seed(self, seed: int) -> int:
+        mood_seed = self.request.controls.mood_seed
+        return seed if mood_seed is None else int(mood_seed)
+
     def _recalled(
         self, seed: int, item: str, number: int, styles: list[Tensor]
     ) -> RecalledMotion | None:
         """Choose the recalled pieces; None without recall, or if no joint would take them."""
         request = self.request
-        library, mood_seed = request.library, request.controls.mood_seed
+        library = request.library
         if library is None or (request.controls.like is not None and library.passive.is_empty):
             return None
 
         def rng_of(part: str) -> Generator:
             if part == "mood":
-                key = seed if mood_seed is None else int(mood_seed)
-                return rng_for(key, item, "sample", number, "mood")
+                return rng_for(self._mood_seed(seed), item, "sample", number, "mood")
             return rng_for(seed, item, "sample", number, "recall", part)
 
         return library.recall(

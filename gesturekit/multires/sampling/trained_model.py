@@ -29,6 +29,7 @@ from gesturekit.multires.network.generator import LevelGenerator, MultiresGenera
 from gesturekit.multires.network.resampling import resample, resample_part
 from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.sampling.conditions import Conditions, LevelConditions
+from gesturekit.state.process import StateProcess
 
 
 class ZStarPatches:
@@ -130,6 +131,23 @@ class RandomNoise:
         return torch.cat([self.patches.draw(row, rng) for row in styles])
 
 
+def clocked_noise(state: np.ndarray, n_carriers: int, n_frames: int, sigma: Tensor) -> Tensor:
+    """Return the noise (B, 1, n_frames) of level 1 in the time of the hands' movement.
+
+    It is the mean of the hands' first carriers, with the standard deviation `sigma`. White noise
+    would move the body where the state says that it rests.
+
+    Args:
+        state: (B, C, T), see `StateProcess.condition`.
+        n_carriers: its last channels.
+        n_frames: frames of level 1.
+        sigma: () of level 1.
+    """
+    first = torch.from_numpy(state[:, state.shape[1] - n_carriers :: 2])
+    mixed = first.sum(dim=1, keepdim=True) / first.shape[1] ** 0.5
+    return sigma * resample(mixed, n_frames)
+
+
 @dataclass(frozen=True)
 class TrainedSequence:
     """Data of a training sequence that its reconstruction needs.
@@ -183,6 +201,7 @@ class TrainedModel(BaseModel):
         network: the generators.
         noise: the model's noise.
         library: recordings that are recalled; None for a model without recall.
+        state_process: from which the state of movement is drawn; None for a model without it.
         fastest: ground speed in the fastest second of the training motion, m/s.
     """
 
@@ -195,6 +214,7 @@ class TrainedModel(BaseModel):
     network: MultiresGenerator
     noise: TrainedNoise
     library: RecallLibrary | None
+    state_process: StateProcess | None
     fastest: float
 
     @property
@@ -232,6 +252,8 @@ class Pyramid:
         recalled: (1, D, T_i) normalised motion that replaces a level in random motions; None to
             generate all levels.
         recalled_level: index of that level.
+        clocked: (1, 1, T_1) noise of level 1 of a model with a state of movement, whose finer
+            levels get none; None to draw noise.
     """
 
     model: TrainedModel
@@ -241,6 +263,7 @@ class Pyramid:
     rng_of: Callable[[int], torch.Generator] | None = None
     recalled: Tensor | None = None
     recalled_level: int = 0
+    clocked: Tensor | None = None
 
     def random(
         self, *, levels: int | None = None, constraint: Constraint | None = None
@@ -255,6 +278,10 @@ class Pyramid:
         lengths, level, recalled = self.lengths[:levels], self.recalled_level, self.recalled
         if recalled is None:
             assert self.noise is not None and self.rng_of is not None
+            if self.clocked is not None:
+                return self._sampled(
+                    [self.clocked, *[None] * (len(lengths) - 1)], lengths, constraint
+                )
             first, *finer = self.noise.gaussian(lengths, self.rng_of)
             first = self.noise.shuffled(first, [self._coarsest_styles()], self.rng_of(0))
             return self._sampled([first, *finer], lengths, constraint)
@@ -288,8 +315,10 @@ class Pyramid:
     ) -> np.ndarray:
         """Return the output (T, D) of the last of the levels with these lengths, given `level`."""
         first, lengths = level + 1, lengths[level + 1 :]
-        assert self.noise is not None
-        noises = self.noise.gaussian(lengths, self.rng_of or _no_rng, first=first)
+        noises: list[Tensor | None] = [None] * len(lengths)
+        if self.clocked is None:
+            assert self.noise is not None
+            noises = self.noise.gaussian(lengths, self.rng_of or _no_rng, first=first)
         return self._sampled(noises, lengths, constraint, first=first, coarser=coarser)
 
     def _coarsest_styles(self) -> list[int]:

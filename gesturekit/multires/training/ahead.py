@@ -19,10 +19,11 @@ from gesturekit.errors import ModelError
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.recall.ahead import LOOK_AHEADS, AheadPrediction, FeatureWindow
 from gesturekit.multires.recall.library_format import live_rows
-from gesturekit.multires.recall.parts import joint_places, movements, slow_part
-from gesturekit.multires.recall.slow_state import normal_scores
+from gesturekit.multires.recall.parts import joint_places, movements
 from gesturekit.multires.streaming.features import SpeechStream
 from gesturekit.progress import Progress
+from gesturekit.state.prediction import slow_part
+from gesturekit.state.process import normal_scores
 from gesturekit.training.data.excerpts import systematic_sample
 from gesturekit.training.model_folder import save_model
 from gesturekit.training.recordings import training_items

@@ -15,6 +15,7 @@ from gesturekit.multires.network.skeleton_conv import Convolve
 from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.sequences import PairedSequence
+from gesturekit.multires.training.state import TrainingState
 from gesturekit.multires.training.window_cache import WindowCache, Windows
 from gesturekit.training.seeds import rng_for
 from gesturekit.wording import drawn
@@ -29,7 +30,7 @@ class Batches:
         network: its levels below the stage generate what the stage upsamples.
         first: index of the stage's coarser level.
         convolve: convolution of the backend.
-        library: recordings that are recalled; None without recall.
+        source: see `Stage`.
     """
 
     def __init__(
@@ -39,12 +40,12 @@ class Batches:
         network: MultiresGenerator,
         first: int,
         convolve: Convolve,
-        library: RecallLibrary | None = None,
+        source: RecallLibrary | TrainingState | None = None,
     ) -> None:
         self.training = config.training
         self.seed = config.seed
         self.first = first
-        self.cache = WindowCache(data, config, network, convolve, library)
+        self.cache = WindowCache(data, config, network, convolve, source)
         self.size = config.training.windows_per_step
         self.paired = data.paired
         self.own_lengths = data.own_lengths

@@ -25,6 +25,7 @@ from gesturekit.multires.recall.parts import PassiveChannels
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.multires.training.sequences import Cut, PairedSequence
 from gesturekit.multires.training.stored import StoredCorpus
+from gesturekit.state.channels import StateChannels
 from gesturekit.training.data.arrays import Frames
 from gesturekit.training.data.data_folder import load_data, save_data
 from gesturekit.training.data.features import (
@@ -200,8 +201,13 @@ class TrainingData:
 
     def conditions(self, config: MultiresConfig) -> Conditions:
         """Return the inputs of the model beside noise."""
-        recalls = config.recall is not None
-        return Conditions(self.conditioner, self.styles, config.residual, recalls)
+        recalls, state = config.recall is not None, self.state_channels if config.state else None
+        return Conditions(self.conditioner, self.styles, config.residual, recalls, state)
+
+    @cached_property
+    def state_channels(self) -> StateChannels:
+        """Return the channels of the state of movement of the rig."""
+        return StateChannels.find(self.representation.skeleton, self.representation.joints)
 
     @property
     def own_lengths(self) -> bool:

@@ -23,10 +23,11 @@ from gesturekit.multires.recall.parts import (
     slow_rows,
     slow_states,
 )
-from gesturekit.multires.recall.slow_state import SlowState, normal_scores
-from gesturekit.multires.recall.wanted import WantedMovement, correlation
+from gesturekit.multires.recall.slow_state import SlowState
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.sequences import PairedSequence
+from gesturekit.state.prediction import WantedMovement, correlation
+from gesturekit.state.process import normal_scores
 
 log = logging.getLogger(__name__)
 

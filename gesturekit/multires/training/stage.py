@@ -21,6 +21,7 @@ from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.sampling.conditions import agreed_style
 from gesturekit.multires.training.batches import Batches
 from gesturekit.multires.training.data import TrainingData
+from gesturekit.multires.training.state import StateTarget, TrainingState
 from gesturekit.multires.training.targets import (
     ArmTarget,
     DetailTarget,
@@ -43,7 +44,8 @@ class Stage:
         processes: that share each batch.
         first: index of the coarser level.
         iterations: of this stage.
-        library: recordings that are recalled; None without recall.
+        source: what random steps get beside speech and noise: recordings that are recalled, or
+            the state of movement; None for nothing.
     """
 
     def __init__(
@@ -54,7 +56,7 @@ class Stage:
         processes: Processes,
         first: int,
         iterations: int,
-        library: RecallLibrary | None = None,
+        source: RecallLibrary | TrainingState | None = None,
     ) -> None:
         self.config = config
         self.network = network
@@ -75,7 +77,7 @@ class Stage:
             for i in self.indices
         ).to(self.device)
         self.backend = choose_backend(config.backend, self.generators, self.discriminators)
-        self.batches = Batches(data, config, network, first, self.backend.convolve, library)
+        self.batches = Batches(data, config, network, first, self.backend.convolve, source)
         rate, (beta, decay) = config.training.learning_rate, config.training.betas
         self.optimisers = {
             name: torch.optim.Adam(networks.parameters(), lr=rate, betas=(beta, decay), fused=True)
@@ -99,6 +101,12 @@ class Stage:
                 self.device,
                 config.losses.arm_floors,
             )
+        self.states: dict[int, StateTarget] = {}
+        if config.losses.state and isinstance(source, TrainingState):
+            self.states = {
+                i: StateTarget(source, i, config.network.levels, self._places).to(self.device)
+                for i in self.indices
+            }
         self.details: dict[int, DetailTarget] = {}
         if config.losses.detail:
             self.details = detail_targets(
@@ -285,6 +293,7 @@ class Stage:
         made = self._generate(windows)
         within = self._within(made, n_frames)
         conditions = self._style_conditions(windows.styles)
+        given = self._given(windows, n_frames)
         aims: list[Tensor] = []
         if self.targets:
             pairs = zip(self.targets, windows.speech or (), strict=True)
@@ -313,7 +322,8 @@ class Stage:
                     values, stride, weights.contact_time
                 )
                 parts["contact_labels"] = kinematics.contact_labels(values)
-            places = kinematics.places(values) if smooth or detailed else None
+            stated = level in self.states
+            places = kinematics.places(values) if smooth or detailed or stated else None
             if smooth and places is not None:
                 parts["bend"] = kinematics.bend(values, places, stride)
             coarser = made[i - 1].detach() if i else windows.coarser
@@ -322,12 +332,22 @@ class Stage:
                 parts["downsampled"] = resample(made[i], coarser.shape[-1])
             if detailed:
                 parts["detail"] = self.details[level](places, windows.styles[:, level])
+            if stated:
+                parts["state"] = self.states[level](places, given[i])
             if aims and moves:
                 parts["arm_target"] = aims[i]
                 parts["arms"] = self._arm_movement(values, stride)
             return LossInputs(**parts)
 
         return self._descend(of_level)
+
+    def _given(self, windows: Windows, n_frames: int) -> list[Tensor]:
+        """Return the channels of the state (B, C, T_i) that each level was given, if any."""
+        if not self.states:
+            return []
+        channels = self.batches.cache.data.state_channels
+        rows = slice(-channels.width, -channels.n_carriers)
+        return self._within([level[:, rows] for level in windows.conditions], n_frames)
 
     def _arm_movement(self, values: Tensor, stride: float) -> Tensor:
         """Return (B, 2, T) log arm movement of vectors (B, D, T) in their own units."""

@@ -32,6 +32,7 @@ from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.training.recall_library import build_library
 from gesturekit.multires.training.stage import Stage
+from gesturekit.multires.training.state import TrainingState
 from gesturekit.multires.training.targets import MOST_WINDOWS
 from gesturekit.training.data.sources import describe_recordings, save_sources, unused_labels
 from gesturekit.training.recordings import load_recordings, training_items
@@ -159,6 +160,11 @@ class Trainer:
         """Return the recall library; None without recall."""
         return build_library(self.data, self.config)
 
+    @cached_property
+    def state(self) -> TrainingState | None:
+        """Return the state of movement of the recordings; None for a model without it."""
+        return TrainingState(self.data, self.config) if self.config.state else None
+
     def _adapted(self, config: MultiresConfig) -> MultiresConfig:
         """Return the settings without losses on body parts that the rig lacks; log them."""
         skeleton = self.data.representation.skeleton
@@ -264,7 +270,13 @@ class Trainer:
     def stage(self, first: int, iterations: int) -> Stage:
         """Return the stage that begins with this level, its networks untrained."""
         return Stage(
-            self.config, self.data, self.network, self.processes, first, iterations, self.library
+            self.config,
+            self.data,
+            self.network,
+            self.processes,
+            first,
+            iterations,
+            self.library if self.state is None else self.state,
         )
 
     def run(self) -> Path:
@@ -387,23 +399,26 @@ class Trainer:
     def _model(self, network: MultiresGenerator) -> MultiresModel:
         """Return the model of a network, which is moved to the CPU."""
         root_xz = self.data.representation.layout.root_xz
+        # With a state of movement, a recording is made of its state, which is not kept.
+        reconstructed = self.data.sample if self.state is None else ()
         return MultiresModel(
             fps=self.config.fps,
             representation=self.data.representation,
             normaliser=self.data.normaliser,
             conditions=self.data.conditions(self.config),
             library=self.library,
+            state_process=None if self.state is None else self.state.process,
             network_config=self.config.network,
             network=network.cpu().eval(),
             noise=TrainedNoise(
                 sigma=torch.stack([sequence.sigma for sequence in self.data.sample]),
-                z_star={sequence.name: sequence.z_star for sequence in self.data.sample},
+                z_star={sequence.name: sequence.z_star for sequence in reconstructed},
                 sequences={
                     sequence.name: TrainedSequence(
                         sequence.n_frames,
                         self.data.styles[sequence.style] if self.data.styles else None,
                     )
-                    for sequence in self.data.sample
+                    for sequence in reconstructed
                 },
                 z_star_shuffle=self.config.z_star_shuffle,
                 noise_levels=self.config.noise_levels,

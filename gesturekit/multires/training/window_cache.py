@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,10 +21,20 @@ from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.network.skeleton_conv import Convolve, convolve_dense
 from gesturekit.multires.recall.library import RecalledMotion, RecallLibrary
-from gesturekit.multires.sampling.conditions import condition_levels, mixed_styles, style_levels
-from gesturekit.multires.sampling.trained_model import RandomNoise, ZStarPatches
+from gesturekit.multires.sampling.conditions import (
+    condition_levels,
+    mixed_styles,
+    state_level,
+    style_levels,
+)
+from gesturekit.multires.sampling.trained_model import (
+    RandomNoise,
+    ZStarPatches,
+    clocked_noise,
+)
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.sequences import PairedSequence
+from gesturekit.multires.training.state import TrainingState
 
 
 @dataclass(frozen=True)
@@ -80,10 +91,11 @@ class WindowCache:
         config: MultiresConfig,
         network: MultiresGenerator,
         convolve: Convolve = convolve_dense,
-        library: RecallLibrary | None = None,
+        source: RecallLibrary | TrainingState | None = None,
     ) -> None:
         self.data = data
-        self.library = library
+        self.library = source if isinstance(source, RecallLibrary) else None
+        self.state = source if isinstance(source, TrainingState) else None
         self.config = config
         self.network = network
         self.convolve = convolve
@@ -124,10 +136,19 @@ class WindowCache:
             )
         coarsest = styles[:, :1].expand(-1, lengths[0]).tolist()
         noises[0] = self.noise.shuffled(noises[0], coarsest, rng)
-        recalled = None
+        recalled = state = None
+        if self.state is not None:
+            state = self.state.drawn(speech, styles[:, 0].tolist(), rng)
+            noises = self._clocked(state, lengths)
         if self.library is not None and first >= self.library.level:
             recalled = self._recalled(speech, styles, rng)
-        return self._windows(n_frames, first, speech, styles, noises, None, recalled)
+        return self._windows(n_frames, first, speech, styles, noises, None, recalled, state)
+
+    def _clocked(self, state: np.ndarray, lengths: Sequence[int]) -> list[Tensor | None]:
+        """Return the noise of states (N, C, T): that of level 1 alone, see `clocked_noise`."""
+        n_carriers = self.data.state_channels.n_carriers
+        first = clocked_noise(state, n_carriers, lengths[0], self.noise.sigma[0])
+        return [first, *[None] * (len(lengths) - 1)]
 
     def _recalled(
         self, speech: Tensor, styles: Tensor, rng: torch.Generator
@@ -156,7 +177,7 @@ class WindowCache:
         If there are fewer windows than that, all are returned: a whole sequence has only one.
         """
         lengths = af.level_lengths(n_frames, self.config.network.levels)
-        speech, motion, z_star, styles = [], [], [], []
+        speech, motion, z_star, styles, states = [], [], [], [], []
         starts = sum(sequence.n_frames - n_frames + 1 for sequence in sequences)
         if starts > count:
             windows = random_windows(sequences, n_frames, count, rng)
@@ -167,13 +188,19 @@ class WindowCache:
             motion.append(sequence.motion[:, start : start + n_frames])
             z_star.append(sequence.z_star_window(start, lengths[0]))
             styles.append([sequence.style] * len(lengths))
+            if self.state is not None:
+                states.append(self.state.recorded(sequence)[:, start : start + n_frames])
+        state = np.stack(states) if states else None
         return self._windows(
             n_frames,
             first,
             torch.stack(speech),
             torch.tensor(styles),
-            [torch.stack(z_star), *([None] * (len(lengths) - 1))],
+            [torch.stack(z_star), *([None] * (len(lengths) - 1))]
+            if state is None
+            else self._clocked(state, lengths),
             torch.stack(motion),
+            state=state,
         )
 
     def reals(
@@ -216,11 +243,12 @@ class WindowCache:
         noises: list[Tensor | None],
         motion: Tensor | None,
         recalled: Sequence[RecalledMotion] | None = None,
+        state: np.ndarray | None = None,
     ) -> Windows:
         """Return windows of T frames with the output of the levels coarser than `first`.
 
         `speech` is (N, S, T), `styles` (N, L), each of `noises` (N, 1 or D, T_i), `motion` (N, D,
-        T). `recalled` (N) or the recorded `motion` replaces the recalled level.
+        T), `state` (N, C, T). `recalled` (N) or the recorded `motion` replaces the recalled level.
         """
         lengths = af.level_lengths(n_frames, self.config.network.levels)
         one_hot = []
@@ -228,6 +256,10 @@ class WindowCache:
             one_hot = style_levels(styles, len(self.data.styles), lengths)
         features = speech[:, self.columns]
         conditions = condition_levels(features, lengths, self.config.residual, one_hot)
+        if state is not None:
+            n_carriers = self.data.state_channels.n_carriers
+            states = [torch.from_numpy(state_level(state, n_carriers, n)) for n in lengths]
+            conditions = [torch.cat(both, dim=1) for both in zip(conditions, states, strict=True)]
         to = self.device
         conditions = [level.to(to) for level in conditions]
         noises = [None if noise is None else noise.to(to) for noise in noises]

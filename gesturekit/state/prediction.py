@@ -1,11 +1,10 @@
-"""Prediction of hand movement from speech, for the choice of recorded pieces.
+"""Prediction of hand movement from speech.
 
 Movement is the logarithm of the hand speed. Its fast part (when the hands move) is predicted from
 the speech features around each frame, its slow part (calm or lively) from the slow part of the
 features and from vocal effort, both by ridge regression. Cross-validation over whole takes
 determines how much each prediction counts: it enters as its conditional mean, r times the recorded
-standard deviation for each standard deviation of the prediction. What it leaves open is drawn, see
-`SlowState`.
+standard deviation for each standard deviation of the prediction. What it leaves open is drawn.
 
 A few features replace many that predict hardly better, since few features generalise better to
 unseen voices.
@@ -14,17 +13,20 @@ unseen voices.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
-
-from gesturekit.multires.recall.parts import slow_part
+import torch
+from scipy.ndimage import gaussian_filter1d, uniform_filter1d
+from torch import Tensor
 
 log = logging.getLogger(__name__)
 
+SLOW_SECONDS = 2.0
+"""Standard deviation of the Gaussian that separates slow from fast movement."""
 # Fixed, as they describe speech and gestures, not a corpus.
 _BIN_SECONDS = 0.16
 _BINS = 5
@@ -42,7 +44,7 @@ GAP_SECONDS = 6.0
 _WITHIN_TAKE = 0.5
 """Factor on the correlation of the slow part if it was found on left-out parts of one or two takes.
 Three ZeroEGGS takes have 0.79 within a take and 0.69 on left-out takes; other speakers may have
-less. Predictions of pauses count in full, see `SlowState`."""
+less. Predictions of pauses count in full."""
 _MEAN_COUNTS, _PRIOR_TAKES = 0.3, 4.0
 """Factor on the mean prediction of an utterance before any take was left out, because the mean also
 depends on the voice, the microphone and the room; and the number of left-out takes that count as
@@ -54,6 +56,17 @@ _FURTHEST = 2.5
 """Predictions are limited to this many standard deviations."""
 _HARDLY_BETTER = 0.03
 """A larger set of speech features has to raise the out-of-fold correlation by more than this."""
+
+
+_REGRESSION = ("mean", "weights", "offset", "r")
+_FACTORS = ("mean_counts", "spread", "across_takes")
+_ARRAYS = ("fast_basis", "slow_basis", "voices")
+_MOST_SPREAD = 1e4
+
+
+def slow_part(curves: np.ndarray, fps: float) -> np.ndarray:
+    """Return the slow part (..., T) of curves (..., T)."""
+    return gaussian_filter1d(curves, SLOW_SECONDS * fps, mode="nearest")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -101,6 +114,16 @@ class Regression:
             scores[best],
             _limited((found - found.mean()) / size),
         )
+
+    def tensors(self, where: str) -> dict[str, Tensor]:
+        """Return what `load` reads, by names that begin with `where`."""
+        return {f"{where}.{name}": _tensor(getattr(self, name)) for name in _REGRESSION}
+
+    @classmethod
+    def load(cls, tensors: Mapping[str, Tensor], where: str) -> Regression:
+        """Read what `tensors` returned."""
+        mean, weights, offset, r = (tensors[f"{where}.{name}"].numpy() for name in _REGRESSION)
+        return cls(mean, weights, float(offset), float(r))
 
     def __call__(self, inputs: np.ndarray) -> np.ndarray:
         """Return the predicted curve (T,) from inputs (T, P), in standard deviations."""
@@ -256,6 +279,38 @@ class WantedMovement:
         )
         log.info("Hand movement predicted from speech: %s.", wanted.summary())
         return wanted
+
+    def values(self) -> dict[str, Any]:
+        """Return the plain values of a model folder."""
+        return {"effort": list(self.effort), **{name: getattr(self, name) for name in _FACTORS}}
+
+    def tensors(self, where: str) -> dict[str, Tensor]:
+        """Return the tensors of a model folder, by names that begin with `where`."""
+        own = {f"{where}.{name}": _tensor(getattr(self, name)) for name in _ARRAYS}
+        return own | self.fast.tensors(f"{where}.fast") | self.slow.tensors(f"{where}.slow")
+
+    @classmethod
+    def load(
+        cls, values: Mapping[str, Any], tensors: Mapping[str, Tensor], where: str, fps: float
+    ) -> WantedMovement:
+        """Read what `values` and `tensors` returned.
+
+        Raises:
+            ValueError: values out of range.
+        """
+        for name, most in (("mean_counts", 1.0), ("spread", _MOST_SPREAD)):
+            if not 0 <= float(values[name]) <= most:
+                raise ValueError(f"{where}: {name} is {values[name]}, not from 0 to {most:g}")
+        return cls(
+            fps=fps,
+            effort=tuple(map(int, values["effort"])),
+            fast=Regression.load(tensors, f"{where}.fast"),
+            slow=Regression.load(tensors, f"{where}.slow"),
+            mean_counts=float(values["mean_counts"]),
+            spread=float(values["spread"]),
+            across_takes=bool(values["across_takes"]),
+            **{name: tensors[f"{where}.{name}"].numpy() for name in _ARRAYS},
+        )
 
     @property
     def trust(self) -> float:
@@ -422,3 +477,7 @@ def _bases(
         largest = largest @ np.linalg.eigh(np.cov(x))[1][:, -_MOST_FEATURES:]
     chosen = [every[:, [i for i in others if i in own]] for own in smaller]
     return [largest, *(part for part in chosen if 0 < part.shape[1] < len(others))]
+
+
+def _tensor(value: Any) -> Tensor:
+    return torch.from_numpy(np.array(value, dtype=np.float64))

@@ -1,0 +1,144 @@
+"""State of movement in training: measured in recordings, drawn for random steps, held by a loss.
+
+The state of a random step is drawn anew for each window. A recording's carriers, and the noise of
+level 1 that is made of them, are always the same, as its z* is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+import audio_features as af
+from gesturekit.multires import losses
+from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.kinematics import VectorKinematics
+from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.training.data import TrainingData
+from gesturekit.multires.training.sequences import PairedSequence
+from gesturekit.state.channels import averaged
+from gesturekit.state.process import RecordedState, StateProcess
+from gesturekit.training.seeds import rng_for
+
+_LEAST_FRAMES = 4
+"""Frames of a recording at a level from which its state is measured there."""
+_FAST_COUNTS = 4.0
+"""Weight of a fast channel in the loss, relative to a slow one. Fixed; without it the two or three
+fast channels are lost among the slow ones, which are easier to obey."""
+
+
+class TrainingState:
+    """State of the training recordings, and the process from which random steps draw.
+
+    Args:
+        data: recordings.
+        config: of the run.
+
+    Attributes:
+        process: fitted to the recordings.
+    """
+
+    def __init__(self, data: TrainingData, config: MultiresConfig) -> None:
+        self.data, self.seed = data, config.seed
+        self._kinematics = VectorKinematics(data.representation, config.fps, arms=False)
+        recordings = [
+            RecordedState(
+                self._measured(sequence),
+                sequence.speech[:, :].numpy(),
+                sequence.take,
+                (sequence.speaker, sequence.style if data.styles else None),
+            )
+            for sequence in data.sample
+        ]
+        channels, conditioner = data.state_channels, data.conditioner
+        self.process = StateProcess.fit(channels, recordings, config.fps, conditioner)
+        self._recorded: dict[str, np.ndarray] = {}
+
+    def recorded(self, sequence: PairedSequence) -> np.ndarray:
+        """Return the condition (C, T) of a recording."""
+        if sequence.name not in self._recorded:
+            seed = rng_for(self.seed, "carriers", sequence.name).initial_seed() >> 1
+            self._recorded[sequence.name] = self.process.condition(seed, self._measured(sequence))
+        return self._recorded[sequence.name]
+
+    def drawn(self, speech: Tensor, styles: Sequence[int], rng: torch.Generator) -> np.ndarray:
+        """Return conditions (N, C, T) for windows of speech (N, S, T) with these styles (N)."""
+        conditions = []
+        for window, style in zip(speech.numpy(), styles, strict=True):
+            seed = int(torch.randint(2**62, (), generator=rng))
+            group = (None, style if self.data.styles else None)
+            conditions.append(self.process.condition(seed, self.process.draw(seed, window, group)))
+        return np.stack(conditions)
+
+    @torch.no_grad()
+    def _measured(self, sequence: PairedSequence) -> np.ndarray:
+        """Return the channels (C, T) of a recording, in their own units."""
+        values = self.data.normaliser.inverse(sequence.motion[:, :][None])
+        channels = self.data.state_channels
+        places = self._kinematics.places(values)
+        return channels(places, self._kinematics.fps)[0].double().numpy()
+
+
+class StateTarget(nn.Module):
+    """State of movement that a level should show, given the state of the whole motion.
+
+    A coarse level moves less than the finest one, and shows little of the fast movement: a line for
+    each channel, fitted to the recordings, tells what it shows, and the share of the variance that
+    the line explains tells how much the channel counts there.
+
+    Args:
+        state: of the recordings.
+        level: index of the level.
+        levels: L.
+        places: converts normalised motion (B, D, T) to joint positions (B, K, 3, T), metres.
+    """
+
+    line: Tensor
+    weight: Tensor
+
+    def __init__(
+        self, state: TrainingState, level: int, levels: int, places: Callable[[Tensor], Tensor]
+    ) -> None:
+        super().__init__()
+        self.channels, fps = state.process.channels, state.process.fps
+        self.fps = fps
+        given, shown = [], []
+        for sequence in state.data.sample:
+            n_frames = af.level_lengths(sequence.n_frames, levels)[level]
+            if n_frames < _LEAST_FRAMES:
+                continue
+            self.fps = fps * n_frames / sequence.n_frames
+            own = averaged(state.recorded(sequence)[: len(self.channels.names)], n_frames)
+            given.append(torch.from_numpy(own))
+            motion = resample(sequence.motion[:, :][None], n_frames)
+            shown.append(self.channels(places(motion).cpu(), self.fps)[0])
+        if not given:  # nothing is asked of levels of so few frames
+            given = shown = [torch.zeros(len(self.channels.names), _LEAST_FRAMES)]
+        self.register_buffer("line", torch.from_numpy(_lines(given, shown)).float()[..., None])
+        slope, _, size = self.line
+        counts = torch.where(torch.from_numpy(self.channels.fast), _FAST_COUNTS, 1.0)[:, None]
+        together = torch.cat(given, dim=1)
+        explained = (slope * together.std(dim=1, keepdim=True) / size).square().clamp(max=1.0)
+        self.register_buffer("weight", counts * explained / size)
+
+    def forward(self, places: Tensor, state: Tensor) -> Tensor:
+        """Return the loss () of joint positions (B, K, 3, T), metres, of a state (B, C, T)."""
+        slope, offset, _ = self.line
+        return losses.state(self.channels(places, self.fps), slope * state + offset, self.weight)
+
+
+def _lines(given: Sequence[Tensor], shown: Sequence[Tensor]) -> np.ndarray:
+    """Return slope and offset of the least-squares line of each channel, and its deviation, (3, C).
+
+    Args:
+        given: (C, T_k) of each recording.
+        shown: (C, T_k), to be predicted from it.
+    """
+    x, y = (torch.cat(list(parts), dim=1).double().numpy() for parts in (given, shown))
+    mean = y.mean(axis=1)
+    away = x - x.mean(axis=1, keepdims=True)
+    slope = (away * y).mean(axis=1) / np.maximum(np.square(away).mean(axis=1), 1e-9)
+    return np.stack([slope, mean - slope * x.mean(axis=1), np.maximum(y.std(axis=1), 1e-3)])

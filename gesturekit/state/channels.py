@@ -1,0 +1,193 @@
+"""Channels of the state of movement, measured from joint positions; differentiable, for losses.
+
+Slow channels say how much the body moves and where the hands are held, over some two seconds. The
+fast channel of a hand says when it moves, and the coupling how much both hands move together. None
+depends on where the body faces, and no motion can be rebuilt from them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from gesturekit.errors import MotionError
+from gesturekit.motion.parts import SIDES, find_parts
+from gesturekit.motion.skeleton import Skeleton
+from gesturekit.state.prediction import SLOW_SECONDS
+
+SPEED_FLOOR = 0.05
+"""Added to speeds before the logarithm, m/s on the reference body."""
+_WIDTH_FLOOR = 0.01
+"""Added to widths before the logarithm, m on the reference body."""
+_SPEED_SECONDS, _FAST_SECONDS = 0.04, 0.06
+"""Standard deviations of the Gaussians that smooth velocities, and the fast logarithm of speed."""
+_COUPLED_SECONDS, _COUPLED_SPEED = 1.0, 0.05
+"""Smoothing of the coupling, and the vertical speed in m/s below which hands are not coupled."""
+_TINY = 1e-8
+"""Keeps the gradients of square roots finite."""
+_OF_HAND = ("movement", "height", "distance", "width", "fast")
+
+
+@dataclass(frozen=True)
+class StateChannels:
+    """The C channels of a rig.
+
+    - movement: logarithm of the mean speed, m/s, relative to the root; of each hand and the trunk;
+    - height, distance: of a hand above the root and from its vertical, metres;
+    - width: logarithm of the local standard deviation of both, metres;
+    - fast: logarithm of a hand's speed less its slow part;
+    - coupling: local correlation of the hands' vertical velocities.
+
+    A rig without known arms has the movement and the fast channel of all its joints.
+
+    Attributes:
+        hands: the joints of the left and of the right hand, as indices of the modelled joints; all
+            joints as one group where the arms are not known or not modelled.
+        trunk: index of the joint that carries both arms; None without.
+    """
+
+    hands: tuple[tuple[int, ...], ...]
+    trunk: int | None
+
+    @classmethod
+    def find(cls, skeleton: Skeleton, joints: Sequence[str]) -> StateChannels:
+        """Return the channels of a rig with these modelled joints."""
+        whole = cls((tuple(range(len(joints))),), None)
+        try:
+            arms = find_parts(skeleton).arms
+        except MotionError:
+            return whole
+        hands = []
+        for side in SIDES:
+            known = [name for name in (arms[side].wrist, arms[side].elbow) if name in joints]
+            if not known or arms[side].shoulder not in joints:
+                return whole
+            hands.append((joints.index(known[0]),))
+        above = [set(skeleton.ancestors(skeleton.index(arms[side].shoulder))) for side in SIDES]
+        trunk = [j for j in above[0] & above[1] if j and skeleton.names[j] in joints]
+        names = [joints.index(skeleton.names[max(trunk)])] if trunk else [None]
+        return cls(tuple(hands), names[0])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the channels."""
+        if len(self.hands) == 1:
+            return "movement", "fast"
+        names = [f"{side} {name}" for side in SIDES for name in _OF_HAND]
+        return (*names, "coupling", *(["trunk movement"] if self.trunk is not None else []))
+
+    @property
+    def n_carriers(self) -> int:
+        """2 H, see `StateProcess.carriers`."""
+        return 2 * len(self.hands)
+
+    @property
+    def width(self) -> int:
+        """C + 2 H, the channels of `StateProcess.condition`."""
+        return len(self.names) + self.n_carriers
+
+    @property
+    def fast(self) -> np.ndarray:
+        """(C,) bool, True for fast channels."""
+        return np.array([name.endswith("fast") for name in self.names])
+
+    @property
+    def movement(self) -> np.ndarray:
+        """(C,) bool, True for channels of slow movement."""
+        return np.array([name.endswith("movement") for name in self.names])
+
+    @property
+    def of_hands(self) -> np.ndarray:
+        """(H,) the channel of slow movement that belongs to each fast channel."""
+        return np.flatnonzero(self.movement)[: len(self.hands)]
+
+    def __call__(self, places: Tensor, fps: float) -> Tensor:
+        """Return the channels (B, C, T).
+
+        Args:
+            places: (B, K, 3, T) positions of the modelled joints, metres on the reference body.
+            fps: frames per second.
+        """
+        places = places - places[:, :1]
+        velocity = _smoothed(_gradient(places) * fps, _SPEED_SECONDS * fps)
+        rows: list[Tensor] = []
+        for joints in self.hands:
+            index = list(joints)
+            speed = (velocity[:, index].square().sum(dim=2) + _TINY).sqrt().mean(dim=1)
+            rows += self._of_hand(places[:, index[0]], speed, fps)
+        if len(self.hands) == 2:
+            left, right = (velocity[:, own[0], 1] for own in self.hands)
+            rows.append(_coupling(left, right, fps))
+            if self.trunk is not None:
+                speed = (velocity[:, self.trunk].square().sum(dim=1) + _TINY).sqrt()
+                rows.append(_movement(speed, fps))
+        return torch.stack(rows, dim=1)
+
+    def _of_hand(self, place: Tensor, speed: Tensor, fps: float) -> list[Tensor]:
+        """Return the channels (B, T) of a hand at `place` (B, 3, T) with `speed` (B, T)."""
+        logarithm, slow = torch.log(speed + SPEED_FLOOR), SLOW_SECONDS * fps
+        fast = _smoothed(logarithm, _FAST_SECONDS * fps) - _smoothed(logarithm, slow)
+        if len(self.hands) == 1:
+            return [_movement(speed, fps), fast]
+        distance = (place[:, 0].square() + place[:, 2].square() + _TINY).sqrt()
+        around = torch.stack([place[:, 1], distance], dim=1)
+        held = _smoothed(around, slow)
+        variance = (_smoothed(around.square(), slow) - held.square()).clamp(min=0).sum(dim=1)
+        width = torch.log((variance + _TINY).sqrt() + _WIDTH_FLOOR)
+        return [_movement(speed, fps), held[:, 0], held[:, 1], width, fast]
+
+
+def averaged(
+    values: np.ndarray, n_frames: int, start: int = 0, stop: int | None = None
+) -> np.ndarray:
+    """Return values (..., T) averaged over each of `n_frames` equal parts of their duration.
+
+    With start and stop, only that range of the parts is computed.
+    """
+    stop, length = n_frames if stop is None else stop, values.shape[-1]
+    if length == n_frames:
+        return values[..., start:stop]
+    edges = np.arange(start, stop + 1) * (length / n_frames)
+    first = int(edges[0])
+    part = values[..., first : min(length, int(np.ceil(edges[-1])))]
+    zero = np.zeros((*part.shape[:-1], 1))
+    total = np.concatenate([zero, np.cumsum(part, axis=-1, dtype=np.float64)], axis=-1)
+    at = np.clip(edges - first, 0, part.shape[-1])
+    low = np.minimum(at.astype(int), part.shape[-1] - 1)
+    sums = total[..., low] + (at - low) * (total[..., low + 1] - total[..., low])
+    return (np.diff(sums) / np.diff(edges)).astype(values.dtype)
+
+
+def _movement(speed: Tensor, fps: float) -> Tensor:
+    """Return the slow movement (B, T) of a speed (B, T)."""
+    return torch.log(_smoothed(speed, SLOW_SECONDS * fps) + SPEED_FLOOR)
+
+
+def _coupling(left: Tensor, right: Tensor, fps: float) -> Tensor:
+    """Return the local correlation (B, T) of two velocities (B, T)."""
+    sigma = _COUPLED_SECONDS * fps
+    power = [_smoothed(own.square(), sigma) + _COUPLED_SPEED**2 for own in (left, right)]
+    return _smoothed(left * right, sigma) / (power[0] * power[1]).sqrt()
+
+
+def _gradient(x: Tensor) -> Tensor:
+    """Return central differences (..., T) per frame; 0 for a single frame."""
+    return torch.gradient(x, dim=-1)[0] if x.shape[-1] > 1 else torch.zeros_like(x)
+
+
+def _smoothed(x: Tensor, sigma: float) -> Tensor:
+    """Filter (..., T) by a Gaussian of `sigma` frames, cut at 3 sigma; end frames are repeated."""
+    reach = int(3 * sigma)
+    if reach == 0:
+        return x
+    at = torch.arange(-reach, reach + 1, device=x.device, dtype=x.dtype)
+    kernel = torch.exp(-0.5 * (at / sigma) ** 2)
+    # Indices, as the gradient of torch's own padding is not deterministic on a GPU.
+    frames = torch.arange(-reach, x.shape[-1] + reach, device=x.device).clamp(0, x.shape[-1] - 1)
+    rows = x.reshape(-1, 1, x.shape[-1]).index_select(-1, frames)
+    return F.conv1d(rows, (kernel / kernel.sum())[None, None]).reshape(x.shape)

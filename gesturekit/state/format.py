@@ -1,0 +1,128 @@
+"""State process in a model folder: plain values and tensors, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gesturekit.state.channels import StateChannels
+from gesturekit.state.prediction import WantedMovement
+from gesturekit.state.process import Group, StateProcess
+
+_SHAPES: dict[str, tuple[str, ...]] = {
+    "silence": ("S",),
+    "mean": ("C",),
+    "scale": ("C",),
+    "explained": ("C",),
+    "usual": ("3",),
+    "mixing": ("C", "C"),
+    "between": ("C - F",),
+    "width": ("C - F",),
+    "kernel": ("F", "R"),
+    "quantiles": ("G", "2", "C", "Q"),
+}
+_RANGES = {
+    "scale": (1e-6, 1e6),
+    "explained": (-1, 1),
+    "mixing": (-2, 2),
+    "between": (0, 1),
+    "width": (0.1, 100),
+    "kernel": (-2, 2),
+}
+_LARGEST = 1e6
+_TAKE = (0.1, 1e7)  # seconds; a single take may have hours
+_MOST_POINTS = 1000  # of a filter, and of quantiles
+
+
+def state_values(process: StateProcess) -> dict[str, Any]:
+    """Return the plain values of a process."""
+    wanted = process.wanted
+    return {
+        "channels": list(process.channels.names),
+        "take": process.take,
+        "groups": [list(group) for group in process.quantiles],
+        "wanted": None if wanted is None else wanted.values(),
+    }
+
+
+def state_tensors(process: StateProcess) -> dict[str, Tensor]:
+    """Return the tensors of a process by name."""
+    quantiles = np.stack(list(process.quantiles.values()))
+    arrays = {name: getattr(process, name) for name in _SHAPES} | {"quantiles": quantiles}
+    tensors = {
+        f"state.{name}": torch.from_numpy(np.array(own, float)) for name, own in arrays.items()
+    }
+    return tensors | ({} if process.wanted is None else process.wanted.tensors("state"))
+
+
+def load_state(
+    values: Mapping[str, Any] | None,
+    tensors: Mapping[str, Tensor],
+    channels: StateChannels,
+    fps: float,
+    speech_size: int,
+) -> StateProcess | None:
+    """Read what `state_values` and `state_tensors` wrote; None for a model without a state.
+
+    Args:
+        values: of config.yaml.
+        tensors: of the folder.
+        channels: of the model's rig.
+        fps: frames per second.
+        speech_size: S, the number of speech features.
+
+    Raises:
+        ValueError: values out of range, or tensors whose shapes do not fit the model.
+    """
+    if values is None:
+        return None
+    if tuple(values["channels"]) != channels.names:
+        raise ValueError(f"state: the rig has the channels {', '.join(channels.names)}")
+    groups = [_group(*group) for group in values["groups"]]
+    arrays = {name: tensors[f"state.{name}"].double().numpy() for name in _SHAPES}
+    _check(arrays, len(groups), channels, speech_size)
+    if (None, None) not in groups:
+        raise ValueError("state: the quantiles of all recordings are missing")
+    wanted = None
+    if values["wanted"] is not None:
+        wanted = WantedMovement.load(values["wanted"], tensors, "state", fps)
+    process = StateProcess(
+        channels=channels,
+        fps=fps,
+        wanted=wanted,
+        take=float(np.clip(values["take"], *_TAKE)),
+        **{name: own for name, own in arrays.items() if name != "quantiles"},
+        quantiles=dict(zip(groups, arrays["quantiles"], strict=True)),
+    )
+    try:
+        process.draw(0, np.zeros((speech_size, 2), np.float32))
+    except (IndexError, ValueError) as error:
+        raise ValueError(f"state: no {speech_size} speech features fit ({error})") from None
+    return process
+
+
+def _group(speaker: Any, style: Any) -> Group:
+    """Return speaker and number of the style from their plain values."""
+    return None if speaker is None else str(speaker), None if style is None else int(style)
+
+
+def _check(
+    arrays: Mapping[str, np.ndarray], groups: int, channels: StateChannels, speech_size: int
+) -> None:
+    """Raise ValueError for arrays of other shapes, or with values out of range."""
+    n, n_fast = len(channels.names), int(channels.fast.sum())
+    sizes = {"S": speech_size, "C": n, "F": n_fast, "C - F": n - n_fast, "G": groups}
+    sizes |= {"2": 2, "3": 3, "R": arrays["kernel"].shape[-1], "Q": arrays["quantiles"].shape[-1]}
+    if not (sizes["R"] % 2 and max(sizes["R"], sizes["Q"]) <= _MOST_POINTS and sizes["Q"] > 1):
+        raise ValueError("state: filters or quantiles of a wrong length")
+    for name, axes in _SHAPES.items():
+        wanted = tuple(sizes[axis] for axis in axes)
+        if arrays[name].shape != wanted:
+            raise ValueError(f"state.{name} has the shape {arrays[name].shape}, not {wanted}")
+        low, high = _RANGES.get(name, (-_LARGEST, _LARGEST))
+        if not ((low <= arrays[name]) & (arrays[name] <= high)).all():
+            raise ValueError(f"state.{name} has values that are not from {low:g} to {high:g}")

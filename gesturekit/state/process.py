@@ -1,0 +1,489 @@
+"""Random process from which the state of movement is drawn, fitted to the training recordings.
+
+Speech tells little of the state, so a mean of what speakers do would be calmer and narrower than
+any of them. The state is drawn, for each motion anew (a Gaussian copula):
+
+- Each channel has standard normal scores, by rank among the recordings of the same speaker and
+  style; fast channels by rank among the frames with speech, or among those without. A drawn score
+  becomes the recorded value of the same rank, so that drawn values are distributed as recorded
+  ones, however skewed those are.
+- A score is the part that speech predicts, plus noise with the rest of the variance, correlated
+  between channels as in the recordings. Noise of slow channels has a component that changes from
+  take to take and one that changes within a take; noise of fast channels has the recorded spectrum.
+
+Noise depends on its seed and on the time alone, so that any part of a motion can be drawn by
+itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.special import ndtr, ndtri
+from scipy.stats import rankdata
+
+from gesturekit.corpus.speech import SpeechConditioner
+from gesturekit.state.channels import SPEED_FLOOR, StateChannels
+from gesturekit.state.prediction import WantedMovement
+
+_BETWEEN_TAKES, _PRIOR_TAKES = 1 / 3, 3.0
+"""Share of the variance between takes that is expected before any recording is seen, and the number
+of takes that count as much as that expectation."""
+_WIDTHS = np.geomspace(1.5, 24.0, 13)
+"""Smoothness of the component within takes to choose from: seconds of standard deviation of the
+Gaussian that smooths white noise. Its correlation at lag t is exp(-t^2 / (4 width^2))."""
+_LAGS = 24
+_STEP, _STEPS_OF_TAKE = 0.25, 8
+"""Seconds between the points at which noise within takes is drawn; points in each `take`."""
+_TRUNCATED = 4.0
+"""Gaussians end at this many standard deviations."""
+_FAST_SECONDS = 2.0
+"""Seconds to each side from which fast noise is filtered."""
+_BLOCK, _ZERO = 256, 2**31
+"""Points of white noise that are drawn at a time; number of the block that begins at time 0."""
+_SHARES = (np.arange(201) + 0.5) / 201
+"""Shares of the quantiles between which recorded values are interpolated."""
+_VOICE_SECONDS, _PAUSE_SECONDS = 0.1, 0.5
+"""Smoothing of voice activity, and of the pauses in which slow predictions are trusted in full."""
+_LEAST_SECONDS = 5.0
+"""Seconds of silence, and of speech, from which both have distributions of their own."""
+_FURTHEST = 3.0
+"""Predictions of fast movement are limited to this many standard deviations."""
+_MOST_EXPLAINED = 0.95
+_STROKE, _STROKE_POINTS = 0.15, 4
+"""Metres that a hand moves while its carrier changes by its correlation length, and the points of
+white noise in it."""
+
+Group = tuple[str | None, int | None]
+"""Speaker and number of the style; None for any."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedState:
+    """State of a training recording.
+
+    Attributes:
+        values: (C, T) channels.
+        speech: (S, T) features; S is 0 without speech input.
+        take: its recording session.
+        group: its speaker and style.
+    """
+
+    values: np.ndarray
+    speech: np.ndarray
+    take: str
+    group: Group
+
+
+@dataclass(frozen=True, eq=False)
+class StateProcess:
+    """Random process of the C channels, F of them fast.
+
+    Attributes:
+        channels: of the rig.
+        fps: frames per second.
+        wanted: prediction from speech; None without.
+        silence: (S,) features of silence; S is 0 without speech input.
+        mean: (C,) of the recordings.
+        scale: (C,) their standard deviation.
+        explained: (C,) correlation of the scores with their prediction.
+        usual: mean of the fast prediction in silence and in speech, and its deviation from them.
+        mixing: (C, C) Cholesky factor of the noise's correlation between channels.
+        between: (C - F,) share of the variance of slow noise between takes.
+        width: (C - F,) smoothness of slow noise within takes, seconds, see `_WIDTHS`.
+        take: smoothness of slow noise between takes, seconds.
+        kernel: (F, 2 R + 1) filters of fast noise.
+        quantiles: {speaker and style: (2, C, Q) recorded values in silence and in speech}.
+    """
+
+    channels: StateChannels
+    fps: float
+    wanted: WantedMovement | None
+    silence: np.ndarray
+    mean: np.ndarray
+    scale: np.ndarray
+    explained: np.ndarray
+    usual: np.ndarray
+    mixing: np.ndarray
+    between: np.ndarray
+    width: np.ndarray
+    take: float
+    kernel: np.ndarray
+    quantiles: Mapping[Group, np.ndarray]
+
+    @classmethod
+    def fit(
+        cls,
+        channels: StateChannels,
+        recordings: Sequence[RecordedState],
+        fps: float,
+        conditioner: SpeechConditioner | None,
+    ) -> StateProcess:
+        """Fit to the recordings.
+
+        Args:
+            channels: of the rig.
+            recordings: at least one.
+            fps: frames per second.
+            conditioner: of the speech features; None without speech input.
+        """
+        fast, values = channels.fast, [own.values for own in recordings]
+        silence = np.empty(0) if conditioner is None else conditioner.silence(1)[0]
+        voiced = _voiced([own.speech for own in recordings], silence, fps)
+        groups = [own.group for own in recordings]
+        scores = _scores(values, [np.where(fast[:, None], own, True) for own in voiced], groups)
+        wanted = _wanted(channels, recordings, scores, fps, conditioner)
+        explained, usual = np.zeros(len(fast)), np.array([0.0, 0.0, 1.0])
+        noise = np.concatenate(scores, axis=1)
+        if wanted is not None:
+            usual, predicted = _predictions(wanted, np.concatenate(voiced))
+            rows = predicted[fast.astype(int)]  # of each channel
+            explained = np.clip((noise * rows).mean(axis=1), -_MOST_EXPLAINED, _MOST_EXPLAINED)
+            # A hand that moves less where more was predicted is chance.
+            explained[fast] = np.maximum(explained[fast], 0.0)
+            trust = np.where(fast, 1.0, wanted.trust)
+            noise = noise - (explained * trust)[:, None] * rows
+        ends = np.cumsum([own.shape[1] for own in values])[:-1]
+        parts = np.split(noise / np.maximum(noise.std(axis=1, keepdims=True), 1e-6), ends, axis=1)
+        takes = len({own.take for own in recordings})
+        within, width = within_takes([own[~fast] for own in parts], fps)
+        pooled = np.concatenate(values, axis=1)
+        return cls(
+            channels=channels,
+            fps=fps,
+            wanted=wanted,
+            silence=silence,
+            mean=pooled.mean(axis=1),
+            scale=np.maximum(pooled.std(axis=1), 1e-3),
+            explained=explained,
+            usual=usual,
+            mixing=_mixing(np.concatenate(parts, axis=1), fast),
+            between=share_between_takes(within, takes),
+            width=width,
+            take=max(pooled.shape[1] / fps / takes, _STEP),
+            kernel=_spectral_kernels([own[fast] for own in parts], fps),
+            quantiles=_quantiles(values, voiced, groups, fast),
+        )
+
+    def draw(
+        self,
+        seed: int,
+        speech: np.ndarray,
+        group: Group = (None, None),
+        *,
+        first: int = 0,
+        liveliness: float = 1.0,
+    ) -> np.ndarray:
+        """Draw the channels (C, T) of frames `first` to `first + T - 1` of a motion.
+
+        Args:
+            seed: of the noise.
+            speech: (S, T) features of these frames.
+            group: speaker and style; all recordings stand for a pair that there is not.
+            first: number of the first frame; below 0 before the motion begins.
+            liveliness: factor on the speed of slow movement.
+        """
+        fast, voice = self.channels.fast, voice_activity(speech, self.silence, self.fps)
+        scores = self.noise(seed, first + np.arange(speech.shape[1]))
+        if self.wanted is not None:
+            explained, predicted = self._predicted(speech, voice)
+            scores = explained * predicted + np.sqrt(1 - explained**2) * scores
+        ranks = ndtr(scores)
+        quiet, loud = (
+            np.stack([np.interp(*row) for row in zip(ranks, [_SHARES] * len(fast), own)])
+            for own in self.quantiles.get(group, self.quantiles[None, None])
+        )
+        values = quiet + voice * (loud - quiet)
+        values[self.channels.movement] += math.log(liveliness)
+        return values
+
+    def _predicted(self, speech: np.ndarray, voice: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return how much predictions count, and the predictions in standard deviations, (C, T).
+
+        Predictions of slow movement count in full in pauses, if they count at all: people rest
+        while they are silent, on every take.
+        """
+        assert self.wanted is not None
+        when, slow = self.wanted(speech)
+        quiet, loud, size = self.usual
+        when = when / max(self.wanted.spread, 1e-9) - quiet - (loud - quiet) * voice
+        when = np.clip(when / size, -_FURTHEST, _FURTHEST)
+        trust = np.full_like(slow, self.wanted.trust)
+        if self.wanted.trust:
+            paused = 1 - gaussian_filter1d(voice, _PAUSE_SECONDS * self.fps, mode="nearest")
+            trust += (1 - trust) * paused
+        is_fast = self.channels.fast[:, None]
+        counts = self.explained[:, None] * np.where(is_fast, 1.0, trust)
+        return counts, np.where(is_fast, when, slow)
+
+    def noise(self, seed: int, frames: np.ndarray) -> np.ndarray:
+        """Return the noise (C, N) at frames (N,)."""
+        fast, result = self.channels.fast, np.empty((len(self.mixing), len(frames)))
+        seconds = (frames + 0.5) / self.fps
+        slow = self.mixing[np.ix_(~fast, ~fast)]
+        kernels = [_gaussian(width / _STEP, self.width.max() / _STEP) for width in self.width]
+        within = _filtered(seed, slow, kernels, seconds / _STEP)
+        kernels = [_gaussian(_STEPS_OF_TAKE, _STEPS_OF_TAKE)] * len(slow)
+        take = _filtered(seed + 1, slow, kernels, seconds * (_STEPS_OF_TAKE / self.take))
+        share = self.between[:, None]
+        result[~fast] = np.sqrt(share) * take + np.sqrt(1 - share) * within
+        together = self.mixing[np.ix_(fast, fast)]
+        result[fast] = _filtered(seed + 2, together, list(self.kernel), frames.astype(float))
+        return result
+
+    def carriers(self, seed: int, values: np.ndarray) -> np.ndarray:
+        """Return two carriers for each hand, (2 H, T): smooth noise in the time of its movement.
+
+        They change as fast as the hand moves, and stand still while it rests, so that a network
+        can turn the state into strokes: it cannot integrate a speed.
+
+        Args:
+            seed: of the noise.
+            values: (C, T) channels of the state from the beginning of a motion.
+        """
+        kernels = [_gaussian(_STROKE_POINTS / 2, _STROKE_POINTS / 2)] * 2
+        hands = zip(self.channels.of_hands, np.flatnonzero(self.channels.fast), strict=True)
+        rows = []
+        for k, (movement, fast) in enumerate(hands):
+            speed = np.maximum(np.exp(values[movement] + values[fast]) - SPEED_FLOOR, 0.0)
+            clock = np.cumsum(speed) * (_STROKE_POINTS / _STROKE / self.fps)
+            rows.append(_filtered(seed + 3 + k, np.eye(2), kernels, clock))
+        return np.concatenate(rows)
+
+    def condition(self, seed: int, values: np.ndarray) -> np.ndarray:
+        """Return what a network gets, (C + 2 H, T) float32: normalised channels, and carriers."""
+        normalised = (values - self.mean[:, None]) / self.scale[:, None]
+        return np.concatenate([normalised, self.carriers(seed, values)]).astype(np.float32)
+
+
+def voice_activity(speech: np.ndarray, silence: np.ndarray, fps: float) -> np.ndarray:
+    """Return (T,) 1 where features (S, T) are as usual, 0 where they are those of silence (S,).
+
+    Normalised features are about 0 in speech.
+    """
+    size = float(silence @ silence)
+    if size < 1e-6:
+        return np.ones(speech.shape[1])
+    away = np.clip(1 - silence @ speech / size, 0.0, 1.0)
+    smooth = gaussian_filter1d(away, _VOICE_SECONDS * fps, mode="nearest")
+    return np.clip(2 * smooth - 0.5, 0.0, 1.0)
+
+
+def _voiced(speeches: Sequence[np.ndarray], silence: np.ndarray, fps: float) -> list[np.ndarray]:
+    """Return (T_k,) bool, True in speech; everywhere where there is little speech or silence."""
+    found = [voice_activity(speech, silence, fps) > 0.5 for speech in speeches]
+    together = np.concatenate(found)
+    if min(together.sum(), (~together).sum()) < _LEAST_SECONDS * fps:
+        return [np.ones(len(own), bool) for own in found]
+    return found
+
+
+def _wanted(
+    channels: StateChannels,
+    recordings: Sequence[RecordedState],
+    scores: Sequence[np.ndarray],
+    fps: float,
+    conditioner: SpeechConditioner | None,
+) -> WantedMovement | None:
+    """Return the prediction from speech; None without speech, or if it predicts nothing."""
+    if conditioner is None:
+        return None
+    wanted = WantedMovement.fit(
+        [own.speech for own in recordings],
+        [own.values[channels.fast].mean(axis=0) for own in recordings],
+        [own[channels.of_hands].mean(axis=0) for own in scores],
+        fps,
+        conditioner.effort,
+        (conditioner.acoustic, conditioner.prosody),
+        takes=[own.take for own in recordings],
+    )
+    return wanted if wanted.predicts else None
+
+
+def _predictions(wanted: WantedMovement, voiced: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return `StateProcess.usual`, and the predictions of left-out slow and fast movement, (2, T).
+
+    `voiced` is (T,) bool, True in speech.
+    """
+    assert wanted.fast.left_out is not None and wanted.slow.left_out is not None
+    when = wanted.fast.left_out
+    loud = when[voiced].mean()
+    quiet = loud if voiced.all() else when[~voiced].mean()
+    when = when - np.where(voiced, loud, quiet)
+    size = max(when.std(), 1e-6)
+    return np.array([quiet, loud, size]), np.stack([wanted.slow.left_out, when / size])
+
+
+def normal_scores(curves: Sequence[np.ndarray], groups: Sequence[object]) -> list[np.ndarray]:
+    """Return standard normal scores of curves (C, T_k), by rank in each channel.
+
+    Ranks are those among the curves of the same group.
+    """
+    return _scores(curves, [np.ones(own.shape, bool) for own in curves], groups)
+
+
+def _scores(
+    curves: Sequence[np.ndarray], classes: Sequence[np.ndarray], groups: Sequence[object]
+) -> list[np.ndarray]:
+    """Return standard normal scores of curves (C, T_k), by rank in each channel.
+
+    Ranks are those among the frames of the same class (C, T_k), bool, of the same group.
+    """
+    result = [np.empty(own.shape) for own in curves]
+    for group in dict.fromkeys(groups):
+        own = [k for k, other in enumerate(groups) if other == group]
+        pooled = np.concatenate([curves[k] for k in own], axis=1)
+        flags = np.concatenate([classes[k] for k in own], axis=1)
+        scores = np.empty(pooled.shape)
+        for row, values, flag in zip(scores, pooled, flags, strict=True):
+            for part in (flag, ~flag):
+                if part.any():
+                    row[part] = ndtri((rankdata(values[part]) - 0.5) / part.sum())
+        edges = np.cumsum([curves[k].shape[1] for k in own])[:-1]
+        for k, found in zip(own, np.split(scores, edges, axis=1), strict=True):
+            result[k] = found
+    return result
+
+
+def _quantiles(
+    values: Sequence[np.ndarray],
+    voiced: Sequence[np.ndarray],
+    groups: Sequence[Group],
+    fast: np.ndarray,
+) -> dict[Group, np.ndarray]:
+    """Return `StateProcess.quantiles`: of slow channels, those in silence and speech are equal."""
+    asked: list[Group] = [(None, None)]
+    for speaker, style in groups:
+        asked += [(speaker, None), (None, style), (speaker, style)]
+    result = {}
+    for group in dict.fromkeys(asked):
+        own = [
+            k
+            for k, other in enumerate(groups)
+            if all(name in (None, theirs) for name, theirs in zip(group, other, strict=True))
+        ]
+        pooled = np.concatenate([values[k] for k in own], axis=1)
+        loud = np.concatenate([voiced[k] for k in own])
+        result[group] = np.empty((2, len(fast), len(_SHARES)))
+        for row, part in zip(result[group], (~loud, loud), strict=True):
+            frames = part if part.any() else ~part
+            row[fast] = np.quantile(pooled[fast][:, frames], _SHARES, axis=1).T
+            row[~fast] = np.quantile(pooled[~fast], _SHARES, axis=1).T
+    return result
+
+
+def _mixing(noise: np.ndarray, fast: np.ndarray) -> np.ndarray:
+    """Return the Cholesky factor (C, C) of the correlation of noise (C, T) of unit variance.
+
+    Slow and fast channels are independent.
+    """
+    correlation = (noise @ noise.T) / noise.shape[1] * (fast[:, None] == fast)
+    values, vectors = np.linalg.eigh(correlation)
+    correlation = (vectors * np.maximum(values, 1e-6)) @ vectors.T
+    scale = np.sqrt(np.diag(correlation))
+    return np.linalg.cholesky(correlation / np.outer(scale, scale))
+
+
+def share_between_takes(within: np.ndarray, takes: int) -> np.ndarray:
+    """Return the share (C,) of the variance between takes, given that within them, (C,)."""
+    count = takes - 1
+    return (count * (1 - within) + _PRIOR_TAKES * _BETWEEN_TAKES) / (count + _PRIOR_TAKES)
+
+
+def within_takes(scores: Sequence[np.ndarray], fps: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the share of the variance within takes, and its smoothness in seconds, both (C,).
+
+    They are fitted to half the mean squared difference of frames of a recording, at lags up to half
+    of the longest recording (a variogram). It does not depend on the recordings' means, which are
+    known badly.
+
+    Args:
+        scores: (C, T_k) of variance 1 in all recordings together.
+        fps: frames per second.
+    """
+    longest = max(own.shape[1] for own in scores)
+    lags = np.unique(np.geomspace(max(1, fps / 2), max(2, longest / 2), _LAGS).astype(int))
+    lags = lags[lags < longest]
+    if not len(lags):
+        return np.full(len(scores[0]), 0.5), np.full(len(scores[0]), _WIDTHS[0])
+    counts = np.array(
+        [sum(own.shape[1] - lag for own in scores if own.shape[1] > lag) for lag in lags]
+    )
+    halves = np.stack(
+        [
+            sum(
+                np.square(own[:, lag:] - own[:, :-lag]).sum(axis=1)
+                for own in scores
+                if own.shape[1] > lag
+            )
+            / (2 * count)
+            for lag, count in zip(lags, counts, strict=True)
+        ]
+    )  # (lags, C)
+    shapes = 1 - np.exp(-np.square(lags[:, None] / fps / _WIDTHS) / 4)  # (lags, widths)
+    weights = counts[:, None]
+    shares = ((weights * shapes).T @ halves) / (weights * np.square(shapes)).sum(axis=0)[:, None]
+    shares = np.clip(shares, 0.0, 1.0)  # (widths, C)
+    errors = np.square(halves[:, None] - shapes[:, :, None] * shares).transpose(1, 2, 0) @ counts
+    best = errors.argmin(axis=0)
+    return shares[best, np.arange(len(best))], _WIDTHS[best]
+
+
+def _spectral_kernels(noise: Sequence[np.ndarray], fps: float) -> np.ndarray:
+    """Return filters (F, 2 R + 1) that give white noise the spectrum of noise (F, T_k)."""
+    reach = round(_FAST_SECONDS * fps)
+    lags = range(min(reach + 1, max(own.shape[1] for own in noise)))
+    covariance = np.zeros((len(noise[0]), reach + 1))
+    for lag in lags:
+        products = [own[:, lag:] * own[:, : own.shape[1] - lag] for own in noise]
+        covariance[:, lag] = np.concatenate(products, axis=1).mean(axis=1)
+    covariance *= np.hanning(2 * reach + 3)[reach + 1 : -1]
+    both = np.concatenate([covariance, covariance[:, :0:-1]], axis=1)
+    amplitude = np.sqrt(np.maximum(np.fft.rfft(both).real, 0.0))
+    kernels = np.fft.fftshift(np.fft.irfft(amplitude, 2 * reach + 1), axes=1)
+    return kernels / np.maximum(np.linalg.norm(kernels, axis=1, keepdims=True), 1e-9)
+
+
+def _filtered(
+    seed: int, mixing: np.ndarray, kernels: Sequence[np.ndarray], places: np.ndarray
+) -> np.ndarray:
+    """Return white noise at whole numbers, filtered and interpolated at places (N,): (C, N).
+
+    Args:
+        seed: of the noise.
+        mixing: (C, C) Cholesky factor of the correlation between channels.
+        kernels: (2 R + 1,) filter of each channel.
+        places: (N,).
+    """
+    if not len(mixing) or not len(places):
+        return np.empty((len(mixing), len(places)))
+    reach = len(kernels[0]) // 2
+    low, high = math.floor(places.min()) - reach, math.floor(places.max()) + 1 + reach
+    blocks = range(low // _BLOCK, high // _BLOCK + 1)
+    white = np.concatenate([_white(seed, block, len(mixing)) for block in blocks])
+    white = mixing @ white[low - blocks[0] * _BLOCK :][: high - low + 1].T
+    at = np.arange(low + reach, high - reach + 1)
+    pairs = zip(white, kernels, strict=True)
+    return np.stack(
+        [np.interp(places, at, np.convolve(row, own, mode="valid")) for row, own in pairs]
+    )
+
+
+@lru_cache(maxsize=256)
+def _white(seed: int, block: int, channels: int) -> np.ndarray:
+    """Return a block of white noise, (_BLOCK, channels)."""
+    return np.random.default_rng((seed, block + _ZERO)).standard_normal((_BLOCK, channels))
+
+
+@lru_cache(maxsize=64)
+def _gaussian(width: float, widest: float) -> np.ndarray:
+    """Return a Gaussian of `width` points and unit norm, as long as one of `widest` points."""
+    impulse = np.zeros(2 * (math.ceil(_TRUNCATED * widest) + 1) + 1)
+    impulse[len(impulse) // 2] = 1.0
+    kernel = gaussian_filter1d(impulse, width, truncate=_TRUNCATED)
+    return kernel / np.linalg.norm(kernel)
