@@ -172,10 +172,9 @@ def test_barnard_equals_the_largest_probability_over_the_common_rate():
     assert two_proportions((1, 0), (0, 1)) == pytest.approx(0.5), "one answer each"
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_forty_raters_find_the_known_order(simulate, answers_of, seed):
-    votes = simulate([0.6, 0.0, -0.6], seed=seed)
-    found = analyse_preference(answers_of(votes), rounds=200, seed=0)
+def test_forty_raters_find_the_known_order(simulate, answers_of):
+    votes = simulate([0.6, 0.0, -0.6])
+    found = analyse_preference(answers_of(votes), rounds=100, seed=0)
     assert [system.name for system in found.systems] == ["a", "b", "c"]
     assert {(p.a, p.b) for p in found.pairs} == {("a", "b"), ("a", "c"), ("b", "c")}
     assert all(p.p_holm < 0.01 and p.p_tukey < 0.01 for p in found.pairs)
@@ -185,12 +184,12 @@ def test_forty_raters_find_the_known_order(simulate, answers_of, seed):
 
 @pytest.mark.parametrize(
     ("simulations", "rounds", "least", "most"),
-    [(60, 200, 0.87, 0.99), pytest.param(500, 500, 0.92, 0.98, marks=pytest.mark.stress)],
+    [(40, 100, 0.85, 0.99), pytest.param(500, 500, 0.92, 0.98, marks=pytest.mark.stress)],
 )
 def test_95_percent_intervals_hold_the_true_value(simulate, simulations, rounds, least, most):
     """The true value is that of a very large study."""
     strengths = [0.4, 0.0, -0.3]
-    large = simulate(strengths, raters=100_000, seed=99)
+    large = simulate(strengths, raters=20_000, seed=99)
     merit = [e.value for e in merit_estimates(large, 1, 0)]
     rating = elo(fit_strengths(weighted_wins(large).sum(axis=0)))
     held = {"merit": [], "elo": []}
