@@ -168,17 +168,6 @@ def test_recordings_of_any_rate_train(fps, system, gesture, tmp_path):
     assert (made.fps, made.n_frames) == (fps, fps / 2)
 
 
-def test_a_file_with_two_roots_is_refused(gesture, tmp_path):
-    file = tmp_path / "clips" / "two.bvh"
-    gesture(2.0).save(file)
-    text = file.read_text()
-    second = "ROOT Tail\n{\nOFFSET 0 0 0\nCHANNELS 3 Zrotation Xrotation Yrotation\n}\nMOTION"
-    file.write_text(text.replace("MOTION", second))
-    report = prepare([], unpaired_motion=[tmp_path / "clips"])
-    assert not len(report.manifest)
-    assert "two.bvh" in str(report.problems[0]) and "Tail" in str(report.problems[0])
-
-
 @pytest.mark.parametrize("system", ["diffusion"])
 def test_repeated_joint_names_and_names_with_spaces_train(system, gesture, tmp_path):
     file = tmp_path / "clips" / "twins.bvh"

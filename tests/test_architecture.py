@@ -162,13 +162,6 @@ def test_no_import_leads_back_to_where_it_started():
     assert not wrong, "\n".join(wrong)
 
 
-def test_import_cycles_between_modules_and_folders_are_found():
-    assert import_cycles({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == [{"b", "c"}]
-    edges = {"p.a.x": {"p.b.y"}, "p.b.y": set(), "p.b.z": {"p.a.w"}, "p.a.w": set()}
-    assert import_cycles(edges) == []
-    assert import_cycles(sibling_imports(edges, "p")) == [{"a", "b"}]
-
-
 def test_audio_features_stands_alone():
     wrong = [
         f"{path.relative_to(ROOT)}:{line}: imports {name}"

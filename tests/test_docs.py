@@ -135,14 +135,6 @@ def test_the_examples_in_the_help_are_valid(verb):
         check_command(line)
 
 
-def test_an_invalid_command_line_is_detected(tmp_path):
-    page = tmp_path / "page.md"
-    page.write_text("```\ngesturekit render \\\n   a.wav --modle demo\n```\n")
-    (line,) = (text for text in commands(page) if text)
-    with pytest.raises(click.NoSuchOption):
-        check_command(line)
-
-
 def test_places_that_the_page_of_the_papers_names_exist():
     """`module:object`, or a module, in the last column of a table."""
     text = (ROOT / "docs" / "papers.md").read_text(encoding="utf-8")

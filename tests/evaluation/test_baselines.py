@@ -55,7 +55,9 @@ def test_the_mean_pose_is_held_in_every_frame(folders):
 
 
 def test_the_other_utterance_is_the_next_recording_cut_to_length(folders):
-    found = evaluate(folders / "made", folders / "recordings", baselines=["other_utterance"], cheap=True)
+    found = evaluate(
+        folders / "made", folders / "recordings", baselines=["other_utterance"], cheap=True
+    )
     one, two = (load_clip(clip.pair, 25.0).generated for clip in found.models[1].clips)
     recorded = [Motion.load(folders / "recordings" / f"clip{i}.npz") for i in range(3)]
     assert one.rotations == pytest.approx(recorded[2].rotations)  # 4 s for a recording of 6 s

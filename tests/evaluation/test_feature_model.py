@@ -137,18 +137,6 @@ def test_the_network_is_the_published_one(n_frames, variant):
     ]  # fmt: skip
 
 
-def test_a_file_too_large_for_a_feature_model_is_refused(model, tmp_path):
-    model.save(tmp_path)
-    path = tmp_path / "feature_model.json"
-    text = path.read_text(encoding="utf-8")
-    assert '\n "format": 1,\n' in text and text.endswith("}\n")
-    path.write_text(text + " " * (1_000_000 - len(text)), encoding="utf-8")
-    assert FeatureModel.load(tmp_path).fingerprint == model.fingerprint
-    path.write_text(text + " " * (1_000_001 - len(text)), encoding="utf-8")
-    with pytest.raises(EvaluationError, match="1000001 bytes; too large for a feature model"):
-        FeatureModel.load(tmp_path)
-
-
 @pytest.mark.parametrize("variant", ["genea", "yoon"])
 def test_a_saved_model_gives_the_same_figures(clips, variant, tmp_path):
     model = FeatureModel.fit(clips, variant, n_frames=34, steps=3)

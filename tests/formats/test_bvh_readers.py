@@ -126,20 +126,6 @@ def test_written_files_have_the_same_positions_in_bvhio(gesture, tmp_path):
         same_motion(again, written)
 
 
-@pytest.mark.parametrize("unit", ["cm", "m"])
-@pytest.mark.parametrize("file", FILES)
-def test_real_files_survive(shared_data, tmp_path, file, unit):
-    motion = read_bvh(shortened(shared_data / file, tmp_path / "short.bvh", 60))
-    write_bvh(motion, tmp_path / "a.bvh", unit=unit)
-    again = read_bvh(tmp_path / "a.bvh")
-    assert again.info["unit"] == unit
-    assert again.fps == motion.fps
-    assert again.skeleton.rotation_orders == motion.skeleton.rotation_orders
-    assert set(again.joint_translations) == set(motion.joint_translations)
-    assert set(again.skeleton.end_sites) == set(motion.skeleton.end_sites)
-    same_motion(again, motion)
-
-
 def test_units_and_axes_detected_in_real_files(shared_data):
     zeggs, sample, idle, _, bandai = (read_bvh(shared_data / file) for file in FILES)
     assert (zeggs.n_frames, zeggs.skeleton.n_joints, zeggs.fps) == (2065, 75, 30.0)

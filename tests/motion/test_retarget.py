@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hinges import bent_backwards
-from recordings import BANDAI, IDLE, RECORDED, ZEGGS
+from recordings import BANDAI, RECORDED, ZEGGS
 from rigs import at_rest, below_a_root, renamed, with_offsets
 from scipy.spatial.transform import Rotation
 
@@ -127,11 +127,6 @@ def test_faces_are_kept_on_the_same_rig_alone(moving_person, mixamo):
     same = retarget(smiling, moving_person.skeleton.scaled(1.2))
     np.testing.assert_array_equal(same.expressions, faces)
     assert retarget(smiling, mixamo).expressions is None
-
-
-def test_the_source_file_is_remembered(moving_person, mixamo):
-    named = replace(moving_person, info={"source": "walk.bvh", "betas": np.zeros(10)})
-    assert retarget(named, mixamo).info == {"source": "walk.bvh"}
 
 
 def test_joints_that_move_scale_with_the_body(moving_person):
@@ -292,27 +287,6 @@ def test_rigs_without_a_body_are_refused_by_the_bone(moving_person):
         retarget(moving_person, rig)
 
 
-def test_zeggs_onto_mixamo(zeggs, mixamo):
-    made = retarget(zeggs, mixamo)
-    assert made.skeleton is mixamo and (made.n_frames, made.fps) == (zeggs.n_frames, zeggs.fps)
-    apart = degrees_apart(zeggs, made)
-    assert max(apart.values()) < 6
-    labels = contact_labels(zeggs)
-    assert skate(made, labels) < 1.3 * skate(zeggs, labels) + 0.002
-    floors = [foot_positions(motion)[:, :, 1].min(axis=1) for motion in (zeggs, made)]
-    assert np.abs(np.median(floors[0]) - np.median(floors[1])) < 0.005
-    assert floors[1].min() > np.median(floors[1]) - 0.01
-    hands, source = hand_distances(made), hand_distances(zeggs)
-    assert min(np.corrcoef(hands[:, k], source[:, k])[0, 1] for k in range(3)) > 0.98
-    assert hands.min() > 0.9 * source.min()
-    assert all(share.mean() == 0 for share in bent_backwards(made).values())
-    fingers = [mixamo.index(f"mixamorig:LeftHandIndex{n}") for n in (1, 2, 3)]
-    own = [zeggs.skeleton.index(f"LeftHandIndex{n}") for n in (1, 2, 3)]
-    ends = [m.global_rotations()[:, j[::2]] for m, j in ((made, fingers), (zeggs, own))]
-    curl = [rotation_angles(world[:, 0], world[:, 1]) for world in ends]
-    np.testing.assert_allclose(curl[0], curl[1], atol=np.radians(5))
-
-
 def test_zeggs_onto_bandai(zeggs, shared_data):
     """A rig that is a heap of bones at rest, under a root that stands still on the floor."""
     bandai = Motion.load(shared_data / BANDAI)
@@ -333,20 +307,6 @@ def test_zeggs_onto_bandai(zeggs, shared_data):
     # Without a motion to learn its frames from, places are the same and turns are a guess.
     guessed = retarget(zeggs, bandai.skeleton)
     assert max(degrees_apart(made, guessed).values()) < 3
-
-
-@pytest.mark.parametrize("file", [BANDAI, IDLE])
-def test_other_rigs_onto_zeggs(shared_data, zeggs, file):
-    motion = Motion.load(shared_data / file)[:300]
-    made = retarget(motion, zeggs.skeleton)
-    assert max(degrees_apart(motion, made).values()) < 8
-    # A body of another height stands on the same floor (that of the idle clip lies at -0.72).
-    heights = [foot_positions(m)[..., 1].min(axis=1) for m in (motion, made)]
-    assert abs(np.median(heights[0]) - np.median(heights[1])) < 0.01
-    assert skate(made, np.ones(foot_positions(made).shape[:2])) < 0.02
-    # Hands that are folded stay so, and pass through neither each other nor the body.
-    hands, source = hand_distances(made).min(axis=0), hand_distances(motion).min(axis=0)
-    assert (hands > 0.85 * source).all() and (hands < 1.15 * source).all()
 
 
 def bent_pose(skeleton: Skeleton) -> np.ndarray:
@@ -385,10 +345,3 @@ def test_hands_keep_their_roll(mixamo):
     made = retarget(motion, smpl_skeleton(22))
     wrist = made.global_rotations()[:, made.skeleton.index("left_wrist")]
     np.testing.assert_allclose(rotation_angles(wrist[0], wrist), roll, atol=0.01)
-
-
-def test_a_motion_in_place_of_its_skeleton_is_refused_with_what_to_give(moving_person):
-    with pytest.raises(MotionError, match="skeleton is a Motion, and must be a Skeleton; give its"):
-        retarget(moving_person, moving_person)
-    with pytest.raises(MotionError, match="skeleton is a str, and must be a Skeleton$"):
-        retarget(moving_person, "avatar.bvh")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 import matplotlib.colors
@@ -14,11 +13,10 @@ from PIL import Image
 from rigs import rig_of
 from scipy.spatial.transform import Rotation
 
-from audio_features import FeatureTrack, LogMel, Wave
+from audio_features import Wave
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.motion import Motion
 from gesturekit.viewer import LEFT, MIDDLE, RIGHT, DrawnBody, Figure, write_picture
-from gesturekit.viewer.feature_picture import draw_features
 from gesturekit.viewer.pictures import COLOURS
 
 
@@ -81,16 +79,6 @@ def test_files_name_us_and_no_time_of_writing(tmp_path, kind):
     data = (tmp_path / f"a.{kind.upper()}").read_bytes()
     assert b"gesturekit" in data
     assert b"dc:date" not in data and b"CreationDate" not in data
-
-
-def test_a_rig_of_one_joint_is_as_tall_as_its_end(tmp_path):
-    ends = {"root": (np.array([0.0, 1.0, 0.0]),)}
-    lone = rig_of({"root": (None, (0.0, 0.0, 0.0))}, end_sites=ends)
-    still = np.tile([0.0, 0.0, 0.0, 1.0], (90, 1, 1))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        write_picture(Motion(lone, still, np.zeros((90, 3)), 30.0), tmp_path / "a.png", frames=4)
-    assert np.ptp(widths(tmp_path / "a.png", 4)) <= 2
 
 
 def test_the_picture_with_sound_has_the_speech_on_it(tmp_path):
@@ -190,39 +178,3 @@ def test_hand_speed_is_shown_over_the_energy_of_speech(drawn):
     # Low bands are below, and the loud half is brighter.
     values = np.asarray(image.get_array())
     assert values[:, -50:].mean() > values[:, :50].mean() + 1
-
-
-def test_features_are_drawn_at_their_times(drawn, tmp_path):
-    times = 0.01 + 0.02 * np.arange(100)
-    rng = np.random.default_rng(0)
-    voiced = np.where(np.arange(100) < 50, 0.9, 0.5)
-    columns = {
-        "mfcc_0": 5 + 300 * rng.normal(size=100),
-        "mfcc_1": rng.normal(size=100),
-        "f0": np.linspace(-3, 3, 100),
-        "voicing": voiced,
-        "mel_0": np.full(100, 1.0),
-        "mel_1": np.full(100, 3.0),
-    }
-    values = np.stack(list(columns.values()), axis=1).astype(np.float32)
-    track = FeatureTrack(values, times, names=tuple(columns))
-    wave = Wave(rng.normal(0, 0.1, 32_000).astype(np.float32), 16_000)
-    path = tmp_path / r"$\frac{a$.png"  # a name, and no formula
-    draw_features(track, path, wave)
-    assert path.stat().st_size > 1000
-    titles = [axes.get_title(loc="left") for axes in drawn.kept[-1].axes]
-    for title, name in zip(titles, ("the sound", "mfcc", "f0", "voicing", "mel"), strict=True):
-        assert title.startswith(name)
-    sound, cepstra, pitch, voicing, mel = drawn.kept[-1].axes
-    spectrum = LogMel(n_mels=40).extract(wave).values.T
-    assert np.asarray(sound.images[0].get_array()) == pytest.approx(spectrum)
-    shown = np.asarray(cepstra.images[0].get_array())
-    assert shown.mean(axis=1) == pytest.approx([0, 0], abs=1e-4)
-    # Frames of 20 ms about their times, one row a column.
-    assert tuple(cepstra.images[0].get_extent()) == pytest.approx((0.0, 2.0, 0, 2))
-    assert np.asarray(mel.images[0].get_array())[:, 0].tolist() == [1, 3]
-    x, y = pitch.lines[0].get_data()
-    assert x == pytest.approx(times) and np.isnan(y[50:]).all()
-    assert y[:50] == pytest.approx(columns["f0"][:50], abs=1e-5)
-    assert voicing.lines[0].get_ydata() == pytest.approx(voiced)
-    assert {axes.get_xlim() for axes in drawn.kept[-1].axes} == {(0, 2)}
