@@ -73,7 +73,7 @@ def test_with_mismatched_speech_only_another_utterance_passes(shared_data, tmp_p
 
 
 def test_held_out_recordings_are_spoiled_and_judged_beside_training(tmp_path, gesture):
-    for k, (name, seconds) in enumerate((("a", 8.0), ("b", 5.0))):
+    for k, (name, seconds) in enumerate((("a", 5.0), ("b", 4.0))):
         gesture(seconds, 10.0, seed=k).save(tmp_path / f"{name}.npz")
     gesture(2.0, 10.0).save(tmp_path / "short.npz")
     done = run_sanity(tmp_path)
