@@ -13,7 +13,6 @@ from types import ModuleType
 import click
 import numpy as np
 import pytest
-import yaml
 from PIL import Image
 
 import audio_features as af
@@ -172,12 +171,6 @@ def test_python_snippets_compile_and_use_names_that_exist(page):
             elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
                 package = packages.get(node.value.id)
                 assert package is None or hasattr(package, node.attr), f"{code}: {node.attr}"
-
-
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_yaml_snippets_are_valid(page):
-    for text in blocks(page, "yaml"):
-        assert yaml.safe_load(text) is not None
 
 
 def anchors(page: Path) -> set[str]:

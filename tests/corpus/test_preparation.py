@@ -235,19 +235,6 @@ def test_the_last_fifth_of_a_single_recording_is_held_out(tmp_path, write_pair):
     assert prepare(tmp_path, holdout=0.0).manifest.items[0].split == "train"
 
 
-def test_speech_or_motion_alone_is_left_over_unasked(tmp_path, write_pair, write_speech, gesture):
-    write_pair(tmp_path, "a")
-    write_speech(tmp_path / "talk" / "b.flac", 2.0)
-    gesture(2.0).save(tmp_path / "dance" / "c.bvh")
-    report = prepare(tmp_path)
-    assert set(report.left_over) == {tmp_path / "talk" / "b.flac", tmp_path / "dance" / "c.bvh"}
-    assert not report.is_complete
-    report = prepare(tmp_path, unpaired=[tmp_path], unpaired_motion=[tmp_path], speaker="ann")
-    assert report.is_complete and {item.take for item in report.manifest.paired()} == {"a"}
-    assert [(item.id, item.speaker) for item in report.manifest.unpaired()] == [("talk/b", None)]
-    assert [item.id for item in report.manifest.motion_alone()] == ["dance/c"]
-
-
 def test_labels_come_from_names(tmp_path, write_pair):
     for name in ("ann/calm_1", "bob/lively_1", "bob/other"):
         write_pair(tmp_path, name, 2.0)

@@ -152,23 +152,6 @@ def test_the_chance_range_holds_95_percent_of_all_orders(n):
     assert (bound == 1.0) == (n < 5)
 
 
-def test_several_questions_and_systems_that_one_side_lacks(tmp_path):
-    lines = [
-        (f"p{r}", name, "c", question, sign * level + r)
-        for question, sign in (("human-like", 1), ("appropriate", -1))
-        for r in range(6) for name, level in zip("abcx", (9, 5, 1, 3))
-    ] + [("p0", "a", "c", "third", 1), ("p0", "b", "c", "third", 2)]  # fmt: skip
-    models = [model("a", sync=0.6), model("b", sync=0.4), model("c", sync=0.2)]
-    found = agreement(models, rated(tmp_path / "x.csv", lines))
-    assert [(q.question, q.metrics[0].kendall) for q in found.questions] == [
-        ("human-like", 1.0), ("appropriate", -1.0),
-    ]  # fmt: skip
-    assert found.notes == (
-        "left out, as they were in the study and not evaluated: x",
-        "question 'third' left out: ratings of fewer than 3 systems",
-    )
-
-
 def test_other_names_of_columns_are_read(tmp_path):
     head = "Participant ID;Condition;Stimulus;Rating;comment"
     (tmp_path / "x.csv").write_text(f"{head}\np;a;k;70;so, so\np;b;k;;\np;b;k;7e1;\np;b;k;7e1;\n")

@@ -51,18 +51,6 @@ def test_recordings_against_themselves_are_perfect(folders):
     assert values["raw_fgd"] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_the_recordings_own_value_is_that_of_the_next_recording_in_place_of_a_clip(
-    folders, tmp_path
-):
-    for i in range(4):
-        following = Motion.load(folders / "recordings" / f"clip{(i + 1) % 4}.bvh")
-        following.save(tmp_path / f"clip{i}.npz")
-    (model,) = evaluate(tmp_path, folders / "recordings").models
-    for key in ("coverage", "global_diversity", "local_diversity", "cca"):
-        result = model.metrics[key]
-        assert result.interval.value == pytest.approx(result.recording, rel=1e-4), key
-
-
 @pytest.fixture(scope="module")
 def of_samples(folders):
     return evaluate(

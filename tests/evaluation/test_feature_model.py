@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 from dataclasses import replace
 
 import numpy as np
@@ -106,15 +105,6 @@ def test_it_learns(clips):
     more = FeatureModel.fit(clips, n_frames=30, joints="upper", steps=60)
     assert more.training["unexplained"] < 0.6 * little.training["unexplained"]
     assert 0 <= fgd(clips, clips[::-1], more).value < 1e-6
-
-
-def test_steps_are_reported_and_small_sets_warned_about(clips, caplog):
-    seen = []
-    with caplog.at_level(logging.WARNING):
-        FeatureModel.fit(clips, n_frames=30, steps=3, progress=lambda *told: seen.append(told))
-    # Poses have the spread 1, and hardly change from frame to frame.
-    assert [step for step, _ in seen] == [1, 2, 3] and all(0.5 < loss < 2 for _, loss in seen)
-    assert "0.3 minutes of motion; below 10 its figures depend" in caplog.text
 
 
 @pytest.mark.parametrize(("n_frames", "variant"), [(12, "genea"), (34, "yoon"), (35, "genea")])

@@ -49,15 +49,6 @@ def test_a_motion_shifted_out_of_reach_scores_no_better_than_chance(turning, spe
     assert abs(result.z) < 2.5
 
 
-def test_unrelated_motion_scores_z_near_zero_on_average(turning, speaking, curve):
-    z = [
-        sync(turning({ELBOW: 4.0 * curve(500, seed)}), speaking(5.0 * curve(500, 100 + seed))).z
-        for seed in range(40)
-    ]
-    assert abs(np.mean(z)) < 0.5
-    assert 0.6 < np.std(z) < 1.6
-
-
 def test_the_figures_are_those_of_the_definition_written_out(turning, speaking, curve):
     fps, n = 25.0, 120
     motion = turning({ELBOW: 4.0 * curve(n, 0), SHOULDER: 2.0 * curve(n, 1)}, fps)

@@ -231,20 +231,3 @@ def test_implausible_options_are_reported(gesture, tmp_path, read, says):
     assert any(says in problem for problem in inspect(tmp_path / "a.bvh", read=read).problems)
     usual = {"height": 1.2, "unit": "cm", "up": "y"}
     assert inspect(tmp_path / "a.bvh", read=usual).problems == ()
-
-
-@pytest.mark.parametrize("parts", [{}, {"right_elbow": "RightForeArm"}])
-def test_a_rig_that_lacks_an_arm_shows_all_its_other_parts(gesture, tmp_path, parts):
-    motion = gesture(1.0)
-    kept = [name for name in motion.skeleton.names if not name.startswith(("LeftSh", "LeftArm"))]
-    kept = [name for name in kept if name not in ("LeftForeArm", "LeftHand")]
-    motion.keep(kept).save(tmp_path / "a.npz")
-    summary = inspect(tmp_path / "a.npz", parts=parts)
-    labels = summary.facts["parts"]
-    told = {name: labels[name] for name in ("Hips", "Chest", "Neck", "Head", "LeftFoot")}
-    assert list(told.values()) == ["pelvis", "spine", "neck", "head", "left ankle"]
-    assert labels["RightForeArm"] == "right elbow" and "feet" in dict(summary.rows)
-    (problem,) = summary.problems
-    assert problem.startswith("cannot identify the left arm: specify them if the rig has them")
-    assert "metrics of arms and feet are left out" in problem and len(problem) < 180
-    assert "speed" in dict(summary.rows)  # that of both hands is not known

@@ -164,20 +164,6 @@ def test_clip_names_do_not_reveal_the_system(tmp_path):
     assert "connect-src &#x27;none&#x27;" in text or "connect-src 'none'" in text
 
 
-def test_mismatched_videos_keep_the_sound_of_the_segment(tmp_path):
-    names = [f"clip{k}.mp4" for k in range(3)]
-    config = video_study(tmp_path, {"ours": names}, design="mismatch")
-    built = build_study(config, tmp_path / "out")
-    clips = tmp_path / "out" / "clips"
-    for trial in (t for one in setup_of(built.page)["lists"] for t in one):
-        own = f"ours {trial['clip']}.mp4".encode()
-        for system, side in zip(trial["systems"], trial["sides"], strict=True):
-            shown = (clips / side["video"]).read_bytes()
-            assert (shown == own) == (not system.endswith("_Mismatched"))
-            if shown != own:
-                assert (clips / side["sound"]).read_bytes() == own
-
-
 def test_the_page_has_the_settings_of_a_study(tmp_path):
     answers = ("1", "2", "3", "4", "5")
     names = ["x 1.mp4", "x 2.mp4"]

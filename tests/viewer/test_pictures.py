@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from audio_features import Wave
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.motion import Motion
-from gesturekit.viewer import LEFT, MIDDLE, RIGHT, DrawnBody, Figure, write_picture
+from gesturekit.viewer import LEFT, MIDDLE, RIGHT, DrawnBody, write_picture
 from gesturekit.viewer.pictures import COLOURS
 
 
@@ -148,33 +148,3 @@ def test_people_are_seen_from_the_front_wherever_they_stand_and_face(drawn, gest
     assert COLOURS[MIDDLE] == colours[int(np.argmax(tops))]
     (nose,) = {colour for colour in colours if colour not in COLOURS.values()}
     assert colours.count(nose) == 3
-
-
-def test_hand_speed_is_shown_over_the_energy_of_speech(drawn):
-    motion = a_swing(1.0)
-    figure = Figure.of(motion)
-    *_, speed = drawn({"a": motion, "b": motion[:30]})
-    first, second = speed.lines
-    assert first.get_xdata() == pytest.approx(np.arange(90) / 30)
-    assert first.get_ydata() == pytest.approx(figure.hand_speed)
-    assert second.get_xdata() == pytest.approx(np.arange(30) / 30)
-    top = max(1.08 * Figure.of(m).top_speed for m in (motion, motion[:30]))
-    assert [text.get_text() for text in speed.get_legend().get_texts()] == ["a", "b"]
-    # Quiet for 2 s, then loud for 2: a step of grey from none to the full height.
-    samples = np.random.default_rng(0).normal(0, 1, 64_000).astype(np.float32)
-    samples *= np.where(np.arange(64_000) < 32_000, 0.001, 0.2)
-    speech, speed, body = drawn(motion, audio=Wave(samples.astype(np.float32), 16_000))
-    assert {axes.get_xlim() for axes in (speech, speed, body)} == {(0, 4)}
-    (grey,) = speed.collections
-    outline = grey.get_paths()[0].vertices
-    top = speed.get_ylim()[1]
-    quiet, loud = (
-        outline[(outline[:, 0] > start) & (outline[:, 0] < start + 1.5), 1].max()
-        for start in (0.2, 2.2)
-    )
-    assert quiet < 0.1 * top and loud == pytest.approx(top, rel=0.01)
-    assert outline[:, 0].min() == 0 and outline[:, 0].max() == pytest.approx(3.98)
-    (image,) = speech.images
-    # Low bands are below, and the loud half is brighter.
-    values = np.asarray(image.get_array())
-    assert values[:, -50:].mean() > values[:, :50].mean() + 1
