@@ -67,15 +67,16 @@ def test_a_jump_and_a_clap_are_at_the_same_time(tmp_path, gesture):
     assert len(sound) / RATE == pytest.approx(0.4, abs=1 / 30)
 
 
-def test_a_video_that_the_disk_has_no_room_for_is_none(tmp_path, gesture):
-    """In a process whose files may not grow over 8 kB."""
+def test_a_video_that_the_disk_has_no_room_for_is_none(tmp_path, gesture, gesturekit):
+    """While the files of this process may not grow over 8 kB."""
     gesture(0.2).save(tmp_path / "a.bvh")
-    limit = {"preexec_fn": lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (8_000, 8_000))}
-    command = [sys.executable, "-m", "gesturekit", "convert", tmp_path / "a.bvh"]
-    done = subprocess.run(
-        [*command, out := tmp_path / "a.mp4"], text=True, capture_output=True, **limit
-    )
-    assert done.returncode == 1 and f"{out}: File too large" in done.stderr
+    usual = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (8_000, usual[1]))
+    try:
+        done = gesturekit("convert", tmp_path / "a.bvh", out := tmp_path / "a.mp4")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+    done.fails(1, f"{out}: File too large")
     assert not [path for path in tmp_path.iterdir() if path.suffix == ".mp4"]
 
 
