@@ -112,6 +112,7 @@ def test_scores_are_rater_centred_means(tmp_path):
     found = scored(rated(tmp_path / "x.csv", lines), ["a", "b", "c"])
     np.testing.assert_allclose(found.values, [15, 0, -15], atol=1e-8)
     assert (found.raters, found.clips, found.ratings, found.note) == (2, 1, 6, "")
+    assert f"{found.ratings} ratings" == "6 ratings", "a whole number"
 
 
 def test_missing_ratings_do_not_favour_the_system_of_kind_raters_or_easy_clips(tmp_path):

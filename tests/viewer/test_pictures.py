@@ -64,6 +64,8 @@ def test_a_plot_is_the_picture_of_the_file(tmp_path):
     a_swing(1.2).save(tmp_path / "a.png", **options)
     plot = a_swing(1.2).plot(**options)
     np.testing.assert_array_equal(plot, Image.open(tmp_path / "a.png"))
+    other = a_swing(1.2).plot(**options | {"title": "jump"})
+    assert not np.array_equal(plot, other), "its title"
 
 
 def test_a_motion_too_short_for_the_first_time_is_drawn_in_its_middle(tmp_path):
