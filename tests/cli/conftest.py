@@ -33,7 +33,7 @@ def light() -> Path:
 @pytest.fixture(params=["multires", "diffusion"])
 def recipe(request) -> tuple[object, ...]:
     """A recipe of each system that asks for no weights, and overrides that make it tiny."""
-    return (LIGHT, *TINY) if request.param == "multires" else (SMALL, *TINY_DIFFUSION)
+    return (LIGHT, *TINY, "recall=null") if request.param == "multires" else (SMALL, *TINY_DIFFUSION)
 
 
 @pytest.fixture(scope="session")

@@ -231,10 +231,10 @@ def test_files_cut_from_a_take_are_one_unit(gesturekit, gesture, tmp_path):
     assert model["figures"]["likeness"]["ceiling"]["n"] == 2, "each take against the other"
 
 
-def test_retrieval_and_speech_blind_are_compared(gesturekit, held_out, tmp_path):
+def test_retrieval_and_speech_blind_are_compared(gesturekit, model, held_out, tmp_path):
     root, items = held_out
     about = ["--corpus", root / "corpus.jsonl"]
-    gesturekit("render", *about, "--split", "test", "--model", "demo", "--out", tmp_path / "m").ok()
+    gesturekit("render", *about, "--split", "test", "--model", model, "--out", tmp_path / "m").ok()
     baselines = ("--baseline", "speech_blind,mean_pose,retrieval", "--json", tmp_path / "r.json")
     gesturekit("evaluate", tmp_path / "m", *about, *baselines).ok()
     found = {m["label"]: m for m in json.loads((tmp_path / "r.json").read_text())["models"]}
