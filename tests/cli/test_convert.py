@@ -228,10 +228,14 @@ def clip(tmp_path, gesture):
     return path
 
 
-def test_view_and_convert_write_videos_and_pictures(tmp_path, clip, gesturekit):
+@pytest.mark.stress
+def test_view_writes_videos(tmp_path, clip, gesturekit):
     gesturekit("view", clip, "-o", tmp_path / "v.mp4", "--fps", 25).ok()
     about = next(imageio_ffmpeg.read_frames(tmp_path / "v.mp4"))
     assert about["fps"] == 25.0
+
+
+def test_view_and_convert_write_pictures(tmp_path, clip, gesturekit):
     gesturekit("view", clip, clip, "-o", tmp_path / "v.svg").ok()
     assert "<svg" in (tmp_path / "v.svg").read_text(encoding="utf-8")
     gesturekit("convert", clip, tmp_path / "o", "--format", "pdf").ok()

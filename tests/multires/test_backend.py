@@ -134,7 +134,7 @@ def test_without_the_engine_auto_falls_back_and_numba_is_an_error(networks, monk
 
 
 def test_torch_trains_and_generates_as_numba(engine, make_config, tmp_path, caplog, monkeypatch):
-    short = {"training": {"first_stage": 2, "further_stages": 2, "learning_rate": 1e-5}}
+    short = {"training": {"first_stage": 1, "further_stages": 1, "learning_rate": 1e-5}}
     folders, motions = {}, {}
     for name in ("numba", "torch"):
         with caplog.at_level(logging.INFO):

@@ -27,7 +27,7 @@ def folder(gesture, tmp_path_factory):
     where = tmp_path_factory.mktemp("held")
     swaying(gesture(5.0, seed=1)).save(where / "clip.bvh")
     prepare([], where / "clip.jsonl", unpaired_motion=[where], holdout=0.0)
-    training = {"window": None, "first_stage": 40, "further_stages": 20, "learning_rate": 2e-3}
+    training = {"window": None, "first_stage": 24, "further_stages": 12, "learning_rate": 2e-3}
     training |= {"batch": 4, "renew_every": 50}
     network = {"channels": [3, 3], "embedding": 64}
     changes = {"features": None, "network": network, "training": training}
