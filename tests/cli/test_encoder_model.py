@@ -39,7 +39,7 @@ def test_from_weights_to_motion(
     if kind == "hf":
         parts = f"[{{kind: hf, path: {weights}, layer: 2}}, {{kind: prosody}}]"
         config, setting = light, f"features.extractors={parts}"
-    done = gesturekit("train", config, f"corpus={corpus}", f"out={run}", setting, *tiny, "recall=null")
+    done = gesturekit("train", config, f"corpus={corpus}", f"out={run}", setting, *tiny)
     assert done.status == 0 and f"Model: {run / 'model'}" in done.out, done.err
     spec = yaml.safe_load((run / "model" / "config.yaml").read_text())["features"]["spec"]
     assert f"'kind': '{kind}'" in str(spec) and "path" not in str(spec)
@@ -89,7 +89,7 @@ def test_a_model_takes_a_speech_and_a_text_encoder(
     both = f"[{{kind: wavlm, layer: 2}}, {{kind: words, encoder: {text}, layer: 1}}]"
     files = (f"corpus={tmp_path / 'corpus.jsonl'}", f"out={tmp_path / 'run'}")
     features = (f"features.extractors={both}", f"features.weights={wavlm}")
-    done = gesturekit("train", light, *files, *features, *tiny, "recall=null").ok()
+    done = gesturekit("train", light, *files, *features, *tiny).ok()
     named = ("--weights", f"wavlm={wavlm}", "--weights", f"words={text}")
     assert " ".join(named) in done.out
     assert gesturekit("train", "--resume", tmp_path / "run").status == 0
@@ -145,7 +145,7 @@ def test_a_model_of_components(
 ):
     weights, run = tmp_path / "wavlm", tmp_path / "run"
     write_wavlm(weights)
-    settings = (*tiny, "recall=null") if recipe.startswith("multires") else DIFFUSION
+    settings = tiny if recipe.startswith("multires") else DIFFUSION
     given = (f"corpus={corpus}", f"out={run}", f"features.weights={weights}", *settings)
     gesturekit("train", RECIPES / f"{recipe}.yaml", *given).ok()
     tensors = load_file(run / "model" / "model.safetensors")

@@ -223,7 +223,8 @@ def test_files_cut_from_a_take_are_one_unit(gesturekit, gesture, tmp_path):
     for k in range(6):
         for seed, folder in ((k, "recorded"), (9 + k, "made")):
             gesture(2.0, 25.0, seed=seed).save(tmp_path / folder / f"day{k % 2}_part{k}.npz")
-    measured = ("evaluate", tmp_path / "made", tmp_path / "recorded", "--json", tmp_path / "r.json", "--workers", 1)
+    folders = (tmp_path / "made", tmp_path / "recorded")
+    measured = ("evaluate", *folders, "--json", tmp_path / "r.json", "--workers", 1)
     for more, has_interval in (((), True), (("--take-pattern", "(.*)_part"), False)):
         gesturekit(*measured, *more).ok()
         (model,) = json.loads((tmp_path / "r.json").read_text())["models"]

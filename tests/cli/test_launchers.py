@@ -240,37 +240,3 @@ def test_a_job_that_is_preempted_is_requeued_and_goes_on(render, tmp_path):
     assert "Caught signal SIGUSR2" in job.stderr() and " kept in " in job.stderr()
     assert results(out) == results(tmp_path / "plain")
     assert sorted(one["id"] for one in finished(out)) == sorted(str(number) for number in range(40))
-
-
-@pytest.mark.stress
-def test_shards_of_a_lost_ray_node_are_run_again(render, tmp_path, monkeypatch):
-    ray = pytest.importorskip("ray")
-    from ray.cluster_utils import Cluster
-
-    assert render("plain", files=40).exit_code == 0
-    root = str(Path(__file__).resolve().parents[2])
-    monkeypatch.setenv("PYTHONPATH", root)
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
-    second = cluster.add_node(num_cpus=1)
-    try:
-        import threading
-
-        out = tmp_path / "out"
-
-        def lose() -> None:
-            while len(results(out)) < 4:
-                time.sleep(0.05)
-            cluster.remove_node(second, allow_graceful=False)
-
-        thread = threading.Thread(target=lose, daemon=True)
-        thread.start()
-        jobs = ("--launcher", "ray", "--jobs", "4", "--address", cluster.address)
-        done = render("out", *jobs, files=40)
-        thread.join(60)
-        assert done.exit_code == 0, done.output
-        assert "was lost with its node" in done.output
-    finally:
-        ray.shutdown()
-        cluster.shutdown()
-    assert results(out) == results(tmp_path / "plain")
-    assert sorted(one["id"] for one in finished(out)) == sorted(str(number) for number in range(40))

@@ -90,7 +90,7 @@ def test_without_the_package_the_model_says_what_to_install(
         install(tmp_path / "site", patch)
         given = (f"corpus={own_corpus}", f"out={tmp_path / 'run'}")
         extractors = "features.extractors=[{kind: loudness}]"
-        tiny = (*tiny, "recall=null")
+        tiny = (*tiny)
         gesturekit("train", light, *given, *tiny, extractors).ok()
         gesturekit(*render).ok()
         done = gesturekit("features", speech, "--extractor", "loudness", "--out", tmp_path / "f")
@@ -125,7 +125,7 @@ def test_a_service_refuses_a_model_of_files_and_missing_files_are_named(
     own_corpus, gesturekit, light, tiny, tmp_path
 ):
     given = (f"corpus={own_corpus}", f"out={tmp_path / 'run'}")
-    train = ("train", light, *given, *tiny, "recall=null", "features.extractors=[{kind: files, dim: 2}]")
+    train = ("train", light, *given, *tiny, "features.extractors=[{kind: files, dim: 2}]")
     own = tmp_path / "corpus" / "b.npz"
     away = own.rename(tmp_path / "away.npz")
     gesturekit(*train).fails(2, "b.wav: no file of feat")

@@ -5,10 +5,6 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from fractions import Fraction
 from math import floor
 from pathlib import Path
@@ -279,40 +275,6 @@ def test_a_damaged_model_is_refused_in_one_line(render, model, wav, tmp_path, na
     (line,) = render(wav, "--model", copy).fails(2).err.splitlines()
     assert line.startswith("Error: ") and str(copy) in line and says in line
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.stress
-def test_ctrl_c_leaves_whole_files_only(model, wav, tmp_path):
-    folder, out = tmp_path / "many", tmp_path / "out"
-    folder.mkdir()
-    for i in range(300):
-        shutil.copy(wav, folder / f"{i:03d}.wav")
-    command = [sys.executable, "-m", "gesturekit", "render", folder, "--model", model]
-    command += ["--out", out, "--format", "npz,html"]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    # A shell that runs the tests in the background has children ignore SIGINT.
-    heeding = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.default_int_handler)}
-    running = subprocess.Popen(command, **pipes, **heeding)
-    deadline = time.monotonic() + 60
-    while not (out / "001.html").exists():
-        assert running.poll() is None and time.monotonic() < deadline, running.communicate()
-        time.sleep(0.01)
-    for pause in (0.1, 0.02, 0.3):  # of somebody in a hurry
-        running.send_signal(signal.SIGINT)
-        time.sleep(pause)
-    output = running.communicate(timeout=60)[1]
-    assert running.returncode == 130 and "Traceback" not in output
-    assert re.search(
-        r"^Interrupted\. \d+ rendered in .*; the same command continues$", output, re.M
-    )
-    assert 2 <= len(names(out)) < 600
-    for path in map(out.joinpath, names(out)):
-        assert re.fullmatch(r"\d{3}\.(npz|html)", path.name), "nothing temporary is left"
-        if path.suffix == ".npz":
-            assert Motion.load(path).n_frames == 45
-        else:
-            assert path.read_text(encoding="utf-8").rstrip().endswith("</html>")
-    assert not [path for path in out.iterdir() if path.name.startswith((".0", ".1", ".2"))]
 
 
 def test_a_rerun_says_what_it_kept_and_what_it_refuses(render, wav, tmp_path):

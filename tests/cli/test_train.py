@@ -20,7 +20,6 @@ from gesturekit.errors import ConfigError
 from gesturekit.inspection import inspect
 from gesturekit.multires import Stage
 from gesturekit.systems import resolved_settings
-from gesturekit.training import HeldOutMetrics
 
 
 @pytest.fixture
@@ -29,7 +28,7 @@ def train(gesturekit, light, corpus, tiny, tmp_path):
 
     def run(*arguments: object):
         files = (f"corpus={corpus}", f"out={tmp_path / 'run'}")
-        return gesturekit("train", light, *files, *tiny, "recall=null", *arguments)
+        return gesturekit("train", light, *files, *tiny, *arguments)
 
     return run
 
@@ -220,18 +219,6 @@ def test_a_file_that_was_swapped_after_prepare_is_named(
     assert str(swapped) in caplog.text and "speech.bvh" not in caplog.text
 
 
-@pytest.mark.stress
-def test_frequent_evaluation_does_not_change_weights(train, one_recording, tmp_path, monkeypatch):
-    corpus = f"corpus={one_recording}"
-    assert train(corpus).status == 0
-    due = iter([False, True, True])
-    monkeypatch.setattr(HeldOutMetrics, "is_due", lambda self: next(due, False))
-    assert train(corpus, f"out={tmp_path / 'other'}").status == 0
-    assert '"kind": "held_out"' in (tmp_path / "other" / "metrics.jsonl").read_text()
-    weights = [tmp_path / run / "model" / "model.safetensors" for run in ("run", "other")]
-    assert weights[0].read_bytes() == weights[1].read_bytes()
-
-
 def test_a_new_run_is_planned_and_its_processes_are_a_setting(gesturekit, light):
     for option in ("--plan", "--arrays"):
         done = gesturekit("train", light, "--resume", option)
@@ -318,7 +305,7 @@ def test_unused_styles_and_speakers_are_reported(
     styles = "2 styles in the corpus, none used; styles={} trains with them"
     speakers = "2 speakers in the corpus, none used: gestures are those of all of them, and "
     for name, settings, said in (
-        ("plain", ["recall=null"], (True, True)),
+        ("plain", [], (True, True)),
         ("recalled", ["styles={}", "recall.level=2"], (False, False)),
     ):
         caplog.clear()

@@ -36,8 +36,8 @@ def test_a_run_leaves_metrics_checkpoints_and_a_model_that_moves(make_config):
 
 def test_training_learns_to_predict_noise(make_config):
     config = make_config(
-        network={"channels": 32},
-        training={"updates": 50, "learning_rate": 1e-2, "window": 1.0},
+        network={"channels": 64},
+        training={"updates": 60, "learning_rate": 5e-3, "window": 1.0},
         log_every=10,
     )
     train(config)

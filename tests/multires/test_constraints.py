@@ -411,23 +411,6 @@ def test_beside_a_clip_pose_and_velocity_go_on(representation, normaliser):
         np.testing.assert_allclose(found[np.r_[:10, 41:60]], 0.0, atol=1e-6)
 
 
-def test_labels_of_contact_and_steps_do_not_go_on_with_their_velocity(representation, normaliser):
-    """A clip stands, and goes by 0.1 m in its last frame: after it steps are blended to 0."""
-    clip = posed(representation, 11)
-    clip.translation[10, 0] = 0.1
-    own, found = constrained(representation, normaliser, {0.0: clip}, 40)
-    x = representation.layout.root_xz[0]
-    steps = found[:, x] * representation.scale
-    np.testing.assert_allclose(steps[10], 0.1, atol=1e-6)
-    share = smoothstep(1 - np.arange(1, 11) / 10)
-    np.testing.assert_allclose(steps[11:21], 0.1 * share, atol=1e-6)
-    labels = found[:, representation.layout.contacts]
-    assert (labels[9] == 1).all() and (np.abs(labels[10]) < 1e-6).all()
-    gap = own[20, representation.layout.contacts] - labels[10]
-    expected = labels[10] + np.outer(1 - share, gap)
-    np.testing.assert_allclose(labels[11:21], expected, atol=1e-6)
-
-
 def test_at_coarse_levels_clips_are_shorter_and_keep_their_pose(representation, normaliser):
     """At level 1 frame k of 18 is at (k + 0.5) 32 / 18 - 0.5 of 32."""
     clip = posed(representation, 9, (0.0, 1.3, 0.0))
@@ -475,14 +458,3 @@ def test_a_walk_goes_on_from_the_end_of_a_clip_to_the_first_frame_of_the_next(
     np.testing.assert_allclose(steps[:10], np.tile([0.02, 0.0], (10, 1)), atol=1e-6)
     np.testing.assert_allclose(steps[30:], np.tile([0.0, 0.03], (10, 1)), atol=1e-6)
     np.testing.assert_allclose(steps[10:31].sum(axis=0), [0.5 - 0.18, -1.0], atol=1e-6)
-
-
-def test_large_steps_between_clips_are_limited_below_the_finest_level(representation, normaliser):
-    first, last = posed(representation, 10), posed(representation, 10, (50.0, 1.1, 0.0))
-    x = representation.layout.root_xz[0]
-    limit = float(normaliser.mean[x] + 3 * normaliser.scale[x])
-    for level in (0, 1, 2):
-        clips = {0.0: first, 1.2: last}
-        _, found = constrained(representation, normaliser, clips, 40, level=level)
-        largest = found[:, x].max()
-        assert largest == pytest.approx(limit) if level < 2 else largest > 10 * limit

@@ -77,22 +77,6 @@ def test_the_root_follows_a_path_and_faces_along_it(model):
     assert 0.5 < spread / own < 2
 
 
-@pytest.mark.parametrize(
-    ("fastest", "speed", "warns"),
-    [(0.4, 0.49, False), (0.4, 0.51, True), (0.01, 0.09, False)],
-)
-def test_a_quarter_faster_than_the_fastest_second_or_a_slow_stroll_is_no_matter(
-    model, caplog, fastest, speed, warns
-):
-    """A stroll of 0.1 m/s for a body of the usual size, whatever was recorded."""
-    scale = model.representation.scale
-    places = np.outer(np.arange(30) / 25 * speed * scale, [0.6, 0.8])
-    own = replace(model, fastest=fastest * scale)
-    own.generate(path=RootPath(places, np.zeros(30), 25.0), foot_lock=False)
-    words = f"the path goes {speed * scale:.2f} m/s; nothing in the training was faster than "
-    assert (f"{words}{fastest * scale:.2f} m/s" in caplog.text) == warns
-
-
 def test_a_clip_is_continued_without_a_seam(model, gesture):
     clip = swaying(gesture(3.0, seed=1)).resample(25.0)
     clip = turned_about(clip, 2.0)
