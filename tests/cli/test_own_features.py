@@ -90,7 +90,6 @@ def test_without_the_package_the_model_says_what_to_install(
         install(tmp_path / "site", patch)
         given = (f"corpus={own_corpus}", f"out={tmp_path / 'run'}")
         extractors = "features.extractors=[{kind: loudness}]"
-        tiny = (*tiny)
         gesturekit("train", light, *given, *tiny, extractors).ok()
         gesturekit(*render).ok()
         done = gesturekit("features", speech, "--extractor", "loudness", "--out", tmp_path / "f")

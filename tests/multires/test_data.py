@@ -139,22 +139,6 @@ def test_a_window_longer_than_its_clip_continues_with_another(make_config):
         assert all(count % part == 0 for part, count in zip(parts[:-1], counts[:-1], strict=True))
 
 
-def test_real_motions_beside_a_whole_clip_have_its_style_and_are_no_longer(make_config, batches_of):
-    config = make_config(training={"window": None})
-    data = load_training_data(config)
-    paired = tuple(
-        replace(sequence, style=i, motion=torch.full_like(sequence.motion, i))
-        for i, sequence in enumerate(data.paired)
-    )
-    batches = batches_of(config, replace(data, paired=paired), first=2)
-    rng = torch.Generator().manual_seed(0)
-    for clip, style, n_frames in ((125, 0, 125), (125, 1, 63), (40, 1, 40)):
-        coarse, fine = batches.reals(clip, rng, [style])
-        assert (coarse == style).all() and (fine == style).all()
-        assert [coarse.shape[-1], fine.shape[-1]] == level_lengths(n_frames, 4)[2:]
-    assert {float(batches.reals(40, rng)[0].max()) for _ in range(20)} == {0.0, 1.0}
-
-
 @pytest.mark.parametrize(("window", "share"), [(None, 1 / 2), (3.0, 63 / (150 + 63))])
 def test_recordings_are_drawn_equally_but_windows_by_frames(make_config, batches_of, window, share):
     batches = batches_of(make_config(training={"window": window}))

@@ -28,7 +28,7 @@ SETTINGS = {
     "diffusion": {
         "network": SMALL,
         "noise": {"steps": 8, "last_beta": 0.5, "predict": "clean"},
-        "training": {"updates": 90, "batch": 8, "window": 2.0, "learning_rate": 5e-3},
+        "training": {"updates": 120, "batch": 8, "window": 2.0, "learning_rate": 5e-3},
     },
 }
 
