@@ -94,19 +94,3 @@ def test_shards_count_from_one(text):
     assert parse_shard("8/8") == (8, 8) and parse_shard("1/99999") == (1, 99_999)
     with pytest.raises(ConfigError, match="expected a number of 1 to N"):
         parse_shard(text)
-
-
-MILLION = """
-import json, resource, sys, time
-from pathlib import Path
-begin = time.process_time()
-from gesturekit.jobs.plan import Plan
-from gesturekit.jobs.status import status_of
-folder = Path(sys.argv[2])
-if sys.argv[1] == "plan":
-    count = len(list(Plan.open(folder / ".gesturekit" / "plan.jsonl").tasks()))
-else:
-    count = status_of(folder).done
-took = time.process_time() - begin
-print(json.dumps([count, took, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss]))
-"""

@@ -20,7 +20,6 @@ from gesturekit.motion import RootPath, quaternion_from_rotation_vector, rotate_
 from gesturekit.motion.heading import heading
 from gesturekit.multires import MultiresRepresentation, Normaliser, resample
 from gesturekit.multires.constraints.constraint import (
-    clamped_steps,
     fastest_second,
     turned,
     turned_plane,
@@ -93,19 +92,6 @@ def test_turned_vectors_are_those_of_the_turned_motion(recorded, representation)
         found = turned(values, angle, representation.layout)
         np.testing.assert_allclose(found, expected, atol=1e-9)
     np.testing.assert_array_equal(values, before)
-
-
-def test_only_steps_of_the_root_are_limited_to_three_standard_deviations(representation):
-    layout = representation.layout
-    vectors = torch.full((1, representation.n_features, 4), -7.0)
-    vectors[..., 2:] = 2.5
-    vectors[:, layout.root_xz[1], 0] = 9.0
-    found = clamped_steps(vectors, layout)
-    x, z = found[0, layout.root_xz].tolist()
-    assert x == [-3, -3, 2.5, 2.5] and z == [3, -3, 2.5, 2.5]
-    others = np.delete(np.arange(representation.n_features), layout.root_xz)
-    torch.testing.assert_close(found[:, others], vectors[:, others])
-    assert vectors.min() == -7
 
 
 @pytest.mark.parametrize(
@@ -329,20 +315,6 @@ def test_the_speed_between_clips_is_that_from_end_to_begin(representation):
     clips = InbetweenClips({0.0: walks, 4.0: there, 8.0: later}, representation, FPS)
     assert clips.fastest_gap() == pytest.approx(0.5 * FPS / 51)
     assert InbetweenClips({1.0: walks}, representation, FPS).fastest_gap() == 0.0
-
-
-def test_weights_of_clips_fall_beside_them(representation):
-    """At 10 fps within 4 frames: the smoothstep of 3/4, 1/2 and 1/4 is 27/32, 1/2 and 5/32."""
-    clip = replace(posed(representation, 5), fps=10.0)
-    fall = [27 / 32, 1 / 2, 5 / 32]
-    rise = fall[::-1]
-    one = InbetweenClips({1.0: clip}, representation, 10.0)
-    expected = [0.0] * 7 + rise + [1.0] * 5 + fall + [0.0] * 3
-    assert one.given(21).tolist() == expected
-    # At the ends they are cut, and between two clips the larger one counts.
-    two = InbetweenClips({0.2: clip, 1.1: clip}, representation, 10.0)
-    between = [27 / 32, 1 / 2, 1 / 2, 27 / 32]
-    assert two.given(18).tolist() == [*rise[1:], *[1.0] * 5, *between, *[1.0] * 5, *fall[:2]]
 
 
 def hand_at(motion: Motion, angle: float) -> Motion:

@@ -51,10 +51,6 @@ class Maker:
         return np.full((3, 2), self.value), {"id": item.id}
 
 
-class OtherMaker(Maker):
-    """Makes arrays of another kind."""
-
-
 def items(*names: str) -> list[Item]:
     return [Item(id=n, audio=None, motion=Path(f"/{n}.bvh"), duration=1.0) for n in names]
 
