@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from types import MappingProxyType
 from typing import Any
 
 
 def attach(
-    package: str, homes: Mapping[str, str]
+    package: str, homes: Mapping[str, str], others: Mapping[str, str] = MappingProxyType({})
 ) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
     """Return `__all__`, `__getattr__` and `__dir__` of a package.
 
@@ -17,11 +18,14 @@ def attach(
     Args:
         package: its `__name__`.
         homes: {public name: module inside the package}.
+        others: the same for names that are imported within the project, but are no part of the
+            documented interface.
     """
+    places = {**homes, **others}
 
     def get(name: str) -> Any:
-        if name not in homes:
+        if name not in places:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(f"{package}.{homes[name]}"), name)
+        return getattr(import_module(f"{package}.{places[name]}"), name)
 
     return sorted(homes), get, lambda: sorted(homes)

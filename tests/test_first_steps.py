@@ -33,8 +33,3 @@ def test_the_notebook_shows_motion_plots_and_a_verdict(tmp_path, monkeypatch):
     r, chance = map(float, re.search(r"sync r (\S+), by chance (\S+)", text).groups())
     assert r > 0.4 > chance
     assert "the speaker" in text and "arm speed" in text
-
-
-def test_the_pages_that_the_notebook_links_to_exist():
-    links = re.findall(r"\]\((\w+\.md)\)", NOTEBOOK.read_text(encoding="utf-8"))
-    assert links and all((NOTEBOOK.parent / link).is_file() for link in links)

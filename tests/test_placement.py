@@ -29,7 +29,7 @@ def model(request, gesture) -> gk.Model:
 
 @pytest.fixture(scope="module")
 def wave() -> af.Wave:
-    return af.Wave.load(bundled_speech(), duration=4.0)
+    return af.Wave.load(bundled_speech(), duration=2.0)
 
 
 def bent(model: gk.Model) -> gk.Motion:

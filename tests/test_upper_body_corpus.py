@@ -10,8 +10,6 @@ import pytest
 
 import gesturekit as gk
 from gesturekit.corpus import prepare
-from gesturekit.evaluation import evaluate
-from gesturekit.inspection import inspect
 from gesturekit.motion import Motion
 from gesturekit.multires import motion_parts
 from gesturekit.training.recipes import recipe_table
@@ -72,22 +70,3 @@ def test_diffusion_trains_and_renders_it(corpus, recordings, gesturekit, tmp_pat
     assert "cannot be identified" not in caplog.text
     made = gk.load(tmp_path / "run").generate(recordings / "a.wav")
     assert made.n_frames == 180 and np.isfinite(made.positions()).all()
-
-
-def test_its_arms_are_measured_and_its_feet_said_to_be_missing(recordings, gesture, tmp_path):
-    for seed, stem in enumerate(("a", "b")):
-        upper(gesture(6.0, seed=10 + seed)).save(tmp_path / f"{stem}.npz")
-    (model,) = evaluate({"m": tmp_path}, recordings, audio=recordings).models
-    measured = {"sync", "arm_speed", "wrist_speed", "hand_q50", "reach", "novelty"}
-    assert measured <= set(model.metrics)
-    missing = {item.what: item.reason for item in model.excluded}
-    assert missing["Foot skate"] == missing["Floor penetration"] == "the rig has no legs"
-
-
-def test_inspect_reports_missing_legs_as_information(recordings):
-    summary = inspect(recordings / "a.bvh")
-    assert summary.problems == ()
-    rows = dict(summary.rows)
-    assert rows["legs"].startswith("no legs: upper body only")
-    assert "as a whole person, by its arms" in rows["body"] and "hands" in rows
-    assert summary.facts["parts"]["LeftForeArm"] == "left elbow"

@@ -6,8 +6,9 @@ Diffusion Models, SIGGRAPH 2023.
 
 from gesturekit.lazy import attach
 
-__all__, __getattr__, __dir__ = attach(
+__getattr__ = attach(
     __name__,
+    {},
     {
         "Batches": "training.batches",
         "Conditions": "conditions",
@@ -34,4 +35,4 @@ __all__, __getattr__, __dir__ = attach(
         "train": "training.trainer",
         "wants_beats": "events",
     },
-)
+)[1]

@@ -3,8 +3,9 @@ motion."""
 
 from gesturekit.lazy import attach
 
-__all__, __getattr__, __dir__ = attach(
+__getattr__ = attach(
     __name__,
+    {},
     {
         "Batch": "run",
         "Execution": "run",
@@ -29,4 +30,4 @@ __all__, __getattr__, __dir__ = attach(
         "status_of": "status",
         "write_plan": "plan",
     },
-)
+)[1]

@@ -2,8 +2,9 @@
 
 from gesturekit.lazy import attach
 
-__all__, __getattr__, __dir__ = attach(
+__getattr__ = attach(
     __name__,
+    {},
     {
         "Output": "renderer",
         "Renderer": "renderer",
@@ -25,4 +26,4 @@ __all__, __getattr__, __dir__ = attach(
         "split_sounds": "samples",
         "task_wave": "inputs",
     },
-)
+)[1]

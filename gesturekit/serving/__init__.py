@@ -2,11 +2,12 @@
 
 from gesturekit.lazy import attach
 
-__all__, __getattr__, __dir__ = attach(
+__getattr__ = attach(
     __name__,
+    {},
     {
         "Limits": "requests",
         "Rate": "requests",
         "create_app": "app",
     },
-)
+)[1]

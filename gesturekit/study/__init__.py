@@ -8,13 +8,15 @@ from gesturekit.lazy import attach
 __all__, __getattr__, __dir__ = attach(
     __name__,
     {
+        "StudyConfig": "config",
+        "build_study": "build",
+        "analyse_study": "analysis.result",
+        "write_study_report": "analysis.report",
+        "raters_needed": "analysis.significance",
+    },
+    {
         "CODES": "build",
         "REASONS": "build",
-        "StudyConfig": "config",
         "Votes": "analysis.votes",
-        "analyse_study": "analysis.result",
-        "build_study": "build",
-        "raters_needed": "analysis.significance",
-        "write_study_report": "analysis.report",
     },
 )

@@ -2,8 +2,9 @@
 
 from gesturekit.lazy import attach
 
-__all__, __getattr__, __dir__ = attach(
+__getattr__ = attach(
     __name__,
+    {},
     {
         "ArrayFolder": "data.arrays",
         "Checkpoints": "run.checkpoint",
@@ -32,4 +33,4 @@ __all__, __getattr__, __dir__ = attach(
         "to_dict": "config",
         "unused_labels": "data.sources",
     },
-)
+)[1]

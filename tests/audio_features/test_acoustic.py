@@ -39,15 +39,6 @@ def columns(track, name: str) -> np.ndarray:
     return track.values[:, track.names.index(name)]
 
 
-def test_shapes_times_and_names(speech):
-    for extractor, dim in ((LogMel(), 24), (MFCC(), 20), (Prosody(), 4), (EVERYTHING, 48)):
-        track = extractor.extract(speech)
-        assert track.values.shape == (400, dim)
-        assert extractor.dim == dim and track.names == extractor.names
-        assert track.spec == extractor.spec
-        np.testing.assert_allclose(track.times, np.arange(400) / 100)
-
-
 def test_the_same_words_20_db_quieter_in_16_bits_give_the_same_features(speech, tmp_path):
     tracks = []
     room = 1e-4 * np.random.default_rng(0).standard_normal(len(speech.samples))

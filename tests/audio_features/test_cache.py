@@ -159,23 +159,6 @@ def test_clearing_removes_entries_and_nothing_else(tmp_path, wave):
     assert cache.contents().entries == 0 and cache.clear().entries == 0
 
 
-def test_the_environment_names_folder_and_size(tmp_path, monkeypatch):
-    monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "here"))
-    monkeypatch.setenv("GESTUREKIT_CACHE_GB", "0.5")
-    cache = af.cache_from_environment()
-    assert cache.folder == tmp_path / "here" and cache.max_bytes == 5 * 10**8
-    monkeypatch.delenv("GESTUREKIT_CACHE")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
-    monkeypatch.delenv("GESTUREKIT_CACHE_GB")
-    cache = af.cache_from_environment()
-    assert cache.max_bytes == 20 * 10**9
-    assert sys.platform != "linux" or cache.folder == tmp_path / "xdg" / "gesturekit"
-    for wrong in ("much", "-1"):
-        monkeypatch.setenv("GESTUREKIT_CACHE_GB", wrong)
-        with pytest.raises(af.AudioFeaturesError, match="GESTUREKIT_CACHE_GB"):
-            af.cache_from_environment()
-
-
 WRITER = """
 import sys
 import numpy as np

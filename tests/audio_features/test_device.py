@@ -30,14 +30,12 @@ def apart(make, wave: af.Wave) -> float:
     ids=str,
 )
 def test_wavlm(gpu, wavlm_folder, speech, settings, largest):
-    # 16 s: more chunks of two seconds than a GPU takes at once.
-    long = af.Wave(np.tile(speech.samples, 4), speech.sample_rate)
-    assert apart(lambda d: af.WavLM(wavlm_folder, device=d, **settings), long) < largest
+    if settings == CHUNKS:  # 16 s: more chunks of two seconds than a GPU takes at once
+        speech = af.Wave(np.tile(speech.samples, 4), speech.sample_rate)
+    assert apart(lambda d: af.WavLM(wavlm_folder, device=d, **settings), speech) < largest
 
 
-@pytest.mark.parametrize(
-    "name", ["hubert", "wav2vec2", "data2vec-audio", "wavlm", "wav2vec2-bert", "whisper"]
-)
+@pytest.mark.parametrize("name", ["hubert", "wav2vec2-bert", "whisper"])
 def test_encoders_of_hugging_face(gpu, tmp_path, write_encoder, speech, name):
     write_encoder(tmp_path / "encoder", name)
     assert apart(lambda d: af.HuggingFace(tmp_path / "encoder", device=d, **CHUNKS), speech) < 1e-5

@@ -42,8 +42,3 @@ def test_a_spec_makes_the_same_extractor_again(extractor, speech):
 def test_wrong_specs_are_refused(spec, word):
     with pytest.raises(af.FeatureError, match=word):
         af.extractor_from_spec(spec)
-
-
-def test_a_stack_refuses_the_same_columns_twice():
-    with pytest.raises(af.FeatureError, match="mel_0"):
-        af.Stack([af.LogMel(24), af.LogMel(40)])

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,23 +12,6 @@ def test_level_lengths_of_the_paper():
     # 250, 187.5, 140.6, 105.5, 79.1, 59.3, 44.5, 33.4, 25.0, 18.8
     assert af.level_lengths(250, 10) == [19, 25, 33, 44, 59, 79, 105, 141, 188, 250]
     assert af.level_lengths(3, 8)[0] == 1
-
-
-@settings(max_examples=25, deadline=None)
-@given(n=st.integers(1, 5_000), levels=st.integers(1, 14))
-def test_level_lengths_never_fall_and_end_at_the_full_rate(n, levels):
-    lengths = af.level_lengths(n, levels)
-    assert len(lengths) == levels and lengths[-1] == n and lengths[0] >= 1
-    assert lengths == sorted(lengths)
-
-
-@settings(max_examples=25, deadline=None)
-@given(n_in=st.integers(1, 300), n_out=st.integers(1, 300))
-def test_interpolation_is_torchs_linear_without_aligned_corners(n_in, n_out):
-    values = np.random.default_rng(n_in).standard_normal((n_in, 3))
-    given, how = torch.from_numpy(values.T.copy())[None], {"mode": "linear", "align_corners": False}
-    expected = torch.nn.functional.interpolate(given, size=n_out, **how)[0].numpy()
-    np.testing.assert_allclose(af.resample_frames(values, n_out), expected.T, atol=1e-10)
 
 
 @settings(max_examples=25, deadline=None)

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -52,26 +48,3 @@ try:
 except af.FeatureError as error:
     print(error)
 """
-
-
-@pytest.mark.stress
-def test_a_broken_torchaudio_does_no_harm(write_wavlm, tmp_path):
-    """As the registry's torchaudio is beside a CPU build of torch: it cannot be imported."""
-    folder = tmp_path / "wavlm"
-    write_wavlm(folder)
-    package = tmp_path / "site" / "torchaudio"
-    package.mkdir(parents=True)
-    (package / "__init__.py").write_text("raise OSError('libtorch_cuda.so: cannot open')")
-    # What makes other packages believe that it is installed.
-    about = tmp_path / "site" / "torchaudio-2.11.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: torchaudio\nVersion: 2.11.0\n")
-    path = os.pathsep.join([str(tmp_path / "site"), os.environ.get("PYTHONPATH", "")])
-    command = [sys.executable, "-c", USE_EVERYTHING, folder, tmp_path / "values.npy"]
-    environment = {**os.environ, "PYTHONPATH": path}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "backend='torchaudio'" in done.stdout and "libtorch_cuda.so" in done.stdout
-    wave = af.Wave(0.1 * np.random.default_rng(0).standard_normal(32000).astype("f4"), 22050)
-    expected = af.WavLM(folder).extract(wave).values
-    np.testing.assert_allclose(np.load(tmp_path / "values.npy"), expected, atol=1e-4)

@@ -34,15 +34,6 @@ def test_gaussian_has_a_standard_deviation_of_one_motion_frame():
     np.testing.assert_allclose(smooth[:, 2], 7.0, rtol=1e-6)
 
 
-@pytest.mark.parametrize("fps", [25, 30, 29.97, 120])
-def test_frames_are_placed_by_true_time(ramp, fps):
-    track = ramp.to_rate(fps)
-    inside = (track.times >= ramp.times[0]) & (track.times <= ramp.times[-1])
-    np.testing.assert_allclose(track.times, np.arange(len(track.times)) / fps, atol=1e-12)
-    np.testing.assert_allclose(track.values[inside, 0], track.times[inside], atol=1e-5)
-    assert track.times[-1] <= ramp.times[-1] < track.times[-1] + 1 / fps
-
-
 def test_mean_averages_what_lies_within_each_motion_frame(ramp):
     track = ramp.to_rate(10.0, n_frames=100, method="mean")
     for k in (0, 1, 50, 99):

@@ -118,22 +118,6 @@ def test_a_list_in_another_encoding_is_refused(tmp_path, content):
         af.load_words(tmp_path / "a.ctm")
 
 
-def test_words_as_features(tmp_path, write_speech):
-    wav = write_speech(tmp_path / "talk.wav", 3.0)
-    (tmp_path / "talk.TextGrid").write_text(LONG)
-    wave = af.Wave.load(wav)
-    track = af.extractor_from_spec({"kind": "words"}).extract(wave)
-    word, onset, gap, rate = track.values.T
-    np.testing.assert_array_equal(np.flatnonzero(onset), [20, 50, 200])
-    spoken = [*range(20, 100), *range(200, 225)]
-    np.testing.assert_array_equal(word, np.isin(np.arange(300), spoken))
-    assert gap[10] == pytest.approx(np.log1p(0.2)) and gap[150] == pytest.approx(np.log1p(1.0))
-    assert gap[60] == 0 and gap[290] == pytest.approx(np.log1p(0.75))
-    assert rate.sum() / 100 == pytest.approx(3, abs=0.6) and rate[40] > rate[150]
-    later = af.Words().extract(af.Wave.load(wav, start=1.5))
-    np.testing.assert_array_equal(np.flatnonzero(later.values[:, 1]), [50])
-
-
 def test_values_of_words_by_hand(tmp_path):
     """A word within another, one without length, and one that begins before the sound."""
     words = "x 1 1.5 1.0 a\nx 1 3 2 b\nx 1 3.5 0.5 c\nx 1 8 0 d\nx 1 12 1 e\n"

@@ -13,7 +13,13 @@ RECIPES = Path(__file__).resolve().parents[2] / "recipes"
 LIGHT = RECIPES / "multires_speech" / "light.yaml"
 SMALL = RECIPES / "diffusion_speech" / "small.yaml"
 DEBUG = recipe_table()["debug"]
-TINY = (*DEBUG["multires"], "fps=25", "network.levels=6", "training.discriminator_steps=1")
+TINY = (
+    *DEBUG["multires"],
+    "fps=25",
+    "network.levels=6",
+    "training.discriminator_steps=1",
+    "recall=null",
+)
 TINY_DIFFUSION = (*DEBUG["diffusion"], "noise.steps=8", "training.updates=6")
 TINY_DIFFUSION += ("features.extractors=[{kind: logmel}]",)
 
@@ -41,7 +47,6 @@ def model(corpus, tmp_path_factory) -> Path:
     """A model folder, by `gesturekit train`; its motion is of no use, but it is motion."""
     run = tmp_path_factory.mktemp("runs") / "tiny"
     with pytest.raises(SystemExit) as left:
-        # Its finest level is the sixth, which the recipe would recall.
         main(["train", str(LIGHT), f"corpus={corpus}", f"out={run}", *TINY, "recall.level=2"])
     assert left.value.code == 0
     return run / "model"

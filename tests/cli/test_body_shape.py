@@ -20,7 +20,7 @@ WITHOUT_SPEECH = {
 }
 
 
-@pytest.fixture(params=WITHOUT_SPEECH)
+@pytest.fixture(params=["multires", pytest.param("diffusion", marks=pytest.mark.stress)])
 def train(request, gesturekit, tmp_path, monkeypatch) -> Callable[..., tuple[Path, str]]:
     """train(name, recordings, *options of prepare, start_from=None): model, and what was said."""
     monkeypatch.setenv("GESTUREKIT_BACKEND", "torch")  # nothing to compile

@@ -138,7 +138,11 @@ DIFFUSION = (
 
 
 @pytest.mark.parametrize(
-    "recipe, count, dim", [("multires_speech/wavlm", 24, 31), ("diffusion_speech/small", 5, 8)]
+    "recipe, count, dim",
+    [
+        pytest.param("multires_speech/wavlm", 24, 31, marks=pytest.mark.stress),
+        ("diffusion_speech/small", 5, 8),
+    ],
 )
 def test_a_model_of_components(
     gesturekit, corpus, write_speech, write_wavlm, tmp_path, tiny, recipe, count, dim

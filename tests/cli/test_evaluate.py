@@ -38,7 +38,8 @@ def folders(tmp_path_factory, write_pair, gesture) -> Path:
 @pytest.fixture
 def evaluate(gesturekit, folders):
     """evaluate(*options): the command, of the folder "ours" against the recordings."""
-    return lambda *more: gesturekit("evaluate", folders / "ours", folders / "recordings", *more)
+    own = ("evaluate", folders / "ours", folders / "recordings", "--workers", 1)
+    return lambda *more: gesturekit(*own, *more)
 
 
 def test_it_prints_a_table_and_writes_report_and_json(evaluate, folders, tmp_path, monkeypatch):
@@ -222,7 +223,8 @@ def test_files_cut_from_a_take_are_one_unit(gesturekit, gesture, tmp_path):
     for k in range(6):
         for seed, folder in ((k, "recorded"), (9 + k, "made")):
             gesture(2.0, 25.0, seed=seed).save(tmp_path / folder / f"day{k % 2}_part{k}.npz")
-    measured = ("evaluate", tmp_path / "made", tmp_path / "recorded", "--json", tmp_path / "r.json")
+    folders = (tmp_path / "made", tmp_path / "recorded")
+    measured = ("evaluate", *folders, "--json", tmp_path / "r.json", "--workers", 1)
     for more, has_interval in (((), True), (("--take-pattern", "(.*)_part"), False)):
         gesturekit(*measured, *more).ok()
         (model,) = json.loads((tmp_path / "r.json").read_text())["models"]
@@ -231,11 +233,12 @@ def test_files_cut_from_a_take_are_one_unit(gesturekit, gesture, tmp_path):
     assert model["figures"]["likeness"]["ceiling"]["n"] == 2, "each take against the other"
 
 
-def test_retrieval_and_speech_blind_are_compared(gesturekit, held_out, tmp_path):
+def test_retrieval_and_speech_blind_are_compared(gesturekit, model, held_out, tmp_path):
     root, items = held_out
     about = ["--corpus", root / "corpus.jsonl"]
-    gesturekit("render", *about, "--split", "test", "--model", "demo", "--out", tmp_path / "m").ok()
+    gesturekit("render", *about, "--split", "test", "--model", model, "--out", tmp_path / "m").ok()
     baselines = ("--baseline", "speech_blind,mean_pose,retrieval", "--json", tmp_path / "r.json")
+    baselines += ("--workers", 1)
     gesturekit("evaluate", tmp_path / "m", *about, *baselines).ok()
     found = {m["label"]: m for m in json.loads((tmp_path / "r.json").read_text())["models"]}
     assert [*found] == ["m", "retrieval", "speech_blind", "mean_pose"]
@@ -278,7 +281,7 @@ def test_an_item_without_a_clip_is_left_out(gesturekit, held_out, tmp_path):
 
 def test_tables_have_a_line_for_each_metric_and_stable_columns(gesturekit, folders, tmp_path):
     gesturekit(
-        *("evaluate", f"a_1={folders / 'ours'}", folders / "recordings"),
+        *("evaluate", f"a_1={folders / 'ours'}", folders / "recordings", "--workers", 1),
         *("--compare", f"50% <b>={folders / 'baseline'}", "--csv", tmp_path / "t.csv"),
         *("--markdown", tmp_path / "t.md", "--latex", tmp_path / "t.tex"),
         *("--json", tmp_path / "r.json"),
@@ -343,7 +346,7 @@ def test_sanity_prints_its_table_and_names_what_it_left_out(gesturekit, write_pa
         write_pair(recordings, f"clip{i}", 3.0, fps=25.0, seed=i)
     write_pair(recordings, "mute", 3.0, fps=25.0)
     (recordings / "mute.wav").write_bytes(b"RIFF")
-    done = gesturekit("evaluate", "--sanity", recordings, "--out", page)
+    done = gesturekit("evaluate", "--sanity", recordings, "--out", page, "--workers", 1)
     done.fails(1, "Left out: mute: ")
     assert "In time with the speech?" in done.out and "half reach" in done.out
     assert f"written  {page}" in done.out and "Known-bad motion" in page.read_text()

@@ -42,21 +42,6 @@ def test_the_state_of_a_run_is_shown_at_any_time(gesturekit, model, sounds, tmp_
     assert page.read_text().count("<img") == 4 and "cannot be read as sound" in page.read_text()
 
 
-def test_a_clock_that_was_set_back_does_not_reorder_results(gesturekit, gesture, tmp_path):
-    """A file fails, the clock is set back by a day, the file is mended: it is done."""
-    source, out = tmp_path / "in.bvh", tmp_path / "out"
-    source.write_text("HIERARCHY\n")
-    arguments = ["convert", source, out, "--format", "npz"]
-    assert gesturekit(*arguments).status == 1
-    (journal,) = (out / STATE / "journal").iterdir()
-    lines = [json.loads(line) for line in journal.read_text().splitlines()]
-    later = [{**line, "time": line["time"] + 86_400} for line in lines]
-    journal.write_text("".join(f"{json.dumps(line)}\n" for line in later))
-    gesture(1.0).save(source)
-    assert gesturekit(*arguments).status == 0
-    assert "done 1, failed 0, left 0" in gesturekit("jobs", out).out
-
-
 def begun(folder: Path, *names: str) -> Journal:
     """The journal of a run over items of these names."""
     (folder / STATE / "journal").mkdir(parents=True)

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
-import time
 from contextlib import nullcontext
-from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
-from outputs import finished, results
+from outputs import results
 
 from gesturekit.cli import cli
-from gesturekit.cli.launchers import ShardCommand
 from gesturekit.jobs import status_of
 
 
@@ -209,68 +204,3 @@ def test_options_of_the_launcher_replace_the_usual_ones(gesturekit, tmp_path, mo
     assert slurm.place["cluster"] == "debug" and len(slurm.shards) == 1, "one job without --jobs"
     gesturekit(*command, "wrong=1").fails(2, "slurm: Unknown argument 'wrong'")
     gesturekit(*command, "a b=1").fails(2, "--launcher-option a b=1: expected KEY=VALUE")
-
-
-def child_of(parent: int) -> int:
-    """Process id of the only child of a process."""
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = path.read_text().rpartition(")")[2].split()
-        except OSError:  # it ended
-            continue
-        if int(fields[1]) == parent:
-            return int(path.parent.name)
-    raise AssertionError(f"process {parent} has no child")
-
-
-@pytest.mark.stress
-def test_a_job_that_is_preempted_is_requeued_and_goes_on(render, tmp_path):
-    submitit = pytest.importorskip("submitit")
-    assert render("plain", files=40).exit_code == 0
-    executor = submitit.LocalExecutor(tmp_path / "jobs")
-    arguments = ("render", "speech", "--model", "demo", "--out", "out")
-    job = executor.submit(ShardCommand(arguments, str(tmp_path)), "1/1")
-    out = tmp_path / "out"
-    for _ in range(1200):
-        if len(results(out)) >= 3:
-            break
-        time.sleep(0.05)
-    os.kill(child_of(job._process.pid), signal.SIGUSR2)  # as Slurm does before it ends a job
-    assert job.result() == 0
-    assert "Caught signal SIGUSR2" in job.stderr() and " kept in " in job.stderr()
-    assert results(out) == results(tmp_path / "plain")
-    assert sorted(one["id"] for one in finished(out)) == sorted(str(number) for number in range(40))
-
-
-@pytest.mark.stress
-def test_shards_of_a_lost_ray_node_are_run_again(render, tmp_path, monkeypatch):
-    ray = pytest.importorskip("ray")
-    from ray.cluster_utils import Cluster
-
-    assert render("plain", files=40).exit_code == 0
-    root = str(Path(__file__).resolve().parents[2])
-    monkeypatch.setenv("PYTHONPATH", root)
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
-    second = cluster.add_node(num_cpus=1)
-    try:
-        import threading
-
-        out = tmp_path / "out"
-
-        def lose() -> None:
-            while len(results(out)) < 4:
-                time.sleep(0.05)
-            cluster.remove_node(second, allow_graceful=False)
-
-        thread = threading.Thread(target=lose, daemon=True)
-        thread.start()
-        jobs = ("--launcher", "ray", "--jobs", "4", "--address", cluster.address)
-        done = render("out", *jobs, files=40)
-        thread.join(60)
-        assert done.exit_code == 0, done.output
-        assert "was lost with its node" in done.output
-    finally:
-        ray.shutdown()
-        cluster.shutdown()
-    assert results(out) == results(tmp_path / "plain")
-    assert sorted(one["id"] for one in finished(out)) == sorted(str(number) for number in range(40))

@@ -50,8 +50,6 @@ def test_own_features_from_training_to_motion(
 ):
     install(tmp_path / "site", monkeypatch)
     config, *tiny = recipe
-    if config.parent.name.startswith("multires"):
-        tiny.append("recall.level=2")  # its finest level would copy recordings
     given = (f"corpus={own_corpus}", f"out={tmp_path / 'run'}")
     trained = gesturekit("train", config, *given, *tiny, EXTRACTORS).ok()
     assert "It needs STEM.own.npy with 3 columns, beside each sound" in trained.out

@@ -94,6 +94,13 @@ def test_a_folder_keeps_its_structure_and_a_broken_file_is_skipped(gesture, fram
     assert Motion.load(out / "capture.bvh").n_frames == 12
 
 
+def test_files_of_a_folder_that_only_another_program_reads_are_named(gesture, tmp_path):
+    gesture(0.5).save(tmp_path / "in" / "a.bvh")
+    (tmp_path / "in" / "b.fbx").write_bytes(b"x")
+    with pytest.warns(UserWarning, match="fbx"):
+        outcomes(tmp_path / "in", tmp_path / "out", formats=["npz"])
+
+
 def test_results_among_the_inputs_are_not_converted_again(gesture, tmp_path):
     folder = tmp_path / "takes"
     folder.mkdir()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,14 +63,14 @@ def write(tmp_path, talk):
     return pair
 
 
-@pytest.mark.parametrize("shift", [-3.0, -0.3, 0.0, 1.0])
+@pytest.mark.parametrize("shift", [-3.0, 0.0, 0.3])
 def test_an_added_shift_is_found(talk, shift):
-    found = correlate(talk(90, shift), voice(90))
+    found = correlate(talk(60, shift), voice(60))
     assert found.is_clear and found.is_notable == (shift != 0)
     assert found.shift == pytest.approx(shift, abs=0.06)
 
 
-@pytest.mark.parametrize("shift", [-1.0, 0.0, 0.3])
+@pytest.mark.parametrize("shift", [-1.0, 0.3])
 def test_an_added_shift_of_a_real_recording_is_found(shared_data, shift):
     motion = Motion.load(shared_data / f"{REAL}.bvh")
     wave = af.Wave.load(shared_data / f"{REAL}.wav")
@@ -83,15 +82,8 @@ def test_an_added_shift_of_a_real_recording_is_found(shared_data, shift):
 
 
 def test_sound_of_another_recording_says_nothing(talk):
-    each = [correlate(talk(60, 0, seed), voice(60, seed + 50)) for seed in range(5)]
+    each = [correlate(talk(60, 0, seed), voice(60, seed + 50)) for seed in range(3)]
     assert not any(one.is_clear for one in [*each, pooled(each)])
-
-
-def test_neither_level_nor_frame_rate_matters(talk):
-    motion, wave = talk(90, 1.0), voice(90)
-    quiet = replace(wave, samples=0.1 * wave.samples)
-    for found in (correlate(motion, quiet), correlate(motion.resample(60), wave)):
-        assert found.shift == pytest.approx(1.0, abs=0.06) and found.is_clear
 
 
 def test_nothing_is_made_of_too_little(talk, skeleton, quadruped):
@@ -110,7 +102,7 @@ def test_nothing_is_made_of_too_little(talk, skeleton, quadruped):
 @pytest.mark.parametrize("shift", [-1.2, 0.0])
 def test_prepare_warns_and_the_option_that_it_names_corrects_it(write, shift):
     """Files of equal length, which begin together by their frames."""
-    folder = write("a", 90, shift)
+    folder = write("a", 60, shift)
     report = prepare(folder)
     lines = [text for text in report.problem_lines() if "after" in text or "before" in text]
     assert len(lines) == (shift != 0)
@@ -130,7 +122,7 @@ def test_prepare_warns_and_the_option_that_it_names_corrects_it(write, shift):
         assert item.motion_start == pytest.approx(max(named, 0), abs=0.04)
         assert item.motion_start - item.audio_start == pytest.approx(named, abs=1e-6)
         total = sum(one.duration for one in report.manifest)
-        assert total == pytest.approx(90 - abs(named), abs=0.1)
+        assert total == pytest.approx(60 - abs(named), abs=0.1)
         assert not [line for line in report.problem_lines() if "--shift" in line]
     (line,) = [line for line in report.problem_lines() if "shifted" in line]
     assert re.search(rf"a.npz: shifted: the motion came \{named:+.2f} s after the sound", line)
@@ -148,9 +140,9 @@ def test_short_recordings_say_it_together(write):
 
 
 def test_a_recording_that_is_apart_from_the_others_is_named(write):
-    write("good", 90, 0.0)
-    write("more", 90, 0.0, seed=3)
-    folder = write("late", 90, 2.0, seed=7)
+    write("good", 60, 0.0)
+    write("more", 60, 0.0, seed=3)
+    folder = write("late", 60, 2.0, seed=7)
     (line,) = [text for text in prepare(folder).problem_lines() if "the motion comes" in text]
     named = re.search(r"late.npz: the motion comes ([\d.]+) s after .*--shift auto", line)
     assert float(named[1]) == pytest.approx(2.0, abs=0.06)

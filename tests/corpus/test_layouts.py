@@ -252,18 +252,3 @@ def test_layouts_that_cannot_be_used(tmp_path):
         assert f"\n| `{layout}` |" in page
         with pytest.raises(CorpusError, match="nowhere: no such folder"):
             prepare(tmp_path / "nowhere", layout=layout)
-
-
-def test_hold_outs_by_name(tmp_path, write_pair):
-    for seed, name in enumerate(("ann/a1", "ann/a2", "bob/b1", "bob/b2")):
-        write_pair(tmp_path / "in", name, 1.0, seed=seed)
-    names = tmp_path / "test.txt"
-    names.write_text("a1.wav\nbob/b2\n\n")
-    for options, wanted in (
-        ({"hold_out_list": names}, {"ann/a1", "bob/b2"}),
-        ({"hold_out_speakers": "ann"}, {"ann/a1", "ann/a2"}),
-        ({"hold_out_pattern": r"1$", "hold_out_speakers": ["bob"]}, {"ann/a1", "bob/b1", "bob/b2"}),
-    ):
-        report = prepare(tmp_path / "in", style_pattern="(?P<speaker>ann|bob)/", **options)
-        assert {item.id for item in report.manifest if item.split == "test"} == wanted
-        assert {item.split for item in report.manifest} == {"train", "test"}

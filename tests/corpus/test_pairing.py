@@ -57,22 +57,6 @@ def test_similar_names_are_a_pair_with_a_warning(tmp_path, speech, motion):
     assert len(result.speech) == len(result.motion) == 1
 
 
-def test_similar_names_of_several_files_are_left_over(tmp_path):
-    touch(tmp_path, "a_mic.wav", "a_voice.wav", "a.bvh")
-    result, names = paired(tmp_path)
-    assert not names and len(result.speech) == 2 and len(result.motion) == 1
-    (problem,) = result.problems
-    assert "a_mic.wav and a.bvh, a_voice.wav and a.bvh; rename one" in problem.message
-
-
-def test_near_names_are_not_paired_but_named(tmp_path):
-    touch(tmp_path, "003.wav", "003_mocap_v2.bvh", "04_wav_final.wav", "04.bvh", "5.wav", "6.bvh")
-    result, names = paired(tmp_path)
-    assert not names and result.problems[0].severity == "warning"
-    near = "003.wav and 003_mocap_v2.bvh, 04_wav_final.wav and 04.bvh; rename one of each"
-    assert result.problems[0].message.endswith(f": {near}")
-
-
 @pytest.mark.parametrize(
     "names", ["a.wav a.flac a.bvh", "a.wav x/a.bvh y/a.npz", "x/a.wav y/a.wav z/a.bvh"]
 )

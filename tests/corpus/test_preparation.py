@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 import re
 import shutil
 from dataclasses import replace
@@ -12,7 +11,7 @@ from rigs import nameless
 
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import CorpusError
-from gesturekit.motion import Motion, body_height
+from gesturekit.motion import body_height
 
 
 def errors(report):
@@ -50,27 +49,6 @@ def test_pairs_become_items_of_a_manifest_that_loads(tmp_path, write_pair):
     first = out.read_bytes()
     prepare(tmp_path / "in", out, speaker="ann")
     assert out.read_bytes() == first, "the same folders give the same bytes"
-
-
-def test_an_easymocap_folder_is_a_recording(tmp_path, write_speech, gesturekit):
-    """It pairs with a sound of its name; --person chooses, and the manifest keeps it."""
-    folder = tmp_path / "in" / "take.1" / "smpl"
-    folder.mkdir(parents=True)
-    for t in range(60):
-        turns = [[0.2 + 0.01 * t * person] * 72 for person in (1, 2)]
-        people = [
-            {"id": i, "Rh": [[1.5, 0, 0]], "Th": [[0, 0, 1]], "poses": [turn], "shapes": [[0] * 10]}
-            for i, turn in enumerate(turns)
-        ]
-        (folder / f"{t:06d}.json").write_text(json.dumps(people))
-    write_speech(tmp_path / "in" / "take.1.wav", 2.0)
-    prepared = ("prepare", tmp_path / "in", "--out", tmp_path / "c.jsonl", "--person", 1)
-    gesturekit(*prepared, "--in-fps", 30).ok()
-    (item,) = Manifest.load(tmp_path / "c.jsonl").paired()
-    assert item.motion == folder.parent and item.reading == {"person": 1, "fps": 30.0}
-    read, want = item.load_motion(), Motion.load(folder.parent, person=1, fps=30.0)
-    first = round(item.motion_start * 30)  # a rest pose is trimmed
-    np.testing.assert_array_equal(read.rotations, want.rotations[first : first + read.n_frames])
 
 
 def test_words_beside_a_recording_become_features_on_motion_frames(tmp_path, write_pair):
@@ -257,19 +235,6 @@ def test_the_last_fifth_of_a_single_recording_is_held_out(tmp_path, write_pair):
     assert prepare(tmp_path, holdout=0.0).manifest.items[0].split == "train"
 
 
-def test_speech_or_motion_alone_is_left_over_unasked(tmp_path, write_pair, write_speech, gesture):
-    write_pair(tmp_path, "a")
-    write_speech(tmp_path / "talk" / "b.flac", 2.0)
-    gesture(2.0).save(tmp_path / "dance" / "c.bvh")
-    report = prepare(tmp_path)
-    assert set(report.left_over) == {tmp_path / "talk" / "b.flac", tmp_path / "dance" / "c.bvh"}
-    assert not report.is_complete
-    report = prepare(tmp_path, unpaired=[tmp_path], unpaired_motion=[tmp_path], speaker="ann")
-    assert report.is_complete and {item.take for item in report.manifest.paired()} == {"a"}
-    assert [(item.id, item.speaker) for item in report.manifest.unpaired()] == [("talk/b", None)]
-    assert [item.id for item in report.manifest.motion_alone()] == ["dance/c"]
-
-
 def test_labels_come_from_names(tmp_path, write_pair):
     for name in ("ann/calm_1", "bob/lively_1", "bob/other"):
         write_pair(tmp_path, name, 2.0)
@@ -299,23 +264,6 @@ def test_labels_come_from_names(tmp_path, write_pair):
 def test_invalid_arguments_are_refused_before_anything_is_read(tmp_path, options, message):
     with pytest.raises(CorpusError, match=message):
         prepare(tmp_path, **options)
-
-
-def test_the_report_reads_as_a_table_with_every_problem(tmp_path, write_pair, write_speech):
-    for name, fps in (("a", 30.0), ("b", 120.0), ("c", 120.0)):
-        write_pair(tmp_path, name, 2.0, fps=fps)
-    for i in range(5):
-        write_speech(tmp_path / "talk" / f"s{i}.wav", 1.0, rate=22050)
-    text = str(prepare(tmp_path, style="calm"))
-    for says in (
-        "paired        3 recordings, 6.0 s: train 2 (4.0 s), test 1 (2.0 s)",
-        "frame rates   120 fps (2), 30 fps (1)",
-        "styles        calm (3)",
-        "speakers      none named",
-        "frame rates differ: 30 (1), 120 (2); training resamples them to one",
-        f"speech without motion in {tmp_path / 'talk'}: s0.wav, s1.wav, s2.wav and 2 more",
-    ):
-        assert says in text
 
 
 def test_tables_beside_a_recording_go_with_it_and_are_cut_as_it_is(tmp_path, write_pair):
@@ -376,25 +324,3 @@ def test_of_a_bvh_and_an_npz_of_one_name_one_is_used(tmp_path, write_pair, gestu
     assert "of a bvh and an npz of one name" in note and report.is_complete
     alone = prepare([], unpaired_motion=[tmp_path], holdout=0.5)
     assert [item.motion.name for item in alone.manifest] == ["a.npz", "b.npz"]
-
-
-def test_bodies_of_very_different_size_are_warned_about(gesture, tmp_path):
-    for name, factor in (("a", 1.0), ("b", 1.05), ("c", 2.54)):
-        gesture(2.0).scaled(factor).save(tmp_path / f"{name}.npz")
-    report = prepare([], unpaired_motion=tmp_path)
-    (warning,) = (text for text in report.problem_lines() if text.startswith("warning: "))
-    assert "c.npz" in warning and "a.npz" not in warning
-    assert "--in-unit" in warning and "--height" in warning
-    (tmp_path / "c.npz").unlink()
-    assert "warning" not in str(prepare([], unpaired_motion=tmp_path))
-
-
-@pytest.mark.stress
-def test_processes_give_the_same_manifest_and_problems(tmp_path, write_pair):
-    for name in "abcd":
-        write_pair(tmp_path / "in", name, 1.0)
-    (tmp_path / "in" / "b.bvh").write_text("Dear diary,\n")
-    one = prepare(tmp_path / "in", tmp_path / "one.jsonl")
-    two = prepare(tmp_path / "in", tmp_path / "two.jsonl", workers=2)
-    assert (tmp_path / "one.jsonl").read_bytes() == (tmp_path / "two.jsonl").read_bytes()
-    assert one.problems == two.problems and len(one.problems) >= 1

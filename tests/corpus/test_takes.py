@@ -87,9 +87,3 @@ def test_neighbours_are_counted_by_the_takes_of_the_training_split():
     assert "of the same take (t1): 1 of 2. They" in neighbours(items, "test")
     assert "of the same take (t2): 1 of 1. They" in neighbours(items, "valid")
     assert neighbours(items, "train") == neighbours(items[3:4]) == neighbours([]) == ""
-
-
-def test_files_of_the_only_take_are_split_and_that_is_said(sessions, tmp_path):
-    report = prepare(sessions, tmp_path / "corpus.jsonl", take_pattern="_part")
-    assert takes_by_split(report.manifest) == {"train": {"_part"}, "test": {"_part"}}
-    assert "neighbours in training, of the same take (_part): 1 of 1" in str(report)

@@ -9,7 +9,6 @@ import torch
 
 from gesturekit.diffusion import NetworkConfig
 from gesturekit.diffusion.network.attention import (
-    Band,
     PositionBias,
     attend,
     bands,
@@ -86,22 +85,3 @@ def test_blocks_equal_the_full_computation():
         assert [band.blocks[0].last for band in made] == [48, 100]
         ours = attend(q, k, v, made, 0.0)
     torch.testing.assert_close(ours.double(), exact, atol=1e-5, rtol=1e-5)
-
-
-def test_gradients_of_blocks_equal_those_of_the_full_computation():
-    config, n_frames = NetworkConfig(heads=2, channels=16, kernels=5), 260
-    bias = bent_bias(config)
-    q, k, v = torch.randn(3, 1, 2, n_frames, 8, generator=rng_for("qkv")).requires_grad_()
-    weight = torch.randn(1, 2, n_frames, 8, generator=rng_for("weight"))
-    inputs = [q, k, v, bias.amplitudes, bias.offsets, bias.widths, bias.floors]
-
-    def gradients(made: list[Band]) -> list[torch.Tensor]:
-        return torch.autograd.grad((attend(q, k, v, made, 0.0) * weight).sum(), inputs)
-
-    whole = blocks_of(n_frames, n_frames, 1)
-    assert len(bands(bias, n_frames)) == 2
-    short = gradients(bands(bias, n_frames))
-    full = gradients([Band(0, 2, whole, bias_of_blocks(bias.table(n_frames), whole))])
-    for ours, exact in zip(short, full, strict=True):
-        assert exact.abs().max() > 1e-3
-        torch.testing.assert_close(ours, exact, atol=2e-5, rtol=2e-4)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from gesturekit.diffusion import DeltaRepresentation
 from gesturekit.diffusion.training.augmentation import (
     mirror_condition,
-    phases,
     stretch,
     stretch_factor,
 )
@@ -102,16 +99,3 @@ def test_conditions_are_mirrored_with_the_motion():
     assert mirror_condition(made, **columns, path_offset=offset) == pytest.approx(condition)
     with pytest.raises(ConfigError, match=r"'kickLeft': mirrored it would be 'kickRight'"):
         mirror_condition(condition, events=slice(4, 5), event_names=("kickLeft",))
-
-
-def test_every_frame_of_a_fast_recording_is_used(gesture):
-    motion = gesture(3.0, 60.0)
-    first, second = phases(motion, 30.0)
-    assert (first.start, second.start) == (0.0, pytest.approx(1 / 60))
-    assert first.motion.fps == second.motion.fps == 30.0
-    assert first.motion.rotations == pytest.approx(motion.rotations[::2])
-    assert second.motion.rotations == pytest.approx(motion.rotations[1::2])
-    for fps, count in ((120.0, 4), (25.0, 1), (75.0, 1), (60.0 + 1e-9, 2),
-                       (300.00024, 10), (300.0004, 1)):  # fmt: skip
-        assert len(phases(replace(motion, fps=fps), 30.0)) == count
-    assert len(phases(motion[:1], 30.0)) == 1

@@ -13,7 +13,6 @@ from gesturekit.corpus import Manifest, prepare
 from gesturekit.diffusion import Batches, DiffusionModel, load_training_data, smooth_path, train
 from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.errors import ConfigError, CorpusError
-from gesturekit.motion import RootPath
 
 PLAIN = {"mirror": False, "stretch": 0.0}
 
@@ -181,9 +180,3 @@ def test_a_run_goes_on_from_a_model_with_its_rig_and_normalisation(make_config, 
     ):
         with pytest.raises(ConfigError, match=told):
             load_training_data(make_config(start_from=str(model), **wrong))
-
-
-def table(path: RootPath) -> str:
-    rows = zip(np.arange(path.n_frames) / path.fps, *path.positions.T, path.headings, strict=True)
-    lines = (f"{t:.6f},{x:.6f},{z:.6f},{np.degrees(angle):.6f}" for t, x, z, angle in rows)
-    return "\n".join(["time,x,z,heading", *lines])

@@ -75,7 +75,7 @@ QUICK = {"steps": 4, "foot_lock": False}
 FEW = {"seconds": 3.0, **QUICK}
 MIXED = {"style": "old:0.25,angry:0.75", "guidance": 1.5}
 REQUESTS = {
-    "published": lambda of: of["styled"].generate(**{**FEW, "steps": None}, style="old"),
+    "published": lambda of: of["styled"].generate(seconds=1.0, foot_lock=False, style="old"),
     "dpm": lambda of: of["other"].generate(**FEW),
     "ddim": lambda of: of["other"].generate(**FEW, solver="ddim"),
     "long": lambda of: of["other"].generate(**{**FEW, "seconds": 20.0}),

@@ -118,7 +118,7 @@ def test_statistics_are_those_of_a_sample(config_of, tmp_path, write_pair):
 @pytest.mark.parametrize("kind", ["speech", pytest.param("path", marks=pytest.mark.stress)])
 def test_a_run_from_disk_is_resumed_to_the_last_bit(config_of, tmp_path, kind):
     whole, cut = (
-        config_of(kind, **ON_DISK, out=str(tmp_path / name), eval_every=6, training={"changes": 0})
+        config_of(kind, **ON_DISK, out=str(tmp_path / name), training={"changes": 0})
         for name in ("whole", "cut")
     )
     train(whole)

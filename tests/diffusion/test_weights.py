@@ -61,18 +61,6 @@ def test_one_mixture_at_all_times(wanted, weights):
     np.testing.assert_allclose(found, np.tile(weights, (40, 1)))
 
 
-def test_mixtures_in_spans_become_one_another():
-    found = style_weights(NAMES, "old:-0.5@0-4,angry:1.5@0-4,angry@4-8", 240, 30.0)
-    np.testing.assert_allclose(found[:100], np.tile([-0.5, 1.5, 0], (100, 1)), atol=1e-6)
-    np.testing.assert_allclose(found[140:], np.tile([0, 1, 0], (100, 1)), atol=1e-6)
-    assert (np.diff(found[104:136, 0]) > 0).all()
-    np.testing.assert_allclose(found.sum(axis=1), 1, atol=1e-6)
-    # The name of the third style ends as a weight does.
-    found = style_weights(NAMES, "calm:1@0-4,old:0.5@4-8,calm:1:0.5@4-8", 240, 30.0)
-    np.testing.assert_allclose(found[:100], np.tile([0, 0, 1], (100, 1)), atol=1e-6)
-    np.testing.assert_allclose(found[140:], np.tile([0.5, 0, 0.5], (100, 1)), atol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("wanted", "told"),
     [

@@ -51,9 +51,9 @@ def test_few_seeds_or_a_single_clip_are_refused_with_what_to_do(levels):
 
 def test_a_report_has_it_for_models_with_nine_samples(gesture, tmp_path):
     for clip in range(2):
-        gesture(2.0, 25.0, seed=clip).save(tmp_path / "recorded" / f"c{clip}.npz")
+        gesture(1.0, 15.0, seed=clip).save(tmp_path / "recorded" / f"c{clip}.npz")
         for k in range(1, 10):
-            gesture(2.0, 25.0, seed=10 * clip + k).save(tmp_path / "made" / f"c{clip}_s{k}.npz")
+            gesture(1.0, 15.0, seed=10 * clip + k).save(tmp_path / "made" / f"c{clip}_s{k}.npz")
     (model,) = evaluate(tmp_path / "made", tmp_path / "recorded").models
     assert model.metrics["calibration"].note == "2 clips of 9 samples"
     assert model.metrics["sharpness"].recording == 1.0

@@ -12,7 +12,7 @@ import pytest
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation import Variants, evaluate, interval_warnings
-from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion import Motion
 
 
 @pytest.fixture(scope="module")
@@ -21,10 +21,10 @@ def folders(tmp_path_factory, gesture, write_speech) -> Path:
     root = tmp_path_factory.mktemp("folders")
     for i in range(4):
         stem = f"clip{i}"
-        gesture(4.0, 25.0, seed=i).save(root / "recordings" / f"{stem}.bvh")
-        write_speech(root / "sound" / f"{stem}.wav", 4.0)
+        gesture(2.5, 25.0, seed=i).save(root / "recordings" / f"{stem}.bvh")
+        write_speech(root / "sound" / f"{stem}.wav", 2.5)
         for sample in (1, 2):
-            motion = gesture(4.0, 25.0, seed=10 * i + sample)
+            motion = gesture(2.5, 25.0, seed=10 * i + sample)
             motion.save(root / "samples" / f"{stem}_s{sample}.npz")
     return root
 
@@ -51,21 +51,15 @@ def test_recordings_against_themselves_are_perfect(folders):
     assert values["raw_fgd"] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_the_recordings_own_value_is_that_of_the_next_recording_in_place_of_a_clip(
-    folders, tmp_path
-):
-    for i in range(4):
-        following = Motion.load(folders / "recordings" / f"clip{(i + 1) % 4}.bvh")
-        following.save(tmp_path / f"clip{i}.npz")
-    (model,) = evaluate(tmp_path, folders / "recordings").models
-    for key in ("coverage", "global_diversity", "local_diversity", "cca"):
-        result = model.metrics[key]
-        assert result.interval.value == pytest.approx(result.recording, rel=1e-4), key
+@pytest.fixture(scope="module")
+def of_samples(folders):
+    return evaluate(
+        {"samples": folders / "samples"}, folders / "recordings", audio=folders / "sound"
+    )
 
 
-def test_samples_of_one_recording_count_as_one_draw(folders):
-    found = evaluate(folders / "samples", folders / "recordings", audio=folders / "sound")
-    (model,) = found.models
+def test_samples_of_one_recording_count_as_one_draw(of_samples):
+    (model,) = of_samples.models
     interval = model.metrics["arm_speed"].interval
     assert (interval.n, interval.units, interval.over) == (8, 4, "takes")
     clips = {clip.pair.name: clip.metrics["arm_speed"] for clip in model.clips}
@@ -85,14 +79,14 @@ def test_pieces_of_one_file_are_one_take(tmp_path, gesture, files):
     for k in range(6):
         recording = tmp_path / f"take{k % files}.npz"
         if k < files:
-            gesture(12.0, 25.0, seed=k).save(recording)
+            gesture(6.0, 15.0, seed=k).save(recording)
         items.append(
-            Item(id=f"c{k}", audio=None, motion=recording, motion_start=2.0 * k, duration=2.0,
+            Item(id=f"c{k}", audio=None, motion=recording, motion_start=1.0 * k, duration=1.0,
                  split="test")
         )  # fmt: skip
-        gesture(2.0, 25.0, seed=50 + k).save(tmp_path / "made" / f"c{k}.npz")
+        gesture(1.0, 15.0, seed=50 + k).save(tmp_path / "made" / f"c{k}.npz")
     Manifest(items).save(tmp_path / "corpus.jsonl")
-    found = evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", split="test")
+    found = evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", split="test", cheap=True)
     metrics = found.models[0].metrics
     for interval in (metrics[key].interval for key in ("reach", "hellinger", "arm_speed")):
         assert interval.count == f"{files} take{'s' * (files > 1)}, 6 clips"
@@ -103,36 +97,33 @@ def test_pieces_of_one_file_are_one_take(tmp_path, gesture, files):
     assert len(list(interval_warnings(found))) == (files == 1)
 
 
-def test_the_same_seed_gives_the_same_json_whatever_other_files_exist(folders, tmp_path):
+def test_the_same_seed_gives_the_same_json_whatever_other_files_exist(
+    folders, of_samples, tmp_path, monkeypatch
+):
     def written(name: str, models) -> dict:
-        found = evaluate(models, folders / "recordings", audio=folders / "sound", seed=3)
+        monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / f"{name} cache"))
+        found = evaluate(models, folders / "recordings", seed=3, cheap=True)
         found.write_json(tmp_path / name)
         return json.loads((tmp_path / name).read_text())
 
     one = written("one.json", {"samples": folders / "samples"})
-    again = written("again.json", {"samples": folders / "samples"})
-    assert one == again
     both = written("both.json", {"samples": folders / "samples", "x": folders / "recordings"})
     assert both["models"][0] == one["models"][0]
     assert one["format"] == 1 and one["settings"]["seed"] == 3
-    assert set(one["models"][0]["figures"]) <= set(one["definitions"])
-    coverage = one["definitions"]["coverage"]
-    assert "30 frames (1.20 s)" in coverage["variant"]
+    whole = of_samples.to_json()
+    assert set(whole["models"][0]["figures"]) <= set(whole["definitions"])
+    assert "30 frames (1.20 s)" in whole["definitions"]["coverage"]["variant"]
     assert {"gesturekit", "numpy", "scipy"} <= set(one["versions"])
 
 
-def test_windows_are_compared_with_their_part_of_the_recording(tmp_path, gesture, write_speech):
-    whole = gesture(25.0, 25.0, seed=0)
+def test_windows_are_compared_with_their_part_of_the_recording(tmp_path, gesture):
+    whole = gesture(25.0, 15.0, seed=0)
     whole.save(tmp_path / "recordings" / "a.npz")
-    write_speech(tmp_path / "sound" / "a.wav", 25.0)
     for window in (0, 1):
-        part = whole[250 * window : 250 * window + 250]
+        part = whole[150 * window : 150 * window + 150]
         for sample in (1, 2, 3):
             part.save(tmp_path / "made" / f"a_w{window:03d}_s{sample}.npz")
-    found = evaluate(
-        tmp_path / "made", tmp_path / "recordings", audio=tmp_path / "sound", protocol="lda"
-    )
-    (model,) = found.models
+    (model,) = evaluate(tmp_path / "made", tmp_path / "recordings", protocol="lda").models
     assert model.metrics["arm_speed"].interval.value == pytest.approx(
         model.metrics["arm_speed"].recording
     )
@@ -142,23 +133,21 @@ def test_windows_are_compared_with_their_part_of_the_recording(tmp_path, gesture
     assert model.metrics["fid_k"].recording is not None
 
 
-def test_windows_of_a_manifest_are_compared_with_all_of_its_splits(tmp_path, gesture, write_speech):
+def test_windows_of_a_manifest_are_compared_with_all_of_its_splits(tmp_path, gesture):
     items = []
     for k, (name, split) in enumerate((("a", "test"), ("b", "train"), ("c", "valid"))):
-        motion, sound = (tmp_path / "recordings" / f"{name}.{s}" for s in ("npz", "wav"))
-        gesture(20.0, 25.0, seed=k).save(motion)
-        write_speech(sound, 20.0)
-        items.append(Item(id=name, audio=sound, motion=motion, duration=20.0, split=split))
+        motion = tmp_path / "recordings" / f"{name}.npz"
+        gesture(20.0, 15.0, seed=k).save(motion)
+        items.append(Item(id=name, audio=None, motion=motion, duration=20.0, split=split))
     Manifest(items).save(tmp_path / "corpus.jsonl")
     for sample in range(6):
         path = tmp_path / "made" / f"a_w{sample % 2:03d}_s{1 + sample // 2}.npz"
-        gesture(10.0, 25.0, seed=10 + sample).save(path)
+        gesture(10.0, 15.0, seed=10 + sample).save(path)
     of_corpus = evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", protocol="lda")
-    sound = tmp_path / "recordings"
-    of_folder = evaluate(tmp_path / "made", tmp_path / "recordings", audio=sound, protocol="lda")
+    of_folder = evaluate(tmp_path / "made", tmp_path / "recordings", protocol="lda")
     (one,), (other,) = of_corpus.models, of_folder.models
     assert one.excluded == other.excluded == [] and one.notes == []
-    for key in ("fid_k", "fid_g", "raw_fgd", "bas", "joint_limits"):
+    for key in ("fid_k", "fid_g", "raw_fgd", "joint_limits"):
         ours, theirs = one.metrics[key], other.metrics[key]
         assert ours.interval.value == pytest.approx(theirs.interval.value), key
         assert ours.recording == pytest.approx(theirs.recording), key
@@ -247,8 +236,8 @@ def test_options_that_do_not_go_together_are_refused(tmp_path, gesture, write_sp
 def test_the_papers_patch_variant_has_no_coverage_without_a_threshold(folders):
     for threshold, has in ((None, False), (40.0, True)):
         found = evaluate(
-            folders / "samples",
-            folders / "recordings",
+            folders / "samples" / "clip0_s1.npz",
+            folders / "recordings" / "clip0.bvh",
             variants=Variants("paper", threshold),
             protocol="multires",
         )
@@ -286,7 +275,7 @@ def test_bad_clips_are_left_out_with_their_reasons_and_the_rest_is_measured(fold
     rig = good.skeleton
     other = replace(rig, names=tuple(f"bone{j}" for j in range(rig.n_joints)), end_sites={})
     replace(good, skeleton=other).save(made / "clip3.npz")
-    found = evaluate(made, folders / "recordings")
+    found = evaluate(made, folders / "recordings", cheap=True)
     (model,) = found.models
     assert not found.is_complete and [clip.pair.name for clip in model.clips] == ["clip0"]
     reasons = {item.name: item.reason for item in model.excluded if item.what == "clip"}
@@ -298,35 +287,26 @@ def test_bad_clips_are_left_out_with_their_reasons_and_the_rest_is_measured(fold
         evaluate(made, folders / "recordings")
 
 
-def test_a_rig_of_one_joint_cannot_be_measured(tmp_path):
-    lone = Skeleton(("root",), (-1,), np.zeros((1, 3)))
-    still = Motion(lone, np.tile([0.0, 0.0, 0.0, 1.0], (50, 1, 1)), np.zeros((50, 3)), 25.0)
-    still.save(tmp_path / "a.npz")
-    with pytest.raises(GestureKitError, match="the recording has 1 body joint") as error:
-        evaluate(tmp_path, tmp_path)
-    assert "missing" not in str(error.value)
-
-
 def test_oddities_of_a_clip_are_reported(folders, tmp_path):
     motion = Motion.load(folders / "samples" / "clip0_s1.npz")
     rotations = motion.rotations.copy()
-    rotations[50:80] = rotations[50]
+    rotations[20:45] = rotations[20]
     translation = motion.translation.copy()
-    translation[80:] += [3.0, 0.0, 0.0]
-    odd = replace(motion, rotations=rotations, translation=translation)[:90]
+    translation[45:] += [3.0, 0.0, 0.0]
+    odd = replace(motion, rotations=rotations, translation=translation)[:50]
     odd.save(tmp_path / "made" / "clip0.npz")
-    (model,) = evaluate(tmp_path / "made", folders / "recordings").models
+    (model,) = evaluate(tmp_path / "made", folders / "recordings", cheap=True).models
     notes = "; ".join(model.clips[0].notes)
-    assert "0.40 s shorter than its recording" in notes
-    assert "stands still in 3" in notes and "jumps at 3.16 s (7" in notes
+    assert "0.52 s shorter than its recording" in notes
+    assert "stands still in 49 %" in notes and "jumps at 1.76 s (80" in notes
 
 
 def test_frame_rates_may_differ_and_the_first_model_says_at_which_it_is_measured(folders, tmp_path):
-    for path in sorted((folders / "samples").glob("*_s1.npz")):
-        slow = Motion.load(path).resample(15.0)
-        slow.save(tmp_path / "made" / path.name)
-    models = {"slow": tmp_path / "made", "samples": folders / "samples"}
-    found = evaluate(models, folders / "recordings")
+    one = Motion.load(folders / "samples" / "clip0_s1.npz")
+    for name, motion in (("slow", one.resample(15.0)), ("fast", one)):
+        motion.save(tmp_path / name / "clip0.npz")
+    models = {name: tmp_path / name for name in ("slow", "fast")}
+    found = evaluate(models, folders / "recordings", cheap=True)
     assert found.fps == 15.0
     assert "resampled from 25 to 15 fps" in found.models[1].clips[0].notes
 
@@ -338,17 +318,16 @@ def test_capture_noise_of_a_faster_recording_is_not_folded_down(gesture, tmp_pat
     shake = 0.2 * np.sin(2 * np.pi * 24.0 * fast.times)[:, None] * [1.0, 1.0, 1.0]
     noisy = replace(fast, translation=fast.translation + shake)
     noisy.save(tmp_path / "recordings" / "clip.npz")
-    (model,) = evaluate(tmp_path / "made", tmp_path / "recordings").models
+    (model,) = evaluate(tmp_path / "made", tmp_path / "recordings", cheap=True).models
     result = model.metrics["wrist_speed"]
     assert result.recording == pytest.approx(result.interval.value, rel=0.2)
 
 
 def test_a_model_of_fewer_joints_has_fréchet_distances_on_those_it_shares(gesture, tmp_path):
     for i in range(2):
-        motion = gesture(20.0, 30.0, seed=i)
+        motion = gesture(10.0, 30.0, seed=i)
         motion.save(tmp_path / "recordings" / f"clip{i}.npz")
         kept = [name for name in motion.skeleton.names if name not in ("Neck", "LeftToeBase")]
-        assert len(kept) < motion.skeleton.n_joints
         motion.keep(kept).save(tmp_path / "made" / f"clip{i}.npz")
     (model,) = evaluate(tmp_path / "made", tmp_path / "recordings").models
     for key in ("raw_fgd", "fid_k"):
@@ -357,10 +336,10 @@ def test_a_model_of_fewer_joints_has_fréchet_distances_on_those_it_shares(gestu
     assert "are not in the generated rig" in model.clips[0].notes[0]
 
 
-@pytest.mark.parametrize(("seconds", "enough"), [(14.0, False), (36.0, True)])
+@pytest.mark.parametrize(("seconds", "enough"), [(14.0, False), (34.0, True)])
 def test_fgd_of_a_few_windows_is_not_informative(gesture, tmp_path, seconds, enough):
     """Windows of 2 s begin every second."""
-    gesture(seconds, 30.0).save(tmp_path / "recordings" / "clip.npz")
-    gesture(seconds, 30.0, seed=1).save(tmp_path / "made" / "clip.npz")
-    (model,) = evaluate(tmp_path / "made", tmp_path / "recordings").models
+    gesture(seconds, 10.0).save(tmp_path / "recordings" / "clip.npz")
+    gesture(seconds, 10.0, seed=1).save(tmp_path / "made" / "clip.npz")
+    (model,) = evaluate(tmp_path / "made", tmp_path / "recordings", protocol="lda").models
     assert model.metrics["raw_fgd"].informative == enough

@@ -101,11 +101,3 @@ def test_every_figure_says_what_it_is_computed_over(found):
     assert distance["takes"] is None and distance["method"] == "one value of the whole set"
     page = DOCS.read_text(encoding="utf-8")
     assert all(f"`{name}`" in page for name in (*values, *values["models"][0], *speed))
-
-
-def test_the_command_prints_the_differences(gesturekit, found, before, tmp_path):
-    folder = found.models[0].path
-    done = gesturekit("evaluate", f"new={folder}", found.reference, "--against", before())
-    assert done.status == 0 and done.out.rstrip().splitlines()[-2] == "new: equal"
-    bad = gesturekit("evaluate", folder, found.reference, "--against", tmp_path / "none.json")
-    assert bad.status == 2 and "none.json" in bad.err

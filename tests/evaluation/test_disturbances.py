@@ -165,10 +165,16 @@ def measured(pair_of_files, tmp_path_factory):
     return measure
 
 
-def test_every_measure_moves_the_way_it_should(pair_of_files, measured):
+@pytest.fixture(scope="module")
+def found(pair_of_files, measured) -> dict[str, dict[str, float]]:
+    """Figures of the recording and of each disturbance of it."""
     recording, _ = pair_of_files
-    base = measured(recording)
-    found = {name.__name__: measured(name(recording)) for name in DISTURBANCES}
+    disturbed = {name.__name__: measured(name(recording)) for name in DISTURBANCES}
+    return disturbed | {"itself": measured(recording)}
+
+
+def test_every_measure_moves_the_way_it_should(found):
+    base = found["itself"]
     wrong = [f"{key}: has no signs" for key in base if key in TESTED and key not in SIGNS]
     for key, signs in SIGNS.items():
         for disturbance, sign in zip(DISTURBANCES, signs, strict=True):
@@ -185,16 +191,14 @@ def test_every_measure_moves_the_way_it_should(pair_of_files, measured):
     assert not wrong, "\n".join(wrong)
 
 
-def test_speech_measures_stand_out_from_chance_on_the_recording_alone(pair_of_files, measured):
-    recording, _ = pair_of_files
-    own, late = measured(recording), measured(shifted(recording))
+def test_speech_measures_stand_out_from_chance_on_the_recording_alone(found):
+    own, late = found["itself"], found["shifted"]
     assert own["sync_z"] > 2.0 and own["bc_z"] > 1.0
     assert abs(late["sync"] - late["sync_chance"]) < 0.25 and late["sync_z"] < 1.5
     assert late["bc_z"] < 1.0
 
 
-@pytest.mark.parametrize("fps", [25])
-def test_frame_rate_moves_speeds_and_beats_by_less_than_a_twentieth(pair_of_files, fps):
+def test_frame_rate_moves_speeds_and_beats_by_less_than_a_twentieth(pair_of_files):
     recording, sound = pair_of_files
     wave = Wave.load(sound)
     onsets, pulse = speech_onsets(wave), music_beats(wave)
@@ -214,7 +218,7 @@ def test_frame_rate_moves_speeds_and_beats_by_less_than_a_twentieth(pair_of_file
         }
 
     assert recording.fps == pytest.approx(30, abs=0.01)
-    at_30, other = metrics(recording), metrics(recording.resample(float(fps)))
+    at_30, other = metrics(recording), metrics(recording.resample(25.0))
     for name, value in other.items():
         assert value == pytest.approx(at_30[name], rel=0.05), name
     # The unfiltered forms are bound to their frame rate: they are marked so for a reason.
@@ -297,10 +301,10 @@ def metrics(generated: list[Motion], reference: list[Motion], model: FeatureMode
 def synthetic(gesture) -> list[Motion]:
     """Arms that swing, each clip livelier than the one before."""
     clips = []
-    for number in range(4):
+    for number in range(3):
         clip = gesture(12.0, seed=number)
-        speed = np.array([0.6, 1.0, 1.5, 2.2])[number]
-        clips.append(replace(clip, fps=clip.fps * speed).resample(30.0, 300))
+        speed = (0.6, 1.0, 1.8)[number]
+        clips.append(replace(clip, fps=clip.fps * speed).resample(30.0, 270))
     return clips
 
 
@@ -322,12 +326,6 @@ def sets(request) -> dict[str, dict[str, float]]:
         generated = [disturb(motion, number) for number, motion in enumerate(reference)]
         rows[disturb.__name__] = metrics(generated, reference, model)
     return rows
-
-
-def test_clips_that_hold_one_pose_do_not_differ(gesture):
-    one = [still(gesture(9.0), 0)] * 2
-    moving = [gesture(9.0, seed=1), gesture(9.0, seed=2)]
-    assert div_k(one, moving, seconds=CLIP) == div_g(one, moving, seconds=CLIP) == 0.0
 
 
 @pytest.mark.parametrize("name", SIGNS_OF_SETS)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 from dataclasses import replace
 
 import numpy as np
@@ -108,15 +107,6 @@ def test_it_learns(clips):
     assert 0 <= fgd(clips, clips[::-1], more).value < 1e-6
 
 
-def test_steps_are_reported_and_small_sets_warned_about(clips, caplog):
-    seen = []
-    with caplog.at_level(logging.WARNING):
-        FeatureModel.fit(clips, n_frames=30, steps=3, progress=lambda *told: seen.append(told))
-    # Poses have the spread 1, and hardly change from frame to frame.
-    assert [step for step, _ in seen] == [1, 2, 3] and all(0.5 < loss < 2 for _, loss in seen)
-    assert "0.3 minutes of motion; below 10 its figures depend" in caplog.text
-
-
 @pytest.mark.parametrize(("n_frames", "variant"), [(12, "genea"), (34, "yoon"), (35, "genea")])
 def test_the_network_is_the_published_one(n_frames, variant):
     network = PoseAutoencoder(27, n_frames, variant == "yoon").eval()
@@ -135,18 +125,6 @@ def test_the_network_is_the_published_one(n_frames, variant):
         (32, 3, 1), (64, 3, 1), (64, 4, 2), (32, 3, 1), (32, 3, 1), (32, 3, 1), (32, 3, 1),
         (27, 3, 1),
     ]  # fmt: skip
-
-
-def test_a_file_too_large_for_a_feature_model_is_refused(model, tmp_path):
-    model.save(tmp_path)
-    path = tmp_path / "feature_model.json"
-    text = path.read_text(encoding="utf-8")
-    assert '\n "format": 1,\n' in text and text.endswith("}\n")
-    path.write_text(text + " " * (1_000_000 - len(text)), encoding="utf-8")
-    assert FeatureModel.load(tmp_path).fingerprint == model.fingerprint
-    path.write_text(text + " " * (1_000_001 - len(text)), encoding="utf-8")
-    with pytest.raises(EvaluationError, match="1000001 bytes; too large for a feature model"):
-        FeatureModel.load(tmp_path)
 
 
 @pytest.mark.parametrize("variant", ["genea", "yoon"])

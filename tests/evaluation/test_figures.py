@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +19,9 @@ def values(model) -> dict[str, float]:
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory, gesture, write_speech) -> Path:
-    """Two samples of each of three recordings of 12 s with sound."""
+    """Two samples of each of two recordings of 12 s with sound."""
     root = tmp_path_factory.mktemp("figures")
-    for r in range(3):
+    for r in range(2):
         gesture(12.0, 25.0, seed=r).save(root / "recordings" / f"c{r}.npz")
         write_speech(root / "sound" / f"c{r}.wav", 12.0)
         for k in (1, 2):
@@ -90,13 +89,13 @@ def test_figures_of_sets(model, motions):
         assert found[key] == pytest.approx(factor * getattr(hands, name)), key
         theirs = factor * getattr(recorded_hands, name)
         assert model.metrics[key].recording == pytest.approx(theirs), key
-    calm = ev.calm_and_lively(own, [made[k : k + 2] for k in (0, 2, 4)])
+    calm = ev.calm_and_lively(own, [made[k : k + 2] for k in (0, 2)])
     assert (found["calm_lively_r"], found["calm_lively_slope"]) == pytest.approx(
         (calm.r, calm.slope)
     )
     assert model.metrics["calm_lively_r"].note == f"{calm.n} windows"
     samples = [ev.patch_features(m, joints=body_joints(m.skeleton)) for m in made]
-    apart = [ev.inter_diversity(samples[k : k + 2]) for k in (0, 2, 4)]
+    apart = [ev.inter_diversity(samples[k : k + 2]) for k in (0, 2)]
     assert found["inter_diversity"] == pytest.approx(np.mean(apart), rel=1e-4)
     poses = [np.concatenate([ev.root_relative(m, body_joints(m.skeleton)) for m in side])
              for side in (made, recorded)]  # fmt: skip
@@ -108,13 +107,13 @@ def test_each_speaker_is_compared_with_own_recordings(tmp_path, gesture):
     items, sides = [], {}
     for s, name in enumerate(("ann", "ben")):
         for take in range(2):
-            own = gesture(8.0, 25.0, seed=10 * s + take)
-            made = gesture(8.0, 25.0, seed=50 + 10 * s + take)
+            own = gesture(5.0, 15.0, seed=10 * s + take)
+            made = gesture(5.0, 15.0, seed=50 + 10 * s + take)
             stem = f"{name}{take}"
             own.save(tmp_path / f"{stem}.npz")
             made.save(tmp_path / "made" / f"{stem}.npz")
             items.append(
-                Item(id=stem, audio=None, motion=tmp_path / f"{stem}.npz", duration=8.0,
+                Item(id=stem, audio=None, motion=tmp_path / f"{stem}.npz", duration=5.0,
                      split="test", speaker=name)
             )  # fmt: skip
             sides.setdefault(name, ([], []))[0].append(made)
@@ -138,14 +137,3 @@ def test_each_speaker_is_compared_with_own_recordings(tmp_path, gesture):
     likeness = model.metrics["likeness"]
     assert model.metrics["novelty"].ceiling.n == likeness.ceiling.n == 4
     assert {level.name for level in likeness.floors} == {"another speaker", "mean pose"}
-
-
-def test_arms_that_do_not_move_are_not_in_time(folders, tmp_path):
-    for path in sorted((folders / "recordings").glob("*.npz")):
-        own = Motion.load(path)
-        still = replace(own, rotations=own.rotations[:1].repeat(own.n_frames, axis=0))
-        still.save(tmp_path / "still" / path.name)
-    found = ev.evaluate(tmp_path / "still", folders / "recordings", audio=folders / "sound")
-    (still,) = found.models
-    assert values(still)["in_time"] == values(still)["sync"] == 0.0
-    assert any("arms do not move" in item.reason for item in still.excluded)

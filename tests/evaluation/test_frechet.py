@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import (
-    PoseWindows,
     div_g,
     div_k,
     fid_g,
@@ -56,12 +55,6 @@ def test_fewer_samples_than_dimensions():
     assert frechet_distance(few @ turn, others @ turn) == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize("shape", [(400, 32), (20, 300), (2, 1)])
-def test_equal_samples_have_distance_zero(shape):
-    features = 1e3 + 50 * np.random.default_rng(2).normal(size=shape)
-    assert 0 <= frechet_distance(features, features[::-1]) < 1e-12 * features.var(axis=0).sum()
-
-
 def motions_of(rng, n_motions, each, shift=0.0):
     """Features of motions that differ from each other more than their own windows do."""
     return [shift + rng.normal(size=4) + 0.5 * rng.normal(size=(each, 4)) for _ in range(n_motions)]
@@ -94,24 +87,6 @@ def test_small_samples_are_reported():
 def test_bad_input_gets_one_clear_error(call, message):
     with pytest.raises(EvaluationError, match=message):
         call()
-
-
-@pytest.mark.stress
-def test_wide_windows_are_bounded_from_below_and_close(gesture):
-    reference = [gesture(40.0, 30.0, seed=i) for i in range(12)]
-    generated = [gesture(40.0, 30.0, seed=20 + i) for i in range(12)]
-    windows = PoseWindows.fit(reference)
-    assert windows.n_frames * windows.n_features > 1500
-    found = raw_fgd(generated, reference, windows)
-    exact = frechet_distance(
-        *(
-            np.concatenate([clip.reshape(len(clip), -1) for clip in windows.cut(motions)])
-            for motions in (generated, reference)
-        )
-    )
-    assert 0.9 * exact < found.value <= exact * (1 + 1e-9)
-    assert "lower bound" in found.note and found.dimensions > 1500
-    assert raw_fgd(reference, reference, windows).value == pytest.approx(0.0, abs=1e-9 * exact)
 
 
 def kinetic_by_definition(places: np.ndarray, dt: float, slip: bool = False) -> np.ndarray:

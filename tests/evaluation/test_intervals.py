@@ -16,11 +16,9 @@ from gesturekit.evaluation import (
     interval_of_statistic,
     interval_over_samples,
     p_of_difference,
-    p_value,
     pseudo_values,
     scaled_like,
     standard_error,
-    whole_set,
 )
 
 SPEEDS, SHARES, CORRELATIONS = (0.0, np.inf), (0.0, 100.0), (-1.0, 1.0)
@@ -176,14 +174,3 @@ def test_samples_of_one_recording_have_students_interval():
     assert (found.low, found.high) == pytest.approx(exact)
     assert found.count == "5 clips" and found.method == "mean over samples"
     assert interval_over_samples(values[:4]).low is None
-
-
-def test_a_value_of_a_whole_set_has_no_interval():
-    found = whole_set(2.5, 7)
-    assert (found.value, found.low, found.high) == (2.5, None, None)
-    assert (found.n, found.units, found.over) == (7, 1, "the whole set")
-
-
-def test_p_values_are_two_sided_and_equal_values_do_not_differ():
-    assert p_value(2.0, 1.0, 5) == p_value(-2.0, 1.0, 5) == pytest.approx(2 * stats.t.sf(2.0, 5))
-    assert p_value(0.0, 0.0, 5) == 1.0 and p_value(0.3, 0.0, 5) == 0.0

@@ -18,7 +18,6 @@ from gesturekit.evaluation import (
     Pair,
     answer,
     evaluate,
-    headline_lines,
     metric_results,
 )
 from gesturekit.evaluation.statistics.levels import (
@@ -102,20 +101,6 @@ def test_another_speaker_stands_at_the_floor_and_other_takes_at_the_ceiling(two_
     assert another.recording == ceiling.value
     novelty = two_speakers["another"].models[0].metrics["novelty"]
     assert novelty.ceiling.value == 1.0 and novelty.ceiling.spread > 0.0
-
-
-@pytest.mark.stress
-def test_a_single_take_in_pieces_has_a_flattered_ceiling(shared_data, tmp_path):
-    pieces = zeroeggs(shared_data, [(10.0 + 12 * n, 12.0) for n in range(4)])[-4:]
-    done = judged(pieces, lambda item: item, tmp_path, protocol="")
-    likeness = done.models[0].metrics["likeness"]
-    assert likeness.ceiling.pieces and likeness.ceiling.n == 4
-    assert [level.name for level in likeness.floors] == [MEAN_POSE]
-    (said,) = (line for line in headline_lines(done) if "like this speaker" in line)
-    assert (
-        "ceiling: pieces of one take, more alike than takes are" in said
-        and said.count("(4 pieces)") == 2
-    )
 
 
 def result(value: float, ceiling: Level | None, *floors: Level) -> MetricResult:

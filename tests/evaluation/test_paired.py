@@ -209,14 +209,6 @@ def test_a_value_must_be_surely_above_the_higher_of_its_chance_levels():
     assert found.best is None
 
 
-@pytest.mark.parametrize("key", ["in_time", "sync_z"])
-def test_what_is_above_chance_by_definition_is_compared_with_nothing(key):
-    good, bad = [0.4, 0.2, 0.6, 0.1, 0.5, 0.3], [-0.2, -0.4, 0.0, -0.5, -0.1, -0.2]
-    row = judged({"good": good, "bad": bad}, key, own=9.0)
-    above = stats.ttest_1samp(good, 0, alternative="greater").pvalue
-    assert row.p == pytest.approx(max(above, stats.ttest_rel(good, bad).pvalue))
-
-
 @pytest.mark.parametrize(
     ("key", "values", "direction"),
     [
@@ -230,10 +222,6 @@ def test_what_is_above_chance_by_definition_is_compared_with_nothing(key):
 def test_an_arrow_holds_as_long_as_no_model_is_beyond_the_recordings(key, values, direction):
     given = {f"m{k}": [value] * 3 for k, value in enumerate(values)}
     assert judged(given, key).direction == direction
-
-
-def test_the_distance_of_likeness_is_what_it_lacks():
-    assert distance("likeness", 0.8, 0.9) == pytest.approx(0.2)
 
 
 def test_results_are_means_over_takes_beside_chance_and_other_recordings():

@@ -57,12 +57,6 @@ def test_clips_without_a_recording_are_excluded_with_a_reason(touch):
     assert "did you mean speech?" in reasons["speach"]
 
 
-def test_npz_comes_before_bvh_and_hidden_files_count_for_nothing(touch):
-    made = touch("made", "a.bvh", "a.npz", ".a.npz", ".old/b.npz", "a.html")
-    (pair,) = find_pairs(made, touch("recordings", "a.bvh", "b.bvh")).pairs
-    assert pair.generated.name == "a.npz"
-
-
 def test_one_file_is_the_reference_of_everything(touch):
     made = touch("made", "x_s1.npz", "y.npz")
     reference = touch("recordings", "a.bvh", "b.bvh") / "a.bvh"

@@ -93,21 +93,3 @@ def test_speeds_are_shown_with_their_quartiles_and_shares(drawn):
     assert shown[1].values[10] == pytest.approx(100)
     again = plots.all_plots(found)
     assert again == plots.all_plots(found) and "<text" not in again["Wrist speed"]
-
-
-def test_patches_are_shown_recording_by_recording(drawn):
-    title, metrics = "Patches, recording by recording", {"coverage": (of(1.0), 1.0)}
-    long = "a recording with a name of 36 letters"
-    made = {"r1": {"coverage": of(50.0, 40.0, 60.0)}, long: {"coverage": of(100.0)}}
-    a = model("a", metrics, by_recording=made)
-    b = model("b", metrics, by_recording={"r1": {"coverage": of(20.0)}})
-    (axes,) = drawn(evaluated(model("empty", {}), a, b))[title]
-    assert [x for x, _ in points(axes)] == [[100, 100], [100], [40, 60], [50], [20, 20], [20]]
-    assert names(axes.yaxis) == ["a recording with a name o…", "r1"]
-    (legend,) = axes.figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
-    colours = {line.get_color() for line in legend.get_lines()}
-    assert colours == {plots.colour(1), plots.colour(2)}, "each model has one colour everywhere"
-    many = {f"r{k:02}": {"coverage": of(50.0)} for k in range(30)}
-    (axes,) = drawn(evaluated(model("a", metrics, by_recording=many)))[title]
-    assert names(axes.yaxis) == [f"r{k:02}" for k in range(24)], "the first of many"

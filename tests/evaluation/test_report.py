@@ -22,15 +22,15 @@ HOSTILE = '<script>alert(1)</script>"&'
 
 @pytest.fixture(scope="module")
 def evaluation(tmp_path_factory, gesture, write_speech):
-    """Two models, two samples each of three recordings with sound; one name is hostile."""
+    """Two models, two samples each of two recordings with sound; one name is hostile."""
     root = tmp_path_factory.mktemp("set")
-    for i in range(3):
-        gesture(3.0, 25.0, seed=i).save(root / "recordings" / f"clip{i}.npz")
-        write_speech(root / "sound" / f"clip{i}.wav", 3.0)
+    for i in range(2):
+        gesture(2.0, 25.0, seed=i).save(root / "recordings" / f"clip{i}.npz")
+        write_speech(root / "sound" / f"clip{i}.wav", 2.0)
         for k in (1, 2):
             for folder in ("model", HOSTILE.replace("/", "")):
-                gesture(3.0, 25.0, seed=7 * i + k).save(root / folder / f"clip{i}_s{k}.npz")
-    gesture(3.0, 25.0).save(root / "model" / "stranger.npz")
+                gesture(2.0, 25.0, seed=7 * i + k).save(root / folder / f"clip{i}_s{k}.npz")
+    gesture(2.0, 25.0).save(root / "model" / "stranger.npz")
     models = {"model": root / "model", HOSTILE: root / HOSTILE.replace("/", "")}
     return evaluate(models, root / "recordings", audio=root / "sound")
 
@@ -54,11 +54,11 @@ def test_the_human_body_has_the_colours_of_the_models(evaluation, tmp_path):
 
 
 def test_clips_to_look_at_are_whole(page):
-    """Three seconds at 25 fps, of both models and the recording."""
+    """Two seconds at 25 fps, of both models and the recording."""
     text = page.read_text(encoding="utf-8")
     clips = json.loads(re.search(r'id="clips">(.*?)</script>', text, re.S)[1])
     figures = [figure for clip in clips for figure in json.loads(clip["motion"])["figures"]]
-    assert len(figures) == 3 * len(clips) and {one["n_frames"] for one in figures} == {75}
+    assert len(figures) == 3 * len(clips) and {one["n_frames"] for one in figures} == {50}
 
 
 def markup(page: Path) -> str:
@@ -71,22 +71,14 @@ def test_it_says_all_that_is_needed_to_read_a_figure(page, evaluation):
         assert definition.name in text and definition.variant in text
         assert definition.text in text and definition.source in text
     interval = evaluation.models[0].metrics["arm_speed"].interval
-    shown = f"{number(interval.value)} no interval; 3 takes, 6 clips"
+    shown = f"{number(interval.value)} no interval; 2 takes, 4 clips"
     assert shown in re.sub(r"\s+", " ", text)
     assert "30 frames (1.20 s)" in text
     assert "Bound to its frame rate" in text
     assert "stranger" in text and "no recording of its name" in text
     assert "model: left out: 1 clip;" in text
-    assert "from 3 takes: no intervals, and nothing is bold" in text
+    assert "from 2 takes: no intervals, and nothing is bold" in text
     assert "gesturekit evaluate model recordings" in text
-
-
-def test_each_model_is_shown_with_its_own_chance_level(page, evaluation):
-    text = html.unescape(re.sub(r"<[^>]+>", " ", markup(page)))
-    for model in evaluation.models:
-        assert f"chance {number(model.metrics['bc'].chance)}" in text
-    shown = [number(model.metrics["bc"].chance) for model in evaluation.models]
-    assert text.count("chance ") >= len(shown) * 3  # sync, BAS and BC of each model
 
 
 def test_it_needs_nothing_from_outside(page):

@@ -20,7 +20,6 @@ from gesturekit.evaluation.report.bad_motion import (
 from gesturekit.evaluation.report.sanity_table import (
     conclusion,
     mark,
-    marks,
     noticed_by,
     table_lines,
 )
@@ -59,23 +58,6 @@ def test_no_bad_motion_is_bold_against_the_recording(spoken):
 
 
 @pytest.mark.stress
-def test_pieces_of_one_recording_have_no_interval(spoken):
-    for model in spoken.evaluation.models:
-        for key in ("in_time", "likeness", "novelty", "reach", "sync", "foot_skate"):
-            interval = model.metrics[key].interval
-            assert (interval.low, interval.high) == (None, None), (model.label, key)
-
-
-@pytest.mark.stress
-def test_the_table_says_what_metrics_are_blind_to(spoken):
-    found = marks(spoken)
-    assert found["foot_skate"]["foot slide"] == "+"
-    assert found["foot_skate"]["frozen"] == "!"  # a statue slides less than the recording
-    assert found["reach"]["half reach"] == "+" and found["sync"]["half reach"] == "."
-    assert set(found["local_diversity"].values()) == {"!"}  # as published: more is better
-
-
-@pytest.mark.stress
 @pytest.mark.parametrize("name", ["bandai", "reactidle"])
 def test_with_mismatched_speech_only_another_utterance_passes(shared_data, tmp_path, name):
     sounds = sorted(shared_data.glob("speech/librispeech*/*.flac"))
@@ -91,7 +73,7 @@ def test_with_mismatched_speech_only_another_utterance_passes(shared_data, tmp_p
 
 
 def test_held_out_recordings_are_spoiled_and_judged_beside_training(tmp_path, gesture):
-    for k, (name, seconds) in enumerate((("a", 8.0), ("b", 5.0))):
+    for k, (name, seconds) in enumerate((("a", 5.0), ("b", 4.0))):
         gesture(seconds, 10.0, seed=k).save(tmp_path / f"{name}.npz")
     gesture(2.0, 10.0).save(tmp_path / "short.npz")
     done = run_sanity(tmp_path)

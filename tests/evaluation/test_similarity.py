@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
@@ -31,15 +29,6 @@ def test_histograms_that_cannot_be_compared_are_errors():
         with pytest.raises(MotionError, match="hold nothing"):
             SpeedHistogram(width, top)
     assert len(SpeedHistogram(0.5, 0.5).counts) == 1
-
-
-def test_a_histogram_survives_json():
-    one = SpeedHistogram.of([np.array([0.01, 0.03, 0.03, 0.9])], width=0.02, top=0.06)
-    again = SpeedHistogram.from_json(json.loads(json.dumps(one.to_json())))
-    assert (again.width, again.top, again.beyond) == (0.02, 0.06, 1)
-    assert again.counts.tolist() == [1, 2, 0]
-    empty = SpeedHistogram.from_json(None)
-    assert not empty.counts.any() and (empty.top, empty.beyond) == (0.49, 0)
 
 
 def test_cca_by_hand():

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 from scipy.signal import argrelextrema
 
 from audio_features import Wave
-from gesturekit.errors import EvaluationError, MotionError
+from gesturekit.errors import MotionError
 from gesturekit.evaluation import (
     arm_speed,
     beat_alignment,
@@ -25,7 +25,6 @@ from gesturekit.evaluation.metrics.rhythm import (
     consistency,
     joint_beats,
 )
-from gesturekit.evaluation.metrics.sync import sync_of_moving_arms
 from gesturekit.motion import Motion
 
 ELBOW, SHOULDER = "LeftForeArm", "RightArm"
@@ -50,25 +49,6 @@ def test_a_motion_shifted_out_of_reach_scores_no_better_than_chance(turning, spe
     assert abs(result.z) < 2.5
 
 
-@pytest.mark.parametrize("frames", [45, 250])
-def test_arms_that_hardly_move_are_not_informative_however_short_the_clip(
-    turning, speaking, curve, frames
-):
-    loudness = curve(frames, seed=0)
-    recording, motion = (turning({ELBOW: size * loudness}) for size in (4.0, 0.1))
-    with pytest.raises(EvaluationError, match="not informative: the arms move at less than 5 %"):
-        sync_of_moving_arms(motion, recording, speaking(5.0 * loudness))
-
-
-def test_unrelated_motion_scores_z_near_zero_on_average(turning, speaking, curve):
-    z = [
-        sync(turning({ELBOW: 4.0 * curve(500, seed)}), speaking(5.0 * curve(500, 100 + seed))).z
-        for seed in range(40)
-    ]
-    assert abs(np.mean(z)) < 0.5
-    assert 0.6 < np.std(z) < 1.6
-
-
 def test_the_figures_are_those_of_the_definition_written_out(turning, speaking, curve):
     fps, n = 25.0, 120
     motion = turning({ELBOW: 4.0 * curve(n, 0), SHOULDER: 2.0 * curve(n, 1)}, fps)
@@ -89,13 +69,6 @@ def test_the_figures_are_those_of_the_definition_written_out(turning, speaking, 
     assert result.chance_mean == pytest.approx(np.mean(chance), abs=1e-9)
     assert result.chance_sd == pytest.approx(np.std(chance), abs=1e-9)
     assert result.z == pytest.approx((result.r - np.mean(chance)) / np.std(chance), abs=1e-6)
-
-
-def test_louder_or_quieter_speech_scores_the_same(turning, speaking, curve):
-    loudness = curve(300, seed=0)
-    motion, wave = turning({ELBOW: 4.0 * loudness}), speaking(5.0 * loudness + 3.0)
-    quieter = Wave(0.5 * wave.samples, wave.sample_rate)
-    assert sync(motion, quieter).r == pytest.approx(sync(motion, wave).r, abs=5e-3)
 
 
 def test_standing_still_and_silence_score_zero_and_say_why(turning, speaking, curve):
@@ -193,19 +166,6 @@ def test_beat_consistency_by_hand(pulsing):
 
 
 @pytest.mark.parametrize("measure", [beat_alignment, beat_consistency])
-def test_chance_is_the_mean_over_shifts_and_z_detects_a_match(pulsing, measure):
-    motion = pulsing()
-    together = measure(motion, np.array([0.5, 2.5, 3.5, 6.5, 8.5]))
-    assert together.score > 0.95 and together.z > 1.0
-    # The body pulses once a second, so that over shifts every place between is met equally often.
-    assert 0 < together.chance_mean < 0.9 * together.score
-    unrelated = np.sort(np.random.default_rng(0).uniform(0, 10, (60, 12)), axis=1)
-    found = [measure(motion, beats) for beats in unrelated]
-    assert abs(np.mean([one.score - one.chance_mean for one in found])) < 0.03
-    assert abs(np.mean([one.z for one in found])) < 0.5
-
-
-@pytest.mark.parametrize("measure", [beat_alignment, beat_consistency])
 def test_a_frozen_body_and_silence_score_zero_and_say_why(turning, pulsing, measure):
     frozen = turning({"LeftArm": np.zeros(300)}, 30.0)
     found = measure(frozen, np.arange(1.0, 9.0))
@@ -214,13 +174,6 @@ def test_a_frozen_body_and_silence_score_zero_and_say_why(turning, pulsing, meas
     assert (found.score, found.z) == (0.0, 0.0) and "sound has no beats" in found.note
     short = pulsing()[:90]
     assert "chance unknown" in measure(short, np.array([0.5])).note
-
-
-def test_frame_rate_does_not_change_beats(pulsing):
-    beats = np.array([0.45, 1.6, 2.5, 4.3, 6.6, 7.7])
-    for measure in (beat_alignment, beat_consistency):
-        scores = [measure(pulsing(fps), beats).score for fps in (25, 30, 60)]
-        assert scores == pytest.approx([scores[1]] * 3, rel=0.02)
 
 
 def clicks(times: np.ndarray, seconds: float, rate: int = 16000) -> Wave:
@@ -311,17 +264,6 @@ def test_scores_and_chance_equal_their_definition_written_out():
             z = (score(inside) - np.mean(chance)) / np.std(chance)
             assert found.z == pytest.approx(z)
         assert (found.motion_beats, found.sound_beats, found.note) == (4.0, len(inside), "")
-
-
-def test_onsets_are_those_of_librosa_at_16_khz():
-    import librosa
-
-    wave = clicks(np.arange(0.5, 4.0, 0.35), 4.0, 22050)
-    sound = wave.resample(16000)
-    expected = librosa.onset.onset_detect(y=sound.samples, sr=16000, hop_length=512, units="time")
-    assert speech_onsets(wave) == pytest.approx(expected)
-    expected = librosa.beat.beat_track(y=wave.samples, sr=22050, units="time")[1]
-    assert music_beats(wave) == pytest.approx(expected)
 
 
 def test_sync_needs_three_frames_beyond_the_lag_and_shifts_of_more_than_a_second(

@@ -142,27 +142,6 @@ def test_what_is_left_out_is_named(evaluation):
     assert "Nothing: every metric" in tables.excluded(evaluation) and evaluation.is_complete
 
 
-def test_files_hold_the_same_table(evaluation):
-    rows = list(csv.DictReader(io.StringIO(WRITERS["csv"](evaluation))))
-    assert [(row["model"], row["key"], row["value"]) for row in rows] == [
-        ("a&b", "sync", "0.5"), ("a&b", "arm_speed", "1234.5"), ("b", "jerk", "0.02"),
-        ("a&b", "coverage", "50.0"),
-    ]  # fmt: skip
-    sync = rows[0]
-    expected = {
-        "group": "Speech", "unit": "", "low": "0.4", "high": "0.6", "n": "7", "units": "6",
-        "over": "takes", "recording": "0.7", "recording_low": "0.65", "recording_high": "0.75",
-        "chance": "0.1", "mismatched": "0.25", "informative": "True", "best": "False", "p": "",
-        "note": "6 of 7 clips",
-    }  # fmt: skip
-    assert {key: sync[key] for key in expected} == expected
-    assert rows[1]["recording_low"] == "" and rows[3]["informative"] == "False"
-    assert "| Sync | ↑ | 0.50 [0.40, 0.60] | – | 0.70 | 0.25 |" in WRITERS["markdown"](evaluation)
-    latex = WRITERS["latex"](evaluation)
-    assert r"Metric &  & a\&b (retargeted) & b & Recording & Chance \\" in latex
-    assert r"Sync & $\uparrow$ & 0.50 [0.40, 0.60] & -- & 0.70 & 0.25 \\" in latex
-
-
 @pytest.fixture
 def contested() -> Evaluation:
     """Two models on six takes: the reach of the second one is surely nearer to the recordings'."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import bvhio
 import numpy as np
@@ -62,29 +61,3 @@ def test_arguments_override_the_mark(gesture, tmp_path):
     same(of_height(gesture(0.3), 0.34 * 2.54), inches, 0.34)
     assert read_bvh(tmp_path / "a.bvh", up="z").info["up"] == "z"
     assert read_bvh(tmp_path / "a.bvh", forward="x").info["forward"] == "x"
-
-
-def blender_places(path: Path) -> tuple[dict[str, list[float]], float, int]:
-    """OFFSETs, Frame Time and rows as io_anim_bvh takes them: words of lines that have any."""
-    lines = [words for words in map(str.split, path.read_text().splitlines()) if words]
-    assert lines[0] == ["HIERARCHY"]
-    places, at = {}, 1
-    while lines[at] != ["MOTION"]:
-        if lines[at][0].lower() in ("root", "joint"):
-            offset, channels = lines[at + 2], lines[at + 3]
-            assert offset[0] == "OFFSET" and channels[0] == "CHANNELS"
-            assert len(offset) == 4 and len(channels) == 2 + int(channels[1])
-            places[" ".join(lines[at][1:])] = [float(word) for word in offset[1:]]
-        at += 1
-    return places, float(lines[at + 2][2]), len(lines) - at - 3
-
-
-@pytest.mark.parametrize("unit", sorted(METRES))
-def test_other_readers_see_an_offset_of_zero_and_the_frame_time(gesture, tmp_path, unit):
-    motion = replace(gesture(0.3), fps=23.976)
-    write_bvh(motion, tmp_path / "a.bvh", unit=unit)
-    bvh = bvhio.readAsBvh(str(tmp_path / "a.bvh"))
-    assert tuple(bvh.Root.Offset) == (0, 0, 0) and bvh.FrameTime == 1 / 23.976
-    places, frame_time, n_rows = blender_places(tmp_path / "a.bvh")
-    assert places["Hips"] == [0, 0, 0] and frame_time == 1 / 23.976 and n_rows == motion.n_frames
-    assert list(places) == [joint.Name for joint, _, _ in bvh.Root.layout()]

@@ -72,7 +72,7 @@ def places_by_bvhio(path: Path, frames: list[int]) -> np.ndarray:
     return np.array(places)
 
 
-def shortened(path: Path, to: Path, n_frames: int = 12) -> Path:
+def shortened(path: Path, to: Path, n_frames: int = 6) -> Path:
     """Every so manieth frame of a file, so that slow readers are done soon."""
     head, rows = re.split(r"(?<=\n)(?=[-\d])", path.read_text(), maxsplit=1)
     rows = rows.strip().split("\n")
@@ -124,20 +124,6 @@ def test_written_files_have_the_same_positions_in_bvhio(gesture, tmp_path):
         order = [skeleton.index(name) for name in again.skeleton.names]
         np.testing.assert_allclose(written.positions()[:, order], places / 100, atol=1e-5)
         same_motion(again, written)
-
-
-@pytest.mark.parametrize("unit", ["cm", "m"])
-@pytest.mark.parametrize("file", FILES)
-def test_real_files_survive(shared_data, tmp_path, file, unit):
-    motion = read_bvh(shared_data / file)
-    write_bvh(motion, tmp_path / "a.bvh", unit=unit)
-    again = read_bvh(tmp_path / "a.bvh")
-    assert again.info["unit"] == unit
-    assert again.fps == motion.fps
-    assert again.skeleton.rotation_orders == motion.skeleton.rotation_orders
-    assert set(again.joint_translations) == set(motion.joint_translations)
-    assert set(again.skeleton.end_sites) == set(motion.skeleton.end_sites)
-    same_motion(again, motion)
 
 
 def test_units_and_axes_detected_in_real_files(shared_data):

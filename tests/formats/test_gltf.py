@@ -10,12 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from avatars import BONES, avatar
 from gltf_files import HALF, QUARTER_TURN, GltfFile, arm
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
-from gesturekit.formats import Rig
 from gesturekit.motion import Motion
 
 
@@ -35,11 +33,6 @@ def test_linear_curves_turn_evenly(tmp_path):
     np.testing.assert_allclose(
         angle(path, fps=4), [0, 22.5, 45, 67.5, 90, 67.5, 45, 22.5, 0], atol=1e-4
     )
-
-
-def test_steps_hold_each_key_until_the_next(tmp_path):
-    path = arm("STEP", (0, 0.1, 0.2)).save(tmp_path / "a.glb")
-    np.testing.assert_allclose(angle(path, fps=20), [0, 0, 90, 90, 0], atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -114,12 +107,6 @@ def test_animated_scale_moves_what_hangs_below(tmp_path):
     np.testing.assert_allclose(hand(path, fps=1), [[1, 1, 0], [2, 1, 0]], atol=1e-6)
 
 
-def test_a_rest_pose_is_enough_for_a_rig(tmp_path, recwarn):
-    (tmp_path / "me.glb").write_bytes(avatar(1))
-    assert Rig.load(tmp_path / "me.glb").skeleton.n_joints == len(BONES) + 1
-    assert not recwarn.list
-
-
 def sparse(count: int, indices: int = 0, values: int = 0) -> dict[str, object]:
     return {
         "count": count,
@@ -150,21 +137,6 @@ def test_arrays_may_lie_in_the_text_or_beside_it(tmp_path):
     (tmp_path / "b.gltf").write_bytes(arm().gltf("b%20c.bin"))
     for name in ("a.gltf", "b.gltf"):
         np.testing.assert_allclose(angle(tmp_path / name, fps=1), [0, 90, 0], atol=1e-4)
-
-
-def test_arrays_may_be_interleaved(tmp_path):
-    """Three times (4 bytes) and turns (16) by turns, after 8 bytes of something else."""
-    rows = np.zeros((3, 5), "<f4")
-    rows[:, 0], rows[[0, 2], 4], rows[1, 1:] = [0, 1, 2], 1, QUARTER_TURN
-    file = GltfFile(arm().json["nodes"], [[0, 1]])
-    view = file.view(bytes(8) + rows.tobytes())
-    file.json["bufferViews"][view]["byteStride"] = 20
-    array = {"bufferView": view, "componentType": 5126, "count": 3}
-    for kind, offset in (("SCALAR", 8), ("VEC4", 12)):
-        file.json["accessors"].append({**array, "type": kind, "byteOffset": offset})
-    file.animate([(0, "rotation", [0], 1)])
-    file.json["animations"][0]["samplers"][0]["input"] = 0
-    np.testing.assert_allclose(angle(file.save(tmp_path / "a.glb"), fps=1), [0, 90, 0], atol=1e-4)
 
 
 @pytest.mark.parametrize(

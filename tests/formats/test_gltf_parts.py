@@ -13,7 +13,7 @@ import pytest
 from avatars import avatar_json, packed, picture
 from gltf_files import GltfFile, arm
 from scipy.interpolate import CubicHermiteSpline
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
 from gesturekit.formats import Gltf, avatar_facts
@@ -155,24 +155,6 @@ def test_splines_are_those_of_hermite():
     flat = np.zeros((4, 4))
     found = Curve(TIMES, np.stack([flat, turns, flat], 1), "CUBICSPLINE").at(BETWEEN)
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1)
-
-
-def test_lines_turn_and_move_evenly_and_steps_hold():
-    rng = np.random.default_rng(1)
-    places, turns = rng.normal(size=(4, 3)), Rotation.random(4, random_state=2)
-    line = Curve(TIMES, places, "LINEAR").at(BETWEEN)
-    expected = np.stack([np.interp(BETWEEN, TIMES, axis) for axis in places.T], axis=1)
-    np.testing.assert_allclose(line, expected, atol=1e-12)
-    found = Rotation.from_quat(Curve(TIMES, turns.as_quat(), "LINEAR").at(BETWEEN))
-    expected = Slerp(TIMES, turns)(np.clip(BETWEEN, 0.5, 3.0))
-    np.testing.assert_allclose((found.inv() * expected).magnitude(), 0, atol=1e-6)
-    # A key that was rounded to float32 is at the frame that it was made for.
-    near = np.array([0.99995, 0.998, 2.50005])
-    held = Curve(TIMES, places, "STEP").at(np.concatenate([BETWEEN, near]))
-    keys = [0, 0, 0, 1, 1, 1, 2, 2, 3, 3, 1, 0, 2]
-    np.testing.assert_array_equal(held, places[keys])
-    alone = Curve(TIMES[:1], places[:1], "LINEAR").at(BETWEEN)
-    np.testing.assert_array_equal(alone, np.tile(places[0], (10, 1)))
 
 
 @pytest.mark.parametrize(

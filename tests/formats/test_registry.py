@@ -9,7 +9,7 @@ import pytest
 
 from gesturekit.errors import FormatError
 from gesturekit.formats.fbx import blender_command
-from gesturekit.formats.registry import FOLDER, FORMATS, Format, load_function
+from gesturekit.formats.registry import FORMATS, Format, load_function
 from gesturekit.motion import Motion, rotation_angles
 
 OF_ANOTHER_RIG = ".vrma"
@@ -50,9 +50,3 @@ def test_options_that_commands_offer_are_those_of_reader_and_writer(entry):
     for place, offered in ((entry.reader, entry.reads), (entry.writer, entry.writes)):
         if place is not None:
             assert offered <= signature(load_function(place)).parameters.keys()
-
-
-def test_no_suffix_has_two_entries():
-    suffixes = [entry.suffix for entry in FORMATS]
-    assert len(set(suffixes)) == len(suffixes)
-    assert all(suffix == FOLDER or suffix.startswith(".") for suffix in suffixes)

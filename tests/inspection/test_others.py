@@ -372,12 +372,3 @@ def test_what_cannot_be_inspected_is_listed_and_the_others_are_shown(gesturekit,
     assert "bad.bvh" in done.err and "a.bvh" in done.out and "30 frames" in done.out
     lines = gesturekit("inspect", *[tmp_path / "a.bvh"] * 2, "--json").ok().out.splitlines()
     assert [json.loads(line)["kind"] for line in lines] == ["motion", "motion"]
-
-
-def test_a_folder_of_features_is_one(gesturekit, write_speech, tmp_path):
-    for name in ("a", "more/b"):
-        write_speech(tmp_path / "speech" / f"{name}.wav", 1.0)
-    gesturekit("features", tmp_path / "speech", "--extractor", "prosody", "--out", tmp_path / "f")
-    shown = gesturekit("inspect", tmp_path / "f").ok().out
-    assert "features of 2 sounds" in shown and "a.npz, more/b.npz" in shown
-    assert '"kind": "prosody"' in shown

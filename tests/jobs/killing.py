@@ -8,6 +8,7 @@ and started again, up to `MOST` times before it is left alone; then "1", and so 
 KILLS kills before the end of a command. The number of outputs is printed.
 """
 
+import importlib
 import json
 import os
 import random
@@ -15,17 +16,18 @@ import signal
 import sys
 import time
 
-import gesturekit.conversion.convert
-
-# Everything is imported before the forks, which then start at once.
-import gesturekit.corpus
-import gesturekit.diffusion.training.trainer
-import gesturekit.multires.training.trainer
-import gesturekit.rendering.batch
-import gesturekit.rendering.features
-import gesturekit.viewer  # noqa: F401
 from gesturekit.cli import main
 
+TRAINERS = ("gesturekit.multires.training.trainer", "gesturekit.diffusion.training.trainer")
+NEEDS = {
+    "features": ("gesturekit.rendering.features",),
+    "convert": ("gesturekit.conversion.convert", "gesturekit.viewer"),
+    "prepare": ("gesturekit.corpus",),
+    "render": ("gesturekit.rendering.batch", "gesturekit.viewer", *TRAINERS),
+    "live": TRAINERS,
+    "train": TRAINERS,
+}
+"""What is imported before the forks, which then start at once."""
 MOST = 6
 """Kills of a command before it is left alone, so that many outputs are killed at many moments."""
 
@@ -55,6 +57,8 @@ def check(status: int) -> None:
 if __name__ == "__main__":
     rng, kills, number, here = random.Random(sys.argv[2]), 0, 0, 0
     command = json.loads(sys.argv[3])
+    for module in NEEDS[command[0]]:
+        importlib.import_module(module)
     begin = time.monotonic()
     check(os.waitpid(start(command, "whole"), 0)[1])
     duration = time.monotonic() - begin

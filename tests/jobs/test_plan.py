@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from gesturekit.errors import ConfigError, FormatError
 from gesturekit.jobs import (
-    PLAN,
-    STATE,
-    Journal,
     Plan,
-    Result,
     Task,
     balanced,
     parse_shard,
-    shard_name,
     write_plan,
 )
 
@@ -101,46 +94,3 @@ def test_shards_count_from_one(text):
     assert parse_shard("8/8") == (8, 8) and parse_shard("1/99999") == (1, 99_999)
     with pytest.raises(ConfigError, match="expected a number of 1 to N"):
         parse_shard(text)
-
-
-MILLION = """
-import json, resource, sys, time
-from pathlib import Path
-begin = time.process_time()
-from gesturekit.jobs.plan import Plan
-from gesturekit.jobs.status import status_of
-folder = Path(sys.argv[2])
-if sys.argv[1] == "plan":
-    count = len(list(Plan.open(folder / ".gesturekit" / "plan.jsonl").tasks()))
-else:
-    count = status_of(folder).done
-took = time.process_time() - begin
-print(json.dumps([count, took, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss]))
-"""
-
-
-@pytest.mark.stress
-def test_a_million_items(tmp_path):
-    """The plan opens within 10 s, the state is read within 5 s, each in less than 1 GB."""
-    state = tmp_path / STATE
-    state.mkdir()
-    names = [f"folder {i % 97}/{i:07d}" for i in range(10**6)]
-    items = [Task(name, Path(f"/in/{name}.wav"), 5.0) for name in names]
-    plan = write_plan(state / PLAN, items, 10, "r")
-    for shard in range(1, 11):
-        first, *others = plan.tasks(shard)
-        journal = Journal(state, shard, 10, run="r", settings={}, about={})
-        journal.start(first.id)
-        files = {f"{first.id}.bvh": {"sha256": "0" * 64, "size": 100_000}}
-        journal.finish(Result(first, "done", key="0" * 64, sound=5.0, digests=files))
-        journal.close()
-        path = state / "journal" / f"{shard_name(shard, 10)}.jsonl"
-        lines = path.read_text().partition("\n")[2]  # of the first item, as of all others
-        with path.open("a") as file:
-            file.writelines(lines.replace(first.id, item.id) for item in others)
-    for what, most in (("plan", 10), ("state", 5)):
-        command = [sys.executable, "-c", MILLION, what, tmp_path]
-        done = subprocess.run(command, capture_output=True, check=True)
-        count, seconds, kilobytes = json.loads(done.stdout)
-        print(f"{what}: {seconds:.1f} s of processor time, {kilobytes / 1e6:.2f} GB")
-        assert count == 10**6 and seconds < most and kilobytes < 1e6

@@ -22,11 +22,11 @@ def test_dead_and_late_workers_fail_only_their_own_task():
     tasks.insert(1, partial(os._exit, 3))
     tasks.insert(3, partial(time.sleep, 60))
     begun = []
-    results = dict(Pool(operator.call, 2, deadline=3.0).map(tasks, begun.append))
+    results = dict(Pool(operator.call, 2, deadline=1.0).map(tasks, begun.append))
     assert [results[tasks[i]] for i in (0, 2, 4, 5)] == [0, 1, 2, 3]
     died, late = results[tasks[1]], results[tasks[3]]
     assert isinstance(died, Failure) and "exit code 3" in str(died)
-    assert isinstance(late, Failure) and "after 3 s, the deadline" in str(late)
+    assert isinstance(late, Failure) and "after 1 s, the deadline" in str(late)
     assert [begun.count(tasks[1]), begun.count(tasks[3])] == [3, 1], "deaths are tried again"
 
 

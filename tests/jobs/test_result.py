@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import ConfigError
-from gesturekit.jobs import Processor, Result, Task, json_of, path_digest
+from gesturekit.jobs import Processor, Result, Task, json_of
 
 
 def sha(data: bytes) -> str:
@@ -105,17 +105,3 @@ def test_equal_settings_have_equal_descriptions(tmp_path):
     same = [json_of(values) for values in (numbers, numbers.copy())]
     others = [numbers + 1, numbers.reshape(2, 3), numbers.reshape(3, 2), numbers.view("i4")]
     assert len({*same, *map(json_of, others)}) == 5
-
-
-def test_the_digest_of_a_folder_is_that_of_names_and_contents(tmp_path):
-    digests = []
-    for number, files in enumerate(
-        ({"a": "1", "b": "2"}, {"b": "2", "a": "1"}, {"a": "2", "b": "1"}, {"a": "1", "c": "2"})
-    ):
-        (tmp_path / f"{number}").mkdir()
-        for file, text in files.items():
-            (tmp_path / f"{number}" / file).write_text(text)
-        digests.append(path_digest(tmp_path / f"{number}"))
-    assert digests[0] == digests[1] and len({*digests}) == 3
-    (tmp_path / "loop").symlink_to("loop")
-    assert path_digest(tmp_path / "loop") == path_digest(tmp_path / "missing") == ""

@@ -110,20 +110,20 @@ class Failing(Kept):
 
 
 class Blocked(Kept):
-    """A sink that takes a second for a step."""
+    """A sink that takes a third of a second for a step."""
 
     def put(self, step) -> None:
-        time.sleep(1.0)
+        time.sleep(0.33)
 
 
 def test_sinks_that_block_or_fail_slow_nobody(write_speech, tmp_path):
-    speech, kept = write_speech(tmp_path / "a.wav", 0.6), Kept()
+    speech, kept = write_speech(tmp_path / "a.wav", 0.3), Kept()
     recording = Recording(tmp_path / "take.npz")
     sinks = [Blocked(), Failing(False), Failing(True), kept, recording]
     report = start(FileSource(speech, 0.04, False), sinks)
-    assert kept.times[-1] - kept.times[0] < 2
+    assert kept.times[-1] - kept.times[0] < 1
     assert sum(step.motion.n_frames for step in kept.steps if step.motion) == report.frames
-    assert report.frames == Motion.load(tmp_path / "take.npz").n_frames >= 15
+    assert report.frames == Motion.load(tmp_path / "take.npz").n_frames >= 8
     failed = [line for line in report.failures if line.startswith("Failing")]
     assert len(failed) == 2 and all("No space left" in line for line in failed)
 
@@ -137,13 +137,13 @@ def test_a_model_that_is_too_slow_drops_sound_but_makes_every_frame_of_a_file(
         stream.step = lambda samples: (time.sleep(3 * len(samples) / 16_000), step(samples))[1]
         return start(source, sinks, stream)
 
-    report = slow(PipeSource(Pipe(np.arange(0.04, 1.41, 0.04).tolist()), 16_000, 0.04, False), [])
+    report = slow(PipeSource(Pipe(np.arange(0.04, 1.21, 0.04).tolist()), 16_000, 0.04, False), [])
     assert report.sound["dropped"] > 0.1
     assert f"{report.sound['dropped']:.2f} s of sound dropped" in report.line()
     recording = Recording(tmp_path / "take.npz")
-    report = slow(FileSource(write_speech(tmp_path / "a.wav", 0.6), 0.04, False), [recording])
+    report = slow(FileSource(write_speech(tmp_path / "a.wav", 0.3), 0.04, False), [recording])
     assert not any(report.sound.values()) and "dropped" not in report.line()
-    assert report.frames == 18 == Motion.load(tmp_path / "take.npz").n_frames
+    assert report.frames == 9 == Motion.load(tmp_path / "take.npz").n_frames
 
 
 @pytest.mark.parametrize(
@@ -252,7 +252,9 @@ def test_a_pipe_is_read_at_the_speed_of_speech_and_its_backlog_is_dropped():
     assert report.seconds < time.monotonic() - begun + 0.25 + 0.1
 
 
-@pytest.mark.parametrize("ended_by", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "ended_by", [pytest.param(signal.SIGINT, marks=pytest.mark.stress), signal.SIGKILL]
+)
 def test_ctrl_c_leaves_a_whole_recording_and_a_kill_a_partial_one(gesturekit, tmp_path, ended_by):
     out = tmp_path / "out.bvh"
     arguments = ["live", "--from", "-", "--to", f"record:{out}", "--seed", "3"]
@@ -286,6 +288,7 @@ def test_ctrl_c_leaves_a_whole_recording_and_a_kill_a_partial_one(gesturekit, tm
     assert sorted(file.name for file in tmp_path.iterdir()) == ["out.bvh", "out.wav"]
 
 
+@pytest.mark.stress
 def test_a_full_disk_ends_the_run_and_leaves_what_came_until_then(gesturekit, tmp_path):
     """A limit on the size of files fails as a full disk does; the sound goes on for ever."""
     out = tmp_path / "take.npz"

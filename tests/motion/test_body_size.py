@@ -28,11 +28,6 @@ def test_scale_grows_with_the_rig_and_is_one_at_the_reference_size(factor, skele
     assert body_scale(skeleton.scaled(1.4 / (0.84 + 0.6))) == pytest.approx(1.0)
 
 
-def test_a_person_is_measured_from_ankle_to_head(skeleton):
-    legs, spine = 0.42 + 0.42, 0.1 + 0.2 + 0.2 + 0.1
-    assert body_size(skeleton) == pytest.approx(legs + spine)
-
-
 def test_height_is_sole_to_crown_of_a_body_and_the_extent_at_rest_of_anything_else(skeleton):
     legs_and_spine = 0.42 + 0.42 + 0.05 + 0.1 + 0.2 + 0.2 + 0.1
     assert body_height(skeleton) == pytest.approx(legs_and_spine / 0.84, rel=0.1)

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from rigs import at_rest
@@ -41,25 +39,3 @@ def test_threshold_is_a_speed(person, fps):
     assert contact_labels(still(person, speed=0.19, fps=fps)).min() == 1
     assert contact_labels(still(person, speed=0.21, fps=fps)).max() == 0
     assert contact_labels(still(person, speed=0.21, fps=fps), threshold=0.3).min() == 1
-
-
-def test_frame_0_copies_frame_1(person):
-    motion = still(person)
-    jump = motion.translation.copy()
-    jump[0] += 1
-    labels = contact_labels(replace(motion, translation=jump))
-    assert labels.shape == (10, 4)
-    assert labels[:2].max() == 0 and labels[2:].min() == 1
-
-
-def test_one_frame_stands(person):
-    np.testing.assert_array_equal(contact_labels(still(person, 1)), np.ones((1, 4)))
-
-
-def test_idle_feet_stand_and_running_feet_do_not(shared_data):
-    for file in ("000", "003", "012"):
-        idle = Motion.load(shared_data / f"motion/reactidle/{file}_genuine.bvh")
-        assert contact_labels(idle).mean(axis=0).min() > 0.8
-    # Estimated from a video: the ankles never come quite to rest.
-    running = Motion.load(shared_data / "smpl/glamr_running_smpl.npz")
-    assert contact_labels(running).mean() < 0.2

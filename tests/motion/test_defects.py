@@ -124,13 +124,3 @@ def test_frozen_runs_last_a_second_in_which_nothing_moves():
         replace(still, joint_translations={"Head": nod}),
     ):
         assert frozen_runs(motion) == [(21, 60)]
-
-
-def test_real_recordings(shared_data):
-    """The finding of a look at each: one clip of eight shakes its hand as nobody can."""
-    clean = ("bow_sad", "bow_happy", "bye_normal", "bye_old")
-    for name in clean:
-        motion = Motion.load(shared_data / f"motion/bandai/dataset-1_{name}_001.bvh")
-        assert find_pops(motion) is None and jitter_share(motion) == 0
-    pops = find_pops(Motion.load(shared_data / "motion/bandai/dataset-1_bye_angry_001.bvh"))
-    assert pops.joint == "Hand_R"

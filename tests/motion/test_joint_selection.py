@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recordings import BANDAI, ZEGGS
 from rigs import at_rest
 
 from gesturekit.errors import MotionError
-from gesturekit.motion import BodyShape, Motion, body_joints
+from gesturekit.motion import BodyShape, Motion
 
 
 def check(motion: Motion, names: list[str]) -> Motion:
@@ -77,12 +76,3 @@ def test_joints_that_cannot_be_removed_are_errors(moving_person):
     with pytest.raises(MotionError, match="at least one"):
         moving_person.keep([])
     assert moving_person.keep(["Hips"]).skeleton.n_joints == 1
-
-
-@pytest.mark.parametrize("file", [ZEGGS, BANDAI])
-def test_bodies_of_real_recordings(shared_data, file, tmp_path):
-    motion = Motion.load(shared_data / file)[:60]
-    kept = check(motion, list(body_joints(motion.skeleton)))
-    kept.save(tmp_path / "a.bvh")
-    again = Motion.load(tmp_path / "a.bvh")
-    np.testing.assert_allclose(again.positions(), kept.positions(), atol=1e-6)

@@ -20,33 +20,6 @@ from gesturekit.motion import (
 )
 
 
-def joint_by_joint(motion):
-    """The definition, as plainly as it can be written."""
-    skeleton = motion.skeleton
-    positions = np.zeros((motion.n_frames, skeleton.n_joints, 3))
-    for t in range(motion.n_frames):
-        turns = matrix_from_quaternion(motion.rotations[t])
-        world = []
-        for j, parent in enumerate(skeleton.parents):
-            place = skeleton.offsets[j]
-            if skeleton.names[j] in motion.joint_translations:
-                place = motion.joint_translations[skeleton.names[j]][t]
-            if parent < 0:
-                world.append(turns[j])
-                positions[t, j] = motion.translation[t]
-            else:
-                world.append(world[parent] @ turns[j])
-                positions[t, j] = positions[t, parent] + world[parent] @ place
-    return positions
-
-
-def test_positions_follow_the_definition(moving_person):
-    np.testing.assert_allclose(moving_person.positions(), joint_by_joint(moving_person), atol=1e-12)
-    path = np.random.default_rng(0).normal(size=(moving_person.n_frames, 3))
-    moving_person.joint_translations["LeftArm"] = path
-    np.testing.assert_allclose(moving_person.positions(), joint_by_joint(moving_person), atol=1e-12)
-
-
 def test_torch_agrees_with_numpy(moving_person):
     skeleton = moving_person.skeleton
     chain = ForwardKinematics(skeleton.parents, skeleton.offsets)

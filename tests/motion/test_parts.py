@@ -12,9 +12,7 @@ from gesturekit.errors import MotionError
 from gesturekit.formats import smpl_skeleton
 from gesturekit.motion import (
     BodyParts,
-    Motion,
     Skeleton,
-    arm_joints,
     body_joints,
     find_legs,
     find_parts,
@@ -214,11 +212,6 @@ def test_rigs_of_the_field(kind):
     assert told(skeleton, "right") == " ".join(words).replace(" | ", "|")
 
 
-@pytest.mark.parametrize("kind", FILES)
-def test_rigs_of_real_files(shared_data, kind):
-    assert told(Motion.load(shared_data / FILES[kind]).skeleton) == EXPECTED[kind]
-
-
 @pytest.mark.parametrize("prefix", ["mixamorig:", "mixamorig9:", "Character1_"])
 def test_prefixes_of_joint_names_are_ignored(prefix):
     plain = rig("mixamo")
@@ -244,10 +237,6 @@ def test_fingers_ends_and_face_are_not_body_joints():
     assert find_parts(smpl_skeleton(55)).face == ("jaw", "left_eye_smplhf", "right_eye_smplhf")
 
 
-def test_arm_joints(person):
-    assert arm_joints(person) == ("LeftArm", "LeftForeArm", "RightArm", "RightForeArm")
-
-
 def same_joints(found: BodyParts, expected: BodyParts, renamed: Skeleton, usual: Skeleton) -> None:
     to_usual = dict(zip(renamed.names, usual.names, strict=True))
     assert to_usual[found.pelvis] == expected.pelvis
@@ -267,13 +256,6 @@ def test_meaningless_joint_names(mixamo):
         by_name = {tuple(map(usual.index, pair)) for pair in left_right_pairs(usual)}
         by_shape = {tuple(map(renamed.index, pair)) for pair in left_right_pairs(renamed)}
         assert by_shape <= by_name and len(by_shape) >= 8
-
-
-@pytest.mark.parametrize("kind", ["aitviewer", "reactidle"])
-def test_nameless_rigs_of_real_files(shared_data, kind):
-    usual = Motion.load(shared_data / FILES[kind]).skeleton
-    renamed = numbered(usual)
-    same_joints(find_parts(renamed), find_parts(usual), renamed, usual)
 
 
 def test_parts_named_by_hand():

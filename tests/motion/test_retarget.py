@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hinges import bent_backwards
-from recordings import BANDAI, IDLE, RECORDED, ZEGGS
+from recordings import BANDAI, RECORDED, ZEGGS
 from rigs import at_rest, below_a_root, renamed, with_offsets
 from scipy.spatial.transform import Rotation
 
@@ -18,9 +18,7 @@ from gesturekit.motion import (
     contact_labels,
     find_parts,
     foot_positions,
-    global_rotations,
     quaternion_from_rotation_vector,
-    rotate_vectors,
     rotation_angles,
     standing_pose,
 )
@@ -32,15 +30,6 @@ UPRIGHT = np.array([0.0, 0.9, 0.0])
 @pytest.fixture(scope="module")
 def zeggs(shared_data) -> Motion:
     return Motion.load(shared_data / ZEGGS)[:200]
-
-
-def with_rest(skeleton: Skeleton, pose: np.ndarray) -> Skeleton:
-    """The rig whose rest pose is `pose`, its joints' frames parallel there."""
-    turned = global_rotations(pose, skeleton)
-    above = [max(parent, 0) for parent in skeleton.parents]
-    offsets = rotate_vectors(turned[above], skeleton.offsets)
-    offsets[0] = skeleton.offsets[0]
-    return replace(skeleton, offsets=offsets)
 
 
 def directions(motion: Motion) -> dict[str, np.ndarray]:
@@ -127,11 +116,6 @@ def test_faces_are_kept_on_the_same_rig_alone(moving_person, mixamo):
     same = retarget(smiling, moving_person.skeleton.scaled(1.2))
     np.testing.assert_array_equal(same.expressions, faces)
     assert retarget(smiling, mixamo).expressions is None
-
-
-def test_the_source_file_is_remembered(moving_person, mixamo):
-    named = replace(moving_person, info={"source": "walk.bvh", "betas": np.zeros(10)})
-    assert retarget(named, mixamo).info == {"source": "walk.bvh"}
 
 
 def test_joints_that_move_scale_with_the_body(moving_person):
@@ -244,20 +228,6 @@ def test_hands_in_front_of_the_body_are_placed_and_hands_aside_are_not(person, i
         assert rotation_angles(turned, own).max() < 1e-6, "the hand keeps its orientation"
 
 
-def test_hips_stay_behind_longer_feet_wherever_the_body_faces(person):
-    """Balls of the feet stay, so that feet 0.1 m longer take ankles and hips back by as much."""
-    ball = (0.0, -0.06, 0.14 + 0.1)
-    angles = np.linspace(0, 3, 300)
-    motion = at_rest(person, 300, [0.3, 0.9, 0.1])
-    motion.rotations[:, 0] = quaternion_from_rotation_vector(np.outer(angles, [0.0, 1.0, 0.0]))
-    made = retarget(motion, with_offsets(person, LeftToeBase=ball, RightToeBase=ball))
-    back = (motion.positions() - made.positions())[:, 0]
-    expected = 0.1 * np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=-1)
-    np.testing.assert_allclose(back, expected, atol=1e-6)
-    toe = person.index("LeftToeBase")
-    np.testing.assert_allclose(made.positions()[:, toe], motion.positions()[:, toe], atol=1e-6)
-
-
 def yaws(motion: Motion, *names: str) -> list[float]:
     """World rotations about the vertical in the first frame, degrees."""
     world = motion.global_rotations()[0]
@@ -292,27 +262,6 @@ def test_rigs_without_a_body_are_refused_by_the_bone(moving_person):
         retarget(moving_person, rig)
 
 
-def test_zeggs_onto_mixamo(zeggs, mixamo):
-    made = retarget(zeggs, mixamo)
-    assert made.skeleton is mixamo and (made.n_frames, made.fps) == (zeggs.n_frames, zeggs.fps)
-    apart = degrees_apart(zeggs, made)
-    assert max(apart.values()) < 6
-    labels = contact_labels(zeggs)
-    assert skate(made, labels) < 1.3 * skate(zeggs, labels) + 0.002
-    floors = [foot_positions(motion)[:, :, 1].min(axis=1) for motion in (zeggs, made)]
-    assert np.abs(np.median(floors[0]) - np.median(floors[1])) < 0.005
-    assert floors[1].min() > np.median(floors[1]) - 0.01
-    hands, source = hand_distances(made), hand_distances(zeggs)
-    assert min(np.corrcoef(hands[:, k], source[:, k])[0, 1] for k in range(3)) > 0.98
-    assert hands.min() > 0.9 * source.min()
-    assert all(share.mean() == 0 for share in bent_backwards(made).values())
-    fingers = [mixamo.index(f"mixamorig:LeftHandIndex{n}") for n in (1, 2, 3)]
-    own = [zeggs.skeleton.index(f"LeftHandIndex{n}") for n in (1, 2, 3)]
-    ends = [m.global_rotations()[:, j[::2]] for m, j in ((made, fingers), (zeggs, own))]
-    curl = [rotation_angles(world[:, 0], world[:, 1]) for world in ends]
-    np.testing.assert_allclose(curl[0], curl[1], atol=np.radians(5))
-
-
 def test_zeggs_onto_bandai(zeggs, shared_data):
     """A rig that is a heap of bones at rest, under a root that stands still on the floor."""
     bandai = Motion.load(shared_data / BANDAI)
@@ -335,47 +284,6 @@ def test_zeggs_onto_bandai(zeggs, shared_data):
     assert max(degrees_apart(made, guessed).values()) < 3
 
 
-@pytest.mark.parametrize("file", [BANDAI, IDLE])
-def test_other_rigs_onto_zeggs(shared_data, zeggs, file):
-    motion = Motion.load(shared_data / file)[:300]
-    made = retarget(motion, zeggs.skeleton)
-    assert max(degrees_apart(motion, made).values()) < 8
-    # A body of another height stands on the same floor (that of the idle clip lies at -0.72).
-    heights = [foot_positions(m)[..., 1].min(axis=1) for m in (motion, made)]
-    assert abs(np.median(heights[0]) - np.median(heights[1])) < 0.01
-    assert skate(made, np.ones(foot_positions(made).shape[:2])) < 0.02
-    # Hands that are folded stay so, and pass through neither each other nor the body.
-    hands, source = hand_distances(made).min(axis=0), hand_distances(motion).min(axis=0)
-    assert (hands > 0.85 * source).all() and (hands < 1.15 * source).all()
-
-
-def bent_pose(skeleton: Skeleton) -> np.ndarray:
-    """Turned half round, arms forward with bent elbows, legs apart, toes out."""
-    parts, pose = find_parts(skeleton), at_rest(skeleton, 1).rotations[0]
-
-    def turn(name: str, *vector: float) -> None:
-        pose[skeleton.index(name)] = quaternion_from_rotation_vector(np.array(vector))
-
-    turn(skeleton.names[0], 0, 2.5, 0)
-    for side, x in (("left", 1), ("right", -1)):
-        turn(parts.arms[side].shoulder, 0.3, -1.2 * x, -0.5 * x)
-        turn(parts.arms[side].elbow, 0, -0.7 * x, 0)
-        turn(parts.legs[side].hip, 0, 0, 0.3 * x)
-        turn(parts.legs[side].ankle, 0, 0.2 * x, -0.3 * x)
-    return pose
-
-
-def test_a_rest_pose_that_is_neither_t_nor_a(zeggs, mixamo):
-    odd = with_rest(mixamo, bent_pose(mixamo))
-    usual, made = retarget(zeggs, mixamo), retarget(zeggs, odd)
-    assert np.abs(usual.positions() - made.positions()).max() < 0.03
-    wrist = mixamo.index("mixamorig:LeftHand")
-    # Frames are parallel in either rest pose, so that the same turn means another angle.
-    assert rotation_angles(usual.rotations[:, wrist], made.rotations[:, wrist]).mean() > 0.1
-    back = retarget(made, zeggs.skeleton)
-    assert max(degrees_apart(zeggs, back).values()) < 6
-
-
 def test_hands_keep_their_roll(mixamo):
     """Palms up in the source are palms up on a rig without fingers, too."""
     motion = at_rest(mixamo, 20, mixamo.offsets[0])
@@ -385,10 +293,3 @@ def test_hands_keep_their_roll(mixamo):
     made = retarget(motion, smpl_skeleton(22))
     wrist = made.global_rotations()[:, made.skeleton.index("left_wrist")]
     np.testing.assert_allclose(rotation_angles(wrist[0], wrist), roll, atol=0.01)
-
-
-def test_a_motion_in_place_of_its_skeleton_is_refused_with_what_to_give(moving_person):
-    with pytest.raises(MotionError, match="skeleton is a Motion, and must be a Skeleton; give its"):
-        retarget(moving_person, moving_person)
-    with pytest.raises(MotionError, match="skeleton is a str, and must be a Skeleton$"):
-        retarget(moving_person, "avatar.bvh")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from recordings import BANDAI, ZEGGS
-from rigs import Bones, at_rest, rig_of
+from rigs import at_rest
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
@@ -16,7 +16,6 @@ from gesturekit.formats import smpl_skeleton
 from gesturekit.motion import (
     Motion,
     Skeleton,
-    body_height,
     body_joints,
     contact_labels,
     find_legs,
@@ -121,21 +120,3 @@ def test_an_upper_body_is_scaled_by_the_legs_it_would_have(person):
     np.testing.assert_allclose(made[:, 1], floor + 0.88 * would / 0.82, atol=1e-6)
     walked = 0.1 * would / 0.82 * way[:, [0, 2]]
     np.testing.assert_allclose(made[:, [0, 2]], [0.3, 0.1] + walked, atol=1e-6)
-
-
-def test_a_rig_of_ten_joints_as_in_corpora_of_talks():
-    bones: Bones = {
-        "spine": (None, (0, 0, 0)),
-        "neck": ("spine", (0, 0.45, 0)),
-        "nose": ("neck", (0, 0.1, 0.08)),
-        "head": ("nose", (0, 0.12, -0.04)),
-    }
-    for side, x in (("r", -1), ("l", 1)):
-        bones[f"{side}_shoulder"] = ("neck", (0.18 * x, -0.02, 0))
-        bones[f"{side}_elbow"] = (f"{side}_shoulder", (0.04 * x, -0.28, 0))
-        bones[f"{side}_wrist"] = (f"{side}_elbow", (0, -0.05, 0.24))
-    rig = rig_of(bones)
-    parts = find_parts(rig)
-    assert (parts.pelvis, parts.spine, parts.head, parts.legs) == ("spine", ("neck",), "head", {})
-    assert parts.arms["right"].wrist == "r_wrist"
-    assert 1.6 < body_height(rig) < 1.9

@@ -198,8 +198,9 @@ def test_an_array_that_is_not_as_it_was_made_is_refused(long_config, damage):
     assert path.read_bytes() == whole
 
 
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.stress)])
 def test_the_commands_plan_and_make_arrays_with_workers_and_train(
-    long_config, gesturekit, tmp_path, caplog
+    long_config, gesturekit, tmp_path, caplog, workers
 ):
     """Those of workers are those of one process, as large as planned, and the training's."""
     caplog.set_level(logging.INFO)
@@ -209,7 +210,7 @@ def test_the_commands_plan_and_make_arrays_with_workers_and_train(
     gesturekit("train", file, "--plan").ok()
     assert "Arrays of 0.0 GB in" in caplog.text and not config.arrays_folder.exists()
     assert "2 recordings, 8 s at 30 fps" in caplog.text and "Time: about" in caplog.text
-    gesturekit("train", file, "--arrays", "--workers", "2").ok()
+    gesturekit("train", file, "--arrays", "--workers", workers).ok()
     made = arrays_in(config)
     assert len(made) == 5 and "are ready in" in caplog.text and not config.out.exists()
     with session(config, resume=False, folder=tmp_path / "plan") as (run, device, processes):

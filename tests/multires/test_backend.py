@@ -8,7 +8,6 @@ import sys
 import pytest
 import torch
 from runs import weights
-from torch.nn.utils.parametrizations import weight_norm
 
 import gesturekit as gk
 from gesturekit.diagnosis import diagnose
@@ -93,10 +92,8 @@ def test_auto_takes_numba_for_the_networks_as_they_are(engine, networks):
             lambda g, d: setattr(g.levels[1].layers[0], "__class__", OtherConv),
             r"OtherConv \(levels\.1\.layers\.0\)",
         ),
-        (lambda g, d: weight_norm(d.score), r"\(score\)"),
         (lambda g, d: setattr(d.layers[0], "forward", abs), r"Conv1d \(layers\.0\) .*forward"),
         (lambda g, d: d.register_forward_hook(print), "LevelDiscriminator has a hook"),
-        (lambda g, d: d.register_parameter("heat", LAYER.bias), "LevelDiscriminator .*heat"),
         (lambda g, d: g.double(), "float64 on cpu"),
         (lambda g, d: setattr(d, "__class__", Deeper), "Deeper .*is not a class"),
         (lambda g, d: g.levels[0].layers.append(SkeletonConv1d(*WIDE)), "kernel of 7 frames"),
@@ -134,7 +131,7 @@ def test_without_the_engine_auto_falls_back_and_numba_is_an_error(networks, monk
 
 
 def test_torch_trains_and_generates_as_numba(engine, make_config, tmp_path, caplog, monkeypatch):
-    short = {"training": {"first_stage": 2, "further_stages": 2, "learning_rate": 1e-5}}
+    short = {"training": {"first_stage": 1, "further_stages": 1, "learning_rate": 1e-5}}
     folders, motions = {}, {}
     for name in ("numba", "torch"):
         with caplog.at_level(logging.INFO):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import copy
-import threading
-from functools import partial
 
 import numpy as np
 import pytest
@@ -117,39 +115,6 @@ def test_results_do_not_depend_on_the_batch_nor_on_threads(representation):
                 assert torch.get_num_threads() == 1
                 assert torch.equal(made(windows, gradient)[0], whole)
             assert torch.get_num_threads() == count
-    finally:
-        torch.set_num_threads(before)
-
-
-def test_parallel_tasks_share_the_threads_and_end_with_the_call():
-    def task(result, wait_for=None, then=None):
-        if wait_for is not None:
-            assert wait_for.wait(10), "the other task did not run beside this one"
-        if then is not None:
-            then.set()
-        if isinstance(result, Exception):
-            raise result
-        return result, sparse_conv.kernel_threads()
-
-    def both(one, two):
-        begun = threading.Event()
-        tasks = partial(task, one, wait_for=begun), partial(task, two, then=begun)
-        return sparse_conv.run_tasks(*tasks)
-
-    before = torch.get_num_threads()
-    try:
-        torch.set_num_threads(5)
-        with sparse_conv.threads_for_kernels():
-            assert both("one", "two") == [("one", 2), ("two", 2)]
-            assert sparse_conv.run_tasks(partial(task, "alone")) == [("alone", 5)]
-            for one, two in ((ValueError("wrong"), "two"), ("one", ValueError("wrong"))):
-                with pytest.raises(ValueError, match="wrong"):
-                    both(one, two)
-            assert both("one", "two") == [("one", 2), ("two", 2)]
-        torch.set_num_threads(1)
-        with sparse_conv.threads_for_kernels():
-            here = sparse_conv.run_tasks(threading.get_ident, threading.get_ident)
-            assert here == [threading.get_ident()] * 2
     finally:
         torch.set_num_threads(before)
 

@@ -11,7 +11,6 @@ import torch
 from rigs import nameless
 
 import gesturekit as gk
-from audio_features import level_lengths
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.motion import Skeleton, upper_body
@@ -139,22 +138,6 @@ def test_a_window_longer_than_its_clip_continues_with_another(make_config):
         assert all(count % part == 0 for part, count in zip(parts[:-1], counts[:-1], strict=True))
 
 
-def test_real_motions_beside_a_whole_clip_have_its_style_and_are_no_longer(make_config, batches_of):
-    config = make_config(training={"window": None})
-    data = load_training_data(config)
-    paired = tuple(
-        replace(sequence, style=i, motion=torch.full_like(sequence.motion, i))
-        for i, sequence in enumerate(data.paired)
-    )
-    batches = batches_of(config, replace(data, paired=paired), first=2)
-    rng = torch.Generator().manual_seed(0)
-    for clip, style, n_frames in ((125, 0, 125), (125, 1, 63), (40, 1, 40)):
-        coarse, fine = batches.reals(clip, rng, [style])
-        assert (coarse == style).all() and (fine == style).all()
-        assert [coarse.shape[-1], fine.shape[-1]] == level_lengths(n_frames, 4)[2:]
-    assert {float(batches.reals(40, rng)[0].max()) for _ in range(20)} == {0.0, 1.0}
-
-
 @pytest.mark.parametrize(("window", "share"), [(None, 1 / 2), (3.0, 63 / (150 + 63))])
 def test_recordings_are_drawn_equally_but_windows_by_frames(make_config, batches_of, window, share):
     batches = batches_of(make_config(training={"window": window}))
@@ -204,12 +187,6 @@ def test_rigs_that_differ_are_refused_by_name(make_config, gesture, write_pair, 
             load_training_data(make_config(corpus=str(tmp_path / "c.jsonl")))
 
 
-@pytest.mark.parametrize("fps, warned", [(45.0, False), (60.0, True)])
-def test_a_frame_rate_far_above_the_recordings_is_a_warning(make_config, caplog, fps, warned):
-    load_training_data(make_config(fps=fps))
-    assert ("60 is far above the recordings' 30" in caplog.text) == warned
-
-
 def test_parts_named_by_hand_reach_the_model(make_config, tmp_path, gesture, write_speech, caplog):
     """A rig that neither names nor shape tell (no toes) trains once its parts are named."""
     motion, parts = nameless(gesture(3.0))
@@ -230,14 +207,3 @@ def test_parts_named_by_hand_reach_the_model(make_config, tmp_path, gesture, wri
         make_config(parts={"left_elbo": "Joint7"})
     with pytest.raises(ConfigError, match=r"parts.*'Joint99'"):
         load_training_data(make_config(corpus=corpus, parts={"left_elbow": "Joint99"}))
-
-
-def test_the_coarsest_level_of_the_longest_recording_has_two_frames(make_config, motions):
-    """Fourteen times three quarters of 100 frames are 2, fifteen times 1 (rounded down)."""
-    corpus, frames = str(motions(none=[4.0, 1.0])), [level_lengths(100, n)[0] for n in (15, 16)]
-    assert frames == [2, 1]
-    config = make_config(corpus=corpus, features=None, network={"levels": 15})
-    assert max(one.n_frames for one in load_training_data(config).paired) == 100
-    config = make_config(corpus=corpus, features=None, network={"levels": 16})
-    with pytest.raises(ConfigError, match=r"16 levels leave one frame of .* \(4.0 s\)"):
-        load_training_data(config)

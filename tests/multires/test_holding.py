@@ -27,7 +27,7 @@ def folder(gesture, tmp_path_factory):
     where = tmp_path_factory.mktemp("held")
     swaying(gesture(5.0, seed=1)).save(where / "clip.bvh")
     prepare([], where / "clip.jsonl", unpaired_motion=[where], holdout=0.0)
-    training = {"window": None, "first_stage": 40, "further_stages": 20, "learning_rate": 2e-3}
+    training = {"window": None, "first_stage": 24, "further_stages": 12, "learning_rate": 2e-3}
     training |= {"batch": 4, "renew_every": 50}
     network = {"channels": [3, 3], "embedding": 64}
     changes = {"features": None, "network": network, "training": training}
@@ -75,22 +75,6 @@ def test_the_root_follows_a_path_and_faces_along_it(model):
     arms = [made.skeleton.index(name) for name in ("LeftArm", "RightArm")]
     spread, own = (np.ptp(motion.rotations[:, arms], axis=0).mean() for motion in (made, free))
     assert 0.5 < spread / own < 2
-
-
-@pytest.mark.parametrize(
-    ("fastest", "speed", "warns"),
-    [(0.4, 0.49, False), (0.4, 0.51, True), (0.01, 0.09, False)],
-)
-def test_a_quarter_faster_than_the_fastest_second_or_a_slow_stroll_is_no_matter(
-    model, caplog, fastest, speed, warns
-):
-    """A stroll of 0.1 m/s for a body of the usual size, whatever was recorded."""
-    scale = model.representation.scale
-    places = np.outer(np.arange(30) / 25 * speed * scale, [0.6, 0.8])
-    own = replace(model, fastest=fastest * scale)
-    own.generate(path=RootPath(places, np.zeros(30), 25.0), foot_lock=False)
-    words = f"the path goes {speed * scale:.2f} m/s; nothing in the training was faster than "
-    assert (f"{words}{fastest * scale:.2f} m/s" in caplog.text) == warns
 
 
 def test_a_clip_is_continued_without_a_seam(model, gesture):

@@ -92,23 +92,6 @@ def test_speed_and_acceleration_of_a_single_turning_joint(
     np.testing.assert_allclose(bend, chords[[2, 2, 2, 4, 4]], atol=1e-4)
 
 
-@pytest.mark.parametrize("stride", [1.0, 2.5])
-def test_smoothing_takes_as_many_seconds_at_every_level(kinematics, representation, walker, stride):
-    """A Gaussian of 0.1 s is one of 2.5 frames at 25 fps, and of one frame at 10 fps."""
-    angles = np.random.default_rng(0).standard_normal(20)
-    matrices = Rotation.from_rotvec(angles[:, None] * np.array([0.6, 0.0, 0.8])).as_matrix()
-    radius = {1.0: 7, 2.5: 3}[stride]
-    about = {"axis": 0, "radius": radius, "mode": "mirror"}
-    smoothed = gaussian_filter1d(matrices, 2.5 / stride, **about)
-    chords = np.linalg.norm(np.diff(smoothed, axis=0), axis=(1, 2)) / np.sqrt(2)
-    values = turning(representation, walker, angles)
-    speed = kinematics.arm_speed(values, stride, 0.1)[0]
-    np.testing.assert_allclose(speed[1:], chords * 25 / stride, rtol=2e-3, atol=1e-3)
-    bends = np.linalg.norm(np.diff(smoothed, 2, axis=0), axis=(1, 2)) / np.sqrt(2)
-    bend = kinematics.arm_acceleration(values, stride, 0.1)[0]
-    np.testing.assert_allclose(bend[1:-1], bends * (25 / stride) ** 2, rtol=2e-3, atol=0.03)
-
-
 def test_smoothing_is_a_gaussian_that_ends_at_three_deviations():
     x = np.random.default_rng(0).standard_normal((3, 30))
     expected = gaussian_filter1d(x, 2.0, truncate=3.0, mode="mirror")

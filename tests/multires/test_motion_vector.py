@@ -101,21 +101,6 @@ def test_a_performer_of_twice_the_size_steps_twice_as_far(walk):
     np.testing.assert_allclose(large, 2 * own, atol=1e-9)
 
 
-def test_named_columns_cover_the_motion_vector_once(walk):
-    representation = MultiresRepresentation.fit([walk])
-    layout, values = representation.layout, representation.encode(walk)
-    assert representation.n_features == values.shape[1]
-    columns = np.arange(values.shape[1])
-    named = [layout.rotations, layout.contacts, layout.root_xz, layout.root_height]
-    parts = np.concatenate([np.atleast_1d(columns[part]) for part in named])
-    assert sorted(parts) == columns.tolist()
-    assert columns[layout.root].tolist() == [parts[-3], parts[-1], parts[-2]]
-    step = np.tile([0.5 / 30 / representation.scale, 0], (len(values), 1))
-    np.testing.assert_allclose(values[:, layout.root_xz], step, atol=1e-9)
-    height = walk.positions()[:, representation.root, 1] / representation.scale
-    np.testing.assert_allclose(values[:, layout.root_height], height)
-
-
 def test_the_first_frame_has_the_displacement_of_the_second(walk):
     representation = MultiresRepresentation.fit([walk])
     two, one = (representation.encode(walk[k:5])[:, representation.layout.root_xz] for k in (3, 4))

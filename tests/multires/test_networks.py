@@ -17,7 +17,6 @@ from gesturekit.errors import ModelError
 from gesturekit.motion import Motion, Skeleton, upper_body
 from gesturekit.multires import (
     SLOPE,
-    LevelDiscriminator,
     MultiresGenerator,
     MultiresRepresentation,
     NetworkConfig,
@@ -198,23 +197,6 @@ def test_film_starts_as_the_identity_then_multiplies_by_one_plus_gamma_and_adds_
     film.shift.weight.data[:] = 5.0
     # The first channel is not modulated; the second is (1 + 2 * 0.5) * 3 + 5 * 0.5.
     assert film(x, y).flatten().tolist() == [3.0, 8.5, 3.0, 8.5]
-
-
-@pytest.mark.parametrize("n_frames", [1, 2, 21])
-def test_a_score_is_the_mean_of_a_reflect_padded_convolution(representation, n_frames):
-    torch.manual_seed(0)
-    discriminator = LevelDiscriminator(representation, NetworkConfig(channels=(3, 4, 5)), 2)
-    motions = torch.randn(2, representation.n_features, n_frames)
-    style = torch.tensor([[0.0, 1.0], [0.0, 0.0]])
-    features = motions
-    for conv in discriminator.layers:
-        features = torch.nn.functional.leaky_relu(conv(features), SLOPE)
-    features = reflect(features, 2)
-    plain = discriminator.score(features).mean(dim=(1, 2))
-    assert torch.allclose(discriminator(motions), plain, atol=1e-6)
-    styled = discriminator.styled(features)[0, 1].mean()
-    expected = plain + torch.stack([styled, torch.tensor(0.0)])
-    assert torch.allclose(discriminator(motions, style), expected, atol=1e-6)
 
 
 def test_the_margin_is_two_frames_of_the_coarsest_level():

@@ -38,9 +38,9 @@ SHORT = {"first_stage": 1, "further_stages": 1}
 
 
 def liveliness_over(seconds: float) -> np.ndarray:
-    """Return how lively somebody is (T,) at 30 fps: calm and lively by turns of eight seconds."""
+    """Return how lively somebody is (T,) at 30 fps: calm and lively by turns of four seconds."""
     time = np.arange(round(seconds * 30)) / 30
-    return 0.5 - 0.4 * np.cos(2 * np.pi * time / 16)
+    return 0.5 - 0.4 * np.cos(2 * np.pi * time / 8)
 
 
 def recording(seconds: float, seed: int) -> gk.Motion:
@@ -80,7 +80,7 @@ def voice(seconds: float, *, lively: float | None = None, seed: int = 0) -> af.W
 def recordings(tmp_path_factory):
     """A manifest of two speakers, and of a held-out recording with the arms held up."""
     where, items = tmp_path_factory.mktemp("recall"), []
-    takes = (("a", 16.0, "Ann", 0), ("b", 12.0, "Bo", 1), ("c", 16.0, "Ann", 5))
+    takes = (("a", 9.0, "Ann", 0), ("b", 8.0, "Bo", 1), ("c", 6.0, "Ann", 5))
     for name, seconds, speaker, seed in takes:
         files = {"audio": where / f"{name}.wav", "motion": where / f"{name}.npz"}
         split = "test" if name == "c" else "train"

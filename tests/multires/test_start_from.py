@@ -37,17 +37,6 @@ def first(corpus, tmp_path_factory) -> Path:
     return train(tiny(corpus, tmp_path_factory.mktemp("first") / "run"))
 
 
-def test_training_starts_at_the_output_of_the_other_model(first, corpus, tmp_path):
-    speech = corpus.parent / "paired" / "b.wav"
-    folder = train(tiny(corpus, tmp_path / "run", start_from=str(first.parent), training=STILL))
-    there, here, anew = (
-        gk.load(model).generate(speech, seed=3).rotations
-        for model in (first, folder, train(tiny(corpus, tmp_path / "anew", seed=1)))
-    )
-    assert np.abs(here - there).max() < 1e-4
-    assert np.abs(anew - there).max() > 1e-2
-
-
 def test_recordings_of_a_taller_speaker_on_top_of_another_model(
     first, gesture, write_speech, tmp_path
 ):

@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter1d
 
-from gesturekit.multires import ArmTarget, DetailTarget, PairedSequence, log_movement, losses
+from gesturekit.multires import ArmTarget, DetailTarget, PairedSequence, log_movement
 
 LEVELS, LEVEL = 4, 3
 
@@ -140,33 +140,3 @@ def test_log_movement_is_smoothed_over_a_tenth_of_a_second():
     for own, found, floor in zip((speed, acceleration), made[0], (0.5, 2.0), strict=True):
         smooth = gaussian_filter1d(own[0], 2.0, truncate=3.0, mode="mirror")
         np.testing.assert_allclose(found, np.log(smooth + floor))
-
-
-def fast_part(motion: torch.Tensor) -> torch.Tensor:
-    """Mean square (N, 3) of each joint's movement (N, 9, T) above three quarters of the rate."""
-    n = motion.shape[-1]
-    coarse = torch.nn.functional.interpolate(motion, round(0.75 * n), mode="linear")
-    back = torch.nn.functional.interpolate(coarse, n, mode="linear")
-    return (motion - back).square().unflatten(1, (3, 3)).mean(dim=(2, 3))
-
-
-@pytest.mark.parametrize(("level", "size"), [(3, 20), (2, 15)])
-@pytest.mark.parametrize("window", [20, None])
-def test_detail_is_compared_with_every_window_of_the_recordings(level, size, window):
-    """40 frames have 21 windows of 20; at three quarters of the rate 30 frames, 16 of 15."""
-    motions = [recording(0, seed).motion[:, :40] for seed in (1, 2)]
-    own = [PairedSequence.make("a", one, torch.zeros(0, 40), LEVELS, 0) for one in motions]
-    target = DetailTarget(own, level, LEVELS, places, window, 1)
-    size = size if window else 2 * size
-    powers = []
-    for one in own:
-        motion = one.motion[None]
-        if level == 2:
-            motion = torch.nn.functional.interpolate(motion, 30, mode="linear")
-        powers.append(fast_part(motion[0].unfold(-1, size, 1).movedim(1, 0)))
-    floor = 0.01 * torch.cat(powers).mean()
-    made = torch.randn(5, 9, size, generator=torch.Generator().manual_seed(0)) * 0.02
-    both = fast_part(made), torch.cat(powers)
-    expected = losses.detail(*(0.5 * torch.log(power + floor) / 3**0.5 for power in both))
-    found = target(places(made), torch.zeros(5, dtype=torch.long))
-    torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)

@@ -95,24 +95,3 @@ def test_across_a_short_gap_the_correction_goes_from_one_to_the_other():
     share = np.arange(1, 21) / 21
     expected = -0.004 + 0.008 * share**2 * (3 - 2 * share)
     np.testing.assert_allclose(offset[60:80, 1], expected, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("gap", "length", "before", "after"),
-    [
-        (10, 60, 5, 5),  # 0.2 s, 20 frames, for 4 cm: 5 more on either side
-        (11, 60, 5, 5),  # 9 missing, rounded up
-        (19, 60, 1, 1),
-        (10, 6, 3, 3),  # half of a span at most
-        (20, 60, 0, 0),
-    ],
-)
-def test_a_gap_too_short_for_its_correction_is_extended_into_contacts(gap, length, before, after):
-    n = 2 * length + gap
-    places = at_heights(n, (0, length + gap // 2, 0.02), (length + gap // 2, n, -0.02))
-    offset, _ = pinned(places, (0, length), (length + gap, n))
-    start, stop = length - before, length + gap + after
-    assert offset[:start, 1] == pytest.approx(-0.02) and offset[stop:, 1] == pytest.approx(0.02)
-    share = np.arange(1, stop - start + 1) / (stop - start + 1)
-    expected = -0.02 + 0.04 * share**2 * (3 - 2 * share)
-    np.testing.assert_allclose(offset[start:stop, 1], expected, atol=1e-12)

@@ -102,32 +102,6 @@ def test_a_pose_decays_within_half_a_second_or_a_quarter_of_the_motion(n_frames,
     np.testing.assert_allclose(angles, 0.8 * (1 - 3 * s**2 + 2 * s**3), atol=1e-9)
 
 
-@pytest.mark.parametrize(("twist", "turned"), [(10.0, 10.0), (-10.0, -10.0), (40.0, 15.0)])
-def test_the_feet_of_a_pose_decide_the_heading_within_fifteen_degrees(twist, turned):
-    """The pelvis of the pose faces 50 degrees, its feet are turned further by `twist`."""
-    pose = standing(1)
-    pose.rotations[:, 0] = about_y(50 * DEGREE)
-    pose = replace(pose, translation=pose.translation + [2.0, 0, -3.0])
-    feet = ankles(pose)
-    middle = feet.mean(axis=1, keepdims=True)
-    round_ = Rotation.from_rotvec([0, twist * DEGREE, 0])
-    places = (round_.apply((feet - middle)[0]) + middle[0])[None]
-    pose = reach_feet(pose, places, about_y(np.full((1, 2), (50 + twist) * DEGREE)))
-    # The motion is elsewhere, and faces the other way.
-    motion = standing()
-    motion.rotations[:, 0] = about_y(190 * DEGREE)
-    motion = replace(motion, translation=motion.translation + [7.0, 0, 7.0])
-    made = Placement(start=pose).applied(motion)
-    np.testing.assert_allclose(made.positions()[0], pose.positions()[0], atol=1e-6)
-    assert heading(made[-1:]) == pytest.approx((50 + turned) * DEGREE)
-    np.testing.assert_allclose(made.positions()[-1, 0, [0, 2]], [2.0, -3.0], atol=1e-6)
-    here = Placement(start=pose, facing=-20 * DEGREE).applied(motion)
-    assert heading(here[:1]) == pytest.approx(-20 * DEGREE)
-    on_path = Placement(start=pose, on_path=True).applied(motion)
-    assert heading(on_path[-1:]) == pytest.approx((190 - 360) * DEGREE)
-    np.testing.assert_allclose(on_path.translation[-1], motion.translation[-1], atol=1e-9)
-
-
 def test_a_pose_of_a_taller_person_is_put_on_the_body_above_its_floor():
     """Hips of a body twice as tall on a floor at 1 m; without a floor it is assumed at 0."""
     small = standing(1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gesturekit.postprocess.foot_lock import height_error, horizontal_drift
+from gesturekit.postprocess.foot_lock import horizontal_drift
 
 FPS = 50.0
 N = 501
@@ -52,21 +52,3 @@ def test_slow_drift_is_kept_and_sway_is_not(hertz, kept):
     inner = np.s_[500:1500]
     assert np.ptp(drift[inner]) == pytest.approx(0.1 * kept, rel=0.005, abs=3e-5)
     assert np.corrcoef(drift[inner], foot[inner, 2])[0, 1] > 0.999 or hertz > 0.1, "without delay"
-
-
-@pytest.mark.parametrize(
-    ("left", "right", "stands", "error"),
-    [
-        (0.02, 0.02, (True, True), 0.02),
-        (-0.02, -0.03, (True, True), -0.02),
-        (0.01, 0.03, (True, True), 0.01),
-        (-0.02, 0.03, (True, True), 0.0),
-        (0.02, 0.4, (True, False), 0.02),
-        (0.4, 0.02, (False, True), 0.02),
-        (0.4, 0.4, (False, False), 0.0),
-    ],
-)
-def test_the_error_of_height_is_common_to_the_standing_feet(left, right, stands, error):
-    heights = np.tile([left, right], (N, 1))
-    found = height_error(heights, stand(*stands), FPS)
-    np.testing.assert_allclose(found, error, atol=1e-12)

@@ -9,7 +9,7 @@ import pytest
 
 import audio_features as af
 from gesturekit.corpus import Item
-from gesturekit.errors import ConfigError, GestureKitError
+from gesturekit.errors import GestureKitError
 from gesturekit.jobs import Result, Task
 from gesturekit.motion import Motion
 from gesturekit.rendering import Output, Renderer, model_of_results, preview, render_batch
@@ -23,18 +23,6 @@ def renderer(model, out, output=None, seconds=None, channel=None, **controls) ->
 @pytest.fixture
 def sound(tmp_path, write_speech):
     return write_speech(tmp_path / "a.wav", 1.5)
-
-
-def test_formats_are_named_in_any_way_and_unknown_ones_are_refused(model, tmp_path):
-    for formats in ("bvh,npz", " .BVH,npz,,bvh", ("bvh", ".npz")):
-        assert list(renderer(model, tmp_path, Output(formats)).written) == ["bvh", "npz"]
-    for formats, says in (
-        ("c3d", "format c3d: known: bvh, npz"),
-        ("", r"format \(none\): known"),
-        ("svg", "format svg: .*; gesturekit convert x.bvh x.svg writes it"),
-    ):
-        with pytest.raises(ConfigError, match=says):
-            renderer(model, tmp_path, Output(formats))
 
 
 def test_results_depend_on_what_was_asked_for_and_on_nothing_else(model, tmp_path, sound):

@@ -60,17 +60,6 @@ def test_counts_are_those_of_the_state(page):
     assert "svg viewBox" not in text, "nothing to count"
 
 
-def test_histograms_have_classes_of_equal_ratios(page):
-    """From 1 to 100 in 24 classes: 10 s are the first of the second half."""
-    results = [done(f"{k}", sound, 0.5) for k, sound in enumerate((1, 1, 10, 100, 0))]
-    results.append(done("unknown", 5.0))  # of no time: of no speed
-    text = page(results)
-    lengths, speeds = text.split("<h2>Speed, times real time</h2>")
-    assert bars(lengths) == {0: (100, 2), 80: (50, 1), 120: (50, 1), 230: (50, 1)}
-    assert "<p>1 to 100 (logarithmic)" in lengths and "<p>2 to 200 (logarithmic)" in speeds
-    assert bars(speeds) == {0: (100, 2), 120: (50, 1), 230: (50, 1)}
-
-
 def test_failures_are_listed_by_reason_and_one_by_one(page):
     failed = [FailedItem("a<b>", "no <sound> in a<b>", 3), FailedItem("ç", "no <sound> in ç", 2)]
     failed += [FailedItem(f"{k}", "other", 1) for k in range(999)]

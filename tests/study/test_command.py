@@ -99,11 +99,6 @@ def test_the_size_of_a_study_is_printed(run):
         assert int(in_all.replace(",", "")) == int(raters) * int(a_rater)
 
 
-def test_all_settings_are_shown_with_their_meaning(tmp_path, run):
-    (tmp_path / "study.yaml").write_text("title: x\nsystems: {a: a, b: b}\n")
-    assert "pairs: 12" in run("build", tmp_path / "study.yaml", "--show", "pairs=12").out
-
-
 def test_a_page_is_built_and_not_overwritten(tmp_path, run):
     for system in ("a", "b"):
         (tmp_path / system).mkdir()

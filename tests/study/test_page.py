@@ -25,15 +25,15 @@ TEXTS = dict(zip(ANSWERS, CODES, strict=True))
 
 @pytest.fixture(scope="module")
 def videos(tmp_path_factory) -> dict[str, str]:
-    """Folders of 12 videos of a quarter of a second with a tone, of two systems."""
+    """Folders of 12 videos of a tenth of a second with a tone, of two systems."""
     if not shutil.which("ffmpeg"):
         pytest.skip("ffmpeg is not installed")
     folder = tmp_path_factory.mktemp("videos")
     for system, hue in (("ours", "red"), ("base line", "blue")):
         (folder / system).mkdir()
         first = folder / system / "clip 00.webm"
-        command = ["ffmpeg", "-v", "error", "-f", "lavfi", "-i", f"color={hue}:s=64x64:d=0.24:r=25"]
-        command += ["-f", "lavfi", "-i", "sine=300:d=0.24", "-c:v", "libvpx", "-c:a", "libopus"]
+        command = ["ffmpeg", "-v", "error", "-f", "lavfi", "-i", f"color={hue}:s=64x64:d=0.08:r=25"]
+        command += ["-f", "lavfi", "-i", "sine=300:d=0.08", "-c:v", "libvpx", "-c:a", "libopus"]
         subprocess.run([*command, str(first)], check=True)
         for k in range(1, 12):
             shutil.copy(first, first.with_name(f"clip {k:02d}.webm"))

@@ -123,7 +123,7 @@ def tables(path: Path) -> dict[str, list[list[str]]]:
 def test_the_tables_of_a_report_hold_all_figures(tmp_path):
     answers = [Answer(a.user, a.clip, a.left, a.right, a.score, ("<i>",)) for a in three_systems()]
     answers += mismatch("a", [2] * 8) + mismatch("b", [-1] * 8)
-    found = study(answers, rounds=1234, excluded={"<x>": "failed 2 of 2 attention checks"})
+    found = study(answers, rounds=123, excluded={"<x>": "failed 2 of 2 attention checks"})
     write_study_report(found, tmp_path / "x.html", title="Me & you")
     page = (tmp_path / "x.html").read_text(encoding="utf-8")
     shown = tables(tmp_path / "x.html")

@@ -78,7 +78,7 @@ def talks(tmp_path, write_pair) -> Path:
     items = []
     for number, split in enumerate(["train", "train", "valid", "test", "test"]):
         name = f"{split}/{number}"
-        audio, motion = write_pair(tmp_path / "talks", name, 5.0 + number, seed=number)
+        audio, motion = write_pair(tmp_path / "talks", name, 3.0 + number, seed=number)
         items.append(
             Item(
                 id=name,
@@ -86,7 +86,7 @@ def talks(tmp_path, write_pair) -> Path:
                 motion=motion,
                 audio_start=1.0,
                 motion_start=1.0,
-                duration=4.0 + number,
+                duration=2.0 + number,
                 speaker=f"speaker {number % 2}",
                 style=f"style {number % 2}",
                 split=split,
@@ -120,7 +120,7 @@ def test_the_last_line_of_a_training_is_the_verdict_of_an_evaluation(
 ):
     run, said = train(system, talks)
     what, _, verdict = said.partition(": ")
-    assert what == "Measured on 2 held-out recordings (15 s)" and len(verdict) > 20
+    assert what == "Measured on 2 held-out recordings (11 s)" and len(verdict) > 20
     assert said.removeprefix("Measured ") in (run / "model" / "README.md").read_text()
     rendered = tmp_path / "rendered"
     chosen = ("--corpus", talks, "--split", "test")

@@ -1,8 +1,9 @@
-"""Processes that torchrun starts share a batch and agree on its gradient."""
+"""Processes that torchrun would start share a batch and agree on its gradient."""
 
 from __future__ import annotations
 
 import json
+import socket
 from datetime import timedelta
 
 import pytest
@@ -13,10 +14,11 @@ from gesturekit.errors import ConfigError
 from gesturekit.training import Processes
 
 SCRIPT = """
-import json, sys, torch
+import json, os, sys, torch
 from pathlib import Path
 from gesturekit.training.run.processes import Processes
 
+os.environ["RANK"] = os.environ["LOCAL_RANK"] = "0" if os.fork() else "1"
 with Processes.from_environment("cpu") as processes:
     torch.manual_seed(0)
     net, unused = torch.nn.Linear(4, 1), torch.nn.Linear(4, 1)
@@ -38,12 +40,19 @@ with Processes.from_environment("cpu") as processes:
     }
     processes.wait()
     Path(sys.argv[1], f"{processes.rank}.json").write_text(json.dumps(result))
+if processes.is_first:
+    assert os.wait()[1] == 0
 """
 
 
-def test_two_processes_find_the_gradient_of_one(tmp_path):
+def test_two_processes_find_the_gradient_of_one(tmp_path, monkeypatch):
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = str(free.getsockname()[1])
+    told = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
+    for name, value in {"WORLD_SIZE": "2", "LOCAL_WORLD_SIZE": "2", **told}.items():
+        monkeypatch.setenv(name, value)
     (tmp_path / "script.py").write_text(SCRIPT)
-    ended(launch(tmp_path / "script.py", tmp_path, processes=2))
+    ended(launch(tmp_path / "script.py", tmp_path))
     two = [json.loads((tmp_path / f"{rank}.json").read_text()) for rank in range(2)]
     for result in two:
         assert result["gradient"] == pytest.approx(result["whole"], abs=1e-6)

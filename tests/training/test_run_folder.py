@@ -7,7 +7,6 @@ import re
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
@@ -67,22 +66,6 @@ def test_its_page_has_losses_by_level_metrics_by_step_the_verdict_and_samples(ru
     assert [int(link) for link in links] == [20, 10], "the newest first"
     assert "a &lt;b&gt; run" in page and "<b> run" not in page
     assert "http" not in page.replace("http-equiv", "")
-
-
-@pytest.mark.parametrize(
-    ("values", "heights", "scale"),
-    [([1.0, 3.0, 2.0], [0, 1, 0.5], "1 to 3"), ([1.0, 10.0, 100.0], [0, 0.5, 1], "log scale")],
-)
-def test_a_curve_goes_from_the_first_step_to_the_last(run: Run, values, heights, scale) -> None:
-    for step, value in zip((10, 20, 50), values, strict=True):
-        run.log(step, {"loss": value})
-    run.close()
-    chart = chart_of(page_of(run), "Loss")
-    points = re.search(r'<polyline points="([^"]*)"', chart)[1].split()
-    x, y = np.array([point.split(",") for point in points], float).T
-    np.testing.assert_allclose((x - x[0]) / (x[-1] - x[0]), [0, 0.25, 1], atol=0.01)
-    np.testing.assert_allclose((y.max() - y) / np.ptp(y), heights, atol=0.01)
-    assert scale in chart and "steps 10 to 50" in chart
 
 
 @pytest.mark.parametrize(

@@ -30,15 +30,3 @@ def test_time_left_weighs_steps_by_their_cost_and_leaves_out_the_first(clock, do
         progress.step(cost)
         assert (progress.seconds_left == 0) == (number == 0)
     assert progress.seconds_left == pytest.approx(2.0 * left)
-
-
-def test_after_three_seconds_the_time_left_is_logged_once(clock, caplog):
-    """After four of 40 steps of a second, of which the first does not count: 36 s times 3 / 3."""
-    caplog.set_level("INFO")
-    for quiet, expected in ((False, ["Time left: about 36 s for 36 of 40 steps."]), (True, [])):
-        caplog.clear()
-        with Steps([(40, 1.0)], 0, quiet=quiet) as progress:
-            for _ in range(9):
-                progress.step(1.0)
-                clock[0] += 1.0
-        assert caplog.messages == expected

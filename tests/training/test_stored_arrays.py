@@ -10,7 +10,7 @@ import pytest
 
 from gesturekit.corpus import Item
 from gesturekit.errors import ConfigError, CorpusError, FormatError, OutputError
-from gesturekit.training import ArrayFolder, array_key, stored_arrays
+from gesturekit.training import ArrayFolder, stored_arrays
 
 KEY = "3fab"
 ROWS = np.arange(30.0).reshape(10, 3)
@@ -51,10 +51,6 @@ class Maker:
         return np.full((3, 2), self.value), {"id": item.id}
 
 
-class OtherMaker(Maker):
-    """Makes arrays of another kind."""
-
-
 def items(*names: str) -> list[Item]:
     return [Item(id=n, audio=None, motion=Path(f"/{n}.bvh"), duration=1.0) for n in names]
 
@@ -87,17 +83,6 @@ def test_an_item_without_its_array_is_named_and_the_others_are_kept(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="file: .*; arrays=FOLDER names another folder; arrays"):
         stored_arrays(tmp_path / "file", [(maker, items("a"))], 1)
-
-
-def test_the_name_of_an_array_follows_kind_and_origin_whatever_their_order():
-    (item, other), maker = items("a", "b"), Maker(1.0)
-    key = array_key(maker, item)
-    assert len(key) == 32 and set(key) <= set("0123456789abcdef")
-    turned = Maker(1.0)
-    turned.origin = lambda item: dict(reversed(maker.origin(item).items()))
-    assert array_key(turned, item) == key
-    names = {key, array_key(maker, other), array_key(Maker(2.0), item)}
-    assert len(names | {array_key(OtherMaker(1.0), item)}) == 4
 
 
 def test_an_array_that_is_not_whole_is_missing(folder, tmp_path):

@@ -148,14 +148,6 @@ def names() -> list[str]:
     return [*BONES, "hair"]
 
 
-def test_a_base_colour_is_linear_light(tmp_path):
-    """As IEC 61966-2-1 has it: a fifth of the light is half of the code, hardly any is 12.92."""
-    surface = {"baseColorFactor": [0.2159, 0.002, 1.0, 1.0]}
-    change = changed("materials", 0, "pbrMetallicRoughness", value=surface)
-    skin = load_avatar(with_changes(tmp_path / "me.vrm", change))[0].skins[0]
-    np.testing.assert_array_equal(skin.palette, [[128, 7, 255]])
-
-
 def at(name: str) -> int:
     return names().index(name)
 

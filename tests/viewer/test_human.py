@@ -91,7 +91,7 @@ def gap_of(motion: Motion, names: tuple[str, str]) -> np.ndarray:
     return np.linalg.norm(one - other, axis=1)
 
 
-def check(motion: Motion, n_frames: int = 12) -> None:
+def check(motion: Motion, n_frames: int = 4) -> None:
     """Elbows, floor and hands of a motion on the body."""
     drawn = DrawnBody.of(motion, "human")
     for frame in np.linspace(0, motion.n_frames - 1, n_frames).astype(int):
@@ -114,7 +114,7 @@ def check(motion: Motion, n_frames: int = 12) -> None:
 @pytest.mark.parametrize("rig", [*RIGS, "demo", "gesture", "smplx"])
 def test_any_rig_is_retargeted_to_the_body(rig, gesture, request):
     if rig == "demo":
-        motion = gk.load("demo").generate(seconds=4.0, seed=0)
+        motion = gk.load("demo").generate(seconds=2.0, seed=0)
     elif rig in ("gesture", "smplx"):
         motion = gesture(1.0)
     else:
@@ -127,17 +127,7 @@ def test_any_rig_is_retargeted_to_the_body(rig, gesture, request):
                 source = motion.skeleton.index(side.title() + theirs)
                 rotations[:, names.index(f"{side}_{name}")] = motion.rotations[:, source]
         motion = Motion(smpl_skeleton(55), rotations, np.tile([0.0, 0.9, 0], (30, 1)), 30.0)
-    check(motion[:300], 12 if rig in (*RIGS, "demo") else 4)
-
-
-@baked
-def test_soles_stand_on_the_floor(gesture):
-    drawn = DrawnBody.of(gesture(0.5), "human")
-    source = gesture(0.5)
-    vertices, *_ = skin_at(drawn, 5)
-    feet = [source.skeleton.index(leg.ankle) for leg in find_parts(source.skeleton).legs.values()]
-    floor = source.positions()[5, feet, 1].min() - 0.1
-    assert vertices[:, 1].min() == pytest.approx(floor, abs=0.06)
+    check(motion[:60])
 
 
 @baked
@@ -172,9 +162,9 @@ def test_a_page_with_the_body_opens_in_a_browser(tmp_path, gesture, open_browser
 
 @baked
 def test_videos_and_pictures_show_the_same_body(tmp_path, gesture):
-    motion = gesture(0.2)
+    motion = gesture(0.1)
+    write_picture(motion, tmp_path / "human.png", body="human", frames=2)
     for kind in ("human", "mannequin"):
-        write_picture(motion, tmp_path / f"{kind}.png", body=kind)
         write_video(motion, tmp_path / f"{kind}.mp4", body=kind)
     red, _, blue = np.moveaxis(matplotlib.image.imread(tmp_path / "human.png")[..., :3], -1, 0)
     assert ((blue > 0.3) & (blue > 1.5 * red)).mean() > 0.01

@@ -7,7 +7,6 @@ import html
 import os
 import re
 import runpy
-import time
 from pathlib import Path
 
 import matplotlib.image
@@ -178,19 +177,3 @@ def test_a_page_opens_from_the_waist_up(tmp_path, gesture, open_browser) -> None
     assert apart["waist"] > 1.5 * apart["whole"]
     with pytest.raises(FormatError, match=r"framing is 'feet'; expected whole or waist"):
         write_html(gesture(0.2), tmp_path / "a.html", framing="feet")
-
-
-@pytest.mark.stress
-def test_frames_that_come_late_are_drawn_with_fewer_pixels(tmp_path, gesture, open_browser) -> None:
-    write_html(gesture(60.0), tmp_path / "a.html")
-    browser = opened(open_browser, tmp_path / "a.html", dark=True)
-    browser.run("player.play()")
-    browser.wait(f"{RATIO} == 0.75")
-    slow = "(function burn() { const end = performance.now() + 60;"
-    slow += " while (performance.now() < end); requestAnimationFrame(burn); })()"
-    browser.run(slow)
-    time.sleep(1)
-    assert browser.run(RATIO) == 0.75  # not for a moment's delay
-    browser.wait(f"{RATIO} == 0.5", 10)
-    sides(browser, tmp_path)
-    assert browser.lines == []

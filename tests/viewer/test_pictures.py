@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 import matplotlib.colors
@@ -14,11 +13,10 @@ from PIL import Image
 from rigs import rig_of
 from scipy.spatial.transform import Rotation
 
-from audio_features import FeatureTrack, LogMel, Wave
+from audio_features import Wave
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.motion import Motion
-from gesturekit.viewer import LEFT, MIDDLE, RIGHT, DrawnBody, Figure, write_picture
-from gesturekit.viewer.feature_picture import draw_features
+from gesturekit.viewer import LEFT, MIDDLE, RIGHT, DrawnBody, write_picture
 from gesturekit.viewer.pictures import COLOURS
 
 
@@ -66,6 +64,8 @@ def test_a_plot_is_the_picture_of_the_file(tmp_path):
     a_swing(1.2).save(tmp_path / "a.png", **options)
     plot = a_swing(1.2).plot(**options)
     np.testing.assert_array_equal(plot, Image.open(tmp_path / "a.png"))
+    other = a_swing(1.2).plot(**options | {"title": "jump"})
+    assert not np.array_equal(plot, other), "its title"
 
 
 def test_a_motion_too_short_for_the_first_time_is_drawn_in_its_middle(tmp_path):
@@ -81,16 +81,6 @@ def test_files_name_us_and_no_time_of_writing(tmp_path, kind):
     data = (tmp_path / f"a.{kind.upper()}").read_bytes()
     assert b"gesturekit" in data
     assert b"dc:date" not in data and b"CreationDate" not in data
-
-
-def test_a_rig_of_one_joint_is_as_tall_as_its_end(tmp_path):
-    ends = {"root": (np.array([0.0, 1.0, 0.0]),)}
-    lone = rig_of({"root": (None, (0.0, 0.0, 0.0))}, end_sites=ends)
-    still = np.tile([0.0, 0.0, 0.0, 1.0], (90, 1, 1))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        write_picture(Motion(lone, still, np.zeros((90, 3)), 30.0), tmp_path / "a.png", frames=4)
-    assert np.ptp(widths(tmp_path / "a.png", 4)) <= 2
 
 
 def test_the_picture_with_sound_has_the_speech_on_it(tmp_path):
@@ -160,69 +150,3 @@ def test_people_are_seen_from_the_front_wherever_they_stand_and_face(drawn, gest
     assert COLOURS[MIDDLE] == colours[int(np.argmax(tops))]
     (nose,) = {colour for colour in colours if colour not in COLOURS.values()}
     assert colours.count(nose) == 3
-
-
-def test_hand_speed_is_shown_over_the_energy_of_speech(drawn):
-    motion = a_swing(1.0)
-    figure = Figure.of(motion)
-    *_, speed = drawn({"a": motion, "b": motion[:30]})
-    first, second = speed.lines
-    assert first.get_xdata() == pytest.approx(np.arange(90) / 30)
-    assert first.get_ydata() == pytest.approx(figure.hand_speed)
-    assert second.get_xdata() == pytest.approx(np.arange(30) / 30)
-    top = max(1.08 * Figure.of(m).top_speed for m in (motion, motion[:30]))
-    assert [text.get_text() for text in speed.get_legend().get_texts()] == ["a", "b"]
-    # Quiet for 2 s, then loud for 2: a step of grey from none to the full height.
-    samples = np.random.default_rng(0).normal(0, 1, 64_000).astype(np.float32)
-    samples *= np.where(np.arange(64_000) < 32_000, 0.001, 0.2)
-    speech, speed, body = drawn(motion, audio=Wave(samples.astype(np.float32), 16_000))
-    assert {axes.get_xlim() for axes in (speech, speed, body)} == {(0, 4)}
-    (grey,) = speed.collections
-    outline = grey.get_paths()[0].vertices
-    top = speed.get_ylim()[1]
-    quiet, loud = (
-        outline[(outline[:, 0] > start) & (outline[:, 0] < start + 1.5), 1].max()
-        for start in (0.2, 2.2)
-    )
-    assert quiet < 0.1 * top and loud == pytest.approx(top, rel=0.01)
-    assert outline[:, 0].min() == 0 and outline[:, 0].max() == pytest.approx(3.98)
-    (image,) = speech.images
-    # Low bands are below, and the loud half is brighter.
-    values = np.asarray(image.get_array())
-    assert values[:, -50:].mean() > values[:, :50].mean() + 1
-
-
-def test_features_are_drawn_at_their_times(drawn, tmp_path):
-    times = 0.01 + 0.02 * np.arange(100)
-    rng = np.random.default_rng(0)
-    voiced = np.where(np.arange(100) < 50, 0.9, 0.5)
-    columns = {
-        "mfcc_0": 5 + 300 * rng.normal(size=100),
-        "mfcc_1": rng.normal(size=100),
-        "f0": np.linspace(-3, 3, 100),
-        "voicing": voiced,
-        "mel_0": np.full(100, 1.0),
-        "mel_1": np.full(100, 3.0),
-    }
-    values = np.stack(list(columns.values()), axis=1).astype(np.float32)
-    track = FeatureTrack(values, times, names=tuple(columns))
-    wave = Wave(rng.normal(0, 0.1, 32_000).astype(np.float32), 16_000)
-    path = tmp_path / r"$\frac{a$.png"  # a name, and no formula
-    draw_features(track, path, wave)
-    assert path.stat().st_size > 1000
-    titles = [axes.get_title(loc="left") for axes in drawn.kept[-1].axes]
-    for title, name in zip(titles, ("the sound", "mfcc", "f0", "voicing", "mel"), strict=True):
-        assert title.startswith(name)
-    sound, cepstra, pitch, voicing, mel = drawn.kept[-1].axes
-    spectrum = LogMel(n_mels=40).extract(wave).values.T
-    assert np.asarray(sound.images[0].get_array()) == pytest.approx(spectrum)
-    shown = np.asarray(cepstra.images[0].get_array())
-    assert shown.mean(axis=1) == pytest.approx([0, 0], abs=1e-4)
-    # Frames of 20 ms about their times, one row a column.
-    assert tuple(cepstra.images[0].get_extent()) == pytest.approx((0.0, 2.0, 0, 2))
-    assert np.asarray(mel.images[0].get_array())[:, 0].tolist() == [1, 3]
-    x, y = pitch.lines[0].get_data()
-    assert x == pytest.approx(times) and np.isnan(y[50:]).all()
-    assert y[:50] == pytest.approx(columns["f0"][:50], abs=1e-5)
-    assert voicing.lines[0].get_ydata() == pytest.approx(voiced)
-    assert {axes.get_xlim() for axes in drawn.kept[-1].axes} == {(0, 2)}

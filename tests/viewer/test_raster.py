@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.ndimage import uniform_filter
 from scipy.spatial.transform import Rotation
 
 from gesturekit.viewer import Buffers, Camera
@@ -52,23 +51,6 @@ def test_vertices_and_normals_are_skinned():
     weights[0], parts[0] = [1, 0, 5, 5], [2, 0, 0, 0]
     raster.place(vertices, normals, parts, weights, matrices, out, out_normals)
     assert out[0] == pytest.approx(matrices[2, :, :3] @ vertices[0] + matrices[2, :, 3], abs=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("normal", "sun", "eye", "strength"),
-    [
-        ((0, 2, 0), (0, 1, 0), (0, 1, 0), 0.68 + 0.10 + 0.38),
-        ((0, 1, 0), (1, 0, 0), (1, 0, 0), (0.68 + 0.10) * 0.78),  # an edge in the shade
-        ((0, -1, 0), (0, 1, 0), (0, 1, 0), (0.68 - 0.10) * 0.78),
-        ((3, 0, 4), (1, 0, 0), (0, 0, 1), (0.68 + 0.38 * 0.6) * (1 - 0.22 * 0.008)),
-        ((0, 0, 1), (0.48, 0.64, 0.6), (0.48, 0.6, 0.64), (0.68 + 0.38 * 0.6) * 0.98974),
-        ((0, 0.6, 0.8), (0, 0.8, 0.6), (0, -0.6, 0.8), (0.74 + 0.38 * 0.96) * 0.91795),
-    ],
-)
-def test_light_comes_from_the_sun_and_the_sky_and_edges_are_darker(normal, sun, eye, strength):
-    colours, out = f32((100, 50, 200), (0, 255, 10)), np.empty((2, 3), np.float32)
-    raster.light(f32(normal, normal), colours, f32(*sun), f32(*eye), out)
-    assert out == pytest.approx(np.minimum(strength * colours, 255), rel=1e-4)
 
 
 def test_places_are_projected_through_a_hole(view):
@@ -136,96 +118,3 @@ def test_faces_side_by_side_leave_no_gap_and_none_behind_the_camera_is_drawn(buf
     buffers.depths[:] = 0
     box = raster.fill(corners, colours, faces[:1], buffers.depths, buffers.samples)
     assert box[1] == 0 and not buffers.depths.any()
-
-
-def test_shadows_fall_away_from_the_sun():
-    # 4 m above the floor, under a sun that rises 2 m for each half metre to +x and metre to +z.
-    out = np.empty((1, 3), np.float32)
-    raster.cast(f32((1, 4.5, 2)), f32(0.5, 2, 1), 0.5, out)
-    assert out.tolist() == [[0.0, 0.5, 0.0]]
-
-
-@pytest.mark.parametrize("radius", [1, 3])
-def test_shadows_are_blurred_twice(buffers, radius):
-    mask, scratch = np.zeros((20, 30), np.float32), np.full((20, 30), 7.0, np.float32)
-    mask[0:6, 9:20] = np.random.default_rng(0).uniform(-1, 1, (6, 11))
-    expected = (mask > 0).astype(float)
-    for _ in range(2):
-        expected = uniform_filter(expected, 2 * radius + 1, mode="constant")
-    box = np.array([0, 6, 9, 20])
-    raster.blur(mask, box, radius, scratch)
-    assert box.tolist() == [0, 6 + 2 * radius, 9 - 2 * radius, 20 + 2 * radius]
-    assert mask == pytest.approx(expected, abs=1e-5)
-    # The picture's edges cut both the shadow and its blur off.
-    mask[:] = np.random.default_rng(1).uniform(-1, 1, mask.shape)
-    expected = (mask > 0).astype(float)
-    for _ in range(2):
-        expected = uniform_filter(expected, 2 * radius + 1, mode="constant")
-    raster.blur(mask, box := np.array([1, 19, 0, 30]), radius, scratch)
-    assert box.tolist() == [0, 20, 0, 30]
-    inner = slice(2 * radius + 1, -2 * radius - 1)
-    assert mask[inner] == pytest.approx(expected[inner], abs=1e-5)
-
-
-def from_above(metre: float = 1.0, x: float = 0.0, shadow: float = 0.0, size: float = 5.0):
-    """The floor at 0.5 m seen from 5 m above it, 41 by 41 pixels of 5 cm, its middle below."""
-    camera = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0], [x, 5.5 * metre, 0]], float)
-    image = np.zeros((41, 41, 3), np.uint8)
-    mask = np.zeros((21, 21), np.float32)
-    mask[15, 15] = shadow
-    ground = np.array([0.5 * metre, x, 0.0, size * metre, metre])
-    raster.paint_floor(image, camera, 100.0, ground, mask, np.float32(0.3))
-    return image.astype(int)
-
-
-def test_the_floor_has_a_grid_of_metres_and_weaker_half_metres():
-    image = from_above()
-    # The background in the middle row, (242.2, 243.1, 243.6), and 30 % of the way from there to
-    # (128, 140, 153).
-    assert image[20, 20].tolist() == [207, 212, 216]
-    middle = image[25, 25]
-    assert middle.tolist() == [240, 241, 242]
-    red = image[:, 25, 0]
-    # Lines at rows 20 (0 m), 10 and 30 (half a metre), 0 and 40 (a metre).
-    lines = [int(row) for row in np.flatnonzero(red < red[25] - 5)]
-    assert lines == [0, 10, 20, 30, 40]
-    assert (image[25, :, 0] < 235).nonzero()[0].tolist() == [0, 10, 20, 30, 40]
-    assert (red[20] < red[10]) and (red[40] < red[30])
-    # The same places a whole metre, and two thousand, away; and on a floor for giants.
-    for other in (from_above(x=1.0), from_above(x=2000.0), from_above(metre=10.0)):
-        assert np.abs(other - image).max() <= 1
-    half = from_above(x=0.5)[25, :, 0]
-    assert half[20] > half[10] + 10  # now half a metre is in the middle
-
-
-def test_the_shadow_takes_its_share_of_light():
-    plain = from_above()
-    for dark, share in ((0.5, 0.15), (1.0, 0.3), (3.0, 0.3)):
-        image = from_above(shadow=dark)
-        # The mask is of half the size: its cell (15, 15) is of pixels 30 and 31.
-        changed = np.argwhere((image != plain).any(axis=-1))
-        assert changed.min(axis=0).tolist() == [30, 30]
-        assert changed.max(axis=0).tolist() == [31, 31]
-        expected = plain[31, 31] + share * ([48, 60, 76] - plain[31, 31])
-        assert image[31, 31] == pytest.approx(expected, abs=1)
-
-
-def test_pixels_are_means_of_their_samples_over_the_background(buffers):
-    image = np.full((20, 30, 3), 100, np.uint8)
-    depths, samples = buffers.depths, buffers.samples
-    samples[:] = np.nan
-    depths[6, 9:11], samples[6, 9], samples[6, 10] = 0.5, (200, 40, 0), (255, 10, 20)
-    depths[7, 10:12], samples[7, 10:12] = 0.1, (255, 10, 20)
-    depths[6, 11], samples[6, 11] = 0.2, (251, 10, 20)
-    raster.resolve(depths, samples, np.array([6, 8, 9, 12]), image)
-    # One of four samples in column 4, all four in column 5.
-    assert image[3, 4].tolist() == [125, 85, 75]
-    assert image[3, 5].tolist() == [254, 10, 20]
-    assert not depths.any()
-    image[3, 4:6] = 100
-    assert (image == 100).all()
-    # Odd boxes are widened to whole pixels; nothing beyond them is touched.
-    depths[:] = 1.0
-    samples[:] = 0.0
-    raster.resolve(depths, samples, np.array([3, 5, 5, 7]), image)
-    assert np.argwhere(image[..., 0] == 0).tolist() == [[r, c] for r in (1, 2) for c in (2, 3)]

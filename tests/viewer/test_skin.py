@@ -7,12 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pages import bundled, data_of, opened, unpacked
+from pages import bundled, data_of, unpacked
 from scipy.spatial.transform import Rotation
 
-from gesturekit.formats import Skin, fit_body, smpl_skeleton, whole_weights
+from gesturekit.formats import Skin, fit_body, smpl_skeleton
 from gesturekit.motion import BodyModel, BodyShape, Motion
-from gesturekit.viewer import write_html
 
 pytestmark = bundled
 
@@ -74,13 +73,6 @@ def test_the_skin_moves_as_the_body_model_says(tmp_path, body, n_joints):
     assert np.abs(moved - expected).max() < 1e-3  # metres; weights are in parts of 255
 
 
-def test_weights_are_255ths_and_the_greatest_takes_what_rounding_gave():
-    """5 of 10 are 127.5, 2 are 51, 1 is 25.5: 128, 51, 51 and 26, which are one too many."""
-    joints, weights = whole_weights(np.array([[7, 3, 9, 1]]), np.array([[1.0, 5.0, 2.0, 2.0]]))
-    assert (joints.dtype, weights.dtype) == (np.uint8, np.uint8)
-    assert joints.tolist() == [[3, 9, 1, 7]] and weights.tolist() == [[127, 51, 51, 26]]
-
-
 def test_a_vertex_keeps_its_four_greatest_weights(body):
     weights = np.zeros_like(body.weights)
     weights[:, [2, 3, 5, 7, 8]] = [0.05, 0.3, 0.15, 0.4, 0.1]
@@ -92,10 +84,3 @@ def test_a_vertex_keeps_its_four_greatest_weights(body):
     skin = Skin.of(two)
     assert (skin.joints == [1, 0, 0, 0]).all() and (skin.weights == [146, 109, 0, 0]).all()
     assert skin.rest.shape == (2, 3)
-
-
-@pytest.mark.stress
-def test_a_page_with_skins_opens_in_a_browser(tmp_path, body, open_browser):
-    pair = {"left": turning(), "right": turning(22)}
-    write_html(pair, tmp_path / "pair.html", body_model=body)
-    assert opened(open_browser, tmp_path / "pair.html", "t=1").lines == []
