@@ -24,7 +24,8 @@ for _package in ("corpus", "evaluation", "viewer"):
 MAY_IMPORT["corpus"] |= {"jobs"}
 MAY_IMPORT["evaluation"] |= {"corpus", "jobs", "viewer"}  # its report embeds the player
 MAY_IMPORT["training"] = {"corpus", "evaluation", "formats", "jobs", "motion", "viewer"}
-MAY_IMPORT["multires"] = {"model", "postprocess", "training", *MAY_IMPORT["training"]}
+MAY_IMPORT["state"] = {"corpus", "motion"}
+MAY_IMPORT["multires"] = {"model", "postprocess", "state", "training", *MAY_IMPORT["training"]}
 MAY_IMPORT["diffusion"] = MAY_IMPORT["multires"]
 MAY_IMPORT["inspection"] = {"systems", "diffusion", *MAY_IMPORT["multires"]}
 MAY_IMPORT["rendering"] = {"jobs", "systems", "multires", "diffusion", *MAY_IMPORT["multires"]}

@@ -1,8 +1,23 @@
 """State of movement: what speech does not tell of a motion, measured in recordings, drawn for new
 motions, and given to the networks as a condition."""
 
-from gesturekit.state.channels import StateChannels
-from gesturekit.state.prediction import WantedMovement
-from gesturekit.state.process import RecordedState, StateProcess
+from gesturekit.lazy import attach
 
-__all__ = ["RecordedState", "StateChannels", "StateProcess", "WantedMovement"]
+__getattr__ = attach(
+    __name__,
+    {},
+    {
+        "RecordedState": "process",
+        "Regression": "prediction",
+        "StateChannels": "channels",
+        "StateProcess": "process",
+        "WantedMovement": "prediction",
+        "averaged": "channels",
+        "fast_inputs": "prediction",
+        "folds_of": "prediction",
+        "normal_scores": "process",
+        "slow_inputs": "prediction",
+        "usual_voice": "prediction",
+        "voice_activity": "process",
+    },
+)[1]

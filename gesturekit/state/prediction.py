@@ -300,7 +300,7 @@ class WantedMovement:
         """
         for name, most in (("mean_counts", 1.0), ("spread", _MOST_SPREAD)):
             if not 0 <= float(values[name]) <= most:
-                raise ValueError(f"{where}: {name} is {values[name]}, not from 0 to {most:g}")
+                raise ValueError(f"{where}: wanted.{name} is {values[name]}, not 0 to {most:g}")
         return cls(
             fps=fps,
             effort=tuple(map(int, values["effort"])),

@@ -207,8 +207,8 @@ def test_recall_can_be_turned_off(model, plain, speech):
     ("kind", "asked", "expected"),
     [
         ("plain", {"recall": True}, "recall=True: .* not trained with recall"),
-        ("plain", {"liveliness": 1.5}, "liveliness=1.5: only models trained with recall"),
-        ("plain", {"mood_seed": 0}, "mood_seed=0: only models trained with recall"),
+        ("plain", {"liveliness": 1.5}, "liveliness=1.5: only models"),
+        ("plain", {"mood_seed": 0}, "mood_seed=0: only models"),
         ("model", {"recall": False, "liveliness": 0.5}, "liveliness=0.5: without recall"),
         ("model", {"recall": False, "mood_seed": 0}, "mood_seed=0: without recall"),
         ("model", {"like": 1, "liveliness": 0.5}, "liveliness=0.5: like sets the"),

@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.multires.recall.ahead import AheadPrediction, FeatureWindow, last_bins
-from gesturekit.state.prediction import (
+from gesturekit.state import (
     Regression,
     WantedMovement,
     fast_inputs,

@@ -12,10 +12,10 @@ from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.multires.recall.slow_state import (
     SlowState,
-    normal_scores,
     recorded_quantiles,
     recorded_values,
 )
+from gesturekit.state import normal_scores
 
 FPS = 5.0
 BETWEEN, TAKES = 1 / 3, 3.0

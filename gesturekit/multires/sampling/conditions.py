@@ -97,12 +97,16 @@ def level_range(text: str, n_levels: int, name: str, example: str) -> range:
 
 
 def condition_levels(
-    speech: Tensor, lengths: Sequence[int], residual: bool, styles: Sequence[Tensor] = ()
+    speech: Tensor,
+    lengths: Sequence[int],
+    residual: bool,
+    styles: Sequence[Tensor] = (),
+    states: Sequence[Tensor] = (),
 ) -> list[Tensor]:
-    """Return the condition (B, S + K, T_i) of each level from `speech` (B, S, T) at the finest one.
+    """Return the condition (B, S + K + C, T_i) of each level from `speech` (B, S, T) at the finest.
 
-    S is 0 without speech input; `styles` are (B, K, T_i) for each level, or empty. With `residual`,
-    finer levels get only the detail that coarser ones lack.
+    S is 0 without speech input; `styles` are (B, K, T_i) for each level, or empty, and so are
+    `states`, (B, C, T_i). With `residual`, finer levels get only the detail that coarser ones lack.
     """
     batch, width, n_frames = speech.shape
     if residual and width:
@@ -113,9 +117,8 @@ def condition_levels(
         ]
     else:
         features = [resample(speech, n) for n in lengths]
-    if not styles:
-        return features
-    return [torch.cat(parts, dim=1) for parts in zip(features, styles, strict=True)]
+    given = [features, *(list(own) for own in (styles, states) if own)]
+    return [torch.cat(parts, dim=1) for parts in zip(*given, strict=True)]
 
 
 def state_level(

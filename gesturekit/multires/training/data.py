@@ -13,6 +13,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -22,7 +23,8 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.resampling import reflect
 from gesturekit.multires.recall.parts import PassiveChannels
-from gesturekit.multires.sampling.conditions import Conditions
+from gesturekit.multires.sampling.conditions import Conditions, state_level
+from gesturekit.multires.sampling.trained_model import clocked_noise
 from gesturekit.multires.training.sequences import Cut, PairedSequence
 from gesturekit.multires.training.stored import StoredCorpus
 from gesturekit.state.channels import StateChannels
@@ -208,6 +210,22 @@ class TrainingData:
     def state_channels(self) -> StateChannels:
         """Return the channels of the state of movement of the rig."""
         return StateChannels.find(self.representation.skeleton, self.representation.joints)
+
+    def state_levels(self, state: np.ndarray, lengths: Sequence[int]) -> list[Tensor]:
+        """Return the states (N, C, T_i) of each level from those of N windows, (N, C, T)."""
+        n_carriers = self.state_channels.n_carriers
+        return [torch.from_numpy(state_level(state, n_carriers, n)) for n in lengths]
+
+    def clocked_noises(
+        self, state: np.ndarray, lengths: Sequence[int], sigma: Tensor
+    ) -> list[Tensor | None]:
+        """Return the noise of states (N, C, T): that of level 1 alone, see `clocked_noise`.
+
+        `sigma` (L,) is the noise scale of each level.
+        """
+        n_carriers = self.state_channels.n_carriers
+        first = clocked_noise(state, n_carriers, lengths[0], sigma[0])
+        return [first, *[None] * (len(lengths) - 1)]
 
     @property
     def own_lengths(self) -> bool:

@@ -20,6 +20,7 @@ from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.network.skeleton_conv import Convolve, convolve_dense
 from gesturekit.multires.sampling.conditions import condition_levels, style_levels
 from gesturekit.multires.training.data import TrainingData
+from gesturekit.multires.training.state import TrainingState
 from gesturekit.multires.training.window_cache import random_noise
 from gesturekit.training.seeds import rng_for
 
@@ -40,9 +41,13 @@ class Monitor:
     """
 
     def __init__(
-        self, data: TrainingData, config: MultiresConfig, convolve: Convolve = convolve_dense
+        self,
+        data: TrainingData,
+        config: MultiresConfig,
+        convolve: Convolve = convolve_dense,
+        state: TrainingState | None = None,
     ) -> None:
-        self.data = data
+        self.data, self.state = data, state
         self.convolve = convolve
         self.config = config
         self.excerpts = [
@@ -97,16 +102,19 @@ class Monitor:
         device = next(network.parameters()).device
         sequence, n_frames = self.excerpts[number]
         lengths = af.level_lengths(n_frames, self.config.network.levels)
-        speech = sequence.speech[:, :n_frames][None]
-        styles = []
+        whole, styles = sequence.speech[:, :n_frames][None], []
         if self.data.styles:
             same = torch.full((1, len(lengths)), sequence.style)
             styles = style_levels(same, len(self.data.styles), lengths)
-        speech = speech[:, self.data.conditions(self.config).columns]
-        conditions = condition_levels(speech, lengths, self.config.residual, styles)
-        rng = rng_for(self.config.seed, "monitor", number)
+        speech = whole[:, self.data.conditions(self.config).columns]
+        rng, states = rng_for(self.config.seed, "monitor", number), []
         noises = self.noise.gaussian(lengths[:levels], lambda _: rng)
         noises[0] = self.noise.shuffled(noises[0], [[sequence.style] * lengths[0]], rng)
+        if self.state is not None:
+            state = self.state.drawn(whole, [sequence.style], rng)
+            states = self.data.state_levels(state, lengths)
+            noises = self.data.clocked_noises(state, lengths[:levels], self.noise.sigma)
+        conditions = condition_levels(speech, lengths, self.config.residual, styles, states)
         output = network(
             [None if noise is None else noise.to(device) for noise in noises],
             [level.to(device) for level in conditions[:levels]],

@@ -21,7 +21,7 @@ from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.sampling.conditions import agreed_style
 from gesturekit.multires.training.batches import Batches
 from gesturekit.multires.training.data import TrainingData
-from gesturekit.multires.training.state import StateTarget, TrainingState
+from gesturekit.multires.training.state import TrainingState, state_targets
 from gesturekit.multires.training.targets import (
     ArmTarget,
     DetailTarget,
@@ -101,12 +101,7 @@ class Stage:
                 self.device,
                 config.losses.arm_floors,
             )
-        self.states: dict[int, StateTarget] = {}
-        if config.losses.state and isinstance(source, TrainingState):
-            self.states = {
-                i: StateTarget(source, i, config.network.levels, self._places).to(self.device)
-                for i in self.indices
-            }
+        self.states = state_targets(source, self.indices, config, self._places, self.device)
         self.details: dict[int, DetailTarget] = {}
         if config.losses.detail:
             self.details = detail_targets(

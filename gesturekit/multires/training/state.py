@@ -142,3 +142,20 @@ def _lines(given: Sequence[Tensor], shown: Sequence[Tensor]) -> np.ndarray:
     away = x - x.mean(axis=1, keepdims=True)
     slope = (away * y).mean(axis=1) / np.maximum(np.square(away).mean(axis=1), 1e-9)
     return np.stack([slope, mean - slope * x.mean(axis=1), np.maximum(y.std(axis=1), 1e-3)])
+
+
+def state_targets(
+    state: object,
+    indices: Sequence[int],
+    config: MultiresConfig,
+    places: Callable[[Tensor], Tensor],
+    device: torch.device,
+) -> dict[int, StateTarget]:
+    """Return {index: target} of these levels; none without `losses.state`.
+
+    Arguments are as for `StateTarget`; a `state` of another type is no state.
+    """
+    if not config.losses.state or not isinstance(state, TrainingState):
+        return {}
+    levels = config.network.levels
+    return {i: StateTarget(state, i, levels, places).to(device) for i in indices}

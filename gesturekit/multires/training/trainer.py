@@ -153,7 +153,7 @@ class Trainer:
         self.network.to(device)
         watched = config.eval_every and processes.is_first
         convolve = choose_backend(config.backend, self.network).convolve
-        self.monitor = Monitor(self.data, config, convolve) if watched else None
+        self.monitor = Monitor(self.data, config, convolve, self.state) if watched else None
 
     @cached_property
     def library(self) -> RecallLibrary | None:

@@ -24,13 +24,11 @@ from gesturekit.multires.recall.library import RecalledMotion, RecallLibrary
 from gesturekit.multires.sampling.conditions import (
     condition_levels,
     mixed_styles,
-    state_level,
     style_levels,
 )
 from gesturekit.multires.sampling.trained_model import (
     RandomNoise,
     ZStarPatches,
-    clocked_noise,
 )
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.sequences import PairedSequence
@@ -139,16 +137,10 @@ class WindowCache:
         recalled = state = None
         if self.state is not None:
             state = self.state.drawn(speech, styles[:, 0].tolist(), rng)
-            noises = self._clocked(state, lengths)
+            noises = self.data.clocked_noises(state, lengths, self.noise.sigma)
         if self.library is not None and first >= self.library.level:
             recalled = self._recalled(speech, styles, rng)
         return self._windows(n_frames, first, speech, styles, noises, None, recalled, state)
-
-    def _clocked(self, state: np.ndarray, lengths: Sequence[int]) -> list[Tensor | None]:
-        """Return the noise of states (N, C, T): that of level 1 alone, see `clocked_noise`."""
-        n_carriers = self.data.state_channels.n_carriers
-        first = clocked_noise(state, n_carriers, lengths[0], self.noise.sigma[0])
-        return [first, *[None] * (len(lengths) - 1)]
 
     def _recalled(
         self, speech: Tensor, styles: Tensor, rng: torch.Generator
@@ -198,7 +190,7 @@ class WindowCache:
             torch.tensor(styles),
             [torch.stack(z_star), *([None] * (len(lengths) - 1))]
             if state is None
-            else self._clocked(state, lengths),
+            else self.data.clocked_noises(state, lengths, self.noise.sigma),
             torch.stack(motion),
             state=state,
         )
@@ -255,11 +247,8 @@ class WindowCache:
         if self.data.styles:
             one_hot = style_levels(styles, len(self.data.styles), lengths)
         features = speech[:, self.columns]
-        conditions = condition_levels(features, lengths, self.config.residual, one_hot)
-        if state is not None:
-            n_carriers = self.data.state_channels.n_carriers
-            states = [torch.from_numpy(state_level(state, n_carriers, n)) for n in lengths]
-            conditions = [torch.cat(both, dim=1) for both in zip(conditions, states, strict=True)]
+        states = [] if state is None else self.data.state_levels(state, lengths)
+        conditions = condition_levels(features, lengths, self.config.residual, one_hot, states)
         to = self.device
         conditions = [level.to(to) for level in conditions]
         noises = [None if noise is None else noise.to(to) for noise in noises]

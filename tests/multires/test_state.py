@@ -1,0 +1,272 @@
+"""The state of movement: measured, drawn, and given to a model."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from runs import cut_off, same_weights
+from safetensors.torch import load_file, save_file
+from small_runs import small_config
+
+import gesturekit as gk
+from gesturekit.errors import ConfigError, FormatError, ModelError
+from gesturekit.motion import Skeleton
+from gesturekit.multires import train
+from gesturekit.state import RecordedState, StateChannels, StateProcess, averaged
+
+FPS = 25.0
+HANDS = StateChannels(((1,), (2,)), trunk=3)
+NAMES = HANDS.names
+
+
+def channels_of(left: np.ndarray, right: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the channels of hands at places (3, T), beside a root that walks away."""
+    n = left.shape[1]
+    root = np.stack([np.arange(n) / FPS, np.ones(n), np.zeros(n)])
+    places = np.stack([root, root + left, root + right, root + 0.5])
+    rows = HANDS(torch.from_numpy(places)[None], FPS)[0].numpy()
+    return dict(zip(NAMES, rows, strict=True))
+
+
+def test_channels_are_those_worked_out_by_hand():
+    n = 500
+    still = np.tile([[0.3], [-0.2], [0.4]], n)
+    rising = np.stack([np.full(n, 0.3), 0.4 * np.arange(n) / FPS, np.zeros(n)])
+    found = {name: row[n // 2] for name, row in channels_of(still, rising).items()}
+    # A hand at rest: 0.5 m from the vertical of the root, at the least speed and width.
+    assert found["left movement"] == found["trunk movement"] == pytest.approx(np.log(0.05), 1e-3)
+    assert found["left height"] == pytest.approx(-0.2) and found["left distance"] == pytest.approx(
+        0.5
+    )
+    assert found["left width"] == pytest.approx(np.log(0.01), abs=0.02)
+    # A hand at 0.4 m/s, which is 4 m up after 10 s; over a Gaussian of 2 s it is 0.8 m wide.
+    assert found["right movement"] == pytest.approx(np.log(0.45), abs=1e-3)
+    assert found["right height"] == pytest.approx(4.0, abs=0.01)
+    assert found["right width"] == pytest.approx(np.log(0.81), abs=0.03)
+    assert found["left fast"] == pytest.approx(0) and found["right fast"] == pytest.approx(0)
+
+
+@pytest.mark.parametrize(("sign", "expected"), [(1, 1.0), (-1, -1.0)])
+def test_hands_that_rise_together_are_coupled(sign, expected):
+    wave = np.zeros((3, 500))
+    wave[1] = 0.3 * np.sin(2 * np.pi * np.arange(500) / FPS)
+    assert channels_of(wave, sign * wave)["coupling"][250] == pytest.approx(expected, abs=0.01)
+
+
+def test_a_burst_of_movement_is_fast_and_not_slow():
+    """A stroke of 0.4 s in a hand that rests."""
+    place = np.zeros((3, 500))
+    place[1] = 0.2 / (1 + np.exp(-(np.arange(500) - 250) / 1.5))
+    found = channels_of(place, np.zeros((3, 500)))
+    assert found["left fast"].argmax() in range(248, 253) and found["left fast"].max() > 2
+    assert np.ptp(found["left movement"]) < 1 and not found["right fast"].any()
+
+
+def test_rigs_without_known_arms_have_two_channels():
+    chain = Skeleton(
+        ("a", "b", "c"), (-1, 0, 1), np.array([[0, 0, 0], [0, 1, 0], [0, 1, 0]], float)
+    )
+    channels = StateChannels.find(chain, chain.names)
+    assert channels.names == ("movement", "fast") and channels.n_carriers == 2
+    assert channels(torch.zeros(1, 3, 3, 50), FPS).shape == (1, 2, 50)
+
+
+def test_levels_get_means_of_the_channels():
+    values = np.array([[1.0, 2.0, 3.0, 4.0]])
+    np.testing.assert_allclose(averaged(values, 2), [[1.5, 3.5]])
+    np.testing.assert_allclose(averaged(values, 3), [[1.25, 2.5, 3.75]])
+    np.testing.assert_allclose(averaged(values, 3, 1, 3), [[2.5, 3.75]])
+    np.testing.assert_array_equal(averaged(values, 4, 1, 3), [[2.0, 3.0]])
+
+
+# The process.
+
+
+def recorded(seed: int, seconds: float = 120.0, *, lively: float = 0.0) -> np.ndarray:
+    """Channels of a speaker whose hands share their fast movement, at about 0.8 Hz."""
+    rng, n = np.random.default_rng(seed), round(seconds * FPS)
+    rows = np.repeat(rng.standard_normal((len(NAMES), n // 50)), 50, axis=1)
+    smooth = np.exp(-0.5 * (np.arange(-12, 13) / 4) ** 2)
+    shared = np.convolve(rng.standard_normal(n), smooth / np.linalg.norm(smooth), mode="same")
+    for i, name in enumerate(NAMES):
+        own = np.convolve(rng.standard_normal(n), smooth / np.linalg.norm(smooth), mode="same")
+        if name.endswith("fast"):
+            rows[i] = np.exp(0.6 * (0.8 * shared + 0.6 * own))  # skewed
+    rows[HANDS.movement] += lively
+    return rows
+
+
+def fitted(groups=(("Ann", None), ("Bo", None))) -> StateProcess:
+    recordings = [
+        RecordedState(recorded(k, lively=2.0 * k), np.empty((0, 3000)), f"take {k}", group)
+        for k, group in enumerate(groups)
+    ]
+    return StateProcess.fit(HANDS, recordings, FPS, None)
+
+
+@pytest.fixture(scope="module")
+def process() -> StateProcess:
+    return fitted()
+
+
+def drawn(process: StateProcess, seconds: float, seed: int = 0, **options) -> np.ndarray:
+    return process.draw(seed, np.empty((0, round(seconds * FPS))), **options)
+
+
+def test_drawn_values_are_distributed_as_recorded(process):
+    every = np.concatenate([recorded(0), recorded(1, lively=2.0)], axis=1)
+    made = np.concatenate([drawn(process, 100, seed) for seed in range(20)], axis=1)
+    for name, row, own in zip(NAMES, made, every, strict=True):
+        found, wanted = (np.quantile(part, (0.1, 0.5, 0.9)) for part in (row, own))
+        np.testing.assert_allclose(found, wanted, atol=0.25 * own.std(), err_msg=name)
+
+
+def test_fast_movement_has_the_recorded_rhythm_and_is_shared_by_the_hands(process):
+    made, own = (part[HANDS.fast] for part in (drawn(process, 400), recorded(0, 400)))
+    for lag in (3, 6, 20):
+        found, wanted = (np.corrcoef(part[0, lag:], part[0, :-lag])[0, 1] for part in (made, own))
+        assert found == pytest.approx(wanted, abs=0.1)
+    assert np.corrcoef(made)[0, 1] == pytest.approx(np.corrcoef(own)[0, 1], abs=0.1)
+
+
+def test_each_speaker_has_an_own_distribution(process):
+    ann, bo = (drawn(process, 300, group=(name, None)) for name in ("Ann", "Bo"))
+    assert (bo - ann)[HANDS.movement].mean() == pytest.approx(2.0, abs=0.3)
+    unknown = drawn(process, 10, group=("Cy", 3))
+    np.testing.assert_array_equal(unknown, drawn(process, 10))
+
+
+def test_noise_depends_on_the_time_alone(process):
+    """So a part can be drawn by itself, and streams and tiles draw what a whole motion has."""
+    whole = process.noise(5, np.arange(-40, 700))
+    np.testing.assert_allclose(process.noise(5, np.arange(300, 500)), whole[:, 340:540], atol=1e-12)
+    assert not np.allclose(process.noise(6, np.arange(300, 500)), whole[:, 340:540])
+
+
+def test_liveliness_is_a_factor_on_the_speed(process):
+    usual, livelier = drawn(process, 20), drawn(process, 20, liveliness=1.5)
+    moved = np.where(HANDS.movement, np.log(1.5), 0.0)[:, None]
+    np.testing.assert_allclose(livelier, usual + moved)
+
+
+def test_carriers_run_with_the_hand_and_stand_while_it_rests(process):
+    values = np.full((len(NAMES), 500), np.log(0.05))
+    values[HANDS.fast] = 0.0
+    right = NAMES.index("right movement")
+    values[right, 250:] = np.log(0.65)  # 0.6 m/s
+    left, moving = np.split(np.abs(np.diff(process.carriers(3, values))), 2)
+    assert max(left.max(), moving[:, :249].max()) < 1e-9
+    assert moving[:, 251:].mean() > 0.02
+
+
+# A model.
+
+SETTINGS = {
+    "state": True,
+    "features": {"extractors": [{"kind": "prosody"}, {"kind": "effort", "seconds": 2.0}]},
+    "losses": {"state": 100.0, "arm_speed": 0.0},
+    "checkpoint_every": 2,
+}
+
+
+@pytest.fixture(scope="module")
+def config(corpus, tmp_path_factory):
+    return small_config(corpus, tmp_path_factory.mktemp("state") / "run", SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def folder(config):
+    return train(config)
+
+
+@pytest.fixture(scope="module")
+def model(folder):
+    return gk.load(folder)
+
+
+def test_a_motion_is_made_of_seed_and_mood(model):
+    a, b, c = (model.generate(seconds=4, seed=seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(a.rotations, b.rotations)
+    assert not np.allclose(a.rotations, c.rotations)
+    states = [model.state(model.generate(seconds=4, seed=s, mood_seed=7)) for s in (1, 2)]
+    assert not np.allclose(*states)
+    livelier = model.generate(seconds=4, seed=1, liveliness=1.5)
+    assert not np.allclose(livelier.rotations, a.rotations)
+
+
+def test_a_state_can_be_measured_changed_and_given(model, gesture, tmp_path):
+    state = model.state(gesture(4.0))
+    assert state.shape == (4 * model.fps, len(model.state_process.channels.names))
+    np.save(tmp_path / "state.npy", state)
+    given = model.generate(seconds=4, seed=1, state=state)
+    again = model.generate(seconds=4, seed=1, state=tmp_path / "state.npy")
+    np.testing.assert_array_equal(given.rotations, again.rotations)
+    other = model.generate(seconds=4, seed=1, state=state + 1.0)
+    assert not np.allclose(given.rotations, other.rotations)
+    held = model.generate(seconds=6, seed=1, state=state)  # longer than the state
+    assert held.n_frames == 1.5 * given.n_frames
+
+
+@pytest.mark.parametrize(
+    ("state", "says"),
+    [
+        (np.zeros((4, 2)), "shape"),
+        (np.zeros(4), "shape"),
+        (np.full((4, 12), np.nan), "finite"),
+        (np.full((4, 12), "a"), "type"),
+        (np.zeros((0, 12)), "shape"),
+    ],
+)
+def test_a_state_that_does_not_fit_is_refused(model, state, says):
+    with pytest.raises(ModelError, match=says):
+        model.generate(seconds=1, state=state)
+
+
+def test_an_array_of_objects_is_not_unpickled(model, tmp_path):
+    np.save(tmp_path / "bad.npy", np.array([{}], object), allow_pickle=True)
+    with pytest.raises(FormatError, match="bad.npy"):
+        model.generate(seconds=1, state=tmp_path / "bad.npy")
+
+
+def test_what_a_state_excludes_is_said(model, config, corpus, tmp_path):
+    with pytest.raises(ModelError, match="liveliness"):
+        model.generate(seconds=1, state=np.zeros((9, 12)), liveliness=2.0)
+    with pytest.raises(ModelError, match="recall"):
+        model.generate(seconds=1, recall=True)
+    with pytest.raises(ConfigError, match="recall"):
+        small_config(corpus, tmp_path, SETTINGS, {"recall": {"level": 2}})
+    with pytest.raises(ConfigError, match="state"):
+        replace(config, state=False)
+
+
+def test_a_resumed_run_is_the_same(config, folder, tmp_path):
+    again = replace(config, out=tmp_path / "run")
+    shutil.copytree(config.out, again.out)
+    cut_off(again.out, 10)
+    assert same_weights(train(again, resume=True), folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("between", 2.0), ("scale", 0.0), ("kernel", float("nan")), ("mean", 1e9), ("mixing", 9.0)],
+)
+def test_a_damaged_folder_is_refused(folder, tmp_path, name, value):
+    damaged = tmp_path / "model"
+    damaged.mkdir()
+    for file in folder.iterdir():
+        (damaged / file.name).write_bytes(file.read_bytes())
+    tensors = load_file(damaged / "model.safetensors")
+    tensors[f"state.{name}"] = torch.full_like(tensors[f"state.{name}"], value)
+    save_file(tensors, damaged / "model.safetensors")
+    with pytest.raises(ModelError, match=f"state.{name}"):
+        gk.load(damaged)
+    about = yaml.safe_load((damaged / "config.yaml").read_text())
+    about["state"]["channels"] = ["movement", "fast"]
+    (damaged / "config.yaml").write_text(yaml.safe_dump(about))
+    with pytest.raises(ModelError, match="channels"):
+        gk.load(damaged)
