@@ -61,11 +61,11 @@ class MultiresControls(Controls):
     motion, or held to its end."""
     liveliness: float = control(1.0, kind=float, above=0, metavar="AMOUNT")
     """Factor on the hand speed that is drawn for the speech, about 0.5 (calmer) to 1.5 (livelier).
-    For models with recall."""
+    For models with recall or a drawn state."""
     mood_seed: int | None = control(kind=int, least=0, metavar="N")
     """Seed of the moods: calm or lively, and where the hands are held; by default that of
     everything else. With a fixed mood_seed, seed changes the details and keeps the moods. For
-    models with recall."""
+    models with recall or a drawn state."""
 
 
 class MultiresControlArguments(ControlArguments, total=False):

@@ -82,7 +82,7 @@ def test_recordings_of_a_taller_speaker_on_top_of_another_model(
         ({"network": {"embedding": 8}}, "has network.embedding 4, this run 8"),
         ({"features": {"extractors": [{"kind": "prosody"}]}}, r"has features .*effort.*this run"),
         ({"features": None}, "has features .*this run None"),
-        ({"recall": None}, "has recall on, this run null"),
+        ({"recall": None}, "has recall or state on, this run off"),
     ],
 )
 def test_other_settings_are_refused(first, corpus, tmp_path, wrong, told):

@@ -166,6 +166,8 @@ def test_carriers_run_with_the_hand_and_stand_while_it_rests(process):
 
 # A model.
 
+FILE = "model.safetensors"
+
 SETTINGS = {
     "state": True,
     "features": {"extractors": [{"kind": "prosody"}, {"kind": "effort", "seconds": 2.0}]},
@@ -249,6 +251,26 @@ def test_a_resumed_run_is_the_same(config, folder, tmp_path):
     shutil.copytree(config.out, again.out)
     cut_off(again.out, 10)
     assert same_weights(train(again, resume=True), folder)
+
+
+def test_training_starts_from_a_model_without_a_state(corpus, tmp_path):
+    """Its output does not change until the first step: the new columns are zeros."""
+    plain = {"features": {"extractors": [{"kind": "prosody"}]}, "losses": {"arm_speed": 0.0}}
+    start = train(small_config(corpus, tmp_path / "plain", plain))
+    still = {"start_from": str(start), "training": {"learning_rate": 1e-12}, **plain}
+    still |= {"state": True, "losses": SETTINGS["losses"]}
+    widened = load_file(train(small_config(corpus, tmp_path / "run", still)) / FILE)
+    for name, weights in load_file(start / FILE).items():
+        if name.startswith("network."):
+            own = widened[name]
+            torch.testing.assert_close(own[:, : weights.shape[1]] if own.ndim > 1 else own, weights)
+            if own.shape != weights.shape:
+                assert (
+                    name.endswith("embed.weight") and own[:, weights.shape[1] :].abs().max() < 1e-6
+                )
+    back = {**plain, "start_from": str(tmp_path / "run" / "model")}
+    with pytest.raises(ConfigError, match="state"):
+        train(small_config(corpus, tmp_path / "back", back))
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
+
+import torch.nn.functional as F
+from torch import Tensor
 
 import audio_features as af
 from gesturekit.errors import ConfigError
@@ -11,7 +14,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.multires.config import MultiresConfig, NetworkConfig
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.generator import modulated_blocks
+from gesturekit.multires.network.generator import MultiresGenerator, modulated_blocks
 from gesturekit.training.config import to_dict
 from gesturekit.training.data.features import conditioner_values, feature_values
 from gesturekit.training.data.start_model import (
@@ -47,13 +50,33 @@ def load_start(config: MultiresConfig, extractor: af.Extractor | None) -> Multir
         wanted = {**feature_values(extractor, config.features), "residual": config.residual}
     check_conditions(folder, {"features": known}, {"features": wanted})
     if conditions.conditioner is not None and conditions.conditioner.effort:
-        # Recall hides columns of vocal effort from the network.
+        # Recall and the state of movement hide columns of vocal effort from the network.
         known, wanted = (
-            {"recall": "on" if recalls else "null"}
-            for recalls in (conditions.recalls, config.recall is not None)
+            {"recall or state": "on" if hidden else "off"}
+            for hidden in (
+                conditions.recalls or conditions.state is not None,
+                config.recall is not None or config.state,
+            )
         )
         check_settings("start_from", folder, known, wanted)
+    if conditions.state is not None or not conditions.width:
+        known, wanted = {"state": conditions.state is not None}, {"state": config.state}
+        check_settings("start_from", folder, known, wanted)
     return start
+
+
+def widened(weights: Mapping[str, Tensor], network: MultiresGenerator) -> dict[str, Tensor]:
+    """Return the weights of a model to start from, in the shapes of a network.
+
+    Where the network has a state of movement and the model has none, its columns are zeros, so that
+    training begins with the model's output.
+    """
+    result = dict(weights)
+    for name, own in network.state_dict().items():
+        if name.endswith("embed.weight"):
+            missing = own.shape[1] - weights[name].shape[1]
+            result[name] = F.pad(weights[name], (0, 0, 0, missing))
+    return result
 
 
 def _known_settings(start: MultiresModel) -> dict[str, Any]:

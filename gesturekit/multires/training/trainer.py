@@ -32,6 +32,7 @@ from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.training.recall_library import build_library
 from gesturekit.multires.training.stage import Stage
+from gesturekit.multires.training.start import widened
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.multires.training.targets import MOST_WINDOWS
 from gesturekit.training.data.sources import describe_recordings, save_sources, unused_labels
@@ -136,7 +137,7 @@ class Trainer:
         self.loop = Loop(config, run, processes, self.held_out)
         levels, steps = config.network.levels, sum(count for _, count in self.stages())
         self.unused = unused_labels(
-            self.data.sources, self.data.styles, recalls=config.recall is not None
+            self.data.sources, self.data.styles, recalls=config.recall is not None or config.state
         )
         kind = ["multires", self._mode(), f"{levels} levels"]
         self.loop.announce(kind, steps, self._contents(), self.unused)
@@ -149,7 +150,7 @@ class Trainer:
             ),
         )
         if self.data.start:
-            self.network.load_state_dict(self.data.start)
+            self.network.load_state_dict(widened(self.data.start, self.network))
         self.network.to(device)
         watched = config.eval_every and processes.is_first
         convolve = choose_backend(config.backend, self.network).convolve
