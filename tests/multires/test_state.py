@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -167,6 +168,7 @@ def test_carriers_run_with_the_hand_and_stand_while_it_rests(process):
 # A model.
 
 FILE = "model.safetensors"
+ROOT = Path(__file__).resolve().parents[2]
 
 SETTINGS = {
     "state": True,
@@ -292,3 +294,38 @@ def test_a_damaged_folder_is_refused(folder, tmp_path, name, value):
     (damaged / "config.yaml").write_text(yaml.safe_dump(about))
     with pytest.raises(ModelError, match="channels"):
         gk.load(damaged)
+
+
+def test_recordings_on_disk_train_too(corpus, tmp_path):
+    config = small_config(corpus, tmp_path / "run", SETTINGS, {"in_memory": 0.1})
+    made = gk.load(train(config)).generate(seconds=2)
+    assert np.isfinite(made.rotations).all()
+
+
+@pytest.mark.stress
+def test_the_network_obeys_the_state_that_it_is_given(shared_data, tmp_path):
+    """A minute of motion: its own states, and livelier ones."""
+    folder = shared_data / "paired" / "zeggs_067_Speech_2"
+    gk.prepare([folder], tmp_path / "corpus.jsonl", holdout=0)
+    recipe = ROOT / "recipes" / "multires_speech" / "drawn_state.yaml"
+    model = gk.load(gk.train(recipe, corpus=tmp_path / "corpus.jsonl", out=tmp_path / "run"))
+    state = model.state(next(folder.glob("*.bvh")))
+    given = model.generate(seconds=30, state=state)
+    livelier = model.generate(seconds=30, state=faster(model, state))
+    shown = model.state(given)
+    names = model.state_process.channels.names
+    for name, a, b in zip(names, state.T, shown.T, strict=True):
+        assert np.corrcoef(a[: len(b)], b[: len(a)])[0, 1] > 0.6, name
+    assert speed_of(livelier) > 1.15 * speed_of(given)
+
+
+def faster(model: gk.Model, state: np.ndarray) -> np.ndarray:
+    """Return a state in which everything moves at 1.5 times the speed."""
+    return state + np.log(1.5) * model.state_process.channels.movement
+
+
+def speed_of(motion: gk.Motion) -> float:
+    """Return the mean speed of both hands beside the hips, m/s."""
+    places = motion.positions() - motion.positions()[:, :1]
+    hands = [motion.skeleton.index(name) for name in ("LeftHand", "RightHand")]
+    return float(np.linalg.norm(np.diff(places[:, hands], axis=0), axis=-1).mean() * motion.fps)
