@@ -166,6 +166,8 @@ SPEECH = {
     "losses.arm_floors": ((1.0, 10.0), "unused without the losses on the arms"),
     "recall": (None, "the papers generate every level"),
     "losses.coarse": (0.0, "eq. 11 has none"),
+    "losses.state": (0.0, "eq. 11 has none"),
+    "state": (False, "the papers give the network speech and styles alone"),
     "losses.rec_input": ("real", "eq. 15"),
     "losses.contact_speed": ("squared", "eq. 14"),
     "losses.contact_time": ("frame", "GANimator: eq. 14 gives no unit"),
