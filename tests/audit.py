@@ -3,8 +3,6 @@
 Without a network, or without pip-audit, it only says that nothing was checked.
 """
 
-from __future__ import annotations
-
 import datetime
 import json
 import subprocess

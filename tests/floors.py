@@ -6,8 +6,6 @@ Run by `make floors`. torch has its lowest version only where PyTorch's index of
 because PyPI's wheels for Linux bring gigabytes of CUDA; else it has the version of constraints.txt.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

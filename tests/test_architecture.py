@@ -1,7 +1,5 @@
 """Imports point one way, as CONTRIBUTING.md says, and functions stay small."""
 
-from __future__ import annotations
-
 import ast
 import re
 from functools import cache
@@ -110,7 +108,6 @@ def test_imports_within_gesturekit_point_downwards():
 
 
 def module_paths() -> dict[str, Path]:
-    """Return the file of every module of both packages, by its dotted name."""
     paths = {}
     for path in [*sources("audio_features"), *sources("gesturekit")]:
         parts = path.relative_to(ROOT).with_suffix("").parts
@@ -119,7 +116,6 @@ def module_paths() -> dict[str, Path]:
 
 
 def module_imports(paths: dict[str, Path]) -> dict[str, set[str]]:
-    """Return the modules that each module imports, in functions and under TYPE_CHECKING too."""
     edges: dict[str, set[str]] = {module: set() for module in paths}
     for module, path in paths.items():
         for _, name in imported(path):
@@ -130,7 +126,6 @@ def module_imports(paths: dict[str, Path]) -> dict[str, set[str]]:
 
 
 def import_cycles(edges: dict[str, set[str]]) -> list[set[str]]:
-    """Return groups of modules that import one another, given the imports of each module."""
     modules = sorted(edges)
     graph = np.array([[other in edges[module] for other in modules] for module in modules])
     n_groups, group = connected_components(graph, connection="strong")

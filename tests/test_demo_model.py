@@ -1,7 +1,5 @@
 """The bundled model does what the README promises."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Documentation: every command and snippet is checked, every link leads somewhere."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.util
@@ -47,7 +45,6 @@ def blocks(page: Path, *languages: str) -> list[str]:
 
 
 def commands(page: Path) -> list[str]:
-    """Return the shell lines of a page."""
     whole = page.read_text(encoding="utf-8")
     indented = re.findall(r"^    .*$", whole, re.MULTILINE)
     text = "\n".join([*blocks(page, "", "bash", "sh"), *indented]).replace("\\\n", " ")
@@ -67,7 +64,6 @@ def command_of(verb: str) -> click.Command:
 
 
 def script(name: str) -> ModuleType:
-    """Return a module of docs/, which is not a package."""
     spec = importlib.util.spec_from_file_location(f"docs_{name}", ROOT / "docs" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

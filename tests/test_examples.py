@@ -3,8 +3,6 @@
 They know `af` (audio_features), `gk` (gesturekit), `np`, and `folder`, an empty folder.
 """
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import pkgutil
@@ -22,7 +20,6 @@ COMPLETE = ("audio_features", "gesturekit", "gesturekit.evaluation")
 
 
 def public(package: str) -> dict[str, object]:
-    """Return what a package exports by name."""
     module = importlib.import_module(package)
     return {name: getattr(module, name) for name in module.__all__}
 
@@ -46,7 +43,6 @@ def test_the_example_shows_what_it_says(example, tmp_path):
 
 
 def without_example(named: dict[str, object]) -> list[str]:
-    """Return the names of those whose docstring has no example."""
     found = doctest.DocTestFinder(recurse=False)
     return [
         name

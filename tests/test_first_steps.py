@@ -1,7 +1,5 @@
 """The notebook of first steps runs as it is, and is committed without outputs."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`generate` of both systems: speech in any form, and the frame rate of the result."""
 
-from __future__ import annotations
-
 import os
 import re
 from dataclasses import replace

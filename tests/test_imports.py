@@ -1,7 +1,5 @@
 """Imports and help are fast, and every example in the help and on the pages works."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import inspect

@@ -1,7 +1,5 @@
 """Docstrings begin with a verb phrase or a noun phrase, in plain English."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The wheel and the sdist, installed in a fresh environment, work without the checkout."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Start and end pose, heading and standing in place, in both systems."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The output that a user reads while a command works: bars, durations, counts and lists."""
 
-from __future__ import annotations
-
 import io
 import time
 

@@ -1,7 +1,5 @@
 """Functions of `import gesturekit as gk`, called as a new user would."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path
@@ -12,10 +10,7 @@ import yaml
 
 import audio_features as af
 import gesturekit as gk
-from gesturekit.systems import (
-    bundled_models,
-    model_folder,
-)
+from gesturekit.systems import bundled_models, model_folder
 from gesturekit.training import read_yaml
 
 

@@ -1,7 +1,5 @@
 """The ways through the code that docs/architecture.md lists lead through functions that exist."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

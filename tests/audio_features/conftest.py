@@ -1,7 +1,5 @@
 """Sounds the tests share."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

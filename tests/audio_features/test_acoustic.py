@@ -1,7 +1,5 @@
 """Acoustic features: bands, pitch, energy, onsets, prosodic_range, and vocal effort."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np
@@ -83,7 +81,6 @@ def test_prosody_follows_the_voice(speech):
     expected = 12 * np.log2(hertz / np.median(hertz[voiced]))
     error = np.abs(columns(track, "f0") - expected)[voiced]
     assert np.median(error) < 0.2 and np.mean(error < 0.5) > 0.95
-
     syllable = (track.times % 0.4) < 0.2
     pause = np.abs(track.times % 0.4 - 0.325) < 0.03
     assert columns(track, "energy")[pause].max() < -35 < -15 < columns(track, "energy").max()
@@ -158,8 +155,6 @@ def test_values_are_those_of_librosa_which_is_not_imported(speech):
         np.testing.assert_array_equal(np.flatnonzero(Onset().extract(wave).values[:, 1]), picked)
 
 
-# Vocal effort: pitch in semitones and spectral tilt, whatever the level of the recording.
-
 RATE = 16_000
 COLUMNS = ("effort_f0_median", "effort_f0_high", "effort_tilt")
 
@@ -169,26 +164,6 @@ def effort(samples: np.ndarray, **options) -> np.ndarray:
     assert track.names == COLUMNS
     assert Effort.centred == (False,) * 3  # calm clips have low values throughout
     return track.values
-
-
-@pytest.mark.parametrize("seconds", [0.025, 0.05, 3.0])
-@pytest.mark.parametrize("level", [0.0, 1e-7])
-def test_effort_of_silence_is_finite(seconds, level):
-    noise = np.random.default_rng(0).standard_normal(round(seconds * RATE))
-    values = effort(level * noise)
-    assert len(values) and np.isfinite(values).all()
-    assert (values[:, :2] == 0).all()
-    if not level:
-        assert (values[:, 2] == -30).all()
-
-
-@pytest.mark.parametrize("seconds", [0, -1.0, 0.4, 121, float("nan"), "8", None])
-def test_a_bad_window_of_effort_is_one_error(seconds):
-    with pytest.raises(FeatureError, match="seconds=.*: a number from 0.5 to 120"):
-        Effort(seconds=seconds)
-
-
-# Against the formulas.
 
 
 def gaussian_mean(values: np.ndarray, sigma: float) -> np.ndarray:

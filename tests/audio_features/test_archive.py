@@ -1,7 +1,5 @@
 """Archives that are read, and files that are whole or absent."""
 
-from __future__ import annotations
-
 import io
 import os
 import stat

@@ -1,12 +1,5 @@
-from __future__ import annotations
-
 import os
-import random
-import signal
-import subprocess
-import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -157,57 +150,3 @@ def test_clearing_removes_entries_and_nothing_else(tmp_path, wave):
     assert removed.entries == 1 and removed.size > 0
     assert [path.name for path in tmp_path.rglob("*")] == ["mine.txt"]
     assert cache.contents().entries == 0 and cache.clear().entries == 0
-
-
-WRITER = """
-import sys
-import numpy as np
-import audio_features as af
-
-class Slow:
-    spec, names = {"kind": "slow"}, tuple(map(str, range(256)))
-    def extract(self, wave):
-        values = np.full((wave.sample_rate, 256), float(wave.sample_rate), np.float32)
-        return af.FeatureTrack(values, np.arange(wave.sample_rate) / 50.0, self.spec, self.names)
-
-cache = af.FeatureCache(sys.argv[1])
-samples = np.full(16000, 0.1, np.float32)
-print("ready", flush=True)
-sys.stdin.readline()
-for k in range(int(sys.argv[2])):
-    wave = af.Wave(samples, 4000 + k)
-    assert (cache.extract(Slow(), wave).values == wave.sample_rate).all()
-"""
-
-
-def writer(folder: Path, count: int) -> subprocess.Popen:
-    command, pipe = [sys.executable, "-c", WRITER, str(folder), str(count)], subprocess.PIPE
-    process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
-    assert process.stdout.readline() == "ready\n"
-    return process
-
-
-@pytest.mark.stress
-def test_a_killed_writer_leaves_nothing_under_a_final_name(tmp_path, caplog):
-    from safetensors.numpy import load_file
-
-    rng, left = random.Random(0), 0
-    for k in range(6):
-        folder = tmp_path / str(k)
-        process = writer(folder, 10_000)
-        process.stdin.write("go\n")
-        process.stdin.flush()
-        while not any(folder.rglob("*.part")):  # it is writing
-            pass
-        time.sleep(rng.uniform(0, 0.03) if k % 2 else 0.0)
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-        for path in folder.rglob("*.safetensors"):
-            values = load_file(path)["values"]
-            assert values.shape == (int(values[0, 0]), 256) and (values == values[0, 0]).all()
-        left += sum(1 for _ in folder.rglob("*.part"))
-        cache = af.FeatureCache(folder)
-        assert cache.contents().entries == sum(1 for _ in folder.rglob("*.safetensors"))
-        cache.clear()
-        assert not any(path.is_file() for path in folder.rglob("*"))
-    assert left > 0  # at least one was killed in the middle of a write

@@ -1,7 +1,5 @@
 """gesturekit features, through its own command."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import soundfile

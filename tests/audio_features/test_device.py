@@ -1,7 +1,5 @@
 """Encoders on a GPU give the CPU's values."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from sounds import distance
@@ -14,19 +12,13 @@ CHUNKS = {"full_context": 0.0, "chunk": 2.0, "context": 0.5}
 
 
 def apart(make, wave: af.Wave) -> float:
-    """Return the relative difference of the values that an extractor has on both devices."""
     there, here = (make(device).extract(wave).values for device in ("cuda", "cpu"))
     return distance(there, here)
 
 
 @pytest.mark.parametrize(
     ("settings", "largest"),
-    [
-        ({}, 1e-5),
-        (CHUNKS, 1e-5),
-        ({"preset": "dsg"}, 1e-5),
-        ({"dtype": "bf16", **CHUNKS}, 2e-2),
-    ],
+    [({}, 1e-5), (CHUNKS, 1e-5), ({"preset": "dsg"}, 1e-5), ({"dtype": "bf16", **CHUNKS}, 2e-2)],
     ids=str,
 )
 def test_wavlm(gpu, wavlm_folder, speech, settings, largest):

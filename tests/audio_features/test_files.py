@@ -1,7 +1,5 @@
 """Features of a user's own, from files: their place, their time, and what is wrong with them."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

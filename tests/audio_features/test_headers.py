@@ -1,7 +1,5 @@
 """Headers of sound files, written by hand: what loads, and what contradicts itself."""
 
-from __future__ import annotations
-
 import io
 import struct
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Hugging Face encoders: transformers' values on the true time base, from local folders only."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys
@@ -78,8 +76,8 @@ def test_values_are_those_of_transformers(encoder):
     every = af.HuggingFace(folder, layer=[0, 1, 2, 3]).extract(wave)
     for index, ours in enumerate(np.split(every.values, 4, axis=1)):
         assert distance(ours, states[index][:n_frames]) < 1e-5, index
-        single = af.HuggingFace(folder, layer=index).extract(wave).values
-        assert distance(single, states[index][:n_frames]) < 1e-5, index
+    single = af.HuggingFace(folder, layer=1).extract(wave).values
+    assert distance(single, states[1][:n_frames]) < 1e-5
     weighted = af.HuggingFace(folder, layer={1: 1.0, 3: 3.0}).extract(wave).values
     assert distance(weighted, (0.25 * states[1] + 0.75 * states[3])[:n_frames]) < 1e-5
     mean = af.HuggingFace(folder, layer="mean").extract(wave).values

@@ -1,7 +1,5 @@
 """Extractors of installed packages, found by their entry points."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

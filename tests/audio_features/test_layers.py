@@ -1,7 +1,5 @@
 """Choice of an encoder's layers, on states that are all 0, all 1, all 2 and all 3."""
 
-from __future__ import annotations
-
 import pytest
 
 import audio_features as af

@@ -1,7 +1,5 @@
 """Several processes that import librosa for the first time, with an empty cache of numba."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

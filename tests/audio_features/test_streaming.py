@@ -1,7 +1,5 @@
 """Acoustic features of sound that arrives block by block."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from sounds import voiced
@@ -71,9 +69,6 @@ def test_features_that_need_the_whole_sound_are_named():
     for wrong, extractor in (("music", af.Music()), ("prosody", af.Prosody(f0="pyin"))):
         with pytest.raises(af.FeatureError, match=f"{wrong}: .*whole sound"):
             check_streams(af.Stack([af.Onset(), extractor]))
-
-
-# Worked out by hand, on five harmonics of a pitch.
 
 
 def harmonic(hertz: float, seconds: float, level_db: float = 0.0, rate: int = 16_000) -> np.ndarray:

@@ -1,7 +1,5 @@
 """torchaudio is optional: equal where it imports, and no harm where it is broken."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

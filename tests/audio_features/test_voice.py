@@ -1,7 +1,5 @@
 """Voice activity: speech is found at any level and in noise; noise, hum and clicks are not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from sounds import voiced

@@ -1,7 +1,5 @@
 """WavLM features: the values of transformers' own forward, whole and in chunks."""
 
-from __future__ import annotations
-
 import json
 import os
 
@@ -152,8 +150,6 @@ def test_a_spec_requires_the_weights_of_its_fingerprint(network, tmp_path, speec
     assert extractor.fingerprint in str(caught.value)
     assert af.WavLM(tmp_path / "other").fingerprint in str(caught.value)
 
-
-# Presets, against DiffuseStyleGesture's pipelines, written down here as published.
 
 functional = torch.nn.functional
 

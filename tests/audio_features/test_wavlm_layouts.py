@@ -1,7 +1,5 @@
 """One WavLM as Hugging Face, Microsoft and torchaudio lay it out: one network, one fingerprint."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 
@@ -81,8 +79,6 @@ def test_a_model_of_one_layout_takes_weights_of_another(wavlm_folder, tmp_path, 
     assert differ == large
 
 
-# Settings and shapes as transformers has them, and what is no WavLM.
-
 LARGE = {
     "hidden_size": 1024,
     "num_hidden_layers": 24,
@@ -109,12 +105,7 @@ def read(settings: dict) -> Architecture:
 
 
 @pytest.mark.parametrize(
-    ("settings", "size"),
-    [
-        ({}, "Base or Base+"),
-        (LARGE, "Large"),
-        (ODD, "of a custom size"),
-    ],
+    ("settings", "size"), [({}, "Base or Base+"), (LARGE, "Large"), (ODD, "of a custom size")]
 )
 def test_tensors_are_those_of_transformers(settings, size):
     """Networks on the device "meta", which have shapes and no numbers."""

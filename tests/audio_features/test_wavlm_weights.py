@@ -1,7 +1,5 @@
 """WavLM weights that cannot be used, and what the command says of those that can."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import pickle
@@ -47,7 +45,6 @@ def test_unusable_folders_are_refused_by_name(wavlm_copy, tmp_path):
     (tmp_path / "empty" / "config.json").rename(tmp_path / "empty" / "WavLM-Large.pt")
     refused(tmp_path / "empty", "name the file, .*WavLM-Large.pt")
     refused(wavlm_copy / "model.safetensors", "name the folder")
-
     config = json.loads((wavlm_copy / "config.json").read_text())
     for changes, complaint in (
         ({"num_hidden_layers": 4}, "19 tensors are missing .*encoder.layers.3.*and 11 more"),

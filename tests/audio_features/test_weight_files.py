@@ -1,16 +1,11 @@
 """Weight files and the JSON files beside them: what is read, and what is named where it is not."""
 
-from __future__ import annotations
-
 import json
 
 import pytest
 
 import audio_features as af
-from audio_features.weight_files import (
-    plain_tensors,
-    read_folder,
-)
+from audio_features.weight_files import plain_tensors, read_folder
 
 torch = pytest.importorskip("torch")
 save_file = pytest.importorskip("safetensors.torch").save_file

@@ -1,7 +1,5 @@
 """Words with times, from every kind of word list, and as features."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -109,13 +107,6 @@ def test_a_broken_word_list_is_an_error_that_names_the_file(tmp_path, name, text
     (tmp_path / name).write_text(text)
     with pytest.raises(af.FeatureError, match=f"{name}.*{complaint}"):
         af.load_words(tmp_path / name)
-
-
-@pytest.mark.parametrize("content", [b"x 1 0 1 caf\xe9", b"\xff\xfex\0 "])
-def test_a_list_in_another_encoding_is_refused(tmp_path, content):
-    (tmp_path / "a.ctm").write_bytes(content)
-    with pytest.raises(af.FeatureError, match=r"a.ctm: not text \(.+\): save it as UTF-8"):
-        af.load_words(tmp_path / "a.ctm")
 
 
 def test_values_of_words_by_hand(tmp_path):

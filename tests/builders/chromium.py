@@ -1,7 +1,5 @@
 """A headless browser driven over the DevTools protocol."""
 
-from __future__ import annotations
-
 import base64
 import fcntl
 import json

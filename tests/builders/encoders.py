@@ -1,7 +1,5 @@
 """Tiny speech and text encoders of random weights, as Hugging Face saves them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

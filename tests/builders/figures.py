@@ -1,7 +1,5 @@
 """Figures that are made into SVG, kept to be examined."""
 
-from __future__ import annotations
-
 import matplotlib.figure
 import pytest
 

@@ -1,7 +1,5 @@
 """Joint limits: knees that bend forward, elbows that bend backward."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from gesturekit.motion import FORWARD, SIDES, body_frames, find_parts, rotate_vectors, standing_pose

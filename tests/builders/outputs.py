@@ -1,7 +1,5 @@
 """Files that a run over many inputs left."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

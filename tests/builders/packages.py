@@ -1,7 +1,5 @@
 """A package that adds an extractor, installed as pip leaves it: a module and its dist-info."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The player's pages in tests: what they hold, and a browser that shows them."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

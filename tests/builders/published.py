@@ -1,7 +1,5 @@
 """Public corpora in tiny folders of the published shape."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Rigs for tests, as tables of joints."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

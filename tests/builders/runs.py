@@ -1,7 +1,5 @@
 """Outputs of a training run, and training in separate processes."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

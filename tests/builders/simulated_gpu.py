@@ -8,8 +8,6 @@ on a GPU's tensor.
 Not simulated: rounding, streams, memory, autocast, and several processes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 

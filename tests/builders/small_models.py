@@ -1,7 +1,5 @@
 """Models that need no training."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

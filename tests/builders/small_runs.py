@@ -1,7 +1,5 @@
 """Settings of trainings of both systems that take seconds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +36,7 @@ SMALL: dict[str, dict[str, Any]] = {
             "feedforward": 16,
             "embedding": 16,
         },
-        "noise": {"steps": 20, "last_beta": 0.5},
+        "noise": {"steps": 8, "last_beta": 0.5},
         "training": {"updates": 6, "batch": 4, "window": 2.0, "warm_up": 2, "learning_rate": 1e-3},
         "checkpoint_every": 3,
         "log_every": 2,

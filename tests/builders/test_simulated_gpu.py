@@ -1,7 +1,5 @@
 """The simulated GPU keeps devices apart like a real one."""
 
-from __future__ import annotations
-
 import copy
 
 import pytest

@@ -1,7 +1,5 @@
 """One WavLM as other programs than transformers lay it out."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

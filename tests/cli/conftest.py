@@ -1,7 +1,5 @@
 """Recipes of which training takes a second, and a model trained by one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The shape of each speaker's body: from a corpus, through training, into rendered files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -98,7 +96,6 @@ def test_each_speaker_keeps_the_recorded_body(train, gesturekit, recordings, bod
     assert said.count("body shapes") == 1
     assert "2 recordings of speaker ann have 2 body shapes; the mean of their betas" in said
     assert len(foot_points(gk.load(trained).skeleton)) == 6
-
     rendered = {}
     for speaker in ("ann", "abe", None):
         out = tmp_path / f"of_{speaker}"

@@ -1,7 +1,5 @@
 """gesturekit convert and view: what is printed, exit codes, and never a traceback."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

@@ -1,11 +1,6 @@
 """gesturekit doctor and cache, through the command line."""
 
-from __future__ import annotations
-
-import os
 import shutil
-import sys
-from importlib import util
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -53,16 +48,6 @@ def test_a_cache_that_cannot_be_written_is_noted(monkeypatch, tmp_path):
         assert ("cannot be written to" in cache.text) == (state == "note")
 
 
-def test_threads_are_compared_with_cores(monkeypatch):
-    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 1, 2, 3})
-    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    for threads, state in ((2, "ok"), (5, "note")):
-        monkeypatch.setattr(torch, "get_num_threads", lambda: threads)  # noqa: B023
-        found = finding("threads")
-        assert (found.state, found.text) == (state, f"torch uses {threads} of 4 cores")
-    assert "OMP_NUM_THREADS=4" in found.advice
-
-
 def test_wavlm_weights_are_found_in_the_usual_folders(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Path, "home", lambda: tmp_path)
@@ -94,36 +79,6 @@ def test_a_check_that_breaks_is_a_finding_and_the_next_ones_go_on(monkeypatch):
     found = {one.name: one for one in diagnose()}
     assert found["GPU"] == Finding("GPU", "broken", "no driver", "install it again: make setup")
     assert found["disk"].state != "broken" and not is_usable(list(found.values()))
-
-
-def test_gpus_are_listed_and_what_keeps_torch_from_one_is_explained(monkeypatch):
-    gpu = SimpleNamespace(name="A", total_memory=24 * 10**9)
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
-    monkeypatch.setattr(torch.cuda, "get_device_properties", lambda number: gpu)
-    assert finding("GPU") == Finding("GPU", "ok", "A (24 GB)")
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    for cuda, driver, state, says in (
-        ("13.0", None, "note", "torch is built for CUDA but sees no GPU"),
-        (None, "/bin/nvidia-smi", "note", "there may be one, but torch is built for the CPU"),
-        (None, None, "ok", "none; everything runs on the CPU"),
-    ):
-        monkeypatch.setattr(torch.version, "cuda", cuda)
-        monkeypatch.setattr(shutil, "which", lambda name: driver)  # noqa: B023
-        found = finding("GPU")
-        assert (found.state, found.text, bool(found.advice)) == (state, says, state == "note")
-
-
-def test_packages_that_are_missing_are_noted_or_broken(monkeypatch):
-    for name in ("imageio_ffmpeg", "soxr"):
-        monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.setattr(util, "find_spec", lambda name: None)
-    found = {one.name: one for one in diagnose()}
-    assert found["ffmpeg"].state == "note" and "gesturekit[video]" in found["ffmpeg"].advice
-    assert found["transformers"] == Finding(
-        "transformers", "note", "not installed", "pip install 'gesturekit[encoders]'"
-    )
-    assert found["libraries"].state == "broken" and found["libraries"].text.startswith("soxr (")
 
 
 def test_the_cache_is_shown_and_cleared(

@@ -1,7 +1,5 @@
 """Models with features of WavLM and other encoders, from the configuration to motion."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +22,7 @@ CONFIG = RECIPES / "multires_speech" / "config.yaml"
 pytestmark = pytest.mark.usefixtures("no_network")
 
 
-@pytest.mark.parametrize("kind", ["wavlm", "hf"])
+@pytest.mark.parametrize("kind", ["hf", pytest.param("wavlm", marks=pytest.mark.stress)])
 def test_from_weights_to_motion(
     kind, gesturekit, corpus, light, write_speech, write_wavlm, write_encoder, tmp_path, tiny
 ):
@@ -47,7 +45,6 @@ def test_from_weights_to_motion(
     if kind == "hf":
         assert "hf (model hubert, layer 2" in gesturekit("inspect", run / "model").out
     assert gesturekit("train", "--resume", run).status == 0
-
     speech = write_speech(tmp_path / "speech.wav", 1.3)
     render = ("render", speech, "--model", run / "model", "--out", tmp_path / "out")
     gesturekit(*render).fails(2, "--weights", fingerprint)
@@ -93,7 +90,6 @@ def test_a_model_takes_a_speech_and_a_text_encoder(
     named = ("--weights", f"wavlm={wavlm}", "--weights", f"words={text}")
     assert " ".join(named) in done.out
     assert gesturekit("train", "--resume", tmp_path / "run").status == 0
-
     speech, model = write_speech(tmp_path / "speech.wav", 1.3), tmp_path / "run" / "model"
     render = ("render", speech, "--model", model, "--out", tmp_path / "out")
     for given, complaint in (
@@ -132,6 +128,7 @@ def test_features_and_doctor_take_the_folder(gesturekit, write_encoder, write_sp
 
 DIFFUSION = (
     *recipe_table()["debug"]["diffusion"],
+    "noise.steps=8",
     "features.extractors=[{kind: wavlm, layer: last}, {kind: effort}]",
     "features.components=5",
 )

@@ -1,7 +1,5 @@
 """gesturekit evaluate, as it is typed."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import html
@@ -29,9 +27,9 @@ def folders(tmp_path_factory, write_pair, gesture) -> Path:
     """Three recordings with sound, two folders of generated motion."""
     root = tmp_path_factory.mktemp("evaluate")
     for i in range(3):
-        write_pair(root / "recordings", f"clip{i}", 3.0, fps=25.0, seed=i)
+        write_pair(root / "recordings", f"clip{i}", 2.0, fps=25.0, seed=i)
         for k, model in enumerate(("ours", "baseline"), start=1):
-            gesture(3.0, 25.0, seed=10 * k + i).save(root / model / f"clip{i}.npz")
+            gesture(2.0, 25.0, seed=10 * k + i).save(root / model / f"clip{i}.npz")
     return root
 
 
@@ -73,7 +71,7 @@ def test_ratings_of_a_study_are_compared_with_the_metrics(evaluate, folders, tmp
     ratings = tmp_path / "ratings.csv"
     ratings.write_text("\n".join(["participant,condition,stimulus,question,rating", *lines]))
     given = ("--compare", folders / "baseline", "--baseline", "mean_pose", "--study", ratings)
-    done = evaluate(*given, "--out", tmp_path / "r.html", "--json", tmp_path / "r.json").ok()
+    done = evaluate(*given, "--json", tmp_path / "r.json").ok()
     assert "left out, as they were in the study and not evaluated: other_lab" in done.err
     assert "Agreement with people on human-like: 5 raters, 4 clips, 80 ratings." in done.out
     # The mean of 60, 30, 70 and 5 is 41.25.
@@ -81,7 +79,6 @@ def test_ratings_of_a_study_are_compared_with_the_metrics(evaluate, folders, tmp
     assert f"People's scores: {scores}" in done.out
     (question,) = json.loads((tmp_path / "r.json").read_text())["agreement"]["questions"]
     assert question["question"] == "human-like"
-    assert "Agreement with people" in (tmp_path / "r.html").read_text()
     for rest, says in (
         ("p,ours,c,1\np,baseline,c,good\n", "ratings.csv, line 3: value is 'good'"),
         ("p,ours,c,1\np,baseline,c,3\n", "2 in common, and a correlation needs 3"),
@@ -127,7 +124,10 @@ def test_usage_errors_are_a_line_and_exit_code_2(gesturekit, folders, monkeypatc
     ("protocol", "names", "measure"),
     [
         ("multires", ["clip0_s1", "clip0_s2", "clip1_s1", "clip1_s2"], "coverage"),
-        ("lda", ["clip0_w000_s1", "clip0_w000_s2", "clip1_w000_s1", "clip1_w000_s2"], "fid_k"),
+        pytest.param(
+            *("lda", [f"clip{i}_w000_s{k}" for i in range(2) for k in (1, 2)], "fid_k"),
+            marks=pytest.mark.stress,
+        ),
     ],
 )
 def test_protocols_sample_models(gesturekit, model, write_pair, tmp_path, protocol, names, measure):
@@ -182,7 +182,7 @@ def test_a_protocol_takes_the_controls_of_the_models_that_it_samples(
 def held_out(tmp_path_factory, write_pair, gesture):
     """A manifest of one recording, cut in two, and clips for both items."""
     root = tmp_path_factory.mktemp("held_out")
-    write_pair(root / "recordings" / "day", "talk", 20.0, fps=25.0)
+    write_pair(root / "recordings" / "day", "talk", 10.0, fps=25.0)
     prepare([root / "recordings"], root / "corpus.jsonl")
     items = {item.split: item for item in Manifest.load(root / "corpus.jsonl")}
     for item in items.values():
@@ -219,20 +219,19 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
 
 
 def test_files_cut_from_a_take_are_one_unit(gesturekit, gesture, tmp_path):
-    """Six pieces of two takes give no interval; six takes do."""
     for k in range(6):
         for seed, folder in ((k, "recorded"), (9 + k, "made")):
             gesture(2.0, 25.0, seed=seed).save(tmp_path / folder / f"day{k % 2}_part{k}.npz")
     folders = (tmp_path / "made", tmp_path / "recorded")
     measured = ("evaluate", *folders, "--json", tmp_path / "r.json", "--workers", 1)
-    for more, has_interval in (((), True), (("--take-pattern", "(.*)_part"), False)):
-        gesturekit(*measured, *more).ok()
-        (model,) = json.loads((tmp_path / "r.json").read_text())["models"]
-        speed = model["figures"]["wrist_speed"]
-        assert speed["value"] is not None and (speed["low"] is not None) == has_interval
+    gesturekit(*measured, "--take-pattern", "(.*)_part").ok()
+    (model,) = json.loads((tmp_path / "r.json").read_text())["models"]
+    speed = model["figures"]["wrist_speed"]
+    assert speed["value"] is not None and speed["low"] is None, "two takes give no interval"
     assert model["figures"]["likeness"]["ceiling"]["n"] == 2, "each take against the other"
 
 
+@pytest.mark.stress
 def test_retrieval_and_speech_blind_are_compared(gesturekit, model, held_out, tmp_path):
     root, items = held_out
     about = ["--corpus", root / "corpus.jsonl"]
@@ -250,7 +249,6 @@ def test_retrieval_and_speech_blind_are_compared(gesturekit, model, held_out, tm
 
 
 def test_evaluating_on_training_recordings_is_warned_about(gesturekit, held_out, tmp_path):
-    """A folder of whole recordings, rendered by a model that says what it was trained on."""
     root, items = held_out
     model, rendered = tmp_path / "model", tmp_path / "rendered"
     model.mkdir()
@@ -335,8 +333,8 @@ def closed_pipe(monkeypatch) -> Iterator[None]:
 
 
 def test_results_are_written_whoever_reads_the_output(evaluate, tmp_path, closed_pipe):
-    files = [tmp_path / f"e.{kind}" for kind in ("html", "json", "csv")]
-    evaluate("--out", files[0], "--json", files[1], "--csv", files[2])
+    files = [tmp_path / f"e.{kind}" for kind in ("json", "csv")]
+    evaluate("--json", files[0], "--csv", files[1])
     assert all(file.stat().st_size > 0 for file in files)
 
 

@@ -1,7 +1,5 @@
 """A disk that becomes full: one clear line, nothing lost, and a rerun with room completes."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from collections.abc import Callable, Iterator
@@ -46,7 +44,8 @@ READ = {"features": FeatureTrack.load, "convert": Motion.load, "render": Motion.
 
 
 @pytest.mark.parametrize(
-    "verb", ["features", "convert", pytest.param("render", marks=pytest.mark.stress)]
+    "verb",
+    ["features", *(pytest.param(verb, marks=pytest.mark.stress) for verb in ("convert", "render"))],
 )
 def test_a_disk_that_becomes_full(gesturekit, write_pair, small_disk, tmp_path, verb):
     recordings, out, command = tmp_path / "in", small_disk / "out", COMMANDS[verb]
@@ -79,6 +78,9 @@ def kilobytes(folder: Path) -> int:
     return sum(4 + path.stat().st_size // 1024 for path in folder.rglob("*") if path.is_file())
 
 
+@pytest.mark.parametrize(
+    "recipe", ["diffusion", pytest.param("multires", marks=pytest.mark.stress)], indirect=True
+)
 def test_a_disk_that_becomes_full_during_training(gesturekit, corpus, recipe, small_disk, tmp_path):
     settings = (*recipe, f"corpus={corpus}", "checkpoint_every=1", "log_every=1")
     whole, run = tmp_path / "whole", small_disk / "run"

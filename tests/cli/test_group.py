@@ -1,7 +1,5 @@
 """The command line as a whole: its exit codes, and that it never shows a traceback."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """gesturekit jobs, and the options of render for many files."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -92,21 +90,6 @@ def test_the_state_of_a_run_in_its_lines(gesturekit, tmp_path):
     lease.release()
 
 
-def test_the_reasons_of_failures_are_the_most_frequent_first(gesturekit, tmp_path):
-    journal = begun(tmp_path, *"abcde")
-    for name, reason in zip("abbbcc", ("odd", "broken", "broken", "broken", "odd", "odd")):
-        journal.finish(Result(Task(name), "failed", error=reason))
-    journal.close()
-    lines = gesturekit("jobs", tmp_path, "--left").out.splitlines()
-    assert "done 0, failed 3 (1 put aside after three failures), left 2" in lines
-    assert "     2x odd (first: a)" in lines and lines[-2:] == ["left  d", "left  e"]
-    assert "failed 3x  b: broken" in gesturekit("jobs", tmp_path, "--failed").out
-    gesturekit("jobs", tmp_path, "--page", tmp_path / "page.txt").fails(2, "name it .html")
-    (tmp_path / "page.htm").write_text("mine")
-    kept = gesturekit("jobs", tmp_path, "--page", tmp_path / "page.htm", "--existing", "skip")
-    assert kept.ok() and (tmp_path / "page.htm").read_text() == "mine"
-
-
 def test_a_dry_run_lists_each_sound_with_its_length_and_writes_nothing(
     gesturekit, write_speech, tmp_path, monkeypatch
 ):
@@ -121,15 +104,3 @@ def test_a_dry_run_lists_each_sound_with_its_length_and_writes_nothing(
     assert "1 to make, 0 to keep, 1 to fail" in done.err and not (tmp_path / "out").exists()
     assert gesturekit(*command).status == 1
     assert "0 to make, 1 to keep, 1 to fail" in gesturekit(*command, "--dry-run").err
-
-
-def test_names_with_html_are_text_on_the_page(gesturekit, model, write_speech, tmp_path):
-    """Names of results, of failures and of the folder itself."""
-    folder, out, page = tmp_path / "<i>in", tmp_path / "<u>out", tmp_path / "page.html"
-    write_speech(folder / 'x"onload="alert(1)"><script>alert(2)<.wav', 0.4)
-    (folder / "<b onclick=alert(3)>bad.wav").write_text("<script>alert(4)</script>")  # quoted
-    assert gesturekit("render", folder, "--model", model, "--out", out).status == 1
-    gesturekit("jobs", out, "--page", page).ok()
-    text = page.read_text()
-    assert text.count("<img") == 1 and "&lt;script&gt;alert(2)" in text
-    assert not re.search(r"<(script|b|i|u)\b", text) and '"onload=' not in text

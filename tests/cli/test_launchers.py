@@ -1,7 +1,5 @@
 """Launchers: the shards of a rendering as jobs; the same files, whatever happens to a job."""
 
-from __future__ import annotations
-
 import sys
 from contextlib import nullcontext
 from types import ModuleType, SimpleNamespace

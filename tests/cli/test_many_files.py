@@ -1,7 +1,5 @@
 """features and convert on many files: the plan, journal, shards and launchers of render."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

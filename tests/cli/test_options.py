@@ -1,7 +1,5 @@
 """Options of the command line: which go together, how they are parsed, what names denote."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """A model of own features: from files, and from an installed package, from prepare to render."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from packages import install
@@ -36,15 +34,18 @@ def write_own(wav, seconds, seed=0):
 def own_corpus(tmp_path, write_pair, write_speech):
     """The manifest of a folder in which sounds, motion and features lie side by side."""
     folder = tmp_path / "corpus"
-    for stem, seconds in (("a", 6.0), ("b", 2.5)):
+    for stem, seconds in (("a", 3.0), ("b", 2.0)):
         write_own(write_pair(folder, stem, seconds, seed=ord(stem))[0], seconds, ord(stem))
     more = tmp_path / "more"
-    write_own(write_speech(more / "c.wav", 5.0, level=0.1), 5.0)
+    write_own(write_speech(more / "c.wav", 3.0, level=0.1), 3.0)
     report = prepare(folder, tmp_path / "corpus.jsonl", unpaired=more, holdout=0.0)
     assert len(report.manifest) == 3 and report.is_complete
     return tmp_path / "corpus.jsonl"
 
 
+@pytest.mark.parametrize(
+    "recipe", ["diffusion", pytest.param("multires", marks=pytest.mark.stress)], indirect=True
+)
 def test_own_features_from_training_to_motion(
     gesturekit, own_corpus, recipe, write_speech, tmp_path, monkeypatch
 ):
@@ -57,7 +58,6 @@ def test_own_features_from_training_to_motion(
     needs = [text for name, text in inspect(model).rows if name == "needs"]
     assert len(needs) == 3 and "the extractor loudness of the package own-f" in needs[2]
     assert f"- **Needs**: {'; '.join(needs)}\n" in (model / "README.md").read_text()
-
     speech, out = tmp_path / "speech", tmp_path / "out"
     for stem in ("ok", "lone", "narrow"):
         write_own(write_speech(speech / f"{stem}.wav", 1.3), 1.3)
@@ -70,7 +70,6 @@ def test_own_features_from_training_to_motion(
     assert first.n_frames == 39 and not (out / "lone.npz").exists()
     write_own(speech / "ok.wav", 1.3, seed=9)
     assert "other features" in gesturekit(*render).err  # not kept if its features change
-
     # The same files in a folder of their own, and a sound somewhere else.
     write_own(speech / "ok.wav", 1.3)
     there = gk.load(model, weights={"files": speech})
@@ -106,12 +105,12 @@ def test_without_the_package_the_model_says_what_to_install(
 def test_a_dance_follows_beats_of_another_tracker(gesturekit, write_pair, write_speech, tmp_path):
     """As docs/encoders.md says; beside music, no voice is looked for."""
     folder, music = tmp_path / "corpus", tmp_path / "song.wav"
-    for sound, rows in ((write_pair(folder, "a", 6.0)[0], 600), (write_speech(music, 2.0), 200)):
+    for sound, rows in ((write_pair(folder, "a", 3.0)[0], 300), (write_speech(music, 2.0), 200)):
         np.save(sound.with_suffix(".beats.npy"), np.arange(rows) % 50 == 0)
     prepare(folder, tmp_path / "corpus.jsonl", holdout=0.0)
     tracks = "[{kind: music, n_chroma: 1}, {kind: files, dim: 1, suffix: .beats.npy, rate: 100}]"
     given = (f"corpus={tmp_path / 'corpus.jsonl'}", f"out={tmp_path / 'run'}")
-    small = ("network.blocks=1", "network.channels=8", "training.updates=2", "training.batch=1")
+    small = ("network.blocks=1", "network.channels=8", "training.updates=2", "noise.steps=8")
     gesturekit("train", "diffusion_dance", *given, *small, f"features.extractors={tracks}").ok()
     model = gk.load(tmp_path / "run" / "model")
     assert not model.conditions.conditioner.vad

@@ -1,7 +1,5 @@
 """gesturekit prepare and fit-features: exit codes, and one clear line a problem."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Recipes by name: listed, copied, trained from anywhere."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """gesturekit render: what comes out, under which name, and what is said about what does not."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

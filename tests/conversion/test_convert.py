@@ -1,7 +1,5 @@
 """Converting motion: what is written where, what is changed, what is refused."""
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

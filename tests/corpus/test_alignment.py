@@ -1,7 +1,5 @@
 """Shift between sound and motion: estimated as it was added, and silent where nothing says it."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -11,8 +9,8 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 import audio_features as af
-from gesturekit.corpus import LEAD, Correlation, arm_speed, corrections, correlate, pooled, prepare
-from gesturekit.errors import CorpusError, MotionError
+from gesturekit.corpus import LEAD, Correlation, corrections, correlate, pooled, prepare
+from gesturekit.errors import CorpusError
 from gesturekit.motion import Motion
 
 FPS, RATE = 30, 8000
@@ -183,18 +181,3 @@ def test_a_recording_is_corrected_by_itself_or_by_all_together():
     assert corrections([in_time, unclear]) == [0.0, 0.0]
     assert corrections([in_time, clear, clear]) == pytest.approx([0.0, 1.15, 1.15])
     assert corrections([unclear, None]) == [0.0, 0.0] and corrections([None]) == [0.0]
-
-
-def test_the_speed_of_arms_is_that_of_four_joints_halfway_between_steps(skeleton):
-    """Turns of 0.1, 0.3 and 0.2 rad from frame to frame, at 30 frames a second."""
-    turns = np.tile([0.0, 0.0, 0.0, 1.0], (4, skeleton.n_joints, 1))
-    for name, axis, factor in (("LeftArm", 0, 1), ("RightForeArm", 2, 2), ("Head", 1, 9)):
-        half = factor * np.array([0.0, 0.1, 0.4, 0.6]) / 2
-        turns[:, skeleton.index(name), 3] = np.cos(half)
-        turns[:, skeleton.index(name), axis] = np.sin(half)
-    turns[2] *= -1  # the same rotation
-    motion = Motion(skeleton, turns, np.zeros((4, 3)), 30.0)
-    np.testing.assert_allclose(arm_speed(motion), 90 * np.array([0.1, 0.2, 0.25, 0.2]))
-    np.testing.assert_allclose(arm_speed(motion[:2]), [9.0, 9.0])
-    with pytest.raises(MotionError, match="give at least 2 frames"):
-        arm_speed(motion[:1])

@@ -1,7 +1,5 @@
 """Public corpora by name: tiny folders in their shapes, beside lists written by hand."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Listings of public corpora, made of empty files that have the published names."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -30,10 +28,6 @@ def problems(listing: Listing) -> list[tuple[str, str, str]]:
     return [(one.severity, one.file.name, one.message) for one in listing.problems]
 
 
-def ids(listing: Listing) -> list[str]:
-    return [one.id for one in listing.recordings]
-
-
 def names(files: Sequence[Path]) -> list[str]:
     return [file.name for file in files]
 
@@ -57,7 +51,6 @@ GAITS = ("BR", "BW", "FR", "FW", "ID", "SR", "SW", "TR1", "TR2", "TR3")
 
 
 def cuts(*rows: tuple[str, str, str]) -> str:
-    """Return a table with the same two cells for each gait."""
     head = ",".join(f"{gait}_{end}" for gait in GAITS for end in ("START", "STOP"))
     lines = [f"{style},{','.join([start, stop] * len(GAITS))},note" for style, start, stop in rows]
     return "\n".join([f"STYLE_NAME,{head},MORE", *lines])

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -215,13 +213,7 @@ def test_sound_is_muted_outside_of_intervals_of_its_file():
 
 @pytest.mark.parametrize(
     ("name", "is_id"),
-    [
-        ("a/b c/é", True),
-        ("x" * 230, True),
-        ("a//b", False),
-        ("..", False),
-        ("a\tb", False),
-    ],
+    [("a/b c/é", True), ("x" * 230, True), ("a//b", False), ("..", False), ("a\tb", False)],
 )
 def test_an_id_is_a_relative_path_that_any_system_can_have(name, is_id):
     if is_id:

@@ -1,7 +1,5 @@
 """Sound and motion that belong together, and the recordings that are held out."""
 
-from __future__ import annotations
-
 from collections import Counter
 from math import inf
 

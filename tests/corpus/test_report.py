@@ -1,7 +1,5 @@
 """The report of a corpus from recordings and items made by hand, without any file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a model hears: the same for loud and quiet, low where nobody speaks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

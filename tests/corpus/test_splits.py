@@ -1,7 +1,5 @@
 """Recordings held out by name, and items made of recordings, without any file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import inf
 from pathlib import Path

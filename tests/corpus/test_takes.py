@@ -1,7 +1,5 @@
 """Takes that were cut into files: their names, whole in the splits, and held-out neighbours."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Small denoisers and models of random weights, whose every part shows in what they make."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,7 +1,5 @@
 """Attention in blocks against attention as the formula says it."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

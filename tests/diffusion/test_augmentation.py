@@ -1,16 +1,10 @@
 """Augmented motion obeys physics: speeds, distances, left and right."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from gesturekit.diffusion import DeltaRepresentation
-from gesturekit.diffusion.training.augmentation import (
-    mirror_condition,
-    stretch,
-    stretch_factor,
-)
+from gesturekit.diffusion.training.augmentation import mirror_condition, stretch, stretch_factor
 from gesturekit.errors import ConfigError
 from gesturekit.motion import RootPath, multiply_quaternions, quaternion_from_rotation_vector
 from gesturekit.training import rng_for

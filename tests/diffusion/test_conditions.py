@@ -1,7 +1,5 @@
 """What a model is told: columns, frames, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

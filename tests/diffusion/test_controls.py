@@ -1,7 +1,5 @@
 """Controls of models: one list of names a system, documented once, and errors for all others."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

@@ -1,7 +1,5 @@
 """What a run trains on: recordings, their variants, and the windows drawn from them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Training and sampling on a GPU: the CPU's weights and motion, and the same ones again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Events as they are asked for: names and times, the beats of a sound, or a table."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Loss on the sliding of feet, against the motion core and numbers worked out by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

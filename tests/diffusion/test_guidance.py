@@ -1,7 +1,5 @@
 """Products of experts obey their algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Diffusion models: every control, on tiny networks of random weights."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

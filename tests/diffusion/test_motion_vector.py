@@ -1,7 +1,5 @@
 """Motion vectors of the diffusion model: what goes in comes out, on rigs of every kind."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The denoiser: its size, its padding, its two ways to be called."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The training objective and the samplers' arithmetic, against numbers worked out by hand."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """gesturekit render with diffusion models: each option reaches the model, or is refused by name."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

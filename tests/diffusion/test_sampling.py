@@ -1,7 +1,5 @@
 """Schedules and solvers on data whose noise is known: a Gaussian with mean and covariance."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

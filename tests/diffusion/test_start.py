@@ -1,7 +1,5 @@
 """A motion to begin from: near it with little noise, free of it with nothing but noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

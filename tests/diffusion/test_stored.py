@@ -1,7 +1,5 @@
 """Training on a long corpus, whose recordings stay on disk."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -76,7 +74,6 @@ def start(config_of, tmp_path) -> Callable[[str], str]:
 
 
 def arrays_in(folder: Path) -> set[str]:
-    """Return the names of all arrays."""
     return {path.stem for path in folder.rglob("*.npy")}
 
 

@@ -1,7 +1,5 @@
 """Weights of experts and of styles over time, as they are asked for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

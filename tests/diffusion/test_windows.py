@@ -1,7 +1,5 @@
 """Motions of any length: windows leave no seams and take no more memory."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

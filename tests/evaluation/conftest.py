@@ -1,7 +1,5 @@
 """Motions whose arm speed is known: a trunk with two arms that turn at a given speed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

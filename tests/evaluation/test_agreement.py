@@ -1,7 +1,5 @@
 """Ratings and votes of user studies, and how far metrics agree with them."""
 
-from __future__ import annotations
-
 from itertools import permutations
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,10 +19,7 @@ from gesturekit.evaluation import (
     Pair,
     read_ratings,
 )
-from gesturekit.evaluation.statistics.agreement import (
-    agreement,
-    chance_range,
-)
+from gesturekit.evaluation.statistics.agreement import agreement, chance_range
 from gesturekit.evaluation.statistics.ratings import Ratings
 from gesturekit.evaluation.statistics.scores import scores_of
 
@@ -54,7 +49,6 @@ def rated(
 
 
 def study(path: Path, quality: dict[str, float], raters: int = 12, clips: int = 5) -> Ratings:
-    """Return ratings by raters of different means, with small noise."""
     rng = np.random.default_rng(0)
     return rated(
         path,

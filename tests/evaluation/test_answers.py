@@ -1,7 +1,5 @@
 """Votes of user studies, as they are read."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Baselines made from recordings, as models of a report."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,14 +1,10 @@
 """Calibration of draws: by hand, and of models whose calibration is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import calibration, evaluate
-from gesturekit.evaluation.metrics.hands import hand_level
 
 
 def test_ranks_spread_and_width_by_hand():
@@ -61,30 +57,3 @@ def test_a_report_has_it_for_models_with_nine_samples(gesture, tmp_path):
     (model,) = evaluate(tmp_path / "made", tmp_path / "recorded").models
     assert "calibration" not in model.metrics
     assert not any("calibration" in one.reason for one in model.excluded)
-
-
-def test_levels_of_the_speaker_are_those_of_training_in_pieces_as_long_as_the_clips(
-    gesture, tmp_path
-):
-    """Four seconds of training are two pieces of 2 s, and another second is none."""
-    items, levels, recorded = [], [], []
-    for clip in range(2):
-        motions = [gesture(2.0, 25.0, seed=10 * clip + k) for k in range(10)]
-        recorded.append(hand_level(motions[0]))
-        levels.append([hand_level(motion) for motion in motions[1:]])
-        for k, motion in enumerate(motions):
-            motion.save(tmp_path / (f"made/c{clip}_s{k}.npz" if k else f"c{clip}.npz"))
-        file = tmp_path / f"c{clip}.npz"
-        items.append(Item(id=f"c{clip}", audio=None, motion=file, duration=2.0, split="test"))
-    speaker = []
-    for name, seconds in (("t", 4.0), ("u", 1.0)):
-        motion = gesture(seconds, 25.0, seed=40)
-        motion.save(tmp_path / f"{name}.npz")
-        item = Item(id=name, audio=None, motion=tmp_path / f"{name}.npz", duration=seconds)
-        items.append(item)
-        speaker += [hand_level(motion[k : k + 50]) for k in (0, 50)] if name == "t" else []
-    Manifest(items).save(tmp_path / "c.jsonl")
-    (model,) = evaluate(tmp_path / "made", tmp_path / "c.jsonl").models
-    expected = calibration(levels, recorded, speaker).sharpness
-    assert model.metrics["sharpness"].interval.value == pytest.approx(expected, rel=1e-4)
-    assert expected != pytest.approx(calibration(levels, recorded).sharpness, rel=0.05)

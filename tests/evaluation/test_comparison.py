@@ -1,7 +1,5 @@
 """Folders against folders, from end to end."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -165,34 +163,6 @@ def test_the_multires_protocol_notes_missing_samples(folders):
         evaluate(folders / "samples", folders / "recordings", protocol="genea")
 
 
-def test_clips_unlike_the_protocol_of_windows_are_noted(tmp_path, gesture):
-    """Three samples of ten seconds, to a tenth of a second, are as the protocol says."""
-    gesture(25.0, 10.0).save(tmp_path / "recordings" / "a.npz")
-    (tmp_path / "sound").mkdir()
-    (tmp_path / "sound" / "a.wav").write_bytes(b"no sound")
-
-    def notes(*samples: tuple[str, int]) -> list[str]:
-        folder = tmp_path / f"made{len(list(tmp_path.iterdir()))}"
-        for k, (window, frames) in enumerate(samples):
-            gesture(12.0, 10.0, seed=k)[:frames].save(folder / f"a_{window}_s{k}.npz")
-        options = {"protocol": "lda", "cheap": True, "audio": tmp_path / "sound"}
-        (model,) = evaluate(folder, tmp_path / "recordings", **options).models
-        named = [item.name for item in model.excluded if item.what == "speech"]
-        first = [f"a_{window}_s{k}" for k, (window, _) in enumerate(samples)][:3]
-        assert named == [", ".join(first) + (" and 2 more" if len(samples) > 3 else "")]
-        assert "fid_k" not in model.metrics and "arm_speed" in model.metrics
-        assert not model.by_recording and not model.verdict and not model.answers
-        return model.notes
-
-    three = [("w000", n) for n in (100, 101, 99)]
-    assert notes(*three) == []
-    assert notes(*three, ("w001", 100), ("w001", 98)) == [
-        "the protocol takes 3 samples of each window; a: 2",
-        "the protocol takes clips of 10 s; 1 of 5 are of another length and are cut into such "
-        "clips for Fréchet distances",
-    ]
-
-
 def test_takes_are_found_in_names_by_a_pattern(tmp_path, gesture):
     for k, name in enumerate(("day1_a", "day1_b", "day2_a", "x")):
         gesture(2.0, 25.0, seed=k).save(tmp_path / "recordings" / f"{name}.npz")
@@ -285,20 +255,6 @@ def test_bad_clips_are_left_out_with_their_reasons_and_the_rest_is_measured(fold
     (made / "clip0.npz").unlink()
     with pytest.raises(GestureKitError, match="no clip could be measured: .*one frame"):
         evaluate(made, folders / "recordings")
-
-
-def test_oddities_of_a_clip_are_reported(folders, tmp_path):
-    motion = Motion.load(folders / "samples" / "clip0_s1.npz")
-    rotations = motion.rotations.copy()
-    rotations[20:45] = rotations[20]
-    translation = motion.translation.copy()
-    translation[45:] += [3.0, 0.0, 0.0]
-    odd = replace(motion, rotations=rotations, translation=translation)[:50]
-    odd.save(tmp_path / "made" / "clip0.npz")
-    (model,) = evaluate(tmp_path / "made", folders / "recordings", cheap=True).models
-    notes = "; ".join(model.clips[0].notes)
-    assert "0.52 s shorter than its recording" in notes
-    assert "stands still in 49 %" in notes and "jumps at 1.76 s (80" in notes
 
 
 def test_frame_rates_may_differ_and_the_first_model_says_at_which_it_is_measured(folders, tmp_path):

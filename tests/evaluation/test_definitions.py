@@ -1,7 +1,5 @@
 """The table of metrics: what it names exists, so that an entry and a function are a metric."""
 
-from __future__ import annotations
-
 import pkgutil
 import re
 

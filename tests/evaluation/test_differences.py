@@ -1,7 +1,5 @@
 """Differences from an earlier file of results, and what the file says of each figure."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -60,7 +58,6 @@ def test_each_change_is_a_line_and_models_go_by_label(found, before):
         f"  CCA, global: {cca + 0.5:.2f} before, {cca:.2f} now",
         "  gone: only before",
     ]
-
     names = ("other", "new", "more")
 
     def rename(values):

@@ -1,8 +1,6 @@
 """What is done to a real recording moves each measure the way it should, or not at all; and putting
 it on another frame rate moves none that is per second."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The feature extractor: what poses it sees, that it repeats itself, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -13,9 +11,7 @@ from torch import nn
 
 from gesturekit.errors import EvaluationError, MotionError
 from gesturekit.evaluation import FeatureModel, PoseWindows, fgd
-from gesturekit.evaluation.metrics.frechet.feature_model import (
-    PoseAutoencoder,
-)
+from gesturekit.evaluation.metrics.frechet.feature_model import PoseAutoencoder
 from gesturekit.motion import Motion, multiply_quaternions, quaternion_from_euler, rotate_vectors
 
 
@@ -145,7 +141,6 @@ def test_a_damaged_model_is_refused(model, tmp_path):
     tensors_file = tmp_path / "feature_model.safetensors"
     json_file = tmp_path / "feature_model.json"
     tensors, text = load_file(tensors_file), json_file.read_text(encoding="utf-8")
-
     changed = dict(tensors)
     changed["windows.mean"] = tensors["windows.mean"] + 1e-9
     save_file(changed, tensors_file)

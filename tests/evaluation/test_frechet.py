@@ -1,7 +1,5 @@
 """Fréchet distances against closed forms, and clip features against their definitions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

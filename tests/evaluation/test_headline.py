@@ -1,7 +1,5 @@
 """The three questions that head a report."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

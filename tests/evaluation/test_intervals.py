@@ -1,7 +1,5 @@
 """Confidence intervals over takes: numbers worked out by hand, and simulated corpora."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from pathlib import Path

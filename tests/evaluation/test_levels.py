@@ -1,7 +1,5 @@
 """Floors and ceilings of the three questions: who scores like whom."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -20,12 +18,7 @@ from gesturekit.evaluation import (
     evaluate,
     metric_results,
 )
-from gesturekit.evaluation.statistics.levels import (
-    CEILING,
-    MEAN_POSE,
-    OTHER_SPEAKER,
-    reached_floor,
-)
+from gesturekit.evaluation.statistics.levels import CEILING, MEAN_POSE, OTHER_SPEAKER, reached_floor
 
 
 def show(shared_data: Path, speaker: str) -> list[Item]:

@@ -1,7 +1,5 @@
 """Measurements are kept by content, and are the same for any number of processes."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from pathlib import Path

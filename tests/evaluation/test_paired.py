@@ -1,7 +1,5 @@
 """Bold figures: differences of models larger than chance, corrected for the number of rows."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -77,7 +75,6 @@ def two_models(
 
 
 def reports_with_bold(reports: int, **options) -> tuple[float, float]:
-    """Return the shares of reports with any bold figure, and with the first model's reach bold."""
     any_, found = 0, 0
     for seed in range(reports):
         best = {key: row.best for key, row in contests(two_models(seed, **options)).items()}

@@ -1,7 +1,5 @@
 """Generated clips find their recordings, sounds and tracks by name."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

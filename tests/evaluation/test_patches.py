@@ -1,7 +1,5 @@
 """Patch metrics against their definitions, written out over all windows and all segmentations."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from functools import cache
@@ -93,10 +91,7 @@ def same(value):
 
 @settings(max_examples=int(os.environ.get("GESTUREKIT_FUZZ", "30")), deadline=None)
 @given(
-    motions(),
-    st.integers(1, 14),
-    st.sampled_from(["ganimator", "paper"]),
-    st.floats(0.05, 0.95),
+    motions(), st.integers(1, 14), st.sampled_from(["ganimator", "paper"]), st.floats(0.05, 0.95)
 )
 def test_each_equals_its_definition(pair, window, variant, share):
     generated, reference = pair

@@ -1,7 +1,5 @@
 """Speeds, jerk, feet and joint limits, against numbers worked out by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plots of the report: marks at the places of their values."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -62,34 +60,3 @@ def test_speech_is_shown_beside_chance_and_the_recordings_own(drawn):
     ]  # fmt: skip
     assert ([0], [-0.3]) in bc and axes[1].get_ylim()[0] < -0.3 and axes[0].get_ylim()[0] == 0
     assert names(axes[0].xaxis) == ["a", "b"]
-
-
-def test_movement_is_shown_as_ratios_to_the_recording(drawn):
-    title = "Movement, as a ratio to the recording"
-    a = model("a", {"arm_speed": (of(3.0, 1.5, 6.0), 2.0), "jerk": (of(8.0), 16.0)})
-    b = model("b", {"arm_speed": (of(1.0, 0.001, 4.0), 2.0), "wrist_speed": (of(0.009), 1.0)})
-    (axes,) = drawn(evaluated(a, b))[title]
-    spans = [x for x, _ in points(axes)]
-    assert spans[:4] == [[0.75, 3.0], [1.5], [0.01, 2.0], [0.5]], "nothing below a hundredth"
-    assert names(axes.yaxis) == ["Arm speed, rad/s", "Jerk, m/s³"]
-    (near,) = drawn(evaluated(model("a", {"jerk": (of(1.1, 0.9, 1.2), 1.0)})))[title]
-    assert near.get_xlim() == pytest.approx((0.45, 2.2))
-
-
-def test_speeds_are_shown_with_their_quartiles_and_shares(drawn):
-    a = model("$x_1$", {}, wrists=np.linspace(0.0, 1.0, 401),
-              speeds=SpeedHistogram.of([np.array([0.002, 0.005, 0.015, 0.485])]))  # fmt: skip
-    still = model("still", {}, wrists=np.zeros(50))
-    found = evaluated(a, still, wrists=np.linspace(0.0, 0.4, 401), speeds=(0.105,))
-    axes = drawn(found)
-    (wrists,), (joints,) = axes["Wrist speed"], axes["Joint speeds"]
-    assert points(wrists) == [
-        ([0, 0], [0.1, 0.3]), ([0], [0.2]), ([1, 1], [0.25, 0.75]), ([1], [0.5])
-    ]  # fmt: skip
-    assert names(wrists.xaxis) == ["recording", "$x_1$"]
-    assert not any(text.get_parse_math() for text in wrists.get_xticklabels())
-    shown = [patch.get_data() for patch in joints.patches]
-    assert shown[0].values[[0, 1, 48]] == pytest.approx([50, 25, 25])
-    assert shown[1].values[10] == pytest.approx(100)
-    again = plots.all_plots(found)
-    assert again == plots.all_plots(found) and "<text" not in again["Wrist speed"]

@@ -1,7 +1,5 @@
 """Hand movement and the metrics of all clips pooled, on motion whose hands follow known paths."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

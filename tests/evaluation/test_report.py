@@ -1,7 +1,5 @@
 """The report, as a person who opens the file meets it."""
 
-from __future__ import annotations
-
 import html
 import json
 import re

@@ -1,7 +1,5 @@
 """Results as values, their JSON, and the clips that a report shows."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, replace
 from pathlib import Path

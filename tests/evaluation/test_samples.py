@@ -1,7 +1,5 @@
 """Memory of an evaluation does not grow with the corpus: motion of large sets is sampled."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np
@@ -16,7 +14,6 @@ RIG = Skeleton(("hips",), (-1,), [[0, 1, 0]])
 
 
 def numbered(seconds: float, start: float = 0.0) -> Motion:
-    """Return a motion at 10 fps whose height is the time in the whole set."""
     n = round(10 * seconds)
     path = np.zeros((n, 3))
     path[:, 1] = start + np.arange(n) / 10

@@ -1,7 +1,5 @@
 """Known-bad motion made from recordings: the headline figures notice it."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 
@@ -12,17 +10,8 @@ import soundfile
 from audio_features import Wave
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import DEFINITIONS, Interval, MetricResult, ModelResult, contests
-from gesturekit.evaluation.report.bad_motion import (
-    BAD_MOTION,
-    BadMotionInputs,
-    run_sanity,
-)
-from gesturekit.evaluation.report.sanity_table import (
-    conclusion,
-    mark,
-    noticed_by,
-    table_lines,
-)
+from gesturekit.evaluation.report.bad_motion import BAD_MOTION, BadMotionInputs, run_sanity
+from gesturekit.evaluation.report.sanity_table import conclusion, mark, noticed_by, table_lines
 from gesturekit.motion import Motion, Skeleton
 
 ALL = set(BAD_MOTION)

@@ -1,7 +1,5 @@
 """In time with the sound: sync, beat alignment and beat consistency."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -21,10 +19,7 @@ from gesturekit.evaluation import (
     speech_onsets,
     sync,
 )
-from gesturekit.evaluation.metrics.rhythm import (
-    consistency,
-    joint_beats,
-)
+from gesturekit.evaluation.metrics.rhythm import consistency, joint_beats
 from gesturekit.motion import Motion
 
 ELBOW, SHOULDER = "LeftForeArm", "RightArm"

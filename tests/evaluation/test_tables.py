@@ -1,7 +1,5 @@
 """Tables of the report and of files: each value in its cell, on results made by hand."""
 
-from __future__ import annotations
-
 import csv
 import html
 import io

@@ -1,7 +1,5 @@
 """Units and axes of files: found, told, and settable."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

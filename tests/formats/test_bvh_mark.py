@@ -1,7 +1,5 @@
 """BVH files that we write are read back as they are: any size, unit and rate, whoever reads."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import bvhio

@@ -1,7 +1,5 @@
 """Joints stand where other readers have them, and still do after we wrote the file anew."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables of events: what they mean, and how hostile ones are refused."""
 
-from __future__ import annotations
-
 import pytest
 
 from gesturekit.errors import FormatError

@@ -1,7 +1,5 @@
 """FBX files, with a script in the place of Blender."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import warnings

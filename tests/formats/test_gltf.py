@@ -1,7 +1,5 @@
 """Motion from glTF files of any program: curves, trees, arrays, and files that are hostile."""
 
-from __future__ import annotations
-
 import json
 import os
 import struct
@@ -140,14 +138,7 @@ def test_arrays_may_lie_in_the_text_or_beside_it(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "uri",
-    [
-        "../secret.bin",
-        "{folder}/secret.bin",
-        "link.bin",
-        "http://a.b/secret.bin",
-        "a\0b",
-    ],
+    "uri", ["../secret.bin", "{folder}/secret.bin", "link.bin", "http://a.b/secret.bin", "a\0b"]
 )
 def test_no_file_of_another_folder_is_opened(tmp_path, uri):
     inside = tmp_path / "inside"

@@ -1,7 +1,5 @@
 """Arrays, trees, curves and colours of glTF files, against numpy, scipy and the standard."""
 
-from __future__ import annotations
-
 import json
 import struct
 import warnings
@@ -24,7 +22,6 @@ from gesturekit.motion import Motion
 
 
 def gltf(path: Path, **found: Any) -> Gltf:
-    """Return a file of these JSON values, without arrays."""
     text = json.dumps({"asset": {"version": "2.0"}, "nodes": [{}], **found}).encode()
     text += b" " * (-len(text) % 4)
     head = struct.pack("<4s4I", b"glTF", 2, 20 + len(text), len(text), 0x4E4F534A)
@@ -190,7 +187,6 @@ def test_who_made_an_avatar_and_under_which_licence(tmp_path, version):
 
 
 def colours(path: Path, material: dict, uv: list, image: bytes = b"") -> np.ndarray:
-    """Return the colours of points of a material whose texture is an image."""
     file = arm()
     view = file.view(image or picture())
     file.json |= {"materials": [material], "textures": [{"source": 0}, {}],

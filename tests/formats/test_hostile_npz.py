@@ -1,7 +1,5 @@
 """Hostile npz files: one error of ours, in little memory."""
 
-from __future__ import annotations
-
 import io
 import struct
 import time

@@ -1,7 +1,5 @@
 """Warnings about motions that were read without error, and the unit that a body's size suggests."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The registry of motion formats keeps what it promises, entry by entry."""
 
-from __future__ import annotations
-
 from inspect import signature
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Paths from files: tables that people write, tables that are broken, and motions."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """BEAT's tables of gestures."""
 
-from __future__ import annotations
-
 import pytest
 
 from gesturekit.errors import FormatError

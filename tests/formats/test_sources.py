@@ -1,7 +1,5 @@
 """Motions below a folder."""
 
-from __future__ import annotations
-
 import os
 
 import numpy as np

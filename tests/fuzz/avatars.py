@@ -1,7 +1,5 @@
 """A tiny VRM avatar for tests: a box for each bone, with a texture and a lock of hair."""
 
-from __future__ import annotations
-
 import io
 import json
 import struct

@@ -11,8 +11,6 @@ our mutators (--engine atheris); without it the mutators alone choose (--engine 
 a target is the same on every run.
 """
 
-from __future__ import annotations
-
 import argparse
 import faulthandler
 import hashlib

@@ -1,7 +1,5 @@
 """Seeded mutators: bytes in, bytes that are nearly the same and wrong out."""
 
-from __future__ import annotations
-
 import io
 import json
 import re
@@ -20,9 +18,6 @@ WORDS = (
     *(b"ROOT", b"JOINT", b"End Site", b"OFFSET", b"CHANNELS", b"MOTION", b"Frames:", b"{", b"}"),
     *(b"Frame Time:", b"HIERARCHY", b"Xposition", b"Zrotation", b"\0", b"\r", b"\x1a", b"\xff\xfe"),
 )
-
-
-# Any bytes
 
 
 def flip(data: bytearray, rng: np.random.Generator) -> bytearray:
@@ -44,9 +39,6 @@ def splice(data: bytearray, rng: np.random.Generator) -> bytearray:
 def noise(data: bytearray, rng: np.random.Generator) -> bytearray:
     at = int(rng.integers(0, len(data)))
     return data[:at] + rng.bytes(int(rng.integers(1, 3000))) + data[at:]
-
-
-# BVH
 
 
 def numbers(data: bytearray, rng: np.random.Generator) -> bytes:
@@ -96,9 +88,6 @@ def nest(data: bytearray, rng: np.random.Generator) -> bytes:
 def recode(data: bytearray, rng: np.random.Generator) -> bytes:
     text = bytes(data).decode("latin-1")
     return text.encode(rng.choice(["utf-16", "utf-16-le", "utf-32", "utf-8-sig", "cp037"]))
-
-
-# npz
 
 
 def arrays(data: bytearray, rng: np.random.Generator) -> bytes:
@@ -217,8 +206,6 @@ def rezipped(data: bytes, changed: dict[str, bytes]) -> bytes:
         return out.getvalue()
 
 
-# JSON, YAML, tables and other text
-
 TOKENS = (
     *(b"null", b"true", b"[]", b"{}", b'""', b'"\\ud800"', b"NaN", b"1e999", b"-1", b"1.5", b"0"),
     *(b"9" * 4000, b"0x" + b"f" * 5000, b"1" + b":30" * 900, b"9" * 5000, b"1e400", b"-Infinity"),
@@ -302,9 +289,6 @@ VALUES: tuple[Any, ...] = (
 )
 
 
-# safetensors: 8 bytes of length, a JSON header, and the values
-
-
 def tensors(data: bytearray, rng: np.random.Generator) -> bytes:
     """The header of a safetensors file is made wrong, with a right length or a wrong one."""
     size = int.from_bytes(data[:8], "little")
@@ -326,9 +310,6 @@ def shapes(data: bytearray, rng: np.random.Generator) -> bytes:
     except (ValueError, KeyError, TypeError, IndexError, AttributeError):
         return tokens(data, rng)
     return json.dumps(header).encode()
-
-
-# torch
 
 
 def pickled(data: bytearray, rng: np.random.Generator) -> bytes:

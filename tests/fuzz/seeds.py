@@ -1,7 +1,5 @@
 """Files of each format that are as they should be, as bytes."""
 
-from __future__ import annotations
-
 import io
 import json
 from pathlib import Path

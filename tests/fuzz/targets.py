@@ -1,7 +1,5 @@
 """Loaders under test: how each is called with a file that may be anything."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

@@ -1,7 +1,5 @@
 """Hostile files and requests: memory and time stay in proportion to the size of the file."""
 
-from __future__ import annotations
-
 import http.client
 import io
 import json

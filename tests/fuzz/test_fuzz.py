@@ -1,7 +1,5 @@
 """Files that are broken or hostile: our error or a result, in bounded time and memory."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

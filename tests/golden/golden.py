@@ -11,8 +11,6 @@ section `renamed` says so. Bytes are equal on one machine only, so that no resul
 Exit codes: 0 equal; 1 some command differs, as listed; 2 BASE cannot be checked out.
 """
 
-from __future__ import annotations
-
 import argparse
 import difflib
 import hashlib

@@ -1,7 +1,5 @@
 """Make the recordings and sounds of the golden comparison in the current folder."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The golden comparison sees what changed, and nothing else."""
 
-from __future__ import annotations
-
 import io
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Inspecting motion: what is said of rigs and of how they move."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
@@ -12,7 +10,6 @@ from avatars import BONES, avatar_json, packed
 from rigs import PERSON, rig_of
 from scipy.spatial.transform import Rotation
 
-from gesturekit.corpus import prepare
 from gesturekit.errors import GestureKitError
 from gesturekit.inspection import Summary, inspect
 from gesturekit.motion import Motion, Skeleton
@@ -167,38 +164,6 @@ def test_an_avatar(version, meta, named, tmp_path):
     assert f"{len(BONES) + 1} joints" in row(summary, "body")  # and one of the hair
 
 
-def test_the_tree_names_every_joint_but_fingers_and_fits(shared_data):
-    for file, most in (
-        ("paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh", 20),
-        ("motion/bandai/dataset-1_bye_old_001.bvh", 12),
-        ("smpl/glamr_running_smpl.npz", 15),
-    ):
-        summary = inspect(shared_data / file)
-        assert max(map(len, summary.lines(100))) <= 100 and max(map(len, summary.lines(72))) <= 72
-        assert len(summary.drawing(100)) <= most, "one screen"
-        text, parts = "\n".join(summary.drawing(100)), summary.facts["parts"]
-        for name in summary.facts["joints"]:
-            assert name in text or parts[name] in ("finger", "end"), name
-        assert "[left elbow]" in text and "[right knee]" in text
-
-
-@pytest.mark.parametrize(
-    ("frame_time", "says"),
-    [
-        ("33.333", "0.03 fps: is Frame Time in milliseconds? --in-fps 30 sets the rate"),
-        ("30", "0.033 fps: does Frame Time hold the rate? --in-fps 30 sets the rate"),
-        ("0.0000333", "30030 fps: is Frame Time 1000 times too small? --in-fps 30 sets the rate"),
-    ],
-)
-def test_an_implausible_frame_rate_is_questioned(gesture, tmp_path, frame_time, says):
-    gesture(2.0).save(path := tmp_path / "a.bvh")
-    path.write_text(re.sub("Frame Time: .*", f"Frame Time: {frame_time}", path.read_text()))
-    assert inspect(path).problems[0] == says
-    assert not any("fps" in problem for problem in inspect(path, read={"fps": 30.0}).problems)
-    report = prepare([], unpaired_motion=[tmp_path])
-    assert says in [problem.message for problem in report.problems]
-
-
 def test_a_mirrored_body_is_doubted(gesture, tmp_path):
     motion = gesture(2.0)
     rig = motion.skeleton
@@ -216,18 +181,3 @@ def test_a_mirrored_body_is_doubted(gesture, tmp_path):
         replace(motion, skeleton=skeleton, rotations=rotations).save(tmp_path / "a.npz")
         problems = inspect(tmp_path / "a.npz").problems
         assert any("the toes point backwards" in text for text in problems) == is_told
-
-
-@pytest.mark.parametrize(
-    ("read", "says"),
-    [
-        ({"height": 0.1}, "--height 0.1 makes the body 0.10 m tall"),
-        ({"unit": "m"}, "--in-unit m makes the body "),
-        ({"up": "z"}, "--in-up z lays the body down"),
-    ],
-)
-def test_implausible_options_are_reported(gesture, tmp_path, read, says):
-    gesture(2.0).save(tmp_path / "a.bvh")
-    assert any(says in problem for problem in inspect(tmp_path / "a.bvh", read=read).problems)
-    usual = {"height": 1.2, "unit": "cm", "up": "y"}
-    assert inspect(tmp_path / "a.bvh", read=usual).problems == ()

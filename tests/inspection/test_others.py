@@ -1,7 +1,5 @@
 """Inspecting sounds, features, models, corpora and runs."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -29,12 +27,6 @@ def row(summary: Summary, label: str) -> str:
 
 def plain(summary: Summary) -> dict:
     return json.loads(json.dumps(summary.to_json(), allow_nan=False))
-
-
-# Text and JSON
-
-
-# Sounds
 
 
 def test_speech(write_speech, tmp_path):
@@ -145,9 +137,6 @@ def test_an_array_of_own_features_stays_on_disk(tmp_path):
         inspect(tmp_path / "c.npy")
 
 
-# Models
-
-
 def test_the_bundled_model_and_its_folder():
     summary = inspect("demo")
     assert summary.kind == "model"
@@ -170,9 +159,6 @@ def test_a_model_that_lacks_a_part_names_it(tmp_path):
     (copy / "skeleton.json").write_text("{")
     with pytest.raises(ModelError, match=r"skeleton\.json is damaged"):
         inspect(copy)
-
-
-# Corpora
 
 
 def test_a_manifest(corpus, write_pair, tmp_path):
@@ -236,9 +222,6 @@ def test_a_folder_of_recordings(write_pair, write_speech, gesture, tmp_path):
     assert any("no joint 'Elbow'" in problem for problem in named.problems)
 
 
-# Runs
-
-
 def make_run(folder):
     (folder / "checkpoints").mkdir(parents=True)
     (folder / "config.yaml").write_text("system: multires\nfps: 25.0\nseed: 3\n")
@@ -277,9 +260,6 @@ def test_stopped_and_finished_runs_are_described(tmp_path):
     assert plain(done)["state"] == "finished" and plain(done)["metrics"]["held_out/jerk"] == 31
     assert row(done, "verdict") == "Half of the reach." and row(done, "losses") == "rec 0.25"
     assert row(done, "metrics").startswith("likeness 0.5 (recordings 0.75); all of them: ")
-
-
-# Everything else
 
 
 def test_unknown_files_are_reported_in_one_line(gesture, tmp_path):

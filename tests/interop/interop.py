@@ -10,8 +10,6 @@ between our reader and three.js. Exits 1 where a joint is more than 0.1 mm away,
 another, the sound is not in its place, or the validator finds an error.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import runpy

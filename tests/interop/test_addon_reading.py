@@ -1,8 +1,6 @@
 """The Blender add-on reads our motion files as gesturekit does; what Blender makes of them is
 checked by `make interop`."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The journal: what is written survives, and damage is ignored."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import json

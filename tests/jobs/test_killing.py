@@ -1,7 +1,5 @@
 """SIGKILL at random moments: a rerun completes, and gives what an undisturbed run gives."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Leases: one process for each shard, and one run for each folder."""
 
-from __future__ import annotations
-
 import json
 import os
 import socket

@@ -1,7 +1,5 @@
 """The plan: immutable, balanced, and read in parts."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from pathlib import Path
@@ -9,13 +7,7 @@ from pathlib import Path
 import pytest
 
 from gesturekit.errors import ConfigError, FormatError
-from gesturekit.jobs import (
-    Plan,
-    Task,
-    balanced,
-    parse_shard,
-    write_plan,
-)
+from gesturekit.jobs import Plan, Task, balanced, parse_shard, write_plan
 
 ITEMS = [Task(f"day/{i}", Path(f"/in/{i}.wav"), float(1 + i % 7), {"seed": i}) for i in range(50)]
 

@@ -1,7 +1,5 @@
 """Worker processes: results of all tasks, whatever happens to a worker."""
 
-from __future__ import annotations
-
 import logging
 import operator
 import os

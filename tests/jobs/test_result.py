@@ -1,7 +1,5 @@
 """What a task leaves behind: its result, the digests of settings and files, and reasons."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import time
@@ -73,10 +71,7 @@ def test_a_result_has_what_a_rerun_needs_to_know(task, tmp_path):
         (MemoryError(), "in/a.wav: not enough memory"),
         (RuntimeError("CUDA out of memory"), "in/a.wav: CUDA out of memory"),
         (OSError(errno.EACCES, "Permission denied", "/tmp/.a-x.csv"), "{out}: Permission denied"),
-        (
-            KeyError("b\udcff"),
-            "in/a.wav: unexpected KeyError, please report it: 'b\\udcff'",
-        ),
+        (KeyError("b\udcff"), "in/a.wav: unexpected KeyError, please report it: 'b\\udcff'"),
     ],
 )
 def test_a_failure_is_one_line_that_names_the_input_or_the_file(task, tmp_path, error, says):

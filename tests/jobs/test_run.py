@@ -1,7 +1,5 @@
 """Work on tasks that only write who did them: what is kept, refused, tried again, and where."""
 
-from __future__ import annotations
-
 import json
 import os
 import threading

@@ -1,7 +1,5 @@
 """The state of the work in a folder, from a plan and journals whose numbers are known."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A microphone, by a stand-in of PortAudio that plays what a sound card would deliver."""
 
-from __future__ import annotations
-
 import sys
 import threading
 import time

@@ -1,7 +1,5 @@
 """The page and its frames, as real clients get them."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import re
@@ -79,7 +77,6 @@ def serve() -> Iterator[Callable[..., Served]]:
 
 
 def decoded(message: bytes) -> tuple[float, float, np.ndarray, np.ndarray]:
-    """Return seconds, lag, the root's place and local quaternions of a message."""
     seconds, lag = np.frombuffer(message[:16], "<f8")
     numbers = np.frombuffer(message[16:], "<f4")
     return seconds, lag, numbers[:3], numbers[3:].reshape(-1, 4)
@@ -97,7 +94,6 @@ def watched(served: Served, *clients) -> None:
 
 
 def received(client) -> tuple[float, float, np.ndarray, np.ndarray]:
-    """Return the next message of a client that is not of second -1."""
     while (message := decoded(client.recv(timeout=5)))[0] < 0:
         pass
     return message

@@ -1,13 +1,10 @@
 """Whole runs on a model that moves by loudness: recordings, sinks, stalls, and how a run ends."""
 
-from __future__ import annotations
-
 import io
 import json
 import os
 import queue
 import re
-import resource
 import signal
 import socket
 import subprocess
@@ -15,7 +12,6 @@ import sys
 import threading
 import time
 import urllib.request
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -110,10 +106,8 @@ class Failing(Kept):
 
 
 class Blocked(Kept):
-    """A sink that takes a third of a second for a step."""
-
     def put(self, step) -> None:
-        time.sleep(0.33)
+        time.sleep(0.2)
 
 
 def test_sinks_that_block_or_fail_slow_nobody(write_speech, tmp_path):
@@ -286,31 +280,6 @@ def test_ctrl_c_leaves_a_whole_recording_and_a_kill_a_partial_one(gesturekit, tm
     assert Motion.load(out).n_frames == wave.n_frames(30) > 15
     assert f"{wave.n_frames(30)} frames" in said.decode() and b"Traceback" not in said
     assert sorted(file.name for file in tmp_path.iterdir()) == ["out.bvh", "out.wav"]
-
-
-@pytest.mark.stress
-def test_a_full_disk_ends_the_run_and_leaves_what_came_until_then(gesturekit, tmp_path):
-    """A limit on the size of files fails as a full disk does; the sound goes on for ever."""
-    out = tmp_path / "take.npz"
-    arguments = ["live", "--from", "-", "--fast", "--to", f"record:{out}"]
-    with Path("/dev/zero").open("rb") as silence:
-        done = subprocess.run(
-            [sys.executable, "-c", MAIN, *arguments],
-            stdin=silence,
-            capture_output=True,
-            text=True,
-            timeout=60,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000)),
-        )
-    partial, sound = tmp_path / "take_npz_partial.frames", tmp_path / "take_npz_partial.wav"
-    assert done.returncode == 1 and "Traceback" not in done.stderr
-    assert f"take.npz: File too large; {partial} and {sound} hold" in done.stderr
-    assert {file.name for file in tmp_path.iterdir()} == {partial.name, sound.name}
-    gesturekit("convert", partial, out).ok()
-    motion = Motion.load(out)
-    assert 290_000 < motion.n_frames * 8 * (3 + 4 * motion.skeleton.n_joints) < 300_000
-    assert Wave.load(sound).duration == pytest.approx(motion.duration + 0.2, abs=0.1)
 
 
 def test_figures_of_a_run_are_a_table_and_json(live, write_speech, tmp_path):

@@ -1,7 +1,5 @@
 """VMC datagrams as programs that draw an avatar read them, by a reader of the test's own."""
 
-from __future__ import annotations
-
 import socket
 import struct
 from collections.abc import Iterator

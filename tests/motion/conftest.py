@@ -1,7 +1,5 @@
 """Rigs that the tests of motion share."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from rigs import Bones, renamed, rig_of

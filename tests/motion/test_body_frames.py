@@ -1,7 +1,5 @@
 """Anatomical frames of a rig at rest, worked out by hand: feet, hands and lengths of limbs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

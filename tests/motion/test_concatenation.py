@@ -1,7 +1,5 @@
 """Motions one after another: placed, and without a jump in pose or speed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

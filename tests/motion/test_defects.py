@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -7,12 +5,7 @@ import pytest
 from rigs import PERSON, at_rest, rig_of
 
 from gesturekit.motion import Motion, multiply_quaternions, quaternion_from_rotation_vector
-from gesturekit.motion.defects import (
-    find_jumps,
-    find_pops,
-    frozen_runs,
-    jitter_share,
-)
+from gesturekit.motion.defects import find_jumps, find_pops, frozen_runs, jitter_share
 
 
 def turned(motion: Motion, joint: str, angles: np.ndarray) -> Motion:

@@ -1,7 +1,5 @@
 """Heading and side axis of bodies with hips, with shoulders alone, and without either."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from rigs import PERSON, at_rest, rig_of, with_offsets

@@ -1,7 +1,5 @@
 """Limbs of a nameless stick figure, found by shape or refused, and of a rig with absurd bones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from rigs import PERSON, Bones, rig_of, with_offsets

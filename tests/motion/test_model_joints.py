@@ -1,7 +1,5 @@
 """Modelled joints of a rig, and the constant pose of all others, worked out by hand."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Recordings on smooth paths: the root is there, and feet do not slide for it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

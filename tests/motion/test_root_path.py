@@ -1,7 +1,5 @@
 """Paths over the ground: their deltas, other frame rates, smoothing."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Standing poses: limits of what stands at rest, and the frame or T-pose of what does not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

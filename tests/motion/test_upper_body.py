@@ -1,7 +1,5 @@
 """Rigs without legs: arms, head and spine are found, and what needs legs copes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

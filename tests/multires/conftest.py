@@ -1,7 +1,5 @@
 """A pyramid of few channels, on the corpus of seconds: a run takes seconds too."""
 
-from __future__ import annotations
-
 import pytest
 from small_runs import small_config
 

@@ -1,7 +1,5 @@
 """A corpus that is not held in memory: arrays on disk, made once, read in windows."""
 
-from __future__ import annotations
-
 import errno
 import json
 import logging
@@ -47,7 +45,6 @@ def long_config(corpus, make_config, tmp_path):
 
 
 def arrays_in(config) -> dict[str, int]:
-    """Return the time at which each array was written, by its name."""
     return {path.name: path.stat().st_mtime_ns for path in config.arrays_folder.rglob("*.npy")}
 
 

@@ -1,7 +1,5 @@
 """Choice of the backend: what is asked for, what is refused, what auto falls back to."""
 
-from __future__ import annotations
-
 import logging
 import sys
 
@@ -131,7 +129,7 @@ def test_without_the_engine_auto_falls_back_and_numba_is_an_error(networks, monk
 
 
 def test_torch_trains_and_generates_as_numba(engine, make_config, tmp_path, caplog, monkeypatch):
-    short = {"training": {"first_stage": 1, "further_stages": 1, "learning_rate": 1e-5}}
+    short = {"training": {"first_stage": 1, "learning_rate": 1e-5}, "network": {"levels": 2}}
     folders, motions = {}, {}
     for name in ("numba", "torch"):
         with caplog.at_level(logging.INFO):

@@ -1,11 +1,5 @@
 """Sampling in pieces: no seam, any length, bounded memory."""
 
-from __future__ import annotations
-
-import json
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 import torch
@@ -85,39 +79,6 @@ def test_changed_weights_take_effect(network):
         weight.div_(2)
     assert (changed - before).abs().max() > 1e-3
     assert torch.equal(sample(network, noises, lengths, None), before)
-
-
-@pytest.mark.stress
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
-def test_a_long_motion_takes_little_more_memory_than_itself():
-    """In a process of its own, as the high-water mark of memory never falls."""
-    code = """
-import json
-import torch
-from audio_features import level_lengths
-from gesturekit.systems import load
-from gesturekit.multires.sampling.trained_model import sample
-
-torch.set_num_threads(1)
-network = load("demo").network
-def make(n_frames, tile):
-    lengths = level_lengths(n_frames, len(network.levels))
-    noises = [torch.randn(1, 1, lengths[0]), *[None] * (len(lengths) - 1)]
-    return sample(network, noises, lengths, None, tile=tile)
-def peak():  # getrusage would count what the parent had in memory
-    rows = open("/proc/self/status").read().splitlines()
-    return 1024 * int(next(row for row in rows if row.startswith("VmHWM")).split()[1])
-make(1024, 1024)
-marks = [peak()]
-for tile in (1024, 40_000):
-    motion = make(40_000, tile)
-    marks.append(peak())
-print(json.dumps([motion.nbytes, *marks]))
-"""
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    motion, idle, pieces, whole = json.loads(run.stdout)
-    assert pieces - idle < 5 * motion, "two levels, and some frames"
-    assert whole - idle > 10 * motion, "else the figure above says nothing"
 
 
 @pytest.mark.stress

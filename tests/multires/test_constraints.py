@@ -4,8 +4,6 @@ At 25 fps what is beside a clip is blended to it over 0.4 s, 10 frames; after k 
 of the clip is the smoothstep of 1 - k / 10.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -19,11 +17,7 @@ from gesturekit.errors import ModelError
 from gesturekit.motion import RootPath, quaternion_from_rotation_vector, rotate_vectors
 from gesturekit.motion.heading import heading
 from gesturekit.multires import MultiresRepresentation, Normaliser, resample
-from gesturekit.multires.constraints.constraint import (
-    fastest_second,
-    turned,
-    turned_plane,
-)
+from gesturekit.multires.constraints.constraint import fastest_second, turned, turned_plane
 from gesturekit.multires.constraints.inbetweening import InbetweenClips, InbetweenConstraint
 from gesturekit.multires.constraints.keyframes import (
     KeyframeConstraint,
@@ -81,9 +75,6 @@ def posed(representation, n_frames: int, place=(0.0, 1.1, 0.0), rise: float = 0.
     return motion
 
 
-# Vectors.
-
-
 def test_turned_vectors_are_those_of_the_turned_motion(recorded, representation):
     values = representation.encode(recorded)
     before = values.copy()
@@ -110,9 +101,6 @@ def test_the_fastest_second_is_a_way_over_the_ground(steps, speed):
     assert fastest_second(ways.reshape(-1, 2), 4.0) == pytest.approx(speed)
 
 
-# Moved roots.
-
-
 @pytest.mark.parametrize("below", [False, True])
 def test_a_moved_motion_is_elsewhere_and_no_pose_changes(recorded, below):
     motion = recorded
@@ -136,9 +124,6 @@ def test_a_moved_motion_is_elsewhere_and_no_pose_changes(recorded, below):
             found.positions()[:, representation.root :], body + way, atol=1e-9
         )
         np.testing.assert_array_equal(found.rotations, motion.rotations)
-
-
-# Keyframes.
 
 
 def test_an_edited_frame_is_reached_and_others_stay(representation, normaliser):
@@ -242,9 +227,6 @@ def test_the_root_passes_through_edited_frames(representation):
     assert 1e-3 < both[8, 0] - both[0, 0] < 0.03
 
 
-# Paths.
-
-
 def straight(n_frames: int, step: tuple[float, float], angle: float) -> RootPath:
     places = np.outer(np.arange(n_frames), step) + [4.0, -3.0]
     return RootPath(places, np.full(n_frames, angle), FPS)
@@ -284,9 +266,6 @@ def test_steps_that_are_far_too_fast_are_limited_below_the_finest_level(represen
         fast = (2.0 - float(normaliser.mean[x])) / float(normaliser.scale[x])
         assert fast > 10
         np.testing.assert_allclose(found, fast if level == 1 else 3.0, rtol=1e-5)
-
-
-# Clips.
 
 
 def test_clips_begin_at_the_nearest_frame_and_may_touch(representation):

@@ -1,7 +1,5 @@
 """Speech of their own for some levels of a multires model."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 
@@ -82,9 +80,6 @@ def test_level_speech_from_the_command_line(two_voices, tmp_path, render):
     np.testing.assert_array_equal(*made)
     done = render("demo", "--seconds", 4, "--level-speech", "7-8")
     assert done.status == 2 and "names no file: 7-10=b.wav" in done.err
-
-
-# Controls that a model does not take, or not together.
 
 
 @pytest.fixture(scope="module")

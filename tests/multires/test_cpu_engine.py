@@ -1,7 +1,5 @@
 """The CPU engine: the same numbers as dense convolutions and autograd."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np

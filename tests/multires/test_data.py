@@ -1,7 +1,5 @@
 """What a run trains on: scales, noise, windows, speakers."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What a motion is held to: a path, parts that are given, edited keyframes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Losses read the same body as the motion core, at any level's rate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Choice of the parts of a long corpus that a model can recall."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Single-clip mode, label mode, and speech with labels: train, reload, generate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -76,7 +74,7 @@ def test_nine_in_ten_random_motions_mix_two_styles_at_one_level():
 
 def test_a_training_sequence_is_reconstructed(make_config, motions, gesture):
     steps = {"discriminator_steps": 0, "generator_steps": 0, "reconstruction_steps": 2}
-    training = {"window": None, "first_stage": 80, "learning_rate": 5e-3}
+    training = {"window": None, "first_stage": 50, "learning_rate": 8e-3}
     changes = {"features": None, "network": {"levels": 2, "channels": [6, 6]}}
     corpus = str(motions(none=[4.0]))
     model = gk.load(train(make_config(corpus=corpus, **changes, training=training | steps)))
@@ -237,7 +235,7 @@ def test_noise_enters_at_as_many_levels_as_wanted_scaled_by_their_sigma(single):
     assert np.abs(loud - made(4, 1, seed=2, first=100)).max() > 0.05
 
 
-@pytest.mark.parametrize("mode", ["single", "labels"])
+@pytest.mark.parametrize("mode", [pytest.param("single", marks=pytest.mark.stress), "labels"])
 def test_each_mode_resumes_bitwise(mode, corpora, tmp_path):
     """From within a pair and a window cache, and from a checkpoint that was not the last."""
     changes = {"single": SINGLE, "labels": {**LABELS, "z_star_shuffle": 3}}[mode]
@@ -267,11 +265,11 @@ SWITCHES = [
 
 
 def test_each_switch_of_ganimator_changes_the_training(corpora, gesture, tmp_path):
-    turned = replace(gesture(2.0), rotations=gesture(2.0).rotations.copy())
+    turned = replace(gesture(1.0), rotations=gesture(1.0).rotations.copy())
     about_y = np.array([0.0, np.sin(0.5), 0.0, np.cos(0.5)])  # by 1 radian
     turned.rotations[:, 0] = multiply_quaternions(about_y, turned.rotations[:, 0])
     turned.save(tmp_path / "turned.bvh")
-    Manifest([Item(id="turned", audio=None, motion=tmp_path / "turned.bvh", duration=2.0)]).save(
+    Manifest([Item(id="turned", audio=None, motion=tmp_path / "turned.bvh", duration=1.0)]).save(
         tmp_path / "c.jsonl"
     )
     short, made = {"network": {"levels": 2}, "training": {"first_stage": 2}}, set()
@@ -279,7 +277,7 @@ def test_each_switch_of_ganimator_changes_the_training(corpora, gesture, tmp_pat
         config = small_config(tmp_path / "c.jsonl", tmp_path / str(number), SINGLE, short, switch)
         folder = train(config)
         made.add((folder / "model.safetensors").read_bytes())
-    assert gk.load(folder).reconstruct("turned").n_frames == 50
+    assert gk.load(folder).reconstruct("turned").n_frames == 25
     assert len(made) == len(SWITCHES)
 
 

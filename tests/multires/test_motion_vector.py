@@ -1,7 +1,5 @@
 """Motion vectors: what goes in comes out, on rigs of every kind."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

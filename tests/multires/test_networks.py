@@ -1,7 +1,5 @@
 """The pyramid's networks: what sees what, and what speech may touch."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from types import SimpleNamespace

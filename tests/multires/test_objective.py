@@ -1,7 +1,5 @@
 """The training objective, against numbers worked out by hand: signs, weights, units, noise."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

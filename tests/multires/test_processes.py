@@ -1,7 +1,5 @@
 """Trainings in processes of their own: killed and resumed to the same weights, or two as one."""
 
-from __future__ import annotations
-
 import signal
 import time
 

@@ -1,7 +1,5 @@
 """Runs that start from another model: what they take over, what is their own, what is refused."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Parts of a stream, worked out by hand: feet, recorded pieces, features and detail."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -33,8 +31,6 @@ def model():
 def wave() -> af.Wave:
     return af.Wave.load(Path(gk.__file__).parent / "models" / "demo" / "speech.wav")
 
-
-# Feet.
 
 RIG = rig_of(
     PERSON
@@ -139,9 +135,6 @@ def test_a_body_without_legs_is_left_alone():
     assert FootHold(torso.skeleton, FPS)(torso, np.ones(0), displaced) is torso
 
 
-# Recorded pieces.
-
-
 @pytest.fixture(scope="module")
 def counted(model):
     """The demo's library, whose channels count the frames of all recordings, at mean movement."""
@@ -227,9 +220,6 @@ def test_speakers_styles_moods_and_names_decide_what_is_shown(counted):
         assert begun(**other) != one
 
 
-# Finer levels.
-
-
 @pytest.mark.parametrize("film, residual", [("all", False), ("input", True)])
 @pytest.mark.parametrize("part", [range(0, 3), range(20, 24), range(61, 64)])
 def test_finer_levels_of_a_frame_are_those_of_the_whole_window(model, film, residual, part):
@@ -256,9 +246,6 @@ def test_finer_levels_of_a_frame_are_those_of_the_whole_window(model, film, resi
     found = own.normaliser.to_values(finer(used, speech)[None])
     np.testing.assert_allclose(found, whole[part.start : part.stop], atol=1e-4)
     assert np.abs(whole[20:24] - whole[24:28]).max() > 0.1, "the test can tell frames apart"
-
-
-# Features.
 
 
 def test_features_of_a_stream_are_those_of_the_file_where_both_know_as_much(model, wave):

@@ -1,7 +1,5 @@
 """Targets of the losses: detail by joint and style, and the arm speed that speech asks for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -91,9 +89,6 @@ def test_uninformative_features_are_not_overfitted(width):
     target = ArmTarget(FRAME).fit(speeches, movements)
     asked = target(torch.randn(1, width, 300, generator=rng))[0]
     assert (asked.std(dim=1) < 0.25 * movements[0].std(dim=1)).all()
-
-
-# Against the textbook's formulas.
 
 
 def ridge_inputs(speech: np.ndarray, frame_seconds: float) -> np.ndarray:

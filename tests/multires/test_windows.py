@@ -1,7 +1,5 @@
 """Windows that a stage trains on, against what the recordings and the networks give there."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 CODE = """
 def guarded(n):
     return n * 2
@@ -22,6 +24,7 @@ def test_numbers():
 """
 
 
+@pytest.mark.stress
 def test_it_prints_the_defects_that_no_test_notices(tmp_path):
     files = {"gesturekit/__init__.py": "", "gesturekit/numbers.py": CODE, "tests/test_n.py": TESTS}
     for name, text in files.items():

@@ -4,16 +4,10 @@ The limits on the reference body: a foot stands below 0.2 m/s (0.6 m/s if labell
 of its floor; landing and leaving last at most 0.1 s, below 0.4 m/s and within 1.5 cm.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from gesturekit.postprocess.contact_spans import (
-    contact_frames,
-    contact_spans,
-    split_at_movement,
-)
+from gesturekit.postprocess.contact_spans import contact_frames, contact_spans, split_at_movement
 
 FPS = 50.0
 

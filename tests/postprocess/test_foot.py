@@ -1,7 +1,5 @@
 """Heel, ball and sole of feet on rigs that mark them in different ways."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from rigs import PERSON, rig_of

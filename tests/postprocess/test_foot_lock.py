@@ -1,7 +1,5 @@
 """Feet stay where they stand, everything else stays as it was, and nothing gets worse."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

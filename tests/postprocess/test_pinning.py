@@ -4,8 +4,6 @@ Corrections fade by the smoothstep 3 x^2 - 2 x^3 within 0.15 s, or more slowly i
 faster than 0.3 m/s.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

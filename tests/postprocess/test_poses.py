@@ -4,8 +4,6 @@ At 24 fps a pose decays within 12 frames. The smoothstep 1 - 3 s^2 + 2 s^3 is 27
 after 3, 6 and 9 of them.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

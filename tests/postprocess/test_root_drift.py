@@ -1,7 +1,5 @@
 """Root drift of made-up foot paths, worked out by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

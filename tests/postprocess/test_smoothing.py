@@ -1,7 +1,5 @@
 """Jitter goes, beats and feet stay."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

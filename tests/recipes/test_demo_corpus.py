@@ -1,7 +1,5 @@
 """The demo corpus: the talker must be worth learning from."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

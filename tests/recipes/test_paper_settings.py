@@ -5,8 +5,6 @@ the authors' released code where the paper is silent, or `ours` where both are. 
 named in docs/papers.md too.
 """
 
-from __future__ import annotations
-
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Recipes for public corpora, from a tiny folder in the published shape to a model."""
 
-from __future__ import annotations
-
 import published
 import pytest
 

@@ -1,7 +1,5 @@
 """The toy corpora: walks worth following, dances on their beats, fights as their flags say."""
 
-from __future__ import annotations
-
 import runpy
 import sys
 from pathlib import Path

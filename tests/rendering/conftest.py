@@ -1,7 +1,5 @@
 """A model whose motion is of no use, but is motion."""
 
-from __future__ import annotations
-
 import pytest
 from small_runs import small_config
 

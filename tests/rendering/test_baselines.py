@@ -1,7 +1,5 @@
 """Baselines that a model renders."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

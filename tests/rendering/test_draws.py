@@ -1,7 +1,5 @@
 """Each file is a draw of its own, keyed by its name and by nothing else of the batch."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Work on many inputs: shards, processes, faults; every way gives the same bytes."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Submissions to the GENEA leaderboard: written from a tiny BEAT2, and checked."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Globs and lists as inputs: names of results, options of each, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import os
 
@@ -65,7 +63,6 @@ def test_the_part_and_the_channel_of_a_sound_are_read(tmp_path):
     soundfile.write(path, noise[:, None] * shares, 16_000, "FLOAT")
 
     def read(usual: int | None = None, **more) -> tuple[float, float, float]:
-        """Return seconds, and the shares of the noise in the first and in the last sample."""
         wave, start = task_wave(Task("a", path, more=more), usual), more.get("start", 0)
         first = round(16_000 * start)
         ends = (wave.samples[[0, -1]] / noise[[first, first + len(wave.samples) - 1]]).tolist()

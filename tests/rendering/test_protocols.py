@@ -1,7 +1,5 @@
 """What the papers' protocols ask of a model, of one that only writes down what it was asked."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any

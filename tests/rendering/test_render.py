@@ -1,7 +1,5 @@
 """Many sounds through one model: each has an outcome of its own, as soon as it is there."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

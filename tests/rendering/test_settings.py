@@ -1,7 +1,5 @@
 """What results depend on, and which of a batch's settings reach the files."""
 
-from __future__ import annotations
-
 import hashlib
 
 import numpy as np

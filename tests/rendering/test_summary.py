@@ -1,7 +1,5 @@
 """The summary page of a folder of results, from journals and files made by hand."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -41,23 +39,6 @@ def bars(text: str) -> dict[int, tuple[float, int]]:
     )
     assert len(found) % 24 == 0 and all(float(y) + float(h) == 100 for _, y, h, _ in found)
     return {int(x): (float(h), int(count)) for x, _, h, count in found if int(count)}
-
-
-def test_counts_are_those_of_the_state(page):
-    text = page(
-        [], items=12, seconds=7200.0, done=3, failed=[FailedItem("x", "no", 1)], left=["y", "z"],
-        items_per_minute=2.54, real_time_factor=30.26,
-    )  # fmt: skip
-    assert dict(re.findall("<tr><th>(.*?)</th><td>(.*?)</td></tr>", text)) == {
-        "Items in the plan": "12",
-        "Sound in the plan": "2 h 0 min",
-        "Done": "3",
-        "Failed": "1",
-        "Left": "2",
-        "Speed of the last ten minutes of work": "2.5 items a minute, 30.3 times real time",
-    }
-    assert re.findall("<title>(.*?)</title>", text) == ["out&lt;1&gt;"]
-    assert "svg viewBox" not in text, "nothing to count"
 
 
 def test_failures_are_listed_by_reason_and_one_by_one(page):

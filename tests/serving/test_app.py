@@ -1,7 +1,5 @@
 """The service: right answers, limits that hold, and nothing that a request can reach."""
 
-from __future__ import annotations
-
 import errno
 import re
 import threading

@@ -1,7 +1,5 @@
 """Simulated answers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Configuration, clips and balanced lists of a study."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections import Counter

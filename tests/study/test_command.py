@@ -1,7 +1,5 @@
 """gesturekit study on the command line, and the report that it writes."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

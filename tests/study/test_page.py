@@ -1,7 +1,5 @@
 """The page of a study in a headless browser without network, as raters meet it."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import threading

@@ -1,7 +1,5 @@
 """Plots of a study's report: marks at the places of their values."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from figures import kept_figures, points
@@ -35,7 +33,6 @@ def check_points(axes, estimates, factor: float = 1.0) -> None:
 
 
 def shares(axes, rows: int) -> list[list[float]]:
-    """Return the widths of the bars of each row, which stand side by side."""
     bars = np.array([[b.get_x(), b.get_width()] for b in axes.patches]).reshape(rows, 5, 2)
     assert bars[:, 1:, 0] == pytest.approx(np.cumsum(bars[:, :, 1], axis=1)[:, :-1])
     return bars[..., 1].tolist()
@@ -56,17 +53,3 @@ def test_preferences_are_shown_as_ratings_merits_and_answers(drawn):
     assert shares(bars, 3) == [[25, 37.5, 12.5, 12.5, 12.5], [0, 100, 0, 0, 0], [0, 40, 40, 20, 0]]
     apart = [Answer(f"r{r}", "c", *pair, 1) for r in range(3) for pair in ("ab", "xy")]
     assert len(drawn(apart)[0]) == 2, "no rating of systems that were never compared"
-
-
-def test_alignment_is_shown_in_percent_beside_chance(drawn):
-    answers = [
-        Answer(f"r{k}", f"c{k}", name, f"{name}_Mismatched", sign * score)
-        for name, sign in (("a", 1), ("b", -1))
-        for k, score in enumerate([2, 1, 0, -1] * 3)
-    ]
-    (alignment, bars), found = drawn(answers)
-    check_points(alignment, [system.score for system in found.alignment.systems], 100.0)
-    # (2 + 1 + 0.5) of (2 + 1 + 1 + 1), beside chance.
-    shown = [x for x, _ in points(alignment)]
-    assert shown[1] == pytest.approx([70.0]) and shown[-1] == [50, 50]
-    assert shares(bars, 2) == [[25, 25, 25, 25, 0], [0, 25, 25, 25, 25]]

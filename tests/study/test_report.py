@@ -1,7 +1,5 @@
 """What a study's report says: its sentences, tables and figures, word by word."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -109,7 +107,6 @@ def test_what_limits_the_conclusions_is_named():
 
 
 def tables(path: Path) -> dict[str, list[list[str]]]:
-    """Return the cells of the rows of each section of a report."""
     text = path.read_text(encoding="utf-8")
     found = {}
     for part in text.split("<section><h2>")[1:]:

@@ -1,7 +1,5 @@
 """Figures of the analysis, against statsmodels, scipy, and counting by hand."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -17,9 +15,7 @@ from gesturekit.study.analysis.alignment import analyse_alignment
 from gesturekit.study.analysis.preference import (
     analyse_preference,
     elo,
-    elo_estimates,
     fit_strengths,
-    merit_estimates,
     weighted_wins,
 )
 from gesturekit.study.analysis.significance import Expected, power_of, rater_test, two_proportions
@@ -27,16 +23,6 @@ from gesturekit.study.analysis.significance import Expected, power_of, rater_tes
 
 def expect(win_rate=0.6, ties=0.2, clear=0.4, agreement=0.05) -> Expected:
     return Expected(win_rate, ties, clear, agreement)
-
-
-BY_HAND = [
-    Answer("u", "1", "a", "b", 2),
-    Answer("u", "2", "b", "a", -1),
-    Answer("v", "1", "a", "b", 0),
-    Answer("v", "2", "a", "b", -1),
-    Answer("w", "1", "a", "c", 2),
-    Answer("w", "2", "b", "c", 1),
-]
 
 
 def test_bradley_terry_equals_a_logistic_regression_of_statsmodels(simulate):
@@ -159,29 +145,6 @@ def test_forty_raters_find_the_known_order(simulate, answers_of):
     assert all(p.p_holm < 0.01 and p.p_tukey < 0.01 for p in found.pairs)
     elo = [system.elo for system in found.systems]
     assert elo[0].low > elo[1].high and elo[1].low > elo[2].high
-
-
-@pytest.mark.parametrize(
-    ("simulations", "rounds", "least", "most"),
-    [(40, 100, 0.85, 0.99), pytest.param(500, 500, 0.92, 0.98, marks=pytest.mark.stress)],
-)
-def test_95_percent_intervals_hold_the_true_value(simulate, simulations, rounds, least, most):
-    """The true value is that of a very large study."""
-    strengths = [0.4, 0.0, -0.3]
-    large = simulate(strengths, raters=20_000, seed=99)
-    merit = [e.value for e in merit_estimates(large, 1, 0)]
-    rating = elo(fit_strengths(weighted_wins(large).sum(axis=0)))
-    held = {"merit": [], "elo": []}
-    for seed in range(simulations):
-        votes = simulate(strengths, seed=seed)
-        wins = weighted_wins(votes)
-        for name, truth, found in (
-            ("merit", merit, merit_estimates(votes, rounds, seed)),
-            ("elo", rating, elo_estimates(wins, rounds, seed)),
-        ):
-            held[name] += [e.low <= value <= e.high for value, e in zip(truth, found)]
-    for name, inside in held.items():
-        assert least < np.mean(inside) <= most, name
 
 
 def test_no_pair_is_dropped_in_silence():

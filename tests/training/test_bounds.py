@@ -1,7 +1,5 @@
 """Every setting that is a number: values out of its range are refused by name."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -51,7 +49,6 @@ RANGES: dict[str, dict[str, list[Any]]] = {
 
 
 def values_with(system: str, key: str, value: Any) -> dict[str, Any]:
-    """Return the settings of a small run with one of them changed."""
     section, _, name = key.rpartition(".")
     change = {section: {**BESIDE.get(section, {}), name: value}} if section else {name: value}
     return small_values(system, "corpus.jsonl", "run", change)

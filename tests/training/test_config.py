@@ -1,7 +1,5 @@
 """Configurations: inheritance, overrides, and errors that say what to do."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The device that networks compute on: its settings, and what is said about it."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

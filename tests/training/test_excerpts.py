@@ -1,7 +1,5 @@
 """The sample of a long corpus, from which statistics are computed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

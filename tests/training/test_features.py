@@ -1,7 +1,5 @@
 """Speech features of a run: reduced to components, stored, and loaded again."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 from typing import Any

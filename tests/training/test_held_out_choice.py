@@ -1,7 +1,5 @@
 """Held-out recordings that a training measures: the choice, the length of each, the times."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Folders whose writing was interrupted by a kill are whole and tidy after the next save."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 
 import pytest

@@ -1,7 +1,5 @@
 """The loop of a training: when it logs, evaluates, measures and saves, and when it stops."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """A model's folder, whatever the system: what is written is read, and what is wrong is named."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable
@@ -15,9 +13,7 @@ import torch
 import audio_features as af
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.training import ModelParts, load_model, model_digest, save_model
-from gesturekit.training.data.start_model import (
-    check_conditions,
-)
+from gesturekit.training.data.start_model import check_conditions
 
 CONFIG = {"kind": "puppet", "fps": 25, "styles": ["a", "b"]}
 RIG = {"names": ["Hips"], "height": 1.5}

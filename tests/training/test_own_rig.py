@@ -1,7 +1,5 @@
 """Motions of other rigs, put on a model's own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

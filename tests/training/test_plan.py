@@ -1,7 +1,5 @@
 """The plan of a training: what it says, what it reads, and that it writes nothing."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """Processes that torchrun would start share a batch and agree on its gradient."""
 
-from __future__ import annotations
-
 import json
 import socket
 from datetime import timedelta

@@ -1,7 +1,5 @@
 """Recordings of a run: the items that are read, and what is known of them."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The folder of a run: resumed with its own settings only; the page that a training keeps in it."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys
@@ -39,33 +37,6 @@ def test_without_tensorboard_metrics_and_report_are_written(run, monkeypatch):
     run.close()
     assert "Contact" in page_of(run) and run.last_metrics() == {"contact": 0.5}
     assert not (run.folder / "events").exists()
-
-
-def test_its_page_has_losses_by_level_metrics_by_step_the_verdict_and_samples(run: Run) -> None:
-    (run.folder / "samples").mkdir()
-    for step in (10, 20):
-        (run.folder / "samples" / f"step_{step:08d}.html").write_text("a page")
-        run.log(step, {"contact": 0.75}, level=1)
-        run.log(step, {"contact": step / 40, "smoothness": 0.1}, level=3)
-        metrics = {"held_out/sync": 0.3, "held_out/sync_chance": 0.05}
-        run.log(step, metrics, kind="held_out", verdict="on 1 recording: In time & calm.")
-    page = page_of(run)
-    assert 'http-equiv="refresh"' in page and "running, step 1" in page
-    (run.folder / "model").mkdir()
-    (run.folder / "model" / "config.yaml").write_text("kind: multires")
-    run.close()
-    page = page_of(run)
-    assert 'http-equiv="refresh"' not in page and "finished, step 20" in page
-    contact = chart_of(page, "Contact")
-    assert contact.count("<polyline") == 2
-    assert "level 1" in contact and "level 3" in contact and "0.25 to 0.75" in contact
-    sync = chart_of(page, "Sync")
-    assert sync.count("<polyline") == 2 and "chance" in sync
-    assert "On held-out recordings" in page and "In time &amp; calm." in page
-    links = re.findall(r'href="samples/step_(\d+)\.html"', page)
-    assert [int(link) for link in links] == [20, 10], "the newest first"
-    assert "a &lt;b&gt; run" in page and "<b> run" not in page
-    assert "http" not in page.replace("http-equiv", "")
 
 
 @pytest.mark.parametrize(

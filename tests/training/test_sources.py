@@ -1,7 +1,5 @@
 """Record of the recordings that a model was trained on."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -42,12 +40,7 @@ def test_one_style_or_speaker_is_no_choice():
 
 @pytest.mark.parametrize(
     ("start", "duration", "is_known"),
-    [
-        (0.0, math.inf, True),
-        (0.0, 10.0, False),
-        (14.8, 5.0, True),
-        (15.0, math.inf, False),
-    ],
+    [(0.0, math.inf, True), (0.0, 10.0, False), (14.8, 5.0, True), (15.0, math.inf, False)],
 )
 def test_a_recording_is_known_where_it_overlaps_a_trained_segment(
     tmp_path, start, duration, is_known

@@ -1,7 +1,5 @@
 """Time left of a training whose steps grow dearer."""
 
-from __future__ import annotations
-
 import time
 
 import pytest

@@ -1,7 +1,5 @@
 """Arrays on disk: the frames that are read, and files that are not whole."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ The tubes lie along the bones. Targets make the body larger by a tenth, so that 
 is 0.11 m; its soles are at a height of -7.9 units.
 """
 
-from __future__ import annotations
-
 import gzip
 import hashlib
 import json
@@ -86,7 +84,6 @@ def tube(bone: str, bump: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
 
 
 def box(centre: tuple[float, float, float], half: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return a front of 3 by 3 quads and a back of one."""
     steps = np.linspace(-half, half, 4)
     front = [(x, y, half) for y in steps for x in steps]
     back = [(x, y, -half) for y, x in ((-half, -half), (half, -half), (half, half), (-half, half))]

@@ -1,7 +1,5 @@
 """Bundling of the pages' scripts, by programs that stand in for node and npm."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

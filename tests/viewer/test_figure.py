@@ -1,18 +1,14 @@
 """What is drawn for real and for unknown skeletons."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs import PERSON, rig_of
 from scipy.spatial.transform import Rotation
 
-from gesturekit.errors import FormatError
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.viewer import LEFT, MIDDLE, RIGHT, Figure, anatomy
+from gesturekit.viewer import LEFT, MIDDLE, RIGHT, Figure
 
 RECORDINGS = {
     "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh": (1.5, 1.95),
@@ -91,18 +87,6 @@ def test_a_view_from_the_waist_up_has_the_hips_and_not_the_knees(skeleton, facto
     assert figure.below("whole") == 0.0
 
 
-def test_an_arm_without_a_hand_ends_in_one_along_the_forearm():
-    motion = at_rest(rig_of(PERSON), 3)
-    turn = Rotation.from_euler("z", 90, degrees=True).as_quat()
-    motion.rotations[:, motion.skeleton.index("LeftForeArm")] = turn
-    figure = Figure.of(motion)
-    wrist = motion.skeleton.index("LeftHand")
-    (hand,) = (limb for limb in figure.limbs if limb.ends[0] == wrist)
-    away = figure.points[0, hand.ends[1]] - figure.points[0, wrist]
-    np.testing.assert_allclose(away, [0, anatomy.HAND_LENGTH * figure.height, 0], atol=1e-9)
-    assert hand.side == LEFT and figure.hands == (wrist, motion.skeleton.index("RightHand"))
-
-
 def test_the_speed_of_hands_is_that_of_both(skeleton):
     """The chest turns by a radian a second from the middle on: each hand, 0.7 m away, at 0.7 m/s.
 
@@ -120,37 +104,3 @@ def test_the_speed_of_hands_is_that_of_both(skeleton):
     )  # fmt: skip
     np.testing.assert_array_equal(Figure.of(motion[:1]).hand_speed, [0.0])
     assert Figure.of(motion[60:62]).hand_speed == pytest.approx(1.4, rel=1e-3)
-
-
-def test_a_bust_sits_on_its_pelvis(skeleton):
-    """Without legs three quarters of the whole person are drawn, from the hips on."""
-    trunk = {
-        name: bone for name, bone in PERSON.items() if "Leg" not in name and "Foot" not in name
-    }
-    motion = at_rest(rig_of(trunk), 5)
-    motion.translation[:, 1] = [4, 0, 3, 1, 2]
-    figure = Figure.of(motion)
-    assert figure.extent == pytest.approx(0.75 * figure.height)
-    assert figure.floor == pytest.approx(1 - 0.055 * figure.height)
-    assert figure.below("waist") == figure.below("whole") == 0
-    whole = Figure.of(at_rest(skeleton, 5))
-    assert whole.extent == whole.height and whole.below("waist") == pytest.approx(
-        0.45 * whole.height
-    )
-    with pytest.raises(FormatError, match="framing is 'knee'; expected whole or waist"):
-        whole.below("knee")
-
-
-def test_the_head_is_upright_with_the_body_and_turns_with_its_joint(skeleton):
-    """Its size is 0.142 of the height; its axes are those of the trunk in the mean."""
-    motion = at_rest(skeleton, 40, 0.9)
-    nod = np.where(np.arange(40) < 20, -0.5, 0.5)
-    turns = Rotation.from_euler("y", nod[:, None])
-    motion.rotations[:, skeleton.index("Head")] = turns.as_quat()
-    figure = Figure.of(motion)
-    head, points = figure.head, figure.points
-    assert head.size == pytest.approx(0.142 * figure.height)
-    up, face = (points[:, point] - points[:, head.base] for point in (head.up, head.face))
-    np.testing.assert_allclose(up, np.tile([0, head.size, 0], (40, 1)), atol=1e-9)
-    expected = np.stack([np.sin(nod), 0 * nod, np.cos(nod)], axis=1) * head.size
-    np.testing.assert_allclose(face, expected, atol=1e-9)

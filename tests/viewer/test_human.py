@@ -1,7 +1,5 @@
 """The human body with motion of other rigs, in pages, videos and pictures."""
 
-from __future__ import annotations
-
 import warnings
 import zipfile
 from dataclasses import replace
@@ -195,17 +193,6 @@ def test_a_rig_of_no_known_anatomy_is_drawn_as_a_mannequin():
     motion = Motion(rig, np.tile([0.0, 0, 0, 1], (3, 3, 1)), np.zeros((3, 3)), 30.0)
     with pytest.warns(UserWarning, match="mannequin is drawn"):
         assert not DrawnBody.of(motion, "human").skins
-
-
-def test_a_skeleton_is_thin_and_has_the_joints_of_the_file(gesture):
-    motion = gesture(0.2)
-    drawn = DrawnBody.of(motion, "skeleton")
-    thickest = max(max(limb.radii) for limb in drawn.figure.limbs)
-    assert drawn.figure.head is None and thickest < 0.012 * drawn.figure.height
-    joints = drawn.figure.points[:, : motion.skeleton.n_joints]
-    np.testing.assert_array_equal(joints, motion.positions())
-    with pytest.raises(FormatError, match="mannequin, human, skeleton"):
-        DrawnBody.of(motion, "robot")
 
 
 def test_only_the_known_wheel_is_baked(tmp_path, monkeypatch, capsys):

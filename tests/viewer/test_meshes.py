@@ -1,7 +1,5 @@
 """Meshes of the mannequin, where its parts go, and how a scene shows them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,21 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.formats import Skin
 from gesturekit.motion import Motion
-from gesturekit.viewer import (
-    Buffers,
-    Camera,
-    DrawnBody,
-    Figure,
-    Mannequin,
-    Scene,
-    simplified,
-)
-
-
-def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Return the volume inside a closed surface whose faces look outwards."""
-    a, b, c = np.moveaxis(vertices[faces].astype(float), 1, 0)
-    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+from gesturekit.viewer import Buffers, Camera, DrawnBody, Figure, Mannequin, Scene, simplified
 
 
 def test_parts_move_with_their_points_between_frames_too(gesture):
@@ -113,20 +97,6 @@ def walking(motion: Motion, path: np.ndarray) -> Motion:
     """Return a motion with its root moved by a path (T, 3) or (T,), then along X."""
     path = path if path.ndim == 2 else path[:, None] * [1.0, 0, 0]
     return replace(motion, translation=motion.translation + path)
-
-
-def test_the_camera_follows_calmly(skeleton):
-    """Its path is smoothed by a Gaussian of half a second: of a standard one, 0.84 lie below 1."""
-    still = at_rest(skeleton, 120, (0, 0.9, 0), 20.0)
-    camera = Camera(Figure.of(walking(still, np.where(still.times < 3.0, 0.0, 2.0))), 1.0)
-    found = [camera.middle(time)[0] for time in (0.0, 2.475, 2.975, 3.475, 5.0)]
-    assert found == pytest.approx([0, 2 * 0.1587, 1, 2 * 0.8413, 2], abs=2e-3)
-    assert camera.at(2.475)[3] - camera.at(0.0)[3] == pytest.approx([0.3173, 0, 0], abs=2e-3)
-    # A walk begins and ends where it stands: 0.5 / sqrt(2 pi) s later than the walker.
-    camera = Camera(Figure.of(walking(still, still.times)), 1.0)
-    assert camera.middle(0.0)[0] == pytest.approx(0.1995, abs=0.02)
-    assert camera.middle(5.95)[0] == pytest.approx(5.95 - 0.1995, abs=0.02)
-    assert camera.middle(2.0)[0] == pytest.approx(2.0, abs=1e-3)
 
 
 def seen(drawn: DrawnBody, time: float = 0.0, size: tuple[int, int] = (200, 300), **options):

@@ -1,10 +1,7 @@
 """The HTML player, as a person who opens the file meets it."""
 
-from __future__ import annotations
-
 import base64
 import html
-import os
 import re
 import runpy
 from pathlib import Path
@@ -19,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 import gesturekit.viewer.html as page_module
 from audio_features import Wave
-from gesturekit.errors import FormatError
 from gesturekit.motion import Motion
 from gesturekit.viewer import write_html
 
@@ -95,15 +91,6 @@ def test_small_recordings_are_embedded_byte_for_byte(tmp_path):
         assert page["speech"]["duration"] == pytest.approx(3.0)
 
 
-def test_file_names_that_are_not_unicode_are_no_obstacle(tmp_path):
-    soundfile.write(tmp_path / "a.wav", np.zeros(16_000), 16_000)
-    sound, page = (tmp_path / os.fsdecode(b"caf\xe9." + kind) for kind in (b"wav", b"html"))
-    (tmp_path / "a.wav").rename(sound)
-    write_html(a_chain(), page, audio=sound)
-    assert "<title>caf?" in page.read_text(encoding="utf-8")
-    a_chain().save(page.with_suffix(".png"), audio=sound)
-
-
 def test_long_recordings_become_small_and_stay_in_time(tmp_path):
     rng = np.random.default_rng(0)
     samples = np.zeros(150 * SAMPLE_RATE, dtype=np.float32)
@@ -164,16 +151,3 @@ def test_the_mannequin_is_drawn_still_and_moving(tmp_path, gesture, open_browser
     browser.run("player.pause()")
     browser.wait(f"{RATIO} == 2")
     assert browser.lines == []
-
-
-@pytest.mark.stress
-def test_a_page_opens_from_the_waist_up(tmp_path, gesture, open_browser) -> None:
-    browser, apart = open_browser(), {}
-    for framing in ("whole", "waist"):
-        write_html(gesture(1.0), page := tmp_path / f"{framing}.html", framing=framing)
-        left, right = sides(opened(lambda: browser, page), tmp_path)
-        apart[framing] = left - right
-    assert browser.lines == []
-    assert apart["waist"] > 1.5 * apart["whole"]
-    with pytest.raises(FormatError, match=r"framing is 'feet'; expected whole or waist"):
-        write_html(gesture(0.2), tmp_path / "a.html", framing="feet")

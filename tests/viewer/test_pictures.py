@@ -1,7 +1,5 @@
 """Pictures must show the motion they were given."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import matplotlib.colors
@@ -68,13 +66,6 @@ def test_a_plot_is_the_picture_of_the_file(tmp_path):
     assert not np.array_equal(plot, other), "its title"
 
 
-def test_a_motion_too_short_for_the_first_time_is_drawn_in_its_middle(tmp_path):
-    short = {"long": a_swing(0.0), "short": a_swing(0.0)[:3]}
-    write_picture(short, tmp_path / "a.png")
-    body = body_of(tmp_path / "a.png")
-    assert body[len(body) // 2 : 3 * len(body) // 4].any()
-
-
 @pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
 def test_files_name_us_and_no_time_of_writing(tmp_path, kind):
     write_picture(a_swing(1.0), tmp_path / f"a.{kind.upper()}", frames=1)
@@ -91,13 +82,6 @@ def test_the_picture_with_sound_has_the_speech_on_it(tmp_path):
         matplotlib.image.imread(tmp_path / name) for name in ("without.png", "with.png")
     )
     assert with_sound.shape[0] > without.shape[0]
-
-
-def test_silence_and_titles_of_any_kind_are_drawn(tmp_path):
-    silence = Wave(np.zeros(16_000, dtype=np.float32), 16_000)
-    write_picture(a_swing(0.2), tmp_path / "t.png", title=r"$\frac{unclosed $ \q")
-    write_picture(a_swing(0.2), tmp_path / "s.png", audio=silence)
-    assert (tmp_path / "s.png").stat().st_size > 1_000
 
 
 @pytest.fixture

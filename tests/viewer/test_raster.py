@@ -1,7 +1,5 @@
 """Kernels of the rasteriser, against numpy and scipy, and numbers worked out by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

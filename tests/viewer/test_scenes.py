@@ -1,10 +1,7 @@
 """glTF and FBX files that we write, as other programs and engines take them."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
-import struct
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +10,7 @@ import numpy as np
 import pytest
 from avatars import avatar, avatar_json, packed, picture
 from gltf_files import QUARTER_TURN, arm
-from rigs import at_rest, rig_of
+from rigs import rig_of
 
 from gesturekit.errors import FormatError
 from gesturekit.formats import Gltf, our_names, read_avatar
@@ -50,83 +47,6 @@ def test_every_joint_survives_a_round_trip(odd_motion, tmp_path):
     np.testing.assert_allclose(again.positions(), odd_motion.positions(), atol=1e-5)
     agreement = np.abs((again.rotations * odd_motion.rotations).sum(axis=-1))
     np.testing.assert_allclose(agreement, 1, atol=1e-6)
-
-
-def layout(path: Path) -> tuple[dict, list[tuple[np.ndarray, dict]]]:
-    """Return the JSON part, and each accessor's numbers with its view, read by the standard."""
-    content = path.read_bytes()
-    mark, version, size, n_json, kind = struct.unpack("<4s4I", content[:20])
-    assert (mark, version, size, kind) == (b"glTF", 2, len(content), 0x4E4F534A)
-    found = json.loads(content[20 : 20 + n_json])
-    n_data, kind = struct.unpack("<2I", content[20 + n_json : 28 + n_json])
-    data = content[28 + n_json :]
-    assert n_json % 4 == n_data % 4 == 0 and kind == 0x004E4942
-    assert found["buffers"] == [{"byteLength": len(data)}] and n_data == len(data)
-    arrays = []
-    for accessor in found["accessors"]:
-        view = found["bufferViews"][accessor["bufferView"]]
-        assert view["buffer"] == 0 and view["byteOffset"] % 4 == 0
-        part = data[view["byteOffset"] :][: view["byteLength"]]
-        dtype = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}[accessor["componentType"]]
-        width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}[accessor["type"]]
-        values = np.frombuffer(part, dtype).reshape(accessor["count"], width)
-        if accessor.keys() & {"min", "max"}:
-            assert accessor["min"] == values.min(axis=0).tolist()
-            assert accessor["max"] == values.max(axis=0).tolist()
-        arrays.append((values, view))
-    return found, arrays
-
-
-def test_files_of_bones_are_laid_out_as_the_standard_says(tmp_path):
-    """A bone of 2 m is an octahedron 0.18 m from its joint, whose square has diagonals of 0.36 m.
-
-    Its volume is a third of 2 m times half of 0.36 squared, 0.0432 cubic metres.
-    """
-    bones = {"a": (None, (0.5, 1.0, 0.0)), "b": ("a", (0, 2.0, 0)), "c": ("b", (0, 0, 0))}
-    rig = rig_of(bones, end_sites={"c": (np.array([1.0, 0, 0]),)})
-    motion = at_rest(rig, 4, (0.5, 1.0, 0.0), 25.0)
-    motion.rotations[2, 1] = QUARTER_TURN
-    motion.save(tmp_path / "a.glb")
-    found, arrays = layout(tmp_path / "a.glb")
-    assert found["asset"] == {"version": "2.0", "generator": "gesturekit"}
-    assert [node["name"] for node in found["nodes"]] == ["a", "b", "c", "c_end", "a_mesh"]
-    assert [node.get("children") for node in found["nodes"]] == [[1], [2], [3], None, None]
-    assert (found["scene"], found["scenes"]) == (0, [{"nodes": [0, 4]}])
-    (skin,), (mesh,) = found["skins"], found["meshes"]
-    assert skin["joints"] == [0, 1, 2, 3] and found["nodes"][4]["skin"] == 0
-    inverse = arrays[skin["inverseBindMatrices"]][0].reshape(-1, 4, 4).swapaxes(1, 2)
-    places = [(0.5, 1, 0), (0.5, 3, 0), (0.5, 3, 0), (1.5, 3, 0)]
-    for matrix, place in zip(inverse, places, strict=True):
-        np.testing.assert_allclose(matrix @ [*place, 1], [0, 0, 0, 1], atol=1e-6)
-    (part,) = mesh["primitives"]
-    attributes = {name: arrays[k] for name, k in part["attributes"].items()}
-    faces, _ = arrays[part["indices"]]
-    weights = found["accessors"][part["attributes"]["WEIGHTS_0"]]
-    assert weights["normalized"] and weights["componentType"] == 5121
-    assert (attributes["WEIGHTS_0"][0] == [255, 0, 0, 0]).all()
-    # No bone for the one without a length.
-    owners = attributes["JOINTS_0"][0]
-    assert owners[:, 0].tolist() == [0] * 24 + [2] * 24 and not owners[:, 1:].any()
-    corners = attributes["POSITION"][0][faces.ravel()].reshape(2, 8, 3, 3).astype(float)
-    for (a, b, c), volume in zip(np.moveaxis(corners, 2, 1), (0.0432, 0.0432 / 8)):
-        found_volume = np.einsum("ij,ij->", a, np.cross(b, c)) / 6
-        assert found_volume == pytest.approx(volume, rel=1e-4)
-    assert "min" in found["accessors"][part["attributes"]["POSITION"]], "the standard requires it"
-
-    # What stands still has one key, at the start; the way of the root has all.
-    (animation,) = found["animations"]
-    assert animation["name"] == "a" and animation["extras"] == {"fps": 25.0, "frames": 4}
-    keys = {}
-    for channel in animation["channels"]:
-        sampler = animation["samplers"][channel["sampler"]]
-        times = arrays[sampler["input"]][0].ravel()
-        assert "min" in found["accessors"][sampler["input"]], "the standard requires it"
-        np.testing.assert_allclose(times, np.arange(len(times)) / 25)
-        values = arrays[sampler["output"]][0]
-        assert len(values) == len(times)
-        keys[channel["target"]["path"], channel["target"]["node"]] = len(times)
-    turns = {("rotation", joint): 4 if joint == 1 else 1 for joint in range(3)}
-    assert keys == {("translation", 0): 4} | turns
 
 
 def test_a_body_that_stands_still_keeps_its_length(gesture, tmp_path):

@@ -1,7 +1,5 @@
 """The skin that a page holds, put together as player/skin.js does."""
 
-from __future__ import annotations
-
 import base64
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Curves and marks under the time line of the player are at the times of sound and motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Videos must show the motion at the right time, with its sound."""
 
-from __future__ import annotations
-
 import resource
 import subprocess
 import sys
