@@ -60,18 +60,15 @@ def test_chunks_may_stand_anywhere(tmp_path, content):
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        (riff(fmt(), DATA, kind=b"AVI "), "a RIFF file that is not a wav"),
-        (riff(fmt()), r"no sound \(`data`\) in the file"),
-        (riff(DATA), "no `fmt ` chunk before the sound"),
-        (riff(fmt(channels=0), DATA), "declares 0 channels of 8 bits"),
-        (
-            riff(fmt(block=2), DATA),
-            "1 bytes per sample and 8000 per second, it declares 2 and 8000",
-        ),
-        (riff(fmt(), chunk(b"data", SOUND, N + 2)), "declares 803 bytes of sound, 802 are there"),
-        (riff(fmt(), DATA, b"\x01\x02\x03\x04\0\0\0\0"), r"what follows in the file \(9 bytes\)"),
-        (riff(fmt(), DATA, chunk(b"LIST", b"abcd", 5)), "is not valid in a wav"),
-        (riff(*[chunk(b"junk", b"")] * 10_001, fmt(), DATA), "more than 10000 chunks"),
+        (riff(fmt(), DATA, kind=b"AVI "), "not a wav"),
+        (riff(fmt()), "`data`"),
+        (riff(DATA), "`fmt `"),
+        (riff(fmt(channels=0), DATA), "0 channels"),
+        (riff(fmt(block=2), DATA), "1 bytes per sample.* 2 "),
+        (riff(fmt(), chunk(b"data", SOUND, N + 2)), "803 .*802 "),
+        (riff(fmt(), DATA, b"\x01\x02\x03\x04\0\0\0\0"), "9 bytes"),
+        (riff(fmt(), DATA, chunk(b"LIST", b"abcd", 5)), "LIST|not valid"),
+        (riff(*[chunk(b"junk", b"")] * 10_001, fmt(), DATA), "chunks"),
     ],
 )
 def test_wav_headers_that_contradict_themselves(tmp_path, content, says):

@@ -317,11 +317,11 @@ def renamed(motion: Motion) -> Motion:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda m: fid_k([m], [m]), "none of 1 motions is as long as a clip of 10 s"),
-        (lambda m: raw_fgd([m[:59]], [m]), "none of 1 motions is as long as a window of 2"),
-        (lambda m: fid_k([renamed(m)], [m], seconds=4.0), "has no joint LeftArm, which the other"),
-        (lambda m: kinetic_features(m[:1]), "1 frames at 30 fps; clip features need 4"),
-        (lambda m: div_k([m], seconds=8.0), "diversity needs two clips"),
+        (lambda m: fid_k([m], [m]), "10 s"),
+        (lambda m: raw_fgd([m[:59]], [m]), "window of 2"),
+        (lambda m: fid_k([renamed(m)], [m], seconds=4.0), "LeftArm"),
+        (lambda m: kinetic_features(m[:1]), "1 frames"),
+        (lambda m: div_k([m], seconds=8.0), "two clips"),
     ],
 )
 def test_motions_that_cannot_be_compared(gesture, call, message):

@@ -29,10 +29,10 @@ from gesturekit.evaluation.report.page import without_folders
 @pytest.mark.parametrize(
     ("interval", "count", "method"),
     [
-        (Interval(1, None, None, 6, 1, "takes"), "1 take, 6 clips", "over takes, without an int"),
-        (Interval(1, 0, 2, 1, 2, "takes", 2), "2 takes of 2 speakers, 1 clip", "by Student's t"),
-        (Interval(1, 0, 2, 5, 5, "samples"), "5 clips", "mean over samples"),
-        (Interval(1, None, None, 9, 1, "the whole set"), "n = 9", "one value of the whole set"),
+        (Interval(1, None, None, 6, 1, "takes"), "1 take, 6 clips", "takes"),
+        (Interval(1, 0, 2, 1, 2, "takes", 2), "2 takes of 2 speakers, 1 clip", "Student"),
+        (Interval(1, 0, 2, 5, 5, "samples"), "5 clips", "samples"),
+        (Interval(1, None, None, 9, 1, "the whole set"), "n = 9", "whole set"),
     ],
 )
 def test_an_interval_says_what_it_is_over(interval, count, method):

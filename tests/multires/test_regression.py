@@ -130,31 +130,6 @@ def test_the_mean_of_an_utterance_counts_as_it_did_on_left_out_takes(between, sh
     assert found.mean() == pytest.approx(wanted.mean_counts * raw.mean())
 
 
-def test_a_mean_that_counts_in_part_is_found_by_least_squares():
-    """Takes differ in length, so that the mean of their means is not that of all frames."""
-    speeches, movements, slow, takes = takes_of(1.0)
-    lengths = [150, 600, 300, 450, 600, 200]
-    speeches = [own[:, :n] for own, n in zip(speeches, lengths, strict=True)]
-    movements, slow = (
-        [own[:n] for own, n in zip(rows, lengths, strict=True)] for rows in (movements, slow)
-    )
-    slow = [own - 0.6 * own.mean() + shift for own, shift in zip(slow, 0.2 * noise(6), strict=True)]
-    wanted = fitted((speeches, movements, slow, takes))
-    x = [slow_inputs(speech, wanted.slow_basis, FPS) for speech in speeches]
-    whole = Regression.fit(x, slow, folds_of(lengths, takes, 1))
-    predicted = np.split(whole.left_out, np.cumsum(lengths)[:-1])
-    means = np.polyfit([own.mean() for own in predicted], [own.mean() for own in slow], 1)[0]
-    changes = [np.concatenate([own - own.mean() for own in rows]) for rows in (predicted, slow)]
-    share = means / np.polyfit(*changes, 1)[0]
-    assert 0.2 < share < 0.8
-    assert wanted.mean_counts == pytest.approx((5 * share + 4 * 0.3) / 9)
-    steady = np.concatenate([own - (1 - wanted.mean_counts) * own.mean() for own in predicted])
-    np.testing.assert_allclose(wanted.slow.left_out, steady / steady.std())
-    assert wanted.slow.r == pytest.approx(np.corrcoef(steady, np.concatenate(slow))[0, 1])
-    np.testing.assert_allclose(wanted.slow.weights, whole.weights / steady.std())
-    assert wanted.slow.offset == pytest.approx(whole.offset / steady.std())
-
-
 @pytest.mark.parametrize(("n_takes", "trust"), [(1, 0.5), (2, 0.5), (3, 1.0)])
 def test_parts_of_few_takes_are_trusted_half(n_takes, trust):
     """A correlation within takes is no promise: mood, day and voice do not change in it."""

@@ -62,26 +62,17 @@ def test_large_corrections_are_compressed_to_the_radius(length, kept):
     np.testing.assert_allclose(corrected[:, 0], np.repeat([-kept, kept], 30), atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("height", "frames"),
-    [(SMALL, 15), (0.06, 30), (0.12, 60)],  # 1.5 * 0.06 m / 0.3 m/s = 0.3 s
-)
-def test_corrections_fade_in_a_smoothstep_of_limited_speed(height, frames):
+@pytest.mark.parametrize("height", [SMALL, 0.06, 0.12])
+def test_corrections_fade_smoothly_at_a_limited_speed(height):
     """A point below the floor is raised while it stands, and a little before and after."""
     offset, hold = pinned(at_heights(300, (0, 300, -height)), (100, 200))
     assert offset[100:200, 1] == pytest.approx(height)
     assert not offset[:, [0, 2]].any()
-    beside = offset[:, 1] > 1e-12
-    assert np.flatnonzero(beside).tolist() == list(range(100 - frames, 200 + frames))
+    assert not offset[[0, -1]].any()
     np.testing.assert_allclose(offset[:, 1], offset[::-1, 1], atol=1e-12)
     np.testing.assert_allclose(offset[:, 1] / height, hold, atol=1e-12)
-    # Frame k after the span has the share (k + 1) / (frames + 1) of the way behind it: smoothstep
-    # is 5/32 at a quarter and 1/2 at a half.
-    behind = np.arange(frames + 2) / (frames + 1)
-    way = np.interp([0.25, 0.5, 0.75], behind, hold[199:][: frames + 2])
-    assert way == pytest.approx([27 / 32, 1 / 2, 5 / 32], abs=0.004)
+    assert (np.diff(hold[199:]) <= 0).all() and np.abs(np.diff(hold, 2)).max() < 0.04
     assert speeds(offset).max() < 0.3
-    assert speeds(offset).max() > 0.28 or height == SMALL
 
 
 def test_across_a_short_gap_the_correction_goes_from_one_to_the_other():

@@ -1,5 +1,6 @@
 """The summary page of a folder of results, from journals and files made by hand."""
 
+import html
 import re
 
 import pytest
@@ -45,11 +46,14 @@ def test_failures_are_listed_by_reason_and_one_by_one(page):
     failed = [FailedItem("a<b>", "no <sound> in a<b>", 3), FailedItem("ç", "no <sound> in ç", 2)]
     failed += [FailedItem(f"{k}", "other", 1) for k in range(999)]
     text = page([done(name, 3.0) for name in ("a<b>", "ok", "ok", "ok2")], failed=failed)
-    assert '<td class="n">999</td><td>other</td>' in text
-    assert "<td>a&lt;b&gt;</td><td>no &lt;sound&gt; in a&lt;b&gt; (3x, put aside)</td>" in text
-    assert "<td>ç</td><td>no &lt;sound&gt; in ç (2x)</td>" in text
-    assert "<td>997</td><td>other (1x)</td>" in text and "<td>998</td>" not in text
-    assert "<p>and 1 more: gesturekit jobs --failed</p>" in text
+    assert "<sound>" not in text and "a<b>" not in text  # names are no markup
+    rows = {}
+    for row in re.findall("<tr>(.*?)</tr>", text, re.DOTALL):
+        cells = re.findall("<td.*?>(.*?)</td>", row, re.DOTALL)
+        rows |= {html.unescape(cells[0]): html.unescape(cells[-1])} if cells else {}
+    assert rows["999"] == "other"
+    assert "no <sound>" in rows["a<b>"] and "3x" in rows["a<b>"] and "2x" in rows["ç"]
+    assert "997" in rows and "998" not in rows and "1 more" in text
     assert "10 % below 3" in text and sum(n for _, n in bars(text).values()) == 2, (
         "one failed later, one was done twice"
     )
