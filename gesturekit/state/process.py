@@ -133,7 +133,7 @@ class StateProcess:
             conditioner: of the speech features; None without speech input.
         """
         fast, values = channels.fast, [own.values for own in recordings]
-        silence = np.empty(0) if conditioner is None else conditioner.silence(1)[0]
+        silence = np.empty(0) if conditioner is None else conditioner.silence(1)[0].astype(float)
         voiced = _voiced([own.speech for own in recordings], silence, fps)
         groups = [own.group for own in recordings]
         scores = _scores(values, [np.where(fast[:, None], own, True) for own in voiced], groups)

@@ -18,7 +18,15 @@ import gesturekit as gk
 from gesturekit.errors import ConfigError, FormatError, ModelError
 from gesturekit.motion import Skeleton
 from gesturekit.multires import train
-from gesturekit.state import RecordedState, StateChannels, StateProcess, averaged
+from gesturekit.state import (
+    RecordedState,
+    StateChannels,
+    StateProcess,
+    averaged,
+    load_state,
+    state_tensors,
+    state_values,
+)
 
 FPS = 25.0
 HANDS = StateChannels(((1,), (2,)), trunk=3)
@@ -163,6 +171,32 @@ def test_carriers_run_with_the_hand_and_stand_while_it_rests(process):
     left, moving = np.split(np.abs(np.diff(process.carriers(3, values))), 2)
     assert max(left.max(), moving[:, :249].max()) < 1e-9
     assert moving[:, 251:].mean() > 0.02
+
+
+def test_what_speech_tells_is_followed_and_kept_in_the_folder(model):
+    """Hands that are fast where a feature is high, and calm in pauses, which are left out too."""
+    conditioner, rng = model.conditions.conditioner, np.random.default_rng(0)
+    recordings, n = [], 3000
+    for k in range(4):
+        speech = np.repeat(rng.standard_normal((conditioner.dim, n // 20)), 20, axis=1)
+        paused = np.zeros(n, bool)
+        paused[300:600] = paused[1500:1700] = True
+        speech[:, paused] = conditioner.silence(1).T
+        values = recorded(10 + k)
+        values[HANDS.fast] = (
+            np.where(paused, -1.0, 0.5) + 0.7 * speech[0] + 0.3 * values[HANDS.fast]
+        )
+        recordings.append(RecordedState(values, speech.astype(np.float32), f"{k}", (None, None)))
+    process = StateProcess.fit(HANDS, recordings[:3], FPS, conditioner)
+    held = recordings[3]
+    made = process.draw(1, held.speech)
+    for row, own in zip(made[HANDS.fast], held.values[HANDS.fast], strict=True):
+        assert np.corrcoef(row, own)[0, 1] > 0.5
+        assert row[350:550].mean() < row[700:1400].mean() - 1
+    folder = state_values(process), state_tensors(process)
+    again = load_state(*folder, HANDS, FPS, conditioner.dim)
+    np.testing.assert_allclose(again.draw(1, held.speech), made)
+    np.testing.assert_allclose(again.condition(2, made), process.condition(2, made))
 
 
 # A model.
