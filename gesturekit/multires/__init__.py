@@ -27,6 +27,8 @@ __all__, __getattr__, __dir__ = attach(
         "train": "training.trainer",
     },
     {
+        "StateTarget": "training.state",
+        "TrainingState": "training.state",
         "ArmTarget": "training.targets",
         "Batches": "training.batches",
         "DetailTarget": "training.targets",

@@ -10,14 +10,21 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from runs import cut_off, same_weights
+from runs import cut_off, logged, same_weights
 from safetensors.torch import load_file, save_file
 from small_runs import small_config
 
 import gesturekit as gk
 from gesturekit.errors import ConfigError, FormatError, ModelError
 from gesturekit.motion import Skeleton
-from gesturekit.multires import train
+from gesturekit.multires import (
+    StateTarget,
+    TrainingState,
+    VectorKinematics,
+    load_training_data,
+    losses,
+    train,
+)
 from gesturekit.state import (
     RecordedState,
     StateChannels,
@@ -280,6 +287,32 @@ def test_what_a_state_excludes_is_said(model, config, corpus, tmp_path):
         small_config(corpus, tmp_path, SETTINGS, {"recall": {"level": 2}})
     with pytest.raises(ConfigError, match="state"):
         replace(config, state=False)
+
+
+def test_the_loss_is_the_weighted_distance_of_channels():
+    shown, given = (
+        torch.tensor([[[1.0, 3.0], [5.0, 5.0]]]),
+        torch.tensor([[[0.0, 1.0], [5.0, 7.0]]]),
+    )
+    assert losses.state(shown, given, torch.tensor([[2.0], [1.0]])) == (2 + 4 + 0 + 2) / 4
+
+
+def test_random_steps_are_held_to_their_state(config, folder):
+    assert all(line["state"] > 0 for line in logged(config.out))
+
+
+def test_a_level_shows_most_of_the_state_of_its_own_recording(config, folder):
+    data = load_training_data(config)
+    state, kinematics = TrainingState(data, config), VectorKinematics(data.representation, FPS)
+    one, other = data.paired
+
+    def places(motion: torch.Tensor) -> torch.Tensor:
+        return kinematics.places(data.normaliser.inverse(motion))
+
+    motion, n = one.motion[:, :62][None], len(data.state_channels.names)
+    own, others = (torch.from_numpy(state.recorded(s)[None, :n, :62]) for s in (one, other))
+    finest = StateTarget(state, 3, 4, places)
+    assert finest(places(motion), own) < 0.5 * finest(places(motion), others)
 
 
 def test_a_resumed_run_is_the_same(config, folder, tmp_path):

@@ -17,6 +17,7 @@ from gesturekit.multires import losses
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.sequences import PairedSequence
 from gesturekit.state.channels import averaged
@@ -145,7 +146,7 @@ def _lines(given: Sequence[Tensor], shown: Sequence[Tensor]) -> np.ndarray:
 
 
 def state_targets(
-    state: object,
+    state: RecallLibrary | TrainingState | None,
     indices: Sequence[int],
     config: MultiresConfig,
     places: Callable[[Tensor], Tensor],
@@ -153,7 +154,7 @@ def state_targets(
 ) -> dict[int, StateTarget]:
     """Return {index: target} of these levels; none without `losses.state`.
 
-    Arguments are as for `StateTarget`; a `state` of another type is no state.
+    Arguments are as for `StateTarget`, but that `state` is the source of a `Stage`.
     """
     if not config.losses.state or not isinstance(state, TrainingState):
         return {}
