@@ -356,6 +356,10 @@ def test_a_damaged_folder_is_refused(folder, tmp_path, name, value):
     save_file(tensors, damaged / "model.safetensors")
     with pytest.raises(ModelError, match=f"state.{name}"):
         gk.load(damaged)
+    tensors[f"state.{name}"] = torch.ones(3, 7)
+    save_file(tensors, damaged / "model.safetensors")
+    with pytest.raises(ModelError, match=f"state.*{name}|wrong length"):
+        gk.load(damaged)
     about = yaml.safe_load((damaged / "config.yaml").read_text())
     about["state"]["channels"] = ["movement", "fast"]
     (damaged / "config.yaml").write_text(yaml.safe_dump(about))
