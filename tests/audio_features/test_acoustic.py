@@ -118,9 +118,9 @@ def test_a_tracker_that_is_not_there_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "parselmouth", None)
     with pytest.raises(FeatureError, match="pip install praat-parselmouth.*f0='yin'"):
         Prosody("parselmouth")
-    with pytest.raises(FeatureError, match="'crepe': one of yin, pyin"):
+    with pytest.raises(FeatureError, match="'crepe': .* yin, pyin"):
         Prosody("crepe")
-    with pytest.raises(FeatureError, match="backend='librosa': one of numpy, torchaudio"):
+    with pytest.raises(FeatureError, match="'librosa': .* numpy, torchaudio"):
         LogMel(backend="librosa")
 
 
@@ -186,7 +186,7 @@ def test_prosodic_range_is_the_mean_distance_from_the_local_mean(speech, seconds
     assert ProsodicRange(0.05).spec == {"kind": "prosodic_range", "seconds": 0.05}
     assert ProsodicRange(60).seconds == 60.0
     for wrong in (0.049, 60.1, "1", None):
-        with pytest.raises(FeatureError, match="a number from 0.05 to 60"):
+        with pytest.raises(FeatureError, match="0.05 to 60"):
             ProsodicRange(wrong)
 
 

@@ -67,10 +67,10 @@ def test_arrays_of_an_archive(archive):
     ("read", "says"),
     [
         (lambda a: a["none"], "no key 'none'"),
-        (lambda a: a["objects"], "a pickled Python object"),
-        (lambda a: a["longer"], "24 bytes, and holds 28"),
-        (lambda a: a.numbers("text"), "holds 'speech', not numbers"),
-        (lambda a: a.texts("texts"), "holds 3 texts, too many"),
+        (lambda a: a["objects"], "pickle"),
+        (lambda a: a["longer"], "24 bytes.* 28"),
+        (lambda a: a.numbers("text"), "'speech', not numbers"),
+        (lambda a: a.texts("texts"), "3 texts"),
     ],
 )
 def test_arrays_that_are_refused(archive, read, says):
@@ -83,9 +83,9 @@ def test_files_that_are_no_archives(tmp_path):
     os.mkfifo(tmp_path / "pipe.npz")
     for name, says in (
         ("none.npz", "no such file"),
-        ("text.npz", "not a zip archive, or is truncated"),
-        ("pipe.npz", "not a regular file"),
-        (".", "not a regular file"),
+        ("text.npz", "zip"),
+        ("pipe.npz", "regular"),
+        (".", "regular"),
     ):
         with pytest.raises(FeatureError, match=says), open_archive(tmp_path / name, FeatureError):
             pass
@@ -114,11 +114,9 @@ def test_a_file_is_whole_or_as_it_was(tmp_path):
 
 def test_one_path_for_several_encoders_is_refused(tmp_path):
     parts = [{"kind": "wavlm"}, {"kind": "hf"}]
-    with pytest.raises(af.WeightsError, match=r"need 2 encoders.*wavlm=PATH --weights hf=PATH"):
+    with pytest.raises(af.WeightsError, match="2 encoders.*wavlm=PATH --weights hf=PATH"):
         af.extractor_from_spec({"kind": "stack", "parts": parts}, weights=tmp_path)
-    with pytest.raises(
-        af.WeightsError, match="'mfcc' has no weights or files; expected words, wavlm"
-    ):
+    with pytest.raises(af.WeightsError, match="'mfcc' .* words, wavlm"):
         af.extractor_from_spec({"kind": "wavlm"}, weights={"mfcc": tmp_path})
 
 
@@ -145,5 +143,5 @@ def test_arrays_of_a_large_file_take_twenty_times_its_size(tmp_path, share, is_r
         if is_read:
             assert not found["a"].any()
         else:
-            with pytest.raises(FeatureError, match="'a' unpacks to 41 MiB"):
+            with pytest.raises(FeatureError, match="'a' .* 41 MiB"):
                 found["a"]

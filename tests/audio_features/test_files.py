@@ -55,7 +55,7 @@ def test_rows_may_miss_a_second_of_the_sound(talk, caplog, first, last, is_read,
     if is_read:
         assert own.extract(wave).at([4.0]).values == [[4.0]]
     else:
-        with pytest.raises(af.FeatureError, match="check the rate and the file"):
+        with pytest.raises(af.FeatureError, match="check the rate"):
             own.extract(wave)
     assert bool(caplog.text) == is_warned
 
@@ -73,7 +73,7 @@ def test_the_nearest_file_in_a_folder_counts(talk, tmp_path):
     spec = {"kind": "files", "dim": 1, "rate": 1, "folder": str(tmp_path)}
     own = af.extractor_from_spec(spec, weights={"files": folder})  # the argument counts
     assert "folder" not in own.spec and af.extractor_from_spec(own.spec).spec == own.spec
-    with pytest.raises(af.FeatureError, match=r"talk.wav: no file of features talk.npy in .*own"):
+    with pytest.raises(af.FeatureError, match="talk.wav: .* talk.npy .*own"):
         own.extract(wave)
     for place, value in (("talk.npy", 1), ("s1/talk.npy", 2), ("data/s1/talk.npy", 3)):
         (folder / place).parent.mkdir(exist_ok=True, parents=True)
@@ -110,16 +110,13 @@ HUGE = of_rows(np.zeros((1, 2))).replace(b"(1, 2), }           ", b"(99999999999
 @pytest.mark.parametrize(
     "content, complaint",
     [
-        (of_rows(clock(8, 50)[:, :1]), r"shape \(400, 1\): expected \(T, 2\)"),
+        (of_rows(clock(8, 50)[:, :1]), r"\(400, 1\): .*\(T, 2\)"),
         (of_rows(with_nan()), "row 120, column 1: nan"),
-        (of_rows(np.full((400, 2), 1e300)), r"row 0, column 0: 1e\+300 .* beyond 1e\+18"),
-        (
-            of_rows(clock(8, 25)),
-            r"200 rows are from 0.00 to 3.98 s, the sound is from 0.00 to 8.00",
-        ),
+        (of_rows(np.full((400, 2), 1e300)), r"row 0, column 0: 1e\+300 .*1e\+18"),
+        (of_rows(clock(8, 25)), "200 rows .*0.00 to 3.98 s, .*0.00 to 8.00"),
         (of_rows(np.array([{}, {}])), "plain numbers"),
-        (HUGE, "not a whole npy"),
-        (b"not an array", "write it with numpy.save"),
+        (HUGE, "whole npy"),
+        (b"not an array", "numpy.save"),
     ],
 )
 def test_a_wrong_file_is_an_error_that_names_file_and_sound(talk, content, complaint):
@@ -134,12 +131,12 @@ def test_a_wrong_file_is_an_error_that_names_file_and_sound(talk, content, compl
     [
         ({"values": clock(8, 4)}, "no key 'times'"),
         ({"values": clock(8, 4), "times": np.zeros(32)}, "ascend"),
-        ({"values": clock(8, 4), "times": np.arange(31) / 4}, r"\(32, 2\) and times \(31,\)"),
+        ({"values": clock(8, 4), "times": np.arange(31) / 4}, r"\(32, 2\) .*\(31,\)"),
     ],
 )
 def test_a_wrong_npz_says_what_is_missing(talk, arrays, complaint):
     np.savez(talk.with_suffix(".npz"), **arrays)
-    with pytest.raises(af.FeatureError, match=rf"talk.npz, features of .*talk.wav: .*{complaint}"):
+    with pytest.raises(af.FeatureError, match=f"talk.npz, .*talk.wav: .*{complaint}"):
         af.Files(2).extract(af.Wave.load(talk))
 
 
@@ -147,7 +144,7 @@ def test_a_wrong_npz_says_what_is_missing(talk, arrays, complaint):
     "settings, complaint",
     [
         ({"dim": 0}, "dim is 0"),
-        ({"dim": 4, "suffix": ".npy"}, r"no rate is given: give the rows per second of \*.npy"),
+        ({"dim": 4, "suffix": ".npy"}, r"no rate .*\*.npy"),
         ({"dim": 4, "folder": "nowhere"}, "nowhere: no such folder"),
     ],
 )

@@ -102,9 +102,9 @@ def test_headers_of_aiff_and_au(tmp_path):
         path.write_bytes(content)
         np.testing.assert_allclose(Wave.load(path).samples, MEANT, atol=1e-6)
     for content, says in (
-        (aiff(SSND), "an AIFF file without COMM"),
-        (aiff(COMM, big(b"SSND", bytes(8) + SIGNED, N + 10)), "811 bytes of sound, 810 are there"),
-        (au(N + 1), "declares 802 bytes of sound, 801 are there"),
+        (aiff(SSND), "without COMM"),
+        (aiff(COMM, big(b"SSND", bytes(8) + SIGNED, N + 10)), "811 .*810 "),
+        (au(N + 1), "802 .*801 "),
     ):
         path.write_bytes(content)
         with pytest.raises(AudioError, match=says):
@@ -125,7 +125,7 @@ def test_the_md5_of_a_flac_is_that_of_its_sound(tmp_path, bits):
     assert any(content[26:42])
     content[30] ^= 1
     path.write_bytes(content)
-    with pytest.raises(AudioError, match="does not match the MD5"):
+    with pytest.raises(AudioError, match="MD5"):
         Wave.load(path)
     assert Wave.load(path, start=0.05).duration == pytest.approx(0.05, abs=0.001), "a part is read"
     assert Wave.load(path, duration=0.05).duration == 0.05
@@ -166,11 +166,11 @@ def ogg(number: int, flags: int = 0, serial: int = 7, size: int = 300) -> bytes:
     [
         ([ogg(0, 2), ogg(1), ogg(2, 4)], None),
         ([ogg(0, 2), ogg(9, 2, 8), ogg(10, 4, 8), ogg(1, 4)], None),
-        ([ogg(0, 2), ogg(2, 4)], "Ogg page 1 is missing before byte 329"),
-        ([ogg(0, 2), ogg(1)], "the last Ogg page is not marked as the end"),
-        ([ogg(0, 6), ogg(0, 6, 8)], r"several sounds one after the other .*byte 329\)"),
-        ([ogg(0, 2), ogg(1, 4)[:-1] + b"x"], "checksum of the Ogg page at byte 329 is wrong"),
-        ([ogg(0, 6), b"OggT" + bytes(23)], "no Ogg page at byte 329"),
+        ([ogg(0, 2), ogg(2, 4)], "page 1 .*byte 329"),
+        ([ogg(0, 2), ogg(1)], "last .*page"),
+        ([ogg(0, 6), ogg(0, 6, 8)], r"several .*byte 329\)"),
+        ([ogg(0, 2), ogg(1, 4)[:-1] + b"x"], "checksum .*byte 329"),
+        ([ogg(0, 6), b"OggT" + bytes(23)], "no .*page .*byte 329"),
     ],
 )
 def test_pages_of_an_ogg_file_follow_one_another(pages, says):
@@ -198,5 +198,5 @@ def test_wav_files_of_the_other_byte_order_and_of_over_four_gigabytes(tmp_path):
         if length == N:
             np.testing.assert_allclose(Wave.load(path).samples, MEANT, atol=1e-6)
         else:
-            with pytest.raises(AudioError, match="declares 821 bytes of sound, 816 are there"):
+            with pytest.raises(AudioError, match="821 .*816 "):
                 Wave.load(path)

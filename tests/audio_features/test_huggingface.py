@@ -130,7 +130,7 @@ def test_sounds_longer_than_whisper_takes(encoder):
     assert abs(track.times[-1] - 7.01) < 0.05 and np.isfinite(track.values).all()
     short = af.Wave(swelling(0.03), 16_000)
     if name == "wav2vec2-bert":
-        with pytest.raises(af.AudioError, match="shorter than one frame"):
+        with pytest.raises(af.AudioError, match="one frame"):
             af.HuggingFace(folder).extract(short)
     else:
         assert len(af.HuggingFace(folder).extract(short).values) in (1, 2)
@@ -165,26 +165,26 @@ def test_broken_folders_are_errors_that_name_the_file(hubert, tmp_path):
     name = next(name for name in sorted(tensors) if "layers.1." in name and "decoder" not in name)
     save_file({key: value for key, value in tensors.items() if key != name}, hubert / "x")
     (hubert / "x").replace(hubert / "model.safetensors")
-    with pytest.raises(af.WeightsError, match="1 tensors are missing .*layers.1"):
+    with pytest.raises(af.WeightsError, match="1 .*missing .*layers.1"):
         af.HuggingFace(hubert)
     wide = torch.cat([tensors[name], tensors[name]])
     for value, complaint in (
-        (wide, "1 tensors are of another shape .*layers.1.* must come from the same model"),
-        (tensors[name] * float("nan"), "tensor .*layers.1.* is not finite"),
+        (wide, "1 .*another shape .*layers.1.* same model"),
+        (tensors[name] * float("nan"), "layers.1.* not finite"),
     ):
         save_file({**tensors, name: value}, hubert / "model.safetensors")
         with pytest.raises(af.WeightsError, match=complaint):
             af.HuggingFace(hubert)
     config = json.loads((hubert / "config.json").read_text())
     for changes, complaint in (
-        ({"model_type": "bert"}, "model_type is 'bert', expected one of hubert"),
-        ({"hidden_size": 10**8, "d_model": 10**8}, "not an encoder's size"),
+        ({"model_type": "bert"}, "'bert', .* hubert"),
+        ({"hidden_size": 10**8, "d_model": 10**8}, "encoder's size"),
     ):
         (hubert / "config.json").write_text(json.dumps({**config, **changes}))
         with pytest.raises(af.WeightsError, match=complaint):
             af.HuggingFace(hubert)
     (hubert / "config.json").write_text("{")
-    with pytest.raises(af.WeightsError, match="config.json: not a configuration file"):
+    with pytest.raises(af.WeightsError, match="config.json: not"):
         af.HuggingFace(hubert)
 
 
@@ -205,7 +205,7 @@ def test_a_pickle_is_not_loaded(hubert):
 
     (hubert / "model.safetensors").unlink()
     torch.save({"x": Evil()}, hubert / "pytorch_model.bin")
-    with pytest.raises(af.WeightsError, match="could run code and is not read"):
+    with pytest.raises(af.WeightsError, match="run code"):
         af.HuggingFace(hubert)
 
 

@@ -129,11 +129,11 @@ def test_one_frame_holds_for_all_times_and_shapes_must_agree():
     np.testing.assert_array_equal(one.to_rate(2, 3, method="mean").values, [[1, 2]] * 3)
     assert len(one.to_rate(2).values) == 2 and one.names == ("0", "1")
     for values, times, names, says in (
-        ([1, 2], [0, 1], (), r"values \(2,\) and times \(2,\)"),
+        ([1, 2], [0, 1], (), r"values \(2,\) .*\(2,\)"),
         ([[1, 2]], [0], ("a",), "1 names for 2 columns"),
         ([[1], [2]], [0, 0], (), "ascend"),
     ):
         with pytest.raises(FeatureError, match=says):
             FeatureTrack(values, times, {}, names)
-    with pytest.raises(FeatureError, match=r"'1', frame 0: -3e\+39 .*beyond 1e\+18"):
+    with pytest.raises(FeatureError, match=r"'1', frame 0: -3e\+39 .*1e\+18"):
         FeatureTrack([[0, -3e39]], [0])

@@ -62,9 +62,9 @@ HOLES = np.where((np.arange(16_000) >= 123) & (np.arange(16_000) < 323), np.nan,
     ("name", "content", "options", "words"),
     [
         ("missing.wav", None, {}, ["no such file"]),
-        ("text.wav", b"this is not sound\n" * 100, {}, ["cannot be read as sound"]),
+        ("text.wav", b"this is not sound\n" * 100, {}, ["as sound"]),
         ("pcm.wav", noise(1000).tobytes(), {}, ["`ffmpeg -f s16le -ar 16000 -ac 1 -i ", "pcm_new"]),
-        ("empty.wav", b"", {}, ["the file is empty (0 bytes)"]),
+        ("empty.wav", b"", {}, ["(0 bytes)"]),
         ("short.wav", wav(noise(160)), {}, ["10.0 ms", "25 ms"]),
         ("nan.wav", wav(HOLES, subtype="FLOAT"), {}, ["sample 123", "nan"]),
         ("good.wav", wav(noise(16_000)), {"max_seconds": 0.5}, ["limit of 0 s"]),
@@ -92,7 +92,7 @@ def test_truncated_files_are_refused(tmp_path, kind, part):
     with pytest.raises(AudioError, match="sound: ") as caught:
         Wave.load(path)
     if kind in ("WAV", "RF64", "AIFF", "AU", "NIST"):
-        assert f"keep what is there by `ffmpeg -i {path} {path}.wav`" in str(caught.value)
+        assert f"`ffmpeg -i {path} {path}.wav`" in str(caught.value)
 
 
 @pytest.mark.parametrize("whole", [0, 36, 0xFFFFFFFF])
@@ -113,10 +113,10 @@ def test_a_wav_streamed_to_a_pipe_has_no_length_and_still_loads(tmp_path, whole,
 
 def test_pickles_and_arrays_without_samples_are_named(tmp_path):
     (tmp_path / "a.pkl").write_bytes(pickle.dumps({"poses": [0.0] * 99}))
-    with pytest.raises(AudioError, match=r"a\.pkl: a Python pickle, not sound") as caught:
+    with pytest.raises(AudioError, match=r"a\.pkl: .*pickle") as caught:
         Wave.load(tmp_path / "a.pkl")
     assert "ffmpeg" not in str(caught.value)
-    with pytest.raises(AudioError, match=r"no samples, an array of shape \(0, 2\)"):
+    with pytest.raises(AudioError, match=r"no samples.*\(0, 2\)"):
         Wave.from_array(np.zeros((0, 2)), 16_000)
 
 
@@ -135,7 +135,7 @@ def test_one_channel_of_many(tmp_path, channels):
 def test_faults_of_a_recording_are_named(speech):
     assert speech.faults() == []
     assert "no speech" in Wave(np.zeros(16_000, np.float32), 16_000).faults()[0]
-    assert "DC offset of +5.0 %" in Wave(speech.samples + np.float32(0.05), 16_000).faults()[0]
+    assert "+5.0 %" in Wave(speech.samples + np.float32(0.05), 16_000).faults()[0]
     loud = np.clip(4 * speech.samples / np.abs(speech.samples).max(), -1, 1)
     clipped = Wave(loud, 16_000).faults()
     assert len(clipped) == 1 and clipped[0].startswith("clipped: ")
@@ -169,7 +169,7 @@ def test_of_channels_that_cancel_each_other_the_loudest_is_used(tmp_path, noisy)
     for wave in (Wave.load(tmp_path / "two.wav"), Wave.from_array(two.T, 16_000)):
         np.testing.assert_array_equal(wave.samples, two[:, 1].astype(np.float32))
         (repair,) = wave.repairs
-        assert repair == "the channels cancel each other, one is inverted: channel 2 is used"
+        assert "cancel" in repair and "channel 2 " in repair
     assert not Wave.load(tmp_path / "two.wav", channel=1).repairs
     six = np.zeros((16_000, 6))
     six[:, 2] = mono
@@ -191,7 +191,7 @@ def test_a_few_samples_that_are_not_finite_are_interpolated(tmp_path):
         assert "3 of 16000 samples" in repair and "0.006 s" in repair
     first = np.concatenate([[np.nan], samples[1:]])
     (repair,) = Wave.from_array(first, 16_000).repairs
-    assert "1 of 16000 samples, the first at 0.000 s" in repair
+    assert "1 of 16000 samples" in repair and "0.000 s" in repair
 
 
 @pytest.mark.parametrize(
@@ -200,8 +200,8 @@ def test_a_few_samples_that_are_not_finite_are_interpolated(tmp_path):
         (np.ones(800), None, "give sample_rate"),
         (np.full(800, np.nan), 16_000, "sample 0 .* is nan"),
         (np.zeros((2, 3, 800)), 16_000, r"shape \(2, 3, 800\)"),
-        (np.zeros((1, 1, 1)), 16_000, "1 samples at 16000 Hz are 0.1 ms"),
-        (b"RIFF", 16_000, "bytes, expected an array of samples, or the path"),
+        (np.zeros((1, 1, 1)), 16_000, "1 samples .*16000 Hz .*0.1 ms"),
+        (b"RIFF", 16_000, "bytes, .* array"),
         (np.ones(800, bool), 16_000, "dtype bool"),
         (np.ones(800), float("nan"), "sample rate nan"),
     ],
@@ -250,6 +250,6 @@ def test_a_small_file_cannot_take_gigabytes_of_samples(tmp_path):
     with soundfile.SoundFile(tmp_path / "a.flac", "w", 655350, 1, "PCM_16") as file:
         for _ in range(65):
             file.write(np.zeros(1 << 20, np.int16))
-    with pytest.raises(AudioError, match=r"a\.flac: 68157440 samples .*over 20 times the file"):
+    with pytest.raises(AudioError, match=r"a\.flac: 68157440 .* 20 times"):
         Wave.load(tmp_path / "a.flac")
     assert len(Wave.load(tmp_path / "a.flac", start=3, duration=2).samples) == 2 * 655350

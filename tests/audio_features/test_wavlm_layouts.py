@@ -124,7 +124,7 @@ def test_tensors_are_those_of_transformers(settings, size):
     ("changes", "says"),
     [
         *(
-            ({key: 0}, f"{name} is '0', expected a whole number from 1 to 16384")
+            ({key: 0}, f"{name} .*'0', .* 1 to 16384")
             for key, name in {
                 "hidden_size": "width",
                 "num_attention_heads": "heads",
@@ -135,13 +135,13 @@ def test_tensors_are_those_of_transformers(settings, size):
                 "max_bucket_distance": "max_distance",
             }.items()
         ),
-        ({"conv_kernel": "10333322"[:7]}, "kernels is '1033332', expected seven numbers"),
-        ({"feat_extract_norm": "batch"}, "front_norm is 'batch', expected 'group' or 'layer'"),
+        ({"conv_kernel": "10333322"[:7]}, "kernels .*'1033332', .*seven"),
+        ({"feat_extract_norm": "batch"}, "front_norm .*'batch', .*'group' or 'layer'"),
         *(
-            ({"layer_norm_eps": eps}, "eps is .*, expected a number between 0 and 1")
+            ({"layer_norm_eps": eps}, "eps .* 0 and 1")
             for eps in (0.0, 1.0, -1e-5, True, 1, "1e-5", float("nan"))
         ),
-        ({"hidden_act": "relu"}, "hidden_act is 'relu', expected 'gelu'"),
+        ({"hidden_act": "relu"}, "hidden_act .*'relu', .*'gelu'"),
     ],
 )
 def test_settings_of_no_wavlm_are_named(changes, says):

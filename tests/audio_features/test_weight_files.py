@@ -17,7 +17,7 @@ def refused(says: str):
 
 def test_one_file_counts_before_parts_and_parts_before_old_files(tmp_path):
     index = tmp_path / "model.safetensors.index.json"
-    with refused("no model.safetensors and no pytorch_model.bin .found: nothing.: download"):
+    with refused("model.safetensors .*pytorch_model.bin .*nothing.*download"):
         read_folder(tmp_path)
     for k in range(11):
         (tmp_path / f"{k:02d}.txt").write_text("")
@@ -31,10 +31,10 @@ def test_one_file_counts_before_parts_and_parts_before_old_files(tmp_path):
     index.write_text(json.dumps({"weight_map": parts}))
     assert {name: t.tolist() for name, t in read_folder(tmp_path).items()} == {"a": [1], "b": [2]}
     for wrong, says in (
-        ({"a": "../part-1.safetensors"}, r"names \['../part-1.safetensors'\], expected files of"),
-        ({}, "weight_map names no files, expected files of this folder"),
-        (["part-1.safetensors"], "weight_map names no files"),
-        ({"a": "part-3.safetensors"}, "part-3.safetensors is missing: download all parts"),
+        ({"a": "../part-1.safetensors"}, r"\['../part-1.safetensors'\]"),
+        ({}, "weight_map .*no files"),
+        (["part-1.safetensors"], "weight_map .*no files"),
+        ({"a": "part-3.safetensors"}, "part-3.safetensors .*download"),
     ):
         index.write_text(json.dumps({"weight_map": wrong}))
         with refused(says):
@@ -48,8 +48,8 @@ def test_tensors_claim_twice_as_much_as_their_file_at_most(tmp_path):
     path.write_bytes(bytes(100))
     fits = {"a": torch.zeros(1, dtype=torch.int8).expand(40), 7: torch.zeros(40)}
     assert set(plain_tensors(path, fits)) == {"a", "7"}
-    with refused("the tensors claim 201 bytes, the file has 100: download it again"):
+    with refused("201 bytes, .* 100: download"):
         plain_tensors(path, {"a": torch.zeros(1, dtype=torch.int8).expand(201)})
     for odd in ([torch.zeros(1)], {"a": [1.0]}):
-        with refused("a.pt: holds no plain table of tensors"):
+        with refused("a.pt: .*table"):
             plain_tensors(path, odd)

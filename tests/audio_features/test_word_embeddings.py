@@ -48,10 +48,10 @@ def test_words_are_cached_and_the_encoder_is_recognised(talk, tmp_path, write_te
     np.testing.assert_array_equal(cache.extract(again, talk).values, first)
     (tmp_path / "talk.ctm").write_text("x 1 0.9 0.3 so\n")
     assert not cache.extract(words, talk).values[10:45].any(), "other words, same sound"
-    with pytest.raises(af.WeightsError, match=f"fingerprint {words.fingerprint} are needed"):
+    with pytest.raises(af.WeightsError, match=words.fingerprint):
         af.extractor_from_spec(words.spec)
     write_text_encoder(tmp_path / "other", seed=1)
-    with pytest.raises(af.WeightsError, match="give the weights that the model was trained on"):
+    with pytest.raises(af.WeightsError, match="trained on"):
         af.extractor_from_spec(words.spec, weights=tmp_path / "other")
     file = tmp_path / "text" / "tokenizer.json"
     file.write_text(file.read_text().replace('"so"', '"os"'))
@@ -81,11 +81,11 @@ def test_published_files_with_heads_and_old_names_are_read(talk, tmp_path, write
 def test_folders_that_cannot_be_used_are_named(talk, tmp_path, write_text_encoder):
     folder = tmp_path / "text"
     write_text_encoder(folder)
-    with pytest.raises(af.FeatureError, match="layer=3: a number from 0 to 2"):
+    with pytest.raises(af.FeatureError, match="layer=3: .* 0 to 2"):
         af.WordEmbeddings(folder, layer=3)
-    with pytest.raises(af.FeatureError, match="unknown setting 'lyer'"):
+    with pytest.raises(af.FeatureError, match="'lyer'"):
         af.extractor_from_spec({"kind": "words", "encoder": str(folder), "lyer": 1})
-    with pytest.raises(af.WeightsError, match="give the folder of a speech encoder"):
+    with pytest.raises(af.WeightsError, match="speech encoder"):
         af.HuggingFace(folder)
     settings = json.loads((folder / "tokenizer_config.json").read_text())
     (folder / "tokenizer_config.json").write_text(json.dumps(settings | {"auto_map": {"x": "y"}}))

@@ -65,12 +65,11 @@ def test_cuts_of_100style_are_frames_at_sixty_a_second(tmp_path, touch):
     assert names(found.left_over) == ["New_BR.bvh", "Old_XX.bvh"] and found.fps == 60
     absent, uncut = problems(found)
     files = ", ".join(f"Old_{gait}.bvh" for gait in GAITS[:-1])
-    assert absent == ("error", "Frame_Cuts.csv", f"not there: 9 bvh files: {files}")
-    text = "without a cut in Frame_Cuts.csv, left out: 2: Sad_ID.bvh, Shy_BR.bvh"
-    assert uncut == ("note", tmp_path.name, text)
+    assert absent[:2] == ("error", "Frame_Cuts.csv") and f"9 bvh files: {files}" in absent[2]
+    assert uncut[:2] == ("note", tmp_path.name) and "2: Sad_ID.bvh, Shy_BR.bvh" in uncut[2]
     for start, stop in (("3", "3"), ("-1", "5"), ("3", ""), ("x", "5"), ("nan", "5")):
         touch("Frame_Cuts.csv", cuts(("Old", start, stop)))
-        with pytest.raises(CorpusError, match="line 2: BR_START, BR_STOP are .*two frames"):
+        with pytest.raises(CorpusError, match="line 2: BR_START, BR_STOP .*frames"):
             read_layout("100style", tmp_path)
 
 
@@ -97,9 +96,9 @@ def test_cleaned_files_of_zeggs_come_before_the_original_ones(tmp_path, touch):
             *(4.75 - 3.5, (0.25, 59.75), ((62.25, 63.5),)),
         ),
         ("00:59:59:00 01:00:00:00 01:00:00:00 01:00:01:00", "", 1.0, (0.0, 1.0), ()),
-        ("0:0:0:0 0:0:1:0 0:0:0:59 0:0:2:0", "", "acting from -0.02 to 1.00 s", None, None),
-        ("0:0:0:0 0:0:1 0:0:2:0 0:0:3:0", "", "anim_start_time is '0:0:1'", None, None),
-        ("0:0:0:0 0:0:1:0 0:0:1:0 0:0:2:0", "R,00:02.0,soon", "end is 'soon'", None, None),
+        ("0:0:0:0 0:0:1:0 0:0:0:59 0:0:2:0", "", "-0.02 to 1.00 s", None, None),
+        ("0:0:0:0 0:0:1 0:0:2:0 0:0:3:0", "", "'0:0:1'", None, None),
+        ("0:0:0:0 0:0:1:0 0:0:1:0 0:0:2:0", "R,00:02.0,soon", "'soon'", None, None),
     ],
 )
 def test_time_codes_of_zeggs_have_hours_and_frames(

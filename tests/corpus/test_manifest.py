@@ -71,19 +71,19 @@ def test_a_saved_manifest_reads_back_and_has_the_same_bytes_whatever_the_order(t
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"colour": "red"}, "unknown field 'colour'"),
-        ({"channel": 0}, "channel is 0; they count from 1"),
-        ({"reading": {"colour": "red"}}, "reading has 'colour'; it holds unit, up"),
-        ({"reading": {"body_model": "/b.npz"}}, "reading.body_model is the absolute path"),
-        ({"duration": "long"}, "duration must be a number of seconds"),
-        ({"duration": 10**400}, "duration is too large"),
-        ({"split": "dev"}, "split is 'dev'"),
+        ({"colour": "red"}, "field 'colour'"),
+        ({"channel": 0}, "channel is 0"),
+        ({"reading": {"colour": "red"}}, "reading .*'colour'.* unit, up"),
+        ({"reading": {"body_model": "/b.npz"}}, "body_model .*absolute"),
+        ({"duration": "long"}, "duration .*number"),
+        ({"duration": 10**400}, "duration .*large"),
+        ({"split": "dev"}, "split .*'dev'"),
         ({"audio": "/data/a.wav"}, "absolute path"),
         ({"audio": "C:\\data\\a.wav"}, "absolute path"),
-        ({"audio": None, "motion": None}, "neither audio nor motion"),
-        ({"audible": [[2, 1]]}, r"audible has \(2.*, 1.*\); expected START, END"),
-        ({"id": "../../etc/a"}, "cannot be used"),
-        ({"id": "a\nb"}, "cannot be used"),
+        ({"audio": None, "motion": None}, "audio .*motion"),
+        ({"audible": [[2, 1]]}, r"audible .*\(2.*, 1.*\).* START, END"),
+        ({"id": "../../etc/a"}, r"'\.\./\.\./etc/a' .*names"),
+        ({"id": "a\nb"}, r"'a\\nb' .*names"),
     ],
 )
 def test_an_invalid_field_is_reported_with_file_and_line(tmp_path, change, message):
@@ -93,7 +93,7 @@ def test_an_invalid_field_is_reported_with_file_and_line(tmp_path, change, messa
 
 
 def test_an_id_used_twice_names_both_lines(tmp_path):
-    with pytest.raises(CorpusError, match=r"m\.jsonl:3: id 'a' was already used on line 2"):
+    with pytest.raises(CorpusError, match=r"m\.jsonl:3: id 'a' .*line 2"):
         Manifest.load(write(tmp_path / "m.jsonl", RECORD, RECORD))
 
 
@@ -101,13 +101,13 @@ def test_an_id_used_twice_names_both_lines(tmp_path):
     ("content", "message"),
     [
         (b"", "empty"),
-        (b'{"schema": 7}\n', "m.jsonl:1: manifest schema 7 is newer"),
-        (b"id,audio\n", "m.jsonl:1: not a line of JSON.*gesturekit prepare writes manifests"),
-        (b'{"schema": 1}\n[1]\n', "m.jsonl:2: expected a JSON object"),
-        (b'{"schema": 1}\n{"id": "\xff"}\n', "m.jsonl:2: not a line of JSON"),
+        (b'{"schema": 7}\n', "m.jsonl:1: .*schema 7 "),
+        (b"id,audio\n", "m.jsonl:1: not .*JSON.*gesturekit prepare"),
+        (b'{"schema": 1}\n[1]\n', "m.jsonl:2: .*JSON object"),
+        (b'{"schema": 1}\n{"id": "\xff"}\n', "m.jsonl:2: not .*JSON"),
         (b'{"schema": 1}\n{"duration": NaN}\n', "m.jsonl:2: .*NaN"),
-        (b'{"schema": 1}\n{"id": 1, "id": 2}\n', "m.jsonl:2: .*'id' is given twice"),
-        (b'{"schema": 1}\n' + b"[" * 100_000 + b"\n", "m.jsonl:2: not a line of JSON"),
+        (b'{"schema": 1}\n{"id": 1, "id": 2}\n', "m.jsonl:2: .*'id' .*twice"),
+        (b'{"schema": 1}\n' + b"[" * 100_000 + b"\n", "m.jsonl:2: not .*JSON"),
         (b'{"schema": 1}\n' + b" " * 3_000_000, "m.jsonl:2: line longer"),
     ],
 )
@@ -130,7 +130,7 @@ def test_items_are_found_by_kind_and_split(tmp_path):
     assert [item.id for item in manifest.motion_alone()] == ["dance"]
     with pytest.raises(CorpusError, match="speech alone"):
         manifest.unpaired()[0].load_motion()
-    with pytest.raises(CorpusError, match="'dance' has no audio: it is motion alone"):
+    with pytest.raises(CorpusError, match="'dance' .*no audio"):
         manifest.motion_alone()[0].load_wave()
     with pytest.raises(CorpusError, match="'dev'"):
         manifest.paired("dev")
@@ -146,7 +146,7 @@ def test_an_item_loads_its_own_stretch_of_both_files(tmp_path, write_pair, gestu
     mirrored = replace(item, mirror=True).load_motion().positions()
     left, right = whole.skeleton.index("LeftHand"), whole.skeleton.index("RightHand")
     assert abs(mirrored[:, left] - part.positions()[:, right] * [-1, 1, 1]).max() < 1e-4
-    with pytest.raises(CorpusError, match=r"frames 30 to 150 of .*a\.bvh, which has 120 frames"):
+    with pytest.raises(CorpusError, match=r"30 to 150 .*a\.bvh.* 120 frames"):
         replace(item, duration=4.0).load_motion()
 
 
@@ -219,5 +219,5 @@ def test_an_id_is_a_relative_path_that_any_system_can_have(name, is_id):
     if is_id:
         assert check_id(name) is None
     else:
-        with pytest.raises(CorpusError, match="of up to 230 bytes each"):
+        with pytest.raises(CorpusError, match="230 bytes"):
             check_id(name)

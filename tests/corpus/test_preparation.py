@@ -56,7 +56,7 @@ def test_words_beside_a_recording_become_features_on_motion_frames(tmp_path, wri
     write_pair(tmp_path / "in", "take", 4.0)
     (tmp_path / "in" / "take.ctm").write_text("take 1 0.5 0.3 so\ntake 1 2.5 0.2 well\n")
     report = prepare(tmp_path / "in", tmp_path / "corpus.jsonl", hold_out_seconds="2-")
-    assert report.is_complete and "side files    words from .ctm (1)" in report.table()
+    assert report.is_complete and ".ctm (1)" in dict(report.rows())["side files"]
     for item, onset in zip(Manifest.load(tmp_path / "corpus.jsonl"), (15, 15), strict=True):
         assert item.conditions["words"] == tmp_path / "in" / "take.ctm"
         values, _ = extract(item.load_wave(), af.Words(), 30.0, "mean")
@@ -75,13 +75,12 @@ def test_bad_files_are_reported_once_and_others_used(tmp_path, write_pair, write
     assert [item.id for item in report.manifest] == ["cut", "fine"]
     assert not report.is_complete
     (warning,) = [text for text in texts(report, "warning") if "cut" in text]
-    assert "declares 120 frames and holds 119" in warning
+    assert re.search("120 frames .*119", warning)
     output = "\n".join(problem.text for problem in errors(report))
     assert len(errors(report)) == 4
     for name in ("text.wav", "apart.bvh", "twice.wav", "twice.flac"):
         assert str(tmp_path / name) in output
-    assert "6.00 s of sound and 4.00 s of motion differ by 2.00 s" in output
-    assert "too short: 0.33 s can be used; at least 0.5 s" in output
+    assert re.search("6.00 s .*4.00 s .*2.00 s", output) and re.search("0.33 s .*0.5 s", output)
 
 
 def test_a_small_difference_in_length_is_trimmed_and_a_later_one_named(
@@ -93,9 +92,9 @@ def test_a_small_difference_in_length_is_trimmed_and_a_later_one_named(
     (item,) = report.manifest
     assert item.duration == pytest.approx(3.1, abs=1e-5)
     assert item.load_wave().n_frames(30) == item.load_motion().n_frames == 93
-    assert "trimmed to the shorter" in texts(report, "warning")[0] and report.is_complete
+    assert "trimmed" in texts(report, "warning")[0] and report.is_complete
     write_speech(tmp_path / "a.wav", 2.0)
-    with pytest.raises(CorpusError, match=r"'a' is 3.10 s of .*a\.wav .*only 2.00 s.*prepare"):
+    with pytest.raises(CorpusError, match=r"'a' .*3.10 s .*a\.wav .*2.00 s.*prepare"):
         item.load_wave()
 
 
@@ -131,7 +130,7 @@ def test_copies_are_named_and_stay_in_one_split(copied):
         assert splits["a"] == splits["b"] and splits["d"] == splits["e"], seed
         assert {"train", "test"} <= set(splits.values())
     (text,) = texts(report, "warning")
-    assert text.startswith("3 files with the content of another: ")
+    assert text.startswith("3 files ")
     assert f"{copied / 'b.bvh'} (of {copied / 'a.bvh'})" in text
     assert prepare(copied, hold_out_pattern="^b$").manifest.paired("test")[0].id == "a"
 
@@ -146,19 +145,18 @@ def test_a_leading_t_pose_is_trimmed_from_sound_and_motion(tmp_path, write_pair,
     assert abs(item.load_motion().positions() - gesture(4.0).positions()[20:]).max() < 1e-4
     assert (still.motion_start, still.duration) == (0.0, 2.0) and report.is_complete
     warnings = "\n".join(texts(report, "warning"))
-    assert "20 frames (0.67 s) of T-pose or rest pose at the start" in warnings
-    assert "T-pose or rest pose throughout" in warnings
+    assert re.search(r"20 frames \(0.67 s\) .*start", warnings) and "throughout" in warnings
 
 
 @pytest.mark.parametrize(
     ("fault", "says"),
     [
-        ("part", r"frozen \(no joint moves at all\) from 1.33 s to 2.67 s"),
-        ("whole", "all 120 frames hold one and the same pose"),
-        ("once", r"1 of 120 frames jump \(over 10 m/s\) at 2.00 s"),
-        ("often", "119 of 120 frames jump .*--in-unit.*--height"),
-        ("pop", r"pops .* at 1.00 s, 3.00 s; most of all 'Head' by \d\d°"),
-        ("shake", r"jitters in 9\d% of its frames"),
+        ("part", "frozen .*1.33 s to 2.67 s"),
+        ("whole", "all 120 frames .*pose"),
+        ("once", "1 of 120 frames .*10 m/s.* 2.00 s"),
+        ("often", "119 of 120 .*--in-unit.*--height"),
+        ("pop", r"1.00 s, 3.00 s.* 'Head' .*\d\d°"),
+        ("shake", r"jitter.* 9\d%"),
     ],
 )
 def test_faults_of_a_motion_are_warned_about(tmp_path, write_pairs, gesture, fault, says):
@@ -185,7 +183,7 @@ def test_unidentified_parts_are_reported_and_can_be_specified(tmp_path, write_pa
     write_pairs(a=motion)
     report = prepare(tmp_path, holdout=0.0)
     (note,) = texts(report, "note")
-    says = r"a.bvh: cannot identify the arms.*which way is forward.*parts: \{left_elbow:"
+    says = r"a.bvh: .*the arms.*forward.*parts: \{left_elbow:"
     assert len(report.manifest) == 1 and re.search(says, note)
     prepare(tmp_path, tmp_path / "m.jsonl", holdout=0.0, parts=by_hand, read={"height": 1.75})
     (item,) = Manifest.load(tmp_path / "m.jsonl")
@@ -218,7 +216,7 @@ def test_the_odd_skeleton_is_left_out_and_its_first_difference_named(tmp_path, w
     assert {item.id for item in report.manifest} == {"a", "b"}
     (problem,) = errors(report)
     assert problem.file == tmp_path / "odd.bvh"
-    assert "'Thorax' here and 'Chest' in the others" in problem.message
+    assert re.search("'Thorax' .*'Chest'", problem.message)
 
 
 def test_the_last_fifth_of_a_single_recording_is_held_out(tmp_path, write_pair):
@@ -227,7 +225,7 @@ def test_the_last_fifth_of_a_single_recording_is_held_out(tmp_path, write_pair):
     train, test = report.manifest
     assert (train.split, test.split) == ("train", "test")
     paired = dict(report.rows())["paired"]
-    assert paired == "1 recording in 2 parts, 10.0 s: train 1 (8.0 s), test 1 (2.0 s)"
+    assert "2 parts, 10.0 s" in paired and "train 1 (8.0 s), test 1 (2.0 s)" in paired
     assert (train.audio_start, train.duration) == (0.0, 8.0)
     assert (test.audio_start, test.motion_start, test.duration) == (8.0, 8.0, 2.0)
     assert prepare(tmp_path, holdout=0.0).manifest.items[0].split == "train"
@@ -241,9 +239,9 @@ def test_labels_come_from_names(tmp_path, write_pair):
     labels = [(item.id, item.speaker, item.style) for item in report.manifest]
     calm, lively = ("ann/calm_1", "ann", "calm"), ("bob/lively_1", "bob", "lively")
     assert labels == [calm, lively, ("bob/other", "somebody", None)]
-    assert "other.bvh: name does not match" in texts(report, "note")[0]
+    assert re.search("other.bvh: .*not match", texts(report, "note")[0])
     report = prepare(tmp_path, style_pattern="(?P<style>x|y)-")
-    assert "matches none of 3 recordings, such as ann/calm_1" in texts(report, "warning")[0]
+    assert re.search("3 recordings.* ann/calm_1", texts(report, "warning")[0])
 
 
 @pytest.mark.parametrize(
@@ -251,12 +249,12 @@ def test_labels_come_from_names(tmp_path, write_pair):
     [
         ({"holdout": 1.0}, "holdout is 1.0"),
         ({"tolerance": float("nan")}, "tolerance is nan"),
-        ({"style_pattern": "calm"}, "no group named style"),
+        ({"style_pattern": "calm"}, "group .*style"),
         ({"unpaired": ["nowhere"]}, "no such folder"),
-        ({"take_table": "none.csv"}, "table of takes none.csv: no such file"),
-        ({"read": {"animation": 1}}, "read: unknown option 'animation'"),
-        ({"read": {"body_model": "none.npz"}}, "body model none.npz: no such file or folder"),
-        ({"hold_out_seconds": "1-2", "hold_out_pattern": "a"}, "either seconds or names"),
+        ({"take_table": "none.csv"}, "none.csv: no such"),
+        ({"read": {"animation": 1}}, "option 'animation'"),
+        ({"read": {"body_model": "none.npz"}}, "none.npz: no such"),
+        ({"hold_out_seconds": "1-2", "hold_out_pattern": "a"}, "seconds or names"),
     ],
 )
 def test_invalid_arguments_are_refused_before_anything_is_read(tmp_path, options, message):
@@ -284,7 +282,7 @@ def test_reading_options_are_stored_with_the_items(tmp_path, write_speech, gestu
     big = gesture(4.0).with_height(3.4)
     save_as_others(big, tmp_path / "a.bvh")
     write_speech(tmp_path / "a.wav", 4.0)
-    assert "read in cm, a guess" in texts(prepare(tmp_path, holdout=0.0), "note")[0]
+    assert "cm, a guess" in texts(prepare(tmp_path, holdout=0.0), "note")[0]
     for read, height in (({"height": 1.75}, 1.75), ({"unit": "mm"}, 0.34)):
         prepare(tmp_path, tmp_path / "corpus.jsonl", holdout=0.0, read=read)
         (item,) = Manifest.load(tmp_path / "corpus.jsonl")
@@ -305,11 +303,11 @@ def test_every_file_that_looks_like_sound_or_motion_is_used_or_named(tmp_path, w
     assert not report.is_complete
     lines = "\n".join(report.problem_lines())
     for says in (
-        "b.m4a: m4a is not read; make a wav of it: ffmpeg -i x.m4a x.wav",
-        "d.c3d: c3d is not read; export it as bvh",
-        "a.mp4: mp4 is not read; a file of the same name is",
+        "b.m4a: .*ffmpeg -i x.m4a x.wav",
+        "d.c3d: .*bvh",
+        "a.mp4: .*same name",
     ):
-        assert says in lines
+        assert re.search(says, lines)
 
 
 def test_of_a_bvh_and_an_npz_of_one_name_one_is_used(tmp_path, write_pair, gesture):
@@ -319,6 +317,6 @@ def test_of_a_bvh_and_an_npz_of_one_name_one_is_used(tmp_path, write_pair, gestu
     report = prepare(tmp_path, holdout=0.0)
     assert [item.motion.name for item in report.manifest.paired()] == ["a.npz", "b.npz"]
     (note,) = texts(report, "note")
-    assert "of a bvh and an npz of one name" in note and report.is_complete
+    assert "bvh" in note and "npz" in note and report.is_complete
     alone = prepare([], unpaired_motion=[tmp_path], holdout=0.5)
     assert [item.motion.name for item in alone.manifest] == ["a.npz", "b.npz"]

@@ -29,7 +29,7 @@ def test_what_both_files_share_is_used(tmp_path, gesture, write_speech, offset, 
     files = {"audio": tmp_path / "a.wav", "motion": tmp_path / "a.bvh"}
     found, problems = examine(Recording("a", **files, audio_offset=offset, limits=limits), 0.5)
     if interval is None:
-        assert found is None and "at least 0.5 s are needed" in problems[-1].text
+        assert found is None and "0.5 s" in problems[-1].text
     else:
         assert (found.start, found.stop) == pytest.approx(interval, abs=1e-9)
 
@@ -97,8 +97,8 @@ def test_the_first_difference_of_two_rigs_is_described():
     hanging = rig_of(usual | {"Head": ("Hips", (0, 1, 0))})
     more = rig_of(usual | {"Arm": ("Spine", (1, 0, 0))})
     assert first_difference(taller, rig) is None
-    assert re.search("4 joints here and 3 .* more is 'Arm'", first_difference(more, rig))
-    assert "'Head' is under 'Hips' here and under 'Spine'" in first_difference(hanging, rig)
+    assert re.search("4 joints .* 3 .*'Arm'", first_difference(more, rig))
+    assert re.search("'Head' .*'Hips' .*'Spine'", first_difference(hanging, rig))
     assert usual_skeleton([hanging, rig, taller]) is rig
 
 
@@ -107,9 +107,9 @@ def test_the_first_difference_of_two_rigs_is_described():
     [
         # 4 s of motion at 30 fps: a frame is 0.0333 s.
         (4.03, 0.5, None),
-        (4.04, 0.5, "warning: trimmed to the shorter"),
-        (4.51, 0.5, "error: differ by 0.51 s, more than 0.5 s.*--trim a$"),
-        (3.4, 0.5, "error: differ by 0.60 s, more than 0.5 s.*--trim a$"),
+        (4.04, 0.5, "warning: trimmed"),
+        (4.51, 0.5, "error: 0.51 s, .* 0.5 s.*--trim a$"),
+        (3.4, 0.5, "error: 0.60 s, .* 0.5 s.*--trim a$"),
     ],
 )
 def test_lengths_may_differ_by_a_frame_or_the_tolerance(

@@ -42,7 +42,7 @@ def test_every_row_of_a_report():
         *(item("c", "train", 99.9, audio=None), item("d", "test", 6000.0, motion=None)),
     ]
     found = rows(items, recordings, (Problem("error", Path("x.wav"), "odd"),), (Path("z.wav"),))
-    assert found.pop("shift").startswith("the motion comes 1.15 s after the sound")
+    assert "1.15 s after" in found.pop("shift")
     assert found == {
         "paired": "2 recordings in 3 parts, 1.8 min: train 1 (80.0 s), valid 1 (9.9 s), "
         "test 1 (20.0 s)",
@@ -64,9 +64,9 @@ def test_a_corpus_is_found_in_its_folder_or_one_below(tmp_path):
         (tmp_path / name).mkdir(parents=True)
     assert root_with(tmp_path / "one", ["other", "data"], "X") == tmp_path / "one"
     for folder, says in (
-        (tmp_path, "other or data: several folders have one; give the folder of the X corpus"),
-        (tmp_path / "empty", "other or data: not found; give"),
-        (tmp_path / "none", "no such folder; give"),
+        (tmp_path, "other or data: several .* X "),
+        (tmp_path / "empty", "other or data: not"),
+        (tmp_path / "none", "no such"),
     ):
         with pytest.raises(CorpusError, match=says):
             root_with(folder, ["other", "data"], "X")

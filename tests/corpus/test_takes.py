@@ -50,16 +50,16 @@ def test_a_table_names_takes_before_a_pattern(sessions, tmp_path):
     takes = {item.id: item.take for item in report.manifest}
     assert takes["a_part0"] == takes["b_part1"] == "monday" and takes["c_part0"] == "c"
     assert takes["d_part2"] == "d_part2", "a recording is a take of its own"
-    assert "name does not match take pattern ^c" in str(report)
+    assert "take pattern ^c" in str(report)
 
 
 @pytest.mark.parametrize(
     ("table", "pattern", "says"),
     [
-        (None, "xyz", "matches none of 12 recordings, such as a_part0"),
-        ("id,take\na_prt0,x\n", None, "'a_prt0' is no usable recording; did you mean a_part0"),
-        ("id,take\na_part0,\n", None, "takes.csv.*2: no take of a_part0"),
-        ("id,take\nb_part1,x\nsame,x\n", None, "line 3: id 'same' is several recordings"),
+        (None, "xyz", "12 recordings.* a_part0"),
+        ("id,take\na_prt0,x\n", None, "'a_prt0' .* a_part0"),
+        ("id,take\na_part0,\n", None, "takes.csv.*2: .*a_part0"),
+        ("id,take\nb_part1,x\nsame,x\n", None, "line 3: .*'same' .*several"),
     ],
 )
 def test_wrong_takes_are_one_clear_error(tmp_path, table, pattern, says):
@@ -81,7 +81,7 @@ def test_neighbours_are_counted_by_the_takes_of_the_training_split():
         *(item("d", "test", "t3"), item("e", "valid", "t2"), item("f", "test", "t2", None)),
         item("g", "train", "t3", None),
     ]
-    assert "of the same take (t1, t2): 2 of 3. They flatter" in neighbours(items)
-    assert "of the same take (t1): 1 of 2. They" in neighbours(items, "test")
-    assert "of the same take (t2): 1 of 1. They" in neighbours(items, "valid")
+    assert "(t1, t2): 2 of 3" in neighbours(items)
+    assert "(t1): 1 of 2" in neighbours(items, "test")
+    assert "(t2): 1 of 1" in neighbours(items, "valid")
     assert neighbours(items, "train") == neighbours(items[3:4]) == neighbours([]) == ""

@@ -40,7 +40,7 @@ def test_another_rig_is_retargeted_before_anything_is_measured(recordings, tmp_p
     found = evaluate({"same": recordings, "larger": made}, recordings, cheap=True)
     same, larger_one = found.models
     assert larger_one.marks == ["retargeted"] and not same.marks
-    assert "3 of 3 clips are on another rig" in larger_one.notes[0]
+    assert "3 of 3 clips" in larger_one.notes[0]
     # Retargeting there and back leaves the same movement, not one 1.3 times as fast.
     for key in ("wrist_speed", "reach"):
         assert result(found, 1, key) == pytest.approx(result(found, 0, key), rel=0.05), key
@@ -68,19 +68,19 @@ def test_clips_that_another_model_lacks_are_set_apart(recordings, gesture, tmp_p
     found = evaluate({"one": one, "two": two}, recordings, cheap=True)
     assert [[clip.pair.stem for clip in m.clips] for m in found.models] == [["clip0", "clip2"]] * 2
     (item,) = (item for item in found.models[0].excluded if item.what == "clip")
-    assert (item.name, item.reason) == ("clip1", "set apart: two has no clip of this recording")
+    assert item.name == "clip1" and "two has no clip" in item.reason
     assert not found.is_complete
-    assert "compared on the 2 recordings that they share" in found.models[0].notes[0]
+    assert "the 2 recordings" in found.models[0].notes[0]
     three = saved(tmp_path / "three", {"clip1": motions["clip1"]})
-    with pytest.raises(EvaluationError, match="no recording.* has clips of all models"):
+    with pytest.raises(EvaluationError, match="no recording.* all models"):
         evaluate({"two": two, "three": three}, recordings)
 
 
 @pytest.mark.parametrize(
     ("missing", "note", "lacks"),
     [
-        (("Leg", "Foot"), "the generated rig has no legs", {"foot_skate"}),
-        (("Hand",), "2 of 19 body joints are not in the generated rig", {"reach", "rest"}),
+        (("Leg", "Foot"), "no legs", {"foot_skate"}),
+        (("Hand",), "2 of 19 ", {"reach", "rest"}),
     ],
 )
 def test_rigs_without_legs_or_hands_are_measured_as_far_as_they_go(
@@ -99,7 +99,7 @@ def test_models_of_other_lengths_are_marked(recordings, gesture, tmp_path):
     two = saved(tmp_path / "two", {f"clip{i}": gesture(1.5, 25.0, seed=i) for i in range(3)})
     found = evaluate({"one": one, "two": two}, recordings, cheap=True)
     assert [model.marks for model in found.models] == [[], ["other length"]]
-    assert "clips of 1.52 s where those of one have 2.52 s" in found.models[1].notes[0]
+    assert all(seconds in found.models[1].notes[0] for seconds in ("1.52 s", "2.52 s"))
 
 
 def test_a_recording_without_sound_has_no_speech_metrics_and_counts_elsewhere(

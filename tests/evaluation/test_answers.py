@@ -55,9 +55,7 @@ def test_a_rater_who_took_part_twice_is_named(tmp_path):
         write(tmp_path / f"{day}.csv", head + line + line.replace(",c,", ",d,"))
     found = read_answers([tmp_path])
     assert len(found.kept) == 6
-    assert found.notes == (
-        "1 rater took part more than once: p0; if these are two people, rename one",
-    )
+    assert found.notes[0].startswith("1 rater ") and ": p0" in found.notes[0]
 
 
 def ours(path: Path, user: str, failed: int, winner: str = "model_a") -> Path:
@@ -92,7 +90,7 @@ def test_a_file_read_twice_counts_once(tmp_path):
     copy = write(tmp_path / "copy (1).csv", one.read_text())
     found = read_answers([one, copy, one])
     assert len(found.kept) == 2
-    assert found.notes == ("2 lines found in two files were counted once",)
+    assert len(found.notes) == 1 and found.notes[0].startswith("2 lines ")
 
 
 def test_a_table_made_by_hand_may_name_the_winner(tmp_path):
@@ -104,26 +102,25 @@ def test_a_table_made_by_hand_may_name_the_winner(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no column user, input_code"),
-        ("user,input_code,model_A,model_b,winner,is_strong\n", "there is 'model_A'"),
-        (HEAD, "no answer to analyse"),
-        (HEAD + "u,c,a,b,left,True,,\n", "line 2: winner is 'left'; expected model_a"),
-        (HEAD + "u,c,a,b,model_a,perhaps,,\n", "line 2: is_strong is 'perhaps'"),
-        (HEAD + "u,c,a,b,model_a,True,,\nu,c,a\n", "line 3: 3 cells, but the header has 8"),
-        (HEAD.strip() + ",checks,checks_failed\nu,c,a,b,tie,,,,2,x\n", "checks_failed is 'x'"),
-        (HEAD + 'u,c,a,b,model_a,True,"open', "not a CSV file in UTF-8"),
+        ("", "user, input_code"),
+        ("user,input_code,model_A,model_b,winner,is_strong\n", "'model_A'"),
+        (HEAD, "no answer"),
+        (HEAD + "u,c,a,b,left,True,,\n", "line 2: winner .*'left'.* model_a"),
+        (HEAD + "u,c,a,b,model_a,perhaps,,\n", "line 2: is_strong .*'perhaps'"),
+        (HEAD + "u,c,a,b,model_a,True,,\nu,c,a\n", "line 3: 3 .* 8"),
+        (HEAD.strip() + ",checks,checks_failed\nu,c,a,b,tie,,,,2,x\n", "checks_failed .*'x'"),
+        (HEAD + 'u,c,a,b,model_a,True,"open', "UTF-8"),
     ],
 )
 def test_invalid_tables_of_answers_are_refused_with_their_place(tmp_path, text, message):
-    with pytest.raises(EvaluationError, match="x.csv") as refused:
+    with pytest.raises(EvaluationError, match=f"x.csv.*{message}"):
         read_answers([write(tmp_path / "x.csv", text)])
-    assert message in str(refused.value)
 
 
 def test_missing_files_empty_folders_and_other_encodings_are_refused(tmp_path):
     with pytest.raises(EvaluationError, match="no such file"):
         read_answers([tmp_path / "absent.csv"])
-    with pytest.raises(EvaluationError, match=r"no \.csv file in this folder"):
+    with pytest.raises(EvaluationError, match=r"no \.csv file"):
         read_answers([tmp_path])
     (tmp_path / "x.csv").write_bytes("é".encode("latin-1"))
     with pytest.raises(EvaluationError, match="UTF-8"):
@@ -140,7 +137,7 @@ def test_empty_lines_spaces_and_files_named_twice_do_not_matter(tmp_path):
     path = write(tmp_path / "x.csv", text)
     (answer,) = read_answers([path, tmp_path, tmp_path / ".." / tmp_path.name / "x.csv"]).kept
     assert (answer.user, answer.clip, answer.score) == ("u", "c", 2)
-    with pytest.raises(EvaluationError, match="no answers to read: name CSV files"):
+    with pytest.raises(EvaluationError, match="no answers.*CSV"):
         read_answers([])
     with (tmp_path / "large.csv").open("wb") as file:
         file.truncate(200_000_001)

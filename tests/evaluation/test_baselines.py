@@ -49,7 +49,7 @@ def test_the_mean_pose_is_held_in_every_frame(folders):
             np.tile(expected, (clip.generated.n_frames, 1)), abs=1e-6
         )
     assert found.models[1].metrics["near_still"].interval.value == 100.0
-    assert found.models[1].verdict == "The hands hardly move."
+    assert "hardly move" in found.models[1].verdict
 
 
 def test_the_other_utterance_is_the_next_recording_cut_to_length(folders):
@@ -83,7 +83,7 @@ def test_baselines_that_cannot_be_made_are_errors(folders):
     with pytest.raises(EvaluationError, match="label of a model"):
         evaluate({"mean_pose": folders / "made"}, folders / "recordings", baselines=["mean_pose"])
     one = folders / "made" / "clip1_s1.npz", folders / "recordings" / "clip1.npz"
-    with pytest.raises(EvaluationError, match="needs a second recording; there is only 'clip1'"):
+    with pytest.raises(EvaluationError, match="second recording.*'clip1'"):
         evaluate(*one, baselines=["other_utterance"])
 
 
@@ -96,5 +96,5 @@ def test_a_mean_pose_of_two_rigs_is_refused(folders, tmp_path, gesture):
     for name, one in (("a", motion), ("b", other)):
         one.save(tmp_path / "recordings" / f"{name}.npz")
         one.save(tmp_path / "made" / f"{name}.npz")
-    with pytest.raises(EvaluationError, match="mean_pose needs recordings of one rig"):
+    with pytest.raises(EvaluationError, match="mean_pose .*one rig"):
         evaluate(tmp_path / "made", tmp_path / "recordings", baselines=["mean_pose"])

@@ -155,11 +155,11 @@ def test_windows_of_a_manifest_are_compared_with_all_of_its_splits(tmp_path, ges
 def test_the_multires_protocol_notes_missing_samples(folders):
     found = evaluate(folders / "samples", folders / "recordings", protocol="multires")
     (model,) = found.models
-    assert "takes 200 samples of each recording; clip0: 2" in model.notes[0]
-    assert "shorter than 2 times its recording" in model.clips[0].notes[0]
+    assert "200 samples" in model.notes[0] and "clip0: 2" in model.notes[0]
+    assert "2 times" in model.clips[0].notes[0]
     assert set(model.by_recording) == {f"clip{i}" for i in range(4)}
     assert "sync" not in model.metrics and "fid_k" not in model.metrics
-    with pytest.raises(EvaluationError, match="expected one of multires, lda"):
+    with pytest.raises(EvaluationError, match="'genea'.* multires, lda"):
         evaluate(folders / "samples", folders / "recordings", protocol="genea")
 
 
@@ -171,7 +171,7 @@ def test_takes_are_found_in_names_by_a_pattern(tmp_path, gesture):
     found = evaluate(tmp_path / "made", tmp_path / "recordings", **options)
     takes = {clip.pair.name: clip.pair.take for clip in found.models[0].clips}
     assert takes == {"day1_a": "day1", "day1_b": "day1", "day2_a": "day2", "x": "x"}
-    assert found.basis.startswith("Computed over 3 takes (4 clips")
+    assert "3 takes (4 clips" in found.basis
     assert found.settings["baselines"] == [] and found.settings["split"] is None
     assert found.protocol == "multires" and found.fps == 25.0
 
@@ -181,9 +181,9 @@ def test_options_that_do_not_go_together_are_refused(tmp_path, gesture, write_sp
     gesture(2.0, 25.0).save(motion)
     item = Item(id="a", audio=None, motion=motion, duration=2.0, split="valid")
     Manifest([item]).save(tmp_path / "corpus.jsonl")
-    with pytest.raises(EvaluationError, match="already gives the sound: leave audio out"):
+    with pytest.raises(EvaluationError, match="sound.*audio"):
         evaluate(motion, tmp_path / "corpus.jsonl", split="valid", audio=motion)
-    with pytest.raises(EvaluationError, match=r"split='test' chooses items of a manifest"):
+    with pytest.raises(EvaluationError, match="split='test' .*manifest"):
         evaluate(motion, motion, split="test")
     with pytest.raises(GestureKitError, match="test"):
         evaluate(motion, tmp_path / "corpus.jsonl")
@@ -199,7 +199,7 @@ def test_options_that_do_not_go_together_are_refused(tmp_path, gesture, write_sp
     assert speeds[0].recording != pytest.approx(speeds[1].recording)
     (tmp_path / "made").mkdir()
     (tmp_path / "made" / "a.npz").write_bytes(b"no motion")
-    with pytest.raises(EvaluationError, match="no generated clip can be read: .*a.npz"):
+    with pytest.raises(EvaluationError, match="no generated clip.*a.npz"):
         evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", split="valid")
 
 
@@ -251,9 +251,9 @@ def test_bad_clips_are_left_out_with_their_reasons_and_the_rest_is_measured(fold
     reasons = {item.name: item.reason for item in model.excluded if item.what == "clip"}
     assert "clip1.npz: one frame" in reasons["clip1"]
     assert "clip2.bvh" in reasons["clip2"] and "nan" in reasons["clip2"]
-    assert "rigs do not match: 0 of" in reasons["clip3"]
+    assert ": 0 of" in reasons["clip3"]
     (made / "clip0.npz").unlink()
-    with pytest.raises(GestureKitError, match="no clip could be measured: .*one frame"):
+    with pytest.raises(GestureKitError, match="no clip.*one frame"):
         evaluate(made, folders / "recordings")
 
 
@@ -264,7 +264,7 @@ def test_frame_rates_may_differ_and_the_first_model_says_at_which_it_is_measured
     models = {name: tmp_path / name for name in ("slow", "fast")}
     found = evaluate(models, folders / "recordings", cheap=True)
     assert found.fps == 15.0
-    assert "resampled from 25 to 15 fps" in found.models[1].clips[0].notes
+    assert any("25 to 15 fps" in note for note in found.models[1].clips[0].notes)
 
 
 def test_capture_noise_of_a_faster_recording_is_not_folded_down(gesture, tmp_path):
@@ -289,7 +289,7 @@ def test_a_model_of_fewer_joints_has_fréchet_distances_on_those_it_shares(gestu
     for key in ("raw_fgd", "fid_k"):
         assert model.metrics[key].interval.value == pytest.approx(0.0, abs=1e-6), key
     assert model.metrics["div_k"].interval.value == pytest.approx(model.metrics["div_k"].recording)
-    assert "are not in the generated rig" in model.clips[0].notes[0]
+    assert "generated rig" in model.clips[0].notes[0]
 
 
 @pytest.mark.parametrize(("seconds", "enough"), [(14.0, False), (34.0, True)])

@@ -22,14 +22,10 @@ def test_definitions_are_filled_with_frames_seconds_and_the_variant():
     coverage, bas = DEFINITIONS["coverage"], DEFINITIONS["bas"]
     usual, paper = coverage.at(25, Variants()), coverage.at(30, Variants("paper", 2.5))
     assert usual.variant == "ganimator: 30 frames (1.20 s), 2"
-    assert usual.text == (
-        "Share of the recording's windows of 30 frames (1.20 s) whose nearest window of the "
-        "generated motion is less than 2 away (mean L2 norm per frame of 6D rotations and "
-        "contacts)."
-    )
+    assert all(fact in usual.text for fact in ("30 frames (1.20 s)", "less than 2 ", "L2 norm"))
     assert paper.variant == "paper: 30 frames (1.00 s), 2.5"
-    assert "windows of 30 frames (1.00 s) whose" in paper.text and "Frobenius" in paper.text
-    assert "less than 2.5 away" in paper.text
+    assert "30 frames (1.00 s)" in paper.text and "Frobenius" in paper.text
+    assert "less than 2.5 " in paper.text
     assert [bas.at(25, Variants(bas=name)).fps_bound for name in ("seconds", "bailando")] == [
         False, True
     ]  # fmt: skip

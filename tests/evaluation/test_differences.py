@@ -1,6 +1,7 @@
 """Differences from an earlier file of results, and what the file says of each figure."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -50,14 +51,13 @@ def test_each_change_is_a_line_and_models_go_by_label(found, before):
         values["fps"] = 30.0
 
     now, cca = (found.models[0].metrics[k].interval.value for k in ("wrist_speed", "cca_global"))
-    assert list(differences(found, read_results(before(change)))) == [
-        "fps: 30.0 before, 25.0 now: not comparable",
-        f"new: 4 of {len(found.models[0].metrics)} values differ",
-        f"  Wrist speed: 9.00 before, {now:.2f} m/s now, outside the earlier interval",
-        "  Jerk: only now",
-        f"  CCA, global: {cca + 0.5:.2f} before, {cca:.2f} now",
-        "  gone: only before",
-    ]
+    lines = list(differences(found, read_results(before(change))))
+    facts = (
+        *("fps: 30.0 .* 25.0 ", f"new: 4 of {len(found.models[0].metrics)} "),
+        *(f"Wrist speed: 9.00 .* {now:.2f} m/s.*interval", "Jerk: only now"),
+        *(f"CCA, global: {cca + 0.5:.2f} .* {cca:.2f} ", "gone: only before"),
+    )
+    assert len(lines) == len(facts) and all(map(re.search, facts, lines))
     names = ("other", "new", "more")
 
     def rename(values):
@@ -70,12 +70,12 @@ def test_each_change_is_a_line_and_models_go_by_label(found, before):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("{", "not a file of evaluate --json"),
-        ("[" * 100_000, "not a file of evaluate --json"),
-        ("[1]", "not a file of evaluate --json"),
-        ('{"format": 1, "models": [{"figures": {"a": {}}}]}', "not a file of evaluate --json"),
-        ('{"format": 1, "models": [{"label": "a", "figures": [1]}]}', "not a file of evaluate"),
-        ('{"format": 2, "models": []}', r"format 2 is newer than this gesturekit's \(1\)"),
+        ("{", "evaluate --json"),
+        ("[" * 100_000, "evaluate --json"),
+        ("[1]", "evaluate --json"),
+        ('{"format": 1, "models": [{"figures": {"a": {}}}]}', "evaluate --json"),
+        ('{"format": 1, "models": [{"label": "a", "figures": [1]}]}', "evaluate --json"),
+        ('{"format": 2, "models": []}', r"format 2 .*\(1\)"),
     ],
 )
 def test_other_files_are_one_clear_error(tmp_path, text, says):
@@ -84,17 +84,17 @@ def test_other_files_are_one_clear_error(tmp_path, text, says):
         read_results(tmp_path / "x.json")
     with (tmp_path / "large.json").open("wb") as file:
         file.truncate((256 << 20) + 1)
-    with pytest.raises(EvaluationError, match="large.json: too large for results of evaluate"):
+    with pytest.raises(EvaluationError, match="large.json: too large"):
         read_results(tmp_path / "large.json")
 
 
 def test_every_figure_says_what_it_is_computed_over(found):
     values = found.to_json()
-    assert values["basis"] == "Computed over 6 takes (6 clips, 12 s) at 25 fps."
+    assert "6 takes (6 clips, 12 s) at 25 fps" in values["basis"]
     figures = values["models"][0]["figures"]
     speed, distance = figures["wrist_speed"], figures["cca_global"]
     assert (speed["unit"], speed["takes"], speed["n"]) == ("m/s", 6, 6)
-    assert "Student's t over takes" in speed["method"] and speed["low"] is not None
-    assert distance["takes"] is None and distance["method"] == "one value of the whole set"
+    assert "Student" in speed["method"] and speed["low"] is not None
+    assert distance["takes"] is None and "whole set" in distance["method"]
     page = DOCS.read_text(encoding="utf-8")
     assert all(f"`{name}`" in page for name in (*values, *values["models"][0], *speed))

@@ -135,7 +135,7 @@ def test_a_saved_model_gives_the_same_figures(clips, variant, tmp_path):
 
 
 def test_a_damaged_model_is_refused(model, tmp_path):
-    with pytest.raises(EvaluationError, match=r"made by gesturekit fit-features"):
+    with pytest.raises(EvaluationError, match="gesturekit fit-features"):
         FeatureModel.load(tmp_path)
     model.save(tmp_path)
     tensors_file = tmp_path / "feature_model.safetensors"
@@ -144,7 +144,7 @@ def test_a_damaged_model_is_refused(model, tmp_path):
     changed = dict(tensors)
     changed["windows.mean"] = tensors["windows.mean"] + 1e-9
     save_file(changed, tensors_file)
-    with pytest.raises(EvaluationError, match="does not belong to feature_model.json"):
+    with pytest.raises(EvaluationError, match="not belong to feature_model.json"):
         FeatureModel.load(tmp_path)
     tensors_file.write_bytes(tensors_file.read_bytes()[:1000])
     with pytest.raises(EvaluationError, match="feature_model.safetensors: cannot be read"):
@@ -159,7 +159,7 @@ def test_a_damaged_model_is_refused(model, tmp_path):
     for damaged, message in (
         ("{", "cannot be read"),
         (text.replace('"format": 1', '"format": 2'), "a newer gesturekit"),
-        (with_windows(n_frames=10**12), "12 to 1000 can be"),
+        (with_windows(n_frames=10**12), "12 to 1000"),
         (with_windows(n_frames=40), "damaged"),
         (with_windows(variant="x"), "'x'"),
         (with_windows(bones=[]), "damaged|expected 0"),
@@ -175,15 +175,15 @@ def test_a_damaged_model_is_refused(model, tmp_path):
 def test_bad_input_gets_one_clear_error(clips, model, skeleton):
     names = tuple("Left_Arm" if name == "LeftArm" else name for name in skeleton.names)
     other = replace(clips[0], skeleton=replace(skeleton, names=names))
-    with pytest.raises(EvaluationError, match="has no joint LeftArm, which the other motions"):
+    with pytest.raises(EvaluationError, match="LeftArm"):
         fgd([other], clips, model)
-    with pytest.raises(EvaluationError, match="none of 1 motions is as long as a window of 1 s"):
+    with pytest.raises(EvaluationError, match="window of 1 s"):
         fgd([clips[0][:1]], clips, model)
     for options, message in (
-        ({"variant": "fgd"}, "'fgd'; expected genea or yoon"),
+        ({"variant": "fgd"}, "'fgd'.* genea or yoon"),
         ({"n_frames": 5}, "windows of 5 frames"),
         ({"n_frames": 500}, "0 windows"),
-        ({"joints": "legs"}, "'legs'; expected body, upper"),
+        ({"joints": "legs"}, "'legs'.* body, upper"),
         ({"steps": 0}, "steps is 0"),
     ):
         with pytest.raises(EvaluationError, match=message):

@@ -63,8 +63,8 @@ def test_small_samples_are_reported():
     enough = frechet_result(motions_of(rng, 20, 5), motions_of(rng, 20, 5))
     assert enough.note == "" and "[" in str(enough)
     few = frechet_result(motions_of(rng, 3, 9), motions_of(rng, 30, 9), resamples=20)
-    assert "fewer than 40 samples" in few.note and "fewer than 10 motions" in few.note
-    assert "fewer than 40 samples" in str(few) and np.isnan(few.low)
+    assert "40 samples" in few.note and "10 motions" in few.note
+    assert "40 samples" in str(few) and np.isnan(few.low)
     plain = frechet_result(motions_of(rng, 3, 9), motions_of(rng, 30, 9), resamples=0)
     assert np.isnan(plain.low) and "motions" not in plain.note and "[" not in str(plain)
 
@@ -75,11 +75,8 @@ def test_small_samples_are_reported():
         (lambda: frechet_distance([[1.0, 2.0]], np.ones((3, 2))), "generated: 1 sample"),
         (lambda: frechet_distance(np.ones((3, 2)), np.ones((3, 3))), "2 numbers a feature"),
         (lambda: frechet_distance(np.full((3, 2), np.nan), np.ones((3, 2))), "NaN .* sample 0"),
-        (lambda: frechet_result([], [np.ones((3, 2))]), "one is empty"),
-        (
-            lambda: frechet_result([np.ones((3, 2)), np.ones((3, 1))], [np.ones((3, 2))]),
-            "do not fit",
-        ),
+        (lambda: frechet_result([], [np.ones((3, 2))]), "empty"),
+        (lambda: frechet_result([np.ones((3, 2)), np.ones((3, 1))], [np.ones((3, 2))]), "not fit"),
     ],
 )
 def test_bad_input_gets_one_clear_error(call, message):
@@ -125,7 +122,7 @@ def test_kinetic_features_equal_their_definition(gesture, skeleton, n_frames):
     for name, found in zip(joints, released):
         places = positions[:, skeleton.index(name)] - positions[0, skeleton.index("Hips")]
         assert found == pytest.approx(kinetic_by_definition(places, 1 / 60, slip=True), rel=1e-9)
-    with pytest.raises(EvaluationError, match="'bailando'; expected corrected or released"):
+    with pytest.raises(EvaluationError, match="'bailando'.* corrected or released"):
         kinetic_features(motion, variant="bailando")
 
 
@@ -306,7 +303,7 @@ def test_the_standard_error_is_that_of_resampled_motions():
     assert np.isfinite(frechet_result(sets[0][:10], sets[1][:10], resamples=3).low)
     for few in ([sets[0][:9], sets[1]], [sets[0], sets[1][:9]]):
         found = frechet_result(*few, resamples=3)
-        assert np.isnan(found.low) and "fewer than 10 motions: no interval" in found.note
+        assert np.isnan(found.low) and "10 motions" in found.note
 
 
 def renamed(motion: Motion) -> Motion:
@@ -331,7 +328,7 @@ def test_motions_that_cannot_be_compared(gesture, call, message):
 
 def test_geometric_features_need_legs_and_wrists(gesture):
     motion = gesture(1.0)
-    with pytest.raises(EvaluationError, match="has no legs"):
+    with pytest.raises(EvaluationError, match="no legs"):
         geometric_features(without_joints(motion, "Leg", "Foot", "Toe"))
-    with pytest.raises(EvaluationError, match="has no left wrist"):
+    with pytest.raises(EvaluationError, match="no left wrist"):
         geometric_features(without_joints(motion, "Hand"))

@@ -1,5 +1,6 @@
 """The three questions that head a report."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -61,18 +62,17 @@ def test_a_model_at_chance_is_not_in_time_and_an_uninformative_recording_says_no
         found = states(clips(), in_time=result("in_time", value, 0.4))
         assert found["in_time"][0] == state, value
     found = states(clips(), in_time=result("in_time", 0.9, 0.4, informative=False))
-    assert found["in_time"][0] == "cannot be answered"
-    assert "Cannot be answered on this corpus" in found["in_time"][1]
+    assert found["in_time"][0] == "cannot be answered" and "corpus" in found["in_time"][1]
     assert states(clips())["in_time"][0] == "not measured"
     state, words = states(clips())["novelty"]
-    assert state == "not measured" and "too short, or the rig's arms and legs" in words
+    assert state == "not measured" and "too short" in words
 
 
 def test_the_aspects_that_differ_are_named():
     like = result("likeness", 0.95, 0.9)
-    assert states(clips(), likeness=like)["likeness"] == ("yes", "Moves like this speaker.")
+    assert states(clips(), likeness=like)["likeness"][0] == "yes"
     state, sentence = states(clips(reach=0.3), likeness=like)["likeness"]
-    assert (state, sentence) == ("partly", "Moves mostly like this speaker; what differs: reach.")
+    assert state == "partly" and "mostly" in sentence and sentence.endswith(": reach.")
     assert states(clips(jerk=9.0), likeness=result("likeness", 0.3, 0.9))["likeness"][0] == "no"
 
 
@@ -80,7 +80,7 @@ def test_copies_are_named():
     for value, state, words in (
         (0.1, "no", "Mostly copied"),
         (0.7, "no", "less lively"),
-        (1.0, "yes", "New: as far"),
+        (1.0, "yes", "New: "),
     ):
         copied = result("novelty", value, 1.0, note="recording: against the training split")
         found = states(clips(), novelty=copied)["novelty"]
@@ -88,7 +88,7 @@ def test_copies_are_named():
     low = result("copying_low", 0.1, 0.3)
     copied = result("novelty", 442.0, 1.0, informative=False)
     state, words = states(clips(), novelty=copied)["novelty"]
-    assert state == "cannot be answered" and "the same as the recordings" in words
+    assert state == "cannot be answered" and "same as" in words
     found = states(clips(), novelty=result("novelty", 1.0, 1.0), copying_low=low)
     assert found["novelty"][0] == "partly" and "occasionally" in found["novelty"][1]
 
@@ -120,7 +120,7 @@ def test_each_speaker_is_compared_with_own_recordings_and_speakers_are_averaged_
     )
     like = result("likeness", 0.5, 0.9)
     state, sentence = states(made, likeness=like)["likeness"]
-    assert state == "no" and "it differs between speakers: a 0.00, b 1.00" in sentence
+    assert state == "no" and "a 0.00, b 1.00" in sentence
 
 
 def test_styles_are_groups_where_each_has_three_recordings():
@@ -137,21 +137,21 @@ def test_a_score_is_placed_between_its_floor_and_its_ceiling():
     floors = (Level("mean pose", 0.0, None, 0), Level("another speaker", 0.2, 0.2, 4))
     ceiling = Level("the speaker's other takes", 0.9, 0.05, 6)
     for value, expected in (
-        (0.29, "no higher than its floor, another speaker (0.20 ± 0.20)."),
-        (0.31, "Does not move like this speaker."),
-        (0.55, "Moves somewhat like this speaker."),  # more than .6 of .9
-        (0.94, "Moves like this speaker."),
-        (0.96, "above its ceiling, the speaker's other takes (0.90 ± 0.05)."),
+        (0.29, r"floor, another speaker \(0.20 ± 0.20\)"),
+        (0.31, "not move like"),
+        (0.55, "somewhat like"),  # more than .6 of .9
+        (0.94, "Moves like"),
+        (0.96, r"above its ceiling, .* \(0.90 ± 0.05\)"),
     ):
         like = result("likeness", value, 0.9, floors=floors, ceiling=ceiling)
-        assert states(clips(), likeness=like)["likeness"][1].endswith(expected), value
+        assert re.search(expected, states(clips(), likeness=like)["likeness"][1]), value
     # A speaker whose takes differ is reached at their likeness, not at 0.85.
     for value, state in ((0.5, "yes"), (0.49, "partly"), (0.3, "partly"), (0.29, "no")):
         assert states(clips(), likeness=result("likeness", value, 0.5))["likeness"][0] == state
     high = result("likeness", 0.3, 0.9, informative=False, floors=floors, ceiling=floors[1])
     state, sentence = states(clips(), likeness=high)["likeness"]
     assert state == "cannot be answered"
-    assert "the floor, another speaker (0.20 ± 0.20), is not surely below the ceiling" in sentence
+    assert "floor, another speaker (0.20 ± 0.20)" in sentence and "ceiling" in sentence
 
 
 def of(**values: float | tuple[float, float]) -> dict[str, MetricResult]:
@@ -163,28 +163,27 @@ def of(**values: float | tuple[float, float]) -> dict[str, MetricResult]:
 @pytest.mark.parametrize(
     ("metrics", "said"),
     [
-        (of(near_still=90.0), "The hands hardly move."),
-        (of(near_still=(15.1, 10.0), rest=(32.0, 32.0)), "Hands frozen in 15 % of the time."),
-        (of(rest=(2.0, 2.0)), "At rest as often as the speaker."),
-        (of(rest=(3.4, 10.0)), "Hardly ever at rest."),
-        (of(rest=(7.0, 10.0)), "At rest as often as the speaker."),
-        (of(rest=(14.1, 10.0)), "At rest more often than the speaker."),
-        (of(reach=(0.8, 1.0)), "The speaker's reach."),
-        (of(reach=(0.79, 1.0)), "Three quarters of the speaker's reach."),
-        (of(reach=(1.26, 1.0)), "One and a half times the speaker's reach."),
+        (of(near_still=90.0), "hardly move"),
+        (of(near_still=(15.1, 10.0), rest=(32.0, 32.0)), "frozen .*15 %"),
+        (of(rest=(2.0, 2.0)), "rest as often"),
+        (of(rest=(3.4, 10.0)), "ever at rest"),
+        (of(rest=(7.0, 10.0)), "rest as often"),
+        (of(rest=(14.1, 10.0)), "rest more often"),
+        (of(reach=(0.8, 1.0)), "^The .*reach"),
+        (of(reach=(0.79, 1.0)), "Three quarters .*reach"),
+        (of(reach=(1.26, 1.0)), "half times .*reach"),
         (of(reach=(1.0, 0.0)), ""),
-        (of(hand_q90=(2.0, 1.0)), "Fast gestures at twice the speaker's speed."),
-        (of(calm_lively_r=0.39), "Calm and lively at other times than the speaker."),
-        (of(sync=(0.1, 0.1)), "In time with the speech."),
-        (of(sync=(0.69, 1.0)), "Loosely in time with the speech."),
-        (of(sync=(0.29, 1.0)), "Not in time with the speech."),
-        (of(copying=(0.49, 1.0)), "Mostly copied from recordings."),
-        (of(copying=(0.79, 1.0)), "Partly copied from recordings."),
+        (of(hand_q90=(2.0, 1.0)), "gestures at twice"),
+        (of(calm_lively_r=0.39), "at other times"),
+        (of(sync=(0.1, 0.1)), "^In time"),
+        (of(sync=(0.69, 1.0)), "Loosely in time"),
+        (of(sync=(0.29, 1.0)), "Not in time"),
+        (of(copying=(0.49, 1.0)), "Mostly copied"),
+        (of(copying=(0.79, 1.0)), "Partly copied"),
         (of(copying=(0.8, 1.0)), ""),
-        (of(copying=(0.79, 1.0), reach=(0.8, 1.0)),
-         "The speaker's reach, partly copied from recordings."),
-        (of(copying_low=(0.59, 1.0), copying=(0.8, 1.0)), "Occasionally copied from recordings."),
+        (of(copying=(0.79, 1.0), reach=(0.8, 1.0)), "^The .*reach.* partly copied"),
+        (of(copying_low=(0.59, 1.0), copying=(0.8, 1.0)), "Occasionally copied"),
     ],
 )  # fmt: skip
 def test_the_verdict_goes_by_named_thresholds(metrics, said):
-    assert verdict(metrics) == said
+    assert re.search(said or "^$", verdict(metrics))

@@ -51,8 +51,8 @@ def test_clips_without_a_recording_are_excluded_with_a_reason(touch):
     found = find_pairs(touch("made", "b.npz", "speach.npz", "speech.npz"), recordings)
     assert [pair.name for pair in found.pairs] == ["speech"]
     reasons = {item.name: item.reason for item in found.excluded}
-    assert reasons["b"] == "several recordings fit it: anna/b, ben/b"
-    assert "did you mean speech?" in reasons["speach"]
+    assert reasons["b"].endswith(": anna/b, ben/b")
+    assert "speech?" in reasons["speach"]
 
 
 def test_one_file_is_the_reference_of_everything(touch):
@@ -71,15 +71,15 @@ def test_sound_and_semantic_tracks_come_along(touch):
 
 def test_wrong_folders_are_errors_that_name_what_was_found(touch, tmp_path):
     made, recordings = touch("made", "a.npz"), touch("recordings", "b.bvh")
-    with pytest.raises(CorpusError, match=r"of 1 clip \(a\) none has a recording .*\(b\)"):
+    with pytest.raises(CorpusError, match=r"1 clip \(a\) .*\(b\)"):
         find_pairs(made, recordings)
-    with pytest.raises(CorpusError, match=r"none of its sounds \(z\) has the name"):
+    with pytest.raises(CorpusError, match=r"sounds \(z\)"):
         find_pairs(touch("again", "b.npz"), recordings, audio=touch("wav", "z.wav"))
-    with pytest.raises(CorpusError, match=r"no motion files \(\.npz, \.bvh, \.glb"):
+    with pytest.raises(CorpusError, match=r"files \(\.npz, \.bvh, \.glb"):
         find_pairs(touch("sounds", "a.wav"), recordings)
-    with pytest.raises(CorpusError, match="no such file or folder"):
+    with pytest.raises(CorpusError, match="no such file"):
         find_pairs(tmp_path / "absent", recordings)
-    with pytest.raises(CorpusError, match="no motion file; expected"):
+    with pytest.raises(CorpusError, match="no motion file;"):
         find_pairs(touch("sounds", "a.wav") / "a.wav", recordings)
 
 
@@ -113,19 +113,18 @@ def test_clips_of_other_items_of_a_manifest_are_set_aside_and_missing_ones_named
     ]
     assert [p.audio and p.audio.name for p in found.pairs] == ["a", "a", None]
     assert [(e.name, e.what) for e in found.excluded] == [("x", "clip"), ("c", "clip")]
-    assert found.excluded[0].reason == "no recording of its name"
-    assert found.excluded[1].reason == f"{made} has no clip of it"
-    path = tmp_path / "corpus.jsonl"
-    assert found.notes == [
-        f"1 clip whose items have no motion in {path}, not measured: quiet",
-        f"4 clips of split train in {path}, not measured: t0, t1, t2 and 1 more",
-    ]
-    with pytest.raises(CorpusError, match="nothing to measure: 1 clip whose items have no motion"):
+    assert "no recording" in found.excluded[0].reason
+    assert f"{made} has no clip" in found.excluded[1].reason
+    quiet, train = found.notes
+    assert quiet.startswith("1 clip ") and f" {tmp_path / 'corpus.jsonl'}, " in quiet
+    assert quiet.endswith(": quiet") and train.endswith(": t0, t1, t2 and 1 more")
+    assert train.startswith("4 clips of split train ")
+    with pytest.raises(CorpusError, match="nothing to measure: 1 clip"):
         find_pairs(touch("train", "t0.npz", "quiet.npz"), reference)
-    with pytest.raises(CorpusError, match=r"of 2 clips \(t0, z\) none has a recording"):
+    with pytest.raises(CorpusError, match=r"2 clips \(t0, z\)"):
         find_pairs(touch("other", "t0.npz", "z.npz"), reference)
     none = manifest(tmp_path, Item(id="q", audio=sound, motion=None, duration=2.0, split="test"))
-    with pytest.raises(CorpusError, match="no item has motion to compare with"):
+    with pytest.raises(CorpusError, match="no item has motion"):
         find_pairs(made, none)
 
 
@@ -135,12 +134,12 @@ def test_names_of_parts_of_recordings_are_advised_to_give_the_corpus(touch, tmp_
         made = touch(name, f"{name}.npz")
         with pytest.raises(CorpusError) as refused:
             find_pairs(made, recordings)
-        assert ("are items of a manifest: --corpus" in str(refused.value)) == advised
+        assert ("--corpus" in str(refused.value)) == advised
     reference = Items.of_folder(recordings, {})
     assert str(reference) == str(recordings) and not reference.training
     (pair,) = find_pairs(touch("made", "a.npz"), reference).pairs
     assert (pair.take, pair.speaker, pair.audio) == ("a", None, None)
-    with pytest.raises(CorpusError, match="no sound goes with it"):
+    with pytest.raises(CorpusError, match="no sound"):
         pair.reference.item.load_wave()
 
 
@@ -154,4 +153,4 @@ def test_the_sound_of_a_recording_is_one_file_or_that_of_its_name(touch):
     one = find_pairs(made, recordings, audio=sounds / "b.wav", semantic=touch("t", "b.txt"))
     assert [pair.audio.name for pair in one.pairs] == ["b.wav", "b.wav"]
     assert [(e.name, e.what) for e in one.excluded] == [("p/a", "srgr")]
-    assert "no semantic track, or several, of its name" in one.excluded[0].reason
+    assert "no semantic track" in one.excluded[0].reason

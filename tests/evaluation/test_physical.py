@@ -56,11 +56,11 @@ def test_jerk_of_a_cubic_path_is_its_third_derivative(turning):
 
 def test_nothing_to_compare_with_and_too_few_frames_are_errors(turning):
     still, moving = turning({"LeftArm": np.zeros(20)}), turning({"LeftArm": np.ones(20)})
-    with pytest.raises(MotionError, match="arm speed is zero"):
+    with pytest.raises(MotionError, match="arm speed .*zero"):
         arm_speed_ratio(moving, still)
     with pytest.raises(MotionError, match="resample"):
         jerk_ratio(moving, turning({"LeftArm": np.ones(20)}, 30.0))
-    with pytest.raises(MotionError, match="has 3 frames; at least 4"):
+    with pytest.raises(MotionError, match="3 frames; .* 4"):
         jerk(turning({"LeftArm": np.ones(3)}))
 
 
@@ -118,7 +118,7 @@ def test_penetration_is_the_depth_below_the_standing_height(standing):
 
 def test_feet_need_legs(standing):
     for measure in (foot_skate, floor_penetration, standing_heights):
-        with pytest.raises(MotionError, match="the rig has no legs"):
+        with pytest.raises(MotionError, match="no legs"):
             measure(without_joints(standing, "Leg", "Foot"))
 
 
@@ -210,5 +210,5 @@ def test_low_passed_paths_are_in_time_and_lose_what_is_faster():
         sos = signal.butter(4, 3.0, fs=fps, output="sos")
         exact = signal.sosfiltfilt(sos, whole, padtype=None)[pad:-pad]
         assert low_passed(bend, fps, 3.0) == pytest.approx(exact, abs=1e-9)
-    with pytest.raises(MotionError, match="between 0 and 25 Hz"):
+    with pytest.raises(MotionError, match="0 and 25 Hz"):
         low_passed(slow, 50.0, 25.0)

@@ -65,10 +65,10 @@ def test_all_of_a_result_is_in_its_json_and_comes_back(tmp_path):
     values = json.loads(text)
     (saved,) = values.pop("models")
     assert set(values.pop("definitions")) == {"sync", "reach"}
+    assert "1 take (1 clip, 1 s) at 25 fps" in values.pop("basis")
     assert values == {
         "format": 1, "reference": "r", "fps": 25.0, "protocol": "", "versions": {"numpy": "1"},
-        "basis": "Computed over 1 take (1 clip, 1 s) at 25 fps.", "agreement": None,
-        "settings": {"variants": {}, "seed": 0},
+        "agreement": None, "settings": {"variants": {}, "seed": 0},
     }  # fmt: skip
     figures = saved.pop("figures")
     assert figures["sync"] == {
@@ -91,7 +91,7 @@ def test_all_of_a_result_is_in_its_json_and_comes_back(tmp_path):
 
 
 def test_options_out_of_range_are_refused():
-    with pytest.raises(EvaluationError, match="'x'; expected one of multires, lda"):
+    with pytest.raises(EvaluationError, match="'x'.* multires, lda"):
         EvaluationOptions(protocol="x")
     with pytest.raises(EvaluationError, match="seed is -1"):
         EvaluationOptions(seed=-1)

@@ -55,9 +55,9 @@ def test_cca_refuses_other_lengths_and_motion_that_does_not_move():
     moving = np.random.default_rng(0).normal(size=(9, 2))
     with pytest.raises(MotionError, match="9 and 8 frames"):
         cca(moving, moving[:8])
-    with pytest.raises(MotionError, match="the generated motion does not move"):
+    with pytest.raises(MotionError, match="generated .*not move"):
         cca(np.ones((9, 2)), moving)
-    with pytest.raises(MotionError, match="at least 3 frames; there are 2"):
+    with pytest.raises(MotionError, match="3 frames; .* 2"):
         cca(moving[:2], moving[:2])
 
 
@@ -72,9 +72,9 @@ def test_srgr_by_hand():
     assert srgr(generated, reference, semantic) == pytest.approx(0.625 / 0.165)
     # By the L1 distance of 2022 the last one, 0.14, is a miss: mean of (0.5, 0, 1, 0).
     assert srgr(generated, reference, semantic, variant="beat") == pytest.approx(0.375 / 0.165)
-    with pytest.raises(MotionError, match="same frames and joints"):
+    with pytest.raises(MotionError, match="frames and joints"):
         srgr(generated[:1], reference, semantic)
-    with pytest.raises(MotionError, match="expected beat or emage"):
+    with pytest.raises(MotionError, match="beat or emage"):
         srgr(generated, reference, semantic, variant="pck")
 
 
@@ -93,7 +93,7 @@ def test_semantic_tracks_are_read_from_beats_tables(tmp_path):
     values = read_semantic(table).to_rate(10.0, 25).values[:, 0]
     assert values[[0, 5, 7, 12, 15, 17, 24]] == pytest.approx([0, 0.1, 0.1, 0, 0.9, 0.9, 0])
     table.write_text("01_beat_align\t0.5\t1.0\n")
-    with pytest.raises(FormatError, match=r"a\.txt: line 1: .*expected name, start, end"):
+    with pytest.raises(FormatError, match=r"a\.txt: line 1: .*name, start, end"):
         read_semantic(table)
     table.write_text("")
     with pytest.raises(FormatError, match="no line"):

@@ -127,7 +127,7 @@ def test_the_published_variant_places_beats_at_the_first_frame_of_the_slowest_st
     motion = pulsing(first=30.5 / 60)
     assert motion_beats(motion, variant="bailando")[:2] == pytest.approx([30 / 60, 90 / 60])
     assert motion_beats(motion)[:2] == pytest.approx([30.5 / 60, 90.5 / 60], abs=1e-4)
-    with pytest.raises(MotionError, match="'frames'; expected seconds or bailando"):
+    with pytest.raises(MotionError, match="'frames'.* seconds or bailando"):
         motion_beats(motion, variant="frames")
 
 
@@ -152,7 +152,7 @@ def test_beat_consistency_by_hand(pulsing):
     found = beat_consistency(pulsing(), np.array([0.5, 1.8]))
     assert found.score == pytest.approx(0.80327, abs=2e-3)
     # Standing still at its slowest it is at rest there, which is not a beat.
-    assert beat_consistency(pulsing(depth=1.0), np.array([0.5])).note == "the motion has no beats"
+    assert "no beats" in beat_consistency(pulsing(depth=1.0), np.array([0.5])).note
     # Against a mean speed of 6 m/s, 0.5 m/s is rest too.
     many = np.full(12, 6.0)
     names = pulsing().skeleton.names[:12]
@@ -270,7 +270,7 @@ def test_sync_needs_three_frames_beyond_the_lag_and_shifts_of_more_than_a_second
     def found(n: int, **more):
         return sync(turning({ELBOW: 4.0 * loudness[:n]}), wave, **more)
 
-    with pytest.raises(MotionError, match="there are 7 frames at 25 fps"):
+    with pytest.raises(MotionError, match="7 frames at 25 fps"):
         found(7, max_lag=0.2)
     # Of 52 frames one shift, 26, is more than 25 either way; of 53 two are.
     assert "too short (2.0 s)" in found(51).note and found(52).note == ""

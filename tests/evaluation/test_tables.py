@@ -97,22 +97,15 @@ def test_all_metrics_of_all_models_are_beside_those_of_the_recordings(evaluation
     contests = {"sync": Contest("sync", 0.7, {}, "reference", best="a&b")}
     text = tables.metrics(evaluation, contests)
     found = {row[0].split("|")[0]: row[1:] for row in rows_of(text)}
-    assert found["Sync"] == [
-        "",
-        "0.50|0.40 … 0.60; 6 takes, 7 clips|chance 0.10|with other recordings 0.25|6 of 7 clips",
-        "–|not measured",
-        "0.70|0.65 … 0.75",
-    ]
-    assert found["Arm speed, rad/s"][1:] == [
-        "1\u202f234|no interval; 6 takes, 6 clips", "–|not measured", "1\u202f000"
-    ]  # fmt: skip
-    assert found["Coverage, %"] == [
-        "↑", "50.0|not informative here|no interval; 6 takes, 6 clips", "–|not measured", "75.0"
-    ]  # fmt: skip
-    assert found["Jerk, m/s³"][1:] == [
-        "–|not measured", "0.02|no interval; 6 takes, 6 clips", "12.3"
-    ]  # fmt: skip
-    assert text.count("<span class=best>") == 1 and "<span class=best>0.50</span>" in text
+    sync = "0.50.*0.40 … 0.60.* 6 takes, 7 clips.*chance 0.10.* 0.25.*6 of 7 clips"
+    for name, *facts in (
+        ("Sync", "^$", sync, "not measured", "0.70.*0.65 … 0.75"),
+        ("Arm speed, rad/s", "", "1\u202f234.* 6 takes, 6 clips", "not measured", "^1\u202f000$"),
+        ("Coverage, %", "↑", "50.0.*not informative.* 6 takes, 6 clips", "not measured", "75.0"),
+        ("Jerk, m/s³", "", "not measured", "0.02.* 6 takes, 6 clips", "12.3"),
+    ):
+        assert all(map(re.search, facts, found[name])), name
+    assert re.findall("class=best>([^<]*)<", text) == ["0.50"]
     heads = re.search(r"<th>Measure</th>.*?</tr>", text, re.DOTALL)[0]
     assert "a&amp;b (retargeted)" in heads and heads.index("a&amp;b") < heads.index(">b<")
     # Groups of the papers' tables are open.
@@ -127,17 +120,15 @@ def test_what_is_left_out_is_named(evaluation):
         ["r0", "a&b", "foot_skate", "no feet"],
         ["r1", "a&b", "foot_skate", "no feet"],
     ]
-    assert [line for line in note_lines(evaluation) if line[0] != "W"] == [
-        "Note: a&b: samples",
-        "Left out: a&b: x: clip: no recording of its name",
-        "Left out: a&b: r0, r1: foot_skate: no feet",
-    ]
+    lines = [line for line in note_lines(evaluation) if line[0] != "W"]
+    ends = ("samples", "x: clip: no recording of its name", "r0, r1: foot_skate: no feet")
+    assert [line.partition("a&b: ")[2] for line in lines] == [*ends]
     assert not evaluation.is_complete
     shown = summary_line(evaluation, Path("x.html"))
-    assert shown == "3 clips measured, 1 left out; all of it in x.html"
-    assert summary_line(evaluation, None).endswith("--out report.html shows each")
+    assert re.search("3 clips .*1 left out.* x.html", shown)
+    assert "--out report.html" in summary_line(evaluation, None)
     evaluation.models[0].excluded.clear()
-    assert "Nothing: every metric" in tables.excluded(evaluation) and evaluation.is_complete
+    assert "Nothing: " in tables.excluded(evaluation) and evaluation.is_complete
 
 
 @pytest.fixture
@@ -169,21 +160,18 @@ def test_the_bold_value_is_marked_in_every_form(contested, tmp_path):
     head = lines[0]
     at = len(head[: head.index("recording")].encode("utf-16-le")) // 2 + 1
     assert reach[at : at + 4] == "0.50"
-    assert lines[-1] == (
-        "No interval, and never bold: Jerk: one value of the whole set of clips, from too few "
-        "takes, or at the bound of its range."
-    )
+    assert re.search("No interval.*: Jerk: ", lines[-1])
     rows = list(csv.DictReader(io.StringIO(WRITERS["csv"](contested))))
     found = {(r["model"], r["key"]): (r["best"], r["p"], r["chance"]) for r in rows}
     assert found["語 50%", "reach"] == ("True", str(row.p), "")
     assert found["b|c_d", "reach"][0] == "False" and found["b|c_d", "jerk"][1:] == ("", "1.0")
     markdown = WRITERS["markdown"](contested).splitlines()
-    assert markdown[0] == r"| Metric |  | b\|c\_d | 語 50% | Recording | Chance |"
+    assert r" b\|c\_d | 語 50% |" in markdown[0]
     (reach,) = (line for line in markdown if line.startswith("| Reach, m |"))
-    assert reach == "| Reach, m |  | 0.21 [0.20, 0.22] | **0.41 [0.40, 0.42]** | 0.50 |  |"
+    assert "| 0.21 [0.20, 0.22] | **0.41 [0.40, 0.42]** | 0.50 |" in reach
     latex = WRITERS["latex"](contested)
-    assert r"Metric &  & b|c\_d & 語 50\% & Recording & Chance \\" in latex
-    assert r"Reach, m &  & 0.21 [0.20, 0.22] & \textbf{0.41 [0.40, 0.42]} & 0.50 &  \\" in latex
-    assert latex.startswith(r"% Computed over 6 takes (6 clips, 30 s) at 25 fps. Mean")
+    assert r" & b|c\_d & 語 50\% & " in latex
+    assert r" & 0.21 [0.20, 0.22] & \textbf{0.41 [0.40, 0.42]} & 0.50 & " in latex
+    assert latex.startswith("% ") and "6 takes (6 clips, 30 s) at 25 fps" in latex
     write_table(contested, tmp_path / "x.md", "markdown")
     assert (tmp_path / "x.md").read_text(encoding="utf-8") == WRITERS["markdown"](contested)

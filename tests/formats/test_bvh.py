@@ -69,13 +69,13 @@ def test_variants_of_other_writers_are_read(write, change):
     [
         ("HIERARCHY", "WAVE", 1, "HIERARCHY"),
         ("Frames: 3", "Frames: -3", 17, "-3"),
-        (SMALL[SMALL.index("0 90 0 0 0") :], "", 18, "declares 3 frames and holds none"),
-        ("12 22 32\n", "12 22 32\n5 5\n", 22, "frame 4 of 3 has 2 values"),
-        ("5 11 21", "5 11,5, 21", 20, "'11.5,' is not a number"),
-        ("5 11 21", "5 nan 21", 20, "is nan; expected a finite number up to 1e+09; fill"),
-        ("11 21 31\n", "11 21\n31 ", 20, "has 8 values"),
+        (SMALL[SMALL.index("0 90 0 0 0") :], "", 18, "3 frames .*none"),
+        ("12 22 32\n", "12 22 32\n5 5\n", 22, "frame 4 of 3 .* 2 "),
+        ("5 11 21", "5 11,5, 21", 20, "'11.5,'"),
+        ("5 11 21", "5 nan 21", 20, r"nan; .* 1e\+09"),
+        ("11 21 31\n", "11 21\n31 ", 20, "8 values"),
         ("OFFSET 0 50 0", "OFFSET 0 50", 8, "three numbers"),
-        ("CHANNELS 3", "CHANNELS 4", 9, "'4' for 3 names"),
+        ("CHANNELS 3", "CHANNELS 4", 9, "'4' .*3 names"),
         ("CHANNELS 3", "CHANNELS", 9, "'Zrotation' for 2 names"),
         ("CHANNELS 3 Zrotation Xrotation Yrotation", "CHANNELS", 9, "'' for 0 names"),
         ("3 Zrotation Xrotation", "3 Zrotation Zrotation", 9, "twice"),
@@ -86,10 +86,8 @@ def test_variants_of_other_writers_are_read(write, change):
 def test_broken_files_are_named_with_their_line(write, old, new, line, says):
     assert old in SMALL
     path = write(SMALL.replace(old, new))
-    with pytest.raises(FormatError) as caught:
+    with pytest.raises(FormatError, match=f"{path}:{line}: .*{says}"):
         read_bvh(path)
-    assert f"{path}:{line}: " in str(caught.value)
-    assert says in str(caught.value)
 
 
 @pytest.mark.parametrize("value", ["0", "x", "", "100000.5"])
@@ -106,7 +104,7 @@ def test_a_file_that_is_cut_later_keeps_its_whole_frames(write):
     last_value = SMALL.rindex("32")  # a cut within the last number cannot be seen
     for cut in range(SMALL.index("1 91 0"), last_value):
         kept = SMALL[:cut].count("\n", SMALL.index("0 90 0 0"))
-        with pytest.warns(UserWarning, match=f"declares 3 frames and holds {kept}.*cut short"):
+        with pytest.warns(UserWarning, match=f"3 frames .*holds {kept}.*cut"):
             motion = read_bvh(write(SMALL[:cut]))
         np.testing.assert_array_equal(motion.rotations, whole.rotations[:kept])
 
@@ -114,10 +112,10 @@ def test_a_file_that_is_cut_later_keeps_its_whole_frames(write):
 @pytest.mark.parametrize(
     ("old", "new", "kept", "says"),
     [
-        ("Frames: 3", "Frames: 99999999999999", 3, "declares 99999999999999 frames and holds 3: "),
-        ("Frames: 3", "Frames: 2", 3, "declares 2 frames; all 3 that it holds are read"),
-        ("Frames: 3", "Frames: 0", 3, "declares 0 frames; all 3 that it holds are read"),
-        ("12 22 32\n", "12 22\n\n \n", 2, "holds 2, and its last line is incomplete: it was"),
+        ("Frames: 3", "Frames: 99999999999999", 3, "99999999999999 frames .* 3: "),
+        ("Frames: 3", "Frames: 2", 3, "2 frames; all 3 "),
+        ("Frames: 3", "Frames: 0", 3, " 0 frames; all 3 "),
+        ("12 22 32\n", "12 22\n\n \n", 2, "holds 2, .*last line"),
     ],
 )
 def test_the_frames_of_a_file_count_more_than_their_number(write, old, new, kept, says):
@@ -130,9 +128,9 @@ def test_decimal_commas_are_read_as_points(write):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         expected = read_bvh(write(points))
-    with pytest.warns(UserWarning, match="clip.bvh: its decimal commas are read as points"):
+    with pytest.warns(UserWarning, match="clip.bvh: .*commas"):
         read_bvh(write(SMALL.replace("5 11 21", "5,25 11 21")))
-    with pytest.warns(UserWarning, match="clip.bvh: its decimal commas are read as points"):
+    with pytest.warns(UserWarning, match="clip.bvh: .*commas"):
         motion = read_bvh(write(points.replace(".", ",")))
     assert motion.fps == expected.fps == 30
     np.testing.assert_array_equal(motion.rotations, expected.rotations)
@@ -144,9 +142,9 @@ def test_files_that_are_not_bvh_are_refused(write, tmp_path):
         read_bvh(write(bytes(range(256)) * 50))
     with pytest.raises(FormatError, match="over 1048576"):
         read_bvh(write(b"x" * (1 << 22)))
-    with pytest.raises(FormatError, match="clip.bvh:20: a line of over 1048576"):
+    with pytest.raises(FormatError, match="clip.bvh:20: .* 1048576"):
         read_bvh(write(SMALL.replace("21 31", "1 " * (1 << 21))))
-    with pytest.raises(FormatError, match="clip.bvh:20: '#' is not a number"):
+    with pytest.raises(FormatError, match="clip.bvh:20: .*'#'"):
         read_bvh(write(SMALL.replace("21 31", "21 31 # x")))
     with pytest.raises(FormatError, match="No such file"):
         read_bvh(tmp_path / "absent.bvh")
@@ -220,7 +218,7 @@ def test_unit_and_axes_can_be_set(write):
         read_bvh(path, unit="foot")
     with pytest.raises(FormatError, match="'w'"):
         read_bvh(path, up="w")
-    with pytest.raises(FormatError, match="'-y' along the up axis 'y'"):
+    with pytest.raises(FormatError, match="'-y' .*'y'"):
         read_bvh(path, up="y", forward="-y")
 
 
@@ -229,7 +227,7 @@ def test_a_name_that_would_break_the_file_is_refused(write, tmp_path):
     bad = replace(motion, skeleton=replace(motion.skeleton, names=("Hips", "a } b"), end_sites={}))
     with pytest.raises(FormatError, match="a } b"):
         write_bvh(bad, tmp_path / "out.bvh")
-    with pytest.raises(FormatError, match="unit 'furlong'; expected "):
+    with pytest.raises(FormatError, match="'furlong'; "):
         write_bvh(motion, tmp_path / "out.bvh", unit="furlong")
     assert not (tmp_path / "out.bvh").exists()
 

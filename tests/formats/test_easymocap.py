@@ -84,11 +84,11 @@ def test_the_body_model_places_the_pelvis(tmp_path, capsule_body):
 def test_one_of_several_people(tmp_path):
     people = [recorded(3, seed=1), recorded(5, seed=2)]
     folder = write(tmp_path, people, missing={(3, 0), (3, 1)})
-    with pytest.warns(UserWarning, match=r"3 \(38 frames\), 5 \(40 frames\); 5 is read"):
+    with pytest.warns(UserWarning, match=r"3 \(38 frames\), 5 \(40 frames\); 5 "):
         assert read_easymocap(folder).info["person"] == 5
     third = read_easymocap(folder, person=3)
     assert (third.n_frames, third.info["first_frame"]) == (38, 2)
-    with pytest.raises(FormatError, match="no person 4; it has 3"):
+    with pytest.raises(FormatError, match="person 4; .* 3"):
         read_easymocap(folder, person=4)
 
 
@@ -102,7 +102,7 @@ def test_short_gaps_are_filled_and_long_ones_refused(tmp_path):
     assert (motion.n_frames, motion.info["filled_frames"]) == (FRAMES, 6)
     np.testing.assert_allclose(motion.rotations[15:20], whole.rotations[15:20])
     assert np.linalg.norm(motion.positions() - whole.positions(), axis=-1).max() < 0.02
-    with pytest.raises(FormatError, match=r"frames 10 to 14 are missing, 0.17 s.*max_gap"):
+    with pytest.raises(FormatError, match="10 to 14 .*0.17 s.*max_gap"):
         read_easymocap(folder, max_gap=0.1)
 
 
@@ -122,12 +122,12 @@ def test_poses_of_every_length(tmp_path, width, n_joints):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "not a readable JSON"),
-        ("[" * 100_000, "not a readable JSON"),
-        ('{"reference": 1, "models": 2, "definitions": 3}', "that gesturekit evaluate wrote"),
+        ("", "JSON"),
+        ("[" * 100_000, "JSON"),
+        ('{"reference": 1, "models": 2, "definitions": 3}', "gesturekit evaluate"),
         ('[{"id": 0}]', "no 'Rh'"),
         ('[{"id": 0, "Rh": [[0, 0]]}]', "2 numbers; expected 3"),
-        ('[{"id": 0, "Rh": {"a": 1}}]', "not a table of numbers"),
+        ('[{"id": 0, "Rh": {"a": 1}}]', "not a table"),
         ('[{"id": 0, "Rh": [0, 0, NaN]}]', "finite"),
         ('[{"id":0, "Rh":[0,0,0], "Th":[0,0,0], "poses":[1,2]}]', "2 numbers; expected 66"),
     ],

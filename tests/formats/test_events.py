@@ -19,20 +19,19 @@ def test_events_come_in_order_of_time_whatever_the_order_of_rows_and_columns(tmp
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (b"", "empty; a table begins with the line time,name"),
-        (b"time,nome\n1,a\n", "line 1: column 'nome'; did you mean name?"),
-        (b"time,name\n1,a\nsoon,b\n", "line 3: time is 'soon'"),
-        (b"time,name\nnan,a\n", "line 2: time is 'nan'"),
-        (b"time,name,duration\n1,a,-2\n", "line 2: duration is '-2'"),
-        (b'time,name\n1,"a\n', "not a CSV table"),
-        (b"time,name\n" + b"".join(b"1,e%d\n" % i for i in range(1002)), "1000 different names"),
-        (b"time,name\n" + b"0,a\n" * (1 << 21) + b"0,a\n", "over 8 MB"),
+        (b"", "empty; .* time,name"),
+        (b"time,nome\n1,a\n", "line 1: .*'nome'.* name"),
+        (b"time,name\n1,a\nsoon,b\n", "line 3: time .*'soon'"),
+        (b"time,name\nnan,a\n", "line 2: time .*'nan'"),
+        (b"time,name,duration\n1,a,-2\n", "line 2: duration .*'-2'"),
+        (b'time,name\n1,"a\n', "not a CSV"),
+        (b"time,name\n" + b"".join(b"1,e%d\n" % i for i in range(1002)), " 1000 "),
+        (b"time,name\n" + b"0,a\n" * (1 << 21) + b"0,a\n", "8 MB"),
     ],
 )
 def test_an_invalid_table_of_events_is_one_clear_error(tmp_path, text, says):
     file = tmp_path / "bad.csv"
     file.write_bytes(text)
-    with pytest.raises(FormatError) as caught:
+    with pytest.raises(FormatError, match=f"{file}.*{says}") as caught:
         load_events(file)
-    assert says in str(caught.value) and str(file) in str(caught.value)
     assert "\n" not in str(caught.value)

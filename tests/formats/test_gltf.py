@@ -167,7 +167,7 @@ def test_the_longest_animation_is_read_or_that_which_is_named(tmp_path):
         {"sampler": 1, "target": {"node": 1, "path": "rotation"}}
     )
     path = file.save(tmp_path / "a.glb")
-    with pytest.warns(UserWarning, match=r"\(idle, wave, 3\).*read, wave; --animation NAME"):
+    with pytest.warns(UserWarning, match=r"\(idle, wave, 3\).* wave; --animation NAME"):
         assert Motion.load(path).info["animation"] == "wave"
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -177,7 +177,7 @@ def test_the_longest_animation_is_read_or_that_which_is_named(tmp_path):
         only = Motion.load(file.save(tmp_path / "b.glb"))
         assert (only.info["animation"], only.n_frames) == ("wave", 3 * 24 + 1)
     for name in ("run", "0", "4"):
-        with pytest.raises(FormatError, match=f"no animation '{name}'; it has idle, wave, 3"):
+        with pytest.raises(FormatError, match=f"'{name}'; .* idle, wave, 3"):
             Motion.load(path, animation=name)
 
 
@@ -234,7 +234,7 @@ def test_compressed_files_are_refused_by_name(tmp_path):
         warnings.simplefilter("error")
         Motion.load(file.save(tmp_path / "b.glb"))
     file.json["extensionsRequired"] = ["KHR_xmp"]
-    with pytest.warns(UserWarning, match="'KHR_xmp', which is left out"):
+    with pytest.warns(UserWarning, match="'KHR_xmp'"):
         Motion.load(file.save(tmp_path / "c.glb"))
 
 
@@ -272,20 +272,17 @@ def repeat(file: GltfFile, accessor: dict) -> None:
 FIRST = ("accessors", 0)
 HOSTILE = {
     # Its 100 796 bytes count as 12 599 more joints times frames than 800 000.
-    "frames": (changed("uri", None), "frames; at most 406299 are read"),
-    "nothing": (
-        change_all(changed("skins", []), changed("animations", [])),
-        "no skeleton in it: neither a skin nor an animated node",
-    ),
+    "frames": (changed("uri", None), "frames; .* 406299 "),
+    "nothing": (change_all(changed("skins", []), changed("animations", [])), "no skeleton"),
     "no such view": (changed("bufferView", 10**9, *FIRST), "index into bufferViews"),
     "count": (changed("count", 10**12, *FIRST), "count of"),
-    "zeros often": (have_zeros_often, "rotation would take more memory or time than a file of"),
-    "same bytes": (read_the_same_bytes_often, "uses the same data many times"),
+    "zeros often": (have_zeros_often, "rotation .*more memory"),
+    "same bytes": (read_the_same_bytes_often, "same data"),
     "sparse count": (changed("sparse", sparse(10**9), *FIRST), "count of indices"),
     "cycle": (changed("children", [0], "nodes", 1), "no tree"),
     "far away": (
         change_all(*(changed("translation", [9e5, 0, 0], "nodes", k) for k in (0, 1))),
-        "places of its nodes are beyond 1e",
+        "nodes .*beyond 1e",
     ),
     "not json": (changed("nodes", [3]), "not an object"),
 }
@@ -306,7 +303,7 @@ def test_hostile_files_are_refused_by_name(tmp_path, case):
 
 def test_deep_trees_are_counted_not_recursed_into(tmp_path):
     nodes = [{"children": [k + 1]} for k in range(15_000)] + [{}]
-    with pytest.raises(FormatError, match="over 1000 nodes above one another"):
+    with pytest.raises(FormatError, match="1000 nodes"):
         Motion.load(GltfFile(nodes, [[0]]).save(tmp_path / "a.glb"))
 
 
@@ -314,7 +311,7 @@ def test_deep_trees_are_counted_not_recursed_into(tmp_path):
 def test_a_pipe_beside_the_file_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "a.bin")
     (tmp_path / "a.gltf").write_bytes(arm().gltf("a.bin"))
-    with pytest.raises(FormatError, match="not a regular file"):
+    with pytest.raises(FormatError, match="regular"):
         Motion.load(tmp_path / "a.gltf")
 
 
@@ -330,9 +327,9 @@ def head(size: int = 0, version: int = 2, kind: int = 0x4E4F534A, n_json: int | 
     ("content", "says"),
     [
         (head()[:19], "no binary glTF"),
-        (head(version=1), "glTF version 1; expected 2"),
-        (head(size=65), "cut short: 64 of 65 bytes"),
-        (head() + struct.pack("<2I", 5, 0x004E4942) + b"1234", "cut short: 4 of 5 bytes of arrays"),
+        (head(version=1), "version 1; .* 2"),
+        (head(size=65), "64 of 65 bytes"),
+        (head() + struct.pack("<2I", 5, 0x004E4942) + b"1234", "4 of 5 bytes"),
     ],
 )
 def test_damaged_heads_of_binary_files_are_refused(tmp_path, content, says):

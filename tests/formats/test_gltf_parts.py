@@ -62,7 +62,7 @@ def test_a_file_of_over_256_mebibytes_is_not_opened(tmp_path):
     with (tmp_path / "a.glb").open("wb") as file:
         file.write(b"glTF")
         file.truncate((256 << 20) + 1)
-    with pytest.raises(FormatError, match=r"a\.glb: 256 MiB; files of up to 256 are read"):
+    with pytest.raises(FormatError, match=r"a\.glb: 256 MiB; .* 256 "):
         Gltf(tmp_path / "a.glb")
 
 
@@ -70,12 +70,12 @@ def test_a_file_of_over_256_mebibytes_is_not_opened(tmp_path):
     ("changes", "says"),
     [
         ({"type": "MAT3"}, "of type 'MAT3'"),
-        ({"type": "VEC3", "count": 1}, "has 3 numbers an element; expected 1"),
-        ({"count": -1}, "count of numbers is -1; expected 0 to 3"),
-        ({"byteOffset": 13}, "byteOffset of numbers is 13; expected 0 to 12"),
-        ({"bufferView": 99}, "index into bufferViews is 99"),
+        ({"type": "VEC3", "count": 1}, "3 numbers .* 1$"),
+        ({"count": -1}, "count .* -1; .* 0 to 3"),
+        ({"byteOffset": 13}, "byteOffset .* 13; .* 0 to 12"),
+        ({"bufferView": 99}, "bufferViews .* 99"),
         ({"sparse": {"count": 1, "indices": {"bufferView": 0, "componentType": 5126},
-                     "values": {"bufferView": 0}}}, "indices of numbers are beyond"),
+                     "values": {"bufferView": 0}}}, "indices .*beyond"),
 
     ],
 )  # fmt: skip
@@ -210,6 +210,6 @@ def test_colours_are_srgb_of_the_base_colour_times_the_texture(tmp_path):
     found = colours(path, material | {"alphaMode": "MASK"}, uv)
     np.testing.assert_allclose(found[:, 3], [0.8, 0, 0.8, 0.8], atol=1e-6)
     np.testing.assert_allclose(colours(path, material, None)[:, :3], [factor] * 3, atol=2e-4)
-    with pytest.warns(UserWarning, match=r"a\.glb: texture 0 cannot be read .*base colour"):
+    with pytest.warns(UserWarning, match=r"a\.glb: texture 0 .*base colour"):
         found = colours(path, material, uv, b"no picture")
     np.testing.assert_allclose(found[:, :3], [factor] * 4, atol=2e-4)

@@ -1,6 +1,7 @@
 """Hostile npz files: one error of ours, in little memory."""
 
 import io
+import re
 import struct
 import time
 import tracemalloc
@@ -85,7 +86,7 @@ def test_bombs_are_not_unpacked(tmp_path):
     path = pack(tmp_path / "a.npz", amass_members() | {"poses": bomb}, zipfile.ZIP_DEFLATED)
     assert path.stat().st_size < MEGABYTE
     error, peak, _ = peak_of(path)
-    assert "'poses' unpacks to 76 MiB" in error
+    assert "'poses'" in error and "76 MiB" in error
     assert peak < 10 * MEGABYTE
 
 
@@ -106,7 +107,7 @@ def test_members_within_the_limit_need_bounded_memory(tmp_path):
         ("poses", header("(" * 5000 + "\n"), "'poses' cannot be read"),
         ("poses", promise("(1,)", "|O") + b"c", "pickled"),
         ("poses", zeros((0, 72)), "'trans' has shape"),
-        ("trans", npy(np.array([2**31], "<u4").view("<U1")), "characters that do not exist"),
+        ("trans", npy(np.array([2**31], "<u4").view("<U1")), "characters"),
     ],
 )
 def test_headers_that_promise_too_much(tmp_path, key, content, says):
@@ -119,20 +120,20 @@ def test_headers_that_promise_too_much(tmp_path, key, content, says):
 @pytest.mark.parametrize(
     ("key", "content", "says"),
     [
-        ("names", zeros((100_000,), "<U8"), "100000 texts, too many"),
-        ("names", npy(np.full(24, 2**31, "<u4").view("<U1")), "characters that do not exist"),
-        ("parents", zeros((2_000_000,), "<i8"), "'parents' has shape"),
-        ("parents", npy(np.full(24, 2**62)), "'parents' holds a joint index outside -1 to 23"),
-        ("body_pelvis", npy([0.1, 0.2, np.nan]), "'body_pelvis' has shape (3,)"),
-        ("end_site_joints", npy([24]), "'end_site_joints' holds a joint index outside 0 to 23"),
+        ("names", zeros((100_000,), "<U8"), "100000 texts"),
+        ("names", npy(np.full(24, 2**31, "<u4").view("<U1")), "characters"),
+        ("parents", zeros((2_000_000,), "<i8"), "'parents' .*shape"),
+        ("parents", npy(np.full(24, 2**62)), "'parents' .* -1 to 23"),
+        ("body_pelvis", npy([0.1, 0.2, np.nan]), r"'body_pelvis' .*\(3,\)"),
+        ("end_site_joints", npy([24]), "'end_site_joints' .* 0 to 23"),
         ("rotations", npy(np.full((5, 24, 4), np.nan)), "frame 0"),
-        ("fps", npy(np.nan), "'fps': fps is nan; expected 1e-05 to 100000"),
+        ("fps", npy(np.nan), "'fps': .*nan.* 1e-05 to 100000"),
     ],
 )
 def test_native_files_that_promise_too_much(tmp_path, key, content, says):
     path = pack(tmp_path / "a.npz", native_members(tmp_path) | {key: content})
     error, _, _ = peak_of(path)
-    assert says in error
+    assert re.search(says, error)
 
 
 def test_hostile_body_models(tmp_path, capsule_body):

@@ -121,9 +121,9 @@ def test_pickled_notes_are_left_alone_and_pickled_arrays_refused(saved):
         ({"J_regressor": None}, "'J_regressor'"),
         ({"posedirs": np.full((748, 3, 207), np.nan)}, "posedirs holds"),
         ({"weights": np.zeros((748, 24))}, "sum to 1"),
-        (NOT_SPARSE, "J_regressor is not a sparse matrix"),
-        ({"v_template": np.zeros((200_001, 3))}, "v_template has shape (200001, 3)"),
-        ({"weights": np.full((748, 257), 1 / 257)}, "weights have shape (748, 257)"),
+        (NOT_SPARSE, "J_regressor is not"),
+        ({"v_template": np.zeros((200_001, 3))}, "(200001, 3)"),
+        ({"weights": np.full((748, 257), 1 / 257)}, "(748, 257)"),
         ({"weights": np.eye(24)[np.zeros(748, int)] * 2 - np.eye(24)[1]}, "negative"),
     ],
 )
@@ -141,13 +141,13 @@ def test_missing_pickled_and_other_models_are_refused(saved, body, tmp_path):
     with pytest.raises(FormatError, match="pickle"):
         BodyModel.load(tmp_path / "SMPL.pkl")
     for feet, says in (
-        ([1, 2], "2 foot vertices, not six"),
+        ([1, 2], "2 foot vertices"),
         ([0, 1, 2, 3, 4, -1], "not among 748"),
         ([0, 1, 2, 3, 4, 748], "not among 748"),
     ):
         with pytest.raises(FormatError, match=says):
             BodyModel.load(saved(), feet=feet)
-    with pytest.raises(MotionError, match="24 joints and the rig 55"):
+    with pytest.raises(MotionError, match="24 .*55"):
         body.vertices(a_motion(55))
 
 
@@ -165,7 +165,7 @@ def test_a_folder_gives_the_model_of_a_rig_and_its_gender(tmp_path, saved):
     assert chosen(24, "female") == "smpl/SMPL_FEMALE.npz"
     assert chosen(52, "male") == "smplh_male.npz"
     for n_joints, gender, file in ((24, "male", "SMPL_MALE"), (55, None, "SMPLX_NEUTRAL")):
-        with pytest.raises(FormatError, match=rf"subfolder smplx? has {file}\.npz; add that file"):
+        with pytest.raises(FormatError, match=rf"smplx? .*{file}\.npz"):
             chosen(n_joints, gender)
 
 
@@ -189,7 +189,7 @@ def test_the_mean_body_of_recordings_has_the_bones_of_the_mean_betas(body):
 
 def test_a_model_with_fewer_betas_than_the_body_warns(body):
     motion = a_motion(betas=np.ones(21))
-    with pytest.warns(UserWarning, match="a model of 20 betas for a body of 21; the others are"):
+    with pytest.warns(UserWarning, match="20 betas .* 21"):
         fitted = fit_body(motion, body)
     known = body.rig(a_motion(betas=np.ones(20)).skeleton)
     with warnings.catch_warnings():
@@ -203,9 +203,9 @@ def test_a_shape_in_a_skeleton_file_is_checked():
     values = a_motion(betas=[0.5]).skeleton.to_json()
     assert Skeleton.from_json(values).body_shape == BodyShape((0.5,))
     for shape, says in (
-        ({"gender": "man"}, "gender 'man'; expected female"),
+        ({"gender": "man"}, "'man'.* female"),
         ({"betas": [float("nan")]}, "betas of shape"),
-        ({"betas": [0.1] * 1001}, "1001 betas; a body has up to 1000"),
+        ({"betas": [0.1] * 1001}, "1001 betas.* 1000"),
         ({"pelvis": [0.0, 1.0]}, "pelvis: 2 numbers"),
         ({"weight": 80}, "weight"),
     ):

@@ -65,11 +65,11 @@ def test_what_is_known_of_kept_joints_is_kept(person):
 
 
 def test_joints_that_cannot_be_removed_are_errors(moving_person):
-    with pytest.raises(MotionError, match="keep 'Chest' too"):
+    with pytest.raises(MotionError, match="keep 'Chest'"):
         moving_person.keep(["LeftArm", "RightArm"])
     with pytest.raises(MotionError, match="keep '.*' too"):
         moving_person.keep(["LeftArm", "RightArm", "LeftFoot", "RightFoot"])
-    with pytest.raises(MotionError, match="did you mean LeftArm"):
+    with pytest.raises(MotionError, match="mean LeftArm"):
         moving_person.keep(["Leftarm"])
     with pytest.raises(MotionError, match="at least one"):
         moving_person.keep([])

@@ -47,7 +47,7 @@ def test_joints_are_those_at_and_below_the_first_that_moves():
     for wrong, says in (("bodies", "'bodies'; expected body, all"), (["head"], "did you mean")):
         with pytest.raises(MotionError, match=says):
             fitted(on_stage(), joints=wrong)
-    with pytest.raises(MotionError, match="no motion to learn"):
+    with pytest.raises(MotionError, match="no motion"):
         fitted()
 
 
@@ -113,8 +113,8 @@ def test_a_model_is_read_as_it_was_written():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"scale": 0.0}, "scale: 0 must be above 0"),
-        ({"joints": ["body", "arm", "body"]}, "joints: none, or one of them twice"),
+        ({"scale": 0.0}, "scale: 0 "),
+        ({"joints": ["body", "arm", "body"]}, "joints: .*twice"),
         ({"joints": ["leg"]}, "no joint 'leg'"),
         ({"fixed_rotations": [[0, 0, 0, 1]] * 5}, r"fixed_rotations: \(5, 4\) .*\(6, 4\)"),
         ({"fixed_rotations": [[0, 0, 0, float("nan")]] * 6}, "fixed_rotations"),

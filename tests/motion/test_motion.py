@@ -19,13 +19,10 @@ from gesturekit.motion import Motion
         ({"fps": float("nan")}, "fps"),
         ({"joint_translations": {"Hips": np.zeros((60, 3))}}, "'Hips'"),
         ({"joint_translations": {"Hip": np.zeros((60, 3))}}, "did you mean Hips"),
-        ({"joint_translations": {"Head": np.zeros((59, 3))}}, "'Head' has shape (59, 3)"),
+        ({"joint_translations": {"Head": np.zeros((59, 3))}}, "'Head' has shape (59"),
         ({"rotations": np.full((60, 19, 4), np.nan)}, "'Hips' in frame 0"),
-        (
-            {"translation": np.zeros((60, 2))},
-            "translation has shape (60, 2); 60 frames need (60, 3)",
-        ),
-        ({"translation": np.eye(60, 3, -7) * 3e38}, "over 1e+09, in frame 7: 3e+38"),
+        ({"translation": np.zeros((60, 2))}, "(60, 2); 60 frames need (60, 3)"),
+        ({"translation": np.eye(60, 3, -7) * 3e38}, "frame 7: 3e+38"),
         ({"expressions": np.zeros((59, 3))}, "expressions has shape (59, 3)"),
         ({"expressions": np.full((60, 3), np.nan)}, "expressions is not finite"),
     ],
@@ -51,7 +48,7 @@ def test_a_bad_quaternion_is_named(moving_person):
     assert replace(moving_person, rotations=rotations).rotations[7, 2].tolist() == [0, 0, 1, 0]
     for bad in (0.0, [0.0, 9e-7, 0.0, 0.0], [0, 0, np.nan, 1], [1, 0, -np.inf, 0]):
         rotations[7, 2] = bad
-        with pytest.raises(MotionError, match=r"'Chest' in frame 7 is \[.*\], not a quaternion"):
+        with pytest.raises(MotionError, match=r"'Chest' .*frame 7 .*\[.*\]"):
             replace(moving_person, rotations=rotations)
 
 
@@ -63,7 +60,7 @@ def test_frames_are_cut_like_those_of_an_array(moving_person):
         np.testing.assert_allclose(part.times, moving_person.times[frames] - part_start(frames))
     assert len(moving_person) == 60 and len(moving_person[10:40]) == 30
     for frames, shown in ((np.s_[60:], "60:"), (np.s_[5:5], "5:5"), (np.s_[:-70], ":-70")):
-        with pytest.raises(MotionError, match=rf"no frames in motion\[{shown}\]: it has 60"):
+        with pytest.raises(MotionError, match=rf"\[{shown}\].* 60"):
             moving_person[frames]
     for wrong, message in ((3, r"motion\[10:11\] is frame 10"), (np.s_[::-1], "step -1")):
         with pytest.raises(MotionError, match=message):
@@ -80,7 +77,7 @@ def test_euler_angles_are_those_of_scipy(moving_person):
     assert angles.shape == (60, moving_person.skeleton.n_joints, 3)
     expected = Rotation.from_quat(moving_person.rotations[7]).as_euler("XZY", degrees=True)
     np.testing.assert_allclose(angles[7], expected)
-    with pytest.raises(MotionError, match="'XZ'; expected one of XYZ"):
+    with pytest.raises(MotionError, match="'XZ'.* XYZ"):
         moving_person.euler("XZ")
 
 
@@ -90,7 +87,7 @@ def test_joints_by_name_and_what_to_take_in_place_of_an_array(moving_person):
     for joint in (names[0], names[-1]):
         expected = moving_person.positions()[:, names.index(joint)]
         np.testing.assert_array_equal(moving_person.positions(joint), expected)
-    with pytest.raises(MotionError, match="'Hip'; did you mean Hips"):
+    with pytest.raises(MotionError, match="'Hip'.* Hips"):
         moving_person.positions("Hip")
     for value in (moving_person, [moving_person, moving_person]):
         with pytest.raises(MotionError, match=r"motion\.positions\(\).*motion\.rotations"):
@@ -102,7 +99,7 @@ def test_trim(moving_person):
     np.testing.assert_array_equal(part.translation, moving_person.translation[15:38])
     assert moving_person.trim(1.0).n_frames == 30 and moving_person.trim(stop=0.1).n_frames == 3
     for start, stop in ((1.9, 2.1), (1.0, 1.0), (-0.5, 1.0), (1.5, 1.0), (float("nan"), None)):
-        with pytest.raises(MotionError, match=r" s of a motion of 2 s|not a range"):
+        with pytest.raises(MotionError, match="of 2 s|not a range"):
             moving_person.trim(start, stop)
 
 
@@ -114,16 +111,16 @@ def test_number_of_frames_is_exact(moving_person):
 
 def test_a_pipe_is_refused_before_it_is_read(tmp_path):
     os.mkfifo(tmp_path / "a.bvh")
-    with pytest.raises(FormatError, match=r"a\.bvh: not a regular file"):
+    with pytest.raises(FormatError, match=r"a\.bvh: not"):
         Motion.load(tmp_path / "a.bvh")
     with pytest.raises(FormatError, match=r"b\.bvh: no such file"):
         Motion.load(tmp_path / "b.bvh")
 
 
 def test_options_that_a_format_does_not_have_are_refused_by_name(moving_person, tmp_path):
-    with pytest.raises(FormatError, match=r"a\.bvh.*'audio'.*only \.html, \.mp4, \.png.*unit"):
+    with pytest.raises(FormatError, match=r"a\.bvh.*'audio'.* \.html, \.mp4, \.png.*unit"):
         moving_person.save(tmp_path / "a.bvh", audio="speech.wav")
-    with pytest.raises(FormatError, match=r"'unti'.*nor has any other format.*rig, up, fps"):
+    with pytest.raises(FormatError, match="'unti'.*any other.*rig, up, fps"):
         moving_person.save(tmp_path / "a.npz", unti="cm")
     assert not list(tmp_path.iterdir())
     moving_person.save(tmp_path / "a.npz", fps=15)

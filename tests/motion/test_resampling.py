@@ -71,11 +71,11 @@ def test_a_still_motion_and_a_rising_rate_are_left_alone(moving_person):
 @pytest.mark.parametrize("fps", [0.0, 1e-6, 1e9, float("nan"), float("inf")])
 def test_rates_that_no_motion_has(moving_person, fps):
     for change in (moving_person.resample, lambda fps: replace(moving_person, fps=fps)):
-        with pytest.raises(MotionError, match="fps is .*; expected 1e-05 to 100000"):
+        with pytest.raises(MotionError, match="fps .* 1e-05 to 100000"):
             change(fps)
 
 
 def test_more_frames_than_memory_holds_are_refused(moving_person):
     slow = replace(moving_person, fps=1e-5)
-    with pytest.raises(MotionError, match="motion's own rate, 1e-05 fps, right"):
+    with pytest.raises(MotionError, match="1e-05 fps"):
         slow.resample(30.0)

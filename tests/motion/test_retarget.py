@@ -256,7 +256,7 @@ def test_spines_are_matched_along_their_length(person, mixamo):
 def test_rigs_without_a_body_are_refused_by_the_bone(moving_person):
     rig = renamed(moving_person.skeleton, {"Hips": "Pelvis"})
     rig = with_offsets(rig, LeftForeArm=(0.0, 0.0, 0.0), RightForeArm=(0.0, 0.0, 0.0))
-    with pytest.raises(MotionError, match="the rig's left arm has no length"):
+    with pytest.raises(MotionError, match="left arm .*no length"):
         retarget(moving_person, rig)
 
 

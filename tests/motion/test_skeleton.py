@@ -11,20 +11,20 @@ from gesturekit.motion import BodyShape, Skeleton
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"names": ("a", "b", "b")}, "two joints are called 'b'"),
-        ({"parents": (-1, -1, 1)}, "second root, 'b'"),
+        ({"names": ("a", "b", "b")}, "called 'b'"),
+        ({"parents": (-1, -1, 1)}, "root, 'b'"),
         ({"parents": (0, 0, 1)}, "root"),
         ({"offsets": np.zeros((2, 3))}, "(2, 3)"),
         ({"offsets": np.full((3, 3), np.nan)}, "'a'"),
         ({"end_sites": {"z": (np.zeros(3),)}}, "'z'"),
         ({"rotation_orders": ("ZXY", "ZXY", "ZXZ")}, "'ZXZ'"),
         ({"names": ("a", "b\n", "c")}, "b\\n"),
-        ({"names": ("a", "b" * 201, "c")}, "201 characters; files hold 200 at most"),
+        ({"names": ("a", "b" * 201, "c")}, "201 characters"),
         ({"names": (), "parents": (), "offsets": np.zeros((0, 3))}, "at least one joint"),
-        ({"parents": (-1, 0)}, "3 joint names but 2 parents"),
-        ({"parents": (-1, 1, 1)}, "joint 'b' (index 1) has parent 1"),
+        ({"parents": (-1, 0)}, "2 parents"),
+        ({"parents": (-1, 1, 1)}, "'b' (index 1)"),
         ({"offsets": [[0, 0, 0], [0, 0, 0], [0, -1.001e9, 0]]}, "'c'"),
-        ({"end_sites": {"c": (np.array([0, 0, -1.001e9]),)}}, "end site of joint 'c'"),
+        ({"end_sites": {"c": (np.array([0, 0, -1.001e9]),)}}, "end site"),
     ],
 )
 def test_invalid_skeletons_are_refused(change, says):
@@ -37,7 +37,7 @@ def test_invalid_skeletons_are_refused(change, says):
 def test_unknown_joint_names_the_nearest(person):
     with pytest.raises(MotionError, match="LeftForeArm"):
         person.index("LeftForearm")
-    with pytest.raises(MotionError, match=r"did you mean LeftArm, \w+, \w+\?$"):
+    with pytest.raises(MotionError, match=r" LeftArm, \w+, \w+\?$"):
         person.index("LeftArn")
 
 
@@ -68,12 +68,12 @@ def test_json_round_trip(person):
 @pytest.mark.parametrize(
     ("broken", "says"),
     [
-        ({"format": 2}, "^skeleton format 2; this version of gesturekit reads 1$"),
-        ({"names": None}, "^the skeleton cannot be read: "),
-        ({"offsets": "x"}, "^the skeleton cannot be read: "),
-        ({"end_sites": 3}, "^the skeleton cannot be read: "),
+        ({"format": 2}, "format 2;.* 1$"),
+        ({"names": None}, "cannot be read: "),
+        ({"offsets": "x"}, "cannot be read: "),
+        ({"end_sites": 3}, "cannot be read: "),
         ({"parents": [0.5]}, "parents"),
-        ({"names": ["a"] * 19}, "^two joints are called 'a'; names must be unique$"),
+        ({"names": ["a"] * 19}, "called 'a'"),
     ],
 )
 def test_json_that_is_no_skeleton(person, broken, says):
@@ -81,9 +81,9 @@ def test_json_that_is_no_skeleton(person, broken, says):
         Skeleton.from_json(person.to_json() | broken)
     for field in ("names", "parents", "offsets"):
         values = {k: v for k, v in person.to_json().items() if k != field}
-        with pytest.raises(MotionError, match=f"^the skeleton lacks the field '{field}'$"):
+        with pytest.raises(MotionError, match=f"lacks .*'{field}'"):
             Skeleton.from_json(values)
-    with pytest.raises(MotionError, match="^a skeleton is a mapping of fields, not list$"):
+    with pytest.raises(MotionError, match="mapping .*list"):
         Skeleton.from_json([])
 
 

@@ -59,7 +59,7 @@ def test_a_rig_stands_at_rest_within_limits(rig, stands):
             np.testing.assert_array_equal(standing_pose(motion), REST)
             np.testing.assert_array_equal(standing_rig(motion.skeleton), REST)
             continue
-        with pytest.raises(MotionError, match="stands upright neither at rest nor in any frame"):
+        with pytest.raises(MotionError, match="upright .*any frame"):
             standing_pose(motion)
 
 
@@ -94,14 +94,14 @@ def test_the_most_upright_frame_counts_and_lowered_arms_a_quarter_of_a_bone(lean
 
 def test_a_body_that_lies_or_never_stands_is_no_standing_one():
     motion = seated({}, legs(46), legs(46) | LOWERED)
-    with pytest.raises(MotionError, match="stands upright neither at rest nor in any frame.*Hips"):
+    with pytest.raises(MotionError, match="upright .*any frame.*Hips"):
         standing_pose(motion)
-    parts = "Pelvis 'Hips', left knee 'LeftLeg', left elbow 'LeftForeArm'; if not, name them"
+    parts = "'Hips', left knee 'LeftLeg', left elbow 'LeftForeArm';"
     with pytest.raises(MotionError, match=parts):
         standing_pose(motion)
     bust = {name: bone for name, bone in PERSON.items() if "Leg" not in name and "Foot" not in name}
     hanging = at_rest(with_offsets(rig_of(bust), Head=(0.0, -0.9, 0.0)), 2)
-    with pytest.raises(MotionError, match="Pelvis 'Hips', left elbow 'LeftForeArm'; if not"):
+    with pytest.raises(MotionError, match="'Hips', left elbow 'LeftForeArm';"):
         standing_pose(hanging)
     standing = seated({}, legs(44), legs(60))
     np.testing.assert_array_equal(standing_pose(standing), standing.rotations[1])

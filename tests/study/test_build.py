@@ -51,33 +51,26 @@ def test_four_systems_give_the_designs_of_the_paper(styles, each, seed):
     ("text", "message"),
     [
         ("titel: x", "titel"),
-        ("systems: {a: x, b: y}", "title is missing"),
-        ("title: x\nsystems: {a: x}", "needs 2 or more"),
-        ("title: x\nsystems: {a: x, b_Mismatched: y}", "choose another name"),
-        ("title: x\nsystems: {a: x, b: 3}", "expected NAME: FOLDER"),
-        ("title: x\nsystems: {a: x, b: y}\ndesign: prefer", "'prefer' is not one of"),
+        ("systems: {a: x, b: y}", "title .*missing"),
+        ("title: x\nsystems: {a: x}", " 2 or more"),
+        ("title: x\nsystems: {a: x, b_Mismatched: y}", "another name"),
+        ("title: x\nsystems: {a: x, b: 3}", "NAME: FOLDER"),
+        ("title: x\nsystems: {a: x, b: y}\ndesign: prefer", "'prefer'"),
         ("title: x\nsystems: {a: x, b: y}\ndesign: style", "needs styles"),
-        ("title: x\nsystems: {a: x, b: y}\nanswers: [better, worse]", "five are expected"),
-        (
-            'title: x\nsystems: {a: x, b: y}\npost_url: "javascript:alert(1)"',
-            "is not a web address",
-        ),
-        (
-            'title: x\nsystems: {a: x, b: y}\npost_url: "https://h; script-src *"',
-            "not a web address",
-        ),
+        ("title: x\nsystems: {a: x, b: y}\nanswers: [better, worse]", "five"),
+        ('title: x\nsystems: {a: x, b: y}\npost_url: "javascript:alert(1)"', "web address"),
+        ('title: x\nsystems: {a: x, b: y}\npost_url: "https://h; script-src *"', "web address"),
         ("title: x\nsystems: {a: x, b: y}\npairs: 0", "at least 1"),
-        ("title: x\nsystems: {a: x, b: y}\nlists: 1001", "lists: 1001 is more than 1000"),
+        ("title: x\nsystems: {a: x, b: y}\nlists: 1001", "lists: 1001 "),
         ("title: x\nsystems: {a: x, b: y}\nattention_checks: -1", "-1 is below 0"),
-        ("title: x\nsystems: {a: x, b: y}\nstyles: {x: happy}", "has no styles"),
-        ('title: " "\nsystems: {a: x, b: y}', "title is empty"),
+        ("title: x\nsystems: {a: x, b: y}\nstyles: {x: happy}", "no styles"),
+        ('title: " "\nsystems: {a: x, b: y}', "title .*empty"),
     ],
 )
 def test_a_wrong_configuration_is_named(tmp_path, text, message):
     (tmp_path / "study.yaml").write_text(text)
-    with pytest.raises(ConfigError, match="study.yaml") as refused:
+    with pytest.raises(ConfigError, match=f"study.yaml.*{message}"):
         load_study_config(tmp_path / "study.yaml")
-    assert message in str(refused.value)
 
 
 TITLE = "</script><script>alert(1)</script>{{setup}}"
@@ -93,7 +86,7 @@ def video_study(folder: Path, clips: dict[str, list[str]], **options) -> StudyCo
 
 def test_clips_are_matched_by_path_then_by_name_and_others_are_named(tmp_path):
     config = video_study(tmp_path, {"a": ["d/x y.mp4", "d/é.mp4"], "b": ["d/x y.webm", "d/z.mp4"]})
-    with pytest.warns(UserWarning, match=r"1 clip (a|b): left out.*d/(é|z)"):
+    with pytest.warns(UserWarning, match="1 clip (a|b): .*d/(é|z)"):
         found = find_clips(config)
     assert [segment.name for segment in found.segments] == ["d/x y"] and found.videos
     flat = video_study(tmp_path / "2", {"a": ["one/x.mp4"], "b": ["x.mp4"]})
@@ -107,7 +100,7 @@ def test_styles_are_found_in_folders_and_file_names(tmp_path):
     with pytest.warns(UserWarning, match="unhappy"):
         found = {segment.name: segment.style for segment in find_clips(config).segments}
     (tmp_path / "none").mkdir()
-    with pytest.raises(ConfigError, match="no segment is left for the study"), pytest.warns():
+    with pytest.raises(ConfigError, match="no segment"), pytest.warns():
         names = {"a": ["x.mp4"], "b": ["x.mp4"]}
         find_clips(video_study(tmp_path / "none", names, design="style", styles=styles))
     expected = {"happy/1": "happy", "067_Very_Old_2": "old", "very happy-3": "very happy"}
@@ -117,26 +110,26 @@ def test_styles_are_found_in_folders_and_file_names(tmp_path):
 @pytest.mark.parametrize(
     ("clips", "message"),
     [
-        ({"a": ["x.mp4"], "b": ["y.mp4"]}, "no clip of the same name"),
+        ({"a": ["x.mp4"], "b": ["y.mp4"]}, "same name"),
         ({"a": ["x.mp4"], "b": ["x.bvh"]}, r"of one kind.*\(a: videos, b: motions\)"),
         ({"a": ["x.bvh"], "b": ["x.mp4"]}, r"of one kind.*\(a: motions, b: videos\)"),
-        ({"a": ["x.mp4"], "b": ["x.txt"]}, "has no mp4, webm, bvh or npz"),
+        ({"a": ["x.mp4"], "b": ["x.txt"]}, "mp4, webm, bvh or npz"),
     ],
 )
 def test_folders_that_do_not_fit_are_refused(tmp_path, clips, message):
     with pytest.raises(ConfigError, match=message):
         find_clips(video_study(tmp_path, clips))
-    with pytest.raises(ConfigError, match="systems: a: .*absent is not a folder"):
+    with pytest.raises(ConfigError, match="a: .*absent is not"):
         find_clips(StudyConfig("T", {"a": str(tmp_path / "absent"), "b": str(tmp_path / "b")}))
 
 
 def test_a_body_is_of_the_package_or_an_avatar_beside_the_file_and_for_motions(tmp_path):
-    with pytest.raises(ConfigError, match=r"body: 'robot'; expected mannequin, .*\.vrm"):
+    with pytest.raises(ConfigError, match=r"'robot'.* mannequin, .*\.vrm"):
         config_of(2, body="robot")
     (tmp_path / "study.yaml").write_text("title: T\nbody: me.vrm\nsystems: {a: a, b: b}\n")
     assert load_study_config(tmp_path / "study.yaml").body == str(tmp_path / "me.vrm")
     config = video_study(tmp_path, {"a": ["x.mp4"], "b": ["x.mp4"]}, body="human")
-    with pytest.raises(ConfigError, match="body: human is for motions; the clips are videos"):
+    with pytest.raises(ConfigError, match="human .*motions.*videos"):
         build_study(config, tmp_path / "out")
 
 
@@ -174,7 +167,7 @@ def test_the_page_has_the_settings_of_a_study(tmp_path):
     found = setup_of(built.page)
     assert [(a["code"], a["text"]) for a in found["answers"]] == [*zip(CODES, answers)]
     assert (found["name"], found["consent"], found["seed"]) == ("my_study_é_", "I agree.", 5)
-    assert "looks most like *a cat*" in found["styles"][0]["question"]
+    assert "*a cat*" in found["styles"][0]["question"]
     assert "have no sound" in found["introduction"] and "Some pairs" not in found["introduction"]
     ((trial,),) = found["lists"]
     assert trial["style"] == "x" and all(side["silent"] for side in trial["sides"])
@@ -192,7 +185,7 @@ def test_motions_are_shown_with_speech_of_their_name_as_long_as_they_last(
     for name in ("d/x", "y"):
         write_speech(tmp_path / "sound" / f"{name}.wav", 0.4501)
     systems = {name: str(tmp_path / name) for name in "ab"}
-    with pytest.warns(UserWarning, match="has no sound of them: z"):
+    with pytest.warns(UserWarning, match="no sound .*: z"):
         built = build_study(StudyConfig("T", systems, audio=tmp_path / "sound"), tmp_path / "out")
     found = setup_of(built.page)
     assert "taking into account both" in found["question"]
@@ -204,12 +197,12 @@ def test_motions_are_shown_with_speech_of_their_name_as_long_as_they_last(
     for path in (tmp_path / "out" / "clips").iterdir():
         assert '"audio"' in path.read_text(encoding="utf-8")
     write_speech(tmp_path / "other" / "w.wav", 0.3)
-    with pytest.raises(ConfigError, match="has no sound named like the clips, such as d/x.wav"):
+    with pytest.raises(ConfigError, match="no sound .* d/x.wav"):
         build_study(StudyConfig("T", systems, audio=tmp_path / "other"), tmp_path / "x")
     config = video_study(tmp_path, {"one": ["x.mp4"]}, design="mismatch")
-    with pytest.raises(ConfigError, match="needs at least two segments, found 1"):
+    with pytest.raises(ConfigError, match="two segments.* 1"):
         build_study(config, tmp_path / "x")
-    with pytest.raises(ConfigError, match="the design mismatch needs a folder of speech"):
+    with pytest.raises(ConfigError, match="mismatch .*speech"):
         build_study(StudyConfig("T", {"a": systems["a"]}, design="mismatch"), tmp_path / "x")
 
 

@@ -38,13 +38,13 @@ def test_a_study_is_analysed_into_words_figures_and_a_page(simulate, answers_of,
     code, out, err = run("analyse", path, "--out", report, "--json", figures, "--rounds", 300)
     assert code == 0
     assert err.splitlines()[-2:] == [str(report), str(figures)], "beside what a pipe reads"
-    assert "of 39 raters on 36 speech segments; 1 rater excluded by attention checks." in out
-    assert f"best first: ours, {names['b']}, third." in out
-    assert f"ours is preferred to {names['b']}: win rate" in out and "p < .001" in out
+    assert re.search("39 raters .*36 speech segments; 1 rater excluded", out)
+    assert f": ours, {names['b']}, third" in out
+    assert f"ours is preferred to {names['b']}: " in out and "p < .001" in out
     page = report.read_text(encoding="utf-8")
     assert "<script" not in page and "&lt;script&gt;" in page
     assert not re.search(r"(src|href)=\"(?!data:)", page) and "{{" not in page
-    assert "r00007" in page and "failed 1 of 2 attention checks" in page
+    assert "r00007" in page and "1 of 2 attention checks" in page
     assert page.count("data:image/svg+xml") == 3
     found = json.loads(figures.read_text())
     assert [s["name"] for s in found["preference"]["systems"]] == list(names.values())
@@ -88,8 +88,8 @@ def test_the_size_of_a_study_is_printed(run):
     assert code == 0
     rows = re.findall(r"^ +(\d+) +(\d+) +(\d+) +([\d,]+)$", out, re.MULTILINE)
     assert [int(row[1]) for row in rows] == [1, 2, 3, 6, 12, 24]
-    assert "(3 systems, 3 pairs of systems, Holm's method, agreement 0.05)" in out
-    assert "(5 systems, 10 pairs of systems" in run("power", "--systems", 5)[1]
+    assert re.search("3 systems, 3 pairs .*0.05", out)
+    assert "5 systems, 10 pairs" in run("power", "--systems", 5)[1]
     needed = [int(row[2]) for row in rows]
     assert needed == sorted(needed, reverse=True)
     for a_rater, of_a_pair, raters, in_all in rows:
@@ -104,7 +104,7 @@ def test_a_page_is_built_and_not_overwritten(tmp_path, run):
             (tmp_path / system / f"{k}.mp4").write_bytes(b"video")
     (tmp_path / "study.yaml").write_text("title: x\nsystems: {a: a, b: b}\nlists: 2\n")
     code, out, _ = run("build", tmp_path / "study.yaml", "--out", tmp_path / "out")
-    assert code == 0 and "3 comparisons per rater, 3 segments, 6 clips, 2 lists" in out
+    assert code == 0 and re.search("3 comparisons .*3 segments, 6 clips, 2 lists", out)
     before = (tmp_path / "out" / "index.html").read_bytes()
     code, _, err = run("build", tmp_path / "study.yaml", "--out", tmp_path / "out")
     assert code == 2 and "index.html" in err

