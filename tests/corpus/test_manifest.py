@@ -75,7 +75,7 @@ def test_a_saved_manifest_reads_back_and_has_the_same_bytes_whatever_the_order(t
         ({"channel": 0}, "channel is 0"),
         ({"reading": {"colour": "red"}}, "reading .*'colour'.* unit, up"),
         ({"reading": {"body_model": "/b.npz"}}, "body_model .*absolute"),
-        ({"duration": "long"}, "duration .*number"),
+        ({"duration": "long"}, "duration must .*number"),
         ({"duration": 10**400}, "duration .*large"),
         ({"split": "dev"}, "split .*'dev'"),
         ({"audio": "/data/a.wav"}, "absolute path"),

@@ -58,7 +58,7 @@ def test_a_table_names_takes_before_a_pattern(sessions, tmp_path):
     [
         (None, "xyz", "12 recordings.* a_part0"),
         ("id,take\na_prt0,x\n", None, "'a_prt0' .* a_part0"),
-        ("id,take\na_part0,\n", None, "takes.csv.*2: .*a_part0"),
+        ("id,take\na_part0,\n", None, "takes.csv.*2: no take .*a_part0"),
         ("id,take\nb_part1,x\nsame,x\n", None, "line 3: .*'same' .*several"),
     ],
 )

@@ -102,7 +102,7 @@ def test_a_table_made_by_hand_may_name_the_winner(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "user, input_code"),
+        ("", "column user, input_code"),
         ("user,input_code,model_A,model_b,winner,is_strong\n", "'model_A'"),
         (HEAD, "no answer"),
         (HEAD + "u,c,a,b,left,True,,\n", "line 2: winner .*'left'.* model_a"),

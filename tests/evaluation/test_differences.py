@@ -70,11 +70,11 @@ def test_each_change_is_a_line_and_models_go_by_label(found, before):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("{", "evaluate --json"),
-        ("[" * 100_000, "evaluate --json"),
-        ("[1]", "evaluate --json"),
-        ('{"format": 1, "models": [{"figures": {"a": {}}}]}', "evaluate --json"),
-        ('{"format": 1, "models": [{"label": "a", "figures": [1]}]}', "evaluate --json"),
+        ("{", "x.json: not .*evaluate"),
+        ("[" * 100_000, "x.json: not .*evaluate"),
+        ("[1]", "x.json: not .*evaluate"),
+        ('{"format": 1, "models": [{"figures": {"a": {}}}]}', "x.json: not .*evaluate"),
+        ('{"format": 1, "models": [{"label": "a", "figures": [1]}]}', "x.json: not .*evaluate"),
         ('{"format": 2, "models": []}', r"format 2 .*\(1\)"),
     ],
 )
