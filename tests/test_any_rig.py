@@ -139,7 +139,7 @@ def test_a_rig_without_some_parts_can_be_trained_and_rendered(
     with caplog.at_level(logging.INFO):
         model = check_all(tmp_path, RIGS[name](skeleton), system, name == "crab", ("bvh",))
     assert unidentified(model.skeleton)
-    assert caplog.text.count("If it has them, name them by hand") == 1
+    assert caplog.text.count("by hand") == 1
     assert ("feet are not locked" in caplog.text) == (name == "crab")
 
 
@@ -189,7 +189,7 @@ def test_speech_modulates_all_joints_of_a_rig_without_an_identified_upper_body(
     assert "speech moves all joints" in notes and "--part" in notes
     values = {"features": {}}
     folder = trained("multires", corpus, tmp_path / "run", **values)
-    assert caplog.text.count("The upper body cannot be identified") == 1
+    assert caplog.text.count("upper body cannot") == 1
     model = gk.load(folder)
     assert model.generate(tmp_path / "a.wav").n_frames == 90
     assert all(film.index.all() for film in model.network.levels[0].films)

@@ -34,13 +34,13 @@ def same(one: gk.Motion, other: gk.Motion) -> bool:
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        ({"vad": "no"}, "vad='no': expected True or False"),
-        ({"style": 3}, "style=3: expected text"),
-        ({"smooth": 2.01}, "smooth=2.01: expected a number at least 0 and at most 2"),
-        ({"smooth": "1"}, "smooth='1': expected a number"),
-        ({"foot_lock": 1}, "foot_lock=1: expected True or False"),
-        ({"fps": float("nan")}, "fps=nan: expected a number above 0 and at most 1000"),
-        ({"path": "nowhere.csv"}, "path: nowhere.csv: no such file"),
+        ({"vad": "no"}, "vad='no': .*True or False"),
+        ({"style": 3}, "style=3: .*text"),
+        ({"smooth": 2.01}, "smooth=2.01: .*0 .*2"),
+        ({"smooth": "1"}, "smooth='1': .*number"),
+        ({"foot_lock": 1}, "foot_lock=1: .*True or False"),
+        ({"fps": float("nan")}, "fps=nan: .*0 .*1000"),
+        ({"path": "nowhere.csv"}, "path: nowhere.csv"),
     ],
 )
 def test_a_value_that_no_model_takes_is_an_error_before_generating(model, given, expected):
@@ -95,10 +95,10 @@ def test_speech_can_be_an_array(model, wave):
     for speech, sample_rate, says in (
         (wave.samples, None, "sample_rate"),
         (np.zeros((2, 3, 9000)), rate, "shape"),
-        (bundled_speech(), rate, "a file or a Wave has its own rate"),
-        (wave, rate, "a file or a Wave has its own rate"),
+        (bundled_speech(), rate, "its own rate"),
+        (wave, rate, "its own rate"),
         (None, rate, "no speech is given"),
-        (["a.wav", "b.wav"], None, "2 sounds: call generate for each, or gesturekit.render"),
+        (["a.wav", "b.wav"], None, "2 sounds: .*gesturekit.render"),
         ([wave.samples] * 3, rate, "3 sounds"),
         ((wave, wave), None, "2 sounds"),
     ):
@@ -115,7 +115,7 @@ def test_the_duration_is_the_same_at_any_frame_rate(model, wave, fps):
     assert model.generate(seconds=1.51, fps=fps).n_frames == int(np.floor(1.51 * fps + 0.5))
     assert same(other, own.resample(fps, other.n_frames))
     assert rotation_angles(own.rotations[:1], other.rotations[:1]).max() < 1e-9, "begins at 0 s"
-    with pytest.raises(ModelError, match="fps=0: expected a number above 0"):
+    with pytest.raises(ModelError, match="fps=0: .*above 0"):
         model.generate(wave, fps=0)
 
 
@@ -124,7 +124,7 @@ def test_the_default_frame_rate_is_that_of_the_recordings(model, wave, gesture, 
     replace(model, recorded_fps=60.0).save(tmp_path)
     again = gk.load(tmp_path)
     assert (again.fps, again.recorded_fps) == (30.0, 60.0)
-    assert "30 fps, resampled to 60 fps" in (tmp_path / "README.md").read_text()
+    assert re.search("30 fps, .*60 fps", (tmp_path / "README.md").read_text())
     assert again.generate(wave).fps == 60.0
     assert same(again.generate(wave, fps=30.0), own)
 

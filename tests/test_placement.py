@@ -97,12 +97,12 @@ def test_feet_of_a_motion_that_begins_in_a_pose_do_not_slide(wave):
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
-        ({"start_pose": "gone.bvh@2"}, "start_pose: gone.bvh: no such file"),
+        ({"start_pose": "gone.bvh@2"}, "start_pose: gone.bvh"),
         ({"end_pose": 3}, "end_pose: int"),
         ({"facing": 400}, "facing=400"),
-        ({"path": "way.csv", "in_place": True}, "in_place cannot be combined with path"),
-        ({"keyframes": "way.csv", "start_pose": "way.csv"}, "start_pose cannot .* with keyframes"),
-        ({"levels": 2, "facing": 90}, "facing cannot be combined with levels"),
+        ({"path": "way.csv", "in_place": True}, "in_place .*path"),
+        ({"keyframes": "way.csv", "start_pose": "way.csv"}, "start_pose .*keyframes"),
+        ({"levels": 2, "facing": 90}, "facing .*levels"),
     ],
 )
 def test_what_cannot_be_combined_is_an_error_before_generating(
@@ -186,4 +186,4 @@ def test_a_frame_is_named_on_the_command_line(gesturekit, tmp_path):
         assert rotation_angles(made.rotations[0], pose.rotations[frame]).max() < 1e-4
     assert "1 kept" in gesturekit(*asked).ok().err
     asked = [*command, "--end-pose", f"{tmp_path / 'two@rest.bvh'}@7", "--existing", "replace"]
-    gesturekit(*asked).fails(1, "@7: the motion has 0.0666667 s; give seconds within it")
+    gesturekit(*asked).fails(1, "@7: the motion has 0.0666667 s")

@@ -74,18 +74,18 @@ def test_evaluate_takes_texts_and_a_manifest(write_pair, gesture, tmp_path):
     gk.prepare(folders[1], manifest, holdout=0.0)
     (model,) = gk.evaluate({"ours": folders[0]}, str(manifest), split="train", cheap=True).models
     assert (model.label, "sync" in model.metrics) == ("ours", True)
-    with pytest.raises(gk.GestureKitError, match="no item is in split test"):
+    with pytest.raises(gk.GestureKitError, match="split test"):
         gk.evaluate(folders[0], manifest)
-    with pytest.raises(gk.GestureKitError, match="split='train' chooses items of a manifest"):
+    with pytest.raises(gk.GestureKitError, match="split='train' .*manifest"):
         gk.evaluate(*folders, split="train")
 
 
 @pytest.mark.parametrize(
     ("option", "hint"),
-    [("unpared", "did you mean unpaired[?]"), ("xyz", "it has .*holdout, .*style")],
+    [("unpared", "unpaired"), ("xyz", "holdout, .*style")],
 )
 def test_an_option_that_prepare_does_not_have_is_named(tmp_path, option, hint):
-    with pytest.raises(TypeError, match=f"prepare has no option {option}; {hint}") as caught:
+    with pytest.raises(TypeError, match=f"prepare .*{option}.* {hint}") as caught:
         gk.prepare(tmp_path, **{option: 1})
     assert isinstance(caught.value, gk.GestureKitError)
 
@@ -126,15 +126,15 @@ def test_a_model_is_loaded_with_its_weights_on_a_device_and_in_a_precision(tmp_p
     config["features"]["spec"] = {"kind": "wavlm"}
     (folder / "config.yaml").write_text(yaml.safe_dump(config))
     for options, says in (
-        ({}, "weights of WavLM are needed"),
-        ({"weights": tmp_path / "none"}, f"{tmp_path / 'none'}: no such folder or file"),
-        ({"device": "abacus"}, "device: 'abacus' cannot be used here"),
-        ({"dtype": "bf16"}, "a multires model, which is fp32 only"),
+        ({}, "weights of WavLM"),
+        ({"weights": tmp_path / "none"}, f"{tmp_path / 'none'}: "),
+        ({"device": "abacus"}, "device: 'abacus'"),
+        ({"dtype": "bf16"}, "fp32 only"),
     ):
         with pytest.raises(gk.GestureKitError, match=re.escape(says)):
             gk.load(folder, **options)
     (folder / "config.yaml").write_text("kind: other\n")
-    with pytest.raises(gk.GestureKitError, match="kind 'other'; known: multires, diffusion"):
+    with pytest.raises(gk.GestureKitError, match="kind 'other'.* multires, diffusion"):
         gk.load(folder)
     (folder / "config.yaml").unlink()
     with pytest.raises(gk.GestureKitError, match="not a model folder: "):

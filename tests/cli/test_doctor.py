@@ -14,7 +14,7 @@ def test_a_machine_that_works_is_usable(gesturekit, write_wavlm, tmp_path):
     done = gesturekit("doctor", "--weights", tmp_path / "weights").ok()
     for name in ("torch", "GPU", "threads", "torchaudio", "transformers", "ffmpeg", "disk"):
         assert f" {name} " in done.out
-    assert "makes motion: 30 frames" in done.out and "3 layers of 32" in done.out
+    assert "30 frames" in done.out and "3 layers of 32" in done.out
     assert not [line for line in done.out.splitlines() if line.strip() == "→"], "advice is empty"
 
 
@@ -44,8 +44,8 @@ def test_a_cache_that_cannot_be_written_is_noted(monkeypatch, tmp_path):
     for place, state in places.items():
         monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / place))
         cache = finding("cache")
-        assert cache.state == state and f"{tmp_path / place}: 0 entries, 0.000 GB" in cache.text
-        assert ("cannot be written to" in cache.text) == (state == "note")
+        assert cache.state == state and f"{tmp_path / place}: 0 entries" in cache.text
+        assert ("written to" in cache.text) == (state == "note")
 
 
 def test_wavlm_weights_are_found_in_the_usual_folders(monkeypatch, tmp_path):
@@ -77,7 +77,8 @@ def test_a_check_that_breaks_is_a_finding_and_the_next_ones_go_on(monkeypatch):
 
     monkeypatch.setattr(torch.cuda, "is_available", breaks)
     found = {one.name: one for one in diagnose()}
-    assert found["GPU"] == Finding("GPU", "broken", "no driver", "install it again: make setup")
+    gpu = found["GPU"]
+    assert (gpu.state, gpu.text) == ("broken", "no driver") and "make setup" in gpu.advice
     assert found["disk"].state != "broken" and not is_usable(list(found.values()))
 
 

@@ -43,7 +43,7 @@ def test_from_weights_to_motion(
     assert f"'kind': '{kind}'" in str(spec) and "path" not in str(spec)
     (fingerprint,) = re.findall(r"[0-9a-f]{64}", str(spec))
     if kind == "hf":
-        assert "hf (model hubert, layer 2" in gesturekit("inspect", run / "model").out
+        assert "hubert, layer 2" in gesturekit("inspect", run / "model").out
     assert gesturekit("train", "--resume", run).status == 0
     speech = write_speech(tmp_path / "speech.wav", 1.3)
     render = ("render", speech, "--model", run / "model", "--out", tmp_path / "out")
@@ -52,7 +52,7 @@ def test_from_weights_to_motion(
     assert refused.status == 2 and len(refused.err.splitlines()) == 1
     found = set(re.findall(r"[0-9a-f]{64}", refused.err))
     assert fingerprint in found and len(found) == 2
-    gesturekit(*render, "--weights", tmp_path / "nowhere").fails(2, "nowhere: no such folder")
+    gesturekit(*render, "--weights", tmp_path / "nowhere").fails(2, "nowhere: ")
     assert not (tmp_path / "out").exists()
     # What counts is what the weights are, not where they lie.
     moved = weights.rename(tmp_path / "moved")
@@ -65,9 +65,9 @@ def test_training_names_the_weights_that_are_missing(gesturekit, corpus, light, 
     train = ("train", light, f"corpus={corpus}", f"out={tmp_path / 'run'}", *tiny)
     for extractors, complaint in (
         ("[{kind: hf}]", "path: FOLDER"),
-        ("[{kind: wavlm}]", "Error: weights of WavLM are needed"),
+        ("[{kind: wavlm}]", "weights of WavLM"),
         ("[{kind: hf, path: a}, {kind: hf, path: b}]", "2 of kind hf"),
-        ("[{kind: words, encoder: a}]", "a: no such folder"),
+        ("[{kind: words, encoder: a}]", " a: no such"),
     ):
         done = gesturekit(*train, f"features.extractors={extractors}").fails(2, complaint)
         assert len(done.err.splitlines()) == 1
@@ -93,11 +93,11 @@ def test_a_model_takes_a_speech_and_a_text_encoder(
     speech, model = write_speech(tmp_path / "speech.wav", 1.3), tmp_path / "run" / "model"
     render = ("render", speech, "--model", model, "--out", tmp_path / "out")
     for given, complaint in (
-        (("--weights", wavlm), "(--weights wavlm=PATH --weights words=PATH)"),
-        (named[:2], "weights of the text encoder bert with fingerprint"),
-        (("--weights", wavlm, *named[2:]), f"{wavlm}: with several encoders, give KIND=PATH"),
-        ((*named, *named[2:]), "words is given twice"),
-        (("--weights", f"wavml={wavlm}", *named[2:]), "'wavml' has no weights or files"),
+        (("--weights", wavlm), "--weights wavlm=PATH --weights words=PATH"),
+        (named[:2], "text encoder bert"),
+        (("--weights", wavlm, *named[2:]), "KIND=PATH"),
+        ((*named, *named[2:]), "twice"),
+        (("--weights", f"wavml={wavlm}", *named[2:]), "'wavml'"),
         (("--weights", f"wavlm={text}", "--weights", f"words={wavlm}"), "text"),
     ):
         gesturekit(*render, *given).fails(2, complaint)
@@ -115,15 +115,15 @@ def test_features_and_doctor_take_the_folder(gesturekit, write_encoder, write_sp
     write_encoder(hubert, "hubert")
     options = ("--layer", "1:1,2:3", "--out", out)
     done = gesturekit("features", wav, "--extractor", f"hf:{hubert},prosody", *options).ok()
-    assert "HuBERT, Hugging Face folder: 3 layers of 32" in done.out
+    assert "HuBERT" in done.out and "3 layers of 32" in done.out
     track = FeatureTrack.load(out / "a.npz")
     assert track.spec["parts"][0]["layer"] == {"1": 1.0, "2": 3.0}
     same = ("--extractor", "hf,prosody", "--weights", hubert, *options, "--existing", "replace")
     gesturekit("features", wav, *same).ok()
     np.testing.assert_array_equal(FeatureTrack.load(out / "a.npz").values, track.values)
-    assert "HuBERT, Hugging Face folder" in gesturekit("doctor", "--weights", hubert).ok().out
+    assert "HuBERT" in gesturekit("doctor", "--weights", hubert).ok().out
     (hubert / "model.safetensors").write_bytes(b"damaged")
-    assert "cannot be read as weights" in gesturekit("doctor", "--weights", hubert).fails(1).out
+    assert "as weights" in gesturekit("doctor", "--weights", hubert).fails(1).out
 
 
 DIFFUSION = (
@@ -151,9 +151,9 @@ def test_a_model_of_components(
     gesturekit("train", RECIPES / f"{recipe}.yaml", *given).ok()
     tensors = load_file(run / "model" / "model.safetensors")
     assert tensors["features.components"].shape == (32, count)
-    reduction = f"32 features reduced to {count} components"
+    reduction = dict(inspect(run / "model").rows)["reduced features"]
     assert reduction in (run / "model" / "README.md").read_text()
-    assert dict(inspect(run / "model").rows)["reduced features"] == reduction
+    assert re.fullmatch(rf"32 features .* {count} components", reduction)
     model = gk.load(run / "model", weights=weights)
     assert model.conditions.conditioner.dim == dim
     assert model.generate(write_speech(tmp_path / "speech.wav", 1.3)).n_frames == 39

@@ -48,7 +48,7 @@ def test_it_prints_a_table_and_writes_report_and_json(evaluate, folders, tmp_pat
     lines = evaluate(*given, *files, "--baseline", "mean_pose").ok().out.splitlines()
     labels = ["ours", "baseline", "mean_pose"]
     assert any(line.split() == [*labels, "recording", "chance"] for line in lines)
-    for says in (r"In time with the speech\?", r"  Reach, m  +0\.\d+  .*0\.\d+$", "  Sync  "):
+    for says in (r"speech\?", r"Reach, m +0\.\d+ .*0\.\d+$", "Sync "):
         assert any(re.search(says, line) for line in lines), says
     found = json.loads((tmp_path / "r.json").read_text())
     assert [model["label"] for model in found["models"]] == labels
@@ -56,8 +56,8 @@ def test_it_prints_a_table_and_writes_report_and_json(evaluate, folders, tmp_pat
     assert "gesturekit evaluate &#x27;my clips&#x27;" in page, "the command that made it"
     for line, model in zip(lines, found["models"]):
         assert line == f"{model['label']}: {model['verdict']}" and html.escape(line) in page
-    assert lines[-3:-1] == [f"written  {tmp_path / name}" for name in ("r.json", "r.html")]
-    assert "9 clips measured, 0 left out" in lines[-1]
+    assert all(map(str.endswith, lines[-3:-1], (str(tmp_path / n) for n in ("r.json", "r.html"))))
+    assert re.search("9 clips .* 0 ", lines[-1])
 
 
 def test_ratings_of_a_study_are_compared_with_the_metrics(evaluate, folders, tmp_path):
@@ -72,19 +72,19 @@ def test_ratings_of_a_study_are_compared_with_the_metrics(evaluate, folders, tmp
     ratings.write_text("\n".join(["participant,condition,stimulus,question,rating", *lines]))
     given = ("--compare", folders / "baseline", "--baseline", "mean_pose", "--study", ratings)
     done = evaluate(*given, "--json", tmp_path / "r.json").ok()
-    assert "left out, as they were in the study and not evaluated: other_lab" in done.err
-    assert "Agreement with people on human-like: 5 raters, 4 clips, 80 ratings." in done.out
+    assert "not evaluated: other_lab" in done.err
+    assert "5 raters, 4 clips, 80 ratings" in done.out
     # The mean of 60, 30, 70 and 5 is 41.25.
     scores = "recording +28.8, ours +18.8, baseline -11.2, mean_pose -36.2"
     assert f"People's scores: {scores}" in done.out
     (question,) = json.loads((tmp_path / "r.json").read_text())["agreement"]["questions"]
     assert question["question"] == "human-like"
-    for rest, says in (
-        ("p,ours,c,1\np,baseline,c,good\n", "ratings.csv, line 3: value is 'good'"),
-        ("p,ours,c,1\np,baseline,c,3\n", "2 in common, and a correlation needs 3"),
+    for rest, *says in (
+        ("p,ours,c,1\np,baseline,c,good\n", "ratings.csv, line 3", "'good'"),
+        ("p,ours,c,1\np,baseline,c,3\n", "2 in common", "needs 3"),
     ):
         ratings.write_text(f"rater,system,clip,value\n{rest}")
-        evaluate(*given).fails(2, says)
+        evaluate(*given).fails(2, *says)
 
 
 def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
@@ -93,24 +93,24 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
     (made / "clip0.npz").write_bytes((folders / "ours" / "clip0.npz").read_bytes())
     (made / "clip1.npz").write_bytes(b"no npz")
     done = gesturekit("evaluate", made, folders / "recordings")
-    done.fails(1, "Left out: made: clip1: clip: ", "clip1.npz")
+    done.fails(1, "made: clip1: ", "clip1.npz")
     assert "Arm speed, rad/s" in done.out
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["absent", "recordings"], "absent: no such file or folder"),
-        (["ours", "recordings", "baseline"], "such as --compare baseline"),
-        (["a=ours", "recordings", "--compare", "a=baseline"], "two models are named a"),
-        (["ours", "recordings", "--baseline", "retrival"], "did you mean retrieval?"),
+        (["absent", "recordings"], "absent: no such"),
+        (["ours", "recordings", "baseline"], "--compare baseline"),
+        (["a=ours", "recordings", "--compare", "a=baseline"], "named a"),
+        (["ours", "recordings", "--baseline", "retrival"], "retrieval?"),
         (["ours", "recordings", "--baseline", "retrieval"], "retrieval needs --corpus"),
         (["ours", "recordings", "--out", "report.pdf"], "name it .html"),
         (["ours", "recordings", "--audio", "ours"], "no sound files"),
         (["demo", "recordings"], "demo is a model"),
         (["demo", "recordings", "--protocol", "lda"], "give --audio"),
-        (["--sanity", "recordings", "ours"], "only a folder of recordings"),
-        (["--sanity", "recordings", "--body", "human"], "does not use --body; leave it out"),
+        (["--sanity", "recordings", "ours"], "folder of recordings"),
+        (["--sanity", "recordings", "--body", "human"], "not use --body"),
     ],
 )
 def test_usage_errors_are_a_line_and_exit_code_2(gesturekit, folders, monkeypatch, arguments, said):
@@ -142,7 +142,7 @@ def test_protocols_sample_models(gesturekit, model, write_pair, tmp_path, protoc
     assert measure in found["figures"]
     seconds = {round(clip["seconds"], 2) for clip in found["clips"]}
     assert seconds == ({10.0} if protocol == "lda" else {6.0})
-    gesturekit(*sample, "--samples", 1).fails(2, "samples of an earlier run")
+    gesturekit(*sample, "--samples", 1).fails(2, "earlier run")
 
 
 def test_a_protocol_samples_the_items_of_a_manifest(gesturekit, model, write_pair, tmp_path):
@@ -195,9 +195,9 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
     test = items["test"]
     measured = ("evaluate", root / "rendered", "--corpus", root / "corpus.jsonl")
     done = gesturekit(*measured, "--json", tmp_path / "r.json").ok()
-    assert "trained on" not in done.err and "from 1 take: no intervals" in done.err
-    beside = "held-out items with neighbours in training, of the same take (talk): 1 of 1."
-    assert beside in done.err and "1 clip measured, 0 left out" in done.out
+    assert "trained on" not in done.err and "1 take" in done.err
+    beside = "same take (talk): 1 of 1"
+    assert beside in done.err and re.search("1 clip .* 0 ", done.out)
     found = json.loads((tmp_path / "r.json").read_text())
     assert found["settings"]["split"] == "test"
     ((clip,),) = (model["clips"] for model in found["models"])
@@ -259,8 +259,8 @@ def test_evaluating_on_training_recordings_is_warned_about(gesturekit, held_out,
     run = {"run": "a", "settings": {}, "format": 1, "time": 1.0, "model_folder": str(model)}
     journal.write_text(json.dumps(run) + "\n")
     done = gesturekit("evaluate", rendered, root / "recordings")
-    assert "trained on 1 of 1 recording, or on a part of each (day/talk)" in done.err
-    assert "rendered (trained on these)" in done.out
+    assert re.search("1 of 1 .*day/talk", done.err)
+    assert "rendered (trained" in done.out
     journal.unlink()
     assert "trained on" not in gesturekit("evaluate", rendered, root / "recordings").err
 
@@ -269,12 +269,12 @@ def test_an_item_without_a_clip_is_left_out(gesturekit, held_out, tmp_path):
     root, _ = held_out
     corpus = ("--corpus", root / "corpus.jsonl")
     done = gesturekit("evaluate", root / "rendered" / "day", *corpus, "--split", "valid")
-    done.fails(2, "no item is in split valid (1 in test, 1 in train)")
+    done.fails(2, "valid", "1 in test, 1 in train")
     (tmp_path / "other.npz").write_bytes(b"")
-    gesturekit("evaluate", tmp_path, *corpus).fails(2, "of 1 clip (other) none has a recording")
+    gesturekit("evaluate", tmp_path, *corpus).fails(2, "1 clip (other)")
     blind = ("--baseline", "speech_blind")
     done = gesturekit("evaluate", root / "rendered", *corpus, *blind)
-    done.fails(2, "only known for folders written by gesturekit render")
+    done.fails(2, "written by gesturekit render")
 
 
 def test_tables_have_a_line_for_each_metric_and_stable_columns(gesturekit, folders, tmp_path):
@@ -292,7 +292,7 @@ def test_tables_have_a_line_for_each_metric_and_stable_columns(gesturekit, folde
         values = {row["key"]: float(row["value"]) for row in rows if row["model"] == model["label"]}
         assert values == {key: result["value"] for key, result in model["figures"].items()}
     latex = (tmp_path / "t.tex").read_text()
-    assert r"a\_1 & 50\% <b> & Recording" in latex and r"\end{tabular}" in latex
+    assert r"a\_1 & 50\% <b>" in latex and r"\end{tabular}" in latex
     markdown = (tmp_path / "t.md").read_text().splitlines()
     assert r"a\_1 | 50% \<b\>" in markdown[0]
     assert {line.count("|") for line in markdown if line.startswith("| ")} == {7}
@@ -312,9 +312,9 @@ def test_clips_that_are_not_meant_to_be_measured_are_noted_and_leave_exit_code_0
     for name in ("a", "b", "alone"):
         gesture(3.0, 25.0, seed=9).save(tmp_path / "made" / f"{name}.npz")
     done = gesturekit("evaluate", tmp_path / "made", "--corpus", corpus).ok()
-    assert f"1 clip whose items have no motion in {corpus}, not measured: alone" in done.err
-    assert f"1 clip of split train in {corpus}, not measured: b" in done.err
-    assert "1 clip measured, 0 left out" in done.out
+    assert re.search(rf"1 clip .*no motion in {corpus}.*: alone", done.err)
+    assert re.search(rf"1 clip .*train in {corpus}.*: b", done.err)
+    assert re.search("1 clip .* 0 ", done.out)
     gesture(3.0, 25.0).save(tmp_path / "made" / "nobody.npz")
     gesturekit("evaluate", tmp_path / "made", "--corpus", corpus).fails(1, "nobody: clip: no reco")
 
@@ -346,5 +346,5 @@ def test_sanity_prints_its_table_and_names_what_it_left_out(gesturekit, write_pa
     (recordings / "mute.wav").write_bytes(b"RIFF")
     done = gesturekit("evaluate", "--sanity", recordings, "--out", page, "--workers", 1)
     done.fails(1, "Left out: mute: ")
-    assert "In time with the speech?" in done.out and "half reach" in done.out
-    assert f"written  {page}" in done.out and "Known-bad motion" in page.read_text()
+    assert "speech?" in done.out and "half reach" in done.out
+    assert str(page) in done.out and "Known-bad motion" in page.read_text()

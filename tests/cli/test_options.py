@@ -17,21 +17,21 @@ from gesturekit.cli.options import (
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ("", "Give audio files, --corpus, or --seconds"),
-        ("a.wav --seconds 2", "--seconds is for motion without audio"),
-        ("a.wav --split test", "--split requires --corpus."),
+        ("", "--corpus, or --seconds"),
+        ("a.wav --seconds 2", "without audio"),
+        ("a.wav --split test", "--split requires --corpus"),
         ("a.wav --corpus c.jsonl", "--corpus sets the sounds"),
         ("--corpus c.jsonl --channel 1", "--corpus sets the sounds"),
-        ("--keyframes k.bvh --like l.bvh", "--keyframes and --like cannot be combined: give one."),
-        ("a.wav --path p.csv --keep k.bvh", "--path and --keep cannot be combined: give one."),
-        ("a.wav --keyframe-level 2", "--keyframe-level requires --keyframes or --like."),
-        ("a.wav --change 0.5", "--change requires --like."),
-        ("a.wav --rig-part head=Head", "--rig-part requires --rig."),
-        ("a.wav --weights x --weights y", "with several encoders, give KIND=PATH for each."),
-        ("a.wav --shard 1/2 --launcher slurm", "give --jobs, not --shard"),
+        ("--keyframes k.bvh --like l.bvh", "--keyframes and --like"),
+        ("a.wav --path p.csv --keep k.bvh", "--path and --keep"),
+        ("a.wav --keyframe-level 2", "--keyframes or --like"),
+        ("a.wav --change 0.5", "--change requires --like"),
+        ("a.wav --rig-part head=Head", "--rig-part requires --rig"),
+        ("a.wav --weights x --weights y", "KIND=PATH"),
+        ("a.wav --shard 1/2 --launcher slurm", "--jobs, not --shard"),
         # What goes together: the first thing that is missing is the model or the manifest.
-        ("--like l.bvh --keyframe-level 2", "none: neither a model folder nor a bundled model"),
-        ("--path p.csv --channel 1", "none: neither a model folder nor a bundled model"),
+        ("--like l.bvh --keyframe-level 2", "none: "),
+        ("--path p.csv --channel 1", "none: "),
     ],
 )
 def test_options_of_render_that_go_together(gesturekit, tmp_path, monkeypatch, arguments, says):
@@ -57,7 +57,7 @@ def test_experts_have_a_weight_and_a_style():
     assert parse("a:0.25:old") == ("A", 0.25, "old")
     assert parse("a::old") == ("A", None, "old")
     assert parse("a:0@0,1@10") == ("A", "0@0,1@10", None)
-    with pytest.raises(click.UsageError, match="'half' is not a weight"):
+    with pytest.raises(click.UsageError, match="'half' .*weight"):
         parse("a:half")
 
 
@@ -65,10 +65,10 @@ def test_files_have_times_or_levels():
     assert comma_separated(" a, b ,,") == ["a", "b"] and comma_separated(None) == []
     placed = {0.0: Path("a.bvh"), 6.5: Path("b@c.bvh")}
     assert parse_placed_files("a.bvh, b@c.bvh@6.5") == placed
-    with pytest.raises(click.UsageError, match=r"a.bvh and b.bvh both begin at 0 s"):
+    with pytest.raises(click.UsageError, match=r"a.bvh .*b.bvh .*0 s"):
         parse_placed_files("a.bvh,b.bvh@0")
     assert parse_level_files("1-4=a.wav,7=b=c.wav") == {"1-4": Path("a.wav"), "7": Path("b=c.wav")}
-    with pytest.raises(click.UsageError, match="'7-10' names no file"):
+    with pytest.raises(click.UsageError, match="'7-10'"):
         parse_level_files("1=a.wav,7-10")
 
 

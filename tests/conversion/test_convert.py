@@ -64,9 +64,8 @@ def test_one_file_to_another_format_and_back(take, tmp_path):
     (done,) = outcomes(take, tmp_path / "a.npz")
     assert (done.error, done.facts["warnings"], done.facts["done"]) == (None, (), ())
     assert done.files == (tmp_path / "a.npz",)
-    assert (
-        "cm, Y up" in done.facts["found"] and "30 fps, 60 frames, 19 joints" in done.facts["found"]
-    )
+    for fact in ("cm, Y up", "30 fps, 60 frames", "19 joints"):
+        assert fact in done.facts["found"]
     (back,) = outcomes(tmp_path / "a.npz", tmp_path / "b.bvh")
     assert back.error is None
     first, last = Motion.load(take), Motion.load(tmp_path / "b.bvh")
@@ -113,7 +112,7 @@ def test_existing_files_are_not_overwritten_by_default(take, tmp_path):
     outcomes(take, out, formats=["npz"])
     before = (out / "take.npz").read_bytes()
     change = {"formats": ["npz", "bvh"], "changes": Changes(mirror=True)}
-    with pytest.raises(ConfigError, match=r"take\.npz exists already, made with another mirror"):
+    with pytest.raises(ConfigError, match=r"take\.npz .*another mirror"):
         outcomes(take, out, **change)
     assert written(out) == {"take.npz"}
     (done,) = outcomes(take, out, **change, existing="skip")
@@ -142,17 +141,17 @@ def test_invalid_requests_are_refused_before_anything_is_written(take, gesture, 
     gesture(0.5).save(namesake)
     before = written(tmp_path)
     for sources, out, options, says in (
-        ([take, other], tmp_path / "x.bvh", {}, "2 inputs cannot become one file"),
-        ([tmp_path], tmp_path / "x.npz", {}, "a folder cannot become one file"),
-        (take, take, {"existing": "replace"}, "is one of the inputs"),
-        (take, tmp_path / "x.c3d", {}, "cannot write motion as .c3d"),
-        (take, tmp_path / "x", {}, "say what to write into it, such as --format npz"),
-        (take, other, {"formats": ["npz"]}, "is written as bvh, not npz"),
-        (tmp_path / "empty", tmp_path / "x", {"formats": ["bvh"]}, "no motion in it"),
-        ([take, namesake], tmp_path / "x", {"formats": ["npz"]}, "would both be written as"),
-        (take, tmp_path / "x.npz", {"write": {"unit": "m"}}, "--unit is an option of .bvh"),
+        ([take, other], tmp_path / "x.bvh", {}, "2 inputs"),
+        ([tmp_path], tmp_path / "x.npz", {}, "a folder .*one file"),
+        (take, take, {"existing": "replace"}, "the inputs"),
+        (take, tmp_path / "x.c3d", {}, "as .c3d"),
+        (take, tmp_path / "x", {}, "--format npz"),
+        (take, other, {"formats": ["npz"]}, "bvh, not npz"),
+        (tmp_path / "empty", tmp_path / "x", {"formats": ["bvh"]}, "no motion in"),
+        ([take, namesake], tmp_path / "x", {"formats": ["npz"]}, "both be written"),
+        (take, tmp_path / "x.npz", {"write": {"unit": "m"}}, "--unit .*bvh"),
         (take, tmp_path / "x.obj", {}, "--body-model"),
-        (take, tmp_path / "x.npz", {"body_model": "smpl.npz"}, "--body-model is an option of"),
+        (take, tmp_path / "x.npz", {"body_model": "smpl.npz"}, "--body-model .*option"),
     ):
         with pytest.raises(ConfigError, match=says):
             outcomes(sources, out, **options)
@@ -178,7 +177,7 @@ def test_of_a_bvh_and_an_npz_of_one_name_the_one_that_holds_more_is_read(
     (done,) = outcomes(folder / "take.fbx", tmp_path / "x.bvh")
     assert "take.fbx: " in done.error and "Blender" in done.error
     # What was passed over is an input all the same, never written over.
-    with pytest.raises(ConfigError, match="is one of the inputs"):
+    with pytest.raises(ConfigError, match="the inputs"):
         outcomes(folder, folder, formats=["bvh"], existing="replace")
 
 
@@ -224,7 +223,7 @@ def test_changes_are_made_in_order(take, tmp_path):
     (done,) = outcomes(take, tmp_path / "b.npz", changes=Changes(trim=(1.5, 60.0)))
     assert Motion.load(tmp_path / "b.npz").n_frames == 15, "what there is is kept"
     (done,) = outcomes(take, tmp_path / "c.npz", changes=Changes(trim=(2.0, 6.0)))
-    assert "it begins at 2 s, the motion lasts 2 s" in done.error and str(take) in done.error
+    assert re.search("at 2 s.* lasts 2 s", done.error) and str(take) in done.error
 
 
 def test_trim_is_written_in_seconds():
@@ -276,19 +275,16 @@ def test_names_of_what_is_written_decide_between_a_file_and_a_folder(take, tmp_p
     outcomes(take, tmp_path / "a.NPZ", formats=["npz"])
     assert written(tmp_path) == {"take.bvh", "x.c3d/take.npz", "a.NPZ"}
     (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigError, match=r"file is a file; give a folder to fill"):
+    with pytest.raises(ConfigError, match="file is a file"):
         outcomes(take, tmp_path / "file", formats=["npz"])
-    with pytest.raises(ConfigError, match=r"b\.npz is a file, which cannot be split into shards"):
+    with pytest.raises(ConfigError, match=r"b\.npz .*shards"):
         outcomes(take, tmp_path / "b.npz", execution=Execution(shard=(1, 2)))
 
 
 def test_bones_below_a_removed_joint_are_reported(take, tmp_path):
     names = ("Hips", "Chest", "LeftForeArm", "LeftHand", "RightArm", "RightForeArm")
     (done,) = outcomes(take, tmp_path / "a.bvh", changes=Changes(joints=names))
-    assert (
-        "Chest, LeftForeArm, RightArm: a parent joint that rotates was removed"
-        in done.facts["warnings"][0]
-    )
+    assert "Chest, LeftForeArm, RightArm" in done.facts["warnings"][0]
     cut, whole = Motion.load(tmp_path / "a.bvh"), Motion.load(take)
     hand = [m.positions()[:, m.skeleton.index("LeftHand")] for m in (cut, whole)]
     np.testing.assert_allclose(*hand, atol=1e-6)
@@ -301,9 +297,7 @@ def test_data_that_a_format_cannot_store_causes_a_warning(tmp_path):
     with pytest.warns(UserWarning, match="25 fps"):
         motion.save(tmp_path / "a.npz")
     (bvh,) = outcomes(tmp_path / "a.npz", tmp_path / "a.bvh")
-    assert [
-        w for w in bvh.facts["warnings"] if "no face expressions and no body shape (betas)" in w
-    ]
+    assert [w for w in bvh.facts["warnings"] if re.search(" face .*betas", w)]
     (npz,) = outcomes(tmp_path / "a.npz", tmp_path / "b.npz")
     assert [w for w in npz.facts["warnings"] if "--fps 30" in w] and len(npz.facts["warnings"]) == 1
     (npz,) = outcomes(tmp_path / "a.npz", tmp_path / "c.npz", changes=Changes(fps=30))
@@ -343,7 +337,7 @@ def test_a_pickle_is_refused_with_the_command_that_makes_an_npz_of_it(gesturekit
     values = {"smpl_poses": poses, "smpl_trans": trans, "smpl_scaling": np.array([100.0])}
     (tmp_path / "x.pkl").write_bytes(pickle.dumps(values))
     done = gesturekit("convert", tmp_path / "x.pkl", tmp_path / "x.bvh")
-    assert done.status == 1 and "x.pkl: pkl is a pickle" in done.err
+    assert done.status == 1 and "x.pkl: " in done.err and "pickle" in done.err
     command = shlex.split(re.search(r'python -c ".*"', done.err).group())
     subprocess.run([sys.executable, *command[1:]], cwd=tmp_path, check=True, timeout=60)
     motion = Motion.load(tmp_path / "x.npz", up="y")

@@ -102,7 +102,7 @@ def test_clipping_bounds_the_errors_of_an_imperfect_network():
 def test_experts_that_do_not_fit_are_refused():
     one, two = expert(1), expert(2)
     for weights, told in (
-        ([0.5, 0.25], r"weights 0\.5, 0\.25 add up to 0\.75"),
+        ([0.5, 0.25], r"0\.5, 0\.25 .*0\.75"),
         ([0.5, np.full(FRAMES - 1, 0.5)], "shape"),
     ):
         with pytest.raises(ModelError, match=told):
@@ -110,9 +110,9 @@ def test_experts_that_do_not_fit_are_refused():
     dance = NoiseSchedule.of(NoiseConfig(steps=150, first_beta=0.01, last_beta=0.7))
     wide = network(2, n_motion=MOTION + 1)
     for other, told in (
-        (expert(2, schedule=dance), "noise schedules differ.*100 steps.*150 steps"),
-        (Expert(wide, SCHEDULE, one.condition), "5 numbers a frame, another 6"),
-        (Expert(two.network, SCHEDULE, two.condition[:, :-1]), "40 frames, another of 39"),
+        (expert(2, schedule=dance), "noise schedules.*100 .*150"),
+        (Expert(wide, SCHEDULE, one.condition), "5 numbers.* 6"),
+        (Expert(two.network, SCHEDULE, two.condition[:, :-1]), "40 frames.* 39"),
     ):
         with pytest.raises(ModelError, match=told):
             ProductOfExperts([one, other], [0.5, 0.5])

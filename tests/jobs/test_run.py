@@ -50,7 +50,7 @@ def test_one_worker_works_in_this_process_and_others_in_theirs(tmp_path):
     done(tmp_path / "two", TASKS, workers=2)
     slow = [Task("a", more={"sleep": 5.0})]
     (late,) = batch(tmp_path / "late", slow, deadline=0.5).run()
-    assert late.status == "lost" and "stopped after 0.5 s, the deadline" in late.error
+    assert late.status == "lost" and "after 0.5 s" in late.error
     wrote = {file: file.read_text() for file in tmp_path.glob("*/*.txt")}
     assert len(wrote) == 6
     assert all((pid == str(os.getpid())) == (f.parent.name == "one") for f, pid in wrote.items())
@@ -62,14 +62,13 @@ def test_a_rerun_keeps_what_was_made_with_the_same_settings(tmp_path):
     again = {"a": "kept", "b": "done", "c": "kept"}
     assert done(tmp_path, TASKS, settings={"seed": 1}) == again
     (tmp_path / "c.txt").unlink()
-    says = r"made with another seed \(2 refused, 0 kept, 1 to make: nothing was done\)"
-    with pytest.raises(ConfigError, match=says):
+    with pytest.raises(ConfigError, match=r"another seed \(2 .*0 .*1 "):
         batch(tmp_path, TASKS, settings={"seed": 2})
     skipped = {"a": "kept", "b": "kept", "c": "done"}
     assert done(tmp_path, TASKS, "skip", {"seed": 2}) == skipped
     replaced = {"a": "done", "b": "done", "c": "kept"}
     assert done(tmp_path, TASKS, "replace", {"seed": 2}) == replaced
-    with pytest.raises(ConfigError, match="existing is 'keep'; expected"):
+    with pytest.raises(ConfigError, match="existing is 'keep'"):
         batch(tmp_path, TASKS, "keep")
 
 
@@ -98,11 +97,11 @@ def test_settings_that_cannot_be_are_refused(settings, says):
 
 def test_an_output_folder_that_cannot_be_is_one_clear_error(tmp_path):
     (tmp_path / "file").write_text("mine")
-    with pytest.raises(ConfigError, match=r"file/out: cannot be created \(Not a directory\)"):
+    with pytest.raises(ConfigError, match="file/out: .*Not a directory"):
         done(tmp_path / "file" / "out", TASKS)
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "sub").symlink_to(tmp_path)
-    with pytest.raises(ConfigError, match=r"sub/a.txt lies outside .*/sub is a link"):
+    with pytest.raises(ConfigError, match="sub/a.txt .*/sub is a link"):
         batch(tmp_path / "out", [Task("sub/a")])
 
 
@@ -121,7 +120,7 @@ def test_a_run_that_lost_its_lease_writes_no_more(tmp_path, monkeypatch):
     going = batch(tmp_path, TASKS).run()
     assert next(going).id == "a"
     take_over(tmp_path)
-    with pytest.raises(ConfigError, match="another one has taken its shard over; stopped"):
+    with pytest.raises(ConfigError, match="taken its shard"):
         next(going)
     assert [path.name for path in tmp_path.glob("*.txt")] == ["a.txt"]
 

@@ -52,7 +52,7 @@ def test_a_resumed_run_names_the_arrays_that_it_misses(long_config, tmp_path):
     config = long_config()
     load_training_data(config).save(tmp_path / "data")
     moved = config.arrays_folder.rename(tmp_path / "moved")
-    with pytest.raises(ConfigError, match="arrays of this run are missing; arrays=FOLDER"):
+    with pytest.raises(ConfigError, match="missing.* arrays=FOLDER"):
         TrainingData.load(tmp_path / "data", config)
     again = TrainingData.load(tmp_path / "data", replace(config, arrays=moved))
     assert again.paired[0].motion[:, 3:5].shape == (again.representation.n_features, 2)
@@ -86,7 +86,7 @@ def test_what_was_made_before_an_error_is_kept(long_config):
     broken = config.corpus.parent / "paired" / "b.wav"
     content = broken.read_bytes()
     broken.write_bytes(b"RIFF")
-    with pytest.raises(CorpusError, match=r"item b: .*arrays made so far are kept"):
+    with pytest.raises(CorpusError, match="item b: .*kept"):
         load_training_data(config)
     before = arrays_in(config)
     broken.write_bytes(content)
@@ -106,7 +106,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(long_config, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(npy, "write_array_header_1_0", full)
-        with pytest.raises(gk.GestureKitError, match="No space left on device; make room"):
+        with pytest.raises(gk.GestureKitError, match="No space left"):
             load_training_data(config)
     assert len(arrays_in(config)) == 2
     load_training_data(config)
@@ -115,7 +115,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(long_config, monkeypatch):
 
 def test_a_folder_that_cannot_be_written_to_names_the_option(long_config, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(gk.GestureKitError, match="arrays=FOLDER names another folder"):
+    with pytest.raises(gk.GestureKitError, match="arrays=FOLDER"):
         load_training_data(long_config(arrays=str(tmp_path / "file" / "arrays")))
 
 
@@ -205,8 +205,8 @@ def test_the_commands_plan_and_make_arrays_with_workers_and_train(
     file = tmp_path / "config.yaml"
     file.write_text(dump_yaml(to_dict(config)))
     gesturekit("train", file, "--plan").ok()
-    assert "Arrays of 0.0 GB in" in caplog.text and not config.arrays_folder.exists()
-    assert "2 recordings, 8 s at 30 fps" in caplog.text and "Time: about" in caplog.text
+    assert "0.0 GB" in caplog.text and not config.arrays_folder.exists()
+    assert "2 recordings, 8 s" in caplog.text and "Time: about" in caplog.text
     gesturekit("train", file, "--arrays", "--workers", workers).ok()
     made = arrays_in(config)
     assert len(made) == 5 and "are ready in" in caplog.text and not config.out.exists()

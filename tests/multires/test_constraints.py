@@ -274,14 +274,14 @@ def test_clips_begin_at_the_nearest_frame_and_may_touch(representation):
     clips = InbetweenClips({0.42: clip, 0.02: clip}, representation, FPS)
     assert [begin for begin, _ in clips.clips] == [1, 11] and clips.end == 21
     clips.check_end(21)
-    with pytest.raises(ModelError, match=r"ends at 0.84 s, after the motion's end \(0.8 s\)"):
+    with pytest.raises(ModelError, match=r"ends at 0.84 s, .*0.8 s\)"):
         clips.check_end(20)
-    with pytest.raises(ModelError, match=r"at 0.38 s begins before .* ends \(0.44 s\)"):
+    with pytest.raises(ModelError, match="at 0.38 s .*0.44 s"):
         InbetweenClips({0.38: clip, 0.02: clip}, representation, FPS)
     other = InbetweenClips({0.0: replace(clip, fps=50.0)}, representation, FPS)
     assert other.end == 5, "0.2 s"
     for second in (-0.01, float("inf"), float("nan")):
-        with pytest.raises(ModelError, match="expected 0 or later"):
+        with pytest.raises(ModelError, match="0 or later"):
             InbetweenClips({second: clip}, representation, FPS)
 
 

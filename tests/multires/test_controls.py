@@ -57,9 +57,9 @@ def test_level_speech_is_cut_to_the_motion_or_followed_by_silence(two_voices):
 @pytest.mark.parametrize(
     ("levels", "file", "message"),
     [
-        ("7-9", "here.wav", "level speech '7-9': the model has levels 1 .coarse. to 8"),
-        ("fine", "here.wav", "level speech 'fine': it looks like 7-10=b.wav"),
-        ("7-8", "gone.wav", "level_speech: .*gone.wav: no such file"),
+        ("7-9", "here.wav", "level speech '7-9': .* 8"),
+        ("fine", "here.wav", "level speech 'fine': .*7-10=b.wav"),
+        ("7-8", "gone.wav", "level_speech: .*gone.wav"),
     ],
 )
 def test_invalid_level_speech_is_an_error(levels, file, message, tmp_path):
@@ -79,7 +79,7 @@ def test_level_speech_from_the_command_line(two_voices, tmp_path, render):
         file.unlink()
     np.testing.assert_array_equal(*made)
     done = render("demo", "--seconds", 4, "--level-speech", "7-8")
-    assert done.status == 2 and "names no file: 7-10=b.wav" in done.err
+    assert done.status == 2 and "7-10=b.wav" in done.err
 
 
 @pytest.fixture(scope="module")
@@ -93,14 +93,14 @@ def models():
 @pytest.mark.parametrize(
     ("kind", "asked", "message"),
     [
-        ("known", {"levels": 0}, "levels=0: expected an integer at least 1"),
-        ("known", {"levels": 9}, r"levels=9: the model has levels 1 \(coarse\) to 8"),
-        ("known", {"keyframe_level": 0}, "keyframe_level=0: expected an integer"),
-        ("known", {"speaker": "eve"}, r"speaker='eve': the model does not know them \(ann, bob\)"),
-        ("plain", {"speaker": "eve"}, r"does not know them \(its corpus named none\)"),
-        ("known", {"style": "sad"}, "style='sad': this multires model has no style"),
-        ("known", {"level_style": "1=sad"}, "level_style='1=sad': this multires model has no"),
-        ("known", {"fps": 24.0, "levels": 7}, "fps=24: with levels=7 a motion has that level's"),
+        ("known", {"levels": 0}, "levels=0: .*at least 1"),
+        ("known", {"levels": 9}, "levels=9: .*to 8"),
+        ("known", {"keyframe_level": 0}, "keyframe_level=0: "),
+        ("known", {"speaker": "eve"}, "speaker='eve': .*ann, bob"),
+        ("plain", {"speaker": "eve"}, "corpus named none"),
+        ("known", {"style": "sad"}, "style='sad': .*no style"),
+        ("known", {"level_style": "1=sad"}, "level_style='1=sad': "),
+        ("known", {"fps": 24.0, "levels": 7}, "fps=24: .*levels=7"),
     ],
 )
 def test_controls_that_a_model_does_not_take_are_refused(models, kind, asked, message):
@@ -112,10 +112,10 @@ def test_controls_that_a_model_does_not_take_are_refused(models, kind, asked, me
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
-        ({"path": 1, "like": 1}, "path and like: give one of them"),
-        ({"like": 1, "levels": 7}, "like goes with all levels: leave levels away"),
-        ({"speaker": "ann", "levels": 7}, "speaker goes with all levels"),
-        ({"speaker": "ann", "keep": 1}, "keep cannot be combined with speaker"),
+        ({"path": 1, "like": 1}, "path and like"),
+        ({"like": 1, "levels": 7}, "like .*levels"),
+        ({"speaker": "ann", "levels": 7}, "speaker .*levels"),
+        ({"speaker": "ann", "keep": 1}, "keep .*speaker"),
     ],
 )
 def test_controls_that_exclude_each_other_are_refused(models, gesture, asked, message):

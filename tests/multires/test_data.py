@@ -194,14 +194,14 @@ def test_parts_named_by_hand_reach_the_model(make_config, tmp_path, gesture, wri
     prepare([folder], tmp_path / "nameless.jsonl", holdout=0.0)
     corpus = str(tmp_path / "nameless.jsonl")
     load_training_data(make_config(corpus=corpus))
-    assert re.search(r"upper body cannot be .*parts: \{left_elbow: JOINT", caplog.text)
+    assert re.search(r"parts: \{left_elbow: JOINT", caplog.text)
     caplog.clear()
     data = load_training_data(make_config(corpus=corpus, parts=parts))
     assert dict(data.representation.skeleton.parts) == parts and not caplog.text
     data.save(tmp_path)
     again = TrainingData.load(tmp_path, make_config(corpus=corpus, parts=parts))
     assert upper_body(again.representation.skeleton)[0] == "Joint1"
-    with pytest.raises(ConfigError, match="parts: 'left_elbo' is none of"):
+    with pytest.raises(ConfigError, match="parts: 'left_elbo'"):
         make_config(parts={"left_elbo": "Joint7"})
     with pytest.raises(ConfigError, match=r"parts.*'Joint99'"):
         load_training_data(make_config(corpus=corpus, parts={"left_elbow": "Joint99"}))

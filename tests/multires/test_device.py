@@ -70,6 +70,6 @@ def test_the_numba_engine_is_not_for_a_gpu(gpu, make_config, caplog):
     caplog.set_level(logging.INFO)
     config = make_config(device="cuda", training=SHORT, features=None, network={"levels": 2})
     train(config)
-    assert "Backend: torch (slower than numba, but it needs float32 weights on the" in caplog.text
-    with pytest.raises(ModelError, match="backend: numba cannot be used: .*CPU.*on cuda:0"):
+    assert "Backend: torch" in caplog.text and "float32" in caplog.text
+    with pytest.raises(ModelError, match="backend: numba .*CPU.*on cuda:0"):
         train(make_config(device="cuda", backend="numba", out=f"{config.out}-numba"))

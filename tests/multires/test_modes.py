@@ -30,7 +30,7 @@ LABELS = {**SINGLE, "styles": {}, "network": {"modulate": "all"}}
 
 def test_label_mode_wants_a_style_for_every_item(make_config, motions):
     corpus = motions(old=[3.0], none=[3.0])
-    with pytest.raises(CorpusError, match="none_0 has no style"):
+    with pytest.raises(CorpusError, match="none_0 .*style"):
         train(make_config(corpus=str(corpus), **LABELS))
 
 
@@ -46,8 +46,8 @@ def test_spans_hold_and_blend_over_a_second():
 @pytest.mark.parametrize(
     ("style", "level_style", "message"),
     [
-        ("older", None, "the model has angry, old"),
-        ("old", "1-9=old", "levels 1 .coarse. to 4"),
+        ("older", None, "angry, old"),
+        ("old", "1-9=old", "levels 1 .*4"),
         ("old", "old", "1-4=describe"),
         ("old", "1-4", "1-4=describe"),
     ],
@@ -134,8 +134,8 @@ def test_one_clip_without_any_condition(single, tmp_path):
     other = single.generate(seconds=6.0, seed=2)
     assert np.abs(motion.rotations - other.rotations).max() > 1e-3
     for asked, expected in (
-        ({"speech": "speech.wav"}, "takes no speech; give seconds instead"),
-        ({"seconds": 2.0, "level_speech": {"1": tmp_path / "a.wav"}}, "level_speech: this model"),
+        ({"speech": "speech.wav"}, "no speech.*seconds"),
+        ({"seconds": 2.0, "level_speech": {"1": tmp_path / "a.wav"}}, "level_speech: "),
         ({"seconds": 2.0, "style": "happy"}, "style"),
     ):
         with pytest.raises(ModelError, match=expected):
@@ -200,18 +200,18 @@ def test_keyframes_of_another_rate_or_length_cause_warnings(single, caplog):
         assert (made.rotations == whole.rotations).all()
     still = coarse[:1].resample(coarse.fps, 63)
     assert said(still)[0].n_frames == whole.n_frames and caplog.text == ""
-    assert "it fits level 2" in said(single.generate(seconds=6.0, seed=1, levels=2))[1]
+    assert "level 2" in said(single.generate(seconds=6.0, seed=1, levels=2))[1]
     for rate, expected in ((24.0, "no level has"), (1.005 * coarse.fps, ""), (10.62, "no level")):
         words = said(replace(coarse, fps=rate))[1]
         assert expected in words and bool(words) == bool(expected)
-    assert "the rest is left out" in said(coarse, seconds=4.0)[1]
-    assert "the last pose is held to the end" in said(coarse, seconds=8.0)[1]
+    assert "left out" in said(coarse, seconds=4.0)[1]
+    assert "last pose" in said(coarse, seconds=8.0)[1]
     assert "retargeted" in said(prefixed(coarse, "avatar:"))[1]
     like = single.generate(seconds=2.0)
     for seconds, warns in ((None, False), (1.0, False), (2.4, False), (4.0, True)):
         caplog.clear()
         single.generate(like=like, seconds=seconds)
-        assert ("the last pose is held to the end" in caplog.text) == warns
+        assert ("last pose" in caplog.text) == warns
 
 
 def test_noise_enters_at_as_many_levels_as_wanted_scaled_by_their_sigma(single):
@@ -294,7 +294,7 @@ def test_styles_and_keyframes_from_the_command_line(labelled, corpora, tmp_path,
     edit = path.rename(tmp_path / "edit.bvh")
     assert frames("--keyframes", edit, "--style", "angry") == 100
     assert frames("--like", corpora / "old_1.bvh", "--style", "old") == 90
-    render(labelled.folder, "--seconds", 4, "--style", "sad").fails(2, "the model has angry, old")
+    render(labelled.folder, "--seconds", 4, "--style", "sad").fails(2, "angry, old")
     render(labelled.folder, "--keyframes", edit, "--like", edit).fails(2)
     made, sequences = labelled.reconstruct("old_0"), labelled.noise.sequences
     assert made.n_frames == 100

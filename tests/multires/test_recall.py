@@ -206,18 +206,18 @@ def test_recall_can_be_turned_off(model, plain, speech):
 @pytest.mark.parametrize(
     ("kind", "asked", "expected"),
     [
-        ("plain", {"recall": True}, "recall=True: .* not trained with recall"),
+        ("plain", {"recall": True}, "recall=True: .*trained"),
         ("plain", {"liveliness": 1.5}, "liveliness=1.5: only models"),
         ("plain", {"mood_seed": 0}, "mood_seed=0: only models"),
         ("model", {"recall": False, "liveliness": 0.5}, "liveliness=0.5: without recall"),
         ("model", {"recall": False, "mood_seed": 0}, "mood_seed=0: without recall"),
-        ("model", {"like": 1, "liveliness": 0.5}, "liveliness=0.5: like sets the"),
+        ("model", {"like": 1, "liveliness": 0.5}, "liveliness=0.5: like"),
         *(
-            ("model", {"liveliness": value}, "liveliness=.*: expected a number above 0")
+            ("model", {"liveliness": value}, "liveliness=.*above 0")
             for value in (0, -1.0, float("nan"), float("inf"), "high")
         ),
         *(
-            ("model", {"mood_seed": value}, "mood_seed=.*: expected an integer at least 0")
+            ("model", {"mood_seed": value}, "mood_seed=.*at least 0")
             for value in (-1, 1.5, "one", True)
         ),
     ],
@@ -319,7 +319,7 @@ def test_stretch_is_saved_with_the_model(model, speech, tmp_path):
     assert np.abs(made.rotations - own.rotations).max() > 1e-3
     other.save(tmp_path / "model")
     loaded = gk.load(tmp_path / "model")
-    assert "arms up to 25 % faster or slower" in (tmp_path / "model/README.md").read_text("utf-8")
+    assert "25 %" in (tmp_path / "model/README.md").read_text("utf-8")
     np.testing.assert_array_equal(loaded.generate(speech, seed=1).rotations, made.rotations)
 
 
@@ -431,11 +431,11 @@ def test_recall_without_speech(recordings, tmp_path):
 @pytest.mark.parametrize(
     ("recall", "message"),
     [
-        ({"level": 3}, "recall.level: 3 must be even"),
-        ({"piece": 0.5}, r"recall.overlap: 0.3 must be at most half of piece \(0.5\)"),
-        ({"overlap": 0}, "overlap: 0.* must be above 0"),
-        ({"own_movement": 1.1}, "recall.own_movement: 1.1 must be from 0 to 1"),
-        ({"stretch": 0.6}, "recall.stretch: 0.6 must be 0 or from 0.05 to 0.5"),
+        ({"level": 3}, "recall.level: 3 .*even"),
+        ({"piece": 0.5}, "recall.overlap: 0.3 .*0.5"),
+        ({"overlap": 0}, "overlap: 0.* above 0"),
+        ({"own_movement": 1.1}, "recall.own_movement: 1.1 .*0 to 1"),
+        ({"stretch": 0.6}, "recall.stretch: 0.6 .*0.05 to 0.5"),
         ({"pieces": 2}, "recall.pieces"),
     ],
 )
@@ -447,7 +447,7 @@ def test_bad_settings_name_their_key(recall, message, tmp_path):
 def test_vocal_effort_alone_is_no_input_beside_recall(tmp_path):
     """Recall keeps it from the network, which would have no speech."""
     alone = {"features": {"extractors": [{"kind": "effort"}]}}
-    with pytest.raises(ConfigError, match=r"features.extractors: effort alone; .* prosody"):
+    with pytest.raises(ConfigError, match="features.extractors: effort .*prosody"):
         settings(tmp_path / "none.jsonl", tmp_path, **alone)
     assert settings(tmp_path / "none.jsonl", tmp_path, **alone, recall=None).recall is None
 
@@ -491,8 +491,8 @@ def test_training_fits_predictions_for_live_speech_and_so_does_the_command(
         assert gk.load(other).fingerprint() == trained.fingerprint()
         card = (other / "README.md").read_text()
         assert [line for line in card.splitlines() if not line.startswith("- **Live")] == before
-        assert card.count("- **Live**: with 0, 0.1, 0.2, 0.4 s") == 1
+        assert card.count("0, 0.1, 0.2, 0.4 s") == 1
     assert gk.load(other).stream(RATE).step(voice(1.0).samples).n_frames > 15
     plain.save(tmp_path / "plain")
     done = gesturekit("live", "--fit", recordings, "--model", tmp_path / "plain")
-    assert done.status != 0 and "the model cannot stream: it needs recall" in done.err
+    assert done.status != 0 and "needs recall" in done.err

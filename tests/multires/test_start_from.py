@@ -69,18 +69,18 @@ def test_recordings_of_a_taller_speaker_on_top_of_another_model(
     height = float(values[data.representation.layout.root_height].mean())
     assert height == pytest.approx(float(start.normaliser.mean[-2]), abs=1e-3)
     assert f"**Began with**: {gone}" in (folder / "README.md").read_text("utf-8")
-    assert "**Began with**: random weights" in (first / "README.md").read_text("utf-8")
+    assert "random weights" in (first / "README.md").read_text("utf-8")
     assert model.generate(seconds=1.0).n_frames == 30
 
 
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
-        ({"fps": 20.0}, "has fps 25.0, this run 20.0"),
-        ({"network": {"embedding": 8}}, "has network.embedding 4, this run 8"),
-        ({"features": {"extractors": [{"kind": "prosody"}]}}, r"has features .*effort.*this run"),
-        ({"features": None}, "has features .*this run None"),
-        ({"recall": None}, "has recall or state on, this run off"),
+        ({"fps": 20.0}, "fps 25.0, .*20.0"),
+        ({"network": {"embedding": 8}}, "network.embedding 4, .*8"),
+        ({"features": {"extractors": [{"kind": "prosody"}]}}, "features .*effort"),
+        ({"features": None}, "features .* None"),
+        ({"recall": None}, "recall or state"),
     ],
 )
 def test_other_settings_are_refused(first, corpus, tmp_path, wrong, told):
@@ -95,7 +95,7 @@ def test_another_rig_and_another_system_are_refused(first, gesture, write_speech
     prefixed(gesture(3.0)).save(tmp_path / "in" / "x.bvh")
     prepare([tmp_path / "in"], tmp_path / "c.jsonl", holdout=0.0)
     config = tiny(tmp_path / "c.jsonl", tmp_path / "run", start_from=str(first))
-    with pytest.raises(ConfigError, match="another rig than .*'mixamorig:Hips' here and 'Hips'"):
+    with pytest.raises(ConfigError, match="another rig .*'mixamorig:Hips' .*'Hips'"):
         train(config)
     with pytest.raises(ModelError, match="not a model folder"):
         train(replace(config, start_from=tmp_path / "in"))
@@ -113,7 +113,7 @@ def test_recordings_in_some_of_the_styles(motions, tmp_path):
     for recall in (None, False):
         assert model.generate(seconds=2.0, style="angry", recall=recall).n_frames == 60
     for wrong, own in (({}, "'sad'"), ({"styles": None}, "")):
-        told = rf"has styles \['angry', 'old'\], this run \[{own}\]; a model's conditions"
+        told = rf"styles \['angry', 'old'\], .*\[{own}\]"
         config = tiny(motions(sad=[3.0]), tmp_path / "no", **{**mode, **wrong})
         with pytest.raises(ConfigError, match=told):
             train(config)

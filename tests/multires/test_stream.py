@@ -197,7 +197,7 @@ def test_a_stream_has_one_style(model):
     for item in "abcd":
         asked = [begun(item=item, style=name) for name in (None, "calm", "glad")]
         assert asked[0] in asked[1:]
-    with pytest.raises(ModelError, match="a stream takes one style, without times"):
+    with pytest.raises(ModelError, match="one style"):
         styled.stream(RATE, style="calm@0-1,glad@1-2")
     with pytest.raises(ModelError, match="sad"):
         styled.stream(RATE, style="sad")
@@ -224,18 +224,18 @@ def test_what_cannot_stream_says_why(model, gesture):
     conditioner = replace(model.conditions.conditioner, extractor=af.Music())
     music = replace(model, conditions=replace(model.conditions, conditioner=conditioner))
     for own, options, message in (
-        (no_ahead, {}, "no predictions for live speech: gesturekit live --fit corpus.jsonl"),
-        (no_recall, {}, "without recall cannot stream"),
-        (music, {}, "music: these features need the whole sound"),
-        (small_diffusion(gesture), {}, "a diffusion model generates whole motions only"),
+        (no_ahead, {}, "gesturekit live --fit corpus.jsonl"),
+        (no_recall, {}, "without recall"),
+        (music, {}, "music: .*whole sound"),
+        (small_diffusion(gesture), {}, "whole motions"),
         *((model, {"look_ahead": x}, "look_ahead=.*: seconds") for x in (-0.1, np.nan, np.inf)),
-        (model, {"levels": 3}, "levels: a stream takes style, .*smooth only"),
-        (model, {"style": "old"}, "style='old': this multires model has no style"),
+        (model, {"levels": 3}, "levels: .*style, .*smooth"),
+        (model, {"style": "old"}, "style='old': "),
     ):
         with pytest.raises(ModelError, match=message):
             own.stream(RATE, **options)
     stream = model.stream(RATE)
     for samples in (np.zeros((2, 3)), [[0.0], [0.0]], [0.0, np.nan], [np.inf]):
-        with pytest.raises(ModelError, match=r"finite samples \(N,\), one channel"):
+        with pytest.raises(ModelError, match=r"finite .*\(N,\)"):
             stream.step(np.array(samples))
     assert stream.step(np.zeros(0, np.float32)) is None

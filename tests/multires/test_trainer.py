@@ -1,6 +1,7 @@
 """Training: what each step reads, exact resume, and a model that renders."""
 
 import logging
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -38,9 +39,9 @@ def test_a_model_keeps_the_rate_of_its_recordings(make_config, corpus, tmp_path)
     wave = af.Wave.load(speech)
     longer = af.Wave(np.pad(wave.samples, (0, wave.sample_rate)), wave.sample_rate)
     assert model.reconstruct("b", longer).n_frames == made.n_frames, "the rest is left out"
-    with pytest.raises(ModelError, match="'b': the model has speech input; give"):
+    with pytest.raises(ModelError, match="'b': .*speech input"):
         model.reconstruct("b")
-    with pytest.raises(ModelError, match=f"'b': it has {made.n_frames} frames, its speech 20"):
+    with pytest.raises(ModelError, match=f"'b': .*{made.n_frames} frames, .*20"):
         model.reconstruct("b", af.Wave.load(speech, duration=1.0))
 
 
@@ -61,23 +62,19 @@ def announced(make_config, tmp_path, caplog):
 
 def test_a_run_says_what_it_trains_and_on_what(announced, motions):
     corpus = str(motions(old=[3.0], angry=[3.0]))
-    two = "2 recordings, 8 s at 30 fps, trained at 25 fps, "
+    two = "2 recordings, 8 s .*30 fps, .*25 fps, "
     for changes, mode, content in (
-        (
-            {},
-            "speech mode",
-            f"{two}5 s of unpaired speech, 28 speech features, 19 of 19 joints modelled",
-        ),
-        ({"features": None}, "no condition", f"{two}19 of 19 joints modelled"),
+        ({}, "speech mode", f"{two}5 s .*28 speech features, 19 of 19"),
+        ({"features": None}, "no condition", f"{two}19 of 19"),
         (
             {"features": None, "styles": {}, "corpus": corpus, "joints": ["Hips", "Head", "Neck"]},
             "labels mode",
-            "2 recordings, 6 s at 30 fps, trained at 25 fps, 2 styles, 3 of 19 joints modelled",
+            "2 recordings, 6 s .*30 fps, .*25 fps, 2 styles, 3 of 19",
         ),
     ):
         said, _ = announced(**changes)
-        assert f": multires, {mode}, 4 levels, 10 iterations (longer=1)." in said
-        assert content in said
+        assert re.search(f"multires, {mode}, 4 levels, 10 .*longer=1", said)
+        assert re.search(content, said)
 
 
 def test_losses_on_parts_that_a_rig_lacks_are_left_out(announced, gesture, write_speech, tmp_path):
@@ -88,11 +85,8 @@ def test_losses_on_parts_that_a_rig_lacks_are_left_out(announced, gesture, write
     corpus, losses = str(tmp_path / "in.jsonl"), {"arm_speed": 2.0, "contact": 3.0}
     said, found = announced(corpus=corpus, losses=losses)
     assert (found.arm_speed, found.arm_acceleration, found.contact) == (0.0, 0.0, 0.0)
-    assert (
-        "cannot be identified: no losses on the arms, no contact labels or loss, recordings keep "
-        "their heading, all joints are modelled. If it has them, name them by hand"
-    ) in said
-    assert "no losses on the arms" not in announced(corpus=corpus, losses={"arm_speed": 0.0})[0]
+    assert re.search("on the arms, .*contact .*heading, .*by hand", said)
+    assert "on the arms" not in announced(corpus=corpus, losses={"arm_speed": 0.0})[0]
     said, found = announced(corpus=corpus, losses=losses, parts=parts)
     assert (found.arm_speed, found.contact) == (2.0, 3.0) and "identified" not in said
 
@@ -115,8 +109,8 @@ def test_clips_shorter_than_a_patch_at_level_1_are_warned_about(
     """The clip has 125 frames: 9.4 of them at level 1 of 10, and 12.5 of 9; a patch has 13."""
     network = {"levels": levels, "kernel": 5, "channels": [2, 2]}
     announced(network=network, training={"window": window})
-    assert ("1 of 1 clips of unpaired speech" in caplog.text) is warned
-    assert ("13 frames" in caplog.text and "clips of 6.7 s or more" in caplog.text) is warned
+    assert ("1 of 1 clips" in caplog.text) is warned
+    assert ("13 frames" in caplog.text and "6.7 s" in caplog.text) is warned
 
 
 def test_with_margins_a_whole_clip_continues_in_them_as_in_generation(make_config, cache_of):
@@ -174,16 +168,16 @@ def test_a_run_leaves_metrics_checkpoints_and_a_model(make_config, tmp_path, cap
     folder = train(config)
     card = (folder / "README.md").read_text("utf-8")
     for words in (
-        "**Kind**: multires, 4 levels\n",
-        "25 fps, resampled to 30 fps, 19 of 19 joints modelled\n",
-        "**Recordings**: 2 recordings, 8 s at 30 fps, trained at 25 fps\n",
-        "**Unpaired speech**: 5 s in 1 file\n",
-        "each stage draws a second as real motion about 2.8 times",
-        "**Began with**: random weights\n",
-        "**Training steps**: 10\n",
-        "**Last losses**: discriminator ",
-        "**Measured**: on 2 training recordings (8 s): ",
-        "**Licence**: CC0\n",
+        "multires, 4 levels",
+        "25 fps, resampled to 30 fps, 19 of 19",
+        "2 recordings, 8 s at 30 fps",
+        "5 s in 1 file",
+        "2.8 times",
+        "random weights",
+        "steps**: 10\n",
+        "losses**: discriminator ",
+        "2 training recordings (8 s)",
+        "CC0",
     ):
         assert words in card
     lines = logged(config.out)
@@ -205,7 +199,7 @@ def test_a_run_leaves_metrics_checkpoints_and_a_model(make_config, tmp_path, cap
 def test_no_checkpoint_is_written_after_nan(make_config):
     training = {"learning_rate": 1e30, "first_stage": 20}
     config = make_config(training=training, checkpoint_every=1, log_every=100)
-    with pytest.raises(ModelError, match="step .*: the loss became NaN or infinite"):
+    with pytest.raises(ModelError, match="step .* loss .*NaN"):
         train(config)
     latest = Checkpoints(config.out / "checkpoints").latest()
     assert latest is None or all(torch.isfinite(v).all() for v in latest[1]["generators"].values())
@@ -237,7 +231,7 @@ def test_variants_train_on_the_losses_that_they_name(make_config, changes, losse
     short = {"first_stage": 1, "further_stages": 1, **changes.get("training", {})}
     config = make_config(**{**changes, "training": short, "log_every": 1})
     trained = weights(train(config))
-    assert ("random steps take the paired speech" in caplog.text) == ("precision" in changes)
+    assert ("take the paired speech" in caplog.text) == ("precision" in changes)
     # The finest level is at the full rate, where every loss applies.
     assert set(logged(config.out)[-1]) - {"step", "level"} == losses
     assert all(torch.isfinite(value).all() for value in trained.values())

@@ -52,9 +52,9 @@ def test_a_live_run_is_never_mixed_with_another(model, sounds, tmp_path):
     going = iter_render(model, sounds, out)
     next(going)
     before = results(out)
-    with pytest.raises(ConfigError, match="it is in use, by process"):
+    with pytest.raises(ConfigError, match="in use"):
         list(iter_render(model, sounds, out))
-    with pytest.raises(ConfigError, match="another run, with other inputs or settings"):
+    with pytest.raises(ConfigError, match="another run"):
         run(model, sounds / "day", out)
     with pytest.raises(ConfigError, match="another run"):
         list(iter_render(model, sounds, out, execution=Execution(shard=(1, 2)), seed=1))
@@ -68,7 +68,7 @@ def test_a_slow_item_fails_at_the_deadline_until_it_changes(model, sounds, tmp_p
     write_speech(sounds / "b.wav", 1200.0)
     outcomes = run(model, sounds, tmp_path / "out", deadline=1.0)
     (late,) = [outcome for outcome in outcomes if outcome.error]
-    assert late.source.endswith("b.wav") and "stopped after 1 s, the deadline" in late.error
+    assert late.source.endswith("b.wav") and "after 1 s" in late.error
     assert len(results(tmp_path / "out")) == 8
     write_speech(sounds / "b.wav", 0.5)
     assert not [outcome for outcome in run(model, sounds, tmp_path / "out") if outcome.error]
@@ -93,7 +93,7 @@ def test_options_of_each_line_of_a_list(model, sounds, tmp_path):
     # A line that changes is one item to do again.
     lines[0]["seed"] = 4
     (sounds / "night.jsonl").write_text("\n".join(map(json.dumps, lines[:3])))
-    with pytest.raises(ConfigError, match="another seed .2 refused, 4 kept"):
+    with pytest.raises(ConfigError, match="another seed .*2 .*4"):
         run(model, sounds / "night.jsonl", tmp_path / "out")
 
 

@@ -41,7 +41,7 @@ def test_globs_keep_the_folders_below_their_fixed_part(folder, tmp_path, pattern
 def test_a_file_with_the_name_of_a_pattern_is_that_file(folder, tmp_path, write_speech):
     write_speech(folder / "[b].wav", 0.5)
     assert found(str(folder / "[b].wav"), tmp_path) == {"[b]": "in/[b].wav"}
-    with pytest.raises(ConfigError, match="no audio file matches this pattern"):
+    with pytest.raises(ConfigError, match="this pattern"):
         find_tasks("in/*.flac", tmp_path)
 
 
@@ -96,21 +96,21 @@ def test_jsonl_has_options_for_each_input(folder, tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [
-        ("l.scp", "x touch hacked |\n", "l.scp:1: .*is a command, and commands .* never run"),
-        ("l.scp", "../../x in/a.wav\n", r"l.scp:1: id '\.\./\.\./x' cannot be used"),
+        ("l.scp", "x touch hacked |\n", "l.scp:1: .*command"),
+        ("l.scp", "../../x in/a.wav\n", r"l.scp:1: id '\.\./\.\./x'"),
         ("l.scp", ".gesturekit/plan in/a.wav\n", "holds the journal"),
         ("l.txt", "\n\n", "the list is empty"),
-        ("l.txt", "a\0b\n", "l.txt:1: this is not a list"),
+        ("l.txt", "a\0b\n", "l.txt:1: .*not a list"),
         ("l.txt", "x" * 70_000, "not a list"),
-        ("l.txt", "in/a.wav\nother/../in/a.wav\nout/day/a.wav\nin/a.flac", "both be written as"),
+        ("l.txt", "in/a.wav\nother/../in/a.wav\nout/day/a.wav\nin/a.flac", "both be written"),
         ("l.jsonl", '{"audio": "a.wav"}\n{"audio": 3}', "l.jsonl:2: audio is 3"),
-        ("l.jsonl", '{"audio": "a.wav", "colour": 3}', "unknown field 'colour'; known: audio"),
+        ("l.jsonl", '{"audio": "a.wav", "colour": 3}', "'colour'.* audio"),
         ("l.jsonl", '{"audio": "a.wav", "id": "../a"}', "cannot be used"),
         ("l.jsonl", '{"id": "a", "seconds": 1e99}', "seconds is 1e"),
         ("l.jsonl", '{"id": "a", "seconds": NaN}', "seconds is NaN"),
         ("l.jsonl", '{"audio": "a.wav", "seed": -1}', "l.jsonl:1: seed is -1"),
-        ("l.jsonl", '{"seed": 3}', "give audio, or id and seconds"),
-        ("l.jsonl", '{"id": "a"}', "give audio, or id and seconds"),
+        ("l.jsonl", '{"seed": 3}', "audio, or id"),
+        ("l.jsonl", '{"id": "a"}', "audio, or id"),
         ("l.jsonl", '{"schema": 1}', "--corpus"),
         ("l.jsonl", "[" * 20_000, "not a JSON object"),
         ("l.jsonl", '{"id": "a", "seconds": 0}', "seconds is 0"),
@@ -155,9 +155,9 @@ def test_a_file_that_is_named_twice_is_made_once_and_two_of_a_name_are_refused(
     for number in range(3):
         write_speech(tmp_path / str(number) / "a.wav", 0.5)
     others = [tmp_path / str(number) / "a.wav" for number in range(3)]
-    with pytest.raises(ConfigError, match=r"0/a.wav and .*1/a.wav would both .*out/a; write them"):
+    with pytest.raises(ConfigError, match="0/a.wav and .*1/a.wav .*out/a;"):
         find_tasks(others[:2], tmp_path / "out")
-    with pytest.raises(ConfigError, match=r"1/a.wav would both .*out/a \(and 1 more\); write"):
+    with pytest.raises(ConfigError, match=r"1/a.wav .*out/a \(and 1 more"):
         find_tasks(others, tmp_path / "out")
 
 

@@ -83,9 +83,9 @@ def test_windows_are_whole(tmp_path, seconds, n_windows):
     ]
     options = SamplingOptions(samples=1)
     if not n_windows:
-        with pytest.raises(ConfigError, match=r"a window of 10 s; the longest has 9\.9 s"):
+        with pytest.raises(ConfigError, match=r"10 s;.* 9\.9 s"):
             list(sample_lda(model, items, tmp_path / "out", options))
-        with pytest.raises(ConfigError, match=r"the longest has 0\.0 s"):
+        with pytest.raises(ConfigError, match=r" 0\.0 s"):
             list(sample_lda(model, [], tmp_path / "out", options))
         return
     assert len(list(sample_lda(model, items, tmp_path / "out", options))) == n_windows

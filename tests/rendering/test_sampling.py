@@ -113,9 +113,9 @@ def test_styles_that_are_not_known_are_refused_before_sampling(styled, corpus, t
     items = Manifest.load(corpus).in_split("test")
     wrong = [items[0], replace(items[1], style="c")]
     for sample in (sample_lda, sample_multires):
-        with pytest.raises(ConfigError, match=r"style c of three: the model has a, b\. .*--corpus"):
+        with pytest.raises(ConfigError, match=r"style c of three: .* a, b\. .*--corpus"):
             next(sample(styled, wrong, tmp_path, SamplingOptions()))
-        with pytest.raises(ConfigError, match="style None of four, one, three and 1 more"):
+        with pytest.raises(ConfigError, match="style None .*four, one, three .*1 more"):
             next(sample(styled, sounds_of(corpus.parent), tmp_path, SamplingOptions()))
     assert not [*tmp_path.iterdir()]
 

@@ -122,7 +122,7 @@ def test_features_are_those_of_the_part_at_the_rate_that_is_asked_for(tmp_path, 
     assert made.facts["shape"] == (25, 1) and made.input["channel"] == 1
     linear = wanted.to_rate(25.0, 25, method="linear").values
     assert np.array_equal(af.FeatureTrack.load(out / "a.npz").values, linear)
-    with pytest.raises(GestureKitError, match="no sound, so there are no features"):
+    with pytest.raises(GestureKitError, match="no sound"):
         plain.make(Result(Task("b")))
     assert plain.settings == {
         "extractor": {"kind": "levels"}, "fps": None, "align": "linear", "precision": "fp32"

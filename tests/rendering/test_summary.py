@@ -36,7 +36,7 @@ def done(name: str, sound: float, seconds: float = 0.0, *files: str) -> Result:
 def bars(text: str) -> dict[int, tuple[float, int]]:
     """Return {left edge: (height, count)} of the bars of a histogram that are seen."""
     found = re.findall(
-        r'<rect x="(\d+)" y="([\d.]+)" width="9" height="([\d.]+)" .*?<title>(\d+)</title>', text
+        r'<rect x="(\d+)" y="([\d.]+)" [^>]*?height="([\d.]+)"[^>]*><title>(\d+)</title>', text
     )
     assert len(found) % 24 == 0 and all(float(y) + float(h) == 100 for _, y, h, _ in found)
     return {int(x): (float(h), int(count)) for x, _, h, count in found if int(count)}

@@ -133,7 +133,7 @@ def test_figures_for_prometheus(client):
 @pytest.mark.parametrize(
     ("error", "status", "says"),
     [
-        (OSError(errno.ENOSPC, "full"), 503, "disk of the service is full"),
+        (OSError(errno.ENOSPC, "full"), 503, "disk"),
         (MemoryError(), 500, "see the log"),
     ],
 )
@@ -225,8 +225,8 @@ def test_health_names_the_model(client, model):
     ("inputs", "says"),
     [
         (Inputs(speech=False), "no speech input"),
-        (Inputs(speech=True, words=True), "a file beside each sound"),
-        (Inputs(speech=True, files=("mine",)), "a file beside each sound"),
+        (Inputs(speech=True, words=True), "beside each sound"),
+        (Inputs(speech=True, files=("mine",)), "beside each sound"),
     ],
 )
 def test_a_model_that_a_sound_is_not_enough_for_is_not_served(inputs, says):

@@ -185,7 +185,7 @@ def test_a_token_is_long_plain_and_without_spaces(served, gesturekit, tmp_path, 
     (tmp_path / "token").write_text(f"{token}\n", encoding="utf-8")
     if not is_used:
         wrong = gesturekit("serve", "--model", "demo", "--token-file", tmp_path / "token")
-        wrong.fails(2, "at least 16 printable ASCII characters")
+        wrong.fails(2, "16 printable ASCII")
         return
     # A file counts more than the environment.
     client = served("--token-file", tmp_path / "token", GESTUREKIT_TOKEN="f" * 16)
@@ -202,7 +202,7 @@ def test_a_port_in_use_is_one_line_and_exit_2(gesturekit):
     with socket.create_server(("127.0.0.1", 0)) as used:
         done = gesturekit("serve", "--model", "demo", "--port", used.getsockname()[1])
     assert done.status == 2
-    assert ": Address already in use; another --port may be free" in done.err
+    assert "already in use" in done.err and "--port" in done.err
 
 
 @pytest.mark.stress
@@ -240,7 +240,7 @@ def test_the_limits_are_those_of_the_command_line(served):
     page = served(*options, "--connections", 3).get("/docs", headers={"Host": "localhost"}).text
     limits = {"megabytes": 3.0, "seconds": 7.0, "per_minute": 5.0, "queue": 2, "workers": 4}
     for name, value in (limits | {"connections": 3}).items():
-        assert f"<th>{name}</th><td>{value}</td>" in page
+        assert re.search(rf">{name}<.{{,30}}>{value}<", page)
     # A client's address is that of its connection, whatever its headers say.
     assert not served.server["proxy_headers"] and not served.server["server_header"]
     assert 0 < served.server["timeout_graceful_shutdown"] < 60

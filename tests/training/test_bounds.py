@@ -105,5 +105,5 @@ def test_parts_are_joints_of_known_names():
 
 def test_a_stage_without_any_step_is_refused():
     nothing = {"training": {"generator_steps": 0, "reconstruction_steps": 0}}
-    with pytest.raises(ConfigError, match="nothing would be trained"):
+    with pytest.raises(ConfigError, match="nothing would be"):
         build(MultiresConfig, small_values("multires", "corpus.jsonl", "run", nothing))

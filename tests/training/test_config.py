@@ -51,7 +51,7 @@ def test_settings_are_python_values_by_name(tmp_path, monkeypatch):
     assert config.inner == Inner(rate=0.2, steps=(2, 3))
     assert (config.window, config.corpus) == (None, tmp_path / "here.jsonl")
     assert load_config(path, Outer, settings={"inner.rate": 1}).inner.rate == 1.0
-    with pytest.raises(ConfigError, match="unknown key inner.rat; did you mean inner.rate"):
+    with pytest.raises(ConfigError, match="inner.rat; .*inner.rate"):
         load_config(path, Outer, settings={"inner": {"rat": 1}})
 
 
@@ -67,15 +67,15 @@ def test_a_written_configuration_reads_back_the_same(tmp_path):
 @pytest.mark.parametrize(
     ("text", "overrides", "says"),
     [
-        ("corpus: c\ninner: {rat: 1}", [], "did you mean inner.rate"),
+        ("corpus: c\ninner: {rat: 1}", [], "inner.rat;.* inner.rate"),
         ("corpus: c\nwindow: wide", [], "window: 'wide'"),
         ("corpus: c\ninner: {mode: other}", [], "'input', 'all'"),
         ("corpus: c\ninner: 3", [], "inner"),
         ("window: 3", [], "corpus is missing"),
-        ("corpus: c", ["name=3"], "name: 3 is not of type str"),
-        ("corpus: c\ninner: {rate: null}", [], "inner.rate may not be empty"),
+        ("corpus: c", ["name=3"], "name: 3 .*str"),
+        ("corpus: c\ninner: {rate: null}", [], "inner.rate .*empty"),
         ("corpus: c\nwindow: true", [], "window: True"),
-        ("corpus: c\ninner: {steps: 3}", [], "inner.steps: 3 is not a list"),
+        ("corpus: c\ninner: {steps: 3}", [], "inner.steps: 3 .*list"),
         ("corpus: c\ninner: {steps: [1.5]}", [], r"inner.steps\[\]: 1.5"),
         ("corpus: c\nbase: 3", [], "base: 3"),
         ("corpus: c", ["=3"], "key=value"),
@@ -86,7 +86,7 @@ def test_a_written_configuration_reads_back_the_same(tmp_path):
         ("base: a.yaml", [], "include itself"),
         ("base: gone/a.yaml", [], r"gone/a\.yaml: no such"),
         # Neither half a name nor one of two alike is left to guess.
-        ("corpus: c\ninner.ratio: 3", [], r"unknown key inner\.ratio; did you mean inner\.rate\?$"),
+        ("corpus: c\ninner.ratio: 3", [], r"inner\.ratio; .*inner\.rate\?$"),
         # An error in an override does not blame the file.
         ("corpus: c", ["inner.rate=fast"], "^inner.rate: 'fast'"),
         ("corpus: c\ninner: {rate: fast}", ["corpus=d"], r"a\.yaml: inner\.rate: 'fast'"),
@@ -101,9 +101,9 @@ def test_mistakes_are_named(tmp_path, text, overrides, says):
 @pytest.mark.parametrize(
     ("values", "meant"),
     [
-        ({"schedule": {"updates": 3}}, "key schedule.updates; did you mean training.updates"),
+        ({"schedule": {"updates": 3}}, "training.updates"),
         ({"updates": 3}, "training.updates"),
-        ({"netwrk": {"blocks": 3}}, "key netwrk; did you mean network"),
+        ({"netwrk": {"blocks": 3}}, "network"),
         ({"epochs": 3}, "longer or training.updates"),
         ({"optim": {"lr": 3}}, "training.learning_rate"),
         ({"training": {"clip_value": 3}}, "training.clip"),
@@ -130,7 +130,7 @@ def test_hostile_files_are_refused_before_they_fill_memory(tmp_path):
     with pytest.raises(ConfigError, match="no such configuration file"):
         load_config(tmp_path / "none.yaml", Outer)
     (tmp_path / "b.yaml").write_bytes(b"corpus: \xff\xfe")
-    with pytest.raises(ConfigError, match="cannot be read as text"):
+    with pytest.raises(ConfigError, match="as text"):
         load_config(tmp_path / "b.yaml", Outer)
 
 
@@ -140,5 +140,5 @@ def test_hostile_files_are_refused_before_they_fill_memory(tmp_path):
 def test_what_cannot_be_a_path_is_refused_with_its_key(tmp_path, value):
     path = tmp_path / "config.yaml"
     path.write_text(f"corpus: {json.dumps(value)}\n")
-    with pytest.raises(ConfigError, match="corpus: .* is no path"):
+    with pytest.raises(ConfigError, match="corpus: .*no path"):
         load_config(path, DiffusionConfig)

@@ -45,7 +45,7 @@ def test_stored_settings_give_the_features_of_training(heard, normalise, compone
     caplog.set_level(logging.INFO)
     config = FeatureConfig(EXTRACTORS, normalise=normalise, components=components)
     conditioner, speeches, wave = heard(config)
-    reduced = "12 of 15 speech features reduced to 3 components" in caplog.text
+    reduced = "12 of 15" in caplog.text and "3 components" in caplog.text
     assert reduced == (components is not None)
     values, tensors = conditioner_values(conditioner), conditioner_tensors(conditioner)
     again = load_conditioner(values, tensors, 25.0, None)
@@ -70,7 +70,7 @@ def test_sound_without_voice_counts_as_silence_in_training_too(tmp_path, write_s
 
     conditioner, (floor, still, talk) = features()
     (message,) = [text for text in caplog.messages if "voice" in text]
-    assert message.startswith("1 of 3 sounds have no voice") and "features.vad=false" in message
+    assert message.startswith("1 of 3 ") and "features.vad=false" in message
     np.testing.assert_array_equal(floor, still)
     assert not np.allclose(talk, still)
     np.testing.assert_allclose(conditioner(items[0].load_wave()), floor, atol=1e-6)
@@ -97,7 +97,7 @@ def test_features_on_disk_are_those_in_memory(tmp_path, write_speech, most, capl
     conditioner, speeches = extract_features(items, [most] * 2, maker.extractor, 25.0, config)
     caplog.clear()
     stored = stored_speech([one, other], conditioner, most and [most, 70])
-    assert "1 of 2 sounds have no voice" in caplog.text and f"({items[1].id})" in caplog.text
+    assert "1 of 2 " in caplog.text and f"({items[1].id})" in caplog.text
     assert stored[0].shape == (conditioner.dim, most or 75)
     assert stored[1].shape == (conditioner.dim, 70 if most else 75)
     np.testing.assert_allclose(stored[0][:, :].numpy().T, speeches[0], atol=1e-5)

@@ -108,7 +108,7 @@ def test_the_last_line_of_a_training_is_the_verdict_of_an_evaluation(
 ):
     run, said = train(system, talks)
     what, _, verdict = said.partition(": ")
-    assert what == "Measured on 2 held-out recordings (4 s)" and len(verdict) > 20
+    assert "2 held-out recordings (4 s)" in what and len(verdict) > 20
     assert said.removeprefix("Measured ") in (run / "model" / "README.md").read_text()
     rendered = tmp_path / "rendered"
     chosen = ("--corpus", talks, "--split", "test")

@@ -81,5 +81,5 @@ def test_items_without_the_inputs_of_the_model_are_not_measured(metrics):
 def test_a_corpus_that_cannot_be_read_is_warned_about(metrics, caplog):
     made = metrics(test=[5.0])
     made.config.corpus.unlink()
-    assert made.items == () and "No metrics on held-out recordings: " in caplog.text
+    assert made.items == () and "No metrics" in caplog.text
     assert made.measure(3, None) == ""

@@ -97,9 +97,9 @@ def test_without_evaluations_it_measures_when_it_is_time(training):
 @pytest.mark.parametrize(
     ("part", "step", "message"),
     [
-        ("loss", 2, r"step 2: the loss became NaN or infinite \(loss\); there is no checkpoint"),
-        ("loss", 7, r"step 7: .* \(loss\); the last checkpoint is of step 5"),
-        ("weight", 3, r"step 4: .* \(a weight\); there is no checkpoint"),
+        ("loss", 2, r"step 2: .*NaN .*\(loss\); .*no checkpoint"),
+        ("loss", 7, r"step 7: .*\(loss\); .*step 5"),
+        ("weight", 3, r"step 4: .*\(a weight\); .*no checkpoint"),
     ],
 )
 def test_a_training_that_diverges_stops_before_it_is_saved(training, part, step, message):

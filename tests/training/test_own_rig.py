@@ -37,5 +37,5 @@ def test_a_pose_of_another_rig_keeps_its_place_and_names_its_floor(gesture):
 def test_a_motion_that_cannot_be_retargeted_is_refused(gesture):
     model = DeltaRepresentation.fit([gesture(1.0)])
     stick = gesture(1.0).keep(["Hips", "Spine"])
-    with pytest.raises(ModelError, match="cannot be retargeted to the model's rig: "):
+    with pytest.raises(ModelError, match="retargeted"):
         on_rig(model, stick)

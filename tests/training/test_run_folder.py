@@ -56,9 +56,9 @@ def test_a_folder_with_anything_but_a_training_that_never_began_is_in_use(tmp_pa
 
 def test_a_run_is_a_folder_and_is_resumed_where_there_is_one(run, tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(ConfigError, match="a file, not a run folder"):
+    with pytest.raises(ConfigError, match="not a run folder"):
         Run(tmp_path / "file", {}, resume=False)
-    with pytest.raises(ConfigError, match="no run to resume here"):
+    with pytest.raises(ConfigError, match="no run to resume"):
         Run(tmp_path / "other", {}, resume=True)
     with pytest.raises(ConfigError, match=re.escape(f"--resume '{run.folder}'")):
         Run(run.folder, {}, resume=False)
@@ -92,7 +92,7 @@ def test_the_last_two_checkpoints_are_kept_and_the_newest_whole_one_is_read(tmp_
     assert f"{kept.path(step)} cannot be read" in caplog.text
     kept.path(20_000).write_bytes(b"")
     (tmp_path / "checkpoints" / "step_3.txt").touch()
-    with pytest.raises(ModelError, match="none of its 2 checkpoints can be read"):
+    with pytest.raises(ModelError, match="2 checkpoints"):
         kept.latest()
 
 
