@@ -89,9 +89,9 @@ class HoldOut:
             wanted |= self._listed(ids, copies)
         known = {recording.speaker for recording in recordings}
         if unknown := sorted(set(self.speakers) - known):
-            there = listed(sorted(filter(None, known))) or "none is named"
+            there = listed(sorted(filter(None, known))) or "none"
             raise CorpusError(
-                f"hold-out: no recording of speaker {unknown[0]!r}; the speakers are {there}"
+                f"hold-out: no recording of speaker {unknown[0]!r}; the corpus names {there}"
             )
         wanted |= {one.id for one in recordings if one.speaker in self.speakers}
         originals = {_original(one) for one in recordings if one.id in wanted}

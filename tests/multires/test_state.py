@@ -92,6 +92,16 @@ def test_rigs_without_known_arms_have_two_channels():
     assert channels(torch.zeros(1, 3, 3, 50), FPS).shape == (1, 2, 50)
 
 
+def test_the_trunk_is_the_joint_that_carries_both_arms(skeleton):
+    channels = StateChannels.find(skeleton, skeleton.names)
+    shoulders = [skeleton.index(f"{side}Arm") for side in ("Left", "Right")]
+    carried = {*skeleton.descendants(channels.trunk)}
+    assert carried.issuperset(shoulders)
+    for child in skeleton.names:
+        if skeleton.parents[skeleton.index(child)] == channels.trunk:
+            assert not {*skeleton.descendants(skeleton.index(child))}.issuperset(shoulders)
+
+
 def test_levels_get_means_of_the_channels():
     values = np.array([[1.0, 2.0, 3.0, 4.0]])
     np.testing.assert_allclose(averaged(values, 2), [[1.5, 3.5]])
