@@ -154,7 +154,9 @@ def _given_state(
         try:
             state = np.load(state, mmap_mode="r", allow_pickle=False)
         except (OSError, ValueError, EOFError) as error:
-            raise FormatError(f"{controls.state}: not a .npy file of numbers ({error})") from error
+            raise FormatError(
+                f"{controls.state}: not a .npy file of numbers, as numpy.save writes model.state"
+            ) from error
     if state.dtype.kind not in "fiu":
         raise ModelError(f"state: its type is {state.dtype}, not a number")
     state, width = state[:n_frames].astype(float), len(model.state_process.channels.names)
