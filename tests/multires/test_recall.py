@@ -1,7 +1,5 @@
 """Recall by speech, as a user sees it: training, generation, controls and the model folder."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Regression of movement from speech, against the textbook's formulas and by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

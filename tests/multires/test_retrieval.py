@@ -3,8 +3,6 @@
 Searches are held against the sum of their costs over all sequences of pieces.
 """
 
-from __future__ import annotations
-
 import itertools
 import time
 import tracemalloc

@@ -1,7 +1,5 @@
 """The slow state that is drawn: its fit to takes of a known process, and what is drawn from it."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The state of movement: measured, drawn, and given to a model."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Streams of the bundled model: what they promise about time, blocks, the future and the body."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from pathlib import Path
