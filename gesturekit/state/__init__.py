@@ -17,6 +17,8 @@ __getattr__ = attach(
         "folds_of": "prediction",
         "load_state": "format",
         "normal_scores": "process",
+        "recorded_quantiles": "process",
+        "recorded_values": "process",
         "slow_inputs": "prediction",
         "state_tensors": "format",
         "state_values": "format",

@@ -70,8 +70,7 @@ class StateChannels:
             hands.append((joints.index(known[0]),))
         above = [set(skeleton.ancestors(skeleton.index(arms[side].shoulder))) for side in SIDES]
         trunk = [j for j in above[0] & above[1] if j and skeleton.names[j] in joints]
-        names = [joints.index(skeleton.names[max(trunk)])] if trunk else [None]
-        return cls(tuple(hands), names[0])
+        return cls(tuple(hands), joints.index(skeleton.names[max(trunk)]) if trunk else None)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -21,6 +21,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import repeat
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -188,16 +189,13 @@ class StateProcess:
             first: number of the first frame; below 0 before the motion begins.
             liveliness: factor on the speed of slow movement.
         """
-        fast, voice = self.channels.fast, voice_activity(speech, self.silence, self.fps)
+        voice = voice_activity(speech, self.silence, self.fps)
         scores = self.noise(seed, first + np.arange(speech.shape[1]))
         if self.wanted is not None:
             explained, predicted = self._predicted(speech, voice)
             scores = explained * predicted + np.sqrt(1 - explained**2) * scores
-        ranks = ndtr(scores)
-        quiet, loud = (
-            np.stack([np.interp(*row) for row in zip(ranks, [_SHARES] * len(fast), own)])
-            for own in self.quantiles.get(group, self.quantiles[None, None])
-        )
+        quantiles = self.quantiles.get(group, self.quantiles[None, None])
+        quiet, loud = (recorded_values(scores, own) for own in quantiles)
         values = quiet + voice * (loud - quiet)
         values[self.channels.movement] += math.log(liveliness)
         return values
@@ -350,6 +348,22 @@ def _scores(
     return result
 
 
+def recorded_quantiles(recorded: Sequence[np.ndarray]) -> np.ndarray:
+    """Return quantiles (C, Q) of recorded curves (C, T_k)."""
+    return np.quantile(np.concatenate(recorded, axis=1), _SHARES, axis=1).T
+
+
+def recorded_values(scores: np.ndarray, quantiles: np.ndarray) -> np.ndarray:
+    """Return the recorded value of the same rank for each score, (C, T).
+
+    Args:
+        scores: (C, T).
+        quantiles: (C, Q) of the recordings, see `recorded_quantiles`.
+    """
+    ranks = ndtr(scores)
+    return np.stack([np.interp(*row) for row in zip(ranks, repeat(_SHARES), quantiles)])
+
+
 def _quantiles(
     values: Sequence[np.ndarray],
     voiced: Sequence[np.ndarray],
@@ -372,8 +386,8 @@ def _quantiles(
         result[group] = np.empty((2, len(fast), len(_SHARES)))
         for row, part in zip(result[group], (~loud, loud), strict=True):
             frames = part if part.any() else ~part
-            row[fast] = np.quantile(pooled[fast][:, frames], _SHARES, axis=1).T
-            row[~fast] = np.quantile(pooled[~fast], _SHARES, axis=1).T
+            row[fast] = recorded_quantiles([pooled[fast][:, frames]])
+            row[~fast] = recorded_quantiles([pooled[~fast]])
     return result
 
 
@@ -382,7 +396,11 @@ def _mixing(noise: np.ndarray, fast: np.ndarray) -> np.ndarray:
 
     Slow and fast channels are independent.
     """
-    correlation = (noise @ noise.T) / noise.shape[1] * (fast[:, None] == fast)
+    return mixing_of((noise @ noise.T) / noise.shape[1] * (fast[:, None] == fast))
+
+
+def mixing_of(correlation: np.ndarray) -> np.ndarray:
+    """Return the Cholesky factor (C, C) of a correlation, with its smallest variances raised."""
     values, vectors = np.linalg.eigh(correlation)
     correlation = (vectors * np.maximum(values, 1e-6)) @ vectors.T
     scale = np.sqrt(np.diag(correlation))

@@ -27,7 +27,7 @@ NEEDS = {
     "live": TRAINERS,
     "train": TRAINERS,
 }
-"""What is imported before the forks, which then start at once."""
+"""Modules that are imported before the forks, so that these start at once."""
 MOST = 6
 """Kills of a command before it is left alone, so that many outputs are killed at many moments."""
 

@@ -8,12 +8,8 @@ import torch
 from scipy import stats
 from scipy.ndimage import gaussian_filter1d
 
-from gesturekit.multires.recall.slow_state import (
-    SlowState,
-    recorded_quantiles,
-    recorded_values,
-)
-from gesturekit.state import normal_scores
+from gesturekit.multires.recall.slow_state import SlowState
+from gesturekit.state import normal_scores, recorded_quantiles, recorded_values
 
 FPS = 5.0
 BETWEEN, TAKES = 1 / 3, 3.0

@@ -22,8 +22,9 @@ from gesturekit.multires.recall.parts import (
     slow_rows,
 )
 from gesturekit.multires.recall.pieces import ChoiceWeights, Pieces, PieceSearch
-from gesturekit.multires.recall.slow_state import SlowState, recorded_quantiles, recorded_values
+from gesturekit.multires.recall.slow_state import SlowState
 from gesturekit.state.prediction import WantedMovement, slow_part
+from gesturekit.state.process import recorded_quantiles, recorded_values
 
 _REST = 0.1
 """Speed below which a part of the body rests, m/s on the reference body."""

@@ -17,15 +17,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import repeat
 
 import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter1d
-from scipy.special import ndtr
 
 from gesturekit.state.prediction import WantedMovement
-from gesturekit.state.process import share_between_takes, within_takes
+from gesturekit.state.process import mixing_of, share_between_takes, within_takes
 
 _STEP, _STEPS_OF_TAKE = 0.25, 8
 """Seconds between the points at which noise within takes is drawn; points in each `take`."""
@@ -35,8 +33,6 @@ PAUSE = -2.0
 """Predictions as low as in pauses, in standard deviations, which are trusted in full."""
 _BLOCK = 256
 """Points of white noise that are drawn at a time in a motion without end."""
-_SHARES = (np.arange(201) + 0.5) / 201
-"""Shares of the quantiles between which recorded values are interpolated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,9 +83,6 @@ class SlowState:
         pooled = np.concatenate(noise, axis=1)
         sizes = np.maximum(pooled.std(axis=1), 1e-6)
         correlation = (pooled @ pooled.T) / pooled.shape[1] / np.outer(sizes, sizes)
-        values, vectors = np.linalg.eigh(correlation)
-        correlation = (vectors * np.maximum(values, 1e-6)) @ vectors.T
-        scale = np.sqrt(np.diag(correlation))
         names = list(dict.fromkeys(takes))
         noise = [own / sizes[:, None] for own in noise]
         within, width = within_takes(noise, fps)
@@ -97,7 +90,7 @@ class SlowState:
         return cls(
             explained,
             trust,
-            np.linalg.cholesky(correlation / np.outer(scale, scale)),
+            mixing_of(correlation),
             between,
             width,
             max(pooled.shape[1] / fps / len(names), _STEP),
@@ -158,22 +151,6 @@ def trust_in(predicted: np.ndarray, trust: float) -> np.ndarray:
     if not trust:
         return np.zeros_like(predicted)
     return trust + (1 - trust) * np.clip(PAUSE + 1 - predicted, 0.0, 1.0)
-
-
-def recorded_quantiles(recorded: Sequence[np.ndarray]) -> np.ndarray:
-    """Return quantiles (C, Q) of recorded curves (C, T_k)."""
-    return np.quantile(np.concatenate(recorded, axis=1), _SHARES, axis=1).T
-
-
-def recorded_values(scores: np.ndarray, quantiles: np.ndarray) -> np.ndarray:
-    """Return the recorded value of the same rank for each score, (C, T).
-
-    Args:
-        scores: (C, T).
-        quantiles: (C, Q) of the recordings, see `recorded_quantiles`.
-    """
-    ranks = ndtr(scores)
-    return np.stack([np.interp(*row) for row in zip(ranks, repeat(_SHARES), quantiles)])
 
 
 def _smooth_noise(
