@@ -30,7 +30,6 @@ from gesturekit.multires.recall.library_format import (
     library_row,
     library_tensors,
     library_values,
-    live_rows,
     load_library,
     prediction_rows,
 )
@@ -44,6 +43,7 @@ from gesturekit.multires.sampling.trained_model import (
     TrainedSequence,
 )
 from gesturekit.multires.streaming.stream import MultiresStream
+from gesturekit.state.ahead import live_rows
 from gesturekit.state.channels import StateChannels
 from gesturekit.state.format import load_state, state_tensors, state_values
 from gesturekit.training.config import build, to_dict
@@ -295,11 +295,12 @@ class MultiresModel(TrainedModel):
             call = '"speech.wav"'
         if self.library is not None:
             lines["Recalled motion"] = library_row(self.library)
-            lines |= prediction_rows(self.library) | live_rows(self.library)
+            lines |= prediction_rows(self.library)
         if (process := self.state_process) is not None:
             lines["State of movement"] = ", ".join(process.channels.names)
             if process.wanted is not None:
                 lines["Hand movement from speech"] = process.wanted.summary()
+        lines |= live_rows(self.ahead)
         if self.styles:
             lines["Styles"] = ", ".join(self.styles)
             call += f', style="{self.styles[0]}"'

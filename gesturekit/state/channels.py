@@ -22,6 +22,8 @@ from gesturekit.state.prediction import SLOW_SECONDS
 
 SPEED_FLOOR = 0.05
 """Added to speeds before the logarithm, m/s on the reference body."""
+CARRIERS = 4
+"""Carriers of each hand, see `StateProcess.carriers`: for the directions in which it moves."""
 _WIDTH_FLOOR = 0.01
 """Added to widths before the logarithm, m on the reference body."""
 _SPEED_SECONDS, _FAST_SECONDS = 0.04, 0.06
@@ -37,7 +39,8 @@ _OF_HAND = ("movement", "height", "distance", "width", "fast")
 class StateChannels:
     """The C channels of a rig.
 
-    - movement: logarithm of the mean speed, m/s, relative to the root; of each hand and the trunk;
+    - movement: slow part of the logarithm of the speed, m/s, relative to the root; of each hand and
+      of the trunk;
     - height, distance: of a hand above the root and from its vertical, metres;
     - width: logarithm of the local standard deviation of both, metres;
     - fast: logarithm of a hand's speed less its slow part;
@@ -82,12 +85,12 @@ class StateChannels:
 
     @property
     def n_carriers(self) -> int:
-        """2 H, see `StateProcess.carriers`."""
-        return 2 * len(self.hands)
+        """4 H, see `StateProcess.carriers`."""
+        return CARRIERS * len(self.hands)
 
     @property
     def width(self) -> int:
-        """C + 2 H, the channels of `StateProcess.condition`."""
+        """C + 4 H, the channels of `StateProcess.condition`."""
         return len(self.names) + self.n_carriers
 
     @property
@@ -104,6 +107,14 @@ class StateChannels:
     def of_hands(self) -> np.ndarray:
         """(H,) the channel of slow movement that belongs to each fast channel."""
         return np.flatnonzero(self.movement)[: len(self.hands)]
+
+    @property
+    def held(self) -> list[np.ndarray]:
+        """The slow channels of each hand, which a network gets in the time of its movement."""
+        return [
+            np.arange(movement, fast)
+            for movement, fast in zip(self.of_hands, np.flatnonzero(self.fast))
+        ]
 
     def __call__(self, places: Tensor, fps: float) -> Tensor:
         """Return the channels (B, C, T).
@@ -163,8 +174,8 @@ def averaged(
 
 
 def _movement(speed: Tensor, fps: float) -> Tensor:
-    """Return the slow movement (B, T) of a speed (B, T)."""
-    return torch.log(_smoothed(speed, SLOW_SECONDS * fps) + SPEED_FLOOR)
+    """Return the slow part (B, T) of the logarithm of a speed (B, T)."""
+    return _smoothed(torch.log(speed + SPEED_FLOOR), SLOW_SECONDS * fps)
 
 
 def _coupling(left: Tensor, right: Tensor, fps: float) -> Tensor:

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gesturekit.state.ahead import ahead_tensors, ahead_values, load_ahead
 from gesturekit.state.channels import StateChannels
 from gesturekit.state.prediction import WantedMovement
 from gesturekit.state.process import Group, StateProcess
@@ -24,6 +25,8 @@ _SHAPES: dict[str, tuple[str, ...]] = {
     "width": ("C - F",),
     "kernel": ("F", "R"),
     "quantiles": ("G", "2", "C", "Q"),
+    "response": ("2", "C", "P"),
+    "followed": ("C",),
 }
 _RANGES = {
     "scale": (1e-6, 1e6),
@@ -32,6 +35,7 @@ _RANGES = {
     "between": (0, 1),
     "width": (0.1, 100),
     "kernel": (-2, 2),
+    "followed": (0.1, 1),
 }
 _LARGEST = 1e6
 _TAKE = (0.1, 1e7)  # seconds; a single take may have hours
@@ -46,6 +50,7 @@ def state_values(process: StateProcess) -> dict[str, Any]:
         "take": process.take,
         "groups": [list(group) for group in process.quantiles],
         "wanted": None if wanted is None else wanted.values(),
+        "ahead": ahead_values(process.ahead),
     }
 
 
@@ -56,6 +61,7 @@ def state_tensors(process: StateProcess) -> dict[str, Tensor]:
     tensors = {
         f"state.{name}": torch.from_numpy(np.array(own, float)) for name, own in arrays.items()
     }
+    tensors |= ahead_tensors(process.ahead, "state")
     return tensors | ({} if process.wanted is None else process.wanted.tensors("state"))
 
 
@@ -97,6 +103,7 @@ def load_state(
         take=float(np.clip(values["take"], *_TAKE)),
         **{name: own for name, own in arrays.items() if name != "quantiles"},
         quantiles=dict(zip(groups, arrays["quantiles"], strict=True)),
+        ahead=load_ahead(values["ahead"], tensors, "state", wanted, speech_size, fps),
     )
     try:
         process.draw(0, np.zeros((speech_size, 2), np.float32))
@@ -116,9 +123,12 @@ def _check(
     """Raise ValueError for arrays of other shapes, or with values out of range."""
     n, n_fast = len(channels.names), int(channels.fast.sum())
     sizes = {"S": speech_size, "C": n, "F": n_fast, "C - F": n - n_fast, "G": groups}
-    sizes |= {"2": 2, "3": 3, "R": arrays["kernel"].shape[-1], "Q": arrays["quantiles"].shape[-1]}
-    if not (sizes["R"] % 2 and max(sizes["R"], sizes["Q"]) <= _MOST_POINTS and sizes["Q"] > 1):
-        raise ValueError("state: filters or quantiles of a wrong length")
+    sizes |= {"2": 2, "3": 3}
+    own = {"R": "kernel", "Q": "quantiles", "P": "response"}
+    sizes |= {size: arrays[name].shape[-1] for size, name in own.items()}
+    lengths = [sizes[size] for size in own]
+    if not (sizes["R"] % 2 and max(lengths) <= _MOST_POINTS and min(lengths[1:]) > 1):
+        raise ValueError("state: filters, quantiles or responses of a wrong length")
     for name, axes in _SHAPES.items():
         wanted = tuple(sizes[axis] for axis in axes)
         if arrays[name].shape != wanted:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import repeat
 
@@ -29,8 +29,9 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import rankdata
 
 from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.state.channels import SPEED_FLOOR, StateChannels
-from gesturekit.state.prediction import WantedMovement
+from gesturekit.state.ahead import AheadPrediction
+from gesturekit.state.channels import CARRIERS, SPEED_FLOOR, StateChannels
+from gesturekit.state.prediction import WantedMovement, correlation
 
 _BETWEEN_TAKES, _PRIOR_TAKES = 1 / 3, 3.0
 """Share of the variance between takes that is expected before any recording is seen, and the number
@@ -56,6 +57,9 @@ _LEAST_SECONDS = 5.0
 _FURTHEST = 3.0
 """Predictions of fast movement are limited to this many standard deviations."""
 _MOST_EXPLAINED = 0.95
+_RESPONSE = (np.arange(41) + 0.5) / 41
+"""Shares of the quantiles at which a network's response is measured."""
+_DAMPING, _LEAST_FOLLOWED = 0.8, 0.6
 _STROKE, _STROKE_POINTS = 0.15, 4
 """Metres that a hand moves while its carrier changes by its correlation length, and the points of
 white noise in it."""
@@ -100,6 +104,10 @@ class StateProcess:
         take: smoothness of slow noise between takes, seconds.
         kernel: (F, 2 R + 1) filters of fast noise.
         quantiles: {speaker and style: (2, C, Q) recorded values in silence and in speech}.
+        response: (2, C, P) values of each channel, ascending, and those that a network needs to be
+            given so that its motion shows them.
+        followed: (C,) correlation of what a network's motion shows with what it was given.
+        ahead: predictions for live speech.
     """
 
     channels: StateChannels
@@ -116,6 +124,9 @@ class StateProcess:
     take: float
     kernel: np.ndarray
     quantiles: Mapping[Group, np.ndarray]
+    response: np.ndarray
+    followed: np.ndarray
+    ahead: tuple[AheadPrediction, ...] = ()
 
     @classmethod
     def fit(
@@ -135,14 +146,17 @@ class StateProcess:
         """
         fast, values = channels.fast, [own.values for own in recordings]
         silence = np.empty(0) if conditioner is None else conditioner.silence(1)[0].astype(float)
-        voiced = _voiced([own.speech for own in recordings], silence, fps)
+        voices = [_voices(channels, own.speech, silence, fps) for own in recordings]
+        voiced = _voiced(voices, fps)
         groups = [own.group for own in recordings]
-        scores = _scores(values, [np.where(fast[:, None], own, True) for own in voiced], groups)
+        scores = _scores(values, voiced, groups)
         wanted = _wanted(channels, recordings, scores, fps, conditioner)
         explained, usual = np.zeros(len(fast)), np.array([0.0, 0.0, 1.0])
         noise = np.concatenate(scores, axis=1)
         if wanted is not None:
-            usual, predicted = _predictions(wanted, np.concatenate(voiced))
+            usual, predicted = _predictions(
+                wanted, np.concatenate([own[np.argmax(fast)] for own in voiced])
+            )
             rows = predicted[fast.astype(int)]  # of each channel
             explained = np.clip((noise * rows).mean(axis=1), -_MOST_EXPLAINED, _MOST_EXPLAINED)
             # A hand that moves less where more was predicted is chance.
@@ -168,7 +182,26 @@ class StateProcess:
             width=width,
             take=max(pooled.shape[1] / fps / takes, _STEP),
             kernel=_spectral_kernels([own[fast] for own in parts], fps),
-            quantiles=_quantiles(values, voiced, groups, fast),
+            quantiles=_quantiles(values, voiced, groups),
+            response=np.repeat(np.quantile(pooled, _RESPONSE, axis=1).T[None], 2, axis=0),
+            followed=np.ones(len(fast)),
+        )
+
+    def calibrated(self, wanted: np.ndarray, shown: np.ndarray) -> StateProcess:
+        """Return the process of a network that was asked for `wanted` and shows `shown`, (C, T).
+
+        A network moves a little where it should rest, and holds its hands nearer to their mean than
+        asked. Asked for more, it shows what was wanted.
+        """
+        asked, found = (np.quantile(rows, _RESPONSE, axis=1).T for rows in (wanted, shown))
+        values, given = self.response
+        more = [np.interp(*row) for row in zip(values, asked, asked - found)]
+        given = np.maximum.accumulate(given + _DAMPING * np.array(more), axis=1)
+        followed = [correlation(*rows) for rows in zip(wanted, shown)]
+        return replace(
+            self,
+            response=np.stack([values, given]),
+            followed=np.clip(followed, _LEAST_FOLLOWED, 1.0),
         )
 
     def draw(
@@ -189,34 +222,70 @@ class StateProcess:
             first: number of the first frame; below 0 before the motion begins.
             liveliness: factor on the speed of slow movement.
         """
-        voice = voice_activity(speech, self.silence, self.fps)
-        scores = self.noise(seed, first + np.arange(speech.shape[1]))
-        if self.wanted is not None:
-            explained, predicted = self._predicted(speech, voice)
-            scores = explained * predicted + np.sqrt(1 - explained**2) * scores
+        noise = self.noise(seed, first + np.arange(speech.shape[1]))
+        predicted = None if self.wanted is None else self.wanted(speech)
+        return self.values(
+            noise, self.voices(speech), predicted, group=group, liveliness=liveliness
+        )
+
+    def voices(self, speech: np.ndarray) -> np.ndarray:
+        """Return (C, T) the voice activity that each channel depends on, from features (S, T)."""
+        return _voices(self.channels, speech, self.silence, self.fps)
+
+    def scores(self, values: np.ndarray, speech: np.ndarray) -> np.ndarray:
+        """Return normal scores of channels (C, T), by rank among the recordings.
+
+        `speech` is (S, T), as ranks in silence are others than those in speech.
+        """
+        own = [
+            [np.interp(*row) for row in zip(values, quantiles, repeat(_SHARES))]
+            for quantiles in self.quantiles[None, None]
+        ]
+        return ndtri(np.where(self.voices(speech) > 0.5, own[1], own[0]))
+
+    def values(
+        self,
+        noise: np.ndarray,
+        voices: np.ndarray,
+        predicted: tuple[np.ndarray, np.ndarray] | None,
+        *,
+        group: Group = (None, None),
+        liveliness: float = 1.0,
+        known: float | np.ndarray = 1.0,
+    ) -> np.ndarray:
+        """Return the channels (C, T) of noise.
+
+        Args:
+            noise: (C, T), see `noise`.
+            voices: (C, T), see `voices`.
+            predicted: fast and slow movement (T,), see `WantedMovement`; None without.
+            group: speaker and style.
+            liveliness: factor on the speed of slow movement.
+            known: (T,) factor on the correlation of fast movement with its prediction.
+        """
+        scores = noise
+        if predicted is not None:
+            explained, means = self._predicted(*predicted, voices[np.argmax(self.channels.fast)])
+            explained = explained * np.where(self.channels.fast[:, None], known, 1.0)
+            scores = explained * means + np.sqrt(1 - explained**2) * scores
         quantiles = self.quantiles.get(group, self.quantiles[None, None])
         quiet, loud = (recorded_values(scores, own) for own in quantiles)
-        values = quiet + voice * (loud - quiet)
+        values = quiet + voices * (loud - quiet)
         values[self.channels.movement] += math.log(liveliness)
         return values
 
-    def _predicted(self, speech: np.ndarray, voice: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return how much predictions count, and the predictions in standard deviations, (C, T).
-
-        Predictions of slow movement count in full in pauses, if they count at all: people rest
-        while they are silent, on every take.
-        """
+    def _predicted(
+        self, when: np.ndarray, slow: np.ndarray, voice: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return how much predictions count, and the predictions in standard deviations, (C, T)."""
         assert self.wanted is not None
-        when, slow = self.wanted(speech)
         quiet, loud, size = self.usual
         when = when / max(self.wanted.spread, 1e-9) - quiet - (loud - quiet) * voice
         when = np.clip(when / size, -_FURTHEST, _FURTHEST)
-        trust = np.full_like(slow, self.wanted.trust)
-        if self.wanted.trust:
-            paused = 1 - gaussian_filter1d(voice, _PAUSE_SECONDS * self.fps, mode="nearest")
-            trust += (1 - trust) * paused
         is_fast = self.channels.fast[:, None]
-        counts = self.explained[:, None] * np.where(is_fast, 1.0, trust)
+        # What the network does not follow is lost from the correlation with speech.
+        fast = np.minimum(self.explained / self.followed, _MOST_EXPLAINED)
+        counts = np.where(is_fast, fast[:, None], self.explained[:, None] * self.wanted.trust)
         return counts, np.where(is_fast, when, slow)
 
     def noise(self, seed: int, frames: np.ndarray) -> np.ndarray:
@@ -234,29 +303,62 @@ class StateProcess:
         result[fast] = _filtered(seed + 2, together, list(self.kernel), frames.astype(float))
         return result
 
-    def carriers(self, seed: int, values: np.ndarray) -> np.ndarray:
-        """Return two carriers for each hand, (2 H, T): smooth noise in the time of its movement.
+    def clocks(self, values: np.ndarray) -> np.ndarray:
+        """Return (H, T) by how much each hand's clock goes on in each frame of channels (C, T).
 
-        They change as fast as the hand moves, and stand still while it rests, so that a network
-        can turn the state into strokes: it cannot integrate a speed.
+        A clock goes as fast as its hand moves, and stands still while the hand rests.
+        """
+        movement = values[self.channels.of_hands] + values[self.channels.fast]
+        speed = np.maximum(np.exp(movement) - SPEED_FLOOR, 0.0)
+        return speed * (_STROKE_POINTS / _STROKE / self.fps)
+
+    def carriers(self, seed: int, clocks: np.ndarray) -> np.ndarray:
+        """Return four carriers for each hand, (4 H, T): smooth noise in the time of its movement.
+
+        With them a network can turn the state into strokes: it cannot integrate a speed.
 
         Args:
             seed: of the noise.
-            values: (C, T) channels of the state from the beginning of a motion.
+            clocks: (H, T) times of the hands' clocks.
         """
-        kernels = [_gaussian(_STROKE_POINTS / 2, _STROKE_POINTS / 2)] * 2
-        hands = zip(self.channels.of_hands, np.flatnonzero(self.channels.fast), strict=True)
-        rows = []
-        for k, (movement, fast) in enumerate(hands):
-            speed = np.maximum(np.exp(values[movement] + values[fast]) - SPEED_FLOOR, 0.0)
-            clock = np.cumsum(speed) * (_STROKE_POINTS / _STROKE / self.fps)
-            rows.append(_filtered(seed + 3 + k, np.eye(2), kernels, clock))
-        return np.concatenate(rows)
+        kernels = [_gaussian(_STROKE_POINTS / 2, _STROKE_POINTS / 2)] * CARRIERS
+        return np.concatenate(
+            [
+                _filtered(seed + 3 + k, np.eye(CARRIERS), kernels, own)
+                for k, own in enumerate(clocks)
+            ]
+        )
 
-    def condition(self, seed: int, values: np.ndarray) -> np.ndarray:
-        """Return what a network gets, (C + 2 H, T) float32: normalised channels, and carriers."""
-        normalised = (values - self.mean[:, None]) / self.scale[:, None]
-        return np.concatenate([normalised, self.carriers(seed, values)]).astype(np.float32)
+    def condition(
+        self, seed: int, values: np.ndarray, clocks: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return what a network gets, (C + 4 H, T) float32: normalised channels, and carriers.
+
+        Args:
+            seed: of the carriers.
+            values: (C, T) channels.
+            clocks: (H, T) times of the hands' clocks; None if they begin with the first frame.
+        """
+        if clocks is None:
+            clocks = np.cumsum(self.clocks(values), axis=1)
+        given = np.stack([_continued(*row) for row in zip(values, *self.response)])
+        for rows, clock in zip(self.channels.held, clocks):
+            given[rows] = [_in_time_of(row, clock) for row in given[rows]]
+        normalised = (given - self.mean[:, None]) / self.scale[:, None]
+        return np.concatenate([normalised, self.carriers(seed, clocks)]).astype(np.float32)
+
+
+def _in_time_of(values: np.ndarray, clock: np.ndarray) -> np.ndarray:
+    """Return values (T,) smoothed in the time of a clock (T,): they stand still where it does."""
+    points = np.arange(math.floor(clock[0]), math.ceil(clock[-1]) + 1.0)
+    smooth = gaussian_filter1d(np.interp(points, clock, values), _STROKE_POINTS / 2, mode="nearest")
+    return np.interp(clock, points, smooth)
+
+
+def _continued(values: np.ndarray, at: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """Return the curve through (at, found) at values (T,), piecewise linear; ends have slope 1."""
+    beyond = np.minimum(values - at[0], 0.0) + np.maximum(values - at[-1], 0.0)
+    return np.interp(values, at, found) + beyond
 
 
 def voice_activity(speech: np.ndarray, silence: np.ndarray, fps: float) -> np.ndarray:
@@ -272,13 +374,27 @@ def voice_activity(speech: np.ndarray, silence: np.ndarray, fps: float) -> np.nd
     return np.clip(2 * smooth - 0.5, 0.0, 1.0)
 
 
-def _voiced(speeches: Sequence[np.ndarray], silence: np.ndarray, fps: float) -> list[np.ndarray]:
-    """Return (T_k,) bool, True in speech; everywhere where there is little speech or silence."""
-    found = [voice_activity(speech, silence, fps) > 0.5 for speech in speeches]
-    together = np.concatenate(found)
-    if min(together.sum(), (~together).sum()) < _LEAST_SECONDS * fps:
-        return [np.ones(len(own), bool) for own in found]
-    return found
+def _voices(
+    channels: StateChannels, speech: np.ndarray, silence: np.ndarray, fps: float
+) -> np.ndarray:
+    """Return (C, T) the voice activity that the distribution of each channel depends on.
+
+    Fast channels follow it at once, slow movement over pauses, and other channels not at all.
+    """
+    voice = voice_activity(speech, silence, fps)
+    paused = gaussian_filter1d(voice, _PAUSE_SECONDS * fps, mode="nearest")
+    result = np.ones((len(channels.names), len(voice)))
+    result[channels.fast] = voice
+    result[channels.movement] = np.clip(2 * paused - 0.5, 0.0, 1.0)
+    return result
+
+
+def _voiced(voices: Sequence[np.ndarray], fps: float) -> list[np.ndarray]:
+    """Return (C, T_k) bool, True in speech; everywhere where there is little speech or silence."""
+    found = np.concatenate(voices, axis=1) > 0.5
+    count = found.sum(axis=1)
+    known = np.minimum(count, found.shape[1] - count) >= _LEAST_SECONDS * fps
+    return [(own > 0.5) | ~known[:, None] for own in voices]
 
 
 def _wanted(
@@ -365,12 +481,9 @@ def recorded_values(scores: np.ndarray, quantiles: np.ndarray) -> np.ndarray:
 
 
 def _quantiles(
-    values: Sequence[np.ndarray],
-    voiced: Sequence[np.ndarray],
-    groups: Sequence[Group],
-    fast: np.ndarray,
+    values: Sequence[np.ndarray], voiced: Sequence[np.ndarray], groups: Sequence[Group]
 ) -> dict[Group, np.ndarray]:
-    """Return `StateProcess.quantiles`: of slow channels, those in silence and speech are equal."""
+    """Return `StateProcess.quantiles` of values and voice activity (C, T_k)."""
     asked: list[Group] = [(None, None)]
     for speaker, style in groups:
         asked += [(speaker, None), (None, style), (speaker, style)]
@@ -382,12 +495,12 @@ def _quantiles(
             if all(name in (None, theirs) for name, theirs in zip(group, other, strict=True))
         ]
         pooled = np.concatenate([values[k] for k in own], axis=1)
-        loud = np.concatenate([voiced[k] for k in own])
-        result[group] = np.empty((2, len(fast), len(_SHARES)))
-        for row, part in zip(result[group], (~loud, loud), strict=True):
-            frames = part if part.any() else ~part
-            row[fast] = recorded_quantiles([pooled[fast][:, frames]])
-            row[~fast] = recorded_quantiles([pooled[~fast]])
+        loud = np.concatenate([voiced[k] for k in own], axis=1)
+        rows = [
+            [recorded_quantiles([curve[part if part.any() else ~part][None]])[0] for part in parts]
+            for curve, *parts in zip(pooled, ~loud, loud)
+        ]
+        result[group] = np.stack(rows, axis=1)
     return result
 
 

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from gesturekit.multires.state.ahead import AheadPrediction, FeatureWindow, last_bins
 from scipy.ndimage import gaussian_filter1d
 
-from gesturekit.multires.recall.ahead import AheadPrediction, FeatureWindow, last_bins
 from gesturekit.state import (
     Regression,
     WantedMovement,

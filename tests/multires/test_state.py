@@ -87,7 +87,7 @@ def test_rigs_without_known_arms_have_two_channels():
         ("a", "b", "c"), (-1, 0, 1), np.array([[0, 0, 0], [0, 1, 0], [0, 1, 0]], float)
     )
     channels = StateChannels.find(chain, chain.names)
-    assert channels.names == ("movement", "fast") and channels.n_carriers == 2
+    assert channels.names == ("movement", "fast") and channels.n_carriers == 4
     assert channels(torch.zeros(1, 3, 3, 50), FPS).shape == (1, 2, 50)
 
 
@@ -184,9 +184,43 @@ def test_carriers_run_with_the_hand_and_stand_while_it_rests(process):
     values[HANDS.fast] = 0.0
     right = NAMES.index("right movement")
     values[right, 250:] = np.log(0.65)  # 0.6 m/s
-    left, moving = np.split(np.abs(np.diff(process.carriers(3, values))), 2)
+    clocks = np.cumsum(process.clocks(values), axis=1)
+    left, moving = np.split(np.abs(np.diff(process.carriers(3, clocks))), 2)
     assert max(left.max(), moving[:, :249].max()) < 1e-9
     assert moving[:, 251:].mean() > 0.02
+
+
+def test_where_a_hand_is_held_stands_still_while_it_rests(process):
+    values = np.full((len(NAMES), 500), np.log(0.05))
+    values[HANDS.fast] = 0.0
+    for side in ("left", "right"):
+        values[NAMES.index(f"{side} height")] = np.linspace(0.0, 0.3, 500)
+    values[NAMES.index("right movement"), 200:] = np.log(0.65)  # 0.6 m/s
+    given = process.condition(3, values)
+    left, right = (given[NAMES.index(f"{side} height")] for side in ("left", "right"))
+    assert np.ptp(left) == 0 and np.ptp(right[:199]) < 1e-6
+    assert np.diff(right[230:]).min() > 0, "it follows while the hand moves"
+
+
+def test_what_a_network_shows_too_little_of_is_asked_for_more(process):
+    """A network that shows 0.6 of each channel's deviation from its mean, and adds 0.1."""
+
+    def shown(process: StateProcess, values: np.ndarray) -> np.ndarray:
+        clocks = np.zeros((2, values.shape[1]))
+        clocks[:] = np.arange(values.shape[1]) * 100.0  # as if the hands were always fast
+        given = process.condition(0, values, clocks)[: len(NAMES)] * process.scale[:, None]
+        return 0.6 * given + process.mean[:, None] + 0.1
+
+    for seed in range(5):
+        values = drawn(process, 200, seed)
+        process = process.calibrated(values, shown(process, values))
+    values = drawn(process, 200, 9)
+    found, wanted = (
+        np.quantile(rows, (0.1, 0.5, 0.9), axis=1) for rows in (shown(process, values), values)
+    )
+    np.testing.assert_allclose(found, wanted, atol=0.1)
+    before = np.quantile(shown(fitted(), values), (0.1, 0.5, 0.9), axis=1)
+    assert np.abs(before - wanted).max() > 0.5, "the test can tell"
 
 
 def test_what_speech_tells_is_followed_and_kept_in_the_folder(model):
@@ -199,6 +233,7 @@ def test_what_speech_tells_is_followed_and_kept_in_the_folder(model):
         paused[300:600] = paused[1500:1700] = True
         speech[:, paused] = conditioner.silence(1).T
         values = recorded(10 + k)
+        values[np.ix_(HANDS.movement, paused)] -= 3.0
         values[HANDS.fast] = (
             np.where(paused, -1.0, 0.5) + 0.7 * speech[0] + 0.3 * values[HANDS.fast]
         )
@@ -209,6 +244,16 @@ def test_what_speech_tells_is_followed_and_kept_in_the_folder(model):
     for row, own in zip(made[HANDS.fast], held.values[HANDS.fast], strict=True):
         assert np.corrcoef(row, own)[0, 1] > 0.5
         assert row[350:550].mean() < row[700:1400].mean() - 1
+    calm, lively = (
+        made[HANDS.movement, part].mean() for part in (slice(350, 550), slice(700, 1400))
+    )
+    assert calm < lively - 1, "hands rest in long pauses"
+    # A network that follows half of the fast movement is given twice the speech in it.
+    deaf = replace(process, followed=np.full(len(NAMES), 0.6))
+    assert (
+        np.corrcoef(deaf.draw(1, held.speech)[4], held.values[4])[0, 1]
+        > np.corrcoef(made[4], held.values[4])[0, 1]
+    )
     folder = state_values(process), state_tensors(process)
     again = load_state(*folder, HANDS, FPS, conditioner.dim)
     np.testing.assert_allclose(again.draw(1, held.speech), made)

@@ -15,7 +15,7 @@ from gesturekit.motion import GROUND, quaternion_from_rotation_vector, rotation_
 from gesturekit.multires import MultiresGenerator, Pyramid, RandomNoise
 from gesturekit.multires.streaming.features import SpeechStream
 from gesturekit.multires.streaming.feet import FootHold
-from gesturekit.multires.streaming.levels import FinerLevels
+from gesturekit.multires.streaming.levels import WindowLevels
 from gesturekit.multires.streaming.plan import Forecast, LiveChoice, LivePlan
 
 RATE = 16_000
@@ -186,7 +186,7 @@ def test_arms_run_as_fast_as_speech_predicts(counted, wanted, tempo):
 
     A hand has mass: from frame to frame, exp(-1 / (0.05 fps)) of the difference is left.
     """
-    shown = played(counted, Forecast(np.zeros(1), np.full(1, wanted), 0.5), 16)
+    shown = played(counted, Forecast(np.zeros(1), np.full(1, wanted), 0.5, np.ones(1)), 16)
     step = counted.level_fps / counted.fps
     speeds = np.diff(shown, axis=0) / step
     np.testing.assert_allclose(speeds[:, 2], 1.0, atol=0.03)
@@ -196,7 +196,7 @@ def test_arms_run_as_fast_as_speech_predicts(counted, wanted, tempo):
 
 def test_a_forecast_holds_a_while():
     """Linear between the known times, and the last value for 0.6 s more."""
-    forecast = Forecast(np.array([0.0, 0.1, 0.2]), np.array([1.0, 3.0, 2.0]), 0.4)
+    forecast = Forecast(np.array([0.0, 0.1, 0.2]), np.array([1.0, 3.0, 2.0]), 0.4, np.ones(3))
     found = forecast.at(np.array([0.0, 0.05, 0.15, 0.2, 0.79, 0.81, 2.0]))
     np.testing.assert_allclose(found, [1.0, 2.0, 2.5, 2.0, 2.0, np.nan, np.nan])
 
@@ -241,9 +241,9 @@ def test_finer_levels_of_a_frame_are_those_of_the_whole_window(model, film, resi
     condition = conditions.of_motion(speech, lengths, styles)
     quiet = RandomNoise(torch.zeros(0), 0, None)
     whole = Pyramid(own, lengths, condition, quiet, None, recalled, level).random()
-    finer = FinerLevels(own, lengths, styles, part)
-    used = recalled[0, :, finer.recalled.start : finer.recalled.stop]
-    found = own.normaliser.to_values(finer(used, speech)[None])
+    finer = WindowLevels(own, lengths, styles, part)
+    used = recalled[0, :, finer.first.start : finer.first.stop]
+    found = own.normaliser.to_values(finer(speech, used)[None])
     np.testing.assert_allclose(found, whole[part.start : part.stop], atol=1e-4)
     assert np.abs(whole[20:24] - whole[24:28]).max() > 0.1, "the test can tell frames apart"
 

@@ -14,7 +14,6 @@ from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.multires.recall.ahead import AheadPrediction
 from gesturekit.multires.recall.parts import (
     SPEED_FLOOR,
     MotionPart,
@@ -23,6 +22,7 @@ from gesturekit.multires.recall.parts import (
 )
 from gesturekit.multires.recall.pieces import ChoiceWeights, Pieces, PieceSearch
 from gesturekit.multires.recall.slow_state import SlowState
+from gesturekit.state.ahead import AheadPrediction
 from gesturekit.state.prediction import WantedMovement, slow_part
 from gesturekit.state.process import recorded_quantiles, recorded_values
 

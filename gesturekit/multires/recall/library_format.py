@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,11 +11,11 @@ from torch import Tensor
 
 from gesturekit.multires.config import check_stretch
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.recall.ahead import AheadPrediction, FeatureWindow
 from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary
 from gesturekit.multires.recall.parts import PassiveChannels, motion_parts, slow_rows
 from gesturekit.multires.recall.slow_state import SlowState
-from gesturekit.state.prediction import Regression, WantedMovement
+from gesturekit.state.ahead import ahead_tensors, ahead_values, load_ahead
+from gesturekit.state.prediction import WantedMovement
 from gesturekit.training.model_folder import ModelParts
 from gesturekit.wording import counted
 
@@ -38,14 +38,7 @@ def library_values(library: RecallLibrary) -> dict[str, Any]:
         "passive": {"joints": list(library.passive.joints), "face": library.passive.expressions},
         "slow_state": {"take": library.slow_state.take},
         "wanted": None if wanted is None else wanted.values(),
-        "ahead": [
-            {
-                "look_ahead": one.look_ahead,
-                "fast_columns": one.fast_columns.tolist(),
-                "slow_columns": one.slow_columns.tolist(),
-            }
-            for one in library.ahead
-        ],
+        "ahead": ahead_values(library.ahead),
     }
 
 
@@ -67,18 +60,6 @@ def prediction_rows(library: RecallLibrary) -> dict[str, str]:
     return {} if library.wanted is None else {"Hand movement from speech": library.wanted.summary()}
 
 
-def live_rows(library: RecallLibrary) -> dict[str, str]:
-    """Return the correlations for live speech by look-ahead, for the README; empty without."""
-    if not library.ahead:
-        return {}
-    fast, slow = (
-        ", ".join(f"{getattr(one, part).r:.2f}" for one in library.ahead)
-        for part in ("fast", "slow")
-    )
-    seconds = ", ".join(f"{one.look_ahead:g}" for one in library.ahead)
-    return {"Live": f"with {seconds} s of look-ahead, r = {fast} (calm or lively {slow})"}
-
-
 def library_tensors(library: RecallLibrary) -> dict[str, Tensor]:
     """Return the tensors of a library by name."""
     tensors = {
@@ -90,10 +71,7 @@ def library_tensors(library: RecallLibrary) -> dict[str, Tensor]:
             tensors[f"recall.{i}.{name}"] = getattr(recording, name).contiguous()
     if library.wanted is not None:
         tensors |= library.wanted.tensors("recall")
-    for i, one in enumerate(library.ahead):
-        tensors |= one.fast.tensors(f"recall.ahead.{i}.fast")
-        tensors |= one.slow.tensors(f"recall.ahead.{i}.slow")
-    return tensors
+    return tensors | ahead_tensors(library.ahead, "recall")
 
 
 def load_library(
@@ -142,7 +120,7 @@ def load_library(
             tuple(map(str, values["passive"]["joints"])), int(values["passive"]["face"])
         ),
         stretch=float(values["stretch"]),
-        ahead=_ahead(tensors, values["ahead"]),
+        ahead=load_ahead(values["ahead"], tensors, "recall", wanted, speech_size, fps),
     )
     _check_shapes(library, representation.n_features, speech_size)
     for name, tensor in tensors.items():
@@ -200,30 +178,6 @@ def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> 
             library.wanted(np.zeros((speech_size, 2), np.float32))
         except (IndexError, ValueError) as error:
             raise ValueError(f"recall: no {speech_size} speech features fit ({error})") from None
-    rows, averages = (np.zeros((n, speech_size)) for n in (round(library.fps) + 1, 2))
-    for one in library.ahead:
-        _check_range("ahead.look_ahead", one.look_ahead, 0, 1)
-        try:
-            if library.wanted is None:
-                raise ValueError("those of the whole sound are missing")
-            one(FeatureWindow(rows, averages), library.wanted)
-        except (AttributeError, IndexError, ValueError) as error:
-            raise ValueError(f"recall: live predictions do not fit ({error})") from None
-
-
-def _ahead(
-    tensors: Mapping[str, Tensor], rows: Sequence[Mapping[str, Any]]
-) -> tuple[AheadPrediction, ...]:
-    """Return the predictions for live speech, from their plain values."""
-    return tuple(
-        AheadPrediction(
-            float(row["look_ahead"]),
-            np.array(row["fast_columns"], int),
-            np.array(row["slow_columns"], int),
-            *(Regression.load(tensors, f"recall.ahead.{i}.{part}") for part in ("fast", "slow")),
-        )
-        for i, row in enumerate(rows)
-    )
 
 
 def _tensor(value: Any) -> Tensor:

@@ -29,6 +29,8 @@ from gesturekit.multires.network.generator import LevelGenerator, MultiresGenera
 from gesturekit.multires.network.resampling import resample, resample_part
 from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.sampling.conditions import Conditions, LevelConditions
+from gesturekit.state.ahead import AheadPrediction
+from gesturekit.state.channels import CARRIERS
 from gesturekit.state.process import StateProcess
 
 
@@ -143,9 +145,14 @@ def clocked_noise(state: np.ndarray, n_carriers: int, n_frames: int, sigma: Tens
         n_frames: frames of level 1.
         sigma: () of level 1.
     """
-    first = torch.from_numpy(state[:, state.shape[1] - n_carriers :: 2])
-    mixed = first.sum(dim=1, keepdim=True) / first.shape[1] ** 0.5
+    mixed = mixed_carriers(torch.from_numpy(state[:, state.shape[1] - n_carriers :]))
     return sigma * resample(mixed, n_frames)
+
+
+def mixed_carriers(carriers: Tensor) -> Tensor:
+    """Return the mean (B, 1, T) of the hands' first carriers, (B, 4 H, T), of variance 1."""
+    first = carriers[:, ::CARRIERS]
+    return first.sum(dim=1, keepdim=True) / first.shape[1] ** 0.5
 
 
 @dataclass(frozen=True)
@@ -222,6 +229,12 @@ class TrainedModel(BaseModel):
         """The library of a model with recall."""
         assert self.library is not None
         return self.library
+
+    @property
+    def ahead(self) -> tuple[AheadPrediction, ...]:
+        """Predictions for live speech; empty for a model that cannot stream."""
+        source = self.library if self.state_process is None else self.state_process
+        return () if source is None else source.ahead
 
     @property
     def inputs(self) -> Inputs:

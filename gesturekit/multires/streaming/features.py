@@ -12,7 +12,7 @@ from audio_features.acoustic.analysis import FRAME_RATE
 from audio_features.acoustic.streaming import REACH, SpectrumStream
 from audio_features.track import FeatureTrack
 from gesturekit.corpus.speech import SpeechConditioner, parts_of
-from gesturekit.multires.recall.ahead import AVERAGED_SECONDS, FeatureWindow
+from gesturekit.state.ahead import AVERAGED_SECONDS, FeatureWindow
 
 _SMOOTHED_SECONDS = 3.0
 """Sound before a window of features, for the extractors that smooth over seconds."""

@@ -1,4 +1,4 @@
-"""Finer levels of the frames around the current one, prepared once for a whole stream."""
+"""Levels of the frames around the current one, prepared once for a whole stream."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from gesturekit.multires.network.generator import Film, LevelGenerator
 from gesturekit.multires.network.resampling import resample_part
 from gesturekit.multires.network.skeleton_conv import SLOPE, SkeletonConv1d
 from gesturekit.multires.sampling.conditions import LevelConditions
-from gesturekit.multires.sampling.trained_model import TrainedModel, halo
+from gesturekit.multires.sampling.trained_model import TrainedModel, halo, mixed_carriers
+from gesturekit.state.channels import averaged
 
 
 class _Level(NamedTuple):
@@ -23,9 +24,11 @@ class _Level(NamedTuple):
 
     Attributes:
         layers: convolutions.
-        up: (T of the coarser level, T) upsampling.
+        up: (T of the coarser level, T) upsampling; None for the first level.
         features: (T of the features, T) their resampling.
-        embedding: (E, S) weights of the speech features.
+        means: (T of the features, T) averages, for the channels of the state of movement.
+        plain: (T of the features, T) interpolation, for its carriers.
+        embedding: (E, S + C + 4 H) weights of the speech features and of the state.
         offset: (E, T) the rest of the embedding: its bias, and a style.
         rectified: False for a linear embedding.
         gains: (2 C of the modulated layers, E) weights of gains and shifts.
@@ -34,8 +37,10 @@ class _Level(NamedTuple):
     """
 
     layers: Sequence[SkeletonConv1d]
-    up: Tensor
+    up: Tensor | None
     features: Tensor
+    means: Tensor
+    plain: Tensor
     embedding: Tensor
     offset: Tensor
     rectified: bool
@@ -44,62 +49,89 @@ class _Level(NamedTuple):
     kept: slice
 
 
-class FinerLevels:
-    """Levels above the recalled one, without noise, for a part of a window.
+class WindowLevels:
+    """Levels above the recalled one, or all of a model with a state of movement, for part of a
+    window.
 
     The result is that of `sampling.trained_model.sample`, but for rounding. It takes a third of the
     time: frames on which the part does not depend are not computed, resampling is a product with a
     matrix, and all gains and shifts of a level are one product.
 
     Args:
-        model: with speech input and recall.
+        model: with speech input, and recall or a state of movement.
         lengths: T_i, frames of each level in the window.
         styles: (1, K, T_i) for each level, or empty.
         part: frames of the finest level that are wanted.
 
     Attributes:
-        recalled: frames of the recalled level on which they depend.
+        first: frames of the recalled level on which they depend; of level 1 with a state.
     """
 
     def __init__(
         self, model: TrainedModel, lengths: Sequence[int], styles: Sequence[Tensor], part: range
     ) -> None:
-        first, self._levels = model.recall_library.level, list[_Level]()
-        networks = model.network.levels[first:]
+        first = 0 if model.state_process is not None else model.recall_library.level
+        networks, self._levels = model.network.levels[first:], list[_Level]()
         self._backend = choose_backend("auto", *networks)
         self._columns = model.conditions.columns
+        state = model.conditions.state
+        self._n_carriers = 0 if state is None else state.n_carriers
         identity = np.eye(lengths[-1], dtype=np.float32)
-        condition = LevelConditions([identity] * len(lengths), lengths, model.conditions.residual)
+        condition, interpolated = (
+            LevelConditions([identity] * len(lengths), lengths, residual)
+            for residual in (model.conditions.residual, False)
+        )
         for i in reversed(range(first, len(lengths))):
             level = model.network.levels[i]
             begin = max(0, part.start - halo(level))
             end = min(lengths[i], part.stop + halo(level))
             kept = slice(part.start - begin, part.stop - begin)
-            up = resample_part(torch.eye(lengths[i - 1]), lengths[i], begin, end)
-            used = np.flatnonzero(up.any(dim=1).numpy())
-            part = range(int(used[0]), int(used[-1]) + 1)
+            up, part = None, range(begin, end)
+            if i:
+                weights = resample_part(torch.eye(lengths[i - 1]), lengths[i], begin, end)
+                used = np.flatnonzero(weights.any(dim=1).numpy())
+                part = range(int(used[0]), int(used[-1]) + 1)
+                up = weights[part.start : part.stop]
             style = styles[i][0, :, begin:end] if styles else torch.empty(0, end - begin)
-            up, features = up[part.start : part.stop], condition(i, begin, end)[0]
-            self._levels.insert(0, _prepared(level, up, features, style, kept))
-        self.recalled = part
+            matrices = (
+                condition(i, begin, end)[0],
+                torch.from_numpy(averaged(identity, lengths[i], begin, end)),
+                interpolated(i, begin, end)[0],
+            )
+            self._levels.insert(0, _prepared(level, up, matrices, style, kept, len(self._columns)))
+        self.first, self._sigma = part, model.noise.sigma.mean(dim=0)[0]
 
-    def __call__(self, recalled: Tensor, speech: np.ndarray) -> Tensor:
+    def __call__(
+        self, speech: np.ndarray, recalled: Tensor | None = None, state: np.ndarray | None = None
+    ) -> Tensor:
         """Return the normalised motion vectors (D, len(part)).
 
         Args:
-            recalled: (D, T) normalised motion at the frames `self.recalled`.
             speech: (T, S) features of the window.
+            recalled: (D, T) normalised motion at the frames `self.first`; None with a state.
+            state: (C + 4 H, T) of the window, see `StateProcess.condition`.
         """
         features = torch.from_numpy(speech[:, self._columns].T.astype(np.float32))
+        stated = torch.empty(0, features.shape[1]) if state is None else torch.from_numpy(state)
+        channels, carriers = stated.split([len(stated) - self._n_carriers, self._n_carriers])
+        motion = recalled
         with torch.inference_mode(), self._backend.threads():
             for level in self._levels:
-                up = recalled @ level.up
-                recalled = (self._added(level, up, features) + up)[:, level.kept]
-        return recalled
+                own = carriers @ level.plain
+                given = torch.cat([features @ level.features, channels @ level.means, own])
+                if level.up is None or motion is None:
+                    noise = self._sigma * mixed_carriers(own[None])[0]
+                    motion = self._added(level, noise.expand(level.layers[0].shape[1], -1), given)
+                else:
+                    up = motion @ level.up
+                    motion = self._added(level, up, given) + up
+                motion = motion[:, level.kept]
+        assert motion is not None
+        return motion
 
-    def _added(self, level: _Level, x: Tensor, features: Tensor) -> Tensor:
-        """Return the detail (D, T) that a level adds to x (D, T)."""
-        y = level.embedding @ (features @ level.features) + level.offset
+    def _added(self, level: _Level, x: Tensor, given: Tensor) -> Tensor:
+        """Return the detail (D, T) that a level adds to x (D, T), from its condition."""
+        y = level.embedding @ given + level.offset
         y = F.leaky_relu(y, SLOPE) if level.rectified else y
         films = torch.addmm(level.shifts, level.gains, y)
         for i, layer in enumerate(level.layers):
@@ -113,16 +145,28 @@ class FinerLevels:
 
 @torch.no_grad()
 def _prepared(
-    level: LevelGenerator, up: Tensor, features: Tensor, style: Tensor, kept: slice
+    level: LevelGenerator,
+    up: Tensor | None,
+    matrices: tuple[Tensor, Tensor, Tensor],
+    style: Tensor,
+    kept: slice,
+    n_features: int,
 ) -> _Level:
-    """Return a level for its conditions: `features`, see `_Level`, and style (K, T)."""
+    """Return a level for its conditions: `matrices` from `features` on, see `_Level`.
+
+    `style` is (K, T), and `n_features` is S.
+    """
     assert level.embed.bias is not None
     weight = level.embed.weight[..., 0]
-    speech, own = weight.split([weight.shape[1] - len(style), len(style)], dim=1)
+    n_state = weight.shape[1] - n_features - len(style)
+    speech, own, state = weight.split([n_features, len(style), n_state], dim=1)
     offset = level.embed.bias[:, None] + own @ style
     gains, shifts = zip(*(rows for film in level.films for rows in _padded(film)), strict=True)
     rows = torch.cat(gains), torch.cat(shifts)[:, None]
-    return _Level(level.layers, up, features, speech, offset, level.rectify_embedding, *rows, kept)
+    embedding = torch.cat([speech, state], dim=1)
+    return _Level(
+        level.layers, up, *matrices, embedding, offset, level.rectify_embedding, *rows, kept
+    )
 
 
 def _padded(film: Film) -> list[tuple[Tensor, Tensor]]:

@@ -37,8 +37,6 @@ _KEPT = 4
 _TAPS = np.array(TAPS)[:, None, None]
 _NOW = np.zeros(1)
 """The current motion frame (M = 1), relative to itself."""
-_STEADY_SECONDS = 5.0
-"""Weight of a mean of 0 in the running mean of the slow prediction, in seconds of sound."""
 
 
 @dataclass(frozen=True)
@@ -70,11 +68,13 @@ class Forecast:
         seconds: (H,) from now, ascending from 0.
         values: (H,) log m/s.
         r: correlation of the first with recorded movement.
+        shares: (H,) how much is known of what the whole sound tells.
     """
 
     seconds: np.ndarray
     values: np.ndarray
     r: float
+    shares: np.ndarray
 
     def at(self, seconds: np.ndarray) -> np.ndarray:
         """Return the predictions (M,) at times (M,); NaN where nothing is known."""
@@ -112,7 +112,6 @@ class LivePlan:
         self._pieces: list[list[tuple[float, float, int, float]]] = [[] for _ in library.parts]
         self._due = [0.0] * len(library.parts)
         self._log_tempo = 0.0
-        self._slow = np.zeros(2)  # sum and count of slow predictions
 
     def state(self) -> dict[str, Any]:
         """Return what `restore` needs."""
@@ -135,7 +134,6 @@ class LivePlan:
             self._clock = np.append(
                 self._clock[1:], self._clock[-1] + self._step * self._tempo(fast)
             )
-        slow = self._steadied(slow)
         now = self._frame * self._step
         due = [i for i in range(len(self._due)) if now >= self._due[i]]
         if due:
@@ -157,15 +155,6 @@ class LivePlan:
         share = 1 - math.exp(-1 / (_TEMPO_SECONDS * self.library.fps))
         self._log_tempo += share * (float(goal) - self._log_tempo)
         return math.exp(self._log_tempo)
-
-    def _steadied(self, slow: float | None) -> float | None:
-        """Return the slow prediction, its mean so far reduced as in `WantedMovement`."""
-        wanted = self.library.wanted
-        if slow is None or wanted is None:
-            return None
-        self._slow += slow, 1.0
-        mean = self._slow[0] / (self._slow[1] + _STEADY_SECONDS * self.library.fps)
-        return slow - (1 - wanted.mean_counts) * mean
 
     @cached_property
     def _mood_seed(self) -> int:
@@ -289,4 +278,4 @@ def _curves(library: RecallLibrary, i: int, passive: np.ndarray) -> dict[str, np
     return {name: torch.cat(own, dim=1).T.contiguous().numpy() for name, own in found.items()}
 
 
-_STATE = ("_frame", "_clock", "_used", "_pieces", "_due", "_slow", "_log_tempo")
+_STATE = ("_frame", "_clock", "_used", "_pieces", "_due", "_log_tempo")

@@ -17,13 +17,12 @@ from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import ModelError
 from gesturekit.multires.model import MultiresModel
-from gesturekit.multires.recall.ahead import LOOK_AHEADS, AheadPrediction, FeatureWindow
-from gesturekit.multires.recall.library_format import live_rows
 from gesturekit.multires.recall.parts import joint_places, movements
 from gesturekit.multires.streaming.features import SpeechStream
 from gesturekit.progress import Progress
+from gesturekit.state.ahead import LOOK_AHEADS, AheadPrediction, FeatureWindow, live_rows
 from gesturekit.state.prediction import slow_part
-from gesturekit.state.process import normal_scores
+from gesturekit.state.process import StateProcess, normal_scores
 from gesturekit.training.data.excerpts import systematic_sample
 from gesturekit.training.model_folder import save_model
 from gesturekit.training.recordings import training_items
@@ -44,14 +43,15 @@ def with_live_predictions(model: MultiresModel, items: Sequence[Item]) -> Multir
     """Return a model with predictions for live speech, if it can stream; else the model itself.
 
     Args:
-        model: with recall.
+        model: with recall, or with a state of movement.
         items: paired items of its training.
 
     Raises:
         CorpusError, AudioError, FormatError: a file cannot be read.
     """
-    library, conditioner = model.library, model.conditions.conditioner
-    if library is None or conditioner is None or library.wanted is None:
+    conditioner = model.conditions.conditioner
+    source = model.library if model.state_process is None else model.state_process
+    if source is None or conditioner is None or source.wanted is None:
         return model
     try:
         check_streams(conditioner.extractor)
@@ -65,8 +65,10 @@ def with_live_predictions(model: MultiresModel, items: Sequence[Item]) -> Multir
         slow.append(states)
         stream = SpeechStream(conditioner, SAMPLE_RATE, round(_ROWS_SECONDS * model.fps), _EVERY)
         speeches.append(_windows(stream, item))
-    # Ranks are those of all recordings: a stream begins without knowing whose it is.
-    scores = [own.mean(axis=0) for own in normal_scores(slow, [""] * len(slow))]
+    if model.state_process is None:
+        # Ranks are those of all recordings: a stream begins without knowing whose it is.
+        slow = normal_scores(slow, [""] * len(slow))
+    scores = [own.mean(axis=0) for own in slow]
     # The largest set of columns first; one that predicts hardly worse with fewer is used.
     columns = (conditioner.acoustic, conditioner.prosody)
     sets = [[i for i in own if i not in conditioner.effort] for own in columns]
@@ -85,14 +87,20 @@ def with_live_predictions(model: MultiresModel, items: Sequence[Item]) -> Multir
                 [curve[own] for curve, own in zip(fast, frames)],
                 [curve[own] for curve, own in zip(scores, frames)],
                 [item.take for item in chosen],
-                library.wanted,
+                source.wanted,
                 sets,
                 model.fps / _EVERY,
             )
         )
-    model = replace(model, library=replace(library, ahead=tuple(predictions)))
-    log.info("Live: %s.", *live_rows(model.recall_library).values())
-    return model
+    log.info("Live: %s.", *live_rows(predictions).values())
+    return with_ahead(model, tuple(predictions))
+
+
+def with_ahead(model: MultiresModel, ahead: tuple[AheadPrediction, ...]) -> MultiresModel:
+    """Return a model with these predictions for live speech."""
+    if model.state_process is not None:
+        return replace(model, state_process=replace(model.state_process, ahead=ahead))
+    return replace(model, library=replace(model.recall_library, ahead=ahead))
 
 
 def fit_live(model: MultiresModel, corpus: Path) -> None:
@@ -107,19 +115,24 @@ def fit_live(model: MultiresModel, corpus: Path) -> None:
     fitted = with_live_predictions(model, items)
     if fitted is model or folder is None:
         raise ModelError(
-            f"{folder}: the model cannot stream: it needs recall, acoustic features, and speech "
-            "that predicted movement in training"
+            f"{folder}: the model cannot stream: it needs recall or a state of movement, acoustic "
+            "features, and speech that predicted movement in training"
         )
     readme = (folder / "README.md").read_text(encoding="utf-8").splitlines()
     kept = [line for line in readme if not line.startswith("- **Live**")]
     last = max((i for i, line in enumerate(kept) if line.startswith("- **")), default=-1)
-    rows = [f"- **{name}**: {text}" for name, text in live_rows(fitted.recall_library).items()]
+    rows = [f"- **{name}**: {text}" for name, text in live_rows(fitted.ahead).items()]
     kept[last + 1 : last + 1] = rows
     save_model(folder, *fitted.parts(), "\n".join(kept) + "\n")
 
 
 def _movement(model: MultiresModel, item: Item) -> tuple[np.ndarray, np.ndarray]:
-    """Return the fast movement of both hands together (T,), and the slow one of each (H, T)."""
+    """Return the fast movement of both hands together (T,), and the slow one of each (H, T).
+
+    The slow one of a model with a state of movement is in normal scores.
+    """
+    if model.state_process is not None:
+        return _stated(model, model.state_process, item)
     representation, parts, fps = model.representation, model.recall_library.parts, model.fps
     hands = [i for i, part in enumerate(parts) if part.is_arm] or [0]
     motion = item.load_motion(model.skeleton.parts).resample(fps)
@@ -128,6 +141,19 @@ def _movement(model: MultiresModel, item: Item) -> tuple[np.ndarray, np.ndarray]
     moved = np.stack(movements(parts, representation.joints, fps, places))[hands]
     both = moved.mean(axis=0)
     return both - slow_part(both, fps), np.log(slow_part(np.exp(moved), fps))
+
+
+def _stated(
+    model: MultiresModel, process: StateProcess, item: Item
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what `_movement` does for a model with a state of movement."""
+    conditioner, channels = model.conditions.conditioner, process.channels
+    assert conditioner is not None
+    values = model.state(item.load_motion(model.skeleton.parts)).T
+    speech = conditioner(item.load_wave(), values.shape[1]).T
+    both = values[channels.fast].mean(axis=0)
+    scores = process.scores(values, speech)[channels.of_hands]
+    return both - slow_part(both, model.fps), scores
 
 
 def _windows(stream: SpeechStream, item: Item) -> list[tuple[int, FeatureWindow]]:

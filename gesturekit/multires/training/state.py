@@ -7,6 +7,7 @@ level 1 that is made of them, are always the same, as its z* is.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import cycle
 
 import numpy as np
 import torch
@@ -18,6 +19,8 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.recall.library import RecallLibrary
+from gesturekit.multires.sampling.conditions import style_levels
+from gesturekit.multires.sampling.trained_model import Pyramid, TrainedModel, clocked_noise
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.sequences import PairedSequence
 from gesturekit.state.channels import averaged
@@ -29,6 +32,10 @@ _LEAST_FRAMES = 4
 _FAST_COUNTS = 4.0
 """Weight of a fast channel in the loss, relative to a slow one. Fixed; without it the two or three
 fast channels are lost among the slow ones, which are easier to obey."""
+
+
+_CALIBRATIONS, _CALIBRATION_SECONDS = 4, 180.0
+"""Rounds of calibration, and the seconds of motion that each makes."""
 
 
 class TrainingState:
@@ -73,6 +80,44 @@ class TrainingState:
             group = (None, style if self.data.styles else None)
             conditions.append(self.process.condition(seed, self.process.draw(seed, window, group)))
         return np.stack(conditions)
+
+    def calibrated(self, model: TrainedModel) -> StateProcess:
+        """Return the process for a trained model, see `StateProcess.calibrated`."""
+        process = self.process
+        for number in range(_CALIBRATIONS):
+            seconds, pairs = 0.0, list[tuple[np.ndarray, np.ndarray]]()
+            for sequence in cycle(self.data.sample):
+                key = ("calibration", number, len(pairs))
+                seed = rng_for(self.seed, *key).initial_seed() >> 1
+                speech, style = sequence.speech[:, :].numpy(), None
+                if self.data.styles:
+                    style = sequence.style
+                drawn = process.draw(seed, speech, (sequence.speaker, style))
+                condition = process.condition(seed, drawn)
+                pairs.append((drawn, self._made(model, condition, speech, style)))
+                seconds += sequence.n_frames / process.fps
+                if seconds > _CALIBRATION_SECONDS:
+                    break
+            wanted, shown = (np.concatenate(rows, axis=1) for rows in zip(*pairs, strict=True))
+            process = process.calibrated(wanted, shown)
+        return process
+
+    @torch.no_grad()
+    def _made(
+        self, model: TrainedModel, state: np.ndarray, speech: np.ndarray, style: int | None
+    ) -> np.ndarray:
+        """Return the channels (C, T) of a motion that is made of a condition (C + 4 H, T)."""
+        lengths = af.level_lengths(state.shape[1], model.network_config.levels)
+        styles = []
+        if style is not None:
+            numbers = torch.full((1, len(lengths)), style)
+            styles = style_levels(numbers, len(model.styles), lengths)
+        sigma = model.noise.sigma.mean(dim=0)[0]
+        noise = clocked_noise(state[None], self.process.channels.n_carriers, lengths[0], sigma)
+        condition = model.conditions.of_motion(speech.T, lengths, styles, (), state)
+        values = Pyramid(model, lengths, condition).from_noise(noise)
+        places = self._kinematics.places(torch.from_numpy(values.T[None]).float())
+        return self.process.channels(places, self._kinematics.fps)[0].double().numpy()
 
     @torch.no_grad()
     def _measured(self, sequence: PairedSequence) -> np.ndarray:

@@ -22,10 +22,9 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.constraints.constraint import fastest_second
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.recall.ahead import AheadPrediction
 from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.sampling.trained_model import TrainedNoise, TrainedSequence
-from gesturekit.multires.training.ahead import with_live_predictions
+from gesturekit.multires.training.ahead import with_ahead, with_live_predictions
 from gesturekit.multires.training.batches import usage
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.loading import load_training_data
@@ -35,6 +34,7 @@ from gesturekit.multires.training.stage import Stage
 from gesturekit.multires.training.start import widened
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.multires.training.targets import MOST_WINDOWS
+from gesturekit.state.ahead import AheadPrediction
 from gesturekit.training.data.sources import describe_recordings, save_sources, unused_labels
 from gesturekit.training.recordings import load_recordings, training_items
 from gesturekit.training.run.device import prepare_device
@@ -315,14 +315,14 @@ class Trainer:
         self.loop.train(list(zip(counts, cost, strict=True)), done, begin)
         return self._finish(sum(counts))
 
-    def measure(self, step: int, levels: int, *, keep: bool = False) -> str:
+    def measure(self, step: int, levels: int) -> str:
         """Log and return the verdict on held-out recordings, at the finest level so far."""
         whole = levels == self.config.network.levels
         return self.held_out.measure(
             step,
             self._model(copy.deepcopy(self.network)),
             "" if whole else f", levels 1-{levels} of {self.config.network.levels}",
-            keep=keep,
+            keep=False,
             **({} if whole else {"levels": levels}),
         )
 
@@ -341,7 +341,7 @@ class Trainer:
             if all(distance < distance_from_recordings(other) for other in before):
                 self._save(
                     "best",
-                    copy.deepcopy(self.network),
+                    self._calibrated(self._model(copy.deepcopy(self.network))),
                     {"Training steps": f"{step}, the best by the cheap evaluations"},
                 )
         self.folder.log(step, metrics, level=first + 1, kind="evaluation")
@@ -349,10 +349,11 @@ class Trainer:
     def _finish(self, steps: int) -> Path:
         """Measure and write the model."""
         if self.processes.is_first:
-            measured = self.measure(steps, self.config.network.levels, keep=True)
+            model = self._calibrated(self._model(self.network))
+            measured = self.held_out.measure(steps, model, "", keep=True)
             self._save(
                 "model",
-                self.network,
+                model,
                 {
                     "Training steps": str(steps),
                     "Last losses": last_losses(self.folder),
@@ -362,14 +363,19 @@ class Trainer:
         self.processes.wait()
         return self.folder.folder / "model"
 
-    def _save(self, name: str, network: MultiresGenerator, notes: dict[str, str]) -> None:
+    def _calibrated(self, model: MultiresModel) -> MultiresModel:
+        """Return a model with a state of movement that its network shows as it is drawn."""
+        if self.state is None:
+            return model
+        return replace(model, state_process=self.state.calibrated(model))
+
+    def _save(self, name: str, model: MultiresModel, notes: dict[str, str]) -> None:
         """Write a model of the run."""
         spoken, files = self.data.spoken
-        model = self._model(network)
-        if model.library is not None:
+        if model.library is not None or model.state_process is not None:
             if self.ahead is None:
                 self.ahead = self._live_predictions(model)
-            model = replace(model, library=replace(model.library, ahead=self.ahead))
+            model = with_ahead(model, self.ahead)
         model.save(
             self.folder.folder / name,
             notes={
@@ -391,7 +397,7 @@ class Trainer:
         corpus = self.config.corpus
         try:
             items = training_items(Manifest.load(corpus), corpus, with_audio=True)
-            return with_live_predictions(model, items).recall_library.ahead
+            return with_live_predictions(model, items).ahead
         except (GestureKitError, af.AudioFeaturesError) as error:
             # A trained model is worth more than its use for live speech.
             log.warning("The model cannot stream, without predictions for live speech: %s", error)

@@ -6,12 +6,13 @@ they would lose much of what they know, so a separate pair is fitted for each lo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from torch import Tensor
 
-from gesturekit.multires.recall.slow_state import PAUSE
 from gesturekit.state.prediction import (
     GAP_SECONDS,
     Regression,
@@ -116,16 +117,82 @@ class AheadPrediction:
         return cls(look_ahead, fast_sets[i], slow_sets[j], of_fast[i], of_slow[j])
 
     def __call__(self, speech: FeatureWindow, wanted: WantedMovement) -> tuple[float, float]:
-        """Return the fast part of movement, log m/s, and the slow part, in standard deviations.
-
-        In pauses the slow part is low at once; running means of features take seconds to follow.
-        """
+        """Return the fast part of movement, log m/s, and the slow part, in standard deviations."""
         fast = self.fast(_flat(last_bins(speech, wanted.fps), self.fast_columns)[None])[0]
         averages = usual_voice(speech.averages.T, wanted.effort, wanted.voices).T
         slow = self.slow(_flat(averages, self.slow_columns)[None])[0]
-        slow = min(slow, PAUSE) if speech.paused else slow
-        share = max(self.fast.r, 0.0) / max(wanted.fast.r, 1e-3)
-        return float(fast * wanted.spread * min(share, 1.0)), float(slow)
+        return float(fast * wanted.spread * self.share(wanted)), float(slow)
+
+    def share(self, wanted: WantedMovement) -> float:
+        """Return how much of what the whole sound tells of fast movement is known so early."""
+        return min(1.0, max(self.fast.r, 0.0) / max(wanted.fast.r, 1e-3))
+
+
+def live_rows(ahead: Sequence[AheadPrediction]) -> dict[str, str]:
+    """Return the correlations for live speech by look-ahead, for the README; empty without."""
+    if not ahead:
+        return {}
+    fast, slow = (
+        ", ".join(f"{getattr(one, part).r:.2f}" for one in ahead) for part in ("fast", "slow")
+    )
+    seconds = ", ".join(f"{one.look_ahead:g}" for one in ahead)
+    return {"Live": f"with {seconds} s of look-ahead, r = {fast} (calm or lively {slow})"}
+
+
+def ahead_values(ahead: Sequence[AheadPrediction]) -> list[dict[str, Any]]:
+    """Return the plain values of a model folder."""
+    return [
+        {
+            "look_ahead": one.look_ahead,
+            "fast_columns": one.fast_columns.tolist(),
+            "slow_columns": one.slow_columns.tolist(),
+        }
+        for one in ahead
+    ]
+
+
+def ahead_tensors(ahead: Sequence[AheadPrediction], where: str) -> dict[str, Tensor]:
+    """Return the tensors of a model folder, by names that begin with `where`."""
+    tensors: dict[str, Tensor] = {}
+    for i, one in enumerate(ahead):
+        tensors |= one.fast.tensors(f"{where}.ahead.{i}.fast")
+        tensors |= one.slow.tensors(f"{where}.ahead.{i}.slow")
+    return tensors
+
+
+def load_ahead(
+    rows: Sequence[Mapping[str, Any]],
+    tensors: Mapping[str, Tensor],
+    where: str,
+    wanted: WantedMovement | None,
+    speech_size: int,
+    fps: float,
+) -> tuple[AheadPrediction, ...]:
+    """Read what `ahead_values` and `ahead_tensors` returned.
+
+    Raises:
+        ValueError: values out of range, or that do not fit the speech features.
+    """
+    found = tuple(
+        AheadPrediction(
+            float(row["look_ahead"]),
+            np.array(row["fast_columns"], int),
+            np.array(row["slow_columns"], int),
+            *(Regression.load(tensors, f"{where}.ahead.{i}.{part}") for part in ("fast", "slow")),
+        )
+        for i, row in enumerate(rows)
+    )
+    inputs, averages = (np.zeros((n, speech_size)) for n in (round(fps) + 1, 2))
+    for one in found:
+        if not 0 <= one.look_ahead <= 1:
+            raise ValueError(f"{where}: ahead.look_ahead is {one.look_ahead}, not from 0 to 1")
+        try:
+            if wanted is None:
+                raise ValueError("those of the whole sound are missing")
+            one(FeatureWindow(inputs, averages), wanted)
+        except (AttributeError, IndexError, ValueError) as error:
+            raise ValueError(f"{where}: live predictions do not fit ({error})") from None
+    return found
 
 
 def _flat(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
