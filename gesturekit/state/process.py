@@ -322,12 +322,11 @@ class StateProcess:
             clocks: (H, T) times of the hands' clocks.
         """
         kernels = [_gaussian(_STROKE_POINTS / 2, _STROKE_POINTS / 2)] * CARRIERS
-        return np.concatenate(
-            [
-                _filtered(seed + 3 + k, np.eye(CARRIERS), kernels, own)
-                for k, own in enumerate(clocks)
-            ]
-        )
+        noise = [
+            _filtered(seed + 3 + k, np.eye(CARRIERS), kernels, own) for k, own in enumerate(clocks)
+        ]
+        # Uniform, as arms have limits: rare large values would lift them out of their range.
+        return math.sqrt(12.0) * (ndtr(np.concatenate(noise)) - 0.5)
 
     def condition(
         self, seed: int, values: np.ndarray, clocks: np.ndarray | None = None
