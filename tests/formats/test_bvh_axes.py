@@ -114,7 +114,7 @@ def test_axes_that_are_given_count_more_than_what_is_found(up, forward, found):
 
 
 @pytest.mark.parametrize(
-    ("lying", "height", "axis"), [(4, 0.0, "y"), (5, 0.0, None), (6, 0.0, "z"), (6, 0.32, None)]
+    ("lying", "height", "axis"), [(4, 0.0, "y"), (5, 0.0, None), (8, 0.0, "z"), (8, 0.5, None)]
 )
 def test_a_body_stands_along_the_axis_of_most_frames_if_its_feet_are_on_the_floor(
     lying, height, axis
