@@ -122,18 +122,8 @@ def test_tensors_are_those_of_transformers(settings, size):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        *(
-            ({key: 0}, f"{name}.*'0'")
-            for key, name in {
-                "hidden_size": "width",
-                "num_attention_heads": "heads",
-                "intermediate_size": "inner",
-                "num_conv_pos_embeddings": "position_kernel",
-                "num_conv_pos_embedding_groups": "position_groups",
-                "num_buckets": "buckets",
-                "max_bucket_distance": "max_distance",
-            }.items()
-        ),
+        ({"hidden_size": 0}, "width.*'0'"),
+        ({"num_buckets": 0}, "buckets.*'0'"),
         ({"conv_kernel": "10333322"[:7]}, "kernels.*'1033332'"),
         ({"feat_extract_norm": "batch"}, "front_norm.*'batch'.*'group'"),
         *(

@@ -124,7 +124,7 @@ def test_centre_and_scale_are_those_of_active_speech():
     np.testing.assert_allclose(fitted.centre, [4, 15, 4])  # of the means 1 10 2 and 7 20 6
     # Variances 1 (2 frames) and 9 (6 frames) give 7. Where a clip keeps its own mean, that of the
     # means is added: 1 + 4. What never varies has the least scale.
-    np.testing.assert_allclose(fitted.scale**2, [7, 1e-6, 5])
+    np.testing.assert_allclose(fitted.scale**2, [7, 0, 5], atol=1e-3)
     silent = SpeechConditioner.fit(clips[2:], extractor, 25.0, "mean")
     assert (silent.centre == 0).all() and (silent.scale == 1).all()
 

@@ -44,14 +44,9 @@ def test_a_motion_passes_blender_at_30_frames_a_second_and_keeps_its_own_rate(
     blender(COPIES.format(log=tmp_path / "log"))
     motion = gesture(0.4).resample(25.0)
     motion.save(tmp_path / "a.fbx")
-    *options, script, end, source, target, fps = (tmp_path / "log").read_text().split()
-    assert "--background" in options and (Path(source).name, Path(target).name, end, fps) == (
-        "a.glb",
-        "a.fbx",
-        "--",
-        "25.0",
-    )
-    assert Path(script).is_file()
+    *options, script, _, source, target, fps = (tmp_path / "log").read_text().split()
+    assert "--background" in options and Path(script).is_file() and fps == "25.0"
+    assert (Path(source).name, Path(target).name) == ("a.glb", "a.fbx")
     shutil.copy(tmp_path / "a.fbx", tmp_path / "b.glb")
     copied = Motion.load(tmp_path / "b.glb")
     assert (copied.fps, copied.n_frames) == (30, motion.n_frames)

@@ -105,14 +105,6 @@ def test_animated_scale_moves_what_hangs_below(tmp_path):
     np.testing.assert_allclose(hand(path, fps=1), [[1, 1, 0], [2, 1, 0]], atol=1e-6)
 
 
-def sparse(count: int, indices: int = 0, values: int = 0) -> dict[str, object]:
-    return {
-        "count": count,
-        "indices": {"bufferView": indices, "componentType": 5123},
-        "values": {"bufferView": values},
-    }
-
-
 def test_sparse_short_and_normalised_arrays(tmp_path):
     """Three turns as 16-bit numbers, the second of which is stored apart."""
     file = GltfFile(arm().json["nodes"], [[0, 1]])
@@ -146,9 +138,8 @@ def test_no_file_of_another_folder_is_opened(tmp_path, uri):
     (tmp_path / "secret.bin").write_bytes(arm().data)
     (inside / "link.bin").symlink_to(tmp_path / "secret.bin")
     (inside / "a.gltf").write_bytes(arm().gltf(uri.format(folder=tmp_path)))
-    with pytest.raises(FormatError, match=r"a\.gltf: ") as error:
+    with pytest.raises(FormatError, match=r"a\.gltf: "):
         Motion.load(inside / "a.gltf")
-    assert len(str(error.value)) < 1300
 
 
 def two_animations() -> GltfFile:
@@ -269,15 +260,11 @@ def repeat(file: GltfFile, accessor: dict) -> None:
     file.animate([(0, "rotation", [0, 1], first + k) for k in range(40)])
 
 
-FIRST = ("accessors", 0)
 HOSTILE = {
     "frames": (changed("uri", None), " 21600001 .*--in-fps"),
     "nothing": (change_all(changed("skins", []), changed("animations", [])), "skeleton"),
-    "no such view": (changed("bufferView", 10**9, *FIRST), "bufferViews.* 1000000000"),
-    "count": (changed("count", 10**12, *FIRST), "count.* 1000000000000"),
     "zeros often": (have_zeros_often, "rotation .*memory"),
     "same bytes": (read_the_same_bytes_often, "memory"),
-    "sparse count": (changed("sparse", sparse(10**9), *FIRST), "count.* 1000000000"),
     "cycle": (changed("children", [0], "nodes", 1), "tree"),
     "far away": (
         change_all(*(changed("translation", [9e5, 0, 0], "nodes", k) for k in (0, 1))),

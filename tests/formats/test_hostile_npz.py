@@ -3,7 +3,6 @@
 import io
 import re
 import struct
-import time
 import tracemalloc
 import warnings
 import zipfile
@@ -58,9 +57,8 @@ def native_members(tmp_path):
 
 
 def peak_of(path, read=read_npz):
-    """Error, peak of memory in bytes and seconds of a reading that must fail or succeed cleanly."""
+    """Error and peak of memory in bytes of a reading that must fail or succeed cleanly."""
     tracemalloc.start()
-    begin = time.perf_counter()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -69,11 +67,10 @@ def peak_of(path, read=read_npz):
     except FormatError as caught:
         error = str(caught)
         assert str(path) in error
-    seconds = time.perf_counter() - begin
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 500 * MEGABYTE, (error, peak)
-    return error, peak, seconds
+    return error, peak
 
 
 def zeros(shape: tuple[int, ...], dtype: str = "<f8") -> bytes:
@@ -85,24 +82,24 @@ def test_bombs_are_not_unpacked(tmp_path):
     bomb = zeros((60_000, 165))  # 76 MiB, deflated to a thousandth
     path = pack(tmp_path / "a.npz", amass_members() | {"poses": bomb}, zipfile.ZIP_DEFLATED)
     assert path.stat().st_size < MEGABYTE
-    error, peak, _ = peak_of(path)
+    error, peak = peak_of(path)
     assert "'poses'" in error and "76 MiB" in error
     assert peak < 10 * MEGABYTE
 
 
-def test_members_within_the_limit_need_bounded_memory(tmp_path):
-    poses = zeros((20_000, 165))  # 25 MiB
-    members = amass_members() | {"poses": poses, "trans": zeros((20_000, 3))}
+def test_members_within_the_limit_are_read_until_their_sum_is_beyond_it(tmp_path):
+    members = amass_members() | {"poses": zeros((11_000, 165)), "trans": zeros((11_000, 3))}
     path = pack(tmp_path / "a.npz", members, zipfile.ZIP_DEFLATED)
     assert peak_of(path)[0] is None
-    path = pack(tmp_path / "a.npz", members | {"expressions": poses}, zipfile.ZIP_DEFLATED)
+    more = {"expressions": zeros((16_000, 165))}  # 20 MiB after 14 MiB
+    path = pack(tmp_path / "a.npz", members | more, zipfile.ZIP_DEFLATED)
     assert "'expressions'" in peak_of(path)[0]
 
 
 @pytest.mark.parametrize(
     ("key", "content", "says"),
     [
-        ("poses", promise("(10**9,72)"), "'poses'"),
+        ("poses", promise("(1000000000,72)"), "'poses'"),
         ("poses", promise("(99999999999,)", "<U0"), "poses"),
         ("poses", header("(" * 1000 + "\n"), "'poses'"),
         ("poses", promise("(1,)", "|O") + b"c", "pickled"),
@@ -112,7 +109,7 @@ def test_members_within_the_limit_need_bounded_memory(tmp_path):
 )
 def test_headers_that_promise_too_much(tmp_path, key, content, says):
     path = pack(tmp_path / "a.npz", amass_members() | {key: content})
-    error, peak, _ = peak_of(path)
+    error, peak = peak_of(path)
     assert says in error
     assert peak < 50 * MEGABYTE
 
@@ -132,19 +129,21 @@ def test_headers_that_promise_too_much(tmp_path, key, content, says):
 )
 def test_native_files_that_promise_too_much(tmp_path, key, content, says):
     path = pack(tmp_path / "a.npz", native_members(tmp_path) | {key: content})
-    error, _, _ = peak_of(path)
+    error, _ = peak_of(path)
     assert re.search(says, error)
 
 
 def test_hostile_body_models(tmp_path, capsule_body):
     members = {key: npy(value) for key, value in capsule_body(24).items()}
     assert BodyModel.load(pack(tmp_path / "a.npz", members)).n_joints == 24
+    del members["posedirs"]
     for key, content in (
         ("shapedirs", zeros((30_000, 3, 50))),
-        ("v_template", zeros((50_000, 3))),
-        ("weights", zeros((300, 500))),
+        ("v_template", zeros((500_000, 3))),
+        ("weights", zeros((300, 2_000))),
         ("f", npy(np.array([[{}]], dtype=object))),
-        ("posedirs", promise("(10**9,3)")),
+        ("posedirs", promise("(1000000000,3)")),
     ):
         path = pack(tmp_path / "a.npz", members | {key: content}, zipfile.ZIP_DEFLATED)
-        assert peak_of(path, BodyModel.load)[0]
+        error, peak = peak_of(path, BodyModel.load)
+        assert key in error and peak < 100 * MEGABYTE
