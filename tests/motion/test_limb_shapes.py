@@ -42,8 +42,9 @@ def test_sides_limbs_and_head_of_a_figure():
     parts = find_parts(figure())
     assert (parts.head, parts.spine, parts.neck) == ("head", ("chest",), "neck")
     for side, n in (("left", 1), ("right", 2)):
-        assert tuple(vars(parts.arms[side]).values())[-3:] == (f"a{n}", f"b{n}", f"c{n}")
-        assert set(vars(parts.legs[side]).values()) == {f"{c}{n}" for c in "klmn"}
+        arm, leg = parts.arms[side], parts.legs[side]
+        assert (arm.shoulder, arm.elbow, arm.wrist) == (f"a{n}", f"b{n}", f"c{n}")
+        assert (leg.hip, leg.knee, leg.ankle, leg.toe) == tuple(f"{c}{n}" for c in "klmn")
     pairs = {frozenset(pair) for pair in left_right_pairs(figure())}
     assert pairs == {frozenset((f"{c}1", f"{c}2")) for c in "abcklmn"}
     # Feet that point to -Z exchange left and right.

@@ -66,7 +66,7 @@ def test_scripts_are_bundled_once_and_again_if_a_source_changes(machine, capsys)
     assert capsys.readouterr().out and bundle.is_current()
     assert (script.folder / "node_modules").is_dir(), "packages are beside the sources"
     _, npm, node = machine.log.read_text().splitlines()
-    assert npm.startswith("npm ci --ignore-scripts") and " a.js --bundle" in node
+    assert "--ignore-scripts" in npm and "a.js" in node
     first, second = script.bundle.read_text().splitlines()
     assert script.digest() in first and second == "bundled();"
     assert [path.name for path in script.bundle.parent.iterdir()] == ["page.bundle.js"]
