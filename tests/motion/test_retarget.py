@@ -62,25 +62,6 @@ def skate(motion: Motion, labels: np.ndarray) -> float:
     return float(speed[labels > 0].mean())
 
 
-def hand_distances(motion: Motion) -> np.ndarray:
-    """(T, 3) wrist to hips on either side, and wrist to wrist, over the length of the trunk."""
-    parts, positions = find_parts(motion.skeleton), motion.positions()
-    ends = motion.end_positions()
-
-    def at(name: str) -> np.ndarray:
-        return positions[:, motion.skeleton.index(name)]
-
-    hips = sum(at(parts.legs[side].hip) for side in SIDES) / 2
-    shoulders = sum(at(parts.arms[side].shoulder) for side in SIDES) / 2
-    left, right = (
-        at(arm.wrist) if arm.wrist else ends[arm.elbow][:, 0]
-        for arm in (parts.arms[side] for side in SIDES)
-    )
-    trunk = np.linalg.norm(shoulders - hips, axis=-1).mean()
-    ways = (left - hips, right - hips, left - right)
-    return np.stack([np.linalg.norm(way, axis=-1) for way in ways], axis=-1) / trunk
-
-
 @pytest.mark.parametrize("file", RECORDED)
 def test_onto_itself_is_the_identity(shared_data, file):
     motion = Motion.load(shared_data / file)[:100]
@@ -269,8 +250,6 @@ def test_zeggs_onto_bandai(zeggs, shared_data):
     assert np.ptp(made.translation, axis=0).max() == 0 and list(made.joint_translations) == ["Hips"]
     labels = contact_labels(zeggs)
     assert skate(made, labels) < 1.3 * skate(zeggs, labels) + 0.002
-    hands, source = hand_distances(made), hand_distances(zeggs)
-    assert min(np.corrcoef(hands[:, k], source[:, k])[0, 1] for k in range(3)) > 0.98
     assert all(share.mean() == 0 for share in bent_backwards(made).values())
     # No forearm is wrung, and knees are hinges: how far they turn about their bones, along x.
     for name, most in (("LowerArm_L", 120), ("LowerArm_R", 120), ("LowerLeg_L", 5)):

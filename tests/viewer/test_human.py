@@ -9,6 +9,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 from pages import bundled, data_of, opened
+from recordings import AITVIEWER, RUN, ZEGGS
 from rigs import at_rest, rig_of
 from scipy.spatial.transform import Rotation
 
@@ -22,11 +23,11 @@ baked = pytest.mark.skipif(not body.is_baked(), reason="the human body is not ba
 NEAR = 0.09
 """Distance from the elbow of the faces that are looked at, metres."""
 RIGS = {
-    "zeggs": "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh",
+    "zeggs": ZEGGS,
     "bandai": "motion/bandai/dataset-1_bow_happy_001.bvh",
     "reactidle": "motion/reactidle/000_genuine.bvh",
-    "smpl": "smpl/glamr_running_smpl.npz",
-    "aitviewer": "motion/aitviewer/sample.bvh",
+    "smpl": RUN,
+    "aitviewer": AITVIEWER,
 }
 
 
