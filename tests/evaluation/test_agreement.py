@@ -137,7 +137,7 @@ def test_pairs_differ_by_the_t_test_of_raters_with_holms_method(tmp_path):
     assert any(expected.values()) and not all(expected.values())
 
 
-@pytest.mark.parametrize("n", [3, 4, 5, 6])
+@pytest.mark.parametrize("n", [3, 4, 5])
 def test_the_chance_range_holds_95_percent_of_all_orders(n):
     taus = np.array([kendalltau(range(n), order).statistic for order in permutations(range(n))])
     bound = chance_range(n)
