@@ -279,11 +279,11 @@ def write_pair(gesture, write_speech) -> Callable[..., tuple[Path, Path]]:
 
 @pytest.fixture(scope="session")
 def corpus(tmp_path_factory, write_pair, write_speech) -> Path:
-    """A manifest of two recordings of different lengths (6 and 2.5 s) and unpaired speech."""
+    """A manifest of two recordings of different lengths (4 and 2.5 s) and unpaired speech."""
     from gesturekit.corpus import prepare
 
     folder = tmp_path_factory.mktemp("corpus")
-    write_pair(folder / "paired", "a", 6.0, seed=1)
+    write_pair(folder / "paired", "a", 4.0, seed=1)
     write_pair(folder / "paired", "b", 2.5, seed=2)
     write_speech(folder / "more" / "c.wav", 5.0, level=0.1)
     manifest = folder / "corpus.jsonl"

@@ -154,7 +154,7 @@ def test_before_the_first_step_it_says_what_it_will_do(train, tmp_path, caplog):
     assert not (tmp_path / "new").exists()
     for says in (
         f"{tmp_path / 'new'}: multires, speech mode, 6 levels, 6",
-        "2 recordings, 8 s .*30 fps.* 25 fps",
+        "2 recordings, 6 s .*30 fps.* 25 fps",
         "19 of 19",
         "Time: about ",
     ):

@@ -63,7 +63,7 @@ def idle(tmp_path, gesture):
 
 def test_rows_are_windows_of_recordings_with_their_conditions(loaded):
     data, batches = loaded(augmentation=PLAIN)
-    assert [r.n_frames for r in data.recordings] == [180, 75]
+    assert [r.n_frames for r in data.recordings] == [120, 75]
     batch = batches.draw(3, slice(0, 4))
     assert batch.clean.shape == batch.noise.shape == (4, 60, data.representation.n_features)
     motion = data.normaliser.inverse(batch.clean).numpy()
@@ -117,7 +117,7 @@ def test_unpaired_motion_on_another_rig_is_retargeted(loaded, idle):
     data, batches = loaded(unpaired=unpaired, augmentation=PLAIN, training={"batch": 200})
     (alone,) = [r for r in data.recordings if not r.is_paired]
     assert alone.n_frames == 90 and not alone.condition.any()
-    assert data.seconds == (pytest.approx(8.5), pytest.approx(3.0))
+    assert data.seconds == (pytest.approx(6.5), pytest.approx(3.0))
     # The arms hang and swing as they did on the other rig.
     arm = data.representation.joint_columns("LeftArm")
     paired = data.recordings[0].motion[:, arm]

@@ -18,7 +18,7 @@ def test_a_run_leaves_metrics_checkpoints_and_a_model_that_moves(make_config):
     config = make_config(eval_every=4, fps=15.0, clip_denoised=False, notes=notes)
     folder = train(config)
     card = (folder / "README.md").read_text()
-    for row in ("Recordings**: 2 recordings, 8 s", "Training steps**: 6", "Licence**: CC BY 4.0"):
+    for row in ("Recordings**: 2 recordings, 6 s", "Training steps**: 6", "Licence**: CC BY 4.0"):
         assert f"- **{row}" in card
     assert [line["step"] for line in logged(config.out)] == [2, 4, 6]
     assert [line["step"] for line in logged(config.out, "evaluation")] == [4, 6]

@@ -163,7 +163,7 @@ def test_a_model_that_lacks_a_part_names_it(tmp_path):
 
 def test_a_manifest(corpus, write_pair, tmp_path):
     summary = inspect(corpus)
-    assert row(summary, "paired").startswith("2 recordings, 8.50 s: train 2")
+    assert row(summary, "paired").startswith("2 recordings, 6.50 s: train 2")
     assert row(summary, "speech alone").startswith("1 recording, 5.00 s")
     assert row(summary, "rig").startswith("19 joints, 30 fps") and not summary.problems
     audio, motion = write_pair(tmp_path, "a", seconds=3.0)

@@ -22,7 +22,7 @@ from gesturekit.multires import Trainer, TrainingData, load_training_data, train
 from gesturekit.training import dump_yaml, session, to_dict
 
 LONG = {"in_memory": 0.15}
-"""Minutes; the corpus of the tests has 8.5 s of recordings and 5 s of unpaired speech."""
+"""Minutes; the corpus of the tests has 6.5 s of recordings and 5 s of unpaired speech."""
 
 
 @pytest.fixture
@@ -154,7 +154,7 @@ def test_frames_on_disk_are_those_of_memory(long_config, speech):
                 mine, theirs = getattr(one, part)[:, frames], getattr(other, part)[:, frames]
                 torch.testing.assert_close(theirs, mine, rtol=0, atol=2e-6)
         torch.testing.assert_close(other.z_star / other.sigma[0], one.z_star / one.sigma[0])
-    assert speech == (read.paired[0].n_frames < 150)
+    assert speech == (read.paired[0].n_frames < 100)
     for one, other in zip(kept.unpaired, read.unpaired, strict=True):
         torch.testing.assert_close(other[:, :], one[:, :], rtol=0, atol=2e-6)
     for one, other in zip(kept.recalled, read.recalled, strict=True):
@@ -206,7 +206,7 @@ def test_the_commands_plan_and_make_arrays_with_workers_and_train(
     file.write_text(dump_yaml(to_dict(config)))
     gesturekit("train", file, "--plan").ok()
     assert "0.0 GB" in caplog.text and not config.arrays_folder.exists()
-    assert "2 recordings, 8 s" in caplog.text and "Time: about" in caplog.text
+    assert "2 recordings, 6 s" in caplog.text and "Time: about" in caplog.text
     gesturekit("train", file, "--arrays", "--workers", workers).ok()
     made = arrays_in(config)
     assert len(made) == 5 and "are ready in" in caplog.text and not config.out.exists()
@@ -214,7 +214,7 @@ def test_the_commands_plan_and_make_arrays_with_workers_and_train(
         trial = Trainer(config, run, device, processes, resume=False, trial=True)
         rates = trial.estimate().rates
     size = sum(np.load(path).nbytes for path in config.arrays_folder.rglob("*.npy"))
-    assert np.dot(rates, (8.5, 5.0)) == pytest.approx(size, rel=0.01)
+    assert np.dot(rates, (6.5, 5.0)) == pytest.approx(size, rel=0.01)
     short = ["training.first_stage=1", "training.further_stages=1"]
     gesturekit("train", file, *short).ok()
     assert arrays_in(config) == made

@@ -55,7 +55,7 @@ def test_recordings_are_as_they_should_be_and_identical_samples_are_reported(mak
     for levels in (2, 4):
         metrics = monitor.metrics(Echo(data), levels)
         assert metrics["patch_diversity_ratio"] == pytest.approx(1.0, abs=1e-6)
-        assert [sample.n_frames for sample in monitor.samples] == [150, 63]
+        assert [sample.n_frames for sample in monitor.samples] == [100, 63]
     ratios = {name: value for name, value in metrics.items() if name.endswith("_ratio")}
     assert len(ratios) > 3
     assert ratios == pytest.approx(dict.fromkeys(ratios, 1.0), abs=1e-3)

@@ -62,7 +62,7 @@ def announced(make_config, tmp_path, caplog):
 
 def test_a_run_says_what_it_trains_and_on_what(announced, motions):
     corpus = str(motions(old=[3.0], angry=[3.0]))
-    two = "2 recordings, 8 s .*30 fps, .*25 fps, "
+    two = "2 recordings, 6 s .*30 fps, .*25 fps, "
     for changes, mode, content in (
         ({}, "speech mode", f"{two}5 s .*28 speech features, 19 of 19"),
         ({"features": None}, "no condition", f"{two}19 of 19"),
@@ -170,13 +170,13 @@ def test_a_run_leaves_metrics_checkpoints_and_a_model(make_config, tmp_path, cap
     for words in (
         "multires, 4 levels",
         "25 fps, resampled to 30 fps, 19 of 19",
-        "2 recordings, 8 s at 30 fps",
+        "2 recordings, 6 s at 30 fps",
         "5 s in 1 file",
-        "2.8 times",
+        "3.7 times",
         "random weights",
         "steps**: 10\n",
         "losses**: discriminator ",
-        "2 training recordings (8 s)",
+        "2 training recordings (6 s)",
         "CC0",
     ):
         assert words in card
