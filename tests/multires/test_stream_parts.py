@@ -1,6 +1,5 @@
 """Parts of a stream, worked out by hand: feet, recorded pieces, features and detail."""
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
