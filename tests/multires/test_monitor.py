@@ -12,10 +12,13 @@ from gesturekit.multires import MultiresGenerator, load_training_data, resample,
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
 
 
-def test_evaluations_keep_samples_and_the_best_model_and_change_no_weights(make_config, tmp_path):
+def test_evaluations_keep_samples_and_the_best_model_and_change_no_weights(
+    make_config, motions, tmp_path
+):
     # With this seed, the best evaluation is followed by one that is better than some before it.
     training = {"first_stage": 4, "learning_rate": 0.01, "window": 1.0}
-    changes = {"seed": 4, "training": training}
+    changes = {"seed": 4, "training": training, "features": None}
+    changes["corpus"] = str(motions(none=[2.0]))
     plain = train(make_config(**changes, out=str(tmp_path / "plain")))
     config = make_config(**changes, out=str(tmp_path / "run"), eval_every=3)
     folder = train(config)

@@ -160,7 +160,7 @@ def test_a_run_resumes_only_with_the_weights_it_began_with(make_config, write_wa
 def test_a_run_leaves_metrics_checkpoints_and_a_model(make_config, tmp_path, caplog):
     """The same model by one thread, and by two of which each trains a level."""
     changes = {"losses": {"arm_acceleration": 3, "coarse": 1.0}, "notes": {"Licence": "CC0"}}
-    changes["training"] = {"first_stage": 2, "further_stages": 2}
+    changes["training"] = {"first_stage": 2, "further_stages": 2, "window": 1.0}
     config = make_config(**changes)
     folder = train(config)
     card = (folder / "README.md").read_text("utf-8")
