@@ -22,7 +22,8 @@ CONFIG = RECIPES / "multires_speech" / "config.yaml"
 pytestmark = pytest.mark.usefixtures("no_network")
 
 
-@pytest.mark.parametrize("kind", ["hf", pytest.param("wavlm", marks=pytest.mark.stress)])
+@pytest.mark.stress  # of seconds: `test_a_model_takes_a_speech_and_a_text_encoder`
+@pytest.mark.parametrize("kind", ["hf", "wavlm"])
 def test_from_weights_to_motion(
     kind, gesturekit, corpus, light, write_speech, write_wavlm, write_encoder, tmp_path, tiny
 ):
@@ -76,8 +77,9 @@ def test_training_names_the_weights_that_are_missing(gesturekit, corpus, light, 
 def test_a_model_takes_a_speech_and_a_text_encoder(
     gesturekit, corpus, light, write_wavlm, write_text_encoder, write_speech, tmp_path, tiny
 ):
-    wavlm, text = tmp_path / "wavlm", tmp_path / "text"
+    wavlm, other, text = (tmp_path / name for name in ("wavlm", "other", "text"))
     write_wavlm(wavlm)
+    write_wavlm(other, seed=1)
     write_text_encoder(text)
     (tmp_path / "speech.tsv").write_text("0.1\t0.4\tso\n0.5\t0.9\thands\n", encoding="utf-8")
     said = {"words": tmp_path / "speech.tsv"}
@@ -89,8 +91,10 @@ def test_a_model_takes_a_speech_and_a_text_encoder(
     done = gesturekit("train", light, *files, *features, *tiny).ok()
     named = ("--weights", f"wavlm={wavlm}", "--weights", f"words={text}")
     assert " ".join(named) in done.out
-    assert gesturekit("train", "--resume", tmp_path / "run").status == 0
     speech, model = write_speech(tmp_path / "speech.wav", 1.3), tmp_path / "run" / "model"
+    config = (model / "config.yaml").read_text()
+    assert str(tmp_path) not in config, "the weights may lie elsewhere"
+    fingerprints = re.findall(r"[0-9a-f]{64}", config)
     render = ("render", speech, "--model", model, "--out", tmp_path / "out")
     for given, complaint in (
         (("--weights", wavlm), "--weights words=PATH"),
@@ -101,6 +105,8 @@ def test_a_model_takes_a_speech_and_a_text_encoder(
         (("--weights", f"wavlm={text}", "--weights", f"words={wavlm}"), f"{text}"),
     ):
         gesturekit(*render, *given).fails(2, complaint)
+    refused = gesturekit(*render, "--weights", f"wavlm={other}", *named[2:]).fails(2).err
+    assert any(fingerprint in refused for fingerprint in fingerprints)
     assert gesturekit(*render, *named).status == 0
     loaded = gk.load(model, weights={"wavlm": wavlm, "words": text})
     assert loaded.conditions.conditioner.extractor.dim == 32 + 16

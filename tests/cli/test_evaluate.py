@@ -146,9 +146,9 @@ def test_protocols_sample_models(gesturekit, model, write_pair, tmp_path, protoc
 
 def test_a_protocol_samples_the_items_of_a_manifest(gesturekit, model, write_pair, tmp_path):
     items = []
-    for name, split in (("talk", "test"), ("walk", "train")):
-        audio, motion = write_pair(tmp_path / "recordings", name, 11.0, fps=25.0)
-        items.append(Item(id=name, audio=audio, motion=motion, duration=11.0, split=split))
+    for name, split, seconds in (("talk", "test", 10.5), ("walk", "train", 3.0)):
+        audio, motion = write_pair(tmp_path / "recordings", name, seconds, fps=25.0)
+        items.append(Item(id=name, audio=audio, motion=motion, duration=seconds, split=split))
     Manifest(items).save(tmp_path / "corpus.jsonl")
     about = ["--corpus", tmp_path / "corpus.jsonl", "--samples", 1, "--json", tmp_path / "r.json"]
     for protocol, clip in (("multires", "walk_s1"), ("lda", "talk_w000_s1")):
@@ -216,7 +216,7 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
 
 
 def test_files_cut_from_a_take_are_one_unit(gesturekit, gesture, tmp_path):
-    for k in range(6):
+    for k in range(4):
         for seed, folder in ((k, "recorded"), (9 + k, "made")):
             gesture(2.0, 25.0, seed=seed).save(tmp_path / folder / f"day{k % 2}_part{k}.npz")
     folders = (tmp_path / "made", tmp_path / "recorded")
@@ -330,15 +330,14 @@ def closed_pipe(monkeypatch) -> Iterator[None]:
 
 def test_results_are_written_whoever_reads_the_output(evaluate, tmp_path, closed_pipe):
     files = [tmp_path / f"e.{kind}" for kind in ("json", "csv")]
-    evaluate("--json", files[0], "--csv", files[1])
+    assert "Traceback" not in evaluate("--json", files[0], "--csv", files[1]).err
     assert all(file.stat().st_size > 0 for file in files)
 
 
 def test_sanity_prints_its_table_and_names_what_it_left_out(gesturekit, write_pair, tmp_path):
     recordings, page = tmp_path / "talks", tmp_path / "report.html"
-    for i in range(2):
-        write_pair(recordings, f"clip{i}", 3.0, fps=25.0, seed=i)
-    write_pair(recordings, "mute", 3.0, fps=25.0)
+    for name in ("one", "two", "mute"):
+        write_pair(recordings, name, 3.0, fps=25.0)
     (recordings / "mute.wav").write_bytes(b"RIFF")
     done = gesturekit("evaluate", "--sanity", recordings, "--out", page, "--workers", 1)
     done.fails(1, "mute: ")

@@ -53,6 +53,7 @@ def test_features_that_cannot_be_written_or_made(gesturekit, write_speech, tmp_p
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.stress  # of seconds: `test_results_are_written_whoever_reads_the_output`
 def test_a_reader_that_closes_the_pipe_early_is_not_an_error(gesture, tmp_path):
     """gesturekit convert ... | head -1"""
     for i in range(3):

@@ -54,7 +54,12 @@ def test_own_features_from_training_to_motion(
     install(tmp_path / "site", monkeypatch)
     config, *tiny = recipe
     given = (f"corpus={own_corpus}", f"out={tmp_path / 'run'}")
-    trained = gesturekit("train", config, *given, *tiny, EXTRACTORS).ok()
+    train = ("train", config, *given, *tiny, EXTRACTORS)
+    own = tmp_path / "corpus" / "b.npz"
+    away = own.rename(tmp_path / "away.npz")
+    gesturekit(*train).fails(2, "b.wav: ", "b.npz")
+    away.rename(own)
+    trained = gesturekit(*train).ok()
     assert re.search("STEM.own.npy.* 3 ", trained.out)
     model = tmp_path / "run" / "model"
     needs = [text for name, text in inspect(model).rows if name == "needs"]
@@ -80,6 +85,9 @@ def test_own_features_from_training_to_motion(
     assert gk.load(model).generate(seconds=1.0).n_frames == 30  # silence needs no file
     with pytest.raises(FeatureError, match=r"own\.npy"):
         there.generate(np.sin(np.arange(20_000) * 0.1), 16_000)
+    with pytest.raises(GestureKitError, match="file"):
+        create_app(gk.load(model))
+    gesturekit(*render, "--weights", "files=nowhere").fails(2, "nowhere: ")
 
 
 def test_without_the_package_the_model_says_what_to_install(
@@ -103,6 +111,7 @@ def test_without_the_package_the_model_says_what_to_install(
     assert "own-features 1.2" in gesturekit("inspect", model).ok().out
 
 
+@pytest.mark.stress  # of seconds: features of files above; tests/corpus and tests/recipes: music
 def test_a_dance_follows_beats_of_another_tracker(gesturekit, write_pair, write_speech, tmp_path):
     """As docs/encoders.md says; beside music, no voice is looked for."""
     folder, music = tmp_path / "corpus", tmp_path / "song.wav"
@@ -118,19 +127,3 @@ def test_a_dance_follows_beats_of_another_tracker(gesturekit, write_pair, write_
     on_time = model.generate(music)
     np.save(music.with_suffix(".beats.npy"), np.arange(200) % 50 == 25)
     assert not np.array_equal(model.generate(music).rotations, on_time.rotations)
-
-
-def test_a_service_refuses_a_model_of_files_and_missing_files_are_named(
-    own_corpus, gesturekit, light, tiny, tmp_path
-):
-    given = (f"corpus={own_corpus}", f"out={tmp_path / 'run'}")
-    train = ("train", light, *given, *tiny, "features.extractors=[{kind: files, dim: 2}]")
-    own = tmp_path / "corpus" / "b.npz"
-    away = own.rename(tmp_path / "away.npz")
-    gesturekit(*train).fails(2, "b.wav: ", "b.npz")
-    away.rename(own)
-    gesturekit(*train).ok()
-    with pytest.raises(GestureKitError, match="file"):
-        create_app(gk.load(tmp_path / "run" / "model"))
-    render = ("render", "--seconds", 1, "--model", tmp_path / "run", "--out", tmp_path / "out")
-    gesturekit(*render, "--weights", "files=nowhere").fails(2, "nowhere: ")

@@ -98,16 +98,16 @@ def test_every_sound_becomes_motion_of_its_own_length(render, tmp_path):
 
 def test_every_format_holds_the_same_motion(render, wav, tmp_path):
     out = tmp_path / "a folder" / "ausgabe für später"
-    done = render(wav, wav.parent, "--samples", 2, "--format", ".BVH,npz, html ,png", out=out)
+    done = render(wav, wav.parent, "--format", ".BVH,npz, html ,png", out=out)
     assert (done.status, problems(done.err)) == (0, [])
-    assert "1 rendered" in done.err and "2 motions" in done.err
+    assert "1 rendered" in done.err
     kinds = ("bvh", "html", "npz", "png")
-    assert names(out) == [f"speech_s{i}.{kind}" for i in (1, 2) for kind in kinds]
-    bvh, npz = Motion.load(out / "speech_s1.bvh"), Motion.load(out / "speech_s1.npz")
+    assert names(out) == [f"speech.{kind}" for kind in kinds]
+    bvh, npz = Motion.load(out / "speech.bvh"), Motion.load(out / "speech.npz")
     assert bvh.skeleton.names == npz.skeleton.names
     np.testing.assert_allclose(bvh.positions(), npz.positions(), atol=1e-4)
-    assert data_of(out / "speech_s1.html")["audio"]
-    assert (out / "speech_s2.png").read_bytes().startswith(b"\x89PNG")
+    assert data_of(out / "speech.html")["audio"]
+    assert (out / "speech.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(render, wav, tmp_path):
@@ -121,7 +121,8 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(render, wav,
 def test_other_items_do_not_change_a_rendering(render, wav, tmp_path):
     second = make_sound(tmp_path / "in" / "second.wav", 50_001, 22_050)
     render(wav, "--format", "bvh,npz", out="alone").ok()
-    render(second, wav, "--samples", 3, "--format", "bvh,npz", out="last").ok()
+    done = render(second, wav, "--samples", 3, "--format", "bvh,npz", out="last").ok()
+    assert "2 rendered" in done.err and "6 motions" in done.err
     for kind in ("bvh", "npz"):
         made = [(tmp_path / "last" / f"speech_s{i}.{kind}").read_bytes() for i in (1, 2, 3)]
         assert len(set(made)) == 3, "samples differ"

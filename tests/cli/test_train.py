@@ -181,7 +181,7 @@ def test_one_setting_makes_a_training_twice_as_long(gesturekit, recipe, corpus, 
 @pytest.fixture
 def one_recording(gesturekit, write_pair, tmp_path):
     """A manifest whose only recording is cut: its end is held out."""
-    write_pair(tmp_path / "one", "speech", 20.0)
+    write_pair(tmp_path / "one", "speech", 15.0)
     manifest = tmp_path / "one.jsonl"
     assert gesturekit("prepare", tmp_path / "one", "--out", manifest).status == 0
     return manifest
@@ -193,9 +193,9 @@ def test_it_ends_with_a_verdict_on_held_out_speech(
     caplog.set_level(logging.INFO)
     run = tmp_path / "run"
     done = train(f"corpus={one_recording}").ok()
-    assert re.search("1 recording.* 16 s", caplog.text)
+    assert re.search("1 recording.* 12 s", caplog.text)
     said = re.search("Measured (.*held-out.*)", done.out)[1]
-    assert re.search(r"\b1 .*\b4 s", said) and said in (run / "model" / "README.md").read_text()
+    assert re.search(r"\b1 .*\b3 s", said) and said in (run / "model" / "README.md").read_text()
     assert html.escape(said) in (run / "report.html").read_text()
     lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     (figures,) = (line for line in lines if line.get("kind") == "held_out")
@@ -212,7 +212,7 @@ def test_it_ends_with_a_verdict_on_held_out_speech(
 def test_a_file_that_was_swapped_after_prepare_is_named(
     train, finished, one_recording, write_speech, tmp_path, caplog
 ):
-    swapped = write_speech(tmp_path / "one" / "speech.wav", 20.0, level=0.1)
+    swapped = write_speech(tmp_path / "one" / "speech.wav", 15.0, level=0.1)
     train(f"corpus={one_recording}", "--plan").ok()
     assert str(finished) in caplog.text and "1 file" in caplog.text
     assert str(swapped) in caplog.text and "speech.bvh" not in caplog.text
@@ -287,7 +287,7 @@ def test_every_setting_has_a_docstring(name, tmp_path):
 def labelled(gesturekit, write_pair, tmp_path):
     """A manifest of two speakers, each in a style of their own."""
     for seed, name in enumerate(("ada_calm", "bob_wild")):
-        write_pair(tmp_path / "labelled", name, 4.0, seed=seed)
+        write_pair(tmp_path / "labelled", name, 2.5, seed=seed)
     manifest = tmp_path / "labelled.jsonl"
     pattern = ("--style-pattern", "(?P<speaker>[a-z]+)_(?P<style>[a-z]+)")
     gesturekit("prepare", tmp_path / "labelled", "--out", manifest, "--holdout", 0, *pattern).ok()

@@ -43,10 +43,10 @@ def test_fields_of_both_kinds_of_settings_are_arguments(model, sounds, tmp_path)
 
 
 def test_the_cost_of_a_batch_is_that_of_its_files(model, sounds, tmp_path, write_speech):
-    """Three sounds of 1.5 s and one of 12 s, as bytes; seconds are those of this machine."""
-    sounds.append(write_speech(tmp_path / "in" / "long.wav", 12.0))
+    """Three sounds of 1.5 s and one of 6 s, as bytes; seconds are those of this machine."""
+    sounds.append(write_speech(tmp_path / "in" / "long.wav", 6.0))
     batch = render_batch(model, sounds, tmp_path / "out")
-    seconds, size = measured_cost(batch).of(4, 16.5)
+    seconds, size = measured_cost(batch).of(4, 10.5)
     assert not (tmp_path / "out").exists() and seconds >= 0
     written = sum(file.stat().st_size for made in batch.run() for file in made.files)
     assert size == pytest.approx(written, rel=0.2)
