@@ -6,13 +6,7 @@ import pytest
 import torch
 
 from gesturekit.diffusion import NetworkConfig
-from gesturekit.diffusion.network.attention import (
-    PositionBias,
-    attend,
-    bands,
-    bias_of_blocks,
-    blocks_of,
-)
+from gesturekit.diffusion.network.attention import PositionBias, attend, bands
 from gesturekit.training import rng_for
 
 
@@ -59,14 +53,6 @@ def test_the_bias_starts_as_in_the_released_code():
         assert float(values.std()) == pytest.approx(spread, rel=0.05)
         assert abs(float(values.mean())) < 0.05 * spread
     assert (bias.widths == 5).all() and (bias.floors == 1).all()
-
-
-def test_table_is_the_kernel_sum_at_every_pair_of_frames():
-    config = NetworkConfig()
-    bias = bent_bias(config)
-    blocks = blocks_of(90, reach=90, size=50)
-    (whole,) = bias_of_blocks(bias.table(90), blocks)
-    torch.testing.assert_close(whole.double(), explicit(bias, config, 90), atol=1e-5, rtol=1e-6)
 
 
 def test_blocks_equal_the_full_computation():

@@ -93,7 +93,7 @@ def test_events_of_a_manifest_keep_their_durations(render, folders, untrained, g
     ("name", "options", "told"),
     [
         ("plain", ["--levels", "2"], "levels"),
-        ("styled", ["--expert", "{plain}:0.5@4"], "0.2@0-10"),
+        ("styled", ["--expert", "{plain}:0.5@4"], "0.5@4"),
         ("plain", ["--device", "tpu"], "'tpu'"),
         ("demo", ["--expert", "{plain}"], "experts"),
     ],
