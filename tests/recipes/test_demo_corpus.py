@@ -95,7 +95,7 @@ def test_arms_follow_the_speech(talks):
 def test_a_lively_mood_moves_more_than_a_calm_one_in_the_same_speech(recipe, talks):
     talker = recipe["talker"]
     wave, _ = talks["calm"]
-    wave = af.Wave(wave.samples[: 12 * wave.rate], wave.rate)
+    wave = af.Wave(wave.samples[: 12 * wave.sample_rate], wave.sample_rate)
 
     def made(**mood) -> Motion:
         return talker.talk(wave, 0, lambda time: talker.Mood(**mood))
