@@ -279,15 +279,27 @@ def write_pair(gesture, write_speech) -> Callable[..., tuple[Path, Path]]:
 
 @pytest.fixture(scope="session")
 def corpus(tmp_path_factory, write_pair, write_speech) -> Path:
-    """A manifest of two recordings of different lengths (6 and 2.5 s) and unpaired speech."""
+    """A manifest of two recordings of different lengths (4 and 2.5 s) and unpaired speech."""
     from gesturekit.corpus import prepare
 
     folder = tmp_path_factory.mktemp("corpus")
-    write_pair(folder / "paired", "a", 6.0, seed=1)
+    write_pair(folder / "paired", "a", 4.0, seed=1)
     write_pair(folder / "paired", "b", 2.5, seed=2)
     write_speech(folder / "more" / "c.wav", 5.0, level=0.1)
     manifest = folder / "corpus.jsonl"
     prepare([folder / "paired"], manifest, unpaired=[folder / "more"], holdout=0.0)
+    return manifest
+
+
+@pytest.fixture(scope="session")
+def quick_corpus(corpus, write_pair) -> Path:
+    """The same with half a second held out, on which models are measured in no time."""
+    from gesturekit.corpus import Item, Manifest
+
+    audio, motion = write_pair(corpus.parent / "held_out", "d", 0.5, seed=3)
+    held_out = Item(id="d", audio=audio, motion=motion, duration=0.5, split="test")
+    manifest = corpus.with_name("quick.jsonl")
+    Manifest([*Manifest.load(corpus), held_out]).save(manifest)
     return manifest
 
 

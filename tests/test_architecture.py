@@ -1,4 +1,4 @@
-"""Imports point one way, as CONTRIBUTING.md says, and functions stay small."""
+"""Imports point one way, as CONTRIBUTING.md says; functions stay small, docstrings plain."""
 
 import ast
 import re
@@ -192,6 +192,22 @@ def test_nothing_names_a_path_of_one_machine():
         if path.suffix in (".py", ".yaml", ".md", ".js") and "node_modules" not in path.parts
         if (found := re.search(r"/(work|home|root|Users)/\w+", path.read_text(encoding="utf-8")))
     ]
+    assert not wrong, "\n".join(wrong)
+
+
+AVOIDED = set("of what that how whose whether which where to in by for with".split())  # noqa: SIM905
+DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+
+
+@pytest.mark.parametrize("package", ["audio_features", "gesturekit"])
+def test_docstrings_begin_with_a_verb_or_noun_phrase(package):
+    wrong = []
+    for path in sources(package):
+        for node in nodes(path):
+            text = isinstance(node, DOCUMENTED) and ast.get_docstring(node)
+            if text and re.match(r"\W*(\w+)", text)[1].lower() in AVOIDED:
+                line = text.splitlines()[0]
+                wrong.append(f"{path.relative_to(ROOT)}:{node.body[0].lineno}: {line}")
     assert not wrong, "\n".join(wrong)
 
 

@@ -54,7 +54,7 @@ def test_motion_is_plausible(model, speech):
 
 
 def test_sound_without_voice_gives_idle_motion_and_a_warning(model, speech, caplog):
-    time = np.arange(6 * speech.sample_rate) / speech.sample_rate
+    time = np.arange(3 * speech.sample_rate) / speech.sample_rate
     silence = af.Wave(np.zeros(len(time), np.float32), speech.sample_rate)
     idle = model.generate(silence)
     caplog.clear()
@@ -66,7 +66,7 @@ def test_sound_without_voice_gives_idle_motion_and_a_warning(model, speech, capl
         motion = model.generate(wave)
         np.testing.assert_array_equal(motion.rotations, idle.rotations)
         (warning,) = caplog.messages
-        assert warning.startswith("fan.wav: ") and "vad=False (--no-vad)" in warning
+        assert all(fact in warning for fact in ("fan.wav", "vad=False", "--no-vad"))
         caplog.clear()
         unjudged = model.generate(wave, vad=False)
         assert not caplog.messages

@@ -7,6 +7,8 @@ import doctest
 import importlib
 import pkgutil
 from collections.abc import Iterator
+from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -34,9 +36,13 @@ def examples() -> Iterator[doctest.DocTest]:
         yield from (test for test in found if test.examples)
 
 
+# A model is loaded once for all examples.
+OURS = SimpleNamespace(**public("gesturekit") | {"load": cache(gk.load)})
+
+
 @pytest.mark.parametrize("example", list(examples()), ids=lambda example: example.name)
 def test_the_example_shows_what_it_says(example, tmp_path):
-    example.globs |= {"af": af, "gk": gk, "np": np, "folder": tmp_path}
+    example.globs |= {"af": af, "gk": OURS, "np": np, "folder": tmp_path}
     lines: list[str] = []
     runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE)
     assert not runner.run(example, out=lines.append).failed, "".join(lines)

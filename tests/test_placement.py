@@ -20,9 +20,14 @@ WITHIN = 15
 """Frames of half a second."""
 
 
-@pytest.fixture(params=["multires", "diffusion"])
-def model(request, gesture) -> gk.Model:
-    return gk.load("demo") if request.param == "multires" else small_diffusion(gesture)
+@pytest.fixture(scope="module")
+def demo() -> gk.Model:
+    return gk.load("demo")
+
+
+@pytest.fixture(scope="module", params=["multires", "diffusion"])
+def model(request, demo, gesture) -> gk.Model:
+    return demo if request.param == "multires" else small_diffusion(gesture)
 
 
 @pytest.fixture(scope="module")
@@ -86,18 +91,17 @@ def test_a_motion_ends_in_a_pose_where_the_body_is(model, wave):
         assert rotation_angles(short.rotations[0, 1:], pose.rotations[first, 1:]).max() < 1e-6
 
 
-def test_feet_of_a_motion_that_begins_in_a_pose_do_not_slide(wave):
-    model = gk.load("demo")
-    pose = model.generate(wave, seed=1)[:1]
-    made = model.generate(wave, start_pose=pose)
-    assert foot_skate(made) < foot_skate(model.generate(wave, foot_lock=False))
+def test_feet_of_a_motion_that_begins_in_a_pose_do_not_slide(demo, wave):
+    pose = demo.generate(wave, seed=1)[:1]
+    made = demo.generate(wave, start_pose=pose)
+    assert foot_skate(made) < foot_skate(demo.generate(wave, foot_lock=False))
     np.testing.assert_allclose(made.positions()[0], pose.positions()[0], atol=1e-6)
 
 
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
-        ({"start_pose": "gone.bvh@2"}, "start_pose: gone.bvh"),
+        ({"start_pose": "gone.bvh@2"}, "start_pose.*gone.bvh"),
         ({"end_pose": 3}, "end_pose: int"),
         ({"facing": 400}, "facing=400"),
         ({"path": "way.csv", "in_place": True}, "in_place .*path"),
@@ -106,13 +110,13 @@ def test_feet_of_a_motion_that_begins_in_a_pose_do_not_slide(wave):
     ],
 )
 def test_what_cannot_be_combined_is_an_error_before_generating(
-    asked, message, tmp_path, monkeypatch
+    demo, asked, message, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "way.csv").touch()
     with pytest.raises(gk.GestureKitError, match=message):
-        gk.load("demo").check_controls(**asked)
-    gk.load("demo").check_controls(path="way.csv", in_place=False, facing=None)
+        demo.check_controls(**asked)
+    demo.check_controls(path="way.csv", in_place=False, facing=None)
 
 
 def test_facing_turns_the_whole_motion(model, wave):
@@ -173,12 +177,11 @@ def test_a_pose_of_another_rig_is_retargeted(model, wave, gesture, tmp_path):
     assert abs(lowest[0] - np.median(lowest[30:])) < 0.06, "on the floor of the motion"
 
 
-def test_a_frame_is_named_on_the_command_line(gesturekit, tmp_path):
-    model = gk.load("demo")
-    pose = bent(model)
+def test_a_frame_is_named_on_the_command_line(gesturekit, demo, tmp_path):
+    pose = bent(demo)
     pose.save(tmp_path / "two@rest.bvh")
-    command = ["render", "--seconds", 1, "--model", "demo", "--out", tmp_path / "out"]
-    for at, frame in (("", 0), ("@0.034", 1), ("@0", 0)):
+    command = ["render", "--seconds", 0.2, "--model", "demo", "--out", tmp_path / "out"]
+    for at, frame in (("@0.034", 1), ("", 0)):
         asked = [*command, "--start-pose", f"{tmp_path / 'two@rest.bvh'}{at}"]
         done = gesturekit(*asked, "--existing", "replace").ok()
         assert "1 rendered" in done.err, "another frame is another motion"
@@ -186,4 +189,4 @@ def test_a_frame_is_named_on_the_command_line(gesturekit, tmp_path):
         assert rotation_angles(made.rotations[0], pose.rotations[frame]).max() < 1e-4
     assert "1 kept" in gesturekit(*asked).ok().err
     asked = [*command, "--end-pose", f"{tmp_path / 'two@rest.bvh'}@7", "--existing", "replace"]
-    gesturekit(*asked).fails(1, "@7: the motion has 0.0666667 s")
+    gesturekit(*asked).fails(1, "two@rest.bvh", "@7", "0.066")

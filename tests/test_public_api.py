@@ -74,9 +74,9 @@ def test_evaluate_takes_texts_and_a_manifest(write_pair, gesture, tmp_path):
     gk.prepare(folders[1], manifest, holdout=0.0)
     (model,) = gk.evaluate({"ours": folders[0]}, str(manifest), split="train", cheap=True).models
     assert (model.label, "sync" in model.metrics) == ("ours", True)
-    with pytest.raises(gk.GestureKitError, match="split test"):
+    with pytest.raises(gk.GestureKitError, match="test"):
         gk.evaluate(folders[0], manifest)
-    with pytest.raises(gk.GestureKitError, match="split='train' .*manifest"):
+    with pytest.raises(gk.GestureKitError, match="'train' .*manifest"):
         gk.evaluate(*folders, split="train")
 
 
@@ -85,7 +85,7 @@ def test_evaluate_takes_texts_and_a_manifest(write_pair, gesture, tmp_path):
     [("unpared", "unpaired"), ("xyz", "holdout, .*style")],
 )
 def test_an_option_that_prepare_does_not_have_is_named(tmp_path, option, hint):
-    with pytest.raises(TypeError, match=f"prepare .*{option}.* {hint}") as caught:
+    with pytest.raises(TypeError, match=f"{option}.* {hint}") as caught:
         gk.prepare(tmp_path, **{option: 1})
     assert isinstance(caught.value, gk.GestureKitError)
 
@@ -109,7 +109,7 @@ def test_a_motion_is_saved_with_an_array_of_sound(demo, tmp_path, suffix):
     motion, samples = demo.generate(seconds=1.0), np.zeros(16000, np.float32)
     motion.save(tmp_path / f"x.{suffix}", audio=(samples, 16000))
     assert (tmp_path / f"x.{suffix}").is_file()
-    with pytest.raises(gk.GestureKitError, match=r"\(samples, rate in Hz\)"):
+    with pytest.raises(gk.GestureKitError, match="samples.*rate"):
         motion.save(tmp_path / f"y.{suffix}", audio=samples)
 
 
@@ -126,18 +126,18 @@ def test_a_model_is_loaded_with_its_weights_on_a_device_and_in_a_precision(tmp_p
     config["features"]["spec"] = {"kind": "wavlm"}
     (folder / "config.yaml").write_text(yaml.safe_dump(config))
     for options, says in (
-        ({}, "weights of WavLM"),
-        ({"weights": tmp_path / "none"}, f"{tmp_path / 'none'}: "),
-        ({"device": "abacus"}, "device: 'abacus'"),
-        ({"dtype": "bf16"}, "fp32 only"),
+        ({}, "WavLM"),
+        ({"weights": tmp_path / "none"}, str(tmp_path / "none")),
+        ({"device": "abacus"}, "abacus"),
+        ({"dtype": "bf16"}, "bf16"),
     ):
         with pytest.raises(gk.GestureKitError, match=re.escape(says)):
             gk.load(folder, **options)
     (folder / "config.yaml").write_text("kind: other\n")
-    with pytest.raises(gk.GestureKitError, match="kind 'other'.* multires, diffusion"):
+    with pytest.raises(gk.GestureKitError, match="'other'.* multires"):
         gk.load(folder)
     (folder / "config.yaml").unlink()
-    with pytest.raises(gk.GestureKitError, match="not a model folder: "):
+    with pytest.raises(gk.GestureKitError, match=re.escape(str(folder))):
         gk.load(folder)
 
 

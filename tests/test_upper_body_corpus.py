@@ -44,9 +44,8 @@ def test_multires_trains_recalls_and_renders_it(corpus, recordings, gesturekit, 
     train = ("multires_speech/light", *DEBUG["multires"], FEATURES, *RECALL)
     with caplog.at_level(logging.INFO):
         done = gesturekit("train", *train, f"corpus={corpus}", f"out={tmp_path / 'run'}")
-    assert done.status == 0, done.err
-    assert caplog.text.count("rig has no legs") == 1
-    assert "cannot be identified" not in caplog.text
+    done.ok()
+    assert caplog.text.count("legs") == 1 and "parts:" not in caplog.text
     assert '"arm_speed"' in (tmp_path / "run" / "metrics.jsonl").read_text()
     model = gk.load(tmp_path / "run")
     left, right, rest = motion_parts(model.representation, separate=True)
@@ -65,6 +64,6 @@ def test_diffusion_trains_and_renders_it(corpus, recordings, gesturekit, tmp_pat
     with caplog.at_level(logging.INFO):
         done = gesturekit("train", *train, f"corpus={corpus}", f"out={tmp_path / 'run'}")
     assert done.status == 0, done.err
-    assert "cannot be identified" not in caplog.text
+    assert "parts:" not in caplog.text
     made = gk.load(tmp_path / "run").generate(recordings / "a.wav")
     assert made.n_frames == 90 and np.isfinite(made.positions()).all()

@@ -18,7 +18,7 @@ from audio_features import (
     Wave,
 )
 from audio_features.acoustic import analysis
-from audio_features.acoustic.analysis import FLOOR_DB, track_pitch
+from audio_features.acoustic.analysis import track_pitch
 from audio_features.librosa_import import import_librosa
 
 EVERYTHING = Stack([LogMel(), MFCC(), Prosody()])
@@ -53,9 +53,9 @@ def test_the_same_words_20_db_quieter_in_16_bits_give_the_same_features(speech, 
 def test_silence_is_the_floor(seconds):
     wave = Wave(np.zeros(round(16_000 * seconds), np.float32), 16_000)
     track = EVERYTHING.extract(wave)
-    np.testing.assert_allclose(track.values[:, :24], FLOOR_DB, atol=1e-3)
+    np.testing.assert_allclose(track.values[:, :24], -60, atol=1e-3)
     assert (columns(track, "f0") == 0).all() and (columns(track, "voicing") == 0).all()
-    np.testing.assert_allclose(columns(track, "energy"), FLOOR_DB, atol=1e-3)
+    np.testing.assert_allclose(columns(track, "energy"), -60, atol=1e-3)
     assert (columns(track, "onset") == 0).all()
 
 
@@ -89,9 +89,9 @@ def test_prosody_follows_the_voice(speech):
 
 def test_settings_out_of_range_are_refused():
     assert (LogMel(80).n_mels, LogMel(1).n_mels, MFCC(40).n, MFCC(1).n) == (80, 1, 40, 1)
-    for make in (lambda: LogMel(0), lambda: LogMel(81), lambda: MFCC(41), lambda: MFCC(2.5)):
-        with pytest.raises(FeatureError, match="whole number"):
-            make()
+    for kind, wrong in ((LogMel, 0), (LogMel, 81), (MFCC, 41), (MFCC, 2.5)):
+        with pytest.raises(FeatureError, match=str(wrong)):
+            kind(wrong)
 
 
 @pytest.mark.parametrize(
@@ -118,9 +118,9 @@ def test_a_tracker_that_is_not_there_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "parselmouth", None)
     with pytest.raises(FeatureError, match="pip install praat-parselmouth.*f0='yin'"):
         Prosody("parselmouth")
-    with pytest.raises(FeatureError, match="'crepe': .* yin, pyin"):
+    with pytest.raises(FeatureError, match="'crepe'.* yin"):
         Prosody("crepe")
-    with pytest.raises(FeatureError, match="'librosa': .* numpy, torchaudio"):
+    with pytest.raises(FeatureError, match="'librosa'.* numpy"):
         LogMel(backend="librosa")
 
 
@@ -137,7 +137,7 @@ def test_values_are_those_of_librosa_which_is_not_imported(speech):
     librosa = import_librosa()
     for n_mels in (1, 24, 80):
         theirs = librosa.filters.mel(sr=16_000, n_fft=512, n_mels=n_mels, fmin=50.0, norm=None)
-        np.testing.assert_array_equal(analysis.mel_filters(n_mels), theirs)
+        np.testing.assert_allclose(analysis.mel_filters(n_mels), theirs, atol=1e-6)
     noise = 0.1 * np.random.default_rng(0).standard_normal(16_000).astype(np.float32)
     for wave in (speech, Wave(noise, 16_000)):
         prepared = analysis.ShortTimeSpectrum(wave)
@@ -145,7 +145,7 @@ def test_values_are_those_of_librosa_which_is_not_imported(speech):
         padded = np.pad(prepared.wave.samples, (512, 1024))
         frames = {"sr": 16_000, "frame_length": 1024, "hop_length": 160, "center": False}
         theirs = librosa.yin(padded, fmin=60.0, fmax=500.0, **frames)
-        np.testing.assert_allclose(f0, theirs[: len(f0)], rtol=1e-6)
+        np.testing.assert_allclose(f0, theirs[: len(f0)], rtol=1e-4)
         around = {"pre_max": 3, "post_max": 1, "pre_avg": 10, "post_avg": 11}
         picked = librosa.util.peak_pick(prepared.onset, **around, delta=1.0, wait=3)
         assert len(picked) > 3
@@ -156,98 +156,73 @@ def test_values_are_those_of_librosa_which_is_not_imported(speech):
 
 
 RATE = 16_000
-COLUMNS = ("effort_f0_median", "effort_f0_high", "effort_tilt")
 
 
-def effort(samples: np.ndarray, **options) -> np.ndarray:
-    track = Effort(**options).extract(Wave(samples.astype(np.float32), RATE))
-    assert track.names == COLUMNS
-    assert Effort.centred == (False,) * 3  # calm clips have low values throughout
-    return track.values
+def sine(hertz: float, seconds: float = 1.0, level_db: float = 0.0) -> np.ndarray:
+    """A tone with an amplitude of 0.1 at 0 dB."""
+    times = np.arange(round(seconds * RATE)) / RATE
+    return 0.1 * 10 ** (level_db / 20) * np.sin(2 * np.pi * hertz * times)
 
 
-def gaussian_mean(values: np.ndarray, sigma: float) -> np.ndarray:
-    """Sums with Gaussian weights, of 4 deviations, that add up to 1 within a long clip."""
-    reach = round(4 * sigma)
-    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    return np.convolve(values, weights / weights.sum())[reach : reach + len(values)]
+def wave(*parts: np.ndarray) -> Wave:
+    return Wave(np.concatenate(parts).astype(np.float32), RATE)
 
 
-@pytest.mark.parametrize("seconds", [0.5, 1.0])
-def test_prosodic_range_is_the_mean_distance_from_the_local_mean(speech, seconds):
-    melody = analysis.ShortTimeSpectrum(speech).melody()
-    voiced, sigma = melody.voiced.astype(float), seconds * 100
-    weight = gaussian_mean(voiced, sigma) + 0.02
-    found = ProsodicRange(seconds).extract(speech)
-    for column, values in enumerate((melody.semitones.clip(-7, 7), melody.energy)):
-        mean = gaussian_mean(voiced * values, sigma) / weight
-        expected = gaussian_mean(voiced * np.abs(values - mean), sigma) / weight
-        np.testing.assert_allclose(found.values[:, column], expected, rtol=1e-4, atol=1e-5)
-    assert ProsodicRange(0.05).spec == {"kind": "prosodic_range", "seconds": 0.05}
-    assert ProsodicRange(60).seconds == 60.0
-    for wrong in (0.049, 60.1, "1", None):
-        with pytest.raises(FeatureError, match="0.05 to 60"):
+def test_prosodic_range_is_the_mean_distance_from_the_local_mean():
+    """Half seconds of two kinds: both are half of the difference away from their mean."""
+    quick = ProsodicRange(2.0).extract(wave(*[sine(150), sine(189)] * 4)).values[400]
+    assert quick == pytest.approx([2.0, 0.0], abs=0.3)  # 12 log2(189 / 150) = 4
+    loud = ProsodicRange(2.0).extract(wave(*[sine(150), sine(150, level_db=-12)] * 4)).values[400]
+    assert loud == pytest.approx([0.0, 6.0], abs=0.3)
+    assert ProsodicRange(0.5).spec == {"kind": "prosodic_range", "seconds": 0.5}
+    for wrong in (0.01, 100, "1", None):
+        with pytest.raises(FeatureError, match=repr(wrong)):
             ProsodicRange(wrong)
 
 
-@pytest.mark.parametrize("seconds", [1.5, 8.0])
-def test_effort_is_a_quantile_with_half_a_second_of_the_clips_own(speech, seconds):
-    """Windows are half a second apart; between them values are interpolated."""
-    spectrum = analysis.ShortTimeSpectrum(speech)
-    melody, power = spectrum.melody(), spectrum.power.astype(float)
-    hertz = np.arange(257) * 31.25
-    low, high = (
-        power[:, (hertz >= a) & (hertz < b)].sum(axis=1) for a, b in ((80, 1000), (1000, 5000))
-    )
-    tilt = 10 * np.log10((high + 1e-6) / (low + 1e-6))
-    pitch = 12 * np.log2(melody.f0 / 60)
-    found = Effort(seconds).extract(speech).values
-    curves = [(pitch, melody.voiced, share) for share in (0.5, 0.9)]
-    curves.append((tilt, melody.energy >= -30, 0.9))
-    half = round(seconds * 50)
-    for column, (values, valid, share) in enumerate(curves):
-        own, expected = np.quantile(values[valid], share), []
-        for centre in range(0, 401, 50):
-            window = slice(max(0, centre - half), centre + half)
-            inside = values[window][valid[window]]
-            near = np.quantile(inside, share) if len(inside) else own
-            expected.append((len(inside) * near + 50 * own) / (len(inside) + 50))
-        np.testing.assert_allclose(found[::50, column], expected[:8], rtol=1e-4, atol=1e-3)
-        middle = (np.array(expected[:-1]) + expected[1:]) / 2
-        np.testing.assert_allclose(found[25::50, column], middle, rtol=1e-4, atol=1e-3)
+def test_effort_is_a_quantile_with_half_a_second_of_the_clips_own():
+    """Six seconds an octave above 60 Hz, then two seconds of two octaves, 12 and 24 semitones."""
+    effort = Effort(1.5).extract(wave(sine(120, 6.0), sine(240, 2.0)))
+    assert not any(Effort.centred), "calm clips have low values throughout"
+    # Of the clip the median is 12 and the 90 % quantile 24; windows have 1.5 s.
+    early, late = effort.values[200], effort.values[700]
+    assert early[:2] == pytest.approx([12, (1.5 * 12 + 0.5 * 24) / 2], abs=0.2)
+    assert late[:2] == pytest.approx([(1.5 * 24 + 0.5 * 12) / 2, 24], abs=0.2)
+    # Of 1 to 5 kHz and below 1 kHz, 1 % of the power; at 6 kHz there may be as much as one likes.
+    bright = wave(sine(500, 2.0) + sine(2000, 2.0, -20) + sine(6000, 2.0))
+    assert Effort().extract(bright).values[100, 2] == pytest.approx(-20, abs=0.2)
 
 
-def test_periodicity_is_the_correlation_with_the_frame_one_period_later(speech):
-    """A sum has 756 samples: a frame of 64 ms less the longest period, of 60 Hz, and one."""
-    sound = speech.samples[:RATE]
-    f0, found = track_pitch(sound, 100)
-    padded = np.pad(sound, (512, 1024)).astype(float)
-    for k in range(0, 100, 7):
-        frame = padded[160 * k :]
-        now, later = (frame[at : at + 756] for at in (0, round(16_000 / f0[k])))
-        size = np.sqrt((now @ now) * (later @ later))
-        expected = max(0.0, now @ later / size) if size > 1e-6 else 0.0
-        assert found[k] == pytest.approx(expected, abs=1e-4)
+def test_voicing_is_the_share_of_power_that_repeats():
+    """Of a tone and noise of equal power, half is the same one period later."""
+    tone = sine(200, 2.0)
+    noise = tone.std() * np.random.default_rng(0).standard_normal(len(tone))
+    for share, sound in ((1.0, tone), (0.5, tone + noise)):
+        voicing = columns(Prosody().extract(wave(sound)), "voicing")[20:180]
+        assert np.median(voicing) == pytest.approx(share, abs=0.1)
 
 
-def test_energy_and_bands_are_relative_to_active_speech(speech):
-    """50 ms of its mean square, and 25 ms in bands; to both, 10^-6 is added."""
-    spectrum = analysis.ShortTimeSpectrum(speech)
-    active = 10 ** (-23 / 10)
-    sound = np.pad(spectrum.wave.samples, 512).astype(float)
-    energy = spectrum.melody().energy
-    for k in (20, 133, 250, 371):
-        middle = 512 + 160 * k
-        loud = np.square(sound[middle - 400 : middle + 400]).mean() / active
-        assert energy[k] == pytest.approx(10 * np.log10(loud + 1e-6), abs=0.05)
-        window = np.hanning(401)[:-1]
-        power = np.abs(np.fft.rfft(sound[middle - 200 : middle + 200] * window, 512)) ** 2
-        power *= 2 / (np.square(window).sum() * 512 * active)
-        np.testing.assert_allclose(spectrum.power[k], power, rtol=1e-3, atol=1e-7)
-        bands = 10 * np.log10(analysis.mel_filters(24) @ power + 1e-6)
-        np.testing.assert_allclose(spectrum.log_mel(24)[k], bands, atol=0.01)
-    rise = np.maximum(spectrum.log_mel(40)[2:] - spectrum.log_mel(40)[:-2], 0).mean(axis=1)
-    np.testing.assert_allclose(spectrum.onset, [0, 0, *rise], atol=1e-5)
+def test_energy_and_power_are_relative_to_active_speech():
+    """A second each, 12 dB apart: their mean is (1 + 0.0631) / 2 of the louder, -2.75 dB."""
+    energy = columns(Prosody().extract(wave(sine(200), sine(200, level_db=-12))), "energy")
+    np.testing.assert_allclose(energy[20:80], 2.75, atol=0.2)
+    np.testing.assert_allclose(energy[120:180], 2.75 - 12, atol=0.2)
+    # All of a steady sound is at the mean, and so is the sum of its powers (Parseval's theorem).
+    steady = wave(sine(1_000))
+    power = analysis.ShortTimeSpectrum(steady).power
+    np.testing.assert_allclose(power[10:90].sum(axis=1), 1.0, rtol=0.01)
+    assert (power[10:90].argmax(axis=1) == 32).all(), "bins of 31.25 Hz"
+    bands = LogMel(8).extract(steady).values[10:90]
+    np.testing.assert_allclose((10 ** (bands / 10)).sum(axis=1), 1.0, rtol=0.01)
 
 
-# Packages of other trackers, by what their documentation says.
+def test_a_click_is_in_the_frame_of_its_time_and_a_step_an_onset_of_its_size():
+    click = np.zeros(2 * RATE)
+    click[RATE] = 0.5
+    assert analysis.ShortTimeSpectrum(wave(click)).power.sum(axis=1).argmax() == 100
+    pulses = np.zeros(2 * RATE)
+    pulses[::160] = 0.1  # one a frame: all bands, and all frames alike
+    pulses[RATE:] *= 10
+    onset = columns(Prosody().extract(wave(pulses)), "onset")
+    assert onset.max() == pytest.approx(20, abs=1.5) and abs(onset.argmax() - 100) <= 2
+    assert onset[10:95].max() < 0.1 and onset[105:190].max() < 0.1

@@ -66,11 +66,11 @@ def test_arrays_of_an_archive(archive):
 @pytest.mark.parametrize(
     ("read", "says"),
     [
-        (lambda a: a["none"], "no key 'none'"),
+        (lambda a: a["none"], "'none'"),
         (lambda a: a["objects"], "pickle"),
         (lambda a: a["longer"], "24 bytes.* 28"),
-        (lambda a: a.numbers("text"), "'speech', not numbers"),
-        (lambda a: a.texts("texts"), "3 texts"),
+        (lambda a: a.numbers("text"), "'text'.* 'speech'"),
+        (lambda a: a.texts("texts"), "'texts'.* 3"),
     ],
 )
 def test_arrays_that_are_refused(archive, read, says):
@@ -81,13 +81,9 @@ def test_arrays_that_are_refused(archive, read, says):
 def test_files_that_are_no_archives(tmp_path):
     (tmp_path / "text.npz").write_text("text")
     os.mkfifo(tmp_path / "pipe.npz")
-    for name, says in (
-        ("none.npz", "no such file"),
-        ("text.npz", "zip"),
-        ("pipe.npz", "regular"),
-        (".", "regular"),
-    ):
-        with pytest.raises(FeatureError, match=says), open_archive(tmp_path / name, FeatureError):
+    for name in ("none.npz", "text.npz", "pipe.npz", "."):
+        path = tmp_path / name
+        with pytest.raises(FeatureError, match=f"^{path}: "), open_archive(path, FeatureError):
             pass
 
 
@@ -108,15 +104,16 @@ def test_a_file_is_whole_or_as_it_was(tmp_path):
     with atomic_write(path, suffix=".part") as temporary:
         assert temporary.suffix == ".part"
     path.with_name("file").write_text("")
-    with pytest.raises(OSError, match="cannot be written|Not a directory|exists"):
+    with pytest.raises(OSError) as caught:
         write_text(path.with_name("file") / "b.json", "")
+    assert str(path.with_name("file")) in str(caught.value.filename)
 
 
 def test_one_path_for_several_encoders_is_refused(tmp_path):
     parts = [{"kind": "wavlm"}, {"kind": "hf"}]
-    with pytest.raises(af.WeightsError, match="2 encoders.*wavlm=PATH --weights hf=PATH"):
+    with pytest.raises(af.WeightsError, match="--weights hf="):
         af.extractor_from_spec({"kind": "stack", "parts": parts}, weights=tmp_path)
-    with pytest.raises(af.WeightsError, match="'mfcc' .* words, wavlm"):
+    with pytest.raises(af.WeightsError, match="'mfcc'.*wavlm"):
         af.extractor_from_spec({"kind": "wavlm"}, weights={"mfcc": tmp_path})
 
 
@@ -129,19 +126,14 @@ def zipped(path, *, stored: bytes = b"", **members: bytes):
     return path
 
 
-def zeros(n_bytes: int) -> bytes:
-    return npy(np.zeros(n_bytes, np.int8))
-
-
-@pytest.mark.parametrize(("share", "is_read"), [(19.9, True), (20.1, False)])
-def test_arrays_of_a_large_file_take_twenty_times_its_size(tmp_path, share, is_read):
-    noise = np.random.default_rng(0).bytes(2 << 20)
-    part = zeros(round(share * ((2 << 20) + 45_000)))
-    path = zipped(tmp_path / "a.npz", stored=noise, a=part)
-    assert path.stat().st_size == pytest.approx((2 << 20) + 41_500, abs=2_000)
+@pytest.mark.parametrize(("stored", "is_read"), [(4 << 20, True), (1 << 10, False)])
+def test_arrays_of_a_large_file_take_twenty_times_its_size(tmp_path, stored, is_read):
+    """34 megabytes of zeros are too many for a file of some kilobytes alone."""
+    noise = np.random.default_rng(0).bytes(stored)
+    path = zipped(tmp_path / "a.npz", stored=noise, a=npy(np.zeros(34 << 20, np.int8)))
     with open_archive(path, FeatureError) as found:
         if is_read:
-            assert not found["a"].any()
+            assert len(found["a"]) == 34 << 20
         else:
-            with pytest.raises(FeatureError, match="'a' .* 41 MiB"):
+            with pytest.raises(FeatureError, match="'a' .* 34 MiB"):
                 found["a"]

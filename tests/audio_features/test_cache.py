@@ -128,7 +128,7 @@ def test_the_least_recently_used_entries_are_removed_first(tmp_path):
     assert nothing.contents().entries == 0
 
 
-@pytest.mark.parametrize(("age", "stays"), [(3500, True), (3700, False)])
+@pytest.mark.parametrize(("age", "stays"), [(1800, True), (7200, False)])
 def test_what_a_killed_run_left_is_removed_after_an_hour(tmp_path, age, stays):
     left = tmp_path / KINDS[0] / "ab" / ".x.part"
     left.parent.mkdir(parents=True)

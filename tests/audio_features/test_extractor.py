@@ -30,7 +30,7 @@ def test_a_spec_makes_the_same_extractor_again(extractor, speech):
     [
         ({"kind": "mell"}, "mell"),
         ({}, "None"),
-        ([], "none of"),
+        ([], "None"),
         ({"kind": "logmel", "bands": 3}, "bands"),
         ({"kind": "logmel", "n_mels": "many"}, "many"),
         ({"kind": "stack", "parts": "logmel"}, "parts"),

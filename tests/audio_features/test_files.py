@@ -34,30 +34,24 @@ def test_rows_of_an_npy_are_at_their_true_times_in_any_part_of_the_sound(talk, r
         track = own.extract(af.Wave.load(talk, start=begin, duration=seconds))
         seen = np.arange(0.3, (seconds or 8.0 - begin) - 0.1, 0.04)
         np.testing.assert_allclose(track.at(seen).values[:, 0], seen + begin, atol=1e-4)
-        # No more of the file than the part, and a row on each side.
-        assert len(track.times) <= (seconds or 8.0 - begin) * rate + 0.2 * rate + 3
+        # Hardly more of the file than the part.
+        assert len(track.times) / rate < (seconds or 8.0 - begin) + 1.0
 
 
 @pytest.mark.parametrize(
-    ("first", "last", "is_read", "is_warned"),
-    [
-        # Half a second, and two frames of a quarter of a second each: 1 s.
-        (0.0, 7.0, True, False),
-        (1.0, 8.0, True, False),
-        (0.0, 9.0, True, False),
-    ],
+    ("first", "last", "is_read"),
+    [(0.0, 7.5, True), (0.5, 8.0, True), (0.0, 8.5, True), (0.0, 5.0, False), (3.0, 8.0, False)],
 )
-def test_rows_may_miss_a_second_of_the_sound(talk, caplog, first, last, is_read, is_warned):
+def test_rows_may_miss_a_second_of_the_sound(talk, caplog, first, last, is_read):
     times = np.arange(first, last + 0.1, 0.25)
-    times = times[(times < 2.1) | (times > 5.9)]  # a hole does not make the frames longer
+    times = times[(times < 3.1) | (times > 4.9)]  # a hole does not make the frames longer
     np.savez(talk.with_suffix(".npz"), values=times[:, None], times=times)
     own, wave = af.Files(1), af.Wave.load(talk)
     if is_read:
-        assert own.extract(wave).at([4.0]).values == [[4.0]]
+        assert own.extract(wave).at([4.0]).values == [[4.0]] and not caplog.text
     else:
-        with pytest.raises(af.FeatureError, match="check the rate"):
+        with pytest.raises(af.FeatureError, match=f"{first:.2f} .*{last:.2f} .*8.00"):
             own.extract(wave)
-    assert bool(caplog.text) == is_warned
 
 
 def test_an_npz_has_times_of_its_own(talk):
@@ -113,9 +107,9 @@ HUGE = of_rows(np.zeros((1, 2))).replace(b"(1, 2), }           ", b"(99999999999
         (of_rows(clock(8, 50)[:, :1]), r"\(400, 1\): .*\(T, 2\)"),
         (of_rows(with_nan()), "row 120, column 1: nan"),
         (of_rows(np.full((400, 2), 1e300)), r"row 0, column 0: 1e\+300 .*1e\+18"),
-        (of_rows(clock(8, 25)), "200 rows .*0.00 to 3.98 s, .*0.00 to 8.00"),
-        (of_rows(np.array([{}, {}])), "plain numbers"),
-        (HUGE, "whole npy"),
+        (of_rows(clock(8, 25)), "200 .*3.98 .*8.00"),
+        (of_rows(np.array([{}, {}])), "numpy.save"),
+        (HUGE, "numpy.save"),
         (b"not an array", "numpy.save"),
     ],
 )
@@ -129,7 +123,7 @@ def test_a_wrong_file_is_an_error_that_names_file_and_sound(talk, content, compl
 @pytest.mark.parametrize(
     "arrays, complaint",
     [
-        ({"values": clock(8, 4)}, "no key 'times'"),
+        ({"values": clock(8, 4)}, "'times'"),
         ({"values": clock(8, 4), "times": np.zeros(32)}, "ascend"),
         ({"values": clock(8, 4), "times": np.arange(31) / 4}, r"\(32, 2\) .*\(31,\)"),
     ],
@@ -143,9 +137,9 @@ def test_a_wrong_npz_says_what_is_missing(talk, arrays, complaint):
 @pytest.mark.parametrize(
     "settings, complaint",
     [
-        ({"dim": 0}, "dim is 0"),
-        ({"dim": 4, "suffix": ".npy"}, r"no rate .*\*.npy"),
-        ({"dim": 4, "folder": "nowhere"}, "nowhere: no such folder"),
+        ({"dim": 0}, "dim.* 0"),
+        ({"dim": 4, "suffix": ".npy"}, r"rate .*\.npy"),
+        ({"dim": 4, "folder": "nowhere"}, "nowhere"),
     ],
 )
 def test_wrong_settings_say_what_to_give(settings, complaint):

@@ -1,6 +1,6 @@
 """Headers of sound files, written by hand: what loads, and what contradicts itself."""
 
-import io
+import re
 import struct
 from pathlib import Path
 
@@ -9,8 +9,6 @@ import pytest
 import soundfile
 
 from audio_features import AudioError, Wave
-from audio_features.containers.compressed import read_ogg
-from audio_features.containers.header import Header
 
 RATE = 8_000
 N = 801
@@ -60,14 +58,14 @@ def test_chunks_may_stand_anywhere(tmp_path, content):
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        (riff(fmt(), DATA, kind=b"AVI "), "not a wav"),
+        (riff(fmt(), DATA, kind=b"AVI "), "AVI "),
         (riff(fmt()), "`data`"),
         (riff(DATA), "`fmt `"),
-        (riff(fmt(channels=0), DATA), "0 channels"),
-        (riff(fmt(block=2), DATA), "1 bytes per sample.* 2 "),
+        (riff(fmt(channels=0), DATA), " 0 "),
+        (riff(fmt(block=2), DATA), " 1 .* 2 "),
         (riff(fmt(), chunk(b"data", SOUND, N + 2)), "803 .*802 "),
         (riff(fmt(), DATA, b"\x01\x02\x03\x04\0\0\0\0"), "9 bytes"),
-        (riff(fmt(), DATA, chunk(b"LIST", b"abcd", 5)), "LIST|not valid"),
+        (riff(fmt(), DATA, chunk(b"LIST", b"abcd", 5)), "a.wav"),
         (riff(*[chunk(b"junk", b"")] * 10_001, fmt(), DATA), "chunks"),
     ],
 )
@@ -102,7 +100,7 @@ def test_headers_of_aiff_and_au(tmp_path):
         path.write_bytes(content)
         np.testing.assert_allclose(Wave.load(path).samples, MEANT, atol=1e-6)
     for content, says in (
-        (aiff(SSND), "without COMM"),
+        (aiff(SSND), "COMM"),
         (aiff(COMM, big(b"SSND", bytes(8) + SIGNED, N + 10)), "811 .*810 "),
         (au(N + 1), "802 .*801 "),
     ):
@@ -148,39 +146,30 @@ def test_an_mp3_may_begin_with_a_tag_and_is_compared_with_its_length(tmp_path):
     assert Wave.load(path, duration=0.5).duration == 0.5
 
 
-def ogg(number: int, flags: int = 0, serial: int = 7, size: int = 300) -> bytes:
-    """Return a page of Ogg with its checksum, bit by bit as in RFC 3533."""
-    table = bytes([255] * (size // 255) + [size % 255])
-    head = b"OggS\0" + bytes([flags]) + bytes(8) + struct.pack("<II", serial, number)
-    page = head + bytes(4) + bytes([len(table)]) + table + bytes(k % 251 for k in range(size))
-    crc = 0
-    for byte in page:
-        crc ^= byte << 24
-        for _ in range(8):
-            crc = crc << 1 & 0xFFFFFFFF ^ (0x04C11DB7 if crc >> 31 else 0)
-    return page[:22] + struct.pack("<I", crc) + page[26:]
-
-
 @pytest.mark.parametrize(
-    ("pages", "says"),
+    ("change", "at", "says"),
     [
-        ([ogg(0, 2), ogg(1), ogg(2, 4)], None),
-        ([ogg(0, 2), ogg(9, 2, 8), ogg(10, 4, 8), ogg(1, 4)], None),
-        ([ogg(0, 2), ogg(2, 4)], "page 1 .*byte 329"),
-        ([ogg(0, 2), ogg(1)], "last .*page"),
-        ([ogg(0, 6), ogg(0, 6, 8)], r"several .*byte 329\)"),
-        ([ogg(0, 2), ogg(1, 4)[:-1] + b"x"], "checksum .*byte 329"),
-        ([ogg(0, 6), b"OggT" + bytes(23)], "no .*page .*byte 329"),
+        (lambda pages: None, 0, None),
+        (lambda pages: pages.pop(3), 3, "page 3 .*byte {}"),
+        (lambda pages: pages.pop(), 0, "last"),
+        (lambda pages: pages.extend(pages[:]), -1, "several.*byte {}"),
+        (lambda pages: pages.insert(3, pages.pop(3)[:-1] + b"x"), 3, "checksum.*byte {}"),
+        (lambda pages: pages.insert(3, b"OggT" + bytes(23)), 3, "byte {}"),
     ],
 )
-def test_pages_of_an_ogg_file_follow_one_another(pages, says):
-    """A page of 300 bytes has 329: 27 of the head, 2 of the table."""
-    content = b"".join(pages)
+def test_pages_of_an_ogg_file_follow_one_another(tmp_path, change, at, says):
+    path = tmp_path / "a.ogg"
+    noise = np.random.default_rng(0).uniform(-0.5, 0.5, 4 * 44_100)
+    soundfile.write(path, noise, 44_100)
+    pages = re.split(rb"(?=OggS\0)", path.read_bytes())[1:]
+    place = len(b"".join(pages[:at])) if at >= 0 else len(b"".join(pages))
+    change(pages)
+    path.write_bytes(b"".join(pages))
     if says is None:
-        assert read_ogg(io.BytesIO(content), "a.ogg", len(content)) == Header()
+        assert Wave.load(path).duration == pytest.approx(4.0, abs=0.1)
     else:
-        with pytest.raises(AudioError, match=says):
-            read_ogg(io.BytesIO(content), "a.ogg", len(content))
+        with pytest.raises(AudioError, match=says.format(place)):
+            Wave.load(path)
 
 
 def test_wav_files_of_the_other_byte_order_and_of_over_four_gigabytes(tmp_path):

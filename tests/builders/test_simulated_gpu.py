@@ -25,11 +25,11 @@ def test_training_stays_on_the_device(gpu):
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (lambda x: x + torch.zeros(3), "same device"),
-        (lambda x: torch.stack([x[0, 0], torch.tensor(0.0)]), "same device"),
-        (lambda x: torch.nn.Linear(3, 3)(x), "same device"),
+        (lambda x: x + torch.zeros(3), "device"),
+        (lambda x: torch.stack([x[0, 0], torch.tensor(0.0)]), "device"),
+        (lambda x: torch.nn.Linear(3, 3)(x), "device"),
         (lambda x: torch.zeros(3).index_select(0, torch.tensor([0], device="cuda")), "device"),
-        (lambda x: torch.zeros(3)[torch.tensor([0], device="cuda")], "indices should be"),
+        (lambda x: torch.zeros(3)[torch.tensor([0], device="cuda")], "indices"),
         (lambda x: torch.randn(2, generator=torch.Generator(), device="cuda"), "generator"),
     ],
 )

@@ -1,5 +1,6 @@
 """The shape of each speaker's body: from a corpus, through training, into rendered files."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -93,8 +94,7 @@ def check_body(file: dict, folder: Path, name: str, betas: np.ndarray) -> None:
 def test_each_speaker_keeps_the_recorded_body(train, gesturekit, recordings, body_models, tmp_path):
     options = ("--style-pattern", "(?P<speaker>ann|abe)/", "--body-model", body_models)
     trained, said = train("run", recordings, *options)
-    assert said.count("body shapes") == 1
-    assert "speaker ann" in said and "betas" in said
+    assert len(re.findall(r"\bann\b.* 2 .*betas", said)) == 1
     assert len(foot_points(gk.load(trained).skeleton)) == 6
     rendered = {}
     for speaker in ("ann", "abe", None):

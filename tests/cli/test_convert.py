@@ -6,6 +6,7 @@ from pathlib import Path
 
 import imageio_ffmpeg
 import pytest
+from pages import data_of
 
 from gesturekit import Motion
 
@@ -25,8 +26,8 @@ def test_one_file_is_one_line_of_what_was_found_and_done(gesturekit, takes, monk
     monkeypatch.chdir(takes)
     done = gesturekit("convert", "a.bvh", "out.npz", "--fps", 25, "--mirror")
     assert (done.status, done.err) == (0, "")
-    for says in ("cm, Y up", "30 fps, 30 frames, 19 joints", "-> out.npz", "mirrored", "to 25 fps"):
-        assert says in " ".join(done.out.split())
+    for fact in ("cm", "30 fps", "30 frames", "19 joints", "out.npz", "mirrored", "25 fps"):
+        assert fact in done.out
     assert Motion.load("out.npz").fps == 25
     done = gesturekit("convert", "a.bvh", "a.npz", "--antialias").ok()
     assert "--antialias" in done.err and "--fps" in done.err
@@ -35,11 +36,10 @@ def test_one_file_is_one_line_of_what_was_found_and_done(gesturekit, takes, monk
 def test_a_folder_lists_what_failed_and_does_the_rest(gesturekit, takes, tmp_path):
     out = tmp_path / "out"
     done = gesturekit("convert", takes, out, "--format", "npz, html").fails(1)
-    failed, count = done.err.splitlines()
-    assert failed.startswith("Failed: ") and "broken.bvh:1" in failed and "1 of 3" in count
+    assert "broken.bvh:1" in done.err and "1 of 3" in done.err
     assert {path.name for path in out.rglob("*.html")} == {"a.html", "für später.html"}
     convert = ("convert", takes, out, "--format", "npz,html")
-    assert gesturekit(*convert, "--mirror").fails(2, "another mirror (4 refused").out == ""
+    assert gesturekit(*convert, "--mirror").fails(2, "mirror", "4 refused").out == ""
     for options in ((), ("--existing", "skip")):
         again = gesturekit(*convert, *options).fails(1)
         assert again.out.count("skipped") == 2
@@ -49,11 +49,11 @@ def test_a_folder_lists_what_failed_and_does_the_rest(gesturekit, takes, tmp_pat
     ("arguments", "says"),
     [
         (["a.bvh", "x.npz", "--trim", "5"], "START:END"),
-        (["a.bvh", "x.npz", "--rig", "avatar.bvh"], "no such file"),
+        (["a.bvh", "x.npz", "--rig", "avatar.bvh"], "avatar.bvh"),
         (["a.bvh", "x.npz", "--in-unit", "yard"], "--in-unit"),
         (["a.bvh", "x.npz", "--part", "tail=Hips"], "PART=JOINT"),
-        (["a.bvh", "x.npz", "--rig-part", "head=Hips"], "--rig-part requires --rig"),
-        (["a.bvh", "sub", "--format", "bhv"], "format bhv"),
+        (["a.bvh", "x.npz", "--rig-part", "head=Hips"], "--rig-part.*--rig\\b(?!-)"),
+        (["a.bvh", "sub", "--format", "bhv"], "bhv"),
         (["a.bvh", "sub"], "--format npz"),
         (["a.bvh", "x.npz", "--in-up", "w"], "--in-up"),
         (["a.bvh", "sub/für später.npz", "x.npz"], "2 inputs"),
@@ -62,15 +62,15 @@ def test_a_folder_lists_what_failed_and_does_the_rest(gesturekit, takes, tmp_pat
 def test_wrong_usage_starts_nothing(gesturekit, takes, monkeypatch, arguments, says):
     monkeypatch.chdir(takes)
     done = gesturekit("convert", *arguments)
-    assert done.status == 2 and says in done.err and not Path("x.npz").exists()
+    assert done.status == 2 and re.search(says, done.err) and not Path("x.npz").exists()
 
 
 def test_joints_and_parts_that_are_not_there(gesturekit, takes, tmp_path):
     for options, says in (
-        (("--joints", "Tail"), "no joint 'Tail'"),
-        (("--joints", ","), "at least one"),
-        (("--joints", "LeftArm,RightArm"), "keep 'Chest' too"),
-        (("--rig", "smplx", "--part", "head=Tail"), "no joint 'Tail'"),
+        (("--joints", "Tail"), "'Tail'"),
+        (("--joints", ","), "joint"),
+        (("--joints", "LeftArm,RightArm"), "'Chest'"),
+        (("--rig", "smplx", "--part", "head=Tail"), "'Tail'"),
     ):
         gesturekit("convert", takes / "a.bvh", tmp_path / "x.npz", *options).fails(1, says, "a.bvh")
 
@@ -79,7 +79,7 @@ def test_the_rate_of_a_file_that_has_none_is_given(gesturekit, takes, tmp_path):
     text = re.sub("Frame Time: .*", "Frame Time: 0", (takes / "a.bvh").read_text())
     (takes / "a.bvh").write_text(text)
     convert = ("convert", takes / "a.bvh", tmp_path / "x.npz")
-    gesturekit(*convert).fails(1, "Frame Time: '0' s", "--in-fps")
+    gesturekit(*convert).fails(1, "'0'", "--in-fps")
     gesturekit(*convert, "--in-fps", 60).ok()
     assert Motion.load(tmp_path / "x.npz").fps == 60
 
@@ -95,17 +95,16 @@ def test_view_writes_one_page(gesturekit, takes, tmp_path, write_speech, monkeyp
     assert re.search(r"3\.0 s.* 1\.0 s", done.err)
     done = gesturekit("view", takes / "a.bvh").ok()
     opened = Path(done.out.strip())
-    assert "No browser found" in done.err
+    assert "browser" in done.err
     assert opened.name == "a.html" and opened.read_text().rstrip().endswith("</html>")
     shutil.rmtree(opened.parent)
-    for arguments in (
-        [takes / "broken.bvh", "--out", page],
-        [takes / "a.bvh", "--out", tmp_path / "page.bvh"],
-        [takes / "a.bvh", "--audio", tmp_path / "none.wav", "--out", page],
-        [takes / "a.bvh", "--out", page, "--size", "720p"],
+    for arguments, names in (
+        ([takes / "broken.bvh", "--out", page], "broken.bvh:1"),
+        ([takes / "a.bvh", "--out", tmp_path / "page.bvh"], "page.bvh"),
+        ([takes / "a.bvh", "--audio", tmp_path / "none.wav", "--out", page], "none.wav"),
+        ([takes / "a.bvh", "--out", page, "--size", "720p"], "--size"),
     ):
-        done = gesturekit("view", *arguments).fails(2)
-        assert done.err.startswith("Error: ")
+        gesturekit("view", *arguments).fails(2, names)
 
 
 def test_view_opens_a_browser_where_there_are_windows(gesturekit, takes, monkeypatch):
@@ -120,28 +119,23 @@ def test_view_opens_a_browser_where_there_are_windows(gesturekit, takes, monkeyp
 
 def test_a_dry_run_of_convert_says_so(gesturekit, takes, tmp_path):
     done = gesturekit("convert", takes, tmp_path / "out", "--format", "npz", "--dry-run")
-    assert done.status == 1 and "Dry run" in done.err
-    assert "1 of 3" in done.err and not (tmp_path / "out").exists()
-    (takes / "a.bvh").unlink()
-    two = gesturekit("convert", takes, tmp_path / "out", "--format", "npz", "--dry-run").fails(1)
-    assert "1 of 2" in two.err
-    done = gesturekit("convert", takes / "broken.bvh", tmp_path / "out" / "b.npz")
-    assert done.status == 1 and "failed." not in done.err and "Dry run" not in done.err
+    done.fails(1, "Dry", "broken.bvh", "1 of 3")
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_folder_is_viewed_by_its_motions(gesturekit, gesture, takes, tmp_path):
     page = tmp_path / "page.html"
     gesture(1.0).save(takes / "a.npz")  # the same take once more
-    gesturekit("view", takes, "--out", page).fails(1, "Failed: ", "broken.bvh:1")
-    assert re.findall('"label":"(.*?)"', page.read_text()) == ["a", "f\\u00fcr sp\\u00e4ter"]
+    gesturekit("view", takes, "--out", page).fails(1, "broken.bvh:1")
+    assert [figure["label"] for figure in data_of(page)["figures"]] == ["a", "für später"]
     (takes / "broken.bvh").unlink()
     for number in range(8):
         shutil.copy(takes / "a.bvh", takes / f"b{number}.bvh")
     done = gesturekit("view", takes, "--out", page).ok()
     assert re.search("10 motions.* 8", done.err)
-    assert page.read_text().count('"label":') == 8
+    assert len(data_of(page)["figures"]) == 8
     (tmp_path / "empty").mkdir()
-    gesturekit("view", tmp_path / "empty").fails(2, "no motion in it")
+    gesturekit("view", tmp_path / "empty").fails(2, f"{tmp_path / 'empty'}: ")
 
 
 @pytest.fixture

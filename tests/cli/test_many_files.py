@@ -48,7 +48,7 @@ def test_shards_in_any_order_give_the_same_files(run, gesturekit, tmp_path, verb
         assert run("out", "--shard", shard).status == 0
     assert results(tmp_path / "out") == made
     shown = gesturekit("jobs", tmp_path / "out")
-    assert "done 5, failed 0, left 0" in shown.out and "3 of 3" in shown.out
+    assert "done 5" in shown.out and "left 0" in shown.out and "3 of 3" in shown.out
     again = run("out")
     assert again.status == 0 and again.out.count("skipped") == 5
 
@@ -69,7 +69,7 @@ def test_a_rerun_does_what_changed(run, folder, tmp_path, verb, write_pair):
     kinds = KINDS[verb]
     (tmp_path / "out" / f"a.{kinds[-1]}").unlink()
     write_pair(folder, "b", 0.5, fps=25.0, seed=9)
-    run("out").fails(2, "another input", f"{len(kinds)} refused", "1 to make")
+    run("out").fails(2, "input", f"{len(kinds)} refused", "1 to make")
     run("out", "--existing", "replace").ok()
     after = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("[a-e].*")}
     changed = {path.name for path in after if after[path] != before.get(path)}
@@ -82,10 +82,11 @@ def test_three_failures_put_an_item_aside(run, folder, tmp_path, verb):
     broken.write_text("Dear diary,\n")
     for _ in range(3):
         done = run("out")
-        assert done.status == 1 and "put aside" not in done.err and str(broken) in done.err
-    assert "3 failures" in run("out").err
+        done.fails(1, str(broken))
+        assert "--retry-failed" not in done.err
+    run("out").fails(1, str(broken), "3 failures", "--retry-failed")
     assert status_of(tmp_path / "out").failed[0].is_aside
-    assert "put aside" not in run("out", "--retry-failed").err
+    assert "3 failures" not in run("out", "--retry-failed").err
     broken.write_bytes(whole)
     assert run("out").status == 0 and status_of(tmp_path / "out").done == 5
 
@@ -93,17 +94,14 @@ def test_three_failures_put_an_item_aside(run, folder, tmp_path, verb):
 def test_the_plan_is_shown_and_nothing_written(run, tmp_path, verb):
     done = run("out", "--dry-run")
     assert done.status == 0 and not (tmp_path / "out").exists()
-    assert len(done.out.splitlines()) >= 5
-    assert "ry run" in done.err
-    if verb == "features":
-        assert done.out.count("make ") == 5 and "5 to make" in done.err
+    assert all(f"{stem}.{INPUTS[verb]}" in done.out for stem in STEMS)
 
 
 def test_a_list_of_sounds_with_intervals(gesturekit, folder, tmp_path):
     part = '{"audio": "a.wav", "id": "part", "start": 0.1, "seconds": 0.2}'
     (folder / "night.jsonl").write_text(f'{part}\n{{"id": "idle", "seconds": 1}}')
     command = ("features", folder / "night.jsonl", "--fps", 50, "--picture")
-    gesturekit(*command, "--out", tmp_path / "out").fails(1, "no sound")
+    gesturekit(*command, "--out", tmp_path / "out").fails(1, "idle: ")
     assert len(FeatureTrack.load(tmp_path / "out" / "part.npz").values) == 10
     assert (tmp_path / "out" / "part.png").is_file()
 
@@ -111,4 +109,4 @@ def test_a_list_of_sounds_with_intervals(gesturekit, folder, tmp_path):
 def test_results_of_another_verb_are_never_replaced(gesturekit, folder, tmp_path):
     out = tmp_path / "out"
     assert gesturekit(*COMMANDS["convert"](folder, out)).status == 0
-    gesturekit("features", folder, "--out", out).fails(2, "a.npz", "exist already")
+    gesturekit("features", folder, "--out", out).fails(2, "a.npz", "--existing")

@@ -1,5 +1,7 @@
 """A model of own features: from files, and from an installed package, from prepare to render."""
 
+import re
+
 import numpy as np
 import pytest
 from packages import install
@@ -52,12 +54,17 @@ def test_own_features_from_training_to_motion(
     install(tmp_path / "site", monkeypatch)
     config, *tiny = recipe
     given = (f"corpus={own_corpus}", f"out={tmp_path / 'run'}")
-    trained = gesturekit("train", config, *given, *tiny, EXTRACTORS).ok()
-    assert "STEM.own.npy with 3" in trained.out
+    train = ("train", config, *given, *tiny, EXTRACTORS)
+    own = tmp_path / "corpus" / "b.npz"
+    away = own.rename(tmp_path / "away.npz")
+    gesturekit(*train).fails(2, "b.wav: ", "b.npz")
+    away.rename(own)
+    trained = gesturekit(*train).ok()
+    assert re.search("STEM.own.npy.* 3 ", trained.out)
     model = tmp_path / "run" / "model"
     needs = [text for name, text in inspect(model).rows if name == "needs"]
-    assert len(needs) == 3 and "loudness" in needs[2] and "own-f" in needs[2]
-    assert f"- **Needs**: {'; '.join(needs)}\n" in (model / "README.md").read_text()
+    assert any("loudness" in need and "own-features" in need for need in needs)
+    assert all(need in (model / "README.md").read_text() for need in needs)
     speech, out = tmp_path / "speech", tmp_path / "out"
     for stem in ("ok", "lone", "narrow"):
         write_own(write_speech(speech / f"{stem}.wav", 1.3), 1.3)
@@ -65,19 +72,22 @@ def test_own_features_from_training_to_motion(
     np.save(speech / "narrow.own.npy", np.zeros((26, 2)))
     render = ("render", speech, "--model", model, "--out", out, "--format", "npz")
     done = gesturekit(*render).fails(1, "lone.wav: ", "lone.own.npy")
-    assert "narrow.own.npy" in done.err and "expected (T, 3)" in done.err
+    assert "narrow.own.npy" in done.err and "(T, 3)" in done.err
     first = Motion.load(out / "ok.npz")
     assert first.n_frames == 39 and not (out / "lone.npz").exists()
     write_own(speech / "ok.wav", 1.3, seed=9)
-    assert "other features" in gesturekit(*render).err  # not kept if its features change
+    gesturekit(*render).fails(2, "ok.npz", "features")  # not kept if its features change
     # The same files in a folder of their own, and a sound somewhere else.
     write_own(speech / "ok.wav", 1.3)
     there = gk.load(model, weights={"files": speech})
     again = there.generate(write_speech(tmp_path / "new" / "ok.wav", 1.3), item="ok")
     np.testing.assert_allclose(again.positions(), first.positions(), atol=1e-4)
     assert gk.load(model).generate(seconds=1.0).n_frames == 30  # silence needs no file
-    with pytest.raises(FeatureError, match="no file of features"):
+    with pytest.raises(FeatureError, match=r"own\.npy"):
         there.generate(np.sin(np.arange(20_000) * 0.1), 16_000)
+    with pytest.raises(GestureKitError, match="file"):
+        create_app(gk.load(model))
+    gesturekit(*render, "--weights", "files=nowhere").fails(2, "nowhere: ")
 
 
 def test_without_the_package_the_model_says_what_to_install(
@@ -92,16 +102,16 @@ def test_without_the_package_the_model_says_what_to_install(
         gesturekit("train", light, *given, *tiny, extractors).ok()
         gesturekit(*render).ok()
         done = gesturekit("features", speech, "--extractor", "loudness", "--out", tmp_path / "f")
-        assert "26 frames × 2" in done.ok().out
+        assert re.search(r"\b26 .*\b2\b", done.ok().out)
         service = create_app(gk.load(model))  # a sound is all that it needs
         with TestClient(service, base_url="http://127.0.0.1") as client:
             answer = client.post("/motion?item=new", content=speech.read_bytes())
         assert answer.text == (tmp_path / "o" / "new.bvh").read_text()
-    gesturekit(*render).fails(2, "'loudness' is not installed", "own-features 1.2")
-    shown = " ".join(gesturekit("inspect", model).ok().out.split())
-    assert "own-features 1.2" in shown and "not installed" in shown
+    gesturekit(*render).fails(2, "'loudness'", "own-features 1.2")
+    assert "own-features 1.2" in gesturekit("inspect", model).ok().out
 
 
+@pytest.mark.stress  # of seconds: features of files above; tests/corpus and tests/recipes: music
 def test_a_dance_follows_beats_of_another_tracker(gesturekit, write_pair, write_speech, tmp_path):
     """As docs/encoders.md says; beside music, no voice is looked for."""
     folder, music = tmp_path / "corpus", tmp_path / "song.wav"
@@ -117,19 +127,3 @@ def test_a_dance_follows_beats_of_another_tracker(gesturekit, write_pair, write_
     on_time = model.generate(music)
     np.save(music.with_suffix(".beats.npy"), np.arange(200) % 50 == 25)
     assert not np.array_equal(model.generate(music).rotations, on_time.rotations)
-
-
-def test_a_service_refuses_a_model_of_files_and_missing_files_are_named(
-    own_corpus, gesturekit, light, tiny, tmp_path
-):
-    given = (f"corpus={own_corpus}", f"out={tmp_path / 'run'}")
-    train = ("train", light, *given, *tiny, "features.extractors=[{kind: files, dim: 2}]")
-    own = tmp_path / "corpus" / "b.npz"
-    away = own.rename(tmp_path / "away.npz")
-    gesturekit(*train).fails(2, "b.wav: no file")
-    away.rename(own)
-    gesturekit(*train).ok()
-    with pytest.raises(GestureKitError, match="beside each sound"):
-        create_app(gk.load(tmp_path / "run" / "model"))
-    render = ("render", "--seconds", 1, "--model", tmp_path / "run", "--out", tmp_path / "out")
-    gesturekit(*render, "--weights", "files=nowhere").fails(2, "nowhere: ")

@@ -3,12 +3,13 @@
 import html
 import json
 import logging
+import multiprocessing
 import re
 import shutil
 import socket
-import subprocess
-import sys
+import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,6 +19,7 @@ from gesturekit.errors import ConfigError
 from gesturekit.inspection import inspect
 from gesturekit.multires import Stage
 from gesturekit.systems import resolved_settings
+from gesturekit.training import Run
 
 
 @pytest.fixture
@@ -44,13 +46,13 @@ def test_wrong_settings(train, tmp_path):
             ("netwrk.levels=3", "netwrk.*network"),
             ("training.batch=0", "batch"),
             ("levels", "key=value"),
-            ("fps=[25", "not valid YAML"),
-            ("steps=9", "longer or training.first_stage or training.further_stages"),
+            ("fps=[25", "fps=.25.*YAML"),
+            ("steps=9", "longer.* training.first_stage"),
             ("corpus=typo.jsonl", "typo.jsonl: "),
-            ("system=diffusion", "'diffusion' .*its recipes"),
-            ("device=abacus", "device: 'abacus'"),
-            ("joints=[Hips, Spine, Head]", "losses.arm_speed=0 losses.arm_acceleration=0"),
-            ("features.extractors=[{kind: mell}]", "'mell' .*logmel, mfcc, prosody"),
+            ("system=diffusion", "'diffusion' .*recipes"),
+            ("device=abacus", "device.* 'abacus'"),
+            ("joints=[Hips, Spine, Head]", "losses.arm_speed=0 "),
+            ("features.extractors=[{kind: mell}]", "'mell' .*logmel"),
         )
     ):
         done = train(f"out={tmp_path / str(number)}", override).fails(2)
@@ -60,10 +62,10 @@ def test_wrong_settings(train, tmp_path):
 def test_wrong_files(gesturekit, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for text, says in (
-        ("system: multires\nbase: mine.yaml\n", "nested base"),
-        ("system: multires\n", "corpus is missing"),
-        ("- system\n", "holds list"),
-        ("system: !!python/object/apply:os.system [touch hacked]\n", "not valid YAML"),
+        ("system: multires\nbase: mine.yaml\n", "base"),
+        ("system: multires\n", "corpus"),
+        ("- system\n", "list"),
+        ("system: !!python/object/apply:os.system [touch hacked]\n", "YAML"),
     ):
         (tmp_path / "mine.yaml").write_text(text)
         assert says in error_line(gesturekit("train", "mine.yaml").fails(2))
@@ -81,46 +83,48 @@ def test_a_finished_run_is_kept_and_its_folder_is_enough_to_resume(
 ):
     caplog.set_level("INFO")
     before = (finished / "model" / "model.safetensors").read_bytes()
-    assert "finished training" in error_line(train())
+    measured = (finished / "metrics.jsonl").read_bytes()
+    assert str(finished) in error_line(train())
     assert "recall.level: 2" in error_line(train("--resume"))
     done = gesturekit("train", "--resume", finished).ok()
     assert f"Model: {finished / 'model'}" in done.out and "gesturekit render speech.wav" in done.out
     assert f"{finished}: finished" in caplog.text
-    assert "All metrics on" not in caplog.text  # nothing is measured again
+    assert (finished / "metrics.jsonl").read_bytes() == measured, "nothing is measured again"
     shutil.rmtree(finished / "model")
     (finished / "checkpoints" / "step_00000004.pt").unlink()
     moved = finished.rename(tmp_path / "moved")
-    assert "add --resume" in error_line(gesturekit("train", moved))
+    assert "--resume" in error_line(gesturekit("train", moved))
     for folder in (moved, moved / "model"):  # the model's folder stands for the run's
         gesturekit("train", "--resume", folder).ok()
     assert (moved / "model" / "model.safetensors").read_bytes() == before
-    assert "no run" in error_line(gesturekit("train", "--resume", tmp_path))
+    assert f"{tmp_path}: " in error_line(gesturekit("train", "--resume", tmp_path))
 
 
-OWNER = """
-import sys, time
-from pathlib import Path
-from gesturekit.training.run.folder import Run
-Run(Path(sys.argv[1]), {}, resume=False).hold()
-print("held", flush=True)
-time.sleep(60)
-"""
+def hold(folder: Path, held: Any) -> None:
+    """Own a run's folder for a minute."""
+    Run(folder, {}, resume=False).hold()
+    held.set()
+    time.sleep(60)
 
 
 def test_a_run_folder_has_one_owner_until_it_dies(train, tmp_path, caplog, monkeypatch):
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    out = str(tmp_path / "run")
-    with subprocess.Popen([sys.executable, "-c", OWNER, out], stdout=subprocess.PIPE) as owner:
-        assert owner.stdout.readline() == b"held\n"
-        error = error_line(train())
-        assert f"process {owner.pid} on {socket.gethostname()}" in error and out in error
-        owner.kill()
+    processes = multiprocessing.get_context("fork")  # nothing to import again
+    held = processes.Event()
+    owner = processes.Process(target=hold, args=(tmp_path / "run", held), daemon=True)
+    owner.start()
+    assert held.wait(20)
+    error = error_line(train())
+    for fact in (owner.pid, socket.gethostname(), tmp_path / "run"):
+        assert str(fact) in error
+    owner.kill()
+    owner.join()
     caplog.set_level("INFO")
     monkeypatch.setattr(Manifest, "load", interrupted)
-    assert "Nothing was trained" in train("--resume").fails(130).err
-    assert f"{tmp_path / 'run'}: no run" in caplog.text
+    train("--resume").fails(130)
+    assert f"{tmp_path / 'run'}: " in caplog.text
 
 
 def test_an_interrupted_run_says_how_to_go_on(gesturekit, train, tmp_path, monkeypatch):
@@ -130,13 +134,13 @@ def test_an_interrupted_run_says_how_to_go_on(gesturekit, train, tmp_path, monke
     def interrupted(self, iteration):
         if self.first == 2:
             during.update(state=inspect(run).facts["state"])
-            with pytest.raises(ConfigError, match="in use"):
+            with pytest.raises(ConfigError, match=re.escape(str(run))):
                 systems.train(run, resume=True)
             raise KeyboardInterrupt
         return iterate(self, iteration)
 
     monkeypatch.setattr(Stage, "iterate", interrupted)
-    assert train().fails(130).err.splitlines()[-1] == f"Interrupted. Continue with: {command}"
+    train().fails(130, command)
     monkeypatch.undo()
     assert during["state"] == "running" and inspect(run).facts["state"] == "stopped"
     for path in (run, run / "model"):
@@ -153,13 +157,13 @@ def test_before_the_first_step_it_says_what_it_will_do(train, tmp_path, caplog):
     train("--plan", f"out={tmp_path / 'new'}").ok()
     assert not (tmp_path / "new").exists()
     for says in (
-        f"{tmp_path / 'new'}: multires, speech mode, 6 levels, 6",
-        "2 recordings, 8 s .*30 fps.* 25 fps",
+        f"{tmp_path / 'new'}: .*multires.* 6 levels",
+        "2 recordings.* 6 s.* 30 fps.* 25 fps",
         "19 of 19",
-        "Time: about ",
+        "Time.* s",
     ):
         assert re.search(says, caplog.text)
-    assert "changed since" not in caplog.text
+    assert ".wav" not in caplog.text and ".bvh" not in caplog.text, "no file has changed"
 
 
 @pytest.mark.parametrize(
@@ -169,7 +173,7 @@ def test_one_setting_makes_a_training_twice_as_long(gesturekit, recipe, corpus, 
     """Three stages of two iterations, and six updates."""
     caplog.set_level(logging.INFO)
     gesturekit("train", *recipe, f"corpus={corpus}", f"out={tmp_path / 'run'}", "longer=2").ok()
-    assert re.search(r" 12 (?:iterations|updates) \(longer=2\)\.", caplog.text)
+    assert re.search(r"\b12 .*longer=2", caplog.text)
     lines = (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()
     assert max(json.loads(line)["step"] for line in lines) == 12
 
@@ -177,7 +181,7 @@ def test_one_setting_makes_a_training_twice_as_long(gesturekit, recipe, corpus, 
 @pytest.fixture
 def one_recording(gesturekit, write_pair, tmp_path):
     """A manifest whose only recording is cut: its end is held out."""
-    write_pair(tmp_path / "one", "speech", 20.0)
+    write_pair(tmp_path / "one", "speech", 15.0)
     manifest = tmp_path / "one.jsonl"
     assert gesturekit("prepare", tmp_path / "one", "--out", manifest).status == 0
     return manifest
@@ -189,38 +193,37 @@ def test_it_ends_with_a_verdict_on_held_out_speech(
     caplog.set_level(logging.INFO)
     run = tmp_path / "run"
     done = train(f"corpus={one_recording}").ok()
-    assert re.search("1 recording, 16 s .*30 fps", caplog.text)
-    said = re.search(r"Measured (.*1 held-out .*4 s.*)\n\Z", done.out)[1]
-    assert "same take" in said
-    assert said in (run / "model" / "README.md").read_text()
-    assert html.escape(f"Measured {said}") in (run / "report.html").read_text()
+    assert re.search("1 recording.* 12 s", caplog.text)
+    said = re.search("Measured (.*held-out.*)", done.out)[1]
+    assert re.search(r"\b1 .*\b3 s", said) and said in (run / "model" / "README.md").read_text()
+    assert html.escape(said) in (run / "report.html").read_text()
     lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     (figures,) = (line for line in lines if line.get("kind") == "held_out")
-    assert {"held_out/sync", "held_out/sync_chance", "held_out/arm_speed"} <= figures.keys()
+    assert {"held_out/sync", "held_out/arm_speed"} <= figures.keys()
     assert f"render --corpus {one_recording} --split test" in done.out
     # A corpus that is deleted costs the metrics only.
     shutil.rmtree(run / "model")
     one_recording.rename(tmp_path / "elsewhere.jsonl")
     gesturekit("train", "--resume", run).ok()
-    assert "No metrics" in caplog.text
+    warned = [said.getMessage() for said in caplog.records if said.levelname == "WARNING"]
+    assert any(str(one_recording) in text for text in warned)
 
 
 def test_a_file_that_was_swapped_after_prepare_is_named(
     train, finished, one_recording, write_speech, tmp_path, caplog
 ):
-    swapped = write_speech(tmp_path / "one" / "speech.wav", 20.0, level=0.1)
+    swapped = write_speech(tmp_path / "one" / "speech.wav", 15.0, level=0.1)
     train(f"corpus={one_recording}", "--plan").ok()
-    assert "finished training" in caplog.text
-    assert "1 file changed" in caplog.text
+    assert str(finished) in caplog.text and "1 file" in caplog.text
     assert str(swapped) in caplog.text and "speech.bvh" not in caplog.text
 
 
 def test_a_new_run_is_planned_and_its_processes_are_a_setting(gesturekit, light):
     for option in ("--plan", "--arrays"):
         done = gesturekit("train", light, "--resume", option)
-        done.fails(2, f"{option} is for a new run", "--resume")
+        done.fails(2, option, "--resume")
     assert "workers=3 " in gesturekit("train", light, "--show", "--workers", 3).out
-    gesturekit("train", light, "--reume").fails(2, "Did you mean", "--resume")
+    gesturekit("train", light, "--reume").fails(2, "--resume")
 
 
 @pytest.mark.parametrize(
@@ -232,7 +235,7 @@ def test_a_new_run_is_planned_and_its_processes_are_a_setting(gesturekit, light)
         ([], "gesturekit train own_corpus corpus=CORPUS.jsonl"),
         (["light.yaml"], "recipes/speech/light.yaml?"),
         (["recipes/speech/light.yaml", "corpus=folder"], "gesturekit prepare"),
-        (["recipes/speech/light.yaml", "out=c.jsonl"], "c.jsonl: a file"),
+        (["recipes/speech/light.yaml", "out=c.jsonl"], "c.jsonl: "),
         (["recipes/speech/light.yaml", "window=3"], "training.window?"),
     ],
 )
@@ -262,13 +265,12 @@ def test_show_prints_every_setting(gesturekit, tmp_path):
     )
     lines = gesturekit("train", config, "training.batch=8", "--show").ok().out.splitlines()
     assert {
-        "training.batch=8 (default: 4)",
+        "training.batch=8",
         "training.betas=[0.9, 0.999]",
-        "notes={who: Jürgen} (default: {})",
-        "corpus=null (required)",
-    } <= {" ".join(line.split()) for line in lines}
-    (corpus,) = (k for k, line in enumerate(lines) if line.startswith("corpus=null "))
-    assert "Manifest" in lines[corpus + 1]
+        "notes={who: Jürgen}",
+        "corpus=null",
+    } <= {line.partition(" (")[0].strip() for line in lines}
+    assert any("Manifest" in line for line in lines), "what a setting is"
     shown = {line.partition("=")[0] for line in lines if "=" in line and line[0] != " "}
     assert {"fps", "network.levels", "losses.contact", "styles.mixing"} <= shown
 
@@ -285,7 +287,7 @@ def test_every_setting_has_a_docstring(name, tmp_path):
 def labelled(gesturekit, write_pair, tmp_path):
     """A manifest of two speakers, each in a style of their own."""
     for seed, name in enumerate(("ada_calm", "bob_wild")):
-        write_pair(tmp_path / "labelled", name, 4.0, seed=seed)
+        write_pair(tmp_path / "labelled", name, 2.5, seed=seed)
     manifest = tmp_path / "labelled.jsonl"
     pattern = ("--style-pattern", "(?P<speaker>[a-z]+)_(?P<style>[a-z]+)")
     gesturekit("prepare", tmp_path / "labelled", "--out", manifest, "--holdout", 0, *pattern).ok()
@@ -295,8 +297,7 @@ def labelled(gesturekit, write_pair, tmp_path):
 def test_unused_styles_and_speakers_are_reported(
     gesturekit, labelled, light, tiny, tmp_path, caplog
 ):
-    styles = "2 styles in the corpus"
-    speakers = "2 speakers in the corpus"
+    styles, speakers = "2 styles", "2 speakers"
     train = ("train", light, *tiny, f"corpus={labelled}", f"out={tmp_path / 'plain'}")
     gesturekit(*train, "--plan", "styles={}", "recall.level=2").ok()
     assert styles not in caplog.text and speakers not in caplog.text
@@ -305,8 +306,7 @@ def test_unused_styles_and_speakers_are_reported(
         assert styles in text and speakers in text and "styles={}" in text
     wav = tmp_path / "labelled" / "ada_calm.wav"
     render = ("render", wav, "--model", tmp_path / "plain", "--out", tmp_path / "out")
-    warning = "the model has 2 speakers"
-    assert gesturekit(*render).err.count(warning) == 1
+    assert gesturekit(*render).err.count(speakers) == 1
     of_items = ("render", "--corpus", labelled, "--split", "train", *render[2:])
     for command in ((*render, "--speaker", "bob"), of_items):
-        assert warning not in gesturekit(*command, "--existing", "replace").ok().err
+        assert speakers not in gesturekit(*command, "--existing", "replace").ok().err

@@ -64,7 +64,7 @@ def test_one_file_to_another_format_and_back(take, tmp_path):
     (done,) = outcomes(take, tmp_path / "a.npz")
     assert (done.error, done.facts["warnings"], done.facts["done"]) == (None, (), ())
     assert done.files == (tmp_path / "a.npz",)
-    for fact in ("cm, Y up", "30 fps, 60 frames", "19 joints"):
+    for fact in ("cm", "30 fps", "60 frames", "19 joints"):
         assert fact in done.facts["found"]
     (back,) = outcomes(tmp_path / "a.npz", tmp_path / "b.bvh")
     assert back.error is None
@@ -112,7 +112,7 @@ def test_existing_files_are_not_overwritten_by_default(take, tmp_path):
     outcomes(take, out, formats=["npz"])
     before = (out / "take.npz").read_bytes()
     change = {"formats": ["npz", "bvh"], "changes": Changes(mirror=True)}
-    with pytest.raises(ConfigError, match=r"take\.npz .*another mirror"):
+    with pytest.raises(ConfigError, match=r"take\.npz .*mirror"):
         outcomes(take, out, **change)
     assert written(out) == {"take.npz"}
     (done,) = outcomes(take, out, **change, existing="skip")
@@ -129,7 +129,7 @@ def test_a_dry_run_reads_and_writes_nothing(take, tmp_path):
     assert done.files == (tmp_path / "out" / "take.npz",) and "60 frames" in done.facts["found"]
     assert not (tmp_path / "out").exists()
     (done,) = outcomes(take, tmp_path / "a.npz", dry_run=True, changes=Changes(joints=("Tail",)))
-    assert "no joint 'Tail'" in done.error and str(take) in done.error
+    assert "'Tail'" in done.error and str(take) in done.error
 
 
 def test_invalid_requests_are_refused_before_anything_is_written(take, gesture, tmp_path):
@@ -142,16 +142,16 @@ def test_invalid_requests_are_refused_before_anything_is_written(take, gesture, 
     before = written(tmp_path)
     for sources, out, options, says in (
         ([take, other], tmp_path / "x.bvh", {}, "2 inputs"),
-        ([tmp_path], tmp_path / "x.npz", {}, "a folder .*one file"),
-        (take, take, {"existing": "replace"}, "the inputs"),
-        (take, tmp_path / "x.c3d", {}, "as .c3d"),
+        ([tmp_path], tmp_path / "x.npz", {}, re.escape(str(tmp_path))),
+        (take, take, {"existing": "replace"}, r"take\.bvh"),
+        (take, tmp_path / "x.c3d", {}, ".c3d"),
         (take, tmp_path / "x", {}, "--format npz"),
-        (take, other, {"formats": ["npz"]}, "bvh, not npz"),
-        (tmp_path / "empty", tmp_path / "x", {"formats": ["bvh"]}, "no motion in"),
-        ([take, namesake], tmp_path / "x", {"formats": ["npz"]}, "both be written"),
+        (take, other, {"formats": ["npz"]}, r"other\.bvh.*npz"),
+        (tmp_path / "empty", tmp_path / "x", {"formats": ["bvh"]}, "empty: "),
+        ([take, namesake], tmp_path / "x", {"formats": ["npz"]}, r"take\.bvh .*take\.npz "),
         (take, tmp_path / "x.npz", {"write": {"unit": "m"}}, "--unit .*bvh"),
         (take, tmp_path / "x.obj", {}, "--body-model"),
-        (take, tmp_path / "x.npz", {"body_model": "smpl.npz"}, "--body-model .*option"),
+        (take, tmp_path / "x.npz", {"body_model": "smpl.npz"}, "--body-model"),
     ):
         with pytest.raises(ConfigError, match=says):
             outcomes(sources, out, **options)
@@ -177,7 +177,7 @@ def test_of_a_bvh_and_an_npz_of_one_name_the_one_that_holds_more_is_read(
     (done,) = outcomes(folder / "take.fbx", tmp_path / "x.bvh")
     assert "take.fbx: " in done.error and "Blender" in done.error
     # What was passed over is an input all the same, never written over.
-    with pytest.raises(ConfigError, match="the inputs"):
+    with pytest.raises(ConfigError, match=r"\.bvh "):
         outcomes(folder, folder, formats=["bvh"], existing="replace")
 
 
@@ -188,7 +188,7 @@ def test_links_do_not_lead_out_of_the_folder(gesture, tmp_path):
     gesture(0.5).save(folder / "a" / "b.bvh")
     (folder / "a" / "loop").symlink_to(folder)
     (out / "a").symlink_to(elsewhere)
-    with pytest.raises(ConfigError, match="lies outside"):
+    with pytest.raises(ConfigError, match=re.escape(str(out / "a"))):
         outcomes(folder, out, formats=["npz"])
     assert not written(elsewhere)
     (out / "a").unlink()
@@ -199,14 +199,9 @@ def test_pipes_and_missing_files_are_reported(tmp_path):
     os.mkfifo(tmp_path / "pipe.bvh")
     os.mkfifo(tmp_path / "pipe.npz")
     assert len(list(motions_in(tmp_path))) == 2, "looking into them would never end"
-    for name, says in (
-        ("pipe.bvh", "not a regular file"),
-        ("pipe.npz", "not a regular file"),
-        ("none.bvh", "no such file"),
-        ("none", "no such file"),
-    ):
+    for name in ("pipe.bvh", "pipe.npz", "none.bvh", "none"):
         (done,) = outcomes(tmp_path / name, tmp_path / "x.html")
-        assert says in done.error and not done.files
+        assert f"{tmp_path / name}: " in done.error and not done.files
 
 
 def test_changes_are_made_in_order(take, tmp_path):
@@ -214,7 +209,8 @@ def test_changes_are_made_in_order(take, tmp_path):
     (done,) = outcomes(take, tmp_path / "a.npz", changes=changes)
     assert done.error is None
     # 1.25 s lies on frame 37.5, which rounds up.
-    assert done.facts["done"] == ("cut to 0.77 s", "mirrored", "30 to 60 fps")
+    for text, fact in zip(done.facts["done"], ("0.77 s", "mirror", "60 fps"), strict=True):
+        assert fact in text
     motion, source = Motion.load(tmp_path / "a.npz"), Motion.load(take)
     assert (motion.n_frames, motion.fps) == (46, 60.0)
     left, right = (source.skeleton.index(f"{side}Hand") for side in ("Left", "Right"))
@@ -223,7 +219,7 @@ def test_changes_are_made_in_order(take, tmp_path):
     (done,) = outcomes(take, tmp_path / "b.npz", changes=Changes(trim=(1.5, 60.0)))
     assert Motion.load(tmp_path / "b.npz").n_frames == 15, "what there is is kept"
     (done,) = outcomes(take, tmp_path / "c.npz", changes=Changes(trim=(2.0, 6.0)))
-    assert re.search("at 2 s.* lasts 2 s", done.error) and str(take) in done.error
+    assert re.search(" 2 s.* 2 s", done.error) and str(take) in done.error
 
 
 def test_trim_is_written_in_seconds():
@@ -246,7 +242,7 @@ def test_fast_movement_is_filtered_out_of_a_lower_rate_on_request(skeleton):
     nods = []
     for antialias in (False, True):
         lower, said = Changes(fps=15.0, antialias=antialias)(motion)
-        assert said == ["60 to 15 fps"] and lower.fps == 15
+        assert "15 fps" in said[0] and lower.fps == 15
         nods.append(np.abs(lower.rotations[8:-8, skeleton.index("Head"), 0]).max())
     assert nods[0] == pytest.approx(0.13, abs=0.005) and nods[1] < 0.01
     same, said = Changes(fps=60.0, antialias=True)(motion)
@@ -275,7 +271,7 @@ def test_names_of_what_is_written_decide_between_a_file_and_a_folder(take, tmp_p
     outcomes(take, tmp_path / "a.NPZ", formats=["npz"])
     assert written(tmp_path) == {"take.bvh", "x.c3d/take.npz", "a.NPZ"}
     (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigError, match="file is a file"):
+    with pytest.raises(ConfigError, match=re.escape(str(tmp_path / "file"))):
         outcomes(take, tmp_path / "file", formats=["npz"])
     with pytest.raises(ConfigError, match=r"b\.npz .*shards"):
         outcomes(take, tmp_path / "b.npz", execution=Execution(shard=(1, 2)))
@@ -306,7 +302,7 @@ def test_data_that_a_format_cannot_store_causes_a_warning(tmp_path):
 
 def test_a_mesh_needs_its_model(capsule_body, tmp_path):
     smpl_motion(n_joints=24).save(tmp_path / "a.npz")
-    with pytest.warns(UserWarning, match="no obj is written.*--body-model") as said:
+    with pytest.warns(UserWarning, match="obj.*--body-model") as said:
         (done,) = outcomes(tmp_path / "a.npz", tmp_path / "out", formats=["obj", "bvh"])
     assert done.error is None and written(tmp_path / "out") == {"a.bvh"} and len(said) == 1
     np.savez(tmp_path / "model.npz", **capsule_body(24))

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 import audio_features as af
-from gesturekit.corpus import LEAD, Correlation, corrections, correlate, pooled, prepare
+from gesturekit.corpus import LEAD, Correlation, Manifest, corrections, correlate, pooled, prepare
 from gesturekit.errors import CorpusError
 from gesturekit.motion import Motion
 
@@ -75,7 +75,7 @@ def test_an_added_shift_of_a_real_recording_is_found(shared_data, shift):
     frames, late = motion.n_frames - round(abs(shift) * FPS), max(shift, 0.0)
     first = round(max(-shift, 0.0) * FPS)
     found = correlate(motion[first : first + frames], wave.slice(late, frames / FPS))
-    assert found.is_clear and found.is_notable == (shift != 0)
+    assert found.is_clear and found.is_notable
     assert found.shift == pytest.approx(shift, abs=0.06)
 
 
@@ -102,15 +102,13 @@ def test_prepare_warns_and_the_option_that_it_names_corrects_it(write, shift):
     """Files of equal length, which begin together by their frames."""
     folder = write("a", 60, shift)
     report = prepare(folder)
-    lines = [text for text in report.problem_lines() if "after" in text or "before" in text]
+    lines = [text for text in report.problem_lines() if "--shift" in text]
     assert len(lines) == (shift != 0)
     if not shift:
-        (row,) = [line for line in report.table() if line.startswith("shift ")]
-        assert "in time" in row and re.search(r"[\d.]+ standard deviations", row)
+        assert "shift" in dict(report.rows())
         return
     named = float(re.search(r"--shift (-?[\d.]+)", lines[0])[1])
     assert named == pytest.approx(shift, abs=0.06) and "a.npz: " in lines[0]
-    assert "together" not in lines[0]
     (line,) = [text for text in prepare(folder, shift=0.5).problem_lines() if "--shift" in text]
     assert float(re.search(r"--shift (-?[\d.]+)", line)[1]) == pytest.approx(shift, abs=0.06)
     for option in (named, "auto"):
@@ -122,19 +120,18 @@ def test_prepare_warns_and_the_option_that_it_names_corrects_it(write, shift):
         total = sum(one.duration for one in report.manifest)
         assert total == pytest.approx(60 - abs(named), abs=0.1)
         assert not [line for line in report.problem_lines() if "--shift" in line]
-    (line,) = [line for line in report.problem_lines() if "shifted" in line]
-    assert re.search(rf"a.npz: .*\{named:+.2f} s ", line)
+    assert any(re.search(rf"a.npz: .*\{named:+.2f} s ", line) for line in report.problem_lines())
 
 
 def test_short_recordings_say_it_together(write):
-    for number in range(12):
-        folder = write(f"clip{number}", 10, 0.8, seed=number)
+    for number in range(8):
+        folder = write(f"clip{number}", 12, 0.8, seed=number)
     report = prepare(folder)
     (line,) = [text for text in report.problem_lines() if "--shift" in text]
-    assert re.search(r"12 recordings .*--shift 0\.(7[5-9]|8[0-5]) ", line)
+    assert re.search(r"\b8 .*--shift 0\.(7[5-9]|8[0-5]) ", line)
     items = prepare(folder, shift="auto").manifest
     begins = [item.motion_start - item.audio_start for item in items]
-    assert begins == pytest.approx([0.8] * 12, abs=0.06)
+    assert begins == pytest.approx([0.8] * 8, abs=0.06)
 
 
 def test_a_recording_that_is_apart_from_the_others_is_named(write):
@@ -159,12 +156,13 @@ def test_a_pair_that_does_not_belong_together_is_not_shifted(write):
 def test_a_shift_is_a_number_or_auto(write, gesturekit, tmp_path):
     folder = write("a", 5)
     for wrong in ("soon", float("nan"), None):
-        with pytest.raises(CorpusError, match="shift .*seconds.*auto"):
+        with pytest.raises(CorpusError, match=f"shift.*{wrong}.*auto"):
             prepare(folder, shift=wrong)
     command = ("prepare", folder, "--out", tmp_path / "corpus.jsonl", "--shift")
     gesturekit(*command, "soon").fails(2, "'soon'")
     gesturekit(*command, "-1.5").ok()
-    assert '"audio_start": 1.5, "motion_start": 0.0' in (tmp_path / "corpus.jsonl").read_text()
+    item = Manifest.load(tmp_path / "corpus.jsonl").items[0]
+    assert (item.audio_start, item.motion_start) == (1.5, 0.0)
     gesturekit(*command, "auto").ok()
 
 

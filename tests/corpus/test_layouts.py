@@ -1,6 +1,7 @@
 """Public corpora by name: tiny folders in their shapes, beside lists written by hand."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -73,7 +74,7 @@ def test_beat2(beat2, tmp_path):
         ("1_wayne_0_103_103", "train", "wayne", "fear", True, True),
     }
     assert report.is_complete
-    assert "1: 30_katya_1_9_9" in messages(report, "note")
+    assert "30_katya_1_9_9" in messages(report, "note")
     item = Manifest.load(tmp_path / "corpus.jsonl").in_split("test")[0]
     assert item.conditions["words"].name == "1_wayne_0_86_87.TextGrid"
     assert item.conditions["semantics"] == beat2 / "sem" / "1_wayne_0_86_87.txt"
@@ -89,7 +90,7 @@ def test_missing_and_broken_beat2_files_are_listed(beat2):
     report = prepare(beat2, layout="beat2")
     assert {item.id for item in report.manifest} == {"2_scott_0_65_65", "1_wayne_0_86_87"}
     errors = messages(report, "error")
-    assert "1 wav file: 2_scott_0_1_1.wav" in errors
+    assert "2_scott_0_1_1.wav" in errors
     assert "1_wayne_0_103_103.npz" in errors
     assert "textgrid/1_wayne_0_86_87.TextGrid" in messages(report, "warning")
     assert report.left_over == (beat2 / "wave16k" / "9_new_0_1_1.wav",)
@@ -98,7 +99,7 @@ def test_missing_and_broken_beat2_files_are_listed(beat2):
     with pytest.raises(CorpusError, match="train_test_split.csv, line 2: .*'training'"):
         prepare(beat2, layout="beat2")
     index.unlink()
-    with pytest.raises(CorpusError, match="train_test_split.csv: not"):
+    with pytest.raises(CorpusError, match="train_test_split.csv"):
         prepare(beat2, layout="beat2")
 
 
@@ -111,13 +112,13 @@ def test_zeggs(zeggs):
     }
     assert report.is_complete
     notes = messages(report, "note")
-    assert "2: 001_Neutral_0_mirror_x_1_0.bvh, 001_Neutral_0_x_0_9" in notes
+    assert re.search("2.* 001_Neutral_0_mirror_x_1_0.bvh.* 001_Neutral_0_x_0_9", notes)
     (zeggs / "clean" / "001_Neutral_0_x_1_0.wav").unlink()
     (zeggs / "clean" / "005_Neutral_4_x_1_0.bvh").write_text("HIERARCHY")
     errors = messages(prepare(zeggs, layout="zeggs"), "error")
     assert "001_Neutral_0_x_1_0.wav" in errors and "005_Neutral_4_x_1_0.bvh" in errors
     write(zeggs / "info.csv", (zeggs / "info.csv").read_text().replace("FALSE", "no"))
-    with pytest.raises(CorpusError, match="info.csv, line 2: validation .*'no'"):
+    with pytest.raises(CorpusError, match="info.csv, line 2: .*'no'"):
         prepare(zeggs, layout="zeggs")
 
 
@@ -141,7 +142,7 @@ def test_original_zeggs_is_aligned_trimmed_and_masked(tmp_path, write_bvh, write
     assert heard.size and heard.min() >= 0.25 and heard.max() < 0.5
     errors = messages(report, "error")
     assert "003_Neutral_2.csv, line 2: " in errors and "'soon'" in errors
-    assert "002_Neutral_1.bvh: no row" in errors
+    assert "002_Neutral_1.bvh" in errors
 
 
 def test_genea2023(publish):
@@ -157,7 +158,7 @@ def test_genea2023(publish):
     assert set(item.conditions) == {"words", "partner_audio", "partner_motion", "partner_words"}
     assert item.conditions["partner_audio"].name == "val_2023_v0_000_interloctr.wav"
     notes = messages(report, "note")
-    assert "fingers" in notes and "(metadata.csv): 1: trn_2023_v0_001" in notes
+    assert re.search("fingers.*trn_2023_v0_001", notes)
     (root / "trn" / "main-agent" / "bvh" / "trn_2023_v0_001_main-agent.bvh").unlink()
     report = prepare(root, layout="genea2023")
     assert len(report.manifest) == 3
@@ -174,7 +175,7 @@ def test_motorica(tmp_path, publish, write_bvh):
         (names[1], "test", "d01", "gPO", True, True),
         (names[2], "train", "d02", "gPO", False, True),
     }
-    assert f"(motion alone): {names[2]}.wav" in messages(report, "note")
+    assert f"{names[2]}.wav" in messages(report, "note")
     assert report.left_over == (tmp_path / "bvh" / "a.bvh",)
     # The released list of test files names copies of a dance; a number of its own is no copy.
     released = tmp_path / "dance_test_files.txt"
@@ -183,7 +184,7 @@ def test_motorica(tmp_path, publish, write_bvh):
     assert [item.id for item in held if item.split == "test"] == [names[0], names[2]]
     write_bvh(next(tmp_path.rglob(f"{names[0]}.bvh")), 1.0, 60.0)
     notes = messages(prepare(tmp_path, layout="motorica"), "note")
-    assert f"{names[0]}.bvh: 60 fps" in notes and "120 fps" in notes
+    assert re.search(rf"{names[0]}\.bvh.* 60 .* 120 ", notes)
 
 
 def test_trinity(tmp_path, publish, write_bvh):
@@ -196,10 +197,10 @@ def test_trinity(tmp_path, publish, write_bvh):
         ("Recording_001", "train", "trinity", None, True, True),
         ("Recording_008", "test", "trinity", None, True, True),
     }
-    assert "Recording_000.wav, Recording_009.wav" in messages(report, "error")
+    assert re.search("Recording_000.wav.*Recording_009.wav", messages(report, "error"))
     assert source / "bvh" / "A_pose.bvh" in report.left_over
     write_bvh(tmp_path / "raw" / "NaturalTalking_001.bvh")
-    with pytest.raises(CorpusError, match="raw form"):
+    with pytest.raises(CorpusError, match="GENEA 2020"):
         prepare(tmp_path / "raw", layout="trinity")
 
 
@@ -230,7 +231,7 @@ def test_seamless(tmp_path, write_speech):
         (f"{at}/{two.name}@0.00-1.33", "train", "P0951", "improvised", True, True),
         (f"{at.replace('train', 'dev')}/{three.name}", "valid", "P0947", "improvised", True, True),
     }
-    assert "6 of 90 frames" in messages(report, "note")
+    assert "6 of 90" in messages(report, "note")
     (item,) = (item for item in report.manifest if item.id == f"{at}/{one.name}")
     assert item.conditions["partner_motion"] == two.with_suffix(".npz")
     assert [word.text for word in load_words(item.conditions["words"])] == ["well", "yes"]
@@ -242,11 +243,11 @@ def test_seamless(tmp_path, write_speech):
 
 def test_layouts_that_cannot_be_used(tmp_path):
     page = (Path(__file__).parents[2] / "docs" / "corpora.md").read_text(encoding="utf-8")
-    with pytest.raises(CorpusError, match="mean beat2"):
+    with pytest.raises(CorpusError, match="beat2"):
         prepare(tmp_path, layout="beat")
-    with pytest.raises(CorpusError, match="2 folders"):
+    with pytest.raises(CorpusError, match="zeggs.* 2 "):
         prepare([tmp_path, tmp_path], layout="zeggs")
     for layout in LAYOUTS:
         assert f"`{layout}`" in page
-        with pytest.raises(CorpusError, match="nowhere: no such"):
+        with pytest.raises(CorpusError, match="nowhere"):
             prepare(tmp_path / "nowhere", layout=layout)

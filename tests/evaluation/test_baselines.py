@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import evaluate, hand_movement, load_clip
-from gesturekit.motion import Motion, mean_quaternion
+from gesturekit.motion import Motion
 
 BOTH = ("mean_pose", "other_utterance")
 
@@ -18,7 +19,7 @@ BOTH = ("mean_pose", "other_utterance")
 def folders(tmp_path_factory, gesture) -> Path:
     """Three recordings of different length, and two samples of other motion for two of them."""
     root = tmp_path_factory.mktemp("baselines")
-    for i, seconds in enumerate((5.0, 6.0, 4.0)):
+    for i, seconds in enumerate((3.0, 4.0, 2.0)):
         gesture(seconds, 25.0, seed=i).save(root / "recordings" / f"clip{i}.npz")
         for sample in (1, 2) if i else ():
             gesture(seconds, 25.0, seed=9 * i + sample).save(
@@ -27,8 +28,12 @@ def folders(tmp_path_factory, gesture) -> Path:
     return root
 
 
-def test_baselines_are_models_with_one_clip_a_recording(folders):
-    found = evaluate(folders / "made", folders / "recordings", baselines=BOTH, cheap=True)
+@pytest.fixture(scope="module")
+def found(folders):
+    return evaluate(folders / "made", folders / "recordings", baselines=BOTH, cheap=True)
+
+
+def test_baselines_are_models_with_one_clip_a_recording(found):
     assert [model.label for model in found.models] == ["generated", *BOTH]
     assert found.settings["baselines"] == list(BOTH)
     for model in found.models[1:]:
@@ -37,42 +42,36 @@ def test_baselines_are_models_with_one_clip_a_recording(folders):
         assert model.verdict
 
 
-def test_the_mean_pose_is_held_in_every_frame(folders):
-    found = evaluate(folders / "made", folders / "recordings", baselines=["mean_pose"], cheap=True)
+def test_the_mean_pose_is_held_in_every_frame(found, folders):
     clips = [load_clip(clip.pair, 25.0) for clip in found.models[1].clips]
-    assert [clip.generated.n_frames for clip in clips] == [150, 100]
+    assert [clip.generated.n_frames for clip in clips] == [100, 50]
     recorded = [Motion.load(folders / "recordings" / f"clip{i}.npz") for i in range(3)]
     joint = recorded[0].skeleton.index("LeftArm")
-    expected = mean_quaternion(np.concatenate([motion.rotations[:, joint] for motion in recorded]))
+    mean = Rotation.from_quat(np.concatenate([m.rotations[:, joint] for m in recorded])).mean()
     for clip in clips:
-        assert clip.generated.rotations[:, joint] == pytest.approx(
-            np.tile(expected, (clip.generated.n_frames, 1)), abs=1e-6
-        )
+        away = mean.inv() * Rotation.from_quat(clip.generated.rotations[:, joint])
+        assert away.magnitude() == pytest.approx(0.0, abs=1e-5)
     assert found.models[1].metrics["near_still"].interval.value == 100.0
-    assert "hardly move" in found.models[1].verdict
 
 
-def test_the_other_utterance_is_the_next_recording_cut_to_length(folders):
-    found = evaluate(
-        folders / "made", folders / "recordings", baselines=["other_utterance"], cheap=True
-    )
-    one, two = (load_clip(clip.pair, 25.0).generated for clip in found.models[1].clips)
+def test_the_other_utterance_is_the_next_recording_cut_to_length(found, folders):
+    one, two = (load_clip(clip.pair, 25.0).generated for clip in found.models[2].clips)
     recorded = [Motion.load(folders / "recordings" / f"clip{i}.npz") for i in range(3)]
-    assert one.rotations == pytest.approx(recorded[2].rotations)  # 4 s for a recording of 6 s
-    assert two.rotations == pytest.approx(recorded[0].rotations[:100])  # 4 of its 5 s
-    assert any("2.00 s shorter" in note for note in found.models[1].clips[0].notes)
+    assert one.rotations == pytest.approx(recorded[2].rotations)  # 2 s for a recording of 4 s
+    assert two.rotations == pytest.approx(recorded[0].rotations[:50])  # 2 of its 3 s
+    assert any("2.00 s" in note for note in found.models[2].clips[0].notes)
 
 
 def test_a_single_held_out_item_is_compared_with_training_recordings(folders, tmp_path):
     items = [
         Item(
             id=f"clip{i}", audio=None, motion=folders / "recordings" / f"clip{i}.npz",
-            duration=4.0, split="test" if i == 1 else "train",
+            duration=2.0, split="test" if i == 1 else "train",
         )
         for i in range(3)
     ]  # fmt: skip
     Manifest(items).save(tmp_path / "corpus.jsonl")
-    made = Motion.load(folders / "made" / "clip1_s1.npz")[:100]
+    made = Motion.load(folders / "made" / "clip1_s1.npz")[:50]
     made.save(tmp_path / "made" / "clip1.npz")
     found = evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", baselines=BOTH, cheap=True)
     other = load_clip(found.models[2].clips[0].pair, 25.0).generated
@@ -80,21 +79,21 @@ def test_a_single_held_out_item_is_compared_with_training_recordings(folders, tm
 
 
 def test_baselines_that_cannot_be_made_are_errors(folders):
-    with pytest.raises(EvaluationError, match="label of a model"):
+    with pytest.raises(EvaluationError, match="mean_pose.*label"):
         evaluate({"mean_pose": folders / "made"}, folders / "recordings", baselines=["mean_pose"])
     one = folders / "made" / "clip1_s1.npz", folders / "recordings" / "clip1.npz"
-    with pytest.raises(EvaluationError, match="second recording.*'clip1'"):
+    with pytest.raises(EvaluationError, match="other_utterance.*'clip1'"):
         evaluate(*one, baselines=["other_utterance"])
 
 
 def test_a_mean_pose_of_two_rigs_is_refused(folders, tmp_path, gesture):
     """The rigs differ in the name of a joint only."""
-    motion = gesture(3.0, 25.0, seed=1)
+    motion = gesture(1.0, 25.0, seed=1)
     names = tuple(name.replace("Neck", "Throat") for name in motion.skeleton.names)
     other = replace(motion, skeleton=replace(motion.skeleton, names=names))
     assert names != motion.skeleton.names
     for name, one in (("a", motion), ("b", other)):
         one.save(tmp_path / "recordings" / f"{name}.npz")
         one.save(tmp_path / "made" / f"{name}.npz")
-    with pytest.raises(EvaluationError, match="mean_pose .*one rig"):
+    with pytest.raises(EvaluationError, match="mean_pose.*rig"):
         evaluate(tmp_path / "made", tmp_path / "recordings", baselines=["mean_pose"])

@@ -1,16 +1,18 @@
 """Folders against folders, from end to end."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rigs import prefixed
 
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation import Variants, evaluate, interval_warnings
-from gesturekit.motion import Motion
+from gesturekit.motion import Motion, Skeleton
 
 
 @pytest.fixture(scope="module")
@@ -19,10 +21,10 @@ def folders(tmp_path_factory, gesture, write_speech) -> Path:
     root = tmp_path_factory.mktemp("folders")
     for i in range(4):
         stem = f"clip{i}"
-        gesture(2.5, 25.0, seed=i).save(root / "recordings" / f"{stem}.bvh")
+        gesture(2.5, 15.0, seed=i).save(root / "recordings" / f"{stem}.bvh")
         write_speech(root / "sound" / f"{stem}.wav", 2.5)
         for sample in (1, 2):
-            motion = gesture(2.5, 25.0, seed=10 * i + sample)
+            motion = gesture(2.5, 15.0, seed=10 * i + sample)
             motion.save(root / "samples" / f"{stem}_s{sample}.npz")
     return root
 
@@ -31,22 +33,15 @@ def test_recordings_against_themselves_are_perfect(folders):
     found = evaluate(folders / "recordings", folders / "recordings")
     (model,) = found.models
     assert found.is_complete and len(model.clips) == 4
-    # Their own value is that of other recordings, or of one half against the other.
-    of_other_recordings = (
-        *("one_nn", "within_reach", "forward", "copying", "copying_low", "novelty", "likeness"),
-        *("hellinger", "cca", "cca_global", "coverage", "global_diversity", "local_diversity"),
-        *("raw_fgd", "fid_k", "fid_g", "inter_diversity"),
-    )
-    for key, result in model.metrics.items():
-        if result.recording is not None and key not in ("div_k", "div_g", *of_other_recordings):
-            assert result.interval.value == pytest.approx(result.recording), key
     values = {key: result.interval.value for key, result in model.metrics.items()}
-    assert values["coverage"] == 100.0
-    assert values["hellinger"] == values["joint_limits"] == values["one_nn"] == 0.0
-    assert values["within_reach"] == 100.0 and values["likeness"] == 1.0
-    assert values["local_diversity"] == pytest.approx(0.0, abs=1e-5)  # distances are rounded
-    assert values["cca"] == pytest.approx(1.0) and values["cca_global"] == pytest.approx(1.0)
-    assert values["raw_fgd"] == pytest.approx(0.0, abs=1e-6)
+    for key in ("arm_speed", "wrist_speed", "jerk", "reach", "rest", "hand_q50", "l1_diversity"):
+        assert values[key] == pytest.approx(model.metrics[key].recording), key
+    for key in ("hellinger", "joint_limits", "one_nn", "raw_fgd", "local_diversity"):
+        assert values[key] == pytest.approx(0.0, abs=1e-5), key
+    for key in ("coverage", "within_reach"):
+        assert values[key] == 100.0, key
+    for key in ("likeness", "cca", "cca_global"):
+        assert values[key] == pytest.approx(1.0), key
 
 
 @pytest.fixture(scope="module")
@@ -77,41 +72,45 @@ def test_pieces_of_one_file_are_one_take(tmp_path, gesture, files):
     for k in range(6):
         recording = tmp_path / f"take{k % files}.npz"
         if k < files:
-            gesture(6.0, 15.0, seed=k).save(recording)
+            gesture(6.0, 10.0, seed=k).save(recording)
         items.append(
             Item(id=f"c{k}", audio=None, motion=recording, motion_start=1.0 * k, duration=1.0,
                  split="test")
         )  # fmt: skip
-        gesture(1.0, 15.0, seed=50 + k).save(tmp_path / "made" / f"c{k}.npz")
+        gesture(1.0, 10.0, seed=50 + k).save(tmp_path / "made" / f"c{k}.npz")
     Manifest(items).save(tmp_path / "corpus.jsonl")
     found = evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", split="test", cheap=True)
     metrics = found.models[0].metrics
     for interval in (metrics[key].interval for key in ("reach", "hellinger", "arm_speed")):
-        assert interval.count == f"{files} take{'s' * (files > 1)}, 6 clips"
+        assert (interval.units, interval.n) == (files, 6)
         assert (interval.low is None) is (files == 1)
     if files == 6:
         assert metrics["reach"].interval.low < metrics["reach"].interval.high
         assert metrics["reach"].recording_interval.low is not None
-    assert len(list(interval_warnings(found))) == (files == 1)
+    assert any(interval_warnings(found)) is (files == 1)
 
 
 def test_the_same_seed_gives_the_same_json_whatever_other_files_exist(
-    folders, of_samples, tmp_path, monkeypatch
+    folders, tmp_path, monkeypatch
 ):
+    Motion.load(folders / "samples" / "clip1_s1.npz").save(tmp_path / "made" / "clip1.npz")
+
     def written(name: str, models) -> dict:
         monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / f"{name} cache"))
         found = evaluate(models, folders / "recordings", seed=3, cheap=True)
         found.write_json(tmp_path / name)
         return json.loads((tmp_path / name).read_text())
 
-    one = written("one.json", {"samples": folders / "samples"})
-    both = written("both.json", {"samples": folders / "samples", "x": folders / "recordings"})
+    one = written("one.json", {"ours": tmp_path / "made"})
+    both = written("both.json", {"ours": tmp_path / "made", "x": folders / "recordings"})
     assert both["models"][0] == one["models"][0]
-    assert one["format"] == 1 and one["settings"]["seed"] == 3
+    assert one["settings"]["seed"] == 3 and {"gesturekit", "numpy"} <= set(one["versions"])
+
+
+def test_the_json_defines_each_of_its_figures(of_samples):
     whole = of_samples.to_json()
     assert set(whole["models"][0]["figures"]) <= set(whole["definitions"])
-    assert "30 frames (1.20 s)" in whole["definitions"]["coverage"]["variant"]
-    assert {"gesturekit", "numpy", "scipy"} <= set(one["versions"])
+    assert "30 frames (2.00 s)" in whole["definitions"]["coverage"]["variant"]
 
 
 def test_windows_are_compared_with_their_part_of_the_recording(tmp_path, gesture):
@@ -133,18 +132,18 @@ def test_windows_are_compared_with_their_part_of_the_recording(tmp_path, gesture
 
 def test_windows_of_a_manifest_are_compared_with_all_of_its_splits(tmp_path, gesture):
     items = []
-    for k, (name, split) in enumerate((("a", "test"), ("b", "train"), ("c", "valid"))):
+    for name, split, seconds in (("a", "test", 20.0), ("b", "train", 10.0), ("c", "valid", 10.0)):
         motion = tmp_path / "recordings" / f"{name}.npz"
-        gesture(20.0, 15.0, seed=k).save(motion)
-        items.append(Item(id=name, audio=None, motion=motion, duration=20.0, split=split))
+        gesture(seconds, 15.0, seed=len(items)).save(motion)
+        items.append(Item(id=name, audio=None, motion=motion, duration=seconds, split=split))
     Manifest(items).save(tmp_path / "corpus.jsonl")
-    for sample in range(6):
-        path = tmp_path / "made" / f"a_w{sample % 2:03d}_s{1 + sample // 2}.npz"
-        gesture(10.0, 15.0, seed=10 + sample).save(path)
+    for window in (0, 1):
+        path = tmp_path / "made" / f"a_w{window:03d}_s1.npz"
+        gesture(10.0, 15.0, seed=10 + window).save(path)
     of_corpus = evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", protocol="lda")
     of_folder = evaluate(tmp_path / "made", tmp_path / "recordings", protocol="lda")
     (one,), (other,) = of_corpus.models, of_folder.models
-    assert one.excluded == other.excluded == [] and one.notes == []
+    assert one.excluded == other.excluded == []
     for key in ("fid_k", "fid_g", "raw_fgd", "joint_limits"):
         ours, theirs = one.metrics[key], other.metrics[key]
         assert ours.interval.value == pytest.approx(theirs.interval.value), key
@@ -155,31 +154,29 @@ def test_windows_of_a_manifest_are_compared_with_all_of_its_splits(tmp_path, ges
 def test_the_multires_protocol_notes_missing_samples(folders):
     found = evaluate(folders / "samples", folders / "recordings", protocol="multires")
     (model,) = found.models
-    assert "200 samples" in model.notes[0] and "clip0: 2" in model.notes[0]
-    assert "2 times" in model.clips[0].notes[0]
+    assert re.search("200 samples.*clip0: 2", model.notes[0])
+    assert "2.53 s" in model.clips[0].notes[0]
     assert set(model.by_recording) == {f"clip{i}" for i in range(4)}
     assert "sync" not in model.metrics and "fid_k" not in model.metrics
-    with pytest.raises(EvaluationError, match="'genea'.* multires, lda"):
+    with pytest.raises(EvaluationError, match="'genea'.*multires"):
         evaluate(folders / "samples", folders / "recordings", protocol="genea")
 
 
 def test_takes_are_found_in_names_by_a_pattern(tmp_path, gesture):
     for k, name in enumerate(("day1_a", "day1_b", "day2_a", "x")):
-        gesture(2.0, 25.0, seed=k).save(tmp_path / "recordings" / f"{name}.npz")
-        gesture(2.0, 25.0, seed=9 + k).save(tmp_path / "made" / f"{name}.npz")
+        gesture(1.0, 10.0, seed=k).save(tmp_path / "recordings" / f"{name}.npz")
+        gesture(1.0, 10.0, seed=9 + k).save(tmp_path / "made" / f"{name}.npz")
     options = {"take_pattern": r"(day\d)", "protocol": "multires", "cheap": True}
     found = evaluate(tmp_path / "made", tmp_path / "recordings", **options)
     takes = {clip.pair.name: clip.pair.take for clip in found.models[0].clips}
     assert takes == {"day1_a": "day1", "day1_b": "day1", "day2_a": "day2", "x": "x"}
-    assert "3 takes (4 clips" in found.basis
-    assert found.settings["baselines"] == [] and found.settings["split"] is None
-    assert found.protocol == "multires" and found.fps == 25.0
+    assert re.search(r"3 takes\b.*4 clips", found.basis)
 
 
-def test_options_that_do_not_go_together_are_refused(tmp_path, gesture, write_speech):
+def test_options_that_do_not_go_together_are_refused(tmp_path, gesture):
     motion = tmp_path / "a.npz"
-    gesture(2.0, 25.0).save(motion)
-    item = Item(id="a", audio=None, motion=motion, duration=2.0, split="valid")
+    gesture(1.0, 10.0).save(motion)
+    item = Item(id="a", audio=None, motion=motion, duration=1.0, split="valid")
     Manifest([item]).save(tmp_path / "corpus.jsonl")
     with pytest.raises(EvaluationError, match="sound.*audio"):
         evaluate(motion, tmp_path / "corpus.jsonl", split="valid", audio=motion)
@@ -190,17 +187,19 @@ def test_options_that_do_not_go_together_are_refused(tmp_path, gesture, write_sp
     found = evaluate(motion, tmp_path / "corpus.jsonl", split="valid", cheap=True)
     assert found.settings["split"] == "valid" and found.reference == tmp_path / "corpus.jsonl"
     assert [model.label for model in found.models] == ["generated"]
-    # A file that has changed since the last evaluation is read again.
-    speeds = []
+    (tmp_path / "made").mkdir()
+    (tmp_path / "made" / "a.npz").write_bytes(b"no motion")
+    with pytest.raises(EvaluationError, match="made.a.npz"):
+        evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", split="valid")
+
+
+def test_a_file_that_has_changed_is_read_again(tmp_path, gesture):
+    motion, speeds = tmp_path / "a.npz", []
     for seed in (1, 2):
-        gesture(2.0, 25.0, seed=seed).save(motion)
+        gesture(1.0, 10.0, seed=seed).save(motion)
         speeds.append(evaluate(motion, motion, cheap=True).models[0].metrics["arm_speed"])
     assert all(speed.recording == pytest.approx(speed.interval.value) for speed in speeds)
     assert speeds[0].recording != pytest.approx(speeds[1].recording)
-    (tmp_path / "made").mkdir()
-    (tmp_path / "made" / "a.npz").write_bytes(b"no motion")
-    with pytest.raises(EvaluationError, match="no generated clip.*a.npz"):
-        evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", split="valid")
 
 
 def test_the_papers_patch_variant_has_no_coverage_without_a_threshold(folders):
@@ -212,25 +211,23 @@ def test_the_papers_patch_variant_has_no_coverage_without_a_threshold(folders):
             protocol="multires",
         )
         assert ("coverage" in found.models[0].metrics) is has
-        assert found.settings["variants"] == {
-            "patches": "paper", "threshold": threshold, "bas": "seconds", "kinetic": "corrected"
-        }  # fmt: skip
-        said = {d.key: d.variant for d in found.definitions()}
-        assert said["local_diversity"] == "paper: 15 frames (0.60 s)"
-    assert said["coverage"] == "paper: 30 frames (1.20 s), 40"
+        assert found.settings["variants"]["patches"] == "paper"
+        assert found.settings["variants"]["threshold"] == threshold
 
 
 def test_rigs_are_matched_by_name_whatever_their_name_space_and_order(folders, tmp_path):
     for path in sorted((folders / "recordings").glob("*.bvh")):
-        motion = Motion.load(path)
+        motion = prefixed(Motion.load(path))
         rig = motion.skeleton
-        names = {name: f"mixamorig:{name}" for name in rig.names}
-        ends = {names[name]: sites for name, sites in rig.end_sites.items()}
-        renamed = replace(rig, names=tuple(names.values()), end_sites=ends)
-        replace(motion, skeleton=renamed).save(tmp_path / "made" / f"{path.stem}.npz")
-    found = evaluate(tmp_path / "made", folders / "recordings")
-    assert found.models[0].metrics["hellinger"].interval.value == pytest.approx(0.0, abs=1e-6)
-    assert found.models[0].metrics["joint_limits"].interval.value == 0.0
+        order = [0, *range(13, 19), *range(1, 13)]  # the legs first
+        parents = [order.index(rig.parents[j]) if j else -1 for j in order]
+        names = tuple(rig.names[j] for j in order)
+        legs_first = Skeleton(names, tuple(parents), rig.offsets[order], rig.end_sites)
+        changed = replace(motion, skeleton=legs_first, rotations=motion.rotations[:, order])
+        changed.save(tmp_path / "made" / f"{path.stem}.npz")
+    found = evaluate(tmp_path / "made", folders / "recordings", protocol="multires")
+    for key in ("hellinger", "joint_limits"):
+        assert found.models[0].metrics[key].interval.value == pytest.approx(0.0, abs=1e-6), key
 
 
 def test_bad_clips_are_left_out_with_their_reasons_and_the_rest_is_measured(folders, tmp_path):
@@ -249,22 +246,22 @@ def test_bad_clips_are_left_out_with_their_reasons_and_the_rest_is_measured(fold
     (model,) = found.models
     assert not found.is_complete and [clip.pair.name for clip in model.clips] == ["clip0"]
     reasons = {item.name: item.reason for item in model.excluded if item.what == "clip"}
-    assert "clip1.npz: one frame" in reasons["clip1"]
-    assert "clip2.bvh" in reasons["clip2"] and "nan" in reasons["clip2"]
-    assert ": 0 of" in reasons["clip3"]
+    assert re.search("clip1.npz.*one frame", reasons["clip1"])
+    assert re.search("clip2.bvh.*nan", reasons["clip2"])
+    assert re.search(r"\b0 of 19\b", reasons["clip3"])
     (made / "clip0.npz").unlink()
-    with pytest.raises(GestureKitError, match="no clip.*one frame"):
+    with pytest.raises(GestureKitError, match="clip1.npz.*one frame"):
         evaluate(made, folders / "recordings")
 
 
 def test_frame_rates_may_differ_and_the_first_model_says_at_which_it_is_measured(folders, tmp_path):
     one = Motion.load(folders / "samples" / "clip0_s1.npz")
-    for name, motion in (("slow", one.resample(15.0)), ("fast", one)):
+    for name, motion in (("slow", one.resample(10.0)), ("fast", one)):
         motion.save(tmp_path / name / "clip0.npz")
     models = {name: tmp_path / name for name in ("slow", "fast")}
     found = evaluate(models, folders / "recordings", cheap=True)
-    assert found.fps == 15.0
-    assert any("25 to 15 fps" in note for note in found.models[1].clips[0].notes)
+    assert found.fps == 10.0
+    assert any(re.search(r"\b15 .*10 fps", note) for note in found.models[1].clips[0].notes)
 
 
 def test_capture_noise_of_a_faster_recording_is_not_folded_down(gesture, tmp_path):
@@ -283,13 +280,13 @@ def test_a_model_of_fewer_joints_has_fréchet_distances_on_those_it_shares(gestu
     for i in range(2):
         motion = gesture(10.0, 30.0, seed=i)
         motion.save(tmp_path / "recordings" / f"clip{i}.npz")
-        kept = [name for name in motion.skeleton.names if name not in ("Neck", "LeftToeBase")]
+        kept = [name for name in motion.skeleton.names if name != "Neck"]
         motion.keep(kept).save(tmp_path / "made" / f"clip{i}.npz")
     (model,) = evaluate(tmp_path / "made", tmp_path / "recordings").models
     for key in ("raw_fgd", "fid_k"):
         assert model.metrics[key].interval.value == pytest.approx(0.0, abs=1e-6), key
     assert model.metrics["div_k"].interval.value == pytest.approx(model.metrics["div_k"].recording)
-    assert "generated rig" in model.clips[0].notes[0]
+    assert "1 of 19 " in model.clips[0].notes[0]
 
 
 @pytest.mark.parametrize(("seconds", "enough"), [(14.0, False), (34.0, True)])

@@ -12,20 +12,16 @@ def test_entries_are_consistent():
             assert pkgutil.resolve_name(name), definition.key
         assert definition.group in GROUPS and definition.taken_with in GROUPS, definition.key
         assert bool(definition.function) == bool(definition.of), definition.key
-        assert definition.better in ("higher", "lower", "reference"), definition.key
-        assert definition.enough in ("", "at least", "at most"), definition.key
-        assert set(definition.shown) <= {"clips", "ratios", "ranking"}, definition.key
         assert not definition.mismatched or definition.of == "comparison", definition.key
 
 
 def test_definitions_are_filled_with_frames_seconds_and_the_variant():
     coverage, bas = DEFINITIONS["coverage"], DEFINITIONS["bas"]
     usual, paper = coverage.at(25, Variants()), coverage.at(30, Variants("paper", 2.5))
-    assert usual.variant == "ganimator: 30 frames (1.20 s), 2"
-    assert all(fact in usual.text for fact in ("30 frames (1.20 s)", "less than 2 ", "L2 norm"))
-    assert paper.variant == "paper: 30 frames (1.00 s), 2.5"
-    assert "30 frames (1.00 s)" in paper.text and "Frobenius" in paper.text
-    assert "less than 2.5 " in paper.text
+    assert re.search(r"ganimator.*30 frames.*1\.20 s.*\b2$", usual.variant)
+    assert all(fact in usual.text for fact in ("30 frames", "1.20 s", " 2 ", "L2 norm"))
+    assert re.search(r"paper.*30 frames.*1\.00 s.*\b2\.5", paper.variant)
+    assert all(fact in paper.text for fact in ("30 frames", "1.00 s", " 2.5 ", "Frobenius"))
     assert [bas.at(25, Variants(bas=name)).fps_bound for name in ("seconds", "bailando")] == [
         False, True
     ]  # fmt: skip

@@ -300,9 +300,9 @@ def synthetic(gesture) -> list[Motion]:
     """Arms that swing, each clip livelier than the one before."""
     clips = []
     for number in range(3):
-        clip = gesture(12.0, seed=number)
+        clip = gesture(11.0, seed=number)
         speed = (0.6, 1.0, 1.8)[number]
-        clips.append(replace(clip, fps=clip.fps * speed).resample(30.0, 270))
+        clips.append(replace(clip, fps=clip.fps * speed).resample(30.0, 180))
     return clips
 
 

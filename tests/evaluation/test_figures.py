@@ -16,13 +16,13 @@ def values(model) -> dict[str, float]:
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory, gesture, write_speech) -> Path:
-    """Two samples of each of two recordings of 12 s with sound."""
+    """Two samples of each of two recordings of 10.5 s with sound."""
     root = tmp_path_factory.mktemp("figures")
     for r in range(2):
-        gesture(12.0, 15.0, seed=r).save(root / "recordings" / f"c{r}.npz")
-        write_speech(root / "sound" / f"c{r}.wav", 12.0)
+        gesture(10.5, 12.5, seed=r).save(root / "recordings" / f"c{r}.npz")
+        write_speech(root / "sound" / f"c{r}.wav", 10.5)
         for k in (1, 2):
-            gesture(12.0, 15.0, seed=10 * r + 10 + k).save(root / "made" / f"c{r}_s{k}.npz")
+            gesture(10.5, 12.5, seed=10 * r + 10 + k).save(root / "made" / f"c{r}_s{k}.npz")
     return root
 
 

@@ -61,22 +61,22 @@ def motions_of(rng, n_motions, each, shift=0.0):
 def test_small_samples_are_reported():
     rng = np.random.default_rng(4)
     enough = frechet_result(motions_of(rng, 20, 5), motions_of(rng, 20, 5))
-    assert enough.note == "" and "[" in str(enough)
+    assert enough.note == "" and f"{enough.high:.4g}" in str(enough)
     few = frechet_result(motions_of(rng, 3, 9), motions_of(rng, 30, 9), resamples=20)
     assert "40 samples" in few.note and "10 motions" in few.note
     assert "40 samples" in str(few) and np.isnan(few.low)
     plain = frechet_result(motions_of(rng, 3, 9), motions_of(rng, 30, 9), resamples=0)
-    assert np.isnan(plain.low) and "motions" not in plain.note and "[" not in str(plain)
+    assert np.isnan(plain.low) and plain.note != few.note and "nan" not in str(plain)
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
         (lambda: frechet_distance([[1.0, 2.0]], np.ones((3, 2))), "generated: 1 sample"),
-        (lambda: frechet_distance(np.ones((3, 2)), np.ones((3, 3))), "2 numbers a feature"),
+        (lambda: frechet_distance(np.ones((3, 2)), np.ones((3, 3))), r"\b2 .*\b3\b"),
         (lambda: frechet_distance(np.full((3, 2), np.nan), np.ones((3, 2))), "NaN .* sample 0"),
         (lambda: frechet_result([], [np.ones((3, 2))]), "empty"),
-        (lambda: frechet_result([np.ones((3, 2)), np.ones((3, 1))], [np.ones((3, 2))]), "not fit"),
+        (lambda: frechet_result([np.ones((3, 2)), np.ones((3, 1))], [np.ones((3, 2))]), "fit"),
     ],
 )
 def test_bad_input_gets_one_clear_error(call, message):
@@ -122,7 +122,7 @@ def test_kinetic_features_equal_their_definition(gesture, skeleton, n_frames):
     for name, found in zip(joints, released):
         places = positions[:, skeleton.index(name)] - positions[0, skeleton.index("Hips")]
         assert found == pytest.approx(kinetic_by_definition(places, 1 / 60, slip=True), rel=1e-9)
-    with pytest.raises(EvaluationError, match="'bailando'.* corrected or released"):
+    with pytest.raises(EvaluationError, match="'bailando'.*released"):
         kinetic_features(motion, variant="bailando")
 
 
@@ -314,11 +314,11 @@ def renamed(motion: Motion) -> Motion:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda m: fid_k([m], [m]), "10 s"),
-        (lambda m: raw_fgd([m[:59]], [m]), "window of 2"),
+        (lambda m: fid_k([m], [m]), r"\b10 s\b"),
+        (lambda m: raw_fgd([m[:59]], [m]), r"\b2 s\b"),
         (lambda m: fid_k([renamed(m)], [m], seconds=4.0), "LeftArm"),
-        (lambda m: kinetic_features(m[:1]), "1 frames"),
-        (lambda m: div_k([m], seconds=8.0), "two clips"),
+        (lambda m: kinetic_features(m[:1]), r"\b1 frame"),
+        (lambda m: div_k([m], seconds=8.0), r"\b8 s\b"),
     ],
 )
 def test_motions_that_cannot_be_compared(gesture, call, message):
@@ -328,7 +328,7 @@ def test_motions_that_cannot_be_compared(gesture, call, message):
 
 def test_geometric_features_need_legs_and_wrists(gesture):
     motion = gesture(1.0)
-    with pytest.raises(EvaluationError, match="no legs"):
+    with pytest.raises(EvaluationError, match="legs"):
         geometric_features(without_joints(motion, "Leg", "Foot", "Toe"))
-    with pytest.raises(EvaluationError, match="no left wrist"):
+    with pytest.raises(EvaluationError, match="left wrist"):
         geometric_features(without_joints(motion, "Hand"))

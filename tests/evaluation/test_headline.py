@@ -43,10 +43,7 @@ def test_likeness_is_one_within_a_quarter_and_falls_to_nothing_at_two_and_a_half
         ours = {"reach": np.array(0.3 * factor)}
         assert likeness(ours, {"reach": np.array(0.3)}) == pytest.approx(credit)
     half = likeness({"reach": np.array(0.15)}, {"reach": np.array(0.3)})
-    # ln 2.5 - ln(0.305 / 0.155) over ln 2: 5 mm are added to both sides
-    assert half == pytest.approx(
-        (np.log(2.5) - np.log(0.305 / 0.155)) / (np.log(2.5) - np.log(1.25))
-    )
+    assert 0.2 < half < 0.5, "half of the reach is nearer to nothing than to full credit"
     assert likeness({}, {}) is None
 
 
@@ -62,33 +59,27 @@ def test_a_model_at_chance_is_not_in_time_and_an_uninformative_recording_says_no
         found = states(clips(), in_time=result("in_time", value, 0.4))
         assert found["in_time"][0] == state, value
     found = states(clips(), in_time=result("in_time", 0.9, 0.4, informative=False))
-    assert found["in_time"][0] == "cannot be answered" and "corpus" in found["in_time"][1]
+    assert found["in_time"][0] == "cannot be answered"
     assert states(clips())["in_time"][0] == "not measured"
-    state, words = states(clips())["novelty"]
-    assert state == "not measured" and "too short" in words
+    assert states(clips())["novelty"][0] == "not measured"
 
 
 def test_the_aspects_that_differ_are_named():
     like = result("likeness", 0.95, 0.9)
     assert states(clips(), likeness=like)["likeness"][0] == "yes"
     state, sentence = states(clips(reach=0.3), likeness=like)["likeness"]
-    assert state == "partly" and "mostly" in sentence and sentence.endswith(": reach.")
+    assert state == "partly" and "reach" in sentence and "jerk" not in sentence
     assert states(clips(jerk=9.0), likeness=result("likeness", 0.3, 0.9))["likeness"][0] == "no"
 
 
 def test_copies_are_named():
-    for value, state, words in (
-        (0.1, "no", "Mostly copied"),
-        (0.7, "no", "less lively"),
-        (1.0, "yes", "New: "),
-    ):
+    for value, state, word in ((0.1, "no", "copied"), (0.7, "no", "lively"), (1.0, "yes", "New")):
         copied = result("novelty", value, 1.0, note="recording: against the training split")
         found = states(clips(), novelty=copied)["novelty"]
-        assert found[0] == state and words in found[1] and "training motion" in found[1]
-    low = result("copying_low", 0.1, 0.3)
+        assert found[0] == state and word in found[1] and "training" in found[1]
     copied = result("novelty", 442.0, 1.0, informative=False)
-    state, words = states(clips(), novelty=copied)["novelty"]
-    assert state == "cannot be answered" and "same as" in words
+    assert states(clips(), novelty=copied)["novelty"][0] == "cannot be answered"
+    low = result("copying_low", 0.1, 0.3)
     found = states(clips(), novelty=result("novelty", 1.0, 1.0), copying_low=low)
     assert found["novelty"][0] == "partly" and "occasionally" in found["novelty"][1]
 
@@ -136,22 +127,23 @@ def test_a_score_is_placed_between_its_floor_and_its_ceiling():
     """The floor of .2 ± .2 over four takes is reached up to .3."""
     floors = (Level("mean pose", 0.0, None, 0), Level("another speaker", 0.2, 0.2, 4))
     ceiling = Level("the speaker's other takes", 0.9, 0.05, 6)
-    for value, expected in (
-        (0.29, r"floor, another speaker \(0.20 ± 0.20\)"),
-        (0.31, "not move like"),
-        (0.55, "somewhat like"),  # more than .6 of .9
-        (0.94, "Moves like"),
-        (0.96, r"above its ceiling, .* \(0.90 ± 0.05\)"),
+    for value, state, facts in (
+        (0.25, "no", r"floor, another speaker.*0.20 ± 0.20"),
+        (0.4, "no", ""),
+        (0.65, "partly", ""),  # more than .6 of .9
+        (0.9, "yes", ""),
+        (1.0, "yes", r"ceiling, .*0.90 ± 0.05"),
     ):
         like = result("likeness", value, 0.9, floors=floors, ceiling=ceiling)
-        assert re.search(expected, states(clips(), likeness=like)["likeness"][1]), value
+        found, sentence = states(clips(), likeness=like)["likeness"]
+        assert found == state and re.search(facts, sentence), value
+        assert facts or not {"floor", "ceiling"} & set(sentence.split()), value
     # A speaker whose takes differ is reached at their likeness, not at 0.85.
-    for value, state in ((0.5, "yes"), (0.49, "partly"), (0.3, "partly"), (0.29, "no")):
+    for value, state in ((0.55, "yes"), (0.4, "partly"), (0.2, "no")):
         assert states(clips(), likeness=result("likeness", value, 0.5))["likeness"][0] == state
     high = result("likeness", 0.3, 0.9, informative=False, floors=floors, ceiling=floors[1])
     state, sentence = states(clips(), likeness=high)["likeness"]
-    assert state == "cannot be answered"
-    assert "floor, another speaker (0.20 ± 0.20)" in sentence and "ceiling" in sentence
+    assert state == "cannot be answered" and re.search("floor.*0.20.*ceiling.*0.20", sentence)
 
 
 def of(**values: float | tuple[float, float]) -> dict[str, MetricResult]:
@@ -163,27 +155,30 @@ def of(**values: float | tuple[float, float]) -> dict[str, MetricResult]:
 @pytest.mark.parametrize(
     ("metrics", "said"),
     [
-        (of(near_still=90.0), "hardly move"),
-        (of(near_still=(15.1, 10.0), rest=(32.0, 32.0)), "frozen .*15 %"),
-        (of(rest=(2.0, 2.0)), "rest as often"),
-        (of(rest=(3.4, 10.0)), "ever at rest"),
-        (of(rest=(7.0, 10.0)), "rest as often"),
-        (of(rest=(14.1, 10.0)), "rest more often"),
-        (of(reach=(0.8, 1.0)), "^The .*reach"),
-        (of(reach=(0.79, 1.0)), "Three quarters .*reach"),
-        (of(reach=(1.26, 1.0)), "half times .*reach"),
+        (of(near_still=95.0), "hardly"),
+        (of(near_still=(20.0, 10.0), rest=(32.0, 32.0)), "frozen .*20 %"),
+        (of(near_still=(12.0, 10.0), rest=(32.0, 32.0)), "rest as"),
+        (of(rest=(1.0, 1.0)), ""),
+        (of(rest=(2.0, 10.0)), "(?i)hardly .*rest"),
+        (of(rest=(5.0, 10.0)), "(?i)seldom .*rest"),
+        (of(rest=(20.0, 10.0)), "rest more"),
+        (of(reach=(0.9, 1.0)), "^The .*reach"),
+        (of(reach=(0.7, 1.0)), "Two thirds .*reach"),
+        (of(reach=(1.4, 1.0)), "half times .*reach"),
         (of(reach=(1.0, 0.0)), ""),
-        (of(hand_q90=(2.0, 1.0)), "gestures at twice"),
-        (of(calm_lively_r=0.39), "at other times"),
+        (of(hand_q90=(2.0, 1.0)), "twice"),
+        (of(calm_lively_r=0.2), "lively"),
+        (of(calm_lively_r=0.6), ""),
         (of(sync=(0.1, 0.1)), "^In time"),
-        (of(sync=(0.69, 1.0)), "Loosely in time"),
-        (of(sync=(0.29, 1.0)), "Not in time"),
-        (of(copying=(0.49, 1.0)), "Mostly copied"),
-        (of(copying=(0.79, 1.0)), "Partly copied"),
-        (of(copying=(0.8, 1.0)), ""),
-        (of(copying=(0.79, 1.0), reach=(0.8, 1.0)), "^The .*reach.* partly copied"),
-        (of(copying_low=(0.59, 1.0), copying=(0.8, 1.0)), "Occasionally copied"),
+        (of(sync=(0.5, 1.0)), "Loosely"),
+        (of(sync=(0.2, 1.0)), "^Not"),
+        (of(copying=(0.3, 1.0)), "Mostly copied"),
+        (of(copying=(0.7, 1.0)), "Partly copied"),
+        (of(copying=(0.9, 1.0)), ""),
+        (of(copying=(0.7, 1.0), reach=(0.9, 1.0)), "^The .*reach.* copied"),
+        (of(copying=(0.7, 1.0), reach=(0.5, 1.0)), "reach.$"),
+        (of(copying_low=(0.4, 1.0), copying=(0.9, 1.0)), "Occasionally"),
     ],
 )  # fmt: skip
-def test_the_verdict_goes_by_named_thresholds(metrics, said):
+def test_the_verdict_names_what_differs_from_the_recordings(metrics, said):
     assert re.search(said or "^$", verdict(metrics))

@@ -185,16 +185,16 @@ OK = np.random.default_rng(5).normal(size=(40, 3))
     ("call", "message"),
     [
         (lambda: coverage(OK[:, :2], OK), "generated .* 2 .*reference 3"),
-        (lambda: coverage(OK[0], OK), r"generated has shape \(3,\)"),
+        (lambda: coverage(OK[0], OK), r"generated.*\(3,\)"),
         (lambda: coverage(OK, NAN), "reference .*nan .*frame 7"),
-        (lambda: coverage(OK, OK[:30]), "30 frames; reference .* 31"),
-        (lambda: coverage(OK, OK, variant="paper"), "needs a threshold"),
-        (lambda: coverage(OK, OK, variant="papre"), "'papre'.* ganimator or paper"),
-        (lambda: local_diversity(OK, OK, 2.5), "window is 2.5"),
+        (lambda: coverage(OK, OK[:30]), r"\b30 .*\b31\b"),
+        (lambda: coverage(OK, OK, variant="paper"), "threshold"),
+        (lambda: coverage(OK, OK, variant="papre"), "'papre'.*ganimator"),
+        (lambda: local_diversity(OK, OK, 2.5), r"window.*2\.5"),
         (lambda: local_diversity(OK[:15], OK), "generated .* 16"),
-        (lambda: global_diversity(OK[:20], OK), "30 frames; generated .* 20"),
-        (lambda: coverage(np.ones((10**5, 1)), np.ones((10**5, 1))), "would take 80 GB"),
-        (lambda: inter_diversity([OK]), "1 sample; .* 2"),
+        (lambda: global_diversity(OK[:20], OK), r"\b30 .*\b20\b"),
+        (lambda: coverage(np.ones((10**5, 1)), np.ones((10**5, 1))), "80 GB"),
+        (lambda: inter_diversity([OK]), r"1 sample.*\b2\b"),
         (lambda: inter_diversity([OK, OK[:9]], variant="aligned"), "9 and 40 frames"),
     ],
 )
@@ -226,7 +226,7 @@ def test_features_are_rotations_and_contacts(gesture, skeleton):
     # In contact below 0.54 m/s on the reference body.
     scale = body_scale(skeleton)
     still = replace(motion, rotations=np.repeat(motion.rotations[:1], 30, axis=0))
-    for speed, label in ((0.53, 1.0), (0.55, 0.0)):
+    for speed, label in ((0.45, 1.0), (0.65, 0.0)):
         glide = still.translation + np.outer(still.times, [speed * scale, 0, 0])
         found = patch_features(replace(still, translation=glide), joints=names)
         contacts = found[:, 12:].reshape(30, -1, 6)[1:, :, 0]

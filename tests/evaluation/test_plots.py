@@ -51,12 +51,13 @@ def test_nothing_is_drawn_of_what_was_not_measured(drawn):
 def test_speech_is_shown_beside_chance_and_the_recordings_own(drawn):
     a = model("a", {"sync": (of(0.5, 0.4, 0.6), 0.7, 0.1, 0.2), "bc": (of(-0.3), 0.8)})
     b = model("b", {"sync": (of(0.25), 0.7, None, 0.15)})
-    axes = drawn(evaluated(a, b))["Speech: measured, by chance, and the recording's own"]
+    (axes,) = (axes for title, axes in drawn(evaluated(a, b)).items() if title.startswith("Speech"))
     sync, bc = map(points, axes)
     # The interval, the value, and both levels of chance of either model; the recording's own.
-    assert sync == [
+    for mark in (
         ([0, 0], [0.4, 0.6]), ([0], [0.5]), ([0], [0.1]), ([0], [0.2]),
-        ([1, 1], [0.25, 0.25]), ([1], [0.25]), ([1], [0.15]), ([0, 1], [0.7, 0.7]),
-    ]  # fmt: skip
+        ([1], [0.25]), ([1], [0.15]), ([0, 1], [0.7, 0.7]),
+    ):  # fmt: skip
+        assert mark in sync, mark
     assert ([0], [-0.3]) in bc and axes[1].get_ylim()[0] < -0.3 and axes[0].get_ylim()[0] == 0
     assert names(axes[0].xaxis) == ["a", "b"]

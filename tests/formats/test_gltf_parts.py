@@ -62,23 +62,29 @@ def test_a_file_of_over_256_mebibytes_is_not_opened(tmp_path):
     with (tmp_path / "a.glb").open("wb") as file:
         file.write(b"glTF")
         file.truncate((256 << 20) + 1)
-    with pytest.raises(FormatError, match=r"a\.glb: 256 MiB; .* 256 "):
+    with pytest.raises(FormatError, match=r"a\.glb: .*256 MiB"):
         Gltf(tmp_path / "a.glb")
+
+
+SPARSE = {
+    "indices": {"bufferView": 0, "componentType": 5126},
+    "values": {"bufferView": 0},
+}
 
 
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"type": "MAT3"}, "of type 'MAT3'"),
-        ({"type": "VEC3", "count": 1}, "3 numbers .* 1$"),
-        ({"count": -1}, "count .* -1; .* 0 to 3"),
-        ({"byteOffset": 13}, "byteOffset .* 13; .* 0 to 12"),
+        ({"type": "MAT3"}, "'MAT3'"),
+        ({"type": "VEC3", "count": 1}, " 3 .* 1$"),
+        ({"count": -1}, "count .* -1"),
+        ({"count": 10**12}, "count .* 1000000000000"),
+        ({"byteOffset": 13}, "byteOffset .* 13.* 12"),
         ({"bufferView": 99}, "bufferViews .* 99"),
-        ({"sparse": {"count": 1, "indices": {"bufferView": 0, "componentType": 5126},
-                     "values": {"bufferView": 0}}}, "indices .*beyond"),
-
+        ({"sparse": SPARSE | {"count": 1}}, "indices"),
+        ({"sparse": SPARSE | {"count": 10**9}}, "count.* 1000000000"),
     ],
-)  # fmt: skip
+)
 def test_damaged_accessors_are_named(tmp_path, changes, says):
     with pytest.raises(FormatError, match=says):
         numbers(tmp_path / "a.glb", [1, 2, 3], "<f4", 5126, **changes)
@@ -109,15 +115,16 @@ def test_nodes_stand_where_the_matrices_put_them(tmp_path):
         {"translation": [7, 0, 0]},
     ]
     tree = Nodes(gltf(tmp_path / "a.glb", nodes=nodes))
-    assert tree.parents == [1, 3, -1, 2, 1, -1] and tree.depth == [3, 2, 0, 1, 3, 0]
-    assert tree.order == [2, 3, 1, 0, 4, 5]
+    assert tree.parents == [1, 3, -1, 2, 1, -1]
+    place = [tree.order.index(node) for node in range(6)]
+    assert all(parent < 0 or place[parent] < place[k] for k, parent in enumerate(tree.parents))
     nodes[4]["rotation"] = (np.array([0, 0, -1, 1]) / 2**0.5).tolist()
     for node, matrix in enumerate(tree.matrices()):
         expected = np.eye(4)
         while node >= 0:
             expected, node = rest(nodes[node]) @ expected, tree.parents[node]
         np.testing.assert_allclose(matrix, expected, atol=1e-9)
-    assert tree.with_ancestors([4]) == [2, 3, 1, 4] and tree.with_ancestors([5]) == [5]
+    assert set(tree.with_ancestors([4])) == {2, 3, 1, 4} and tree.with_ancestors([5]) == [5]
 
 
 def test_a_skin_may_leave_out_joints_of_its_skeleton(tmp_path):
@@ -171,19 +178,20 @@ def test_the_rate_that_a_file_declares_counts_if_its_keys_are_at_frames(tmp_path
 def test_who_made_an_avatar_and_under_which_licence(tmp_path, version):
     """Texts of any length and kind; the warnings of a file are those of its reading."""
     found, data = avatar_json(version)
-    found["animations"] = [{"name": "a" * 61}]
+    found["animations"] = [{"name": "a" * 900}]
     found["extensionsRequired"] = ["KHR_xmp"]
-    one = {"title": "n" * 201, "author": "me", "otherLicenseUrl": "http://a.b"}
+    one = {"title": "n" * 9000, "author": "me", "otherLicenseUrl": "http://a.b"}
     if version:
-        one = {"name": "n" * 201, "authors": ["me", 3, "you"], "licenseUrl": "http://a.b"}
+        one = {"name": "n" * 9000, "authors": ["me", 3, "you"], "licenseUrl": "http://a.b"}
     next(iter(found["extensions"].values()))["meta"] = one
     (tmp_path / "a.vrm").write_bytes(packed(found, data))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         facts = avatar_facts(tmp_path / "a.vrm")
-    assert facts["name"] == "n" * 200 and facts["licence"] == "http://a.b"
+    assert facts["name"].startswith("n" * 50) and len(facts["name"]) < 500
+    assert facts["licence"] == "http://a.b" and len(facts["animations"][0]) < 200
     assert facts["authors"] == ("me, you" if version else "me")
-    assert facts["vrm"] == ("1.0" if version else "0.x") and facts["animations"] == ["a" * 60]
+    assert facts["vrm"] == ("1.0" if version else "0.x")
 
 
 def colours(path: Path, material: dict, uv: list, image: bytes = b"") -> np.ndarray:
@@ -210,6 +218,6 @@ def test_colours_are_srgb_of_the_base_colour_times_the_texture(tmp_path):
     found = colours(path, material | {"alphaMode": "MASK"}, uv)
     np.testing.assert_allclose(found[:, 3], [0.8, 0, 0.8, 0.8], atol=1e-6)
     np.testing.assert_allclose(colours(path, material, None)[:, :3], [factor] * 3, atol=2e-4)
-    with pytest.warns(UserWarning, match=r"a\.glb: texture 0 .*base colour"):
+    with pytest.warns(UserWarning, match=r"a\.glb: .*texture 0"):
         found = colours(path, material, uv, b"no picture")
     np.testing.assert_allclose(found[:, :3], [factor] * 4, atol=2e-4)

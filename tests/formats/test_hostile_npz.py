@@ -3,7 +3,6 @@
 import io
 import re
 import struct
-import time
 import tracemalloc
 import warnings
 import zipfile
@@ -35,7 +34,7 @@ def promise(shape: str, dtype: str = "<f8") -> bytes:
 
 
 def pack(path, members, method=zipfile.ZIP_STORED):
-    with zipfile.ZipFile(path, "w", method) as archive:
+    with zipfile.ZipFile(path, "w", method, compresslevel=1) as archive:
         for name, content in members.items():
             archive.writestr(f"{name}.npy", content)
     return path
@@ -58,9 +57,8 @@ def native_members(tmp_path):
 
 
 def peak_of(path, read=read_npz):
-    """Error, peak of memory in bytes and seconds of a reading that must fail or succeed cleanly."""
+    """Error and peak of memory in bytes of a reading that must fail or succeed cleanly."""
     tracemalloc.start()
-    begin = time.perf_counter()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -69,11 +67,10 @@ def peak_of(path, read=read_npz):
     except FormatError as caught:
         error = str(caught)
         assert str(path) in error
-    seconds = time.perf_counter() - begin
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 500 * MEGABYTE, (error, peak)
-    return error, peak, seconds
+    return error, peak
 
 
 def zeros(shape: tuple[int, ...], dtype: str = "<f8") -> bytes:
@@ -85,34 +82,34 @@ def test_bombs_are_not_unpacked(tmp_path):
     bomb = zeros((60_000, 165))  # 76 MiB, deflated to a thousandth
     path = pack(tmp_path / "a.npz", amass_members() | {"poses": bomb}, zipfile.ZIP_DEFLATED)
     assert path.stat().st_size < MEGABYTE
-    error, peak, _ = peak_of(path)
+    error, peak = peak_of(path)
     assert "'poses'" in error and "76 MiB" in error
     assert peak < 10 * MEGABYTE
 
 
-def test_members_within_the_limit_need_bounded_memory(tmp_path):
-    poses = zeros((20_000, 165))  # 25 MiB
-    members = amass_members() | {"poses": poses, "trans": zeros((20_000, 3))}
+def test_members_within_the_limit_are_read_until_their_sum_is_beyond_it(tmp_path):
+    members = amass_members() | {"poses": zeros((11_000, 165)), "trans": zeros((11_000, 3))}
     path = pack(tmp_path / "a.npz", members, zipfile.ZIP_DEFLATED)
     assert peak_of(path)[0] is None
-    path = pack(tmp_path / "a.npz", members | {"expressions": poses}, zipfile.ZIP_DEFLATED)
-    assert "'expressions' unpacks to" in peak_of(path)[0]
+    more = {"expressions": zeros((16_000, 165))}  # 20 MiB after 14 MiB
+    path = pack(tmp_path / "a.npz", members | more, zipfile.ZIP_DEFLATED)
+    assert "'expressions'" in peak_of(path)[0]
 
 
 @pytest.mark.parametrize(
     ("key", "content", "says"),
     [
-        ("poses", promise("(10**9,72)"), "'poses'"),
+        ("poses", promise("(1000000000,72)"), "'poses'"),
         ("poses", promise("(99999999999,)", "<U0"), "poses"),
-        ("poses", header("(" * 5000 + "\n"), "'poses' cannot be read"),
+        ("poses", header("(" * 1000 + "\n"), "'poses'"),
         ("poses", promise("(1,)", "|O") + b"c", "pickled"),
-        ("poses", zeros((0, 72)), "'trans' has shape"),
+        ("poses", zeros((0, 72)), "'trans'"),
         ("trans", npy(np.array([2**31], "<u4").view("<U1")), "characters"),
     ],
 )
 def test_headers_that_promise_too_much(tmp_path, key, content, says):
     path = pack(tmp_path / "a.npz", amass_members() | {key: content})
-    error, peak, _ = peak_of(path)
+    error, peak = peak_of(path)
     assert says in error
     assert peak < 50 * MEGABYTE
 
@@ -120,31 +117,36 @@ def test_headers_that_promise_too_much(tmp_path, key, content, says):
 @pytest.mark.parametrize(
     ("key", "content", "says"),
     [
-        ("names", zeros((100_000,), "<U8"), "100000 texts"),
+        ("gk_version", npy(2), "'gk_version'.* 2"),
+        ("names", zeros((100_000,), "<U8"), "100000"),
         ("names", npy(np.full(24, 2**31, "<u4").view("<U1")), "characters"),
         ("parents", zeros((2_000_000,), "<i8"), "'parents' .*shape"),
         ("parents", npy(np.full(24, 2**62)), "'parents' .* -1 to 23"),
         ("body_pelvis", npy([0.1, 0.2, np.nan]), r"'body_pelvis' .*\(3,\)"),
         ("end_site_joints", npy([24]), "'end_site_joints' .* 0 to 23"),
+        ("moving_joints", npy([99]), "'moving_joints'"),
+        ("rotations", npy(np.zeros((5, 23, 4))), "'rotations'"),
         ("rotations", npy(np.full((5, 24, 4), np.nan)), "frame 0"),
         ("fps", npy(np.nan), "'fps': .*nan.* 1e-05 to 100000"),
     ],
 )
-def test_native_files_that_promise_too_much(tmp_path, key, content, says):
+def test_native_files_that_promise_too_much_or_contradict_themselves(tmp_path, key, content, says):
     path = pack(tmp_path / "a.npz", native_members(tmp_path) | {key: content})
-    error, _, _ = peak_of(path)
+    error, _ = peak_of(path)
     assert re.search(says, error)
 
 
 def test_hostile_body_models(tmp_path, capsule_body):
     members = {key: npy(value) for key, value in capsule_body(24).items()}
     assert BodyModel.load(pack(tmp_path / "a.npz", members)).n_joints == 24
+    del members["posedirs"]
     for key, content in (
-        ("shapedirs", zeros((60_000, 3, 50))),
+        ("shapedirs", zeros((30_000, 3, 50))),
         ("v_template", zeros((500_000, 3))),
         ("weights", zeros((300, 2_000))),
         ("f", npy(np.array([[{}]], dtype=object))),
-        ("posedirs", promise("(10**9,3)")),
+        ("posedirs", promise("(1000000000,3)")),
     ):
         path = pack(tmp_path / "a.npz", members | {key: content}, zipfile.ZIP_DEFLATED)
-        assert peak_of(path, BodyModel.load)[0]
+        error, peak = peak_of(path, BodyModel.load)
+        assert key in error and peak < 100 * MEGABYTE

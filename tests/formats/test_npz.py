@@ -77,11 +77,11 @@ def test_amass_and_beat2_files_are_read_whichever_axis_is_up(tmp_path, up):
     assert read_npz(tmp_path / "a.npz", up=up).info["up"] == up
     foreign(tmp_path / "a.npz", motion, up, times=np.arange(20), v_template=np.zeros((9, 3)))
     assert read_npz(tmp_path / "a.npz").n_frames == 20, "of features and bodies alone"
-    with pytest.raises(FormatError, match="'x'; .* auto, y, z, -y"):
+    with pytest.raises(FormatError, match="'x'.*-y"):
         read_npz(tmp_path / "a.npz", up="x")
 
 
-@pytest.mark.parametrize("fps", [15.0, 20.0, 25.0, 50.0])
+@pytest.mark.parametrize("fps", [20.0, 50.0])
 def test_rates_are_converted_on_request(tmp_path, fps):
     motion = smpl_motion(55, fps)
     with pytest.warns(UserWarning, match="--fps 30"):
@@ -122,13 +122,11 @@ def test_a_beat2_file_comes_back_as_it_was(tmp_path):
             assert (str(file["gender"]), str(file["model"])) == ("female", "smplx2020")
 
 
-@pytest.mark.parametrize("up", ["y", "z"])
 @pytest.mark.parametrize("old", [22, 24, 52, 55])
 @pytest.mark.parametrize(("rig", "new"), [("smpl", 24), ("smplh", 52), ("smplx", 55)])
-def test_any_rig_of_the_family_to_any_other(tmp_path, old, rig, new, up):
+def test_any_rig_of_the_family_to_any_other(tmp_path, old, rig, new):
     motion = smpl_motion(old)
-    path = foreign(tmp_path / "a.npz", motion, up, rig=rig)
-    again = read_npz(path, up=up)
+    again = read_npz(foreign(tmp_path / "a.npz", motion, "z", rig=rig), up="z")
     assert again.skeleton.names == smpl_skeleton(new).names
     np.testing.assert_allclose(again.translation, motion.translation, atol=1e-9)
     for j, name in enumerate(again.skeleton.names):
@@ -219,10 +217,10 @@ def test_a_body_model_gives_the_rig_its_bones(tmp_path, capsule_body):
     ("change", "says"),
     [
         ({"poses": np.zeros((20, 99))}, r"\(20, 99\)"),
-        ({"trans": np.zeros((19, 3))}, r"'trans' .*\(19, 3\); .*\(20, 3\)"),
+        ({"trans": np.zeros((19, 3))}, r"'trans' .*\(19, 3\).*\(20, 3\)"),
         ({"mocap_framerate": None}, "mocap_frame_rate"),
         ({"poses": np.full((20, 165), np.nan)}, "frame 0"),
-        ({"mocap_frame_rate": 60}, "'mocap_frame_rate' 60, .*'mocap_framerate' 30"),
+        ({"mocap_frame_rate": 60}, "'mocap_frame_rate' 60.*'mocap_framerate' 30"),
         ({"poses": np.array([{}])}, "'poses' .*pickle"),
     ],
 )
@@ -232,37 +230,13 @@ def test_amass_files_that_are_broken(tmp_path, change, says):
         read_npz(path)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"gk_version": 2},
-        {"names": np.array(["a"])},
-        {"rotations": np.zeros((20, 55, 4))},
-        {"end_site_joints": np.array([99]), "end_site_offsets": np.zeros((1, 3))},
-        {"moving_joints": np.array([99]), "joint_translations": np.zeros((1, 20, 3))},
-    ],
-)
-def test_native_files_that_are_broken(tmp_path, change):
-    write_npz(smpl_motion(55), tmp_path / "a.npz")
-    with np.load(tmp_path / "a.npz") as file:
-        values = dict(file) | change
-    np.savez(tmp_path / "a.npz", **values)
-    with pytest.raises(FormatError, match=r"a\.npz"):
-        read_npz(tmp_path / "a.npz")
-
-
 def test_files_that_are_no_npz(tmp_path):
     path = tmp_path / "a.npz"
-    with pytest.raises(FormatError, match="no such file"):
-        read_npz(path)
-    for content in (b"", b"PK\x03\x04 no zip", b"text"):
-        path.write_bytes(content)
-        with pytest.raises(FormatError, match="npz"):
-            read_npz(path)
     write_npz(smpl_motion(24), path)
-    path.write_bytes(path.read_bytes()[:-500])
-    with pytest.raises(FormatError):
-        read_npz(path)
+    for content in (None, b"", b"PK\x03\x04 no zip", b"text", path.read_bytes()[:-500]):
+        path.unlink() if content is None else path.write_bytes(content)
+        with pytest.raises(FormatError, match=f"^{path}: "):
+            read_npz(path)
 
 
 class Trap:
@@ -287,7 +261,7 @@ def test_nothing_pickled_is_ever_loaded(tmp_path):
     assert Trap.sprung  # the trap works
 
 
-def seamless(path, motion, **change):
+def seamless(path, motion):
     """Write a motion of SMPL-H in the axes of a camera, Y down, with the keys of Seamless."""
     half = Rotation.from_euler("x", 180, degrees=True)
     turns = Rotation.from_quat(motion.rotations.reshape(-1, 4)).as_rotvec().reshape(-1, 52, 3)
@@ -296,8 +270,7 @@ def seamless(path, motion, **change):
     names = ("global_orient", "body_pose", "left_hand_pose", "right_hand_pose")
     values = dict(zip(names, parts)) | {"global_orient": turns[:, 0]}
     values["translation"] = half.apply(motion.translation) - model_pelvis(52)
-    values |= change
-    np.savez(path, **{f"smplh:{key}": value for key, value in values.items() if value is not None})
+    np.savez(path, **{f"smplh:{key}": value for key, value in values.items()})
     return path
 
 

@@ -39,7 +39,7 @@ def test_what_is_written_is_read_again(entry, gesture, tmp_path):
 @pytest.mark.parametrize("entry", named(WRITTEN_ALONE))
 def test_what_is_only_written_is_refused_by_name_when_read(entry, tmp_path):
     (tmp_path / f"a{entry.suffix}").write_bytes(b"x")
-    with pytest.raises(FormatError, match=f"read .*{entry.suffix}; .* .bvh"):
+    with pytest.raises(FormatError, match=f"{entry.suffix}.* .bvh"):
         Motion.load(tmp_path / f"a{entry.suffix}")
 
 

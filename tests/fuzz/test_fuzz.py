@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -16,7 +17,7 @@ import audio_features as af
 
 FUZZ = Path(__file__).with_name("fuzz.py")
 EXECUTIONS = 10
-"""Number for each target, and a tenth of it for those that load a model."""
+QUICK = [name for name, target in TARGETS.items() if not target.is_slow]
 
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="memory is bounded by Linux' limits"
@@ -37,15 +38,15 @@ def fuzz(*arguments: str) -> dict[str, dict]:
 
 
 def test_mutated_files_are_read_or_refused():
-    found = fuzz("--executions", str(EXECUTIONS))
+    found = fuzz(*QUICK, "--executions", str(EXECUTIONS))
     assert {name: one["broken"] for name, one in found.items() if one["broken"]} == {}
-    assert found.keys() == TARGETS.keys()
-    assert all(one["executions"] >= EXECUTIONS // 10 for one in found.values())
+    assert len(found) == len(QUICK) > 20
+    assert all(one["executions"] >= EXECUTIONS for one in found.values())
 
 
 @pytest.mark.stress
 def test_many_mutated_files():
-    """Run for minutes: the mutators alone, which every machine has."""
+    """Run for minutes, those that load a model too: the mutators alone, on every machine."""
     found = fuzz("--executions", "3000", "--seconds", "60")
     assert {name: one["broken"] for name, one in found.items() if one["broken"]} == {}
 
@@ -62,6 +63,6 @@ def test_a_feature_file_of_zeros_is_not_unpacked(tmp_path):
             member.write(bytes(4 << 20))
     assert path.stat().st_size < 1 << 20
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with pytest.raises(af.FeatureError, match="unpacks to"):
+    with pytest.raises(af.FeatureError, match=re.escape(str(path))):
         af.FeatureTrack.load(path)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 20 << 10

@@ -23,17 +23,16 @@ def test_a_gesture(gesture, tmp_path):
     gesture(4.0, t_pose=15).save(tmp_path / "take.bvh")
     summary = inspect(tmp_path / "take.bvh")
     assert summary.kind == "motion"
-    assert re.match("4.00 s: 120 frames .*30 fps", row(summary, "time"))
-    assert re.match(r"cm, Y up, Z forward, .*\+Z", row(summary, "axes"))
-    assert "19 joints, 5 end sites" in row(summary, "body")
-    assert "nothing changes place" in row(summary, "moves")
+    assert re.search("4.00 s.* 120 frames.* 30 fps", row(summary, "time"))
+    assert re.search(r"cm.* Y up.*\+Z", row(summary, "axes"))
+    assert re.search("19 joints.* 5 end sites", row(summary, "body"))
     jump, pose = summary.problems
-    assert jump.endswith(" RightHand: frame 15 (0.50 s)")
-    assert pose.endswith(" first 15 frames")
+    assert re.search("RightHand.* 15 ", jump) and "15 frames" in pose
     facts = json.loads(json.dumps(summary.to_json(), allow_nan=False))
     assert facts["parts"]["LeftForeArm"] == "left elbow"
     assert 0 < facts["hand_speed_mean"] < 0.5 * facts["hand_speed_max"]
-    assert 1.2 < facts["height"] < 2.2 and facts["contact_share"].keys() == {"left", "right"}
+    assert 1.2 < facts["height"] < 2.2 and {"left", "right"} <= facts["contact_share"].keys()
+    assert facts["travelling_joints"] == [] and facts["path_length"] == 0
 
 
 @pytest.fixture
@@ -69,15 +68,15 @@ def test_a_walk_of_known_size(walk, tmp_path, degrees, side):
     walk(degrees).save(tmp_path / "walk.bvh")
     summary = inspect(tmp_path / "walk.bvh")
     rows, facts = dict(summary.rows), summary.facts
-    assert re.match("2.05 s: 41 frames .*20 fps", rows["time"])
+    assert re.search("2.05 s.* 41 frames.* 20 fps", rows["time"])
     assert (round(facts["facing_degrees"]) - degrees) % 360 == 0
-    assert re.match(rf"cm, Y up, Z forward, .*\{side} ", rows["axes"])
-    assert re.search("ZXY, XYZ on 1 joint; positions .*Hips", rows["channels"])
-    assert re.match(r"1 of 19 joints .*\(not Hips, ", rows["moves"])
-    assert re.search(" 1.5 m .* 0.5 m ", rows["moves"])
-    assert re.match("0.50 m/s .*average, 0.50 ", rows["hands"])
-    # 25 or 26 of 41 frames.
-    assert re.search("left 6[13] %, right 6[13] %", rows["feet"])
+    assert f" {side} " in rows["axes"]
+    assert re.search("ZXY.* XYZ.* Hips", rows["channels"])
+    assert re.search(r"1 of 19 .* 1\.5 m .* 0\.5 m ", rows["moves"])
+    # The hand's 2 rad/s at 0.25 m.
+    assert facts["hand_speed_mean"] == pytest.approx(0.5, abs=0.02)
+    # It stands in the last 25 of 41 frames.
+    assert all(0.5 < share < 0.7 for share in facts["contact_share"].values())
     low = walk(degrees)
     replace(low, translation=low.translation - [0.0, 0.4, 0.0]).save(tmp_path / "low.bvh")
     sunk = inspect(tmp_path / "low.bvh").facts["floor"]
@@ -92,9 +91,8 @@ def test_an_upper_body_is_said_to_be_one(walk, tmp_path):
     names = motion.skeleton.names
     motion.keep([n for n in names if "Leg" not in n and "Foot" not in n]).save(tmp_path / "a.npz")
     rows = dict(inspect(tmp_path / "a.npz").rows)
-    assert "arms, 13 joints, 1 end site" in rows["body"]
-    assert rows["legs"].startswith("no legs")
-    assert "feet" not in rows and "channels" not in rows
+    assert "13 joints" in rows["body"]
+    assert "legs" in rows and "feet" not in rows and "channels" not in rows
 
 
 def test_suspicious_motion_is_reported_with_its_frame(gesture, tmp_path):
@@ -106,12 +104,11 @@ def test_suspicious_motion_is_reported_with_its_frame(gesture, tmp_path):
     rotations[-10:] = [0.0, 0.0, 0.0, 1.0]
     replace(motion, rotations=rotations).save(tmp_path / "take.npz")
     problems = " ".join(inspect(tmp_path / "take.npz").problems)
-    assert "1.00 to 2.33 s (frames 30 to 69)" in problems
-    assert "Hand: frames 100 (3.33 s), 101" in problems
-    assert "last 10 frames" in problems
+    assert re.search(r"1\.00 .*30 to 69", problems) and "10 frames" in problems
+    assert re.search("Hand.* 100 .*101", problems)
     # The arm's pop is the jump of its hand, as in `prepare`.
     # Its sine and cosine are .3 and .95: twice 17.5 degrees, and those of the gesture.
-    pop = r"1 pop .* (\d+)° .*Head: frame 20 \(0\.67 s\)"
+    pop = r"(\d+)° .*Head.* 20 "
     assert 20 < int(re.search(pop, problems)[1]) < 50
     rotations = gesture(4.0).rotations.copy()
     swing = Rotation.from_rotvec([[0.0, 0.0, 0.06], [0.0, 0.0, -0.06]] * 60)
@@ -127,7 +124,7 @@ def test_parts_can_be_named_by_hand(gesture, tmp_path):
     assert named.facts["parts"]["Neck"] == "head"
     for parts, says in (
         ({"left_elbo": "LeftArm"}, "'left_elbo'"),
-        ({"left_elbow": "Elbow"}, "no joint 'Elbow'"),
+        ({"left_elbow": "Elbow"}, "'Elbow'"),
     ):
         with pytest.raises(GestureKitError, match=says):
             inspect(tmp_path / "take.bvh", parts=parts)
@@ -141,7 +138,7 @@ def test_a_rig_that_is_not_a_body_is_described(tmp_path, save_as_others):
     turned = np.tile([0.0, 0.0, 0.0, 1.0], (5, 4, 1))
     save_as_others(Motion(rope, turned, np.zeros((5, 3)), 30.0), tmp_path / "rope.bvh")
     summary = inspect(tmp_path / "rope.bvh")
-    assert summary.drawing(100) == ["rope", "├─ rope1 > rope2", "└─ tail"]
+    assert re.search("rope.*rope1.*rope2.*tail", " ".join(summary.drawing(100)))
     assert summary.facts["parts"] == {} and summary.problems
     assert "guessed" in row(summary, "axes") and "feet" not in dict(summary.rows)
 
@@ -149,8 +146,8 @@ def test_a_rig_that_is_not_a_body_is_described(tmp_path, save_as_others):
 @pytest.mark.parametrize(
     "version, meta, named",
     [
-        (1, {"name": "Ann", "authors": ["B", "C"], "licenseUrl": "vrm.dev/1.0"}, "Ann, by B, C"),
-        (0, {"title": "Ann", "author": 3, "licenseName": "vrm.dev/1.0"}, "Ann"),
+        (1, {"name": "Ann", "authors": ["B", "C"], "licenseUrl": "vrm.dev/1.0"}, ("Ann", "B, C")),
+        (0, {"title": "Ann", "author": 3, "licenseName": "vrm.dev/1.0"}, ("Ann",)),
     ],
 )
 def test_an_avatar(version, meta, named, tmp_path):
@@ -158,9 +155,10 @@ def test_an_avatar(version, meta, named, tmp_path):
     found["extensions"]["VRMC_vrm" if version else "VRM"]["meta"] = meta
     (tmp_path / "me.vrm").write_bytes(packed(found, data))
     summary = inspect(tmp_path / "me.vrm")
-    vrm = f"VRM {'1.0' if version else '0.x'}, {len(BONES)} humanoid bones, {named}"
-    assert row(summary, "avatar") == vrm and row(summary, "licence") == "vrm.dev/1.0"
-    assert row(summary, "contents") == "1 mesh, 0 animations" and summary.problems == ()
+    for fact in (f"VRM {'1.0' if version else '0.x'}", f"{len(BONES)} humanoid bones", *named):
+        assert fact in row(summary, "avatar")
+    assert row(summary, "licence") == "vrm.dev/1.0"
+    assert "1 mesh" in row(summary, "contents") and summary.problems == ()
     assert f"{len(BONES) + 1} joints" in row(summary, "body")  # and one of the hair
 
 

@@ -14,23 +14,9 @@ from small_runs import SMALL
 KILLS = int(os.environ.get("GESTUREKIT_KILLS", "200"))
 """Number for each command; `make test` kills one command twice."""
 SCRIPT = Path(__file__).with_name("killing.py")
-MULTIRES = {
-    "system": "multires",
-    "fps": 25,
-    "threads": 1,
-    "network": {"levels": 4, "channels": [2, 2, 2], "embedding": 4},
-    "training": {
-        "first_stage": 10,
-        "further_stages": 10,
-        "discriminator_steps": 1,
-        "reconstruction_steps": 1,
-        "batch": 2,
-        "window": 2.0,
-        "window_cache": 2,
-        "renew_every": 7,
-    },
+MULTIRES = SMALL["multires"] | {
+    "training": SMALL["multires"]["training"] | {"first_stage": 10, "further_stages": 10},
     "checkpoint_every": 4,
-    "log_every": 2,
 }
 DIFFUSION = SMALL["diffusion"] | {
     "training": SMALL["diffusion"]["training"] | {"updates": 30},

@@ -28,9 +28,9 @@ time.sleep(60)
 
 def test_a_shard_is_leased_once_and_another_shard_of_the_run_beside_it(tmp_path):
     one = Lease(tmp_path, 1, 2, RUN)
-    with pytest.raises(ConfigError, match="shard 1 of 2 .*process"):
+    with pytest.raises(ConfigError, match=rf"1 of 2.*\b{os.getpid()}\b"):
         Lease(tmp_path, 1, 2, RUN)
-    with pytest.raises(ConfigError, match="another run"):
+    with pytest.raises(ConfigError, match=rf"\b{os.getpid()}\b.*--out"):
         Lease(tmp_path, 2, 2, {"plan": "q"})
     two = Lease(tmp_path, 2, 2, RUN)
     assert [about["pid"] for about in live_leases(tmp_path)] == [os.getpid()] * 2
@@ -45,7 +45,7 @@ def test_the_lease_of_a_killed_process_is_free_at_once(tmp_path):
         [sys.executable, "-c", HOLD, tmp_path], stdout=subprocess.PIPE, text=True
     )
     assert holder.stdout.readline() == "held\n"
-    with pytest.raises(ConfigError, match=f"by process {holder.pid}"):
+    with pytest.raises(ConfigError, match=rf"\b{holder.pid}\b"):
         Lease(tmp_path, 1, 2, RUN)
     holder.kill()
     holder.wait()
@@ -74,7 +74,7 @@ def test_a_lease_of_another_host_expires_without_heartbeats(tmp_path):
     path = tmp_path / "leases" / "00001-of-00001.json"
     path.parent.mkdir()
     path.write_text(json.dumps({"host": "elsewhere", "pid": 1, "since": 0.0, "run": RUN}))
-    with pytest.raises(ConfigError, match="on elsewhere since "):
+    with pytest.raises(ConfigError, match="elsewhere"):
         Lease(tmp_path, 1, 1, RUN)
     for seconds in (50, -50):  # the clock of the other host may be ahead
         beat = time.time() - seconds
@@ -94,7 +94,7 @@ def test_a_suspended_process_notices_that_its_lease_was_taken(tmp_path, monkeypa
     while not mine.is_lost:
         assert time.monotonic() < limit
         time.sleep(0.01)
-    with pytest.raises(ConfigError, match="taken"):
+    with pytest.raises(ConfigError, match=str(mine.path)):
         mine.check()
     mine.release()
     assert mine.path.exists()  # it belongs to the other process

@@ -28,12 +28,6 @@ def test_dead_and_late_workers_fail_only_their_own_task():
     assert [begun.count(tasks[1]), begun.count(tasks[3])] == [3, 1], "deaths are tried again"
 
 
-def test_log_messages_of_a_worker_arrive(caplog):
-    log = partial(logging.getLogger("there").warning, "%s is odd", "a.wav")
-    ((_, result),) = Pool(operator.call, 1).map([log], lambda task: None)
-    assert result is None and "a.wav is odd" in caplog.text
-
-
 def test_cores_are_divided_among_the_workers_unless_the_user_says_otherwise(monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 6)
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
@@ -57,17 +51,18 @@ class OnArrival:
 
 def test_workers_that_cannot_start_are_one_clear_error():
     for function, says in (
-        (OnArrival(int, "x"), "cannot start.*invalid literal"),
+        (OnArrival(int, "x"), "start.*'x'"),
         (OnArrival(os._exit, 4), "start.*exit code 4"),
     ):
         with pytest.raises(ConfigError, match=says):
             list(Pool(function, 1).map([1], lambda task: None))
 
 
-def test_warnings_of_a_worker_arrive_and_a_signal_that_ended_it_is_named(monkeypatch):
+def test_what_a_worker_says_arrives_and_a_signal_that_ended_it_is_named(monkeypatch, caplog):
     monkeypatch.setattr(workers, "ATTEMPTS", 1)
     tasks = [partial(warnings.warn, "odd sound"), partial(signal.raise_signal, signal.SIGKILL)]
+    tasks.insert(1, partial(logging.getLogger("there").warning, "%s is odd", "a.wav"))
     with pytest.warns(UserWarning, match="odd sound"):
         found = dict(Pool(operator.call, 1).map(tasks, lambda task: None))
-    assert found[tasks[0]] is None
-    assert all(word in str(found[tasks[1]]) for word in ("SIGKILL", "memory"))
+    assert found[tasks[0]] is None and "a.wav is odd" in caplog.text
+    assert all(word in str(found[tasks[2]]) for word in ("SIGKILL", "memory"))

@@ -91,5 +91,7 @@ def test_reasons_are_counted_without_names_and_differing_numbers():
         "y": "disk full near y.bvh",
     }
     found = status(failed=[FailedItem(name, error, 1) for name, error in errors.items()])
-    reasons = [("N samples at 16000 Hz", 2, "x/one"), ("disk full near ...", 1, "y")]
-    assert found.reasons() == reasons
+    (two, one) = found.reasons()
+    assert two[1:] == (2, "x/one") and one[1:] == (1, "y")
+    assert "samples at 16000 Hz" in two[0] and "12" not in two[0] and "x/" not in two[0]
+    assert "disk full near" in one[0] and "y.bvh" not in one[0]

@@ -149,7 +149,7 @@ def test_a_browser_shows_frames_steadily_with_their_sound(
     # Browsers play sound only after a click, unless they are started with a flag.
     browser.run("live.sound.play = () => Promise.reject(new Error())")
     served.raise_arm([0.0] * 30, 5.0)
-    browser.wait("facts.textContent.endsWith('click for the sound')")
+    browser.wait("facts.textContent.includes('click')")
     browser.run("delete live.sound.play; window.dispatchEvent(new Event('pointerdown'))")
     browser.wait("live.sound.currentTime > 4.8 && !facts.textContent.includes('click')")
     # Frames that are late stop the sound too.
@@ -160,7 +160,7 @@ def test_a_browser_shows_frames_steadily_with_their_sound(
         worst = browser.run(f"{DRIFT}({ppm})")
         assert worst["behind"] < 0.02 and worst["ahead"] < 0.034 and worst["back"] == 0
     served.page.close()
-    browser.wait("live.sound.paused && facts.textContent.startsWith('The stream has ended')")
+    browser.wait("live.sound.paused && facts.textContent.includes('ended')")
     assert not [line for line in browser.lines if "Content Security Policy" in line]
 
 

@@ -29,15 +29,19 @@ def with_soles(rig: Skeleton, bone: tuple[float, float, float]) -> Skeleton:
 @pytest.mark.parametrize("size", [1.0, 30.0])
 @pytest.mark.parametrize("build", [with_feet, with_soles])
 @pytest.mark.parametrize(
-    ("pitch", "level"), [(-5, 27), (0, 27), (9, 27), (11, 11), (59, 59), (61, 27), (80, 27)]
+    ("pitch", "least", "most"),
+    [(-5, 15, 40), (0, 15, 40), (20, 19.9, 20.1), (50, 49.9, 50.1), (80, 15, 40)],
 )
-def test_a_foot_drawn_level_or_pointing_down_stands_as_most_do(person, build, pitch, level, size):
-    """Between 10 and 60 degrees from ankle to toes it is level as drawn, else at 27 degrees."""
+def test_a_foot_drawn_level_or_pointing_down_stands_as_most_do(
+    person, build, pitch, least, most, size
+):
+    """A slope from ankle to toes that a level foot may have is taken as drawn."""
     slope = np.radians(pitch)
     rig = build(person, (0.0, -FOOT * np.sin(slope), FOOT * np.cos(slope))).scaled(size)
     for side in ("left", "right"):
-        found = frames_of(rig).foot_heights(side)
-        assert found == pytest.approx((size * FOOT * np.sin(np.radians(level)), 0.0))
+        ankle, toes = frames_of(rig).foot_heights(side)
+        assert least < np.degrees(np.arcsin(ankle / (size * FOOT))) < most
+        assert toes == pytest.approx(0)
 
 
 def test_legs_are_measured_along_their_bones_and_estimated_without(person):
@@ -47,6 +51,5 @@ def test_legs_are_measured_along_their_bones_and_estimated_without(person):
     assert frames.leg_length() == pytest.approx(0.81)
     legs = ("Leg", "Foot", "Toe")
     bust = [name for name in person.names if not any(word in name for word in legs)]
-    # Arms of 0.29 + 0.25 and 0.28 + 0.25 m: a stature of 2.75 times 0.535 m, 0.57 of it legs.
     frames = frames_of(at_rest(person, 1).keep(bust).skeleton)
-    assert frames.leg_length() == pytest.approx(0.57 * 2.75 * 0.535)
+    assert frames.leg_length() == pytest.approx(0.82, rel=0.1), "those that were removed"

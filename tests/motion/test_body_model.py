@@ -1,3 +1,4 @@
+import re
 import warnings
 from dataclasses import replace
 
@@ -109,41 +110,40 @@ def test_pickled_notes_are_left_alone_and_pickled_arrays_refused(saved):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"v_template": np.zeros((9, 3))}, "9 vertices"),
+        ({"v_template": np.zeros((9, 3))}, r"\(748, 24\) .* 9 "),
         ({"v_template": None}, "'v_template'"),
         ({"weights": np.zeros((3, 2))}, "weights"),
-        ({"kintree_table": np.array([[-1, 5, 0] + [0] * 21, range(24)])}, "tree"),
-        ({"f": np.array([[0, 1, 99999]])}, "among"),
-        ({"f": np.array([[0.0, 1.0, 2.0]])}, "f has shape"),
+        ({"kintree_table": np.array([[-1, 5, 0] + [0] * 21, range(24)])}, "kintree_table"),
+        ({"f": np.array([[0, 1, 99999]])}, "748"),
+        ({"f": np.array([[0.0, 1.0, 2.0]])}, "f .*float64"),
         ({"posedirs": np.zeros((3, 3, 207))}, "posedirs"),
         ({"shapedirs": np.zeros((3, 3))}, "shapedirs"),
         ({"J_regressor": np.zeros((24, 7))}, "J_regressor"),
         ({"J_regressor": None}, "'J_regressor'"),
-        ({"posedirs": np.full((748, 3, 207), np.nan)}, "posedirs holds"),
-        ({"weights": np.zeros((748, 24))}, "sum to 1"),
-        (NOT_SPARSE, "J_regressor is not"),
-        ({"v_template": np.zeros((200_001, 3))}, "(200001, 3)"),
-        ({"weights": np.full((748, 257), 1 / 257)}, "(748, 257)"),
-        ({"weights": np.eye(24)[np.zeros(748, int)] * 2 - np.eye(24)[1]}, "negative"),
+        ({"posedirs": np.full((748, 3, 207), np.nan)}, "posedirs .*finite"),
+        ({"weights": np.zeros((748, 24))}, "weights .* 1;"),
+        (NOT_SPARSE, r"J_regressor .*\(24, 748\)"),
+        ({"v_template": np.zeros((200_001, 3))}, r"v_template .*\(200001, 3\)"),
+        ({"weights": np.full((748, 257), 1 / 257)}, r"weights .*\(748, 257\)"),
+        ({"weights": np.eye(24)[np.zeros(748, int)] * 2 - np.eye(24)[1]}, "weights .*negative"),
     ],
 )
 def test_files_that_are_no_body_model(saved, change, says):
     path = saved(**change)
-    with pytest.raises(FormatError) as caught:
+    with pytest.raises(FormatError, match=f"{re.escape(str(path))}.*{says}"):
         BodyModel.load(path)
-    assert str(path) in str(caught.value) and says in str(caught.value)
 
 
 def test_missing_pickled_and_other_models_are_refused(saved, body, tmp_path):
-    with pytest.raises(FormatError, match="no such body model"):
+    with pytest.raises(FormatError, match=r"absent\.npz"):
         BodyModel.of(tmp_path / "absent.npz", smpl_skeleton(24))
     (tmp_path / "SMPL.pkl").write_bytes(b"\x80\x04.")
-    with pytest.raises(FormatError, match="pickle"):
+    with pytest.raises(FormatError, match=r"SMPL\.pkl.*\.npz"):
         BodyModel.load(tmp_path / "SMPL.pkl")
     for feet, says in (
-        ([1, 2], "2 foot vertices"),
-        ([0, 1, 2, 3, 4, -1], "not among 748"),
-        ([0, 1, 2, 3, 4, 748], "not among 748"),
+        ([1, 2], "2 foot"),
+        ([0, 1, 2, 3, 4, -1], "-1.* 748"),
+        ([0, 1, 2, 3, 4, 748], r"748\].* 748"),
     ):
         with pytest.raises(FormatError, match=says):
             BodyModel.load(saved(), feet=feet)
@@ -165,7 +165,7 @@ def test_a_folder_gives_the_model_of_a_rig_and_its_gender(tmp_path, saved):
     assert chosen(24, "female") == "smpl/SMPL_FEMALE.npz"
     assert chosen(52, "male") == "smplh_male.npz"
     for n_joints, gender, file in ((24, "male", "SMPL_MALE"), (55, None, "SMPLX_NEUTRAL")):
-        with pytest.raises(FormatError, match=rf"smplx? .*{file}\.npz"):
+        with pytest.raises(FormatError, match=rf"{file}\.npz"):
             chosen(n_joints, gender)
 
 
@@ -204,9 +204,9 @@ def test_a_shape_in_a_skeleton_file_is_checked():
     assert Skeleton.from_json(values).body_shape == BodyShape((0.5,))
     for shape, says in (
         ({"gender": "man"}, "'man'.* female"),
-        ({"betas": [float("nan")]}, "betas of shape"),
-        ({"betas": [0.1] * 1001}, "1001 betas.* 1000"),
-        ({"pelvis": [0.0, 1.0]}, "pelvis: 2 numbers"),
+        ({"betas": [float("nan")]}, r"betas .*\(1,\)"),
+        ({"betas": [0.1] * 1001}, "1001 .* 1000"),
+        ({"pelvis": [0.0, 1.0]}, "pelvis.* 2 "),
         ({"weight": 80}, "weight"),
     ):
         with pytest.raises(MotionError, match=says):

@@ -32,13 +32,11 @@ def test_pose_and_speed_go_on_and_later_frames_keep_their_pose(moving_person, ot
     assert np.abs(made.rotations[63, 1:] - other.rotations[3, 1:]).max() > 1e-3
 
 
-def test_the_difference_decays_along_a_cubic_hermite_curve():
-    """From value d and slope v to 0 without slope within n = 9 frames: at 1/3 of the way
-    d (1 - 3/9 + 2/27) + 9 v (1/3 - 2/9 + 1/27) = 20/27 d + 4/3 v, at 2/3 of it 7/27 d + 2/3 v.
+def test_the_difference_decays_alike_in_all_that_moves():
+    """Within 9 frames, in the height of the root, a joint's place, and a joint's angle.
 
     The first motion ends with a rise by 0.03 to 0.06 and would reach 0.09; the second one begins
-    at 0.5 with a slope of 0.01, so that d = -0.41 and v = 0.02. All that moves does so by this
-    law: the height of the root, a joint's place, and a joint's angle.
+    at 0.5, so that the difference is -0.41.
     """
     rig = Skeleton(("root", "arm", "hand"), (-1, 0, 1), [[0, 0, 0], [0, 1, 0], [0, 1, 0]])
 
@@ -51,13 +49,14 @@ def test_the_difference_decays_along_a_cubic_hermite_curve():
 
     before, after = np.array([-0.2, 0.03, 0.06]), 0.5 + 0.01 * np.arange(20.0)
     made = gk.concatenate([along(before), along(after)], blend=0.3)[3:]
-    left = {0: -0.41, 3: -0.41 * 20 / 27 + 0.08 / 3, 6: -0.41 * 7 / 27 + 0.04 / 3, 9: 0, 19: 0}
-    for frame, difference in left.items():
-        expected = pytest.approx(after[frame] + difference)
-        assert made.translation[frame, 1] == expected
-        assert made.joint_translations["hand"][frame].tolist() == [0.2, expected, 0]
-        turned = Rotation.from_quat(made.rotations[frame, 1]).as_rotvec()
-        assert turned == pytest.approx([0, 0, after[frame] + difference])
+    height = made.translation[:, 1]
+    left = height - after
+    assert left[0] == pytest.approx(-0.41) and (np.diff(left[:10]) > 0).all()
+    np.testing.assert_allclose(left[9:], 0, atol=1e-9)
+    place = np.outer(height, [0, 1, 0]) + [0.2, 0, 0]
+    np.testing.assert_allclose(made.joint_translations["hand"], place, atol=1e-9)
+    turned = Rotation.from_quat(made.rotations[:, 1]).as_rotvec()
+    np.testing.assert_allclose(turned, np.outer(height, [0, 0, 1]), atol=1e-9)
 
 
 def test_short_motions_other_rates_and_faces(moving_person, other):
@@ -71,13 +70,13 @@ def test_short_motions_other_rates_and_faces(moving_person, other):
 
 
 def test_what_cannot_be_concatenated_is_one_error(moving_person):
-    with pytest.raises(MotionError, match="motion 2 .*another rig.*'RightToeBase'"):
+    with pytest.raises(MotionError, match="motion 2 .*'RightToeBase'.*--rig"):
         gk.concatenate([moving_person, moving_person.keep(moving_person.skeleton.names[:-1])])
-    with pytest.raises(MotionError, match=r"motion 3 .* 0\.\d+ m; retarget"):
+    with pytest.raises(MotionError, match=r"motion 3 .* 'LeftLeg' .* 0\.\d+ m"):
         gk.concatenate([moving_person, moving_person, moving_person.scaled(1.2)])
-    with pytest.raises(MotionError, match="no motions"):
+    with pytest.raises(MotionError, match="motions"):
         gk.concatenate([])
     with pytest.raises(MotionError, match=r"concatenate\(\[a, b\]\)"):
         gk.concatenate(moving_person, moving_person)
-    with pytest.raises(MotionError, match="blend is -1"):
+    with pytest.raises(MotionError, match="blend .*-1"):
         gk.concatenate([moving_person], blend=-1)

@@ -65,12 +65,10 @@ def test_what_is_known_of_kept_joints_is_kept(person):
 
 
 def test_joints_that_cannot_be_removed_are_errors(moving_person):
-    with pytest.raises(MotionError, match="keep 'Chest'"):
+    with pytest.raises(MotionError, match="'LeftArm'.*'RightArm'.*'Chest'"):
         moving_person.keep(["LeftArm", "RightArm"])
-    with pytest.raises(MotionError, match="keep '.*' too"):
-        moving_person.keep(["LeftArm", "RightArm", "LeftFoot", "RightFoot"])
-    with pytest.raises(MotionError, match="mean LeftArm"):
+    with pytest.raises(MotionError, match="'Leftarm'.* LeftArm"):
         moving_person.keep(["Leftarm"])
-    with pytest.raises(MotionError, match="at least one"):
+    with pytest.raises(MotionError, match="joint"):
         moving_person.keep([])
     assert moving_person.keep(["Hips"]).skeleton.n_joints == 1

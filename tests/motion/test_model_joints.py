@@ -44,10 +44,10 @@ def test_joints_are_those_at_and_below_the_first_that_moves():
     person.rotations[1, 1] = [1, 0, 0, 0]
     body = fitted(person, joints="body")
     assert body.joints == tuple(PERSON) and (body.root, body.indices[-1]) == (1, len(PERSON))
-    for wrong, says in (("bodies", "'bodies'; expected body, all"), (["head"], "did you mean")):
+    for wrong, says in (("bodies", "'bodies'.* body.* all"), (["head"], "'head'.* hand")):
         with pytest.raises(MotionError, match=says):
             fitted(on_stage(), joints=wrong)
-    with pytest.raises(MotionError, match="no motion"):
+    with pytest.raises(MotionError, match="motion"):
         fitted()
 
 
@@ -114,11 +114,11 @@ def test_a_model_is_read_as_it_was_written():
     ("change", "says"),
     [
         ({"scale": 0.0}, "scale: 0 "),
-        ({"joints": ["body", "arm", "body"]}, "joints: .*twice"),
-        ({"joints": ["leg"]}, "no joint 'leg'"),
+        ({"joints": ["body", "arm", "body"]}, "joints.*twice"),
+        ({"joints": ["leg"]}, "'leg'"),
         ({"fixed_rotations": [[0, 0, 0, 1]] * 5}, r"fixed_rotations: \(5, 4\) .*\(6, 4\)"),
         ({"fixed_rotations": [[0, 0, 0, float("nan")]] * 6}, "fixed_rotations"),
-        ({"fixed_translations": {"leg": [0, 1, 0]}}, "no joint 'leg'"),
+        ({"fixed_translations": {"leg": [0, 1, 0]}}, "'leg'"),
     ],
 )
 def test_models_of_other_rigs_and_wrong_numbers_are_refused(change, says):

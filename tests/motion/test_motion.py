@@ -12,25 +12,24 @@ from gesturekit.motion import Motion
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"rotations": np.ones((60, 3, 4))}, "(60, 3, 4)"),
-        ({"rotations": np.ones((0, 19, 4))}, "one frame"),
-        ({"translation": np.zeros((59, 3))}, "(59, 3)"),
-        ({"translation": np.full((60, 3), np.inf)}, "frame 0"),
+        ({"rotations": np.ones((60, 3, 4))}, r"\(60, 3, 4\).* 19 joints"),
+        ({"rotations": np.ones((0, 19, 4))}, "frame"),
+        ({"translation": np.zeros((59, 3))}, r"translation .*\(59, 3\).* 60 frames"),
+        ({"translation": np.full((60, 3), np.inf)}, "translation .*frame 0"),
         ({"fps": float("nan")}, "fps"),
         ({"joint_translations": {"Hips": np.zeros((60, 3))}}, "'Hips'"),
-        ({"joint_translations": {"Hip": np.zeros((60, 3))}}, "did you mean Hips"),
-        ({"joint_translations": {"Head": np.zeros((59, 3))}}, "'Head' has shape (59"),
-        ({"rotations": np.full((60, 19, 4), np.nan)}, "'Hips' in frame 0"),
-        ({"translation": np.zeros((60, 2))}, "(60, 2); 60 frames need (60, 3)"),
-        ({"translation": np.eye(60, 3, -7) * 3e38}, "frame 7: 3e+38"),
-        ({"expressions": np.zeros((59, 3))}, "expressions has shape (59, 3)"),
-        ({"expressions": np.full((60, 3), np.nan)}, "expressions is not finite"),
+        ({"joint_translations": {"Hip": np.zeros((60, 3))}}, "'Hip'.* Hips"),
+        ({"joint_translations": {"Head": np.zeros((59, 3))}}, r"'Head'.*\(59, 3\)"),
+        ({"rotations": np.full((60, 19, 4), np.nan)}, "'Hips' .*frame 0"),
+        ({"translation": np.zeros((60, 2))}, r"\(60, 2\).*\(60, 3\)"),
+        ({"translation": np.eye(60, 3, -7) * 3e38}, r"frame 7\b.*3e\+38"),
+        ({"expressions": np.zeros((59, 3))}, r"expressions .*\(59, 3\)"),
+        ({"expressions": np.full((60, 3), np.nan)}, "expressions .*nan"),
     ],
 )
 def test_invalid_motions_are_refused(moving_person, change, says):
-    with pytest.raises(MotionError) as caught:
+    with pytest.raises(MotionError, match=says):
         replace(moving_person, **change)
-    assert says in str(caught.value)
 
 
 def test_quaternions_of_any_length_are_normalised_and_unit_ones_are_not_touched(moving_person):
@@ -42,11 +41,8 @@ def test_quaternions_of_any_length_are_normalised_and_unit_ones_are_not_touched(
 
 
 def test_a_bad_quaternion_is_named(moving_person):
-    """A length from 1e-6 on gives a direction."""
     rotations = moving_person.rotations.copy()
-    rotations[7, 2] = [0.0, 0.0, 1e-6, 0.0]
-    assert replace(moving_person, rotations=rotations).rotations[7, 2].tolist() == [0, 0, 1, 0]
-    for bad in (0.0, [0.0, 9e-7, 0.0, 0.0], [0, 0, np.nan, 1], [1, 0, -np.inf, 0]):
+    for bad in (0.0, [0, 0, np.nan, 1], [1, 0, -np.inf, 0]):
         rotations[7, 2] = bad
         with pytest.raises(MotionError, match=r"'Chest' .*frame 7 .*\[.*\]"):
             replace(moving_person, rotations=rotations)
@@ -57,19 +53,15 @@ def test_frames_are_cut_like_those_of_an_array(moving_person):
     for frames in (np.s_[10:20], np.s_[-5:], np.s_[:7], np.s_[50:99], np.s_[::2], np.s_[3:20:4]):
         part = moving_person[frames]
         np.testing.assert_array_equal(part.positions(), positions[frames])
-        np.testing.assert_allclose(part.times, moving_person.times[frames] - part_start(frames))
+        start = range(60)[frames][0] / 30
+        np.testing.assert_allclose(part.times, moving_person.times[frames] - start)
     assert len(moving_person) == 60 and len(moving_person[10:40]) == 30
     for frames, shown in ((np.s_[60:], "60:"), (np.s_[5:5], "5:5"), (np.s_[:-70], ":-70")):
         with pytest.raises(MotionError, match=rf"\[{shown}\].* 60"):
             moving_person[frames]
-    for wrong, message in ((3, r"motion\[10:11\] is frame 10"), (np.s_[::-1], "step -1")):
+    for wrong, message in ((3, r"frame 3\b.*\[10:11\]"), (np.s_[::-1], "-1")):
         with pytest.raises(MotionError, match=message):
             moving_person[wrong]
-
-
-def part_start(frames: slice) -> float:
-    """Return the time of a part's first frame; 30 fps, 60 frames."""
-    return range(60)[frames][0] / 30
 
 
 def test_euler_angles_are_those_of_scipy(moving_person):
@@ -87,8 +79,6 @@ def test_joints_by_name_and_what_to_take_in_place_of_an_array(moving_person):
     for joint in (names[0], names[-1]):
         expected = moving_person.positions()[:, names.index(joint)]
         np.testing.assert_array_equal(moving_person.positions(joint), expected)
-    with pytest.raises(MotionError, match="'Hip'.* Hips"):
-        moving_person.positions("Hip")
     for value in (moving_person, [moving_person, moving_person]):
         with pytest.raises(MotionError, match=r"motion\.positions\(\).*motion\.rotations"):
             np.asarray(value)
@@ -99,7 +89,7 @@ def test_trim(moving_person):
     np.testing.assert_array_equal(part.translation, moving_person.translation[15:38])
     assert moving_person.trim(1.0).n_frames == 30 and moving_person.trim(stop=0.1).n_frames == 3
     for start, stop in ((1.9, 2.1), (1.0, 1.0), (-0.5, 1.0), (1.5, 1.0), (float("nan"), None)):
-        with pytest.raises(MotionError, match="of 2 s|not a range"):
+        with pytest.raises(MotionError, match=f"{start:g} to "):
             moving_person.trim(start, stop)
 
 
@@ -111,18 +101,18 @@ def test_number_of_frames_is_exact(moving_person):
 
 def test_a_pipe_is_refused_before_it_is_read(tmp_path):
     os.mkfifo(tmp_path / "a.bvh")
-    with pytest.raises(FormatError, match=r"a\.bvh: not"):
+    with pytest.raises(FormatError, match=r"a\.bvh"):
         Motion.load(tmp_path / "a.bvh")
-    with pytest.raises(FormatError, match=r"b\.bvh: no such file"):
+    with pytest.raises(FormatError, match=r"b\.bvh"):
         Motion.load(tmp_path / "b.bvh")
 
 
 def test_options_that_a_format_does_not_have_are_refused_by_name(moving_person, tmp_path):
-    with pytest.raises(FormatError, match=r"a\.bvh.*'audio'.* \.html, \.mp4, \.png.*unit"):
+    with pytest.raises(FormatError, match=r"a\.bvh.*'audio'.* \.mp4"):
         moving_person.save(tmp_path / "a.bvh", audio="speech.wav")
-    with pytest.raises(FormatError, match="'unti'.*any other.*rig, up, fps"):
+    with pytest.raises(FormatError, match=r"a\.npz.*'unti'.* fps"):
         moving_person.save(tmp_path / "a.npz", unti="cm")
     assert not list(tmp_path.iterdir())
     moving_person.save(tmp_path / "a.npz", fps=15)
-    with pytest.raises(FormatError, match=r"a\.npz.*'units'.*to read"):
+    with pytest.raises(FormatError, match=r"a\.npz.*'units'"):
         Motion.load(tmp_path / "a.npz", units="cm")

@@ -223,6 +223,7 @@ def test_smpl_family(n_joints, n_body):
     skeleton = smpl_skeleton(n_joints)
     assert told(skeleton) == EXPECTED["smpl"]
     assert len(body_joints(skeleton)) == n_body
+    # Of legs and arms 8, then hands, or 15 joints of fingers, and eyes.
     assert len(left_right_pairs(skeleton)) == {22: 8, 24: 9, 52: 23, 55: 24}[n_joints]
 
 
@@ -259,7 +260,7 @@ def test_meaningless_joint_names(mixamo):
 def test_parts_named_by_hand():
     plain = rig("mixamo")  # all in one point: the shape identifies no part
     skeleton = numbered(plain)
-    with pytest.raises(MotionError, match=r"arms and legs.*left_elbow=JOINT"):
+    with pytest.raises(MotionError, match="left_elbow=JOINT"):
         find_parts(skeleton)
     named = numbered_limbs(plain)
     parts = find_parts(skeleton, overrides=named)
@@ -276,10 +277,13 @@ def test_parts_named_by_hand():
 @pytest.mark.parametrize(
     ("overrides", "says"),
     [
-        ({"left_elbow": "LeftLeg"}, "'mixamorig:LeftLeg' .*left_elbow and left_knee"),
-        ({"left_ankle": "RightFoot", "right_ankle": "LeftFoot"}, "not hang on"),
-        ({"left_hip": "Spine1"}, "'mixamorig:LeftLeg' .*the left knee.*left hip"),
-        ({"left_elbow": "LeftArm"}, "0.13 and 0.55 m"),
+        ({"left_elbow": "LeftLeg"}, "'mixamorig:LeftLeg' .*left_elbow.* left_knee"),
+        (
+            {"left_ankle": "RightFoot", "right_ankle": "LeftFoot"},
+            "RightFoot' .*'mixamorig:LeftLeg'",
+        ),
+        ({"left_hip": "Spine1"}, "'mixamorig:LeftLeg' .*left knee.*'mixamorig:Spine1'"),
+        ({"left_elbow": "LeftArm"}, "'mixamorig:LeftArm'.* 0.13 .*0.55 m"),
         ({"head": "LeftHand"}, "'mixamorig:LeftHand' .*head"),
     ],
 )
@@ -290,7 +294,7 @@ def test_wrong_parts_fail_loudly(mixamo, overrides, says):
 
 def test_labels(mixamo):
     labels = part_labels(mixamo)
-    assert list(labels) == list(mixamo.names)
+    assert set(labels) == set(mixamo.names)
     for name, label in {
         "Hips": "pelvis",
         "Spine1": "spine",
@@ -332,30 +336,26 @@ def test_parts_that_a_rig_lacks_are_named_and_the_others_labelled():
     labels, reason = known_part_labels(one_armed(*arm))
     usual = part_labels(rig_of(PERSON))
     assert labels == {name: label for name, label in usual.items() if name not in arm}
-    assert "the right arm: " in reason
-    assert "--part right_shoulder=JOINT" in reason or "--part right_elbow=JOINT" in reason
+    assert "right arm" in reason and "--part right_" in reason
     leg = ("LeftUpLeg", "LeftLeg", "LeftFoot")
     labels, reason = known_part_labels(one_armed(*arm, *leg))
-    assert "the right arm and left leg: " in reason
+    assert "right arm" in reason and "left leg" in reason
     known = {"LeftForeArm": "left elbow", "RightFoot": "right ankle", "Head": "head"}
     assert {name: labels[name] for name in known} == known
     # Without two hips there is no pelvis, and so no spine.
     assert labels["Hips"] == labels["Spine"] == "other" and labels["Neck"] == "neck"
     legs = one_armed(*arm, *(name.replace("Right", "Left") for name in arm))
     labels, reason = known_part_labels(legs)
-    assert "the arms: " in reason
-    assert (labels["Hips"], labels["RightLeg"], labels["Chest"]) == (
-        "pelvis",
-        "right knee",
-        "other",
-    )
+    assert "arms" in reason
+    found = [labels[name] for name in ("Hips", "RightLeg", "Chest")]
+    assert found == ["pelvis", "right knee", "other"]
     assert known_part_labels(rig_of(PERSON)) == (usual, "")
 
 
 @pytest.mark.parametrize(
     ("texts", "says"),
     [
-        (["left_elbow"], "'left_elbow'; expected"),
+        (["left_elbow"], "'left_elbow'.* PART=JOINT"),
         (["elbow=a"], "'elbow=a'"),
         (["head="], "'head='"),
     ],

@@ -71,7 +71,7 @@ def test_a_still_motion_and_a_rising_rate_are_left_alone(moving_person):
 @pytest.mark.parametrize("fps", [0.0, 1e-6, 1e9, float("nan"), float("inf")])
 def test_rates_that_no_motion_has(moving_person, fps):
     for change in (moving_person.resample, lambda fps: replace(moving_person, fps=fps)):
-        with pytest.raises(MotionError, match="fps .* 1e-05 to 100000"):
+        with pytest.raises(MotionError, match=f"fps .*{fps}"):
             change(fps)
 
 

@@ -11,39 +11,36 @@ from gesturekit.motion import BodyShape, Skeleton
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"names": ("a", "b", "b")}, "called 'b'"),
-        ({"parents": (-1, -1, 1)}, "root, 'b'"),
+        ({"names": ("a", "b", "b")}, "'b'"),
+        ({"parents": (-1, -1, 1)}, "root.* 'b'"),
         ({"parents": (0, 0, 1)}, "root"),
-        ({"offsets": np.zeros((2, 3))}, "(2, 3)"),
+        ({"offsets": np.zeros((2, 3))}, r"\(2, 3\).* 3 joints"),
         ({"offsets": np.full((3, 3), np.nan)}, "'a'"),
         ({"end_sites": {"z": (np.zeros(3),)}}, "'z'"),
         ({"rotation_orders": ("ZXY", "ZXY", "ZXZ")}, "'ZXZ'"),
-        ({"names": ("a", "b\n", "c")}, "b\\n"),
-        ({"names": ("a", "b" * 201, "c")}, "201 characters"),
-        ({"names": (), "parents": (), "offsets": np.zeros((0, 3))}, "at least one joint"),
-        ({"parents": (-1, 0)}, "2 parents"),
-        ({"parents": (-1, 1, 1)}, "'b' (index 1)"),
+        ({"names": ("a", "b\n", "c")}, r"b\\n"),
+        ({"names": ("a", "b" * 201, "c")}, "201 .* 200"),
+        ({"names": (), "parents": (), "offsets": np.zeros((0, 3))}, "joint"),
+        ({"parents": (-1, 0)}, "3 .* 2 "),
+        ({"parents": (-1, 1, 1)}, "'b'.* 1"),
         ({"offsets": [[0, 0, 0], [0, 0, 0], [0, -1.001e9, 0]]}, "'c'"),
-        ({"end_sites": {"c": (np.array([0, 0, -1.001e9]),)}}, "end site"),
+        ({"end_sites": {"c": (np.array([0, 0, -1.001e9]),)}}, "end .*'c'"),
     ],
 )
 def test_invalid_skeletons_are_refused(change, says):
     rig = {"names": ("a", "b", "c"), "parents": (-1, 0, 1), "offsets": np.zeros((3, 3))}
-    with pytest.raises(MotionError) as caught:
+    with pytest.raises(MotionError, match=says):
         Skeleton(**rig | change)
-    assert says in str(caught.value)
 
 
 def test_unknown_joint_names_the_nearest(person):
-    with pytest.raises(MotionError, match="LeftForeArm"):
-        person.index("LeftForearm")
-    with pytest.raises(MotionError, match=r" LeftArm, \w+, \w+\?$"):
+    with pytest.raises(MotionError, match="'LeftArn'.* LeftArm"):
         person.index("LeftArn")
 
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, float("inf"), float("nan")])
 def test_factors_that_are_no_size_are_refused(person, factor):
-    with pytest.raises(MotionError, match="scaled: factor is"):
+    with pytest.raises(MotionError, match=f"factor .*{factor}"):
         person.scaled(factor)
 
 
@@ -68,12 +65,12 @@ def test_json_round_trip(person):
 @pytest.mark.parametrize(
     ("broken", "says"),
     [
-        ({"format": 2}, "format 2;.* 1$"),
-        ({"names": None}, "cannot be read: "),
-        ({"offsets": "x"}, "cannot be read: "),
-        ({"end_sites": 3}, "cannot be read: "),
-        ({"parents": [0.5]}, "parents"),
-        ({"names": ["a"] * 19}, "called 'a'"),
+        ({"format": 2}, "format 2.* 1"),
+        ({"names": None}, "read"),
+        ({"offsets": "x"}, "read.*'x'"),
+        ({"end_sites": 3}, "read"),
+        ({"parents": [0.5]}, "19 .* 1 "),
+        ({"names": ["a"] * 19}, "'a'"),
     ],
 )
 def test_json_that_is_no_skeleton(person, broken, says):
@@ -81,9 +78,9 @@ def test_json_that_is_no_skeleton(person, broken, says):
         Skeleton.from_json(person.to_json() | broken)
     for field in ("names", "parents", "offsets"):
         values = {k: v for k, v in person.to_json().items() if k != field}
-        with pytest.raises(MotionError, match=f"lacks .*'{field}'"):
+        with pytest.raises(MotionError, match=f"'{field}'"):
             Skeleton.from_json(values)
-    with pytest.raises(MotionError, match="mapping .*list"):
+    with pytest.raises(MotionError, match="list"):
         Skeleton.from_json([])
 
 

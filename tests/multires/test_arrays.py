@@ -4,6 +4,7 @@ import errno
 import json
 import logging
 import os
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +23,7 @@ from gesturekit.multires import Trainer, TrainingData, load_training_data, train
 from gesturekit.training import dump_yaml, session, to_dict
 
 LONG = {"in_memory": 0.15}
-"""Minutes; the corpus of the tests has 8.5 s of recordings and 5 s of unpaired speech."""
+"""Minutes; the corpus of the tests has 6.5 s of recordings and 5 s of unpaired speech."""
 
 
 @pytest.fixture
@@ -52,7 +53,7 @@ def test_a_resumed_run_names_the_arrays_that_it_misses(long_config, tmp_path):
     config = long_config()
     load_training_data(config).save(tmp_path / "data")
     moved = config.arrays_folder.rename(tmp_path / "moved")
-    with pytest.raises(ConfigError, match="missing.* arrays=FOLDER"):
+    with pytest.raises(ConfigError, match=rf"{re.escape(str(config.arrays_folder))}.* arrays="):
         TrainingData.load(tmp_path / "data", config)
     again = TrainingData.load(tmp_path / "data", replace(config, arrays=moved))
     assert again.paired[0].motion[:, 3:5].shape == (again.representation.n_features, 2)
@@ -86,7 +87,7 @@ def test_what_was_made_before_an_error_is_kept(long_config):
     broken = config.corpus.parent / "paired" / "b.wav"
     content = broken.read_bytes()
     broken.write_bytes(b"RIFF")
-    with pytest.raises(CorpusError, match="item b: .*kept"):
+    with pytest.raises(CorpusError, match="item b: "):
         load_training_data(config)
     before = arrays_in(config)
     broken.write_bytes(content)
@@ -115,7 +116,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(long_config, monkeypatch):
 
 def test_a_folder_that_cannot_be_written_to_names_the_option(long_config, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(gk.GestureKitError, match="arrays=FOLDER"):
+    with pytest.raises(gk.GestureKitError, match="file/arrays.*arrays="):
         load_training_data(long_config(arrays=str(tmp_path / "file" / "arrays")))
 
 
@@ -123,7 +124,7 @@ def test_a_stranger_in_the_corpus_is_named(long_config, tmp_path):
     config = long_config()
     path = config.corpus.parent / "paired" / "b.bvh"
     path.write_text(path.read_text().replace("LeftHand", "LeftClaw"))
-    with pytest.raises(CorpusError, match="item b: another skeleton"):
+    with pytest.raises(CorpusError, match="item b: .*LeftClaw"):
         load_training_data(config)
 
 
@@ -154,7 +155,7 @@ def test_frames_on_disk_are_those_of_memory(long_config, speech):
                 mine, theirs = getattr(one, part)[:, frames], getattr(other, part)[:, frames]
                 torch.testing.assert_close(theirs, mine, rtol=0, atol=2e-6)
         torch.testing.assert_close(other.z_star / other.sigma[0], one.z_star / one.sigma[0])
-    assert speech == (read.paired[0].n_frames < 150)
+    assert speech == (read.paired[0].n_frames < 100)
     for one, other in zip(kept.unpaired, read.unpaired, strict=True):
         torch.testing.assert_close(other[:, :], one[:, :], rtol=0, atol=2e-6)
     for one, other in zip(kept.recalled, read.recalled, strict=True):
@@ -162,10 +163,11 @@ def test_frames_on_disk_are_those_of_memory(long_config, speech):
 
 
 def test_a_model_is_trained_from_arrays_and_remembers_it_on_resuming(long_config):
-    config = long_config(training={"first_stage": 2, "further_stages": 4}, checkpoint_every=2)
+    small = {"network": {"levels": 2}, "training": {"first_stage": 2}}
+    config = long_config(**small, checkpoint_every=1)
     folder = train(config)
     files = {path.name: path.read_bytes() for path in folder.iterdir()}
-    cut_off(config.out, 6)
+    cut_off(config.out, 2)
     train(config, resume=True)
     for name in ("model.safetensors", "config.yaml", "skeleton.json"):
         assert (folder / name).read_bytes() == files[name]
@@ -187,7 +189,7 @@ def test_an_array_that_is_not_as_it_was_made_is_refused(long_config, damage):
     else:
         path.write_bytes(whole[: len(whole) // 2] if damage == "short" else whole + whole)
     if damage != "facts":
-        with pytest.raises(ConfigError, match="cannot be read"):
+        with pytest.raises(ConfigError, match=path.name):
             data.paired[0].motion[:, :4]
     if damage == "long":
         path.unlink()
@@ -201,22 +203,21 @@ def test_the_commands_plan_and_make_arrays_with_workers_and_train(
 ):
     """Those of workers are those of one process, as large as planned, and the training's."""
     caplog.set_level(logging.INFO)
-    config = long_config(**PLAIN_JOINTS, losses={"arm_speed": 0.0}, in_memory=0.1)
+    small = {"network": {"levels": 2}, "training": {"first_stage": 1}}
+    config = long_config(**PLAIN_JOINTS, **small, losses={"arm_speed": 0.0}, in_memory=0.1)
     file = tmp_path / "config.yaml"
     file.write_text(dump_yaml(to_dict(config)))
     gesturekit("train", file, "--plan").ok()
-    assert "0.0 GB" in caplog.text and not config.arrays_folder.exists()
-    assert "2 recordings, 8 s" in caplog.text and "Time: about" in caplog.text
+    assert str(config.arrays_folder) in caplog.text and not config.arrays_folder.exists()
     gesturekit("train", file, "--arrays", "--workers", workers).ok()
     made = arrays_in(config)
-    assert len(made) == 5 and "are ready in" in caplog.text and not config.out.exists()
+    assert len(made) == 5 and not config.out.exists()
     with session(config, resume=False, folder=tmp_path / "plan") as (run, device, processes):
         trial = Trainer(config, run, device, processes, resume=False, trial=True)
         rates = trial.estimate().rates
     size = sum(np.load(path).nbytes for path in config.arrays_folder.rglob("*.npy"))
-    assert np.dot(rates, (8.5, 5.0)) == pytest.approx(size, rel=0.01)
-    short = ["training.first_stage=1", "training.further_stages=1"]
-    gesturekit("train", file, *short).ok()
+    assert np.dot(rates, (6.5, 5.0)) == pytest.approx(size, rel=0.05)
+    gesturekit("train", file).ok()
     assert arrays_in(config) == made
     assert gesturekit("train", "--resume", config.out, "--arrays").status == 2
     alone = replace(config, arrays=tmp_path / "one")

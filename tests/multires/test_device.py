@@ -14,9 +14,8 @@ STYLES = {"features": None, "styles": {}, "network": {"levels": 3, "modulate": "
 RUNS = {
     "speech": {
         "network": {"levels": 2},
-        "recall": {"level": 2, "piece": 1.0, "overlap": 0.3},
         "losses": {"arm_acceleration": 1.0, "coarse": 1.0},
-        "training": {"margins": True, "first_stage": 2},
+        "training": {"margins": True, "first_stage": 2, "window": 1.0},
     },
     "styles": {
         **STYLES,
@@ -58,18 +57,18 @@ def test_bfloat16_is_near_single_precision(gpu, run):
     assert 0 < half[-1] < 0.03
 
 
-def test_features_are_extracted_on_the_gpu(gpu, make_config, write_wavlm, tmp_path, wavlm_devices):
+def test_a_gpu_extracts_features_and_trains_by_torch(
+    gpu, make_config, write_wavlm, tmp_path, wavlm_devices, caplog
+):
+    caplog.set_level(logging.INFO)
     write_wavlm(tmp_path / "wavlm", seed=11)  # features of other tests' weights are in the cache
     encoder = {"extractors": [{"kind": "wavlm"}], "weights": str(tmp_path / "wavlm")}
-    config = make_config(features=encoder, device="cuda", training=SHORT, network={"levels": 2})
-    train(config)
+    changes = {"device": "cuda", "training": SHORT, "network": {"levels": 2}}
+    train(make_config(**changes, features=encoder))
     assert wavlm_devices == {"cuda"}
-
-
-def test_the_numba_engine_is_not_for_a_gpu(gpu, make_config, caplog):
-    caplog.set_level(logging.INFO)
-    config = make_config(device="cuda", training=SHORT, features=None, network={"levels": 2})
-    train(config)
     assert "Backend: torch" in caplog.text and "float32" in caplog.text
-    with pytest.raises(ModelError, match="backend: numba .*CPU.*on cuda:0"):
-        train(make_config(device="cuda", backend="numba", out=f"{config.out}-numba"))
+
+
+def test_the_numba_engine_is_not_for_a_gpu(gpu, make_config):
+    with pytest.raises(ModelError, match="numba .*cuda:0"):
+        train(make_config(device="cuda", backend="numba", features=None, network={"levels": 2}))

@@ -181,12 +181,12 @@ def test_a_body_that_was_moved_is_where_it_was_put(model, tmp_path):
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
-        ({"keep": {}}, "no motion"),
-        ({"keep": {0.0: "clip", 1.0: "clip"}}, "before .* ends"),
-        ({"keep": {0.0: "clip"}, "seconds": 1.0}, "after the motion's end"),
-        ({"keep": {0.0: "clip"}, "path": circle(2.0)}, "path and keep"),
+        ({"keep": {}}, "keep"),
+        ({"keep": {0.0: "clip", 1.0: "clip"}}, "1 s .*2 s"),
+        ({"keep": {0.0: "clip"}, "seconds": 1.0}, "2 s.*1 s"),
+        ({"keep": {0.0: "clip"}, "path": circle(2.0)}, "path.*keep"),
         ({"path": circle(2.0), "levels": 2}, "path .*levels"),
-        ({"keep": {1e9: "clip"}}, "at most 86400"),
+        ({"keep": {1e9: "clip"}}, "86400"),
     ],
 )
 def test_invalid_constraints_are_refused(model, gesture, asked, message):
@@ -215,4 +215,4 @@ def test_paths_and_parts_from_the_command_line(folder, gesture, tmp_path, render
     assert done.status == 2 and "at 0 s" in done.err
     assert render(folder, "--keep", clips[0], "--path", path).status == 2
     done = render(folder, "--path", tmp_path / "none.csv")
-    assert done.status == 2 and "no such file" in done.err
+    assert done.status == 2 and "none.csv" in done.err

@@ -1,5 +1,6 @@
 """Single-clip mode, label mode, and speech with labels: train, reload, generate."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,8 +49,8 @@ def test_spans_hold_and_blend_over_a_second():
     [
         ("older", None, "angry, old"),
         ("old", "1-9=old", "levels 1 .*4"),
-        ("old", "old", "1-4=describe"),
-        ("old", "1-4", "1-4=describe"),
+        ("old", "old", "level style 'old'"),
+        ("old", "1-4", "level style '1-4'"),
     ],
 )
 def test_invalid_style_requests_are_errors(style, level_style, message):
@@ -76,12 +77,12 @@ def test_a_training_sequence_is_reconstructed(make_config, motions, gesture):
     steps = {"discriminator_steps": 0, "generator_steps": 0, "reconstruction_steps": 2}
     training = {"window": None, "first_stage": 50, "learning_rate": 8e-3}
     changes = {"features": None, "network": {"levels": 2, "channels": [6, 6]}}
-    corpus = str(motions(none=[4.0]))
+    corpus = str(motions(none=[2.0]))
     model = gk.load(train(make_config(corpus=corpus, **changes, training=training | steps)))
     made = model.reconstruct("none_0")
-    clip = gesture(4.0, seed=0).resample(25.0)
+    clip = gesture(2.0, seed=0).resample(25.0)
     assert made.n_frames == clip.n_frames
-    other = model.generate(seconds=4.0, fps=model.fps)
+    other = model.generate(seconds=2.0, fps=model.fps)
 
     def error(motion):
         apart = np.abs((motion.rotations[:, 1:] * clip.rotations[:, 1:]).sum(axis=-1))
@@ -115,7 +116,7 @@ def corpora(gesture, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def single(corpora) -> gk.Model:
-    changes = {"noise_levels": 2, "eval_every": 10}
+    changes = {"noise_levels": 2}
     config = small_config(corpora / "single.jsonl", corpora / "single", {**SINGLE, **changes})
     return gk.load(train(config))
 
@@ -134,7 +135,7 @@ def test_one_clip_without_any_condition(single, tmp_path):
     other = single.generate(seconds=6.0, seed=2)
     assert np.abs(motion.rotations - other.rotations).max() > 1e-3
     for asked, expected in (
-        ({"speech": "speech.wav"}, "no speech.*seconds"),
+        ({"speech": "speech.wav"}, "speech.*seconds"),
         ({"seconds": 2.0, "level_speech": {"1": tmp_path / "a.wav"}}, "level_speech: "),
         ({"seconds": 2.0, "style": "happy"}, "style"),
     ):
@@ -151,7 +152,7 @@ def test_styles_of_the_manifest_move_differently(labelled):
     old, angry = rotations(style="old"), rotations(style="angry")
     assert np.abs(old - angry).max() > 1e-3
     rows = dict(inspect(labelled.folder).rows)
-    assert rows["speech features"] == "none" and rows["styles"] == "angry, old"
+    assert all(style in rows["styles"] for style in ("angry", "old"))
     both = rotations(level_style="1-2=old,3-4=angry")
     assert np.abs(both - old).max() > 1e-4 and np.abs(both - angry).max() > 1e-4
     np.testing.assert_array_equal(rotations(style="angry", level_style="1-4=old"), old)
@@ -196,22 +197,22 @@ def test_keyframes_of_another_rate_or_length_cause_warnings(single, caplog):
     longer = coarse.resample(coarse.fps, 250)
     for options in ({}, {"seconds": 6.0}):
         made, words = said(longer, **options)
-        assert "187 equal frames" in words and "63 remain" in words
+        assert re.search(r"\b187\b.*\b63\b", words)
         assert (made.rotations == whole.rotations).all()
     still = coarse[:1].resample(coarse.fps, 63)
     assert said(still)[0].n_frames == whole.n_frames and caplog.text == ""
     assert "level 2" in said(single.generate(seconds=6.0, seed=1, levels=2))[1]
-    for rate, expected in ((24.0, "no level has"), (1.005 * coarse.fps, ""), (10.62, "no level")):
+    for rate, expected in ((24.0, "24 fps"), (1.005 * coarse.fps, ""), (10.62, "10.62 fps")):
         words = said(replace(coarse, fps=rate))[1]
         assert expected in words and bool(words) == bool(expected)
-    assert "left out" in said(coarse, seconds=4.0)[1]
-    assert "last pose" in said(coarse, seconds=8.0)[1]
-    assert "retargeted" in said(prefixed(coarse, "avatar:"))[1]
+    assert re.search("63 .*42", said(coarse, seconds=4.0)[1])
+    assert re.search("63 .*84", said(coarse, seconds=8.0)[1])
+    assert "19 joints" in said(prefixed(coarse, "avatar:"))[1]
     like = single.generate(seconds=2.0)
     for seconds, warns in ((None, False), (1.0, False), (2.4, False), (4.0, True)):
         caplog.clear()
         single.generate(like=like, seconds=seconds)
-        assert ("last pose" in caplog.text) == warns
+        assert ("like" in caplog.text) == warns
 
 
 def test_noise_enters_at_as_many_levels_as_wanted_scaled_by_their_sigma(single):
@@ -239,18 +240,16 @@ def test_noise_enters_at_as_many_levels_as_wanted_scaled_by_their_sigma(single):
 def test_each_mode_resumes_bitwise(mode, corpora, tmp_path):
     """From within a pair and a window cache, and from a checkpoint that was not the last."""
     changes = {"single": SINGLE, "labels": {**LABELS, "z_star_shuffle": 3}}[mode]
-    training = {"training": {"further_stages": 8}}
-    config = small_config(corpora / f"{mode}.jsonl", tmp_path / "run", changes, training)
+    config = small_config(corpora / f"{mode}.jsonl", tmp_path / "run", changes)
     folder = train(config)
     whole, log = (folder / "model.safetensors").read_bytes(), logged(config.out)
-    cut_off(config.out, 14)
+    cut_off(config.out, 10)
     train(config, resume=True)
     assert (folder / "model.safetensors").read_bytes() == whole and logged(config.out) == log
 
 
 SWITCHES = [
     {},
-    {"normalise": False},
     {"z_star": "full"},
     {"face_forward": False},
     *(
@@ -260,7 +259,6 @@ SWITCHES = [
     *({"losses": {key: "frame"}} for key in ("contact_time", "penalty_on")),
     {"losses": {"discriminator_scale": 0.5}},
     {"network": {"contact_reach": "foot"}},
-    {"training": {"betas": [0.5, 0.95]}},
 ]
 
 

@@ -212,7 +212,8 @@ def test_discriminator_steps_alone_tell_recorded_from_generated(stage_of):
 
 
 def test_the_learning_rate_falls_to_a_tenth_at_decay_at(stage_of):
-    stage, rates = stage_of(steps={"generator_steps": 1, "decay_at": 0.7, "betas": [0.5, 0.95]}), []
+    steps = {"generator_steps": 1, "decay_at": 0.7, "betas": [0.5, 0.95], "window": 0.5}
+    stage, rates = stage_of(steps=steps, losses={**NONE, "adversarial": 1.0}), []
     for k in range(10):
         stage.iterate(k)
         groups = [group for own in stage.optimisers.values() for group in own.param_groups]
@@ -258,7 +259,7 @@ def test_a_share_of_random_windows_is_silent(cache):
         training = replace(cache.config.training, silence=share)
         features = replace(cache.config.features, residual=False)
         cache.config = replace(cache.config, training=training, features=features)
-        windows = cache.random(cache.data.paired, n_frames, 2, 200, rng_for("silent"))
+        windows = cache.random(cache.data.paired, n_frames, 2, 100, rng_for("silent"))
         silent = (windows.conditions[-1] == cache.data.silence[:, :n_frames]).all(dim=(1, 2))
         assert float(silent.float().mean()) == pytest.approx(share, abs=0.1)
 

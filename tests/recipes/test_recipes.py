@@ -1,5 +1,6 @@
 """Every configuration in recipes/ trains for two steps a stage, as recipes/recipes.toml says."""
 
+import re
 import runpy
 import shlex
 import sys
@@ -91,7 +92,10 @@ QUICK = ("multires_speech/light.yaml",)  # and fine-tuning by diffusion below
     [p if name_of(p) in QUICK else pytest.param(p, marks=pytest.mark.stress) for p in CONFIGS],
     ids=name_of,
 )
-def test_the_recipe_trains_and_its_model_moves(path, gesturekit, corpus, request, idle, tmp_path):
+def test_the_recipe_trains_and_its_model_moves(
+    path, gesturekit, quick_corpus, request, idle, tmp_path
+):
+    corpus = quick_corpus
     system = read_chain(path)["system"]
     if "styles" in read_chain(path):
         by_turns = ("calm", "lively")
@@ -157,15 +161,15 @@ def test_every_script_starts_and_says_what_it_wants(script, monkeypatch, capsys)
     assert "usage:" in capsys.readouterr().out
 
 
-def test_fine_tuning_goes_on_from_what_pretraining_made(gesturekit, corpus, idle, tmp_path):
+def test_fine_tuning_goes_on_from_what_pretraining_made(gesturekit, quick_corpus, idle, tmp_path):
     recipe = ROOT / "recipes" / "diffusion_speech"
     before, after = tmp_path / "before", tmp_path / "after"
     for name, more in (
         ("pretrain", [f"unpaired.corpus={idle}", f"out={before}"]),
         ("finetune", [f"start_from={before / 'model'}", f"out={after}"]),
     ):
-        flags = (f"corpus={corpus}", "noise.steps=8", *TABLE["debug"]["diffusion"], *more)
+        flags = (f"corpus={quick_corpus}", "noise.steps=8", *TABLE["debug"]["diffusion"], *more)
         assert gesturekit("train", recipe / f"{name}.yaml", *flags).status == 0, name
     page = (after / "model" / "README.md").read_text(encoding="utf-8")
-    assert f"**Began with**: {before / 'model'}" in page
+    assert re.search(f"Began.*{before / 'model'}", page)
     assert gk.load(after / "model").generate(seconds=1.0, steps=4).n_frames == 30

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,7 +14,7 @@ from outputs import results
 from gesturekit.errors import ConfigError
 from gesturekit.jobs import STATE, Execution, status_of
 from gesturekit.motion import Motion
-from gesturekit.rendering import Output, iter_render
+from gesturekit.rendering import Output, iter_render, summary
 
 
 @pytest.fixture
@@ -52,11 +53,11 @@ def test_a_live_run_is_never_mixed_with_another(model, sounds, tmp_path):
     going = iter_render(model, sounds, out)
     next(going)
     before = results(out)
-    with pytest.raises(ConfigError, match="in use"):
+    with pytest.raises(ConfigError, match=re.escape(str(out))):
         list(iter_render(model, sounds, out))
-    with pytest.raises(ConfigError, match="another run"):
+    with pytest.raises(ConfigError, match=re.escape(str(out))):
         run(model, sounds / "day", out)
-    with pytest.raises(ConfigError, match="another run"):
+    with pytest.raises(ConfigError, match=re.escape(str(out))):
         list(iter_render(model, sounds, out, execution=Execution(shard=(1, 2)), seed=1))
     assert results(out) == before
     assert len(list(going)) == 4
@@ -68,7 +69,7 @@ def test_a_slow_item_fails_at_the_deadline_until_it_changes(model, sounds, tmp_p
     write_speech(sounds / "b.wav", 1200.0)
     outcomes = run(model, sounds, tmp_path / "out", deadline=1.0)
     (late,) = [outcome for outcome in outcomes if outcome.error]
-    assert late.source.endswith("b.wav") and "after 1 s" in late.error
+    assert late.source.endswith("b.wav") and "1 s" in late.error
     assert len(results(tmp_path / "out")) == 8
     write_speech(sounds / "b.wav", 0.5)
     assert not [outcome for outcome in run(model, sounds, tmp_path / "out") if outcome.error]
@@ -93,19 +94,17 @@ def test_options_of_each_line_of_a_list(model, sounds, tmp_path):
     # A line that changes is one item to do again.
     lines[0]["seed"] = 4
     (sounds / "night.jsonl").write_text("\n".join(map(json.dumps, lines[:3])))
-    with pytest.raises(ConfigError, match="another seed .*2 .*4"):
+    with pytest.raises(ConfigError, match="seed .*2 .*4"):
         run(model, sounds / "night.jsonl", tmp_path / "out")
 
 
 def test_files_outside_the_output_folder_in_a_journal_are_not_read(model, sounds, tmp_path):
-    from gesturekit.rendering.summary import write_summary
-
     out = tmp_path / "out"
     run(model, sounds / "day", out)
     model.generate(seconds=0.5).save(tmp_path / "secret.bvh")
     path = out / STATE / "journal" / "00001-of-00001.jsonl"
     path.write_text(path.read_text().replace('"d.bvh"', '"../secret.bvh"'))
-    write_summary(out, status_of(out), tmp_path / "page.html")
+    summary.write_summary(out, status_of(out), tmp_path / "page.html")
     assert (tmp_path / "page.html").read_text().count("<img") == 1
 
 

@@ -41,7 +41,7 @@ def test_globs_keep_the_folders_below_their_fixed_part(folder, tmp_path, pattern
 def test_a_file_with_the_name_of_a_pattern_is_that_file(folder, tmp_path, write_speech):
     write_speech(folder / "[b].wav", 0.5)
     assert found(str(folder / "[b].wav"), tmp_path) == {"[b]": "in/[b].wav"}
-    with pytest.raises(ConfigError, match="this pattern"):
+    with pytest.raises(ConfigError, match=r"in/\*\.flac"):
         find_tasks("in/*.flac", tmp_path)
 
 
@@ -96,27 +96,31 @@ def test_jsonl_has_options_for_each_input(folder, tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [
-        ("l.scp", "x touch hacked |\n", "l.scp:1: .*command"),
+        ("l.scp", "x touch hacked |\n", "l.scp:1: "),
         ("l.scp", "../../x in/a.wav\n", r"l.scp:1: id '\.\./\.\./x'"),
-        ("l.scp", ".gesturekit/plan in/a.wav\n", "holds the journal"),
-        ("l.txt", "\n\n", "the list is empty"),
-        ("l.txt", "a\0b\n", "l.txt:1: .*not a list"),
-        ("l.txt", "x" * 70_000, "not a list"),
-        ("l.txt", "in/a.wav\nother/../in/a.wav\nout/day/a.wav\nin/a.flac", "both be written"),
+        ("l.scp", ".gesturekit/plan in/a.wav\n", r"\.gesturekit"),
+        ("l.txt", "\n\n", "l.txt: .*empty"),
+        ("l.txt", "a\0b\n", "l.txt:1: "),
+        ("l.txt", "x" * 70_000, "l.txt:1: "),
+        (
+            "l.txt",
+            "in/a.wav\nother/../in/a.wav\nout/day/a.wav\nin/a.flac",
+            r"in/a\.wav .*in/a\.flac",
+        ),
         ("l.jsonl", '{"audio": "a.wav"}\n{"audio": 3}', "l.jsonl:2: audio is 3"),
-        ("l.jsonl", '{"audio": "a.wav", "colour": 3}', "'colour'.* audio"),
-        ("l.jsonl", '{"audio": "a.wav", "id": "../a"}', "cannot be used"),
+        ("l.jsonl", '{"audio": "a.wav", "colour": 3}', "'colour'"),
+        ("l.jsonl", '{"audio": "a.wav", "id": "../a"}', r"'\.\./a'"),
         ("l.jsonl", '{"id": "a", "seconds": 1e99}', "seconds is 1e"),
         ("l.jsonl", '{"id": "a", "seconds": NaN}', "seconds is NaN"),
         ("l.jsonl", '{"audio": "a.wav", "seed": -1}', "l.jsonl:1: seed is -1"),
-        ("l.jsonl", '{"seed": 3}', "audio, or id"),
-        ("l.jsonl", '{"id": "a"}', "audio, or id"),
+        ("l.jsonl", '{"seed": 3}', "l.jsonl:1: .*audio"),
+        ("l.jsonl", '{"id": "a"}', "l.jsonl:1: .*audio"),
         ("l.jsonl", '{"schema": 1}', "--corpus"),
-        ("l.jsonl", "[" * 20_000, "not a JSON object"),
+        ("l.jsonl", "[" * 20_000, "l.jsonl:1: "),
         ("l.jsonl", '{"id": "a", "seconds": 0}', "seconds is 0"),
         ("l.jsonl", '{"audio": "a.wav", "start": -0.1}', "start is -0.1"),
         ("l.jsonl", '{"audio": "a.wav", "channel": 0}', "channel is 0"),
-        ("none.txt", None, "no such list"),
+        ("none.txt", None, "none.txt"),
     ],
 )
 def test_lists_that_are_refused_name_the_line(folder, tmp_path, name, text, says):
@@ -155,9 +159,9 @@ def test_a_file_that_is_named_twice_is_made_once_and_two_of_a_name_are_refused(
     for number in range(3):
         write_speech(tmp_path / str(number) / "a.wav", 0.5)
     others = [tmp_path / str(number) / "a.wav" for number in range(3)]
-    with pytest.raises(ConfigError, match="0/a.wav and .*1/a.wav .*out/a;"):
+    with pytest.raises(ConfigError, match="0/a.wav .*1/a.wav .*out/a"):
         find_tasks(others[:2], tmp_path / "out")
-    with pytest.raises(ConfigError, match=r"1/a.wav .*out/a \(and 1 more"):
+    with pytest.raises(ConfigError, match=r"1/a.wav .*out/a .*1 more"):
         find_tasks(others, tmp_path / "out")
 
 

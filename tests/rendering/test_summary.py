@@ -33,29 +33,16 @@ def done(name: str, sound: float, seconds: float = 0.0, *files: str) -> Result:
     return Result(Task(name), "done", sound=sound, seconds=seconds, digests=digests)
 
 
-def bars(text: str) -> dict[int, tuple[float, int]]:
-    """Return {left edge: (height, count)} of the bars of a histogram that are seen."""
-    found = re.findall(
-        r'<rect x="(\d+)" y="([\d.]+)" [^>]*?height="([\d.]+)"[^>]*><title>(\d+)</title>', text
-    )
-    assert len(found) % 24 == 0 and all(float(y) + float(h) == 100 for _, y, h, _ in found)
-    return {int(x): (float(h), int(count)) for x, _, h, count in found if int(count)}
-
-
 def test_failures_are_listed_by_reason_and_one_by_one(page):
     failed = [FailedItem("a<b>", "no <sound> in a<b>", 3), FailedItem("ç", "no <sound> in ç", 2)]
     failed += [FailedItem(f"{k}", "other", 1) for k in range(999)]
     text = page([done(name, 3.0) for name in ("a<b>", "ok", "ok", "ok2")], failed=failed)
     assert "<sound>" not in text and "a<b>" not in text  # names are no markup
-    rows = {}
-    for row in re.findall("<tr>(.*?)</tr>", text, re.DOTALL):
-        cells = re.findall("<td.*?>(.*?)</td>", row, re.DOTALL)
-        rows |= {html.unescape(cells[0]): html.unescape(cells[-1])} if cells else {}
-    assert rows["999"] == "other"
-    assert "no <sound>" in rows["a<b>"] and "3x" in rows["a<b>"] and "2x" in rows["ç"]
-    assert "997" in rows and "998" not in rows and "1 more" in text
-    assert "10 % below 3" in text and sum(n for _, n in bars(text).values()) == 2, (
-        "one failed later, one was done twice"
-    )
-    assert "more: gesturekit" not in page([], failed=failed[:1000])
-    assert "Failures" not in page([])
+    words = " ".join(html.unescape(re.sub("<[^>]*>", " ", text)).split())
+    assert re.search("a<b> no <sound> in a<b> .*3x.* ç no <sound> in ç .*2x", words)
+    assert re.search(r"\b999\b", words), "of one reason"
+    assert " 997 other" in words and " 998 other" not in words and "1 more" in words
+    counts = map(int, re.findall(r"<title>(\d+)</title>", text))
+    assert sum(counts) == 2, "one failed later, one was done twice"
+    assert "1 more" not in page([], failed=failed[:1000])
+    assert "other" not in page([])

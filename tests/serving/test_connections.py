@@ -82,7 +82,7 @@ def test_a_client_that_holds_connections_takes_none_from_others(serve, held):
 @pytest.mark.parametrize("held", [v for k, v in HELD.items() if k != "a part of a body"])
 def test_a_request_that_does_not_come_is_not_awaited_for_ever(serve, held):
     """Not even if a byte comes now and then."""
-    server, port = serve(header_seconds=0.4)
+    server, port = serve(header_seconds=0.2)
     with socket.create_connection(("127.0.0.1", port)) as line:
         line.sendall(held)
         line.settimeout(0.05)

@@ -10,6 +10,7 @@ import sys
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -93,27 +94,27 @@ def huge(port: int) -> str:
 
 
 def slow(port: int) -> str:
-    head = b"POST /motion HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 1000\r\n\r\n"
-    raw(port, head, *[b"x"] * 5, pause=0.2)
+    raw(port, HEAD + b"Content-Length: 1000\r\n\r\n", *[b"x"] * 5, pause=0.2)
     return "slow"
 
 
-def malicious(port: int) -> str:
-    rng = random.Random(time.monotonic_ns())
-    head = b"POST /motion HTTP/1.1\r\nHost: 127.0.0.1\r\n"
-    chunked = b"Transfer-Encoding: chunked\r\n"
-    kinds = (
-        (rng.randbytes(300),),
-        (head + b"Content-Length: -5\r\n\r\n",),
-        (head + b"Content-Length: " + b"9" * 5000 + b"\r\n\r\n",),
-        (head + b"Content-Length: 4\r\n" + chunked + b"\r\n0\r\n\r\nGET / HTTP/1.1\r\n\r\n",),
-        (head + chunked + b"\r\nFFFFFFFFFFFFFFFF\r\n",),
-        (head + b"A: " + b"x" * 100_000 + b"\r\n\r\n",),
-        (b"GET /../../../etc/passwd HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",),
-        (b"GET /%2e%2e/%2e%2e/etc/passwd HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",),
-        (b"POST /motion?format=../../x HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",),
-    )
-    said = raw(port, *rng.choice(kinds))
+HEAD = b"POST /motion HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+CHUNKED = b"Transfer-Encoding: chunked\r\n"
+MALICIOUS = (
+    random.Random(0).randbytes(300),
+    HEAD + b"Content-Length: -5\r\n\r\n",
+    HEAD + b"Content-Length: " + b"9" * 5000 + b"\r\n\r\n",
+    HEAD + b"Content-Length: 4\r\n" + CHUNKED + b"\r\n0\r\n\r\nGET / HTTP/1.1\r\n\r\n",
+    HEAD + CHUNKED + b"\r\nFFFFFFFFFFFFFFFF\r\n",
+    HEAD + b"A: " + b"x" * 100_000 + b"\r\n\r\n",
+    b"GET /../../../etc/passwd HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+    b"GET /%2e%2e/%2e%2e/etc/passwd HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+    b"POST /motion?format=../../x HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+)
+
+
+def malicious(request: bytes, port: int) -> str:
+    said = raw(port, request)
     assert not said or re.match(rb"HTTP/1\.1 4\d\d", said), said
     assert b"root:" not in said
     return "malicious"
@@ -121,11 +122,11 @@ def malicious(port: int) -> str:
 
 def test_many_requests_at_once(port):
     """Every good request is answered, whatever the others do."""
-    kinds = [good] * 5 + [huge] * 4 + [slow] * 4 + [malicious] * 14
+    kinds = [good] * 3 + [huge] * 2 + [slow] * 3 + [partial(malicious, one) for one in MALICIOUS]
     random.Random(0).shuffle(kinds)
     with ThreadPoolExecutor(32) as threads:
         said = Counter(threads.map(lambda kind: kind(port), kinds))
-    assert said == {"good 200": 5, "huge 413": 4, "slow": 4, "malicious": 14}
+    assert said == {"good 200": 3, "huge 413": 2, "slow": 3, "malicious": len(MALICIOUS)}
 
 
 def test_answers_do_not_depend_on_other_requests(port):
@@ -153,7 +154,7 @@ def served(gesturekit, monkeypatch):
         for name, value in environment.items():
             monkeypatch.setenv(name, value)
         done = gesturekit("serve", "--model", "demo", "--port", 0, *arguments).ok()
-        assert f":{server['address'][1]}/ (end with Ctrl-C)" in done.err
+        assert f":{server['address'][1]}/" in done.err
         return clients[-1]
 
     serve.server = server
@@ -166,7 +167,7 @@ TOKEN = "0123456789abcdef"
 def test_a_public_address_answers_nobody_without_its_token(served, gesturekit, tmp_path):
     """Refused at the start without a token; with one, a request that lacks it is refused."""
     public = ("--host", "0.0.0.0")
-    gesturekit("serve", "--model", "demo", *public).fails(2, "give a token")
+    gesturekit("serve", "--model", "demo", *public).fails(2, "--token-file", "0.0.0.0")
     (tmp_path / "token").write_text(f"{TOKEN}\n")
     client = served(*public, "--token-file", tmp_path / "token")
     assert served.server["address"][0] == "0.0.0.0"
@@ -185,7 +186,7 @@ def test_a_token_is_long_plain_and_without_spaces(served, gesturekit, tmp_path, 
     (tmp_path / "token").write_text(f"{token}\n", encoding="utf-8")
     if not is_used:
         wrong = gesturekit("serve", "--model", "demo", "--token-file", tmp_path / "token")
-        wrong.fails(2, "16 printable ASCII")
+        wrong.fails(2, "16", "ASCII")
         return
     # A file counts more than the environment.
     client = served("--token-file", tmp_path / "token", GESTUREKIT_TOKEN="f" * 16)
@@ -200,9 +201,9 @@ def test_a_device_that_is_not_there_is_one_line_and_exit_2(gesturekit):
 
 def test_a_port_in_use_is_one_line_and_exit_2(gesturekit):
     with socket.create_server(("127.0.0.1", 0)) as used:
-        done = gesturekit("serve", "--model", "demo", "--port", used.getsockname()[1])
-    assert done.status == 2
-    assert "already in use" in done.err and "--port" in done.err
+        number = used.getsockname()[1]
+        done = gesturekit("serve", "--model", "demo", "--port", number)
+    done.fails(2, str(number), "--port")
 
 
 @pytest.mark.stress
@@ -240,7 +241,7 @@ def test_the_limits_are_those_of_the_command_line(served):
     page = served(*options, "--connections", 3).get("/docs", headers={"Host": "localhost"}).text
     limits = {"megabytes": 3.0, "seconds": 7.0, "per_minute": 5.0, "queue": 2, "workers": 4}
     for name, value in (limits | {"connections": 3}).items():
-        assert re.search(rf">{name}<.{{,30}}>{value}<", page)
+        assert re.search(rf"\b{name}\b.{{,30}}\b{value}\b", page)
     # A client's address is that of its connection, whatever its headers say.
     assert not served.server["proxy_headers"] and not served.server["server_header"]
     assert 0 < served.server["timeout_graceful_shutdown"] < 60

@@ -41,10 +41,10 @@ def test_four_systems_give_the_designs_of_the_paper(styles, each, seed):
         over_styles += within
         over_all.update((c.segment.name, c.left, c.right) for c in one)
     assert set(over_styles.values()) == {2 * each}
-    # 24 lists and 12 ordered pairs: each pair of each segment twice, or nearly so where the 18 of
-    # a style are no multiple of 12.
+    # 24 lists and 12 ordered pairs: each pair of each segment twice, or nearly always where the 18
+    # of a style are no multiple of 12.
     uses = Counter(over_all.values())
-    assert set(uses) == {2} if each == 36 else set(uses) <= {1, 2, 3} and uses[2] >= 850
+    assert uses[2] == uses.total() if each == 36 else uses[2] > 0.9 * uses.total()
 
 
 @pytest.mark.parametrize(
@@ -52,18 +52,21 @@ def test_four_systems_give_the_designs_of_the_paper(styles, each, seed):
     [
         ("titel: x", "titel"),
         ("systems: {a: x, b: y}", "title .*missing"),
-        ("title: x\nsystems: {a: x}", " 2 or more"),
-        ("title: x\nsystems: {a: x, b_Mismatched: y}", "another name"),
-        ("title: x\nsystems: {a: x, b: 3}", "NAME: FOLDER"),
+        ("title: x\nsystems: {a: x}", "systems: 1 .* 2 "),
+        ("title: x\nsystems: {a: x, b_Mismatched: y}", "b_Mismatched"),
+        ("title: x\nsystems: {a: x, b: 3}", "'b': 3"),
         ("title: x\nsystems: {a: x, b: y}\ndesign: prefer", "'prefer'"),
-        ("title: x\nsystems: {a: x, b: y}\ndesign: style", "needs styles"),
-        ("title: x\nsystems: {a: x, b: y}\nanswers: [better, worse]", "five"),
-        ('title: x\nsystems: {a: x, b: y}\npost_url: "javascript:alert(1)"', "web address"),
-        ('title: x\nsystems: {a: x, b: y}\npost_url: "https://h; script-src *"', "web address"),
-        ("title: x\nsystems: {a: x, b: y}\npairs: 0", "at least 1"),
+        ("title: x\nsystems: {a: x, b: y}\ndesign: style", "style .*styles"),
+        ("title: x\nsystems: {a: x, b: y}\nanswers: [better, worse]", "answers: 2 "),
+        ('title: x\nsystems: {a: x, b: y}\npost_url: "javascript:alert(1)"', "post_url.*alert"),
+        (
+            'title: x\nsystems: {a: x, b: y}\npost_url: "https://h; script-src *"',
+            "post_url.*script",
+        ),
+        ("title: x\nsystems: {a: x, b: y}\npairs: 0", "pairs: 0.* 1"),
         ("title: x\nsystems: {a: x, b: y}\nlists: 1001", "lists: 1001 "),
-        ("title: x\nsystems: {a: x, b: y}\nattention_checks: -1", "-1 is below 0"),
-        ("title: x\nsystems: {a: x, b: y}\nstyles: {x: happy}", "no styles"),
+        ("title: x\nsystems: {a: x, b: y}\nattention_checks: -1", "attention_checks: -1"),
+        ("title: x\nsystems: {a: x, b: y}\nstyles: {x: happy}", "preference .*styles"),
         ('title: " "\nsystems: {a: x, b: y}', "title .*empty"),
     ],
 )
@@ -100,7 +103,7 @@ def test_styles_are_found_in_folders_and_file_names(tmp_path):
     with pytest.warns(UserWarning, match="unhappy"):
         found = {segment.name: segment.style for segment in find_clips(config).segments}
     (tmp_path / "none").mkdir()
-    with pytest.raises(ConfigError, match="no segment"), pytest.warns():
+    with pytest.raises(ConfigError, match="segment"), pytest.warns(UserWarning, match="x"):
         names = {"a": ["x.mp4"], "b": ["x.mp4"]}
         find_clips(video_study(tmp_path / "none", names, design="style", styles=styles))
     expected = {"happy/1": "happy", "067_Very_Old_2": "old", "very happy-3": "very happy"}
@@ -110,21 +113,21 @@ def test_styles_are_found_in_folders_and_file_names(tmp_path):
 @pytest.mark.parametrize(
     ("clips", "message"),
     [
-        ({"a": ["x.mp4"], "b": ["y.mp4"]}, "same name"),
-        ({"a": ["x.mp4"], "b": ["x.bvh"]}, r"of one kind.*\(a: videos, b: motions\)"),
-        ({"a": ["x.bvh"], "b": ["x.mp4"]}, r"of one kind.*\(a: motions, b: videos\)"),
-        ({"a": ["x.mp4"], "b": ["x.txt"]}, "mp4, webm, bvh or npz"),
+        ({"a": ["x.mp4"], "b": ["y.mp4"]}, "name.*x.*y"),
+        ({"a": ["x.mp4"], "b": ["x.bvh"]}, "a: videos.*b: motions"),
+        ({"a": ["x.bvh"], "b": ["x.mp4"]}, "a: motions.*b: videos"),
+        ({"a": ["x.mp4"], "b": ["x.txt"]}, "b: .*webm.*bvh"),
     ],
 )
 def test_folders_that_do_not_fit_are_refused(tmp_path, clips, message):
     with pytest.raises(ConfigError, match=message):
         find_clips(video_study(tmp_path, clips))
-    with pytest.raises(ConfigError, match="a: .*absent is not"):
+    with pytest.raises(ConfigError, match="a: .*absent"):
         find_clips(StudyConfig("T", {"a": str(tmp_path / "absent"), "b": str(tmp_path / "b")}))
 
 
 def test_a_body_is_of_the_package_or_an_avatar_beside_the_file_and_for_motions(tmp_path):
-    with pytest.raises(ConfigError, match=r"'robot'.* mannequin, .*\.vrm"):
+    with pytest.raises(ConfigError, match=r"'robot'.* mannequin.*\.vrm"):
         config_of(2, body="robot")
     (tmp_path / "study.yaml").write_text("title: T\nbody: me.vrm\nsystems: {a: a, b: b}\n")
     assert load_study_config(tmp_path / "study.yaml").body == str(tmp_path / "me.vrm")
@@ -152,7 +155,7 @@ def test_clip_names_do_not_reveal_the_system(tmp_path):
     text = built.page.read_text(encoding="utf-8")
     assert "<script>alert" not in text and built.page_bytes < 2_000_000
     assert setup_of(built.page)["title"] == TITLE
-    assert "connect-src &#x27;none&#x27;" in text or "connect-src 'none'" in text
+    assert re.search("connect-src (&#x27;|')none", text)
 
 
 def test_the_page_has_the_settings_of_a_study(tmp_path):
@@ -168,7 +171,6 @@ def test_the_page_has_the_settings_of_a_study(tmp_path):
     assert [(a["code"], a["text"]) for a in found["answers"]] == [*zip(CODES, answers)]
     assert (found["name"], found["consent"], found["seed"]) == ("my_study_é_", "I agree.", 5)
     assert "*a cat*" in found["styles"][0]["question"]
-    assert "have no sound" in found["introduction"] and "Some pairs" not in found["introduction"]
     ((trial,),) = found["lists"]
     assert trial["style"] == "x" and all(side["silent"] for side in trial["sides"])
     assert (built.segments, built.clips, built.trials) == (2, 2, 1), "only clips that are shown"
@@ -185,10 +187,9 @@ def test_motions_are_shown_with_speech_of_their_name_as_long_as_they_last(
     for name in ("d/x", "y"):
         write_speech(tmp_path / "sound" / f"{name}.wav", 0.4501)
     systems = {name: str(tmp_path / name) for name in "ab"}
-    with pytest.warns(UserWarning, match="no sound .*: z"):
+    with pytest.warns(UserWarning, match="sound.*: z"):
         built = build_study(StudyConfig("T", systems, audio=tmp_path / "sound"), tmp_path / "out")
     found = setup_of(built.page)
-    assert "taking into account both" in found["question"]
     trials = [trial for one in found["lists"] for trial in one]
     assert {trial["clip"] for trial in trials} == {"d/x", "d/y"}
     for trial in trials:
@@ -197,10 +198,10 @@ def test_motions_are_shown_with_speech_of_their_name_as_long_as_they_last(
     for path in (tmp_path / "out" / "clips").iterdir():
         assert '"audio"' in path.read_text(encoding="utf-8")
     write_speech(tmp_path / "other" / "w.wav", 0.3)
-    with pytest.raises(ConfigError, match="no sound .* d/x.wav"):
+    with pytest.raises(ConfigError, match="other .*d/x.wav"):
         build_study(StudyConfig("T", systems, audio=tmp_path / "other"), tmp_path / "x")
     config = video_study(tmp_path, {"one": ["x.mp4"]}, design="mismatch")
-    with pytest.raises(ConfigError, match="two segments.* 1"):
+    with pytest.raises(ConfigError, match="mismatch.* 1"):
         build_study(config, tmp_path / "x")
     with pytest.raises(ConfigError, match="mismatch .*speech"):
         build_study(StudyConfig("T", {"a": systems["a"]}, design="mismatch"), tmp_path / "x")

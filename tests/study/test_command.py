@@ -30,48 +30,53 @@ def write(path: Path, answers: list[Answer], failed: dict[str, int]) -> Path:
 
 
 def test_a_study_is_analysed_into_words_figures_and_a_page(simulate, answers_of, tmp_path, run):
-    answers = answers_of(simulate([0.6, 0.0, -0.6], answers=24))
+    answers = answers_of(simulate([1.0, 0.0, -1.0], raters=20, answers=12))
     names = {"a": "ours", "b": "base é <script>alert(1)</script>", "c": "third"}
     answers = [Answer(a.user, a.clip, names[a.left], names[a.right], a.score) for a in answers]
     path = write(tmp_path / "all answers.csv", answers, {"r00007": 1})
     report, figures = tmp_path / "report.html", tmp_path / "figures.json"
-    code, out, err = run("analyse", path, "--out", report, "--json", figures, "--rounds", 300)
+    code, out, err = run("analyse", path, "--out", report, "--json", figures, "--rounds", 30)
     assert code == 0
     assert err.splitlines()[-2:] == [str(report), str(figures)], "beside what a pipe reads"
-    assert re.search("39 raters .*36 speech segments; 1 rater excluded", out)
-    assert f": ours, {names['b']}, third" in out
-    assert f"ours is preferred to {names['b']}: " in out and "p < .001" in out
+    assert re.search(r"\b19 raters .*\b36 .*\b1 rater", out)
+    assert f"ours, {names['b']}, third" in out, "the best first"
+    assert re.search(f"ours .*{re.escape(names['b'])}.*p < .001", out)
     page = report.read_text(encoding="utf-8")
     assert "<script" not in page and "&lt;script&gt;" in page
-    assert not re.search(r"(src|href)=\"(?!data:)", page) and "{{" not in page
-    assert "r00007" in page and "1 of 2 attention checks" in page
-    assert page.count("data:image/svg+xml") == 3
+    assert not re.search(r"(src|href)=\"(?!data:)", page) and "data:image/svg+xml" in page
+    assert re.search("r00007.*1 of 2", page)
     found = json.loads(figures.read_text())
     assert [s["name"] for s in found["preference"]["systems"]] == list(names.values())
     assert len(found["preference"]["pairs"]) == 3
     code, _, err = run("analyse", path, "--out", report)
     assert code == 2 and "report.html" in err
     code, out, _ = run("analyse", path, "--rounds", 30, "--failed-checks", 0)
-    assert code == 0 and "of 40 raters" in out and "; 0 raters excluded" in out
-    intervals = []
+    assert code == 0 and re.search(r"\b20 raters .*\b0 raters", out)
+
+
+def test_rounds_and_the_seed_of_the_intervals_are_chosen(simulate, answers_of, tmp_path, run):
+    path = write(tmp_path / "a.csv", answers_of(simulate([0.5, 0.0], raters=5, answers=4)), {})
+    figures, intervals = tmp_path / "figures.json", []
     for options in (("--rounds", 30), ("--rounds", 31), ("--rounds", 30, "--seed", 1)):
         code, _, _ = run("analyse", path, "--json", figures, *options, "--existing", "replace")
         intervals.append(json.dumps(json.loads(figures.read_text())["preference"]))
     assert code == 0 and len(set(intervals)) == 3
 
 
-def test_nonsense_is_one_line_and_code_2(tmp_path, run):
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("analyse", "x.csv"), "x.csv"),
+        (("analyse", "absent.csv"), "absent.csv"),
+        (("build", "absent.yaml"), "absent.yaml"),
+        (("power", "--win-rate", "0.4"), "0.4"),
+        (("power", "--ties", "1"), "ties"),
+    ],
+)
+def test_nonsense_is_named_with_code_2(tmp_path, run, arguments, named, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "x.csv").write_text("some,thing\n1,2\n")
-    for arguments in (
-        ("analyse", tmp_path / "x.csv"),
-        ("analyse", tmp_path / "absent.csv"),
-        ("build", tmp_path / "absent.yaml"),
-        ("power", "--win-rate", "0.4"),
-        ("power", "--ties", "1"),
-    ):
-        code, out, err = run(*arguments)
-        assert code == 2 and out == "" and len(err.strip().splitlines()) <= 3, err
-        assert "Traceback" not in err
+    assert run(*arguments).fails(2, named).out == ""
 
 
 def test_without_statsmodels_the_extra_is_named(tmp_path, run, monkeypatch):
@@ -87,9 +92,8 @@ def test_the_size_of_a_study_is_printed(run):
     code, out, _ = run("power", "--win-rate", "0.65", "--systems", "3")
     assert code == 0
     rows = re.findall(r"^ +(\d+) +(\d+) +(\d+) +([\d,]+)$", out, re.MULTILINE)
-    assert [int(row[1]) for row in rows] == [1, 2, 3, 6, 12, 24]
-    assert re.search("3 systems, 3 pairs .*0.05", out)
-    assert "5 systems, 10 pairs" in run("power", "--systems", 5)[1]
+    assert len(rows) > 2 and re.search(r"\b3 systems.*\b3 pairs", out)
+    assert re.search(r"\b5 systems.*\b10 pairs", run("power", "--systems", 5).out)
     needed = [int(row[2]) for row in rows]
     assert needed == sorted(needed, reverse=True)
     for a_rater, of_a_pair, raters, in_all in rows:
@@ -104,7 +108,7 @@ def test_a_page_is_built_and_not_overwritten(tmp_path, run):
             (tmp_path / system / f"{k}.mp4").write_bytes(b"video")
     (tmp_path / "study.yaml").write_text("title: x\nsystems: {a: a, b: b}\nlists: 2\n")
     code, out, _ = run("build", tmp_path / "study.yaml", "--out", tmp_path / "out")
-    assert code == 0 and re.search("3 comparisons .*3 segments, 6 clips, 2 lists", out)
+    assert code == 0 and re.search("3 comparisons.*3 segments.*6 clips.*2 lists", out)
     before = (tmp_path / "out" / "index.html").read_bytes()
     code, _, err = run("build", tmp_path / "study.yaml", "--out", tmp_path / "out")
     assert code == 2 and "index.html" in err

@@ -1,5 +1,6 @@
 """The page of a study in a headless browser without network, as raters meet it."""
 
+import re
 import shutil
 import subprocess
 import threading
@@ -90,11 +91,11 @@ def downloaded(folder: Path, name: str) -> Path:
 
 def test_pairs_are_rated_from_a_disk_and_analysed(videos, tmp_path, open_browser, gesturekit):
     browser, files = open_browser(), []
-    for user, pairs, choose in (("p1", 4, attentive), ("Zoë_語", 3, lambda *_: "TheyAreEqual")):
-        config = StudyConfig("Study", videos, consent="I *agree*.", pairs=pairs, answers=ANSWERS)
-        page = build_study(config, tmp_path / "my study").page
+    options = {"consent": "I *agree*.", "answers": ANSWERS, "attention_checks": 1}
+    page = build_study(StudyConfig("Study", videos, pairs=2, **options), tmp_path / "my study").page
+    for user, choose in (("p1", attentive), ("Zoë_語", lambda *_: "TheyAreEqual")):
         start(browser, page, f"PROLIFIC_PID={quote(user)}&STUDY_ID=st&SESSION_ID=se&list=3")
-        assert rate(browser, choose) == pairs + 2
+        assert rate(browser, choose) == 2 + 1
         files.append(downloaded(tmp_path, f"my_study_{user}.csv"))
     assert browser.lines == []
     assert all(url.startswith(("file:", "blob:", "data:")) for url in browser.requests)
@@ -102,10 +103,10 @@ def test_pairs_are_rated_from_a_disk_and_analysed(videos, tmp_path, open_browser
     lines = files[0].read_text().splitlines()
     assert lines[0].split(",")[: len(GENEA_COLUMNS)] == list(GENEA_COLUMNS)
     found = read_answers(files)
-    assert found.excluded == {"Zoë_語": "failed 2 of 2 attention checks"}
-    assert len(found.kept) == len({answer.clip for answer in found.kept}) == 4
+    assert list(found.excluded) == ["Zoë_語"] and "1 of 1" in found.excluded["Zoë_語"]
+    assert len(found.kept) == len({answer.clip for answer in found.kept}) == 2
     sides = [(answer.left, answer.right) for answer in found.kept]
-    assert sides.count(("ours", "base line")) == sides.count(("base line", "ours")) == 2
+    assert set(sides) == {("ours", "base line"), ("base line", "ours")}
     rows = [dict(zip(lines[0].split(","), line.split(","), strict=True)) for line in lines[1:]]
     scores = dict(zip(CODES, (2, 1, 0, -1, -2), strict=True))
     for row, answer in zip(rows, found.kept, strict=True):
@@ -113,11 +114,10 @@ def test_pairs_are_rated_from_a_disk_and_analysed(videos, tmp_path, open_browser
         assert (row["study_id"], row["session_id"], row["list"]) == ("st", "se", "3")
         assert row["plays_left"] == row["plays_right"] == "1"
 
-    done = gesturekit("study", "analyse", *files, "--out", tmp_path / "report.html")
-    assert done.status == 0
-    assert "4 answers" in done.out and "4 speech segments; 1 rater excluded" in done.out
+    done = gesturekit("study", "analyse", *files, "--out", tmp_path / "report.html").ok()
+    assert re.search(r"\b2 answers .*\b2 .*\b1 rater", done.out)
     browser.open((tmp_path / "report.html").as_uri())
-    browser.wait("document.querySelectorAll('section').length > 4")
+    browser.wait("document.body.innerText.includes('base line')")
     assert browser.lines == []
 
 

@@ -97,7 +97,7 @@ def test_parts_are_joints_of_known_names():
     for parts, message in (
         ({"left_elbo": "Joint3"}, "left_elbo.*left_elbow"),
         ({"left_elbow": 3}, "left_elbow"),
-        ("left_elbow", "not a mapping"),
+        ("left_elbow", "parts.*left_elbow"),
     ):
         with pytest.raises(ConfigError, match=message):
             build(DiffusionConfig, values_with("diffusion", "parts", parts))
@@ -105,5 +105,5 @@ def test_parts_are_joints_of_known_names():
 
 def test_a_stage_without_any_step_is_refused():
     nothing = {"training": {"generator_steps": 0, "reconstruction_steps": 0}}
-    with pytest.raises(ConfigError, match="nothing would be"):
+    with pytest.raises(ConfigError, match="generator_steps.*reconstruction_steps"):
         build(MultiresConfig, small_values("multires", "corpus.jsonl", "run", nothing))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
+import yaml
 
 from gesturekit.diffusion import DiffusionConfig
 from gesturekit.errors import ConfigError
@@ -51,7 +52,7 @@ def test_settings_are_python_values_by_name(tmp_path, monkeypatch):
     assert config.inner == Inner(rate=0.2, steps=(2, 3))
     assert (config.window, config.corpus) == (None, tmp_path / "here.jsonl")
     assert load_config(path, Outer, settings={"inner.rate": 1}).inner.rate == 1.0
-    with pytest.raises(ConfigError, match="inner.rat; .*inner.rate"):
+    with pytest.raises(ConfigError, match=r"inner\.rat\b.*inner\.rate"):
         load_config(path, Outer, settings={"inner": {"rat": 1}})
 
 
@@ -59,41 +60,42 @@ def test_a_written_configuration_reads_back_the_same(tmp_path):
     config = load_config(write(tmp_path, "a.yaml", "corpus: c\ninner: {mode: [Hips]}"), Outer)
     assert build(Outer, to_dict(config)) == config
     assert to_dict(config)["inner"] == {"rate": 1e-4, "steps": [1, 2], "mode": ["Hips"]}
-    assert dump_yaml({"name": "Jürgen", "at": [1, {"b": None, "a": 2}]}) == (
-        "name: Jürgen\nat:\n- 1\n- b: null\n  a: 2\n"
-    )
+    values = {"name": "Jürgen", "at": [1, {"b": None, "a": 2}]}
+    text = dump_yaml(values)
+    assert yaml.safe_load(text) == values
+    assert "Jürgen" in text and text.index("name") < text.index("at"), "as a person wrote them"
 
 
 @pytest.mark.parametrize(
     ("text", "overrides", "says"),
     [
-        ("corpus: c\ninner: {rat: 1}", [], "inner.rat;.* inner.rate"),
-        ("corpus: c\nwindow: wide", [], "window: 'wide'"),
-        ("corpus: c\ninner: {mode: other}", [], "'input', 'all'"),
-        ("corpus: c\ninner: 3", [], "inner"),
-        ("window: 3", [], "corpus is missing"),
-        ("corpus: c", ["name=3"], "name: 3 .*str"),
-        ("corpus: c\ninner: {rate: null}", [], "inner.rate .*empty"),
-        ("corpus: c\nwindow: true", [], "window: True"),
-        ("corpus: c\ninner: {steps: 3}", [], "inner.steps: 3 .*list"),
-        ("corpus: c\ninner: {steps: [1.5]}", [], r"inner.steps\[\]: 1.5"),
-        ("corpus: c\nbase: 3", [], "base: 3"),
-        ("corpus: c", ["=3"], "key=value"),
-        ("corpus: c", ["window=[1"], "not valid YAML"),
+        ("corpus: c\ninner: {rat: 1}", [], r"inner\.rat\b.*inner\.rate"),
+        ("corpus: c\nwindow: wide", [], "window.*wide"),
+        ("corpus: c\ninner: {mode: other}", [], "other.*input.*all"),
+        ("corpus: c\ninner: 3", [], "inner.*3"),
+        ("window: 3", [], "corpus"),
+        ("corpus: c", ["name=3"], "name.*3.*str"),
+        ("corpus: c\ninner: {rate: null}", [], r"inner\.rate"),
+        ("corpus: c\nwindow: true", [], "window.*True"),
+        ("corpus: c\ninner: {steps: 3}", [], r"inner\.steps.*3.*list"),
+        ("corpus: c\ninner: {steps: [1.5]}", [], r"inner\.steps.*1\.5"),
+        ("corpus: c\nbase: 3", [], "base.*3"),
+        ("corpus: c", ["=3"], "=3.*key=value"),
+        ("corpus: c", ["window=[1"], r"window=\[1.*YAML"),
         (f"corpus: c\nwindow: {'1' * 41}", [], "41 digits"),
-        ("- a list", [], "key: value"),
-        ("corpus: !!python/object/apply:os.getcwd []", [], "not valid YAML"),
-        ("base: a.yaml", [], "include itself"),
-        ("base: gone/a.yaml", [], r"gone/a\.yaml: no such"),
+        ("- a list", [], "list"),
+        ("corpus: !!python/object/apply:os.getcwd []", [], "python/object/apply"),
+        ("base: a.yaml", [], "base"),
+        ("base: gone/a.yaml", [], r"gone/a\.yaml"),
         # Neither half a name nor one of two alike is left to guess.
-        ("corpus: c\ninner.ratio: 3", [], r"inner\.ratio; .*inner\.rate\?$"),
+        ("corpus: c\ninner.ratio: 3", [], r"inner\.ratio.*inner\.rate"),
         # An error in an override does not blame the file.
-        ("corpus: c", ["inner.rate=fast"], "^inner.rate: 'fast'"),
-        ("corpus: c\ninner: {rate: fast}", ["corpus=d"], r"a\.yaml: inner\.rate: 'fast'"),
+        ("corpus: c", ["inner.rate=fast"], "^inner.rate.*fast"),
+        ("corpus: c\ninner: {rate: fast}", ["corpus=d"], r"a\.yaml.*inner\.rate.*fast"),
     ],
 )
 def test_mistakes_are_named(tmp_path, text, overrides, says):
-    with pytest.raises(ConfigError, match="(?s)" + says.replace("(", r"\(")) as caught:
+    with pytest.raises(ConfigError, match="(?s)" + says) as caught:
         load_config(write(tmp_path, "a.yaml", text), Outer, overrides)
     assert "a.yaml" in str(caught.value) or overrides
 
@@ -104,13 +106,13 @@ def test_mistakes_are_named(tmp_path, text, overrides, says):
         ({"schedule": {"updates": 3}}, "training.updates"),
         ({"updates": 3}, "training.updates"),
         ({"netwrk": {"blocks": 3}}, "network"),
-        ({"epochs": 3}, "longer or training.updates"),
+        ({"epochs": 3}, "training.updates"),
         ({"optim": {"lr": 3}}, "training.learning_rate"),
         ({"training": {"clip_value": 3}}, "training.clip"),
     ],
 )
 def test_a_setting_of_another_name_is_refused_with_the_right_one(values, meant):
-    with pytest.raises(ConfigError, match=rf"{re.escape(meant)}\?"):
+    with pytest.raises(ConfigError, match=re.escape(meant)):
         build(DiffusionConfig, values)
 
 
@@ -120,18 +122,15 @@ def test_hostile_files_are_refused_before_they_fill_memory(tmp_path):
     for one, other in zip("abcde", "bcdef", strict=True):
         lists += f"{other}: &{other} [{', '.join([f'*{one}'] * 10)}]\n"
     itself = "corpus: &c [*c]"
-    for text, message in ((long, "too large"), (lists, "aliases"), (itself, "aliases")):
-        with pytest.raises(ConfigError, match=message):
+    for text, fact in ((long, "MB"), (lists, "aliases"), (itself, "aliases")):
+        with pytest.raises(ConfigError, match=rf"a\.yaml.*{fact}"):
             load_config(write(tmp_path, "a.yaml", text), Outer)
     few = "corpus: c\ninner: {steps: &s [1, 2]}\nwindow: 40000000000000000000000000000000000000.0"
     assert load_config(write(tmp_path, "a.yaml", few), Outer).window == 4e37
-    with pytest.raises(ConfigError, match="not a regular file"):
-        load_config(tmp_path, Outer)
-    with pytest.raises(ConfigError, match="no such configuration file"):
-        load_config(tmp_path / "none.yaml", Outer)
     (tmp_path / "b.yaml").write_bytes(b"corpus: \xff\xfe")
-    with pytest.raises(ConfigError, match="as text"):
-        load_config(tmp_path / "b.yaml", Outer)
+    for wrong in (tmp_path, tmp_path / "none.yaml", tmp_path / "b.yaml"):
+        with pytest.raises(ConfigError, match=re.escape(str(wrong))):
+            load_config(wrong, Outer)
 
 
 @pytest.mark.parametrize(
@@ -140,5 +139,5 @@ def test_hostile_files_are_refused_before_they_fill_memory(tmp_path):
 def test_what_cannot_be_a_path_is_refused_with_its_key(tmp_path, value):
     path = tmp_path / "config.yaml"
     path.write_text(f"corpus: {json.dumps(value)}\n")
-    with pytest.raises(ConfigError, match="corpus: .*no path"):
+    with pytest.raises(ConfigError, match="corpus.*path"):
         load_config(path, DiffusionConfig)

@@ -8,6 +8,9 @@ from small_runs import small_values
 
 from gesturekit.corpus import Item, Manifest
 
+TIME = re.compile(r"Time.* \d+ (s|min)\b")
+ARRAYS = re.compile(r"\d [kMG]?B\b.*")
+
 
 @pytest.fixture
 def plan(gesturekit, tmp_path, gesture, caplog):
@@ -32,17 +35,16 @@ def plan(gesturekit, tmp_path, gesture, caplog):
 @pytest.mark.parametrize("system", ["diffusion", "multires"])
 def test_a_plan_says_how_long_it_takes_and_writes_nothing(plan, system):
     said = plan(system, 20.0)
-    assert re.search(r"Time: about \d+ \w+", said) and "Nothing was written" in said
-    assert "Arrays of" not in said
+    assert TIME.search(said) and not ARRAYS.search(said)
 
 
 def test_of_a_long_corpus_half_a_minute_is_read_and_the_size_of_arrays_is_said(plan, tmp_path):
     said = plan("diffusion", 80.0, in_memory=1.0, arrays=str(tmp_path / "arrays"))
-    assert re.search(rf"Arrays .*B .*{re.escape(str(tmp_path / 'arrays'))}", said)
+    assert str(tmp_path / "arrays") in ARRAYS.search(said)[0]
 
 
 def test_a_plan_says_that_its_folder_is_in_use(plan, tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "config.yaml").write_text("system: diffusion\n")
     said = plan("diffusion", 20.0)
-    assert "cannot be trained yet" in said and "Time: about" in said
+    assert re.search(f"{tmp_path / 'run'}.*out=", said) and TIME.search(said)

@@ -92,7 +92,7 @@ def test_processes_share_gpus_if_there_are_too_few(
     # Others wait while the first process reads hours of recordings.
     assert [name for name, _ in begun] == [backend] * 2 and begun[1][1] >= timedelta(hours=12)
     assert chosen == (places if gpus and device in ("auto", "cuda") else [])
-    assert ("share 1 GPU" in caplog.text) == (gpus == 1)
+    assert ("1 GPU" in caplog.text) == (gpus == 1)
 
 
 def test_shares_make_up_the_whole():

@@ -23,10 +23,6 @@ def page_of(run: Run) -> str:
     return (run.folder / "report.html").read_text(encoding="utf-8")
 
 
-def chart_of(page: str, title: str) -> str:
-    return re.search(rf"<figure><figcaption><b>{title}</b>.*?</figure>", page)[0]
-
-
 def test_without_tensorboard_metrics_and_report_are_written(run, monkeypatch):
     for name in [
         *(n for n in sys.modules if n.startswith("torch.utils.tensorboard")),
@@ -56,9 +52,9 @@ def test_a_folder_with_anything_but_a_training_that_never_began_is_in_use(tmp_pa
 
 def test_a_run_is_a_folder_and_is_resumed_where_there_is_one(run, tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(ConfigError, match="not a run folder"):
+    with pytest.raises(ConfigError, match=f"{tmp_path / 'file'}.*out="):
         Run(tmp_path / "file", {}, resume=False)
-    with pytest.raises(ConfigError, match="no run to resume"):
+    with pytest.raises(ConfigError, match=f"{tmp_path / 'other'}.*--resume"):
         Run(tmp_path / "other", {}, resume=True)
     with pytest.raises(ConfigError, match=re.escape(f"--resume '{run.folder}'")):
         Run(run.folder, {}, resume=False)
@@ -76,7 +72,8 @@ def test_a_resumed_run_goes_on_with_its_curves(run: Run) -> None:
     again = Run(run.folder, {}, resume=True)
     again.log(3, {"loss": 1.5})
     again.close()
-    assert "1.5 to 3; steps 1 to 3" in chart_of(page_of(run), "Loss")
+    text = " ".join(re.sub("<[^>]*>", " ", page_of(run)).split())
+    assert re.search(r"Loss\b.{0,40}1\.5 to 3\D+1 to 3\b", text), "ranges of losses and of steps"
 
 
 def test_the_last_two_checkpoints_are_kept_and_the_newest_whole_one_is_read(tmp_path, caplog):
@@ -89,10 +86,10 @@ def test_the_last_two_checkpoints_are_kept_and_the_newest_whole_one_is_read(tmp_
     assert step == state["step"] == 1_000_000_000 and state["values"].tolist() == [1.0] * 3
     kept.path(step).write_bytes(b"half")
     assert kept.latest()[0] == 20_000
-    assert f"{kept.path(step)} cannot be read" in caplog.text
+    assert str(kept.path(step)) in caplog.text
     kept.path(20_000).write_bytes(b"")
     (tmp_path / "checkpoints" / "step_3.txt").touch()
-    with pytest.raises(ModelError, match="2 checkpoints"):
+    with pytest.raises(ModelError, match=f"{tmp_path / 'checkpoints'}.* 2 "):
         kept.latest()
 
 
@@ -102,10 +99,10 @@ SETTINGS = {"seed": 3, "training": {"batch": 4, "window": 8}, "features": None, 
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"seed": 4}, "seed: 3"),
-        ({"training": {"batch": 4, "window": 9}}, "training.window: 8"),
+        ({"seed": 4}, "seed.*3.*4"),
+        ({"training": {"batch": 4, "window": 9}}, "training.window.*8.*9"),
         ({"features": {"align": "mean"}}, "features"),
-        ({"backend": "auto"}, "backend: None"),
+        ({"backend": "auto"}, "backend.*auto"),
     ],
 )
 def test_other_settings_than_those_of_the_run_are_refused(tmp_path, change, named):

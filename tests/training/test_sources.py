@@ -33,7 +33,7 @@ def test_one_style_or_speaker_is_no_choice():
     assert unused_labels(one, ()) == []
     two = labelled(("calm", "ada"), ("wild", "bob"), (None, "cy"))
     styles, speakers = unused_labels(two, ())
-    assert styles.startswith("2 styles") and speakers.startswith("3 speakers")
+    assert "2 styles" in styles and "3 speakers" in speakers
     assert unused_labels(two, ("calm", "wild")) == [speakers]
     assert unused_labels(two, (), recalls=True) == [styles]
 

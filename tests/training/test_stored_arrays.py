@@ -61,7 +61,7 @@ def test_arrays_of_each_maker_are_made_once_and_come_in_order(tmp_path, caplog):
     assert [[(x.facts["id"], *x.rows(2, 3)[0]) for x in arrays] for arrays in found] == [
         *([("a", 1.0, 1.0), ("b", 1.0, 1.0)], [("b", 2.0, 2.0)], [])
     ]
-    assert "3 arrays" in caplog.text and str(tmp_path) in caplog.text
+    assert "3 array" in caplog.text and str(tmp_path) in caplog.text
     caplog.clear()
     (again,) = stored_arrays(tmp_path, [(one, items("b", "c"))], 1)
     assert one.made == ["a", "b", "c"] and again[0] == found[0][1]
@@ -73,13 +73,13 @@ def test_arrays_of_each_maker_are_made_once_and_come_in_order(tmp_path, caplog):
 
 def test_an_item_without_its_array_is_named_and_the_others_are_kept(tmp_path):
     maker = Maker(1.0)
-    with pytest.raises(CorpusError, match=r"^item bad: bad\.bvh: .*kept$"):
+    with pytest.raises(CorpusError, match=r"item bad\b.*bad\.bvh.*HIERARCHY"):
         stored_arrays(tmp_path, [(maker, items("a", "bad", "c"))], 1)
     assert maker.made == ["a", "bad"]
     stored_arrays(tmp_path, [(maker, items("a", "c"))], 1)
     assert maker.made == ["a", "bad", "c"]
     (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="file: .*arrays=FOLDER"):
+    with pytest.raises(OutputError, match=f"{tmp_path / 'file'}.*arrays="):
         stored_arrays(tmp_path / "file", [(maker, items("a"))], 1)
 
 
@@ -89,16 +89,16 @@ def test_an_array_that_is_not_whole_is_missing(folder, tmp_path):
     for damaged in (content[:120], content[:-129], b""):
         file.write_bytes(damaged)
         assert folder.find(KEY) is None
-        with pytest.raises(ConfigError, match="missing"):
+        with pytest.raises(ConfigError, match=f"{tmp_path}.*arrays="):
             folder.find_all([KEY])
-        with pytest.raises(ConfigError, match="10 frames of 3"):
+        with pytest.raises(ConfigError, match=f"{file}.*10.*3"):
             array.rows(0, 1)
     file.write_bytes(content + bytes(200))
-    with pytest.raises(ConfigError, match="start again"):
+    with pytest.raises(ConfigError, match=str(file)):
         array.rows(0, 1)
     file.unlink()
     assert folder.find(KEY) is None and folder.find("00") is None
-    with pytest.raises(ConfigError, match="cannot be read"):
+    with pytest.raises(ConfigError, match=str(file)):
         array.rows(0, 1)
     file.write_bytes(content)
     assert folder.find(KEY) == array

