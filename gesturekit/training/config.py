@@ -8,12 +8,14 @@ that names them, or to the current folder when they come from the command line.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import difflib
 import re
 import types
 import typing
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -80,6 +82,12 @@ _Loader.add_implicit_resolver(
 )
 
 
+@lru_cache(maxsize=32)
+def _parsed(text: str) -> Any:
+    """Return the values of YAML; a command reads the same chain of recipes several times."""
+    return yaml.load(text, Loader=_Loader)
+
+
 def read_yaml(path: str | Path) -> dict[str, Any]:
     """Read one YAML mapping by the safe loader.
 
@@ -94,7 +102,7 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
             data = file.read(_MAX_BYTES + 1)
         if len(data) > _MAX_BYTES:
             raise ConfigError(f"{path}: over {_MAX_BYTES >> 20} MB; too large for a configuration")
-        values = yaml.load(data.decode("utf-8"), Loader=_Loader)
+        values = copy.deepcopy(_parsed(data.decode("utf-8")))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such configuration file") from None
     except (OSError, UnicodeDecodeError) as error:

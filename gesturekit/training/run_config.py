@@ -96,9 +96,11 @@ class RunConfig:
     """Steps between log lines."""
     eval_every: int = 0
     """Steps between cheap evaluations (`quick_metrics`) on the training recordings, written to
-    metrics.jsonl with `kind: evaluation`; 0 for none. Evaluations do not change the training.
-    The model is evaluated on held-out recordings as well (`kind: held_out`), and without this
-    setting every few minutes and at the end, as `gesturekit evaluate` does it."""
+    metrics.jsonl with `kind: evaluation`; 0 for none. Evaluations do not change the training."""
+    measure: bool = True
+    """Evaluate the model on held-out recordings (`kind: held_out`), or on those of the training if
+    none are held out: every few minutes without `eval_every`, and at the end, as
+    `gesturekit evaluate` does it."""
     threads: int | None = None
     """CPU threads; null leaves the choice to torch."""
     device: str = "auto"

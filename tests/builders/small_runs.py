@@ -11,6 +11,7 @@ SMALL: dict[str, dict[str, Any]] = {
     "multires": {
         "system": "multires",
         "threads": 1,
+        "measure": False,
         "network": {"levels": 4, "channels": [2, 2, 2], "embedding": 8},
         "training": {
             "first_stage": 6,
@@ -28,6 +29,7 @@ SMALL: dict[str, dict[str, Any]] = {
     "diffusion": {
         "system": "diffusion",
         "threads": 1,
+        "measure": False,
         "network": {
             "blocks": 2,
             "layers": 1,

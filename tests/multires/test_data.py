@@ -77,7 +77,7 @@ def test_data_are_as_the_settings_say(make_config, corpus, tmp_path):
     usual = load_training_data(make_config())
     assert usual.window_lengths() == {75: [0], 63: [1]}, "shorter ones at their own length"
     whole = load_training_data(make_config(training={"window": None}))
-    assert whole.window is None and whole.silence.shape == (28, 150), "of the longest recording"
+    assert whole.window is None and whole.silence.shape == (28, 125), "of the longest recording"
     prepare([corpus.parent / "paired"], tmp_path / "alone.jsonl", holdout=0.0)
     alone = load_training_data(make_config(corpus=str(tmp_path / "alone.jsonl")))
     assert alone.unpaired_is_paired and alone.spoken == (0, 0)

@@ -20,7 +20,7 @@ RECIPES = Path(__file__).resolve().parents[2] / "recipes"
 # Settings that say where a run lies and how it reports; they do not change what is trained.
 NOT_THE_PAPERS = {
     "system", "corpus", "out", "seed", "parts", "checkpoint_every", "log_every", "eval_every",
-    "threads", "device", "notes", "in_memory", "arrays", "workers", "longer",
+    "measure", "threads", "device", "notes", "in_memory", "arrays", "workers", "longer",
 }  # fmt: skip
 
 # Alexanderson, Nagy, Beskow and Henter 2023 ("Listen, Denoise, Action!").

@@ -21,7 +21,7 @@ SETTINGS = {
     "multires": {"backend": "torch", "network": {"levels": 2}},
     "diffusion": {"unpaired": {"share": 0.5}, "training": {"updates": 2}},
 }
-HEARD = {"styles": {}, "features": {"extractors": [{"kind": "mfcc"}]}}
+HEARD = {"measure": True, "styles": {}, "features": {"extractors": [{"kind": "mfcc"}]}}
 WITHOUT_SOUND = {"multires": {"features": None}, "diffusion": {"features": None, "unpaired": None}}
 
 

@@ -30,7 +30,9 @@ def metrics(tmp_path):
             for k, seconds in enumerate(lengths)
         ]
         Manifest(items).save(tmp_path / "c.jsonl")
-        config = small_diffusion(tmp_path / "c.jsonl", tmp_path / "run", changes or {})
+        config = small_diffusion(
+            tmp_path / "c.jsonl", tmp_path / "run", {"measure": True}, changes or {}
+        )
         run = SimpleNamespace(folder=tmp_path / "run")
         return HeldOutMetrics(config, run, speech=speech, styles=styles)
 
@@ -47,6 +49,11 @@ def test_two_minutes_of_test_items_are_measured_whole(metrics):
     assert re.search(r"^8 held-out.*2 min", made.what) and made.seconds == 120.0
     assert made.is_held_out and made.folder.name == "held_out"
     assert made.command.endswith(f"evaluate {made.folder} --corpus {made.folder}/corpus.jsonl")
+
+
+def test_a_run_that_does_not_measure_has_nothing_to_measure(metrics):
+    made = metrics(test=[15.0], changes={"measure": False})
+    assert made.items == () and made.seconds == 0 and made.measure(1, None) == ""
 
 
 def test_of_more_at_most_six_are_measured_and_cut_to_that(metrics):

@@ -24,7 +24,7 @@ from gesturekit.training.run.state import LEASE, unfinished
 _VERSIONS_OF = ("gesturekit", "torch", "numpy", "scipy", "librosa", "soxr", "transformers")
 
 # These settings do not change what a run computes, so they may change when it is resumed.
-_REPORTING = ("out", "checkpoint_every", "log_every", "eval_every", "arrays", "workers")
+_REPORTING = ("out", "checkpoint_every", "log_every", "eval_every", "measure", "arrays", "workers")
 _BEFORE_CONFIG = ("data", "command.txt", "versions.json")  # written before config.yaml
 
 

@@ -82,8 +82,8 @@ class HeldOutMetrics:
 
     @cached_property
     def items(self) -> tuple[Item, ...]:
-        """Return the items to measure; none if the corpus cannot be read."""
-        chosen, longest = self._fitting, MOST_SECONDS
+        """Return the items to measure; none if the corpus cannot be read, or without `measure`."""
+        chosen, longest = self._fitting if self.config.measure else [], MOST_SECONDS
         if _seconds(chosen) > MOST_SECONDS:
             chosen = chosen[:: -(-len(chosen) // MOST_CLIPS)]
             longest = MOST_SECONDS / len(chosen)
