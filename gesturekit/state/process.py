@@ -60,6 +60,9 @@ _MOST_EXPLAINED = 0.95
 _RESPONSE = (np.arange(41) + 0.5) / 41
 """Shares of the quantiles at which a network's response is measured."""
 _DAMPING, _LEAST_FOLLOWED = 0.8, 0.6
+_HIGHEST = 2.0
+"""Standard deviations above the mean to which it is limited where hands are held and how wide they
+move: a hand that is held as high as ever, and moves as wide as ever, would leave its range."""
 _STROKE, _STROKE_POINTS = 0.15, 4
 """Metres that a hand moves while its carrier changes by its correlation length, and the points of
 white noise in it."""
@@ -344,6 +347,8 @@ class StateProcess:
         for rows, clock in zip(self.channels.held, clocks):
             given[rows] = [_in_time_of(row, clock) for row in given[rows]]
         normalised = (given - self.mean[:, None]) / self.scale[:, None]
+        held = ~(self.channels.movement | self.channels.fast)
+        normalised[held] = np.minimum(normalised[held], _HIGHEST)
         return np.concatenate([normalised, self.carriers(seed, clocks)]).astype(np.float32)
 
 
