@@ -43,6 +43,9 @@ setup: $(READY) $(BUNDLES) $(BODY)
 demo: setup
 	@$(BIN)/gesturekit demo
 
+# Tests start many processes: without bytecode each of them would compile the packages anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 # Two files of tests at a time; arguments of your own replace this. librosa compiles what beats need
 # when they are found for the first time in an environment: not while a test waits.
 test: lint

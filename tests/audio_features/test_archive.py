@@ -68,13 +68,13 @@ def test_arrays_of_an_archive(archive):
     [
         (lambda a: a["none"], "'none'"),
         (lambda a: a["objects"], "pickle"),
-        (lambda a: a["longer"], "24 bytes.* 28"),
-        (lambda a: a.numbers("text"), "'text'.* 'speech'"),
-        (lambda a: a.texts("texts"), "'texts'.* 3"),
+        (lambda a: a["longer"], r"(?=.*\b24 bytes).*\b28"),
+        (lambda a: a.numbers("text"), "(?=.*'text').*'speech'"),
+        (lambda a: a.texts("texts"), r"(?=.*'texts').*\b3"),
     ],
 )
 def test_arrays_that_are_refused(archive, read, says):
-    with pytest.raises(FeatureError, match=f"a.npz: .*{says}"):
+    with pytest.raises(FeatureError, match=f"a.npz.*{says}"):
         read(archive)
 
 
@@ -83,7 +83,7 @@ def test_files_that_are_no_archives(tmp_path):
     os.mkfifo(tmp_path / "pipe.npz")
     for name in ("none.npz", "text.npz", "pipe.npz", "."):
         path = tmp_path / name
-        with pytest.raises(FeatureError, match=f"^{path}: "), open_archive(path, FeatureError):
+        with pytest.raises(FeatureError, match=str(path)), open_archive(path, FeatureError):
             pass
 
 
@@ -113,7 +113,7 @@ def test_one_path_for_several_encoders_is_refused(tmp_path):
     parts = [{"kind": "wavlm"}, {"kind": "hf"}]
     with pytest.raises(af.WeightsError, match="--weights hf="):
         af.extractor_from_spec({"kind": "stack", "parts": parts}, weights=tmp_path)
-    with pytest.raises(af.WeightsError, match="'mfcc'.*wavlm"):
+    with pytest.raises(af.WeightsError, match="(?=.*'mfcc').*wavlm"):
         af.extractor_from_spec({"kind": "wavlm"}, weights={"mfcc": tmp_path})
 
 
@@ -135,5 +135,5 @@ def test_arrays_of_a_large_file_take_twenty_times_its_size(tmp_path, stored, is_
         if is_read:
             assert len(found["a"]) == 34 << 20
         else:
-            with pytest.raises(FeatureError, match="'a' .* 34 MiB"):
+            with pytest.raises(FeatureError, match=r"(?=.*'a').*\b34 MiB"):
                 found["a"]

@@ -49,7 +49,7 @@ def test_an_npy_of_own_features_is_read_at_its_rate(folder):
 def test_one_bad_file_is_listed_and_the_others_are_done(folder):
     result = run("broken.wav", "silent.wav", "a.wav", "--out", "out")
     assert result.return_value == 1
-    assert re.search(r"broken\.wav.*\n(.*\n)*.*1 of 3", result.output)
+    assert "broken.wav" in result.output and "1 of 3" in result.output
     assert re.search(r"silent\.wav.* silence", result.output)
     made = sorted(path.name for path in (folder / "out").glob("*.npz"))
     assert made == ["a.npz", "silent.npz"]

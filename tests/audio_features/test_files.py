@@ -50,7 +50,7 @@ def test_rows_may_miss_a_second_of_the_sound(talk, caplog, first, last, is_read)
     if is_read:
         assert own.extract(wave).at([4.0]).values == [[4.0]] and not caplog.text
     else:
-        with pytest.raises(af.FeatureError, match=f"{first:.2f} .*{last:.2f} .*8.00"):
+        with pytest.raises(af.FeatureError, match=rf"(?=.*\b{first})(?=.*\b{last}).*\b8\.0"):
             own.extract(wave)
 
 
@@ -67,7 +67,7 @@ def test_the_nearest_file_in_a_folder_counts(talk, tmp_path):
     spec = {"kind": "files", "dim": 1, "rate": 1, "folder": str(tmp_path)}
     own = af.extractor_from_spec(spec, weights={"files": folder})  # the argument counts
     assert "folder" not in own.spec and af.extractor_from_spec(own.spec).spec == own.spec
-    with pytest.raises(af.FeatureError, match="talk.wav: .* talk.npy .*own"):
+    with pytest.raises(af.FeatureError, match="(?=.*talk.wav)(?=.*talk.npy).*own"):
         own.extract(wave)
     for place, value in (("talk.npy", 1), ("s1/talk.npy", 2), ("data/s1/talk.npy", 3)):
         (folder / place).parent.mkdir(exist_ok=True, parents=True)
@@ -104,10 +104,10 @@ HUGE = of_rows(np.zeros((1, 2))).replace(b"(1, 2), }           ", b"(99999999999
 @pytest.mark.parametrize(
     "content, complaint",
     [
-        (of_rows(clock(8, 50)[:, :1]), r"\(400, 1\): .*\(T, 2\)"),
-        (of_rows(with_nan()), "row 120, column 1: nan"),
-        (of_rows(np.full((400, 2), 1e300)), r"row 0, column 0: 1e\+300 .*1e\+18"),
-        (of_rows(clock(8, 25)), "200 .*3.98 .*8.00"),
+        (of_rows(clock(8, 50)[:, :1]), r"\(400, 1\).*\(T, 2\)"),
+        (of_rows(with_nan()), "(?=.*row 120)(?=.*column 1).*nan"),
+        (of_rows(np.full((400, 2), 1e300)), r"(?=.*row 0)(?=.*column 0)(?=.*1e\+300).*1e\+18"),
+        (of_rows(clock(8, 25)), r"(?=.*\b200\b)(?=.*3\.98).*\b8\.0"),
         (of_rows(np.array([{}, {}])), "numpy.save"),
         (HUGE, "numpy.save"),
         (b"not an array", "numpy.save"),
@@ -125,20 +125,20 @@ def test_a_wrong_file_is_an_error_that_names_file_and_sound(talk, content, compl
     [
         ({"values": clock(8, 4)}, "'times'"),
         ({"values": clock(8, 4), "times": np.zeros(32)}, "ascend"),
-        ({"values": clock(8, 4), "times": np.arange(31) / 4}, r"\(32, 2\) .*\(31,\)"),
+        ({"values": clock(8, 4), "times": np.arange(31) / 4}, r"(?=.*\(32, 2\)).*\(31,\)"),
     ],
 )
 def test_a_wrong_npz_says_what_is_missing(talk, arrays, complaint):
     np.savez(talk.with_suffix(".npz"), **arrays)
-    with pytest.raises(af.FeatureError, match=f"talk.npz, .*talk.wav: .*{complaint}"):
+    with pytest.raises(af.FeatureError, match=f"(?=.*talk.npz)(?=.*talk.wav).*{complaint}"):
         af.Files(2).extract(af.Wave.load(talk))
 
 
 @pytest.mark.parametrize(
     "settings, complaint",
     [
-        ({"dim": 0}, "dim.* 0"),
-        ({"dim": 4, "suffix": ".npy"}, r"rate .*\.npy"),
+        ({"dim": 0}, r"(?=.*dim).*\b0"),
+        ({"dim": 4, "suffix": ".npy"}, r"(?=.*rate).*\.npy"),
         ({"dim": 4, "folder": "nowhere"}, "nowhere"),
     ],
 )

@@ -63,7 +63,7 @@ def test_chunks_may_stand_anywhere(tmp_path, content):
         (riff(DATA), "`fmt `"),
         (riff(fmt(channels=0), DATA), " 0 "),
         (riff(fmt(block=2), DATA), " 1 .* 2 "),
-        (riff(fmt(), chunk(b"data", SOUND, N + 2)), "803 .*802 "),
+        (riff(fmt(), chunk(b"data", SOUND, N + 2)), r"(?=.*\b803\b).*802\b"),
         (riff(fmt(), DATA, b"\x01\x02\x03\x04\0\0\0\0"), "9 bytes"),
         (riff(fmt(), DATA, chunk(b"LIST", b"abcd", 5)), "a.wav"),
         (riff(*[chunk(b"junk", b"")] * 10_001, fmt(), DATA), "chunks"),
@@ -101,8 +101,8 @@ def test_headers_of_aiff_and_au(tmp_path):
         np.testing.assert_allclose(Wave.load(path).samples, MEANT, atol=1e-6)
     for content, says in (
         (aiff(SSND), "COMM"),
-        (aiff(COMM, big(b"SSND", bytes(8) + SIGNED, N + 10)), "811 .*810 "),
-        (au(N + 1), "802 .*801 "),
+        (aiff(COMM, big(b"SSND", bytes(8) + SIGNED, N + 10)), r"(?=.*\b811\b).*810\b"),
+        (au(N + 1), r"(?=.*\b802\b).*801\b"),
     ):
         path.write_bytes(content)
         with pytest.raises(AudioError, match=says):
@@ -150,10 +150,10 @@ def test_an_mp3_may_begin_with_a_tag_and_is_compared_with_its_length(tmp_path):
     ("change", "at", "says"),
     [
         (lambda pages: None, 0, None),
-        (lambda pages: pages.pop(3), 3, "page 3 .*byte {}"),
+        (lambda pages: pages.pop(3), 3, r"(?=.*page 3\b).*byte {}"),
         (lambda pages: pages.pop(), 0, "last"),
-        (lambda pages: pages.extend(pages[:]), -1, "several.*byte {}"),
-        (lambda pages: pages.insert(3, pages.pop(3)[:-1] + b"x"), 3, "checksum.*byte {}"),
+        (lambda pages: pages.extend(pages[:]), -1, "(?=.*several).*byte {}"),
+        (lambda pages: pages.insert(3, pages.pop(3)[:-1] + b"x"), 3, "(?=.*checksum).*byte {}"),
         (lambda pages: pages.insert(3, b"OggT" + bytes(23)), 3, "byte {}"),
     ],
 )
@@ -187,5 +187,5 @@ def test_wav_files_of_the_other_byte_order_and_of_over_four_gigabytes(tmp_path):
         if length == N:
             np.testing.assert_allclose(Wave.load(path).samples, MEANT, atol=1e-6)
         else:
-            with pytest.raises(AudioError, match="821 .*816 "):
+            with pytest.raises(AudioError, match=r"(?=.*\b821\b).*816\b"):
                 Wave.load(path)

@@ -146,7 +146,7 @@ def test_a_folder_with_code_of_its_own_is_refused(hubert):
     config = json.loads((hubert / "config.json").read_text())
     config["auto_map"] = {"AutoModel": "modeling.Own"}
     (hubert / "config.json").write_text(json.dumps(config))
-    with pytest.raises(af.WeightsError, match="auto_map.*config.json.*trust_remote_code"):
+    with pytest.raises(af.WeightsError, match="(?=.*auto_map)(?=.*config.json).*trust_remote_code"):
         af.HuggingFace(hubert)
     assert not proof.exists()
 
@@ -166,20 +166,20 @@ def test_broken_folders_are_errors_that_name_the_file(hubert, tmp_path):
     name = next(name for name in sorted(tensors) if "layers.1." in name and "decoder" not in name)
     save_file({key: value for key, value in tensors.items() if key != name}, hubert / "x")
     (hubert / "x").replace(hubert / "model.safetensors")
-    with pytest.raises(af.WeightsError, match=r"1 .*layers\.1"):
+    with pytest.raises(af.WeightsError, match=r"(?=.*\b1\b).*layers\.1"):
         af.HuggingFace(hubert)
     wide = torch.cat([tensors[name], tensors[name]])
     for value, complaint in (
-        (wide, r"1 .*shape.*layers\.1"),
-        (tensors[name] * float("nan"), r"layers\.1.*finite"),
+        (wide, r"(?=.*\b1\b)(?=.*shape).*layers\.1"),
+        (tensors[name] * float("nan"), r"(?=.*layers\.1).*finite"),
     ):
         save_file({**tensors, name: value}, hubert / "model.safetensors")
         with pytest.raises(af.WeightsError, match=complaint):
             af.HuggingFace(hubert)
     config = json.loads((hubert / "config.json").read_text())
     for changes, complaint in (
-        ({"model_type": "bert"}, "'bert', .* hubert"),
-        ({"hidden_size": 10**8, "d_model": 10**8}, "hidden_size.*100000000"),
+        ({"model_type": "bert"}, "(?=.*'bert').*hubert"),
+        ({"hidden_size": 10**8, "d_model": 10**8}, "(?=.*hidden_size).*100000000"),
     ):
         (hubert / "config.json").write_text(json.dumps({**config, **changes}))
         with pytest.raises(af.WeightsError, match=complaint):
@@ -223,5 +223,5 @@ def test_the_waveform_is_normalised_as_the_folder_says(tmp_path, write_encoder):
             assert (af.HuggingFace(folder).normalize is not None) == normalize
     settings["sampling_rate"] = 8_000
     (folder / "preprocessor_config.json").write_text(json.dumps(settings))
-    with pytest.raises(af.WeightsError, match="sampling_rate.*8000"):
+    with pytest.raises(af.WeightsError, match="(?=.*sampling_rate).*8000"):
         af.HuggingFace(folder)

@@ -68,22 +68,22 @@ def test_another_version_than_that_of_training_is_warned_about(installed, caplog
     "code, complaint",
     [
         ("import nothing_of_this_name", "nothing_of_this_name"),
-        (CODE.replace('clock"), (True', 'clock", "x"), (True'), "3 names .* 2 "),
+        (CODE.replace('clock"), (True', 'clock", "x"), (True'), r"(?=.*\b3 names).*\b2\b"),
         (CODE.replace("np.log", "np.nan * np.log"), "finite"),
-        (CODE.replace('"bad" in', '"speech" in'), "RuntimeError.*CALL"),
+        (CODE.replace('"bad" in', '"speech" in'), "(?=.*RuntimeError).*CALL"),
     ],
 )
 def test_a_fault_of_a_package_is_one_error_that_names_it(installed, speech, code, complaint):
     installed(code=code)
-    with pytest.raises(af.FeatureError, match=f"'loudness' .*own-features 1.2: .*{complaint}"):
+    with pytest.raises(af.FeatureError, match=f"(?=.*'loudness')(?=.*own-features).*{complaint}"):
         af.extractor_from_spec(SPEC).extract(speech)
 
 
 def test_a_missing_package_is_named_and_no_kind_of_ours_can_be_replaced(tmp_path, monkeypatch):
     spec = {**SPEC, "package": "own-features 1.2 (0a1b2c3d)"}
-    with pytest.raises(af.FeatureError, match="'loudness' .*own-features 1.2"):
+    with pytest.raises(af.FeatureError, match="(?=.*'loudness').*own-features 1.2"):
         af.extractor_from_spec(spec)
-    with pytest.raises(af.FeatureError, match="'loudness' .* logmel"):
+    with pytest.raises(af.FeatureError, match="(?=.*'loudness').*logmel"):
         af.extractor_from_spec(SPEC)
     install(tmp_path, monkeypatch)
     entry = tmp_path / "own_features.dist-info" / "entry_points.txt"

@@ -65,7 +65,7 @@ def test_sound_without_voice_is_silent_and_a_voice_is_not():
 def test_features_that_need_the_whole_sound_are_named():
     check_streams(af.Stack([af.LogMel(), af.Prosody(), af.ProsodicRange(), af.Effort(), af.MFCC()]))
     for wrong, extractor in (("music", af.Music()), ("prosody", af.Prosody(f0="pyin"))):
-        with pytest.raises(af.FeatureError, match=f"{wrong}: "):
+        with pytest.raises(af.FeatureError, match=wrong):
             check_streams(af.Stack([af.Onset(), extractor]))
 
 

@@ -110,7 +110,7 @@ def test_files_that_are_none_are_refused_by_name(ramp, tmp_path):
         (lambda: None, ""),
         (lambda: path.write_text("text"), ""),
         (lambda: np.savez(path, values=objects, **about), "'values'"),
-        (lambda: np.savez(path, values=values[:1], **about), r"\(1, 2\).*\(2,\)"),
+        (lambda: np.savez(path, values=values[:1], **about), r"(?=.*\(1, 2\)).*\(2,\)"),
         (lambda: np.savez(path, values=values, **about | {"spec": '{"format": 2}'}), "format 2"),
         (lambda: ramp.save(path) or path.write_bytes(path.read_bytes()[:-2000]), ""),
     ):
@@ -125,11 +125,11 @@ def test_one_frame_holds_for_all_times_and_shapes_must_agree():
     np.testing.assert_array_equal(one.to_rate(2, 3, method="mean").values, [[1, 2]] * 3)
     assert len(one.to_rate(2).values) == 2 and one.names == ("0", "1")
     for values, times, names, says in (
-        ([1, 2], [0, 1], (), r"values \(2,\) .*\(2,\)"),
-        ([[1, 2]], [0], ("a",), "1 .* 2 "),
+        ([1, 2], [0, 1], (), r"values.*\(2,\)"),
+        ([[1, 2]], [0], ("a",), r"(?=.*\b1\b).*\b2\b"),
         ([[1], [2]], [0, 0], (), "ascend"),
     ):
         with pytest.raises(FeatureError, match=says):
             FeatureTrack(values, times, {}, names)
-    with pytest.raises(FeatureError, match=r"'1', frame 0: -3e\+39 .*1e\+18"):
+    with pytest.raises(FeatureError, match=r"(?=.*'1')(?=.*frame 0)(?=.*-3e\+39).*1e\+18"):
         FeatureTrack([[0, -3e39]], [0])

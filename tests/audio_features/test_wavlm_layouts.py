@@ -57,7 +57,8 @@ def test_all_layouts_of_one_network_give_the_same_features(wavlm_folder, layouts
         own = af.WavLM(path)
         fingerprints.add(own.fingerprint)
         text = own.weights.describe()
-        assert re.search(rf"{layout}.*\b3\b.*\b32\b.*\b4\b.*{own.fingerprint}", text)
+        for fact in (layout, r"\b3\b", r"\b32\b", r"\b4\b", own.fingerprint):
+            assert re.search(fact, text), fact
         # The layouts' own eps differ, which the speech's digital silence would show.
         wavlm = af.WavLM(path, normalize=1e-7 if large else False)
         values = wavlm.extract(speech).values
@@ -122,17 +123,17 @@ def test_tensors_are_those_of_transformers(settings, size):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"hidden_size": 0}, "width.*'0'"),
-        ({"num_buckets": 0}, "buckets.*'0'"),
-        ({"conv_kernel": "10333322"[:7]}, "kernels.*'1033332'"),
-        ({"feat_extract_norm": "batch"}, "front_norm.*'batch'.*'group'"),
+        ({"hidden_size": 0}, "(?=.*width).*'0'"),
+        ({"num_buckets": 0}, "(?=.*buckets).*'0'"),
+        ({"conv_kernel": "10333322"[:7]}, "(?=.*kernels).*'1033332'"),
+        ({"feat_extract_norm": "batch"}, "(?=.*front_norm)(?=.*'batch').*'group'"),
         *(
             ({"layer_norm_eps": eps}, f"eps.*'{eps}'")
             for eps in (0.0, 2.0, -1e-5, True, "1e-5", float("nan"))
         ),
-        ({"hidden_act": "relu"}, "hidden_act.*'relu'.*'gelu'"),
+        ({"hidden_act": "relu"}, "(?=.*hidden_act)(?=.*'relu').*'gelu'"),
     ],
 )
 def test_settings_of_no_wavlm_are_named(changes, says):
-    with pytest.raises(af.WeightsError, match=f"^config.json: .*{says}"):
+    with pytest.raises(af.WeightsError, match=f"config.json.*{says}"):
         read(changes)

@@ -47,7 +47,7 @@ def test_unusable_folders_are_refused_by_name(wavlm_copy, tmp_path):
     refused(wavlm_copy / "model.safetensors", "folder")
     config = json.loads((wavlm_copy / "config.json").read_text())
     for changes, complaint in (
-        ({"num_hidden_layers": 4}, r"19 .*encoder\.layers\.3"),
+        ({"num_hidden_layers": 4}, r"(?=.*\b19\b).*encoder\.layers\.3"),
         ({"intermediate_size": 48}, "shape"),
         *(({"hidden_size": v}, "width") for v in ("large", 0, -8, 1 << 60, 32.0, True, None, [32])),
         ({"model_type": "bert"}, "bert"),
@@ -74,8 +74,8 @@ def test_unusable_files_are_refused_by_name(wavlm_folder, tmp_path):
         return {name: tensor for name, tensor in state.items() if part not in name}
 
     for content, complaint in (
-        ({**state, "encoder.transformer.extra": torch.zeros(1)}, "1 .*extra"),
-        (without(gone), "3 .*q_proj"),
+        ({**state, "encoder.transformer.extra": torch.zeros(1)}, r"(?=.*\b1\b).*extra"),
+        (without(gone), r"(?=.*\b3\b).*q_proj"),
         ({**state, gone: torch.full((96, 32), float("nan"))}, "finite"),
         ({**state, gone: torch.zeros(1).expand(1 << 20, 1 << 20)}, "claim"),
         (microsoft(wavlm_folder)["model"], "cfg"),
@@ -101,8 +101,8 @@ def test_nothing_in_a_file_is_run(wavlm_folder, tmp_path, monkeypatch):
         checkpoint = microsoft(wavlm_folder)
         checkpoint["cfg"] = argparse.Namespace(**checkpoint["cfg"])
         torch.save(checkpoint, path, _use_new_zipfile_serialization=zipped)
-        advice = refused(path, "argparse.Namespace").partition("in Python: ")[2]
-        exec(advice)
+        advice = refused(path, "argparse.Namespace")
+        exec(advice[advice.index("import ") :])
         torch.serialization.clear_safe_globals()
         assert af.WavLM(tmp_path / "plain.pt").fingerprint == af.WavLM(wavlm_folder).fingerprint
     assert not (tmp_path / "run").exists()

@@ -17,7 +17,7 @@ def refused(says: str):
 
 def test_one_file_counts_before_parts_and_parts_before_old_files(tmp_path):
     index = tmp_path / "model.safetensors.index.json"
-    with refused("model.safetensors.*pytorch_model.bin"):
+    with refused("(?=.*model.safetensors).*pytorch_model.bin"):
         read_folder(tmp_path)
     for k in range(11):
         (tmp_path / f"{k:02d}.txt").write_text("")
@@ -48,7 +48,7 @@ def test_tensors_claim_twice_as_much_as_their_file_at_most(tmp_path):
     path.write_bytes(bytes(100))
     fits = {"a": torch.zeros(1, dtype=torch.int8).expand(40), 7: torch.zeros(40)}
     assert set(plain_tensors(path, fits)) == {"a", "7"}
-    with refused("201 .* 100"):
+    with refused(r"(?=.*\b201\b).*\b100"):
         plain_tensors(path, {"a": torch.zeros(1, dtype=torch.int8).expand(201)})
     for odd in ([torch.zeros(1)], {"a": [1.0]}):
         with refused("a.pt"):

@@ -81,15 +81,15 @@ def test_published_files_with_heads_and_old_names_are_read(talk, tmp_path, write
 def test_folders_that_cannot_be_used_are_named(talk, tmp_path, write_text_encoder):
     folder = tmp_path / "text"
     write_text_encoder(folder)
-    with pytest.raises(af.FeatureError, match="layer=3: .* 0 to 2"):
+    with pytest.raises(af.FeatureError, match=r"(?=.*layer=3).*\b2\b"):
         af.WordEmbeddings(folder, layer=3)
     with pytest.raises(af.FeatureError, match="'lyer'"):
         af.extractor_from_spec({"kind": "words", "encoder": str(folder), "lyer": 1})
-    with pytest.raises(af.WeightsError, match="'bert'.*hubert"):
+    with pytest.raises(af.WeightsError, match="(?=.*'bert').*hubert"):
         af.HuggingFace(folder)
     settings = json.loads((folder / "tokenizer_config.json").read_text())
     (folder / "tokenizer_config.json").write_text(json.dumps(settings | {"auto_map": {"x": "y"}}))
-    with pytest.raises(af.WeightsError, match="auto_map.*tokenizer_config.json"):
+    with pytest.raises(af.WeightsError, match="(?=.*auto_map).*tokenizer_config.json"):
         af.WordEmbeddings(folder)
     (folder / "tokenizer_config.json").unlink()
     (folder / "tokenizer.json").write_text("{}")

@@ -108,7 +108,7 @@ def test_prepare_warns_and_the_option_that_it_names_corrects_it(write, shift):
         assert "shift" in dict(report.rows())
         return
     named = float(re.search(r"--shift (-?[\d.]+)", lines[0])[1])
-    assert named == pytest.approx(shift, abs=0.06) and "a.npz: " in lines[0]
+    assert named == pytest.approx(shift, abs=0.06) and "a.npz" in lines[0]
     (line,) = [text for text in prepare(folder, shift=0.5).problem_lines() if "--shift" in text]
     assert float(re.search(r"--shift (-?[\d.]+)", line)[1]) == pytest.approx(shift, abs=0.06)
     for option in (named, "auto"):
@@ -120,7 +120,7 @@ def test_prepare_warns_and_the_option_that_it_names_corrects_it(write, shift):
         total = sum(one.duration for one in report.manifest)
         assert total == pytest.approx(60 - abs(named), abs=0.1)
         assert not [line for line in report.problem_lines() if "--shift" in line]
-    assert any(re.search(rf"a.npz: .*\{named:+.2f} s ", line) for line in report.problem_lines())
+    assert any(re.search(rf"a.npz.*\b{abs(named):.2f} s", line) for line in report.problem_lines())
 
 
 def test_short_recordings_say_it_together(write):
@@ -128,7 +128,7 @@ def test_short_recordings_say_it_together(write):
         folder = write(f"clip{number}", 12, 0.8, seed=number)
     report = prepare(folder)
     (line,) = [text for text in report.problem_lines() if "--shift" in text]
-    assert re.search(r"\b8 .*--shift 0\.(7[5-9]|8[0-5]) ", line)
+    assert re.search(r"(?=.*\b8\b).*--shift 0\.(7[5-9]|8[0-5])", line)
     items = prepare(folder, shift="auto").manifest
     begins = [item.motion_start - item.audio_start for item in items]
     assert begins == pytest.approx([0.8] * 8, abs=0.06)
@@ -139,7 +139,8 @@ def test_a_recording_that_is_apart_from_the_others_is_named(write):
     write("more", 60, 0.0, seed=3)
     folder = write("late", 60, 2.0, seed=7)
     (line,) = [text for text in prepare(folder).problem_lines() if "--shift" in text]
-    named = re.search(r"late.npz: .*?([\d.]+) s .*--shift auto", line)
+    named = re.search(r"([\d.]+) s\b", line)
+    assert "late.npz" in line and "--shift auto" in line
     assert float(named[1]) == pytest.approx(2.0, abs=0.06)
     items = {item.take: item for item in prepare(folder, shift="auto").manifest}
     begins = [item.motion_start - item.audio_start for _, item in sorted(items.items())]
@@ -156,7 +157,7 @@ def test_a_pair_that_does_not_belong_together_is_not_shifted(write):
 def test_a_shift_is_a_number_or_auto(write, gesturekit, tmp_path):
     folder = write("a", 5)
     for wrong in ("soon", float("nan"), None):
-        with pytest.raises(CorpusError, match=f"shift.*{wrong}.*auto"):
+        with pytest.raises(CorpusError, match=f"(?=.*shift)(?=.*{wrong}).*auto"):
             prepare(folder, shift=wrong)
     command = ("prepare", folder, "--out", tmp_path / "corpus.jsonl", "--shift")
     gesturekit(*command, "soon").fails(2, "'soon'")
@@ -175,7 +176,7 @@ def peak(lag: int, height: float, sd: float = 0.125, n_frames: int = 100) -> Cor
 
 def test_a_recording_is_corrected_by_itself_or_by_all_together():
     clear, unclear, in_time = peak(25, 1.0), peak(-50, 0.3), peak(-4, 1.0)
-    assert corrections([clear, unclear, None]) == pytest.approx([1.15, 1.15, 1.15])
+    assert corrections([clear, unclear, None]) == pytest.approx([1 + LEAD] * 3)
     assert corrections([in_time, unclear]) == [0.0, 0.0]
-    assert corrections([in_time, clear, clear]) == pytest.approx([0.0, 1.15, 1.15])
+    assert corrections([in_time, clear, clear]) == pytest.approx([0.0, 1 + LEAD, 1 + LEAD])
     assert corrections([unclear, None]) == [0.0, 0.0] and corrections([None]) == [0.0]

@@ -96,7 +96,7 @@ def test_missing_and_broken_beat2_files_are_listed(beat2):
     assert report.left_over == (beat2 / "wave16k" / "9_new_0_1_1.wav",)
     index = beat2 / "train_test_split.csv"
     index.write_text("id,type\n2_scott_0_1_1,training\n")
-    with pytest.raises(CorpusError, match="train_test_split.csv, line 2: .*'training'"):
+    with pytest.raises(CorpusError, match="(?=.*train_test_split.csv)(?=.*line 2).*'training'"):
         prepare(beat2, layout="beat2")
     index.unlink()
     with pytest.raises(CorpusError, match="train_test_split.csv"):
@@ -112,13 +112,13 @@ def test_zeggs(zeggs):
     }
     assert report.is_complete
     notes = messages(report, "note")
-    assert re.search("2.* 001_Neutral_0_mirror_x_1_0.bvh.* 001_Neutral_0_x_0_9", notes)
+    assert "001_Neutral_0_mirror_x_1_0.bvh" in notes and "001_Neutral_0_x_0_9" in notes
     (zeggs / "clean" / "001_Neutral_0_x_1_0.wav").unlink()
     (zeggs / "clean" / "005_Neutral_4_x_1_0.bvh").write_text("HIERARCHY")
     errors = messages(prepare(zeggs, layout="zeggs"), "error")
     assert "001_Neutral_0_x_1_0.wav" in errors and "005_Neutral_4_x_1_0.bvh" in errors
     write(zeggs / "info.csv", (zeggs / "info.csv").read_text().replace("FALSE", "no"))
-    with pytest.raises(CorpusError, match="info.csv, line 2: .*'no'"):
+    with pytest.raises(CorpusError, match="(?=.*info.csv)(?=.*line 2).*'no'"):
         prepare(zeggs, layout="zeggs")
 
 
@@ -141,8 +141,8 @@ def test_original_zeggs_is_aligned_trimmed_and_masked(tmp_path, write_bvh, write
     heard = np.flatnonzero(item.load_wave().samples) / 16_000
     assert heard.size and heard.min() >= 0.25 and heard.max() < 0.5
     errors = messages(report, "error")
-    assert "003_Neutral_2.csv, line 2: " in errors and "'soon'" in errors
-    assert "002_Neutral_1.bvh" in errors
+    for fact in ("003_Neutral_2.csv", "line 2", "'soon'", "002_Neutral_1.bvh"):
+        assert fact in errors
 
 
 def test_genea2023(publish):
@@ -155,10 +155,10 @@ def test_genea2023(publish):
         ("tst/tst_2023_v0_000_main-agent", "test", "1", None, True, False),
     }
     item = report.manifest.in_split("valid")[0]
-    assert set(item.conditions) == {"words", "partner_audio", "partner_motion", "partner_words"}
+    assert {"words", "partner_audio", "partner_motion", "partner_words"} <= set(item.conditions)
     assert item.conditions["partner_audio"].name == "val_2023_v0_000_interloctr.wav"
     notes = messages(report, "note")
-    assert re.search("fingers.*trn_2023_v0_001", notes)
+    assert re.search("(?=.*fingers).*trn_2023_v0_001", notes)
     (root / "trn" / "main-agent" / "bvh" / "trn_2023_v0_001_main-agent.bvh").unlink()
     report = prepare(root, layout="genea2023")
     assert len(report.manifest) == 3
@@ -184,7 +184,7 @@ def test_motorica(tmp_path, publish, write_bvh):
     assert [item.id for item in held if item.split == "test"] == [names[0], names[2]]
     write_bvh(next(tmp_path.rglob(f"{names[0]}.bvh")), 1.0, 60.0)
     notes = messages(prepare(tmp_path, layout="motorica"), "note")
-    assert re.search(rf"{names[0]}\.bvh.* 60 .* 120 ", notes)
+    assert re.search(rf"(?=.*{names[0]}\.bvh)(?=.*\b60\b).*\b120\b", notes)
 
 
 def test_trinity(tmp_path, publish, write_bvh):
@@ -245,7 +245,7 @@ def test_layouts_that_cannot_be_used(tmp_path):
     page = (Path(__file__).parents[2] / "docs" / "corpora.md").read_text(encoding="utf-8")
     with pytest.raises(CorpusError, match="beat2"):
         prepare(tmp_path, layout="beat")
-    with pytest.raises(CorpusError, match="zeggs.* 2 "):
+    with pytest.raises(CorpusError, match=r"(?=.*zeggs).*\b2\b"):
         prepare([tmp_path, tmp_path], layout="zeggs")
     for layout in LAYOUTS:
         assert f"`{layout}`" in page

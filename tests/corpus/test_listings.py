@@ -69,7 +69,7 @@ def test_cuts_of_100style_are_frames_at_sixty_a_second(tmp_path, touch):
     assert uncut[:2] == ("note", tmp_path.name) and "Sad_ID.bvh" in uncut[2]
     for start, stop in (("3", "3"), ("-1", "5"), ("3", ""), ("x", "5"), ("nan", "5")):
         touch("Frame_Cuts.csv", cuts(("Old", start, stop)))
-        with pytest.raises(CorpusError, match="line 2: .*BR_START"):
+        with pytest.raises(CorpusError, match="(?=.*line 2).*BR_START"):
             read_layout("100style", tmp_path)
 
 
@@ -96,7 +96,7 @@ def test_cleaned_files_of_zeggs_come_before_the_original_ones(tmp_path, touch):
             *(4.75 - 3.5, (0.25, 59.75), ((62.25, 63.5),)),
         ),
         ("00:59:59:00 01:00:00:00 01:00:00:00 01:00:01:00", "", 1.0, (0.0, 1.0), ()),
-        ("0:0:0:0 0:0:1:0 0:0:0:59 0:0:2:0", "", "-0.02 to 1.00", None, None),
+        ("0:0:0:0 0:0:1:0 0:0:0:59 0:0:2:0", "", "-0.02", None, None),
         ("0:0:0:0 0:0:1 0:0:2:0 0:0:3:0", "", "'0:0:1'", None, None),
         ("0:0:0:0 0:0:1:0 0:0:1:0 0:0:2:0", "R,00:02.0,soon", "'soon'", None, None),
     ],

@@ -72,29 +72,29 @@ def test_a_saved_manifest_reads_back_and_has_the_same_bytes_whatever_the_order(t
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"colour": "red"}, "field 'colour'"),
-        ({"channel": 0}, "channel.* 0"),
-        ({"reading": {"colour": "red"}}, "reading.*'colour'"),
-        ({"reading": {"body_model": "/b.npz"}}, "body_model.*/b.npz"),
-        ({"duration": "long"}, "duration.*long"),
+        ({"colour": "red"}, "'colour'"),
+        ({"channel": 0}, r"(?=.*channel).*\b0"),
+        ({"reading": {"colour": "red"}}, "(?=.*reading).*'colour'"),
+        ({"reading": {"body_model": "/b.npz"}}, "(?=.*body_model).*/b.npz"),
+        ({"duration": "long"}, "(?=.*duration).*long"),
         ({"duration": 10**400}, "duration"),
-        ({"split": "dev"}, "split .*'dev'"),
-        ({"audio": "/data/a.wav"}, "audio.*'/data/a.wav'"),
-        ({"audio": "C:\\data\\a.wav"}, "audio.*'C:"),
-        ({"audio": None, "motion": None}, "audio .*motion"),
-        ({"audible": [[2, 1]]}, r"audible .*\(2.*, 1.*\).* START, END"),
+        ({"split": "dev"}, "(?=.*split).*'dev'"),
+        ({"audio": "/data/a.wav"}, "(?=.*audio).*'/data/a.wav'"),
+        ({"audio": "C:\\data\\a.wav"}, "(?=.*audio).*'C:"),
+        ({"audio": None, "motion": None}, "(?=.*audio).*motion"),
+        ({"audible": [[2, 1]]}, r"(?=.*audible)(?=.*\b2\b).*\b1\b"),
         ({"id": "../../etc/a"}, r"'\.\./\.\./etc/a'"),
         ({"id": "a\nb"}, r"'a\\nb'"),
     ],
 )
 def test_an_invalid_field_is_reported_with_file_and_line(tmp_path, change, message):
     path = write(tmp_path / "m.jsonl", {**RECORD, "id": "first"}, {**RECORD, **change})
-    with pytest.raises(CorpusError, match=rf"m\.jsonl:3: .*{message}"):
+    with pytest.raises(CorpusError, match=rf"m\.jsonl:3\b.*{message}"):
         Manifest.load(path)
 
 
 def test_an_id_used_twice_names_both_lines(tmp_path):
-    with pytest.raises(CorpusError, match=r"m\.jsonl:3: id 'a' .*line 2"):
+    with pytest.raises(CorpusError, match=r"m\.jsonl:3(?=.*'a').*line 2"):
         Manifest.load(write(tmp_path / "m.jsonl", RECORD, RECORD))
 
 
@@ -102,12 +102,12 @@ def test_an_id_used_twice_names_both_lines(tmp_path):
     ("content", "message"),
     [
         (b"", "m.jsonl.*schema"),
-        (b'{"schema": 7}\n', "m.jsonl:1: .*schema 7 "),
-        (b"id,audio\n", "m.jsonl:1: .*gesturekit prepare"),
+        (b'{"schema": 7}\n', "m.jsonl:1.*7 "),
+        (b"id,audio\n", "m.jsonl:1.*gesturekit prepare"),
         (b'{"schema": 1}\n[1]\n', "m.jsonl:2: "),
         (b'{"schema": 1}\n{"id": "\xff"}\n', "m.jsonl:2: "),
-        (b'{"schema": 1}\n{"duration": NaN}\n', "m.jsonl:2: .*NaN"),
-        (b'{"schema": 1}\n{"id": 1, "id": 2}\n', "m.jsonl:2: .*'id'"),
+        (b'{"schema": 1}\n{"duration": NaN}\n', "m.jsonl:2.*NaN"),
+        (b'{"schema": 1}\n{"id": 1, "id": 2}\n', "m.jsonl:2.*'id'"),
         (b'{"schema": 1}\n' + b"[" * 100_000 + b"\n", "m.jsonl:2: "),
         (b'{"schema": 1}\n' + b" " * 3_000_000, "m.jsonl:2: "),
     ],
@@ -131,7 +131,7 @@ def test_items_are_found_by_kind_and_split(tmp_path):
     assert [item.id for item in manifest.motion_alone()] == ["dance"]
     with pytest.raises(CorpusError, match="'speech'"):
         manifest.unpaired()[0].load_motion()
-    with pytest.raises(CorpusError, match="'dance' .*audio"):
+    with pytest.raises(CorpusError, match="(?=.*'dance').*audio"):
         manifest.motion_alone()[0].load_wave()
     with pytest.raises(CorpusError, match="'dev'"):
         manifest.paired("dev")
@@ -147,7 +147,7 @@ def test_an_item_loads_its_own_stretch_of_both_files(tmp_path, write_pair, gestu
     mirrored = replace(item, mirror=True).load_motion().positions()
     left, right = whole.skeleton.index("LeftHand"), whole.skeleton.index("RightHand")
     assert abs(mirrored[:, left] - part.positions()[:, right] * [-1, 1, 1]).max() < 1e-4
-    with pytest.raises(CorpusError, match=r"30 to 150 .*a\.bvh.* 120 frames"):
+    with pytest.raises(CorpusError, match=r"(?=.*\b30\b)(?=.*\b150\b)(?=.*a\.bvh).*\b120\b"):
         replace(item, duration=4.0).load_motion()
 
 

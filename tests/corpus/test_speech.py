@@ -203,18 +203,18 @@ def test_speech_or_seconds_are_asked_for_and_not_both(conditioner):
     for given, says in (
         ((None, wave, None), "--seconds"),
         ((conditioner, wave, 1.0), "seconds"),
-        ((conditioner, None, None), "speech.*seconds"),
+        ((conditioner, None, None), "(?=.*speech).*seconds"),
         ((None, None, "2"), "seconds='2'"),
         ((None, None, np.nan), "seconds=nan"),
-        ((conditioner, None, 0), "seconds=0.*0.04 s"),
-        ((None, None, 86_401), "seconds=86401.*86400"),
+        ((conditioner, None, 0), "(?=.*seconds=0).*0.04 s"),
+        ((None, None, 86_401), "(?=.*seconds=86401).*86400"),
     ):
         with pytest.raises(ModelError, match=says):
             speech_features(*given, fps=25.0)
     silent = speech_features(conditioner, None, 0.42, 25.0)
     assert np.array_equal(silent, conditioner.silence(11))
     assert np.array_equal(speech_features(conditioner, wave, None, 25.0), conditioner(wave, 25))
-    with pytest.raises(ModelError, match="0.049 s .* 10 "):
+    with pytest.raises(ModelError, match=r"(?=.*\b0.049 s).*\b10\b"):
         speech_features(conditioner, wave.slice(0.0, 0.049), None, 10.0)
 
 

@@ -26,10 +26,10 @@ def recordings(**about) -> list[Recording]:
 def test_names_that_fit_nothing_or_everything_are_one_clear_error(tmp_path):
     names = tmp_path / "names.txt"
     for wanted, says in (
-        ({"pattern": "xyz"}, "xyz.* 3 .*day1/a"),
+        ({"pattern": "xyz"}, r"(?=.*xyz)(?=.*\b3\b).*day1/a"),
         ({"pattern": "day"}, " 3 "),
-        ({"speakers": ("carl",)}, "'carl'.*ann.*bob"),
-        ({"file": "c\nday1/a\nd\n"}, "names.txt: 2 .*c.*d"),
+        ({"speakers": ("carl",)}, "(?=.*'carl')(?=.*ann).*bob"),
+        ({"file": "gone\nday1/a\nlost\n"}, r"(?=.*names.txt)(?=.*\b2\b)(?=.*gone).*lost"),
         ({"file": "x" * (16 * 2**20 + 1)}, "names.txt"),
     ):
         text = wanted.get("file")
@@ -39,7 +39,7 @@ def test_names_that_fit_nothing_or_everything_are_one_clear_error(tmp_path):
         with pytest.raises(CorpusError, match=says):
             HoldOut(**wanted).apply(recordings())
     unnamed = [replace(one, speaker=None) for one in recordings()]
-    with pytest.raises(CorpusError, match="'ann'.*none"):
+    with pytest.raises(CorpusError, match="(?=.*'ann').*none"):
         HoldOut(speakers=("ann",)).apply(unnamed)
 
 
@@ -75,7 +75,7 @@ def test_seconds_are_held_out_at_frames_and_short_pieces_left_out():
         ("day1/b@2.00-3.50", "test", 2.0, 1.5),  # frame 105.3
         ("day1/b@3.50-7.60", "train", 3.5, 4.1),
     ]
-    assert severity == "note" and re.search("7.60 .*8.00 s", text)
+    assert severity == "note" and re.search(r"(?=.*\b7.60\b).*8.00 s", text)
     assert parts(one, (0.0, 9.0)) == ([("day1/b", "test", 0.0, 8.0)], [])
     found, ((severity, file, _),) = parts(one, (9.0, 10.0))
     assert found == [("day1/b", "train", 0.0, 8.0)]

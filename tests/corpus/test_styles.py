@@ -37,10 +37,10 @@ def test_styles_cross_over_in_a_second_around_the_border():
 @pytest.mark.parametrize(
     ("wanted", "says"),
     [
-        ("glad", "'glad'.*angry.*old.*sad"),
+        ("glad", "(?=.*'glad')(?=.*angry)(?=.*old).*sad"),
         ("glad@0-1", "'glad'"),
         ("old@2-2", "'old@2-2'"),
-        ("old@2", "'old@2'.*@0-10"),
+        ("old@2", "(?=.*'old@2').*@0-10"),
     ],
 )
 def test_styles_that_cannot_be_read_are_refused(wanted, says):

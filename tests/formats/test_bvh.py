@@ -70,30 +70,30 @@ def test_variants_of_other_writers_are_read(write, change):
         ("HIERARCHY", "WAVE", 1, "HIERARCHY"),
         ("Frames: 3", "Frames: -3", 17, "-3"),
         (SMALL[SMALL.index("0 90 0 0 0") :], "", 18, "3 "),
-        ("12 22 32\n", "12 22 32\n5 5\n", 22, "4 of 3 .* 2 "),
+        ("12 22 32\n", "12 22 32\n5 5\n", 22, r"(?=.*\b4 of 3\b).*\b2\b"),
         ("5 11 21", "5 11,5, 21", 20, "'11.5,'"),
         ("5 11 21", "5 nan 21", 20, "nan"),
         ("11 21 31\n", "11 21\n31 ", 20, " 8 "),
         ("OFFSET 0 50 0", "OFFSET 0 50", 8, "'0 50'"),
-        ("CHANNELS 3", "CHANNELS 4", 9, "'4'.* 3 "),
-        ("CHANNELS 3", "CHANNELS", 9, "'Zrotation'.* 2 "),
+        ("CHANNELS 3", "CHANNELS 4", 9, r"(?=.*'4').*\b3\b"),
+        ("CHANNELS 3", "CHANNELS", 9, r"(?=.*'Zrotation').*\b2\b"),
         ("CHANNELS 3 Zrotation Xrotation Yrotation", "CHANNELS", 9, "''.* 0 "),
         ("3 Zrotation Xrotation", "3 Zrotation Zrotation", 9, "Zrotation Zrotation"),
-        ("JOINT Chest", "ROOT Chest", 6, "'Chest'.*'Hips'"),
+        ("JOINT Chest", "ROOT Chest", 6, "(?=.*'Chest').*'Hips'"),
         ("JOINT Chest", "BONE Chest", 6, "BONE"),
     ],
 )
 def test_broken_files_are_named_with_their_line(write, old, new, line, says):
     assert old in SMALL
     path = write(SMALL.replace(old, new))
-    with pytest.raises(FormatError, match=f"{path}:{line}: .*{says}"):
+    with pytest.raises(FormatError, match=rf"{path}:{line}\b.*{says}"):
         read_bvh(path)
 
 
 @pytest.mark.parametrize("value", ["0", "x", "", "100000.5"])
 def test_an_invalid_frame_time_is_an_error_unless_fps_is_given(write, value):
     path = write(SMALL.replace("0.0333333", value))
-    with pytest.raises(FormatError, match="Frame Time.*--in-fps"):
+    with pytest.raises(FormatError, match="(?=.*Frame Time).*--in-fps"):
         read_bvh(path)
     motion = read_bvh(path, fps=50)
     assert motion.fps == 50 and motion.info["frame_time"] == value
@@ -104,7 +104,7 @@ def test_a_file_that_is_cut_later_keeps_its_whole_frames(write):
     last_value = SMALL.rindex("32")  # a cut within the last number cannot be seen
     for cut in range(SMALL.index("1 91 0"), last_value):
         kept = SMALL[:cut].count("\n", SMALL.index("0 90 0 0"))
-        with pytest.warns(UserWarning, match=f" 3 .* {kept}.*cut"):
+        with pytest.warns(UserWarning, match=rf"(?=.*\b3\b)(?=.*\b{kept}\b).*cut"):
             motion = read_bvh(write(SMALL[:cut]))
         np.testing.assert_array_equal(motion.rotations, whole.rotations[:kept])
 
@@ -112,10 +112,10 @@ def test_a_file_that_is_cut_later_keeps_its_whole_frames(write):
 @pytest.mark.parametrize(
     ("old", "new", "kept", "says"),
     [
-        ("Frames: 3", "Frames: 99999999999999", 3, " 99999999999999 .* 3\\b"),
-        ("Frames: 3", "Frames: 2", 3, " 2 .* 3 "),
-        ("Frames: 3", "Frames: 0", 3, " 0 .* 3 "),
-        ("12 22 32\n", "12 22\n\n \n", 2, " 3 .* 2, .*last"),
+        ("Frames: 3", "Frames: 99999999999999", 3, r"(?=.*\b99999999999999\b).*\b3\b"),
+        ("Frames: 3", "Frames: 2", 3, r"(?=.*\b2\b).*\b3\b"),
+        ("Frames: 3", "Frames: 0", 3, r"(?=.*\b0\b).*\b3\b"),
+        ("12 22 32\n", "12 22\n\n \n", 2, r"(?=.*\b3\b)(?=.*\b2\b).*last"),
     ],
 )
 def test_the_frames_of_a_file_count_more_than_their_number(write, old, new, kept, says):
@@ -128,9 +128,9 @@ def test_decimal_commas_are_read_as_points(write):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         expected = read_bvh(write(points))
-    with pytest.warns(UserWarning, match="clip.bvh: .*commas"):
+    with pytest.warns(UserWarning, match="clip.bvh.*commas"):
         read_bvh(write(SMALL.replace("5 11 21", "5,25 11 21")))
-    with pytest.warns(UserWarning, match="clip.bvh: .*commas"):
+    with pytest.warns(UserWarning, match="clip.bvh.*commas"):
         motion = read_bvh(write(points.replace(".", ",")))
     assert motion.fps == expected.fps == 30
     np.testing.assert_array_equal(motion.rotations, expected.rotations)
@@ -142,13 +142,13 @@ def test_files_that_are_not_bvh_are_refused(write, tmp_path):
         read_bvh(write(bytes(range(256)) * 50))
     with pytest.raises(FormatError, match="clip.bvh.* 1048576"):
         read_bvh(write(b"x" * (1 << 22)))
-    with pytest.raises(FormatError, match="clip.bvh:20: .* 1048576"):
+    with pytest.raises(FormatError, match="clip.bvh:20.* 1048576"):
         read_bvh(write(SMALL.replace("21 31", "1 " * (1 << 21))))
-    with pytest.raises(FormatError, match="clip.bvh:20: .*'#'"):
+    with pytest.raises(FormatError, match="clip.bvh:20.*'#'"):
         read_bvh(write(SMALL.replace("21 31", "21 31 # x")))
     with pytest.raises(FormatError, match="absent.bvh"):
         read_bvh(tmp_path / "absent.bvh")
-    with pytest.raises(FormatError, match=f"^{tmp_path}: "):
+    with pytest.raises(FormatError, match=str(tmp_path)):
         read_bvh(tmp_path)
 
 
@@ -214,11 +214,11 @@ def test_unit_and_axes_can_be_set(write):
     assert read_bvh(path, unit="m").translation[0, 1] == 90
     assert read_bvh(path, unit="mm").translation[0, 1] == pytest.approx(0.09)
     assert read_bvh(path, unit="inch").translation[0, 1] == pytest.approx(90 * 0.0254)
-    with pytest.raises(FormatError, match="'foot'.*inch"):
+    with pytest.raises(FormatError, match="(?=.*'foot').*inch"):
         read_bvh(path, unit="foot")
     with pytest.raises(FormatError, match="'w'"):
         read_bvh(path, up="w")
-    with pytest.raises(FormatError, match="'-y' .*'y'"):
+    with pytest.raises(FormatError, match="(?=.*'-y').*'y'"):
         read_bvh(path, up="y", forward="-y")
 
 

@@ -84,11 +84,11 @@ def test_the_body_model_places_the_pelvis(tmp_path, capsule_body):
 def test_one_of_several_people(tmp_path):
     people = [recorded(3, seed=1), recorded(5, seed=2)]
     folder = write(tmp_path, people, missing={(3, 0), (3, 1)})
-    with pytest.warns(UserWarning, match=r"3 \(38 .*5 \(40 .*; 5 "):
+    with pytest.warns(UserWarning, match=r"(?=.*\b38\b).*\b40\b"):
         assert read_easymocap(folder).info["person"] == 5
     third = read_easymocap(folder, person=3)
     assert (third.n_frames, third.info["first_frame"]) == (38, 2)
-    with pytest.raises(FormatError, match="4.* 3 "):
+    with pytest.raises(FormatError, match=r"(?=.*\b4).*\b3\b"):
         read_easymocap(folder, person=4)
 
 
@@ -102,7 +102,7 @@ def test_short_gaps_are_filled_and_long_ones_refused(tmp_path):
     assert (motion.n_frames, motion.info["filled_frames"]) == (FRAMES, 6)
     np.testing.assert_allclose(motion.rotations[15:20], whole.rotations[15:20])
     assert np.linalg.norm(motion.positions() - whole.positions(), axis=-1).max() < 0.02
-    with pytest.raises(FormatError, match="10 .*14 .*0.17 s.*max_gap"):
+    with pytest.raises(FormatError, match=r"(?=.*\b10\b)(?=.*14\b)(?=.*0.17 s).*max_gap"):
         read_easymocap(folder, max_gap=0.1)
 
 

@@ -138,7 +138,7 @@ def test_no_file_of_another_folder_is_opened(tmp_path, uri):
     (tmp_path / "secret.bin").write_bytes(arm().data)
     (inside / "link.bin").symlink_to(tmp_path / "secret.bin")
     (inside / "a.gltf").write_bytes(arm().gltf(uri.format(folder=tmp_path)))
-    with pytest.raises(FormatError, match=r"a\.gltf: "):
+    with pytest.raises(FormatError, match=r"a\.gltf"):
         Motion.load(inside / "a.gltf")
 
 
@@ -158,7 +158,7 @@ def test_the_longest_animation_is_read_or_that_which_is_named(tmp_path):
         {"sampler": 1, "target": {"node": 1, "path": "rotation"}}
     )
     path = file.save(tmp_path / "a.glb")
-    with pytest.warns(UserWarning, match="idle.*wave.*3.* wave.*--animation"):
+    with pytest.warns(UserWarning, match=r"(?=.*idle)(?=.*wave)(?=.*\b3\b).*--animation"):
         assert Motion.load(path).info["animation"] == "wave"
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -168,7 +168,7 @@ def test_the_longest_animation_is_read_or_that_which_is_named(tmp_path):
         only = Motion.load(file.save(tmp_path / "b.glb"))
         assert (only.info["animation"], only.n_frames) == ("wave", 3 * 24 + 1)
     for name in ("run", "0", "4"):
-        with pytest.raises(FormatError, match=f"'{name}'.*idle.*wave.*3"):
+        with pytest.raises(FormatError, match=f"(?=.*'{name}')(?=.*idle).*wave"):
             Motion.load(path, animation=name)
 
 
@@ -215,7 +215,7 @@ def test_a_body_that_faces_backwards_rests_forwards_and_stays_where_it_is(tmp_pa
 def test_compressed_files_are_refused_by_name(tmp_path):
     file = arm()
     file.json["bufferViews"][1]["extensions"] = {"EXT_meshopt_compression": {}}
-    with pytest.raises(FormatError, match="EXT_meshopt.*gltf-transform.*a.glb"):
+    with pytest.raises(FormatError, match="(?=.*EXT_meshopt)(?=.*gltf-transform).*a.glb"):
         Motion.load(file.save(tmp_path / "a.glb"))
     file.json["extensionsRequired"] = ["KHR_draco_mesh_compression"]
     del file.json["bufferViews"][1]["extensions"]
@@ -261,9 +261,9 @@ def repeat(file: GltfFile, accessor: dict) -> None:
 
 
 HOSTILE = {
-    "frames": (changed("uri", None), " 21600001 .*--in-fps"),
+    "frames": (changed("uri", None), r"(?=.*\b21600001\b).*--in-fps"),
     "nothing": (change_all(changed("skins", []), changed("animations", [])), "skeleton"),
-    "zeros often": (have_zeros_often, "rotation .*memory"),
+    "zeros often": (have_zeros_often, "(?=.*rotation).*memory"),
     "same bytes": (read_the_same_bytes_often, "memory"),
     "cycle": (changed("children", [0], "nodes", 1), "tree"),
     "far away": (
@@ -310,8 +310,8 @@ def head(size: int = 0, version: int = 2, kind: int = 0x4E4F534A, n_json: int | 
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        (head()[:19], r"a\.glb: "),
-        (head(version=1), " 1; .* 2"),
+        (head()[:19], r"a\.glb"),
+        (head(version=1), r"(?=.*\b1\b).*\b2"),
         (head(size=65), "64 of 65"),
         (head() + struct.pack("<2I", 5, 0x004E4942) + b"1234", "4 of 5"),
     ],

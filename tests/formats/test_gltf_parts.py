@@ -62,7 +62,7 @@ def test_a_file_of_over_256_mebibytes_is_not_opened(tmp_path):
     with (tmp_path / "a.glb").open("wb") as file:
         file.write(b"glTF")
         file.truncate((256 << 20) + 1)
-    with pytest.raises(FormatError, match=r"a\.glb: .*256 MiB"):
+    with pytest.raises(FormatError, match=r"a\.glb.*256 MiB"):
         Gltf(tmp_path / "a.glb")
 
 
@@ -76,13 +76,13 @@ SPARSE = {
     ("changes", "says"),
     [
         ({"type": "MAT3"}, "'MAT3'"),
-        ({"type": "VEC3", "count": 1}, " 3 .* 1$"),
-        ({"count": -1}, "count .* -1"),
-        ({"count": 10**12}, "count .* 1000000000000"),
-        ({"byteOffset": 13}, "byteOffset .* 13.* 12"),
-        ({"bufferView": 99}, "bufferViews .* 99"),
+        ({"type": "VEC3", "count": 1}, r"(?=.*\b3\b).*\b1$"),
+        ({"count": -1}, "(?=.*count).*-1"),
+        ({"count": 10**12}, r"(?=.*count).*\b1000000000000"),
+        ({"byteOffset": 13}, r"(?=.*byteOffset)(?=.*\b13).*\b12"),
+        ({"bufferView": 99}, r"(?=.*bufferViews).*\b99"),
         ({"sparse": SPARSE | {"count": 1}}, "indices"),
-        ({"sparse": SPARSE | {"count": 10**9}}, "count.* 1000000000"),
+        ({"sparse": SPARSE | {"count": 10**9}}, r"(?=.*count).*\b1000000000"),
     ],
 )
 def test_damaged_accessors_are_named(tmp_path, changes, says):
@@ -218,6 +218,6 @@ def test_colours_are_srgb_of_the_base_colour_times_the_texture(tmp_path):
     found = colours(path, material | {"alphaMode": "MASK"}, uv)
     np.testing.assert_allclose(found[:, 3], [0.8, 0, 0.8, 0.8], atol=1e-6)
     np.testing.assert_allclose(colours(path, material, None)[:, :3], [factor] * 3, atol=2e-4)
-    with pytest.warns(UserWarning, match=r"a\.glb: .*texture 0"):
+    with pytest.warns(UserWarning, match=r"a\.glb.*texture 0"):
         found = colours(path, material, uv, b"no picture")
     np.testing.assert_allclose(found[:, :3], [factor] * 4, atol=2e-4)

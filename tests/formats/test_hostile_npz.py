@@ -117,17 +117,17 @@ def test_headers_that_promise_too_much(tmp_path, key, content, says):
 @pytest.mark.parametrize(
     ("key", "content", "says"),
     [
-        ("gk_version", npy(2), "'gk_version'.* 2"),
+        ("gk_version", npy(2), r"(?=.*'gk_version').*\b2"),
         ("names", zeros((100_000,), "<U8"), "100000"),
         ("names", npy(np.full(24, 2**31, "<u4").view("<U1")), "characters"),
-        ("parents", zeros((2_000_000,), "<i8"), "'parents' .*shape"),
-        ("parents", npy(np.full(24, 2**62)), "'parents' .* -1 to 23"),
-        ("body_pelvis", npy([0.1, 0.2, np.nan]), r"'body_pelvis' .*\(3,\)"),
-        ("end_site_joints", npy([24]), "'end_site_joints' .* 0 to 23"),
+        ("parents", zeros((2_000_000,), "<i8"), "(?=.*'parents').*shape"),
+        ("parents", npy(np.full(24, 2**62)), r"(?=.*'parents').*\b23\b"),
+        ("body_pelvis", npy([0.1, 0.2, np.nan]), r"(?=.*'body_pelvis').*\(3,\)"),
+        ("end_site_joints", npy([24]), r"(?=.*'end_site_joints').*\b23\b"),
         ("moving_joints", npy([99]), "'moving_joints'"),
         ("rotations", npy(np.zeros((5, 23, 4))), "'rotations'"),
         ("rotations", npy(np.full((5, 24, 4), np.nan)), "frame 0"),
-        ("fps", npy(np.nan), "'fps': .*nan.* 1e-05 to 100000"),
+        ("fps", npy(np.nan), "(?=.*'fps')(?=.*nan).*100000"),
     ],
 )
 def test_native_files_that_promise_too_much_or_contradict_themselves(tmp_path, key, content, says):

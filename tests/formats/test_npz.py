@@ -77,7 +77,7 @@ def test_amass_and_beat2_files_are_read_whichever_axis_is_up(tmp_path, up):
     assert read_npz(tmp_path / "a.npz", up=up).info["up"] == up
     foreign(tmp_path / "a.npz", motion, up, times=np.arange(20), v_template=np.zeros((9, 3)))
     assert read_npz(tmp_path / "a.npz").n_frames == 20, "of features and bodies alone"
-    with pytest.raises(FormatError, match="'x'.*-y"):
+    with pytest.raises(FormatError, match="(?=.*'x').*-y"):
         read_npz(tmp_path / "a.npz", up="x")
 
 
@@ -162,7 +162,7 @@ def test_shapes_are_kept_within_their_space_and_dropped_outside(tmp_path):
     shape = BodyShape(tuple(betas), gender="male")
     motion = replace(motion, skeleton=replace(motion.skeleton, body_shape=shape))
     write_npz(motion, tmp_path / "h.npz", rig="smplh")
-    with pytest.warns(UserWarning, match="betas .*--rig smpl"):
+    with pytest.warns(UserWarning, match="(?=.*betas).*--rig smpl"):
         write_npz(motion, tmp_path / "x.npz", rig="smplx")
     write_npz(motion, tmp_path / "own.npz")
     with np.load(tmp_path / "h.npz") as h, np.load(tmp_path / "x.npz") as x:
@@ -217,11 +217,11 @@ def test_a_body_model_gives_the_rig_its_bones(tmp_path, capsule_body):
     ("change", "says"),
     [
         ({"poses": np.zeros((20, 99))}, r"\(20, 99\)"),
-        ({"trans": np.zeros((19, 3))}, r"'trans' .*\(19, 3\).*\(20, 3\)"),
+        ({"trans": np.zeros((19, 3))}, r"(?=.*'trans')(?=.*\(19, 3\)).*\(20, 3\)"),
         ({"mocap_framerate": None}, "mocap_frame_rate"),
         ({"poses": np.full((20, 165), np.nan)}, "frame 0"),
-        ({"mocap_frame_rate": 60}, "'mocap_frame_rate' 60.*'mocap_framerate' 30"),
-        ({"poses": np.array([{}])}, "'poses' .*pickle"),
+        ({"mocap_frame_rate": 60}, "(?=.*'mocap_frame_rate' 60).*'mocap_framerate' 30"),
+        ({"poses": np.array([{}])}, "(?=.*'poses').*pickle"),
     ],
 )
 def test_amass_files_that_are_broken(tmp_path, change, says):
@@ -235,7 +235,7 @@ def test_files_that_are_no_npz(tmp_path):
     write_npz(smpl_motion(24), path)
     for content in (None, b"", b"PK\x03\x04 no zip", b"text", path.read_bytes()[:-500]):
         path.unlink() if content is None else path.write_bytes(content)
-        with pytest.raises(FormatError, match=f"^{path}: "):
+        with pytest.raises(FormatError, match=str(path)):
             read_npz(path)
 
 
@@ -251,10 +251,10 @@ def test_nothing_pickled_is_ever_loaded(tmp_path):
     assert read_npz(path).n_frames == 20  # a pickled note is left alone
     assert not Trap.sprung
     foreign(path, smpl_motion(55), "y", poses=np.array([Trap()], dtype=object))
-    with pytest.raises(FormatError, match="'poses' .*pickle"):
+    with pytest.raises(FormatError, match="(?=.*'poses').*pickle"):
         read_npz(path)
     foreign(path, smpl_motion(55), "y", gender=np.array([Trap()], dtype=object))
-    with pytest.warns(UserWarning, match="'gender' .*pickle"):
+    with pytest.warns(UserWarning, match="(?=.*'gender').*pickle"):
         assert read_npz(path).n_frames == 20
     assert not Trap.sprung
     pickle.loads(pickle.dumps(Trap()))

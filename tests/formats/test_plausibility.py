@@ -18,10 +18,10 @@ from gesturekit.motion import body_height, stature
     [
         (1.0, True, None),
         (1000.0, True, None),
-        (1500.0, True, "1500 fps.* 1000 .*--in-fps 1.5 "),
-        (0.04, True, "0.04 fps.*Frame Time.*--in-fps 25 "),
-        (0.5, True, "0.5 fps.*Frame Time.*--in-fps 500 "),
-        (0.04, False, "0.04 fps.*--in-fps 25 "),
+        (1500.0, True, r"(?=.*\b1500 fps)(?=.*\b1000\b).*--in-fps 1.5\b"),
+        (0.04, True, r"(?=.*\b0.04 fps)(?=.*Frame Time).*--in-fps 25\b"),
+        (0.5, True, r"(?=.*\b0.5 fps)(?=.*Frame Time).*--in-fps 500\b"),
+        (0.04, False, r"(?=.*\b0.04 fps).*--in-fps 25\b"),
     ],
 )
 def test_rates_that_nobody_records_at_are_questioned(skeleton, fps, frame_time, says):
@@ -36,9 +36,9 @@ def test_rates_that_nobody_records_at_are_questioned(skeleton, fps, frame_time, 
     ("reading", "tall", "says"),
     [
         ({"unit": "m"}, 0.5, None),
-        ({"unit": "m"}, 0.1, "--in-unit m .*0.10 m "),
-        ({"unit": "cm"}, 9.0, "--in-unit cm .*9.00 m "),
-        ({"unit": "cm", "height": 9}, 9.0, "--height 9 .*9.00 m "),
+        ({"unit": "m"}, 0.1, r"(?=.*--in-unit m).*0.10 m\b"),
+        ({"unit": "cm"}, 9.0, r"(?=.*--in-unit cm).*9.00 m\b"),
+        ({"unit": "cm", "height": 9}, 9.0, r"(?=.*--height 9\b).*9.00 m\b"),
     ],
 )
 def test_sizes_that_no_body_has_are_named_with_the_option_that_made_them(

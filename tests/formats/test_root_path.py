@@ -64,14 +64,14 @@ def test_a_motion_file_is_a_path_too(tmp_path, gesture):
     ("text", "said"),
     [
         ("", "time,x,z"),
-        ("0,1,1\n1,2,2\n", "line 1: .*'0'.*time,x,z"),
-        ("time,x\n0,1\n1,2\n", "line 1: .* z[,;]"),
-        ("time,x,z,headng\n0,1,1,0\n1,2,2,0\n", "headng.* heading"),
-        ("time,x,z\n0,1,1\n1,nan,2\n", "line 3: x .*'nan'"),
-        ("time,x,z\n0,1,1\n1,2\n", "line 3: 2 .* 3"),
-        ("time,x,z\n0,1,1\n1,2,2\n1,3,3\n", "line 4: time 1 .* 1"),
-        ("time,x,z\n0,1,1\n2,2,2\n\n1,3,3\n", "line 5: time 1 .* 2"),
-        ("time,x,z\n0,1,1\n0.001,2,2\n1.9e5,3,3\n", " 22800001 "),
+        ("0,1,1\n1,2,2\n", "line 1(?=.*'0').*time,x,z"),
+        ("time,x\n0,1\n1,2\n", r"line 1.*\bz\b"),
+        ("time,x,z,headng\n0,1,1,0\n1,2,2,0\n", "(?=.*headng).*heading"),
+        ("time,x,z\n0,1,1\n1,nan,2\n", "line 3.*'nan'"),
+        ("time,x,z\n0,1,1\n1,2\n", r"line 3(?=.*\b2\b).*\b3\b"),
+        ("time,x,z\n0,1,1\n1,2,2\n1,3,3\n", "line 4.*time"),
+        ("time,x,z\n0,1,1\n2,2,2\n\n1,3,3\n", r"line 5.*\b2\b"),
+        ("time,x,z\n0,1,1\n0.001,2,2\n1.9e5,3,3\n", "190000 s"),
         (b"time,x,z\n\xff\xfe,1,1\n", "utf"),
     ],
 )
@@ -85,7 +85,7 @@ def test_files_that_are_no_paths(tmp_path):
     with pytest.raises(FormatError, match="nowhere.csv"):
         load_root_path(tmp_path / "nowhere.csv")
     (tmp_path / "path.txt").write_text("time,x,z\n")
-    with pytest.raises(FormatError, match=r"\.txt.*\.csv.*time,x,z"):
+    with pytest.raises(FormatError, match=r"\.txt.*(?=.*\.csv).*time,x,z"):
         load_root_path(tmp_path / "path.txt")
 
 
@@ -96,5 +96,5 @@ def test_paths_are_given_in_any_form(tmp_path, gesture):
     assert root_path.as_root_path(own) is own
     for given in (motion, tmp_path / "walk.npz", str(tmp_path / "walk.npz")):
         assert root_path.as_root_path(given).positions == pytest.approx(own.positions)
-    with pytest.raises(ModelError, match="int.*RootPath"):
+    with pytest.raises(ModelError, match="(?=.*int).*RootPath"):
         root_path.as_root_path(3)

@@ -17,8 +17,8 @@ def test_intervals_come_in_the_order_of_the_file(tmp_path):
 @pytest.mark.parametrize(
     ("row", "says"),
     [
-        (b"a\t0\t1\t1\n", "line 2: 'a 0 1 1'"),
-        (b"a\t0\tone\t1\t1\n", "line 2: 'a 0 one 1 1'"),
+        (b"a\t0\t1\t1\n", "line 2.*'a 0 1 1'"),
+        (b"a\t0\tone\t1\t1\n", "line 2.*'a 0 one 1 1'"),
         (b"a\t-0.1\t1\t1\t1\n", "line 2"),
         (b"a\t2\t1\t1\t1\n", "line 2"),
         (b"a\t0\t86400.1\t1\t1\n", "line 2"),
@@ -30,7 +30,7 @@ def test_intervals_come_in_the_order_of_the_file(tmp_path):
 def test_invalid_rows_are_named(tmp_path, row, says):
     file = tmp_path / "a.txt"
     file.write_bytes(b"a\t0\t1\t1\t1\n" + row)
-    with pytest.raises(FormatError, match=f"^{file}: {says}"):
+    with pytest.raises(FormatError, match=f"{file}.*{says}"):
         load_semantics(file)
 
 
@@ -40,7 +40,7 @@ def test_a_table_has_32_megabytes_at_most(tmp_path, more, says):
     file = tmp_path / "a.txt"
     with file.open("wb") as out:
         out.truncate((32 << 20) + more)
-    with pytest.raises(FormatError, match=f"^{file}: .*{says}"):
+    with pytest.raises(FormatError, match=f"{file}.*{says}"):
         load_semantics(file)
-    with pytest.raises(FormatError, match=f"^{tmp_path}: "):
+    with pytest.raises(FormatError, match=str(tmp_path)):
         load_semantics(tmp_path)

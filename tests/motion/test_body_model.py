@@ -103,14 +103,14 @@ def test_regressors_in_the_parts_of_a_sparse_matrix(saved, body, capsule_body):
 def test_pickled_notes_are_left_alone_and_pickled_arrays_refused(saved):
     notes = np.array([{"pelvis": 0}], dtype=object)
     assert BodyModel.load(saved(joint2num=notes)).n_joints == 24
-    with pytest.raises(FormatError, match="'J_regressor'.*pickled"):
+    with pytest.raises(FormatError, match="(?=.*'J_regressor').*pickled"):
         BodyModel.load(saved(J_regressor=notes))
 
 
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"v_template": np.zeros((9, 3))}, r"\(748, 24\) .* 9 "),
+        ({"v_template": np.zeros((9, 3))}, r"(?=.*\(748, 24\)).*\b9\b"),
         ({"v_template": None}, "'v_template'"),
         ({"weights": np.zeros((3, 2))}, "weights"),
         ({"kintree_table": np.array([[-1, 5, 0] + [0] * 21, range(24)])}, "kintree_table"),
@@ -120,12 +120,12 @@ def test_pickled_notes_are_left_alone_and_pickled_arrays_refused(saved):
         ({"shapedirs": np.zeros((3, 3))}, "shapedirs"),
         ({"J_regressor": np.zeros((24, 7))}, "J_regressor"),
         ({"J_regressor": None}, "'J_regressor'"),
-        ({"posedirs": np.full((748, 3, 207), np.nan)}, "posedirs .*finite"),
-        ({"weights": np.zeros((748, 24))}, "weights .* 1;"),
-        (NOT_SPARSE, r"J_regressor .*\(24, 748\)"),
-        ({"v_template": np.zeros((200_001, 3))}, r"v_template .*\(200001, 3\)"),
-        ({"weights": np.full((748, 257), 1 / 257)}, r"weights .*\(748, 257\)"),
-        ({"weights": np.eye(24)[np.zeros(748, int)] * 2 - np.eye(24)[1]}, "weights .*negative"),
+        ({"posedirs": np.full((748, 3, 207), np.nan)}, "(?=.*posedirs).*finite"),
+        ({"weights": np.zeros((748, 24))}, r"(?=.*weights).*\b1\b"),
+        (NOT_SPARSE, r"(?=.*J_regressor).*\(24, 748\)"),
+        ({"v_template": np.zeros((200_001, 3))}, r"(?=.*v_template).*\(200001, 3\)"),
+        ({"weights": np.full((748, 257), 1 / 257)}, r"(?=.*weights).*\(748, 257\)"),
+        ({"weights": np.eye(24)[np.zeros(748, int)] * 2 - np.eye(24)[1]}, "negative"),
     ],
 )
 def test_files_that_are_no_body_model(saved, change, says):
@@ -141,13 +141,13 @@ def test_missing_pickled_and_other_models_are_refused(saved, body, tmp_path):
     with pytest.raises(FormatError, match=r"SMPL\.pkl.*\.npz"):
         BodyModel.load(tmp_path / "SMPL.pkl")
     for feet, says in (
-        ([1, 2], "2 foot"),
-        ([0, 1, 2, 3, 4, -1], "-1.* 748"),
-        ([0, 1, 2, 3, 4, 748], r"748\].* 748"),
+        ([1, 2], r"\b2\b"),
+        ([0, 1, 2, 3, 4, -1], r"(?=.*-1).*\b748"),
+        ([0, 1, 2, 3, 4, 748], r"(?=.*\b748\]).*\b748"),
     ):
         with pytest.raises(FormatError, match=says):
             BodyModel.load(saved(), feet=feet)
-    with pytest.raises(MotionError, match="24 .*55"):
+    with pytest.raises(MotionError, match=r"(?=.*\b24\b).*55"):
         body.vertices(a_motion(55))
 
 
@@ -189,7 +189,7 @@ def test_the_mean_body_of_recordings_has_the_bones_of_the_mean_betas(body):
 
 def test_a_model_with_fewer_betas_than_the_body_warns(body):
     motion = a_motion(betas=np.ones(21))
-    with pytest.warns(UserWarning, match="20 betas .* 21"):
+    with pytest.warns(UserWarning, match=r"(?=.*\b20 betas).*\b21"):
         fitted = fit_body(motion, body)
     known = body.rig(a_motion(betas=np.ones(20)).skeleton)
     with warnings.catch_warnings():
@@ -203,10 +203,10 @@ def test_a_shape_in_a_skeleton_file_is_checked():
     values = a_motion(betas=[0.5]).skeleton.to_json()
     assert Skeleton.from_json(values).body_shape == BodyShape((0.5,))
     for shape, says in (
-        ({"gender": "man"}, "'man'.* female"),
-        ({"betas": [float("nan")]}, r"betas .*\(1,\)"),
-        ({"betas": [0.1] * 1001}, "1001 .* 1000"),
-        ({"pelvis": [0.0, 1.0]}, "pelvis.* 2 "),
+        ({"gender": "man"}, "(?=.*'man').*female"),
+        ({"betas": [float("nan")]}, r"(?=.*betas).*\(1,\)"),
+        ({"betas": [0.1] * 1001}, r"(?=.*\b1001\b).*\b1000"),
+        ({"pelvis": [0.0, 1.0]}, r"(?=.*pelvis).*\b2\b"),
         ({"weight": 80}, "weight"),
     ):
         with pytest.raises(MotionError, match=says):

@@ -70,13 +70,13 @@ def test_short_motions_other_rates_and_faces(moving_person, other):
 
 
 def test_what_cannot_be_concatenated_is_one_error(moving_person):
-    with pytest.raises(MotionError, match="motion 2 .*'RightToeBase'.*--rig"):
+    with pytest.raises(MotionError, match=r"(?=.*motion 2\b)(?=.*'RightToeBase').*--rig"):
         gk.concatenate([moving_person, moving_person.keep(moving_person.skeleton.names[:-1])])
-    with pytest.raises(MotionError, match=r"motion 3 .* 'LeftLeg' .* 0\.\d+ m"):
+    with pytest.raises(MotionError, match=r"(?=.*motion 3\b)(?=.*'LeftLeg').*\b0\.\d+ m"):
         gk.concatenate([moving_person, moving_person, moving_person.scaled(1.2)])
     with pytest.raises(MotionError, match="motions"):
         gk.concatenate([])
     with pytest.raises(MotionError, match=r"concatenate\(\[a, b\]\)"):
         gk.concatenate(moving_person, moving_person)
-    with pytest.raises(MotionError, match="blend .*-1"):
+    with pytest.raises(MotionError, match="(?=.*blend).*-1"):
         gk.concatenate([moving_person], blend=-1)

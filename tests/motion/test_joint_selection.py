@@ -65,9 +65,9 @@ def test_what_is_known_of_kept_joints_is_kept(person):
 
 
 def test_joints_that_cannot_be_removed_are_errors(moving_person):
-    with pytest.raises(MotionError, match="'LeftArm'.*'RightArm'.*'Chest'"):
+    with pytest.raises(MotionError, match="(?=.*'LeftArm')(?=.*'RightArm').*'Chest'"):
         moving_person.keep(["LeftArm", "RightArm"])
-    with pytest.raises(MotionError, match="'Leftarm'.* LeftArm"):
+    with pytest.raises(MotionError, match="(?=.*'Leftarm').*LeftArm"):
         moving_person.keep(["Leftarm"])
     with pytest.raises(MotionError, match="joint"):
         moving_person.keep([])

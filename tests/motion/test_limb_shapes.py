@@ -62,17 +62,17 @@ HANDS = {f"c{n}": (np.array([x * 0.25, 0, 0]),) for n, x in ((1, 1), (2, -1))}
 @pytest.mark.parametrize(
     ("rig", "says"),
     [
-        (figure(b1=(0.2, 0.0, 0.0)), "1 pair .* 2"),
+        (figure(b1=(0.2, 0.0, 0.0)), r"(?=.*\b1 pair).*\b2"),
         (without(prop=("c1", (0.05, 0, 0))), "1 pair "),
         (without(a3=("chest", (0, 0, 0.15)), b3=("a3", (0, 0, 0.29)), c3=("b3", (0, 0, 0.25))),
          "'chest'"),
-        (figure(HANDS), "'a1'.* longest"),
+        (figure(HANDS), "(?=.*'a1').*longest"),
         (figure(c=(0.12, 0.0, 0.0)), "'a1'.* one "),
         (figure(n=(0.0, -0.05, 0.01)), "feet"),
         (without("n1", "n2"), "feet"),
         (figure(l=(0.0, -0.05, 0.41), m=(0.0, -0.05, 0.39)), "trunk"),
-        (figure(k1=(0.03, 0, 0.1), k2=(-0.03, 0, -0.1)), "left .*right"),
-        (figure(a1=(0.03, 0, 0.1), a2=(-0.03, 0, -0.1)), "left .*right"),
+        (figure(k1=(0.03, 0, 0.1), k2=(-0.03, 0, -0.1)), "(?=.*left).*right"),
+        (figure(a1=(0.03, 0, 0.1), a2=(-0.03, 0, -0.1)), "(?=.*left).*right"),
     ],
 )  # fmt: skip
 def test_shapes_of_no_person_are_refused_with_the_reason(rig, says):
@@ -93,11 +93,11 @@ def person(**offsets: tuple[float, float, float]) -> Skeleton:
     ("rig", "says"),
     [
         (person(Foot=(0.0, -0.3, 0.0)), ""),
-        (person(Foot=(0.0, -0.06, 0.0)), "'LeftLeg'.*0.42 .*0.06 m"),
-        (person(Hand=(0.04, 0.0, 0.0)), "'LeftForeArm'.*0.28 .*0.04 m"),
-        (with_offsets(person(), LeftFoot=(0.0, -1.1, 0.0)), "left leg .*1.52 m.* 0.84"),
-        (with_offsets(person(), RightHand=(-0.65, 0.0, 0.0)), "left arm .*0.53 m.* 0.93"),
-        (person(ToeBase=(0.0, -0.05, -0.14)), "'LeftUpLeg'.* toes"),
+        (person(Foot=(0.0, -0.06, 0.0)), r"(?=.*'LeftLeg')(?=.*0.42\b).*0.06 m"),
+        (person(Hand=(0.04, 0.0, 0.0)), r"(?=.*'LeftForeArm')(?=.*0.28\b).*0.04 m"),
+        (with_offsets(person(), LeftFoot=(0.0, -1.1, 0.0)), r"(?=.*left leg)(?=.*1.52 m).*\b0.84"),
+        (with_offsets(person(), RightHand=(-0.65, 0.0, 0.0)), r"(?=.*left arm)(?=.*0.53 m).*0.93"),
+        (person(ToeBase=(0.0, -0.05, -0.14)), "(?=.*'LeftUpLeg').*toes"),
         (with_offsets(person(), LeftToeBase=(0.0, -0.05, -0.14)), ""),
         # Legs that do not lie opposite the trunk tell nothing.
         (person(ToeBase=(0, 0, -0.14), Leg=(0, -0.2, 0.37), Foot=(0, -0.2, 0.37)), ""),

@@ -44,7 +44,7 @@ def test_joints_are_those_at_and_below_the_first_that_moves():
     person.rotations[1, 1] = [1, 0, 0, 0]
     body = fitted(person, joints="body")
     assert body.joints == tuple(PERSON) and (body.root, body.indices[-1]) == (1, len(PERSON))
-    for wrong, says in (("bodies", "'bodies'.* body.* all"), (["head"], "'head'.* hand")):
+    for wrong, says in (("bodies", r"(?=.*'bodies').*\bbody\b"), (["head"], "(?=.*'head').*hand")):
         with pytest.raises(MotionError, match=says):
             fitted(on_stage(), joints=wrong)
     with pytest.raises(MotionError, match="motion"):
@@ -113,10 +113,10 @@ def test_a_model_is_read_as_it_was_written():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"scale": 0.0}, "scale: 0 "),
-        ({"joints": ["body", "arm", "body"]}, "joints.*twice"),
+        ({"scale": 0.0}, "scale"),
+        ({"joints": ["body", "arm", "body"]}, "(?=.*joints).*twice"),
         ({"joints": ["leg"]}, "'leg'"),
-        ({"fixed_rotations": [[0, 0, 0, 1]] * 5}, r"fixed_rotations: \(5, 4\) .*\(6, 4\)"),
+        ({"fixed_rotations": [[0, 0, 0, 1]] * 5}, r"(?=.*fixed_rotations.*\(5, 4\)).*\(6, 4\)"),
         ({"fixed_rotations": [[0, 0, 0, float("nan")]] * 6}, "fixed_rotations"),
         ({"fixed_translations": {"leg": [0, 1, 0]}}, "'leg'"),
     ],

@@ -12,19 +12,19 @@ from gesturekit.motion import Motion
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"rotations": np.ones((60, 3, 4))}, r"\(60, 3, 4\).* 19 joints"),
+        ({"rotations": np.ones((60, 3, 4))}, r"(?=.*\(60, 3, 4\)).*\b19 joints"),
         ({"rotations": np.ones((0, 19, 4))}, "frame"),
-        ({"translation": np.zeros((59, 3))}, r"translation .*\(59, 3\).* 60 frames"),
-        ({"translation": np.full((60, 3), np.inf)}, "translation .*frame 0"),
+        ({"translation": np.zeros((59, 3))}, r"(?=.*translation)(?=.*\(59, 3\)).*\b60 frames"),
+        ({"translation": np.full((60, 3), np.inf)}, "(?=.*translation).*frame 0"),
         ({"fps": float("nan")}, "fps"),
         ({"joint_translations": {"Hips": np.zeros((60, 3))}}, "'Hips'"),
-        ({"joint_translations": {"Hip": np.zeros((60, 3))}}, "'Hip'.* Hips"),
-        ({"joint_translations": {"Head": np.zeros((59, 3))}}, r"'Head'.*\(59, 3\)"),
-        ({"rotations": np.full((60, 19, 4), np.nan)}, "'Hips' .*frame 0"),
-        ({"translation": np.zeros((60, 2))}, r"\(60, 2\).*\(60, 3\)"),
-        ({"translation": np.eye(60, 3, -7) * 3e38}, r"frame 7\b.*3e\+38"),
-        ({"expressions": np.zeros((59, 3))}, r"expressions .*\(59, 3\)"),
-        ({"expressions": np.full((60, 3), np.nan)}, "expressions .*nan"),
+        ({"joint_translations": {"Hip": np.zeros((60, 3))}}, "(?=.*'Hip').*Hips"),
+        ({"joint_translations": {"Head": np.zeros((59, 3))}}, r"(?=.*'Head').*\(59, 3\)"),
+        ({"rotations": np.full((60, 19, 4), np.nan)}, "(?=.*'Hips').*frame 0"),
+        ({"translation": np.zeros((60, 2))}, r"(?=.*\(60, 2\)).*\(60, 3\)"),
+        ({"translation": np.eye(60, 3, -7) * 3e38}, r"(?=.*frame 7\b).*3e\+38"),
+        ({"expressions": np.zeros((59, 3))}, r"(?=.*expressions).*\(59, 3\)"),
+        ({"expressions": np.full((60, 3), np.nan)}, "(?=.*expressions).*nan"),
     ],
 )
 def test_invalid_motions_are_refused(moving_person, change, says):
@@ -44,7 +44,7 @@ def test_a_bad_quaternion_is_named(moving_person):
     rotations = moving_person.rotations.copy()
     for bad in (0.0, [0, 0, np.nan, 1], [1, 0, -np.inf, 0]):
         rotations[7, 2] = bad
-        with pytest.raises(MotionError, match=r"'Chest' .*frame 7 .*\[.*\]"):
+        with pytest.raises(MotionError, match=r"(?=.*'Chest').*frame 7\b"):
             replace(moving_person, rotations=rotations)
 
 
@@ -59,7 +59,7 @@ def test_frames_are_cut_like_those_of_an_array(moving_person):
     for frames, shown in ((np.s_[60:], "60:"), (np.s_[5:5], "5:5"), (np.s_[:-70], ":-70")):
         with pytest.raises(MotionError, match=rf"\[{shown}\].* 60"):
             moving_person[frames]
-    for wrong, message in ((3, r"frame 3\b.*\[10:11\]"), (np.s_[::-1], "-1")):
+    for wrong, message in ((3, r"(?=.*frame 3\b).*\[10:11\]"), (np.s_[::-1], "-1")):
         with pytest.raises(MotionError, match=message):
             moving_person[wrong]
 
@@ -69,7 +69,7 @@ def test_euler_angles_are_those_of_scipy(moving_person):
     assert angles.shape == (60, moving_person.skeleton.n_joints, 3)
     expected = Rotation.from_quat(moving_person.rotations[7]).as_euler("XZY", degrees=True)
     np.testing.assert_allclose(angles[7], expected)
-    with pytest.raises(MotionError, match="'XZ'.* XYZ"):
+    with pytest.raises(MotionError, match="(?=.*'XZ').*XYZ"):
         moving_person.euler("XZ")
 
 
@@ -80,7 +80,7 @@ def test_joints_by_name_and_what_to_take_in_place_of_an_array(moving_person):
         expected = moving_person.positions()[:, names.index(joint)]
         np.testing.assert_array_equal(moving_person.positions(joint), expected)
     for value in (moving_person, [moving_person, moving_person]):
-        with pytest.raises(MotionError, match=r"motion\.positions\(\).*motion\.rotations"):
+        with pytest.raises(MotionError, match=r"(?=.*motion\.positions\(\)).*motion\.rotations"):
             np.asarray(value)
 
 
@@ -89,7 +89,7 @@ def test_trim(moving_person):
     np.testing.assert_array_equal(part.translation, moving_person.translation[15:38])
     assert moving_person.trim(1.0).n_frames == 30 and moving_person.trim(stop=0.1).n_frames == 3
     for start, stop in ((1.9, 2.1), (1.0, 1.0), (-0.5, 1.0), (1.5, 1.0), (float("nan"), None)):
-        with pytest.raises(MotionError, match=f"{start:g} to "):
+        with pytest.raises(MotionError, match=rf"{start:g}\b"):
             moving_person.trim(start, stop)
 
 
@@ -108,9 +108,9 @@ def test_a_pipe_is_refused_before_it_is_read(tmp_path):
 
 
 def test_options_that_a_format_does_not_have_are_refused_by_name(moving_person, tmp_path):
-    with pytest.raises(FormatError, match=r"a\.bvh.*'audio'.* \.mp4"):
+    with pytest.raises(FormatError, match=r"a\.bvh.*(?=.*'audio').*\.mp4"):
         moving_person.save(tmp_path / "a.bvh", audio="speech.wav")
-    with pytest.raises(FormatError, match=r"a\.npz.*'unti'.* fps"):
+    with pytest.raises(FormatError, match=r"a\.npz.*(?=.*'unti').*fps"):
         moving_person.save(tmp_path / "a.npz", unti="cm")
     assert not list(tmp_path.iterdir())
     moving_person.save(tmp_path / "a.npz", fps=15)

@@ -270,21 +270,21 @@ def test_parts_named_by_hand():
     assert find_parts(holding) == parts == find_parts(holding.scaled(2.0))
     with pytest.raises(MotionError, match="left_elbo"):
         find_parts(skeleton, overrides={"left_elbo": "Joint1"})
-    with pytest.raises(MotionError, match=r"left_elbow.*'Joint99'"):
+    with pytest.raises(MotionError, match=r"(?=.*left_elbow).*'Joint99'"):
         replace(skeleton, parts={"left_elbow": "Joint99"})
 
 
 @pytest.mark.parametrize(
     ("overrides", "says"),
     [
-        ({"left_elbow": "LeftLeg"}, "'mixamorig:LeftLeg' .*left_elbow.* left_knee"),
+        ({"left_elbow": "LeftLeg"}, "(?=.*'mixamorig:LeftLeg')(?=.*left_elbow).*left_knee"),
         (
             {"left_ankle": "RightFoot", "right_ankle": "LeftFoot"},
-            "RightFoot' .*'mixamorig:LeftLeg'",
+            "(?=.*RightFoot').*'mixamorig:LeftLeg'",
         ),
-        ({"left_hip": "Spine1"}, "'mixamorig:LeftLeg' .*left knee.*'mixamorig:Spine1'"),
-        ({"left_elbow": "LeftArm"}, "'mixamorig:LeftArm'.* 0.13 .*0.55 m"),
-        ({"head": "LeftHand"}, "'mixamorig:LeftHand' .*head"),
+        ({"left_hip": "Spine1"}, "(?=.*'mixamorig:LeftLeg')(?=.*left knee).*'mixamorig:Spine1'"),
+        ({"left_elbow": "LeftArm"}, r"(?=.*'mixamorig:LeftArm')(?=.*\b0.13\b).*0.55 m"),
+        ({"head": "LeftHand"}, "(?=.*'mixamorig:LeftHand').*head"),
     ],
 )
 def test_wrong_parts_fail_loudly(mixamo, overrides, says):
@@ -355,7 +355,7 @@ def test_parts_that_a_rig_lacks_are_named_and_the_others_labelled():
 @pytest.mark.parametrize(
     ("texts", "says"),
     [
-        (["left_elbow"], "'left_elbow'.* PART=JOINT"),
+        (["left_elbow"], "(?=.*'left_elbow').*PART=JOINT"),
         (["elbow=a"], "'elbow=a'"),
         (["head="], "'head='"),
     ],

@@ -12,19 +12,19 @@ from gesturekit.motion import BodyShape, Skeleton
     ("change", "says"),
     [
         ({"names": ("a", "b", "b")}, "'b'"),
-        ({"parents": (-1, -1, 1)}, "root.* 'b'"),
+        ({"parents": (-1, -1, 1)}, "(?=.*root).*'b'"),
         ({"parents": (0, 0, 1)}, "root"),
-        ({"offsets": np.zeros((2, 3))}, r"\(2, 3\).* 3 joints"),
+        ({"offsets": np.zeros((2, 3))}, r"(?=.*\(2, 3\)).*\b3 joints"),
         ({"offsets": np.full((3, 3), np.nan)}, "'a'"),
         ({"end_sites": {"z": (np.zeros(3),)}}, "'z'"),
         ({"rotation_orders": ("ZXY", "ZXY", "ZXZ")}, "'ZXZ'"),
         ({"names": ("a", "b\n", "c")}, r"b\\n"),
-        ({"names": ("a", "b" * 201, "c")}, "201 .* 200"),
+        ({"names": ("a", "b" * 201, "c")}, r"(?=.*\b201\b).*\b200"),
         ({"names": (), "parents": (), "offsets": np.zeros((0, 3))}, "joint"),
-        ({"parents": (-1, 0)}, "3 .* 2 "),
-        ({"parents": (-1, 1, 1)}, "'b'.* 1"),
+        ({"parents": (-1, 0)}, r"(?=.*\b3\b).*\b2\b"),
+        ({"parents": (-1, 1, 1)}, r"(?=.*'b').*\b1"),
         ({"offsets": [[0, 0, 0], [0, 0, 0], [0, -1.001e9, 0]]}, "'c'"),
-        ({"end_sites": {"c": (np.array([0, 0, -1.001e9]),)}}, "end .*'c'"),
+        ({"end_sites": {"c": (np.array([0, 0, -1.001e9]),)}}, "(?=.*end).*'c'"),
     ],
 )
 def test_invalid_skeletons_are_refused(change, says):
@@ -34,7 +34,7 @@ def test_invalid_skeletons_are_refused(change, says):
 
 
 def test_unknown_joint_names_the_nearest(person):
-    with pytest.raises(MotionError, match="'LeftArn'.* LeftArm"):
+    with pytest.raises(MotionError, match="(?=.*'LeftArn').*LeftArm"):
         person.index("LeftArn")
 
 
@@ -65,11 +65,11 @@ def test_json_round_trip(person):
 @pytest.mark.parametrize(
     ("broken", "says"),
     [
-        ({"format": 2}, "format 2.* 1"),
+        ({"format": 2}, r"(?=.*format 2).*\b1"),
         ({"names": None}, "read"),
-        ({"offsets": "x"}, "read.*'x'"),
+        ({"offsets": "x"}, "(?=.*read).*'x'"),
         ({"end_sites": 3}, "read"),
-        ({"parents": [0.5]}, "19 .* 1 "),
+        ({"parents": [0.5]}, r"(?=.*\b19\b).*\b1\b"),
         ({"names": ["a"] * 19}, "'a'"),
     ],
 )

@@ -94,11 +94,11 @@ def test_the_most_upright_frame_counts_and_lowered_arms_a_little(lean, chosen):
 
 def test_a_body_that_lies_or_never_stands_is_no_standing_one():
     motion = seated({}, legs(60), legs(60) | LOWERED)
-    with pytest.raises(MotionError, match="upright .*'Hips'.* 'LeftLeg'.* 'LeftForeArm'"):
+    with pytest.raises(MotionError, match="(?=.*'Hips')(?=.*'LeftLeg').*'LeftForeArm'"):
         standing_pose(motion)
     bust = {name: bone for name, bone in PERSON.items() if "Leg" not in name and "Foot" not in name}
     hanging = at_rest(with_offsets(rig_of(bust), Head=(0.0, -0.9, 0.0)), 2)
-    with pytest.raises(MotionError, match="'Hips'.* 'LeftForeArm'") as caught:
+    with pytest.raises(MotionError, match="(?=.*'Hips').*'LeftForeArm'") as caught:
         standing_pose(hanging)
     assert "Leg" not in str(caught.value)
     standing = seated({}, legs(30), legs(60))

@@ -115,7 +115,7 @@ def test_contact_labels_of_a_moving_foot_are_ignored(with_toes):
 
 def test_labels_of_another_shape_are_refused(with_toes):
     motion = standing(with_toes, 1.0)
-    with pytest.raises(MotionError, match=r"\(30, 3\).*\(30, 4\)"):
+    with pytest.raises(MotionError, match=r"(?=.*\(30, 3\)).*\(30, 4\)"):
         lock_feet(motion, np.ones((30, 3)))
 
 
@@ -256,7 +256,8 @@ def test_joints_that_carry_the_body_may_hang_below_a_still_root(with_toes, marke
 def test_one_frame_and_two(with_toes):
     motion = standing(with_toes)
     for n in (1, 2, 5):
-        assert lock_feet(motion[:n]).n_frames == n
+        locked = lock_feet(motion[:n]).positions()
+        np.testing.assert_allclose(locked, motion[:n].positions(), atol=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -38,12 +38,11 @@ def test_both_versions_of_vrm_look_along_z_with_their_bones_and_colours(vrm):
     assert 0.04 < tip[0] < 0.1 and tip == pytest.approx(tip[0] * np.array([1, 0, 1 / 3]), abs=1e-5)
     # The hair has no bone of ours, and moves with the head.
     hair = np.linalg.norm(skin.vertices - HAIR, axis=1) < 0.06
-    assert hair.sum() == 8
-    assert set(skin.joints[hair, 0]) == {rig.index("Head")}
+    by_head = (skin.weights * (skin.joints == rig.index("Head"))).sum(axis=1)
+    assert hair.any() and (by_head == skin.weights.sum(axis=1))[hair].all()
     red, green = (skin.palette[skin.regions[chosen]].mean(axis=0) for chosen in (~hair, hair))
     np.testing.assert_array_equal(red, [200, 30, 30])
     np.testing.assert_array_equal(green, [30, 200, 30])
-    assert (skin.weights.sum(axis=1) == 255).all()
 
 
 def test_a_motion_is_retargeted_to_the_avatar(vrm, gesture):
@@ -56,7 +55,7 @@ def test_a_motion_is_retargeted_to_the_avatar(vrm, gesture):
     moved = np.einsum("vij,vj->vi", moves[..., :3], skinned.mesh.vertices) + moves[..., 3]
     positions = drawn.motion.positions()[15]
     hand = rig.index("LeftHand")
-    boxes = moved[drawn.skins[0].joints[:, 0] == hand]
+    boxes = moved[((drawn.skins[0].joints == hand) & (drawn.skins[0].weights > 0)).any(axis=1)]
     np.testing.assert_allclose(boxes.mean(axis=0), positions[hand], atol=1e-3)
     arm = positions[hand] - positions[rig.index("LeftArm")]
     own = motion.positions()[15]
@@ -113,8 +112,8 @@ def test_faces_of_transparent_texture_are_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ("no picture", "skin .*image/png.* PNG"),
-        ("other format", "texture 0 .*EXT_texture_avif"),
+        ("no picture", "(?=.*skin)(?=.*image/png).*PNG"),
+        ("other format", r"(?=.*texture 0\b).*EXT_texture_avif"),
     ],
 )
 def test_a_texture_that_cannot_be_read_leaves_the_base_colour(tmp_path, change, says):
@@ -135,20 +134,20 @@ BAD = {
         lambda found: found["nodes"][0]["children"].remove(list(BONES).index("leftUpperLeg")),
         "hips",
     ),
-    "few vertices": (changed("accessors", 0, "count", value=7), "indices .* 7 "),
+    "few vertices": (changed("accessors", 0, "count", value=7), r"(?=.*indices).*\b7\b"),
     # Bytes from the second half on are those of 96 to 191, and as signed ones partly negative.
     "negative indices": (
         lambda found: found["accessors"][4].update(componentType=5120, byteOffset=864),
-        "indices .* 192 ",
+        r"(?=.*indices).*\b192\b",
     ),
-    "few matrices": (changed("accessors", 5, "count", value=3), "3 inverseBindMatrices.* 24"),
+    "few matrices": (changed("accessors", 5, "count", value=3), r"(?=.*inverseBindMatrices).*\b24"),
     "a giant": (changed("nodes", len(BONES) + 1, "scale", value=[1.0] * 3), r"1[67]\d\b.* metres"),
     "no metadata": (changed("extensions", drop=True), "VRM"),
     "no head": (
         changed("extensions", "VRMC_vrm", "humanoid", "humanBones", "head", drop=True),
         "'head'",
     ),
-    "huge count": (changed("accessors", 0, "count", value=10**12), "POSITION.* 1000000000000\\b"),
+    "huge count": (changed("accessors", 0, "count", value=10**12), "POSITION.*1000000000000"),
     "beyond the file": (changed("bufferViews", 0, "byteLength", value=1 << 40), "byteLength"),
     "other file": (changed("buffers", 0, "uri", value="http://a.b/c.bin"), r"'http://a\.b/c\.bin'"),
     "cycle": (changed("nodes", 4, "children", value=[len(BONES) + 1]), "tree"),
@@ -157,12 +156,12 @@ BAD = {
         changed("nodes", len(BONES) + 1, "scale", value=[0, 0, 0]),
         "body",
     ),
-    "few joints": (changed("skins", 0, "joints", value=[0]), r"JOINTS_0 .* 1\b"),
+    "few joints": (changed("skins", 0, "joints", value=[0]), r"(?=.*JOINTS_0).*\b1\b"),
     "compressed": (
         changed("extensionsRequired", value=["KHR_draco_mesh_compression"]),
         "'KHR_draco_mesh_compression'",
     ),
-    "whole places": (changed("accessors", 0, "componentType", value=5125), "POSITION .*float"),
+    "whole places": (changed("accessors", 0, "componentType", value=5125), "(?=.*POSITION).*float"),
     "many pieces": (
         lambda found: found["meshes"][0].update(primitives=found["meshes"][0]["primitives"] * 4097),
         "memory",

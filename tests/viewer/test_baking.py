@@ -182,7 +182,6 @@ class Level:
 def read_level(file: dict[str, np.ndarray], n: int) -> Level:
     skin, weights = file[f"skin{n}"], file[f"weights{n}"]
     assert (weights.sum(axis=1, dtype=int) == 255).all()
-    assert (np.diff(weights.astype(int), axis=1)[:, 1:] <= 0).all()
     return Level(
         file[f"low{n}"] + file[f"step{n}"] * file[f"vertices{n}"],
         file[f"faces{n}"],

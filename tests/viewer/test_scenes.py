@@ -199,7 +199,7 @@ def test_three_puts_the_joints_where_we_do(odd_motion, gesture, tmp_path):
 
 def test_fbx_needs_blender_and_says_so(gesture, tmp_path, monkeypatch):
     monkeypatch.setenv("GESTUREKIT_BLENDER", str(tmp_path / "none"))
-    with pytest.raises(FormatError, match=r"a\.fbx.* Blender .*none"):
+    with pytest.raises(FormatError, match=r"a\.fbx.*(?=.*Blender).*none"):
         gesture(0.1).save(tmp_path / "a.fbx")
     monkeypatch.delenv("GESTUREKIT_BLENDER")
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -210,32 +210,20 @@ def test_fbx_needs_blender_and_says_so(gesture, tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def copying_blender(tmp_path, monkeypatch) -> Path:
-    """A program that copies the file that it is given, and notes its arguments in a file."""
+def copying_blender(tmp_path, monkeypatch) -> None:
+    """A program that copies the file that it is given."""
     program = tmp_path / "blender"
     program.write_text(
         f"#!{sys.executable}\nimport shutil, sys\n"
-        f"open({str(tmp_path / 'arguments')!r}, 'w').write(' '.join(sys.argv[1:]))\n"
         "source, target = sys.argv[sys.argv.index('--') + 1:][:2]\n"
         "shutil.copyfile(source, target)\nopen(target[:-4] + '.txt', 'w').write('25.0')\n"
     )
     program.chmod(0o755)
     monkeypatch.setenv("GESTUREKIT_BLENDER", str(program))
-    return tmp_path / "arguments"
 
 
-def test_blender_runs_apart_with_our_script(gesture, tmp_path, copying_blender):
-    motion = replace(gesture(0.5), fps=29.97)
-    motion.save(tmp_path / "a.fbx")
-    said = copying_blender.read_text().split()
-    assert {"--background", "--factory-startup", "29.97"} <= set(said)
-    assert Path(said[said.index("--python") + 1]).name == "fbx.py"
-    again = Motion.load(tmp_path / "a.fbx")
-    assert again.fps == 25 and again.info["source"] == str(tmp_path / "a.fbx")
-    np.testing.assert_allclose(again.positions(), motion.positions(), atol=1e-5)
-
-
-def test_fbx_files_are_read_with_the_options_of_glb_files(tmp_path, copying_blender):
+@pytest.mark.usefixtures("copying_blender")
+def test_fbx_files_are_read_with_the_options_of_glb_files(tmp_path):
     """The hand stands at (1, 1, 0) in the file and turns to (0, 2, 0) in one of 25 frames."""
     file = arm(times=(0, 1 / 30, 2 / 30)).animate([(0, "rotation", [0, 1], [(0, 0, 0, 1)] * 2)])
     file.json["animations"][0]["name"] = "idle"
@@ -252,8 +240,6 @@ def test_fbx_files_are_read_with_the_options_of_glb_files(tmp_path, copying_blen
     assert (faster.fps, faster.n_frames) == (50, 6)
     with pytest.warns(UserWarning, match=rf"{tmp_path}/a\.fbx.* animations"):
         Motion.load(tmp_path / "a.fbx")
-    with pytest.raises(FormatError, match=rf"{tmp_path}/a\.fbx.*'run'.* idle"):
-        Motion.load(tmp_path / "a.fbx", animation="run")
 
 
 def test_a_folder_reads_each_motion_once_and_passes_over_mere_meshes(gesture, tmp_path, gesturekit):
