@@ -181,7 +181,7 @@ def test_options_that_do_not_go_together_are_refused(tmp_path, gesture):
     Manifest([item]).save(tmp_path / "corpus.jsonl")
     with pytest.raises(EvaluationError, match="audio"):
         evaluate(motion, tmp_path / "corpus.jsonl", split="valid", audio=motion)
-    with pytest.raises(EvaluationError, match="(?=.*test).*manifest"):
+    with pytest.raises(EvaluationError, match=r"(?=.*\btest\b).*manifest"):
         evaluate(motion, motion, split="test")
     with pytest.raises(GestureKitError, match=r"(?=.*\btest\b).*\bvalid\b"):
         evaluate(motion, tmp_path / "corpus.jsonl")
