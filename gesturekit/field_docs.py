@@ -46,14 +46,16 @@ def field_docs(schema: type) -> dict[str, str]:
     """Return the docstring of each documented field, those of base classes included.
 
     Args:
-        schema: a class whose fields are followed by a string, as in `RunConfig`.
+        schema: a class whose fields are followed by a string, as in `RunConfig`. A `TypedDict` does
+            not keep its base classes: its own fields.
 
     Returns:
         {field: text on one line}; fields without a docstring are left out.
     """
     docs: dict[str, str] = {}
-    for base in reversed(schema.__mro__[:-1]):
-        docs |= _docs_of_class(base)
+    for base in reversed(schema.__mro__):
+        if base.__module__ != "builtins":
+            docs |= _docs_of_class(base)
     return docs
 
 

@@ -1,8 +1,6 @@
 """Interface of the models of both systems, and the controls that all models take."""
 
-from __future__ import annotations
-
-import dataclasses
+# No `from __future__ import annotations` here: `control_entries` reads annotations as objects.
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -11,11 +9,11 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
+    Annotated,
     Any,
     ClassVar,
     Literal,
     Protocol,
-    Self,
     TypedDict,
     TypeVar,
     overload,
@@ -38,10 +36,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ControlEntry:
-    """Type, range and command-line syntax of a control; its default and help stand beside it.
+class Control:
+    """Default, type, range and command-line syntax of a control; its help stands beside it.
 
     Attributes:
+        default: value of a control that is not given.
         kind: str, int, float or bool; Path for a file, files by key, or a motion; None for what
             only the system itself can check.
         above: exclusive lower bound of a number.
@@ -56,6 +55,7 @@ class ControlEntry:
         raw: value under the control `raw`; None if that does not change it.
     """
 
+    default: Any = None
     kind: type | None = str
     above: float | None = None
     least: float | None = None
@@ -107,11 +107,6 @@ class ControlEntry:
         return f"{'an integer' if self.kind is int else 'a number'} {text}".strip()
 
 
-def control(default: Any = None, **entry: Any) -> Any:
-    """Return a field of `Controls` with a default and the attributes of its `ControlEntry`."""
-    return field(default=default, metadata={ControlEntry: ControlEntry(**entry)})
-
-
 def split_seconds(text: str) -> tuple[str, float | None]:
     """Return a file name and its seconds from FILE@SECONDS; None without, or for an @ in a name."""
     name, _, seconds = text.rpartition("@")
@@ -134,7 +129,7 @@ class PoseSource:
     seconds: float | None = None
 
     @classmethod
-    def of(cls, value: Any) -> PoseSource:
+    def of(cls, value: Any) -> "PoseSource":
         """Return the source of a motion, a file, or FILE@SECONDS.
 
         Raises:
@@ -170,136 +165,136 @@ class PoseSource:
         return motion, min(int(self.seconds * motion.fps + 0.5), motion.n_frames - 1)
 
 
-Generate = TypeVar("Generate", bound=Callable[..., Any])
 PLACING = ("start_pose", "end_pose", "facing", "in_place")
 """Controls that place the body."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Controls:
-    """Controls of `generate` that models of every system take; each system adds its own.
-
-    A field is the one entry of its control: from it follow the checks, the option and the help of
-    `gesturekit render` (its docstring), and the field of the HTTP service.
-    """
-
-    speaker: str | None = control(metavar="NAME")
-    """One of the model's `speakers`: their skeleton is used, and a model with recall recalls their
-    recordings only. Without it, gestures are those of all speakers, on a skeleton of median
-    size."""
-    style: str | None = control(
-        metavar="NAME",
-        note="Diffusion models also take mixtures by weights that add up to 1: "
-        "old:0.25,angry:0.75.",
-    )
-    """A style of the model, or several over time: old@0-10,angry@10-20 (seconds)."""
-    path: str | Path | RootPath | Motion | None = control(
-        kind=Path, metavar="PATH.csv", excludes=("facing", "in_place")
-    )
-    """The path of the root: a table time,x,z[,heading] (s, m, degrees), or a motion whose path is
-    followed."""
-    like: str | Path | Motion | None = control(kind=Path, metavar="OTHER.bvh")
-    """A motion on any human rig, to be regenerated in the manner of the model's recordings."""
-    start_pose: str | Path | Motion | PoseSource | None = control(
-        kind=None, convert=PoseSource.of, metavar="FILE[@SECONDS]"
-    )
-    """A frame of a motion on any human rig, by default its first: the motion begins in this pose,
-    at its place and heading (with a path, at that of the path), and its own movement takes over
-    within half a second. Feet stay, or step."""
-    end_pose: str | Path | Motion | PoseSource | None = control(
-        kind=None, convert=PoseSource.of, metavar="FILE[@SECONDS]"
-    )
-    """A frame of a motion on any human rig, by default its last: the motion comes to rest in this
-    pose in its last half second, where the body then stands and faces."""
-    facing: float | None = control(kind=float, least=-360, most=360, metavar="DEGREES")
-    """Heading of the body in the first frame: 0 faces +Z, 90 faces +X. It replaces that of
-    `start_pose`."""
-    in_place: bool = control(False, kind=bool)
-    """Keep the feet about where they begin: the body neither wanders nor turns away, but shifts its
-    weight and steps. A walk becomes a walk on the spot."""
-    raw: bool = control(False, kind=bool)
-    """Sample as the papers do: without `foot_lock`, `smooth`, `vad` and, in diffusion models,
-    `clip_denoised`; one of these that is given still counts. The frame rate is still `fps`."""
-    foot_lock: bool = control(True, kind=bool, raw=False)
-    """Lock planted feet in place; without it, feet stay as the model generated them."""
-    smooth: float | None = control(kind=float, least=0, most=2, metavar="SECONDS", raw=0.0)
-    """Smooth upper-body movements shorter than this many seconds, but keep the time and size of
-    beat gestures. 0 turns smoothing off; the default is stored with the model."""
-    vad: bool | None = control(kind=bool, raw=False)
-    """Voice activity detection: stretches of at least 3 s of the sound without voice, such as a
-    noise floor, hum or typing, give idle motion. By default as in training; off, everything in the
-    sound moves the body, for example a whisper."""
-    fps: float | None = control(kind=float, above=0, most=1000, metavar="RATE")
-    """Frames per second of the result; by default those of the training recordings."""
-
-    @classmethod
-    def entries(cls) -> dict[str, ControlEntry]:
-        """Return the entry of each control, by name."""
-        return {f.name: f.metadata[ControlEntry] for f in dataclasses.fields(cls)}
-
-    @classmethod
-    def document(cls, generate: Generate) -> Generate:
-        """Add the controls and their docstrings to the docstring of a function."""
-        lines = (f"            {name}: {text}\n" for name, text in field_docs(cls).items())
-        generate.__doc__ = f"{generate.__doc__}\n        Controls:\n{''.join(lines)}"
-        return generate
-
-    @classmethod
-    def build(cls, keywords: Mapping[str, Any], kind: str) -> Self:
-        """Build the controls of one call.
-
-        Args:
-            keywords: controls by field name. None means that a control is not given.
-            kind: name of the system, for errors.
-
-        Raises:
-            UnknownControlError: a control that this system does not have.
-            ModelError: a value of another type, or out of range.
-            FormatError: a file that does not exist.
-        """
-        entries = cls.entries()
-        given = {name: value for name, value in keywords.items() if value is not None}
-        for name, value in given.items():
-            if name not in entries:
-                hint = did_you_mean(name, entries, "; did you mean {}?", cutoff=0.75)
-                shown = f"{name}={value!r}" if isinstance(value, str | int | float) else name
-                raise UnknownControlError(f"{shown}: {kind} models have no control {name}{hint}")
-            entries[name].check(name, value)
-            if (convert := entries[name].convert) is not None:
-                try:
-                    given[name] = convert(value)
-                except (FormatError, ModelError) as error:
-                    raise type(error)(f"{name}: {error}") from None
-        if given.get("raw"):
-            given = {n: e.raw for n, e in entries.items() if e.raw is not None} | given
-        defaults = cls.__dataclass_fields__
-        for name in given:
-            for other in entries[name].excludes:
-                if other in given and given[other] != defaults[other].default:
-                    raise ModelError(f"{other} cannot be combined with {name}: give one of them")
-        return cls(**given)
 
 
 class UnknownControlError(ModelError, TypeError):
     """A control of `generate` that a system does not have."""
 
 
-class ControlArguments(TypedDict, total=False):
-    """Keywords of `Controls`, for type checkers; each system extends it as `Controls`."""
+class Controls(TypedDict, total=False):
+    """Controls of `generate` that models of every system take; each system adds its own.
 
-    speaker: str | None
-    style: str | None
-    path: str | Path | RootPath | Motion | None
-    like: str | Path | Motion | None
-    start_pose: str | Path | Motion | PoseSource | None
-    end_pose: str | Path | Motion | PoseSource | None
-    facing: float | None
-    in_place: bool
-    raw: bool
-    foot_lock: bool
-    smooth: float | None
-    vad: bool | None
-    fps: float | None
+    A key is the one entry of its control: from it follow the typed keyword of `generate`, the
+    checks, the option and the help of `gesturekit render` (its docstring), and the field of the
+    HTTP service.
+    """
+
+    speaker: Annotated[str | None, Control(metavar="NAME")]
+    """One of the model's `speakers`: their skeleton is used, and a model with recall recalls their
+    recordings only. Without it, gestures are those of all speakers, on a skeleton of median
+    size."""
+    style: Annotated[
+        str | None,
+        Control(
+            metavar="NAME",
+            note="Diffusion models also take mixtures by weights that add up to 1: "
+            "old:0.25,angry:0.75.",
+        ),
+    ]
+    """A style of the model, or several over time: old@0-10,angry@10-20 (seconds)."""
+    path: Annotated[
+        "str | Path | RootPath | Motion | None",
+        Control(kind=Path, metavar="PATH.csv", excludes=("facing", "in_place")),
+    ]
+    """The path of the root: a table time,x,z[,heading] (s, m, degrees), or a motion whose path is
+    followed."""
+    like: Annotated[str | Path | Motion | None, Control(kind=Path, metavar="OTHER.bvh")]
+    """A motion on any human rig, to be regenerated in the manner of the model's recordings."""
+    start_pose: Annotated[
+        str | Path | Motion | PoseSource | None,
+        Control(kind=None, convert=PoseSource.of, metavar="FILE[@SECONDS]"),
+    ]
+    """A frame of a motion on any human rig, by default its first: the motion begins in this pose,
+    at its place and heading (with a path, at that of the path), and its own movement takes over
+    within half a second. Feet stay, or step."""
+    end_pose: Annotated[
+        str | Path | Motion | PoseSource | None,
+        Control(kind=None, convert=PoseSource.of, metavar="FILE[@SECONDS]"),
+    ]
+    """A frame of a motion on any human rig, by default its last: the motion comes to rest in this
+    pose in its last half second, where the body then stands and faces."""
+    facing: Annotated[float | None, Control(kind=float, least=-360, most=360, metavar="DEGREES")]
+    """Heading of the body in the first frame: 0 faces +Z, 90 faces +X. It replaces that of
+    `start_pose`."""
+    in_place: Annotated[bool, Control(False, kind=bool)]
+    """Keep the feet about where they begin: the body neither wanders nor turns away, but shifts its
+    weight and steps. A walk becomes a walk on the spot."""
+    raw: Annotated[bool, Control(False, kind=bool)]
+    """Sample as the papers do: without `foot_lock`, `smooth`, `vad` and, in diffusion models,
+    `clip_denoised`; one of these that is given still counts. The frame rate is still `fps`."""
+    foot_lock: Annotated[bool, Control(True, kind=bool, raw=False)]
+    """Lock planted feet in place; without it, feet stay as the model generated them."""
+    smooth: Annotated[
+        float | None, Control(kind=float, least=0, most=2, metavar="SECONDS", raw=0.0)
+    ]
+    """Smooth upper-body movements shorter than this many seconds, but keep the time and size of
+    beat gestures. 0 turns smoothing off; the default is stored with the model."""
+    vad: Annotated[bool | None, Control(kind=bool, raw=False)]
+    """Voice activity detection: stretches of at least 3 s of the sound without voice, such as a
+    noise floor, hum or typing, give idle motion. By default as in training; off, everything in the
+    sound moves the body, for example a whisper."""
+    fps: Annotated[float | None, Control(kind=float, above=0, most=1000, metavar="RATE")]
+    """Frames per second of the result; by default those of the training recordings."""
+
+
+AnyControls = TypeVar("AnyControls", bound=Controls)
+Generate = TypeVar("Generate", bound=Callable[..., Any])
+
+
+def control_entries(schema: type[Controls]) -> dict[str, Control]:
+    """Return the entry of each control of a system, by name."""
+    return {name: hint.__metadata__[0] for name, hint in schema.__annotations__.items()}
+
+
+def document_controls(schema: type[Controls]) -> Callable[[Generate], Generate]:
+    """Return a decorator that adds the controls of a system to the docstring of a function."""
+    docs = field_docs(Controls) | field_docs(schema)
+    lines = "".join(f"            {name}: {text}\n" for name, text in docs.items())
+
+    def documented(generate: Generate) -> Generate:
+        generate.__doc__ = f"{generate.__doc__}\n        Controls:\n{lines}"
+        return generate
+
+    return documented
+
+
+def build_controls(
+    schema: type[AnyControls], keywords: Mapping[str, Any], kind: str
+) -> AnyControls:
+    """Check the controls of one call, and return them all, with the defaults of those not given.
+
+    Args:
+        schema: the controls of the system.
+        keywords: controls by name. None means that a control is not given.
+        kind: name of the system, for errors.
+
+    Raises:
+        UnknownControlError: a control that this system does not have.
+        ModelError: a value of another type, or out of range.
+        FormatError: a file that does not exist.
+    """
+    entries = control_entries(schema)
+    given = {name: value for name, value in keywords.items() if value is not None}
+    for name, value in given.items():
+        if name not in entries:
+            hint = did_you_mean(name, entries, "; did you mean {}?", cutoff=0.75)
+            shown = f"{name}={value!r}" if isinstance(value, str | int | float) else name
+            raise UnknownControlError(f"{shown}: {kind} models have no control {name}{hint}")
+        entries[name].check(name, value)
+        if (convert := entries[name].convert) is not None:
+            try:
+                given[name] = convert(value)
+            except (FormatError, ModelError) as error:
+                raise type(error)(f"{name}: {error}") from None
+    if given.get("raw"):
+        given = {n: e.raw for n, e in entries.items() if e.raw is not None} | given
+    for name in given:
+        for other in entries[name].excludes:
+            if other in given and given[other] != entries[other].default:
+                raise ModelError(f"{other} cannot be combined with {name}: give one of them")
+    return schema(**{name: entry.default for name, entry in entries.items()} | given)
 
 
 @dataclass(frozen=True)
@@ -316,7 +311,7 @@ class Inputs:
 
     speech: bool = False
     words: bool = False
-    files: tuple[Files, ...] = ()
+    files: tuple["Files", ...] = ()
     path: bool = False
     events: tuple[str, ...] = ()
 
@@ -472,7 +467,7 @@ class Model(Protocol):
     @overload
     def generate(
         self,
-        speech: Speech | None = None,
+        speech: "Speech | None" = None,
         sample_rate: int | None = None,
         *,
         seconds: float | None = None,
@@ -485,7 +480,7 @@ class Model(Protocol):
     @overload
     def generate(
         self,
-        speech: Speech | None = None,
+        speech: "Speech | None" = None,
         sample_rate: int | None = None,
         *,
         seconds: float | None = None,
@@ -545,9 +540,9 @@ class Model(Protocol):
         cls,
         folder: str | Path,
         *,
-        weights: WeightPlaces | None = None,
+        weights: "WeightPlaces | None" = None,
         device: str = "cpu",
         dtype: Literal["fp32"] = "fp32",
-    ) -> Model:
+    ) -> "Model":
         """Read a model folder; see `gesturekit.load`."""
         ...

@@ -6,13 +6,13 @@ import importlib
 import json
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from gesturekit.errors import ConfigError, ModelError, gesturekit_errors
 from gesturekit.field_docs import field_docs
-from gesturekit.model import Controls, Model
+from gesturekit.model import Controls, Model, control_entries
 from gesturekit.training.config import load_config, read_chain, read_yaml
 from gesturekit.training.recipes import find_config, main_configs, named_config
 from gesturekit.training.run.state import unfinished
@@ -88,21 +88,21 @@ def model_folder(model: str | Path) -> Path:
 
 
 def controls_type(kind: str) -> type[Controls]:
-    """Return the dataclass of controls of a system."""
+    """Return the controls of a system, as the keywords of its `generate`."""
     return _part(SYSTEMS[kind].controls)
 
 
 def control_docs() -> dict[str, str]:
     """Return the docstring of each control of any system, with its default."""
-    docs: dict[str, str] = {}
-    for kind in SYSTEMS:
-        schema = controls_type(kind)
+    docs, entries = field_docs(Controls), control_entries(Controls)
+    for schema in map(controls_type, SYSTEMS):
         docs |= field_docs(schema)
-        for field in fields(schema):
-            if isinstance(field.default, bool):
-                docs[field.name] += f"  [default: {'on' if field.default else 'off'}]"
-            elif isinstance(field.default, int | float):
-                docs[field.name] += f"  [default: {field.default:g}]"
+        entries |= control_entries(schema)
+    for name, entry in entries.items():
+        if isinstance(entry.default, bool):
+            docs[name] += f"  [default: {'on' if entry.default else 'off'}]"
+        elif isinstance(entry.default, int | float):
+            docs[name] += f"  [default: {entry.default:g}]"
     return docs
 
 

@@ -32,7 +32,7 @@ from gesturekit.cli.options import (
     size_option,
     weights_option,
 )
-from gesturekit.model import ControlEntry, Controls
+from gesturekit.model import Control, Controls, control_entries
 from gesturekit.systems import SYSTEMS, control_docs, controls_type
 
 if TYPE_CHECKING:
@@ -55,8 +55,8 @@ _PARSERS = {"keep": parse_placed_files, "level_speech": parse_level_files}
 """Parsers of the controls that hold several files."""
 _MANY = 20  # a run of as many items writes a summary page
 
-CONTROLS = {kind: controls_type(kind).entries() for kind in SYSTEMS}
-_COMMON = Controls.entries()
+CONTROLS = {kind: control_entries(controls_type(kind)) for kind in SYSTEMS}
+_COMMON = control_entries(Controls)
 
 GROUPS = {
     "What to render": (
@@ -84,7 +84,7 @@ USUAL = (
 class ControlOption(click.Option):
     """The option of a control: its name, type and range are those of the control's entry."""
 
-    def __init__(self, name: str, entry: ControlEntry) -> None:
+    def __init__(self, name: str, entry: Control) -> None:
         flag = entry.option or f"--{name.replace('_', '-')}"
         if entry.kind is bool:
             flag += f"/--no-{flag[2:]}"
@@ -108,7 +108,7 @@ class ControlOption(click.Option):
         return super().get_help_record(ctx)
 
 
-def _click_type(name: str, entry: ControlEntry) -> Any:
+def _click_type(name: str, entry: Control) -> Any:
     """Return the type of the option of a control."""
     if name in _PARSERS:
         return _PARSERS[name]

@@ -13,14 +13,14 @@ from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import Speech, as_speech, to_output_rate
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
-from gesturekit.diffusion.controls import DiffusionControlArguments, DiffusionControls
+from gesturekit.diffusion.controls import DiffusionControls
 from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.sampling.request import Request
 from gesturekit.diffusion.sampling.sampler import Sampler, check_controls
 from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError, gesturekit_errors
-from gesturekit.model import MotionStream
+from gesturekit.model import MotionStream, build_controls, document_controls
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import build, to_dict
@@ -43,7 +43,7 @@ class DiffusionModel(TrainedModel):
     """Model that generates motion by denoising diffusion, from speech or music, a style, a path,
     events, or nothing."""
 
-    @DiffusionControls.document
+    @document_controls(DiffusionControls)
     @gesturekit_errors()
     def generate(
         self,
@@ -54,7 +54,7 @@ class DiffusionModel(TrainedModel):
         samples: int = 1,
         seed: int = 0,
         item: str = "",
-        **controls: Unpack[DiffusionControlArguments],
+        **controls: Unpack[DiffusionControls],
     ) -> Motion | list[Motion]:
         """Generate motion as long as the speech, the path or `seconds`; frame k is at k / fps.
 
@@ -74,10 +74,10 @@ class DiffusionModel(TrainedModel):
                 that cannot be combined, an item that is not text, or no length.
             AudioError, FormatError: a file cannot be read, or an array is not audio.
         """
-        asked = DiffusionControls.build(controls, self.kind)
+        asked = build_controls(DiffusionControls, controls, self.kind)
         seed, item = checked_seed(seed), checked_item(item)
         speech = as_speech(speech, sample_rate)
-        rate = self.recorded_fps if asked.fps is None else asked.fps
+        rate = self.recorded_fps if asked["fps"] is None else asked["fps"]
         product = check_controls(self, asked, samples)
         request = Request.build(product.models, asked, speech, seconds)
         motions = [
@@ -87,7 +87,7 @@ class DiffusionModel(TrainedModel):
         return motions[0] if samples == 1 else motions
 
     def check_controls(
-        self, *, samples: int = 1, seed: int = 0, **controls: Unpack[DiffusionControlArguments]
+        self, *, samples: int = 1, seed: int = 0, **controls: Unpack[DiffusionControls]
     ) -> DiffusionControls:
         """Return the controls of `generate`, after the checks that do not depend on the speech.
 
@@ -97,7 +97,7 @@ class DiffusionModel(TrainedModel):
             FormatError: a table of events that cannot be read.
         """
         checked_seed(seed)
-        asked = DiffusionControls.build(controls, self.kind)
+        asked = build_controls(DiffusionControls, controls, self.kind)
         check_controls(self, asked, samples)
         return asked
 
@@ -107,7 +107,7 @@ class DiffusionModel(TrainedModel):
         look_ahead: float = 0.2,
         seed: int = 0,
         item: str = "",
-        **controls: Unpack[DiffusionControlArguments],
+        **controls: Unpack[DiffusionControls],
     ) -> MotionStream:
         """Raise ModelError: the model cannot stream."""
         raise ModelError(

@@ -1,23 +1,20 @@
 """Controls of `MultiresModel.generate`."""
 
-from __future__ import annotations
-
+# No `from __future__ import annotations` here: `control_entries` reads annotations as objects.
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from gesturekit.model import PLACING, ControlArguments, Controls, control
+from gesturekit.model import PLACING, Control, Controls
+from gesturekit.motion.motion import Motion
 
 if TYPE_CHECKING:
     import numpy as np
 
     import audio_features as af
-    from gesturekit.motion.motion import Motion
 
 
-@dataclass(frozen=True, kw_only=True)
-class MultiresControls(Controls):
+class MultiresControls(Controls, total=False):
     """Controls that multires models take beside those of every system.
 
     Without a style, each sample gets a random one. At most one of `path`, `keyframes`, `like` and
@@ -25,59 +22,49 @@ class MultiresControls(Controls):
     given.
     """
 
-    level_style: str | None = control(metavar="LEVELS=NAME,...")
+    level_style: Annotated[str | None, Control(metavar="LEVELS=NAME,...")]
     """Styles of single levels, counted from 1 (coarsest), which override style:
     1-4=describe,5-8=angry."""
-    level_speech: Mapping[str, str | Path | af.Wave] | None = control(
-        kind=Path, metavar="LEVELS=FILE,..."
-    )
+    level_speech: Annotated[
+        "Mapping[str, str | Path | af.Wave] | None", Control(kind=Path, metavar="LEVELS=FILE,...")
+    ]
     """Speech of single levels, counted from 1 (coarsest), in place of the main speech:
     7-10=b.wav, in Python {"7-10": "b.wav"}. It is cut to the length of the motion, or continues
     with silence. Recall follows the main speech."""
-    levels: int | None = control(kind=int, least=1, metavar="N", excludes=PLACING)
+    levels: Annotated[int | None, Control(kind=int, least=1, metavar="N", excludes=PLACING)]
     """Stop after this many levels. The motion has the lower frame rate of that level and can be
     edited and passed back as keyframes. Only style, level_style, speech and level_speech can be
     combined with it."""
-    keyframes: str | Path | Motion | None = control(kind=Path, metavar="EDIT.bvh", excludes=PLACING)
+    keyframes: Annotated[
+        str | Path | Motion | None, Control(kind=Path, metavar="EDIT.bvh", excludes=PLACING)
+    ]
     """A motion that replaces the output of a coarse level; the finer levels add detail and keep its
     slow movement. If it is an edited copy of a motion generated with levels, the same seed and the
     same name, unedited frames are reproduced as generated. A motion on another rig is retargeted.
     The result has the model's own frame rate, unless fps is given."""
-    keyframe_level: int = control(1, kind=int, least=1, metavar="N")
+    keyframe_level: Annotated[int, Control(1, kind=int, least=1, metavar="N")]
     """The level that keyframes or like replaces, counted from 1 (coarsest)."""
-    keep: Mapping[float, str | Path | Motion] | None = control(
-        kind=Path,
-        metavar="FILE[@SECONDS],...",
-        excludes=PLACING,
-        note="clip.bvh is continued up to --seconds; a.bvh@0,b.bvh@6 is filled in between.",
-    )
+    keep: Annotated[
+        Mapping[float, str | Path | Motion] | None,
+        Control(
+            kind=Path,
+            metavar="FILE[@SECONDS],...",
+            excludes=PLACING,
+            note="clip.bvh is continued up to --seconds; a.bvh@0,b.bvh@6 is filled in between.",
+        ),
+    ]
     """Motions to keep, each with its start time in seconds. They appear unchanged and at their own
     position; the model generates the motion before, between and after them (in-betweening)."""
-    recall: bool | None = control(kind=bool)
+    recall: Annotated[bool | None, Control(kind=bool)]
     """Recall pieces of the training recordings, chosen by the speech (--no-recall: generate all
     levels from noise). By default a model uses recall if it was trained with it."""
-    state: str | Path | np.ndarray | None = control(kind=Path, metavar="FILE.npy")
+    state: Annotated["str | Path | np.ndarray | None", Control(kind=Path, metavar="FILE.npy")]
     """State of movement in place of a drawn one, as `MultiresModel.state` returns it; cut to the
     motion, or held to its end."""
-    liveliness: float = control(1.0, kind=float, above=0, metavar="AMOUNT")
+    liveliness: Annotated[float, Control(1.0, kind=float, above=0, metavar="AMOUNT")]
     """Factor on the hand speed that is drawn for the speech, about 0.5 (calmer) to 1.5 (livelier).
     For models with recall or a drawn state."""
-    mood_seed: int | None = control(kind=int, least=0, metavar="N")
+    mood_seed: Annotated[int | None, Control(kind=int, least=0, metavar="N")]
     """Seed of the moods: calm or lively, and where the hands are held; by default that of
     everything else. With a fixed mood_seed, seed changes the details and keeps the moods. For
     models with recall or a drawn state."""
-
-
-class MultiresControlArguments(ControlArguments, total=False):
-    """Keywords of `MultiresControls`, for type checkers."""
-
-    level_style: str | None
-    level_speech: Mapping[str, str | Path | af.Wave] | None
-    levels: int | None
-    keyframes: str | Path | Motion | None
-    keyframe_level: int
-    keep: Mapping[float, str | Path | Motion] | None
-    recall: bool | None
-    state: str | Path | np.ndarray | None
-    liveliness: float
-    mood_seed: int | None

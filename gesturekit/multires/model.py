@@ -16,11 +16,12 @@ import audio_features as af
 from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import Speech, as_speech, speech_features, to_output_rate
 from gesturekit.errors import ModelError, gesturekit_errors
+from gesturekit.model import build_controls, document_controls
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.backend import requested_backend
 from gesturekit.multires.config import NetworkConfig
-from gesturekit.multires.controls import MultiresControlArguments, MultiresControls
+from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.generator import MultiresGenerator
@@ -72,7 +73,7 @@ class MultiresModel(TrainedModel):
     """Model that generates motion by a pyramid of small GANs, from speech, a style, both or
     nothing."""
 
-    @MultiresControls.document
+    @document_controls(MultiresControls)
     @gesturekit_errors()
     def generate(
         self,
@@ -83,7 +84,7 @@ class MultiresModel(TrainedModel):
         samples: int = 1,
         seed: int = 0,
         item: str = "",
-        **controls: Unpack[MultiresControlArguments],
+        **controls: Unpack[MultiresControls],
     ) -> Motion | list[Motion]:
         """Generate motion as long as the speech or `seconds`; frame k is at k / fps.
 
@@ -103,7 +104,7 @@ class MultiresModel(TrainedModel):
             AudioError, FormatError: a file cannot be read, or an array is not audio.
             MotionError: a `smooth` below 0.
         """
-        asked = MultiresControls.build(controls, self.kind)
+        asked = build_controls(MultiresControls, controls, self.kind)
         seed, item = checked_seed(seed), checked_item(item)
         rate = self._rate(asked)
         check_controls(self, asked, samples)
@@ -126,7 +127,7 @@ class MultiresModel(TrainedModel):
         look_ahead: float = 0.2,
         seed: int = 0,
         item: str = "",
-        **controls: Unpack[MultiresControlArguments],
+        **controls: Unpack[MultiresControls],
     ) -> MultiresStream:
         """Return a stream that generates motion while sound comes in.
 
@@ -154,7 +155,7 @@ class MultiresModel(TrainedModel):
         return MultiresStream(self, sample_rate, look_ahead, seed, item, asked)
 
     def check_controls(
-        self, *, samples: int = 1, seed: int = 0, **controls: Unpack[MultiresControlArguments]
+        self, *, samples: int = 1, seed: int = 0, **controls: Unpack[MultiresControls]
     ) -> MultiresControls:
         """Return the controls of `generate`, after the checks that do not depend on the speech.
 
@@ -164,22 +165,22 @@ class MultiresModel(TrainedModel):
         """
         requested_backend()
         checked_seed(seed)
-        asked = MultiresControls.build(controls, self.kind)
+        asked = build_controls(MultiresControls, controls, self.kind)
         check_controls(self, asked, samples)
         return asked
 
     def _rate(self, controls: MultiresControls) -> float | None:
         """Return the frames per second of the result; None for the rate of a coarse level."""
-        coarse = controls.levels not in (None, self.network_config.levels)
-        if controls.fps is None:
-            own = self.recorded_fps if controls.keyframes is None else self.fps
+        coarse = controls["levels"] not in (None, self.network_config.levels)
+        if controls["fps"] is None:
+            own = self.recorded_fps if controls["keyframes"] is None else self.fps
             return None if coarse else own
         if coarse:
             raise ModelError(
-                f"fps={controls.fps:g}: with levels={controls.levels} a motion has that level's "
-                "rate"
+                f"fps={controls['fps']:g}: with levels={controls['levels']} a motion has that "
+                "level's rate"
             )
-        return controls.fps
+        return controls["fps"]
 
     def reconstruct(
         self, name: str, speech: Speech | None = None, sample_rate: int | None = None

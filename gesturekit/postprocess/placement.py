@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -74,7 +74,7 @@ class Placement:
 
     @classmethod
     def of(
-        cls, controls: Any, read_pose: Callable[[Read, int], Motion], *, on_path: bool
+        cls, controls: Mapping[str, Any], read_pose: Callable[[Read, int], Motion], *, on_path: bool
     ) -> Placement:
         """Return what the controls of `generate` ask for.
 
@@ -84,14 +84,14 @@ class Placement:
                 the index of the frame to take without seconds.
             on_path: see the class.
         """
-        start, end = controls.start_pose, controls.end_pose
+        start, end = controls["start_pose"], controls["end_pose"]
         return cls(
             start=None if start is None else read_pose(start.read, 0),
             end=None if end is None else read_pose(end.read, -1),
-            facing=None if controls.facing is None else np.radians(controls.facing),
-            in_place=controls.in_place,
+            facing=None if controls["facing"] is None else np.radians(controls["facing"]),
+            in_place=controls["in_place"],
             on_path=on_path,
-            foot_lock=controls.foot_lock,
+            foot_lock=controls["foot_lock"],
         )
 
     def applied(self, motion: Motion) -> Motion:

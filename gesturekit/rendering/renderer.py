@@ -18,10 +18,10 @@ from gesturekit.formats.registry import WRITABLE
 from gesturekit.formats.rig import Rig
 from gesturekit.jobs.result import Processor, Result, json_of, path_digest
 from gesturekit.jobs.task import Task
-from gesturekit.model import Model
+from gesturekit.model import Model, control_entries
 from gesturekit.motion.motion import Motion
 from gesturekit.rendering.inputs import item_of, task_wave, task_words
-from gesturekit.systems import drawing_options
+from gesturekit.systems import controls_type, drawing_options
 from gesturekit.viewer.avatars import load_avatar
 from gesturekit.viewer.drawn_body import AVATARS
 from gesturekit.viewer.video.writer import require_encoder
@@ -246,10 +246,11 @@ def _without_defaults(model: Model, arguments: Mapping[str, Any]) -> dict[str, A
         ModelError: a control, style or level that the model does not have.
     """
     controls = model.check_controls(**arguments)
+    entries = control_entries(controls_type(model.kind))
     found = {
-        field.name: value
-        for field in dataclasses.fields(controls)
-        if (value := getattr(controls, field.name)) is not field.default and value != field.default
+        name: value
+        for name, value in controls.items()
+        if value is not (default := entries[name].default) and value != default
     }
     usual = {"samples": 1, "seed": 0}
     given = {name: arguments.get(name, value) for name, value in usual.items()}

@@ -17,7 +17,7 @@ from starlette.requests import ClientDisconnect
 
 from gesturekit.errors import ConfigError
 from gesturekit.field_docs import field_docs
-from gesturekit.model import ControlEntry, Controls
+from gesturekit.model import Control, Controls, control_entries
 from gesturekit.serving.address import is_foreign
 
 _MOST_CLIENTS = 10_000
@@ -89,14 +89,14 @@ class Rate:
         return seconds
 
 
-def _query(name: str, entry: ControlEntry, default: Any) -> tuple[Any, Any]:
+def _query(name: str, entry: Control) -> tuple[Any, Any]:
     """Return the type and default of the query parameter of a control."""
     limits: dict[str, Any] = {"gt": entry.above, "ge": entry.least, "le": entry.most}
     if entry.kind is str:
         limits = {"max_length": 200}
     query = Query(description=field_docs(Controls)[name], **limits)
     kind: Any = Literal[entry.choices] if entry.choices else entry.kind
-    return Annotated[kind if default is not None else kind | None, query], default
+    return Annotated[kind if entry.default is not None else kind | None, query], entry.default
 
 
 class _Settings(BaseModel, extra="forbid"):
@@ -117,8 +117,8 @@ class _Settings(BaseModel, extra="forbid"):
 
 # Settings of a motion, from the query of a URL: the controls of every system that are no file.
 _CONTROLS: dict[str, Any] = {
-    name: _query(name, entry, getattr(Controls, name))
-    for name, entry in Controls.entries().items()
+    name: _query(name, entry)
+    for name, entry in control_entries(Controls).items()
     if entry.kind not in (Path, None)
 }
 if TYPE_CHECKING:

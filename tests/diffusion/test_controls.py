@@ -1,25 +1,21 @@
 """Controls of models: one list of names a system, documented once, and errors for all others."""
 
-import dataclasses
+from functools import partial
 
 import pytest
 
 import gesturekit as gk
-from gesturekit.diffusion.controls import DiffusionControlArguments, DiffusionControls
+from gesturekit.diffusion.controls import DiffusionControls
 from gesturekit.errors import ModelError
 from gesturekit.field_docs import field_docs
-from gesturekit.model import UnknownControlError
-from gesturekit.multires.controls import MultiresControlArguments, MultiresControls
+from gesturekit.model import Controls, UnknownControlError, build_controls, control_entries
+from gesturekit.multires.controls import MultiresControls
 
 
-@pytest.mark.parametrize(
-    ("controls", "arguments"),
-    [(DiffusionControls, DiffusionControlArguments), (MultiresControls, MultiresControlArguments)],
-)
-def test_every_control_is_a_typed_keyword_and_documented(controls, arguments):
-    names = {field.name for field in dataclasses.fields(controls)}
-    assert names == arguments.__optional_keys__
-    assert names == field_docs(controls).keys()
+@pytest.mark.parametrize("schema", [DiffusionControls, MultiresControls])
+def test_every_control_is_an_optional_keyword_and_documented(schema):
+    docs = field_docs(Controls) | field_docs(schema)
+    assert control_entries(schema).keys() == schema.__optional_keys__ == docs.keys()
 
 
 @pytest.mark.parametrize(
@@ -45,8 +41,11 @@ def test_unknown_controls_are_refused_with_the_nearest_name(untrained, system, n
     ],
 )
 def test_controls_of_diffusion_are_checked(name, allowed, refused, says):
+    build = partial(build_controls, DiffusionControls, kind="diffusion")
+    defaults = build({})
+    assert (defaults["change"], defaults["batch"]) == (0.5, 1)
     for value in allowed:
-        assert getattr(DiffusionControls.build({name: value}, "diffusion"), name) == value
+        assert build({name: value}) == defaults | {name: value}
     for value in refused:
         with pytest.raises(ModelError, match=f"{name}={value!r}.*{says}"):
-            DiffusionControls.build({name: value}, "diffusion")
+            build({name: value})

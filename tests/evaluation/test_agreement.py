@@ -155,29 +155,31 @@ def test_other_names_of_columns_are_read(tmp_path):
         ("p",), ("a", "b"), ("k",), ("",),
     )  # fmt: skip
     assert found.value.tolist() == [70.0, 70.0] and not found.paired
-    assert [re.search(r"\d+", note)[0] for note in found.notes] == ["1", "1"]
+    assert sum(bool(re.search(r"\b1\b", note)) for note in found.notes) == 2
 
 
 HEAD = "rater,system,clip,value\n"
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "facts"),
     [
-        ("", "rater"),
-        ("rater,system,clip\np,a,x\n", r"value .*rating"),
-        ("rater,model,condition,clip,value\n", "model, condition"),
-        (HEAD + "p,a,x,good\n", "line 2: value .*'good'"),
-        (HEAD + "p,a,x,1\np,a,y,inf\n", "line 3: value .*'inf'"),
-        (HEAD + "p,,x,1\n", "line 2: .*empty"),
-        (HEAD + "p,a,x,1,5\n", "line 2: 5 .* 4"),
-        (HEAD + 'p,a,x,"1', "UTF-8"),
+        ("", ["rater"]),
+        ("rater,system,clip\np,a,x\n", ["value"]),
+        ("rater,model,condition,clip,value\n", ["model", "condition"]),
+        (HEAD + "p,a,x,good\n", ["line 2", "value", "good"]),
+        (HEAD + "p,a,x,1\np,a,y,inf\n", ["line 3", "value", "inf"]),
+        (HEAD + "p,,x,1\n", ["line 2", "empty"]),
+        (HEAD + "p,a,x,1,5\n", ["line 2", "5", "4"]),
+        (HEAD + 'p,a,x,"1', ["UTF-8"]),
     ],
 )
-def test_invalid_tables_of_ratings_are_refused_with_their_place(tmp_path, text, message):
+def test_invalid_tables_of_ratings_are_refused_with_their_place(tmp_path, text, facts):
     (tmp_path / "x.csv").write_text(text)
-    with pytest.raises(EvaluationError, match=f"x.csv.*{message}"):
+    with pytest.raises(EvaluationError) as refused:
         read_ratings([tmp_path / "x.csv"])
+    said = str(refused.value).replace(str(tmp_path), "")
+    assert all(fact in said for fact in ("x.csv", *facts))
 
 
 def said_by(speaker: str | None) -> ItemInterval:

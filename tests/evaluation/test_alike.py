@@ -41,7 +41,7 @@ def test_another_rig_is_retargeted_before_anything_is_measured(recordings, tmp_p
     found = evaluate({"same": recordings, "larger": made}, recordings, cheap=True)
     same, larger_one = found.models
     assert "retargeted" in larger_one.marks and not same.marks
-    assert "3 of 3 clips" in larger_one.notes[0]
+    assert any("3 of 3" in note for note in larger_one.notes)
     # Retargeting there and back leaves the same movement, not one 1.3 times as fast.
     for key in ("wrist_speed", "reach"):
         assert result(found, 1, key) == pytest.approx(result(found, 0, key), rel=0.05), key
@@ -57,7 +57,7 @@ def test_all_models_are_measured_with_the_joints_that_all_have(recordings, gestu
     # The same motion: with and without the joints that one of them lacks.
     for key in ("acceleration", "hellinger", "coverage", "one_nn", "l1_diversity"):
         assert result(found, 0, key) == pytest.approx(result(found, 1, key), rel=0.05), key
-    assert re.search(r"\bfewer\b.* Neck\b", "; ".join(found.models[1].notes))
+    assert any("fewer" in note and "Neck" in note for note in found.models[1].notes)
     alone = evaluate({"whole": whole}, recordings, cheap=True)
     assert result(alone, 0, "l1_diversity") != pytest.approx(result(found, 0, "l1_diversity"))
 
@@ -71,17 +71,18 @@ def test_clips_that_another_model_lacks_are_set_apart(recordings, gesture, tmp_p
     (item,) = (item for item in found.models[0].excluded if item.what == "clip")
     assert item.name == "clip1" and "two" in item.reason
     assert not found.is_complete
-    assert "2 recordings" in found.models[0].notes[0]
+    assert any(re.search(r"\b2\b", note) for note in found.models[0].notes)
     three = saved(tmp_path / "three", {"clip1": motions["clip1"]})
-    with pytest.raises(EvaluationError, match="two: .*clip0.* three: .*clip1"):
+    with pytest.raises(EvaluationError, match="two") as refused:
         evaluate({"two": two, "three": three}, recordings)
+    assert all(fact in str(refused.value) for fact in ("clip0", "three", "clip1"))
 
 
 @pytest.mark.parametrize(
     ("missing", "note", "lacks"),
     [
         (("Leg", "Foot"), "legs", {"foot_skate"}),
-        (("Hand",), "2 of 19 ", {"reach", "rest"}),
+        (("Hand",), "2 of 19", {"reach", "rest"}),
     ],
 )
 def test_rigs_without_legs_or_hands_are_measured_as_far_as_they_go(
@@ -100,7 +101,7 @@ def test_models_of_other_lengths_are_marked(recordings, gesture, tmp_path):
     two = saved(tmp_path / "two", {f"clip{i}": gesture(1.5, 15.0, seed=i) for i in range(3)})
     found = evaluate({"one": one, "two": two}, recordings, cheap=True)
     assert [bool(model.marks) for model in found.models] == [False, True]
-    assert all(seconds in found.models[1].notes[0] for seconds in ("1.53 s", "2.53 s"))
+    assert all(seconds in " ".join(found.models[1].notes) for seconds in ("1.53 s", "2.53 s"))
 
 
 def test_a_recording_without_sound_has_no_speech_metrics_and_counts_elsewhere(
@@ -110,6 +111,6 @@ def test_a_recording_without_sound_has_no_speech_metrics_and_counts_elsewhere(
     (recordings / "clip1.wav").unlink()
     (model,) = evaluate(made, recordings, audio=recordings, cheap=True).models
     assert model.metrics["sync"].interval.n == 2
-    assert model.metrics["sync"].note == "2 of 3 clips"
+    assert "2 of 3" in model.metrics["sync"].note
     assert model.metrics["arm_speed"].interval.n == 3
     assert [item.what for item in model.excluded if item.name == "clip1"] == ["speech"]

@@ -1,6 +1,7 @@
 """Votes of user studies, as they are read."""
 
 import csv
+import re
 from pathlib import Path
 
 import pytest
@@ -18,8 +19,6 @@ GENEA = (
     "5c04,6_carla,RAG-Gesture,AMUSE,tie,False,[],\n"
     '6741,11_nidal,BEAT_Mismatched,BEAT,model_b,False,"[""FitRhythmTiming""]",\n'
 )
-
-
 HEAD = ",".join(GENEA_COLUMNS) + "\n"
 
 
@@ -55,7 +54,7 @@ def test_a_rater_who_took_part_twice_is_named(tmp_path):
         write(tmp_path / f"{day}.csv", head + line + line.replace(",c,", ",d,"))
     found = read_answers([tmp_path])
     assert len(found.kept) == 6
-    assert found.notes[0].startswith("1 ") and "p0" in found.notes[0]
+    assert any(re.search(r"\b1\b", note) and "p0" in note for note in found.notes)
 
 
 def ours(path: Path, user: str, failed: int, winner: str = "model_a") -> Path:
@@ -88,7 +87,7 @@ def test_a_file_read_twice_counts_once(tmp_path):
     copy = write(tmp_path / "copy (1).csv", one.read_text())
     found = read_answers([one, copy, one])
     assert len(found.kept) == 2
-    assert len(found.notes) == 1 and found.notes[0].startswith("2 ")
+    assert any(re.search(r"\b2\b", note) for note in found.notes)
 
 
 def test_a_table_made_by_hand_may_name_the_winner(tmp_path):
@@ -98,21 +97,23 @@ def test_a_table_made_by_hand_may_name_the_winner(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "facts"),
     [
-        ("", "user, input_code"),
-        ("user,input_code,model_A,model_b,winner,is_strong\n", "'model_A'"),
-        (HEAD, "answer"),
-        (HEAD + "u,c,a,b,left,True,,\n", "line 2: winner .*'left'.* model_a"),
-        (HEAD + "u,c,a,b,model_a,perhaps,,\n", "line 2: is_strong .*'perhaps'"),
-        (HEAD + "u,c,a,b,model_a,True,,\nu,c,a\n", "line 3: 3 .* 8"),
-        (HEAD.strip() + ",checks,checks_failed\nu,c,a,b,tie,,,,2,x\n", "checks_failed .*'x'"),
-        (HEAD + 'u,c,a,b,model_a,True,"open', "UTF-8"),
+        ("", ["user", "input_code"]),
+        ("user,input_code,model_A,model_b,winner,is_strong\n", ["model_A"]),
+        (HEAD, ["answer"]),
+        (HEAD + "u,c,a,b,left,True,,\n", ["line 2", "winner", "left", "model_a"]),
+        (HEAD + "u,c,a,b,model_a,perhaps,,\n", ["line 2", "is_strong", "perhaps"]),
+        (HEAD + "u,c,a,b,model_a,True,,\nu,c,a\n", ["line 3", " 3 ", "8"]),
+        (HEAD.strip() + ",checks,checks_failed\nu,c,a,b,tie,,,,2,x\n", ["checks_failed", "'x'"]),
+        (HEAD + 'u,c,a,b,model_a,True,"open', ["UTF-8"]),
     ],
 )
-def test_invalid_tables_of_answers_are_refused_with_their_place(tmp_path, text, message):
-    with pytest.raises(EvaluationError, match=f"x.csv.*{message}"):
+def test_invalid_tables_of_answers_are_refused_with_their_place(tmp_path, text, facts):
+    with pytest.raises(EvaluationError) as refused:
         read_answers([write(tmp_path / "x.csv", text)])
+    said = str(refused.value).replace(str(tmp_path), "")
+    assert all(fact in said for fact in ("x.csv", *facts))
 
 
 def test_missing_files_empty_folders_and_other_encodings_are_refused(tmp_path):

@@ -51,9 +51,9 @@ def test_a_report_has_it_for_models_with_nine_samples(gesture, tmp_path):
         for k in range(1, 10):
             gesture(1.0, 15.0, seed=10 * clip + k).save(tmp_path / "made" / f"c{clip}_s{k}.npz")
     (model,) = evaluate(tmp_path / "made", tmp_path / "recorded", cheap=True).models
-    assert model.metrics["calibration"].note.startswith("2 clips of 9 ")
+    assert {"2", "9"} <= {*model.metrics["calibration"].note.split()}
     assert model.metrics["sharpness"].recording == 1.0
     (tmp_path / "made" / "c1_s9.npz").unlink()
     (model,) = evaluate(tmp_path / "made", tmp_path / "recorded", cheap=True).models
     assert "calibration" not in model.metrics
-    assert not any("calibration" in one.reason for one in model.excluded)
+    assert not any("calibration" in f"{e.what} {e.reason}".lower() for e in model.excluded)

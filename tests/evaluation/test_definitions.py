@@ -18,12 +18,14 @@ def test_entries_are_consistent():
 def test_definitions_are_filled_with_frames_seconds_and_the_variant():
     coverage, bas = DEFINITIONS["coverage"], DEFINITIONS["bas"]
     usual, paper = coverage.at(25, Variants()), coverage.at(30, Variants("paper", 2.5))
-    assert re.search(r"ganimator.*30 frames.*1\.20 s.*\b2$", usual.variant)
-    assert all(fact in usual.text for fact in ("30 frames", "1.20 s", " 2 ", "L2 norm"))
-    assert re.search(r"paper.*30 frames.*1\.00 s.*\b2\.5", paper.variant)
-    assert all(fact in paper.text for fact in ("30 frames", "1.00 s", " 2.5 ", "Frobenius"))
+    for found, name, facts in (
+        (usual, "ganimator", (r"\b30 frames", r"\b1\.20? s", r"\b2\b")),
+        (paper, "paper", (r"\b30 frames", r"\b1(\.00)? s", r"\b2\.5\b")),
+    ):
+        assert name in found.variant
+        assert all(re.search(f, text) for f in facts for text in (found.variant, found.text))
+    assert "L2" in usual.text and "Frobenius" in paper.text
     assert [bas.at(25, Variants(bas=name)).fps_bound for name in ("seconds", "bailando")] == [
         False, True
     ]  # fmt: skip
-    assert (usual.key, usual.unit, usual.title) == ("coverage", "%", "Coverage, %")
-    assert DEFINITIONS["sync"].at(25, Variants("paper")).title == "Sync"
+    assert (usual.key, usual.unit) == ("coverage", "%") and "%" in usual.title

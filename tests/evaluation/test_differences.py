@@ -1,7 +1,6 @@
 """Differences from an earlier file of results, and what the file says of each figure."""
 
 import json
-import re
 from pathlib import Path
 
 import pytest
@@ -38,7 +37,7 @@ def before(found, tmp_path):
 
 def test_the_same_results_are_equal(found, before):
     (line,) = differences(found, read_results(before()))
-    assert re.search("new.*equal", line)
+    assert "new" in line and "equal" in line
 
 
 def test_each_change_is_a_line_and_models_go_by_label(found, before):
@@ -53,20 +52,21 @@ def test_each_change_is_a_line_and_models_go_by_label(found, before):
 
     now, cca = (found.models[0].metrics[k].interval.value for k in ("wrist_speed", "cca_global"))
     lines = list(differences(found, read_results(before(change))))
-    facts = (
-        *("fps.*30.0 .* 15.0 ", f"new: 4 of {len(found.models[0].metrics)} "),
-        *(f"Wrist speed: 9.00 .* {now:.2f} m/s.*interval", "Jerk.*now"),
-        *(f"CCA, global: {cca + 0.5:.2f} .* {cca:.2f} ", "gone.*before"),
-    )
-    assert len(lines) == len(facts) and all(map(re.search, facts, lines))
+    for facts in (
+        *(("fps", "30", "15"), ("new", f"4 of {len(found.models[0].metrics)}")),
+        *(("Wrist speed", "9", f"{now:.1f}", "m/s", "interval"), ("Jerk", "now")),
+        *(("CCA, global", f"{cca + 0.5:.2f}", f"{cca:.2f}"), ("gone", "before")),
+    ):
+        assert sum(all(fact in line for fact in facts) for line in lines) == 1, facts
+    assert not any("Reach" in line for line in lines), "it has not changed"
     names = ("other", "new", "more")
 
     def rename(values):
         values["models"] = [{**values["models"][0], "label": name} for name in names]
 
     lines = list(differences(found, read_results(before(rename))))
-    facts = ("new.*equal", "other.*before", "more.*before")
-    assert len(lines) == 3 and all(map(re.search, facts, lines))
+    for label, state in zip(names, ("before", "equal", "before")):
+        assert sum(label in line and state in line for line in lines) == 1, label
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_each_change_is_a_line_and_models_go_by_label(found, before):
         ("[1]", "x.json.*evaluate"),
         ('{"format": 1, "models": [{"figures": {"a": {}}}]}', "x.json.*evaluate"),
         ('{"format": 1, "models": [{"label": "a", "figures": [1]}]}', "x.json.*evaluate"),
-        ('{"format": 2, "models": []}', r"format 2 .*\(1\)"),
+        ('{"format": 2, "models": []}', "format 2"),
     ],
 )
 def test_other_files_are_one_clear_error(tmp_path, text, says):
@@ -95,7 +95,7 @@ def test_a_file_too_large_for_results_is_not_read(tmp_path):
 
 def test_every_figure_says_what_it_is_computed_over(found):
     values = found.to_json()
-    assert re.search("6 takes.*6 clips.*12 s.*15 fps", values["basis"])
+    assert all(fact in values["basis"] for fact in ("6 takes", "6 clips", "12 s", "15 fps"))
     figures = values["models"][0]["figures"]
     speed, distance = figures["wrist_speed"], figures["cca_global"]
     assert (speed["unit"], speed["takes"], speed["n"]) == ("m/s", 6, 6)

@@ -21,7 +21,6 @@ from gesturekit.evaluation import (
     beat_consistency,
     coverage,
     definitions_of,
-    div_g,
     div_k,
     fgd,
     fid_g,
@@ -266,7 +265,6 @@ SIGNS_OF_SETS = {
     "FID_k": "++0+",
     "FID_g": "++0+",
     "Div_k": "?-0?",
-    "Div_g": "????",  # poses that are held differ from each other as much as movements do
 }
 
 
@@ -292,7 +290,6 @@ def metrics(generated: list[Motion], reference: list[Motion], model: FeatureMode
     result["FID_k"] = fid_k(generated, reference, seconds=CLIP, resamples=0).value
     result["FID_g"] = fid_g(generated, reference, seconds=CLIP, resamples=0).value
     result["Div_k"] = div_k(generated, reference, seconds=CLIP)
-    result["Div_g"] = div_g(generated, reference, seconds=CLIP)
     return result
 
 

@@ -103,24 +103,18 @@ def test_it_learns(clips):
     assert 0 <= fgd(clips, clips[::-1], more).value < 1e-6
 
 
-@pytest.mark.parametrize(("n_frames", "variant"), [(12, "genea"), (34, "yoon"), (35, "genea")])
-def test_the_network_is_the_published_one(n_frames, variant):
+@pytest.mark.parametrize(
+    ("n_frames", "variant", "size"),
+    [(12, "genea", 92_747), (34, "yoon", 189_635), (35, "genea", 188_839)],
+)
+def test_the_network_is_as_large_as_the_published_one(n_frames, variant, size):
     network = PoseAutoencoder(27, n_frames, variant == "yoon").eval()
     features, made = network(torch.ones(2, n_frames, 27))
     assert features.shape == (2, 32) and made.shape == (2, n_frames, 27)
-    layers = [*network.encoder, *network.decoder]
-    slopes = [layer.negative_slope for layer in layers if isinstance(layer, nn.LeakyReLU)]
-    assert slopes == [0.2] * 5
-    widths = [(x.in_features, x.out_features) for x in layers if isinstance(x, nn.Linear)]
-    last = [(32, 32)] if variant == "yoon" else []
-    # The first convolutions lose two frames each, the third all but half less one, the last two.
-    left = (n_frames - 4) // 2 - 1 - 2
-    assert widths == [(32 * left, 256), (256, 128), (128, 32), *last, (32, 64), (64, 4 * n_frames)]
-    convolutions = [x for x in layers if isinstance(x, nn.Conv1d | nn.ConvTranspose1d)]
-    assert [(c.out_channels, c.kernel_size[0], c.stride[0]) for c in convolutions] == [
-        (32, 3, 1), (64, 3, 1), (64, 4, 2), (32, 3, 1), (32, 3, 1), (32, 3, 1), (32, 3, 1),
-        (27, 3, 1),
-    ]  # fmt: skip
+    # Weights and biases of the published layers, with their batch normalisations, by hand.
+    assert sum(parameter.numel() for parameter in network.parameters()) == size
+    slopes = {x.negative_slope for x in network.modules() if isinstance(x, nn.LeakyReLU)}
+    assert slopes == {0.2}
 
 
 @pytest.mark.parametrize("variant", ["genea", "yoon"])
@@ -157,11 +151,11 @@ def test_a_damaged_model_is_refused(model, tmp_path):
     for damaged, message in (
         ("{", "feature_model.json"),
         (text.replace('"format": 1', '"format": 2'), "format 2"),
-        (with_windows(n_frames=10**12), "12 to 1000"),
+        (with_windows(n_frames=10**12), r"\b12\b"),
         (with_windows(n_frames=40), "damaged"),
         (with_windows(variant="x"), "'x'"),
         (with_windows(bones=[]), "damaged"),
-        (text.replace('"windows": {', '"other": {'), "damaged.*windows"),
+        (text.replace('"windows": {', '"other": {'), "windows"),
     ):
         json_file.write_text(damaged, encoding="utf-8")
         with pytest.raises(EvaluationError, match=message):

@@ -61,10 +61,10 @@ def motions_of(rng, n_motions, each, shift=0.0):
 def test_small_samples_are_reported():
     rng = np.random.default_rng(4)
     enough = frechet_result(motions_of(rng, 20, 5), motions_of(rng, 20, 5))
-    assert enough.note == "" and f"{enough.high:.4g}" in str(enough)
+    assert enough.note == "" and enough.low < enough.value < enough.high
     few = frechet_result(motions_of(rng, 3, 9), motions_of(rng, 30, 9), resamples=20)
-    assert "40 samples" in few.note and "10 motions" in few.note
-    assert "40 samples" in str(few) and np.isnan(few.low)
+    assert "40" in few.note and "10" in few.note
+    assert few.note in str(few) and np.isnan(few.low)
     plain = frechet_result(motions_of(rng, 3, 9), motions_of(rng, 30, 9), resamples=0)
     assert np.isnan(plain.low) and plain.note != few.note and "nan" not in str(plain)
 
@@ -72,9 +72,9 @@ def test_small_samples_are_reported():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: frechet_distance([[1.0, 2.0]], np.ones((3, 2))), "generated: 1 sample"),
+        (lambda: frechet_distance([[1.0, 2.0]], np.ones((3, 2))), "(?=.*generated).*1 sample"),
         (lambda: frechet_distance(np.ones((3, 2)), np.ones((3, 3))), r"\b2 .*\b3\b"),
-        (lambda: frechet_distance(np.full((3, 2), np.nan), np.ones((3, 2))), "NaN .* sample 0"),
+        (lambda: frechet_distance(np.full((3, 2), np.nan), np.ones((3, 2))), "(?=.*NaN).*sample 0"),
         (lambda: frechet_result([], [np.ones((3, 2))]), "empty"),
         (lambda: frechet_result([np.ones((3, 2)), np.ones((3, 1))], [np.ones((3, 2))]), "fit"),
     ],
@@ -124,12 +124,6 @@ def test_kinetic_features_equal_their_definition(gesture, skeleton, n_frames):
         assert found == pytest.approx(kinetic_by_definition(places, 1 / 60, slip=True), rel=1e-9)
     with pytest.raises(EvaluationError, match="'bailando'.*released"):
         kinetic_features(motion, variant="bailando")
-
-
-# Numbers of the features, from 0.
-HIGH_RIGHT, HIGH_LEFT, BENT_RIGHT, BENT_LEFT = 2, 3, 6, 7
-APART, FAST_RIGHT, FAST_LEFT, KNEE_RIGHT, LIES = 8, 12, 13, 19, 28
-LOW_RIGHT, LOW_LEFT, FAST_ROOT = 29, 30, 31
 
 
 @pytest.fixture(scope="module")
@@ -303,7 +297,7 @@ def test_the_standard_error_is_that_of_resampled_motions():
     assert np.isfinite(frechet_result(sets[0][:10], sets[1][:10], resamples=3).low)
     for few in ([sets[0][:9], sets[1]], [sets[0], sets[1][:9]]):
         found = frechet_result(*few, resamples=3)
-        assert np.isnan(found.low) and "10 motions" in found.note
+        assert np.isnan(found.low) and "10" in found.note
 
 
 def renamed(motion: Motion) -> Motion:

@@ -73,10 +73,10 @@ def test_the_aspects_that_differ_are_named():
 
 
 def test_copies_are_named():
-    for value, state, word in ((0.1, "no", "copied"), (0.7, "no", "lively"), (1.0, "yes", "New")):
+    for value, state, word in ((0.1, "no", "copied"), (0.7, "no", "lively"), (1.0, "yes", "new")):
         copied = result("novelty", value, 1.0, note="recording: against the training split")
         found = states(clips(), novelty=copied)["novelty"]
-        assert found[0] == state and word in found[1] and "training" in found[1]
+        assert found[0] == state and word in found[1].lower() and "training" in found[1]
     copied = result("novelty", 442.0, 1.0, informative=False)
     assert states(clips(), novelty=copied)["novelty"][0] == "cannot be answered"
     low = result("copying_low", 0.1, 0.3)
@@ -111,7 +111,7 @@ def test_each_speaker_is_compared_with_own_recordings_and_speakers_are_averaged_
     )
     like = result("likeness", 0.5, 0.9)
     state, sentence = states(made, likeness=like)["likeness"]
-    assert state == "no" and "a 0.00, b 1.00" in sentence
+    assert state == "no" and re.search(r"\ba\W+0\b", sentence) and re.search(r"\bb\W+1\b", sentence)
 
 
 def test_styles_are_groups_where_each_has_three_recordings():
@@ -128,22 +128,22 @@ def test_a_score_is_placed_between_its_floor_and_its_ceiling():
     floors = (Level("mean pose", 0.0, None, 0), Level("another speaker", 0.2, 0.2, 4))
     ceiling = Level("the speaker's other takes", 0.9, 0.05, 6)
     for value, state, facts in (
-        (0.25, "no", r"floor, another speaker.*0.20 ± 0.20"),
-        (0.4, "no", ""),
-        (0.65, "partly", ""),  # more than .6 of .9
-        (0.9, "yes", ""),
-        (1.0, "yes", r"ceiling, .*0.90 ± 0.05"),
+        (0.25, "no", ["floor", "another speaker", "0.2"]),
+        (0.4, "no", []),
+        (0.65, "partly", []),  # more than .6 of .9
+        (0.9, "yes", []),
+        (1.0, "yes", ["ceiling", "0.9", "0.05"]),
     ):
         like = result("likeness", value, 0.9, floors=floors, ceiling=ceiling)
         found, sentence = states(clips(), likeness=like)["likeness"]
-        assert found == state and re.search(facts, sentence), value
-        assert facts or not {"floor", "ceiling"} & set(sentence.split()), value
+        assert found == state and all(fact in sentence for fact in facts), value
+        assert [w for w in ("floor", "ceiling") if w in sentence] == facts[:1], value
     # A speaker whose takes differ is reached at their likeness, not at 0.85.
     for value, state in ((0.55, "yes"), (0.4, "partly"), (0.2, "no")):
         assert states(clips(), likeness=result("likeness", value, 0.5))["likeness"][0] == state
     high = result("likeness", 0.3, 0.9, informative=False, floors=floors, ceiling=floors[1])
     state, sentence = states(clips(), likeness=high)["likeness"]
-    assert state == "cannot be answered" and re.search("floor.*0.20.*ceiling.*0.20", sentence)
+    assert state == "cannot be answered" and "floor" in sentence and "ceiling" in sentence
 
 
 def of(**values: float | tuple[float, float]) -> dict[str, MetricResult]:
@@ -155,30 +155,33 @@ def of(**values: float | tuple[float, float]) -> dict[str, MetricResult]:
 @pytest.mark.parametrize(
     ("metrics", "said"),
     [
-        (of(near_still=95.0), "hardly"),
-        (of(near_still=(20.0, 10.0), rest=(32.0, 32.0)), "frozen .*20 %"),
-        (of(near_still=(12.0, 10.0), rest=(32.0, 32.0)), "rest as"),
+        (of(near_still=95.0), "hardly move"),
+        (of(near_still=(20.0, 10.0), rest=(32.0, 32.0)), "frozen 20"),
+        (of(near_still=(12.0, 10.0), rest=(32.0, 32.0)), "rest"),
         (of(rest=(1.0, 1.0)), ""),
-        (of(rest=(2.0, 10.0)), "(?i)hardly .*rest"),
-        (of(rest=(5.0, 10.0)), "(?i)seldom .*rest"),
-        (of(rest=(20.0, 10.0)), "rest more"),
-        (of(reach=(0.9, 1.0)), "^The .*reach"),
-        (of(reach=(0.7, 1.0)), "Two thirds .*reach"),
-        (of(reach=(1.4, 1.0)), "half times .*reach"),
+        (of(rest=(2.0, 10.0)), "hardly rest"),
+        (of(rest=(5.0, 10.0)), "seldom rest"),
+        (of(rest=(20.0, 10.0)), "more rest"),
+        (of(reach=(0.9, 1.0)), "reach"),
+        (of(reach=(0.7, 1.0)), "thirds reach"),
+        (of(reach=(1.4, 1.0)), "half times reach"),
         (of(reach=(1.0, 0.0)), ""),
-        (of(hand_q90=(2.0, 1.0)), "twice"),
+        (of(hand_q90=(2.0, 1.0)), "twice speed"),
         (of(calm_lively_r=0.2), "lively"),
         (of(calm_lively_r=0.6), ""),
-        (of(sync=(0.1, 0.1)), "^In time"),
-        (of(sync=(0.5, 1.0)), "Loosely"),
-        (of(sync=(0.2, 1.0)), "^Not"),
-        (of(copying=(0.3, 1.0)), "Mostly copied"),
-        (of(copying=(0.7, 1.0)), "Partly copied"),
+        (of(sync=(0.1, 0.1)), "in time"),
+        (of(sync=(0.5, 1.0)), "loosely in time"),
+        (of(sync=(0.2, 1.0)), "not in time"),
+        (of(copying=(0.3, 1.0)), "mostly copied"),
+        (of(copying=(0.7, 1.0)), "partly copied"),
         (of(copying=(0.9, 1.0)), ""),
-        (of(copying=(0.7, 1.0), reach=(0.9, 1.0)), "^The .*reach.* copied"),
-        (of(copying=(0.7, 1.0), reach=(0.5, 1.0)), "reach.$"),
-        (of(copying_low=(0.4, 1.0), copying=(0.9, 1.0)), "Occasionally"),
+        (of(copying=(0.7, 1.0), reach=(0.9, 1.0)), "reach partly copied"),
+        (of(copying=(0.7, 1.0), reach=(0.5, 1.0)), "half reach"),
+        (of(copying_low=(0.4, 1.0), copying=(0.9, 1.0)), "occasionally copied"),
     ],
 )  # fmt: skip
 def test_the_verdict_names_what_differs_from_the_recordings(metrics, said):
-    assert re.search(said or "^$", verdict(metrics))
+    telling = "frozen hardly seldom more thirds half twice lively loosely not mostly partly copied"
+    words = set(re.findall(r"\w+", verdict(metrics).lower()))
+    assert set(said.split()) <= words and words & set(telling.split()) <= set(said.split())
+    assert said or not words

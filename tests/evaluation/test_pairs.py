@@ -72,9 +72,9 @@ def test_sound_and_semantic_tracks_come_along(touch):
 
 def test_wrong_folders_are_errors_that_name_what_was_found(touch, tmp_path):
     made, recordings = touch("made", "a.npz"), touch("recordings", "b.bvh")
-    with pytest.raises(CorpusError, match=r"1 clip \(a\) .*\(b\)"):
+    with pytest.raises(CorpusError, match=r"(?=.*\ba\b).*\bb\b"):
         find_pairs(made, recordings)
-    with pytest.raises(CorpusError, match=r"sounds \(z\)"):
+    with pytest.raises(CorpusError, match=r"\bz\b"):
         find_pairs(touch("again", "b.npz"), recordings, audio=touch("wav", "z.wav"))
     with pytest.raises(CorpusError, match=r"sounds.*\.npz"):
         find_pairs(touch("sounds", "a.wav"), recordings)
@@ -116,11 +116,11 @@ def test_clips_of_other_items_of_a_manifest_are_set_aside_and_missing_ones_named
     assert [(e.name, e.what) for e in found.excluded] == [("x", "clip"), ("c", "clip")]
     assert str(made) in found.excluded[1].reason
     quiet, train = found.notes
-    assert re.search(f"1 clip .*{re.escape(str(tmp_path / 'corpus.jsonl'))}.*quiet", quiet)
-    assert re.search("4 clips .*train .*t0, t1", train)
+    for note, facts in ((quiet, "1 corpus.jsonl quiet"), (train, "4 train t0 t1")):
+        assert all(re.search(rf"\b{fact}\b", note) for fact in facts.split()), note
     with pytest.raises(CorpusError, match="t0"):
         find_pairs(touch("train", "t0.npz", "quiet.npz"), reference)
-    with pytest.raises(CorpusError, match=r"2 clips \(t0, z\)"):
+    with pytest.raises(CorpusError, match=r"(?=.*\bt0\b).*\bz\b"):
         find_pairs(touch("other", "t0.npz", "z.npz"), reference)
     none = manifest(tmp_path, Item(id="q", audio=sound, motion=None, duration=2.0, split="test"))
     with pytest.raises(CorpusError, match="corpus.jsonl.*motion"):

@@ -156,7 +156,7 @@ def test_calm_and_lively_has_the_slope_and_the_sign(reaching):
     assert calm_and_lively(recorded, [[half, lively]]).slope == pytest.approx(1.0, abs=0.01)
     still = reaching(np.zeros((2500, 3)))
     assert calm_and_lively(recorded, [still]).r == 0.0
-    with pytest.raises(MotionError, match="3 windows .*2$"):
+    with pytest.raises(MotionError, match=r"(?=.*\b3 windows).*\b2\b"):
         calm_and_lively(recorded[:200], [half])
 
 
@@ -169,7 +169,7 @@ def test_rigs_without_arms_or_wrists_are_errors(turning, skeleton):
     walking = Motion(legs, np.tile([0.0, 0, 0, 1], (50, 5, 1)), np.zeros((50, 3)), FPS)
     with pytest.raises(MotionError, match="arm"):
         hand_movement(walking)
-    with pytest.raises(MotionError, match=r"\b1 frame .*\b2\b"):
+    with pytest.raises(MotionError, match=r"(?=.*\b1 frame).*\b2\b"):
         hand_speed(turning({"LeftArm": np.ones(1)}))
     with pytest.raises(MotionError, match="motion"):
         hand_movement([])
@@ -292,7 +292,7 @@ def test_the_verdict_of_motion_that_is_frozen_always_or_half_of_the_time(
     assert "move" in still and "reach" not in still
     half = np.where(np.arange(400) < 200, 1.0, 0.0)[:, None] * wandering(400, 1)
     frozen = judged(reaching(half, half), talker(0, 16.0), tmp_path / "frozen").verdict
-    assert re.search("reach.*frozen .*(49|50) %", frozen)
+    assert "reach" in frozen.lower() and re.search("frozen.*(49|50) %", frozen)
 
 
 def test_copies_are_measured_against_the_training_split(talker, tmp_path):
@@ -334,7 +334,7 @@ def test_hands_that_change_nothing_or_too_little_cannot_be_compared(reaching):
         calm_and_lively(level, [lively])
     # Three windows take 10 s; what one of both lacks is left out.
     assert calm_and_lively(lively[:250], [lively]).n == 3
-    with pytest.raises(MotionError, match="3 windows of 5 s .* 2$"):
+    with pytest.raises(MotionError, match=r"(?=.*\b3 windows).*\b2\b"):
         calm_and_lively(lively, [lively[:249]])
     two = calm_and_lively([lively[:1000], lively[1000:]], [lively[:900], lively[1000:]])
     assert two.n == 13 + 23 and two.r == pytest.approx(1.0)

@@ -9,7 +9,7 @@ import soundfile
 
 from audio_features import Wave
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation import DEFINITIONS, Interval, MetricResult, ModelResult, contests
+from gesturekit.evaluation import DEFINITIONS, Interval, MetricResult, ModelResult
 from gesturekit.evaluation.report.bad_motion import BAD_MOTION, BadMotionInputs, run_sanity
 from gesturekit.evaluation.report.sanity_table import conclusion, mark, noticed_by, table_lines
 from gesturekit.motion import Motion, Skeleton
@@ -34,15 +34,6 @@ def test_all_bad_motion_is_detected(spoken):
     assert set(found) == ALL and all(found.values()), found
     assert found["another utterance"] == ["in_time"]
     assert found["foot slide"] == ["likeness"] and "novelty" in found["training recording"]
-
-
-@pytest.mark.stress
-def test_no_bad_motion_is_bold_against_the_recording(spoken):
-    recording, *bad = spoken.evaluation.models
-    for model in bad:
-        rows = contests([recording, model])
-        crowned = [key for key, row in rows.items() if row.best == model.label]
-        assert not crowned, (model.label, crowned)
 
 
 @pytest.mark.stress
@@ -72,7 +63,7 @@ def test_held_out_recordings_are_spoiled_and_judged_beside_training(tmp_path, ge
     (frozen,) = (model for model in bad if model.label == "frozen")
     assert frozen.metrics["near_still"].interval.value == 100.0
     lines = "\n".join(table_lines(done))
-    assert all(name in lines for name in ALL) and f" of {len(ALL)} " in conclusion(done)
+    assert all(name in lines for name in ALL) and f"of {len(ALL)}" in conclusion(done)
 
 
 def test_bad_motions_match_their_names(gesture):
@@ -97,7 +88,7 @@ def test_recordings_that_cannot_be_used_are_named(tmp_path, gesture):
     pole = Skeleton(("top", "end"), (-1, 0), np.array([[0, 0, 0], [0, 1, 0]]))
     still = np.tile([0.0, 0.0, 0.0, 1.0], (100, 2, 1))
     Motion(pole, still, np.zeros((100, 3)), 25.0).save(tmp_path / "pole.npz")
-    with pytest.raises(EvaluationError, match=r"broken sound\.wav.*pole: "):
+    with pytest.raises(EvaluationError, match=r"(?=.*broken sound\.wav).*\bpole\b"):
         run_sanity(tmp_path)
 
 

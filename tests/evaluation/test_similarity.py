@@ -19,12 +19,12 @@ def test_hellinger_by_hand():
 
 def test_histograms_that_cannot_be_compared_are_errors():
     one = SpeedHistogram.of([np.array([0.005])])
-    with pytest.raises(MotionError, match="0.01.*0.05 m/s"):
+    with pytest.raises(MotionError, match=r"(?=.*0\.01).*0\.05"):
         hellinger(one, SpeedHistogram.of([np.array([0.005])], width=0.05))
     with pytest.raises(MotionError, match="top"):
         hellinger(one, SpeedHistogram.of([np.array([2.0])]))
     for width, top in ((1.0, 0.49), (0.0, 0.49), (-0.1, 0.49), (0.1, 0.0)):
-        with pytest.raises(MotionError, match=f"{width:g} m/s.*{top:g} m/s"):
+        with pytest.raises(MotionError, match=f"(?=.*{width:g}).*{top:g}"):
             SpeedHistogram(width, top)
     assert len(SpeedHistogram(0.5, 0.5).counts) == 1
 
@@ -72,7 +72,7 @@ def test_srgr_by_hand():
     assert srgr(generated, reference, semantic) == pytest.approx(0.625 / 0.165)
     # By the L1 distance of 2022 the last one, 0.14, is a miss: mean of (0.5, 0, 1, 0).
     assert srgr(generated, reference, semantic, variant="beat") == pytest.approx(0.375 / 0.165)
-    with pytest.raises(MotionError, match=r"\(1, 2, 3\).*\(2, 2, 3\)"):
+    with pytest.raises(MotionError, match=r"(?=.*\(1, 2, 3\)).*\(2, 2, 3\)"):
         srgr(generated[:1], reference, semantic)
     with pytest.raises(MotionError, match="'pck'.*emage"):
         srgr(generated, reference, semantic, variant="pck")

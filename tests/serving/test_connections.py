@@ -32,7 +32,8 @@ def serve() -> Iterator:
     servers = []
 
     async def answer(request) -> Response:
-        return Response(bytes(LARGE) if request.method == "GET" else await request.body())
+        body = bytes(LARGE) if request.method == "GET" else await request.body()
+        return Response(body, headers={"client": request.client.host})
 
     def start(**limits: float) -> tuple[uvicorn.Server, int]:
         app = Starlette(routes=[Route("/", answer, methods=["GET", "POST"])])
@@ -61,6 +62,14 @@ def status(port: int, client: str) -> int:
     finally:
         asked.close()
     return answer.status
+
+
+def test_the_address_of_a_client_is_that_of_its_connection_whatever_its_headers_say(serve):
+    asked = http.client.HTTPConnection("127.0.0.1", serve()[1], timeout=60)
+    asked.request("POST", "/", b"a", {"X-Forwarded-For": "10.0.0.9"})
+    answer = asked.getresponse()
+    assert answer.getheader("client") == "127.0.0.1" and not answer.getheader("server")
+    asked.close()
 
 
 @pytest.mark.parametrize("held", HELD.values(), ids=HELD)

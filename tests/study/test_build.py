@@ -47,33 +47,35 @@ def test_four_systems_give_the_designs_of_the_paper(styles, each, seed):
     assert uses[2] == uses.total() if each == 36 else uses[2] > 0.9 * uses.total()
 
 
+SYSTEMS = "title: x\nsystems: {a: x, b: y}\n"
+
+
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "facts"),
     [
-        ("titel: x", "titel"),
-        ("systems: {a: x, b: y}", "title .*missing"),
-        ("title: x\nsystems: {a: x}", "systems: 1 .* 2 "),
-        ("title: x\nsystems: {a: x, b_Mismatched: y}", "b_Mismatched"),
-        ("title: x\nsystems: {a: x, b: 3}", "'b': 3"),
-        ("title: x\nsystems: {a: x, b: y}\ndesign: prefer", "'prefer'"),
-        ("title: x\nsystems: {a: x, b: y}\ndesign: style", "style .*styles"),
-        ("title: x\nsystems: {a: x, b: y}\nanswers: [better, worse]", "answers: 2 "),
-        ('title: x\nsystems: {a: x, b: y}\npost_url: "javascript:alert(1)"', "post_url.*alert"),
-        (
-            'title: x\nsystems: {a: x, b: y}\npost_url: "https://h; script-src *"',
-            "post_url.*script",
-        ),
-        ("title: x\nsystems: {a: x, b: y}\npairs: 0", "pairs: 0.* 1"),
-        ("title: x\nsystems: {a: x, b: y}\nlists: 1001", "lists: 1001 "),
-        ("title: x\nsystems: {a: x, b: y}\nattention_checks: -1", "attention_checks: -1"),
-        ("title: x\nsystems: {a: x, b: y}\nstyles: {x: happy}", "preference .*styles"),
-        ('title: " "\nsystems: {a: x, b: y}', "title .*empty"),
+        ("titel: x", ["titel"]),
+        ("systems: {a: x, b: y}", ["title", "missing"]),
+        ("title: x\nsystems: {a: x}", ["systems", "1", "2"]),
+        ("title: x\nsystems: {a: x, b_Mismatched: y}", ["b_Mismatched"]),
+        ("title: x\nsystems: {a: x, b: 3}", ["b", "3"]),
+        (SYSTEMS + "design: prefer", ["design", "prefer"]),
+        (SYSTEMS + "design: style", ["style", "styles"]),
+        (SYSTEMS + "answers: [better, worse]", ["answers", "2"]),
+        (SYSTEMS + 'post_url: "javascript:alert(1)"', ["post_url", "alert"]),
+        (SYSTEMS + 'post_url: "https://h; script-src *"', ["post_url", "script"]),
+        (SYSTEMS + "pairs: 0", ["pairs", "0", "1"]),
+        (SYSTEMS + "lists: 1001", ["lists", "1001"]),
+        (SYSTEMS + "attention_checks: -1", ["attention_checks", "1"]),
+        (SYSTEMS + "styles: {x: happy}", ["preference", "styles"]),
+        ('title: " "\nsystems: {a: x, b: y}', ["title", "empty"]),
     ],
 )
-def test_a_wrong_configuration_is_named(tmp_path, text, message):
+def test_a_wrong_configuration_is_named(tmp_path, text, facts):
     (tmp_path / "study.yaml").write_text(text)
-    with pytest.raises(ConfigError, match=f"study.yaml.*{message}"):
+    with pytest.raises(ConfigError, match=r"study\.yaml") as refused:
         load_study_config(tmp_path / "study.yaml")
+    said = str(refused.value).replace(str(tmp_path), "")
+    assert all(re.search(rf"\b{fact}\b", said) for fact in facts)
 
 
 TITLE = "</script><script>alert(1)</script>{{setup}}"
@@ -89,7 +91,7 @@ def video_study(folder: Path, clips: dict[str, list[str]], **options) -> StudyCo
 
 def test_clips_are_matched_by_path_then_by_name_and_others_are_named(tmp_path):
     config = video_study(tmp_path, {"a": ["d/x y.mp4", "d/é.mp4"], "b": ["d/x y.webm", "d/z.mp4"]})
-    with pytest.warns(UserWarning, match="1 clip (a|b): .*d/(é|z)"):
+    with pytest.warns(UserWarning, match=r"(?=.*\b1 clip\b).*d/(é|z)"):
         found = find_clips(config)
     assert [segment.name for segment in found.segments] == ["d/x y"] and found.videos
     flat = video_study(tmp_path / "2", {"a": ["one/x.mp4"], "b": ["x.mp4"]})
@@ -113,26 +115,26 @@ def test_styles_are_found_in_folders_and_file_names(tmp_path):
 @pytest.mark.parametrize(
     ("clips", "message"),
     [
-        ({"a": ["x.mp4"], "b": ["y.mp4"]}, "name.*x.*y"),
-        ({"a": ["x.mp4"], "b": ["x.bvh"]}, "a: videos.*b: motions"),
-        ({"a": ["x.bvh"], "b": ["x.mp4"]}, "a: motions.*b: videos"),
-        ({"a": ["x.mp4"], "b": ["x.txt"]}, "b: .*webm.*bvh"),
+        ({"a": ["x.mp4"], "b": ["y.mp4"]}, r"(?=.*\bx\b).*\by\b"),
+        ({"a": ["x.mp4"], "b": ["x.bvh"]}, r"(?=.*\ba\W+videos).*\bb\W+motions"),
+        ({"a": ["x.bvh"], "b": ["x.mp4"]}, r"(?=.*\ba\W+motions).*\bb\W+videos"),
+        ({"a": ["x.mp4"], "b": ["x.txt"]}, r"(?=.*\bb\b)(?=.*webm).*bvh"),
     ],
 )
 def test_folders_that_do_not_fit_are_refused(tmp_path, clips, message):
     with pytest.raises(ConfigError, match=message):
         find_clips(video_study(tmp_path, clips))
-    with pytest.raises(ConfigError, match="a: .*absent"):
+    with pytest.raises(ConfigError, match="absent"):
         find_clips(StudyConfig("T", {"a": str(tmp_path / "absent"), "b": str(tmp_path / "b")}))
 
 
 def test_a_body_is_of_the_package_or_an_avatar_beside_the_file_and_for_motions(tmp_path):
-    with pytest.raises(ConfigError, match=r"'robot'.* mannequin.*\.vrm"):
+    with pytest.raises(ConfigError, match=r"(?=.*robot)(?=.*mannequin).*\.vrm"):
         config_of(2, body="robot")
     (tmp_path / "study.yaml").write_text("title: T\nbody: me.vrm\nsystems: {a: a, b: b}\n")
     assert load_study_config(tmp_path / "study.yaml").body == str(tmp_path / "me.vrm")
     config = video_study(tmp_path, {"a": ["x.mp4"], "b": ["x.mp4"]}, body="human")
-    with pytest.raises(ConfigError, match="human .*motions.*videos"):
+    with pytest.raises(ConfigError, match="(?=.*human).*videos"):
         build_study(config, tmp_path / "out")
 
 
@@ -146,7 +148,8 @@ def test_clip_names_do_not_reveal_the_system(tmp_path):
     config = video_study(tmp_path, {"ours": names, "baseline": names})
     built = build_study(config, tmp_path / "out")
     files = sorted(path.name for path in (tmp_path / "out" / "clips").iterdir())
-    assert len(files) == 8 and all(re.fullmatch(r"c\d{4}\.mp4", name) for name in files)
+    assert len(files) == 8
+    assert not any(word in name for name in files for word in ("ours", "baseline", "speaker"))
     assert (built.segments, built.clips, built.trials) == (4, 8, 4)
     for trial in (t for one in setup_of(built.page)["lists"] for t in one):
         for system, side in zip(trial["systems"], trial["sides"], strict=True):
@@ -198,12 +201,12 @@ def test_motions_are_shown_with_speech_of_their_name_as_long_as_they_last(
     for path in (tmp_path / "out" / "clips").iterdir():
         assert '"audio"' in path.read_text(encoding="utf-8")
     write_speech(tmp_path / "other" / "w.wav", 0.3)
-    with pytest.raises(ConfigError, match="other .*d/x.wav"):
+    with pytest.raises(ConfigError, match="(?=.*other).*d/x.wav"):
         build_study(StudyConfig("T", systems, audio=tmp_path / "other"), tmp_path / "x")
     config = video_study(tmp_path, {"one": ["x.mp4"]}, design="mismatch")
-    with pytest.raises(ConfigError, match="mismatch.* 1"):
+    with pytest.raises(ConfigError, match=r"(?=.*mismatch).*\b1\b"):
         build_study(config, tmp_path / "x")
-    with pytest.raises(ConfigError, match="mismatch .*speech"):
+    with pytest.raises(ConfigError, match="(?=.*mismatch).*speech"):
         build_study(StudyConfig("T", {"a": systems["a"]}, design="mismatch"), tmp_path / "x")
 
 

@@ -37,21 +37,22 @@ def test_a_study_is_analysed_into_words_figures_and_a_page(simulate, answers_of,
     report, figures = tmp_path / "report.html", tmp_path / "figures.json"
     code, out, err = run("analyse", path, "--out", report, "--json", figures, "--rounds", 30)
     assert code == 0
-    assert err.splitlines()[-2:] == [str(report), str(figures)], "beside what a pipe reads"
-    assert re.search(r"\b19 raters .*\b36 .*\b1 rater", out)
-    assert f"ours, {names['b']}, third" in out, "the best first"
-    assert re.search(f"ours .*{re.escape(names['b'])}.*p < .001", out)
+    assert {str(report), str(figures)} <= {*err.splitlines()}, "beside what a pipe reads"
+    assert all(re.search(rf"\b{fact}\b", out) for fact in ("19 raters", "36", "1 rater"))
+    (line,) = (line for line in out.splitlines() if all(name in line for name in names.values()))
+    assert line.index("ours") < line.index(names["b"]) < line.index("third"), "the best first"
+    assert any("ours" in x and names["b"] in x and ".001" in x for x in out.splitlines())
     page = report.read_text(encoding="utf-8")
     assert "<script" not in page and "&lt;script&gt;" in page
     assert not re.search(r"(src|href)=\"(?!data:)", page) and "data:image/svg+xml" in page
-    assert re.search("r00007.*1 of 2", page)
+    assert "r00007" in page and "1 of 2" in page
     found = json.loads(figures.read_text())
     assert [s["name"] for s in found["preference"]["systems"]] == list(names.values())
     assert len(found["preference"]["pairs"]) == 3
     code, _, err = run("analyse", path, "--out", report)
     assert code == 2 and "report.html" in err
     code, out, _ = run("analyse", path, "--rounds", 30, "--failed-checks", 0)
-    assert code == 0 and re.search(r"\b20 raters .*\b0 raters", out)
+    assert code == 0 and "20 raters" in out and re.search(r"\b0 raters", out)
 
 
 def test_rounds_and_the_seed_of_the_intervals_are_chosen(simulate, answers_of, tmp_path, run):
@@ -91,14 +92,14 @@ def test_without_statsmodels_the_extra_is_named(tmp_path, run, monkeypatch):
 def test_the_size_of_a_study_is_printed(run):
     code, out, _ = run("power", "--win-rate", "0.65", "--systems", "3")
     assert code == 0
-    rows = re.findall(r"^ +(\d+) +(\d+) +(\d+) +([\d,]+)$", out, re.MULTILINE)
-    assert len(rows) > 2 and re.search(r"\b3 systems.*\b3 pairs", out)
-    assert re.search(r"\b5 systems.*\b10 pairs", run("power", "--systems", 5).out)
-    needed = [int(row[2]) for row in rows]
+    lines = [line.replace(",", "").split() for line in out.splitlines()]
+    rows = [[int(cell) for cell in line] for line in lines if line and "".join(line).isdigit()]
+    assert len(rows) > 2 and "3 systems" in out and "3 pairs" in out
+    assert "10 pairs" in run("power", "--systems", 5).out
+    needed = [row[2] for row in rows]
     assert needed == sorted(needed, reverse=True)
     for a_rater, of_a_pair, raters, in_all in rows:
-        assert int(a_rater) == 3 * int(of_a_pair)
-        assert int(in_all.replace(",", "")) == int(raters) * int(a_rater)
+        assert a_rater == 3 * of_a_pair and in_all == raters * a_rater
 
 
 def test_a_page_is_built_and_not_overwritten(tmp_path, run):
@@ -108,7 +109,8 @@ def test_a_page_is_built_and_not_overwritten(tmp_path, run):
             (tmp_path / system / f"{k}.mp4").write_bytes(b"video")
     (tmp_path / "study.yaml").write_text("title: x\nsystems: {a: a, b: b}\nlists: 2\n")
     code, out, _ = run("build", tmp_path / "study.yaml", "--out", tmp_path / "out")
-    assert code == 0 and re.search("3 comparisons.*3 segments.*6 clips.*2 lists", out)
+    facts = ("3 comparisons", "3 segments", "6 clips", "2 lists")
+    assert code == 0 and all(fact in out for fact in facts)
     before = (tmp_path / "out" / "index.html").read_bytes()
     code, _, err = run("build", tmp_path / "study.yaml", "--out", tmp_path / "out")
     assert code == 2 and "index.html" in err

@@ -115,7 +115,7 @@ def test_pairs_are_rated_from_a_disk_and_analysed(videos, tmp_path, open_browser
         assert row["plays_left"] == row["plays_right"] == "1"
 
     done = gesturekit("study", "analyse", *files, "--out", tmp_path / "report.html").ok()
-    assert re.search(r"\b2 answers .*\b2 .*\b1 rater", done.out)
+    assert "2 answers" in done.out and re.search(r"\b1 rater\b", done.out)
     browser.open((tmp_path / "report.html").as_uri())
     browser.wait("document.body.innerText.includes('base line')")
     assert browser.lines == []

@@ -28,20 +28,21 @@ def three_systems(style: str = "", raters: int = 8) -> list[Answer]:
 # All eight raters agree on two of the three pairs: p = 2 / 2⁸, three times that by Holm's method.
 # Wilson: 8 of 8 is 1 / (1 + 1.96² / 8) or more; 16 of 40 and 4 of 8 by statsmodels.
 FACTS = [
-    "Order .*: c, a, b",
-    r"c is preferred to a: .*40 % \[26, 55\], p = .023",
-    r"a is preferred to b: .*100 % \[68, 100\], p = .023",
-    r"No difference .*b and c .*50 % \[22, 78\], p = 1.000",
+    ["Order", r"\bc\W+a\W+b\b"],
+    [r"\bc\b.* preferred .*\ba\b", "40 %", "26", "55", r"\.023"],
+    [r"\ba\b.* preferred .*\bb\b", "100 %", "68", r"\.023"],
+    ["No difference", r"\bb\b", r"\bc\b", "50 %", "22", "78", r"\b1\.0"],
 ]
 
 
-def say(lines: list[str], facts: list[str]) -> bool:
-    return all(any(re.search(fact, line) for line in lines) for fact in facts)
+def say(lines: list[str], facts: list[list[str]]) -> bool:
+    """Return whether a line holds all facts of each list."""
+    return all(any(all(re.search(f, line) for f in one) for line in lines) for one in facts)
 
 
 def test_conclusions_on_preferences_hold_all_figures():
     found = study(three_systems(), excluded={"x": "failed 2 of 2 attention checks"})
-    first = r"\b56 answers .*\b8 raters .*\b5 .*segments.*\b1 rater"
+    first = [r"\b56 answers", r"\b8 raters", r"\b5\b.*segments", r"\b1 rater\b"]
     assert say(conclusions(found), [first, *FACTS]) and found.by_style == {}
 
 
@@ -55,7 +56,7 @@ def test_each_style_is_concluded_on_apart():
     old = [line for line in lines if line.startswith("old: ")]
     assert say(old, FACTS)
     # Means 1 and 0: t = 1 with 1 degree of freedom. Wilson of 1 of 1: 1 / (1 + 1.96²) or more.
-    assert say(lines, [r"sad: .*b and a .*100 % \[21, 100\], p = .500"])
+    assert say(lines, [["sad", r"\bb\b", r"\ba\b", "100 %", "21", r"\.5"]])
 
 
 def mismatch(name: str, scores: list[int]) -> list[Answer]:
@@ -68,14 +69,14 @@ def test_conclusions_on_alignment_hold_all_figures():
     lines = conclusions(study(answers))
     # The sign test 2 / 2⁸ of two systems with a test, by Holm's method twice that.
     facts = [
-        *(r"a: .*better .*100 % \[100, 100\], p = .016", "d: .*not .*50 %, no test"),
-        *(r"b: .*worse .* 0 % \[0, 0\], p = .016", r"differ.*a and b \(p < .001\)"),
+        *([r"\ba\b", "better", "100 %", r"\.016"], [r"\bd\b", "not", "50 %", "no test"]),
+        *([r"\bb\b", "worse", r"\b0 %", r"\.016"], ["differ", r"\ba\b", r"\bb\b", r"\.001"]),
     ]
     assert say(lines, facts)
     alike = conclusions(study([*mismatch("a", [1, 1]), *mismatch("b", [1, -1])]))
-    assert say(alike, ["No .*Barnard"])
+    assert say(alike, [["No", "Barnard"]])
     single = conclusions(study(mismatch("a", [1, 1])))
-    assert not say(single, ["Barnard"]), "a single system differs from none"
+    assert not say(single, [["Barnard"]]), "a single system differs from none"
 
 
 def test_what_limits_the_conclusions_is_named():
@@ -96,14 +97,13 @@ def test_what_limits_the_conclusions_is_named():
         (limit,) = limits(raters, clips)
         assert re.search(rf"\b{fact}", limit)
     # Wilson: 95 of 160 are 59 %, from 51.6 % to 66.7 %; 85 are 53 %, from 45.4 %.
-    assert say(limits(16, 10, left=3), [r"59 % \[52, 67\] .*left"])
+    assert say(limits(16, 10, left=3), [["59 %", "52", "67", "left"]])
     assert limits(16, 10, left=1) == []
 
 
 def rows_of(page: str) -> list[str]:
-    """Return the text of the rows of all tables, with a bar between two cells."""
-    rows = re.findall(r"<tr.*?</tr>", page, re.DOTALL)
-    return [re.sub(r"( ?</?\w[^>]*>)+", "|", row) for row in rows]
+    """Return the text of the rows of all tables."""
+    return [re.sub(r"</?\w[^>]*>", " ", row) for row in re.findall(r"<tr.*?</tr>", page, re.DOTALL)]
 
 
 def test_the_rows_of_a_report_hold_all_figures(tmp_path):
@@ -116,13 +116,14 @@ def test_the_rows_of_a_report_hold_all_figures(tmp_path):
     elo = {system.name: f"{system.elo.value:.0f}" for system in found.preference.systems}
     facts = [
         # Scores of a rater: a 2 + 3 of 6 answers; c 4 or 5 of 6; b 0 or 1 of 2.
-        *(f"a.*48.*0.83.*{elo['a']}", f"b.*16.*0.25.*{elo['b']}", f"c.*48.*0.75.*{elo['c']}"),
-        *(r"a\W+c.*24.*16.*60\W+45, 74\W.*p = .023", r"b\W+c.*4.*4.*50\W+22, 78\W.*p = 1.000"),
+        *(("a", 48, 0.83, elo["a"]), ("b", 16, 0.25, elo["b"]), ("c", 48, 0.75, elo["c"])),
+        *(("a", "c", 24, 16, 60, 45, 74, ".023"), ("b", "c", 4, 50, 22, 78)),
         # Matched motion of a: 8 clearly; of b never.
-        *(r"a\|8.*p = .016", r"b\|.*\b0\.0\W", r"a\W+b.*p < .001"),
-        *("&lt;i&gt;.*56", "&lt;x&gt;.*2 of 2"),
+        *(("a", 8, 100, ".016"), ("b", 0, ".016"), ("a", "b", ".001")),
+        *(("&lt;i&gt;", 56), ("&lt;x&gt;", "2 of 2")),
     ]
-    assert say(rows_of(page), [rf"^\|{fact}" for fact in facts])
+    whole = [[rf"(?<!\w){re.escape(str(fact))}(?!\w)" for fact in one] for one in facts]
+    assert say(rows_of(page), whole)
 
 
 def test_all_figures_are_written_and_undefined_ones_are_null(tmp_path):
@@ -133,14 +134,14 @@ def test_all_figures_are_written_and_undefined_ones_are_null(tmp_path):
     figures = json.loads((tmp_path / "x.json").read_text(encoding="utf-8"))
     sad = figures["by_style"]["sad"]
     # Scores 1 and 0 against 0 and 0: F = 0.25 / 0.25 with 1 and 2 degrees of freedom.
-    assert sad["anova"] == {"f": pytest.approx(1), "p": pytest.approx(0.42265, abs=1e-5),
-                            "df": [1, 2]}  # fmt: skip
+    assert [sad["anova"][k] for k in "fp"] == pytest.approx([1, 0.42265], abs=1e-5)
+    assert sad["anova"]["df"] == [1, 2]
     (pair,) = sad["pairs"]
     assert (pair["a"], pair["b"], pair["counts"]) == ("b", "a", [0, 1, 1, 0, 0])
     assert (pair["raters"], pair["mean"], pair["p"]) == (2, 0.5, pytest.approx(0.5))
-    assert sad["systems"][0]["merit"] == {"value": 0.5, "low": 0, "high": 1}
+    assert sad["systems"][0]["merit"].items() >= {"value": 0.5, "low": 0, "high": 1}.items()
     (score,) = figures["alignment"]["systems"]
-    assert score["score"] == {"value": 1, "low": None, "high": None} and score["p"] is None
+    assert score["score"]["value"] == 1 and score["score"]["low"] is score["p"] is None
     simple = ("format", "answers", "raters", "clips", "excluded", "reasons", "rounds", "seed")
     assert [figures[key] for key in simple] == [1, 59, 8, 6, {"é": "failed"}, {"x": 2}, 7, 0]
     assert figures["conclusions"] == conclusions(found)

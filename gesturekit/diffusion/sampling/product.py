@@ -111,19 +111,19 @@ class ModelProduct:
             ModelError: models that cannot be combined, weights over time that cannot be read, or
                 guidance that none of the models supports.
         """
-        style, unconditional = controls.style, controls.unconditional
-        for number, expert in enumerate(controls.experts, start=1):
+        style, unconditional = controls["style"], controls["unconditional"]
+        for number, expert in enumerate(controls["experts"], start=1):
             if not 1 <= len(expert) <= 3:
                 raise ModelError(f"expert {number}: expected (model, weight) or + (style,)")
             _check_compatible(first, expert[0], f"expert {number}")
             if isinstance((*expert, None)[1], str):
                 weight_track(expert[1], 1, first.fps)
         if unconditional is not None:
-            if controls.guidance is None:
+            if controls["guidance"] is None:
                 raise ModelError("unconditional: only used with guidance; give guidance too")
             unconditional = _check_compatible(first, unconditional, "unconditional")
-        _check_guidance(first, controls.guidance, unconditional)
-        experts = [(*expert, None, None)[:3] for expert in controls.experts]
+        _check_guidance(first, controls["guidance"], unconditional)
+        experts = [(*expert, None, None)[:3] for expert in controls["experts"]]
         models = (first, *(model for model, _, _ in experts))
         if style is not None and not any(model.styles for model in models):
             raise ModelError(f"style={style!r}: this model has no styles")
@@ -135,7 +135,7 @@ class ModelProduct:
             (*models, *(() if unconditional is None else (unconditional,))),
             (None, *(weight for _, weight, _ in experts)),
             (style, *styles),
-            controls.guidance,
+            controls["guidance"],
             unconditional,
         )
 

@@ -85,9 +85,9 @@ class Request:
         model, start = models[0], None
         read_pose = partial(pose_on_rig, model.representation)
         fps, follows = model.fps, model.conditions.path
-        path, events = controls.path, controls.events
-        if controls.like is not None:
-            start = SDEditStart.build(model, controls.like, controls.change)
+        path, events = controls["path"], controls["events"]
+        if controls["like"] is not None:
+            start = SDEditStart.build(model, controls["like"], controls["change"])
             if follows and path is None:
                 path = start.path
             if speech is None and seconds is None and path is None:
@@ -104,7 +104,7 @@ class Request:
         if conditioner is None and wave is not None and length is None:
             # No model has speech input, but the beats of the sound are the times of events.
             sound, length = None, wave.n_frames(fps) / fps
-        features = speech_features(conditioner, sound, length, fps, controls.vad)
+        features = speech_features(conditioner, sound, length, fps, controls["vad"])
         n_frames = len(features)
         found = None if events is None else asked_events(events, wave)
         if followed is not None:
@@ -134,7 +134,7 @@ class Request:
             if wave is None:
                 speech = conditioner.silence(n_frames)
             else:
-                speech = conditioner(wave, n_frames, self.controls.vad)
+                speech = conditioner(wave, n_frames, self.controls["vad"])
         events = None
         if self.events is not None:
             events = [event for event in self.events if event.name in conditions.events]

@@ -31,23 +31,24 @@ def check_controls(model: TrainedModel, controls: DiffusionControls, samples: in
             cannot be combined.
         FormatError: a table of events that cannot be read.
     """
-    speaker = controls.speaker
+    speaker = controls["speaker"]
     if speaker is not None and speaker not in model.speakers:
         known = ", ".join(sorted(model.speakers)) or "its corpus named none"
         raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
     if samples < 1:
         raise ModelError(f"samples={samples}: ask for at least 1")
     if model.conditions.path:
-        for name, unset in (("facing", None), ("in_place", False)):
-            if (value := getattr(controls, name)) != unset:
+        facing, in_place = controls["facing"], controls["in_place"]
+        for name, value, unset in (("facing", facing, None), ("in_place", in_place, False)):
+            if value != unset:
                 raise ModelError(f"{name}={value}: the model follows a path, which places the body")
     product = ModelProduct.build(model, controls)
     product.check_styles()
-    if controls.events is not None:
-        models = [model, *(expert[0] for expert in controls.experts)]
-        check_events(controls.events, [one.conditions for one in models])
-    if controls.like is None:
-        chosen_steps(model.schedule, controls.steps)
+    if controls["events"] is not None:
+        models = [model, *(expert[0] for expert in controls["experts"])]
+        check_events(controls["events"], [one.conditions for one in models])
+    if controls["like"] is None:
+        chosen_steps(model.schedule, controls["steps"])
     return product
 
 
@@ -65,14 +66,14 @@ class Sampler:
 
     def motions(self, seed: int, item: str, samples: int) -> list[Motion]:
         """Generate the samples of an item with the numbers 0 to `samples` - 1."""
-        request, smooth = self.request, self.request.controls.smooth
+        request, smooth = self.request, self.request.controls["smooth"]
         smooth = self.model.smooth if smooth is None else smooth
         motions = []
         with closing(self._vectors(seed, item, samples)) as batches:
             for vector in (vector for vectors in batches for vector in vectors.cpu()):
                 motion = self._decoded(vector)
                 motion = smooth_motion(motion, smooth) if smooth else motion
-                if request.controls.foot_lock:
+                if request.controls["foot_lock"]:
                     motion = lock_feet(motion, keep_path=request.path is not None)
                 motions.append(motion)
         return motions
@@ -81,16 +82,17 @@ class Sampler:
         """Yield normalised motion vectors (B, T, X), batch by batch."""
         model, request, start = self.model, self.request, self.request.start
         controls, terms, begin = request.controls, self.product.terms(request), None
-        steps = controls.steps
-        solver = controls.solver or ("ancestral" if steps is None else "dpm")
+        steps = controls["steps"]
+        solver = controls["solver"] or ("ancestral" if steps is None else "dpm")
         if start is not None:
             begin = (start.clean(request.n_frames), start.step)
             steps = None if steps is None else min(steps, start.step + 1)
         visited = len(chosen_steps(model.schedule, steps, None if start is None else start.step))
-        clip = model.clip_denoised if controls.clip_denoised is None else controls.clip_denoised
+        clip = controls["clip_denoised"]
+        clip = model.clip_denoised if clip is None else clip
         # One at a time by default: batching changes the order of sums, and the last digits of a
         # sample would depend on the number of samples.
-        size = controls.batch
+        size = controls["batch"]
         batches = [range(k, min(k + size, samples)) for k in range(0, samples, size)]
         with Progress(total=len(batches) * visited, desc="Denoising", unit="step") as progress:
             for numbers in batches:
@@ -106,7 +108,7 @@ class Sampler:
     def _decoded(self, vector: Tensor) -> Motion:
         """Return the motion of a normalised motion vector (T, X)."""
         model, request = self.model, self.request
-        speaker, start = request.controls.speaker, request.start
+        speaker, start = request.controls["speaker"], request.start
         values = model.normaliser.inverse(vector).double().numpy()
         if not np.isfinite(values).all():
             raise ModelError("the model gave NaN; its weights are damaged or its training diverged")

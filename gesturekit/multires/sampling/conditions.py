@@ -258,7 +258,7 @@ def requested_styles(
     Raises:
         ModelError: an unknown style or level, or text that cannot be parsed.
     """
-    style, level_style = controls.style, controls.level_style
+    style, level_style = controls["style"], controls["level_style"]
     if style is None:
         style = names[int(torch.randint(len(names), (), generator=rng))]
 

@@ -83,17 +83,18 @@ class Request:
         fps, n_levels = model.fps, model.network_config.levels
         conditioner = model.conditions.conditioner
         read_pose = partial(pose_on_rig, model.representation)
-        fewer_levels = controls.levels not in (None, n_levels)
+        fewer_levels = controls["levels"] not in (None, n_levels)
         _check_combination(controls, fewer_levels)
-        start = controls.keyframes if controls.like is None else controls.like
+        start = controls["keyframes"] if controls["like"] is None else controls["like"]
         if isinstance(start, (str, Path)):
             start = Motion.load(start)
         clips = path = None
-        if controls.keep is not None:
-            clips = InbetweenClips(controls.keep, model.representation, fps)
-        if controls.path is not None:
-            path = as_root_path(controls.path, model.representation.scale)
-        edited, level = None if controls.keyframes is None else start, controls.keyframe_level - 1
+        if controls["keep"] is not None:
+            clips = InbetweenClips(controls["keep"], model.representation, fps)
+        if controls["path"] is not None:
+            path = as_root_path(controls["path"], model.representation.scale)
+        edited = None if controls["keyframes"] is None else start
+        level = controls["keyframe_level"] - 1
         length_given = speech is not None or seconds is not None
         if not length_given:
             if edited is not None:
@@ -101,11 +102,11 @@ class Request:
             seconds = _own_seconds(fps, start, clips, path)
         if conditioner is not None and speech is not None and not isinstance(speech, af.Wave):
             speech = af.Wave.load(speech)
-        features = speech_features(conditioner, speech, seconds, fps, controls.vad)
+        features = speech_features(conditioner, speech, seconds, fps, controls["vad"])
         n_frames = len(features)
         if edited is not None and length_given:
             start = fit_keyframes(model.representation, edited, fps, n_levels, level, n_frames)
-        if controls.like is not None and start is not None:
+        if controls["like"] is not None and start is not None:
             _warn_of_held_pose(start, n_frames / fps)
         if clips is not None:
             clips.check_end(n_frames)
@@ -117,12 +118,12 @@ class Request:
             features=_with_margins(features, margin),
             margin=margin,
             lengths=af.level_lengths(n_frames + 2 * margin, n_levels),
-            skeleton=None if controls.speaker is None else model.speakers[controls.speaker],
+            skeleton=None if controls["speaker"] is None else model.speakers[controls["speaker"]],
             start=start,
             path=None if path is None else path.resample(fps, n_frames),
             clips=clips,
             level_speech=_level_speech(model, controls, n_frames, margin),
-            library=None if controls.recall is False else model.library,
+            library=None if controls["recall"] is False else model.library,
             placement=Placement.of(controls, read_pose, on_path=path is not None),
             state=_given_state(model, controls, n_frames),
         )
@@ -147,15 +148,15 @@ def _given_state(
         ModelError: a state of another width, empty, or not finite.
         FormatError: its file cannot be read.
     """
-    if controls.state is None or model.state_process is None:
+    if controls["state"] is None or model.state_process is None:
         return None
-    state = controls.state
+    state = controls["state"]
     if not isinstance(state, np.ndarray):
         try:
             state = np.load(state, mmap_mode="r", allow_pickle=False)
         except (OSError, ValueError, EOFError) as error:
             raise FormatError(
-                f"{controls.state}: not a .npy file of numbers, as numpy.save writes model.state"
+                f"{state}: not a .npy file of numbers, as numpy.save writes model.state"
             ) from error
     if state.dtype.kind not in "fiu":
         raise ModelError(f"state: its type is {state.dtype}, not a number")
@@ -175,7 +176,7 @@ def _level_speech(
     """Return `Request.level_speech`: the end of each speech is cut off, or silence follows it."""
     found, conditioner = [], model.conditions.conditioner
     for levels, speech in _level_speech_ranges(controls, model.network_config.levels):
-        features = speech_features(conditioner, speech, None, model.fps, controls.vad)[:n_frames]
+        features = speech_features(conditioner, speech, None, model.fps, controls["vad"])[:n_frames]
         missing = n_frames - len(features)
         if missing and conditioner is not None:
             features = np.concatenate([features, conditioner.silence(missing)])
@@ -193,7 +194,7 @@ def _level_speech_ranges(
     """
     return [
         (level_range(levels, n_levels, "level speech", "7-10=b.wav"), speech)
-        for levels, speech in (controls.level_speech or {}).items()
+        for levels, speech in (controls["level_speech"] or {}).items()
     ]
 
 
@@ -219,21 +220,21 @@ def check_controls(model: TrainedModel, controls: MultiresControls, samples: int
         requested_styles(model.styles, controls, lengths, fps=model.fps, rng=rng)
     else:
         for name in ("style", "level_style"):
-            if (value := getattr(controls, name)) is not None:
+            if (value := controls[name]) is not None:
                 raise ModelError(f"{name}={value!r}: this multires model has no {name}")
     if _level_speech_ranges(controls, levels) and model.conditions.conditioner is None:
         raise ModelError("level_speech: this model takes no speech")
-    speaker = controls.speaker
+    speaker = controls["speaker"]
     if speaker is not None and speaker not in model.speakers:
         known = ", ".join(sorted(model.speakers)) or "its corpus named none"
         raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
     if samples < 1:
         raise ModelError(f"samples={samples}: ask for at least 1")
-    for name in ("levels", "keyframe_level"):
-        level = getattr(controls, name)
+    for which in ("levels", "keyframe_level"):
+        level = controls[which]
         if level is not None and not 1 <= level <= levels:
-            raise ModelError(f"{name}={level}: the model has levels 1 (coarse) to {levels}")
-    if controls.state is not None and model.state_process is None:
+            raise ModelError(f"{which}={level}: the model has levels 1 (coarse) to {levels}")
+    if controls["state"] is not None and model.state_process is None:
         raise ModelError("state: this model was trained without the state of movement")
     _check_drawn(controls, model)
 
@@ -241,36 +242,32 @@ def check_controls(model: TrainedModel, controls: MultiresControls, samples: int
 def _check_drawn(controls: MultiresControls, model: TrainedModel) -> None:
     """Raise ModelError for controls of recall and of drawn movement that have no effect."""
     recalls = model.library is not None
-    if controls.recall and not recalls:
+    if controls["recall"] and not recalls:
         raise ModelError("recall=True: this model was not trained with recall; leave recall away")
-    for name, unset in (("liveliness", 1), ("mood_seed", None)):
-        value = getattr(controls, name)
+    drawn = (("liveliness", controls["liveliness"], 1), ("mood_seed", controls["mood_seed"], None))
+    for name, value, unset in drawn:
         if value == unset:
             continue
         if not recalls and model.state_process is None:
             raise ModelError(f"{name}={value}: only models that draw how lively they are take it")
-        if recalls and controls.recall is False:
+        if recalls and controls["recall"] is False:
             raise ModelError(f"{name}={value}: without recall it has no effect; give one of them")
-        if controls.like is not None:
+        if controls["like"] is not None:
             raise ModelError(f"{name}={value}: like sets the movement; give one of them")
-        if controls.state is not None:
+        if controls["state"] is not None:
             raise ModelError(f"{name}={value}: state sets the movement; give one of them")
 
 
 def _check_combination(controls: MultiresControls, fewer_levels: bool) -> None:
     """Raise ModelError for controls that exclude one another."""
-    given = [
-        name
-        for name in ("path", "keyframes", "like", "keep")
-        if getattr(controls, name) is not None
-    ]
+    given = [name for name in ("path", "keyframes", "like", "keep") if controls[name] is not None]
     if len(given) > 1:
         raise ModelError(f"{' and '.join(given)}: give one of them")
     if fewer_levels and given:
         raise ModelError(f"{given[0]} goes with all levels: leave levels away")
-    if fewer_levels and controls.speaker is not None:
+    if fewer_levels and controls["speaker"] is not None:
         raise ModelError("speaker goes with all levels: coarse ones move the reference skeleton")
-    if given == ["keep"] and controls.speaker is not None:
+    if given == ["keep"] and controls["speaker"] is not None:
         raise ModelError("keep cannot be combined with speaker: the clips set the bone lengths")
 
 

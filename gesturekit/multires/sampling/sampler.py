@@ -72,7 +72,7 @@ class Sampler:
             return self._with_passive(self._from_level(pyramid), choice)
         if request.clips is not None:
             return self._between_clips(pyramid, choice)
-        levels = request.controls.levels
+        levels = request.controls["levels"]
         if request.path is None and levels is not None and levels < len(request.lengths):
             values = self._cropped(pyramid.random(levels=levels))
             return level_motion(self.model.representation, values, self.model.fps, request.n_frames)
@@ -142,9 +142,9 @@ class Sampler:
             values = process.draw(
                 own,
                 request.features.T,
-                (controls.speaker, style),
+                (controls["speaker"], style),
                 first=-margin,
-                liveliness=controls.liveliness,
+                liveliness=controls["liveliness"],
             )
         else:
             values = np.pad(request.state.T, ((0, 0), (margin, margin)), mode="edge")
@@ -158,7 +158,7 @@ class Sampler:
         return clocked_noise(state[None], n_carriers, n_frames, self.noise.sigma[0])
 
     def _mood_seed(self, seed: int) -> int:
-        mood_seed = self.request.controls.mood_seed
+        mood_seed = self.request.controls["mood_seed"]
         return seed if mood_seed is None else int(mood_seed)
 
     def _recalled(
@@ -167,7 +167,7 @@ class Sampler:
         """Choose the recalled pieces; None without recall, or if no joint would take them."""
         request = self.request
         library = request.library
-        if library is None or (request.controls.like is not None and library.passive.is_empty):
+        if library is None or (request.controls["like"] is not None and library.passive.is_empty):
             return None
 
         def rng_of(part: str) -> Generator:
@@ -178,8 +178,8 @@ class Sampler:
         return library.recall(
             request.features.T,
             rng_of,
-            liveliness=request.controls.liveliness,
-            speaker=request.controls.speaker,
+            liveliness=request.controls["liveliness"],
+            speaker=request.controls["speaker"],
             styles=styles[library.level - 1][0].argmax(dim=0).numpy() if styles else None,
         )
 
@@ -240,9 +240,9 @@ class Sampler:
     def _from_level(self, pyramid: Pyramid) -> Motion:
         """Generate the levels above keyframes, or above a motion to redo (`like`)."""
         controls, n_frames = self.request.controls, self.request.n_frames
-        level = controls.keyframe_level - 1
+        level = controls["keyframe_level"] - 1
         coarse, edited = self._start(pyramid, level)
-        if controls.like is not None:
+        if controls["like"] is not None:
             values = pyramid.above(level, coarse)
             return self._finished(self._decoded(values), values)
         representation = self.model.representation
@@ -296,7 +296,7 @@ class Sampler:
         return self._locked(self._smoothed(motion), values, given=given, keep_path=keep_path)
 
     def _smoothed(self, motion: Motion) -> Motion:
-        smooth = self.request.controls.smooth
+        smooth = self.request.controls["smooth"]
         smooth = self.model.smooth if smooth is None else smooth
         return smooth_motion(motion, smooth) if smooth else motion
 
@@ -317,7 +317,7 @@ class Sampler:
                 transitions; None locks them everywhere.
             keep_path: see `lock_feet`.
         """
-        if not self.request.controls.foot_lock:
+        if not self.request.controls["foot_lock"]:
             return motion
         labels = values[:, self.model.representation.layout.contacts]
         locked = lock_feet(motion, labels, keep_path=keep_path)

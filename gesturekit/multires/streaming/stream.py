@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -17,6 +16,7 @@ from torch import Tensor
 import audio_features as af
 from audio_features.acoustic.streaming import check_streams
 from gesturekit.errors import ModelError
+from gesturekit.model import control_entries
 from gesturekit.motion.concatenation import stacked
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
@@ -103,7 +103,7 @@ class MultiresStream:
         styles, style = _styles(model, controls, lengths, seed, item)
         impulse = np.zeros(2 * self._around + 1, np.float32)
         impulse[self._around] = 1.0
-        if model.smooth if controls.smooth is None else controls.smooth:
+        if model.smooth if controls["smooth"] is None else controls["smooth"]:
             impulse = gaussian_filter1d(impulse, _SMOOTHED_SECONDS * model.fps)
         self._kernel = torch.from_numpy(impulse[np.flatnonzero(impulse)])
         self._blend, self._later = (1, 0) if model.state_process is None else (_BLEND, _LATER)
@@ -112,7 +112,7 @@ class MultiresStream:
         used = np.arange(-self._later - reach, self._blend - self._later + reach) + self._around
         self._levels = WindowLevels(model, lengths, styles, range(used[0], used[-1] + 1))
         choice = LiveChoice(
-            seed, item, controls.speaker, style, controls.liveliness, controls.mood_seed
+            seed, item, controls["speaker"], style, controls["liveliness"], controls["mood_seed"]
         )
         self._state = self._plan = None
         if model.state_process is not None:
@@ -121,10 +121,10 @@ class MultiresStream:
             self._plan = LivePlan(model.recall_library, choice, self._around)
             self._set_times(used, lengths)
         self._slow = np.zeros(2)  # sum and count of slow predictions
-        own = None if controls.speaker is None else model.speakers[controls.speaker]
+        own = None if controls["speaker"] is None else model.speakers[controls["speaker"]]
         self._own = own
         self.skeleton: Skeleton = model.skeleton if own is None else own
-        self._feet = FootHold(self.skeleton, model.fps) if controls.foot_lock else None
+        self._feet = FootHold(self.skeleton, model.fps) if controls["foot_lock"] else None
         self._place = np.zeros(2)
         self._recent = list[np.ndarray]()
         self.n_frames, self._steps, self._samples = 0, 0, 0
@@ -308,10 +308,11 @@ def _predictions(
         check_streams(conditioner.extractor)
     except af.FeatureError as error:
         raise ModelError(f"the model cannot stream: {error}") from error
-    for given in dataclasses.fields(controls):
-        if given.name not in _CONTROLS and getattr(controls, given.name) != given.default:
+    entries = control_entries(MultiresControls)
+    for name, value in controls.items():
+        if name not in _CONTROLS and value != entries[name].default:
             raise ModelError(
-                f"{given.name}: a stream takes {', '.join(_CONTROLS[:-1])} and {_CONTROLS[-1]} only"
+                f"{name}: a stream takes {', '.join(_CONTROLS[:-1])} and {_CONTROLS[-1]} only"
             )
     if not model.ahead:
         where = model.folder or "MODEL"
@@ -334,7 +335,7 @@ def _styles(
     rng = rng_for(seed, item, "live", "style")
     styles = requested_styles(model.styles, controls, lengths, fps=model.fps, rng=rng)
     if any((own != own[..., :1]).any() for own in styles):
-        raise ModelError(f"style={controls.style!r}: a stream takes one style, without times")
+        raise ModelError(f"style={controls['style']!r}: a stream takes one style, without times")
     level = 0 if model.state_process is not None else model.recall_library.level - 1
     return styles, int(styles[level][0, :, 0].argmax())
 
