@@ -30,7 +30,8 @@ def test_the_state_of_a_run_is_shown_at_any_time(gesturekit, model, sounds, tmp_
     for shard in ("1/3", "3/3"):
         gesturekit(*common, "--shard", shard)
     shown = gesturekit("jobs", out, "--failed", "--left")
-    assert "6 items" in shown.out and shown.out.count("Dear dia") == 1, "reasons are grouped"
+    assert "6 items" in shown.out and "failed" in shown.out
+    assert re.search(r"(?=.*\b2x?\b)(?=.*Dear dia)", shown.out), "reasons are grouped"
     assert "d1/03" in shown.out and "d1/05" in shown.out and "d0/" not in shown.out
     values = json.loads(gesturekit("jobs", out, "--json").out)
     assert (values["done"], len(values["failed"]), values["left"]) == (4, 2, [])

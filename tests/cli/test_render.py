@@ -45,7 +45,7 @@ def broken(tmp_path) -> dict[str, Path]:
     folder = tmp_path / "in"
     folder.mkdir(exist_ok=True)
     files = {
-        "missing": folder / "missing.wav",
+        "no such": folder / "missing.wav",
         "empty": folder / "empty.wav",
         r"\b10(\.0)? ms": make_sound(folder / "short.wav", 160, 16_000),
         "Dear dia": folder / "text.wav",
