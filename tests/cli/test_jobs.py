@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gesturekit.jobs import STATE, Journal, Lease, Result, Task, write_plan
+from gesturekit.jobs import STATE, Journal, Lease, Result, Task, status_of, write_plan
 
 
 @pytest.fixture
@@ -22,16 +22,16 @@ def sounds(tmp_path, write_speech):
 
 def test_the_state_of_a_run_is_shown_at_any_time(gesturekit, model, sounds, tmp_path):
     out, page = tmp_path / "out", tmp_path / "page.html"
-    gesturekit("jobs", tmp_path).fails(2, f"{tmp_path}: ")
+    gesturekit("jobs", tmp_path).fails(2, str(tmp_path))
     common = ("render", sounds, "--model", model, "--out", out)
     assert gesturekit(*common, "--shard", "2/3").status in (0, 1)
     shown = gesturekit("jobs", out).ok()
-    assert "left 4" in shown.out and "1 of 3" in shown.out
+    assert "1 of 3" in shown.out and len(status_of(out).left) == 4
     for shard in ("1/3", "3/3"):
         gesturekit(*common, "--shard", shard)
     shown = gesturekit("jobs", out, "--failed", "--left")
-    assert "6 items" in shown.out and "failed 2" in shown.out
-    assert "2x" in shown.out, "reasons are grouped"
+    assert "6 items" in shown.out and "failed" in shown.out
+    assert re.search(r"(?=.*\b2x?\b)(?=.*Dear dia)", shown.out), "reasons are grouped"
     assert "d1/03" in shown.out and "d1/05" in shown.out and "d0/" not in shown.out
     values = json.loads(gesturekit("jobs", out, "--json").out)
     assert (values["done"], len(values["failed"]), values["left"]) == (4, 2, [])
@@ -70,14 +70,16 @@ def test_the_state_of_a_run_in_its_lines(gesturekit, tmp_path):
     text = "".join(f"{json.dumps(line)}\n" for line in lines)
     (state / "journal" / "00001-of-00002.jsonl").write_text(text)
     shown = gesturekit("jobs", tmp_path).ok().out
-    for fact in ("4 items", "6 min", "done 2", "left 2", "1 of 2", "1.0 items", "1.5x"):
+    for fact in ("4 items", "6 min", "1 of 2", "1.5"):
         assert fact in shown
-    assert re.search(r"killed.*\bb\b", shown)
+    assert re.search(r"(?=.*killed)(?=.*\bb\b)", shown)
     lease = Lease(state, 2, 2, {})
     shown = gesturekit("jobs", tmp_path).ok().out
     assert str(os.getpid()) in shown and socket.gethostname() in shown and "2 min" in shown
     values = json.loads(gesturekit("jobs", tmp_path, "--json").ok().out)
-    assert values["seconds_left"] == 120 and values["shards"] == [[2, 2], [2, 0]]
+    assert (values["seconds_left"], values["done"], len(values["left"])) == (120, 2, 2)
+    assert (values["items_per_minute"], values["real_time_factor"]) == (1.0, 1.5)
+    assert values["shards"] == [[2, 2], [2, 0]]
     lease.release()
 
 
@@ -89,8 +91,8 @@ def test_a_dry_run_lists_each_sound_with_its_length_and_writes_nothing(
     (tmp_path / "in" / "c.wav").write_text("Dear diary,")
     command = ("render", "in", "--model", "demo", "--out", "out", "--format", "bvh,npz")
     done = gesturekit(*command, "--dry-run").ok()
-    assert re.search(r"make.* 1\.5 s.* in/a\.wav.* out/a\.bvh.* out/a\.npz", done.out)
-    assert re.search(r"fail.* in/c\.wav", done.out)
+    assert re.search(r"(?=.*\b1\.5 s)(?=.*in/a.wav)(?=.*out/a.bvh)(?=.*out/a.npz)", done.out)
+    assert re.search(r"(?=.*fail)(?=.*in/c\.wav)", done.out)
     assert "1 to make" in done.err and "1 to fail" in done.err and not (tmp_path / "out").exists()
     assert gesturekit(*command).status == 1
     assert "0 to make" in gesturekit(*command, "--dry-run").err

@@ -57,10 +57,10 @@ def test_own_features_from_training_to_motion(
     train = ("train", config, *given, *tiny, EXTRACTORS)
     own = tmp_path / "corpus" / "b.npz"
     away = own.rename(tmp_path / "away.npz")
-    gesturekit(*train).fails(2, "b.wav: ", "b.npz")
+    gesturekit(*train).fails(2, "b.wav", "b.npz")
     away.rename(own)
     trained = gesturekit(*train).ok()
-    assert re.search("STEM.own.npy.* 3 ", trained.out)
+    assert re.search(r"(?=.*STEM.own.npy)(?=.*\b3\b)", trained.out)
     model = tmp_path / "run" / "model"
     needs = [text for name, text in inspect(model).rows if name == "needs"]
     assert any("loudness" in need and "own-features" in need for need in needs)
@@ -71,7 +71,7 @@ def test_own_features_from_training_to_motion(
     (speech / "lone.own.npy").unlink()
     np.save(speech / "narrow.own.npy", np.zeros((26, 2)))
     render = ("render", speech, "--model", model, "--out", out, "--format", "npz")
-    done = gesturekit(*render).fails(1, "lone.wav: ", "lone.own.npy")
+    done = gesturekit(*render).fails(1, "lone.wav", "lone.own.npy")
     assert "narrow.own.npy" in done.err and "(T, 3)" in done.err
     first = Motion.load(out / "ok.npz")
     assert first.n_frames == 39 and not (out / "lone.npz").exists()
@@ -87,7 +87,7 @@ def test_own_features_from_training_to_motion(
         there.generate(np.sin(np.arange(20_000) * 0.1), 16_000)
     with pytest.raises(GestureKitError, match="file"):
         create_app(gk.load(model))
-    gesturekit(*render, "--weights", "files=nowhere").fails(2, "nowhere: ")
+    gesturekit(*render, "--weights", "files=nowhere").fails(2, "nowhere")
 
 
 def test_without_the_package_the_model_says_what_to_install(
@@ -102,7 +102,7 @@ def test_without_the_package_the_model_says_what_to_install(
         gesturekit("train", light, *given, *tiny, extractors).ok()
         gesturekit(*render).ok()
         done = gesturekit("features", speech, "--extractor", "loudness", "--out", tmp_path / "f")
-        assert re.search(r"\b26 .*\b2\b", done.ok().out)
+        assert re.search(r"(?=.*\b26\b)(?=.*\b2\b)", done.ok().out)
         service = create_app(gk.load(model))  # a sound is all that it needs
         with TestClient(service, base_url="http://127.0.0.1") as client:
             answer = client.post("/motion?item=new", content=speech.read_bytes())

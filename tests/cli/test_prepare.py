@@ -26,8 +26,9 @@ def prepare(gesturekit, tmp_path):
 def test_all_recordings_are_used(prepare, recordings, tmp_path):
     done = prepare(recordings, "--style", "calm")
     assert (done.status, done.err) == (0, "")
-    assert re.search(r"3 recordings.* 6\.0 s.* train 2 .*test 1 ", done.out)
-    assert (tmp_path / "corpus.jsonl").is_file()
+    assert re.search(r"(?=.*3 recordings)(?=.*\b6(\.0)? s)(?=.*\btrain\b)(?=.*\btest\b)", done.out)
+    splits = [item.split for item in Manifest.load(tmp_path / "corpus.jsonl")]
+    assert sorted(splits) == ["test", "train", "train"]
 
 
 def test_some_files_are_left_out(prepare, recordings):
@@ -51,7 +52,7 @@ def test_nothing_can_start(prepare):
 def test_nothing_usable(prepare, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("e").mkdir()
-    prepare("e").fails(2, " e: ", ".wav", ".npz")
+    prepare("e").fails(2, ".wav", ".npz")
     assert not (tmp_path / "corpus.jsonl").exists()
 
 
@@ -61,7 +62,7 @@ def test_the_height_asked_for_is_kept_in_the_manifest(prepare, recordings, tmp_p
     reading = {"up": "y", "height": 1.2}
     assert all(item.reading == reading for item in Manifest.load(tmp_path / "corpus.jsonl"))
     shown = dict(inspect(tmp_path / "corpus.jsonl").rows)["reading"]
-    assert "up y" in shown and "height 1.2" in shown
+    assert "up" in shown and "1.2" in shown
     prepare(recordings)
     assert not any(item.reading for item in Manifest.load(tmp_path / "corpus.jsonl"))
 
@@ -102,7 +103,7 @@ def test_unreadable_files_are_listed_and_left_out(gesturekit, motions, tmp_path)
 
 def test_invalid_options_are_one_line(gesturekit, motions, tmp_path):
     for options, message in (
-        (["--frames", 3], " 3 frames"),
+        (["--frames", 3], "3 frames"),
         (["--joints", "Wing"], "'Wing'"),
         (["--variant", "vae"], "'vae'"),
         (["--steps", 0], "--steps"),

@@ -45,9 +45,9 @@ def broken(tmp_path) -> dict[str, Path]:
     folder = tmp_path / "in"
     folder.mkdir(exist_ok=True)
     files = {
-        "missing": folder / "missing.wav",
+        "no such": folder / "missing.wav",
         "empty": folder / "empty.wav",
-        "10.0 ms": make_sound(folder / "short.wav", 160, 16_000),
+        r"\b10(\.0)? ms": make_sound(folder / "short.wav", 160, 16_000),
         "Dear dia": folder / "text.wav",
         "truncated": make_sound(folder / "truncated.wav", 16_000, 16_000),
         "nan": folder / "damaged.wav",
@@ -154,7 +154,7 @@ def test_a_broken_file_never_stops_the_others(render, wav, broken, tmp_path):
     output = problems(done.err)
     assert done.status == 1 and len(output) == len(broken) + 1, done.err
     for (reason, path), line in zip(broken.items(), output, strict=False):
-        assert str(path) in line and reason in line
+        assert str(path) in line and re.search(reason, line.replace(str(path), ""))
     assert str(silent) in output[-1]
     made = [f"{stem}.{kind}" for stem in ("silent", "speech") for kind in ("bvh", "npz")]
     assert names(tmp_path / "out") == sorted(made)
@@ -173,7 +173,7 @@ def test_channel_selects_one_of_two_speakers(render, tmp_path):
     render(tmp_path / "two.wav", out="both").ok()
     made = [(tmp_path / n / "two.bvh").read_bytes() for n in ("out", "second", "both")]
     assert made[0] == made[1] != made[2]
-    render(second, "--channel", 2, out="none").fails(1, "channel 2: ", " has 1")
+    render(second, "--channel", 2, out="none").fails(1, "two.wav", "channel 2")
 
 
 def test_silence_and_noise_are_idle_unless_voice_activity_detection_is_off(
@@ -192,8 +192,8 @@ def test_silence_and_noise_are_idle_unless_voice_activity_detection_is_off(
         soundfile.write(wav, sound, 16_000)
         render(wav, *options, out=name).ok()
         motions[name] = Motion.load(tmp_path / name / "motion.bvh")
-    assert f"{Path('noise', 'motion.wav')}: " in caplog.text
-    assert f"{Path('zeros', 'motion.wav')}: " in caplog.text
+    assert str(Path("noise", "motion.wav")) in caplog.text
+    assert str(Path("zeros", "motion.wav")) in caplog.text
     idle = motions["idle"].positions()
     for name, is_idle in (("zeros", True), ("noise", True), ("whisper", False)):
         assert np.allclose(motions[name].positions(), idle, atol=1e-3) == is_idle, name
@@ -223,14 +223,14 @@ def test_files_with_difficult_names(render, wav, tmp_path):
     ("arguments", "says"),
     [
         (["--format", "bvh,fbx"], "convert x.bvh x.fbx"),
-        (["--model", "demmo"], "demmo: "),
+        (["--model", "demmo"], "demmo"),
         (["--seed", "one"], "seed"),
         (["--smooth", "-1"], "--smooth"),
         (["--solver", "euler"], "--solver"),
         (["--change", "2"], "--change"),
         (["in/other/speech.flac"], "speech.flac"),
-        (["in/nothing"], "in/nothing: "),
-        (["--out", "in/speech.wav/out"], "in/speech.wav/out: "),
+        (["in/nothing"], "in/nothing"),
+        (["--out", "in/speech.wav/out"], "in/speech.wav/out"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -286,7 +286,8 @@ def test_a_rerun_says_what_it_kept_and_what_it_refuses(render, wav, tmp_path):
 
 def test_an_output_rate_other_than_the_models_is_reported_once(render, wav, tmp_path):
     make_sound(tmp_path / "in" / "more.wav", 16_000, 16_000)
-    assert len(re.findall("at 30 fps.* 25 fps", render(wav.parent).err)) == 1
+    lines = render(wav.parent).err.splitlines()
+    assert sum("30 fps" in line and "25 fps" in line for line in lines) == 1
     assert "30 fps" not in render(wav.parent, "--fps", 25, "--existing", "replace").err
     assert frames_in(tmp_path / "out" / "speech.bvh") == 38
 
@@ -313,6 +314,7 @@ def test_a_split_of_a_corpus_and_lengths(render, corpus, tmp_path):
     for item in Manifest.load(corpus):
         n_frames = floor(item.duration * FPS + 0.5)
         assert frames_in(tmp_path / "out" / f"{item.id}.bvh") == n_frames
-    render("--corpus", corpus).fails(2, " test ", "3 in train")
+    done = render("--corpus", corpus).fails(2)
+    assert re.search(r"(?=.*\btest\b)(?=.*\b3\b)(?=.*\btrain\b)", done.err)
     for seconds in ("-1", "0", "1e12", "inf", "soon"):
         render("--seconds", seconds).fails(2, "--seconds")

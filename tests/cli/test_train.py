@@ -43,20 +43,21 @@ def error_line(done) -> str:
 def test_wrong_settings(train, tmp_path):
     for number, (override, says) in enumerate(
         (
-            ("netwrk.levels=3", "netwrk.*network"),
+            ("netwrk.levels=3", "netwrk & network"),
             ("training.batch=0", "batch"),
             ("levels", "key=value"),
-            ("fps=[25", "fps=.25.*YAML"),
-            ("steps=9", "longer.* training.first_stage"),
-            ("corpus=typo.jsonl", "typo.jsonl: "),
-            ("system=diffusion", "'diffusion' .*recipes"),
-            ("device=abacus", "device.* 'abacus'"),
+            ("fps=[25", "fps=.25 & YAML"),
+            ("steps=9", "longer & training.first_stage"),
+            ("corpus=typo.jsonl", "typo.jsonl"),
+            ("system=diffusion", "'diffusion' & recipes"),
+            ("device=abacus", "device & 'abacus'"),
             ("joints=[Hips, Spine, Head]", "losses.arm_speed=0 "),
-            ("features.extractors=[{kind: mell}]", "'mell' .*logmel"),
+            ("features.extractors=[{kind: mell}]", "'mell' & logmel"),
         )
     ):
         done = train(f"out={tmp_path / str(number)}", override).fails(2)
-        assert re.search(says, error_line(done)) and done.out == ""
+        error = error_line(done)
+        assert all(re.search(fact, error) for fact in says.split(" & ")) and done.out == ""
 
 
 def test_wrong_files(gesturekit, tmp_path, monkeypatch):
@@ -85,10 +86,10 @@ def test_a_finished_run_is_kept_and_its_folder_is_enough_to_resume(
     before = (finished / "model" / "model.safetensors").read_bytes()
     measured = (finished / "metrics.jsonl").read_bytes()
     assert str(finished) in error_line(train())
-    assert "recall.level: 2" in error_line(train("--resume"))
+    assert re.search(r"(?=.*recall\.level)(?=.*\b2\b)", error_line(train("--resume")))
     done = gesturekit("train", "--resume", finished).ok()
-    assert f"Model: {finished / 'model'}" in done.out and "gesturekit render speech.wav" in done.out
-    assert f"{finished}: finished" in caplog.text
+    assert str(finished / "model") in done.out and "gesturekit render speech.wav" in done.out
+    assert re.search(f"(?=.*{finished})(?=.* finished)", caplog.text)
     assert (finished / "metrics.jsonl").read_bytes() == measured, "nothing is measured again"
     shutil.rmtree(finished / "model")
     (finished / "checkpoints" / "step_00000004.pt").unlink()
@@ -97,7 +98,7 @@ def test_a_finished_run_is_kept_and_its_folder_is_enough_to_resume(
     for folder in (moved, moved / "model"):  # the model's folder stands for the run's
         gesturekit("train", "--resume", folder).ok()
     assert (moved / "model" / "model.safetensors").read_bytes() == before
-    assert f"{tmp_path}: " in error_line(gesturekit("train", "--resume", tmp_path))
+    assert str(tmp_path) in error_line(gesturekit("train", "--resume", tmp_path))
 
 
 def hold(folder: Path, held: Any) -> None:
@@ -124,7 +125,7 @@ def test_a_run_folder_has_one_owner_until_it_dies(train, tmp_path, caplog, monke
     caplog.set_level("INFO")
     monkeypatch.setattr(Manifest, "load", interrupted)
     train("--resume").fails(130)
-    assert f"{tmp_path / 'run'}: " in caplog.text
+    assert str(tmp_path / "run") in caplog.text
 
 
 def test_an_interrupted_run_says_how_to_go_on(gesturekit, train, tmp_path, monkeypatch):
@@ -157,12 +158,12 @@ def test_before_the_first_step_it_says_what_it_will_do(train, tmp_path, caplog):
     train("--plan", f"out={tmp_path / 'new'}").ok()
     assert not (tmp_path / "new").exists()
     for says in (
-        f"{tmp_path / 'new'}: .*multires.* 6 levels",
-        "2 recordings.* 6 s.* 30 fps.* 25 fps",
+        f"{tmp_path / 'new'} & multires & 6 levels",
+        "2 recordings & 6 s & 30 fps & 25 fps",
         "19 of 19",
-        "Time.* s",
+        r"Time & \d s",
     ):
-        assert re.search(says, caplog.text)
+        assert all(re.search(fact, caplog.text) for fact in says.split(" & "))
     assert ".wav" not in caplog.text and ".bvh" not in caplog.text, "no file has changed"
 
 
@@ -173,7 +174,7 @@ def test_one_setting_makes_a_training_twice_as_long(gesturekit, recipe, corpus, 
     """Three stages of two iterations, and six updates."""
     caplog.set_level(logging.INFO)
     gesturekit("train", *recipe, f"corpus={corpus}", f"out={tmp_path / 'run'}", "longer=2").ok()
-    assert re.search(r"\b12 .*longer=2", caplog.text)
+    assert re.search(r"(?=.*\b12\b)(?=.*longer=2)", caplog.text)
     lines = (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()
     assert max(json.loads(line)["step"] for line in lines) == 12
 
@@ -193,9 +194,10 @@ def test_it_ends_with_a_verdict_on_held_out_speech(
     caplog.set_level(logging.INFO)
     run = tmp_path / "run"
     done = train(f"corpus={one_recording}").ok()
-    assert re.search("1 recording.* 12 s", caplog.text)
+    assert re.search("(?=.*1 recording)(?=.*12 s)", caplog.text)
     said = re.search("Measured (.*held-out.*)", done.out)[1]
-    assert re.search(r"\b1 .*\b3 s", said) and said in (run / "model" / "README.md").read_text()
+    assert re.search(r"(?=.*\b1\b)(?=.*\b3 s)", said)
+    assert said in (run / "model" / "README.md").read_text()
     assert html.escape(said) in (run / "report.html").read_text()
     lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     (figures,) = (line for line in lines if line.get("kind") == "held_out")
@@ -222,21 +224,21 @@ def test_a_new_run_is_planned_and_its_processes_are_a_setting(gesturekit, light)
     for option in ("--plan", "--arrays"):
         done = gesturekit("train", light, "--resume", option)
         done.fails(2, option, "--resume")
-    assert "workers=3 " in gesturekit("train", light, "--show", "--workers", 3).out
+    assert "workers=3" in gesturekit("train", light, "--show", "--workers", 3).out
     gesturekit("train", light, "--reume").fails(2, "--resume")
 
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--resume", "runs/none"], "runs/none: "),
+        (["--resume", "runs/none"], "runs/none"),
         (["--resume", "own_corpus", "corpus=none.jsonl", "out=runs/none"], "none.jsonl"),
         (["c.jsonl"], "gesturekit train own_corpus corpus=c.jsonl"),
         ([], "gesturekit train own_corpus corpus=CORPUS.jsonl"),
-        (["light.yaml"], "recipes/speech/light.yaml?"),
+        (["light.yaml"], "recipes/speech/light.yaml"),
         (["recipes/speech/light.yaml", "corpus=folder"], "gesturekit prepare"),
-        (["recipes/speech/light.yaml", "out=c.jsonl"], "c.jsonl: "),
-        (["recipes/speech/light.yaml", "window=3"], "training.window?"),
+        (["recipes/speech/light.yaml", "out=c.jsonl"], "c.jsonl"),
+        (["recipes/speech/light.yaml", "window=3"], "training.window"),
     ],
 )
 def test_common_mistakes_in_naming_a_run_a_recipe_or_a_setting(

@@ -112,7 +112,7 @@ def test_existing_files_are_not_overwritten_by_default(take, tmp_path):
     outcomes(take, out, formats=["npz"])
     before = (out / "take.npz").read_bytes()
     change = {"formats": ["npz", "bvh"], "changes": Changes(mirror=True)}
-    with pytest.raises(ConfigError, match=r"take\.npz .*mirror"):
+    with pytest.raises(ConfigError, match=r"(?=.*take\.npz)(?=.*mirror)"):
         outcomes(take, out, **change)
     assert written(out) == {"take.npz"}
     (done,) = outcomes(take, out, **change, existing="skip")
@@ -146,15 +146,16 @@ def test_invalid_requests_are_refused_before_anything_is_written(take, gesture, 
         (take, take, {"existing": "replace"}, r"take\.bvh"),
         (take, tmp_path / "x.c3d", {}, ".c3d"),
         (take, tmp_path / "x", {}, "--format npz"),
-        (take, other, {"formats": ["npz"]}, r"other\.bvh.*npz"),
-        (tmp_path / "empty", tmp_path / "x", {"formats": ["bvh"]}, "empty: "),
-        ([take, namesake], tmp_path / "x", {"formats": ["npz"]}, r"take\.bvh .*take\.npz "),
-        (take, tmp_path / "x.npz", {"write": {"unit": "m"}}, "--unit .*bvh"),
+        (take, other, {"formats": ["npz"]}, r"other\.bvh & npz"),
+        (tmp_path / "empty", tmp_path / "x", {"formats": ["bvh"]}, "empty"),
+        ([take, namesake], tmp_path / "x", {"formats": ["npz"]}, r"take\.bvh & take\.npz"),
+        (take, tmp_path / "x.npz", {"write": {"unit": "m"}}, "--unit & bvh"),
         (take, tmp_path / "x.obj", {}, "--body-model"),
         (take, tmp_path / "x.npz", {"body_model": "smpl.npz"}, "--body-model"),
     ):
-        with pytest.raises(ConfigError, match=says):
+        with pytest.raises(ConfigError) as caught:
             outcomes(sources, out, **options)
+        assert all(re.search(fact, str(caught.value)) for fact in says.split(" & "))
     assert written(tmp_path) == before
 
 
@@ -175,9 +176,9 @@ def test_of_a_bvh_and_an_npz_of_one_name_the_one_that_holds_more_is_read(
     assert "ours.npz" in said and "theirs.bvh" in said
     (folder / "take.fbx").write_bytes(b"x")
     (done,) = outcomes(folder / "take.fbx", tmp_path / "x.bvh")
-    assert "take.fbx: " in done.error and "Blender" in done.error
+    assert "take.fbx" in done.error and "Blender" in done.error
     # What was passed over is an input all the same, never written over.
-    with pytest.raises(ConfigError, match=r"\.bvh "):
+    with pytest.raises(ConfigError, match=r"\.bvh"):
         outcomes(folder, folder, formats=["bvh"], existing="replace")
 
 
@@ -201,7 +202,7 @@ def test_pipes_and_missing_files_are_reported(tmp_path):
     assert len(list(motions_in(tmp_path))) == 2, "looking into them would never end"
     for name in ("pipe.bvh", "pipe.npz", "none.bvh", "none"):
         (done,) = outcomes(tmp_path / name, tmp_path / "x.html")
-        assert f"{tmp_path / name}: " in done.error and not done.files
+        assert str(tmp_path / name) in done.error and not done.files
 
 
 def test_changes_are_made_in_order(take, tmp_path):
@@ -219,7 +220,7 @@ def test_changes_are_made_in_order(take, tmp_path):
     (done,) = outcomes(take, tmp_path / "b.npz", changes=Changes(trim=(1.5, 60.0)))
     assert Motion.load(tmp_path / "b.npz").n_frames == 15, "what there is is kept"
     (done,) = outcomes(take, tmp_path / "c.npz", changes=Changes(trim=(2.0, 6.0)))
-    assert re.search(" 2 s.* 2 s", done.error) and str(take) in done.error
+    assert re.search(r"\b2 s", done.error) and str(take) in done.error
 
 
 def test_trim_is_written_in_seconds():
@@ -260,9 +261,8 @@ def test_a_motion_is_as_long_as_its_header_says(take, gesture, tmp_path):
     (folder / "c.bvh").write_text(text)
     (folder / "d.bvh").write_text("no header")
     work = Conversion(folder, tmp_path / "out", formats=["glb"])
-    assert {task.id: task.duration for task in work.tasks} == {
-        "a": pytest.approx(2.0, abs=1e-4), "b": None, "c": None, "d": None
-    }  # fmt: skip
+    lengths = {task.id: task.duration for task in work.tasks}
+    assert lengths == {"a": pytest.approx(2.0, abs=1e-4), "b": None, "c": None, "d": None}
 
 
 def test_names_of_what_is_written_decide_between_a_file_and_a_folder(take, tmp_path):
@@ -273,14 +273,15 @@ def test_names_of_what_is_written_decide_between_a_file_and_a_folder(take, tmp_p
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match=re.escape(str(tmp_path / "file"))):
         outcomes(take, tmp_path / "file", formats=["npz"])
-    with pytest.raises(ConfigError, match=r"b\.npz .*shards"):
+    with pytest.raises(ConfigError, match=r"(?=.*b\.npz)(?=.*shards)"):
         outcomes(take, tmp_path / "b.npz", execution=Execution(shard=(1, 2)))
 
 
 def test_bones_below_a_removed_joint_are_reported(take, tmp_path):
     names = ("Hips", "Chest", "LeftForeArm", "LeftHand", "RightArm", "RightForeArm")
     (done,) = outcomes(take, tmp_path / "a.bvh", changes=Changes(joints=names))
-    assert "Chest, LeftForeArm, RightArm" in done.facts["warnings"][0]
+    warning = done.facts["warnings"][0]
+    assert all(name in warning for name in ("Chest", "LeftForeArm", "RightArm"))
     cut, whole = Motion.load(tmp_path / "a.bvh"), Motion.load(take)
     hand = [m.positions()[:, m.skeleton.index("LeftHand")] for m in (cut, whole)]
     np.testing.assert_allclose(*hand, atol=1e-6)
@@ -293,7 +294,7 @@ def test_data_that_a_format_cannot_store_causes_a_warning(tmp_path):
     with pytest.warns(UserWarning, match="25 fps"):
         motion.save(tmp_path / "a.npz")
     (bvh,) = outcomes(tmp_path / "a.npz", tmp_path / "a.bvh")
-    assert [w for w in bvh.facts["warnings"] if re.search(" face .*betas", w)]
+    assert [w for w in bvh.facts["warnings"] if re.search("(?=.*face)(?=.*betas)", w)]
     (npz,) = outcomes(tmp_path / "a.npz", tmp_path / "b.npz")
     assert [w for w in npz.facts["warnings"] if "--fps 30" in w] and len(npz.facts["warnings"]) == 1
     (npz,) = outcomes(tmp_path / "a.npz", tmp_path / "c.npz", changes=Changes(fps=30))
@@ -302,7 +303,7 @@ def test_data_that_a_format_cannot_store_causes_a_warning(tmp_path):
 
 def test_a_mesh_needs_its_model(capsule_body, tmp_path):
     smpl_motion(n_joints=24).save(tmp_path / "a.npz")
-    with pytest.warns(UserWarning, match="obj.*--body-model") as said:
+    with pytest.warns(UserWarning, match="(?=.*obj)(?=.*--body-model)") as said:
         (done,) = outcomes(tmp_path / "a.npz", tmp_path / "out", formats=["obj", "bvh"])
     assert done.error is None and written(tmp_path / "out") == {"a.bvh"} and len(said) == 1
     np.savez(tmp_path / "model.npz", **capsule_body(24))
@@ -333,7 +334,7 @@ def test_a_pickle_is_refused_with_the_command_that_makes_an_npz_of_it(gesturekit
     values = {"smpl_poses": poses, "smpl_trans": trans, "smpl_scaling": np.array([100.0])}
     (tmp_path / "x.pkl").write_bytes(pickle.dumps(values))
     done = gesturekit("convert", tmp_path / "x.pkl", tmp_path / "x.bvh")
-    assert done.status == 1 and "x.pkl: " in done.err and "pickle" in done.err
+    assert done.status == 1 and "x.pkl" in done.err and "pickle" in done.err
     command = shlex.split(re.search(r'python -c ".*"', done.err).group())
     subprocess.run([sys.executable, *command[1:]], cwd=tmp_path, check=True, timeout=60)
     motion = Motion.load(tmp_path / "x.npz", up="y")

@@ -25,9 +25,9 @@ def test_every_control_is_an_optional_keyword_and_documented(schema):
 def test_unknown_controls_are_refused_with_the_nearest_name(untrained, system, near, meant, other):
     model = untrained() if system == "diffusion" else gk.load("demo")
     for call in (model.generate, model.check_controls):
-        with pytest.raises(UnknownControlError, match=f"{near}.*{meant}"):
+        with pytest.raises(UnknownControlError, match=rf"(?=.*\b{near}\b)(?=.*\b{meant}\b)"):
             call(**{near: 0.3})
-        with pytest.raises(UnknownControlError, match=f"{system}.*{other}"):
+        with pytest.raises(UnknownControlError, match=f"(?=.*{system})(?=.*{other})"):
             call(**{other: 2})
     model.check_controls(**{other: None, "style": None})
 
@@ -35,9 +35,9 @@ def test_unknown_controls_are_refused_with_the_nearest_name(untrained, system, n
 @pytest.mark.parametrize(
     ("name", "allowed", "refused", "says"),
     [
-        ("steps", (1, 20), (0, -1, 1.0, True), "integer.*1"),
-        ("change", (1e-6, 1), (0, -0.1, 1.01), "0.*1"),
-        ("solver", ("ddim", "dpm"), ("euler", 2), "ancestral.*dpm"),
+        ("steps", (1, 20), (0, -1, 1.0, True), r"(?=.*integer)(?=.*\b1\b)"),
+        ("change", (1e-6, 1), (0, -0.1, 1.01), r"(?=.*\b0\b)(?=.*\b1\b)"),
+        ("solver", ("ddim", "dpm"), ("euler", 2), "(?=.*ancestral)(?=.*dpm)"),
     ],
 )
 def test_controls_of_diffusion_are_checked(name, allowed, refused, says):
@@ -47,5 +47,5 @@ def test_controls_of_diffusion_are_checked(name, allowed, refused, says):
     for value in allowed:
         assert build({name: value}) == defaults | {name: value}
     for value in refused:
-        with pytest.raises(ModelError, match=f"{name}={value!r}.*{says}"):
+        with pytest.raises(ModelError, match=f"(?=.*{name}={value!r}){says}"):
             build({name: value})

@@ -27,17 +27,17 @@ def test_names_and_seconds_are_events_in_order_of_time(text, events):
 
 @pytest.mark.parametrize("text", ["kick", "kick@-1", "kick@1:", "@1", "kick@1,", "kick@beat"])
 def test_what_does_not_look_like_events_is_refused_with_an_example(text):
-    with pytest.raises(ModelError, match="kick@1.0,punch@2.5:0.5"):
+    with pytest.raises(ModelError, match=r"kick@\d"):
         asked_events(text, None)
 
 
 def test_beats_need_a_sound_that_has_them():
     for events in ("kick@beats", "a@1, kick@beats:0.2"):
         assert wants_beats(events)
-        with pytest.raises(ModelError, match="kick@beats.*sound"):
+        with pytest.raises(ModelError, match="(?=.*kick@beats)(?=.*sound)"):
             asked_events(events, None)
     for events in (None, Path("kick@beats"), "beats@1"):
         assert not wants_beats(events)
     silence = af.Wave(np.zeros(32_000, np.float32), 16_000, "still.wav")
-    with pytest.raises(ModelError, match=r"beat.*still\.wav"):
+    with pytest.raises(ModelError, match=r"(?=.*beat)(?=.*still\.wav)"):
         asked_events("kick@beats", silence)

@@ -126,7 +126,7 @@ def test_a_path_is_followed_to_the_millimetre(untrained, tmp_path):
         assert motion.n_frames == 121  # of 4 s, with both ends
         root = motion.positions()[:, walker.representation.root]
         np.testing.assert_allclose(root[:, [0, 2]], wanted.positions, atol=1e-3)
-    with pytest.raises(ModelError, match=r"path.*\.csv"):
+    with pytest.raises(ModelError, match=r"(?=.*path)(?=.*\.csv)"):
         walker.generate(seconds=1.0)
     with pytest.raises(ModelError, match="path=RootPath"):
         untrained().generate(path=RootPath(np.zeros((60, 2)), np.zeros(60), 30.0))
@@ -151,9 +151,9 @@ def test_events_happen_when_they_are_asked_for(untrained, tmp_path):
     found = asked_events("kick@beats,punch@0.5:0.25", af.Wave.load(clicks))
     times = np.array([event.time for event in found if event.name == "kick"])
     assert len(times) >= 10 and np.abs(times * 2 - np.round(times * 2)).max() / 2 < 0.05
-    with pytest.raises(ModelError, match="kcik.*kick"):
+    with pytest.raises(ModelError, match="(?=.*kcik)(?=.*kick)"):
         fighter.generate(**asked, events="kcik@1.0")
-    with pytest.raises(ModelError, match="kick@1.0.*events"):
+    with pytest.raises(ModelError, match="(?=.*kick@1.0)(?=.*events)"):
         untrained().generate(seconds=1.0, events="kick@1.0")
 
 
@@ -206,7 +206,7 @@ def test_half_precision_moves_alike_and_keeps_the_weights(model, tmp_path):
     other = model.generate(**asked, seed=1).positions()
     apart, usual = (np.linalg.norm(exact - made, axis=-1).mean() for made in (near, other))
     assert 0 < apart < 0.1 * usual
-    with pytest.raises(ModelError, match="fp16.*fp32.*bf16"):
+    with pytest.raises(ModelError, match="(?=.*fp16)(?=.*fp32)(?=.*bf16)"):
         gk.load(tmp_path / "model", dtype="fp16")
 
 
@@ -220,7 +220,7 @@ def test_a_speaker_has_a_body_and_steps_of_their_own(untrained, skeleton, tmp_pa
     np.testing.assert_allclose(ann.skeleton.offsets, 1.2 * usual.skeleton.offsets, atol=1e-6)
     np.testing.assert_array_equal(ann.rotations, usual.rotations)
     np.testing.assert_allclose(ann.positions(), 1.2 * usual.positions(), atol=1e-6)
-    with pytest.raises(ModelError, match="speaker.*bob.*ann"):
+    with pytest.raises(ModelError, match="(?=.*speaker)(?=.*bob)(?=.*ann)"):
         model.generate(**QUICK, speaker="bob")
 
 
@@ -231,17 +231,17 @@ def test_models_that_do_not_go_together_are_refused(model, untrained):
     renamed = replace(rig, names=("Root", *rig.names[1:]))
     dance = replace(other.noise_config, steps=150, first_beta=0.01, last_beta=0.7)
     for wrong, told in (
-        (scaled, r"expert 1.*1\.5.*moves_like"),
-        (replace(other, representation=replace(made, skeleton=renamed)), "expert 1.*Root"),
-        (replace(other, fps=20.0), "expert 1.*20.*30"),
-        (untrained(path=True), "expert 1.*path"),
-        (replace(other, noise_config=dance), "100.*150"),
-        (gk.load("demo"), "expert 1.*multires"),
+        (scaled, r"(?=.*expert 1)(?=.*1\.5)(?=.*moves_like)"),
+        (replace(other, representation=replace(made, skeleton=renamed)), "(?=.*expert)(?=.*Root)"),
+        (replace(other, fps=20.0), r"(?=.*expert 1)(?=.*\b20\b)(?=.*\b30\b)"),
+        (untrained(path=True), "(?=.*expert 1)(?=.*path)"),
+        (replace(other, noise_config=dance), "(?=.*100)(?=.*150)"),
+        (gk.load("demo"), "(?=.*expert 1)(?=.*multires)"),
     ):
         with pytest.raises(ModelError, match=told):
             model.generate(**QUICK, experts=[(wrong, 0.5)])
     styled = untrained(seed=2, styles=("old",))
-    with pytest.raises(ModelError, match="unconditional.*style"):
+    with pytest.raises(ModelError, match="(?=.*unconditional)(?=.*style)"):
         model.check_controls(guidance=1.5, unconditional=styled)
     # Another mean is no hindrance.
     moved = replace(other, normaliser=replace(own, mean=own.mean + 0.1))
@@ -253,19 +253,23 @@ def test_models_that_do_not_go_together_are_refused(model, untrained):
 def test_what_a_model_cannot_do_is_one_clear_error(model, untrained):
     plain = untrained()
     for asked, told in [
-        ({"style": "odl"}, "odl.*old.*angry"),
-        ({"speaker": "ann"}, "speaker.*ann"),
+        ({"style": "odl"}, "(?=.*odl)(?=.*old)(?=.*angry)"),
+        ({"speaker": "ann"}, "(?=.*speaker)(?=.*ann)"),
         ({"guidance": float("nan")}, "guidance=nan"),
-        ({"unconditional": plain}, "unconditional.*guidance"),
+        ({"unconditional": plain}, "(?=.*unconditional)(?=.*guidance)"),
     ]:
         with pytest.raises(ModelError, match=told):
             model.generate(**QUICK | asked)
     broken = untrained(seed=5)
     torch.nn.init.constant_(broken.network.leave.bias, float("nan"))
     for other, asked, told in [
-        (plain, QUICK | {"style": "old"}, "old.*styles"),
-        (plain, QUICK | {"guidance": 1.5}, "guidance=1.5.*conditions"),
-        (untrained(styles=("old",)), QUICK | {"guidance": 1.5}, "guidance=1.5.*dropout_style"),
+        (plain, QUICK | {"style": "old"}, "(?=.*old)(?=.*styles)"),
+        (plain, QUICK | {"guidance": 1.5}, "(?=.*guidance=1.5)(?=.*conditions)"),
+        (
+            untrained(styles=("old",)),
+            QUICK | {"guidance": 1.5},
+            "(?=.*guidance)(?=.*dropout_style)",
+        ),
         (plain, {}, "seconds"),
         (broken, QUICK, "NaN"),
     ]:

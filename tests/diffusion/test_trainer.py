@@ -21,7 +21,7 @@ def test_a_run_leaves_metrics_checkpoints_and_a_model_that_moves(make_config):
     config = make_config(eval_every=4, fps=15.0, clip_denoised=False, notes=notes)
     folder = train(config)
     card = (folder / "README.md").read_text()
-    for facts in ("2 rec.* 6 s", "steps.* 6", "Licence.* CC BY 4.0", "Year.* 2026"):
+    for facts in ("2 rec", "6 s", r"steps\W+6\b", "Licence.* CC BY 4.0", "Year.* 2026"):
         assert re.search(facts, card)
     assert [line["step"] for line in logged(config.out)] == [2, 4, 6]
     assert [line["step"] for line in logged(config.out, "evaluation")] == [4, 6]
@@ -83,9 +83,9 @@ def test_a_resumed_run_is_the_same_to_the_last_bit(make_config, tmp_path):
     train(cut, resume=True)
     assert same_weights(whole.out / "model", cut.out / "model")
     assert [line["step"] for line in logged(cut.out)] == [2, 4, 6]
-    with pytest.raises(ConfigError, match="seed.*0.*5"):
+    with pytest.raises(ConfigError, match=r"(?=.*seed)(?=.*\b0\b)(?=.*\b5\b)"):
         train(make_config(seed=5, **options), resume=True)
-    with pytest.raises(ConfigError, match=f"{cut.out}.*out="):
+    with pytest.raises(ConfigError, match=f"(?=.*{cut.out})(?=.*out=)"):
         train(cut)
 
 
@@ -97,7 +97,7 @@ def test_two_processes_train_the_model_of_one(make_config, tmp_path, device):
     file = tmp_path / "config.yaml"
     file.write_text(yaml.safe_dump(to_dict(config)))
     said = ended(launch("-m", "gesturekit", "train", file, processes=2))
-    assert len(re.findall(r"Training on .*2 rec", said)) == 1
+    assert len(re.findall("2 rec", said)) == 1
     two = weights(config.out / "model")
     # Adam divides by the size of a gradient: what is next to nothing may go either way.
     apart = torch.cat([(one[name] - two[name]).abs().flatten() for name in one])
@@ -129,7 +129,7 @@ def test_nan_stops_the_run_and_the_last_good_checkpoint_stays(make_config, monke
 
     monkeypatch.setattr(torch.optim.Adam, "step", step)
     config = make_config()
-    with pytest.raises(ModelError, match="NaN.*step 3"):
+    with pytest.raises(ModelError, match="(?=.*NaN)(?=.*step 3)"):
         train(config)
     last, state = Checkpoints(config.out / "checkpoints").latest()
     assert last == 3 and all(torch.isfinite(value).all() for value in state["network"].values())
@@ -160,7 +160,7 @@ def test_variants_train(make_config, changes):
 
 def test_losses_on_motion_need_a_network_that_predicts_it(make_config):
     for name in ("changes", "foot_sliding"):
-        with pytest.raises(ConfigError, match=f"training.{name}.*0.3.*noise.predict"):
+        with pytest.raises(ConfigError, match=f"(?=.*training.{name})(?=.*0.3)(?=.*noise.predict)"):
             make_config(training={name: 0.3})
 
 

@@ -40,7 +40,7 @@ def test_experts_without_a_weight_share_the_remaining_weight():
 def test_unreadable_weights_are_refused(text):
     with pytest.raises(ModelError, match=re.escape(text.split(",")[-1])):
         weight_track(text, 60, 30.0)
-    with pytest.raises(ModelError, match=r"7\D.*60"):
+    with pytest.raises(ModelError, match=r"(?=.*\b7\b)(?=.*\b60\b)"):
         weights_over_time([None, np.ones(7)], 60, 30.0)
 
 
@@ -64,10 +64,10 @@ def test_one_mixture_at_all_times(wanted, weights):
 @pytest.mark.parametrize(
     ("wanted", "told"),
     [
-        ("odl", "odl.*old.*angry"),
+        ("odl", "(?=.*odl)(?=.*old)(?=.*angry)"),
         ("old:0.25,angry:0.5", r"0\.75"),
-        ("old:0.5,angry", "old:0.5,angry.*weight"),
-        ("old,old", "old,old.*old.*twice"),
+        ("old:0.5,angry", "(?=.*old:0.5,angry)(?=.*weight)"),
+        ("old,old", "(?=.*old,old)(?=.*twice)"),
         ("old@4-0", "4-0"),
     ],
 )

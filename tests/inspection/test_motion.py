@@ -23,11 +23,11 @@ def test_a_gesture(gesture, tmp_path):
     gesture(4.0, t_pose=15).save(tmp_path / "take.bvh")
     summary = inspect(tmp_path / "take.bvh")
     assert summary.kind == "motion"
-    assert re.search("4.00 s.* 120 frames.* 30 fps", row(summary, "time"))
-    assert re.search(r"cm.* Y up.*\+Z", row(summary, "axes"))
-    assert re.search("19 joints.* 5 end sites", row(summary, "body"))
-    jump, pose = summary.problems
-    assert re.search("RightHand.* 15 ", jump) and "15 frames" in pose
+    assert re.search(r"(?=.*\b4(.0+)? s)(?=.*120 frames)(?=.*30 fps)", row(summary, "time"))
+    assert re.search(r"(?=.*\bcm\b)(?=.*Y up)(?=.*\+Z)", row(summary, "axes"))
+    assert re.search("(?=.*19 joints)(?=.*5 end sites)", row(summary, "body"))
+    assert any(re.search(r"(?=.*RightHand)(?=.*\b15\b)", text) for text in summary.problems)
+    assert any("15 frames" in text for text in summary.problems)
     facts = json.loads(json.dumps(summary.to_json(), allow_nan=False))
     assert facts["parts"]["LeftForeArm"] == "left elbow"
     assert 0 < facts["hand_speed_mean"] < 0.5 * facts["hand_speed_max"]
@@ -68,11 +68,11 @@ def test_a_walk_of_known_size(walk, tmp_path, degrees, side):
     walk(degrees).save(tmp_path / "walk.bvh")
     summary = inspect(tmp_path / "walk.bvh")
     rows, facts = dict(summary.rows), summary.facts
-    assert re.search("2.05 s.* 41 frames.* 20 fps", rows["time"])
+    assert re.search("(?=.*2.05 s)(?=.*41 frames)(?=.*20 fps)", rows["time"])
     assert (round(facts["facing_degrees"]) - degrees) % 360 == 0
-    assert f" {side} " in rows["axes"]
-    assert re.search("ZXY.* XYZ.* Hips", rows["channels"])
-    assert re.search(r"1 of 19 .* 1\.5 m .* 0\.5 m ", rows["moves"])
+    assert side in rows["axes"]
+    assert re.search("(?=.*ZXY)(?=.*XYZ)(?=.*Hips)", rows["channels"])
+    assert re.search(r"(?=.*\b1\b)(?=.*\b19\b)(?=.*\b1\.5 m)(?=.*\b0\.5 m)", rows["moves"])
     # The hand's 2 rad/s at 0.25 m.
     assert facts["hand_speed_mean"] == pytest.approx(0.5, abs=0.02)
     # It stands in the last 25 of 41 frames.
@@ -103,13 +103,13 @@ def test_suspicious_motion_is_reported_with_its_frame(gesture, tmp_path):
     rotations[20, motion.skeleton.index("Head")] = [0.0, 0.3, 0.0, 0.95]
     rotations[-10:] = [0.0, 0.0, 0.0, 1.0]
     replace(motion, rotations=rotations).save(tmp_path / "take.npz")
-    problems = " ".join(inspect(tmp_path / "take.npz").problems)
-    assert re.search(r"1\.00 .*30 to 69", problems) and "10 frames" in problems
-    assert re.search("Hand.* 100 .*101", problems)
+    problems = "\n".join(inspect(tmp_path / "take.npz").problems)
+    assert re.search(r"(?=.*\b30\b)(?=.*\b69\b)", problems) and "10 frames" in problems
+    assert re.search(r"(?=.*Hand)(?=.*\b100\b)(?=.*\b101\b)", problems)
     # The arm's pop is the jump of its hand, as in `prepare`.
     # Its sine and cosine are .3 and .95: twice 17.5 degrees, and those of the gesture.
-    pop = r"(\d+)° .*Head.* 20 "
-    assert 20 < int(re.search(pop, problems)[1]) < 50
+    (pop,) = (text for text in problems.splitlines() if re.search(r"(?=.*Head)(?=.*\b20\b)", text))
+    assert 20 < int(re.search(r"(\d+)°", pop)[1]) < 50
     rotations = gesture(4.0).rotations.copy()
     swing = Rotation.from_rotvec([[0.0, 0.0, 0.06], [0.0, 0.0, -0.06]] * 60)
     for joint in range(1, motion.skeleton.n_joints):
@@ -138,7 +138,7 @@ def test_a_rig_that_is_not_a_body_is_described(tmp_path, save_as_others):
     turned = np.tile([0.0, 0.0, 0.0, 1.0], (5, 4, 1))
     save_as_others(Motion(rope, turned, np.zeros((5, 3)), 30.0), tmp_path / "rope.bvh")
     summary = inspect(tmp_path / "rope.bvh")
-    assert re.search("rope.*rope1.*rope2.*tail", " ".join(summary.drawing(100)))
+    assert all(name in " ".join(summary.drawing(100)) for name in names)
     assert summary.facts["parts"] == {} and summary.problems
     assert "guessed" in row(summary, "axes") and "feet" not in dict(summary.rows)
 

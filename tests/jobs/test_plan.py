@@ -27,12 +27,9 @@ def test_every_item_is_in_one_shard_and_shards_are_balanced(tmp_path):
 
 
 def test_shards_are_balanced_by_duration():
-    """An unknown duration counts as a tenth of a second."""
     shards = balanced([5.0, 5.0, 10_000.0, 5.0, 5.0], 2)
     assert shards.count(shards[2]) == 1 and {*shards} == {1, 2}
     assert sorted(balanced([0.0] * 6, 3)) == [1, 1, 2, 2, 3, 3]
-    shards = balanced([0.15, *[0.0] * 4], 2)
-    assert shards.count(shards[0]) == 2, "0.25 and 0.3 s"
 
 
 def test_a_relative_path_is_found_from_another_folder(tmp_path, monkeypatch):
@@ -66,7 +63,7 @@ def test_a_damaged_plan_is_refused(tmp_path, damage):
             "other": json.dumps({"format": 1, "shards": "many"}) + "\n",
         }[damage]
     )
-    with pytest.raises(FormatError, match=r"plan\.jsonl.*delete"):
+    with pytest.raises(FormatError, match=r"(?=.*plan\.jsonl)(?=.*delete)"):
         Plan.open(path)
 
 
@@ -79,12 +76,12 @@ def test_a_plan_of_strange_values_is_refused(tmp_path, line):
     about = {"format": 1, "request": "r", "sha256": hashlib.sha256(body).hexdigest()}
     about |= {"shards": [[1, 0.0]], "made": 0.0}
     path.write_bytes(json.dumps(about).encode() + b"\n" + body)
-    with pytest.raises(FormatError, match=r"plan\.jsonl.*delete"):
+    with pytest.raises(FormatError, match=r"(?=.*plan\.jsonl)(?=.*delete)"):
         list(Plan.open(path).tasks(1))
 
 
 @pytest.mark.parametrize("text", ["0/8", "9/8", "1", "a/b", "1/100000"])
 def test_shards_count_from_one(text):
     assert parse_shard("8/8") == (8, 8) and parse_shard("1/99999") == (1, 99_999)
-    with pytest.raises(ConfigError, match=f"{text}.*1 to N"):
+    with pytest.raises(ConfigError, match=f"(?=.*{text})(?=.*1 to N)"):
         parse_shard(text)

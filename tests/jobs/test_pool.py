@@ -25,7 +25,7 @@ def test_dead_and_late_workers_fail_only_their_own_task():
     died, late = results[tasks[1]], results[tasks[3]]
     assert isinstance(died, Failure) and "exit code 3" in str(died)
     assert isinstance(late, Failure) and "after 1 s" in str(late)
-    assert [begun.count(tasks[1]), begun.count(tasks[3])] == [3, 1], "deaths are tried again"
+    assert [begun.count(tasks[k]) for k in (1, 3)] == [workers.ATTEMPTS, 1]
 
 
 def test_cores_are_divided_among_the_workers_unless_the_user_says_otherwise(monkeypatch):
@@ -51,11 +51,12 @@ class OnArrival:
 
 def test_workers_that_cannot_start_are_one_clear_error():
     for function, says in (
-        (OnArrival(int, "x"), "start.*'x'"),
-        (OnArrival(os._exit, 4), "start.*exit code 4"),
+        (OnArrival(int, "x"), "start & 'x'"),
+        (OnArrival(os._exit, 4), "start & exit code 4"),
     ):
-        with pytest.raises(ConfigError, match=says):
+        with pytest.raises(ConfigError) as caught:
             list(Pool(function, 1).map([1], lambda task: None))
+        assert all(fact in str(caught.value) for fact in says.split(" & "))
 
 
 def test_what_a_worker_says_arrives_and_a_signal_that_ended_it_is_named(monkeypatch, caplog):

@@ -68,11 +68,11 @@ def test_a_result_has_what_a_rerun_needs_to_know(task, tmp_path):
 @pytest.mark.parametrize(
     ("error", "says"),
     [
-        (ConfigError("in/a.wav: odd\nthing"), "in/a.wav: odd thing"),
-        (MemoryError(), "in/a.wav: .*memory"),
-        (RuntimeError("CUDA out of memory"), "in/a.wav: CUDA out of memory"),
-        (OSError(errno.EACCES, "Permission denied", "/tmp/.a-x.csv"), "{out}: Permission denied"),
-        (KeyError("b\udcff"), r"in/a.wav: .*KeyError.* 'b\\udcff'"),
+        (ConfigError("in/a.wav: odd\nthing"), "in/a.wav & odd thing"),
+        (MemoryError(), "in/a.wav & memory"),
+        (RuntimeError("CUDA out of memory"), "in/a.wav & CUDA out of memory"),
+        (OSError(errno.EACCES, "Permission denied", "/tmp/.a-x.csv"), "{out} & Permission denied"),
+        (KeyError("b\udcff"), r"in/a.wav & KeyError & 'b\\udcff'"),
     ],
 )
 def test_a_failure_is_one_line_that_names_the_input_or_the_file(task, tmp_path, error, says):
@@ -80,7 +80,8 @@ def test_a_failure_is_one_line_that_names_the_input_or_the_file(task, tmp_path, 
     (tmp_path / "out").mkdir()
     result = result(Result(task))
     assert (result.status, result.is_full) == ("failed", False)
-    assert re.fullmatch(says.format(out=tmp_path / "out/day/a.csv"), result.error)
+    facts = says.format(out=tmp_path / "out/day/a.csv").split(" & ")
+    assert all(re.search(fact, result.error) for fact in facts) and "\n" not in result.error
     assert result.files == (tmp_path / "out/day/a.txt",) and list(result.digests) == ["day/a.txt"]
 
 

@@ -62,13 +62,13 @@ def test_a_rerun_keeps_what_was_made_with_the_same_settings(tmp_path):
     again = {"a": "kept", "b": "done", "c": "kept"}
     assert done(tmp_path, TASKS, settings={"seed": 1}) == again
     (tmp_path / "c.txt").unlink()
-    with pytest.raises(ConfigError, match=rf"{tmp_path}.*seed.*--existing"):
+    with pytest.raises(ConfigError, match=rf"(?=.*{tmp_path})(?=.*seed)(?=.*--existing)"):
         batch(tmp_path, TASKS, settings={"seed": 2})
     skipped = {"a": "kept", "b": "kept", "c": "done"}
     assert done(tmp_path, TASKS, "skip", {"seed": 2}) == skipped
     replaced = {"a": "done", "b": "done", "c": "kept"}
     assert done(tmp_path, TASKS, "replace", {"seed": 2}) == replaced
-    with pytest.raises(ConfigError, match="existing.*keep"):
+    with pytest.raises(ConfigError, match=r"(?=.*existing)(?=.*\bkeep\b)"):
         batch(tmp_path, TASKS, "keep")
 
 
@@ -85,14 +85,15 @@ def test_shards_share_the_tasks_and_those_that_cannot_be_planned_are_in_the_firs
 @pytest.mark.parametrize(
     ("settings", "says"),
     [
-        ({"workers": 0}, "workers.*0"),
-        ({"shard": (0, 2)}, "shard.*0.*2"),
-        ({"deadline": 0.0}, "deadline.*0"),
+        ({"workers": 0}, "workers & 0"),
+        ({"shard": (0, 2)}, "shard & 0 & 2"),
+        ({"deadline": 0.0}, "deadline & 0"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(settings, says):
-    with pytest.raises(ConfigError, match=says):
+    with pytest.raises(ConfigError) as caught:
         Execution(**settings)
+    assert all(fact in str(caught.value) for fact in says.split(" & "))
 
 
 def test_an_output_folder_that_cannot_be_is_one_clear_error(tmp_path):
@@ -101,7 +102,7 @@ def test_an_output_folder_that_cannot_be_is_one_clear_error(tmp_path):
         done(tmp_path / "file" / "out", TASKS)
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "sub").symlink_to(tmp_path)
-    with pytest.raises(ConfigError, match="sub/a.txt.*/sub .*link"):
+    with pytest.raises(ConfigError, match="(?=.*sub/a.txt)(?=.*/sub)(?=.*link)"):
         batch(tmp_path / "out", [Task("sub/a")])
 
 
@@ -120,7 +121,7 @@ def test_a_run_that_lost_its_lease_writes_no_more(tmp_path, monkeypatch):
     going = batch(tmp_path, TASKS).run()
     assert next(going).id == "a"
     take_over(tmp_path)
-    with pytest.raises(ConfigError, match=r"leases.*\.json"):
+    with pytest.raises(ConfigError, match=r"(?=.*leases)(?=.*\.json)"):
         next(going)
     assert [path.name for path in tmp_path.glob("*.txt")] == ["a.txt"]
 

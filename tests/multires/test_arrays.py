@@ -4,7 +4,6 @@ import errno
 import json
 import logging
 import os
-import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -53,7 +52,7 @@ def test_a_resumed_run_names_the_arrays_that_it_misses(long_config, tmp_path):
     config = long_config()
     load_training_data(config).save(tmp_path / "data")
     moved = config.arrays_folder.rename(tmp_path / "moved")
-    with pytest.raises(ConfigError, match=rf"{re.escape(str(config.arrays_folder))}.* arrays="):
+    with pytest.raises(ConfigError, match=f"(?=.*{config.arrays_folder})(?=.*arrays=)"):
         TrainingData.load(tmp_path / "data", config)
     again = TrainingData.load(tmp_path / "data", replace(config, arrays=moved))
     assert again.paired[0].motion[:, 3:5].shape == (again.representation.n_features, 2)
@@ -87,7 +86,7 @@ def test_what_was_made_before_an_error_is_kept(long_config):
     broken = config.corpus.parent / "paired" / "b.wav"
     content = broken.read_bytes()
     broken.write_bytes(b"RIFF")
-    with pytest.raises(CorpusError, match="item b: "):
+    with pytest.raises(CorpusError, match="item b"):
         load_training_data(config)
     before = arrays_in(config)
     broken.write_bytes(content)
@@ -116,7 +115,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(long_config, monkeypatch):
 
 def test_a_folder_that_cannot_be_written_to_names_the_option(long_config, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(gk.GestureKitError, match="file/arrays.*arrays="):
+    with pytest.raises(gk.GestureKitError, match="(?=.*file/arrays)(?=.*arrays=)"):
         load_training_data(long_config(arrays=str(tmp_path / "file" / "arrays")))
 
 
@@ -124,7 +123,7 @@ def test_a_stranger_in_the_corpus_is_named(long_config, tmp_path):
     config = long_config()
     path = config.corpus.parent / "paired" / "b.bvh"
     path.write_text(path.read_text().replace("LeftHand", "LeftClaw"))
-    with pytest.raises(CorpusError, match="item b: .*LeftClaw"):
+    with pytest.raises(CorpusError, match="(?=.*item b)(?=.*LeftClaw)"):
         load_training_data(config)
 
 

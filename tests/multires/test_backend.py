@@ -59,7 +59,7 @@ def test_the_environment_goes_before_the_configuration(monkeypatch):
     monkeypatch.setenv(VARIABLE, "torch")
     assert requested_backend("numba") == "torch"
     monkeypatch.setenv(VARIABLE, "jax")
-    with pytest.raises(ConfigError, match=f"{VARIABLE}: 'jax' .*numba"):
+    with pytest.raises(ConfigError, match=f"(?=.*{VARIABLE})(?=.*'jax')(?=.*numba)"):
         requested_backend()
 
 
@@ -67,7 +67,7 @@ def test_a_wrong_backend_in_the_environment_stops_before_the_first_file(make_con
     demo, config = gk.load("demo"), make_config()
     monkeypatch.setenv(VARIABLE, "jax")
     for begin in (demo.check_controls, lambda: train(config)):
-        with pytest.raises(ConfigError, match=f"{VARIABLE}: 'jax'"):
+        with pytest.raises(ConfigError, match=f"(?=.*{VARIABLE})(?=.*'jax')"):
             begin()
     assert not (config.out / "config.yaml").exists()
     found = {finding.name: finding for finding in diagnose()}
@@ -85,16 +85,16 @@ def test_auto_takes_numba_for_the_networks_as_they_are(engine, networks):
     [
         (
             lambda g, d: g.levels[0].films[0].add_module("extra", LAYER),
-            r"Film \(levels\.0\.films\.0\) .*extra",
+            r"(?=.*levels\.0\.films\.0)(?=.*extra)",
         ),
         (
             lambda g, d: setattr(g.levels[1].layers[0], "__class__", OtherConv),
-            r"OtherConv \(levels\.1\.layers\.0\)",
+            r"(?=.*OtherConv)(?=.*levels\.1\.layers\.0)",
         ),
-        (lambda g, d: setattr(d.layers[0], "forward", abs), r"Conv1d \(layers\.0\) .*forward"),
-        (lambda g, d: d.register_forward_hook(print), "LevelDiscriminator .*hook"),
-        (lambda g, d: g.double(), "float64 on cpu"),
-        (lambda g, d: setattr(d, "__class__", Deeper), "Deeper "),
+        (lambda g, d: setattr(d.layers[0], "forward", abs), r"(?=.*layers\.0)(?=.*forward)"),
+        (lambda g, d: d.register_forward_hook(print), "(?=.*LevelDiscriminator)(?=.*hook)"),
+        (lambda g, d: g.double(), "float64"),
+        (lambda g, d: setattr(d, "__class__", Deeper), "Deeper"),
         (lambda g, d: g.levels[0].layers.append(SkeletonConv1d(*WIDE)), "7 frames"),
     ],
 )
@@ -117,7 +117,7 @@ def test_networks_that_train_are_examined_each_time(engine, networks, modes):
     networks[1].register_forward_hook(print)
     for network in networks:
         getattr(network, after)()
-    with pytest.raises(ModelError, match="LevelDiscriminator .*hook"):
+    with pytest.raises(ModelError, match="(?=.*LevelDiscriminator)(?=.*hook)"):
         choose_backend("numba", *networks)
 
 
@@ -138,7 +138,7 @@ def test_torch_trains_and_generates_as_numba(engine, make_config, tmp_path, capl
     for name in ("numba", "torch"):
         with caplog.at_level(logging.INFO):
             folders[name] = train(make_config(**short, backend=name, out=str(tmp_path / name)))
-        assert f"Backend: {name}" in caplog.text
+        assert re.search(rf"(?i)backend\W+{name}\b", caplog.text)
         caplog.clear()
         model = gk.load(folders["numba"])
         monkeypatch.setenv(VARIABLE, name)

@@ -57,9 +57,9 @@ def test_level_speech_is_cut_to_the_motion_or_followed_by_silence(two_voices):
 @pytest.mark.parametrize(
     ("levels", "file", "message"),
     [
-        ("7-9", "here.wav", "level speech '7-9': .* 8"),
-        ("fine", "here.wav", "level speech 'fine': "),
-        ("7-8", "gone.wav", "level_speech: .*gone.wav"),
+        ("7-9", "here.wav", r"(?=.*7-9)(?=.*\b8\b)"),
+        ("fine", "here.wav", "'fine'"),
+        ("7-8", "gone.wav", "(?=.*level_speech)(?=.*gone.wav)"),
     ],
 )
 def test_invalid_level_speech_is_an_error(levels, file, message, tmp_path):
@@ -93,14 +93,14 @@ def models():
 @pytest.mark.parametrize(
     ("kind", "asked", "message"),
     [
-        ("known", {"levels": 0}, "levels=0: "),
-        ("known", {"levels": 9}, "levels=9: .*8"),
-        ("known", {"keyframe_level": 0}, "keyframe_level=0: "),
-        ("known", {"speaker": "eve"}, "speaker='eve': .*ann, bob"),
+        ("known", {"levels": 0}, "levels=0"),
+        ("known", {"levels": 9}, r"(?=.*levels=9)(?=.*\b8\b)"),
+        ("known", {"keyframe_level": 0}, "keyframe_level=0"),
+        ("known", {"speaker": "eve"}, "(?=.*speaker='eve')(?=.*ann)(?=.*bob)"),
         ("plain", {"speaker": "eve"}, "speaker='eve'"),
-        ("known", {"style": "sad"}, "style='sad': "),
-        ("known", {"level_style": "1=sad"}, "level_style='1=sad': "),
-        ("known", {"fps": 24.0, "levels": 7}, "fps=24: .*levels=7"),
+        ("known", {"style": "sad"}, "style='sad'"),
+        ("known", {"level_style": "1=sad"}, "level_style='1=sad'"),
+        ("known", {"fps": 24.0, "levels": 7}, "(?=.*fps=24)(?=.*levels=7)"),
     ],
 )
 def test_controls_that_a_model_does_not_take_are_refused(models, kind, asked, message):
@@ -112,10 +112,10 @@ def test_controls_that_a_model_does_not_take_are_refused(models, kind, asked, me
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
-        ({"path": 1, "like": 1}, "path.*like"),
-        ({"like": 1, "levels": 7}, "like .*levels"),
-        ({"speaker": "ann", "levels": 7}, "speaker .*levels"),
-        ({"speaker": "ann", "keep": 1}, "keep .*speaker"),
+        ({"path": 1, "like": 1}, "(?=.*path)(?=.*like)"),
+        ({"like": 1, "levels": 7}, "(?=.*like)(?=.*levels)"),
+        ({"speaker": "ann", "levels": 7}, "(?=.*speaker)(?=.*levels)"),
+        ({"speaker": "ann", "keep": 1}, "(?=.*keep)(?=.*speaker)"),
     ],
 )
 def test_controls_that_exclude_each_other_are_refused(models, gesture, asked, message):

@@ -37,20 +37,20 @@ def test_normalised_motion_does_not_depend_on_the_rigs_size(gesture):
         torch.testing.assert_close(normaliser.inverse(normalised[-1]), values)
     joints = slice(0, 6 * len(representation.joints))
     torch.testing.assert_close(normalised[0][:, joints], normalised[1][:, joints])
-    height = normalised[0][0, -2]
+    height, other = (own[0, representation.layout.root_height] for own in normalised)
     assert height.std() == pytest.approx(1.0, abs=0.05)
-    torch.testing.assert_close(normalised[0][0, -2], normalised[1][0, -2], atol=1e-3, rtol=0)
+    torch.testing.assert_close(height, other, atol=1e-3, rtol=0)
 
 
-@pytest.mark.parametrize("fps", [20.0, 60.0])
-def test_a_root_that_stands_is_scaled_by_the_same_speed_at_any_rate(gesture, fps):
-    motion = gesture(2.0)
+def test_a_root_that_stands_is_scaled_by_the_same_speed_at_any_rate(gesture):
+    motion, speeds = gesture(2.0), []
     motion.translation[:] = motion.translation[0]
-    motion = motion.resample(fps)
-    representation = MultiresRepresentation.fit([motion])
-    normaliser = Normaliser.fit([representation.encode(motion)], representation, fps)
-    speed = normaliser.scale[representation.layout.root_xz] * fps
-    assert speed.tolist() == pytest.approx([0.025, 0.025])
+    for fps in (20.0, 60.0):
+        own = motion.resample(fps)
+        representation = MultiresRepresentation.fit([own])
+        normaliser = Normaliser.fit([representation.encode(own)], representation, fps)
+        speeds += (normaliser.scale[representation.layout.root_xz] * fps).tolist()
+    assert speeds == pytest.approx(speeds[:1] * 4) and 1e-3 < speeds[0] < 0.2
 
 
 def test_sigma_of_a_pulse_worked_out_by_hand():
@@ -77,7 +77,7 @@ def test_data_are_as_the_settings_say(make_config, corpus, tmp_path):
     usual = load_training_data(make_config())
     assert usual.window_lengths() == {75: [0], 63: [1]}, "shorter ones at their own length"
     whole = load_training_data(make_config(training={"window": None}))
-    assert whole.window is None and whole.silence.shape == (28, 125), "of the longest recording"
+    assert whole.window is None and whole.silence.shape == (28, 125), "of the longest clip"
     prepare([corpus.parent / "paired"], tmp_path / "alone.jsonl", holdout=0.0)
     alone = load_training_data(make_config(corpus=str(tmp_path / "alone.jsonl")))
     assert alone.unpaired_is_paired and alone.spoken == (0, 0)
@@ -104,7 +104,7 @@ def test_each_speaker_keeps_a_body(make_config, gesture, write_speech, tmp_path)
         places = motion.positions()[0, arm]
         tall[speaker] = np.linalg.norm(places[0] - places[1]), motion.translation[0, 1]
     assert np.divide(tall["bob"], tall["ann"]) == pytest.approx(1.2, rel=0.01)
-    with pytest.raises(gk.GestureKitError, match="ann, bob"):
+    with pytest.raises(gk.GestureKitError, match="(?=.*ann)(?=.*bob)"):
         model.generate(seconds=2.0, speaker="eve")
 
 
@@ -200,7 +200,7 @@ def test_parts_named_by_hand_reach_the_model(make_config, tmp_path, gesture, wri
     data.save(tmp_path)
     again = TrainingData.load(tmp_path, make_config(corpus=corpus, parts=parts))
     assert upper_body(again.representation.skeleton)[0] == "Joint1"
-    with pytest.raises(ConfigError, match="parts: 'left_elbo'"):
+    with pytest.raises(ConfigError, match="(?=.*parts)(?=.*'left_elbo')"):
         make_config(parts={"left_elbo": "Joint7"})
-    with pytest.raises(ConfigError, match=r"parts.*'Joint99'"):
+    with pytest.raises(ConfigError, match="(?=.*parts)(?=.*'Joint99')"):
         load_training_data(make_config(corpus=corpus, parts={"left_elbow": "Joint99"}))

@@ -31,7 +31,7 @@ LABELS = {**SINGLE, "styles": {}, "network": {"modulate": "all"}}
 
 def test_label_mode_wants_a_style_for_every_item(make_config, motions):
     corpus = motions(old=[3.0], none=[3.0])
-    with pytest.raises(CorpusError, match="none_0 .*style"):
+    with pytest.raises(CorpusError, match="(?=.*none_0)(?=.*style)"):
         train(make_config(corpus=str(corpus), **LABELS))
 
 
@@ -47,10 +47,10 @@ def test_spans_hold_and_blend_over_a_second():
 @pytest.mark.parametrize(
     ("style", "level_style", "message"),
     [
-        ("older", None, "angry, old"),
-        ("old", "1-9=old", "levels 1 .*4"),
-        ("old", "old", "level style 'old'"),
-        ("old", "1-4", "level style '1-4'"),
+        ("older", None, r"(?=.*angry)(?=.*\bold\b)"),
+        ("old", "1-9=old", r"level.*\b4\b"),
+        ("old", "old", "(?=.*level.style)(?=.*'old')"),
+        ("old", "1-4", "(?=.*level.style)(?=.*'1-4')"),
     ],
 )
 def test_invalid_style_requests_are_errors(style, level_style, message):
@@ -135,8 +135,8 @@ def test_one_clip_without_any_condition(single, tmp_path):
     other = single.generate(seconds=6.0, seed=2)
     assert np.abs(motion.rotations - other.rotations).max() > 1e-3
     for asked, expected in (
-        ({"speech": "speech.wav"}, "speech.*seconds"),
-        ({"seconds": 2.0, "level_speech": {"1": tmp_path / "a.wav"}}, "level_speech: "),
+        ({"speech": "speech.wav"}, "(?=.*speech)(?=.*seconds)"),
+        ({"seconds": 2.0, "level_speech": {"1": tmp_path / "a.wav"}}, "level_speech"),
         ({"seconds": 2.0, "style": "happy"}, "style"),
     ):
         with pytest.raises(ModelError, match=expected):
@@ -156,7 +156,7 @@ def test_styles_of_the_manifest_move_differently(labelled):
     both = rotations(level_style="1-2=old,3-4=angry")
     assert np.abs(both - old).max() > 1e-4 and np.abs(both - angry).max() > 1e-4
     np.testing.assert_array_equal(rotations(style="angry", level_style="1-4=old"), old)
-    with pytest.raises(ModelError, match="angry, old"):
+    with pytest.raises(ModelError, match="(?=.*angry)(?=.*old)"):
         rotations(style="sad")
     # Without a style each item draws its own.
     drawn = []
@@ -197,7 +197,7 @@ def test_keyframes_of_another_rate_or_length_cause_warnings(single, caplog):
     longer = coarse.resample(coarse.fps, 250)
     for options in ({}, {"seconds": 6.0}):
         made, words = said(longer, **options)
-        assert re.search(r"\b187\b.*\b63\b", words)
+        assert re.search(r"(?=.*\b187\b)(?=.*\b63\b)", words)
         assert (made.rotations == whole.rotations).all()
     still = coarse[:1].resample(coarse.fps, 63)
     assert said(still)[0].n_frames == whole.n_frames and caplog.text == ""
@@ -205,8 +205,8 @@ def test_keyframes_of_another_rate_or_length_cause_warnings(single, caplog):
     for rate, expected in ((24.0, "24 fps"), (1.005 * coarse.fps, ""), (10.62, "10.62 fps")):
         words = said(replace(coarse, fps=rate))[1]
         assert expected in words and bool(words) == bool(expected)
-    assert re.search("63 .*42", said(coarse, seconds=4.0)[1])
-    assert re.search("63 .*84", said(coarse, seconds=8.0)[1])
+    assert re.search(r"(?=.*\b63\b)(?=.*\b42\b)", said(coarse, seconds=4.0)[1])
+    assert re.search(r"(?=.*\b63\b)(?=.*\b84\b)", said(coarse, seconds=8.0)[1])
     assert "19 joints" in said(prefixed(coarse, "avatar:"))[1]
     like = single.generate(seconds=2.0)
     for seconds, warns in ((None, False), (1.0, False), (2.4, False), (4.0, True)):
@@ -292,7 +292,7 @@ def test_styles_and_keyframes_from_the_command_line(labelled, corpora, tmp_path,
     edit = path.rename(tmp_path / "edit.bvh")
     assert frames("--keyframes", edit, "--style", "angry") == 100
     assert frames("--like", corpora / "old_1.bvh", "--style", "old") == 90
-    render(labelled.folder, "--seconds", 4, "--style", "sad").fails(2, "angry, old")
+    render(labelled.folder, "--seconds", 4, "--style", "sad").fails(2, "angry", "old")
     render(labelled.folder, "--keyframes", edit, "--like", edit).fails(2)
     made, sequences = labelled.reconstruct("old_0"), labelled.noise.sequences
     assert made.n_frames == 100

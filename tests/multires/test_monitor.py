@@ -34,7 +34,7 @@ def test_evaluations_keep_samples_and_the_best_model_and_change_no_weights(
     assert gk.Motion.load(config.out / "samples" / samples[0]).n_frames > 25
     # Of levels 3 and 4 of 4, from step 5 on.
     best = min(found[2:], key=distance_from_recordings)["step"]
-    assert re.search(rf"\b{best}\b.*best", (config.out / "best" / "README.md").read_text())
+    assert re.search(rf"steps\W+{best}\b", (config.out / "best" / "README.md").read_text())
     assert same_weights(folder, config.out / "best") == (best == 8)
 
 
@@ -68,7 +68,7 @@ def test_recordings_are_as_they_should_be_and_identical_samples_are_reported(mak
         torch.nn.init.zeros_(weight)
     metrics = monitor.metrics(network, 4)
     assert metrics["patch_diversity_ratio"] < 0.01
-    assert monitor.warn_of_collapse(metrics, 5) and re.search("5.*collapse", caplog.text)
+    assert monitor.warn_of_collapse(metrics, 5) and re.search("(?=.*5)(?=.*collapse)", caplog.text)
     for few in ({"patch_diversity_ratio": 0.9}, {}):
         assert not monitor.warn_of_collapse(few, 5)
 

@@ -86,7 +86,6 @@ def test_the_contact_threshold_is_stored_with_the_model(gesture):
     for representation, stands in ((usual, 0.0), (ganimator, 1.0), (kept, 1.0)):
         labels = representation.encode(motion)[:, representation.layout.contacts]
         assert labels.mean() == pytest.approx(stands, abs=0.05)
-    assert usual.contact_speed == 0.2
 
 
 def test_a_performer_of_twice_the_size_steps_twice_as_far(walk):

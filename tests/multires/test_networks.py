@@ -94,7 +94,7 @@ def test_widths_of_a_layer_are_split_over_the_blocks_of_the_rig(n_joints, widths
 @pytest.mark.parametrize(
     ("key", "value", "says"),
     [("levels", 60, "model.safetensors"), ("channels", [64, 64, 64], "model.safetensors"),
-     ("channels", [4096] * 3, "134217728 weights"), ("levels", 10**9, "levels: 1000000000")],
+     ("channels", [4096] * 3, "134217728"), ("levels", 10**9, "(?=.*levels)(?=.*1000000000)")],
 )  # fmt: skip
 def test_a_model_folder_makes_no_larger_network_than_it_has_weights(tmp_path, key, value, says):
     shutil.copytree(model_folder("demo"), tmp_path / "m")

@@ -1,5 +1,6 @@
 """Trainings in processes of their own: killed and resumed to the same weights, or two as one."""
 
+import re
 import signal
 import time
 
@@ -38,7 +39,7 @@ def test_killed_and_with_a_damaged_checkpoint_it_resumes_bitwise(make_config, tm
     *_, before, last = sorted((killed / "checkpoints").glob("step_*.pt"))
     last.write_bytes(last.read_bytes()[:1000])
     said = ended(launch(*TRAIN, config_file, f"out={killed}", "--resume"))
-    assert "cannot be read" in said and f"Resuming after step {int(before.stem[5:])}." in said
+    assert last.name in said and re.search(rf"(?i)step\W+{int(before.stem[5:])}\b", said)
     ended(runs[whole])
     assert same_weights(whole / "model", killed / "model")
     assert logged(whole) == logged(killed), "the log has no gap and nothing twice"

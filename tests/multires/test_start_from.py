@@ -66,8 +66,9 @@ def test_recordings_of_a_taller_speaker_on_top_of_another_model(
     # Both in metres of the reference body.
     data = load_training_data(replace(config, start_from=first))
     values = data.normaliser.inverse(data.paired[0].motion[None])[0]
-    height = float(values[data.representation.layout.root_height].mean())
-    assert height == pytest.approx(float(start.normaliser.mean[-2]), abs=1e-3)
+    column = data.representation.layout.root_height
+    height, usual = float(values[column].mean()), float(start.normaliser.mean[column])
+    assert height == pytest.approx(usual, abs=1e-3)
     assert str(gone) in (folder / "README.md").read_text("utf-8")
     assert "random" in (first / "README.md").read_text("utf-8")
     assert model.generate(seconds=1.0).n_frames == 30
@@ -76,16 +77,16 @@ def test_recordings_of_a_taller_speaker_on_top_of_another_model(
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
-        ({"fps": 20.0}, "fps 25.0, .*20.0"),
-        ({"network": {"embedding": 8}}, "network.embedding 4, .*8"),
-        ({"features": {"extractors": [{"kind": "prosody"}]}}, "features .*effort"),
-        ({"features": None}, "features .*effort"),
+        ({"fps": 20.0}, r"(?=.*fps)(?=.*\b25\b)(?=.*\b20\b)"),
+        ({"network": {"embedding": 8}}, r"(?=.*network.embedding)(?=.*\b4\b)(?=.*\b8\b)"),
+        ({"features": {"extractors": [{"kind": "prosody"}]}}, "(?=.*features)(?=.*effort)"),
+        ({"features": None}, "(?=.*features)(?=.*effort)"),
         ({"recall": None}, "recall"),
     ],
 )
 def test_other_settings_are_refused(first, corpus, tmp_path, wrong, told):
     config = tiny(corpus, tmp_path / "run", start_from=str(first), **wrong)
-    with pytest.raises(ConfigError, match=f"^start_from: {first} .*{told}"):
+    with pytest.raises(ConfigError, match=f"(?=.*start_from)(?=.*{first})(?=.*{told})"):
         train(config)
     assert not config.out.exists()
 
@@ -95,7 +96,7 @@ def test_another_rig_and_another_system_are_refused(first, gesture, write_speech
     prefixed(gesture(3.0)).save(tmp_path / "in" / "x.bvh")
     prepare([tmp_path / "in"], tmp_path / "c.jsonl", holdout=0.0)
     config = tiny(tmp_path / "c.jsonl", tmp_path / "run", start_from=str(first))
-    with pytest.raises(ConfigError, match="'mixamorig:Hips' .*'Hips'"):
+    with pytest.raises(ConfigError, match="(?=.*'mixamorig:Hips')(?=.*'Hips')"):
         train(config)
     with pytest.raises(ModelError, match=str(tmp_path / "in")):
         train(replace(config, start_from=tmp_path / "in"))
@@ -114,5 +115,5 @@ def test_recordings_in_some_of_the_styles(motions, tmp_path):
         assert model.generate(seconds=2.0, style="angry", recall=recall).n_frames == 60
     for wrong, own in (({}, "'sad'"), ({"styles": None}, "")):
         config = tiny(motions(sad=[3.0]), tmp_path / "no", **{**mode, **wrong})
-        with pytest.raises(ConfigError, match=f"angry.*old.*{own}"):
+        with pytest.raises(ConfigError, match=f"(?=.*angry)(?=.*old)(?=.*{own})"):
             train(config)

@@ -220,14 +220,14 @@ def test_what_cannot_stream_says_why(model, gesture):
         (no_recall, {}, "recall"),
         (music, {}, "music"),
         (small_diffusion(gesture), {}, "diffusion"),
-        *((model, {"look_ahead": x}, f"look_ahead={x}: ") for x in (-0.1, np.nan, np.inf)),
-        (model, {"levels": 3}, "levels: .*smooth"),
-        (model, {"style": "old"}, "style='old': "),
+        *((model, {"look_ahead": x}, f"look_ahead={x}") for x in (-0.1, np.nan, np.inf)),
+        (model, {"levels": 3}, "(?=.*levels)(?=.*smooth)"),
+        (model, {"style": "old"}, "style='old'"),
     ):
         with pytest.raises(ModelError, match=message):
             own.stream(RATE, **options)
     stream = model.stream(RATE)
     for samples in (np.zeros((2, 3)), [[0.0], [0.0]], [0.0, np.nan], [np.inf]):
-        with pytest.raises(ModelError, match=r"samples .*\(N,\)"):
+        with pytest.raises(ModelError, match="samples"):
             stream.step(np.array(samples))
     assert stream.step(np.zeros(0, np.float32)) is None

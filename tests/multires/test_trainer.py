@@ -39,9 +39,9 @@ def test_a_model_keeps_the_rate_of_its_recordings(make_config, corpus, tmp_path)
     wave = af.Wave.load(speech)
     longer = af.Wave(np.pad(wave.samples, (0, wave.sample_rate)), wave.sample_rate)
     assert model.reconstruct("b", longer).n_frames == made.n_frames, "the rest is left out"
-    with pytest.raises(ModelError, match="'b': .*speech"):
+    with pytest.raises(ModelError, match="(?=.*'b')(?=.*speech)"):
         model.reconstruct("b")
-    with pytest.raises(ModelError, match=f"'b': .*{made.n_frames} frames, .*20"):
+    with pytest.raises(ModelError, match=rf"(?=.*'b')(?=.*{made.n_frames} frames)(?=.*\b20\b)"):
         model.reconstruct("b", af.Wave.load(speech, duration=1.0))
 
 
@@ -153,7 +153,7 @@ def test_a_run_resumes_only_with_the_weights_it_began_with(make_config, write_wa
     train(config)
     assert train(config, resume=True).is_dir()
     write_wavlm(tmp_path / "weights", seed=1)
-    with pytest.raises(WeightsError, match="weights.*fingerprint"):
+    with pytest.raises(WeightsError, match="(?=.*weights)(?=.*fingerprint)"):
         train(config, resume=True)
 
 
@@ -181,7 +181,7 @@ def test_a_run_leaves_metrics_checkpoints_and_a_model(make_config, tmp_path, cap
 def test_no_checkpoint_is_written_after_nan(make_config):
     training = {"learning_rate": 1e30, "first_stage": 20}
     config = make_config(training=training, checkpoint_every=1, log_every=100)
-    with pytest.raises(ModelError, match="step .*NaN"):
+    with pytest.raises(ModelError, match="(?=.*step)(?=.*NaN)"):
         train(config)
     latest = Checkpoints(config.out / "checkpoints").latest()
     assert latest is None or all(torch.isfinite(v).all() for v in latest[1]["generators"].values())

@@ -115,7 +115,7 @@ def test_real_motions_are_windows_of_the_recordings_at_both_levels(cache):
     long, short = (sequence.motion for sequence in cache.data.paired)
     of_short = [bool((own - short).abs().max() < 1e-6) for own in fine]
     others = fine[[not own for own in of_short]]
-    # Of 88 windows of 63 frames in a recording of 150, and of a single one in the other.
+    # Of 38 windows of 63 frames in a recording of 100, and of a single one in the other.
     assert sum(of_short) <= 2 and len(set(starts_of(others, long))) > 6
     assert cache.reals(cache.data.paired, 63, 0, 1, rng_for("reals"))[0].shape[-1] == lengths[0]
 

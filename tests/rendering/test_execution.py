@@ -41,9 +41,6 @@ def test_shards_in_any_order_give_the_same_bytes(model, sounds, tmp_path, whole)
         outcomes = run(model, sounds, tmp_path / "sharded", shard=(number, 3))
         assert all(outcome.error is None for outcome in outcomes)
     assert results(tmp_path / "sharded") == whole
-    run(model, [sounds / "b.wav"], tmp_path / "alone")
-    one = {name: data for name, data in whole.items() if name.startswith("b.")}
-    assert results(tmp_path / "alone") == one
     # What shards made is kept by a run of all.
     assert [len(o.kept) for o in run(model, sounds, tmp_path / "sharded")] == [2] * 5
 
@@ -94,7 +91,7 @@ def test_options_of_each_line_of_a_list(model, sounds, tmp_path):
     # A line that changes is one item to do again.
     lines[0]["seed"] = 4
     (sounds / "night.jsonl").write_text("\n".join(map(json.dumps, lines[:3])))
-    with pytest.raises(ConfigError, match="seed .*2 .*4"):
+    with pytest.raises(ConfigError, match=r"(?=.*seed)(?=.*\b2\b)(?=.*\b4\b)"):
         run(model, sounds / "night.jsonl", tmp_path / "out")
 
 

@@ -56,21 +56,20 @@ def test_every_fault_is_named(beat2, submission, tmp_path):
     good.save(tmp_path / "2_scott_0_1_1_s2.npz")
     good[:44].save(tmp_path / "2_scott_0_1_1_s3.npz")
     (tmp_path / "1_wayne_0_86_87_s1.npz").write_bytes(b"no npz")
-    with pytest.warns(UserWarning, match="refuses 25 fps"):
+    with pytest.warns(UserWarning, match="25 fps"):
         replace(good, fps=25.0).save(tmp_path / "1_wayne_0_86_87_s3.npz")
     broken = tmp_path / "broken.wav"
     broken.write_text("no sound")
     unreadable, *faults = check(tmp_path, {"broken": broken, **sounds}, "smplx", 3)
     assert str(broken) in unreadable and len(faults) == 5
-    text = "\n".join(faults)
     for says in (
-        "2_scott_0_1_1_s2.npz: .*same",
-        "2_scott_0_1_1_s3.npz: .*44 frames.* 45 ",
-        "1_wayne_0_86_87_s3.npz: .*25 fps.* 30 ",
-        "1_wayne_0_86_87_s2.npz: missing",
-        "1_wayne_0_86_87_s1.npz: ",
+        "2_scott_0_1_1_s2.npz & same",
+        r"2_scott_0_1_1_s3.npz & 44 frames & \b45\b",
+        r"1_wayne_0_86_87_s3.npz & 25 fps & \b30\b",
+        "1_wayne_0_86_87_s2.npz & missing",
+        "1_wayne_0_86_87_s1.npz",
     ):
-        assert re.search(says, text)
+        assert any(all(re.search(fact, fault) for fact in says.split(" & ")) for fault in faults)
     (fault,) = check(submission, {"2_scott_0_1_1": sounds["2_scott_0_1_1"]}, "smplh", 2)[:1]
     assert "55 joints" in fault and "52" in fault
 
@@ -93,7 +92,5 @@ def test_the_command_makes_what_is_missing_and_says_what_is_wrong(beat2, tmp_pat
     assert run("export", "--model", "demo") == 0
     assert (tmp_path / "1_wayne_0_86_87.npz").stat().st_mtime_ns == kept
     assert run("check") == 0
-    assert (
-        run("export", "--model", "demo", "--seed", "1") == 2
-        and "--existing replace" in capsys.readouterr().err
-    )
+    assert run("export", "--model", "demo", "--seed", "1") == 2
+    assert "--existing replace" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 
 import numpy as np
 import pytest
@@ -96,38 +97,35 @@ def test_jsonl_has_options_for_each_input(folder, tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [
-        ("l.scp", "x touch hacked |\n", "l.scp:1: "),
-        ("l.scp", "../../x in/a.wav\n", r"l.scp:1: id '\.\./\.\./x'"),
+        ("l.scp", "x touch hacked |\n", "l.scp:1"),
+        ("l.scp", "../../x in/a.wav\n", r"l.scp:1 & id '\.\./\.\./x'"),
         ("l.scp", ".gesturekit/plan in/a.wav\n", r"\.gesturekit"),
-        ("l.txt", "\n\n", "l.txt: .*empty"),
-        ("l.txt", "a\0b\n", "l.txt:1: "),
-        ("l.txt", "x" * 70_000, "l.txt:1: "),
-        (
-            "l.txt",
-            "in/a.wav\nother/../in/a.wav\nout/day/a.wav\nin/a.flac",
-            r"in/a\.wav .*in/a\.flac",
-        ),
-        ("l.jsonl", '{"audio": "a.wav"}\n{"audio": 3}', "l.jsonl:2: audio is 3"),
+        ("l.txt", "\n\n", "l.txt & empty"),
+        ("l.txt", "a\0b\n", "l.txt:1"),
+        ("l.txt", "x" * 70_000, "l.txt:1"),
+        ("l.txt", "in/a.wav\nother/../in/a.wav\nout/day/a.wav\nin/a.flac", "in/a.wav & in/a.flac"),
+        ("l.jsonl", '{"audio": "a.wav"}\n{"audio": 3}', "l.jsonl:2 & audio & 3"),
         ("l.jsonl", '{"audio": "a.wav", "colour": 3}', "'colour'"),
         ("l.jsonl", '{"audio": "a.wav", "id": "../a"}', r"'\.\./a'"),
-        ("l.jsonl", '{"id": "a", "seconds": 1e99}', "seconds is 1e"),
-        ("l.jsonl", '{"id": "a", "seconds": NaN}', "seconds is NaN"),
-        ("l.jsonl", '{"audio": "a.wav", "seed": -1}', "l.jsonl:1: seed is -1"),
-        ("l.jsonl", '{"seed": 3}', "l.jsonl:1: .*audio"),
-        ("l.jsonl", '{"id": "a"}', "l.jsonl:1: .*audio"),
+        ("l.jsonl", '{"id": "a", "seconds": 1e99}', "seconds & 1e"),
+        ("l.jsonl", '{"id": "a", "seconds": NaN}', "seconds & NaN"),
+        ("l.jsonl", '{"audio": "a.wav", "seed": -1}', "l.jsonl:1 & seed & -1"),
+        ("l.jsonl", '{"seed": 3}', "l.jsonl:1 & audio"),
+        ("l.jsonl", '{"id": "a"}', "l.jsonl:1 & audio"),
         ("l.jsonl", '{"schema": 1}', "--corpus"),
-        ("l.jsonl", "[" * 20_000, "l.jsonl:1: "),
-        ("l.jsonl", '{"id": "a", "seconds": 0}', "seconds is 0"),
-        ("l.jsonl", '{"audio": "a.wav", "start": -0.1}', "start is -0.1"),
-        ("l.jsonl", '{"audio": "a.wav", "channel": 0}', "channel is 0"),
+        ("l.jsonl", "[" * 20_000, "l.jsonl:1"),
+        ("l.jsonl", '{"id": "a", "seconds": 0}', "seconds & 0"),
+        ("l.jsonl", '{"audio": "a.wav", "start": -0.1}', "start & -0.1"),
+        ("l.jsonl", '{"audio": "a.wav", "channel": 0}', "channel & 0"),
         ("none.txt", None, "none.txt"),
     ],
 )
 def test_lists_that_are_refused_name_the_line(folder, tmp_path, name, text, says):
     if text is not None:
         (tmp_path / name).write_text(text)
-    with pytest.raises(ConfigError, match=says):
+    with pytest.raises(ConfigError) as caught:
         find_tasks(name, tmp_path / "out")
+    assert all(re.search(fact, str(caught.value)) for fact in says.split(" & "))
     assert not (tmp_path / "hacked").exists()
 
 
@@ -159,9 +157,9 @@ def test_a_file_that_is_named_twice_is_made_once_and_two_of_a_name_are_refused(
     for number in range(3):
         write_speech(tmp_path / str(number) / "a.wav", 0.5)
     others = [tmp_path / str(number) / "a.wav" for number in range(3)]
-    with pytest.raises(ConfigError, match="0/a.wav .*1/a.wav .*out/a"):
+    with pytest.raises(ConfigError, match="(?=.*0/a.wav)(?=.*1/a.wav)(?=.*out/a)"):
         find_tasks(others[:2], tmp_path / "out")
-    with pytest.raises(ConfigError, match=r"1/a.wav .*out/a .*1 more"):
+    with pytest.raises(ConfigError, match=r"(?=.*1/a.wav)(?=.*out/a)(?=.*1 more)"):
         find_tasks(others, tmp_path / "out")
 
 
@@ -172,10 +170,8 @@ def test_results_within_the_folder_of_sounds_and_hidden_files_are_no_inputs(
         write_speech(folder / f"{name}.wav", 0.5)
     names = {"a", "day/b", "day/night/c", "day/z"}
     assert {task.id for task in find_tasks(folder, folder / "day" / "out")} == names
-    assert {task.id for task in find_tasks(folder, folder)} == names | {
-        "day/out/x",
-        "day/out/sub/x",
-    }
+    more = names | {"day/out/x", "day/out/sub/x"}
+    assert {task.id for task in find_tasks(folder, folder)} == more
     # A sound that cannot be decoded counts only if none of its name can.
     for name in ("a.wma", "b.wma"):
         (folder / name).write_text("x")

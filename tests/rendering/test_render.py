@@ -113,7 +113,7 @@ def test_a_link_in_the_output_folder_leads_nowhere(model, sounds, tmp_path, writ
     for link in (STATE, f"{STATE}/journal", f"{STATE}/journal/00001-of-00001.jsonl"):
         (out / link).parent.mkdir(exist_ok=True)
         (out / link).symlink_to(elsewhere / "anything")
-        with pytest.raises(ConfigError, match=f"{re.escape(link)} "):
+        with pytest.raises(ConfigError, match=re.escape(link)):
             next(render(model, sounds, out))
         (out / link).unlink()
     assert list(elsewhere.iterdir()) == []
@@ -146,11 +146,11 @@ def test_a_rerun_refuses_by_name_what_was_made_otherwise(model, sounds, tmp_path
         "rig": lambda: render(model, sounds, out, output=Output(rig="smpl")),
         "model": lambda: render(damaged, sounds, out),
     }.items():
-        with pytest.raises(ConfigError, match=rf"a\.bvh.*b\.bvh .*\b{name}.* \(2 "):
+        with pytest.raises(ConfigError, match=rf"(?=.*a.bvh)(?=.*b.bvh)(?=.*\b{name})(?=.*\b2\b)"):
             next(asked())
         assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == made
     write_speech(sounds[0], 1.0)
-    with pytest.raises(ConfigError, match=r"a\.bvh .*input \(1 .*1 .*1 "):
+    with pytest.raises(ConfigError, match=r"(?=.*a\.bvh)(?=.*\binput\b)(?=.*\b1\b)"):
         next(render(model, sounds, out))
     # Each way through.
     skip, again = Output(existing="skip"), Output(existing="replace")
@@ -211,5 +211,5 @@ def test_bvh_in_another_unit(model, sounds, tmp_path):
     centimetres, metres = (Motion.load(one.files[0], unit="cm") for one in (own, outcome))
     ratio = centimetres.skeleton.offsets[1:] / metres.skeleton.offsets[1:].clip(1e-9)
     np.testing.assert_allclose(ratio[metres.skeleton.offsets[1:] > 1e-3], 100, rtol=1e-3)
-    with pytest.raises(ConfigError, match=r"up .*\.npz"):
+    with pytest.raises(ConfigError, match=r"(?=.*\bup\b)(?=.*\.npz)"):
         next(render(model, sounds[:1], tmp_path, output=Output(up="z")))

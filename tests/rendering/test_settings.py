@@ -81,9 +81,8 @@ def test_a_preview_names_what_cannot_be_read_and_what_is_kept(model, tmp_path, s
 
     assert outcomes() == {"a": ("left", False), "broken": ("failed", True)}
     assert not list(out.glob("*.bvh")) and model_of_results(out) is None
-    assert [result.status for result in render_batch(model, [sound, broken], out).run()] == [
-        "done", "failed"
-    ]  # fmt: skip
+    made = render_batch(model, [sound, broken], out).run()
+    assert [result.status for result in made] == ["done", "failed"]
     assert outcomes() == {"a": ("kept", False), "broken": ("failed", True)}
     assert model_of_results(out) == model.folder
     (idle,) = preview(render_batch(model, [], tmp_path / "idle", seconds=1.0))

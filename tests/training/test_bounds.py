@@ -1,6 +1,7 @@
 """Every setting that is a number: values out of its range are refused by name."""
 
 import math
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -94,16 +95,17 @@ def test_a_number_out_of_range_is_refused_by_name(system, key):
 
 
 def test_parts_are_joints_of_known_names():
-    for parts, message in (
-        ({"left_elbo": "Joint3"}, "left_elbo.*left_elbow"),
+    for parts, says in (
+        ({"left_elbo": "Joint3"}, "left_elbo & left_elbow"),
         ({"left_elbow": 3}, "left_elbow"),
-        ("left_elbow", "parts.*left_elbow"),
+        ("left_elbow", "parts & left_elbow"),
     ):
-        with pytest.raises(ConfigError, match=message):
+        with pytest.raises(ConfigError) as caught:
             build(DiffusionConfig, values_with("diffusion", "parts", parts))
+        assert all(re.search(fact, str(caught.value)) for fact in says.split(" & "))
 
 
 def test_a_stage_without_any_step_is_refused():
     nothing = {"training": {"generator_steps": 0, "reconstruction_steps": 0}}
-    with pytest.raises(ConfigError, match="generator_steps.*reconstruction_steps"):
+    with pytest.raises(ConfigError, match="(?=.*generator_steps)(?=.*reconstruction_steps)"):
         build(MultiresConfig, small_values("multires", "corpus.jsonl", "run", nothing))

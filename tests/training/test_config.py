@@ -52,7 +52,7 @@ def test_settings_are_python_values_by_name(tmp_path, monkeypatch):
     assert config.inner == Inner(rate=0.2, steps=(2, 3))
     assert (config.window, config.corpus) == (None, tmp_path / "here.jsonl")
     assert load_config(path, Outer, settings={"inner.rate": 1}).inner.rate == 1.0
-    with pytest.raises(ConfigError, match=r"inner\.rat\b.*inner\.rate"):
+    with pytest.raises(ConfigError, match=r"(?=.*inner\.rat\b)(?=.*inner\.rate)"):
         load_config(path, Outer, settings={"inner": {"rat": 1}})
 
 
@@ -69,34 +69,35 @@ def test_a_written_configuration_reads_back_the_same(tmp_path):
 @pytest.mark.parametrize(
     ("text", "overrides", "says"),
     [
-        ("corpus: c\ninner: {rat: 1}", [], r"inner\.rat\b.*inner\.rate"),
-        ("corpus: c\nwindow: wide", [], "window.*wide"),
-        ("corpus: c\ninner: {mode: other}", [], "other.*input.*all"),
-        ("corpus: c\ninner: 3", [], "inner.*3"),
+        ("corpus: c\ninner: {rat: 1}", [], r"inner\.rat\b & inner\.rate"),
+        ("corpus: c\nwindow: wide", [], "window & wide"),
+        ("corpus: c\ninner: {mode: other}", [], "other & input & all"),
+        ("corpus: c\ninner: 3", [], "inner & 3"),
         ("window: 3", [], "corpus"),
-        ("corpus: c", ["name=3"], "name.*3.*str"),
+        ("corpus: c", ["name=3"], "name & 3 & str"),
         ("corpus: c\ninner: {rate: null}", [], r"inner\.rate"),
-        ("corpus: c\nwindow: true", [], "window.*True"),
-        ("corpus: c\ninner: {steps: 3}", [], r"inner\.steps.*3.*list"),
-        ("corpus: c\ninner: {steps: [1.5]}", [], r"inner\.steps.*1\.5"),
-        ("corpus: c\nbase: 3", [], "base.*3"),
-        ("corpus: c", ["=3"], "=3.*key=value"),
-        ("corpus: c", ["window=[1"], r"window=\[1.*YAML"),
+        ("corpus: c\nwindow: true", [], "window & True"),
+        ("corpus: c\ninner: {steps: 3}", [], r"inner\.steps & 3 & list"),
+        ("corpus: c\ninner: {steps: [1.5]}", [], r"inner\.steps & 1\.5"),
+        ("corpus: c\nbase: 3", [], "base & 3"),
+        ("corpus: c", ["=3"], "=3 & key=value"),
+        ("corpus: c", ["window=[1"], r"window=\[1 & YAML"),
         (f"corpus: c\nwindow: {'1' * 41}", [], "41 digits"),
         ("- a list", [], "list"),
         ("corpus: !!python/object/apply:os.getcwd []", [], "python/object/apply"),
         ("base: a.yaml", [], "base"),
         ("base: gone/a.yaml", [], r"gone/a\.yaml"),
         # Neither half a name nor one of two alike is left to guess.
-        ("corpus: c\ninner.ratio: 3", [], r"inner\.ratio.*inner\.rate"),
+        ("corpus: c\ninner.ratio: 3", [], r"inner\.ratio & inner\.rate"),
         # An error in an override does not blame the file.
-        ("corpus: c", ["inner.rate=fast"], "^inner.rate.*fast"),
-        ("corpus: c\ninner: {rate: fast}", ["corpus=d"], r"a\.yaml.*inner\.rate.*fast"),
+        ("corpus: c", ["inner.rate=fast"], "^inner.rate & fast"),
+        ("corpus: c\ninner: {rate: fast}", ["corpus=d"], r"a\.yaml & inner\.rate & fast"),
     ],
 )
 def test_mistakes_are_named(tmp_path, text, overrides, says):
-    with pytest.raises(ConfigError, match="(?s)" + says) as caught:
+    with pytest.raises(ConfigError) as caught:
         load_config(write(tmp_path, "a.yaml", text), Outer, overrides)
+    assert all(re.search(fact, str(caught.value)) for fact in says.split(" & "))
     assert "a.yaml" in str(caught.value) or overrides
 
 
@@ -123,7 +124,7 @@ def test_hostile_files_are_refused_before_they_fill_memory(tmp_path):
         lists += f"{other}: &{other} [{', '.join([f'*{one}'] * 10)}]\n"
     itself = "corpus: &c [*c]"
     for text, fact in ((long, "MB"), (lists, "aliases"), (itself, "aliases")):
-        with pytest.raises(ConfigError, match=rf"a\.yaml.*{fact}"):
+        with pytest.raises(ConfigError, match=rf"(?=.*a\.yaml)(?=.*{fact})"):
             load_config(write(tmp_path, "a.yaml", text), Outer)
     few = "corpus: c\ninner: {steps: &s [1, 2]}\nwindow: 40000000000000000000000000000000000000.0"
     assert load_config(write(tmp_path, "a.yaml", few), Outer).window == 4e37
@@ -139,5 +140,5 @@ def test_hostile_files_are_refused_before_they_fill_memory(tmp_path):
 def test_what_cannot_be_a_path_is_refused_with_its_key(tmp_path, value):
     path = tmp_path / "config.yaml"
     path.write_text(f"corpus: {json.dumps(value)}\n")
-    with pytest.raises(ConfigError, match="corpus.*path"):
+    with pytest.raises(ConfigError, match="(?=.*corpus)(?=.*path)"):
         load_config(path, DiffusionConfig)

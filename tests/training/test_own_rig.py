@@ -8,7 +8,6 @@ from rigs import prefixed
 
 from gesturekit.diffusion import DeltaRepresentation
 from gesturekit.errors import ModelError
-from gesturekit.motion import floor_height
 from gesturekit.training.data.own_rig import on_rig, pose_on_rig
 
 
@@ -26,7 +25,8 @@ def test_a_pose_of_another_rig_keeps_its_place_and_names_its_floor(gesture):
         pose.positions()[0, 0, [0, 2]], other.positions()[120, 0, [0, 2]], atol=1e-6
     )
     whole = on_rig(model, other)
-    assert pose.info["floor"] == pytest.approx(floor_height(whole))
+    lowest = whole.positions()[..., 1].min(axis=1)
+    assert pose.info["floor"] == pytest.approx(np.median(lowest), abs=0.05)
     driven = list(model.indices)
     np.testing.assert_allclose(pose.rotations[0, driven], whole.rotations[120, driven], atol=1e-9)
     hand = own.skeleton.index("LeftHand")

@@ -83,7 +83,7 @@ def test_styles_are_in_alphabetical_order_and_checked_before_motion_is_read(corp
     with pytest.raises(ConfigError, match="^calm, old, wild$"):
         read(config, styles=True, check_styles=check)
     config = corpus({"id": "a", "style": "old"}, {"id": "b"}, {"id": "c"})
-    with pytest.raises(CorpusError, match=r"item b\b.*style.*2"):
+    with pytest.raises(CorpusError, match=r"(?=.*item b\b)(?=.*style)(?=.*\b2\b)"):
         read(config, styles=True)
 
 
@@ -162,13 +162,13 @@ def test_rates_are_those_of_files_and_a_far_higher_one_is_warned_about(corpus, c
     found = read(corpus(*({"id": f"r{k}", "fps": x} for k, x in enumerate(rates)), fps=fps))
     assert found.rates == [20.0, 10.0, 10.0] and found.recorded_fps == 10.0
     assert [motion.fps for motion in found.motions] == found.rates
-    assert bool(re.search("31.*20", caplog.text)) == warned
+    assert bool(re.search(r"(?=.*\b31\b)(?=.*\b20\b)", caplog.text)) == warned
 
 
-@pytest.mark.parametrize(("speech", "needs"), [(True, "audio.*motion"), (False, "motion")])
+@pytest.mark.parametrize(("speech", "needs"), [(True, "audio"), (False, "motion")])
 def test_a_corpus_without_what_a_model_needs_is_refused(corpus, speech, needs):
     alone = {"id": "alone", "speech": False} if speech else {"id": "talk", "moves": False}
-    with pytest.raises(CorpusError, match=rf"c\.jsonl.*train.*{needs}"):
+    with pytest.raises(CorpusError, match=rf"(?=.*c\.jsonl)(?=.*train)(?=.*{needs})"):
         read(corpus(alone, {"id": "test", "split": "test"}), speech=speech)
 
 
@@ -182,4 +182,4 @@ def test_each_speaker_has_one_body_and_recordings_of_nobody_are_of_one_person(sh
     assert [shape.betas for shape in shapes] == [(x,) for x in (1.5, 5.0, 1.5, 1.5, -1.0, -1.0)]
     assert {shape.gender for shape in shapes[:4:2]} == {"female"}, "as most of hers"
     ann, nobody = caplog.messages
-    assert re.search(r"\bann\b.*\b3\b", ann) and re.search(r"unnamed.*\b2\b", nobody)
+    assert re.search(r"(?=.*\bann\b)(?=.*\b3\b)", ann) and re.search(r"\b2\b", nobody)

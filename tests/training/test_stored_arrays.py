@@ -22,10 +22,10 @@ def folder(tmp_path) -> ArrayFolder:
     return made
 
 
-def test_the_frames_of_an_array_are_read_from_its_file(folder, tmp_path):
+def test_the_frames_of_an_array_are_read_from_its_file(folder):
     array = folder.find(KEY)
     assert (array.shape, array.facts) == ((10, 3), {"id": "a"})
-    np.testing.assert_array_equal(np.load(tmp_path / "3f" / f"{KEY}.npy"), ROWS)
+    np.testing.assert_array_equal(np.load(array.path), ROWS)
     for start, stop in ((0, 10), (2, 5), (9, 10), (8, 20), (10, 12), (14, 20)):
         rows = array.rows(start, stop)
         assert rows.dtype == np.float32 and rows.shape[1] == 3
@@ -73,25 +73,25 @@ def test_arrays_of_each_maker_are_made_once_and_come_in_order(tmp_path, caplog):
 
 def test_an_item_without_its_array_is_named_and_the_others_are_kept(tmp_path):
     maker = Maker(1.0)
-    with pytest.raises(CorpusError, match=r"item bad\b.*bad\.bvh.*HIERARCHY"):
+    with pytest.raises(CorpusError, match=r"(?=.*item bad\b)(?=.*bad\.bvh)(?=.*HIERARCHY)"):
         stored_arrays(tmp_path, [(maker, items("a", "bad", "c"))], 1)
     assert maker.made == ["a", "bad"]
     stored_arrays(tmp_path, [(maker, items("a", "c"))], 1)
     assert maker.made == ["a", "bad", "c"]
     (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match=f"{tmp_path / 'file'}.*arrays="):
+    with pytest.raises(OutputError, match=f"(?=.*{tmp_path / 'file'})(?=.*arrays=)"):
         stored_arrays(tmp_path / "file", [(maker, items("a"))], 1)
 
 
 def test_an_array_that_is_not_whole_is_missing(folder, tmp_path):
-    file = tmp_path / "3f" / f"{KEY}.npy"
-    array, content = folder.find(KEY), file.read_bytes()
+    file = (array := folder.find(KEY)).path
+    content = file.read_bytes()
     for damaged in (content[:120], content[:-129], b""):
         file.write_bytes(damaged)
         assert folder.find(KEY) is None
-        with pytest.raises(ConfigError, match=f"{tmp_path}.*arrays="):
+        with pytest.raises(ConfigError, match=f"(?=.*{tmp_path})(?=.*arrays=)"):
             folder.find_all([KEY])
-        with pytest.raises(ConfigError, match=f"{file}.*10.*3"):
+        with pytest.raises(ConfigError, match=rf"(?=.*{file})(?=.*\b10\b)(?=.*\b3\b)"):
             array.rows(0, 1)
     file.write_bytes(content + bytes(200))
     with pytest.raises(ConfigError, match=str(file)):
