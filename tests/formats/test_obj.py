@@ -42,8 +42,8 @@ def test_the_skin_of_a_frame(tmp_path, body_file, n_joints):
 def test_a_failed_obj_leaves_no_file(tmp_path, body_file):
     with pytest.raises(FormatError, match="--body-model"):
         a_motion(24).save(tmp_path / "a.obj")
-    with pytest.raises(FormatError, match=" 5 .* 5 "):
-        write_obj(a_motion(24), tmp_path / "a.obj", body_model=body_file, frame=5)
+    with pytest.raises(FormatError, match=r"(?=.*\b777\b).*\b5 frames"):
+        write_obj(a_motion(24), tmp_path / "a.obj", body_model=body_file, frame=777)
     with pytest.raises(FormatError, match="absent.npz"):
         a_motion(24).save(tmp_path / "a.obj", body_model=tmp_path / "absent.npz")
     assert not list(tmp_path.glob("*.obj"))
