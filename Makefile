@@ -46,11 +46,11 @@ demo: setup
 # Tests start many processes: without bytecode each of them would compile the packages anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-# Two files of tests at a time; arguments of your own replace this. librosa compiles what beats need
-# when they are found for the first time in an environment: not while a test waits.
+# Two files of tests at a time, one thread each; arguments of your own replace this. librosa compiles
+# what beats need when they are found for the first time in an environment: not while a test waits.
 test: lint
 	@$(BIN)/python -c "import numpy, audio_features as af; af.Music().extract(af.Wave(numpy.zeros(16000, 'f4'), 16000))"
-	$(BIN)/python -m pytest $(or $(PYTEST_ARGS),-n 2 --dist loadfile)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest $(or $(PYTEST_ARGS),-n 2 --dist loadfile)
 
 stress: setup
 	$(BIN)/python -m pytest -m stress $(PYTEST_ARGS)

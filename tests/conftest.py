@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import re
@@ -38,6 +39,12 @@ def pytest_configure(config: pytest.Config) -> None:
     asked = config.option.markexpr
     if "cuda" not in asked or "not cuda" in asked:
         os.environ["CUDA_VISIBLE_DEVICES"] = ""
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Keep what was imported out of garbage collection, which would visit it again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_make_parametrize_id(val: object, argname: str) -> str | None:

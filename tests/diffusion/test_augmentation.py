@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from gesturekit.diffusion import DeltaRepresentation
-from gesturekit.diffusion.training.augmentation import mirror_condition, stretch, stretch_factor
+from gesturekit.diffusion.training.augmentation import (
+    mirror_condition,
+    source_frames,
+    stretch,
+    stretch_factor,
+)
 from gesturekit.errors import ConfigError
 from gesturekit.motion import RootPath, multiply_quaternions, quaternion_from_rotation_vector
 from gesturekit.training import rng_for
@@ -77,6 +82,16 @@ def test_a_share_of_the_windows_is_stretched():
     wide = np.array([stretch_factor(rng_for("test", k), 1.0, 0.4) for k in range(500)])
     # Uniform between 0.6 and 1.4: quarters are at 0.8, 1 and 1.2.
     assert np.quantile(wide, [0.25, 0.5, 0.75]) == pytest.approx([0.8, 1.0, 1.2], abs=0.04)
+
+
+def test_a_window_ends_with_the_last_frame_that_it_needs():
+    """40 frames at half speed are 39 / 2 + 1 frames, rounded up."""
+    values = np.arange(21.0)[:, None]
+    assert (source_frames(40, 2.0), source_frames(40, 0.5), source_frames(40, 1.0)) == (21, 79, 40)
+    assert stretch(values, 0.0, 40, 2.0)[:, 0] == pytest.approx(np.arange(40) / 2)
+    for start, factor in ((1.0, 2.0), (-0.5, 4.0)):
+        with pytest.raises(ValueError, match="21"):
+            stretch(values, start, 42, factor)
 
 
 def test_conditions_are_mirrored_with_the_motion():

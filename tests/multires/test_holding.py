@@ -1,5 +1,6 @@
 """What a motion is held to: a path, parts that are given, edited keyframes."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -131,6 +132,13 @@ def test_clips_that_are_turned_together_give_the_same_motion_turned(model, gestu
     other = model.generate(keep=turned, seed=1, foot_lock=False)
     expected = turned_about(made, 2.5).positions()
     np.testing.assert_allclose(other.positions(), expected, atol=1e-3)
+
+
+def test_a_path_that_is_faster_than_all_training_is_warned_of(model, caplog):
+    model.generate(path=circle(3.0, speed=0.2, radius=100.0), seed=1)
+    assert "m/s" not in caplog.text
+    model.generate(path=circle(3.0, speed=3.0, radius=100.0), seed=1)
+    assert "path" in caplog.text and re.search(r"\b3(\.0+)? m/s|\b2\.9\d* m/s", caplog.text)
 
 
 def test_an_edit_is_reached_and_the_rest_stays(model):

@@ -14,6 +14,8 @@ from gesturekit.motion.concatenation import stacked
 from gesturekit.multires import MultiresGenerator, train
 from gesturekit.multires.sampling.trained_model import Pyramid, clocked_noise
 from gesturekit.multires.streaming.levels import WindowLevels
+from gesturekit.multires.streaming.live_state import LiveState
+from gesturekit.multires.streaming.plan import Forecast, LiveChoice
 
 RATE = 16_000
 SETTINGS = {
@@ -56,6 +58,25 @@ def test_a_stream_does_not_depend_on_blocks_or_on_what_is_said_later(model, spee
     frames = int((2 - 0.2) * model.fps)
     np.testing.assert_array_equal(usual.rotations[:frames], other.rotations[:frames])
     assert not np.array_equal(usual.rotations, other.rotations)
+
+
+def test_what_is_to_come_is_not_predicted(model):
+    """The forecast counts up to its last time, as far as it is known; noise does the rest."""
+    fast, around = model.state_process.channels.fast, 40
+    process = replace(model.state_process, explained=np.where(fast, 0.6, 0.0))
+    speech = np.zeros((2 * around, model.conditions.conditioner.dim))
+
+    def drawn(value: float, share: float) -> np.ndarray:
+        own = LiveState(process, LiveChoice(seed=1), around)
+        times, known = np.array([0.0, 0.2]), np.array([1.0, share])
+        return own.advance(speech, Forecast(times, known * value, 0.4, known), 0.0)[: len(fast)][
+            fast
+        ]
+
+    higher, usual = drawn(9.0, 0.5), drawn(0.0, 0.5)
+    assert (higher[:, around] > usual[:, around]).all()
+    np.testing.assert_array_equal(higher[:, around + 6 :], usual[:, around + 6 :])
+    assert not np.array_equal(drawn(9.0, 0.1)[:, around + 3], higher[:, around + 3])
 
 
 def test_a_stream_goes_on_from_its_state(model, speech):
