@@ -68,6 +68,12 @@ class Control:
     convert: Callable[[Any], Any] | None = None
     raw: Any = None
 
+    def is_default(self, value: Any) -> bool:
+        """Return True for the default; an array, which is compared by element, is none."""
+        return value is self.default or (
+            not isinstance(value, np.ndarray) and bool(value == self.default)
+        )
+
     def check(self, name: str, value: Any) -> None:
         """Check a value that was given.
 

@@ -247,11 +247,7 @@ def _without_defaults(model: Model, arguments: Mapping[str, Any]) -> dict[str, A
     """
     controls = model.check_controls(**arguments)
     entries = control_entries(controls_type(model.kind))
-    found = {
-        name: value
-        for name, value in controls.items()
-        if value is not (default := entries[name].default) and value != default
-    }
+    found = {n: value for n, value in controls.items() if not entries[n].is_default(value)}
     usual = {"samples": 1, "seed": 0}
     given = {name: arguments.get(name, value) for name, value in usual.items()}
     return {name: value for name, value in given.items() if value != usual[name]} | found

@@ -10,6 +10,7 @@ from small_runs import small_config
 
 import audio_features as af
 import gesturekit as gk
+from gesturekit.errors import ModelError
 from gesturekit.motion.concatenation import stacked
 from gesturekit.multires import MultiresGenerator, train
 from gesturekit.multires.sampling.trained_model import Pyramid, clocked_noise
@@ -86,6 +87,11 @@ def test_a_stream_goes_on_from_its_state(model, speech):
     first = one.step(speech[RATE:])
     other.restore(kept)
     np.testing.assert_array_equal(first.rotations, other.step(speech[RATE:]).rotations)
+
+
+def test_a_stream_draws_its_state(model):
+    with pytest.raises(ModelError, match="state"):
+        model.stream(RATE, state=np.zeros((9, 12)))
 
 
 def test_seed_mood_and_liveliness_decide_what_is_shown(model, speech):

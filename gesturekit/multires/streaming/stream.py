@@ -310,7 +310,7 @@ def _predictions(
         raise ModelError(f"the model cannot stream: {error}") from error
     entries = control_entries(MultiresControls)
     for name, value in controls.items():
-        if name not in _CONTROLS and value != entries[name].default:
+        if name not in _CONTROLS and not entries[name].is_default(value):
             raise ModelError(
                 f"{name}: a stream takes {', '.join(_CONTROLS[:-1])} and {_CONTROLS[-1]} only"
             )
