@@ -96,10 +96,10 @@ def test_all_metrics_of_all_models_are_beside_those_of_the_recordings(evaluation
     assert "retargeted" in head[of_a] and "retargeted" not in head[of_b]
     sync = ("0.50", "0.40", "0.60", "6 takes", "7 clips", "0.10", "0.25", "6 of 7")
     for name, *facts in (
-        ("Sync", sync, ["not measured"], ["0.70", "0.65", "0.75"]),
-        ("Arm speed", ["1\u202f234", "6 takes", "6 clips"], ["not measured"], ["1\u202f000"]),
-        ("Coverage", ["50", "informative", "6 takes", "6 clips"], ["not measured"], ["75"]),
-        ("Jerk", ["not measured"], ["0.02", "6 takes", "6 clips"], ["12.3"]),
+        ("Sync", sync, ["–"], ["0.70", "0.65", "0.75"]),
+        ("Arm speed", ["1\u202f234", "6 takes", "6 clips"], ["–"], ["1\u202f000"]),
+        ("Coverage", ["50", "informative", "6 takes", "6 clips"], ["–"], ["75"]),
+        ("Jerk", ["–"], ["0.02", "6 takes", "6 clips"], ["12.3"]),
     ):
         (row,) = (row for row in rows if re.match(rf"{name}\b", row[0]))
         cells = zip((row[of_a], row[of_b], row[-1]), facts)
