@@ -194,7 +194,7 @@ def test_effort_is_a_quantile_with_half_a_second_of_the_clips_own():
 
 
 def test_voicing_is_the_share_of_power_that_repeats():
-    """Of a tone and noise of equal power, half is the same one period later."""
+    """Half of a tone and noise of equal power is the same one period later."""
     tone = sine(200, 2.0)
     noise = tone.std() * np.random.default_rng(0).standard_normal(len(tone))
     for share, sound in ((1.0, tone), (0.5, tone + noise)):

@@ -41,7 +41,7 @@ def render(gesturekit, model, tmp_path):
 
 @pytest.fixture
 def broken(tmp_path) -> dict[str, Path]:
-    """What users give by accident, by a word on what is wrong with it."""
+    """Files that users give by accident, by a word on what is wrong with them."""
     folder = tmp_path / "in"
     folder.mkdir(exist_ok=True)
     files = {

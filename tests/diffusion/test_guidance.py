@@ -32,17 +32,17 @@ def noise(*keys: int | str, width: int = MOTION) -> torch.Tensor:
     return torch.randn(1, FRAMES, width, generator=rng_for("noise", *keys))
 
 
-def expert(seed: int, told: int = 0, schedule: NoiseSchedule = SCHEDULE) -> Expert:
-    return Expert(network(seed), schedule, noise("told", told, width=CONDITION))
+def expert(seed: int, condition: int = 0, schedule: NoiseSchedule = SCHEDULE) -> Expert:
+    return Expert(network(seed), schedule, noise("told", condition, width=CONDITION))
 
 
 @pytest.mark.parametrize("weights", [(0.5, 0.5, 0), (1.5, 0, -0.5), (-0.25, 1.0, 0.25)])
 def test_experts_give_the_weighted_sum_of_what_their_networks_predict(weights):
     """The released code, adding in place, gives the second of three weights g1 (1 - g2)."""
     narrow = Expert(network(3, n_condition=1), SCHEDULE, noise("narrow", width=1))
-    experts = [expert(1), expert(2, told=1), narrow]
-    told = [e.network(noise(), e.condition, torch.tensor([30])).detach() for e in experts]
-    expected = np.tensordot(weights, torch.stack(told).numpy(), 1)
+    experts = [expert(1), expert(2, condition=1), narrow]
+    predicted = [e.network(noise(), e.condition, torch.tensor([30])).detach() for e in experts]
+    expected = np.tensordot(weights, torch.stack(predicted).numpy(), 1)
     found = ProductOfExperts(experts, weights).predict(noise(), 30)
     np.testing.assert_allclose(found.numpy(), expected, atol=1e-5)
 

@@ -34,7 +34,7 @@ def test_parameter_counts_are_the_published_ones(blocks, layers, n_motion, n_con
 
 @pytest.mark.parametrize(("n_in", "n_out"), [(6, 10), (10, 6)])
 def test_dilated_convolution_is_a_convolution(n_in, n_out):
-    """What it makes of a single number at the fourth of seven frames is its kernel."""
+    """Response to a single number at the fourth of seven frames: the kernel."""
     layer = DilatedConv(n_in, n_out, dilation=3, bias=True)
     pulses = torch.zeros(n_in, 7, n_in)
     pulses[:, 3] = torch.eye(n_in)

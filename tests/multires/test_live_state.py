@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import torch
 from small_runs import small_config
+from streams import streamed
 
 import audio_features as af
 import gesturekit as gk
 from gesturekit.errors import ModelError
-from gesturekit.motion.concatenation import stacked
 from gesturekit.multires import MultiresGenerator, train
 from gesturekit.multires.sampling.trained_model import Pyramid, clocked_noise
 from gesturekit.multires.streaming.levels import WindowLevels
@@ -38,24 +38,14 @@ def speech(corpus) -> np.ndarray:
     return np.concatenate([np.zeros(RATE // 2, np.float32), wave.samples[: 5 * RATE // 2]])
 
 
-def streamed(stream, samples: np.ndarray, sizes) -> gk.Motion:
-    made, first = [], 0
-    for size in sizes:
-        made.append(stream.step(samples[first : first + size]))
-        first += size
-        if first >= len(samples):
-            break
-    return stacked([part for part in [*made, stream.finish()] if part is not None])
-
-
 def test_a_stream_does_not_depend_on_blocks_or_on_what_is_said_later(model, speech):
-    usual = streamed(model.stream(RATE, seed=3), speech, itertools.repeat(640))
+    usual = streamed(model.stream(RATE, seed=3), speech)
     assert usual.n_frames == round(len(speech) / RATE * model.fps)
     again = streamed(model.stream(RATE, seed=3), speech, itertools.cycle((1, 977, 5000)))
     np.testing.assert_array_equal(usual.rotations, again.rotations)
     changed = speech.copy()
     changed[2 * RATE :] = 0.0
-    other = streamed(model.stream(RATE, seed=3), changed, itertools.repeat(640))
+    other = streamed(model.stream(RATE, seed=3), changed)
     frames = int((2 - 0.2) * model.fps)
     np.testing.assert_array_equal(usual.rotations[:frames], other.rotations[:frames])
     assert not np.array_equal(usual.rotations, other.rotations)
@@ -96,7 +86,7 @@ def test_a_stream_draws_its_state(model):
 
 def test_seed_mood_and_liveliness_decide_what_is_shown(model, speech):
     def of(**options) -> np.ndarray:
-        return streamed(model.stream(RATE, **options), speech, itertools.repeat(640)).rotations
+        return streamed(model.stream(RATE, **options), speech).rotations
 
     usual = of(seed=3)
     np.testing.assert_array_equal(usual, of(seed=3, mood_seed=3))

@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 from scipy.ndimage import gaussian_filter1d
 from small_models import small_diffusion
+from streams import streamed
 
 import audio_features as af
 import gesturekit as gk
@@ -31,17 +32,6 @@ def speech() -> np.ndarray:
     wave = af.Wave.load(Path(gk.__file__).parent / "models" / "demo" / "speech.wav")
     sound = wave.resample(RATE).samples[: 3 * RATE // 2]
     return np.concatenate([np.zeros(RATE // 2, np.float32), sound])
-
-
-def streamed(stream, samples: np.ndarray, sizes=itertools.repeat(640)) -> gk.Motion:  # noqa: B008
-    """The motion of samples in blocks of these sizes, to the end of the stream."""
-    made, first = [], 0
-    for size in sizes:
-        made.append(stream.step(samples[first : first + size]))
-        first += size
-        if first >= len(samples):
-            break
-    return stacked([part for part in [*made, stream.finish()] if part is not None])
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""What a study's report says: the facts of its sentences, tables and figures."""
+"""Report of a study: the facts of its sentences, tables and figures."""
 
 import json
 import re

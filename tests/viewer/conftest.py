@@ -1,4 +1,4 @@
-"""What tests of the viewer share."""
+"""Fixtures of the viewer's tests."""
 
 from collections.abc import Callable
 from pathlib import Path

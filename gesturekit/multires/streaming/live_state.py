@@ -26,8 +26,6 @@ class LiveState:
 
     def __init__(self, process: StateProcess, choice: LiveChoice, around: int) -> None:
         self._process, self._choice, self._around = process, choice, around
-        mood = choice.seed if choice.mood_seed is None else choice.mood_seed
-        self._mood_seed = rng_for(mood, choice.item, "live", "mood").initial_seed() >> 1
         self._seed = rng_for(choice.seed, choice.item, "live", "carriers").initial_seed() >> 1
         self._frame = -1
         self._noise = np.empty((len(process.mean), 0))
@@ -56,7 +54,7 @@ class LiveState:
         first = self._frame - around
         missing = 2 * around - self._noise.shape[1] + begun
         last = first + 2 * around
-        new = process.noise(self._mood_seed, np.arange(last - missing, last))
+        new = process.noise(self._choice.noise_seed, np.arange(last - missing, last))
         self._noise = np.concatenate([self._noise[:, begun:], new], axis=1)
         # Before the first frame all is drawn as if nothing had been said.
         kept = around if begun else 0

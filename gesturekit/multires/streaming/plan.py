@@ -59,6 +59,12 @@ class LiveChoice:
     liveliness: float = 1.0
     mood_seed: int | None = None
 
+    @cached_property
+    def noise_seed(self) -> int:
+        """Seed of the noise of the slow state."""
+        seed = self.seed if self.mood_seed is None else self.mood_seed
+        return rng_for(seed, self.item, "live", "mood").initial_seed() >> 1
+
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
@@ -138,7 +144,7 @@ class LivePlan:
         due = [i for i in range(len(self._due)) if now >= self._due[i]]
         if due:
             seconds = self._frame / self.library.fps
-            scores = self.library.slow_state.at(self._mood_seed, seconds, slow)
+            scores = self.library.slow_state.at(self.choice.noise_seed, seconds, slow)
         for i in due:
             self._due[i] = now + self._searches[i].hop
             self._choose(i, fast, scores)
@@ -155,12 +161,6 @@ class LivePlan:
         share = 1 - math.exp(-1 / (_TEMPO_SECONDS * self.library.fps))
         self._log_tempo += share * (float(goal) - self._log_tempo)
         return math.exp(self._log_tempo)
-
-    @cached_property
-    def _mood_seed(self) -> int:
-        choice = self.choice
-        key = choice.seed if choice.mood_seed is None else choice.mood_seed
-        return rng_for(key, choice.item, "live", "mood").initial_seed() >> 1
 
     def _choose(self, i: int, fast: Forecast | None, scores: np.ndarray) -> None:
         """Choose what a part shows from now on.
