@@ -231,10 +231,14 @@ class TrainedModel(BaseModel):
         return self.library
 
     @property
+    def drawn(self) -> RecallLibrary | StateProcess | None:
+        """Source of drawn movement, with its predictions from speech; None without."""
+        return self.library if self.state_process is None else self.state_process
+
+    @property
     def ahead(self) -> tuple[AheadPrediction, ...]:
         """Predictions for live speech; empty for a model that cannot stream."""
-        source = self.library if self.state_process is None else self.state_process
-        return () if source is None else source.ahead
+        return () if self.drawn is None else self.drawn.ahead
 
     @property
     def inputs(self) -> Inputs:

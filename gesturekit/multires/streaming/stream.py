@@ -250,10 +250,8 @@ class MultiresStream:
 
     def _predicted(self, window: FeatureWindow) -> tuple[Forecast | None, float | None]:
         """Return predictions of fast and slow movement; None without."""
-        model = self.model
-        source = model.recall_library if model.state_process is None else model.state_process
-        wanted = source.wanted
-        if wanted is None:
+        drawn = self.model.drawn
+        if drawn is None or (wanted := drawn.wanted) is None:
             return None, None
         found = [prediction(window, wanted) for prediction in self._predictions]
         fast = np.array([fast for fast, _ in found])
@@ -300,8 +298,7 @@ def _predictions(
         ModelError: the model cannot stream, or does not take a control or the look-ahead.
     """
     conditioner = model.conditions.conditioner
-    drawn = model.library is not None or model.state_process is not None
-    if conditioner is None or not drawn:
+    if conditioner is None or model.drawn is None:
         missing = "speech input" if conditioner is None else "recall or a state of movement"
         raise ModelError(f"a model without {missing} cannot stream: train own_corpus for one")
     try:

@@ -49,9 +49,8 @@ def with_live_predictions(model: MultiresModel, items: Sequence[Item]) -> Multir
     Raises:
         CorpusError, AudioError, FormatError: a file cannot be read.
     """
-    conditioner = model.conditions.conditioner
-    source = model.library if model.state_process is None else model.state_process
-    if source is None or conditioner is None or source.wanted is None:
+    conditioner, drawn = model.conditions.conditioner, model.drawn
+    if drawn is None or conditioner is None or drawn.wanted is None:
         return model
     try:
         check_streams(conditioner.extractor)
@@ -87,7 +86,7 @@ def with_live_predictions(model: MultiresModel, items: Sequence[Item]) -> Multir
                 [curve[own] for curve, own in zip(fast, frames)],
                 [curve[own] for curve, own in zip(scores, frames)],
                 [item.take for item in chosen],
-                source.wanted,
+                drawn.wanted,
                 sets,
                 model.fps / _EVERY,
             )

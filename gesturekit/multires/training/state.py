@@ -89,9 +89,8 @@ class TrainingState:
             for sequence in cycle(self.data.sample):
                 key = ("calibration", number, len(pairs))
                 seed = rng_for(self.seed, *key).initial_seed() >> 1
-                speech, style = sequence.speech[:, :].numpy(), None
-                if self.data.styles:
-                    style = sequence.style
+                speech = sequence.speech[:, :].numpy()
+                style = sequence.style if self.data.styles else None
                 drawn = process.draw(seed, speech, (sequence.speaker, style))
                 condition = process.condition(seed, drawn)
                 pairs.append((drawn, self._made(model, condition, speech, style)))
@@ -116,16 +115,17 @@ class TrainingState:
         noise = clocked_noise(state[None], self.process.channels.n_carriers, lengths[0], sigma)
         condition = model.conditions.of_motion(speech.T, lengths, styles, (), state)
         values = Pyramid(model, lengths, condition).from_noise(noise)
-        places = self._kinematics.places(torch.from_numpy(values.T[None]).float())
-        return self.process.channels(places, self._kinematics.fps)[0].double().numpy()
+        return self._channels(torch.from_numpy(values.T[None]).float())
 
     @torch.no_grad()
     def _measured(self, sequence: PairedSequence) -> np.ndarray:
         """Return the channels (C, T) of a recording, in their own units."""
-        values = self.data.normaliser.inverse(sequence.motion[:, :][None])
-        channels = self.data.state_channels
+        return self._channels(self.data.normaliser.inverse(sequence.motion[:, :][None]))
+
+    def _channels(self, values: Tensor) -> np.ndarray:
+        """Return the channels (C, T) of motion vectors (1, D, T)."""
         places = self._kinematics.places(values)
-        return channels(places, self._kinematics.fps)[0].double().numpy()
+        return self.data.state_channels(places, self._kinematics.fps)[0].double().numpy()
 
 
 class StateTarget(nn.Module):

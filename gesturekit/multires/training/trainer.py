@@ -372,7 +372,7 @@ class Trainer:
     def _save(self, name: str, model: MultiresModel, notes: dict[str, str]) -> None:
         """Write a model of the run."""
         spoken, files = self.data.spoken
-        if model.library is not None or model.state_process is not None:
+        if model.drawn is not None:
             if self.ahead is None:
                 self.ahead = self._live_predictions(model)
             model = with_ahead(model, self.ahead)
