@@ -11,6 +11,7 @@ from streams import streamed
 
 import audio_features as af
 import gesturekit as gk
+from gesturekit.corpus import Manifest
 from gesturekit.errors import ModelError
 from gesturekit.multires import MultiresGenerator, train
 from gesturekit.multires.sampling.trained_model import Pyramid, clocked_noise
@@ -34,7 +35,8 @@ def model(corpus, tmp_path_factory):
 @pytest.fixture(scope="module")
 def speech(corpus) -> np.ndarray:
     """Three seconds of sound; speech begins after half a second."""
-    wave = af.Wave.load(sorted(corpus.parent.rglob("*.wav"))[0]).resample(RATE)
+    first = next(iter(Manifest.load(corpus)))
+    wave = af.Wave.load(first.audio).resample(RATE)
     return np.concatenate([np.zeros(RATE // 2, np.float32), wave.samples[: 5 * RATE // 2]])
 
 
