@@ -188,8 +188,8 @@ class Controls(TypedDict, total=False):
     """
 
     speaker: Annotated[str | None, Control(metavar="NAME")]
-    """One of the model's `speakers`: their skeleton is used, and a model with recall recalls their
-    recordings only. Without it, gestures are those of all speakers, on a skeleton of median
+    """One of the model's `speakers`: their skeleton is used, and a model with a state of movement
+    moves as they do. Without it, gestures are those of all speakers, on a skeleton of median
     size."""
     style: Annotated[
         str | None,

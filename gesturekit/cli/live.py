@@ -136,7 +136,8 @@ _URGENT = 3
 def command(ctx: click.Context, **options: Any) -> None:
     """Generate motion while someone speaks, and show, send or record it.
 
-    Ctrl-C ends it; a recording is then whole. Multires speech models with recall can do it.
+    Ctrl-C ends it; a recording is then whole. Multires speech models with a state of movement can
+    do it.
     """
     begun = time.perf_counter()
     from gesturekit.live.recording import partial_of

@@ -310,7 +310,7 @@ def parts_of(extractor: Any) -> tuple[Any, ...]:
 def wide_columns(extractor: Any, count: int) -> np.ndarray:
     """Return D flags, true for columns of the extractors in a stack that have more than `count`.
 
-    Vocal effort is never wide: recall needs its columns.
+    Vocal effort is never wide: the state of movement needs its columns.
     """
     parts = parts_of(extractor)
     wide = [part.dim > count and not isinstance(part, af.Effort) for part in parts]

@@ -112,7 +112,7 @@ class DiffusionModel(TrainedModel):
         """Raise ModelError: the model cannot stream."""
         raise ModelError(
             f"a {self.kind} model generates whole motions only: multires models with acoustic "
-            "features and recall can stream, such as own_corpus"
+            "features and a state of movement can stream, such as own_corpus"
         )
 
     def fingerprint(self) -> str:

@@ -67,7 +67,7 @@ def inspect_model(folder: Path) -> Summary:
         "fps": fps,
         "recorded_fps": recorded_fps,
         "joints": joints,
-        "recalled_joints": _recalled_joints(config),
+        "recorded_joints": _recorded_joints(config),
         "skeleton": list(skeleton.names),
         "features": features,
         "needs": needs_of(features.get("spec")),
@@ -88,22 +88,22 @@ def inspect_model(folder: Path) -> Summary:
     )
 
 
-def _recalled_joints(config: Any) -> list[str]:
-    """Return the joints, such as fingers, that are recalled but not modelled."""
-    for key in ("recall", "passive", "joints"):
+def _recorded_joints(config: Any) -> list[str]:
+    """Return the joints, such as fingers, that are played from recordings, not modelled."""
+    for key in ("recorded", "passive", "joints"):
         config = config.get(key) if isinstance(config, dict) else None
     return [str(name) for name in config] if isinstance(config, list) else []
 
 
 def _rows(facts: dict[str, Any], skeleton: Skeleton) -> list[tuple[str, str]]:
-    recalled = facts["recalled_joints"]
-    still = [name for name in skeleton.names if name not in {*facts["joints"], *recalled}]
+    recorded = facts["recorded_joints"]
+    still = [name for name in skeleton.names if name not in {*facts["joints"], *recorded}]
     rows = [
         (
             "moves",
             f"{len(facts['joints'])} of {counted(skeleton.n_joints, 'joint')} at "
             + rate_text(facts["fps"], facts["recorded_fps"])
-            + (f"; {len(recalled)} more by recall: {listed(recalled, 4)}" if recalled else "")
+            + (f"; {len(recorded)} more from recordings: {listed(recorded, 4)}" if recorded else "")
             + (f"; not {listed(still, 4)}" if still else ""),
         ),
         ("speech features", _speech_features(facts["features"].get("spec"))),

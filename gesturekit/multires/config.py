@@ -105,9 +105,6 @@ class LossConfig:
     arm_acceleration: float = 0.0
     """The same for arm acceleration, which tells trembling arms from swinging arms of equal
     speed."""
-    arm_floors: tuple[float, ...] = (1.0, 10.0)
-    """Added to arm speed (rad/s) and acceleration (rad/s^2) before the logarithm in the losses on
-    them. Higher values give pauses less weight."""
     detail: float = 0.0
     """Energy distance between the distributions of detail in generated and recorded motion, at each
     joint, on random steps. Detail is movement too fast for the frame rate of the next coarser
@@ -143,8 +140,6 @@ class LossConfig:
 
     def __post_init__(self) -> None:
         check_not_negative(**{k: v for k, v in vars(self).items() if isinstance(v, (int, float))})
-        if len(self.arm_floors) != 2 or min(self.arm_floors) <= 0:
-            raise ConfigError(f"arm_floors: {list(self.arm_floors)} must be two numbers above 0")
 
 
 @dataclass(frozen=True)
@@ -245,52 +240,6 @@ class StyleConfig:
             raise ConfigError(f"mixing: {self.mixing} must be between 0 and 1")
 
 
-def check_stretch(stretch: float) -> None:
-    """Raise ConfigError for a `RecallConfig.stretch` out of range."""
-    if stretch and not 0.05 <= stretch <= 0.5:
-        raise ConfigError(f"stretch: {stretch} must be 0 or from 0.05 to 0.5")
-
-
-@dataclass(frozen=True)
-class RecallConfig:
-    """Recall by speech: pieces of the training recordings, chosen by the speech, replace a level.
-
-    Not in the papers.
-    """
-
-    level: int = 6
-    """Level whose output is replaced, counted from 1 (coarsest); even, because levels are trained
-    in pairs. With the finest level, the result is recorded motion only (retrieval)."""
-    piece: float = 2.0
-    """Length of a piece in seconds."""
-    overlap: float = 0.4
-    """Length of the cross-fade between two pieces in seconds; at most half of a piece."""
-    parts: Literal["arms", "body"] = "arms"
-    """Choose pieces for each arm and for the rest of the body separately, or for the whole body."""
-    stretch: float = 0.0
-    """Largest fraction by which pieces of an arm are played faster or slower, so that they move at
-    the times predicted from the speech; from 0.05 to 0.5, or 0 to play them as recorded."""
-    minutes: float = 20.0
-    """Minutes of recordings in the model, at most: of a longer corpus, parts that cover its takes,
-    speakers and styles, calm and lively movement, and usual and rare gestures."""
-    own_movement: float = 0.9
-    """Weight, from 0 to 1, of the recalled pieces' own arm movement in the targets of
-    `losses.arm_speed` and `losses.arm_acceleration`; the rest is the prediction from speech."""
-
-    def __post_init__(self) -> None:
-        check_positive(level=self.level, piece=self.piece, overlap=self.overlap)
-        check_positive(minutes=self.minutes)
-        if self.level % 2:
-            raise ConfigError(f"level: {self.level} must be even: levels train in pairs")
-        if self.overlap > self.piece / 2:
-            raise ConfigError(
-                f"overlap: {self.overlap} must be at most half of piece ({self.piece})"
-            )
-        check_stretch(self.stretch)
-        if not 0 <= self.own_movement <= 1:
-            raise ConfigError(f"own_movement: {self.own_movement} must be from 0 to 1")
-
-
 @dataclass(frozen=True, kw_only=True)
 class MultiresConfig(RunConfig):
     """Settings of a multires training run, with or without speech and style conditions."""
@@ -329,9 +278,10 @@ class MultiresConfig(RunConfig):
     the hands are held, and when they move. It is measured in the recordings, and drawn in
     generation and for random steps. The noise of level 1 then runs in the time of the hands'
     movement, and finer levels get none. Not in the papers."""
-    recall: RecallConfig | None = None
-    """Recall by speech; null generates all levels, as in the papers. With recall, the model folder
-    contains the training motion at the frame rate of `recall.level`."""
+    retrieval: bool = False
+    """Play pieces of the recordings whose state is nearest to the drawn one, in place of the
+    network's motion: a baseline, for comparison. It needs `state`, and the model folder contains
+    the training motion. Not in the papers."""
     losses: LossConfig = field(default_factory=LossConfig)
     """Weights of the losses."""
     training: TrainingConfig = field(default_factory=TrainingConfig)
@@ -354,20 +304,16 @@ class MultiresConfig(RunConfig):
         super().__post_init__()
         check_not_negative(z_star_shuffle=self.z_star_shuffle)
         check_positive(noise_levels=self.noise_levels, contact_threshold=self.contact_threshold)
-        if self.recall is not None and self.recall.level > self.network.levels:
-            raise ConfigError(
-                f"recall.level: {self.recall.level} is above network.levels {self.network.levels}"
-            )
-        if self.state and (self.recall or self.z_star_shuffle or self.z_star != "shared"):
-            raise ConfigError(
-                "state: true cannot be combined with recall, z_star_shuffle or z_star: full"
-            )
+        if self.state and (self.z_star_shuffle or self.z_star != "shared"):
+            raise ConfigError("state: true cannot be combined with z_star_shuffle or z_star: full")
+        if self.retrieval and not self.state:
+            raise ConfigError("retrieval: true needs state: true, by which pieces are chosen")
         if self.losses.state and not self.state:
             raise ConfigError(f"losses.state: {self.losses.state:g} needs state: true")
         kinds = {spec.get("kind") for spec in self.features.extractors} if self.features else ()
-        if self.recall is not None and kinds == {"effort"}:
+        if self.state and kinds == {"effort"}:
             raise ConfigError(
-                "features.extractors: effort alone; with recall it is not an input of the network: "
+                "features.extractors: effort alone; with state it is not an input of the network: "
                 "add another kind, such as {kind: prosody}"
             )
 

@@ -30,7 +30,7 @@ class MultiresControls(Controls, total=False):
     ]
     """Speech of single levels, counted from 1 (coarsest), in place of the main speech:
     7-10=b.wav, in Python {"7-10": "b.wav"}. It is cut to the length of the motion, or continues
-    with silence. Recall follows the main speech."""
+    with silence. The drawn state follows the main speech."""
     levels: Annotated[int | None, Control(kind=int, least=1, metavar="N", excludes=PLACING)]
     """Stop after this many levels. The motion has the lower frame rate of that level and can be
     edited and passed back as keyframes. Only style, level_style, speech and level_speech can be
@@ -55,16 +55,13 @@ class MultiresControls(Controls, total=False):
     ]
     """Motions to keep, each with its start time in seconds. They appear unchanged and at their own
     position; the model generates the motion before, between and after them (in-betweening)."""
-    recall: Annotated[bool | None, Control(kind=bool)]
-    """Recall pieces of the training recordings, chosen by the speech (--no-recall: generate all
-    levels from noise). By default a model uses recall if it was trained with it."""
     state: Annotated["str | Path | np.ndarray | None", Control(kind=Path, metavar="FILE.npy")]
     """State of movement in place of a drawn one, as `MultiresModel.state` returns it; cut to the
     motion, or held to its end."""
     liveliness: Annotated[float, Control(1.0, kind=float, above=0, metavar="AMOUNT")]
     """Factor on the hand speed that is drawn for the speech, about 0.5 (calmer) to 1.5 (livelier).
-    For models with recall or a drawn state."""
+    For models with a state of movement."""
     mood_seed: Annotated[int | None, Control(kind=int, least=0, metavar="N")]
     """Seed of the moods: calm or lively, and where the hands are held; by default that of
     everything else. With a fixed mood_seed, seed changes the details and keeps the moods. For
-    models with recall or a drawn state."""
+    models with a state of movement."""

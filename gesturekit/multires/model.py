@@ -27,12 +27,11 @@ from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.network.skeleton_conv import n_weights
-from gesturekit.multires.recall.library_format import (
+from gesturekit.multires.retrieval.format import (
     library_row,
     library_tensors,
     library_values,
     load_library,
-    prediction_rows,
 )
 from gesturekit.multires.sampling.conditions import Conditions, level_track
 from gesturekit.multires.sampling.request import Request, check_controls
@@ -267,7 +266,7 @@ class MultiresModel(TrainedModel):
             "noise_levels": noise.noise_levels,
             "network": to_dict(self.network_config),
             "sequences": {name: asdict(sequence) for name, sequence in noise.sequences.items()},
-            "recall": None if self.library is None else library_values(self.library),
+            "recorded": None if self.library is None else library_values(self.library),
             "state": None if self.state_process is None else state_values(self.state_process),
             "fastest": self.fastest,
             "smooth": self.smooth,
@@ -295,8 +294,7 @@ class MultiresModel(TrainedModel):
             lines |= speech
             call = '"speech.wav"'
         if self.library is not None:
-            lines["Recalled motion"] = library_row(self.library)
-            lines |= prediction_rows(self.library)
+            lines["Recorded motion"] = library_row(self.library)
         if (process := self.state_process) is not None:
             lines["State of movement"] = ", ".join(process.channels.names)
             if process.wanted is not None:
@@ -357,7 +355,6 @@ class MultiresModel(TrainedModel):
             conditioner,
             tuple(map(str, config["styles"])),
             bool(features and features["residual"]),
-            config["recall"] is not None,
             None if state is None else channels,
         )
         trained = parts.tensors_under("network.")
@@ -384,7 +381,7 @@ class MultiresModel(TrainedModel):
             network_config=network_config,
             network=network.eval(),
             noise=noise,
-            library=load_library(parts, representation, network_config.levels, n_speech),
+            library=load_library(parts, representation, len(channels.names)),
             state_process=state,
             fastest=float(config["fastest"]),
         )

@@ -16,7 +16,6 @@ __getattr__ = attach(
         "fast_inputs": "prediction",
         "folds_of": "prediction",
         "load_state": "format",
-        "normal_scores": "process",
         "recorded_quantiles": "process",
         "recorded_values": "process",
         "slow_inputs": "prediction",

@@ -37,12 +37,10 @@ class FeatureWindow:
     Attributes:
         rows: (W, S) the last rows.
         averages: (2, S) running means, see `AVERAGED_SECONDS`.
-        paused: True after a second without speech.
     """
 
     rows: np.ndarray
     averages: np.ndarray
-    paused: bool = False
 
 
 def last_bins(speech: FeatureWindow, fps: float) -> np.ndarray:

@@ -235,6 +235,10 @@ class StateProcess:
         """Return (C, T) the voice activity that each channel depends on, from features (S, T)."""
         return _voices(self.channels, speech, self.silence, self.fps)
 
+    def with_voice(self, values: np.ndarray, speech: np.ndarray) -> np.ndarray:
+        """Return channels (C, T) and the voice activity of features (S, T), (C + 1, T)."""
+        return np.concatenate([values, voice_activity(speech, self.silence, self.fps)[None]])
+
     def scores(self, values: np.ndarray, speech: np.ndarray) -> np.ndarray:
         """Return normal scores of channels (C, T), by rank among the recordings.
 
@@ -435,14 +439,6 @@ def _predictions(wanted: WantedMovement, voiced: np.ndarray) -> tuple[np.ndarray
     when = when - np.where(voiced, loud, quiet)
     size = max(when.std(), 1e-6)
     return np.array([quiet, loud, size]), np.stack([wanted.slow.left_out, when / size])
-
-
-def normal_scores(curves: Sequence[np.ndarray], groups: Sequence[object]) -> list[np.ndarray]:
-    """Return standard normal scores of curves (C, T_k), by rank in each channel.
-
-    Ranks are those among the curves of the same group.
-    """
-    return _scores(curves, [np.ones(own.shape, bool) for own in curves], groups)
 
 
 def _scores(

@@ -11,9 +11,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
 import torch
-from scipy.interpolate import make_interp_spline
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
@@ -31,16 +29,6 @@ def resample(x: Tensor, n_frames: int) -> Tensor:
     if x.shape[-1] == n_frames:
         return x
     return _interpolate(x, *_weights(x.shape[-1], n_frames, x.dtype))
-
-
-def resample_smoothly(x: Tensor, n_frames: int) -> Tensor:
-    """Return x (..., T) as (..., n_frames): cubic splines, at the frame times of `resample`."""
-    if x.shape[-1] < 4:
-        return resample(x, n_frames)
-    time = np.arange(x.shape[-1])
-    wanted = (np.arange(n_frames) + 0.5) * (x.shape[-1] / n_frames) - 0.5
-    spline = make_interp_spline(time, x.double().numpy(), axis=-1)
-    return torch.from_numpy(spline(np.clip(wanted, 0, time[-1]))).to(x.dtype)
 
 
 def resample_part(x: Tensor, n_frames: int, start: int, stop: int) -> Tensor:

@@ -36,14 +36,12 @@ class Conditions:
         conditioner: turns waves into speech features; None for a model without speech input.
         styles: names of the K styles; empty for a model without styles.
         residual: give finer levels only the detail that coarser ones lack (section 5).
-        recalls: a model with recall.
         state: channels of the state of movement; None for a model without it.
     """
 
     conditioner: SpeechConditioner | None = None
     styles: tuple[str, ...] = ()
     residual: bool = False
-    recalls: bool = False
     state: StateChannels | None = None
 
     @property
@@ -56,11 +54,11 @@ class Conditions:
     def columns(self) -> list[int]:
         """Columns of the speech features that the network gets.
 
-        Those of vocal effort only predict what is recalled or drawn.
+        Those of vocal effort only predict what is drawn.
         """
         if self.conditioner is None:
             return []
-        hidden = self.conditioner.effort if self.recalls or self.state else ()
+        hidden = self.conditioner.effort if self.state else ()
         return [i for i in range(self.conditioner.dim) if i not in hidden]
 
     def of_motion(

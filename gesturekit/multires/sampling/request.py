@@ -19,7 +19,6 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.constraints.inbetweening import InbetweenClips
 from gesturekit.multires.constraints.keyframes import fit_keyframes, full_frames
 from gesturekit.multires.controls import MultiresControls
-from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.sampling.conditions import level_range, requested_styles
 from gesturekit.multires.sampling.trained_model import TrainedModel
 from gesturekit.postprocess import Placement
@@ -30,6 +29,8 @@ log = logging.getLogger(__name__)
 
 _HELD_SECONDS = 0.5
 """A motion to redo may be this much shorter than its sound."""
+_OF_LEVELS = ("levels", "level_style", "level_speech", "keyframes", "like", "keep", "path")
+"""Controls that a model without levels, which plays recordings, does not take."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +48,6 @@ class Request:
         path: the path of the root, T frames at the model's rate, or None.
         clips: the clips of in-betweening, or None.
         level_speech: levels with speech of their own, and its features, shaped as `features`.
-        library: recordings to recall; None to generate all levels.
         placement: where and how the motion begins and ends.
         state: (T, C) state of movement, or None to draw it.
     """
@@ -62,7 +62,6 @@ class Request:
     path: RootPath | None
     clips: InbetweenClips | None
     level_speech: tuple[tuple[range, np.ndarray], ...]
-    library: RecallLibrary | None
     placement: Placement
     state: np.ndarray | None
 
@@ -123,7 +122,6 @@ class Request:
             path=None if path is None else path.resample(fps, n_frames),
             clips=clips,
             level_speech=_level_speech(model, controls, n_frames, margin),
-            library=None if controls["recall"] is False else model.library,
             placement=Placement.of(controls, read_pose, on_path=path is not None),
             state=_given_state(model, controls, n_frames),
         )
@@ -212,7 +210,7 @@ def check_controls(model: TrainedModel, controls: MultiresControls, samples: int
 
     Raises:
         ModelError: a style, level or speaker that the model does not have, level_speech without
-            speech input, recall by a model without it, or liveliness or mood_seed without recall.
+            speech input, or liveliness or mood_seed without a state of movement.
     """
     levels = model.network_config.levels
     if model.styles:
@@ -240,22 +238,20 @@ def check_controls(model: TrainedModel, controls: MultiresControls, samples: int
 
 
 def _check_drawn(controls: MultiresControls, model: TrainedModel) -> None:
-    """Raise ModelError for controls of recall and of drawn movement that have no effect."""
-    recalls = model.library is not None
-    if controls["recall"] and not recalls:
-        raise ModelError("recall=True: this model was not trained with recall; leave recall away")
+    """Raise ModelError for controls of drawn movement, or of levels, that have no effect."""
     drawn = (("liveliness", controls["liveliness"], 1), ("mood_seed", controls["mood_seed"], None))
     for name, value, unset in drawn:
         if value == unset:
             continue
-        if not recalls and model.state_process is None:
+        if model.state_process is None:
             raise ModelError(f"{name}={value}: only models that draw how lively they are take it")
-        if recalls and controls["recall"] is False:
-            raise ModelError(f"{name}={value}: without recall it has no effect; give one of them")
-        if controls["like"] is not None:
-            raise ModelError(f"{name}={value}: like sets the movement; give one of them")
-        if controls["state"] is not None:
-            raise ModelError(f"{name}={value}: state sets the movement; give one of them")
+        for other in ("like", "state"):
+            if controls[other] is not None:
+                raise ModelError(f"{name}={value}: {other} sets the movement; give one of them")
+    if model.retrieves:
+        given = [name for name, value in controls.items() if name in _OF_LEVELS and value]
+        if given:
+            raise ModelError(f"{given[0]}: this model plays recordings, without a network's levels")
 
 
 def _check_combination(controls: MultiresControls, fewer_levels: bool) -> None:

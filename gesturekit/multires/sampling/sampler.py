@@ -6,7 +6,8 @@ import logging
 from dataclasses import replace
 
 import numpy as np
-from torch import Generator, Tensor
+import torch
+from torch import Tensor
 
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import slerp
@@ -21,8 +22,7 @@ from gesturekit.multires.constraints.keyframes import (
     root_through_keyframes,
 )
 from gesturekit.multires.constraints.path import PathConstraint
-from gesturekit.multires.network.resampling import resample_smoothly
-from gesturekit.multires.recall.library import RecalledMotion, RecallLibrary
+from gesturekit.multires.retrieval.library import PieceSequence, played_pieces
 from gesturekit.multires.sampling.conditions import requested_styles
 from gesturekit.multires.sampling.request import Request
 from gesturekit.multires.sampling.trained_model import Pyramid, TrainedModel, clocked_noise
@@ -54,24 +54,26 @@ class Sampler:
         """Generate the sample of an item with this number."""
         request = self.request
         styles = self._styles(seed, item, number)
-        choice = self._recalled(seed, item, number, styles)
-        state = self._state(seed, item, number, styles)
+        drawn = self._drawn(seed, item, number, styles)
+        condition = None
+        if drawn is not None and self.model.state_process is not None:
+            carriers = rng_for(seed, item, "sample", number, "carriers").initial_seed() >> 1
+            condition = self.model.state_process.condition(carriers, drawn)
+        played = self._played(drawn, seed, item, number, styles)
         pyramid = Pyramid(
             self.model,
             request.lengths,
             self.model.conditions.of_motion(
-                request.features, request.lengths, styles, request.level_speech, state
+                request.features, request.lengths, styles, request.level_speech, condition
             ),
             self.noise,
             lambda level: rng_for(seed, item, "sample", number, "level", level + 1),
-            None if choice is None else self._recalled_level(choice),
-            0 if self.request.library is None else self.request.library.level - 1,
-            None if state is None else self._clocked(state),
+            None if condition is None else self._clocked(condition),
         )
         if request.start is not None:
-            return self._with_passive(self._from_level(pyramid), choice)
+            return self._with_passive(self._from_level(pyramid), played)
         if request.clips is not None:
-            return self._between_clips(pyramid, choice)
+            return self._between_clips(pyramid, played)
         levels = request.controls["levels"]
         if request.path is None and levels is not None and levels < len(request.lengths):
             values = self._cropped(pyramid.random(levels=levels))
@@ -79,12 +81,10 @@ class Sampler:
         if request.path is not None:
             motion = self._along_path(pyramid)
         else:
-            output = pyramid.random()
-            if choice is not None and pyramid.recalled is not None:
-                output = self._at_rest(output, choice, pyramid.recalled)
+            output = pyramid.random() if not self.model.retrieves else self._retrieved(played)
             values = self._cropped(output)
             motion = self._finished(self._decoded(values), values)
-        return self._with_passive(motion, choice)
+        return self._with_passive(motion, played)
 
     def _constraint(self) -> PathConstraint | InbetweenConstraint | None:
         """Return the constraint on motions from noise; warn if it needs too high a speed."""
@@ -130,26 +130,22 @@ class Sampler:
             margin=request.margin,
         )
 
-    def _state(self, seed: int, item: str, number: int, styles: list[Tensor]) -> np.ndarray | None:
-        """Return the condition (C, T + 2 margin) of the state of movement; None without."""
+    def _drawn(self, seed: int, item: str, number: int, styles: list[Tensor]) -> np.ndarray | None:
+        """Return the channels (C, T + 2 margin) of the state of movement; None without."""
         process, request = self.model.state_process, self.request
         if process is None:
             return None
         controls, margin = request.controls, request.margin
+        if request.state is not None:
+            return np.pad(request.state.T, ((0, 0), (margin, margin)), mode="edge")
         own = rng_for(self._mood_seed(seed), item, "sample", number, "mood").initial_seed() >> 1
-        if request.state is None:
-            style = int(styles[0][0].mean(dim=-1).argmax()) if styles else None
-            values = process.draw(
-                own,
-                request.features.T,
-                (controls["speaker"], style),
-                first=-margin,
-                liveliness=controls["liveliness"],
-            )
-        else:
-            values = np.pad(request.state.T, ((0, 0), (margin, margin)), mode="edge")
-        carriers = rng_for(seed, item, "sample", number, "carriers").initial_seed() >> 1
-        return process.condition(carriers, values)
+        return process.draw(
+            own,
+            request.features.T,
+            (controls["speaker"], int(styles[0][0].mean(dim=-1).argmax()) if styles else None),
+            first=-margin,
+            liveliness=controls["liveliness"],
+        )
 
     def _clocked(self, state: np.ndarray) -> Tensor:
         """Return the noise of level 1 of a state (C, T + 2 margin)."""
@@ -161,62 +157,43 @@ class Sampler:
         mood_seed = self.request.controls["mood_seed"]
         return seed if mood_seed is None else int(mood_seed)
 
-    def _recalled(
-        self, seed: int, item: str, number: int, styles: list[Tensor]
-    ) -> RecalledMotion | None:
-        """Choose the recalled pieces; None without recall, or if no joint would take them."""
-        request = self.request
-        library = request.library
-        if library is None or (request.controls["like"] is not None and library.passive.is_empty):
+    def _played(
+        self,
+        drawn: np.ndarray | None,
+        seed: int,
+        item: str,
+        number: int,
+        styles: list[Tensor],
+    ) -> PieceSequence | None:
+        """Return the recorded motion for a state (C, T + 2 margin); None if there is none."""
+        library, process = self.model.library, self.model.state_process
+        if library is None or process is None or drawn is None:
             return None
-
-        def rng_of(part: str) -> Generator:
-            if part == "mood":
-                return rng_for(self._mood_seed(seed), item, "sample", number, "mood")
-            return rng_for(seed, item, "sample", number, "recall", part)
-
-        return library.recall(
-            request.features.T,
-            rng_of,
-            liveliness=request.controls["liveliness"],
-            speaker=request.controls["speaker"],
-            styles=styles[library.level - 1][0].argmax(dim=0).numpy() if styles else None,
+        return played_pieces(
+            library,
+            process.with_voice(drawn, self.request.features.T),
+            lambda piece: rng_for(seed, item, "sample", number, "piece", piece),
+            self.request.controls["speaker"],
+            styles[-1][0].argmax(dim=0).numpy() if styles else None,
         )
 
-    @property
-    def _library(self) -> RecallLibrary:
-        """The library of a request with recalled motion."""
-        assert self.request.library is not None
-        return self.request.library
+    def _retrieved(self, played: PieceSequence | None) -> np.ndarray:
+        """Return the motion vectors (T + 2 margin, D) of recordings."""
+        assert played is not None
+        n_features = self.model.representation.n_features
+        vectors = played.values(np.arange(self.request.lengths[-1]))[:, :n_features]
+        return self.model.normaliser.to_values(torch.from_numpy(vectors.T[None]))
 
-    def _recalled_level(self, choice: RecalledMotion) -> Tensor:
-        """Return the recalled motion (1, D, T_i) of its level, normalised."""
-        motions = [recording.motion for recording in self._library.recordings]
-        return choice.vectors(motions, self.request.lengths[self._library.level - 1])[None]
-
-    def _at_rest(self, values: np.ndarray, choice: RecalledMotion, recalled: Tensor) -> np.ndarray:
-        """Return vectors (T, D) without the detail of finer levels where a recalled hand rests.
-
-        `recalled` (1, D, T_i) is the recalled level, normalised.
-        """
-        # Linear interpolation would leave a corner at every frame of the recalled level.
-        coarse = self.model.normaliser.to_values(resample_smoothly(recalled, len(values)))
-        library = self._library
-        profiles = choice.profiles(library.recordings, len(values))
-        return coarse + library.detail(profiles).T * (values - coarse)
-
-    def _with_passive(self, motion: Motion, choice: RecalledMotion | None) -> Motion:
-        """Return the motion with the fingers and the face of the recalled pieces, if any."""
-        library = self.request.library
-        if choice is None or library is None or library.passive.is_empty:
+    def _with_passive(self, motion: Motion, played: PieceSequence | None) -> Motion:
+        """Return the motion with the fingers and the face of recordings, if any."""
+        library = self.model.library
+        if played is None or library is None or library.passive.is_empty:
             return motion
-        curves = [recording.passive for recording in library.recordings]
-        columns = library.passive.columns(library.parts)
-        margin, n_frames = self.request.margin, self.request.lengths[-1]
+        n_motion, margin = len(library.recordings[0].motion), self.request.margin
 
         def values(part: slice) -> Tensor:
-            shifted = slice(part.start + margin, part.stop + margin)
-            return choice.channels(curves, columns, n_frames, shifted)
+            frames = np.arange(part.start, part.stop) + margin
+            return torch.from_numpy(played.values(frames)[:, n_motion:].T)
 
         return library.passive.applied(motion, values)
 
@@ -228,14 +205,14 @@ class Sampler:
         motion = moved(self.model.representation, self._decoded(values), path.positions[0])
         return self._finished(motion, values, keep_path=True)
 
-    def _between_clips(self, pyramid: Pyramid, choice: RecalledMotion | None) -> Motion:
+    def _between_clips(self, pyramid: Pyramid, played: PieceSequence | None) -> Motion:
         """Generate the motion before, between and after the given clips."""
         clips = self.request.clips
         assert clips is not None
         values = self._cropped(pyramid.random(constraint=self.constraint))
         given = clips.given(self.request.n_frames)
         motion = self._finished(clips.placed(values), values, given=given, keep_path=True)
-        return clips.restored(self._with_passive(motion, choice))
+        return clips.restored(self._with_passive(motion, played))
 
     def _from_level(self, pyramid: Pyramid) -> Motion:
         """Generate the levels above keyframes, or above a motion to redo (`like`)."""

@@ -27,7 +27,7 @@ from gesturekit.multires.constraints.constraint import Constraint
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.generator import LevelGenerator, MultiresGenerator
 from gesturekit.multires.network.resampling import resample, resample_part
-from gesturekit.multires.recall.library import RecallLibrary
+from gesturekit.multires.retrieval.library import RecordedLibrary
 from gesturekit.multires.sampling.conditions import Conditions, LevelConditions
 from gesturekit.state.ahead import AheadPrediction
 from gesturekit.state.channels import CARRIERS
@@ -207,7 +207,7 @@ class TrainedModel(BaseModel):
         network_config: architecture of the pyramid.
         network: the generators.
         noise: the model's noise.
-        library: recordings that are recalled; None for a model without recall.
+        library: recorded motion that is played; None without.
         state_process: from which the state of movement is drawn; None for a model without it.
         fastest: ground speed in the fastest second of the training motion, m/s.
     """
@@ -220,25 +220,19 @@ class TrainedModel(BaseModel):
     network_config: NetworkConfig
     network: MultiresGenerator
     noise: TrainedNoise
-    library: RecallLibrary | None
+    library: RecordedLibrary | None
     state_process: StateProcess | None
     fastest: float
 
     @property
-    def recall_library(self) -> RecallLibrary:
-        """The library of a model with recall."""
-        assert self.library is not None
-        return self.library
-
-    @property
-    def drawn(self) -> RecallLibrary | StateProcess | None:
-        """Source of drawn movement, with its predictions from speech; None without."""
-        return self.library if self.state_process is None else self.state_process
+    def retrieves(self) -> bool:
+        """True for a model that plays whole bodies, without its network."""
+        return self.library is not None and self.library.is_whole
 
     @property
     def ahead(self) -> tuple[AheadPrediction, ...]:
         """Predictions for live speech; empty for a model that cannot stream."""
-        return () if self.drawn is None else self.drawn.ahead
+        return () if self.state_process is None else self.state_process.ahead
 
     @property
     def inputs(self) -> Inputs:
@@ -266,9 +260,6 @@ class Pyramid:
         condition: conditions of each level; None for a model without any.
         noise: of random motions; None if noise is only given.
         rng_of: random generator of a level, by its index; a new one at each call.
-        recalled: (1, D, T_i) normalised motion that replaces a level in random motions; None to
-            generate all levels.
-        recalled_level: index of that level.
         clocked: (1, 1, T_1) noise of level 1 of a model with a state of movement, whose finer
             levels get none; None to draw noise.
     """
@@ -278,8 +269,6 @@ class Pyramid:
     condition: LevelConditions | None
     noise: RandomNoise | None = None
     rng_of: Callable[[int], torch.Generator] | None = None
-    recalled: Tensor | None = None
-    recalled_level: int = 0
     clocked: Tensor | None = None
 
     def random(
@@ -287,25 +276,17 @@ class Pyramid:
     ) -> np.ndarray:
         """Return the output (T_i, D) of the first `levels` levels, all by default.
 
-        The first level gets noise, or a coarse level is recalled.
-
         Raises:
             ModelError: the output is not finite.
         """
-        lengths, level, recalled = self.lengths[:levels], self.recalled_level, self.recalled
-        if recalled is None:
-            assert self.noise is not None and self.rng_of is not None
-            if self.clocked is not None:
-                return self._sampled(
-                    [self.clocked, *[None] * (len(lengths) - 1)], lengths, constraint
-                )
-            first, *finer = self.noise.gaussian(lengths, self.rng_of)
-            first = self.noise.shuffled(first, [self._coarsest_styles()], self.rng_of(0))
-            return self._sampled([first, *finer], lengths, constraint)
-        if len(lengths) <= level:
-            return self.model.normaliser.to_values(resample(recalled, lengths[-1]))
-        coarser = recalled if constraint is None else constraint(level, recalled)
-        return self._above(level, coarser, lengths, constraint)
+        lengths = self.lengths[:levels]
+        if self.clocked is not None:
+            noises = [self.clocked, *[None] * (len(lengths) - 1)]
+            return self._sampled(noises, lengths, constraint)
+        assert self.noise is not None and self.rng_of is not None
+        first, *finer = self.noise.gaussian(lengths, self.rng_of)
+        first = self.noise.shuffled(first, [self._coarsest_styles()], self.rng_of(0))
+        return self._sampled([first, *finer], lengths, constraint)
 
     def from_noise(self, noise: Tensor) -> np.ndarray:
         """Return the output (T, D) of all levels from noise (1, 1 or D, T_1) at the first only."""

@@ -16,8 +16,6 @@ from gesturekit.state.ahead import AVERAGED_SECONDS, FeatureWindow
 
 _SMOOTHED_SECONDS = 3.0
 """Sound before a window of features, for the extractors that smooth over seconds."""
-_PAUSE_SECONDS = 1.0
-"""Time without speech after which people rest; between sentences there is less."""
 _CENTRE_SECONDS = 60.0
 """Seconds of speech after which it counts 1/e in the centre of a voice."""
 
@@ -103,8 +101,7 @@ class SpeechStream:
             new = rows[-self._every :].mean(axis=0)
             average += (new - average) * min(1.0, self._every / (seconds * self._fps))
         before = np.repeat(self._silence, self._rows - count, axis=0)
-        paused = not active[times > now - _PAUSE_SECONDS].any()
-        return FeatureWindow(np.concatenate([before, rows]), self._averages.copy(), paused)
+        return FeatureWindow(np.concatenate([before, rows]), self._averages.copy())
 
 
 _STATE = ("n_rows", "_total", "_count", "_averages")

@@ -50,29 +50,24 @@ class _Level(NamedTuple):
 
 
 class WindowLevels:
-    """Levels above the recalled one, or all of a model with a state of movement, for part of a
-    window.
+    """All levels of a model with a state of movement, for part of a window.
 
     The result is that of `sampling.trained_model.sample`, but for rounding. It takes a third of the
     time: frames on which the part does not depend are not computed, resampling is a product with a
     matrix, and all gains and shifts of a level are one product.
 
     Args:
-        model: with speech input, and recall or a state of movement.
+        model: with speech input and a state of movement.
         lengths: T_i, frames of each level in the window.
         styles: (1, K, T_i) for each level, or empty.
         part: frames of the finest level that are wanted.
-
-    Attributes:
-        first: frames of the recalled level on which they depend; of level 1 with a state.
     """
 
     def __init__(
         self, model: TrainedModel, lengths: Sequence[int], styles: Sequence[Tensor], part: range
     ) -> None:
-        first = 0 if model.state_process is not None else model.recall_library.level
-        networks, self._levels = model.network.levels[first:], list[_Level]()
-        self._backend = choose_backend("auto", *networks)
+        self._levels = list[_Level]()
+        self._backend = choose_backend("auto", *model.network.levels)
         self._columns = model.conditions.columns
         state = model.conditions.state
         self._n_carriers = 0 if state is None else state.n_carriers
@@ -81,7 +76,7 @@ class WindowLevels:
             LevelConditions([identity] * len(lengths), lengths, residual)
             for residual in (model.conditions.residual, False)
         )
-        for i in reversed(range(first, len(lengths))):
+        for i in reversed(range(len(lengths))):
             level = model.network.levels[i]
             begin = max(0, part.start - halo(level))
             end = min(lengths[i], part.stop + halo(level))
@@ -99,22 +94,19 @@ class WindowLevels:
                 interpolated(i, begin, end)[0],
             )
             self._levels.insert(0, _prepared(level, up, matrices, style, kept, len(self._columns)))
-        self.first, self._sigma = part, model.noise.sigma.mean(dim=0)[0]
+        self._sigma = model.noise.sigma.mean(dim=0)[0]
 
-    def __call__(
-        self, speech: np.ndarray, recalled: Tensor | None = None, state: np.ndarray | None = None
-    ) -> Tensor:
+    def __call__(self, speech: np.ndarray, state: np.ndarray) -> Tensor:
         """Return the normalised motion vectors (D, len(part)).
 
         Args:
             speech: (T, S) features of the window.
-            recalled: (D, T) normalised motion at the frames `self.first`; None with a state.
             state: (C + 4 H, T) of the window, see `StateProcess.condition`.
         """
         features = torch.from_numpy(speech[:, self._columns].T.astype(np.float32))
-        stated = torch.empty(0, features.shape[1]) if state is None else torch.from_numpy(state)
+        stated = torch.from_numpy(state)
         channels, carriers = stated.split([len(stated) - self._n_carriers, self._n_carriers])
-        motion = recalled
+        motion: Tensor | None = None
         with torch.inference_mode(), self._backend.threads():
             for level in self._levels:
                 own = carriers @ level.plain

@@ -3,13 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from gesturekit.multires.streaming.plan import Forecast, LiveChoice
 from gesturekit.state.process import StateProcess
 from gesturekit.training.seeds import rng_for
+
+
+@dataclass(frozen=True)
+class LiveChoice:
+    """Inputs of a stream beside the speech.
+
+    Attributes:
+        seed: of the random numbers.
+        item: name of the stream.
+        speaker: whose movement to draw; None for all.
+        style: number of the style; None for any.
+        liveliness: factor on the hand speed that is drawn.
+        mood_seed: seed of the state of movement; None for `seed`.
+    """
+
+    seed: int = 0
+    item: str = ""
+    speaker: str | None = None
+    style: int | None = None
+    liveliness: float = 1.0
+    mood_seed: int | None = None
+
+    @cached_property
+    def noise_seed(self) -> int:
+        """Seed of the noise of the state of movement."""
+        seed = self.seed if self.mood_seed is None else self.mood_seed
+        return rng_for(seed, self.item, "live", "mood").initial_seed() >> 1
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """Predicted fast movement.
+
+    Attributes:
+        seconds: (H,) from now, ascending from 0.
+        values: (H,) log m/s.
+        r: correlation of the first with recorded movement.
+        shares: (H,) how much is known of what the whole sound tells.
+    """
+
+    seconds: np.ndarray
+    values: np.ndarray
+    r: float
+    shares: np.ndarray
 
 
 class LiveState:
@@ -65,6 +110,11 @@ class LiveState:
         clocks[:, kept:] = np.cumsum(steps, axis=1) + (clocks[:, [kept - 1]] if begun else 0.0)
         self._clocks = clocks
         return process.condition(self._seed, self._values, clocks)
+
+    @property
+    def coming(self) -> np.ndarray:
+        """(C, T / 2) the channels of the current frame, and of those to come."""
+        return self._values[:, self._around :]
 
     def _drawn(self, speech: np.ndarray, fast: Forecast | None, slow: float | None) -> np.ndarray:
         """Return the channels (C, T) of the window; arguments as for `advance`."""

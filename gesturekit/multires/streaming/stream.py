@@ -22,14 +22,13 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.constraints.keyframes import moved
 from gesturekit.multires.controls import MultiresControls
-from gesturekit.multires.recall.slow_state import PAUSE
+from gesturekit.multires.retrieval.library import PieceSequence
 from gesturekit.multires.sampling.conditions import requested_styles
 from gesturekit.multires.sampling.trained_model import TrainedModel, finite
 from gesturekit.multires.streaming.features import SpeechStream
 from gesturekit.multires.streaming.feet import FootHold
 from gesturekit.multires.streaming.levels import WindowLevels
-from gesturekit.multires.streaming.live_state import LiveState
-from gesturekit.multires.streaming.plan import Forecast, LiveChoice, LivePlan
+from gesturekit.multires.streaming.live_state import Forecast, LiveChoice, LiveState
 from gesturekit.state.ahead import AheadPrediction, FeatureWindow
 from gesturekit.training.seeds import checked_item, checked_seed, rng_for
 
@@ -43,8 +42,8 @@ have almost no energy."""
 _HOME_SECONDS = 30.0
 """Time constant with which the body returns to its place: a stream may last for hours."""
 _BLEND, _LATER = 8, 2
-"""Windows of which a frame of a model with a state of movement is the mean, and by how many steps
-the last of them comes later than its own."""
+"""Windows of which a frame is the mean, and by how many steps the last of them comes later than its
+own."""
 _STEADY_SECONDS = 5.0
 """Weight of a mean of 0 in the running mean of the slow prediction, in seconds of sound."""
 _CONTROLS = ("style", "speaker", "liveliness", "mood_seed", "foot_lock", "smooth")
@@ -58,12 +57,11 @@ class MultiresStream:
     `look_ahead` seconds later. Motion does not depend on the size of blocks, so a stream equals its
     replay. Memory is bounded.
 
-    Each frame is computed from a window around it: the drawn state of movement, or the recalled
-    pieces, which go on as recorded, and the features, which are unknown from the look-ahead on. So
-    there are no seams.
+    Each frame is computed from a window around it: the drawn state of movement, and the features,
+    which are unknown from the look-ahead on. So there are no seams.
 
     Args:
-        model: with speech input, recall or a state of movement, and predictions for live speech.
+        model: with speech input, a state of movement, and predictions for live speech.
         sample_rate: of the sound, Hz.
         look_ahead: seconds of sound that a frame waits for; the next smaller one of those that the
             model has predictions for is used.
@@ -106,20 +104,24 @@ class MultiresStream:
         if model.smooth if controls["smooth"] is None else controls["smooth"]:
             impulse = gaussian_filter1d(impulse, _SMOOTHED_SECONDS * model.fps)
         self._kernel = torch.from_numpy(impulse[np.flatnonzero(impulse)])
-        self._blend, self._later = (1, 0) if model.state_process is None else (_BLEND, _LATER)
         # Frames of the window that are made, and the others from which they are smoothed.
         reach = len(self._kernel) // 2
-        used = np.arange(-self._later - reach, self._blend - self._later + reach) + self._around
+        used = np.arange(-_LATER - reach, _BLEND - _LATER + reach) + self._around
         self._levels = WindowLevels(model, lengths, styles, range(used[0], used[-1] + 1))
         choice = LiveChoice(
             seed, item, controls["speaker"], style, controls["liveliness"], controls["mood_seed"]
         )
-        self._state = self._plan = None
-        if model.state_process is not None:
-            self._state = LiveState(model.state_process, choice, self._around)
-        else:
-            self._plan = LivePlan(model.recall_library, choice, self._around)
-            self._set_times(used, lengths)
+        assert model.state_process is not None
+        self._process = model.state_process
+        self._state = LiveState(model.state_process, choice, self._around)
+        self._pieces = None
+        if model.library is not None:
+            self._pieces = PieceSequence(
+                model.library,
+                lambda piece: rng_for(seed, item, "live", "piece", piece),
+                controls["speaker"],
+                None if style is None else lambda _: style,
+            )
         self._slow = np.zeros(2)  # sum and count of slow predictions
         own = None if controls["speaker"] is None else model.speakers[controls["speaker"]]
         self._own = own
@@ -129,25 +131,13 @@ class MultiresStream:
         self._recent = list[np.ndarray]()
         self.n_frames, self._steps, self._samples = 0, 0, 0
 
-    def _set_times(self, used: np.ndarray, lengths: Sequence[int]) -> None:
-        """Set the times of the recalled level's frames, and of the finest level's.
-
-        They are relative to the current frame, and the finest ones are those from which the frames
-        `used` of the window are interpolated.
-        """
-        frames, level = np.array(self._levels.first), self.model.recall_library.level
-        coarse = (frames + 0.5) * (lengths[-1] / lengths[level - 1]) - 0.5 - self._around
-        near = np.arange(-self._around // 4, self._around // 4 + 1.0)
-        self._times, self._n_coarse = np.concatenate([coarse, near]), len(coarse)
-        self._shown = used - self._around - int(near[0])
-
     @property
     def latency(self) -> float:
         """Seconds from a sound to the return of the frame that belongs to it, at most.
 
         The length of the blocks comes on top of it, and the time to compute.
         """
-        return max(0.0, (self._ahead + self._later) / self.fps + self._speech.reach)
+        return max(0.0, (self._ahead + _LATER) / self.fps + self._speech.reach)
 
     def state(self) -> dict[str, Any]:
         """Return everything that `restore` needs, as numbers and arrays."""
@@ -198,26 +188,20 @@ class MultiresStream:
         for window in self._speech.push(samples):
             while self.n_frames < most and self._steps < self._speech.n_rows - self._ahead:
                 self._steps += 1
-                self._recent = [self._vectors(window), *self._recent][: self._blend]
-                if self._steps <= self._later:
+                self._recent = [self._vectors(window), *self._recent][:_BLEND]
+                if self._steps <= _LATER:
                     continue
                 frame = self._placed(self._blended())
-                if self._plan is not None:
-                    passive = self.model.recall_library.passive
-                    frame = passive.applied(frame, partial(_same, self._plan.passive()))
-                frames.append(frame)
+                frames.append(self._with_passive(frame))
                 self.n_frames += 1
         return stacked(frames) if frames else None
 
     def _vectors(self, window: FeatureWindow) -> np.ndarray:
         """Return the motion vectors (D, N) of the frames that are made with the current one."""
         speech = self._features(window)
-        fast, slow = self._predicted(window)
-        if self._state is not None:
-            made = self._levels(speech, state=self._state.advance(speech, fast, slow))
-        else:
-            assert self._plan is not None
-            made = self._recalled(self._plan, speech, fast, slow)
+        state = self._state.advance(speech, *self._predicted(window))
+        self._choose_pieces(speech)
+        made = self._levels(speech, state)
         around = made.unfold(1, len(self._kernel), 1)
         vectors = around[..., len(self._kernel) // 2].clone()
         columns = self.model.representation.layout.rotations
@@ -229,37 +213,32 @@ class MultiresStream:
 
         As coarse frames lie elsewhere in each window, one alone would tremble.
         """
-        weights = np.hanning(self._blend + 2)[1 : len(self._recent) + 1]
+        weights = np.hanning(_BLEND + 2)[1 : len(self._recent) + 1]
         made = [own[:, i] for i, own in enumerate(self._recent)]
         mean = torch.from_numpy(np.average(made, axis=0, weights=weights).astype(np.float32))
         return finite(self.model.normaliser.to_values(mean[None, :, None])[0])
 
-    def _recalled(
-        self, plan: LivePlan, speech: np.ndarray, fast: Forecast | None, slow: float | None
-    ) -> Tensor:
-        """Return the motion vectors (D, N) of the frames that are smoothed to the next one."""
-        model, library = self.model, self.model.recall_library
-        plan.advance(fast, slow)
-        recalled, n = torch.from_numpy(plan.vectors(self._times)).T, self._n_coarse
-        movement = model.representation.n_features
-        coarse = recalled[:movement, n:][:, self._shown]
-        fine = self._levels(speech, recalled[:movement, :n])
-        # As in offline sampling, finer levels add no detail where a recalled hand rests.
-        share = library.detail(recalled[movement:, n:].numpy())[:, self._shown]
-        return coarse + torch.from_numpy(share) * (fine - coarse)
+    def _choose_pieces(self, speech: np.ndarray) -> None:
+        """Choose what is played next if it is due, by features (2 around, S) around now."""
+        if self._pieces is not None and self._pieces.next_frame <= self._steps - 1:
+            known = self._process.with_voice(self._state.coming, speech[self._around :].T)
+            self._pieces.choose(known)
+
+    def _with_passive(self, frame: Motion) -> Motion:
+        """Return the next frame with the fingers and the face of recordings, if any."""
+        if self._pieces is None or self.model.library is None:
+            return frame
+        played = torch.from_numpy(self._pieces.values(np.array([self.n_frames])).T)
+        return self.model.library.passive.applied(frame, lambda _: played)
 
     def _predicted(self, window: FeatureWindow) -> tuple[Forecast | None, float | None]:
         """Return predictions of fast and slow movement; None without."""
-        drawn = self.model.drawn
-        if drawn is None or (wanted := drawn.wanted) is None:
+        if (wanted := self._process.wanted) is None:
             return None, None
         found = [prediction(window, wanted) for prediction in self._predictions]
         fast = np.array([fast for fast, _ in found])
         shares = np.array([prediction.share(wanted) for prediction in self._predictions])
         slow = found[0][1]
-        if self._plan is not None and window.paused:
-            # Running means of features take seconds to follow.
-            slow = min(slow, PAUSE)
         # The mean so far counts less, as in `WantedMovement`.
         self._slow = self._slow + (slow, 1.0)
         mean = self._slow[0] / (self._slow[1] + _STEADY_SECONDS * self.fps)
@@ -298,9 +277,11 @@ def _predictions(
         ModelError: the model cannot stream, or does not take a control or the look-ahead.
     """
     conditioner = model.conditions.conditioner
-    if conditioner is None or model.drawn is None:
-        missing = "speech input" if conditioner is None else "recall or a state of movement"
+    if conditioner is None or model.state_process is None:
+        missing = "speech input" if conditioner is None else "a state of movement"
         raise ModelError(f"a model without {missing} cannot stream: train own_corpus for one")
+    if model.retrieves:
+        raise ModelError("a model that plays recordings cannot stream: train own_corpus for one")
     try:
         check_streams(conditioner.extractor)
     except af.FeatureError as error:
@@ -326,20 +307,15 @@ def _predictions(
 def _styles(
     model: TrainedModel, controls: MultiresControls, lengths: Sequence[int], seed: int, item: str
 ) -> tuple[list[Tensor], int | None]:
-    """Return the styles (1, K, T_i) of each level, and the number of the first or recalled one."""
+    """Return the styles (1, K, T_i) of each level, and the number of the first one."""
     if not model.styles:
         return [], None
     rng = rng_for(seed, item, "live", "style")
     styles = requested_styles(model.styles, controls, lengths, fps=model.fps, rng=rng)
     if any((own != own[..., :1]).any() for own in styles):
         raise ModelError(f"style={controls['style']!r}: a stream takes one style, without times")
-    level = 0 if model.state_process is not None else model.recall_library.level - 1
-    return styles, int(styles[level][0, :, 0].argmax())
+    return styles, int(styles[0][0, :, 0].argmax())
 
 
 _STATE = ("n_frames", "_steps", "_samples", "_place", "_slow", "_recent")
-_PARTS = ("_speech", "_plan", "_state", "_feet")
-
-
-def _same(channels: Tensor, _: slice) -> Tensor:
-    return channels
+_PARTS = ("_speech", "_state", "_pieces", "_feet")

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
 import audio_features as af
 from audio_features.acoustic.analysis import SAMPLE_RATE
@@ -17,12 +16,11 @@ from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import ModelError
 from gesturekit.multires.model import MultiresModel
-from gesturekit.multires.recall.parts import joint_places, movements
 from gesturekit.multires.streaming.features import SpeechStream
 from gesturekit.progress import Progress
 from gesturekit.state.ahead import LOOK_AHEADS, AheadPrediction, FeatureWindow, live_rows
 from gesturekit.state.prediction import slow_part
-from gesturekit.state.process import StateProcess, normal_scores
+from gesturekit.state.process import StateProcess
 from gesturekit.training.data.excerpts import systematic_sample
 from gesturekit.training.model_folder import save_model
 from gesturekit.training.recordings import training_items
@@ -43,14 +41,14 @@ def with_live_predictions(model: MultiresModel, items: Sequence[Item]) -> Multir
     """Return a model with predictions for live speech, if it can stream; else the model itself.
 
     Args:
-        model: with recall, or with a state of movement.
+        model: with a state of movement.
         items: paired items of its training.
 
     Raises:
         CorpusError, AudioError, FormatError: a file cannot be read.
     """
-    conditioner, drawn = model.conditions.conditioner, model.drawn
-    if drawn is None or conditioner is None or drawn.wanted is None:
+    conditioner, process = model.conditions.conditioner, model.state_process
+    if process is None or conditioner is None or process.wanted is None:
         return model
     try:
         check_streams(conditioner.extractor)
@@ -59,14 +57,11 @@ def with_live_predictions(model: MultiresModel, items: Sequence[Item]) -> Multir
     chosen = [excerpt.of(items) for excerpt in systematic_sample(items, _MOST_SECONDS)]
     fast, slow, speeches = [], [], []
     for item in Progress(chosen, desc="Fitting to live speech", unit="recording"):
-        movement, states = _movement(model, item)
+        movement, states = _movement(model, process, item)
         fast.append(movement)
         slow.append(states)
         stream = SpeechStream(conditioner, SAMPLE_RATE, round(_ROWS_SECONDS * model.fps), _EVERY)
         speeches.append(_windows(stream, item))
-    if model.state_process is None:
-        # Ranks are those of all recordings: a stream begins without knowing whose it is.
-        slow = normal_scores(slow, [""] * len(slow))
     scores = [own.mean(axis=0) for own in slow]
     # The largest set of columns first; one that predicts hardly worse with fewer is used.
     columns = (conditioner.acoustic, conditioner.prosody)
@@ -86,7 +81,7 @@ def with_live_predictions(model: MultiresModel, items: Sequence[Item]) -> Multir
                 [curve[own] for curve, own in zip(fast, frames)],
                 [curve[own] for curve, own in zip(scores, frames)],
                 [item.take for item in chosen],
-                drawn.wanted,
+                process.wanted,
                 sets,
                 model.fps / _EVERY,
             )
@@ -97,9 +92,8 @@ def with_live_predictions(model: MultiresModel, items: Sequence[Item]) -> Multir
 
 def with_ahead(model: MultiresModel, ahead: tuple[AheadPrediction, ...]) -> MultiresModel:
     """Return a model with these predictions for live speech."""
-    if model.state_process is not None:
-        return replace(model, state_process=replace(model.state_process, ahead=ahead))
-    return replace(model, library=replace(model.recall_library, ahead=ahead))
+    assert model.state_process is not None
+    return replace(model, state_process=replace(model.state_process, ahead=ahead))
 
 
 def fit_live(model: MultiresModel, corpus: Path) -> None:
@@ -114,7 +108,7 @@ def fit_live(model: MultiresModel, corpus: Path) -> None:
     fitted = with_live_predictions(model, items)
     if fitted is model or folder is None:
         raise ModelError(
-            f"{folder}: the model cannot stream: it needs recall or a state of movement, acoustic "
+            f"{folder}: the model cannot stream: it needs a state of movement, acoustic "
             "features, and speech that predicted movement in training"
         )
     readme = (folder / "README.md").read_text(encoding="utf-8").splitlines()
@@ -125,27 +119,11 @@ def fit_live(model: MultiresModel, corpus: Path) -> None:
     save_model(folder, *fitted.parts(), "\n".join(kept) + "\n")
 
 
-def _movement(model: MultiresModel, item: Item) -> tuple[np.ndarray, np.ndarray]:
-    """Return the fast movement of both hands together (T,), and the slow one of each (H, T).
-
-    The slow one of a model with a state of movement is in normal scores.
-    """
-    if model.state_process is not None:
-        return _stated(model, model.state_process, item)
-    representation, parts, fps = model.representation, model.recall_library.parts, model.fps
-    hands = [i for i, part in enumerate(parts) if part.is_arm] or [0]
-    motion = item.load_motion(model.skeleton.parts).resample(fps)
-    values = torch.from_numpy(representation.encode(motion).T).float()
-    places = joint_places(representation, fps, values)
-    moved = np.stack(movements(parts, representation.joints, fps, places))[hands]
-    both = moved.mean(axis=0)
-    return both - slow_part(both, fps), np.log(slow_part(np.exp(moved), fps))
-
-
-def _stated(
+def _movement(
     model: MultiresModel, process: StateProcess, item: Item
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return what `_movement` does for a model with a state of movement."""
+    """Return the fast movement of both hands together (T,), and normal scores of the slow one of
+    each, (H, T)."""
     conditioner, channels = model.conditions.conditioner, process.channels
     assert conditioner is not None
     values = model.state(item.load_motion(model.skeleton.parts)).T

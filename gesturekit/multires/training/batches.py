@@ -12,7 +12,6 @@ from torch import Tensor
 from gesturekit.multires.config import MultiresConfig, TrainingConfig
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.skeleton_conv import Convolve
-from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.sequences import PairedSequence
 from gesturekit.multires.training.state import TrainingState
@@ -40,7 +39,7 @@ class Batches:
         network: MultiresGenerator,
         first: int,
         convolve: Convolve,
-        source: RecallLibrary | TrainingState | None = None,
+        source: TrainingState | None = None,
     ) -> None:
         self.training = config.training
         self.seed = config.seed

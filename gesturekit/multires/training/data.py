@@ -22,7 +22,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.resampling import reflect
-from gesturekit.multires.recall.parts import PassiveChannels
+from gesturekit.multires.retrieval.passive import PassiveChannels
 from gesturekit.multires.sampling.conditions import Conditions, state_level
 from gesturekit.multires.sampling.trained_model import clocked_noise
 from gesturekit.multires.training.sequences import Cut, PairedSequence
@@ -55,11 +55,10 @@ class TrainingData:
         window: frames of a training window; None for whole sequences.
         sources: recordings from which `paired` was read.
         recorded_fps: most common frame rate of the recordings.
-        passive: joints and face channels that are recalled but not modelled; none without recall.
+        passive: joints and face channels that are played but not modelled; none without `state`.
         start: weights of the generators to start from, by name; empty for random ones.
         spoken: seconds and number of the sounds without motion.
         sampled: parts of `paired` from which statistics are computed; None for all of it.
-        chosen: parts of `paired` that are recalled; None for all of it.
         stored: of recordings on disk, what `load` finds them by.
     """
 
@@ -79,24 +78,16 @@ class TrainingData:
     start: Mapping[str, Tensor]
     spoken: tuple[float, int]
     sampled: tuple[Cut, ...] | None = None
-    chosen: tuple[Cut, ...] | None = None
     stored: StoredCorpus | None = None
 
     @cached_property
     def sample(self) -> tuple[PairedSequence, ...]:
         """Return recordings or parts of them, in memory, from which statistics are computed."""
-        return self._parts(self.sampled)
-
-    @cached_property
-    def recalled(self) -> tuple[PairedSequence, ...]:
-        """Return recordings or parts of them, in memory, that are recalled."""
-        return self._parts(self.chosen)
-
-    def _parts(self, cuts: Sequence[Cut] | None) -> tuple[PairedSequence, ...]:
+        cuts = self.sampled
         if cuts is None and self.stored is None:
             return self.paired
         if cuts is None:
-            cuts = [(i, 0, sequence.n_frames) for i, sequence in enumerate(self.paired)]
+            cuts = tuple((i, 0, sequence.n_frames) for i, sequence in enumerate(self.paired))
         return tuple(self.paired[i].cut(start, stop) for i, start, stop in cuts)
 
     def save(self, folder: Path) -> None:
@@ -130,7 +121,6 @@ class TrainingData:
             "passive": [list(self.passive.joints), self.passive.expressions],
             "spoken": self.spoken,
             "sampled": self.sampled,
-            "chosen": self.chosen,
             "stored": None if self.stored is None else asdict(self.stored),
             **rig_values(self.representation, self.speakers),
         }
@@ -190,7 +180,6 @@ class TrainingData:
                 start=read_start(tensors),
                 spoken=tuple(about["spoken"]),
                 sampled=_cuts(about["sampled"]),
-                chosen=_cuts(about["chosen"]),
                 stored=stored,
             )
 
@@ -203,8 +192,8 @@ class TrainingData:
 
     def conditions(self, config: MultiresConfig) -> Conditions:
         """Return the inputs of the model beside noise."""
-        recalls, state = config.recall is not None, self.state_channels if config.state else None
-        return Conditions(self.conditioner, self.styles, config.residual, recalls, state)
+        state = self.state_channels if config.state else None
+        return Conditions(self.conditioner, self.styles, config.residual, state)
 
     @cached_property
     def state_channels(self) -> StateChannels:

@@ -19,9 +19,8 @@ from gesturekit.motion.parts import find_parts
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
-from gesturekit.multires.recall.parts import PassiveChannels
+from gesturekit.multires.retrieval.passive import PassiveChannels
 from gesturekit.multires.training.data import TrainingData
-from gesturekit.multires.training.library_choice import chosen_parts
 from gesturekit.multires.training.sequences import PairedSequence
 from gesturekit.multires.training.start import (
     check_styles,
@@ -61,8 +60,9 @@ def load_training_data(
     representation = _representation(config, motions, start)
     vectors = _vectors(config, recordings, motions, representation)
     normaliser = _normaliser(config, vectors, representation, start)
-    recalls = config.recall is not None
-    passive = PassiveChannels.find(motions, representation.joints) if recalls else PassiveChannels()
+    passive = PassiveChannels()
+    if config.state:
+        passive = PassiveChannels.find(motions, representation.joints)
     fitted = None if start is None else start.conditions.conditioner
     if recordings.excerpts is None:
         others = [passive.encode(motion) for motion in motions]
@@ -77,7 +77,7 @@ def load_training_data(
         read = read_on_disk(config, recordings, maker, normaliser, speech_maker, fitted)
     window = config.training.window
     frames = None if window is None else max(config.network.levels, round(window * config.fps))
-    data = TrainingData(
+    return TrainingData(
         paired=read.paired,
         unpaired=read.unpaired or tuple(sequence.speech for sequence in read.paired),
         silence=_silence(config, read, frames),
@@ -96,7 +96,6 @@ def load_training_data(
         sampled=read.sampled,
         stored=read.stored,
     )
-    return replace(data, chosen=chosen_parts(data, config)) if recalls else data
 
 
 def _vectors(

@@ -17,7 +17,6 @@ from gesturekit.multires.losses import LossInputs, losses, reconstruction
 from gesturekit.multires.network.discriminator import LevelDiscriminator
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.sampling.conditions import agreed_style
 from gesturekit.multires.training.batches import Batches
 from gesturekit.multires.training.data import TrainingData
@@ -44,8 +43,7 @@ class Stage:
         processes: that share each batch.
         first: index of the coarser level.
         iterations: of this stage.
-        source: what random steps get beside speech and noise: recordings that are recalled, or
-            the state of movement; None for nothing.
+        state: the state of movement; None for a model without it.
     """
 
     def __init__(
@@ -56,7 +54,7 @@ class Stage:
         processes: Processes,
         first: int,
         iterations: int,
-        source: RecallLibrary | TrainingState | None = None,
+        state: TrainingState | None = None,
     ) -> None:
         self.config = config
         self.network = network
@@ -77,7 +75,7 @@ class Stage:
             for i in self.indices
         ).to(self.device)
         self.backend = choose_backend(config.backend, self.generators, self.discriminators)
-        self.batches = Batches(data, config, network, first, self.backend.convolve, source)
+        self.batches = Batches(data, config, network, first, self.backend.convolve, state)
         rate, (beta, decay) = config.training.learning_rate, config.training.betas
         self.optimisers = {
             name: torch.optim.Adam(networks.parameters(), lr=rate, betas=(beta, decay), fused=True)
@@ -99,9 +97,8 @@ class Stage:
                 self.normaliser.inverse,
                 self.kinematics,
                 self.device,
-                config.losses.arm_floors,
             )
-        self.states = state_targets(source, self.indices, config, self._places, self.device)
+        self.states = state_targets(state, self.indices, config, self._places, self.device)
         self.details: dict[int, DetailTarget] = {}
         if config.losses.detail:
             self.details = detail_targets(
@@ -293,12 +290,6 @@ class Stage:
         if self.targets:
             pairs = zip(self.targets, windows.speech or (), strict=True)
             aims = self._within([target(speech) for target, speech in pairs], n_frames)
-            if windows.recalled is not None and self.config.recall is not None:
-                share = self.config.recall.own_movement
-                for i, motion in enumerate(self._within(windows.recalled, n_frames)):
-                    values, stride = self.normaliser.inverse(motion), n_frames / motion.shape[-1]
-                    own = self._arm_movement(values, stride)
-                    aims[i] = share * own + (1 - share) * aims[i]
 
         def of_level(i: int) -> LossInputs:
             motion, level = within[i], self.first + i
@@ -350,7 +341,6 @@ class Stage:
             self.kinematics.arm_speed(values, stride),
             self.kinematics.arm_acceleration(values, stride),
             stride / self.config.fps,
-            self.config.losses.arm_floors,
         )
 
     def _scores(self, i: int, motion: Tensor, style: Tensor | None) -> Tensor:

@@ -50,12 +50,12 @@ def load_start(config: MultiresConfig, extractor: af.Extractor | None) -> Multir
         wanted = {**feature_values(extractor, config.features), "residual": config.residual}
     check_conditions(folder, {"features": known}, {"features": wanted})
     if conditions.conditioner is not None and conditions.conditioner.effort:
-        # Recall and the state of movement hide columns of vocal effort from the network.
+        # The state of movement hides columns of vocal effort from the network.
         known, wanted = (
-            {"recall or state": "on" if hidden else "off"}
+            {"state": "on" if hidden else "off"}
             for hidden in (
-                conditions.recalls or conditions.state is not None,
-                config.recall is not None or config.state,
+                conditions.state is not None,
+                config.state,
             )
         )
         check_settings("start_from", folder, known, wanted)

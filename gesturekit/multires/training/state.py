@@ -18,7 +18,6 @@ from gesturekit.multires import losses
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.sampling.conditions import style_levels
 from gesturekit.multires.sampling.trained_model import Pyramid, TrainedModel, clocked_noise
 from gesturekit.multires.training.data import TrainingData
@@ -71,6 +70,11 @@ class TrainingState:
             seed = rng_for(self.seed, "carriers", sequence.name).initial_seed() >> 1
             self._recorded[sequence.name] = self.process.condition(seed, self._measured(sequence))
         return self._recorded[sequence.name]
+
+    def with_voice(self, sequence: PairedSequence) -> np.ndarray:
+        """Return the channels of a recording and its voice activity, (C + 1, T)."""
+        speech = sequence.speech[:, :].numpy()
+        return self.process.with_voice(self._measured(sequence), speech)
 
     def drawn(self, speech: Tensor, styles: Sequence[int], rng: torch.Generator) -> np.ndarray:
         """Return conditions (N, C, T) for windows of speech (N, S, T) with these styles (N)."""
@@ -191,7 +195,7 @@ def _lines(given: Sequence[Tensor], shown: Sequence[Tensor]) -> np.ndarray:
 
 
 def state_targets(
-    state: RecallLibrary | TrainingState | None,
+    state: TrainingState | None,
     indices: Sequence[int],
     config: MultiresConfig,
     places: Callable[[Tensor], Tensor],
@@ -199,9 +203,9 @@ def state_targets(
 ) -> dict[int, StateTarget]:
     """Return {index: target} of these levels; none without `losses.state`.
 
-    Arguments are as for `StateTarget`, but that `state` is the source of a `Stage`.
+    Arguments are as for `StateTarget`.
     """
-    if not config.losses.state or not isinstance(state, TrainingState):
+    if not config.losses.state or state is None:
         return {}
     levels = config.network.levels
     return {i: StateTarget(state, i, levels, places).to(device) for i in indices}

@@ -17,7 +17,7 @@ from gesturekit.motion.heading import heading
 from gesturekit.motion.motion import Motion
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
-from gesturekit.multires.recall.parts import PassiveChannels
+from gesturekit.multires.retrieval.passive import PassiveChannels
 from gesturekit.multires.training.sequences import Cut, PairedSequence, level_sigmas
 from gesturekit.training.data.arrays import (
     ArrayFolder,

@@ -55,42 +55,38 @@ MOST_WINDOWS = 2048
 over the recordings. Windows beside each other overlap, so that more would change the mean by less
 than 1 %."""
 _WINDOWS_AT_ONCE = 256  # bounds the memory of their joint positions
+_FLOORS = 1.0, 10.0
+"""Added to arm speed (rad/s) and acceleration (rad/s^2) before the logarithm, so that slow movement
+counts little."""
 _DETAIL_WINDOWS = 64
 """Number of recorded windows per style, evenly spaced. Fixed; it bounds the cost of a step."""
 
 
-def log_movement(
-    speed: Tensor, acceleration: Tensor, frame_seconds: float, floors: Sequence[float]
-) -> Tensor:
+def log_movement(speed: Tensor, acceleration: Tensor, frame_seconds: float) -> Tensor:
     """Return (B, 2, T) smoothed logarithms (sigma 0.1 s) of (B, T) arm movement.
 
     Args:
         speed: (B, T), rad/s.
         acceleration: (B, T), rad/s^2.
         frame_seconds: time between two frames.
-        floors: added to speed and acceleration before the logarithm, see `LossConfig.arm_floors`.
     """
     both = torch.stack([speed, acceleration], dim=1)
-    added = both.new_tensor(floors)[:, None]
+    added = both.new_tensor(_FLOORS)[:, None]
     return torch.log(smooth(both, SMOOTHING_SECONDS / frame_seconds) + added)
 
 
-def recorded_movement(
-    kinematics: VectorKinematics, values: Tensor, stride: float, floors: Sequence[float]
-) -> Tensor:
+def recorded_movement(kinematics: VectorKinematics, values: Tensor, stride: float) -> Tensor:
     """Return (B, 2, T) log arm movement of recordings, without capture noise.
 
     Args:
         kinematics: of the rig.
         values: (B, D, T) motion vectors in their own units.
         stride: full-rate frames between two frames.
-        floors: see `log_movement`.
     """
     return log_movement(
         kinematics.arm_speed(values, stride, smoothing=0.0),
         kinematics.arm_acceleration(values, stride, smoothing=CAPTURE_SECONDS),
         stride / kinematics.fps,
-        floors,
     )
 
 
@@ -101,7 +97,6 @@ def arm_targets(
     values_of: Callable[[Tensor], Tensor],
     kinematics: VectorKinematics,
     device: torch.device,
-    floors: Sequence[float],
 ) -> list[ArmTarget]:
     """Fit a regression for each level, from the paired speech to the recorded arm movement.
 
@@ -117,7 +112,6 @@ def arm_targets(
         values_of: converts normalised motion (B, D, T) to its own units.
         kinematics: of the rig.
         device: on which the networks are trained.
-        floors: see `log_movement`.
     """
     targets = []
     for i in indices:
@@ -129,7 +123,7 @@ def arm_targets(
                 continue  # a single frame has no speed
             stride = sequence.n_frames / n
             values = values_of(resample(sequence.motion[:, :][None].to(device), n))
-            movements.append(recorded_movement(kinematics, values, stride, floors)[0])
+            movements.append(recorded_movement(kinematics, values, stride)[0])
             speeches.append(resample(sequence.speech[:, :].to(device), n))
         target = ArmTarget(stride / kinematics.fps).to(device)
         targets.append(target.fit(speeches, movements))

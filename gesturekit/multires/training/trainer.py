@@ -22,14 +22,14 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.constraints.constraint import fastest_second
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.recall.library import RecallLibrary
+from gesturekit.multires.retrieval.library import RecordedLibrary
 from gesturekit.multires.sampling.trained_model import TrainedNoise, TrainedSequence
 from gesturekit.multires.training.ahead import with_ahead, with_live_predictions
 from gesturekit.multires.training.batches import usage
 from gesturekit.multires.training.data import TrainingData
+from gesturekit.multires.training.library import build_library
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
-from gesturekit.multires.training.recall_library import build_library
 from gesturekit.multires.training.stage import Stage
 from gesturekit.multires.training.start import widened
 from gesturekit.multires.training.state import TrainingState
@@ -136,9 +136,7 @@ class Trainer:
         )
         self.loop = Loop(config, run, processes, self.held_out)
         levels, steps = config.network.levels, sum(count for _, count in self.stages())
-        self.unused = unused_labels(
-            self.data.sources, self.data.styles, recalls=config.recall is not None or config.state
-        )
+        self.unused = unused_labels(self.data.sources, self.data.styles, state=config.state)
         kind = ["multires", self._mode(), f"{levels} levels"]
         self.loop.announce(kind, steps, self._contents(), self.unused)
         self.network = seeded(
@@ -157,9 +155,9 @@ class Trainer:
         self.monitor = Monitor(self.data, config, convolve, self.state) if watched else None
 
     @cached_property
-    def library(self) -> RecallLibrary | None:
-        """Return the recall library; None without recall."""
-        return build_library(self.data, self.config)
+    def library(self) -> RecordedLibrary | None:
+        """Return the recorded motion that the model plays; None without."""
+        return build_library(self.data, self.config, self.state)
 
     @cached_property
     def state(self) -> TrainingState | None:
@@ -235,7 +233,7 @@ class Trainer:
         if config.training.window is None:
             longer = whole / len(data.sources) / (frames / len(data.paired))
         sampled = min(whole, 60 * config.in_memory * config.fps)
-        seconds = quickest(lambda: self.library, 1) * sampled / frames
+        seconds = quickest(lambda: self.state, 1) * sampled / frames
         for first, iterations in self.stages():
             began = time.monotonic()
             stage = self.stage(first, iterations)
@@ -253,13 +251,9 @@ class Trainer:
         return Estimate(seconds, self.held_out.seconds, rates)
 
     def _usage(self) -> str:
-        """Return how much of the recordings is drawn and recalled."""
+        """Return how much of the recordings is drawn."""
         shortest = min(iterations for _, iterations in self.stages())
-        drawn = usage(self.config.training, shortest, self.seconds, len(self.data.sources))
-        if self.config.recall is None:
-            return drawn
-        recalled = min(self.seconds, 60 * self.config.recall.minutes)
-        return f"{drawn}; {roughly(recalled)} of {roughly(self.seconds)} can be recalled"
+        return usage(self.config.training, shortest, self.seconds, len(self.data.sources))
 
     def stages(self) -> list[tuple[int, int]]:
         """Return (first level, iterations) of each stage."""
@@ -277,7 +271,7 @@ class Trainer:
             self.processes,
             first,
             iterations,
-            self.library if self.state is None else self.state,
+            self.state,
         )
 
     def run(self) -> Path:
@@ -365,14 +359,14 @@ class Trainer:
 
     def _calibrated(self, model: MultiresModel) -> MultiresModel:
         """Return a model with a state of movement that its network shows as it is drawn."""
-        if self.state is None:
+        if self.state is None or self.config.retrieval:
             return model
         return replace(model, state_process=self.state.calibrated(model))
 
     def _save(self, name: str, model: MultiresModel, notes: dict[str, str]) -> None:
         """Write a model of the run."""
         spoken, files = self.data.spoken
-        if model.drawn is not None:
+        if model.state_process is not None:
             if self.ahead is None:
                 self.ahead = self._live_predictions(model)
             model = with_ahead(model, self.ahead)

@@ -20,7 +20,6 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.network.skeleton_conv import Convolve, convolve_dense
-from gesturekit.multires.recall.library import RecalledMotion, RecallLibrary
 from gesturekit.multires.sampling.conditions import (
     condition_levels,
     mixed_styles,
@@ -48,8 +47,6 @@ class Windows:
             steps; None if it is not used.
         targets: (N, D, T_i) recorded motion; None for random steps.
         styles: (N, L) number of the style at each level of the pyramid; 0 without styles.
-        recalled: (N, D, T_i) recorded motion of the pieces that were recalled, for random steps;
-            None at levels without recall.
     """
 
     coarser: Tensor | None
@@ -58,7 +55,6 @@ class Windows:
     speech: tuple[Tensor, ...] | None
     targets: tuple[Tensor, ...] | None
     styles: Tensor
-    recalled: tuple[Tensor, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.styles)
@@ -76,7 +72,6 @@ class Windows:
             speech=None if self.speech is None else chosen(self.speech),
             targets=None if self.targets is None else chosen(self.targets),
             styles=self.styles[index],
-            recalled=None if self.recalled is None else chosen(self.recalled),
         )
 
 
@@ -89,11 +84,10 @@ class WindowCache:
         config: MultiresConfig,
         network: MultiresGenerator,
         convolve: Convolve = convolve_dense,
-        source: RecallLibrary | TrainingState | None = None,
+        state: TrainingState | None = None,
     ) -> None:
         self.data = data
-        self.library = source if isinstance(source, RecallLibrary) else None
-        self.state = source if isinstance(source, TrainingState) else None
+        self.state = state
         self.config = config
         self.network = network
         self.convolve = convolve
@@ -134,27 +128,11 @@ class WindowCache:
             )
         coarsest = styles[:, :1].expand(-1, lengths[0]).tolist()
         noises[0] = self.noise.shuffled(noises[0], coarsest, rng)
-        recalled = state = None
+        state = None
         if self.state is not None:
             state = self.state.drawn(speech, styles[:, 0].tolist(), rng)
             noises = self.data.clocked_noises(state, lengths, self.noise.sigma)
-        if self.library is not None and first >= self.library.level:
-            recalled = self._recalled(speech, styles, rng)
-        return self._windows(n_frames, first, speech, styles, noises, None, recalled, state)
-
-    def _recalled(
-        self, speech: Tensor, styles: Tensor, rng: torch.Generator
-    ) -> list[RecalledMotion]:
-        """Return the recalled pieces for windows of speech (N, S, T) with styles (N, L)."""
-        library, wanted = self.library, [None] * len(speech)
-        assert library is not None
-        if self.data.styles:
-            n = af.level_lengths(speech.shape[-1], self.config.network.levels)[library.level - 1]
-            wanted = styles[:, library.level - 1, None].expand(-1, n).numpy()
-        return [
-            library.recall(window.numpy(), lambda _: rng, styles=own)
-            for window, own in zip(speech, wanted, strict=True)
-        ]
+        return self._windows(n_frames, first, speech, styles, noises, None, state)
 
     def paired(
         self,
@@ -234,13 +212,12 @@ class WindowCache:
         styles: Tensor,
         noises: list[Tensor | None],
         motion: Tensor | None,
-        recalled: Sequence[RecalledMotion] | None = None,
         state: np.ndarray | None = None,
     ) -> Windows:
         """Return windows of T frames with the output of the levels coarser than `first`.
 
         `speech` is (N, S, T), `styles` (N, L), each of `noises` (N, 1 or D, T_i), `motion` (N, D,
-        T), `state` (N, C, T). `recalled` (N) or the recorded `motion` replaces the recalled level.
+        T), `state` (N, C, T).
         """
         lengths = af.level_lengths(n_frames, self.config.network.levels)
         one_hot = []
@@ -256,22 +233,17 @@ class WindowCache:
         if first and motion is not None and self.config.losses.rec_input == "real":
             coarser = resample(motion.to(to), lengths[first - 1])
         elif first:
-            start, given = self._start(first, lengths, motion, recalled)
-            coarser = given
-            if start < first:
-                coarser = torch.cat(
-                    [
-                        self.network(
-                            [None if n is None else n[part] for n in noises[start:first]],
-                            [level[part] for level in conditions[start:first]],
-                            first=start,
-                            coarser=None if given is None else given[part],
-                            lengths=lengths[start:first],
-                            convolve=self.convolve,
-                        )[-1]
-                        for part in _batches(len(speech), self.config.training.batch)
-                    ]
-                )
+            coarser = torch.cat(
+                [
+                    self.network(
+                        [None if n is None else n[part] for n in noises[:first]],
+                        [level[part] for level in conditions[:first]],
+                        lengths=lengths[:first],
+                        convolve=self.convolve,
+                    )[-1]
+                    for part in _batches(len(speech), self.config.training.batch)
+                ]
+            )
         here = slice(first, first + 2)
         return Windows(
             coarser=coarser,
@@ -284,34 +256,6 @@ class WindowCache:
             if motion is None
             else tuple(resample(motion.to(to), n) for n in lengths[here]),
             styles=styles.to(to),
-            recalled=None if recalled is None else self._recorded(recalled, lengths[here]),
-        )
-
-    def _start(
-        self,
-        first: int,
-        lengths: Sequence[int],
-        motion: Tensor | None,
-        recalled: Sequence[RecalledMotion] | None,
-    ) -> tuple[int, Tensor | None]:
-        """Return the first level to generate, and what replaces the level below it, if anything."""
-        if self.library is None or first < self.library.level:
-            return 0, None
-        level = self.library.level
-        if motion is not None:
-            return level, resample(motion.to(self.device), lengths[level - 1])
-        recordings = [recording.motion for recording in self.library.recordings]
-        vectors = [choice.vectors(recordings, lengths[level - 1]) for choice in recalled or ()]
-        return level, torch.stack(vectors).to(self.device)
-
-    def _recorded(
-        self, recalled: Sequence[RecalledMotion], lengths: Sequence[int]
-    ) -> tuple[Tensor, ...]:
-        """Return recalled pieces as recorded, (N, D, T_i) for each length."""
-        motions = [sequence.motion[:, :] for sequence in self.data.recalled]
-        return tuple(
-            torch.stack([choice.vectors(motions, n) for choice in recalled]).to(self.device)
-            for n in lengths
         )
 
 

@@ -89,21 +89,21 @@ def describe_recordings(sources: Sequence[TrainedSegment], seconds: float, fps: 
 
 
 def unused_labels(
-    sources: Iterable[TrainedSegment], styles: Sequence[str], *, recalls: bool = False
+    sources: Iterable[TrainedSegment], styles: Sequence[str], *, state: bool = False
 ) -> list[str]:
     """Return a sentence for the styles, and one for the speakers, that a model does not use.
 
     Args:
         sources: of the model.
         styles: of the model; empty for a model without.
-        recalls: whether it recalls the recordings of a chosen speaker.
+        state: whether it draws the movement of a chosen speaker.
     """
     found, known = [], list(sources)
     names = {source.style for source in known} - {None}
     if len(names) > 1 and not styles:
         found.append(f"{len(names)} styles in the corpus, none used; styles={{}} trains with them")
     names = {source.speaker for source in known} - {None}
-    if len(names) > 1 and not recalls:
+    if len(names) > 1 and not state:
         found.append(
             f"{len(names)} speakers in the corpus, none used: gestures are those of all of them, "
             "and --speaker only chooses a skeleton"

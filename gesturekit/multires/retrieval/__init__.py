@@ -1,0 +1,1 @@
+"""Recorded motion in a model: joints that its network does not model, or the whole body."""

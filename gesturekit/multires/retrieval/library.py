@@ -1,0 +1,274 @@
+"""Recorded motion that is played in pieces, chosen by the drawn state of movement.
+
+A model plays its fingers and its face so, if they were recorded and are not modelled. The recipe
+`retrieval`, a baseline, plays whole bodies, without a network.
+
+Pieces are chosen one after another, so that a stream can do it too: the next piece is the one whose
+recorded state is nearest to the drawn one, that goes on from the pose that is shown, and that was
+not shown lately.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gesturekit.multires.retrieval.passive import PassiveChannels
+
+PIECE_SECONDS = 2.0
+_FADE_SECONDS = 0.4
+"""Cross-fade into a piece, which belongs to both."""
+_POINTS = 8
+"""Means over a piece by which states are compared."""
+_STATE, _CONTINUITY, _USED, _CHANCE = 24.0, 3.0, 2.0, 0.5
+"""Weights of the mean squared difference of the states and of the poses in the cross-fade, in
+standard deviations; of the uses of the same part of a recording; and of the Gumbel noise."""
+_FORGETTING = 0.9
+"""Decay of the count of uses with each piece."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedMotion:
+    """Part of a training recording.
+
+    Attributes:
+        state: (C + 1, T) channels of the state of movement, and voice activity.
+        motion: (D, T) normalised motion vectors; (0, T) where the network makes them.
+        passive: (X, T) of the library's `PassiveChannels`.
+        speaker: its speaker; None if the corpus names none.
+        style: number of its style; 0 without styles.
+    """
+
+    state: Tensor
+    motion: Tensor
+    passive: Tensor
+    speaker: str | None
+    style: int
+
+    @property
+    def channels(self) -> np.ndarray:
+        """(T, D + X): all that is played."""
+        return torch.cat([self.motion, self.passive]).T.numpy()
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedLibrary:
+    """Recorded motion of a model, and the search for its pieces.
+
+    Attributes:
+        fps: frames per second.
+        passive: joints and face channels that are not modelled.
+        recordings: at least one.
+    """
+
+    fps: float
+    passive: PassiveChannels
+    recordings: tuple[RecordedMotion, ...]
+
+    @property
+    def is_whole(self) -> bool:
+        """True if whole bodies are played."""
+        return len(self.recordings[0].motion) > 0
+
+    @cached_property
+    def piece(self) -> int:
+        """Frames of a piece."""
+        longest = max(own.state.shape[1] for own in self.recordings)
+        return max(1, min(round(PIECE_SECONDS * self.fps), longest))
+
+    @cached_property
+    def fade(self) -> int:
+        """Frames of the cross-fade into a piece."""
+        return min(round(_FADE_SECONDS * self.fps), self.piece // 2)
+
+    @property
+    def hop(self) -> int:
+        """Frames from one piece to the next."""
+        return self.piece - self.fade
+
+    @cached_property
+    def played(self) -> np.ndarray:
+        """(N, D + X) float32: all recordings, one after another."""
+        return np.concatenate([own.channels for own in self.recordings])
+
+    @cached_property
+    def starts(self) -> np.ndarray:
+        """(S,) the frames at which a piece can begin, numbered across all recordings."""
+        lengths = [own.state.shape[1] for own in self.recordings]
+        first = np.cumsum([0, *lengths])
+        return np.concatenate(
+            [
+                a + np.arange(max(0, n - self.piece + 1))
+                for a, n in zip(first, lengths, strict=False)
+            ]
+        )
+
+    @cached_property
+    def recording_of(self) -> np.ndarray:
+        """(S,) the recording of each of the `starts`."""
+        usable = [max(0, own.state.shape[1] - self.piece + 1) for own in self.recordings]
+        return np.repeat(np.arange(len(usable)), usable)
+
+    @cached_property
+    def states(self) -> np.ndarray:
+        """(S, (C + 1) P) float32: the state over the piece at each of the `starts`."""
+        pooled = np.concatenate([own.state.numpy() for own in self.recordings], axis=1)
+        total = np.cumsum(np.pad(self._in_deviations(pooled), ((0, 0), (1, 0))), axis=1)
+        edges = self._edges
+        means = [
+            (total[:, self.starts + b] - total[:, self.starts + a]) / (b - a)
+            for a, b in zip(edges, edges[1:], strict=False)
+        ]
+        return np.concatenate(means).T.astype(np.float32)
+
+    @property
+    def _edges(self) -> np.ndarray:
+        return np.unique(np.linspace(0, self.piece, _POINTS + 1).round().astype(int))
+
+    @cached_property
+    def _usual(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and standard deviation of the states, (C + 1, 1)."""
+        pooled = np.concatenate([own.state.numpy() for own in self.recordings], axis=1)
+        return pooled.mean(axis=1, keepdims=True), np.maximum(pooled.std(axis=1), 1e-3)[:, None]
+
+    def _in_deviations(self, state: np.ndarray) -> np.ndarray:
+        mean, size = self._usual
+        return (state - mean) / size
+
+    @cached_property
+    def _sizes(self) -> np.ndarray:
+        """(D + X,) standard deviation of each channel that is played."""
+        return np.maximum(self.played.std(axis=0), 1e-3)
+
+    def distances(self, state: np.ndarray) -> np.ndarray:
+        """Return the cost (S,) of each start for a drawn state (C + 1, piece)."""
+        edges, rows = self._edges, self._in_deviations(state)
+        means = [rows[:, a:b].mean(axis=1) for a, b in zip(edges, edges[1:], strict=False)]
+        return _STATE * np.square(self.states - np.concatenate(means)).mean(axis=1)
+
+    def breaks(self, shown: int) -> np.ndarray:
+        """Return the cost (S,) of each start for the poses after a frame that is shown."""
+        span = np.arange(0, max(1, self.fade), max(1, self.fade // 4))
+        after = self.played[np.minimum(shown + span, len(self.played) - 1)]
+        total = np.zeros(len(self.starts))
+        for offset, pose in zip(span, after, strict=True):
+            away = (self.played[self.starts + offset] - pose) / self._sizes
+            total += np.square(away).mean(axis=1)
+        return _CONTINUITY * total / len(span)
+
+    def allowed(self, speaker: str | None, style: int | None) -> np.ndarray:
+        """Return (S,) bool, the starts with this style and speaker, as far as there are any."""
+        allowed = np.ones(len(self.starts), bool)
+        for name, wanted in (("style", style), ("speaker", speaker)):
+            if wanted is not None:
+                own = np.array([getattr(one, name) == wanted for one in self.recordings])
+                narrower = allowed & own[self.recording_of]
+                allowed = narrower if narrower.any() else allowed
+        return allowed
+
+
+class PieceSequence:
+    """Pieces of a motion, chosen one after another.
+
+    Args:
+        library: recorded motion.
+        rng_of: random generator of a piece, by its number; -1 for where the first one begins.
+        speaker: use only this speaker's recordings, if there are any; None for all.
+        style: number of the style of each frame, by its number; None for any.
+    """
+
+    def __init__(
+        self,
+        library: RecordedLibrary,
+        rng_of: Callable[[int], torch.Generator],
+        speaker: str | None,
+        style: Callable[[int], int] | None,
+    ) -> None:
+        self._library, self._rng_of = library, rng_of
+        self._speaker, self._style = speaker, style
+        # Pieces meet elsewhere with every seed, so that other ones are chosen.
+        self._first = int(torch.randint(library.hop, (), generator=rng_of(-1)))
+        self._chosen: list[int] = []
+        self._used = np.zeros(len(library.starts), np.float32)
+
+    def state(self) -> dict[str, Any]:
+        """Return what `restore` needs."""
+        return {name: getattr(self, name) for name in _KEPT}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from the `state` of a sequence with the same arguments."""
+        for name in _KEPT:
+            setattr(self, name, state[name])
+
+    @property
+    def next_frame(self) -> int:
+        """The frame of the motion with which the next piece begins; the first is below 1."""
+        return len(self._chosen) * self._library.hop - self._first
+
+    def choose(self, state: np.ndarray) -> None:
+        """Choose the next piece for a drawn state (C + 1, M); its last frame is held."""
+        library, number = self._library, len(self._chosen)
+        missing = library.piece - state.shape[1]
+        if missing > 0:
+            state = np.pad(state, ((0, 0), (0, missing)), mode="edge")
+        middle = self.next_frame + library.piece // 2
+        style = None if self._style is None else self._style(middle)
+        uniform = torch.rand(len(library.starts), generator=self._rng_of(number)).double().numpy()
+        cost = library.distances(state[:, : library.piece]) + _USED * self._used
+        cost += _CHANCE * np.log(-np.log(np.clip(uniform, 1e-12, 1 - 1e-12)))
+        if number:
+            cost += library.breaks(self._chosen[-1] + library.hop)
+        cost[~library.allowed(self._speaker, style)] = np.inf
+        best = int(cost.argmin())
+        near = np.abs(library.starts - library.starts[best]) < library.piece
+        self._used = _FORGETTING * self._used + near
+        self._chosen.append(int(library.starts[best]))
+
+    def values(self, frames: np.ndarray) -> np.ndarray:
+        """Return all that is played (M, D + X) at frames (M,) of the pieces chosen so far."""
+        library = self._library
+        piece = np.clip((frames + self._first) // library.hop, 0, len(self._chosen) - 1)
+        into = frames + self._first - piece * library.hop
+        chosen = np.array(self._chosen)
+        last = len(library.played) - 1
+        shown = library.played[np.clip(chosen[piece] + into, 0, last)]
+        if not library.fade:
+            return shown
+        share = np.where(piece > 0, np.clip((into + 0.5) / library.fade, 0.0, 1.0), 1.0)
+        before = np.clip(chosen[np.maximum(piece - 1, 0)] + into + library.hop, 0, last)
+        share = share[:, None].astype(np.float32)
+        return share * shown + (1 - share) * library.played[before]
+
+
+_KEPT = ("_chosen", "_used")
+
+
+def played_pieces(
+    library: RecordedLibrary,
+    state: np.ndarray,
+    rng_of: Callable[[int], torch.Generator],
+    speaker: str | None,
+    styles: np.ndarray | None,
+) -> PieceSequence:
+    """Return the pieces of a whole motion.
+
+    Args:
+        library: recorded motion.
+        state: (C + 1, T) drawn state and voice activity.
+        rng_of: see `PieceSequence`.
+        speaker: see `PieceSequence`.
+        styles: (T,) number of the style of each frame; None for any.
+    """
+    last = state.shape[1] - 1
+    style = None if styles is None else (lambda frame: int(styles[min(max(frame, 0), last)]))
+    pieces = PieceSequence(library, rng_of, speaker, style)
+    while pieces.next_frame <= last:
+        frames = np.clip(pieces.next_frame + np.arange(library.piece), 0, last)
+        pieces.choose(state[:, frames])
+    return pieces

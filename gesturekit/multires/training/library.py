@@ -1,0 +1,40 @@
+"""Recorded motion that a model plays, from its training recordings."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.retrieval.library import PIECE_SECONDS, RecordedLibrary, RecordedMotion
+from gesturekit.multires.training.data import TrainingData
+from gesturekit.multires.training.state import TrainingState
+
+_MOST_SECONDS = 1200.0
+"""Recorded motion in a model; of a longer corpus, the same share of each recording."""
+
+
+def build_library(
+    data: TrainingData, config: MultiresConfig, state: TrainingState | None
+) -> RecordedLibrary | None:
+    """Return what a model plays; None if its network makes all that moves in the recordings."""
+    if state is None or (data.passive.is_empty and not config.retrieval):
+        return None
+    total = sum(sequence.n_frames for sequence in data.sample) / config.fps
+    recordings = []
+    for sequence in data.sample:
+        share = round(sequence.n_frames * min(1.0, _MOST_SECONDS / total))
+        n_frames = min(sequence.n_frames, max(share, round(PIECE_SECONDS * config.fps)))
+        start = (sequence.n_frames - n_frames) // 2
+        part = slice(start, start + n_frames)
+        motion = sequence.motion[:, part].contiguous()
+        recordings.append(
+            RecordedMotion(
+                state=torch.from_numpy(state.with_voice(sequence)[:, part].astype(np.float32)),
+                motion=motion if config.retrieval else motion[:0],
+                passive=sequence.passive[:, part].contiguous(),
+                speaker=sequence.speaker,
+                style=sequence.style,
+            )
+        )
+    return RecordedLibrary(config.fps, data.passive, tuple(recordings))
