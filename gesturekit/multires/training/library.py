@@ -11,8 +11,8 @@ from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.state import TrainingState
 
 _MOST_SECONDS, _MOST_PASSIVE_SECONDS = 1200.0, 300.0
-"""Recorded motion in a model of whole bodies, and of fingers and faces; of a longer corpus, the same
-share of each recording."""
+"""Seconds of recorded motion in a model: whole bodies, or fingers and faces. Of more, the same
+share of each recording is kept."""
 
 
 def build_library(
