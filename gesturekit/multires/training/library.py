@@ -6,13 +6,15 @@ import numpy as np
 import torch
 
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.retrieval.library import PIECE_SECONDS, RecordedLibrary, RecordedMotion
+from gesturekit.multires.retrieval.library import RecordedLibrary, RecordedMotion
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.state import TrainingState
 
 _MOST_SECONDS, _MOST_PASSIVE_SECONDS = 1200.0, 300.0
 """Seconds of recorded motion in a model: whole bodies, or fingers and faces. Of more, the same
 share of each recording is kept."""
+_LEAST_SECONDS = 4.0
+"""Of each recording, so that pieces can be taken from it."""
 
 
 def build_library(
@@ -26,7 +28,7 @@ def build_library(
     recordings = []
     for sequence in data.sample:
         share = round(sequence.n_frames * min(1.0, most / total))
-        n_frames = min(sequence.n_frames, max(share, round(PIECE_SECONDS * config.fps)))
+        n_frames = min(sequence.n_frames, max(share, round(_LEAST_SECONDS * config.fps)))
         start = (sequence.n_frames - n_frames) // 2
         part = slice(start, start + n_frames)
         motion = sequence.motion[:, part].contiguous()
