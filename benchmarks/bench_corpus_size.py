@@ -48,7 +48,6 @@ QUICK_SETTINGS = (
     "training.first_stage=4",
     "training.further_stages=2",
     "training.window=2",
-    "recall=null",
 )
 RENDERINGS, QUICK_RENDERINGS = 3, 1
 PACE = "seconds_per_iteration"

@@ -17,7 +17,11 @@ CLIPS: dict[str, dict[str, Any]] = {
     "The same speech, seed 1": {"speech": bundled_speech(), "seed": 1},
     "Calmer: liveliness 0.5": {"speech": bundled_speech(), "liveliness": 0.5},
     "Livelier: liveliness 1.5": {"speech": bundled_speech(), "liveliness": 1.5},
-    "Without recall: all levels from noise": {"speech": bundled_speech(), "recall": False},
+    "Seed 1 with the state of movement of seed 0": {
+        "speech": bundled_speech(),
+        "seed": 1,
+        "mood_seed": 0,
+    },
     "Without speech: idle motion": {"seconds": 10.0},
 }
 """Titles of the clips and the arguments of `Model.generate`."""

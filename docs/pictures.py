@@ -26,8 +26,8 @@ ORANGE, BLUE, GREY, INK = "#c65d2e", "#3b7dae", "#c8d2da", "#24292f"
 
 
 @cache
-def _demo(recall: bool) -> Motion:
-    return gk.load("demo").generate(bundled_speech(), seed=0, recall=recall)
+def _demo(seed: int) -> Motion:
+    return gk.load("demo").generate(bundled_speech(), seed=seed)
 
 
 def _axes(width: float, height: float, rows: int = 1) -> tuple[Figure, list]:
@@ -41,7 +41,7 @@ def _axes(width: float, height: float, rows: int = 1) -> tuple[Figure, list]:
 
 def pyramid(file: Path) -> None:
     """Draw one angle of the demo motion at four levels, with the detail that each adds."""
-    motion = _demo(True)
+    motion = _demo(0)
     joint = motion.skeleton.index("LeftForeArm")
     angle = np.degrees(2 * np.arccos(np.clip(np.abs(motion.rotations[:, joint, 3]), 0, 1)))
     lengths = af.level_lengths(len(angle), levels=10)
@@ -102,17 +102,14 @@ def alternation(file: Path) -> None:
     figure.savefig(file, format="png", dpi=110)
 
 
-def recall(file: Path) -> None:
-    """Draw hand speed of the demo with and without recall over the energy of the speech."""
+def state(file: Path) -> None:
+    """Draw arm speed of the demo with two seeds over the energy of the speech."""
     wave = af.Wave.load(bundled_speech())
     figure, (axes,) = _axes(8, 2.6)
-    for with_recall, color, name in (
-        (False, BLUE, "without recall"),
-        (True, ORANGE, "with recall"),
-    ):
-        motion = _demo(with_recall)
+    for seed, color in enumerate((BLUE, ORANGE)):
+        motion = _demo(seed)
         time = np.arange(motion.n_frames) / motion.fps
-        axes.plot(time, arm_speed(motion), color=color, linewidth=1.4, label=name)
+        axes.plot(time, arm_speed(motion), color=color, linewidth=1.4, label=f"seed {seed}")
     energy = speech_envelope(wave, motion.fps, motion.n_frames)
     top = axes.get_ylim()[1]
     energy = (energy - energy.min()) / np.ptp(energy) * top
@@ -164,7 +161,7 @@ def experts(file: Path) -> None:
 PICTURES: dict[str, Callable[[Path], None]] = {
     "pyramid": pyramid,
     "alternation": alternation,
-    "recall": recall,
+    "state": state,
     "guidance": guidance,
     "experts": experts,
 }

@@ -74,8 +74,8 @@ _USED_BY_SANITY = (
     "--baseline",
     metavar="NAMES",
     help="Compare with baselines, comma-separated: mean_pose (the recordings' mean pose, held "
-    "still), other_utterance (the recording of another utterance), retrieval (pieces of the "
-    "training recordings, chosen by the speech; with --corpus), speech_blind (GENERATED's model "
+    "still), other_utterance (the recording of another utterance), retrieval (recorded bodies, in "
+    "pieces chosen by a drawn state of movement; with --corpus), speech_blind (GENERATED's model "
     "with the speech of another recording; with --corpus).",
 )
 @click.option(

@@ -62,6 +62,6 @@ class MultiresControls(Controls, total=False):
     """Factor on the hand speed that is drawn for the speech, about 0.5 (calmer) to 1.5 (livelier).
     For models with a state of movement."""
     mood_seed: Annotated[int | None, Control(kind=int, least=0, metavar="N")]
-    """Seed of the moods: calm or lively, and where the hands are held; by default that of
-    everything else. With a fixed mood_seed, seed changes the details and keeps the moods. For
-    models with a state of movement."""
+    """Seed of the drawn state of movement: calm or lively, and where the hands are held; by default
+    that of everything else. With a fixed mood_seed, seed changes the details and keeps the state.
+    For models with a state of movement."""

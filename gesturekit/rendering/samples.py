@@ -154,7 +154,7 @@ def sounds_of(folder: Path) -> list[Item]:
 
 
 def train_retrieval(corpus: Path, folder: Path, *, seed: int) -> Path:
-    """Return the folder of a model that moves in recorded pieces, chosen by the speech.
+    """Return the folder of a model that plays recorded bodies, chosen by a drawn state.
 
     The pieces are those of the training split; no network is used.
 
