@@ -15,6 +15,7 @@ __getattr__ = attach(
         "averaged": "channels",
         "fast_inputs": "prediction",
         "folds_of": "prediction",
+        "given_state": "given",
         "load_state": "format",
         "normal_scores": "process",
         "recorded_quantiles": "process",
