@@ -10,16 +10,20 @@ from runs import cut_off, same_weights
 from safetensors.torch import load_file
 from small_runs import small_diffusion
 
+import audio_features as af
 import gesturekit as gk
-from gesturekit.diffusion import Batches, load_training_data, train
+from gesturekit.corpus import Manifest
+from gesturekit.diffusion import Batches, StateDistance, load_training_data, train
+from gesturekit.diffusion.state import measured
 from gesturekit.errors import ConfigError, ModelError
 
 FILE = "model.safetensors"
-DROPPED = {"dropout_condition": 0.4, "dropout_state": 0.4}
+DROPPED = {"dropout_condition": 0.4, "dropout_state": 0.4, "state": 0.1}
 SETTINGS = {
     "state": True,
     "features": {"extractors": [{"kind": "prosody"}]},
     "training": DROPPED,
+    "noise": {"predict": "clean"},
     "checkpoint_every": 2,
 }
 
@@ -40,7 +44,7 @@ def model(folder) -> gk.Model:
     loaded = gk.load(folder)
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        torch.nn.init.normal_(loaded.network.leave.weight, std=0.05)
+        torch.nn.init.normal_(loaded.network.leave.weight, std=0.3)
     return loaded
 
 
@@ -80,6 +84,34 @@ def test_the_state_and_all_else_are_dropped_apart(config):
         assert float(kept.float().mean()) == pytest.approx(share, abs=0.1)
 
 
+def test_the_loss_is_the_distance_of_what_is_shown(config):
+    """In standard deviations of the recordings; nothing for the recording itself."""
+    data = load_training_data(config)
+    distance = StateDistance(data.representation, data.normaliser, data.state_process)
+    own = data.normaliser.forward(torch.from_numpy(data.recordings[0].motion[:60]))[None]
+    calmer = 0.5 * own
+    assert float(distance(own, own)) == 0
+    process = data.state_process
+    values = data.normaliser.inverse(calmer)[0].numpy()
+    apart = [
+        measured(part, data.representation, process.channels, process.fps)
+        for part in (values, data.recordings[0].motion[:60])
+    ]
+    away = np.abs(apart[0] - apart[1]) / process.scale[:, None]
+    expected = np.where(process.channels.fast, 4, 1) @ away.mean(axis=1) / len(away)
+    assert float(distance(calmer, own)) == pytest.approx(expected, rel=1e-3)
+
+
+def test_what_the_model_shows_decides_what_is_asked(config, folder):
+    """A model of six updates hardly moves: more is asked of it than it is to show."""
+    recorded, asked = gk.load(folder).state_process.response
+    fitted = load_training_data(config).state_process.response
+    np.testing.assert_allclose(recorded, fitted[0], atol=1e-5)
+    movement = gk.load(folder).state_process.channels.movement
+    assert (asked - recorded)[movement].mean() > 0.1
+    assert np.abs(fitted[1] - fitted[0]).max() == 0
+
+
 def test_a_motion_is_made_of_seed_mood_and_liveliness(model):
     usual = made(model)
     np.testing.assert_array_equal(usual, made(model, mood_seed=1))
@@ -109,32 +141,38 @@ def test_a_state_can_be_measured_changed_and_given(model, gesture, tmp_path):
     np.testing.assert_allclose(redone, same, atol=1e-6)
 
 
-def test_guidance_on_the_state_and_on_the_speech_are_apart(model):
+def test_guidance_on_the_state_and_on_the_speech_are_apart(model, corpus):
     """Each is linear in the network's predictions: 1 is the plain model, 0 leaves a part out."""
-    speech = {"speech": np.random.default_rng(0).standard_normal(32_000), "sample_rate": 16_000}
-    speech |= {"seconds": None}
-    usual = made(model, **speech)
-    both = made(model, guidance=1.0, state_guidance=1.0, **speech)
+    rng = np.random.default_rng(0)
+    state = rng.standard_normal((60, len(model.state_process.channels.names)))
+
+    def of(sound: np.ndarray, **options) -> np.ndarray:
+        return made(model, speech=sound, sample_rate=16_000, seconds=None, **options)
+
+    wave = af.Wave.load(next(iter(Manifest.load(corpus))).audio).resample(16_000)
+    one, other = wave.samples[:32_000], wave.samples[31_999::-1].copy()
+    usual = of(one, state=state)
+    both = of(one, state=state, guidance=1.0, state_guidance=1.0)
     np.testing.assert_allclose(both, usual, atol=1e-5)
-    deaf = {"guidance": 0.0, **speech}
-    np.testing.assert_allclose(
-        made(model, **deaf), made(model, **{**deaf, "speech": speech["speech"][::-1]}), atol=0.1
-    )
-    calm, lively = (made(model, state_guidance=0.0, liveliness=x, **speech) for x in (0.5, 2.0))
-    np.testing.assert_allclose(calm, lively, atol=1e-5)
-    assert not np.allclose(made(model, **deaf), usual, atol=1e-2)
-    assert not np.allclose(calm, usual, atol=1e-2)
-    strong = [made(model, **{name: 3.0}, **speech) for name in ("guidance", "state_guidance")]
-    assert not np.allclose(*strong, atol=1e-2)
+    deaf = of(one, state=state, guidance=0.0)
+    np.testing.assert_allclose(deaf, of(other, state=state, guidance=0.0), atol=1e-5)
+    free = of(one, state=state, state_guidance=0.0)
+    np.testing.assert_allclose(free, of(one, state=state + 1, state_guidance=0.0), atol=1e-5)
+    strong = [of(one, state=state, **{g: 3.0}) for g in ("guidance", "state_guidance")]
+    for made_otherwise in (deaf, free, *strong, of(other, state=state), of(one, state=state + 1)):
+        assert np.abs(made_otherwise - usual).max() > 1e-2
+    assert np.abs(np.subtract(*strong)).max() > 1e-2
 
 
-def test_what_has_no_effect_is_refused(model, untrained, gesture):
+def test_what_has_no_effect_is_refused(config, model, untrained, gesture):
     plain = untrained()
     for options in ({"state": np.zeros((9, 12))}, {"liveliness": 2.0}, {"mood_seed": 1}):
         with pytest.raises(ModelError, match=next(iter(options))):
             plain.generate(seconds=1, **options)
     with pytest.raises(ModelError, match="dropout_state"):
         replace(model, droppable=("all",)).generate(seconds=1, state_guidance=2.0)
+    with pytest.raises(ConfigError, match="training.state: 0.1 needs state: true"):
+        replace(config, state=False, training=replace(config.training, dropout_state=0.0))
     with pytest.raises(ModelError, match="liveliness.*like"):
         model.generate(like=gesture(1.0), liveliness=2.0)
 
@@ -157,7 +195,8 @@ def test_a_resumed_run_is_the_same(config, folder, tmp_path):
 
 def test_training_starts_from_a_model_without_a_state(corpus, tmp_path):
     """Its predictions do not change until the first step: new columns of weights are zeros."""
-    plain = {"features": SETTINGS["features"], "training": {"updates": 1}}
+    plain = {name: SETTINGS[name] for name in ("features", "noise")}
+    plain |= {"training": {"updates": 1}}
     start = train(small_diffusion(corpus, tmp_path / "plain", plain))
     still = {**SETTINGS, "start_from": str(start)}
     still["training"] = {**DROPPED, "updates": 1, "learning_rate": 1e-12}
