@@ -260,7 +260,7 @@ def _arguments(parts: ModelParts, weights: WeightPlaces | None, device: str) -> 
         Skeleton.from_json(rig["skeleton"]), rig["motion"]
     )
     channels = StateChannels.find(representation.skeleton, representation.joints)
-    # Models that were trained before 2026-11-29 have no such entry.
+    # Older models have no such entry.
     known = None if config.get("state") is None else channels
     conditions = Conditions.from_values(config, tensors, fps, weights, device, known)
     n_speech = conditions.columns["speech"].stop

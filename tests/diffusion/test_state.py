@@ -16,6 +16,8 @@ from gesturekit.corpus import Manifest
 from gesturekit.diffusion import Batches, StateDistance, load_training_data, train
 from gesturekit.diffusion.state import measured
 from gesturekit.errors import ConfigError, ModelError
+from gesturekit.state import StateProcess
+from gesturekit.training import rng_for
 
 FILE = "model.safetensors"
 DROPPED = {"dropout_condition": 0.4, "dropout_state": 0.4, "state": 0.1}
@@ -162,6 +164,32 @@ def test_guidance_on_the_state_and_on_the_speech_are_apart(model, corpus):
     for made_otherwise in (deaf, free, *strong, of(other, state=state), of(one, state=state + 1)):
         assert np.abs(made_otherwise - usual).max() > 1e-2
     assert np.abs(np.subtract(*strong)).max() > 1e-2
+
+
+@pytest.mark.parametrize(
+    ("options", "style"),
+    [({"style": "b"}, 1), ({"style": "a:0.7,b:0.3"}, 0), ({"samples": 3}, None)],
+)
+def test_the_state_is_that_of_the_style_and_one_for_all_experts(
+    model, untrained, monkeypatch, options, style
+):
+    process = replace(model.state_process, wanted=None, silence=np.empty(0))
+    styled = untrained(styles=("a", "b"), droppable=("styles", "state"), state=process.channels)
+    styled, drawn = replace(styled, state_process=process), []
+
+    def draw(self, seed, speech, group, **kept):
+        drawn.append((seed, group))
+        return usual(self, seed, speech, group, **kept)
+
+    usual = StateProcess.draw
+    monkeypatch.setattr(StateProcess, "draw", draw)
+    asked = {"guidance": 1.5, "state_guidance": 1.5, **options}
+    styled.generate(seconds=1, seed=2, steps=1, **asked)
+    assert len(set(drawn)) == options.get("samples", 1)
+    rngs = [rng_for(2, "", "sample", k, "style") for k in range(len(set(drawn)))]
+    random = [int(torch.randint(2, (), generator=rng)) for rng in rngs]
+    expected = random if style is None else [style]
+    assert [group for _, group in dict.fromkeys(drawn)] == [(None, own) for own in expected]
 
 
 def test_what_has_no_effect_is_refused(config, model, untrained, gesture):

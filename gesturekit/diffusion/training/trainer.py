@@ -313,7 +313,7 @@ class Trainer:
             velocities = self.foot_velocity(predicted), self.foot_velocity(target)
             errors = errors + self.config.training.foot_sliding * foot_sliding(*velocities)
         if self.state_distance is not None:
-            share = self.schedule.alphas_bar.to(self.device)[batch.step]
+            share = self.schedule.alphas_bar.float().to(self.device)[batch.step]
             distance = self.state_distance(predicted, target)
             errors = errors + self.config.training.state * share * distance
         weights = self.schedule.loss_weight(batch.step, self.config.training.min_snr)
