@@ -104,6 +104,12 @@ def test_the_loss_is_the_distance_of_what_is_shown(config):
     assert float(distance(calmer, own)) == pytest.approx(expected, rel=1e-3)
 
 
+def test_the_loss_changes_what_is_learnt(config, folder, tmp_path):
+    without = replace(config, out=tmp_path, training=replace(config.training, state=0.0))
+    learnt, other = load_file(folder / FILE), load_file(train(without) / FILE)
+    assert not torch.equal(learnt["network.leave.weight"], other["network.leave.weight"])
+
+
 def test_what_the_model_shows_decides_what_is_asked(config, folder):
     """A model of six updates hardly moves: more is asked of it than it is to show."""
     recorded, asked = gk.load(folder).state_process.response
