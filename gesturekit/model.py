@@ -208,6 +208,16 @@ class Controls(TypedDict, total=False):
     followed."""
     like: Annotated[str | Path | Motion | None, Control(kind=Path, metavar="OTHER.bvh")]
     """A motion on any human rig, to be regenerated in the manner of the model's recordings."""
+    state: Annotated["str | Path | np.ndarray | None", Control(kind=Path, metavar="FILE.npy")]
+    """State of movement in place of a drawn one, as the model's `state` returns it; cut to the
+    motion, or held to its end."""
+    liveliness: Annotated[float, Control(1.0, kind=float, above=0, metavar="AMOUNT")]
+    """Factor on the hand speed that is drawn for the speech, about 0.5 (calmer) to 1.5 (livelier).
+    For models with a state of movement."""
+    mood_seed: Annotated[int | None, Control(kind=int, least=0, metavar="N")]
+    """Seed of the drawn state of movement: calm or lively, and where the hands are held; by default
+    that of everything else. With a fixed mood_seed, seed changes the details and keeps the state.
+    For models with a state of movement."""
     start_pose: Annotated[
         str | Path | Motion | PoseSource | None,
         Control(kind=None, convert=PoseSource.of, metavar="FILE[@SECONDS]"),

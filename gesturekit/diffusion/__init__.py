@@ -23,6 +23,7 @@ __getattr__ = attach(
         "NoiseSchedule": "noise_schedule",
         "Normaliser": "motion_vector",
         "TrainingConfig": "config",
+        "StateDistance": "losses",
         "asked_events": "events",
         "change_error": "losses",
         "continuous_maps": "motion_vector",

@@ -1,7 +1,8 @@
-"""Conditions of a diffusion model, frame by frame: speech features, a path, events and a style.
+"""Conditions of a diffusion model, frame by frame: speech, a path, events, a style and a state.
 
-A condition has the columns `[speech S | path 3 | events E | styles K]`; parts with which the model
-was not trained have no columns. A part that is not given is zero, as with condition dropout.
+A condition has the columns `[speech S | path 3 | events E | styles K | state C]`; parts with which
+the model was not trained have no columns. A part that is not given is zero, as with condition
+dropout.
 """
 
 from __future__ import annotations
@@ -20,13 +21,14 @@ from gesturekit.diffusion.events import event_flags
 from gesturekit.errors import ModelError
 from gesturekit.formats.tables.events import Event
 from gesturekit.motion.root_path import RootPath
+from gesturekit.state.channels import StateChannels
 from gesturekit.training.data.features import (
     conditioner_tensors,
     conditioner_values,
     load_conditioner,
 )
 
-PARTS = ("speech", "path", "events", "styles")
+PARTS = ("speech", "path", "events", "styles", "state")
 
 Array = TypeVar("Array", np.ndarray, Tensor)
 
@@ -43,6 +45,7 @@ class Conditions:
         path_mean: (3,) mean of turn, forward and lateral per frame over the training data, in
             radians and metres of the reference body (`ModelJoints.scale`).
         path_scale: (3,) their standard deviation.
+        state: channels of the state of movement; None for a model without it.
     """
 
     conditioner: SpeechConditioner | None = None
@@ -51,6 +54,7 @@ class Conditions:
     styles: tuple[str, ...] = ()
     path_mean: np.ndarray = field(default_factory=lambda: np.zeros(3))
     path_scale: np.ndarray = field(default_factory=lambda: np.ones(3))
+    state: StateChannels | None = None
 
     @property
     def columns(self) -> dict[str, slice]:
@@ -60,6 +64,7 @@ class Conditions:
             3 if self.path else 0,
             len(self.events),
             len(self.styles),
+            0 if self.state is None else len(self.state.names),
         )
         ends = np.cumsum(widths).tolist()
         return {
@@ -70,7 +75,7 @@ class Conditions:
     @property
     def width(self) -> int:
         """C, the number of columns."""
-        return self.columns["styles"].stop
+        return self.columns["state"].stop
 
     def encode(
         self,
@@ -82,7 +87,7 @@ class Conditions:
         events: Sequence[Event] | None = None,
         style: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return the condition (T, C) float32 of a clip.
+        """Return the condition (T, C) float32 of a clip, with its state left at zero.
 
         Args:
             n_frames: T.
@@ -116,9 +121,12 @@ class Conditions:
         return condition
 
     def without(self, condition: Array, *parts: str) -> Array:
-        """Return a copy of a condition (..., C) with the named parts, or all, set to zero."""
+        """Return a copy of a condition (..., C) with the named parts set to zero.
+
+        Without names, these are all parts but the state.
+        """
         dropped = condition.clone() if isinstance(condition, Tensor) else condition.copy()
-        for name in parts or PARTS:
+        for name in parts or PARTS[:-1]:
             dropped[..., self.columns[name]] = 0
         return dropped
 
@@ -126,7 +134,7 @@ class Conditions:
         return (path.deltas() - self.path_mean) / self.path_scale
 
     def to_values(self) -> dict[str, Any]:
-        """Return the layout as plain values for `config.yaml`."""
+        """Return the layout as plain values for `config.yaml`; the state has its own there."""
         return {
             "features": None if self.conditioner is None else conditioner_values(self.conditioner),
             "path": self.path,
@@ -150,6 +158,7 @@ class Conditions:
         fps: float,
         weights: WeightPlaces | None = None,
         device: str = "cpu",
+        state: StateChannels | None = None,
     ) -> Conditions:
         """Rebuild conditions from `to_values` and `to_tensors`; see `DiffusionModel.load`.
 
@@ -170,6 +179,7 @@ class Conditions:
             bool(values["path"]),
             tuple(map(str, values["events"])),
             tuple(map(str, values["styles"])),
+            state=state,
             **path,
         )
 

@@ -131,10 +131,12 @@ class TrainingConfig:
     """Decay of the exponential moving average of the weights, which is saved as the model; the
     decay is lower in the first updates. 0, as in the paper, saves the weights themselves."""
     dropout_condition: float = 0.0
-    """Fraction of windows trained without any condition (condition dropout), for guidance and for
-    products of experts."""
+    """Fraction of windows trained without any condition but the state (condition dropout), for
+    guidance and for products of experts."""
     dropout_style: float = 0.0
     """Fraction of the other windows trained without their style (style dropout), for guidance."""
+    dropout_state: float = 0.0
+    """Fraction of all windows trained without the state of movement, for guidance on it."""
     min_snr: float | None = None
     """Gamma of the min-SNR loss weights (Hang et al. 2023); null, as in the paper, gives all
     diffusion steps the same weight."""
@@ -146,6 +148,10 @@ class TrainingConfig:
     """Weight of a loss on the speed of feet that are planted in the recording, in units of 0.1 m/s,
     after Tevet et al. 2023. For networks that predict clean motion; the paper has no such loss. It
     is off for rigs without legs."""
+    state: float = 0.0
+    """Weight of the distance of the state of movement that a prediction shows from that of the
+    recording, in standard deviations, times the signal's share of the variance at the step. For
+    models with `state` that predict clean motion; not in the paper."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Precision of matrix products in training; weights and sums stay float32."""
 
@@ -160,9 +166,10 @@ class TrainingConfig:
         check_share(
             dropout_condition=self.dropout_condition,
             dropout_style=self.dropout_style,
+            dropout_state=self.dropout_state,
             decay=self.decay,
         )
-        for name in ("warm_up", "clip", "changes", "foot_sliding"):
+        for name in ("warm_up", "clip", "changes", "foot_sliding", "state"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ConfigError(f"{name}: {getattr(self, name)!r} must be at least 0")
         if not 0 <= self.ema < 1:
@@ -236,6 +243,10 @@ class DiffusionConfig(RunConfig):
     """Condition on binary event flags, from each item's `events` table."""
     styles: StyleConfig | None = None
     """Style condition; null for none, as in an unconditional model for guidance."""
+    state: bool = False
+    """Condition on the state of movement: how much each hand and the trunk move, where the hands
+    are held, and when they move. It is measured in the recordings, and drawn in generation. Not in
+    the paper."""
     unpaired: UnpairedConfig | None = None
     """Unpaired motion; null for none."""
     moves_like: Path | None = None
@@ -257,12 +268,15 @@ class DiffusionConfig(RunConfig):
         super().__post_init__()
         if self.moves_like is not None and self.start_from is not None:
             raise ConfigError("moves_like: start_from implies it; leave out one of them")
-        for name in ("changes", "foot_sliding"):
+        for name in ("changes", "foot_sliding", "state"):
             if (weight := getattr(self.training, name)) and self.noise.predict != "clean":
                 raise ConfigError(
                     f"training.{name}: {weight} is for networks that predict the clean motion; "
                     f"noise.predict is {self.noise.predict}"
                 )
+        for name in ("dropout_state", "state"):
+            if (value := getattr(self.training, name)) and not self.state:
+                raise ConfigError(f"training.{name}: {value} needs state: true")
         if self.training.foot_sliding and self.path:
             raise ConfigError(
                 f"training.foot_sliding: {self.training.foot_sliding} is for models that move the "

@@ -23,7 +23,10 @@ class DiffusionControls(Controls, total=False):
     guidance: Annotated[float | None, Control(kind=float, metavar="GAMMA")]
     """Weight gamma of classifier-free guidance (eq. 6): 1 is the plain model, values above 1
     exaggerate the style, 0 leaves it out. In models without styles, guidance applies to all
-    conditions."""
+    conditions but the state of movement."""
+    state_guidance: Annotated[float | None, Control(kind=float, metavar="GAMMA")]
+    """Weight gamma of guidance on the state of movement, beside `guidance`: 1 is the plain model,
+    and 0 leaves the state out."""
     unconditional: Annotated[Model | None, Control(kind=None, metavar="MODEL")]
     """The unconditional model for guidance; by default this model, without the style."""
     experts: Annotated[

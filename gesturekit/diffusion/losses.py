@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
+from gesturekit.diffusion.kinematics import VectorPlaces
 from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
 from gesturekit.motion.contacts import CONTACT_SPEED
-from gesturekit.motion.rotations import matrix_from_quaternion
-from gesturekit.motion.torch_kinematics import PointKinematics, rotation_vector_to_matrix
+from gesturekit.motion.torch_kinematics import PointKinematics
+from gesturekit.state.process import StateProcess
 
 SLIDING = 0.1
 """m/s on the reference body, the unit of `foot_sliding`."""
+_FAST_COUNTS = 4.0
+"""Weight of a fast channel of the state of movement, relative to a slow one."""
 
 
 def denoising_error(predicted: Tensor, target: Tensor) -> Tensor:
@@ -73,7 +77,6 @@ class FootVelocity(nn.Module):
 
     mean: Tensor
     scale: Tensor
-    references: Tensor
 
     def __init__(
         self,
@@ -83,21 +86,16 @@ class FootVelocity(nn.Module):
         fps: float,
     ) -> None:
         super().__init__()
-        self.representation, self.feet, self.fps = representation, feet, fps
+        self.places, self.fps = VectorPlaces(representation, feet), fps
         self.register_buffer("mean", normaliser.mean)
         self.register_buffer("scale", normaliser.scale)
-        references = torch.from_numpy(matrix_from_quaternion(representation.references)).float()
-        self.register_buffer("references", references[feet.turned])
 
     def forward(self, motion: Tensor) -> Tensor:
         """Return (B, T - 1, F, 3), m/s of the reference body, for normalised motion (B, T, X)."""
         values = Normaliser(self.mean, self.scale).inverse(motion)
-        columns = self.representation
-        maps = values[..., columns.map_columns].unflatten(-1, (-1, 3))
-        maps = maps.index_select(2, self.feet.turned)
-        rotations = self.references @ rotation_vector_to_matrix(maps)
-        places = self.feet(rotations, values[..., columns.height_column])
-        turn, forward, lateral = values[:, 1:, columns.root_columns].unbind(-1)
+        places = self.places(values)
+        steps = values[:, 1:, self.places.representation.root_columns]
+        turn, forward, lateral = steps.unbind(-1)
         # The displacement is relative to the heading halfway between two frames, as in `RootPath`.
         step = torch.stack([lateral, torch.zeros_like(lateral), forward], dim=-1)
         after, before = _turned(places[:, 1:], turn / 2), _turned(places[:, :-1], -turn / 2)
@@ -109,3 +107,37 @@ def _turned(points: Tensor, angle: Tensor) -> Tensor:
     x, y, z = points.unbind(-1)
     cosine, sine = angle.cos()[..., None], angle.sin()[..., None]
     return torch.stack([cosine * x + sine * z, y, cosine * z - sine * x], dim=-1)
+
+
+class StateDistance(nn.Module):
+    """Distance of the state of movement that a prediction shows from that of the recording.
+
+    Args:
+        representation: of the motion vectors.
+        normaliser: of the motion vectors.
+        process: of the recordings.
+    """
+
+    mean: Tensor
+    scale: Tensor
+    weight: Tensor
+
+    def __init__(
+        self, representation: DeltaRepresentation, normaliser: Normaliser, process: StateProcess
+    ) -> None:
+        super().__init__()
+        self.places = VectorPlaces(representation)
+        self.channels, self.fps = process.channels, process.fps
+        self.register_buffer("mean", normaliser.mean)
+        self.register_buffer("scale", normaliser.scale)
+        weight = np.where(process.channels.fast, _FAST_COUNTS, 1.0) / process.scale
+        self.register_buffer("weight", torch.from_numpy(weight).float()[:, None])
+
+    def forward(self, predicted: Tensor, recorded: Tensor) -> Tensor:
+        """Return (B,) for normalised motion (B, T, X), in standard deviations of the recordings."""
+        shown, wanted = self._channels(predicted), self._channels(recorded)
+        return (self.weight * (shown - wanted)).abs().mean(dim=(1, 2))
+
+    def _channels(self, motion: Tensor) -> Tensor:
+        values = Normaliser(self.mean, self.scale).inverse(motion)
+        return self.channels(self.places(values).permute(0, 2, 3, 1), self.fps)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, Unpack
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -18,12 +19,16 @@ from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.sampling.request import Request
 from gesturekit.diffusion.sampling.sampler import Sampler, check_controls
+from gesturekit.diffusion.state import measured
 from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError, gesturekit_errors
 from gesturekit.model import MotionStream, build_controls, document_controls
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
+from gesturekit.state.channels import StateChannels
+from gesturekit.state.format import load_state, state_tensors, state_values
 from gesturekit.training.config import build, to_dict
+from gesturekit.training.data.own_rig import on_rig
 from gesturekit.training.model_folder import (
     ModelParts,
     common_arguments,
@@ -115,6 +120,28 @@ class DiffusionModel(TrainedModel):
             "features and a state of movement can stream, such as own_corpus"
         )
 
+    @gesturekit_errors()
+    def state(self, motion: str | Path | Motion) -> np.ndarray:
+        """Measure the state of movement of a motion: what `generate` takes as `state`.
+
+        Args:
+            motion: a motion or its file; one on another rig is retargeted.
+
+        Returns:
+            (T, C) at the model's frame rate; `state_process.channels.names` names the channels.
+
+        Raises:
+            ModelError: a model without a state of movement.
+            FormatError: the file cannot be read.
+            MotionError: a rig that cannot be retargeted.
+        """
+        if self.state_process is None:
+            raise ModelError("state: this model was trained without the state of movement")
+        motion = motion if isinstance(motion, Motion) else Motion.load(motion)
+        vectors = self.representation.encode(on_rig(self.representation, motion.resample(self.fps)))
+        channels = self.state_process.channels
+        return measured(vectors, self.representation, channels, self.fps).T
+
     def fingerprint(self) -> str:
         """Return the SHA-256 of what `save` writes, its README apart."""
         return model_digest(*_parts(self))
@@ -166,6 +193,7 @@ def _parts(
     model: TrainedModel,
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Tensor]]:
     """Return the contents of config.yaml, skeleton.json and model.safetensors."""
+    process = model.state_process
     config = {
         **model.first_values(),
         **model.conditions.to_values(),
@@ -173,12 +201,14 @@ def _parts(
         "window": model.window,
         "clip_denoised": model.clip_denoised,
         "smooth": model.smooth,
+        "state": None if process is None else state_values(process),
         "noise": to_dict(model.noise_config),
         "network": to_dict(model.network.config),
     }
     tensors = {f"network.{name}": value for name, value in model.network.state_dict().items()}
     tensors |= {"motion.mean": model.normaliser.mean, "motion.scale": model.normaliser.scale}
     tensors |= model.conditions.to_tensors()
+    tensors |= {} if process is None else state_tensors(process)
     return config, rig_values(model.representation, model.speakers), tensors
 
 
@@ -206,8 +236,12 @@ def _readme(model: TrainedModel, notes: Mapping[str, str]) -> str:
     if conditions.styles:
         rows["Styles"] = ", ".join(conditions.styles)
         call.append(f'style="{conditions.styles[0]}"')
+    if (process := model.state_process) is not None:
+        rows["State of movement"] = ", ".join(process.channels.names)
+        if process.wanted is not None:
+            rows["Hand movement from speech"] = process.wanted.summary()
     if model.droppable:
-        names = {"styles": "style", "all": "all conditions"}
+        names = {"styles": "style", "all": "all conditions", "state": "the state of movement"}
         parts = " and ".join(names[name] for name in model.droppable)
         rows["Guidance"] = f"trained with dropout of {parts}"
         call.append("guidance=1.5")
@@ -225,7 +259,11 @@ def _arguments(parts: ModelParts, weights: WeightPlaces | None, device: str) -> 
     representation = DeltaRepresentation.from_json(
         Skeleton.from_json(rig["skeleton"]), rig["motion"]
     )
-    conditions = Conditions.from_values(config, tensors, fps, weights, device)
+    channels = StateChannels.find(representation.skeleton, representation.joints)
+    # Older models have no such entry.
+    known = None if config.get("state") is None else channels
+    conditions = Conditions.from_values(config, tensors, fps, weights, device, known)
+    n_speech = conditions.columns["speech"].stop
     network_config = build(NetworkConfig, config["network"], where=where)
     n_motion = representation.n_features
     normaliser = Normaliser(tensors["motion.mean"], tensors["motion.scale"])
@@ -243,6 +281,7 @@ def _arguments(parts: ModelParts, weights: WeightPlaces | None, device: str) -> 
         "normaliser": normaliser,
         "noise_config": build(NoiseConfig, config["noise"], where=where),
         "network": network,
+        "state_process": load_state(config.get("state"), tensors, channels, fps, n_speech),
         "droppable": tuple(map(str, config["droppable"])),
         "window": int(config["window"]),
         "clip_denoised": bool(config["clip_denoised"]),

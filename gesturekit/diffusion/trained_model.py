@@ -14,6 +14,7 @@ from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.noise_schedule import NoiseSchedule
 from gesturekit.model import BaseModel, Inputs
+from gesturekit.state.process import StateProcess
 
 MAX_FRAMES = 9000
 """Frames that are generated without tiling: five minutes at 30 fps. At gesture size, each thousand
@@ -28,7 +29,9 @@ class TrainedModel(BaseModel):
         normaliser: mean and scale of motion vectors.
         noise_config: settings of the noise schedule.
         network: the denoiser.
-        droppable: conditions dropped in training, which guidance needs: "styles" or "all".
+        state_process: from which the state of movement is drawn; None for a model without it.
+        droppable: conditions dropped in training, which guidance needs: "styles", "state", or "all"
+            but the state.
         window: frames of the longest motion that is generated without tiling.
         clip_denoised: whether generation clips the predicted clean motion, see `DiffusionConfig`.
     """
@@ -40,6 +43,7 @@ class TrainedModel(BaseModel):
     normaliser: Normaliser
     noise_config: NoiseConfig
     network: Denoiser
+    state_process: StateProcess | None = None
     droppable: tuple[str, ...] = ()
     window: int = MAX_FRAMES
     clip_denoised: bool = True

@@ -9,8 +9,6 @@ from gesturekit.model import PLACING, Control, Controls
 from gesturekit.motion.motion import Motion
 
 if TYPE_CHECKING:
-    import numpy as np
-
     import audio_features as af
 
 
@@ -55,13 +53,3 @@ class MultiresControls(Controls, total=False):
     ]
     """Motions to keep, each with its start time in seconds. They appear unchanged and at their own
     position; the model generates the motion before, between and after them (in-betweening)."""
-    state: Annotated["str | Path | np.ndarray | None", Control(kind=Path, metavar="FILE.npy")]
-    """State of movement in place of a drawn one, as `MultiresModel.state` returns it; cut to the
-    motion, or held to its end."""
-    liveliness: Annotated[float, Control(1.0, kind=float, above=0, metavar="AMOUNT")]
-    """Factor on the hand speed that is drawn for the speech, about 0.5 (calmer) to 1.5 (livelier).
-    For models with a state of movement."""
-    mood_seed: Annotated[int | None, Control(kind=int, least=0, metavar="N")]
-    """Seed of the drawn state of movement: calm or lively, and where the hands are held; by default
-    that of everything else. With a fixed mood_seed, seed changes the details and keeps the state.
-    For models with a state of movement."""

@@ -15,6 +15,7 @@ __getattr__ = attach(
         "averaged": "channels",
         "fast_inputs": "prediction",
         "folds_of": "prediction",
+        "given_state": "given",
         "load_state": "format",
         "recorded_quantiles": "process",
         "recorded_values": "process",

@@ -347,13 +347,20 @@ class StateProcess:
         """
         if clocks is None:
             clocks = np.cumsum(self.clocks(values), axis=1)
+        given, carriers = self.given(values, clocks), self.carriers(seed, clocks)
+        return np.concatenate([given, carriers]).astype(np.float32)
+
+    def given(self, values: np.ndarray, clocks: np.ndarray | None = None) -> np.ndarray:
+        """Return the normalised channels (C, T) of `condition`, without carriers."""
+        if clocks is None:
+            clocks = np.cumsum(self.clocks(values), axis=1)
         given = np.stack([_continued(*row) for row in zip(values, *self.response)])
         for rows, clock in zip(self.channels.held, clocks):
             given[rows] = [_in_time_of(row, clock) for row in given[rows]]
         normalised = (given - self.mean[:, None]) / self.scale[:, None]
         held = ~(self.channels.movement | self.channels.fast)
         normalised[held] = np.minimum(normalised[held], _HIGHEST)
-        return np.concatenate([normalised, self.carriers(seed, clocks)]).astype(np.float32)
+        return normalised
 
 
 def _in_time_of(values: np.ndarray, clock: np.ndarray) -> np.ndarray:

@@ -23,6 +23,7 @@ from torch import Tensor
 
 from gesturekit.corpus.checks import first_difference
 from gesturekit.diffusion.controls import DiffusionControls
+from gesturekit.diffusion.sampling.drawn_state import DrawnState, drawn_style
 from gesturekit.diffusion.sampling.expert_weights import (
     ExpertWeight,
     style_weights,
@@ -33,7 +34,6 @@ from gesturekit.diffusion.sampling.experts import Expert, ProductOfExperts
 from gesturekit.diffusion.sampling.request import Request
 from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError
-from gesturekit.training.seeds import rng_for
 
 _SCALE_TOLERANCE = 1e-4
 """Largest relative difference between the scales of two models that can be combined."""
@@ -49,6 +49,7 @@ class Term:
         condition: (T, C).
         weight: a number, or (T,).
         draws_style: whether each sample gets a random style.
+        state: the state of movement of each sample; None without.
     """
 
     model: TrainedModel
@@ -56,17 +57,21 @@ class Term:
     condition: np.ndarray
     weight: float | np.ndarray
     draws_style: bool = False
+    state: DrawnState | None = None
 
     def expert(self, seed: int, item: str, numbers: Sequence[int]) -> Expert:
         """Return the expert for the samples of an item with these numbers."""
         condition = torch.from_numpy(self.condition)[None]
-        if self.draws_style:
+        if self.draws_style or self.state is not None:
             condition = condition.repeat(len(numbers), 1, 1)
-            first = self.model.conditions.columns["styles"].start
-            for own, number in zip(condition, numbers, strict=True):
-                rng = rng_for(seed, item, "sample", number, "style")
-                drawn = int(torch.randint(len(self.model.styles), (), generator=rng))
-                own[:, first + drawn] = 1
+        columns, process = self.model.conditions.columns, self.model.state_process
+        for own, number in zip(condition, numbers, strict=False):
+            if self.draws_style:
+                drawn = drawn_style(len(self.model.styles), seed, item, number)
+                own[:, columns["styles"].start + drawn] = 1
+            if self.state is not None and process is not None:
+                given = process.given(self.state.of_sample(seed, item, number))
+                own[:, columns["state"]] = torch.from_numpy(given.T)
         device = self.model.device
         shift = None if self.shift is None else self.shift.to(device)
         return Expert(self.model.network, self.model.schedule, condition.to(device), shift)
@@ -91,6 +96,7 @@ class ModelProduct:
             weight equally.
         styles: style of each of these models; None for a random style.
         guidance: gamma of classifier-free guidance for the first model; None for no guidance.
+        state_guidance: gamma of its guidance on the state of movement; None for no guidance.
         unconditional: the unconditional model; None for the first model with conditions dropped.
     """
 
@@ -98,6 +104,7 @@ class ModelProduct:
     weights: tuple[ExpertWeight, ...]
     styles: tuple[str | None, ...]
     guidance: float | None
+    state_guidance: float | None
     unconditional: TrainedModel | None
 
     @classmethod
@@ -136,6 +143,7 @@ class ModelProduct:
             (None, *(weight for _, weight, _ in experts)),
             (style, *styles),
             controls["guidance"],
+            controls["state_guidance"],
             unconditional,
         )
 
@@ -148,12 +156,13 @@ class ModelProduct:
     def terms(self, request: Request) -> list[Term]:
         """Return the terms of the product for a request."""
         terms: list[Term] = []
+        state = DrawnState.of(self.models, self.styles, request)
         weights = weights_over_time(self.weights, request.n_frames, request.fps)
         members = zip(self.models, weights, self.styles, strict=False)
         for k, (model, weight, style) in enumerate(members):
-            own = self._styled(model, style, request)
-            if k == 0 and self.guidance is not None:
-                own = self._guided(own, self.guidance, request)
+            own = [replace(term, state=state) for term in self._styled(model, style, request)]
+            if k == 0:
+                own = self._guided(own, request)
             terms += [replace(term, weight=weight * term.weight) for term in own]
         return terms
 
@@ -170,19 +179,33 @@ class ModelProduct:
                 own = condition.copy()
                 own[:, first + k] = 1
                 constant = bool((weight == weight[0]).all())
-                terms.append(Term(model, shift, own, float(weight[0]) if constant else weight))
+                weight = float(weight[0]) if constant else weight
+                terms.append(Term(model, shift, own, weight))
         return terms
 
-    def _guided(self, terms: list[Term], gamma: float, request: Request) -> list[Term]:
-        """Apply classifier-free guidance (eq. 6): weights 1 - gamma without and gamma with."""
-        model = self.unconditional or self.models[0]
-        condition = request.condition(model.conditions)
-        if self.unconditional is None and not ("styles" in model.droppable and model.styles):
-            condition = model.conditions.without(condition)
-        return [
-            Term(model, _shift(self.models[0], model), condition, 1 - gamma),
-            *(replace(term, weight=gamma * term.weight) for term in terms),
-        ]
+    def _guided(self, terms: list[Term], request: Request) -> list[Term]:
+        """Apply classifier-free guidance (eq. 6): gamma - 1 more with the style, 1 - gamma without.
+
+        Guidance on the state of movement is the same beside it, with and without the state.
+        """
+        guided = list(terms)
+        if (gamma := self.guidance) is not None:
+            model = self.unconditional or self.models[0]
+            condition = request.condition(model.conditions)
+            if self.unconditional is None and not ("styles" in model.droppable and model.styles):
+                condition = model.conditions.without(condition)
+            shift = _shift(self.models[0], model)
+            guided += [
+                Term(model, shift, condition, 1 - gamma, state=terms[0].state),
+                *(replace(term, weight=(gamma - 1) * term.weight) for term in terms),
+            ]
+        if (gamma := self.state_guidance) is not None:
+            for term in terms:
+                guided += [
+                    replace(term, weight=(1 - gamma) * term.weight, state=None),
+                    replace(term, weight=(gamma - 1) * term.weight),
+                ]
+        return guided
 
 
 def _knows(model: TrainedModel, style: str | None) -> bool:
@@ -206,7 +229,7 @@ def _check_guidance(
                 "unconditional: that model needs a style too; give one trained with styles: null"
             )
         return
-    if not first.conditions.width:
+    if not first.conditions.columns["state"].start:
         raise ModelError(f"guidance={guidance:g}: this model has no conditions to guide on")
     if not ("all" in first.droppable or (first.styles and "styles" in first.droppable)):
         what = "style" if first.styles else "condition"

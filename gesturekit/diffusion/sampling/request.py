@@ -125,7 +125,7 @@ class Request:
         )
 
     def condition(self, conditions: Conditions) -> np.ndarray:
-        """Return a model's condition (T, C) float32, with its style left at zero."""
+        """Return a model's condition (T, C) float32, with its style and state left at zero."""
         speech, conditioner = None, conditions.conditioner
         if conditioner is not None and conditioner is self.conditioner:
             speech = self.features

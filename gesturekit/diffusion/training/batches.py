@@ -27,7 +27,7 @@ class TrainingBatch:
     Attributes:
         clean: (B, T, X) normalised motion.
         noise: (B, T, X) standard normal.
-        condition: (B, T, C), zero after condition dropout.
+        condition: (B, T, C), zero where it is dropped.
         step: (B,) steps of the diffusion, long.
     """
 
@@ -86,9 +86,11 @@ class Batches:
         motion, condition = self._window(recording, length, rng)
         drop_all, drop_style = torch.rand(2, generator=rng, dtype=torch.float64).tolist()
         if drop_all < training.dropout_condition:
-            condition = torch.zeros_like(condition)
+            condition = self.data.conditions.without(condition)
         elif drop_style < training.dropout_style:
             condition = self.data.conditions.without(condition, "styles")
+        if training.dropout_state and float(torch.rand((), generator=rng)) < training.dropout_state:
+            condition = self.data.conditions.without(condition, "state")
         step = torch.randint(self.config.noise.steps, (), generator=rng)
         noise = torch.randn(motion.shape, generator=rng)
         return self.data.normaliser.forward(motion), noise, condition, step

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,14 @@ from torch import Tensor
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
+from gesturekit.diffusion.state import measured
 from gesturekit.diffusion.training.augmentation import Rows
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
+from gesturekit.state.channels import StateChannels
+from gesturekit.state.format import load_state, state_tensors, state_values
+from gesturekit.state.process import StateProcess
 from gesturekit.training.data.arrays import ArrayFolder, StoredArray, StoredFrames
 from gesturekit.training.data.data_folder import load_data, save_data
 from gesturekit.training.data.features import stored_speech
@@ -202,6 +207,29 @@ def motion_of(
     return [recordings[i].motion[start:stop] for i, start, stop in sampled]
 
 
+def with_state(
+    recording: TrainingSequence, process: StateProcess, representation: DeltaRepresentation
+) -> TrainingSequence:
+    """Return a recording with its state as the last columns of its condition.
+
+    The state of a recording on disk is measured when it is first used, and kept in memory.
+    """
+    condition = recording.condition
+
+    @cache
+    def state() -> np.ndarray:
+        values = measured(recording.motion[:], representation, process.channels, process.fps)
+        return process.given(values).T.astype(np.float32)
+
+    if isinstance(condition, np.ndarray):
+        return replace(recording, condition=np.concatenate([condition, state()], axis=1))
+
+    def read(start: int, stop: int) -> np.ndarray:
+        return np.concatenate([condition[start:stop], state()[start:stop]], axis=1)
+
+    return replace(recording, condition=StoredRows(recording.n_frames, read))
+
+
 @dataclass(frozen=True, eq=False)
 class TrainingData:
     """All training data of a run, on the CPU.
@@ -218,6 +246,7 @@ class TrainingData:
         start: weights of the network to start from, by name; empty for random ones.
         sampled: parts of `recordings` from which statistics are computed; None for all of them.
         stored: of recordings on disk, what `load` finds them by.
+        state_process: of the state of movement; None without it.
     """
 
     recordings: tuple[TrainingSequence, ...]
@@ -231,6 +260,7 @@ class TrainingData:
     start: Mapping[str, Tensor] = field(default_factory=dict)
     sampled: tuple[Cut, ...] | None = None
     stored: StoredCorpus | None = None
+    state_process: StateProcess | None = None
 
     def decode(self, values: np.ndarray, condition: np.ndarray, fps: float) -> Motion:
         """Decode a motion from unnormalised motion vectors (T, X) and its condition (T, C)."""
@@ -260,6 +290,7 @@ class TrainingData:
             "motion.scale": self.normaliser.scale,
             **self.conditions.to_tensors(),
             **start_tensors(self.start),
+            **({} if self.state_process is None else state_tensors(self.state_process)),
         }
         own = self.recordings if self.stored is None else ()
         for i, recording in enumerate(own):
@@ -274,6 +305,7 @@ class TrainingData:
             "sources": to_values(self.sources),
             "recorded_fps": self.recorded_fps,
             "conditions": self.conditions.to_values(),
+            "state": None if self.state_process is None else state_values(self.state_process),
             **rig_values(self.representation, self.speakers),
         }
         save_data(folder, tensors, about)
@@ -295,6 +327,9 @@ class TrainingData:
             conditions = Conditions.from_values(
                 about["conditions"], tensors, config.fps, weights, device
             )
+            channels = StateChannels.find(skeleton, representation.joints)
+            n_speech = conditions.columns["speech"].stop
+            process = load_state(about["state"], tensors, channels, config.fps, n_speech)
             stored, sampled = None, None
             if about["stored"] is None:
                 labels = zip(about["names"], about["is_paired"], strict=True)
@@ -311,6 +346,12 @@ class TrainingData:
                 stored = StoredCorpus(**about["stored"])
                 sampled = tuple((i, start, stop) for i, start, stop in about["sampled"])
                 recordings = stored.sequences(config, conditions, representation.n_features)
+                if process is not None:
+                    recordings = tuple(
+                        with_state(own, process, representation) for own in recordings
+                    )
+            if process is not None:
+                conditions = replace(conditions, state=channels)
             return cls(
                 recordings=recordings,
                 seconds=(paired, unpaired),
@@ -323,6 +364,7 @@ class TrainingData:
                 start=read_start(tensors),
                 sampled=sampled,
                 stored=stored,
+                state_process=process,
             )
 
         return load_data(folder, assemble)

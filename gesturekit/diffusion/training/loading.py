@@ -22,7 +22,9 @@ from gesturekit.diffusion.training.data import (
     TrainingSequence,
     motion_of,
     stored_variants,
+    with_state,
 )
+from gesturekit.diffusion.training.state import fit_state
 from gesturekit.diffusion.training.variants import VariantArrays
 from gesturekit.errors import ConfigError
 from gesturekit.motion.motion import Motion
@@ -50,12 +52,16 @@ _STEP_FLOORS = np.array([0.03, 0.015, 0.015])
 
 @dataclass(frozen=True, eq=False)
 class _Read:
-    """Recordings and conditions of a run; fields as in `TrainingData`."""
+    """Recordings and conditions of a run.
+
+    `parts` are those to which the state of movement is fitted; other fields as in `TrainingData`.
+    """
 
     recordings: tuple[TrainingSequence, ...]
     conditions: Conditions
     seconds: tuple[float, float]
     rates: Sequence[float]
+    parts: Sequence[tuple[Item, Cut]]
     sampled: tuple[Cut, ...] | None = None
     stored: StoredCorpus | None = None
 
@@ -95,12 +101,18 @@ def load_training_data(
         normaliser = Normaliser.fit(motion, _floors(representation, config.fps))
     else:
         normaliser = like.normaliser
+    recordings, conditions, process = read.recordings, read.conditions, None
+    if config.state:
+        process = fit_state(recordings, read.parts, conditions, representation, config.fps)
+        recordings = tuple(with_state(own, process, representation) for own in recordings)
+        conditions = replace(conditions, state=process.channels)
     return TrainingData(
-        recordings=read.recordings,
+        recordings=recordings,
         seconds=corpus.recordings.lengths if trial else read.seconds,
         representation=representation,
-        conditions=read.conditions,
+        conditions=conditions,
         normaliser=normaliser,
+        state_process=process,
         speakers=corpus.recordings.speakers,
         sources=corpus.recordings.sources(read.rates),
         recorded_fps=corpus.recordings.recorded_fps,
@@ -124,7 +136,9 @@ def _conditions(
     if speech is not None and config.features is not None:
         wanted["features"] = feature_values(speech.extractor, config.features)
     check_conditions(config.start_from, start.conditions.to_values(), wanted)
-    return start.conditions
+    if start.state_process is not None and not config.state:
+        raise ConfigError(f"start_from: {config.start_from} has state: true, this run none")
+    return replace(start.conditions, state=None)
 
 
 def _in_memory(
@@ -178,7 +192,8 @@ def _in_memory(
             rows = maker.mirrored_rows(take, rows)
             mirrored.append(maker.sequence(f"{take.name} (mirrored)", rows, features))
     seconds = corpus.seconds, unpaired_seconds
-    return _Read((*plain, *mirrored), conditions, seconds, corpus.recordings.rates)
+    parts = [(item, (i, 0, plain[i].n_frames)) for i, item in enumerate(corpus.items)]
+    return _Read((*plain, *mirrored), conditions, seconds, corpus.recordings.rates, parts)
 
 
 def _on_disk(
@@ -226,15 +241,18 @@ def _on_disk(
         *([array.path.stem for array in arrays] for arrays in (motion, spoken, unpaired))
     )
     recordings = stored.sequences(config, conditions, paired.representation.n_features)
+    variants = stored_variants([*motion, *unpaired])
     sampled = tuple(
         (i, *excerpt.frames(config.fps, recordings[i].n_frames))
-        for i, variant in enumerate(stored_variants([*motion, *unpaired]))
+        for i, variant in enumerate(variants)
         # The other phases of an excerpt are almost the same motion.
         for excerpt in sample.get(variant.which, ()) * (variant.phase == 0)
     )
+    plain = [(variants[cut[0]], cut) for cut in sampled if not variants[cut[0]].mirrored]
+    parts = [(items[own.which], cut) for own, cut in plain if own.which < len(items)]
     seconds = [sum(array.facts["seconds"] for array in arrays) for arrays in (motion, unpaired)]
     rates = [array.facts["fps"] for array in motion]
-    return _Read(recordings, conditions, (seconds[0], seconds[1]), rates, sampled, stored)
+    return _Read(recordings, conditions, (seconds[0], seconds[1]), rates, parts, sampled, stored)
 
 
 def _fitted(

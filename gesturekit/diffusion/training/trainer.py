@@ -4,26 +4,34 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import dataclasses
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from gesturekit.diffusion.config import DiffusionConfig, TrainingConfig
-from gesturekit.diffusion.losses import FootVelocity, change_error, denoising_error, foot_sliding
+from gesturekit.diffusion.losses import (
+    FootVelocity,
+    StateDistance,
+    change_error,
+    denoising_error,
+    foot_sliding,
+)
 from gesturekit.diffusion.model import DiffusionModel
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.noise_schedule import NoiseSchedule
-from gesturekit.diffusion.sampling.experts import Expert
-from gesturekit.diffusion.sampling.solvers import sample
 from gesturekit.diffusion.training.batches import Batches, TrainingBatch
 from gesturekit.diffusion.training.corpus import read_recordings
 from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.diffusion.training.loading import load_training_data
+from gesturekit.diffusion.training.quick import STEPS, quick_vectors
+from gesturekit.diffusion.training.state import calibrated
 from gesturekit.errors import MotionError
 from gesturekit.evaluation.measuring.clip_metrics import quick_metrics
 from gesturekit.motion.mirroring import can_be_mirrored
@@ -47,8 +55,6 @@ log = logging.getLogger(__name__)
 MOST_CLIPS = 4
 MOST_SECONDS = 20.0
 """Number of training recordings whose conditions are used, and length of each."""
-STEPS = 10
-"""Number of denoising steps."""
 
 
 def train(config: DiffusionConfig, *, resume: bool = False) -> Path:
@@ -127,6 +133,7 @@ class Trainer:
         self.batches = Batches(self.data, config)
         self.changes = self.data.changes().to(device) if config.training.changes else None
         self.foot_velocity = self._foot_velocity()
+        self.state_distance = self._state_distance()
         self.held_out = HeldOutMetrics(
             config,
             run,
@@ -157,6 +164,14 @@ class Trainer:
         normaliser, fps = self.data.normaliser, self.config.fps
         return FootVelocity(representation, normaliser, feet, fps).to(self.device)
 
+    def _state_distance(self) -> StateDistance | None:
+        """Return the loss on the state of movement; None without it."""
+        process = self.data.state_process
+        if process is None or not self.config.training.state:
+            return None
+        representation, normaliser = self.data.representation, self.data.normaliser
+        return StateDistance(representation, normaliser, process).to(self.device)
+
     def _log_missing_parts(self) -> None:
         """Log in one line the features that training lacks if body parts cannot be identified."""
         skeleton = self.data.representation.skeleton
@@ -178,7 +193,7 @@ class Trainer:
             lambda: Denoiser(width, self.data.conditions.width, self.config.network),
         )
         if self.data.start:
-            network.load_state_dict(self.data.start)
+            network.load_state_dict(widened(self.data.start, network))
         return network
 
     def _contents(self) -> list[str]:
@@ -207,6 +222,7 @@ class Trainer:
             "path": conditions.path,
             "events": conditions.events,
             "styles": conditions.styles,
+            "the state of movement": conditions.state,
         }
         names = [name for name, known in given.items() if known]
         return f"from {' and '.join(names)}" if names else "no condition"
@@ -296,6 +312,10 @@ class Trainer:
         if self.foot_velocity is not None:
             velocities = self.foot_velocity(predicted), self.foot_velocity(target)
             errors = errors + self.config.training.foot_sliding * foot_sliding(*velocities)
+        if self.state_distance is not None:
+            share = self.schedule.alphas_bar.float().to(self.device)[batch.step]
+            distance = self.state_distance(predicted, target)
+            errors = errors + self.config.training.state * share * distance
         weights = self.schedule.loss_weight(batch.step, self.config.training.min_snr)
         return (weights * errors).mean()
 
@@ -336,9 +356,13 @@ class Trainer:
     def _model(self, network: Denoiser) -> DiffusionModel:
         """Return the model with this network."""
         training = self.config.training
-        # Unpaired motion has no conditions, just like windows with condition dropout.
+        # Unpaired motion has no conditions but the state, just like windows with condition dropout.
         unconditional = training.dropout_condition or self.data.seconds[1]
-        droppable = {"all": unconditional, "styles": training.dropout_style}
+        droppable = {
+            "all": unconditional,
+            "styles": training.dropout_style,
+            "state": training.dropout_state,
+        }
         return DiffusionModel(
             fps=self.config.fps,
             representation=self.data.representation,
@@ -347,6 +371,7 @@ class Trainer:
             noise_config=self.config.noise,
             network=network,
             speakers=self.data.speakers,
+            state_process=self.data.state_process,
             droppable=tuple(name for name, share in droppable.items() if share),
             clip_denoised=self.config.clip_denoised,
             smooth=self.config.smooth,
@@ -356,8 +381,10 @@ class Trainer:
     def _finish(self) -> None:
         updates = self.config.updates
         model = self._model(self.average)
+        process = calibrated(model, self.data, self.config.seed)
+        model = dataclasses.replace(model, state_process=process)
         measured = self.held_out.measure(updates, model, keep=True)
-        model = self._model(self.average.cpu())
+        model.network.cpu()
         paired, unpaired = self.data.seconds
         model.save(
             self.folder.folder / "model",
@@ -376,6 +403,20 @@ class Trainer:
         save_sources(self.folder.folder / "model", self.data.sources)
 
 
+def widened(weights: Mapping[str, Tensor], network: Denoiser) -> dict[str, Tensor]:
+    """Return the weights of a model to start from, in the shapes of a network.
+
+    Where the network has a state of movement and the model has none, its columns are zeros, so that
+    training begins with the model's predictions.
+    """
+    result = dict(weights)
+    for name, own in network.state_dict().items():
+        if name.startswith("project_condition."):
+            known = weights.get(name, own[..., :0] if own.ndim > 1 else own * 0)
+            result[name] = F.pad(known, (0, own.shape[-1] - known.shape[-1]))
+    return result
+
+
 class Monitor:
     """Metrics of motion generated from the training recordings' conditions.
 
@@ -389,11 +430,11 @@ class Monitor:
         self.schedule = NoiseSchedule.of(config.noise)
         most = round(MOST_SECONDS * config.fps)
         paired = [recording for recording in data.recordings if recording.is_paired]
-        self.clips = [
-            (recording.motion[:most], recording.condition[:most])
-            for recording in paired[:MOST_CLIPS]
+        self.clips = [recording.condition[:most] for recording in paired[:MOST_CLIPS]]
+        self.recordings = [
+            data.decode(recording.motion[:most], condition, config.fps)
+            for recording, condition in zip(paired, self.clips, strict=False)
         ]
-        self.recordings = [data.decode(*clip, config.fps) for clip in self.clips]
 
     def metrics(self, network: Denoiser) -> dict[str, float]:
         """Return cheap metrics (`quick_metrics`) of motion generated from the same noise each time.
@@ -407,17 +448,8 @@ class Monitor:
 
     @torch.no_grad()
     def _generated(self, network: Denoiser) -> Iterator[Motion]:
-        device = next(network.parameters()).device
-        count = min(STEPS, self.schedule.steps)
-        for number, (motion, condition) in enumerate(self.clips):
-            expert = Expert(network, self.schedule, torch.from_numpy(condition)[None].to(device))
+        for number, condition in enumerate(self.clips):
             rng = rng_for(self.config.seed, "monitor", number)
-            noise = torch.randn((1, *motion.shape), generator=rng).to(device)
-            same = partial(_same, noise)
-            made = sample(expert.predict, same, self.schedule, solver="dpm", steps=count)
-            values = self.data.normaliser.inverse(made[0].cpu()).double().numpy()
+            made = quick_vectors(network, self.schedule, condition, rng)
+            values = self.data.normaliser.inverse(made.cpu()).double().numpy()
             yield self.data.decode(values, condition, self.config.fps)
-
-
-def _same(noise: Tensor, _: int) -> Tensor:
-    return noise

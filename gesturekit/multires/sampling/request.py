@@ -11,7 +11,7 @@ import numpy as np
 
 import audio_features as af
 from gesturekit.corpus.speech import speech_features
-from gesturekit.errors import FormatError, ModelError
+from gesturekit.errors import ModelError
 from gesturekit.formats.tables.root_path import as_root_path
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
@@ -22,6 +22,7 @@ from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.sampling.conditions import level_range, requested_styles
 from gesturekit.multires.sampling.trained_model import TrainedModel
 from gesturekit.postprocess import Placement
+from gesturekit.state.given import given_state
 from gesturekit.training.data.own_rig import pose_on_rig
 from gesturekit.training.seeds import rng_for
 
@@ -140,32 +141,10 @@ def _with_margins(features: np.ndarray, margin: int) -> np.ndarray:
 def _given_state(
     model: TrainedModel, controls: MultiresControls, n_frames: int
 ) -> np.ndarray | None:
-    """Return the state (T, C) that is given, cut to the motion or held to its end; None without.
-
-    Raises:
-        ModelError: a state of another width, empty, or not finite.
-        FormatError: its file cannot be read.
-    """
+    """Return the state (T, C) that is given, see `given_state`; None without."""
     if controls["state"] is None or model.state_process is None:
         return None
-    state = controls["state"]
-    if not isinstance(state, np.ndarray):
-        try:
-            state = np.load(state, mmap_mode="r", allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
-            raise FormatError(
-                f"{state}: not a .npy file of numbers, as numpy.save writes model.state"
-            ) from error
-    if state.dtype.kind not in "fiu":
-        raise ModelError(f"state: its type is {state.dtype}, not a number")
-    state, width = state[:n_frames].astype(float), len(model.state_process.channels.names)
-    if state.ndim != 2 or state.shape[1] != width or not len(state):
-        raise ModelError(
-            f"state: shape {state.shape}, not (frames, {width}); as model.state returns it"
-        )
-    if not np.isfinite(state).all():
-        raise ModelError("state: not all of its values are finite")
-    return np.pad(state, ((0, max(0, n_frames - len(state))), (0, 0)), mode="edge")[:n_frames]
+    return given_state(model.state_process, controls["state"], n_frames)
 
 
 def _level_speech(
