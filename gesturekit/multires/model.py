@@ -22,7 +22,6 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.backend import requested_backend
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.controls import MultiresControls
-from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
@@ -52,7 +51,6 @@ from gesturekit.training.data.features import (
     conditioner_values,
     load_conditioner,
 )
-from gesturekit.training.data.own_rig import on_rig
 from gesturekit.training.model_folder import (
     ModelParts,
     common_arguments,
@@ -237,12 +235,7 @@ class MultiresModel(TrainedModel):
         """
         if self.state_process is None:
             raise ModelError("state: this model was trained without the state of movement")
-        motion = motion if isinstance(motion, Motion) else Motion.load(motion)
-        motion = on_rig(self.representation, motion.resample(self.fps))
-        values = torch.from_numpy(self.representation.encode(motion).T[None]).float()
-        with torch.no_grad():
-            places = VectorKinematics(self.representation, self.fps, arms=False).places(values)
-            return self.state_process.channels(places, self.fps)[0].T.double().numpy()
+        return self.measured(motion if isinstance(motion, Motion) else Motion.load(motion))
 
     def fingerprint(self) -> str:
         """Return the SHA-256 of what `save` writes, its README apart."""

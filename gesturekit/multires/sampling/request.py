@@ -50,7 +50,7 @@ class Request:
         clips: the clips of in-betweening, or None.
         level_speech: levels with speech of their own, and its features, shaped as `features`.
         placement: where and how the motion begins and ends.
-        state: (T, C) state of movement, or None to draw it.
+        state: (T, C) state of movement that is given, or None to draw it.
     """
 
     controls: MultiresControls
@@ -124,7 +124,7 @@ class Request:
             clips=clips,
             level_speech=_level_speech(model, controls, n_frames, margin),
             placement=Placement.of(controls, read_pose, on_path=path is not None),
-            state=_given_state(model, controls, n_frames),
+            state=_given_state(model, controls, start, n_frames),
         )
 
     @property
@@ -139,12 +139,15 @@ def _with_margins(features: np.ndarray, margin: int) -> np.ndarray:
 
 
 def _given_state(
-    model: TrainedModel, controls: MultiresControls, n_frames: int
+    model: TrainedModel, controls: MultiresControls, start: Motion | None, n_frames: int
 ) -> np.ndarray | None:
-    """Return the state (T, C) that is given, see `given_state`; None without."""
-    if controls["state"] is None or model.state_process is None:
+    """Return the state (T, C) that is given, or that of a motion to redo; None to draw it."""
+    state = controls["state"]
+    if model.state_process is None:
         return None
-    return given_state(model.state_process, controls["state"], n_frames)
+    if state is None and controls["like"] is not None and start is not None:
+        state = model.measured(start)
+    return None if state is None else given_state(model.state_process, state, n_frames)
 
 
 def _level_speech(

@@ -21,9 +21,11 @@ from torch import Tensor
 
 from gesturekit.errors import ModelError
 from gesturekit.model import BaseModel, Inputs
+from gesturekit.motion.motion import Motion
 from gesturekit.multires.backend import choose_backend
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.constraints.constraint import Constraint
+from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.generator import LevelGenerator, MultiresGenerator
 from gesturekit.multires.network.resampling import resample, resample_part
@@ -32,6 +34,7 @@ from gesturekit.multires.sampling.conditions import Conditions, LevelConditions
 from gesturekit.state.ahead import AheadPrediction
 from gesturekit.state.channels import CARRIERS
 from gesturekit.state.process import StateProcess
+from gesturekit.training.data.own_rig import on_rig
 
 
 class ZStarPatches:
@@ -228,6 +231,19 @@ class TrainedModel(BaseModel):
     def retrieves(self) -> bool:
         """True for a model that plays whole bodies, without its network."""
         return self.library is not None and self.library.is_whole
+
+    @torch.no_grad()
+    def measured(self, motion: Motion) -> np.ndarray:
+        """Return the state of movement (T, C) of a motion on any rig, at the model's rate.
+
+        Raises:
+            ModelError: a rig that cannot be retargeted.
+        """
+        assert self.state_process is not None
+        own = on_rig(self.representation, motion.resample(self.fps))
+        values = torch.from_numpy(self.representation.encode(own).T[None]).float()
+        places = VectorKinematics(self.representation, self.fps, arms=False).places(values)
+        return self.state_process.channels(places, self.fps)[0].T.double().numpy()
 
     @property
     def ahead(self) -> tuple[AheadPrediction, ...]:
