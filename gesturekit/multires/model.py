@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Literal, Unpack
 
 import numpy as np
-import torch
 from torch import Tensor
 
 import audio_features as af

@@ -30,7 +30,7 @@ _FORGETTING = 0.9
 
 
 class _Choice(NamedTuple):
-    """How pieces are chosen.
+    """Rules for the choice of pieces.
 
     Attributes:
         seconds: length of a piece.
