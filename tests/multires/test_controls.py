@@ -20,7 +20,7 @@ def two_voices(write_speech, tmp_path_factory):
     return calm, af.Wave(wave.samples[-4 * wave.sample_rate :], wave.sample_rate, None)
 
 
-RAW = {"foot_lock": False, "smooth": 0.0, "recall": False, "fps": 30.0}
+RAW = {"foot_lock": False, "smooth": 0.0, "mood_seed": 0, "fps": 30.0}
 
 
 def test_levels_follow_a_speech_of_their_own(two_voices):
@@ -35,7 +35,7 @@ def test_levels_follow_a_speech_of_their_own(two_voices):
     every = rotations(calm, level_speech={"1-4": lively, "5-8": lively})
     np.testing.assert_array_equal(every, of_lively)
     np.testing.assert_array_equal(rotations(lively, level_speech={"1-8": calm}), of_calm)
-    coarse = {"levels": 4, "recall": False, "foot_lock": False}
+    coarse = {"levels": 2, "foot_lock": False}
     own, finer, coarser = (
         model.generate(calm, level_speech=spoken, **coarse).rotations
         for spoken in (None, {"5-8": lively}, {"1": lively})
@@ -73,7 +73,7 @@ def test_level_speech_from_the_command_line(two_voices, tmp_path, render):
     named = shutil.copy(calm, tmp_path / "motion.wav")  # the name of a motion without sound
     made = []
     for options in ([named], ["--seconds", 4, "--level-speech", f"1-4={calm},5-8={calm}"]):
-        assert render("demo", "--no-recall", *options).status == 0
+        assert render("demo", *options).status == 0
         (file,) = (tmp_path / "out").glob("*.bvh")
         made.append(gk.Motion.load(file).rotations)
         file.unlink()
@@ -84,7 +84,7 @@ def test_level_speech_from_the_command_line(two_voices, tmp_path, render):
 
 @pytest.fixture(scope="module")
 def models():
-    """The bundled model with two speakers, and the same without speakers and without recall."""
+    """The bundled model with two speakers, and the same without speakers and a drawn state."""
     model = gk.load("demo")
     known = replace(model, speakers={"bob": model.skeleton, "ann": model.skeleton.scaled(0.9)})
     return {"known": known, "plain": replace(model, library=None, speakers={})}
