@@ -47,6 +47,17 @@ def recording(seconds: float, seed: int, mark: float = 0.0) -> Motion:
     return Motion(skeleton, rotations, np.tile([0, 0.93, 0], (n, 1)), FPS, expressions=face)
 
 
+def assert_played(motion: Motion, frames: slice = slice(None)) -> None:
+    """Fingers and the face move, and together, as in recordings and in cross-fades of them."""
+    face = motion.expressions[frames, :5]
+    assert np.ptp(face[:, 3]) > 0.5
+    for finger in FINGERS:
+        _, _, z, w = motion.rotations[frames, motion.skeleton.index(finger)].T
+        np.testing.assert_allclose(2 * np.arctan2(z, w), 0.4 + 0.4 * face[:, 3], atol=0.05)
+    radius = np.hypot(face[:, 3], face[:, 4])
+    assert radius.max() < 1 + 1e-5 and np.mean(radius > 1 - 1e-4) > 0.5, "0.4 of 1.6 s are fades"
+
+
 def voice(seconds: float, seed: int = 0) -> af.Wave:
     """Syllables whose pitch and upper harmonics rise and fall by turns of four seconds."""
     at = np.arange(round(seconds * RATE)) / RATE

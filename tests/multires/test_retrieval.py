@@ -5,13 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import soundfile
 import torch
 import yaml
 from runs import same_weights, weights
 from safetensors.torch import save_file
 from small_runs import small_config
-from speakers import FINGERS, RATE, SETTINGS, recording, voice
+from speakers import RATE, SETTINGS, assert_played, recording, voice
 
 import gesturekit as gk
 from gesturekit.errors import ConfigError, ModelError
@@ -86,14 +85,14 @@ def test_pieces_go_on_from_what_is_shown():
     ],
 )
 def test_pieces_have_the_speaker_and_style_if_there_are_any(speaker, style, expected):
-    about = {"speakers": ("Ann", "Bo", "Ann", "Di"), "styles": (0, 0, 1, 1)}
+    about = {"speakers": ("Ann", "Bo", "Ann", "Di"), "styles": (0, 0, 1, 2)}
     library = library_of(*[np.zeros(n) for n in (100, 100, 100, 9)], **about)
     found: set[int] = set()
     for seed in range(8):
         styles = None if style is None else np.full(200, style)
-        found |= {*shown(library, np.zeros(200), seed, speaker, styles)[::8].astype(int) // 100}
-    # A cross-fade lies between two recordings, and so may be its mean.
-    assert found == expected if len(expected) == 1 else found >= expected
+        numbers = shown(library, np.zeros(200), seed, speaker, styles).round()
+        found |= {*(numbers // 100).astype(int)}
+    assert found == expected
 
 
 def test_pieces_follow_a_style_that_changes():
@@ -151,26 +150,10 @@ def speech():
     return voice(5.0, seed=3)
 
 
-def bend(motion: gk.Motion, joint: str) -> np.ndarray:
-    """Return the angles (T,) of a joint about its Z axis."""
-    quaternions = motion.rotations[:, motion.skeleton.index(joint)]
-    return 2 * np.arctan2(quaternions[:, 2], quaternions[:, 3])
-
-
-def assert_played(motion: gk.Motion, frames: slice = slice(None)) -> None:
-    """Fingers and the face move, and together, as in the recordings and in cross-fades of them."""
-    face = motion.expressions[frames, :5]
-    assert np.ptp(face[:, 3]) > 0.5
-    for finger in FINGERS:
-        np.testing.assert_allclose(bend(motion, finger)[frames], 0.4 + 0.4 * face[:, 3], atol=0.05)
-
-
 def test_fingers_and_the_face_are_those_of_recordings(state_model, speech):
     made = state_model.generate(speech, seed=1)
     assert made.n_frames == 150 and made.expressions.shape == (150, 100)
     assert_played(made)
-    radius = np.hypot(*made.expressions[:, 3:5].T)
-    assert radius.max() < 1 + 1e-5 and np.mean(radius > 1 - 1e-5) > 0.6, "0.4 of 1.6 s are fades"
     assert (made.expressions[:, 6:] == 0).all()
     assert_played(state_model.generate(speech, seed=1, fps=60.0))
     for speaker, mark in (("Ann", 1.0), ("Bo", -1.0)):
@@ -213,45 +196,32 @@ def test_all_controls_move_fingers_and_the_face(state_model, speech):
         assert_played(made, slice(92, None))
 
 
-def test_recall_is_no_option_any_more(state_folder, speech, tmp_path, render):
-    soundfile.write(tmp_path / "new.wav", speech.samples[:RATE], RATE)
-    render(state_folder, tmp_path / "new.wav").ok()
-    render(state_folder, tmp_path / "new.wav", "--no-recall").fails(2, "--no-recall")
-
-
-def with_tensor(name: str, change):
-    def changed(folder) -> None:
-        tensors = weights(folder)
-        tensors[name] = change(tensors[name]).contiguous()
-        save_file(tensors, folder / "model.safetensors")
-
-    return changed
-
-
-def with_values(change):
-    def changed(folder) -> None:
-        config = yaml.safe_load((folder / "config.yaml").read_text())
-        change(config["recorded"])
-        (folder / "config.yaml").write_text(yaml.safe_dump(config))
-
-    return changed
+def test_recall_is_no_option_any_more(gesturekit):
+    gesturekit("render", "--model", "demo", "--seconds", 1, "--no-recall").fails(2, "--no-recall")
 
 
 @pytest.mark.parametrize(
-    ("change", "named"),
+    ("name", "change", "named"),
     [
-        (with_tensor("recorded.0.state", lambda t: t[:-1]), "recorded.0.state"),
-        (with_tensor("recorded.1.passive", lambda t: t[:, :-1]), "recorded.1.passive"),
-        (with_tensor("recorded.1.passive", lambda t: t * torch.nan), "recorded.1.passive"),
-        (with_tensor("recorded.0.passive", torch.Tensor.double), "recorded.0.passive"),
-        (with_values(lambda r: r["passive"]["joints"].append("tail")), "tail"),
-        (with_values(lambda r: r["recordings"].append(["Ann", 0])), "recorded.2"),
-        (with_values(lambda r: r["recordings"].clear()), "recorded"),
+        ("recorded.0.state", lambda t: t[:-1], "recorded.0.state"),
+        ("recorded.1.passive", lambda t: t[:, :-1], "recorded.1.passive"),
+        ("recorded.1.passive", lambda t: t * torch.nan, "recorded.1.passive"),
+        ("recorded.0.passive", torch.Tensor.double, "recorded.0.passive"),
+        (None, lambda r: r["passive"]["joints"].append("tail"), "tail"),
+        (None, lambda r: r["recordings"].append(["Ann", 0]), "recorded.2"),
+        (None, lambda r: r["recordings"].clear(), "recorded"),
     ],
 )
-def test_a_damaged_folder_is_one_error(state_folder, tmp_path, change, named):
+def test_a_damaged_folder_is_one_error(state_folder, tmp_path, name, change, named):
     damaged = shutil.copytree(state_folder, tmp_path / "damaged")
-    change(damaged)
+    tensors, about = weights(damaged), damaged / "config.yaml"
+    values = yaml.safe_load(about.read_text())
+    if name is None:
+        change(values["recorded"])
+    else:
+        tensors[name] = change(tensors[name]).contiguous()
+    about.write_text(yaml.safe_dump(values))
+    save_file(tensors, damaged / "model.safetensors")
     with pytest.raises(ModelError, match=named):
         gk.load(damaged)
 
@@ -302,22 +272,16 @@ def test_retrieval_plays_recorded_frames(baseline, speech):
     np.testing.assert_array_equal(given, shown_by_it)
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("levels", 1),
-        ("keyframes", "clip"),
-        ("like", "clip"),
-        ("keep", {0.0: "clip"}),
-        ("path", "clip"),
-        ("level_speech", {"1": voice(1.0)}),
-    ],
-)
-def test_retrieval_takes_no_controls_of_levels(baseline, name, value):
+def test_retrieval_takes_no_controls_of_levels(baseline):
     clip = recording(1.0, 0)
-    given = {0.0: clip} if name == "keep" else clip if value == "clip" else value
-    with pytest.raises(ModelError, match=name):
-        baseline.generate(seconds=1.0, **{name: given})
+    for name, value in {
+        **dict.fromkeys(("keyframes", "like", "path"), clip),
+        "levels": 1,
+        "keep": {0.0: clip},
+        "level_speech": {"1": voice(1.0)},
+    }.items():
+        with pytest.raises(ModelError, match=name):
+            baseline.generate(seconds=1.0, **{name: value})
 
 
 def test_retrieval_needs_a_state_and_does_not_stream(baseline, speakers, tmp_path):
