@@ -3,8 +3,9 @@
     python recipes/demo/bundle.py WORK_DIR [--out gesturekit/models/demo]
 
 Runs `prepare.py`, `gesturekit prepare` and `gesturekit train` in WORK_DIR, then copies the model
-and `demo.wav` (as `speech.wav`) to `--out`. The networks' weights are stored in half precision,
-and the card (README.md) is the run's own with the figures of `measure.py`.
+and `demo.wav` (as `speech.wav`) to `--out`. The networks' weights and the recorded fingers are
+stored in half precision, and the card (README.md) is the run's own with the figures of
+`measure.py`.
 """
 
 from __future__ import annotations
@@ -61,7 +62,8 @@ def bundle(model: Path, speech: Path, out: Path, talks: int) -> None:
         shutil.copyfile(model / name, out / name)
     shutil.copyfile(speech, out / "speech.wav")
     tensors = load_file(model / "model.safetensors")
-    halved = {k: v.half() if k.startswith("network.") else v for k, v in tensors.items()}
+    halves = ("network.", "recorded.")
+    halved = {k: v.half() if k.startswith(halves) else v for k, v in tensors.items()}
     with atomic_write(out / "model.safetensors") as temporary:
         save_file(halved, temporary)
     figures = (

@@ -64,7 +64,7 @@ def load_library(
         representation.skeleton.index(name)
     recordings = tuple(
         RecordedMotion(
-            **{name: tensors[f"recorded.{i}.{name}"] for name in _CURVES},
+            **{name: tensors[f"recorded.{i}.{name}"].float() for name in _CURVES},
             speaker=speaker,
             style=int(style),
         )
@@ -85,6 +85,6 @@ def load_library(
             if tuple(found.shape) != (size, n_frames) or not n_frames:
                 shape = tuple(found.shape)
                 raise ValueError(f"recorded.{i}.{name} has the shape {shape}, not {size} rows")
-            if found.dtype != torch.float32 or not torch.isfinite(found).all():
+            if not torch.isfinite(found).all():
                 raise ValueError(f"recorded.{i}.{name} has numbers that are not finite")
     return library

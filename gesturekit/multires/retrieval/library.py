@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -21,16 +21,34 @@ from torch import Tensor
 
 from gesturekit.multires.retrieval.passive import PassiveChannels
 
-PIECE_SECONDS = 2.0
-_FADE_SECONDS = 0.4
-"""Cross-fade into a piece, which belongs to both."""
 _POINTS = 8
 """Means over a piece by which states are compared."""
-_STATE, _CONTINUITY, _USED, _CHANCE = 24.0, 3.0, 2.0, 0.5
-"""Weights of the mean squared difference of the states and of the poses in the cross-fade, in
-standard deviations; of the uses of the same part of a recording; and of the Gumbel noise."""
+_USED, _CHANCE = 2.0, 0.5
+"""Weight of the uses of the same part of a recording, and scale of the Gumbel noise."""
 _FORGETTING = 0.9
 """Decay of the count of uses with each piece."""
+
+
+class _Choice(NamedTuple):
+    """How pieces are chosen.
+
+    Attributes:
+        seconds: length of a piece.
+        fade: seconds of the cross-fade into a piece, which belong to both.
+        state: weight of the mean squared difference of the states, in standard deviations.
+        continuity: the same of the poses in the cross-fade.
+    """
+
+    seconds: float
+    fade: float
+    state: float
+    continuity: float
+
+
+_WHOLE = _Choice(2.0, 0.4, 24.0, 3.0)
+_PASSIVE = _Choice(4.0, 0.8, 12.0, 40.0)
+"""Fingers have to be as calm as recorded, and hardly to move at given times: each cross-fade adds
+movement. Chosen on ZeroEGGS 067, by the quantiles of the fingers' angular speed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,16 +94,20 @@ class RecordedLibrary:
         """True if whole bodies are played."""
         return len(self.recordings[0].motion) > 0
 
+    @property
+    def _choice(self) -> _Choice:
+        return _WHOLE if self.is_whole else _PASSIVE
+
     @cached_property
     def piece(self) -> int:
         """Frames of a piece."""
         longest = max(own.state.shape[1] for own in self.recordings)
-        return max(1, min(round(PIECE_SECONDS * self.fps), longest))
+        return max(1, min(round(self._choice.seconds * self.fps), longest))
 
     @cached_property
     def fade(self) -> int:
         """Frames of the cross-fade into a piece."""
-        return min(round(_FADE_SECONDS * self.fps), self.piece // 2)
+        return min(round(self._choice.fade * self.fps), self.piece // 2)
 
     @property
     def hop(self) -> int:
@@ -150,7 +172,7 @@ class RecordedLibrary:
         """Return the cost (S,) of each start for a drawn state (C + 1, piece)."""
         edges, rows = self._edges, self._in_deviations(state)
         means = [rows[:, a:b].mean(axis=1) for a, b in zip(edges, edges[1:], strict=False)]
-        return _STATE * np.square(self.states - np.concatenate(means)).mean(axis=1)
+        return self._choice.state * np.square(self.states - np.concatenate(means)).mean(axis=1)
 
     def breaks(self, shown: int) -> np.ndarray:
         """Return the cost (S,) of each start for the poses after a frame that is shown."""
@@ -160,7 +182,7 @@ class RecordedLibrary:
         for offset, pose in zip(span, after, strict=True):
             away = (self.played[self.starts + offset] - pose) / self._sizes
             total += np.square(away).mean(axis=1)
-        return _CONTINUITY * total / len(span)
+        return self._choice.continuity * total / len(span)
 
     def allowed(self, speaker: str | None, style: int | None) -> np.ndarray:
         """Return (S,) bool, the starts with this style and speaker, as far as there are any."""

@@ -6,12 +6,15 @@ import numpy as np
 import torch
 
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.retrieval.library import PIECE_SECONDS, RecordedLibrary, RecordedMotion
+from gesturekit.multires.retrieval.library import RecordedLibrary, RecordedMotion
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.state import TrainingState
 
-_MOST_SECONDS = 1200.0
-"""Recorded motion in a model; of a longer corpus, the same share of each recording."""
+_MOST_SECONDS, _MOST_PASSIVE_SECONDS = 1200.0, 300.0
+"""Seconds of recorded motion in a model: whole bodies, or fingers and faces. Of more, the same
+share of each recording is kept."""
+_LEAST_SECONDS = 4.0
+"""Of each recording, so that pieces can be taken from it."""
 
 
 def build_library(
@@ -21,10 +24,11 @@ def build_library(
     if state is None or (data.passive.is_empty and not config.retrieval):
         return None
     total = sum(sequence.n_frames for sequence in data.sample) / config.fps
+    most = _MOST_SECONDS if config.retrieval else _MOST_PASSIVE_SECONDS
     recordings = []
     for sequence in data.sample:
-        share = round(sequence.n_frames * min(1.0, _MOST_SECONDS / total))
-        n_frames = min(sequence.n_frames, max(share, round(PIECE_SECONDS * config.fps)))
+        share = round(sequence.n_frames * min(1.0, most / total))
+        n_frames = min(sequence.n_frames, max(share, round(_LEAST_SECONDS * config.fps)))
         start = (sequence.n_frames - n_frames) // 2
         part = slice(start, start + n_frames)
         motion = sequence.motion[:, part].contiguous()
