@@ -28,7 +28,7 @@ from gesturekit.multires import (
 from gesturekit.multires.training.library import build_library
 from gesturekit.training import rng_for
 
-# Pieces of 20 frames, of which 4 are a cross-fade from the one before.
+# Pieces of whole bodies: 20 frames, of which 4 are a cross-fade from the one before.
 
 
 def library_of(*states, channels=None, speakers=None, styles=None) -> RecordedLibrary:
@@ -196,7 +196,6 @@ def test_recall_is_no_option_any_more(gesturekit):
         ("recorded.0.state", lambda t: t[:-1], "recorded.0.state"),
         ("recorded.1.passive", lambda t: t[:, :-1], "recorded.1.passive"),
         ("recorded.1.passive", lambda t: t * torch.nan, "recorded.1.passive"),
-        ("recorded.0.passive", torch.Tensor.double, "recorded.0.passive"),
         (None, lambda r: r["passive"]["joints"].append("tail"), "tail"),
         (None, lambda r: r["recordings"].append(["Ann", 0]), "recorded.2"),
         (None, lambda r: r["recordings"].clear(), "recorded"),
@@ -216,15 +215,20 @@ def test_a_damaged_folder_is_one_error(state_folder, tmp_path, name, change, nam
         gk.load(damaged)
 
 
-def test_of_a_long_corpus_a_share_of_each_recording_is_kept(speakers, tmp_path):
-    """As if a frame took 6 s: 51 min of recordings, of which 20 are kept, from the middle."""
-    config = small_config(speakers, tmp_path / "run", SETTINGS)
+@pytest.mark.parametrize(
+    ("retrieval", "fps", "starts", "lengths"),
+    [(False, 1.0, (55, 49), (159, 141)), (True, 1 / 6, (82, 73), (106, 94))],
+)
+def test_of_a_long_corpus_a_share_of_each_recording_is_kept(
+    speakers, tmp_path, retrieval, fps, starts, lengths
+):
+    """As if 9 and 8 s were longer: 300 of 510 s of fingers, 1200 of 3060 s of whole bodies."""
+    config = replace(small_config(speakers, tmp_path / "run", SETTINGS), retrieval=retrieval)
     data = load_training_data(config)
     state = TrainingState(data, config)
-    whole, cut = (build_library(data, own, state) for own in (config, replace(config, fps=1 / 6)))
-    # Of 270 and 240 frames, 200 of 510: 105.9 and 94.1.
-    for own, every, first, n in zip(cut.recordings, whole.recordings, (82, 73), (106, 94)):
-        for name in ("passive", "state"):
+    whole, cut = (build_library(data, own, state) for own in (config, replace(config, fps=fps)))
+    for own, every, first, n in zip(cut.recordings, whole.recordings, starts, lengths, strict=True):
+        for name in ("motion", "passive", "state"):
             assert torch.equal(getattr(own, name), getattr(every, name)[:, first : first + n])
 
 
