@@ -55,7 +55,7 @@ def assert_played(motion: Motion, frames: slice = slice(None)) -> None:
         _, _, z, w = motion.rotations[frames, motion.skeleton.index(finger)].T
         np.testing.assert_allclose(2 * np.arctan2(z, w), 0.4 + 0.4 * face[:, 3], atol=0.05)
     radius = np.hypot(face[:, 3], face[:, 4])
-    assert radius.max() < 1 + 1e-5 and np.mean(radius > 1 - 1e-4) > 0.5, (
+    assert radius.max() < 1 + 1e-5 and np.mean(radius > 0.998) > 0.5, (
         "a quarter of the time are fades"
     )
 
