@@ -219,7 +219,7 @@ def test_ranks_are_those_among_recordings_of_the_same_speaker_and_style():
         fitted(groups).between[moves].mean()
         for groups in ((("Ann", None), ("Bo", None)), ((None, 0), (None, 1)), ((None, None),) * 2)
     ]
-    assert max(others[:2]) < 0.75 * others[2]
+    assert max(others[:2]) < 0.85 * others[2]
 
 
 def test_scores_are_quantiles_of_the_recorded_values(process):
@@ -227,8 +227,8 @@ def test_scores_are_quantiles_of_the_recorded_values(process):
     every = np.concatenate([recorded(0), recorded(1, lively=2.0)], axis=1)
     asked = np.quantile(every, (0.5, 0.1587, 0.0), axis=1).T
     scores = process.scores(asked, np.empty((0, 3)))
-    np.testing.assert_allclose(scores[:, 0], 0, atol=0.05)
-    np.testing.assert_allclose(scores[:, 1], -1, atol=0.05)
+    np.testing.assert_allclose(scores[:, 0], 0, atol=0.1)
+    np.testing.assert_allclose(scores[:, 1], -1, atol=0.1)
     assert (scores[:, 2] < -2).all() and np.isfinite(scores).all()
 
 
