@@ -61,7 +61,7 @@ def test_recordings_of_a_taller_speaker_on_top_of_another_model(
         assert torch.allclose(model.network.state_dict()[name], value, atol=1e-6), name
     # Her own: bones, state of movement and noise.
     assert np.allclose(model.skeleton.offsets, 1.1 * start.skeleton.offsets, atol=1e-4)
-    assert set(model.noise.z_star) == {"hers"}
+    assert set(model.noise.sequences) == {"hers"}
     assert not np.allclose(model.state_process.mean, start.state_process.mean)
     assert not torch.allclose(model.noise.sigma.mean(dim=0), start.noise.sigma.mean(dim=0))
     assert model.noise.sigma.shape == (1, 2)
@@ -107,7 +107,7 @@ def test_another_rig_and_another_system_are_refused(first, gesture, write_speech
 def test_recordings_in_some_of_the_styles(motions, tmp_path):
     """The other styles stay known, and noise of them is made of any recording."""
     mode = {"features": None, "styles": {}, "network": {"levels": 2, "modulate": "all"}}
-    mode |= {"z_star_shuffle": 3, "losses": {"detail": 1}}
+    mode |= {"z_star_shuffle": 3, "state": False, "losses": {"detail": 1, "state": 0}}
     start = train(tiny(motions(angry=[3.0], old=[3.0]), tmp_path / "start", **mode))
     mode["start_from"] = str(start)
     model = gk.load(train(tiny(motions(old=[4.0]), tmp_path / "run", **mode)))

@@ -30,7 +30,7 @@ _FORGETTING = 0.9
 
 
 class _Choice(NamedTuple):
-    """How pieces are chosen.
+    """Lengths and weights by which pieces are chosen.
 
     Attributes:
         seconds: length of a piece.
