@@ -112,7 +112,7 @@ def test_an_installed_wheel_works_without_the_checkout(
         write_pair(tmp_path / "recordings", f"take {k}", 4.0, seed=k)
     run(gesturekit, "prepare", "recordings", "--out", "corpus.jsonl", cwd=tmp_path)
     run(gesturekit, "recipes", "cp", "own_corpus", "mine", cwd=tmp_path)
-    debug = [*recipe_table()["debug"]["multires"], "recall.level=2"]
+    debug = recipe_table()["debug"]["multires"]
     for config, out in (("mine", "runs/copy"), ("multires_speech/light", "runs/shipped")):
         run(gesturekit, "train", config, "corpus=corpus.jsonl", f"out={out}", *debug, cwd=tmp_path)
         assert (tmp_path / out / "model" / "model.safetensors").is_file()

@@ -58,6 +58,7 @@ __all__, __getattr__, __dir__ = attach(
         "log_movement": "training.targets",
         "mixed_styles": "sampling.conditions",
         "plan_training": "training.trainer",
+        "played_pieces": "retrieval.library",
         "random_windows": "training.window_cache",
         "requested_backend": "backend",
         "requested_styles": "sampling.conditions",

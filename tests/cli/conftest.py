@@ -16,7 +16,6 @@ TINY = (
     "fps=25",
     "network.levels=6",
     "training.discriminator_steps=1",
-    "recall=null",
 )
 TINY_DIFFUSION = (*DEBUG["diffusion"], "noise.steps=8", "training.updates=6")
 TINY_DIFFUSION += ("features.extractors=[{kind: logmel}]",)
@@ -45,6 +44,6 @@ def model(corpus, tmp_path_factory) -> Path:
     """A model folder, by `gesturekit train`; its motion is of no use, but it is motion."""
     run = tmp_path_factory.mktemp("runs") / "tiny"
     with pytest.raises(SystemExit) as left:
-        main(["train", str(LIGHT), f"corpus={corpus}", f"out={run}", *TINY, "recall.level=2"])
+        main(["train", str(LIGHT), f"corpus={corpus}", f"out={run}", *TINY])
     assert left.value.code == 0
     return run / "model"

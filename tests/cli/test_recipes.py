@@ -21,7 +21,7 @@ def elsewhere(tmp_path, monkeypatch) -> None:
     ("name", "file"),
     [
         ("multires_speech", "multires_speech/config.yaml"),
-        ("multires_speech/no_recall", "multires_speech/no_recall.yaml"),
+        ("multires_speech/no_state", "multires_speech/no_state.yaml"),
         ("recipes/multires_speech/light.yaml", "multires_speech/light.yaml"),
         ("path_100style", "path_100style/config.yaml"),
     ],
@@ -90,7 +90,7 @@ def test_usage_errors(gesturekit):
 def test_base_names_a_recipe_or_the_nearest_file(tmp_path):
     (tmp_path / "mine.yaml").write_text("base: multires_speech/light\nfps: 30\n")
     chain = read_chain(tmp_path / "mine.yaml")
-    assert (chain["fps"], chain["system"]) == (30, "multires") and "recall" in chain
+    assert (chain["fps"], chain["system"]) == (30, "multires") and chain["state"]
     (tmp_path / "mine.yaml").write_text("base: multires_speech/lite\n")
     with pytest.raises(ConfigError, match="multires_speech/lite"):
         read_chain(tmp_path / "mine.yaml")

@@ -51,11 +51,11 @@ def test_wrong_settings(train, tmp_path):
             ("corpus=typo.jsonl", "typo.jsonl"),
             ("system=diffusion", "'diffusion' & recipes"),
             ("device=abacus", "device & 'abacus'"),
-            ("joints=[Hips, Spine, Head]", "losses.arm_speed=0 "),
+            ("losses.arm_speed=3 & joints=[Hips, Spine, Head]", "losses.arm_speed=0 "),
             ("features.extractors=[{kind: mell}]", "'mell' & logmel"),
         )
     ):
-        done = train(f"out={tmp_path / str(number)}", override).fails(2)
+        done = train(f"out={tmp_path / str(number)}", *override.split(" & ")).fails(2)
         error = error_line(done)
         assert all(re.search(fact, error) for fact in says.split(" & ")) and done.out == ""
 
@@ -86,7 +86,9 @@ def test_a_finished_run_is_kept_and_its_folder_is_enough_to_resume(
     before = (finished / "model" / "model.safetensors").read_bytes()
     measured = (finished / "metrics.jsonl").read_bytes()
     assert str(finished) in error_line(train())
-    assert re.search(r"(?=.*recall\.level)(?=.*\b2\b)", error_line(train("--resume")))
+    assert re.search(
+        r"(?=.*network\.embedding)(?=.*\b5\b)", error_line(train("--resume", "network.embedding=5"))
+    )
     done = gesturekit("train", "--resume", finished).ok()
     assert str(finished / "model") in done.out and "gesturekit render speech.wav" in done.out
     assert re.search(f"(?=.*{finished})(?=.* finished)", caplog.text)
@@ -301,9 +303,13 @@ def test_unused_styles_and_speakers_are_reported(
 ):
     styles, speakers = "2 styles", "2 speakers"
     train = ("train", light, *tiny, f"corpus={labelled}", f"out={tmp_path / 'plain'}")
-    gesturekit(*train, "--plan", "styles={}", "recall.level=2").ok()
+    gesturekit(
+        *train,
+        "--plan",
+        "styles={}",
+    ).ok()
     assert styles not in caplog.text and speakers not in caplog.text
-    gesturekit(*train).ok()
+    gesturekit(*train, "state=false", "losses.state=0").ok()
     for text in (caplog.text, (tmp_path / "plain" / "model" / "README.md").read_text()):
         assert styles in text and speakers in text and "styles={}" in text
     wav = tmp_path / "labelled" / "ada_calm.wav"

@@ -1,8 +1,12 @@
 """A pyramid of few channels, on the corpus of seconds: a run takes seconds too."""
 
+from pathlib import Path
+
 import pytest
 from small_runs import small_config
+from speakers import SETTINGS, write_speakers
 
+import gesturekit as gk
 from gesturekit.corpus import Item, Manifest
 from gesturekit.multires import (
     Batches,
@@ -12,6 +16,7 @@ from gesturekit.multires import (
     WindowCache,
     convolve_dense,
     load_training_data,
+    train,
 )
 
 
@@ -70,3 +75,20 @@ def render(tmp_path, gesturekit):
     """render(model, *options): the command, which writes into out/."""
     where = ("--out", tmp_path / "out", "--existing", "replace")
     return lambda model, *options: gesturekit("render", "--model", model, *where, *options)
+
+
+@pytest.fixture(scope="session")
+def speakers(tmp_path_factory) -> Path:
+    """The manifest of `write_speakers`."""
+    return write_speakers(tmp_path_factory.mktemp("speakers"))
+
+
+@pytest.fixture(scope="session")
+def state_folder(speakers, tmp_path_factory) -> Path:
+    """A model of theirs with a state of movement, which plays their fingers and faces."""
+    return train(small_config(speakers, tmp_path_factory.mktemp("state") / "run", SETTINGS))
+
+
+@pytest.fixture(scope="session")
+def state_model(state_folder) -> gk.Model:
+    return gk.load(state_folder)

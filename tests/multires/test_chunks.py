@@ -88,6 +88,5 @@ def test_the_ends_move_as_the_middle_does():
     ten = round(0.1 * model.fps)
     speeds = np.array([arm_speed(model.generate(seconds=4.0, seed=seed)) for seed in range(40)])
     middle = speeds[:, 10 * ten : -10 * ten].mean()
-    # The middle alone has cross-fades between recalled pieces, which move a little.
     for end in (speeds[:, 1 : 1 + 2 * ten], speeds[:, -2 * ten :]):
         assert 0.7 * middle < end.mean() < 1.25 * middle

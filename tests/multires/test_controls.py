@@ -20,25 +20,31 @@ def two_voices(write_speech, tmp_path_factory):
     return calm, af.Wave(wave.samples[-4 * wave.sample_rate :], wave.sample_rate, None)
 
 
-RAW = {"foot_lock": False, "smooth": 0.0, "recall": False, "fps": 30.0}
+RAW = {"foot_lock": False, "smooth": 0.0, "fps": 30.0}
+
+
+def body_of(model: gk.Model, motion: gk.Motion) -> np.ndarray:
+    """Rotations of the joints that the network moves; fingers follow the main speech."""
+    return motion.rotations[:, [motion.skeleton.index(j) for j in model.representation.joints]]
 
 
 def test_levels_follow_a_speech_of_their_own(two_voices):
+    """With one state of movement, which follows the main speech too if it is drawn."""
     model, (calm, lively) = gk.load("demo"), two_voices
+    state = model.state_process.mean[None]
 
     def rotations(speech, **controls):
-        return model.generate(speech, **RAW, **controls).rotations
+        return body_of(model, model.generate(speech, state=state, **{**RAW, **controls}))
 
     of_calm, of_lively = rotations(calm), rotations(lively)
-    fine = rotations(calm, level_speech={"5-8": lively})
+    fine = rotations(calm, level_speech={"4-6": lively})
     assert np.abs(fine - of_calm).max() > 1e-3 and np.abs(fine - of_lively).max() > 1e-3
-    every = rotations(calm, level_speech={"1-4": lively, "5-8": lively})
+    every = rotations(calm, level_speech={"1-3": lively, "4-6": lively})
     np.testing.assert_array_equal(every, of_lively)
-    np.testing.assert_array_equal(rotations(lively, level_speech={"1-8": calm}), of_calm)
-    coarse = {"levels": 4, "recall": False, "foot_lock": False}
+    np.testing.assert_array_equal(rotations(lively, level_speech={"1-6": calm}), of_calm)
     own, finer, coarser = (
-        model.generate(calm, level_speech=spoken, **coarse).rotations
-        for spoken in (None, {"5-8": lively}, {"1": lively})
+        rotations(calm, level_speech=spoken, levels=3, fps=None)
+        for spoken in (None, {"4-6": lively}, {"1": lively})
     )
     np.testing.assert_array_equal(own, finer)
     assert np.abs(own - coarser).max() > 1e-3
@@ -46,10 +52,10 @@ def test_levels_follow_a_speech_of_their_own(two_voices):
 
 def test_level_speech_is_cut_to_the_motion_or_followed_by_silence(two_voices):
     model, (_, lively) = gk.load("demo"), two_voices
-    short = model.generate(seconds=2.0, level_speech={"1-8": lively}, **RAW)
+    short = model.generate(seconds=2.0, level_speech={"1-6": lively}, **RAW)
     assert short.n_frames == 60
     idle = model.generate(seconds=16.0, **RAW)
-    spoken = model.generate(seconds=16.0, level_speech={"1-8": lively}, **RAW)
+    spoken = model.generate(seconds=16.0, level_speech={"1-6": lively}, **RAW)
     assert np.abs(spoken.rotations[:120] - idle.rotations[:120]).max() > 0.01
     np.testing.assert_allclose(spoken.rotations[-90:], idle.rotations[-90:], atol=1e-5)
 
@@ -57,9 +63,9 @@ def test_level_speech_is_cut_to_the_motion_or_followed_by_silence(two_voices):
 @pytest.mark.parametrize(
     ("levels", "file", "message"),
     [
-        ("7-9", "here.wav", r"(?=.*7-9)(?=.*\b8\b)"),
+        ("5-9", "here.wav", r"(?=.*5-9)(?=.*\b6\b)"),
         ("fine", "here.wav", "'fine'"),
-        ("7-8", "gone.wav", "(?=.*level_speech)(?=.*gone.wav)"),
+        ("5-6", "gone.wav", "(?=.*level_speech)(?=.*gone.wav)"),
     ],
 )
 def test_invalid_level_speech_is_an_error(levels, file, message, tmp_path):
@@ -71,36 +77,42 @@ def test_invalid_level_speech_is_an_error(levels, file, message, tmp_path):
 def test_level_speech_from_the_command_line(two_voices, tmp_path, render):
     calm, _ = two_voices
     named = shutil.copy(calm, tmp_path / "motion.wav")  # the name of a motion without sound
-    made = []
-    for options in ([named], ["--seconds", 4, "--level-speech", f"1-4={calm},5-8={calm}"]):
-        assert render("demo", "--no-recall", *options).status == 0
+    model, made = gk.load("demo"), []
+    np.save(tmp_path / "state.npy", model.state_process.mean[None])
+    for options in ([named], ["--seconds", 4, "--level-speech", f"1-3={calm},4-6={calm}"]):
+        render("demo", "--state", tmp_path / "state.npy", *options).ok()
         (file,) = (tmp_path / "out").glob("*.bvh")
-        made.append(gk.Motion.load(file).rotations)
+        made.append(body_of(model, gk.Motion.load(file)))
         file.unlink()
     np.testing.assert_array_equal(*made)
-    done = render("demo", "--seconds", 4, "--level-speech", "7-8")
-    assert done.status == 2 and "7-8" in done.err
+    render("demo", "--seconds", 4, "--level-speech", "5-6").fails(2, "5-6")
 
 
 @pytest.fixture(scope="module")
 def models():
-    """The bundled model with two speakers, and the same without speakers and without recall."""
+    """The bundled model with two speakers, without speakers, and without a state of movement."""
     model = gk.load("demo")
     known = replace(model, speakers={"bob": model.skeleton, "ann": model.skeleton.scaled(0.9)})
-    return {"known": known, "plain": replace(model, library=None, speakers={})}
+    undrawn = replace(model, library=None, state_process=None)
+    return {"known": known, "plain": replace(model, speakers={}), "undrawn": undrawn}
 
 
 @pytest.mark.parametrize(
     ("kind", "asked", "message"),
     [
         ("known", {"levels": 0}, "levels=0"),
-        ("known", {"levels": 9}, r"(?=.*levels=9)(?=.*\b8\b)"),
+        ("known", {"levels": 9}, r"(?=.*levels=9)(?=.*\b6\b)"),
         ("known", {"keyframe_level": 0}, "keyframe_level=0"),
         ("known", {"speaker": "eve"}, "(?=.*speaker='eve')(?=.*ann)(?=.*bob)"),
         ("plain", {"speaker": "eve"}, "speaker='eve'"),
         ("known", {"style": "sad"}, "style='sad'"),
         ("known", {"level_style": "1=sad"}, "level_style='1=sad'"),
-        ("known", {"fps": 24.0, "levels": 7}, "(?=.*fps=24)(?=.*levels=7)"),
+        ("known", {"fps": 24.0, "levels": 5}, "(?=.*fps=24)(?=.*levels=5)"),
+        *(("known", {"liveliness": x}, f"liveliness={x!r}") for x in (0, -1.0, np.nan, "high")),
+        *(("known", {"mood_seed": x}, f"mood_seed={x!r}") for x in (-1, 1.5, "one", True)),
+        ("undrawn", {"liveliness": 1.5}, "liveliness=1.5"),
+        ("undrawn", {"mood_seed": 0}, "mood_seed=0"),
+        ("undrawn", {"state": np.zeros((1, 2))}, "state"),
     ],
 )
 def test_controls_that_a_model_does_not_take_are_refused(models, kind, asked, message):
@@ -113,8 +125,9 @@ def test_controls_that_a_model_does_not_take_are_refused(models, kind, asked, me
     ("asked", "message"),
     [
         ({"path": 1, "like": 1}, "(?=.*path)(?=.*like)"),
-        ({"like": 1, "levels": 7}, "(?=.*like)(?=.*levels)"),
-        ({"speaker": "ann", "levels": 7}, "(?=.*speaker)(?=.*levels)"),
+        ({"like": 1, "liveliness": 0.5}, "(?=.*like)(?=.*liveliness=0.5)"),
+        ({"like": 1, "levels": 5}, "(?=.*like)(?=.*levels)"),
+        ({"speaker": "ann", "levels": 5}, "(?=.*speaker)(?=.*levels)"),
         ({"speaker": "ann", "keep": 1}, "(?=.*keep)(?=.*speaker)"),
     ],
 )
@@ -132,7 +145,7 @@ def test_lengths_of_motions_are_those_of_their_controls(models, gesture):
     for asked, frames in (
         ({"like": clip}, 30),
         ({"keep": {0.5: clip}}, 45),
-        ({"path": clip, "levels": 8}, 30),
+        ({"path": clip, "levels": 6}, 30),
         ({"like": clip, "speaker": "ann"}, 30),
     ):
         own = models["known"] if "speaker" in asked else model

@@ -25,7 +25,6 @@ from gesturekit.multires.network.resampling import (
     reflect,
     resample,
     resample_part,
-    resample_smoothly,
 )
 from gesturekit.systems import model_folder
 
@@ -53,18 +52,6 @@ def test_resampling_is_torchs_own_linear_interpolation(exact):
         if exact == torch.float32:
             part = resample_part(x.detach(), n, 2, n - 1)
             assert torch.equal(made[..., 2 : n - 1].detach(), part)
-
-
-def test_smooth_resampling_passes_through_the_samples_without_corners():
-    """A cubic polynomial is reproduced, at the frame times of `resample`."""
-    time = torch.arange(12, dtype=torch.float64) + 0.5
-    made = resample_smoothly((time**3)[None], 36)[0]
-    wanted = (torch.arange(36, dtype=torch.float64) + 0.5) / 3
-    within = (wanted >= 0.5) & (wanted <= 11.5)
-    torch.testing.assert_close(made[within], wanted[within] ** 3, rtol=1e-9, atol=1e-9)
-    assert made[0] == made[1] == pytest.approx(0.5**3), "held before the first sample"
-    few = torch.tensor([[1.0, 2.0]])
-    assert torch.equal(resample_smoothly(few, 6), resample(few, 6))
 
 
 def test_reflection_equals_torchs_and_also_pads_short_signals():

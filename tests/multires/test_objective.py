@@ -108,11 +108,11 @@ def generated(stage: Stage, kind: str, iteration: int = 0):
 
 
 def movement_of(stage: Stage, motion: torch.Tensor, stride: float) -> torch.Tensor:
-    """Return the log arm movement (B, 2, T) of normalised motion, with the default floors."""
-    values, floors = stage.normaliser.inverse(motion), stage.config.losses.arm_floors
+    """Return the log arm movement (B, 2, T) of normalised motion, as `log_movement` has it."""
+    values = stage.normaliser.inverse(motion)
     speed = stage.kinematics.arm_speed(values, stride)
     acceleration = stage.kinematics.arm_acceleration(values, stride)
-    return log_movement(speed, acceleration, stride / 25.0, floors)
+    return log_movement(speed, acceleration, stride / 25.0)
 
 
 @pytest.mark.parametrize("first", [0, 2])

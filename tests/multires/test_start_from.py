@@ -19,7 +19,8 @@ STILL = {"learning_rate": 1e-9}
 TINY = {
     "features": {"extractors": [{"kind": "prosody"}, {"kind": "effort"}]},
     "network": {"levels": 2, "channels": [2], "embedding": 4},
-    "recall": {"level": 2, "piece": 1.0, "overlap": 0.3},
+    "state": True,
+    "losses": {"state": 1.0, "arm_speed": 0.0},
     "training": {"first_stage": 1, "window": 2.0, "window_cache": 2},
 }
 
@@ -58,9 +59,9 @@ def test_recordings_of_a_taller_speaker_on_top_of_another_model(
     assert model.representation.joints == start.representation.joints
     for name, value in start.network.state_dict().items():
         assert torch.allclose(model.network.state_dict()[name], value, atol=1e-6), name
-    # Her own: bones, recalled motion and noise.
+    # Her own: bones, state of movement and noise.
     assert np.allclose(model.skeleton.offsets, 1.1 * start.skeleton.offsets, atol=1e-4)
-    assert len(model.library.recordings) == 1 and set(model.noise.z_star) == {"hers"}
+    assert not np.allclose(model.state_process.mean, start.state_process.mean)
     assert not torch.allclose(model.noise.sigma.mean(dim=0), start.noise.sigma.mean(dim=0))
     assert model.noise.sigma.shape == (1, 2)
     # Both in metres of the reference body.
@@ -81,7 +82,7 @@ def test_recordings_of_a_taller_speaker_on_top_of_another_model(
         ({"network": {"embedding": 8}}, r"(?=.*network.embedding)(?=.*\b4\b)(?=.*\b8\b)"),
         ({"features": {"extractors": [{"kind": "prosody"}]}}, "(?=.*features)(?=.*effort)"),
         ({"features": None}, "(?=.*features)(?=.*effort)"),
-        ({"recall": None}, "recall"),
+        ({"state": False, "losses": {"state": 0.0}}, "state"),
     ],
 )
 def test_other_settings_are_refused(first, corpus, tmp_path, wrong, told):
@@ -105,14 +106,13 @@ def test_another_rig_and_another_system_are_refused(first, gesture, write_speech
 def test_recordings_in_some_of_the_styles(motions, tmp_path):
     """The other styles stay known, and noise of them is made of any recording."""
     mode = {"features": None, "styles": {}, "network": {"levels": 2, "modulate": "all"}}
-    mode |= {"z_star_shuffle": 3, "losses": {"detail": 1}}
+    mode |= {"z_star_shuffle": 3, "state": False, "losses": {"detail": 1, "state": 0}}
     start = train(tiny(motions(angry=[3.0], old=[3.0]), tmp_path / "start", **mode))
     mode["start_from"] = str(start)
     model = gk.load(train(tiny(motions(old=[4.0]), tmp_path / "run", **mode)))
     assert model.styles == ("angry", "old")
     assert model.noise.sequences["old_0"].style == "old"
-    for recall in (None, False):
-        assert model.generate(seconds=2.0, style="angry", recall=recall).n_frames == 60
+    assert model.generate(seconds=2.0, style="angry").n_frames == 60
     for wrong, own in (({}, "'sad'"), ({"styles": None}, "")):
         config = tiny(motions(sad=[3.0]), tmp_path / "no", **{**mode, **wrong})
         with pytest.raises(ConfigError, match=f"(?=.*angry)(?=.*old)(?=.*{own})"):

@@ -10,6 +10,7 @@ import torch
 import yaml
 from runs import cut_off, logged, same_weights
 from safetensors.torch import load_file, save_file
+from scipy.ndimage import gaussian_filter1d
 from small_runs import small_config
 
 import gesturekit as gk
@@ -171,6 +172,73 @@ def test_noise_depends_on_the_time_alone(process):
     whole = process.noise(5, np.arange(-40, 700))
     np.testing.assert_allclose(process.noise(5, np.arange(300, 500)), whole[:, 340:540], atol=1e-12)
     assert not np.allclose(process.noise(6, np.arange(300, 500)), whole[:, 340:540])
+
+
+def test_noise_has_no_seam_between_its_blocks():
+    """It is drawn in blocks of 256 points: 64 s within takes, 32 takes of 120 s between them."""
+    for process, border in ((replace(fitted(), between=np.zeros(10)), 64.0), (takes(1.0), 3840.0)):
+        noise = process.noise(7, np.arange(*(round(process.fps * (border + s)) for s in (-20, 20))))
+        slow = noise[~HANDS.fast]
+        steps = np.abs(np.diff(slow))
+        assert (steps.max(axis=1) < 6 * np.median(steps, axis=1) + 1e-6).all()
+        assert (np.ptp(slow, axis=1) > 0.01).all()
+
+
+def test_slow_noise_is_the_same_in_seconds_at_any_frame_rate(process):
+    """Each third frame at 75 fps lies in the middle of one at 25 fps."""
+    slow = process.noise(3, np.arange(400))[~HANDS.fast]
+    faster = replace(process, fps=3 * FPS).noise(3, np.arange(1200))[~HANDS.fast]
+    np.testing.assert_allclose(faster[:, 1::3], slow, atol=1e-9)
+
+
+def takes(between: float, seconds: float = 2.0, count: int = 40) -> StateProcess:
+    """The process of takes of two minutes, in each of which the channels have levels of their own,
+    and change as white noise smoothed by a Gaussian of some seconds does, at 5 fps."""
+    rng, recordings = np.random.default_rng(0), []
+    for k in range(count):
+        own = gaussian_filter1d(rng.standard_normal((len(NAMES), 800)), 5 * seconds)[:, 100:-100]
+        own *= np.sqrt((1 - between) * 2 * np.sqrt(np.pi) * 5 * seconds)  # of variance 1
+        own += np.sqrt(between) * rng.standard_normal((len(NAMES), 1))
+        recordings.append(RecordedState(own, np.empty((0, 600)), f"take {k}", (None, None)))
+    return StateProcess.fit(HANDS, recordings, 5.0, None)
+
+
+@pytest.mark.parametrize(("between", "seconds"), [(0.0, 2.0), (0.5, 6.0)])
+def test_width_and_share_between_takes_are_those_of_the_recordings(between, seconds):
+    process = takes(between, seconds)
+    assert process.between.mean() == pytest.approx(between, abs=0.15)
+    assert np.median(process.width) == pytest.approx(seconds, rel=0.3)
+    assert process.take == pytest.approx(120)
+
+
+def test_ranks_are_those_among_recordings_of_the_same_speaker_and_style():
+    """Two speakers of whom one is always livelier: no change from take to take, unless they are
+    one person."""
+    moves = HANDS.movement[~HANDS.fast]
+    others = [
+        fitted(groups).between[moves].mean()
+        for groups in ((("Ann", None), ("Bo", None)), ((None, 0), (None, 1)), ((None, None),) * 2)
+    ]
+    assert max(others[:2]) < 0.85 * others[2]
+
+
+def test_scores_are_quantiles_of_the_recorded_values(process):
+    """The middle one has 0, and of 100 values 16 lie below -1; the furthest ones have ends."""
+    every = np.concatenate([recorded(0), recorded(1, lively=2.0)], axis=1)
+    asked = np.quantile(every, (0.5, 0.1587, 0.0), axis=1).T
+    scores = process.scores(asked, np.empty((0, 3)))
+    np.testing.assert_allclose(scores[:, 0], 0, atol=0.1)
+    np.testing.assert_allclose(scores[:, 1], -1, atol=0.1)
+    assert (scores[:, 2] < -2).all() and np.isfinite(scores).all()
+
+
+@pytest.mark.parametrize("values", [np.zeros((12, 1)), np.zeros((12, 20)), np.eye(12)[:, :2]])
+def test_short_and_still_recordings_give_a_process_too(values):
+    rows = [RecordedState(values, np.empty((0, values.shape[1])), t, (None, None)) for t in "ab"]
+    process = StateProcess.fit(HANDS, rows, FPS, None)
+    made = process.draw(1, np.empty((0, 30)))
+    assert made.shape == (12, 30) and np.isfinite(process.condition(1, made)).all()
+    assert (process.between >= 0).all() and (process.between <= 1).all() and process.take > 0
 
 
 def test_liveliness_is_a_factor_on_the_speed(process):
@@ -335,12 +403,11 @@ def test_an_array_of_objects_is_not_unpickled(model, tmp_path):
 def test_what_a_state_excludes_is_said(model, config, corpus, tmp_path):
     with pytest.raises(ModelError, match="liveliness"):
         model.generate(seconds=1, state=np.zeros((9, 12)), liveliness=2.0)
-    with pytest.raises(ModelError, match="recall"):
-        model.generate(seconds=1, recall=True)
-    with pytest.raises(ConfigError, match="recall"):
-        small_config(corpus, tmp_path, SETTINGS, {"recall": {"level": 2}})
     with pytest.raises(ConfigError, match="state"):
         replace(config, state=False)
+    alone = {"features": {"extractors": [{"kind": "effort"}]}}
+    with pytest.raises(ConfigError, match="(?=.*features.extractors)(?=.*effort)(?=.*prosody)"):
+        small_config(corpus, tmp_path, SETTINGS, alone)
 
 
 def test_the_loss_is_the_weighted_distance_of_channels():
@@ -431,7 +498,7 @@ def test_the_network_obeys_the_state_that_it_is_given(shared_data, tmp_path):
     """A minute of motion: its own states, and livelier ones."""
     folder = shared_data / "paired" / "zeggs_067_Speech_2"
     gk.prepare([folder], tmp_path / "corpus.jsonl", holdout=0)
-    recipe = ROOT / "recipes" / "multires_speech" / "drawn_state.yaml"
+    recipe = ROOT / "recipes" / "multires_speech" / "light.yaml"
     model = gk.load(gk.train(recipe, corpus=tmp_path / "corpus.jsonl", out=tmp_path / "run"))
     state = model.state(next(folder.glob("*.bvh")))
     given = model.generate(seconds=30, state=state)

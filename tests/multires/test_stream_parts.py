@@ -1,4 +1,4 @@
-"""Parts of a stream, worked out by hand: feet, recorded pieces, features and detail."""
+"""Parts of a stream, worked out by hand: feet, features, the drawn state and levels."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +11,12 @@ from rigs import PERSON, at_rest, rig_of
 import audio_features as af
 import gesturekit as gk
 from gesturekit.motion import GROUND, quaternion_from_rotation_vector, rotation_angles
-from gesturekit.multires import MultiresGenerator, Pyramid, RandomNoise
+from gesturekit.multires import MultiresGenerator, Pyramid
+from gesturekit.multires.sampling.trained_model import clocked_noise
 from gesturekit.multires.streaming.features import SpeechStream
 from gesturekit.multires.streaming.feet import FootHold
 from gesturekit.multires.streaming.levels import WindowLevels
-from gesturekit.multires.streaming.plan import Forecast, LiveChoice, LivePlan
+from gesturekit.multires.streaming.live_state import Forecast, LiveChoice, LiveState
 
 RATE = 16_000
 FPS = 30.0
@@ -127,113 +128,64 @@ def test_a_body_without_legs_is_left_alone():
     assert FootHold(torso.skeleton, FPS)(torso, np.ones(0), displaced) is torso
 
 
-@pytest.fixture(scope="module")
-def counted(model):
-    """The demo's library, whose channels count the frames of all recordings, at mean movement."""
-    recordings, first = [], 0
-    for recording in model.library.recordings:
-        n = recording.motion.shape[-1]
-        ramp = first + torch.arange(n, dtype=torch.float32)
-        level = torch.arange(1.0, 1.0 + len(recording.profiles))[:, None].expand(-1, n)
-        rows = {"motion": recording.motion, "passive": recording.passive}
-        rows = {name: 1e-3 * ramp.expand(own.shape) for name, own in rows.items()}
-        recordings.append(replace(recording, profiles=level, **rows))
-        first += n
-    return replace(model.library, recordings=tuple(recordings))
+def test_what_is_to_come_is_not_predicted(state_model):
+    """The forecast counts up to its last time, as far as it is known; noise does the rest."""
+    fast, around = state_model.state_process.channels.fast, 40
+    process = replace(state_model.state_process, explained=np.where(fast, 0.6, 0.0))
+    speech = np.zeros((2 * around, state_model.conditions.conditioner.dim))
+
+    def drawn(value: float, share: float) -> np.ndarray:
+        own = LiveState(process, LiveChoice(seed=1), around)
+        times, known = np.array([0.0, 0.2]), np.array([1.0, share])
+        own.advance(speech, Forecast(times, known * value, 0.4, known), 0.0)
+        return own.coming[fast]
+
+    higher, usual = drawn(9.0, 0.5), drawn(0.0, 0.5)
+    assert (higher[:, 0] > usual[:, 0]).all()
+    np.testing.assert_array_equal(higher[:, 7:], usual[:, 7:])
+    assert not np.array_equal(drawn(9.0, 0.1)[:, 3], higher[:, 3])
 
 
-def played(library, forecast: Forecast | None, frames: int, **choice) -> np.ndarray:
-    """Return the recorded frame (T, 3) that each part shows."""
-    plan, found = LivePlan(library, LiveChoice(**choice), 12), []
-    for _ in range(frames):
-        plan.advance(forecast, None if forecast is None else 0.0)
-        vectors = plan.vectors(np.zeros(1))[0]
-        found.append([1e3 * vectors[part.columns[0]] for part in library.parts])
-    n = len(library.recordings[0].motion)
-    np.testing.assert_allclose(vectors[n:], [1, 2, 3], atol=1e-5)
-    names = library.passive.joints
-    for finger, column in (("LeftHandThumb1", 0), ("RightHandPinky1", 1)):
-        own = 1e3 * plan.passive()[6 * names.index(finger), 0]
-        assert own == pytest.approx(found[-1][column], abs=0.02), "fingers go with their arm"
-    return np.array(found)
+def test_what_was_drawn_for_a_frame_stays_though_more_becomes_known(state_model):
+    """What is to come changes with its prediction."""
+    fast, around = state_model.state_process.channels.fast, 40
+    process = replace(state_model.state_process, explained=np.where(fast, 0.6, 0.0))
+    own, windows, coming = LiveState(process, LiveChoice(seed=1), around), [], []
+    for k in range(4):
+        forecast = Forecast(np.array([0.0, 0.2]), np.full(2, float(k % 2)), 0.4, np.ones(2))
+        speech = np.zeros((2 * around, state_model.conditions.conditioner.dim))
+        windows.append(own.advance(speech, forecast, 0.0)[: len(fast)][fast])
+        coming.append(own.coming[fast].copy())
+    for before, after in zip(windows, windows[1:], strict=False):
+        np.testing.assert_allclose(after[:, :around], before[:, 1 : around + 1])
+    assert (coming[0][:, 1:5] < coming[1][:, :4]).all()
 
 
-def test_pieces_play_in_real_time_and_others_follow_after_their_hop(counted):
-    """An arm's pieces have 3 frames of 5.34 a second between them, 17 of 30, the trunk's 6; they
-    fade into each other in between."""
-    step = counted.level_fps / counted.fps
-    shown = played(counted, None, 103, seed=3)
-    steady = np.abs(np.diff(shown, axis=0) - step) < 5e-3
-    assert steady[:16].all(), "the first pieces, up to the next choice"
-    for part in range(3):
-        assert 0.1 < steady[:, part].mean() < 0.9, "some piece is a new one"
-
-
-@pytest.mark.parametrize(("wanted", "tempo"), [(0.0, 1.0), (0.3, np.exp(0.3 / 0.5)), (9.0, 3.0)])
-def test_arms_run_as_fast_as_speech_predicts(counted, wanted, tempo):
-    """Pieces of mean movement: log m/s wanted, divided by its correlation; at most three times.
-    A hand has mass: it is not as fast at once.
-    """
-    shown = played(counted, Forecast(np.zeros(1), np.full(1, wanted), 0.5, np.ones(1)), 16)
-    step = counted.level_fps / counted.fps
-    speeds = np.diff(shown, axis=0) / step
-    np.testing.assert_allclose(speeds[:, 2], 1.0, atol=0.03)
-    np.testing.assert_allclose(speeds[8:, 0], tempo, rtol=0.05)
-    assert tempo == 1 or 1 < speeds[0, 0] < 0.9 * tempo
-
-
-def test_a_forecast_holds_a_while():
-    """Linear between the known times, and the last value for half a second more."""
-    forecast = Forecast(np.array([0.0, 0.1, 0.2]), np.array([1.0, 3.0, 2.0]), 0.4, np.ones(3))
-    found = forecast.at(np.array([0.0, 0.05, 0.15, 0.2, 0.6, 2.0]))
-    np.testing.assert_allclose(found, [1.0, 2.0, 2.5, 2.0, 2.0, np.nan])
-
-
-def test_speakers_styles_moods_and_names_decide_what_is_shown(counted):
-    own = [
-        replace(one, speaker="Ann" if k < 4 else "Bo", style=k % 2)
-        for k, one in enumerate(counted.recordings)
-    ]
-    library = replace(counted, recordings=tuple(own))
-    first = np.cumsum([0, *library.lengths])
-
-    def begun(**choice) -> list[float]:
-        return played(library, None, 1, **{"seed": 3, "item": "a"} | choice)[0].tolist()
-
-    for frame in begun(speaker="Ann", style=1):
-        assert np.searchsorted(first, frame + 0.1, side="right") - 1 in (1, 3)
-    one = begun()
-    assert begun() == one == begun(mood_seed=3)
-    for other in ({"seed": 4}, {"item": "b"}, {"mood_seed": 8}, {"liveliness": 4.0}):
-        assert begun(**other) != one
-
-
-@pytest.mark.parametrize("film, residual", [("all", False), ("input", True)])
+@pytest.mark.parametrize(("film", "residual"), [("all", False), ("input", True)])
 @pytest.mark.parametrize("part", [range(0, 3), range(20, 24), range(61, 64)])
-def test_finer_levels_of_a_frame_are_those_of_the_whole_window(model, film, residual, part):
-    """Some of 64 frames, as sampling without noise makes them, with two styles."""
+def test_levels_of_a_frame_are_those_of_the_whole_window(state_model, film, residual, part):
+    """Some of 64 frames, as sampling makes them, with two styles."""
     torch.manual_seed(0)
-    config = replace(model.network_config, film=film, rectify_embedding=not residual)
-    conditions = replace(model.conditions, styles=("a", "b"), residual=residual)
-    network = MultiresGenerator(model.representation, conditions.width, config).eval()
+    rng = np.random.default_rng(0)
+    config = replace(state_model.network_config, film=film, rectify_embedding=not residual)
+    conditions = replace(state_model.conditions, styles=("a", "b"), residual=residual)
+    network = MultiresGenerator(state_model.representation, conditions.width, config).eval()
     for own in (film for level in network.levels for film in level.films):
         torch.nn.init.normal_(own.gain.weight, std=0.3)
         torch.nn.init.normal_(own.shift.bias, std=0.3)
-    own = replace(model, network=network, conditions=conditions)
+    own = replace(state_model, network=network, network_config=config, conditions=conditions)
     lengths = af.level_lengths(64, config.levels)
     styles = [torch.tensor([[0.25], [0.75]]).expand(1, 2, n) for n in lengths]
-    speech = np.random.default_rng(0).standard_normal((64, model.conditions.conditioner.dim))
-    speech = speech.astype(np.float32)
-    level = model.library.level - 1
-    recalled = torch.randn(1, model.representation.n_features, lengths[level])
-    condition = conditions.of_motion(speech, lengths, styles)
-    quiet = RandomNoise(torch.zeros(0), 0, None)
-    whole = Pyramid(own, lengths, condition, quiet, None, recalled, level).random()
-    finer = WindowLevels(own, lengths, styles, part)
-    used = recalled[0, :, finer.first.start : finer.first.stop]
-    found = own.normaliser.to_values(finer(speech, used)[None])
+    speech = rng.standard_normal((64, conditions.conditioner.dim)).astype(np.float32)
+    state = rng.standard_normal((conditions.state.width, 64)).astype(np.float32)
+    condition = conditions.of_motion(speech, lengths, styles, (), state)
+    sigma = own.noise.sigma.mean(dim=0)[0]
+    noise = clocked_noise(state[None], conditions.state.n_carriers, lengths[0], sigma)
+    whole = Pyramid(own, lengths, condition).from_noise(noise)
+    found = WindowLevels(own, lengths, styles, part)(speech, state=state)
+    found = own.normaliser.to_values(found[None])
     np.testing.assert_allclose(found, whole[part.start : part.stop], atol=1e-4)
-    assert np.abs(whole[20:24] - whole[24:28]).max() > 0.1, "the test can tell frames apart"
+    assert np.abs(whole[20:24] - whole[24:28]).max() > 0.02, "the test can tell frames apart"
 
 
 def test_features_of_a_stream_are_those_of_the_file_where_both_know_as_much(model, wave):
@@ -264,16 +216,6 @@ def test_features_of_a_stream_are_those_of_the_file_where_both_know_as_much(mode
     thirds = SpeechStream(conditioner, wave.sample_rate, rows=12, every=3)
     for k, window in enumerate(thirds.push(wave.samples[:RATE])):
         np.testing.assert_allclose(window.rows[-1], rows[3 * k + 2], atol=0.3)
-
-
-def test_a_second_without_speech_is_a_pause(model, wave):
-    """The first word is spoken after 1.1 s, the last one until 3 s."""
-    stream = SpeechStream(model.conditions.conditioner, RATE, rows=4)
-    silence = np.zeros(RATE // 2, np.float32)
-    sound = np.concatenate([silence, wave.resample(RATE).samples[: 5 * RATE // 2], *[silence] * 3])
-    paused = np.array([window.paused for window in stream.push(sound)])
-    assert paused[: round(1.0 * model.fps)].all() and paused[round(4.1 * model.fps) :].all()
-    assert not paused[round(1.3 * model.fps) : round(3.9 * model.fps)].any()
 
 
 def test_a_row_is_complete_with_the_last_frame_that_it_needs(model):

@@ -48,7 +48,7 @@ def test_paired_windows_are_parts_of_a_recording(cache, source):
     sequence, lengths = cache.data.paired[0], level_lengths(75, 4)
     windows = cache.paired([sequence], 75, FIRST, 5, rng_for("paired"))
     assert windows.styles.tolist() == [[0] * 4] * 5 and windows.noise == (None, None)
-    assert windows.speech is None and windows.recalled is None
+    assert windows.speech is None
     starts = starts_of(windows.targets[1], sequence.motion)
     assert len(set(starts)) > 2
     for k, start in enumerate(starts):
@@ -86,7 +86,7 @@ def test_random_windows_continue_what_the_finished_levels_make_of_their_noise(ca
     speech = stage.speech[1]
     torch.testing.assert_close(first.speech[0], resample(speech, lengths[0]))
     torch.testing.assert_close(stage.speech[0], resample(speech, lengths[2]))
-    assert first.coarser is None and stage.targets is None and stage.recalled is None
+    assert first.coarser is None and stage.targets is None
     assert [noise.shape for noise in first.noise + stage.noise] == [(5, 1, n) for n in lengths]
     for k in range(5):
         assert starts_of(speech[k : k + 1], cache.data.unpaired[0])

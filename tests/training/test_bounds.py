@@ -14,7 +14,7 @@ from gesturekit.multires import MultiresConfig
 from gesturekit.training import build, to_dict
 
 CONFIGS = {"diffusion": DiffusionConfig, "multires": MultiresConfig}
-BESIDE = {"recall": {"level": 2}, "unpaired": {"corpus": "more.jsonl"}}
+BESIDE = {"unpaired": {"corpus": "more.jsonl"}}
 """Settings of sections that are off by default."""
 BOTH = {"seed": [-1], "eval_every": [-1], "smooth": [2.1]}
 RANGES: dict[str, dict[str, list[Any]]] = {
@@ -38,13 +38,9 @@ RANGES: dict[str, dict[str, list[Any]]] = {
         "network.levels": [10**9],
         "network.channels": [[], [3, 0], [10**9]],
         "network.kernel": [4, 257],
-        "losses.arm_floors": [[1.0], [1.0, 0.0]],
         "training.betas": [[0.5], [0.5, 1.0]],
         "training.silence": [1.0],
         "styles.mixing": [1.01],
-        "recall.level": [3, 6],  # of four levels, which train in pairs
-        "recall.piece": [0.7],  # twice an overlap of 0.4 s
-        "recall.stretch": [0.04, 0.51],
     },
 }
 
@@ -76,7 +72,7 @@ def refused(system: str, key: str, value: Any) -> bool:
 
 @pytest.mark.parametrize("system", CONFIGS)
 def test_no_number_of_a_configuration_may_be_negative_or_infinite(system):
-    sections = {"recall": BESIDE["recall"], "styles": {}} if system == "multires" else {}
+    sections = {"styles": {}} if system == "multires" else {}
     settings = small_values(system, "corpus.jsonl", "run", sections)
     found = dict(numbers(to_dict(build(CONFIGS[system], settings))))
     assert found.keys() > dict(numbers(SMALL[system])).keys()

@@ -35,7 +35,7 @@ def test_one_style_or_speaker_is_no_choice():
     styles, speakers = unused_labels(two, ())
     assert "2 styles" in styles and "3 speakers" in speakers
     assert unused_labels(two, ("calm", "wild")) == [speakers]
-    assert unused_labels(two, (), recalls=True) == [styles]
+    assert unused_labels(two, (), state=True) == [styles]
 
 
 @pytest.mark.parametrize(

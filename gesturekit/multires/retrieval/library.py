@@ -30,7 +30,7 @@ _FORGETTING = 0.9
 
 
 class _Choice(NamedTuple):
-    """Rules for the choice of pieces.
+    """Lengths and weights by which pieces are chosen.
 
     Attributes:
         seconds: length of a piece.

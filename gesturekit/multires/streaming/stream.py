@@ -54,8 +54,8 @@ class MultiresStream:
     """Motion that is generated while sound comes in.
 
     Frame k of the stream belongs to k / fps seconds of the sound. It depends on the sound up to
-    `look_ahead` seconds later. Motion does not depend on the size of blocks, so a stream equals its
-    replay. Memory is bounded.
+    `look_ahead` seconds and two frames later. Motion does not depend on the size of blocks, so a
+    stream equals its replay. Memory is bounded.
 
     Each frame is computed from a window around it: the drawn state of movement, and the features,
     which are unknown from the look-ahead on. So there are no seams.
