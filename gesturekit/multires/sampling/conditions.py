@@ -56,11 +56,13 @@ class Conditions:
     def columns(self) -> list[int]:
         """Columns of the speech features that the network gets.
 
-        Those of vocal effort only predict what is recalled or drawn.
+        Those of vocal effort only predict what is recalled or drawn. With a state of movement the
+        speech enters through the state alone: a network that gets both moves a little with every
+        feature, and does not rest where the state says so.
         """
-        if self.conditioner is None:
+        if self.conditioner is None or self.state is not None:
             return []
-        hidden = self.conditioner.effort if self.recalls or self.state else ()
+        hidden = self.conditioner.effort if self.recalls else ()
         return [i for i in range(self.conditioner.dim) if i not in hidden]
 
     def of_motion(

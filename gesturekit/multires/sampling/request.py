@@ -222,8 +222,8 @@ def check_controls(model: TrainedModel, controls: MultiresControls, samples: int
         for name in ("style", "level_style"):
             if (value := controls[name]) is not None:
                 raise ModelError(f"{name}={value!r}: this multires model has no {name}")
-    if _level_speech_ranges(controls, levels) and model.conditions.conditioner is None:
-        raise ModelError("level_speech: this model takes no speech")
+    if _level_speech_ranges(controls, levels) and not model.conditions.columns:
+        raise ModelError("level_speech: the levels of this model get no speech features")
     speaker = controls["speaker"]
     if speaker is not None and speaker not in model.speakers:
         known = ", ".join(sorted(model.speakers)) or "its corpus named none"

@@ -31,7 +31,6 @@ from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.training.recall_library import build_library
 from gesturekit.multires.training.stage import Stage
-from gesturekit.multires.training.start import widened
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.multires.training.targets import MOST_WINDOWS
 from gesturekit.state.ahead import AheadPrediction
@@ -150,7 +149,7 @@ class Trainer:
             ),
         )
         if self.data.start:
-            self.network.load_state_dict(widened(self.data.start, self.network))
+            self.network.load_state_dict(self.data.start)
         self.network.to(device)
         watched = config.eval_every and processes.is_first
         convolve = choose_backend(config.backend, self.network).convolve

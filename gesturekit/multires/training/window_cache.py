@@ -136,7 +136,7 @@ class WindowCache:
         noises[0] = self.noise.shuffled(noises[0], coarsest, rng)
         recalled = state = None
         if self.state is not None:
-            state = self.state.drawn(speech, styles[:, 0].tolist(), rng)
+            state = self.state.random(speech, styles[:, 0].tolist(), rng)
             noises = self.data.clocked_noises(state, lengths, self.noise.sigma)
         if self.library is not None and first >= self.library.level:
             recalled = self._recalled(speech, styles, rng)
