@@ -32,7 +32,9 @@ _COUPLED_SECONDS, _COUPLED_SPEED = 1.0, 0.05
 """Smoothing of the coupling, and the vertical speed in m/s below which hands are not coupled."""
 _TINY = 1e-8
 """Keeps the gradients of square roots finite."""
-_OF_HAND = ("movement", "height", "distance", "width", "fast")
+_FACING_SECONDS = 1.0
+"""Standard deviation of the Gaussian that smooths where the body faces."""
+_OF_HAND = ("movement", "height", "side", "forward", "width", "fast")
 
 
 @dataclass(frozen=True)
@@ -41,8 +43,8 @@ class StateChannels:
 
     - movement: slow part of the logarithm of the speed, m/s, relative to the root; of each hand and
       of the trunk;
-    - height, distance: of a hand above the root and from its vertical, metres;
-    - width: logarithm of the local standard deviation of both, metres;
+    - height, side, forward: mean place of a hand above, outwards from and before the root, metres;
+    - width: logarithm of the local standard deviation of the place, metres;
     - fast: logarithm of a hand's speed less its slow part;
     - coupling: local correlation of the hands' vertical velocities.
 
@@ -52,10 +54,13 @@ class StateChannels:
         hands: the joints of the left and of the right hand, as indices of the modelled joints; all
             joints as one group where the arms are not known or not modelled.
         trunk: index of the joint that carries both arms; None without.
+        shoulders: indices of the left and of the right shoulder, which tell where the body faces;
+            empty where the arms are not known.
     """
 
     hands: tuple[tuple[int, ...], ...]
     trunk: int | None
+    shoulders: tuple[int, ...] = ()
 
     @classmethod
     def find(cls, skeleton: Skeleton, joints: Sequence[str]) -> StateChannels:
@@ -73,7 +78,10 @@ class StateChannels:
             hands.append((joints.index(known[0]),))
         above = [set(skeleton.ancestors(skeleton.index(arms[side].shoulder))) for side in SIDES]
         trunk = [j for j in above[0] & above[1] if j and skeleton.names[j] in joints]
-        return cls(tuple(hands), joints.index(skeleton.names[max(trunk)]) if trunk else None)
+        shoulders = tuple(joints.index(arms[side].shoulder) for side in SIDES)
+        return cls(
+            tuple(hands), joints.index(skeleton.names[max(trunk)]) if trunk else None, shoulders
+        )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -90,8 +98,8 @@ class StateChannels:
 
     @property
     def width(self) -> int:
-        """C + 4 H, the channels of `StateProcess.condition`."""
-        return len(self.names) + self.n_carriers
+        """C + H + 4 H, the channels of `StateProcess.condition`."""
+        return len(self.names) + len(self.hands) + self.n_carriers
 
     @property
     def fast(self) -> np.ndarray:
@@ -126,10 +134,11 @@ class StateChannels:
         places = places - places[:, :1]
         velocity = _smoothed(_gradient(places) * fps, _SPEED_SECONDS * fps)
         rows: list[Tensor] = []
-        for joints in self.hands:
+        for joints, outwards in zip(self.hands, (1.0, -1.0)):
             index = list(joints)
             speed = (velocity[:, index].square().sum(dim=2) + _TINY).sqrt().mean(dim=1)
-            rows += self._of_hand(places[:, index[0]], speed, fps)
+            place = self._faced(places, places[:, index[0]], outwards, fps)
+            rows += self._of_hand(place, speed, fps)
         if len(self.hands) == 2:
             left, right = (velocity[:, own[0], 1] for own in self.hands)
             rows.append(_coupling(left, right, fps))
@@ -138,18 +147,29 @@ class StateChannels:
                 rows.append(_movement(speed, fps))
         return torch.stack(rows, dim=1)
 
+    def _faced(self, places: Tensor, place: Tensor, outwards: float, fps: float) -> Tensor:
+        """Return height, side and forward (B, 3, T) of a hand at `place` (B, 3, T).
+
+        `places` are (B, K, 3, T); `outwards` is 1 for the left hand and -1 for the right one.
+        """
+        if not self.shoulders:
+            return place
+        left, right = (places[:, joint] for joint in self.shoulders)
+        across = _smoothed((left - right)[:, ::2], _FACING_SECONDS * fps)
+        x, z = (across / (across.square().sum(dim=1, keepdim=True) + _TINY).sqrt()).unbind(dim=1)
+        side = place[:, 0] * x + place[:, 2] * z
+        return torch.stack([place[:, 1], outwards * side, place[:, 2] * x - place[:, 0] * z], dim=1)
+
     def _of_hand(self, place: Tensor, speed: Tensor, fps: float) -> list[Tensor]:
         """Return the channels (B, T) of a hand at `place` (B, 3, T) with `speed` (B, T)."""
         logarithm, slow = torch.log(speed + SPEED_FLOOR), SLOW_SECONDS * fps
         fast = _smoothed(logarithm, _FAST_SECONDS * fps) - _smoothed(logarithm, slow)
         if len(self.hands) == 1:
             return [_movement(speed, fps), fast]
-        distance = (place[:, 0].square() + place[:, 2].square() + _TINY).sqrt()
-        around = torch.stack([place[:, 1], distance], dim=1)
-        held = _smoothed(around, slow)
-        variance = (_smoothed(around.square(), slow) - held.square()).clamp(min=0).sum(dim=1)
+        held = _smoothed(place, slow)
+        variance = (_smoothed(place.square(), slow) - held.square()).clamp(min=0).sum(dim=1)
         width = torch.log((variance + _TINY).sqrt() + _WIDTH_FLOOR)
-        return [_movement(speed, fps), held[:, 0], held[:, 1], width, fast]
+        return [_movement(speed, fps), *held.unbind(dim=1), width, fast]
 
 
 def averaged(

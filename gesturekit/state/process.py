@@ -63,6 +63,10 @@ _DAMPING, _LEAST_FOLLOWED = 0.8, 0.6
 _HIGHEST = 2.0
 """Standard deviations above the mean to which it is limited where hands are held and how wide they
 move: a hand that is held as high as ever, and moves as wide as ever, would leave its range."""
+_USUAL_SPEEDS = 2.0
+"""Unit of the speeds that a network gets: this times the usual speed of the hand."""
+_RELATIVE_FLOOR = 0.02
+"""Added to speeds, m/s, where fast movement is relative to slow movement, see `_relative`."""
 _STROKE, _STROKE_POINTS = 0.15, 4
 """Metres that a hand moves while its carrier changes by its correlation length, and the points of
 white noise in it."""
@@ -152,7 +156,8 @@ class StateProcess:
         voices = [_voices(channels, own.speech, silence, fps) for own in recordings]
         voiced = _voiced(voices, fps)
         groups = [own.group for own in recordings]
-        scores = _scores(values, voiced, groups)
+        relative = [_relative(channels, own) for own in values]
+        scores = _scores(relative, voiced, groups)
         wanted = _wanted(channels, recordings, scores, fps, conditioner)
         explained, usual = np.zeros(len(fast)), np.array([0.0, 0.0, 1.0])
         noise = np.concatenate(scores, axis=1)
@@ -185,7 +190,7 @@ class StateProcess:
             width=width,
             take=max(pooled.shape[1] / fps / takes, _STEP),
             kernel=_spectral_kernels([own[fast] for own in parts], fps),
-            quantiles=_quantiles(values, voiced, groups),
+            quantiles=_quantiles(relative, voiced, groups),
             response=np.repeat(np.quantile(pooled, _RESPONSE, axis=1).T[None], 2, axis=0),
             followed=np.ones(len(fast)),
         )
@@ -244,6 +249,7 @@ class StateProcess:
 
         `speech` is (S, T), as ranks in silence are others than those in speech.
         """
+        values = _relative(self.channels, values)
         own = [
             [np.interp(*row) for row in zip(values, quantiles, repeat(_SHARES))]
             for quantiles in self.quantiles[None, None]
@@ -277,7 +283,7 @@ class StateProcess:
             scores = explained * means + np.sqrt(1 - explained**2) * scores
         quantiles = self.quantiles.get(group, self.quantiles[None, None])
         quiet, loud = (recorded_values(scores, own) for own in quantiles)
-        values = quiet + voices * (loud - quiet)
+        values = _absolute(self.channels, quiet + voices * (loud - quiet))
         values[self.channels.movement] += math.log(liveliness)
         return values
 
@@ -315,9 +321,12 @@ class StateProcess:
 
         A clock goes as fast as its hand moves, and stands still while the hand rests.
         """
+        return self._speeds(values) * (_STROKE_POINTS / _STROKE / self.fps)
+
+    def _speeds(self, values: np.ndarray) -> np.ndarray:
+        """Return the speeds of the hands (H, T), m/s, of channels (C, T)."""
         movement = values[self.channels.of_hands] + values[self.channels.fast]
-        speed = np.maximum(np.exp(movement) - SPEED_FLOOR, 0.0)
-        return speed * (_STROKE_POINTS / _STROKE / self.fps)
+        return np.maximum(np.exp(movement) - SPEED_FLOOR, 0.0)
 
     def carriers(self, seed: int, clocks: np.ndarray) -> np.ndarray:
         """Return four carriers for each hand, (4 H, T): smooth noise in the time of its movement.
@@ -338,7 +347,10 @@ class StateProcess:
     def condition(
         self, seed: int, values: np.ndarray, clocks: np.ndarray | None = None
     ) -> np.ndarray:
-        """Return what a network gets, (C + 4 H, T) float32: normalised channels, and carriers.
+        """Return what a network gets, (C + H + 4 H, T) float32.
+
+        These are the normalised channels, the hands' speeds and the carriers. Channels have the
+        logarithm of speed, but a motion is in proportion to the speed itself.
 
         Args:
             seed: of the carriers.
@@ -347,20 +359,47 @@ class StateProcess:
         """
         if clocks is None:
             clocks = np.cumsum(self.clocks(values), axis=1)
-        given, carriers = self.given(values, clocks), self.carriers(seed, clocks)
-        return np.concatenate([given, carriers]).astype(np.float32)
+        usual = np.exp(self.mean[self.channels.of_hands])[:, None]
+        speeds = self._speeds(self._asked(values)) / (_USUAL_SPEEDS * usual)
+        rows = self.given(values, clocks), speeds, self.carriers(seed, clocks)
+        return np.concatenate(rows).astype(np.float32)
 
     def given(self, values: np.ndarray, clocks: np.ndarray | None = None) -> np.ndarray:
-        """Return the normalised channels (C, T) of `condition`, without carriers."""
+        """Return the normalised channels (C, T) of `condition`, without speeds and carriers."""
         if clocks is None:
             clocks = np.cumsum(self.clocks(values), axis=1)
-        given = np.stack([_continued(*row) for row in zip(values, *self.response)])
+        given = self._asked(values)
         for rows, clock in zip(self.channels.held, clocks):
             given[rows] = [_in_time_of(row, clock) for row in given[rows]]
         normalised = (given - self.mean[:, None]) / self.scale[:, None]
         held = ~(self.channels.movement | self.channels.fast)
         normalised[held] = np.minimum(normalised[held], _HIGHEST)
         return normalised
+
+    def _asked(self, values: np.ndarray) -> np.ndarray:
+        """Return the channels (C, T) that a network needs to be given to show these."""
+        return np.stack([_continued(*row) for row in zip(values, *self.response)])
+
+
+def _relative(channels: StateChannels, values: np.ndarray) -> np.ndarray:
+    """Return channels (C, T) with fast movement that is alike at rest and in movement.
+
+    The logarithm of a speed plus its floor hardly varies at rest. With a smaller floor it does.
+    """
+    result, slow = values.copy(), values[channels.of_hands]
+    speeds = (np.exp(row) - SPEED_FLOOR for row in (slow + values[channels.fast], slow))
+    fast, usual = (np.log(np.maximum(speed, 0.0) + _RELATIVE_FLOOR) for speed in speeds)
+    result[channels.fast] = fast - usual
+    return result
+
+
+def _absolute(channels: StateChannels, values: np.ndarray) -> np.ndarray:
+    """Return the inverse (C, T) of `_relative`."""
+    result, slow = values.copy(), values[channels.of_hands]
+    usual = np.maximum(np.exp(slow) - SPEED_FLOOR, 0.0) + _RELATIVE_FLOOR
+    speed = np.maximum(usual * np.exp(values[channels.fast]) - _RELATIVE_FLOOR, 0.0)
+    result[channels.fast] = np.log(speed + SPEED_FLOOR) - slow
+    return result
 
 
 def _in_time_of(values: np.ndarray, clock: np.ndarray) -> np.ndarray:

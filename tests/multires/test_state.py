@@ -35,15 +35,19 @@ from gesturekit.state import (
 )
 
 FPS = 25.0
-HANDS = StateChannels(((1,), (2,)), trunk=3)
+HANDS = StateChannels(((1,), (2,)), trunk=3, shoulders=(4, 5))
 NAMES = HANDS.names
+FAST = NAMES.index("left fast")
 
 
 def channels_of(left: np.ndarray, right: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the channels of hands at places (3, T), beside a root that walks away."""
+    """Return the channels of hands at places (3, T), beside a root that walks away facing +X."""
     n = left.shape[1]
     root = np.stack([np.arange(n) / FPS, np.ones(n), np.zeros(n)])
-    places = np.stack([root, root + left, root + right, root + 0.5])
+    shoulder = np.array([[0.0], [0.4], [0.2]])
+    places = np.stack(
+        [root, root + left, root + right, root + 0.5, root - shoulder, root + shoulder]
+    )
     rows = HANDS(torch.from_numpy(places)[None], FPS)[0].numpy()
     return dict(zip(NAMES, rows, strict=True))
 
@@ -53,11 +57,13 @@ def test_channels_are_those_worked_out_by_hand():
     still = np.tile([[0.3], [-0.2], [0.4]], n)
     rising = np.stack([np.full(n, 0.3), 0.4 * np.arange(n) / FPS, np.zeros(n)])
     found = {name: row[n // 2] for name, row in channels_of(still, rising).items()}
-    # A hand at rest: 0.5 m from the vertical of the root, at the least speed and width.
+    # A hand at rest, at the least speed and width. It is 0.3 m before the root, on the wrong side.
     assert found["left movement"] == found["trunk movement"] == pytest.approx(np.log(0.05), 1e-3)
-    assert found["left height"] == pytest.approx(-0.2) and found["left distance"] == pytest.approx(
-        0.5
-    )
+    assert found["left height"] == pytest.approx(-0.2)
+    assert found["left forward"] == pytest.approx(0.3)
+    assert found["left side"] == pytest.approx(-0.4)
+    assert found["right side"] == pytest.approx(0.0, abs=1e-6)
+    assert found["right forward"] == pytest.approx(0.3)
     assert found["left width"] == pytest.approx(np.log(0.01), abs=0.02)
     # A hand at 0.4 m/s, which is 4 m up after 10 s; over a Gaussian of 2 s it is 0.8 m wide.
     assert found["right movement"] == pytest.approx(np.log(0.45), abs=1e-3)
@@ -123,7 +129,7 @@ def recorded(seed: int, seconds: float = 120.0, *, lively: float = 0.0) -> np.nd
         own = np.convolve(rng.standard_normal(n), smooth / np.linalg.norm(smooth), mode="same")
         if name.endswith("fast"):
             rows[i] = np.exp(0.6 * (0.8 * shared + 0.6 * own))  # skewed
-    rows[HANDS.movement] += lively
+    rows[HANDS.movement] += 1.0 + lively
     return rows
 
 
@@ -146,10 +152,41 @@ def drawn(process: StateProcess, seconds: float, seed: int = 0, **options) -> np
 
 def test_drawn_values_are_distributed_as_recorded(process):
     every = np.concatenate([recorded(0), recorded(1, lively=2.0)], axis=1)
-    made = np.concatenate([drawn(process, 100, seed) for seed in range(20)], axis=1)
+    made = np.concatenate([drawn(process, 100, seed) for seed in range(150)], axis=1)
     for name, row, own in zip(NAMES, made, every, strict=True):
         found, wanted = (np.quantile(part, (0.1, 0.5, 0.9)) for part in (row, own))
         np.testing.assert_allclose(found, wanted, atol=0.25 * own.std(), err_msg=name)
+
+
+def test_fast_movement_is_small_where_a_hand_rests():
+    """A hand at 0.01 m/s and at 0.4 m/s, whose speed varies by the same factors."""
+    rng, n = np.random.default_rng(0), 6000
+    resting = (np.arange(n) // 500 % 2).astype(bool)
+    smooth = np.exp(-0.5 * (np.arange(-12, 13) / 4) ** 2)
+    factor = np.exp(
+        0.8 * np.convolve(rng.standard_normal(n), smooth / np.linalg.norm(smooth), "same")
+    )
+    values = np.zeros((len(NAMES), n))
+    usual = np.where(resting, 0.01, 0.4)
+    values[HANDS.movement] = np.log(usual + 0.05)
+    values[HANDS.fast] = np.log(usual * factor + 0.05) - np.log(usual + 0.05)
+    own = RecordedState(values, np.empty((0, n)), "take", (None, None))
+    made = drawn(StateProcess.fit(HANDS, [own], FPS, None), 2000)
+    calm = made[HANDS.of_hands] < np.log(0.1)
+    spread = made[HANDS.fast][calm].std() / made[HANDS.fast][~calm].std()
+    wanted = values[HANDS.fast][:, resting].std() / values[HANDS.fast][:, ~resting].std()
+    assert wanted < 0.3 and spread < 0.65, "which would be 1 if both were drawn alike"
+
+
+def test_speeds_are_zero_at_rest_and_in_proportion_to_the_speed(process):
+    values = np.zeros((len(NAMES), 300))
+    values[HANDS.of_hands, :100] = np.log(0.05)
+    values[HANDS.of_hands, 100:200] = np.log(0.35)
+    values[HANDS.of_hands, 200:] = np.log(0.65)
+    left, right = process.condition(3, values)[len(NAMES) : len(NAMES) + 2]
+    for row in (left, right):
+        assert np.abs(row[:100]).max() < 1e-6 and row[150] > 0
+        assert row[250] == pytest.approx(2 * row[150], rel=1e-5)
 
 
 def test_fast_movement_has_the_recorded_rhythm_and_is_shared_by_the_hands(process):
@@ -319,8 +356,8 @@ def test_what_speech_tells_is_followed_and_kept_in_the_folder(model):
     # A network that follows a part of the fast movement is given more of the speech in it.
     deaf = replace(process, followed=np.full(len(NAMES), 0.6))
     assert (
-        np.corrcoef(deaf.draw(1, held.speech)[4], held.values[4])[0, 1]
-        > np.corrcoef(made[4], held.values[4])[0, 1]
+        np.corrcoef(deaf.draw(1, held.speech)[FAST], held.values[FAST])[0, 1]
+        > np.corrcoef(made[FAST], held.values[FAST])[0, 1]
     )
     folder = state_values(process), state_tensors(process)
     again = load_state(*folder, HANDS, FPS, conditioner.dim)
@@ -384,9 +421,9 @@ def test_a_state_can_be_measured_changed_and_given(model, gesture, tmp_path):
     [
         (np.zeros((4, 2)), r"\(4, 2\)"),
         (np.zeros(4), r"\(4,\)"),
-        (np.zeros((0, 12)), r"\(0, 12\)"),
-        (np.full((4, 12), np.nan), "finite"),
-        (np.full((4, 12), "a"), "U1"),
+        (np.zeros((0, 14)), r"\(0, 14\)"),
+        (np.full((4, 14), np.nan), "finite"),
+        (np.full((4, 14), "a"), "U1"),
     ],
 )
 def test_a_state_that_does_not_fit_is_refused(model, state, says):
@@ -402,7 +439,7 @@ def test_an_array_of_objects_is_not_unpickled(model, tmp_path):
 
 def test_what_a_state_excludes_is_said(model, config, corpus, tmp_path):
     with pytest.raises(ModelError, match="liveliness"):
-        model.generate(seconds=1, state=np.zeros((9, 12)), liveliness=2.0)
+        model.generate(seconds=1, state=np.zeros((9, 14)), liveliness=2.0)
     with pytest.raises(ConfigError, match="state"):
         replace(config, state=False)
     alone = {"features": {"extractors": [{"kind": "effort"}]}}

@@ -28,7 +28,7 @@ class _Level(NamedTuple):
         features: (T of the features, T) their resampling.
         means: (T of the features, T) averages, for the channels of the state of movement.
         plain: (T of the features, T) interpolation, for its carriers.
-        embedding: (E, S + C + 4 H) weights of the speech features and of the state.
+        embedding: (E, S + C + H + 4 H) weights of the speech features and of the state.
         offset: (E, T) the rest of the embedding: its bias, and a style.
         rectified: False for a linear embedding.
         gains: (2 C of the modulated layers, E) weights of gains and shifts.
@@ -101,7 +101,7 @@ class WindowLevels:
 
         Args:
             speech: (T, S) features of the window.
-            state: (C + 4 H, T) of the window, see `StateProcess.condition`.
+            state: (C + H + 4 H, T) of the window, see `StateProcess.condition`.
         """
         features = torch.from_numpy(speech[:, self._columns].T.astype(np.float32))
         stated = torch.from_numpy(state)

@@ -87,7 +87,7 @@ class LiveState:
             setattr(self, name, state[name])
 
     def advance(self, speech: np.ndarray, fast: Forecast | None, slow: float | None) -> np.ndarray:
-        """Go on by a motion frame and return the condition (C + 4 H, T) of the window.
+        """Go on by a motion frame and return the condition (C + H + 4 H, T) of the window.
 
         Args:
             speech: (T, S) features of the window, as far as they are known.

@@ -111,7 +111,7 @@ class Monitor:
         noises = self.noise.gaussian(lengths[:levels], lambda _: rng)
         noises[0] = self.noise.shuffled(noises[0], [[sequence.style] * lengths[0]], rng)
         if self.state is not None:
-            state = self.state.drawn(whole, [sequence.style], rng)
+            state = self.state.drawn(whole[0], sequence.style, rng)
             states = self.data.state_levels(state, lengths)
             noises = self.data.clocked_noises(state, lengths[:levels], self.noise.sigma)
         conditions = condition_levels(speech, lengths, self.config.residual, styles, states)

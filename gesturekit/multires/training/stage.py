@@ -332,7 +332,7 @@ class Stage:
         if not self.states:
             return []
         channels = self.batches.cache.data.state_channels
-        rows = slice(-channels.width, -channels.n_carriers)
+        rows = slice(-channels.width, len(channels.names) - channels.width)
         return self._within([level[:, rows] for level in windows.conditions], n_frames)
 
     def _arm_movement(self, values: Tensor, stride: float) -> Tensor:

@@ -1,7 +1,7 @@
 """State of movement in training: measured in recordings, drawn for random steps, held by a loss.
 
-The state of a random step is drawn anew for each window. A recording's carriers, and the noise of
-level 1 that is made of them, are always the same, as its z* is.
+The state of a random step is new for each window, see `TrainingState.random`. A recording's
+carriers, and the noise of level 1 that is made of them, are always the same, as its z* is.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ _LEAST_FRAMES = 4
 _FAST_COUNTS = 4.0
 """Weight of a fast channel in the loss, relative to a slow one. Fixed; without it the two or three
 fast channels are lost among the slow ones, which are easier to obey."""
-
-
+_RECORDED, _LIVELINESS = 0.5, 0.3
+"""Share of recorded states in random steps, and the most that is added to or taken from their
+movement, see `TrainingState.random`."""
 _CALIBRATIONS, _CALIBRATION_SECONDS = 4, 180.0
 """Rounds of calibration, and the seconds of motion that each makes."""
 
@@ -51,9 +52,10 @@ class TrainingState:
     def __init__(self, data: TrainingData, config: MultiresConfig) -> None:
         self.data, self.seed = data, config.seed
         self._kinematics = VectorKinematics(data.representation, config.fps, arms=False)
+        self._values = {sequence.name: self._measured(sequence) for sequence in data.sample}
         recordings = [
             RecordedState(
-                self._measured(sequence),
+                self._values[sequence.name],
                 sequence.speech[:, :].numpy(),
                 sequence.take,
                 (sequence.speaker, sequence.style if data.styles else None),
@@ -68,22 +70,57 @@ class TrainingState:
         """Return the condition (C, T) of a recording."""
         if sequence.name not in self._recorded:
             seed = rng_for(self.seed, "carriers", sequence.name).initial_seed() >> 1
-            self._recorded[sequence.name] = self.process.condition(seed, self._measured(sequence))
+            values = self._values.get(sequence.name)
+            values = self._measured(sequence) if values is None else values
+            self._recorded[sequence.name] = self.process.condition(seed, values)
         return self._recorded[sequence.name]
 
     def with_voice(self, sequence: PairedSequence) -> np.ndarray:
         """Return the channels of a recording and its voice activity, (C + 1, T)."""
         speech = sequence.speech[:, :].numpy()
-        return self.process.with_voice(self._measured(sequence), speech)
+        return self.process.with_voice(self._values[sequence.name], speech)
 
-    def drawn(self, speech: Tensor, styles: Sequence[int], rng: torch.Generator) -> np.ndarray:
-        """Return conditions (N, C, T) for windows of speech (N, S, T) with these styles (N)."""
+    def drawn(self, speech: Tensor, style: int, rng: torch.Generator) -> np.ndarray:
+        """Return the condition (1, C, T) of a motion to speech (S, T), as in generation."""
+        seed = int(torch.randint(2**62, (), generator=rng))
+        return self.process.condition(seed, self._draw(seed, speech, style))[None]
+
+    def random(self, speech: Tensor, styles: Sequence[int], rng: torch.Generator) -> np.ndarray:
+        """Return conditions (N, C, T) for windows of speech (N, S, T) with these styles (N).
+
+        About half are drawn, as in generation, and half are recorded, with new carriers: channels
+        that are drawn do not agree as recorded ones do. All are made calmer or livelier, so that
+        the network follows speeds that are unusual for the rest of the state.
+        """
         conditions = []
-        for window, style in zip(speech.numpy(), styles, strict=True):
+        for window, style in zip(speech, styles, strict=True):
             seed = int(torch.randint(2**62, (), generator=rng))
-            group = (None, style if self.data.styles else None)
-            conditions.append(self.process.condition(seed, self.process.draw(seed, window, group)))
+            share, shift = torch.rand(2, generator=rng).tolist()
+            values = self._window(window.shape[1], style, rng) if share < _RECORDED else None
+            if values is None:
+                values = self._draw(seed, window, style)
+            values[self.process.channels.movement] += _LIVELINESS * (2 * shift - 1)
+            conditions.append(self.process.condition(seed, values))
         return np.stack(conditions)
+
+    def _draw(self, seed: int, speech: Tensor, style: int) -> np.ndarray:
+        """Draw the channels (C, T) of a motion to speech (S, T)."""
+        group = (None, style if self.data.styles else None)
+        return self.process.draw(seed, speech.numpy(), group)
+
+    def _window(self, n_frames: int, style: int, rng: torch.Generator) -> np.ndarray | None:
+        """Return recorded channels (C, n_frames) of a style; None if no recording is as long."""
+        known = [
+            self._values[own.name]
+            for own in self.data.sample
+            if own.n_frames >= n_frames and (not self.data.styles or own.style == style)
+        ]
+        if not known:
+            return None
+        starts = torch.tensor([float(values.shape[1] - n_frames + 1) for values in known])
+        chosen = int(torch.multinomial(starts, 1, generator=rng))
+        start = int(torch.randint(int(starts[chosen]), (), generator=rng))
+        return known[chosen][:, start : start + n_frames].copy()
 
     def calibrated(self, model: TrainedModel) -> StateProcess:
         """Return the process for a trained model, see `StateProcess.calibrated`."""
@@ -109,7 +146,7 @@ class TrainingState:
     def _made(
         self, model: TrainedModel, state: np.ndarray, speech: np.ndarray, style: int | None
     ) -> np.ndarray:
-        """Return the channels (C, T) of a motion that is made of a condition (C + 4 H, T)."""
+        """Return the channels (C, T) of a motion that is made of a condition (C + H + 4 H, T)."""
         lengths = af.level_lengths(state.shape[1], model.network_config.levels)
         styles = []
         if style is not None:

@@ -130,7 +130,7 @@ class WindowCache:
         noises[0] = self.noise.shuffled(noises[0], coarsest, rng)
         state = None
         if self.state is not None:
-            state = self.state.drawn(speech, styles[:, 0].tolist(), rng)
+            state = self.state.random(speech, styles[:, 0].tolist(), rng)
             noises = self.data.clocked_noises(state, lengths, self.noise.sigma)
         return self._windows(n_frames, first, speech, styles, noises, None, state)
 
