@@ -244,9 +244,9 @@ class DiffusionConfig(RunConfig):
     styles: StyleConfig | None = None
     """Style condition; null for none, as in an unconditional model for guidance."""
     state: bool = False
-    """Condition on the state of movement: how much each hand and the trunk move, where the hands
-    are held, and when they move. It is measured in the recordings, and drawn in generation. Not in
-    the paper."""
+    """Condition on the state of movement: how much hands, trunk and head move, where the
+    hands are held, and when they move. It is measured in the recordings, and drawn in generation.
+    Not in the paper."""
     unpaired: UnpairedConfig | None = None
     """Unpaired motion; null for none."""
     moves_like: Path | None = None

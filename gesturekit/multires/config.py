@@ -274,9 +274,9 @@ class MultiresConfig(RunConfig):
     network: NetworkConfig = field(default_factory=NetworkConfig)
     """Generators and discriminators."""
     state: bool = False
-    """Condition every level on the state of movement: how much each hand and the trunk move, where
-    the hands are held, and when they move. It is measured in the recordings, and drawn in
-    generation and for random steps. The noise of level 1 then runs in the time of the hands'
+    """Condition every level on the state of movement: how much the hands, the trunk and the head
+    move, where the hands are held, and when they move. It is measured in the recordings, and drawn
+    in generation and for random steps. The noise of level 1 then runs in the time of the hands'
     movement, and finer levels get none. Not in the papers."""
     retrieval: bool = False
     """Play pieces of the recordings whose state is nearest to the drawn one, in place of the

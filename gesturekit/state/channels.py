@@ -41,8 +41,8 @@ _OF_HAND = ("movement", "height", "side", "forward", "width", "fast")
 class StateChannels:
     """The C channels of a rig.
 
-    - movement: slow part of the logarithm of the speed, m/s, relative to the root; of each hand and
-      of the trunk;
+    - movement: slow part of the logarithm of the speed, m/s, relative to the root; of each hand,
+      of the trunk and of the head;
     - height, side, forward: mean place of a hand above, outwards from and before the root, metres;
     - width: logarithm of the local standard deviation of the place, metres;
     - fast: logarithm of a hand's speed less its slow part;
@@ -56,20 +56,23 @@ class StateChannels:
         trunk: index of the joint that carries both arms; None without.
         shoulders: indices of the left and of the right shoulder, which tell where the body faces;
             empty where the arms are not known.
+        head: index of the head; None where it is not known or not modelled.
     """
 
     hands: tuple[tuple[int, ...], ...]
     trunk: int | None
     shoulders: tuple[int, ...] = ()
+    head: int | None = None
 
     @classmethod
     def find(cls, skeleton: Skeleton, joints: Sequence[str]) -> StateChannels:
         """Return the channels of a rig with these modelled joints."""
         whole = cls((tuple(range(len(joints))),), None)
         try:
-            arms = find_parts(skeleton).arms
+            body = find_parts(skeleton)
         except MotionError:
             return whole
+        arms = body.arms
         hands = []
         for side in SIDES:
             known = [name for name in (arms[side].wrist, arms[side].elbow) if name in joints]
@@ -80,7 +83,10 @@ class StateChannels:
         trunk = [j for j in above[0] & above[1] if j and skeleton.names[j] in joints]
         shoulders = tuple(joints.index(arms[side].shoulder) for side in SIDES)
         return cls(
-            tuple(hands), joints.index(skeleton.names[max(trunk)]) if trunk else None, shoulders
+            tuple(hands),
+            joints.index(skeleton.names[max(trunk)]) if trunk else None,
+            shoulders,
+            joints.index(body.head) if body.head in joints else None,
         )
 
     @property
@@ -89,7 +95,13 @@ class StateChannels:
         if len(self.hands) == 1:
             return "movement", "fast"
         names = [f"{side} {name}" for side in SIDES for name in _OF_HAND]
-        return (*names, "coupling", *(["trunk movement"] if self.trunk is not None else []))
+        return (*names, "coupling", *(f"{name} movement" for name, _ in self._others))
+
+    @property
+    def _others(self) -> list[tuple[str, int]]:
+        """Parts of the body of which only the movement is a channel, and their joints."""
+        parts = (("trunk", self.trunk), ("head", self.head))
+        return [(name, joint) for name, joint in parts if joint is not None]
 
     @property
     def n_carriers(self) -> int:
@@ -142,8 +154,8 @@ class StateChannels:
         if len(self.hands) == 2:
             left, right = (velocity[:, own[0], 1] for own in self.hands)
             rows.append(_coupling(left, right, fps))
-            if self.trunk is not None:
-                speed = (velocity[:, self.trunk].square().sum(dim=1) + _TINY).sqrt()
+            for _, joint in self._others:
+                speed = (velocity[:, joint].square().sum(dim=1) + _TINY).sqrt()
                 rows.append(_movement(speed, fps))
         return torch.stack(rows, dim=1)
 

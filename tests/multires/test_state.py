@@ -108,6 +108,18 @@ def test_the_trunk_is_the_joint_that_carries_both_arms(skeleton):
             assert not {*skeleton.descendants(skeleton.index(child))}.issuperset(shoulders)
 
 
+def test_a_head_that_moves_is_seen_where_there_is_one(skeleton):
+    """0.2 m/s to the side, relative to the root; the other joints are still."""
+    names = [name for name in skeleton.names if name != "Head"]
+    assert "head movement" not in StateChannels.find(skeleton, names).names
+    channels = StateChannels.find(skeleton, skeleton.names)
+    places = torch.zeros(1, skeleton.n_joints, 3, 500)
+    places[0, skeleton.index("Head"), 0] = 0.2 * torch.arange(500) / FPS
+    found = dict(zip(channels.names, channels(places, FPS)[0, :, 250].tolist(), strict=True))
+    assert found["head movement"] == pytest.approx(np.log(0.25), abs=1e-3)
+    assert found["trunk movement"] == pytest.approx(np.log(0.05), abs=1e-2)
+
+
 def test_levels_get_means_of_the_channels():
     values = np.array([[1.0, 2.0, 3.0, 4.0]])
     np.testing.assert_allclose(averaged(values, 2), [[1.5, 3.5]])
@@ -213,7 +225,7 @@ def test_noise_depends_on_the_time_alone(process):
 
 def test_noise_has_no_seam_between_its_blocks():
     """It is drawn in blocks of 256 points: 64 s within takes, 32 takes of 120 s between them."""
-    for process, border in ((replace(fitted(), between=np.zeros(10)), 64.0), (takes(1.0), 3840.0)):
+    for process, border in ((replace(fitted(), between=np.zeros(12)), 64.0), (takes(1.0), 3840.0)):
         noise = process.noise(7, np.arange(*(round(process.fps * (border + s)) for s in (-20, 20))))
         slow = noise[~HANDS.fast]
         steps = np.abs(np.diff(slow))
@@ -269,12 +281,12 @@ def test_scores_are_quantiles_of_the_recorded_values(process):
     assert (scores[:, 2] < -2).all() and np.isfinite(scores).all()
 
 
-@pytest.mark.parametrize("values", [np.zeros((12, 1)), np.zeros((12, 20)), np.eye(12)[:, :2]])
+@pytest.mark.parametrize("values", [np.zeros((14, 1)), np.zeros((14, 20)), np.eye(14)[:, :2]])
 def test_short_and_still_recordings_give_a_process_too(values):
     rows = [RecordedState(values, np.empty((0, values.shape[1])), t, (None, None)) for t in "ab"]
     process = StateProcess.fit(HANDS, rows, FPS, None)
     made = process.draw(1, np.empty((0, 30)))
-    assert made.shape == (12, 30) and np.isfinite(process.condition(1, made)).all()
+    assert made.shape == (14, 30) and np.isfinite(process.condition(1, made)).all()
     assert (process.between >= 0).all() and (process.between <= 1).all() and process.take > 0
 
 
@@ -421,9 +433,9 @@ def test_a_state_can_be_measured_changed_and_given(model, gesture, tmp_path):
     [
         (np.zeros((4, 2)), r"\(4, 2\)"),
         (np.zeros(4), r"\(4,\)"),
-        (np.zeros((0, 14)), r"\(0, 14\)"),
-        (np.full((4, 14), np.nan), "finite"),
-        (np.full((4, 14), "a"), "U1"),
+        (np.zeros((0, 15)), r"\(0, 14\)"),
+        (np.full((4, 15), np.nan), "finite"),
+        (np.full((4, 15), "a"), "U1"),
     ],
 )
 def test_a_state_that_does_not_fit_is_refused(model, state, says):
@@ -439,7 +451,7 @@ def test_an_array_of_objects_is_not_unpickled(model, tmp_path):
 
 def test_what_a_state_excludes_is_said(model, config, corpus, tmp_path):
     with pytest.raises(ModelError, match="liveliness"):
-        model.generate(seconds=1, state=np.zeros((9, 14)), liveliness=2.0)
+        model.generate(seconds=1, state=np.zeros((9, 15)), liveliness=2.0)
     with pytest.raises(ConfigError, match="state"):
         replace(config, state=False)
     alone = {"features": {"extractors": [{"kind": "effort"}]}}
