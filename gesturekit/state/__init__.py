@@ -17,8 +17,6 @@ __getattr__ = attach(
         "folds_of": "prediction",
         "given_state": "given",
         "load_state": "format",
-        "recorded_quantiles": "process",
-        "recorded_values": "process",
         "slow_inputs": "prediction",
         "state_tensors": "format",
         "state_values": "format",

@@ -174,7 +174,7 @@ class StateProcess:
         ends = np.cumsum([own.shape[1] for own in values])[:-1]
         parts = np.split(noise / np.maximum(noise.std(axis=1, keepdims=True), 1e-6), ends, axis=1)
         takes = len({own.take for own in recordings})
-        within, width = within_takes([own[~fast] for own in parts], fps)
+        within, width = _within_takes([own[~fast] for own in parts], fps)
         pooled = np.concatenate(values, axis=1)
         return cls(
             channels=channels,
@@ -186,7 +186,7 @@ class StateProcess:
             explained=explained,
             usual=usual,
             mixing=_mixing(np.concatenate(parts, axis=1), fast),
-            between=share_between_takes(within, takes),
+            between=_share_between_takes(within, takes),
             width=width,
             take=max(pooled.shape[1] / fps / takes, _STEP),
             kernel=_spectral_kernels([own[fast] for own in parts], fps),
@@ -282,7 +282,7 @@ class StateProcess:
             explained = explained * np.where(self.channels.fast[:, None], known, 1.0)
             scores = explained * means + np.sqrt(1 - explained**2) * scores
         quantiles = self.quantiles.get(group, self.quantiles[None, None])
-        quiet, loud = (recorded_values(scores, own) for own in quantiles)
+        quiet, loud = (_recorded_values(scores, own) for own in quantiles)
         values = _absolute(self.channels, quiet + voices * (loud - quiet))
         values[self.channels.movement] += math.log(liveliness)
         return values
@@ -510,17 +510,17 @@ def _scores(
     return result
 
 
-def recorded_quantiles(recorded: Sequence[np.ndarray]) -> np.ndarray:
+def _recorded_quantiles(recorded: Sequence[np.ndarray]) -> np.ndarray:
     """Return quantiles (C, Q) of recorded curves (C, T_k)."""
     return np.quantile(np.concatenate(recorded, axis=1), _SHARES, axis=1).T
 
 
-def recorded_values(scores: np.ndarray, quantiles: np.ndarray) -> np.ndarray:
+def _recorded_values(scores: np.ndarray, quantiles: np.ndarray) -> np.ndarray:
     """Return the recorded value of the same rank for each score, (C, T).
 
     Args:
         scores: (C, T).
-        quantiles: (C, Q) of the recordings, see `recorded_quantiles`.
+        quantiles: (C, Q) of the recordings, see `_recorded_quantiles`.
     """
     ranks = ndtr(scores)
     return np.stack([np.interp(*row) for row in zip(ranks, repeat(_SHARES), quantiles)])
@@ -543,7 +543,7 @@ def _quantiles(
         pooled = np.concatenate([values[k] for k in own], axis=1)
         loud = np.concatenate([voiced[k] for k in own], axis=1)
         rows = [
-            [recorded_quantiles([curve[part if part.any() else ~part][None]])[0] for part in parts]
+            [_recorded_quantiles([curve[part if part.any() else ~part][None]])[0] for part in parts]
             for curve, *parts in zip(pooled, ~loud, loud)
         ]
         result[group] = np.stack(rows, axis=1)
@@ -555,10 +555,10 @@ def _mixing(noise: np.ndarray, fast: np.ndarray) -> np.ndarray:
 
     Slow and fast channels are independent.
     """
-    return mixing_of((noise @ noise.T) / noise.shape[1] * (fast[:, None] == fast))
+    return _mixing_of((noise @ noise.T) / noise.shape[1] * (fast[:, None] == fast))
 
 
-def mixing_of(correlation: np.ndarray) -> np.ndarray:
+def _mixing_of(correlation: np.ndarray) -> np.ndarray:
     """Return the Cholesky factor (C, C) of a correlation, with its smallest variances raised."""
     values, vectors = np.linalg.eigh(correlation)
     correlation = (vectors * np.maximum(values, 1e-6)) @ vectors.T
@@ -566,13 +566,13 @@ def mixing_of(correlation: np.ndarray) -> np.ndarray:
     return np.linalg.cholesky(correlation / np.outer(scale, scale))
 
 
-def share_between_takes(within: np.ndarray, takes: int) -> np.ndarray:
+def _share_between_takes(within: np.ndarray, takes: int) -> np.ndarray:
     """Return the share (C,) of the variance between takes, given that within them, (C,)."""
     count = takes - 1
     return (count * (1 - within) + _PRIOR_TAKES * _BETWEEN_TAKES) / (count + _PRIOR_TAKES)
 
 
-def within_takes(scores: Sequence[np.ndarray], fps: float) -> tuple[np.ndarray, np.ndarray]:
+def _within_takes(scores: Sequence[np.ndarray], fps: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the share of the variance within takes, and its smoothness in seconds, both (C,).
 
     They are fitted to half the mean squared difference of frames of a recording, at lags up to half

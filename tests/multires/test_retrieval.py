@@ -186,10 +186,6 @@ def test_all_controls_move_fingers_and_the_face(state_model, speech):
         assert_played(made, slice(92, None))
 
 
-def test_recall_is_no_option_any_more(gesturekit):
-    gesturekit("render", "--model", "demo", "--seconds", 1, "--no-recall").fails(2, "--no-recall")
-
-
 @pytest.mark.parametrize(
     ("name", "change", "named"),
     [
