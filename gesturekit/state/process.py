@@ -553,13 +553,9 @@ def _quantiles(
 def _mixing(noise: np.ndarray, fast: np.ndarray) -> np.ndarray:
     """Return the Cholesky factor (C, C) of the correlation of noise (C, T) of unit variance.
 
-    Slow and fast channels are independent.
+    Slow and fast channels are independent. The smallest variances are raised.
     """
-    return _mixing_of((noise @ noise.T) / noise.shape[1] * (fast[:, None] == fast))
-
-
-def _mixing_of(correlation: np.ndarray) -> np.ndarray:
-    """Return the Cholesky factor (C, C) of a correlation, with its smallest variances raised."""
+    correlation = (noise @ noise.T) / noise.shape[1] * (fast[:, None] == fast)
     values, vectors = np.linalg.eigh(correlation)
     correlation = (vectors * np.maximum(values, 1e-6)) @ vectors.T
     scale = np.sqrt(np.diag(correlation))
