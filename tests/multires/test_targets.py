@@ -68,7 +68,6 @@ def test_styles_count_by_their_shares_and_not_with_a_single_motion(detail, alone
 
 
 FRAME = 0.04
-FLOORS = (1.0, 10.0)
 
 
 def talk(n_frames: int, loudness: float, seed: int):
@@ -78,7 +77,7 @@ def talk(n_frames: int, loudness: float, seed: int):
     noise = 0.1 * torch.randn(3, n_frames, generator=rng)
     speech = noise + loudness * torch.stack([phrases, -phrases, torch.zeros(n_frames)])
     speed = loudness * (1.0 + 1.6 * phrases)
-    return speech, log_movement(speed[None], 9.0 * speed[None], FRAME, FLOORS)[0]
+    return speech, log_movement(speed[None], 9.0 * speed[None], FRAME)[0]
 
 
 @pytest.mark.parametrize("width", [3, 100])
@@ -108,7 +107,7 @@ def test_movement_goes_with_speech_as_it_did_in_training_and_no_further():
 def test_log_movement_is_smoothed_over_a_tenth_of_a_second():
     rng = np.random.default_rng(0)
     speed, acceleration = 1 + rng.random((2, 1, 40))
-    made = log_movement(torch.from_numpy(speed), torch.from_numpy(acceleration), 0.05, (0.5, 2.0))
-    for own, found, floor in zip((speed, acceleration), made[0], (0.5, 2.0), strict=True):
+    made = log_movement(torch.from_numpy(speed), torch.from_numpy(acceleration), 0.05)
+    for own, found, floor in zip((speed, acceleration), made[0], (1.0, 10.0), strict=True):
         smooth = gaussian_filter1d(own[0], 2.0, truncate=3.0, mode="mirror")
         np.testing.assert_allclose(found, np.log(smooth + floor))
