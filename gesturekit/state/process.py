@@ -198,13 +198,14 @@ class StateProcess:
     def calibrated(self, wanted: np.ndarray, shown: np.ndarray) -> StateProcess:
         """Return the process of a network that was asked for `wanted` and shows `shown`, (C, T).
 
-        A network moves a little where it should rest, and holds its hands nearer to their mean than
-        asked. Asked for more, it shows what was wanted.
+        A network moves a little where it should rest. Asked for less, it shows what was wanted.
+        Only speeds are asked for so: a hand that is asked to move wider also moves faster.
         """
         asked, found = (np.quantile(rows, _RESPONSE, axis=1).T for rows in (wanted, shown))
         values, given = self.response
         more = [np.interp(*row) for row in zip(values, asked, asked - found)]
-        given = np.maximum.accumulate(given + _DAMPING * np.array(more), axis=1)
+        of_speed = (self.channels.movement | self.channels.fast)[:, None]
+        given = np.maximum.accumulate(given + _DAMPING * of_speed * np.array(more), axis=1)
         followed = [correlation(*rows) for rows in zip(wanted, shown)]
         return replace(
             self,
