@@ -285,8 +285,9 @@ class MultiresModel(TrainedModel):
         if speech := self.speech_rows():
             lines |= speech
             call = '"speech.wav"'
+        lines["Moved by"] = "recordings" if self.retrieves else "the network"
         if self.library is not None:
-            lines["Recorded motion"] = library_row(self.library)
+            lines["Moved by"] += f"; {library_row(self.library)}"
         if (process := self.state_process) is not None:
             lines["State of movement"] = ", ".join(process.channels.names)
             if process.wanted is not None:

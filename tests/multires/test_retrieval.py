@@ -8,7 +8,7 @@ import pytest
 import torch
 import yaml
 from runs import same_weights, weights
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 from small_runs import small_config
 from speakers import RATE, SETTINGS, assert_played, recording, voice
 
@@ -254,6 +254,17 @@ def test_retrieval_plays_recorded_frames(baseline, speech):
         assert recorded(made.rotations[:, joints], own if speaker is None else [speaker]) > 0.6
         assert_played(made)
     np.testing.assert_array_equal(*baseline.state_process.response)  # no network was calibrated
+
+
+def test_the_card_says_what_makes_the_motion(baseline, state_model, tmp_path):
+    for name, model, wanted in (("a", baseline, "recordings"), ("b", state_model, "the network")):
+        model.save(tmp_path / name)
+        card = (tmp_path / name / "README.md").read_text()
+        (row,) = (line for line in card.splitlines() if line.startswith("- **Moved by**"))
+        assert row.split(": ", 1)[1].startswith(wanted)
+    stored = load_file(tmp_path / "b" / "model.safetensors")
+    motion = [tensor for name, tensor in stored.items() if name.endswith(".motion")]
+    assert motion and not any(len(tensor) for tensor in motion), "no recorded body"
 
 
 def test_retrieval_takes_no_controls_of_levels_and_no_live_speech(baseline, speakers, tmp_path):

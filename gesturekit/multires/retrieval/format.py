@@ -25,14 +25,14 @@ def library_values(library: RecordedLibrary) -> dict[str, Any]:
 
 
 def library_row(library: RecordedLibrary) -> str:
-    """Return "30 joints and 50 face coefficients of 4.2 min of recordings, 1.2 MB"."""
+    """Return "30 joints and 50 face coefficients from 4 min of recordings, 1.2 MB of ..."."""
     passive = library.passive
     what = [counted(len(passive.joints), "joint")] if passive.joints else []
     what += [counted(passive.expressions, "face coefficient")] if passive.expressions else []
     size = sum(tensor.numel() for tensor in library_tensors(library).values()) * 4 / 1e6
     seconds = sum(own.state.shape[1] for own in library.recordings) / library.fps
     played = "the whole body" if library.is_whole else " and ".join(what)
-    return f"{played} of {roughly(seconds)} of recordings, {size:.1f} MB of model.safetensors"
+    return f"{played} from {roughly(seconds)} of recordings, {size:.1f} MB of model.safetensors"
 
 
 def library_tensors(library: RecordedLibrary) -> dict[str, Tensor]:
