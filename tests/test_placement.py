@@ -140,7 +140,7 @@ def test_a_body_in_place_neither_wanders_nor_turns_away(model, gesture):
         asked = {"like": walk, "seconds": 6.0, "foot_lock": lock}
         free, made = (model.generate(**asked, in_place=stays) for stays in (False, True))
         wanders, turned = zip(*map(extent, (free, made)), strict=True)
-        assert wanders[0] > 1.0 and wanders[1] < 0.2
+        assert wanders[0] > 1.0 and wanders[1] < 0.4
         assert turned[0] > 60 and turned[1] < 30
         arms = rotation_angles(local(free), local(made))
         assert arms.max() < 1e-6, "gestures do not change"
