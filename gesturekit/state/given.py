@@ -1,13 +1,34 @@
-"""A state of movement that is given in place of a drawn one."""
+"""Controls of the state of movement: one that is given in place of a drawn one, and checks."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from gesturekit.errors import FormatError, ModelError
 from gesturekit.state.process import StateProcess
+
+
+def check_drawn(controls: Mapping[str, object], process: StateProcess | None) -> None:
+    """Raise ModelError for controls of the state of movement that have no effect.
+
+    Args:
+        controls: of a request.
+        process: of the model; None for a model without a state of movement.
+    """
+    if controls["state"] is not None and process is None:
+        raise ModelError("state: this model was trained without the state of movement")
+    for name, unset in (("liveliness", 1), ("mood_seed", None)):
+        value = controls[name]
+        if value == unset:
+            continue
+        if process is None:
+            raise ModelError(f"{name}={value}: only models that draw how lively they are take it")
+        for other in ("like", "state"):
+            if controls[other] is not None:
+                raise ModelError(f"{name}={value}: {other} sets the movement; give one of them")
 
 
 def given_state(process: StateProcess, state: str | Path | np.ndarray, n_frames: int) -> np.ndarray:

@@ -89,21 +89,10 @@ def _known(model: TrainedModel, request: Request) -> np.ndarray | None:
     return measured(vectors, model.representation, process.channels, process.fps)
 
 
-def check_drawn(controls: DiffusionControls, model: TrainedModel) -> None:
-    """Raise ModelError for controls of the state of movement that have no effect."""
-    if controls["state"] is not None and model.state_process is None:
-        raise ModelError("state: this model was trained without the state of movement")
+def check_guidance(controls: DiffusionControls, model: TrainedModel) -> None:
+    """Raise ModelError for guidance on the state by a model that cannot leave it away."""
     if (gamma := controls["state_guidance"]) is not None and "state" not in model.droppable:
         raise ModelError(
             f"state_guidance={gamma:g}: this model was trained without dropout of the state "
             "(training.dropout_state above 0)"
         )
-    drawn = (("liveliness", controls["liveliness"], 1), ("mood_seed", controls["mood_seed"], None))
-    for name, value, unset in drawn:
-        if value == unset:
-            continue
-        if model.state_process is None:
-            raise ModelError(f"{name}={value}: only models that draw how lively they are take it")
-        for other in ("like", "state"):
-            if controls[other] is not None:
-                raise ModelError(f"{name}={value}: {other} sets the movement; give one of them")

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from gesturekit.diffusion.controls import DiffusionControls
-from gesturekit.diffusion.sampling.drawn_state import check_drawn
+from gesturekit.diffusion.sampling.drawn_state import check_guidance
 from gesturekit.diffusion.sampling.experts import clip_denoised
 from gesturekit.diffusion.sampling.product import ModelProduct, product_of
 from gesturekit.diffusion.sampling.request import Request, check_events
@@ -21,6 +21,7 @@ from gesturekit.errors import ModelError, MotionError
 from gesturekit.motion.motion import Motion
 from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.progress import Progress
+from gesturekit.state.given import check_drawn
 from gesturekit.training.seeds import rng_for
 
 
@@ -43,7 +44,8 @@ def check_controls(model: TrainedModel, controls: DiffusionControls, samples: in
         for name, value, unset in (("facing", facing, None), ("in_place", in_place, False)):
             if value != unset:
                 raise ModelError(f"{name}={value}: the model follows a path, which places the body")
-    check_drawn(controls, model)
+    check_drawn(controls, model.state_process)
+    check_guidance(controls, model)
     product = ModelProduct.build(model, controls)
     product.check_styles()
     if controls["events"] is not None:

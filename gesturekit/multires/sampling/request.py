@@ -22,7 +22,7 @@ from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.sampling.conditions import level_range, requested_styles
 from gesturekit.multires.sampling.trained_model import TrainedModel
 from gesturekit.postprocess import Placement
-from gesturekit.state.given import given_state
+from gesturekit.state.given import check_drawn, given_state
 from gesturekit.training.data.own_rig import pose_on_rig
 from gesturekit.training.seeds import rng_for
 
@@ -214,22 +214,12 @@ def check_controls(model: TrainedModel, controls: MultiresControls, samples: int
         level = controls[which]
         if level is not None and not 1 <= level <= levels:
             raise ModelError(f"{which}={level}: the model has levels 1 (coarse) to {levels}")
-    if controls["state"] is not None and model.state_process is None:
-        raise ModelError("state: this model was trained without the state of movement")
-    _check_drawn(controls, model)
+    check_drawn(controls, model.state_process)
+    _check_levels(controls, model)
 
 
-def _check_drawn(controls: MultiresControls, model: TrainedModel) -> None:
-    """Raise ModelError for controls of drawn movement, or of levels, that have no effect."""
-    drawn = (("liveliness", controls["liveliness"], 1), ("mood_seed", controls["mood_seed"], None))
-    for name, value, unset in drawn:
-        if value == unset:
-            continue
-        if model.state_process is None:
-            raise ModelError(f"{name}={value}: only models that draw how lively they are take it")
-        for other in ("like", "state"):
-            if controls[other] is not None:
-                raise ModelError(f"{name}={value}: {other} sets the movement; give one of them")
+def _check_levels(controls: MultiresControls, model: TrainedModel) -> None:
+    """Raise ModelError for controls of levels that a model without them does not take."""
     if model.retrieves:
         given = [name for name, value in controls.items() if name in _OF_LEVELS and value]
         if given:
