@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -14,8 +13,6 @@ from gesturekit.state.process import StateProcess
 
 SLIDING = 0.1
 """m/s on the reference body, the unit of `foot_sliding`."""
-_FAST_COUNTS = 4.0
-"""Weight of a fast channel of the state of movement, relative to a slow one."""
 
 
 def denoising_error(predicted: Tensor, target: Tensor) -> Tensor:
@@ -130,7 +127,7 @@ class StateDistance(nn.Module):
         self.channels, self.fps = process.channels, process.fps
         self.register_buffer("mean", normaliser.mean)
         self.register_buffer("scale", normaliser.scale)
-        weight = np.where(process.channels.fast, _FAST_COUNTS, 1.0) / process.scale
+        weight = process.channels.counts / process.scale
         self.register_buffer("weight", torch.from_numpy(weight).float()[:, None])
 
     def forward(self, predicted: Tensor, recorded: Tensor) -> Tensor:

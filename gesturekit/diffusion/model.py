@@ -260,8 +260,7 @@ def _arguments(parts: ModelParts, weights: WeightPlaces | None, device: str) -> 
         Skeleton.from_json(rig["skeleton"]), rig["motion"]
     )
     channels = StateChannels.find(representation.skeleton, representation.joints)
-    # Older models have no such entry.
-    known = None if config.get("state") is None else channels
+    known = None if config["state"] is None else channels
     conditions = Conditions.from_values(config, tensors, fps, weights, device, known)
     n_speech = conditions.columns["speech"].stop
     network_config = build(NetworkConfig, config["network"], where=where)
@@ -281,7 +280,7 @@ def _arguments(parts: ModelParts, weights: WeightPlaces | None, device: str) -> 
         "normaliser": normaliser,
         "noise_config": build(NoiseConfig, config["noise"], where=where),
         "network": network,
-        "state_process": load_state(config.get("state"), tensors, channels, fps, n_speech),
+        "state_process": load_state(config["state"], tensors, channels, fps, n_speech),
         "droppable": tuple(map(str, config["droppable"])),
         "window": int(config["window"]),
         "clip_denoised": bool(config["clip_denoised"]),

@@ -33,7 +33,7 @@ def noise(*keys: int | str, width: int = MOTION) -> torch.Tensor:
 
 
 def expert(seed: int, condition: int = 0, schedule: NoiseSchedule = SCHEDULE) -> Expert:
-    return Expert(network(seed), schedule, noise("told", condition, width=CONDITION))
+    return Expert(network(seed), schedule, noise("conditional", condition, width=CONDITION))
 
 
 @pytest.mark.parametrize("weights", [(0.5, 0.5, 0), (1.5, 0, -0.5), (-0.25, 1.0, 0.25)])

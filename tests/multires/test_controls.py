@@ -29,7 +29,7 @@ def body_of(model: gk.Model, motion: gk.Motion) -> np.ndarray:
 
 
 def test_levels_follow_a_speech_of_their_own(two_voices):
-    """With one state of movement, which follows the main speech too if it is drawn."""
+    """The state of movement is given, as a drawn one follows the main speech too."""
     model, (calm, lively) = gk.load("demo"), two_voices
     state = model.state_process.mean[None]
 

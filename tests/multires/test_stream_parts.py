@@ -147,7 +147,7 @@ def test_what_is_to_come_is_not_predicted(state_model):
 
 
 def test_what_was_drawn_for_a_frame_stays_though_more_becomes_known(state_model):
-    """What is to come changes with its prediction."""
+    """A prediction changes the movement to come."""
     fast, around = state_model.state_process.channels.fast, 40
     process = replace(state_model.state_process, explained=np.where(fast, 0.6, 0.0))
     own, windows, coming = LiveState(process, LiveChoice(seed=1), around), [], []

@@ -6,13 +6,12 @@ import contextlib
 import copy
 import dataclasses
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
 from gesturekit.diffusion.config import DiffusionConfig, TrainingConfig
@@ -39,6 +38,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified
 from gesturekit.motion.torch_kinematics import foot_kinematics
 from gesturekit.training.data.sources import describe_recordings, save_sources, unused_labels
+from gesturekit.training.data.start_model import widened
 from gesturekit.training.run.device import prepare_device
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.held_out import HeldOutMetrics
@@ -193,7 +193,10 @@ class Trainer:
             lambda: Denoiser(width, self.data.conditions.width, self.config.network),
         )
         if self.data.start:
-            network.load_state_dict(widened(self.data.start, network))
+            weights = widened(
+                self.data.start, network, lambda name: name.startswith("project_condition.")
+            )
+            network.load_state_dict(weights)
         return network
 
     def _contents(self) -> list[str]:
@@ -401,20 +404,6 @@ class Trainer:
             },
         )
         save_sources(self.folder.folder / "model", self.data.sources)
-
-
-def widened(weights: Mapping[str, Tensor], network: Denoiser) -> dict[str, Tensor]:
-    """Return the weights of a model to start from, in the shapes of a network.
-
-    Where the network has a state of movement and the model has none, its columns are zeros, so that
-    training begins with the model's predictions.
-    """
-    result = dict(weights)
-    for name, own in network.state_dict().items():
-        if name.startswith("project_condition."):
-            known = weights.get(name, own[..., :0] if own.ndim > 1 else own * 0)
-            result[name] = F.pad(known, (0, own.shape[-1] - known.shape[-1]))
-    return result
 
 
 class Monitor:

@@ -122,26 +122,29 @@ class RecordedLibrary:
     @cached_property
     def starts(self) -> np.ndarray:
         """(S,) the frames at which a piece can begin, numbered across all recordings."""
-        lengths = [own.state.shape[1] for own in self.recordings]
-        first = np.cumsum([0, *lengths])
-        return np.concatenate(
-            [
-                a + np.arange(max(0, n - self.piece + 1))
-                for a, n in zip(first, lengths, strict=False)
-            ]
-        )
+        first = np.cumsum([0, *(own.state.shape[1] for own in self.recordings)])
+        pairs = zip(first, self._usable, strict=False)
+        return np.concatenate([a + np.arange(n) for a, n in pairs])
 
     @cached_property
     def recording_of(self) -> np.ndarray:
         """(S,) the recording of each of the `starts`."""
-        usable = [max(0, own.state.shape[1] - self.piece + 1) for own in self.recordings]
-        return np.repeat(np.arange(len(usable)), usable)
+        return np.repeat(np.arange(len(self.recordings)), self._usable)
+
+    @property
+    def _usable(self) -> list[int]:
+        """Number of the frames of each recording at which a piece can begin."""
+        return [max(0, own.state.shape[1] - self.piece + 1) for own in self.recordings]
+
+    @cached_property
+    def _pooled(self) -> np.ndarray:
+        """(C + 1, N): the states of all recordings, one after another."""
+        return np.concatenate([own.state.numpy() for own in self.recordings], axis=1)
 
     @cached_property
     def states(self) -> np.ndarray:
         """(S, (C + 1) P) float32: the state over the piece at each of the `starts`."""
-        pooled = np.concatenate([own.state.numpy() for own in self.recordings], axis=1)
-        total = np.cumsum(np.pad(self._in_deviations(pooled), ((0, 0), (1, 0))), axis=1)
+        total = np.cumsum(np.pad(self._in_deviations(self._pooled), ((0, 0), (1, 0))), axis=1)
         edges = self._edges
         means = [
             (total[:, self.starts + b] - total[:, self.starts + a]) / (b - a)
@@ -156,7 +159,7 @@ class RecordedLibrary:
     @cached_property
     def _usual(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean and standard deviation of the states, (C + 1, 1)."""
-        pooled = np.concatenate([own.state.numpy() for own in self.recordings], axis=1)
+        pooled = self._pooled
         return pooled.mean(axis=1, keepdims=True), np.maximum(pooled.std(axis=1), 1e-3)[:, None]
 
     def _in_deviations(self, state: np.ndarray) -> np.ndarray:

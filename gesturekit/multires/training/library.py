@@ -14,7 +14,7 @@ _MOST_SECONDS, _MOST_PASSIVE_SECONDS = 1200.0, 300.0
 """Seconds of recorded motion in a model: whole bodies, or fingers and faces. Of more, the same
 share of each recording is kept."""
 _LEAST_SECONDS = 4.0
-"""Of each recording, so that pieces can be taken from it."""
+"""Seconds of each recording that are kept at least: the length of a piece."""
 
 
 def build_library(

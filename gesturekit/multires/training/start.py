@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
-
-import torch.nn.functional as F
-from torch import Tensor
 
 import audio_features as af
 from gesturekit.errors import ConfigError
@@ -14,7 +11,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.multires.config import MultiresConfig, NetworkConfig
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.generator import MultiresGenerator, modulated_blocks
+from gesturekit.multires.network.generator import modulated_blocks
 from gesturekit.training.config import to_dict
 from gesturekit.training.data.features import conditioner_values, feature_values
 from gesturekit.training.data.start_model import (
@@ -63,20 +60,6 @@ def load_start(config: MultiresConfig, extractor: af.Extractor | None) -> Multir
         known, wanted = {"state": conditions.state is not None}, {"state": config.state}
         check_settings("start_from", folder, known, wanted)
     return start
-
-
-def widened(weights: Mapping[str, Tensor], network: MultiresGenerator) -> dict[str, Tensor]:
-    """Return the weights of a model to start from, in the shapes of a network.
-
-    Where the network has a state of movement and the model has none, its columns are zeros, so that
-    training begins with the model's output.
-    """
-    result = dict(weights)
-    for name, own in network.state_dict().items():
-        if name.endswith("embed.weight"):
-            missing = own.shape[1] - weights[name].shape[1]
-            result[name] = F.pad(weights[name], (0, 0, 0, missing))
-    return result
 
 
 def _known_settings(start: MultiresModel) -> dict[str, Any]:

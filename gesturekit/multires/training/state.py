@@ -28,9 +28,6 @@ from gesturekit.training.seeds import rng_for
 
 _LEAST_FRAMES = 4
 """Frames of a recording at a level from which its state is measured there."""
-_FAST_COUNTS = 4.0
-"""Weight of a fast channel in the loss, relative to a slow one. Fixed; without it the two or three
-fast channels are lost among the slow ones, which are easier to obey."""
 _RECORDED, _LIVELINESS = 0.5, 0.3
 """Share of recorded states in random steps, and the most that is added to or taken from their
 movement, see `TrainingState.random`."""
@@ -206,7 +203,7 @@ class StateTarget(nn.Module):
             given = shown = [torch.zeros(len(self.channels.names), _LEAST_FRAMES)]
         self.register_buffer("line", torch.from_numpy(_lines(given, shown)).float()[..., None])
         slope, _, size = self.line
-        counts = torch.where(torch.from_numpy(self.channels.fast), _FAST_COUNTS, 1.0)[:, None]
+        counts = torch.from_numpy(self.channels.counts).float()[:, None]
         together = torch.cat(given, dim=1)
         explained = (slope * together.std(dim=1, keepdim=True) / size).square().clamp(max=1.0)
         self.register_buffer("weight", counts * explained / size)

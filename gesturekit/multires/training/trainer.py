@@ -31,11 +31,11 @@ from gesturekit.multires.training.library import build_library
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.training.stage import Stage
-from gesturekit.multires.training.start import widened
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.multires.training.targets import MOST_WINDOWS
 from gesturekit.state.ahead import AheadPrediction
 from gesturekit.training.data.sources import describe_recordings, save_sources, unused_labels
+from gesturekit.training.data.start_model import widened
 from gesturekit.training.recordings import load_recordings, training_items
 from gesturekit.training.run.device import prepare_device
 from gesturekit.training.run.folder import Run
@@ -148,7 +148,10 @@ class Trainer:
             ),
         )
         if self.data.start:
-            self.network.load_state_dict(widened(self.data.start, self.network))
+            weights = widened(
+                self.data.start, self.network, lambda name: name.endswith("embed.weight")
+            )
+            self.network.load_state_dict(weights)
         self.network.to(device)
         watched = config.eval_every and processes.is_first
         convolve = choose_backend(config.backend, self.network).convolve

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from torch import Tensor
+import torch
+from torch import Tensor, nn
 
 from gesturekit.corpus.checks import first_difference
 from gesturekit.errors import ConfigError
@@ -19,6 +20,28 @@ def model_of(folder: Path) -> Path:
     """Return a model folder, given itself or its run folder."""
     inside = folder / "model"
     return inside if (inside / "config.yaml").is_file() else folder
+
+
+def widened(
+    weights: Mapping[str, Tensor], network: nn.Module, has_inputs: Callable[[str], bool]
+) -> dict[str, Tensor]:
+    """Return the weights of a model to start from, in the shapes of a network.
+
+    Where the network has more inputs than the model, their weights are zeros, so that training
+    begins with the model's output.
+
+    Args:
+        weights: of the model, by name.
+        network: to be trained.
+        has_inputs: whether the weights of this name have a column for each input.
+    """
+    result = dict(weights)
+    for name, own in network.state_dict().items():
+        if has_inputs(name):
+            result[name] = torch.zeros_like(own)
+            if (known := weights.get(name)) is not None:
+                result[name][tuple(map(slice, known.shape))] = known
+    return result
 
 
 def check_settings(
