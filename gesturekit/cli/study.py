@@ -82,8 +82,17 @@ def build(config: Path, overrides: tuple[str, ...], out: Path, show: bool, exist
     help="Expected share of preferences that are clear rather than slight.",
 )  # fmt: skip
 @click.option(
-    "--agreement", type=float, default=0.05, show_default=True,
-    help="Expected intraclass correlation of a rater's answers.",
+    "--rater-share", type=float, default=0.05, show_default=True,
+    help="Expected share of raters in the variance of answers (intraclass correlation).",
+)  # fmt: skip
+@click.option(
+    "--clip-share", type=float, default=0.1, show_default=True,
+    help="Expected share of clips in it: measured on 18,000 ratings of a challenge, 0.1 for "
+    "human-likeness and 0.17 for appropriateness.",
+)  # fmt: skip
+@click.option(
+    "--clips", type=click.IntRange(min=2), default=36, show_default=True,
+    help="Speech segments of the study.",
 )  # fmt: skip
 @click.option(
     "--systems", type=click.IntRange(min=2), default=2, show_default=True,
@@ -93,28 +102,35 @@ def build(config: Path, overrides: tuple[str, ...], out: Path, show: bool, exist
     "--power", type=float, default=0.8, show_default=True, help="Statistical power to reach."
 )
 def power(
-    win_rate: float, ties: float, clear: float, agreement: float, systems: int, power: float
+    win_rate: float,
+    ties: float,
+    clear: float,
+    rater_share: float,
+    clip_share: float,
+    clips: int,
+    systems: int,
+    power: float,
 ) -> None:
     """Print how many raters and comparisons are needed to detect a difference by `study
     analyse`."""
-    from gesturekit.study.analysis.significance import Expected, raters_needed
+    from gesturekit.study.analysis.significance import Design, Expected, raters_needed
 
-    expected = Expected(win_rate, ties, clear, agreement)
+    expected = Expected(win_rate, ties, clear, rater_share, clip_share)
     pairs = systems * (systems - 1) // 2
     click.echo(
         f"To find a win rate of {win_rate:.0%} with {ties:.0%} ties at p < .05 with a power of "
         f"{power:.0%}\n({counted(systems, 'system')}, {counted(pairs, 'pair')} of systems, "
-        f"Holm's method, agreement {agreement:g}):\n"
+        f"Holm's method; {counted(clips, 'segment')}; shares of raters {rater_share:g} and of clips "
+        f"{clip_share:g}):\n"
     )
     click.echo("comparisons a rater   of each pair   raters   answers in all")
-    for answers in (1, 2, 3, 6, 12, 24):
-        raters = raters_needed(expected, answers, pairs, power)
+    for answers in (n for n in (1, 2, 3, 6, 12, 24) if n <= clips):
+        raters = raters_needed(expected, Design(answers, clips, pairs), power)
         total = f"{raters * answers * pairs:,}" if raters else "-"
         click.echo(f"{answers * pairs:>19}   {answers:>12}   {raters or '-':>6}   {total:>14}")
     click.echo(
-        "\nRaters are those who pass the attention checks: recruit about 10 % more. "
-        "Use at least as\nmany segments as comparisons per rater; the result holds for segments "
-        "like these."
+        "\nRaters are those who pass the attention checks: recruit about 10 % more. Where no number "
+        "of\nraters is enough (-), take more segments."
     )
 
 
@@ -149,7 +165,7 @@ def power(
     type=click.IntRange(min=1, max=1_000_000),
     default=10_000,
     show_default=True,
-    help="Rounds of the bootstrap over raters.",
+    help="Rounds of the bootstrap over raters and clips.",
 )
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the bootstrap.")
 @existing_option("refuse")

@@ -29,8 +29,8 @@ def write(path: Path, answers: list[Answer], failed: dict[str, int]) -> Path:
     return path
 
 
-def test_a_study_is_analysed_into_words_figures_and_a_page(simulate, answers_of, tmp_path, run):
-    answers = answers_of(simulate([1.0, 0.0, -1.0], raters=20, answers=12))
+def test_a_study_is_analysed_into_words_figures_and_a_page(simulate, tmp_path, run):
+    answers = simulate([1.0, 0.0, -1.0], raters=20, answers=12)
     names = {"a": "ours", "b": "base é <script>alert(1)</script>", "c": "third"}
     answers = [Answer(a.user, a.clip, names[a.left], names[a.right], a.score) for a in answers]
     path = write(tmp_path / "all answers.csv", answers, {"r00007": 1})
@@ -55,8 +55,8 @@ def test_a_study_is_analysed_into_words_figures_and_a_page(simulate, answers_of,
     assert code == 0 and "20 raters" in out and re.search(r"\b0 raters", out)
 
 
-def test_rounds_and_the_seed_of_the_intervals_are_chosen(simulate, answers_of, tmp_path, run):
-    path = write(tmp_path / "a.csv", answers_of(simulate([0.5, 0.0], raters=5, answers=4)), {})
+def test_rounds_and_the_seed_of_the_intervals_are_chosen(simulate, tmp_path, run):
+    path = write(tmp_path / "a.csv", simulate([0.5, 0.0], raters=5, answers=4), {})
     figures, intervals = tmp_path / "figures.json", []
     for options in (("--rounds", 30), ("--rounds", 31), ("--rounds", 30, "--seed", 1)):
         code, _, _ = run("analyse", path, "--json", figures, *options, "--existing", "replace")
@@ -72,6 +72,7 @@ def test_rounds_and_the_seed_of_the_intervals_are_chosen(simulate, answers_of, t
         (("build", "absent.yaml"), "absent.yaml"),
         (("power", "--win-rate", "0.4"), "0.4"),
         (("power", "--ties", "1"), "ties"),
+        (("power", "--clip-share", "0.96"), "0.96"),
     ],
 )
 def test_nonsense_is_named_with_code_2(tmp_path, run, arguments, named, monkeypatch):
@@ -96,6 +97,8 @@ def test_the_size_of_a_study_is_printed(run):
     rows = [[int(cell) for cell in line] for line in lines if line and "".join(line).isdigit()]
     assert len(rows) > 2 and "3 systems" in out and "3 pairs" in out
     assert "10 pairs" in run("power", "--systems", 5).out
+    few = run("power", "--clips", 4, "--clip-share", 0.17).out
+    assert "4 segments" in few and re.search(r"\b3 +-", few), "no number of raters is enough"
     needed = [row[2] for row in rows]
     assert needed == sorted(needed, reverse=True)
     for a_rater, of_a_pair, raters, in_all in rows:

@@ -7,6 +7,7 @@ import pytest
 import statsmodels.api as sm
 from scipy import stats
 from statsmodels.stats.proportion import proportion_confint
+from statsmodels.stats.sandwich_covariance import cov_cluster_2groups
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import Answer, Answers
@@ -18,15 +19,11 @@ from gesturekit.study.analysis.preference import (
     fit_strengths,
     weighted_wins,
 )
-from gesturekit.study.analysis.significance import Expected, power_of, rater_test, two_proportions
-
-
-def expect(win_rate=0.6, ties=0.2, clear=0.4, agreement=0.05) -> Expected:
-    return Expected(win_rate, ties, clear, agreement)
+from gesturekit.study.analysis.significance import Design, Expected, mean_test, power_of, share
 
 
 def test_bradley_terry_equals_a_logistic_regression_of_statsmodels(simulate):
-    wins = weighted_wins(simulate([0.5, 0.1, -0.2, -0.4])).sum(axis=0)
+    wins = weighted_wins(Votes.of(simulate([0.5, 0.1, -0.2, -0.4])).counts)
     strengths = fit_strengths(wins)
     pairs = list(itertools.permutations(range(4), 2))
     design = np.zeros((len(pairs), 3))  # the last system is the reference
@@ -44,8 +41,8 @@ def test_bradley_terry_equals_a_logistic_regression_of_statsmodels(simulate):
     assert np.diff(elo(ten_to_one))[0] == pytest.approx(-400, abs=0.01)
 
 
-def test_anova_and_tukey_equal_those_of_scipy(simulate, answers_of):
-    answers = answers_of(simulate([0.3, 0.0, -0.2]))
+def test_anova_and_tukey_equal_those_of_scipy(simulate):
+    answers = simulate([0.3, 0.0, -0.2])
     found = analyse_preference(answers, rounds=10, seed=0)
     scores = {name: [] for name in "abc"}
     for answer in answers:
@@ -60,23 +57,71 @@ def test_anova_and_tukey_equal_those_of_scipy(simulate, answers_of):
     assert {(p.a, p.b): p.p_tukey for p in found.pairs}["a", "b"] == found.anova.tukey[0, 1]
 
 
-def test_the_raters_test_by_hand_leaves_out_raters_without_answers():
-    # Means 3/2, -1 and 2/4: t = (1/3) / sqrt(19/36) = 0.458831; with 2 degrees of freedom
-    # p = 1 - t / sqrt(2 + t²).
-    found = rater_test(np.array([3.0, 0.0, -1.0, 2.0]), np.array([2, 0, 1, 4]))
-    assert found == pytest.approx(0.691394, abs=1e-6)
-    # Two raters: t = 0.5 / 0.5 = 1, and with 1 degree of freedom p = 1 - 2 atan(1) / π.
-    assert rater_test(np.array([1.0, 0.0]), np.array([1, 1])) == pytest.approx(0.5)
-    assert np.isnan(rater_test(np.array([2.0, 0.0]), np.array([1, 0]))), "a single rater"
-    # All agree: the sign test, or no preference at all.
-    assert rater_test(np.array([-2.0, -4.0, -2.0]), np.array([1, 2, 1])) == 2 * 0.5**3
-    assert rater_test(np.zeros(3), np.ones(3)) == 1
+def answered(raters: str, clips: str, scores: list[int]) -> tuple[np.ndarray, ...]:
+    """Return scores, raters and clips as the tests take them."""
+    units = (np.unique(list(names), return_inverse=True)[1] for names in (raters, clips))
+    return np.array(scores), *units
 
 
-# Two raters: a draw of the raters is u alone, v alone, or both, a quarter of all draws or more, so
-# that intervals reach from the figure of the one to that of the other.
-TWO = [Answer("u", str(k), "a", "b", score) for k, score in enumerate((2, -1))]
-TWO += [Answer("v", str(k), "b", "a", score) for k, score in enumerate((-1, 2, 2, 0, 0))]
+def test_means_are_tested_over_raters_and_clips_as_in_statsmodels():
+    rng = np.random.default_rng(0)
+    rater, clip = np.repeat(np.arange(14), 9), np.tile(np.arange(9), 14)
+    for shift, group in ((0.4, None), (0.0, (rater < 7) & (clip < 5))):
+        noise = rng.standard_normal(14)[rater] + rng.standard_normal(9)[clip]
+        scores = np.rint(shift + noise + rng.standard_normal(126))
+        design = np.ones((126, 1)) if group is None else np.c_[np.ones(126), group]
+        fit = sm.OLS(scores, design).fit()
+        both, *single = (c[-1, -1] for c in cov_cluster_2groups(fit, rater, clip))
+        assert both > max(single), "raters and clips both matter here"
+        p = mean_test(scores, rater, clip, group)
+        t = abs(fit.params[-1]) / both**0.5
+        # Between Student's t with fewer degrees of freedom than clips, and the normal law.
+        assert 2 * stats.norm.sf(t) < p < 2 * stats.t.sf(t, 7)
+
+
+def test_means_of_few_answers_by_hand():
+    # One clip: mean 1/2 of u (2, 1) and v (-1, 0); sums of deviations are 2 and -2, so that the
+    # variance is 2 · (2² + 2²) / 4² = 1, t = 1/2, and with 1 degree of freedom 1 - 2 atan(t) / π.
+    one_clip = mean_test(*answered("uuvv", "cccc", [2, 1, -1, 0]))
+    assert one_clip == pytest.approx(1 - 2 * np.arctan(0.5) / np.pi)
+    assert np.isnan(mean_test(*answered("uu", "cd", [1, 2]))), "a single rater"
+    # All agree: the sign test over raters or clips, whichever are fewer, or no preference at all.
+    assert mean_test(*answered("uvwxuvwx", "ccccdddd", [2] * 8)) == 2 * 0.5**2
+    assert mean_test(*answered("uvw", "cde", [-1] * 3)) == 2 * 0.5**3
+    assert mean_test(*answered("uvw", "cde", [0] * 3)) == 1
+
+
+def test_equal_systems_rarely_differ_and_intervals_hold_the_truth():
+    """Clips and raters that differ: tests that take answers as independent fail here."""
+    rng = np.random.default_rng(0)
+    rater, clip = np.repeat(np.arange(30), 12), np.tile(np.arange(12), 30)
+    found, held, naive = [], [], []
+    for _ in range(400):
+        noise = 0.4 * rng.standard_normal(30)[rater] + 0.4 * rng.standard_normal(12)[clip]
+        scores = np.clip(np.rint(noise + rng.standard_normal(360)), -2, 2)
+        found.append(mean_test(scores, rater, clip) < 0.05)
+        interval = share(scores, rater, clip)
+        held.append(interval.low <= 0.5 <= interval.high)
+        naive.append(stats.ttest_1samp(scores, 0).pvalue < 0.05)
+    assert 0.02 < np.mean(found) < 0.09 and 0.91 < np.mean(held) < 0.98 and np.mean(naive) > 0.2
+
+
+def test_shares_are_wilsons_with_the_independent_answers():
+    every = np.arange(20)
+    scores = np.where(every < 13, 1, -2)
+    wins = share(scores, every, every)  # rater and clip of its own: all answers are independent
+    # p (1 - p) n / (n - 1) is the variance, and t replaces the normal quantile.
+    n = 19 * (stats.norm.ppf(0.975) / stats.t.ppf(0.975, 19)) ** 2
+    assert (wins.low, wins.high) == pytest.approx(proportion_confint(0.65 * n, n, method="wilson"))
+    assert wins.value == 0.65 and share(np.r_[scores, 0], *[np.r_[every, 20]] * 2).value == 0.65
+    always = share(*answered("uvwuvw", "cccddd", [1] * 6))  # two clips alone are independent
+    assert (always.low, always.high) == pytest.approx(proportion_confint(2, 2, method="wilson"))
+
+
+# Two raters on one clip: a draw of the raters is u alone, v alone, or both, a quarter of all draws
+# or more, so that intervals reach from the figure of the one to that of the other.
+TWO = [Answer("u", "c", "a", "b", score) for score in (2, -1)]
+TWO += [Answer("v", "c", "b", "a", score) for score in (-1, 2, 2, 0, 0)]
 
 
 def test_scores_of_two_raters_by_hand():
@@ -96,11 +141,10 @@ def test_scores_of_two_raters_by_hand():
     assert list(1000 - points[[0, 2, 1]]) == figures(other.elo)
     (pair,) = found.pairs
     assert (pair.a, pair.b, pair.counts, pair.n, pair.raters) == ("b", "a", (2, 1, 2, 1, 1), 7, 2)
-    assert [pair.win_rate.low, pair.win_rate.high] == pytest.approx(
-        proportion_confint(3, 5, method="wilson")
-    )
-    # Means of b: u (1 - 2) / 2, v (2 + 2 - 1) / 5.
-    assert pair.p == pair.p_holm == pytest.approx(stats.ttest_1samp([-1 / 2, 3 / 5], 0).pvalue)
+    assert pair.win_rate.value == 3 / 5 and pair.mean == pytest.approx(2 / 7)
+    # Sums of deviations from the mean are -1 - 4/7 and 3 - 10/7: 11/7 each, over 7 answers.
+    t = (2 / 7) / (2 * 11 / 49)
+    assert pair.p == pair.p_holm == pytest.approx(1 - 2 * np.arctan(t) / np.pi)
     assert not found.not_compared and not found.separate and found.bounded
 
 
@@ -113,7 +157,7 @@ def test_alignment_of_two_raters_by_hand():
     score = (found.score.value, found.score.low, found.score.high)
     assert score == pytest.approx((4 / 10, 2 / 7, 2 / 3))
     assert found.win_rate.value == 2 / 5
-    assert found.p == found.p_holm == pytest.approx(stats.ttest_1samp([1 / 2, -3 / 5], 0).pvalue)
+    assert found.p == found.p_holm == pytest.approx(1 - 2 * np.arctan(7 / 11) / np.pi)
 
 
 def test_columns_taken_for_raters_and_systems_are_refused():
@@ -122,24 +166,8 @@ def test_columns_taken_for_raters_and_systems_are_refused():
         Votes.of(answers)
 
 
-def test_barnard_equals_the_largest_probability_over_the_common_rate():
-    a, b = (9, 3), (4, 8)
-    n, m = sum(a), sum(b)
-    x, y = np.meshgrid(np.arange(n + 1), np.arange(m + 1), indexing="ij")
-    pooled = (x + y) / (n + m)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        z = np.nan_to_num((x / n - y / m) / np.sqrt(pooled * (1 - pooled) * (1 / n + 1 / m)))
-    extreme = np.abs(z) >= np.abs(z[a[0], b[0]]) - 1e-9
-    rates = np.linspace(0.001, 0.999, 2001)[:, None, None]
-    p = stats.binom.pmf(x, n, rates) * stats.binom.pmf(y, m, rates)
-    assert two_proportions(a, b) == pytest.approx((p * extreme).sum(axis=(1, 2)).max(), rel=1e-3)
-    assert np.isnan(two_proportions((0, 0), (3, 4)))
-    assert two_proportions((1, 0), (0, 1)) == pytest.approx(0.5), "one answer each"
-
-
-def test_forty_raters_find_the_known_order(simulate, answers_of):
-    votes = simulate([0.6, 0.0, -0.6])
-    found = analyse_preference(answers_of(votes), rounds=100, seed=0)
+def test_forty_raters_find_the_known_order(simulate):
+    found = analyse_preference(simulate([0.6, 0.0, -0.6]), rounds=100, seed=0)
     assert [system.name for system in found.systems] == ["a", "b", "c"]
     assert {(p.a, p.b) for p in found.pairs} == {("a", "b"), ("a", "c"), ("b", "c")}
     assert all(p.p_holm < 0.01 and p.p_tukey < 0.01 for p in found.pairs)
@@ -166,11 +194,20 @@ def test_a_system_that_always_wins_has_finite_figures_and_is_marked():
 
 
 def test_the_power_is_that_of_simulated_studies():
-    expected = expect(win_rate=0.65, ties=0.2, clear=0.4, agreement=0.0)
-    raters = raters_needed(expected, answers=3)
-    assert power_of(expected, raters, 3) >= 0.8 > power_of(expected, raters - 1, 3)
-    shares = np.array([0.65 * 0.4, 0.65 * 0.6, 0.35 * 0.6, 0.35 * 0.4]) * 0.8
+    expected = Expected(0.65, ties=0.2, clear=0.4, rater_share=0.05, clip_share=0.1)
+    design = Design(answers=6, clips=24)
+    raters = raters_needed(expected, design)
+    assert power_of(expected, raters, design) >= 0.8 > power_of(expected, raters - 1, design)
     rng = np.random.default_rng(0)
-    scores = rng.choice([2, 1, -1, -2, 0], p=[*shares, 0.2], size=(2000, raters, 3)).mean(axis=2)
-    p = stats.ttest_1samp(scores, 0, axis=1).pvalue
-    assert (p < 0.05).mean() == pytest.approx(0.8, abs=0.04)
+    # Normal scores with this mean and variance: .8 · .3 · 1.4 and .8 · 2.2 less its square.
+    sd = (0.8 * 2.2 - 0.336**2) ** 0.5
+    found = []
+    for _ in range(600):
+        rater = np.repeat(np.arange(raters), 6)
+        clip = np.concatenate([rng.permutation(24)[:6] for _ in range(raters)])
+        noise = np.sqrt(0.05) * rng.standard_normal(raters)[rater]
+        noise += np.sqrt(0.1) * rng.standard_normal(24)[clip]
+        noise += np.sqrt(0.85) * rng.standard_normal(len(rater))
+        found.append(mean_test(0.336 + sd * noise, rater, clip) < 0.05)
+    assert np.mean(found) == pytest.approx(0.8, abs=0.08)
+    assert raters_needed(expected, Design(answers=1, clips=3)) is None, "three clips say too little"

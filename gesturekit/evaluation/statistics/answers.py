@@ -4,15 +4,16 @@ One line an answer, with the columns `user, input_code, model_a, model_b, winner
 juiceOptions, juiceOtherReason` (github.com/genea-workshop/leaderboard-statistical-analysis).
 `model_a` was shown on the left. A system whose name ends in `_Mismatched` is that system's motion
 of other speech. Our pages add further columns: `checks` and `checks_failed` count the attention
-checks of the rater, `style` names the style that was asked for. In tables made by hand,
-`winner` may also be the name of one of the two models, and a tie may be called equal, both or
-draw.
+checks of the rater, `style` names the style that was asked for, `seconds` is the time taken. In
+tables made by hand, `winner` may also be the name of one of the two models, and a tie may be called
+equal, both or draw.
 """
 
 from __future__ import annotations
 
 import csv
 import json
+import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -53,6 +54,7 @@ class Answer:
         score: 2 left clearly better, 1 slightly better, 0 equal, -1 and -2 right.
         reasons: GENEA's codes of reasons (`juiceOptions`).
         style: the style that was asked for; "" in other designs.
+        seconds: time that the rater took, None if the file does not say it.
     """
 
     user: str
@@ -62,6 +64,7 @@ class Answer:
     score: int
     reasons: tuple[str, ...] = ()
     style: str = ""
+    seconds: float | None = None
 
     @property
     def matched(self) -> str | None:
@@ -268,7 +271,18 @@ def _answer(row: dict[str, str], where: str) -> Answer:
         score=side * (2 if strong in _STRONG else 1),
         reasons=_reasons(row.get("juiceOptions", "")),
         style=row.get("style", ""),
+        seconds=_seconds(row.get("seconds", ""), where),
     )
+
+
+def _seconds(text: str, where: str) -> float | None:
+    try:
+        value = float(text) if text else None
+    except ValueError:
+        value = math.nan
+    if value is not None and not 0.0 <= value < math.inf:
+        raise EvaluationError(f"{where}: seconds is {printable(text)!r}; expected a time")
+    return value
 
 
 def _reasons(text: str) -> tuple[str, ...]:

@@ -16,12 +16,10 @@ from gesturekit.evaluation.statistics.answers import MISMATCHED, Answer
 from gesturekit.evaluation.statistics.intervals import holm
 from gesturekit.study.analysis.significance import (
     Estimate,
-    rater_means,
-    rater_test,
-    two_proportions,
-    wilson,
+    mean_test,
+    share,
 )
-from gesturekit.study.analysis.votes import Votes, interval
+from gesturekit.study.analysis.votes import Votes
 
 
 @dataclass(frozen=True)
@@ -32,10 +30,11 @@ class AlignmentScore:
         name: the system.
         counts: matched clearly better, slightly, equal, mismatched slightly, clearly.
         raters: raters who judged it.
-        score: alignment score, 0 to 1; interval by bootstrap over raters.
-        win_rate: share of preferences for the matched motion, ties excluded; Wilson interval.
-        mean: mean of the raters' mean scores, 2 to -2; below 0 if raters prefer other speech.
-        p: t-test of the raters' mean scores against chance; `p_holm` for all systems.
+        score: alignment score, 0 to 1; interval by bootstrap over raters and clips.
+        win_rate: share of preferences for the matched motion, ties excluded; interval over raters
+            and clips.
+        mean: mean score, 2 to -2; below 0 if raters prefer other speech.
+        p: test of the mean over raters and clips; `p_holm` for all systems.
     """
 
     name: str
@@ -54,7 +53,7 @@ class Alignment:
 
     Attributes:
         systems: scores.
-        differences: (a, b, p, p_holm) of Barnard's test between the win rates of two systems.
+        differences: (a, b, p, p_holm) of the test between the mean scores of two systems.
     """
 
     systems: tuple[AlignmentScore, ...]
@@ -66,18 +65,18 @@ def analyse_alignment(answers: Sequence[Answer], rounds: int, seed: int) -> Alig
 
     Args:
         answers: at least one; all have `matched`.
-        rounds: rounds of the bootstrap over raters.
+        rounds: rounds of the bootstrap over raters and clips.
         seed: the same seed gives the same intervals.
     """
-    found = []
-    for name in sorted({answer.matched for answer in answers if answer.matched}):
-        votes = Votes.of([answer for answer in answers if answer.matched == name])
-        found.append(_score(name, votes, rounds, seed))
+    names = sorted({answer.matched for answer in answers if answer.matched})
+    votes = Votes.of(answers)
+    own = {name: _matched(votes, name) for name in names}
+    found = [_score(name, own[name], rounds, seed) for name in names]
     adjusted = holm([score.p for score in found]).tolist()
     scores = [replace(score, p_holm=p) for score, p in zip(found, adjusted, strict=True)]
     scores.sort(key=lambda score: (-score.score.value, score.name))
     pairs = list(combinations(scores, 2))
-    p_values = [two_proportions(_preferences(a), _preferences(b)) for a, b in pairs]
+    p_values = [_difference(own[a.name], own[b.name]) for a, b in pairs]
     differences = [
         (a.name, b.name, p, p_holm)
         for (a, b), p, p_holm in zip(pairs, p_values, holm(p_values), strict=True)
@@ -85,39 +84,41 @@ def analyse_alignment(answers: Sequence[Answer], rounds: int, seed: int) -> Alig
     return Alignment(tuple(scores), tuple(differences))
 
 
-def _preferences(score: AlignmentScore) -> tuple[int, int]:
-    clear, slight, _, other_slight, other_clear = score.counts
-    return clear + slight, other_slight + other_clear
+def _matched(votes: Votes, name: str) -> Votes:
+    """Return the votes on a system; positive scores are for its matched motion."""
+    return votes.between(votes.systems.index(name), votes.systems.index(name + MISMATCHED))
+
+
+def _difference(one: Votes, other: Votes) -> float:
+    """Return the p-value of "both mean scores are equal"."""
+    scores, rater, clip = (
+        np.concatenate([getattr(votes, name) for votes in (one, other)])
+        for name in ("score", "rater", "clip")
+    )
+    return mean_test(scores, rater, clip, np.arange(len(scores)) < len(one.score))
 
 
 def _score(name: str, votes: Votes, rounds: int, seed: int) -> AlignmentScore:
-    own, other = votes.systems.index(name), votes.systems.index(name + MISMATCHED)
-    counts = np.stack(
-        [
-            votes.clear[:, own, other],
-            votes.slight[:, own, other],
-            votes.ties[:, own, other],
-            votes.slight[:, other, own],
-            votes.clear[:, other, own],
-        ],
-        axis=1,
-    )
+    own, other = int(votes.first[0]), int(votes.second[0])
 
-    def share(sums: np.ndarray) -> np.ndarray:
-        n = sums @ np.array([2.0, 1.0, 1.0, 1.0, 2.0])
+    def alignment(counts: np.ndarray) -> np.ndarray:
+        clear, slight, ties = np.moveaxis(counts, 1, 0)
+        won, lost = (
+            2.0 * clear[:, i, j] + slight[:, i, j] + 0.5 * ties[:, i, j]
+            for i, j in ((own, other), (other, own))
+        )
         with np.errstate(invalid="ignore"):
-            return (sums @ np.array([2.0, 1.0, 0.5, 0.0, 0.0]) / n)[:, None]
+            return (won / (won + lost))[:, None]
 
-    low, high = interval(counts, share, rounds, np.random.default_rng(seed))
-    total = counts.sum(axis=0)
-    answers = counts @ np.array([2.0, 1.0, 0.0, -1.0, -2.0]), counts.sum(axis=1)
+    low, high = votes.interval(alignment, rounds, seed)
+    answers = votes.score, votes.rater, votes.clip
     return AlignmentScore(
         name=name,
-        counts=tuple(int(n) for n in total),
-        raters=int((counts.sum(axis=1) > 0).sum()),
-        score=Estimate(float(share(total[None])[0, 0]), float(low[0]), float(high[0])),
-        win_rate=wilson(total[0] + total[1], total.sum() - total[2]),
-        mean=float(rater_means(*answers).mean()),
-        p=rater_test(*answers),
+        counts=tuple(int((votes.score == score).sum()) for score in (2, 1, 0, -1, -2)),
+        raters=len(np.unique(votes.rater)),
+        score=Estimate(float(alignment(votes.counts[None])[0, 0]), float(low[0]), float(high[0])),
+        win_rate=share(*answers),
+        mean=float(votes.score.mean()),
+        p=mean_test(*answers),
         p_holm=float("nan"),
     )

@@ -7,8 +7,9 @@ over all answers in which the system was shown.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
@@ -19,26 +20,22 @@ from gesturekit.study.analysis.significance import (
     Anova,
     Estimate,
     anova,
-    rater_means,
-    rater_test,
-    wilson,
+    mean_test,
+    share,
 )
-from gesturekit.study.analysis.votes import Votes, interval
+from gesturekit.study.analysis.votes import Votes
 
-WEIGHTS = {"clear": 4.0, "slight": 2.0, "tie": 1.0}
-"""Weight of an answer, as in GENEA's analysis; a tie counts for either system."""
+WEIGHTS = np.array([4.0, 2.0, 1.0])
+"""Weights of a clear and a slight preference and of a tie, as in GENEA's analysis; a tie counts for
+either system."""
 SCALE, MEAN = 400.0, 1000.0
 _RIDGE = 1e-6  # keeps the strength of a system that lost every comparison finite
 _MOST_STEPS = 100
 
 
-def weighted_wins(votes: Votes) -> np.ndarray:
-    """Return the weighted wins (R, k, k) of i over j of each rater."""
-    return (
-        WEIGHTS["clear"] * votes.clear
-        + WEIGHTS["slight"] * votes.slight
-        + WEIGHTS["tie"] * votes.ties
-    )
+def weighted_wins(counts: np.ndarray) -> np.ndarray:
+    """Return the weighted wins (..., k, k) of i over j from counts (..., 3, k, k) of `Votes`."""
+    return np.einsum("h,...hij->...ij", WEIGHTS, counts)
 
 
 def fit_strengths(wins: np.ndarray) -> np.ndarray:
@@ -101,7 +98,7 @@ class SystemScore:
     Attributes:
         name: the system.
         n: answers in which it was shown.
-        merit: merit score, 0 to 2; interval by bootstrap over raters.
+        merit: merit score, 0 to 2; interval by bootstrap over raters and clips.
         elo: Elo rating of the Bradley-Terry fit; NaN where comparisons do not connect the systems.
     """
 
@@ -119,9 +116,9 @@ class PairScore:
         a, b: the systems.
         counts: a clearly, a slightly, equal, b slightly, b clearly.
         raters: raters who compared them.
-        win_rate: share of preferences for `a`, ties excluded; Wilson interval.
-        mean: mean of the raters' mean scores, 2 to -2; below 0 if raters prefer `b`.
-        p: t-test of the raters' mean scores; `p_holm` is adjusted for the number of pairs.
+        win_rate: share of preferences for `a`, ties excluded; interval over raters and clips.
+        mean: mean score, 2 to -2; below 0 if raters prefer `b`.
+        p: test of the mean over raters and clips; `p_holm` is adjusted for the number of pairs.
         p_tukey: Tukey's test of merit scores.
     """
 
@@ -164,12 +161,13 @@ class Preference:
     votes: Votes
 
 
-def merit_scores(votes: Votes) -> tuple[np.ndarray, np.ndarray]:
-    """Return sums of scores (R, k) and numbers of answers (R, k) of each rater and system."""
-    scores = (2 * votes.clear + votes.slight).sum(axis=2)
-    preferences = votes.clear + votes.slight
-    shown = (preferences + preferences.transpose(0, 2, 1) + votes.ties).sum(axis=2)
-    return scores, shown
+def merit_scores(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return merit scores (..., k) and numbers of answers (..., k) from counts of `Votes`."""
+    clear, slight, ties = np.moveaxis(counts, -3, 0)
+    preferences = clear + slight
+    shown = (preferences + preferences.swapaxes(-1, -2) + ties).sum(axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return (2 * clear + slight).sum(axis=-1) / shown, shown
 
 
 def analyse_preference(answers: Sequence[Answer], rounds: int, seed: int) -> Preference:
@@ -177,17 +175,18 @@ def analyse_preference(answers: Sequence[Answer], rounds: int, seed: int) -> Pre
 
     Args:
         answers: at least one.
-        rounds: rounds of the bootstrap over raters.
+        rounds: rounds of the bootstrap over raters and clips.
         seed: the same seed gives the same intervals.
     """
     votes = Votes.of(answers)
-    wins = weighted_wins(votes)
-    total = wins.sum(axis=0)
+    total = weighted_wins(votes.counts)
     separate = connected_groups(total)
     variance = anova(*_responses(votes))
-    merit = merit_estimates(votes, rounds, seed)
-    ratings = elo_estimates(wins, rounds, seed)
-    shown = merit_scores(votes)[1].sum(axis=0)
+    merit = _estimates(votes, lambda counts: merit_scores(counts)[0], rounds, seed)
+    ratings = [Estimate(float("nan"), float("nan"), float("nan"))] * len(votes.systems)
+    if len(separate) == 1:
+        ratings = _estimates(votes, lambda c: elo(fit_strengths(weighted_wins(c))), rounds, seed)
+    shown = merit_scores(votes.counts)[1]
     systems = [
         SystemScore(name, int(shown[i]), merit[i], ratings[i])
         for i, name in enumerate(votes.systems)
@@ -214,81 +213,40 @@ def analyse_preference(answers: Sequence[Answer], rounds: int, seed: int) -> Pre
 
 def _responses(votes: Votes) -> tuple[np.ndarray, np.ndarray]:
     """Return the merit score and the system (n,) of every answer, two of each answer."""
-    scores, systems = [], []
-    clear, slight, ties = (a.sum(axis=0) for a in (votes.clear, votes.slight, votes.ties))
-    for i in range(len(votes.systems)):
-        lost = (clear + slight)[:, i].sum()
-        for score, n in ((2, clear[i].sum()), (1, slight[i].sum()), (0, ties[i].sum() + lost)):
-            scores.append(np.full(int(n), float(score)))
-            systems.append(np.full(int(n), i))
-    return np.concatenate(scores), np.concatenate(systems)
+    scores = np.concatenate([np.maximum(votes.score, 0), np.maximum(-votes.score, 0)])
+    return scores.astype(float), np.concatenate([votes.first, votes.second])
 
 
-def merit_estimates(votes: Votes, rounds: int, seed: int) -> list[Estimate]:
-    """Return the merit score of each system, with intervals by bootstrap over raters."""
-    counts = np.stack(merit_scores(votes), axis=1)  # (R, 2, k)
-
-    def mean(sums: np.ndarray) -> np.ndarray:
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return sums[:, 0] / sums[:, 1]
-
-    low, high = interval(counts, mean, rounds, np.random.default_rng(seed))
-    values = mean(counts.sum(axis=0)[None])[0]
-    return [Estimate(*map(float, found)) for found in zip(values, low, high)]
-
-
-def elo_estimates(wins: np.ndarray, rounds: int, seed: int) -> list[Estimate]:
-    """Return the Elo rating of each system, with intervals by bootstrap over raters.
-
-    Args:
-        wins: (R, k, k) weighted wins of each rater; NaN where comparisons do not connect systems.
-        rounds: rounds of the bootstrap.
-        seed: the same seed gives the same intervals.
-    """
-    if len(connected_groups(wins.sum(axis=0))) > 1:
-        return [Estimate(float("nan"), float("nan"), float("nan"))] * wins.shape[1]
-
-    def rate(sums: np.ndarray) -> np.ndarray:
-        return elo(fit_strengths(sums))
-
-    low, high = interval(wins, rate, rounds, np.random.default_rng(seed))
-    values = rate(wins.sum(axis=0)[None])[0]
-    return [Estimate(*map(float, found)) for found in zip(values, low, high)]
+def _estimates(
+    votes: Votes, statistic: Callable[[np.ndarray], np.ndarray], rounds: int, seed: int
+) -> list[Estimate]:
+    """Return each system's value of a statistic of counts, with its interval."""
+    low, high = votes.interval(statistic, rounds, seed)
+    values = statistic(votes.counts[None])[0]
+    return [Estimate(*map(float, bounds)) for bounds in zip(values, low, high)]
 
 
 def _pairs(votes: Votes, variance: Anova | None) -> list[PairScore]:
-    clear, slight, ties = (
-        a.sum(axis=0).astype(int) for a in (votes.clear, votes.slight, votes.ties)
-    )
     tukey = variance.tukey if variance else {}
     found = []
-    for i in range(len(votes.systems)):
-        for j in range(i + 1, len(votes.systems)):
-            a, b = (i, j) if votes.wins[i, j] >= votes.wins[j, i] else (j, i)
-            counts = (clear[a, b], slight[a, b], ties[a, b], slight[b, a], clear[b, a])
-            if sum(counts) == 0:
-                continue
-            scores, n = _net_scores(votes, a, b)
-            found.append(
-                PairScore(
-                    votes.systems[a],
-                    votes.systems[b],
-                    tuple(map(int, counts)),
-                    int((n > 0).sum()),
-                    wilson(counts[0] + counts[1], sum(counts) - counts[2]),
-                    float(rater_means(scores, n).mean()),
-                    rater_test(scores, n),
-                    float("nan"),
-                    tukey.get((i, j), float("nan")),
-                )
+    for i, j in combinations(range(len(votes.systems)), 2):
+        a, b = (i, j) if votes.wins[i, j] >= votes.wins[j, i] else (j, i)
+        pair = votes.between(a, b)
+        if not len(pair.score):
+            continue
+        answers = pair.score, pair.rater, pair.clip
+        found.append(
+            PairScore(
+                votes.systems[a],
+                votes.systems[b],
+                tuple(int((pair.score == score).sum()) for score in (2, 1, 0, -1, -2)),
+                len(np.unique(pair.rater)),
+                share(*answers),
+                float(pair.score.mean()),
+                mean_test(*answers),
+                float("nan"),
+                tukey.get((i, j), float("nan")),
             )
+        )
     adjusted = holm([pair.p for pair in found]).tolist()
     return [replace(pair, p_holm=p) for pair, p in zip(found, adjusted, strict=True)]
-
-
-def _net_scores(votes: Votes, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return each rater's sum of scores (2, 1, 0, -1, -2 for a) and number of answers, (R,)."""
-    clear, slight = votes.clear, votes.slight
-    scores = 2 * (clear[:, a, b] - clear[:, b, a]) + slight[:, a, b] - slight[:, b, a]
-    n = clear[:, a, b] + clear[:, b, a] + slight[:, a, b] + slight[:, b, a] + votes.ties[:, a, b]
-    return scores, n

@@ -26,19 +26,23 @@ from gesturekit.study.analysis.significance import Estimate
 from gesturekit.viewer.pages import plots_section, section, table, write_page
 
 _HERE = Path(__file__).parent / "page"
+_SCORES = ("Clear", "Slight", "Equal", "Slight", "Clear")
 _METHOD = """<ul>
 <li>Merit score (Parizet et al. 2005): 2 for a clear preference, 1 for a slight one, 0 for a tie or
 a preference for the other system; mean over all answers in which the system was shown.</li>
-<li>ANOVA and Tukey's test treat every answer as independent, as in the diffusion paper. Answers of
-one rater are not: where they disagree with the tests of raters, trust those.</li>
-<li>p of a pair: t-test of the raters' mean scores (2, 1, 0, -1, -2) against 0, adjusted by Holm's
-method for the number of pairs.</li>
+<li>p of a pair: test of the mean score (2, 1, 0, -1, -2) against 0 over raters and clips, with the
+variance of Cameron, Gelbach and Miller (2011), adjusted by Holm's method for the number of
+pairs.</li>
+<li>ANOVA and Tukey's test, as in the diffusion paper, take every answer as independent. Answers of
+one rater are not, nor are those on one clip: equal systems then differ far too often. Report them
+beside p, not in its place.</li>
 <li>Bradley-Terry model by logistic regression on weighted wins: clear 4, slight 2, a tie 1 to each
 side. Elo = 400 &middot; strength / ln 10 + 1000.</li>
-<li>Alignment: clear preferences weigh 2, ties half; chance is 50 %. Barnard's exact test compares
-two systems' win rates.</li>
-<li>Intervals of merit, Elo and alignment: bootstrap over raters, 95 %, {rounds} rounds, seed
-{seed}. Intervals of win rates, ties excluded: Wilson.</li>
+<li>Alignment: clear preferences weigh 2, ties half; chance is 50 %. Two systems are compared by the
+test of their mean scores over raters and clips.</li>
+<li>Intervals of merit, Elo and alignment: bootstrap over raters and clips (Owen 2007), 95 %,
+{rounds} rounds, seed {seed}. Intervals of win rates, ties excluded: Wilson's, with the number of
+independent answers that the variance over raters and clips amounts to.</li>
 </ul>"""
 
 
@@ -162,7 +166,7 @@ def _preference_sections(preference: Preference, style: str) -> list[str]:
         else ""
     )
     pairs = _table(
-        ("Pair", "Clear", "Slight", "Equal", "Slight", "Clear", "Win rate, %", "p (Holm)", "Tukey"),
+        ("Pair", *_SCORES, "Win rate, %", "p (Holm)", "p (Tukey)"),
         (
             (
                 f"{p.a} : {p.b}",
@@ -189,7 +193,7 @@ def _matrix(preference: Preference) -> str:
     votes = preference.votes
     names = [system.name for system in preference.systems]
     place = [votes.systems.index(name) for name in names]
-    wins, ties = votes.wins.astype(int), votes.ties.sum(axis=0).astype(int)
+    wins, ties = votes.wins.astype(int), votes.counts[2].astype(int)
 
     def cell(i: int, j: int) -> str:
         if i == j:
@@ -206,11 +210,7 @@ def _alignment_section(alignment: Alignment) -> str:
     systems = _table(
         (
             "System",
-            "Clear",
-            "Slight",
-            "Equal",
-            "Slight",
-            "Clear",
+            *_SCORES,
             "Alignment, %",
             "Win rate, %",
             "p",
@@ -227,7 +227,7 @@ def _alignment_section(alignment: Alignment) -> str:
         ),
     )
     pairs = _table(
-        ("Difference between", "p (Barnard)", "p (Holm)"),
+        ("Difference between", "p", "p (Holm)"),
         ((f"{a} : {b}", p_text(p), _p(q)) for a, b, p, q in alignment.differences),
     )
     lead = "Matched against mismatched motion of the same system; chance is 50 %."

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from gesturekit.errors import ConfigError
-from gesturekit.evaluation.statistics.answers import Answers
+from gesturekit.evaluation.statistics.answers import Answer, Answers
 from gesturekit.study.analysis.alignment import Alignment, AlignmentScore, analyse_alignment
 from gesturekit.study.analysis.preference import PairScore, Preference, analyse_preference
-from gesturekit.study.analysis.significance import ALPHA, Estimate, statsmodels_module, wilson
+from gesturekit.study.analysis.significance import ALPHA, Estimate, share, statsmodels_module
 from gesturekit.study.analysis.votes import ROUNDS
-from gesturekit.wording import counted, listed
+from gesturekit.wording import counted, listed, printable
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class StudyResult:
     Attributes:
         answers: answers that counted, and notes on the others.
         raters, clips: numbers of raters and of speech segments.
-        left: share of preferences for the left side; Wilson interval.
+        left: share of preferences for the left side, with its interval.
         preference: comparison of systems; None if none were compared.
         by_style: {style: comparison of systems} if several styles were asked for.
         alignment: matched against mismatched motion; None if there was none.
@@ -48,7 +50,7 @@ def analyse_study(answers: Answers, *, rounds: int = ROUNDS, seed: int = 0) -> S
 
     Args:
         answers: the result of `read_answers`.
-        rounds: rounds of the bootstrap over raters.
+        rounds: rounds of the bootstrap over raters and clips.
         seed: the same seed gives the same intervals.
 
     Raises:
@@ -62,7 +64,6 @@ def analyse_study(answers: Answers, *, rounds: int = ROUNDS, seed: int = 0) -> S
     matched = [answer for answer in kept if answer.matched]
     compared = [answer for answer in kept if not answer.matched]
     styles = sorted({answer.style for answer in compared if answer.style})
-    sides = [answer.score > 0 for answer in kept if answer.score]
     by_style = {
         style: analyse_preference([a for a in compared if a.style == style], rounds, seed)
         for style in (styles if len(styles) > 1 else ())
@@ -71,7 +72,7 @@ def analyse_study(answers: Answers, *, rounds: int = ROUNDS, seed: int = 0) -> S
         answers=answers,
         raters=len({answer.user for answer in kept}),
         clips=len({answer.clip for answer in kept}),
-        left=wilson(sum(sides), len(sides)),
+        left=_left(kept),
         preference=analyse_preference(compared, rounds, seed) if compared else None,
         by_style=by_style,
         alignment=analyse_alignment(matched, rounds, seed) if matched else None,
@@ -79,6 +80,15 @@ def analyse_study(answers: Answers, *, rounds: int = ROUNDS, seed: int = 0) -> S
         rounds=rounds,
         seed=seed,
     )
+
+
+def _left(answers: Sequence[Answer]) -> Estimate:
+    """Return the share of preferences for the left side."""
+    rater, clip = (
+        np.unique(names, return_inverse=True)[1]
+        for names in ([a.user for a in answers], [a.clip for a in answers])
+    )
+    return share(np.array([answer.score for answer in answers]), rater, clip)
 
 
 FEW_RATERS = 15
@@ -107,6 +117,7 @@ def reservations(found: StudyResult) -> list[str]:
     lines = [f"{note}." for note in found.answers.notes]
     if not found.answers.has_checks:
         lines.append("The files do not say who failed attention checks: nobody was excluded.")
+    lines += [f"{line}." for line in careless(found.answers.kept)]
     if found.raters < 2:
         lines.append("A single rater: no intervals and no tests, so that nothing can be concluded.")
     elif found.raters < FEW_RATERS:
@@ -119,12 +130,45 @@ def reservations(found: StudyResult) -> list[str]:
         )
     if found.preference is not None:
         lines += _limits_of(found.preference)
-    if not (math.isnan(found.left.value) or found.left.low <= 0.5 <= found.left.high):
+    if found.left.low > 0.5 or found.left.high < 0.5:
         lines.append(
             f"{_percent(found.left)} of preferences are for the left side: raters favour it, or "
             "systems were not shown on both sides equally often."
         )
     return lines
+
+
+SAME_ANSWER, LEAST_ANSWERS = 0.9, 10
+"""Share of a rater's answers that are the same one, and the number of answers, from which the rater
+is named."""
+HASTY = 0.4
+"""Share of the raters' usual time below which a rater is named."""
+
+
+def careless(answers: Sequence[Answer]) -> Iterator[str]:
+    """Yield sentences on raters who gave one answer throughout, or took far less time than others.
+
+    They are named and not left out: whom to exclude is decided before the study.
+    """
+    by_rater: dict[str, list[Answer]] = {}
+    for answer in answers:
+        by_rater.setdefault(answer.user, []).append(answer)
+    same = []
+    for user, given in by_rater.items():
+        most = Counter(answer.score for answer in given).most_common(1)[0][1]
+        if len(given) >= LEAST_ANSWERS and most >= SAME_ANSWER * len(given):
+            same.append(f"{printable(user)} ({most} of {len(given)})")
+    if same:
+        yield f"The same answer almost throughout: {listed(same)}"
+    times = {
+        user: float(np.median(taken))
+        for user, given in by_rater.items()
+        if (taken := [answer.seconds for answer in given if answer.seconds is not None])
+    }
+    usual = float(np.median(list(times.values()))) if times else 0.0
+    hasty = [f"{printable(u)} ({t:.0f} s)" for u, t in times.items() if t < HASTY * usual]
+    if hasty:
+        yield f"Far less time than usual (a median of {usual:.0f} s an answer): {listed(hasty)}"
 
 
 def _limits_of(preference: Preference) -> Iterator[str]:
@@ -161,8 +205,8 @@ def _on_preference(preference: Preference, prefix: str) -> Iterator[str]:
 
 
 def _found(pair: PairScore) -> str:
-    # The raters' mean scores, which are tested, and the number of wins can disagree: one side may
-    # win more clearly, or by the answers of a rater who gave many.
+    # The mean score, which is tested, and the number of wins can disagree: one side may win more
+    # clearly.
     better, worse = (pair.a, pair.b) if pair.mean > 0 else (pair.b, pair.a)
     rate = pair.win_rate
     if better != pair.a:
@@ -179,7 +223,7 @@ def _on_alignment(alignment: Alignment) -> Iterator[str]:
     if different:
         yield f"Systems differ in how often their matched motion is preferred: {listed(different)}."
     elif alignment.differences:
-        yield "No difference between systems in alignment was found (Barnard's test)."
+        yield "No difference between systems in alignment was found."
 
 
 def _alignment_sentence(score: AlignmentScore) -> str:

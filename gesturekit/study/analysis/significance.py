@@ -12,7 +12,6 @@ import numpy as np
 from gesturekit.errors import ConfigError
 
 ALPHA = 0.05
-_MOST_TABLES = 250_000
 
 
 @dataclass(frozen=True)
@@ -58,68 +57,90 @@ def statsmodels_module(name: str) -> Any:
         ) from None
 
 
-def rater_means(scores: np.ndarray, n: np.ndarray) -> np.ndarray:
-    """Return the mean score of each rater with answers; arguments as for `rater_test`."""
-    return scores[n > 0] / n[n > 0]
+def mean_test(
+    scores: np.ndarray, rater: np.ndarray, clip: np.ndarray, group: np.ndarray | None = None
+) -> float:
+    """Return the p-value of "the mean score is 0", or of "the means of two groups are equal".
 
-
-def rater_test(scores: np.ndarray, n: np.ndarray) -> float:
-    """Return the p-value of "raters prefer neither side": a t-test of the raters' means.
-
-    Answers of one rater are not independent, raters are.
+    Answers of one rater are not independent, nor are those on one clip. The variance of the mean is
+    therefore that over raters plus that over clips less that over the pairs of both (Cameron,
+    Gelbach and Miller 2011), and at least that over either alone; degrees of freedom are
+    Satterthwaite's. With a single clip, it is that over raters.
 
     Args:
-        scores: (R,) sum of the rater's answers, positive for one side and negative for the other.
-        n: (R,) number of the rater's answers; raters without any are left out.
+        scores: (n,) answers.
+        rater, clip: (n,) index of the rater and of the clip of each.
+        group: (n,) True for the answers of one of two groups; None for one mean.
 
     Returns:
-        p, two-sided; NaN with fewer than two raters.
+        p, two-sided; NaN with fewer than two raters, of a group.
     """
-    from scipy.stats import ttest_1samp
+    from scipy.stats import t
 
-    means = rater_means(scores, n)
-    if len(means) < 2:
+    groups = [np.ones(len(scores), bool)] if group is None else [group, ~group]
+    if min(len(np.unique(rater[members])) for members in groups) < 2:
         return float("nan")
-    if np.ptp(means) == 0:
-        # The t statistic is infinite or 0 / 0. All raters agree: the sign test can be computed.
-        return 1.0 if means[0] == 0 else float(2.0 ** (1 - len(means)))
-    return float(ttest_1samp(means, 0.0).pvalue)
+    estimate, influence = 0.0, np.zeros(len(scores))
+    for sign, members in zip((1.0, -1.0), groups):
+        mean = scores[members].mean()
+        estimate += sign * mean
+        influence[members] = sign * (scores[members] - mean) / members.sum()
+    variance, freedom = _variance(influence, rater, clip)
+    if variance < 1e-24:  # all answers agree: Student's t is infinite, the sign test is not
+        units = min(len(np.unique(unit)) for unit in (rater, clip) if len(np.unique(unit)) > 1)
+        return 1.0 if abs(estimate) < 1e-12 else float(2.0 ** (1 - units))
+    return float(2.0 * t.sf(abs(estimate) / math.sqrt(variance), freedom))
 
 
-def wilson(successes: float, n: float) -> Estimate:
-    """Return a proportion with its Wilson interval; NaN if n is 0."""
-    from scipy.stats import binomtest
+def _variance(influence: np.ndarray, rater: np.ndarray, clip: np.ndarray) -> tuple[float, float]:
+    """Return the variance of a mean over raters and clips, and its degrees of freedom.
 
-    if n == 0:
+    Args:
+        influence: (n,) what each answer adds to the mean, less its expectation.
+        rater, clip: (n,) index of the rater and of the clip of each answer.
+    """
+    clips = int(clip.max()) + 1
+    pair = np.unique(rater * clips + clip, return_inverse=True)[1]
+    found = []
+    for unit in (rater, clip, pair):
+        sums = np.bincount(unit, influence)[np.bincount(unit) > 0]
+        n = len(sums)
+        found.append((float((sums**2).sum()) * n / (n - 1) if n > 1 else 0.0, max(n - 1, 1)))
+    (raters, _), (over_clips, _), (pairs, pairs_free) = found
+    variance = max(raters + over_clips - pairs, raters, over_clips)
+    parts = [max(value - pairs, 0.0) ** 2 / free for value, free in found[:2]]
+    spread = sum(parts) + pairs**2 / pairs_free
+    return variance, variance**2 / spread if spread > 0.0 else 1.0
+
+
+def share(scores: np.ndarray, rater: np.ndarray, clip: np.ndarray) -> Estimate:
+    """Return the share of positive scores among those other than 0, with its 95 % interval.
+
+    Wilson's interval with the number of independent answers that the variance over raters and clips
+    (see `mean_test`) amounts to, and Student's t for the normal quantile (Korn and Graubard 1998).
+
+    Args:
+        scores: (n,) answers.
+        rater, clip: (n,) index of the rater and of the clip of each.
+    """
+    from scipy.stats import norm, t
+    from statsmodels.stats.proportion import proportion_confint
+
+    kept = scores != 0
+    won, rater, clip = scores[kept] > 0, rater[kept], clip[kept]
+    if not len(won):
         return Estimate(float("nan"), float("nan"), float("nan"))
-    bounds = binomtest(int(successes), int(n)).proportion_ci(0.95, method="wilson")
-    return Estimate(successes / n, float(bounds.low), float(bounds.high))
-
-
-def two_proportions(one: tuple[int, int], other: tuple[int, int]) -> float:
-    """Return the p-value of "both proportions are equal": Barnard's exact test.
-
-    With very many answers its time is prohibitive and its p-value that of the z-test, which is
-    returned instead.
-
-    Args:
-        one: successes and failures.
-        other: successes and failures.
-
-    Returns:
-        p, two-sided; NaN if one has no answers.
-    """
-    from scipy.stats import barnard_exact
-
-    n_one, n_other = sum(one), sum(other)
-    if min(n_one, n_other) == 0:
-        return float("nan")
-    if n_one * n_other > _MOST_TABLES:
-        test = statsmodels_module("stats.proportion").proportions_ztest
-        with np.errstate(invalid="ignore"):
-            p = float(test([one[0], other[0]], [n_one, n_other])[1])
-        return 1.0 if np.isnan(p) else p
-    return float(barnard_exact([[one[0], other[0]], [one[1], other[1]]]).pvalue)
+    value = float(won.mean())
+    units = [len(np.unique(unit)) for unit in (rater, clip)]
+    if units[0] < 2:
+        return Estimate(value, float("nan"), float("nan"))
+    n = float(min(count for count in units if count > 1))
+    if 0.0 < value < 1.0:
+        variance, freedom = _variance((won - value) / len(won), rater, clip)
+        wider = (t.ppf(0.975, freedom) / norm.ppf(0.975)) ** 2
+        n = min(float(len(won)), value * (1.0 - value) / max(variance * wider, 1e-12))
+    low, high = proportion_confint(value * n, n, method="wilson")
+    return Estimate(value, float(low), float(high))
 
 
 def anova(scores: np.ndarray, group: np.ndarray) -> Anova | None:
@@ -160,59 +181,73 @@ class Expected:
         win_rate: share of preferences for the better system, ties excluded; above 0.5.
         ties: share of answers without a preference.
         clear: share of clear preferences among all preferences.
-        agreement: intraclass correlation of the answers of one rater: 0 if raters differ by chance
-            alone, 1 if each rater always answers the same.
+        rater_share, clip_share: share of the variance of answers that raters and clips make: 0 if
+            they differ by chance alone.
     """
 
     win_rate: float
     ties: float
     clear: float
-    agreement: float
+    rater_share: float
+    clip_share: float
 
     def __post_init__(self) -> None:
         if not 0.5 < self.win_rate < 1:
             raise ConfigError(f"win_rate is {self.win_rate}: give a share above 0.5 and below 1")
-        for name in ("ties", "clear", "agreement"):
+        for name in ("ties", "clear", "rater_share", "clip_share"):
             value = getattr(self, name)
             if not 0 <= value < 1 and not (name == "clear" and value == 1):
                 raise ConfigError(f"{name} is {value}: give a share from 0 to below 1")
-
-    def effect_size(self, answers: int) -> float:
-        """Return mean / standard deviation of the raters' mean scores (Cohen's d).
-
-        A score is 2, 1, 0, -1 or -2.
-
-        Args:
-            answers: answers of each rater to this comparison.
-        """
-        mean = (1 - self.ties) * (2 * self.win_rate - 1) * (1 + self.clear)
-        variance = (1 - self.ties) * (1 + 3 * self.clear) - mean**2
-        share = self.agreement + (1 - self.agreement) / answers
-        return mean / math.sqrt(variance * share)
+        if self.rater_share + self.clip_share >= 1:
+            raise ConfigError(
+                f"rater_share {self.rater_share} and clip_share {self.clip_share}: their sum is "
+                "below 1"
+            )
 
 
-def power_of(expected: Expected, raters: int, answers: int, comparisons: int = 1) -> float:
-    """Return the probability that the difference is found, by the t-test of `study analyse`.
+@dataclass(frozen=True)
+class Design:
+    """Size of a study.
+
+    Attributes:
+        answers: answers of each rater to one comparison, on different clips.
+        clips: speech segments of the study.
+        comparisons: pairs of systems that are tested.
+    """
+
+    answers: int
+    clips: int
+    comparisons: int = 1
+
+
+def power_of(expected: Expected, raters: int, design: Design) -> float:
+    """Return the probability that the difference is found, by the test of `study analyse`.
 
     Args:
         expected: the difference.
         raters: raters who pass the attention checks; at least 2.
-        answers: answers of each rater to this comparison.
-        comparisons: pairs of systems; the level is 0.05 divided by it, Holm's first step.
+        design: the study. The level is 0.05 divided by its comparisons, Holm's first step.
     """
+    decided = 1 - expected.ties
+    mean = decided * (2 * expected.win_rate - 1) * (1 + expected.clear)
+    variance = decided * (1 + 3 * expected.clear) - mean**2  # a score is 2, 1, 0, -1 or -2
+    n = raters * design.answers
+    chance = (1 - expected.rater_share - expected.clip_share) / n
+    over_raters, over_clips = expected.rater_share / raters, expected.clip_share / design.clips
+    total = over_raters + over_clips + chance
+    spread = over_raters**2 / (raters - 1) + chance**2 / (n - 1)
+    spread += over_clips**2 / max(design.clips - 1, 1)
     test = statsmodels_module("stats.power").TTestPower()
-    return float(test.power(expected.effect_size(answers), raters, ALPHA / comparisons))
+    effect, level = mean / math.sqrt(variance * total), ALPHA / design.comparisons
+    return float(test.power(effect, 1, level, df=total**2 / spread))
 
 
-def raters_needed(
-    expected: Expected, answers: int, comparisons: int = 1, power: float = 0.8
-) -> int | None:
+def raters_needed(expected: Expected, design: Design, power: float = 0.8) -> int | None:
     """Return the smallest number of raters with this power; None if 100,000 are too few.
 
     Args:
         expected: the difference.
-        answers: answers of each rater to this comparison.
-        comparisons: pairs of systems that are tested.
+        design: the study.
         power: probability that the difference is found.
 
     Raises:
@@ -221,5 +256,5 @@ def raters_needed(
     if not 0 < power < 1:
         raise ConfigError(f"power is {power}: give a probability between 0 and 1, such as 0.8")
     tried = range(2, MOST_RATERS + 1)
-    at = bisect_left(tried, power, key=lambda n: power_of(expected, n, answers, comparisons))
+    at = bisect_left(tried, power, key=lambda n: power_of(expected, n, design))
     return tried[at] if at < len(tried) else None

@@ -1,113 +1,148 @@
-"""Answers as counts a rater, and bootstrap over raters."""
+"""Answers as votes with their raters and clips, and the bootstrap over both."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.statistics.answers import Answer
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
+
 LEVEL = 0.95
 ROUNDS = 10_000
 """Rounds of the bootstrap, as GENEA's."""
 _MOST_COUNTS = 20_000_000
-_CHUNK = 500
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Votes:
-    """Counts of the answers of each rater.
+    """Answers that compare two systems, n of them.
 
     Attributes:
         systems: (k,) names, sorted.
-        raters: (R,) names, sorted.
-        clear, slight: (R, k, k) how often the rater preferred system i to system j.
-        ties: (R, k, k) how often the rater found them equal; symmetric.
+        first, second: (n,) indices of the systems that were compared.
+        score: (n,) 2 first clearly better, 1 slightly better, 0 equal, -1 and -2 second.
+        rater, clip: (n,) index of the rater and of the speech segment.
     """
 
     systems: tuple[str, ...]
-    raters: tuple[str, ...]
-    clear: np.ndarray
-    slight: np.ndarray
-    ties: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+    score: np.ndarray
+    rater: np.ndarray
+    clip: np.ndarray
 
     @classmethod
     def of(cls, answers: Sequence[Answer]) -> Votes:
-        """Count answers.
+        """Return answers as votes.
 
         Raises:
             EvaluationError: so many raters and systems that the names cannot be right.
         """
-        systems = tuple(sorted({name for a in answers for name in (a.left, a.right)}))
-        raters = tuple(sorted({answer.user for answer in answers}))
-        shape = (len(raters), len(systems), len(systems))
-        if np.prod(shape, dtype=float) > _MOST_COUNTS:
+        sides = [(answer.left, answer.right) for answer in answers]
+        systems, shown = np.unique(np.array(sides), return_inverse=True)
+        rater, clip = (
+            np.unique(names, return_inverse=True)[1]
+            for names in ([a.user for a in answers], [a.clip for a in answers])
+        )
+        raters = int(rater.max()) + 1
+        if raters * len(systems) ** 2 > _MOST_COUNTS:
             raise EvaluationError(
-                f"{len(raters)} raters and {len(systems)} systems: more than can be analysed. Are "
+                f"{raters} raters and {len(systems)} systems: more than can be analysed. Are "
                 "user, model_a and model_b the right columns?"
             )
-        counts = {size: np.zeros(shape) for size in (0, 1, 2)}
-        place = {name: i for i, name in enumerate(systems)}
-        row = {name: i for i, name in enumerate(raters)}
-        for answer in answers:
-            i, j = place[answer.left], place[answer.right]
-            if answer.score < 0:
-                i, j = j, i
-            counts[abs(answer.score)][row[answer.user], i, j] += 1
-        ties = counts[0] + counts[0].transpose(0, 2, 1)
-        return cls(systems, raters, counts[2], counts[1], ties)
+        first, second = shown.reshape(-1, 2).T
+        score = np.array([answer.score for answer in answers])
+        return cls(tuple(map(str, systems)), first, second, score, rater, clip)
+
+    def between(self, one: int, other: int) -> Votes:
+        """Return the votes on two systems; positive scores are for `one`."""
+        forward = (self.first == one) & (self.second == other)
+        kept = forward | ((self.first == other) & (self.second == one))
+        sign = np.where(forward, 1, -1)[kept]
+        n = len(sign)
+        return Votes(
+            self.systems,
+            np.full(n, one),
+            np.full(n, other),
+            sign * self.score[kept],
+            self.rater[kept],
+            self.clip[kept],
+        )
+
+    @cached_property
+    def _cells(self) -> csr_matrix:
+        """Return (n, 3·k·k) with 1 at the cell of `counts` that each vote is counted in."""
+        from scipy.sparse import csr_matrix
+
+        k = len(self.systems)
+        better = np.where(self.score >= 0, self.first, self.second)
+        worse = self.first + self.second - better
+        rows, kind = np.arange(len(better)), 2 - np.abs(self.score)
+        cells = (kind * k + better) * k + worse
+        return csr_matrix((np.ones(len(rows)), (rows, cells)), (len(rows), 3 * k * k))
+
+    def _counted(self, weights: np.ndarray) -> np.ndarray:
+        """Return counts (b, 3, k, k) of votes with weights (b, n)."""
+        k = len(self.systems)
+        counts = (self._cells.T @ weights.T).T.reshape(-1, 3, k, k)
+        counts[:, 2] += counts[:, 2].swapaxes(1, 2)
+        return counts
+
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """Numbers (3, k, k) of clear and slight preferences of i to j, and of ties of both."""
+        return self._counted(np.ones((1, len(self.score))))[0]
 
     @property
     def wins(self) -> np.ndarray:
         """Preferences (k, k) of i to j, clear and slight."""
-        return (self.clear + self.slight).sum(axis=0)
+        return self.counts[0] + self.counts[1]
 
     @property
     def compared(self) -> np.ndarray:
         """Answers (k, k) in which i and j were compared."""
-        return self.wins + self.wins.T + self.ties.sum(axis=0)
+        return self.wins + self.wins.T + self.counts[2]
 
+    def resampled(self, rounds: int, seed: int) -> Iterator[np.ndarray]:
+        """Yield counts (b, 3, k, k) of bootstrap samples, some hundred rounds at a time.
 
-def resampled(counts: np.ndarray, rounds: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """Yield sums of counts over raters drawn with replacement, some hundred rounds at a time.
+        Pigeonhole bootstrap (Owen 2007): raters and clips are drawn again with replacement,
+        independently; a vote counts as often as its rater was drawn times as often as its clip was.
+        """
+        rng = np.random.default_rng(seed)
+        chunk = max(1, _MOST_COUNTS // (len(self.score) + self._cells.shape[1]))
+        for start in range(0, rounds, chunk):
+            size = min(chunk, rounds - start)
+            weights = np.ones((size, len(self.score)))
+            for unit in (self.rater, self.clip):
+                n = int(unit.max()) + 1
+                weights *= rng.multinomial(n, np.full(n, 1.0 / n), size)[:, unit]
+            yield self._counted(weights)
 
-    Args:
-        counts: (R, ...) counts of each rater.
-        rounds: number of bootstrap rounds.
-        rng: random numbers.
+    def interval(
+        self, statistic: Callable[[np.ndarray], np.ndarray], rounds: int, seed: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the 95 % percentile interval over raters and clips of a statistic.
 
-    Yields:
-        (b, ...) sums of b rounds.
-    """
-    n = len(counts)
-    for start in range(0, rounds, _CHUNK):
-        times = rng.multinomial(n, np.full(n, 1.0 / n), size=min(_CHUNK, rounds - start))
-        yield np.tensordot(times.astype(np.float64), counts, axes=1)
+        Args:
+            statistic: maps counts (b, 3, k, k) to values (b, s); NaN where undefined.
+            rounds: number of bootstrap rounds.
+            seed: the same seed gives the same interval.
 
-
-def interval(
-    counts: np.ndarray,
-    statistic: Callable[[np.ndarray], np.ndarray],
-    rounds: int,
-    rng: np.random.Generator,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the 95 % percentile bootstrap interval over raters of a statistic.
-
-    Args:
-        counts: (R, ...) counts of each rater.
-        statistic: maps sums (b, ...) over raters to values (b, k); NaN where undefined.
-        rounds: number of bootstrap rounds.
-        rng: random numbers.
-
-    Returns:
-        low and high (k,); NaN with a single rater.
-    """
-    values = np.concatenate([statistic(sums) for sums in resampled(counts, rounds, rng)])
-    if len(counts) < 2:
-        return np.full(values.shape[1], np.nan), np.full(values.shape[1], np.nan)
-    tail = (1 - LEVEL) / 2
-    low, high = np.nanquantile(values, [tail, 1 - tail], axis=0)
-    return low, high
+        Returns:
+            low and high (s,); NaN with a single rater.
+        """
+        values = np.concatenate([statistic(counts) for counts in self.resampled(rounds, seed)])
+        if self.rater.max() == self.rater.min():
+            return np.full(values.shape[1], np.nan), np.full(values.shape[1], np.nan)
+        tail = (1 - LEVEL) / 2
+        low, high = np.nanquantile(values, [tail, 1 - tail], axis=0)
+        return low, high
