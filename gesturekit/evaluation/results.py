@@ -150,6 +150,11 @@ class MetricAgreement:
     Attributes:
         key: key of `definitions`.
         kendall: Kendall's tau-b over systems; 1 is the order of people.
+        of_models: the same without the recordings, which lead people's order and that of most
+            metrics; None with fewer than 3 models.
+        p_holm: p-value of `of_models`, by Holm's method over the informative metrics of the
+            question; None for others.
+        informative: False where the metric is not informative for some model.
         low, high: 95 % interval of Kendall's tau over systems, raters and clips; None with fewer
             than 6 systems.
         spearman: Spearman's rho.
@@ -162,6 +167,8 @@ class MetricAgreement:
 
     key: str
     kendall: float
+    of_models: float | None
+    p_holm: float | None
     low: float | None
     high: float | None
     spearman: float
@@ -169,6 +176,7 @@ class MetricAgreement:
     pairs: int
     n: int
     chance: float
+    informative: bool = True
 
 
 @dataclass(frozen=True)

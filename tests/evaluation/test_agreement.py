@@ -1,6 +1,7 @@
 """Ratings and votes of user studies, and how far metrics agree with them."""
 
 import re
+from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,7 +22,7 @@ from gesturekit.evaluation import (
     Pair,
     read_ratings,
 )
-from gesturekit.evaluation.statistics.agreement import agreement, chance_range
+from gesturekit.evaluation.statistics.agreement import agreement, chance_range, conclusion
 from gesturekit.evaluation.statistics.ratings import Ratings
 from gesturekit.evaluation.statistics.scores import scores_of
 
@@ -224,3 +225,40 @@ def test_the_takes_of_the_evaluation_are_drawn_as_well(tmp_path):
     assert intervals["noisy"][0] < intervals["steady"][0] - 0.2
     # Takes of two speakers are different takes, whatever their names.
     assert intervals["two speakers"] == intervals["noisy"]
+
+
+def test_one_sentence_says_which_metric_is_established():
+    """Nine models in people's order: a tau of 1 has p = 2 / 9! alone; one of six is chance."""
+
+    def found(values: dict[str, list[float]], **unsure: bool):
+        names = "abcdefghi"
+        models = [
+            model(name, **{key: column[k] for key, column in values.items()})
+            for k, name in enumerate(names)
+        ]
+        for one in models:
+            for key, informative in unsure.items():
+                one.metrics[key] = replace(one.metrics[key], informative=informative)
+        votes = judged(*[(a, b) for i, a in enumerate(names) for b in names[i + 1 :]])
+        (question,) = agreement(models, Ratings.of_answers(votes)).questions
+        return question, {metric.key: metric for metric in question.metrics}
+
+    order, mixed = [9.0, 8, 7, 6, 5, 4, 3, 2, 1], [5.0, 2, 8, 1, 9, 4, 7, 3, 6]
+    question, metrics = found({"sync": order, "bas": mixed, "foot_skate": order})
+    p = 2 / 362880
+    assert metrics["sync"].p_holm == pytest.approx(3 * p)
+    assert metrics["bas"].p_holm == pytest.approx(kendalltau(mixed, order).pvalue)
+    sentence = conclusion(question)
+    assert re.search(r"Sync.* as people.*Foot skate.*other way", sentence) and "3" in sentence
+    question, metrics = found({"sync": order, "bas": mixed}, sync=False)
+    assert metrics["sync"].p_holm is None and "1 metric" in conclusion(question)
+    assert "Sync" not in conclusion(question)
+
+
+def test_the_recordings_are_left_out_of_one_tau():
+    """The recordings are first by people and by sync; the three models are in reverse order."""
+    models = [model("a", sync=0.2), model("b", sync=0.3), model("c", sync=0.4)]
+    order = ("recording", "a", "b", "c")
+    votes = judged(*[(x, y) for i, x in enumerate(order) for y in order[i + 1 :]])
+    found = of_votes(models, votes)["sync"]
+    assert (found.kendall, found.of_models, found.n) == (pytest.approx(0), pytest.approx(-1), 4)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.evaluation.results import Evaluation, MetricAgreement, QuestionAgreement
+from gesturekit.evaluation.statistics.agreement import conclusion
 from gesturekit.wording import counted, printable
 
 
@@ -35,10 +36,17 @@ def _agreement(found: QuestionAgreement) -> Iterator[str]:
             f"{chance:+.2f}; pairwise accuracy 50 %."
             + ("" if chance < 1 else " These are too few systems: any order may be chance.")
         )
-    if len(found.metrics) > 1:
-        yield "One metric in 20 is outside that range by chance alone."
+    yield conclusion(found)
     rows = [_agreement_row(one) for one in found.metrics]
-    head = ("Metric", "Kendall's tau [95 %]", "Spearman's rho", "pairs in order", "systems")
+    head = (
+        "Metric",
+        "Kendall's tau [95 %]",
+        "without recordings",
+        "p (Holm)",
+        "Spearman's rho",
+        "pairs in order",
+        "systems",
+    )
     widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
     for row in (head, *rows):
         yield "  " + "  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip()
@@ -49,4 +57,16 @@ def _agreement_row(one: MetricAgreement) -> tuple[str, ...]:
     interval = "" if one.low is None else f" [{one.low:+.2f}, {one.high:+.2f}]"
     accuracy = "none differ" if one.accuracy is None else f"{one.accuracy:.0%} of {one.pairs}"
     tau = f"{one.kendall:+.2f}{interval}"
-    return DEFINITIONS[one.key].name, tau, f"{one.spearman:+.2f}", accuracy, str(one.n)
+    return (
+        DEFINITIONS[one.key].name,
+        tau,
+        "" if one.of_models is None else f"{one.of_models:+.2f}",
+        "not informative" if not one.informative else _p(one.p_holm),
+        f"{one.spearman:+.2f}",
+        accuracy,
+        str(one.n),
+    )
+
+
+def _p(p: float | None) -> str:
+    return "" if p is None else f"{p:.3f}"

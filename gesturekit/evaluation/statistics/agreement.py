@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,10 +25,10 @@ from gesturekit.evaluation.results import (
     ModelResult,
     QuestionAgreement,
 )
-from gesturekit.evaluation.statistics.intervals import FEW
+from gesturekit.evaluation.statistics.intervals import FEW, LEVEL, holm
 from gesturekit.evaluation.statistics.ratings import Ratings
 from gesturekit.evaluation.statistics.scores import RESAMPLES, Scores, scores_of
-from gesturekit.wording import listed, printable
+from gesturekit.wording import counted, listed, printable
 
 RECORDING = "recording"
 """Name by which a study may have the recordings themselves among its systems."""
@@ -76,6 +77,28 @@ def agreement(models: Sequence[ModelResult], ratings: Ratings, seed: int = 0) ->
     return Agreement(tuple(found), tuple(notes))
 
 
+def conclusion(found: QuestionAgreement) -> str:
+    """Return in one sentence which metrics order the models as people do."""
+    tested = [one for one in found.metrics if one.p_holm is not None]
+    certain = [one for one in tested if one.p_holm < 1.0 - LEVEL]
+    about = f" for {printable(found.question)}" if found.question else ""
+    sides = [
+        f"{listed([DEFINITIONS[one.key].name for one in side])} {what}"
+        for side, what in (
+            ([one for one in certain if one.of_models > 0], "as people do"),
+            ([one for one in certain if one.of_models < 0], "the other way round"),
+        )
+        if side
+    ]
+    if sides:
+        return f"Established{about}: ordered {' and '.join(sides)} (Holm, {len(tested)} metrics)."
+    models = len([name for name in found.scores if name != RECORDING])
+    return (
+        f"No metric is established{about}: of {counted(len(tested), 'metric')}, none orders the "
+        f"{counted(models, 'model')} significantly as people do, or the other way round (Holm)."
+    )
+
+
 def shared_systems(labels: Sequence[str], ratings: Ratings) -> list[str]:
     """Return the models, and perhaps the recordings, that evaluation and study have in common.
 
@@ -105,7 +128,10 @@ def _of_question(
             continue
         metric, *drawn = np.array([values[scores.systems[i]] for i in kept]).T
         if np.ptp(metric) > 0:
-            metrics.append(agreement_of(key, metric, np.array(drawn), scores, kept, seed))
+            found = agreement_of(key, metric, np.array(drawn), scores, kept, seed)
+            known = all(m.metrics[key].informative for m in models if key in m.metrics)
+            metrics.append(replace(found, informative=known))
+    metrics = _by_holm(metrics)
     return QuestionAgreement(
         question,
         dict(zip(scores.systems, scores.values.tolist(), strict=True)),
@@ -114,6 +140,13 @@ def _of_question(
         scores.ratings,
         tuple(sorted(metrics, key=lambda one: -one.kendall)),
     )
+
+
+def _by_holm(metrics: Sequence[MetricAgreement]) -> list[MetricAgreement]:
+    """Return metrics with p-values adjusted for all that are informative; none for the others."""
+    p = [one.p_holm if one.informative and one.p_holm is not None else np.nan for one in metrics]
+    adjusted = [None if np.isnan(value) else float(value) for value in holm(p)]
+    return [replace(one, p_holm=value) for one, value in zip(metrics, adjusted, strict=True)]
 
 
 def agreement_of(
@@ -133,11 +166,19 @@ def agreement_of(
         scores: people's scores.
         kept: (k,) indices of systems in `scores`.
         seed: seed of the bootstrap.
+
+    Its p-value is that of one test: the caller adjusts it for all metrics.
     """
     from scipy.stats import kendalltau, spearmanr
 
     people, n = scores.values[kept], len(kept)
     tau, rho = (test(metric, people).statistic for test in (kendalltau, spearmanr))
+    made = np.array([scores.systems[i] != RECORDING for i in kept])
+    of_models = p = None
+    if made.sum() >= LEAST:
+        test = kendalltau(metric[made], people[made])
+        if not np.isnan(test.statistic):
+            of_models, p = float(test.statistic), float(test.pvalue)
     low = high = None
     if n >= LEAST_FOR_INTERVAL:
         low, high = _interval(drawn, scores.resampled[:, kept], seed)
@@ -147,7 +188,17 @@ def agreement_of(
     same = np.sign(metric[one] - metric[other]) * np.sign(people[one] - people[other])
     accuracy = float((0.5 + 0.5 * same).mean()) if len(same) else None
     return MetricAgreement(
-        key, float(tau), low, high, float(rho), accuracy, len(same), n, chance_range(n)
+        key,
+        float(tau),
+        of_models,
+        p,
+        low,
+        high,
+        float(rho),
+        accuracy,
+        len(same),
+        n,
+        chance_range(n),
     )
 
 
