@@ -26,9 +26,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from gesturekit.live.runner import Step
 from gesturekit.motion import Motion
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
-from gesturekit.serving.address import is_foreign
-from gesturekit.serving.connections import server_config
-from gesturekit.serving.requests import Limits
+from gesturekit.serving.access import is_foreign
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.html import player_data, player_shell
 from gesturekit.viewer.human.body import Fitting
@@ -89,10 +87,13 @@ class Page:
             routes=[Route("/", self._page), WebSocketRoute("/stream", self._stream)],
             middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=list(hosts))],
         )
-        ways = {"log_level": "critical", "ws_per_message_deflate": False}
-        ways |= {"timeout_graceful_shutdown": _END_SECONDS}
-        limits = Limits(connections=2 * _MOST_CLIENTS)
-        self._server = uvicorn.Server(server_config(app, limits, **ways))
+        config = uvicorn.Config(
+            app,
+            log_level="critical",
+            ws_per_message_deflate=False,
+            timeout_graceful_shutdown=_END_SECONDS,
+        )
+        self._server = uvicorn.Server(config)
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._serve, args=(listening,), daemon=True)
         self._thread.start()

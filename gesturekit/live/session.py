@@ -145,7 +145,7 @@ class Session:
 
     def _page_maker(self, source: Source) -> Maker:
         from gesturekit.live.page import Page
-        from gesturekit.serving.address import address_of, listening_socket, names_of, token_of
+        from gesturekit.serving.access import address_of, listening_socket, names_of, token_of
 
         token, hosts = token_of(self.host, self.token_file), names_of(self.host, self.names)
         listening = listening_socket(self.host, self.port)
