@@ -29,7 +29,7 @@ from gesturekit.corpus import Manifest
 from gesturekit.errors import GestureKitError
 from gesturekit.inspection import inspect
 from gesturekit.motion import Motion
-from gesturekit.viewer.avatars import load_avatar
+from gesturekit.viewer.drawn_body import load_avatar
 way, *files, out = sys.argv[1:]
 
 def memory(key):

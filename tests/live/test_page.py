@@ -22,7 +22,7 @@ from websockets.sync.client import connect
 from gesturekit.live import Step
 from gesturekit.live.page import Page
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.viewer import Human, is_baked
+from gesturekit.viewer.human.body import Human, is_baked
 
 pytestmark = [
     bundled,

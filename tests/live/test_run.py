@@ -27,7 +27,7 @@ from gesturekit.live import FileSource, Recording, Report, Step, run
 from gesturekit.live.session import Session
 from gesturekit.live.sources import Block, PipeSource
 from gesturekit.motion import Motion
-from gesturekit.viewer import is_baked
+from gesturekit.viewer.human.body import is_baked
 
 MAIN = """
 import sys, loud, gesturekit.systems

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.live import Step
 from gesturekit.live.sinks import VmcSender
-from gesturekit.viewer import Fitting, Human, is_baked
+from gesturekit.viewer.human.body import Fitting, Human, is_baked
 
 pytestmark = pytest.mark.skipif(not is_baked(), reason="the human body is not baked: `make setup`")
 
