@@ -22,8 +22,8 @@ from gesturekit.motion import Motion
 from gesturekit.systems import bundled_speech
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.human.body import TOPS
-from gesturekit.viewer.video.scene import Buffers, Scene
-from gesturekit.viewer.video.writer import write_caption
+from gesturekit.viewer.scene import Buffers, Scene
+from gesturekit.viewer.video import write_caption
 
 WIDTH, HEIGHT, STRIP = 800, 340, 80
 """Pixels of the picture's width, of the part with the body, and of the curves below it."""

@@ -31,16 +31,6 @@ from gesturekit.errors import ConfigError
     help="Longest motion, in frames: seconds times frames per second.",
 )
 @click.option(
-    "--per-minute", default=60.0, show_default=True, help="Most requests per client and minute."
-)
-@click.option(
-    "--connections",
-    type=click.IntRange(1),
-    default=12,
-    show_default=True,
-    help="Most open connections per client address. A proxy is one client.",
-)
-@click.option(
     "--queue", default=16, show_default=True, help="Most requests that may wait; more are refused."
 )
 @click.option(
@@ -70,14 +60,13 @@ def command(
     try:
         import uvicorn
 
-        from gesturekit.serving.address import address_of, listening_socket, names_of, token_of
+        from gesturekit.serving.access import address_of, listening_socket, names_of, token_of
         from gesturekit.serving.app import create_app
-        from gesturekit.serving.connections import server_config
+        from gesturekit.serving.requests import Limits
     except ImportError as error:
         raise ConfigError(
             f"{error.name} is not installed; run: pip install 'gesturekit[serve]'"
         ) from None
-    from gesturekit.serving.requests import Limits
     from gesturekit.systems import load
 
     renamed = {"max_mb": "megabytes", "max_seconds": "seconds", "max_frames": "frames"}
@@ -87,7 +76,6 @@ def command(
     listening = listening_socket(host, port)
     app = create_app(load(model, weights=weights, device=device), bounds, **about)
     click.echo(f"Serving {model} at {address_of(listening, host)} (end with Ctrl-C)", err=True)
-    ways = {"log_level": "warning", "timeout_graceful_shutdown": 10, "ws": "none"}
-    config = server_config(app, bounds, **ways)
+    config = uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=10)
     with contextlib.suppress(KeyboardInterrupt):
         uvicorn.Server(config).run(sockets=[listening])

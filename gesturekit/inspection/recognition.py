@@ -9,7 +9,7 @@ from typing import Any
 from gesturekit.corpus.pairing import scan
 from gesturekit.errors import ConfigError, FormatError
 from gesturekit.formats.registry import MOTION_SUFFIXES
-from gesturekit.formats.signatures import A_JSON_FILE
+from gesturekit.formats.signatures import A_JSON_FILE, REPORT_IN_WORDS, is_report, kind_by_content
 from gesturekit.formats.sources import (
     SPEECH_SUFFIXES,
     is_body_model,
@@ -17,25 +17,24 @@ from gesturekit.formats.sources import (
     is_sequence,
     unreadable_media,
 )
-from gesturekit.inspection.others import (
-    feature_files,
-    inspect_array,
-    inspect_feature_folder,
-    inspect_features,
-    what_it_is,
-)
+from gesturekit.inspection.corpus import inspect_manifest, inspect_recordings
+from gesturekit.inspection.model import inspect_model, inspect_run
+from gesturekit.inspection.motion import inspect_motion
+from gesturekit.inspection.sound import feature_files, inspect_audio, inspect_features
 from gesturekit.inspection.summary import Summary
 from gesturekit.systems import bundled_models, model_folder
 from gesturekit.training.config import read_yaml
 from gesturekit.training.recipes import is_copy
 from gesturekit.training.run.state import unfinished
 
-_JSON = {".json": "motion", ".jsonl": "corpus"}
 _KNOWN = (
     "motion (.bvh, .npz, .glb, EasyMocap folders), avatars (.vrm), sound (.wav, .flac, ...), "
     "feature files (.npz, .npy) and folders of them, manifests (.jsonl), model, run and corpus "
     "folders"
 )
+_GLANCE = 4096  # bytes
+_OUR_PAGE = b'<meta name="generator" content="gesturekit">'
+_JSON = {".json": "motion", ".jsonl": "corpus"}
 
 
 def inspect(
@@ -58,66 +57,45 @@ def inspect(
         GestureKitError: it is none of these, or broken.
         AudioFeaturesError: a sound or feature file that is broken.
     """
-    kind = kind_of(path)
+    path = model_folder(path) if str(path) in bundled_models() else Path(path)
+    kind = _kind_of(path)
     if kind == "motion":
-        from gesturekit.inspection.motion import inspect_motion
-
-        return inspect_motion(Path(path), parts=parts, **dict(read or {}))
-    if kind == "corpus" and Path(path).is_dir():
-        from gesturekit.inspection.corpus import inspect_recordings
-
-        return inspect_recordings(Path(path), parts=parts, read=read, progress=progress)
-    if kind == "other":
-        text = _recognised(Path(path))
-        return Summary("other", f"{path}: {text}", {"path": str(path), "what": text})
+        return inspect_motion(path, parts=parts, **dict(read or {}))
+    if kind == "corpus" and path.is_dir():
+        return inspect_recordings(path, parts=parts, read=read, progress=progress)
     if parts or read:
-        raise ConfigError(f"{path}: a {kind}; only motion has parts, axes, a unit and a height")
-    if kind == "model":
-        from gesturekit.inspection.model import inspect_model
-
-        return inspect_model(model_folder(path))
-    if kind == "run":
-        from gesturekit.inspection.run import inspect_run
-
-        return inspect_run(Path(path))
-    if kind == "audio":
-        from gesturekit.inspection.audio import inspect_audio
-
-        return inspect_audio(Path(path))
-    if kind == "features":
-        if Path(path).is_dir():
-            return inspect_feature_folder(Path(path))
-        is_npy = Path(path).suffix.lower() == ".npy"
-        return (inspect_array if is_npy else inspect_features)(Path(path))
-    from gesturekit.inspection.corpus import inspect_manifest
-
-    return inspect_manifest(Path(path))
+        raise ConfigError(f"{path}: {kind}; only motion has parts, axes, a unit and a height")
+    inspectors = {
+        "model": inspect_model,
+        "run": inspect_run,
+        "audio": inspect_audio,
+        "features": inspect_features,
+        "corpus": inspect_manifest,
+    }
+    if kind in inspectors:
+        return inspectors[kind](path)
+    return Summary("other", f"{path}: {kind}", {"path": str(path), "what": kind}, {})
 
 
-def kind_of(path: str | Path) -> str:
-    """Return motion, audio, features, model, corpus or run; "other" for other known files.
+def _kind_of(path: Path) -> str:
+    """Return motion, audio, features, model, corpus or run; other known files in words.
 
     Raises:
         FormatError: none of these.
     """
-    if str(path) in bundled_models():
-        return "model"
-    path = Path(path)
     if path.is_dir():
         return _kind_of_folder(path)
     if not path.exists():
-        if why := unfinished(path):
-            raise FormatError(why)
-        raise FormatError(
-            f"{path}: no such file or folder, and no bundled model ({', '.join(bundled_models())})"
-        )
+        models = ", ".join(bundled_models())
+        reason = f"{path}: no such file or folder, and no bundled model ({models})"
+        raise FormatError(unfinished(path) or reason)
     if not path.is_file():
         raise FormatError(f"{path}: not a regular file")
     suffix = path.suffix.lower()
     if suffix == ".npy" or (suffix == ".npz" and is_feature_file(path)):
         return "features"
     if suffix == ".npz" and is_body_model(path):
-        return "other"
+        return "a body model of the SMPL family; give it as --body-model with a motion"
     if suffix in (*MOTION_SUFFIXES, ".vrm"):  # of an avatar, the rig
         return "motion"
     if suffix in SPEECH_SUFFIXES:
@@ -125,39 +103,48 @@ def kind_of(path: str | Path) -> str:
     if reason := unreadable_media(path):
         raise FormatError(f"{path}: {reason}")
     try:
-        what = what_it_is(path)
+        what = _in_words(path)
     except OSError as error:
         raise FormatError(f"{path}: {error.strerror}") from None
     if suffix in _JSON and what in (None, A_JSON_FILE):
         return _JSON[suffix]  # its reader says what it is where it is something else
     if what is None:
         raise FormatError(f"{path}: not recognised; gesturekit inspects {_KNOWN}")
-    return "other"
-
-
-def _recognised(path: Path) -> str:
-    """Describe a path of kind "other"."""
-    if is_copy(path):
-        return f"a recipe; gesturekit train {path} trains it"
-    if path.is_dir():
-        return "a feature model of fit-features; give it to evaluate"
-    if path.suffix.lower() == ".npz":
-        return "a body model of the SMPL family; give it as --body-model with a motion"
-    return what_it_is(path) or ""
+    return what
 
 
 def _kind_of_folder(folder: Path) -> str:
     if (folder / "config.yaml").is_file():
         if "kind" in read_yaml(folder / "config.yaml"):
             return "model"
-        return "other" if is_copy(folder) else "run"
+        return f"a recipe; gesturekit train {folder} trains it" if is_copy(folder) else "run"
     if is_sequence(folder):
         return "motion"
     if (folder / "feature_model.json").is_file():
-        return "other"
-    found, _ = scan(folder)
-    if found:
+        return "a feature model of fit-features; give it to evaluate"
+    recordings, _ = scan(folder)
+    if recordings:
         return "corpus"
     if any(feature_files(folder)):  # reads no more than the first
         return "features"
     raise FormatError(f"{folder}: not a folder that gesturekit recognises; it inspects {_KNOWN}")
+
+
+def _in_words(path: Path) -> str | None:
+    """Describe a file and what to do with it; return None for an unknown file."""
+    suffix = path.suffix.lower()
+    for folder in path.parents[:2]:
+        if any((folder / name).is_file() for name in ("model.safetensors", "versions.json")):
+            return f"part of a model or a run; inspect its folder, {folder}"
+    if suffix in (".yaml", ".yml"):
+        if "systems" in read_yaml(path):
+            return f"a user study; gesturekit study build {path} makes its page"
+        return f"a configuration; gesturekit train {path} trains with it"
+    with path.open("rb") as file:
+        start = file.read(_GLANCE)
+    if _OUR_PAGE in start:
+        return "a page that gesturekit wrote (a player or a report); open it in a browser"
+    what = kind_by_content(start)
+    if what == A_JSON_FILE and suffix == ".json" and is_report(path):
+        return REPORT_IN_WORDS
+    return what

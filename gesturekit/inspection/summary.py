@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
 
 _LABEL = 15  # columns that labels take at most
 _PROBLEMS = 8
 
 
-@dataclass(frozen=True)
+@dataclass
 class Summary:
     """A summary of a file or folder.
 
@@ -22,48 +20,50 @@ class Summary:
         kind: motion, audio, features, model, corpus, run, or other.
         title: description in one line.
         facts: plain values for JSON.
-        rows: (label, text) pairs for display.
-        drawing: returns further lines for display, for a width in columns.
+        rows: {label: text} for display; those without a text are removed.
         problems: one line each.
+        tree: lines of a drawing for display.
     """
 
     kind: str
     title: str
     facts: dict[str, Any]
-    rows: tuple[tuple[str, str], ...] = ()
-    drawing: Callable[[int], Sequence[str]] | None = None
-    problems: tuple[str, ...] = ()
+    rows: Mapping[str, str]
+    problems: Sequence[str] = ()
+    tree: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        self.rows = {label: text for label, text in self.rows.items() if text}
 
     def lines(self, width: int) -> list[str]:
         """Return the summary as lines of at most `width` columns."""
-        shown = [("problem", problem) for problem in self.problems[:_PROBLEMS]]
+        rows = [*self.rows.items(), *(("problem", text) for text in self.problems[:_PROBLEMS])]
         if len(self.problems) > _PROBLEMS:
-            shown.append(("problem", f"and {len(self.problems) - _PROBLEMS} more; --json has all"))
-        rows = [*self.rows, *shown]
+            rows.append(("problem", f"and {len(self.problems) - _PROBLEMS} more; --json has all"))
         column = 4 + min(_LABEL, max((len(label) for label, _ in rows), default=0))
-        lines = textwrap.wrap(self.title, width)
+        lines = _wrapped(self.title, width, "", "")
         for label, text in rows:
-            lines += textwrap.wrap(
-                text,
-                width,
-                initial_indent=f"  {label} ".ljust(column),
-                subsequent_indent=" " * column,
-                break_on_hyphens=False,
-            )
-        return [*lines, "", *self.drawing(width)] if self.drawing else lines
+            lines += _wrapped(text, width, f"  {label} ".ljust(column), " " * column)
+        lines += [""] if self.tree else []
+        for branch in self.tree:
+            below = " " * (len(branch) - len(branch.lstrip()) + 4)
+            lines += _wrapped(branch, width, "", below)
+        return lines
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values; NaN and infinity (the level of silence is -inf dB) become null."""
+        """Return plain values; NaN and infinity become null."""
         return _plain({"kind": self.kind, **self.facts, "problems": list(self.problems)})
+
+
+def _wrapped(text: str, width: int, first: str, rest: str) -> list[str]:
+    wrapper = textwrap.TextWrapper(width, first, rest, break_long_words=False)
+    wrapper.break_on_hyphens = False
+    return wrapper.wrap(text)
 
 
 def size(n_bytes: float) -> str:
     """Format a size: "3.7 MB"."""
-    for unit in ("bytes", "kB", "MB"):
-        if n_bytes < 1000:
-            return f"{n_bytes:.0f} {unit}" if unit == "bytes" else f"{n_bytes:.1f} {unit}"
-        n_bytes /= 1000
-    return f"{n_bytes:.1f} GB"
+    return f"{n_bytes / 1e6:.1f} MB" if n_bytes >= 1e6 else f"{n_bytes / 1e3:.1f} kB"
 
 
 def span(seconds: float) -> str:
@@ -78,8 +78,5 @@ def _plain(value: Any) -> Any:
         return {str(key): _plain(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(inner) for inner in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return round(value, 6) if math.isfinite(value) else None
-    return value if isinstance(value, bool | int | str | None) else str(value)
+    is_number = not isinstance(value, float) or math.isfinite(value)
+    return value if is_number else None

@@ -8,7 +8,6 @@ import json
 import socket
 import struct
 import threading
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -23,15 +22,12 @@ from starlette.responses import HTMLResponse
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from gesturekit.live.runner import Step
+from gesturekit.live.sinks import Step
 from gesturekit.motion import Motion
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
-from gesturekit.serving.address import is_foreign
-from gesturekit.serving.connections import server_config
-from gesturekit.serving.requests import Limits
+from gesturekit.serving.access import is_foreign
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.html import player_data, player_shell
-from gesturekit.viewer.human.body import Fitting
 from gesturekit.viewer.pages import insert, script_json
 
 _MOST_CLIENTS = 32
@@ -54,7 +50,6 @@ class Page:
         listening: socket that listens.
         hosts: names under which the page is reached; ("*",) for any.
         example: motion on the stream's rig, from which its standing pose is measured.
-        human: function that returns what puts motion on the human body.
         body: body to draw; see `DrawnBody`.
         framing: first view, "whole" or "waist".
         sound: file that the page plays with its frames; None for the sound of a microphone.
@@ -70,7 +65,6 @@ class Page:
         listening: socket.socket,
         hosts: tuple[str, ...],
         example: Motion,
-        human: Callable[[], Fitting],
         *,
         body: str = "human",
         framing: str = "whole",
@@ -79,7 +73,7 @@ class Page:
     ) -> None:
         self._token = token
         drawn = DrawnBody.of(example, body)
-        self._fitting = human() if drawn.fitting and body == "human" else drawn.fitting
+        self._fitting = drawn.fitting
         page = json.loads(player_data(example, sound, body=body, framing=framing))
         page["live"] = _joints(drawn)
         places = {"title": "Live", "motion": script_json(page)}
@@ -89,10 +83,13 @@ class Page:
             routes=[Route("/", self._page), WebSocketRoute("/stream", self._stream)],
             middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=list(hosts))],
         )
-        ways = {"log_level": "critical", "ws_per_message_deflate": False}
-        ways |= {"timeout_graceful_shutdown": _END_SECONDS}
-        limits = Limits(connections=2 * _MOST_CLIENTS)
-        self._server = uvicorn.Server(server_config(app, limits, **ways))
+        config = uvicorn.Config(
+            app,
+            log_level="critical",
+            ws_per_message_deflate=False,
+            timeout_graceful_shutdown=_END_SECONDS,
+        )
+        self._server = uvicorn.Server(config)
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._serve, args=(listening,), daemon=True)
         self._thread.start()

@@ -9,12 +9,11 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
-from gesturekit.live.sources import Intake, Source, put_newest
-from gesturekit.live.timeline import Timeline
+from gesturekit.live.sinks import Sink, Step
+from gesturekit.live.sources import Intake, Source, Timeline, put_newest
 from gesturekit.model import MotionStream
 from gesturekit.motion import Motion
 from gesturekit.wording import counted
@@ -27,33 +26,6 @@ _POLL = 0.05
 _NOTHING = np.empty(0, np.float32)
 _KEPT = 100_000
 """Measurements kept for quantiles: those of the last hour or so."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """Result of one step of the stream.
-
-    Attributes:
-        samples: (N,) float32, the sound that the stream got.
-        motion: frames that became final; None if none did.
-        time: seconds of the sound to which the first of the frames belongs.
-        lag: seconds from that sound's capture until now; None without a clock.
-    """
-
-    samples: np.ndarray
-    motion: Motion | None
-    time: float
-    lag: float | None
-
-
-class Sink(Protocol):
-    """Receiver of the steps of a stream, with a thread of its own."""
-
-    def put(self, step: Step) -> None:
-        """Take a step."""
-
-    def close(self) -> None:
-        """End; called once, after the last step."""
 
 
 @dataclass
@@ -99,30 +71,23 @@ class Report:
             self.first_pose = self.first_pose or ended - self.begun
         return motion
 
-    def arrived(self, captured: float | None) -> float | None:
-        """Keep and return the lag of a frame whose sound was captured at a time of the clock."""
-        if captured is None:
-            return None
-        self.lags.append(time.monotonic() - captured)
-        return self.lags[-1]
-
     def figures(self) -> dict[str, float | None]:
         """Return all figures by name; seconds, if the name says no other unit."""
-        found: dict[str, float | None] = {
+        shares = {"p50": 0.5, "p95": 0.95, "max": 1.0}
+        late, early = _quantile(self.lags, 0.95), _quantile(self.lags, 0.05)
+        return {
             "sound": self.seconds,
             "frames": self.frames,
             "algorithmic_latency": self.latency,
             "load_to_first_pose": self.first_pose,
             "real_time_factor": self.computed / self.seconds if self.seconds else None,
+            **{f"step_{label}": _quantile(self.steps, share) for label, share in shares.items()},
+            **{f"lag_{label}": _quantile(self.lags, share) for label, share in shares.items()},
+            "arrival_jitter": None if late is None or early is None else late - early,
+            **self.sound,
+            "overflows": self.overflows,
+            "steps_missed_by_sinks": self.missed,
         }
-        for name, values in (("step", self.steps), ("lag", self.lags)):
-            for label, share in (("p50", 0.5), ("p95", 0.95), ("max", 1.0)):
-                value = float(np.quantile(values, share)) if values else None
-                found[f"{name}_{label}"] = value
-        jitter = np.quantile(self.lags, [0.05, 0.95]) if self.lags else None
-        found["arrival_jitter"] = None if jitter is None else float(jitter[1] - jitter[0])
-        counts = {"overflows": self.overflows, "steps_missed_by_sinks": self.missed}
-        return found | self.sound | counts
 
     def line(self) -> str:
         """Return a summary of one line."""
@@ -132,6 +97,10 @@ class Report:
         parts += [counted(self.overflows, "overflow")] if self.overflows else []
         parts += [f"{counted(self.missed, 'step')} missed by a sink"] if self.missed else []
         return ", ".join(parts)
+
+
+def _quantile(values: deque[float], share: float) -> float | None:
+    return float(np.quantile(values, share)) if values else None
 
 
 class _Feed:
@@ -196,25 +165,27 @@ def run(
     feeds = [_Feed(sink, source.fast, warn) for sink in sinks]
 
     def deliver(samples: np.ndarray, work: Callable[[], Motion | None]) -> None:
-        seconds = stream.n_frames / stream.fps
-        motion = report.timed(work)
-        lag = report.arrived(timeline.moment(seconds)) if motion is not None else None
+        seconds, lag = stream.n_frames / stream.fps, None
+        motion, captured = report.timed(work), timeline.moment(seconds)
+        if motion is not None and captured is not None:
+            lag = time.monotonic() - captured
+            report.lags.append(lag)
         for feed in feeds:
             feed.put(Step(samples, motion, seconds, lag))
 
     try:
-        with intake:
-            while not stopped.is_set() and (samples := _next(intake, timeline)) is not None:
-                if feeds and all(feed.failure for feed in feeds):
-                    break
-                if len(samples):
-                    deliver(samples, partial(stream.step, samples))
+        while not stopped.is_set() and (samples := _next(intake, timeline)) is not None:
+            if feeds and all(feed.failure for feed in feeds):
+                break
+            if len(samples):
+                deliver(samples, partial(stream.step, samples))
         deliver(_NOTHING, stream.finish)
     finally:
+        intake.stopped.set()
         for feed in feeds:
             feed.close()
         report.seconds, report.overflows = timeline.seconds, source.overflows
-        report.sound = timeline.counts()
+        report.sound = timeline.counts
         report.sound["dropped"] += intake.dropped
         report.missed = sum(feed.missed for feed in feeds)
         report.failures = [feed.failure for feed in feeds if feed.failure]

@@ -7,15 +7,15 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gesturekit.errors import ConfigError
-from gesturekit.live.recording import Recording
-from gesturekit.live.runner import Report, Sink, run
+from gesturekit.live.runner import Report, run
+from gesturekit.live.sinks import PORT, Recording, Sink, VmcSender
 from gesturekit.live.sources import FileSource, Microphone, PipeSource, Source
 from gesturekit.model import MotionStream
 from gesturekit.motion import Motion
@@ -24,8 +24,6 @@ from gesturekit.viewer.human.body import Fitting, Human
 if TYPE_CHECKING:
     from gesturekit.model import Model
 
-Maker = Callable[[Callable[[], Motion], Callable[[], Fitting]], Sink]
-"""Function that opens a sink, of an example of the motion and what puts it on the human body."""
 SINKS = "page, vmc:HOST:PORT or record:FILE"
 _EXAMPLE_SECONDS = 2.0
 _PAGE_SECONDS, _POLL = 10, 0.02
@@ -74,7 +72,7 @@ class Session:
         """Generate motion until the sound ends or `stopped` is set.
 
         Args:
-            load: function that returns the model; called when everything else has been checked.
+            load: function that returns the model; called when the source has been checked.
             report: figures to fill in.
             stopped: ends the run.
 
@@ -83,15 +81,17 @@ class Session:
             ModelError: the model cannot stream.
         """
         source = self._source()
-        makers = [self._maker(sink, source) for sink in self.sinks]
         model = load()
         # A first step compiles and fills caches, for which no microphone waits.
         self._stream(model, source).step(np.zeros(source.rate, np.float32))
         stream = self._stream(model, source)
-        example = cache(partial(model.generate, seconds=_EXAMPLE_SECONDS, seed=self.seed))
-        # One for all sinks, so that each motion is retargeted once.
-        human = cache(lambda: Fitting(Human.load(), example()))
-        opened = [make(example, human) for make in makers]
+        example = cache(lambda: model.generate(seconds=_EXAMPLE_SECONDS, seed=self.seed))
+        try:
+            opened = [self._opened(sink, source, example) for sink in self.sinks]
+        except ImportError as error:
+            raise ConfigError(
+                f"{error.name} is not installed; run: pip install 'gesturekit[live]'"
+            ) from None
         report.latency = stream.latency + self.block
         latest = time.monotonic() + (0 if source.is_live else _PAGE_SECONDS)
         while not all(getattr(sink, "is_open", True) for sink in opened):
@@ -115,48 +115,35 @@ class Session:
             return PipeSource(sys.stdin.buffer, self.rate, self.block, self.fast)
         return FileSource(Path(self.source), self.block, self.fast)
 
-    def _maker(self, sink: str, source: Source) -> Maker:
-        """Check a sink, and return the function that opens it.
+    def _opened(self, sink: str, source: Source, example: Callable[[], Motion]) -> Sink:
+        """Open a sink of the motion of which there is an example.
 
         Raises:
-            ConfigError: no such sink, or a package for it is not installed.
+            ConfigError: no such sink.
+            ImportError: a package for it is not installed.
         """
         kind, _, place = sink.partition(":")
-        try:
-            if sink == "page":
-                return self._page_maker(source)
-            if kind == "vmc":
-                from gesturekit.live.vmc import PORT, VmcSender
-
-                host, _, port = (place or f"127.0.0.1:{PORT}").rpartition(":")
-                if not host or not port.isdecimal() or not 0 < int(port) < 1 << 16:
-                    raise ConfigError(
-                        f"--to {sink}: expected vmc:HOST:PORT, as vmc:127.0.0.1:39539"
-                    )
-                return lambda _, human: VmcSender(host.strip("[]"), int(port), human())
-        except ImportError as error:
-            raise ConfigError(
-                f"{error.name} is not installed; run: pip install 'gesturekit[live]'"
-            ) from None
+        if sink == "page":
+            return self._page(source, example())
+        if kind == "vmc":
+            host, _, port = (place or f"127.0.0.1:{PORT}").rpartition(":")
+            if not host or not port.isdecimal() or not 0 < int(port) < 1 << 16:
+                raise ConfigError(f"--to {sink}: expected vmc:HOST:PORT, as vmc:127.0.0.1:39539")
+            return VmcSender(host.strip("[]"), int(port), Fitting(Human.load(), example()))
         if kind != "record" or not place:
             raise ConfigError(f"--to {sink}: no such sink; expected {SINKS}")
-        rate = source.rate if source.is_live else None
-        return lambda *_: Recording(Path(place), rate)
+        return Recording(Path(place), source.rate if source.is_live else None)
 
-    def _page_maker(self, source: Source) -> Maker:
+    def _page(self, source: Source, example: Motion) -> Sink:
         from gesturekit.live.page import Page
-        from gesturekit.serving.address import address_of, listening_socket, names_of, token_of
+        from gesturekit.serving.access import address_of, listening_socket, names_of, token_of
 
         token, hosts = token_of(self.host, self.token_file), names_of(self.host, self.names)
         listening = listening_socket(self.host, self.port)
-
-        def make(example: Callable[[], Motion], human: Callable[[], Fitting]) -> Sink:
-            sound = source.path if isinstance(source, FileSource) and not self.fast else None
-            shown: dict[str, Any] = {"body": self.body, "framing": self.framing, "token": token}
-            page = Page(listening, hosts, example(), human, sound=sound, **shown)
-            start = "" if source.is_live else f"; starts when it is open, or in {_PAGE_SECONDS} s"
-            start += "" if token is None else "; asks for the token, or takes it as /?token=TOKEN"
-            self.say(f"Page at {address_of(listening, self.host)} (end with Ctrl-C){start}")
-            return page
-
-        return make
+        sound = source.path if isinstance(source, FileSource) and not self.fast else None
+        shown: dict[str, Any] = {"body": self.body, "framing": self.framing, "token": token}
+        page = Page(listening, hosts, example, sound=sound, **shown)
+        start = "" if source.is_live else f"; starts when it is open, or in {_PAGE_SECONDS} s"
+        start += "" if token is None else "; asks for the token, or takes it as /?token=TOKEN"
+        self.say(f"Page at {address_of(listening, self.host)} (end with Ctrl-C){start}")
+        return page

@@ -1,4 +1,7 @@
-"""Sound for a stream: a microphone, a file in real time, or a pipe."""
+"""Sound for a stream: a microphone, a file in real time, or a pipe.
+
+Its blocks come late, in bursts, or not at all; `Timeline` makes one signal without holes of them.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any, BinaryIO, Protocol
@@ -15,15 +19,36 @@ import numpy as np
 
 from audio_features import Wave
 from gesturekit.errors import ConfigError
-from gesturekit.live.timeline import Block
 
-Put = Callable[[Block], None]
 QUEUE_SECONDS = 0.5
 """Sound that may wait while the model is busy; of more, the oldest is dropped."""
 _AHEAD = 0.25
 """Seconds by which a pipe may be ahead of time, as programs write in bursts."""
 _FASTER = 1.001
 """Speed at which a pipe is read, so that a fast sound card never has to wait."""
+BRIDGE = 0.2
+"""Longest gap that is filled by sound like the last one, seconds; after it there is silence."""
+_DRIFT = 1e-3
+"""Largest difference between the clocks of sound card and computer that is followed."""
+_MOST_IDLE = 1.0
+"""Most silence made at once, seconds; a computer that slept goes on with the present."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Sound as a source delivers it.
+
+    Attributes:
+        samples: (N,) float32, mono.
+        time: when its first sample was captured, seconds of `time.monotonic`; None for sound that
+            is read as fast as possible.
+    """
+
+    samples: np.ndarray
+    time: float | None = None
+
+
+Put = Callable[[Block], None]
 
 
 class Source(Protocol):
@@ -191,6 +216,7 @@ class Intake:
         source: origin of the sound, of which `QUEUE_SECONDS` may wait.
 
     Attributes:
+        stopped: ends the thread when it is set.
         dropped: seconds of sound that had to go.
         waits: whether the source waits, so that all of its sound is used.
     """
@@ -199,16 +225,9 @@ class Intake:
         self.source, size = source, max(round(QUEUE_SECONDS / source.block), 2)
         self._queue: queue.Queue[Block | None] = queue.Queue(size)
         self.waits = source.fast or not source.is_live
-        self._stopped, self.dropped = threading.Event(), 0.0
+        self.stopped, self.dropped = threading.Event(), 0.0
         self._error: Exception | None = None
-        self._thread = threading.Thread(target=self._run, name="sound", daemon=True)
-
-    def __enter__(self) -> Intake:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stopped.set()
+        threading.Thread(target=self._run, name="sound", daemon=True).start()
 
     def get(self, seconds: float) -> Block | None:
         """Return the next block, or None if the sound has ended.
@@ -224,13 +243,13 @@ class Intake:
 
     def _run(self) -> None:
         try:
-            self.source.run(self._put, self._stopped)
+            self.source.run(self._put, self.stopped)
         except Exception as error:
             self._error = error
         self._put(None)
 
     def _put(self, block: Block | None) -> None:
-        wait = self._stopped if self.waits or block is None else None
+        wait = self.stopped if self.waits or block is None else None
         for gone in put_newest(self._queue, block, wait):
             self.dropped += len(gone.samples) / self.source.rate
 
@@ -252,3 +271,83 @@ def put_newest(full: queue.Queue[Any], item: Any, wait: threading.Event | None) 
             with suppress(queue.Empty):
                 gone.append(full.get_nowait())
     return gone
+
+
+class Timeline:
+    """Place of each block in the sound that the stream gets.
+
+    Sound that is missing for up to `BRIDGE` is replaced by a mirror image of what came before,
+    which fades. In a longer gap silence follows as the time passes. Sound that comes when its time
+    was filled already is dropped. A gap that is found too late to be filled, as the computer was
+    busy or slept, is skipped. The clock of the sound card is followed, so that its drift is no gap.
+
+    Args:
+        rate: samples per second.
+        tolerance: seconds by which a block may come early or late without being taken for a gap.
+
+    Attributes:
+        counts: seconds of sound that were bridged, silent, dropped and skipped so far.
+    """
+
+    def __init__(self, rate: int, tolerance: float) -> None:
+        self.counts = dict.fromkeys(("bridged", "silent", "dropped", "skipped"), 0.0)
+        self._rate, self._tolerance = rate, tolerance
+        self._given, self._missing = 0, 0
+        self._origin: float | None = None
+        self._last = np.zeros(round(BRIDGE * rate), np.float32)
+
+    @property
+    def seconds(self) -> float:
+        """Length of the sound that the stream got."""
+        return self._given / self._rate
+
+    def moment(self, seconds: float) -> float | None:
+        """Return the clock's time of a second of the stream's sound; None without a clock."""
+        return None if self._origin is None else self._origin + seconds
+
+    def place(self, block: Block, now: float) -> np.ndarray:
+        """Return the samples that the stream gets for a block, which is taken at time `now`."""
+        samples, filled = block.samples, np.empty(0, np.float32)
+        if block.time is not None:
+            origin = self._origin = block.time if self._origin is None else self._origin
+            ahead = origin + self.seconds - block.time
+            if ahead > self._tolerance:
+                late = min(round(ahead * self._rate), len(samples))
+                self.counts["dropped"] += late / self._rate
+                samples = samples[late:]
+            elif -ahead > self._tolerance:
+                is_behind = now - block.time - len(samples) / self._rate > BRIDGE
+                bridged = 0.0 if is_behind else min(-ahead, BRIDGE)
+                filled = self._filled(round(bridged * self._rate))
+                self._skip(origin, -ahead - bridged)
+            else:
+                drift = _DRIFT * len(samples) / self._rate
+                self._origin = origin - float(np.clip(ahead, -drift, drift))
+        if len(samples):
+            self._given += len(samples)
+            self._missing = 0
+            self._last = np.concatenate([self._last, samples])[-len(self._last) :]
+        return np.concatenate([filled, samples])
+
+    def idle(self, now: float) -> np.ndarray:
+        """Return the samples with which the stream goes on while no block comes."""
+        origin = self._origin = now if self._origin is None else self._origin
+        due = now - origin - self.seconds - self._tolerance - BRIDGE
+        self._skip(origin, due - _MOST_IDLE)
+        return self._filled(max(round(min(due, _MOST_IDLE) * self._rate), 0))
+
+    def _skip(self, origin: float, seconds: float) -> None:
+        self._origin = origin + max(seconds, 0.0)
+        self.counts["skipped"] += max(seconds, 0.0)
+
+    def _filled(self, count: int) -> np.ndarray:
+        """Return `count` samples that go on from the last ones, mirrored and fading to silence."""
+        places = self._missing + np.arange(count)
+        kept = places[places < len(self._last)]
+        filled = np.zeros(count, np.float32)
+        filled[: len(kept)] = self._last[::-1][kept] * (1 - kept / len(self._last))
+        self.counts["bridged"] += len(kept) / self._rate
+        self.counts["silent"] += (count - len(kept)) / self._rate
+        self._missing += count
+        self._given += count
+        return filled

@@ -86,7 +86,7 @@ class FeatureExtraction(Processor):
             if file.suffix == ".npz":
                 track.save(file)
             else:
-                from gesturekit.viewer.feature_picture import draw_features
+                from gesturekit.viewer.pictures import draw_features
 
                 draw_features(track, file, wave)
 

@@ -22,9 +22,8 @@ from gesturekit.model import Model, control_entries
 from gesturekit.motion.motion import Motion
 from gesturekit.rendering.inputs import item_of, task_wave, task_words
 from gesturekit.systems import controls_type, drawing_options
-from gesturekit.viewer.avatars import load_avatar
-from gesturekit.viewer.drawn_body import AVATARS
-from gesturekit.viewer.video.writer import require_encoder
+from gesturekit.viewer.drawn_body import AVATARS, load_avatar
+from gesturekit.viewer.video import require_encoder
 
 log = logging.getLogger(__name__)
 RENDERED = ("bvh", "npz", "glb", "html", "mp4", "png")

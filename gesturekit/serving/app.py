@@ -1,69 +1,56 @@
-"""The HTTP application and its figures for Prometheus; see docs/serve.md."""
+"""The HTTP application: one model, a few threads, a short queue, and its pages.
+
+See docs/serve.md. The pages load nothing from elsewhere.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import errno
 import logging
 import re
 import tempfile
 import time
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from html import escape
 from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any
 
+import torch
 from fastapi import FastAPI, HTTPException, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import HTMLResponse, JSONResponse
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from starlette.exceptions import HTTPException as AnyHTTPException
 from starlette.middleware.trustedhost import TrustedHostMiddleware
+from threadpoolctl import threadpool_limits
 
-from audio_features.errors import AudioFeaturesError
+import audio_features as af
 from gesturekit.errors import GestureKitError
 from gesturekit.model import Model
-from gesturekit.serving.address import LOOPBACK
-from gesturekit.serving.pages import DROP_PAGE, PAGE_HEADERS, api_page
-from gesturekit.serving.requests import (
-    Limits,
-    MotionRequest,
-    Rate,
-    check_origin,
-    check_token,
-    receive,
-)
-from gesturekit.serving.worker import BusyError, Worker
+from gesturekit.serving.access import LOOPBACK, check_origin, check_token
+from gesturekit.serving.requests import Limits, MotionRequest, receive
+from gesturekit.systems import bundled_speech, drawing_options
 from gesturekit.wording import printable
 
-
-class Metrics:
-    """Counters of one service.
-
-    Args:
-        admitted: function that returns the number of requests that are queued or being processed.
-    """
-
-    def __init__(self, admitted: Callable[[], int]) -> None:
-        self._registry = CollectorRegistry()
-        args: dict[str, Any] = {"registry": self._registry, "namespace": "gesturekit"}
-        self.requests = Counter("requests", "Requests, by HTTP status.", ["status"], **args)
-        self.sound = Counter("sound_seconds", "Seconds of sound in answers.", **args)
-        self.seconds = Histogram(
-            *("request_seconds", "Seconds of a request for motion, waiting included."),
-            buckets=(0.1, 0.3, 1, 3, 10, 30, 100, 300),
-            **args,
-        )
-        Gauge("queue", "Requests that wait or are in work.", **args).set_function(admitted)
-
-    def page(self) -> bytes:
-        """Return the figures as Prometheus reads them."""
-        return generate_latest(self._registry)
-
-
 log = logging.getLogger(__name__)
+DROP_PAGE = Path(__file__).with_name("drop.html").read_text(encoding="utf-8")
+"""Page on which one drops a sound and sees the motion."""
+PAGE_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+        "img-src data: blob:; media-src data: blob:; connect-src 'self' data: blob:; "
+        "frame-src blob:; worker-src blob:; base-uri 'none'; form-action 'none'; "
+        "frame-ancestors 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+}
 _TYPES = {"bvh": "text/plain", "npz": "application/octet-stream", "html": "text/html"}
+_PROMETHEUS = "text/plain; version=0.0.4; charset=utf-8"
 _BODY = {
     "requestBody": {
         "description": "A sound file: wav, flac, ogg, mp3, aiff, au.",
@@ -74,15 +61,14 @@ _BODY = {
         },
     }
 }
-_ERRORS = {
-    400: "no sound in the body, or the connection was closed",
-    401: "the token is missing or wrong",
-    403: "sent by a page of another site",
-    408: "the sound arrived too slowly",
-    413: "the sound is too large",
-    422: "the sound or a setting cannot be used",
-    429: "too many requests or connections of this client",
-    503: "the queue is full, or the disk",
+_ERRORS: dict[int | str, dict[str, Any]] = {
+    400: {"description": "no sound in the body, or the connection was closed"},
+    401: {"description": "the token is missing or wrong"},
+    403: {"description": "sent by a page of another site"},
+    408: {"description": "the sound arrived too slowly"},
+    413: {"description": "the sound is too large"},
+    422: {"description": "the sound or a setting cannot be used"},
+    503: {"description": "the queue is full, or the disk"},
 }
 
 
@@ -99,92 +85,43 @@ def create_app(
         model: model with speech input.
         limits: limits of requests.
         token: what requests must send as `Authorization: Bearer TOKEN`; None for no token.
-        hosts: names under which the service is reached; requests for others are refused, so that
-            a page elsewhere cannot reach it under a name of its own.
+        hosts: names under which the service is reached; no page elsewhere reaches it by its own.
 
     Raises:
         GestureKitError: the model has no speech input.
     """
-    limits = limits or Limits()
-    worker = Worker(model, limits)
-    figures = Metrics(lambda: worker.admitted)
-    worker.warm_up()
-
-    @asynccontextmanager
-    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        with tempfile.TemporaryDirectory(prefix="gesturekit-serve-") as folder:
-            app.state.folder = Path(folder)
-            yield
-
+    service = _Service(model, limits or Limits(), token)
     app = FastAPI(
         title="gesturekit",
         version=metadata.version("gesturekit"),
         summary="Speech to body motion",
         docs_url=None,  # FastAPI's own page loads its scripts from a CDN
         redoc_url=None,
-        lifespan=lifespan,
+        exception_handlers={AnyHTTPException: _as_json, RequestValidationError: _as_json},
     )
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(hosts))
-    app.add_exception_handler(AnyHTTPException, _as_json)
-    app.add_exception_handler(RequestValidationError, _as_json)
 
-    service = _Service(worker, Rate(limits.per_minute), figures, limits, token)
-    _add_motion(app, service)
-    _add_pages(app, service)
-    return app
-
-
-@dataclass(frozen=True)
-class _Service:
-    worker: Worker
-    rate: Rate
-    figures: Metrics
-    limits: Limits
-    token: str | None
-
-
-def _add_motion(app: FastAPI, service: _Service) -> None:
     @app.post(
         "/motion",
         openapi_extra=_BODY,
-        responses={status: {"description": text} for status, text in _ERRORS.items()},
+        responses=_ERRORS,
         response_class=Response,
     )
     async def motion(request: Request, asked: Annotated[MotionRequest, Query()]) -> Response:
         """Turn a sound into motion of the same length."""
-        begun, status = time.perf_counter(), 500
-        try:
-            check_origin(request)
-            check_token(request, service.token)
-            _check_rate(request, service.rate)
-            content, seconds = await _answer(request, asked, service)
-            service.figures.sound.inc(seconds)
-            status = 200
-        except HTTPException as error:
-            status = error.status_code
-            raise
-        finally:
-            service.figures.requests.labels(str(status)).inc()
-            service.figures.seconds.observe(time.perf_counter() - begun)
-        return _file(content, asked.format)
-
-
-def _add_pages(app: FastAPI, service: _Service) -> None:
-    model = service.worker.model
+        return await service.counted_answer(request, asked)
 
     @app.get("/health")
     async def health() -> dict[str, Any]:
         """Say that the service works, and with which model."""
-        about = {"status": "ok", "version": metadata.version("gesturekit"), "kind": model.kind}
-        return about | {"fps": model.recorded_fps, "styles": list(model.styles)}
+        about = {"kind": model.kind, "fps": model.recorded_fps, "styles": list(model.styles)}
+        return {"status": "ok", "version": app.version} | about
 
     @app.get("/metrics", response_class=Response)
     async def figures(request: Request) -> Response:
         """Return figures for Prometheus."""
-        check_token(request, service.token)
-        return Response(
-            service.figures.page(), media_type="text/plain; version=0.0.4; charset=utf-8"
-        )
+        check_token(request, token)
+        return Response(generate_latest(service.registry), media_type=_PROMETHEUS)
 
     @app.get("/", include_in_schema=False)
     async def page() -> HTMLResponse:
@@ -192,55 +129,139 @@ def _add_pages(app: FastAPI, service: _Service) -> None:
 
     @app.get("/docs", include_in_schema=False)
     async def docs() -> HTMLResponse:
-        return HTMLResponse(api_page(app.openapi(), service.limits), headers=PAGE_HEADERS)
+        return HTMLResponse(_api_page(app.openapi(), service.limits), headers=PAGE_HEADERS)
+
+    return app
 
 
-def _check_rate(request: Request, rate: Rate) -> None:
-    wait = rate.wait(request.client.host if request.client else "")
-    if wait:
-        after = {"Retry-After": str(int(wait) + 1)}
-        raise HTTPException(429, f"too many requests; try again in {wait:.0f} s", after)
-
-
-async def _answer(request: Request, asked: MotionRequest, service: _Service) -> tuple[bytes, float]:
-    """Return a motion's file and the seconds of its sound.
-
-    Everything that a request writes lies in a folder of its own, under fixed names.
+class _Service:
+    """A model, the threads that use it, and the counters of its requests.
 
     Raises:
-        HTTPException: it cannot be done.
+        GestureKitError: the model cannot generate motion from sound.
     """
-    try:
-        with (
-            service.worker.admit(),
-            tempfile.TemporaryDirectory(dir=request.app.state.folder) as folder,
-        ):
-            sound = Path(folder) / "speech"
-            await receive(request, sound, service.limits)
-            try:
-                return await service.worker.render(sound, asked)
-            except (GestureKitError, AudioFeaturesError) as error:
-                reason = re.sub("`ffmpeg [^`]*`", "`ffmpeg -i YOUR_FILE speech.wav`", str(error))
-                reason = reason.replace(str(sound), "the sound")
-                raise HTTPException(422, reason.replace(folder, "")) from None
-    except BusyError:
-        raise HTTPException(503, "all workers are busy", {"Retry-After": "10"}) from None
-    except (OSError, MemoryError, RuntimeError) as error:
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise HTTPException(503, "the disk of the service is full") from None
-        log.exception("a request failed")
-        raise HTTPException(500, "the motion could not be made; see the log") from None
 
+    def __init__(self, model: Model, limits: Limits, token: str | None) -> None:
+        self.limits, self._model, self._token = limits, model, token
+        self._warm_up()
+        self._threads = ThreadPoolExecutor(
+            limits.workers,
+            thread_name_prefix="motion",
+            initializer=torch.set_num_threads,
+            initargs=(1,),
+        )
+        self._admitted = 0
+        self.registry = CollectorRegistry()
+        args: dict[str, Any] = {"registry": self.registry, "namespace": "gesturekit"}
+        self._requests = Counter("requests", "Requests, by HTTP status.", ["status"], **args)
+        self._sound = Counter("sound_seconds", "Seconds of sound in answers.", **args)
+        self._seconds = Histogram(
+            *("request_seconds", "Seconds of a request for motion, waiting included."),
+            buckets=(0.1, 0.3, 1, 3, 10, 30, 100, 300),
+            **args,
+        )
+        queue = Gauge("queue", "Requests that wait or are in work.", **args)
+        queue.set_function(lambda: self._admitted)
 
-def _file(content: bytes, kind: str) -> Response:
-    headers = {
-        "Content-Disposition": f"{'inline' if kind == 'html' else 'attachment'}; "
-        f'filename="motion.{kind}"',
-        "X-Content-Type-Options": "nosniff",
-        # A player that is opened directly runs without the rights of this site.
-        "Content-Security-Policy": "sandbox allow-scripts",
-    }
-    return Response(content, media_type=_TYPES[kind], headers=headers)
+    def _warm_up(self) -> None:
+        """Generate a short motion, so that the first request does not wait for compilation.
+
+        From then on, matrix products of the whole process take one thread: their last bits depend
+        on the number of threads, which motions made at once would change for each other.
+        """
+        if not self._model.inputs.speech:
+            raise GestureKitError("this model has no speech input; serve one that has")
+        if self._model.inputs.words or self._model.inputs.files:
+            raise GestureKitError(
+                "this model reads a file beside each sound (own features, or words), which a "
+                "request does not bring: use gesturekit render, or compute the features by an "
+                "installed extractor"
+            )
+        self._model.generate(af.Wave.load(bundled_speech(), duration=1.0))
+        threadpool_limits(1, user_api="blas")  # now that all libraries are loaded
+
+    async def counted_answer(self, request: Request, asked: MotionRequest) -> Response:
+        """Answer a request for motion, and count it.
+
+        Raises:
+            HTTPException: it cannot be done.
+        """
+        begun, status = time.perf_counter(), 500
+        try:
+            check_origin(request)
+            check_token(request, self._token)
+            content, seconds = await self._answer(request, asked)
+            self._sound.inc(seconds)
+            status = 200
+        except AnyHTTPException as error:
+            status = error.status_code
+            raise
+        finally:
+            self._requests.labels(str(status)).inc()
+            self._seconds.observe(time.perf_counter() - begun)
+        way = "inline" if asked.format == "html" else "attachment"
+        headers = {
+            "Content-Disposition": f'{way}; filename="motion.{asked.format}"',
+            "X-Content-Type-Options": "nosniff",
+            # A player that is opened directly runs without the rights of this site.
+            "Content-Security-Policy": "sandbox allow-scripts",
+        }
+        return Response(content, media_type=_TYPES[asked.format], headers=headers)
+
+    async def _answer(self, request: Request, asked: MotionRequest) -> tuple[bytes, float]:
+        """Return a motion's file and the seconds of its sound.
+
+        Everything that a request writes lies in a folder of its own, under fixed names.
+        """
+        try:
+            with (
+                self._place_in_queue(),
+                tempfile.TemporaryDirectory(prefix="gesturekit-serve-") as folder,
+            ):
+                sound = Path(folder) / "speech"
+                await receive(request, sound, self.limits)
+                loop = asyncio.get_running_loop()
+                try:
+                    return await loop.run_in_executor(self._threads, self._render, sound, asked)
+                except (GestureKitError, af.AudioFeaturesError) as error:
+                    reason = re.sub(
+                        "`ffmpeg [^`]*`", "`ffmpeg -i YOUR_FILE speech.wav`", str(error)
+                    )
+                    reason = reason.replace(str(sound), "the sound")
+                    raise HTTPException(422, reason.replace(folder, "")) from None
+        except (OSError, MemoryError, RuntimeError) as error:
+            if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+                raise HTTPException(503, "the disk of the service is full") from None
+            log.exception("a request failed")
+            raise HTTPException(500, "the motion could not be made; see the log") from None
+
+    @contextlib.contextmanager
+    def _place_in_queue(self) -> Iterator[None]:
+        """Hold a place in the queue; refuse the request if there is none."""
+        if self._admitted >= self.limits.workers + self.limits.queue:
+            raise HTTPException(503, "all workers are busy", {"Retry-After": "10"})
+        self._admitted += 1
+        try:
+            yield
+        finally:
+            self._admitted -= 1
+
+    def _render(self, sound: Path, asked: MotionRequest) -> tuple[bytes, float]:
+        """Generate the motion of a sound file in its folder, and return it and its seconds."""
+        wave = af.Wave.load(sound, max_seconds=self.limits.seconds)
+        rate = asked.fps or self._model.recorded_fps
+        if (n_frames := wave.n_frames(rate)) > self.limits.frames:
+            raise GestureKitError(
+                f"{wave.duration:g} s at {rate:g} frames per second are {n_frames} frames; this "
+                f"service makes at most {self.limits.frames:g}: give a lower fps, or less sound"
+            )
+        # Those that were given: a default would count as given with `raw`.
+        controls = asked.model_dump(exclude={"format"}, exclude_unset=True)
+        motion = self._model.generate(wave, **controls)
+        out = sound.with_name(f"motion.{asked.format}")
+        extra = {"audio": sound, "title": "motion"} | drawing_options(self._model)
+        motion.save(out, **(extra if asked.format == "html" else {}))
+        return out.read_bytes(), wave.duration
 
 
 async def _as_json(request: Request, error: Exception) -> JSONResponse:
@@ -249,3 +270,36 @@ async def _as_json(request: Request, error: Exception) -> JSONResponse:
         return JSONResponse({"error": printable("; ".join(said)[:1000])}, 422)
     assert isinstance(error, AnyHTTPException)
     return JSONResponse({"error": printable(str(error.detail))}, error.status_code, error.headers)
+
+
+def _api_page(schema: dict[str, Any], limits: Limits) -> str:
+    """Return a page of the requests in an OpenAPI schema, and of the limits."""
+    parts = []
+    for path, operations in schema["paths"].items():
+        for method, about in operations.items():
+            parts.append(f"<h2>{method.upper()} {path}</h2><p>{escape(about['description'])}</p>")
+            settings = about.get("parameters", ())
+            parts.append(_table({each["name"]: _setting(each) for each in settings}))
+            answers = about["responses"].items()
+            parts.append(_table({status: said["description"] for status, said in answers}))
+    return (
+        "<!doctype html><meta charset=utf-8><title>API</title>"
+        "<style>body{font:16px/1.5 system-ui,sans-serif;max-width:50em;margin:2em auto}"
+        f"th{{text-align:left}}</style><h1>gesturekit</h1>{''.join(parts)}"
+        f"<h2>Limits</h2>{_table(vars(limits))}"
+        '<p>Machine-readable: <a href="openapi.json">openapi.json</a></p>'
+        "<pre>curl --data-binary @speech.wav 'http://127.0.0.1:8000/motion' > a.bvh</pre>"
+    )
+
+
+def _setting(parameter: Mapping[str, Any]) -> str:
+    """Return the description of a setting, with its choices and default."""
+    schema = parameter["schema"]
+    choices = f"; one of {', '.join(schema['enum'])}" if "enum" in schema else ""
+    default = f"; default {schema['default']}" if "default" in schema else ""
+    return f"{parameter.get('description', '')}{choices}{default}"
+
+
+def _table(rows: Mapping[str, object]) -> str:
+    shown = (f"<tr><th>{escape(k)}<td>{escape(str(text))}" for k, text in rows.items())
+    return f"<table>{''.join(shown)}</table>"

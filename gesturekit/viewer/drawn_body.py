@@ -1,19 +1,28 @@
-"""Body with which a motion is drawn in pages, videos and pictures."""
+"""Bodies with which motion is drawn, an avatar's among them, and files of a moving body."""
 
 from __future__ import annotations
 
 import os
 import warnings
-from dataclasses import dataclass
+from bisect import bisect_left
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gesturekit.errors import FormatError, GestureKitError
-from gesturekit.formats.gltf.skin import Skin
+import numpy as np
+
+from audio_features.atomic import atomic_write
+from gesturekit.errors import FormatError, GestureKitError, MotionError
+from gesturekit.formats.fbx import write_by_blender
+from gesturekit.formats.gltf.skin import Skin, unique_rows
+from gesturekit.formats.gltf.vrm import Avatar, our_names, read_avatar
+from gesturekit.formats.gltf.writing import Material, animated_avatar, animated_skeleton
 from gesturekit.formats.smpl.skeleton import fit_body
 from gesturekit.motion.body_model.model import BodyModel
-from gesturekit.viewer.avatars import load_avatar
 from gesturekit.viewer.figure import Figure
-from gesturekit.viewer.human.body import Fitting, Human
+from gesturekit.viewer.human.body import COLOURS, Fitting, Human
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -88,3 +97,174 @@ class DrawnBody:
             except GestureKitError as error:
                 warnings.warn(f"the mannequin is drawn instead of {body}: {error}", stacklevel=2)
         return cls(motion, Figure.of(motion, plain=body == "skeleton"))
+
+
+def drawn_bodies(
+    motion: Motion | Mapping[str, Motion],
+    body: str | None,
+    body_model: BodyModel | str | os.PathLike[str] | None = None,
+) -> dict[str, DrawnBody]:
+    """Return the `DrawnBody` of each motion by its label, that of a single one by "".
+
+    Raises:
+        MotionError: no motion.
+    """
+    motions = motion if isinstance(motion, Mapping) else {"": motion}
+    if not motions:
+        raise MotionError("no motion to show: the mapping of motions is empty")
+    return {label: DrawnBody.of(each, body, body_model) for label, each in motions.items()}
+
+
+def write_glb(
+    motion: Motion,
+    path: str | os.PathLike[str],
+    *,
+    body: str | None = None,
+    body_model: BodyModel | str | os.PathLike[str] | None = None,
+) -> None:
+    """Write a binary glTF 2.0 file: skeleton, animation, and a mesh.
+
+    Args:
+        motion: the motion to write.
+        path: the .glb file, written atomically.
+        body: "human" or the path of a VRM avatar, which keeps its textures; the motion is put on
+            its rig. "mannequin" (by default) and "skeleton" have bones on the motion's own rig.
+        body_model: the skin of this body instead: a `BodyModel`, its .npz file or a folder.
+
+    Raises:
+        FormatError: an unknown body, or one that cannot be read.
+
+    Warns:
+        UserWarning: the motion cannot be put on the body: bones are written.
+    """
+    path = Path(path)
+    drawn = DrawnBody.of(motion, body, body_model)
+    if drawn.skins and body is not None and body.lower().endswith(AVATARS):
+        content = animated_avatar(load_avatar(body)[1], drawn.motion, path.stem, drawn.scale)
+    else:
+        skin = drawn.skins[0] if drawn.skins else None
+        materials = [Material("body", COLOURS["skin"])]
+        if skin is not None and skin.regions is not None:
+            materials = [Material(name, colour) for name, colour in COLOURS.items()]
+        content = animated_skeleton(drawn.motion, path.stem, skin, materials, drawn.scale)
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def write_vrma(motion: Motion, path: str | os.PathLike[str]) -> None:
+    """Write a VRM animation 1.0, which VRM programs put on any avatar.
+
+    Args:
+        motion: the motion; it is put on the human body's bones, with fingers.
+        path: the .vrma file, written atomically.
+
+    Raises:
+        FormatError: the human body was not baked.
+        MotionError: body parts of the motion's rig cannot be found.
+    """
+    moved = Human.load().in_t_pose(motion)
+    names = {bone: ours for bone, ours in our_names(True).items() if ours in moved.skeleton.names}
+    bones = {bone: {"node": moved.skeleton.index(ours)} for bone, ours in names.items()}
+    extension = {"specVersion": "1.0", "humanoid": {"humanBones": bones}}
+    extensions = {"VRMC_vrm_animation": extension}
+    with atomic_write(path) as temporary:
+        name = Path(path).stem
+        temporary.write_bytes(animated_skeleton(moved, name, None, extensions=extensions))
+
+
+def write_fbx(
+    motion: Motion,
+    path: str | os.PathLike[str],
+    *,
+    body: str | None = None,
+    body_model: BodyModel | str | os.PathLike[str] | None = None,
+) -> None:
+    """Write an FBX file, by Blender; arguments, errors and warnings as for `write_glb`.
+
+    Raises:
+        FormatError: Blender is not found, or it failed.
+    """
+    write = partial(write_glb, body=body, body_model=body_model)
+    write_by_blender(path, motion, write)
+
+
+_FINEST, _COARSE = 65_535, 5_000
+"""Most vertices of the mesh in pages and videos, and of the one for slow machines."""
+
+
+def load_avatar(path: str | os.PathLike[str]) -> tuple[Human, Avatar]:
+    """Read an avatar, as a body with a fine and a coarse skin; the last ones are cached.
+
+    Warns:
+        UserWarning: a texture that cannot be read.
+
+    Raises:
+        FormatError: as `read_avatar` does.
+    """
+    path = Path(path)
+    try:
+        status = path.stat()
+        version = status.st_mtime_ns, status.st_size
+    except OSError:
+        version = 0, 0  # the reader says what is wrong
+    return _loaded(path.resolve(), version)
+
+
+@lru_cache(maxsize=2)
+def _loaded(path: Path, version: tuple[int, int]) -> tuple[Human, Avatar]:
+    avatar, mesh = read_avatar(path)
+    height = avatar.height
+    finest = simplified(welded(mesh, height), _FINEST, height)
+    return Human(avatar.skeleton, (finest, simplified(finest, _COARSE, height))), avatar
+
+
+_FIRST, _GROWTH = 1 / 800, 1.25
+"""Size of the first grid's cells by the body's height, and by which each next one is larger."""
+_ROUNDS = 100
+_SAME = 1e-5
+"""Distance of vertices at one place, by the body's height."""
+
+
+def welded(skin: Skin, height: float) -> Skin:
+    """Return the mesh with vertices of one place and colour made one, so that no seam is seen."""
+    assert skin.regions is not None
+    return _clustered(skin, _SAME * height, skin.regions[:, None])
+
+
+def simplified(skin: Skin, most: int, height: float) -> Skin:
+    """Return a mesh of at most `most` vertices, of a body of this height in metres.
+
+    Vertices of one cell of a grid that move with the same joint become one, so that fingers stay
+    apart. The last of the grids has one cell a joint at most.
+    """
+    if len(skin.vertices) <= most:
+        return skin
+    cells = _FIRST * height * _GROWTH ** np.arange(_ROUNDS)
+    apart = skin.joints[:, :1]
+    k = bisect_left(cells[:-1], True, key=lambda cell: len(_groups(skin, cell, apart)[0]) <= most)
+    return _clustered(skin, cells[k], apart)
+
+
+def _groups(skin: Skin, cell: float, apart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first vertex of each cell with the same numbers `apart`, and groups (V,)."""
+    keys = np.floor(skin.vertices / cell).astype(np.int64)
+    return unique_rows(np.concatenate([keys, apart], axis=1))
+
+
+def _clustered(skin: Skin, cell: float, apart: np.ndarray) -> Skin:
+    """Return the mesh with one vertex for those of a cell with the same numbers `apart` (V, N)."""
+    first, groups = _groups(skin, cell, apart)
+    counts = np.bincount(groups)
+    vertices = np.stack(
+        [np.bincount(groups, skin.vertices[:, axis]) / counts for axis in range(3)], axis=1
+    )
+    faces = groups[skin.faces]
+    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    return replace(
+        skin,
+        vertices=vertices,
+        faces=faces[whole].astype(np.uint32),
+        joints=skin.joints[first],
+        weights=skin.weights[first],
+        regions=None if skin.regions is None else skin.regions[first],
+    )

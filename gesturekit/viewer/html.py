@@ -19,25 +19,27 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from audio_features import Wave
 from audio_features.atomic import write_text
-from gesturekit.errors import MotionError
 from gesturekit.motion.body_model.model import BodyModel
-from gesturekit.viewer.drawn_body import DrawnBody
+from gesturekit.viewer.drawn_body import DrawnBody, drawn_bodies
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human.body import COLOURS
 from gesturekit.viewer.page_data import (
     BANDS,
+    OUTLINE_RATE,
+    Playable,
     add_skins,
+    as_wave,
     base64_text,
     contact_track,
+    encoded,
     onsets,
+    outline,
     packed,
     spectrogram,
     speed_minima,
 )
 from gesturekit.viewer.pages import bundled_script, filled, insert, script_json
-from gesturekit.viewer.sound import OUTLINE_RATE, Sound, as_sound, outline
 from gesturekit.wording import printable
 
 if TYPE_CHECKING:
@@ -54,7 +56,7 @@ def write_html(
     motion: Motion | Mapping[str, Motion],
     path: str | os.PathLike[str],
     *,
-    audio: str | os.PathLike[str] | Wave | None = None,
+    audio: Playable | None = None,
     title: str | None = None,
     body: str | None = None,
     body_model: BodyModel | str | os.PathLike[str] | None = None,
@@ -82,7 +84,7 @@ def write_html(
 
 def page_text(
     motion: Motion | Mapping[str, Motion],
-    audio: str | os.PathLike[str] | Wave | None,
+    audio: Playable | None,
     title: str,
     body_model: BodyModel | str | os.PathLike[str] | None,
     body: str | None = None,
@@ -108,7 +110,7 @@ def player_shell() -> str:
 
 def player_data(
     motion: Motion | Mapping[str, Motion],
-    audio: str | os.PathLike[str] | Wave | None = None,
+    audio: Playable | None = None,
     body_model: BodyModel | str | os.PathLike[str] | None = None,
     colours: Mapping[str, str] | None = None,
     body: str | None = None,
@@ -121,14 +123,12 @@ def player_data(
 
     Raises AudioError where `audio` is not sound, FormatError where `body_model` is none.
     """
-    motions = dict(motion) if isinstance(motion, Mapping) else {"": motion}
-    if not motions:
-        raise MotionError("no motion to show: the mapping of motions is empty")
-    shown = {label: DrawnBody.of(motion, body, body_model) for label, motion in motions.items()}
-    page = _page(shown, None if audio is None else as_sound(audio))
+    shown = drawn_bodies(motion, body, body_model)
+    page = _page(shown, audio)
     page["below"] = max(drawn.figure.below(framing) for drawn in shown.values())
-    for figure, own in zip(page["figures"], motions.values()):
-        figure["file_joints"] = own.skeleton.n_joints  # a human body has more
+    motions = motion.values() if isinstance(motion, Mapping) else [motion]
+    for figure, given in zip(page["figures"], motions):
+        figure["file_joints"] = given.skeleton.n_joints  # a human body has more
         if colours is not None and figure["label"] in colours:
             figure["ink"] = colours[figure["label"]]
             if body == "human" and "skin" in figure:
@@ -136,16 +136,15 @@ def player_data(
     return script_json(page)
 
 
-def _page(shown: Mapping[str, DrawnBody], audio: Any) -> dict[str, Any]:
+def _page(shown: Mapping[str, DrawnBody], audio: Playable | None) -> dict[str, Any]:
     page: dict[str, Any] = {
         "format": 1,
         "height": max(drawn.figure.extent for drawn in shown.values()),
         "figures": [_figure(label, drawn.motion, drawn.figure) for label, drawn in shown.items()],
     }
     add_skins(page, list(shown.values()))
-    if audio is not None:
-        wave = audio if isinstance(audio, Wave) else Wave.load(audio)
-        sound = Sound.of(audio)
+    if audio is not None and (wave := as_wave(audio)) is not None:
+        data, media_type = encoded(audio, wave)
         spectrum, rate = spectrogram(wave)
         page["speech"] = {
             "duration": wave.duration,
@@ -154,7 +153,7 @@ def _page(shown: Mapping[str, DrawnBody], audio: Any) -> dict[str, Any]:
             "onsets": _times(onsets(wave)),
             "spectrum": {"bands": BANDS, "rate": rate, "values": _levels(spectrum)},
         }
-        page["audio"] = {"type": sound.type, "data": base64_text(sound.data)}
+        page["audio"] = {"type": media_type, "data": base64_text(data)}
     return page
 
 
@@ -237,7 +236,7 @@ class Display:
 
 def display(
     motion: Motion | Mapping[str, Motion],
-    audio: str | os.PathLike[str] | Wave | None = None,
+    audio: Playable | None = None,
     title: str = "",
     body_model: BodyModel | str | os.PathLike[str] | None = None,
     height: int = 640,

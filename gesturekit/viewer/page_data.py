@@ -1,4 +1,4 @@
-"""Data of a page of the player, beside the figures: skins, and the tracks under the time line.
+"""Data of a page of the player beside the figures: skins, sound, tracks under the time line.
 
 The tracks are spectrogram and onsets of speech, contacts and beats of motion. The numbers are
 unpacked by player/data.js.
@@ -7,14 +7,19 @@ unpacked by player/data.js.
 from __future__ import annotations
 
 import base64
+import io
+import os
 import zlib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import soundfile
 from scipy.signal import find_peaks
 
-from audio_features import LogMel, Onset, Wave
+from audio_features import AudioError, LogMel, Onset, Wave
+from audio_features.containers.sound_file import soundfile_name
 from gesturekit.formats.gltf.skin import Skin, steady_turns
 from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.viewer.drawn_body import DrawnBody
@@ -140,3 +145,87 @@ def contact_track(motion: Motion) -> np.ndarray | None:
     labels = contact_labels(motion) > 0.5
     left, right = labels[:, : n_points // 2], labels[:, n_points // 2 :]
     return np.asarray(left.any(axis=1) + 2 * right.any(axis=1)).astype(np.uint8)
+
+
+EMBED_LIMIT = 2_000_000
+"""Recordings of at most this many bytes are embedded as they are; bigger ones become MP3."""
+OUTLINE_RATE = 100
+"""Values a second of a wave's outline."""
+
+# What every current browser plays, by libsndfile's names.
+_BROWSER_TYPES = {
+    ("FLAC", "PCM_16"): "audio/flac",
+    ("FLAC", "PCM_24"): "audio/flac",
+    ("MP3", "MPEG_LAYER_III"): "audio/mpeg",
+    ("WAV", "FLOAT"): "audio/wav",
+    ("WAV", "PCM_16"): "audio/wav",
+    ("WAV", "PCM_24"): "audio/wav",
+    ("WAV", "PCM_U8"): "audio/wav",
+}
+_MP3_RATES = (16_000, 22_050, 24_000, 32_000, 44_100, 48_000)
+_BLOCK = 1 << 16
+
+
+Playable = str | os.PathLike[str] | Wave | tuple[np.ndarray, int]
+"""A file, a `Wave`, or an array of samples with its rate in Hz."""
+
+
+def as_wave(audio: Playable | None) -> Wave | None:
+    """Return sound as a `Wave`, and None for none.
+
+    Raises:
+        AudioError: it is not sound, or an array has no rate.
+    """
+    if audio is None or isinstance(audio, Wave):
+        return audio
+    if isinstance(audio, tuple) and len(audio) == 2:
+        return Wave.from_array(*audio, "audio")
+    if not isinstance(audio, str | os.PathLike):
+        raise AudioError(
+            f"audio is {type(audio).__name__}: give a file, a Wave, or (samples, rate in Hz)"
+        )
+    return Wave.load(audio)
+
+
+def encoded(audio: Playable, wave: Wave) -> tuple[bytes, str]:
+    """Return sound as a browser plays it, and its media type.
+
+    A WAV, FLAC or MP3 file of up to EMBED_LIMIT bytes is taken byte for byte, any other sound is
+    encoded: without loss (FLAC) while that stays under the limit, else as mono MP3. MP3 from here
+    starts on the sample: its header tells players what to skip.
+
+    Args:
+        audio: the sound as given.
+        wave: the same, decoded.
+    """
+    if isinstance(audio, str | os.PathLike):
+        path = Path(audio)
+        info = soundfile.info(soundfile_name(path))
+        media_type = _BROWSER_TYPES.get((info.format, info.subtype))
+        if media_type and path.stat().st_size <= EMBED_LIMIT:
+            return path.read_bytes(), media_type
+    # FLAC takes about one byte a sample of speech.
+    if len(wave.samples) <= EMBED_LIMIT:
+        flac = _encode(wave, format="FLAC", subtype="PCM_16")
+        if len(flac) <= EMBED_LIMIT:
+            return flac, "audio/flac"
+    rate = next((rate for rate in _MP3_RATES if rate >= wave.sample_rate), _MP3_RATES[-1])
+    return _encode(wave.resample(rate), format="MP3", subtype="MPEG_LAYER_III"), "audio/mpeg"
+
+
+def _encode(wave: Wave, **kind: str) -> bytes:
+    buffer = io.BytesIO()
+    with soundfile.SoundFile(
+        buffer, "w", samplerate=wave.sample_rate, channels=1, **kind
+    ) as encoder:
+        for start in range(0, len(wave.samples), _BLOCK):
+            encoder.write(wave.samples[start : start + _BLOCK])
+    return buffer.getvalue()
+
+
+def outline(wave: Wave) -> np.ndarray:
+    """Return the largest |sample| of each 1/OUTLINE_RATE s as (M,) floats, 1 the clip's peak."""
+    n = int(np.ceil(wave.duration * OUTLINE_RATE))
+    edges = np.arange(n) * len(wave.samples) // n
+    peaks = np.maximum.reduceat(np.abs(wave.samples), edges)
+    return peaks / max(float(peaks.max()), 1e-9)

@@ -1,27 +1,27 @@
-"""Pictures of motions, their hand speed and their speech: PNG, SVG or PDF."""
+"""Pictures: motions with their hand speed and speech (PNG, SVG or PDF), and features of a sound."""
 
 from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
+import matplotlib.figure
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse, Polygon
 
-from audio_features import LogMel, Wave
+from audio_features import FeatureTrack, LogMel, Wave
 from audio_features.atomic import atomic_write
-from gesturekit.errors import MotionError
-from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
-from gesturekit.viewer.canvas import SOFT, name_row, new_canvas
-from gesturekit.viewer.drawn_body import DrawnBody
-from gesturekit.viewer.figure import Figure
-from gesturekit.viewer.sound import as_sound
-from gesturekit.viewer.video.scene import Stills
+from gesturekit.viewer.drawn_body import drawn_bodies
+from gesturekit.viewer.figure import LEFT, MIDDLE, RIGHT, Figure
+from gesturekit.viewer.page_data import Playable, as_wave
+from gesturekit.viewer.scene import Stills
+from gesturekit.wording import printable
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -42,12 +42,27 @@ _INCHES_PER_FIGURE = 1.3
 _ROW_INCHES = 2.9
 _STILL = 600
 """Pixels of the pictures of a skinned body."""
+SOFT = "#6b7785"
+_DPI = 110
+_LINE = "#c8643a"
+_INCHES_PER_SECOND, _WIDEST = 0.7, 40.0
+_ONE_SCALE = ("mel", "chroma")
+"""Features whose columns share a scale; others are normalised column by column."""
+_UNITS = {
+    "f0": "semitones from the median",
+    "energy": "dB of active speech",
+    "onset": "dB",
+    "onset_strength": "dB",
+    "spectral_flux": "dB",
+    "f0_range": "semitones",
+    "energy_range": "dB",
+}
 
 
 def write_picture(
     motion: Motion | Mapping[str, Motion],
     path: str | os.PathLike[str],
-    audio: str | os.PathLike[str] | Wave | None = None,
+    audio: Playable | None = None,
     body: str | None = None,
     *,
     frames: int = 10,
@@ -71,14 +86,7 @@ def write_picture(
         FormatError: an unknown body.
         MotionError: no motion.
     """
-    wave = None
-    if audio is not None:
-        audio = as_sound(audio)
-        wave = audio if isinstance(audio, Wave) else Wave.load(audio)
-    motions = dict(motion) if isinstance(motion, Mapping) else {"": motion}
-    if not motions:
-        raise MotionError("no motion to draw: the mapping of motions is empty")
-    shown = {label: DrawnBody.of(each, body) for label, each in motions.items()}
+    wave, shown = as_wave(audio), drawn_bodies(motion, body)
     figures = {label: drawn.figure for label, drawn in shown.items()}
     seconds = max(drawn.motion.duration for drawn in shown.values())
     seconds = max(seconds, wave.duration if wave else 0.0)
@@ -231,3 +239,94 @@ def _taper(a: np.ndarray, b: np.ndarray, radii: tuple[float, float], width: floa
     half = np.linspace(-np.pi / 2, np.pi / 2, 9)[:, None]
     cap = np.cos(half) * along + np.sin(half) * aside
     return np.concatenate([b + radii[1] * cap, a - radii[0] * cap])
+
+
+def draw_features(track: FeatureTrack, path: str | os.PathLike[str], wave: Wave) -> None:
+    """Draw the sound (log-mel) and every feature of a track, as a PNG.
+
+    Columns that belong together (mel_0, mel_1, …) are one image, others a line each; pitch is
+    drawn where there is one. Bands and pitch classes share a scale; cepstral coefficients and
+    hidden states, whose sizes differ a hundredfold, are each shown against their own mean and
+    standard deviation.
+
+    Args:
+        track: (T, D) on any time base.
+        path: the .png file to write.
+        wave: the sound that the features are of.
+    """
+    groups = _groups(track.names)
+    heights = [1.2, *(1.0 if len(columns) > 1 else 0.8 for columns in groups.values())]
+    width = float(np.clip(_INCHES_PER_SECOND * wave.duration, 8.0, _WIDEST))
+    size = (width, 1.15 * sum(heights) + 0.8)
+    canvas, rows = new_canvas(size, Path(path).stem, heights)
+    _image(rows[0], LogMel(n_mels=40).extract(wave), list(range(40)), "the sound, log-mel")
+    for axes, (name, columns) in zip(rows[1:], groups.items()):
+        if len(columns) > 1:
+            own = "" if name in _ONE_SCALE else ", each against its own mean and spread"
+            _image(axes, track, columns, f"{name}, {len(columns)} columns{own}", bool(own))
+        else:
+            _line(axes, track, columns[0], name)
+    rows[-1].set_xlim(0, wave.duration)
+    with atomic_write(path) as temporary:
+        canvas.savefig(temporary, format="png", metadata={"Software": "gesturekit"})
+
+
+def _groups(names: tuple[str, ...]) -> dict[str, list[int]]:
+    """Group columns whose names differ only in their last number: {common part: columns}."""
+    groups: dict[str, list[int]] = {}
+    for column, name in enumerate(names):
+        groups.setdefault(re.sub(r"_\d+$", "", name), []).append(column)
+    return groups
+
+
+def _image(
+    axes: Axes, track: FeatureTrack, columns: list[int], title: str, own_scale: bool = False
+) -> None:
+    values = track.values[:, columns].T
+    if own_scale:
+        spread = values.std(axis=1, keepdims=True)
+        values = (values - values.mean(axis=1, keepdims=True)) / np.maximum(spread, 1e-6)
+    # A lone frame is drawn 20 ms wide.
+    half = (track.times[-1] - track.times[0]) / max(len(track.times) - 1, 1) / 2 or 0.01
+    low, high = np.quantile(values, [0.01, 0.995])
+    axes.imshow(
+        values,
+        origin="lower",
+        aspect="auto",
+        extent=(track.times[0] - half, track.times[-1] + half, 0, len(columns)),
+        cmap="Blues",
+        vmin=low,
+        vmax=max(high, low + 1e-6),
+    )
+    axes.set_yticks([])
+    name_row(axes, title)
+
+
+def _line(axes: Axes, track: FeatureTrack, column: int, name: str) -> None:
+    values = track.values[:, column].astype(np.float64)
+    if name == "f0" and "voicing" in track.names:
+        values[track.values[:, track.names.index("voicing")] < 0.6] = np.nan
+    axes.plot(track.times, values, color=_LINE, linewidth=1.0)
+    name_row(axes, f"{name}, {_UNITS[name]}" if name in _UNITS else name)
+
+
+def new_canvas(
+    size: tuple[float, float], title: str, heights: Sequence[float]
+) -> tuple[matplotlib.figure.Figure, list[Axes]]:
+    """Return a figure of this size in inches, and its rows of these relative heights."""
+    canvas = matplotlib.figure.Figure(figsize=size, dpi=_DPI, layout="constrained")
+    style = {"ha": "left", "fontsize": 13, "color": "#26303b", "parse_math": False}
+    canvas.suptitle(printable(title), x=0.012, **style)
+    rows = canvas.subplots(len(heights), sharex=True, height_ratios=heights)
+    for axes in rows:
+        axes.tick_params(labelsize=8, colors=SOFT, length=2)
+        for name, spine in axes.spines.items():
+            spine.set_visible(name == "bottom")
+            spine.set_color("#d5dae0")
+    rows[-1].set_xlabel("seconds", fontsize=9, color=SOFT)
+    return canvas, list(rows)
+
+
+def name_row(axes: Axes, text: str) -> None:
+    """Write the title of a row."""
+    axes.set_title(text, loc="left", fontsize=9, color=SOFT, pad=3, parse_math=False)

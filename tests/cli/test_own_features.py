@@ -62,7 +62,7 @@ def test_own_features_from_training_to_motion(
     trained = gesturekit(*train).ok()
     assert re.search(r"(?=.*STEM.own.npy)(?=.*\b3\b)", trained.out)
     model = tmp_path / "run" / "model"
-    needs = [text for name, text in inspect(model).rows if name == "needs"]
+    needs = [text for name, text in inspect(model).rows.items() if name == "needs"]
     assert any("loudness" in need and "own-features" in need for need in needs)
     assert all(need in (model / "README.md").read_text() for need in needs)
     speech, out = tmp_path / "speech", tmp_path / "out"

@@ -11,7 +11,7 @@ from pages import bundled
 
 from gesturekit.evaluation import evaluate, write_report
 from gesturekit.evaluation.report.tables import number
-from gesturekit.viewer import is_baked
+from gesturekit.viewer.human.body import is_baked
 
 pytestmark = bundled
 

@@ -28,7 +28,7 @@ import gesturekit as gk
 from gesturekit.formats import Gltf, read_avatar
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.skeleton import ROTATION_ORDERS
-from gesturekit.viewer import DrawnBody
+from gesturekit.viewer.drawn_body import DrawnBody
 
 ROOT = Path(__file__).resolve().parents[2]
 PLAYER = ROOT / "gesturekit" / "viewer" / "player"

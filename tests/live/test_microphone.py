@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import ConfigError
-from gesturekit.live import Block, Microphone
+from gesturekit.live.sources import Block, Microphone
 
 
 class SoundCard:

@@ -9,7 +9,6 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from urllib.parse import quote
 
@@ -23,7 +22,7 @@ from websockets.sync.client import connect
 from gesturekit.live import Step
 from gesturekit.live.page import Page
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.viewer import Fitting, Human, is_baked
+from gesturekit.viewer.human.body import Human, is_baked
 
 pytestmark = [
     bundled,
@@ -65,9 +64,8 @@ def serve() -> Iterator[Callable[..., Served]]:
         listening = socket.create_server(("127.0.0.1", 0))
         skeleton = LoudModel().skeleton
         example = raised(skeleton, np.full(30, raised_by), 30.0)
-        human = partial(Fitting, Human.load(), example)
         hosts = access.pop("hosts", ("127.0.0.1",))
-        page = Page(listening, hosts, example, human, body=body, sound=sound, **access)
+        page = Page(listening, hosts, example, body=body, sound=sound, **access)
         opened.append(page)
         return Served(page, listening.getsockname()[1], skeleton)
 

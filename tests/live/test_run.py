@@ -23,10 +23,11 @@ from websockets.sync.client import connect
 
 from audio_features import Wave
 from gesturekit import systems
-from gesturekit.live import Block, FileSource, PipeSource, Recording, Report, Step, run
+from gesturekit.live import FileSource, Recording, Report, Step, run
 from gesturekit.live.session import Session
+from gesturekit.live.sources import Block, PipeSource
 from gesturekit.motion import Motion
-from gesturekit.viewer import is_baked
+from gesturekit.viewer.human.body import is_baked
 
 MAIN = """
 import sys, loud, gesturekit.systems

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from gesturekit.live import Block, Timeline
-from gesturekit.live.timeline import BRIDGE
+from gesturekit.live.sources import BRIDGE, Block, Timeline
 
 RATE, SIZE = 16_000, 640
 TONE = np.sin(np.arange(40 * SIZE) / 9).astype(np.float32)
@@ -20,7 +19,7 @@ def placed(line: Timeline, block: Block, waited: float = 0.0) -> np.ndarray:
 
 def counts(line: Timeline) -> dict[str, float]:
     """Seconds of sound of each fate that some had."""
-    return {name: seconds for name, seconds in line.counts().items() if seconds > 1e-6}
+    return {name: seconds for name, seconds in line.counts.items() if seconds > 1e-6}
 
 
 @pytest.mark.parametrize("ppm", [-200, 200])
@@ -51,7 +50,7 @@ def test_a_source_that_stalls_gives_fading_sound_and_then_silence():
     late, now = blocks({5: 5.2, 6: 6.4})
     assert not len(placed(line, late))
     assert placed(line, now)[-SIZE:].tolist() == now.samples.tolist()
-    assert line.counts()["dropped"] == pytest.approx(0.04)
+    assert line.counts["dropped"] == pytest.approx(0.04)
 
 
 def test_a_gap_that_no_silence_could_fill_is_skipped():
@@ -60,8 +59,8 @@ def test_a_gap_that_no_silence_could_fill_is_skipped():
     placed(line, blocks({0: 0.0})[0])
     assert len(placed(line, blocks({1: 3600.0})[0])) == BRIDGE * RATE + SIZE
     assert line.moment(line.seconds) == pytest.approx(3600.04)
-    assert line.counts()["bridged"] == pytest.approx(BRIDGE)
-    assert line.counts()["skipped"] == pytest.approx(3600 - 0.04 - BRIDGE)
+    assert line.counts["bridged"] == pytest.approx(BRIDGE)
+    assert line.counts["skipped"] == pytest.approx(3600 - 0.04 - BRIDGE)
     assert 0 < len(line.idle(9000.0)) < 10 * RATE
     assert line.moment(line.seconds) == pytest.approx(9000 - BRIDGE, abs=0.03)
 

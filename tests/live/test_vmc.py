@@ -10,8 +10,8 @@ from loud import raised
 from scipy.spatial.transform import Rotation
 
 from gesturekit.live import Step
-from gesturekit.live.vmc import VmcSender
-from gesturekit.viewer import Fitting, Human, is_baked
+from gesturekit.live.sinks import VmcSender
+from gesturekit.viewer.human.body import Fitting, Human, is_baked
 
 pytestmark = pytest.mark.skipif(not is_baked(), reason="the human body is not baked: `make setup`")
 

@@ -11,7 +11,9 @@ from avatars import BONES, HAIR, avatar, avatar_json, packed
 
 from gesturekit.errors import FormatError
 from gesturekit.motion import body_height
-from gesturekit.viewer import DrawnBody, SkinnedBody, load_avatar, write_picture, write_video
+from gesturekit.viewer import write_picture, write_video
+from gesturekit.viewer.drawn_body import DrawnBody, load_avatar
+from gesturekit.viewer.scene import SkinnedBody
 
 LEFT_ARM = {"Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "HandIndex1": "IndexProximal"}
 

@@ -10,7 +10,7 @@ from rigs import at_rest
 from scipy.spatial.transform import Rotation
 
 from gesturekit.motion import Motion
-from gesturekit.viewer import LEFT, MIDDLE, RIGHT, Figure
+from gesturekit.viewer.figure import LEFT, MIDDLE, RIGHT, Figure
 
 RECORDINGS = {
     ZEGGS: (1.5, 1.95),

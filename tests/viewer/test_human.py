@@ -16,8 +16,10 @@ from scipy.spatial.transform import Rotation
 from gesturekit.errors import FormatError
 from gesturekit.formats import smpl_skeleton
 from gesturekit.motion import Motion, body_height, find_parts, two_bone_ik
-from gesturekit.viewer import DrawnBody, SkinnedBody, write_html, write_picture, write_video
+from gesturekit.viewer import write_html, write_picture, write_video
+from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.human import bake, body
+from gesturekit.viewer.scene import SkinnedBody
 
 baked = pytest.mark.skipif(not body.is_baked(), reason="the human body is not baked (make setup)")
 NEAR = 0.09

@@ -7,7 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.formats import Skin
 from gesturekit.motion import Motion
-from gesturekit.viewer import Buffers, Camera, DrawnBody, Figure, Mannequin, Scene, simplified
+from gesturekit.viewer.drawn_body import DrawnBody, simplified
+from gesturekit.viewer.figure import Figure
+from gesturekit.viewer.scene import Buffers, Camera, Mannequin, Scene
 
 
 def test_parts_move_with_their_points_between_frames_too(gesture):

@@ -13,7 +13,9 @@ from scipy.spatial.transform import Rotation
 from audio_features import Wave
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.motion import Motion
-from gesturekit.viewer import LEFT, MIDDLE, RIGHT, DrawnBody, write_picture
+from gesturekit.viewer import write_picture
+from gesturekit.viewer.drawn_body import DrawnBody
+from gesturekit.viewer.figure import LEFT, MIDDLE, RIGHT
 from gesturekit.viewer.pictures import COLOURS
 
 

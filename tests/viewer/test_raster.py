@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gesturekit.viewer import Buffers, Camera
-from gesturekit.viewer.video import raster
+from gesturekit.viewer import raster
+from gesturekit.viewer.scene import Buffers, Camera
 
 
 def f32(*values) -> np.ndarray:

@@ -15,7 +15,7 @@ from rigs import rig_of
 from gesturekit.errors import FormatError
 from gesturekit.formats import Gltf, our_names, read_avatar
 from gesturekit.motion import Motion, matrix_from_quaternion
-from gesturekit.viewer import DrawnBody
+from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.human import body as human_body
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,7 +7,7 @@ import pytest
 from pages import data_of
 
 from audio_features import Wave
-from gesturekit.viewer import display, page_data, sound
+from gesturekit.viewer import display, page_data
 
 RATE = 16_000
 
@@ -67,8 +67,8 @@ def test_notebooks_get_the_page_in_a_frame(gesture, tmp_path):
 def test_the_outline_is_the_peak_of_each_hundredth_of_a_second():
     samples = np.zeros(4000, np.float32)
     samples[[0, 39, 40, 2000, 3999]] = [0.1, -0.4, 0.2, -0.8, 0.6]
-    found = sound.outline(Wave(samples, 4000))
+    found = page_data.outline(Wave(samples, 4000))
     assert len(found) == 100 and found.max() == 1
     assert found[[0, 1, 50, 99]] == pytest.approx([0.5, 0.25, 1.0, 0.75])
     assert np.count_nonzero(found) == 4
-    assert sound.outline(Wave(np.zeros(120, np.float32), 4000)).tolist() == [0, 0, 0]
+    assert page_data.outline(Wave(np.zeros(120, np.float32), 4000)).tolist() == [0, 0, 0]

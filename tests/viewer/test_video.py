@@ -14,8 +14,9 @@ from audio_features import AudioError, Wave
 from gesturekit.errors import FormatError
 from gesturekit.formats import fit_body, smpl_skeleton
 from gesturekit.motion import BodyModel, Motion
-from gesturekit.viewer import DrawnBody, SkinnedBody, write_html, write_picture, write_video
-from gesturekit.viewer.video import raster
+from gesturekit.viewer import raster, write_html, write_picture, write_video
+from gesturekit.viewer.drawn_body import DrawnBody
+from gesturekit.viewer.scene import SkinnedBody
 
 RATE, JUMP = 16_000, 0.1
 

@@ -20,12 +20,12 @@ from matplotlib.ft2font import FT2Font
 
 from audio_features import Wave
 from audio_features.atomic import atomic_write
-from gesturekit.errors import FormatError, MotionError, OutputError
+from gesturekit.errors import FormatError, OutputError
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.motion.resampling import checked_fps
-from gesturekit.viewer.drawn_body import DrawnBody
-from gesturekit.viewer.sound import as_sound
-from gesturekit.viewer.video.scene import Buffers, Scene
+from gesturekit.viewer.drawn_body import DrawnBody, drawn_bodies
+from gesturekit.viewer.page_data import Playable, as_wave
+from gesturekit.viewer.scene import Buffers, Scene
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -159,7 +159,7 @@ def write_video(
     motion: Motion | Mapping[str, Motion],
     path: str | os.PathLike[str],
     *,
-    audio: str | os.PathLike[str] | Wave | None = None,
+    audio: Playable | None = None,
     body: str | None = None,
     body_model: BodyModel | str | os.PathLike[str] | None = None,
     framing: str = "whole",
@@ -194,19 +194,11 @@ def write_video(
     require_encoder()
     if size not in SIZES:
         raise FormatError(f"size is {size!r}; expected {' or '.join(SIZES)}")
-    motions = dict(motion) if isinstance(motion, Mapping) else {"": motion}
-    if not motions:
-        raise MotionError("no motion to show: the mapping of motions is empty")
-    usual = min(_USUAL_RATE, max(each.fps for each in motions.values()))
+    path, wave = Path(path), as_wave(audio)
+    motions = motion if isinstance(motion, Mapping) else {path.stem: motion}
+    drawn = drawn_bodies(motions, body, body_model)
+    usual = min(_USUAL_RATE, max(each.motion.fps for each in drawn.values()))
     fps = usual if fps is None else checked_fps(fps)
-    path = Path(path)
-    if not isinstance(motion, Mapping):
-        motions = {path.stem: motion}
-    wave = None
-    if audio is not None:
-        audio = as_sound(audio)
-        wave = audio if isinstance(audio, Wave) else Wave.load(audio)
-    drawn = {label: DrawnBody.of(motion, body, body_model) for label, motion in motions.items()}
     picture = _Picture(drawn, SIZES[size], framing)
     seconds = max(picture.duration, wave.duration if wave else 0.0)
     n_frames = max(1, int(seconds * fps + 0.5))

@@ -1,16 +1,16 @@
-"""Addresses of services: where they listen, and from where they may be used."""
+"""Access to services: where they listen, and who may use them."""
 
 from __future__ import annotations
 
+import hmac
 import os
 import socket
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from starlette.exceptions import HTTPException
+from starlette.requests import HTTPConnection
 
 from gesturekit.errors import ConfigError
-
-if TYPE_CHECKING:
-    from starlette.requests import HTTPConnection
 
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]", "::1")
 TOKEN = "GESTUREKIT_TOKEN"
@@ -81,3 +81,26 @@ def is_foreign(request: HTTPConnection) -> bool:
     origin = request.headers.get("origin")
     # An origin is scheme://host[:port], or no address at all ("null", "http://[::1").
     return origin is not None and origin.partition("://")[2] != request.headers.get("host")
+
+
+def check_origin(request: HTTPConnection) -> None:
+    """Refuse requests that a page of another site sends through a user's browser.
+
+    Raises:
+        HTTPException: the page is of another site.
+    """
+    if is_foreign(request):
+        raise HTTPException(403, "a page of another site may not use this service")
+
+
+def check_token(request: HTTPConnection, token: str | None) -> None:
+    """Compare the token of a request with that of the service, if it has one.
+
+    Raises:
+        HTTPException: the token is missing or wrong.
+    """
+    given = request.headers.get("authorization", "").encode()
+    if token is not None and not hmac.compare_digest(given, f"Bearer {token}".encode()):
+        raise HTTPException(
+            401, "send the header Authorization: Bearer TOKEN", {"WWW-Authenticate": "Bearer"}
+        )

@@ -1,1 +1,0 @@
-"""Video: frames drawn by a software rasteriser, encoded with sound by ffmpeg."""
