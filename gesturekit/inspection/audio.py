@@ -11,7 +11,7 @@ import numpy as np
 import soundfile
 
 import audio_features as af
-from audio_features.containers.sound_file import soundfile_name
+from audio_features.sound_file import soundfile_name
 from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.wording import counted
 

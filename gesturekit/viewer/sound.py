@@ -11,7 +11,7 @@ import numpy as np
 import soundfile
 
 from audio_features import AudioError, Wave
-from audio_features.containers.sound_file import soundfile_name
+from audio_features.sound_file import soundfile_name
 
 EMBED_LIMIT = 2_000_000
 """Recordings of at most this many bytes are embedded as they are; bigger ones become MP3."""
