@@ -94,13 +94,12 @@ class Stack:
             wave: the sound.
             extract: function for the parts that share no spectrum, for example a cache's.
         """
-        spectra: dict[str | None, ShortTimeSpectrum] = {}
+        spectrum: ShortTimeSpectrum | None = None
         tracks = []
         for part in self.parts:
             if isinstance(part, AcousticExtractor) and not part.worth_caching:
-                if part.device not in spectra:
-                    spectra[part.device] = part.spectrum_of(wave)
-                tracks.append(part.from_spectrum(spectra[part.device]))
+                spectrum = spectrum or ShortTimeSpectrum(wave)
+                tracks.append(part.from_spectrum(spectrum))
             else:
                 tracks.append(extract(part, wave))
         times = max((track.times for track in tracks), key=len)
@@ -127,7 +126,7 @@ def extractor_from_spec(
             speech or words, if the spec contains one and does not name its path; or the folder of
             the files of `Files`. For several, {kind: path}, such as {"wavlm": "wavlm-base-plus/",
             "words": "bert-base/", "files": "own_features/"}.
-        device: "cpu" or "cuda", for WavLM, Hugging Face encoders, torchaudio and installed kinds.
+        device: "cpu" or "cuda", for WavLM, Hugging Face encoders and installed kinds.
 
     Kinds of installed packages are found by their entry points, see `installed.GROUP`.
 
@@ -164,8 +163,6 @@ def extractor_from_spec(
         return _installed(kind, settings, device)
     if kind == "files" and (place := _place_of(kind, weights)) is not None:
         settings["folder"] = place
-    if settings.get("backend") == "torchaudio":
-        settings["device"] = device
     try:
         return KINDS[kind].load()(**settings)
     except TypeError as error:

@@ -36,7 +36,7 @@ KINDS = {
     "onset": Kind("acoustic.extractors", "Onset"),
     "prosodic_range": Kind("acoustic.extractors", "ProsodicRange", "seconds"),
     "effort": Kind("acoustic.extractors", "Effort", "seconds"),
-    "music": Kind("acoustic.music", "Music", "n_chroma"),
+    "music": Kind("acoustic.extractors", "Music", "n_chroma"),
     "words": Kind("words", "Words", "encoder", place="encoder"),
     "wavlm": Kind("wavlm.extractor", "WavLM", place=""),
     "hf": Kind("huggingface.extractor", "HuggingFace", "path", place="path"),

@@ -13,14 +13,15 @@ import numpy as np
 import soxr
 from numpy.typing import ArrayLike
 
-from audio_features.containers.sound_file import (
+from audio_features.errors import AudioError
+from audio_features.sound_file import (
     CANCELLING,
     interpolated,
     numbers,
     one_channel,
-    read_sound,
+    open_sound,
+    read_channel,
 )
-from audio_features.errors import AudioError
 
 MIN_SECONDS = Fraction(25, 1000)
 """Shortest sound accepted: 400 samples at 16 kHz, the input of one WavLM frame."""
@@ -106,7 +107,13 @@ class Wave:
                 f"{name}: {len(samples)} samples at {self.sample_rate} Hz are "
                 f"{1000 * self.duration:.1f} ms: give at least {1000 * float(MIN_SECONDS):.0f} ms"
             )
-        _check_finite(self.samples, self.sample_rate, name)
+        finite = np.isfinite(self.samples)
+        if not finite.all():
+            bad = int(np.argmin(finite))
+            raise AudioError(
+                f"{name}: sample {bad} ({bad / self.sample_rate:.3f} s) is {self.samples[bad]}: "
+                "export the sound again without NaN or infinite values"
+            )
 
     def __repr__(self) -> str:
         source = "" if self.source is None else f" of {self.source!r}"
@@ -140,16 +147,14 @@ class Wave:
 
         Raises AudioError for a missing, unreadable, truncated, damaged, empty or too short file,
         a missing channel, and more than 1 % of samples that are not finite; fewer are interpolated.
-        Every checksum and every length in the file is compared with the decoded sound, so that no
-        truncated file is accepted silently. (A wav has no checksum: damage to its samples alone
-        cannot be detected.)
+        The length in the header is compared with the decoded sound, so that no truncated file is
+        accepted silently; only an MP3 may hold no length.
         """
         name = os.fspath(path)
-
-        def segment(n: int, rate: int) -> tuple[int, int]:
-            return _segment(name, n, checked_rate(rate, name), start, duration, max_seconds)
-
-        samples, rate, used = read_sound(name, segment, channel)
+        with open_sound(name) as file:
+            rate = checked_rate(file.samplerate, name)
+            first, count = _segment(name, file.frames, rate, start, duration, max_seconds)
+            samples, used = read_channel(file, name, first, count, channel)
         repairs = [CANCELLING.format(used)] if used != channel else []
         samples = interpolated(samples, rate, repairs)
         return cls(samples, rate, name, float(start), repairs=tuple(repairs))
@@ -356,17 +361,6 @@ def checked_rate(rate: int, name: str) -> int:
             "resample the sound, or correct its header"
         )
     return int(rate)
-
-
-def _check_finite(samples: np.ndarray, rate: int, name: str) -> None:
-    for at in range(0, len(samples), _BLOCK):
-        finite = np.isfinite(samples[at : at + _BLOCK])
-        if not finite.all():
-            bad = at + int(np.argmin(finite))
-            raise AudioError(
-                f"{name}: sample {bad} ({bad / rate:.3f} s) is {samples[bad]}: "
-                "export the sound again without NaN or infinite values"
-            )
 
 
 def _segment(

@@ -6,14 +6,20 @@ short-time Fourier transform and what follows from it.
 
 from __future__ import annotations
 
+import getpass
+import importlib
+import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
+from pathlib import Path
+from types import ModuleType
 
 import numpy as np
+from filelock import FileLock
 
 from audio_features.errors import FeatureError
-from audio_features.librosa_import import import_librosa
 from audio_features.wave import SPEECH_LEVEL_DBFS, Wave
 
 SAMPLE_RATE = 16_000
@@ -24,6 +30,27 @@ HOP = SAMPLE_RATE // FRAME_RATE
 """Samples between two frames."""
 
 _BLOCK_FRAMES = 3000  # 30 s processed at a time, which bounds the memory for long files
+
+
+_COMPILED = ("beat", "core.pitch", "feature.rhythm", "onset", "sequence", "util.utils")
+_SECONDS = 300.0  # to wait for another process, which compiles for some 20 s
+
+
+@cache
+def import_librosa() -> ModuleType:
+    """Return librosa with all modules whose functions are compiled; one process at a time.
+
+    librosa compiles functions when it is imported, and numba keeps them in files. Two processes
+    that fill an empty cache at once leave one with which every later process crashes.
+    """
+    with ExitStack() as held:
+        # Without a lock where a file cannot be locked, or the user has no name.
+        with suppress(OSError, KeyError, ImportError):
+            file = Path(tempfile.gettempdir()) / f"librosa-{getpass.getuser()}.lock"
+            held.enter_context(FileLock(file, timeout=_SECONDS))
+        for module in _COMPILED:
+            importlib.import_module(f"librosa.{module}")
+        return importlib.import_module("librosa")
 
 
 def centred_frames(
@@ -277,7 +304,7 @@ class ShortTimeSpectrum:
     """
 
     def __init__(self, wave: Wave) -> None:
-        self.wave = self._resampled(wave).at_level()
+        self.wave = wave.resample(SAMPLE_RATE).at_level()
         self.n_frames = wave.n_frames(FRAME_RATE)
         self.times = np.arange(self.n_frames) / FRAME_RATE
         self._log_mels: dict[int, np.ndarray] = {}
@@ -286,14 +313,11 @@ class ShortTimeSpectrum:
     def melody(self, tracker: str = "yin") -> Melody:
         """Return pitch, voicing and energy, computed once for each tracker."""
         if tracker not in self._melodies:
-            self._melodies[tracker] = self._track(tracker)
+            rms = self.wave.rms(self.times, window=0.05)
+            energy = to_db(np.square(rms) / 10.0 ** (SPEECH_LEVEL_DBFS / 10.0))
+            f0, voicing = track_pitch(self.wave.samples, self.n_frames, tracker)
+            self._melodies[tracker] = audible_melody(f0, voicing, energy)
         return self._melodies[tracker]
-
-    def _track(self, tracker: str) -> Melody:
-        rms = self.wave.rms(self.times, window=0.05)
-        energy = to_db(np.square(rms) / 10.0 ** (SPEECH_LEVEL_DBFS / 10.0))
-        f0, voicing = track_pitch(self.wave.samples, self.n_frames, tracker)
-        return audible_melody(f0, voicing, energy)
 
     @cached_property
     def power(self) -> np.ndarray:
@@ -303,7 +327,7 @@ class ShortTimeSpectrum:
     def log_mel(self, n_mels: int) -> np.ndarray:
         """Return (T, n_mels) float32 band powers in dB relative to active speech, at least -60."""
         if n_mels not in self._log_mels:
-            self._log_mels[n_mels] = to_db(self.power @ self._mel_filters(n_mels).T)
+            self._log_mels[n_mels] = to_db(self.power @ mel_filters(n_mels).T)
         return self._log_mels[n_mels]
 
     @cached_property
@@ -314,30 +338,20 @@ class ShortTimeSpectrum:
         onset[_ONSET_LAG:] = np.maximum(bands[_ONSET_LAG:] - bands[:-_ONSET_LAG], 0.0).mean(axis=1)
         return onset
 
-    def _resampled(self, wave: Wave) -> Wave:
-        return wave.resample(SAMPLE_RATE)
-
-    def _mel_filters(self, n_mels: int) -> np.ndarray:
-        return mel_filters(n_mels)
-
 
 def short_time_power(samples: np.ndarray, n_frames: int) -> np.ndarray:
     """Return the power (T, 257) float32 of 16 kHz samples at the level of active speech."""
     from scipy.fft import rfft
 
-    window = hann_window()
+    window = np.hanning(WINDOW + 1)[:-1]
+    active = 10.0 ** (SPEECH_LEVEL_DBFS / 10.0)
+    scaled = window * np.sqrt(2.0 / (np.sum(window**2) * N_FFT * active))
+    window = scaled.astype(np.float32)
     power = np.empty((n_frames, N_FFT // 2 + 1), dtype=np.float32)
     for first, frames in centred_frames(samples, WINDOW, n_frames):
         spectrum = rfft(frames * window, N_FFT)
         power[first : first + len(frames)] = spectrum.real**2 + spectrum.imag**2
     return power
-
-
-def hann_window() -> np.ndarray:
-    """Return the Hann window (WINDOW,) float32, scaled so that active speech has power 1."""
-    window = np.hanning(WINDOW + 1)[:-1]
-    active = 10.0 ** (SPEECH_LEVEL_DBFS / 10.0)
-    return (window * np.sqrt(2.0 / (np.sum(window**2) * N_FFT * active))).astype(np.float32)
 
 
 @lru_cache

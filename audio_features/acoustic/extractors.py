@@ -1,8 +1,9 @@
-"""Acoustic features: log-mel bands, MFCC, prosody, onsets, prosodic range and vocal effort."""
+"""Acoustic features: bands, MFCC, prosody, onsets, prosodic range, vocal effort, and music."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -13,14 +14,16 @@ from audio_features.acoustic.analysis import (
     FRAME_RATE,
     MAX_MELS,
     N_FFT,
+    SAMPLE_RATE,
     ShortTimeSpectrum,
+    centred_frames,
     check_tracker,
+    import_librosa,
 )
 from audio_features.errors import FeatureError
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 
-BACKENDS = ("numpy", "torchaudio")
 _OCTAVE_GUARD = 7.0  # semitones; see `ProsodicRange`
 
 
@@ -36,14 +39,12 @@ class AcousticExtractor(ABC):
         centred: D flags; true for columns whose mean over a clip depends only on voice and
             recording conditions, so that it may be subtracted.
         worth_caching: true if extraction is much slower than reading the result from a cache.
-        device: device on which torchaudio computes the spectrum; None for numpy and soxr.
     """
 
     spec: dict[str, Any]
     names: tuple[str, ...]
     centred: tuple[bool, ...]
     worth_caching = False
-    device: str | None = None
 
     @property
     def dim(self) -> int:
@@ -52,15 +53,7 @@ class AcousticExtractor(ABC):
 
     def extract(self, wave: Wave) -> FeatureTrack:
         """Extract the features of a sound: values (T, D), frame k centred at k·0.01 s."""
-        return self.from_spectrum(self.spectrum_of(wave))
-
-    def spectrum_of(self, wave: Wave) -> ShortTimeSpectrum:
-        """Compute the input of `from_spectrum`; extractors with the same `device` can share it."""
-        if self.device is None:
-            return ShortTimeSpectrum(wave)
-        from audio_features.acoustic.torchaudio_backend import TorchaudioSpectrum
-
-        return TorchaudioSpectrum(wave, self.device)
+        return self.from_spectrum(ShortTimeSpectrum(wave))
 
     def from_spectrum(self, spectrum: ShortTimeSpectrum) -> FeatureTrack:
         """Extract the features (T, D) from a spectrum that other extractors may share."""
@@ -79,8 +72,7 @@ class LogMel(AcousticExtractor):
 
     Args:
         n_mels: number of bands.
-        backend: "numpy", or "torchaudio" if it is installed.
-        device: torch device for torchaudio. Not part of the spec.
+        backend: "numpy", the only one.
 
     Examples:
         The power of a tone of 220 Hz is in the lowest of 8 bands:
@@ -94,10 +86,9 @@ class LogMel(AcousticExtractor):
         0
     """
 
-    def __init__(self, n_mels: int = 24, backend: str = "numpy", device: str = "cpu") -> None:
-        self.n_mels = whole_number("n_mels", n_mels, MAX_MELS)
-        self.device = _device(backend, device)
-        self.spec = {"kind": "logmel", "n_mels": self.n_mels, "backend": backend}
+    def __init__(self, n_mels: int = 24, backend: str = "numpy") -> None:
+        self.n_mels = _whole_number("n_mels", n_mels, MAX_MELS)
+        self.spec = {"kind": "logmel", "n_mels": self.n_mels, "backend": _checked_backend(backend)}
         self.names = tuple(f"mel_{i}" for i in range(self.n_mels))
         self.centred = (True,) * self.n_mels
 
@@ -115,7 +106,6 @@ class MFCC(AcousticExtractor):
     Args:
         n: number of coefficients.
         backend: see `LogMel`.
-        device: see `LogMel`.
 
     Examples:
         A second of sound has 100 frames:
@@ -126,10 +116,9 @@ class MFCC(AcousticExtractor):
         (100, 13)
     """
 
-    def __init__(self, n: int = 20, backend: str = "numpy", device: str = "cpu") -> None:
-        self.n = whole_number("n", n, BANDS)
-        self.device = _device(backend, device)
-        self.spec = {"kind": "mfcc", "n": self.n, "backend": backend}
+    def __init__(self, n: int = 20, backend: str = "numpy") -> None:
+        self.n = _whole_number("n", n, BANDS)
+        self.spec = {"kind": "mfcc", "n": self.n, "backend": _checked_backend(backend)}
         self.names = tuple(f"mfcc_{i}" for i in range(self.n))
         self.centred = (True,) * self.n
 
@@ -257,9 +246,7 @@ class ProsodicRange(AcousticExtractor):
     centred = (False, False)
 
     def __init__(self, seconds: float = 1.0) -> None:
-        if not isinstance(seconds, (int, float)) or not 0.05 <= seconds <= 60:
-            raise FeatureError(f"seconds={seconds!r}: a number from 0.05 to 60")
-        self.seconds = float(seconds)
+        self.seconds = _checked_seconds(seconds, 0.05, 60)
         self.spec = {"kind": "prosodic_range", "seconds": self.seconds}
 
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
@@ -278,18 +265,19 @@ class ProsodicRange(AcousticExtractor):
         return np.stack(columns, axis=1)
 
 
-def _device(name: str, device: str) -> str | None:
-    if name not in BACKENDS:
-        raise FeatureError(f"backend={name!r}: one of {', '.join(BACKENDS)}")
-    if name == "numpy":
-        return None
-    from audio_features.acoustic.torchaudio_backend import check_device
-
-    check_device(device)
-    return device
+def _checked_backend(name: str) -> str:
+    if name != "numpy":
+        raise FeatureError(f"backend={name!r}: 'numpy' is the only one: leave it out")
+    return name
 
 
-def whole_number(name: str, value: int, highest: int) -> int:
+def _checked_seconds(seconds: float, low: float, high: float) -> float:
+    if not isinstance(seconds, (int, float)) or not low <= seconds <= high:
+        raise FeatureError(f"seconds={seconds!r}: a number from {low:g} to {high:g}")
+    return float(seconds)
+
+
+def _whole_number(name: str, value: int, highest: int) -> int:
     """Return `value`; raise FeatureError unless it is a whole number from 1 to `highest`."""
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= highest:
         raise FeatureError(f"{name}={value!r}: a whole number from 1 to {highest}")
@@ -336,9 +324,7 @@ class Effort(AcousticExtractor):
     centred = (False, False, False)
 
     def __init__(self, seconds: float = 8.0) -> None:
-        if not isinstance(seconds, (int, float)) or not 0.5 <= seconds <= 120:
-            raise FeatureError(f"seconds={seconds!r}: a number from 0.5 to 120")
-        self.seconds = float(seconds)
+        self.seconds = _checked_seconds(seconds, 0.5, 120)
         self.spec = {"kind": "effort", "seconds": self.seconds}
 
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
@@ -373,3 +359,128 @@ class Effort(AcousticExtractor):
             found = np.quantile(inside, share) if len(inside) else own
             quantiles.append((len(inside) * found + few * own) / (len(inside) + few))
         return np.interp(np.arange(len(values)), centres, quantiles)
+
+
+BEATS_PER_MINUTE = (50.0, 200.0)
+"""Slowest and fastest tempo that is searched for."""
+
+_CHROMA_WINDOW = 3072  # 192 ms (madmom: 186 ms): long enough for semitones, short enough for chords
+_CHROMA_RANGE = 100.0, 5000.0  # Hz, madmom's range for pitch classes
+_TEMPO_FRAMES = 6 * FRAME_RATE  # the tempo is estimated in windows of 6 s
+_BLOCK_FRAMES = 3000  # 30 s processed at a time, which bounds the memory for long files
+
+
+class Music(AcousticExtractor):
+    """Chroma, spectral flux and beats of music: `n_chroma` + 2 columns, 100 frames per second.
+
+    - `chroma_0` … : share of the energy in each of `n_chroma` pitch classes from A upwards, over
+      192 ms, 100 Hz to 5 kHz. The shares sum to 1, and to 0 in silence. With `n_chroma=1` the
+      single column is the total loudness in dB, as `Prosody`'s energy.
+    - `spectral_flux`: the mean rise of 40 log-mel bands over 20 ms in dB.
+    - `beat_activation`: 0 to 1, highest on the beats; the predominant local pulse (Grosche and
+      Müller 2011) of the flux, 50 to 200 beats per minute. Steady beats reach 1, uncertain ones
+      stay lower.
+
+    Listen, Denoise, Action (Alexanderson et al. 2023) uses three columns of the same names,
+    computed by madmom: one chroma, an unnormalised spectral flux, and the activation of its
+    RNNDownBeatProcessor (Böck et al. 2016). Their code is not published. `Music(n_chroma=1)` has
+    the same columns on another scale. Beats of another tracker are read from files: `Files`.
+
+    Args:
+        n_chroma: pitch classes per octave, 1 to 36; 12 gives semitones.
+
+    Raises FeatureError for a number out of range.
+
+    Examples:
+        The note A, 440 Hz, is the first of 12 pitch classes:
+
+        >>> seconds = np.arange(16000) / 16000
+        >>> tone = af.Wave.from_array(np.sin(2 * np.pi * 440 * seconds), 16000)
+        >>> track = af.Music().extract(tone)
+        >>> track.values.shape, track.names[int(track.values[50, :12].argmax())]
+        ((100, 14), 'chroma_0')
+    """
+
+    def __init__(self, n_chroma: int = 12) -> None:
+        self.n_chroma = _whole_number("n_chroma", n_chroma, 36)
+        self.spec = {"kind": "music", "n_chroma": self.n_chroma}
+        chroma = tuple(f"chroma_{i}" for i in range(self.n_chroma))
+        self.names = (*chroma, "spectral_flux", "beat_activation")
+        # The means of chroma (key) and activation (beat strength) are properties of the music.
+        self.centred = (False,) * self.n_chroma + (True, False)
+
+    def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
+        flux, beats = spectrum.onset[:, None], local_pulse(spectrum.onset)[:, None]
+        return np.concatenate([self._chroma(spectrum), flux, beats], axis=1)
+
+    def _chroma(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
+        if self.n_chroma == 1:
+            return spectrum.melody().energy[:, None]
+        from scipy.fft import rfft
+
+        window = np.hanning(_CHROMA_WINDOW + 1)[:-1].astype(np.float32)
+        classes = _pitch_classes(self.n_chroma)
+        chroma = np.empty((spectrum.n_frames, self.n_chroma), dtype=np.float32)
+        for first, frames in centred_frames(
+            spectrum.wave.samples, _CHROMA_WINDOW, spectrum.n_frames
+        ):
+            for at in range(0, len(frames), 500):  # frames are long here: 500 are 6 MB
+                short = rfft(frames[at : at + 500] * window)
+                power = (short.real**2 + short.imag**2) @ classes
+                total = power.sum(axis=1, keepdims=True)
+                chroma[first + at : first + at + len(power)] = power / (total + 1e-3)
+        return chroma
+
+
+def local_pulse(flux: np.ndarray) -> np.ndarray:
+    """Return the predominant local pulse (T,) of Grosche and Müller 2011.
+
+    Finds the strongest tempo of the flux and its phase in a window of 6 s around every frame,
+    overlap-adds the sinusoids of all windows, and sets negative values to zero.
+
+    Args:
+        flux: (T,) at 100 frames per second.
+
+    The result is 1 on beats that all windows agree on, and 0 between beats or without flux.
+    Unlike librosa.beat.plp, every window has the same weight, and the scale does not depend on
+    the clip's maximum.
+    """
+    librosa = import_librosa()
+    n = len(flux)
+    if n < _TEMPO_FRAMES:
+        return local_pulse(np.pad(flux, (0, _TEMPO_FRAMES - n)))[:n]
+    pulse = np.empty(n)
+    context = _TEMPO_FRAMES
+    tempo = librosa.fourier_tempo_frequencies(sr=FRAME_RATE, win_length=_TEMPO_FRAMES, hop_length=1)
+    wanted = (tempo >= BEATS_PER_MINUTE[0]) & (tempo <= BEATS_PER_MINUTE[1])
+    for first in range(0, n, _BLOCK_FRAMES):
+        start, stop = max(0, first - context), min(n, first + _BLOCK_FRAMES + context)
+        tempogram = librosa.feature.fourier_tempogram(
+            onset_envelope=flux[start:stop], sr=FRAME_RATE, hop_length=1, win_length=_TEMPO_FRAMES
+        )
+        size = np.where(wanted[:, None], np.abs(tempogram), 0.0)
+        best, columns = size.argmax(axis=0), np.arange(tempogram.shape[1])
+        present = size[best, columns] > 1e-3 * _TEMPO_FRAMES  # a constant flux has no beat
+        tempogram[:, :] = np.where(
+            (np.arange(len(tempo))[:, None] == best) & present,
+            tempogram / np.maximum(np.abs(tempogram), 1e-9),
+            0.0,
+        )
+        sinusoids = librosa.istft(tempogram, hop_length=1, n_fft=_TEMPO_FRAMES, length=stop - start)
+        last = min(first + _BLOCK_FRAMES, n)
+        pulse[first:last] = sinusoids[first - start : last - start]
+    # A bin of magnitude 1 is a sinusoid of amplitude 2/n in each window. The overlapping Hann
+    # windows sum to n/2, and istft divides by the sum of their squares, 3n/8.
+    return np.clip(pulse * _TEMPO_FRAMES * 3 / 8, 0.0, 1.0)
+
+
+@lru_cache
+def _pitch_classes(n: int) -> np.ndarray:
+    """Return a (1537, n) float32 one-hot map of FFT bins to pitch classes, from A (440 Hz) up."""
+    frequencies = np.fft.rfftfreq(_CHROMA_WINDOW, 1 / SAMPLE_RATE)
+    inside = (frequencies >= _CHROMA_RANGE[0]) & (frequencies <= _CHROMA_RANGE[1])
+    place = n * np.log2(np.maximum(frequencies, 1.0) / 440.0)
+    nearest = np.mod(np.rint(place).astype(int), n)
+    classes = np.zeros((len(frequencies), n), dtype=np.float32)
+    classes[np.arange(len(frequencies))[inside], nearest[inside]] = 1.0
+    return classes

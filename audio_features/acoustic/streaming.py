@@ -53,11 +53,11 @@ _FILTER = 10
 def check_streams(extractor: Any) -> None:
     """Raise FeatureError for an extractor, or a stack, that does not work on a stream of sound."""
     for part in getattr(extractor, "parts", (extractor,)):
-        kind, device = part.spec["kind"], getattr(part, "device", None)
-        if kind not in _KINDS or device is not None or part.spec.get("f0", "yin") != "yin":
+        kind = part.spec["kind"]
+        if kind not in _KINDS or part.spec.get("f0", "yin") != "yin":
             raise FeatureError(
                 f"{kind}: these features need the whole sound; {', '.join(_KINDS)} work on a "
-                "stream (pitch by yin, backend numpy)"
+                "stream (pitch by yin)"
             )
 
 

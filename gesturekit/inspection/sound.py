@@ -11,7 +11,7 @@ import numpy as np
 import soundfile
 
 import audio_features as af
-from audio_features.containers.sound_file import soundfile_name
+from audio_features.sound_file import soundfile_name
 from audio_features.files import open_npy
 from gesturekit.formats.sources import is_feature_file, visible_folders
 from gesturekit.inspection.summary import Summary, size, span

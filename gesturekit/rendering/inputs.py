@@ -31,7 +31,7 @@ from typing import Any
 import soundfile
 
 import audio_features as af
-from audio_features.containers.sound_file import soundfile_name
+from audio_features.sound_file import soundfile_name
 from audio_features.wave import SAMPLE_RATES
 from audio_features.words import words_beside
 from gesturekit.corpus.item import Item, check_id

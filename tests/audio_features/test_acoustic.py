@@ -18,8 +18,7 @@ from audio_features import (
     Wave,
 )
 from audio_features.acoustic import analysis
-from audio_features.acoustic.analysis import track_pitch
-from audio_features.librosa_import import import_librosa
+from audio_features.acoustic.analysis import import_librosa, track_pitch
 
 EVERYTHING = Stack([LogMel(), MFCC(), Prosody()])
 

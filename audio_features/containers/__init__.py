@@ -1,1 +1,0 @@
-"""Sound files and arrays: header checks for each container format, reading, and repairs."""
