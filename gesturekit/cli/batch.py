@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -11,29 +12,38 @@ from gesturekit.cli.launchers import LAUNCHER_OPTIONS
 from gesturekit.cli.options import resumable, workers_option
 
 if TYPE_CHECKING:
+    from gesturekit.conversion.convert import Conversion
+    from gesturekit.jobs.batch import Batch, Execution
     from gesturekit.jobs.result import Result
-    from gesturekit.jobs.run import Batch, Execution
 
 GROUPS = {
-    "Many files": ("workers", "shard", "replan", "deadline", "retry_failed", "dry_run"),
+    "Many files": ("workers", "shard", "deadline", "retry_failed", "dry_run"),
     "Clusters": ("launcher", "jobs", "launcher_options", "address"),
 }
 """Groups of the options of `batch_options` in the help."""
+
+
+def _shard(ctx: click.Context, _: click.Parameter, text: str | None) -> tuple[int, int] | None:
+    """Parse --shard: 1/8 to (1, 8)."""
+    match = re.fullmatch(r"(\d{1,5})/(\d{1,5})", text or "1/1", re.ASCII)
+    number, count = map(int, match.groups()) if match else (0, 0)
+    if not 1 <= number <= count:
+        raise click.UsageError(
+            f"--shard {text!r}: expected a number of 1 to N and N, such as 1/8 or 8/8"
+        )
+    return None if text is None else (number, count)
+
 
 _OPTIONS = (
     workers_option,
     click.option(
         "--shard",
         metavar="K/N",
-        help="Process part K of N, such as 1/8. Parts have about the same total duration, and may "
-        "be processed in any order, or in parallel on several machines, into one output folder.",
+        callback=_shard,
+        help="Process part K of N, such as 1/8. Parts may be processed in any order, or in "
+        "parallel on several machines, into one output folder.",
     ),
     *LAUNCHER_OPTIONS,
-    click.option(
-        "--replan",
-        is_flag=True,
-        help="With --shard: list the inputs again, after files have changed.",
-    ),
     click.option(
         "--deadline",
         type=click.FloatRange(min=0, min_open=True),
@@ -57,20 +67,15 @@ def batch_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def pop_execution(options: dict[str, Any]) -> Execution:
     """Pop the options of the execution from all options."""
-    from gesturekit.jobs.plan import parse_shard
-    from gesturekit.jobs.run import Execution
+    from gesturekit.jobs.batch import Execution
 
-    shard = options.pop("shard")
-    names = ("workers", "replan", "deadline", "retry_failed")
-    return Execution(
-        shard=(1, 1) if shard is None else parse_shard(shard),
-        **{name: options.pop(name) for name in names},
-    )
+    shard = options.pop("shard") or (1, 1)
+    names = ("workers", "deadline", "retry_failed")
+    return Execution(shard=shard, **{name: options.pop(name) for name in names})
 
 
 def show(
-    results: Iterable[Result],
-    total: int,
+    work: Batch | Conversion,
     description: str,
     add: Callable[[Result], str | None],
     stopped: Callable[[], str],
@@ -78,8 +83,7 @@ def show(
     """Do work with a progress bar.
 
     Args:
-        results: results, computed when they are consumed.
-        total: their number.
+        work: what to do.
         description: name of the bar.
         add: called with each result, to print it; it may return a text for the bar.
         stopped: returns the message of Ctrl-C.
@@ -96,9 +100,9 @@ def show(
         with (
             resumable(stopped),
             logging_redirect_tqdm(tqdm_class=Progress),
-            Progress(total=total, desc=description, unit="file") as bar,
+            Progress(total=len(work.tasks), desc=description, unit="file") as bar,
         ):
-            for result in results:
+            for result in work.run():
                 with Progress.external_write_mode():
                     text = add(result)
                 if text is not None:
@@ -111,36 +115,34 @@ def show(
 
 
 def show_and_count(
-    results: Iterable[Result], total: int, description: str, add: Callable[[Result], None]
+    work: Batch | Conversion, description: str, add: Callable[[Result], None]
 ) -> int:
     """Do work as `show` does, print how many inputs failed, and return the exit code."""
-    done = failed = 0
+    errors: list[str | None] = []
 
     def counted(result: Result) -> None:
-        nonlocal done, failed
-        done += 1
-        failed += result.error is not None
+        errors.append(result.error)
         add(result)
 
-    def stopped() -> str:
-        return f"{done} done; the same command continues."
-
-    is_whole = show(results, total, description, counted, stopped)
-    if failed and done > 1:
-        click.echo(f"{failed} of {done} failed.", err=True)
+    is_whole = show(
+        work, description, counted, lambda: f"{len(errors)} done; the same command continues."
+    )
+    failed = len(errors) - errors.count(None)
+    if failed and len(errors) > 1:
+        click.echo(f"{failed} of {len(errors)} failed.", err=True)
     return 1 if failed or not is_whole else 0
 
 
 def print_preview(batch: Batch) -> None:
     """Print what would be done about each sound of a batch, and the sums."""
     from gesturekit.progress import time_in_words
-    from gesturekit.rendering.batch import measured_cost, preview
+    from gesturekit.rendering.batch import estimated_cost, preview
     from gesturekit.wording import listed
 
     words = {"left": "make", "kept": "keep", "failed": "fail"}
     counts, sound = dict.fromkeys(words.values(), 0), 0.0
-    for result in preview(batch):
-        action, length = words[result.status], result.task.duration
+    for result, length in preview(batch):
+        action = words[result.status]
         where = result.error or listed(
             [str(path) for path in batch.processor.targets(result.task)], 4
         )
@@ -148,7 +150,7 @@ def print_preview(batch: Batch) -> None:
         click.echo(f"{action}  {shown}  {click.format_filename(result.source)} -> {where}")
         counts[action] += 1
         sound += (length or 0.0) if action == "make" else 0.0
-    seconds, size = measured_cost(batch).of(counts["make"], sound)
+    seconds, size = estimated_cost(batch, counts["make"], sound)
     took = time_in_words(seconds / batch.execution.workers)
     parts = ", ".join(f"{count} to {action}" for action, count in counts.items())
     click.echo(

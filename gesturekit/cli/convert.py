@@ -129,7 +129,7 @@ def command(
         dry_run=dry_run,
         execution=execution,
     )
-    code = show_and_count(conversion.run(), len(conversion.tasks), "Converting", _print)
+    code = show_and_count(conversion, "Converting", _print)
     if dry_run:
         click.echo("Dry run: nothing was written.", err=True)
     ctx.exit(code)

@@ -137,8 +137,9 @@ def command(
     """
     import logging
 
+    from gesturekit.jobs.batch import Batch
     from gesturekit.rendering.features import FeatureExtraction
-    from gesturekit.rendering.inputs import sound_batch
+    from gesturekit.rendering.inputs import find_tasks
 
     logging.basicConfig(format="Warning: %(message)s")
     if options["align"] is not None and options["fps"] is None:
@@ -147,17 +148,17 @@ def command(
     if elsewhere is not None:
         ctx.exit(elsewhere)
     execution, is_dry = pop_execution(options), options.pop("dry_run")
-    cache, channel = options.pop("cache"), options["channel"]
+    cache = options.pop("cache")
     names = ("fps", "align", "picture", "channel", "existing")
     settings = {name: options.pop(name) for name in names}
     extraction = FeatureExtraction(
         _extractor(extractor, options), out, cache=None if cache == "off" else cache, **settings
     )
-    batch = sound_batch("features", extraction, wavs, execution, channel=channel)
+    batch = Batch(extraction, find_tasks(wavs, out), execution)
     if is_dry:
         print_preview(batch)
         return
-    ctx.exit(show_and_count(batch.run(), len(batch.tasks), "Features", _print))
+    ctx.exit(show_and_count(batch, "Features", _print))
 
 
 def _print(result: Result) -> None:

@@ -48,7 +48,7 @@ LAUNCHER_OPTIONS = (
 class ShardCommand:
     """The command of one shard; all that is handed to another machine.
 
-    Only the journals record what is done, so a job that is stopped and started again continues.
+    What is done is recorded in the output folder, so a job that is started again continues.
 
     Attributes:
         arguments: those of `gesturekit`.
@@ -121,15 +121,14 @@ def _run_slurm(
         import submitit
     except ImportError:
         raise _missing("slurm") from None
-    from gesturekit.jobs.state import state_folder
+    from gesturekit.jobs.records import state_folder
 
     values: dict[str, Any] = dict(map(_setting, settings))
     folder = state_folder(out) / "slurm"
     try:
         executor = submitit.AutoExecutor(folder=folder / "%j", cluster=values.pop("cluster", None))
         executor.update_parameters(**{"name": "gesturekit", "timeout_min": _MINUTES, **values})
-        with executor.batch():
-            jobs = [executor.submit(command, shard) for shard in shards]
+        jobs = executor.map_array(command, shards)
     except (NameError, RuntimeError, ValueError, AssertionError) as error:
         raise ConfigError(f"slurm: {error}") from None
     click.echo(
@@ -147,54 +146,24 @@ def _run_slurm(
 
 
 def _run_ray(command: ShardCommand, shards: Sequence[str], address: str | None) -> list[int]:
-    """Run the shards by actors of a Ray cluster, and return the exit codes."""
+    """Run the shards as tasks of a Ray cluster, and return the exit codes."""
     try:
         import ray
     except ImportError:
         raise _missing("ray") from None
-
-    @ray.remote(num_cpus=1)
-    class Actor:
-        """A process that takes shards."""
-
-        def run(self, shard: str) -> int:
-            """Run a shard."""
-            return command(shard)
-
     try:
         ray.init(address=address, include_dashboard=False, log_to_driver=False)
-    except (ConnectionError, ValueError, RuntimeError) as error:
-        raise ConfigError(f"ray: {error}") from None
-    try:
-        count = max(1, min(len(shards), int(ray.cluster_resources().get("CPU", 1))))
-        actor: Any = Actor
-        return _share(shards, [actor.remote() for _ in range(count)])
-    except ray.exceptions.RayError as error:
+
+        @ray.remote(num_cpus=1, max_retries=-1)
+        def run(shard: str) -> int:
+            """Run a shard; if its node is lost, Ray starts it again on another one."""
+            return command(shard)
+
+        return ray.get([run.remote(shard) for shard in shards])
+    except (ConnectionError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
         raise ConfigError(f"ray: {' '.join(str(error).split())}") from None
     finally:
         ray.shutdown()
-
-
-def _share(shards: Sequence[str], actors: list[Any]) -> list[int]:
-    """Give shards to actors as they become free; a shard of a lost actor goes to another one."""
-    import ray
-
-    waiting, running, codes = list(shards), dict[Any, tuple[Any, str]](), []
-    while waiting or running:
-        while waiting and actors:
-            actor, shard = actors.pop(), waiting.pop(0)
-            running[actor.run.remote(shard)] = (actor, shard)
-        if not running:
-            raise ConfigError("ray: all nodes were lost; the same command continues")
-        (ready,), _ = ray.wait(list(running))
-        actor, shard = running.pop(ready)
-        try:
-            codes.append(ray.get(ready))
-            actors.append(actor)
-        except ray.exceptions.RayActorError:
-            click.echo(f"Warning: shard {shard} was lost with its node; it starts again", err=True)
-            waiting.append(shard)
-    return codes
 
 
 def _setting(text: str) -> tuple[str, int | str]:

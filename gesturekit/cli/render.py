@@ -36,8 +36,8 @@ from gesturekit.model import Control, Controls, control_entries
 from gesturekit.systems import SYSTEMS, control_docs, controls_type
 
 if TYPE_CHECKING:
+    from gesturekit.jobs.batch import Batch
     from gesturekit.jobs.result import Result
-    from gesturekit.jobs.run import Batch
     from gesturekit.model import Model
     from gesturekit.rendering.renderer import Output
 
@@ -261,8 +261,8 @@ def command(
         loaded,
         [*sources, *items],
         out,
-        output=output,
-        execution=execution,
+        output,
+        execution,
         seconds=seconds,
         channel=options.pop("channel"),
         **chosen_controls(options, open_model),
@@ -315,7 +315,7 @@ def _check(
 def _run(batch: Batch, summary: _Summary, rate: float | None) -> int:
     """Do the work, print what comes of it, and return the exit code."""
     add, stopped = partial(summary.add, rate=rate), lambda: f"{summary}; the same command continues"
-    if not show(batch.run(), len(batch.tasks), "Rendering", add, stopped):
+    if not show(batch, "Rendering", add, stopped):
         summary.counts["failed"] += 1
     if len(batch.tasks) >= _MANY and summary.counts["rendered"]:
         _write_page(batch)

@@ -14,7 +14,7 @@ that is absolute or has `..`.
 
 A task has in `more` the settings of its input alone: `seed`, `style` and `speaker`; `start` and
 `seconds`, the interval of the sound, or the length without sound; `channel`. For an item of a
-manifest it has the `item`.
+manifest it has only the `item`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ import json
 import logging
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -43,10 +42,8 @@ from gesturekit.formats.sources import (
     unreadable_media,
     visible_folders,
 )
-from gesturekit.jobs.result import Processor
-from gesturekit.jobs.run import Batch, Execution
-from gesturekit.jobs.state import STATE
-from gesturekit.jobs.task import Task
+from gesturekit.jobs.records import STATE
+from gesturekit.jobs.result import Task
 
 LIST_SUFFIXES = (".txt", ".lst", ".list", ".scp", ".jsonl")
 FIELDS: dict[str, tuple[type, ...]] = {
@@ -67,62 +64,6 @@ SoundSource = str | os.PathLike[str] | Item
 log = logging.getLogger(__name__)
 
 
-def sound_batch(
-    verb: str,
-    processor: Processor,
-    sources: SoundSource | Sequence[SoundSource],
-    execution: Execution,
-    seconds: float | None = None,
-    channel: int | None = None,
-) -> Batch:
-    """Return the batch of a verb that works on sounds.
-
-    Args:
-        verb: name of the verb.
-        processor: its work on one task.
-        sources: see `find_tasks`; without any, the input is one motion without sound.
-        execution: how the work is done.
-        seconds: length of that motion.
-        channel: channel of each file to use, counted from 1; None for the mean of all.
-
-    Raises:
-        ConfigError, FormatError: see `find_tasks` and `Batch`.
-    """
-    if isinstance(sources, str | os.PathLike) or not isinstance(sources, Sequence):
-        sources = [sources]
-    named = [
-        os.path.abspath(source) if isinstance(source, str | os.PathLike) else repr(source)  # noqa: PTH100
-        for source in sources
-    ]
-
-    def find() -> list[Task]:
-        if not sources:
-            return [Task("motion", duration=seconds)]
-        return [measured(task) for task in find_tasks(sources, processor.out)]
-
-    return Batch(processor, find, [verb, named, seconds, channel], execution)
-
-
-def item_of(task: Task) -> Item | None:
-    """Return the manifest's item of a task, which gives the interval of the sound, or None.
-
-    Raises:
-        CorpusError: the item in the plan has invalid values.
-    """
-    values = task.more.get("item")
-    if values is None:
-        return None
-    try:
-        paths = {name: values[name] and Path(values[name]) for name in ("audio", "motion")}
-        conditions = {name: Path(path) for name, path in values["conditions"].items()}
-        audible = tuple(map(tuple, values["audible"]))
-        return Item(**{**values, **paths, "conditions": conditions, "audible": audible})
-    except (LookupError, TypeError, AttributeError, ValueError, OverflowError) as error:
-        raise CorpusError(
-            f"plan: item {task.id!r} is damaged ({error}); delete the plan for a new one"
-        ) from None
-
-
 def task_wave(task: Task, channel: int | None) -> af.Wave | None:
     """Read the sound of a task, cut to its interval; None without a sound.
 
@@ -131,8 +72,8 @@ def task_wave(task: Task, channel: int | None) -> af.Wave | None:
     """
     if task.path is None:
         return None
-    if (item := item_of(task)) is not None:
-        return item.load_wave()
+    if "item" in task.more:
+        return task.more["item"].load_wave()
     start, seconds = task.more.get("start", 0.0), task.more.get("seconds")
     channel = task.more.get("channel", channel)
     return af.Wave.load(task.path, start=start, duration=seconds, channel=channel)
@@ -140,9 +81,7 @@ def task_wave(task: Task, channel: int | None) -> af.Wave | None:
 
 def task_words(task: Task) -> Path | None:
     """Return the word list of a task's item, or beside its sound."""
-    item = item_of(task)
-    given = None if item is None else item.conditions.get("words")
-    if given is not None:
+    if "item" in task.more and (given := task.more["item"].conditions.get("words")) is not None:
         return Path(given)
     return None if task.path is None else words_beside(task.path)
 
@@ -177,39 +116,33 @@ def find_tasks(sources: SoundSource | Sequence[SoundSource], out: Path) -> list[
     return list(tasks.values())
 
 
-def measured(task: Task) -> Task:
-    """Return the task with its duration, from the header of its sound."""
+def length_of(task: Task) -> float | None:
+    """Return the seconds of a task's sound by its header, or of a motion without sound.
+
+    None for a file that cannot be read.
+    """
     if "item" in task.more:
-        return replace(task, duration=task.more["item"]["duration"])
-    seconds = task.more.get("seconds")
+        return task.more["item"].duration
+    start, seconds = task.more.get("start", 0.0), task.more.get("seconds")
     if task.path is None:
-        return replace(task, duration=seconds)
-    length = _length(task.path)
-    if length is None:
-        return task
-    length = max(0.0, length - task.more.get("start", 0.0))
-    return replace(task, duration=length if seconds is None else min(length, seconds))
-
-
-def _length(audio: Path) -> float | None:
-    """Return the seconds of sound by the header of a file; None for a file that cannot be read."""
+        return seconds
     try:
-        if not audio.is_file():  # reading a pipe may never end
+        if not task.path.is_file():  # reading a pipe may never end
             return None
-        about, size = soundfile.info(soundfile_name(audio)), audio.stat().st_size
+        about, size = soundfile.info(soundfile_name(task.path)), task.path.stat().st_size
     except (RuntimeError, OSError, ValueError):  # its turn gives the reason
         return None
     low, high = SAMPLE_RATES
     is_possible = about.format not in _UNCOMPRESSED or about.frames <= 8 * size
     if not low <= about.samplerate <= high or not is_possible or about.duration > _MAX_SECONDS:
         return None  # a damaged header
-    return about.duration
+    length = max(0.0, about.duration - start)
+    return length if seconds is None else min(length, seconds)
 
 
 def _tasks_of(source: SoundSource, out: Path) -> Iterator[Task]:
     if isinstance(source, Item):
-        values = json.loads(json.dumps(asdict(source), default=str))  # paths as text
-        yield Task(source.id, source.audio, more={"item": values}, source=source.id)
+        yield Task(source.id, source.audio, more={"item": source}, source=source.id)
     elif Path(source).is_dir():
         yield from _below(Path(source), out)
     elif _is_glob(source):
@@ -265,7 +198,7 @@ def _refuse_clashes(tasks: Sequence[Task], out: Path) -> None:
     clashes = []
     for task in tasks:
         if task.id.split("/")[0] == STATE:
-            raise ConfigError(f"{task.source}: {STATE} in {out} holds the journal; rename the item")
+            raise ConfigError(f"{task.source}: {STATE} in {out} is the folder of state; rename it")
         if task.error is None and seen.setdefault(task.id, task) is not task:
             clashes.append(task)
     if clashes:

@@ -13,9 +13,8 @@ import numpy as np
 
 from audio_features.atomic import atomic_write
 from gesturekit.errors import GestureKitError
-from gesturekit.jobs.journal import History
+from gesturekit.jobs.records import STATE, all_records
 from gesturekit.jobs.result import Result
-from gesturekit.jobs.state import STATE
 from gesturekit.jobs.status import Status
 from gesturekit.motion.motion import Motion
 from gesturekit.progress import time_in_words
@@ -47,13 +46,10 @@ def write_summary(out: Path, status: Status, path: Path) -> None:
 
     Raises:
         OSError: the page cannot be written.
-        FormatError: the journals cannot be read.
+        FormatError: a record was written by a newer version.
     """
-    failed = {item.id for item in status.failed}
-    history = History(out / STATE)
-    done = [
-        result for name in history.names() if name not in failed for result in _last(history, name)
-    ]
+    done = [result for result in all_records(out / STATE) if result.status == "done"]
+    done.sort(key=lambda result: result.id)
     body = "\n".join(
         [
             *_counts(out, status),
@@ -75,16 +71,10 @@ def write_summary(out: Path, status: Status, path: Path) -> None:
         temporary.write_text(page, encoding="utf-8")
 
 
-def _last(history: History, name: str) -> list[Result]:
-    """Return the latest successful result of an item, or nothing."""
-    return [result for result in history.results(name) if result.status == "done"][-1:]
-
-
 def _counts(out: Path, status: Status) -> Iterator[str]:
     rows = {
-        "Items in the plan": f"{status.items}",
-        "Sound in the plan": time_in_words(status.seconds),
-        "Done": f"{status.done}",
+        "Items": f"{status.items}",
+        "Done": f"{status.done}, {time_in_words(status.sound)} of sound",
         "Failed": f"{len(status.failed)}",
         "Left": f"{len(status.left)}",
         "Speed of the last ten minutes of work": f"{status.items_per_minute:.1f} items a minute, "
@@ -142,9 +132,9 @@ def _pictures(out: Path, done: list[Result]) -> Iterator[str]:
     with tempfile.TemporaryDirectory(prefix="gesturekit-") as folder:
         picture = Path(folder) / "picture.png"
         for result in (done[index] for index in spread):
-            names = [name for name in result.digests if name.endswith((".npz", ".bvh"))]
+            names = [name for name in result.made if name.endswith((".npz", ".bvh"))]
             file = out / names[0] if names else out
-            # A journal is a file like any other: it may name anything.
+            # A record is a file like any other: it may name anything.
             if not names or not file.resolve().is_relative_to(inside):
                 continue
             try:
