@@ -36,7 +36,7 @@ def in_processes(
     workers: int,
     *,
     deadline: float | None = None,
-    begin: Callable[[Any], None] | None = None,
+    begin: Callable[[Any], object] = lambda task: None,
 ) -> Generator[tuple[Any, Any], None, None]:
     """Call a function with each task in worker processes.
 
@@ -81,8 +81,7 @@ def in_processes(
                     break
                 if idle is None:
                     crew.append(idle := _Worker(pickled, threads))
-                if begin is not None:
-                    begin(task)
+                begin(task)
                 idle.give(task)
             busy = [worker for worker in crew if worker.task is not None]
             if not busy:

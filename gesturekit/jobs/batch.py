@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -24,6 +24,7 @@ from gesturekit.workers import ATTEMPTS, Failure, in_processes
 
 EXISTING = ("refuse", "skip", "replace")
 """Treatments of existing files that were made with other settings or another input."""
+_STOPPED = "stopped: finished results are kept, and the same command continues"
 _SHOWN = 3
 _SUSPICIOUS = 2  # times that a run was killed while it processed an item
 
@@ -77,15 +78,14 @@ class Batch:
             raise ConfigError(f"existing is {processor.existing!r}; expected {', '.join(EXISTING)}")
         self.processor, self.execution, self.out = processor, execution, processor.out
         self.state = state_folder(self.out)
-        everything = list(tasks)
-        self._names = [task.id for task in everything if task.error is None]
+        self._names: list[str] = []
+        self.tasks: list[Task] = []
         number, count = execution.shard
-        # What cannot be made, such as a folder that cannot be opened, fails in the first shard.
-        self.tasks = [
-            task
-            for task in everything
-            if (shard_of(task.id, count) if task.error is None else 1) == number
-        ]
+        for task in tasks:
+            self._names += [task.id] if task.error is None else []
+            # What cannot be made, such as a folder that cannot be opened, is in the first shard.
+            if number == (shard_of(task.id, count) if task.error is None else 1):
+                self.tasks.append(task)
         self._in_progress: dict[str, Result] = {}
         self._refuse()
 
@@ -94,15 +94,20 @@ class Batch:
 
         Raises:
             OutputError: the output folder cannot be written to any more.
-            ConfigError: another run works in the folder.
+            ConfigError: it could never be, or another run works in it.
         """
-        _make_folder(self.out)
-        number, count = self.execution.shard
-        run = digest_of([self.processor.settings, self.processor.written, count])
+        if self.out.exists() and not os.access(self.out, os.W_OK | os.X_OK):
+            raise ConfigError(f"{self.out}: cannot be written to; give another folder")
+        processor, (number, count) = self.processor, self.execution.shard
+        run = digest_of([processor.settings, processor.written, count])
         with claimed(self.state, f"shard {number} of {count}", run):
-            with self._writing():
-                write_items(self.state, self._names, count, dict(self.processor.about))
-            yield from self._results()
+            try:
+                write_items(self.state, self._names, count, processor.about)
+                yield from self._results()
+            except OutputError:
+                raise
+            except OSError as error:
+                raise OutputError(f"{self.out}: {error.strerror}; {_STOPPED}") from None
 
     def known(self, task: Task) -> Result:
         """Return the result of a task before any work; its status is "left" if there is some."""
@@ -112,47 +117,49 @@ class Batch:
         result.status = "left"
         targets = self.processor.targets(task)
         there = [file for file in targets if os.path.lexists(file) and not file.is_dir()]
+        is_aside = False
         if self.processor.existing == "skip":
-            result.kept = tuple(there)
+            result.kept, there = tuple(there), []
         if there or result.failures:
             try:
-                self._compare(result, there)
+                is_aside = self._compare(result, there)
             except (GestureKitError, OSError):
                 return result  # it fails when its turn comes, and nothing is written
         if len(result.kept) == len(targets):
             result.status = "kept"
         elif result.refused:
-            result.status, result.error = "failed", _existing([*result.refused], "")
-        elif result.status == "failed":
+            result.status, result.error = "failed", f"{min(result.refused)}: exists already"
+        elif is_aside:
+            count = result.failures
+            result.status = "failed"
             result.error = (
-                f"{result.error} (put aside after {result.failures} failures; --retry-failed tries "
-                "again)"
+                f"{reason} (put aside after {count} failures; --retry-failed tries again)"
             )
         return result
 
-    def _compare(self, result: Result, there: Sequence[Path]) -> None:
-        """Compare the existing files of a task, and its failures, with the present settings."""
+    def _compare(self, result: Result, there: Sequence[Path]) -> bool:
+        """Find which existing files of a task are kept or refused.
+
+        Returns:
+            True if the task is put aside, as it failed too often with the present settings.
+        """
         processor, path = self.processor, result.task.path
         is_same = path is not None and result.stamp and file_facts(path) == result.stamp
         about = processor.input_of(result.task, result.input.get("input") if is_same else None)
-        is_aside = result.failures >= ATTEMPTS and result.key == processor.key(about)
-        if is_aside and not self.execution.retry_failed:
-            result.status = "failed"
-        if processor.existing == "skip":
-            return
         for file in there:
             kind, name = file.suffix[1:], file.relative_to(self.out).as_posix()
             made, made_with = result.made.get(name, {}), processor.made_with(kind, about)
             was: Any = made.get("made_with")
-            if was == made_with:
-                if _is_unchanged(file, made):
-                    result.kept += (file,)
-                    continue
-            elif kind in result.begun and result.begun[kind].items() <= made_with.items():
+            begun = result.begun.get(kind)
+            if was == made_with and _is_unchanged(file, made):
+                result.kept += (file,)
+            elif was != made_with and begun is not None and begun.items() <= made_with.items():
                 continue  # an interrupted run was writing it with the same settings
-            if processor.existing == "refuse":
+            elif processor.existing == "refuse":
                 names = {**was, **made_with} if isinstance(was, dict) else {}
                 result.refused[file] = [n for n in names if was.get(n) != made_with.get(n)]
+        is_aside = result.failures >= ATTEMPTS and result.key == processor.key(about)
+        return is_aside and not self.execution.retry_failed
 
     def _refuse(self) -> None:
         """Refuse targets outside of the output folder, and existing files of other settings.
@@ -160,18 +167,15 @@ class Batch:
         Raises:
             ConfigError: there is such a target.
         """
-        inside, folders = Path(os.path.realpath(self.out)), set[Path]()
-        count = n_kept = 0
+        inside, n_targets, n_kept = Path(os.path.realpath(self.out)), 0, 0
         refused: dict[Path, list[str]] = {}
         for task in self.tasks:
             targets = self.processor.targets(task)
-            count += len(targets)
-            for folder in {target.parent for target in targets} - folders:
+            for folder in {target.parent for target in targets}:
                 if not Path(os.path.realpath(folder)).is_relative_to(inside):
                     raise ConfigError(f"{targets[0]} lies outside {self.out}: {folder} is a link")
-                folders.add(folder)
             result = self.known(task)
-            n_kept += len(result.kept)
+            n_targets, n_kept = n_targets + len(targets), n_kept + len(result.kept)
             refused |= result.refused
         if refused:
             names = sorted({name for names in refused.values() for name in names})
@@ -180,12 +184,11 @@ class Batch:
             refuse_existing(
                 [*refused],
                 f"{reason} ({len(refused)} refused, {n_kept} kept, "
-                f"{count - len(refused) - n_kept} to make: nothing was done)",
+                f"{n_targets - len(refused) - n_kept} to make: nothing was done)",
             )
 
     def _results(self) -> Iterator[Result]:
-        workers, deadline = self.execution.workers, self.execution.deadline
-        waiting: list[Result] = []
+        left: list[Result] = []
         alone: list[Result] = []
         for task in self.tasks:
             result = self.known(task)
@@ -193,35 +196,41 @@ class Batch:
                 yield result
             elif result.killed >= _SUSPICIOUS:
                 alone.append(result)  # its process may die, and the others come first
-            elif workers == 1 and deadline is None:
-                yield from self._work(result)
             else:
-                waiting.append(result)
-        for results, count in ((waiting, workers), (alone, 1)):
+                left.append(result)
+        workers, deadline = self.execution.workers, self.execution.deadline
+        is_here = workers == 1 and deadline is None
+        for results, processes in ((left, 0 if is_here else workers), (alone, 1)):
             if results:
-                yield from self._in_processes(results, count)
+                yield from self._work(results, processes)
 
-    def _work(self, result: Result) -> Iterator[Result]:
-        """Work in this process."""
+    def _work(self, results: Sequence[Result], processes: int) -> Iterator[Result]:
+        """Work in so many processes, or with 0 in this one."""
+        if processes:
+            deadline, begin = self.execution.deadline, self._begin
+            outcomes = in_processes(
+                self.processor, results, processes, deadline=deadline, begin=begin
+            )
+        else:
+            outcomes = ((result, self.processor(self._begin(result))) for result in results)
         try:
-            self._begin(result)
-            yield self._finish(self.processor(result))
+            for result, outcome in outcomes:
+                if isinstance(outcome, Failure):
+                    outcome = self._lost(result, outcome)
+                write_record(self.state, outcome)
+                del self._in_progress[outcome.id]
+                if outcome.is_full:
+                    raise OutputError(f"{outcome.error}; {_STOPPED}")
+                yield outcome
         finally:
-            self._drop()
+            outcomes.close()  # before what is being written is removed
+            for result in self._in_progress.values():
+                self._remove_temporary(result.task)
+                self.processor.end(result, "dropped")
+                with suppress(OSError):
+                    write_record(self.state, result)
 
-    def _in_processes(self, results: Sequence[Result], workers: int) -> Iterator[Result]:
-        deadline = self.execution.deadline
-        pool = in_processes(self.processor, results, workers, deadline=deadline, begin=self._begin)
-        try:
-            for result, filled in pool:
-                if isinstance(filled, Failure):
-                    filled = self._lost(result, filled)
-                yield self._finish(filled)
-        finally:
-            pool.close()  # before what it was writing is removed
-            self._drop()
-
-    def _begin(self, result: Result) -> None:
+    def _begin(self, result: Result) -> Result:
         """Record that a task is in progress, and remove what a killed run left of it."""
         if result.begun:
             self._remove_temporary(result.task)
@@ -229,21 +238,8 @@ class Batch:
         result.status, result.error, result.killed = "begun", None, result.killed + 1
         result.sound = result.seconds = 0.0
         result.begun = {kind: processor.made_with(kind, {}) for kind in processor.written}
-        with self._writing():
-            write_record(self.state, result)
+        write_record(self.state, result)
         self._in_progress[result.id] = result
-
-    def _finish(self, result: Result) -> Result:
-        """Record a result.
-
-        Raises:
-            OutputError: the output folder is full.
-        """
-        with self._writing():
-            write_record(self.state, result)
-        del self._in_progress[result.id]
-        if result.is_full:
-            raise OutputError(f"{result.error}; {_STOPPED}")
         return result
 
     def _lost(self, result: Result, failure: Failure) -> Result:
@@ -255,29 +251,9 @@ class Batch:
         self.processor.end(result, "lost")
         return result
 
-    def _drop(self) -> None:
-        """Record that the tasks in progress were stopped, and remove their partial results."""
-        for result in self._in_progress.values():
-            self._remove_temporary(result.task)
-            self.processor.end(result, "dropped")
-            with suppress(OSError):
-                write_record(self.state, result)
-        self._in_progress.clear()
-
     def _remove_temporary(self, task: Task) -> None:
         for file in self.processor.targets(task):
             remove_unfinished(file)
-
-    @contextmanager
-    def _writing(self) -> Iterator[None]:
-        """Raise an OSError of writing state as an `OutputError`."""
-        try:
-            yield
-        except OSError as error:
-            raise OutputError(f"{self.out}: {error.strerror}; {_STOPPED}") from None
-
-
-_STOPPED = "stopped: finished results are kept, and the same command continues"
 
 
 def _is_unchanged(file: Path, made: dict[str, Any]) -> bool:
@@ -285,25 +261,6 @@ def _is_unchanged(file: Path, made: dict[str, Any]) -> bool:
     if facts is not None and all(facts[name] == made.get(name) for name in facts):
         return True
     return made.get("sha256") == path_digest(file)
-
-
-def _make_folder(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        writable = os.access(out, os.W_OK | os.X_OK)
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be created ({error.strerror})") from None
-    if not writable:
-        raise ConfigError(f"{out}: cannot be written to; give another folder")
-
-
-def _existing(there: Sequence[Path], reason: str) -> str:
-    more = f" and {len(there) - _SHOWN} more" if len(there) > _SHOWN else ""
-    verb, object_ = ("exists", "it") if len(there) == 1 else ("exist", "them")
-    return (
-        f"{', '.join(map(str, there[:_SHOWN]))}{more} {verb} already{reason}; --existing replace "
-        f"overwrites {object_}, --existing skip leaves {object_}"
-    )
 
 
 def refuse_existing(there: Sequence[Path], reason: str = "") -> NoReturn:
@@ -316,4 +273,9 @@ def refuse_existing(there: Sequence[Path], reason: str = "") -> NoReturn:
     Raises:
         ConfigError: always; it names the options that allow it.
     """
-    raise ConfigError(_existing(there, reason))
+    more = f" and {len(there) - _SHOWN} more" if len(there) > _SHOWN else ""
+    verb, object_ = ("exists", "it") if len(there) == 1 else ("exist", "them")
+    raise ConfigError(
+        f"{', '.join(map(str, there[:_SHOWN]))}{more} {verb} already{reason}; --existing replace "
+        f"overwrites {object_}, --existing skip leaves {object_}"
+    )

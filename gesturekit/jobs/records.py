@@ -13,7 +13,7 @@ import json
 import os
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -93,14 +93,14 @@ def all_records(state: Path) -> Iterator[Result]:
             yield _result(Task(name), values)
 
 
-def write_items(state: Path, names: list[str], shards: int, about: dict[str, Any]) -> None:
+def write_items(state: Path, names: list[str], shards: int, about: Mapping[str, Any]) -> None:
     """Store the ids of all items, the number of shards, and further facts about the run.
 
     Raises:
         OSError: the file cannot be written.
     """
     before = _read(state / _ITEMS, _MAX_ITEMS)
-    values = before | about | {"format": FORMAT, "shards": shards, "items": names}
+    values = {**before, **about, "format": FORMAT, "shards": shards, "items": names}
     if values != before:
         write_text(state / _ITEMS, json.dumps(values))
 

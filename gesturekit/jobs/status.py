@@ -153,12 +153,6 @@ def _speed(results: list[tuple[float, float, float]]) -> tuple[float, float]:
 
 
 def _without_name(item: FailedItem) -> str:
-    """Return the reason of a failure without the name of the item."""
-    text, name = item.error, item.id.rpartition("/")[2]
-    # Most begin with the path of the input, which ends with the name and a suffix.
-    _, found, after = text.partition(name)
-    if found and ": " in after and " " not in after.partition(": ")[0]:
-        text = after.partition(": ")[2]
-    is_path = (f"{name}.", f"/{name}")
-    words = ("..." if any(part in word for part in is_path) else word for word in text.split())
-    return " ".join(words) or item.error
+    """Return the reason of a failure without the name of the item, and paths that have it."""
+    name = re.escape(item.id.rpartition("/")[2])
+    return re.sub(rf"\S*(/{name}|{name}\.)\S*", "...", item.error).removeprefix("... ")

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gesturekit.jobs import STATE, Result, Status, all_records
+from gesturekit.jobs import STATE, Result, Status
+from gesturekit.jobs.records import all_records
 from gesturekit.rendering import render_batch
 
 

@@ -14,7 +14,8 @@ from safetensors.numpy import save
 
 import audio_features as af
 from gesturekit.formats import frames_header, smpl_skeleton, write_bvh, write_npz
-from gesturekit.jobs import Result, Task, write_record
+from gesturekit.jobs import Result, Task
+from gesturekit.jobs.records import write_record
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.training import dump_yaml
 

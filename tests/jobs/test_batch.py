@@ -9,16 +9,8 @@ from typing import Any
 import pytest
 
 from gesturekit.errors import ConfigError
-from gesturekit.jobs import (
-    Batch,
-    Execution,
-    Processor,
-    Result,
-    Task,
-    read_record,
-    shard_of,
-    write_record,
-)
+from gesturekit.jobs import Batch, Execution, Processor, Result, Task
+from gesturekit.jobs.records import read_record, shard_of, write_record
 
 
 @dataclass
@@ -130,15 +122,6 @@ def test_a_file_of_an_interrupted_run_is_known_by_its_settings(tmp_path, begun, 
         assert done(tmp_path, [Task("a")], existing, {"seed": 1}) == {"a": outcome}
     is_made = (tmp_path / "a.txt").read_text() != "half"
     assert is_made == (outcome == "done")
-
-
-def test_a_file_that_appears_during_a_run_is_not_overwritten(tmp_path):
-    going = batch(tmp_path, TASKS).run()
-    assert next(going).id == "a"
-    (tmp_path / "b.txt").write_text("mine")
-    kept, made = going
-    assert (kept.status, made.status) == ("failed", "done") and "b.txt exists" in kept.error
-    assert (tmp_path / "b.txt").read_text() == "mine"
 
 
 def interrupt(seconds: float) -> None:

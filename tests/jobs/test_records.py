@@ -9,13 +9,11 @@ import pytest
 
 from audio_features import atomic
 from gesturekit.errors import ConfigError, FormatError
-from gesturekit.jobs import (
-    Result,
-    Task,
+from gesturekit.jobs import Result, Task, records
+from gesturekit.jobs.records import (
     claimed,
     read_items,
     read_record,
-    records,
     running,
     shard_of,
     write_items,

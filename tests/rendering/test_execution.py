@@ -12,7 +12,8 @@ import pytest
 from outputs import render, results
 
 from gesturekit.errors import ConfigError
-from gesturekit.jobs import STATE, Execution, Task, read_record, status_of, write_record
+from gesturekit.jobs import STATE, Execution, Task, status_of
+from gesturekit.jobs.records import read_record, write_record
 from gesturekit.motion import Motion
 from gesturekit.rendering import Output, summary
 

@@ -12,7 +12,8 @@ import gesturekit as gk
 from gesturekit import Motion
 from gesturekit.corpus import Item
 from gesturekit.errors import ConfigError, FormatError
-from gesturekit.jobs import STATE, Task, read_record, write_record
+from gesturekit.jobs import STATE, Task
+from gesturekit.jobs.records import read_record, write_record
 from gesturekit.postprocess import smooth_motion
 from gesturekit.rendering import Output, estimated_cost, render_batch
 
