@@ -130,11 +130,8 @@ class Batch:
         elif result.refused:
             result.status, result.error = "failed", f"{min(result.refused)}: exists already"
         elif is_aside:
-            count = result.failures
-            result.status = "failed"
-            result.error = (
-                f"{reason} (put aside after {count} failures; --retry-failed tries again)"
-            )
+            aside = f"put aside after {result.failures} failures; --retry-failed tries again"
+            result.status, result.error = "failed", f"{result.error} ({aside})"
         return result
 
     def _compare(self, result: Result, there: Sequence[Path]) -> bool:
