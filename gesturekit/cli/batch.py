@@ -1,15 +1,22 @@
-"""Options and output of commands that work on many files."""
+"""Options and output of commands that work on many files, and where their shards run.
+
+A launcher repeats the command elsewhere, with `--shard K/N`.
+"""
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from gesturekit.cli.launchers import LAUNCHER_OPTIONS
-from gesturekit.cli.options import resumable, workers_option
+from gesturekit.cli.options import ARGUMENTS, resumable, workers_option
+from gesturekit.errors import ConfigError
+from gesturekit.wording import counted
 
 if TYPE_CHECKING:
     from gesturekit.conversion.convert import Conversion
@@ -21,6 +28,8 @@ GROUPS = {
     "Clusters": ("launcher", "jobs", "launcher_options", "address"),
 }
 """Groups of the options of `batch_options` in the help."""
+_MINUTES = 24 * 60
+_OUTCOMES = (0, 1, 2, 130)  # exit codes of the command line
 
 
 def _shard(ctx: click.Context, _: click.Parameter, text: str | None) -> tuple[int, int] | None:
@@ -43,7 +52,28 @@ _OPTIONS = (
         help="Process part K of N, such as 1/8. Parts may be processed in any order, or in "
         "parallel on several machines, into one output folder.",
     ),
-    *LAUNCHER_OPTIONS,
+    click.option(
+        "--launcher",
+        type=click.Choice(["local", "slurm", "ray"]),
+        default="local",
+        show_default=True,
+        help="Where to run the shards: on this machine, as Slurm jobs (submitit), or on a Ray "
+        "cluster.",
+    ),
+    click.option(
+        "--jobs", type=click.IntRange(1, 10_000), help="Number of shards for slurm or ray."
+    ),
+    click.option(
+        "--launcher-option",
+        "launcher_options",
+        multiple=True,
+        metavar="KEY=VALUE",
+        help="For slurm, a parameter of submitit, such as slurm_partition=cpu, timeout_min=600, "
+        "cpus_per_task=4 or cluster=local. May be repeated.",
+    ),
+    click.option(
+        "--address", help="Address of a Ray cluster; by default one is started on this machine."
+    ),
     click.option(
         "--deadline",
         type=click.FloatRange(min=0, min_open=True),
@@ -55,23 +85,35 @@ _OPTIONS = (
         is_flag=True,
         help="Retry inputs that are skipped because they failed three times.",
     ),
+    click.option(
+        "--dry-run",
+        is_flag=True,
+        help="Write nothing: only print what would be done, and for sounds how long it would take "
+        "and the size of the results.",
+    ),
 )
 
 
 def batch_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of `pop_execution` and of launchers."""
+    """Add the options of `pop_execution`."""
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
 
 
-def pop_execution(options: dict[str, Any]) -> Execution:
-    """Pop the options of the execution from all options."""
+def pop_execution(ctx: click.Context, out: Path, options: dict[str, Any]) -> tuple[Execution, bool]:
+    """Pop the `batch_options` from all options; with a launcher, do the work there and exit.
+
+    Returns:
+        how the work is done, and whether that is only a dry run.
+    """
+    _run_elsewhere(ctx, out, options)
     from gesturekit.jobs.batch import Execution
 
     shard = options.pop("shard") or (1, 1)
     names = ("workers", "deadline", "retry_failed")
-    return Execution(shard=shard, **{name: options.pop(name) for name in names})
+    execution = Execution(shard=shard, **{name: options.pop(name) for name in names})
+    return execution, options.pop("dry_run")
 
 
 def show(
@@ -120,12 +162,12 @@ def show_and_count(
     """Do work as `show` does, print how many inputs failed, and return the exit code."""
     errors: list[str | None] = []
 
-    def counted(result: Result) -> None:
+    def add_counted(result: Result) -> None:
         errors.append(result.error)
         add(result)
 
     is_whole = show(
-        work, description, counted, lambda: f"{len(errors)} done; the same command continues."
+        work, description, add_counted, lambda: f"{len(errors)} done; the same command continues."
     )
     failed = len(errors) - errors.count(None)
     if failed and len(errors) > 1:
@@ -160,3 +202,133 @@ def print_preview(batch: Batch) -> None:
         "them is not counted)",
         err=True,
     )
+
+
+@dataclass(frozen=True)
+class ShardCommand:
+    """The command of one shard; all that is handed to another machine.
+
+    What is done is recorded in the output folder, so a job that is started again continues.
+
+    Attributes:
+        arguments: those of `gesturekit`.
+        folder: working folder, to which relative paths belong.
+    """
+
+    arguments: tuple[str, ...]
+    folder: str
+
+    def __call__(self, shard: str) -> int:
+        """Run the command for a shard such as "1/8", and return its exit code."""
+        from gesturekit.cli import main
+
+        os.chdir(self.folder)
+        try:
+            main([*self.arguments, "--launcher", "local", "--shard", shard])
+        except SystemExit as end:
+            if end.code in _OUTCOMES:
+                return int(end.code)
+            raise  # submitit ends a job that is preempted
+        return 0
+
+    def checkpoint(self, shard: str) -> Any:
+        """Return what submitit starts when the job was preempted: the same."""
+        from submitit.helpers import DelayedSubmission
+
+        return DelayedSubmission(self, shard)
+
+
+def _run_elsewhere(ctx: click.Context, out: Path, options: dict[str, Any]) -> None:
+    """Pop the options of launchers; run the shards on a cluster and exit, if that is asked for.
+
+    Raises:
+        click.UsageError: options that cannot be combined.
+        ConfigError: the launcher is not installed, or a parameter of it is wrong.
+    """
+    launcher, jobs = options.pop("launcher"), options.pop("jobs")
+    settings, address = options.pop("launcher_options"), options.pop("address")
+    if launcher == "local":
+        if options["shard"] is None and (jobs or settings or address):
+            raise click.UsageError("--jobs, --launcher-option and --address require --launcher.")
+        return
+    if options["shard"] is not None:
+        raise click.UsageError(
+            f"--launcher {launcher} creates the shards itself: give --jobs, not --shard."
+        )
+    if (settings and launcher != "slurm") or (address and launcher != "ray"):
+        raise click.UsageError("--launcher-option is for slurm, and --address for ray.")
+    if options["dry_run"]:
+        return
+    command = ShardCommand((ctx.info_name or "", *ctx.meta[ARGUMENTS]), str(Path.cwd()))
+    shards = [f"{number}/{jobs or 1}" for number in range(1, (jobs or 1) + 1)]
+    codes = (
+        _run_slurm(command, shards, out, settings)
+        if launcher == "slurm"
+        else _run_ray(command, shards, address)
+    )
+    click.echo(f"{counted(len(shards), 'shard')}: gesturekit jobs {out} shows the result", err=True)
+    ctx.exit(max(codes, key=(0, 2, 1, 130).index))
+
+
+def _run_slurm(
+    command: ShardCommand, shards: Sequence[str], out: Path, settings: Sequence[str]
+) -> list[int]:
+    """Run each shard as a job of an array, and return the exit codes."""
+    try:
+        import submitit
+    except ImportError:
+        raise _missing("slurm") from None
+    from gesturekit.jobs.records import state_folder
+
+    values: dict[str, Any] = dict(map(_setting, settings))
+    folder = state_folder(out) / "slurm"
+    try:
+        executor = submitit.AutoExecutor(folder=folder / "%j", cluster=values.pop("cluster", None))
+        executor.update_parameters(**{"name": "gesturekit", "timeout_min": _MINUTES, **values})
+        jobs = executor.map_array(command, shards)
+    except (NameError, RuntimeError, ValueError, AssertionError) as error:
+        raise ConfigError(f"slurm: {error}") from None
+    click.echo(
+        f"Submitted {counted(len(jobs), 'job')}; Ctrl-C stops waiting, but not the jobs.", err=True
+    )
+    codes = []
+    for shard, job in zip(shards, jobs, strict=True):
+        try:
+            codes.append(job.result())
+        except Exception as error:  # whatever ended it on its machine
+            last = str(error).strip().splitlines()[-1:]
+            click.echo(f"Failed: shard {shard}, job {job.job_id}: {' '.join(last)}", err=True)
+            codes.append(1)
+    return codes
+
+
+def _run_ray(command: ShardCommand, shards: Sequence[str], address: str | None) -> list[int]:
+    """Run the shards as tasks of a Ray cluster, and return the exit codes."""
+    try:
+        import ray
+    except ImportError:
+        raise _missing("ray") from None
+    try:
+        ray.init(address=address, include_dashboard=False, log_to_driver=False)
+
+        @ray.remote(num_cpus=1, max_retries=-1)
+        def run(shard: str) -> int:
+            """Run a shard; if its node is lost, Ray starts it again on another one."""
+            return command(shard)
+
+        return ray.get([run.remote(shard) for shard in shards])
+    except (ConnectionError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
+        raise ConfigError(f"ray: {' '.join(str(error).split())}") from None
+    finally:
+        ray.shutdown()
+
+
+def _setting(text: str) -> tuple[str, int | str]:
+    name, separator, value = text.partition("=")
+    if not separator or not name.isidentifier():
+        raise click.UsageError(f"--launcher-option {text}: expected KEY=VALUE.")
+    return name, int(value) if value.isdecimal() else value
+
+
+def _missing(extra: str) -> ConfigError:
+    return ConfigError(f"not installed; run: pip install 'gesturekit[{extra}]'")

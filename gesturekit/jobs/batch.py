@@ -20,12 +20,12 @@ from gesturekit.jobs.records import (
     write_record,
 )
 from gesturekit.jobs.result import Processor, Result, Task, digest_of, file_facts, path_digest
+from gesturekit.wording import listed
 from gesturekit.workers import ATTEMPTS, Failure, in_processes
 
 EXISTING = ("refuse", "skip", "replace")
 """Treatments of existing files that were made with other settings or another input."""
 _STOPPED = "stopped: finished results are kept, and the same command continues"
-_SHOWN = 3
 _SUSPICIOUS = 2  # times that a run was killed while it processed an item
 
 
@@ -270,9 +270,8 @@ def refuse_existing(there: Sequence[Path], reason: str = "") -> NoReturn:
     Raises:
         ConfigError: always; it names the options that allow it.
     """
-    more = f" and {len(there) - _SHOWN} more" if len(there) > _SHOWN else ""
-    verb, object_ = ("exists", "it") if len(there) == 1 else ("exist", "them")
+    verb, them = ("exists", "it") if len(there) == 1 else ("exist", "them")
     raise ConfigError(
-        f"{', '.join(map(str, there[:_SHOWN]))}{more} {verb} already{reason}; --existing replace "
-        f"overwrites {object_}, --existing skip leaves {object_}"
+        f"{listed([*map(str, there)], 3)} {verb} already{reason}; --existing replace overwrites "
+        f"{them}, --existing skip leaves {them}"
     )

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from audio_features.atomic import atomic_write
+from audio_features.atomic import write_text
 from gesturekit.errors import GestureKitError
 from gesturekit.jobs.records import STATE, all_records
 from gesturekit.jobs.result import Result
@@ -19,7 +19,7 @@ from gesturekit.jobs.status import Status
 from gesturekit.motion.motion import Motion
 from gesturekit.progress import time_in_words
 from gesturekit.viewer.pictures import write_picture
-from gesturekit.wording import printable
+from gesturekit.wording import counted, printable
 
 PAGE = "summary.html"
 """Name of the page in the folder of state, which a run of many items writes at its end."""
@@ -50,39 +50,23 @@ def write_summary(out: Path, status: Status, path: Path) -> None:
     """
     done = [result for result in all_records(out / STATE) if result.status == "done"]
     done.sort(key=lambda result: result.id)
-    body = "\n".join(
-        [
-            *_counts(out, status),
-            *_histogram("Seconds of sound", [result.sound for result in done]),
-            *_histogram(
-                "Speed, times real time",
-                [result.sound / result.seconds for result in done if result.seconds > 0],
-            ),
-            *_failures(status),
-            *_pictures(out, done),
-        ]
-    )
     title = html.escape(printable(out.name or str(out)))
-    page = (
+    speeds = [result.sound / result.seconds for result in done if result.seconds > 0]
+    lines = [
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-        f"<style>{_STYLE}</style></head>\n<body><h1>{title}</h1>\n{body}\n</body></html>\n"
-    )
-    with atomic_write(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
-
-
-def _counts(out: Path, status: Status) -> Iterator[str]:
-    rows = {
-        "Items": f"{status.items}",
-        "Done": f"{status.done}, {time_in_words(status.sound)} of sound",
-        "Failed": f"{len(status.failed)}",
-        "Left": f"{len(status.left)}",
-        "Speed of the last ten minutes of work": f"{status.items_per_minute:.1f} items a minute, "
-        f"{status.real_time_factor:.1f} times real time",
-    }
-    yield "<table>"
-    yield from (f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in rows.items())
-    yield "</table>"
+        f"<style>{_STYLE}</style></head>\n<body><h1>{title}</h1>",
+        f"<p>{counted(status.items, 'item')}: {status.done} done "
+        f"({time_in_words(status.sound)} of sound), {len(status.failed)} failed, "
+        f"{len(status.left)} left.</p>\n<p>Speed of the last ten minutes of work: "
+        f"{status.items_per_minute:.1f} items a minute, {status.real_time_factor:.1f} times real "
+        "time.</p>",
+        *_histogram("Seconds of sound", [result.sound for result in done]),
+        *_histogram("Speed, times real time", speeds),
+        *_failures(status),
+        *_pictures(out, done),
+        "</body></html>\n",
+    ]
+    write_text(path, "\n".join(lines))
 
 
 def _histogram(title: str, values: list[float]) -> Iterator[str]:
