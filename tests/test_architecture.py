@@ -19,8 +19,7 @@ MAY_IMPORT["conversion"] = {"formats", "jobs", "motion"}
 MAY_IMPORT["postprocess"] = {"motion"}
 for _package in ("corpus", "evaluation", "viewer"):
     MAY_IMPORT[_package] = {"formats", "motion"}
-MAY_IMPORT["corpus"] |= {"jobs"}
-MAY_IMPORT["evaluation"] |= {"corpus", "jobs", "viewer"}  # its report embeds the player
+MAY_IMPORT["evaluation"] |= {"corpus", "viewer"}  # its report embeds the player
 MAY_IMPORT["training"] = {"corpus", "evaluation", "formats", "jobs", "motion", "viewer"}
 MAY_IMPORT["state"] = {"corpus", "motion"}
 MAY_IMPORT["multires"] = {"model", "postprocess", "state", "training", *MAY_IMPORT["training"]}
@@ -37,6 +36,7 @@ MAY_IMPORT["model"] = {"corpus", "motion"}
 MAY_IMPORT["systems"] = {"model", "training"}
 MAY_IMPORT["diagnosis"] = {"formats", "systems"}
 EVERYONE_MAY_IMPORT = {"errors", "compiled", "field_docs", "lazy", "progress", "wording"}
+EVERYONE_MAY_IMPORT |= {"workers"}
 MAY_IMPORT |= {module: set() for module in EVERYONE_MAY_IMPORT}
 
 # Files in which a string may name a module that is imported on demand.

@@ -1,38 +1,78 @@
-"""Options and output of commands that work on many files."""
+"""Options and output of commands that work on many files, and where their shards run.
+
+A launcher repeats the command elsewhere, with `--shard K/N`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import os
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from gesturekit.cli.launchers import LAUNCHER_OPTIONS
-from gesturekit.cli.options import resumable, workers_option
+from gesturekit.cli.options import ARGUMENTS, resumable, workers_option
+from gesturekit.errors import ConfigError
+from gesturekit.wording import counted
 
 if TYPE_CHECKING:
+    from gesturekit.conversion.convert import Conversion
+    from gesturekit.jobs.batch import Batch, Execution
     from gesturekit.jobs.result import Result
-    from gesturekit.jobs.run import Batch, Execution
 
 GROUPS = {
-    "Many files": ("workers", "shard", "replan", "deadline", "retry_failed", "dry_run"),
+    "Many files": ("workers", "shard", "deadline", "retry_failed", "dry_run"),
     "Clusters": ("launcher", "jobs", "launcher_options", "address"),
 }
 """Groups of the options of `batch_options` in the help."""
+_MINUTES = 24 * 60
+_OUTCOMES = (0, 1, 2, 130)  # exit codes of the command line
+
+
+def _shard(ctx: click.Context, _: click.Parameter, text: str | None) -> tuple[int, int] | None:
+    """Parse --shard: 1/8 to (1, 8)."""
+    match = re.fullmatch(r"(\d{1,5})/(\d{1,5})", text or "1/1", re.ASCII)
+    number, count = map(int, match.groups()) if match else (0, 0)
+    if not 1 <= number <= count:
+        raise click.UsageError(
+            f"--shard {text!r}: expected a number of 1 to N and N, such as 1/8 or 8/8"
+        )
+    return None if text is None else (number, count)
+
 
 _OPTIONS = (
     workers_option,
     click.option(
         "--shard",
         metavar="K/N",
-        help="Process part K of N, such as 1/8. Parts have about the same total duration, and may "
-        "be processed in any order, or in parallel on several machines, into one output folder.",
+        callback=_shard,
+        help="Process part K of N, such as 1/8. Parts may be processed in any order, or in "
+        "parallel on several machines, into one output folder.",
     ),
-    *LAUNCHER_OPTIONS,
     click.option(
-        "--replan",
-        is_flag=True,
-        help="With --shard: list the inputs again, after files have changed.",
+        "--launcher",
+        type=click.Choice(["local", "slurm", "ray"]),
+        default="local",
+        show_default=True,
+        help="Where to run the shards: on this machine, as Slurm jobs (submitit), or on a Ray "
+        "cluster.",
+    ),
+    click.option(
+        "--jobs", type=click.IntRange(1, 10_000), help="Number of shards for slurm or ray."
+    ),
+    click.option(
+        "--launcher-option",
+        "launcher_options",
+        multiple=True,
+        metavar="KEY=VALUE",
+        help="For slurm, a parameter of submitit, such as slurm_partition=cpu, timeout_min=600, "
+        "cpus_per_task=4 or cluster=local. May be repeated.",
+    ),
+    click.option(
+        "--address", help="Address of a Ray cluster; by default one is started on this machine."
     ),
     click.option(
         "--deadline",
@@ -45,32 +85,39 @@ _OPTIONS = (
         is_flag=True,
         help="Retry inputs that are skipped because they failed three times.",
     ),
+    click.option(
+        "--dry-run",
+        is_flag=True,
+        help="Write nothing: only print what would be done, and for sounds how long it would take "
+        "and the size of the results.",
+    ),
 )
 
 
 def batch_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of `pop_execution` and of launchers."""
+    """Add the options of `pop_execution`."""
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
 
 
-def pop_execution(options: dict[str, Any]) -> Execution:
-    """Pop the options of the execution from all options."""
-    from gesturekit.jobs.plan import parse_shard
-    from gesturekit.jobs.run import Execution
+def pop_execution(ctx: click.Context, out: Path, options: dict[str, Any]) -> tuple[Execution, bool]:
+    """Pop the `batch_options` from all options; with a launcher, do the work there and exit.
 
-    shard = options.pop("shard")
-    names = ("workers", "replan", "deadline", "retry_failed")
-    return Execution(
-        shard=(1, 1) if shard is None else parse_shard(shard),
-        **{name: options.pop(name) for name in names},
-    )
+    Returns:
+        how the work is done, and whether that is only a dry run.
+    """
+    _run_elsewhere(ctx, out, options)
+    from gesturekit.jobs.batch import Execution
+
+    shard = options.pop("shard") or (1, 1)
+    names = ("workers", "deadline", "retry_failed")
+    execution = Execution(shard=shard, **{name: options.pop(name) for name in names})
+    return execution, options.pop("dry_run")
 
 
 def show(
-    results: Iterable[Result],
-    total: int,
+    work: Batch | Conversion,
     description: str,
     add: Callable[[Result], str | None],
     stopped: Callable[[], str],
@@ -78,8 +125,7 @@ def show(
     """Do work with a progress bar.
 
     Args:
-        results: results, computed when they are consumed.
-        total: their number.
+        work: what to do.
         description: name of the bar.
         add: called with each result, to print it; it may return a text for the bar.
         stopped: returns the message of Ctrl-C.
@@ -96,9 +142,9 @@ def show(
         with (
             resumable(stopped),
             logging_redirect_tqdm(tqdm_class=Progress),
-            Progress(total=total, desc=description, unit="file") as bar,
+            Progress(total=len(work.tasks), desc=description, unit="file") as bar,
         ):
-            for result in results:
+            for result in work.run():
                 with Progress.external_write_mode():
                     text = add(result)
                 if text is not None:
@@ -111,36 +157,34 @@ def show(
 
 
 def show_and_count(
-    results: Iterable[Result], total: int, description: str, add: Callable[[Result], None]
+    work: Batch | Conversion, description: str, add: Callable[[Result], None]
 ) -> int:
     """Do work as `show` does, print how many inputs failed, and return the exit code."""
-    done = failed = 0
+    errors: list[str | None] = []
 
-    def counted(result: Result) -> None:
-        nonlocal done, failed
-        done += 1
-        failed += result.error is not None
+    def add_counted(result: Result) -> None:
+        errors.append(result.error)
         add(result)
 
-    def stopped() -> str:
-        return f"{done} done; the same command continues."
-
-    is_whole = show(results, total, description, counted, stopped)
-    if failed and done > 1:
-        click.echo(f"{failed} of {done} failed.", err=True)
+    is_whole = show(
+        work, description, add_counted, lambda: f"{len(errors)} done; the same command continues."
+    )
+    failed = len(errors) - errors.count(None)
+    if failed and len(errors) > 1:
+        click.echo(f"{failed} of {len(errors)} failed.", err=True)
     return 1 if failed or not is_whole else 0
 
 
 def print_preview(batch: Batch) -> None:
     """Print what would be done about each sound of a batch, and the sums."""
     from gesturekit.progress import time_in_words
-    from gesturekit.rendering.batch import measured_cost, preview
+    from gesturekit.rendering.batch import estimated_cost, preview
     from gesturekit.wording import listed
 
     words = {"left": "make", "kept": "keep", "failed": "fail"}
     counts, sound = dict.fromkeys(words.values(), 0), 0.0
-    for result in preview(batch):
-        action, length = words[result.status], result.task.duration
+    for result, length in preview(batch):
+        action = words[result.status]
         where = result.error or listed(
             [str(path) for path in batch.processor.targets(result.task)], 4
         )
@@ -148,7 +192,7 @@ def print_preview(batch: Batch) -> None:
         click.echo(f"{action}  {shown}  {click.format_filename(result.source)} -> {where}")
         counts[action] += 1
         sound += (length or 0.0) if action == "make" else 0.0
-    seconds, size = measured_cost(batch).of(counts["make"], sound)
+    seconds, size = estimated_cost(batch, counts["make"], sound)
     took = time_in_words(seconds / batch.execution.workers)
     parts = ", ".join(f"{count} to {action}" for action, count in counts.items())
     click.echo(
@@ -158,3 +202,133 @@ def print_preview(batch: Batch) -> None:
         "them is not counted)",
         err=True,
     )
+
+
+@dataclass(frozen=True)
+class ShardCommand:
+    """The command of one shard; all that is handed to another machine.
+
+    What is done is recorded in the output folder, so a job that is started again continues.
+
+    Attributes:
+        arguments: those of `gesturekit`.
+        folder: working folder, to which relative paths belong.
+    """
+
+    arguments: tuple[str, ...]
+    folder: str
+
+    def __call__(self, shard: str) -> int:
+        """Run the command for a shard such as "1/8", and return its exit code."""
+        from gesturekit.cli import main
+
+        os.chdir(self.folder)
+        try:
+            main([*self.arguments, "--launcher", "local", "--shard", shard])
+        except SystemExit as end:
+            if end.code in _OUTCOMES:
+                return int(end.code)
+            raise  # submitit ends a job that is preempted
+        return 0
+
+    def checkpoint(self, shard: str) -> Any:
+        """Return what submitit starts when the job was preempted: the same."""
+        from submitit.helpers import DelayedSubmission
+
+        return DelayedSubmission(self, shard)
+
+
+def _run_elsewhere(ctx: click.Context, out: Path, options: dict[str, Any]) -> None:
+    """Pop the options of launchers; run the shards on a cluster and exit, if that is asked for.
+
+    Raises:
+        click.UsageError: options that cannot be combined.
+        ConfigError: the launcher is not installed, or a parameter of it is wrong.
+    """
+    launcher, jobs = options.pop("launcher"), options.pop("jobs")
+    settings, address = options.pop("launcher_options"), options.pop("address")
+    if launcher == "local":
+        if options["shard"] is None and (jobs or settings or address):
+            raise click.UsageError("--jobs, --launcher-option and --address require --launcher.")
+        return
+    if options["shard"] is not None:
+        raise click.UsageError(
+            f"--launcher {launcher} creates the shards itself: give --jobs, not --shard."
+        )
+    if (settings and launcher != "slurm") or (address and launcher != "ray"):
+        raise click.UsageError("--launcher-option is for slurm, and --address for ray.")
+    if options["dry_run"]:
+        return
+    command = ShardCommand((ctx.info_name or "", *ctx.meta[ARGUMENTS]), str(Path.cwd()))
+    shards = [f"{number}/{jobs or 1}" for number in range(1, (jobs or 1) + 1)]
+    codes = (
+        _run_slurm(command, shards, out, settings)
+        if launcher == "slurm"
+        else _run_ray(command, shards, address)
+    )
+    click.echo(f"{counted(len(shards), 'shard')}: gesturekit jobs {out} shows the result", err=True)
+    ctx.exit(max(codes, key=(0, 2, 1, 130).index))
+
+
+def _run_slurm(
+    command: ShardCommand, shards: Sequence[str], out: Path, settings: Sequence[str]
+) -> list[int]:
+    """Run each shard as a job of an array, and return the exit codes."""
+    try:
+        import submitit
+    except ImportError:
+        raise _missing("slurm") from None
+    from gesturekit.jobs.records import state_folder
+
+    values: dict[str, Any] = dict(map(_setting, settings))
+    folder = state_folder(out) / "slurm"
+    try:
+        executor = submitit.AutoExecutor(folder=folder / "%j", cluster=values.pop("cluster", None))
+        executor.update_parameters(**{"name": "gesturekit", "timeout_min": _MINUTES, **values})
+        jobs = executor.map_array(command, shards)
+    except (NameError, RuntimeError, ValueError, AssertionError) as error:
+        raise ConfigError(f"slurm: {error}") from None
+    click.echo(
+        f"Submitted {counted(len(jobs), 'job')}; Ctrl-C stops waiting, but not the jobs.", err=True
+    )
+    codes = []
+    for shard, job in zip(shards, jobs, strict=True):
+        try:
+            codes.append(job.result())
+        except Exception as error:  # whatever ended it on its machine
+            last = str(error).strip().splitlines()[-1:]
+            click.echo(f"Failed: shard {shard}, job {job.job_id}: {' '.join(last)}", err=True)
+            codes.append(1)
+    return codes
+
+
+def _run_ray(command: ShardCommand, shards: Sequence[str], address: str | None) -> list[int]:
+    """Run the shards as tasks of a Ray cluster, and return the exit codes."""
+    try:
+        import ray
+    except ImportError:
+        raise _missing("ray") from None
+    try:
+        ray.init(address=address, include_dashboard=False, log_to_driver=False)
+
+        @ray.remote(num_cpus=1, max_retries=-1)
+        def run(shard: str) -> int:
+            """Run a shard; if its node is lost, Ray starts it again on another one."""
+            return command(shard)
+
+        return ray.get([run.remote(shard) for shard in shards])
+    except (ConnectionError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
+        raise ConfigError(f"ray: {' '.join(str(error).split())}") from None
+    finally:
+        ray.shutdown()
+
+
+def _setting(text: str) -> tuple[str, int | str]:
+    name, separator, value = text.partition("=")
+    if not separator or not name.isidentifier():
+        raise click.UsageError(f"--launcher-option {text}: expected KEY=VALUE.")
+    return name, int(value) if value.isdecimal() else value
+
+
+def _missing(extra: str) -> ConfigError:
+    return ConfigError(f"not installed; run: pip install 'gesturekit[{extra}]'")

@@ -9,7 +9,6 @@ import click
 
 from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
 from gesturekit.cli.batch import batch_options, pop_execution, show_and_count
-from gesturekit.cli.launchers import run_elsewhere
 from gesturekit.cli.options import (
     RATE,
     RECORDING_OPTIONS,
@@ -87,7 +86,6 @@ WIDTH = 100
 @size_option
 @batch_options
 @existing_option("refuse")
-@click.option("--dry-run", is_flag=True, help="Read and report, but write nothing.")
 @reading_options
 @part_option
 @rig_part_option
@@ -112,10 +110,7 @@ def command(
     from gesturekit.conversion.options import FormatOptions
     from gesturekit.motion.parts import parse_parts
 
-    elsewhere = run_elsewhere(ctx, out, options)
-    if elsewhere is not None:
-        ctx.exit(elsewhere)
-    execution, dry_run = pop_execution(options), options.pop("dry_run")
+    execution, dry_run = pop_execution(ctx, out, options)
     changes, parts = _changes(options), parse_parts(options.pop("parts"))
     names = ("up", "unit", "frame", "body", "framing", "size")
     write = given(**{name: options.pop(name) for name in names})
@@ -129,7 +124,7 @@ def command(
         dry_run=dry_run,
         execution=execution,
     )
-    code = show_and_count(conversion.run(), len(conversion.tasks), "Converting", _print)
+    code = show_and_count(conversion, "Converting", _print)
     if dry_run:
         click.echo("Dry run: nothing was written.", err=True)
     ctx.exit(code)

@@ -28,7 +28,7 @@ def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
     """
     click.echo("Loading the demo model ...", err=True)
     from audio_features.atomic import atomic_write
-    from gesturekit.rendering.batch import iter_render
+    from gesturekit.rendering.batch import render_batch
     from gesturekit.rendering.renderer import Output
     from gesturekit.systems import bundled_speech, load
 
@@ -44,7 +44,7 @@ def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
     model = load("demo")
     click.echo(f"Rendering its speech into {out} ...", err=True)
     with resumable(lambda: "The same command continues."):
-        (result,) = iter_render(model, [speech], out, output=output, seed=seed)
+        (result,) = render_batch(model, [speech], out, output, seed=seed).run()
     if result.error is not None:
         click.echo(f"Failed: {result.error}", err=True)
         ctx.exit(1)

@@ -10,7 +10,6 @@ import click
 from audio_features.kinds import KINDS
 from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
 from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show_and_count
-from gesturekit.cli.launchers import run_elsewhere
 from gesturekit.cli.options import (
     GroupedCommand,
     channel_option,
@@ -117,11 +116,6 @@ _APPLY_TO = {
 )
 @click.option("--picture", is_flag=True, help="Also draw the features to NAME.png.")
 @batch_options
-@click.option(
-    "--dry-run",
-    is_flag=True,
-    help="Only print what would be done, how long it would take, and the size of the results.",
-)
 @existing_option("refuse", alias=True)
 @click.pass_context
 def command(
@@ -137,27 +131,25 @@ def command(
     """
     import logging
 
+    from gesturekit.jobs.batch import Batch
     from gesturekit.rendering.features import FeatureExtraction
-    from gesturekit.rendering.inputs import sound_batch
+    from gesturekit.rendering.inputs import find_tasks
 
     logging.basicConfig(format="Warning: %(message)s")
     if options["align"] is not None and options["fps"] is None:
         raise click.UsageError("--align requires --fps")
-    elsewhere = run_elsewhere(ctx, out, options)
-    if elsewhere is not None:
-        ctx.exit(elsewhere)
-    execution, is_dry = pop_execution(options), options.pop("dry_run")
-    cache, channel = options.pop("cache"), options["channel"]
+    execution, is_dry = pop_execution(ctx, out, options)
+    cache = options.pop("cache")
     names = ("fps", "align", "picture", "channel", "existing")
     settings = {name: options.pop(name) for name in names}
     extraction = FeatureExtraction(
         _extractor(extractor, options), out, cache=None if cache == "off" else cache, **settings
     )
-    batch = sound_batch("features", extraction, wavs, execution, channel=channel)
+    batch = Batch(extraction, find_tasks(wavs, out), execution)
     if is_dry:
         print_preview(batch)
         return
-    ctx.exit(show_and_count(batch.run(), len(batch.tasks), "Features", _print))
+    ctx.exit(show_and_count(batch, "Features", _print))
 
 
 def _print(result: Result) -> None:

@@ -60,7 +60,7 @@ def command(
 
     Exit codes: 0 complete; 1 files are missing or wrong, as listed; 2 nothing could be started.
     """
-    from gesturekit.progress import Progress
+    from gesturekit.cli.batch import show_and_count
     from gesturekit.rendering.genea import RIGS, check, export, published_sounds
     from gesturekit.systems import load
     from gesturekit.wording import counted
@@ -69,18 +69,9 @@ def command(
     if action == "export":
         if model is None:
             raise click.UsageError(f"export: {ModelName().get_missing_message()}")
-        results = export(
-            load(model, weights=options.pop("weights")),
-            folder,
-            out,
-            layout=layout,
-            samples=samples,
-            progress=lambda tasks: Progress(tasks, unit="file", desc="Rendering"),
-            **options,
-        )
-        for result in results:
-            if result.error is not None:
-                click.echo(f"Failed: {result.error}", err=True)
+        loaded = load(model, weights=options.pop("weights"))
+        batch = export(loaded, folder, out, layout=layout, samples=samples, **options)
+        show_and_count(batch, "Rendering", lambda result: None)
     faults = check(out, sounds, RIGS[layout], samples)
     for fault in faults:
         click.echo(f"Failed: {fault}", err=True)

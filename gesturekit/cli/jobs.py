@@ -1,4 +1,4 @@
-"""gesturekit jobs: the state of the work in a folder, from its journals."""
+"""gesturekit jobs: the state of the work in a folder, from its records."""
 
 from __future__ import annotations
 
@@ -66,26 +66,29 @@ def _print(status: Status, out: Path) -> None:
 
     aside = sum(item.is_aside for item in status.failed)
     put_aside = f" ({aside} put aside after three failures)" if aside else ""
-    click.echo(f"{out}: {counted(status.items, 'item')}, {time_in_words(status.seconds)} of sound")
+    click.echo(f"{out}: {counted(status.items, 'item')}")
     click.echo(
-        f"done {status.done}, failed {len(status.failed)}{put_aside}, left {len(status.left)}"
+        f"done {status.done} ({time_in_words(status.sound)} of sound), failed "
+        f"{len(status.failed)}{put_aside}, left {len(status.left)}"
     )
     if status.earlier:
-        click.echo(f"done earlier, not in the current plan: {status.earlier}")
+        click.echo(f"done earlier, not an input of the latest run: {status.earlier}")
     if len(status.shards) > 1:
         whole = sum(done == count for count, done in status.shards)
         click.echo(f"shards: {whole} of {len(status.shards)} finished")
-    for lease in status.running:
-        owner = printable(f"process {lease.get('pid')} on {lease.get('host')}")
-        shard, age = lease["file"].removesuffix(".json"), lease["age"]
-        click.echo(f"running: {owner}, {shard}, last heartbeat {age:.0f} s ago")
+    for about in status.running:
+        click.echo(
+            printable(
+                f"running: process {about.get('pid')} on {about.get('host')}, {about['name']}"
+            )
+        )
     if status.in_hand and not status.running:
         names = ", ".join(status.in_hand[:5])
         click.echo(printable(f"in progress when a run was killed: {names}"))
     if status.items_per_minute:
-        rest = status.seconds_left
-        runs = status.left and status.running and rest is not None
-        until = f"; {time_in_words(rest or 0.0)} left" if runs else ""
+        until = ""
+        if status.left and status.running:
+            until = f"; {time_in_words(status.seconds_left or 0.0)} left"
         click.echo(
             f"speed: {status.items_per_minute:.1f} items a minute, "
             f"{status.real_time_factor:.1f}x real time{until}"

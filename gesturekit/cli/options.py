@@ -337,7 +337,7 @@ def is_left(files: Sequence[Path], existing: str) -> bool:
     if not there or existing == "replace":
         return False
     if existing == "refuse":
-        from gesturekit.jobs.run import refuse_existing
+        from gesturekit.jobs.batch import refuse_existing
 
         refuse_existing(there)
     click.echo(f"{', '.join(map(str, there))}: skipped, exists already", err=True)

@@ -13,7 +13,6 @@ import click
 
 from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
 from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show
-from gesturekit.cli.launchers import run_elsewhere
 from gesturekit.cli.options import (
     SEED,
     UNITS,
@@ -36,8 +35,8 @@ from gesturekit.model import Control, Controls, control_entries
 from gesturekit.systems import SYSTEMS, control_docs, controls_type
 
 if TYPE_CHECKING:
+    from gesturekit.jobs.batch import Batch
     from gesturekit.jobs.result import Result
-    from gesturekit.jobs.run import Batch
     from gesturekit.model import Model
     from gesturekit.rendering.renderer import Output
 
@@ -208,11 +207,6 @@ def control_options() -> list[click.Parameter]:
     "support it, and gives slightly different motion.",
 )
 @batch_options
-@click.option(
-    "--dry-run",
-    is_flag=True,
-    help="Only print what would be done, how long it would take, and the size of the results.",
-)
 @existing_option("refuse", alias=True)
 @click.pass_context
 def command(
@@ -248,21 +242,18 @@ def command(
     from gesturekit.systems import load
 
     items = () if corpus is None else Manifest.load(corpus).in_split(split or "test", str(corpus))
-    elsewhere = run_elsewhere(ctx, out, options)
-    if elsewhere is not None:
-        ctx.exit(elsewhere)
+    execution, is_dry = pop_execution(ctx, out, options)
     output = _output(options)  # before the model, which takes seconds to load
     names = ("weights", "device", "dtype")
     open_model: Callable[..., Model] = partial(load, **{name: options.pop(name) for name in names})
     loaded = open_model(model)
-    execution, is_dry = pop_execution(options), options.pop("dry_run")
     is_rate_chosen = options["levels"] is not None or options["fps"] is not None
     batch = render_batch(
         loaded,
         [*sources, *items],
         out,
-        output=output,
-        execution=execution,
+        output,
+        execution,
         seconds=seconds,
         channel=options.pop("channel"),
         **chosen_controls(options, open_model),
@@ -315,7 +306,7 @@ def _check(
 def _run(batch: Batch, summary: _Summary, rate: float | None) -> int:
     """Do the work, print what comes of it, and return the exit code."""
     add, stopped = partial(summary.add, rate=rate), lambda: f"{summary}; the same command continues"
-    if not show(batch.run(), len(batch.tasks), "Rendering", add, stopped):
+    if not show(batch, "Rendering", add, stopped):
         summary.counts["failed"] += 1
     if len(batch.tasks) >= _MANY and summary.counts["rendered"]:
         _write_page(batch)

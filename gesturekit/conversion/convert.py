@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import re
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +22,9 @@ from gesturekit.conversion.options import (
 from gesturekit.errors import ConfigError
 from gesturekit.formats.conversion import applicable_write_options, load, refuse_unused_options
 from gesturekit.formats.plausibility import plausibility_warnings
-from gesturekit.jobs.result import Processor, Result, json_of
-from gesturekit.jobs.run import EXISTING, Batch, Execution, refuse_existing
-from gesturekit.jobs.task import Task
+from gesturekit.jobs.batch import EXISTING, Batch, Execution, refuse_existing
+from gesturekit.jobs.result import Processor, Result, Task, json_of
 from gesturekit.motion.motion import Motion
-
-_GLANCE = 1 << 18  # bytes in which the hierarchy of a BVH file ends
-_LENGTH = re.compile(rb"Frames:\s*(\d{1,9})\s+Frame\s+Time:\s*([\d.]{1,20})", re.IGNORECASE)
 
 
 @dataclass
@@ -81,9 +76,7 @@ class Converter(Processor):
 
     def _convert(self, result: Result) -> None:
         task = result.task
-        if task.path is None:
-            raise ConfigError(f"plan: item {task.id!r} is damaged; delete the plan for a new one")
-        motion = load(task.path, self.options.read, self.options.parts)
+        motion = load(task.file, self.options.read, self.options.parts)
         for reason in plausibility_warnings(motion, self.options.read):
             warnings.warn(f"{task.source}: {reason}", stacklevel=2)
         result.facts["found"] = describe(motion)
@@ -158,9 +151,7 @@ class Conversion:
             self._kept = _kept(self._out, self.existing)
             return
         self._converter = self._converter_into(self._out, self.formats)
-        named = [os.path.abspath(source) for source in self._sources]  # noqa: PTH100
-        request = ["convert", named, list(self.formats)]
-        self._batch = Batch(self._converter, self._find, request, self.execution)
+        self._batch = Batch(self._converter, self._find(), self.execution)
         self.tasks = self._batch.tasks
 
     def _converter_into(self, out: Path, formats: Sequence[str]) -> Converter:
@@ -192,7 +183,7 @@ class Conversion:
             yield from self._batch.run()
 
     def _tried(self, result: Result) -> Result:
-        """Do the work that is left, without recording it in a journal."""
+        """Do the work that is left, without a record."""
         return self._converter(result) if result.status == "left" else result
 
     def _find(self) -> list[Task]:
@@ -201,7 +192,7 @@ class Conversion:
         names = [self._out] if self._is_one else [Path(f"x.{kind}") for kind in self.formats]
         options, targets = self.options, names if paths else []
         refuse_unused_options(options.read, options.write, options.body_model, paths, targets)
-        return [replace(task, duration=_length(task.file)) for task in tasks]
+        return tasks
 
 
 def convert(
@@ -224,18 +215,6 @@ def convert(
         OutputError: the disk became full; what is done is kept.
     """
     yield from Conversion(sources, out, **settings).run()
-
-
-def _length(source: Path) -> float | None:
-    """Return the seconds of a BVH file by its header; None for others, and damaged ones."""
-    if source.suffix.lower() != ".bvh" or not source.is_file():
-        return None
-    try:
-        with source.open("rb") as file:
-            match = _LENGTH.search(file.read(_GLANCE))
-        return int(match[1]) * float(match[2]) if match else None
-    except (OSError, ValueError):
-        return None
 
 
 def _kept(target: Path, existing: str) -> tuple[Path, ...]:

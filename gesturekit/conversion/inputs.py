@@ -19,7 +19,7 @@ from gesturekit.formats.sources import (
     unreadable_media,
     visible_folders,
 )
-from gesturekit.jobs.task import Task
+from gesturekit.jobs.result import Task
 from gesturekit.wording import listed
 
 _SHOWN = 3

@@ -23,10 +23,10 @@ from gesturekit.formats.plausibility import plausibility_warnings
 from gesturekit.formats.tables.events import load_events
 from gesturekit.formats.tables.root_path import load_root_path
 from gesturekit.formats.tables.semantics import load_semantics
-from gesturekit.jobs.workers import Failure, Pool
 from gesturekit.motion import Motion, Skeleton, defects
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.wording import counted, did_you_mean
+from gesturekit.workers import Failure, in_processes
 
 MIN_DURATION = 0.5
 """Least length of a recording, seconds."""
@@ -370,7 +370,7 @@ def examine_each(
     steps = iter(progress(recordings))
     next(steps, None)
     results: dict[int, Examined] = {}
-    for recording, result in Pool(examination, workers).map(recordings, lambda _: None):
+    for recording, result in in_processes(examination, recordings, workers):
         if isinstance(result, Failure):
             result = None, [Problem("error", recording.file, str(result))]
         results[id(recording)] = result

@@ -1,4 +1,4 @@
-"""Result: the outcome of one task, filled by a Processor; a line of the journal."""
+"""Tasks of a batch, the work of a verb on one task, and its result."""
 
 from __future__ import annotations
 
@@ -18,55 +18,87 @@ from typing import Any, Self
 import numpy as np
 
 from gesturekit.errors import AudioFeaturesError, GestureKitError, is_full
-from gesturekit.jobs.task import Task
 
 # torch raises RuntimeError when memory runs out.
 _FAILURES = (GestureKitError, AudioFeaturesError, OSError, MemoryError, RuntimeError)
 
 
-@dataclass
-class Result:
-    """Outcome of one task.
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One input of a batch.
 
     Attributes:
-        task: the task; of a line of the journal, only its id is known.
-        status: "left" before the work; "kept" if all files existed; "done"; "failed"; "lost" if
-            its process was ended, which may leave files that are not listed; "dropped" if the user
-            or a full disk stopped it.
+        id: path of the results below the output folder, without suffix; unique in a batch.
+        path: the input file, or the folder of a sequence; None for a task without input.
+        more: what else the verb needs of this input, as JSON values.
+        source: name of the input in messages; by default the path as it was given.
+        error: reason why nothing can be made of it, or None.
+    """
+
+    id: str
+    path: Path | None = None
+    more: Mapping[str, Any] = field(default_factory=dict)
+    source: str = ""
+    error: str | None = None
+
+    def __post_init__(self) -> None:
+        if not self.source:
+            object.__setattr__(self, "source", str(self.path or self.id))
+
+    @property
+    def file(self) -> Path:
+        """The `path` of a task that has one."""
+        assert self.path is not None, self.id
+        return self.path
+
+
+@dataclass(slots=True)
+class Result:
+    """Outcome of the latest attempt at a task, and what is known of its files.
+
+    Attributes:
+        task: the task.
+        status: "left" before the work; "begun" during it, or if a killed process did not end it;
+            "kept" if all files existed; "done"; "failed"; "lost" if its process was ended;
+            "dropped" if the user or a full disk stopped it.
         files: files that were written.
         kept: existing files that were left unchanged.
-        error: reason why some or all files are missing, or None.
-        sound: seconds of sound, or of motion without sound.
+        refused: existing files that must not be overwritten, with the settings that differ.
         facts: what is to be reported of the files; the keys are the verb's own.
-        key: SHA-256 of settings and input.
-        run: name of the run, whose settings its first line in the journal has.
-        attempt: number of attempts with this key, this one included.
-        seconds: time that it took.
-        digests: {name below the output folder: {"sha256", "size", "mtime_ns"}} of `files`.
-        input: what the result depends on beside the settings of the run.
-        stamp: size and time of change of the input file.
-        time: time of the line in the journal, seconds since 1970.
         at: what is being read or written, for the messages of the operating system's errors.
         is_full: True if nothing more can be written to the output folder.
+        error: reason why some or all files are missing, or None.
+        sound: seconds of sound, or of motion without sound.
+        seconds: time that it took.
+        time: time of its end, seconds since 1970.
+        key: SHA-256 of settings and input of the latest failure or success.
+        failures: failures with this key since the task was done.
+        killed: times that a process was killed in the middle of it, since its latest result.
+        input: what the result depends on beside the settings of the verb.
+        stamp: size and time of change of the input file.
+        made: {name below the output folder: size, mtime_ns, sha256 and `made_with`} of each file.
+        begun: {suffix: settings} of an attempt that may have left files which `made` lacks.
     """
 
     task: Task
     status: str = "left"
     files: tuple[Path, ...] = ()
     kept: tuple[Path, ...] = ()
-    error: str | None = None
-    sound: float = 0.0
+    refused: dict[Path, list[str]] = field(default_factory=dict)
     facts: dict[str, Any] = field(default_factory=dict)
-    key: str = ""
-    run: str = ""
-    attempt: int = 1
-    seconds: float = 0.0
-    digests: dict[str, dict[str, Any]] = field(default_factory=dict)
-    input: dict[str, Any] = field(default_factory=dict)
-    stamp: dict[str, Any] = field(default_factory=dict)
-    time: float = 0.0
     at: str = ""
     is_full: bool = False
+    error: str | None = None
+    sound: float = 0.0
+    seconds: float = 0.0
+    time: float = 0.0
+    key: str = ""
+    failures: int = 0
+    killed: int = 0
+    input: dict[str, Any] = field(default_factory=dict)
+    stamp: dict[str, Any] = field(default_factory=dict)
+    made: dict[str, dict[str, Any]] = field(default_factory=dict)
+    begun: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
     def id(self) -> str:
@@ -85,9 +117,10 @@ class Processor(ABC):
     Attributes:
         out: output folder.
         samples: motions that are made of each task.
-        existing: one of `gesturekit.jobs.run.EXISTING`.
+        existing: one of `gesturekit.jobs.batch.EXISTING`.
         settings: what all results depend on, as JSON values.
         written: settings of the files of each format (suffix), as JSON values.
+        about: further facts about a run, to be stored beside its results.
     """
 
     out: Path
@@ -95,25 +128,16 @@ class Processor(ABC):
     existing: str
     settings: dict[str, Any]
     written: dict[str, dict[str, Any]]
-
-    @property
-    def about(self) -> dict[str, Any]:
-        """Further facts about a run, for its journal."""
-        return {}
-
-    @property
-    def run(self) -> str:
-        """Name of the settings, for journals."""
-        return digest_of([self.settings, self.written])[:16]
+    about: Mapping[str, Any] = {}
 
     @abstractmethod
     def make(self, result: Result) -> None:
         """Make the files of a task, except those that are kept, and note them in its result."""
 
-    def into(self, out: Path) -> Self:
-        """Return the same work into another folder."""
+    def trial(self, out: Path) -> Self:
+        """Return the same work on one sample of a task, into another folder."""
         other = copy.copy(self)
-        other.out = out
+        other.out, other.samples = out, 1
         return other
 
     def stems(self, task: Task) -> list[str]:
@@ -146,14 +170,18 @@ class Processor(ABC):
         """
         return {} if task.path is None else {"input": digest or path_digest(task.path)}
 
-    def key(self, found: Mapping[str, Any]) -> str:
+    def key(self, about_input: Mapping[str, Any]) -> str:
         """Return the key of a result: the SHA-256 of all settings and of `input_of` its task."""
-        return digest_of([self.settings, self.written, found])
+        return digest_of([self.settings, self.written, about_input])
+
+    def made_with(self, kind: str, about_input: Mapping[str, Any]) -> dict[str, Any]:
+        """Return all that a file of a format depends on."""
+        return {**self.settings, **about_input, **self.written[kind]}
 
     def __call__(self, result: Result) -> Result:
         """Do the work on a task, and fill its result; whatever fails becomes its error."""
-        task, begun = result.task, time.perf_counter()
-        result.at, result.run = task.source, self.run
+        task, begun, status = result.task, time.perf_counter(), "done"
+        result.at, result.input = task.source, {}
         result.stamp = (file_facts(task.path) if task.path is not None else None) or {}
         try:
             result.input = self.input_of(task)
@@ -161,19 +189,27 @@ class Processor(ABC):
         except Exception as error:  # one strange file must not end a night's work
             result.error = _reason(error, task.source, result.at)
             result.is_full = is_full(error)
-            result.status = "dropped" if result.is_full else "failed"
-        else:
-            result.status = "done"
-        result.key = self.key(result.input)
+            status = "dropped" if result.is_full else "failed"
         result.seconds = round(time.perf_counter() - begun, 4)
-        result.digests = {
-            file.relative_to(self.out).as_posix(): {
+        for file in result.files:
+            result.made[file.relative_to(self.out).as_posix()] = {
                 "sha256": path_digest(file),
+                "made_with": self.made_with(file.suffix[1:], result.input),
                 **(file_facts(file) or {}),
             }
-            for file in result.files
-        }
+        if status != "dropped":
+            result.begun = {}
+        self.end(result, status)
         return result
+
+    def end(self, result: Result, status: str) -> None:
+        """Note how an attempt ended."""
+        result.status, result.killed = status, 0
+        result.sound, result.time = round(result.sound, 4), time.time()
+        if status != "dropped":
+            before = result.failures if result.key == self.key(result.input) else 0
+            result.key = self.key(result.input)
+            result.failures = 0 if status == "done" else before + 1
 
 
 def file_facts(file: Path) -> dict[str, int] | None:
@@ -223,14 +259,12 @@ def path_digest(path: str | os.PathLike[str]) -> str:
         if path.is_dir():
             parts = [f"{part.name} {path_digest(part)}" for part in sorted(path.iterdir())]
             return hashlib.sha256("\n".join(parts).encode("utf-8", "surrogateescape")).hexdigest()
-        return _file_digest(path) if path.is_file() else ""
+        if not path.is_file():
+            return ""
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError:
         return ""
-
-
-def _file_digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def digest_of(values: Any) -> str:

@@ -5,21 +5,19 @@ from __future__ import annotations
 import dataclasses
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import soundfile
 
 import audio_features as af
 from gesturekit.errors import gesturekit_errors
-from gesturekit.jobs.journal import last_run
-from gesturekit.jobs.result import Result
-from gesturekit.jobs.run import Batch, Execution
-from gesturekit.jobs.state import STATE
-from gesturekit.jobs.task import Task
-from gesturekit.rendering.inputs import SoundSource, sound_batch
+from gesturekit.jobs.batch import Batch, Execution
+from gesturekit.jobs.records import STATE, read_items
+from gesturekit.jobs.result import Result, Task
+from gesturekit.rendering.inputs import SoundSource, find_tasks, length_of
 from gesturekit.rendering.renderer import Output, Renderer
 
 if TYPE_CHECKING:
@@ -37,14 +35,12 @@ def render(
     *,
     seconds: float | None = None,
     channel: int | None = None,
-    progress: Callable[[list[Task]], Iterable[Task]] = iter,
     **options: Any,
 ) -> list[Result]:
     """Render sounds to motion files, and return one result for each input.
 
     A broken sound never stops the others: its result has an `error`. Files that an earlier call
-    made with the same model, settings and input are kept. `iter_render` does the same as an
-    iterator.
+    made with the same model, settings and input are kept.
 
     Args:
         model: a loaded model, the name of a bundled one, or a model folder.
@@ -54,9 +50,8 @@ def render(
         out: folder for the results.
         seconds: length of the motion without sources.
         channel: channel of each file to use, counted from 1; None for the mean of all.
-        progress: wraps the list of tasks, as tqdm does.
         options: fields of `gesturekit.rendering.renderer.Output` (formats, existing, rig, unit, up)
-            and of `gesturekit.jobs.run.Execution` (workers, shard, deadline ...), and
+            and of `gesturekit.jobs.batch.Execution` (workers, shard, deadline ...), and
             arguments of the model's `generate` (seed, samples, style, foot_lock, smooth ...).
             `formats` are of bvh, npz, glb, html, mp4 and png: `("bvh", "html")` or `"bvh,html"`.
 
@@ -81,42 +76,17 @@ def render(
         model = load(model)
     output = Output(**_fields(Output, options))
     execution = Execution(**_fields(Execution, options))
-    options |= {"seconds": seconds, "channel": channel, "progress": progress}
-    return list(iter_render(model, sources, out, output=output, execution=execution, **options))
-
-
-def iter_render(
-    model: Model,
-    sources: SoundSource | Sequence[SoundSource],
-    out: str | Path,
-    *,
-    progress: Callable[[list[Task]], Iterable[Task]] = iter,
-    **settings: Any,
-) -> Iterator[Result]:
-    """Render sounds as `render` does, and yield the result of each input as soon as it is done.
-
-    Args:
-        model, sources, out: see `render_batch`.
-        progress: wraps the list of tasks, as tqdm does.
-        settings: the other arguments of `render_batch`.
-
-    Raises the errors of `render`.
-    """
-    batch = render_batch(model, sources, out, **settings)
-    steps = iter(progress(batch.tasks))
-    next(steps, None)
-    for result in batch.run():
-        yield result
-        next(steps, None)
+    options |= {"seconds": seconds, "channel": channel}
+    return list(render_batch(model, sources, out, output, execution, **options).run())
 
 
 def render_batch(
     model: Model,
     sources: SoundSource | Sequence[SoundSource],
     out: str | Path,
-    *,
     output: Output | None = None,
     execution: Execution | None = None,
+    *,
     seconds: float | None = None,
     channel: int | None = None,
     **controls: Any,
@@ -125,9 +95,8 @@ def render_batch(
 
     NAME is the stem of a sound file, the path within its folder for one found in a folder, and
     the id of a manifest's item. Faults of a sound (`Wave.faults`) are logged as warnings, and it is
-    rendered nevertheless. A hidden folder beside the results has the plan of the work and a journal
-    of what was done with which model, settings and input, so that an interrupted run can be
-    continued.
+    rendered nevertheless. A hidden folder beside the results records what was done with which
+    model, settings and input, so that an interrupted run can be continued.
 
     Args:
         model: model from `gesturekit.load`.
@@ -145,90 +114,66 @@ def render_batch(
 
     Raises the errors of `render`.
     """
-    renderer = Renderer(model, Path(out), output or Output(), seconds, channel, controls)
-    return sound_batch("render", renderer, sources, execution or Execution(), seconds, channel)
+    renderer = Renderer(model, Path(out), output or Output(), channel, controls)
+    if sources:
+        tasks = find_tasks(sources, renderer.out)
+    else:
+        tasks = [Task("motion", more={} if seconds is None else {"seconds": seconds})]
+    return Batch(renderer, tasks, execution or Execution())
 
 
 def model_of_results(out: Path) -> Path | None:
     """Return the folder of the model that made the latest results in a folder, if it is known.
 
     Raises:
-        FormatError: a journal cannot be opened, or was written by a newer version.
+        FormatError: what is known of the run is damaged, or was written by a newer version.
     """
-    folder = (last_run(out / STATE, "model_folder") or {}).get("model_folder")
+    folder = (read_items(out / STATE) or {}).get("model_folder")
     return Path(folder) if isinstance(folder, str) else None
 
 
-@dataclass(frozen=True)
-class Cost:
-    """Cost of the work in one process, measured on this machine.
-
-    Attributes:
-        item: (seconds, bytes) of each item, however short.
-        sound: (seconds, bytes) of each second of sound.
-    """
-
-    item: tuple[float, float]
-    sound: tuple[float, float]
-
-    def of(self, items: int, sound: float) -> tuple[float, float]:
-        """Return the (seconds, bytes) of a number of items with so many seconds of sound."""
-        seconds, size = (items * a + sound * b for a, b in zip(self.item, self.sound, strict=True))
-        return seconds, size
-
-
-def preview(batch: Batch) -> Iterator[Result]:
-    """Yield what would come of each task; nothing is written.
+def preview(batch: Batch) -> Iterator[tuple[Result, float | None]]:
+    """Yield what would come of each task, and its seconds of sound; nothing is written.
 
     The status is "left" for a task to be done, "kept" if its files are up to date, and "failed" if
     it cannot be done, or was put aside. Only the first half second of a sound is read, so that
     damage further on is not found.
     """
     for task in batch.tasks:
-        result = batch.known(task)
-        if result.status == "left" and (reason := _unreadable(task)):
-            result = Result(task, "failed", error=reason)
-        yield result
+        result, seconds = batch.known(task), length_of(task)
+        if result.status == "left" and task.path is not None and seconds is None:
+            try:
+                af.Wave.load(task.path, duration=_SHORT)
+            except (af.AudioError, OSError) as error:
+                result = Result(task, "failed", error=str(error))
+        yield result, seconds
 
 
-def _unreadable(task: Task) -> str | None:
-    """Return why the beginning of a task's sound cannot be read; None if it can, or has none."""
-    if task.path is None or task.duration is not None:
-        return None
-    try:
-        af.Wave.load(task.path, duration=_SHORT)
-    except (af.AudioError, OSError) as error:
-        return str(error)
-    return None
+def estimated_cost(batch: Batch, items: int, sound: float) -> tuple[float, float]:
+    """Return seconds and bytes of items with so many seconds of sound, for one process.
 
-
-def measured_cost(batch: Batch) -> Cost:
-    """Measure the cost of a short and a longer piece of speech, written to a temporary folder.
-
-    All costs are 0 if nothing can be made of speech with these settings.
+    The cost of a short and a longer piece of speech is measured in a temporary folder; it is 0 if
+    nothing can be made of speech with these settings.
     """
     from gesturekit.systems import bundled_speech
 
-    found, speech = [], af.Wave.load(bundled_speech())
+    costs, speech = [], af.Wave.load(bundled_speech())
     with tempfile.TemporaryDirectory(prefix="gesturekit-") as folder:
-        # Samples cost the same each: one is measured.
-        n_samples = batch.processor.samples
-        one = batch.processor
-        one = one.single() if n_samples > 1 and isinstance(one, Renderer) else one
-        processor = one.into(Path(folder))
+        processor = batch.processor.trial(Path(folder))
         for seconds in (_LONG, _SHORT, _LONG):  # the first includes compilation
             wav = Path(folder) / f"{seconds:g}.wav"
-            part = speech.slice(1.0, seconds)  # it begins with silence
-            soundfile.write(wav, part.samples, part.sample_rate)
+            piece = speech.slice(1.0, seconds)  # it begins with silence
+            soundfile.write(wav, piece.samples, piece.sample_rate)
             result = processor(Result(Task(wav.stem, wav)))
-            size = sum(about["size"] for about in result.digests.values())
-            found.append((n_samples * result.seconds, n_samples * size))
+            costs.append([result.seconds, sum(made["size"] for made in result.made.values())])
     if result.status != "done":
-        return Cost((0.0, 0.0), (0.0, 0.0))
-    _, short, long = found
-    sound = tuple(max(0.0, (b - a) / (_LONG - _SHORT)) for a, b in zip(short, long, strict=True))
-    item = tuple(max(0.0, a - _SHORT * b) for a, b in zip(short, sound, strict=True))
-    return Cost(item, sound)
+        return 0.0, 0.0
+    # Samples cost the same each: one was measured.
+    _, short, long = batch.processor.samples * np.array(costs)
+    of_second = np.maximum(0.0, (long - short) / (_LONG - _SHORT))
+    of_item = np.maximum(0.0, short - _SHORT * of_second)
+    time, size = items * of_item + sound * of_second
+    return float(time), float(size)
 
 
 def _fields(kind: type, options: dict[str, Any]) -> dict[str, Any]:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 from audio_features.track import Method
 from gesturekit.errors import SpeechError
-from gesturekit.jobs.result import Processor, Result, json_of, path_digest
-from gesturekit.jobs.task import Task
+from gesturekit.jobs.result import Processor, Result, Task, json_of, path_digest
 from gesturekit.rendering.inputs import task_wave, task_words
 
 if TYPE_CHECKING:
@@ -50,26 +49,28 @@ class FeatureExtraction(Processor):
         self.settings = json_of(settings)
         self.written = {"npz": {}, "png": {}} if self.picture else {"npz": {}}
 
-    def into(self, out: Path) -> FeatureExtraction:
+    def trial(self, out: Path) -> Self:
         """Return the same extraction into another folder, without a cache."""
-        return replace(self, out=out, cache=None)
+        other = super().trial(out)
+        other.cache = None
+        return other
 
     def input_of(self, task: Task, digest: str | None = None) -> dict[str, Any]:
         """Return the digests of the sound and of its words, and which part of it is used."""
         from audio_features.files import own_files
         from audio_features.words import takes_words
 
-        found = super().input_of(task, digest)
+        about = super().input_of(task, digest)
         if self.channel is not None:
-            found["channel"] = self.channel
+            about["channel"] = self.channel
         used = {name: task.more.get(name) for name in ("start", "seconds", "channel")}
-        found |= {name: value for name, value in used.items() if value is not None}
+        about |= {name: value for name, value in used.items() if value is not None}
         if task.path is not None and takes_words(self.extractor):
             words = task_words(task)
-            found["words"] = words and path_digest(words)
-        if task.path is not None and (own := own_files(self.extractor, task.path)):
-            found["features"] = [path and path_digest(path) for path in own]
-        return found
+            about["words"] = words and path_digest(words)
+        if task.path is not None and (files := own_files(self.extractor, task.path)):
+            about["features"] = [path and path_digest(path) for path in files]
+        return about
 
     def make(self, result: Result) -> None:
         """Extract the features of a sound and write them."""

@@ -7,20 +7,19 @@ recording where a model has randomness. Seamless Interaction is written as SMPL-
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from audio_features import AudioError, Wave
 from gesturekit.corpus.layouts import read_layout
 from gesturekit.errors import CorpusError, GestureKitError
-from gesturekit.jobs.result import Result
-from gesturekit.jobs.task import Task
+from gesturekit.jobs.batch import Batch, Execution
 from gesturekit.model import Model
 from gesturekit.motion.motion import Motion
-from gesturekit.rendering.batch import render
+from gesturekit.rendering.batch import render_batch
+from gesturekit.rendering.renderer import Output
 from gesturekit.wording import did_you_mean
 
 RIGS = {"beat2": "smplx", "seamless": "smplh"}
@@ -49,43 +48,37 @@ def published_sounds(folder: str | Path, layout: str = "beat2") -> dict[str, Pat
 
 
 def export(
-    model: Model | str | Path,
+    model: Model,
     folder: str | Path,
     out: str | Path,
     *,
     layout: str = "beat2",
     samples: int = SAMPLES,
-    progress: Callable[[list[Task]], Iterable[Task]] = iter,
-    **options: Any,
-) -> list[Result]:
-    """Render a submission: NAME_s1.npz to NAME_s5.npz (NAME.npz for one sample) for each sound.
+    existing: str = "refuse",
+    workers: int = 1,
+    seed: int = 0,
+) -> Batch:
+    """Return the work of rendering a submission, which makes what is missing.
 
-    A repeated call makes what is missing.
+    Files are NAME_s1.npz to NAME_s5.npz (NAME.npz for one sample) for each sound.
 
     Args:
-        model: a loaded model, the name of a bundled one, or a model folder; any rig is retargeted.
+        model: any rig is retargeted.
         folder: the corpus as published.
         out: folder for the files.
         layout: beat2 or seamless.
         samples: number of motions for each sound.
-        progress: wraps the list of tasks, as tqdm does.
-        options: see `gesturekit.render`.
+        existing, workers: see `Output` and `Execution`.
+        seed: of `generate`.
 
     Raises:
         CorpusError: see `published_sounds`.
         GestureKitError: see `gesturekit.render`.
     """
-    return render(
-        model,
-        list(published_sounds(folder, layout).values()),
-        out,
-        formats="npz",
-        rig=RIGS[layout],
-        fps=FPS,
-        samples=samples,
-        progress=progress,
-        **options,
-    )
+    sounds = list(published_sounds(folder, layout).values())
+    output = Output("npz", existing, rig=RIGS[layout])
+    execution = Execution(workers)
+    return render_batch(model, sounds, out, output, execution, fps=FPS, samples=samples, seed=seed)
 
 
 def check(out: str | Path, sounds: Mapping[str, Path], rig: str, samples: int) -> list[str]:

@@ -14,7 +14,7 @@ that is absolute or has `..`.
 
 A task has in `more` the settings of its input alone: `seed`, `style` and `speaker`; `start` and
 `seconds`, the interval of the sound, or the length without sound; `channel`. For an item of a
-manifest it has the `item`.
+manifest it has only the `item`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ import json
 import logging
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -32,7 +31,6 @@ import soundfile
 
 import audio_features as af
 from audio_features.sound_file import soundfile_name
-from audio_features.wave import SAMPLE_RATES
 from audio_features.words import words_beside
 from gesturekit.corpus.item import Item, check_id
 from gesturekit.errors import ConfigError, CorpusError
@@ -43,10 +41,9 @@ from gesturekit.formats.sources import (
     unreadable_media,
     visible_folders,
 )
-from gesturekit.jobs.result import Processor
-from gesturekit.jobs.run import Batch, Execution
-from gesturekit.jobs.state import STATE
-from gesturekit.jobs.task import Task
+from gesturekit.jobs.records import STATE
+from gesturekit.jobs.result import Task
+from gesturekit.wording import listed
 
 LIST_SUFFIXES = (".txt", ".lst", ".list", ".scp", ".jsonl")
 FIELDS: dict[str, tuple[type, ...]] = {
@@ -58,69 +55,11 @@ FIELDS: dict[str, tuple[type, ...]] = {
 sound, and `seconds` alone is the length of a motion without sound."""
 _MAX_LINE = 1 << 16
 _MAX_SECONDS = 4 * 3600  # the longest sound that is read
-_SHOWN = 3
-_UNCOMPRESSED = ("WAV", "WAVEX", "AIFF", "AU")
 
 SoundSource = str | os.PathLike[str] | Item
 """A sound file, a folder of them, a glob, a list, or an item of a manifest."""
 
 log = logging.getLogger(__name__)
-
-
-def sound_batch(
-    verb: str,
-    processor: Processor,
-    sources: SoundSource | Sequence[SoundSource],
-    execution: Execution,
-    seconds: float | None = None,
-    channel: int | None = None,
-) -> Batch:
-    """Return the batch of a verb that works on sounds.
-
-    Args:
-        verb: name of the verb.
-        processor: its work on one task.
-        sources: see `find_tasks`; without any, the input is one motion without sound.
-        execution: how the work is done.
-        seconds: length of that motion.
-        channel: channel of each file to use, counted from 1; None for the mean of all.
-
-    Raises:
-        ConfigError, FormatError: see `find_tasks` and `Batch`.
-    """
-    if isinstance(sources, str | os.PathLike) or not isinstance(sources, Sequence):
-        sources = [sources]
-    named = [
-        os.path.abspath(source) if isinstance(source, str | os.PathLike) else repr(source)  # noqa: PTH100
-        for source in sources
-    ]
-
-    def find() -> list[Task]:
-        if not sources:
-            return [Task("motion", duration=seconds)]
-        return [measured(task) for task in find_tasks(sources, processor.out)]
-
-    return Batch(processor, find, [verb, named, seconds, channel], execution)
-
-
-def item_of(task: Task) -> Item | None:
-    """Return the manifest's item of a task, which gives the interval of the sound, or None.
-
-    Raises:
-        CorpusError: the item in the plan has invalid values.
-    """
-    values = task.more.get("item")
-    if values is None:
-        return None
-    try:
-        paths = {name: values[name] and Path(values[name]) for name in ("audio", "motion")}
-        conditions = {name: Path(path) for name, path in values["conditions"].items()}
-        audible = tuple(map(tuple, values["audible"]))
-        return Item(**{**values, **paths, "conditions": conditions, "audible": audible})
-    except (LookupError, TypeError, AttributeError, ValueError, OverflowError) as error:
-        raise CorpusError(
-            f"plan: item {task.id!r} is damaged ({error}); delete the plan for a new one"
-        ) from None
 
 
 def task_wave(task: Task, channel: int | None) -> af.Wave | None:
@@ -131,8 +70,8 @@ def task_wave(task: Task, channel: int | None) -> af.Wave | None:
     """
     if task.path is None:
         return None
-    if (item := item_of(task)) is not None:
-        return item.load_wave()
+    if "item" in task.more:
+        return task.more["item"].load_wave()
     start, seconds = task.more.get("start", 0.0), task.more.get("seconds")
     channel = task.more.get("channel", channel)
     return af.Wave.load(task.path, start=start, duration=seconds, channel=channel)
@@ -140,9 +79,7 @@ def task_wave(task: Task, channel: int | None) -> af.Wave | None:
 
 def task_words(task: Task) -> Path | None:
     """Return the word list of a task's item, or beside its sound."""
-    item = item_of(task)
-    given = None if item is None else item.conditions.get("words")
-    if given is not None:
+    if "item" in task.more and (given := task.more["item"].conditions.get("words")) is not None:
         return Path(given)
     return None if task.path is None else words_beside(task.path)
 
@@ -177,45 +114,35 @@ def find_tasks(sources: SoundSource | Sequence[SoundSource], out: Path) -> list[
     return list(tasks.values())
 
 
-def measured(task: Task) -> Task:
-    """Return the task with its duration, from the header of its sound."""
+def length_of(task: Task) -> float | None:
+    """Return the seconds of a task's sound by its header, or of a motion without sound.
+
+    None for a file that cannot be read.
+    """
     if "item" in task.more:
-        return replace(task, duration=task.more["item"]["duration"])
+        return task.more["item"].duration
     seconds = task.more.get("seconds")
     if task.path is None:
-        return replace(task, duration=seconds)
-    length = _length(task.path)
-    if length is None:
-        return task
-    length = max(0.0, length - task.more.get("start", 0.0))
-    return replace(task, duration=length if seconds is None else min(length, seconds))
-
-
-def _length(audio: Path) -> float | None:
-    """Return the seconds of sound by the header of a file; None for a file that cannot be read."""
+        return seconds
+    if not task.path.is_file():  # reading a pipe may never end
+        return None
     try:
-        if not audio.is_file():  # reading a pipe may never end
-            return None
-        about, size = soundfile.info(soundfile_name(audio)), audio.stat().st_size
+        length = soundfile.info(soundfile_name(task.path)).duration
     except (RuntimeError, OSError, ValueError):  # its turn gives the reason
         return None
-    low, high = SAMPLE_RATES
-    is_possible = about.format not in _UNCOMPRESSED or about.frames <= 8 * size
-    if not low <= about.samplerate <= high or not is_possible or about.duration > _MAX_SECONDS:
+    if length > _MAX_SECONDS:
         return None  # a damaged header
-    return about.duration
+    return max(0.0, min(length - task.more.get("start", 0.0), seconds or _MAX_SECONDS))
 
 
 def _tasks_of(source: SoundSource, out: Path) -> Iterator[Task]:
     if isinstance(source, Item):
-        values = json.loads(json.dumps(asdict(source), default=str))  # paths as text
-        yield Task(source.id, source.audio, more={"item": values}, source=source.id)
+        yield Task(source.id, source.audio, more={"item": source}, source=source.id)
     elif Path(source).is_dir():
         yield from _below(Path(source), out)
-    elif _is_glob(source):
-        for path, name in _matches_of_glob(str(source), SPEECH_SUFFIXES):
-            yield Task(name, path)
-    elif _is_list(source):
+    elif glob.has_magic(os.fspath(source)) and not os.path.lexists(source):
+        yield from _matches_of_glob(str(source))
+    elif Path(source).suffix.lower() in LIST_SUFFIXES:
         yield from read_list(Path(source))
     else:
         yield Task(Path(source).stem, Path(source))
@@ -223,7 +150,7 @@ def _tasks_of(source: SoundSource, out: Path) -> Iterator[Task]:
 
 def _below(folder: Path, out: Path) -> Iterator[Task]:
     trouble: list[OSError] = []
-    videos: list[Path] = []
+    videos: dict[str, list[str]] = {}
     is_empty = True
     results = os.path.realpath(out)
     for here, folders, files in visible_folders(folder, trouble.append):
@@ -234,7 +161,7 @@ def _below(folder: Path, out: Path) -> Iterator[Task]:
         for path in files:
             suffix = path.suffix.lower()
             if suffix in VIDEO_SUFFIXES:
-                videos.append(path)
+                videos.setdefault(unreadable_media(path) or "", []).append(str(path))
             elif suffix in SPEECH_SUFFIXES or (
                 suffix in OTHER_SPEECH_SUFFIXES and path.stem not in readable
             ):
@@ -244,28 +171,18 @@ def _below(folder: Path, out: Path) -> Iterator[Task]:
     for error in trouble:
         where = str(error.filename or folder)
         yield Task("", source=where, error=f"{where}: {error.strerror}")
-    for line in _listed(videos):
-        log.warning("%s", line)
+    for reason, names in videos.items():
+        log.warning("%s: left out: %s", listed(names, 3), reason)
     if is_empty and not trouble:
         raise ConfigError(f"{folder}: the folder holds no audio files that can be read")
 
 
-def _listed(paths: Sequence[Path]) -> Iterator[str]:
-    """Yield a line for each reason why files cannot be read, which names the first of them."""
-    reasons: dict[str, list[Path]] = {}
-    for path in paths:
-        reasons.setdefault(unreadable_media(path) or "", []).append(path)
-    for reason, those in reasons.items():
-        more = f" and {len(those) - _SHOWN} more" if len(those) > _SHOWN else ""
-        yield f"{', '.join(map(str, those[:_SHOWN]))}{more}: left out: {reason}"
-
-
 def _refuse_clashes(tasks: Sequence[Task], out: Path) -> None:
     seen: dict[str, Task] = {}
-    clashes = []
+    clashes: list[Task] = []
     for task in tasks:
         if task.id.split("/")[0] == STATE:
-            raise ConfigError(f"{task.source}: {STATE} in {out} holds the journal; rename the item")
+            raise ConfigError(f"{task.source}: {STATE} in {out} is the folder of state; rename it")
         if task.error is None and seen.setdefault(task.id, task) is not task:
             clashes.append(task)
     if clashes:
@@ -277,18 +194,8 @@ def _refuse_clashes(tasks: Sequence[Task], out: Path) -> None:
         )
 
 
-def _is_list(source: str | os.PathLike[str]) -> bool:
-    """Return whether a source is a list, by its suffix."""
-    return Path(source).suffix.lower() in LIST_SUFFIXES
-
-
-def _is_glob(source: str | os.PathLike[str]) -> bool:
-    """Return whether a source is a pattern, and not a file whose name has `*`, `?` or `[`."""
-    return glob.has_magic(os.fspath(source)) and not os.path.lexists(source)
-
-
-def _matches_of_glob(pattern: str, suffixes: Sequence[str]) -> Iterator[tuple[Path, str]]:
-    """Yield each sound that a pattern matches, with its path below the pattern's fixed folder.
+def _matches_of_glob(pattern: str) -> Iterator[Task]:
+    """Yield each sound that a pattern matches, named by its path below the pattern's fixed folder.
 
     Raises:
         ConfigError: it matches no sound.
@@ -299,12 +206,12 @@ def _matches_of_glob(pattern: str, suffixes: Sequence[str]) -> Iterator[tuple[Pa
             break
         fixed.append(part)
     base = Path(*fixed)
-    found = (Path(path) for path in sorted(glob.glob(pattern, recursive=True)))  # noqa: PTH207
-    sounds = [path for path in found if path.suffix.lower() in suffixes and path.is_file()]
+    paths = (Path(path) for path in sorted(glob.glob(pattern, recursive=True)))  # noqa: PTH207
+    sounds = [path for path in paths if path.suffix.lower() in SPEECH_SUFFIXES and path.is_file()]
     if not sounds:
         raise ConfigError(f"{pattern}: no audio file matches this pattern")
     for path in sounds:
-        yield path, path.relative_to(base).with_suffix("").as_posix()
+        yield Task(path.relative_to(base).with_suffix("").as_posix(), path)
 
 
 def read_list(path: Path) -> Iterator[Task]:
@@ -313,13 +220,18 @@ def read_list(path: Path) -> Iterator[Task]:
     Raises:
         ConfigError: it cannot be read, is empty, or has an invalid line, which is named.
     """
-    parse = {".scp": _scp_line, ".jsonl": _json_line}.get(path.suffix.lower(), _plain_line)
-    is_empty = True
+    kind, is_empty = path.suffix.lower(), True
     for number, line in _lines(path):
         where = f"{path}:{number}"
-        if parse is _plain_line and _is_comment(line, path.parent):
-            continue
-        audio, name, options = parse(line, where)
+        audio: str | None = line
+        name: str | None = None
+        options: dict[str, Any] = {}
+        if kind == ".jsonl":
+            audio, name, options = _json_line(line, where)
+        elif kind == ".scp":
+            audio, name = _scp_line(line, where)
+        elif line.startswith("#") and not os.path.exists(_placed(line, path.parent)):  # noqa: PTH110
+            continue  # a comment
         try:
             name = name if name is not None else _name_of(audio or "")
             check_id(name)
@@ -348,16 +260,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
         raise ConfigError(f"{path}: {error.strerror}") from None
 
 
-def _is_comment(line: str, folder: Path) -> bool:
-    """Return whether a line begins with # and names no file."""
-    return line.startswith("#") and not os.path.exists(_placed(line, folder))  # noqa: PTH110
-
-
-def _plain_line(line: str, where: str) -> tuple[str, None, dict[str, Any]]:
-    return line, None, {}
-
-
-def _scp_line(line: str, where: str) -> tuple[str, str, dict[str, Any]]:
+def _scp_line(line: str, where: str) -> tuple[str, str]:
     name, _, audio = line.partition(" ") if " " in line else line.partition("\t")
     audio = audio.strip()
     if audio.endswith("|") or audio.startswith("|"):
@@ -367,7 +270,7 @@ def _scp_line(line: str, where: str) -> tuple[str, str, dict[str, Any]]:
         )
     if not audio:
         raise ConfigError(f"{where}: {line!r}; expected an id and a path")
-    return audio, name, {}
+    return audio, name
 
 
 def _json_line(line: str, where: str) -> tuple[str | None, str | None, dict[str, Any]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import os
 from collections.abc import Mapping, Sequence
@@ -16,11 +15,10 @@ from gesturekit.errors import ConfigError
 from gesturekit.formats.conversion import writer_options
 from gesturekit.formats.registry import WRITABLE
 from gesturekit.formats.rig import Rig
-from gesturekit.jobs.result import Processor, Result, json_of, path_digest
-from gesturekit.jobs.task import Task
+from gesturekit.jobs.result import Processor, Result, Task, json_of, path_digest
 from gesturekit.model import Model, control_entries
 from gesturekit.motion.motion import Motion
-from gesturekit.rendering.inputs import item_of, task_wave, task_words
+from gesturekit.rendering.inputs import task_wave, task_words
 from gesturekit.systems import controls_type, drawing_options
 from gesturekit.viewer.drawn_body import AVATARS, load_avatar
 from gesturekit.viewer.video import require_encoder
@@ -78,7 +76,6 @@ class Renderer(Processor):
         model: model from `gesturekit.load`.
         out: folder for the results.
         output: settings of the written files.
-        seconds: length of the motion without sources.
         channel: channel of each file to use, counted from 1; None for the mean of all.
         controls: arguments of the model's `generate`; `item` is the id of each task.
 
@@ -96,7 +93,6 @@ class Renderer(Processor):
     model: Model
     out: Path
     output: Output
-    seconds: float | None
     channel: int | None
     controls: dict[str, Any]
 
@@ -124,21 +120,12 @@ class Renderer(Processor):
         if rig is None:
             for kind in _DRAWINGS & self.written.keys():
                 self.written[kind] = drawing_options(self.model) | self.written[kind]
-        settings = {k: v for k, v in self.controls.items() if k != "samples"}
         self.settings = {"model": self.model.fingerprint(), "seed": 0} | json_of(
-            {name: _without_models(value) for name, value in settings.items()}
+            {name: _without_models(value) for name, value in self.controls.items()}
         )
         if self.body is not None:
             self.settings["rig"] = json_of(self.body)
-
-    @property
-    def about(self) -> dict[str, Any]:
-        """Folder of the model, where it has one."""
-        return {"model_folder": str(self.model.folder)} if self.model.folder else {}
-
-    def single(self) -> Renderer:
-        """Return the same renderer, which makes one sample of each task."""
-        return dataclasses.replace(self, controls=self.controls | {"samples": 1})
+        self.about = {"model_folder": str(self.model.folder)} if self.model.folder else {}
 
     def stems(self, task: Task) -> list[str]:
         """Return the paths of the samples below the output folder, without suffix."""
@@ -156,36 +143,33 @@ class Renderer(Processor):
         Raises:
             GestureKitError: a file of a manifest's item cannot be read.
         """
-        found = super().input_of(task, digest)
-        for name, value in {"seconds": self.seconds, "channel": self.channel}.items():
-            if value is not None:
-                found[name] = value
+        about = super().input_of(task, digest)
+        if self.channel is not None:
+            about["channel"] = self.channel
         if task.path is not None and any(model.inputs.words for model in self._models):
             words = task_words(task)
-            found["words"] = words and path_digest(words)
+            about["words"] = words and path_digest(words)
         if task.path is not None:
             files = (file.find(task.path) for m in self._models for file in m.inputs.files)
-            own = [path and path_digest(path) for path in files]
-            found |= {"features": own} if own else {}
-        if (item := item_of(task)) is not None:
-            found |= {"start": item.audio_start, "duration": item.duration}
-            found |= {"channel": item.channel} if item.channel is not None else {}
-            found |= {"audible": json_of(item.audible)} if item.audible else {}
-            found |= json_of(self._item_controls(item))
-        more = {name: value for name, value in task.more.items() if name != "item"}
-        return found | json_of(more)
+            digests = [path and path_digest(path) for path in files]
+            about |= {"features": digests} if digests else {}
+        if (item := task.more.get("item")) is None:
+            return about | json_of(task.more)
+        about |= {"start": item.audio_start, "duration": item.duration}
+        about |= {"channel": item.channel} if item.channel is not None else {}
+        about |= {"audible": json_of(item.audible)} if item.audible else {}
+        return about | json_of(self._item_controls(item))
 
     def _item_controls(self, item: Item) -> dict[str, Any]:
         """Return the controls of a manifest's item that were not given for all inputs."""
-        found = item.controls(self.model)
-        return {name: value for name, value in found.items() if name not in self.controls}
+        controls = item.controls(self.model)
+        return {name: value for name, value in controls.items() if name not in self.controls}
 
     def has_speaker(self, task: Task) -> bool:
         """Return whether a speaker is chosen for a task, or the model has none to choose from."""
         known = self.model.speakers
         given = [self.controls.get("speaker"), task.more.get("speaker")]
-        item = item_of(task)
-        given += [] if item is None else [item.speaker]
+        given += [task.more["item"].speaker] if "item" in task.more else []
         return len(known) < 2 or any(name in known for name in given)
 
     def make(self, result: Result) -> None:
@@ -203,22 +187,24 @@ class Renderer(Processor):
 
     def _generate(self, task: Task) -> tuple[af.Wave | None, list[Motion]]:
         """Return the sound of a task, and its motions."""
-        wave, item = task_wave(task, self.channel), item_of(task)
+        wave, item = task_wave(task, self.channel), task.more.get("item")
         if wave is not None and not wave.is_silent:  # the model warns of silence
             for fault in wave.faults():
                 log.warning("%s: %s", task.source, fault)
-        controls, seconds = self.controls, self.seconds
+        controls: dict[str, Any] = dict(self.controls)
+        seconds: float | None = None
         is_whole_sound = wave is not None and self._takes_speech()
         if item is not None:
             controls = self._item_controls(item) | controls
             seconds = None if is_whole_sound else item.duration
         elif task.more:
-            own = {name: task.more.get(name) for name in ("seed", "style", "speaker")}
-            controls = controls | {name: value for name, value in own.items() if value is not None}
+            names = ("seed", "style", "speaker")
+            controls |= {name: task.more[name] for name in names if name in task.more}
             if not is_whole_sound:
                 seconds = task.more.get("seconds", wave and wave.duration)
         speech = wave if seconds is None else None
-        motions = self.model.generate(speech, seconds=seconds, item=task.id, **controls)
+        controls |= {"seconds": seconds, "item": task.id, "samples": self.samples}
+        motions = self.model.generate(speech, **controls)
         return wave, motions if isinstance(motions, list) else [motions]
 
     def _takes_speech(self) -> bool:
@@ -246,10 +232,9 @@ def _without_defaults(model: Model, arguments: Mapping[str, Any]) -> dict[str, A
     """
     controls = model.check_controls(**arguments)
     entries = control_entries(controls_type(model.kind))
-    found = {n: value for n, value in controls.items() if not entries[n].is_default(value)}
-    usual = {"samples": 1, "seed": 0}
-    given = {name: arguments.get(name, value) for name, value in usual.items()}
-    return {name: value for name, value in given.items() if value != usual[name]} | found
+    chosen = {n: value for n, value in controls.items() if not entries[n].is_default(value)}
+    seed = arguments.get("seed", 0)
+    return ({"seed": seed} if seed != 0 else {}) | chosen
 
 
 def _without_models(value: Any) -> Any:

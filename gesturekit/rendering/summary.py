@@ -11,16 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from audio_features.atomic import atomic_write
+from audio_features.atomic import write_text
 from gesturekit.errors import GestureKitError
-from gesturekit.jobs.journal import History
+from gesturekit.jobs.records import STATE, all_records
 from gesturekit.jobs.result import Result
-from gesturekit.jobs.state import STATE
 from gesturekit.jobs.status import Status
 from gesturekit.motion.motion import Motion
 from gesturekit.progress import time_in_words
 from gesturekit.viewer.pictures import write_picture
-from gesturekit.wording import printable
+from gesturekit.wording import counted, printable
 
 PAGE = "summary.html"
 """Name of the page in the folder of state, which a run of many items writes at its end."""
@@ -47,52 +46,27 @@ def write_summary(out: Path, status: Status, path: Path) -> None:
 
     Raises:
         OSError: the page cannot be written.
-        FormatError: the journals cannot be read.
+        FormatError: a record was written by a newer version.
     """
-    failed = {item.id for item in status.failed}
-    history = History(out / STATE)
-    done = [
-        result for name in history.names() if name not in failed for result in _last(history, name)
-    ]
-    body = "\n".join(
-        [
-            *_counts(out, status),
-            *_histogram("Seconds of sound", [result.sound for result in done]),
-            *_histogram(
-                "Speed, times real time",
-                [result.sound / result.seconds for result in done if result.seconds > 0],
-            ),
-            *_failures(status),
-            *_pictures(out, done),
-        ]
-    )
+    done = [result for result in all_records(out / STATE) if result.status == "done"]
+    done.sort(key=lambda result: result.id)
     title = html.escape(printable(out.name or str(out)))
-    page = (
+    speeds = [result.sound / result.seconds for result in done if result.seconds > 0]
+    lines = [
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-        f"<style>{_STYLE}</style></head>\n<body><h1>{title}</h1>\n{body}\n</body></html>\n"
-    )
-    with atomic_write(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
-
-
-def _last(history: History, name: str) -> list[Result]:
-    """Return the latest successful result of an item, or nothing."""
-    return [result for result in history.results(name) if result.status == "done"][-1:]
-
-
-def _counts(out: Path, status: Status) -> Iterator[str]:
-    rows = {
-        "Items in the plan": f"{status.items}",
-        "Sound in the plan": time_in_words(status.seconds),
-        "Done": f"{status.done}",
-        "Failed": f"{len(status.failed)}",
-        "Left": f"{len(status.left)}",
-        "Speed of the last ten minutes of work": f"{status.items_per_minute:.1f} items a minute, "
-        f"{status.real_time_factor:.1f} times real time",
-    }
-    yield "<table>"
-    yield from (f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in rows.items())
-    yield "</table>"
+        f"<style>{_STYLE}</style></head>\n<body><h1>{title}</h1>",
+        f"<p>{counted(status.items, 'item')}: {status.done} done "
+        f"({time_in_words(status.sound)} of sound), {len(status.failed)} failed, "
+        f"{len(status.left)} left.</p>\n<p>Speed of the last ten minutes of work: "
+        f"{status.items_per_minute:.1f} items a minute, {status.real_time_factor:.1f} times real "
+        "time.</p>",
+        *_histogram("Seconds of sound", [result.sound for result in done]),
+        *_histogram("Speed, times real time", speeds),
+        *_failures(status),
+        *_pictures(out, done),
+        "</body></html>\n",
+    ]
+    write_text(path, "\n".join(lines))
 
 
 def _histogram(title: str, values: list[float]) -> Iterator[str]:
@@ -142,9 +116,9 @@ def _pictures(out: Path, done: list[Result]) -> Iterator[str]:
     with tempfile.TemporaryDirectory(prefix="gesturekit-") as folder:
         picture = Path(folder) / "picture.png"
         for result in (done[index] for index in spread):
-            names = [name for name in result.digests if name.endswith((".npz", ".bvh"))]
+            names = [name for name in result.made if name.endswith((".npz", ".bvh"))]
             file = out / names[0] if names else out
-            # A journal is a file like any other: it may name anything.
+            # A record is a file like any other: it may name anything.
             if not names or not file.resolve().is_relative_to(inside):
                 continue
             try:

@@ -1,11 +1,18 @@
 """Files that a run over many inputs left."""
 
-import json
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gesturekit.jobs import STATE, Status
+from gesturekit.jobs import STATE, Result, Status
+from gesturekit.jobs.records import all_records
+from gesturekit.rendering import render_batch
+
+
+def render(*arguments: Any, **settings: Any) -> Iterator[Result]:
+    """Yield the results of `render_batch` with these arguments."""
+    return render_batch(*arguments, **settings).run()
 
 
 def results(out: Path) -> dict[str, bytes]:
@@ -25,16 +32,14 @@ def bury(folder: Path) -> None:
     os.chdir(here)
 
 
-def finished(out: Path) -> list[dict[str, Any]]:
-    """Return the lines of the journals that say an item is done; a line may be cut short."""
-    journals = [path.read_text() for path in (out / STATE / "journal").iterdir()]
-    lines = [line for text in journals for line in text.splitlines() if line.endswith("}")]
-    return [one for line in lines if (one := json.loads(line)).get("status") == "done"]
+def finished(out: Path) -> list[Result]:
+    """Return the results of the items that are done."""
+    return [result for result in all_records(out / STATE) if result.status == "done"]
 
 
 def status(**values: Any) -> Status:
-    """Return the state of work on one second of sound that has not begun, with other values."""
-    counts = {"items": 1, "seconds": 1.0, "done": 0, "sound": 0.0, "earlier": 0}
+    """Return the state of work on one item that has not begun, with other values."""
+    counts = {"items": 1, "done": 0, "sound": 0.0, "earlier": 0}
     lists = {name: [] for name in ("failed", "left", "shards", "running", "in_hand")}
     speeds = {"items_per_minute": 0.0, "real_time_factor": 0.0}
     return Status(**{**counts, **lists, **speeds, **values})

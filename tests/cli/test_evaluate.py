@@ -18,6 +18,8 @@ import torch
 from small_models import small_diffusion
 
 from gesturekit.corpus import Item, Manifest, prepare
+from gesturekit.jobs import STATE
+from gesturekit.jobs.records import write_items
 from gesturekit.motion import Motion
 from gesturekit.training import TrainedSegment, save_sources
 
@@ -250,15 +252,13 @@ def test_evaluating_on_training_recordings_is_warned_about(gesturekit, held_out,
     model, rendered = tmp_path / "model", tmp_path / "rendered"
     model.mkdir()
     save_sources(model, [TrainedSegment.of(items["train"], items["train"].load_motion().fps)])
-    journal = rendered / ".gesturekit" / "journal" / "00001-of-00001.jsonl"
-    journal.parent.mkdir(parents=True)
+    rendered.mkdir()
     shutil.copy(root / "recordings" / "day" / "talk.bvh", rendered)
-    run = {"run": "a", "settings": {}, "format": 1, "time": 1.0, "model_folder": str(model)}
-    journal.write_text(json.dumps(run) + "\n")
+    write_items(rendered / STATE, ["talk"], 1, {"model_folder": str(model)})
     done = gesturekit("evaluate", rendered, root / "recordings")
     assert re.search("(?=.*1 of 1)(?=.*day/talk)", done.err)
     assert re.search("(?=.*rendered)(?=.*trained)", done.out)
-    journal.unlink()
+    shutil.rmtree(rendered / STATE)
     assert "day/talk" not in gesturekit("evaluate", rendered, root / "recordings").err
 
 

@@ -57,7 +57,7 @@ def test_a_disk_that_becomes_full(gesturekit, write_pair, small_disk, tmp_path, 
     stopped = gesturekit(*command(recordings, out)).fails(1)
     assert stopped.err.count("Error: ") == stopped.err.count("No space left") == 1
     made = results(out)
-    complete = [file for one in finished(out) for file in one["files"]]
+    complete = [file for result in finished(out) for file in result.made]
     assert 1 <= len(complete) < 12 and set(complete) <= set(made)
     for name in made:
         READ[verb](out / name)

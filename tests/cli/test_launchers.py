@@ -2,7 +2,7 @@
 
 import re
 import sys
-from contextlib import nullcontext
+from functools import partial
 from types import ModuleType, SimpleNamespace
 
 import pytest
@@ -55,20 +55,14 @@ def test_options_that_do_not_fit_are_refused(render, tmp_path, options, says):
 
 
 class LocalRay(ModuleType):
-    """A cluster of ray in this process, of `cpus` processors; `lost` calls fail with a node."""
+    """A cluster of ray in this process; one of lost nodes raises its error."""
 
-    def __init__(self, cpus: int | None, lost: int = 0) -> None:
+    def __init__(self, *, is_lost: bool = False) -> None:
         super().__init__("ray")
-        self.cpus, self.lost, self.actors, self.addresses = cpus, lost, [], []
-        self.is_running = False
-        errors = type("exceptions", (), {})
-        errors.RayError = type("RayError", (Exception,), {})
-        errors.RayActorError = type("RayActorError", (errors.RayError,), {})
-        self.exceptions = errors
+        self.is_lost, self.is_running, self.options = is_lost, False, {}
+        self.exceptions = SimpleNamespace(RayError=type("RayError", (Exception,), {}))
 
     def init(self, address=None, **options) -> None:
-        self.addresses.append(address)
-        self.options = options
         if address == "nowhere":
             raise ConnectionError("no cluster at nowhere")
         self.is_running = True
@@ -76,48 +70,28 @@ class LocalRay(ModuleType):
     def shutdown(self) -> None:
         self.is_running = False
 
-    def cluster_resources(self) -> dict[str, float]:
-        return {} if self.cpus is None else {"CPU": float(self.cpus)}
+    def remote(self, **options):
+        self.options = options
+        return lambda function: SimpleNamespace(remote=partial(partial, function))
 
-    def remote(self, **_):
-        def decorate(actor):
-            def start():
-                made = actor()
-                self.actors.append(made)
-                call = SimpleNamespace(remote=lambda shard: (made, shard))
-                return SimpleNamespace(run=call)
-
-            return SimpleNamespace(remote=start)
-
-        return decorate
-
-    def wait(self, running):
-        return [running[-1]], running[:-1]
-
-    def get(self, call):
-        if self.lost:
-            self.lost -= 1
-            raise self.exceptions.RayActorError
-        actor, shard = call
-        return actor.run(shard)
+    def get(self, calls):
+        if self.is_lost:
+            raise self.exceptions.RayError("all nodes are lost")
+        return [call() for call in calls]
 
 
-@pytest.mark.parametrize(("cpus", "lost", "actors"), [(None, 0, 1), (2, 1, 2)])
-def test_ray_makes_the_same_files_also_when_a_node_is_lost(
-    render, tmp_path, monkeypatch, cpus, lost, actors
-):
-    ray = LocalRay(cpus, lost)
+def test_ray_makes_the_same_files(render, tmp_path, monkeypatch):
+    ray = LocalRay()
     monkeypatch.setitem(sys.modules, "ray", ray)
     done = render("out", "--launcher", "ray", "--jobs", "3")
     assert done.exit_code == 0, done.output
     assert len(results(tmp_path / "out")) == 3 and not ray.is_running
-    assert sorted(n for n, _ in status_of(tmp_path / "out").shards) == [1, 1, 1]
-    assert len(ray.actors) == actors, "no more than there are shards or processors"
-    assert done.output.count("lost") == lost
+    assert [n for n, _ in status_of(tmp_path / "out").shards] == [1, 1, 1]
+    assert ray.options["max_retries"] == -1, "a shard of a lost node starts again"
 
 
 def test_a_cluster_that_is_lost_or_absent_is_one_line(render, monkeypatch):
-    monkeypatch.setitem(sys.modules, "ray", LocalRay(cpus=2, lost=2))
+    monkeypatch.setitem(sys.modules, "ray", LocalRay(is_lost=True))
     lost = render("out", "--launcher", "ray", "--jobs", "3")
     assert lost.exit_code != 0 and "nodes" in str(lost.exception)
     absent = render("out", "--launcher", "ray", "--address", "nowhere")
@@ -146,12 +120,9 @@ class Slurm(ModuleType):
             raise NameError("Unknown argument 'wrong'")
         self.parameters = parameters
 
-    def batch(self):
-        return nullcontext()
-
-    def submit(self, command, shard):
-        self.shards.append((command, shard))
-        return SimpleNamespace(job_id=70 + len(self.shards), result=self.result)
+    def map_array(self, command, shards):
+        self.shards = [(command, shard) for shard in shards]
+        return [SimpleNamespace(job_id=71 + k, result=self.result) for k in range(len(shards))]
 
     def result(self) -> int:
         outcome = self.outcomes.pop(0)

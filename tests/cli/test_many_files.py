@@ -1,4 +1,4 @@
-"""features and convert on many files: the plan, journal, shards and launchers of render."""
+"""features and convert on many files: the records, shards and launchers of render."""
 
 from pathlib import Path
 
@@ -91,7 +91,7 @@ def test_three_failures_put_an_item_aside(run, folder, tmp_path, verb):
     assert run("out").status == 0 and status_of(tmp_path / "out").done == 5
 
 
-def test_the_plan_is_shown_and_nothing_written(run, tmp_path, verb):
+def test_a_dry_run_shows_what_it_would_do_and_writes_nothing(run, tmp_path, verb):
     done = run("out", "--dry-run")
     assert done.status == 0 and not (tmp_path / "out").exists()
     assert all(f"{stem}.{INPUTS[verb]}" in done.out for stem in STEMS)

@@ -15,7 +15,7 @@ import pytest
 from rigs import at_rest
 
 from gesturekit.conversion.changes import Changes, parse_trim
-from gesturekit.conversion.convert import Conversion, convert
+from gesturekit.conversion.convert import convert
 from gesturekit.conversion.options import FormatOptions
 from gesturekit.errors import ConfigError
 from gesturekit.formats import Rig, motions_in, smpl_skeleton
@@ -248,21 +248,6 @@ def test_fast_movement_is_filtered_out_of_a_lower_rate_on_request(skeleton):
     assert nods[0] == pytest.approx(0.13, abs=0.005) and nods[1] < 0.01
     same, said = Changes(fps=60.0, antialias=True)(motion)
     assert same is motion and said == []
-
-
-def test_a_motion_is_as_long_as_its_header_says(take, gesture, tmp_path):
-    """Shards are balanced by it; a damaged header is known when its turn comes."""
-    folder = tmp_path / "takes"
-    folder.mkdir()
-    (folder / "a.BVH").write_bytes(take.read_bytes())
-    gesture(1.0).save(folder / "b.npz")
-    text = take.read_text().replace("Frame Time: 0.033333", "Frame Time: 0.0.3", 1)
-    assert "0.0.3" in text
-    (folder / "c.bvh").write_text(text)
-    (folder / "d.bvh").write_text("no header")
-    work = Conversion(folder, tmp_path / "out", formats=["glb"])
-    lengths = {task.id: task.duration for task in work.tasks}
-    assert lengths == {"a": pytest.approx(2.0, abs=1e-4), "b": None, "c": None, "d": None}
 
 
 def test_names_of_what_is_written_decide_between_a_file_and_a_folder(take, tmp_path):

@@ -14,7 +14,8 @@ from safetensors.numpy import save
 
 import audio_features as af
 from gesturekit.formats import frames_header, smpl_skeleton, write_bvh, write_npz
-from gesturekit.jobs import Journal, Result, Task
+from gesturekit.jobs import Result, Task
+from gesturekit.jobs.records import write_record
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.training import dump_yaml
 
@@ -189,50 +190,12 @@ def weights(folder: Path) -> list[bytes]:
     return [save(tensors, {"format": "pt"}), *checkpoint(folder)]
 
 
-def journal(folder: Path) -> list[bytes]:
-    (folder / "state").mkdir(exist_ok=True)
-    made = Journal(folder / "state", 1, 1, run="r", settings={"seed": 0}, about={"written": {}})
-    for name, status in (("a", "done"), ("d/b", "failed"), ("c", "lost")):
-        made.start(name)
-        files = {f"{name}.bvh": {"sha256": "0" * 64, "size": 3, "mtime_ns": 5}}
-        error = None if status == "done" else f"{name}.wav: broken 3"
-        made.finish(
-            Result(
-                Task(name),
-                status,
-                error=error,
-                sound=2.5,
-                key="k",
-                run="r",
-                seconds=0.5,
-                digests=files,
-                input={"input": "x"},
-            )
-        )
-    made.start("e")
-    made.close()
-    (path,) = (folder / "state" / "journal").iterdir()
+def record(folder: Path) -> list[bytes]:
+    made = {"a.bvh": {"sha256": "0" * 64, "size": 3, "mtime_ns": 5, "made_with": {"seed": 0}}}
+    about = {"sound": 2.5, "seconds": 0.5, "key": "k", "input": {"input": "x"}, "made": made}
+    write_record(folder, Result(Task("a"), "failed", error="a.wav: broken 3", **about))
+    (path,) = folder.glob("records/*/*")
     return [path.read_bytes()]
-
-
-def plan(folder: Path) -> list[bytes]:
-    """The lines of a plan, without its header."""
-    item = json.loads(manifest(folder)[0].splitlines()[1])
-    rows = [
-        {"shard": 1, "id": "a", "path": "/x/a.wav", "duration": 2.5, "more": {}},
-        {"shard": 1, "id": "b", "path": None, "more": {"seconds": 3, "seed": 1}},
-        {"shard": 2, "id": "c", "path": "/x/c.wav", "duration": 1.0, "more": {"item": item}},
-    ]
-    return [b"".join(json.dumps(row).encode() + b"\n" for row in rows)]
-
-
-def plan_of_motions(folder: Path) -> list[bytes]:
-    """The lines of a plan of conversions, without its header."""
-    rows = [
-        {"shard": shard, "id": name, "path": f"/x/{name}.bvh", "duration": seconds, "more": {}}
-        for shard, name, seconds in ((1, "a", 1.5), (1, "b", 1.0), (2, "c", 1.0))
-    ]
-    return [b"".join(json.dumps(row).encode() + b"\n" for row in rows)]
 
 
 def avatars(folder: Path) -> list[bytes]:

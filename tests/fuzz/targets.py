@@ -1,6 +1,5 @@
 """Loaders under test: how each is called with a file that may be anything."""
 
-import hashlib
 import json
 import shutil
 import tempfile
@@ -26,10 +25,11 @@ from gesturekit.evaluation import read_answers
 from gesturekit.formats import frames_rows, load_events, load_root_path, load_semantics, read_avatar
 from gesturekit.formats.smpl.easymocap import read_easymocap
 from gesturekit.inspection import inspect
-from gesturekit.jobs import PLAN, STATE, History, Plan, last_run, live_leases, status_of
+from gesturekit.jobs import STATE, Result, Task, status_of
+from gesturekit.jobs.records import read_record, running, write_items, write_record
 from gesturekit.motion import BodyModel, Motion
 from gesturekit.multires import MultiresConfig
-from gesturekit.rendering import item_of, read_list
+from gesturekit.rendering import read_list
 from gesturekit.study import Votes
 from gesturekit.systems import model_folder
 from gesturekit.training import Checkpoints, load_config
@@ -82,35 +82,21 @@ def checkpoint(folder: Path, file: Path) -> None:
 
 
 def jobs(folder: Path, file: Path) -> None:
-    history = History(folder / STATE)
-    for name in history.names():
-        history.results(name), history.unfinished(name), history.failures(name, "k")
-    last_run(folder / STATE)
+    state = folder / STATE
+    read_record(state, Task("a"))
+    running(state)
     status_of(folder).reasons()
 
 
-def lease(folder: Path, file: Path) -> None:
-    live_leases(folder / STATE)
-    status_of(folder)
+def write_run(folder: Path) -> None:
+    """A run over two items, and the lock of a process that works on them."""
+    write_items(folder / STATE, ["a", "b"], 2, {})
+    write_record(folder / STATE, Result(Task("b"), "done", sound=2.5, seconds=1.0))
+    (folder / STATE / "running").mkdir()
 
 
-def plan(folder: Path, file: Path) -> None:
-    for task in Plan.open(file).tasks():
-        item_of(task)
-    status_of(folder)
-
-
-def with_header(lines: bytes) -> bytes:
-    """A plan whose SHA-256 is right whatever its lines are."""
-    header = {"format": 1, "request": "x", "sha256": hashlib.sha256(lines).hexdigest()}
-    header |= {"shards": [[2, 2.5], [1, 1.0]], "made": 1.5}
-    return json.dumps(header).encode() + b"\n" + lines
-
-
-def write_plan(folder: Path) -> None:
-    (folder / STATE / "leases").mkdir(parents=True)
-    (folder / STATE / "journal").mkdir()
-    (folder / STATE / PLAN).write_bytes(with_header(seeds.plan(folder)[0]))
+_RECORD = f"{STATE}/records/ca/978112ca1bbdcafac231b39a23dc4d.json"
+"""Record of the item "a"."""
 
 
 class Slow:
@@ -329,29 +315,16 @@ TARGETS = {
             *(lambda _, file: read_json(file), mutators.JSON),
         ),
         Target("cache_entry", "entry", cache_entry, cached, mutators.TENSORS),
+        Target("record", _RECORD, seeds.record, jobs, mutators.JSON, write_run),
         Target(
-            *("journal", f"{STATE}/journal/00001-of-00002.jsonl", seeds.journal, jobs),
-            *(mutators.JSON, write_plan),
+            *("items", f"{STATE}/items.json"),
+            text('{"format": 1, "shards": 2, "items": ["a", "d/b"], "model_folder": "m"}'),
+            *(jobs, mutators.JSON, write_run),
         ),
         Target(
-            *("plan", f"{STATE}/{PLAN}", seeds.plan, plan, mutators.JSON, write_plan),
-            wrap=with_header,
-            says="FOLDER|^plan: item '",
-        ),
-        Target(
-            *("plan_of_motions", f"{STATE}/{PLAN}", seeds.plan_of_motions, plan),
-            *(mutators.JSON, write_plan),
-            wrap=with_header,
-            says="FOLDER|^plan: item '",
-        ),
-        Target(
-            *("plan_header", f"{STATE}/{PLAN}", lambda f: [with_header(seeds.plan(f)[0])], plan),
-            *(mutators.JSON, write_plan),
-        ),
-        Target(
-            *("lease", f"{STATE}/leases/00001-of-00002.json"),
-            text('{"host": "h", "pid": 3, "since": 1.5, "run": {"plan": "x", "shards": 2}}'),
-            *(lease, mutators.JSON, write_plan),
+            *("running", f"{STATE}/running/1 of 2.json"),
+            text('{"host": "h", "pid": 3, "since": 1.5, "run": "x"}'),
+            *(jobs, mutators.JSON, write_run),
         ),
         Target("list_jsonl", "a.jsonl", seeds.lists, lambda _, f: [*read_list(f)], mutators.JSON),
         Target("list_scp", "wav.scp", text("a a.wav", "b d/b.wav"), lambda _, f: [*read_list(f)]),

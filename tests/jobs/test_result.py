@@ -49,20 +49,22 @@ def test_a_result_has_what_a_rerun_needs_to_know(task, tmp_path):
     (tmp_path / "out").mkdir()
     result = made(Result(task))
     assert (result.status, result.error, result.is_full) == ("done", None, False)
+    assert (result.failures, result.killed, result.begun) == (0, 0, {})
     assert result.files == (tmp_path / "out/day/a.txt", tmp_path / "out/day/a.csv")
     assert result.input == {"input": sha(b"sound")} and result.stamp["size"] == 5
     assert result.seconds >= 0.04
-    assert result.digests["day/a.csv"]["sha256"] == sha(b"day/a.csv")
-    # The key is that of settings, formats and input; the run's name that of the first two.
+    csv = result.made["day/a.csv"]
+    assert csv["sha256"] == sha(b"day/a.csv")
+    assert csv["made_with"] == {"seed": 1, "input": sha(b"sound")}
+    # The key is that of settings, formats and input.
     others = [
         Makes(tmp_path / "out", settings={"seed": 2}),
         Makes(tmp_path / "out", written={"txt": {}, "csv": {"x": 1}}),
     ]
-    assert len({made.run, *(other.run for other in others)}) == 3
     assert len({result.key, *(other.key(result.input) for other in others), made.key({})}) == 4
     # What is kept is not made again.
     again = made(Result(task, kept=(tmp_path / "out/day/a.txt",)))
-    assert again.files == (tmp_path / "out/day/a.csv",) and list(again.digests) == ["day/a.csv"]
+    assert again.files == (tmp_path / "out/day/a.csv",) and list(again.made) == ["day/a.csv"]
 
 
 @pytest.mark.parametrize(
@@ -82,14 +84,26 @@ def test_a_failure_is_one_line_that_names_the_input_or_the_file(task, tmp_path, 
     assert (result.status, result.is_full) == ("failed", False)
     facts = says.format(out=tmp_path / "out/day/a.csv").split(" & ")
     assert all(re.search(fact, result.error) for fact in facts) and "\n" not in result.error
-    assert result.files == (tmp_path / "out/day/a.txt",) and list(result.digests) == ["day/a.txt"]
+    assert result.files == (tmp_path / "out/day/a.txt",) and list(result.made) == ["day/a.txt"]
 
 
 def test_a_full_disk_is_no_failure_of_its_input(task, tmp_path):
     (tmp_path / "out").mkdir()
     full = Makes(tmp_path / "out", error=OSError(errno.ENOSPC, "No space left on device"))
-    result = full(Result(task))
+    result = full(Result(task, begun={"txt": {}}))
     assert (result.status, result.is_full) == ("dropped", True)
+    assert (result.failures, result.begun) == (0, {"txt": {}})
+
+
+def test_failures_count_for_the_same_settings_since_the_last_success(task, tmp_path):
+    (tmp_path / "out").mkdir()
+    result, counts = Result(task), []
+    for settings, fails in (({}, True), ({}, True), ({"seed": 2}, True), ({}, True), ({}, False)):
+        error = ConfigError("odd") if fails else None
+        result.files, result.error = (), None
+        result = Makes(tmp_path / "out", settings=settings, error=error)(result)
+        counts.append(result.failures)
+    assert counts == [1, 2, 1, 1, 0]
 
 
 def test_equal_settings_have_equal_descriptions(tmp_path):

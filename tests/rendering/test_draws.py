@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from outputs import results
+from outputs import render, results
 
 import audio_features as af
 import gesturekit as gk
 from gesturekit import Motion
 from gesturekit.corpus import Item
 from gesturekit.jobs import Execution
-from gesturekit.rendering import Output, iter_render
+from gesturekit.rendering import Output
 from gesturekit.systems import bundled_speech
 
 KINDS = ("bvh", "npz")
@@ -29,7 +29,7 @@ def sounds(tmp_path, write_speech) -> list[Path]:
 def run(model, sources, out: Path, workers: int = 1, **controls) -> dict:
     """Render, and return the bytes of each file by its name."""
     given = {"output": Output(KINDS), "execution": Execution(workers=workers)}
-    made = iter_render(model, sources, out, **given, **controls)
+    made = render(model, sources, out, **given, **controls)
     assert all(result.error is None for result in made)
     return results(out)
 

@@ -9,12 +9,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from outputs import results
+from outputs import render, results
 
 from gesturekit.errors import ConfigError
-from gesturekit.jobs import STATE, Execution, status_of
+from gesturekit.jobs import STATE, Execution, Task, status_of
+from gesturekit.jobs.records import read_record, write_record
 from gesturekit.motion import Motion
-from gesturekit.rendering import Output, iter_render, summary
+from gesturekit.rendering import Output, summary
 
 
 @pytest.fixture
@@ -27,7 +28,7 @@ def sounds(tmp_path, write_speech):
 
 def run(model, sources, out, **settings):
     options = {"output": Output(("bvh", "npz")), "execution": Execution(**settings)}
-    return list(iter_render(model, sources, out, **options))
+    return list(render(model, sources, out, **options))
 
 
 @pytest.fixture
@@ -47,15 +48,15 @@ def test_shards_in_any_order_give_the_same_bytes(model, sounds, tmp_path, whole)
 
 def test_a_live_run_is_never_mixed_with_another(model, sounds, tmp_path):
     out = tmp_path / "out"
-    going = iter_render(model, sounds, out)
+    going = render(model, sounds, out)
     next(going)
     before = results(out)
     with pytest.raises(ConfigError, match=re.escape(str(out))):
-        list(iter_render(model, sounds, out))
+        list(render(model, sounds, out))
     with pytest.raises(ConfigError, match=re.escape(str(out))):
         run(model, sounds / "day", out)
     with pytest.raises(ConfigError, match=re.escape(str(out))):
-        list(iter_render(model, sounds, out, execution=Execution(shard=(1, 2)), seed=1))
+        list(render(model, sounds, out, execution=Execution(shard=(1, 2)), seed=1))
     assert results(out) == before
     assert len(list(going)) == 4
     assert status_of(out).done == 5 and not status_of(out).running
@@ -95,19 +96,20 @@ def test_options_of_each_line_of_a_list(model, sounds, tmp_path):
         run(model, sounds / "night.jsonl", tmp_path / "out")
 
 
-def test_files_outside_the_output_folder_in_a_journal_are_not_read(model, sounds, tmp_path):
+def test_files_outside_the_output_folder_in_a_record_are_not_read(model, sounds, tmp_path):
     out = tmp_path / "out"
     run(model, sounds / "day", out)
     model.generate(seconds=0.5).save(tmp_path / "secret.bvh")
-    path = out / STATE / "journal" / "00001-of-00001.jsonl"
-    path.write_text(path.read_text().replace('"d.bvh"', '"../secret.bvh"'))
+    record = read_record(out / STATE, Task("d"))
+    record.made = {"../secret.bvh": record.made["d.bvh"]}
+    write_record(out / STATE, record)
     summary.write_summary(out, status_of(out), tmp_path / "page.html")
     assert (tmp_path / "page.html").read_text().count("<img") == 1
 
 
 def command(model, sounds, out, workers: int) -> list[str]:
-    render = [sys.executable, "-m", "gesturekit", "render", sounds, "--model", model.folder]
-    return [*render, "--out", out, "--format", "bvh,npz", "--workers", str(workers)]
+    start = [sys.executable, "-m", "gesturekit", "render", sounds, "--model", model.folder]
+    return [*start, "--out", out, "--format", "bvh,npz", "--workers", str(workers)]
 
 
 @pytest.mark.stress  # of seconds: `test_a_killed_run_goes_on_whatever_it_left_of_its_record`
@@ -117,13 +119,13 @@ def test_a_run_that_is_killed_continues(model, tmp_path, write_speech, workers):
     for number in range(12):
         write_speech(sounds / f"{number}.wav", 0.5)
     run(model, sounds, tmp_path / "whole")
-    render = command(model, sounds, out, workers)
-    process = subprocess.Popen(render, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    start = command(model, sounds, out, workers)
+    process = subprocess.Popen(start, stdout=subprocess.PIPE, text=True, start_new_session=True)
     assert process.stdout.readline()  # the first result
     os.killpg(process.pid, signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
     process.stdout.close()
     assert 1 <= status_of(out).done < 12, "it was not killed in the middle"
-    done = subprocess.run(render, capture_output=True, text=True, check=False)
+    done = subprocess.run(start, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert results(out) == results(tmp_path / "whole") and status_of(out).done == 12

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from published import write_smplx
 
+import gesturekit as gk
 from gesturekit.cli import main
 from gesturekit.motion import Motion
 from gesturekit.rendering.genea import check, export, published_sounds
@@ -31,7 +32,7 @@ def beat2(tmp_path_factory, write_speech) -> Path:
 @pytest.fixture(scope="module")
 def submission(beat2, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("submission")
-    export("demo", beat2, out, samples=2)
+    list(export(gk.load("demo"), beat2, out, samples=2).run())
     return out
 
 

@@ -3,14 +3,16 @@
 import json
 import os
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
 
+from gesturekit.corpus import Item
 from gesturekit.errors import ConfigError
-from gesturekit.jobs import Task, write_plan
-from gesturekit.rendering import find_tasks, measured, task_wave
+from gesturekit.jobs import Task
+from gesturekit.rendering import find_tasks, length_of, task_wave
 
 
 @pytest.fixture
@@ -86,12 +88,10 @@ def test_jsonl_has_options_for_each_input(folder, tmp_path):
     about = [{"audio": "in/a.wav"}, {"audio": "in/a.wav", "id": "again/a"}, {"id": "idle"}]
     lines = [json.dumps(one | options) for one, options in zip(about, given, strict=True)]
     (tmp_path / "night.jsonl").write_text("\n".join(lines))
-    tasks = [measured(task) for task in find_tasks("night.jsonl", tmp_path / "out")]
+    tasks = find_tasks("night.jsonl", tmp_path / "out")
     assert [task.id for task in tasks] == ["in/a", "again/a", "idle"]
     assert [dict(task.more) for task in tasks] == given
-    assert [task.duration for task in tasks] == [0.5, 0.2, 2]
-    plan = write_plan(tmp_path / "plan.jsonl", tasks, 1, "r")
-    assert [task.more for task in plan.tasks()] == [task.more for task in tasks]
+    assert [length_of(task) for task in tasks] == [0.5, 0.2, 2]
 
 
 @pytest.mark.parametrize(
@@ -137,15 +137,15 @@ def test_lists_that_are_refused_name_the_line(folder, tmp_path, name, text, says
         ({"seconds": 0.4}, 0.4),
         ({"start": 0.2, "seconds": 0.4}, 0.3),
         ({"start": 0.7}, 0.0),
-        ({"item": {"duration": 0.1}}, 0.1),
+        ({"item": Item(id="a", audio=Path("a"), motion=None, duration=0.1)}, 0.1),
     ],
 )
 def test_a_task_is_as_long_as_the_part_of_the_sound_that_it_uses(folder, options, seconds):
     """The sound has half a second."""
-    found = measured(Task("a", folder / "a.wav", more=options)).duration
+    found = length_of(Task("a", folder / "a.wav", more=options))
     assert found == pytest.approx(seconds, abs=1e-9)
     if set(options) == {"seconds"}:
-        assert measured(Task("a", more=options)).duration == seconds, "without a sound"
+        assert length_of(Task("a", more=options)) == seconds, "without a sound"
 
 
 def test_a_file_that_is_named_twice_is_made_once_and_two_of_a_name_are_refused(

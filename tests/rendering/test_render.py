@@ -5,18 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from outputs import render
 
 import audio_features as af
 import gesturekit as gk
 from gesturekit import Motion
 from gesturekit.corpus import Item
 from gesturekit.errors import ConfigError, FormatError
-from gesturekit.jobs import STATE
+from gesturekit.jobs import STATE, Task
+from gesturekit.jobs.records import read_record, write_record
 from gesturekit.postprocess import smooth_motion
-from gesturekit.rendering import Output, measured_cost, render_batch
-from gesturekit.rendering import iter_render as render
-
-JOURNAL = f"{STATE}/journal/00001-of-00001.jsonl"
+from gesturekit.rendering import Output, estimated_cost, render_batch
 
 
 @pytest.fixture
@@ -37,16 +36,21 @@ def test_an_outcome_is_there_before_the_next_file_is_begun(model, sounds, tmp_pa
 
 
 def test_fields_of_both_kinds_of_settings_are_arguments(model, sounds, tmp_path):
-    """A third of three sounds, as npz: `formats` is of the files, `shard` of the work."""
-    (made,) = gk.render(model, sounds, tmp_path / "out", formats="npz", shard=(2, 3), samples=2)
-    assert [file.suffix for file in made.files] == [".npz", ".npz"]
+    """A part of three sounds, as npz: `formats` is of the files, `shard` of the work."""
+    parts = [
+        gk.render(model, sounds, tmp_path / "out", formats="npz", shard=(k, 2), samples=2)
+        for k in (1, 2)
+    ]
+    made = [result for part in parts for result in part]
+    assert sorted(result.id for result in made) == ["a", "b", "c"]
+    assert {file.suffix for result in made for file in result.files} == {".npz"}
 
 
 def test_the_cost_of_a_batch_is_that_of_its_files(model, sounds, tmp_path, write_speech):
     """Three sounds of 1.5 s and one of 6 s, as bytes; seconds are those of this machine."""
     sounds.append(write_speech(tmp_path / "in" / "long.wav", 6.0))
     batch = render_batch(model, sounds, tmp_path / "out")
-    seconds, size = measured_cost(batch).of(4, 10.5)
+    seconds, size = estimated_cost(batch, 4, 10.5)
     assert not (tmp_path / "out").exists() and seconds >= 0
     written = sum(file.stat().st_size for made in batch.run() for file in made.files)
     assert size == pytest.approx(written, rel=0.2)
@@ -110,7 +114,7 @@ def test_a_link_in_the_output_folder_leads_nowhere(model, sounds, tmp_path, writ
     with pytest.raises(ConfigError, match=re.escape(str(out / "sub"))):
         next(render(model, [sounds[0].parent], out))
     (out / "sub").unlink()
-    for link in (STATE, f"{STATE}/journal", f"{STATE}/journal/00001-of-00001.jsonl"):
+    for link in (STATE, f"{STATE}/records", f"{STATE}/records/00", f"{STATE}/items.json"):
         (out / link).parent.mkdir(exist_ok=True)
         (out / link).symlink_to(elsewhere / "anything")
         with pytest.raises(ConfigError, match=re.escape(link)):
@@ -169,15 +173,15 @@ def test_a_result_that_was_edited_is_not_overwritten(model, sounds, tmp_path):
 
 
 def test_a_killed_run_goes_on_whatever_it_left_of_its_record(model, sounds, tmp_path):
-    list(render(model, sounds, tmp_path))
-    record = tmp_path / JOURNAL
-    whole = record.read_bytes()
-    lines = whole.splitlines(keepends=True)
-    for cut in (len(whole) - len(lines[-1]), len(whole) - 20):  # c.bvh is there, not its last line
-        record.write_bytes(whole[:cut])
-        assert counted(render(model, sounds, tmp_path)) == [(0, 1), (0, 1), (1, 0)]
-        assert counted(render(model, sounds, tmp_path)) == [(0, 1)] * 3
-    record.write_bytes(b"\xff\x00[1]\n{}\n" + whole)
+    going = render(model, sounds, tmp_path)
+    next(going)
+    (tmp_path / ".b-12345678.bvh").write_text("half")
+    going.close()
+    begun = read_record(tmp_path / STATE, Task("a"))
+    begun.begun, begun.made, begun.status = {"bvh": begun.made["a.bvh"]["made_with"]}, {}, "begun"
+    del begun.begun["bvh"]["input"]
+    write_record(tmp_path / STATE, begun)  # a.bvh is there, and only its beginning is recorded
+    assert counted(render(model, sounds, tmp_path)) == [(1, 0)] * 3
     assert counted(render(model, sounds, tmp_path)) == [(0, 1)] * 3
 
 

@@ -14,8 +14,8 @@ from gesturekit.rendering import Output, Renderer, model_of_results, preview, re
 from gesturekit.rendering.features import FeatureExtraction
 
 
-def renderer(model, out, output=None, seconds=None, channel=None, **controls) -> Renderer:
-    return Renderer(model, out, output or Output(), seconds, channel, controls)
+def renderer(model, out, output=None, channel=None, **controls) -> Renderer:
+    return Renderer(model, out, output or Output(), channel, controls)
 
 
 @pytest.fixture
@@ -34,18 +34,13 @@ def test_results_depend_on_what_was_asked_for_and_on_nothing_else(model, tmp_pat
     digest = hashlib.sha256(sound.read_bytes()).hexdigest()
     task = Task("a", sound)
     assert plain.input_of(task) == {"input": digest} and plain.input_of(Task("a")) == {}
-    asked = renderer(model, tmp_path, seconds=2.0, channel=1)
-    assert asked.input_of(task) == {"input": digest, "seconds": 2.0, "channel": 1}
+    asked = renderer(model, tmp_path, channel=1)
+    assert asked.input_of(task) == {"input": digest, "channel": 1}
     own = Task("a", sound, more={"seed": 3, "start": 0.5})
     assert plain.input_of(own) == {"input": digest, "seed": 3, "start": 0.5}
     item = Item(id="a", audio=sound, motion=None, duration=1.0, audio_start=0.25, channel=1)
-    of_item = plain.input_of(Task("a", sound, more={"item": vars_of(item)}))
+    of_item = plain.input_of(Task("a", sound, more={"item": item}))
     assert of_item == {"input": digest, "start": 0.25, "duration": 1.0, "channel": 1}
-
-
-def vars_of(item: Item) -> dict:
-    """Return an item as a plan holds it."""
-    return vars(item) | {"audio": str(item.audio), "conditions": {}, "audible": []}
 
 
 def test_a_task_has_its_own_seed_length_and_part_of_the_sound(model, tmp_path, sound):
@@ -61,7 +56,7 @@ def test_a_task_has_its_own_seed_length_and_part_of_the_sound(model, tmp_path, s
 
     assert frames({}) == (38, 1.5) and frames({"start": 0.5}) == (25, 1.0)
     assert frames({"seconds": 0.8}) == (20, 0.8)
-    assert frames({"seconds": 0.8}, None) == (20, 0.8) and frames({}, None, seconds=0.4)[0] == 10
+    assert frames({"seconds": 0.8}, None) == (20, 0.8)
     paths = {}
     for seed in (0, 5):
         frames({"seed": seed})
@@ -76,7 +71,7 @@ def test_a_preview_names_what_cannot_be_read_and_what_is_kept(model, tmp_path, s
     out = tmp_path / "out"
 
     def outcomes() -> dict[str, tuple[str, bool]]:
-        found = preview(render_batch(model, [sound, broken], out))
+        found = [result for result, _ in preview(render_batch(model, [sound, broken], out))]
         return {result.id: (result.status, str(broken) in (result.error or "")) for result in found}
 
     assert outcomes() == {"a": ("left", False), "broken": ("failed", True)}
@@ -85,8 +80,8 @@ def test_a_preview_names_what_cannot_be_read_and_what_is_kept(model, tmp_path, s
     assert [result.status for result in made] == ["done", "failed"]
     assert outcomes() == {"a": ("kept", False), "broken": ("failed", True)}
     assert model_of_results(out) == model.folder
-    (idle,) = preview(render_batch(model, [], tmp_path / "idle", seconds=1.0))
-    assert (idle.id, idle.status, idle.task.duration) == ("motion", "left", 1.0)
+    ((idle, seconds),) = preview(render_batch(model, [], tmp_path / "idle", seconds=1.0))
+    assert (idle.id, idle.status, seconds) == ("motion", "left", 1.0)
 
 
 class Levels:

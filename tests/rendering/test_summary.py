@@ -1,4 +1,4 @@
-"""The summary page of a folder of results, from journals and files made by hand."""
+"""The summary page of a folder of results, from records and files made by hand."""
 
 import html
 import re
@@ -6,7 +6,8 @@ import re
 import pytest
 from outputs import status
 
-from gesturekit.jobs import STATE, FailedItem, Journal, Result, Task
+from gesturekit.jobs import STATE, FailedItem, Result, Task
+from gesturekit.jobs.records import write_record
 from gesturekit.rendering import summary
 
 
@@ -17,10 +18,8 @@ def page(tmp_path):
     (out / STATE).mkdir(parents=True)
 
     def write(results: list[Result], **state: object) -> str:
-        journal = Journal(out / STATE, 1, 1, run="r", settings={}, about={})
         for result in results:
-            journal.finish(result)
-        journal.close()
+            write_record(out / STATE, result)
         summary.write_summary(out, status(**state), tmp_path / "page.html")
         return (tmp_path / "page.html").read_text(encoding="utf-8")
 
@@ -29,14 +28,15 @@ def page(tmp_path):
 
 
 def done(name: str, sound: float, seconds: float = 0.0, *files: str) -> Result:
-    digests = {file: {"sha256": "", "size": 1, "mtime_ns": 0} for file in files}
-    return Result(Task(name), "done", sound=sound, seconds=seconds, digests=digests)
+    made = {file: {"sha256": "", "size": 1, "mtime_ns": 0} for file in files}
+    return Result(Task(name), "done", sound=sound, seconds=seconds, made=made)
 
 
 def test_failures_are_listed_by_reason_and_one_by_one(page):
     failed = [FailedItem("a<b>", "no <sound> in a<b>", 3), FailedItem("ç", "no <sound> in ç", 2)]
     failed += [FailedItem(f"{k}", "other", 1) for k in range(9999)]
-    text = page([done(name, 3.0) for name in ("a<b>", "ok", "ok", "ok2")], failed=failed)
+    made = [done(name, 3.0) for name in ("ok", "ok", "ok2")]
+    text = page([Result(Task("a<b>"), "failed", sound=3.0), *made], failed=failed)
     assert "<sound>" not in text and "a<b>" not in text  # names are no markup
     words = " ".join(html.unescape(re.sub("<[^>]*>", " ", text)).split())
     assert all(fact in words for fact in ("no <sound> in a<b>", "no <sound> in ç"))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from gesturekit.evaluation.measuring.measurer import PARTS, ClipGroup, Measurer, Portion, SetPart
-from gesturekit.jobs.workers import Failure, Pool
+from gesturekit.workers import Failure, in_processes
 
 IN_PROCESS_SECONDS = 4.0
 """Measuring that takes longer gets worker processes; starting them takes about as long."""
@@ -116,7 +116,7 @@ def _done(measurer: Measurer, portions: Sequence[Any], workers: int) -> Iterator
         yield portion, measurer(portion)
     if left:
         left.sort(key=lambda portion: isinstance(portion, ClipGroup))  # the longest first
-        yield from Pool(measurer.portable(), workers).map(left, lambda _: None)
+        yield from in_processes(measurer.portable(), left, workers)
     for portion in here:
         yield portion, measurer(portion)
 

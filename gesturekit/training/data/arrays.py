@@ -35,9 +35,9 @@ from gesturekit.errors import (
     gesturekit_errors,
     is_full,
 )
-from gesturekit.jobs.workers import Failure, Pool
 from gesturekit.progress import Progress
 from gesturekit.wording import counted
+from gesturekit.workers import Failure, in_processes
 
 log = logging.getLogger(__name__)
 
@@ -244,5 +244,5 @@ def _results(
     if workers < 2:
         yield from map(make, tasks)
         return
-    for task, result in Pool(make, workers).map(tasks, lambda _: None):
+    for task, result in in_processes(make, tasks, workers):
         yield f"item {task[1].id}: {result}" if isinstance(result, Failure) else result

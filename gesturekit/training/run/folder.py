@@ -9,17 +9,17 @@ import platform
 import shlex
 import shutil
 import sys
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
 from audio_features.atomic import atomic_write
 from gesturekit.errors import ConfigError
-from gesturekit.jobs.lease import Lease
+from gesturekit.jobs.records import claimed
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.run.checkpoint import Checkpoints
 from gesturekit.training.run.report import RunReport
-from gesturekit.training.run.state import LEASE, unfinished
+from gesturekit.training.run.state import CLAIM, unfinished
 
 _VERSIONS_OF = ("gesturekit", "torch", "numpy", "scipy", "librosa", "soxr", "transformers")
 
@@ -49,7 +49,7 @@ class Run:
         self.checkpoints = Checkpoints(folder / "checkpoints", _digest(config))
         self._metrics = folder / "metrics.jsonl"
         self._events: Any = None
-        self._lease: Any = None
+        self._claim = ExitStack()
         self._report = RunReport(folder)
         self._check()
 
@@ -91,8 +91,8 @@ class Run:
         Raises:
             ConfigError: another process trains in the folder, or has done so meanwhile.
         """
-        (self.folder / LEASE).mkdir(parents=True, exist_ok=True)
-        self._lease = Lease(self.folder / LEASE, 1, 1, {})
+        self._claim.enter_context(claimed(self.folder / CLAIM))
+        self._claim.callback(self._clear)
         self._check()
 
     def _write(self, name: str, text: str) -> None:
@@ -165,11 +165,12 @@ class Run:
         self._report.close()
         if self._events is not None:
             self._events.close()
-        if self._lease is not None:
-            self._lease.release()
-            shutil.rmtree(self.folder / LEASE, ignore_errors=True)
-            with suppress(OSError):
-                self.folder.rmdir()  # of a training that did not begin
+        self._claim.close()
+
+    def _clear(self) -> None:
+        shutil.rmtree(self.folder / CLAIM, ignore_errors=True)
+        with suppress(OSError):
+            self.folder.rmdir()  # of a training that did not begin
 
 
 def has_no_run(folder: Path) -> bool:

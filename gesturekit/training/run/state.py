@@ -5,15 +5,15 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
-from gesturekit.jobs.lease import live_leases
+from gesturekit.jobs.records import running
 
-LEASE = ".lease"
-"""Folder within a run of the lease of the process that trains it."""
+CLAIM = ".claim"
+"""Folder within a run of the claim of the process that trains it."""
 
 
 def is_running(folder: Path) -> bool:
     """Return whether a living process trains a run."""
-    return bool(live_leases(folder / LEASE))
+    return bool(running(folder / CLAIM))
 
 
 def unfinished(folder: Path) -> str:

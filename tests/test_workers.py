@@ -10,9 +10,9 @@ from functools import partial
 
 import pytest
 
+from gesturekit import workers
 from gesturekit.errors import ConfigError
-from gesturekit.jobs import workers
-from gesturekit.jobs.workers import Failure, Pool
+from gesturekit.workers import Failure, in_processes
 
 
 def test_dead_and_late_workers_fail_only_their_own_task():
@@ -20,7 +20,7 @@ def test_dead_and_late_workers_fail_only_their_own_task():
     tasks.insert(1, partial(os._exit, 3))
     tasks.insert(3, partial(time.sleep, 60))
     begun = []
-    results = dict(Pool(operator.call, 2, deadline=1.0).map(tasks, begun.append))
+    results = dict(in_processes(operator.call, tasks, 2, deadline=1.0, begin=begun.append))
     assert [results[tasks[i]] for i in (0, 2, 4, 5)] == [0, 1, 2, 3]
     died, late = results[tasks[1]], results[tasks[3]]
     assert isinstance(died, Failure) and "exit code 3" in str(died)
@@ -33,7 +33,7 @@ def test_cores_are_divided_among_the_workers_unless_the_user_says_otherwise(monk
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     monkeypatch.setenv("MKL_NUM_THREADS", "7")
     tasks = [partial(os.getenv, name) for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS")]
-    found = dict(Pool(operator.call, 2).map(tasks, lambda task: None))
+    found = dict(in_processes(operator.call, tasks, 2))
     assert [found[task] for task in tasks] == ["3", "7"]
 
 
@@ -55,7 +55,7 @@ def test_workers_that_cannot_start_are_one_clear_error():
         (OnArrival(os._exit, 4), "start & exit code 4"),
     ):
         with pytest.raises(ConfigError) as caught:
-            list(Pool(function, 1).map([1], lambda task: None))
+            list(in_processes(function, [1], 1))
         assert all(fact in str(caught.value) for fact in says.split(" & "))
 
 
@@ -64,6 +64,6 @@ def test_what_a_worker_says_arrives_and_a_signal_that_ended_it_is_named(monkeypa
     tasks = [partial(warnings.warn, "odd sound"), partial(signal.raise_signal, signal.SIGKILL)]
     tasks.insert(1, partial(logging.getLogger("there").warning, "%s is odd", "a.wav"))
     with pytest.warns(UserWarning, match="odd sound"):
-        found = dict(Pool(operator.call, 1).map(tasks, lambda task: None))
+        found = dict(in_processes(operator.call, tasks, 1))
     assert found[tasks[0]] is None and "a.wav is odd" in caplog.text
     assert all(word in str(found[tasks[2]]) for word in ("SIGKILL", "memory"))

@@ -1,8 +1,6 @@
 """Work on tasks that only write who did them: what is kept, refused, tried again, and where."""
 
-import json
 import os
-import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +9,8 @@ from typing import Any
 import pytest
 
 from gesturekit.errors import ConfigError
-from gesturekit.jobs import Batch, Execution, Processor, Result, Task, lease
+from gesturekit.jobs import Batch, Execution, Processor, Result, Task
+from gesturekit.jobs.records import read_record, shard_of, write_record
 
 
 @dataclass
@@ -32,9 +31,7 @@ class Notes(Processor):
 
 
 def batch(out: Path, tasks: list[Task], existing: str = "refuse", settings=None, **execution):
-    notes = Notes(out, existing, settings or {})
-    request = [task.id for task in tasks]
-    return Batch(notes, lambda: tasks, request, Execution(**execution))
+    return Batch(Notes(out, existing, settings or {}), tasks, Execution(**execution))
 
 
 def done(*arguments, **options) -> dict[str, str]:
@@ -72,14 +69,13 @@ def test_a_rerun_keeps_what_was_made_with_the_same_settings(tmp_path):
         batch(tmp_path, TASKS, "keep")
 
 
-def test_shards_share_the_tasks_and_those_that_cannot_be_planned_are_in_the_first(tmp_path):
-    tasks = [*(Task(name, duration=9.0) for name in "abcd"), Task("e", duration=27.0)]
-    tasks.append(Task("", error="no such folder"))
-    found = [done(tmp_path, tasks, shard=(number, 2)) for number in (1, 2)]
-    assert found[0].pop("") == "failed"
-    assert sorted([*found[0], *found[1]]) == list("abcde")
-    assert {len(one) for one in found} == {1, 4} or {len(one) for one in found} == {2, 3}
-    assert all(status == "done" for one in found for status in one.values())
+def test_shards_share_the_tasks_and_those_that_cannot_be_made_are_in_the_first(tmp_path):
+    tasks = [*map(Task, "abcde"), Task("", error="no such folder")]
+    made = [done(tmp_path, tasks, shard=(number, 2)) for number in (1, 2)]
+    assert made[0].pop("") == "failed"
+    for number, names in enumerate(made, start=1):
+        assert [*names] == [name for name in "abcde" if shard_of(name, 2) == number]
+        assert set(names.values()) == {"done"}
 
 
 @pytest.mark.parametrize(
@@ -106,24 +102,26 @@ def test_an_output_folder_that_cannot_be_is_one_clear_error(tmp_path):
         batch(tmp_path / "out", [Task("sub/a")])
 
 
-def take_over(out: Path) -> None:
-    """Write another process into the lease, and wait until the run has noticed."""
-    (lease,) = (out / ".gesturekit" / "leases").glob("*.json")
-    lease.write_text('{"host": "elsewhere"}')
-    limit = time.monotonic() + 10
-    while any(thread.name == "heartbeat" for thread in threading.enumerate()):
-        assert time.monotonic() < limit
-        time.sleep(0.01)
-
-
-def test_a_run_that_lost_its_lease_writes_no_more(tmp_path, monkeypatch):
-    monkeypatch.setattr(lease, "HEARTBEAT", 0.01)
-    going = batch(tmp_path, TASKS).run()
-    assert next(going).id == "a"
-    take_over(tmp_path)
-    with pytest.raises(ConfigError, match=r"(?=.*leases)(?=.*\.json)"):
-        next(going)
-    assert [path.name for path in tmp_path.glob("*.txt")] == ["a.txt"]
+@pytest.mark.parametrize(
+    ("begun", "existing", "outcome"),
+    [
+        ({"seed": 1}, "refuse", "done"),  # by an interrupted run with the same settings
+        ({"seed": 2}, "refuse", None),
+        ({"seed": 2}, "skip", "kept"),
+        ({"seed": 2}, "replace", "done"),
+    ],
+)
+def test_a_file_of_an_interrupted_run_is_known_by_its_settings(tmp_path, begun, existing, outcome):
+    (tmp_path / "a.txt").write_text("half")
+    left = Result(Task("a"), "begun", begun={"txt": begun})
+    write_record(tmp_path / ".gesturekit", left)
+    if outcome is None:
+        with pytest.raises(ConfigError, match=r"a\.txt"):
+            done(tmp_path, [Task("a")], existing, {"seed": 1})
+    else:
+        assert done(tmp_path, [Task("a")], existing, {"seed": 1}) == {"a": outcome}
+    is_made = (tmp_path / "a.txt").read_text() != "half"
+    assert is_made == (outcome == "done")
 
 
 def interrupt(seconds: float) -> None:
@@ -144,18 +142,14 @@ def test_partial_files_of_a_stopped_run_are_removed(tmp_path, monkeypatch, worke
     else:
         going.close()
     assert sorted(path.name for path in tmp_path.iterdir()) == [".gesturekit", "a.txt"]
-    (journal,) = (tmp_path / ".gesturekit" / "journal").iterdir()
-    lines = map(json.loads, journal.read_text().splitlines())
-    assert [line["id"] for line in lines if line.get("status") == "dropped"] == ["b"]
+    assert read_record(tmp_path / ".gesturekit", Task("b")).status == "dropped"
     assert done(tmp_path, [Task("a"), Task("b")]) == {"a": "kept", "b": "done"}
 
 
 def test_an_item_that_killed_its_run_twice_is_last_and_alone(tmp_path):
-    done(tmp_path, [Task("z")])
-    lines = [{"started": "a", "run": run, "time": time.time()} for run in ("one", "two")]
-    with (tmp_path / ".gesturekit" / "journal" / "00001-of-00001.jsonl").open("a") as journal:
-        journal.writelines(f"{json.dumps(line)}\n" for line in lines)
+    write_record(tmp_path / ".gesturekit", Result(Task("a"), "begun", killed=2))
     found = list(batch(tmp_path, TASKS).run())
-    assert [(one.id, one.status) for one in found] == [(name, "done") for name in "bca"]
+    assert [(result.id, result.status) for result in found] == [(name, "done") for name in "bca"]
     wrote = [(tmp_path / f"{name}.txt").read_text() == str(os.getpid()) for name in "bca"]
     assert wrote == [True, True, False]
+    assert read_record(tmp_path / ".gesturekit", Task("a")).killed == 0

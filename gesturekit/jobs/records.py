@@ -1,0 +1,240 @@
+"""What a batch keeps in its output folder, below the hidden folder `STATE`: JSON files.
+
+- `records/*/*.json`: one file for each item, see `Result`; it is replaced as a whole when an
+  attempt at the item begins, and when it ends.
+- `items.json`: the ids of all items, for `gesturekit jobs`.
+- `running/*.json`: one file for each running process, with a file lock beside it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import socket
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from audio_features.atomic import write_text
+from gesturekit.errors import ConfigError, FormatError
+from gesturekit.jobs.result import Result, Task
+
+STATE = ".gesturekit"
+"""Name of the folder of state in an output folder."""
+FORMAT = 1
+"""Number of the format of all files of state."""
+_ITEMS = "items.json"
+_MAX_ITEMS, _MAX_RECORD = 1 << 28, 1 << 24  # bytes
+_PATIENCE = 2.0  # seconds that the lock of a killed process may remain, see `running`
+_STORED: dict[str, Any] = {
+    **dict.fromkeys(("status", "key"), str),
+    **dict.fromkeys(("failures", "killed"), int),
+    **dict.fromkeys(("sound", "seconds", "time"), float),
+    **dict.fromkeys(("input", "stamp", "made", "begun"), dict),
+    "error": (str, type(None)),
+}
+"""Fields of a result in its record, with their types."""
+
+
+def state_folder(out: Path) -> Path:
+    """Return the folder of state of an output folder; neither need exist.
+
+    Raises:
+        ConfigError: it, or something in it, is a symbolic link.
+    """
+    state = out / STATE
+    inside = [*state.iterdir(), *state.glob("*/*")] if state.is_dir() else []
+    for path in (state, *inside):
+        if path.is_symlink():
+            raise ConfigError(f"{path} is a link that leads out of {out}: remove it")
+    return state
+
+
+def shard_of(name: str, shards: int) -> int:
+    """Return the shard of an item, counted from 1: it depends on its id alone."""
+    return int(_digest(name)[:15], 16) % shards + 1
+
+
+def read_record(state: Path, task: Task) -> Result:
+    """Return what is known of a task; its status is "left" if that is nothing.
+
+    Raises:
+        FormatError: the record was written by a newer version.
+    """
+    return _result(task, _read(_record_of(state, task.id)))
+
+
+def write_record(state: Path, result: Result) -> None:
+    """Store what is known of a task.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    values = {"format": FORMAT, "id": result.id}
+    values |= {name: getattr(result, name) for name in _STORED}
+    write_text(_record_of(state, result.id), json.dumps(values))
+
+
+def all_records(state: Path) -> Iterator[Result]:
+    """Yield what is known of each item.
+
+    Raises:
+        FormatError: a record was written by a newer version.
+    """
+    for path in sorted(state.glob("records/*/*.json")):
+        values = _read(path)
+        name = values.get("id")
+        if isinstance(name, str) and path == _record_of(state, name):
+            yield _result(Task(name), values)
+
+
+def write_items(state: Path, names: list[str], shards: int, about: Mapping[str, Any]) -> None:
+    """Store the ids of all items, the number of shards, and further facts about the run.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    before = _read(state / _ITEMS, _MAX_ITEMS)
+    values = {**before, **about, "format": FORMAT, "shards": shards, "items": names}
+    if values != before:
+        write_text(state / _ITEMS, json.dumps(values))
+
+
+def read_items(state: Path) -> dict[str, Any] | None:
+    """Return what `write_items` stored: `items`, `shards` and facts; None if there was no run.
+
+    Raises:
+        FormatError: the file is damaged, or was written by a newer version.
+    """
+    path = state / _ITEMS
+    if not path.exists():
+        return None
+    values = _read(path, _MAX_ITEMS)
+    names, shards = values.get("items"), values.get("shards")
+    is_list = isinstance(names, list) and all(isinstance(name, str) for name in names)
+    if not is_list or not isinstance(shards, int) or not 1 <= shards < 100_000:
+        raise FormatError(f"{path}: damaged; delete it, and the next run writes it again")
+    return values
+
+
+@contextmanager
+def claimed(state: Path, name: str = "run", run: str = "") -> Iterator[None]:
+    """Keep other processes from the same work, and from other runs in the same folder.
+
+    Args:
+        state: folder of state; it is made.
+        name: of the part of the work, such as that of a shard.
+        run: digest of the settings, which all processes in a folder have in common.
+
+    Raises:
+        ConfigError: a live process does this part of the work, or another run; or the folder cannot
+            be written to.
+    """
+    path = state / "running" / f"{name}.json"
+    lock, until = _lock_of(path), time.monotonic() + _PATIENCE
+    about = {"host": socket.gethostname(), "pid": os.getpid(), "since": time.time(), "run": run}
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        while not lock.is_locked:
+            with FileLock(state / "lock"):
+                reason = _conflict(state, path.name, run)
+                if reason is None:
+                    lock.acquire(blocking=False)
+                    write_text(path, json.dumps(about))
+            # A worker that was being started when its parent was killed keeps the lock a moment.
+            if reason is not None and time.monotonic() > until:
+                raise ConfigError(f"{state.parent}: {reason}")
+            time.sleep(0.0 if reason is None else 0.05)
+    except OSError as error:
+        lock.release()
+        raise ConfigError(f"{state}: {error.strerror or error}") from None
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+        lock.release()
+
+
+def running(state: Path) -> list[dict[str, Any]]:
+    """Return host, pid, since, run and name of the living processes that work in a folder."""
+    found = []
+    for path in sorted(state.glob("running/*.json")):
+        lock = _lock_of(path)
+        try:
+            lock.acquire(blocking=False)
+        except Timeout:
+            found.append({**_read(path), "name": path.stem})
+        except OSError:
+            continue  # of another user, whose records this process cannot replace either
+        else:
+            lock.release()
+    return found
+
+
+def _conflict(state: Path, name: str, run: str) -> str | None:
+    for other in running(state):
+        at = ""
+        with suppress(KeyError, TypeError, ValueError, OverflowError, OSError):  # written by others
+            since = time.localtime(float(other["since"]))
+            at = time.strftime(" since %Y-%m-%d %H:%M", since)
+        owner = f"by process {other.get('pid')} on {other.get('host')}{at}"
+        if other.get("run") != run:
+            return (
+                f"another run, with other settings or shards, is writing there, {owner}; wait for "
+                "it, or give another --out"
+            )
+        if f"{other['name']}.json" == name:
+            return f"{other['name']} is being processed {owner}; wait for it, or end that process"
+    return None
+
+
+def _lock_of(path: Path) -> FileLock:
+    return FileLock(path.with_suffix(".lock"), thread_local=False)
+
+
+def _digest(name: str) -> str:
+    return hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()
+
+
+def _record_of(state: Path, name: str) -> Path:
+    digest = _digest(name)
+    return state / "records" / digest[:2] / f"{digest[2:32]}.json"
+
+
+def _result(task: Task, values: dict[str, Any]) -> Result:
+    """Return the result of a record; a new one if a value has a wrong type."""
+    stored: dict[str, Any] = {name: values.get(name) for name in _STORED}
+    is_valid = all(isinstance(value, _STORED[name]) for name, value in stored.items())
+    files = [*stored["made"].values(), *stored["begun"].values()] if is_valid else []
+    if not is_valid or not all(isinstance(about, dict) for about in files):
+        return Result(task)
+    return Result(task, **stored)
+
+
+def _read(path: Path, most: int = _MAX_RECORD) -> dict[str, Any]:
+    """Return the JSON object in a file; {} if there is none.
+
+    Raises:
+        FormatError: it was written by a newer version.
+    """
+    try:
+        if not path.is_file():  # reading a pipe may never end
+            return {}
+        with path.open("rb") as file:
+            values = json.loads(file.read(most))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    if not isinstance(values, dict):
+        return {}
+    number = values.get("format")
+    if isinstance(number, int) and number > FORMAT:
+        raise FormatError(
+            f"{path}: format {number} is newer than this gesturekit reads ({FORMAT}); upgrade it, "
+            "or give another folder"
+        )
+    return values
