@@ -120,7 +120,7 @@ def power(
     click.echo(
         f"To find a win rate of {win_rate:.0%} with {ties:.0%} ties at p < .05 with a power of "
         f"{power:.0%}\n({counted(systems, 'system')}, {counted(pairs, 'pair')} of systems, "
-        f"Holm's method; {counted(clips, 'segment')}; shares of raters {rater_share:g} and of clips "
+        f"Holm's method; {counted(clips, 'segment')}; share of raters {rater_share:g}, of clips "
         f"{clip_share:g}):\n"
     )
     click.echo("comparisons a rater   of each pair   raters   answers in all")
@@ -129,8 +129,8 @@ def power(
         total = f"{raters * answers * pairs:,}" if raters else "-"
         click.echo(f"{answers * pairs:>19}   {answers:>12}   {raters or '-':>6}   {total:>14}")
     click.echo(
-        "\nRaters are those who pass the attention checks: recruit about 10 % more. Where no number "
-        "of\nraters is enough (-), take more segments."
+        "\nRaters are those who pass the attention checks: recruit about 10 % more. Where no number\n"
+        "of raters is enough (-), take more segments."
     )
 
 
