@@ -129,8 +129,8 @@ def power(
         total = f"{raters * answers * pairs:,}" if raters else "-"
         click.echo(f"{answers * pairs:>19}   {answers:>12}   {raters or '-':>6}   {total:>14}")
     click.echo(
-        "\nRaters are those who pass the attention checks: recruit about 10 % more. Where no number\n"
-        "of raters is enough (-), take more segments."
+        "\nRaters are those who pass the attention checks: recruit about 10 % more. Where none\n"
+        "are enough (-), take more segments."
     )
 
 
