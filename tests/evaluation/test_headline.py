@@ -1,6 +1,7 @@
 """The three questions that head a report."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,8 +59,17 @@ def test_a_model_at_chance_is_not_in_time_and_an_uninformative_recording_says_no
     for value, state in ((0.4, "yes"), (0.2, "partly"), (0.05, "no"), (0.9, "partly")):
         found = states(clips(), in_time=result("in_time", value, 0.4))
         assert found["in_time"][0] == state, value
-    found = states(clips(), in_time=result("in_time", 0.9, 0.4, informative=False))
-    assert found["in_time"][0] == "cannot be answered"
+    # Recordings that say nothing: the model is asked alone, by its own interval or deviations.
+    unsure = result("in_time", 0.9, 0.4, informative=False)
+    state, sentence = states(clips(), in_time=unsure)["in_time"]
+    assert state == "cannot be answered" and re.search(r"\b30 s\b.* too few", sentence)
+    for more, state in (
+        ({}, "cannot be answered"),
+        ({"sync_z": result("sync_z", 3.5, 1.0)}, "partly"),
+    ):
+        assert states(clips(), in_time=unsure, **more)["in_time"][0] == state
+    sure = replace(unsure, interval=replace(unsure.interval, low=0.1, high=1.2))
+    assert states(clips(), in_time=sure)["in_time"][0] == "partly"
     assert states(clips())["in_time"][0] == "not measured"
     assert states(clips())["novelty"][0] == "not measured"
 
@@ -153,6 +163,31 @@ def of(**values: float | tuple[float, float]) -> dict[str, MetricResult]:
 
 
 @pytest.mark.parametrize(
+    ("metrics", "fact"),
+    [
+        ({"joint_limits": (71.0, 2.0)}, "71 %"),
+        ({"one_nn": (1.0, 0.7), "coverage": (0.0, 90.0)}, "nothing"),
+        ({"jerk_genea": (200.0, 20.0)}, "10 times"),
+    ],
+)
+def test_a_broken_body_is_named_first_and_not_praised(metrics, fact):
+    praised = {
+        "sync": (1.0, 1.0),
+        "reach": (1.0, 1.0),
+        "in_time": (0.5, 0.5),
+        "novelty": (1.0, 1.0),
+    }
+    found = of(**praised, **metrics)
+    words = verdict(found)
+    assert fact in words and "broken" in words and not re.search("in time|reach", words)
+    answered = {answer.key: answer for answer in answers(clips(), found)}
+    assert {answer.state for answer in answered.values()} == {"no"}
+    assert all(fact in answer.sentence for answer in answered.values())
+    sound = {"joint_limits": (12.0, 2.0), "one_nn": (1.0, 0.7), "jerk_genea": (60.0, 20.0)}
+    assert "broken" not in verdict(of(**praised, **sound, coverage=(40.0, 90.0)))
+
+
+@pytest.mark.parametrize(
     ("metrics", "said"),
     [
         (of(near_still=95.0), "hardly move"),
@@ -169,7 +204,9 @@ def of(**values: float | tuple[float, float]) -> dict[str, MetricResult]:
         (of(hand_q90=(2.0, 1.0)), "twice speed"),
         (of(calm_lively_r=0.2), "lively"),
         (of(calm_lively_r=0.6), ""),
-        (of(sync=(0.1, 0.1)), "in time"),
+        (of(sync=(0.2, 0.2)), "in time"),
+        (of(sync=(0.05, 0.05), in_time=(0.1, 0.05)), ""),
+        (of(sync=(0.05, 0.05), in_time=(0.1, 0.05), sync_z=(4.0, 1.0)), "in time more chance"),
         (of(sync=(0.5, 1.0)), "loosely in time"),
         (of(sync=(0.2, 1.0)), "not in time"),
         (of(copying=(0.3, 1.0)), "mostly copied"),

@@ -71,7 +71,13 @@ def answers(clips: Sequence[ClipResult], metrics: Results) -> list[Finding]:
         clips: the clips of a model.
         metrics: its results by key of `definitions`.
     """
-    found = [_timing(metrics), _likeness(clips, metrics), _novelty(metrics)]
+    if broken := defects(metrics):
+        why = f"the motion is broken: {', '.join(broken)}."
+        return [
+            Finding(question, key, "no", f"Not asked, as {why}")
+            for question, key in ((IN_TIME, "in_time"), (LIKE, "likeness"), (NEW, "novelty"))
+        ]
+    found = [_timing(clips, metrics), _likeness(clips, metrics), _novelty(metrics)]
     return [_on_its_line(finding, metrics.get(finding.key)) for finding in found]
 
 
@@ -198,20 +204,39 @@ def _means(
     return means([clip.metrics for clip in clips]), means([clip.recording for clip in clips])
 
 
-def _timing(metrics: Results) -> Finding:
+def defects(metrics: Results) -> list[str]:
+    """Return in words what is broken about a motion, whatever else is measured of it."""
+
+    def value(key: str) -> float | None:
+        result = metrics.get(key)
+        return None if result is None else result.interval.value
+
+    def own(key: str) -> float:
+        return (metrics[key].recording if key in metrics else None) or 0.0
+
+    found = []
+    beyond, apart, covered = value("joint_limits"), value("one_nn"), value("coverage")
+    if beyond is not None and beyond > own("joint_limits") + thresholds.BEYOND_LIMITS:
+        found.append(f"{beyond:.0f} % of joint rotations are beyond the recordings' range")
+    told_apart = apart is not None and apart >= thresholds.TOLD_APART > own("one_nn")
+    if told_apart and covered is not None and covered < thresholds.COVERED * own("coverage"):
+        found.append("it covers nothing of what the recordings do")
+    shaken = _ratio(metrics, "jerk_genea")
+    if shaken is not None and shaken > thresholds.SHAKEN:
+        found.append(f"it shakes ({shaken:.0f} times the recordings' jerk)")
+    return found
+
+
+def _timing(clips: Sequence[ClipResult], metrics: Results) -> Finding:
     result = metrics.get("in_time")
     if result is None or result.recording is None:
         return Finding(
             IN_TIME, "in_time", "not measured", "Not measured: no speech with arms to move."
         )
     if not result.informative:
-        text = (
-            "the sync of the recordings themselves is less than 3 standard errors above chance. "
-            "The recorded arms do not follow this speech, or there is too little of it."
-        )
-        return _cannot_be_answered(IN_TIME, "in_time", _no_room(result) or text)
-    share = result.interval.value / result.recording
+        return _timing_without_recordings(clips, metrics)
     low = result.interval.low
+    share = result.interval.value / result.recording
     beyond = low is not None and low <= 0.0 and share < thresholds.IN_TIME
     if share < thresholds.LOOSELY_IN_TIME or beyond or on_its_floor(result):
         return Finding(IN_TIME, "in_time", "no", "Not in time with the speech.")
@@ -221,6 +246,31 @@ def _timing(metrics: Results) -> Finding:
         text = "In time with the speech, more strictly than the speaker."
         return Finding(IN_TIME, "in_time", "partly", text)
     return Finding(IN_TIME, "in_time", "yes", "As much in time with the speech as the speaker.")
+
+
+def _timing_without_recordings(clips: Sequence[ClipResult], metrics: Results) -> Finding:
+    """Return whether a model is above its own chance level, where recordings give no measure."""
+    result = metrics["in_time"]
+    if no_room := _no_room(result):
+        return _cannot_be_answered(IN_TIME, "in_time", no_room)
+    seconds = sum({(c.pair.stem, c.pair.window): c.seconds for c in clips}.values())
+    few = (
+        f"{seconds:.0f} s of speech are too few, or move the speaker's arms too little, to say "
+        "whether as much as the speaker"
+    )
+    if _above_chance(metrics):
+        text = f"In time with the speech more than by chance; {few}."
+        return Finding(IN_TIME, "in_time", "partly", text)
+    text = f"Not in time with the speech more than by chance; {few}."
+    return Finding(IN_TIME, "in_time", UNANSWERABLE, text)
+
+
+def _above_chance(metrics: Results) -> bool:
+    """Return whether a model's own sync is above its chance level."""
+    low, sds = metrics["in_time"].interval.low, metrics.get("sync_z")
+    if low is not None:
+        return low > 0.0
+    return sds is not None and sds.interval.value >= thresholds.ABOVE_CHANCE
 
 
 def _likeness(clips: Sequence[ClipResult], metrics: Results) -> Finding:
@@ -330,6 +380,8 @@ def verdict(metrics: Mapping[str, MetricResult]) -> str:
     still = metrics.get("near_still")
     if still is not None and still.interval.value >= thresholds.MOTIONLESS:
         return "The hands hardly move."
+    if broken := defects(metrics):
+        return f"The motion is broken: {', '.join(broken)}."
     phrases = [
         *_movement_words(metrics),
         *_rest_words(metrics),
@@ -383,10 +435,9 @@ def _timing_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
     levels = [level for level in (sync.mismatched, sync.chance) if level is not None]
     chance = max(levels, default=0.0)
     ours, own = sync.interval.value - chance, sync.recording - chance
-    if own < thresholds.LEAST_SYNC:
-        yield "speech that hardly moves the speaker's arms either"
-    elif not sync.informative:
-        return
+    if own < thresholds.LEAST_SYNC or not sync.informative:
+        if "in_time" in metrics and _above_chance(metrics):
+            yield "in time with the speech more than by chance"
     elif ours >= thresholds.IN_TIME * own:
         yield "in time with the speech"
     elif ours >= thresholds.LOOSELY_IN_TIME * own:

@@ -6,12 +6,22 @@ Ratios and shares are to the recordings' own value, unless another one is named.
 from __future__ import annotations
 
 ABOVE_CHANCE = 3.0
-"""Standard errors that the recordings' own value is above its chance level, at least, for a metric
-of speech to be informative."""
+"""Standard errors that a value is above its chance level, at least: of the recordings, for a metric
+of speech to be informative; of a model with too few takes for an interval."""
 LEAST_SYNC = 0.1
 """Recordings with less sync above chance than this do not move with their speech."""
 IN_TIME, LOOSELY_IN_TIME, TOO_STRICT = 0.7, 0.3, 1.3
 """Shares of sync above chance: in time with the speech, loosely in time, more than the speaker."""
+
+BEYOND_LIMITS = 20.0
+"""Percentage of rotations beyond the recordings' range, more than the recordings have themselves,
+from which a body is broken."""
+COVERED = 0.05
+"""Share of the recordings' own coverage below which a motion covers nothing of what they do."""
+TOLD_APART = 0.98
+"""1-NN accuracy from which a motion is told from the recordings in every window."""
+SHAKEN = 5.0
+"""Ratio of unfiltered jerk to the recordings' from which a body shakes."""
 
 FULL_CREDIT, NO_CREDIT = 1.25, 2.5
 """Ratio of two values up to which an aspect of likeness has the credit 1, and from which 0."""
