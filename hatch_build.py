@@ -1,11 +1,8 @@
-"""Hatch's build hook: bundles the scripts of HTML pages, bakes the human body, adds the recipes."""
+"""Hatch's build hook: bundles the scripts of HTML pages, adds the recipes."""
 
 from __future__ import annotations
 
 import importlib.util
-import os
-import subprocess
-import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,33 +13,20 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 class PackageHook(BuildHookInterface):
     """Bundles the scripts of HTML pages where they are missing or out of date.
 
-    For wheels, it also bakes the human body where it is missing, and adds `recipes/` and Blender's
-    script for FBX files below `gesturekit/`.
+    For wheels, it also adds `recipes/` and Blender's script for FBX files below `gesturekit/`.
     """
 
     def dependencies(self) -> list[str]:
-        """Ask for Node.js from PyPI only where a bundle is needed and no Node.js is found, and for
-        numpy and pip only where the human body is to be baked."""
+        """Ask for Node.js from PyPI only where a bundle is needed and no Node.js is found."""
         bundle = self._bundle_module()
-        needed = [] if bundle.is_current() or bundle.find_node() else [bundle.NODE_FROM_PYPI]
-        return needed + (["numpy", "pip"] if self._wants_body() else [])
+        return [] if bundle.is_current() or bundle.find_node() else [bundle.NODE_FROM_PYPI]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Bundle the scripts; an editable installation uses the recipes of the checkout."""
         self._bundle_module().main()
-        if version != "editable" and self._wants_body():
-            # A wheel without it is complete: the mannequin is drawn.
-            bake = [sys.executable, "-m", "gesturekit.viewer.human.bake"]
-            paths = [self.root, *filter(None, [os.environ.get("PYTHONPATH")])]
-            environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
-            subprocess.run(bake, cwd=self.root, env=environment, check=False)
         if self.target_name == "wheel" and version != "editable":
             build_data["force_include"]["recipes"] = "gesturekit/recipes"
             build_data["force_include"]["blender/fbx.py"] = "gesturekit/blender/fbx.py"
-
-    def _wants_body(self) -> bool:
-        baked = Path(self.root) / "gesturekit" / "viewer" / "human" / "human.npz"
-        return self.target_name == "wheel" and not baked.is_file()
 
     def _bundle_module(self) -> ModuleType:
         # Loaded by path: importing gesturekit would need what is only being installed.

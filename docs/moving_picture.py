@@ -21,7 +21,7 @@ from gesturekit.evaluation.metrics.sync import speech_envelope
 from gesturekit.motion import Motion
 from gesturekit.systems import bundled_speech
 from gesturekit.viewer.drawn_body import DrawnBody
-from gesturekit.viewer.human.body import TOPS
+from gesturekit.viewer.human import TOPS
 from gesturekit.viewer.scene import Buffers, Scene
 from gesturekit.viewer.video import write_caption
 

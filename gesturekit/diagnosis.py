@@ -53,7 +53,6 @@ def diagnose(weights: str | os.PathLike[str] | None = None) -> Iterator[Finding]
         "ffmpeg": _ffmpeg,
         "Blender": _blender,
         "HTML player": _player,
-        "human body": _human,
         "demo model": _demo,
         "disk": _disk,
         "cache": _cache,
@@ -186,14 +185,6 @@ def _player() -> Finding:
     if bundle.is_file():
         return Finding("HTML player", "ok", f"bundled, {bundle.stat().st_size / 1e6:.1f} MB")
     return Finding("HTML player", "broken", "its bundle is missing", "make setup")
-
-
-def _human() -> Finding:
-    baked = Path(__file__).parent / "viewer" / "human" / "human.npz"
-    if baked.is_file():
-        return Finding("human body", "ok", f"baked, {baked.stat().st_size / 1e6:.1f} MB")
-    text = "not baked, as PyPI could not be reached at set-up; the mannequin is drawn"
-    return Finding("human body", "note", text, "make setup")
 
 
 def _demo() -> Finding:

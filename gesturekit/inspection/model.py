@@ -12,19 +12,14 @@ from typing import Any
 from safetensors import SafetensorError, safe_open
 
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import read_yaml
-from gesturekit.training.run.checkpoint import Checkpoints
 from gesturekit.training.run.state import is_running, resume_command
 from gesturekit.wording import listed
 
 _NOTE = re.compile(r"- \*\*(.+?)\*\*: (.*)")
 _SETTINGS = ("system", "corpus", "longer", "fps", "joints", "seed", "device", "precision")
-_HEADLINE = [key for key, entry in DEFINITIONS.items() if entry.group == "Headline"]
-_HEAD = [f"{key}{of}" for key in _HEADLINE for of in ("", "_recording")]
-"""Metrics at the head of a report: the model's, and those of the recordings."""
 _NONE: dict[str, Any] = {}
 
 
@@ -77,6 +72,10 @@ def inspect_run(folder: Path) -> Summary:
     Raises:
         ModelError: its configuration cannot be read.
     """
+    # Modules that take long to import, which no summary of a model needs.
+    from gesturekit.evaluation.definitions import DEFINITIONS
+    from gesturekit.training.run.checkpoint import Checkpoints
+
     try:
         config = read_yaml(folder / "config.yaml")
     except ConfigError as error:
@@ -93,13 +92,15 @@ def inspect_run(folder: Path) -> Summary:
         state, words = "running", f"running: {ago}"
     losses = next((line for line in reversed(logged) if "kind" not in line), _NONE)
     metrics = next((line for line in reversed(logged) if "verdict" in line), _NONE)
+    headline = [key for key, entry in DEFINITIONS.items() if entry.group == "Headline"]
+    heads = [f"{key}{of}" for key in headline for of in ("", "_recording")]
     settings = {key: config[key] for key in _SETTINGS if config.get(key) is not None}
     rows = {
         "state": words,
         "verdict": str(metrics.get("verdict", "")),
         "step": str(logged[-1].get("step")) if logged else "none logged yet",
         "losses": _numbers({key: value for key, value in losses.items() if key != "step"}),
-        "metrics": _numbers({key: metrics.get(f"{metrics.get('kind')}/{key}") for key in _HEAD}),
+        "metrics": _numbers({key: metrics.get(f"{metrics.get('kind')}/{key}") for key in heads}),
         "checkpoints": f"of steps {listed(list(map(str, steps)))}" if steps else "none",
         "settings": _settings(settings),
         "command": _text(folder / "command.txt"),

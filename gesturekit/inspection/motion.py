@@ -14,6 +14,7 @@ from gesturekit.formats.conversion import describe_axes, load_with_warnings
 from gesturekit.formats.gltf.vrm import avatar_facts
 from gesturekit.formats.plausibility import plausibility_warnings
 from gesturekit.inspection.summary import Summary, span
+from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.motion.defects import (
     find_jumps,
     find_pops,
@@ -23,12 +24,11 @@ from gesturekit.motion.defects import (
     speed_limit,
 )
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import is_upper_body, known_part_labels
+from gesturekit.motion.parts import SIDES, is_upper_body, known_part_labels
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import rotation_angles
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.viewer.figure import Figure
-from gesturekit.viewer.page_data import contact_track
 from gesturekit.wording import counted, listed
 
 _STILL = np.deg2rad(0.5)
@@ -67,9 +67,9 @@ def inspect_motion(path: Path, *, parts: Mapping[str, str] | None, **options: An
         **_movement(motion, figure, labels),
         "contact_share": {},
     }
-    if (contacts := contact_track(motion)) is not None:
-        feet = {"left": contacts & 1, "right": contacts & 2}
-        facts["contact_share"] = {side: float(np.mean(on > 0)) for side, on in feet.items()}
+    if foot_points(skeleton):
+        feet = zip(SIDES, np.split(contact_labels(motion), 2, axis=1))
+        facts["contact_share"] = {side: float(on.any(axis=1).mean()) for side, on in feet}
     rows = _rows(motion, facts, figure)
     if path.suffix.lower() in _GLTF:
         rows |= _contents(avatar_facts(path))

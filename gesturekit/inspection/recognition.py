@@ -17,9 +17,6 @@ from gesturekit.formats.sources import (
     is_sequence,
     unreadable_media,
 )
-from gesturekit.inspection.corpus import inspect_manifest, inspect_recordings
-from gesturekit.inspection.model import inspect_model, inspect_run
-from gesturekit.inspection.motion import inspect_motion
 from gesturekit.inspection.sound import feature_files, inspect_audio, inspect_features
 from gesturekit.inspection.summary import Summary
 from gesturekit.systems import bundled_models, model_folder
@@ -60,20 +57,26 @@ def inspect(
     path = model_folder(path) if str(path) in bundled_models() else Path(path)
     kind = _kind_of(path)
     if kind == "motion":
+        from gesturekit.inspection.motion import inspect_motion
+
         return inspect_motion(path, parts=parts, **dict(read or {}))
-    if kind == "corpus" and path.is_dir():
-        return inspect_recordings(path, parts=parts, read=read, progress=progress)
+    if kind == "corpus":
+        from gesturekit.inspection.corpus import inspect_manifest, inspect_recordings
+
+        if path.is_dir():
+            return inspect_recordings(path, parts=parts, read=read, progress=progress)
     if parts or read:
         raise ConfigError(f"{path}: {kind}; only motion has parts, axes, a unit and a height")
-    inspectors = {
-        "model": inspect_model,
-        "run": inspect_run,
-        "audio": inspect_audio,
-        "features": inspect_features,
-        "corpus": inspect_manifest,
-    }
-    if kind in inspectors:
-        return inspectors[kind](path)
+    if kind == "corpus":
+        return inspect_manifest(path)
+    if kind in ("model", "run"):
+        from gesturekit.inspection.model import inspect_model, inspect_run
+
+        return inspect_model(path) if kind == "model" else inspect_run(path)
+    if kind == "audio":
+        return inspect_audio(path)
+    if kind == "features":
+        return inspect_features(path)
     return Summary("other", f"{path}: {kind}", {"path": str(path), "what": kind}, {})
 
 

@@ -179,6 +179,7 @@ def run(
                 break
             if len(samples):
                 deliver(samples, partial(stream.step, samples))
+        intake.stopped.set()
         deliver(_NOTHING, stream.finish)
     finally:
         intake.stopped.set()

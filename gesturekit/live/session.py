@@ -19,7 +19,7 @@ from gesturekit.live.sinks import PORT, Recording, Sink, VmcSender
 from gesturekit.live.sources import FileSource, Microphone, PipeSource, Source
 from gesturekit.model import MotionStream
 from gesturekit.motion import Motion
-from gesturekit.viewer.human.body import Fitting, Human
+from gesturekit.viewer.human import Fitting, Human
 
 if TYPE_CHECKING:
     from gesturekit.model import Model

@@ -24,7 +24,7 @@ from gesturekit.formats.frames import frames_header, frames_rows, read_frames
 from gesturekit.formats.gltf.vrm import our_names
 from gesturekit.formats.registry import writer_of
 from gesturekit.motion import Motion
-from gesturekit.viewer.human.body import Fitting
+from gesturekit.viewer.human import Fitting
 
 if TYPE_CHECKING:
     from pythonosc.osc_bundle import OscBundle

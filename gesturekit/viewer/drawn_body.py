@@ -22,7 +22,7 @@ from gesturekit.formats.gltf.writing import Material, animated_avatar, animated_
 from gesturekit.formats.smpl.skeleton import fit_body
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.viewer.figure import Figure
-from gesturekit.viewer.human.body import COLOURS, Fitting, Human
+from gesturekit.viewer.human import COLOURS, Fitting, Human
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -76,7 +76,7 @@ class DrawnBody:
             FormatError: an unknown body, an avatar that cannot be read, or both a body and a model.
 
         Warns:
-            UserWarning: the human body was not baked, or the motion cannot be retargeted to a body.
+            UserWarning: the motion cannot be retargeted to a body.
         """
         if body is not None and not is_body(body):
             raise FormatError(f"body is {body!r}; expected {', '.join(BODIES)}, .vrm or .glb")
@@ -159,7 +159,6 @@ def write_vrma(motion: Motion, path: str | os.PathLike[str]) -> None:
         path: the .vrma file, written atomically.
 
     Raises:
-        FormatError: the human body was not baked.
         MotionError: body parts of the motion's rig cannot be found.
     """
     moved = Human.load().in_t_pose(motion)

@@ -23,7 +23,7 @@ from audio_features.atomic import write_text
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.viewer.drawn_body import DrawnBody, drawn_bodies
 from gesturekit.viewer.figure import Figure
-from gesturekit.viewer.human.body import COLOURS
+from gesturekit.viewer.human import COLOURS
 from gesturekit.viewer.page_data import (
     BANDS,
     OUTLINE_RATE,

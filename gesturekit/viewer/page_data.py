@@ -23,7 +23,7 @@ from audio_features.sound_file import soundfile_name
 from gesturekit.formats.gltf.skin import Skin, steady_turns
 from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.viewer.drawn_body import DrawnBody
-from gesturekit.viewer.human.body import TOPS, palette_of
+from gesturekit.viewer.human import TOPS, palette_of
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion

@@ -14,7 +14,7 @@ from gesturekit.formats.gltf.skin import INFLUENCES, Skin, steady_turns
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import LEFT, MIDDLE, RIGHT, Figure, Head, Limb
-from gesturekit.viewer.human.body import TOPS, palette_of
+from gesturekit.viewer.human import TOPS, palette_of
 from gesturekit.viewer.raster import (
     SAMPLES,
     blur,

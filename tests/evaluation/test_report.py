@@ -11,7 +11,6 @@ from pages import bundled
 
 from gesturekit.evaluation import evaluate, write_report
 from gesturekit.evaluation.report.tables import number
-from gesturekit.viewer.human.body import is_baked
 
 pytestmark = bundled
 
@@ -105,7 +104,7 @@ def test_the_same_evaluation_gives_the_same_page(page, evaluation, tmp_path):
 
 @pytest.fixture(scope="module")
 def private_page(evaluation, tmp_path_factory) -> Path:
-    """A report on files in folders that nobody is to know, with the human body where it is."""
+    """A report on files in folders that nobody is to know, with the human body."""
     first, *others = evaluation.models
     named = replace(
         first,
@@ -118,7 +117,7 @@ def private_page(evaluation, tmp_path_factory) -> Path:
     changed = replace(evaluation, models=[named, *others], settings=settings)
     path = tmp_path_factory.mktemp("private") / "r.html"
     command = f"gesturekit evaluate {Path.home()}/my models/best"
-    write_report(changed, path, command=command, body="human" if is_baked() else None)
+    write_report(changed, path, command=command, body="human")
     return path
 
 
@@ -130,7 +129,6 @@ def test_a_report_contains_no_absolute_paths(private_page):
         assert named in shown, named
 
 
-@pytest.mark.skipif(not is_baked(), reason="the human body is not baked (make setup)")
 def test_the_human_body_has_the_colours_of_the_models(private_page):
     figures = clips_of(private_page)[0]["motion"]["figures"]
     assert len(figures) == 3

@@ -22,12 +22,9 @@ from websockets.sync.client import connect
 from gesturekit.live import Step
 from gesturekit.live.page import Page
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.viewer.human.body import Human, is_baked
+from gesturekit.viewer.human import Human
 
-pytestmark = [
-    bundled,
-    pytest.mark.skipif(not is_baked(), reason="the human body is not baked: `make setup`"),
-]
+pytestmark = bundled
 
 SILENCE = np.zeros(0, np.float32)
 

@@ -27,7 +27,6 @@ from gesturekit.live import FileSource, Recording, Report, Step, run
 from gesturekit.live.session import Session
 from gesturekit.live.sources import Block, PipeSource
 from gesturekit.motion import Motion
-from gesturekit.viewer.human.body import is_baked
 
 MAIN = """
 import sys, loud, gesturekit.systems
@@ -331,7 +330,6 @@ def test_an_error_of_the_source_ends_the_run_and_its_recording(tmp_path):
     assert soundfile.info(tmp_path / "new" / "deep" / "take.wav").frames == 6400
 
 
-@pytest.mark.skipif(not is_baked(), reason="the human body is not baked: `make setup`")
 def test_a_program_beside_gets_the_frames_of_a_file(live, write_speech, tmp_path):
     wav = write_speech(tmp_path / "a.wav", 0.5)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reader:

