@@ -94,12 +94,13 @@ class Stack:
             wave: the sound.
             extract: function for the parts that share no spectrum, for example a cache's.
         """
-        spectrum: ShortTimeSpectrum | None = None
+        spectra: dict[str | None, ShortTimeSpectrum] = {}
         tracks = []
         for part in self.parts:
             if isinstance(part, AcousticExtractor) and not part.worth_caching:
-                spectrum = spectrum or ShortTimeSpectrum(wave)
-                tracks.append(part.from_spectrum(spectrum))
+                if part.device not in spectra:
+                    spectra[part.device] = part.spectrum_of(wave)
+                tracks.append(part.from_spectrum(spectra[part.device]))
             else:
                 tracks.append(extract(part, wave))
         times = max((track.times for track in tracks), key=len)
@@ -126,7 +127,7 @@ def extractor_from_spec(
             speech or words, if the spec contains one and does not name its path; or the folder of
             the files of `Files`. For several, {kind: path}, such as {"wavlm": "wavlm-base-plus/",
             "words": "bert-base/", "files": "own_features/"}.
-        device: "cpu" or "cuda", for WavLM, Hugging Face encoders and installed kinds.
+        device: "cpu" or "cuda", for WavLM, Hugging Face encoders, torchaudio and installed kinds.
 
     Kinds of installed packages are found by their entry points, see `installed.GROUP`.
 
@@ -163,6 +164,8 @@ def extractor_from_spec(
         return _installed(kind, settings, device)
     if kind == "files" and (place := _place_of(kind, weights)) is not None:
         settings["folder"] = place
+    if settings.get("backend") == "torchaudio":
+        settings["device"] = device
     try:
         return KINDS[kind].load()(**settings)
     except TypeError as error:

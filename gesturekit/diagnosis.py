@@ -126,19 +126,18 @@ def _libraries() -> Finding:
 
 
 def _torchaudio() -> Finding:
-    if util.find_spec("torchaudio") is None:
-        return Finding("torchaudio", "ok", "not installed, and not needed")
-    try:
-        import torchaudio
+    from audio_features.acoustic.torchaudio_backend import import_torchaudio
 
-        return Finding("torchaudio", "ok", f"{torchaudio.__version__}, not needed")
-    except (ImportError, OSError) as error:  # built for another torch
-        problem = f"does not import: {_line(error)}"
+    module, problem = import_torchaudio()
+    if module is not None:
+        return Finding("torchaudio", "ok", f"{module.__version__}, usable as a backend")
+    if problem == "not installed":
+        return Finding("torchaudio", "ok", "not installed, and not needed")
     advice = (
         "nothing of gesturekit needs it, but transformers fails while it is there: "
         "pip uninstall torchaudio, or install the build that matches torch"
     )
-    return Finding("torchaudio", "note", problem, advice)
+    return Finding("torchaudio", "note", problem or "", advice)
 
 
 def _transformers() -> Finding:

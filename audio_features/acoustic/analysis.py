@@ -304,7 +304,7 @@ class ShortTimeSpectrum:
     """
 
     def __init__(self, wave: Wave) -> None:
-        self.wave = wave.resample(SAMPLE_RATE).at_level()
+        self.wave = self._resampled(wave).at_level()
         self.n_frames = wave.n_frames(FRAME_RATE)
         self.times = np.arange(self.n_frames) / FRAME_RATE
         self._log_mels: dict[int, np.ndarray] = {}
@@ -327,7 +327,7 @@ class ShortTimeSpectrum:
     def log_mel(self, n_mels: int) -> np.ndarray:
         """Return (T, n_mels) float32 band powers in dB relative to active speech, at least -60."""
         if n_mels not in self._log_mels:
-            self._log_mels[n_mels] = to_db(self.power @ mel_filters(n_mels).T)
+            self._log_mels[n_mels] = to_db(self.power @ self._mel_filters(n_mels).T)
         return self._log_mels[n_mels]
 
     @cached_property
@@ -338,20 +338,30 @@ class ShortTimeSpectrum:
         onset[_ONSET_LAG:] = np.maximum(bands[_ONSET_LAG:] - bands[:-_ONSET_LAG], 0.0).mean(axis=1)
         return onset
 
+    def _resampled(self, wave: Wave) -> Wave:
+        return wave.resample(SAMPLE_RATE)
+
+    def _mel_filters(self, n_mels: int) -> np.ndarray:
+        return mel_filters(n_mels)
+
 
 def short_time_power(samples: np.ndarray, n_frames: int) -> np.ndarray:
     """Return the power (T, 257) float32 of 16 kHz samples at the level of active speech."""
     from scipy.fft import rfft
 
-    window = np.hanning(WINDOW + 1)[:-1]
-    active = 10.0 ** (SPEECH_LEVEL_DBFS / 10.0)
-    scaled = window * np.sqrt(2.0 / (np.sum(window**2) * N_FFT * active))
-    window = scaled.astype(np.float32)
+    window = hann_window()
     power = np.empty((n_frames, N_FFT // 2 + 1), dtype=np.float32)
     for first, frames in centred_frames(samples, WINDOW, n_frames):
         spectrum = rfft(frames * window, N_FFT)
         power[first : first + len(frames)] = spectrum.real**2 + spectrum.imag**2
     return power
+
+
+def hann_window() -> np.ndarray:
+    """Return the Hann window (WINDOW,) float32, scaled so that active speech has power 1."""
+    window = np.hanning(WINDOW + 1)[:-1]
+    active = 10.0 ** (SPEECH_LEVEL_DBFS / 10.0)
+    return (window * np.sqrt(2.0 / (np.sum(window**2) * N_FFT * active))).astype(np.float32)
 
 
 @lru_cache

@@ -24,6 +24,7 @@ from audio_features.errors import FeatureError
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 
+BACKENDS = ("numpy", "torchaudio")
 _OCTAVE_GUARD = 7.0  # semitones; see `ProsodicRange`
 
 
@@ -39,12 +40,14 @@ class AcousticExtractor(ABC):
         centred: D flags; true for columns whose mean over a clip depends only on voice and
             recording conditions, so that it may be subtracted.
         worth_caching: true if extraction is much slower than reading the result from a cache.
+        device: device on which torchaudio computes the spectrum; None for numpy and soxr.
     """
 
     spec: dict[str, Any]
     names: tuple[str, ...]
     centred: tuple[bool, ...]
     worth_caching = False
+    device: str | None = None
 
     @property
     def dim(self) -> int:
@@ -53,7 +56,15 @@ class AcousticExtractor(ABC):
 
     def extract(self, wave: Wave) -> FeatureTrack:
         """Extract the features of a sound: values (T, D), frame k centred at k·0.01 s."""
-        return self.from_spectrum(ShortTimeSpectrum(wave))
+        return self.from_spectrum(self.spectrum_of(wave))
+
+    def spectrum_of(self, wave: Wave) -> ShortTimeSpectrum:
+        """Compute the input of `from_spectrum`; extractors with the same `device` can share it."""
+        if self.device is None:
+            return ShortTimeSpectrum(wave)
+        from audio_features.acoustic.torchaudio_backend import TorchaudioSpectrum
+
+        return TorchaudioSpectrum(wave, self.device)
 
     def from_spectrum(self, spectrum: ShortTimeSpectrum) -> FeatureTrack:
         """Extract the features (T, D) from a spectrum that other extractors may share."""
@@ -72,7 +83,8 @@ class LogMel(AcousticExtractor):
 
     Args:
         n_mels: number of bands.
-        backend: "numpy", the only one.
+        backend: "numpy", or "torchaudio" if it is installed.
+        device: torch device for torchaudio. Not part of the spec.
 
     Examples:
         The power of a tone of 220 Hz is in the lowest of 8 bands:
@@ -86,9 +98,10 @@ class LogMel(AcousticExtractor):
         0
     """
 
-    def __init__(self, n_mels: int = 24, backend: str = "numpy") -> None:
+    def __init__(self, n_mels: int = 24, backend: str = "numpy", device: str = "cpu") -> None:
         self.n_mels = _whole_number("n_mels", n_mels, MAX_MELS)
-        self.spec = {"kind": "logmel", "n_mels": self.n_mels, "backend": _checked_backend(backend)}
+        self.device = _device(backend, device)
+        self.spec = {"kind": "logmel", "n_mels": self.n_mels, "backend": backend}
         self.names = tuple(f"mel_{i}" for i in range(self.n_mels))
         self.centred = (True,) * self.n_mels
 
@@ -106,6 +119,7 @@ class MFCC(AcousticExtractor):
     Args:
         n: number of coefficients.
         backend: see `LogMel`.
+        device: see `LogMel`.
 
     Examples:
         A second of sound has 100 frames:
@@ -116,9 +130,10 @@ class MFCC(AcousticExtractor):
         (100, 13)
     """
 
-    def __init__(self, n: int = 20, backend: str = "numpy") -> None:
+    def __init__(self, n: int = 20, backend: str = "numpy", device: str = "cpu") -> None:
         self.n = _whole_number("n", n, BANDS)
-        self.spec = {"kind": "mfcc", "n": self.n, "backend": _checked_backend(backend)}
+        self.device = _device(backend, device)
+        self.spec = {"kind": "mfcc", "n": self.n, "backend": backend}
         self.names = tuple(f"mfcc_{i}" for i in range(self.n))
         self.centred = (True,) * self.n
 
@@ -265,10 +280,15 @@ class ProsodicRange(AcousticExtractor):
         return np.stack(columns, axis=1)
 
 
-def _checked_backend(name: str) -> str:
-    if name != "numpy":
-        raise FeatureError(f"backend={name!r}: 'numpy' is the only one: leave it out")
-    return name
+def _device(name: str, device: str) -> str | None:
+    if name not in BACKENDS:
+        raise FeatureError(f"backend={name!r}: one of {', '.join(BACKENDS)}")
+    if name == "numpy":
+        return None
+    from audio_features.acoustic.torchaudio_backend import check_device
+
+    check_device(device)
+    return device
 
 
 def _checked_seconds(seconds: float, low: float, high: float) -> float:
