@@ -12,8 +12,7 @@ from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.inspection.model import readme_notes
 from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.training.config import read_yaml
-from gesturekit.training.run.checkpoint import Checkpoints
-from gesturekit.training.run.state import is_running, resume_command
+from gesturekit.training.run.folder import Checkpoints, is_running, resume_command
 from gesturekit.wording import listed
 
 _SETTINGS = ("system", "corpus", "longer", "fps", "joints", "seed", "device", "precision")

@@ -19,7 +19,7 @@ from small_models import small_diffusion
 
 from gesturekit.corpus import Item, Manifest, prepare
 from gesturekit.motion import Motion
-from gesturekit.training import TrainedSegment, save_sources
+from gesturekit.training.data.sources import TrainedSegment, save_sources
 
 
 @pytest.fixture(scope="module")

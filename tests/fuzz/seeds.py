@@ -16,7 +16,7 @@ import audio_features as af
 from gesturekit.formats import frames_header, smpl_skeleton, write_bvh, write_npz
 from gesturekit.jobs import Journal, Result, Task
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.training import dump_yaml
+from gesturekit.training.config import dump_yaml
 
 
 def base_motions() -> list[Motion]:

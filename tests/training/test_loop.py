@@ -10,8 +10,10 @@ from runs import logged
 from small_runs import small_diffusion
 
 from gesturekit.errors import ModelError
-from gesturekit.training import Processes, Run, to_dict
+from gesturekit.training.config import to_dict
+from gesturekit.training.run.folder import Run
 from gesturekit.training.run.loop import Loop
+from gesturekit.training.run.session import Processes
 
 PLAN = [(5, 1.0), (4, 2.0)]
 EVERY = {"log_every": 3, "checkpoint_every": 4, "eval_every": 4}

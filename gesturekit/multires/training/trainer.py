@@ -42,8 +42,7 @@ from gesturekit.training.run.folder import Run
 from gesturekit.training.run.held_out import HeldOutMetrics
 from gesturekit.training.run.loop import Loop, last_losses, read_once
 from gesturekit.training.run.plan import Estimate, log_arrays, log_plan, quickest
-from gesturekit.training.run.processes import Processes
-from gesturekit.training.run.session import session
+from gesturekit.training.run.session import Processes, session
 from gesturekit.training.run_config import LEGLESS, UNIDENTIFIED
 from gesturekit.training.seeds import seeded
 from gesturekit.wording import counted, roughly

@@ -17,7 +17,7 @@ from gesturekit.errors import ModelError
 from gesturekit.progress import Progress
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.held_out import HeldOutMetrics
-from gesturekit.training.run.processes import Processes
+from gesturekit.training.run.session import Processes
 from gesturekit.training.run_config import RunConfig
 from gesturekit.wording import counted, roughly
 
