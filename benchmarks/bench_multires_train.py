@@ -45,7 +45,7 @@ from gesturekit.multires.training.trainer import Trainer
 from gesturekit.training.config import load_config, to_dict
 from gesturekit.training.run.device import prepare_device
 from gesturekit.training.run.folder import Run
-from gesturekit.training.run.processes import Processes
+from gesturekit.training.run.session import Processes
 
 FRAMES, FPS, LEVELS = 648, 30, 7
 LENGTHS = (129, 172, 229, 305, 406, 541, 648)

@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any, Literal
 from gesturekit.errors import ConfigError, ModelError, gesturekit_errors
 from gesturekit.field_docs import field_docs
 from gesturekit.model import Controls, Model, control_entries
-from gesturekit.training.config import load_config, read_chain, read_yaml
+from gesturekit.training.config import Setting, list_settings, load_config, read_chain, read_yaml
 from gesturekit.training.recipes import find_config, main_configs, named_config
-from gesturekit.training.run.state import unfinished
+from gesturekit.training.run.folder import unfinished
 from gesturekit.training.run_config import RunConfig
-from gesturekit.training.settings import Setting, list_settings
 
 if TYPE_CHECKING:
     from audio_features.weight_files import WeightPlaces

@@ -8,7 +8,7 @@ import pytest
 from rigs import PERSON, QUADRUPED, Bones, rig_of
 from scipy.spatial.transform import Rotation
 
-from gesturekit.corpus import Recording, examine
+from gesturekit.corpus.recording import Recording, examine
 from gesturekit.errors import MotionError
 from gesturekit.inspection.motion import inspect_motion
 from gesturekit.motion import Motion, Skeleton, contact_labels, find_parts

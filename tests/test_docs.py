@@ -19,7 +19,7 @@ from gesturekit.cli import VERBS, cli
 from gesturekit.diffusion import DiffusionConfig
 from gesturekit.evaluation import DEFINITIONS
 from gesturekit.multires import MultiresConfig
-from gesturekit.training import load_config, read_chain
+from gesturekit.training.config import load_config, read_chain
 from gesturekit.training.recipes import find_config
 
 ROOT = Path(__file__).resolve().parents[1]

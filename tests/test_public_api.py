@@ -11,7 +11,7 @@ import yaml
 import audio_features as af
 import gesturekit as gk
 from gesturekit.systems import bundled_models, model_folder
-from gesturekit.training import read_yaml
+from gesturekit.training.config import read_yaml
 
 
 @pytest.fixture(scope="module")

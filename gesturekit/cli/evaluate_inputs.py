@@ -68,7 +68,7 @@ def folders_of(
 ) -> dict[str, Path]:
     """Return {label: folder of motion}; sample model folders first."""
     from gesturekit.systems import bundled_models
-    from gesturekit.training.run.state import unfinished
+    from gesturekit.training.run.folder import unfinished
 
     folders: dict[str, Path] = {}
     sampled = False

@@ -56,7 +56,7 @@ def build(config: Path, overrides: tuple[str, ...], out: Path, show: bool, exist
 
     settings = load_study_config(config, overrides)
     if show:
-        from gesturekit.training.settings import list_settings
+        from gesturekit.training.config import list_settings
 
         for setting in list_settings(settings):
             click.echo(f"{setting.name}: {setting.value}\n    {setting.doc}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from gesturekit.training.settings import Setting
+    from gesturekit.training.config import Setting
 
 
 @click.command(

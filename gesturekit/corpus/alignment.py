@@ -123,44 +123,44 @@ def pooled(each: Sequence[Correlation]) -> Correlation | None:
     """Return the correlation over all frames of several recordings; None without any."""
     if not each:
         return None
-    weights = np.array([one.n_frames for one in each], float)
+    weights = np.array([correlation.n_frames for correlation in each], float)
     total = weights.sum()
-    values = weights @ np.stack([one.values for one in each]) / total
-    sd = np.linalg.norm(weights * [one.sd for one in each]) / total
+    values = weights @ np.stack([correlation.values for correlation in each]) / total
+    sd = np.linalg.norm(weights * [correlation.sd for correlation in each]) / total
     return Correlation(values, float(sd), int(total))
 
 
 def shift_problems(
-    found: Sequence[tuple[Path, Correlation]], taken_back: float = 0.0
+    correlations: Sequence[tuple[Path, Correlation]], taken_back: float = 0.0
 ) -> list[Problem]:
     """Return warnings of a shift of the corpus, and of recordings that have another one.
 
     Args:
-        found: motion file and correlation of each recording.
+        correlations: motion file and correlation of each recording.
         taken_back: shift of all that was taken back before, seconds.
     """
-    every, usual, problems = pooled([one for _, one in found]), 0.0, []
+    every, usual, problems = pooled([each for _, each in correlations]), 0.0, []
     if every is not None and every.is_notable:
-        usual = every.shift
-        over = f" in {counted(len(found), 'recording')} together" if len(found) > 1 else ""
+        usual, count = every.shift, len(correlations)
+        over = f" in {counted(count, 'recording')} together" if count > 1 else ""
         option = f"--shift {usual + taken_back:.2f}"
         text = f"{every}{over}: {option} corrects it, --shift auto for each recording"
-        problems.append(Problem("warning", found[0][0] if len(found) == 1 else None, text))
-    for file, one in found:
-        if one.is_clear and abs(one.shift - usual) >= NOTABLE:
-            problems.append(Problem("warning", file, f"{one}: --shift auto corrects it"))
+        problems.append(Problem("warning", correlations[0][0] if count == 1 else None, text))
+    for file, each in correlations:
+        if each.is_clear and abs(each.shift - usual) >= NOTABLE:
+            problems.append(Problem("warning", file, f"{each}: --shift auto corrects it"))
     return problems
 
 
-def corrections(each: Sequence[Correlation | None]) -> list[float]:
+def corrections(correlations: Sequence[Correlation | None]) -> list[float]:
     """Return the shift of each recording that is to be corrected, seconds.
 
     It is the recording's own if that is not chance, else that of all together; 0 if neither is
     notable.
     """
-    every = pooled([one for one in each if one is not None])
-    chosen = [one if one is not None and one.is_clear else every for one in each]
-    return [one.shift if one is not None and one.is_notable else 0.0 for one in chosen]
+    every = pooled([each for each in correlations if each is not None])
+    chosen = [each if each is not None and each.is_clear else every for each in correlations]
+    return [each.shift if each is not None and each.is_notable else 0.0 for each in chosen]
 
 
 def arm_speed(motion: Motion) -> np.ndarray:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -38,24 +38,6 @@ _MISSING_SECONDS = 0.1
 _LONGEST_NAME = 230  # bytes; file systems take 255, of which suffixes are a part
 
 
-class _Inputs(Protocol):
-    @property
-    def path(self) -> bool: ...
-    @property
-    def events(self) -> Collection[str]: ...
-
-
-class _Model(Protocol):
-    @property
-    def fps(self) -> float: ...
-    @property
-    def styles(self) -> Collection[str]: ...
-    @property
-    def speakers(self) -> Collection[str]: ...
-    @property
-    def inputs(self) -> _Inputs: ...
-
-
 def file_fingerprint(path: Path) -> str:
     """Return the first 16 hexadecimal digits of the SHA-256 of a file's content.
 
@@ -64,9 +46,9 @@ def file_fingerprint(path: Path) -> str:
     if path.is_dir():
         files = sorted(file for file in path.rglob("*") if file.is_file())
         return hashlib.sha256("".join(map(file_fingerprint, files)).encode()).hexdigest()[:16]
-    found = path.stat()
+    state = path.stat()
     # A file that is written again has another time of change, whatever its other times are set to.
-    return _fingerprint(path, found.st_size, found.st_mtime_ns, found.st_ctime_ns)
+    return _fingerprint(path, state.st_size, state.st_mtime_ns, state.st_ctime_ns)
 
 
 @lru_cache(maxsize=2**16)
@@ -166,13 +148,11 @@ class Item:
     @property
     def changed_files(self) -> list[Path]:
         """Files whose content is not that of `digests`, and is there."""
-        files = {name: getattr(self, name) for name in self.digests if name in ("audio", "motion")}
+        files = {"audio": self.audio, "motion": self.motion}
         return [
             file
-            for name, file in files.items()
-            if file
-            and (file.is_file() or file.is_dir())
-            and file_fingerprint(file) != self.digests[name]
+            for name, digest in self.digests.items()
+            if (file := files.get(name)) and file.exists() and file_fingerprint(file) != digest
         ]
 
     @property
@@ -277,46 +257,44 @@ class Item:
         path = path.resample(fps, n_frames, start=begins)
         return path.mirror() if self.mirror else path
 
-    def controls(self, model: _Model) -> dict[str, Any]:
-        """Return the arguments of a model's `generate` for this item, beside sound and length.
+    def controls(self, model: Any) -> dict[str, Any]:
+        """Return the arguments of a `gesturekit.Model`'s `generate`, beside sound and length.
 
         They are those of the item's style, speaker, path and events that the model has as inputs.
 
         Raises:
             GestureKitError: a file of the item cannot be read.
         """
-        found: dict[str, Any] = {}
+        controls: dict[str, Any] = {}
         if self.style in model.styles:
-            found["style"] = self.style
+            controls["style"] = self.style
         if self.speaker in model.speakers:
-            found["speaker"] = self.speaker
+            controls["speaker"] = self.speaker
         if model.inputs.path and (self.motion or "path" in self.conditions):
             n_frames = max(1, int(self.duration * model.fps + 0.5))
-            found["path"] = self.load_path(model.fps, n_frames) or self.load_motion()
+            controls["path"] = self.load_path(model.fps, n_frames) or self.load_motion()
         if events := [event for event in self.load_events() if event.name in model.inputs.events]:
-            found["events"] = ",".join(
+            controls["events"] = ",".join(
                 f"{event.name}@{event.time:g}" + (f":{event.duration:g}" if event.duration else "")
                 for event in events
             )
-        return found
+        return controls
 
 
 def muted(wave: Wave, audible: Iterable[tuple[float, float]]) -> Wave:
     """Return the sound with silence outside of the intervals, seconds of its file."""
     samples = np.zeros_like(wave.samples)
     for interval in audible:
-        first, last = (round((time - wave.offset) * wave.sample_rate) for time in interval)
-        part = slice(max(first, 0), max(last, 0))
-        samples[part] = wave.samples[part]
+        first, last = (max(round((time - wave.offset) * wave.sample_rate), 0) for time in interval)
+        samples[first:last] = wave.samples[first:last]
     return replace(wave, samples=samples)
 
 
 def check_id(name: str) -> None:
     """Check that an id can be a relative path, as output files are named by it."""
-    parts = name.split("/") if isinstance(name, str) else []
-    is_valid = bool(parts) and name.isprintable()
-    if not is_valid or any(
-        part in ("", ".", "..") or len(part.encode()) > _LONGEST_NAME for part in parts
+    is_text = isinstance(name, str) and name.isprintable()
+    if not is_text or any(
+        word in ("", ".", "..") or len(word.encode()) > _LONGEST_NAME for word in name.split("/")
     ):
         raise CorpusError(
             f"id {name!r} cannot be used: an id is a name, or names joined by '/', "

@@ -56,9 +56,9 @@ class Manifest:
         items = self._select(split)
         if not items:
             counts = Counter(item.split for item in self.items)
-            found = ", ".join(f"{n} in {name}" for name, n in sorted(counts.items()))
+            there = ", ".join(f"{n} in {name}" for name, n in sorted(counts.items()))
             raise CorpusError(
-                f"{where}: no item is in split {split} ({found or 'it is empty'}); "
+                f"{where}: no item is in split {split} ({there or 'it is empty'}); "
                 "choose another split"
             )
         return items
@@ -93,13 +93,17 @@ class Manifest:
         path = Path(path)
         items: list[Item] = []
         line_of: dict[str, int] = {}
-        header_seen = False
-        for number, record in _records(path):
+        records = _records(path)
+        number, header = next(records, (0, None))
+        if header is None:
+            raise CorpusError(f'{path}: empty; a manifest begins with {{"schema": {SCHEMA}}}')
+        if header != {"schema": SCHEMA}:
+            raise CorpusError(
+                f'{path}:{number}: a manifest begins with {{"schema": {SCHEMA}}}; schema '
+                f"{header.get('schema')} is another, and a newer one needs a newer gesturekit"
+            )
+        for number, record in records:
             where = f"{path}:{number}"
-            if not header_seen:
-                _check_header(record, where)
-                header_seen = True
-                continue
             item = _item_from_record(record, folder=absolute(path).parent, where=where)
             if item.id in line_of:
                 raise CorpusError(
@@ -108,8 +112,6 @@ class Manifest:
                 )
             line_of[item.id] = number
             items.append(item)
-        if not header_seen:
-            raise CorpusError(f'{path}: empty; a manifest begins with {{"schema": {SCHEMA}}}')
         return cls(items)
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -129,18 +131,16 @@ def absolute(path: Path) -> Path:
 def _records(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
     """Yield (line number, JSON object) of each line; skip blank lines."""
     try:
-        if path.exists() and not (path.is_file() or path.is_dir()):
+        if path.is_dir():
+            raise OSError(0, f"it is a folder; run gesturekit prepare {path} --out corpus.jsonl")
+        if path.exists() and not path.is_file():
             raise OSError(0, "not a regular file")
         file = path.open("rb")
     except OSError as error:
-        reason = error.strerror
-        if path.is_dir():
-            reason = f"it is a folder; run gesturekit prepare {path} --out corpus.jsonl"
-        raise CorpusError(f"{path}: cannot open the manifest: {reason}") from error
+        raise CorpusError(f"{path}: cannot open the manifest: {error.strerror}") from error
     with file:
-        number = 0
-        while line := file.readline(_MAX_LINE_BYTES + 1):
-            number += 1
+        lines = iter(lambda: file.readline(_MAX_LINE_BYTES + 1), b"")
+        for number, line in enumerate(lines, start=1):
             if len(line) > _MAX_LINE_BYTES:
                 raise CorpusError(
                     f"{path}:{number}: line longer than {_MAX_LINE_BYTES} bytes; not a manifest"
@@ -150,41 +150,17 @@ def _records(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
 
 
 def _parsed(line: bytes, where: str) -> dict[str, Any]:
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        repeated = [key for key, n in Counter(key for key, _ in pairs).items() if n > 1]
-        if repeated:
-            raise ValueError(f"field {repeated[0]!r} is given twice")
-        return dict(pairs)
-
     def refuse(constant: str) -> float:
         raise ValueError(f"{constant} is not a valid JSON number")
 
     try:
-        record = json.loads(line.decode(), object_pairs_hook=unique, parse_constant=refuse)
+        record = json.loads(line.decode(), parse_constant=refuse)
     except (ValueError, RecursionError) as error:
         hint = "; gesturekit prepare writes manifests" if where.endswith(":1") else ""
         raise CorpusError(f"{where}: not a line of JSON: {error}{hint}") from error
     if not isinstance(record, dict):
         raise CorpusError(f"{where}: expected a JSON object, got {type(record).__name__}")
     return record
-
-
-def _check_header(record: dict[str, Any], where: str) -> None:
-    schema = record.get("schema")
-    if type(schema) is not int or schema < 1:
-        raise CorpusError(
-            f'{where}: a manifest begins with {{"schema": {SCHEMA}}}, got {json.dumps(record)[:80]}'
-        )
-    if schema > SCHEMA:
-        raise CorpusError(
-            f"{where}: manifest schema {schema} is newer than this gesturekit reads "
-            f"(schema {SCHEMA}); update gesturekit"
-        )
-    if set(record) != {"schema"}:
-        raise CorpusError(
-            f'{where}: the header may hold only "schema", got also '
-            f"{', '.join(sorted(set(record) - {'schema'}))}"
-        )
 
 
 _FIELDS = tuple(f.name for f in fields(Item))
@@ -212,14 +188,12 @@ _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
 
 
 def _item_from_record(record: dict[str, Any], *, folder: Path, where: str) -> Item:
-    unknown = sorted(set(record) - set(_FIELDS))
-    missing = [name for name in _FIELDS if name not in record and name not in _OPTIONAL]
-    if unknown:
+    if unknown := sorted(set(record) - set(_FIELDS)):
         raise CorpusError(
             f"{where}: unknown field {unknown[0]!r}; an item has {', '.join(_FIELDS)}"
         )
-    if missing:
-        raise CorpusError(f"{where}: missing field {', '.join(map(repr, missing))}")
+    if missing := [repr(n) for n in _FIELDS if n not in record and n not in _OPTIONAL]:
+        raise CorpusError(f"{where}: missing field {', '.join(missing)}")
     for name, value in record.items():
         types, wanted = _TYPES[name]
         # bool is an int to Python, not to JSON.
@@ -271,10 +245,8 @@ def _record_from_item(item: Item, folder: Path) -> dict[str, Any]:
     record["take"] = "" if item.take == item.file_take else item.take
     record = {name: v for name, v in record.items() if v or name not in _OPTIONAL}
     for name in ("audio", "motion"):
-        record[name] = None if record[name] is None else relative(record[name])
-    record["conditions"] = {
-        name: relative(item.conditions[name]) for name in sorted(item.conditions)
-    }
+        record[name] = record[name] and relative(record[name])
+    record["conditions"] = {name: relative(file) for name, file in sorted(item.conditions.items())}
     if "body_model" in item.reading:
         model = relative(Path(item.reading["body_model"]))
         record["reading"] = {**item.reading, "body_model": model}

@@ -32,7 +32,7 @@ _MOST_COMPARED = 1_000_000  # pairs of unpaired files whose names are compared
 
 
 @dataclass(frozen=True, order=True)
-class Found:
+class MediaFile:
     """A file found in a folder. `key` is its path within the folder without extension."""
 
     key: str
@@ -58,13 +58,13 @@ def _is_speech(path: Path) -> bool:
 class Pairing:
     """Pairs of sound and motion, unpaired files, and ambiguous names as problems."""
 
-    pairs: list[tuple[Found, Found]] = field(default_factory=list)
-    speech: list[Found] = field(default_factory=list)
-    motion: list[Found] = field(default_factory=list)
+    pairs: list[tuple[MediaFile, MediaFile]] = field(default_factory=list)
+    speech: list[MediaFile] = field(default_factory=list)
+    motion: list[MediaFile] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
 
 
-def scan(folder: str | os.PathLike[str]) -> tuple[list[Found], list[Problem]]:
+def scan(folder: str | os.PathLike[str]) -> tuple[list[MediaFile], list[Problem]]:
     """Find all speech (`SPEECH_SUFFIXES`) and motion (bvh, npz) files below a folder, sorted.
 
     A folder that is an EasyMocap sequence counts as one motion file. Hidden files and folders, and
@@ -78,32 +78,26 @@ def scan(folder: str | os.PathLike[str]) -> tuple[list[Found], list[Problem]]:
     if not folder.is_dir():
         what = "is a file, not a folder" if folder.exists() else "no such folder"
         raise CorpusError(f"{folder}: {what}; give folders of recordings")
-    found: list[Found] = []
+    media: list[MediaFile] = []
     problems: list[Problem] = []
 
     def unreadable(error: OSError) -> None:
-        problems.append(
-            Problem("error", Path(error.filename), f"cannot open folder: {error.strerror}")
-        )
+        text = f"cannot open folder: {error.strerror}"
+        problems.append(Problem("error", Path(error.filename), text))
 
     for here, folders, files in visible_folders(folder, unreadable):
         for path in (*filter(_is_speech, files), *motions_here(here, folders, files)):
             named = path if path is here else path.with_suffix("")
             key = folder.name if path == folder else named.relative_to(folder).as_posix()
-            if not key.isprintable():
-                # Also names that are not UTF-8: Python holds their bytes as lone surrogates.
-                problems.append(
-                    Problem(
-                        "error",
-                        Path(ascii(str(path))),
-                        "the file name is not printable text; rename it",
-                    )
-                )
+            if key.isprintable():
+                media.append(MediaFile(key, path, folder))
             else:
-                found.append(Found(key, path, folder))
-    copies, lines = one_of_two_formats(file.path for file in found if not file.is_speech)
+                # Also names that are not UTF-8: Python holds their bytes as lone surrogates.
+                text = "the file name is not printable text; rename it"
+                problems.append(Problem("error", Path(ascii(str(path))), text))
+    copies, lines = one_of_two_formats(file.path for file in media if not file.is_speech)
     problems += [Problem("note", None, line) for line in lines]
-    return sorted(file for file in found if file.path not in copies), problems
+    return sorted(file for file in media if file.path not in copies), problems
 
 
 def unread(folder: str | os.PathLike[str]) -> list[Path]:
@@ -112,7 +106,7 @@ def unread(folder: str | os.PathLike[str]) -> list[Path]:
     return sorted(path for _, _, files in below for path in files if unreadable_media(path))
 
 
-def pair(scans: Sequence[Iterable[Found]]) -> Pairing:
+def pair(scans: Sequence[Iterable[MediaFile]]) -> Pairing:
     """Pair the files of one or more folders (one scan per folder).
 
     Files are paired by relative path without extension within a folder, then across folders
@@ -121,20 +115,20 @@ def pair(scans: Sequence[Iterable[Found]]) -> Pairing:
     more than one speech or motion file is a problem that lists them all; none of them is paired.
     """
     result = Pairing()
-    left: list[Found] = []
+    left: list[MediaFile] = []
     for files in scans:
-        left += _match(list(files), lambda found: found.key, result)
-    left = _match(left, lambda found: found.key, result)
-    left = _match(left, lambda found: found.stem, result)
+        left += _match(list(files), lambda file: file.key, result)
+    left = _match(left, lambda file: file.key, result)
+    left = _match(left, lambda file: file.stem, result)
     n_exact = len(result.pairs)
-    for name_of in (_loose_key, lambda found: _loose_key(found).rpartition("/")[2]):
+    for name_of in (_loose_key, lambda file: _loose_key(file).rpartition("/")[2]):
         left = _match(left, name_of, result, ambiguous_is_error=False)
     if similar := [f"{a.path.name} with {b.path.name}" for a, b in result.pairs[n_exact:]]:
         text = f"{counted(len(similar), 'pair')} of similar names, not the same: "
         result.problems.append(Problem("warning", None, text + listed(sorted(similar), 4)))
     result.pairs.sort()
-    result.speech = sorted(found for found in left if found.is_speech)
-    result.motion = sorted(found for found in left if not found.is_speech)
+    result.speech = sorted(file for file in left if file.is_speech)
+    result.motion = sorted(file for file in left if not file.is_speech)
     if len(result.speech) * len(result.motion) <= _MOST_COMPARED and (
         near := list(_near_names(result))
     ):
@@ -143,22 +137,19 @@ def pair(scans: Sequence[Iterable[Found]]) -> Pairing:
     return result
 
 
-def recording_ids(found: Sequence[Found]) -> list[str]:
+def recording_ids(files: Sequence[MediaFile]) -> list[str]:
     """Return a unique id for each file: its key, prefixed by the folder's name if keys repeat."""
-    ids = [item.key for item in found]
-    repeated = {key for key, n in Counter(ids).items() if n > 1}
-    ids = [
-        f"{item.folder.resolve().name or 'root'}/{item.key}" if item.key in repeated else item.key
-        for item in found
-    ]
-    used: set[str] = set()
-    for i, name in enumerate(ids):
-        n = 1
-        while ids[i] in used:
+    counts = Counter(file.key for file in files)
+    ids: dict[str, None] = {}
+    for file in files:
+        is_unique = counts[file.key] == 1
+        name = file.key if is_unique else f"{file.folder.resolve().name or 'root'}/{file.key}"
+        unused, n = name, 1
+        while unused in ids:
             n += 1
-            ids[i] = f"{name}_{n}"
-        used.add(ids[i])
-    return ids
+            unused = f"{name}_{n}"
+        ids[unused] = None
+    return list(ids)
 
 
 def _near_names(result: Pairing) -> Iterator[str]:
@@ -171,9 +162,9 @@ def _near_names(result: Pairing) -> Iterator[str]:
                 yield f"{sound.path.name} and {motion.path.name}"
 
 
-def _loose_key(found: Found) -> str:
+def _loose_key(file: MediaFile) -> str:
     """Return the key with loose names: "s1/take 1" of "s1/Take_1_audio"."""
-    return "/".join(map(_loose, found.key.split("/")))
+    return "/".join(map(_loose, file.key.split("/")))
 
 
 def _loose(name: str) -> str:
@@ -183,19 +174,19 @@ def _loose(name: str) -> str:
 
 
 def _match(
-    files: list[Found],
-    name_of: Callable[[Found], str],
+    files: list[MediaFile],
+    name_of: Callable[[MediaFile], str],
     result: Pairing,
     ambiguous_is_error: bool = True,
-) -> list[Found]:
+) -> list[MediaFile]:
     """Move pairs and, if they are errors, ambiguous names into `result`; return the other files."""
-    groups: dict[str, list[Found]] = defaultdict(list)
-    for found in files:
-        groups[name_of(found)].append(found)
-    left: list[Found] = []
+    groups: dict[str, list[MediaFile]] = defaultdict(list)
+    for file in files:
+        groups[name_of(file)].append(file)
+    left: list[MediaFile] = []
     for name, group in groups.items():
-        speech = [found for found in group if found.is_speech]
-        motion = [found for found in group if not found.is_speech]
+        speech = [file for file in group if file.is_speech]
+        motion = [file for file in group if not file.is_speech]
         if not speech or not motion:
             left += group
         elif len(speech) == len(motion) == 1:
@@ -203,13 +194,9 @@ def _match(
         elif not ambiguous_is_error:
             left += group
         else:
-            files_found = ", ".join(str(found.path) for found in sorted(group))
-            result.problems.append(
-                Problem(
-                    "error",
-                    None,
-                    f"{name!r} is ambiguous, left out: {len(speech)} speech and {len(motion)} "
-                    f"motion files fit it; keep one of each: {files_found}",
-                )
+            text = (
+                f"{name!r} is ambiguous, left out: {len(speech)} speech and {len(motion)} motion "
+                f"files fit it; keep one of each: {', '.join(str(f.path) for f in sorted(group))}"
             )
+            result.problems.append(Problem("error", None, text))
     return left

@@ -6,9 +6,10 @@ import math
 import os
 import re
 import statistics
-from collections import defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,26 +20,23 @@ from gesturekit.corpus.item import READING
 from gesturekit.corpus.layouts import read_layout
 from gesturekit.corpus.layouts.listing import Listing
 from gesturekit.corpus.manifest import Manifest, absolute
-from gesturekit.corpus.pairing import Found, pair, recording_ids, scan, unread
-from gesturekit.corpus.recording import Examination, Recording, examine_each, ids_in
+from gesturekit.corpus.pairing import MediaFile, pair, recording_ids, scan, unread
+from gesturekit.corpus.recording import Recording, examine, examine_each
 from gesturekit.corpus.report import Report
 from gesturekit.corpus.takes import name_takes, neighbours, take_in
 from gesturekit.errors import CorpusError, MotionError, gesturekit_errors
 from gesturekit.field_docs import build_options
-from gesturekit.formats.conversion import refuse_unused_read_options
+from gesturekit.formats.conversion import applicable_read_options, refuse_unused_read_options
 from gesturekit.formats.registry import MOTION_SUFFIXES, format_of
 from gesturekit.formats.sources import OTHER_SPEECH_SUFFIXES, SPEECH_SUFFIXES
 from gesturekit.motion.parts import find_parts
-from gesturekit.wording import counted, listed
+from gesturekit.wording import counted, did_you_mean, listed
 
 MAX_SIZE_RATIO = 1.5
 """Largest ratio of body heights in a corpus without a warning."""
 
 Folders = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 """A folder, or several."""
-
-Labeller = Callable[[Recording, str | None], tuple[Recording, list[Problem]]]
-"""Adds style and speaker to a recording; takes the default speaker."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,15 +105,9 @@ class PrepareOptions:
     progress: Callable[[list[Any]], Iterable[Any]] = iter
     """Wraps the list of recordings while they are checked, as tqdm does."""
 
-    def hold_out(self) -> splits.HoldOut:
-        """Return the recordings to hold out by name."""
-        speakers = self.hold_out_speakers
-        speakers = speakers.split(",") if isinstance(speakers, str) else speakers
-        names = tuple(name.strip() for name in speakers if name.strip())
-        return splits.HoldOut(self.hold_out_pattern, self.hold_out_list, names)
-
     def __post_init__(self) -> None:
-        if self.hold_out() and self.hold_out_seconds:
+        by_name = self.hold_out_pattern or self.hold_out_list or self.hold_out_speakers
+        if by_name and self.hold_out_seconds:
             raise CorpusError("give either seconds or names of recordings to hold out, not both")
         splits.as_intervals(self.hold_out_seconds)
         if self.take_pattern is not None:
@@ -174,82 +166,98 @@ def prepare(
         [('train', 2.4), ('test', 0.6)]
     """
     chosen = build_options(PrepareOptions, options, "prepare")
-    label = _labeller(chosen.style, chosen.style_pattern)
-    unpaired, unpaired_motion = _several(chosen.unpaired), _several(chosen.unpaired_motion)
+    pattern = _style_pattern(chosen.style_pattern)
     listing = _published(chosen.layout, _several(folders))
     here = [] if listing else _several(folders)
-    tasks, left_over, problems = _find(here, unpaired, unpaired_motion)
+    recordings, left_over, problems = _find(here, chosen)
     if listing:
-        tasks = [(recording, False) for recording in listing.recordings] + tasks
+        named = [
+            replace(recording, speaker=chosen.speaker or recording.speaker)
+            for recording in listing.recordings
+        ]
+        recordings = named + recordings
         left_over, problems = left_over + listing.left_over, problems + listing.problems
-    recordings, found = _in_time(tasks, chosen, label)
+    recordings, new_problems = _in_time(recordings, chosen)
+    recordings, unlabelled = _labelled(recordings, chosen.style, pattern)
     recordings, odd = _of_one_skeleton(recordings)
     left_out = {problem.file for problem in odd}
-    problems = [p for p in problems + found if p.file not in left_out or p.severity == "error"]
+    problems += new_problems + unlabelled
+    problems = [p for p in problems if p.file not in left_out or p.severity == "error"]
     problems += odd + _corpus_notes(recordings) + _other_rates(recordings, listing)
     recordings, unnamed = name_takes(recordings, chosen.take_pattern, chosen.take_table)
-    problems += unnamed
-    if hold_out := chosen.hold_out():
-        recordings = hold_out.apply(recordings, listing.copies if listing else "")
+    recordings = splits.hold_out(
+        recordings,
+        chosen.hold_out_pattern,
+        chosen.hold_out_list,
+        _names(chosen.hold_out_speakers),
+        listing.copies if listing else "",
+    )
     items, cut = splits.split_items(
         recordings, chosen.holdout, splits.as_intervals(chosen.hold_out_seconds), chosen.seed
     )
-    cut += [Problem("note", None, beside)] if (beside := neighbours(items)) else []
-    report = Report(Manifest(items), tuple(recordings), tuple(problems + cut), tuple(left_over))
+    problems += unnamed + cut
+    if beside := neighbours(items):
+        problems.append(Problem("note", None, beside))
+    report = Report(Manifest(items), tuple(recordings), tuple(problems), tuple(left_over))
     if out is not None and items:
         report.manifest.save(out)
     return report
 
 
 def _in_time(
-    tasks: list[tuple[Recording, bool]], options: PrepareOptions, label: Labeller
+    recordings: list[Recording], options: PrepareOptions
 ) -> tuple[list[Recording], list[Problem]]:
     """Examine the recordings, with the shift between their sound and motion taken back."""
-    if not isinstance(options.shift, str):
-        tasks = [(one.shifted(options.shift), alone) for one, alone in tasks]
-    recordings, problems = _examined(tasks, options, label)
-    if options.shift == "auto":
-        found = corrections([one.correlation for one in recordings])
-        shifts = {one.id: shift for one, shift in zip(recordings, found, strict=True) if shift}
-        if shifts:
-            tasks = [(one.shifted(shifts.get(one.id, 0.0)), alone) for one, alone in tasks]
-            recordings, problems = _examined(tasks, options, label)
-        for one in recordings:
-            if one.id in shifts:
-                text = f"shifted: the motion came {shifts[one.id]:+.2f} s after the sound"
-                problems.append(Problem("note", one.motion, text))
-    known = [(one.file, one.correlation) for one in recordings if one.correlation is not None]
     taken_back = 0.0 if isinstance(options.shift, str) else options.shift
-    return recordings, problems + shift_problems(known, taken_back)
+    named = [recording.shifted(taken_back) for recording in recordings]
+    examined, problems = _examined(named, options)
+    if options.shift == "auto":
+        lags = corrections([recording.correlation for recording in examined])
+        shifts = {r.id: lag for r, lag in zip(examined, lags, strict=True) if lag}
+        if shifts:
+            named = [recording.shifted(shifts.get(recording.id, 0.0)) for recording in named]
+            examined, problems = _examined(named, options)
+        for recording in examined:
+            if recording.id in shifts:
+                text = f"shifted: the motion came {shifts[recording.id]:+.2f} s after the sound"
+                problems.append(Problem("note", recording.motion, text))
+    known = [(r.file, r.correlation) for r in examined if r.correlation is not None]
+    return examined, problems + shift_problems(known, taken_back)
 
 
 def _examined(
-    tasks: list[tuple[Recording, bool]], options: PrepareOptions, label: Labeller
+    recordings: list[Recording], options: PrepareOptions
 ) -> tuple[list[Recording], list[Problem]]:
-    """Load, check and label the recordings; return the usable ones and all problems."""
+    """Load and check the recordings; return the usable ones and all problems."""
     read = options.read or {}
-    refuse_unused_read_options(read, {format_of(task.motion) for task, _ in tasks if task.motion})
-    recordings: list[Recording] = []
-    problems: list[Problem] = []
-    unmatched = 0
-    named = [recording for recording, _ in tasks]
-    trim = ids_in(options.trim, [one.id for one in named])
-    examination = Examination(options.tolerance, trim, options.channel, options.parts, read)
-    each = examine_each(named, examination, options.workers, options.progress)
-    for (_, is_alone), (checked, found) in zip(tasks, each, strict=True):
-        if checked is not None:
-            checked, unlabelled = label(checked, None if is_alone else options.speaker)
-            recordings.append(checked)
-            found += unlabelled
-            unmatched += len(unlabelled)
-        problems += found
-    if options.style_pattern and recordings and unmatched == len(recordings):
-        text = (
-            f"style pattern {options.style_pattern} matches none of "
-            f"{counted(len(recordings), 'recording')}, such as {recordings[0].id}"
-        )
-        problems.append(Problem("warning", None, text))
-    return recordings, problems
+    refuse_unused_read_options(read, {format_of(r.motion) for r in recordings if r.motion})
+    trim = set(_names(options.trim))
+    known = [recording.id for recording in recordings]
+    if unknown := sorted(trim - set(known)):
+        hint = did_you_mean(unknown[0], known, "; did you mean {}?")
+        raise CorpusError(f"trim: no recording {unknown[0]!r}{hint}")
+    tasks = [_with_options(recording, options) for recording in recordings]
+    check = partial(examine, tolerance=options.tolerance, parts=options.parts, trim=trim)
+    results = examine_each(tasks, check, options.workers, options.progress)
+    problems = [problem for _, of_one in results for problem in of_one]
+    return [recording for recording, _ in results if recording is not None], problems
+
+
+def _with_options(recording: Recording, options: PrepareOptions) -> Recording:
+    """Return the recording with the channel and the options for reading its motion."""
+    recording = replace(recording, channel=options.channel)
+    if recording.motion is None:
+        return recording
+    reading = applicable_read_options(recording.motion, options.read or {})
+    if options.parts and "height" in reading:  # the height depends on the parts
+        reading["parts"] = dict(options.parts)
+    return replace(recording, reading=reading)
+
+
+def _names(given: str | Sequence[str]) -> list[str]:
+    """Return names from a list, or from text with commas."""
+    names = given.split(",") if isinstance(given, str) else given
+    return [name.strip() for name in names if name.strip()]
 
 
 def _published(layout: str | None, folders: list[Any]) -> Listing | None:
@@ -268,9 +276,9 @@ def _other_rates(recordings: list[Recording], listing: Listing | None) -> list[P
     if listing is None:
         return []
     return [
-        Problem("note", one.motion, f"{one.fps:.6g} fps; published at {listing.fps:g} fps")
-        for one in recordings
-        if one.fps is not None and abs(one.fps - listing.fps) > 0.01 * listing.fps
+        Problem("note", r.motion, f"{r.fps:.6g} fps; published at {listing.fps:g} fps")
+        for r in recordings
+        if r.fps is not None and abs(r.fps - listing.fps) > 0.01 * listing.fps
     ]
 
 
@@ -279,21 +287,22 @@ def _several(folders: Folders) -> list[str | os.PathLike[str]]:
 
 
 def _find(
-    folders: list[Any], unpaired: list[Any], unpaired_motion: list[Any]
-) -> tuple[list[tuple[Recording, bool]], list[Path], list[Problem]]:
-    """Return (recording, is it unpaired) for each one to check, files left over, problems."""
+    folders: list[Any], options: PrepareOptions
+) -> tuple[list[Recording], list[Path], list[Problem]]:
+    """Return the recordings to check, files left over, and problems."""
+    unpaired, unpaired_motion = _several(options.unpaired), _several(options.unpaired_motion)
     problems: list[Problem] = []
     seen: set[Path] = set()
 
-    def new_files(folder: Any) -> list[Found]:
-        found, trouble = scan(folder)
-        if not (found or trouble or unread(folder)):
+    def new_files(folder: Any) -> list[MediaFile]:
+        files, trouble = scan(folder)
+        if not (files or trouble or unread(folder)):
             sought = (
                 f"sound ({', '.join(SPEECH_SUFFIXES)}) nor motion ({', '.join(MOTION_SUFFIXES)})"
             )
             trouble.append(Problem("warning", Path(folder), f"neither {sought} in it"))
         problems.extend(problem for problem in trouble if problem not in problems)
-        fresh = [file for file in found if absolute(file.path) not in seen]
+        fresh = [file for file in files if absolute(file.path) not in seen]
         seen.update(absolute(file.path) for file in fresh)
         return fresh
 
@@ -309,19 +318,19 @@ def _find(
 
     named = [speech_file for speech_file, _ in pairing.pairs] + speech + motion
     ids = iter(recording_ids(named))
-    tasks = [
-        (Recording(next(ids), audio=sound.path, motion=moves.path), False)
+    recordings = [
+        Recording(next(ids), audio=sound.path, motion=moves.path, speaker=options.speaker)
         for sound, moves in pairing.pairs
     ]
-    tasks += [(Recording(next(ids), audio=file.path), True) for file in speech]
-    tasks += [(Recording(next(ids), motion=file.path), True) for file in motion]
+    recordings += [Recording(next(ids), audio=file.path) for file in speech]
+    recordings += [Recording(next(ids), motion=file.path) for file in motion]
     used = {absolute(file.path) for file in [*speech, *motion]}
     left_over = [
         file.path for file in [*pairing.speech, *pairing.motion] if absolute(file.path) not in used
     ]
     every = [*folders, *unpaired, *unpaired_motion]
-    sounds = {task.audio.with_suffix("") for task, _ in tasks if task.audio}
-    motions = {task.motion.with_suffix("") for task, _ in tasks if task.motion}
+    sounds = {recording.audio.with_suffix("") for recording in recordings if recording.audio}
+    motions = {recording.motion.with_suffix("") for recording in recordings if recording.motion}
     for path in {absolute(path): path for folder in every for path in unread(folder)}.values():
         is_sound = path.suffix.lower() in OTHER_SPEECH_SUFFIXES
         if path.with_suffix("") in (sounds if is_sound else motions):
@@ -329,18 +338,17 @@ def _find(
             problems.append(Problem("note", path, text))
         else:
             left_over.append(path)
-    return tasks, left_over, problems
+    return recordings, left_over, problems
 
 
-def _labeller(style: str | None, pattern: str | None) -> Labeller:
-    """Return a function that labels recordings by the pattern where it matches."""
+def _style_pattern(pattern: str | None) -> re.Pattern[str] | None:
+    """Return the compiled pattern of styles and speakers.
+
+    Raises:
+        CorpusError: not a regular expression, or one without these groups.
+    """
     if pattern is None:
-        return lambda recording, speaker: (
-            replace(
-                recording, speaker=speaker or recording.speaker, style=style or recording.style
-            ),
-            [],
-        )
+        return None
     try:
         compiled = re.compile(pattern)
     except re.error as error:
@@ -352,22 +360,34 @@ def _labeller(style: str | None, pattern: str | None) -> Labeller:
             f"style pattern {pattern} has no group named style or speaker; "
             "write (?P<style>…) around what names the style"
         )
+    return compiled
 
-    def label(recording: Recording, speaker: str | None) -> tuple[Recording, list[Problem]]:
-        match = compiled.search(recording.id)
+
+def _labelled(
+    recordings: list[Recording], style: str | None, pattern: re.Pattern[str] | None
+) -> tuple[list[Recording], list[Problem]]:
+    """Return the recordings with styles and speakers, by the pattern where it matches."""
+    labelled, problems = [], []
+    for recording in recordings:
+        match = pattern.search(recording.id) if pattern else None
         groups = match.groupdict() if match else {}
-        labelled = replace(
-            recording,
-            style=groups.get("style") or style or recording.style,
-            speaker=groups.get("speaker") or speaker or recording.speaker,
+        labelled.append(
+            replace(
+                recording,
+                style=groups.get("style") or style or recording.style,
+                speaker=groups.get("speaker") or recording.speaker,
+            )
         )
-        if match:
-            return labelled, []
-        return labelled, [
-            Problem("note", recording.file, f"name does not match style pattern {pattern}")
-        ]
-
-    return label
+        if pattern and not match:
+            text = f"name does not match style pattern {pattern.pattern}"
+            problems.append(Problem("note", recording.file, text))
+    if pattern and recordings and len(problems) == len(recordings):
+        text = (
+            f"style pattern {pattern.pattern} matches none of "
+            f"{counted(len(recordings), 'recording')}, such as {recordings[0].id}"
+        )
+        problems.append(Problem("warning", None, text))
+    return labelled, problems
 
 
 def _of_one_skeleton(
@@ -392,28 +412,25 @@ def _of_one_skeleton(
 def _corpus_notes(recordings: list[Recording]) -> list[Problem]:
     """Return problems of the corpus as a whole."""
     notes = _missing_parts(recordings) + _differing_sizes(recordings)
-    by_fps: dict[str, int] = defaultdict(int)
-    for recording in recordings:
-        if recording.fps is not None:
-            by_fps[f"{recording.fps:.6g}"] += 1
+    by_fps = Counter(f"{r.fps:.6g}" for r in recordings if r.fps is not None)
     if len(by_fps) < 2:
         return notes
-    rates = ", ".join(f"{fps} ({count})" for fps, count in sorted(by_fps.items(), key=_number))
+    by_rate = sorted(by_fps.items(), key=lambda entry: float(entry[0]))
+    rates = ", ".join(f"{fps} ({count})" for fps, count in by_rate)
     text = f"frame rates differ: {rates}; training resamples them to one"
     return [*notes, Problem("note", None, text)]
 
 
 def _missing_parts(recordings: list[Recording]) -> list[Problem]:
     """Note once that body parts cannot be identified or are not there, and the consequences."""
-    rigs = ((one, one.skeleton) for one in recordings if one.skeleton is not None)
-    first, skeleton = next(rigs, (None, None))
-    if first is None or skeleton is None:
+    first = next((r for r in recordings if r.skeleton is not None), None)
+    if first is None or first.skeleton is None:
         return []
     try:
-        parts = find_parts(skeleton)
+        parts = find_parts(first.skeleton)
     except MotionError as error:
         what = "training leaves out what needs these parts"
-        if any(one.audio and one.motion for one in recordings):
+        if any(recording.audio and recording.motion for recording in recordings):
             what += ", and in multires speech moves all joints"
         return [Problem("note", first.motion, f"{error}. Without them {what}")]
     if not parts.legs:
@@ -424,7 +441,7 @@ def _missing_parts(recordings: list[Recording]) -> list[Problem]:
 
 def _differing_sizes(recordings: list[Recording]) -> list[Problem]:
     """Warn if bodies differ so much in height that the unit of a file is probably wrong."""
-    heights = {one.file: one.height for one in recordings if one.height is not None}
+    heights = {r.file: r.height for r in recordings if r.height is not None}
     if not heights or max(heights.values()) <= MAX_SIZE_RATIO * min(heights.values()):
         return []
     usual = statistics.median_low(heights.values())
@@ -442,7 +459,3 @@ def _differing_sizes(recordings: list[Recording]) -> list[Problem]:
         "prepare those files on their own with --in-unit, or all with --height"
     )
     return [Problem("warning", None, text)]
-
-
-def _number(entry: tuple[str, int]) -> float:
-    return float(entry[0])

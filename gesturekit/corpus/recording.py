@@ -17,15 +17,15 @@ from gesturekit.corpus import checks
 from gesturekit.corpus.alignment import Correlation, correlate
 from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.item import CONDITIONS, muted
-from gesturekit.errors import CorpusError, FormatError, GestureKitError, MotionError
-from gesturekit.formats.conversion import applicable_read_options, load_with_warnings
+from gesturekit.errors import FormatError, GestureKitError, MotionError
+from gesturekit.formats.conversion import load_with_warnings
 from gesturekit.formats.plausibility import plausibility_warnings
 from gesturekit.formats.tables.events import load_events
 from gesturekit.formats.tables.root_path import load_root_path
 from gesturekit.formats.tables.semantics import load_semantics
 from gesturekit.motion import Motion, Skeleton, defects
 from gesturekit.motion.parts.body_size import body_height
-from gesturekit.wording import counted, did_you_mean
+from gesturekit.wording import counted
 from gesturekit.workers import Failure, in_processes
 
 MIN_DURATION = 0.5
@@ -94,15 +94,23 @@ class Recording:
             return None
 
 
+Examined = tuple[Recording | None, list[Problem]]
+"""A recording with its properties, None after an error; and its problems."""
+
+
 def examine(
-    recording: Recording, tolerance: float, parts: Mapping[str, str] | None = None
-) -> tuple[Recording | None, list[Problem]]:
+    recording: Recording,
+    tolerance: float,
+    parts: Mapping[str, str] | None = None,
+    trim: Collection[str] = (),
+) -> Examined:
     """Load a recording and check it.
 
     Args:
         recording: the recording with its files.
         tolerance: largest difference in length of sound and motion, seconds.
         parts: body parts assigned by hand, where they cannot be identified.
+        trim: ids of recordings of which sound and motion may differ by any length.
 
     Returns:
         the recording with its used interval and properties, or None after an error; and the
@@ -131,7 +139,8 @@ def examine(
         if wave is not None and recording.limits == (0.0, math.inf):
             sounds = (wave.duration, wave.duration - recording.audio_offset)
             sound = min(sounds, key=lambda seconds: abs(seconds - motion.duration))
-            _check_lengths(sound, motion, recording, tolerance, problems)
+            most = math.inf if recording.id in trim else tolerance
+            _check_lengths(sound, motion, recording, most, problems)
         stop = min(stop, motion.duration)
         if any(problem.severity == "error" for problem in problems):
             return None, problems
@@ -145,8 +154,8 @@ def examine(
     if stop - start < MIN_DURATION:
         return None, [*problems, _too_short(recording, stop - start)]
     if wave is not None and motion is not None:
-        found = _correlation(recording, wave, motion, (start, stop))
-        recording = replace(recording, correlation=found)
+        correlation = _correlation(recording, wave, motion, (start, stop))
+        recording = replace(recording, correlation=correlation)
     return replace(recording, start=start, stop=stop), problems
 
 
@@ -202,26 +211,24 @@ def _conditions(recording: Recording, problems: list[Problem]) -> dict[str, Path
 
     Broken words or semantics are a warning, and left out; other broken tables are an error.
     """
-    found = dict(recording.conditions)
-    for file in filter(None, (recording.audio, recording.motion)):
-        if "words" not in found and (words := words_beside(file)):
-            found["words"] = words
+    files = [file for file in (recording.motion, recording.audio) if file is not None]
+    conditions = dict(recording.conditions)
+    for file in reversed(files):
+        if "words" not in conditions and (words := words_beside(file)):
+            conditions["words"] = words
     for name in CONDITIONS:
-        for file in filter(None, (recording.motion, recording.audio)):
-            table = file.with_suffix(f".{name}.csv")
-            if table.exists():
-                found[name] = table
-                break
-    for name, table in list(found.items()):
-        if name not in _TABLES:
-            continue
-        read, severity = _TABLES[name]
+        tables = [file.with_suffix(f".{name}.csv") for file in files]
+        if table := next((table for table in tables if table.exists()), None):
+            conditions[name] = table
+    for name, table in list(conditions.items()):
+        read, severity = _TABLES.get(name, (None, ""))
         try:
-            read(table)
+            if read is not None:
+                read(table)
         except (FormatError, AudioFeaturesError) as error:
             problems.append(Problem(severity, table, str(error)))
-            del found[name]
-    return found
+            del conditions[name]
+    return conditions
 
 
 _TABLES: dict[str, tuple[Callable[[Path], Any], str]] = {
@@ -312,48 +319,9 @@ def _times(frames: Sequence[int], at: Callable[[int], str]) -> str:
     return f"{shown} and {more} more" if more > 0 else shown
 
 
-Examined = tuple[Recording | None, list[Problem]]
-"""A recording with its properties, None after an error; and its problems."""
-
-
-@dataclass(frozen=True)
-class Examination:
-    """Examination of one recording with the options of a corpus; see `PrepareOptions`."""
-
-    tolerance: float
-    trim: Collection[str]
-    channel: int | None
-    parts: Mapping[str, str] | None
-    read: Mapping[str, Any]
-
-    def __call__(self, recording: Recording) -> Examined:
-        """Load a recording and check it."""
-        recording = replace(recording, channel=self.channel)
-        if recording.motion is not None:
-            reading = applicable_read_options(recording.motion, self.read)
-            if self.parts and "height" in reading:  # the height depends on the parts
-                reading["parts"] = dict(self.parts)
-            recording = replace(recording, reading=reading)
-        tolerance = math.inf if recording.id in self.trim else self.tolerance
-        return examine(recording, tolerance, self.parts)
-
-
-def ids_in(given: str | Sequence[str], known: Sequence[str]) -> set[str]:
-    """Return ids separated by commas, or in a list.
-
-    Raises:
-        CorpusError: no recording has one of them.
-    """
-    ids = {name.strip() for name in (given.split(",") if isinstance(given, str) else given)} - {""}
-    if unknown := sorted(ids - set(known)):
-        hint = did_you_mean(unknown[0], known, "; did you mean {}?")
-        raise CorpusError(f"trim: no recording {unknown[0]!r}{hint}")
-    return ids
-
-
 def examine_each(
     recordings: list[Recording],
-    examination: Examination,
+    check: Callable[[Recording], Examined],
     workers: int,
     progress: Callable[[list[Any]], Iterable[Any]],
 ) -> list[Examined]:
@@ -361,16 +329,16 @@ def examine_each(
 
     Args:
         recordings: the recordings.
-        examination: what is done with each.
+        check: `examine`, with its options.
         workers: number of processes; 1 works in this one.
         progress: wraps the list of recordings, as tqdm does.
     """
     if workers == 1:
-        return [examination(recording) for recording in progress(recordings)]
+        return [check(recording) for recording in progress(recordings)]
     steps = iter(progress(recordings))
     next(steps, None)
     results: dict[int, Examined] = {}
-    for recording, result in in_processes(examination, recordings, workers):
+    for recording, result in in_processes(check, recordings, workers):
         if isinstance(result, Failure):
             result = None, [Problem("error", recording.file, str(result))]
         results[id(recording)] = result

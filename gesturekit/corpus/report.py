@@ -92,34 +92,31 @@ class Report:
         for (folder, what), paths in sorted(folders.items()):
             option = "--unpaired" if what.startswith("speech") else "--unpaired-motion"
             names = listed([path.name for path in paths], 3)
-            if unreadable_media(paths[0]):
-                lines.append(f"left out: {folder}: {names}: {what}")
-                continue
-            lines.append(
-                f"left out: {what} in {folder}: {names} (to use it alone: {option} {folder})"
-            )
+            usable = f"{what} in {folder}: {names} (to use it alone: {option} {folder})"
+            other = f"{folder}: {names}: {what}"
+            lines.append(f"left out: {other if unreadable_media(paths[0]) else usable}")
         return lines
 
     def _side_files(self) -> str:
         """Return the kinds of tables beside the recordings: "words from .TextGrid (3)"."""
-        beside = (table for one in self.recordings for table in one.conditions.items())
+        beside = (table for recording in self.recordings for table in recording.conditions.items())
         return _counted(f"{name} from {file.suffix}" for name, file in beside)
 
     def _heights(self) -> str:
-        heights = sorted(one.height for one in self.recordings if one.height is not None)
+        heights = sorted(r.height for r in self.recordings if r.height is not None)
         ends = dict.fromkeys(f"{height:.3g}" for height in [*heights[:1], *heights[-1:]])
         return f"{' to '.join(ends)} m" if ends else ""
 
     def _shapes(self) -> str:
         """Return the number of body shapes if there are several, and what training does."""
-        count = len({one.skeleton.body_shape for one in self._moving if one.skeleton})
-        unnamed = any(one.speaker is None for one in self._moving)
+        count = len({r.skeleton.body_shape for r in self._moving if r.skeleton})
+        unnamed = any(recording.speaker is None for recording in self._moving)
         who = " (recordings without a speaker count as one person's)" if unnamed else ""
         return f"{count}; training uses the mean of each speaker's{who}" if count > 1 else ""
 
     def _shift(self) -> str:
         """Return the shift between sound and motion, or "" if they say nothing."""
-        each = [one.correlation for one in self.recordings if one.correlation is not None]
+        each = [r.correlation for r in self.recordings if r.correlation is not None]
         every = pooled(each)
         if every is None or not every.is_clear:
             return ""

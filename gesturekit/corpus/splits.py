@@ -13,14 +13,16 @@ import math
 import os
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.item import Item, file_fingerprint
 from gesturekit.corpus.manifest import absolute
 from gesturekit.corpus.recording import MIN_DURATION, Recording
+from gesturekit.corpus.takes import by_id_or_stem
 from gesturekit.errors import CorpusError
 from gesturekit.wording import counted, listed
 
@@ -54,138 +56,120 @@ def choose_held_out(
     return splits
 
 
-@dataclass(frozen=True)
-class HoldOut:
-    """Recordings to hold out as "test"; all others are "train".
+def hold_out(
+    recordings: Sequence[Recording],
+    pattern: str | None = None,
+    file: str | os.PathLike[str] | None = None,
+    speakers: Sequence[str] = (),
+    copies: str = "",
+) -> list[Recording]:
+    """Return the recordings with splits: those that are named are "test", all others "train".
 
-    Attributes:
+    Args:
+        recordings: all of them; without any name they are returned as they are.
         pattern: regular expression to search for in ids.
         file: text file with one id, or stem of an id, a line.
         speakers: names of speakers.
+        copies: see `layouts.listing.Listing`; a copy in `file` stands for its recording.
+
+    Raises:
+        CorpusError: a pattern, a name or a speaker that fits no recording, or all of them.
     """
+    if not (pattern or file or speakers):
+        return list(recordings)
+    ids = [recording.id for recording in recordings]
+    wanted = _matching(ids, pattern) if pattern else set()
+    if file:
+        wanted |= _listed(ids, Path(file), copies)
+    known = {recording.speaker for recording in recordings}
+    if unknown := sorted(set(speakers) - known):
+        there = listed(sorted(filter(None, known))) or "none"
+        raise CorpusError(
+            f"hold-out: no recording of speaker {unknown[0]!r}; the corpus names {there}"
+        )
+    originals = {
+        _original(recording)
+        for recording in recordings
+        if recording.id in wanted or recording.speaker in speakers
+    }
+    held_out = [
+        recording.id in wanted or _original(recording) in originals for recording in recordings
+    ]
+    if recordings and all(held_out):
+        raise CorpusError(
+            f"all {counted(len(recordings), 'recording')} would be held out, which would "
+            "leave none for training"
+        )
+    return [
+        replace(recording, split="test" if _original(recording) in originals else "train")
+        for recording in recordings
+    ]
 
-    pattern: str | None = None
-    file: str | os.PathLike[str] | None = None
-    speakers: Sequence[str] = ()
 
-    def __bool__(self) -> bool:
-        return bool(self.pattern or self.file or self.speakers)
+def _matching(ids: list[str], pattern: str) -> set[str]:
+    try:
+        names = {name for name in ids if re.search(pattern, name)}
+    except re.error as error:
+        raise CorpusError(
+            f"hold-out pattern {pattern} is not a regular expression: {error}"
+        ) from error
+    if ids and not names:
+        raise CorpusError(
+            f"hold-out pattern {pattern} matches none of {counted(len(ids), 'recording')}, such as "
+            f"{ids[0]}"
+        )
+    return names
 
-    def apply(self, recordings: Sequence[Recording], copies: str = "") -> list[Recording]:
-        """Return the recordings with their splits.
 
-        Args:
-            recordings: all of them.
-            copies: see `layouts.listing.Listing`; a copy in `file` stands for its recording.
-
-        Raises:
-            CorpusError: a pattern, a name or a speaker that fits no recording, or all of them.
-        """
-        wanted: set[str] = set()
-        ids = [recording.id for recording in recordings]
-        if self.pattern:
-            wanted |= self._matching(ids)
-        if self.file:
-            wanted |= self._listed(ids, copies)
-        known = {recording.speaker for recording in recordings}
-        if unknown := sorted(set(self.speakers) - known):
-            there = listed(sorted(filter(None, known))) or "none"
-            raise CorpusError(
-                f"hold-out: no recording of speaker {unknown[0]!r}; the corpus names {there}"
-            )
-        wanted |= {one.id for one in recordings if one.speaker in self.speakers}
-        originals = {_original(one) for one in recordings if one.id in wanted}
-        wanted |= {one.id for one in recordings if _original(one) in originals}
-        if recordings and len(wanted) == len(recordings):
-            raise CorpusError(
-                f"all {counted(len(recordings), 'recording')} would be held out, which would "
-                "leave none for training"
-            )
-        return [replace(one, split="test" if one.id in wanted else "train") for one in recordings]
-
-    def _matching(self, ids: list[str]) -> set[str]:
-        try:
-            found = {name for name in ids if re.search(self.pattern or "", name)}
-        except re.error as error:
-            raise CorpusError(
-                f"hold-out pattern {self.pattern} is not a regular expression: {error}"
-            ) from error
-        if ids and not found:
-            raise CorpusError(
-                f"hold-out pattern {self.pattern} matches none of {counted(len(ids), 'recording')},"
-                f" such as {ids[0]}"
-            )
-        return found
-
-    def _listed(self, ids: list[str], copies: str) -> set[str]:
-        path = Path(self.file or "")
-        try:
-            if path.stat().st_size > _MOST_BYTES:
-                raise CorpusError(f"{path}: too large for a list of names")
-            lines = path.read_text(encoding="utf-8-sig").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            raise CorpusError(f"{path}: cannot read the list of recordings: {error}") from error
-        by_name: dict[str, set[str]] = {}
-        for name in ids:
-            for key in {name, name.rpartition("/")[2]}:
-                by_name.setdefault(key, set()).add(name)
-        found: set[str] = set()
-        unknown = []
-        for line in filter(None, map(str.strip, lines)):
-            stem = (Path(line).parent / Path(line).stem).as_posix()
-            keys = (line, stem, re.sub(f"({copies})$", "", stem))
-            names = next(filter(None, map(by_name.get, keys)), set())
-            found |= names
-            if not names:
-                unknown.append(line)
-        if unknown:
-            raise CorpusError(
-                f"{path}: {counted(len(unknown), 'name')} without a usable recording: "
-                f"{listed(unknown, 10)}"
-            )
-        return found
+def _listed(ids: list[str], file: Path, copies: str) -> set[str]:
+    try:
+        if file.stat().st_size > _MOST_BYTES:
+            raise CorpusError(f"{file}: too large for a list of names")
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise CorpusError(f"{file}: cannot read the list of recordings: {error}") from error
+    by_name = by_id_or_stem(ids)
+    names: set[str] = set()
+    unknown = []
+    for line in filter(None, map(str.strip, lines)):
+        stem = (Path(line).parent / Path(line).stem).as_posix()
+        keys = (line, stem, re.sub(f"({copies})$", "", stem))
+        fitting = next(filter(None, map(by_name.get, keys)), [])
+        names.update(fitting)
+        if not fitting:
+            unknown.append(line)
+    if unknown:
+        raise CorpusError(
+            f"{file}: {counted(len(unknown), 'name')} without a usable recording: "
+            f"{listed(unknown, 10)}"
+        )
+    return names
 
 
 def as_intervals(wanted: str | Sequence[Interval]) -> list[Interval]:
-    """Return intervals in seconds from text (`parse_intervals`) or (start, end) pairs.
+    """Return intervals in seconds from text such as ``"10-20,55-"`` or (start, end) pairs.
+
+    In text, an interval without an end lasts to the end of the recording.
 
     Raises:
         CorpusError: neither, or an interval that ends before it begins.
     """
-    if isinstance(wanted, str):
-        return parse_intervals(wanted) if wanted else []
+    given = (wanted.split(",") if wanted else []) if isinstance(wanted, str) else wanted
     intervals = []
-    for interval in wanted:
+    for interval in given:
+        ends: Any = interval
+        if isinstance(interval, str):
+            match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*-\s*(\d+(?:\.\d+)?)?\s*", interval)
+            ends = match and (match[1], match[2] or math.inf)
         try:
-            start, stop = map(float, interval)
+            start, stop = map(float, ends)
         except (TypeError, ValueError):
             raise CorpusError(
-                f'hold_out_seconds: {interval!r} is not an interval; write "10-15,50-" or '
-                "[(10, 15), (50, math.inf)]"
+                f'{interval!r} is not an interval; write START-END in seconds, as in "10-15,50-", '
+                "or [(10, 15), (50, math.inf)]"
             ) from None
         if not 0 <= start < stop:
-            raise CorpusError(f"hold_out_seconds: {interval!r} ends before it begins, or before 0")
-        intervals.append((start, stop))
-    return intervals
-
-
-def parse_intervals(text: str) -> list[Interval]:
-    """Parse ``"10-20,55-"`` as intervals in seconds; without an end, to the end of the recording.
-
-    Raises:
-        CorpusError: not such a list, or an interval that ends before it begins.
-    """
-    intervals = []
-    for part in text.split(","):
-        match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*-\s*(\d+(?:\.\d+)?)?\s*", part)
-        if not match:
-            raise CorpusError(
-                f"{part.strip()!r} is not an interval; write START-END in seconds, as in 55-68.8, "
-                "several separated by commas"
-            )
-        start, stop = float(match[1]), float(match[2]) if match[2] else math.inf
-        if stop <= start:
-            raise CorpusError(f"interval {part.strip()!r} ends before it begins")
+            raise CorpusError(f"interval {interval!r} ends before it begins, or before 0")
         intervals.append((start, stop))
     return intervals
 
@@ -235,8 +219,7 @@ def split_items(
         the items, and problems of pieces that are too short or missing.
     """
     paired = [recording for recording in recordings if recording.audio and recording.motion]
-    alone = [recording for recording in recordings if not (recording.audio and recording.motion)]
-    is_single = len({_original(one) for one in paired}) == 1
+    is_single = len({_original(recording) for recording in paired}) == 1
     if holdout > 0 and not intervals and is_single and paired[0].split is None:
         only = paired[0]
         intervals = [(only.stop - TAIL * (only.stop - only.start), math.inf)]
@@ -244,57 +227,62 @@ def split_items(
     problems: list[Problem] = []
     if intervals:
         for recording in paired:
-            parts = _parts(recording, intervals)
-            if not any(split == "test" for split, _ in parts):
-                text = f"nothing of it lies in the seconds held out ({recording.stop:.1f} s long)"
-                problems.append(Problem("warning", recording.motion, text))
-            for split, (start, stop) in parts:
-                if stop - start < MIN_DURATION:
-                    text = f"{start:.2f} to {stop:.2f} s left out: too short a piece"
-                    problems.append(Problem("note", recording.motion, text))
-                    continue
-                part = replace(recording, start=start, stop=stop)
-                if len(parts) > 1:
-                    part = replace(part, id=f"{recording.id}@{start:.2f}-{stop:.2f}")
-                items.append(_item(part, split))
+            items += _pieces(recording, intervals, problems)
     else:
-        items += _whole(paired, holdout, seed, at_least=1)
+        items = _whole(paired, holdout, seed, at_least=1)
     of_take: dict[str | None, str | None] = {item.take: item.split for item in items}
-    for group in (
-        [recording for recording in alone if recording.audio],
-        [recording for recording in alone if recording.motion],
-    ):
-        group = [replace(one, split=one.split or of_take.get(one.take)) for one in group]
-        items += _whole(group, holdout, seed)
+    alone = [
+        replace(recording, split=recording.split or of_take.get(recording.take))
+        for recording in recordings
+        if not (recording.audio and recording.motion)
+    ]
+    items += _whole([recording for recording in alone if recording.audio], holdout, seed)
+    items += _whole([recording for recording in alone if recording.motion], holdout, seed)
     return items, problems
 
 
-def _whole(
-    recordings: Sequence[Recording], holdout: float, seed: int, at_least: int = 0
+def _pieces(
+    recording: Recording, intervals: Sequence[Interval], problems: list[Problem]
 ) -> list[Item]:
-    """Return the items of whole recordings; takes without a published split are kept together."""
-    free = [one for one in recordings if not one.split]
-    are_takes = len({one.take for one in free}) > 1
-    unit = attrgetter("take") if are_takes else _original
-    chosen = choose_held_out(map(unit, free), holdout, seed, at_least=at_least)
-    return [_item(one, one.split or chosen[unit(one)]) for one in recordings]
-
-
-def _original(recording: Recording) -> str:
-    """Return the id of a recording, or of the one that it is a copy of."""
-    return recording.original or recording.id
-
-
-def _parts(recording: Recording, intervals: Sequence[Interval]) -> list[tuple[str, Interval]]:
-    """Cut a recording at motion frames, so that sound and motion of a part begin together."""
+    """Cut a recording at motion frames, so that sound and motion of a piece begin together."""
 
     def on_frame(seconds: float) -> float:
         if math.isinf(seconds) or recording.fps is None:
             return seconds
         return math.floor(seconds * recording.fps + 0.5) / recording.fps
 
-    snapped = [(on_frame(start), on_frame(stop)) for start, stop in intervals]
-    return cut(recording.start, recording.stop, snapped)
+    at_frames = [(on_frame(start), on_frame(stop)) for start, stop in intervals]
+    pieces = cut(recording.start, recording.stop, at_frames)
+    if not any(split == "test" for split, _ in pieces):
+        text = f"nothing of it lies in the seconds held out ({recording.stop:.1f} s long)"
+        problems.append(Problem("warning", recording.motion, text))
+    items = []
+    for split, (start, stop) in pieces:
+        if stop - start < MIN_DURATION:
+            text = f"{start:.2f} to {stop:.2f} s left out: too short a piece"
+            problems.append(Problem("note", recording.motion, text))
+            continue
+        name = f"{recording.id}@{start:.2f}-{stop:.2f}" if len(pieces) > 1 else recording.id
+        items.append(_item(replace(recording, id=name, start=start, stop=stop), split))
+    return items
+
+
+def _whole(
+    recordings: Sequence[Recording], holdout: float, seed: int, at_least: int = 0
+) -> list[Item]:
+    """Return the items of whole recordings; takes without a published split are kept together."""
+    free = [recording for recording in recordings if not recording.split]
+    are_takes = len({recording.take for recording in free}) > 1
+    unit = attrgetter("take") if are_takes else _original
+    chosen = choose_held_out(map(unit, free), holdout, seed, at_least=at_least)
+    return [
+        _item(recording, recording.split or chosen[unit(recording)]) for recording in recordings
+    ]
+
+
+def _original(recording: Recording) -> str:
+    """Return the id of a recording, or of the one that it is a copy of."""
+    return recording.original or recording.id
 
 
 def _item(recording: Recording, split: str) -> Item:

@@ -37,7 +37,8 @@ def name_takes(
         CorpusError: not a regular expression, a table that cannot be read or names a recording
             that is not there, or a recording that is named by neither.
     """
-    listed_takes = {} if table is None else _read(Path(table), [one.id for one in recordings])
+    ids = [recording.id for recording in recordings]
+    listed_takes = {} if table is None else _read(Path(table), ids)
     named, unmatched = [], []
     for recording in recordings:
         take = listed_takes.get(recording.id)
@@ -51,10 +52,8 @@ def name_takes(
             f"take pattern {pattern} matches none of {counted(len(recordings), 'recording')}, such "
             f"as {recordings[0].id}"
         )
-    notes = [
-        Problem("note", one.file, f"name does not match take pattern {pattern}: a take of its own")
-        for one in unmatched
-    ]
+    text = f"name does not match take pattern {pattern}: a take of its own"
+    notes = [Problem("note", recording.file, text) for recording in unmatched]
     joined, copies = _join_copies(named)
     return joined, notes + copies
 
@@ -65,14 +64,15 @@ def _join_copies(recordings: Sequence[Recording]) -> tuple[list[Recording], list
     Returns:
         the recordings, and a warning that names the copies.
     """
-    files = {path for one in recordings for path in (one.audio, one.motion) if path}
-    original = _originals(sorted(path for path in files if path.exists()))
-    contents = [[original[p] for p in (r.audio, r.motion) if p in original] for r in recordings]
-    takes = _joined([one.take or "" for one in recordings], contents)
-    firsts = _joined([one.id for one in recordings], contents)
+    files_of = [[path for path in (r.audio, r.motion) if path] for r in recordings]
+    files = {path for files in files_of for path in files if path.exists()}
+    original = _originals(sorted(files))
+    contents = [[original[path] for path in files if path in original] for files in files_of]
+    takes = _joined([recording.take or "" for recording in recordings], contents)
+    firsts = _joined([recording.id for recording in recordings], contents)
     joined = [
-        replace(one, take=take, original=first)
-        for one, take, first in zip(recordings, takes, firsts, strict=True)
+        replace(recording, take=take, original=first)
+        for recording, take, first in zip(recordings, takes, firsts, strict=True)
     ]
     copies = [f"{path} (of {first})" for path, first in original.items() if path != first]
     if not copies:
@@ -101,9 +101,9 @@ def _joined(names: Sequence[str], contents: Sequence[Sequence[Path]]) -> list[st
     labels, holders = list(names), dict[Path, int]()
     for k, shared in enumerate(contents):
         for content in shared:
-            first, own = labels[holders.setdefault(content, k)], labels[k]
-            if first != own:
-                labels = [first if label == own else label for label in labels]
+            first, other = labels[holders.setdefault(content, k)], labels[k]
+            if first != other:
+                labels = [first if label == other else label for label in labels]
     return labels
 
 
@@ -128,27 +128,33 @@ def take_in(name: str, pattern: str) -> str:
     return (match[1] if match.re.groups else match[0]) or ""
 
 
+def by_id_or_stem(ids: Sequence[str]) -> dict[str, list[str]]:
+    """Return the ids by themselves and by their last parts."""
+    by_name: dict[str, list[str]] = {}
+    for name in ids:
+        for key in {name, name.rpartition("/")[2]}:
+            by_name.setdefault(key, []).append(name)
+    return by_name
+
+
 def _read(table: Path, ids: Sequence[str]) -> dict[str, str]:
     """Return {id: take} of a table.
 
     Raises:
         CorpusError: it cannot be read, or names a recording that is not there or not unique.
     """
-    by_name: dict[str, list[str]] = {}
-    for name in ids:
-        for key in {name, name.rpartition("/")[2]}:
-            by_name.setdefault(key, []).append(name)
+    by_name = by_id_or_stem(ids)
     takes: dict[str, str] = {}
     try:
         for where, cells in read_table(table, ("id", "take")):
-            found = by_name.get(cells["id"], [])
-            if len(found) != 1:
+            fitting = by_name.get(cells["id"], [])
+            if len(fitting) != 1:
                 hint = did_you_mean(cells["id"], by_name, "; did you mean {}?")
-                what = "several recordings" if found else "no usable recording"
+                what = "several recordings" if fitting else "no usable recording"
                 raise CorpusError(f"{where}: id {cells['id']!r} is {what}{hint}")
             if not cells["take"]:
                 raise CorpusError(f"{where}: no take of {cells['id']}")
-            takes[found[0]] = cells["take"]
+            takes[fitting[0]] = cells["take"]
     except (FormatError, OSError, UnicodeDecodeError) as error:
         raise CorpusError(f"{table}: cannot read the table of takes: {error}") from error
     return takes

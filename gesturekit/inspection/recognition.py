@@ -22,7 +22,7 @@ from gesturekit.inspection.summary import Summary
 from gesturekit.systems import bundled_models, model_folder
 from gesturekit.training.config import read_yaml
 from gesturekit.training.recipes import is_copy
-from gesturekit.training.run.state import unfinished
+from gesturekit.training.run.folder import unfinished
 
 _KNOWN = (
     "motion (.bvh, .npz, .glb, EasyMocap folders), avatars (.vrm), sound (.wav, .flac, ...), "

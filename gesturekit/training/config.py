@@ -11,10 +11,12 @@ from __future__ import annotations
 import copy
 import dataclasses
 import difflib
+import json
 import re
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,6 +24,7 @@ from typing import Any, TypeVar
 import yaml
 
 from gesturekit.errors import ConfigError
+from gesturekit.field_docs import field_docs
 from gesturekit.training.recipes import recipe_config
 
 Schema = TypeVar("Schema")
@@ -36,34 +39,21 @@ _SYNONYMS = {
 }
 """Names of settings in other programs, and the settings here that are meant."""
 _MAX_BYTES = 2 << 20
-_MAX_VALUES = 200_000  # in a file; an alias counts as many as the value that it refers to
 _MAX_DIGITS = 40
 
 
 class _Loader(yaml.SafeLoader):
     """Safe YAML that reads 1e-3 as a number; PyYAML follows YAML 1.1, which wants 1.0e-3.
 
-    Aliases that would make a small file large, and numbers of many digits, are refused.
+    Numbers of many digits, and aliases, which may make a small file large, are refused.
     """
 
-    def __init__(self, stream: Any) -> None:
-        super().__init__(stream)
-        self._count = 0
-        self._sizes: dict[int, int] = {}
-
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Compose one value, and count it."""
-        mark, before = self.peek_event().start_mark, self._count
-        is_alias = self.check_event(yaml.AliasEvent)
-        node = super().compose_node(parent, index)
-        # A value that contains an alias of itself has no size yet.
-        self._count += self._sizes.get(id(node), _MAX_VALUES) if is_alias else 1
-        if not is_alias:
-            self._sizes[id(node)] = self._count - before
-        if self._count > _MAX_VALUES:
-            problem = f"aliases make it more than {_MAX_VALUES} values"
-            raise yaml.composer.ComposerError(None, None, problem, mark)
-        return node
+        """Compose one value."""
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark
+            raise yaml.composer.ComposerError(None, None, "aliases (*NAME) are not read", mark)
+        return super().compose_node(parent, index)
 
     def construct_yaml_int(self, node: Any) -> int:
         """Return a whole number."""
@@ -82,10 +72,22 @@ _Loader.add_implicit_resolver(
 )
 
 
+class _Dumper(yaml.SafeDumper):
+    """Safe YAML without aliases."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Write each value where it stands."""
+        return True
+
+
 @lru_cache(maxsize=32)
 def _parsed(text: str) -> Any:
     """Return the values of YAML; a command reads the same chain of recipes several times."""
-    return yaml.load(text, Loader=_Loader)
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        # ValueError: what looks like a date and is none. RecursionError: nested without end.
+        raise ConfigError(f"not valid YAML: {' '.join(str(error).split())}") from None
 
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
@@ -97,23 +99,20 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     try:
         if path.exists() and not path.is_file():
-            raise ConfigError(f"{path}: not a regular file")
+            raise ConfigError("not a regular file")
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)
         if len(data) > _MAX_BYTES:
-            raise ConfigError(f"{path}: over {_MAX_BYTES >> 20} MB; too large for a configuration")
+            raise ConfigError(f"over {_MAX_BYTES >> 20} MB; too large for a configuration")
         values = copy.deepcopy(_parsed(data.decode("utf-8")))
+        if not isinstance(values, dict):
+            raise ConfigError(f"holds {type(values).__name__}, expected key: value lines")
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such configuration file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read as text ({error})") from None
-    except ConfigError:
-        raise
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        # ValueError: what looks like a date and is none. RecursionError: nested without end.
-        raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
-    if not isinstance(values, dict):
-        raise ConfigError(f"{path}: holds {type(values).__name__}, expected key: value lines")
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
     return values
 
 
@@ -140,19 +139,16 @@ def load_config(
         ConfigError: unknown key, wrong type, a chain of parents that does not end.
     """
     merged = _with_parents(Path(path), schema)
-    changes: list[tuple[str, Any]] = []
+    given: dict[str, Any] = {}
     for override in overrides:
         key, separator, text = override.partition("=")
         if not separator or not key:
             raise ConfigError(f"{override!r}: overrides look like key=value or section.key=value")
         try:
-            value = yaml.load(text, Loader=_Loader)
-        except (yaml.YAMLError, ValueError, RecursionError) as error:
-            reason = " ".join(str(error).split())
-            raise ConfigError(f"{override!r}: the value is not valid YAML ({reason})") from None
-        changes.append((key, value))
-    given: dict[str, Any] = {}
-    for key, value in [*changes, *(settings or {}).items()]:
+            given = _merge(given, _nested(key, _parsed(text)))
+        except ConfigError as error:
+            raise ConfigError(f"{override!r}: {error}") from None
+    for key, value in (settings or {}).items():
         given = _merge(given, _nested(key, value))
     merged = _merge(merged, _resolve_paths(given, schema, Path.cwd()))
     try:
@@ -160,7 +156,7 @@ def load_config(
     except ConfigError as error:
         problem = str(error).removeprefix(f"{path}: ")
         key = re.findall(r"(?:unknown key )?([\w.]*)", problem)[0]
-        if any(f"{one}.".startswith(f".{key}.") for one in _dotted(given)):
+        if any(f"{name}.".startswith(f"{key}.") for name in dotted(given)):
             raise ConfigError(problem) from None  # an override is wrong, not the file
         raise
 
@@ -185,8 +181,8 @@ def _with_parents(path: Path, schema: type | None, depth: int = 8) -> dict[str, 
 
 def _nested(key: Any, value: Any) -> dict[Any, Any]:
     """Return nested mappings for a dotted key: {"a": {"b": value}} for "a.b"."""
-    for part in reversed(key.split(".") if isinstance(key, str) else [key]):
-        value = {part: value}
+    for name in reversed(key.split(".") if isinstance(key, str) else [key]):
+        value = {name: value}
     return value
 
 
@@ -237,42 +233,29 @@ def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config"
     try:
         return _build(schema, values, where, "")
     except _UnknownKey as error:
-        full = f"{error.key}{error.inner}"
-        leaf = full.rpartition(".")[2]
-        same = [name for name in _settings(schema) if name.rpartition(".")[2] == leaf]
-        usual = [name for name in _SYNONYMS.get(leaf, ()) if name in _settings(schema)]
-        # A section's name may be misspelt; a setting that another section has is in the wrong one.
-        # A plural of the given name is the best match; the same name in other sections comes next.
-        plural = [name for name in error.near if name == f"{full}s"]
-        meant = usual or (error.near or same if error.inner else plural or same or error.near)
-        hint = (
-            f"did you mean {' or '.join(meant)}?" if meant else f"known: {', '.join(error.known)}"
-        )
-        unknown = error.key if meant == error.near else full
-        raise ConfigError(f"{where}: unknown key {unknown}; {hint}") from None
+        key = str(error)
+        leaf, section = key.rpartition(".")[2], key.rpartition(".")[0]
+        known = _settings(schema)
+        meant = [name for name in _SYNONYMS.get(leaf, ()) if name in known]
+        meant = meant or difflib.get_close_matches(key, known, n=1, cutoff=0.8)
+        meant = meant or [name for name in known if name.rpartition(".")[2] == leaf]
+        meant = meant or difflib.get_close_matches(key, known, n=1, cutoff=0.5)
+        beside = [name for name in known if name.rpartition(".")[0] == section]
+        hint = f"did you mean {' or '.join(meant)}?" if meant else f"known: {', '.join(beside)}"
+        raise ConfigError(f"{where}: unknown key {key}; {hint}") from None
 
 
 class _UnknownKey(ConfigError):
-    """A key that its section does not have.
-
-    Args:
-        key: dotted name.
-        inner: the rest of the first setting below it, such as ".updates"; "" for a single setting.
-        near: the key like it in its section, if there is one.
-        known: all keys of its section.
-    """
-
-    def __init__(self, key: str, inner: str, near: Sequence[str], known: Sequence[str]) -> None:
-        super().__init__(key)
-        self.key, self.inner, self.near, self.known = key, inner, near, known
+    """A dotted key that the schema does not have: of an unknown section, its first setting."""
 
 
 def _settings(schema: Any, prefix: str = "") -> list[str]:
-    """Return the dotted names of all settings of a dataclass."""
+    """Return the dotted names of all settings of a dataclass, without sections."""
     names = []
     for name, hint in typing.get_type_hints(schema).items():
-        names += [f"{prefix}{name}"]
-        for section in _sections(hint):
+        sections = [option for option in _options(hint) if dataclasses.is_dataclass(option)]
+        names += [] if sections else [f"{prefix}{name}"]
+        for section in sections:
             names += _settings(section, f"{prefix}{name}.")
     return names
 
@@ -282,23 +265,18 @@ def _build(schema: Any, values: Any, where: str, prefix: str) -> Any:
         name = prefix.rstrip(".") or "the file"
         raise ConfigError(f"{where}: {name} must hold keys, not {values!r}")
     hints = typing.get_type_hints(schema)
-    names = [field.name for field in dataclasses.fields(schema)]
+    fields = {field.name: field for field in dataclasses.fields(schema)}
     for key in values:
-        if key not in names:
-            inner = next(iter(_dotted(values[key])), "")
-            fitting = [name for name in names if not inner or _sections(hints[name])]
-            near = difflib.get_close_matches(str(key), fitting, n=1, cutoff=0.5)
-            raise _UnknownKey(f"{prefix}{key}", inner, [f"{prefix}{name}" for name in near], names)
+        if key not in fields:
+            raise _UnknownKey(f"{prefix}{next(iter(dotted({key: values[key]})))}")
     made = {
         key: _convert(value, hints[key], where, f"{prefix}{key}") for key, value in values.items()
     }
-    for field in dataclasses.fields(schema):
-        required = (
-            field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-        )
-        if required and field.name not in made:
-            name = f"{prefix}{field.name}"
-            raise ConfigError(f"{where}: {name} is missing; add it there, or {name}=... here")
+    for name, field in fields.items():
+        is_required = field.default is MISSING and field.default_factory is MISSING
+        if is_required and name not in made:
+            key = f"{prefix}{name}"
+            raise ConfigError(f"{where}: {key} is missing; add it there, or {key}=... here")
     try:
         return schema(**made)
     except ConfigError as error:
@@ -306,15 +284,13 @@ def _build(schema: Any, values: Any, where: str, prefix: str) -> Any:
         raise ConfigError(f"{where}: {prefix}{error}") from None
 
 
-def _sections(hint: Any) -> list[Any]:
-    return [option for option in _options(hint) if dataclasses.is_dataclass(option)]
-
-
-def _dotted(values: Any) -> list[str]:
-    """Return the keys of nested mappings, each with a dot in front: ".updates"."""
-    if not isinstance(values, dict):
-        return []
-    return [f".{key}{inner}" for key, value in values.items() for inner in _dotted(value) or [""]]
+def dotted(values: Mapping[Any, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested values by their dotted names, such as training.updates."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        flat |= dotted(value, f"{name}.") if isinstance(value, dict) and value else {name: value}
+    return flat
 
 
 def _options(hint: Any) -> tuple[Any, ...]:
@@ -367,21 +343,77 @@ def _convert_one(value: Any, hint: Any, where: str, key: str) -> Any:
     raise ConfigError(f"{where}: {key}: {value!r} is not of type {expected}")
 
 
-def to_dict(config: Any) -> dict[str, Any]:
-    """Return the configuration as plain values, ready for YAML or JSON."""
+def to_dict(config: Any) -> Any:
+    """Return a configuration, or one of its values, as plain values, ready for YAML or JSON."""
 
     def plain(value: Any) -> Any:
-        if isinstance(value, Path):
-            return str(value)
-        if isinstance(value, (list, tuple)):
-            return [plain(item) for item in value]
-        if isinstance(value, dict):
-            return {key: plain(item) for key, item in value.items()}
-        return value
+        is_section = dataclasses.is_dataclass(value) and not isinstance(value, type)
+        return dataclasses.asdict(value) if is_section else str(value)
 
-    return plain(dataclasses.asdict(config))
+    return json.loads(json.dumps(config, default=plain))
 
 
-def dump_yaml(values: dict[str, Any]) -> str:
+def dump_yaml(values: Mapping[str, Any]) -> str:
     """Return YAML text of plain values, in their own order."""
-    return yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
+    return yaml.dump(dict(values), Dumper=_Dumper, sort_keys=False, allow_unicode=True)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One setting of a configuration, or the heading of a section.
+
+    Attributes:
+        name: dotted name, as on the command line.
+        value: YAML on one line; None for the heading of a section.
+        default: YAML on one line, or "required"; None where it is the value.
+        doc: docstring on one line; empty where there is none.
+    """
+
+    name: str
+    value: str | None
+    default: str | None
+    doc: str
+
+
+def list_settings(config: Any, prefix: str = "") -> Iterator[Setting]:
+    """Yield the settings of a configuration in the order of its schema, sections last.
+
+    Args:
+        config: an instance of a configuration dataclass.
+        prefix: dotted name of its section, with a dot at the end.
+    """
+    docs = field_docs(type(config))
+    sections = []
+    for field in dataclasses.fields(config):
+        name, value = f"{prefix}{field.name}", getattr(config, field.name)
+        doc, default = docs.get(field.name, ""), _default(field)
+        if dataclasses.is_dataclass(value):
+            doc = doc or (type(value).__doc__ or "").partition("\n")[0]
+            heading = Setting(name, None, "null" if default == "null" else None, doc)
+            sections.append((heading, value))
+        else:
+            written = _on_one_line(value)
+            yield Setting(name, written, None if written == default else default, doc)
+    for heading, section in sections:
+        yield heading
+        yield from list_settings(section, f"{heading.name}.")
+
+
+def _default(field: dataclasses.Field[Any]) -> str:
+    if field.default is not MISSING:
+        return _on_one_line(field.default)
+    if field.default_factory is not MISSING:
+        return _on_one_line(field.default_factory())
+    return "required"
+
+
+def _on_one_line(value: Any) -> str:
+    """Return a value as YAML on one line."""
+    text = yaml.safe_dump(
+        to_dict(value),
+        default_flow_style=True,
+        sort_keys=False,
+        allow_unicode=True,
+        width=10_000,
+    )
+    return text.split("\n...")[0].strip()

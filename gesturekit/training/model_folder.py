@@ -1,4 +1,4 @@
-"""A model on disk: a folder of config.yaml, skeleton.json, model.safetensors and README.md."""
+"""Folders on disk of a model, and of the training data from which a resumed run continues."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.run.device import memory_ran_out
-from gesturekit.training.run.state import unfinished
+from gesturekit.training.run.folder import unfinished
 from gesturekit.training.run_config import MOST_SMOOTH
 
 FORMAT = 1
@@ -37,6 +37,7 @@ class _HasSkeleton(Protocol):
 
 
 Model = TypeVar("Model", bound=_HasSkeleton)
+Data = TypeVar("Data")
 
 log = logging.getLogger(__name__)
 
@@ -122,36 +123,21 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
         fps = float(config["fps"])
         if not 0 < fps < math.inf:
             raise ValueError(f"fps is {fps}")
-        _check_files(folder)
-        rig = json.loads((folder / "skeleton.json").read_text(encoding="utf-8"))
-        model = assemble(ModelParts(folder, config, rig, load_file(folder / "model.safetensors")))
+        model = assemble(ModelParts(folder, config, *_read_files(folder)))
     except af.FeatureError as error:
         raise ModelError(f"{folder / 'config.yaml'}: features: {error}") from error
     except (af.AudioFeaturesError, ModelError):
         raise
-    except FileNotFoundError as error:
-        # safetensors does not say which file it missed.
-        missing = Path(error.filename or "model.safetensors").name
-        raise ModelError(f"{folder}: the model lacks {missing}") from None
-    except json.JSONDecodeError as error:
-        raise ModelError(f"{folder}: skeleton.json is damaged ({error})") from None
     except torch.cuda.OutOfMemoryError as error:
         raise ModelError(
             f"{folder}: {memory_ran_out(error)}; free it, or load the model with device cpu"
         ) from error
-    except OSError as error:
-        named = Path(error.filename or "model.safetensors").name
-        raise ModelError(f"{folder}: {named} cannot be read ({error.strerror or error})") from None
-    except SafetensorError as error:
-        raise ModelError(f"{folder}: model.safetensors is damaged ({error})") from error
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        # torch lists every tensor that does not fit, on a line of its own.
-        reason = " ".join(str(error).splitlines()[:2]).replace("\t", " ")
-        raise ModelError(f"{folder}: the model is damaged ({reason})") from error
     except Exception as error:
-        # Not known to be damage: memory that ran out, a library that is missing.
-        reason = f"{type(error).__name__}: {error}".removesuffix(": ")
-        raise ModelError(f"{folder}: the model cannot be loaded ({reason})") from error
+        # Damage, memory that ran out, a library that is missing. torch lists every tensor that does
+        # not fit, on a line of its own.
+        reason = " ".join(str(error).splitlines()[:2]).replace("\t", " ")
+        reason = f"{type(error).__name__}: {reason}".removesuffix(": ")
+        raise ModelError(f"{folder}: the model is damaged or cannot be used ({reason})") from error
     if missing := unidentified(model.skeleton):
         locked = "feet are not locked, and " if missing.startswith("legs") else ""
         log.warning(
@@ -163,21 +149,31 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
     return model
 
 
-def _check_files(folder: Path) -> None:
-    """Refuse what is no regular file, whose reading may never end, and a million tensors.
+def _read_files(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """Return the content of skeleton.json and of model.safetensors.
+
+    What is no regular file, whose reading may never end, and a million tensors are refused.
 
     Raises:
-        ModelError: see above.
+        ModelError: a file is missing or damaged.
     """
-    for name in ("skeleton.json", "model.safetensors"):
-        if (folder / name).exists() and not (folder / name).is_file():
-            raise ModelError(f"{folder / name}: not a regular file")
-    with (folder / "model.safetensors").open("rb") as file:
-        header = int.from_bytes(file.read(8), "little")  # bytes of JSON about the tensors
-    if header > _MOST_HEADER:
-        raise ModelError(
-            f"{folder}: model.safetensors is damaged, or none of a model ({header} bytes of names)"
-        )
+    file = folder / "skeleton.json"
+    try:
+        rig = json.loads(_regular(file).read_text(encoding="utf-8"))
+        file = folder / "model.safetensors"
+        with _regular(file).open("rb") as opened:
+            header = int.from_bytes(opened.read(8), "little")  # bytes of JSON about the tensors
+        if header > _MOST_HEADER:
+            raise ValueError(f"{header} bytes of names")
+        return rig, load_file(file)
+    except (OSError, ValueError, SafetensorError) as error:
+        raise ModelError(f"{file}: missing or damaged ({error})") from error
+
+
+def _regular(file: Path) -> Path:
+    if file.exists() and not file.is_file():
+        raise ValueError("not a regular file")
+    return file
 
 
 def _read_config(folder: Path, kind: str) -> dict[str, Any]:
@@ -245,3 +241,38 @@ def rig_values(representation: Any, speakers: Mapping[str, Skeleton]) -> dict[st
 def read_speakers(rig: Mapping[str, Any]) -> dict[str, Skeleton]:
     """Return the reference skeletons in `rig_values`."""
     return {name: Skeleton.from_json(body) for name, body in rig["speakers"].items()}
+
+
+def save_data(folder: Path, tensors: dict[str, Tensor], about: Mapping[str, Any]) -> None:
+    """Write the training data of a run: `data.safetensors`, and plain values in `data.json`.
+
+    Features and encoded motion computed again would differ in their last bits, because numpy's
+    vector instructions depend on the alignment of arrays.
+    """
+    for name in ("data.safetensors", "data.json"):
+        remove_unfinished(folder / name)
+    write_tensors(folder / "data.safetensors", tensors)
+    with atomic_write(folder / "data.json") as temporary:
+        temporary.write_text(json.dumps(about), encoding="utf-8")
+
+
+def load_data(folder: Path, assemble: Callable[[dict[str, Any], dict[str, Tensor]], Data]) -> Data:
+    """Read what `save_data` wrote.
+
+    Args:
+        folder: as written by `save_data`.
+        assemble: build the data from plain values and tensors.
+
+    Raises:
+        ConfigError: the folder's data is missing or damaged.
+        WeightsError: the WavLM weights differ from those at the start of the run.
+    """
+    try:
+        about = json.loads((folder / "data.json").read_text(encoding="utf-8"))
+        return assemble(about, load_file(folder / "data.safetensors"))
+    except af.WeightsError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
+        raise ConfigError(
+            f"{folder}: the run's training data cannot be read ({error}); start a new run"
+        ) from error

@@ -42,8 +42,8 @@ class Recipe:
     @property
     def configs(self) -> list[Path]:
         """Configuration files of the recipe, config.yaml first."""
-        found = sorted(self.folder.glob("*.yaml"))
-        return sorted(found, key=lambda path: path.name != "config.yaml")
+        files = self.folder.glob("*.yaml")
+        return sorted(files, key=lambda path: (path.name != "config.yaml", path))
 
 
 def recipes_folder() -> Path:
@@ -120,10 +120,21 @@ def find_config(path: Path | str) -> Path:
     Raises:
         ConfigError: there is none; the message suggests the nearest.
     """
-    found = named_config(Path(path)) or Path(path)
-    if not found.exists():
-        raise ConfigError(f"{path}: no such configuration file{_near(found)}")
-    return found
+    file = named_config(Path(path)) or Path(path)
+    if file.exists():
+        return file
+    beside = [str(other) for other in file.parent.glob("*.yaml")] if file.parent.is_dir() else []
+    known = {name: name for name in [*beside, *_config_names()]}
+    # A recipe may be meant by its folder's name, as in `recipes/multires_speech`.
+    known |= {str(Path(name).parent): name for name in known if Path(name).name == "config.yaml"}
+    same = [name for name in known if Path(name).name == file.name]
+    # A file of the user's rather than one that comes with gesturekit.
+    meant = [name for name in same if Path(name).is_file()][:3] or same[:3]
+    meant = meant or [known[name] for name in difflib.get_close_matches(str(file), known, n=1)]
+    hint = f"there are {', '.join(main_configs())} (gesturekit recipes ls)"
+    if meant:
+        hint = f"did you mean {' or '.join(meant)}?"
+    raise ConfigError(f"{path}: no such configuration file; {hint}")
 
 
 def copy_recipe(name: str, destination: Path) -> Path:
@@ -160,25 +171,8 @@ def is_copy(folder: Path) -> bool:
     return has_config and not any((folder / name).exists() for name in others)
 
 
-def _near(path: Path) -> str:
-    """Return the end of a message that suggests configurations with a similar name."""
-    beside = [str(file) for file in path.parent.glob("*.yaml")] if path.parent.is_dir() else []
-    known = {name: name for name in [*beside, *_config_names()]}
-    # A recipe may be meant by its folder's name, as in `recipes/multires_speech`.
-    known |= {str(Path(name).parent): name for name in known if Path(name).name == "config.yaml"}
-    same = [name for name in known if Path(name).name == path.name]
-    # A file of the user's rather than one that comes with gesturekit.
-    same = [name for name in same if Path(name).is_file()] or same
-    if same:
-        return f"; did you mean {' or '.join(same[:3])}?"
-    near = difflib.get_close_matches(str(path), known)
-    if near:
-        return f"; did you mean {known[near[0]]}?"
-    return f"; there are {', '.join(main_configs())} (gesturekit recipes ls)"
-
-
 def _config_names() -> list[str]:
     """Return `recipes/NAME/VARIANT.yaml` for each configuration here and in gesturekit."""
     folders: Sequence[Path] = (Path(), recipes_folder().parent)
-    found = {path.relative_to(f) for f in folders for path in f.glob("recipes/*/*.yaml")}
-    return sorted(path.as_posix() for path in found)
+    files = {path.relative_to(f) for f in folders for path in f.glob("recipes/*/*.yaml")}
+    return sorted(path.as_posix() for path in files)

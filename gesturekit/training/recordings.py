@@ -6,11 +6,14 @@ Both systems load their corpus by `load_recordings`; each adds its own to what t
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import mode
 from typing import Any
+
+import torch
 
 from gesturekit.corpus.checks import first_difference
 from gesturekit.corpus.item import Item, file_fingerprint
@@ -22,9 +25,9 @@ from gesturekit.motion.model_joints import reference_skeleton
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.training.data.excerpts import Excerpt, systematic_sample
 from gesturekit.training.data.sources import TrainedSegment
 from gesturekit.training.run_config import RunConfig
+from gesturekit.training.seeds import rng_for
 from gesturekit.wording import counted, listed
 
 log = logging.getLogger(__name__)
@@ -35,6 +38,87 @@ _FAR_ABOVE = 1.5
 
 TRIAL_SECONDS = 30.0
 """Length of the excerpt of the corpus that a trial has."""
+
+
+_LONGEST, _SHORTEST = 60.0, 10.0
+"""Seconds of an excerpt: many short ones cover more takes, long ones show how movement changes
+within a take."""
+
+
+@dataclass(frozen=True)
+class Excerpt:
+    """Part of an item.
+
+    Attributes:
+        index: of the item among those of the corpus.
+        start: seconds from the item's start.
+        duration: seconds.
+    """
+
+    index: int
+    start: float
+    duration: float
+
+    def of(self, items: Sequence[Item]) -> Item:
+        """Return the excerpt as an item of its own."""
+        item = items[self.index]
+        return replace(
+            item,
+            motion_start=item.motion_start + self.start,
+            audio_start=item.audio_start + self.start,
+            duration=self.duration,
+        )
+
+    def frames(self, fps: float, n_frames: int) -> tuple[int, int]:
+        """Return first frame and end of the excerpt of an item that has `n_frames`."""
+        length = min(n_frames, max(1, math.floor(self.duration * fps + 0.5)))
+        start = min(round(self.start * fps), n_frames - length)
+        return start, start + length
+
+
+def systematic_sample(
+    items: Sequence[Item], seconds: float, *, seed: int = 0, every_group: bool = True
+) -> list[Excerpt]:
+    """Return excerpts of about `seconds` in total, spread over speakers, styles and takes.
+
+    All recordings are laid end to end, in the order of speaker, style and take, and excerpts begin
+    at equal distances from a random first place (a systematic sample). So each second is as likely
+    as any other to be in the sample, and each part of the corpus has its share of it.
+
+    Args:
+        items: of the corpus.
+        seconds: total length of the sample; a shorter corpus is returned whole.
+        seed: of the first place; the same in all runs, so that they share arrays.
+        every_group: add one excerpt of each speaker and style that would be missed.
+    """
+    total = sum(item.duration for item in items)
+    if total <= seconds:
+        return [Excerpt(i, 0.0, item.duration) for i, item in enumerate(items)]
+    order = sorted(range(len(items)), key=lambda i: (*_group(items[i]), items[i].take, items[i].id))
+    groups = {_group(item) for item in items}
+    length = min(_LONGEST, max(_SHORTEST, seconds / len(groups)))
+    # Items shorter than an excerpt are taken whole, so that more excerpts fit.
+    usual = sum(item.duration * min(length, item.duration) for item in items) / total
+    step = total / max(1, round(seconds / usual))
+    first = step * float(torch.rand((), generator=rng_for(seed, "sample of the corpus")))
+    chosen, begin, count = [], 0.0, 0
+    for i in order:
+        duration = items[i].duration
+        while first + count * step < begin + duration:
+            place, part = first + count * step - begin, min(length, duration)
+            chosen.append(Excerpt(i, min(place, duration - part), part))
+            count += 1
+        begin += duration
+    missed = groups - {_group(items[excerpt.index]) for excerpt in chosen} if every_group else set()
+    for i in order:
+        if _group(items[i]) in missed:
+            missed.discard(_group(items[i]))
+            chosen.append(Excerpt(i, 0.0, min(length, items[i].duration)))
+    return sorted(set(chosen), key=lambda excerpt: (excerpt.index, excerpt.start))
+
+
+def _group(item: Item) -> tuple[str, str]:
+    return item.speaker or "", item.style or ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +150,9 @@ class Recordings:
     @property
     def read(self) -> tuple[Item, ...]:
         """Items or excerpts whose motion was read."""
-        return self.items if self.excerpts is None else _of(self.excerpts, self.items)
+        if self.excerpts is None:
+            return self.items
+        return tuple(excerpt.of(self.items) for excerpt in self.excerpts)
 
     @property
     def rates(self) -> list[float]:
@@ -91,11 +177,11 @@ class Recordings:
     @property
     def speakers(self) -> dict[str, Skeleton]:
         """Reference skeleton of each speaker that the corpus names."""
-        own: dict[str, list[Motion]] = {}
+        motions: dict[str, list[Motion]] = {}
         for item, motion in zip(self.read, self.motions, strict=True):
             if item.speaker is not None:
-                own.setdefault(item.speaker, []).append(motion)
-        return {name: reference_skeleton(theirs) for name, theirs in own.items()}
+                motions.setdefault(item.speaker, []).append(motion)
+        return {name: reference_skeleton(theirs) for name, theirs in motions.items()}
 
     def sources(self, rates: Sequence[float]) -> tuple[TrainedSegment, ...]:
         """Return the record of the items, with the frame rates of their files, for the model
@@ -148,8 +234,7 @@ class Rig:
         Raises:
             CorpusError, ConfigError, FormatError: see `load_motions`.
         """
-        motion = _load(item, self.parts)
-        _check_same_rig(item, motion, self.skeleton, self.corpus)
+        motion = _load(item, self.parts, self.skeleton, self.corpus)
         body = self.bodies.get(item.speaker)
         return motion if body is None else on_body(motion, body)
 
@@ -202,42 +287,29 @@ def load_recordings(
         unpaired = tuple(others(manifest))
     else:
         unpaired = manifest.unpaired("train") if speech else ()
-    found = Recordings(manifest, items, None, [], names, style_of, unpaired, (items, unpaired))
+    whole = (items, unpaired)
     if trial:
-        chosen = _trial(items)
-        found = replace(
-            found,
-            items=_of(chosen, items),
-            style_of=[style_of[excerpt.index] for excerpt in chosen],
-            unpaired=_of(_trial(unpaired), unpaired),
-        )
-    elif found.is_long(config):
+        chosen = systematic_sample(items, TRIAL_SECONDS, every_group=False)
+        others_chosen = systematic_sample(unpaired, TRIAL_SECONDS, every_group=False)
+        items = tuple(excerpt.of(items) for excerpt in chosen)
+        unpaired = tuple(excerpt.of(unpaired) for excerpt in others_chosen)
+        style_of = [style_of[excerpt.index] for excerpt in chosen]
+    loaded = Recordings(manifest, items, None, [], names, style_of, unpaired, whole)
+    if loaded.is_long(config) and not trial:
         sample = systematic_sample(items, 60 * config.in_memory)
-        found = replace(found, excerpts=tuple(sample))
-    checked = found.read if trial else items  # a plan does not read hours of files
-    if changed := sorted({str(file) for item in checked for file in item.changed_files}):
+        loaded = replace(loaded, excerpts=tuple(sample))
+    # In a trial hours of files are not read.
+    if changed := sorted({str(file) for item in items for file in item.changed_files}):
         log.warning(
             "%s: %s changed since gesturekit prepare, and may not be what it checked: %s; run it "
             "again",
             *(config.corpus, counted(len(changed), "file"), listed(changed, 4)),
         )
-    name = _named(config.corpus, len(found.read), len(items)) if trial else config.corpus
-    motions = load_motions(found.read, name, config.fps, parts)
-    return replace(found, motions=motions)
-
-
-def _named(corpus: Path, read: int, total: int) -> str:
-    part = f" (an excerpt of it, {read} of {counted(total, 'recording')})"
-    return f"{corpus}{part if read < total else ''}"
-
-
-def _trial(items: Sequence[Item]) -> list[Excerpt]:
-    """Return an excerpt of a corpus of which a few steps are timed; all of a short one."""
-    return systematic_sample(items, TRIAL_SECONDS, every_group=False)
-
-
-def _of(excerpts: Sequence[Excerpt], items: Sequence[Item]) -> tuple[Item, ...]:
-    return tuple(excerpt.of(items) for excerpt in excerpts)
+    name = str(config.corpus)
+    if len(items) < len(whole[0]):
+        count = counted(len(whole[0]), "recording")
+        name += f" (an excerpt of it, {len(items)} of {count})"
+    return replace(loaded, motions=load_motions(loaded.read, name, config.fps, parts))
 
 
 def training_items(manifest: Manifest, corpus: Path, *, with_audio: bool) -> tuple[Item, ...]:
@@ -299,10 +371,9 @@ def load_motions(
         ConfigError: `parts` names a joint that is not there.
         FormatError: a file cannot be read.
     """
-    motions = []
+    motions: list[Motion] = []
     for item in items:
-        motions.append(_load(item, parts))
-        _check_same_rig(item, motions[-1], motions[0].skeleton, corpus)
+        motions.append(_load(item, parts, motions[0].skeleton if motions else None, corpus))
     if parts:
         try:
             find_parts(motions[0].skeleton)
@@ -319,20 +390,18 @@ def load_motions(
     return _with_one_body_each(items, motions, corpus)
 
 
-def _load(item: Item, parts: Mapping[str, str]) -> Motion:
-    """Read the motion of an item at its file's frame rate, `info["recorded_fps"]`."""
+def _load(
+    item: Item, parts: Mapping[str, str], usual: Skeleton | None, corpus: Path | str
+) -> Motion:
+    """Read the motion of an item at its file's frame rate, and check that it has the usual rig."""
     try:
         motion = item.load_motion(parts)
     except MotionError as error:
         raise ConfigError(f"parts: item {item.id}: {error}") from None
+    if usual is not None and (different := first_difference(motion.skeleton, usual)):
+        raise CorpusError(f"{corpus}: item {item.id}: another skeleton: {different}")
     motion.info["recorded_fps"] = motion.fps
     return motion
-
-
-def _check_same_rig(item: Item, motion: Motion, usual: Skeleton, corpus: Path | str) -> None:
-    """Raise CorpusError for a motion on another rig than the corpus's usual one."""
-    if different := first_difference(motion.skeleton, usual):
-        raise CorpusError(f"{corpus}: item {item.id}: another skeleton: {different}")
 
 
 def _with_one_body_each(
@@ -342,11 +411,11 @@ def _with_one_body_each(
 
     Recordings without a speaker are taken to be of one person.
     """
-    own: dict[str | None, list[int]] = {}
+    numbers_of: dict[str | None, list[int]] = {}
     for k, item in enumerate(items):
-        own.setdefault(item.speaker, []).append(k)
-    found = list(motions)
-    for speaker, numbers in own.items():
+        numbers_of.setdefault(item.speaker, []).append(k)
+    on_bodies = list(motions)
+    for speaker, numbers in numbers_of.items():
         shapes = {motions[k].skeleton.body_shape for k in numbers}
         if len(shapes) == 1:
             continue
@@ -366,5 +435,5 @@ def _with_one_body_each(
             f", as {body.body_shape.gender or 'neutral'}" if among else "",
         )
         for k in numbers:
-            found[k] = on_body(motions[k], body)
-    return found
+            on_bodies[k] = on_body(motions[k], body)
+    return on_bodies

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 import audio_features as af
-from gesturekit.corpus import SpeechConditioner
+from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion import (
     Conditions,
     DeltaRepresentation,
@@ -16,7 +16,7 @@ from gesturekit.diffusion import (
     Normaliser,
 )
 from gesturekit.motion import Motion
-from gesturekit.training import seeded
+from gesturekit.training.seeds import seeded
 
 
 def small_diffusion(

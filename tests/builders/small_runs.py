@@ -5,7 +5,7 @@ from typing import Any
 
 from gesturekit.diffusion import DiffusionConfig
 from gesturekit.multires import MultiresConfig
-from gesturekit.training import build
+from gesturekit.training.config import build
 
 SMALL: dict[str, dict[str, Any]] = {
     "multires": {

@@ -21,7 +21,7 @@ from gesturekit.corpus import Item, Manifest, prepare
 from gesturekit.jobs import STATE
 from gesturekit.jobs.records import write_items
 from gesturekit.motion import Motion
-from gesturekit.training import TrainedSegment, save_sources
+from gesturekit.training.data.sources import TrainedSegment, save_sources
 
 
 @pytest.fixture(scope="module")

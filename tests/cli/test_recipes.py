@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from gesturekit.errors import ConfigError
-from gesturekit.training import read_chain
+from gesturekit.training.config import read_chain
 from gesturekit.training.recipes import find_config, recipe_config
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,7 +9,8 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 import audio_features as af
-from gesturekit.corpus import LEAD, Correlation, Manifest, corrections, correlate, pooled, prepare
+from gesturekit.corpus import Manifest, prepare
+from gesturekit.corpus.alignment import LEAD, Correlation, corrections, correlate, pooled
 from gesturekit.errors import CorpusError
 from gesturekit.motion import Motion
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from published import INFO
 
-from gesturekit.corpus import Listing
 from gesturekit.corpus.layouts import read_layout
+from gesturekit.corpus.layouts.listing import Listing
 from gesturekit.errors import CorpusError
 
 

@@ -6,8 +6,8 @@ from math import inf
 import numpy as np
 import pytest
 
-from gesturekit.corpus import choose_held_out, cut, parse_intervals
 from gesturekit.corpus.pairing import pair, recording_ids, scan
+from gesturekit.corpus.splits import as_intervals, choose_held_out, cut
 from gesturekit.errors import CorpusError
 
 
@@ -115,10 +115,10 @@ def test_the_choice_depends_on_the_seed_and_not_on_the_order():
 
 
 def test_intervals_are_read_and_wrong_ones_refused():
-    assert parse_intervals("10-20.5, 55-") == [(10.0, 20.5), (55.0, inf)]
-    for text in ("", "10", "20-10", "10-10", "a-b", "10-20;30-40", "-5"):
+    assert as_intervals("10-20.5, 55-") == [(10.0, 20.5), (55.0, inf)]
+    for text in (" ", "10", "20-10", "10-10", "a-b", "10-20;30-40", "-5"):
         with pytest.raises(CorpusError):
-            parse_intervals(text)
+            as_intervals(text)
 
 
 def test_cutting_leaves_the_rest_for_training():

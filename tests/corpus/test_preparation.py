@@ -51,7 +51,7 @@ def test_pairs_become_items_of_a_manifest_that_loads(tmp_path, write_pair):
 
 def test_words_beside_a_recording_become_features_on_motion_frames(tmp_path, write_pair):
     import audio_features as af
-    from gesturekit.corpus import extract
+    from gesturekit.corpus.speech import extract
 
     write_pair(tmp_path / "in", "take", 4.0)
     (tmp_path / "in" / "take.ctm").write_text("take 1 0.5 0.3 so\ntake 1 2.5 0.2 well\n")

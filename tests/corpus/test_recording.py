@@ -5,7 +5,8 @@ import pytest
 from rigs import rig_of, with_offsets, without_joints
 from scipy.spatial.transform import Rotation
 
-from gesturekit.corpus import Recording, examine, first_difference, reference_pose, usual_skeleton
+from gesturekit.corpus.checks import first_difference, reference_pose, usual_skeleton
+from gesturekit.corpus.recording import Recording, examine
 from gesturekit.motion import Motion
 
 

@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gesturekit.corpus import Correlation, Item, Manifest, Problem, Recording, Report, root_with
-from gesturekit.corpus.alignment import LEAD
+from gesturekit.corpus import Item, Manifest, Problem, Report
+from gesturekit.corpus.alignment import LEAD, Correlation
+from gesturekit.corpus.layouts.listing import root_with
+from gesturekit.corpus.recording import Recording
 from gesturekit.errors import CorpusError
 from gesturekit.motion import Skeleton
 

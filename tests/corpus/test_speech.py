@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 import audio_features as af
-from gesturekit.corpus import SpeechConditioner, as_speech, detects_voice, extract, speech_features
+from gesturekit.corpus.speech import (
+    SpeechConditioner,
+    as_speech,
+    detects_voice,
+    extract,
+    speech_features,
+)
 from gesturekit.errors import ModelError
 
 

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from gesturekit.corpus import HoldOut, Item, Recording, split_items
+from gesturekit.corpus import Item
+from gesturekit.corpus.recording import Recording
+from gesturekit.corpus.splits import hold_out, split_items
 from gesturekit.errors import CorpusError
 
 NAMES = ("day1/a", "day1/b", "day2/a")
@@ -37,10 +39,10 @@ def test_names_that_fit_nothing_or_everything_are_one_clear_error(tmp_path):
             names.write_bytes(text.encode() if isinstance(text, str) else text)
             wanted = {"file": names}
         with pytest.raises(CorpusError, match=says):
-            HoldOut(**wanted).apply(recordings())
+            hold_out(recordings(), **wanted)
     unnamed = [replace(one, speaker=None) for one in recordings()]
     with pytest.raises(CorpusError, match="(?=.*'ann').*none"):
-        HoldOut(speakers=("ann",)).apply(unnamed)
+        hold_out(unnamed, speakers=("ann",))
 
 
 def test_an_item_has_all_that_its_recording_had():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gesturekit.corpus.styles import style_track
+from gesturekit.corpus.speech import style_track
 from gesturekit.errors import ModelError
 
 NAMES = ("angry", "old", "sad")

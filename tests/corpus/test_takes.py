@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from gesturekit.corpus import Item, Recording, prepare, split_items
+from gesturekit.corpus import Item, prepare
+from gesturekit.corpus.recording import Recording
+from gesturekit.corpus.splits import split_items
 from gesturekit.corpus.takes import name_takes, neighbours
 from gesturekit.errors import CorpusError
 

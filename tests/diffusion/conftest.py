@@ -16,7 +16,7 @@ from gesturekit.diffusion import (
     NoiseConfig,
     Normaliser,
 )
-from gesturekit.training import rng_for, seeded
+from gesturekit.training.seeds import rng_for, seeded
 
 SMALL = NetworkConfig(blocks=3, layers=2, channels=32, heads=4, feedforward=48, embedding=24)
 

@@ -7,7 +7,7 @@ import torch
 
 from gesturekit.diffusion import NetworkConfig
 from gesturekit.diffusion.network.attention import PositionBias, attend, bands
-from gesturekit.training import rng_for
+from gesturekit.training.seeds import rng_for
 
 
 def bent_bias(config: NetworkConfig) -> PositionBias:

@@ -12,7 +12,7 @@ from gesturekit.diffusion.training.augmentation import (
 )
 from gesturekit.errors import ConfigError
 from gesturekit.motion import RootPath, multiply_quaternions, quaternion_from_rotation_vector
-from gesturekit.training import rng_for
+from gesturekit.training.seeds import rng_for
 
 
 @pytest.fixture

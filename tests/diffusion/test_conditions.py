@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import audio_features as af
-from gesturekit.corpus import SpeechConditioner
+from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion import Conditions, smooth_path
 from gesturekit.formats import Event
 from gesturekit.motion import RootPath

@@ -12,7 +12,7 @@ from gesturekit.diffusion.sampling.experts import (
     clip_denoised,
 )
 from gesturekit.errors import ModelError
-from gesturekit.training import rng_for, seeded
+from gesturekit.training.seeds import rng_for, seeded
 
 FRAMES, MOTION, CONDITION = 40, 5, 3
 CONFIG = NetworkConfig(blocks=2, layers=1, channels=16, heads=2, feedforward=32, embedding=16)

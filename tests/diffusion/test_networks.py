@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from gesturekit.diffusion import Denoiser, DilatedConv, NetworkConfig
-from gesturekit.training import rng_for
+from gesturekit.training.seeds import rng_for
 
 DIFFWAVE = NetworkConfig(
     blocks=4, channels=16, embedding=24, dilations=(1, 2, 4, 8), architecture="diffwave"

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from gesturekit.diffusion import NoiseConfig, NoiseSchedule, sample
-from gesturekit.training import rng_for
+from gesturekit.training.seeds import rng_for
 
 GESTURE = NoiseSchedule.of(NoiseConfig())
 DANCE = NoiseSchedule.of(NoiseConfig(steps=150, first_beta=0.01, last_beta=0.7))

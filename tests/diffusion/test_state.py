@@ -17,7 +17,7 @@ from gesturekit.diffusion import Batches, StateDistance, load_training_data, tra
 from gesturekit.diffusion.state import measured
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.state import StateProcess
-from gesturekit.training import rng_for
+from gesturekit.training.seeds import rng_for
 
 FILE = "model.safetensors"
 DROPPED = {"dropout_condition": 0.4, "dropout_state": 0.4, "state": 0.1}

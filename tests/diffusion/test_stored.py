@@ -12,7 +12,8 @@ import torch
 from runs import cut_off, same_weights
 from small_runs import small_diffusion
 
-from gesturekit.corpus import Manifest, one_blas_thread, prepare
+from gesturekit.corpus import Manifest, prepare
+from gesturekit.corpus.speech import one_blas_thread
 from gesturekit.diffusion import Batches, DiffusionConfig, load_training_data, train
 
 ON_DISK = {"in_memory": 0.06}

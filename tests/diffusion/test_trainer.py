@@ -13,7 +13,8 @@ import gesturekit as gk
 from gesturekit.corpus import prepare
 from gesturekit.diffusion import DiffusionModel, TrainingConfig, learning_rate, train
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.training import Checkpoints, to_dict
+from gesturekit.training.config import to_dict
+from gesturekit.training.run.folder import Checkpoints
 
 
 def test_a_run_leaves_metrics_checkpoints_and_a_model_that_moves(make_config):

@@ -17,7 +17,7 @@ from gesturekit.formats import frames_header, smpl_skeleton, write_bvh, write_np
 from gesturekit.jobs import Result, Task
 from gesturekit.jobs.records import write_record
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.training import dump_yaml
+from gesturekit.training.config import dump_yaml
 
 
 def base_motions() -> list[Motion]:

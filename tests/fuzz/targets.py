@@ -32,7 +32,8 @@ from gesturekit.multires import MultiresConfig
 from gesturekit.rendering import read_list
 from gesturekit.study import Votes
 from gesturekit.systems import model_folder
-from gesturekit.training import Checkpoints, load_config
+from gesturekit.training.config import load_config
+from gesturekit.training.run.folder import Checkpoints
 
 Seeds = Callable[[Path], list[bytes]]
 

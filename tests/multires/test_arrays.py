@@ -19,7 +19,8 @@ import gesturekit as gk
 from gesturekit.corpus import Manifest
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.multires import Trainer, TrainingData, load_training_data, train
-from gesturekit.training import dump_yaml, session, to_dict
+from gesturekit.training.config import dump_yaml, to_dict
+from gesturekit.training.run.session import session
 
 LONG = {"in_memory": 0.15}
 """Minutes; the corpus of the tests has 6.5 s of recordings and 5 s of unpaired speech."""

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from gesturekit.multires import Stage, Trainer, log_movement, losses, random_windows, resample
-from gesturekit.training import rng_for, session
+from gesturekit.training.run.session import session
+from gesturekit.training.seeds import rng_for
 
 
 def test_generators_want_high_scores_and_discriminators_a_gap():

@@ -9,7 +9,7 @@ import yaml
 from runs import apart, ended, launch, logged, same_weights
 
 from gesturekit.multires import train
-from gesturekit.training import to_dict
+from gesturekit.training.config import to_dict
 
 TRAIN = ("-m", "gesturekit", "train")
 

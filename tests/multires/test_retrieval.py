@@ -26,7 +26,7 @@ from gesturekit.multires import (
     train,
 )
 from gesturekit.multires.training.library import build_library
-from gesturekit.training import rng_for
+from gesturekit.training.seeds import rng_for
 
 # Pieces of whole bodies: 20 frames, of which 4 are a cross-fade from the one before.
 

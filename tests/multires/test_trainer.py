@@ -16,7 +16,9 @@ from audio_features import WeightsError
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.multires import LossConfig, Trainer, load_training_data, train
-from gesturekit.training import Checkpoints, dump_yaml, session, to_dict
+from gesturekit.training.config import dump_yaml, to_dict
+from gesturekit.training.run.folder import Checkpoints
+from gesturekit.training.run.session import session
 
 RANDOM = {"discriminator", "adversarial", "contact", "smoothness", "arm_speed"}
 ALL = RANDOM | {"reconstruction"}

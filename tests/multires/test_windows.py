@@ -8,7 +8,7 @@ import torch
 
 from audio_features import level_lengths, residual_pyramid
 from gesturekit.multires import resample
-from gesturekit.training import rng_for
+from gesturekit.training.seeds import rng_for
 
 FIRST = 2
 """A stage's first level, above two that are finished."""

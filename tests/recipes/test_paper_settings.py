@@ -13,7 +13,7 @@ import pytest
 
 from gesturekit.diffusion import DiffusionConfig
 from gesturekit.multires import MultiresConfig
-from gesturekit.training import load_config
+from gesturekit.training.config import load_config
 
 RECIPES = Path(__file__).resolve().parents[2] / "recipes"
 

@@ -5,7 +5,7 @@ import re
 import published
 import pytest
 
-from gesturekit.training import read_chain
+from gesturekit.training.config import read_chain
 from gesturekit.training.recipes import find_config, recipe_table, recipes
 
 CORPORA = {

@@ -14,7 +14,7 @@ import gesturekit as gk
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.diffusion import DiffusionConfig
 from gesturekit.multires import MultiresConfig
-from gesturekit.training import load_config, read_chain
+from gesturekit.training.config import load_config, read_chain
 from gesturekit.training.recipes import recipe_table, recipes
 
 ROOT = Path(__file__).resolve().parents[2]

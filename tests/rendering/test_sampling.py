@@ -12,7 +12,7 @@ import gesturekit as gk
 from gesturekit import Motion
 from gesturekit.corpus import Item, Manifest
 from gesturekit.rendering import SamplingOptions, sample_lda, sample_multires, sounds_of
-from gesturekit.training import build
+from gesturekit.training.config import build
 
 RAISED = 2.0  # radians by which the arms of style b are higher
 FEW = {"first_stage": 30, "further_stages": 10, "discriminator_steps": 1, "batch": 4}

@@ -11,7 +11,7 @@ from small_runs import SMALL, small_values
 from gesturekit.diffusion import DiffusionConfig
 from gesturekit.errors import ConfigError
 from gesturekit.multires import MultiresConfig
-from gesturekit.training import build, to_dict
+from gesturekit.training.config import build, to_dict
 
 CONFIGS = {"diffusion": DiffusionConfig, "multires": MultiresConfig}
 BESIDE = {"unpaired": {"corpus": "more.jsonl"}}

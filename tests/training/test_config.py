@@ -11,7 +11,7 @@ import yaml
 
 from gesturekit.diffusion import DiffusionConfig
 from gesturekit.errors import ConfigError
-from gesturekit.training import build, dump_yaml, load_config, to_dict
+from gesturekit.training.config import build, dump_yaml, load_config, to_dict
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gesturekit.corpus import Item
-from gesturekit.training.data.excerpts import Excerpt, systematic_sample
+from gesturekit.training.recordings import Excerpt, systematic_sample
 
 
 def items_of(durations, speakers=None) -> list[Item]:

@@ -10,8 +10,9 @@ import pytest
 import soundfile
 
 import audio_features as af
-from gesturekit.corpus import Item, Manifest, extract, prepare
-from gesturekit.training import array_key, stored_arrays
+from gesturekit.corpus import Item, Manifest, prepare
+from gesturekit.corpus.speech import extract
+from gesturekit.training.data.arrays import array_key, stored_arrays
 from gesturekit.training.data.features import (
     FeatureConfig,
     SpeechArrays,

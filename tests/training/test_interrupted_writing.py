@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from audio_features.atomic import atomic_write
-from gesturekit.training import Checkpoints, save_model
-from gesturekit.training.data.data_folder import save_data
+from gesturekit.training.model_folder import save_data, save_model
+from gesturekit.training.run.folder import Checkpoints
 
 WRITERS = {
     "model": lambda folder: save_model(folder, {"kind": "x", "fps": 1}, {}, {}, "text"),

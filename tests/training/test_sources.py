@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from gesturekit.corpus import file_fingerprint
-from gesturekit.training import (
+from gesturekit.corpus.item import file_fingerprint
+from gesturekit.training.data.sources import (
     TrainedSegment,
     is_trained_on,
     load_sources,

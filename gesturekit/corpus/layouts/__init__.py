@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from gesturekit.corpus.layouts.listing import Listing
 
 LAYOUTS = {
-    "beat2": "beat2:read_beat2",
+    "beat2": "speech_corpora:read_beat2",
     "zeggs": "zeggs:read_zeggs",
-    "genea2023": "genea2023:read_genea2023",
+    "genea2023": "speech_corpora:read_genea2023",
     "motorica": "motion_corpora:read_motorica",
     "100style": "motion_corpora:read_100style",
     "trinity": "motion_corpora:read_trinity",
-    "seamless": "seamless:read_seamless",
+    "seamless": "speech_corpora:read_seamless",
 }
 """Module and function that read a corpus, by the name of its layout; imported on first use.
 

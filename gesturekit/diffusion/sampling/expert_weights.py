@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gesturekit.corpus.styles import style_number, style_track
+from gesturekit.corpus.speech import style_number, style_track
 from gesturekit.diffusion.sampling.experts import SUM_TOLERANCE, Weight, checked_weight
 from gesturekit.errors import ModelError
 

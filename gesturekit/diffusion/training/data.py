@@ -24,11 +24,10 @@ from gesturekit.state.channels import StateChannels
 from gesturekit.state.format import load_state, state_tensors, state_values
 from gesturekit.state.process import StateProcess
 from gesturekit.training.data.arrays import ArrayFolder, StoredArray, StoredFrames
-from gesturekit.training.data.data_folder import load_data, save_data
 from gesturekit.training.data.features import stored_speech
 from gesturekit.training.data.sources import TrainedSegment, from_values, to_values
 from gesturekit.training.data.start_model import read_start, start_tensors
-from gesturekit.training.model_folder import read_speakers, rig_values
+from gesturekit.training.model_folder import load_data, read_speakers, rig_values, save_data
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,6 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.training.config import to_dict
 from gesturekit.training.data.arrays import Maker, StoredArray, stored_arrays
-from gesturekit.training.data.excerpts import Excerpt, systematic_sample
 from gesturekit.training.data.features import (
     SpeechArrays,
     extract_features,
@@ -45,6 +44,7 @@ from gesturekit.training.data.start_model import (
     check_settings,
     model_of,
 )
+from gesturekit.training.recordings import Excerpt, systematic_sample
 
 _STEP_FLOORS = np.array([0.03, 0.015, 0.015])
 """Least scale of turn, forward and lateral displacement: radians and metres per second."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.corpus.item import Item, file_fingerprint
-from gesturekit.corpus.styles import style_track
+from gesturekit.corpus.speech import style_track
 from gesturekit.diffusion.conditions import Conditions, smooth_path
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.motion_vector import DeltaRepresentation

@@ -17,8 +17,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.corpus.styles import style_track
+from gesturekit.corpus.speech import SpeechConditioner, style_track
 from gesturekit.errors import ModelError
 from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.network.resampling import resample

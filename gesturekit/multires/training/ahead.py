@@ -21,9 +21,8 @@ from gesturekit.progress import Progress
 from gesturekit.state.ahead import LOOK_AHEADS, AheadPrediction, FeatureWindow, live_rows
 from gesturekit.state.prediction import slow_part
 from gesturekit.state.process import StateProcess
-from gesturekit.training.data.excerpts import systematic_sample
 from gesturekit.training.model_folder import save_model
-from gesturekit.training.recordings import training_items
+from gesturekit.training.recordings import systematic_sample, training_items
 
 log = logging.getLogger(__name__)
 

@@ -29,7 +29,6 @@ from gesturekit.multires.training.sequences import Cut, PairedSequence
 from gesturekit.multires.training.stored import StoredCorpus
 from gesturekit.state.channels import StateChannels
 from gesturekit.training.data.arrays import Frames
-from gesturekit.training.data.data_folder import load_data, save_data
 from gesturekit.training.data.features import (
     conditioner_tensors,
     conditioner_values,
@@ -37,7 +36,7 @@ from gesturekit.training.data.features import (
 )
 from gesturekit.training.data.sources import TrainedSegment, from_values, to_values
 from gesturekit.training.data.start_model import read_start, start_tensors
-from gesturekit.training.model_folder import read_speakers, rig_values
+from gesturekit.training.model_folder import load_data, read_speakers, rig_values, save_data
 
 
 @dataclass(frozen=True)

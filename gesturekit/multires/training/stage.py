@@ -29,7 +29,7 @@ from gesturekit.multires.training.targets import (
     log_movement,
 )
 from gesturekit.multires.training.window_cache import Windows, random_part
-from gesturekit.training.run.processes import Processes
+from gesturekit.training.run.session import Processes
 from gesturekit.training.seeds import rng_for, seeded
 
 

@@ -27,14 +27,13 @@ from gesturekit.training.data.arrays import (
     StoredFrames,
     stored_arrays,
 )
-from gesturekit.training.data.excerpts import systematic_sample
 from gesturekit.training.data.features import (
     SpeechArrays,
     fit_conditioner,
     raw_speech,
     stored_speech,
 )
-from gesturekit.training.recordings import Recordings, Rig
+from gesturekit.training.recordings import Recordings, Rig, systematic_sample
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -172,29 +173,6 @@ def array_key(maker: Maker, item: Item) -> str:
     return hashlib.sha256(json.dumps(origin, sort_keys=True, default=str).encode()).hexdigest()[:32]
 
 
-@dataclass(frozen=True)
-class _Make:
-    """Make one array and write it."""
-
-    folder: ArrayFolder
-    makers: tuple[Maker, ...]
-
-    def __call__(self, task: tuple[int, Item, str]) -> str | OSError:
-        """Return an empty text, the reason for which the item has no array, or a disk's error."""
-        which, item, key = task
-        try:
-            # The last bits of matrix products depend on the number of threads.
-            with gesturekit_errors(), one_blas_thread():
-                made = self.makers[which].make(item)
-        except GestureKitError as error:
-            return f"item {item.id}: {error}"
-        try:
-            self.folder.write(key, *made)
-        except OSError as error:
-            return error
-        return ""
-
-
 def stored_arrays(
     folder: Path, wanted: Sequence[tuple[Maker, Sequence[Item]]], workers: int
 ) -> list[list[StoredArray]]:
@@ -209,40 +187,51 @@ def stored_arrays(
         CorpusError: an item without the array; those of the others are kept.
         OutputError: the folder cannot be written to; arrays made so far are kept.
     """
-    arrays, tasks = ArrayFolder(folder), []
+    arrays = ArrayFolder(folder)
     keys = [[array_key(maker, item) for item in items] for maker, items in wanted]
-    for which, (_, items) in enumerate(wanted):
-        tasks += [
-            (which, item, key)
-            for item, key in zip(items, keys[which], strict=True)
-            if arrays.find(key) is None
-        ]
-    _make_all(_Make(arrays, tuple(maker for maker, _ in wanted)), tasks, workers)
-    return [arrays.find_all(own) for own in keys]
+    tasks = [
+        (which, item, key)
+        for which, (_, items) in enumerate(wanted)
+        for item, key in zip(items, keys[which], strict=True)
+        if arrays.find(key) is None
+    ]
+    if tasks:
+        log.info("%s of the corpus are made in %s.", counted(len(tasks), "array"), folder)
+        make = partial(_make, arrays, tuple(maker for maker, _ in wanted))
+        problems = map(make, tasks) if workers < 2 else _by_workers(make, tasks, workers)
+        for problem in Progress(problems, total=len(tasks), desc="Making arrays", unit="array"):
+            if problem is not None:
+                raise type(problem)(f"{problem}; arrays made so far are kept")
+    return [arrays.find_all(keys_of_maker) for keys_of_maker in keys]
 
 
-def _make_all(make: _Make, tasks: Sequence[tuple[int, Item, str]], workers: int) -> None:
-    """Make all arrays; see `stored_arrays`."""
-    if not tasks:
-        return
-    log.info("%s of the corpus are made in %s.", counted(len(tasks), "array"), make.folder.folder)
-    for result in Progress(
-        _results(make, tasks, workers), total=len(tasks), desc="Making arrays", unit="array"
-    ):
-        if isinstance(result, OSError):
-            todo = "make room" if is_full(result) else "arrays=FOLDER names another folder"
-            reason = f"{make.folder.folder}: {result.strerror}; {todo}"
-            raise OutputError(f"{reason}; arrays made so far are kept") from result
-        if result:
-            raise CorpusError(f"{result}; arrays made so far are kept")
+_Task = tuple[int, Item, str]
+"""Number of the maker, item, and name of the array."""
 
 
-def _results(
-    make: _Make, tasks: Sequence[tuple[int, Item, str]], workers: int
-) -> Iterator[str | OSError]:
-    """Yield the result of each task as it is done."""
-    if workers < 2:
-        yield from map(make, tasks)
-        return
-    for task, result in in_processes(make, tasks, workers):
-        yield f"item {task[1].id}: {result}" if isinstance(result, Failure) else result
+def _make(
+    arrays: ArrayFolder, makers: Sequence[Maker], task: _Task
+) -> CorpusError | OutputError | None:
+    """Make one array and write it; return the error that prevents it."""
+    which, item, key = task
+    try:
+        # The last bits of matrix products depend on the number of threads.
+        with gesturekit_errors(), one_blas_thread():
+            made = makers[which].make(item)
+    except GestureKitError as error:
+        return CorpusError(f"item {item.id}: {error}")
+    try:
+        arrays.write(key, *made)
+    except OSError as error:
+        todo = "make room" if is_full(error) else "arrays=FOLDER names another folder"
+        return OutputError(f"{arrays.folder}: {error.strerror}; {todo}")
+    return None
+
+
+def _by_workers(
+    make: Callable[[_Task], Exception | None], tasks: Sequence[_Task], workers: int
+) -> Iterator[Exception | None]:
+    """Yield the error of each task, or None, as it is done."""
+    for (_, item, _), result in in_processes(make, tasks, workers):
+        failed = isinstance(result, Failure)
+        yield CorpusError(f"item {item.id}: {result}") if failed else result

@@ -61,31 +61,21 @@ class TrainedSegment:
         )
 
 
-def n_recordings(sources: Iterable[TrainedSegment]) -> int:
-    """Return the number of motion files; one that is cut into parts counts once."""
-    return len({source.motion for source in sources})
-
-
-def describe_rates(sources: Iterable[TrainedSegment], fps: float) -> str:
-    """Return "at 30 fps, trained at 25 fps", or "at 25 fps" without resampling."""
-    each_file = sorted({(s.fps, s.motion) for s in sources})  # sets have no order of their own
-    own = Counter(f"{rate:.6g} fps" for rate, _ in each_file)
-    trained = f"{fps:.6g} fps"
-    if not own or set(own) == {trained}:
-        return f"at {trained}"
-    if len(own) == 1:
-        return f"at {next(iter(own))}, trained at {trained}"
-    each = ", ".join(f"{n} at {rate}" for rate, n in own.most_common())
-    return f"({each}), trained at {trained}"
-
-
 def describe_recordings(sources: Sequence[TrainedSegment], seconds: float, fps: float) -> str:
     """Return "2 recordings in 3 parts, 14 min at 30 fps, trained at 25 fps"."""
-    count = n_recordings(sources)
+    files = sorted({(source.fps, source.motion) for source in sources})  # in a certain order
+    rates = Counter(f"{rate:.6g} fps" for rate, _ in files)
+    trained = f"{fps:.6g} fps"
+    if not rates or set(rates) == {trained}:
+        at = f"at {trained}"
+    elif len(rates) == 1:
+        at = f"at {next(iter(rates))}, trained at {trained}"
+    else:
+        each = ", ".join(f"{n} at {rate}" for rate, n in rates.most_common())
+        at = f"({each}), trained at {trained}"
+    count = len({source.motion for source in sources})  # one that is cut into parts counts once
     parts = f" in {len(sources)} parts" if len(sources) > count else ""
-    return (
-        f"{counted(count, 'recording')}{parts}, {roughly(seconds)} {describe_rates(sources, fps)}"
-    )
+    return f"{counted(count, 'recording')}{parts}, {roughly(seconds)} {at}"
 
 
 def unused_labels(
@@ -98,17 +88,17 @@ def unused_labels(
         styles: of the model; empty for a model without.
         state: whether it draws the movement of a chosen speaker.
     """
-    found, known = [], list(sources)
+    unused, known = [], list(sources)
     names = {source.style for source in known} - {None}
     if len(names) > 1 and not styles:
-        found.append(f"{len(names)} styles in the corpus, none used; styles={{}} trains with them")
+        unused.append(f"{len(names)} styles in the corpus, none used; styles={{}} trains with them")
     names = {source.speaker for source in known} - {None}
     if len(names) > 1 and not state:
-        found.append(
+        unused.append(
             f"{len(names)} speakers in the corpus, none used: gestures are those of all of them, "
             "and --speaker only chooses a skeleton"
         )
-    return found
+    return unused
 
 
 def is_trained_on(

@@ -1,31 +1,124 @@
-"""Run folder: files to inspect, resume or repeat a training."""
+"""Run folder: files to inspect, resume or repeat a training; its checkpoints and state."""
 
 from __future__ import annotations
 
-import hashlib
 import importlib.metadata
+import io
 import json
+import logging
 import platform
+import re
 import shlex
 import shutil
 import sys
+import time
+from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
-from audio_features.atomic import atomic_write
-from gesturekit.errors import ConfigError
-from gesturekit.jobs.records import claimed
-from gesturekit.training.config import dump_yaml, read_yaml
-from gesturekit.training.run.checkpoint import Checkpoints
-from gesturekit.training.run.report import RunReport
-from gesturekit.training.run.state import CLAIM, unfinished
+from audio_features.atomic import atomic_write, remove_unfinished
+from gesturekit.errors import ConfigError, ModelError
+from gesturekit.jobs.records import claimed, running
+from gesturekit.training.config import dotted, dump_yaml, read_yaml
+from gesturekit.training.run.report import write_report
+
+log = logging.getLogger(__name__)
+
+CLAIM = ".claim"
+"""Folder within a run of the claim of the process that trains it."""
+
+_CHECKPOINT = re.compile(r"step_(\d+)\.pt")
+_KEPT = 2
+"""Number of checkpoints that are kept."""
+
+_MOST_SHARE = 0.005
+"""Largest share of the training time spent on the report."""
+_LEAST_SECONDS = 2.0  # between two reports
 
 _VERSIONS_OF = ("gesturekit", "torch", "numpy", "scipy", "librosa", "soxr", "transformers")
 
 # These settings do not change what a run computes, so they may change when it is resumed.
 _REPORTING = ("out", "checkpoint_every", "log_every", "eval_every", "measure", "arrays", "workers")
 _BEFORE_CONFIG = ("data", "command.txt", "versions.json")  # written before config.yaml
+
+
+def is_running(folder: Path) -> bool:
+    """Return whether a living process trains a run."""
+    return bool(running(folder / CLAIM))
+
+
+def unfinished(folder: Path) -> str:
+    """Return why a folder is no model yet: an unfinished run, or the model of one; else ""."""
+    run = folder.parent if folder.name == "model" else folder
+    is_run = all((run / name).is_file() for name in ("config.yaml", "versions.json"))
+    if not is_run or (run / "model" / "config.yaml").is_file():
+        return ""
+    if is_running(run):
+        return f"{run}: this training is still running; its model is written at the end"
+    return f"{run}: this training is not finished; {resume_command(run)}"
+
+
+def resume_command(run: Path, processes: int = 1) -> str:
+    """Return the command line that resumes a run of so many processes."""
+    several = ["torchrun", "--nproc_per_node", str(processes), "-m", "gesturekit"]
+    program = ["gesturekit"] if processes == 1 else several
+    return shlex.join([*program, "train", "--resume", str(run)])
+
+
+class Checkpoints:
+    """The `checkpoints/` folder of a run: the last few files such as `step_00000150.pt`.
+
+    The state consists of tensors, numbers, strings, lists and dicts only, so that it can be
+    read back with `torch.load(weights_only=True)`.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def steps(self) -> list[int]:
+        """Return the steps that have a checkpoint, oldest first."""
+        if not self.folder.is_dir():
+            return []
+        found = (_CHECKPOINT.fullmatch(path.name) for path in self.folder.iterdir())
+        return sorted(int(match[1]) for match in found if match)
+
+    def path(self, step: int) -> Path:
+        """Return the path of a step's checkpoint."""
+        return self.folder / f"step_{step:08d}.pt"
+
+    def save(self, step: int, state: dict[str, Any]) -> None:
+        """Write the state of `step`, then delete all but the last checkpoints."""
+        import torch
+
+        remove_unfinished(self.path(step))  # of a run that was killed while it wrote it
+        with atomic_write(self.path(step)) as temporary:
+            # In memory first: torch raises a RuntimeError without a reason on a full disk.
+            content = io.BytesIO()
+            torch.save(state, content)
+            temporary.write_bytes(content.getbuffer())
+        for old in self.steps()[:-_KEPT]:
+            self.path(old).unlink()
+
+    def latest(self) -> tuple[int, dict[str, Any]] | None:
+        """Return step and state of the newest readable checkpoint; None without checkpoints.
+
+        A damaged one is logged, and the one before it is tried.
+
+        Raises:
+            ModelError: there are checkpoints, and none can be read.
+        """
+        import torch
+
+        steps = self.steps()
+        for step in reversed(steps):
+            try:
+                return step, torch.load(self.path(step), weights_only=True, map_location="cpu")
+            except Exception as error:  # torch raises half a dozen kinds for a damaged file
+                log.warning("%s cannot be read (%s); trying the one before", self.path(step), error)
+        if steps:
+            raise ModelError(f"{self.folder}: none of its {len(steps)} checkpoints can be read")
+        return None
 
 
 class Run:
@@ -46,11 +139,11 @@ class Run:
         self.folder = folder
         self._config = config
         self._resume = resume
-        self.checkpoints = Checkpoints(folder / "checkpoints", _digest(config))
+        self.checkpoints = Checkpoints(folder / "checkpoints")
         self._metrics = folder / "metrics.jsonl"
         self._events: Any = None
         self._claim = ExitStack()
-        self._report = RunReport(folder)
+        self._report_due = 0.0
         self._check()
 
     def _check(self) -> None:
@@ -61,7 +154,7 @@ class Run:
         if self._resume:
             if not config_file.is_file():
                 raise ConfigError(f"{folder}: no run to resume here; start it without --resume")
-            before, config = _dotted(read_yaml(config_file)), _dotted(self._config)
+            before, config = dotted(read_yaml(config_file)), dotted(self._config)
             for key in sorted(set(before) | set(config)):
                 if key not in _REPORTING and before.get(key) != config.get(key):
                     raise ConfigError(
@@ -101,17 +194,16 @@ class Run:
 
     def forget_metrics_after(self, step: int) -> None:
         """Drop lines that a killed run wrote after its last checkpoint."""
-        if not self._metrics.exists():
-            return
-        kept = []
-        for line in self._metrics.read_text(encoding="utf-8").splitlines():
-            try:
-                if json.loads(line)["step"] <= step:
-                    kept.append(line + "\n")
-            except (ValueError, KeyError):
-                continue  # the line that was being written when the run was killed
-        with atomic_write(self._metrics) as temporary:
-            temporary.write_text("".join(kept), encoding="utf-8")
+        if self._metrics.exists():
+            kept = [f"{json.dumps(line)}\n" for line in self._logged() if line["step"] <= step]
+            self._write(self._metrics.name, "".join(kept))
+
+    def _logged(self) -> Iterator[dict[str, Any]]:
+        """Yield the lines of `metrics.jsonl`, without one that was being written at a kill."""
+        if self._metrics.exists():
+            for line in self._metrics.read_text(encoding="utf-8").splitlines():
+                with suppress(ValueError):
+                    yield json.loads(line)
 
     def log(self, step: int, values: dict[str, float], **labels: int | str) -> None:
         """Add a line to `metrics.jsonl`, and renew the report.
@@ -129,40 +221,37 @@ class Run:
         if self._events is not None:
             for name, value in values.items():
                 self._events.add_scalar(name, value, step)
-        self._report.update()
+        began = time.monotonic()
+        if began >= self._report_due:
+            write_report(self.folder, is_running=True)
+            end = time.monotonic()
+            self._report_due = end + max(_LEAST_SECONDS, (end - began) / _MOST_SHARE)
 
     def last_metrics(self) -> dict[str, float]:
         """Return the last logged losses, without step, labels and timing."""
-        lines = map(json.loads, self._metrics.read_text(encoding="utf-8").splitlines())
-        losses = [logged for logged in lines if "kind" not in logged]
-        logged = losses[-1] if losses else {}
+        losses = [logged for logged in self._logged() if "kind" not in logged]
         return {
             name: value
-            for name, value in logged.items()
+            for name, value in (losses[-1] if losses else {}).items()
             if isinstance(value, float) and name != "seconds_per_iteration"
         }
 
     def evaluations(self, level: int) -> list[dict[str, Any]]:
         """Return the log lines with `kind: evaluation` of a level, oldest first."""
-        if not self._metrics.exists():
-            return []
-        lines = map(json.loads, self._metrics.read_text(encoding="utf-8").splitlines())
         return [
             line
-            for line in lines
+            for line in self._logged()
             if line.get("kind") == "evaluation" and line.get("level") == level
         ]
 
     def has(self, step: int, kind: str) -> bool:
         """Return True if a line of this kind was logged for a step."""
-        if not self._metrics.exists():
-            return False
-        lines = map(json.loads, self._metrics.read_text(encoding="utf-8").splitlines())
-        return any(line.get("kind") == kind and line["step"] == step for line in lines)
+        return any(line.get("kind") == kind and line["step"] == step for line in self._logged())
 
     def close(self) -> None:
         """Finish writing TensorBoard events and the report, and give the folder back."""
-        self._report.close()
+        if self._report_due:
+            write_report(self.folder, is_running=False)
         if self._events is not None:
             self._events.close()
         self._claim.close()
@@ -184,22 +273,6 @@ def has_no_run(folder: Path) -> bool:
         return False
     names = [path.name for path in folder.iterdir()]
     return all(name in _BEFORE_CONFIG or name.startswith(".") for name in names)
-
-
-def _digest(config: dict[str, Any]) -> str:
-    """Return a digest of the settings on which the results of a run depend."""
-    values = {key: value for key, value in _dotted(config).items() if key not in _REPORTING}
-    return hashlib.sha256(json.dumps(values, sort_keys=True, default=str).encode()).hexdigest()
-
-
-def _dotted(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested keys as section.key, for error messages."""
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        name = f"{prefix}{key}"
-        is_section = isinstance(value, dict) and value
-        flat |= _dotted(value, f"{name}.") if is_section else {name: value}
-    return flat
 
 
 def _versions() -> dict[str, str]:

@@ -6,11 +6,11 @@ import logging
 import shlex
 import shutil
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import Manifest
@@ -19,7 +19,6 @@ from gesturekit.errors import GestureKitError
 from gesturekit.evaluation import evaluate
 from gesturekit.evaluation.measuring.clips import forget_files
 from gesturekit.evaluation.results import ModelResult
-from gesturekit.motion.motion import Motion
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run_config import RunConfig
 from gesturekit.wording import counted, roughly
@@ -35,23 +34,6 @@ EVERY_SECONDS = 300.0
 MOST_SHARE = 0.05
 """Largest share of the training time spent on evaluations; they become less frequent if needed."""
 NO_VERDICT = "No verdict: the clips are too short, or the rig's arms and legs are not known."
-
-
-class _Model(Protocol):
-    @property
-    def fps(self) -> float: ...
-
-    @property
-    def inputs(self) -> Any: ...
-
-    @property
-    def styles(self) -> Collection[str]: ...
-
-    @property
-    def speakers(self) -> Collection[str]: ...
-
-    @property
-    def generate(self) -> Callable[..., Any]: ...
 
 
 class HeldOutMetrics:
@@ -115,19 +97,17 @@ class HeldOutMetrics:
 
     @cached_property
     def _corpus(self) -> list[Item]:
-        """Return the corpus's items with motion."""
+        """Return the corpus's items with motion, with the body parts of the run's settings."""
         try:
-            return [self._readable(i) for i in Manifest.load(self.config.corpus) if i.motion]
+            items = [item for item in Manifest.load(self.config.corpus) if item.motion]
         except GestureKitError as error:
             log.warning("No metrics on held-out recordings: %s", error)
             return []
-
-    def _readable(self, item: Item) -> Item:
-        """Return an item with the body parts of the run's settings."""
-        if not self.config.parts:
-            return item
-        parts = {**item.reading.get("parts", {}), **self.config.parts}
-        return replace(item, reading={**item.reading, "parts": parts})
+        parts = self.config.parts
+        if not parts:
+            return items
+        readings = [{**i.reading, "parts": i.reading.get("parts", {}) | parts} for i in items]
+        return [replace(i, reading=reading) for i, reading in zip(items, readings, strict=True)]
 
     @property
     def is_held_out(self) -> bool:
@@ -162,13 +142,13 @@ class HeldOutMetrics:
         return time.monotonic() - self._measured > max(EVERY_SECONDS, self._took / MOST_SHARE)
 
     def measure(
-        self, step: int, model: _Model, so_far: str = "", *, keep: bool = False, **controls: Any
+        self, step: int, model: Any, so_far: str = "", *, keep: bool = False, **controls: Any
     ) -> str:
         """Evaluate a model; log the metrics to the run, and the verdict unless it is the last.
 
         Args:
             step: of the training.
-            model: the model.
+            model: a `gesturekit.Model`.
             so_far: text after the step number.
             keep: keep the clips in `folder`: those of the last measurement.
             controls: controls of `generate` in addition to those of each item.
@@ -180,15 +160,15 @@ class HeldOutMetrics:
             return ""
         began = time.monotonic()
         try:
-            found = self._evaluated(model, controls, keep=keep)
+            result = self._evaluated(model, controls, keep=keep)
         except Exception as error:  # a measurement is not worth ending a training for
             log.warning("Step %d: no metrics on %s: %s", step, self.what, error)
-            found = None
+            result = None
         self._measured = time.monotonic()
         self._took = self._measured - began
-        if found is None:
+        if result is None:
             return ""
-        said = f"on {self.what}: {found.verdict or NO_VERDICT}"
+        said = f"on {self.what}: {result.verdict or NO_VERDICT}"
         if keep:  # the training ends with the verdict, in the model's README
             beside = neighbours(self._corpus, self._fitting[0].split)
             said += f" Warning: {beside}." if beside else ""
@@ -197,35 +177,32 @@ class HeldOutMetrics:
             log.info("Step %d%s: %s", step, so_far, said)
         kind = self.folder.name
         if not self.run.has(step, kind):
-            self.run.log(step, dict(_logged(found, kind)), kind=kind, verdict=said)
+            self.run.log(step, dict(_logged(result, kind)), kind=kind, verdict=said)
         return said
 
-    def _evaluated(self, model: _Model, controls: dict[str, Any], *, keep: bool) -> ModelResult:
+    def _evaluated(self, model: Any, controls: dict[str, Any], *, keep: bool) -> ModelResult:
         """Return the evaluation of a model's clips, which are written to a folder beside."""
         folder = self.run.folder / ".held_out"
         shutil.rmtree(folder, ignore_errors=True)
         try:
             for item in self.items:
-                self._generated(model, item, controls).save(folder / f"{item.id}.npz")
+                speech = item.load_wave() if self.speech else None
+                seconds = None if self.speech else item.duration
+                asked = item.controls(model) | controls
+                motion = model.generate(speech, seconds=seconds, seed=0, item=item.id, **asked)
+                motion.save(folder / f"{item.id}.npz")
             training = [item for item in self._corpus if item.split == "train"]
             manifest = Manifest([*self.items, *(training if self.is_held_out else ())])
             manifest.save(folder / "corpus.jsonl")
             split = self.items[0].split
-            found = evaluate(folder, folder / "corpus.jsonl", split=split, cheap=True)
+            result = evaluate(folder, folder / "corpus.jsonl", split=split, cheap=True)
             if keep:
                 shutil.rmtree(self.folder, ignore_errors=True)
                 folder.rename(self.folder)
         finally:
             shutil.rmtree(folder, ignore_errors=True)
             forget_files()
-        return found.models[0]
-
-    def _generated(self, model: _Model, item: Item, controls: dict[str, Any]) -> Motion:
-        """Return the motion of an item."""
-        speech = item.load_wave() if self.speech else None
-        seconds = None if self.speech else item.duration
-        asked = item.controls(model) | controls
-        return model.generate(speech, seconds=seconds, seed=0, item=item.id, **asked)
+        return result.models[0]
 
 
 def _seconds(items: Sequence[Item]) -> float:
@@ -233,9 +210,9 @@ def _seconds(items: Sequence[Item]) -> float:
     return sum(item.duration for item in items)
 
 
-def _logged(found: ModelResult, kind: str) -> Iterator[tuple[str, float]]:
+def _logged(measured: ModelResult, kind: str) -> Iterator[tuple[str, float]]:
     """Yield (name, value) of each metric, of the recordings' own, and of its chance level."""
-    for key, result in found.metrics.items():
+    for key, result in measured.metrics.items():
         yield f"{kind}/{key}", result.interval.value
         for name in ("recording", "chance"):
             if (value := getattr(result, name)) is not None:

@@ -7,20 +7,16 @@ import json
 import math
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from audio_features.atomic import atomic_write
-from gesturekit.evaluation.definitions import DEFINITIONS
 
 PAGE = "report.html"
 REFRESH = 10
 """Seconds after which a browser reads the page of a running training again."""
-SHARE = 0.005
-"""Largest share of the training time spent on the page."""
-_LEAST_SECONDS = 2.0
 _MOST_POINTS = 500
 """Points of a curve on the page; of more, every other one is dropped."""
 _MOST_SAMPLES = 100
@@ -55,115 +51,85 @@ ul { columns: 160px; padding-left: 18px; }
 """
 
 Curve = list[tuple[int, float]]
+Section = dict[str, dict[str, Curve]]
+"""Curves by the title of their chart and their label."""
 
 
-class RunReport:
-    """Page of a run folder, made from its `metrics.jsonl` and the pages in `samples/`.
+def write_report(folder: Path, *, is_running: bool) -> None:
+    """Write the page of a run from its `metrics.jsonl` and the pages in `samples/`."""
+    # A page to look at is not worth ending a training for.
+    with suppress(OSError):
+        lines = []
+        for line in (folder / "metrics.jsonl").read_text(encoding="utf-8").splitlines():
+            with suppress(ValueError):  # of a line that was being written at a kill
+                lines.append(json.loads(line))
+        with atomic_write(folder / PAGE) as temporary:
+            temporary.write_text(_page(folder, lines, is_running), encoding="utf-8")
 
-    Args:
-        folder: the run.
-    """
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._read = 0
-        # By section, title of the chart, and label of the curve.
-        self._curves: dict[str, dict[str, dict[str, Curve]]] = defaultdict(
-            lambda: defaultdict(lambda: defaultdict(list))
-        )
-        self._step, self._due, self._verdict = 0, 0.0, ""
+def _page(folder: Path, lines: Sequence[dict[str, Any]], is_running: bool) -> str:
+    curves = _curves(lines)
+    step = max((line["step"] for line in lines), default=0)
+    verdicts = [line["verdict"] for line in lines if line.get("verdict")]
+    name = html.escape(folder.resolve().name)
+    reload = f'<meta http-equiv="refresh" content="{REFRESH}">' if is_running else ""
+    is_finished = (folder / "model" / "config.yaml").is_file()
+    state = "running" if is_running else "finished" if is_finished else "stopped"
+    clock = time.strftime("%Y-%m-%d %H:%M:%S")
+    sections = [*_TITLES, *(section for section in curves if section not in _TITLES)]
+    body = "".join(_section(section, curves[section]) for section in sections if section in curves)
+    verdict = f"<p><b>Measured {html.escape(verdicts[-1])}</b></p>\n" if verdicts else ""
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
+        f"style-src 'unsafe-inline'\">{reload}<title>{name}: step {step}</title>"
+        f"<style>{_STYLE}</style></head>\n<body><h1>{name}</h1>"
+        f"{verdict}<p>{state}, step {step}, written {clock}</p>\n"
+        f"{body}{_samples(folder)}</body></html>\n"
+    )
 
-    def update(self) -> None:
-        """Write the page, unless that would take more than SHARE of the time."""
-        began = time.monotonic()
-        if began < self._due:
-            return
-        self._write(is_running=True)
-        end = time.monotonic()
-        self._due = end + max(_LEAST_SECONDS, (end - began) / SHARE)
 
-    def close(self) -> None:
-        """Write the page for the last time; it no longer reloads itself."""
-        if self._due:
-            self._write(is_running=False)
-
-    def _write(self, *, is_running: bool) -> None:
-        # A page to look at is not worth ending a training for.
-        with suppress(OSError):
-            for line in self._new_lines():
-                self._add(line)
-            text = self._text(is_running)
-            with atomic_write(self._folder / PAGE) as temporary:
-                temporary.write_text(text, encoding="utf-8")
-
-    def _new_lines(self) -> Iterator[dict[str, Any]]:
-        with (self._folder / "metrics.jsonl").open("rb") as file:
-            file.seek(self._read)
-            for line in file:
-                if not line.endswith(b"\n"):
-                    return
-                self._read += len(line)
-                with suppress(ValueError):
-                    yield json.loads(line)
-
-    def _add(self, line: dict[str, Any]) -> None:
-        step, level = int(line.pop("step")), line.pop("level", None)
-        section = line.pop("kind", "loss")
-        self._step = max(self._step, step)
-        if verdict := line.pop("verdict", ""):
-            self._verdict = f"Measured {verdict}"
+def _curves(lines: Sequence[dict[str, Any]]) -> dict[str, Section]:
+    """Return the curves of each section of the page."""
+    sections: dict[str, Section] = defaultdict(lambda: defaultdict(lambda: defaultdict(list)))
+    for line in lines:
+        kind = line.get("kind", "loss")
         for name, value in line.items():
-            if not isinstance(value, int | float) or not math.isfinite(value):
+            is_number = isinstance(value, int | float) and math.isfinite(value)
+            if not is_number or name in ("step", "level"):
                 continue
             title = name.rpartition("/")[2]
-            label = "" if level is None else f"level {level}"
-            if section in ("held_out", "recorded"):
+            label = f"level {line['level']}" if "level" in line else ""
+            if kind in ("held_out", "recorded"):
                 title, label = _metric_and_whose(title)
-            part = "pace" if name in _NO_LOSSES else section
-            curve = self._curves[part][title][label]
-            curve.append((step, float(value)))
+            curve = sections["pace" if name in _NO_LOSSES else kind][title][label]
+            curve.append((int(line["step"]), float(value)))
             if len(curve) > 2 * _MOST_POINTS:
                 del curve[1:-1:2]
+    return sections
 
-    def _text(self, is_running: bool) -> str:
-        name = html.escape(self._folder.resolve().name)
-        reload = f'<meta http-equiv="refresh" content="{REFRESH}">' if is_running else ""
-        is_finished = (self._folder / "model" / "config.yaml").is_file()
-        state = "running" if is_running else "finished" if is_finished else "stopped"
-        clock = time.strftime("%Y-%m-%d %H:%M:%S")
-        sections = [*_TITLES, *(part for part in self._curves if part not in _TITLES)]
-        body = "".join(self._section(part) for part in sections if part in self._curves)
-        verdict = f"<p><b>{html.escape(self._verdict)}</b></p>\n" if self._verdict else ""
-        return (
-            '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">'
-            '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
-            f"style-src 'unsafe-inline'\">{reload}<title>{name}: step {self._step}</title>"
-            f"<style>{_STYLE}</style></head>\n<body><h1>{name}</h1>"
-            f"{verdict}<p>{state}, step {self._step}, written {clock}</p>\n"
-            f"{body}{self._samples()}</body></html>\n"
-        )
 
-    def _section(self, part: str) -> str:
-        shown = self._curves[part]
-        labels = list(dict.fromkeys(label for curves in shown.values() for label in curves))
-        charts = "".join(
-            _chart(_in_words(name, part), curves, labels) for name, curves in shown.items()
-        )
-        title = html.escape(_TITLES.get(part, part.capitalize()))
-        return f'<h2>{title}</h2><div class="charts">{charts}</div>\n'
+def _section(name: str, charts: Section) -> str:
+    labels = list(dict.fromkeys(label for curves in charts.values() for label in curves))
+    drawn = "".join(
+        _chart(_in_words(title, name), curves, labels) for title, curves in charts.items()
+    )
+    title = html.escape(_TITLES.get(name, name.capitalize()))
+    return f'<h2>{title}</h2><div class="charts">{drawn}</div>\n'
 
-    def _samples(self) -> str:
-        """Return links to the pages of the samples, the newest first."""
-        pages = sorted((self._folder / "samples").glob("step_*.html"), reverse=True)
-        if not pages:
-            return ""
-        links = "".join(
-            f'<li><a href="samples/{html.escape(page.name)}" target="_blank">step '
-            f"{html.escape(page.stem.removeprefix('step_').lstrip('0') or '0')}</a></li>"
-            for page in pages[:_MOST_SAMPLES]
-        )
-        return f"<h2>Samples, with their motion</h2><ul>{links}</ul>\n"
+
+def _samples(folder: Path) -> str:
+    """Return links to the pages of the samples, the newest first."""
+    pages = sorted((folder / "samples").glob("step_*.html"), reverse=True)
+    if not pages:
+        return ""
+    links = "".join(
+        f'<li><a href="samples/{html.escape(page.name)}" target="_blank">step '
+        f"{html.escape(page.stem.removeprefix('step_').lstrip('0') or '0')}</a></li>"
+        for page in pages[:_MOST_SAMPLES]
+    )
+    return f"<h2>Samples, with their motion</h2><ul>{links}</ul>\n"
 
 
 def _metric_and_whose(name: str) -> tuple[str, str]:
@@ -174,9 +140,11 @@ def _metric_and_whose(name: str) -> tuple[str, str]:
     return name, "model"
 
 
-def _in_words(name: str, part: str) -> str:
+def _in_words(name: str, section: str) -> str:
     """Return the title of a chart: the name and unit of a metric, or the words of another value."""
-    known = DEFINITIONS.get(name.removesuffix("_ratio")) if part in _OF_METRICS else None
+    from gesturekit.evaluation.definitions import DEFINITIONS  # imports all metrics
+
+    known = DEFINITIONS.get(name.removesuffix("_ratio")) if section in _OF_METRICS else None
     if known is None:
         return name.replace("_", " ").capitalize()
     return f"{known.name} / the recording's" if name.endswith("_ratio") else known.title
@@ -228,9 +196,9 @@ def _places(
     """Return a curve as the points of a polyline."""
     low, high = (math.log(limit) for limit in limits) if is_log else limits
     span, width = (high - low) or 1.0, steps[1] - steps[0]
-    found = []
+    points = []
     for step, value in curve:
         share = ((math.log(value) if is_log else value) - low) / span
         x = (step - steps[0]) / width * _WIDTH
-        found.append(f"{x:.1f},{_HEIGHT - 3 - share * (_HEIGHT - 6):.1f}")
-    return " ".join(found)
+        points.append(f"{x:.1f},{_HEIGHT - 3 - share * (_HEIGHT - 6):.1f}")
+    return " ".join(points)

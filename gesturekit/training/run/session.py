@@ -1,23 +1,153 @@
-"""Processes, device and run folder of a training."""
+"""Session of a training: its processes, device and run folder.
+
+Training is data-parallel in several processes that torchrun starts.
+
+Every process builds the same networks from the same seeds and draws the same random numbers. It
+computes its share of each batch. Gradients are averaged before each optimiser step, so that the
+result equals that of one process up to the rounding of sums. Only the first process writes.
+
+Each process has a GPU of its own, or processes share GPUs if a machine has fewer: useful to try a
+configuration, but slower than one process. NCCL refuses two processes on one GPU, so gloo then
+averages the gradients, through the CPU.
+"""
 
 from __future__ import annotations
 
+import logging
+import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 
 import torch
+import torch.distributed as distributed
+from torch import Tensor, nn
 from tqdm.contrib.logging import logging_redirect_tqdm
 
-from gesturekit.errors import ModelError, OutputError, is_full
+from gesturekit.errors import ConfigError, ModelError, OutputError, is_full
 from gesturekit.progress import Progress
 from gesturekit.training.config import to_dict
 from gesturekit.training.run.device import memory_ran_out, prepare_device
-from gesturekit.training.run.folder import Run
-from gesturekit.training.run.processes import Processes
-from gesturekit.training.run.state import resume_command
+from gesturekit.training.run.folder import Run, resume_command
 from gesturekit.training.run_config import RunConfig
+
+log = logging.getLogger(__name__)
+
+_LONGEST_WAIT = timedelta(days=1)
+"""Others wait while the first process reads the corpus, which may take hours; torch would give up
+after ten minutes. If the first process dies, torchrun ends the others at once."""
+
+
+@dataclass(frozen=True)
+class Processes:
+    """Processes of a run; rank 0 of 1 without torchrun.
+
+    Attributes:
+        rank: index of this process.
+        count: number of processes.
+        local_rank: index of this process on its machine, and of its GPU.
+    """
+
+    rank: int = 0
+    count: int = 1
+    local_rank: int = 0
+
+    @classmethod
+    @contextmanager
+    def from_environment(cls, device: str = "auto") -> Iterator[Processes]:
+        """Join the processes that torchrun started; leave them at the end.
+
+        Args:
+            device: training device. The backend is NCCL if each process has a GPU of its own, else
+                gloo.
+
+        Raises:
+            ConfigError: torchrun's variables are incomplete or not numbers.
+        """
+        if "WORLD_SIZE" not in os.environ:
+            yield cls()
+            return
+        names = ("RANK", "WORLD_SIZE", "LOCAL_RANK")
+        try:
+            rank, count, local = (int(os.environ[name]) for name in names)
+            here = int(os.environ.get("LOCAL_WORLD_SIZE", count))
+        except (KeyError, ValueError) as error:
+            raise ConfigError(
+                f"environment: {', '.join(names)} and LOCAL_WORLD_SIZE, if it is set, must be "
+                f"numbers ({error}); torchrun sets them"
+            ) from None
+        processes = cls(rank, count, local)
+        if count == 1:
+            yield processes
+            return
+        backend = "gloo"
+        if device in ("auto", "cuda") and torch.cuda.is_available():
+            torch.cuda.set_device(processes.device(device))
+            gpus = torch.cuda.device_count()
+            backend = "nccl" if here <= gpus else "gloo"
+            if here > gpus and processes.is_first:
+                log.warning(
+                    "%d processes share %d GPU(s), which is slower than one each", here, gpus
+                )
+        distributed.init_process_group(backend, timeout=_LONGEST_WAIT)
+        try:
+            yield processes
+        finally:
+            distributed.destroy_process_group()
+
+    @property
+    def is_first(self) -> bool:
+        """Return True for the process that writes and logs."""
+        return self.rank == 0
+
+    def share(self, n: int) -> slice:
+        """Return this process's share of n items; shares differ by one item at most."""
+        return slice(n * self.rank // self.count, n * (self.rank + 1) // self.count)
+
+    def device(self, name: str) -> str:
+        """Return the device name, with the index of this process's GPU where it applies."""
+        if self.count == 1 or name not in ("auto", "cuda") or not torch.cuda.is_available():
+            return name
+        return f"cuda:{self.local_rank % torch.cuda.device_count()}"
+
+    def average_gradients(self, parameters: Iterable[nn.Parameter], weight: float) -> None:
+        """Replace each gradient by its mean over all processes, in one exchange.
+
+        Args:
+            parameters: in the same order in every process. A missing gradient counts as zero.
+            weight: this process's share of the batch; weights sum to 1.
+        """
+        if self.count == 1:
+            return
+        parameters = list(parameters)
+        for parameter in parameters:
+            if parameter.grad is None:
+                parameter.grad = torch.zeros_like(parameter)
+        gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
+        flat = torch.cat([gradient.reshape(-1) for gradient in gradients])
+        flat *= weight
+        distributed.all_reduce(flat)
+        parts = flat.split([gradient.numel() for gradient in gradients])
+        for gradient, part in zip(gradients, parts, strict=True):
+            gradient.copy_(part.view_as(gradient))
+
+    def mean(self, value: Tensor) -> Tensor:
+        """Return the mean of a tensor over all processes."""
+        if self.count == 1:
+            return value
+        # NCCL reduces tensors on a GPU only.
+        on_gpu = distributed.get_backend() == "nccl"
+        total = value.to("cuda" if on_gpu else value.device, copy=True)
+        distributed.all_reduce(total)
+        return total.to(value.device) / self.count
+
+    def wait(self) -> None:
+        """Wait until all processes have called this."""
+        if self.count > 1:
+            distributed.barrier()
 
 
 @contextmanager
