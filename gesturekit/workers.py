@@ -57,30 +57,20 @@ def in_processes(
     Raises:
         ConfigError: the function cannot be handed over, or a worker cannot start.
     """
-    try:
-        pickled = pickle.dumps(function)
-    except Exception as error:  # whatever an attribute's __reduce__ raises
-        raise ConfigError(
-            f"this model cannot be handed to worker processes ({error}); use 1 worker"
-        ) from None
-    threads = max(1, (os.cpu_count() or 1) // workers)
+    pickled = _pickled(function)
     waiting, again = iter(tasks), deque[Any]()
     deaths = Counter[int]()
     crew: list[_Worker] = []
     try:
         while True:
-            while True:
-                idle = next((worker for worker in crew if worker.task is None), None)
-                if idle is None and len(crew) >= workers:
-                    break
-                # Items whose worker died come last.
+            while (idle := _idle(crew)) is not None or len(crew) < workers:
                 task = next(waiting, None)
                 if task is None and again:
-                    task = again.popleft()
+                    task = again.popleft()  # items whose worker died come last
                 if task is None:
                     break
                 if idle is None:
-                    crew.append(idle := _Worker(pickled, threads))
+                    crew.append(idle := _Worker(pickled, max(1, (os.cpu_count() or 1) // workers)))
                 begin(task)
                 idle.give(task)
             busy = [worker for worker in crew if worker.task is not None]
@@ -102,6 +92,19 @@ def in_processes(
     finally:
         for worker in crew:
             worker.end()
+
+
+def _pickled(function: Callable[[Any], Any]) -> bytes:
+    try:
+        return pickle.dumps(function)
+    except Exception as error:  # whatever an attribute's __reduce__ raises
+        raise ConfigError(
+            f"this model cannot be handed to worker processes ({error}); use 1 worker"
+        ) from None
+
+
+def _idle(crew: list[_Worker]) -> _Worker | None:
+    return next((worker for worker in crew if worker.task is None), None)
 
 
 def _ready(busy: list[_Worker], deadline: float) -> list[_Worker]:

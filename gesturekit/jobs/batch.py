@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 from audio_features.atomic import remove_unfinished
 from gesturekit.errors import ConfigError, GestureKitError, OutputError
 from gesturekit.jobs.records import (
+    ANY_FILE,
     claimed,
     read_record,
     shard_of,
@@ -147,7 +148,7 @@ class Batch:
             kind, name = file.suffix[1:], file.relative_to(self.out).as_posix()
             made, made_with = result.made.get(name, {}), processor.made_with(kind, about)
             was: Any = made.get("made_with")
-            begun = result.begun.get(kind)
+            begun = result.begun.get(kind, result.begun.get(ANY_FILE))
             if was == made_with and _is_unchanged(file, made):
                 result.kept += (file,)
             elif was != made_with and begun is not None and begun.items() <= made_with.items():
