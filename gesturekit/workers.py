@@ -40,9 +40,8 @@ def in_processes(
 ) -> Generator[tuple[Any, Any], None, None]:
     """Call a function with each task in worker processes.
 
-    The function is handed to each process when it starts, through a pipe to our own child; no file
-    is involved. Warnings and log messages of the workers appear in this process. A task whose
-    worker died is tried again, up to `ATTEMPTS` times in all.
+    Warnings and log messages of the workers appear in this process. A task whose worker died is
+    tried again, up to `ATTEMPTS` times in all.
 
     Args:
         function: what to call; it must be possible to pickle it.
@@ -65,10 +64,9 @@ def in_processes(
         while True:
             while (idle := _idle(crew)) is not None or len(crew) < workers:
                 task = next(waiting, None)
-                if task is None and again:
-                    task = again.popleft()  # items whose worker died come last
-                if task is None:
+                if task is None and not again:
                     break
+                task = again.popleft() if task is None else task  # those of dead workers come last
                 if idle is None:
                     crew.append(idle := _Worker(pickled, max(1, (os.cpu_count() or 1) // workers)))
                 begin(task)
