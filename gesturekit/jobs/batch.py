@@ -52,7 +52,7 @@ class Execution:
             raise ConfigError(f"workers is {self.workers}: give at least 1")
         number, count = self.shard
         if not 1 <= number <= count <= 99_999:
-            raise ConfigError(f"shard {number}/{count}: expected a number of 1 to N and N")
+            raise ConfigError(f"shard {number}/{count}: expected 1/N to N/N")
         if self.deadline is not None and not self.deadline > 0:
             raise ConfigError(f"deadline is {self.deadline}: give a positive number of seconds")
 
