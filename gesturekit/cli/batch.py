@@ -36,7 +36,7 @@ def _shard(ctx: click.Context, _: click.Parameter, text: str | None) -> tuple[in
     """Parse --shard: 1/8 to (1, 8)."""
     if text is None:
         return None
-    match = re.fullmatch(r"(\d+)/(\d+)", text, re.ASCII)
+    match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
     if match is None:
         raise click.UsageError(f"--shard {text!r}: expected two numbers, such as 1/8 or 8/8")
     return int(match[1]), int(match[2])
