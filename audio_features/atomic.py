@@ -19,13 +19,16 @@ _LONGEST_NAME = 255  # bytes, in the usual file systems
 
 
 @contextmanager
-def atomic_write(path: str | os.PathLike[str], *, suffix: str | None = None) -> Iterator[Path]:
+def atomic_write(
+    path: str | os.PathLike[str], *, suffix: str | None = None, flush: bool = True
+) -> Iterator[Path]:
     """Yield a temporary path beside `path`; on leaving without error it becomes `path`.
 
     The temporary file is in the same folder, because a rename across file systems is not atomic.
     It keeps the suffix, which some libraries inspect, unless `suffix` is given; a caller uses
-    that to find the files of killed runs. It is flushed to disk before the rename and removed if
-    the block raises. A missing folder is created. Raises OSError if it cannot be written to.
+    that to find the files of killed runs. It is flushed to disk before the rename, unless `flush`
+    is False, and removed if the block raises. A missing folder is created. Raises OSError if it
+    cannot be written to.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -43,8 +46,9 @@ def atomic_write(path: str | os.PathLike[str], *, suffix: str | None = None) -> 
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
-        with temporary.open("rb+") as written:
-            os.fsync(written.fileno())
+        if flush:
+            with temporary.open("rb+") as written:
+                os.fsync(written.fileno())
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)

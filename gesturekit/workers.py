@@ -40,9 +40,8 @@ def in_processes(
 ) -> Generator[tuple[Any, Any], None, None]:
     """Call a function with each task in worker processes.
 
-    The function is handed to each process when it starts, through a pipe to our own child; no file
-    is involved. Warnings and log messages of the workers appear in this process. A task whose
-    worker died is tried again, up to `ATTEMPTS` times in all.
+    Warnings and log messages of the workers appear in this process. A task whose worker died is
+    tried again, up to `ATTEMPTS` times in all.
 
     Args:
         function: what to call; it must be possible to pickle it.
@@ -57,30 +56,19 @@ def in_processes(
     Raises:
         ConfigError: the function cannot be handed over, or a worker cannot start.
     """
-    try:
-        pickled = pickle.dumps(function)
-    except Exception as error:  # whatever an attribute's __reduce__ raises
-        raise ConfigError(
-            f"this model cannot be handed to worker processes ({error}); use 1 worker"
-        ) from None
-    threads = max(1, (os.cpu_count() or 1) // workers)
+    pickled = _pickled(function)
     waiting, again = iter(tasks), deque[Any]()
     deaths = Counter[int]()
     crew: list[_Worker] = []
     try:
         while True:
-            while True:
-                idle = next((worker for worker in crew if worker.task is None), None)
-                if idle is None and len(crew) >= workers:
-                    break
-                # Items whose worker died come last.
+            while (idle := _idle(crew)) is not None or len(crew) < workers:
                 task = next(waiting, None)
-                if task is None and again:
-                    task = again.popleft()
-                if task is None:
+                if task is None and not again:
                     break
+                task = again.popleft() if task is None else task  # those of dead workers come last
                 if idle is None:
-                    crew.append(idle := _Worker(pickled, threads))
+                    crew.append(idle := _Worker(pickled, max(1, (os.cpu_count() or 1) // workers)))
                 begin(task)
                 idle.give(task)
             busy = [worker for worker in crew if worker.task is not None]
@@ -102,6 +90,19 @@ def in_processes(
     finally:
         for worker in crew:
             worker.end()
+
+
+def _pickled(function: Callable[[Any], Any]) -> bytes:
+    try:
+        return pickle.dumps(function)
+    except Exception as error:  # whatever an attribute's __reduce__ raises
+        raise ConfigError(
+            f"this model cannot be handed to worker processes ({error}); use 1 worker"
+        ) from None
+
+
+def _idle(crew: list[_Worker]) -> _Worker | None:
+    return next((worker for worker in crew if worker.task is None), None)
 
 
 def _ready(busy: list[_Worker], deadline: float) -> list[_Worker]:

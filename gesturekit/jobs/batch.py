@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 from audio_features.atomic import remove_unfinished
 from gesturekit.errors import ConfigError, GestureKitError, OutputError
 from gesturekit.jobs.records import (
+    ANY_FILE,
     claimed,
     read_record,
     shard_of,
@@ -51,7 +52,7 @@ class Execution:
             raise ConfigError(f"workers is {self.workers}: give at least 1")
         number, count = self.shard
         if not 1 <= number <= count <= 99_999:
-            raise ConfigError(f"shard {number}/{count}: expected a number of 1 to N and N")
+            raise ConfigError(f"shard {number}/{count}: expected 1/N to N/N")
         if self.deadline is not None and not self.deadline > 0:
             raise ConfigError(f"deadline is {self.deadline}: give a positive number of seconds")
 
@@ -147,7 +148,7 @@ class Batch:
             kind, name = file.suffix[1:], file.relative_to(self.out).as_posix()
             made, made_with = result.made.get(name, {}), processor.made_with(kind, about)
             was: Any = made.get("made_with")
-            begun = result.begun.get(kind)
+            begun = result.begun.get(kind, result.begun.get(ANY_FILE))
             if was == made_with and _is_unchanged(file, made):
                 result.kept += (file,)
             elif was != made_with and begun is not None and begun.items() <= made_with.items():

@@ -1,4 +1,4 @@
-"""What a batch keeps in its output folder, below the hidden folder `STATE`: JSON files.
+"""Files that a batch keeps in its output folder, below the hidden folder `STATE`, as JSON.
 
 - `records/*/*.json`: one file for each item, see `Result`; it is replaced as a whole when an
   attempt at the item begins, and when it ends.
@@ -20,7 +20,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from audio_features.atomic import write_text
+from audio_features.atomic import atomic_write, write_text
 from gesturekit.errors import ConfigError, FormatError
 from gesturekit.jobs.result import Result, Task
 
@@ -28,6 +28,8 @@ STATE = ".gesturekit"
 """Name of the folder of state in an output folder."""
 FORMAT = 1
 """Number of the format of all files of state."""
+ANY_FILE = "*"
+"""Key in `Result.begun` of files of all formats."""
 _ITEMS = "items.json"
 _MAX_ITEMS, _MAX_RECORD = 1 << 28, 1 << 24  # bytes
 _PATIENCE = 2.0  # seconds that the lock of a killed process may remain, see `running`
@@ -63,21 +65,31 @@ def shard_of(name: str, shards: int) -> int:
 def read_record(state: Path, task: Task) -> Result:
     """Return what is known of a task; its status is "left" if that is nothing.
 
+    Of a task with a damaged record, such as after a loss of power, all files count as begun.
+
     Raises:
         FormatError: the record was written by a newer version.
     """
-    return _result(task, _read(_record_of(state, task.id)))
+    path = _record_of(state, task.id)
+    result = _result(task, _read(path))
+    if result is None:
+        return Result(task, begun={ANY_FILE: {}} if path.exists() else {})
+    return result
 
 
 def write_record(state: Path, result: Result) -> None:
     """Store what is known of a task.
+
+    That an attempt begins is on the disk at once: a loss of power leaves no file that is not known.
 
     Raises:
         OSError: the file cannot be written.
     """
     values = {"format": FORMAT, "id": result.id}
     values |= {name: getattr(result, name) for name in _STORED}
-    write_text(_record_of(state, result.id), json.dumps(values))
+    flush = result.status == "begun"
+    with atomic_write(_record_of(state, result.id), flush=flush) as temporary:
+        temporary.write_text(json.dumps(values), encoding="utf-8")
 
 
 def all_records(state: Path) -> Iterator[Result]:
@@ -89,8 +101,10 @@ def all_records(state: Path) -> Iterator[Result]:
     for path in sorted(state.glob("records/*/*.json")):
         values = _read(path)
         name = values.get("id")
-        if isinstance(name, str) and path == _record_of(state, name):
-            yield _result(Task(name), values)
+        if isinstance(name, str) and path.stem == _digest(name)[2:32]:
+            result = _result(Task(name), values)
+            if result is not None:
+                yield result
 
 
 def write_items(state: Path, names: list[str], shards: int, about: Mapping[str, Any]) -> None:
@@ -206,13 +220,13 @@ def _record_of(state: Path, name: str) -> Path:
     return state / "records" / digest[:2] / f"{digest[2:32]}.json"
 
 
-def _result(task: Task, values: dict[str, Any]) -> Result:
-    """Return the result of a record; a new one if a value has a wrong type."""
+def _result(task: Task, values: dict[str, Any]) -> Result | None:
+    """Return the result of a record; None if a value is missing or has a wrong type."""
     stored: dict[str, Any] = {name: values.get(name) for name in _STORED}
     is_valid = all(isinstance(value, _STORED[name]) for name, value in stored.items())
     files = [*stored["made"].values(), *stored["begun"].values()] if is_valid else []
     if not is_valid or not all(isinstance(about, dict) for about in files):
-        return Result(task)
+        return None
     return Result(task, **stored)
 
 

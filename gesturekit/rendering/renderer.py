@@ -112,11 +112,11 @@ class Renderer(Processor):
         self.controls = _without_defaults(self.model, self.controls)
         rig = output.rig
         self.body = rig if rig is None or isinstance(rig, Rig) else Rig.load(rig)
-        written = {"unit": output.unit, "up": output.up, "body": output.body}
-        written |= {"framing": output.framing, "size": output.size}
-        self.written = writer_options(
-            output.formats, {name: value for name, value in written.items() if value is not None}
-        )
+        options = {
+            name: getattr(output, name) for name in ("unit", "up", "body", "framing", "size")
+        }
+        given = {name: value for name, value in options.items() if value is not None}
+        self.written = writer_options(output.formats, given)
         if rig is None:
             for kind in _DRAWINGS & self.written.keys():
                 self.written[kind] = drawing_options(self.model) | self.written[kind]
@@ -167,10 +167,10 @@ class Renderer(Processor):
 
     def has_speaker(self, task: Task) -> bool:
         """Return whether a speaker is chosen for a task, or the model has none to choose from."""
-        known = self.model.speakers
+        speakers = self.model.speakers
         given = [self.controls.get("speaker"), task.more.get("speaker")]
         given += [task.more["item"].speaker] if "item" in task.more else []
-        return len(known) < 2 or any(name in known for name in given)
+        return len(speakers) < 2 or any(name in speakers for name in given)
 
     def make(self, result: Result) -> None:
         """Generate the motions of a task and write them."""

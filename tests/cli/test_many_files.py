@@ -53,6 +53,12 @@ def test_shards_in_any_order_give_the_same_files(run, tmp_path, verb):
     assert again.status == 0 and again.out.count("skipped") == 5
 
 
+@pytest.mark.parametrize("shard", ["0/8", "9/8", "1", "a/b", "1/100000"])
+def test_shards_count_from_one(gesturekit, folder, tmp_path, shard):
+    command = COMMANDS["features"](folder, tmp_path / "out")
+    gesturekit(*command, "--shard", shard).fails(2, shard)
+
+
 @pytest.mark.stress
 def test_workers_and_launchers_give_the_same_files(run, tmp_path):
     run("whole")

@@ -102,6 +102,13 @@ def test_an_output_folder_that_cannot_be_is_one_clear_error(tmp_path):
         batch(tmp_path / "out", [Task("sub/a")])
 
 
+def test_a_damaged_record_is_that_of_an_interrupted_run(tmp_path):
+    done(tmp_path, TASKS)
+    for path in (tmp_path / ".gesturekit").glob("records/*/*"):
+        path.write_text("")
+    assert done(tmp_path, TASKS, settings={"seed": 1}) == dict.fromkeys("abc", "done")
+
+
 @pytest.mark.parametrize(
     ("begun", "existing", "outcome"),
     [
