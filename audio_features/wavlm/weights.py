@@ -276,26 +276,7 @@ def read_weights(
         shape = Architecture.from_huggingface(config, tensors, str(path / "config.json"))
         normalize = expected_normalization(path, shape.front_norm)
     elif path.is_file():
-        content = read_file(path)
-        names = [str(name) for name in content] if isinstance(content, Mapping) else []
-        if {"cfg", "model"} <= set(names) and isinstance(content["cfg"], dict):
-            layout = "Microsoft checkpoint"
-            tensors = _renamed(plain_tensors(path, content["model"]), _MICROSOFT)
-            shape = Architecture.from_microsoft(content["cfg"], tensors, str(path))
-            normalize = MICROSOFT_EPS if content["cfg"].get("normalize", False) else None
-        elif any(name.removeprefix("model.").startswith("encoder.transf") for name in names):
-            layout = "torchaudio state dict"
-            tensors = _from_torchaudio(plain_tensors(path, content))
-            shape = Architecture.from_tensors(tensors, str(path))
-            # As in torchaudio's pipelines: only Large expects a normalised waveform.
-            normalize = MICROSOFT_EPS if shape.front_norm == "layer" else None
-        else:
-            held = ", ".join(names[:4]) or type(content).__name__
-            raise WeightsError(
-                f"{path}: no WavLM in a known layout (found: {held[:200]}): give Hugging Face's "
-                "folder with its config.json, Microsoft's WavLM-*.pt with its cfg, or a "
-                "torchaudio state dict"
-            )
+        layout, shape, tensors, normalize = _read_file(path)
     else:
         what = "not a file or folder" if path.exists() else "no such folder or file"
         raise WeightsError(
@@ -320,6 +301,30 @@ def read_weights(
         fingerprint=digest.hexdigest(),
     )
     return weights, shape, tensors
+
+
+def _read_file(
+    path: Path,
+) -> tuple[str, Architecture, dict[str, torch.Tensor], float | None]:
+    """Return layout, architecture, tensors and normalisation of a file in one of two layouts."""
+    content = read_file(path)
+    names = [str(name) for name in content] if isinstance(content, Mapping) else []
+    if {"cfg", "model"} <= set(names) and isinstance(content["cfg"], dict):
+        tensors = _renamed(plain_tensors(path, content["model"]), _MICROSOFT)
+        shape = Architecture.from_microsoft(content["cfg"], tensors, str(path))
+        normalize = MICROSOFT_EPS if content["cfg"].get("normalize", False) else None
+        return "Microsoft checkpoint", shape, tensors, normalize
+    if any(name.removeprefix("model.").startswith("encoder.transformer.") for name in names):
+        tensors = _from_torchaudio(plain_tensors(path, content))
+        shape = Architecture.from_tensors(tensors, str(path))
+        # As in torchaudio's pipelines: only Large expects a normalised waveform.
+        normalize = MICROSOFT_EPS if shape.front_norm == "layer" else None
+        return "torchaudio state dict", shape, tensors, normalize
+    held = ", ".join(names[:4]) or type(content).__name__
+    raise WeightsError(
+        f"{path}: no WavLM in a known layout (found: {held[:200]}): give Hugging Face's folder "
+        "with its config.json, Microsoft's WavLM-*.pt with its cfg, or a torchaudio state dict"
+    )
 
 
 def _config(folder: Path) -> dict[str, Any]:
