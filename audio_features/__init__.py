@@ -51,32 +51,23 @@ if TYPE_CHECKING:
     from audio_features.words import Words as Words
     from audio_features.words import load_words as load_words
 
-# Public name -> module. Imported on first use, so that `import audio_features` is fast.
-_EXPORTS = {entry.name: entry.module for entry in KINDS.values()} | {
-    "AudioError": "errors",
-    "AudioFeaturesError": "errors",
-    "Extractor": "extractor",
-    "FeatureCache": "cache",
-    "FeatureError": "errors",
-    "FeatureTrack": "track",
-    "Stack": "extractor",
-    "Wave": "wave",
-    "Word": "words",
-    "WordEmbeddings": "huggingface.word_embeddings",
-    "WeightsError": "errors",
-    "cache_from_environment": "cache",
-    "exact_rate": "wave",
-    "extractor_from_spec": "extractor",
-    "from_residual_pyramid": "pyramid",
-    "interpolation_weights": "pyramid",
-    "level_lengths": "pyramid",
-    "load_words": "words",
-    "resample_frames": "pyramid",
-    "residual_level": "pyramid",
-    "residual_pyramid": "pyramid",
-    "speech_only": "voice",
-    "voice_activity": "voice",
+# Modules of the public names, imported on first use, so that `import audio_features` is fast.
+_HOMES = {
+    "cache": ("FeatureCache", "cache_from_environment"),
+    "errors": ("AudioError", "AudioFeaturesError", "FeatureError", "WeightsError"),
+    "extractor": ("Extractor", "Stack", "extractor_from_spec"),
+    "huggingface.word_embeddings": ("WordEmbeddings",),
+    "pyramid": (
+        *("from_residual_pyramid", "interpolation_weights", "level_lengths"),
+        *("resample_frames", "residual_level", "residual_pyramid"),
+    ),
+    "track": ("FeatureTrack",),
+    "voice": ("speech_only", "voice_activity"),
+    "wave": ("Wave", "exact_rate"),
+    "words": ("Word", "load_words"),
 }
+_EXPORTS = {entry.name: entry.module for entry in KINDS.values()}
+_EXPORTS |= {name: module for module, names in _HOMES.items() for name in names}
 __all__ = sorted(_EXPORTS)
 
 

@@ -10,7 +10,6 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 
@@ -53,33 +52,31 @@ class Archive:
         if key not in self:
             raise self._error(f"{self.path}: no key {key!r} in the archive")
         info = self._members.NameToInfo[f"{key}.npy"]
-        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise self._error(f"{self.path}: key {key!r} is packed in a way that numpy never does")
         try:
+            if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise ValueError("it is packed in a way that numpy never does")
             with self._members.open(info) as member:
-                shape, dtype = _header(member)
-                start = member.tell()
+                version = np.lib.format.read_magic(member)
+                shape, _, dtype = _READERS[version](member)
+                held = info.file_size - member.tell()
             if dtype.hasobject:
-                raise self._error(
-                    f"{self.path}: key {key!r} is a pickled Python object, which could run code "
-                    "and is never loaded; save it as a plain array"
+                raise ValueError(
+                    "it is a pickled Python object, which could run code and is never loaded; "
+                    "save it as a plain array"
                 )
             n_bytes = dtype.itemsize * math.prod(shape)
-            if n_bytes != info.file_size - start or (not dtype.itemsize and math.prod(shape) > 1):
-                raise self._error(
-                    f"{self.path}: key {key!r} declares shape {shape} of {dtype}, {n_bytes} bytes, "
-                    f"and holds {info.file_size - start}"
+            if n_bytes != held or (not dtype.itemsize and math.prod(shape) > 1):
+                raise ValueError(
+                    f"it declares shape {shape} of {dtype}, {n_bytes} bytes, and holds {held}"
                 )
             if n_bytes > self._left:
-                raise self._error(
-                    f"{self.path}: key {key!r} unpacks to {n_bytes / 2**20:.0f} MiB, far more "
-                    "than its file suggests; save it with numpy.savez"
+                raise ValueError(
+                    f"it unpacks to {n_bytes / 2**20:.0f} MiB, far more than its file suggests; "
+                    "save it with numpy.savez"
                 )
             self._left -= n_bytes
             with self._members.open(info) as member:
                 return np.lib.format.read_array(member, allow_pickle=False)
-        except self._error:
-            raise
         except Exception as error:  # zipfile, zlib and numpy's parser of headers raise anything
             raise self._error(f"{self.path}: key {key!r} cannot be read: {error}") from None
 
@@ -131,31 +128,25 @@ def open_archive(path: str | os.PathLike[str], error: type[Exception]) -> Iterat
     path = Path(path)
     try:
         if path.exists() and not path.is_file():  # reading a pipe may never end
-            raise error(f"{path}: not a regular file")
-        _check_directory(path, error)
+            raise ValueError("not a regular file")
+        _check_directory(path)
         members = zipfile.ZipFile(path)
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
-    except error:
-        raise
     except Exception as reason:  # as above
         raise error(f"{path}: not a readable npz file: {reason}") from None
     with members:
         yield Archive(path, members, error)
 
 
-def _header(member: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
-    version = np.lib.format.read_magic(member)
-    if version == (1, 0):
-        shape, _, dtype = np.lib.format.read_array_header_1_0(member)
-    elif version == (2, 0):
-        shape, _, dtype = np.lib.format.read_array_header_2_0(member)
-    else:
-        raise ValueError(f"version {version} of the npy format, which no plain array needs")
-    return shape, dtype
+_READERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
+"""Readers of an array's header by the version of the format; no plain array needs another one."""
 
 
-def _check_directory(path: Path, error: type[Exception]) -> None:
+def _check_directory(path: Path) -> None:
     """Refuse a list of members that zipfile would need gigabytes to read."""
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
@@ -163,11 +154,11 @@ def _check_directory(path: Path, error: type[Exception]) -> None:
         tail = file.read()
     at = tail.rfind(b"PK\5\6")
     if at < 0 or len(tail) - at < _END.size:
-        raise error(f"{path}: not a readable npz file: it is not a zip archive, or is truncated")
+        raise ValueError("it is not a zip archive, or is truncated")
     (directory,) = _END.unpack_from(tail, at)
     if tail[max(0, at - 20) : at].startswith(b"PK\6\7"):
-        raise error(f"{path}: an archive of more than 4 GiB; cut the recording into pieces")
+        raise ValueError("an archive of more than 4 GiB; cut the recording into pieces")
     if directory > _MAX_DIRECTORY:
-        raise error(
-            f"{path}: its list of members takes {directory} bytes; a recording has a few arrays"
+        raise ValueError(
+            f"its list of members takes {directory} bytes; a recording has a few arrays"
         )

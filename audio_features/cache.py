@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import hashlib
 import json
 import logging
 import os
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -19,7 +19,7 @@ import numpy as np
 
 from audio_features.atomic import atomic_write
 from audio_features.errors import AudioFeaturesError, FeatureError
-from audio_features.installed import digest_of_sources, installed_versions
+from audio_features.kinds import digest_of_sources, installed_versions
 from audio_features.track import FeatureTrack
 
 if TYPE_CHECKING:
@@ -43,16 +43,11 @@ def default_folder() -> Path:
     The latter is $XDG_CACHE_HOME/gesturekit (~/.cache/gesturekit), ~/Library/Caches/gesturekit on
     macOS, %LOCALAPPDATA%/gesturekit on Windows.
     """
-    named = os.environ.get("GESTUREKIT_CACHE")
-    if named:
+    if named := os.environ.get("GESTUREKIT_CACHE"):
         return Path(named)
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or "~/AppData/Local"
-    elif sys.platform == "darwin":
-        base = "~/Library/Caches"
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(base).expanduser() / "gesturekit"
+    usual = {"win32": ("LOCALAPPDATA", "~/AppData/Local"), "darwin": ("", "~/Library/Caches")}
+    variable, base = usual.get(sys.platform, ("XDG_CACHE_HOME", "~/.cache"))
+    return Path(os.environ.get(variable) or base).expanduser() / "gesturekit"
 
 
 @dataclass(frozen=True)
@@ -80,8 +75,6 @@ class DiskCache:
     def __init__(
         self, folder: str | os.PathLike[str] | None = None, *, max_bytes: int = MAX_BYTES
     ) -> None:
-        if max_bytes < 0:
-            raise FeatureError(f"max_bytes={max_bytes}: 0 or more")
         self.folder = default_folder() if folder is None else Path(folder)
         self.max_bytes = max_bytes
         # Bytes written since the folder was last measured; the first write measures.
@@ -116,61 +109,53 @@ class DiskCache:
 
     def contents(self) -> Contents:
         """Summarise the entries of the cache."""
-        found = list(self._entries())
-        used = [entry.st_mtime for _, entry in found]
-        return Contents(
-            len(found),
-            sum(entry.st_size for _, entry in found),
-            min(used, default=None),
-            max(used, default=None),
-        )
+        return self._contents(self._entries())
 
     def clear(self) -> Contents:
         """Remove all entries, and nothing else in the folder; return a summary of them."""
-        contents = self.contents()
-        for path, _ in self._entries():
+        entries = self._entries()
+        self._remove_unfinished(0.0)
+        for path in entries:
             path.unlink(missing_ok=True)
-        self._remove_leftovers(0.0)
-        for folder in (*self._subfolders(), *(self.folder / kind for kind in KINDS)):
-            with contextlib.suppress(OSError):  # the folder holds other files
-                folder.rmdir()
-        return contents
+        for kind in KINDS:
+            for folder in (*(self.folder / kind).glob("*"), self.folder / kind):
+                with contextlib.suppress(OSError):  # the folder holds other files
+                    folder.rmdir()
+        return self._contents(entries)
+
+    def _contents(self, entries: dict[Path, os.stat_result]) -> Contents:
+        used = [entry.st_mtime for entry in entries.values()]
+        size = sum(entry.st_size for entry in entries.values())
+        return Contents(len(entries), size, min(used, default=None), max(used, default=None))
 
     def _make_room(self) -> None:
         """Remove least recently used entries above the limit, and files of killed runs."""
-        entries = sorted(self._entries(), key=lambda found: found[1].st_mtime)
-        size = sum(entry.st_size for _, entry in entries)
-        for path, entry in entries:
+        entries = self._entries()
+        size = sum(entry.st_size for entry in entries.values())
+        for path in sorted(entries, key=lambda path: entries[path].st_mtime):
             if size <= self.max_bytes:
                 break
             path.unlink(missing_ok=True)
-            size -= entry.st_size
-        self._remove_leftovers(_STALE_SECONDS)
+            size -= entries[path].st_size
+        self._remove_unfinished(_STALE_SECONDS)
         self._unmeasured = 0
 
-    def _subfolders(self) -> list[Path]:
-        found = []
+    def _entries(self, *, unfinished: bool = False) -> dict[Path, os.stat_result]:
+        """Return the files of entries, or those of entries that are being written."""
+        files = {}
         for kind in KINDS:
-            with contextlib.suppress(FileNotFoundError, NotADirectoryError):
-                found += [path for path in (self.folder / kind).iterdir() if path.is_dir()]
-        return found
+            pattern = f"{glob.escape(str(self.folder / kind))}/*/*"
+            # Unlike `Path.glob`, it takes it that another process removes a folder.
+            for path in map(Path, glob.iglob(pattern, include_hidden=True)):  # noqa: PTH207
+                if (path.suffix == _PART) == unfinished:
+                    with contextlib.suppress(FileNotFoundError):  # removed by another process
+                        files[path] = path.stat()
+        return files
 
-    def _entries(self) -> Iterator[tuple[Path, os.stat_result]]:
-        for path in self._files():
-            if path.suffix != _PART:
-                with contextlib.suppress(FileNotFoundError):  # removed by another process
-                    yield path, path.stat()
-
-    def _files(self) -> Iterator[Path]:
-        for folder in self._subfolders():
-            with contextlib.suppress(FileNotFoundError):
-                yield from list(folder.iterdir())
-
-    def _remove_leftovers(self, age: float) -> None:
-        for path in self._files():
-            with contextlib.suppress(FileNotFoundError):
-                if path.suffix == _PART and time.time() - path.stat().st_mtime >= age:
-                    path.unlink()
+    def _remove_unfinished(self, age: float) -> None:
+        for path, entry in self._entries(unfinished=True).items():
+            if time.time() - entry.st_mtime >= age:
+                path.unlink(missing_ok=True)
 
 
 def size_limit() -> int:
@@ -181,12 +166,12 @@ def size_limit() -> int:
     size = os.environ.get("GESTUREKIT_CACHE_GB")
     try:
         limit = MAX_BYTES if size is None else int(float(size) * 1e9)
-        if limit < 0:
-            raise ValueError
-    except (ValueError, OverflowError) as error:
+    except (ValueError, OverflowError):
+        limit = -1
+    if limit < 0:
         raise AudioFeaturesError(
             f"GESTUREKIT_CACHE_GB={size!r}: give the gigabytes that the cache may hold, 0 for none"
-        ) from error
+        )
     return limit
 
 
@@ -253,11 +238,17 @@ class FeatureCache(DiskCache):
             return extractor.extract(wave, self.extract)
         if not getattr(extractor, "worth_caching", True):
             return extractor.extract(wave)
+
+        from safetensors.numpy import save
+
         path = self._entry(extractor, wave)
         track = self._read(path, extractor)
         if track is None:
             track = self._rounded(extractor.extract(wave))
-            self._store(path, track)
+            kind = np.float16 if self.precision == "fp16" else np.float32
+            values = track.values.astype(kind, copy=False)
+            about = {"checksum": _checksum(values, track.times)}
+            self.write(path, save({"values": values, "times": track.times}, about))
         return track
 
     def _entry(self, extractor: Extractor, wave: Wave) -> Path:
@@ -299,17 +290,6 @@ class FeatureCache(DiskCache):
             return None
         self.mark_used(path)
         return track
-
-    def _store(self, path: Path, track: FeatureTrack) -> None:
-        from safetensors.numpy import save
-
-        kind = np.float16 if self.precision == "fp16" else np.float32
-        values = track.values.astype(kind, copy=False)
-        if values.nbytes + track.times.nbytes > self.max_bytes:
-            return
-        about = {"spec": json.dumps(track.spec), "checksum": _checksum(values, track.times)}
-        data = save({"values": values, "times": track.times}, about)
-        self.write(path, data)
 
 
 def cache_from_environment(precision: Literal["fp32", "fp16"] = "fp32") -> FeatureCache:

@@ -48,7 +48,7 @@ class WeightsError(AudioFeaturesError, ValueError):
         >>> af.extractor_from_spec({"kind": "hf", "model": "hubert"})
         Traceback (most recent call last):
         audio_features.errors.WeightsError: weights of hubert are needed: name their place
-        (path: FOLDER in the config to train, else --weights hf=FOLDER)
+        (path: FOLDER in the config to train, else --weights hf=PATH)
     """
 
 

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import inspect
+import json
+import logging
 import os
+import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, runtime_checkable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from audio_features.acoustic.analysis import ShortTimeSpectrum
 from audio_features.acoustic.extractors import AcousticExtractor
-from audio_features.errors import FeatureError, WeightsError
-from audio_features.installed import Installed, installed_kinds
-from audio_features.kinds import KINDS
+from audio_features.errors import AudioFeaturesError, FeatureError, WeightsError
+from audio_features.kinds import KINDS, digest_of_sources, installed_kinds
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 from audio_features.weight_files import WeightPlaces
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+log = logging.getLogger(__name__)
 
 _PLACES = {kind: entry.place for kind, entry in KINDS.items() if entry.place is not None}
 """Kinds of extractors with weights or files, and the setting of a spec that names their folder."""
@@ -113,6 +123,65 @@ class Stack:
         return f"Stack({list(self.parts)})"
 
 
+class Installed:
+    """Extractor of an installed package, made by its entry point; its results are checked.
+
+    The spec names the package, its version and a digest of its code, so that a cache knows other
+    code, and a machine without the package knows what is missing.
+
+    Args:
+        entry: entry point whose name is the kind.
+        settings: keywords of the extractor, and `package` if the spec has one.
+        device: given to an extractor that has this keyword.
+
+    Raises FeatureError if the package cannot be used.
+    """
+
+    def __init__(self, entry: EntryPoint, settings: dict[str, Any], device: str) -> None:
+        dist = entry.dist
+        version = f"{dist.name} {dist.version}" if dist else entry.module
+        self._who = f"extractor {entry.name!r} of {version}"
+        made_with = settings.pop("package", None)
+        try:
+            make = entry.load()
+            if "device" in inspect.signature(make).parameters:
+                settings["device"] = device
+            self._made = make(**settings)
+            self.names = tuple(f"{entry.name}.{name}" for name in self._made.names)
+            self.centred = tuple(map(bool, self._made.centred))
+            if len(self.names) != len(self.centred):
+                raise FeatureError(f"{len(self.names)} names and {len(self.centred)} of centred")
+            spec = json.loads(json.dumps(self._made.spec, allow_nan=False))
+            package = f"{version} ({_code_of(entry)})"
+            self.spec = spec | {"kind": entry.name, "package": package}
+        except Exception as error:
+            raise FeatureError(f"{self._who}: {error or repr(error)}") from error
+        self.dim, self.worth_caching = len(self.names), getattr(self._made, "worth_caching", True)
+        if made_with not in (None, package):
+            text = "%s: %s is installed, the features were made with %s"
+            log.warning(text, entry.name, package, made_with)
+
+    def extract(self, wave: Wave) -> FeatureTrack:
+        """Extract the features of a sound: values (T, D). Raises FeatureError if that fails."""
+        try:
+            track = self._made.extract(wave)
+            return FeatureTrack(track.values, track.times, self.spec, self.names)
+        except AudioFeaturesError as error:
+            raise FeatureError(f"{wave.source or 'the sound'}: {self._who}: {error}") from error
+        except Exception as error:  # foreign code may raise anything; other sounds go on
+            raise FeatureError(f"{wave.source or 'the sound'}: {self._who}: {error!r}") from error
+
+    def __repr__(self) -> str:
+        return f"Installed({self.spec})"
+
+
+def _code_of(entry: EntryPoint) -> str:
+    """Return 8 digits that change with the source code of an entry point's package."""
+    package, module = sys.modules[entry.module.partition(".")[0]], sys.modules[entry.module]
+    file = Path(getattr(package, "__file__", None) or str(module.__file__))
+    return digest_of_sources(file.parent if file.stem == "__init__" else file)[:8]
+
+
 def extractor_from_spec(
     spec: dict[str, Any],
     *,
@@ -129,7 +198,7 @@ def extractor_from_spec(
             "words": "bert-base/", "files": "own_features/"}.
         device: "cpu" or "cuda", for WavLM, Hugging Face encoders, torchaudio and installed kinds.
 
-    Kinds of installed packages are found by their entry points, see `installed.GROUP`.
+    Kinds of installed packages are found by their entry points, see `kinds.GROUP`.
 
     Raises FeatureError for a kind that is unknown or not installed, or a setting that the kind
     does not have, and WeightsError if weights are missing or have another fingerprint than the
@@ -147,13 +216,6 @@ def extractor_from_spec(
     """
     settings = dict(spec) if isinstance(spec, dict) else {}
     kind = settings.pop("kind", None)
-    if needs_weights(spec):
-        place = _place_of(kind, weights)
-        if kind == "words":
-            from audio_features.huggingface.word_embeddings import WordEmbeddings
-
-            return WordEmbeddings.from_spec(settings, place, device)
-        return KINDS[kind].load().from_spec(settings, place, device)
     if kind == "stack":
         parts = settings.pop("parts", None)
         if settings or not isinstance(parts, list):
@@ -162,14 +224,41 @@ def extractor_from_spec(
         return Stack([extractor_from_spec(part, weights=weights, device=device) for part in parts])
     if kind not in KINDS:
         return _installed(kind, settings, device)
-    if kind == "files" and (place := _place_of(kind, weights)) is not None:
+    make = KINDS[kind].load()
+    if needs_weights(spec):
+        if kind == "words":
+            from audio_features.huggingface.word_embeddings import WordEmbeddings
+
+            make = WordEmbeddings
+        make = partial(make, _folder_of(kind, settings, weights), device=device)
+    elif kind == "files" and (place := _place_of(kind, weights)) is not None:
         settings["folder"] = place
     if settings.get("backend") == "torchaudio":
         settings["device"] = device
     try:
-        return KINDS[kind].load()(**settings)
+        return make(**settings)
     except TypeError as error:
         raise FeatureError(f"feature spec {spec!r}: {error}") from error
+
+
+def _folder_of(
+    kind: str, settings: dict[str, Any], weights: WeightPlaces | None
+) -> str | os.PathLike[str]:
+    """Return the place of an encoder, and take it and the model's name out of the settings."""
+    name = _PLACES[kind]
+    folder = settings.pop(name, None) or _place_of(kind, weights)
+    model = settings.pop("model", None) or {"wavlm": "WavLM", "words": "a text encoder"}.get(
+        kind, "a Hugging Face speech encoder"
+    )
+    if folder is None:
+        wanted = settings.get("fingerprint")
+        which = f" with fingerprint {wanted}" if wanted else ""
+        setting = f"{name}: FOLDER in the config" if name else "features.weights=PATH"
+        raise WeightsError(
+            f"weights of {model}{which} are needed: name their place ({setting} to train, else "
+            f"--weights {kind}=PATH)"
+        )
+    return folder
 
 
 def _installed(kind: Any, settings: dict[str, Any], device: str) -> Installed:
@@ -211,18 +300,18 @@ def needs_of(spec: Any) -> list[str]:
         return (
             [need for part in parts for need in needs_of(part)] if isinstance(parts, list) else []
         )
-    found = [f"the weights of the encoder: --weights {kind}=PATH"] if needs_weights(spec) else []
+    needs = [f"the weights of the encoder: --weights {kind}=PATH"] if needs_weights(spec) else []
     if kind == "words":
-        found.append("a list of words with times beside each sound, such as STEM.TextGrid")
+        needs.append("a list of words with times beside each sound, such as STEM.TextGrid")
     elif kind == "files":
-        found.append(
+        needs.append(
             f"STEM{spec.get('suffix')} with {spec.get('dim')} columns, beside each sound or in "
             "--weights files=FOLDER"
         )
     elif kind is not None and kind not in KINDS:
         here = "" if kind in installed_kinds() else ", which is not installed here"
-        found.append(f"the extractor {kind} of the package {spec.get('package')}{here}")
-    return found
+        needs.append(f"the extractor {kind} of the package {spec.get('package')}{here}")
+    return needs
 
 
 def folder_in_spec(spec: Mapping[str, Any]) -> str | None:

@@ -6,7 +6,7 @@ import logging
 import math
 import os
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 import soundfile
@@ -65,7 +65,7 @@ class Files:
     ) -> None:
         if not isinstance(dim, int) or not 1 <= dim <= _MOST_COLUMNS:
             raise FeatureError(
-                f"files: {_given('dim', dim)}: give the number of columns of the files "
+                f"files: dim is {dim!r}: give the number of columns of the files "
                 "(dim: 64, --extractor files:64)"
             )
         suffix = (".npz" if rate is None else ".npy") if suffix is None else suffix
@@ -73,12 +73,13 @@ class Files:
         if not is_name or not suffix.lower().endswith((".npz", ".npy")) or suffix[0] != ".":
             raise FeatureError(f"files: suffix is {suffix!r}: expected .npz, .npy or .NAME.npy")
         self._is_npy = suffix.lower().endswith(".npy")
-        if self._is_npy and not (_is_number(rate) and 1e-3 <= rate <= 1e6):
+        if self._is_npy and not (isinstance(rate, int | float) and 1e-3 <= rate <= 1e6):
             raise FeatureError(
-                f"files: {_given('rate', rate)}: give the rows per second of *{suffix} "
-                "(rate: 50, --rate 50)"
+                f"files: rate is {rate!r}: give the rows per second of *{suffix} (rate: 50, "
+                "--rate 50)"
             )
-        if not _is_number(start) or not isinstance(centred, bool):
+        is_time = isinstance(start, int | float) and math.isfinite(start)
+        if not is_time or not isinstance(centred, bool):
             raise FeatureError(
                 f"files: start is {start!r}, centred {centred!r}: a time, true/false"
             )
@@ -115,17 +116,13 @@ class Files:
             return FeatureTrack(np.zeros((1, self.dim)), np.zeros(1), self.spec, self.names)
         path = None if wave.source is None else self.find(wave.source)
         if path is None:
-            if wave.source is None:
-                raise FeatureError(
-                    f"the sound is no file, so that no file of features *{self.suffix} belongs to "
-                    "it: give the path of the sound instead of its samples"
-                )
-            name = Path(wave.source).with_suffix(self.suffix).name
+            name = Path(wave.source or "STEM.wav").with_suffix(self.suffix).name
             where = "beside it" if self.folder is None else f"in {self.folder}"
             npy = "" if self._is_npy else " (an npy needs a rate)"
             raise FeatureError(
-                f"{wave.source}: no file of features {name} {where}{npy}: compute it, or name its "
-                "folder (folder: in a training's settings, --weights files=FOLDER at rendering)"
+                f"{wave.source or 'a sound that is no file'}: no file of features {name} {where}"
+                f"{npy}: compute it, or name its folder (folder: in a training's settings, "
+                "--weights files=FOLDER at rendering)"
             )
         try:
             values, times = self._read(path)
@@ -201,15 +198,6 @@ def open_npy(path: Path) -> np.ndarray:
         raise
     except Exception as error:  # numpy's parser of headers raises anything
         raise FeatureError("not a whole npy of plain numbers: write it with numpy.save") from error
-
-
-def _given(name: str, value: Any) -> str:
-    return f"no {name} is given" if value is None else f"{name} is {value!r}"
-
-
-def _is_number(value: Any) -> TypeGuard[float]:
-    is_real = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_real and math.isfinite(value)
 
 
 def _length(wave: Wave) -> float:

@@ -1,10 +1,20 @@
-"""Table of the kinds of extractors: the one place in which a speech feature is entered."""
+"""Kinds of extractors: the one table in which a speech feature is entered, and installed ones."""
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import import_module
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+GROUP = "gesturekit.extractors"
+"""Entry points by which a package adds extractors: kind = "module:class"."""
 
 
 @dataclass(frozen=True)
@@ -43,3 +53,34 @@ KINDS = {
     "files": Kind("files", "Files", "dim", place="folder"),
 }
 """Extractors by the `kind` of their specs, in the order in which messages list them."""
+
+
+def installed_kinds() -> dict[str, EntryPoint]:
+    """Return the extractors of installed packages by their kinds, which no kind of `KINDS` is."""
+    from importlib import metadata
+
+    entries = metadata.entry_points(group=GROUP)
+    return {entry.name: entry for entry in entries if entry.name not in KINDS}
+
+
+@lru_cache
+def digest_of_sources(root: Path) -> str:
+    """Return a digest of a source file, or of all below a folder and its tables: a part of keys."""
+    digest = hashlib.sha256()
+    files = [root] if root.is_file() else [*root.rglob("*.py"), *root.rglob("*.toml")]
+    for path in sorted(files):
+        digest.update(path.relative_to(root).as_posix().encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+@lru_cache
+def installed_versions(packages: tuple[str, ...]) -> dict[str, str]:
+    """Return {package: version} of those that are installed."""
+    from importlib import metadata
+
+    versions = {}
+    for package in packages:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[package] = metadata.version(package)
+    return versions

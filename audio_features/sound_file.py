@@ -116,7 +116,7 @@ def read_channel(
             f"MB, and over {times} times the file: if it is sound, give start and duration, or "
             f"make a wav of it: {_ffmpeg_line(name)}"
         )
-    samples, levels = np.empty(count, dtype=np.float32), ChannelLevels(file.channels)
+    samples, levels = np.empty(count, dtype=np.float32), ChannelLevels()
     file.seek(first)
     done = 0
     while done < count:
@@ -239,29 +239,25 @@ def _ffmpeg_line(name: str, options: str = "") -> str:
 
 
 class ChannelLevels:
-    """Power of the channels of a sound and of their mean, about their offsets.
+    """Power of the channels of a sound and of their mean, about their offsets."""
 
-    Args:
-        channels: number of channels C.
-    """
-
-    def __init__(self, channels: int) -> None:
+    def __init__(self) -> None:
         self._count = 0
-        self._total = np.zeros(channels + 1)
-        self._square = np.zeros(channels + 1)
+        self._sums: Any = 0.0  # of values and squares: (2, channels + 1)
 
     def add(self, block: np.ndarray, mean: np.ndarray) -> None:
         """Include a block (N, C) of samples, with the mean (N,) of its channels."""
         values = np.column_stack([block, mean]).astype(np.float64)
         values[~np.isfinite(values)] = 0.0
         self._count += len(values)
-        self._total += values.sum(axis=0)
-        self._square += np.square(values, out=values).sum(axis=0)
+        self._sums = self._sums + np.stack([values.sum(axis=0), np.square(values).sum(axis=0)])
 
     def instead_of_mean(self) -> int | None:
         """Return the loudest channel, from 1, if the channels cancel in the mean, else None."""
-        count = max(self._count, 1)
-        *powers, of_mean = self._square / count - np.square(self._total / count)
+        if not self._count:
+            return None
+        total, squares = self._sums / self._count
+        *powers, of_mean = squares - np.square(total)
         loudest = int(np.argmax(powers))
         if len(powers) > 1 and of_mean < _CANCELLED * powers[loudest] / len(powers) ** 2:
             return loudest + 1
@@ -312,7 +308,7 @@ def one_channel(values: np.ndarray) -> tuple[np.ndarray, int | None]:
     """
     channels = values.T if values.shape[0] <= values.shape[1] else values
     mean = channels.mean(axis=1)
-    levels = ChannelLevels(channels.shape[1])
+    levels = ChannelLevels()
     levels.add(channels, mean)
     used = levels.instead_of_mean()
     return (mean, None) if used is None else (channels[:, used - 1], used)

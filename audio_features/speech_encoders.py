@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 SAMPLE_RATE = 16_000
 """Sample rate in Hz of every speech encoder."""
 _SHORTEST_CHUNK = 320 / SAMPLE_RATE  # seconds: one frame of the published encoders
+_SECONDS = ("full_context", "chunk", "context")
 
 
 def normalized(samples: np.ndarray, eps: float | None) -> np.ndarray:
@@ -48,19 +49,6 @@ def chunk_slices(n_frames: int, longest: int, context: int) -> Iterator[tuple[sl
         done = keep.stop
 
 
-def check_names(
-    extractor: str, settings: Iterable[str], known: Sequence[str], place: Sequence[str] = ()
-) -> None:
-    """Raise FeatureError for a setting of a spec, or a keyword, that an extractor does not have.
-
-    The message lists the `known` ones after `place`, the setting that names the weights.
-    """
-    unknown = sorted(set(settings) - set(known))
-    if unknown:
-        names = ", ".join((*place, *known))
-        raise FeatureError(f"{extractor}: unknown setting {unknown[0]!r}; there are {names}")
-
-
 def checked_device(name: str) -> Any:
     """Return the torch device of that name; raises FeatureError if it cannot be used."""
     import torch
@@ -78,37 +66,47 @@ def checked_device(name: str) -> Any:
 class Options:
     """Options of `WavLM` and `HuggingFace`, which document them."""
 
-    final_norm: bool | None = None
     normalize: bool | float | None = None
     full_context: float = 300.0
     chunk: float = 30.0
     context: float = 5.0
 
     def __post_init__(self) -> None:
-        given = ", ".join(f"{name}={getattr(self, name)!r}" for name in _SECONDS)
+        given = ", ".join(f"{name}={value!r}" for name, value in self.seconds.items())
         try:
-            full, length, around = (float(getattr(self, name)) for name in _SECONDS)
-        except (TypeError, ValueError) as error:
-            raise FeatureError(f"{given}: give three numbers of seconds") from error
-        if not (
-            0 <= full < 1e6 and 0 <= around < 1e6 and 2 * around + _SHORTEST_CHUNK <= length < 1e6
-        ):
+            full, length, around = map(float, self.seconds.values())
+            is_right = max(full, length) < 1e6 and min(full, around) >= 0
+            is_right &= 2 * around + _SHORTEST_CHUNK <= length
+        except (TypeError, ValueError):
+            is_right = False
+        if not is_right:
             raise FeatureError(
                 f"{given}: give seconds from 0 to 1000000, and chunks longer than twice their "
                 "context"
             )
-        for name, value in zip(_SECONDS, (full, length, around), strict=True):
-            object.__setattr__(self, name, value)
+        for name, value in self.seconds.items():
+            object.__setattr__(self, name, float(value))
 
     @property
     def seconds(self) -> dict[str, float]:
         """`full_context`, `chunk` and `context` by name, in seconds."""
         return {name: getattr(self, name) for name in _SECONDS}
 
-    def frames(self, hop: int) -> tuple[int, int, int]:
-        """Return `full_context`, `chunk` and `context` in frames of `hop` samples."""
+    def chunks(self, n_frames: int, hop: int, most: int | None = None) -> list[tuple[slice, slice]]:
+        """Return the `chunk_slices` of a sound.
+
+        Args:
+            n_frames: length of the sound.
+            hop: samples between two frames.
+            most: frames that the encoder takes at once; None without a limit.
+        """
         full, chunk, context = (round(s * (SAMPLE_RATE / hop)) for s in self.seconds.values())
-        return full, chunk, context
+        if most is not None:
+            if chunk > most:
+                context = min(context, most // 4)
+            full, chunk = min(full, most), min(chunk, most)
+        longest = n_frames if n_frames <= full else max(chunk, 2 * context + 1)
+        return list(chunk_slices(n_frames, longest, context))
 
     def eps(self, expected: float | None) -> float | None:
         """Return the number added to the variance; None leaves the waveform unnormalised.
@@ -124,25 +122,10 @@ class Options:
         return value
 
 
-_SECONDS = ("full_context", "chunk", "context")
-
-
-class Encoder(Protocol):
-    """Network whose hidden states become features."""
-
-    @property
-    def ends_in_norm(self) -> bool:
-        """True if a final normalisation follows the topmost layer and is not in its state."""
-
-    def final_norm(self, x: torch.Tensor) -> torch.Tensor:
-        """Apply the final normalisation to the topmost state (B, T, width)."""
-
-
 Layer = int | str | list[int] | tuple[int, ...] | Mapping[int | str, float]
 """Argument of `WavLM`: a number, "last", "mean", several numbers, or {number: weight}."""
 
 
-@dataclass(frozen=True)
 class LayerChoice:
     """Selection from hidden states 0 to `top`, concatenated or averaged.
 
@@ -152,92 +135,74 @@ class LayerChoice:
             means only for "last".
         top: number of layers of the network.
 
+    Attributes:
+        indices: selected indices into transformers' `hidden_states`.
+        shares: weight of each index, which sum to 1, if the states are averaged, else None.
+        is_list: true if several states are concatenated; the column names then include the layer.
+        spec: the selection as a JSON-serialisable value.
+
     Raises FeatureError for a layer that does not exist, or contradictory settings.
     """
 
-    layer: Layer
-    final_norm: bool | None
-    top: int
-
-    def __post_init__(self) -> None:
-        layer, norm = self.layer, self.final_norm
-        if norm is not None and not isinstance(norm, bool):
-            raise FeatureError(f"final_norm={norm!r}: true or false")
-        object.__setattr__(self, "final_norm", layer == "last" if norm is None else norm)
-        for index in self.indices:
-            if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index <= self.top:
-                raise FeatureError(
-                    f"layer={layer!r}: 'last', 'mean', or whole numbers from 0 to {self.top}"
-                )
-        if not self.indices or len(set(self.indices)) < len(self.indices):
-            raise FeatureError(f"layer={layer!r}: name each layer once, and at least one")
-        if norm and self.top not in self.indices:
-            raise FeatureError(
-                f"layer={layer!r} with final_norm: the final normalisation belongs to layer "
-                f"{self.top} alone: leave final_norm out"
-            )
-        if self.weights is not None and not (
-            np.isfinite(self.weights).all() and abs(sum(self.weights)) > 0
-        ):
-            raise FeatureError(f"layer={layer!r}: the weights must be finite and not sum to 0")
-
-    @property
-    def indices(self) -> tuple[int, ...]:
-        """Selected indices into transformers' `hidden_states`."""
-        if self.layer == "last":
-            return (self.top,)
-        layer: Any = self.layer  # until `__post_init__` has checked it
-        if self.layer == "mean":
-            return tuple(range(self.top + 1))
+    def __init__(self, layer: Layer, final_norm: bool | None, top: int) -> None:
+        if final_norm is not None and not isinstance(final_norm, bool):
+            raise FeatureError(f"final_norm={final_norm!r}: true or false")
+        self.top, self.final_norm = top, layer == "last" if final_norm is None else final_norm
+        self.is_list = isinstance(layer, list | tuple)
+        self.spec: Any = list(layer) if isinstance(layer, tuple) else layer
+        weights: list[float] | None = None
         if isinstance(layer, Mapping):
             # JSON turns the keys of a spec into strings.
-            return tuple(
-                int(key) if isinstance(key, str) and key.isdecimal() else key for key in layer
+            chosen = [int(key) if str(key).isdecimal() else key for key in layer]
+            try:
+                weights = [float(weight) for weight in layer.values()]
+            except (TypeError, ValueError) as error:
+                raise FeatureError(f"layer={layer!r}: a weight is not a number") from error
+            self.spec = dict(zip(map(str, chosen), weights))
+        elif layer == "mean":
+            chosen = list(range(top + 1))
+            weights = [1.0] * len(chosen)
+        else:
+            chosen = [top] if layer == "last" else [*self.spec] if self.is_list else [layer]
+        for index in chosen:
+            if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index <= top:
+                raise FeatureError(
+                    f"layer={layer!r}: 'last', 'mean', or whole numbers from 0 to {top}"
+                )
+        self.indices = tuple(chosen)
+        if not chosen or len(set(chosen)) < len(chosen):
+            raise FeatureError(f"layer={layer!r}: name each layer once, and at least one")
+        if final_norm and top not in chosen:
+            raise FeatureError(
+                f"layer={layer!r} with final_norm: the final normalisation belongs to layer "
+                f"{top} alone: leave final_norm out"
             )
-        return tuple(layer) if isinstance(layer, list | tuple) else (layer,)
+        self.shares: dict[int, float] | None = None
+        if weights is not None:
+            total = sum(weights)
+            if not np.isfinite(total) or total == 0:
+                raise FeatureError(f"layer={layer!r}: the weights must be finite and not sum to 0")
+            self.shares = {index: weight / total for index, weight in zip(chosen, weights)}
 
-    @property
-    def weights(self) -> tuple[float, ...] | None:
-        """One weight per state if they are averaged, else None."""
-        if self.layer == "mean":
-            return (1.0,) * (self.top + 1)
-        if not isinstance(self.layer, Mapping):
-            return None
-        try:
-            return tuple(float(weight) for weight in self.layer.values())
-        except (TypeError, ValueError) as error:
-            raise FeatureError(f"layer={self.layer!r}: a weight is not a number") from error
+    def pick(self, encoder: Any, states: Iterable[torch.Tensor]) -> torch.Tensor:
+        """Compute the features (B, T, D) from the states 0, 1, … that `encoder` yields.
 
-    @property
-    def spec(self) -> int | str | list[int] | dict[str, float]:
-        """Selection as a JSON-serialisable value."""
-        if isinstance(self.layer, Mapping):
-            return {str(i): weight for i, weight in zip(self.indices, self.weights or ())}
-        return list(self.layer) if isinstance(self.layer, tuple) else self.layer
-
-    @property
-    def is_list(self) -> bool:
-        """True if several states are concatenated; the column names then include the layer."""
-        return isinstance(self.layer, list | tuple)
-
-    def pick(self, encoder: Encoder, states: Iterable[torch.Tensor]) -> torch.Tensor:
-        """Compute the features (B, T, D) from the states 0, 1, … that `encoder` yields."""
+        The encoder says whether it `ends_in_norm`, that is whether a final normalisation follows
+        the topmost layer, not in its state, and has this `final_norm`.
+        """
         import torch
 
-        share = dict.fromkeys(self.indices, 1.0)
-        if self.weights is not None:
-            share = {i: w / sum(self.weights) for i, w in zip(self.indices, self.weights)}
         picked: dict[int, torch.Tensor] = {}
         for index, state in enumerate(states):
-            if index not in share:
+            if index not in self.indices:
                 continue
             if index == self.top and self.final_norm and encoder.ends_in_norm:
                 state = encoder.final_norm(state)
-            if self.weights is None:
+            if self.shares is None:
                 picked[index] = state
             else:
-                picked[0] = picked.get(0, 0.0) + share[index] * state
-        if self.weights is not None or len(share) == 1:
+                picked[0] = picked.get(0, 0.0) + self.shares[index] * state
+        if len(picked) == 1:
             return next(iter(picked.values()))
         return torch.cat([picked[index] for index in self.indices], dim=-1)
 
@@ -248,10 +213,12 @@ class HiddenStateExtractor:
     Attributes:
         weights: description of the weights; `weights.describe()` summarises it in one line.
         stem: beginning of the columns' names.
+        spec: settings from which the extractor can be built again, as a JSON-serialisable value.
     """
 
     weights: Any
     stem: str
+    spec: Any
     _choice: LayerChoice
 
     @property
@@ -268,11 +235,6 @@ class HiddenStateExtractor:
     def centred(self) -> tuple[bool, ...]:
         """D flags, all true: a clip's mean depends on voice and recording conditions."""
         return (True,) * self.dim
-
-    @property
-    def spec(self) -> dict[str, Any]:
-        """Settings from which the extractor can be built again, as a JSON-serialisable value."""
-        raise NotImplementedError
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -128,7 +128,7 @@ def _cepstral_peaks(frames: np.ndarray, wanted: slice) -> tuple[np.ndarray, np.n
     from scipy.fft import irfft, rfft
     from scipy.ndimage import uniform_filter1d
 
-    spectrum = rfft(frames * _window())
+    spectrum = rfft(frames * np.hanning(_FRAME).astype(np.float32))
     power = 10.0 * np.log10(spectrum.real**2 + spectrum.imag**2 + np.float32(1e-20))
     some = power[::2]  # frames overlap by two thirds
     ordered = [round(share * (len(some) - 1)) for share in (_QUANTILE, _LOUD)]
@@ -145,10 +145,6 @@ def _cepstral_peaks(frames: np.ndarray, wanted: slice) -> tuple[np.ndarray, np.n
     peaks = cepstrum[:, lags] - np.maximum(cepstrum[:, lags // 2], 0.0)
     best = peaks.argmax(axis=1)
     return peaks[np.arange(len(peaks)), best], _FINER * _RATE / lags[best]
-
-
-def _window() -> np.ndarray:
-    return np.hanning(_FRAME).astype(np.float32)
 
 
 def _weights() -> np.ndarray:

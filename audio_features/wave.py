@@ -8,6 +8,7 @@ import os
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
+from numbers import Real
 
 import numpy as np
 import soxr
@@ -52,9 +53,7 @@ def exact_rate(fps: float | Fraction) -> Fraction:
         >>> af.exact_rate(25.0), af.exact_rate(29.97), af.exact_rate(30000 / 1001)
         (Fraction(25, 1), Fraction(2997, 100), Fraction(30000, 1001))
     """
-    if not isinstance(fps, Fraction) and not math.isfinite(fps):
-        raise AudioError(f"fps is {fps!r}: give a positive number of frames per second")
-    rate = Fraction(fps).limit_denominator(1001)
+    rate = Fraction(fps).limit_denominator(1001) if math.isfinite(fps) else Fraction(0)
     if rate <= 0:
         raise AudioError(f"fps is {fps!r}: give a positive number of frames per second")
     return rate
@@ -96,10 +95,11 @@ class Wave:
     def __post_init__(self) -> None:
         name = self.source or "samples"
         samples = np.asarray(self.samples)
-        if samples.ndim != 1:
-            raise AudioError(f"{name}: shape {samples.shape}, expected (N,): give one channel")
-        if samples.dtype.kind != "f":
-            raise AudioError(f"{name}: dtype {samples.dtype}, expected floats with full scale ±1")
+        if samples.ndim != 1 or samples.dtype.kind != "f":
+            raise AudioError(
+                f"{name}: shape {samples.shape} of {samples.dtype}, expected one channel (N,) of "
+                "floats with full scale ±1"
+            )
         object.__setattr__(self, "samples", np.ascontiguousarray(samples, dtype=np.float32))
         object.__setattr__(self, "sample_rate", checked_rate(self.sample_rate, name))
         if Fraction(len(samples), self.sample_rate) < MIN_SECONDS:
@@ -278,21 +278,23 @@ class Wave:
         offset of at least 1 % of full scale. None of them is an error: acoustic features remove
         level and offset, and silence gives idle motion.
         """
-        found = []
+        faults = []
         if self.is_silent:
-            found.append(f"silence: no speech above {SILENCE_DBFS:.0f} dBFS")
-        clipped, first = self._clipping()
-        if clipped:
-            found.append(
-                f"clipped: {clipped} samples at full scale, the first at "
-                f"{first / self.sample_rate:.2f} s: record at a lower level"
+            faults.append(f"silence: no speech above {SILENCE_DBFS:.0f} dBFS")
+        level = np.abs(self.samples)
+        peak = float(level.max())
+        full = level >= _FULL_SCALE
+        flat = np.flatnonzero(full[2:] & full[1:-1] & full[:-2])  # third in a run
+        if len(flat) and peak <= _UNLIMITED:
+            faults.append(
+                f"clipped: {len(flat)} samples at full scale, the first at "
+                f"{flat[0] / self.sample_rate:.2f} s: record at a lower level"
             )
         # Floats may have another full scale than 1, for example 32768.
-        peak = float(np.abs(self.samples).max())
         offset = self._mean / (peak if peak > _UNLIMITED else 1.0)
         if abs(offset) >= _DC_OFFSET:
-            found.append(f"DC offset of {100 * offset:+.1f} % of full scale: high-pass it")
-        return found
+            faults.append(f"DC offset of {100 * offset:+.1f} % of full scale: high-pass it")
+        return faults
 
     def at_level(self, dbfs: float = SPEECH_LEVEL_DBFS) -> Wave:
         """Scale the active level to `dbfs` and remove the DC offset; silence is unchanged."""
@@ -313,19 +315,6 @@ class Wave:
     @cached_property
     def _mean(self) -> float:
         return float(np.mean(self.samples, dtype=np.float64))
-
-    def _clipping(self) -> tuple[int, int]:
-        """Count samples that are third in a run at full scale; return (count, first index)."""
-        count, first = 0, 0
-        if np.abs(self.samples).max() > _UNLIMITED:
-            return count, first
-        for at in range(0, len(self.samples), _BLOCK):
-            full = np.abs(self.samples[at : at + _BLOCK + 2]) >= _FULL_SCALE
-            flat = full[2:] & full[1:-1] & full[:-2]
-            if count == 0 and flat.any():
-                first = at + int(np.argmax(flat))
-            count += int(np.count_nonzero(flat))
-        return count, first
 
     @cached_property
     def _level(self) -> float:
@@ -350,14 +339,9 @@ class Wave:
 def checked_rate(rate: int, name: str) -> int:
     """Return a sample rate as int; raise AudioError unless it is a whole number in range."""
     low, high = SAMPLE_RATES
-    try:
-        is_whole = int(rate) == rate
-    except (TypeError, ValueError, OverflowError):
-        is_whole = False
-    if isinstance(rate, str) or not is_whole or not low <= rate <= high:
-        shown = repr(rate) if isinstance(rate, str) else rate
+    if not isinstance(rate, Real) or not low <= rate <= high or int(rate) != rate:
         raise AudioError(
-            f"{name}: sample rate {shown} Hz, expected a whole number from {low} to {high}: "
+            f"{name}: sample rate {rate!r} Hz, expected a whole number from {low} to {high}: "
             "resample the sound, or correct its header"
         )
     return int(rate)
@@ -367,10 +351,11 @@ def _segment(
     name: str, n: int, rate: int, start: float, duration: float | None, max_seconds: float
 ) -> tuple[int, int]:
     """Return the first sample and the number of samples of a segment given in seconds."""
-    if not (math.isfinite(start) and start >= 0):
-        raise AudioError(f"{name}: start is {start} s: give 0 or more")
-    if duration is not None and not (math.isfinite(duration) and duration > 0):
-        raise AudioError(f"{name}: duration is {duration} s: give more than 0, or None")
+    if not 0 <= start < math.inf or not (duration is None or 0 < duration < math.inf):
+        raise AudioError(
+            f"{name}: start is {start} s, duration {duration} s: give a start from 0, and a "
+            "duration above 0, or None"
+        )
     first = round(start * rate)
     if first >= n > 0:
         raise AudioError(f"{name}: start is {start} s but the sound ends at {n / rate:.3f} s")

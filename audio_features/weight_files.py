@@ -1,4 +1,8 @@
-"""Reading of weight files and of a model folder's JSON files; no code in a file is run."""
+"""Weights of networks: their files, the JSON files beside them, and what must agree.
+
+No code in a file is run, no missing tensor is filled with random numbers, and nothing is
+downloaded, as the loaders of transformers, Microsoft and torchaudio might do.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +11,9 @@ import json
 import os
 import pickle
 import re
-import struct
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +31,52 @@ WeightPlaces = str | os.PathLike[str] | Mapping[str, str | os.PathLike[str]]
 _MAX_CONFIG_BYTES = 1 << 20
 _MOST_LISTED = 8
 _INDEX = "model.safetensors.index.json"
+# Tensors that belong to training, follow the encoder, or are computed.
+_LEFT_OUT = ("adapter.", "intermediate_ffn.", "masked_spec_embed", "embeddings.position_ids")
+# Names of normalisations in files of older versions.
+_OLD_NAMES = (
+    (".weight_g", ".parametrizations.weight.original0"),
+    (".weight_v", ".parametrizations.weight.original1"),
+    ("LayerNorm.gamma", "LayerNorm.weight"),
+    ("LayerNorm.beta", "LayerNorm.bias"),
+)
+
+
+@dataclass(frozen=True)
+class EncoderWeights:
+    """Description of the weights of a speech encoder.
+
+    Attributes:
+        path: file or folder, as given.
+        model: model_type of the encoder in transformers.
+        summary: architecture, layout, size and input, for `describe`.
+        layers: number of layers.
+        width: columns of one hidden state.
+        normalize: None if the encoder expects its waveform unnormalised; otherwise the number
+            that it expects to be added to the waveform's variance.
+        fingerprint: sha256 over names, shapes and float32 bytes of the tensors, and settings that
+            change the values.
+    """
+
+    path: str
+    model: str
+    summary: str
+    layers: int
+    width: int
+    normalize: float | None
+    fingerprint: str
+
+    def describe(self) -> str:
+        """Summarise in one line: layout, size, normalisation, fingerprint."""
+        return f"{self.path}: {self.summary}; fingerprint {self.fingerprint}"
+
+
+def normalization_text(eps: float | None) -> str:
+    """Say how a waveform is normalised with `eps` added to its variance."""
+    how = "not normalised"
+    if eps is not None:
+        how = f"normalised to mean 0 and variance 1 (eps {eps:g})"
+    return f"waveform {how}"
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -44,6 +94,22 @@ def read_json(path: Path) -> dict[str, Any]:
     return value
 
 
+def read_preprocessor(folder: Path, usual: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings in preprocessor_config.json; none without that file.
+
+    Raises WeightsError if one differs from the `usual` ones, the only ones that are computed.
+    """
+    path = folder / "preprocessor_config.json"
+    settings = read_json(path) if path.exists() else {}
+    for name, value in ({"sampling_rate": 16_000} | dict(usual)).items():
+        if settings.get(name, value) != value:
+            raise WeightsError(
+                f"{path}: {name} is {settings[name]!r}, expected {value}: take the file that came "
+                "with the weights"
+            )
+    return settings
+
+
 def expected_normalization(folder: Path, front_norm: str) -> float | None:
     """Return the number that a Hugging Face model expects to be added to the waveform's variance.
 
@@ -54,44 +120,24 @@ def expected_normalization(folder: Path, front_norm: str) -> float | None:
         folder: Hugging Face's folder.
         front_norm: `feat_extract_norm` of its config.json.
     """
-    path = folder / "preprocessor_config.json"
-    normalize: Any = front_norm == "layer"
-    if path.exists():
-        settings = read_json(path)
-        rate, normalize = settings.get("sampling_rate", 16_000), settings.get("do_normalize", True)
-        if rate != 16_000 or not isinstance(normalize, bool):
-            raise WeightsError(
-                f"{path}: sampling_rate {rate!r} and do_normalize {normalize!r}, "
-                "expected 16000 and true or false: take the file that came with the weights"
-            )
+    settings = read_preprocessor(folder, {})
+    normalize = settings.get("do_normalize", True) if settings else front_norm == "layer"
     return HUGGINGFACE_EPS if normalize else None
 
 
-def check_fingerprint(source: str | os.PathLike[str], found: str, wanted: str | None) -> None:
+def check_fingerprint(source: str | os.PathLike[str], actual: str, wanted: str | None) -> None:
     """Raise WeightsError if an encoder is not the one in a feature spec.
 
     Args:
         source: file or folder of the encoder, for the message.
-        found: fingerprint of what was read.
+        actual: fingerprint of what was read.
         wanted: fingerprint in the spec; None accepts every encoder.
     """
-    if wanted not in (None, found):
+    if wanted not in (None, actual):
         raise WeightsError(
-            f"{os.fspath(source)}: these weights have fingerprint {found}, the features were made "
+            f"{os.fspath(source)}: these weights have fingerprint {actual}, the features were made "
             f"with {wanted}: give the weights that the model was trained on"
         )
-
-
-def weights_needed(encoder: str, wanted: str | None, how: str) -> WeightsError:
-    """Return the error of a spec that comes without the place of its weights.
-
-    Args:
-        encoder: what is missing, for example "WavLM".
-        wanted: fingerprint in the spec, None if any weights will do.
-        how: setting and option that name the place.
-    """
-    which = f" with fingerprint {wanted}" if wanted else ""
-    return WeightsError(f"weights of {encoder}{which} are needed: name their place ({how})")
 
 
 def read_folder(folder: Path) -> dict[str, torch.Tensor]:
@@ -100,32 +146,26 @@ def read_folder(folder: Path) -> dict[str, torch.Tensor]:
     Reads model.safetensors, its parts by model.safetensors.index.json, or pytorch_model.bin.
     Raises WeightsError if there is none of them or one cannot be read.
     """
-    if not (folder / "model.safetensors").is_file() and (folder / _INDEX).is_file():
-        return _read_parts(folder)
-    for name in ("model.safetensors", "pytorch_model.bin"):
-        if (folder / name).is_file():
-            return plain_tensors(folder / name, read_file(folder / name))
-    here = ", ".join(sorted(entry.name for entry in folder.iterdir())[:10]) or "nothing"
-    raise WeightsError(
-        f"{folder}: no model.safetensors and no pytorch_model.bin (found: {here}): "
-        "download the model's weights into the folder"
-    )
-
-
-def _read_parts(folder: Path) -> dict[str, torch.Tensor]:
-    """Read the files that model.safetensors.index.json names; all must lie in the folder."""
-    parts = read_json(folder / _INDEX).get("weight_map")
-    names = sorted(set(map(str, parts.values()))) if isinstance(parts, dict) else []
-    outside = [name for name in names if Path(name).name != name]
-    if not names or outside:
+    names = ("model.safetensors", _INDEX, "pytorch_model.bin")
+    there = [name for name in names if (folder / name).is_file()]
+    if not there:
+        here = ", ".join(sorted(entry.name for entry in folder.iterdir())[:10]) or "nothing"
         raise WeightsError(
-            f"{folder / _INDEX}: weight_map names {outside[:1] or 'no files'}, expected files of "
-            "this folder: download it again"
+            f"{folder}: no model.safetensors and no pytorch_model.bin (found: {here}): "
+            "download the model's weights into the folder"
         )
+    files = there[:1]
+    if files == [_INDEX]:
+        parts = read_json(folder / _INDEX).get("weight_map")
+        files = sorted(set(map(str, parts.values()))) if isinstance(parts, dict) else []
+        outside = [name for name in files if Path(name).name != name]
+        if not files or outside:
+            raise WeightsError(
+                f"{folder / _INDEX}: weight_map names {outside[:1] or 'no files'}, expected files "
+                "of this folder: download it again"
+            )
     tensors: dict[str, torch.Tensor] = {}
-    for name in names:
-        if not (folder / name).is_file():
-            raise WeightsError(f"{folder}: {name} is missing: download all parts of the weights")
+    for name in files:
         tensors |= plain_tensors(folder / name, read_file(folder / name))
     return tensors
 
@@ -133,7 +173,6 @@ def _read_parts(folder: Path) -> dict[str, torch.Tensor]:
 def read_file(path: Path) -> Any:
     """Return the content of a safetensors or torch file; no object is ever unpickled."""
     import torch
-    from safetensors import SafetensorError
     from safetensors.torch import load_file
 
     try:
@@ -156,54 +195,33 @@ def read_file(path: Path) -> Any:
     except pickle.UnpicklingError as error:
         kind = re.search(r"GLOBAL (\S+)", str(error))
         if kind is None:  # torch's own message would advise loading it anyway
-            raise _unreadable(
-                path, ValueError("it is damaged, or holds more than plain tensors")
-            ) from error
-        what = f"{path}: holds a Python object ({kind[1]}), which could run code and is not read: "
-        if kind[1] != "argparse.Namespace":
-            raise WeightsError(
-                f"{what}no speech encoder needs one: do not load this file; use the "
-                "published weights"
-            ) from error
-        raise WeightsError(
-            f"{what}save it again with a plain dict, in Python: import argparse, torch; "
-            "torch.serialization.add_safe_globals([argparse.Namespace]); "
-            f"c = torch.load({str(path)!r}); "
-            "torch.save({'cfg': vars(c['cfg']), 'model': c['model']}, 'plain.pt')"
-        ) from error
-    # torch documents no exception for damaged files; safetensors has its own class.
-    except (SafetensorError, zipfile.BadZipFile, OSError, RuntimeError, ValueError) as error:
-        raise _unreadable(path, error) from error
-    except (EOFError, LookupError, TypeError, AttributeError, AssertionError) as error:
-        raise _unreadable(path, error) from error
-    except (MemoryError, RecursionError, struct.error) as error:
-        raise _unreadable(path, error) from error
-
-
-def refuse_tensors(place: Path, problems: Mapping[str, list[str]], remedy: str) -> None:
-    """Raise WeightsError if tensors do not fit the network.
-
-    Args:
-        place: file or folder, for the message.
-        problems: {what is wrong, such as "missing": names of the tensors}.
-        remedy: what must be given instead.
-    """
-    for problem, names in problems.items():
-        if names:
-            more = f"; and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
-            raise WeightsError(
-                f"{place}: {len(names)} tensors are {problem} "
-                f"({'; '.join(sorted(names)[:_MOST_LISTED])}{more}): {remedy}"
+            raise _unreadable(path, "it is damaged, or holds more than plain tensors") from error
+        remedy = "no speech encoder needs one: do not load this file; use the published weights"
+        if kind[1] == "argparse.Namespace":
+            remedy = (
+                "save it again with a plain dict, in Python: import argparse, torch; "
+                "torch.serialization.add_safe_globals([argparse.Namespace]); "
+                f"c = torch.load({str(path)!r}); "
+                "torch.save({'cfg': vars(c['cfg']), 'model': c['model']}, 'plain.pt')"
             )
+        raise WeightsError(
+            f"{path}: holds a Python object ({kind[1]}), which could run code and is not read: "
+            f"{remedy}"
+        ) from error
+    except Exception as error:  # torch documents no exception for damaged files
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise _unreadable(path, reason) from error
 
 
-def _unreadable(path: Path, error: BaseException) -> WeightsError:
-    reason = (str(error).splitlines() or [type(error).__name__])[0]
+def _unreadable(path: Path, reason: str) -> WeightsError:
     return WeightsError(f"{path}: cannot be read as weights: {reason}: download it again")
 
 
 def plain_tensors(path: Path, content: Any) -> dict[str, torch.Tensor]:
-    """Return the content of a weight file if it is a plain table of tensors by name."""
+    """Return the content of a weight file if it is a plain table of tensors by name.
+
+    Names of older versions of torch and transformers become those of newer ones.
+    """
     import torch
 
     if not isinstance(content, Mapping) or not all(map(torch.is_tensor, content.values())):
@@ -211,8 +229,78 @@ def plain_tensors(path: Path, content: Any) -> dict[str, torch.Tensor]:
     # A tensor with stride 0 may claim more values than the file holds.
     claimed = sum(tensor.numel() * tensor.element_size() for tensor in content.values())
     if claimed > 2 * path.stat().st_size:
-        raise WeightsError(
-            f"{path}: cannot be read as weights: the tensors claim {claimed} bytes, the file has "
-            f"{path.stat().st_size}: download it again"
+        raise _unreadable(
+            path, f"the tensors claim {claimed} bytes, the file has {path.stat().st_size}"
         )
-    return {str(name): tensor for name, tensor in content.items()}
+    tensors = {}
+    for name, tensor in content.items():
+        for old, new in _OLD_NAMES:
+            name = str(name).replace(old, new)
+        tensors[name] = tensor
+    return tensors
+
+
+def encoder_tensors(
+    tensors: dict[str, torch.Tensor], prefixes: Sequence[str]
+) -> dict[str, torch.Tensor]:
+    """Return the tensors with the first prefix that there is, without it; else all of them.
+
+    In files of models with heads, the encoder's tensors have a prefix.
+    """
+    for prefix in prefixes:
+        if inside := [name for name in tensors if name.startswith(prefix)]:
+            return {name.removeprefix(prefix): tensors[name] for name in inside}
+    return tensors
+
+
+def fitting_tensors(
+    place: Path, tensors: Mapping[str, torch.Tensor], shapes: Mapping[str, tuple[int, ...]]
+) -> dict[str, torch.Tensor]:
+    """Return exactly the tensors of a network, in float32, without the heads beside it.
+
+    Args:
+        place: file or folder, for the message.
+        tensors: what was read.
+        shapes: shape of every tensor of the network.
+
+    Raises WeightsError if a tensor is missing, unknown, of another shape or not finite.
+    """
+    import torch
+
+    parts = {name.split(".")[0] for name in shapes}
+    unknown = [
+        name
+        for name in tensors
+        if name not in shapes and name.split(".")[0] in parts and not name.startswith(_LEFT_OUT)
+    ]
+    problems = {
+        "missing": [name for name in shapes if name not in tensors],
+        "unknown": unknown,
+        "of another shape": [
+            f"{name} {tuple(tensors[name].shape)}, not {shape}"
+            for name, shape in shapes.items()
+            if name in tensors and tuple(tensors[name].shape) != shape
+        ],
+    }
+    for problem, names in problems.items():
+        if names:
+            more = f"; and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
+            raise WeightsError(
+                f"{place}: {len(names)} tensors are {problem} "
+                f"({'; '.join(sorted(names)[:_MOST_LISTED])}{more}): settings and weights must "
+                "come from the same model"
+            )
+    fitting = {}
+    for name in shapes:
+        tensor = tensors[name].contiguous()
+        fitting[name] = tensor.float() if tensor.is_floating_point() else tensor
+        if not torch.isfinite(fitting[name]).all():
+            raise WeightsError(f"{place}: tensor {name} is not finite: download it again")
+    return fitting
+
+
+def add_tensors(digest: Any, tensors: Mapping[str, torch.Tensor]) -> None:
+    """Update a digest by names, shapes and bytes of tensors."""
+    for name in sorted(tensors):
+        digest.update(f"{name} {list(tensors[name].shape)}\n".encode())
+        digest.update(tensors[name].reshape(-1).numpy().data)

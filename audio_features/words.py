@@ -68,19 +68,22 @@ def load_words(path: str | os.PathLike[str]) -> tuple[Word, ...]:
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise FeatureError(f"{path}: not a word list: give one of {', '.join(SUFFIXES)}")
-    words = []
+    if not path.is_file():
+        raise FeatureError(f"{path}: no such file: give a word list")
+    if path.stat().st_size > _MAX_BYTES:
+        raise FeatureError(f"{path}: over {_MAX_BYTES >> 20} MB, too large for a word list")
+    words, data = [], path.read_bytes()
+    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     try:
-        for where, start, end, text in reader(path, _text(path)):
-            begin, stop = _seconds(path, where, start), _seconds(path, where, end)
+        for where, start, end, text in reader(data.decode(encoding)):
+            begin, stop = _seconds(where, start), _seconds(where, end)
             if stop < begin:
-                raise FeatureError(f"{path}, {where}: ends at {stop} s, before {begin} s")
+                raise ValueError(f"{where}: ends at {stop} s, before {begin} s")
             if str(text).strip().lower() not in _SILENCES:
                 words.append(Word(begin, stop, str(text).strip()))
-    except FeatureError:
-        raise
-    except (KeyError, IndexError, TypeError, AttributeError, ValueError, OverflowError) as error:
+    except (LookupError, TypeError, AttributeError, ValueError, OverflowError) as error:
         raise FeatureError(
-            f"{path}: not a list of words with times ({error!r}): write it again"
+            f"{path}: not a list of words with times: {error}: write it again, in UTF-8"
         ) from error
     return tuple(sorted(words))
 
@@ -88,34 +91,20 @@ def load_words(path: str | os.PathLike[str]) -> tuple[Word, ...]:
 def words_beside(path: str | os.PathLike[str]) -> Path | None:
     """Return the word list beside a recording, STEM with one of `SUFFIXES`, or None."""
     path = Path(path)
-    names = {suffix.lower(): path.with_suffix(suffix) for suffix in SUFFIXES}
-    for suffix in names:
-        for spelling in (names[suffix], path.with_suffix(suffix), path.with_suffix(suffix.upper())):
-            if spelling.is_file():
-                return spelling
+    for suffix in SUFFIXES:
+        for spelling in (suffix, suffix.lower(), suffix.upper()):
+            if path.with_suffix(spelling).is_file():
+                return path.with_suffix(spelling)
     return None
 
 
-def _text(path: Path) -> str:
-    if not path.is_file():
-        raise FeatureError(f"{path}: no such file: give a word list")
-    if path.stat().st_size > _MAX_BYTES:
-        raise FeatureError(f"{path}: over {_MAX_BYTES >> 20} MB, too large for a word list")
-    data = path.read_bytes()
-    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    try:
-        return data.decode(encoding)
-    except UnicodeDecodeError as error:
-        raise FeatureError(f"{path}: not text ({error.reason}): save it as UTF-8") from error
-
-
-def _seconds(path: Path, where: str, value: Any) -> float:
+def _seconds(where: str, value: Any) -> float:
     try:
         seconds = float(value)
     except (TypeError, ValueError, OverflowError):
         seconds = math.nan
     if not 0 <= seconds <= _LONGEST:
-        raise FeatureError(f"{path}, {where}: time is {str(value)[:40]!r}: expected seconds from 0")
+        raise ValueError(f"{where}: time is {str(value)[:40]!r}: expected seconds from 0")
     return seconds
 
 
@@ -123,96 +112,86 @@ Entries = Iterator[tuple[str, Any, Any, Any]]
 """Place in the file, start, end, text."""
 
 
-def _textgrid(path: Path, text: str) -> Entries:
+def _textgrid(text: str) -> Entries:
     tokens = [token.strip('"') if token[0] == '"' else token for token in _TOKEN.findall(text)]
     if tokens[:2] != ["ooTextFile", "TextGrid"]:
-        raise FeatureError(f"{path}: not a TextGrid in Praat's text format: save it as text")
-    numbers = iter(tokens[2:])
-
-    def take() -> str:
-        token = next(numbers, None)
-        if token is None:
-            raise FeatureError(f"{path}: ends in the middle of a tier: save it again")
-        return token
-
-    def count() -> int:
-        token = take()
-        if not token.isdecimal():
-            raise FeatureError(f"{path}: {token[:40]!r} instead of a number of intervals or tiers")
-        return int(token)
-
-    take(), take(), take()  # start, end, <exists>
-    tiers: list[tuple[str, list]] = []
-    for _ in range(count()):
-        kind, name, _, _ = take(), take(), take(), take()
-        size = 3 if kind == "IntervalTier" else 2
-        rows = [[take() for _ in range(size)] for _ in range(count())]
-        if size == 3:
-            tiers.append((name, rows))
+        raise ValueError("not a TextGrid in Praat's text format: save it as text")
+    try:
+        tiers = _interval_tiers(tokens[5:])  # after the start, the end and <exists>
+    except StopIteration as error:
+        raise ValueError("it ends in the middle of a tier") from error
     if not tiers:
-        raise FeatureError(f"{path}: no interval tier in it: words have a start and an end")
+        raise ValueError("no interval tier in it: words have a start and an end")
     named = [rows for name, rows in tiers if name.strip().lower() in ("words", "word")]
     for number, (start, end, mark) in enumerate((named or [tiers[0][1]])[0], start=1):
         yield f"interval {number}", start, end, mark.replace('""', '"')
 
 
-def _ctm(path: Path, text: str) -> Entries:
+def _interval_tiers(tokens: list[str]) -> list[tuple[str, list[list[str]]]]:
+    take = iter(tokens).__next__
+    tiers = []
+    for _ in range(int(take())):
+        kind, name, _, _ = take(), take(), take(), take()
+        size = 3 if kind == "IntervalTier" else 2
+        rows = []
+        for _ in range(int(take())):
+            rows.append([take() for _ in range(size)])
+        if size == 3:
+            tiers.append((name, rows))
+    return tiers
+
+
+def _ctm(text: str) -> Entries:
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip() or line.startswith(";;"):
             continue
         where, cells = f"line {number}", line.split()
         if len(cells) < 5:
-            raise FeatureError(f"{path}, {where}: expected file, channel, start, duration and word")
-        start = _seconds(path, where, cells[2])
-        yield where, start, start + _seconds(path, where, cells[3]), cells[4]
+            raise ValueError(f"{where}: expected file, channel, start, duration and word")
+        start = _seconds(where, cells[2])
+        yield where, start, start + _seconds(where, cells[3]), cells[4]
 
 
-def _tsv(path: Path, text: str) -> Entries:
+def _tsv(text: str) -> Entries:
     for number, line in enumerate(text.splitlines(), start=1):
         if line.strip():
             cells = line.split("\t")
             if len(cells) < 3:
-                raise FeatureError(
-                    f"{path}, line {number}: expected start, end and word, with tabs"
-                )
+                raise ValueError(f"line {number}: expected start, end and word, with tabs")
             if not cells[2].strip().startswith("#"):  # laughter, in GENEA's transcripts
                 yield f"line {number}", cells[0], cells[1], cells[2]
 
 
-def _captions(path: Path, text: str) -> Entries:
+def _captions(text: str) -> Entries:
     lines = text.splitlines()
-    found = False
-    for number, line in enumerate(lines, start=1):
-        cue = _CUE.match(line)
-        if cue is None:
-            continue
-        found = True
+    cues = {number: cue for number, line in enumerate(lines, start=1) if (cue := _CUE.match(line))}
+    if not cues and text.strip() not in ("", "WEBVTT"):
+        raise ValueError("no caption in it: expected lines such as 00:00:01,000 --> …")
+    for number, cue in cues.items():
         where = f"line {number}"
-        start, end = (_clock(path, where, time) for time in cue.groups())
+        start, end = (_clock(where, time) for time in cue.groups())
         said = []
         for following in range(number, len(lines)):
-            if not lines[following].strip() or _CUE.match(lines[following]):
+            if not lines[following].strip() or following + 1 in cues:
                 break
             said += re.sub(r"<[^<>]*>|\{[^{}]*\}", " ", lines[following]).split()
         for word in _shared(said, start, end):
             yield where, *word
-    if not found and text.strip() not in ("", "WEBVTT"):
-        raise FeatureError(f"{path}: no caption in it: expected lines such as 00:00:01,000 --> …")
 
 
-def _clock(path: Path, where: str, text: str) -> float:
+def _clock(where: str, text: str) -> float:
     """Return the seconds of [hours:]minutes:seconds, with a comma or a point."""
     seconds = 0.0
     for part in text.replace(",", ".").split(":"):
-        seconds = 60 * seconds + _seconds(path, where, part)
+        seconds = 60 * seconds + _seconds(where, part)
     return seconds
 
 
-def _json(path: Path, text: str) -> Entries:
+def _json(text: str) -> Entries:
     try:
         values = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise FeatureError(f"{path}: not JSON: {error}") from error
+        raise ValueError(f"not JSON: {error}") from error
     if isinstance(values, dict):
         segments = values.get("segments") or values.get("metadata:transcript") or []
         values = (
@@ -244,7 +223,7 @@ def _shared(said: list[str], start: float, end: float) -> Iterator[tuple[float, 
         at = stop
 
 
-_READERS: dict[str, Callable[[Path, str], Entries]] = {
+_READERS: dict[str, Callable[[str], Entries]] = {
     ".textgrid": _textgrid,
     ".ctm": _ctm,
     ".srt": _captions,

@@ -41,7 +41,7 @@ MAY_IMPORT |= {module: set() for module in EVERYONE_MAY_IMPORT}
 
 # Files in which a string may name a module that is imported on demand.
 LAZY_IMPORTS = {
-    "audio_features/installed.py",  # a group of entry points
+    "audio_features/kinds.py",  # a group of entry points
     "gesturekit/cli/__init__.py",
     "gesturekit/evaluation/definitions.py",
     "gesturekit/formats/registry.py",

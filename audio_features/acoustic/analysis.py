@@ -114,15 +114,14 @@ def check_tracker(tracker: str) -> None:
     """Raise FeatureError for an unknown tracker, or one whose package cannot be imported."""
     if tracker not in TRACKERS:
         raise FeatureError(f"f0={tracker!r}: one of {', '.join(TRACKERS)}")
-    package, install = _PACKAGES.get(tracker, (None, ""))
-    if package is not None:
-        try:
-            __import__(package)
-        except ImportError as error:
-            raise FeatureError(
-                f"f0={tracker!r} needs the package {package} ({error}): {install}, "
-                "or use f0='yin', which needs no package"
-            ) from error
+    try:
+        if tracker in _PACKAGES:
+            importlib.import_module(tracker)
+    except ImportError as error:
+        raise FeatureError(
+            f"f0={tracker!r} needs the package {tracker} ({error}): pip install "
+            f"{_PACKAGES[tracker]}, or use f0='yin', which needs no package"
+        ) from error
 
 
 def _yin(samples: np.ndarray, n_frames: int) -> np.ndarray:
@@ -227,11 +226,8 @@ TRACKERS: dict[str, Callable[[np.ndarray, int], np.ndarray]] = {
 }
 """Functions by name: samples (N,) at 16 kHz and T -> f0 (T,) in Hz, 0 where unvoiced."""
 
-_PACKAGES = {
-    "parselmouth": ("parselmouth", "pip install praat-parselmouth"),
-    "pyworld": ("pyworld", "pip install pyworld 'setuptools<81'"),
-}
-
+_PACKAGES = {"parselmouth": "praat-parselmouth", "pyworld": "pyworld 'setuptools<81'"}
+"""Trackers that import a package of the same name, and what installs it."""
 
 FLOOR_DB = -60.0
 """Added to every power before the logarithm, relative to the active speech level."""

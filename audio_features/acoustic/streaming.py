@@ -162,21 +162,16 @@ class SpectrumStream:
         loudness, level = (_mean_squares(samples, length, n)[new] for length in (800, WINDOW))
         curves = np.stack([loudness, f0[new], periodicity[new]], axis=1)
         voiced = (curves[:, 2] >= VOICED) & (level > _SILENT)
-        self._remember(voiced, level, curves[:, 1])
-        self._power = self._latest(self._power, short_time_power(samples, n)[new])
+        remembered = np.stack([level[voiced], np.log(curves[voiced, 1])], axis=1)
+        self._voiced = np.concatenate([self._voiced, remembered])[-_REMEMBERED:]
+        power = short_time_power(samples, n)[new]
+        self._power = np.concatenate([self._power, power])[-self._kept :]
         silent = self._voiceless(voiced)
         self._power[-count:][silent] = 0.0
         curves[silent, 0] = 0.0
-        self._curves = self._latest(self._curves, curves)
+        self._curves = np.concatenate([self._curves, curves])[-self._kept :]
         self.n_frames += count
         self._sound = self._sound[count * HOP :]
-
-    def _latest(self, kept: np.ndarray, new: np.ndarray) -> np.ndarray:
-        return np.concatenate([kept, new])[-self._kept :]
-
-    def _remember(self, voiced: np.ndarray, level: np.ndarray, f0: np.ndarray) -> None:
-        own = np.stack([level[voiced], np.log(f0[voiced])], axis=1)
-        self._voiced = np.concatenate([self._voiced, own])[-_REMEMBERED:]
 
     def _voiceless(self, voiced: np.ndarray) -> np.ndarray:
         """Return flags of the new frames, True a while after the last voiced frame."""
@@ -211,14 +206,8 @@ class SpectrumStream:
 
 
 _STATE = (
-    "n_frames",
-    "_waiting",
-    "_sound",
-    "_power",
-    "_curves",
-    "_voiced",
-    "_last_voiced",
-    "_offset",
+    *("n_frames", "_waiting", "_sound", "_power", "_curves"),
+    *("_voiced", "_last_voiced", "_offset"),
 )
 
 

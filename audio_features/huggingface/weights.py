@@ -1,106 +1,100 @@
 """Reading of a Hugging Face encoder: settings, tensors, fingerprint.
 
-transformers' own loader is not used: it fills missing tensors with random numbers, contacts a hub
-about a local folder, and may run code that lies in the folder. Here transformers gives only the
-network; tensors come from safetensors, or from torch files that hold only tensors.
+transformers gives only the network; see `weight_files` for the tensors.
 """
 
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from audio_features.errors import WeightsError
-from audio_features.huggingface.families import FAMILIES, Family, front_norm
 from audio_features.weight_files import (
+    EncoderWeights,
+    add_tensors,
+    encoder_tensors,
     expected_normalization,
+    fitting_tensors,
+    normalization_text,
     read_folder,
     read_json,
-    refuse_tensors,
+    read_preprocessor,
 )
 
 if TYPE_CHECKING:
     import torch
+
+_CONVOLUTIONAL = (
+    *("hidden_act", "feat_extract_activation", "feat_extract_norm", "conv_stride"),
+    *("num_attention_heads", "do_stable_layer_norm", "layer_norm_eps"),
+)
+_DATA2VEC = (*_CONVOLUTIONAL, "num_conv_pos_embeddings", "conv_pos_kernel_size")
+_W2V_BERT = (
+    *("hidden_act", "num_attention_heads", "layer_norm_eps", "position_embeddings_type"),
+    *("left_max_position_embeddings", "right_max_position_embeddings", "rotary_embedding_base"),
+    *("max_source_positions", "conv_depthwise_kernel_size"),
+)
+_WHISPER = ("activation_function", "encoder_attention_heads", "scale_embedding")
+_TEXT = (
+    *("hidden_act", "activation", "num_attention_heads", "layer_norm_eps"),
+    *("pad_token_id", "position_embedding_type"),
+)
+
+
+@dataclass(frozen=True)
+class Family:
+    """Encoders of one model_type.
+
+    Attributes:
+        title: name in messages.
+        settings: settings of config.json that change the values and that no tensor's shape shows.
+        inputs: input of the network: the waveform, stacked frames of a mel filter bank (kaldi),
+            Whisper's log-mel spectrogram, or tokens of text.
+    """
+
+    title: str
+    settings: tuple[str, ...]
+    inputs: Literal["waveform", "filter bank", "log-mel", "tokens"] = "waveform"
+
+
+FAMILIES = {
+    "hubert": Family("HuBERT", _CONVOLUTIONAL),
+    "wav2vec2": Family("wav2vec 2.0", _CONVOLUTIONAL),
+    "data2vec-audio": Family("data2vec-audio", _DATA2VEC),
+    "wavlm": Family("WavLM", (*_CONVOLUTIONAL, "max_bucket_distance")),
+    "wav2vec2-bert": Family("w2v-BERT 2.0", _W2V_BERT, "filter bank"),
+    "whisper": Family("Whisper", _WHISPER, "log-mel"),
+}
+"""Supported speech encoders by the model_type of their config.json."""
+TEXT_FAMILIES = {
+    name: Family(name, _TEXT, "tokens")
+    for name in ("bert", "roberta", "xlm-roberta", "distilbert", "mpnet", "electra")
+}
+"""Supported text encoders by model_type."""
 
 _LARGEST = 1 << 16  # far above every published size; limits the memory a damaged file can request
 _MOST_LAYERS = 256
 _MOST_LISTED = 6  # files with code
 # Parts of the networks that are left out: they belong to training, or follow the encoder.
 _OFF = {
-    "mask_time_prob": 0.0,
-    "mask_feature_prob": 0.0,
-    "apply_spec_augment": False,
-    "add_adapter": False,
+    **dict.fromkeys(("mask_time_prob", "mask_feature_prob", "layerdrop", "encoder_layerdrop"), 0.0),
+    **dict.fromkeys(("apply_spec_augment", "add_adapter"), False),
     "use_intermediate_ffn_before_adapter": False,
-    "layerdrop": 0.0,
-    "encoder_layerdrop": 0.0,
-}
-_LEFT_OUT = ("adapter.", "intermediate_ffn.", "masked_spec_embed", "embeddings.position_ids")
-# Names of normalisations in files that older versions wrote.
-_OLD_NAMES = {
-    "parametrizations.weight.original0": "weight_g",
-    "parametrizations.weight.original1": "weight_v",
-    "LayerNorm.weight": "LayerNorm.gamma",
-    "LayerNorm.bias": "LayerNorm.beta",
 }
 
 
-@dataclass(frozen=True)
-class EncoderWeights:
-    """Description of the encoder in a folder.
-
-    Attributes:
-        path: folder, as given.
-        model_type: key of `FAMILIES`.
-        config: transformers' configuration, without parts that only training uses.
-        normalize: None if the encoder takes no waveform or expects it unnormalised; otherwise the
-            number that it expects to be added to the waveform's variance.
-        stride: mel frames that are stacked to one frame; 1 for other encoders.
-        fingerprint: sha256 over model_type, the settings that change the values, and the names,
-            shapes and float32 bytes of the encoder's tensors.
-    """
-
-    path: str
-    model_type: str
-    config: Any
-    normalize: float | None
-    stride: int
-    fingerprint: str
-
-    @property
-    def family(self) -> Family:
-        """Architecture of the encoder."""
-        return FAMILIES[self.model_type]
-
-    @property
-    def layers(self) -> int:
-        """Number of layers."""
-        return int(getattr(self.config, "encoder_layers", 0) or self.config.num_hidden_layers)
-
-    @property
-    def width(self) -> int:
-        """Columns of one hidden state."""
-        return int(self.config.hidden_size)
-
-    def describe(self) -> str:
-        """Summarise in one line: architecture, size, input, fingerprint."""
-        if self.family.inputs != "waveform":
-            takes = f"takes a {self.family.inputs}"
-        elif self.normalize is None:
-            takes = "waveform not normalised"
-        else:
-            takes = f"waveform normalised to mean 0 and variance 1 (eps {self.normalize:g})"
-        return (
-            f"{self.path}: {self.family.title}, Hugging Face folder: {self.layers} layers of "
-            f"{self.width}; {takes}; fingerprint {self.fingerprint}"
-        )
+def front_norm(config: Any) -> str:
+    """Return `feat_extract_norm` of a configuration; data2vec-audio always has "layer"."""
+    return getattr(config, "feat_extract_norm", "layer")
 
 
 def is_encoder_folder(path: str | os.PathLike[str]) -> bool:
@@ -111,8 +105,13 @@ def is_encoder_folder(path: str | os.PathLike[str]) -> bool:
     return read_json(folder / "config.json").get("model_type") in FAMILIES.keys() - {"wavlm"}
 
 
-def read_encoder(path: str | os.PathLike[str]) -> tuple[EncoderWeights, torch.nn.Module]:
-    """Read the encoder in a folder: its description, and the network in float32 on the CPU.
+def read_encoder(
+    path: str | os.PathLike[str],
+) -> tuple[EncoderWeights, Any, torch.nn.Module]:
+    """Read the encoder in a folder.
+
+    Returns its description, transformers' configuration without what only training uses, and the
+    network in float32 on the CPU.
 
     Args:
         path: folder with config.json, the weights (model.safetensors, its parts with their index,
@@ -124,17 +123,32 @@ def read_encoder(path: str | os.PathLike[str]) -> tuple[EncoderWeights, torch.nn
     folder = Path(path)
     model_type, config = read_configuration(folder, FAMILIES, "speech")
     family = FAMILIES[model_type]
-    normalize, stride = None, 1
+    normalize, stacked = None, 1
     if family.inputs == "waveform":
         normalize = expected_normalization(folder, front_norm(config))
     elif family.inputs == "filter bank":
-        stride = _stacked_frames(folder, config)
+        stacked = 2
+        bins = config.feature_projection_input_dim // stacked
+        read_preprocessor(folder, {"num_mel_bins": bins, "stride": stacked})
     else:
-        _check_log_mel(folder, config)
-    network, tensors = read_network(folder, family, config)
-    about = {"model_type": model_type, "stride": stride}
-    fingerprint = fingerprint_of(family, config, tensors, about)
-    return EncoderWeights(str(folder), model_type, config, normalize, stride, fingerprint), network
+        usual = {"n_fft": 400, "hop_length": 160, "dither": 0.0}
+        read_preprocessor(folder, {"feature_size": config.num_mel_bins, **usual})
+    about = {"model_type": model_type, "stride": stacked}
+    network, fingerprint = read_network(folder, family, config, about)
+    layers = int(getattr(config, "encoder_layers", 0) or config.num_hidden_layers)
+    width, takes = int(config.hidden_size), f"takes a {family.inputs}"
+    if family.inputs == "waveform":
+        takes = normalization_text(normalize)
+    weights = EncoderWeights(
+        path=str(folder),
+        model=model_type,
+        summary=f"{family.title}, Hugging Face folder: {layers} layers of {width}; {takes}",
+        layers=layers,
+        width=width,
+        normalize=normalize,
+        fingerprint=fingerprint,
+    )
+    return weights, config, network
 
 
 def read_configuration(folder: Path, families: Mapping[str, Family], what: str) -> tuple[str, Any]:
@@ -186,26 +200,27 @@ def _configuration(path: Path, family: Family, settings: Mapping[str, Any]) -> A
             raise WeightsError(f"{path}: {name} is {value!r}: not an encoder's size")
         if name.endswith("layers") and isinstance(value, int) and value > _MOST_LAYERS:
             raise WeightsError(f"{path}: {name} is {value}, at most {_MOST_LAYERS} are read")
-    transformers = transformers_module()
+    with transformers_needed():
+        from transformers import CONFIG_MAPPING
     try:
-        config = getattr(transformers, family.config).from_dict(dict(settings))
+        config = CONFIG_MAPPING[settings["model_type"]].from_dict(dict(settings))
         for name, value in _OFF.items():
             if hasattr(config, name):
                 setattr(config, name, value)
         return config
     except Exception as error:  # transformers' checks of settings raise several classes
-        reason = " ".join(str(error).split())[:200]
-        raise WeightsError(f"{path}: not the settings of {family.title}: {reason}") from error
+        raise _not_settings(path, family, error) from error
 
 
-def transformers_module(name: str = "transformers") -> Any:
-    """Import a module of transformers, which the extra `encoders` installs.
+@contextmanager
+def transformers_needed() -> Iterator[None]:
+    """Import what is needed of transformers, which the extra `encoders` installs.
 
     Raises:
         WeightsError: it cannot be imported; the message says what to do.
     """
     try:
-        return import_module(name)
+        yield
     except Exception as error:  # a broken torchaudio makes it fail with any exception
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         absent = isinstance(error, ModuleNotFoundError) and error.name == "transformers"
@@ -214,126 +229,51 @@ def transformers_module(name: str = "transformers") -> Any:
         raise WeightsError(message) from error
 
 
-def _preprocessor(folder: Path) -> dict[str, Any]:
-    path = folder / "preprocessor_config.json"
-    return read_json(path) if path.is_file() else {}
-
-
-def _stacked_frames(folder: Path, config: Any) -> int:
-    """Return the stride of w2v-BERT's front end: two frames of 80 bins unless a file differs."""
-    settings = _preprocessor(folder)
-    stride, bins = settings.get("stride", 2), settings.get("num_mel_bins", 80)
-    wanted = config.feature_projection_input_dim
-    usual = settings.get("sampling_rate", 16_000) == 16_000
-    if not usual or not isinstance(stride, int) or stride < 1 or stride * bins != wanted:
-        raise WeightsError(
-            f"{folder / 'preprocessor_config.json'}: {bins!r} mel bins in stacks of {stride!r} at "
-            f"{settings.get('sampling_rate', 16_000)!r} Hz, expected {wanted} columns at 16000 Hz: "
-            "take the file that came with the weights"
-        )
-    return stride
-
-
-def _check_log_mel(folder: Path, config: Any) -> None:
-    usual = {
-        "feature_size": config.num_mel_bins,
-        "sampling_rate": 16_000,
-        "n_fft": 400,
-        "hop_length": 160,
-        "dither": 0.0,
-    }
-    settings = _preprocessor(folder)
-    for name, value in usual.items():
-        if settings.get(name, value) != value:
-            raise WeightsError(
-                f"{folder / 'preprocessor_config.json'}: {name} is {settings[name]!r}, expected "
-                f"{value}: take the file that came with the weights"
-            )
-
-
 def read_network(
-    folder: Path, family: Family, config: Any
-) -> tuple[torch.nn.Module, dict[str, torch.Tensor]]:
-    """Build the network with the folder's tensors, without using the caller's random numbers."""
+    folder: Path, family: Family, config: Any, about: Mapping[str, Any]
+) -> tuple[torch.nn.Module, str]:
+    """Build the network with the folder's tensors, without using the caller's random numbers.
+
+    Args:
+        folder: Hugging Face's folder.
+        family: family of the encoder.
+        config: transformers' configuration.
+        about: what the fingerprint says beside the tensors and the family's settings.
+
+    Returns the network, and its fingerprint.
+    """
     import torch
 
-    kind = getattr(transformers_module(family.module), family.model)
-    if family.pools:
-        kind = partial(kind, add_pooling_layer=False)
-    found = _encoder_names(read_folder(folder), family)
+    with transformers_needed():
+        from transformers import MODEL_MAPPING
+
+        kind = MODEL_MAPPING[type(config)]
+        kind = getattr(import_module(kind.__module__), "WhisperEncoder", kind)
+    prefixes = [f"{kind.base_model_prefix}."]
+    if family.inputs == "log-mel":
+        prefixes = ["model.encoder.", "encoder."]
+    tensors = encoder_tensors(read_folder(folder), prefixes)
     try:
+        if "add_pooling_layer" in inspect.signature(kind).parameters:
+            kind = partial(kind, add_pooling_layer=False)
         with torch.random.fork_rng(devices=[]):
             with torch.device("meta"):
                 network = kind(config)
-            tensors = _fitting(folder, found, network.state_dict())
+            shapes = {name: tuple(value.shape) for name, value in network.state_dict().items()}
+            tensors = fitting_tensors(folder, tensors, shapes)
             if any(buffer.is_meta for buffer in network.buffers()):
                 network = kind(config)  # has computed buffers that no file holds
     except WeightsError:
         raise
     except Exception as error:  # transformers checks settings while it builds
-        reason = " ".join(str(error).split())[:200]
-        raise WeightsError(
-            f"{folder / 'config.json'}: not the settings of {family.title}: {reason}"
-        ) from error
+        raise _not_settings(folder / "config.json", family, error) from error
     network.load_state_dict(tensors, assign=True)
-    return network.eval().requires_grad_(False), tensors
-
-
-def _encoder_names(tensors: Mapping[str, torch.Tensor], family: Family) -> dict[str, torch.Tensor]:
-    """Return the tensors under the encoder's own names, without heads."""
-    for prefix in family.prefixes:
-        inside = {
-            name.removeprefix(prefix): tensor
-            for name, tensor in tensors.items()
-            if name.startswith(prefix)
-        }
-        if inside:
-            return inside
-    return dict(tensors)
-
-
-def _fitting(
-    folder: Path, found: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tensor]
-) -> dict[str, torch.Tensor]:
-    """Return exactly the encoder's tensors, in float32."""
-    import torch
-
-    tensors, missing, shapes = {}, [], []
-    used = set()
-    for name, wanted in expected.items():
-        old = name
-        for new, former in _OLD_NAMES.items():
-            old = old.replace(new, former)
-        tensor = found.get(name, found.get(old))
-        used |= {name, old}
-        if tensor is None:
-            missing.append(name)
-        elif tuple(tensor.shape) != tuple(wanted.shape):
-            shapes.append(f"{name} {tuple(tensor.shape)}, not {tuple(wanted.shape)}")
-        else:
-            tensors[name] = tensor.contiguous()
-            if tensor.is_floating_point():
-                tensors[name] = tensors[name].float()
-            if not torch.isfinite(tensors[name]).all():
-                raise WeightsError(f"{folder}: tensor {name} is not finite: download it again")
-    parts = {name.split(".")[0] for name in expected}
-    unknown = [
-        name
-        for name in found
-        if name not in used and name.split(".")[0] in parts and not name.startswith(_LEFT_OUT)
-    ]
-    problems = {"missing": missing, "of another shape": shapes, "unknown": unknown}
-    refuse_tensors(folder, problems, "config.json and weights must come from the same model")
-    return tensors
-
-
-def fingerprint_of(
-    family: Family, config: Any, tensors: Mapping[str, torch.Tensor], about: Mapping[str, Any]
-) -> str:
-    """Return the sha256 of the tensors, the settings that change the values, and `about`."""
     settings = {**about, **{name: getattr(config, name, None) for name in family.settings}}
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
-    for name in sorted(tensors):
-        digest.update(f"{name} {list(tensors[name].shape)}\n".encode())
-        digest.update(tensors[name].reshape(-1).numpy().data)
-    return digest.hexdigest()
+    add_tensors(digest, tensors)
+    return network.eval().requires_grad_(False), digest.hexdigest()
+
+
+def _not_settings(path: Path, family: Family, error: Exception) -> WeightsError:
+    reason = " ".join(str(error).split())[:200]
+    return WeightsError(f"{path}: not the settings of {family.title}: {reason}")

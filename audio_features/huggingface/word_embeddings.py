@@ -11,11 +11,11 @@ from typing import Any, Literal
 import numpy as np
 
 from audio_features.errors import FeatureError, WeightsError
-from audio_features.huggingface.families import TEXT_FAMILIES
-from audio_features.speech_encoders import check_names, checked_device
+from audio_features.huggingface.weights import TEXT_FAMILIES, read_configuration, read_network
+from audio_features.speech_encoders import checked_device
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
-from audio_features.weight_files import check_fingerprint, weights_needed
+from audio_features.weight_files import check_fingerprint
 from audio_features.words import frames_of, words_of
 
 RATE = 50
@@ -64,80 +64,27 @@ class WordEmbeddings:
         fingerprint: str | None = None,
         device: str = "cpu",
     ) -> None:
-        from audio_features.huggingface.weights import (
-            fingerprint_of,
-            read_configuration,
-            read_network,
-        )
-
         folder = Path(encoder)
         self.device = checked_device(device)
         self.model, config = read_configuration(folder, TEXT_FAMILIES, "text")
-        family = TEXT_FAMILIES[self.model]
-        network, tensors = read_network(folder, family, config)
-        self._tokeniser = _tokeniser(folder, int(config.vocab_size))
-        about = {"model_type": self.model, "tokeniser": _tokeniser_digest(self._tokeniser)}
-        self.fingerprint = fingerprint_of(family, config, tensors, about)
+        self._tokeniser, digest = _tokeniser(folder, int(config.vocab_size))
+        about = {"model_type": self.model, "tokeniser": digest}
+        network, self.fingerprint = read_network(folder, TEXT_FAMILIES[self.model], config, about)
         check_fingerprint(folder, self.fingerprint, fingerprint)
         count = int(config.num_hidden_layers)
         whole = isinstance(layer, int) and not isinstance(layer, bool)
         if layer != "last" and not (whole and 0 <= layer <= count):
             raise FeatureError(f"layer={layer!r}: a number from 0 to {count}, or 'last'")
         self.layer = layer
-        self.names = tuple(
-            f"{self.model.replace('-', '_')}_{i}" for i in range(int(config.hidden_size))
-        )
+        stem = self.model.replace("-", "_")
+        self.names = tuple(f"{stem}_{i}" for i in range(int(config.hidden_size)))
+        self.dim = len(self.names)
+        # A clip's mean depends on what is said.
+        self.centred = (False,) * self.dim
+        self.spec = {"kind": "words", "model": self.model, "layer": layer}
+        self.spec["fingerprint"] = self.fingerprint
         self._network = network.to(self.device)
         self._known: dict[str, np.ndarray] = {}
-
-    @classmethod
-    def from_spec(
-        cls,
-        settings: dict[str, Any],
-        weights: str | os.PathLike[str] | None,
-        device: str = "cpu",
-    ) -> WordEmbeddings:
-        """Build the extractor that a spec describes, with the encoder of its fingerprint.
-
-        Args:
-            settings: the spec without its kind; `encoder` names the folder.
-            weights: folder, if `encoder` is missing.
-            device: "cpu" or "cuda".
-
-        Raises FeatureError for unknown settings, WeightsError if the encoder is missing or is not
-        that of the spec.
-        """
-        settings = dict(settings)
-        folder = settings.pop("encoder", None) or weights
-        check_names("words", settings, ("layer", "fingerprint", "model"), ["encoder"])
-        model = settings.pop("model", None)
-        if folder is None:
-            raise weights_needed(
-                f"the text encoder {model}" if model else "a text encoder",
-                settings.get("fingerprint"),
-                "encoder: FOLDER in the config to train, else --weights words=FOLDER",
-            )
-        return cls(folder, **settings, device=device)
-
-    @property
-    def dim(self) -> int:
-        """Number of columns D: the encoder's width."""
-        return len(self.names)
-
-    @property
-    def centred(self) -> tuple[bool, ...]:
-        """D flags, all false: a clip's mean depends on what is said."""
-        return (False,) * self.dim
-
-    @property
-    def spec(self) -> dict[str, Any]:
-        """Kind, layer, and the encoder's fingerprint."""
-        return {
-            "kind": "words",
-            "model": self.model,
-            "layer": self.layer,
-            "fingerprint": self.fingerprint,
-        }
 
     def embedding(self, word: str) -> np.ndarray:
         """Return the embedding (D,) of a word, zeros if it has no token."""
@@ -182,8 +129,8 @@ class WordEmbeddings:
         return f"WordEmbeddings({self.spec})"
 
 
-def _tokeniser(folder: Path, vocabulary: int) -> Any:
-    """Load the tokeniser in a folder, without a network and without code of the folder."""
+def _tokeniser(folder: Path, vocabulary: int) -> tuple[Any, str]:
+    """Load the tokeniser in a folder, without a network and without code, and its digest."""
     for file in folder.iterdir():
         is_weights = file.suffix in (".safetensors", ".bin")
         if not is_weights and file.is_file() and file.stat().st_size > _MAX_TOKENISER_BYTES:
@@ -195,6 +142,7 @@ def _tokeniser(folder: Path, vocabulary: int) -> Any:
             str(folder), local_files_only=True, trust_remote_code=False
         )
         largest = max(tokeniser.get_vocab().values())
+        known = [sorted(tokeniser.get_vocab().items()), tokeniser(_PROBE)["input_ids"]]
     except Exception as error:  # transformers and tokenizers raise several classes
         reason = " ".join(str(error).split())[:200]
         raise WeightsError(
@@ -206,9 +154,4 @@ def _tokeniser(folder: Path, vocabulary: int) -> Any:
             f"{folder}: the tokeniser's vocabulary reaches token {largest}, the encoder has "
             f"{vocabulary}: tokeniser and weights must come from the same model"
         )
-    return tokeniser
-
-
-def _tokeniser_digest(tokeniser: Any) -> str:
-    known = [sorted(tokeniser.get_vocab().items()), tokeniser(_PROBE)["input_ids"]]
-    return hashlib.sha256(json.dumps(known).encode()).hexdigest()
+    return tokeniser, hashlib.sha256(json.dumps(known).encode()).hexdigest()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,30 +15,22 @@ from audio_features.speech_encoders import (
     HiddenStateExtractor,
     LayerChoice,
     Options,
-    check_names,
     checked_device,
-    chunk_slices,
     normalized,
 )
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
-from audio_features.wavlm.architecture import HOP, WINDOW
-from audio_features.wavlm.weights import MICROSOFT_EPS
-from audio_features.weight_files import check_fingerprint, weights_needed
+from audio_features.wavlm.weights import HOP, MICROSOFT_EPS, WINDOW
+from audio_features.weight_files import check_fingerprint
 
 if TYPE_CHECKING:
     import torch
 
-    from audio_features.huggingface.network import Convolutions, Layers
+    from audio_features.huggingface.extractor import Convolutions, Layers
     from audio_features.speech_encoders import Layer
-    from audio_features.wavlm.architecture import Architecture
+    from audio_features.wavlm.weights import Architecture
 
 _GPU_BATCH = 8
-# Parameters of WavLM that a spec may hold.
-_KNOWN = (
-    *("layer", "dtype", "implementation", "preset", "fingerprint"),
-    *(option.name for option in fields(Options)),
-)
 
 
 class WavLM(HiddenStateExtractor):
@@ -71,10 +62,10 @@ class WavLM(HiddenStateExtractor):
         preset: "dsg" or "dsg+", see `PRESETS`; fixes layer and options.
         fingerprint: fingerprint of the weights, as in a spec; other weights are refused.
         device: "cpu" or "cuda"; not part of the spec.
+        final_norm: true applies Large's final normalisation to the topmost state (Base has
+            none). By default it applies to "last", as in the output of all three code bases,
+            and not to a number, as in transformers 5 and torchaudio's `extract_features`.
         options: any of
-            final_norm: true applies Large's final normalisation to the topmost state (Base has
-                none). By default it applies to "last", as in the output of all three code bases,
-                and not to a number, as in transformers 5 and torchaudio's `extract_features`.
             normalize: None normalises the waveform as the weights expect; False leaves it
                 unchanged; a number scales it to mean 0 and variance 1, with that number added to
                 the variance (Hugging Face adds 1e-7, Microsoft 1e-5).
@@ -110,12 +101,12 @@ class WavLM(HiddenStateExtractor):
         preset: str | None = None,
         fingerprint: str | None = None,
         device: str = "cpu",
+        final_norm: bool | None = None,
         **options: Any,
     ) -> None:
         import torch
 
-        from audio_features.wavlm.encoder import Encoder
-        from audio_features.wavlm.front_end import FrontEnd
+        from audio_features.wavlm.network import Encoder, FrontEnd
         from audio_features.wavlm.weights import read_weights
 
         kinds = {"fp32": torch.float32, "bf16": torch.bfloat16}
@@ -125,23 +116,22 @@ class WavLM(HiddenStateExtractor):
             raise FeatureError(f"implementation={implementation!r}: 'fast' or 'transformers'")
         if implementation == "transformers" and dtype != "fp32":
             raise FeatureError(f"dtype={dtype!r}: the implementation of transformers uses fp32")
-        check_names("WavLM", options, _KNOWN)
         self._options = Options(**options)
         self._device = checked_device(device)
-        self.weights, tensors = read_weights(weights)
+        self.weights, shape, tensors = read_weights(weights)
         check_fingerprint(weights, self.fingerprint, fingerprint)
         self.dtype, self.preset, self.implementation = dtype, preset, implementation
-        shape = self.weights.architecture
-        self._choice = LayerChoice(layer, self._options.final_norm, shape.layers)
+        self._choice = LayerChoice(layer, final_norm, shape.layers)
         self.normalize = self._options.eps(self.weights.normalize)
         if preset is not None:
             if preset not in PRESETS:
                 raise FeatureError(f"preset={preset!r}: one of {', '.join(PRESETS)}")
-            if layer != "last" or self._options != Options():
+            if layer != "last" or final_norm is not None or self._options != Options():
                 raise FeatureError(
                     f"preset={preset!r} fixes layer, normalisation and chunks: leave them out"
                 )
-            self.normalize = PRESETS[preset].eps(self.weights.normalize)
+            is_normalized = preset == "dsg+" and self.weights.normalize is not None
+            self.normalize = MICROSOFT_EPS if is_normalized else None
         tensors = {name: tensor.to(self._device) for name, tensor in tensors.items()}
         top = max(self._choice.indices)
         if implementation == "transformers":
@@ -151,25 +141,6 @@ class WavLM(HiddenStateExtractor):
         else:
             self._front = FrontEnd(shape, tensors, kinds[dtype])
             self._encoder = Encoder(shape, tensors, top, kinds[dtype])
-
-    @classmethod
-    def from_spec(
-        cls,
-        settings: dict[str, Any],
-        weights: str | os.PathLike[str] | None,
-        device: str = "cpu",
-    ) -> WavLM:
-        """Build the extractor that a spec describes, with the weights of its fingerprint.
-
-        Missing settings have their defaults. Raises FeatureError for unknown settings,
-        WeightsError if weights are missing or have another fingerprint.
-        """
-        settings = {key: value for key, value in settings.items() if key != "kind"}
-        check_names("WavLM", settings, _KNOWN)
-        if weights is None:
-            how = "features.weights=PATH to train, else --weights wavlm=PATH"
-            raise weights_needed("WavLM", settings.get("fingerprint"), how)
-        return cls(weights, **settings, device=device)
 
     @property
     def spec(self) -> dict[str, Any]:
@@ -193,19 +164,13 @@ class WavLM(HiddenStateExtractor):
 
         With a preset, the frame rate is that of its motion (20 or 30 per second).
         """
-        samples = wave.resample(SAMPLE_RATE).samples
+        samples = normalized(wave.resample(SAMPLE_RATE).samples, self.normalize)
         if self.preset is not None:
-            values, times = PRESETS[self.preset].extract(
-                self.hidden_states, self.normalized(samples)
-            )
+            values, times = PRESETS[self.preset](self.hidden_states, samples)
         else:
-            values = self.hidden_states(self.normalized(samples))
+            values = self.hidden_states(samples)
             times = (np.arange(len(values)) * HOP + WINDOW / 2) / SAMPLE_RATE
         return FeatureTrack(values, times, self.spec, self.names)
-
-    def normalized(self, samples: np.ndarray) -> np.ndarray:
-        """Normalise a waveform (N,) float32 as the network expects it."""
-        return normalized(samples, self.normalize)
 
     def hidden_states(self, samples: np.ndarray) -> np.ndarray:
         """Compute (T, D) float32 from (N,) samples at 16 kHz, without normalising them."""
@@ -213,17 +178,16 @@ class WavLM(HiddenStateExtractor):
 
         n_frames = (len(samples) - WINDOW) // HOP + 1
         values = np.empty((n_frames, self.dim), dtype=np.float32)
-        full, chunk, context = self._options.frames(HOP)
-        chunks = list(chunk_slices(n_frames, n_frames if n_frames <= full else chunk, context))
+        chunks = self._options.chunks(n_frames, HOP)
         size = 1 if self._device.type == "cpu" else _GPU_BATCH
         before, after = self._encoder.reach
         # By default a GPU would round convolutions to TF32.
         with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
             sound = torch.from_numpy(np.ascontiguousarray(samples)).to(self._device)
-            frames = self._front.sound(sound)
+            window = self._front.windows(sound)[1]
             for at in range(0, len(chunks), size):
                 batch = chunks[at : at + size]
-                inputs = [frames.window(c.start - before, c.stop + after) for c, _ in batch]
+                inputs = [window(c.start - before, c.stop + after) for c, _ in batch]
                 states = self._encoder.states(torch.stack(inputs))
                 for (chunk, keep), picked in zip(batch, self._choice.pick(self._encoder, states)):
                     part = picked[keep.start - chunk.start : keep.stop - chunk.start]
@@ -233,21 +197,6 @@ class WavLM(HiddenStateExtractor):
 
 HiddenStates = Callable[[np.ndarray], np.ndarray]
 """Function from samples (N,) at 16 kHz to hidden states (T, D)."""
-
-
-@dataclass(frozen=True)
-class Preset:
-    """Feature extraction of one published system.
-
-    Attributes:
-        eps: function from the number that the weights expect to be added to the waveform's
-            variance to the number that the system adds; None means no normalisation.
-        extract: function from `HiddenStates` and the normalised samples (N,) to values (T, D)
-            and times (T,) in seconds.
-    """
-
-    eps: Callable[[float | None], float | None]
-    extract: Callable[[HiddenStates, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def _dsg(hidden_states: HiddenStates, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -285,11 +234,10 @@ def _stretched(values: np.ndarray, n_frames: int) -> np.ndarray:
     return stretched[0].T.numpy()
 
 
-PRESETS = {
-    "dsg": Preset(lambda expected: None, _dsg),
-    "dsg+": Preset(lambda expected: None if expected is None else MICROSOFT_EPS, _dsg_plus),
-}
-"""Features as computed by DiffuseStyleGesture (Yang et al. 2023), quirks included.
+PRESETS = {"dsg": _dsg, "dsg+": _dsg_plus}
+"""Functions from `HiddenStates` and normalised samples (N,) to values (T, D) and times (T,).
+
+Features as computed by DiffuseStyleGesture (Yang et al. 2023), quirks included.
 
 Its released checkpoints need exactly these features. For anything else use `WavLM` without a
 preset and `FeatureTrack.to_rate`, which aligns frames by time.
@@ -327,11 +275,12 @@ def _reference(
     """
     import torch
 
-    from audio_features.huggingface.network import Convolutions, Layers
-    from audio_features.huggingface.weights import transformers_module
+    from audio_features.huggingface.extractor import Convolutions, Layers
+    from audio_features.huggingface.weights import transformers_needed
 
-    transformers = transformers_module()
-    config = transformers.WavLMConfig(
+    with transformers_needed():
+        from transformers import WavLMConfig, WavLMModel
+    config = WavLMConfig(
         hidden_size=shape.width,
         num_hidden_layers=shape.layers,
         num_attention_heads=shape.heads,
@@ -339,8 +288,6 @@ def _reference(
         feat_extract_norm=shape.front_norm,
         do_stable_layer_norm=shape.pre_norm,
         conv_dim=shape.channels,
-        conv_kernel=shape.kernels,
-        conv_stride=shape.strides,
         conv_bias=shape.conv_bias,
         num_conv_pos_embeddings=shape.position_kernel,
         num_conv_pos_embedding_groups=shape.position_groups,
@@ -351,7 +298,7 @@ def _reference(
         mask_feature_prob=0.0,
     )
     with torch.random.fork_rng(devices=[]), torch.device("meta"):
-        network = transformers.WavLMModel(config)
+        network = WavLMModel(config)
     network.load_state_dict(tensors, assign=True)
     network.eval().requires_grad_(False)
     return Convolutions(config, network), Layers(network, top)

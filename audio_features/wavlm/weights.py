@@ -1,8 +1,6 @@
-"""Reading of WavLM weights in three layouts: Hugging Face, Microsoft and torchaudio.
+"""WavLM's weights in three layouts: Hugging Face, Microsoft and torchaudio.
 
-Their own loaders are not used because they fill missing tensors with random numbers, contact a hub
-about a local folder, evaluate settings as code, or unpickle objects. Only tensors and settings are
-read from a file, and neither transformers nor torchaudio is needed.
+Only tensors and settings are read from a file, and neither transformers nor torchaudio is needed.
 """
 
 from __future__ import annotations
@@ -11,73 +9,256 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from audio_features.errors import WeightsError
-from audio_features.wavlm.architecture import Architecture
 from audio_features.weight_files import (
+    EncoderWeights,
+    add_tensors,
+    encoder_tensors,
     expected_normalization,
+    fitting_tensors,
+    normalization_text,
     plain_tensors,
     read_file,
     read_folder,
     read_json,
-    refuse_tensors,
 )
 
 if TYPE_CHECKING:
     import torch
 
+KERNELS, STRIDES = (10, 3, 3, 3, 3, 2, 2), (5, 2, 2, 2, 2, 2, 2)
+"""Sizes of the seven convolutions of the front end."""
+WINDOW = 400
+"""Samples that one frame covers, at 16 kHz."""
+HOP = 320
+"""Samples between two frames."""
 MICROSOFT_EPS = 1e-5
 """Constant that Microsoft's and torchaudio's code add to the waveform's variance."""
 
+_MOST_LAYERS = 256  # ten times those of Large
+
 
 @dataclass(frozen=True)
-class Weights:
-    """Description of the weights found at a path.
+class Architecture:
+    """Sizes of a WavLM network, which its tensors show, and variants, which they do not show.
 
     Attributes:
-        path: as given.
-        layout: "Hugging Face folder", "Microsoft checkpoint" or "torchaudio state dict".
-        architecture: sizes of the network.
-        normalize: None if the weights expect the waveform unnormalised; otherwise they expect
-            mean 0 and variance 1 with this number added to the variance.
-        fingerprint: sha256 over the sorted names (transformers'), shapes and float32 bytes of the
-            tensors, and over settings that differ from the published ones. The same weights
-            have the same fingerprint in every layout.
+        width, layers, heads: sizes of the encoder.
+        inner: width of the encoder's feed-forward part.
+        front_norm: "group" normalises the first convolution over the whole sound (Base),
+            "layer" normalises every convolution frame by frame (Large).
+        pre_norm: true if layers normalise their input (Large), false for their output (Base).
+        channels: of the seven convolutions.
+        conv_bias: true if those convolutions have a bias.
+        position_kernel, position_groups: sizes of the positional convolution.
+        buckets, max_distance: sizes of the relative position bias.
+        eps: epsilon of the encoder's layer normalisations.
     """
 
-    path: str
-    layout: str
-    architecture: Architecture
-    normalize: float | None
-    fingerprint: str
+    width: int
+    layers: int
+    heads: int
+    inner: int
+    front_norm: Literal["group", "layer"]
+    pre_norm: bool
+    channels: tuple[int, ...]
+    conv_bias: bool
+    position_kernel: int
+    position_groups: int
+    buckets: int
+    max_distance: int
+    eps: float
+
+    @classmethod
+    def from_huggingface(
+        cls, config: Mapping[str, Any], tensors: Mapping[str, torch.Tensor], where: str
+    ) -> Architecture:
+        """Read config.json; missing settings have the defaults of transformers' WavLMConfig.
+
+        Raises WeightsError, which names `where`, for settings that are not a WavLM network's.
+        """
+        for name, usual in (
+            ("hidden_act", "gelu"),
+            ("feat_extract_activation", "gelu"),
+            ("conv_kernel", list(KERNELS)),
+            ("conv_stride", list(STRIDES)),
+        ):
+            if config.get(name, usual) != usual:
+                raise _not_wavlm(where, name, config[name], repr(usual))
+        return cls.from_tensors(
+            tensors,
+            where,
+            front_norm=config.get("feat_extract_norm", "group"),
+            pre_norm=config.get("do_stable_layer_norm", False),
+            max_distance=config.get("max_bucket_distance", 800),
+            eps=config.get("layer_norm_eps", 1e-5),
+        )
+
+    @classmethod
+    def from_microsoft(
+        cls, cfg: Mapping[str, Any], tensors: Mapping[str, torch.Tensor], where: str
+    ) -> Architecture:
+        """Read the `cfg` of Microsoft's checkpoint; a missing setting is an error.
+
+        Microsoft's own loader falls back on defaults that no published model has (a
+        max_distance of 1280, no relative positions).
+        """
+        expected = {"activation_fn": "gelu", "relative_position_embedding": True}
+        for name, value in (expected | {"gru_rel_pos": True}).items():
+            if cfg.get(name) != value:
+                raise _not_wavlm(where, name, cfg.get(name), repr(value))
+        # Microsoft's loader evaluates it: "[(512,10,5)] + [(512,3,2)] * 4 + [(512,2,2)] * 2".
+        convolutions = str(cfg.get("conv_feature_layers")).replace(" ", "")
+        if re.findall(r"\(\d+,(\d+,\d+)\)", convolutions) != ["10,5", "3,2", "2,2"]:
+            expected_layers = "'[(512,10,5)] + [(512,3,2)] * 4 + …'"
+            raise _not_wavlm(where, "conv_feature_layers", convolutions, expected_layers)
+        mode = cfg.get("extractor_mode")
+        return cls.from_tensors(
+            tensors,
+            where,
+            front_norm={"default": "group", "layer_norm": "layer"}.get(str(mode), mode),
+            pre_norm=cfg.get("layer_norm_first"),
+            max_distance=cfg.get("max_distance"),
+        )
+
+    @classmethod
+    def from_tensors(
+        cls,
+        tensors: Mapping[str, torch.Tensor],
+        where: str,
+        *,
+        front_norm: Any = None,
+        pre_norm: Any = None,
+        max_distance: Any = 800,
+        eps: Any = 1e-5,
+    ) -> Architecture:
+        """Infer the sizes from tensors under Hugging Face's names; variants are as published.
+
+        Raises WeightsError, which names `where`, for tensors or variants of no WavLM network.
+        """
+
+        def shape(name: str, axes: int) -> tuple[int, ...]:
+            sizes = tuple(tensors[name].shape) if name in tensors else ()
+            if len(sizes) != axes or not all(sizes):
+                raise WeightsError(
+                    f"{where}: tensor {name} has shape {sizes}, expected {axes} axes: "
+                    "the network's size cannot be determined"
+                )
+            return sizes
+
+        first, convolution = "encoder.layers.0.", "feature_extractor.conv_layers."
+        large = f"{convolution}1.layer_norm.weight" in tensors
+        depths = [re.match(r"encoder\.layers\.(\d+)\.", name) for name in tensors]
+        kernel = shape("encoder.pos_conv_embed.conv.parametrizations.weight.original1", 3)
+        made = cls(
+            width=kernel[0],
+            layers=1 + max((int(depth[1]) for depth in depths if depth), default=0),
+            heads=shape(f"{first}attention.gru_rel_pos_const", 4)[1],
+            inner=shape(f"{first}feed_forward.intermediate_dense.weight", 2)[0],
+            front_norm=("layer" if large else "group") if front_norm is None else front_norm,
+            pre_norm=large if pre_norm is None else pre_norm,
+            channels=tuple(
+                shape(f"{convolution}{i}.conv.weight", 3)[0] for i in range(len(KERNELS))
+            ),
+            conv_bias=f"{convolution}0.conv.bias" in tensors,
+            position_kernel=kernel[2],
+            position_groups=kernel[0] // kernel[1],
+            buckets=shape(f"{first}attention.rel_attn_embed.weight", 2)[0],
+            max_distance=max_distance,
+            eps=eps,
+        )
+        made._check(where)
+        return made
+
+    def _check(self, where: str) -> None:
+        is_distance = isinstance(self.max_distance, int) and self.max_distance > self.buckets // 4
+        for name, is_right, expected in (
+            ("layers", self.layers <= _MOST_LAYERS, f"at most {_MOST_LAYERS}"),
+            ("heads", self.width % self.heads == 0, f"a divisor of {self.width}"),
+            ("position_groups", self.width % self.position_groups == 0, "a divisor of the width"),
+            ("buckets", self.buckets % 4 == 0, "a multiple of 4"),
+            ("max_distance", is_distance, f"a whole number above {self.buckets // 4}"),
+            ("front_norm", self.front_norm in ("group", "layer"), "'group' or 'layer'"),
+            ("pre_norm", isinstance(self.pre_norm, bool), "true or false"),
+            ("eps", isinstance(self.eps, float) and 0 < self.eps < 1, "a number from 0 to 1"),
+        ):
+            if not is_right:
+                raise _not_wavlm(where, name, getattr(self, name), expected)
 
     @property
-    def width(self) -> int:
-        """Columns of one hidden state."""
-        return self.architecture.width
+    def size(self) -> str:
+        """Name of the published size; Base and Base+ have the same shape."""
+        names = {(768, 12): "Base or Base+", (1024, 24): "Large"}
+        return names.get((self.width, self.layers), "of a custom size")
 
-    def describe(self) -> str:
-        """Summarise in one line: layout, size, layers, width, normalisation, fingerprint."""
-        shape = self.architecture
-        eps = self.normalize
-        rule = (
-            "not normalised"
-            if eps is None
-            else f"normalised to mean 0 and variance 1 (eps {eps:g})"
+    @property
+    def unpublished(self) -> dict[str, Any]:
+        """Settings that do not show in the shapes and differ from those of published models."""
+        usual = {"pre_norm": self.front_norm == "layer", "max_distance": 800, "eps": 1e-5}
+        return {key: value for key in usual if (value := getattr(self, key)) != usual[key]}
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Return the shape of every tensor of the network by its name in transformers."""
+        width, head = self.width, self.width // self.heads
+        shapes: dict[str, tuple[int, ...]] = {}
+        for i, (n_in, n_out) in enumerate(zip((1, *self.channels), self.channels)):
+            conv = f"feature_extractor.conv_layers.{i}."
+            shapes[f"{conv}conv.weight"] = (n_out, n_in, KERNELS[i])
+            if self.conv_bias:
+                shapes[f"{conv}conv.bias"] = (n_out,)
+            if self.front_norm == "layer" or i == 0:
+                shapes |= _norm(f"{conv}layer_norm", n_out)
+        shapes |= _norm("feature_projection.layer_norm", self.channels[-1])
+        shapes |= _linear("feature_projection.projection", self.channels[-1], width)
+        position = "encoder.pos_conv_embed.conv."
+        shapes[f"{position}bias"] = (width,)
+        shapes[f"{position}parametrizations.weight.original0"] = (1, 1, self.position_kernel)
+        shapes[f"{position}parametrizations.weight.original1"] = (
+            width,
+            width // self.position_groups,
+            self.position_kernel,
         )
-        return (
-            f"{self.path}: WavLM {shape.size}, {self.layout}: {shape.layers} layers of "
-            f"{shape.width}, {shape.heads} heads, relative positions up to {shape.max_distance}; "
-            f"waveform {rule}; fingerprint {self.fingerprint}"
-        )
+        shapes |= _norm("encoder.layer_norm", width)
+        for i in range(self.layers):
+            layer = f"encoder.layers.{i}."
+            for part in ("q_proj", "k_proj", "v_proj", "out_proj"):
+                shapes |= _linear(f"{layer}attention.{part}", width, width)
+            shapes |= _linear(f"{layer}attention.gru_rel_pos_linear", head, 8)
+            shapes[f"{layer}attention.gru_rel_pos_const"] = (1, self.heads, 1, 1)
+            if i == 0:
+                shapes[f"{layer}attention.rel_attn_embed.weight"] = (self.buckets, self.heads)
+            shapes |= _norm(f"{layer}layer_norm", width)
+            shapes |= _linear(f"{layer}feed_forward.intermediate_dense", width, self.inner)
+            shapes |= _linear(f"{layer}feed_forward.output_dense", self.inner, width)
+            shapes |= _norm(f"{layer}final_layer_norm", width)
+        return shapes
 
 
-def read_weights(path: str | os.PathLike[str]) -> tuple[Weights, dict[str, torch.Tensor]]:
-    """Read the weights at `path`: description, and float32 CPU tensors by transformers' names.
+def _linear(name: str, n_in: int, n_out: int) -> dict[str, tuple[int, ...]]:
+    return {f"{name}.weight": (n_out, n_in), f"{name}.bias": (n_out,)}
+
+
+def _norm(name: str, width: int) -> dict[str, tuple[int, ...]]:
+    return {f"{name}.weight": (width,), f"{name}.bias": (width,)}
+
+
+def _not_wavlm(where: str, name: str, value: Any, expected: str) -> WeightsError:
+    return WeightsError(
+        f"{where}: describes no WavLM network: {name} is {str(value)[:80]!r}, expected {expected}"
+    )
+
+
+def read_weights(
+    path: str | os.PathLike[str],
+) -> tuple[EncoderWeights, Architecture, dict[str, torch.Tensor]]:
+    """Read the weights at `path`: float32 CPU tensors by transformers' names.
+
+    The same weights have the same fingerprint in every layout.
 
     Args:
         path: a Hugging Face folder (config.json with model.safetensors or pytorch_model.bin),
@@ -90,36 +271,63 @@ def read_weights(path: str | os.PathLike[str]) -> tuple[Weights, dict[str, torch
     path = Path(path)
     if path.is_dir():
         layout = "Hugging Face folder"
-        config = _huggingface_config(path)
-        shape = Architecture.from_huggingface(config, str(path / "config.json"))
-        tensors = from_huggingface(read_folder(path))
+        config = _config(path)
+        tensors = encoder_tensors(read_folder(path), ["wavlm."])
+        shape = Architecture.from_huggingface(config, tensors, str(path / "config.json"))
         normalize = expected_normalization(path, shape.front_norm)
     elif path.is_file():
-        content = read_file(path)
-        if _is_microsoft(content):
-            layout = "Microsoft checkpoint"
-            shape = Architecture.from_microsoft(content["cfg"], str(path))
-            tensors = from_microsoft(plain_tensors(path, content["model"]))
-            normalize = MICROSOFT_EPS if content["cfg"].get("normalize", False) else None
-        elif isinstance(content, dict) and is_torchaudio(map(str, content)):
-            layout = "torchaudio state dict"
-            tensors = from_torchaudio(plain_tensors(path, content))
-            shape = Architecture.from_tensors(tensors, str(path))
-            # As in torchaudio's pipelines: only Large expects a normalised waveform.
-            normalize = MICROSOFT_EPS if shape.front_norm == "layer" else None
-        else:
-            raise _unknown_layout(path, content)
+        layout, shape, tensors, normalize = _read_file(path)
     else:
         what = "not a file or folder" if path.exists() else "no such folder or file"
         raise WeightsError(
             f"{path}: {what}: give a local WavLM: Hugging Face's folder with config.json and "
             "model.safetensors, Microsoft's WavLM-*.pt, or a torchaudio state dict"
         )
-    tensors = _fitting(path, tensors, shape)
-    return Weights(str(path), layout, shape, normalize, _fingerprint(tensors, shape)), tensors
+    tensors = fitting_tensors(path, tensors, shape.shapes())
+    digest = hashlib.sha256()
+    add_tensors(digest, tensors)
+    if shape.unpublished:
+        digest.update(json.dumps(shape.unpublished, sort_keys=True).encode())
+    sizes = f"{shape.layers} layers of {shape.width}, {shape.heads} heads"
+    distance = f"relative positions up to {shape.max_distance}"
+    takes = normalization_text(normalize)
+    weights = EncoderWeights(
+        path=str(path),
+        model="wavlm",
+        summary=f"WavLM {shape.size}, {layout}: {sizes}, {distance}; {takes}",
+        layers=shape.layers,
+        width=shape.width,
+        normalize=normalize,
+        fingerprint=digest.hexdigest(),
+    )
+    return weights, shape, tensors
 
 
-def _huggingface_config(folder: Path) -> dict[str, Any]:
+def _read_file(
+    path: Path,
+) -> tuple[str, Architecture, dict[str, torch.Tensor], float | None]:
+    """Return layout, architecture, tensors and normalisation of a file in one of two layouts."""
+    content = read_file(path)
+    names = [str(name) for name in content] if isinstance(content, Mapping) else []
+    if {"cfg", "model"} <= set(names) and isinstance(content["cfg"], dict):
+        tensors = _renamed(plain_tensors(path, content["model"]), _MICROSOFT)
+        shape = Architecture.from_microsoft(content["cfg"], tensors, str(path))
+        normalize = MICROSOFT_EPS if content["cfg"].get("normalize", False) else None
+        return "Microsoft checkpoint", shape, tensors, normalize
+    if any(name.removeprefix("model.").startswith("encoder.transformer.") for name in names):
+        tensors = _from_torchaudio(plain_tensors(path, content))
+        shape = Architecture.from_tensors(tensors, str(path))
+        # As in torchaudio's pipelines: only Large expects a normalised waveform.
+        normalize = MICROSOFT_EPS if shape.front_norm == "layer" else None
+        return "torchaudio state dict", shape, tensors, normalize
+    held = ", ".join(names[:4]) or type(content).__name__
+    raise WeightsError(
+        f"{path}: no WavLM in a known layout (found: {held[:200]}): give Hugging Face's folder "
+        "with its config.json, Microsoft's WavLM-*.pt with its cfg, or a torchaudio state dict"
+    )
+
+
+def _config(folder: Path) -> dict[str, Any]:
     path = folder / "config.json"
     checkpoints = sorted(folder.glob("*.pt")) + sorted(folder.glob("*.pth"))
     if not path.is_file() and checkpoints:
@@ -135,152 +343,48 @@ def _huggingface_config(folder: Path) -> dict[str, Any]:
     return config
 
 
-def _is_microsoft(content: Any) -> bool:
-    return (
-        isinstance(content, dict)
-        and isinstance(content.get("cfg"), dict)
-        and isinstance(content.get("model"), Mapping)
-    )
-
-
-def _unknown_layout(path: Path, content: Any) -> WeightsError:
-    names = [str(name) for name in content] if isinstance(content, Mapping) else []
-    if path.name in ("model.safetensors", "pytorch_model.bin"):
-        do = f"for Hugging Face's layout name the folder, {path.parent}, with its config.json"
-    elif any(re.fullmatch(r"encoder\.layers\.\d+\.self_attn\..*", name) for name in names):
-        do = "these are Microsoft's names without their cfg: give the checkpoint as published"
-    else:
-        do = "give Hugging Face's folder, Microsoft's WavLM-*.pt or a torchaudio state dict"
-    found = ", ".join(names[:4]) or type(content).__name__
-    return WeightsError(f"{path}: no WavLM in a known layout (found: {found[:200]}): {do}")
-
-
-def _fitting(
-    path: Path, tensors: dict[str, torch.Tensor], shape: Architecture
-) -> dict[str, torch.Tensor]:
-    """Return exactly the network's tensors, in float32."""
-    import torch
-
-    expected = shape.shapes()
-    problems = {
-        "missing": [name for name in expected if name not in tensors],
-        "unknown": [name for name in tensors if name not in expected],
-        "of another shape": [
-            f"{name} {tuple(tensors[name].shape)}, not {wanted}"
-            for name, wanted in expected.items()
-            if name in tensors and tuple(tensors[name].shape) != wanted
-        ],
-        "not floating point": [
-            name for name in expected if name in tensors and not tensors[name].is_floating_point()
-        ],
-    }
-    refuse_tensors(path, problems, "settings and weights must come from the same WavLM model")
-    fitting = {name: tensors[name].float().contiguous() for name in expected}
-    for name, tensor in fitting.items():
-        if not torch.isfinite(tensor).all():
-            raise WeightsError(f"{path}: tensor {name} is not finite: download it again")
-    return fitting
-
-
-def _fingerprint(tensors: dict[str, torch.Tensor], shape: Architecture) -> str:
-    digest = hashlib.sha256()
-    for name in sorted(tensors):
-        digest.update(f"{name} {list(tensors[name].shape)}\n".encode())
-        digest.update(tensors[name].numpy().data)
-    if shape.unpublished:
-        digest.update(json.dumps(shape.unpublished, sort_keys=True).encode())
-    return digest.hexdigest()
-
-
 _MICROSOFT = (
-    (r"(feature_extractor\.conv_layers\.\d+)\.0\.(\w+)", r"\1.conv.\2"),
-    (r"(feature_extractor\.conv_layers\.\d+)\.2\.(?:1\.)?(\w+)", r"\1.layer_norm.\2"),
-    (r"layer_norm\.(\w+)", r"feature_projection.layer_norm.\1"),
-    (r"post_extract_proj\.(\w+)", r"feature_projection.projection.\1"),
-    (r"encoder\.pos_conv\.0\.(.+)", r"encoder.pos_conv_embed.conv.\1"),
-    (
-        r"(encoder\.layers\.\d+)\.self_attn\.grep_linear\.(\w+)",
-        r"\1.attention.gru_rel_pos_linear.\2",
-    ),
-    (r"(encoder\.layers\.\d+)\.self_attn\.grep_a", r"\1.attention.gru_rel_pos_const"),
-    (
-        r"(encoder\.layers\.\d+)\.self_attn\.relative_attention_bias\.(\w+)",
-        r"\1.attention.rel_attn_embed.\2",
-    ),
-    (r"(encoder\.layers\.\d+)\.self_attn\.(.+)", r"\1.attention.\2"),
-    (r"(encoder\.layers\.\d+)\.self_attn_layer_norm\.(\w+)", r"\1.layer_norm.\2"),
-    (r"(encoder\.layers\.\d+)\.fc1\.(\w+)", r"\1.feed_forward.intermediate_dense.\2"),
-    (r"(encoder\.layers\.\d+)\.fc2\.(\w+)", r"\1.feed_forward.output_dense.\2"),
+    (r"^layer_norm\.", "feature_projection.layer_norm."),
+    (r"^post_extract_proj\.", "feature_projection.projection."),
+    (r"(conv_layers\.\d+)\.0\.", r"\1.conv."),
+    (r"(conv_layers\.\d+)\.2\.(1\.)?", r"\1.layer_norm."),
+    (r"\.pos_conv\.0\.", ".pos_conv_embed.conv."),
+    (r"\.self_attn_layer_norm\.", ".layer_norm."),
+    (r"\.self_attn\.", ".attention."),
+    (r"\.grep_linear\.", ".gru_rel_pos_linear."),
+    (r"\.grep_a$", ".gru_rel_pos_const"),
+    (r"\.relative_attention_bias\.", ".rel_attn_embed."),
+    (r"\.fc1\.", ".feed_forward.intermediate_dense."),
+    (r"\.fc2\.", ".feed_forward.output_dense."),
 )
 _TORCHAUDIO = (
-    (r"encoder\.feature_projection\.(.+)", r"feature_projection.\1"),
-    (r"encoder\.transformer\.(layers\.\d+\.attention)\.attention\.(.+)", r"encoder.\1.\2"),
-    (r"encoder\.transformer\.(.+)", r"encoder.\1"),
+    (r"^model\.", ""),
+    (r"^encoder\.feature_projection\.", "feature_projection."),
+    (r"^encoder\.transformer\.", "encoder."),
+    (r"\.attention\.attention\.", ".attention."),
 )
-# Heads of models for pre-training, recognition or speaker tasks.
-_HEADS = (
-    r"(lm_head|quantizer|project_hid|project_q|projector|classifier|tdnn|objective)\..*"
-    r"|layer_weights"
-)
-_MASK = {"masked_spec_embed", "mask_emb"}  # replaces masked frames, in training only
 
 
-def from_huggingface(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Remove the prefix `wavlm.` and the heads from Hugging Face's tensors."""
-    if any(name.startswith("wavlm.") for name in tensors):
-        # If the network has the prefix, every tensor without it belongs to a head.
-        found = {
-            name.removeprefix("wavlm."): tensor
-            for name, tensor in tensors.items()
-            if name.startswith("wavlm.")
-        }
-    else:
-        found = {name: t for name, t in tensors.items() if not re.fullmatch(_HEADS, name)}
-    return _weight_norm({name: t for name, t in found.items() if name not in _MASK})
-
-
-def from_microsoft(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Rename the tensors of the `model` of Microsoft's checkpoint."""
-    return _weight_norm(
-        {_renamed(name, _MICROSOFT): t for name, t in tensors.items() if name not in _MASK}
-    )
-
-
-def from_torchaudio(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+def _from_torchaudio(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """Rename the state dict of `torchaudio.models.wavlm_*` or of its pipelines."""
-    found: dict[str, torch.Tensor] = {}
-    for name, tensor in tensors.items():
-        name = name.removeprefix("model.")
-        if name.startswith("aux."):
-            continue
-        name = _renamed(name, _TORCHAUDIO)
+    split: dict[str, torch.Tensor] = {}
+    for name, tensor in _renamed(tensors, _TORCHAUDIO).items():
         stacked = re.fullmatch(r"(.+)\.in_proj_(weight|bias)", name)
         if stacked is None or len(tensor) % 3:
-            found[name] = tensor
+            split[name] = tensor
         else:
             attention, kind = stacked.groups()
             for part, chunk in zip("qkv", tensor.chunk(3)):
-                found[f"{attention}.{part}_proj.{kind}"] = chunk
-    return _weight_norm(found)
+                split[f"{attention}.{part}_proj.{kind}"] = chunk
+    return split
 
 
-def is_torchaudio(names: Iterable[str]) -> bool:
-    """Return true for torchaudio's names, the only layout with `encoder.transformer`."""
-    return any(name.removeprefix("model.").startswith("encoder.transformer.") for name in names)
-
-
-def _renamed(name: str, table: tuple[tuple[str, str], ...]) -> str:
-    for pattern, replacement in table:
-        if re.fullmatch(pattern, name):
-            return re.sub(pattern, replacement, name)
-    return name
-
-
-def _weight_norm(tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Rename magnitude and direction, which older torch calls weight_g and weight_v."""
-    conv = "encoder.pos_conv_embed.conv"
-    new = {
-        f"{conv}.weight_g": f"{conv}.parametrizations.weight.original0",
-        f"{conv}.weight_v": f"{conv}.parametrizations.weight.original1",
-    }
-    return {new.get(name, name): tensor for name, tensor in tensors.items()}
+def _renamed(
+    tensors: Mapping[str, torch.Tensor], table: tuple[tuple[str, str], ...]
+) -> dict[str, torch.Tensor]:
+    renamed = {}
+    for name, tensor in tensors.items():
+        for pattern, replacement in table:
+            name = re.sub(pattern, replacement, name)
+        renamed[name] = tensor
+    return renamed

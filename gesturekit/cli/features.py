@@ -168,7 +168,7 @@ def _print(result: Result) -> None:
 def _extractor(kinds: str, options: dict[str, Any]) -> Extractor:
     """Return the extractor of --extractor and its options; print the weights that it uses."""
     from audio_features import extractor_from_spec
-    from audio_features.installed import installed_kinds
+    from audio_features.kinds import installed_kinds
 
     weights, device = options.pop("weights"), options.pop("device")
     given = {name: value for name, value in options.items() if value is not None}

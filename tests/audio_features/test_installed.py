@@ -14,7 +14,7 @@ SPEC = {"kind": "loudness", "gain": 2.0}
 @pytest.fixture
 def installed(tmp_path, monkeypatch):
     """installed(version="1.2", code=CODE): (re)install the package own-features."""
-    from audio_features.installed import digest_of_sources
+    from audio_features.kinds import digest_of_sources
 
     def make(**options):
         digest_of_sources.cache_clear()  # as in another process

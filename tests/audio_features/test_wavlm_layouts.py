@@ -10,7 +10,7 @@ from sounds import distance
 from wavlm_layouts import microsoft, old_norm, torchaudio_state
 
 import audio_features as af
-from audio_features.wavlm.architecture import Architecture
+from audio_features.wavlm.weights import Architecture
 
 torch = pytest.importorskip("torch")
 transformers = pytest.importorskip("transformers")
@@ -101,31 +101,30 @@ ODD = {
 }
 
 
-def read(settings: dict) -> Architecture:
-    return Architecture.from_huggingface(settings, "config.json")
+def network(settings: dict) -> dict:
+    """The tensors of transformers' network on the device "meta": shapes, and no numbers."""
+    with torch.device("meta"):
+        return transformers.WavLMModel(transformers.WavLMConfig(**settings)).state_dict()
 
 
 @pytest.mark.parametrize(("settings", "size"), [({}, "Base"), (LARGE, "Large"), (ODD, "")])
 def test_tensors_are_those_of_transformers(settings, size):
-    """Networks on the device "meta", which have shapes and no numbers."""
-    with torch.device("meta"):
-        model = transformers.WavLMModel(transformers.WavLMConfig(**settings))
-    theirs = {name: tuple(tensor.shape) for name, tensor in model.state_dict().items()}
+    tensors = network(settings)
+    theirs = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
     theirs.pop("masked_spec_embed")
-    found = read(settings)
+    found = Architecture.from_huggingface(settings, tensors, "config.json")
     assert found.shapes() == theirs
     assert {type(n) for shape in found.shapes().values() for n in shape} == {int}
     assert found.unpublished == {}
     assert [name for name in ("Base", "Large") if name in found.size] == [size] * bool(size)
-    assert Architecture.from_tensors(model.state_dict(), "a.pth") == found
+    assert Architecture.from_tensors(tensors, "a.pth") == found
 
 
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"hidden_size": 0}, "(?=.*width).*'0'"),
-        ({"num_buckets": 0}, "(?=.*buckets).*'0'"),
-        ({"conv_kernel": "10333322"[:7]}, "(?=.*kernels).*'1033332'"),
+        ({"max_bucket_distance": 0}, "(?=.*max_distance).*'0'"),
+        ({"conv_kernel": "10333322"[:7]}, "(?=.*kernel).*'1033332'"),
         ({"feat_extract_norm": "batch"}, "(?=.*front_norm)(?=.*'batch').*'group'"),
         *(
             ({"layer_norm_eps": eps}, f"eps.*'{eps}'")
@@ -136,4 +135,4 @@ def test_tensors_are_those_of_transformers(settings, size):
 )
 def test_settings_of_no_wavlm_are_named(changes, says):
     with pytest.raises(af.WeightsError, match=f"config.json.*{says}"):
-        read(changes)
+        Architecture.from_huggingface(changes, network(ODD), "config.json")

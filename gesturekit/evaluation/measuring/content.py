@@ -12,7 +12,7 @@ from typing import Any
 
 import audio_features
 from audio_features.cache import DiskCache, default_folder, size_limit
-from audio_features.installed import digest_of_sources, installed_versions
+from audio_features.kinds import digest_of_sources, installed_versions
 from gesturekit.corpus.item import file_fingerprint
 from gesturekit.evaluation.pairs import ItemInterval
 
