@@ -81,12 +81,12 @@ def command(
     if out is not None and is_left([out], existing):
         return
     reading = read_from(options)
-    found = _found(clips)
-    motions, has_failed = _loaded(found, clips, reading, parts)
+    files = _files_of(clips)
+    motions, has_failed = _loaded(files, clips, reading, parts)
     if not motions:
         raise ConfigError("no motion to show")
     if out is None:
-        page = Path(tempfile.mkdtemp(prefix="gesturekit-")) / f"{found[0].stem or 'motion'}.html"
+        page = Path(tempfile.mkdtemp(prefix="gesturekit-")) / f"{files[0].stem or 'motion'}.html"
     else:
         page = out
     if audio is not None:
@@ -130,21 +130,21 @@ def _compare_lengths(audio: Path, longest: float) -> None:
         )
 
 
-def _found(clips: tuple[Path, ...]) -> list[Path]:
+def _files_of(clips: tuple[Path, ...]) -> list[Path]:
     """Return the motions to show, those of folders included."""
     from gesturekit.formats.sources import motions_of
 
-    found = [motion for clip in clips for motion in motions_of(clip)]
-    if len(found) > (most := max(len(clips), _MOST)):
+    files = [motion for clip in clips for motion in motions_of(clip)]
+    if len(files) > (most := max(len(clips), _MOST)):
         click.echo(
-            f"Warning: {len(found)} motions; the page shows the first {most}, or those you name",
+            f"Warning: {len(files)} motions; the page shows the first {most}, or those you name",
             err=True,
         )
-    return found[:most]
+    return files[:most]
 
 
 def _loaded(
-    found: list[Path], clips: tuple[Path, ...], options: Mapping[str, Any], parts: tuple[str, ...]
+    files: list[Path], clips: tuple[Path, ...], options: Mapping[str, Any], parts: tuple[str, ...]
 ) -> tuple[dict[str, Motion], bool]:
     """Load motions; return {label: motion} and whether a file not named in `clips` failed."""
     from gesturekit.errors import GestureKitError
@@ -154,9 +154,9 @@ def _loaded(
 
     named = parse_parts(parts)
     # Files of the same name come from different folders.
-    repeated = len({clip.stem for clip in found}) < len(found)
+    repeated = len({clip.stem for clip in files}) < len(files)
     motions, has_failed = {}, False
-    for clip in found:
+    for clip in files:
         try:
             motion, warnings = load_with_warnings(clip, options, named)
         except GestureKitError as error:

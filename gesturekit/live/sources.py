@@ -154,13 +154,13 @@ class Microphone:
         self._device = int(device) if device is not None and device.isdecimal() else device
         self.overflows = 0
         try:
-            found = self._portaudio.query_devices(self._device, "input")
+            about = self._portaudio.query_devices(self._device, "input")
         except (ValueError, self._portaudio.PortAudioError) as error:
             raise ConfigError(
                 f"mic{'' if device is None else f':{device}'}: {error}; gesturekit live "
                 "--list-devices lists them"
             ) from None
-        self.rate = int(found["default_samplerate"])
+        self.rate = int(about["default_samplerate"])
 
     def run(self, put: Put, stopped: threading.Event) -> None:
         """Deliver sound until `stopped` is set."""

@@ -156,12 +156,12 @@ def tip_shape(joint: str, drawn: dict[str, Shape | None], parts: BodyParts | Non
         leg = parts.legs.get(name)
         if leg and joint == leg.ankle:  # a heel needs no limb beside the foot
             return None if leg.toe else FOOT.on(side)
-    own = drawn[joint]
-    if own is None:
+    shape = drawn[joint]
+    if shape is None:
         return None
     # The next one down: a foot ends in toes, a palm in a finger, anything else goes on thinner.
-    following = {FOOT: TOE, PALM: FINGER}.get(own.on(MIDDLE), own)
-    return replace(following, start=min(own.end, following.start), side=own.side)
+    following = {FOOT: TOE, PALM: FINGER}.get(shape.on(MIDDLE), shape)
+    return replace(following, start=min(shape.end, following.start), side=shape.side)
 
 
 @dataclass(frozen=True)
@@ -318,8 +318,8 @@ class _Points:
         head that turns to both sides faces forward on average.
         """
         turn = self.turns[:, self.skeleton.index(joint)]
-        own = _unit(rotate_vectors(invert_quaternions(turn), direction).mean(axis=0))
-        return rotate_vectors(turn, np.broadcast_to(own, direction.shape))
+        local = _unit(rotate_vectors(invert_quaternions(turn), direction).mean(axis=0))
+        return rotate_vectors(turn, np.broadcast_to(local, direction.shape))
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
@@ -435,13 +435,13 @@ def _limbs(points: _Points, parts: BodyParts | None, height: float) -> tuple[Lim
 
 def _hands(points: _Points, parts: BodyParts | None) -> tuple[int, ...]:
     """Return the indices of both hands' points; without wrists, those of the forearms' ends."""
-    found = []
+    hands = []
     for arm in parts.arms.values() if parts else ():
         if arm.wrist is None and arm.elbow in points.skeleton.end_sites:
-            found.append(points.add(points.motion.end_positions()[arm.elbow][:, 0]))
+            hands.append(points.add(points.motion.end_positions()[arm.elbow][:, 0]))
         else:
-            found.append(points.skeleton.index(arm.wrist or arm.elbow))
-    return tuple(found)
+            hands.append(points.skeleton.index(arm.wrist or arm.elbow))
+    return tuple(hands)
 
 
 def _hand_speed(points: _Points, hands: tuple[int, ...], parts: BodyParts | None) -> np.ndarray:

@@ -191,10 +191,10 @@ def _share_twist(rig: Skeleton, joint: int, rotations: np.ndarray) -> None:
     bone = rig.parents[joint]
     below = next(j for j in rig.children(bone) if j != joint)
     axis = _unit(rig.offsets[below])
-    own = _about(axis, _angles(axis, rotations[:, bone]))
+    twist = _about(axis, _angles(axis, rotations[:, bone]))
     if rig.names[bone].endswith("ForeArm"):
-        rotations[:, bone] = multiply_quaternions(rotations[:, bone], invert_quaternions(own))
-        rotations[:, below] = multiply_quaternions(own, rotations[:, below])
+        rotations[:, bone] = multiply_quaternions(rotations[:, bone], invert_quaternions(twist))
+        rotations[:, below] = multiply_quaternions(twist, rotations[:, below])
         rotations[:, joint] = _about(axis, 0.5 * _angles(axis, rotations[:, below]))
     else:
         rotations[:, joint] = _about(axis, -0.5 * _angles(axis, rotations[:, bone]))

@@ -130,8 +130,8 @@ def onsets(wave: Wave) -> np.ndarray:
 def speed_minima(speed: np.ndarray, fps: float) -> np.ndarray:
     """Return the times of motion beats, seconds: minima of a speed curve (T,)."""
     depth = _BEAT_PROMINENCE * float(np.quantile(speed, 0.98))
-    found, _ = find_peaks(-speed, prominence=max(depth, 1e-6))
-    return found / fps
+    beats, _ = find_peaks(-speed, prominence=max(depth, 1e-6))
+    return beats / fps
 
 
 def contact_track(motion: Motion) -> np.ndarray | None:

@@ -262,8 +262,8 @@ def draw_features(track: FeatureTrack, path: str | os.PathLike[str], wave: Wave)
     _image(rows[0], LogMel(n_mels=40).extract(wave), list(range(40)), "the sound, log-mel")
     for axes, (name, columns) in zip(rows[1:], groups.items()):
         if len(columns) > 1:
-            own = "" if name in _ONE_SCALE else ", each against its own mean and spread"
-            _image(axes, track, columns, f"{name}, {len(columns)} columns{own}", bool(own))
+            scale = "" if name in _ONE_SCALE else ", each against its own mean and spread"
+            _image(axes, track, columns, f"{name}, {len(columns)} columns{scale}", bool(scale))
         else:
             _line(axes, track, columns[0], name)
     rows[-1].set_xlim(0, wave.duration)

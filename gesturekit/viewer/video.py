@@ -51,8 +51,8 @@ def write_caption(image: np.ndarray, text: str, at: tuple[float, float], size: f
     top = max(0, round(row - mask.shape[0] / 2))
     left = max(0, round(column if column >= 0 else width + column - mask.shape[1]))
     mask = mask[: height - top, : width - left]
-    part = image[top : top + mask.shape[0], left : left + mask.shape[1]]
-    part[...] = part + mask[..., None] * (INK - part)
+    area = image[top : top + mask.shape[0], left : left + mask.shape[1]]
+    area[...] = area + mask[..., None] * (INK - area)
 
 
 @lru_cache(64)

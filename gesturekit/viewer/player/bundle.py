@@ -114,8 +114,8 @@ def main() -> None:
     wanted = [script for script in SCRIPTS if not script.is_current()]
     if not wanted:
         return
-    found = find_node()
-    if found is None:
+    programs = find_node()
+    if programs is None:
         sys.exit(
             f"The HTML pages need Node.js {OLDEST_NODE} or newer (with npm) to be bundled, and "
             f"there is none on the PATH. Install it, or run: pip install {NODE_FROM_PYPI}"
@@ -124,7 +124,7 @@ def main() -> None:
     print(f"Bundling the HTML pages ({what}) ...", flush=True)
     try:
         for script in wanted:
-            bundle(script, *found)
+            bundle(script, *programs)
     except subprocess.CalledProcessError as error:
         sys.exit(f"The HTML pages could not be bundled: `{' '.join(error.cmd)}` failed, see above.")
 
