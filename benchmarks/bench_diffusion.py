@@ -33,7 +33,7 @@ from gesturekit.diffusion.network.denoiser import Conformer, Denoiser, DilatedCo
 from gesturekit.diffusion.noise_schedule import NoiseSchedule
 from gesturekit.diffusion.sampling.experts import clip_denoised
 from gesturekit.diffusion.sampling.solvers import sample
-from gesturekit.training.run.device import prepare_device
+from gesturekit.training.run.session import prepare_device
 from gesturekit.training.seeds import rng_for
 
 N_MOTION, N_CONDITION, CLIP = 70, 35, 300

@@ -83,8 +83,8 @@ def _gpu() -> Finding:
     import torch
 
     if torch.cuda.is_available():
-        found = [torch.cuda.get_device_properties(k) for k in range(torch.cuda.device_count())]
-        names = ", ".join(f"{gpu.name} ({gpu.total_memory / 1e9:.0f} GB)" for gpu in found)
+        gpus = [torch.cuda.get_device_properties(k) for k in range(torch.cuda.device_count())]
+        names = ", ".join(f"{gpu.name} ({gpu.total_memory / 1e9:.0f} GB)" for gpu in gpus)
         return Finding("GPU", "ok", names)
     if torch.version.cuda:
         advice = "if there is one, look at nvidia-smi: the driver must be as new as the CUDA build"
@@ -233,8 +233,8 @@ def _weights(weights: str | os.PathLike[str] | None) -> Finding:
             return Finding("WavLM", "ok", read_weights(weights)[0].describe())
         except AudioFeaturesError as error:
             return Finding("WavLM", "broken", str(error))
-    found = list(_usual_places())
-    if not found:
+    places = list(_usual_places())
+    if not places:
         return Finding(
             "WavLM",
             "note",
@@ -242,7 +242,7 @@ def _weights(weights: str | os.PathLike[str] | None) -> Finding:
             "download microsoft/wavlm-base-plus or wavlm-large from huggingface.co, and name "
             "the folder with --weights",
         )
-    return Finding("WavLM", "ok", f"weights in {', '.join(map(str, found))}")
+    return Finding("WavLM", "ok", f"weights in {', '.join(map(str, places))}")
 
 
 def _usual_places() -> Iterator[Path]:

@@ -201,7 +201,7 @@ def rendered_baselines(
         raise click.UsageError(
             f"--baseline {wanted[0]} needs --corpus, which lists the training recordings"
         )
-    found = {}
+    folders = {}
     for name in wanted:
         if name == "retrieval":
             click.echo("Training the baseline retrieval ...", err=True)
@@ -215,13 +215,13 @@ def rendered_baselines(
                     "known for folders written by gesturekit render"
                 )
             model, sounds = rendered, samples.other_sounds(corpus, split)
-        found[name] = folder / name
+        folders[name] = folder / name
         files = samples.render_baseline(
-            load(model, weights=options["weights"]), sounds, found[name], seed=options["seed"]
+            load(model, weights=options["weights"]), sounds, folders[name], seed=options["seed"]
         )
         for _ in Progress(files, total=len(sounds), desc=name, unit="clip"):
             pass
-    return found
+    return folders
 
 
 def trained_on(model: ModelResult, name: str) -> str:

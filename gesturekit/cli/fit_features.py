@@ -106,11 +106,11 @@ def _read(paths: tuple[Path, ...], seed: int) -> tuple[MotionSample, bool]:
         if not path.is_dir():
             files.append(path)
             continue
-        found, problems = scan(path)
+        media, problems = scan(path)
         is_complete &= not problems
         for problem in problems:
             click.echo(f"Error: {problem}", err=True)
-        files += [one.path for one in found if not one.is_speech]
+        files += [file.path for file in media if not file.is_speech]
     sample = MotionSample(seed)
     for file in files:
         try:

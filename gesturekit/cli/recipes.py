@@ -44,12 +44,12 @@ def command(action: str, name: str | None, destination: Path | None) -> None:
     click.echo(f"{made}: read README.md, edit config.yaml, then gesturekit train {made} ...")
 
 
-def _describe(one: Recipe) -> None:
+def _describe(known: Recipe) -> None:
     """Print a recipe's page and its configurations, each with the first sentence of its head."""
-    click.echo(f"{one.name}: {one.about}\nREADME: {one.folder / 'README.md'}")
-    for path in one.configs:
+    click.echo(f"{known.name}: {known.about}\nREADME: {known.folder / 'README.md'}")
+    for path in known.configs:
         variant = "" if path.stem == "config" else f"/{path.stem}"
-        click.echo(f"\ngesturekit train {one.name}{variant} corpus=corpus.jsonl out=runs/mine")
+        click.echo(f"\ngesturekit train {known.name}{variant} corpus=corpus.jsonl out=runs/mine")
         for line in path.read_text(encoding="utf-8").splitlines():
             if not line.startswith("#"):
                 break

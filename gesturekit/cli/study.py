@@ -185,26 +185,26 @@ def analyse(
     files = [path for path in (out, json_out) if path is not None]
     if files and is_left(files, existing):
         return
-    found = analyse_study(
+    result = analyse_study(
         read_answers(answers, failed_checks=failed_checks or None), rounds=rounds, seed=seed
     )
     # First: the reader of a pipe may leave before everything is printed.
     if out is not None:
-        write_study_report(found, out)
+        write_study_report(result, out)
     if json_out is not None:
         from gesturekit.study.analysis.report import write_json
 
-        write_json(found, json_out)
-    _print(found)
+        write_json(result, json_out)
+    _print(result)
     for path in files:
         click.echo(path, err=True)
 
 
-def _print(found: StudyResult) -> None:
+def _print(result: StudyResult) -> None:
     from gesturekit.study.analysis.result import conclusions, reservations
     from gesturekit.wording import printable
 
-    for line in conclusions(found):
+    for line in conclusions(result):
         click.echo(printable(line))
-    for line in reservations(found):
+    for line in reservations(result):
         click.echo(printable(f"Note: {line}"), err=True)

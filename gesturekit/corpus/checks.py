@@ -19,6 +19,7 @@ from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import IDENTITY, rotation_angles
+from gesturekit.wording import listed
 
 SEVERITIES = ("error", "warning", "note")
 
@@ -49,7 +50,7 @@ class Problem:
         return f"{self.file}: {self.message}"
 
 
-def printed(problems: Iterable[Problem], *, files_shown: int = 3) -> list[str]:
+def printed(problems: Iterable[Problem]) -> list[str]:
     """Format problems as lines: errors first; equal notes or warnings on files share a line."""
     groups: dict[tuple[object, ...], list[Problem]] = {}
     for problem in sorted(problems, key=lambda problem: SEVERITIES.index(problem.severity)):
@@ -57,15 +58,12 @@ def printed(problems: Iterable[Problem], *, files_shown: int = 3) -> list[str]:
         groups.setdefault((problem.severity, problem.message, together), []).append(problem)
     lines = []
     for members in groups.values():
-        files = [str(member.file) for member in members]
-        if len(files) == 1:
+        if len(members) == 1:
             lines.append(str(members[0]))
             continue
-        more = f" and {len(files) - files_shown} more" if len(files) > files_shown else ""
-        shown = ", ".join(files[:files_shown])
-        lines.append(
-            f"{members[0].severity}: {len(files)} files: {members[0].message}: {shown}{more}"
-        )
+        severity, message = members[0].severity, members[0].message
+        shown = listed([str(member.file) for member in members], 3)
+        lines.append(f"{severity}: {len(members)} files: {message}: {shown}")
     return lines
 
 

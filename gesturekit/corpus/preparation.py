@@ -16,7 +16,7 @@ from typing import Any
 from gesturekit.corpus import checks, splits
 from gesturekit.corpus.alignment import corrections, shift_problems
 from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.item import READING
+from gesturekit.corpus.item import READING, Item
 from gesturekit.corpus.layouts import read_layout
 from gesturekit.corpus.layouts.listing import Listing
 from gesturekit.corpus.manifest import Manifest, absolute
@@ -114,17 +114,16 @@ class PrepareOptions:
             take_in("", self.take_pattern)  # a wrong one is an error before files are read
         if self.take_table is not None and not Path(self.take_table).is_file():
             raise CorpusError(f"table of takes {self.take_table}: no such file")
-        if not 0 <= self.holdout < 1:
-            raise CorpusError(f"holdout is {self.holdout}; it must be a fraction from 0 to below 1")
-        if self.seed < 0:
-            raise CorpusError(f"seed is {self.seed}: give a whole number from 0")
-        if not 1 <= self.workers <= 1024:
-            raise CorpusError(f"workers is {self.workers}: give at least 1")
-        if not (math.isfinite(self.tolerance) and self.tolerance >= 0):
-            raise CorpusError(f"tolerance is {self.tolerance}; it must be 0 or more seconds")
         is_number = isinstance(self.shift, int | float) and math.isfinite(self.shift)
-        if self.shift != "auto" and not is_number:
-            raise CorpusError(f"shift is {self.shift!r}; give seconds, or auto")
+        for name, is_right, wanted in (
+            ("holdout", 0 <= self.holdout < 1, "a fraction from 0 to below 1"),
+            ("seed", self.seed >= 0, "a whole number from 0"),
+            ("workers", 1 <= self.workers <= 1024, "at least 1"),
+            ("tolerance", 0 <= self.tolerance < math.inf, "0 or more seconds"),
+            ("shift", is_number or self.shift == "auto", "seconds, or auto"),
+        ):
+            if not is_right:
+                raise CorpusError(f"{name} is {getattr(self, name)!r}; give {wanted}")
         if unknown := sorted(set(self.read or {}) - set(READING)):
             raise CorpusError(f"read: unknown option {unknown[0]!r}; expected {list(READING)}")
         body_model = (self.read or {}).get("body_model")
@@ -167,41 +166,43 @@ def prepare(
     """
     chosen = build_options(PrepareOptions, options, "prepare")
     pattern = _style_pattern(chosen.style_pattern)
-    listing = _published(chosen.layout, _several(folders))
-    here = [] if listing else _several(folders)
-    recordings, left_over, problems = _find(here, chosen)
+    listing = _published(chosen, _several(folders))
+    recordings, left_over, problems = _find([] if listing else _several(folders), chosen)
     if listing:
-        named = [
-            replace(recording, speaker=chosen.speaker or recording.speaker)
-            for recording in listing.recordings
-        ]
-        recordings = named + recordings
+        recordings = listing.recordings + recordings
         left_over, problems = left_over + listing.left_over, problems + listing.problems
-    recordings, new_problems = _in_time(recordings, chosen)
+    recordings, examined = _in_time(recordings, chosen)
     recordings, unlabelled = _labelled(recordings, chosen.style, pattern)
     recordings, odd = _of_one_skeleton(recordings)
     left_out = {problem.file for problem in odd}
-    problems += new_problems + unlabelled
+    problems += examined + unlabelled
     problems = [p for p in problems if p.file not in left_out or p.severity == "error"]
     problems += odd + _corpus_notes(recordings) + _other_rates(recordings, listing)
-    recordings, unnamed = name_takes(recordings, chosen.take_pattern, chosen.take_table)
-    recordings = splits.hold_out(
-        recordings,
-        chosen.hold_out_pattern,
-        chosen.hold_out_list,
-        _names(chosen.hold_out_speakers),
-        listing.copies if listing else "",
-    )
-    items, cut = splits.split_items(
-        recordings, chosen.holdout, splits.as_intervals(chosen.hold_out_seconds), chosen.seed
-    )
-    problems += unnamed + cut
-    if beside := neighbours(items):
-        problems.append(Problem("note", None, beside))
+    recordings, items, cut = _split(recordings, chosen, listing.copies if listing else "")
+    problems += cut
     report = Report(Manifest(items), tuple(recordings), tuple(problems), tuple(left_over))
     if out is not None and items:
         report.manifest.save(out)
     return report
+
+
+def _split(
+    recordings: list[Recording], options: PrepareOptions, copies: str
+) -> tuple[list[Recording], list[Item], list[Problem]]:
+    """Return the recordings with their takes, the items made of them, and problems."""
+    recordings, problems = name_takes(recordings, options.take_pattern, options.take_table)
+    recordings = splits.hold_out(
+        recordings,
+        options.hold_out_pattern,
+        options.hold_out_list,
+        _names(options.hold_out_speakers),
+        copies,
+    )
+    intervals = splits.as_intervals(options.hold_out_seconds)
+    items, cut = splits.split_items(recordings, options.holdout, intervals, options.seed)
+    beside = neighbours(items)
+    notes = [Problem("note", None, beside)] if beside else []
+    return recordings, items, problems + cut + notes
 
 
 def _in_time(
@@ -260,15 +261,18 @@ def _names(given: str | Sequence[str]) -> list[str]:
     return [name.strip() for name in names if name.strip()]
 
 
-def _published(layout: str | None, folders: list[Any]) -> Listing | None:
+def _published(options: PrepareOptions, folders: list[Any]) -> Listing | None:
     """Read the folder of a public corpus; None without a layout."""
-    if layout is None:
+    if options.layout is None:
         return None
     if len(folders) != 1:
         raise CorpusError(
-            f"layout {layout}: {len(folders)} folders; give one folder, that of the corpus"
+            f"layout {options.layout}: {len(folders)} folders; give one folder, that of the corpus"
         )
-    return read_layout(layout, Path(folders[0]))
+    listing = read_layout(options.layout, Path(folders[0]))
+    if options.speaker:
+        listing.recordings = [replace(r, speaker=options.speaker) for r in listing.recordings]
+    return listing
 
 
 def _other_rates(recordings: list[Recording], listing: Listing | None) -> list[Problem]:
@@ -294,7 +298,7 @@ def _find(
     problems: list[Problem] = []
     seen: set[Path] = set()
 
-    def new_files(folder: Any) -> list[MediaFile]:
+    def files_in(folder: Any) -> list[MediaFile]:
         files, trouble = scan(folder)
         if not (files or trouble or unread(folder)):
             sought = (
@@ -302,19 +306,22 @@ def _find(
             )
             trouble.append(Problem("warning", Path(folder), f"neither {sought} in it"))
         problems.extend(problem for problem in trouble if problem not in problems)
-        fresh = [file for file in files if absolute(file.path) not in seen]
-        seen.update(absolute(file.path) for file in fresh)
-        return fresh
+        return files
 
-    pairing = pair([new_files(folder) for folder in folders])
+    def unseen(files: Iterable[MediaFile]) -> list[MediaFile]:
+        new = {absolute(file.path): file for file in files}
+        new = {path: file for path, file in new.items() if path not in seen}
+        seen.update(new)
+        return list(new.values())
+
+    pairing = pair([unseen(files_in(folder)) for folder in folders])
     problems += pairing.problems
     # A folder may be given both ways: its files left after pairing are then used alone.
     seen -= {absolute(file.path) for file in [*pairing.speech, *pairing.motion]}
-    speech = [file for folder in unpaired for file in new_files(folder)]
-    seen -= {absolute(file.path) for file in speech if not file.is_speech}
-    speech = [file for file in speech if file.is_speech]
-    motion = [file for folder in unpaired_motion for file in new_files(folder)]
-    motion = [file for file in motion if not file.is_speech]
+    files = [file for folder in unpaired for file in files_in(folder)]
+    speech = unseen(file for file in files if file.is_speech)
+    files = [file for folder in unpaired_motion for file in files_in(folder)]
+    motion = unseen(file for file in files if not file.is_speech)
 
     named = [speech_file for speech_file, _ in pairing.pairs] + speech + motion
     ids = iter(recording_ids(named))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -25,7 +25,7 @@ from gesturekit.formats.tables.root_path import load_root_path
 from gesturekit.formats.tables.semantics import load_semantics
 from gesturekit.motion import Motion, Skeleton, defects
 from gesturekit.motion.parts.body_size import body_height
-from gesturekit.wording import counted
+from gesturekit.wording import counted, listed
 from gesturekit.workers import Failure, in_processes
 
 MIN_DURATION = 0.5
@@ -132,27 +132,25 @@ def examine(
         if "unit" in motion.info.get("guessed", ()) and "height" not in recording.reading:
             text = f"read in {motion.info['unit']}, a guess; --in-unit or --height settles it"
             problems.append(Problem("note", recording.motion, text))
-        problems += [
-            Problem("warning", recording.motion, text)
-            for text in plausibility_warnings(motion, recording.reading)
-        ]
+        faults = plausibility_warnings(motion, recording.reading)
+        problems += [Problem("warning", recording.motion, fault) for fault in faults]
         if wave is not None and recording.limits == (0.0, math.inf):
             sounds = (wave.duration, wave.duration - recording.audio_offset)
             sound = min(sounds, key=lambda seconds: abs(seconds - motion.duration))
             most = math.inf if recording.id in trim else tolerance
             _check_lengths(sound, motion, recording, most, problems)
+            if any(problem.severity == "error" for problem in problems):
+                return None, problems
         stop = min(stop, motion.duration)
-        if any(problem.severity == "error" for problem in problems):
-            return None, problems
-    if stop < MIN_DURATION:
-        return None, [*problems, _too_short(recording, stop)]
-    if motion is not None:
+    if motion is not None and stop >= MIN_DURATION:
         first, end = _check_motion(motion, recording.file, problems)
-        start, motion_stop = first / motion.fps, end / motion.fps
-        stop = min(stop, motion_stop)
+        start, stop = first / motion.fps, min(stop, end / motion.fps)
     start, stop = _limited(recording, start, stop)
     if stop - start < MIN_DURATION:
-        return None, [*problems, _too_short(recording, stop - start)]
+        length = (
+            f"{max(stop - start, 0.0):.2f} s can be used; at least {MIN_DURATION:g} s are needed"
+        )
+        return None, [*problems, Problem("error", recording.file, f"too short: {length}")]
     if wave is not None and motion is not None:
         correlation = _correlation(recording, wave, motion, (start, stop))
         recording = replace(recording, correlation=correlation)
@@ -178,11 +176,6 @@ def _limited(recording: Recording, start: float, stop: float) -> tuple[float, fl
     if recording.fps is not None:
         first = math.ceil(first * recording.fps - 1e-6) / recording.fps
     return first, min(stop, recording.limits[1])
-
-
-def _too_short(recording: Recording, seconds: float) -> Problem:
-    length = f"{max(seconds, 0.0):.2f} s can be used; at least {MIN_DURATION:g} s are needed"
-    return Problem("error", recording.file, f"too short: {length}")
 
 
 def _loaded(
@@ -243,80 +236,69 @@ _TABLES: dict[str, tuple[Callable[[Path], Any], str]] = {
 def _check_lengths(
     sound: float, motion: Motion, recording: Recording, tolerance: float, problems: list[Problem]
 ) -> None:
-    file = recording.motion
     apart = abs(sound - motion.duration)
     lengths = f"{sound:.2f} s of sound and {motion.duration:.2f} s of motion"
     if apart > tolerance:
-        problems.append(
-            Problem(
-                "error",
-                file,
-                f"{lengths} differ by {apart:.2f} s, more than {tolerance:g} s: cut both files to "
-                f"the same stretch, or use what they share with --trim {recording.id}",
-            )
+        text = (
+            f"{lengths} differ by {apart:.2f} s, more than {tolerance:g} s: cut both files to "
+            f"the same stretch, or use what they share with --trim {recording.id}"
         )
+        problems.append(Problem("error", recording.motion, text))
     elif apart > 1.0 / motion.fps:
-        problems.append(Problem("warning", file, f"{lengths}: trimmed to the shorter"))
+        text = f"{lengths}: trimmed to the shorter"
+        problems.append(Problem("warning", recording.motion, text))
 
 
 def _check_motion(motion: Motion, file: Path, problems: list[Problem]) -> tuple[int, int]:
     """Return the frames [first, stop) to use; add their defects to `problems`."""
+
+    def warn(text: str) -> None:
+        problems.append(Problem("warning", file, text))
+
     lead, trail = checks.reference_pose(motion)
     if lead == motion.n_frames:
         text = "holds its T-pose or rest pose throughout, so that nothing is trimmed"
-        problems.append(Problem("warning", file, f"{text}: is it the right file?"))
+        warn(f"{text}: is it the right file?")
         lead = trail = 0
     for count, where in ((lead, "start"), (trail, "end")):
         if count:
             what = f"{counted(count, 'frame')} ({count / motion.fps:.2f} s) of T-pose or rest pose"
-            problems.append(Problem("warning", file, f"{what} at the {where} trimmed"))
+            warn(f"{what} at the {where} trimmed")
     first, stop = lead, motion.n_frames - trail
     if stop - first < 2:
         return first, stop
     used = motion[first:stop]
 
-    def at(frame: int) -> str:
-        return f"{(first + frame) / motion.fps:.2f} s"
+    def at(*frames: int) -> str:
+        return " to ".join(f"{(first + frame) / motion.fps:.2f} s" for frame in frames)
 
     runs = defects.frozen_runs(used)
     frozen = sum(end - begin for begin, end in runs)
     if frozen == used.n_frames:
-        text = f"frozen: all {frozen} frames hold one and the same pose"
-        problems.append(Problem("warning", file, f"{text}: is it the right file?"))
+        warn(f"frozen: all {frozen} frames hold one and the same pose: is it the right file?")
     elif runs:
-        shown = ", ".join(f"{at(begin)} to {at(end)}" for begin, end in runs[:_TIMES_SHOWN])
-        more = f" and {len(runs) - _TIMES_SHOWN} more" if len(runs) > _TIMES_SHOWN else ""
-        problems.append(
-            Problem("warning", file, f"frozen (no joint moves at all) from {shown}{more}")
-        )
+        times = listed([at(*run) for run in runs], _TIMES_SHOWN)
+        warn(f"frozen (no joint moves at all) from {times}")
     jumps = defects.find_jumps(used)
     if jumps is not None:
         text = (
             f"{len(jumps.frames)} of {used.n_frames} frames jump "
-            f"({defects.speed_limit(jumps.limit)}) at {_times(jumps.frames, at)}; "
+            f"({defects.speed_limit(jumps.limit)}) at "
+            f"{listed([at(frame) for frame in jumps.frames], _TIMES_SHOWN)}; "
             f"fastest is {jumps.joint!r} with {defects.format_speed(jumps.speed)}"
         )
         if len(jumps.frames) > checks.MAX_JUMP_SHARE * used.n_frames:
             text += ": are its frame rate and its unit right (--in-fps, --in-unit, --height)?"
-        problems.append(Problem("warning", file, text))
+        warn(text)
     pops = defects.find_pops(used, jumps)
     if pops is not None:
         how = f"{pops.joint!r}" + (f" by {np.degrees(pops.angle):.0f}°" if pops.angle else "")
-        times = _times(pops.frames, at)
-        text = f"pops (a joint is elsewhere for one frame) at {times}; most of all {how}"
-        problems.append(Problem("warning", file, text))
+        times = listed([at(frame) for frame in pops.frames], _TIMES_SHOWN)
+        warn(f"pops (a joint is elsewhere for one frame) at {times}; most of all {how}")
     jitter = defects.jitter_share(used)
     if jitter > checks.MAX_JITTER_SHARE:
-        text = f"jitters in {jitter:.0%} of its frames: joints go to and fro from frame to frame"
-        problems.append(Problem("warning", file, text))
+        warn(f"jitters in {jitter:.0%} of its frames: joints go to and fro from frame to frame")
     return first, stop
-
-
-def _times(frames: Sequence[int], at: Callable[[int], str]) -> str:
-    """Format the times of the first few frames."""
-    more = len(frames) - _TIMES_SHOWN
-    shown = ", ".join(at(frame) for frame in frames[:_TIMES_SHOWN])
-    return f"{shown} and {more} more" if more > 0 else shown
 
 
 def examine_each(

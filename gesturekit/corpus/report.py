@@ -160,5 +160,4 @@ def _labels(values: Collection[str | None]) -> str:
 
 def _counted(values: Iterable[Any]) -> str:
     counts = sorted(Counter(values).items(), key=lambda entry: (-entry[1], entry[0]))
-    shown = ", ".join(f"{value} ({count})" for value, count in counts[:12])
-    return shown + (f" and {len(counts) - 12} more" if len(counts) > 12 else "")
+    return listed([f"{value} ({count})" for value, count in counts], 12)

@@ -275,9 +275,9 @@ class SpeechConditioner:
         limit = LIMIT if self.normalisation == "clip" else np.inf
         normalised = np.empty((len(values), self.dim), np.float32)
         for start in range(0, len(values), _FRAMES_AT_ONCE):
-            part = slice(start, start + _FRAMES_AT_ONCE)
-            columns = np.clip((values[part] - centre) / self.scale, -limit, limit)
-            normalised[part] = self._reduced(columns)
+            frames = slice(start, start + _FRAMES_AT_ONCE)
+            columns = np.clip((values[frames] - centre) / self.scale, -limit, limit)
+            normalised[frames] = self._reduced(columns)
         return normalised
 
     def _reduced(self, columns: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
 from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.item import file_fingerprint
@@ -160,20 +160,11 @@ def _read(table: Path, ids: Sequence[str]) -> dict[str, str]:
     return takes
 
 
-class _OfTake(Protocol):
-    @property
-    def motion(self) -> Path | None: ...
-    @property
-    def take(self) -> str: ...
-    @property
-    def split(self) -> str: ...
-
-
-def neighbours(items: Iterable[_OfTake], split: str | None = None) -> str:
+def neighbours(items: Iterable[Any], split: str | None = None) -> str:
     """Return a sentence on held-out items that are of a take in training; "" if there are none.
 
     Args:
-        items: of a manifest.
+        items: of a manifest, with `motion`, `take` and `split`.
         split: the held-out split; None for valid and test.
     """
     moving = [item for item in items if item.motion is not None]

@@ -38,7 +38,7 @@ from gesturekit.training.model_folder import (
     rig_values,
     save_model,
 )
-from gesturekit.training.run.device import prepare_device, warn_of_slow_bfloat16
+from gesturekit.training.run.session import prepare_device, warn_of_slow_bfloat16
 from gesturekit.training.seeds import checked_item, checked_seed
 
 _DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16}

@@ -59,7 +59,7 @@ from gesturekit.training.model_folder import (
     rig_values,
     save_model,
 )
-from gesturekit.training.run.device import prepare_device
+from gesturekit.training.run.session import prepare_device
 from gesturekit.training.seeds import checked_item, checked_seed
 
 _CONVOLUTION = re.compile(r"layers\.\d+\.weight")

@@ -234,13 +234,15 @@ def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config"
         return _build(schema, values, where, "")
     except _UnknownKey as error:
         key = str(error)
-        leaf, section = key.rpartition(".")[2], key.rpartition(".")[0]
+        section, _, leaf = key.rpartition(".")
         known = _settings(schema)
+        beside = {n.rpartition(".")[2]: n for n in known if n.rpartition(".")[0] == section}
         meant = [name for name in _SYNONYMS.get(leaf, ()) if name in known]
-        meant = meant or difflib.get_close_matches(key, known, n=1, cutoff=0.8)
         meant = meant or [name for name in known if name.rpartition(".")[2] == leaf]
-        meant = meant or difflib.get_close_matches(key, known, n=1, cutoff=0.5)
-        beside = [name for name in known if name.rpartition(".")[0] == section]
+        near = difflib.get_close_matches(leaf, beside, n=1, cutoff=0.5)
+        meant = meant or [beside[name] for name in near]
+        if not beside:  # no such section
+            meant = meant or difflib.get_close_matches(key, known, n=1, cutoff=0.5)
         hint = f"did you mean {' or '.join(meant)}?" if meant else f"known: {', '.join(beside)}"
         raise ConfigError(f"{where}: unknown key {key}; {hint}") from None
 
@@ -250,13 +252,13 @@ class _UnknownKey(ConfigError):
 
 
 def _settings(schema: Any, prefix: str = "") -> list[str]:
-    """Return the dotted names of all settings of a dataclass, without sections."""
+    """Return the dotted names of all settings and sections of a dataclass."""
     names = []
     for name, hint in typing.get_type_hints(schema).items():
-        sections = [option for option in _options(hint) if dataclasses.is_dataclass(option)]
-        names += [] if sections else [f"{prefix}{name}"]
-        for section in sections:
-            names += _settings(section, f"{prefix}{name}.")
+        names += [f"{prefix}{name}"]
+        for option in _options(hint):
+            if dataclasses.is_dataclass(option):
+                names += _settings(option, f"{prefix}{name}.")
     return names
 
 

@@ -23,8 +23,8 @@ from gesturekit.motion.parts import unidentified
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import dump_yaml, read_yaml
-from gesturekit.training.run.device import memory_ran_out
 from gesturekit.training.run.folder import unfinished
+from gesturekit.training.run.session import memory_ran_out
 from gesturekit.training.run_config import MOST_SMOOTH
 
 FORMAT = 1
@@ -189,11 +189,10 @@ def _read_config(folder: Path, kind: str) -> dict[str, Any]:
         config = read_yaml(path)
     except ConfigError as error:
         raise ModelError(f"not a model folder: {error}") from None
-    found = config.get("format")
-    if found != FORMAT:
+    if config.get("format") != FORMAT:
         raise ModelError(
-            f"{path}: format {found!r}; this gesturekit reads format {FORMAT}. A newer format "
-            "needs a newer gesturekit"
+            f"{path}: format {config.get('format')!r}; this gesturekit reads format {FORMAT}. A "
+            "newer format needs a newer gesturekit"
         )
     if config.get("kind") != kind:
         raise ModelError(f"{path}: kind {config.get('kind')!r}, not {kind}")

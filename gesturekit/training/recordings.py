@@ -126,7 +126,6 @@ class Recordings:
     """Training recordings of a corpus, all of one rig.
 
     Attributes:
-        manifest: of the corpus.
         items: with motion, and with audio if speech is an input.
         excerpts: those that were read of a corpus longer than `RunConfig.in_memory`; None if all
             items were read.
@@ -138,7 +137,6 @@ class Recordings:
             `unpaired` in a trial, which has an excerpt of the corpus only.
     """
 
-    manifest: Manifest
     items: tuple[Item, ...]
     excerpts: tuple[Excerpt, ...] | None
     motions: list[Motion]
@@ -283,10 +281,9 @@ def load_recordings(
     items = training_items(manifest, config.corpus, with_audio=speech)
     names, style_of = item_styles(items, config.corpus) if styles else ((), [0] * len(items))
     check_styles(names)
+    unpaired = manifest.unpaired("train") if speech else ()
     if others is not None:
         unpaired = tuple(others(manifest))
-    else:
-        unpaired = manifest.unpaired("train") if speech else ()
     whole = (items, unpaired)
     if trial:
         chosen = systematic_sample(items, TRIAL_SECONDS, every_group=False)
@@ -294,10 +291,10 @@ def load_recordings(
         items = tuple(excerpt.of(items) for excerpt in chosen)
         unpaired = tuple(excerpt.of(unpaired) for excerpt in others_chosen)
         style_of = [style_of[excerpt.index] for excerpt in chosen]
-    loaded = Recordings(manifest, items, None, [], names, style_of, unpaired, whole)
+    loaded = Recordings(items, None, [], names, style_of, unpaired, whole)
     if loaded.is_long(config) and not trial:
-        sample = systematic_sample(items, 60 * config.in_memory)
-        loaded = replace(loaded, excerpts=tuple(sample))
+        excerpts = tuple(systematic_sample(items, 60 * config.in_memory))
+        loaded = replace(loaded, excerpts=excerpts)
     # In a trial hours of files are not read.
     if changed := sorted({str(file) for item in items for file in item.changed_files}):
         log.warning(
@@ -305,9 +302,8 @@ def load_recordings(
             "again",
             *(config.corpus, counted(len(changed), "file"), listed(changed, 4)),
         )
-    name = str(config.corpus)
+    name, count = str(config.corpus), counted(len(whole[0]), "recording")
     if len(items) < len(whole[0]):
-        count = counted(len(whole[0]), "recording")
         name += f" (an excerpt of it, {len(items)} of {count})"
     return replace(loaded, motions=load_motions(loaded.read, name, config.fps, parts))
 

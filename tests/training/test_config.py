@@ -119,9 +119,7 @@ def test_a_setting_of_another_name_is_refused_with_the_right_one(values, meant):
 
 def test_hostile_files_are_refused_before_they_fill_memory(tmp_path):
     long = "corpus: c\nname: " + "x" * (2 << 20)
-    lists = "a: &a [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]\n"
-    for one, other in zip("abcde", "bcdef", strict=True):
-        lists += f"{other}: &{other} [{', '.join([f'*{one}'] * 10)}]\n"
+    lists = "a: &a [0, 0]\nb: [*a, *a]"
     itself = "corpus: &c [*c]"
     for text, fact in ((long, "MB"), (lists, "aliases"), (itself, "aliases")):
         with pytest.raises(ConfigError, match=rf"(?=.*a\.yaml)(?=.*{fact})"):

@@ -26,7 +26,7 @@ def training(tmp_path) -> Callable[..., SimpleNamespace]:
     def make(done: int = 0, rank: int = 0, due: tuple[int, ...] = (7,), **changes: Any):
         config = small_diffusion(tmp_path / "c.jsonl", tmp_path / "run", EVERY, changes)
         run = Run(config.out, to_dict(config), resume=False)
-        did = SimpleNamespace(steps=[], evaluated=[], measured=[], saved=[], stages=[], run=run)
+        did = SimpleNamespace(steps=[], evaluated=[], measured=[], saved=[], run=run)
         weight = torch.ones(2)
 
         def train(step: int) -> dict[str, float]:
@@ -39,21 +39,15 @@ def training(tmp_path) -> Callable[..., SimpleNamespace]:
             held_out = SimpleNamespace(is_due=lambda: did.steps[-1] in due)
             loop, end = Loop(config, run, Processes(rank=rank), held_out), 0
             with loop.progress(PLAN, done):
-                for index, (count, cost) in enumerate(PLAN):
+                for level, (count, cost) in zip((1, 3), PLAN, strict=True):
                     begin, end = max(done, end), end + count
-                    if begin < end:
-                        did.stages.append(index)
-                        steps, level = range(begin + 1, end + 1), 2 * index + 1
-                        for step in loop.begin(steps, cost, f"stage {index}: ", level=level):
-                            follow(loop, step)
-
-        def follow(loop: Loop, step: int) -> None:
-            now = loop.count(step, train(step), learning_rate=step / 10)
-            did.evaluated += [step] * now.evaluation
-            did.measured += [step] * now.measurement
-            if now.checkpoint:
-                loop.save(step, [weight], {"step": step})
-                did.saved.append(step)
+                    for step in loop.begin(range(begin + 1, end + 1), cost, level=level):
+                        now = loop.count(step, train(step), learning_rate=step / 10)
+                        did.evaluated += [step] * now.evaluation
+                        did.measured += [step] * now.measurement
+                        if now.checkpoint:
+                            loop.save(step, [weight], {"step": step})
+                            did.saved.append(step)
 
         did.go = go
         return did
@@ -66,7 +60,7 @@ def training(tmp_path) -> Callable[..., SimpleNamespace]:
 def test_means_are_logged_and_states_saved_every_so_often_and_at_the_end_of_a_stage(training):
     did = training()
     did.go()
-    assert did.steps == list(range(1, 10)) and did.stages == [0, 1]
+    assert did.steps == list(range(1, 10))
     expected = [
         {"step": 3, "level": 1, "odd": 4.0, "loss": 2.0, "learning_rate": 0.3},
         {"step": 5, "level": 1, "loss": 4.5, "odd": 3.0, "learning_rate": 0.5},
@@ -82,13 +76,11 @@ def test_means_are_logged_and_states_saved_every_so_often_and_at_the_end_of_a_st
     assert did.measured == [4, 7, 8]
 
 
-@pytest.mark.parametrize(
-    ("done", "steps", "stages"), [(3, range(4, 10), [0, 1]), (5, range(6, 10), [1]), (9, [], [])]
-)
-def test_a_resumed_training_does_the_steps_that_are_left(training, done, steps, stages):
+@pytest.mark.parametrize("done", [3, 5, 9])
+def test_a_resumed_training_does_the_steps_that_are_left(training, done):
     did = training(done)
     did.go()
-    assert did.steps == list(steps) and did.stages == stages
+    assert did.steps == list(range(done + 1, 10))
 
 
 def test_only_the_first_process_writes(training):

@@ -68,9 +68,9 @@ def root_with(folder: Path, names: Iterable[str], layout: str) -> Path:
     ]
     if len(inside) == 1:
         return inside[0]
-    found = "several folders have one" if inside else "not found"
+    why = "several folders have one" if inside else "not found"
     raise CorpusError(
-        f"{folder}: {' or '.join(names)}: {found}; give the folder of the {layout} corpus that "
+        f"{folder}: {' or '.join(names)}: {why}; give the folder of the {layout} corpus that "
         "holds it"
     )
 

@@ -11,6 +11,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -181,13 +182,11 @@ def _genea_metadata(file: Path, listing: Listing) -> dict[str, dict[str, str]]:
     if not file.is_file():
         listing.missing("table", [file.name], file.parent, "warning")
         return {}
-    found = {}
+    about = {}
     for _, row in rows(file, (), others=True):
         name, *cells = row.values()
-        found[name] = dict(zip(_GENEA_COLUMNS, cells, strict=False))
-        if len(cells) < len(_GENEA_COLUMNS):
-            found[name] |= dict.fromkeys(_GENEA_COLUMNS[len(cells) :], "")
-    return found
+        about[name] = dict(zip_longest(_GENEA_COLUMNS, cells[: len(_GENEA_COLUMNS)], fillvalue=""))
+    return about
 
 
 _SEAMLESS_KINDS = ("improvised", "naturalistic")

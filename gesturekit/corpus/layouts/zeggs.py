@@ -61,7 +61,8 @@ def read_zeggs(folder: Path) -> Listing:
             stem, audio=audio, motion=motion, speaker=_SPEAKER, style=match["style"]
         )
         if row is not None:
-            recording = _with_row(recording, *row)
+            split = "valid" if row[1]["validation"].upper() == "TRUE" else "train"
+            recording = replace(recording, style=row[1]["style"], split=split)
         try:
             listing.recordings.append(
                 _trimmed(recording, row, root, listing) if original else recording
@@ -81,7 +82,7 @@ def read_zeggs(folder: Path) -> Listing:
 
 def _unused(inside: Path, copies: list[str], listing: Listing) -> list[Path]:
     """Return the sounds that belong to no recording, copy or failed motion."""
-    used = {one.audio for one in listing.recordings}
+    used = {recording.audio for recording in listing.recordings}
     used |= {(inside / name).with_suffix(".wav") for name in copies}
     failed = {problem.file for problem in listing.problems}
     return [
@@ -102,19 +103,14 @@ def _info(root: Path, inside: Path) -> dict[str, tuple[str, Mapping[str, str]]]:
     file = next((at / _INFO for at in (root, inside, root.parent) if (at / _INFO).is_file()), None)
     if file is None:
         return {}
-    found = {}
+    row_of = {}
     for where, row in rows(file, ("style", "anim_bvh", "validation", *_TIMES), others=True):
         stem = row["anim_bvh"].removesuffix(".bvh")
         if row["validation"].upper() not in ("TRUE", "FALSE"):
             raise CorpusError(f"{where}: validation is {row['validation']!r}; expected TRUE, FALSE")
         if not stem.endswith("_mirror"):
-            found[stem] = where, row
-    return found
-
-
-def _with_row(recording: Recording, where: str, row: Mapping[str, str]) -> Recording:
-    split = "valid" if row["validation"].upper() == "TRUE" else "train"
-    return replace(recording, style=row["style"], split=split)
+            row_of[stem] = where, row
+    return row_of
 
 
 def _trimmed(

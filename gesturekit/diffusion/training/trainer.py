@@ -39,12 +39,11 @@ from gesturekit.motion.parts import unidentified
 from gesturekit.motion.torch_kinematics import foot_kinematics
 from gesturekit.training.data.sources import describe_recordings, save_sources, unused_labels
 from gesturekit.training.data.start_model import widened
-from gesturekit.training.run.device import prepare_device
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.held_out import HeldOutMetrics
 from gesturekit.training.run.loop import Loop, last_losses, read_once
 from gesturekit.training.run.plan import Estimate, log_arrays, log_plan, quickest
-from gesturekit.training.run.session import Processes, session
+from gesturekit.training.run.session import Processes, prepare_device, session
 from gesturekit.training.run_config import UNIDENTIFIED
 from gesturekit.training.seeds import rng_for, seeded
 from gesturekit.wording import counted, drawn, roughly

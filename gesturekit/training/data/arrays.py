@@ -148,13 +148,13 @@ class ArrayFolder:
         Raises:
             ConfigError: one of them is missing or not whole.
         """
-        found = [array for array in map(self.find, keys) if array is not None]
-        if len(found) < len(keys):
+        arrays = [array for array in map(self.find, keys) if array is not None]
+        if len(arrays) < len(keys):
             raise ConfigError(
                 f"{self.folder}: arrays of this run are missing; arrays=FOLDER names the folder "
                 "they were moved to, otherwise start a new run"
             )
-        return found
+        return arrays
 
     def write(self, key: str, rows: np.ndarray, facts: Mapping[str, Any]) -> None:
         """Write an array (T, C) and the facts about it."""

@@ -203,8 +203,8 @@ class SpeechArrays:
         """Return all that the features of an item depend on."""
         words = item.conditions.get("words") if takes_words(self.extractor) else None
         assert item.audio is not None
-        own = [path and file_fingerprint(path) for path in own_files(self.extractor, item.audio)]
-        return ({"features": own} if own else {}) | {
+        files = [path and file_fingerprint(path) for path in own_files(self.extractor, item.audio)]
+        return ({"features": files} if files else {}) | {
             "audio": file_fingerprint(item.audio),
             "words": None if words is None else file_fingerprint(words),
             "interval": [item.audio_start, item.duration],

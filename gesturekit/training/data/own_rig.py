@@ -52,9 +52,9 @@ def pose_on_rig(
     around = math.ceil(_AROUND_SECONDS * whole.fps)
     first = max(0, frame - around)
     motion, frame = whole[first : frame + around], frame - first
-    own = on_rig(model, motion)
-    pose, given = (m[frame : frame + 1] for m in (own, motion))
-    if own is motion:
+    retargeted = on_rig(model, motion)
+    pose, given = (m[frame : frame + 1] for m in (retargeted, motion))
+    if retargeted is motion:
         return pose
     source, target = (find_parts(m.skeleton) for m in (given, pose))
     rotations, translation = pose.rotations.copy(), pose.translation.copy()
@@ -68,7 +68,10 @@ def pose_on_rig(
     ]
     translation[:, GROUND] += (places[0] - places[1])[:, GROUND]
     return replace(
-        pose, rotations=rotations, translation=translation, info={"floor": floor_height(own)}
+        pose,
+        rotations=rotations,
+        translation=translation,
+        info={"floor": floor_height(retargeted)},
     )
 
 

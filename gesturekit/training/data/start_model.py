@@ -36,9 +36,9 @@ def widened(
         has_inputs: whether the weights of this name have a column for each input.
     """
     result = dict(weights)
-    for name, own in network.state_dict().items():
+    for name, value in network.state_dict().items():
         if has_inputs(name):
-            result[name] = torch.zeros_like(own)
+            result[name] = torch.zeros_like(value)
             if (known := weights.get(name)) is not None:
                 result[name][tuple(map(slice, known.shape))] = known
     return result

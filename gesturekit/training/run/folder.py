@@ -80,8 +80,8 @@ class Checkpoints:
         """Return the steps that have a checkpoint, oldest first."""
         if not self.folder.is_dir():
             return []
-        found = (_CHECKPOINT.fullmatch(path.name) for path in self.folder.iterdir())
-        return sorted(int(match[1]) for match in found if match)
+        matches = (_CHECKPOINT.fullmatch(path.name) for path in self.folder.iterdir())
+        return sorted(int(match[1]) for match in matches if match)
 
     def path(self, step: int) -> Path:
         """Return the path of a step's checkpoint."""
