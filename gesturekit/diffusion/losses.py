@@ -5,8 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from gesturekit.diffusion.kinematics import VectorPlaces
-from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser, VectorPlaces
 from gesturekit.motion.contacts import CONTACT_SPEED
 from gesturekit.motion.torch_kinematics import PointKinematics
 from gesturekit.state.process import StateProcess

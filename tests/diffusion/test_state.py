@@ -14,7 +14,7 @@ import audio_features as af
 import gesturekit as gk
 from gesturekit.corpus import Manifest
 from gesturekit.diffusion import Batches, StateDistance, load_training_data, train
-from gesturekit.diffusion.state import measured
+from gesturekit.diffusion.motion_vector import measured_state
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.state import StateProcess
 from gesturekit.training import rng_for
@@ -96,7 +96,7 @@ def test_the_loss_is_the_distance_of_what_is_shown(config):
     process = data.state_process
     values = data.normaliser.inverse(calmer)[0].numpy()
     apart = [
-        measured(part, data.representation, process.channels, process.fps)
+        measured_state(part, data.representation, process.channels, process.fps)
         for part in (values, data.recordings[0].motion[:60])
     ]
     away = np.abs(apart[0] - apart[1]) / process.scale[:, None]

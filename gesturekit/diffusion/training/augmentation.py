@@ -1,8 +1,7 @@
-"""Data augmentation: mirroring, time stretching, and all phases of fast recordings.
+"""Data augmentation: mirroring and time stretching.
 
 As in section 4.1 and appendix A.1 of the paper: left-right mirroring, except for styles that
-distinguish the sides; time stretching of a share of the training windows; and all n phases of a
-recording at n times the model's frame rate.
+distinguish the sides, and time stretching of a share of the training windows.
 
 Motion is augmented in its own units, so that a stretched walk covers the same distance in more
 frames. Normalised conditions are augmented with an offset for their mean.
@@ -12,16 +11,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 import torch
 
-from gesturekit.corpus.item import Item
+from gesturekit.diffusion.conditions import Conditions
 from gesturekit.errors import ConfigError
-from gesturekit.motion.motion import Motion
 
 _WORDS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^A-Za-z]+|[A-Z]")
 _NO_COLUMNS = slice(0, 0)
@@ -34,49 +30,6 @@ class Rows(Protocol):
     def __len__(self) -> int: ...
 
     def __getitem__(self, frames: slice, /) -> np.ndarray: ...
-
-
-@dataclass(frozen=True, eq=False)
-class Phase:
-    """A recording, decimated to the model's frame rate from one of its first frames.
-
-    Attributes:
-        motion: at the model's frame rate.
-        start: time of its first frame in the recording, in seconds.
-    """
-
-    motion: Motion
-    start: float
-
-
-def phases(motion: Motion, fps: float) -> tuple[Phase, ...]:
-    """Resample a motion to `fps`; at n times that rate, return all n decimations of it.
-
-    The first is `motion.resample(fps)`. The others start later by `Phase.start`, and so must their
-    speech, path and events.
-    """
-    ratio = motion.fps / fps
-    n = round(ratio) if abs(ratio - round(ratio)) < 1e-6 * ratio else 1
-    return (
-        Phase(motion.resample(fps), 0.0),
-        *(
-            Phase(motion[k:].resample(fps), k / motion.fps)
-            for k in range(1, min(n, motion.n_frames))
-        ),
-    )
-
-
-def phase_item(item: Item, number: int, start: float) -> Item:
-    """Return phase `number` of an item, counted from 0, which begins `start` seconds later."""
-    if not number:
-        return item
-    return replace(
-        item,
-        id=f"{item.id} (phase {number + 1})",
-        motion_start=item.motion_start + start,
-        audio_start=item.audio_start + start,
-        duration=item.duration - start,
-    )
 
 
 def other_side(name: str) -> str:
@@ -92,44 +45,32 @@ def other_side(name: str) -> str:
     return _WORDS.sub(swap, name)
 
 
-def mirror_condition(
-    condition: np.ndarray,
-    *,
-    path: slice = _NO_COLUMNS,
-    path_offset: np.ndarray | float = 0.0,
-    events: slice = _NO_COLUMNS,
-    event_names: Sequence[str] = (),
-) -> np.ndarray:
+def mirror_condition(condition: np.ndarray, layout: Conditions) -> np.ndarray:
     """Mirror a condition: negate turn and lateral displacement, and swap left and right events.
 
     Args:
         condition: (T, C); other columns are kept.
-        path: columns of turn, forward and lateral displacement.
-        path_offset: (3,) mean over scale of these columns, if they are normalised.
-        events: columns of the events.
-        event_names: their names; see `other_side`.
+        layout: its columns and the scale of its path.
 
     Returns:
         (T, C), a copy.
 
     Raises:
-        ConfigError: an event of one side without one of the other side.
+        ConfigError: an event of one side without one of the other side, see `other_side`.
     """
-    mirrored = condition.copy()
-    if path.stop > path.start:
-        sign = np.array([-1.0, 1.0, -1.0])
-        offset = np.broadcast_to(np.asarray(path_offset, dtype=np.float64), 3)
+    mirrored, names = condition.copy(), layout.events
+    path, events = layout.columns["path"], layout.columns["events"]
+    if layout.path:
+        sign, offset = np.array([-1.0, 1.0, -1.0]), layout.path_mean / layout.path_scale
         mirrored[:, path] = sign * (condition[:, path] + offset) - offset
-    others = [other_side(name) for name in event_names]
-    for name, other in zip(event_names, others, strict=True):
-        if other not in event_names:
+    for name, column in zip(names, range(events.start, events.stop), strict=True):
+        other = other_side(name)
+        if other not in names:
             raise ConfigError(
                 f"event {name!r}: mirrored it would be {other!r}, which is not an event of the "
                 "corpus; rename it, or train without mirror"
             )
-    if others:
-        order = [events.start + list(event_names).index(other) for other in others]
-        mirrored[:, events] = condition[:, order]
+        mirrored[:, column] = condition[:, events.start + names.index(other)]
     return mirrored
 
 
@@ -192,8 +133,8 @@ def stretch(
     weight = (at - low)[:, None]
     # Displacements before the window are read too, see `_scaled_steps`.
     begin = max(int(low[0]) - math.ceil(1 / factor), 0)
-    part = values[begin : int(high[-1]) + 1]
-    below, above = part[low - begin], part[high - begin]
+    source = values[begin : int(high[-1]) + 1]
+    below, above = source[low - begin], source[high - begin]
     result = below + weight * (above - below)
     if maps.stop > maps.start:
         pairs = (above[:, maps] - below[:, maps]).reshape(n_frames, -1, 3)
@@ -202,10 +143,10 @@ def stretch(
         result[:, maps] = np.where(apart, nearest, result[:, maps])
     if steps.stop > steps.start:
         offset = np.asarray(steps_offset, dtype=np.float64)
-        result[:, steps] = _scaled_steps(part[:, steps], begin, at, 1 / factor, offset)
+        result[:, steps] = _scaled_steps(source[:, steps], begin, at, 1 / factor, offset)
     if flags.stop > flags.start:
-        result[:, flags] = _kept_flags(part[:, flags], begin, at, 1 / factor)
-    return result.astype(part.dtype)
+        result[:, flags] = _kept_flags(source[:, flags], begin, at, 1 / factor)
+    return result.astype(source.dtype)
 
 
 def _scaled_steps(

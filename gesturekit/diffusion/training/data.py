@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -14,16 +14,15 @@ from torch import Tensor
 
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import DiffusionConfig
-from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
-from gesturekit.diffusion.state import measured
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser, measured_state
+from gesturekit.diffusion.trained_model import learnt_tensors, read_learnt
 from gesturekit.diffusion.training.augmentation import Rows
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.state.channels import StateChannels
-from gesturekit.state.format import load_state, state_tensors, state_values
+from gesturekit.state.format import state_values
 from gesturekit.state.process import StateProcess
-from gesturekit.training.data.arrays import ArrayFolder, StoredArray, StoredFrames
+from gesturekit.training.data.arrays import ArrayFolder, Frames
 from gesturekit.training.data.data_folder import load_data, save_data
 from gesturekit.training.data.features import stored_speech
 from gesturekit.training.data.sources import TrainedSegment, from_values, to_values
@@ -31,9 +30,41 @@ from gesturekit.training.data.start_model import read_start, start_tensors
 from gesturekit.training.model_folder import read_speakers, rig_values
 
 
+class VariantArray(Protocol):
+    """Array (N, X + W) of a recording, as `VariantArrays` makes it, in memory or on disk."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """N and X + W."""
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """Facts of the recording and its variants."""
+
+    def rows(self, start: int, stop: int) -> np.ndarray:
+        """Read frames `start` to `stop`, (stop - start, X + W)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayInMemory:
+    """A `VariantArray` in memory."""
+
+    values: np.ndarray
+    facts: Mapping[str, Any]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """N and X + W."""
+        return self.values.shape
+
+    def rows(self, start: int, stop: int) -> np.ndarray:
+        """Return frames `start` to `stop`, (stop - start, X + W)."""
+        return self.values[start:stop]
+
+
 @dataclass(frozen=True, eq=False)
 class StoredRows:
-    """Frames (T, D) of a recording on disk, of which `[start:stop]` reads some.
+    """Frames (T, D) of a recording, of which `[start:stop]` reads some.
 
     Attributes:
         n_frames: T.
@@ -72,14 +103,18 @@ class TrainingSequence:
         """T."""
         return len(self.motion)
 
+    def in_memory(self) -> TrainingSequence:
+        """Return the sequence with all its frames in memory."""
+        return replace(self, motion=self.motion[:], condition=self.condition[:])
+
 
 Cut = tuple[int, int, int]
 """Index of a sequence, first frame and end."""
 
 
 @dataclass(frozen=True, eq=False)
-class StoredVariant:
-    """A variant of a recording: part of an array that `VariantArrays` made.
+class Variant:
+    """A variant of a recording: part of its array.
 
     Attributes:
         which: index of the recording.
@@ -93,12 +128,12 @@ class StoredVariant:
     which: int
     phase: int
     mirrored: bool
-    array: StoredArray
+    array: VariantArray
     first: int
     n_frames: int
 
     def sequence(
-        self, width: int, n_speech: int, speech: StoredFrames | None, *, is_paired: bool
+        self, width: int, n_speech: int, speech: Frames | None, *, is_paired: bool
     ) -> TrainingSequence:
         """Return the variant as training data; its frames are not read yet.
 
@@ -120,7 +155,7 @@ class StoredVariant:
             features = np.zeros((stop - start, n_speech), np.float32)
             if speech is not None:
                 features = speech[:, start:stop].numpy().T
-            if self.array.shape[1] == width:
+            if self.array.shape[1] == width:  # nothing else to read
                 return np.ascontiguousarray(features)
             return np.concatenate([features, rows(start, stop)[:, width:]], axis=1)
 
@@ -133,16 +168,46 @@ class StoredVariant:
         )
 
 
-def stored_variants(arrays: Sequence[StoredArray]) -> list[StoredVariant]:
+def variants_of(arrays: Sequence[VariantArray]) -> list[Variant]:
     """Return the variants of recordings in the order of training data, mirrored copies last."""
-    found = []
+    variants = []
     for which, array in enumerate(arrays):
         first = 0
         for mirrored in (False, True)[: 1 + array.facts["mirrored"]]:
             for phase, n_frames in enumerate(array.facts["lengths"]):
-                found.append(StoredVariant(which, phase, mirrored, array, first, n_frames))
+                variants.append(Variant(which, phase, mirrored, array, first, n_frames))
                 first += n_frames
-    return sorted(found, key=lambda one: one.mirrored)
+    return sorted(variants, key=lambda variant: variant.mirrored)
+
+
+def sequences_of(
+    variants: Sequence[Variant],
+    speech: Sequence[Frames],
+    conditions: Conditions,
+    width: int,
+    n_paired: int,
+) -> tuple[TrainingSequence, ...]:
+    """Return variants as training data; their frames are not read yet.
+
+    Args:
+        variants: of all recordings.
+        speech: (S, T) of each phase of the paired recordings; empty without speech input.
+        conditions: the layout of conditions.
+        width: X, of a motion vector.
+        n_paired: number of paired recordings, which are the first ones.
+    """
+    phases = ((own.which, own.phase) for own in variants if not own.mirrored)
+    speech_of = dict(zip(phases, speech, strict=False))
+    n_speech = conditions.columns["speech"].stop
+    return tuple(
+        variant.sequence(
+            width,
+            n_speech,
+            speech_of.get((variant.which, variant.phase)),
+            is_paired=variant.which < n_paired,
+        )
+        for variant in variants
+    )
 
 
 @dataclass(frozen=True)
@@ -172,25 +237,13 @@ class StoredCorpus:
         Raises:
             ConfigError: an array is missing or not whole.
         """
-        folder, paired = ArrayFolder(config.arrays_folder), len(self.motion)
-        variants = stored_variants(folder.find_all((*self.motion, *self.unpaired)))
-        speech: dict[tuple[int, int], StoredFrames] = {}
+        folder, speech = ArrayFolder(config.arrays_folder), []
+        variants = variants_of(folder.find_all((*self.motion, *self.unpaired)))
         if conditions.conditioner is not None:
-            phases = [one for one in variants if one.which < paired and not one.mirrored]
-            found = stored_speech(
-                folder.find_all(self.speech),
-                conditions.conditioner,
-                [phase.n_frames for phase in phases],
-            )
-            numbers = [(phase.which, phase.phase) for phase in phases]
-            speech = dict(zip(numbers, found, strict=True))
-        n_speech = conditions.columns["speech"].stop
-        return tuple(
-            one.sequence(
-                width, n_speech, speech.get((one.which, one.phase)), is_paired=one.which < paired
-            )
-            for one in variants
-        )
+            lengths = [own.n_frames for own in variants if not own.mirrored]
+            arrays = folder.find_all(self.speech)
+            speech = stored_speech(arrays, conditions.conditioner, lengths[: len(arrays)])
+        return sequences_of(variants, speech, conditions, width, len(self.motion))
 
 
 def motion_of(
@@ -218,16 +271,15 @@ def with_state(
 
     @cache
     def state() -> np.ndarray:
-        values = measured(recording.motion[:], representation, process.channels, process.fps)
+        motion = recording.motion[:]
+        values = measured_state(motion, representation, process.channels, process.fps)
         return process.given(values).T.astype(np.float32)
-
-    if isinstance(condition, np.ndarray):
-        return replace(recording, condition=np.concatenate([condition, state()], axis=1))
 
     def read(start: int, stop: int) -> np.ndarray:
         return np.concatenate([condition[start:stop], state()[start:stop]], axis=1)
 
-    return replace(recording, condition=StoredRows(recording.n_frames, read))
+    stated = replace(recording, condition=StoredRows(recording.n_frames, read))
+    return stated.in_memory() if isinstance(condition, np.ndarray) else stated
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,6 +314,11 @@ class TrainingData:
     stored: StoredCorpus | None = None
     state_process: StateProcess | None = None
 
+    @property
+    def paired(self) -> list[TrainingSequence]:
+        """Recordings with their conditions, without unpaired motion."""
+        return [recording for recording in self.recordings if recording.is_paired]
+
     def decode(self, values: np.ndarray, condition: np.ndarray, fps: float) -> Motion:
         """Decode a motion from unnormalised motion vectors (T, X) and its condition (T, C)."""
         path = None
@@ -285,20 +342,15 @@ class TrainingData:
 
     def save(self, folder: Path) -> None:
         """Write the data to a folder, for resuming the run."""
-        tensors = {
-            "motion.mean": self.normaliser.mean,
-            "motion.scale": self.normaliser.scale,
-            **self.conditions.to_tensors(),
-            **start_tensors(self.start),
-            **({} if self.state_process is None else state_tensors(self.state_process)),
-        }
-        own = self.recordings if self.stored is None else ()
-        for i, recording in enumerate(own):
+        tensors = learnt_tensors(self.normaliser, self.conditions, self.state_process)
+        tensors |= start_tensors(self.start)
+        in_memory = self.recordings if self.stored is None else ()
+        for i, recording in enumerate(in_memory):
             tensors[f"recording.{i}.motion"] = torch.from_numpy(recording.motion[:])
             tensors[f"recording.{i}.condition"] = torch.from_numpy(recording.condition[:])
         about = {
-            "names": [recording.name for recording in own],
-            "is_paired": [recording.is_paired for recording in own],
+            "names": [recording.name for recording in in_memory],
+            "is_paired": [recording.is_paired for recording in in_memory],
             "sampled": self.sampled,
             "stored": None if self.stored is None else asdict(self.stored),
             "seconds": list(self.seconds),
@@ -321,50 +373,39 @@ class TrainingData:
         weights = None if config.features is None else config.features.encoder_places
 
         def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
-            paired, unpaired = about["seconds"]
-            skeleton = Skeleton.from_json(about["skeleton"])
-            representation = DeltaRepresentation.from_json(skeleton, about["motion"])
-            conditions = Conditions.from_values(
-                about["conditions"], tensors, config.fps, weights, device
+            learnt = read_learnt(
+                about, about["conditions"], about["state"], tensors, config.fps, weights, device
             )
-            channels = StateChannels.find(skeleton, representation.joints)
-            n_speech = conditions.columns["speech"].stop
-            process = load_state(about["state"], tensors, channels, config.fps, n_speech)
+            representation, process = learnt["representation"], learnt["state_process"]
             stored, sampled = None, None
             if about["stored"] is None:
-                labels = zip(about["names"], about["is_paired"], strict=True)
                 recordings = tuple(
                     TrainingSequence(
                         name,
                         tensors[f"recording.{i}.motion"].numpy(),
                         tensors[f"recording.{i}.condition"].numpy(),
-                        is_paired,
+                        about["is_paired"][i],
                     )
-                    for i, (name, is_paired) in enumerate(labels)
+                    for i, name in enumerate(about["names"])
                 )
             else:
                 stored = StoredCorpus(**about["stored"])
                 sampled = tuple((i, start, stop) for i, start, stop in about["sampled"])
-                recordings = stored.sequences(config, conditions, representation.n_features)
+                width = representation.n_features
+                recordings = stored.sequences(config, learnt["conditions"], width)
                 if process is not None:
-                    recordings = tuple(
-                        with_state(own, process, representation) for own in recordings
-                    )
-            if process is not None:
-                conditions = replace(conditions, state=channels)
+                    recordings = tuple(with_state(r, process, representation) for r in recordings)
+            paired, unpaired = about["seconds"]
             return cls(
+                **learnt,
                 recordings=recordings,
                 seconds=(paired, unpaired),
-                representation=representation,
-                conditions=conditions,
-                normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
                 speakers=read_speakers(about),
                 sources=from_values(about["sources"]),
                 recorded_fps=about["recorded_fps"],
                 start=read_start(tensors),
                 sampled=sampled,
                 stored=stored,
-                state_process=process,
             )
 
         return load_data(folder, assemble)

@@ -6,31 +6,39 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
-from gesturekit.diffusion.training.augmentation import phase_item
-from gesturekit.diffusion.training.corpus import Corpus, phases_of, read_corpus
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser, measured_state
 from gesturekit.diffusion.training.data import (
+    ArrayInMemory,
     Cut,
     StoredCorpus,
     TrainingData,
     TrainingSequence,
+    VariantArray,
     motion_of,
-    stored_variants,
+    sequences_of,
+    variants_of,
     with_state,
 )
-from gesturekit.diffusion.training.state import fit_state
-from gesturekit.diffusion.training.variants import VariantArrays
+from gesturekit.diffusion.training.recordings import (
+    Corpus,
+    Recording,
+    VariantArrays,
+    phase_item,
+    read_corpus,
+)
 from gesturekit.errors import ConfigError
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.root_path import RootPath
+from gesturekit.state.channels import StateChannels
+from gesturekit.state.process import RecordedState, StateProcess
 from gesturekit.training.config import to_dict
-from gesturekit.training.data.arrays import Maker, StoredArray, stored_arrays
+from gesturekit.training.data.arrays import Frames, Maker, StoredArray, stored_arrays
 from gesturekit.training.data.excerpts import Excerpt, systematic_sample
 from gesturekit.training.data.features import (
     SpeechArrays,
@@ -54,14 +62,14 @@ _STEP_FLOORS = np.array([0.03, 0.015, 0.015])
 class _Read:
     """Recordings and conditions of a run.
 
-    `parts` are those to which the state of movement is fitted; other fields as in `TrainingData`.
+    `clips` are those to which the state of movement is fitted; other fields as in `TrainingData`.
     """
 
     recordings: tuple[TrainingSequence, ...]
     conditions: Conditions
     seconds: tuple[float, float]
     rates: Sequence[float]
-    parts: Sequence[tuple[Item, Cut]]
+    clips: Sequence[tuple[Item, Cut]]
     sampled: tuple[Cut, ...] | None = None
     stored: StoredCorpus | None = None
 
@@ -83,15 +91,15 @@ def load_training_data(
     speech = None
     if config.features is not None:
         speech = SpeechArrays.open(config.features, config.fps, device)
-    start = _start(config)
-    like = _like(config) if start is None else start
+    like = _known_model(config)
+    start = None if config.start_from is None else like
     corpus = read_corpus(config, speech=speech is not None, trial=trial)
     conditions = _conditions(config, corpus, speech, start)
+    motions = [motion for _, motion in corpus.phases]
     if like is None:
-        motions = corpus.motions
         representation = DeltaRepresentation.fit(motions, config.joints, root=not config.path)
     else:
-        representation = _same_rig(like, corpus.motions, config)
+        representation = _same_rig(like, motions, config)
     rig = corpus.recordings.rig(config, config.parts)
     paired = VariantArrays(config, rig, representation, replace(conditions, conditioner=None))
     read_all = _in_memory if corpus.recordings.excerpts is None else _on_disk
@@ -103,8 +111,8 @@ def load_training_data(
         normaliser = like.normaliser
     recordings, conditions, process = read.recordings, read.conditions, None
     if config.state:
-        process = fit_state(recordings, read.parts, conditions, representation, config.fps)
-        recordings = tuple(with_state(own, process, representation) for own in recordings)
+        process = _fit_state(recordings, read.clips, conditions, representation, config.fps)
+        recordings = tuple(with_state(r, process, representation) for r in recordings)
         conditions = replace(conditions, state=process.channels)
     return TrainingData(
         recordings=recordings,
@@ -122,6 +130,40 @@ def load_training_data(
     )
 
 
+def _known_model(config: DiffusionConfig) -> DiffusionModel | None:
+    """Load the model of `start_from` or `moves_like`, whose motion vectors this run uses."""
+    setting = "moves_like" if config.start_from is None else "start_from"
+    if (folder := getattr(config, setting)) is None:
+        return None
+    weights = None if config.features is None else config.features.encoder_places
+    model = DiffusionModel.load(model_of(folder), weights=weights)
+    check_settings(setting, folder, {"fps": model.fps}, {"fps": config.fps})
+    if setting == "start_from":
+        for name, known in (("network", model.network.config), ("noise", model.noise_config)):
+            values = {f"{name}.{k}": v for k, v in to_dict(known).items() if k != "dropout"}
+            wanted = {f"{name}.{k}": v for k, v in to_dict(getattr(config, name)).items()}
+            check_settings(setting, folder, values, wanted)
+    elif model.representation.makes_root == config.path:
+        follows = "follows a path" if config.path else "moves its root itself"
+        raise ConfigError(f"moves_like: this run {follows} and {folder} does not")
+    return model
+
+
+def _same_rig(
+    like: DiffusionModel, motions: Sequence[Motion], config: DiffusionConfig
+) -> DeltaRepresentation:
+    """Return the representation of a model, checked against the rig of the corpus.
+
+    A model to start from gets the bones and body shape of the corpus. With `moves_like` they stay,
+    because motion vectors of experts must have the same unit of length.
+    """
+    setting = "moves_like" if config.start_from is None else "start_from"
+    where = getattr(config, setting)
+    check_rig(setting, where, like.skeleton, motions[0].skeleton, config.corpus)
+    known = like.representation
+    return known if setting == "moves_like" else known.on_bones_of(motions)
+
+
 def _conditions(
     config: DiffusionConfig,
     corpus: Corpus,
@@ -133,8 +175,8 @@ def _conditions(
     if start is None or config.start_from is None:
         return new
     wanted = new.to_values()
-    if speech is not None and config.features is not None:
-        wanted["features"] = feature_values(speech.extractor, config.features)
+    if speech is not None:
+        wanted["features"] = feature_values(speech.extractor, speech.settings)
     check_conditions(config.start_from, start.conditions.to_values(), wanted)
     if start.state_process is not None and not config.state:
         raise ConfigError(f"start_from: {config.start_from} has state: true, this run none")
@@ -157,43 +199,35 @@ def _in_memory(
         speech: extracts features; None without speech input.
         fits: whether conditions are fitted to the recordings.
     """
-    config, n_paired = paired.config, len(corpus.items)
-    takes = [paired.take(*one) for one in zip(corpus.items, corpus.motions, strict=True)]
-    alone, unpaired_seconds = replace(paired, rig=corpus.unpaired_rig), 0.0
-    for item in corpus.unpaired:
-        motion = alone.rig.load(item)
-        unpaired_seconds += motion.duration
-        takes += [alone.take(*phase) for phase in phases_of(item, motion, config.fps)]
-    if fits and config.path:
-        conditions = _with_path_scale(conditions, [take.path for take in takes], paired)
-    speeches: list[np.ndarray | None] = [None] * len(takes)
-    if speech is not None and config.features is not None:
-        lengths = [motion.n_frames for motion in corpus.motions]
-        conditioner, speeches[:n_paired] = extract_features(
-            corpus.items,
-            lengths,
+    alone = replace(paired, rig=corpus.unpaired_rig)
+    unpaired = [alone.load(item) for item in corpus.recordings.unpaired]
+    conditions, paired, alone = _fit_path(corpus, unpaired, conditions, paired, alone, fits)
+    features: list[Frames] = []
+    if speech is not None:
+        conditioner, extracted = extract_features(
+            [item for item, _ in corpus.phases],
+            [motion.n_frames for _, motion in corpus.phases],
             speech.extractor,
-            config.fps,
-            config.features,
+            speech.fps,
+            speech.settings,
             conditions.conditioner,
         )
         conditions = replace(conditions, conditioner=conditioner)
-    own = replace(conditions, conditioner=None)
-    makers = [replace(paired, conditions=own)] * n_paired
-    makers += [replace(alone, conditions=own)] * (len(takes) - n_paired)
-    n_speech = conditions.columns["speech"].stop
-    plain, mirrored = [], []
-    for maker, take, features in zip(makers, takes, speeches, strict=True):
-        rows = maker.rows(take)
-        if features is None:
-            features = np.zeros((len(rows), n_speech), np.float32)
-        plain.append(maker.sequence(take.name, rows, features))
-        if maker.is_mirrored(take.style):
-            rows = maker.mirrored_rows(take, rows)
-            mirrored.append(maker.sequence(f"{take.name} (mirrored)", rows, features))
-    seconds = corpus.seconds, unpaired_seconds
-    parts = [(item, (i, 0, plain[i].n_frames)) for i, item in enumerate(corpus.items)]
-    return _Read((*plain, *mirrored), conditions, seconds, corpus.recordings.rates, parts)
+        features = [torch.from_numpy(values.T) for values in extracted]
+    motion = [ArrayInMemory(*paired.encode(recording)) for recording in corpus.read]
+    others = [ArrayInMemory(*alone.encode(recording)) for recording in unpaired]
+    width = paired.representation.n_features
+    variants = variants_of([*motion, *others])
+    recordings = sequences_of(variants, features, conditions, width, len(motion))
+    recordings = tuple(recording.in_memory() for recording in recordings)
+    clips = [(item, (i, 0, len(recordings[i].motion))) for i, (item, _) in enumerate(corpus.phases)]
+    return _Read(
+        recordings,
+        conditions,
+        _seconds(motion, others),
+        [array.facts["fps"] for array in motion],
+        clips,
+    )
 
 
 def _on_disk(
@@ -208,21 +242,19 @@ def _on_disk(
     Conditions are fitted to a sample; see `_in_memory` for the arguments.
     """
     config, items = paired.config, corpus.recordings.items
+    others = corpus.recordings.unpaired
     alone = replace(paired, rig=corpus.unpaired_rig)
-    others = systematic_sample(corpus.unpaired, 60 * config.in_memory)
+    excerpts = systematic_sample(others, 60 * config.in_memory)
+    unpaired = []
     if fits and config.path:
-        paths = [paired.take(*one).path for one in zip(corpus.items, corpus.motions, strict=True)]
-        for item in (excerpt.of(corpus.unpaired) for excerpt in others):
-            phases = phases_of(item, alone.rig.load(item), config.fps)
-            paths += [alone.take(*phase).path for phase in phases]
-        conditions = _with_path_scale(conditions, paths, paired)
-    own = replace(conditions, conditioner=None)
-    wanted: list[tuple[Maker, Sequence[Item]]] = [
-        (replace(paired, conditions=own), items),
-        (replace(alone, conditions=own), corpus.unpaired),
-    ]
-    motion, unpaired = stored_arrays(config.arrays_folder, wanted, config.workers)
+        unpaired = [alone.load(excerpt.of(others)) for excerpt in excerpts]
+    conditions, paired, alone = _fit_path(corpus, unpaired, conditions, paired, alone, fits)
+    wanted: list[tuple[Maker, Sequence[Item]]] = [(paired, items), (alone, others)]
+    motion, motion_alone = stored_arrays(config.arrays_folder, wanted, config.workers)
     spoken: list[StoredArray] = []
+    sample: dict[int, list[Excerpt]] = {}
+    for excerpt in corpus.recordings.excerpts or ():
+        sample.setdefault(excerpt.index, []).append(excerpt)
     if speech is not None:
         pieces = [
             phase_item(item, number, start)
@@ -230,32 +262,86 @@ def _on_disk(
             for number, start in enumerate(array.facts["starts"])
         ]
         (spoken,) = stored_arrays(config.arrays_folder, [(speech, pieces)], config.workers)
-    sample: dict[int, list[Excerpt]] = {}
-    for excerpt in corpus.recordings.excerpts or ():
-        sample.setdefault(excerpt.index, []).append(excerpt)
-    if speech is not None and conditions.conditioner is None:
-        conditions = replace(conditions, conditioner=_fitted(speech, motion, spoken, sample))
-    for excerpt in others:
+        if conditions.conditioner is None:
+            conditioner = _fit_conditioner(speech, motion, spoken, sample)
+            conditions = replace(conditions, conditioner=conditioner)
+    for excerpt in excerpts:
         sample.setdefault(len(items) + excerpt.index, []).append(excerpt)
     stored = StoredCorpus(
-        *([array.path.stem for array in arrays] for arrays in (motion, spoken, unpaired))
+        *([array.path.stem for array in arrays] for arrays in (motion, spoken, motion_alone))
     )
     recordings = stored.sequences(config, conditions, paired.representation.n_features)
-    variants = stored_variants([*motion, *unpaired])
+    variants = variants_of([*motion, *motion_alone])
     sampled = tuple(
         (i, *excerpt.frames(config.fps, recordings[i].n_frames))
         for i, variant in enumerate(variants)
         # The other phases of an excerpt are almost the same motion.
         for excerpt in sample.get(variant.which, ()) * (variant.phase == 0)
     )
-    plain = [(variants[cut[0]], cut) for cut in sampled if not variants[cut[0]].mirrored]
-    parts = [(items[own.which], cut) for own, cut in plain if own.which < len(items)]
-    seconds = [sum(array.facts["seconds"] for array in arrays) for arrays in (motion, unpaired)]
-    rates = [array.facts["fps"] for array in motion]
-    return _Read(recordings, conditions, (seconds[0], seconds[1]), rates, parts, sampled, stored)
+    clips = [
+        (items[variants[cut[0]].which], cut)
+        for cut in sampled
+        if not variants[cut[0]].mirrored and variants[cut[0]].which < len(items)
+    ]
+    seconds = _seconds(motion, motion_alone)
+    return _Read(
+        recordings,
+        conditions,
+        seconds,
+        [array.facts["fps"] for array in motion],
+        clips,
+        sampled,
+        stored,
+    )
 
 
-def _fitted(
+def _fit_path(
+    corpus: Corpus,
+    unpaired: Sequence[Recording],
+    conditions: Conditions,
+    paired: VariantArrays,
+    alone: VariantArrays,
+    fits: bool,
+) -> tuple[Conditions, VariantArrays, VariantArrays]:
+    """Fit mean and scale of the paths' displacements; return conditions and makers with them.
+
+    Args:
+        corpus: with the recordings that were read.
+        unpaired: those without speech that were read.
+        conditions: see `_conditions`.
+        paired: encodes the recordings of the corpus.
+        alone: encodes unpaired motion.
+        fits: whether conditions are fitted.
+    """
+    if fits and paired.config.path:
+        read = ((paired, corpus.read), (alone, unpaired))
+        size = 1 / paired.representation.scale
+        deltas = np.concatenate(
+            [
+                maker.path(*phase).scaled(size).deltas()
+                for maker, recordings in read
+                for recording in recordings
+                for phase in recording.phases
+            ]
+        )
+        scale = np.maximum(deltas.std(axis=0), _STEP_FLOORS / paired.config.fps)
+        conditions = replace(conditions, path_mean=deltas.mean(axis=0), path_scale=scale)
+    without_speech = replace(conditions, conditioner=None)
+    makers = (replace(maker, conditions=without_speech) for maker in (paired, alone))
+    return conditions, *makers
+
+
+def _seconds(
+    paired: Sequence[VariantArray], unpaired: Sequence[VariantArray]
+) -> tuple[float, float]:
+    """Return the total length of the paired and the unpaired recordings."""
+    first, second = (
+        sum(array.facts["seconds"] for array in arrays) for arrays in (paired, unpaired)
+    )
+    return first, second
+
+
+def _fit_conditioner(
     speech: SpeechArrays,
     motion: Sequence[StoredArray],
     spoken: Sequence[StoredArray],
@@ -274,50 +360,37 @@ def _fitted(
         lengths = array.facts["lengths"]
         first = [next(arrays) for _ in lengths][0]
         for excerpt in sample.get(i, ()):
-            part = excerpt.frames(speech.fps, min(first.shape[0], lengths[0]))
-            clips.append(raw_speech(first, *part))
+            frames = excerpt.frames(speech.fps, min(first.shape[0], lengths[0]))
+            clips.append(raw_speech(first, *frames))
     return fit_conditioner(clips, speech.extractor, speech.fps, speech.settings)
 
 
-def _start(config: DiffusionConfig) -> DiffusionModel | None:
-    if config.start_from is None:
-        return None
-    weights = None if config.features is None else config.features.encoder_places
-    start = DiffusionModel.load(model_of(config.start_from), weights=weights)
-    check_settings("start_from", config.start_from, {"fps": start.fps}, {"fps": config.fps})
-    for name, known in (("network", start.network.config), ("noise", start.noise_config)):
-        values = {f"{name}.{k}": v for k, v in to_dict(known).items() if k != "dropout"}
-        wanted = {f"{name}.{k}": v for k, v in to_dict(getattr(config, name)).items()}
-        check_settings("start_from", config.start_from, values, wanted)
-    return start
+def _fit_state(
+    recordings: Sequence[TrainingSequence],
+    clips: Sequence[tuple[Item, Cut]],
+    conditions: Conditions,
+    representation: DeltaRepresentation,
+    fps: float,
+) -> StateProcess:
+    """Return the process of the state of movement in parts of recordings.
 
+    The conditions of the recordings have no state yet.
 
-def _like(config: DiffusionConfig) -> DiffusionModel | None:
-    """Load the model of `moves_like`, whose motion vectors this run uses."""
-    if config.moves_like is None:
-        return None
-    weights = None if config.features is None else config.features.encoder_places
-    like = DiffusionModel.load(model_of(config.moves_like), weights=weights)
-    check_settings("moves_like", config.moves_like, {"fps": like.fps}, {"fps": config.fps})
-    if like.representation.makes_root == config.path:
-        follows = "follows a path" if config.path else "moves its root itself"
-        raise ConfigError(f"moves_like: this run {follows} and {config.moves_like} does not")
-    return like
-
-
-def _same_rig(
-    like: DiffusionModel, motions: Sequence[Motion], config: DiffusionConfig
-) -> DeltaRepresentation:
-    """Return the representation of a model, checked against the rig of the corpus.
-
-    A model to start from gets the bones and body shape of the corpus. With `moves_like` they stay,
-    because motion vectors of experts must have the same unit of length.
+    Args:
+        recordings: and their variants.
+        clips: the parts, with the items they are of.
+        conditions: their layout.
+        representation: of their motion vectors.
+        fps: frames per second.
     """
-    setting = "start_from" if config.moves_like is None else "moves_like"
-    where = getattr(config, setting)
-    check_rig(setting, where, like.skeleton, motions[0].skeleton, config.corpus)
-    known = like.representation
-    return known if setting == "moves_like" else known.on_bones_of(motions)
+    channels = StateChannels.find(representation.skeleton, representation.joints)
+    recorded = []
+    for item, (i, start, stop) in clips:
+        values = measured_state(recordings[i].motion[start:stop], representation, channels, fps)
+        speech = recordings[i].condition[start:stop][:, conditions.columns["speech"]]
+        style = conditions.styles.index(item.style or "") if conditions.styles else None
+        recorded.append(RecordedState(values, speech.T, item.take, (item.speaker, style)))
+    return StateProcess.fit(channels, recorded, fps, conditions.conditioner)
 
 
 def _floors(representation: DeltaRepresentation, fps: float) -> np.ndarray:
@@ -327,13 +400,3 @@ def _floors(representation: DeltaRepresentation, fps: float) -> np.ndarray:
     if representation.makes_root:
         values[representation.root_columns] = _STEP_FLOORS / fps
     return values
-
-
-def _with_path_scale(
-    conditions: Conditions, paths: Sequence[RootPath | None], maker: VariantArrays
-) -> Conditions:
-    """Return the conditions with mean and scale of the displacements of these paths."""
-    size = 1 / maker.representation.scale
-    deltas = np.concatenate([path.scaled(size).deltas() for path in paths if path is not None])
-    scale = np.maximum(deltas.std(axis=0), _STEP_FLOORS / maker.config.fps)
-    return replace(conditions, path_mean=deltas.mean(axis=0), path_scale=scale)

@@ -8,10 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.diffusion.network.denoiser import Denoiser
-from gesturekit.diffusion.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.network import Denoiser
+from gesturekit.diffusion.noise_schedule import NoiseSchedule, sample
 from gesturekit.diffusion.sampling.experts import Expert
-from gesturekit.diffusion.sampling.solvers import sample
 
 STEPS = 10
 """Number of denoising steps."""
@@ -23,7 +22,7 @@ def quick_vectors(
 ) -> Tensor:
     """Return normalised motion vectors (T, X) that a network makes of a condition (T, C)."""
     device = next(network.parameters()).device
-    expert = Expert(network, schedule, torch.from_numpy(condition)[None].to(device))
+    expert = Expert(network, schedule, torch.from_numpy(condition)[None].to(device), np.ones(1))
     noise = torch.randn((1, len(condition), network.n_motion), generator=rng).to(device)
     steps = min(STEPS, schedule.steps)
     return sample(expert.predict, partial(_same, noise), schedule, solver="dpm", steps=steps)[0]

@@ -8,8 +8,7 @@ import numpy as np
 
 from gesturekit.corpus.item import Item
 from gesturekit.diffusion.conditions import Conditions
-from gesturekit.diffusion.motion_vector import DeltaRepresentation
-from gesturekit.diffusion.state import measured
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, measured_state
 from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.diffusion.training.data import Cut, TrainingData, TrainingSequence
 from gesturekit.diffusion.training.quick import quick_vectors
@@ -37,7 +36,7 @@ def fit_state(
     channels = StateChannels.find(representation.skeleton, representation.joints)
     found = []
     for item, (i, start, stop) in parts:
-        values = measured(recordings[i].motion[start:stop], representation, channels, fps)
+        values = measured_state(recordings[i].motion[start:stop], representation, channels, fps)
         speech = recordings[i].condition[start:stop][:, conditions.columns["speech"]]
         style = conditions.styles.index(item.style or "") if conditions.styles else None
         found.append(RecordedState(values, speech.T, item.take, (item.speaker, style)))
@@ -69,6 +68,8 @@ def calibrated(model: TrainedModel, data: TrainingData, seed: int) -> StateProce
             return process
         motion = smooth_motion(motion, model.smooth) if model.smooth else motion
         vectors = model.representation.encode(motion)
-        pairs.append((wanted, measured(vectors, model.representation, process.channels, model.fps)))
+        pairs.append(
+            (wanted, measured_state(vectors, model.representation, process.channels, model.fps))
+        )
     asked, shown = (np.concatenate(rows, axis=1) for rows in zip(*pairs, strict=True))
     return process.calibrated(asked, shown)

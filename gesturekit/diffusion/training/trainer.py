@@ -23,7 +23,7 @@ from gesturekit.diffusion.losses import (
     foot_sliding,
 )
 from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.network.denoiser import Denoiser
+from gesturekit.diffusion.network import Denoiser
 from gesturekit.diffusion.noise_schedule import NoiseSchedule
 from gesturekit.diffusion.training.batches import Batches, TrainingBatch
 from gesturekit.diffusion.training.corpus import read_recordings
