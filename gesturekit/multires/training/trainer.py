@@ -40,7 +40,7 @@ from gesturekit.training.recordings import load_recordings, training_items
 from gesturekit.training.run.device import prepare_device
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.held_out import HeldOutMetrics
-from gesturekit.training.run.loop import Loop, StageCallbacks, last_losses, read_once
+from gesturekit.training.run.loop import Loop, last_losses, read_once
 from gesturekit.training.run.plan import Estimate, log_arrays, log_plan, quickest
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.run.session import session
@@ -283,34 +283,32 @@ class Trainer:
         if state is not None:
             self.network.load_state_dict(state["generator"])
         stages, levels = self.stages(), self.config.network.levels
-        reported = None
-
-        def begin(index: int) -> StageCallbacks:
-            first, iterations = stages[index]
-            stage = self.stage(first, iterations)
-            nonlocal reported
-            if self.processes.is_first and stage.backend.reason != reported:
-                reported = stage.backend.reason
-                log.info("Backend: %s (%s).", stage.backend.name, reported)
-            if state is not None and state["first"] == first:
-                stage.load_state(state)
-            before = sum(count for _, count in stages[:index])
-            last = stage.indices[-1] + 1
-            return StageCallbacks(
-                train=lambda step: stage.iterate(step - before - 1),
-                weights=stage.weights,
-                state=stage.state,
-                evaluate=lambda step: self.evaluate(step, first, last),
-                measure=lambda step: self.measure(step, last),
-                labels={"level": first + 1},
-                name=f"level {first + 1}-{last}: ",
-            )
-
         # Part of an iteration's cost grows with its number of frames.
-        cost = [20 + 100 * 0.75 ** (levels - 2 - first) for first, _ in stages]
-        counts = [count for _, count in stages]
-        self.loop.train(list(zip(counts, cost, strict=True)), done, begin)
-        return self._finish(sum(counts))
+        costs = [20 + 100 * 0.75 ** (levels - 2 - first) for first, _ in stages]
+        end, reported = 0, None
+        with self.loop.progress([(n, cost) for (_, n), cost in zip(stages, costs)], done):
+            for (first, iterations), cost in zip(stages, costs, strict=True):
+                before, end = end, end + iterations
+                if end <= done:
+                    continue
+                stage = self.stage(first, iterations)
+                if self.processes.is_first and stage.backend.reason != reported:
+                    reported = stage.backend.reason
+                    log.info("Backend: %s (%s).", stage.backend.name, reported)
+                if state is not None and state["first"] == first:
+                    stage.load_state(state)
+                last = stage.indices[-1] + 1
+                steps = range(max(done, before) + 1, end + 1)
+                name = f"level {first + 1}-{last}: "
+                for step in self.loop.begin(steps, cost, name, level=first + 1):
+                    due = self.loop.count(step, stage.iterate(step - before - 1))
+                    if due.evaluation:
+                        self.evaluate(step, first, last)
+                    if due.measurement:
+                        self.measure(step, last)
+                    if due.checkpoint:
+                        self.loop.save(step, stage.weights(), stage.state())
+        return self._finish(end)
 
     def measure(self, step: int, levels: int) -> str:
         """Log and return the verdict on held-out recordings, at the finest level so far."""
