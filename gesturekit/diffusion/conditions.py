@@ -230,7 +230,7 @@ def asked_events(events: str | Path, wave: af.Wave | None) -> tuple[Event, ...]:
     """
     if isinstance(events, Path) or events.lower().endswith(".csv"):
         return load_events(events)
-    events_of_text = []
+    asked: list[Event] = []
     for text in events.split(","):
         match = _TERM.fullmatch(text.strip())
         if match is None:
@@ -238,19 +238,15 @@ def asked_events(events: str | Path, wave: af.Wave | None) -> tuple[Event, ...]:
                 f"event {text.strip()!r}: events look like kick@1.0,punch@2.5:0.5 (seconds, and "
                 "how long), like kick@beats, or are a .csv with columns time,name[,duration]"
             )
-        duration = float(match["duration"] or 0)
-        times = _beats(text, wave) if match["time"] == "beats" else [float(match["time"])]
-        events_of_text += [Event(time, match["name"].strip(), duration) for time in times]
-    return tuple(sorted(events_of_text))
-
-
-def _beats(text: str, wave: af.Wave | None) -> list[float]:
-    if wave is None:
-        raise ModelError(f"event {text.strip()!r}: there is no sound to find beats in")
-    beats = music_beats(wave).tolist()
-    if not beats:
-        raise ModelError(
-            f"event {text.strip()!r}: no beat was found in {wave.source or 'the sound'}; give "
-            "seconds instead"
-        )
-    return beats
+        duration, times = float(match["duration"] or 0), [match["time"]]
+        if match["time"] == "beats":
+            if wave is None:
+                raise ModelError(f"event {text.strip()!r}: there is no sound to find beats in")
+            times = music_beats(wave).tolist()
+            if not times:
+                raise ModelError(
+                    f"event {text.strip()!r}: no beat was found in {wave.source or 'the sound'}; "
+                    "give seconds instead"
+                )
+        asked += [Event(float(time), match["name"].strip(), duration) for time in times]
+    return tuple(sorted(asked))

@@ -60,10 +60,10 @@ class DiffusionModel(TrainedModel):
         speech = as_speech(speech, sample_rate)
         rate = self.recorded_fps if asked["fps"] is None else asked["fps"]
         members = check_controls(self, asked, samples)
-        request = Request.build(members, asked, speech, seconds)
+        request = Request(members, asked, speech, seconds, seed, item)
         motions = [
             to_output_rate(request.placement.applied(motion), rate, request.wave, request.seconds)
-            for motion in sampled_motions(members, request, seed, item, samples)
+            for motion in sampled_motions(request, samples)
         ]
         return motions[0] if samples == 1 else motions
 

@@ -18,7 +18,7 @@ displacement columns.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -78,13 +78,10 @@ class DeltaRepresentation(ModelJoints):
         indices = [names.index(name) for name in chosen["joints"]]
         side = side_axis(motions, indices[0])
         references = chosen["fixed_rotations"][indices]
-        unreferenced = cls(**chosen, makes_root=root, side=side, references=references)
-        level = [
-            unreferenced._level_root(motion, unreferenced._default_path(motion))
-            for motion in motions
-        ]
+        fitted = cls(**chosen, makes_root=root, side=side, references=references)
+        level = [fitted._level_root(motion, fitted._default_path(motion)) for motion in motions]
         references = np.concatenate([mean_quaternion(np.concatenate(level))[None], references[1:]])
-        return cls(**chosen, makes_root=root, side=side, references=references)
+        return replace(fitted, references=references)
 
     def to_json(self) -> dict[str, Any]:
         """Return everything except the skeleton as plain values."""
@@ -123,11 +120,6 @@ class DeltaRepresentation(ModelJoints):
     def root_columns(self) -> slice:
         """Columns of turn, forward and lateral displacement; empty with a path."""
         return slice(self.height_column + 1, self.n_features)
-
-    def joint_columns(self, name: str) -> slice:
-        """Return the three columns of one modelled joint."""
-        k = self.joints.index(name)
-        return slice(3 * k, 3 * k + 3)
 
     def encode(self, motion: Motion, path: RootPath | None = None) -> np.ndarray:
         """Encode a motion of this rig as motion vectors (T, X) float64.

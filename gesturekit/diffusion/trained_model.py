@@ -210,9 +210,7 @@ def learnt_tensors(
 
 
 def read_learnt(
-    rig: Mapping[str, Any],
-    conditions: Mapping[str, Any],
-    state: Mapping[str, Any] | None,
+    values: Mapping[str, Any],
     tensors: Mapping[str, Tensor],
     fps: float,
     weights: WeightPlaces | None,
@@ -223,9 +221,7 @@ def read_learnt(
     These are `representation`, `conditions`, `normaliser` and `state_process`.
 
     Args:
-        rig: its `rig_values`.
-        conditions: their `to_values`.
-        state: the `state_values` of its process; None without.
+        values: with `rig_values`, `Conditions.to_values`, and `state`: `state_values` or None.
         tensors: with those of `learnt_tensors`.
         fps: frames per second.
         weights: see `TrainedModel.load`.
@@ -233,22 +229,21 @@ def read_learnt(
 
     Raises KeyError, TypeError, ValueError or RuntimeError for damaged values.
     """
-    skeleton = Skeleton.from_json(rig["skeleton"])
-    representation = DeltaRepresentation.from_json(skeleton, rig["motion"])
+    skeleton, state = Skeleton.from_json(values["skeleton"]), values["state"]
+    representation = DeltaRepresentation.from_json(skeleton, values["motion"])
     channels = StateChannels.find(representation.skeleton, representation.joints)
-    known = Conditions.from_values(
-        conditions, tensors, fps, weights, device, None if state is None else channels
-    )
+    known = None if state is None else channels
+    conditions = Conditions.from_values(values, tensors, fps, weights, device, known)
     normaliser = Normaliser(tensors["motion.mean"], tensors["motion.scale"])
-    n_motion = representation.n_features
-    for name, values in vars(normaliser).items():
-        if values.shape != (n_motion,) or not torch.isfinite(values).all():
+    n_motion, n_speech = representation.n_features, conditions.columns["speech"].stop
+    for name, numbers in vars(normaliser).items():
+        if numbers.shape != (n_motion,) or not torch.isfinite(numbers).all():
             raise ValueError(f"motion.{name} is not {n_motion} finite numbers")
     return {
         "representation": representation,
-        "conditions": known,
+        "conditions": conditions,
         "normaliser": normaliser,
-        "state_process": load_state(state, tensors, channels, fps, known.columns["speech"].stop),
+        "state_process": load_state(state, tensors, channels, fps, n_speech),
     }
 
 
@@ -258,9 +253,8 @@ def _arguments(parts: ModelParts, weights: WeightPlaces | None, device: str) -> 
     Raises KeyError, TypeError, ValueError or RuntimeError for a damaged folder.
     """
     config, where = parts.config, str(parts.folder / "config.yaml")
-    learnt = read_learnt(
-        parts.rig, config, config["state"], parts.tensors, float(config["fps"]), weights, device
-    )
+    fps, values = float(config["fps"]), {**config, **parts.rig}
+    learnt = read_learnt(values, parts.tensors, fps, weights, device)
     representation, conditions = learnt["representation"], learnt["conditions"]
     if representation.makes_root == conditions.path:
         raise ValueError("config.yaml and skeleton.json differ in whether there is a path")

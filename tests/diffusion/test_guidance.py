@@ -1,14 +1,18 @@
 """Products of experts obey their algebra."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from gesturekit.diffusion import Denoiser, NetworkConfig, NoiseConfig, NoiseSchedule, sample
-from gesturekit.diffusion.noise_schedule import MAX_DEVIATION, clip_denoised
+from gesturekit.diffusion import Denoiser, NetworkConfig, NoiseConfig
+from gesturekit.diffusion.noise_schedule import (
+    MAX_DEVIATION,
+    NoiseSchedule,
+    clip_denoised,
+    sample,
+)
 from gesturekit.diffusion.sampling.experts import Expert, predicted_noise, product
 from gesturekit.errors import ModelError
 from gesturekit.training import rng_for, seeded
@@ -18,9 +22,9 @@ CONFIG = NetworkConfig(blocks=2, layers=1, channels=16, heads=2, feedforward=32,
 SCHEDULE = NoiseSchedule.of(NoiseConfig())
 
 
-def network(seed: int, n_condition: int = CONDITION, n_motion: int = MOTION) -> Denoiser:
+def network(seed: int, n_condition: int = CONDITION) -> Denoiser:
     def make() -> Denoiser:
-        made = Denoiser(n_motion, n_condition, CONFIG)
+        made = Denoiser(MOTION, n_condition, CONFIG)
         torch.nn.init.normal_(made.leave.weight)  # which is zero before training
         return made.eval()
 
@@ -90,15 +94,6 @@ def test_clipping_bounds_the_errors_of_an_imperfect_network():
     torch.testing.assert_close(right, noise())
 
 
-def test_experts_that_do_not_fit_are_refused():
-    one, two = expert(1), expert(2)
+def test_weights_that_do_not_add_up_are_refused():
     with pytest.raises(ModelError, match=r"(?=.*0\.5)(?=.*0\.25)(?=.*0\.75)"):
-        mixed([one, two], [0.5, 0.25], 5)
-    dance = NoiseSchedule.of(NoiseConfig(steps=150, first_beta=0.01, last_beta=0.7))
-    wide = network(2, n_motion=MOTION + 1)
-    for other, told in (
-        (expert(2, schedule=dance), "(?=.*100)(?=.*150)"),
-        (replace(two, network=wide), r"\b6\b"),
-    ):
-        with pytest.raises(ModelError, match=told):
-            mixed([one, other], [0.5, 0.5], 5)
+        mixed([expert(1), expert(2)], [0.5, 0.25], 5)

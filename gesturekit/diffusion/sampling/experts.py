@@ -87,13 +87,9 @@ class Expert:
 
 
 def _same_weights(network: Denoiser, other: Denoiser) -> bool:
-    if network is other:
-        return True
-    weights, others = network.state_dict(), other.state_dict()
-    return network.config == other.config and all(
-        name in others and value.shape == others[name].shape and torch.equal(value, others[name])
-        for name, value in weights.items()
-    )
+    if network is other or network.config != other.config:
+        return network is other
+    return all(map(torch.equal, network.state_dict().values(), other.state_dict().values()))
 
 
 def predicted_noise(experts: Sequence[Expert], noisy: Tensor, step: int) -> Tensor:
@@ -108,16 +104,14 @@ def predicted_noise(experts: Sequence[Expert], noisy: Tensor, step: int) -> Tens
 
 
 def product(experts: Sequence[Expert]) -> list[Expert]:
-    """Check the experts of a product, and merge equal ones by adding their weights.
+    """Check the weights of a product, and merge equal experts by adding theirs.
 
     Experts of weight 0 are left out. A product of equal experts is therefore bitwise equal to the
     single model.
 
     Raises:
-        ModelError: weights that do not add up to 1; experts with different noise schedules or
-            widths of the motion vector.
+        ModelError: weights that do not add up to 1.
     """
-    _check_alike(experts)
     _check_sum([expert.weight for expert in experts])
     merged: list[Expert] = []
     for expert in experts:
@@ -129,26 +123,6 @@ def product(experts: Sequence[Expert]) -> list[Expert]:
     return [expert for expert in merged if np.abs(expert.weight).max() > 0]
 
 
-def _check_alike(experts: Sequence[Expert]) -> None:
-    first = experts[0]
-    for expert in experts[1:]:
-        if expert.network.n_motion != first.network.n_motion:
-            raise ModelError(
-                f"experts: one has {first.network.n_motion} numbers a frame, another "
-                f"{expert.network.n_motion}; experts of a product need one rig and representation"
-            )
-        betas, others = first.schedule.betas, expert.schedule.betas
-        if betas.shape != others.shape or not torch.allclose(betas, others, rtol=0, atol=1e-6):
-            raise ModelError(
-                f"experts: their noise schedules differ ({_described(betas)}; "
-                f"{_described(others)}); experts of a product need the same one"
-            )
-
-
-def _described(betas: Tensor) -> str:
-    return f"{len(betas)} steps, beta {betas[0]:g} to {betas[-1]:g}"
-
-
 def _check_sum(weights: Sequence[np.ndarray]) -> None:
     sums = np.sum(np.broadcast_arrays(*weights), axis=0)
     worst = sums[np.argmax(np.abs(sums - 1))]  # NaN is the worst
@@ -157,34 +131,27 @@ def _check_sum(weights: Sequence[np.ndarray]) -> None:
         raise ModelError(f"weights {given} add up to {worst:g}; experts' weights must add up to 1")
 
 
-def experts_of(
-    members: Sequence[Member], request: Request, seed: int, item: str, numbers: Sequence[int]
-) -> list[Expert]:
-    """Return the experts of a request for the samples of an item with these numbers.
+def experts_of(request: Request, numbers: Sequence[int]) -> list[Expert]:
+    """Return the experts of a request for the samples with these numbers.
 
     A model with several styles is one expert for each style with a weight; guidance adds experts
     with the style, the conditions or the state of movement left out.
     """
-    draws = (seed, item, numbers)
-    states = _states(members, request, *draws)
+    states, members = _states(request, numbers), request.members
     weights = weights_over_time([m.weight for m in members], request.n_frames, request.fps)
     experts: list[Expert] = []
-    for member, weight in zip(members, weights, strict=True):
-        plain = _styled(members[0].model, member, request, *draws)
+    for k, (member, weight) in enumerate(zip(members, weights, strict=True)):
+        plain = _styled(member, request, numbers)
         terms = [_with_state(expert, member.model, states) for expert in plain]
-        if member is members[0]:
-            terms += _guidance(member.model, plain, terms, request, states)
+        if k == 0:
+            terms += _guidance(plain, terms, request, states)
         experts += [expert.weighted(weight) for expert in terms]
-    device = members[0].model.device
+    device = request.model.device
     return [replace(expert, condition=expert.condition.to(device)) for expert in experts]
 
 
 def _guidance(
-    first: TrainedModel,
-    plain: list[Expert],
-    terms: list[Expert],
-    request: Request,
-    states: list[np.ndarray] | None,
+    plain: list[Expert], terms: list[Expert], request: Request, states: list[np.ndarray] | None
 ) -> list[Expert]:
     """Return what classifier-free guidance adds: gamma - 1 with the style, 1 - gamma without.
 
@@ -192,23 +159,21 @@ def _guidance(
     state.
 
     Args:
-        first: the model that is guided.
-        plain: its experts without the state of movement.
+        plain: experts of the first model without the state of movement.
         terms: its experts.
         request: the request.
         states: see `_states`.
     """
     added: list[Expert] = []
     if (gamma := request.controls["guidance"]) is not None:
-        model = request.controls["unconditional"] or first
+        unconditional = request.controls["unconditional"]
+        model = unconditional or request.model
         condition = request.condition(model.conditions)
-        if model is first and not ("styles" in model.droppable and model.styles):
+        if unconditional is None and not ("styles" in model.droppable and model.styles):
             condition = model.conditions.without(condition)
-        without = _expert(first, model, condition, np.ones(1) - gamma)
-        added += [
-            _with_state(without, model, states),
-            *(expert.weighted(gamma - 1) for expert in terms),
-        ]
+        without = _expert(request, model, condition[None], np.ones(1) - gamma)
+        added.append(_with_state(without, model, states))
+        added += [expert.weighted(gamma - 1) for expert in terms]
     if (gamma := request.controls["state_guidance"]) is not None:
         for without, expert in zip(plain, terms, strict=True):
             added += [without.weighted(1 - gamma), expert.weighted(gamma - 1)]
@@ -216,86 +181,74 @@ def _guidance(
 
 
 def _expert(
-    first: TrainedModel, model: TrainedModel, condition: np.ndarray, weight: np.ndarray
+    request: Request, model: TrainedModel, condition: np.ndarray, weight: np.ndarray
 ) -> Expert:
-    """Return a model with a condition (T, C) or (B, T, C) as an expert beside the first model."""
-    shift = None
+    """Return a model with a condition (B, T, C) as an expert beside the model of the request."""
+    first, shift = request.model, None
     if not torch.equal(first.normaliser.mean, model.normaliser.mean):
         shift = (first.normaliser.mean - model.normaliser.mean) / first.normaliser.scale
         shift = shift.to(model.device)
-    condition = condition if condition.ndim == 3 else condition[None]
     return Expert(model.network, model.schedule, torch.from_numpy(condition), weight, shift)
 
 
-def _styled(
-    first: TrainedModel,
-    member: Member,
-    request: Request,
-    seed: int,
-    item: str,
-    numbers: Sequence[int],
-) -> list[Expert]:
+def _styled(member: Member, request: Request, numbers: Sequence[int]) -> list[Expert]:
     """Return a model's experts, one for each style with a weight, without its state of movement.
 
     Without a requested style, each sample gets a random one.
     """
     model, _, style = member
-    condition = request.condition(model.conditions)
+    condition = request.condition(model.conditions)[None]
     if not model.styles:
-        return [_expert(first, model, condition, np.ones(1))]
-    first_column = model.conditions.columns["styles"].start
+        return [_expert(request, model, condition, np.ones(1))]
+    first = model.conditions.columns["styles"].start
     if style is None:
-        condition = np.repeat(condition[None], len(numbers), axis=0)
+        condition = np.repeat(condition, len(numbers), axis=0)
         for row, number in zip(condition, numbers, strict=True):
-            row[:, first_column + _random_style(model, seed, item, number)] = 1
-        return [_expert(first, model, condition, np.ones(1))]
-    weights = style_weights(model.styles, style, request.n_frames, request.fps)
+            row[:, first + _random_style(model, request, number)] = 1
+        return [_expert(request, model, condition, np.ones(1))]
     experts = []
+    weights = style_weights(model.styles, style, request.n_frames, request.fps)
     for k, weight in enumerate(weights.T):
         if np.abs(weight).max() > 0:
             styled = condition.copy()
-            styled[:, first_column + k] = 1
-            is_constant = bool((weight == weight[0]).all())
-            weight = weight[:1] if is_constant else weight
-            experts.append(_expert(first, model, styled, weight))
+            styled[..., first + k] = 1
+            weight = weight[:1] if (weight == weight[0]).all() else weight
+            experts.append(_expert(request, model, styled, weight))
     return experts
 
 
-def _random_style(model: TrainedModel, seed: int, item: str, number: int) -> int:
-    """Return the random style of the sample of an item with this number."""
-    rng = rng_for(seed, item, "sample", number, "style")
+def _random_style(model: TrainedModel, request: Request, number: int) -> int:
+    """Return the random style of the sample with this number."""
+    rng = rng_for(request.seed, request.item, "sample", number, "style")
     return int(torch.randint(len(model.styles), (), generator=rng))
 
 
-def _states(
-    members: Sequence[Member], request: Request, seed: int, item: str, numbers: Sequence[int]
-) -> list[np.ndarray] | None:
+def _states(request: Request, numbers: Sequence[int]) -> list[np.ndarray] | None:
     """Return the state of movement (C, T) of each sample, for all experts; None without any.
 
     It is drawn for the first model with a state, in its style.
     """
     if request.state is not None:
         return [request.state] * len(numbers)
-    member = next((m for m in members if m.model.state_process is not None), None)
+    member = next((m for m in request.members if m.model.state_process is not None), None)
     if member is None:
         return None
     (model, _, name), controls, style = member, request.controls, None
-    assert model.state_process is not None
     if model.styles and name is not None:
         weights = style_weights(model.styles, name, request.n_frames, request.fps)
         style = int(weights.sum(axis=0).argmax())
     speech = request.condition(model.conditions)[:, model.conditions.columns["speech"]].T
-    mood_seed = seed if controls["mood_seed"] is None else int(controls["mood_seed"])
+    seed = request.seed if controls["mood_seed"] is None else int(controls["mood_seed"])
     states = []
     for number in numbers:
-        of_sample = style
+        own_style = style
         if style is None and model.styles:
-            of_sample = _random_style(model, seed, item, number)
+            own_style = _random_style(model, request, number)
         states.append(
             model.state_process.draw(
-                rng_for(mood_seed, item, "sample", number, "mood").initial_seed() >> 1,
+                rng_for(seed, request.item, "sample", number, "mood").initial_seed() >> 1,
                 speech,
-                (controls["speaker"], of_sample),
+                (controls["speaker"], own_style),
                 liveliness=controls["liveliness"],
             )
         )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -105,41 +105,46 @@ def _check_guidance(first: TrainedModel, controls: DiffusionControls) -> None:
 
 
 def _check_compatible(first: TrainedModel, other: Any, who: str) -> None:
-    """Raise ModelError if the numbers of the motion vectors of two models differ in meaning."""
+    """Raise ModelError if two models cannot be combined."""
+    if reason := next(_differences(first, other), None):
+        raise ModelError(f"{who}: {reason}")
+
+
+def _differences(first: TrainedModel, other: Any) -> Iterator[str]:
+    """Yield reasons for which the motion vectors or noise of two models differ in meaning."""
     kind = getattr(other, "kind", type(other).__name__)
     if kind != first.kind:
-        raise ModelError(f"{who}: a {kind} model; only diffusion models can be combined")
+        yield f"a {kind} model; only diffusion models can be combined"
     if other.device != first.device:
-        raise ModelError(
-            f"{who}: is on {other.device}, this model on {first.device}; load both on one device"
-        )
+        yield f"is on {other.device}, this model on {first.device}; load both on one device"
     if other.fps != first.fps:
-        raise ModelError(f"{who}: moves at {other.fps:g} fps, this model at {first.fps:g}")
+        yield f"moves at {other.fps:g} fps, this model at {first.fps:g}"
     theirs, ours = other.representation, first.representation
     if different := first_difference(other.skeleton, first.skeleton):
-        raise ModelError(f"{who}: another rig: {different}")
+        yield f"another rig: {different}"
     if theirs.joints != ours.joints:
-        raise ModelError(
-            f"{who}: its {len(theirs.joints)} joints are not the {len(ours.joints)} of this model; "
+        yield (
+            f"its {len(theirs.joints)} joints are not the {len(ours.joints)} of this model; "
             "experts of a product need the same joints"
         )
     if theirs.makes_root != ours.makes_root:
-        raise ModelError(f"{who}: only one of the two follows a path")
+        yield "only one of the two follows a path"
     advice = "train one with moves_like: the other, so that both use the same motion vectors"
     if not math.isclose(theirs.scale, ours.scale, rel_tol=_SCALE_TOLERANCE):
-        raise ModelError(f"{who}: its lengths are relative to another body size; {advice}")
-    if not all(
-        np.allclose(getattr(theirs, name), getattr(ours, name), atol=1e-6)
-        for name in ("references", "side")
-    ):
-        raise ModelError(f"{who}: its rotations are relative to other mean rotations; {advice}")
+        yield f"its lengths are relative to another body size; {advice}"
+    pairs = (theirs.references, ours.references), (theirs.side, ours.side)
+    if not all(np.allclose(*pair, atol=1e-6) for pair in pairs):
+        yield f"its rotations are relative to other mean rotations; {advice}"
     ratio = other.normaliser.scale / first.normaliser.scale
     worst = float(ratio[(ratio.log().abs()).argmax()])
     if not abs(worst - 1) <= _SCALE_TOLERANCE:
-        raise ModelError(
-            f"{who}: its motion is normalised with another scale (by up to a factor of "
-            f"{worst:.3g}); {advice}"
-        )
+        yield f"its motion has another scale (by up to a factor of {worst:.3g}); {advice}"
+    betas = [
+        f"{noise.steps} steps, beta {noise.first_beta:g} to {noise.last_beta:g}"
+        for noise in (first.noise_config, other.noise_config)
+    ]
+    if betas[0] != betas[1]:
+        yield f"its noise schedule has {betas[1]}, that of this model {betas[0]}"
 
 
 _TERM = re.compile(
@@ -182,7 +187,7 @@ def style_weights(names: Sequence[str], wanted: str, n_frames: int, fps: float) 
     if "" in spans:
         return np.repeat(mixtures, n_frames, axis=0)
     labels = [str(k) for k in range(len(spans))]
-    asked = ",".join(f"{label}@{span}" for label, span in zip(labels, spans, strict=True))
+    asked = ",".join(f"{k}@{span}" for k, span in enumerate(spans))
     return style_track(labels, asked, n_frames, fps).astype(np.float64) @ mixtures
 
 
@@ -223,29 +228,25 @@ def weight_track(text: str, n_frames: int, fps: float) -> np.ndarray:
     Raises:
         ModelError: a text that cannot be read, or a span that ends before it begins.
     """
-    values, spans = [], []
-    for span in text.split(","):
-        match = _SPAN.fullmatch(span.strip())
+    spans = []
+    for span in map(str.strip, text.split(",")):
+        match = _SPAN.fullmatch(span)
         if match is None:
-            raise ModelError(
-                f"weight {span.strip()!r}: weights over time look like 0.2@0-10,0.8@10-20"
-            )
+            raise ModelError(f"weight {span!r}: weights over time look like 0.2@0-10,0.8@10-20")
         if float(match["end"]) <= float(match["start"]):
-            raise ModelError(f"weight {span.strip()!r}: the span ends before it begins")
-        values.append(float(match["weight"]))
-        spans.append((match["start"], match["end"]))
+            raise ModelError(f"weight {span!r}: the span ends before it begins")
+        spans.append((float(match["weight"]), match["start"], match["end"]))
     reached = 0.0
-    for start, end in sorted(spans, key=lambda pair: float(pair[0])):
+    for _, start, end in sorted(spans, key=lambda span: float(span[1])):
         if float(start) > reached:
-            values.append(0.0)
-            spans.append((f"{reached:f}", start))
+            spans.append((0.0, f"{reached:f}", start))
         reached = max(reached, float(end))
     if n_frames / fps > reached:
-        values.append(0.0)
-        spans.append((f"{reached:f}", f"{reached + n_frames / fps:f}"))
+        spans.append((0.0, f"{reached:f}", f"{reached + n_frames / fps:f}"))
     names = [str(k) for k in range(len(spans))]
-    asked = ",".join(f"{k}@{start}-{end}" for k, (start, end) in zip(names, spans, strict=True))
-    return style_track(names, asked, n_frames, fps).astype(np.float64) @ np.array(values)
+    asked = ",".join(f"{k}@{start}-{end}" for k, (_, start, end) in enumerate(spans))
+    weights = np.array([weight for weight, _, _ in spans])
+    return style_track(names, asked, n_frames, fps).astype(np.float64) @ weights
 
 
 def weights_over_time(given: Sequence[ExpertWeight], n_frames: int, fps: float) -> list[np.ndarray]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -27,7 +26,6 @@ from gesturekit.diffusion.noise_schedule import MAX_DEVIATION, last_step_with_si
 from gesturekit.diffusion.sampling.members import Member
 from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError
-from gesturekit.formats.tables.events import Event
 from gesturekit.formats.tables.root_path import as_root_path
 from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.motion import Motion
@@ -37,15 +35,21 @@ from gesturekit.state.given import given_state
 from gesturekit.training.data.own_rig import on_rig, pose_on_rig
 
 
-@dataclass(frozen=True, eq=False)
 class Request:
-    """Everything that one motion is generated from, except its style.
+    """Everything that motions are generated from: inputs are read, and the length is settled.
+
+    Args:
+        members: of the product; the first is the model that generates.
+        controls: checked (see `check_controls`).
+        speech: see `DiffusionModel.generate`.
+        seconds: length without speech, or None.
+        seed: with `item` and the number of a sample, it decides all random numbers.
+        item: name of the utterance.
 
     Attributes:
-        controls: the controls of `generate`, checked.
+        model: the first of the members.
         n_frames: T.
         fps: frames per second.
-        seconds: length without speech, or None.
         start: normalised motion (T, X) and the step up to which it is noised, from which sampling
             starts; None for pure noise.
         place: x and z in metres and heading in radians of the first frame, without a path.
@@ -53,91 +57,60 @@ class Request:
             start from; None to draw it.
         wave: the sound; None for silence.
         path: the smoothed path of the root, T frames at `fps`; None for a model without one.
-        scale: metres of the path per metre of the reference body, see `ModelJoints.scale`.
         events: in order of time; None for no events.
         features: (T, S) speech features of each conditioner.
         placement: where and how the motion begins and ends.
+
+    Raises:
+        ModelError: an input that none of the models has, a missing path, or no length.
+        AudioError, FormatError: a file that cannot be read.
     """
 
-    controls: DiffusionControls
-    n_frames: int
-    fps: float
-    seconds: float | None
-    start: tuple[Tensor, int] | None
-    place: tuple[float, float, float]
-    state: np.ndarray | None
-    wave: af.Wave | None
-    path: RootPath | None
-    scale: float
-    events: tuple[Event, ...] | None
-    features: dict[SpeechConditioner, np.ndarray]
-    placement: Placement
-
-    @classmethod
-    def build(
-        cls,
+    def __init__(
+        self,
         members: Sequence[Member],
         controls: DiffusionControls,
         speech: str | Path | af.Wave | None,
         seconds: float | None,
-    ) -> Request:
-        """Read the inputs, settle the length and extract speech features.
-
-        Args:
-            members: of the product; the first is the model that generates.
-            controls: checked (see `check_controls`).
-            speech: see `DiffusionModel.generate`.
-            seconds: length without speech.
-
-        Raises:
-            ModelError: an input that none of the models has, a missing path, or no length.
-            AudioError, FormatError: a file that cannot be read.
-        """
-        model, path, begin = members[0].model, controls["path"], None
-        fps, events = model.fps, controls["events"]
+        seed: int,
+        item: str,
+    ) -> None:
+        self.members, self.controls, self.seconds = members, controls, seconds
+        self.seed, self.item = seed, item
+        self.model = model = members[0].model
+        self.fps = fps = model.fps
+        path, begin, events = controls["path"], None, controls["events"]
         if controls["like"] is not None:
-            begin = SDEditStart.build(model, controls["like"])
+            begin = SDEditStart(model, controls["like"])
             if model.conditions.path and path is None:
                 path = begin.path
             if speech is None and seconds is None and path is None:
-                seconds = begin.motion.duration
-        followed, length = _followed(model, path), seconds
-        if speech is None and seconds is None and followed is not None:
+                self.seconds = begin.motion.duration
+        followed, length = _followed(model, path), self.seconds
+        if speech is None and length is None and followed is not None:
             length = followed.frames_within(fps) / fps
         conditioners = _conditioners(members, controls)
-        sound, wave = speech, None
+        sound, self.wave = speech, None
         if speech is not None and (conditioners or wants_beats(events)):
-            sound = wave = speech if isinstance(speech, af.Wave) else af.Wave.load(speech)
-        if not conditioners and wave is not None and length is None:
+            sound = self.wave = speech if isinstance(speech, af.Wave) else af.Wave.load(speech)
+        if not conditioners and self.wave is not None and length is None:
             # No model has speech input, but the beats of the sound are the times of events.
-            sound, length = None, wave.n_frames(fps) / fps
+            sound, length = None, self.wave.n_frames(fps) / fps
         first, vad = next(iter(conditioners), None), controls["vad"]
-        speech_values = speech_features(first, sound, length, fps, vad)
-        n_frames = len(speech_values)
-        features = {} if first is None else {first: speech_values}
+        values = speech_features(first, sound, length, fps, vad)
+        self.n_frames = n_frames = len(values)
+        self.features = {} if first is None else {first: values}
         for other in conditioners[1:]:
-            values = other.silence(n_frames) if wave is None else other(wave, n_frames, vad)
-            features[other] = values
-        start = None if begin is None else begin.noised(n_frames, controls["change"])
-        return cls(
-            controls=controls,
-            n_frames=n_frames,
-            fps=fps,
-            seconds=seconds,
-            start=start,
-            place=(0.0, 0.0, 0.0) if begin is None else begin.place,
-            state=_known_state(members, controls, start, n_frames),
-            wave=wave,
-            path=None if followed is None else smooth_path(followed, fps, n_frames),
-            scale=model.representation.scale,
-            events=None if events is None else asked_events(events, wave),
-            features=features,
-            placement=Placement.of(
-                controls,
-                partial(pose_on_rig, model.representation),
-                on_path=model.conditions.path,
-            ),
-        )
+            silent = self.wave is None
+            values = other.silence(n_frames) if silent else other(self.wave, n_frames, vad)
+            self.features[other] = values
+        self.start = None if begin is None else begin.noised(n_frames, controls["change"])
+        self.place = (0.0, 0.0, 0.0) if begin is None else begin.place
+        self.state = _known_state(members, controls, self.start, n_frames)
+        self.path = None if followed is None else smooth_path(followed, fps, n_frames)
+        self.events = None if events is None else asked_events(events, self.wave)
+        read_pose = partial(pose_on_rig, model.representation)
+        self.placement = Placement.of(controls, read_pose, on_path=model.conditions.path)
 
     def condition(self, conditions: Conditions) -> np.ndarray:
         """Return a model's condition (T, C) float32, with its style and state left at zero."""
@@ -147,7 +120,7 @@ class Request:
         if self.events is not None:
             events = [event for event in self.events if event.name in conditions.events]
         if conditions.path and self.path is not None:
-            path = self.path.scaled(1 / self.scale)
+            path = self.path.scaled(1 / self.model.representation.scale)
         return conditions.encode(self.n_frames, self.fps, speech=speech, path=path, events=events)
 
 
@@ -214,41 +187,32 @@ def check_events(events: str | Path, models: Sequence[Conditions]) -> None:
         check_event(event, known)
 
 
-@dataclass(frozen=True, eq=False)
 class SDEditStart:
     """Motion from which sampling starts instead of from pure noise (SDEdit, Meng et al. 2022).
 
     The motion is noised up to some step of the schedule and denoised from there. Structure coarser
     than the noise is kept.
 
-    Attributes:
+    Args:
         model: the model that continues from it.
+        like: a motion of any human rig, or its file.
+
+    Attributes:
         motion: on the model's rig, at its frame rate.
         lift: metres that the motion must be raised to stand on the model's floor.
+
+    Raises:
+        ModelError: the motion cannot be put on the rig.
+        FormatError: a file that cannot be read.
     """
 
-    model: TrainedModel
-    motion: Motion
-    lift: float
-
-    @classmethod
-    def build(cls, model: TrainedModel, like: str | Path | Motion) -> SDEditStart:
-        """Put a motion on the model's rig.
-
-        Args:
-            model: the model that continues from it.
-            like: a motion of any human rig, or its file.
-
-        Raises:
-            ModelError: the motion cannot be put on the rig.
-            FormatError: a file that cannot be read.
-        """
+    def __init__(self, model: TrainedModel, like: str | Path | Motion) -> None:
         given = like if isinstance(like, Motion) else Motion.load(like)
-        motion, lift = on_rig(model.representation, given), 0.0
+        motion = on_rig(model.representation, given)
+        self.model, self.motion, self.lift = model, motion.resample(model.fps), 0.0
         if motion is not given:
             # The floor of a foreign file is unknown; that of this rig is known.
-            lift = _floor_of_model(model) - floor_height(motion)
-        return cls(model, motion.resample(model.fps), lift)
+            self.lift = _floor_of_model(model) - floor_height(motion)
 
     @property
     def path(self) -> RootPath:

@@ -7,8 +7,9 @@ continue from the same noisy motion, so there are no seams.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -61,19 +62,9 @@ def check_controls(model: TrainedModel, controls: DiffusionControls, samples: in
     return members
 
 
-def sampled_motions(
-    members: Sequence[Member], request: Request, seed: int, item: str, samples: int
-) -> list[Motion]:
-    """Generate the samples of an item with the numbers 0 to `samples` - 1.
-
-    Args:
-        members: models whose predictions are combined; the first is that of the request.
-        request: the request.
-        seed: with `item` and the number of a sample, it decides all random numbers.
-        item: name of the utterance.
-        samples: number of motions.
-    """
-    model, controls, motions = members[0].model, request.controls, []
+def sampled_motions(request: Request, samples: int) -> list[Motion]:
+    """Generate the samples of a request with the numbers 0 to `samples` - 1."""
+    model, controls, motions = request.model, request.controls, []
     smooth = model.smooth if controls["smooth"] is None else controls["smooth"]
     clip = model.clip_denoised if controls["clip_denoised"] is None else controls["clip_denoised"]
     steps, last = controls["steps"], None if request.start is None else request.start[1]
@@ -87,20 +78,19 @@ def sampled_motions(
     batches = [range(k, min(k + size, samples)) for k in range(0, samples, size)]
     with Progress(total=len(batches) * visited, desc="Denoising", unit="step") as progress:
         for numbers in batches:
-            experts = product(experts_of(members, request, seed, item, numbers))
+            experts = product(experts_of(request, numbers))
             predict = tiled(experts, request.n_frames, model.window)
             predict = clip_denoised(predict, model.schedule) if clip else predict
-            shape = (request.n_frames, model.network.n_motion)
             vectors = sample(
                 _counted(predict, progress),
-                _noise(seed, item, numbers, shape, model.device),
+                partial(_noise, request, numbers),
                 model.schedule,
                 solver=solver,
                 steps=steps,
                 start=request.start,
             )
             for vector in vectors.cpu():
-                motion = _decoded(model, request, vector)
+                motion = _decoded(request, vector)
                 motion = smooth_motion(motion, smooth) if smooth else motion
                 if controls["foot_lock"]:
                     motion = lock_feet(motion, keep_path=request.path is not None)
@@ -108,9 +98,9 @@ def sampled_motions(
     return motions
 
 
-def _decoded(model: TrainedModel, request: Request, vector: Tensor) -> Motion:
+def _decoded(request: Request, vector: Tensor) -> Motion:
     """Return the motion of a normalised motion vector (T, X)."""
-    speaker = request.controls["speaker"]
+    model, speaker = request.model, request.controls["speaker"]
     values = model.normaliser.inverse(vector).double().numpy()
     if not np.isfinite(values).all():
         raise ModelError("the model gave NaN; its weights are damaged or its training diverged")
@@ -139,16 +129,12 @@ def _counted(predict: Predict, progress: Progress) -> Predict:
     return counted
 
 
-def _noise(
-    seed: int, item: str, numbers: Sequence[int], shape: tuple[int, int], device: torch.device
-) -> Callable[[int], Tensor]:
-    """Return the noise (B, T, X) of each step, from (seed, item, sample, step), on the CPU."""
-
-    def noise_at(step: int) -> Tensor:
-        rngs = (rng_for(seed, item, "sample", number, "noise", step) for number in numbers)
-        return torch.stack([torch.randn(shape, generator=rng) for rng in rngs]).to(device)
-
-    return noise_at
+def _noise(request: Request, numbers: Sequence[int], step: int) -> Tensor:
+    """Return the noise (B, T, X) of a step, from (seed, item, sample, step), on the CPU."""
+    seed, item, model = request.seed, request.item, request.model
+    rngs = (rng_for(seed, item, "sample", number, "noise", step) for number in numbers)
+    shape = (request.n_frames, model.network.n_motion)
+    return torch.stack([torch.randn(shape, generator=rng) for rng in rngs]).to(model.device)
 
 
 @dataclass(frozen=True, eq=False)

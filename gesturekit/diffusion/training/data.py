@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from functools import cache
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,13 +16,12 @@ from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser, measured_state
 from gesturekit.diffusion.trained_model import learnt_tensors, read_learnt
-from gesturekit.diffusion.training.augmentation import Rows
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.state.format import state_values
 from gesturekit.state.process import StateProcess
-from gesturekit.training.data.arrays import ArrayFolder, Frames
+from gesturekit.training.data.arrays import ArrayFolder, Frames, StoredArray
 from gesturekit.training.data.data_folder import load_data, save_data
 from gesturekit.training.data.features import stored_speech
 from gesturekit.training.data.sources import TrainedSegment, from_values, to_values
@@ -30,24 +29,9 @@ from gesturekit.training.data.start_model import read_start, start_tensors
 from gesturekit.training.model_folder import read_speakers, rig_values
 
 
-class VariantArray(Protocol):
-    """Array (N, X + W) of a recording, as `VariantArrays` makes it, in memory or on disk."""
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """N and X + W."""
-
-    @property
-    def facts(self) -> Mapping[str, Any]:
-        """Facts of the recording and its variants."""
-
-    def rows(self, start: int, stop: int) -> np.ndarray:
-        """Read frames `start` to `stop`, (stop - start, X + W)."""
-
-
 @dataclass(frozen=True, eq=False)
 class ArrayInMemory:
-    """A `VariantArray` in memory."""
+    """Array (N, X + W) of a recording, as `VariantArrays` makes it, in memory."""
 
     values: np.ndarray
     facts: Mapping[str, Any]
@@ -62,24 +46,49 @@ class ArrayInMemory:
         return self.values[start:stop]
 
 
+VariantArray = ArrayInMemory | StoredArray
+
+
 @dataclass(frozen=True, eq=False)
 class StoredRows:
     """Frames (T, D) of a recording, of which `[start:stop]` reads some.
 
     Attributes:
+        array: of the recording and its variants.
+        first: its first row that belongs to them.
         n_frames: T.
-        read: returns frames `start` to `stop`, (stop - start, D) float32.
+        columns: of the array.
+        n_speech: number of speech features before these columns.
+        speech: (n_speech, T) the features; None for zeros.
+        state: returns the state of movement (T, C) that follows; None for none.
     """
 
+    array: VariantArray
+    first: int
     n_frames: int
-    read: Callable[[int, int], np.ndarray]
+    columns: slice
+    n_speech: int = 0
+    speech: Frames | None = None
+    state: Callable[[], np.ndarray] | None = None
 
     def __len__(self) -> int:
         return self.n_frames
 
     def __getitem__(self, frames: slice) -> np.ndarray:
         start, stop, _ = frames.indices(self.n_frames)
-        return self.read(start, stop)
+        parts = []
+        if self.speech is not None:
+            parts.append(self.speech[:, start:stop].numpy().T)
+        elif self.n_speech:
+            parts.append(np.zeros((stop - start, self.n_speech), np.float32))
+        if not parts or self.columns.start < self.array.shape[1]:
+            parts.append(self.array.rows(self.first + start, self.first + stop)[:, self.columns])
+        if self.state is not None:
+            parts.append(self.state()[start:stop])
+        return np.ascontiguousarray(np.concatenate(parts, axis=1))
+
+
+Rows = np.ndarray | StoredRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,41 +141,6 @@ class Variant:
     first: int
     n_frames: int
 
-    def sequence(
-        self, width: int, n_speech: int, speech: Frames | None, *, is_paired: bool
-    ) -> TrainingSequence:
-        """Return the variant as training data; its frames are not read yet.
-
-        Args:
-            width: X, of a motion vector.
-            n_speech: S, of speech features.
-            speech: (S, T) of its phase; None for zeros.
-            is_paired: False for unpaired motion.
-        """
-        n_frames = self.n_frames if speech is None else min(self.n_frames, speech.shape[1])
-
-        def rows(start: int, stop: int) -> np.ndarray:
-            return self.array.rows(self.first + start, self.first + stop)
-
-        def motion(start: int, stop: int) -> np.ndarray:
-            return np.ascontiguousarray(rows(start, stop)[:, :width])
-
-        def condition(start: int, stop: int) -> np.ndarray:
-            features = np.zeros((stop - start, n_speech), np.float32)
-            if speech is not None:
-                features = speech[:, start:stop].numpy().T
-            if self.array.shape[1] == width:  # nothing else to read
-                return np.ascontiguousarray(features)
-            return np.concatenate([features, rows(start, stop)[:, width:]], axis=1)
-
-        name = self.array.facts["id"] + (f" (phase {self.phase + 1})" if self.phase else "")
-        return TrainingSequence(
-            f"{name} (mirrored)" if self.mirrored else name,
-            StoredRows(n_frames, motion),
-            StoredRows(n_frames, condition),
-            is_paired,
-        )
-
 
 def variants_of(arrays: Sequence[VariantArray]) -> list[Variant]:
     """Return the variants of recordings in the order of training data, mirrored copies last."""
@@ -198,52 +172,40 @@ def sequences_of(
     """
     phases = ((own.which, own.phase) for own in variants if not own.mirrored)
     speech_of = dict(zip(phases, speech, strict=False))
-    n_speech = conditions.columns["speech"].stop
-    return tuple(
-        variant.sequence(
-            width,
-            n_speech,
-            speech_of.get((variant.which, variant.phase)),
-            is_paired=variant.which < n_paired,
-        )
-        for variant in variants
-    )
+    n_speech, sequences = conditions.columns["speech"].stop, []
+    for variant in variants:
+        features, n_frames = speech_of.get((variant.which, variant.phase)), variant.n_frames
+        n_frames = n_frames if features is None else min(n_frames, features.shape[1])
+        rows = partial(StoredRows, variant.array, variant.first, n_frames)
+        name = variant.array.facts["id"]
+        name += f" (phase {variant.phase + 1})" if variant.phase else ""
+        name += " (mirrored)" if variant.mirrored else ""
+        motion, condition = rows(slice(0, width)), rows(slice(width, None), n_speech, features)
+        sequences.append(TrainingSequence(name, motion, condition, variant.which < n_paired))
+    return tuple(sequences)
 
 
-@dataclass(frozen=True)
-class StoredCorpus:
-    """Names of the arrays of a corpus in their folder.
+def stored_sequences(
+    names: Mapping[str, Sequence[str]], config: DiffusionConfig, conditions: Conditions, width: int
+) -> tuple[TrainingSequence, ...]:
+    """Return all recordings on disk and their variants; their frames are not read yet.
 
-    Attributes:
-        motion: of the recordings, made by `VariantArrays`.
-        speech: of their phases, made by `SpeechArrays`; empty without speech input.
-        unpaired: of recordings without speech.
+    Args:
+        names: see `TrainingData.stored`.
+        config: of the run.
+        conditions: the layout of conditions.
+        width: X, of a motion vector.
+
+    Raises:
+        ConfigError: an array is missing or not whole.
     """
-
-    motion: Sequence[str]
-    speech: Sequence[str]
-    unpaired: Sequence[str]
-
-    def sequences(
-        self, config: DiffusionConfig, conditions: Conditions, width: int
-    ) -> tuple[TrainingSequence, ...]:
-        """Return all recordings and their variants; their frames are not read yet.
-
-        Args:
-            config: of the run.
-            conditions: the layout of conditions.
-            width: X, of a motion vector.
-
-        Raises:
-            ConfigError: an array is missing or not whole.
-        """
-        folder, speech = ArrayFolder(config.arrays_folder), []
-        variants = variants_of(folder.find_all((*self.motion, *self.unpaired)))
-        if conditions.conditioner is not None:
-            lengths = [own.n_frames for own in variants if not own.mirrored]
-            arrays = folder.find_all(self.speech)
-            speech = stored_speech(arrays, conditions.conditioner, lengths[: len(arrays)])
-        return sequences_of(variants, speech, conditions, width, len(self.motion))
+    folder, speech = ArrayFolder(config.arrays_folder), []
+    variants = variants_of(folder.find_all((*names["motion"], *names["unpaired"])))
+    if conditions.conditioner is not None:
+        lengths = [variant.n_frames for variant in variants if not variant.mirrored]
+        arrays = folder.find_all(names["speech"])
+        speech = stored_speech(arrays, conditions.conditioner, lengths[: len(arrays)])
+    return sequences_of(variants, speech, conditions, width, len(names["motion"]))
 
 
 def motion_of(
@@ -267,7 +229,6 @@ def with_state(
 
     The state of a recording on disk is measured when it is first used, and kept in memory.
     """
-    condition = recording.condition
 
     @cache
     def state() -> np.ndarray:
@@ -275,11 +236,10 @@ def with_state(
         values = measured_state(motion, representation, process.channels, process.fps)
         return process.given(values).T.astype(np.float32)
 
-    def read(start: int, stop: int) -> np.ndarray:
-        return np.concatenate([condition[start:stop], state()[start:stop]], axis=1)
-
-    stated = replace(recording, condition=StoredRows(recording.n_frames, read))
-    return stated.in_memory() if isinstance(condition, np.ndarray) else stated
+    condition = recording.condition
+    if isinstance(condition, StoredRows):
+        return replace(recording, condition=replace(condition, state=state))
+    return replace(recording, condition=np.concatenate([condition, state()], axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,7 +257,8 @@ class TrainingData:
         recorded_fps: the most common frame rate of the recordings.
         start: weights of the network to start from, by name; empty for random ones.
         sampled: parts of `recordings` from which statistics are computed; None for all of them.
-        stored: of recordings on disk, what `load` finds them by.
+        stored: of recordings on disk, the names of their arrays of "motion", of the "speech" of
+            their phases, and of "unpaired" motion; None in memory.
         state_process: of the state of movement; None without it.
     """
 
@@ -311,7 +272,7 @@ class TrainingData:
     sources: tuple[TrainedSegment, ...]
     start: Mapping[str, Tensor] = field(default_factory=dict)
     sampled: tuple[Cut, ...] | None = None
-    stored: StoredCorpus | None = None
+    stored: Mapping[str, Sequence[str]] | None = None
     state_process: StateProcess | None = None
 
     @property
@@ -352,7 +313,7 @@ class TrainingData:
             "names": [recording.name for recording in in_memory],
             "is_paired": [recording.is_paired for recording in in_memory],
             "sampled": self.sampled,
-            "stored": None if self.stored is None else asdict(self.stored),
+            "stored": self.stored,
             "seconds": list(self.seconds),
             "sources": to_values(self.sources),
             "recorded_fps": self.recorded_fps,
@@ -373,12 +334,11 @@ class TrainingData:
         weights = None if config.features is None else config.features.encoder_places
 
         def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
-            learnt = read_learnt(
-                about, about["conditions"], about["state"], tensors, config.fps, weights, device
-            )
+            values = {**about, **about["conditions"]}
+            learnt = read_learnt(values, tensors, config.fps, weights, device)
             representation, process = learnt["representation"], learnt["state_process"]
-            stored, sampled = None, None
-            if about["stored"] is None:
+            stored, sampled = about["stored"], None
+            if stored is None:
                 recordings = tuple(
                     TrainingSequence(
                         name,
@@ -389,10 +349,9 @@ class TrainingData:
                     for i, name in enumerate(about["names"])
                 )
             else:
-                stored = StoredCorpus(**about["stored"])
                 sampled = tuple((i, start, stop) for i, start, stop in about["sampled"])
                 width = representation.n_features
-                recordings = stored.sequences(config, learnt["conditions"], width)
+                recordings = stored_sequences(stored, config, learnt["conditions"], width)
                 if process is not None:
                     recordings = tuple(with_state(r, process, representation) for r in recordings)
             paired, unpaired = about["seconds"]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
 
-from gesturekit.corpus.item import Item
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import DiffusionConfig
@@ -17,9 +16,9 @@ from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser, 
 from gesturekit.diffusion.training.data import (
     ArrayInMemory,
     Cut,
-    StoredCorpus,
     TrainingData,
     TrainingSequence,
+    Variant,
     VariantArray,
     motion_of,
     sequences_of,
@@ -28,24 +27,23 @@ from gesturekit.diffusion.training.data import (
 )
 from gesturekit.diffusion.training.recordings import (
     Corpus,
-    Recording,
     VariantArrays,
     phase_item,
     read_corpus,
 )
 from gesturekit.errors import ConfigError
-from gesturekit.motion.motion import Motion
 from gesturekit.state.channels import StateChannels
 from gesturekit.state.process import RecordedState, StateProcess
 from gesturekit.training.config import to_dict
-from gesturekit.training.data.arrays import Frames, Maker, StoredArray, stored_arrays
-from gesturekit.training.data.excerpts import Excerpt, systematic_sample
+from gesturekit.training.data.arrays import Frames, StoredArray, stored_arrays
+from gesturekit.training.data.excerpts import Excerpt
 from gesturekit.training.data.features import (
     SpeechArrays,
     extract_features,
     feature_values,
     fit_conditioner,
     raw_speech,
+    stored_speech,
 )
 from gesturekit.training.data.start_model import (
     check_conditions,
@@ -58,80 +56,75 @@ _STEP_FLOORS = np.array([0.03, 0.015, 0.015])
 """Least scale of turn, forward and lateral displacement: radians and metres per second."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Read:
-    """Recordings and conditions of a run.
-
-    `clips` are those to which the state of movement is fitted; other fields as in `TrainingData`.
-    """
-
-    recordings: tuple[TrainingSequence, ...]
-    conditions: Conditions
-    seconds: tuple[float, float]
-    rates: Sequence[float]
-    clips: Sequence[tuple[Item, Cut]]
-    sampled: tuple[Cut, ...] | None = None
-    stored: StoredCorpus | None = None
-
-
 def load_training_data(
     config: DiffusionConfig, device: str = "cpu", *, trial: bool = False
 ) -> TrainingData:
     """Read the corpus of a run, or in a trial an excerpt of it; extract features on a device, and
-    normalise.
+    normalise. The data of a long corpus stay on disk, and statistics are those of a sample.
 
     Raises:
         CorpusError: no training item with what the run needs, rigs that differ, or a file that
             cannot be read.
-        ConfigError: a model in `start_from` with other conditions, or one in `start_from` or
-            `moves_like` with another rig.
-        ModelError: such a model cannot be read.
+        ConfigError, ModelError: see `_known_model`.
     """
     # First, so that wrong settings fail before anything is read.
-    speech = None
-    if config.features is not None:
-        speech = SpeechArrays.open(config.features, config.fps, device)
+    features, fps = config.features, config.fps
+    speech = None if features is None else SpeechArrays.open(features, fps, device)
     like = _known_model(config)
     start = None if config.start_from is None else like
     corpus = read_corpus(config, speech=speech is not None, trial=trial)
     conditions = _conditions(config, corpus, speech, start)
-    motions = [motion for _, motion in corpus.phases]
-    if like is None:
-        representation = DeltaRepresentation.fit(motions, config.joints, root=not config.path)
+    representation = _representation(config, corpus, like)
+    conditions, *makers = _makers(config, corpus, conditions, representation)
+    motion, unpaired = _encoded(corpus, *makers)
+    spoken, frames = [], []
+    if speech is not None:
+        fitted = conditions.conditioner
+        fitted, frames, spoken = _speech(config, corpus, motion, speech, fitted)
+        conditions = replace(conditions, conditioner=fitted)
+    variants, width = variants_of([*motion, *unpaired]), representation.n_features
+    recordings = sequences_of(variants, frames, conditions, width, len(motion))
+    sampled = stored = None
+    if corpus.is_in_memory:
+        recordings = tuple(recording.in_memory() for recording in recordings)
     else:
-        representation = _same_rig(like, motions, config)
-    rig = corpus.recordings.rig(config, config.parts)
-    paired = VariantArrays(config, rig, representation, replace(conditions, conditioner=None))
-    read_all = _in_memory if corpus.recordings.excerpts is None else _on_disk
-    read = read_all(corpus, paired, conditions, speech, start is None)
-    if like is None:
-        motion = motion_of(read.recordings, read.sampled)
-        normaliser = Normaliser.fit(motion, _floors(representation, config.fps))
-    else:
-        normaliser = like.normaliser
-    recordings, conditions, process = read.recordings, read.conditions, None
+        sampled = _sampled(corpus, variants, recordings, fps)
+        kinds = {"motion": motion, "speech": spoken, "unpaired": unpaired}
+        stored = {kind: [array.path.stem for array in arrays] for kind, arrays in kinds.items()}
+    normaliser = None if like is None else like.normaliser
+    if normaliser is None:
+        floors = _floors(representation, fps)
+        normaliser = Normaliser.fit(motion_of(recordings, sampled), floors)
+    process = None
     if config.state:
-        process = _fit_state(recordings, read.clips, conditions, representation, config.fps)
+        about = variants, recordings, sampled, conditions, representation
+        process = _fit_state(config, corpus, *about)
         recordings = tuple(with_state(r, process, representation) for r in recordings)
         conditions = replace(conditions, state=process.channels)
+    seconds = (sum((a.facts["seconds"] for a in arrays), 0.0) for arrays in (motion, unpaired))
     return TrainingData(
         recordings=recordings,
-        seconds=corpus.recordings.lengths if trial else read.seconds,
+        seconds=corpus.recordings.lengths if trial else tuple(seconds),
         representation=representation,
         conditions=conditions,
         normaliser=normaliser,
         state_process=process,
         speakers=corpus.recordings.speakers,
-        sources=corpus.recordings.sources(read.rates),
+        sources=corpus.recordings.sources([array.facts["fps"] for array in motion]),
         recorded_fps=corpus.recordings.recorded_fps,
         start={} if start is None else start.network.state_dict(),
-        sampled=read.sampled,
-        stored=read.stored,
+        sampled=sampled,
+        stored=stored,
     )
 
 
 def _known_model(config: DiffusionConfig) -> DiffusionModel | None:
-    """Load the model of `start_from` or `moves_like`, whose motion vectors this run uses."""
+    """Load the model of `start_from` or `moves_like`, whose motion vectors this run uses.
+
+    Raises:
+        ConfigError: its settings differ from those of the run.
+        ModelError: it cannot be read.
+    """
     setting = "moves_like" if config.start_from is None else "start_from"
     if (folder := getattr(config, setting)) is None:
         return None
@@ -149,14 +142,17 @@ def _known_model(config: DiffusionConfig) -> DiffusionModel | None:
     return model
 
 
-def _same_rig(
-    like: DiffusionModel, motions: Sequence[Motion], config: DiffusionConfig
+def _representation(
+    config: DiffusionConfig, corpus: Corpus, like: DiffusionModel | None
 ) -> DeltaRepresentation:
-    """Return the representation of a model, checked against the rig of the corpus.
+    """Return the representation of a model, checked against the rig of the corpus, or a new one.
 
     A model to start from gets the bones and body shape of the corpus. With `moves_like` they stay,
     because motion vectors of experts must have the same unit of length.
     """
+    motions = [motion for _, motion in corpus.phases]
+    if like is None:
+        return DeltaRepresentation.fit(motions, config.joints, root=not config.path)
     setting = "moves_like" if config.start_from is None else "start_from"
     where = getattr(config, setting)
     check_rig(setting, where, like.skeleton, motions[0].skeleton, config.corpus)
@@ -183,209 +179,140 @@ def _conditions(
     return replace(start.conditions, state=None)
 
 
-def _in_memory(
+def _makers(
+    config: DiffusionConfig,
     corpus: Corpus,
-    paired: VariantArrays,
     conditions: Conditions,
-    speech: SpeechArrays | None,
-    fits: bool,
-) -> _Read:
-    """Return all recordings and their variants in memory.
-
-    Args:
-        corpus: of the run, read whole.
-        paired: encodes its recordings.
-        conditions: see `_conditions`.
-        speech: extracts features; None without speech input.
-        fits: whether conditions are fitted to the recordings.
-    """
-    alone = replace(paired, rig=corpus.unpaired_rig)
-    unpaired = [alone.load(item) for item in corpus.recordings.unpaired]
-    conditions, paired, alone = _fit_path(corpus, unpaired, conditions, paired, alone, fits)
-    features: list[Frames] = []
-    if speech is not None:
-        conditioner, extracted = extract_features(
-            [item for item, _ in corpus.phases],
-            [motion.n_frames for _, motion in corpus.phases],
-            speech.extractor,
-            speech.fps,
-            speech.settings,
-            conditions.conditioner,
-        )
-        conditions = replace(conditions, conditioner=conditioner)
-        features = [torch.from_numpy(values.T) for values in extracted]
-    motion = [ArrayInMemory(*paired.encode(recording)) for recording in corpus.read]
-    others = [ArrayInMemory(*alone.encode(recording)) for recording in unpaired]
-    width = paired.representation.n_features
-    variants = variants_of([*motion, *others])
-    recordings = sequences_of(variants, features, conditions, width, len(motion))
-    recordings = tuple(recording.in_memory() for recording in recordings)
-    clips = [(item, (i, 0, len(recordings[i].motion))) for i, (item, _) in enumerate(corpus.phases)]
-    return _Read(
-        recordings,
-        conditions,
-        _seconds(motion, others),
-        [array.facts["fps"] for array in motion],
-        clips,
-    )
-
-
-def _on_disk(
-    corpus: Corpus,
-    paired: VariantArrays,
-    conditions: Conditions,
-    speech: SpeechArrays | None,
-    fits: bool,
-) -> _Read:
-    """Return all recordings and their variants on disk; arrays that are missing are made.
-
-    Conditions are fitted to a sample; see `_in_memory` for the arguments.
-    """
-    config, items = paired.config, corpus.recordings.items
-    others = corpus.recordings.unpaired
-    alone = replace(paired, rig=corpus.unpaired_rig)
-    excerpts = systematic_sample(others, 60 * config.in_memory)
-    unpaired = []
-    if fits and config.path:
-        unpaired = [alone.load(excerpt.of(others)) for excerpt in excerpts]
-    conditions, paired, alone = _fit_path(corpus, unpaired, conditions, paired, alone, fits)
-    wanted: list[tuple[Maker, Sequence[Item]]] = [(paired, items), (alone, others)]
-    motion, motion_alone = stored_arrays(config.arrays_folder, wanted, config.workers)
-    spoken: list[StoredArray] = []
-    sample: dict[int, list[Excerpt]] = {}
-    for excerpt in corpus.recordings.excerpts or ():
-        sample.setdefault(excerpt.index, []).append(excerpt)
-    if speech is not None:
-        pieces = [
-            phase_item(item, number, start)
-            for item, array in zip(items, motion, strict=True)
-            for number, start in enumerate(array.facts["starts"])
-        ]
-        (spoken,) = stored_arrays(config.arrays_folder, [(speech, pieces)], config.workers)
-        if conditions.conditioner is None:
-            conditioner = _fit_conditioner(speech, motion, spoken, sample)
-            conditions = replace(conditions, conditioner=conditioner)
-    for excerpt in excerpts:
-        sample.setdefault(len(items) + excerpt.index, []).append(excerpt)
-    stored = StoredCorpus(
-        *([array.path.stem for array in arrays] for arrays in (motion, spoken, motion_alone))
-    )
-    recordings = stored.sequences(config, conditions, paired.representation.n_features)
-    variants = variants_of([*motion, *motion_alone])
-    sampled = tuple(
-        (i, *excerpt.frames(config.fps, recordings[i].n_frames))
-        for i, variant in enumerate(variants)
-        # The other phases of an excerpt are almost the same motion.
-        for excerpt in sample.get(variant.which, ()) * (variant.phase == 0)
-    )
-    clips = [
-        (items[variants[cut[0]].which], cut)
-        for cut in sampled
-        if not variants[cut[0]].mirrored and variants[cut[0]].which < len(items)
-    ]
-    seconds = _seconds(motion, motion_alone)
-    return _Read(
-        recordings,
-        conditions,
-        seconds,
-        [array.facts["fps"] for array in motion],
-        clips,
-        sampled,
-        stored,
-    )
-
-
-def _fit_path(
-    corpus: Corpus,
-    unpaired: Sequence[Recording],
-    conditions: Conditions,
-    paired: VariantArrays,
-    alone: VariantArrays,
-    fits: bool,
+    representation: DeltaRepresentation,
 ) -> tuple[Conditions, VariantArrays, VariantArrays]:
-    """Fit mean and scale of the paths' displacements; return conditions and makers with them.
+    """Return the conditions, and what encodes paired and unpaired recordings.
 
-    Args:
-        corpus: with the recordings that were read.
-        unpaired: those without speech that were read.
-        conditions: see `_conditions`.
-        paired: encodes the recordings of the corpus.
-        alone: encodes unpaired motion.
-        fits: whether conditions are fitted.
+    Unless a model to start from has them, mean and scale of the paths' displacements are fitted to
+    the recordings that were read.
     """
-    if fits and paired.config.path:
-        read = ((paired, corpus.read), (alone, unpaired))
-        size = 1 / paired.representation.scale
+    rig = corpus.recordings.rig(config, config.parts)
+    paired = VariantArrays(config, rig, representation, conditions)
+    alone = replace(paired, rig=corpus.unpaired_rig)
+    if config.path and config.start_from is None:
         deltas = np.concatenate(
             [
-                maker.path(*phase).scaled(size).deltas()
-                for maker, recordings in read
+                maker.path(*phase).scaled(1 / representation.scale).deltas()
+                for maker, recordings in ((paired, corpus.read), (alone, corpus.unpaired))
                 for recording in recordings
                 for phase in recording.phases
             ]
         )
-        scale = np.maximum(deltas.std(axis=0), _STEP_FLOORS / paired.config.fps)
+        scale = np.maximum(deltas.std(axis=0), _STEP_FLOORS / config.fps)
         conditions = replace(conditions, path_mean=deltas.mean(axis=0), path_scale=scale)
     without_speech = replace(conditions, conditioner=None)
-    makers = (replace(maker, conditions=without_speech) for maker in (paired, alone))
-    return conditions, *makers
+    return conditions, *(replace(maker, conditions=without_speech) for maker in (paired, alone))
 
 
-def _seconds(
-    paired: Sequence[VariantArray], unpaired: Sequence[VariantArray]
-) -> tuple[float, float]:
-    """Return the total length of the paired and the unpaired recordings."""
-    first, second = (
-        sum(array.facts["seconds"] for array in arrays) for arrays in (paired, unpaired)
-    )
-    return first, second
+def _encoded(
+    corpus: Corpus, paired: VariantArrays, alone: VariantArrays
+) -> Sequence[Sequence[VariantArray]]:
+    """Return arrays of the recordings and of unpaired motion; on disk, missing ones are made."""
+    if corpus.is_in_memory:
+        both = (paired, corpus.read), (alone, corpus.unpaired)
+        return [[ArrayInMemory(*maker.encode(r)) for r in recordings] for maker, recordings in both]
+    wanted = [(paired, corpus.recordings.items), (alone, corpus.recordings.unpaired)]
+    return stored_arrays(paired.config.arrays_folder, wanted, paired.config.workers)
+
+
+def _speech(
+    config: DiffusionConfig,
+    corpus: Corpus,
+    motion: Sequence[VariantArray],
+    speech: SpeechArrays,
+    fitted: SpeechConditioner | None,
+) -> tuple[SpeechConditioner, list[Frames], list[StoredArray]]:
+    """Return a conditioner, the features (S, T) of each phase, and their arrays on disk.
+
+    Args:
+        config: of the run.
+        corpus: of the run.
+        motion: arrays of its recordings.
+        speech: extracts features.
+        fitted: conditioner of the model to start from, which is kept; None fits one.
+    """
+    if corpus.is_in_memory:
+        items = [item for item, _ in corpus.phases]
+        lengths = [motion.n_frames for _, motion in corpus.phases]
+        about = speech.extractor, speech.fps, speech.settings
+        conditioner, values = extract_features(items, lengths, *about, fitted)
+        return conditioner, [torch.from_numpy(features.T) for features in values], []
+    phases = [
+        phase_item(item, number, start)
+        for item, array in zip(corpus.recordings.items, motion, strict=True)
+        for number, start in enumerate(array.facts["starts"])
+    ]
+    (spoken,) = stored_arrays(config.arrays_folder, [(speech, phases)], config.workers)
+    if fitted is None:
+        fitted = _fit_conditioner(speech, motion, spoken, corpus.recordings.excerpts or ())
+    lengths = [n_frames for array in motion for n_frames in array.facts["lengths"]]
+    return fitted, stored_speech(spoken, fitted, lengths), spoken
 
 
 def _fit_conditioner(
     speech: SpeechArrays,
-    motion: Sequence[StoredArray],
+    motion: Sequence[VariantArray],
     spoken: Sequence[StoredArray],
-    sample: Mapping[int, Sequence[Excerpt]],
+    excerpts: Sequence[Excerpt],
 ) -> SpeechConditioner:
-    """Return a conditioner that is fitted to the excerpts of each recording.
+    """Return a conditioner that is fitted to excerpts of the recordings.
 
     Args:
         speech: made `spoken`.
         motion: arrays of the recordings.
         spoken: arrays of the speech of their phases.
-        sample: excerpts of a recording, by its index.
+        excerpts: in the order of the recordings.
     """
-    clips, arrays = [], iter(spoken)
-    for i, array in enumerate(motion):
-        lengths = array.facts["lengths"]
-        first = [next(arrays) for _ in lengths][0]
-        for excerpt in sample.get(i, ()):
-            frames = excerpt.frames(speech.fps, min(first.shape[0], lengths[0]))
-            clips.append(raw_speech(first, *frames))
+    counts = [len(array.facts["lengths"]) for array in motion]
+    clips = []
+    for excerpt in excerpts:
+        first = spoken[sum(counts[: excerpt.index])]
+        n_frames = min(first.shape[0], motion[excerpt.index].facts["lengths"][0])
+        clips.append(raw_speech(first, *excerpt.frames(speech.fps, n_frames)))
     return fit_conditioner(clips, speech.extractor, speech.fps, speech.settings)
 
 
+def _sampled(
+    corpus: Corpus, variants: Sequence[Variant], recordings: Sequence[TrainingSequence], fps: float
+) -> tuple[Cut, ...]:
+    """Return the parts of recordings on disk from which statistics are computed."""
+    sample: dict[int, list[Excerpt]] = {}
+    for excerpt in corpus.recordings.excerpts or ():
+        sample.setdefault(excerpt.index, []).append(excerpt)
+    for excerpt in corpus.unpaired_excerpts:
+        sample.setdefault(len(corpus.recordings.items) + excerpt.index, []).append(excerpt)
+    return tuple(
+        (i, *excerpt.frames(fps, recordings[i].n_frames))
+        for i, variant in enumerate(variants)
+        # The other phases of an excerpt are almost the same motion.
+        for excerpt in sample.get(variant.which, ()) * (variant.phase == 0)
+    )
+
+
 def _fit_state(
+    config: DiffusionConfig,
+    corpus: Corpus,
+    variants: Sequence[Variant],
     recordings: Sequence[TrainingSequence],
-    clips: Sequence[tuple[Item, Cut]],
+    sampled: Sequence[Cut] | None,
     conditions: Conditions,
     representation: DeltaRepresentation,
-    fps: float,
 ) -> StateProcess:
-    """Return the process of the state of movement in parts of recordings.
+    """Return the process of the state of movement in paired recordings, or in a sample of them.
 
-    The conditions of the recordings have no state yet.
-
-    Args:
-        recordings: and their variants.
-        clips: the parts, with the items they are of.
-        conditions: their layout.
-        representation: of their motion vectors.
-        fps: frames per second.
+    Mirrored copies are left out. The conditions of the recordings have no state yet.
     """
+    items, fps = corpus.recordings.items, config.fps
     channels = StateChannels.find(representation.skeleton, representation.joints)
     recorded = []
-    for item, (i, start, stop) in clips:
+    for i, start, stop in sampled or [(i, 0, r.n_frames) for i, r in enumerate(recordings)]:
+        if variants[i].mirrored or not recordings[i].is_paired:
+            continue
+        item = items[variants[i].which]
         values = measured_state(recordings[i].motion[start:stop], representation, channels, fps)
         speech = recordings[i].condition[start:stop][:, conditions.columns["speech"]]
         style = conditions.styles.index(item.style or "") if conditions.styles else None

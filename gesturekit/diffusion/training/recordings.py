@@ -6,6 +6,7 @@ Variants of a recording are its phases, and a mirrored copy of each.
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,7 +23,6 @@ from gesturekit.corpus.styles import style_track
 from gesturekit.diffusion.conditions import Conditions, smooth_path
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.motion_vector import DeltaRepresentation
-from gesturekit.diffusion.training.augmentation import mirror_condition
 from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.mirroring import can_be_mirrored
@@ -30,6 +30,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.retarget.standing_pose import standing_pose
 from gesturekit.motion.root_path import RootPath, follow_path
+from gesturekit.training.data.excerpts import Excerpt, systematic_sample
 from gesturekit.training.recordings import (
     Recordings,
     Rig,
@@ -37,6 +38,9 @@ from gesturekit.training.recordings import (
     motion_origin,
     training_items,
 )
+
+_WORDS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^A-Za-z]+|[A-Z]")
+_OTHER_SIDE = {"left": "right", "right": "left", "l": "r", "r": "l"}
 
 
 class Recording(NamedTuple):
@@ -151,12 +155,22 @@ class Corpus:
         read: the recordings or excerpts that were read.
         events: names of the events of all recordings.
         unpaired_rig: reads the recordings without speech.
+        unpaired_excerpts: a sample of these; all of them, whole, of a corpus held in memory.
+        unpaired: the excerpts that were read: all in memory, and of a long corpus those that a path
+            condition is fitted to.
     """
 
     recordings: Recordings
     read: list[Recording]
     events: tuple[str, ...]
     unpaired_rig: UnpairedRig
+    unpaired_excerpts: list[Excerpt]
+    unpaired: list[Recording]
+
+    @property
+    def is_in_memory(self) -> bool:
+        """Return True if all recordings were read."""
+        return self.recordings.excerpts is None
 
     @property
     def phases(self) -> list[tuple[Item, Motion]]:
@@ -190,6 +204,10 @@ def read_corpus(config: DiffusionConfig, *, speech: bool, trial: bool = False) -
         read.append(Recording.of(item, motions[i], config.fps))
         # Motion at the rate of its file is released: that of a large corpus fills memory.
         motions[i] = read[-1].phases[0][1]
+    excerpts, unpaired = systematic_sample(recordings.unpaired, 60 * config.in_memory), []
+    if recordings.excerpts is None or (config.path and config.start_from is None):
+        for item in (excerpt.of(recordings.unpaired) for excerpt in excerpts):
+            unpaired.append(Recording.of(item, rig.load(item), config.fps))
     names: set[str] = set()
     if config.events:
         names.update(event.name for item in recordings.items for event in item.load_events())
@@ -198,7 +216,7 @@ def read_corpus(config: DiffusionConfig, *, speech: bool, trial: bool = False) -
                 f"{config.corpus}: no training item has events; put STEM.events.csv beside the "
                 "recordings and run gesturekit prepare again, or train without (events=false)"
             )
-    return Corpus(recordings, read, tuple(sorted(names)), rig)
+    return Corpus(recordings, read, tuple(sorted(names)), rig, excerpts, unpaired)
 
 
 def _check_handed(config: DiffusionConfig, styles: Sequence[str]) -> None:
@@ -256,13 +274,9 @@ class VariantArrays:
         """Return False for unpaired motion, which has no conditions but its path."""
         return isinstance(self.rig, Rig)
 
-    def load(self, item: Item) -> Recording:
-        """Read the motion of an item."""
-        return Recording.of(item, self.rig.load(item), self.config.fps)
-
     def make(self, item: Item) -> tuple[np.ndarray, dict[str, Any]]:
         """Read an item and encode its variants."""
-        return self.encode(self.load(item))
+        return self.encode(Recording.of(item, self.rig.load(item), self.config.fps))
 
     def encode(self, recording: Recording) -> tuple[np.ndarray, dict[str, Any]]:
         """Return the rows (N, X + W) float32 of all variants of a recording, and facts of them."""
@@ -346,3 +360,45 @@ class VariantArrays:
         events = item.load_events() if self.config.events and self._is_paired else ()
         scaled = None if path is None else path.scaled(1 / self.representation.scale)
         return self.conditions.encode(n_frames, fps, path=scaled, events=events, style=style)
+
+
+def other_side(name: str) -> str:
+    """Swap the words left and right (and l and r) in a name: "kickLeft" to "kickRight"."""
+
+    def swap(match: re.Match[str]) -> str:
+        word = match[0]
+        other = _OTHER_SIDE.get(word.lower(), word)
+        if other == word:
+            return word
+        return other.upper() if word.isupper() else other.title() if word[0].isupper() else other
+
+    return _WORDS.sub(swap, name)
+
+
+def mirror_condition(condition: np.ndarray, layout: Conditions) -> np.ndarray:
+    """Mirror a condition: negate turn and lateral displacement, and swap left and right events.
+
+    Args:
+        condition: (T, C); other columns are kept.
+        layout: its columns and the scale of its path.
+
+    Returns:
+        (T, C), a copy.
+
+    Raises:
+        ConfigError: an event of one side without one of the other side, see `other_side`.
+    """
+    mirrored, names = condition.copy(), layout.events
+    path, events = layout.columns["path"], layout.columns["events"]
+    if layout.path:
+        sign, offset = np.array([-1.0, 1.0, -1.0]), layout.path_mean / layout.path_scale
+        mirrored[:, path] = sign * (condition[:, path] + offset) - offset
+    for name, column in zip(names, range(events.start, events.stop), strict=True):
+        other = other_side(name)
+        if other not in names:
+            raise ConfigError(
+                f"event {name!r}: mirrored it would be {other!r}, which is not an event of the "
+                "corpus; rename it, or train without mirror"
+            )
+        mirrored[:, column] = condition[:, events.start + names.index(other)]
+    return mirrored
