@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -163,9 +163,12 @@ class Conditions:
         conditioner = None
         if features is not None:
             conditioner = load_conditioner(features, tensors, fps, weights, device)
-        names = (tuple(map(str, values[name])) for name in ("events", "styles"))
-        path = [tensors[f"path.{name}"].numpy() for name in ("mean", "scale") if has_path]
-        return cls(conditioner, has_path, *names, *path, state=state)
+        events, styles = (tuple(map(str, values[name])) for name in ("events", "styles"))
+        conditions = cls(conditioner, has_path, events, styles, state=state)
+        if not has_path:
+            return conditions
+        mean, scale = (tensors[f"path.{name}"].numpy() for name in ("mean", "scale"))
+        return replace(conditions, path_mean=mean, path_scale=scale)
 
 
 def smooth_path(path: RootPath, fps: float, n_frames: int | None = None) -> RootPath:

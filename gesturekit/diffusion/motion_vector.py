@@ -142,10 +142,10 @@ class DeltaRepresentation(ModelJoints):
         away = multiply_quaternions(invert_quaternions(self.references), rotations)
         maps = continuous_maps(rotation_vector_from_quaternion(away))
         height = motion.positions()[:, self.root, 1:2] / self.scale
-        parts = [maps.reshape(motion.n_frames, -1), height]
+        columns = [maps.reshape(motion.n_frames, -1), height]
         if self.makes_root:
-            parts.append(path.scaled(1 / self.scale).deltas())
-        return np.concatenate(parts, axis=-1)
+            columns.append(path.scaled(1 / self.scale).deltas())
+        return np.concatenate(columns, axis=-1)
 
     def decode(
         self,

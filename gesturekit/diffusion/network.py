@@ -34,13 +34,7 @@ Stack = Callable[[Tensor], Tensor]
 
 
 def attend(
-    queries: Tensor,
-    keys: Tensor,
-    values: Tensor,
-    bands: list[Band],
-    dropout: float,
-    *,
-    fused: bool,
+    queries: Tensor, keys: Tensor, values: Tensor, bands: list[Band], dropout: float, *, fused: bool
 ) -> Tensor:
     """Compute attention (B, H, T, D) band by band and block by block.
 
@@ -76,15 +70,10 @@ class Attention(nn.Module):
 
     def forward(self, x: Tensor, bands: list[Band]) -> Tensor:
         """Map (B, T, channels) to the same shape."""
-        batch, n_frames, channels = x.shape
-        q, k, v = (
-            self.read(x)
-            .view(batch, n_frames, 3, self.heads, channels // self.heads)
-            .permute(2, 0, 3, 1, 4)
-        )
+        q, k, v = self.read(x).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)
         dropout = self.dropout if self.training else 0.0
         attended = attend(q, k, v, bands, dropout, fused=not torch.is_grad_enabled())
-        return F.glu(self.write(attended.transpose(1, 2).reshape(batch, n_frames, channels)))
+        return F.glu(self.write(attended.transpose(1, 2).flatten(2)))
 
 
 class DilatedConv(nn.Module):

@@ -134,7 +134,7 @@ class TrainedModel(BaseModel):
         if dtype == "bf16":
             warn_of_slow_bfloat16(place)
 
-        def assemble(parts: ModelParts) -> Self:
+        def assemble(parts: ModelParts) -> Any:
             model = cls(**_arguments(parts, weights, str(place)))
             model.network.to(place, _DTYPES[dtype])
             return model

@@ -167,7 +167,7 @@ def _guidance(
     added: list[Expert] = []
     if (gamma := request.controls["guidance"]) is not None:
         unconditional = request.controls["unconditional"]
-        model = unconditional or request.model
+        model = unconditional if isinstance(unconditional, TrainedModel) else request.model
         condition = request.condition(model.conditions)
         if unconditional is None and not ("styles" in model.droppable and model.styles):
             condition = model.conditions.without(condition)
@@ -230,10 +230,11 @@ def _states(request: Request, numbers: Sequence[int]) -> list[np.ndarray] | None
     """
     if request.state is not None:
         return [request.state] * len(numbers)
-    member = next((m for m in request.members if m.model.state_process is not None), None)
-    if member is None:
+    members = (member for member in request.members if member.model.state_process is not None)
+    model, _, name = next(members, request.members[0])
+    controls, process, style = request.controls, model.state_process, None
+    if process is None:
         return None
-    (model, _, name), controls, style = member, request.controls, None
     if model.styles and name is not None:
         weights = style_weights(model.styles, name, request.n_frames, request.fps)
         style = int(weights.sum(axis=0).argmax())
@@ -245,7 +246,7 @@ def _states(request: Request, numbers: Sequence[int]) -> list[np.ndarray] | None
         if style is None and model.styles:
             own_style = _random_style(model, request, number)
         states.append(
-            model.state_process.draw(
+            process.draw(
                 rng_for(seed, request.item, "sample", number, "mood").initial_seed() >> 1,
                 speech,
                 (controls["speaker"], own_style),

@@ -54,7 +54,7 @@ def product_members(first: TrainedModel, controls: DiffusionControls) -> list[Me
         if not 1 <= len(expert) <= 3:
             raise ModelError(f"expert {number}: expected (model, weight) or + (style,)")
         model, weight, named = (*expert, None, None)[:3]
-        _check_compatible(first, model, f"expert {number}")
+        _compatible(first, model, f"expert {number}")
         if isinstance(weight, str):
             weight_track(weight, 1, first.fps)
         inherited = style if _knows(model, style) else None
@@ -88,8 +88,8 @@ def _check_guidance(first: TrainedModel, controls: DiffusionControls) -> None:
     if unconditional is not None:
         if guidance is None:
             raise ModelError("unconditional: only used with guidance; give guidance too")
-        _check_compatible(first, unconditional, "unconditional")
-        if unconditional.styles and not {"styles", "all"} & set(unconditional.droppable):
+        model = _compatible(first, unconditional, "unconditional")
+        if model.styles and not {"styles", "all"} & set(model.droppable):
             raise ModelError(
                 "unconditional: that model needs a style too; give one trained with styles: null"
             )
@@ -104,10 +104,11 @@ def _check_guidance(first: TrainedModel, controls: DiffusionControls) -> None:
             )
 
 
-def _check_compatible(first: TrainedModel, other: Any, who: str) -> None:
-    """Raise ModelError if two models cannot be combined."""
+def _compatible(first: TrainedModel, other: Any, who: str) -> TrainedModel:
+    """Return the other model; raise ModelError if the two cannot be combined."""
     if reason := next(_differences(first, other), None):
         raise ModelError(f"{who}: {reason}")
+    return other
 
 
 def _differences(first: TrainedModel, other: Any) -> Iterator[str]:

@@ -90,25 +90,27 @@ class Request:
         if speech is None and length is None and followed is not None:
             length = followed.frames_within(fps) / fps
         conditioners = _conditioners(members, controls)
-        sound, self.wave = speech, None
+        sound, wave = speech, None
         if speech is not None and (conditioners or wants_beats(events)):
-            sound = self.wave = speech if isinstance(speech, af.Wave) else af.Wave.load(speech)
-        if not conditioners and self.wave is not None and length is None:
+            sound = wave = speech if isinstance(speech, af.Wave) else af.Wave.load(speech)
+        if not conditioners and wave is not None and length is None:
             # No model has speech input, but the beats of the sound are the times of events.
-            sound, length = None, self.wave.n_frames(fps) / fps
+            sound, length = None, wave.n_frames(fps) / fps
         first, vad = next(iter(conditioners), None), controls["vad"]
         values = speech_features(first, sound, length, fps, vad)
         self.n_frames = n_frames = len(values)
         self.features = {} if first is None else {first: values}
         for other in conditioners[1:]:
-            silent = self.wave is None
-            values = other.silence(n_frames) if silent else other(self.wave, n_frames, vad)
+            values = other.silence(n_frames) if wave is None else other(wave, n_frames, vad)
             self.features[other] = values
+        self.wave = wave
         self.start = None if begin is None else begin.noised(n_frames, controls["change"])
-        self.place = (0.0, 0.0, 0.0) if begin is None else begin.place
+        self.place = (0.0, 0.0, 0.0)
+        if begin is not None:
+            self.place = (*begin.path.positions[0], begin.path.headings[0])
         self.state = _known_state(members, controls, self.start, n_frames)
         self.path = None if followed is None else smooth_path(followed, fps, n_frames)
-        self.events = None if events is None else asked_events(events, self.wave)
+        self.events = None if events is None else asked_events(events, wave)
         read_pose = partial(pose_on_rig, model.representation)
         self.placement = Placement.of(controls, read_pose, on_path=model.conditions.path)
 
@@ -199,6 +201,7 @@ class SDEditStart:
 
     Attributes:
         motion: on the model's rig, at its frame rate.
+        path: of its root over the ground.
         lift: metres that the motion must be raised to stand on the model's floor.
 
     Raises:
@@ -213,17 +216,7 @@ class SDEditStart:
         if motion is not given:
             # The floor of a foreign file is unknown; that of this rig is known.
             self.lift = _floor_of_model(model) - floor_height(motion)
-
-    @property
-    def path(self) -> RootPath:
-        """The path of its root over the ground."""
-        return self.model.representation.path_of(self.motion)
-
-    @property
-    def place(self) -> tuple[float, float, float]:
-        """x and z in metres and heading in radians of its first frame."""
-        path = self.path
-        return (*path.positions[0], path.headings[0])
+        self.path = model.representation.path_of(self.motion)
 
     def noised(self, n_frames: int, change: float) -> tuple[Tensor, int]:
         """Return the normalised motion (T, X) and the step up to which it is noised.

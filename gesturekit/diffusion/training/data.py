@@ -76,16 +76,16 @@ class StoredRows:
 
     def __getitem__(self, frames: slice) -> np.ndarray:
         start, stop, _ = frames.indices(self.n_frames)
-        parts = []
+        values = []
         if self.speech is not None:
-            parts.append(self.speech[:, start:stop].numpy().T)
+            values.append(self.speech[:, start:stop].numpy().T)
         elif self.n_speech:
-            parts.append(np.zeros((stop - start, self.n_speech), np.float32))
-        if not parts or self.columns.start < self.array.shape[1]:
-            parts.append(self.array.rows(self.first + start, self.first + stop)[:, self.columns])
+            values.append(np.zeros((stop - start, self.n_speech), np.float32))
+        if not values or self.columns.start < self.array.shape[1]:
+            values.append(self.array.rows(self.first + start, self.first + stop)[:, self.columns])
         if self.state is not None:
-            parts.append(self.state()[start:stop])
-        return np.ascontiguousarray(np.concatenate(parts, axis=1))
+            values.append(self.state()[start:stop])
+        return np.ascontiguousarray(np.concatenate(values, axis=1))
 
 
 Rows = np.ndarray | StoredRows
@@ -170,7 +170,7 @@ def sequences_of(
         width: X, of a motion vector.
         n_paired: number of paired recordings, which are the first ones.
     """
-    phases = ((own.which, own.phase) for own in variants if not own.mirrored)
+    phases = ((v.which, v.phase) for v in variants if not v.mirrored)
     speech_of = dict(zip(phases, speech, strict=False))
     n_speech, sequences = conditions.columns["speech"].stop, []
     for variant in variants:

@@ -77,7 +77,8 @@ def load_training_data(
     representation = _representation(config, corpus, like)
     conditions, *makers = _makers(config, corpus, conditions, representation)
     motion, unpaired = _encoded(corpus, *makers)
-    spoken, frames = [], []
+    frames: list[Frames] = []
+    spoken: list[StoredArray] = []
     if speech is not None:
         fitted = conditions.conditioner
         fitted, frames, spoken = _speech(config, corpus, motion, speech, fitted)
@@ -90,7 +91,10 @@ def load_training_data(
     else:
         sampled = _sampled(corpus, variants, recordings, fps)
         kinds = {"motion": motion, "speech": spoken, "unpaired": unpaired}
-        stored = {kind: [array.path.stem for array in arrays] for kind, arrays in kinds.items()}
+        stored = {
+            kind: [array.path.stem for array in arrays if isinstance(array, StoredArray)]
+            for kind, arrays in kinds.items()
+        }
     normaliser = None if like is None else like.normaliser
     if normaliser is None:
         floors = _floors(representation, fps)
@@ -101,10 +105,10 @@ def load_training_data(
         process = _fit_state(config, corpus, *about)
         recordings = tuple(with_state(r, process, representation) for r in recordings)
         conditions = replace(conditions, state=process.channels)
-    seconds = (sum((a.facts["seconds"] for a in arrays), 0.0) for arrays in (motion, unpaired))
+    first, second = (sum((a.facts["seconds"] for a in m), 0.0) for m in (motion, unpaired))
     return TrainingData(
         recordings=recordings,
-        seconds=corpus.recordings.lengths if trial else tuple(seconds),
+        seconds=corpus.recordings.lengths if trial else (first, second),
         representation=representation,
         conditions=conditions,
         normaliser=normaliser,
@@ -205,7 +209,8 @@ def _makers(
         scale = np.maximum(deltas.std(axis=0), _STEP_FLOORS / config.fps)
         conditions = replace(conditions, path_mean=deltas.mean(axis=0), path_scale=scale)
     without_speech = replace(conditions, conditioner=None)
-    return conditions, *(replace(maker, conditions=without_speech) for maker in (paired, alone))
+    paired, alone = (replace(maker, conditions=without_speech) for maker in (paired, alone))
+    return conditions, paired, alone
 
 
 def _encoded(
@@ -250,7 +255,7 @@ def _speech(
     if fitted is None:
         fitted = _fit_conditioner(speech, motion, spoken, corpus.recordings.excerpts or ())
     lengths = [n_frames for array in motion for n_frames in array.facts["lengths"]]
-    return fitted, stored_speech(spoken, fitted, lengths), spoken
+    return fitted, [*stored_speech(spoken, fitted, lengths)], spoken
 
 
 def _fit_conditioner(

@@ -6,6 +6,7 @@ import copy
 import logging
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -143,7 +144,7 @@ class Trainer:
         if processes.is_first:
             self._log_missing_parts()
         self.unused = unused_labels(data.sources, styles)
-        inputs = [name for name, part in data.conditions.columns.items() if part.stop > part.start]
+        inputs = [name for name, c in data.conditions.columns.items() if c.stop > c.start]
         mode = f"from {' and '.join(inputs)}" if inputs else "no condition"
         self.loop.announce(["diffusion", mode], config.updates, self._contents(), self.unused)
         self.network = self._network().to(device)
@@ -162,12 +163,13 @@ class Trainer:
 
     def run(self) -> Path:
         """Train all updates, or those that are left, and write the model."""
-        stored = {"network": self.network, "optimiser": self.optimiser}
+        stored: dict[str, Any] = {"network": self.network, "optimiser": self.optimiser}
         if self.config.training.ema:
             stored["average"] = self.average
         done, state = self.loop.resume()
-        for name in stored if state is not None else ():
-            stored[name].load_state_dict(state[name])
+        if state is not None:
+            for name, trained in stored.items():
+                trained.load_state_dict(state[name])
         updates = self.config.updates
         with self.loop.progress([(updates, 1.0)], done):
             for step in self.loop.begin(range(done + 1, updates + 1)):
