@@ -185,6 +185,11 @@ def sequences_of(
     return tuple(sequences)
 
 
+def names_of(arrays: Sequence[VariantArray]) -> list[str]:
+    """Return the names of arrays on disk in their folder."""
+    return [array.path.stem for array in arrays if isinstance(array, StoredArray)]
+
+
 def stored_sequences(
     names: Mapping[str, Sequence[str]], config: DiffusionConfig, conditions: Conditions, width: int
 ) -> tuple[TrainingSequence, ...]:

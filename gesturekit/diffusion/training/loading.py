@@ -21,6 +21,7 @@ from gesturekit.diffusion.training.data import (
     Variant,
     VariantArray,
     motion_of,
+    names_of,
     sequences_of,
     variants_of,
     with_state,
@@ -77,12 +78,8 @@ def load_training_data(
     representation = _representation(config, corpus, like)
     conditions, *makers = _makers(config, corpus, conditions, representation)
     motion, unpaired = _encoded(corpus, *makers)
-    frames: list[Frames] = []
-    spoken: list[StoredArray] = []
-    if speech is not None:
-        fitted = conditions.conditioner
-        fitted, frames, spoken = _speech(config, corpus, motion, speech, fitted)
-        conditions = replace(conditions, conditioner=fitted)
+    fitted, frames, spoken = _speech(config, corpus, motion, speech, conditions.conditioner)
+    conditions = replace(conditions, conditioner=fitted)
     variants, width = variants_of([*motion, *unpaired]), representation.n_features
     recordings = sequences_of(variants, frames, conditions, width, len(motion))
     sampled = stored = None
@@ -91,14 +88,10 @@ def load_training_data(
     else:
         sampled = _sampled(corpus, variants, recordings, fps)
         kinds = {"motion": motion, "speech": spoken, "unpaired": unpaired}
-        stored = {
-            kind: [array.path.stem for array in arrays if isinstance(array, StoredArray)]
-            for kind, arrays in kinds.items()
-        }
+        stored = {kind: names_of(arrays) for kind, arrays in kinds.items()}
     normaliser = None if like is None else like.normaliser
     if normaliser is None:
-        floors = _floors(representation, fps)
-        normaliser = Normaliser.fit(motion_of(recordings, sampled), floors)
+        normaliser = _fit_normaliser(representation, motion_of(recordings, sampled), fps)
     process = None
     if config.state:
         about = variants, recordings, sampled, conditions, representation
@@ -228,18 +221,20 @@ def _speech(
     config: DiffusionConfig,
     corpus: Corpus,
     motion: Sequence[VariantArray],
-    speech: SpeechArrays,
+    speech: SpeechArrays | None,
     fitted: SpeechConditioner | None,
-) -> tuple[SpeechConditioner, list[Frames], list[StoredArray]]:
+) -> tuple[SpeechConditioner | None, list[Frames], list[StoredArray]]:
     """Return a conditioner, the features (S, T) of each phase, and their arrays on disk.
 
     Args:
         config: of the run.
         corpus: of the run.
         motion: arrays of its recordings.
-        speech: extracts features.
+        speech: extracts features; None for a model without speech input.
         fitted: conditioner of the model to start from, which is kept; None fits one.
     """
+    if speech is None:
+        return None, [], []
     if corpus.is_in_memory:
         items = [item for item, _ in corpus.phases]
         lengths = [motion.n_frames for _, motion in corpus.phases]
@@ -325,10 +320,12 @@ def _fit_state(
     return StateProcess.fit(channels, recorded, fps, conditions.conditioner)
 
 
-def _floors(representation: DeltaRepresentation, fps: float) -> np.ndarray:
-    """Return the least scale (X,) of each number of a motion vector."""
-    values = np.full(representation.n_features, 0.01)  # radians
-    values[representation.height_column] = 2e-3  # metres of the reference body
+def _fit_normaliser(
+    representation: DeltaRepresentation, motion: Sequence[np.ndarray], fps: float
+) -> Normaliser:
+    """Return mean and scale of motion vectors (T, X), with the least scale of each number."""
+    floors = np.full(representation.n_features, 0.01)  # radians
+    floors[representation.height_column] = 2e-3  # metres of the reference body
     if representation.makes_root:
-        values[representation.root_columns] = _STEP_FLOORS / fps
-    return values
+        floors[representation.root_columns] = _STEP_FLOORS / fps
+    return Normaliser.fit(motion, floors)
